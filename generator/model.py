@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from freeart21.joint import JointType
 
+Point = tuple[float, float, float]
+"""Metres, in the object's frame."""
+Rng = np.random.Generator
 Finish = Literal["plastic", "metal", "wood", "rubber", "paper"]
 
 SHINE: dict[str, tuple[float, float]] = {
@@ -58,6 +61,9 @@ class Piece:
     name: str
     solid: Manifold
     material: Material
+
+
+Pieces = tuple[Piece, ...]
 
 
 @dataclass(frozen=True)

@@ -39,18 +39,18 @@ def wood(rng: np.random.Generator, light: Colour, dark: Colour, size: int = 512)
             -1,
             cv2.LINE_AA,
         )
-    return _uint8(cv2.GaussianBlur(picture, (0, 0), 0.8))
+    return to_uint8(cv2.GaussianBlur(picture, (0, 0), 0.8))
 
 
 def brushed_metal(rng: np.random.Generator, colour: Colour, size: int = 256) -> Image:
     """Metal brushed along u."""
     streaks = _noise(rng, size, 6, size) * 0.06 + _noise(rng, size, 2, 64) * 0.03
-    return _uint8(np.array(colour) * (1 + streaks[..., None]))
+    return to_uint8(np.array(colour) * (1 + streaks[..., None]))
 
 
 def speckle(rng: np.random.Generator, colour: Colour, strength: float = 0.12, size: int = 256) -> Image:
     """Moulded plastic or rubber: a fine grain."""
-    return _uint8(
+    return to_uint8(
         np.array(colour) * (1 + strength * (_noise(rng, size, 96, 96) + 0.5 * _noise(rng, size, 40, 40))[..., None])
     )
 
@@ -59,24 +59,24 @@ def knurl(colour: Colour, lines: int = 10, size: int = 256) -> Image:
     """Two crossing sets of grooves."""
     v, u = np.mgrid[0:size, 0:size] / size
     grooves = np.maximum(np.cos(2 * np.pi * lines * (u + v)), np.cos(2 * np.pi * lines * (u - v)))
-    return _uint8(np.array(colour) * (0.45 + 0.55 * np.clip(grooves, 0, 1)[..., None]))
+    return to_uint8(np.array(colour) * (0.45 + 0.55 * np.clip(grooves, 0, 1)[..., None]))
 
 
 def stripes(colours: Sequence[Colour], repeats: int, size: int = 256) -> Image:
     """Stripes that change along u."""
     index = (np.arange(size) * repeats * len(colours) // size) % len(colours)
-    return _uint8(np.broadcast_to(np.array(colours)[index][None], (size, size, 3)))
+    return to_uint8(np.broadcast_to(np.array(colours)[index][None], (size, size, 3)))
 
 
 def page_edges(colour: Colour, leaves: int = 24, size: int = 128) -> Image:
     """The edges of a block of paper, one leaf above the other."""
     lines = 0.90 + 0.10 * np.cos(2 * np.pi * leaves * np.arange(size) / size)
-    return _uint8(np.broadcast_to(np.array(colour) * lines[:, None, None], (size, size, 3)))
+    return to_uint8(np.broadcast_to(np.array(colour) * lines[:, None, None], (size, size, 3)))
 
 
 def plain(colour: Colour) -> Image:
     """One colour all over."""
-    return _uint8(np.broadcast_to(np.array(colour), (4, 4, 3)))
+    return to_uint8(np.broadcast_to(np.array(colour), (4, 4, 3)))
 
 
 def label(
@@ -143,5 +143,6 @@ def _noise(rng: np.random.Generator, size: int, cells_u: int, cells_v: int) -> N
     return np.clip(big[top : top + size, left : left + size], -1, 1)
 
 
-def _uint8(picture: NDArray[np.float64]) -> Image:
+def to_uint8(picture: NDArray[np.float64]) -> Image:
+    """Colours from 0 to 1 as bytes."""
     return np.clip(np.rint(picture * 255), 0, 255).astype(np.uint8)

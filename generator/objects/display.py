@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from manifold3d import Manifold
-from numpy.typing import NDArray
 
 from generator import textures
-from generator.model import Hinge, Link, Material, ObjectModel, Piece, printed, textured
+from generator.model import Hinge, Link, Material, ObjectModel, Piece, Pieces, Point, Rng, printed, textured
 from generator.shapes import (
     box,
     moulded,
@@ -26,6 +25,7 @@ from generator.shapes import (
     tube,
     union,
 )
+from generator.textures import Colour, Image
 
 _NIGHTS = (
     (0.135, 0.135, 0.140),
@@ -64,7 +64,7 @@ class _Monitor:
     dark: Material
     steel: Material
     rubber: Material
-    print: textures.Colour
+    print: Colour
 
 
 def tilt_monitor(seed: int) -> ObjectModel:
@@ -108,13 +108,7 @@ def pivot_monitor(seed: int) -> ObjectModel:
 
 
 def _monitor(
-    rng: np.random.Generator,
-    width: float,
-    height: float,
-    middle: float,
-    thick: float,
-    colour: textures.Colour,
-    trim: textures.Colour,
+    rng: Rng, width: float, height: float, middle: float, thick: float, colour: Colour, trim: Colour
 ) -> _Monitor:
     light = sum(colour) > 1.2
     return _Monitor(
@@ -132,7 +126,7 @@ def _monitor(
     )
 
 
-def _panel(m: _Monitor, bezel: float, chin: float, picture: textures.Image, depth: float) -> tuple[Piece, ...]:
+def _panel(m: _Monitor, bezel: float, chin: float, picture: Image, depth: float) -> Pieces:
     """The frame with the sunk screen, the maker's name on its chin, buttons below it; the back shell, `depth` deep."""
     frame = moulded(rounded_outline(m.width, m.height, 0.007), m.thick, "x", m.thick / 2, 0.0018)
     high, wide = m.height - bezel - chin, m.width - 2 * bezel
@@ -157,7 +151,7 @@ def _panel(m: _Monitor, bezel: float, chin: float, picture: textures.Image, dept
     )
 
 
-def _raised(m: _Monitor, *parts: tuple[str, Manifold, Material]) -> tuple[Piece, ...]:
+def _raised(m: _Monitor, *parts: tuple[str, Manifold, Material]) -> Pieces:
     """Pieces made about the panel's middle, put at its height."""
     return tuple(Piece(name, solid.translate((0, 0, m.middle)), material) for name, solid, material in parts)
 
@@ -183,7 +177,7 @@ def _back_shell(m: _Monitor, depth: float) -> Manifold:
     return shell
 
 
-def _back(m: _Monitor, depth: float, rng: np.random.Generator) -> tuple[Piece, ...]:
+def _back(m: _Monitor, depth: float, rng: Rng) -> Pieces:
     """Plug sockets in their recess, screws, the maker's name and the rating plate."""
     floor, z = m.thick + 0.0035, -m.height * 0.34
     rims, cores = [], []
@@ -221,7 +215,7 @@ def _back(m: _Monitor, depth: float, rng: np.random.Generator) -> tuple[Piece, .
     )
 
 
-def _tilt_head(m: _Monitor, hinge_at: tuple[float, float, float]) -> tuple[Piece, ...]:
+def _tilt_head(m: _Monitor, hinge_at: Point) -> Pieces:
     """The panel's half of the tilting hinge: a mount with two cheeks, and the pin's heads."""
     x, _, z = hinge_at
     face = m.thick + 0.030
@@ -244,7 +238,7 @@ def _tilt_head(m: _Monitor, hinge_at: tuple[float, float, float]) -> tuple[Piece
     )
 
 
-def _neck_and_foot(m: _Monitor, hinge_at: tuple[float, float, float], rng: np.random.Generator) -> tuple[Piece, ...]:
+def _neck_and_foot(m: _Monitor, hinge_at: Point, rng: Rng) -> Pieces:
     """A leaning neck with a hole for cables on a rectangular or round foot with rubber pads."""
     x, _, z = hinge_at
     base = x + 0.028
@@ -277,7 +271,7 @@ def _neck_and_foot(m: _Monitor, hinge_at: tuple[float, float, float], rng: np.ra
     )
 
 
-def _pivot_head(m: _Monitor) -> tuple[Piece, ...]:
+def _pivot_head(m: _Monitor) -> Pieces:
     """The square mount on the panel's back with its screws and the turning disc."""
     face = m.thick + 0.018
     mount = round_box((0.010, 0.116, 0.116), 0.003, (face + 0.003, 0, 0), 16)
@@ -296,7 +290,7 @@ def _pivot_head(m: _Monitor) -> tuple[Piece, ...]:
     )
 
 
-def _column_and_foot(m: _Monitor, rng: np.random.Generator) -> tuple[Piece, ...]:
+def _column_and_foot(m: _Monitor, rng: Rng) -> Pieces:
     """A column with a carriage that holds the panel, a carrying loop, a cable ring, a scale, and a foot with a tray."""
     x, near = m.thick + 0.083, m.thick + 0.018 + 0.0155
     disc = rod(0.040, 0.010, "x", (near + 0.0055, 0, m.middle), 0.0015)
@@ -358,11 +352,11 @@ class _Portable:
     dark: Material
     steel: Material
     rubber: Material
-    colour: textures.Colour
-    ink: textures.Colour
+    colour: Colour
+    ink: Colour
 
     @property
-    def hinge(self) -> tuple[float, float, float]:
+    def hinge(self) -> Point:
         """A point of the stand's axis."""
         return self.thick / 2 - 0.0024, 0.0, self.top - 0.0058
 
@@ -397,7 +391,7 @@ def folding_display(seed: int) -> ObjectModel:
     return ObjectModel("folding_display", "Display", (stand, panel), 0, seed)
 
 
-def _tablet(p: _Portable, rng: np.random.Generator) -> tuple[Piece, ...]:
+def _tablet(p: _Portable, rng: Rng) -> Pieces:
     """The slab, its screen of electronic paper, the maker's name and touch keys on its chin."""
     slab = moulded(rounded_outline(p.width, p.height, 0.012), p.thick, "x", 0.0, 0.0022, 3)
     bezel, chin, front = 0.009, 0.022, -p.thick / 2
@@ -428,7 +422,7 @@ def _tablet(p: _Portable, rng: np.random.Generator) -> tuple[Piece, ...]:
     )
 
 
-def _tablet_edges(p: _Portable) -> tuple[Piece, ...]:
+def _tablet_edges(p: _Portable) -> Pieces:
     """Sockets on one edge, rocker and power key on the other."""
     y, sockets, cores = p.width / 2, [], []
     for z, long in ((-0.02, 0.0095), (0.0, 0.0095), (0.022, 0.0125)):
@@ -445,7 +439,7 @@ def _tablet_edges(p: _Portable) -> tuple[Piece, ...]:
     )
 
 
-def _tablet_back(p: _Portable, rng: np.random.Generator) -> tuple[Piece, ...]:
+def _tablet_back(p: _Portable, rng: Rng) -> Pieces:
     """Fixed knuckles of the hinge, magnets and the rating plate in the recess, corner screws, rubber feet."""
     x, _, z = p.hinge
     floor = p.thick / 2 - 0.0048
@@ -474,7 +468,7 @@ def _tablet_back(p: _Portable, rng: np.random.Generator) -> tuple[Piece, ...]:
     )
 
 
-def _kickstand(p: _Portable, rng: np.random.Generator) -> tuple[Piece, ...]:
+def _kickstand(p: _Portable, rng: Rng) -> Pieces:
     """The stand: a thin leaf with a grip hole, its knuckles, a printed line and a rubber edge."""
     x, _, z = p.hinge
     gap, wide = 0.0007, p.pocket[0] - 0.0014
@@ -515,12 +509,12 @@ def _kickstand(p: _Portable, rng: np.random.Generator) -> tuple[Piece, ...]:
     )
 
 
-def _night_screen(rng: np.random.Generator, colour: textures.Colour) -> textures.Image:
+def _night_screen(rng: Rng, colour: Colour) -> Image:
     """A dark screen: a clock, a page of program text, or nothing but a sheen."""
     h, w = 360, 640
     v, u = np.mgrid[0:h, 0:w] / h
     sheen = 0.75 + 0.30 * np.exp(-(((u - v * 0.5 - 0.55) / 0.30) ** 2)) + 0.1 * v
-    picture = _uint8(np.array(colour) * sheen[..., None])
+    picture = textures.to_uint8(np.array(colour) * sheen[..., None])
     style = int(rng.integers(3))
     grey = tuple(255 * min(1.0, 2.6 * c + 0.16) for c in colour)
     if style == 0:
@@ -544,7 +538,7 @@ def _night_screen(rng: np.random.Generator, colour: textures.Colour) -> textures
     return picture
 
 
-def _desktop(rng: np.random.Generator) -> textures.Image:
+def _desktop(rng: Rng) -> Image:
     """A coloured desktop: hills under a sky, two windows, icons and a task bar."""
     h, w = 432, 768
     v, u = np.mgrid[0:h, 0:w] / h
@@ -555,7 +549,7 @@ def _desktop(rng: np.random.Generator) -> textures.Image:
         line = 0.55 + 0.14 * k + 0.06 * np.sin(2 * np.pi * (u * rng.uniform(0.4, 0.9) + rng.uniform()))
         green = np.array([0.20, 0.50 - 0.10 * k, 0.38 - 0.08 * k])
         picture = np.where((v > line)[..., None], green, picture)
-    picture = _uint8(picture)
+    picture = textures.to_uint8(picture)
     for k, (x, y, ww, hh) in enumerate(((90, 60, 330, 240), (380, 140, 300, 220))):
         x, y = x + int(rng.integers(-20, 20)), y + int(rng.integers(-20, 20))
         cv2.rectangle(picture, (x, y), (x + ww, y + hh), (246, 246, 248), -1)
@@ -582,11 +576,11 @@ def _desktop(rng: np.random.Generator) -> textures.Image:
     return picture
 
 
-def _page(rng: np.random.Generator, paper: textures.Colour, ink: textures.Colour, aspect: float) -> textures.Image:
+def _page(rng: Rng, paper: Colour, ink: Colour, aspect: float) -> Image:
     """Electronic paper: a heading, two columns of lines, and a curve in its axes."""
     h = 480
     w = round(h * aspect)
-    picture = _uint8(np.broadcast_to(np.array(paper), (h, w, 3)))
+    picture = textures.to_uint8(np.broadcast_to(np.array(paper), (h, w, 3)))
     black, grey = tuple(255 * c for c in ink), tuple(255 * (0.6 * a + 0.4 * b) for a, b in zip(paper, ink, strict=True))
     title = str(rng.choice(["HINGES AND SLIDERS", "A SHORT HISTORY OF DOORS", "NOTES ON TWO PARTS"]))
     cv2.putText(picture, title, (40, 62), cv2.FONT_HERSHEY_TRIPLEX, 1.15, black, 2, cv2.LINE_AA)
@@ -607,14 +601,10 @@ def _page(rng: np.random.Generator, paper: textures.Colour, ink: textures.Colour
     return picture
 
 
-def _scale(ground: textures.Colour, ink: textures.Colour) -> textures.Image:
+def _scale(ground: Colour, ink: Colour) -> Image:
     """Height marks for a column's side."""
-    picture = _uint8(np.broadcast_to(np.array(ground), (256, 48, 3)))
+    picture = textures.to_uint8(np.broadcast_to(np.array(ground), (256, 48, 3)))
     for k in range(21):
         long = 30 if k % 5 == 0 else 16
         cv2.line(picture, (0, 8 + 12 * k), (long, 8 + 12 * k), tuple(255 * c for c in ink), 2)
     return picture
-
-
-def _uint8(picture: NDArray[np.float64]) -> textures.Image:
-    return np.clip(np.rint(picture * 255), 0, 255).astype(np.uint8)

@@ -6,7 +6,7 @@ import numpy as np
 from manifold3d import CrossSection, JoinType, Manifold, OpType
 
 from generator import textures
-from generator.model import Hinge, Link, Material, ObjectModel, Piece, printed, textured
+from generator.model import Hinge, Link, Material, ObjectModel, Piece, Pieces, Point, Rng, printed, textured
 from generator.shapes import (
     box,
     lathe,
@@ -23,6 +23,7 @@ from generator.shapes import (
     tube,
     union,
 )
+from generator.textures import Colour
 
 _METALS = ((0.78, 0.69, 0.47), (0.74, 0.75, 0.78), (0.30, 0.31, 0.34), (0.72, 0.46, 0.34))
 _BRASS = 8500.0
@@ -57,15 +58,7 @@ def flip_lighter(seed: int) -> ObjectModel:
     return ObjectModel("flip_lighter", "Lighter", (lid, body), 0, seed)
 
 
-def _body(
-    width: float,
-    depth: float,
-    seam: float,
-    case: Material,
-    colour: textures.Colour,
-    ink: textures.Colour,
-    rng: np.random.Generator,
-) -> tuple[Piece, ...]:
+def _body(width: float, depth: float, seam: float, case: Material, colour: Colour, ink: Colour, rng: Rng) -> Pieces:
     shell = round_box((width, depth, seam + 0.006), 0.0022, (0, 0, (seam + 0.006) / 2)).trim_by_plane((0, 0, -1), -seam)
     shell -= box((width - 0.0016, depth - 0.0016, seam), (0, 0, seam / 2 + 0.002))
     emblem = textured(
@@ -106,7 +99,7 @@ def _body(
     )
 
 
-def _insert(width: float, depth: float, seam: float, rng: np.random.Generator) -> tuple[Piece, ...]:
+def _insert(width: float, depth: float, seam: float, rng: Rng) -> Pieces:
     steel = textured("insert_steel", "metal", _STEEL, textures.brushed_metal(rng, (0.66, 0.67, 0.70)), 0.02)
     block = plate(
         rounded_outline(width - 0.0022, depth - 0.0022, 0.0016), seam + 0.0005, "z", (seam + 0.0045) / 2, 0.0004
@@ -143,15 +136,8 @@ def _insert(width: float, depth: float, seam: float, rng: np.random.Generator) -
 
 
 def _lid(
-    width: float,
-    depth: float,
-    seam: float,
-    height: float,
-    case: Material,
-    colour: textures.Colour,
-    ink: textures.Colour,
-    rng: np.random.Generator,
-) -> tuple[Piece, ...]:
+    width: float, depth: float, seam: float, height: float, case: Material, colour: Colour, ink: Colour, rng: Rng
+) -> Pieces:
     gap = 0.0003
     full = round_box((width, depth, height - seam + 0.010), 0.0030, (0, 0, (height + seam - 0.010) / 2))
     shell = full.trim_by_plane((0, 0, 1), seam + gap)
@@ -225,12 +211,12 @@ def _torch_body(
     depth: float,
     seam: float,
     split: float,
-    pivot: tuple[float, float, float],
+    pivot: Point,
     outline: CrossSection,
     paint: Material,
-    colour: textures.Colour,
-    rng: np.random.Generator,
-) -> tuple[Piece, ...]:
+    colour: Colour,
+    rng: Rng,
+) -> Pieces:
     gap = 0.0002
     x, _, z = pivot
     solid = moulded(outline, depth, "y", 0.0, 0.0021, 3)
@@ -289,7 +275,7 @@ def _torch_body(
     )
 
 
-def _torch_base(depth: float, colour: textures.Colour) -> tuple[Piece, ...]:
+def _torch_base(depth: float, colour: Colour) -> Pieces:
     """The flame's wheel and the filling valve below."""
     turn = np.linspace(0, 2 * np.pi, 60, endpoint=False)
     reach = np.where(np.arange(60) % 4 < 2, 0.0044, 0.0040)
@@ -303,7 +289,7 @@ def _torch_base(depth: float, colour: textures.Colour) -> tuple[Piece, ...]:
     return (Piece("adjuster", gear.translate((-0.004, 0, 0)), dark), Piece("valve", valve, brass))
 
 
-def _burner(width: float, depth: float, seam: float, split: float, rng: np.random.Generator) -> tuple[Piece, ...]:
+def _burner(width: float, depth: float, seam: float, split: float, rng: Rng) -> Pieces:
     """Under the cover: a plate with one to three jets and a wire that lights them."""
     steel = textured("burner_steel", "metal", _STEEL, textures.brushed_metal(rng, (0.55, 0.55, 0.57)), 0.01)
     jets = int(rng.integers(1, 4))
@@ -340,12 +326,12 @@ def _torch_cover(
     depth: float,
     seam: float,
     split: float,
-    pivot: tuple[float, float, float],
+    pivot: Point,
     outline: CrossSection,
     paint: Material,
-    colour: textures.Colour,
-    rng: np.random.Generator,
-) -> tuple[Piece, ...]:
+    colour: Colour,
+    rng: Rng,
+) -> Pieces:
     """A shell open below and, up to the pivot, at its back: there it would sweep through the jets."""
     x, _, z = pivot
     whole = moulded(outline, depth, "y", 0.0, 0.0021, 3)
@@ -384,9 +370,7 @@ def folding_lighter(seed: int) -> ObjectModel:
     return ObjectModel("folding_lighter", "Lighter", (barrel, handle), 0, seed)
 
 
-def _handle(
-    neck: float, thick: float, colour: textures.Colour, accent: textures.Colour, rng: np.random.Generator
-) -> tuple[Piece, ...]:
+def _handle(neck: float, thick: float, colour: Colour, accent: Colour, rng: Rng) -> Pieces:
     plastic = textured("handle", "plastic", 1050.0, textures.speckle(rng, colour, 0.03), 0.02)
     rubber = textured("grip_rubber", "rubber", 1150.0, textures.speckle(rng, (0.13, 0.13, 0.14), 0.25), 0.012)
     end = neck + 0.036
@@ -485,7 +469,7 @@ def _handle(
     )
 
 
-def _neck(neck: float, accent: textures.Colour, rng: np.random.Generator) -> tuple[Piece, ...]:
+def _neck(neck: float, accent: Colour, rng: Rng) -> Pieces:
     """A knuckle on the pin, the tube, and a slotted nozzle with its jet and spark wire."""
     steel = textured("neck_steel", "metal", _STEEL, textures.brushed_metal(rng, (0.70, 0.71, 0.73)), 0.02)
     knuckle = rod(0.0078, 0.0086, "y", (0, 0, 0), 0.0008, 48) - rod(0.0037, 0.1, "y", (0, 0, 0), 0, 32)

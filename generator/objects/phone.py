@@ -14,7 +14,7 @@ from manifold3d import CrossSection, Manifold
 from numpy.typing import NDArray
 
 from generator import textures
-from generator.model import Finish, Hinge, Link, Material, ObjectModel, Piece, printed, textured
+from generator.model import Finish, Hinge, Link, Material, ObjectModel, Piece, Rng, printed, textured
 from generator.shapes import (
     box,
     lathe,
@@ -28,6 +28,7 @@ from generator.shapes import (
     text_outline,
     union,
 )
+from generator.textures import Colour
 
 _FILLED = 1350.0
 """A case with its battery and board, kg/m^3."""
@@ -39,7 +40,7 @@ _SLIT = 0.0001
 _MAT = 0.0055
 """Thickness of a mat of keys with its keys."""
 
-_SLIDERS: tuple[tuple[textures.Colour, textures.Colour, Finish], ...] = (
+_SLIDERS: tuple[tuple[Colour, Colour, Finish], ...] = (
     ((0.72, 0.73, 0.76), (0.16, 0.17, 0.19), "metal"),
     ((0.93, 0.93, 0.92), (0.62, 0.64, 0.67), "plastic"),
     ((0.60, 0.08, 0.12), (0.11, 0.11, 0.12), "plastic"),
@@ -76,14 +77,7 @@ def slider_phone(seed: int) -> ObjectModel:
 
 
 def _slider_screen(
-    width: float,
-    height: float,
-    travel: float,
-    colour: textures.Colour,
-    other: textures.Colour,
-    finish: Finish,
-    brand: str,
-    rng: np.random.Generator,
+    width: float, height: float, travel: float, colour: Colour, other: Colour, finish: Finish, brand: str, rng: Rng
 ) -> list[Piece]:
     """The upper half of the slider: screen, loudspeaker, softkeys, a ring of arrows, and its slide plate behind."""
     face = 0.0076
@@ -144,13 +138,7 @@ def _slider_screen(
 
 
 def _slider_base(
-    width: float,
-    height: float,
-    travel: float,
-    colour: textures.Colour,
-    other: textures.Colour,
-    brand: str,
-    rng: np.random.Generator,
+    width: float, height: float, travel: float, colour: Colour, other: Colour, brand: str, rng: Rng
 ) -> list[Piece]:
     """The lower half of the slider: the digits in front; camera, battery door and sticker behind; keys and ports."""
     back, face = -0.0086, -_SLIT
@@ -180,9 +168,7 @@ def keyboard_phone(seed: int) -> ObjectModel:
     return _phone("keyboard_phone", seed, "slider screen_half", moving, rest, joint)
 
 
-def _keyboard_screen(
-    width: float, height: float, colour: textures.Colour, brand: str, rng: np.random.Generator
-) -> list[Piece]:
+def _keyboard_screen(width: float, height: float, colour: Colour, brand: str, rng: Rng) -> list[Piece]:
     """The upper half: a wide screen, a trackball among keys on its right, the loudspeaker on its left."""
     face = 0.0072
     case = moulded(rounded_outline(width, height, 0.0100, 40), face - _SLIT, "z", (face + _SLIT) / 2, 0.0018, 3)
@@ -235,9 +221,7 @@ def _keyboard_screen(
     ]
 
 
-def _keyboard_base(
-    width: float, height: float, travel: float, colour: textures.Colour, brand: str, rng: np.random.Generator
-) -> list[Piece]:
+def _keyboard_base(width: float, height: float, travel: float, colour: Colour, brand: str, rng: Rng) -> list[Piece]:
     """The lower half: four rows of keys in front; camera, battery door and sticker behind; keys and ports around."""
     back, face = -0.0088, -_SLIT
     case = moulded(rounded_outline(width, height, 0.0100, 40), face - back, "z", (face + back) / 2, 0.0018, 3)
@@ -278,13 +262,7 @@ def cover_phone(seed: int) -> ObjectModel:
 
 
 def _cover(
-    width: float,
-    height: float,
-    split: float,
-    envelope: Manifold,
-    colour: textures.Colour,
-    brand: str,
-    rng: np.random.Generator,
+    width: float, height: float, split: float, envelope: Manifold, colour: Colour, brand: str, rng: Rng
 ) -> list[Piece]:
     """The cover: the front of the lower part of the phone, with lips that reach around its sides."""
     face, inner = 0.0110, 0.0078
@@ -318,14 +296,7 @@ def _cover(
 
 
 def _bar(
-    width: float,
-    height: float,
-    split: float,
-    envelope: Manifold,
-    colour: textures.Colour,
-    brand: str,
-    bend: float,
-    rng: np.random.Generator,
+    width: float, height: float, split: float, envelope: Manifold, colour: Colour, brand: str, bend: float, rng: Rng
 ) -> list[Piece]:
     """The candy bar: screen, softkeys and roller above, digits in the bed of the cover below, aerial on top."""
     face, bed, back = 0.0110, 0.0075, -0.0110
@@ -398,13 +369,7 @@ def _phone(name: str, seed: int, semantic: str, moving: list[Piece], rest: list[
 
 
 def _back(
-    width: float,
-    height: float,
-    back: float,
-    colour: textures.Colour,
-    brand: str,
-    camera_at: tuple[float, float],
-    rng: np.random.Generator,
+    width: float, height: float, back: float, colour: Colour, brand: str, camera_at: tuple[float, float], rng: Rng
 ) -> tuple[list[Piece], list[Manifold]]:
     """What a phone has behind, and what must be cut out of its case: camera, slots, battery door, name, sticker."""
     x, y = camera_at
@@ -459,9 +424,7 @@ def _back(
     return pieces, [seam, cut]
 
 
-def _sides(
-    width: float, height: float, level: float, colour: textures.Colour, rng: np.random.Generator
-) -> tuple[list[Piece], list[Manifold]]:
+def _sides(width: float, height: float, level: float, colour: Colour, rng: Rng) -> tuple[list[Piece], list[Manifold]]:
     """Keys on the sides of a case at height `level`, and its ports, with what must be cut out for them."""
     button = Material("side_buttons", textures.shade(colour, 0.9, 0.02), "plastic", _ABS)
     rocker = box((0.0014, 0.0170, 0.0030), (-width / 2 - 0.0002, height * 0.16, level), 0.0005)
@@ -513,7 +476,7 @@ def _gloss() -> Material:
     return Material("black_glass", (0.035, 0.037, 0.042), "metal", _GLASS)
 
 
-def _screen_off(rng: np.random.Generator) -> NDArray[np.uint8]:
+def _screen_off(rng: Rng) -> NDArray[np.uint8]:
     """A liquid crystal that is off: nearly black, with the sheen of a window."""
     v, u = np.mgrid[0:128, 0:128] / 128
     sheen = np.clip(1 - np.abs(u + 0.6 * v - rng.uniform(0.6, 1.0)) * 3.0, 0, 1)[..., None]
@@ -531,12 +494,7 @@ def _digit_cells(size: tuple[float, float]) -> list[Cell]:
 
 
 def _keypad(
-    name: str,
-    size: tuple[float, float],
-    at: tuple[float, float],
-    high: float,
-    cells: Sequence[Cell],
-    colour: textures.Colour,
+    name: str, size: tuple[float, float], at: tuple[float, float], high: float, cells: Sequence[Cell], colour: Colour
 ) -> Piece:
     """Keys on one mat of `size` about `at`, their tops at z = `high`, with what is printed on them.
 
@@ -555,7 +513,7 @@ def _keypad(
     return Piece(name, solid, textured(name, "plastic", _ABS, picture))
 
 
-def _key_picture(size: tuple[float, float], cells: Sequence[Cell], colour: textures.Colour) -> NDArray[np.uint8]:
+def _key_picture(size: tuple[float, float], cells: Sequence[Cell], colour: Colour) -> NDArray[np.uint8]:
     """The picture of a mat of keys, seen from the front."""
     scale = 16000.0  # pixels a metre
     picture = np.empty((round(size[1] * scale), round(size[0] * scale), 3), np.uint8)

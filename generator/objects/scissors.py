@@ -15,8 +15,9 @@ from manifold3d import CrossSection, Manifold
 from numpy.typing import ArrayLike, NDArray
 
 from generator import textures
-from generator.model import Hinge, Link, Material, ObjectModel, Piece, printed, textured
+from generator.model import Hinge, Link, Material, ObjectModel, Piece, Rng, printed, textured
 from generator.shapes import box, lathe, moulded, plate, polygon, rod, softened, stood, stroke, text_outline, union
+from generator.textures import Colour
 
 _STEEL = 7850.0
 _ABS = 1050.0
@@ -306,7 +307,7 @@ def _plaque(size: tuple[float, float], at: tuple[float, float], thickness: float
     return box((*size, 0.0002), (*at, _GAP + thickness + 0.00002))
 
 
-def _mean(material: Material) -> textures.Colour:
+def _mean(material: Material) -> Colour:
     """The colour that a material has on the whole."""
     if material.texture is None:
         return material.colour
@@ -314,18 +315,18 @@ def _mean(material: Material) -> textures.Colour:
     return float(r), float(g), float(b)
 
 
-def _brushed(name: str, colour: textures.Colour, rng: np.random.Generator) -> Material:
+def _brushed(name: str, colour: Colour, rng: Rng) -> Material:
     return textured(name, "metal", _STEEL, textures.brushed_metal(rng, colour), 0.05)
 
 
-def _engraving(lines: list[str], colour: textures.Colour, rng: np.random.Generator, aspect: float = 6.3) -> Material:
+def _engraving(lines: list[str], colour: Colour, rng: Rng, aspect: float = 6.3) -> Material:
     """Words etched into the metal, to be read with the points to the left."""
     metal = np.rot90(textures.brushed_metal(rng, colour))
     words = textures.label(lines, metal, textures.shade(colour, 0.45), aspect, None, False, 128)
     return textured("_".join(lines).lower().replace(" ", ""), "metal", _STEEL, np.rot90(words).copy())
 
 
-def _knurl(colour: textures.Colour) -> NDArray[np.uint8]:
+def _knurl(colour: Colour) -> NDArray[np.uint8]:
     """Shallow crossing grooves, near the metal's own colour."""
     deep = textures.knurl(colour, 6).astype(float)
     return np.rint(0.65 * 255 * np.array(colour) + 0.35 * deep).astype(np.uint8)

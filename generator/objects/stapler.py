@@ -7,7 +7,7 @@ import numpy as np
 from manifold3d import CrossSection, JoinType, OpType
 
 from generator import textures
-from generator.model import Hinge, Link, Material, ObjectModel, Piece, printed, textured
+from generator.model import Hinge, Link, Material, ObjectModel, Piece, Pieces, Point, Rng, printed, textured
 from generator.shapes import (
     box,
     coil,
@@ -24,6 +24,7 @@ from generator.shapes import (
     tilted,
     union,
 )
+from generator.textures import Colour, Image
 
 _BODIES = ((0.75, 0.07, 0.08), (0.08, 0.22, 0.60), (0.07, 0.42, 0.26), (0.90, 0.45, 0.06), (0.36, 0.12, 0.48))
 _PASTELS = ((0.62, 0.82, 0.74), (0.90, 0.66, 0.70), (0.91, 0.91, 0.89), (0.12, 0.12, 0.13), (0.55, 0.70, 0.86))
@@ -56,14 +57,8 @@ def stapler(seed: int) -> ObjectModel:
 
 
 def _base(
-    length: float,
-    width: float,
-    hinge_at: tuple[float, float, float],
-    body: textures.Colour,
-    steel: Material,
-    dark: Material,
-    rng: np.random.Generator,
-) -> tuple[Piece, ...]:
+    length: float, width: float, hinge_at: Point, body: Colour, steel: Material, dark: Material, rng: Rng
+) -> Pieces:
     rubber = textured("rubber", "rubber", 1200.0, textures.speckle(rng, (0.09, 0.09, 0.10), 0.5), 0.02)
     paint = textured("base_plastic", "plastic", _ABS, textures.speckle(rng, textures.shade(body, 0.30, 0.03)), 0.02)
     slab = plate(rounded_outline(length, width, 0.010), 0.007, "z", 0.0055, 0.0015)
@@ -86,9 +81,7 @@ def _base(
     )
 
 
-def _magazine(
-    length: float, hinge_at: tuple[float, float, float], steel: Material, rng: np.random.Generator
-) -> tuple[Piece, ...]:
+def _magazine(length: float, hinge_at: Point, steel: Material, rng: Rng) -> Pieces:
     x, _, z = hinge_at
     front = -length * 0.455
     reach, width, height = x - front, 0.0140, 0.0085
@@ -123,14 +116,8 @@ def _magazine(
 
 
 def _lid(
-    length: float,
-    width: float,
-    hinge_at: tuple[float, float, float],
-    shell: Material,
-    body: textures.Colour,
-    dark: Material,
-    rng: np.random.Generator,
-) -> tuple[Piece, ...]:
+    length: float, width: float, hinge_at: Point, shell: Material, body: Colour, dark: Material, rng: Rng
+) -> Pieces:
     x, _, z = hinge_at
     front, back = -length * 0.485, x + 0.018
     low = z - 0.0035
@@ -217,14 +204,8 @@ def mini_stapler(seed: int) -> ObjectModel:
 
 
 def _mini_base(
-    length: float,
-    width: float,
-    hinge_at: tuple[float, float, float],
-    colour: textures.Colour,
-    shell: Material,
-    steel: Material,
-    rng: np.random.Generator,
-) -> tuple[Piece, ...]:
+    length: float, width: float, hinge_at: Point, colour: Colour, shell: Material, steel: Material, rng: Rng
+) -> Pieces:
     x, _, z = hinge_at
     plan = CrossSection.batch_hull(
         [
@@ -273,13 +254,7 @@ def _mini_base(
     )
 
 
-def _mini_magazine(
-    length: float,
-    hinge_at: tuple[float, float, float],
-    colour: textures.Colour,
-    steel: Material,
-    rng: np.random.Generator,
-) -> tuple[Piece, ...]:
+def _mini_magazine(length: float, hinge_at: Point, colour: Colour, steel: Material, rng: Rng) -> Pieces:
     x, _, z = hinge_at
     front, back, width, height = -length * 0.44, x + 0.0030, 0.0106, 0.0056
     reach, middle, level = back - front, (front + back) / 2, z - 0.0018
@@ -307,14 +282,8 @@ def _mini_magazine(
 
 
 def _mini_lid(
-    length: float,
-    width: float,
-    hinge_at: tuple[float, float, float],
-    colour: textures.Colour,
-    shell: Material,
-    steel: Material,
-    rng: np.random.Generator,
-) -> tuple[Piece, ...]:
+    length: float, width: float, hinge_at: Point, colour: Colour, shell: Material, steel: Material, rng: Rng
+) -> Pieces:
     x, _, z = hinge_at
     front, back, top = -length * 0.50, x + 0.0075, z + 0.0140 * rng.uniform(0.95, 1.08)
     wide = width - 0.0062
@@ -396,14 +365,8 @@ def long_arm_stapler(seed: int) -> ObjectModel:
 
 
 def _long_base(
-    length: float,
-    width: float,
-    hinge_at: tuple[float, float, float],
-    colour: textures.Colour,
-    paint: Material,
-    steel: Material,
-    rng: np.random.Generator,
-) -> tuple[Piece, ...]:
+    length: float, width: float, hinge_at: Point, colour: Colour, paint: Material, steel: Material, rng: Rng
+) -> Pieces:
     """A channel of sheet steel with anvil, ruler, a stop that slides along it, and the post of the hinge."""
     x, _, z = hinge_at
     deep, sheet = 0.0090, 0.0016
@@ -484,9 +447,7 @@ def _long_base(
     )
 
 
-def _long_magazine(
-    length: float, hinge_at: tuple[float, float, float], colour: textures.Colour, steel: Material
-) -> tuple[Piece, ...]:
+def _long_magazine(length: float, hinge_at: Point, colour: Colour, steel: Material) -> Pieces:
     """A channel with staples below the arm's head, on a long strap."""
     x, _, z = hinge_at
     front, reach, width, height, level = -length * 0.480, length * 0.34, 0.0140, 0.0085, 0.0225
@@ -517,14 +478,8 @@ def _long_magazine(
 
 
 def _long_arm(
-    length: float,
-    width: float,
-    hinge_at: tuple[float, float, float],
-    colour: textures.Colour,
-    paint: Material,
-    steel: Material,
-    rng: np.random.Generator,
-) -> tuple[Piece, ...]:
+    length: float, width: float, hinge_at: Point, colour: Colour, paint: Material, steel: Material, rng: Rng
+) -> Pieces:
     """A channel of sheet steel, open below, with a head over the magazine's mouth and a pad for the palm."""
     x, _, z = hinge_at
     front, back, sheet = -length * 0.492, x + 0.0130, 0.0014
@@ -600,7 +555,7 @@ def _long_arm(
     )
 
 
-def _ruler_cm(length: float, height: float, ground: textures.Colour, ink: textures.Colour) -> textures.Image:
+def _ruler_cm(length: float, height: float, ground: Colour, ink: Colour) -> Image:
     """A scale of real centimetres and millimetres for a strip of `length` by `height` metres."""
     dense = 8000.0  # pixels a metre
     picture = np.tile(textures.plain(ground)[:1, :1], (round(height * dense), round(length * dense), 1))

@@ -8,7 +8,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from generator import textures
-from generator.model import Hinge, Link, Material, ObjectModel, Piece, printed, textured
+from generator.model import Hinge, Link, Material, ObjectModel, Piece, Pieces, Point, Rng, printed, textured
 from generator.shapes import (
     box,
     lathe,
@@ -23,6 +23,7 @@ from generator.shapes import (
     tube,
     union,
 )
+from generator.textures import Colour
 
 _FRONTS = ((0.93, 0.92, 0.88), (0.20, 0.36, 0.46), (0.55, 0.16, 0.16), (0.24, 0.40, 0.28), (0.83, 0.66, 0.28))
 _WOODS = (
@@ -66,9 +67,7 @@ def drawer_unit(seed: int) -> ObjectModel:
     return ObjectModel("drawer_unit", "StorageFurniture", (*drawers, root), 0, seed)
 
 
-def _carcass(
-    width: float, depth: float, height: float, split: float, wood: Material, rng: np.random.Generator
-) -> tuple[Piece, ...]:
+def _carcass(width: float, depth: float, height: float, split: float, wood: Material, rng: Rng) -> Pieces:
     side = union(box((depth, _BOARD, height), (0, s * (width - _BOARD) / 2, height / 2), 0.0015) for s in (-1, 1))
     inner = width - 2 * _BOARD
     top = box((depth, inner, _BOARD), (0, 0, height - _BOARD / 2), 0.001)
@@ -111,15 +110,7 @@ def _carcass(
     )
 
 
-def _drawer(
-    inner: float,
-    depth: float,
-    bottom: float,
-    top: float,
-    paint: textures.Colour,
-    number: str,
-    rng: np.random.Generator,
-) -> tuple[Piece, ...]:
+def _drawer(inner: float, depth: float, bottom: float, top: float, paint: Colour, number: str, rng: Rng) -> Pieces:
     front_x = -depth / 2
     lacquer = Material("front_lacquer", paint, "plastic", 700.0)
     wood = textured("drawer_wood", "wood", _PINE, textures.wood(rng, (0.86, 0.78, 0.62), (0.74, 0.62, 0.46)), 0.16)
@@ -180,7 +171,7 @@ class _Bedside:
     lacquer: Material
     wood: Material
     metal: Material
-    ink: textures.Colour
+    ink: Colour
 
 
 def nightstand(seed: int) -> ObjectModel:
@@ -214,7 +205,7 @@ def nightstand(seed: int) -> ObjectModel:
     return ObjectModel("nightstand", "StorageFurniture", (drawer, root), 0, seed)
 
 
-def _bedside_box(s: _Bedside) -> tuple[Piece, ...]:
+def _bedside_box(s: _Bedside) -> Pieces:
     """The carcass: an overhanging top, sides, bottom, the drawer's board, a back with a hole for cables, runners."""
     board, inner = _PANEL, s.width - 2 * _PANEL
     under = s.height - 0.022
@@ -261,7 +252,7 @@ def _runner(s: _Bedside) -> float:
     return (s.shelf + _PANEL / 2 + s.height - 0.022) / 2
 
 
-def _bedside_legs(s: _Bedside) -> tuple[Piece, ...]:
+def _bedside_legs(s: _Bedside) -> Pieces:
     """Four turned legs, tapered and splayed, in metal shoes, under an apron."""
     profile = [
         [0.0, 0.0],
@@ -294,7 +285,7 @@ def _bedside_legs(s: _Bedside) -> tuple[Piece, ...]:
     )
 
 
-def _bedside_niche(s: _Bedside, rng: np.random.Generator) -> tuple[Piece, ...]:
+def _bedside_niche(s: _Bedside, rng: Rng) -> Pieces:
     """A pile of books in the open niche."""
     pieces: list[Piece] = []
     z = s.leg + _PANEL
@@ -313,7 +304,7 @@ def _bedside_niche(s: _Bedside, rng: np.random.Generator) -> tuple[Piece, ...]:
     return tuple(pieces)
 
 
-def _book(size: tuple[float, float, float], colour: textures.Colour, title: str, name: str) -> tuple[Piece, ...]:
+def _book(size: Point, colour: Colour, title: str, name: str) -> Pieces:
     """A closed book about the origin that lies flat, its spine towards -x with the title on it."""
     deep, long, thick = size
     spine = moulded(rounded_outline(deep, thick, 0.004), long, "y", 0.0, 0.0004, 1)
@@ -331,7 +322,7 @@ def _book(size: tuple[float, float, float], colour: textures.Colour, title: str,
     )
 
 
-def _bedside_drawer(s: _Bedside, rng: np.random.Generator) -> tuple[Piece, ...]:
+def _bedside_drawer(s: _Bedside, rng: Rng) -> Pieces:
     """The drawer: a front (plain, framed or grooved) with knobs and a keyhole, a wooden box and its runners."""
     inner, low, high = s.width - 2 * _PANEL, s.shelf + _PANEL / 2, s.height - 0.022
     wide, tall, middle = inner - 0.005, high - low - 0.005, (high + low) / 2
@@ -361,8 +352,8 @@ def _bedside_drawer(s: _Bedside, rng: np.random.Generator) -> tuple[Piece, ...]:
     )
 
 
-def _drawer_box(s: _Bedside, wide: float, tall: float, x: float, low: float) -> tuple[Piece, ...]:
-    """The box behind a drawer's front that ends at `x`, with lining paper on its floor and steel runners beside it."""
+def _drawer_box(s: _Bedside, wide: float, tall: float, x: float, low: float) -> Pieces:
+    """The box behind a drawer's front that ends at `x`, with lining paper on its floor and steel runners at its sides."""
     long, out, wall, z = s.depth - 0.055, wide - 0.022, 0.010, low + 0.008
     high = tall * 0.70
     shell = box((long, out, high), (x + long / 2, 0, z + high / 2), 0.0015)
@@ -382,7 +373,7 @@ def _drawer_box(s: _Bedside, wide: float, tall: float, x: float, low: float) -> 
     return Piece("drawer_box", shell, s.wood), Piece("drawer_runner", rails, steel), Piece("lining", floor, sheet)
 
 
-def _bedside_contents(s: _Bedside, rng: np.random.Generator) -> tuple[Piece, ...]:
+def _bedside_contents(s: _Bedside, rng: Rng) -> Pieces:
     """What lies in the drawer: a notebook, a pencil, a tin of sweets."""
     front, z = -s.depth / 2 + 0.035, s.shelf + _PANEL / 2 + 0.0165
     book = _book((0.10, 0.145, 0.014), _SPINES[int(rng.integers(len(_SPINES)))], "NOTES", "notebook")
@@ -432,7 +423,7 @@ class _Cabinet:
 
 
 def filing_cabinet(seed: int) -> ObjectModel:
-    """The filing cabinet of a seed: sheet steel, three drawers of which the top one is scored, a lock with its key.
+    """The filing cabinet of a seed: sheet steel, three drawers (the top one is scored), a lock with its key.
 
     The front faces -x; the drawers open by positive states.
     """
@@ -466,7 +457,7 @@ def filing_cabinet(seed: int) -> ObjectModel:
     return ObjectModel("filing_cabinet", "StorageFurniture", (*drawers, root), 0, seed)
 
 
-def _cabinet_carcass(c: _Cabinet) -> tuple[Piece, ...]:
+def _cabinet_carcass(c: _Cabinet) -> Pieces:
     """The folded steel shell with its front flange and cross rails, drawer runners, plinth and levelling feet."""
     bottom, deep = 0.055, c.depth / 2 - c.face
     middle = ((c.face + c.depth / 2) / 2, 0.0, (bottom + c.height) / 2)
@@ -505,7 +496,7 @@ def _file_runner(c: _Cabinet, n: int) -> float:
     return c.low + (n + 0.42) * c.step
 
 
-def _cabinet_front(c: _Cabinet, paint: textures.Colour, rng: np.random.Generator) -> tuple[Piece, ...]:
+def _cabinet_front(c: _Cabinet, paint: Colour, rng: Rng) -> Pieces:
     """The strip above the drawers with the maker's plate, the lock and the key in it."""
     tall = c.header - 0.004
     z, face = c.height - 0.001 - tall / 2, -c.depth / 2
@@ -539,7 +530,7 @@ def _cabinet_front(c: _Cabinet, paint: textures.Colour, rng: np.random.Generator
     )
 
 
-def _cabinet_rear(c: _Cabinet, rng: np.random.Generator) -> tuple[Piece, ...]:
+def _cabinet_rear(c: _Cabinet, rng: Rng) -> Pieces:
     """Screws and a type label on the back."""
     screws = union(
         screw(0.005, "x", (c.depth / 2, y * (c.width / 2 - 0.022), z))
@@ -552,7 +543,7 @@ def _cabinet_rear(c: _Cabinet, rng: np.random.Generator) -> tuple[Piece, ...]:
     return Piece("rear_screws", screws, c.chrome), Piece("type_label", sticker, label)
 
 
-def _file_front(c: _Cabinet, n: int, subject: str, rng: np.random.Generator) -> tuple[Piece, ...]:
+def _file_front(c: _Cabinet, n: int, subject: str, rng: Rng) -> Pieces:
     """The pressed front of drawer `n`: a sunk grip with a lip, a thumb latch, and a card in its holder."""
     tall, face = c.step - 0.004, -c.depth / 2
     z = c.low + (n + 0.5) * c.step
@@ -584,7 +575,7 @@ def _file_front(c: _Cabinet, n: int, subject: str, rng: np.random.Generator) -> 
     )
 
 
-def _file_box(c: _Cabinet, n: int) -> tuple[Piece, ...]:
+def _file_box(c: _Cabinet, n: int) -> Pieces:
     """The sheet steel box of drawer `n`, its runners, and the two rails that folders hang on."""
     t, z0 = _STEEL_SHEET, c.low + n * c.step + 0.018
     x0, x1 = -c.depth / 2 + 0.0185, c.depth / 2 - 0.035
@@ -616,7 +607,7 @@ def _file_box(c: _Cabinet, n: int) -> tuple[Piece, ...]:
     )
 
 
-def _hanging_files(c: _Cabinet, n: int, rng: np.random.Generator) -> tuple[Piece, ...]:
+def _hanging_files(c: _Cabinet, n: int, rng: Rng) -> Pieces:
     """Hanging folders with lettered tabs in drawer `n`."""
     z0, high = c.low + n * c.step + 0.018, c.step * 0.66
     wide, count = c.width - 0.050, int(rng.integers(9, 13))

@@ -6,7 +6,7 @@ import numpy as np
 from manifold3d import CrossSection
 
 from generator import textures
-from generator.model import Hinge, Link, Material, ObjectModel, Piece, printed, textured
+from generator.model import Hinge, Link, Material, ObjectModel, Piece, Pieces, Rng, printed, textured
 from generator.shapes import (
     box,
     moulded,
@@ -18,12 +18,13 @@ from generator.shapes import (
     tube,
     union,
 )
+from generator.textures import Colour
 
 _ABS = 1050.0
 _RUBBER = 1150.0
 _STEEL = 7850.0
 _BRASS = 8500.0
-_SILVER: textures.Colour = (0.76, 0.77, 0.79)
+_SILVER: Colour = (0.76, 0.77, 0.79)
 _PLUG_LONG = 0.0122
 """How far a plug stands out of its stick."""
 
@@ -52,9 +53,7 @@ def swivel_usb(seed: int) -> ObjectModel:
     return ObjectModel("swivel_usb", "USB", (stick, sleeve), 0, seed)
 
 
-def _stick(
-    front: float, width: float, thick: float, colour: textures.Colour, rng: np.random.Generator
-) -> tuple[Piece, ...]:
+def _stick(front: float, width: float, thick: float, colour: Colour, rng: Rng) -> Pieces:
     plastic = textured("stick", "plastic", _ABS, textures.speckle(rng, colour, 0.06), 0.02)
     ends = [CrossSection.circle(0.003, 24).translate((0.003 - front, s * (width / 2 - 0.003))) for s in (-1, 1)]
     solid = moulded(CrossSection.batch_hull([*ends, CrossSection.circle(width / 2, 48)]), thick, "z", 0, 0.0014, 3)
@@ -82,7 +81,7 @@ def _stick(
     )
 
 
-def _sleeve(reach: float, width: float, thick: float, rng: np.random.Generator) -> tuple[Piece, ...]:
+def _sleeve(reach: float, width: float, thick: float, rng: Rng) -> Pieces:
     """A steel strip bent to a U over the plug, its legs riveted to the stick at the origin."""
     steel = textured("sleeve_steel", "metal", _STEEL, textures.brushed_metal(rng, _SILVER), 0.02)
     sheet, inner = 0.0007, thick + 0.0006
@@ -131,15 +130,7 @@ def flip_cap_usb(seed: int) -> ObjectModel:
     return ObjectModel("flip_cap_usb", "USB", (cap, body), 0, seed)
 
 
-def _grip(
-    long: float,
-    width: float,
-    thick: float,
-    coat: Material,
-    ring: Material,
-    rubber: textures.Colour,
-    rng: np.random.Generator,
-) -> tuple[Piece, ...]:
+def _grip(long: float, width: float, thick: float, coat: Material, ring: Material, rubber: Colour, rng: Rng) -> Pieces:
     whole = rounded_outline(2 * long, width, width * 0.42)
     solid = moulded(whole, thick, "z", 0, 0.0022, 4).trim_by_plane((1, 0, 0), 0)
     band = moulded(
@@ -182,7 +173,7 @@ def _grip(
     )
 
 
-def _cap(width: float, thick: float, coat: Material, ring: Material, rng: np.random.Generator) -> tuple[Piece, ...]:
+def _cap(width: float, thick: float, coat: Material, ring: Material, rng: Rng) -> Pieces:
     """A cap without a floor but for a lip at its nose: with one, the plug would stop it from turning."""
     nose, gap = -0.0150, 0.0003
     solid = moulded(rounded_outline(-2 * nose, width, width * 0.30), thick, "z", 0, 0.0022, 4).trim_by_plane(
@@ -226,9 +217,7 @@ _ROOM = 0.0054
 """Between a folding stick's scales."""
 
 
-def _handle(
-    tip: float, width: float, colour: textures.Colour, steel: Material, screw: Material, rng: np.random.Generator
-) -> tuple[Piece, ...]:
+def _handle(tip: float, width: float, colour: Colour, steel: Material, screw: Material, rng: Rng) -> Pieces:
     sheet, half = 0.0017, width / 2
     rear = tip + 0.0125
     outline = CrossSection.batch_hull(
@@ -286,7 +275,7 @@ def _handle(
     )
 
 
-def _blade(tip: float, width: float, colour: textures.Colour, rng: np.random.Generator) -> tuple[Piece, ...]:
+def _blade(tip: float, width: float, colour: Colour, rng: Rng) -> Pieces:
     """The part that folds: a carrier round the pivot with the plug at its end."""
     base, half = tip - _PLUG_LONG, 0.0062
     shape = CrossSection.batch_hull(
@@ -305,7 +294,7 @@ def _blade(tip: float, width: float, colour: textures.Colour, rng: np.random.Gen
     return (Piece("carrier", solid, carrier), *plug)
 
 
-def _plug(colour: textures.Colour, base: float, rng: np.random.Generator) -> tuple[Piece, ...]:
+def _plug(colour: Colour, base: float, rng: Rng) -> Pieces:
     """A type A plug from x = base to base - `_PLUG_LONG`: a steel shell with its tongue and four contacts."""
     steel = textured("plug_steel", "metal", _STEEL, textures.brushed_metal(rng, colour), 0.015)
     long, root = _PLUG_LONG, 0.003
@@ -327,6 +316,6 @@ def _plug(colour: textures.Colour, base: float, rng: np.random.Generator) -> tup
     return (Piece("plug", shell, steel), Piece("plug_tongue", tongue, resin), Piece("plug_contacts", strips, gold))
 
 
-def _ink_on(colour: textures.Colour) -> textures.Colour:
+def _ink_on(colour: Colour) -> Colour:
     """White or near black, whichever shows on `colour`."""
     return (0.96, 0.96, 0.95) if sum(colour) < 1.5 else (0.10, 0.10, 0.12)
