@@ -30,7 +30,7 @@ from freeart21.formats.captured import read_track
 from freeart21.se3 import Array
 from freeart21.strokes import Movement, strokes
 from generator.motion.body import Body
-from generator.session import RecordSettings, load_object, planned
+from generator.session import RecordSettings, load_object, plan_recording
 
 SCHEMA = "freeart21/benchmark-motion-styles/1"
 SHARED = ROOT.parent / "shared"
@@ -167,7 +167,7 @@ def scripted(style: str, seeds: range) -> Iterator[Stretch]:
                 settings = RecordSettings(frames=FRAMES, seed=seed, motion=style)
                 loaded = load_object(catalog.find(name), settings, Path(place) / str(seed))
                 body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
-                plan = planned(loaded, settings)[1]
+                plan = plan_recording(loaded, settings)[1]
                 Rs, centre = plan.Ts_camera_object[:, :3, :3], body.centre
                 places = (plan.Ts_camera_object[:, :3, 3] + Rs @ centre) / (2 * body.radius)
                 opening = (plan.states - body.lower) / (body.upper - body.lower)

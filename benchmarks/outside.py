@@ -56,7 +56,7 @@ from freeart21.files.urdf import read_urdf_joints
 from freeart21.formats import rgbd_folder
 from freeart21.formats.convert import convert
 from freeart21.reconstruction import Failure
-from generator.dataset import Job, jobs_of, record_jobs
+from generator.dataset import Job, plan_jobs, record_jobs
 from generator.session import TRACK, RecordSettings
 from reconstruct import VERSION
 from reconstruct.cache import code_digest, work_folder
@@ -146,7 +146,7 @@ def main(
         except FreeArtError as error:
             left_out[clip.name] = str(error)
             continue
-        keys = {name: key_of(its, job.described()) for name, its in variants.items()}
+        keys = {name: key_of(its, job.to_json()) for name, its in variants.items()}
         here = {} if fresh else known_outcomes({job.sequence: keys}, places, folder)
         tasks = tasks_of(job, keys, folder, places, variants, _geometry(work), here)
         if clip.settings.track is not None:
@@ -224,7 +224,7 @@ def own_urdf(folder: Path) -> Path | None:
     every = sorted(folder.glob("*.urdf"), key=lambda path: (path.stem != folder.name, path.name))
     for path in every:
         with contextlib.suppress(FreeArtError):
-            jobs_of([str(path)], _settings(2, "clean"))
+            plan_jobs([str(path)], _settings(2, "clean"))
             return path
     return None
 
@@ -236,7 +236,7 @@ def _settings(frames: int, sensor: str) -> RecordSettings:
 def _recorded(clip: Clip, data: Path) -> tuple[Path, Job]:
     """The data folder that holds the clip, recorded unless it is there, and how it was recorded."""
     folder = data / ("scripted" if clip.settings.track is None else "tracks")
-    job = jobs_of([clip.object], clip.settings)[0]
+    job = plan_jobs([clip.object], clip.settings)[0]
     record_jobs(folder, [job])
     return folder, job
 

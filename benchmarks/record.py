@@ -33,7 +33,7 @@ from rich.table import Table
 from freeart21 import catalog, se3
 from freeart21.errors import FreeArtError
 from freeart21.files.atomic import write_json
-from generator.dataset import jobs_of, record_jobs
+from generator.dataset import plan_jobs, record_jobs
 from generator.scene import Scene, simulator
 from generator.session import RecordSettings, Session, load_object
 
@@ -216,7 +216,7 @@ def _has(scene: Scene, picture: str) -> bool:
 
 def _whole(names: tuple[str, ...], workers: int, settings: RecordSettings, data: Path) -> dict[str, Any]:
     """Seconds and room of a whole data set; every worker has to start and to compile the shaders, too."""
-    jobs = jobs_of(names, settings)
+    jobs = plan_jobs(names, settings)
     began = time.perf_counter()
     record_jobs(data, jobs, workers)
     seconds = time.perf_counter() - began

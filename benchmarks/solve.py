@@ -352,7 +352,7 @@ def _jobs(
 
 
 def _key(job: Job, settings: ReconstructSettings) -> str:
-    return key_of(settings, job.described(), v1.frozen()[job.sequence])
+    return key_of(settings, job.to_json(), v1.read_frozen()[job.sequence])
 
 
 def key_of(settings: ReconstructSettings, *recording: Any) -> str:

@@ -257,10 +257,10 @@ def _recorded(video: Video, data: Path, partnet_root: Path | None) -> str:
 @contextmanager
 def _staged(video: Video) -> Iterator[None]:
     """Recordings made inside follow the changed plan, and move the second joint."""
-    planned, draw = session.planned, Sensor._draw
+    plan_recording, draw = session.plan_recording, Sensor._draw
 
     def changed(loaded: Any, settings: RecordSettings, model: Any = None) -> Any:
-        camera, plan = planned(loaded, replace(settings, frames=video.every * settings.frames), model)
+        camera, plan = plan_recording(loaded, replace(settings, frames=video.every * settings.frames), model)
         states = plan.states[:: video.every]
         middle = (states.max() + states.min()) / 2
         states = middle + video.share * (states - middle)
@@ -273,7 +273,7 @@ def _staged(video: Video) -> Iterator[None]:
         with mock.patch.dict(self._loaded.asset.held, {name: low + (high - low) * sweep}):
             draw(self, t)
 
-    with mock.patch.object(session, "planned", changed):
+    with mock.patch.object(session, "plan_recording", changed):
         if video.second_joint is None:
             yield
         else:

@@ -90,7 +90,7 @@ def demo(
     from freeart21.files.places import DEMO, check_place
     from freeart21.reconstruction import Failure
     from freeart21.view import write_page
-    from generator.dataset import jobs_of
+    from generator.dataset import plan_jobs
     from generator.recorder import RecordSettings, record
     from leaderboard.score import score_results
     from leaderboard.scores_file import write_scores
@@ -99,7 +99,7 @@ def demo(
 
     check_place(out, DEMO)
     settings = RecordSettings(frames=frames, seed=seed, partnet_root=partnet_root, joint=joint)
-    jobs_of((name,), settings)  # what cannot be recorded is said before anything is made
+    plan_jobs((name,), settings)  # what cannot be recorded is said before anything is made
     with only_writer(out), new_folder(out, DEMO) as aside:
         data, results = aside / "data", aside / "results" / "ours"
         print(f"Recording {frames} frames of {name} in the simulator", flush=True)
@@ -214,8 +214,8 @@ def record(
     from freeart21.files import checked
     from freeart21.formats.captured import read_track
     from generator import v1
-    from generator.dataset import is_unfinished, jobs_of, official_names, procedural_jobs, record_jobs
-    from generator.motion.track import frames_of, told
+    from generator.dataset import is_unfinished, official_names, plan_jobs, procedural_jobs, record_jobs
+    from generator.motion.track import count_frames, describe_changes
     from generator.recorder import RecordSettings, built_in_names
 
     track = None
@@ -223,7 +223,7 @@ def record(
         file = motion.partition(":")[2]
         motion, track = "track", Path(file) if file else None
     if track is not None:
-        lasts = frames_of(read_track(track), RecordSettings.fps)
+        lasts = count_frames(read_track(track), RecordSettings.fps)
         if frames is not None and frames < lasts:
             print(f"{track} lasts {lasts} frames; the {frames} over which its joint moves most are recorded")
         frames = lasts if frames is None else min(frames, lasts)
@@ -266,8 +266,8 @@ def record(
             names = built_in_names() if partnet_root is None else official_names(partnet_root, skip_missing)
         if not names:
             raise FreeArtError(f"record: no object was named; name some of {', '.join(built_in_names())}, or all")
-        jobs = jobs_of(names, settings)
-    v1.keep_apart(out, jobs, label)
+        jobs = plan_jobs(names, settings)
+    v1.check_own_sequences(out, jobs, label)
     for job in jobs:
         for note in job.notes:
             print(f"{job.name}: {note}", file=sys.stderr)
@@ -276,7 +276,7 @@ def record(
         print(out / "sequences" / sequence, flush=True)
         if track is not None:
             source = checked.read_json(out / "truth" / sequence / "truth.json")["source"]
-            print(f"{sequence}: {told(source['track'])}", file=sys.stderr, flush=True)
+            print(f"{sequence}: {describe_changes(source['track'])}", file=sys.stderr, flush=True)
 
     with stopping.explained(
         lambda: f"what is done is kept in {out}: the same command goes on" if is_unfinished(out) else ""

@@ -38,13 +38,13 @@ from freeart21.files.places import check_growing
 from freeart21.files.urdf import MAX_URDF_BYTES
 from generator import partnet, urdf_folder
 from generator.progress import Board, progress_board
-from generator.session import ACCESS, RecordSettings, entry_of, load_object, partnet_folder, record_object
+from generator.session import ACCESS, RecordSettings, catalog_entry, find_partnet_folder, load_object, record_object
 
-__all__ = ["WORK", "Job", "Label", "is_unfinished", "jobs_of", "official_names", "procedural_jobs", "record_jobs"]
+__all__ = ["WORK", "Job", "Label", "is_unfinished", "official_names", "plan_jobs", "procedural_jobs", "record_jobs"]
 
-MOST_OBJECTS = 1000
+MAX_OBJECTS = 1000
 """Of a category, drawn at once: three digits."""
-MOST_WORKERS = 64
+MAX_WORKERS = 64
 _MADE_WITH = ("freeart21", "sapien", "numpy", "opencv-python-headless", "embreex", "manifold3d", "scipy")
 SECONDS_A_PICTURE = 0.25
 """What a picture takes, about: for the time limits of clusters."""
@@ -72,9 +72,9 @@ class Job:
     notes: tuple[str, ...] = ()
     """What a user should know of the object, a line each."""
 
-    def described(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, Any]:
         """All that decides the sequence's bytes, as JSON."""
-        return {"object": self.name, "sequence": self.sequence, **self.settings.described()}
+        return {"object": self.name, "sequence": self.sequence, **self.settings.to_json()}
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Label:
 # --- which sequences --------------------------------------------------------------------------------------------------
 
 
-def jobs_of(names: Sequence[str], settings: RecordSettings) -> list[Job]:
+def plan_jobs(names: Sequence[str], settings: RecordSettings) -> list[Job]:
     """A job for each of `names`: objects of the catalog, paths of URDFs or, given settings.partnet_root,
     PartNet-Mobility ids.
 
@@ -103,10 +103,10 @@ def jobs_of(names: Sequence[str], settings: RecordSettings) -> list[Job]:
         if name.lower().endswith(urdf_folder.URDF_ENDINGS):
             settings = replace(given, urdf=checked.require_file(Path(name), MAX_URDF_BYTES, checked.ANYWHERE))
             name = urdf_folder.object_name(Path(name))
-        entry = entry_of(name, settings)
+        entry = catalog_entry(name, settings)
         joint, notes = settings.joint or entry.joint, tuple[str, ...]()
         if entry.source == "partnet":
-            folder = partnet_folder(name, settings.partnet_root)
+            folder = find_partnet_folder(name, settings.partnet_root)
             loaded = partnet.load(folder, joint, settings.skip_missing)
             joint, notes = loaded.joint.name, loaded.notes
         elif entry.source == "urdf":
@@ -124,7 +124,7 @@ def official_names(root: Path, skip_missing: bool = False) -> tuple[str, ...]:
     if not root.is_dir():
         raise FreeArtError(f"{root} is not a folder; expected one that holds PartNet-Mobility objects ({ACCESS})")
     official = [entry.name for entry in catalog.CATALOG if entry.benchmark == "FreeArt-21"]
-    places = {name: partnet.folder_of(name, root) for name in official}
+    places = {name: partnet.find_folder(name, root) for name in official}
     absent = [name for name, place in places.items() if place is None or not (place / partnet.URDF_NAME).is_file()]
     here = tuple(name for name in official if name not in absent)
     if absent and not (skip_missing and here):
@@ -148,9 +148,9 @@ def procedural_jobs(category: str, count: int, seed: int, settings: RecordSettin
     wanted = next((known for known in designs if known.lower() == category.lower()), None)
     if wanted is None:
         raise FreeArtError(f"unknown category '{category}'; procedural categories: {', '.join(designs)}")
-    if not 1 <= count <= MOST_OBJECTS:
+    if not 1 <= count <= MAX_OBJECTS:
         raise FreeArtError(
-            f"cannot record {count} objects of category {wanted}; expected 1 to {MOST_OBJECTS}: their names end in "
+            f"cannot record {count} objects of category {wanted}; expected 1 to {MAX_OBJECTS}: their names end in "
             "three digits"
         )
     settings.check()
@@ -192,15 +192,15 @@ def record_jobs(
         known = ", ".join(jobs_anywhere.EXECUTORS)
         raise FreeArtError(f"unknown executor '{executor}'; executors: {known}")
     require_rendering()
-    if not jobs or (not (out / WORK).is_dir() and not _missing(out, jobs)):
+    if not jobs or (not (out / WORK).is_dir() and not _unfinished_jobs(out, jobs)):
         return []
     _check_list(out, jobs)
-    label = label or _label(out)
-    with _only_writer(out):
+    label = label or _read_label(out)
+    with _writer_lock(out):
         try:
-            _sweep(out)
-            _begin(out, jobs, label)
-            todo = _missing(out, jobs)
+            _remove_partial_files(out)
+            _write_plan(out, jobs, label)
+            todo = _unfinished_jobs(out, jobs)
             try:
                 _run(out, todo, workers, on_done, executor)
             except atomic.CannotWrite:
@@ -216,9 +216,9 @@ def record_jobs(
 
 
 def _check(jobs: Sequence[Job], workers: int) -> None:
-    if not 1 <= workers <= MOST_WORKERS:
+    if not 1 <= workers <= MAX_WORKERS:
         raise FreeArtError(
-            f"cannot record with {workers} workers; expected 1 to {MOST_WORKERS}: each loads a simulator of its own"
+            f"cannot record with {workers} workers; expected 1 to {MAX_WORKERS}: each loads a simulator of its own"
         )
     seen: set[str] = set()
     for job in jobs:
@@ -248,18 +248,18 @@ def _listed_bytes(job: Job) -> int:
     return files * (len(job.sequence) + _BYTES_OF_LINE)
 
 
-def _label(out: Path) -> Label:
+def _read_label(out: Path) -> Label:
     if is_unfinished(out):
-        said = checked.read_json(out / WORK / "job.json", JOB_SCHEMA).get("label")
-        if isinstance(said, dict):
-            return Label(**{key: str(said.get(key)) for key in ("name", "version", "split")})
+        label = checked.read_json(out / WORK / "job.json", JOB_SCHEMA).get("label")
+        if isinstance(label, dict):
+            return Label(**{key: str(label.get(key)) for key in ("name", "version", "split")})
     if (out / "benchmark.json").is_file():
         known = read_benchmark(out)
         return Label(known.name, known.version, known.split)
     return Label(out.resolve().name)
 
 
-def _missing(out: Path, jobs: Sequence[Job]) -> list[Job]:
+def _unfinished_jobs(out: Path, jobs: Sequence[Job]) -> list[Job]:
     """The jobs whose sequence is not in place; FreeArtError when one is there, but of other settings."""
     todo = []
     for job in jobs:
@@ -277,7 +277,7 @@ def _missing(out: Path, jobs: Sequence[Job]) -> list[Job]:
     return todo
 
 
-def _sweep(out: Path) -> None:
+def _remove_partial_files(out: Path) -> None:
     """Remove the files that a recorder left aside when it was killed while it wrote one of the whole."""
     for folder in (out, out / WORK):
         for left in folder.glob(f".*{atomic.ASIDE}"):
@@ -291,7 +291,7 @@ def _difference(job: Job, header: Path) -> str:
     except FreeArtError:
         return " and has no truth"
     was = {"object": source.get("object"), "sequence": job.sequence, **(source.get("settings") or {})}
-    return _first_difference(was, _plain(job.described()), " with {key} {was}, not {now}")
+    return _first_difference(was, _parsed_json(job.to_json()), " with {key} {was}, not {now}")
 
 
 def _first_difference(was: dict[str, Any], now: dict[str, Any], pattern: str) -> str:
@@ -299,14 +299,14 @@ def _first_difference(was: dict[str, Any], now: dict[str, Any], pattern: str) ->
     return "" if key is None else pattern.format(key=key, was=was.get(key), now=now.get(key))
 
 
-def _plain(data: Any) -> Any:
+def _parsed_json(data: Any) -> Any:
     return checked.parse_json(atomic.json_text(data), "the plan")
 
 
-def _begin(out: Path, jobs: Sequence[Job], label: Label) -> None:
+def _write_plan(out: Path, jobs: Sequence[Job], label: Label) -> None:
     """Write down what is to be made; FreeArtError when something else was being made here."""
     made_with = {name: metadata.version(name) for name in _MADE_WITH}
-    plan = {"schema": JOB_SCHEMA, "label": vars(label), "made_with": made_with, "jobs": [j.described() for j in jobs]}
+    plan = {"schema": JOB_SCHEMA, "label": vars(label), "made_with": made_with, "jobs": [j.to_json() for j in jobs]}
     path = out / WORK / "job.json"
     if not path.is_file():
         for left in (out / WORK).iterdir():  # of a recording that was done, killed while it cleaned up
@@ -314,7 +314,7 @@ def _begin(out: Path, jobs: Sequence[Job], label: Label) -> None:
                 shutil.rmtree(left)
         atomic.write_json(path, plan)
         return
-    before, now = checked.read_json(path, JOB_SCHEMA), _plain(plan)
+    before, now = checked.read_json(path, JOB_SCHEMA), _parsed_json(plan)
     if before == now:
         return
     different = (
@@ -349,7 +349,7 @@ def _finish(out: Path, label: Label) -> None:
 
 
 @contextlib.contextmanager
-def _only_writer(out: Path) -> Iterator[None]:
+def _writer_lock(out: Path) -> Iterator[None]:
     """Be the only one who writes to `out`, together with this recorder's own workers (`_join_writers`)."""
     made = [folder for folder in (out, *out.parents) if not folder.exists()]
     lock = out / WORK / "lock"
@@ -376,17 +376,17 @@ def _run(out: Path, jobs: list[Job], workers: int, on_done: Callable[[str], None
     pictures = sum(job.settings.frames + job.settings.queries for job in jobs)
     with progress_board(len(jobs), pictures) as board:
         if executor != "local":
-            _run_elsewhere(out, jobs, workers, executor, board, on_done)
+            _run_on_executor(out, jobs, workers, executor, board, on_done)
         elif workers == 1 or len(jobs) < 2:
             for job in jobs:
-                _record(out, job, partial(board.update, job.sequence))
+                _record_sequence(out, job, partial(board.update, job.sequence))
                 board.finished(job.sequence)
                 on_done(job.sequence)
         else:
-            _run_beside(out, jobs, min(workers, len(jobs)), board, on_done)
+            _run_workers(out, jobs, min(workers, len(jobs)), board, on_done)
 
 
-def _record(out: Path, job: Job, progress: Callable[[int, int], None]) -> None:
+def _record_sequence(out: Path, job: Job, progress: Callable[[int, int], None]) -> None:
     """Record one sequence and put it in its place, the truth first. A call that was killed anywhere may be repeated."""
     work = out / WORK / job.sequence
     places = {sub: out / folder / job.sequence for sub, folder in (("truth", "truth"), ("sequence", "sequences"))}
@@ -430,7 +430,7 @@ def _start_worker(folder: Path, lock: Path, life: Connection, reports: Any) -> N
     _reports = reports
 
 
-def _work(out: Path, job: Job) -> str:
+def _record_in_worker(out: Path, job: Job) -> str:
     """In a worker: record one sequence, and tell of it a few times a second."""
     last = 0.0
 
@@ -440,24 +440,24 @@ def _work(out: Path, job: Job) -> str:
             last = time.monotonic()
             _reports.put((job.sequence, done, total))
 
-    _record(out, job, progress)
+    _record_sequence(out, job, progress)
     return job.sequence
 
 
-def _run_beside(out: Path, jobs: list[Job], workers: int, board: Board, on_done: Callable[[str], None]) -> None:
+def _run_workers(out: Path, jobs: list[Job], workers: int, board: Board, on_done: Callable[[str], None]) -> None:
     """Workers are processes of their own, because the simulator holds Python's lock while it draws."""
     context = get_context("spawn")
     theirs, ours = context.Pipe(duplex=False)
     with _renderer_threads(workers), tempfile.TemporaryDirectory(prefix="freeart21-") as empty:
         with child.spawn_in(Path(empty)):
             reports = context.SimpleQueue()
-        listener = threading.Thread(target=_listen, args=(reports, board), daemon=True)
+        listener = threading.Thread(target=_forward_reports, args=(reports, board), daemon=True)
         listener.start()
-        told = Path.cwd(), out / WORK / "lock", theirs, reports
-        pool = ProcessPoolExecutor(workers, context, _start_worker, told)
+        worker_setup = Path.cwd(), out / WORK / "lock", theirs, reports
+        pool = ProcessPoolExecutor(workers, context, _start_worker, worker_setup)
         try:
             with stopping.unheard(), child.spawn_in(Path(empty)):  # from birth: the recorder says when to stop
-                futures: list[Future[str]] = [pool.submit(_work, out, job) for job in jobs]
+                futures: list[Future[str]] = [pool.submit(_record_in_worker, out, job) for job in jobs]
             for future in as_completed(futures):
                 board.finished(future.result())
                 on_done(future.result())
@@ -470,7 +470,7 @@ def _run_beside(out: Path, jobs: list[Job], workers: int, board: Board, on_done:
             listener.join(1)
 
 
-def _run_elsewhere(
+def _run_on_executor(
     out: Path, jobs: list[Job], workers: int, executor: str, board: Board, on_done: Callable[[str], None]
 ) -> None:
     """A job a sequence. What is done of a sequence that was lost with its machine is gone on from."""
@@ -479,7 +479,12 @@ def _run_elsewhere(
         jobs_anywhere.Job(
             name,
             call="generator.dataset:record_one",
-            arguments={"out": str(place), "name": job.name, "sequence": job.sequence, "settings": _told(job.settings)},
+            arguments={
+                "out": str(place),
+                "name": job.name,
+                "sequence": job.sequence,
+                "settings": _settings_to_json(job.settings),
+            },
             seconds=SECONDS_A_PICTURE * (job.settings.frames + job.settings.queries),
         )
         for name, job in by_name.items()
@@ -507,17 +512,19 @@ def record_one(out: str, name: str, sequence: str, settings: dict[str, Any]) -> 
     handle = os.open(Path(out) / WORK / "lock", os.O_RDWR)
     try:
         fcntl.flock(handle, fcntl.LOCK_SH)
-        _record(Path(out), Job(name, sequence, RecordSettings(**{**settings, **paths})), lambda done, total: None)
+        _record_sequence(
+            Path(out), Job(name, sequence, RecordSettings(**{**settings, **paths})), lambda done, total: None
+        )
     finally:
         os.close(handle)
 
 
-def _told(settings: RecordSettings) -> dict[str, Any]:
+def _settings_to_json(settings: RecordSettings) -> dict[str, Any]:
     """All fields as JSON, paths from the root."""
     return {key: str(value.resolve()) if isinstance(value, Path) else value for key, value in asdict(settings).items()}
 
 
-def _listen(reports: Any, board: Board) -> None:
+def _forward_reports(reports: Any, board: Board) -> None:
     while (report := reports.get()) is not None:
         board.update(*report)
 

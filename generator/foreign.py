@@ -35,7 +35,7 @@ def truth_of(read: Foreign, partnet_root: Path, joint: str | None = None, skip_m
     known = read.known
     if known is None:
         raise FreeArtError(read.lacks)
-    folder = partnet.folder_of(safe_name(read.object_id), partnet_root)
+    folder = partnet.find_folder(safe_name(read.object_id), partnet_root)
     if folder is None:
         raise FreeArtError(f"PartNet-Mobility object {read.object_id} is not in {partnet_root}")
     named = joint or known.joint_name

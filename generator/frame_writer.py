@@ -27,7 +27,7 @@ class FrameWriter:
     def __init__(self, threads: int | None = None) -> None:
         """`threads` that encode; None takes four or the number of cores, whichever is more, and at most 16."""
         self._pool = ThreadPoolExecutor(threads or min(max(4, os.cpu_count() or 1), 16), "png")
-        self._begun = threading.Semaphore(0)
+        self._encoding = threading.Semaphore(0)
         self._waiting: deque[list[tuple[Path, Future[bytes]]]] = deque()
 
     def put(self, pictures: dict[Path, NDArray[Any]]) -> None:
@@ -39,10 +39,10 @@ class FrameWriter:
             self._write_oldest()
         self._waiting.append([(path, self._pool.submit(self._encode, image)) for path, image in pictures.items()])
         for _ in pictures:
-            self._begun.acquire()
+            self._encoding.acquire()
 
     def _encode(self, image: NDArray[Any]) -> bytes:
-        self._begun.release()
+        self._encoding.release()
         return checked.encode_png(image)
 
     def _write_oldest(self) -> None:

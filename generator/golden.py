@@ -84,12 +84,12 @@ def cast_findings(name: str, recording: Recording, truth: Truth, frames: int) ->
 
 def render_findings(name: str, recording: Recording, truth: Truth, folder: Path, views: int) -> Iterator[str]:
     """Findings on some held-out views, rendered anew from the object in the truth's `folder`."""
-    psnr = np.array([value for _, value in rendered_anew(recording, truth, folder, views)])
+    psnr = np.array([value for _, value in render_again(recording, truth, folder, views)])
     for i in np.flatnonzero(psnr < LEAST_PSNR):
         yield f"{name}: view {i}, rendered anew from truth/{name}/object, has {psnr[i]:.1f} dB, expected {LEAST_PSNR:g}"
 
 
-def rendered_anew(recording: Recording, truth: Truth, folder: Path, views: int) -> Iterator[tuple[Picture, float]]:
+def render_again(recording: Recording, truth: Truth, folder: Path, views: int) -> Iterator[tuple[Picture, float]]:
     """The first `views` held-out views from the object in the truth's `folder`, and their PSNR, dB, inside the mask."""
     source = truth.source
     loaded = partnet.load(folder / "object", source.get("joint"))

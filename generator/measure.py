@@ -26,10 +26,10 @@ from freeart21.measured import Measured, Run
 from freeart21.se3 import Array
 from freeart21.truth import Truth
 from generator import partnet, simulate, urdf_folder
-from generator.release import weighed
-from generator.session import RecordSettings, build, partnet_folder
+from generator.release import add_inertia
+from generator.session import RecordSettings, build_model, find_partnet_folder
 
-UNSURE = 0.02
+UNCERTAINTY = 0.02
 """Part of itself by which the asset's inertia and weight are said to be off: they are the recorder's own."""
 
 
@@ -87,7 +87,7 @@ def measure_truths(
         fps = float(loaded[0].source["settings"]["fps"])
         kind, gravity = loaded[0].articulation.joint.type, _gravity(folders[0], loaded[0])
         measured = Measured(
-            asset.joint, kind, gravity, fps, "recorded", None, None, UNSURE, UNSURE, tuple(runs)
+            asset.joint, kind, gravity, fps, "recorded", None, None, UNCERTAINTY, UNCERTAINTY, tuple(runs)
         )  # fmt: skip
         write_measured(aside / "measured", measured)
 
@@ -149,19 +149,19 @@ def _asset(
     own = source.get("object_source") == "procedural"
     joint, skip_missing = str(source["joint"]), bool(source["settings"].get("skip_missing"))
     if source.get("object_source") == "urdf":
-        loaded = urdf_folder.load_urdf(_same_urdf(folder, truth, urdf, root), out, joint, skip_missing, root)
+        loaded = urdf_folder.load_urdf(_check_urdf(folder, truth, urdf, root), out, joint, skip_missing, root)
         urdf_folder.clear_notes(out)
-        _without_losses(out / partnet.URDF_NAME)
+        _remove_dynamics(out / partnet.URDF_NAME)
     elif urdf is not None:
         raise FreeArtError(f"{folder} is of {source['object']}, which is no URDF of its own; got {urdf}")
     else:
-        checked.copy_folder(folder / "object" if own else partnet_folder(str(source["object"]), partnet_root), out)
+        checked.copy_folder(folder / "object" if own else find_partnet_folder(str(source["object"]), partnet_root), out)
         loaded = partnet.load(out, joint, skip_missing=skip_missing)
     asset = loaded.asset
     if own:
         entry = catalog.find(str(source["object"]), partnet=False)
         settings = RecordSettings(seed=int(source["settings"]["seed"]), preset=str(source["settings"]["preset"]))
-        asset = weighed(asset, build(entry.name, settings), out, shapes=True)
+        asset = add_inertia(asset, build_model(entry.name, settings), out, shapes=True)
         Path(asset.urdf).replace(out / partnet.URDF_NAME)
         asset = replace(asset, urdf=out / partnet.URDF_NAME)
     if asset.reference_link not in source["reference_links"]:  # the child side is the larger one in the picture
@@ -179,7 +179,7 @@ def _asset(
     return asset
 
 
-def _same_urdf(folder: Path, truth: Truth, urdf: Path | None, root: Path | None) -> Path:
+def _check_urdf(folder: Path, truth: Truth, urdf: Path | None, root: Path | None) -> Path:
     """The file `urdf`, when it is what was recorded."""
     name = truth.source["object"]
     if urdf is None:
@@ -195,7 +195,7 @@ def _same_urdf(folder: Path, truth: Truth, urdf: Path | None, root: Path | None)
     return urdf
 
 
-def _without_losses(urdf: Path) -> None:
+def _remove_dynamics(urdf: Path) -> None:
     """Take <dynamics> out of a URDF: a joint that is let go has the effects of the recording, and no others."""
     robot = parse_urdf(urdf)
     for joint in robot.findall("joint"):

@@ -34,7 +34,7 @@ from freeart21.joint import Joint
 from freeart21.mesh import bounding_diagonal
 from freeart21.se3 import Array
 from generator.motion import motion_range
-from generator.partnet_files import Gaps, inside, read_obj
+from generator.partnet_files import Gaps, read_obj, resolve_inside
 from generator.surface import Surface
 
 URDF_NAME = "mobility.urdf"
@@ -100,7 +100,7 @@ class PartNetObject:
         return self.parent_side, self.child_side
 
 
-def folder_of(name: str, root: Path) -> Path | None:
+def find_folder(name: str, root: Path) -> Path | None:
     """Where the object `name` is in `root`: ROOT/NAME or, as the data set unpacks, ROOT/dataset/NAME; None if not."""
     return next((place for place in (root / name, root / "dataset" / name) if place.is_dir()), None)
 
@@ -128,7 +128,7 @@ def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> 
     Ts = read.link_poses(held)
     visuals = {link.name: _visuals(link, folder, urdf) for link in read.links.values()}
     gaps = Gaps()
-    absent = _absent(visuals, folder, urdf, skip_missing or folder.resolve().name in INCOMPLETE)
+    absent = _missing_meshes(visuals, folder, urdf, skip_missing or folder.resolve().name in INCOMPLETE)
     gaps.meshes.update(absent)
     below = subtree_links(joints, scored.child)
     child = _side(scored, tuple(name for name in visuals if name in below), visuals, Ts, folder, gaps)
@@ -193,7 +193,7 @@ def _scale_notes(read: Urdf, visuals: dict[str, list[Visual]], folder: Path) -> 
     At zero joint frames cancel, and the assembly is right whatever they are. A hinge that passes outside the assembly
     (by 5 % of its diagonal; none of the real objects' does) throws its part about as soon as it turns.
     """
-    box = _bounding_box(folder / BOX_NAME)
+    box = _read_box_diagonal(folder / BOX_NAME)
     if box is None or all(np.allclose(v.scale, 1) for of_link in visuals.values() for v in of_link):
         return []
     Ts = read.link_poses({})
@@ -213,7 +213,7 @@ def _scale_notes(read: Urdf, visuals: dict[str, list[Visual]], folder: Path) -> 
     for joint in read.joints.values():
         if joint.joint_type == "revolute":
             T = Ts[joint.parent] @ joint.T_parent_joint
-            if not _crosses(T[:3, 3], T[:3, :3] @ joint.axis, low - 0.05 * size, high + 0.05 * size):
+            if not _line_crosses_box(T[:3, 3], T[:3, :3] @ joint.axis, low - 0.05 * size, high + 0.05 * size):
                 notes.append(
                     f"the assembly disagrees with {BOX_NAME}: meshes have {size / box:.3g} of its size, but joint "
                     f"'{joint.name}' turns about an axis outside them, so its part floats; recorded as {URDF_NAME} says"
@@ -221,7 +221,7 @@ def _scale_notes(read: Urdf, visuals: dict[str, list[Visual]], folder: Path) -> 
     return notes
 
 
-def _bounding_box(path: Path) -> float | None:
+def _read_box_diagonal(path: Path) -> float | None:
     """The diagonal of a PartNet-Mobility object's box; None without a file, or when it holds none."""
     if not path.is_file():
         return None
@@ -232,7 +232,7 @@ def _bounding_box(path: Path) -> float | None:
     return diagonal if diagonal > 0 else None
 
 
-def _crosses(point: Array, direction: Array, low: Array, high: Array) -> bool:
+def _line_crosses_box(point: Array, direction: Array, low: Array, high: Array) -> bool:
     """Whether a line passes through a box: the slabs between its faces have a stretch of it in common."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = np.sort([(low - point) / direction, (high - point) / direction], axis=0)
@@ -291,14 +291,14 @@ def _visuals(link: UrdfLink, folder: Path, urdf: Path) -> list[Visual]:
             raise FreeArtError(f"{where} has a visual that is not a mesh; expected <mesh filename=...>")
         if not shape.filename.lower().endswith(".obj"):
             raise FreeArtError(f"{where} has the mesh '{shape.filename}', expected an .obj file")
-        path = inside(folder, shape.filename, f"{where} has the mesh")
+        path = resolve_inside(folder, shape.filename, f"{where} has the mesh")
         if not shape.size.all():
             raise FreeArtError(f"{where} has a mesh of scale {shape.size.tolist()}, expected none to be zero")
         visuals.append(Visual(path, shape.T_link_shape, shape.size))
     return visuals
 
 
-def _absent(visuals: dict[str, list[Visual]], folder: Path, urdf: Path, may_lack: bool) -> tuple[str, ...]:
+def _missing_meshes(visuals: dict[str, list[Visual]], folder: Path, urdf: Path, may_lack: bool) -> tuple[str, ...]:
     """Mesh files named but not there; FreeArtError unless the object may lack some."""
     meshes = {v.mesh for of_link in visuals.values() for v in of_link}
     absent = tuple(sorted(str(mesh.relative_to(folder.resolve())) for mesh in meshes if not mesh.is_file()))

@@ -30,7 +30,7 @@ from freeart21.files import checked
 from freeart21.files.urdf import parse_urdf
 from freeart21.files.urdf_files import resolve_file
 from freeart21.se3 import Array
-from generator.surface import Paint, Surface, srgb
+from generator.surface import Paint, Surface, srgb_bytes
 
 MAX_OBJ_BYTES = 256 << 20
 MAX_MTL_BYTES = 4 << 20
@@ -65,7 +65,7 @@ class Gaps:
 
     def notes(self) -> tuple[str, ...]:
         """One line for each kind of gap."""
-        told = (
+        lines = (
             (self.meshes, "absent meshes are left out"),
             (self.empty, "meshes without faces are left out"),
             (self.libraries, "absent material libraries leave plain grey"),
@@ -73,10 +73,10 @@ class Gaps:
             (self.axes, "COLLADA's <up_axis> is not heeded, as in RViz: meshes stand as they are written"),
             (self.transparent, "materials are transparent: colour shows what is behind them, depth and mask do not"),
         )
-        return tuple(f"{what}: {_few(names)}" for names, what in told if names)
+        return tuple(f"{what}: {_list_names(names)}" for names, what in lines if names)
 
 
-def _few(names: set[str]) -> str:
+def _list_names(names: set[str]) -> str:
     """Up to three of the names, in order, and how many more."""
     more = f" and {len(names) - 3} more" if len(names) > 3 else ""
     return ", ".join(sorted(names)[:3]) + more
@@ -92,7 +92,7 @@ class Material:
     """The picture of its colour, which replaces Kd."""
 
 
-def inside(folder: Path, name: str, what: str) -> Path:
+def resolve_inside(folder: Path, name: str, what: str) -> Path:
     """The file `name` in `folder`; FreeArtError when it is elsewhere, also by way of a link."""
     if "://" in name or name.startswith(("/", "\\")):
         raise FreeArtError(f"{what} '{name}', expected a path inside {folder}")
@@ -120,7 +120,7 @@ def read_obj(path: Path, folder: Path, gaps: Gaps) -> Surface:
         gaps.empty.add(_name(path, folder))
         return Surface.joined([])
     if _BACK_INDEX.search(text):
-        text = _absolute(text)
+        text = _resolve_back_indices(text)
     if _NO_INDEX.search(text):
         raise FreeArtError(f"{path} is not a readable OBJ file: a face names a vertex before the first")
     used = "".join(f"newmtl {name}\n" for name in dict.fromkeys(_USED.findall(text)))
@@ -145,7 +145,7 @@ def _piece(geometry: dict, materials: dict[str, Material]) -> Surface:
         raise IndexError("a face names a vertex that does not exist")
     uv = getattr(visual, "uv", None)
     name = getattr(getattr(visual, "material", None), "name", None) or ""
-    material = materials.get(name) or Material(srgb(np.full(3, _NO_KD)))
+    material = materials.get(name) or Material(srgb_bytes(np.full(3, _NO_KD)))
     picture = None
     if material.picture is not None:
         picture = _read_picture(material.picture, material.picture.stat().st_mtime_ns)
@@ -166,7 +166,7 @@ def _read_picture(path: Path, changed_ns: int) -> NDArray[np.uint8]:
     return checked.read_rgb(path)
 
 
-def _absolute(text: str) -> str:
+def _resolve_back_indices(text: str) -> str:
     """OBJ text without negative indices, which count back from the last vertex above them."""
     counts, lines = {"v": 0, "vt": 0, "vn": 0}, []
     for line in text.splitlines():
@@ -201,9 +201,9 @@ def read_materials(obj: Path, text: str, folder: Path, gaps: Gaps) -> dict[str, 
             rest = rest.strip()
             if key == "newmtl":
                 name = rest
-                materials[name] = Material(srgb(np.full(3, _NO_KD)))
+                materials[name] = Material(srgb_bytes(np.full(3, _NO_KD)))
             elif name and key == "Kd":
-                materials[name] = Material(srgb(_colour(rest, mtl)), materials[name].picture)
+                materials[name] = Material(srgb_bytes(_colour(rest, mtl)), materials[name].picture)
             elif name and key == "d" and 0 < _floats(rest.removeprefix("-halo"), mtl, "d")[0] < 1:
                 gaps.transparent.add(_name(mtl, folder))
             elif name and key.startswith(_PICTURES):
@@ -227,7 +227,7 @@ def _picture(rest: str, mtl: Path, folder: Path) -> Path | None:
 def _neighbour(beside: Path, name: str, folder: Path, what: str) -> Path | None:
     """The file `name` as seen from the file `beside`, inside `folder`; None when it is absent."""
     here = beside.parent.resolve().relative_to(folder.resolve())
-    path = inside(folder, name if name.startswith("/") else f"{here}/{name}", f"{beside} names the {what}")
+    path = resolve_inside(folder, name if name.startswith("/") else f"{here}/{name}", f"{beside} names the {what}")
     return path if path.is_file() else None
 
 
@@ -276,7 +276,7 @@ def sapien_urdf(urdf: Path, root: Path | None = None) -> Iterator[Path]:
                     continue
                 path = resolve_file(urdf, mesh.get("filename", ""), root)
                 mirrored = np.prod(_scale(mesh)) < 0
-                usable = _usable(path, Path(place), bool(mirrored))
+                usable = _mesh_for_sapien(path, Path(place), bool(mirrored))
                 changed |= usable != urdf.absolute().parent / mesh.get("filename", "")
                 if usable is None:
                     link.remove(shape)
@@ -296,7 +296,7 @@ def _scale(mesh: ET.Element) -> Array:
     return values
 
 
-def _usable(path: Path, place: Path, mirrored: bool) -> Path | None:
+def _mesh_for_sapien(path: Path, place: Path, mirrored: bool) -> Path | None:
     """The mesh file itself, or None when there is nothing to show, or a copy in `place`.
 
     The copy goes without absent pictures; its faces are turned round when it is to be `mirrored`.
@@ -309,7 +309,9 @@ def _usable(path: Path, place: Path, mirrored: bool) -> Path | None:
     if not _FACE.search(text):
         return None
     libraries = [mtl for name in _LIBRARY.findall(text) if (mtl := path.parent / name).is_file()]
-    lines = [_found(line, path.parent) for mtl in libraries for line in _text(mtl, MAX_MTL_BYTES).splitlines()]
+    lines = [
+        _resolve_picture(line, path.parent) for mtl in libraries for line in _text(mtl, MAX_MTL_BYTES).splitlines()
+    ]
     if all(as_it_is for _, as_it_is in lines) and not mirrored and not any(map(_marked, (path, *libraries))):
         return path
     if mirrored:
@@ -320,7 +322,7 @@ def _usable(path: Path, place: Path, mirrored: bool) -> Path | None:
     return stem.with_suffix(".obj")
 
 
-def _found(line: str, folder: Path) -> tuple[str, bool]:
+def _resolve_picture(line: str, folder: Path) -> tuple[str, bool]:
     """An MTL line with its picture's full path, or empty when that is absent; and whether it would do as it is."""
     key, _, rest = line.strip().partition(" ")
     rest = rest.strip()

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from freeart21.catalog import built_in_names
-from generator.dataset import Job, jobs_of, record_jobs
-from generator.session import LICENCES, RecordSettings, nice_scale, other_way_round
+from generator.dataset import Job, plan_jobs, record_jobs
+from generator.session import LICENCES, RecordSettings, nice_scale
 
-__all__ = ["LICENCES", "Job", "RecordSettings", "built_in_names", "nice_scale", "other_way_round", "record"]
+__all__ = ["LICENCES", "Job", "RecordSettings", "built_in_names", "nice_scale", "record"]
 
 
 def record(name: str, out: Path, settings: RecordSettings | None = None) -> str:
@@ -19,6 +19,6 @@ def record(name: str, out: Path, settings: RecordSettings | None = None) -> str:
     FreeArtError when the object is unknown, its files are unfit, the sequence exists from other settings, or this
     machine cannot render.
     """
-    jobs = jobs_of([name], settings or RecordSettings())
+    jobs = plan_jobs([name], settings or RecordSettings())
     record_jobs(out, jobs)
     return jobs[0].sequence

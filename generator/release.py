@@ -22,7 +22,7 @@ from freeart21.se3 import Array
 from generator import simulate
 from generator.model import Link, ObjectModel
 from generator.motion.body import Body
-from generator.motion.styles.release import tipped
+from generator.motion.styles.release import tip_base
 from generator.partnet import PartNetObject
 from generator.partnet_writer import R_ROOT_MESH
 from generator.shapes import triangles
@@ -30,7 +30,7 @@ from generator.shapes import triangles
 _TIMESTEP_S = 1e-3
 
 
-def released_states(
+def roll_out_release(
     loaded: PartNetObject,
     effects: tuple[Effect, ...],
     frames: int,
@@ -42,7 +42,7 @@ def released_states(
     """Joint states (frames,), rad or m, after the joint was let go at rest in frame 0.
 
     Args:
-        loaded: the object; its base is fixed as `tipped` says, which 'release' plans show too.
+        loaded: the object; its base is fixed as `tip_base` says, which 'release' plans show too.
         effects: what acts on the joint besides gravity; none at all means no loss.
         frames: 2 or more.
         fps: frames a second.
@@ -54,7 +54,7 @@ def released_states(
     """
     parent, child = (side.surface.mesh() for side in loaded.sides)
     body = Body.of((parent, child), loaded.joint)
-    R_world_object, top = tipped(body)
+    R_world_object, top = tip_base(body)
     if start is None:
         way = 0.1 * (body.upper - body.lower) * float(np.random.default_rng([seed, 4]).uniform())
         start = top + way if loaded.joint.type == "prismatic" else top - way
@@ -64,7 +64,7 @@ def released_states(
         )
     per_frame = int(np.ceil(1 / (fps * _TIMESTEP_S)))
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
-        asset = loaded.asset if model is None else weighed(loaded.asset, model, Path(place))
+        asset = loaded.asset if model is None else add_inertia(loaded.asset, model, Path(place))
         asset = replace(asset, effects={asset.joint: tuple(effects)})
         rolled = simulate.roll_out(
             asset,
@@ -76,7 +76,7 @@ def released_states(
     return rolled.q[::per_frame][:frames]
 
 
-def weighed(asset: Asset, model: ObjectModel, folder: Path, shapes: bool = False) -> Asset:
+def add_inertia(asset: Asset, model: ObjectModel, folder: Path, shapes: bool = False) -> Asset:
     """`asset`, written from `model`, with a URDF in `folder` that has inertia by the materials, and maybe shapes."""
     root = parse_urdf(asset.urdf)
     for element in root.findall("link"):

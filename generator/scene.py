@@ -19,7 +19,7 @@ from freeart21.doctor import require_rendering
 from freeart21.errors import FreeArtError
 from freeart21.se3 import Array
 from generator.partnet_files import sapien_urdf
-from generator.surface import srgb
+from generator.surface import srgb_bytes
 
 _T_SAPIEN_CAMERA = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """SAPIEN's camera axes (x forward, y left, z up) from ours (x right, y down, z forward)."""
@@ -105,12 +105,12 @@ class Scene:
         self._props_shown = False
         self._object = _load(self._scene, urdf)
         self._joint_names = [joint.name for joint in self._object.active_joints]
-        self._label = _labels(self._object, groups, urdf)
+        self._label = _group_labels(self._object, groups, urdf)
         self._depths = near, far
         self._views: dict[tuple[int, int], Any] = {}
-        self.use(camera)
+        self.set_camera(camera)
 
-    def use(self, camera: Camera) -> None:
+    def set_camera(self, camera: Camera) -> None:
         """Draw with this camera from now on; it stands where any other stood."""
         import sapien
 
@@ -148,8 +148,8 @@ class Scene:
             self._scene.remove_entity(entity)
         self._props = [sapien.Entity() for _ in things]
         for entity, skins in zip(self._props, things, strict=True):
-            entity.add_component(_body(skins))
-            entity.set_pose(_away())
+            entity.add_component(_render_body(skins))
+            entity.set_pose(_out_of_view())
             self._scene.add_entity(entity)
         glosses = [[skin.gloss for skin in skins] for skins in things]
         self._prop_gloss = {e.per_scene_id: gloss for e, gloss in zip(self._props, glosses, strict=True)}
@@ -174,7 +174,7 @@ class Scene:
                 entity.set_pose(sapien.Pose(t.astype(np.float32), q.astype(np.float32)))
         elif self._props_shown:
             for entity in self._props:
-                entity.set_pose(_away())
+                entity.set_pose(_out_of_view())
         self._props_shown = Ts_camera_prop is not None
         T = _T_SAPIEN_CAMERA @ T_camera_object
         self._object.set_root_pose(sapien.Pose(T[:3, 3].astype(np.float32), se3.wxyz(T).astype(np.float32)))
@@ -186,7 +186,7 @@ class Scene:
     def rgb(self) -> NDArray[np.uint8]:
         """(height, width, 3) colours of the last view, sRGB."""
         picture = self._view.get_picture("Color")
-        return encoded(picture[..., :3]) if self._linear else _rounded(picture)
+        return encode_srgb(picture[..., :3]) if self._linear else _to_bytes(picture)
 
     def colour_and_cover(self) -> NDArray[np.float32]:
         """(height, width, 4) of the last view as the engine gives it: colours, 0 to 1, and 1 where there is something.
@@ -198,14 +198,14 @@ class Scene:
     def linear_rgb(self) -> NDArray[np.float32]:
         """(height, width, 3) light of the last view, 0 to 1."""
         picture = self._view.get_picture("Color")[..., :3]
-        return np.clip(picture, 0, 1) if self._linear else decoded(picture)
+        return np.clip(picture, 0, 1) if self._linear else decode_srgb(picture)
 
     def materials(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Of the last view: linear base colours (height, width, 3), 0 to 1, and specular strength (height, width)."""
         base = self._view.get_picture("Color" if self._linear else "Albedo")[..., :3]
         shape = self._view.get_picture("Segmentation")[..., 0]
         if self._strength is None:
-            self._strength = _strengths(self._scene, self._prop_gloss)
+            self._strength = _specular_strengths(self._scene, self._prop_gloss)
         return base, self._strength[np.minimum(shape, len(self._strength) - 1)]
 
     def depth_and_side(self) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
@@ -244,35 +244,35 @@ def simulator() -> dict[str, str]:
     return {"simulator": "SAPIEN", "simulator_version": sapien.__version__, "render_device": device}
 
 
-def encoded(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
+def encode_srgb(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
     """sRGB, 0 to 255, of light, 0 to 1 (IEC 61966-2-1); light is taken in 65536 steps."""
-    return _tables()[0][_steps(linear)]
+    return _srgb_tables()[0][_to_16_bits(linear)]
 
 
-def decoded(colours: NDArray[np.float32]) -> NDArray[np.float32]:
+def decode_srgb(colours: NDArray[np.float32]) -> NDArray[np.float32]:
     """Light, 0 to 1, of sRGB colours, 0 to 1; colours are taken in 65536 steps."""
-    return _tables()[1][_steps(colours)]
+    return _srgb_tables()[1][_to_16_bits(colours)]
 
 
-def _steps(values: NDArray[np.float32]) -> NDArray[np.uint16]:
+def _to_16_bits(values: NDArray[np.float32]) -> NDArray[np.uint16]:
     return (np.clip(values, 0, 1) * np.float32(65535) + np.float32(0.5)).astype(np.uint16)
 
 
 @functools.cache
-def _tables() -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+def _srgb_tables() -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
     """sRGB bytes of light, and light of sRGB, by step."""
     x = np.arange(65536) / 65535
     light = np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
-    return srgb(x), light.astype(np.float32)
+    return srgb_bytes(x), light.astype(np.float32)
 
 
-def _rounded(colours: NDArray[np.float32]) -> NDArray[np.uint8]:
+def _to_bytes(colours: NDArray[np.float32]) -> NDArray[np.uint8]:
     """The first three channels of colours, 0 to 1, as bytes."""
     scaled = cv2.convertScaleAbs(colours, alpha=255.0)
     return np.asarray(scaled if scaled.shape[2] == 3 else cv2.cvtColor(scaled, cv2.COLOR_RGBA2RGB), np.uint8)
 
 
-_THING = 255
+_PROP = 255
 """Label of what is seen and is not the object."""
 
 
@@ -288,11 +288,11 @@ def _depth_and_side(
             found = label[min(segmentation[v, u, 1], np.uint32(len(label) - 1))]
             if found > 0:
                 depth[v, u] = -position[v, u, 2]
-                side[v, u] = found if found != _THING else 0
+                side[v, u] = found if found != _PROP else 0
     return depth, side
 
 
-def _body(skins: Sequence[Skin]) -> Any:
+def _render_body(skins: Sequence[Skin]) -> Any:
     """What the engine draws of a thing."""
     import sapien
 
@@ -300,13 +300,13 @@ def _body(skins: Sequence[Skin]) -> Any:
     for skin in skins:
         pixels = np.dstack([skin.picture, np.full(skin.picture.shape[:2], 255, np.uint8)])
         material = sapien.render.RenderMaterial(roughness=skin.roughness, specular=0.3)
-        material.base_color_texture = sapien.render.RenderTexture2D(pixels, "R8G8B8A8Unorm", srgb=True)
+        material.base_color_texture = sapien.render.RenderTexture2D(pixels, "R8G8B8A8Unorm", srgb_bytes=True)
         shape = (skin.vertices, np.float32), (skin.faces, np.uint32), (skin.normals, np.float32), (skin.uv, np.float32)
         body.attach(sapien.render.RenderShapeTriangleMesh(*(x.astype(kind) for x, kind in shape), material))
     return body
 
 
-def _away() -> Any:
+def _out_of_view() -> Any:
     """Where a thing is not seen: behind the camera."""
     import sapien
 
@@ -323,14 +323,14 @@ def _load(scene: Any, urdf: Path) -> Any:
             for link in builders[0].link_builders:
                 link.collision_records = []
             articulation = builders[0].build(fix_root_link=False)
-            _fetch(articulation)
+            _read_files_now(articulation)
         except Exception as error:  # the loader raises Exception itself
             said = str(error).replace(str(readable.parent), str(urdf.parent)).strip().splitlines()
             raise FreeArtError(f"SAPIEN cannot load {urdf}: {said[0] if said else type(error).__name__}") from error
     return articulation
 
 
-def _fetch(articulation: Any) -> None:
+def _read_files_now(articulation: Any) -> None:
     """Let SAPIEN read the mesh files and pictures now; it would put that off until the first view."""
     import sapien
 
@@ -340,7 +340,7 @@ def _fetch(articulation: Any) -> None:
             _ = getattr(shape, "parts", None)
 
 
-def _strengths(scene: Any, known: dict[int, list[float]]) -> NDArray[np.float32]:
+def _specular_strengths(scene: Any, known: dict[int, list[float]]) -> NDArray[np.float32]:
     """Specular strength (MTL Ks) by per-scene id of a shape; the last entry is for nothing.
 
     `known` gives that of every shape of some entities, by their per-scene id; of the others it is told by roughness:
@@ -364,7 +364,7 @@ def _strengths(scene: Any, known: dict[int, list[float]]) -> NDArray[np.float32]
     return table
 
 
-def _labels(articulation: Any, groups: Sequence[Sequence[str]], urdf: Path) -> NDArray[np.uint8]:
+def _group_labels(articulation: Any, groups: Sequence[Sequence[str]], urdf: Path) -> NDArray[np.uint8]:
     """Per-scene entity id to group label; the last entry is for ids beyond all links, which are props."""
     ids = {link.name: link.entity.per_scene_id for link in articulation.links}
     labels = np.zeros(max(ids.values()) + 2, np.uint8)
@@ -373,5 +373,5 @@ def _labels(articulation: Any, groups: Sequence[Sequence[str]], urdf: Path) -> N
             if name not in ids:
                 raise FreeArtError(f"{urdf}: SAPIEN has no link '{name}'; links: {', '.join(ids)}")
             labels[ids[name]] = label
-    labels[-1] = _THING
+    labels[-1] = _PROP
     return labels

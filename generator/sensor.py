@@ -22,7 +22,7 @@ from freeart21.se3 import Array
 from generator.hand import HandMotion
 from generator.motion import Plan, hull_points
 from generator.partnet import PartNetObject
-from generator.scene import Scene, encoded
+from generator.scene import Scene, encode_srgb
 from generator.tof import TimeOfFlight, infrared_albedo
 
 SENSORS: tuple[str, ...] = ("clean", "noise2", "tof", "blur", "hand")
@@ -69,16 +69,16 @@ class Sensor:
         faults: CameraFaults | None = None,
     ) -> None:
         self.name = name
-        self._faults, self._fps, self._told = faults, fps, scene.camera
+        self._faults, self._fps, self._nominal_camera = faults, fps, scene.camera
         if faults is not None:
-            scene.use(faults.seeing(scene.camera))
+            scene.set_camera(faults.seeing(scene.camera))
         self._parts = set(name.split("+"))
         self._scene, self._plan, self._loaded, self._seed = scene, plan, loaded, seed
         self._exposure = min(EXPOSURE_S * fps, 1.0)
         self._hulls = hull_points(meshes[0]), hull_points(meshes[1])
         self._tof = TimeOfFlight(scene.camera, seed)
         scene.fix_lamps(plan.Ts_camera_world[0])
-        self._begun: int | None = None
+        self._started_frame: int | None = None
         self._hand: HandMotion | None = None
         if "hand" in self._parts:
             self._hand = HandMotion(plan, loaded.joint, meshes, scene.camera, seed)
@@ -86,13 +86,15 @@ class Sensor:
 
     def shoot(self, i: int) -> Shot:
         """Frame `i` of the video: the same whatever was shot before."""
-        count = sub_frames(self.motion_px(i)) if "blur" in self._parts else 1
-        then = None if self._faults is None or not self._faults.depth_delay else self._past(i)
+        count = count_sub_frames(self.motion_px(i)) if "blur" in self._parts else 1
+        then = None if self._faults is None or not self._faults.depth_delay else self._delayed_depth(i)
         light = self._light(i, count)
-        if self._begun != i:
+        if self._started_frame != i:
             self._draw(i)
-        self._begun = None
-        rgb = self._scene.rgb() if light is None else encoded((light + self._scene.linear_rgb()) / np.float32(count))
+        self._started_frame = None
+        rgb = (
+            self._scene.rgb() if light is None else encode_srgb((light + self._scene.linear_rgb()) / np.float32(count))
+        )
         depth, side = self._scene.depth_and_side()
         rng = np.random.default_rng([self._seed, _STREAM, i])
         if "noise2" in self._parts:
@@ -101,17 +103,17 @@ class Sensor:
             base, gloss = self._scene.materials()
             depth = self._tof.measure(depth, infrared_albedo(base), gloss, rng)
         if self._faults is not None:
-            depth, rgb = self._at_fault(i, depth if then is None else then, rgb)
+            depth, rgb = self._apply_faults(i, depth if then is None else then, rgb)
         return Shot(rgb, depth, side > 0, side)
 
-    def _past(self, i: int) -> NDArray[np.float32]:
+    def _delayed_depth(self, i: int) -> NDArray[np.float32]:
         """The clean depth of the moment that frame `i`'s depth picture shows."""
         assert self._faults is not None
         self._draw(i - self._faults.depth_delay * self._fps)
-        self._begun = None
+        self._started_frame = None
         return self._scene.depth_and_side()[0]
 
-    def _at_fault(
+    def _apply_faults(
         self, i: int, depth: NDArray[np.float32], rgb: NDArray[np.uint8]
     ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Depth and colours with the camera's faults."""
@@ -119,22 +121,22 @@ class Sensor:
         assert faults is not None
         rng = np.random.default_rng([self._seed, _FAULTS, i])
         bright = (rgb.mean(-1) / 255).astype(np.float32)
-        depth = faults.depth(depth, bright, incidence(depth, self._scene.camera), self._told, rng)
+        depth = faults.depth(depth, bright, incidence(depth, self._scene.camera), self._nominal_camera, rng)
         return depth, faults.colour(rgb, i / max(len(self._plan.states) - 1, 1))
 
-    def begin(self, i: int) -> None:
+    def start_drawing(self, i: int) -> None:
         """Let the renderer draw frame `i` while the caller does something else; `shoot` then takes the picture."""
         if "blur" not in self._parts and not (self._faults is not None and self._faults.depth_delay):
             self._draw(i)
-            self._begun = i
+            self._started_frame = i
 
     def _draw(self, t: float) -> None:
         """Draw the scene at time `t`, in frames."""
         held, joint = self._loaded.asset.held, self._loaded.joint.name
         state = float(np.interp(t, np.arange(len(self._plan.states)), self._plan.states))
-        T = between(self._plan.Ts_camera_object, t)
+        T = interpolate_pose(self._plan.Ts_camera_object, t)
         hand = None if self._hand is None else self._hand.poses(t, T, state)
-        self._scene.shoot(T, {**held, joint: state}, between(self._plan.Ts_camera_world, t), hand)
+        self._scene.shoot(T, {**held, joint: state}, interpolate_pose(self._plan.Ts_camera_world, t), hand)
 
     def _light(self, i: int, count: int) -> NDArray[np.float32] | None:
         """Sum of the light of all `count` sub-frames of frame `i` but the middle one; None when there is no other."""
@@ -149,7 +151,7 @@ class Sensor:
         """How far corners of object and hand move in the picture at most while frame `i` is exposed, pixels."""
         ends = []
         for t in (i - self._exposure / 2, i + self._exposure / 2):
-            T = between(self._plan.Ts_camera_object, t)
+            T = interpolate_pose(self._plan.Ts_camera_object, t)
             state = float(np.interp(t, np.arange(len(self._plan.states)), self._plan.states))
             Ts = T, T @ self._loaded.joint.transform(state)
             points = np.concatenate([se3.transform(T, hull) for T, hull in zip(Ts, self._hulls, strict=True)])
@@ -199,7 +201,7 @@ def check_sensor(name: str) -> None:
         )
 
 
-def between(Ts: Array, t: float) -> Array:
+def interpolate_pose(Ts: Array, t: float) -> Array:
     """The pose (4, 4) at time `t`, in frames, of poses (n, 4, 4): constant twists from frame to frame, and beyond."""
     k = int(np.clip(np.floor(t), 0, max(len(Ts) - 2, 0)))
     if t == k or len(Ts) == 1:
@@ -209,7 +211,7 @@ def between(Ts: Array, t: float) -> Array:
     return Ts[k] @ se3.exp_se3((t - k) * se3.log_se3(se3.inverse(Ts[k]) @ Ts[k + 1]))
 
 
-def sub_frames(motion_px: float) -> int:
+def count_sub_frames(motion_px: float) -> int:
     """How many pictures make up an exposure in which the picture moves by `motion_px`: one a pixel, odd, at most 9.
 
     Odd, so that the middle of the exposure, where depth and truth are taken, is one of them.

@@ -39,7 +39,7 @@ from generator.motion.planner import camera_in_world
 from generator.partnet_writer import write_partnet
 from generator.progress import Progress
 from generator.queries import PlannedQuery, plan_queries
-from generator.release import released_states
+from generator.release import roll_out_release
 from generator.scene import Picture, Scene, simulator
 from generator.sensor import check_sensor, make_sensor
 from generator.truth_mesh import outer_faces, visible_faces
@@ -63,15 +63,15 @@ TRACK = "track"
 SHADERS = ("default", "trivial")
 """SAPIEN's camera shaders that give all the recorder needs."""
 
-MOST_PICTURES = 100_000
+MAX_PICTURES = 100_000
 """Frames, and held-out views: their files are numbered by five digits."""
-MOST_PIXELS = 1 << 24
+MAX_PIXELS = 1 << 24
 """Of a picture, 4096 x 4096: as 3 bytes each they stay below the 64 MiB that `checked` reads of one file."""
 
-MOST_CARRY = 100.0
+MAX_CARRY = 100.0
 """Largest factor on the way of a take: from millimetres to the size of a room. Not measured."""
 
-_END_OF_PNG = b"\x00\x00\x00\x00IEND\xaeB`\x82"
+_PNG_END = b"\x00\x00\x00\x00IEND\xaeB`\x82"
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class RecordSettings:
     """File of the take that the motion TRACK replays (`freeart21.formats.captured.read_track`)."""
     carry: float | None = None
     """Factor on the way of a take whose poses are changes since the first; None takes sizes for it
-    (`generator.motion.track.carried`)."""
+    (`generator.motion.track.scale_translation`)."""
     preset: str = "handheld"
     """How large the object is and how far away: one of `generator.motion.PRESETS`."""
     sensor: str = "clean"
@@ -139,24 +139,24 @@ class RecordSettings:
                 f"{self.queries} held-out views; expected at least 2 frames of 16 x 16, more than 0 a second and 0 "
                 "views or more"
             )
-        if max(self.frames, self.queries) > MOST_PICTURES:
+        if max(self.frames, self.queries) > MAX_PICTURES:
             raise FreeArtError(
                 f"cannot record {self.frames} frames and {self.queries} held-out views; expected at most "
-                f"{MOST_PICTURES} each: their files are numbered by five digits"
+                f"{MAX_PICTURES} each: their files are numbered by five digits"
             )
-        if max(self.width, self.height) > MAX_SIDE or self.width * self.height > MOST_PIXELS:
+        if max(self.width, self.height) > MAX_SIDE or self.width * self.height > MAX_PIXELS:
             raise FreeArtError(
                 f"cannot record pictures of {self.width} x {self.height}; expected at most {MAX_SIDE} a side and "
-                f"{MOST_PIXELS} pixels (4096 x 4096) in all: readers take no larger ones"
+                f"{MAX_PIXELS} pixels (4096 x 4096) in all: readers take no larger ones"
             )
         if (self.motion == TRACK) != (self.track is not None):
             raise FreeArtError("the motion track needs the file of a take, and only it has one; expected track:FILE")
         if self.track is not None:
             checked.require_file(self.track, MAX_TAKE_BYTES, checked.ANYWHERE)
-        if self.carry is not None and not (self.track is not None and 0 <= self.carry <= MOST_CARRY):
+        if self.carry is not None and not (self.track is not None and 0 <= self.carry <= MAX_CARRY):
             raise FreeArtError(
                 f"the way cannot be scaled by {self.carry:g} in the motion {self.motion}; expected 0 to "
-                f"{MOST_CARRY:g}, and the motion track:FILE"
+                f"{MAX_CARRY:g}, and the motion track:FILE"
             )
         motions = (*STYLES, TRACK)
         named = ("motion", self.motion, motions), ("preset", self.preset, PRESETS), ("shader", self.shader, SHADERS)
@@ -176,7 +176,7 @@ class RecordSettings:
                 "to 1, and the motion release"
             )
 
-    def described(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, Any]:
         """All that decides the recording's bytes, as JSON: without places on this machine."""
         facts = asdict(self)
         del facts["partnet_root"], facts["root"]
@@ -204,10 +204,10 @@ def record_object(name: str, settings: RecordSettings, work: Path, progress: Pro
     if (work / "truth").is_dir():
         return
     atomic.sweep(work)
-    entry = entry_of(name, settings)
+    entry = catalog_entry(name, settings)
     loaded = load_object(entry, settings, work / "object")
     released = settings.motion == "release" and entry.source == "procedural"
-    session = Session(loaded, settings, work, progress, build(entry.name, settings) if released else None)
+    session = Session(loaded, settings, work, progress, build_model(entry.name, settings) if released else None)
     session.film()
     parts = session.parts()
     views = session.plan_views(parts)
@@ -227,7 +227,7 @@ def record_object(name: str, settings: RecordSettings, work: Path, progress: Pro
         raise atomic.cannot_write(work / "truth", error) from error
 
 
-def entry_of(name: str, settings: RecordSettings) -> catalog.CatalogEntry:
+def catalog_entry(name: str, settings: RecordSettings) -> catalog.CatalogEntry:
     """The catalog's entry of `name`, or one made for the settings' URDF or a number of PartNet-Mobility's."""
     if settings.urdf is not None:
         return catalog.CatalogEntry(name, "unknown", None, None, "urdf", None)
@@ -244,19 +244,21 @@ def load_object(entry: catalog.CatalogEntry, settings: RecordSettings, place: Pa
         return urdf_folder.load_urdf(
             settings.urdf, place / entry.name, settings.joint, settings.skip_missing, settings.root
         )
-    folder = place / entry.name if entry.source == "procedural" else partnet_folder(entry.name, settings.partnet_root)
+    folder = (
+        place / entry.name if entry.source == "procedural" else find_partnet_folder(entry.name, settings.partnet_root)
+    )
     if entry.source == "procedural" and not folder.is_dir():
-        write_partnet(build(entry.name, settings), folder)
+        write_partnet(build_model(entry.name, settings), folder)
     return partnet.load(folder, settings.joint or entry.joint, settings.skip_missing)
 
 
-def build(name: str, settings: RecordSettings) -> ObjectModel:
+def build_model(name: str, settings: RecordSettings) -> ObjectModel:
     """The procedural object `name`, of the settings' seed and preset's size."""
     model, diagonal = objects.build(name, settings.seed), PRESETS[settings.preset].diagonal_m
     return model if diagonal is None else model.scaled(diagonal / model.diagonal)
 
 
-def planned(
+def plan_recording(
     loaded: partnet.PartNetObject, settings: RecordSettings, model: ObjectModel | None = None
 ) -> tuple[Camera, Plan]:
     """The camera, and the motion before it. `model` gives the masses of a procedural object that is let go."""
@@ -264,35 +266,35 @@ def planned(
     fov_y = preset.fov_y_degrees if s.fov_y_degrees is None else s.fov_y_degrees
     camera = Camera.from_fov(s.width, s.height, np.radians(fov_y))
     if s.motion == TRACK:
-        return camera, _tracked(loaded, s, camera)
+        return camera, _plan_from_take(loaded, s, camera)
     meshes = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
     states = None
     if s.motion == "release":
-        effects = () if s.effects is None else _effects(s.effects, loaded.joint)
+        effects = () if s.effects is None else _read_effects(s.effects, loaded.joint)
         low, high = motion_range(loaded.joint)
         start = None if s.let_go is None else low + s.let_go * (high - low)
-        states = released_states(loaded, effects, s.frames, s.fps, s.seed, start, model)
+        states = roll_out_release(loaded, effects, s.frames, s.fps, s.seed, start, model)
     return camera, plan_motion(s.motion, meshes, loaded.joint, camera, s.frames, s.fps, s.seed, preset, states)
 
 
-def _tracked(loaded: partnet.PartNetObject, settings: RecordSettings, camera: Camera) -> Plan:
+def _plan_from_take(loaded: partnet.PartNetObject, settings: RecordSettings, camera: Camera) -> Plan:
     """The motion of the settings' take; poses that are meant as changes begin as seen in scripted motion."""
     assert settings.track is not None
     s, preset, take = settings, PRESETS[settings.preset], read_track(settings.track)
     body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
-    stretch = tracks.resampled(take, s.fps, s.frames)
-    states, fitted = tracks.fitted(stretch.states, take, body)
+    stretch = tracks.resample_take(take, s.fps, s.frames)
+    states, state_changes = tracks.fit_states(stretch.states, take, body)
     diagonal = bounding_diagonal(*body.meshes)
-    carry, carried = tracks.carried(take, diagonal, s.carry)
+    carry, way_changes = tracks.scale_translation(take, diagonal, s.carry)
     R_first = None
     if take.poses == "first":
         scripted = plan_motion("tumble", body.meshes, loaded.joint, camera, s.frames, s.fps, s.seed, preset)
         R_first = scripted.Ts_camera_object[0, :3, :3]
-    Ts = tracks.tracked(body, stretch, states, take, R_first, camera, preset, carry)
-    if take.poses == "camera" and carried:
-        Ts, more = tracks.farther(Ts, states, body, camera)
-        carried["carry"] *= more
-    said: dict[str, Any] = {
+    Ts = tracks.object_poses(body, stretch, states, take, R_first, camera, preset, carry)
+    if take.poses == "camera" and way_changes:
+        Ts, more = tracks.move_away(Ts, states, body, camera)
+        way_changes["carry"] *= more
+    facts: dict[str, Any] = {
         "name": take.name,
         "sha256": take.sha256,
         "form": take.form,
@@ -300,12 +302,12 @@ def _tracked(loaded: partnet.PartNetObject, settings: RecordSettings, camera: Ca
         "poses": take.poses,
     }
     if take.filter is not None:
-        said["filter"] = {"one_euro": asdict(take.filter)}
+        facts["filter"] = {"one_euro": asdict(take.filter)}
     plan = Plan(
         Ts,
         states,
         camera_in_world(STYLES["tumble"], Ts, body),
-        said | {"begins_s": stretch.begins_s} | fitted | carried,
+        facts | {"begins_s": stretch.begins_s} | state_changes | way_changes,
     )
     tracks.check_in_view(take.name, plan, body, camera, depth_bounds(Ts, diagonal)[0], s.fps)
     return plan
@@ -317,7 +319,7 @@ def depth_bounds(Ts_camera_object: Array, diagonal: float) -> tuple[float, float
     return 1e-3 * reach, reach
 
 
-def _effects(path: Path, joint: Joint) -> tuple[Effect, ...]:
+def _read_effects(path: Path, joint: Joint) -> tuple[Effect, ...]:
     """The effects that an effects.json gives to the joint."""
     entries = checked.read_json(path, EFFECTS_SCHEMA, checked.ANYWHERE).get("joints")
     if not isinstance(entries, dict) or not all(isinstance(v, list) for v in entries.values()):
@@ -334,14 +336,14 @@ def _effects(path: Path, joint: Joint) -> tuple[Effect, ...]:
     return effects
 
 
-def partnet_folder(name: str, root: Path | None) -> Path:
+def find_partnet_folder(name: str, root: Path | None) -> Path:
     """The folder of the PartNet-Mobility object `name`; FreeArtError says where to ask for it when it is not there."""
     if root is None:
         raise FreeArtError(
             f"object '{name}' is from PartNet-Mobility: name the folder that holds {name} by --partnet-root; "
             f"who has none may ask for access at {ACCESS}"
         )
-    folder = partnet.folder_of(name, root)
+    folder = partnet.find_folder(name, root)
     if folder is None:
         raise FreeArtError(
             f"PartNet-Mobility object {name} is not in {root}; ask for access to the dataset at {ACCESS} and unpack it "
@@ -356,7 +358,7 @@ def nice_scale(least: float) -> float:
     return float(f"{next(power * k for k in (1, 2, 5, 10) if power * k >= least * (1 - 1e-12)):.1g}")
 
 
-def other_way_round(joint: Joint) -> Joint:
+def reverse_joint(joint: Joint) -> Joint:
     """The joint as motion of its parent side against its child side, with the same states: the axis turns round."""
     return replace(joint, axis=-joint.axis)
 
@@ -391,7 +393,7 @@ class Session:
         diagonal = bounding_diagonal(*coarse)
         fine = [side.surface.subdivided(settings.edge * diagonal).mesh() for side in loaded.sides]
         self.meshes: tuple[Mesh, Mesh] = fine[0], fine[1]
-        self.camera, self.plan = planned(loaded, settings, model)
+        self.camera, self.plan = plan_recording(loaded, settings, model)
         near, far = depth_bounds(self.plan.Ts_camera_object, diagonal)
         self.depth_scale = nice_scale((far if settings.camera is None else 2 * far + ROOM_M) / 65000)
         groups = [side.links for side in loaded.sides]
@@ -411,7 +413,7 @@ class Session:
         empty though nothing stands before the object: under heavy load a software renderer was seen to fail so.
         """
         n = self.settings.frames
-        kept = [all(_is_whole(self._work / sub / f"{i:05d}.png") for sub in _PICTURES) for i in range(n)]
+        kept = [all(_is_complete_png(self._work / sub / f"{i:05d}.png") for sub in _PICTURES) for i in range(n)]
         with FrameWriter() as writer:
             for i in range(n):
                 if kept[i]:
@@ -419,7 +421,7 @@ class Session:
                 else:
                     shot = self.sensor.shoot(i)
                     if i + 1 < n and not kept[i + 1]:
-                        self.sensor.begin(i + 1)
+                        self.sensor.start_drawing(i + 1)
                     side = shot.side
                     if not self._may_hide:
                         self._require_seen(side, f"frame {i}")
@@ -427,7 +429,7 @@ class Session:
                     images = shot.rgb, encode_depth(shot.depth, self.depth_scale), mask, side
                     writer.put({self._work / sub / f"{i:05d}.png": m for sub, m in zip(_PICTURES, images, strict=True)})
                 self._counts[i] = np.count_nonzero(side == 1), np.count_nonzero(side == 2)
-                self._tick()
+                self._count_picture()
 
     def parts(self) -> Parts:
         """Reference and moving part of the video: the side with more pixels over all frames is the reference."""
@@ -435,7 +437,7 @@ class Session:
         order = (1, 0) if counts[:, 1].sum() > counts[:, 0].sum() else (0, 1)
         joint = self.loaded.joint
         Ts = self.plan.Ts_camera_object, self.plan.Ts_camera_object @ joint.transform(self.plan.states)
-        own = joint if order == (0, 1) else other_way_round(joint)
+        own = joint if order == (0, 1) else reverse_joint(joint)
         return Parts(order, own, (Ts[order[0]], Ts[order[1]]), counts[:, list(order)])
 
     def plan_views(self, parts: Parts) -> tuple[PlannedQuery, ...]:
@@ -452,7 +454,7 @@ class Session:
         """
         order = parts.order
         meshes = self.meshes[order[0]], self.meshes[order[1]]
-        visible = visible_faces(meshes, self.camera, self._shown(parts))
+        visible = visible_faces(meshes, self.camera, self._sampled_views(parts))
         outer = [o | v for o, v in zip(outer_faces(meshes, parts.joint), visible, strict=True)]
         label = np.array([0, 1 + order.index(0), 1 + order.index(1)], np.uint8)
         pictures = [self._view(i, view, parts) for i, view in enumerate(views)]
@@ -466,10 +468,10 @@ class Session:
             lambda i: label[self._side(i)],
             lambda i: pictures[i].rgb,
             lambda i: pictures[i].side > 0,
-            facts | simulator() | self._source(order),
+            facts | simulator() | self._truth_source(order),
         )
 
-    def _shown(self, parts: Parts) -> Iterator[tuple[Array, Array, NDArray[np.bool_]]]:
+    def _sampled_views(self, parts: Parts) -> Iterator[tuple[Array, Array, NDArray[np.bool_]]]:
         """Poses of both parts and foreground of some frames."""
         for i in range(0, self.settings.frames, self.settings.visible_every):
             yield parts.Ts_camera[0][i], parts.Ts_camera[1][i], self._side(i) > 0
@@ -477,7 +479,7 @@ class Session:
     def _side(self, i: int) -> NDArray[np.uint8]:
         return checked.read_labels(self._work / "side" / f"{i:05d}.png")
 
-    def _source(self, order: tuple[int, int]) -> dict[str, Any]:
+    def _truth_source(self, order: tuple[int, int]) -> dict[str, Any]:
         settings, links = self.settings, [side.links for side in self.loaded.sides]
         track = {} if self.plan.source is None else {"track": self.plan.source}
         return track | {
@@ -491,7 +493,7 @@ class Session:
             "notes": self.loaded.notes,
             "reference_links": links[order[0]],
             "moving_links": links[order[1]],
-            "settings": settings.described(),
+            "settings": settings.to_json(),
         }
 
     def _view(self, i: int, view: PlannedQuery, parts: Parts) -> Picture:
@@ -499,11 +501,11 @@ class Session:
         T_parent = (view.T_camera_reference, view.T_camera_reference @ parts.joint.transform(view.state))
         positions = {**self.loaded.asset.held, self.loaded.joint.name: view.state}
         query = view.query
-        self.scene.use(self.camera)
+        self.scene.set_camera(self.camera)
         T_camera_world = query.T_newcam_cam @ self.plan.Ts_camera_world[query.pose_of_frame]
         picture = self.scene.render(T_parent[parts.order.index(0)], positions, T_camera_world)
         self._require_seen(picture.side, f"held-out view {i}")
-        self._tick()
+        self._count_picture()
         return picture
 
     @staticmethod
@@ -511,14 +513,14 @@ class Session:
         if not side.any():
             raise FreeArtError(f"the renderer drew nothing of the object in {what}; run the same command again")
 
-    def _tick(self) -> None:
+    def _count_picture(self) -> None:
         self._done += 1
         self._progress(self._done, self.settings.frames + self.settings.queries)
 
 
-def _is_whole(path: Path) -> bool:
+def _is_complete_png(path: Path) -> bool:
     """Whether a PNG file is there to its end: after a power cut a file may be there without its content."""
     try:
-        return checked.read_bytes(path, checked.MAX_IMAGE_BYTES).endswith(_END_OF_PNG)
+        return checked.read_bytes(path, checked.MAX_IMAGE_BYTES).endswith(_PNG_END)
     except FreeArtError:
         return False

@@ -110,7 +110,7 @@ class Surface:
         return Mesh(self.vertices, self.faces[area > 0], colours)
 
 
-def srgb(linear: Array) -> NDArray[np.uint8]:
+def srgb_bytes(linear: Array) -> NDArray[np.uint8]:
     """sRGB bytes of linear light, 0 to 1, such as an MTL file's Kd (IEC 61966-2-1)."""
     linear = np.clip(linear, 0, 1)
     encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)

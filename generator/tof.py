@@ -105,9 +105,9 @@ class TimeOfFlight:
         seen = depth > 0
         if not seen.any():
             return np.zeros_like(depth)
-        cosine = incidence(depth, self.rays)
-        signal = returned(depth, albedo, gloss, cosine, self.rays)
-        mean, spread = (values[seen] for values in self.mixed(depth, signal))
+        cosine = incidence_cosine(depth, self.rays)
+        signal = returned_signal(depth, albedo, gloss, cosine, self.rays)
+        mean, spread = (values[seen] for values in self.mix_footprints(depth, signal))
         cosine, signal = cosine[seen], signal[seen]
         weak, grazing, torn = rng.random((3, len(mean)), np.float32)
         sigma = noise_m(signal)
@@ -115,7 +115,7 @@ class TimeOfFlight:
         lost |= signal > SATURATION
         lost |= grazing < _ramp(np.degrees(np.arccos(np.minimum(cosine, 1))), *GRAZING_DEGREES)
         lost |= (spread > MIXED_M) & (torn < 0.5)
-        z = mean + self.systematic(mean) + sigma * rng.standard_normal(len(mean), np.float32)
+        z = mean + self.systematic_error(mean) + sigma * rng.standard_normal(len(mean), np.float32)
         measured = np.zeros_like(depth)
         measured[seen] = np.where(lost, 0, np.maximum(np.rint(z / STEP_M) * STEP_M, 0))
         return measured
@@ -125,7 +125,7 @@ class TimeOfFlight:
         """(height, width, 3) directions of the pixels, z = 1."""
         return self.camera.rays()
 
-    def systematic(self, z: NDArray) -> NDArray:
+    def systematic_error(self, z: NDArray) -> NDArray:
         """Systematic error, metres, at depth `z`."""
         rng = np.random.default_rng([self.seed, 5])
         error = rng.uniform(-SCALE_ERROR, SCALE_ERROR) * z
@@ -133,13 +133,15 @@ class TimeOfFlight:
             error = error + amplitude * np.sin(2 * np.pi * z / period + phase)
         return error
 
-    def mixed(self, depth: Map, signal: Map) -> tuple[Map, Map]:
+    def mix_footprints(self, depth: Map, signal: Map) -> tuple[Map, Map]:
         """Mean and standard deviation of the depth within every footprint, weighted by signal; 0 off the object."""
         sigma_px = max(FOOTPRINT_RAD * float(self.camera.K[0, 0]), 0.2)
         reach = max(1, math.ceil(2.5 * sigma_px))
         taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma_px) ** 2)
         room = float(depth.max()) + ROOM_BEHIND_M
-        return _mixed(depth, signal, (taps / taps.sum()).astype(np.float32), room, ROOM_ALBEDO / WHITE / room**2)
+        return _mix_footprints(
+            depth, signal, (taps / taps.sum()).astype(np.float32), room, ROOM_ALBEDO / WHITE / room**2
+        )
 
 
 def infrared_albedo(linear_rgb: NDArray[np.float32]) -> Map:
@@ -154,18 +156,18 @@ def noise_m(signal: NDArray) -> NDArray:
     return 1e-3 * np.sqrt(a + (b + c / signal) / signal)
 
 
-def incidence(depth: Map, rays: Array) -> Map:
+def incidence_cosine(depth: Map, rays: Array) -> Map:
     """Cosine (height, width) of the angle between surface and ray; 1 where nothing is drawn.
 
     On a plane the inverse depth is linear in the picture; each slope is the smaller one of both sides' differences, so
     that a surface keeps its normal at its edge. `rays` (height, width, 3) have z = 1.
     """
-    return _incidence(depth, rays)
+    return _incidence_cosine(depth, rays)
 
 
-def returned(depth: Map, albedo: Map, gloss: Map, cosine: Map, rays: Array) -> Map:
+def returned_signal(depth: Map, albedo: Map, gloss: Map, cosine: Map, rays: Array) -> Map:
     """Signal (height, width) that comes back; 0 where nothing is drawn."""
-    return _returned(depth, albedo, gloss, cosine, rays)
+    return _returned_signal(depth, albedo, gloss, cosine, rays)
 
 
 def _ramp(x: NDArray, low: float, high: float) -> NDArray:
@@ -173,7 +175,7 @@ def _ramp(x: NDArray, low: float, high: float) -> NDArray:
 
 
 @numba.njit(cache=True)
-def _incidence(depth: Map, rays: Array) -> Map:
+def _incidence_cosine(depth: Map, rays: Array) -> Map:
     height, width = depth.shape
     cosine = np.ones((height, width), np.float32)
     for v in range(height):
@@ -203,7 +205,7 @@ def _incidence(depth: Map, rays: Array) -> Map:
 
 
 @numba.njit(cache=True)
-def _returned(depth: Map, albedo: Map, gloss: Map, cosine: Map, rays: Array) -> Map:
+def _returned_signal(depth: Map, albedo: Map, gloss: Map, cosine: Map, rays: Array) -> Map:
     height, width = depth.shape
     signal = np.zeros((height, width), np.float32)
     for v in range(height):
@@ -217,7 +219,7 @@ def _returned(depth: Map, albedo: Map, gloss: Map, cosine: Map, rays: Array) -> 
 
 
 @numba.njit(cache=True)
-def _mixed(depth: Map, signal: Map, taps: Map, room: float, room_signal: float) -> tuple[Map, Map]:
+def _mix_footprints(depth: Map, signal: Map, taps: Map, room: float, room_signal: float) -> tuple[Map, Map]:
     height, width = depth.shape
     reach = len(taps) // 2
     mean, spread = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)

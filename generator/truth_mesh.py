@@ -32,15 +32,15 @@ def outer_faces(meshes: tuple[Mesh, Mesh], joint: Joint, states: int = 5) -> Fla
     """
     caster = Caster(meshes)
     flags = (np.zeros(len(meshes[0].faces), bool), np.zeros(len(meshes[1].faces), bool))
-    twins = same_faces(meshes[0]), same_faces(meshes[1])
+    groups = coincident_faces(meshes[0]), coincident_faces(meshes[1])
     poses = [(np.eye(4), joint.transform(q)) for q in np.linspace(*motion_range(joint), states)]
     directions = _sphere(_DIRECTIONS * states)
     for k, Ts in enumerate(poses):
         _mark_from_outside(caster, meshes, Ts, directions[k::states], flags)
-    _spread(flags, twins)
+    _mark_coincident(flags, groups)
     directions = _sphere(_ESCAPES * states)
     for k, Ts in enumerate(poses):
-        _mark_escaping(caster, meshes, Ts, directions[k::states], flags, twins)
+        _mark_escaping(caster, meshes, Ts, directions[k::states], flags, groups)
     return flags
 
 
@@ -54,12 +54,12 @@ def visible_faces(
     caster = Caster(meshes)
     flags = (np.zeros(len(meshes[0].faces), bool), np.zeros(len(meshes[1].faces), bool))
     for T_first, T_second, foreground in views:
-        _mark(caster.look(camera, (T_first, T_second), foreground), flags)
-    _spread(flags, (same_faces(meshes[0]), same_faces(meshes[1])))
+        _mark_hits(caster.look(camera, (T_first, T_second), foreground), flags)
+    _mark_coincident(flags, (coincident_faces(meshes[0]), coincident_faces(meshes[1])))
     return flags
 
 
-def same_faces(mesh: Mesh) -> NDArray[np.int64]:
+def coincident_faces(mesh: Mesh) -> NDArray[np.int64]:
     """(F,) group of each face: faces with the same three corners, whichever way round, share one.
 
     PartNet-Mobility draws most faces twice, once for each way to look at them; a ray hits either.
@@ -71,15 +71,15 @@ def same_faces(mesh: Mesh) -> NDArray[np.int64]:
     return np.unique(np.sort(corner[mesh.faces], axis=1), axis=0, return_inverse=True)[1].reshape(-1)
 
 
-def _spread(flags: Flags, twins: tuple[NDArray[np.int64], NDArray[np.int64]]) -> None:
+def _mark_coincident(flags: Flags, groups: tuple[NDArray[np.int64], NDArray[np.int64]]) -> None:
     """What holds for a face holds for the faces that lie on it."""
-    for flag, group in zip(flags, twins, strict=True):
+    for flag, group in zip(flags, groups, strict=True):
         marked = np.zeros(group.max(initial=-1) + 1, bool)
         marked[group[flag]] = True
         flag |= marked[group]
 
 
-def _mark(hits: Hits, flags: Flags) -> None:
+def _mark_hits(hits: Hits, flags: Flags) -> None:
     for k in (0, 1):
         flags[k][hits.face[hits.side == k]] = True
 
@@ -95,7 +95,7 @@ def _mark_from_outside(
     for direction in directions:
         across = np.linalg.svd(direction[None])[2][1:]
         origins = centre - 2 * radius * direction + radius * (u * across[0] + v * across[1])
-        _mark(caster.cast(origins, np.broadcast_to(direction, origins.shape), Ts), flags)
+        _mark_hits(caster.cast(origins, np.broadcast_to(direction, origins.shape), Ts), flags)
 
 
 def _mark_escaping(
@@ -104,11 +104,11 @@ def _mark_escaping(
     Ts: tuple[Array, Array],
     directions: Array,
     flags: Flags,
-    twins: tuple[NDArray[np.int64], NDArray[np.int64]],
+    groups: tuple[NDArray[np.int64], NDArray[np.int64]],
 ) -> None:
     for k, (T, mesh) in enumerate(zip(Ts, meshes, strict=True)):
         rest = np.flatnonzero(~flags[k])
-        rest = rest[np.unique(twins[k][rest], return_index=True)[1]]  # one of each pair of faces that lie together
+        rest = rest[np.unique(groups[k][rest], return_index=True)[1]]  # one of each pair of faces that lie together
         corners = se3.transform(T, mesh.vertices)[mesh.faces[rest]]
         middle = corners.mean(1)
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -120,7 +120,7 @@ def _mark_escaping(
             out = np.sign(cosine[todo])[:, None] * normal[todo]
             hits = caster.cast(middle[todo] + step * out, np.broadcast_to(direction, (len(todo), 3)), Ts)
             flags[k][rest[todo[hits.side < 0]]] = True
-    _spread(flags, twins)
+    _mark_coincident(flags, groups)
 
 
 def _sphere(n: int) -> Array:

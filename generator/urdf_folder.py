@@ -71,8 +71,8 @@ def load_urdf(
         if not folder.is_dir():
             write_folder(urdf, folder, skip_missing, root)
         loaded = partnet.load(folder, scored)
-        told = checked.read_json(folder / _NOTES)["notes"]
-        return replace(loaded, notes=(*told, *loaded.notes))
+        notes = checked.read_json(folder / _NOTES)["notes"]
+        return replace(loaded, notes=(*notes, *loaded.notes))
     except atomic.CannotWrite:
         raise
     except FreeArtError as error:

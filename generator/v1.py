@@ -27,7 +27,7 @@ from generator import objects
 from generator.dataset import Job, Label
 from generator.model import ObjectModel
 from generator.progress import progress_bar
-from generator.session import RecordSettings, load_object, planned
+from generator.session import RecordSettings, load_object, plan_recording
 
 NAME, VERSION = "freeart21-v1", "1"
 Split = Literal["public", "test"]
@@ -74,7 +74,7 @@ def label(split: Split, settings: RecordSettings) -> Label:
     return Label(NAME if settings == own else f"{NAME}-changed", VERSION, split)
 
 
-def keep_apart(out: Path, jobs: Sequence[Job], label: Label | None) -> None:
+def check_own_sequences(out: Path, jobs: Sequence[Job], label: Label | None) -> None:
     """FreeArtError when the folder `out` would bear the benchmark's name with other sequences than its own.
 
     `label` is that of the `jobs`; None takes the folder's, or the folder's name.
@@ -89,7 +89,7 @@ def keep_apart(out: Path, jobs: Sequence[Job], label: Label | None) -> None:
         )
 
 
-def frozen() -> dict[str, dict[str, str]]:
+def read_frozen() -> dict[str, dict[str, str]]:
     """Sequence name to the fingerprints of its shape and motion when this version was made, both splits."""
     return checked.read_json(_FROZEN)["sequences"]
 
@@ -106,7 +106,7 @@ def motion_fingerprint(entry: Entry, settings: RecordSettings | None = None) -> 
     """
     settings = replace(settings or RecordSettings(), seed=entry.seed, motion=entry.motion)
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
-        plan = planned(load_object(catalog.find(entry.object), settings, Path(place)), settings)[1]
+        plan = plan_recording(load_object(catalog.find(entry.object), settings, Path(place)), settings)[1]
     return _digest([_text(plan.Ts_camera_object[:, :3], 4), _text(plan.states, 4)])
 
 
@@ -152,7 +152,7 @@ def main(
     if write:
         atomic.write_json(_FROZEN, {"name": NAME, "version": VERSION, "sequences": now})
         return 0
-    known = frozen()
+    known = read_frozen()
     changed = [e for e in every if known.get(e.sequence) != now[e.sequence]]
     for e in changed:
         what = " and ".join(k for k, v in now[e.sequence].items() if known.get(e.sequence, {}).get(k) != v)

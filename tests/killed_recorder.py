@@ -21,7 +21,7 @@ import numpy as np
 
 from freeart21.doctor import require_rendering
 from generator import scene
-from generator.dataset import Job, jobs_of, record_jobs
+from generator.dataset import Job, plan_jobs, record_jobs
 from generator.session import RecordSettings
 
 
@@ -86,7 +86,7 @@ def main() -> None:
     settings = RecordSettings(frames=given.frames, width=160, height=120, queries=2, shader="trivial", edge=0.5)
     if given.track is not None:
         settings = replace(settings, motion="track", track=given.track)
-    jobs, rng = jobs_of(given.objects, settings), np.random.default_rng(given.seed)
+    jobs, rng = plan_jobs(given.objects, settings), np.random.default_rng(given.seed)
     require_rendering()
     load_libraries()
     duration = finish(given.folder / "whole" / "data", jobs)

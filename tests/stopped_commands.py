@@ -182,14 +182,14 @@ def prepared(folder: Path, data: Path | None, results: Path | None, commands: li
     from freeart21.files.sequence import read_sequence
     from freeart21.files.truth import read_truth
     from freeart21.reconstruction import Reconstruction
-    from generator.dataset import jobs_of, record_jobs
+    from generator.dataset import plan_jobs, record_jobs
     from generator.measure import measure_truths
     from generator.session import RecordSettings
 
     small = RecordSettings(frames=12, width=160, height=120, queries=2, shader="trivial", edge=0.5)
     place = Place(data or folder / "data", results or folder / "results", folder / "measured")
     if not place.data.is_dir():
-        record_jobs(place.data, jobs_of(["drawer_unit"], small))
+        record_jobs(place.data, plan_jobs(["drawer_unit"], small))
     if not place.results.is_dir() and {"export", "score", "view"} & set(commands):
         name = place.sequence
         truth = read_truth(place.data / "truth" / name)
@@ -209,7 +209,7 @@ def prepared(folder: Path, data: Path | None, results: Path | None, commands: li
             frames=90, width=160, height=120, queries=0, shader="trivial", edge=0.5, motion="release"
         )
         films = folder / "films"
-        record_jobs(films, jobs_of(["flip_lighter"], swung))
+        record_jobs(films, plan_jobs(["flip_lighter"], swung))
         measure_truths([films / "truth" / "flip_lighter-s0"], place.measured)
         films.rename(place.measured / "films")
     return place

@@ -28,7 +28,7 @@ from freeart21.files.lock import take
 from freeart21.files.truth import read_truth
 from freeart21.files.verify import verify
 from generator import dataset, objects, session
-from generator.dataset import Job, jobs_of, official_names, procedural_jobs, record_jobs
+from generator.dataset import Job, official_names, plan_jobs, procedural_jobs, record_jobs
 from generator.session import RecordSettings
 from generator.shapes import triangles
 
@@ -46,7 +46,7 @@ def hashes(data: Path) -> dict[str, str]:
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two sequences, recorded without interruption."""
     data = tmp_path_factory.mktemp("whole") / "data"
-    assert record_jobs(data, jobs_of(["stapler", "flip_lighter"], SETTINGS)) == ["stapler-s0", "flip_lighter-s0"]
+    assert record_jobs(data, plan_jobs(["stapler", "flip_lighter"], SETTINGS)) == ["stapler-s0", "flip_lighter-s0"]
     return data
 
 
@@ -54,7 +54,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def one(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One sequence."""
     data = tmp_path_factory.mktemp("one") / "data"
-    record_jobs(data, jobs_of(["flip_lighter"], SETTINGS))
+    record_jobs(data, plan_jobs(["flip_lighter"], SETTINGS))
     return data
 
 
@@ -79,7 +79,7 @@ def test_killed_at_10_random_moments_the_data_set_is_the_same_to_the_last_byte(t
 def test_frames_that_were_kept_are_not_drawn_again(
     whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int
 ) -> None:
-    jobs, data = jobs_of(["stapler", "flip_lighter"], SETTINGS), tmp_path / "data"
+    jobs, data = plan_jobs(["stapler", "flip_lighter"], SETTINGS), tmp_path / "data"
     drawn = []
     own = session.Session.film
 
@@ -107,7 +107,7 @@ def test_frames_that_were_kept_are_not_drawn_again(
 
 
 def test_a_kill_between_the_two_renames_is_mended(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    jobs, data = jobs_of(["stapler", "flip_lighter"], SETTINGS), tmp_path / "data"
+    jobs, data = plan_jobs(["stapler", "flip_lighter"], SETTINGS), tmp_path / "data"
     rename = Path.replace
 
     def stopping(self: Path, target: Path) -> Path:
@@ -127,7 +127,7 @@ def test_a_kill_between_the_two_renames_is_mended(whole: Path, tmp_path: Path, m
 def test_a_kill_while_a_file_of_the_whole_is_written_is_mended(
     whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str
 ) -> None:
-    jobs, data = jobs_of(["stapler", "flip_lighter"], SETTINGS), tmp_path / "data"
+    jobs, data = plan_jobs(["stapler", "flip_lighter"], SETTINGS), tmp_path / "data"
     rename, unlink = Path.replace, Path.unlink
 
     def killed(self: Path, target: Path) -> Path:
@@ -147,14 +147,14 @@ def test_a_kill_while_a_file_of_the_whole_is_written_is_mended(
 
 
 def test_a_kill_during_the_last_clearing_away_is_mended(whole: Path, tmp_path: Path) -> None:
-    jobs, data = jobs_of(["stapler"], SETTINGS), tmp_path / "data"
+    jobs, data = plan_jobs(["stapler"], SETTINGS), tmp_path / "data"
     record_jobs(data, jobs)
     left = data / dataset.WORK / "stapler-s0" / "side"
     left.mkdir(parents=True)
     (left / "00000.png").write_bytes(b"left over")
     (data / dataset.WORK / "lock").touch()
     assert record_jobs(data, jobs) == [] and not (data / dataset.WORK).exists()
-    record_jobs(data, jobs_of(["flip_lighter"], SETTINGS))
+    record_jobs(data, plan_jobs(["flip_lighter"], SETTINGS))
     assert hashes(data) == hashes(whole)
 
 
@@ -182,7 +182,7 @@ def test_ctrl_c_says_in_one_line_how_to_go_on(tmp_path: Path) -> None:
 def test_the_bytes_do_not_depend_on_the_number_of_workers(whole: Path, tmp_path: Path) -> None:
     told: list[str] = []
     data = tmp_path / "data"
-    record_jobs(data, jobs_of(["stapler", "flip_lighter"], SETTINGS), workers=2, on_done=told.append)
+    record_jobs(data, plan_jobs(["stapler", "flip_lighter"], SETTINGS), workers=2, on_done=told.append)
     assert sorted(told) == ["flip_lighter-s0", "stapler-s0"]
     assert hashes(data) == hashes(whole)
 
@@ -205,7 +205,7 @@ def test_two_writers_on_one_folder_are_refused(tmp_path: Path, monkeypatch: pyte
     data = tmp_path / "data"
     with dataset._only_writer(data):
         with pytest.raises(FreeArtError, match="another process is recording into .*data; wait for it"):
-            record_jobs(data, jobs_of(["stapler"], SETTINGS))
+            record_jobs(data, plan_jobs(["stapler"], SETTINGS))
         other = (
             "import sys; from pathlib import Path; from generator import dataset; dataset._PATIENCE_S = 0.2\n"
             "with dataset._only_writer(Path(sys.argv[1])): pass"
@@ -240,27 +240,27 @@ def test_other_settings_on_an_unfinished_folder_are_refused_saying_what_differs(
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(dataset, "record_object", stop)
-        record_jobs(data, jobs_of(["stapler"], SETTINGS))
+        record_jobs(data, plan_jobs(["stapler"], SETTINGS))
     for settings, names, said in (
         (dataclasses.replace(SETTINGS, frames=7), ["stapler"], "frames 6, not 7"),
         (dataclasses.replace(SETTINGS, sensor="noise2"), ["stapler"], "sensor clean, not noise2"),
         (SETTINGS, ["stapler", "flip_lighter"], "1 sequences, not 2"),
     ):
         with pytest.raises(FreeArtError, match=f"unfinished recording of something else \\({said}\\)") as caught:
-            record_jobs(data, jobs_of(names, settings))
+            record_jobs(data, plan_jobs(names, settings))
         assert "\n" not in str(caught.value)
 
 
 def test_a_whole_data_set_is_left_alone_and_can_grow(whole: Path, tmp_path: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in whole.rglob("*")}
-    assert record_jobs(whole, jobs_of(["flip_lighter", "stapler"], SETTINGS)) == []
+    assert record_jobs(whole, plan_jobs(["flip_lighter", "stapler"], SETTINGS)) == []
     assert {path: path.stat().st_mtime_ns for path in whole.rglob("*")} == before
     data = tmp_path / "data"
     for name in ("flip_lighter", "stapler"):
-        record_jobs(data, jobs_of([name], SETTINGS))
+        record_jobs(data, plan_jobs([name], SETTINGS))
     assert hashes(data) == hashes(whole)
     with pytest.raises(FreeArtError, match="stapler-s0 exists with frames 6, not 9"):
-        record_jobs(data, jobs_of(["stapler"], dataclasses.replace(SETTINGS, frames=9)))
+        record_jobs(data, plan_jobs(["stapler"], dataclasses.replace(SETTINGS, frames=9)))
     assert read_benchmark(data).sequences == ("flip_lighter-s0", "stapler-s0")
 
 
@@ -271,7 +271,7 @@ def test_a_whole_data_set_is_left_alone_and_can_grow(whole: Path, tmp_path: Path
 def test_a_full_disk_is_one_line_and_the_same_call_goes_on(
     one: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: str
 ) -> None:
-    jobs, data = jobs_of(["flip_lighter"], SETTINGS), tmp_path / "data"
+    jobs, data = plan_jobs(["flip_lighter"], SETTINGS), tmp_path / "data"
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     with monkeypatch.context() as patch, pytest.raises(atomic.CannotWrite) as caught:
         mkstemp, savez = tempfile.mkstemp, np.savez_compressed
@@ -311,7 +311,7 @@ def test_a_disk_that_is_really_full(one: Path, tmp_path: Path) -> None:
         assert len(done.stderr.splitlines()) == 1
         shutil.rmtree(place / "stapler")
         subprocess.run(["mount", "-o", "remount,size=400k", place], check=True)
-        jobs, data = jobs_of(["flip_lighter"], SETTINGS), place / "data"
+        jobs, data = plan_jobs(["flip_lighter"], SETTINGS), place / "data"
         with pytest.raises(atomic.CannotWrite, match="No space left on device"):
             record_jobs(data, jobs)
         subprocess.run(["mount", "-o", "remount,size=64m", place], check=True)
@@ -383,7 +383,7 @@ def test_a_scaled_object_is_the_same_but_larger(name: str) -> None:
 
 def test_the_paper_preset_records_at_partnet_scale(tmp_path: Path) -> None:
     settings = dataclasses.replace(SETTINGS, preset="paper", queries=1)
-    record_jobs(tmp_path, jobs_of(["stapler"], settings))
+    record_jobs(tmp_path, plan_jobs(["stapler"], settings))
     truth = read_truth(tmp_path / "truth" / "stapler-s0")
     assert truth.diagonal == pytest.approx(2.0, rel=0.2)  # posed as in frame 0, the box is another
     assert 2.0 < np.linalg.norm(truth.Ts_camera_reference[:, :3, 3], axis=1).mean() < 5.0
@@ -391,7 +391,7 @@ def test_the_paper_preset_records_at_partnet_scale(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("sensor", ["noise2", "hand"])
 def test_other_sensors_keep_the_truth_and_the_views_clean(whole: Path, tmp_path: Path, sensor: str) -> None:
-    record_jobs(tmp_path, jobs_of(["stapler"], dataclasses.replace(SETTINGS, sensor=sensor)))
+    record_jobs(tmp_path, plan_jobs(["stapler"], dataclasses.replace(SETTINGS, sensor=sensor)))
     assert verify(tmp_path).findings == []
     mine, clean = hashes(tmp_path), hashes(whole)
     views = [name for name in clean if "stapler-s0/queries/" in name]
@@ -410,7 +410,7 @@ def test_a_released_joint_swings_by_the_effects_given_while_the_rest_stands_stil
             },
         )
         settings = dataclasses.replace(SETTINGS, frames=30, motion="release", effects=effects, queries=1)
-        record_jobs(data, jobs_of(["flip_lighter"], settings))
+        record_jobs(data, plan_jobs(["flip_lighter"], settings))
         truth = read_truth(data / "truth" / "flip_lighter-s0")
         assert np.ptp(truth.Ts_camera_reference, axis=0).max() < 1e-9
         assert truth.source["settings"]["effects"]["joints"]["joint_0"] == [
@@ -428,9 +428,9 @@ def test_effects_that_do_not_fit_are_one_line(tmp_path: Path) -> None:
     atomic.write_json(effects, {"schema": "freeart21/effects/1", "joints": {}})
     settings = dataclasses.replace(SETTINGS, effects=effects)
     with pytest.raises(FreeArtError, match="they go with the motion release, not tumble"):
-        jobs_of(["stapler"], settings)
+        plan_jobs(["stapler"], settings)
     for joints, said in (({}, "none"), ({"joint_0": []}, "joint_0")):
         atomic.write_json(effects, {"schema": "freeart21/effects/1", "joints": joints})
         with pytest.raises(FreeArtError, match=f"says nothing of 'joint_1'; its joints: {said}"):
-            record_jobs(tmp_path / "data", jobs_of(["stapler"], dataclasses.replace(settings, motion="release")))
+            record_jobs(tmp_path / "data", plan_jobs(["stapler"], dataclasses.replace(settings, motion="release")))
     assert not (tmp_path / "data").exists()

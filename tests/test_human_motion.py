@@ -18,12 +18,12 @@ from freeart21.mesh import Mesh
 from freeart21.strokes import Movement, spans_of, strokes
 from generator.motion import Plan, human_hand, plan_motion
 from generator.motion.body import Body
-from generator.motion.framing import MARGIN, extent
+from generator.motion.framing import MARGIN, image_extent
 from generator.motion.style import Task
 from generator.motion.styles.human import propose
 from generator.motion.timing import Hold
 from generator.motion.visibility import Atlas
-from generator.session import RecordSettings, load_object, planned
+from generator.session import RecordSettings, load_object, plan_recording
 from generator.shapes import box, triangles
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared"
@@ -51,7 +51,7 @@ def _movement(plan: Plan, fps: float = 30.0) -> Movement:
 
 
 def test_sweeps_are_drawn_as_they_were_measured() -> None:
-    hands = [human_hand.hand(3000, 30.0, np.random.default_rng(seed)) for seed in range(60)]
+    hands = [human_hand.draw_hand(3000, 30.0, np.random.default_rng(seed)) for seed in range(60)]
     each = [np.log([s.degrees for s in h.sweeps]) for h in hands]
     mean, between, within = human_hand.SWEEP_DEGREES
     assert np.mean([e.mean() for e in each]) == pytest.approx(mean, abs=0.2)
@@ -62,20 +62,20 @@ def test_sweeps_are_drawn_as_they_were_measured() -> None:
     assert at_once == pytest.approx(human_hand.AT_ONCE, abs=0.02)
     assert max(1.875 * s.degrees / s.length for h in hands for s in h.sweeps) <= human_hand.FASTEST + 1e-9
     long = sum(start - end >= 30 for end, start in ends)
-    assert sum(len(h.laid) for h in hands) == pytest.approx(human_hand.LAID * long, rel=0.3)
+    assert sum(len(h.resting_on_table) for h in hands) == pytest.approx(human_hand.LAID * long, rel=0.3)
 
 
 def test_the_joint_is_worked_as_it_was_measured_and_rests_when_asked_to() -> None:
-    courses = [human_hand.joint_strokes(6000, 30.0, np.random.default_rng(seed)) for seed in range(20)]
+    courses = [human_hand.draw_joint_course(6000, 30.0, np.random.default_rng(seed)) for seed in range(20)]
     shares = [c.shares for c in courses]
     moved = [Movement(np.zeros((5999, 3)), np.zeros(5999), s, 30.0) for s in shares]
-    begins, ends = (np.concatenate([m.opening[m.joint_strokes[:, k]] for m in moved]) for k in (0, 1))
+    begins, ends = (np.concatenate([m.opening[m.draw_joint_course[:, k]] for m in moved]) for k in (0, 1))
     room, left = (np.where(ends > begins, 1 - at, at) for at in (begins, ends))
     for far, share in zip((room >= 0.8, room < 0.8), human_hand.TO_END, strict=True):
         assert np.mean(left[far] < 0.1) == pytest.approx(share, abs=0.08)  # some that end partway end there, too
     assert all(s.min() >= 0 and s.max() <= 1 for s in shares)
     for seed in range(8):
-        course = human_hand.joint_strokes(300, 30.0, np.random.default_rng(seed), Hold(0.4, 0.25))
+        course = human_hand.draw_joint_course(300, 30.0, np.random.default_rng(seed), Hold(0.4, 0.25))
         assert course.held is not None
         a, b = course.held
         assert b - a == pytest.approx(75, abs=1) and b <= 299
@@ -115,12 +115,12 @@ def test_in_rests_the_hand_trembles_and_a_table_does_not() -> None:
     moves = [_movement(_plan(seed)) for seed in SEEDS]
     held = np.concatenate([m.degrees[~m.pose_moves] for m in moves])
     assert 0.025 < np.median(held) < 0.07
-    hands = [human_hand.hand(300, 30.0, np.random.default_rng([seed, 11])) for seed in range(200)]
-    seed = next(k for k, hand in enumerate(hands) if hand.laid and hand.laid[0][1] < 290)
+    hands = [human_hand.draw_hand(300, 30.0, np.random.default_rng([seed, 11])) for seed in range(200)]
+    seed = next(k for k, hand in enumerate(hands) if hand.resting_on_table and hand.resting_on_table[0][1] < 290)
     task = Task(BODY, Atlas(BODY, 4.0, 96, 4), 300, 30.0, "none", None, seed=(seed,))
-    course, (a, b) = propose(task, np.random.default_rng(1)), hands[seed].laid[0]
+    course, (a, b) = propose(task, np.random.default_rng(1)), hands[seed].resting_on_table[0]
     part = slice(int(a) + 8, int(b) - 8)
-    assert np.ptp(course.Rs[part], axis=0).max() < 1e-9 and np.ptp(course.sway[part], axis=0).max() < 1e-9
+    assert np.ptp(course.Rs[part], axis=0).max() < 1e-9 and np.ptp(course.offsets[part], axis=0).max() < 1e-9
 
 
 def test_the_same_seed_moves_the_same_and_another_object_differently() -> None:
@@ -135,7 +135,7 @@ def test_the_same_seed_moves_the_same_and_another_object_differently() -> None:
 @pytest.mark.parametrize(("frames", "fps"), [(2, 30.0), (12, 30.0), (150, 15.0), (600, 60.0)])
 def test_any_length_and_clock(frames: int, fps: float) -> None:
     plan = _plan(2, None, frames, fps)
-    low, high = extent(plan.Ts_camera_object, plan.states, BODY, CAMERA)
+    low, high = image_extent(plan.Ts_camera_object, plan.states, BODY, CAMERA)
     assert plan.Ts_camera_object.shape == (frames, 4, 4) and low.min() > 0 and (high < [640, 360]).all()
     if frames > 2:
         assert np.ptp(plan.states) > 0.3
@@ -149,9 +149,9 @@ def test_objects_of_every_category_stay_in_the_picture(tmp_path: Path) -> None:
     for name in catalog.built_in_names()[1::3]:
         settings = RecordSettings(frames=60, seed=5, motion="human")
         loaded = load_object(catalog.find(name), settings, tmp_path)
-        camera, plan = planned(loaded, settings)
+        camera, plan = plan_recording(loaded, settings)
         body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
-        low, high = extent(plan.Ts_camera_object, plan.states, body, camera)
+        low, high = image_extent(plan.Ts_camera_object, plan.states, body, camera)
         strip = 0.5 * MARGIN * camera.height
         assert low.min() > strip and (high < np.array([camera.width, camera.height]) - strip).all(), name
         assert body.lower <= plan.states.min() and plan.states.max() <= body.upper + 1e-12, name

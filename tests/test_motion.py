@@ -19,16 +19,16 @@ from generator import partnet, simulate
 from generator.model import Hinge, Link, Material, ObjectModel, Piece
 from generator.motion import PRESETS, STYLES, Plan, motion_range, plan_motion
 from generator.motion.body import Body
-from generator.motion.planner import _hardship
+from generator.motion.planner import _draw_hardship
 from generator.motion.style import Task
-from generator.motion.styles.release import SLOPE, tipped
+from generator.motion.styles.release import SLOPE, tip_base
 from generator.motion.timing import Hold, ease, glide, joint_course
-from generator.motion.turns import rolled, spline, steps_degrees
+from generator.motion.turns import rotations_through, spline, steps_degrees
 from generator.motion.visibility import Atlas
 from generator.partnet_writer import write_partnet
 from generator.queries import plan_queries
 from generator.rays import Caster
-from generator.release import released_states, weighed
+from generator.release import add_inertia, roll_out_release
 from generator.shapes import box, triangles
 
 CAMERA = Camera.from_fov(640, 360, np.radians(40))
@@ -143,7 +143,7 @@ def test_a_hold_keeps_the_joint_where_it_is_asked_to() -> None:
 
 def test_the_spline_begins_and_ends_at_its_views_and_bends_evenly() -> None:
     views = [sphere.sphere(40)[k] for k in (20, 25, 15, 30, 22)]
-    Rs = rolled(views, 0.3, np.random.default_rng(0))
+    Rs = rotations_through(views, 0.3, np.random.default_rng(0))
     assert np.allclose(-Rs[:, 2], views, atol=1e-9)
     path = spline(Rs, np.linspace(0, 4, 401))
     assert np.allclose(path[[0, -1]], Rs[[0, -1]])
@@ -222,7 +222,7 @@ def test_hard_motions_hide_the_smaller_part_and_others_show_it(style: str, name:
 def test_some_hard_motions_let_the_smaller_part_disappear() -> None:
     meshes, joint = OBJECTS["drawer"]
     task = Task(Body.of(meshes, joint), Atlas(Body.of(meshes, joint), 4.0), 300, 30.0, "hidden", None)
-    seed = next(s for s in range(20) if _hardship(task, s, True) == "gone")
+    seed = next(s for s in range(20) if _draw_hardship(task, s, True) == "gone")
     shares = _small_shares(_plan("tumble", "drawer", seed=seed, hard=True), "drawer")
     assert 5 <= _longest(shares == 0) <= 90 and shares[0] > 0.1
 
@@ -231,7 +231,7 @@ def test_about_half_of_the_seeds_are_hard_where_a_part_can_be_hidden_and_none_el
     for name, low, high in (("drawer", 0.4, 0.6), ("lidded", 0.4, 0.6), ("crossed", 0.0, 0.0)):
         body = Body.of(*OBJECTS[name])
         task = Task(body, Atlas(body, 4 * body.radius), 300, 30.0, "hidden", None)
-        kinds = [_hardship(task, seed, None) for seed in range(200)]
+        kinds = [_draw_hardship(task, seed, None) for seed in range(200)]
         assert low <= np.mean([kind != "none" for kind in kinds]) <= high
 
 
@@ -244,7 +244,7 @@ def test_the_atlas_counts_what_a_camera_sees() -> None:
     part = Plan(plan.Ts_camera_object[some], plan.states[some], plan.Ts_camera_world[some])
     seen = _small_shares(part, "drawer")
     assert atlas.small == 1
-    assert np.abs(atlas.counted(part.Ts_camera_object, part.states) - seen).max() < 0.04
+    assert np.abs(atlas.count_shares(part.Ts_camera_object, part.states) - seen).max() < 0.04
     guessed = atlas.shares(-part.Ts_camera_object[:, 2, :3], part.states)
     assert np.median(np.abs(guessed - seen)) < 0.04
 
@@ -315,17 +315,17 @@ def _toy(kind: str) -> ObjectModel:
 def test_a_released_lid_swings_for_ever_without_losses_and_dies_down_with_damping(tmp_path: Path) -> None:
     model = _toy("revolute")
     loaded = partnet.load(write_partnet(model, tmp_path / "toy"))
-    free = released_states(loaded, (), 150, 30.0, model=model)
+    free = roll_out_release(loaded, (), 150, 30.0, model=model)
     joint = loaded.joint
     assert (free > joint.lower + 0.01).all() and (free <= joint.upper).all()  # it swings clear of its lower limit
     first, last = free[:60], free[-60:]
     assert np.ptp(first) > 0.6 * (joint.upper - joint.lower) and np.ptp(last) == pytest.approx(np.ptp(first), rel=0.03)
-    inertia = simulate.load(weighed(loaded.asset, model, tmp_path)).joint_inertia
-    damped = released_states(loaded, (ViscousDamping(2 * inertia),), 150, 30.0, model=model)
+    inertia = simulate.load(add_inertia(loaded.asset, model, tmp_path)).joint_inertia
+    damped = roll_out_release(loaded, (ViscousDamping(2 * inertia),), 150, 30.0, model=model)
     assert damped[0] == free[0]
     assert np.ptp(damped[-30:]) < 0.1 * np.ptp(damped[:60])
     body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), joint)
-    R_world_object, _ = tipped(body)
+    R_world_object, _ = tip_base(body)
     arm = (joint.transform(damped[-1]) @ [0, 0, 0.06, 1])[:3] - joint.pivot
     arm -= joint.axis * (joint.axis @ arm)
     assert np.allclose(R_world_object @ arm / np.linalg.norm(arm), [0, 0, -1], atol=0.02)  # it hangs straight down
@@ -337,14 +337,14 @@ def test_a_released_lid_swings_for_ever_without_losses_and_dies_down_with_dampin
 def test_a_released_drawer_runs_down_its_slope_to_the_stop(tmp_path: Path) -> None:
     model = _toy("prismatic")
     loaded = partnet.load(write_partnet(model, tmp_path / "toy"))
-    states = released_states(loaded, (), 60, 30.0, start=0.0, model=model)
+    states = roll_out_release(loaded, (), 60, 30.0, start=0.0, model=model)
     t = np.arange(60) / 30
     fall = 0.5 * 9.81 * np.sin(SLOPE) * t**2
     rolling = fall < 0.14
     assert np.allclose(states[rolling], fall[rolling], atol=2e-3) and rolling.sum() > 5
     assert np.allclose(states[20:], 0.15, atol=1e-6)  # perfectly inelastic
     with pytest.raises(FreeArtError, match=r"let go at 0.2, expected a state within 0 to 0.15"):
-        released_states(loaded, (), 5, 30.0, start=0.2)
+        roll_out_release(loaded, (), 5, 30.0, start=0.2)
 
 
 def test_a_release_is_shown_at_rest_and_tipped_as_the_roll_out_was() -> None:
@@ -355,7 +355,7 @@ def test_a_release_is_shown_at_rest_and_tipped_as_the_roll_out_was() -> None:
     for Ts in (plan.Ts_camera_object, plan.Ts_camera_world):
         assert np.array_equal(Ts, np.broadcast_to(Ts[0], Ts.shape))
     T_world_object = se3.inverse(plan.Ts_camera_world[0]) @ plan.Ts_camera_object[0]
-    assert np.allclose(T_world_object[:3, :3], tipped(Body.of(meshes, joint))[0])
+    assert np.allclose(T_world_object[:3, :3], tip_base(Body.of(meshes, joint))[0])
     assert abs((T_world_object[:3, :3] @ joint.axis)[2]) < 1e-9  # a hinge lies level
     assert plan.Ts_camera_world[0, 0, 2] == pytest.approx(0)  # no roll: the world's up is up in the picture
     assert plan.Ts_camera_world[0, 1, 2] < 0

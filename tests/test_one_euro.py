@@ -158,12 +158,12 @@ def test_a_take_s_filter_is_read_as_written_and_used_before_the_recorder_s_clock
     take = read_track(tmp_path / "a.jsonl")
     assert take.filter == ALL
     np.testing.assert_allclose(take.Ts, Ts, atol=1e-12)  # as it was taken
-    count = track.frames_of(take, 30.0)
+    count = track.count_frames(take, 30.0)
     smooth, smooth_states = filtered(ALL, take.times, take.Ts, take.states)
     plain = dataclasses.replace(take, Ts=smooth, states=smooth_states, filter=None)
-    ours, expected = track.resampled(take, 30.0, count), track.resampled(plain, 30.0, count)
+    ours, expected = track.resample_take(take, 30.0, count), track.resample_take(plain, 30.0, count)
     assert np.array_equal(ours.Ts, expected.Ts) and np.array_equal(ours.states, expected.states)
-    assert np.abs(ours.Ts - track.resampled(dataclasses.replace(take, filter=None), 30.0, count).Ts).max() > 0.01
+    assert np.abs(ours.Ts - track.resample_take(dataclasses.replace(take, filter=None), 30.0, count).Ts).max() > 0.01
 
 
 @pytest.mark.parametrize("settings", [HEADSET, None])
@@ -213,7 +213,7 @@ def test_a_filter_that_is_none_is_refused_in_a_line(tmp_path: Path, given: objec
 def test_captured_motion_lags_a_few_milliseconds_where_it_is_fast() -> None:
     take = read_track(SHARED / "mocap" / "s1_laptop_use_03.object.npy")
     times = np.arange(take.times[0], take.times[-1], 1 / 72)
-    Ts = track._between(take.times, take.Ts, times)
+    Ts = track._interpolate_poses(take.times, take.Ts, times)
     out, _ = filtered(HEADSET, times, Ts, np.zeros(len(times)))
     velocity, error = np.gradient(Ts[:, :3, 3], 1 / 72, axis=0), (Ts - out)[:, :3, 3]
     speed = np.linalg.norm(velocity, axis=1)

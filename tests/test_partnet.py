@@ -33,7 +33,7 @@ from generator.rays import Caster
 from generator.scene import Scene
 from generator.shapes import box, triangles
 from generator.surface import Paint, Surface
-from generator.truth_mesh import outer_faces, same_faces, visible_faces
+from generator.truth_mesh import coincident_faces, outer_faces, visible_faces
 
 NAMES = ("stapler", "flip_lighter", "swivel_usb", "drawer_unit")
 """Three parts; many textures; two hinge sides; sliders."""
@@ -518,7 +518,7 @@ def test_quirk_12_faces_drawn_twice_are_judged_as_one_and_inner_faces_apart(tmp_
     )
     loaded = partnet.load(twice)
     meshes = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
-    groups = same_faces(meshes[0])
+    groups = coincident_faces(meshes[0])
     assert (np.sort(np.bincount(groups)) == [1] * 12 + [2] * 12).all()
     outer = outer_faces(meshes, loaded.joint)[0]
     assert outer[:24].all() and not outer[24:].any()

@@ -314,7 +314,7 @@ def test_a_fault_of_the_recorders_own_leaves_the_folder_as_it_was(
     monkeypatch.setattr(dataset, "require_rendering", lambda: None)
     monkeypatch.setattr(dataset, "record_object", broken)
     with pytest.raises(TypeError):
-        dataset.record_jobs(tmp_path / "data", dataset.jobs_of(["stapler"], dataset.RecordSettings(frames=2)))
+        dataset.record_jobs(tmp_path / "data", dataset.plan_jobs(["stapler"], dataset.RecordSettings(frames=2)))
     assert not (tmp_path / "data").exists()
 
 

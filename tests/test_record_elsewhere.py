@@ -14,7 +14,7 @@ from test_jobs import processes
 from freeart21.errors import FreeArtError
 from freeart21.jobs import EXECUTORS
 from freeart21.jobs.executors import Local
-from generator.dataset import Label, jobs_of, record_jobs
+from generator.dataset import Label, plan_jobs, record_jobs
 from generator.session import RecordSettings
 
 SMALL = RecordSettings(frames=6, width=64, height=48, queries=1, shader="trivial", edge=0.5)
@@ -31,7 +31,7 @@ def elsewhere(monkeypatch):
 
 
 def test_a_job_a_sequence_gives_the_bytes_of_one_process(tmp_path):
-    jobs, heard = jobs_of(["stapler", "flip_lighter"], SMALL), []
+    jobs, heard = plan_jobs(["stapler", "flip_lighter"], SMALL), []
     record_jobs(tmp_path / "here", jobs, 1, Label("same"))
     over, killed = threading.Event(), []
 
@@ -59,7 +59,7 @@ def test_a_job_a_sequence_gives_the_bytes_of_one_process(tmp_path):
 
 
 def test_what_a_job_cannot_do_is_one_line_and_nothing_is_left(tmp_path, monkeypatch):
-    (job,) = jobs_of(["stapler"], SMALL)
+    (job,) = plan_jobs(["stapler"], SMALL)
     with pytest.raises(FreeArtError, match="unknown executor 'cloud'; executors: local, ray, slurm"):
         record_jobs(tmp_path / "data", [job], executor="cloud")
     monkeypatch.setenv("VK_ICD_FILENAMES", "/nonexistent.json")

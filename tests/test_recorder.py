@@ -24,8 +24,8 @@ from freeart21.mesh import Mesh
 from freeart21.recording import Recording
 from freeart21.truth import Truth
 from generator import partnet, session
-from generator.dataset import jobs_of
-from generator.golden import LEAST_PSNR, rendered_anew, verify_deep
+from generator.dataset import plan_jobs
+from generator.golden import LEAST_PSNR, render_again, verify_deep
 from generator.model import Hinge, Link, Material, ObjectModel, Piece
 from generator.partnet_writer import write_partnet
 from generator.rays import Caster
@@ -161,7 +161,7 @@ def test_the_truths_own_object_renders_as_the_held_out_views(case: Case) -> None
     if case.truth.source["object_source"] == "partnet":
         assert not (folder / "object").exists()  # may not be handed on
         return
-    again = [psnr for _, psnr in rendered_anew(case.recording, case.truth, folder, SETTINGS.queries)]
+    again = [psnr for _, psnr in render_again(case.recording, case.truth, folder, SETTINGS.queries)]
     assert len(again) == SETTINGS.queries and min(again) > LEAST_PSNR
 
 
@@ -169,12 +169,12 @@ def test_lit_by_lamps_that_stand_in_the_world_the_views_render_again_too(tmp_pat
     settings = dataclasses.replace(SETTINGS, shader="default", motion="static_base", frames=4, queries=3, edge=0.5)
     sequence = record("flip_cap_usb", tmp_path, settings)
     recording, folder = read_sequence(tmp_path / "sequences" / sequence), tmp_path / "truth" / sequence
-    again = [psnr for _, psnr in rendered_anew(recording, read_truth(folder), folder, 3)]
+    again = [psnr for _, psnr in render_again(recording, read_truth(folder), folder, 3)]
     assert min(again) > LEAST_PSNR + 20  # lamps that go with the camera of a view give 35 to 50 dB
     world = np.load(folder / "world.npz")["T_camera_world"]
     turned = [world[0], *(world[1:] @ se3.exp_se3(np.array([0, 0, 0, 1.5, 0, 0])))]
     np.savez_compressed(folder / "world.npz", T_camera_world=turned)
-    moved = [psnr for _, psnr in rendered_anew(recording, read_truth(folder), folder, 3)]
+    moved = [psnr for _, psnr in render_again(recording, read_truth(folder), folder, 3)]
     assert min(moved) < LEAST_PSNR
 
 
@@ -421,10 +421,10 @@ def test_a_real_object_is_found_as_the_data_set_unpacks_and_its_notes_are_told(t
     folder = _small_root(tmp_path / "dataset" / "90210077")
     urdf = folder / "mobility.urdf"
     urdf.write_text(urdf.read_text().replace('upper="0.4"', 'upper="-0.1"'))
-    (job,) = jobs_of(["90210077"], dataclasses.replace(SETTINGS, partnet_root=tmp_path))
+    (job,) = plan_jobs(["90210077"], dataclasses.replace(SETTINGS, partnet_root=tmp_path))
     assert job.sequence == "90210077-joint_0-s3"
     assert job.notes == ("joint 'joint_0' never stands at 0: its limits are [-0.9, -0.1]",)
-    assert "notes" not in job.described()  # they decide no byte
+    assert "notes" not in job.to_json()  # they decide no byte
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,8 @@ from generator import hand, partnet, tof
 from generator.model import Hinge, Link, Material, ObjectModel, Piece
 from generator.motion import Plan
 from generator.partnet_writer import write_partnet
-from generator.scene import _T_SAPIEN_CAMERA, Scene, decoded, encoded
-from generator.sensor import NOISE2_SHARE, SENSORS, Sensor, between, make_sensor, noise2, sub_frames
+from generator.scene import _T_SAPIEN_CAMERA, Scene, decode_srgb, encode_srgb
+from generator.sensor import NOISE2_SHARE, SENSORS, Sensor, count_sub_frames, interpolate_pose, make_sensor, noise2
 from generator.shapes import box
 from generator.tof import TimeOfFlight, infrared_albedo
 
@@ -118,8 +118,8 @@ def test_lamps_stand_still_in_the_world(scene: Scene) -> None:
 
 def test_light_and_srgb() -> None:
     levels = np.arange(256, dtype=np.uint8)
-    assert np.array_equal(encoded(decoded(levels.astype(np.float32) / 255)), levels)
-    assert encoded(np.array([0.5], np.float32)) == 188  # IEC 61966-2-1
+    assert np.array_equal(encode_srgb(decode_srgb(levels.astype(np.float32) / 255)), levels)
+    assert encode_srgb(np.array([0.5], np.float32)) == 188  # IEC 61966-2-1
 
 
 # --- noise2 -----------------------------------------------------------------------------------------------------------
@@ -182,7 +182,7 @@ def test_tof_depth_comes_in_steps_of_a_millimetre() -> None:
 def test_tof_sees_the_angle_of_planes() -> None:
     for degrees in (0, 30, 60, 80):
         camera = Camera.from_fov(160, 120, np.radians(10))
-        cosine = tof.incidence(_tilted(camera, degrees, 1.0).astype(np.float32), camera.rays())
+        cosine = tof.incidence_cosine(_tilted(camera, degrees, 1.0).astype(np.float32), camera.rays())
         n = np.array([np.sin(np.radians(degrees)), 0, np.cos(np.radians(degrees))])
         rays = camera.rays() / np.linalg.norm(camera.rays(), axis=-1, keepdims=True)
         assert np.abs(cosine - np.abs(rays @ n)).max() < 2e-3
@@ -236,7 +236,7 @@ def test_tof_takes_colour_and_gloss_from_the_scene(scene: Scene, loaded: partnet
     base, gloss = scene.materials()
     assert gloss[shot.mask] == pytest.approx(0.25, abs=0.02) and (gloss[~shot.mask] == 0).all()  # SHINE's plastic
     albedo = infrared_albedo(base)
-    expected = float(decoded(np.array([0.8, 0.2, 0.2], np.float32)).mean())
+    expected = float(decode_srgb(np.array([0.8, 0.2, 0.2], np.float32)).mean())
     assert np.median(albedo[shot.side == 2]) == pytest.approx(expected, rel=0.02)
     seen = shot.depth > 0
     error = np.abs(shot.depth - _sensor("clean", scene, loaded).shoot(0).depth)[seen]
@@ -261,7 +261,7 @@ def test_blur_widens_edges_by_the_motion_and_keeps_the_light(scene: Scene, loade
     assert sensor.motion_px(1) == pytest.approx(step_px / 2, rel=0.05)
     blurred = sensor.shoot(1)
     assert np.array_equal(sharp.mask, blurred.mask) and np.array_equal(sharp.depth, blurred.depth)
-    light = [decoded(s.rgb.astype(np.float32) / 255) for s in (sharp, blurred)]
+    light = [decode_srgb(s.rgb.astype(np.float32) / 255) for s in (sharp, blurred)]
     assert light[1].mean() == pytest.approx(light[0].mean(), rel=0.02)
     row = np.median(light[1][55:65, :, 2], axis=0)  # across the blue board
     edge = row[: int(np.argmax(row)) + 1] / row.max()
@@ -272,19 +272,22 @@ def test_blur_widens_edges_by_the_motion_and_keeps_the_light(scene: Scene, loade
 
 
 def test_sub_frames_are_odd_and_a_pixel_apart() -> None:
-    counts = [sub_frames(x) for x in (0.0, 0.5, 0.6, 2.4, 2.6, 4.0, 100.0)]
+    counts = [count_sub_frames(x) for x in (0.0, 0.5, 0.6, 2.4, 2.6, 4.0, 100.0)]
     assert counts == [1, 1, 3, 3, 5, 5, 9]
 
 
 def test_poses_between_frames_run_at_constant_twist() -> None:
     Ts = TURN.Ts_camera_object
-    assert np.array_equal(between(Ts, 5), Ts[5])
-    half = between(Ts, 5.5)
+    assert np.array_equal(interpolate_pose(Ts, 5), Ts[5])
+    half = interpolate_pose(Ts, 5.5)
     assert np.allclose(half @ se3.inverse(Ts[5]), Ts[6] @ se3.inverse(half), atol=1e-12)
     assert np.allclose(
-        between(Ts, -0.25) @ se3.inverse(between(Ts, 0)), between(Ts, 0) @ se3.inverse(between(Ts, 0.25))
+        interpolate_pose(Ts, -0.25) @ se3.inverse(interpolate_pose(Ts, 0)),
+        interpolate_pose(Ts, 0) @ se3.inverse(interpolate_pose(Ts, 0.25)),
     )
-    assert np.allclose(between(Ts, len(Ts) - 0.75), Ts[-1] @ se3.inverse(between(Ts, len(Ts) - 1.25)) @ Ts[-1])
+    assert np.allclose(
+        interpolate_pose(Ts, len(Ts) - 0.75), Ts[-1] @ se3.inverse(interpolate_pose(Ts, len(Ts) - 1.25)) @ Ts[-1]
+    )
 
 
 # --- hand -------------------------------------------------------------------------------------------------------------

@@ -31,7 +31,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files.take import read_take, sample, write_take
 from generator.motion.body import UPRIGHT, Body
 from generator.scene import Scene
-from generator.session import RecordSettings, entry_of, load_object
+from generator.session import RecordSettings, catalog_entry, load_object
 from generator.teleop import connections, gate, server, stage_process, wire
 from generator.teleop.clock import Clock
 from generator.teleop.driving import GAP_S, STEP_S, UNDO_S, Driving, Placement
@@ -220,7 +220,7 @@ def test_times_that_go_back_are_no_samples_and_long_silences_are_cut() -> None:
 
 
 def test_a_take_ends_where_its_file_could_not_be_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("generator.teleop.driving.MOST_SAMPLES", 50)
+    monkeypatch.setattr("generator.teleop.driving.MAX_SAMPLES", 50)
     driving = Driving(START)
     driving.record()
     driven(driving, np.arange(49) / 60)
@@ -369,7 +369,7 @@ def test_a_full_disk_leaves_whole_lines_and_a_take_that_is_saved_when_there_is_r
 @pytest.mark.parametrize("name", ["swivel_usb", "stapler", "tailor_shears", "drawer_unit", "filing_cabinet"])
 def test_an_object_begins_in_the_middle_and_large(name: str, tmp_path: Path) -> None:
     assert name in built_in_names()
-    loaded = load_object(entry_of(name, RecordSettings()), RecordSettings(), tmp_path)
+    loaded = load_object(catalog_entry(name, RecordSettings()), RecordSettings(), tmp_path)
     body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
     camera = Camera.from_fov(640, 360, np.radians(40))
     room = Room.of(body, camera)
@@ -419,17 +419,17 @@ def test_pictures_are_as_fine_as_there_is_time_for() -> None:
 
 
 def test_the_live_shader_shows_the_recorder_s_colours(tmp_path: Path) -> None:
-    loaded = load_object(entry_of("stapler", RecordSettings()), RecordSettings(), tmp_path)
+    loaded = load_object(catalog_entry("stapler", RecordSettings()), RecordSettings(), tmp_path)
     camera = Camera.from_fov(96, 54, np.radians(40))
     groups = [side.links for side in loaded.sides]
     T = se3.pose(se3.exp_so3([0.4, 0.5, -0.2]) @ UPRIGHT, [0.0, 0.0, 0.3])
     pictures = []
     for shader in ("default", stage_process.SHADER):
         scene = Scene(loaded.asset.urdf, groups, camera, 0.01, 3.0, shader)
-        scene.use(Camera.from_fov(192, 108, np.radians(40)))
+        scene.set_camera(Camera.from_fov(192, 108, np.radians(40)))
         scene.shoot(T, {loaded.joint.name: 0.3})
         assert scene.colour_and_cover().shape == (108, 192, 4)
-        scene.use(camera)
+        scene.set_camera(camera)
         scene.shoot(T, {loaded.joint.name: 0.3})
         pictures.append(scene.colour_and_cover())
     covered = pictures[0][..., 3] > 0
@@ -744,7 +744,7 @@ def test_idle_connections_end_and_cost_no_take(tmp_path: Path, monkeypatch: pyte
                     idle.append((reader, writer))
                     if k % 50 == 0:
                         await one.move(0.5)
-                        assert at.server.connections.count <= connections.MOST_OF_AN_ADDRESS
+                        assert at.server.connections.count <= connections.MAX_PER_ADDRESS
                 async with page(at.address) as two:
                     assert two.last("hello")["role"] == "watcher"
                 for reader, writer in idle:  # all are ended by the server
@@ -760,7 +760,7 @@ def test_idle_connections_end_and_cost_no_take(tmp_path: Path, monkeypatch: pyte
 
 
 def test_who_shows_the_token_is_not_put_out_by_who_comes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connections, "MOST_OF_AN_ADDRESS", 2)
+    monkeypatch.setattr(connections, "MAX_PER_ADDRESS", 2)
 
     async def session() -> None:
         async with served(tmp_path / "take.jsonl") as at, page(at.address) as one, page(at.address) as two:

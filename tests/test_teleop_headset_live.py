@@ -30,10 +30,10 @@ from freeart21.files.truth import read_truth
 from freeart21.one_euro import PoseFilter, headset
 from generator.motion import track
 from generator.motion.body import Body
-from generator.motion.framing import extent
+from generator.motion.framing import image_extent
 from generator.motion.plan import PRESETS
 from generator.recorder import RecordSettings, record
-from generator.session import entry_of, load_object
+from generator.session import catalog_entry, load_object
 
 for _needed in ("aiohttp", "cryptography", "qrcode"):
     pytest.importorskip(_needed, reason="the extra teleop is not installed")
@@ -250,7 +250,7 @@ WILD = """
 @needs_headset
 def test_what_was_kept_in_the_picture_stays_in_it_through_the_filter(rig: Rig, tmp_path: Path) -> None:
     settings = RecordSettings()
-    loaded = load_object(entry_of("stapler", settings), settings, tmp_path)
+    loaded = load_object(catalog_entry("stapler", settings), settings, tmp_path)
     meshes = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
     body = Body.of(meshes, loaded.joint)
     camera = Camera.from_fov(640, 360, np.radians(PRESETS["handheld"].fov_y_degrees))
@@ -258,8 +258,8 @@ def test_what_was_kept_in_the_picture_stays_in_it_through_the_filter(rig: Rig, t
         rows = np.array(rig.page.run(WILD.replace("SEED", str(seed))))
         Ts = se3.pose_from_wxyz(rows[:, 1:4], rows[:, 4:8])
         take = Take("wild", "", "", "headset", "camera", "revolute", rows[:, 0], Ts, rows[:, 8], HEADSET)
-        stretch = track.resampled(take, 30.0, track.frames_of(take, 30.0))
-        low, high = extent(stretch.Ts, stretch.states, body, camera)
+        stretch = track.resample_take(take, 30.0, track.count_frames(take, 30.0))
+        low, high = image_extent(stretch.Ts, stretch.states, body, camera)
         assert np.minimum(low, [640, 360] - high).min() > 0
         assert np.ptp(stretch.states) > 1 and np.ptp(stretch.Ts[:, :3, 3], axis=0).min() > 0.05
 

@@ -22,8 +22,8 @@ from freeart21.files.take import Take, read_take
 from freeart21.files.truth import read_truth
 from generator.motion.body import Body
 from generator.motion.plan import Plan
-from generator.motion.track import check_in_view, resampled
-from generator.session import RecordSettings, entry_of, load_object
+from generator.motion.track import check_in_view, resample_take
+from generator.session import RecordSettings, catalog_entry, load_object
 from generator.teleop import wire
 from generator.teleop.driving import Placement
 from generator.teleop.limits import Room
@@ -138,7 +138,9 @@ def chromium() -> Iterator[Browser]:
 
 @pytest.fixture(scope="module")
 def thing(tmp_path_factory: pytest.TempPathFactory) -> tuple[Body, Room, dict[str, Any]]:
-    loaded = load_object(entry_of("stapler", RecordSettings()), RecordSettings(), tmp_path_factory.mktemp("object"))
+    loaded = load_object(
+        catalog_entry("stapler", RecordSettings()), RecordSettings(), tmp_path_factory.mktemp("object")
+    )
     body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
     room = Room.of(body, CAMERA)
     return body, room, _facts("stapler", loaded, room, FOV_Y)
@@ -325,7 +327,7 @@ def test_a_take_holds_what_the_page_sent(desk: Desk, tmp_path: Path) -> None:
     np.testing.assert_allclose(take.times, times - times[0], atol=2e-3)
     # and what the recorder makes of it, at the times of samples
     at = np.linspace(0, take.times[-1], 50)
-    stretch = resampled(take, 49 / take.times[-1], 50)
+    stretch = resample_take(take, 49 / take.times[-1], 50)
     k = np.clip(np.searchsorted(take.times, at, side="right") - 1, 0, len(at) - 2)
     near = np.abs(take.times[k] - at) < 1e-9
     np.testing.assert_allclose(stretch.Ts[near], Ts[k[near]], atol=1e-4)

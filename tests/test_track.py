@@ -22,15 +22,15 @@ from freeart21.files.truth import read_truth
 from freeart21.formats.captured import ARCTIC_SIZES_M, read_track
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh, bounding_diagonal
-from generator.dataset import jobs_of
+from generator.dataset import plan_jobs
 from generator.golden import verify_deep
 from generator.motion import track
 from generator.motion.body import UPRIGHT, Body
-from generator.motion.framing import MARGIN, extent, placed_as_moved
+from generator.motion.framing import MARGIN, image_extent, place_as_moved
 from generator.motion.plan import PRESETS
 from generator.recorder import RecordSettings, record
 from generator.scene import Scene
-from generator.session import entry_of, load_object, planned
+from generator.session import catalog_entry, load_object, plan_recording
 from generator.urdf_folder import load_urdf
 
 SHARED = ROOT.parent / "shared"
@@ -83,20 +83,20 @@ def test_a_take_is_read_as_it_was_written(tmp_path: Path) -> None:
 def test_takes_of_any_rate_come_at_the_recorder_s_clock(tmp_path: Path, rate: float) -> None:
     seconds = round(2 * rate) / rate
     take = read_take(taken(tmp_path / "a.txt", rate))
-    count = track.frames_of(take, 30.0)
+    count = track.count_frames(take, 30.0)
     assert count == int(seconds * 30 + 1e-6) + 1
-    stretch = track.resampled(take, 30.0, count)
+    stretch = track.resample_take(take, 30.0, count)
     np.testing.assert_allclose(stretch.Ts, moved(np.arange(count) / 30), atol=1e-9)
     assert stretch.begins_s == 0
 
 
 def test_fewer_frames_are_those_over_which_the_joint_moves_most(tmp_path: Path) -> None:
-    stretch = track.resampled(read_take(taken(tmp_path / "a.txt")), 30.0, 31)
+    stretch = track.resample_take(read_take(taken(tmp_path / "a.txt")), 30.0, 31)
     assert stretch.begins_s == 1.0
     np.testing.assert_allclose(stretch.states, bent(1 + np.arange(31) / 30), atol=1e-12)
     np.testing.assert_allclose(stretch.Ts, moved(1 + np.arange(31) / 30), atol=1e-9)
     with pytest.raises(FreeArtError, match="lasts 61 frames at 30 a second, fewer than 62"):
-        track.resampled(read_take(tmp_path / "a.txt"), 30.0, 62)
+        track.resample_take(read_take(tmp_path / "a.txt"), 30.0, 62)
 
 
 def test_a_track_of_arctic_is_told_by_its_content_and_seen_by_a_level_camera(tmp_path: Path) -> None:
@@ -171,7 +171,7 @@ def test_a_header_that_promises_more_and_objects_are_not_believed(tmp_path: Path
 def test_a_take_that_lasts_for_days_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("\n".join([HEAD, GOOD[0], GOOD[1].replace('"time": 0.1', '"time": 9000')]))
     with pytest.raises(FreeArtError, match="a.txt lasts 9000 s, expected at most 3333 s"):
-        track.frames_of(read_take(tmp_path / "a.txt"), 30.0)
+        track.count_frames(read_take(tmp_path / "a.txt"), 30.0)
 
 
 # --- before the camera ------------------------------------------------------------------------------------------------
@@ -186,39 +186,39 @@ def _body(joint_type: str = "revolute", upper: float = 1.0) -> Body:
 
 def test_states_in_reach_stay_as_they_are_and_others_are_scaled(tmp_path: Path) -> None:
     take = read_take(taken(tmp_path / "a.txt"))  # 0.1 to 0.5 rad
-    states, told = track.fitted(take.states, take, _body(upper=0.5))
+    states, told = track.fit_states(take.states, take, _body(upper=0.5))
     assert np.array_equal(states, take.states) and told == {"states": "as taken"}
-    states, told = track.fitted(take.states, take, _body(upper=0.4))
+    states, told = track.fit_states(take.states, take, _body(upper=0.4))
     assert states.min() == 0 and states.max() == 0.4
     np.testing.assert_allclose(states, (take.states - 0.1) / 0.4 * 0.4, atol=1e-12)
     assert told["states"] == "scaled" and told["from"][0] == "revolute" and told["to"] == ["revolute", 0.0, 0.4]
-    states, told = track.fitted(take.states, take, _body("prismatic", 0.02))
+    states, told = track.fit_states(take.states, take, _body("prismatic", 0.02))
     assert states.max() == pytest.approx(0.02) and told["to"] == ["prismatic", 0.0, 0.02]
     still = dataclasses.replace(take, states=np.full(201, 0.3))
-    assert track.fitted(still.states, still, _body())[1] == {"states": "as taken"}
+    assert track.fit_states(still.states, still, _body())[1] == {"states": "as taken"}
     with pytest.raises(FreeArtError, match="stands still at 0.3, where joint 'lid' cannot be: revolute, 0 to 0.2"):
-        track.fitted(still.states, still, _body(upper=0.2))
+        track.fit_states(still.states, still, _body(upper=0.2))
 
 
 def test_the_way_is_as_long_in_sizes_of_the_object_as_it_was_where_the_take_tells_that(tmp_path: Path) -> None:
     low, high = ARCTIC_SIZES_M
     theirs = read_track(arctic(tmp_path / "a.npy", np.linspace(0, 1, 31)))
     for diagonal, scale in ((low, 1.0), (0.3, 1.0), (high, 1.0), (low / 4, 0.25), (3 * high, 3.0)):
-        assert track.carried(theirs, diagonal, None)[0] == pytest.approx(scale)
-    assert track.carried(theirs, 0.06, None)[1] == {"carry": 0.25, "size": 0.06, "taken_with": low}
-    assert track.carried(theirs, 0.06, 1.0) == (1.0, {"carry": 1.0})
+        assert track.scale_translation(theirs, diagonal, None)[0] == pytest.approx(scale)
+    assert track.scale_translation(theirs, 0.06, None)[1] == {"carry": 0.25, "size": 0.06, "taken_with": low}
+    assert track.scale_translation(theirs, 0.06, 1.0) == (1.0, {"carry": 1.0})
     ours = read_take(taken(tmp_path / "a.txt"))
-    assert track.carried(ours, 0.06, None) == (1.0, {"carry": 1.0})
-    assert track.carried(ours, 0.06, 0.5)[0] == 0.5
+    assert track.scale_translation(ours, 0.06, None) == (1.0, {"carry": 1.0})
+    assert track.scale_translation(ours, 0.06, 0.5)[0] == 0.5
     stays = dataclasses.replace(ours, poses="camera")
-    assert track.carried(stays, 0.06, None) == (1.0, {})
+    assert track.scale_translation(stays, 0.06, None) == (1.0, {})
     with pytest.raises(FreeArtError, match=r"a\.txt: its poses stand before the camera as they are, .* by 0.5"):
-        track.carried(stays, 0.06, 0.5)
+        track.scale_translation(stays, 0.06, 0.5)
     body, camera = _body(), Camera.from_fov(320, 180, 0.7)
-    stretch = track.resampled(ours, 30.0, 61)
+    stretch = track.resample_take(ours, 30.0, 61)
     way = {}
     for carry in (0.0, 0.5, 1.0):
-        Ts = track.tracked(body, stretch, 0 * stretch.states, ours, UPRIGHT, camera, PRESETS["handheld"], carry)
+        Ts = track.object_poses(body, stretch, 0 * stretch.states, ours, UPRIGHT, camera, PRESETS["handheld"], carry)
         way[carry] = Ts[:, :3, 3] - Ts[0, :3, 3]
         np.testing.assert_allclose(way[carry], carry * (stretch.Ts[:, :3, 3] - stretch.Ts[0, :3, 3]), atol=1e-9)
     assert np.abs(way[1.0]).max() > 0.01
@@ -259,8 +259,8 @@ def test_the_place_shows_all_frames_and_no_nearer_one_would() -> None:
     Rs, shifts = se3.exp_so3(rng.normal(size=(n, 3))) @ UPRIGHT, rng.uniform(-0.2, 0.2, (n, 3))
     states = rng.uniform(0, 1, n)
     tight = dataclasses.replace(PRESETS["handheld"], fill=5.0)
-    Ts = placed_as_moved(Rs, shifts, states, body, camera, tight)
-    low, high = extent(Ts, states, body, camera)
+    Ts = place_as_moved(Rs, shifts, states, body, camera, tight)
+    low, high = image_extent(Ts, states, body, camera)
     strip, size = MARGIN * camera.height, np.array([camera.width, camera.height])
     room = np.concatenate([low - strip, size - strip - high], 1)
     assert room.min() == pytest.approx(0, abs=1e-6), "touches the strip round the picture, and enters it nowhere"
@@ -268,8 +268,8 @@ def test_the_place_shows_all_frames_and_no_nearer_one_would() -> None:
     across = 0 if max(touched[[0, 2]]) < max(touched[[1, 3]]) else 1
     assert touched[across] == pytest.approx(touched[across + 2], abs=1e-6), "on both sides: no shift would help"
     np.testing.assert_allclose(Ts[:, :3, 3] - Ts[0, :3, 3], shifts - shifts[0], atol=1e-12)
-    far = placed_as_moved(Rs, shifts, states, body, camera, dataclasses.replace(tight, fill=0.05))
-    low, high = extent(far, states, body, camera)
+    far = place_as_moved(Rs, shifts, states, body, camera, dataclasses.replace(tight, fill=0.05))
+    low, high = image_extent(far, states, body, camera)
     assert (high - low)[:, 1].mean() == pytest.approx(0.05 * camera.height, rel=0.1)
 
 
@@ -328,7 +328,7 @@ def test_a_take_of_one_object_is_replayed_on_all_others_and_fills_the_picture_al
     settings = dataclasses.replace(SMALL, motion="track", track=tmp_path / "a.txt", frames=31, width=320, height=180)
     fills, ways = {}, {}
     for k, name in enumerate(("stapler", "flip_cap_usb", "filing_cabinet", "office_scissors", "cover_phone")):
-        loaded = load_object(entry_of(name, settings), settings, tmp_path / name)
+        loaded = load_object(catalog_entry(name, settings), settings, tmp_path / name)
         meshes = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
         if k == 0:
             size = bounding_diagonal(*meshes)
@@ -336,8 +336,8 @@ def test_a_take_of_one_object_is_replayed_on_all_others_and_fills_the_picture_al
             samples = zip(times, Ts, 0.3 * times, strict=True)
             write_take(tmp_path / "a.txt", "mouse", "camera", "revolute", samples, size=size)
             assert read_track(tmp_path / "a.txt").size == size
-        _, plan = planned(loaded, settings)
-        low, high = extent(plan.Ts_camera_object, plan.states, Body.of(meshes, loaded.joint), camera)
+        _, plan = plan_recording(loaded, settings)
+        low, high = image_extent(plan.Ts_camera_object, plan.states, Body.of(meshes, loaded.joint), camera)
         assert (low >= 0).all() and (high <= [320, 180]).all()
         far = np.linalg.norm(plan.Ts_camera_object[:, :3, 3], axis=1).mean()
         ways[name] = far / bounding_diagonal(*meshes)
@@ -355,10 +355,10 @@ def test_a_take_of_one_object_is_replayed_on_all_others_and_fills_the_picture_al
 def test_the_example_takes_are_replayed_as_they_were_taken(path: Path, tmp_path: Path) -> None:
     take, name = read_track(path), path.stem.rpartition("-")[0]
     settings = dataclasses.replace(
-        SMALL, motion="track", track=path, frames=track.frames_of(take, 30), width=320, height=180
+        SMALL, motion="track", track=path, frames=track.count_frames(take, 30), width=320, height=180
     )
-    _, plan = planned(
-        load_object(entry_of(name, settings), settings, tmp_path), settings
+    _, plan = plan_recording(
+        load_object(catalog_entry(name, settings), settings, tmp_path), settings
     )  # refuses what leaves the view
     assert plan.source["states"] == "as taken" and "carry" not in plan.source and take.size is not None
     assert (take.filter is not None) == (take.device == "headset")
@@ -401,13 +401,13 @@ def test_every_captured_track_stays_in_the_picture() -> None:
     body, camera = _body(), Camera.from_fov(640, 360, 0.7)
     for path in sorted((SHARED / "mocap").glob("*.npy")):
         take = read_track(path)
-        count = track.frames_of(take, 30.0)
+        count = track.count_frames(take, 30.0)
         assert count == len(take.times), "30 Hz: a frame a sample"
-        stretch = track.resampled(take, 30.0, count)
+        stretch = track.resample_take(take, 30.0, count)
         np.testing.assert_allclose(stretch.Ts, take.Ts, atol=1e-9)
-        states, _ = track.fitted(stretch.states, take, body)
-        Ts = track.tracked(body, stretch, states, take, UPRIGHT, camera, PRESETS["handheld"])
-        low, high = extent(Ts, states, body, camera)
+        states, _ = track.fit_states(stretch.states, take, body)
+        Ts = track.object_poses(body, stretch, states, take, UPRIGHT, camera, PRESETS["handheld"])
+        low, high = image_extent(Ts, states, body, camera)
         assert low.min() > 0 and (high < [camera.width, camera.height]).all()
 
 
@@ -502,7 +502,7 @@ def _without(text: str, what: str) -> str:
 def test_what_is_wrong_with_a_urdf_is_said_in_a_line(case: Path, change, joint: str | None, said: str) -> None:
     case.write_text(change(URDF))
     with pytest.raises(FreeArtError, match=said) as caught:
-        jobs_of([str(case)], dataclasses.replace(SMALL, joint=joint))
+        plan_jobs([str(case)], dataclasses.replace(SMALL, joint=joint))
     assert str(case.parent) in str(caught.value) and "freeart21-" not in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -511,13 +511,13 @@ def test_broken_meshes_and_names_are_said_in_a_line(case: Path) -> None:
     for data in (b"", b"solid nothing", b"\0" * 200):
         (case.parent / "lid.stl").write_bytes(data)
         with pytest.raises(FreeArtError, match=r"lid\.stl is not a readable .stl file") as caught:
-            jobs_of([str(case)], SMALL)
+            plan_jobs([str(case)], SMALL)
         assert "\n" not in str(caught.value)
     with pytest.raises(FreeArtError, match="none.urdf is missing"):
-        jobs_of([str(case.parent / "none.urdf")], SMALL)
+        plan_jobs([str(case.parent / "none.urdf")], SMALL)
     case.rename(case.parent / "a case.urdf")
     with pytest.raises(FreeArtError, match="cannot name a recording"):
-        jobs_of([str(case.parent / "a case.urdf")], SMALL)
+        plan_jobs([str(case.parent / "a case.urdf")], SMALL)
 
 
 def test_what_a_urdf_lacks_is_noted_also_when_it_was_made_before(case: Path, tmp_path: Path) -> None:
@@ -535,7 +535,7 @@ def test_a_wheel_without_limits_takes_any_state(case: Path, tmp_path: Path) -> N
     loaded = load_urdf(case, tmp_path / "made")
     body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
     take = read_track(arctic(tmp_path / "a.npy", np.linspace(0, 7, 12)))
-    states, told = track.fitted(take.states, take, body)
+    states, told = track.fit_states(take.states, take, body)
     assert states[-1] == 7 and told == {"states": "as taken"}
 
 

@@ -391,16 +391,16 @@ def test_a_staged_recording_moves_as_it_says():
     plan = Plan(np.tile(np.eye(4), (40, 1, 1)), np.linspace(0, 1, 40), np.tile(np.eye(4), (40, 1, 1)))
     asked = []
 
-    def planned(loaded, settings, model=None):
+    def plan_recording(loaded, settings, model=None):
         asked.append(settings.frames)
         return "camera", plan
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(session, "planned", planned)
+        patch.setattr(session, "plan_recording", plan_recording)
         video = bench.Video("v", "stapler", 1, frames=10, share=0.04, every=4)
         with bench._staged(video):
-            _, changed = session.planned(None, bench.RecordSettings(frames=10))
-        assert session.planned is planned, "and afterwards nothing is staged"
+            _, changed = session.plan_recording(None, bench.RecordSettings(frames=10))
+        assert session.plan_recording is plan_recording, "and afterwards nothing is staged"
     assert asked == [40] and len(changed.states) == 10
     assert np.ptp(changed.states) == pytest.approx(0.04 * np.ptp(plan.states[::4]))
 

@@ -46,28 +46,32 @@ def test_no_other_sequences_bear_the_benchmarks_name(tmp_path: Path) -> None:
     own, other = v1.jobs("public"), [Job("stapler", "stapler-s5", RecordSettings())]
     label = v1.label("public", RecordSettings())
     data = tmp_path / "data"
-    v1.keep_apart(data, own, label)
-    v1.keep_apart(data, other, None)
+    v1.check_own_sequences(data, own, label)
+    v1.check_own_sequences(data, other, None)
     with pytest.raises(FreeArtError, match="is freeart21-v1, which has sequences of its own only"):
-        v1.keep_apart(tmp_path / "freeart21-v1", other, None)
+        v1.check_own_sequences(tmp_path / "freeart21-v1", other, None)
     (data / "sequences" / "stapler-v1").mkdir(parents=True)
     (data / "sequences" / "stapler-v1" / "sequence.json").write_text("{}")
     write_benchmark(data, v1.NAME, v1.VERSION, "public")
-    v1.keep_apart(data, own, label)
+    v1.check_own_sequences(data, own, label)
     with pytest.raises(FreeArtError, match="is freeart21-v1, which has sequences of its own only"):
-        v1.keep_apart(data, other, None)
+        v1.check_own_sequences(data, other, None)
     with pytest.raises(FreeArtError, match="holds stapler-v1, which is not of freeart21-v1 test"):
-        v1.keep_apart(data, v1.jobs("test"), v1.label("test", RecordSettings()))
+        v1.check_own_sequences(data, v1.jobs("test"), v1.label("test", RecordSettings()))
 
 
 @pytest.mark.parametrize("entry", EVERY, ids=lambda e: e.sequence)
 def test_shapes_are_those_that_were_frozen(entry: v1.Entry) -> None:
-    assert v1.frozen()[entry.sequence]["shape"] == v1.shape_fingerprint(entry), "a change of v1 takes a new version"
+    assert v1.read_frozen()[entry.sequence]["shape"] == v1.shape_fingerprint(entry), (
+        "a change of v1 takes a new version"
+    )
 
 
 @pytest.mark.parametrize("entry", v1.entries("public")[3:6], ids=lambda e: e.motion)
 def test_motions_are_those_that_were_frozen(entry: v1.Entry) -> None:
-    assert v1.frozen()[entry.sequence]["motion"] == v1.motion_fingerprint(entry), "a change of v1 takes a new version"
+    assert v1.read_frozen()[entry.sequence]["motion"] == v1.motion_fingerprint(entry), (
+        "a change of v1 takes a new version"
+    )
 
 
 def test_another_seed_or_motion_has_another_fingerprint() -> None:

@@ -18,7 +18,7 @@ from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files.benchmark import write_benchmark
 from freeart21.files.verify import verify
-from generator.dataset import jobs_of, record_jobs
+from generator.dataset import plan_jobs, record_jobs
 from generator.golden import psnr, verify_deep
 from generator.session import RecordSettings
 
@@ -29,7 +29,7 @@ SEQUENCE, TRUTH = Path("sequences/flip_lighter-s0"), Path("truth/flip_lighter-s0
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     data = tmp_path_factory.mktemp("sound") / "data"
-    record_jobs(data, jobs_of(["flip_lighter"], SETTINGS))
+    record_jobs(data, plan_jobs(["flip_lighter"], SETTINGS))
     return data
 
 

@@ -24,7 +24,7 @@ class Law:
     about: float
     spread: float
 
-    def drawn(self, x: float, rng: np.random.Generator) -> float:
+    def sample(self, x: float, rng: np.random.Generator) -> float:
         """A y for x."""
         return float(np.exp(self.at + self.slope * (np.log(x) - self.about) + self.spread * rng.normal()))
 
@@ -91,14 +91,14 @@ class Hand:
     """What a hand does with an object, but for the directions."""
 
     sweeps: tuple[Sweep, ...]
-    laid: tuple[tuple[float, float], ...]
+    resting_on_table: tuple[tuple[float, float], ...]
     """First and last frame of every rest in which the object is put down."""
 
 
-def hand(frames: int, fps: float, rng: np.random.Generator) -> Hand:
+def draw_hand(frames: int, fps: float, rng: np.random.Generator) -> Hand:
     """Sweeps and rests of one person over a video."""
     sweeps: list[Sweep] = []
-    laid: list[tuple[float, float]] = []
+    resting_on_table: list[tuple[float, float]] = []
     mean, between, within = SWEEP_DEGREES
     mean += between * float(np.clip(rng.normal(), -2, 2))
     begins = 0.0 if rng.uniform() < AT_ONCE else _rest(PAUSE_SECONDS, rng) * rng.uniform() * fps
@@ -106,9 +106,9 @@ def hand(frames: int, fps: float, rng: np.random.Generator) -> Hand:
     while at < frames:
         degrees = min(float(np.exp(mean + within * rng.normal())), _LARGEST)
         overlap = rng.uniform(*OVERLAP)
-        seconds = max(SWEEP_SECONDS.drawn(degrees, rng), _QUICKEST) / (1 - overlap)  # measured from dip to dip
+        seconds = max(SWEEP_SECONDS.sample(degrees, rng), _QUICKEST) / (1 - overlap)  # measured from dip to dip
         seconds = max(seconds, 1.875 * degrees / (FASTEST * 30))  # the peak of a minimum-jerk stroke
-        sweeps.append(Sweep(at, seconds * fps, degrees, SWEEP_WAY.drawn(degrees, rng)))
+        sweeps.append(Sweep(at, seconds * fps, degrees, SWEEP_WAY.sample(degrees, rng)))
         if rng.uniform() < AT_ONCE:
             at += (1 - overlap) * seconds * fps
             continue
@@ -116,11 +116,11 @@ def hand(frames: int, fps: float, rng: np.random.Generator) -> Hand:
         first = at + seconds * fps
         at = first + rest * fps
         if rest >= 1 and rng.uniform() < LAID:
-            laid.append((first, at))
-    return Hand(tuple(sweeps), tuple(laid))
+            resting_on_table.append((first, at))
+    return Hand(tuple(sweeps), tuple(resting_on_table))
 
 
-def joint_strokes(frames: int, fps: float, rng: np.random.Generator, hold: Hold | None = None) -> JointCourse:
+def draw_joint_course(frames: int, fps: float, rng: np.random.Generator, hold: Hold | None = None) -> JointCourse:
     """The joint, worked in strokes of its own: nearly shut at first, then wide open, then as it comes.
 
     A `hold` is put in, after the first stroke, before half of the time that it leaves has passed.
@@ -143,7 +143,7 @@ def joint_strokes(frames: int, fps: float, rng: np.random.Generator, hold: Hold 
             to_end = rng.uniform() < TO_END[int(room < 0.8)]
             goal = share + turn * room * (1.0 if to_end else float(rng.uniform(*PARTWAY)))
         passed = abs(goal - share)
-        length = max(JOINT_SECONDS.drawn(max(passed, _LEAST), rng), 2 * _QUICKEST) * fps
+        length = max(JOINT_SECONDS.sample(max(passed, _LEAST), rng), 2 * _QUICKEST) * fps
         length = min(length, _MOST * frames)
         moves.append((at, at + length))
         at += length

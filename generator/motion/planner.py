@@ -16,7 +16,7 @@ from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 from generator.motion import turns
 from generator.motion.body import UPRIGHT, Body
-from generator.motion.framing import placed
+from generator.motion.framing import place_object
 from generator.motion.plan import PRESETS, Plan, Preset
 from generator.motion.style import Course, Hardship, Style, Task
 from generator.motion.styles import STYLES
@@ -79,17 +79,17 @@ def plan_motion(
         assert style.plan is not None and states is not None
         return style.plan(body, states, camera, preset, seed)
     atlas = _atlas(body, camera, frames)
-    task = Task(body, atlas, frames, fps, "hidden", states, style.heights, (seed, _key(body)))
-    task = replace(task, hardship=_hardship(task, seed, hard))
-    rng = np.random.default_rng([seed, 2, style.stream, _key(body)])
+    task = Task(body, atlas, frames, fps, "hidden", states, style.heights, (seed, _shape_key(body)))
+    task = replace(task, hardship=_draw_hardship(task, seed, hard))
+    rng = np.random.default_rng([seed, 2, style.stream, _shape_key(body)])
     drawn = int(np.clip(frames // 8, 6, 20 if task.hardship == "none" else 36))
     candidates = [style.propose(task, rng) for _ in range(drawn)]
-    guessed = [_score(c, task, task.atlas.shares(_views(c.Rs), c.states)) for c in candidates]
+    guessed = [_score(c, task, task.atlas.shares(_view_directions(c.Rs), c.states)) for c in candidates]
     best: tuple[float, Plan] | None = None
     for k in sorted(range(len(candidates)), key=lambda k: -guessed[k])[:_COUNTED]:
         course = candidates[k]
-        Ts = placed(course.Rs, course.sway, course.clock, course.states, body, camera, preset, style.still)
-        score = _score(course, task, task.atlas.counted(Ts, course.states))
+        Ts = place_object(course.Rs, course.offsets, course.clock, course.states, body, camera, preset, style.still)
+        score = _score(course, task, task.atlas.count_shares(Ts, course.states))
         if best is None or score > best[0]:
             best = score, Plan(Ts, course.states, camera_in_world(style, Ts, body))
     assert best is not None
@@ -101,12 +101,12 @@ def _atlas(body: Body, camera: Camera, frames: int) -> Atlas:
     return Atlas(body, distance) if frames >= 60 else Atlas(body, distance, 96, 4)
 
 
-def _hardship(task: Task, seed: int, hard: bool | None) -> Hardship:
+def _draw_hardship(task: Task, seed: int, hard: bool | None) -> Hardship:
     """What object and seed decide: another object of the same seed is another case.
 
     Objects whose sides always show are left out, and the others are hard the more often.
     """
-    luck, kind = np.random.default_rng([seed, 7, _key(task.body)]).uniform(0, 1, 2)
+    luck, kind = np.random.default_rng([seed, 7, _shape_key(task.body)]).uniform(0, 1, 2)
     if hard is None:
         hard = bool(luck < _HARD and task.hidden_area().max() > _HIDEABLE)
     if not hard:
@@ -115,13 +115,13 @@ def _hardship(task: Task, seed: int, hard: bool | None) -> Hardship:
     return "gone" if gone and kind < _GONE else "hidden"
 
 
-def _key(body: Body) -> int:
+def _shape_key(body: Body) -> int:
     """A number that tells objects apart by their proportions: two of the same seed move differently."""
     extents = np.concatenate([np.ptp(h, axis=0) for h in body.hulls]) / body.radius
     return zlib.crc32(" ".join(f"{x:.3f}" for x in extents).encode())
 
 
-def _views(Rs: Array) -> Array:
+def _view_directions(Rs: Array) -> Array:
     """(n, 3) directions from the object to the camera."""
     return -Rs[:, 2]
 
@@ -130,13 +130,13 @@ def _score(course: Course, task: Task, shares: Array) -> float:
     """How well a motion does what it shall, rounded so that the last digits decide nothing."""
     first, few = min(float(shares[0]), 0.15) / 0.15, float(np.mean(shares < FEW))
     shown = float(np.minimum(shares, 0.2).mean()) / 0.2
-    score = 1.5 * first + sphere.coverage(_views(course.Rs)) + shown
+    score = 1.5 * first + sphere.coverage(_view_directions(course.Rs)) + shown
     if task.hardship == "none":
         score -= 4.0 * max(few - 0.10, 0.0)
     else:
         low, high = _HARD_SHARE
         score -= 15.0 * (max(low - few, 0.0) + 0.3 * max(few - high, 0.0))
-    away = _longest(shares < 1e-9)
+    away = _longest_run(shares < 1e-9)
     if task.hardship == "gone":
         low, high = _GONE_FRAMES
         score += 3.0 * min(away / low, 1.0) - 2.0 * max(away / high - 1, 0.0)
@@ -149,7 +149,7 @@ def _score(course: Course, task: Task, shares: Array) -> float:
     return round(score, 3)
 
 
-def _longest(flags: NDArray[np.bool_]) -> int:
+def _longest_run(flags: NDArray[np.bool_]) -> int:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(flags, int), [0]])))
     return int(np.diff(edges)[::2].max(initial=0))
 

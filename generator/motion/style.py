@@ -56,7 +56,7 @@ class Course:
 
     Rs: Array
     """(n, 3, 3) camera from object."""
-    sway: Array
+    offsets: Array
     """(n, 3) right, down, away: see `framing.placed`."""
     clock: Array
     """(n,) the hand's time, frames."""
@@ -87,13 +87,13 @@ class Style:
     """The world's axes: upright, the object's in frame 0, or moving with the object, which stands on the ground."""
 
 
-def joint_states(task: Task, rng: np.random.Generator) -> tuple[Array, JointCourse]:
+def plan_joint(task: Task, rng: np.random.Generator) -> tuple[Array, JointCourse]:
     """States (frames,) and when they move; a hard motion rests where the smaller side can be hidden best."""
-    course = timing.joint_course(task.frames, rng, long_rest(task, rng))
+    course = timing.joint_course(task.frames, rng, choose_long_rest(task, rng))
     return (task.body.state(course.shares) if task.states is None else task.states), course
 
 
-def long_rest(task: Task, rng: np.random.Generator) -> Hold | None:
+def choose_long_rest(task: Task, rng: np.random.Generator) -> Hold | None:
     """Where the joint of a hard motion rests for long: where the smaller side can be hidden best."""
     if task.hardship == "none":
         return None
@@ -103,12 +103,12 @@ def long_rest(task: Task, rng: np.random.Generator) -> Hold | None:
     return Hold(at, float(rng.uniform(0.22, 0.30)))
 
 
-def pace_per_frame(task: Task, rng: np.random.Generator, slowest: float, fastest: float) -> float:
+def draw_pace(task: Task, rng: np.random.Generator, slowest: float, fastest: float) -> float:
     """Radians a frame: between so many degrees at 30 frames a second."""
     return float(np.radians(rng.uniform(slowest, fastest)) * 30 / task.fps)
 
 
-def slow_down(task: Task) -> float:
+def speed_while_hiding(task: Task) -> float:
     """How much slower the hand is while it hides the smaller side."""
     return 1.0 if task.hardship == "none" else 0.55
 
@@ -124,45 +124,49 @@ def plan_views(
     highest: float = 1.0,
 ) -> list[Array]:
     """Views for a path that has come `way` (frames,) radians in every frame: both sides shown, or one hidden."""
-    usual = np.abs(task.atlas.directions[:, 2]) <= highest
+    allowed = np.abs(task.atlas.directions[:, 2]) <= highest
 
-    def wish(s: float) -> tuple[Array, bool]:
+    def score_at(s: float) -> tuple[Array, bool]:
         frame = int(np.clip(np.searchsorted(way, s), 0, task.frames - 1))
-        return welcome(task, states, course, frame, usual)
+        return score_directions(task, states, course, frame, allowed)
 
-    start = start_view(task, states, rng, usual)
-    directions = task.atlas.directions[usual]
-    return turns.tour(start, 1.7 * float(way[-1]) + 2 * step[1], directions, wish, rng, step, even)
+    start = choose_start_view(task, states, rng, allowed)
+    directions = task.atlas.directions[allowed]
+    return turns.choose_views(start, 1.7 * float(way[-1]) + 2 * step[1], directions, score_at, rng, step, even)
 
 
-def welcome(
-    task: Task, states: Array, course: JointCourse, frame: int, usual: NDArray[np.bool_] | None = None
+def score_directions(
+    task: Task, states: Array, course: JointCourse, frame: int, allowed: NDArray[np.bool_] | None = None
 ) -> tuple[Array, bool]:
-    """How welcome each of the atlas' directions (those `usual`) is in a frame, (D,), 0 to 1, and whether to stay there:
-    both sides shown, or one hidden during the joint's long rest."""
+    """Score (D,), 0 to 1, of each of the atlas' directions that are `allowed`, in one frame; and whether to stay near.
+
+    Directions that show both sides score high; during the joint's long rest those that hide the smaller one do.
+    """
     atlas, cap = task.atlas, 0.15
-    usual = np.ones(len(atlas.directions), bool) if usual is None else usual
-    directions = atlas.directions[usual]
+    allowed = np.ones(len(atlas.directions), bool) if allowed is None else allowed
+    directions = atlas.directions[allowed]
     want = 0.15 if task.hardship == "none" else 0.25
     if task.hardship != "none" and course.held is not None:
         a, b = course.held
         if a - 0.08 * task.frames <= frame <= b:  # in time to be there
-            share = atlas.at_state(float(states[int(np.clip((a + b) / 2, 0, task.frames - 1))]))[usual]
+            share = atlas.at_state(float(states[int(np.clip((a + b) / 2, 0, task.frames - 1))]))[allowed]
             best, width = (0.0, 0.03) if task.hardship == "gone" else (0.025, 0.06)
             hidden = 1 - np.minimum(np.abs(share - best) / width, 1)
             near = (directions @ directions[hidden >= 0.7 * hidden.max()].T).max(1)
             return 1.5 * hidden + 0.7 * near, True
-    share = atlas.at_state(float(states[frame]))[usual]
+    share = atlas.at_state(float(states[frame]))[allowed]
     return want * np.minimum(share / cap, 1), False
 
 
-def start_view(task: Task, states: Array, rng: np.random.Generator, usual: NDArray[np.bool_] | None = None) -> Array:
+def choose_start_view(
+    task: Task, states: Array, rng: np.random.Generator, allowed: NDArray[np.bool_] | None = None
+) -> Array:
     """(3,) a direction that shows the smaller side well in the first frame, from not too high or low."""
     directions = task.atlas.directions
-    usual = np.ones(len(directions), bool) if usual is None else usual
+    allowed = np.ones(len(directions), bool) if allowed is None else allowed
     first = task.atlas.at_state(float(states[0]))
     level = np.abs(directions[:, 2]) < 0.75
-    good = np.flatnonzero(level & usual & (first >= np.quantile(first[level & usual], 0.75)))
+    good = np.flatnonzero(level & allowed & (first >= np.quantile(first[level & allowed], 0.75)))
     return np.asarray(directions[int(rng.choice(good))])
 
 
@@ -196,10 +200,14 @@ def in_hand(
     drift: tuple[float, float, float],
     swing: Array | None = None,
 ) -> Course:
-    """A course in a hand: `drift` is the size of its sway, and the hand is never quite at rest."""
+    """A course in a hand: the object drifts by `drift` (right, down, away) times `swing` (n, 3), with a tremor."""
     if swing is None:
         swing = np.stack([timing.wander(tau / task.fps, rng, 0.35) for _ in range(3)], -1)
-    sway = np.array(drift) * swing + 0.5 * timing.tremor(task.frames, task.fps, rng) * [1, 1, 0]
+    offsets = np.array(drift) * swing + 0.5 * timing.tremor(task.frames, task.fps, rng) * [1, 1, 0]
     return Course(
-        se3.exp_so3(timing.tremor(task.frames, task.fps, rng)) @ Rs, sway, tau, states, np.degrees(pace) * task.fps / 30
+        se3.exp_so3(timing.tremor(task.frames, task.fps, rng)) @ Rs,
+        offsets,
+        tau,
+        states,
+        np.degrees(pace) * task.fps / 30,
     )

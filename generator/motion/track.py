@@ -15,10 +15,10 @@ from freeart21.files.take import Take
 from freeart21.formats.captured import ARCTIC_FORM, ARCTIC_SIZES_M
 from freeart21.se3 import Array
 from generator.motion.body import Body
-from generator.motion.framing import extent, placed_as_moved
+from generator.motion.framing import image_extent, place_as_moved
 from generator.motion.plan import Plan, Preset
 
-MOST_FRAMES = 100_000
+MAX_FRAMES = 100_000
 _ROUNDING = 1e-6  # of a frame, and of a way: numbers in files are rounded
 _SAME_SIZE = 1e-3  # part by which sizes of one object differ at most: meshes in files are rounded
 _FARTHER, _FARTHEST = 1.05, 4.0  # steps by which an object is placed farther off, and how far at most
@@ -36,21 +36,21 @@ class Stretch:
     """Seconds from the take's beginning."""
 
 
-def frames_of(take: Take, fps: float) -> int:
+def count_frames(take: Take, fps: float) -> int:
     """How many frames, `fps` a second, a take lasts; the first is its first sample."""
     frames = float(np.ptp(take.times)) * fps + _ROUNDING + 1
-    if frames > MOST_FRAMES:
-        raise FreeArtError(f"{take.name} lasts {np.ptp(take.times):.0f} s, expected at most {MOST_FRAMES / fps:.0f} s")
+    if frames > MAX_FRAMES:
+        raise FreeArtError(f"{take.name} lasts {np.ptp(take.times):.0f} s, expected at most {MAX_FRAMES / fps:.0f} s")
     return int(frames)
 
 
-def resampled(take: Take, fps: float, frames: int) -> Stretch:
+def resample_take(take: Take, fps: float, frames: int) -> Stretch:
     """The `frames` frames of a take over which its joint moves most, the earliest such.
 
     The take's filter, if it names one, smooths its samples. Between them places and states are linear in time, and
     turns go the shortest way at a steady rate (slerp). Raises FreeArtError when the take is shorter.
     """
-    count = frames_of(take, fps)
+    count = count_frames(take, fps)
     if frames > count:
         raise FreeArtError(f"{take.name} lasts {count} frames at {fps:g} a second, fewer than {frames}")
     times = np.minimum(take.times[0] + np.arange(count) / fps, take.times[-1])
@@ -61,10 +61,10 @@ def resampled(take: Take, fps: float, frames: int) -> Stretch:
     moved = np.ptp(np.lib.stride_tricks.sliding_window_view(states, frames), axis=1)
     first = int(np.argmax(moved >= (1 - _ROUNDING) * moved.max()))  # the last digits decide nothing
     part = slice(first, first + frames)
-    return Stretch(_between(take.times, Ts, times[part]), states[part], first / fps)
+    return Stretch(_interpolate_poses(take.times, Ts, times[part]), states[part], first / fps)
 
 
-def fitted(states: Array, take: Take, body: Body) -> tuple[Array, dict[str, Any]]:
+def fit_states(states: Array, take: Take, body: Body) -> tuple[Array, dict[str, Any]]:
     """The states (n,) of a take for the body's joint, and what was done to them.
 
     As they are where the joint is of the take's type and reaches all of its states; else the take's range becomes the
@@ -78,12 +78,12 @@ def fitted(states: Array, take: Take, body: Body) -> tuple[Array, dict[str, Any]
             f"{take.name}: its joint ({take.joint_type}) stands still at {low:.4g}, where joint '{joint.name}' cannot "
             f"be: {joint.type}, {body.lower:.4g} to {body.upper:.4g}"
         )
-    done = {"states": "scaled", "from": [take.joint_type, low, high], "to": [joint.type, body.lower, body.upper]}
+    changes = {"states": "scaled", "from": [take.joint_type, low, high], "to": [joint.type, body.lower, body.upper]}
     shares = (states - low) / (high - low)
-    return np.clip(body.state(shares), body.lower, body.upper), done
+    return np.clip(body.state(shares), body.lower, body.upper), changes
 
 
-def carried(take: Take, diagonal: float, carry: float | None) -> tuple[float, dict[str, Any]]:
+def scale_translation(take: Take, diagonal: float, carry: float | None) -> tuple[float, dict[str, Any]]:
     """By how much the way of a take is scaled for an object of this `diagonal`, metres, and what was done to it.
 
     `carry` says so itself, 1 for the take's own metres. Where it is None the way is as long in sizes of the object as
@@ -107,8 +107,8 @@ def carried(take: Take, diagonal: float, carry: float | None) -> tuple[float, di
     return diagonal / size, {"carry": diagonal / size, "size": diagonal, "taken_with": size}
 
 
-def told(source: dict[str, Any]) -> str:
-    """What was done to a take, as `carried` and `fitted` have it, in words."""
+def describe_changes(source: dict[str, Any]) -> str:
+    """What was done to a take, as `scale_translation` and `fit_states` have it, in words."""
     words = []
     if source.get("carry", 1.0) != 1.0:
         words.append(f"its way scaled by {source['carry']:.2g}")
@@ -119,7 +119,7 @@ def told(source: dict[str, Any]) -> str:
     return f"{source.get('name')}: {' and '.join(words) or 'as it was taken'}"
 
 
-def tracked(
+def object_poses(
     body: Body,
     stretch: Stretch,
     states: Array,
@@ -138,19 +138,19 @@ def tracked(
     if take.poses == "camera" or R_first is None:
         return se3.pose(stretch.Ts[:, :3, :3], carry * stretch.Ts[:, :3, 3]) if carry != 1 else stretch.Ts
     R, t = stretch.Ts[:, :3, :3], stretch.Ts[:, :3, 3]
-    return placed_as_moved(R @ R[0].T @ R_first, carry * (t - t[0]), states, body, camera, preset)
+    return place_as_moved(R @ R[0].T @ R_first, carry * (t - t[0]), states, body, camera, preset)
 
 
-def farther(Ts: Array, states: Array, body: Body, camera: Camera) -> tuple[Array, float]:
+def move_away(Ts: Array, states: Array, body: Body, camera: Camera) -> tuple[Array, float]:
     """Poses (n, 4, 4) so far off that another object than the one that was taken stays in the picture, and how many
     times as far: of two things of one size one may be wider. It stays where it was in the picture, only smaller."""
     factor, size = 1.0, np.array([camera.width, camera.height], float)
     while factor < _FARTHEST:
-        placed = se3.pose(Ts[:, :3, :3], factor * Ts[:, :3, 3])
-        if (se3.transform(placed, body.points(states))[..., 2] > 0).all():
-            low, high = extent(placed, states, body, camera)
+        candidate = se3.pose(Ts[:, :3, :3], factor * Ts[:, :3, 3])
+        if (se3.transform(candidate, body.points(states))[..., 2] > 0).all():
+            low, high = image_extent(candidate, states, body, camera)
             if (low >= 0).all() and (high <= size).all():
-                return placed, factor
+                return candidate, factor
         factor *= _FARTHER
     return Ts, 1.0
 
@@ -165,7 +165,7 @@ def check_in_view(name: str, plan: Plan, body: Body, camera: Camera, near: float
             f"{name}: the object is {depth[i]:.3g} m before the camera in frame {i} ({i / fps:.2f} s), expected more "
             f"than {near:.2g} m"
         )
-    low, high = extent(plan.Ts_camera_object, plan.states, body, camera)
+    low, high = image_extent(plan.Ts_camera_object, plan.states, body, camera)
     size = np.array([camera.width, camera.height], float)
     beyond: Array = np.maximum(-low, high - size).max(1)
     out: NDArray[np.int64] = np.flatnonzero(beyond > 0)
@@ -177,7 +177,7 @@ def check_in_view(name: str, plan: Plan, body: Body, camera: Camera, near: float
         )
 
 
-def _between(at: Array, Ts: Array, times: Array) -> Array:
+def _interpolate_poses(at: Array, Ts: Array, times: Array) -> Array:
     """Poses (m, 4, 4) at `times` (m,) between those (n, 4, 4) at `at` (n,)."""
     k = np.clip(np.searchsorted(at, times, side="right") - 1, 0, len(at) - 2)
     u = ((times - at[k]) / (at[k + 1] - at[k]))[:, None]

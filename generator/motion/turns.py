@@ -11,27 +11,27 @@ from freeart21.se3 import Array
 from freeart21.sphere import covered_cells
 from generator.motion.body import UPRIGHT
 
-Wish = Callable[[float], tuple[Array, bool]]
+DirectionScores = Callable[[float], tuple[Array, bool]]
 """Distance along a path, radians, to how welcome each of the candidate directions is there, (D,), 0 to 1, and whether
 to stay near by, rather than to go on to what has not been seen."""
 
 
-def level(yaw: Array | float, pitch: Array | float) -> Array:
+def upright_rotation(yaw: Array | float, pitch: Array | float) -> Array:
     """(..., 3, 3) camera from object, upright: turned by `yaw` about its upright axis, seen from `pitch` above."""
     yaw, pitch = np.asarray(yaw, float), np.asarray(pitch, float)
     return se3.exp_so3(pitch[..., None] * [1, 0, 0]) @ UPRIGHT @ se3.exp_so3(yaw[..., None] * [0, 0, 1])
 
 
-def upright_at(view: Array) -> Array:
+def upright_looking_from(view: Array) -> Array:
     """(3, 3) camera from object, upright, that looks from direction `view` (3,)."""
-    return level(np.pi - np.arctan2(view[1], view[0]), np.arcsin(np.clip(view[2], -1, 1)))
+    return upright_rotation(np.pi - np.arctan2(view[1], view[0]), np.arcsin(np.clip(view[2], -1, 1)))
 
 
-def tour(
+def choose_views(
     start: Array,
     length: float,
     directions: Array,
-    wish: Wish,
+    scores_at: DirectionScores,
     rng: np.random.Generator,
     step: tuple[float, float],
     even: bool,
@@ -50,7 +50,7 @@ def tour(
         cosine = np.clip(directions @ now, -1, 1)
         angle = np.arccos(cosine)
         least, most = step
-        welcome, stay = wish(way + 0.5 * most)
+        welcome, stay = scores_at(way + 0.5 * most)
         least = (0.0 if even else 0.5) if stay else least
         allowed = (angle >= least) & (angle <= most)
         if not allowed.any():
@@ -70,9 +70,9 @@ def tour(
     return views
 
 
-def rolled(views: list[Array], roll: float, rng: np.random.Generator) -> Array:
+def rotations_through(views: list[Array], roll: float, rng: np.random.Generator) -> Array:
     """(k, 3, 3) rotations that show `views`, the first upright, each by the shortest turn and up to `roll` more."""
-    Rs = [upright_at(views[0])]
+    Rs = [upright_looking_from(views[0])]
     for view in views[1:]:
         there = Rs[-1] @ view  # in the camera's axes, to be turned to point at the camera
         axis, cosine = np.cross(there, [0.0, 0, -1]), -there[2]

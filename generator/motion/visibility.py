@@ -56,7 +56,7 @@ class Atlas:
         rows, f = np.arange(len(states)), np.clip(x - k, 0, 1)
         return (1 - f) * by_state[rows, k] + f * by_state[rows, k + 1]
 
-    def counted(self, Ts_camera_object: Array, states: Array) -> Array:
+    def count_shares(self, Ts_camera_object: Array, states: Array) -> Array:
         """(n,) share of the smaller side in poses (n, 4, 4) at `states` (n,): counted, pose by pose."""
         R, t = Ts_camera_object[:, :3, :3], Ts_camera_object[:, :3, 3]
         return _share(self._counts(-np.einsum("nji,nj->ni", R, t), states), self.small)

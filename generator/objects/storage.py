@@ -353,7 +353,7 @@ def _bedside_drawer(s: _Bedside, rng: Rng) -> Pieces:
 
 
 def _drawer_box(s: _Bedside, wide: float, tall: float, x: float, low: float) -> Pieces:
-    """The box behind a drawer's front that ends at `x`, with lining paper on its floor and steel runners at its sides."""
+    """The box behind a drawer's front that ends at `x`, with lining paper and steel runners."""
     long, out, wall, z = s.depth - 0.055, wide - 0.022, 0.010, low + 0.008
     high = tall * 0.70
     shell = box((long, out, high), (x + long / 2, 0, z + high / 2), 0.0015)

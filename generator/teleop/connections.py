@@ -14,7 +14,7 @@ from typing import Any
 
 from generator.teleop.gate import QuietLog
 
-MOST, MOST_OF_AN_ADDRESS = 96, 64
+MOST, MAX_PER_ADDRESS = 96, 64
 """Connections at once: 16 pages have one each, and up to 6 more (a browser's, for a server) while they load."""
 SPEAK_S = 5.0
 """After so long a connection must have shown the token; this includes the handshake of https."""
@@ -113,7 +113,7 @@ class Connections:
 
     def _make_room(self, host: str) -> bool:
         """Whether one more may come from `host`; where there are many, the first that showed no token goes for it."""
-        for whose, most in ((host, MOST_OF_AN_ADDRESS), ("", MOST)):
+        for whose, most in ((host, MAX_PER_ADDRESS), ("", MOST)):
             if self.count == 0:
                 break
             many = [one for one in self._by_peer.values() if whose in ("", one.host)]

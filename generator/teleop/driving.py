@@ -24,12 +24,12 @@ STEP_S = 1 / 60
 """From the last sample before a cut to the first after it: one of the page's own steps."""
 MOST_S = 3300.0
 """How long a take may be: the recorder replays at most 100,000 frames, 30 a second."""
-MOST_SAMPLES = 230_000
+MAX_SAMPLES = 230_000
 """How many samples it may have: a line has up to 282 bytes, and `files.take` reads 64 MiB. An hour at 60 Hz has
 216,000."""
 GAP_S = 1.0
 """A longer silence within a recording counts as so long: a page that stood still for a minute did not move."""
-MOST_TRAIL = 3600
+MAX_TRAIL = 3600
 """Samples that are kept of what was not recorded, for an undo: a minute."""
 STILL = 1e-9
 """Metres, and parts of a turn's matrix, below which the object did not move."""
@@ -159,14 +159,14 @@ class Driving:
             if not len(self._trail):
                 self._trail.add(time_s - STEP_S, self.place)
             self._trail.add(time_s, place)
-            self._trail.forget(MOST_TRAIL)
+            self._trail.forget(MAX_TRAIL)
         self.place = place
         return True
 
     @property
     def is_full(self) -> bool:
         """Whether the take is as long as one may be."""
-        return self.take.seconds >= MOST_S or len(self.take) >= MOST_SAMPLES
+        return self.take.seconds >= MOST_S or len(self.take) >= MAX_SAMPLES
 
     def record(self) -> bool:
         """Begin a take, or go on with one that is paused (True): the object returns to where the take left it."""

@@ -31,7 +31,7 @@ FILES = {
     **{f"/{name}.js": (f"{name}.js", "text/javascript") for name in SCRIPTS},
 }
 """All that is served: no path of a request is ever one of this machine's."""
-MOST_PAGES = 16
+MAX_PAGES = 16
 """Pages at once: a picture goes to each."""
 STATUS_S = 0.25
 """How often pages are told how things are."""
@@ -176,8 +176,8 @@ class Server:
             return refused
         if request.query.get("v") != wire.VERSION:
             return web.Response(status=400, text=f"expected v={wire.VERSION}", headers=_HEADERS)
-        if len(self._clients) >= MOST_PAGES:
-            self._quiet.dropped(f"more than {MOST_PAGES} pages", _whose(request))
+        if len(self._clients) >= MAX_PAGES:
+            self._quiet.dropped(f"more than {MAX_PAGES} pages", _whose(request))
             return web.Response(status=503, text="too many pages", headers=_HEADERS)
         channel = web.WebSocketResponse(max_msg_size=_FRAME_BYTES, compress=False, heartbeat=10.0)
         await channel.prepare(request)

@@ -36,7 +36,7 @@ ASPECTS = 0.4, 16 / 9
 """Width over height of the picture: not wider than the recorder's, which must see all that is seen here."""
 END_S = 2.0
 """How long the end of a killed process is waited for: a driver may hold it."""
-MOST_STARTS = 3
+MAX_STARTS = 3
 """How often a process is started that died: what dies at once would die again."""
 
 
@@ -135,13 +135,13 @@ class Stage:
 
     async def run(self, log: Callable[[str], None]) -> None:
         """Draw until cancelled. Raises FreeArtError when the simulator cannot show the object."""
-        for start in range(MOST_STARTS):
+        for start in range(MAX_STARTS):
             try:
                 async with self._started() as process:
                     await self._draw(process)
             except (EOFError, ConnectionError) as error:
-                if start + 1 == MOST_STARTS:
-                    raise FreeArtError(f"the simulator's process died {MOST_STARTS} times") from error
+                if start + 1 == MAX_STARTS:
+                    raise FreeArtError(f"the simulator's process died {MAX_STARTS} times") from error
                 log("the simulator's process died; it is started again")
 
     @contextlib.asynccontextmanager

@@ -84,7 +84,7 @@ class Stage:
         camera = Camera.from_fov(width, height, self._fov_y)
         K = camera.K.copy()
         K[:2, 2] += asked["shift"]
-        self._scene.use(Camera(K, width, height))
+        self._scene.set_camera(Camera(K, width, height))
         self._scene.shoot(np.array(asked["T"]), {**self._held, self._joint: asked["state"]})
         if self._ground.shape[:2] != (height, width):
             self._ground = ground(width, height)

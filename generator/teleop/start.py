@@ -27,7 +27,7 @@ from freeart21.mesh import bounding_diagonal
 from generator import partnet, urdf_folder
 from generator.motion.body import Body
 from generator.motion.plan import PRESETS
-from generator.session import RecordSettings, entry_of, load_object
+from generator.session import RecordSettings, catalog_entry, load_object
 from generator.teleop.address import addresses, is_loopback, qr_code
 from generator.teleop.certificate import Certificate, own_certificate, usual_host
 from generator.teleop.driving import Driving, Placement
@@ -93,7 +93,7 @@ def _loaded(name: str, record: RecordSettings, place: Path) -> tuple[str, partne
     if name.lower().endswith(urdf_folder.URDF_ENDINGS):
         record = replace(record, urdf=checked.require_file(Path(name), MAX_URDF_BYTES, checked.ANYWHERE))
         name = urdf_folder.object_name(Path(name))
-    loaded = load_object(entry_of(name, record), record, place)
+    loaded = load_object(catalog_entry(name, record), record, place)
     own = loaded.asset.urdf.parent
     return name, loaded, () if own.is_relative_to(place) else (own,)
 

@@ -20,7 +20,7 @@ from freeart21.one_euro import headset
 from generator.teleop.driving import Driving, Track
 from generator.teleop.take_file import TakeFile, is_open, rename_new
 
-MOST_FILES = 10_000
+MAX_FILES = 10_000
 UNSAVED = "-unsaved"
 """Of the name of a take that nobody has saved yet."""
 
@@ -124,11 +124,11 @@ class Takes:
 
 def _free(path: Path) -> Path:
     """`path`, or it with a number, whichever is the first that nothing has."""
-    for k in range(1, MOST_FILES):
+    for k in range(1, MAX_FILES):
         numbered = path if k == 1 else path.with_name(f"{path.stem}-{k}{path.suffix}")
         if not os.path.lexists(numbered):
             return numbered
-    raise FreeArtError(f"{path} and {MOST_FILES} numbered names beside it exist")
+    raise FreeArtError(f"{path} and {MAX_FILES} numbered names beside it exist")
 
 
 def write_new(path: Path, data: bytes) -> None:

@@ -8,7 +8,7 @@ from freeart21 import se3
 from freeart21.se3 import Array
 from generator.motion import human_hand, timing, turns
 from generator.motion.human_hand import BACK, ON, Sweep
-from generator.motion.style import Course, Style, Task, long_rest, start_view, welcome
+from generator.motion.style import Course, Style, Task, choose_long_rest, choose_start_view, score_directions
 
 _TREMOR = 2.1
 """Times `timing.tremor`: an object held still then turns by .040 degrees a frame in the median, as measured, and shifts
@@ -25,32 +25,32 @@ _RAMP = 0.2  # s in which a hand lets go, or takes hold
 def propose(task: Task, rng: np.random.Generator) -> Course:
     """In a person's hands: sweeps, holds, corrections, put down at times, the joint worked in strokes of its own."""
     # candidates differ in directions alone: the choice among them favours no larger sweeps, and no fewer rests
-    hand = human_hand.hand(task.frames, task.fps, np.random.default_rng([*task.seed, 11]))
-    course = human_hand.joint_strokes(task.frames, task.fps, rng, long_rest(task, rng))
+    motion = human_hand.draw_hand(task.frames, task.fps, np.random.default_rng([*task.seed, 11]))
+    course = human_hand.draw_joint_course(task.frames, task.fps, rng, choose_long_rest(task, rng))
     states = task.body.state(course.shares) if task.states is None else task.states
-    Rs = turns.upright_at(start_view(task, states, rng))[None]
+    Rs = turns.upright_looking_from(choose_start_view(task, states, rng))[None]
     place, before = np.zeros(3), np.zeros(3)
-    sway, rate = np.zeros((task.frames, 3)), np.zeros(task.frames)
-    for sweep in hand.sweeps:
+    offsets, rate = np.zeros((task.frames, 3)), np.zeros(task.frames)
+    for sweep in motion.sweeps:
         arrives = int(np.clip(sweep.start + sweep.length, 0, task.frames - 1))
-        wanted, _ = welcome(task, states, course, arrives)
-        axis = _axis(Rs[-1], sweep, before, task.atlas.directions, wanted, rng)
-        to = _carried(place, _AWAY * sweep.way, rng)
+        wanted, _ = score_directions(task, states, course, arrives)
+        axis = _choose_axis(Rs[-1], sweep, before, task.atlas.directions, wanted, rng)
+        to = _choose_place(place, _AWAY * sweep.way, rng)
         done = sweep.course(task.frames)
         Rs = se3.exp_so3(np.radians(sweep.degrees) * done[:, None] * axis) @ Rs
-        sway += done[:, None] * (to - place)
+        offsets += done[:, None] * (to - place)
         rate += sweep.degrees * np.gradient(done)
         place, before = to, axis
     Rs = np.broadcast_to(Rs, (task.frames, 3, 3))
-    held = _TREMOR * _in_hand(hand.laid, task.frames, task.fps)[:, None]
-    sway += 0.5 * held * timing.tremor(task.frames, task.fps, rng) * [1, 1, 0]
+    held = _TREMOR * _held_in_hand(motion.resting_on_table, task.frames, task.fps)[:, None]
+    offsets += 0.5 * held * timing.tremor(task.frames, task.fps, rng) * [1, 1, 0]
     Rs = se3.exp_so3(held * timing.tremor(task.frames, task.fps, rng)) @ Rs
     pace = float(np.median(turns.steps_degrees(Rs)))
     clock = timing.clock(rate / max(float(rate.mean()), 1e-9))
-    return Course(Rs, sway, clock, states, pace * task.fps / 30, human_hand.FASTEST)
+    return Course(Rs, offsets, clock, states, pace * task.fps / 30, human_hand.FASTEST)
 
 
-def _axis(
+def _choose_axis(
     R: Array,
     sweep: Sweep,
     before: Array,
@@ -67,11 +67,11 @@ def _axis(
     axes = axes[kind] if kind.any() and before.any() else axes
     ends = -(se3.exp_so3(np.radians(sweep.degrees) * axes) @ R)[:, 2]
     near = (ends @ directions.T).argmax(1)
-    score = 3.0 * wanted[near] + rng.uniform(0, 0.5, len(axes))  # the weights of `turns.tour`
+    score = 3.0 * wanted[near] + rng.uniform(0, 0.5, len(axes))  # the weights of `turns.choose_views`
     return np.asarray(axes[int(score.argmax())])
 
 
-def _carried(place: Array, way: float, rng: np.random.Generator) -> Array:
+def _choose_place(place: Array, way: float, rng: np.random.Generator) -> Array:
     """(3,) where a sweep of this way ends: of a few directions the one that stays nearest to the middle."""
     steps = rng.normal(size=(3, 3))
     ends = place + way * steps / np.linalg.norm(steps, axis=1, keepdims=True)
@@ -79,10 +79,10 @@ def _carried(place: Array, way: float, rng: np.random.Generator) -> Array:
     return np.asarray(np.clip(best, -_ROOM, _ROOM))
 
 
-def _in_hand(laid: tuple[tuple[float, float], ...], frames: int, fps: float) -> Array:
+def _held_in_hand(resting_on_table: tuple[tuple[float, float], ...], frames: int, fps: float) -> Array:
     """(frames,) 1 in the hand, 0 while the object is put down."""
     t, held = np.arange(frames, dtype=float), np.ones(frames)
-    for a, b in laid:
+    for a, b in resting_on_table:
         ramp = _RAMP * fps
         held *= 1 - timing.ease((t - a) / ramp) * timing.ease((b - t) / ramp)
     return held

@@ -7,20 +7,20 @@ import numpy as np
 from freeart21 import se3
 from freeart21.se3 import Array
 from generator.motion import timing, turns
-from generator.motion.style import Course, Style, Task, in_hand, joint_states, pace_per_frame, plan_views
+from generator.motion.style import Course, Style, Task, draw_pace, in_hand, plan_joint, plan_views
 
 
 def propose(task: Task, rng: np.random.Generator) -> Course:
     """Shown side after side: eased turns between views, with short holds, in some of which the joint is worked."""
-    states, course = joint_states(task, rng)
-    pace = pace_per_frame(task, rng, 2.2, 2.6)
+    states, course = plan_joint(task, rng)
+    pace = draw_pace(task, rng, 2.2, 2.6)
     t = np.arange(task.frames, dtype=float)
     views = plan_views(task, states, course, 1.15 * pace * t, rng, (0.8, 1.5), even=False)
-    Rs = turns.rolled(views, 0.2, rng)
+    Rs = turns.rotations_through(views, 0.2, rng)
     steps = se3.log_so3(np.swapaxes(Rs[:-1], 1, 2) @ Rs[1:])
     lengths, luck = np.linalg.norm(steps, axis=1), rng.uniform(0, 1, (2, len(Rs)))
 
-    def shown(speed: float) -> tuple[Array, Array]:
+    def turn_at_speed(speed: float) -> tuple[Array, Array]:
         """Rotations at a mean speed of turning, radians a frame, and how many views have been shown."""
         start, u, long = 2.0, np.zeros(task.frames), 0
         for k, length in enumerate(lengths):
@@ -36,9 +36,9 @@ def propose(task: Task, rng: np.random.Generator) -> Course:
 
     speed = pace * 1.1
     for _ in range(6):
-        median = np.radians(float(np.median(turns.steps_degrees(shown(speed)[0]))))
+        median = np.radians(float(np.median(turns.steps_degrees(turn_at_speed(speed)[0]))))
         speed = float(np.clip(speed * (pace / max(median, 1e-9)) ** 0.7, 0.9 * pace, 1.6 * pace))
-    turned, u = shown(speed)
+    turned, u = turn_at_speed(speed)
     return in_hand(task, turned, 25.0 * u, states, pace, rng, (0.03, 0.015, 0.05))
 
 

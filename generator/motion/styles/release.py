@@ -10,7 +10,7 @@ from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 from generator.motion import turns
 from generator.motion.body import Body
-from generator.motion.framing import placed
+from generator.motion.framing import place_object
 from generator.motion.plan import Plan, Preset
 from generator.motion.style import Style
 from generator.motion.visibility import Atlas
@@ -23,7 +23,7 @@ _VIEWS = 60
 _UP: Array = np.array([0.0, 0.0, 1.0])
 
 
-def tipped(body: Body) -> tuple[Array, float]:
+def tip_base(body: Body) -> tuple[Array, float]:
     """Rotation (3, 3) world from object, z up, at which gravity works the joint, and the state to let go at.
 
     A hinge lies level, and the moving side hangs straight down just past the middle of its range: let go from the
@@ -43,19 +43,19 @@ def tipped(body: Body) -> tuple[Array, float]:
     return _with_up(-down), min(body.upper, rest + _WIDEST)
 
 
-def released_plan(body: Body, states: Array, camera: Camera, preset: Preset, seed: int) -> Plan:
-    """The base at rest as `tipped` says, seen upright from where both sides show best over `states` (n,)."""
-    R_world_object, _ = tipped(body)
+def plan_release(body: Body, states: Array, camera: Camera, preset: Preset, seed: int) -> Plan:
+    """The base at rest as `tip_base` says, seen upright from where both sides show best over `states` (n,)."""
+    R_world_object, _ = tip_base(body)
     rng = np.random.default_rng([seed, 2])
     yaws, pitches = rng.uniform(-np.pi, np.pi, _VIEWS), rng.uniform(0.05, 0.7, _VIEWS)
-    looks = turns.level(yaws, pitches) @ R_world_object
+    looks = turns.upright_rotation(yaws, pitches) @ R_world_object
     atlas = Atlas(body, body.radius * 2.2 * camera.K[1, 1] / camera.height, 96, 4)
     some = states[np.unique(np.linspace(0, len(states) - 1, 12).astype(int))]
     shares = [float(np.minimum(atlas.shares(np.tile(-R[2], (len(some), 1)), some), 0.25).mean()) for R in looks]
     R = looks[int(np.argmax(np.round(shares, 2)))]
     n = len(states)
     Rs, rest = np.broadcast_to(R, (n, 3, 3)), np.zeros(n)
-    Ts = placed(Rs, np.zeros((n, 3)), rest, states, body, camera, preset, still=True)
+    Ts = place_object(Rs, np.zeros((n, 3)), rest, states, body, camera, preset, still=True)
     T_object_world = se3.inverse(se3.pose(R_world_object, -R_world_object @ body.centre))
     return Plan(Ts, states, Ts @ T_object_world)
 
@@ -83,4 +83,4 @@ def _unit(v: Array) -> Array:
     return v / np.linalg.norm(v)
 
 
-STYLE = Style("release", 5, plan=released_plan)
+STYLE = Style("release", 5, plan=plan_release)

@@ -6,7 +6,7 @@ import numpy as np
 
 from freeart21.se3 import Array
 from generator.motion import timing, turns
-from generator.motion.style import Course, Style, Task, in_hand, joint_states, match_pace, pace_per_frame, slow_down
+from generator.motion.style import Course, Style, Task, draw_pace, in_hand, match_pace, plan_joint, speed_while_hiding
 
 
 def propose(task: Task, rng: np.random.Generator) -> Course:
@@ -15,18 +15,18 @@ def propose(task: Task, rng: np.random.Generator) -> Course:
     Slower than the other styles: half as many degrees a frame take a person round an object at a metre's distance at
     walking pace.
     """
-    states, course = joint_states(task, rng)
-    pace = pace_per_frame(task, rng, 1.1, 1.5)
-    tau = timing.clock(timing.pose_rate(task.frames, course, rng, slow_down(task)))
+    states, course = plan_joint(task, rng)
+    pace = draw_pace(task, rng, 1.1, 1.5)
+    tau = timing.clock(timing.pose_rate(task.frames, course, rng, speed_while_hiding(task)))
     front, arc, pitch, tilt = rng.uniform(-0.5, 0.5), rng.uniform(1.4, 2.4), rng.uniform(0.4, 0.6), 0.35
     turn, phases = rng.uniform(1.3, 2.2), rng.uniform(0, 2 * np.pi, 2)
 
-    def seen(scale: float) -> Array:
+    def look_at_scale(scale: float) -> Array:
         s = scale * tau / 100
         yaw = front + arc * np.sin(s + phases[0])
-        return turns.level(yaw, pitch + tilt * np.sin(turn * s + phases[1]))
+        return turns.upright_rotation(yaw, pitch + tilt * np.sin(turn * s + phases[1]))
 
-    return in_hand(task, match_pace(seen, 1.0, pace), tau, states, pace, rng, (0.02, 0.02, 0.12))
+    return in_hand(task, match_pace(look_at_scale, 1.0, pace), tau, states, pace, rng, (0.02, 0.02, 0.12))
 
 
 STYLE = Style("static_base", 4, propose, heights=(0.05, 0.82), world="foot")

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from generator.motion import turns
-from generator.motion.style import Course, Style, Task, joint_states, pace_per_frame
+from generator.motion.style import Course, Style, Task, draw_pace, plan_joint
 
 
 def propose(task: Task, rng: np.random.Generator) -> Course:
     """Standing upright on a plate that turns steadily; the camera rests and looks a little down."""
-    states, _ = joint_states(task, rng)
-    pace = pace_per_frame(task, rng, 2.2, 2.8) * rng.choice([-1, 1])
+    states, _ = plan_joint(task, rng)
+    pace = draw_pace(task, rng, 2.2, 2.8) * rng.choice([-1, 1])
     yaw = rng.uniform(-np.pi, np.pi) + pace * np.arange(task.frames)
-    Rs = turns.level(yaw, np.full(task.frames, rng.uniform(0.2, 0.7)))
+    Rs = turns.upright_rotation(yaw, np.full(task.frames, rng.uniform(0.2, 0.7)))
     return Course(Rs, np.zeros((task.frames, 3)), np.zeros(task.frames), states, abs(np.degrees(pace)) * task.fps / 30)
 
 

@@ -11,24 +11,24 @@ from generator.motion.style import (
     Style,
     Task,
     clip_to_views,
+    draw_pace,
     in_hand,
-    joint_states,
     match_pace,
-    pace_per_frame,
+    plan_joint,
     plan_views,
-    slow_down,
+    speed_while_hiding,
 )
 
 
 def propose(task: Task, rng: np.random.Generator) -> Course:
     """Held about upright, swung and shaken, while it turns slowly round and the joint is worked."""
-    states, course = joint_states(task, rng)
-    pace = pace_per_frame(task, rng, 2.2, 2.7)
-    slow = pace_per_frame(task, rng, 0.5, 0.8) if task.hardship == "none" else pace_per_frame(task, rng, 1.2, 1.6)
-    tau = timing.clock(timing.pose_rate(task.frames, course, rng, slow_down(task)))
+    states, course = plan_joint(task, rng)
+    pace = draw_pace(task, rng, 2.2, 2.7)
+    slow = draw_pace(task, rng, 0.5, 0.8) if task.hardship == "none" else draw_pace(task, rng, 1.2, 1.6)
+    tau = timing.clock(timing.pose_rate(task.frames, course, rng, speed_while_hiding(task)))
     highest = 0.6 if task.hardship == "none" else 1.0
     views = plan_views(task, states, course, slow * tau, rng, (0.5, 0.9), highest=highest)
-    base = turns.rolled(views, 0.1, rng)
+    base = turns.rotations_through(views, 0.1, rng)
     drift = turns.spline(base, clip_to_views(base, slow / 0.6 * tau))
     swings = [timing.wander(tau / task.fps, rng, rng.uniform(0.8, 1.2)) for _ in range(6)]
     shake = np.stack(swings[:3], -1) * np.array([0.6, 1.0, 0.5])
