@@ -300,7 +300,7 @@ def _render_body(skins: Sequence[Skin]) -> Any:
     for skin in skins:
         pixels = np.dstack([skin.picture, np.full(skin.picture.shape[:2], 255, np.uint8)])
         material = sapien.render.RenderMaterial(roughness=skin.roughness, specular=0.3)
-        material.base_color_texture = sapien.render.RenderTexture2D(pixels, "R8G8B8A8Unorm", srgb_bytes=True)
+        material.base_color_texture = sapien.render.RenderTexture2D(pixels, "R8G8B8A8Unorm", srgb=True)
         shape = (skin.vertices, np.float32), (skin.faces, np.uint32), (skin.normals, np.float32), (skin.uv, np.float32)
         body.attach(sapien.render.RenderShapeTriangleMesh(*(x.astype(kind) for x, kind in shape), material))
     return body

@@ -270,7 +270,7 @@ def plan_recording(
     meshes = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
     states = None
     if s.motion == "release":
-        effects = () if s.effects is None else _read_effects(s.effects, loaded.joint)
+        effects = () if s.effects is None else read_release_effects(s.effects, loaded.joint)
         low, high = motion_range(loaded.joint)
         start = None if s.let_go is None else low + s.let_go * (high - low)
         states = roll_out_release(loaded, effects, s.frames, s.fps, s.seed, start, model)
@@ -319,7 +319,7 @@ def depth_bounds(Ts_camera_object: Array, diagonal: float) -> tuple[float, float
     return 1e-3 * reach, reach
 
 
-def _read_effects(path: Path, joint: Joint) -> tuple[Effect, ...]:
+def read_release_effects(path: Path, joint: Joint) -> tuple[Effect, ...]:
     """The effects that an effects.json gives to the joint."""
     entries = checked.read_json(path, EFFECTS_SCHEMA, checked.ANYWHERE).get("joints")
     if not isinstance(entries, dict) or not all(isinstance(v, list) for v in entries.values()):

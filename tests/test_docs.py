@@ -142,10 +142,10 @@ def test_the_example_of_settings_is_read(written: Path) -> None:
 
 def test_the_example_of_effects_for_a_recording_is_read(written: Path) -> None:
     from freeart21.joint import Joint
-    from generator.session import _effects
+    from generator.session import read_release_effects
 
     joint = Joint("joint_1", "revolute", np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0, 1.0)
-    assert _effects(written / "effects.json", joint) == (ViscousDamping(0.001),)
+    assert read_release_effects(written / "effects.json", joint) == (ViscousDamping(0.001),)
 
 
 def test_the_example_of_a_measured_set_is_read(written: Path) -> None:
