@@ -1,4 +1,4 @@
-"""Tables of scores that are kept, and made anew only when anything that they come from has changed."""
+"""Score tables cached on disk, recomputed only when something that they depend on has changed."""
 
 from __future__ import annotations
 
@@ -16,36 +16,37 @@ from leaderboard.score import benchmark_facts, check_results_folder, score_resul
 from leaderboard.scores_file import read_scores, write_scores
 from leaderboard.submission import read_submitted_method
 
-_MATTERS = ("freeart21", "scoring", "python", "libraries")
-"""Of what numbers were made with: all that they may depend on. The commit says it again; machines agree."""
+_RELEVANT = ("freeart21", "scoring", "python", "libraries")
+"""Entries of the environment that the numbers depend on; commit and machine do not change them."""
 
 
 def cached_scores(
     results: Path,
     data: Path,
     protocol: str,
-    keep: Path | None,
+    cache: Path | None,
     progress: Callable[[Row, int], None] | None = None,
     workers: int = 2,
     truth: Path | None = None,
 ) -> Scores:
-    """The scores of the results folder of one method, from `keep`/METHOD.PROTOCOL.json when they are of these bytes.
+    """The scores of a method's results folder, from the table in the folder `cache` when that is current.
 
-    A kept table counts when the results, benchmark.json, the truths, the scoring code and its libraries are what they
-    were, by their hashes; else the results are scored (`progress` and `workers` as in `score_results`) and the table is
-    written there. `keep` None keeps nothing; `truth` is where a packed data folder's truth lies. Raises FreeArtError as
-    `score_results` does, when something that is no table of scores stands in its place, or when the results changed
-    while they were scored.
+    A table is current when results, benchmark.json, truths, scoring code and libraries have the hashes and versions in
+    it. Otherwise the results are scored (arguments as in `score_results`) and the table is written. `cache` None
+    neither reads nor writes a table. `truth` is where the truth of a packed data folder lies.
+
+    Raises FreeArtError as `score_results`, when another file lies in the table's place, and when the results change
+    while they are scored.
     """
     results, rules, benchmark = Path(results), protocol_named(protocol), read_benchmark(data, truth)
     check_results_folder(results, benchmark.sequences)
-    path = None if keep is None else cache_path(results, rules.name, Path(keep))
+    path = None if cache is None else cache_path(results, rules.name, Path(cache))
     if path is not None:
         check_place(path, SCORES, (Path(data), results))
-        found = _read(path)
+        found = _read_table(path)
         if found is not None and is_current(found, results, benchmark):
             return found
-    before = _fingerprints(results, benchmark)
+    before = _hash_folders(results, benchmark)
     scores = score_results(results, data, rules.name, progress, workers=workers, truth=truth)
     if before != {row.sequence: (row.result_sha256, row.truth_sha256) for row in scores.rows}:
         raise FreeArtError(f"{results} changed while it was scored: score it again")
@@ -54,33 +55,33 @@ def cached_scores(
     return scores
 
 
-def cache_path(results: Path, protocol: str, keep: Path) -> Path:
-    """Where the table of a results folder is kept: named after the folder, in letters that every disk takes."""
+def cache_path(results: Path, protocol: str, cache: Path) -> Path:
+    """The file of a cached table: FOLDER.PROTOCOL.json, FOLDER reduced to characters that every disk takes."""
     name = re.sub(r"[^A-Za-z0-9._-]+", "-", results.resolve().name).strip(".-") or "results"
-    return keep / f"{name}.{protocol}.json"
+    return cache / f"{name}.{protocol}.json"
 
 
 def is_current(scores: Scores, results: Path, benchmark: Benchmark) -> bool:
-    """Whether scoring `results` now would give `scores`: the same bytes, by the same code and libraries."""
-    now = describe_environment()
-    if any(scores.made_with.get(key) != now[key] for key in _MATTERS):
+    """Whether scoring `results` now would give `scores`: the same bytes, scored by the same code and libraries."""
+    environment = describe_environment()
+    if any(scores.made_with.get(key) != environment[key] for key in _RELEVANT):
         return False
     if scores.benchmark != benchmark_facts(benchmark) or scores.method != read_submitted_method(results)[0]:
         return False
     if tuple(row.sequence for row in scores.rows) != benchmark.sequences:
         return False
-    hashed = all(row.truth_sha256 and (row.result_sha256 or row.status == "missing") for row in scores.rows)
-    said = {row.sequence: (row.result_sha256, row.truth_sha256) for row in scores.rows}
-    return hashed and said == _fingerprints(results, benchmark)
+    all_hashed = all(row.truth_sha256 and (row.result_sha256 or row.status == "missing") for row in scores.rows)
+    stored = {row.sequence: (row.result_sha256, row.truth_sha256) for row in scores.rows}
+    return all_hashed and stored == _hash_folders(results, benchmark)
 
 
-def _fingerprints(results: Path, benchmark: Benchmark) -> dict[str, tuple[str | None, str | None]]:
+def _hash_folders(results: Path, benchmark: Benchmark) -> dict[str, tuple[str | None, str | None]]:
     """Sequence to the hashes of its result and its truth."""
     return {name: (sha256_or_none(results / name), truth_sha256(benchmark, name)) for name in benchmark.sequences}
 
 
-def _read(path: Path) -> Scores | None:
-    """The table at `path`; None when there is none that this version reads."""
+def _read_table(path: Path) -> Scores | None:
+    """The table at `path`; None when it cannot be read."""
     try:
         return read_scores(path)
     except FreeArtError:

@@ -156,7 +156,7 @@ def validate(results: Annotated[Path, Positional], data: Path) -> int:
     with open_results(results) as folder:
         report = validate_results(folder, data)
     for fault in report.faults:
-        print(f"{fault}{f'; to mend: {fault.mend}' if fault.mend else ''}")
+        print(f"{fault}{f'; fix: {fault.fix}' if fault.fix else ''}")
     for note in report.notes:
         print(f"note: {note}")
     if report.faults:

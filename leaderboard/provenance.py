@@ -1,10 +1,12 @@
-"""What numbers come from: the code, the libraries and the machine that made them, and the bytes that they are of."""
+"""Provenance of scores: hashes of results and truths, and the code, libraries and machine that made the numbers."""
 
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import json
 import os
+import pkgutil
 import platform
 import stat
 import subprocess
@@ -19,20 +21,23 @@ from freeart21.code import code_digest, modules_behind
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.benchmark import Benchmark
+from leaderboard import protocols
 from leaderboard.rows import Scores
 from leaderboard.submission import MAX_FILES
 
 MAX_BYTES = 4 << 30
-"""Of a result folder that is hashed: ours of 300 frames have 20 MB."""
+"""Largest folder that is hashed; a result of 300 frames has 20 MB."""
 LIBRARIES = ("numpy", "scipy", "scikit-image", "sapien", "numba", "opencv-python-headless", "trimesh")
-_ROOMS = ("freeart21", "generator", "reconstruct", "export", "leaderboard", "simgap")
+_PACKAGES = ("freeart21", "generator", "reconstruct", "export", "leaderboard", "simgap")
 _ROOT = Path(__file__).resolve().parents[1]
-_PIECE = 1 << 20
+_CHUNK_BYTES = 1 << 20
 
 
 def describe_environment() -> dict[str, Any]:
-    """Version of this package, fingerprint of the code that scores a row, commit (empty outside of a checkout; with
-    '-dirty' when files differ from it), versions of what computes, and the machine: the same on the same machine."""
+    """Version, fingerprint of the scoring code, commit, and versions of Python and libraries, and the machine.
+
+    The commit is empty outside a checkout and ends in '-dirty' when files differ from it.
+    """
     return {
         "freeart21": freeart21.__version__,
         "scoring": scoring_code(),
@@ -45,35 +50,48 @@ def describe_environment() -> dict[str, Any]:
 
 @lru_cache
 def scoring_code() -> str:
-    """SHA-256, hexadecimal, of what all modules do that scoring a row may use."""
-    return code_digest(modules_behind("leaderboard.sequence_score", _ROOT, _ROOMS).items())
+    """SHA-256 (hexadecimal) of the code of `scoring_modules`, comments and layout ignored."""
+    return code_digest(scoring_modules().items())
+
+
+def scoring_modules() -> dict[str, Path]:
+    """Module name to file of all modules that scoring one row can import, every protocol included."""
+    ours = (f"{protocols.__name__}.{info.name}" for info in pkgutil.iter_modules(protocols.__path__))
+    found: dict[str, Path] = {}
+    for name in ("leaderboard.sequence_score", *ours):
+        found |= modules_behind(name, _ROOT, _PACKAGES)
+    for point in metadata.entry_points(group=protocols.__name__):
+        spec = importlib.util.find_spec(point.module)
+        if spec is not None and spec.origin is not None:
+            found[point.module] = Path(spec.origin)
+    return dict(sorted(found.items()))
 
 
 def folder_sha256(folder: Path) -> str:
-    """SHA-256, hexadecimal, of the names and bytes of all files in `folder`; links are named, and not followed.
+    """SHA-256 (hexadecimal) of the names and bytes of all files in `folder`; links count by their target's name.
 
-    Raises FreeArtError when it is no folder, cannot be read, or has more than MAX_FILES files or MAX_BYTES bytes.
+    Raises FreeArtError when it is not a folder, cannot be read, or has more than MAX_FILES files or MAX_BYTES bytes.
     """
     if folder.is_symlink() or not folder.is_dir():
         raise FreeArtError(f"{folder} is not a folder")
-    entries, left = [], MAX_BYTES
+    entries, bytes_left = [], MAX_BYTES
     try:
-        for place, folders, files in os.walk(folder, onerror=_refuse):
+        for place, folders, files in os.walk(folder, onerror=_raise):
             for name in (*folders, *files):
                 path = Path(place) / name
                 found = path.lstat()
                 if stat.S_ISDIR(found.st_mode):
                     continue
                 if stat.S_ISLNK(found.st_mode):
-                    said = f"link {path.readlink()}"
+                    content = f"link {path.readlink()}"
                 elif stat.S_ISREG(found.st_mode):
-                    left -= found.st_size
-                    if left < 0:
+                    bytes_left -= found.st_size
+                    if bytes_left < 0:
                         raise FreeArtError(f"{folder} has more than {MAX_BYTES} bytes")
-                    said = _file_sha256(path, found.st_size)
+                    content = _file_sha256(path, found.st_size)
                 else:
-                    said = "neither file nor folder"
-                entries.append((path.relative_to(folder).as_posix(), said))
+                    content = "neither file nor folder"
+                entries.append((path.relative_to(folder).as_posix(), content))
                 if len(entries) > MAX_FILES:
                     raise FreeArtError(f"{folder} has more than {MAX_FILES} files")
     except OSError as error:
@@ -82,7 +100,7 @@ def folder_sha256(folder: Path) -> str:
 
 
 def sha256_or_none(folder: Path) -> str | None:
-    """As `folder_sha256`, None where that raises."""
+    """`folder_sha256`, or None when that raises."""
     try:
         return folder_sha256(folder)
     except FreeArtError:
@@ -90,28 +108,28 @@ def sha256_or_none(folder: Path) -> str | None:
 
 
 def truth_sha256(benchmark: Benchmark, sequence: str) -> str | None:
-    """The hash of a sequence's truth folder; salted where the truth is hidden, so that no guess can be confirmed."""
+    """Hash of a sequence's truth folder; salted for a hidden truth, so that nobody can confirm a guess by it."""
     found = sha256_or_none(benchmark.truth(sequence))
     return hashlib.sha256(f"{benchmark.salt} {found}".encode()).hexdigest() if found and benchmark.salt else found
 
 
 def with_provenance(scores: Scores, results: Path, benchmark: Benchmark) -> Scores:
-    """`scores` with what they were made with, and the hash of every result and truth that they are of.
+    """`scores` with the environment and the hash of every result and truth added.
 
-    What rows say names files from the results folder on: it is the same wherever that lies.
+    Paths in reasons and notes become relative to the results folder, so that the table is the same wherever it lies.
     """
-    places = tuple(f"{place}/" for place in dict.fromkeys((Path(results).resolve(), Path(results))))
+    prefixes = tuple(f"{place}/" for place in dict.fromkeys((Path(results).resolve(), Path(results))))
 
-    def placeless(text: str) -> str:
-        for place in places:
-            text = text.replace(place, "")
+    def relative(text: str) -> str:
+        for prefix in prefixes:
+            text = text.replace(prefix, "")
         return text
 
     rows = tuple(
         replace(
             row,
-            reason=placeless(row.reason),
-            notes=tuple(placeless(note) for note in row.notes),
+            reason=relative(row.reason),
+            notes=tuple(relative(note) for note in row.notes),
             result_sha256=sha256_or_none(Path(results) / row.sequence),
             truth_sha256=truth_sha256(benchmark, row.sequence),
         )
@@ -121,16 +139,16 @@ def with_provenance(scores: Scores, results: Path, benchmark: Benchmark) -> Scor
 
 
 def _file_sha256(path: Path, size: int) -> str:
-    """Of at most `size` bytes: a file that somebody goes on writing has an end."""
+    """Hash of the first `size` bytes: a file that is still being written is read no further."""
     digest = hashlib.sha256()
     with checked.open_file(path, MAX_BYTES) as file:
-        while size > 0 and (piece := file.read(min(size, _PIECE))):
+        while size > 0 and (piece := file.read(min(size, _CHUNK_BYTES))):
             digest.update(piece)
             size -= len(piece)
     return digest.hexdigest()
 
 
-def _refuse(error: OSError) -> None:
+def _raise(error: OSError) -> None:
     raise error
 
 
@@ -143,7 +161,7 @@ def _version(name: str) -> str:
 
 @lru_cache
 def _processor() -> str:
-    """The name of the processor where Linux tells it, else what Python knows."""
+    """Name of the processor from /proc/cpuinfo, else from `platform`."""
     try:
         lines = Path("/proc/cpuinfo").read_text("utf-8", "replace").splitlines()
     except OSError:
@@ -154,12 +172,12 @@ def _processor() -> str:
 
 @lru_cache
 def _commit() -> str:
-    """Of the checkout that this package lies in; empty when it lies in none of its own, or there is no git."""
+    """Commit of the checkout that holds this package; empty outside a checkout or without git."""
     if not (_ROOT / ".git").exists():
         return ""
-    asked = ["git", "-C", str(_ROOT), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    command = ["git", "-C", str(_ROOT), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
     try:
-        done = subprocess.run(asked, capture_output=True, text=True, timeout=20, check=True)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=True)
     except (OSError, subprocess.SubprocessError):
         return ""
     return done.stdout.strip()

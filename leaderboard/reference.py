@@ -1,6 +1,6 @@
-"""Reference rows, made from the truth: what a scorer must give to the truth itself, to nothing, and to a dice.
+"""Reference answers made from the truth, which check the scoring of a data folder.
 
-They say whether the scoring of a data folder can be believed: the truth must score perfect, the other two badly.
+The truth itself must score perfectly, a static object and random numbers badly.
 """
 
 from __future__ import annotations
@@ -32,31 +32,31 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
 def write_reference(kind: Kind, data: Path, out: Path, seed: int = 0, sequences: Sequence[str] | None = None) -> None:
-    """Write the results folder `out`, without assets, of a reference row over the data folder `data`.
+    """Write the results folder `out` of reference answers to `data`, without assets.
 
-    'truth' answers with the truth, held-out views included. 'static' knows the object as it is in frame 0, holds it for
-    one rigid thing that stands still, and gives a joint that never moves. 'random' draws poses, joint, states, masks
-    and shapes from `seed`. The same arguments give the same bytes. `sequences` chooses some of the data folder's.
+    'truth' is the truth, held-out views included. 'static' is the object of frame 0 as one rigid body at rest, with a
+    joint that does not move. 'random' draws poses, joint, states, masks and boxes from `seed`. Equal arguments give
+    equal bytes. `sequences` limits it to some of the data folder's sequences.
 
-    Raises FreeArtError when `kind` is unknown, `out` exists, or the data folder or one of `sequences` is none.
+    Raises FreeArtError when `kind` or a sequence is unknown, `out` exists, or the data folder is broken.
     """
     if kind not in KINDS:
         raise FreeArtError(f"unknown reference row '{kind}'; reference rows: {', '.join(KINDS)}")
     benchmark = read_benchmark(data)
     settings = {"kind": kind, **({"seed": seed} if kind == "random" else {})}
-    with atomic.new_folder(Path(out)) as aside:
+    with atomic.new_folder(Path(out)) as staging:
         code = f"freeart21 {freeart21.__version__}, reference row made from the truth"
-        write_method(aside, Method(Path(out).resolve().name, code, settings))
+        write_method(staging, Method(Path(out).resolve().name, code, settings))
         for name in benchmark.chosen(sequences):
             truth = read_truth(benchmark.truth(name))
             rng = np.random.default_rng([seed, *name.encode()])
             answer = {"truth": truth_answer, "static": static_answer, "random": random_answer}[kind](truth, rng)
             views = range(len(read_sequence(benchmark.sequence(name)).queries)) if kind == "truth" else ()
-            write_result(aside / name, answer, settings, [truth.query_rgb(i) for i in views] or None)
+            write_result(staging / name, answer, settings, [truth.query_rgb(i) for i in views] or None)
 
 
 def truth_answer(truth: Truth, rng: np.random.Generator | None = None) -> Reconstruction:
-    """`truth` as an answer."""
+    """The truth as an answer."""
     return Reconstruction(
         truth.articulation,
         truth.states,
@@ -68,7 +68,7 @@ def truth_answer(truth: Truth, rng: np.random.Generator | None = None) -> Recons
 
 
 def static_answer(truth: Truth, rng: np.random.Generator | None = None) -> Reconstruction:
-    """Nothing moves: the object of frame 0, for ever there, all of it one part; a hinge that is never used."""
+    """The object of frame 0 at rest, labelled as one part, with a revolute joint at state zero."""
     answer, n = truth_answer(truth), len(truth)
     still = np.repeat(truth.Ts_camera_reference[:1], n, 0)
     parts = truth.articulation
@@ -86,12 +86,12 @@ def static_answer(truth: Truth, rng: np.random.Generator | None = None) -> Recon
 
 
 def random_answer(truth: Truth, rng: np.random.Generator) -> Reconstruction:
-    """Numbers from a dice, of the object's size and place: a joint of either type, poses, states, masks, two boxes."""
+    """Random joint, poses, states, masks and two boxes, of the true object's size and place."""
     answer, n, size = truth_answer(truth), len(truth), truth.diagonal
     axis = _directions(rng, 1)[0]
-    reach = float(np.pi if rng.random() < 0.5 else size)
-    kind: Literal["revolute", "prismatic"] = "revolute" if reach == np.pi else "prismatic"
-    joint = Joint("any", kind, axis, rng.normal(size=3) * size if kind == "revolute" else np.zeros(3), -reach, reach)
+    limit = float(np.pi if rng.random() < 0.5 else size)
+    kind: Literal["revolute", "prismatic"] = "revolute" if limit == np.pi else "prismatic"
+    joint = Joint("any", kind, axis, rng.normal(size=3) * size if kind == "revolute" else np.zeros(3), -limit, limit)
     place = truth.Ts_camera_reference[0, :3, 3]
     Ts = [
         se3.pose(
@@ -104,7 +104,7 @@ def random_answer(truth: Truth, rng: np.random.Generator) -> Reconstruction:
     return replace(
         answer,
         articulation=Articulation(joint, _box(rng, size), _box(rng, size)),
-        states=rng.uniform(-reach, reach, n),
+        states=rng.uniform(-limit, limit, n),
         Ts_camera_reference=Ts[0],
         Ts_camera_moving=Ts[1],
         part_masks=masks,
@@ -116,13 +116,13 @@ def _masks(truth: Truth) -> NDArray[np.uint8]:
 
 
 def _directions(rng: np.random.Generator, n: int) -> NDArray[Any]:
-    """(n, 3) unit vectors, every direction as likely."""
+    """(n, 3) unit vectors, uniform over the sphere."""
     v = rng.normal(size=(n, 3))
     return np.asarray(v / np.linalg.norm(v, axis=1, keepdims=True))
 
 
 def _box(rng: np.random.Generator, size: float) -> Mesh:
-    """A box somewhere within `size` of the origin."""
+    """A random box near the origin, `size` in metres."""
     corners = (np.array(list(np.ndindex(2, 2, 2))) - 0.5) * rng.uniform(0.1, 0.6, 3) * size
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])

@@ -1,4 +1,4 @@
-"""One answer scored on one sequence, from files; whatever is wrong with the answer is priced in its row."""
+"""Score of one result on one sequence, from files; a faulty result gets the protocol's penalties."""
 
 from __future__ import annotations
 
@@ -13,15 +13,20 @@ from freeart21.files.truth import read_truth
 from freeart21.reconstruction import Failure, Piece, Reconstruction
 from freeart21.recording import Recording
 from freeart21.truth import Truth
-from leaderboard.adapters.notes import import_notes
 from leaderboard.asset_measurement import measure_asset, measure_joint
 from leaderboard.protocol import Protocol, Render, Shape
 from leaderboard.protocols import DEFAULT, protocol_named
 from leaderboard.rows import Row, Source, Status
-from leaderboard.submission import escape_unprintable, read_render, read_submission_with_notes, shorten
+from leaderboard.submission import (
+    escape_unprintable,
+    read_import_notes,
+    read_render,
+    read_submission_with_notes,
+    shorten,
+)
 
 LONGEST_RUN_S = 1e9
-"""Seconds (30 years) beyond which what a method says it took is no time."""
+"""Seconds (30 years) above which a method's reported run time is ignored."""
 
 
 def score_sequence(
@@ -31,37 +36,38 @@ def score_sequence(
     protocol: str = DEFAULT,
     lacks: tuple[Piece, ...] = (),
 ) -> Row:
-    """Score one result folder of a method that does not make what it `lacks`, for any sequence.
+    """The score of one result folder; `lacks` names the pieces that its method never produces.
 
-    Raises FreeArtError for a broken sequence or truth; a broken result is priced.
+    Raises FreeArtError for a broken sequence or truth; a broken result is penalised.
     """
-    case = SequenceScorer(protocol_named(protocol), read_sequence(sequence_folder), read_truth(truth_folder), lacks)
-    camera, folder = case.recording.camera, Path(result_folder)
+    scorer = SequenceScorer(protocol_named(protocol), read_sequence(sequence_folder), read_truth(truth_folder), lacks)
+    camera, folder = scorer.recording.camera, Path(result_folder)
     if not folder.is_dir() and not folder.is_symlink():
-        return case.penalised_row("missing", f"there is no {folder.name} among the results")
+        return scorer.penalised_row("missing", f"there is no {folder.name} among the results")
     try:
-        answer, notes = read_submission_with_notes(folder, len(case.recording), camera.height, camera.width)
+        answer, notes = read_submission_with_notes(folder, len(scorer.recording), camera.height, camera.width)
     except FreeArtError as error:
-        return case.penalised_row("unreadable", str(error))
+        return scorer.penalised_row("unreadable", str(error))
     if isinstance(answer, Failure):
-        return case.penalised_row("failed", f"{answer.stage}: {answer.reason}", answer.seconds)
+        return scorer.penalised_row("failed", f"{answer.stage}: {answer.reason}", answer.seconds)
     source: Source = "files"
     shape: Shape | None = None
-    if case.rules.asset != "none" and (folder / "asset").exists():
+    if scorer.rules.asset != "none" and (folder / "asset").exists():
         try:
-            answer, shape, found = apply_asset(answer, folder / "asset", case.rules.asset == "whole")
+            answer, shape, findings = apply_asset(answer, folder / "asset", scorer.rules.asset == "whole")
         except FreeArtError as error:
-            return case.penalised_row("failed", f"asset: {error}", answer.seconds)
-        source, notes = "asset", (*notes, *found)
-    return case.measure_row(answer, folder, source, shape, (*notes, *import_notes(folder)))
+            return scorer.penalised_row("failed", f"asset: {error}", answer.seconds)
+        source, notes = "asset", (*notes, *findings)
+    return scorer.measure_row(answer, folder, source, shape, (*notes, *read_import_notes(folder)))
 
 
 def apply_asset(
     answer: Reconstruction, folder: Path, whole: bool
 ) -> tuple[Reconstruction, Shape | None, tuple[str, ...]]:
-    """`answer` with joint and states as the asset in `folder` moves when loaded; FreeArtError when it does not.
+    """`answer` with the joint and states of the asset in `folder`, loaded and driven in the simulator.
 
-    When the `whole` asset counts, also its visual meshes as they move, and a line about each thing that is wrong.
+    With `whole` also the shape of its visual meshes and one note for each finding of its checks. Raises FreeArtError
+    when the asset does not load or move.
     """
     shape: Shape | None = None
     notes: tuple[str, ...] = ()
@@ -77,13 +83,13 @@ def apply_asset(
 
 @dataclass(frozen=True)
 class SequenceScorer:
-    """One sequence to be scored on, by the rules of one protocol."""
+    """Scores answers to one sequence by one protocol."""
 
     rules: Protocol
     recording: Recording
     truth: Truth
     lacks: tuple[Piece, ...] = ()
-    """What the method does not make at all: numbers that need it do not exist, in priced rows neither."""
+    """Pieces that the method never produces: metrics that need one have no value, not even a penalty."""
 
     def __post_init__(self) -> None:
         if len(self.truth) != len(self.recording):
@@ -94,15 +100,15 @@ class SequenceScorer:
 
     @cached_property
     def diagonal(self) -> float:
-        """The truth's, metres."""
+        """Diagonal of the true object, metres."""
         return self.truth.diagonal
 
     def penalties(self) -> dict[str, float | None]:
-        """Metric id to price, in the metric's unit for this sequence; None for numbers that do not exist for it."""
-        shown = any(self.truth.query_mask(i).any() for i in range(len(self.recording.queries)))
-        nowhere = {*self.lacks, *(() if shown else ("renders",))}
-        prices = self.rules.penalties(self.truth)
-        return {m.id: None if nowhere & {*m.needs} else prices[m.id] for m in self.rules.metrics}
+        """Metric id to penalty, in the metric's unit for this sequence; None for metrics without a value here."""
+        query_shows_object = any(self.truth.query_mask(i).any() for i in range(len(self.recording.queries)))
+        absent = {*self.lacks, *(() if query_shows_object else ("renders",))}
+        penalties = self.rules.penalties(self.truth)
+        return {m.id: None if absent & {*m.needs} else penalties[m.id] for m in self.rules.metrics}
 
     def measure_row(
         self,
@@ -112,14 +118,14 @@ class SequenceScorer:
         asset: Shape | None = None,
         notes: tuple[str, ...] = (),
     ) -> Row:
-        """The row of an answer that can be measured, its pictures read from `folder`; what it lacks is priced.
+        """The row of a readable answer whose renders lie in `folder`; metrics that it has no value for are penalised.
 
-        `asset` is the shape of its asset, for protocols by which that counts.
+        `asset` is the shape of its asset, for protocols that measure it.
         """
-        renders, faults = self._renders(folder, "renders")
+        renders, faults = self._read_renders(folder, "renders")
         others, other_faults = None, faults
         if self.rules.asset == "whole" and (folder / "renders_other").is_dir():
-            others, other_faults = self._renders(folder, "renders_other")
+            others, other_faults = self._read_renders(folder, "renders_other")
         found = self.rules.measure(self.truth, answer, renders, asset=asset, renders_other=others, lacks=self.lacks)
         if found.other_views:
             faults = other_faults
@@ -130,25 +136,27 @@ class SequenceScorer:
         if given_type != expected and "joint" not in self.lacks:
             notes = (f"the joint is {given_type}, expected {expected}", *notes)
         values: dict[str, float | None] = {}
-        for id, price in self.penalties().items():
-            value = found.values.get(id, price)
-            values[id] = None if price is None or value is None else self.rules.capped_value(id, value, price)
+        for id, penalty in self.penalties().items():
+            value = found.values.get(id, penalty)
+            values[id] = None if penalty is None or value is None else self.rules.capped_value(id, value, penalty)
         return self._row(values, "ok", "", source, found.swapped, (*notes, *faults), answer.seconds)
 
     def penalised_row(self, status: Status, reason: str, seconds: dict[str, float] | None = None) -> Row:
-        """The row of an answer that cannot be measured: every number at its price."""
+        """The row of an answer that cannot be measured: the penalty for every metric."""
         return self._row(self.penalties(), status, shorten(reason), "nothing", False, (), seconds or {})
 
-    def _renders(self, folder: Path, pictures: str) -> tuple[list[Render], tuple[str, ...]]:
-        """The picture of every query in the subfolder `pictures`, None where there is none, and what is wrong with
-        them; none is looked for where the method makes none, or the protocol has no use for them."""
+    def _read_renders(self, folder: Path, subfolder: str) -> tuple[list[Render], tuple[str, ...]]:
+        """The render of every query, None where there is none, and notes about faulty and missing ones.
+
+        Nothing is read when the method makes no renders or the protocol needs none.
+        """
         if "renders" in self.lacks or not any("renders" in metric.needs for metric in self.rules.metrics):
             return [None] * len(self.recording.queries), ()
         camera = self.recording.camera
         renders: list[Render] = []
         notes = []
         for i in range(len(self.recording.queries)):
-            render, faults = read_render(folder, pictures, i, camera.height, camera.width)
+            render, faults = read_render(folder, subfolder, i, camera.height, camera.width)
             renders.append(render)
             notes += [str(fault) for fault in faults]
         absent = sum(render is None for render in renders) - len(notes)
@@ -166,17 +174,17 @@ class SequenceScorer:
         notes: tuple[str, ...],
         seconds: dict[str, float],
     ) -> Row:
-        kind, diagonal = self.truth.articulation.joint.type, self.diagonal
+        joint_type, diagonal = self.truth.articulation.joint.type, self.diagonal
         centimetres = {
             id: value * diagonal
             for id, value in values.items()  # % of a diagonal in m is cm
-            if value is not None and self.rules.metric(id).unit(kind) == "%"
+            if value is not None and self.rules.metric(id).unit(joint_type) == "%"
         }
         total = float(sum(seconds.values()))
-        timed = bool(seconds) and 0 <= total <= LONGEST_RUN_S  # neither is NaN
+        is_plausible = bool(seconds) and 0 <= total <= LONGEST_RUN_S  # False for NaN, too
         return Row(
             self.recording.name,
-            kind,
+            joint_type,
             status,
             reason,
             source,
@@ -185,5 +193,5 @@ class SequenceScorer:
             values,
             centimetres,
             tuple(escape_unprintable(note) for note in notes),
-            total if timed else None,
+            total if is_plausible else None,
         )

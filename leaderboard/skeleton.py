@@ -1,4 +1,4 @@
-"""A skeleton of results to fill in: every file of a submission, in its format, for every sequence of a data folder."""
+"""A template of a submission: every file in its format, for every sequence of a data folder."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from freeart21.reconstruction import Failure, Reconstruction
 from freeart21.recording import Recording
 
 PLACEHOLDER_M = 0.1
-"""Side, metres, of the cubes that stand for parts."""
+"""Side, metres, of the placeholder cubes."""
 NOT_SOLVED = Failure("none", "not solved yet")
 _README = """\
 Results of one method on the sequences of {name}. What `freeart21 score {folder} --data DATA` reads:
 
-method.json                who made them: name, code, settings, hardware
-SEQ/prediction.json        the answer, or a failure. As written here: the failure "not solved yet", which is priced.
+method.json                the method: name, code, settings, hardware
+SEQ/prediction.json        the answer, or a failure. As written here: the failure "not solved yet", which is penalised.
 SEQ/prediction.example.json  what an answer looks like. Put yours in, and rename it to prediction.json:
                              joint      type (revolute or prismatic), axis (unit vector) and pivot (metres) in the
                                         canonical frame, limits in rad or m; null is none
@@ -43,37 +43,37 @@ SEQ/asset/                 optional: the simulation-ready asset (one URDF with m
 
 The canonical frame, state zero and which part is the reference part are yours to choose. Poses here are the
 identity, masks call the whole object the reference part, parts are cubes: placeholders of the right shapes.
-`freeart21 validate {folder} --data DATA` says all that is wrong, and how to mend it.
+`freeart21 validate {folder} --data DATA` lists every fault and how to fix it.
 """
 
 
 def write_skeleton(data: Path, out: Path) -> tuple[str, ...]:
-    """Write a results folder for every sequence of `data`; returns their names.
+    """Write the results folder `out` for all sequences of `data`; returns their names.
 
-    Each declares the failure NOT_SOLVED and holds an example of every file that an answer has. Raises FreeArtError when
-    `out` exists: what is there may be somebody's work.
+    Each result declares the failure NOT_SOLVED and holds an example of every file of an answer. Raises FreeArtError
+    when `out` exists.
     """
     benchmark = read_benchmark(data)
     if out.is_symlink():
         raise FreeArtError(f"{out} exists; choose another place or remove it first")
-    with atomic.new_folder(out) as aside:
-        write_method(aside, Method(out.resolve().name, "address and version of your code", {}, "what it ran on"))
+    with atomic.new_folder(out) as staging:
+        write_method(staging, Method(out.resolve().name, "address and version of your code", {}, "what it ran on"))
         for name in benchmark.sequences:
             recording = read_sequence(benchmark.sequence(name))
-            folder = aside / name
-            write_result(folder, placeholder(recording))
+            folder = staging / name
+            write_result(folder, make_placeholder(recording))
             (folder / "prediction.json").replace(folder / "prediction.example.json")
-            declared = aside / "declared"
+            declared = staging / "declared"
             write_result(declared, NOT_SOLVED)
             (declared / "prediction.json").replace(folder / "prediction.json")
             declared.rmdir()
         readme = _README.format(name=benchmark.name, folder=out.name)
-        atomic.write_bytes(aside / "README.txt", readme.encode())
+        atomic.write_bytes(staging / "README.txt", readme.encode())
     return benchmark.sequences
 
 
-def placeholder(recording: Recording) -> Reconstruction:
-    """An answer to `recording` that says nothing, in the right shapes: a still cube that is all of the object."""
+def make_placeholder(recording: Recording) -> Reconstruction:
+    """An answer to `recording` in the right shapes without content: a cube at rest that is the whole object."""
     n = len(recording)
     masks = np.stack([recording.frame(i).mask.astype(np.uint8) for i in range(n)])
     still = np.repeat(np.eye(4)[None], n, 0)

@@ -1,4 +1,4 @@
-"""Checking results as scoring reads them, without measuring: every fault rather than the first."""
+"""Checks a submission as scoring reads it, without measuring: all faults rather than the first."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ from leaderboard.video_fit import describe_misfit
 
 @dataclass(frozen=True)
 class Report:
-    """What a look through a results folder gave."""
+    """The outcome of validating a results folder."""
 
     sequences: int
     answers: int
-    """Results that would be measured."""
+    """Results that scoring would measure."""
     failures: int
     """Results that declare a failure."""
     faults: tuple[Fault, ...]
     notes: tuple[str, ...]
-    """What is no fault, but the reader may not have meant it."""
+    """Remarks that are not faults but may be unintended."""
 
 
 def validate_results(results: Path, data: Path) -> Report:
-    """Every fault of the results folder of one method against the data folder `data`, whose truth is not read.
+    """Every fault of a method's results folder for the data folder `data`, whose truth is not read.
 
-    Raises FreeArtError when `results` is not a folder of results, or the data folder is broken.
+    Raises FreeArtError when `results` is not a results folder or the data folder is broken.
     """
     results, benchmark = Path(results), read_benchmark(data)
     check_results_folder(results, benchmark.sequences)
@@ -55,68 +55,61 @@ def validate_results(results: Path, data: Path) -> Report:
     answers = failures = 0
     for name in benchmark.sequences:
         recording = read_sequence(benchmark.sequence(name))
-        answer, found, said = _sequence(results / name, recording, method.lacks)
-        faults += found
-        notes += said
+        answer, new_faults, new_notes = _validate_sequence(results / name, recording, method.lacks)
+        faults += new_faults
+        notes += new_notes
         answers += isinstance(answer, Reconstruction)
         failures += isinstance(answer, Failure)
     for path in sorted(results.iterdir()):
-        if (
-            path.name not in (*benchmark.sequences, "method.json")
-            and (path.is_dir() or path.is_symlink())
-            and path.name[0] != "."
-        ):
-            notes.append(f"{path.name} is no sequence of {benchmark.name}, and will not be looked at")
-    return Report(
-        len(benchmark.sequences), answers, failures, tuple(faults), tuple(escape_unprintable(note) for note in notes)
-    )
+        is_folder = (path.is_dir() or path.is_symlink()) and path.name[0] != "."
+        if is_folder and path.name not in (*benchmark.sequences, "method.json"):
+            notes.append(f"{path.name} is not a sequence of {benchmark.name} and is ignored")
+    words = tuple(escape_unprintable(note) for note in notes)
+    return Report(len(benchmark.sequences), answers, failures, tuple(faults), words)
 
 
-def _sequence(
+def _validate_sequence(
     folder: Path, recording: Recording, lacks: tuple[Piece, ...]
 ) -> tuple[Reconstruction | Failure | None, list[Fault], list[str]]:
+    """The answer in `folder` (None when it cannot be scored), its faults and notes."""
     height, width = recording.camera.height, recording.camera.width
     if not folder.is_dir() and not folder.is_symlink():
-        mend = 'if it has no answer, write prediction.json with "status": "failed", "stage" and "reason"'
-        return None, [Fault(folder.name, "is missing", "a folder with prediction.json", mend=mend)], []
+        fix = 'if it has no answer, write prediction.json with "status": "failed", "stage" and "reason"'
+        return None, [Fault(folder.name, "is missing", "a folder with prediction.json", fix=fix)], []
     faults: list[Fault] = []
-    looking = find_faults(folder, len(recording), height, width)
+    search = find_faults(folder, len(recording), height, width)
     while True:
         try:
-            faults.append(next(looking))
+            faults.append(next(search))
         except StopIteration as end:
             answer: Reconstruction | Failure | None = end.value
             break
     if any(find_link_faults(folder)):
-        return answer, faults, []  # what else is named in it may lie anywhere
+        return answer, faults, []  # its files may lie anywhere: read no more of them
     notes = []
-    for pictures in ("renders", "renders_other"):
-        found = [read_render(folder, pictures, i, height, width) for i in range(len(recording.queries))]
-        wrong = [fault for _, some in found for fault in some]
-        absent = sum(picture is None for picture, _ in found) - len(wrong)
+    for subfolder in ("renders", "renders_other"):
+        renders = [read_render(folder, subfolder, i, height, width) for i in range(len(recording.queries))]
+        wrong = [fault for _, some in renders for fault in some]
         faults += wrong
-        if (
-            isinstance(answer, Reconstruction)
-            and absent
-            and "renders" not in lacks
-            and ((folder / pictures).is_dir() or pictures == "renders")
-        ):
-            notes.append(f"{folder.name}/{pictures}: {absent} of {len(found)} held-out views have no picture")
+        absent = sum(render is None for render, _ in renders) - len(wrong)
+        expected = "renders" not in lacks and (subfolder == "renders" or (folder / subfolder).is_dir())
+        if isinstance(answer, Reconstruction) and absent and expected:
+            notes.append(f"{folder.name}/{subfolder}: {absent} of {len(renders)} held-out views have no picture")
     faults += find_appearance_faults(folder)
     if (folder / "asset").exists():
         states = answer.states if isinstance(answer, Reconstruction) else np.zeros(1)
-        faults += _asset_faults(folder, states)
+        faults += _find_asset_faults(folder, states)
     elif isinstance(answer, Reconstruction):
         notes.append(f"{folder.name} has no asset/: joint and surfaces will be measured from the files and marked so")
-    misfit = describe_misfit(answer, recording, lacks) if isinstance(answer, Reconstruction) else ""
-    return answer, faults, [*notes, *([f"{folder.name}: {misfit}"] if misfit else [])]
+    if isinstance(answer, Reconstruction) and (misfit := describe_misfit(answer, recording, lacks)):
+        notes.append(f"{folder.name}: {misfit}")
+    return answer, faults, notes
 
 
-def _asset_faults(folder: Path, states: np.ndarray) -> Iterator[Fault]:
-    """What keeps the asset from being measured, or what its checks find."""
-    fault = Fault(
-        f"{folder.name}/asset", "", mend="`freeart21 view` shows it; `freeart21 export` writes one that passes"
-    )
+def _find_asset_faults(folder: Path, states: np.ndarray) -> Iterator[Fault]:
+    """The fault that keeps the asset from being measured, or the findings of its checks."""
+    fix = "`freeart21 view` shows it; `freeart21 export` writes one that passes"
+    fault = Fault(f"{folder.name}/asset", "", fix=fix)
     try:
         asset = measure_asset(folder / "asset", states)
     except FreeArtError as error:

@@ -27,17 +27,17 @@ def test_each_request_has_a_process_that_knows_nothing_of_the_others(ask, tmp_pa
     [("abort", "exit code -6: about to break"), ("leave", "exit code 0: no message"), ("raise", "exit code 70: ")],
 )
 def test_a_process_that_ends_without_an_answer_is_told_and_the_next_one_answers(ask, do, said):
-    waiting = ask("answer") and asset_process._waiting.process.pid
+    waiting = ask("answer") and asset_process._server.process.pid
     with pytest.raises(Crashed, match=said):
         ask(do)
-    assert ask("answer")["asked"] == 1 and asset_process._waiting.process.pid == waiting
+    assert ask("answer")["asked"] == 1 and asset_process._server.process.pid == waiting
 
 
 def test_one_that_takes_too_long_is_ended(ask):
     with pytest.raises(TimedOut):
         ask("hang", 0.5)
     assert ask("answer")["asked"] == 1
-    assert not _children(asset_process._waiting.process.pid)
+    assert not _children(asset_process._server.process.pid)
 
 
 def test_long_answers_and_whatever_is_printed_between_arrive_apart(ask):
@@ -46,8 +46,8 @@ def test_long_answers_and_whatever_is_printed_between_arrive_apart(ask):
 
 def test_a_waiting_process_that_was_killed_is_replaced(ask):
     ask("answer")
-    asset_process._waiting.process.kill()
-    asset_process._waiting.process.wait()
+    asset_process._server.process.kill()
+    asset_process._server.process.wait()
     assert ask("answer")["asked"] == 1
 
 
@@ -57,7 +57,7 @@ def test_nothing_outlives_the_parent(tmp_path):
         f"import sys, threading; sys.path[:] = {[p for p in sys.path if p]!r}\n"
         "from pathlib import Path\nfrom leaderboard import asset_process\n"
         "ask = lambda do: asset_process.ask('process_replies', {'do': do}, Path(" + repr(str(tmp_path)) + "), 600)\n"
-        "ask('answer'); print(asset_process._waiting.process.pid, flush=True); ask('hang')\n"
+        "ask('answer'); print(asset_process._server.process.pid, flush=True); ask('hang')\n"
     )
     parent = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
     waiting = int(parent.stdout.readline())

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from score_files import few_samples, score_results, submit, truths, write_data
 
-from freeart21.code import code_digest, modules_behind
+from freeart21.code import code_digest
 from freeart21.errors import FreeArtError
 from freeart21.files.benchmark import read_benchmark
 from freeart21.files.result import Method, write_method, write_result
@@ -127,17 +127,10 @@ def test_a_folder_is_hashed_without_following_links_or_waiting_for_pipes(tmp_pat
 
 
 def test_the_fingerprint_of_the_scoring_code_is_of_what_scoring_uses():
-    modules = modules_behind("leaderboard.sequence_score", ROOT, ("freeart21", "generator", "export", "leaderboard"))
-    assert {
-        "leaderboard.sequence_score",
-        "leaderboard.protocols.strict1",
-        "generator.simulate",
-        "export.checklist",
-    } <= set(modules)
+    modules = provenance.scoring_modules()
+    used = {"leaderboard.sequence_score", "leaderboard.protocols.strict1", "generator.simulate", "export.checklist"}
+    assert used <= set(modules) and scoring_code() == code_digest(modules.items())
     assert not {"leaderboard.tables", "leaderboard.commands", "freeart21.cli", "freeart21.view"} & set(modules)
-    assert scoring_code() == code_digest(
-        modules_behind("leaderboard.sequence_score", ROOT, (*provenance._ROOMS, "elsewhere")).items()
-    )
 
 
 def test_a_fingerprint_changes_with_what_code_does_and_not_with_what_is_said_of_it(tmp_path):

@@ -242,7 +242,7 @@ def test_a_broken_method_json_is_a_note_and_loses_no_table(data, tmp_path, name,
     print_scores(scores)
     assert UNREADABLE in capsys.readouterr().out
     (report,) = validate_results(tmp_path, data).faults[:1]
-    assert report.file == "method.json" and report.mend
+    assert report.file == "method.json" and report.fix
 
 
 HOSTILE = "a\x1b[2Jb\r\nc\ud800d\u202ee\x00" + "y" * 1000
@@ -362,7 +362,7 @@ def test_workers_die_with_their_parent(data, tmp_path, impatient):
         f"import sys; sys.path[:] = {[p for p in sys.path if p]!r}\n"
         "from freeart21 import child\nfrom leaderboard import worker\n"
         f"child.command = lambda module: {child.command('')!r}\n"
-        "made = worker.Worker(); print(made._running().pid, flush=True)\n"
+        "made = worker.Worker(); print(made._start().pid, flush=True)\n"
         f"made.score(dict(result={str(tmp_path / 'b')!r}, sequence={str(data / 'sequences' / 'b')!r}, "
         f"truth={str(data / 'truth' / 'b')!r}, protocol='strict-2'), 600)\n"
     )
@@ -464,7 +464,7 @@ def test_millimetres_are_doubted(data, tmp_path):
         far.append(Ts)
     folder = submit(tmp_path / "a", truth, replace(answer, Ts_camera_reference=far[0], Ts_camera_moving=far[1]))
     (fault,) = [f for f in validate_results(tmp_path, data).faults if f.file.startswith("a/")]
-    assert "millimetres" in fault.mend and fault.file == "a/poses.npz" and not fault.fatal
+    assert "millimetres" in fault.fix and fault.file == "a/poses.npz" and not fault.fatal
     row = score_one(data, folder)
     assert row.status == "ok" and any("m from the camera" in note for note in row.notes)
 
