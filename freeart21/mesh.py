@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -64,6 +65,17 @@ def bounding_diagonal(*meshes: Mesh) -> float:
     """Length, metres, of the diagonal of the axis-aligned box round all meshes; 0 when all are empty."""
     points = [mesh.vertices[np.unique(mesh.faces)] for mesh in meshes if not mesh.empty]
     return float(np.linalg.norm(np.ptp(np.concatenate(points), axis=0))) if points else 0.0
+
+
+def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
+    """All meshes as one; colours are kept when every mesh has them."""
+    if len(meshes) == 1:
+        return meshes[0]
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    vertices = np.concatenate([np.zeros((0, 3)), *(mesh.vertices for mesh in meshes)])
+    faces = np.concatenate([np.zeros((0, 3), np.int64), *(m.faces + at for m, at in zip(meshes, starts, strict=False))])
+    colours = [mesh.colours for mesh in meshes if mesh.colours is not None]
+    return Mesh(vertices, faces, np.concatenate(colours) if colours and len(colours) == len(meshes) else None)
 
 
 def middle(mesh: Mesh) -> NDArray[np.float64]:

@@ -1,7 +1,7 @@
-"""An asset as it is once loaded: its joint, its visual meshes where the simulator puts them, and what is wrong with it.
+"""Measures a submitted asset in the simulator: its joint, its visual meshes, and the findings of its checks.
 
-Assets come from anywhere and are read by native code, so scoring drives them in a Python of their own
-(`freeart21.child`): one that crashes the simulator costs its own row, not the whole table.
+The loaders of an asset are native code that a hostile file can crash, so each asset is measured in a process of its own
+(`leaderboard.asset_process`).
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.asset import find_movable_joint, read_asset
 from freeart21.files.joint_json import joint_from_json, joint_to_json
-from freeart21.files.urdf import parse_urdf, read_urdf_joints
+from freeart21.files.urdf import parse_urdf, read_urdf_joints, subtree_links
 from freeart21.files.urdf_files import resolve_file
 from freeart21.joint import Joint
-from freeart21.mesh import Mesh
+from freeart21.mesh import Mesh, join_meshes
 from freeart21.se3 import Array
 from leaderboard import asset_process
 from leaderboard.protocol import Shape
 from leaderboard.submission import LARGEST, MAX_FACES
 from leaderboard.surface import Surface
 
-NEEDED = (
+MODULES = (
     "sapien",
     "mujoco",
     "trimesh.convex",
@@ -39,93 +39,89 @@ NEEDED = (
     "export.checklist",
     "freeart21.view.link_shapes",
 )
-"""What an asset's process imports, as far as it is installed, before it is asked."""
+"""Imported by the asset process before the first request, as far as installed."""
 DRIVEN_STATES = 33
-"""States, spread over the joint's range, at which the link poses are read."""
+"""States, evenly spaced over the joint's range, at which the link poses are read."""
 TIME_LIMIT_S = 90.0
-"""How long an asset may take to load, move and be checked: ours take 2 to 5 s on two cores."""
+"""Time limit to load, drive and check an asset. Measured: 2 to 5 s on two cores."""
 MAX_ASSET_BYTES = 1 << 30
 LEAST_TURN = 1e-4
-"""Radians over the whole range below which a joint does not turn (SAPIEN's poses are float32: 1e-6)."""
+"""Radians over the whole range below which a joint counts as not rotating (SAPIEN's poses are float32: 1e-6)."""
 LEAST_SLIDE = 1e-6
-"""Metres over the whole range below which a joint does not slide."""
+"""Metres over the whole range below which a joint counts as not sliding."""
 LOOSEST_FIT = 1e-3
-"""Largest entry, per metre of travel, by which the motion may differ from that of one hinge or slider."""
+"""Largest entry, per metre of travel, of the difference between the motion and that of a hinge or slider."""
 
 
 @dataclass(frozen=True)
 class MeasuredAsset:
-    """What an asset is once loaded, in its canonical frame."""
+    """A loaded asset, in its canonical frame."""
 
     joint: Joint
     states: Array
-    """(n,) what the joint makes of the states that it was asked for, rad or m."""
+    """(n,) joint states reached for the n requested ones, rad or m."""
     shape: Shape | None
-    """Its visual meshes as the link poses place them, moved as the joint moves; None when only the joint was asked."""
+    """Its visual meshes, placed by the simulator's link poses; None when only the joint was measured."""
     findings: tuple[str, ...]
-    """What `export.checklist.check_asset` finds, one line each; empty when only the joint was asked."""
+    """Findings of `export.checklist.check_asset`, one line each; empty when only the joint was measured."""
 
 
 def measure_joint(folder: Path, states: ArrayLike) -> tuple[Joint, Array]:
-    """The joint of the asset in `folder`, canonical frame, and what it makes of the canonical `states` (n,), rad or m.
+    """The joint of the asset in `folder`, canonical frame, and the states (n,) it reaches for `states` (n,), rad or m.
 
-    Drives the asset in a process of its own. Raises FreeArtError with one reason when it does not load, does not move,
-    or crashes the simulator.
+    Raises FreeArtError with one reason when the asset does not load, does not move, or crashes the simulator.
     """
-    asset = _measured(folder, states, whole=False)
+    asset = _measure(folder, states, whole=False)
     return asset.joint, asset.states
 
 
 def measure_asset(folder: Path, states: ArrayLike) -> MeasuredAsset:
-    """The asset in `folder` as it is once loaded and put at the canonical `states` (n,), rad or m.
+    """The asset in `folder`, loaded and driven to the canonical `states` (n,), rad or m.
 
-    Raises FreeArtError as `measure_joint` does, and when a mesh or a mass is broken: empty, not finite, of no size, or
-    one that no body has.
+    Raises FreeArtError as `measure_joint`, and for a broken mesh or mass: empty, not finite, of no size or implausible.
     """
-    return _measured(folder, states, whole=True)
+    return _measure(folder, states, whole=True)
 
 
-def _measured(folder: Path, states: ArrayLike, whole: bool) -> MeasuredAsset:
+def _measure(folder: Path, states: ArrayLike, whole: bool) -> MeasuredAsset:
     check_asset_files(folder)
-    with tempfile.TemporaryDirectory() as made:
-        place = Path(made)
-        shape = place / "shape.npz"
+    with tempfile.TemporaryDirectory() as temporary:
+        shape_file = Path(temporary) / "shape.npz"
         request = {"asset": str(folder.resolve()), "states": np.asarray(states, float).tolist()}
         if whole:
-            request["shape"] = str(shape)
-        said = _ask(folder, request, place)
-        joint = joint_from_json(said["joint"], folder)
-        found = _read_shape(shape) if whole else None
-    return MeasuredAsset(joint, np.array(said["states"], float), found, tuple(said["findings"]))
+            request["shape"] = str(shape_file)
+        answer = _ask(folder, request, Path(temporary))
+        joint = joint_from_json(answer["joint"], folder)
+        shape = _read_shape(shape_file) if whole else None
+    return MeasuredAsset(joint, np.array(answer["states"], float), shape, tuple(answer["findings"]))
 
 
-def _ask(folder: Path, request: dict[str, Any], place: Path) -> dict[str, Any]:
+def _ask(folder: Path, request: dict[str, Any], temporary: Path) -> dict[str, Any]:
     try:
-        answer = asset_process.ask("leaderboard.asset_measurement", request, place, TIME_LIMIT_S)
+        answer = asset_process.ask("leaderboard.asset_measurement", request, temporary, TIME_LIMIT_S)
     except asset_process.TimedOut as error:
         raise FreeArtError(f"{folder} did not load and move within {TIME_LIMIT_S:g} s") from error
     except asset_process.Crashed as error:
-        code, _, said = str(error).partition(": ")
-        raise FreeArtError(f"{folder} ended the simulator that loaded it ({code}): {said}") from error
+        code, _, message = str(error).partition(": ")
+        raise FreeArtError(f"{folder} ended the simulator that loaded it ({code}): {message}") from error
     if "error" in answer:
         raise FreeArtError(answer["error"])
     return answer
 
 
 def _write_shape(path: Path, shape: Shape) -> None:
-    named = {f"{key}_{k}": getattr(m, key) for k, m in enumerate(shape.parts) for key in ("vertices", "faces")}
-    np.savez(path, motions=shape.motions, **named)
+    arrays = {f"{key}_{k}": getattr(m, key) for k, m in enumerate(shape.parts) for key in ("vertices", "faces")}
+    np.savez(path, motions=shape.motions, **arrays)
 
 
 def _read_shape(path: Path) -> Shape:
-    keys = ("vertices_0", "faces_0", "vertices_1", "faces_1", "motions")
-    data = checked.read_npz(path, keys)
+    data = checked.read_npz(path, ("vertices_0", "faces_0", "vertices_1", "faces_1", "motions"))
     reference, moving = (Mesh(data[f"vertices_{k}"], data[f"faces_{k}"]) for k in (0, 1))
     return Shape((reference, moving), data["motions"])
 
 
 def check_asset_files(folder: Path) -> None:
-    """FreeArtError unless the asset is of bounded size and its URDF names no file outside `folder`."""
+    """Raise FreeArtError unless the asset is of bounded size and its URDFs name no file outside `folder`."""
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     if size > MAX_ASSET_BYTES:
         raise FreeArtError(f"{folder} has {size} bytes, at most {MAX_ASSET_BYTES} are read")
@@ -135,11 +131,14 @@ def check_asset_files(folder: Path) -> None:
                 resolve_file(urdf, element.attrib["filename"], folder)
 
 
+# ---- in the asset process
+
+
 def drive_joint(asset: Asset, states: ArrayLike) -> tuple[Joint, Array, Array]:
-    """Load `asset` in SAPIEN, drive its joint over its range, and read joint, states and motions from the link poses.
+    """Load `asset` in SAPIEN, drive its joint over its range, and measure joint, states and motions from link poses.
 
     The motions (n, 4, 4) displace the moving part from canonical state zero to `states` (n,). States beyond the URDF's
-    limits are driven to the limit: an asset shows what it can do.
+    limits are driven to the limit.
     """
     from generator.simulate import joint_motion
 
@@ -153,8 +152,8 @@ def drive_joint(asset: Asset, states: ArrayLike) -> tuple[Joint, Array, Array]:
     high = upper if np.isfinite(upper) else max(reachable.max(), 0.5)
     driven = np.linspace(low, high, DRIVEN_STATES)
     motion = joint_motion(asset, np.concatenate([driven, reachable]))
-    found = fit_joint_to_motion(asset.joint, driven, motion[: len(driven)])
-    joint = replace(found, lower=lower, upper=upper)  # as far as it goes, which may be without end
+    joint = fit_joint_to_motion(asset.joint, driven, motion[: len(driven)])
+    joint = replace(joint, lower=lower, upper=upper)  # infinite limits, too
     motions = motion[len(driven) :]
     return joint, project_states(joint, motions), motions
 
@@ -162,8 +161,8 @@ def drive_joint(asset: Asset, states: ArrayLike) -> tuple[Joint, Array, Array]:
 def read_visual_parts(asset: Asset) -> tuple[Mesh, Mesh]:
     """All visual meshes on the reference link's side of the joint, and all on the moving link's, at state zero.
 
-    In the canonical frame, each link where SAPIEN has it. Raises FreeArtError when a mesh cannot be read, has no
-    surface or numbers beyond LARGEST, or a side shows nothing at all.
+    In the canonical frame, placed by SAPIEN's link poses. Raises FreeArtError when a mesh cannot be read, has no
+    surface or coordinates beyond LARGEST, or a side has no mesh.
     """
     from freeart21.view.link_shapes import read_shown
     from generator.simulate import load
@@ -174,27 +173,19 @@ def read_visual_parts(asset: Asset) -> tuple[Mesh, Mesh]:
     simulated.set_effects(())
     simulated.set_state(asset.state_zero)
     T_canonical_world = asset.T_canonical_reference @ se3.inverse(simulated.link_pose(asset.reference_link))
-    beyond = _beyond(asset)
-    sides: dict[bool, list[Mesh]] = {False: [], True: []}
-    for name, pieces in shown.visuals.items():
-        T_canonical_link = T_canonical_world @ simulated.link_pose(name)
-        for piece in pieces:
-            _check_visual(piece.mesh, name)
-            sides[name in beyond].append(piece.mesh.moved(T_canonical_link))
-    moving = asset.moving_link in beyond
-    for side, link_name in ((not moving, asset.reference_link), (moving, asset.moving_link)):
-        if not sides[side]:
-            raise FreeArtError(f"mesh: no link on the side of '{link_name}' has a visual with a surface")
-    return _joined(sides[not moving]), _joined(sides[moving])
-
-
-def _beyond(asset: Asset) -> set[str]:
-    """The child link of the scored joint and all links that hang on it."""
     joints = read_urdf_joints(asset.urdf)
-    found = {joints[asset.joint].child}
-    while more := {j.child for j in joints.values() if j.parent in found} - found:
-        found |= more
-    return found
+    child_side = subtree_links(joints, joints[asset.joint].child)
+    sides: dict[bool, list[Mesh]] = {False: [], True: []}
+    for link, pieces in shown.visuals.items():
+        T_canonical_link = T_canonical_world @ simulated.link_pose(link)
+        for piece in pieces:
+            _check_visual(piece.mesh, link)
+            sides[link in child_side].append(piece.mesh.moved(T_canonical_link))
+    moving = asset.moving_link in child_side
+    for side, link in ((not moving, asset.reference_link), (moving, asset.moving_link)):
+        if not sides[side]:
+            raise FreeArtError(f"mesh: no link on the side of '{link}' has a visual with a surface")
+    return join_meshes(sides[not moving]), join_meshes(sides[moving])
 
 
 def _check_visual(mesh: Mesh, link: str) -> None:
@@ -207,18 +198,12 @@ def _check_visual(mesh: Mesh, link: str) -> None:
         raise FreeArtError(f"mesh: a visual of link '{link}' has no surface (empty, or of scale 0)")
 
 
-def _joined(meshes: list[Mesh]) -> Mesh:
-    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    vertices = np.concatenate([mesh.vertices for mesh in meshes])
-    return Mesh(vertices, np.concatenate([m.faces + start for m, start in zip(meshes, starts[:-1], strict=True)]))
-
-
 def fit_joint_to_motion(name: str, states: Array, motion: Array) -> Joint:
     """The hinge or slider that displaces a part by `motion` (n, 4, 4), canonical frame, at rising `states` (n,).
 
-    The axis is the direction of the summed small rotations (or of the whole translation) towards larger states; the
-    pivot solves (I - R) p = t in the plane across it by least squares over all displacements. Raises FreeArtError when
-    the part does not move, or moves otherwise.
+    The axis is the direction of the summed small rotations (or of the whole translation) towards larger states. The
+    pivot solves (I - R) p = t in the plane normal to the axis by least squares over all displacements. Raises
+    FreeArtError when the part does not move, or moves like neither.
     """
     steps = motion[1:] @ se3.inverse(motion[:-1])
     turn = se3.log_so3(steps[:, :3, :3]).sum(0)
@@ -227,10 +212,10 @@ def fit_joint_to_motion(name: str, states: Array, motion: Array) -> Joint:
     limits = float(states[0]), float(states[-1])
     if np.linalg.norm(turn) > LEAST_TURN:
         axis = turn / np.linalg.norm(turn)
-        across = np.linalg.svd(axis[None])[2][1:].T  # (3, 2) basis of the plane across the axis
-        A = (np.eye(3) - from_first[:, :3, :3]) @ across
+        plane = np.linalg.svd(axis[None])[2][1:].T  # (3, 2) basis of the plane normal to the axis
+        A = (np.eye(3) - from_first[:, :3, :3]) @ plane
         in_plane, *_ = np.linalg.lstsq(A.reshape(-1, 2), from_first[:, :3, 3].reshape(-1), rcond=None)
-        joint = Joint(name, "revolute", axis, across @ in_plane, *limits)
+        joint = Joint(name, "revolute", axis, plane @ in_plane, *limits)
     elif np.linalg.norm(slide) > LEAST_SLIDE:
         joint = Joint(name, "prismatic", slide / np.linalg.norm(slide), np.zeros(3), *limits)
     else:
@@ -243,36 +228,37 @@ def fit_joint_to_motion(name: str, states: Array, motion: Array) -> Joint:
 
 
 def project_states(joint: Joint, motion: Array) -> Array:
-    """States (n,) along `joint` of displacements (n, 4, 4): rad in [-pi, pi] about its axis, or m along it."""
+    """States (n,) of `joint` for displacements (n, 4, 4): rad in [-pi, pi] about its axis, or m along it."""
     if joint.type == "prismatic":
         return motion[:, :3, 3] @ joint.axis
     return se3.log_so3(motion[:, :3, :3]) @ joint.axis
 
 
-def _examine_asset(folder: Path, states: Array, shape: Path | None) -> dict[str, Any]:
+def _examine_asset(folder: Path, states: Array, shape_file: Path | None) -> dict[str, Any]:
     asset, findings = read_asset(folder), []
-    if shape is not None:
+    if shape_file is not None:
         from export.checklist import check_asset
 
         findings = check_asset(folder)
         for finding in findings:
             if finding.broken:
                 raise FreeArtError(str(finding))
-    joint, moved_states, motions = drive_joint(asset, states)
-    if shape is not None:
-        _write_shape(shape, Shape(read_visual_parts(asset), motions))
-    return {"joint": joint_to_json(joint), "states": moved_states.tolist(), "findings": [str(f) for f in findings]}
+    joint, reached, motions = drive_joint(asset, states)
+    if shape_file is not None:
+        _write_shape(shape_file, Shape(read_visual_parts(asset), motions))
+    return {"joint": joint_to_json(joint), "states": reached.tolist(), "findings": [str(f) for f in findings]}
 
 
 def reply(request: dict[str, Any]) -> dict[str, Any]:
-    """What the asset is, or the one error that it has."""
-    shape = request.get("shape")
+    """The measured asset of `request`, or its first error."""
+    shape_file = request.get("shape")
+    states = np.array(request["states"], float)
     try:
-        return _examine_asset(Path(request["asset"]), np.array(request["states"], float), shape and Path(shape))
-    except Exception as error:  # hostile files reach parsers of many libraries; each has exceptions of its own
+        return _examine_asset(Path(request["asset"]), states, shape_file and Path(shape_file))
+    except Exception as error:  # parsers of many libraries read hostile files, each with its own exceptions
         return {"error": child.one_line(error)}
 
 
 def main() -> None:
-    """Answer requests, each in a process of its own."""
-    asset_process.serve(reply, NEEDED)
+    """Serve requests as an asset process."""
+    asset_process.serve(reply, MODULES)

@@ -1,4 +1,4 @@
-"""How sure the difference between two methods is: bootstrap intervals of the mean difference on the same sequences."""
+"""Bootstrap confidence intervals of the mean difference between two methods on the same sequences."""
 
 from __future__ import annotations
 
@@ -17,36 +17,38 @@ KIND = "bootstrap over sequences, paired; percentiles, widened for few sequences
 
 @dataclass(frozen=True)
 class Interval:
-    """The mean of paired differences, in the unit of the metric, and how far it may be off."""
+    """Mean of paired differences, in the metric's unit, with its confidence interval."""
 
     mean: float
     low: float | None
-    """Ends of the interval at the level asked for; None where there are too few sequences for one."""
+    """Ends of the interval; None when there are too few sequences."""
     high: float | None
     sequences: int
-    """How many both have a number for."""
+    """Number of sequences for which both methods have a value."""
 
     @property
-    def sure(self) -> bool:
-        """Whether 0 lies outside."""
+    def significant(self) -> bool:
+        """Whether 0 lies outside the interval."""
         return self.low is not None and self.high is not None and not self.low <= 0 <= self.high
 
 
 def min_sequences(level: float = LEVEL) -> int:
-    """How many sequences an interval needs: all n differences lie on one side of their true median by a chance of
-    2^(1-n), and no bootstrap looks beyond the differences that it has."""
+    """Fewest sequences for an interval of `level`.
+
+    All n differences lie on one side of their true median with probability 2^(1-n), which a bootstrap cannot see.
+    """
     return math.ceil(1 - math.log2(1 - level))
 
 
 def bootstrap_intervals(
     differences: ArrayLike, level: float = LEVEL, resamples: int = RESAMPLES, seed: int = SEED
 ) -> list[Interval | None]:
-    """An interval for each column of `differences` (n, k): a row a sequence, NaN where one of the two has no number.
+    """An interval for each column of `differences` (n, k), rows are sequences; NaN where a method has no value.
 
-    None for a column without any number. Percentiles of the means of `resamples` resamples of the sequences. As plain
-    percentiles hold too seldom for few sequences, they are those of the level at which an interval of normal quantiles
-    would be as wide as Student's t with n - 1 degrees of freedom makes it (T. Hesterberg, What Teachers Should Know
-    about the Bootstrap, 2015, section 5.3).
+    None for a column without values. The ends are percentiles of the means of `resamples` resamples of the sequences.
+    As plain percentiles cover too rarely for few sequences, the level is widened as Student's t with n - 1 degrees of
+    freedom widens an interval of normal quantiles (T. Hesterberg, What Teachers Should Know about the Bootstrap, 2015,
+    section 5.3).
     """
     table = np.asarray(differences, dtype=float)
     known = np.isfinite(table)
@@ -69,7 +71,7 @@ def bootstrap_intervals(
 
 
 def _tail(n: int, level: float) -> float:
-    """The share of resamples below the interval."""
+    """Fraction of the resamples below the interval."""
     from scipy.stats import norm, t
 
     return float(norm.cdf(-math.sqrt(n / (n - 1)) * t.ppf((1 + level) / 2, n - 1)))
@@ -77,6 +79,6 @@ def _tail(n: int, level: float) -> float:
 
 @functools.lru_cache(maxsize=32)
 def _counts(n: int, resamples: int, seed: int) -> NDArray[np.float64]:
-    """(resamples, n) how often each of n sequences is drawn."""
+    """(resamples, n) number of times that each of n sequences is drawn."""
     rng = np.random.default_rng([seed, n])
     return rng.multinomial(n, np.full(n, 1 / n), size=resamples).astype(float)

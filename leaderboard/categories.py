@@ -1,4 +1,4 @@
-"""Which category a sequence's object is of, as its truth says; nothing is guessed from names."""
+"""Category of a sequence's object, from its truth."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ UNKNOWN = "unknown"
 
 
 def read_category(truth_folder: Path) -> str:
-    """The category that truth.json names in its `source`, or that of the catalog's object that it names, or UNKNOWN."""
+    """The `category` in the `source` of truth.json, else that of the catalog object named there, else UNKNOWN."""
     try:
         source = checked.read_json(Path(truth_folder) / "truth.json").get("source")
     except FreeArtError:
         return UNKNOWN
     if not isinstance(source, dict):
         return UNKNOWN
-    said = source.get("category")
-    if isinstance(said, str) and said.strip():
-        return shorten(said)
+    category = source.get("category")
+    if isinstance(category, str) and category.strip():
+        return shorten(category)
     return next((entry.category for entry in CATALOG if entry.name == source.get("object")), UNKNOWN)

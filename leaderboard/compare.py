@@ -1,4 +1,4 @@
-"""Methods side by side on one benchmark, by one protocol: statistics by group, and how sure their differences are."""
+"""Compares methods on one benchmark by one protocol: statistics by group, differences with confidence intervals."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 import pandas as pd
@@ -33,50 +33,50 @@ class Entrant:
     """One method of a comparison."""
 
     name: str
-    """What it is called here: the method's name, and where it was found when several have the same."""
+    """Unique name: the method's, with the folder's added when several methods have the same."""
     scores: Scores
 
 
 @dataclass(frozen=True)
 class Standing:
-    """One method over a group of sequences; failures and missing ones at their price."""
+    """Results of one method over a group of sequences; failed and missing ones count with their penalty."""
 
     sequences: int
     failures: int
     statistics: dict[str, Statistic]
-    """Metric id to its statistic; without those that have no one unit in the group, or no number."""
+    """Metric id to its statistic; only metrics with values and one unit in the group."""
 
     @property
     def coverage(self) -> float:
-        """Fraction that was measured."""
+        """Fraction of the sequences that was measured."""
         return 1 - self.failures / self.sequences if self.sequences else 0.0
 
 
 @dataclass(frozen=True)
 class Group:
-    """Sequences that are summed up together."""
+    """Sequences that share one set of statistics."""
 
     by: By
     name: str
     sequences: tuple[str, ...]
     types: tuple[JointType, ...]
-    """Joint types that occur in it."""
+    """Joint types of its sequences."""
 
     def unit(self, metric: Metric) -> str | None:
-        """The metric's unit in this group; None where there is none, or no common one."""
+        """The metric's unit in this group; None without a common one."""
         return metric.unit(self.types[0] if len(self.types) == 1 else "all")
 
 
 @dataclass(frozen=True)
 class Difference:
-    """How much more a method's number is than another's, over the sequences for which both have one."""
+    """Difference of one metric between two methods, over the sequences for which both have a value."""
 
     method: str
     other: str
     metric: str
     interval: Interval
     verdict: Literal["better", "worse", "open"]
-    """Of `method`; 'open' while 0 lies within the interval, or there are too few sequences for one."""
+    """About `method`; 'open' when the interval contains 0 or there are too few sequences for one."""
 
 
 @dataclass(frozen=True)
@@ -92,25 +92,28 @@ class Comparison:
 
     @cached_property
     def types(self) -> dict[str, JointType]:
-        """Sequence to its joint's true type, for those that somebody was scored on, in the benchmark's order."""
+        """Scored sequence to its true joint type, in the benchmark's order."""
         found = {row.sequence: row.joint_type for entrant in self.entrants for row in entrant.scores.rows}
         return {name: found[name] for name in self.categories if name in found}
 
     def row(self, entrant: Entrant, sequence: str) -> Row | None:
-        """The row of a method for a sequence; None when it was not scored on it."""
+        """The row of a method for a sequence; None when it was not scored."""
         return self._rows[entrant.name].get(sequence)
 
     def groups(self, by: By) -> tuple[Group, ...]:
-        """The groups: joint types and then all together, or categories, or each sequence for itself."""
-        kinds: dict[str, list[str]] = {}
-        for name, kind in self.types.items():
-            kinds.setdefault({"type": kind, "category": self.categories[name], "sequence": name}[by], []).append(name)
-        order = get_args(JointType) if by == "type" else kinds if by == "sequence" else sorted(kinds)
-        found = [self._group(by, kind, kinds[kind]) for kind in order if kind in kinds]
-        return (*found, self._group(by, "all", list(self.types))) if by == "type" and len(found) > 1 else tuple(found)
+        """The groups: each joint type and then all, or each category, or each sequence."""
+        members: dict[str, list[str]] = {}
+        for name, joint_type in self.types.items():
+            key = {"type": joint_type, "category": self.categories[name], "sequence": name}[by]
+            members.setdefault(key, []).append(name)
+        order = get_args(JointType) if by == "type" else members if by == "sequence" else sorted(members)
+        found = [self._group(by, key, members[key]) for key in order if key in members]
+        if by == "type" and len(found) > 1:
+            found.append(self._group(by, "all", list(self.types)))
+        return tuple(found)
 
     def standing(self, entrant: Entrant, group: Group) -> Standing:
-        """What the method reached in the group."""
+        """Statistics of the method over the group."""
         rows = [row for name in group.sequences if (row := self.row(entrant, name)) is not None]
         statistics = {}
         for metric in self.rules.metrics:
@@ -120,7 +123,7 @@ class Comparison:
         return Standing(len(rows), sum(row.status != "ok" for row in rows), statistics)
 
     def differences(self, group: Group) -> tuple[Difference, ...]:
-        """Each method less each one before it, for every metric that both have a number of in the group."""
+        """Each method minus each earlier one, for every metric for which both have values in the group."""
         pairs = list(combinations(self.entrants, 2))
         found = []
         for metric in self.rules.metrics if pairs else ():
@@ -134,7 +137,7 @@ class Comparison:
         return tuple(found)
 
     def frame(self) -> pd.DataFrame:
-        """A line a sequence and method: sequence, type, category, method, status, and every metric in its unit."""
+        """A row per sequence and method: sequence, type, category, method, status, and every metric in its unit."""
         lines = []
         for name, kind in self.types.items():
             for entrant in self.entrants:
@@ -154,7 +157,7 @@ class Comparison:
         return Group(by, name, tuple(sequences), types)
 
     def _numbers(self, entrant: Entrant, group: Group, metric: Metric) -> np.ndarray:
-        """(n,) the method's number for every sequence of the group, NaN where it has none."""
+        """(n,) the method's value for every sequence of the group, NaN without one."""
         rows = [self.row(entrant, name) for name in group.sequences]
         values = [None if row is None else row.values.get(metric.id) for row in rows]
         return np.array([np.nan if value is None else value for value in values])
@@ -164,24 +167,26 @@ def compare_results(
     results: Sequence[Path],
     data: Path,
     protocol: str | None = None,
-    keep: Path | None = None,
+    cache: Path | None = None,
     progress: Callable[[Path, Row, int], None] | None = None,
     truth: Path | None = None,
 ) -> Comparison:
-    """The comparison of `results`: results folders, or a .zip of one, which are scored (`cached_scores`), or tables of
-    `score --out`.
+    """The comparison of `results`: results folders or .zip files, which are scored, and tables of `score --out`.
 
-    `protocol` None takes that of the tables, or the default when there is none. Raises FreeArtError in one line when
-    tables are of another protocol, of another benchmark than `data` or of other truths, or were scored by other code:
-    such numbers are never set side by side. `truth` is where a packed data folder's truth lies.
+    `protocol` None takes that of the tables, or the default when there are none. `cache` is a folder for the tables of
+    scored folders (`cached_scores`). `progress` gets the folder, each finished row, and the number of rows. `truth` is
+    where the truth of a packed data folder lies.
+
+    Raises FreeArtError in one line when the tables differ in protocol, benchmark, truths or scoring code: their numbers
+    cannot be compared.
     """
     if not results:
-        raise FreeArtError("compare: nothing was named; name results folders, or tables of `freeart21 score --out`")
+        raise FreeArtError("compare: nothing to compare; name results folders, or tables of `freeart21 score --out`")
     places = [Path(place) for place in results]
-    there = [place.resolve() for place in places]
-    twice = [place for place, path in zip(places, there, strict=True) if there.count(path) > 1]
-    if twice:
-        raise FreeArtError(f"{twice[-1]} is named twice; a method is compared with others")
+    resolved = [place.resolve() for place in places]
+    repeated = [place for place, path in zip(places, resolved, strict=True) if resolved.count(path) > 1]
+    if repeated:
+        raise FreeArtError(f"{repeated[-1]} is named twice; a method is compared with others")
     benchmark = read_benchmark(data, truth)
     tables = {place: read_scores(place) for place in places if place.is_file() and place.suffix.lower() != ".zip"}
     name = protocol or next((table.protocol for table in tables.values()), DEFAULT)
@@ -189,21 +194,21 @@ def compare_results(
     for place, table in tables.items():
         if table.protocol != rules.name:
             raise FreeArtError(
-                f"{place} is scored by {table.protocol}, expected {rules.name}: numbers of different protocols are not "
-                "to be set side by side"
+                f"{place} is scored by {table.protocol}, expected {rules.name}: numbers of different protocols cannot "
+                "be compared"
             )
 
     def scored(place: Path) -> Scores:
         if place in tables:
             return tables[place]
-        told = None if progress is None else lambda row, of: progress(place, row, of)
+        report = None if progress is None else lambda row, of: progress(place, row, of)
         with open_results(place) as folder:
-            return cached_scores(folder, data, rules.name, keep, told, truth=truth)
+            return cached_scores(folder, data, rules.name, cache, report, truth=truth)
 
     found = [(place, scored(place)) for place in places]
     facts = benchmark_facts(benchmark)
     notes = check_tables(found, facts, benchmark.sequences)
-    known = not benchmark.hidden or benchmark.apart is not None  # tables alone can be compared without any truth
+    known = not benchmark.hidden or benchmark.apart is not None  # comparing tables needs no truth
     categories = {name: read_category(benchmark.truth(name)) if known else UNKNOWN for name in benchmark.sequences}
     return Comparison(rules, facts, _entrants(found), categories, notes)
 
@@ -211,29 +216,31 @@ def compare_results(
 def check_tables(
     found: list[tuple[Path, Scores]], facts: dict[str, str], sequences: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """FreeArtError unless all tables may be set side by side; what the reader should know of them besides.
+    """Raise FreeArtError unless all tables can be compared; returns remarks on them.
 
-    `facts` and `sequences` are the benchmark's that all of them have to be of.
+    `facts` and `sequences` are the benchmark's that all tables must be scored on.
     """
     first, reference = found[0]
     truths: dict[str, tuple[Path, str]] = {}
     for place, scores in found:
         if scores.benchmark["sha256"] != facts["sha256"]:
             raise FreeArtError(
-                f"{place} is scored on {_set(scores.benchmark)}, expected {_set(facts)}: another benchmark, or another "
-                "state of it"
+                f"{place} is scored on {_describe_set(scores.benchmark)}, expected {_describe_set(facts)}: "
+                "another benchmark, or another version of it"
             )
         if scores.made_with.get("scoring") != reference.made_with.get("scoring"):
             raise FreeArtError(
-                f"{place} is scored by other code ({_code(scores)}) than {first} ({_code(reference)}): score it again, "
-                "or name its results folder instead"
+                f"{place} is scored by other code ({_describe_code(scores)}) than {first} "
+                f"({_describe_code(reference)}): score it again, or name its results folder instead"
             )
         for row in scores.rows:
             if row.sequence not in sequences:
-                raise FreeArtError(f"{place} has a row for {row.sequence}, which is no sequence of {_set(facts)}")
+                raise FreeArtError(
+                    f"{place} has a row for {row.sequence}, which is not a sequence of {_describe_set(facts)}"
+                )
             if row.truth_sha256 is not None:
-                other, said = truths.setdefault(row.sequence, (place, row.truth_sha256))
-                if said != row.truth_sha256:
+                other, sha256 = truths.setdefault(row.sequence, (place, row.truth_sha256))
+                if sha256 != row.truth_sha256:
                     raise FreeArtError(f"{place} is scored against another truth of {row.sequence} than {other}")
     return (*_environment_notes(found), *_partial_notes(found, sequences))
 
@@ -256,26 +263,25 @@ def _partial_notes(found: list[tuple[Path, Scores]], sequences: tuple[str, ...])
 
 
 def _entrants(found: list[tuple[Path, Scores]]) -> tuple[Entrant, ...]:
-    """Each table with a name that no other one has."""
+    """Each table with a unique name."""
     names = [scores.method.name for _, scores in found]
     places = [place.resolve().name for place, _ in found]
     full = [n if names.count(n) == 1 else f"{n} ({place})" for n, place in zip(names, places, strict=True)]
     unique = [n if full.count(n) == 1 else f"{n} {full[: k + 1].count(n)}" for k, n in enumerate(full)]
-    while len(set(unique)) < len(unique):  # a name that is what another one was numbered to
+    while len(set(unique)) < len(unique):  # a numbered name can equal another method's own
         unique = [n if unique.count(n) == 1 else f"{n} {unique[: k + 1].count(n)}" for k, n in enumerate(unique)]
     return tuple(Entrant(name, scores) for name, (_, scores) in zip(unique, found, strict=True))
 
 
 def _verdict(interval: Interval, metric: Metric) -> Literal["better", "worse", "open"]:
-    if not interval.sure:
+    if not interval.significant:
         return "open"
     return "better" if (interval.mean > 0) == (metric.direction == "up") else "worse"
 
 
-def _set(facts: dict[str, str]) -> str:
+def _describe_set(facts: dict[str, str]) -> str:
     return f"{facts['name']} {facts['version']} ({facts['sha256'][:12]})"
 
 
-def _code(scores: Scores) -> str:
-    said: Any = scores.made_with.get("scoring")
-    return f"scoring {str(said)[:12]}"
+def _describe_code(scores: Scores) -> str:
+    return f"scoring {str(scores.made_with.get('scoring'))[:12]}"

@@ -1,4 +1,4 @@
-"""A comparison as a file: CSV, JSON, Markdown or LaTeX, by the ending of its name."""
+"""Writes a comparison as CSV, JSON, Markdown or LaTeX, by the file name's suffix."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ COMPARISONS: dict[str, Output] = {
     ".md": Output("comparison", b"<!-- freeart21 comparison"),
     ".tex": Output("comparison", b"% freeart21 comparison"),
 }
-"""Ending of a file's name to how an older one is known."""
+"""Suffix to how an older file of that kind is recognised."""
 
 
 def kind_of(path: Path) -> Output:
-    """What is to be written at `path`; FreeArtError lists the endings."""
+    """The kind of file that `path` names; FreeArtError lists the suffixes."""
     if path.suffix not in COMPARISONS:
         raise FreeArtError(f"{path} ends in '{path.suffix}', expected {', '.join(COMPARISONS)}")
     return COMPARISONS[path.suffix]
 
 
 def write_comparison(path: Path, comparison: Comparison, by: By) -> None:
-    """Write `comparison` as the ending of `path` says; JSON has all groups, the others those of `by`.
+    """Write `comparison` in the format of `path`'s suffix; JSON has all groups, the others those of `by`.
 
-    Raises FreeArtError for another ending, and unless only an older file of this kind stands there.
+    Raises FreeArtError for another suffix, and when something else than an older file of this kind exists at `path`.
     """
     require_replaceable(path, kind_of(path))
     writers: dict[str, Callable[[], str]] = {
@@ -50,9 +50,12 @@ def write_comparison(path: Path, comparison: Comparison, by: By) -> None:
 
 
 def table(comparison: Comparison, by: By) -> pd.DataFrame:
-    """A line a group and method: sequences, failures, coverage and, for each metric that has a unit in the group, its
-    mean (by its id), and as id_std, id_median, id_worst, id_sequences the rest; against the first method id_difference
-    with the ends id_low and id_high of its interval. By sequence: `Comparison.frame`."""
+    """A row per group and method; by sequence, `Comparison.frame`.
+
+    Columns: group, method, sequences, failures, coverage; for each metric with a unit in the group its mean (id),
+    id_std, id_median, id_worst, id_sequences; and the difference to the first method, id_difference, with the ends
+    id_low and id_high of its interval.
+    """
     if by == "sequence":
         return comparison.frame()
     lines = []
@@ -60,8 +63,13 @@ def table(comparison: Comparison, by: By) -> pd.DataFrame:
         found = {(one.method, one.metric): one for one in reversed(comparison.differences(group))}
         for entrant in comparison.entrants:
             standing = comparison.standing(entrant, group)
-            line: dict[str, Any] = {"group": group.name, "method": entrant.name, "sequences": standing.sequences}
-            line |= {"failures": standing.failures, "coverage": standing.coverage}
+            line: dict[str, Any] = {
+                "group": group.name,
+                "method": entrant.name,
+                "sequences": standing.sequences,
+                "failures": standing.failures,
+                "coverage": standing.coverage,
+            }
             for id, one in standing.statistics.items():
                 line |= {id: one.mean, f"{id}_std": one.std, f"{id}_median": one.median, f"{id}_worst": one.worst}
                 line[f"{id}_sequences"] = one.sequences
@@ -75,7 +83,7 @@ def table(comparison: Comparison, by: By) -> pd.DataFrame:
 
 
 def csv(comparison: Comparison, by: By) -> str:
-    """The table as CSV; a word that a spreadsheet would take for a formula stands behind an apostrophe."""
+    """The table as CSV; text that a spreadsheet would take for a formula gets a leading apostrophe."""
     found = table(comparison, by)
     for name in found.select_dtypes(exclude="number"):
         found[name] = [f"'{v}" if isinstance(v, str) and v[:1] in "=+-@" else v for v in found[name]]
@@ -86,7 +94,7 @@ def csv(comparison: Comparison, by: By) -> str:
 
 
 def to_json(comparison: Comparison) -> dict[str, Any]:
-    """All of the comparison: methods and what made their numbers, groups by type and by category, each sequence."""
+    """The whole comparison: methods with their environment, groups by type and by category, every sequence."""
     return {
         "schema": SCHEMA,
         "protocol": comparison.rules.name,

@@ -1,4 +1,4 @@
-"""A comparison as tables of words, which are then written for a screen, in Markdown or in LaTeX."""
+"""A comparison as tables of text, for a terminal, Markdown or LaTeX."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from leaderboard.compare import By, Comparison, Difference, Entrant, Group, Stan
 from leaderboard.protocol import Metric
 from leaderboard.rows import Statistic
 from leaderboard.submission import escape_unprintable
-from leaderboard.tables import NOTHING, WIDTH, column_foot, column_head, decimals, ranking_metrics, sign
+from leaderboard.tables import NOTHING, WIDTH, column_foot, column_head, decimals, ranking_metrics, unit_suffix
 
 _LONGEST_NAME = 22
-"""Characters of a method's name in a line of the screen."""
+"""Characters of a method's name on a terminal."""
 _MARKS = {"better": " ✓", "worse": " ✗", "open": ""}
 _LATEX = {
     **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
@@ -40,45 +40,46 @@ _LATEX = {
 
 @dataclass(frozen=True)
 class Cell:
-    """What stands in one place of a table."""
+    """One cell of a table."""
 
     text: str
     best: bool = False
-    """Whether it is to stand out."""
+    """Whether it is highlighted."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """A table in words: the first column names the row."""
+    """A table of text whose first column names the rows."""
 
     title: str
     head: tuple[str, ...]
-    """A head a column, in lines."""
+    """Column heads, each of one or more lines."""
     sections: tuple[tuple[str, tuple[tuple[Cell, ...], ...]], ...]
     """Name and rows of each section."""
 
 
-def grids(comparison: Comparison, by: By) -> tuple[Grid, ...]:
-    """The tables of a comparison: means with standard deviations, medians with the worst, and differences of the
-    methods to the first one; by sequence the numbers themselves."""
+def make_grids(comparison: Comparison, by: By) -> tuple[Grid, ...]:
+    """The tables of a comparison: means, medians, and differences to the first method; by sequence, the values."""
     groups, metrics = comparison.groups(by), ranking_metrics(comparison.rules)
     if by == "sequence":
-        return (_grid(comparison, groups, metrics, _value, "each sequence", False),)
+        return (_grid(comparison, groups, metrics, _format_value, "each sequence", False),)
     found = [
-        _grid(comparison, groups, metrics, _mean, "mean ± standard deviation", True),
-        _grid(comparison, groups, metrics, _median, "median (worst)", True),
+        _grid(comparison, groups, metrics, _format_mean, "mean ± standard deviation", True),
+        _grid(comparison, groups, metrics, _format_median, "median (worst)", True),
     ]
     return (*found, *_difference_grids(comparison, groups, metrics))
 
 
 def legend(comparison: Comparison, by: By) -> tuple[str, ...]:
-    """What the tables mean, in lines."""
+    """Lines that explain the tables."""
     lines = [
         f"Protocol {comparison.rules.name} on {comparison.benchmark['name']} {comparison.benchmark['version']}: "
-        f"{len(comparison.types)} sequences; failures and missing ones are in every number, at their price.",
+        f"{len(comparison.types)} sequences; failed and missing ones count in every number with their penalty.",
     ]
     if by != "sequence":
-        lines.append("Standard deviations are of a sample (ddof 1). measured: rows that were not priced. Best in bold.")
+        lines.append(
+            "Standard deviations are of a sample (ddof 1). measured: rows that were not penalised. Best in bold."
+        )
     if by != "sequence" and len(comparison.entrants) > 1:
         lines.append(
             f"Differences: mean over the same sequences, {100 * bootstrap.LEVEL:g} % interval ({bootstrap.KIND}; "
@@ -94,7 +95,7 @@ def legend(comparison: Comparison, by: By) -> tuple[str, ...]:
     return tuple(escape_unprintable(line) for line in (*lines, *lacking, *comparison.notes))
 
 
-# ---- what stands in a cell
+# ---- cells
 
 
 def _grid(
@@ -103,44 +104,49 @@ def _grid(
     metrics: Sequence[Metric],
     cell: Callable[[Standing, Group, Metric], str],
     what: str,
-    summed: bool,
+    summarised: bool,
 ) -> Grid:
     rules = comparison.rules
-    typed = summed and any(metric.id == "joint_type" for metric in rules.metrics)
+    typed = summarised and any(metric.id == "joint_type" for metric in rules.metrics)
     head = ["method", "measured", *(["type\n↑"] if typed else [])]
     head += [f"{column_head(metric)}\n{column_foot(metric)}" for metric in metrics]
     sections = []
     for group in groups:
         standings = [comparison.standing(entrant, group) for entrant in comparison.entrants]
-        best = {metric.id: _best(standings, metric, "median" if cell is _median else "mean") for metric in metrics}
+        best = {
+            metric.id: _find_best(standings, metric, "median" if cell is _format_median else "mean")
+            for metric in metrics
+        }
         rows = []
         for k, (entrant, standing) in enumerate(zip(comparison.entrants, standings, strict=True)):
-            cells = [Cell(entrant.name), Cell(_measured(comparison, entrant, group, standing, summed))]
+            cells = [Cell(entrant.name), Cell(_format_measured(comparison, entrant, group, standing, summarised))]
             if typed:
                 right = standing.statistics.get("joint_type")
                 cells.append(Cell(NOTHING if right is None else f"{100 * right.mean:.0f}%"))
             cells += [Cell(cell(standing, group, metric), k in best[metric.id]) for metric in metrics]
             rows.append(tuple(cells))
-        sections.append((_section(comparison, group), tuple(rows)))
+        sections.append((_section_title(comparison, group), tuple(rows)))
     return Grid(f"{rules.name}, {what}", tuple(head), tuple(sections))
 
 
-def _section(comparison: Comparison, group: Group) -> str:
+def _section_title(comparison: Comparison, group: Group) -> str:
     if group.by == "sequence":
         return f"{group.name}: {comparison.categories[group.name]}, {group.types[0]}"
     n = len(group.sequences)
     return f"{group.name}, {n} sequence{'' if n == 1 else 's'}"
 
 
-def _measured(comparison: Comparison, entrant: Entrant, group: Group, standing: Standing, summed: bool) -> str:
-    if summed:
+def _format_measured(
+    comparison: Comparison, entrant: Entrant, group: Group, standing: Standing, summarised: bool
+) -> str:
+    if summarised:
         return f"{standing.sequences - standing.failures}/{standing.sequences}"
     row = comparison.row(entrant, group.name)
     return NOTHING if row is None else row.status
 
 
-def _best(standings: Sequence[Standing], metric: Metric, by: Literal["mean", "median"]) -> set[int]:
-    """Which of several methods have the best mean (or median); none when only one has any."""
+def _find_best(standings: Sequence[Standing], metric: Metric, by: Literal["mean", "median"]) -> set[int]:
+    """Indices of the methods with the best mean (or median); empty when fewer than two have one."""
     found = {k: getattr(s.statistics[metric.id], by) for k, s in enumerate(standings) if metric.id in s.statistics}
     if len(found) < 2:
         return set()
@@ -148,37 +154,41 @@ def _best(standings: Sequence[Standing], metric: Metric, by: Literal["mean", "me
     return {k for k, value in found.items() if value == best}
 
 
-def _found(standing: Standing, group: Group, metric: Metric) -> tuple[Statistic | None, str, str]:
-    """The statistic, its unit, and what to write behind its numbers where the column's head has no unit."""
+def _get_statistic(standing: Standing, group: Group, metric: Metric) -> tuple[Statistic | None, str, str]:
+    """The statistic, its unit, and the unit suffix for columns whose head has no unit."""
     unit = group.unit(metric) or ""
-    return standing.statistics.get(metric.id), unit, "" if metric.unit("all") else sign(unit)
+    return standing.statistics.get(metric.id), unit, "" if metric.unit("all") else unit_suffix(unit)
 
 
-def number(value: float, unit: str) -> str:
-    """A number of a unit with the digits that are written everywhere; whole from 1000 on."""
+def format_number(value: float, unit: str) -> str:
+    """A number with the decimals of its unit; without decimals from 1000."""
     return f"{value:.{decimals(unit) if abs(value) < 999.5 else 0}f}"
 
 
-def _mean(standing: Standing, group: Group, metric: Metric) -> str:
-    found, unit, behind = _found(standing, group, metric)
+def _format_mean(standing: Standing, group: Group, metric: Metric) -> str:
+    found, unit, suffix = _get_statistic(standing, group, metric)
     if found is None:
         return NOTHING
-    spread = "" if found.std is None else f" ± {number(found.std, unit)}"
-    return f"{number(found.mean, unit)}{spread}{behind}"
+    spread = "" if found.std is None else f" ± {format_number(found.std, unit)}"
+    return f"{format_number(found.mean, unit)}{spread}{suffix}"
 
 
-def _median(standing: Standing, group: Group, metric: Metric) -> str:
-    found, unit, behind = _found(standing, group, metric)
-    return NOTHING if found is None else f"{number(found.median, unit)} ({number(found.worst, unit)}){behind}"
+def _format_median(standing: Standing, group: Group, metric: Metric) -> str:
+    found, unit, suffix = _get_statistic(standing, group, metric)
+    return (
+        NOTHING
+        if found is None
+        else f"{format_number(found.median, unit)} ({format_number(found.worst, unit)}){suffix}"
+    )
 
 
-def _value(standing: Standing, group: Group, metric: Metric) -> str:
-    found, unit, behind = _found(standing, group, metric)
-    return NOTHING if found is None else f"{number(found.mean, unit)}{behind}"
+def _format_value(standing: Standing, group: Group, metric: Metric) -> str:
+    found, unit, suffix = _get_statistic(standing, group, metric)
+    return NOTHING if found is None else f"{format_number(found.mean, unit)}{suffix}"
 
 
 def _difference_grids(comparison: Comparison, groups: tuple[Group, ...], metrics: Sequence[Metric]) -> Iterator[Grid]:
-    """One table: a section for each method but the first, a row a metric, a column a group."""
+    """One table: a section for each method but the first, rows are metrics, columns are groups."""
     first = comparison.entrants[0]
     found: dict[tuple[str, str, str], Difference] = {}
     for group in groups:
@@ -190,7 +200,7 @@ def _difference_grids(comparison: Comparison, groups: tuple[Group, ...], metrics
         rows = []
         for metric in metrics:
             name = " ".join(column_head(metric).split())
-            cells = [_difference(found.get((entrant.name, metric.id, g.name)), g, metric) for g in groups]
+            cells = [_difference_cell(found.get((entrant.name, metric.id, g.name)), g, metric) for g in groups]
             rows.append((Cell(f"{name} {'↑' if metric.direction == 'up' else '↓'}"), *cells))
         sections.append((f"{entrant.name} less {first.name}", tuple(rows)))
     if sections:
@@ -198,36 +208,36 @@ def _difference_grids(comparison: Comparison, groups: tuple[Group, ...], metrics
         yield Grid(title, ("", *(group.name for group in groups)), tuple(sections))
 
 
-def _difference(found: Difference | None, group: Group, metric: Metric) -> Cell:
+def _difference_cell(found: Difference | None, group: Group, metric: Metric) -> Cell:
     unit = group.unit(metric)
     if found is None or unit is None:
         return Cell(NOTHING)
     interval = found.interval
-    text = f"{'+' if interval.mean > 0 else ''}{number(interval.mean, unit)}{sign(unit)}"
+    text = f"{'+' if interval.mean > 0 else ''}{format_number(interval.mean, unit)}{unit_suffix(unit)}"
     if interval.low is not None and interval.high is not None:
-        text += f" [{number(interval.low, unit)}, {number(interval.high, unit)}]{_MARKS[found.verdict]}"
+        text += f" [{format_number(interval.low, unit)}, {format_number(interval.high, unit)}]{_MARKS[found.verdict]}"
     return Cell(text, found.verdict == "better")
 
 
-# ---- on a screen
+# ---- terminal
 
 
 def print_comparison(comparison: Comparison, by: By, console: Console | None = None) -> None:
-    """Print the tables, each in as many pieces as it takes, and what they mean."""
+    """Print the tables, split to the console's width, and their legend."""
     console = console or Console()
-    if not console.is_terminal:  # a file or a pipe has no width of its own
+    if not console.is_terminal:  # a file or pipe has no width
         console.width = max(console.width, WIDTH)
-    for grid in grids(comparison, by):
-        for piece in pieces(grid, console.width):
-            console.print(f"\n[bold]{escape(escape_unprintable(piece.title))}[/]")
-            console.print(_rich(piece))
+    for grid in make_grids(comparison, by):
+        for part in split_columns(grid, console.width):
+            console.print(f"\n[bold]{escape(escape_unprintable(part.title))}[/]")
+            console.print(_to_rich(part))
     for line in legend(comparison, by):
         console.print(f"  {escape(line)}", style="dim")
 
 
-def pieces(grid: Grid, width: int) -> Iterator[Grid]:
-    """The table cut between its columns so that each piece fits `width` characters; the first column is in each."""
-    widths = [_width(grid, k) for k in range(len(grid.head))]
+def split_columns(grid: Grid, width: int) -> Iterator[Grid]:
+    """The table split between columns so that each part fits `width` characters; each has the first column."""
+    widths = [_column_width(grid, k) for k in range(len(grid.head))]
     at = 1
     while at < len(widths):
         end, room = at, width - widths[0]
@@ -236,13 +246,13 @@ def pieces(grid: Grid, width: int) -> Iterator[Grid]:
             end += 1
         chosen = [0, *range(at, end)]
         sections = tuple((name, tuple(tuple(row[k] for k in chosen) for row in rows)) for name, rows in grid.sections)
-        more = " (goes on)" if at > 1 else ""
+        more = " (continued)" if at > 1 else ""
         yield Grid(grid.title + more, tuple(grid.head[k] for k in chosen), sections)
         at = end
 
 
-def _width(grid: Grid, column: int) -> int:
-    """Characters that a column takes on a screen, its gap included."""
+def _column_width(grid: Grid, column: int) -> int:
+    """Characters that a column takes on a terminal, its gap included."""
     texts = [*grid.head[column].split("\n"), *(row[column].text for _, rows in grid.sections for row in rows)]
     if column == 0:
         texts += [name for name, _ in grid.sections]
@@ -250,7 +260,7 @@ def _width(grid: Grid, column: int) -> int:
     return (min(longest, _LONGEST_NAME + 4) if column == 0 else longest) + 2
 
 
-def _rich(grid: Grid) -> Table:
+def _to_rich(grid: Grid) -> Table:
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     for k, head in enumerate(grid.head):
         left = k == 0
@@ -265,71 +275,70 @@ def _rich(grid: Grid) -> Table:
         table.add_section()
         table.add_row(f"[bold]{escape(escape_unprintable(name))}[/]")
         for row in rows:
-            first = f"  {_cut(escape_unprintable(row[0].text), _LONGEST_NAME)}"
+            first = f"  {_truncate(escape_unprintable(row[0].text), _LONGEST_NAME)}"
             table.add_row(escape(first), *(f"[bold]{escape(c.text)}[/]" if c.best else escape(c.text) for c in row[1:]))
     return table
 
 
-def _cut(text: str, longest: int) -> str:
+def _truncate(text: str, longest: int) -> str:
     return text if len(text) <= longest else f"{text[: longest - 1]}…"
 
 
-# ---- in Markdown and LaTeX
+# ---- Markdown and LaTeX
 
 
 def markdown(comparison: Comparison, by: By) -> str:
-    """All tables as Markdown, with what they mean below."""
+    """All tables and their legend as Markdown."""
     parts = [f"<!-- freeart21 comparison by {by} -->"]
-    for grid in grids(comparison, by):
-        lines = [f"### {_plain(grid.title)}", ""]
-        lines.append("| " + " | ".join(["", *(_plain(" ".join(head.split())) for head in grid.head)]) + " |")
+    for grid in make_grids(comparison, by):
+        lines = [f"### {_escape_markdown(grid.title)}", ""]
+        lines.append("| " + " | ".join(["", *(_escape_markdown(" ".join(head.split())) for head in grid.head)]) + " |")
         lines.append("|---|---|" + "---:|" * (len(grid.head) - 1))
         for name, rows in grid.sections:
             for k, row in enumerate(rows):
-                words = [f"**{_plain(c.text)}**" if c.best else _plain(c.text) for c in row]
-                lines.append("| " + " | ".join([_plain(name) if k == 0 else "", *words]) + " |")
+                words = [f"**{_escape_markdown(c.text)}**" if c.best else _escape_markdown(c.text) for c in row]
+                lines.append("| " + " | ".join([_escape_markdown(name) if k == 0 else "", *words]) + " |")
         parts.append("\n".join(lines))
-    return "\n\n".join([*parts, *map(_plain, legend(comparison, by))]) + "\n"
+    return "\n\n".join([*parts, *map(_escape_markdown, legend(comparison, by))]) + "\n"
 
 
 def latex(comparison: Comparison, by: By) -> str:
-    """All tables as LaTeX, to be read by \\input; it needs booktabs, graphicx (to fit the page's width) and amssymb."""
+    """All tables as LaTeX for \\input; needs booktabs, graphicx (scales them to the page) and amssymb."""
     parts = [
         f"% freeart21 comparison by {by}; in the preamble: \\usepackage{{booktabs,graphicx,amssymb}}",
-        *(f"% {_ascii(line)}" for line in legend(comparison, by)),
+        *(f"% {_to_ascii(line)}" for line in legend(comparison, by)),
     ]
-    for grid in grids(comparison, by):
+    for grid in make_grids(comparison, by):
         last = len(grid.head)
-        lines = [r"\begin{table}[htbp]", r"\centering", rf"\caption{{{_tex(grid.title)}}}"]
+        lines = [r"\begin{table}[htbp]", r"\centering", rf"\caption{{{_escape_latex(grid.title)}}}"]
         lines += [r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"]
         lines += [rf"\begin{{tabular}}{{l{'r' * (last - 1)}}}", r"\toprule"]
         heads = [head.split("\n") for head in grid.head]
         depth = max(map(len, heads))
         for line in range(depth):
             words = [([""] * (depth - len(head)) + head)[line] for head in heads]
-            lines.append(" & ".join(map(_tex, words)) + r" \\")
+            lines.append(" & ".join(map(_escape_latex, words)) + r" \\")
         for name, rows in grid.sections:
-            lines += [r"\midrule", rf"\multicolumn{{{last}}}{{l}}{{\textit{{{_tex(name)}}}}} \\"]
+            lines += [r"\midrule", rf"\multicolumn{{{last}}}{{l}}{{\textit{{{_escape_latex(name)}}}}} \\"]
             for row in rows:
-                words = [rf"\textbf{{{_tex(c.text)}}}" if c.best else _tex(c.text) for c in row]
+                words = [rf"\textbf{{{_escape_latex(c.text)}}}" if c.best else _escape_latex(c.text) for c in row]
                 lines.append(" & ".join(words) + r" \\")
         lines += [r"\bottomrule", r"\end{tabular}}", r"\end{table}"]
         parts.append("\n".join(lines))
     return "\n\n".join(parts) + "\n"
 
 
-def _plain(text: str) -> str:
-    """Text that Markdown shows as it is."""
+def _escape_markdown(text: str) -> str:
     return re.sub(r"([\\`*_\[\]|~#])", r"\\\1", html.escape(escape_unprintable(text), quote=False))
 
 
-def _tex(text: str) -> str:
-    """Text that pdfLaTeX shows as it is; letters beyond Latin-1, which its fonts may not have, are '?'."""
+def _escape_latex(text: str) -> str:
+    """`text` for pdfLaTeX; characters beyond Latin-1, which its fonts can lack, become '?'."""
     words = "".join(_LATEX.get(c, c if ord(c) < 0x100 else "?") for c in escape_unprintable(text))
     return re.sub(r"(?<![\w-])-(?=\d)", "$-$", words)
 
 
-def _ascii(text: str) -> str:
-    """Text for a comment of LaTeX; the marks by their names."""
+def _to_ascii(text: str) -> str:
+    """`text` for a LaTeX comment."""
     words = escape_unprintable(text).replace("✓", "check mark").replace("✗", "cross")
     return words.encode("ascii", "replace").decode()

@@ -1,4 +1,4 @@
-"""An answer brought to the truth: parts called by the truth's names, canonical frame aligned with the truth's."""
+"""Matches an answer to the truth: parts renamed as in the truth, canonical frame aligned with the truth's."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ from leaderboard.protocol import Shape
 from leaderboard.surface import Surface
 
 LABELLING_SAMPLES = 5_000
-"""Points a part by which parts are matched where there are neither masks nor poses: enough to tell two parts apart."""
+"""Points per part for matching by surfaces, where there are neither masks nor poses."""
 LABELLING_SEED = 7
 
 
 @dataclass(frozen=True)
 class Matched:
-    """An answer brought to the truth: parts by the truth's names, canonical frame that of the truth."""
+    """An answer with the truth's part names and canonical frame."""
 
     answer: Reconstruction
     swapped: bool
     """Whether the answer's moving part was matched to the true reference part."""
     T_truth_pred: Array
-    """(4, 4) the alignment that is already in `answer`."""
+    """(4, 4) the alignment, already applied to `answer`."""
     miou: float
-    """NaN where the method makes no masks."""
+    """NaN when the method makes no masks."""
     outer: tuple[Surface, Surface]
-    """Outer surface of the true reference and moving part."""
+    """Outer surfaces of the true reference and moving part."""
     diagonal: float
-    """Of the true object, metres."""
+    """Diagonal of the true object, metres."""
     lacks: tuple[Piece, ...] = ()
-    """What the method does not make at all."""
+    """Pieces that the method never produces."""
 
     @property
     def shape(self) -> Shape:
-        """What the answer's files say: its part meshes, and its joint at its states."""
+        """Its part meshes and the motion of its joint at its states."""
         parts = self.answer.articulation
         motions = np.stack([parts.joint.transform(q) for q in self.answer.states])
         return Shape((parts.reference, parts.moving), motions)
@@ -57,10 +57,10 @@ def match(
 ) -> Matched:
     """`answer` with its parts matched to the truth's and its canonical frame aligned by the reference part's poses.
 
-    `lacks`: what the answer holds only as a filler. Without poses, the alignment is that of the answer's anchor frame,
-    and the aligned answer has the truth's poses of the reference part in every frame: it is posed through its aligned
-    canonical frame. `rename=False` keeps the names of the parts as given. `align` makes T_truth_pred of the true and
-    the predicted poses (n, 4, 4) of the reference part and the true part's centre (3,), as `metrics.align` does.
+    `lacks` names pieces of which the answer has only fillers. Without poses, the frames are aligned in the answer's
+    anchor frame alone, and the aligned answer gets the truth's poses of the reference part. `rename=False` keeps the
+    part names as given. `align(Ts_true, Ts_predicted, centre)` returns T_truth_pred from the poses (n, 4, 4) of the
+    reference part and the true part's centre (3,), as `metrics.align` does.
     """
     outer = tuple(Surface(truth.articulation.part(name), faces) for name, faces in zip(PARTS, truth.outer, strict=True))
     if outer[0].empty or outer[1].empty:
@@ -93,12 +93,11 @@ def match_parts(
     lacks: tuple[Piece, ...],
     outer: tuple[Surface, Surface],
 ) -> tuple[bool, float, float]:
-    """Whether the answer's parts go by each other's names, and the mIoU as labelled and swapped (NaN without masks).
+    """Whether the answer's part names are swapped, and the mIoU as labelled and swapped (NaN without masks).
 
-    By the better mIoU. On a tie, and without masks, the part that better keeps to the true reference part's poses is
-    the reference; without poses, the labelling whose parts lie nearer to the truth's in the anchor frame; without
-    meshes, the names as given. `centre` (3,) is the true reference part's, `diagonal` the true object's, metres,
-    `outer` the surfaces of its parts.
+    Decided by the better mIoU; on a tie or without masks, by which part follows the true reference part's poses better;
+    without poses, by the smaller surface distance in the anchor frame; without meshes, the names stay. `centre` (3,) is
+    the true reference part's, `diagonal` the true object's, metres, `outer` the surfaces of its parts.
     """
     same = other = np.nan
     if "masks" not in lacks:
@@ -122,8 +121,8 @@ def match_parts(
 def with_parts_swapped(answer: Reconstruction) -> Reconstruction:
     """The same answer with the names of its parts exchanged.
 
-    The canonical frame stays where it is. Seen from the moving part, the reference part turns about (slides along) the
-    same line the other way: the axis is reversed, the states stay.
+    The canonical frame and the states stay; the axis is reversed, as the reference part moves about (along) the same
+    line in the opposite direction when seen from the moving part.
     """
     joint, parts = answer.articulation.joint, answer.articulation
     return replace(
@@ -138,7 +137,7 @@ def with_parts_swapped(answer: Reconstruction) -> Reconstruction:
 
 
 def _posed_as_in_anchor(answer: Reconstruction) -> Reconstruction:
-    """The answer of a method without poses: its anchor frame's in every frame, the moving part after its joint."""
+    """`answer` with the anchor frame's reference pose in every frame, and the moving part posed by joint and states."""
     T_camera_reference = answer.Ts_camera_reference[answer.anchor]
     return replace(
         answer,
@@ -148,9 +147,9 @@ def _posed_as_in_anchor(answer: Reconstruction) -> Reconstruction:
 
 
 def _labelling_distances(truth: Truth, answer: Reconstruction, outer: tuple[Surface, Surface]) -> tuple[float, float]:
-    """Summed chamfer distances, metres, of the two labellings in the anchor frame (as VideoArtGS and ArtGS match).
+    """Summed chamfer distances, metres, in the anchor frame as labelled and swapped (as VideoArtGS and ArtGS match).
 
-    As given, and exchanged; equal where a part has no surface, so that nothing is renamed for it.
+    Both 0 when a part has no surface, so that nothing is renamed.
     """
     frame = answer.anchor
     true_poses = truth.Ts_camera_reference[frame], truth.Ts_camera_moving[frame]

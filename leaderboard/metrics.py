@@ -1,6 +1,6 @@
-"""Numbers of the protocols, one function each: arrays in, SI numbers out (radians, metres, fractions, dB).
+"""Metrics, one function each: arrays in, SI numbers out (radians, metres, fractions, dB).
 
-Definitions and prices are written in `leaderboard.protocols`; nothing here knows of files, methods or failures.
+The protocols (`leaderboard.protocols`) define which are used and what a failure costs.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ SECONDS = 20.0
 """Estimated time of one row, the start of its process included."""
 
 Request = Mapping[str, Any]
-"""What a `Worker` scores: the folders FOLDERS, `protocol` by name, and `lacks`, the pieces the method never produces."""
+"""What a `Worker` scores: the FOLDERS, the name of a `protocol`, and `lacks`, pieces the method never produces."""
 
 
 def score_rows_locally(

@@ -1,4 +1,4 @@
-"""What scoring makes: a row a sequence, statistics over rows, a whole table."""
+"""Score tables: a row per sequence, statistics over rows, and the whole table."""
 
 from __future__ import annotations
 
@@ -24,31 +24,31 @@ class Row:
     joint_type: JointType
     """Of the truth."""
     status: Status
-    """'ok' was measured; 'failed' says so itself or has an asset that does not load; all but 'ok' are priced."""
+    """'ok': measured. 'failed': declares a failure, or its asset does not load. All but 'ok' are penalised."""
     reason: str
-    """Why it was not measured; empty when it was."""
+    """Why it was not measured; empty for 'ok'."""
     measured_from: Source
-    """What joint and surfaces were measured from."""
+    """Where joint and surfaces were measured."""
     swapped: bool
-    """Whether the answer's parts went by each other's names."""
+    """Whether the answer's moving part was matched to the true reference part."""
     diagonal_m: float
-    """Of the truth: what lengths in % are shares of."""
+    """Diagonal of the true object: lengths in % are relative to it."""
     values: dict[str, float | None]
-    """Every metric of the protocol in its unit; None where it does not exist for this sequence."""
+    """Metric id to value in the metric's unit; None where there is none for this sequence."""
     values_cm: dict[str, float]
-    """Those that are shares of the diagonal, in cm."""
+    """The values in %, as cm."""
     notes: tuple[str, ...] = ()
-    """What the reader should know: a wrong joint type, a picture that could not be read."""
+    """Remarks, such as a wrong joint type or an unreadable picture."""
     seconds: float | None = None
-    """What the method says it took, all stages together; None when it does not say."""
+    """Run time that the method reports, all stages together; None when it reports none."""
     result_sha256: str | None = None
-    """Of the result's folder (`leaderboard.provenance.folder_sha256`); None when there is none, or it is too large."""
+    """Hash of the result's folder (`leaderboard.provenance.folder_sha256`); None when it is missing or too large."""
     truth_sha256: str | None = None
-    """The same of the truth's folder."""
+    """Hash of the truth's folder."""
 
     @staticmethod
     def from_json(data: dict[str, Any]) -> Row:
-        """The row whose fields `data` holds, as JSON gives them back."""
+        """The row with the fields `data`, as read from JSON."""
         return Row(**{**data, "notes": tuple(data["notes"])})
 
 
@@ -62,59 +62,62 @@ class Statistic:
     median: float
     worst: float
     sequences: int
-    """How many have this number: all, but for position (revolute only) and pictures (where there are queries)."""
+    """Number of sequences with a value. Position exists for revolute joints only, renders where there are queries."""
 
 
 @dataclass(frozen=True)
 class Summary:
-    """All sequences of a joint type, or all of them; failures and missing ones at their price."""
+    """Statistics over all sequences of a joint type, or over all; failed and missing ones count with their penalty."""
 
     group: Group
     sequences: int
     failures: int
-    """Sequences that were not measured: failed, missing or unreadable."""
+    """Number of sequences that are failed, missing or unreadable."""
     coverage: float
-    """Fraction that was measured."""
+    """Fraction of the sequences that was measured."""
     statistics: dict[str, Statistic]
-    """Metric id, or id_cm, to its statistic; only those with one unit in the group."""
+    """Metric id (and id_cm, in cm) to its statistic; only metrics with one unit in the group."""
 
 
 @dataclass(frozen=True)
 class Scores:
-    """A whole table."""
+    """The score table of one method by one protocol."""
 
     protocol: str
     method: Method
     benchmark: dict[str, str]
-    """name, version, split, and sha256 of benchmark.json, which holds the hash of every file of the truth."""
+    """name, version, split, and sha256 of benchmark.json, which lists the hash of every file of the truth."""
     rows: tuple[Row, ...]
     summaries: tuple[Summary, ...]
     seconds: float | None = None
-    """What scoring took; None of a table that was read from a file, which does not say: it is the same every time."""
+    """Time that scoring took; None for a table read from a file, which does not store it."""
     notes: tuple[str, ...] = ()
-    """What the reader should know of the method as a whole: a method.json that cannot be read."""
+    """Remarks on the method as a whole, such as an unreadable method.json."""
     made_with: dict[str, Any] = field(default_factory=dict)
-    """The code, libraries and machine that made the numbers, see `leaderboard.provenance.made_with`."""
+    """Code, libraries and machine, as `leaderboard.provenance.describe_environment` returns them."""
 
     @property
     def measured(self) -> int:
-        """How many rows were measured rather than priced."""
+        """Number of measured rows."""
         return sum(row.status == "ok" for row in self.rows)
 
     def frame(self) -> pd.DataFrame:
-        """All rows as `frame` gives them."""
+        """All rows as a table, see `frame`."""
         return frame(self.rows)
 
 
 def frame(rows: Iterable[Row]) -> pd.DataFrame:
-    """A line a sequence, by its name: truth_type, status, reason, measured_from, swapped, seconds, every metric in its
-    unit (NaN where it does not exist) and, as id_cm, those that are shares of the diagonal in cm."""
-    words = ("status", "reason", "measured_from", "swapped")
+    """A row per sequence, indexed by its name.
+
+    Columns: truth_type, status, reason, measured_from, swapped, seconds, every metric in its unit (NaN without a value)
+    and, as id_cm, values in % as cm.
+    """
+    text_columns = ("status", "reason", "measured_from", "swapped")
     lines = [
         {
             "sequence": row.sequence,
             "truth_type": row.joint_type,
-            **{name: getattr(row, name) for name in words},
+            **{name: getattr(row, name) for name in text_columns},
             "seconds": row.seconds,
             **row.values,
             **{f"{id}_cm": value for id, value in row.values_cm.items()},
@@ -122,4 +125,4 @@ def frame(rows: Iterable[Row]) -> pd.DataFrame:
         for row in rows
     ]
     table = pd.DataFrame(lines).set_index("sequence")
-    return table.astype({name: float for name in table if name not in ("truth_type", *words)})
+    return table.astype({name: float for name in table if name not in ("truth_type", *text_columns)})

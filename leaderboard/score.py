@@ -1,4 +1,4 @@
-"""Scoring results against a benchmark: every number of a protocol, from files, with nothing dropped."""
+"""Scores a results folder against a benchmark: every metric of a protocol for every sequence, from files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from freeart21.errors import FreeArtError
 from freeart21.files.benchmark import Benchmark, file_sha256, read_benchmark
 from freeart21.reconstruction import Piece
-from leaderboard.parallel_rows import PLACES, score_rows_as_jobs, score_rows_locally
+from leaderboard.parallel_rows import FOLDERS, score_rows_as_jobs, score_rows_locally
 from leaderboard.protocol import Group, Protocol
 from leaderboard.protocols import DEFAULT, protocol_named
 from leaderboard.provenance import with_provenance
@@ -37,19 +37,19 @@ def score_results(
     sequences: Sequence[str] | None = None,
     truth: Path | None = None,
 ) -> Scores:
-    """Score the results folder of one method against the benchmark folder `data`: every sequence of it, found or not.
+    """Score a method's results folder against the benchmark folder `data`: every sequence, missing ones included.
 
-    `progress` is called with each row, as it is done, and how many there will be. Rows are scored in processes of their
-    own, `workers` at a time, and one that takes more than `limit_s` seconds is priced; None: in this process, without a
-    limit. The numbers and the order of the rows do not depend on `workers` and `executor`
-    (`freeart21.jobs.EXECUTORS`); another one than 'local' needs a new folder `work` that its machines see. `sequences`
-    chooses some of the benchmark's, and the table says so in a note. `truth` is where the truth of a data folder lies
-    that was packed without (`leaderboard.pack`).
+    `progress` gets each finished row and the number of rows. Rows are scored in separate processes, `workers` at a
+    time; one that takes more than `limit_s` seconds is penalised. `limit_s` None scores in this process, without a
+    limit. `executor` is one of `freeart21.jobs.EXECUTORS`; all but 'local' need a new folder `work` on a file system of
+    all machines. Neither changes the numbers or the order of the rows. `sequences` limits the table to some of the
+    benchmark's sequences, which a note says. `truth` is where the truth of a packed data folder lies
+    (`leaderboard.pack`).
 
-    Raises FreeArtError when the protocol or executor is unknown, `results` is not a folder of results, or the benchmark
-    is broken; whatever is wrong with one result is priced in its row.
+    Raises FreeArtError when the protocol or executor is unknown, `results` is not a results folder, or the benchmark is
+    broken. A faulty result is penalised in its row.
     """
-    begun, results = time.perf_counter(), Path(results)
+    start, results = time.perf_counter(), Path(results)
     rules = protocol_named(protocol)
     benchmark = read_benchmark(data, truth)
     check_results_folder(results, benchmark.sequences)
@@ -65,27 +65,27 @@ def score_results(
         }
         for name in chosen
     ]
-    told = (lambda row: progress(row, len(chosen))) if progress else (lambda row: None)
+    report = (lambda row: progress(row, len(chosen))) if progress else (lambda row: None)
     if limit_s is None:
         rows = []
         for request in requests:
-            places = [Path(request[key]) for key in PLACES]
-            rows.append(score_sequence(places[0], places[1], places[2], rules.name, method.lacks))
-            told(rows[-1])
+            result, sequence, truth_folder = (Path(request[key]) for key in FOLDERS)
+            rows.append(score_sequence(result, sequence, truth_folder, rules.name, method.lacks))
+            report(rows[-1])
     elif executor == "local":
-        rows = score_rows_locally(requests, workers, limit_s, told)
+        rows = score_rows_locally(requests, workers, limit_s, report)
     else:
-        rows = score_rows_as_jobs(requests, workers, executor, limit_s, work, told)
+        rows = score_rows_as_jobs(requests, workers, executor, limit_s, work, report)
     notes = [*(str(fault) for fault in faults), *describe_lacks(rules, method.lacks)]
     if len(chosen) < len(benchmark.sequences):
         notes.append(f"{len(chosen)} of {len(benchmark.sequences)} sequences were chosen: {', '.join(chosen)}")
     summaries = summarise(rows, rules)
     scores = Scores(rules.name, method, benchmark_facts(benchmark), tuple(rows), summaries, notes=tuple(notes))
-    return replace(with_provenance(scores, results, benchmark), seconds=time.perf_counter() - begun)
+    return replace(with_provenance(scores, results, benchmark), seconds=time.perf_counter() - start)
 
 
 def benchmark_facts(benchmark: Benchmark) -> dict[str, str]:
-    """What a table of scores says of the benchmark that it is of."""
+    """The `benchmark` entry of a score table: name, version, split and hash."""
     return {
         "name": benchmark.name,
         "version": benchmark.version,
@@ -96,16 +96,16 @@ def benchmark_facts(benchmark: Benchmark) -> dict[str, str]:
 
 
 def describe_lacks(rules: Protocol, lacks: tuple[Piece, ...]) -> tuple[str, ...]:
-    """A line that says which numbers there are not, as the method does not make what it `lacks`."""
+    """A note that lists the metrics without a value because the method never produces the pieces `lacks`."""
     if not lacks:
         return ()
     absent = [metric.id for metric in rules.metrics if {*lacks} & {*metric.needs}]
-    said = f"no {', '.join(absent)}" if absent else f"no number of {rules.name} needs it"
-    return (f"the method makes no {', '.join(lacks)}: {said}",)
+    effect = f"no {', '.join(absent)}" if absent else f"no number of {rules.name} needs it"
+    return (f"the method makes no {', '.join(lacks)}: {effect}",)
 
 
 def check_results_folder(results: Path, sequences: tuple[str, ...]) -> None:
-    """FreeArtError unless `results` may be the folder of one method; one level too high or too low names the other."""
+    """Raise FreeArtError unless `results` can be a method's results folder; suggests the folder above or below."""
     if not results.is_dir():
         raise FreeArtError(f"{results} is not a folder of results")
     if (results / "prediction.json").is_file():
@@ -123,7 +123,7 @@ def check_results_folder(results: Path, sequences: tuple[str, ...]) -> None:
 
 
 def summarise(rows: Iterable[Row], rules: Protocol) -> tuple[Summary, ...]:
-    """Statistics over all rows of each joint type, then over all rows, for every metric that has one unit there."""
+    """Statistics over the rows of each joint type and over all rows, for every metric with one unit in the group."""
     table, summaries = frame(rows), []
     for group in get_args(Group):
         chosen = table if group == "all" else table[table.truth_type == group]

@@ -1,4 +1,4 @@
-"""The file that `score --out` writes: every number of one method by one protocol, with what each means."""
+"""Score tables as JSON files (`score --out`), written with the protocol's definitions and read with full checks."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from leaderboard.submission import LONGEST_TEXT, escape_unprintable, plain_json,
 SCHEMA = "freeart21/scores/2"
 MAX_ROWS = 100_000
 MAX_NOTES = 100_000
-"""Lines of one row."""
+"""Notes of one row."""
 LARGEST = 1e100
-"""Of any number: its square is a float."""
+"""Largest number: its square is still finite."""
 _CLOSE = 1e-9
-"""Relative: by how much statistics of a file may be off those of its rows."""
+"""Relative tolerance between the file's statistics and those of its rows."""
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _BENCHMARK = ("name", "version", "split", "sha256")
 
 
 def write_scores(path: Path, scores: Scores) -> None:
-    """Write `scores` as JSON, with the protocol's text, units, directions and prices beside the numbers.
+    """Write `scores` as JSON, with the text, units, directions and penalties of the protocol.
 
-    The same results, data, code and machine give the same bytes: what scoring took is left out. Raises FreeArtError
-    unless only an older table of scores stands at `path`.
+    Equal results, data, code and machine give equal bytes: the scoring time is left out. Raises FreeArtError when
+    something else than an older score table exists at `path`.
     """
     require_replaceable(Path(path), SCORES)
     rules = protocol_named(scores.protocol)
@@ -48,54 +48,54 @@ def write_scores(path: Path, scores: Scores) -> None:
 
 
 def read_scores(path: Path) -> Scores:
-    """The scores in a file of `write_scores`, from anybody: bounded and checked, statistics computed anew.
+    """The scores in a file of `write_scores` from any source: bounded, checked, statistics recomputed.
 
-    What is in it is what somebody says: hashes tell of which results, so that they can be scored again. Raises
-    FreeArtError in one line that names the file and what is wrong with it.
+    The values of the rows cannot be verified; the hashes identify the results, which can be scored again. Raises
+    FreeArtError, one line with the file and its fault.
     """
     path = Path(path)
     try:
-        return _scores(checked.read_json(path, SCHEMA, checked.ANYWHERE), path)
-    except FreeArtError as error:  # which may quote what is in the file
+        return _read_scores(checked.read_json(path, SCHEMA, checked.ANYWHERE), path)
+    except FreeArtError as error:  # it can quote the file
         raise FreeArtError(shorten(str(error), len(str(path)) + LONGEST_TEXT)) from error
     except RecursionError as error:
-        raise FreeArtError(f"{path} is no table of scores: it is nested too deeply") from error
-    except (ValueError, OverflowError) as error:  # a number of more digits than Python reads, or than a float holds
-        raise FreeArtError(f"{path} is no table of scores: {shorten(str(error))}") from error
+        raise FreeArtError(f"{path} is not a table of scores: it is nested too deeply") from error
+    except (ValueError, OverflowError) as error:  # a number with too many digits
+        raise FreeArtError(f"{path} is not a table of scores: {shorten(str(error))}") from error
 
 
-def _scores(data: dict[str, Any], path: Path) -> Scores:
-    from leaderboard.score import summarise  # which makes what this file writes
+def _read_scores(data: dict[str, Any], path: Path) -> Scores:
+    from leaderboard.score import summarise
 
-    told = _object(data, "protocol", path)
-    rules = protocol_named(checked.text(told, "name", path))
-    _check_terms(told, rules, path)
-    facts = _object(data, "benchmark", path)
-    benchmark = {key: _line(facts, key, path) for key in (*_BENCHMARK, *({"hidden"} & set(facts)))}
-    said = data.get("rows")
-    if not isinstance(said, list) or not 0 < len(said) <= MAX_ROWS:
-        raise FreeArtError(f"{path}: 'rows' is {_short(said)}, expected a list of 1 to {MAX_ROWS} rows")
-    rows = tuple(_row(row, f"{path}: row {k}", rules) for k, row in enumerate(said))
+    protocol = _read_object(data, "protocol", path)
+    rules = protocol_named(checked.text(protocol, "name", path))
+    _check_terms(protocol, rules, path)
+    facts = _read_object(data, "benchmark", path)
+    benchmark = {key: _read_line(facts, key, path) for key in (*_BENCHMARK, *({"hidden"} & set(facts)))}
+    listed = data.get("rows")
+    if not isinstance(listed, list) or not 0 < len(listed) <= MAX_ROWS:
+        raise FreeArtError(f"{path}: 'rows' is {_quote(listed)}, expected a list of 1 to {MAX_ROWS} rows")
+    rows = tuple(_read_row(row, f"{path}: row {k}", rules) for k, row in enumerate(listed))
     name, times = Counter(row.sequence for row in rows).most_common(1)[0]
     if times > 1:
         raise FreeArtError(f"{path} has a sequence more than once: {name}")
     summaries = summarise(rows, rules)
     _check_summaries(data.get("summaries"), summaries, path)
-    made = plain_json(_object(data, "made_with", path))
+    made_with = plain_json(_read_object(data, "made_with", path))
     return Scores(
         rules.name,
-        _method(_object(data, "method", path), path),
+        _read_method(_read_object(data, "method", path), path),
         benchmark,
         rows,
         summaries,
         None,
-        _notes(data.get("notes"), f"{path}"),
-        made,
+        _read_notes(data.get("notes"), f"{path}"),
+        made_with,
     )
 
 
 def _terms(metric: Metric) -> dict[str, Any]:
-    """What has to be the same for a number to be the same number."""
+    """The definition of a metric as far as values of two files can be compared by it."""
     return {
         "id": metric.id,
         "label": metric.label,
@@ -105,62 +105,62 @@ def _terms(metric: Metric) -> dict[str, Any]:
     }
 
 
-def _check_terms(told: dict[str, Any], rules: Protocol, path: Path) -> None:
-    listed = told.get("metrics")
-    if not isinstance(listed, list) or not all(isinstance(one, dict) for one in listed):
-        raise FreeArtError(f"{path}: the metrics of its protocol are {_short(listed)}, expected a list of objects")
-    for one in listed:
-        ours = _terms(rules.metric(str(one.get("id"))))
+def _check_terms(protocol: dict[str, Any], rules: Protocol, path: Path) -> None:
+    listed = protocol.get("metrics")
+    if not isinstance(listed, list) or not all(isinstance(metric, dict) for metric in listed):
+        raise FreeArtError(f"{path}: the metrics of its protocol are {_quote(listed)}, expected a list of objects")
+    for metric in listed:
+        ours = _terms(rules.metric(str(metric.get("id"))))
         for key in ("unit", "direction", "price"):
-            if one.get(key) != ours[key]:
+            if metric.get(key) != ours[key]:
                 raise FreeArtError(
-                    f"{path}: its {rules.name} has '{key}' {_short(one.get(key))} for {ours['id']}, expected "
+                    f"{path}: its {rules.name} has '{key}' {_quote(metric.get(key))} for {ours['id']}, expected "
                     f"{ours[key]}: that is another protocol"
                 )
 
 
-def _method(data: dict[str, Any], path: Path) -> Method:
+def _read_method(data: dict[str, Any], path: Path) -> Method:
     settings = data.get("settings")
     if settings is not None and not isinstance(settings, dict):
-        raise FreeArtError(f"{path}: the method's settings are {_short(settings)}, expected an object or null")
+        raise FreeArtError(f"{path}: the method's settings are {_quote(settings)}, expected an object or null")
     words = [shorten(checked.text(data, key, path)) for key in ("name", "code", "hardware")]
     if not words[0].strip():
         raise FreeArtError(f"{path}: the method has no name")
     return Method(words[0], words[1], plain_json(settings), words[2], lacks_of(data, path))
 
 
-def _row(data: Any, where: str, rules: Protocol) -> Row:
-    """The row that `data` holds; `where` begins its faults."""
+def _read_row(data: Any, where: str, rules: Protocol) -> Row:
+    """The row in `data`; error messages begin with `where`."""
     known = [field.name for field in fields(Row)]
     if not isinstance(data, dict) or sorted(data) != sorted(known):
-        got = ", ".join(shorten(str(key)) for key in sorted(data)) if isinstance(data, dict) else _short(data)
+        got = ", ".join(shorten(str(key)) for key in sorted(data)) if isinstance(data, dict) else _quote(data)
         raise FreeArtError(f"{where} has {got[:LONGEST_TEXT]}, expected {', '.join(known)}")
     sequence = data["sequence"]
     if not _is_name(sequence):
-        raise FreeArtError(f"{where}: 'sequence' is {_short(sequence)}, expected the name of a folder")
+        raise FreeArtError(f"{where}: 'sequence' is {_quote(sequence)}, expected the name of a folder")
     where = f"{where} ({sequence})"
     for key, choices in (("joint_type", JointType), ("status", Status), ("measured_from", Source)):
         if data[key] not in get_args(choices):
-            raise FreeArtError(f"{where}: '{key}' is {_short(data[key])}, expected {', '.join(get_args(choices))}")
+            raise FreeArtError(f"{where}: '{key}' is {_quote(data[key])}, expected {', '.join(get_args(choices))}")
     if (data["status"] == "ok") != (data["measured_from"] != "nothing"):
         raise FreeArtError(f"{where} is {data['status']} and measured from {data['measured_from']}")
     if not isinstance(data["swapped"], bool):
-        raise FreeArtError(f"{where}: 'swapped' is {_short(data['swapped'])}, expected true or false")
+        raise FreeArtError(f"{where}: 'swapped' is {_quote(data['swapped'])}, expected true or false")
     if not isinstance(data["reason"], str):
-        raise FreeArtError(f"{where}: 'reason' is {_short(data['reason'])}, expected text")
-    diagonal = _number(data, "diagonal_m", where)
+        raise FreeArtError(f"{where}: 'reason' is {_quote(data['reason'])}, expected text")
+    diagonal = _read_number(data, "diagonal_m", where)
     if diagonal is None or diagonal <= 0:
-        raise FreeArtError(f"{where}: 'diagonal_m' is {_short(diagonal)}, expected more than 0")
-    values = _numbers(data, "values", where)
+        raise FreeArtError(f"{where}: 'diagonal_m' is {_quote(diagonal)}, expected more than 0")
+    values = _read_numbers(data, "values", where)
     expected = [metric.id for metric in rules.metrics]
     if sorted(values) != sorted(expected):
-        odd = sorted(set(values) ^ set(expected))[0]
-        is_ = "lacks" if odd in expected else "has"
-        raise FreeArtError(f"{where}: its values {is_} '{shorten(odd)}', expected the numbers of {rules.name}")
-    centimetres = _numbers(data, "values_cm", where)
+        id = sorted(set(values) ^ set(expected))[0]
+        verb = "lacks" if id in expected else "has"
+        raise FreeArtError(f"{where}: its values {verb} '{shorten(id)}', expected the numbers of {rules.name}")
+    centimetres = _read_numbers(data, "values_cm", where)
     if not set(centimetres) <= set(expected):
         raise FreeArtError(f"{where}: 'values_cm' has numbers that {rules.name} does not know")
-    seconds = _number(data, "seconds", where)
+    seconds = _read_number(data, "seconds", where)
     if seconds is not None and seconds < 0:
         raise FreeArtError(f"{where}: 'seconds' is {seconds:g}, expected 0 or more, or null")
     return Row(
@@ -173,33 +173,33 @@ def _row(data: Any, where: str, rules: Protocol) -> Row:
         diagonal,
         {id: values[id] for id in expected},
         {id: value for id, value in centimetres.items() if value is not None},
-        _notes(data["notes"], where),
+        _read_notes(data["notes"], where),
         seconds,
-        _sha256(data, "result_sha256", where),
-        _sha256(data, "truth_sha256", where),
+        _read_sha256(data, "result_sha256", where),
+        _read_sha256(data, "truth_sha256", where),
     )
 
 
-def _check_summaries(said: Any, summaries: Iterable[Summary], path: Path) -> None:
-    """FreeArtError where statistics in the file are not those of its rows."""
+def _check_summaries(given: Any, summaries: Iterable[Summary], path: Path) -> None:
+    """Raise FreeArtError when the file's statistics are not those of its rows."""
     ours = {summary.group: asdict(summary) for summary in summaries}
-    if not isinstance(said, list) or not all(isinstance(one, dict) for one in said):
-        raise FreeArtError(f"{path}: 'summaries' is {_short(said)}, expected a list of objects")
-    for one in said:
+    if not isinstance(given, list) or not all(isinstance(one, dict) for one in given):
+        raise FreeArtError(f"{path}: 'summaries' is {_quote(given)}, expected a list of objects")
+    for one in given:
         group = str(one.get("group"))
         if group not in ours:
             raise FreeArtError(f"{path} has a summary of '{shorten(group)}'; its rows are {', '.join(ours)}")
-        wrong = _difference(one, ours[group])
-        if wrong:
-            raise FreeArtError(f"{path}: {wrong} of its {group} summary is not that of its rows")
+        field = _find_difference(one, ours[group])
+        if field:
+            raise FreeArtError(f"{path}: {field} of its {group} summary is not that of its rows")
 
 
-def _difference(said: Mapping[str, Any], ours: Mapping[str, Any]) -> str:
-    """The first thing in `said` that is otherwise in `ours`, by name; empty when there is none."""
-    for key, value in said.items():
+def _find_difference(given: Mapping[str, Any], ours: Mapping[str, Any]) -> str:
+    """The path of the first entry of `given` that differs in `ours`; empty when there is none."""
+    for key, value in given.items():
         mine = ours.get(key)
         if isinstance(value, dict) and isinstance(mine, Mapping):
-            deeper = _difference(value, mine)
+            deeper = _find_difference(value, mine)
             if deeper:
                 return f"{shorten(key)} {deeper}"
         elif isinstance(value, int | float) and isinstance(mine, int | float):
@@ -210,53 +210,53 @@ def _difference(said: Mapping[str, Any], ours: Mapping[str, Any]) -> str:
     return ""
 
 
-def _object(data: dict[str, Any], key: str, path: Path) -> dict[str, Any]:
+def _read_object(data: dict[str, Any], key: str, path: Path) -> dict[str, Any]:
     value = data.get(key)
     if not isinstance(value, dict):
-        raise FreeArtError(f"{path}: '{key}' is {_short(value)}, expected an object")
+        raise FreeArtError(f"{path}: '{key}' is {_quote(value)}, expected an object")
     return value
 
 
-def _line(data: dict[str, Any], key: str, path: Path) -> str:
-    """The text `data[key]`, one line that prints."""
+def _read_line(data: dict[str, Any], key: str, path: Path) -> str:
+    """The text `data[key]`, one printable line."""
     value = data.get(key)
     if not isinstance(value, str) or not value.isprintable() or len(value) > LONGEST_TEXT:
-        raise FreeArtError(f"{path}: '{key}' is {_short(value)}, expected a line of text")
+        raise FreeArtError(f"{path}: '{key}' is {_quote(value)}, expected a line of text")
     return value
 
 
-def _notes(value: Any, where: str) -> tuple[str, ...]:
+def _read_notes(value: Any, where: str) -> tuple[str, ...]:
     if not isinstance(value, list) or len(value) > MAX_NOTES or not all(isinstance(note, str) for note in value):
-        raise FreeArtError(f"{where}: 'notes' is {_short(value)}, expected a list of at most {MAX_NOTES} lines")
+        raise FreeArtError(f"{where}: 'notes' is {_quote(value)}, expected a list of at most {MAX_NOTES} lines")
     return tuple(escape_unprintable(note) for note in value)
 
 
-def _numbers(data: dict[str, Any], key: str, where: str) -> dict[str, float | None]:
+def _read_numbers(data: dict[str, Any], key: str, where: str) -> dict[str, float | None]:
     value = data[key]
     if not isinstance(value, dict):
-        raise FreeArtError(f"{where}: '{key}' is {_short(value)}, expected an object")
-    return {id: _number(value, id, f"{where} {key}") for id in value}
+        raise FreeArtError(f"{where}: '{key}' is {_quote(value)}, expected an object")
+    return {id: _read_number(value, id, f"{where} {key}") for id in value}
 
 
-def _number(data: dict[str, Any], key: str, where: str) -> float | None:
+def _read_number(data: dict[str, Any], key: str, where: str) -> float | None:
     """The finite number `data[key]`, or None for null."""
     value = data[key]
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
-        raise FreeArtError(f"{where}: '{shorten(key)}' is {_short(value)}, expected a finite number or null")
+        raise FreeArtError(f"{where}: '{shorten(key)}' is {_quote(value)}, expected a finite number or null")
     return float(value)
 
 
-def _sha256(data: dict[str, Any], key: str, where: str) -> str | None:
+def _read_sha256(data: dict[str, Any], key: str, where: str) -> str | None:
     value = data[key]
     if value is not None and not (isinstance(value, str) and _SHA256.fullmatch(value)):
-        raise FreeArtError(f"{where}: '{key}' is {_short(value)}, expected 64 hexadecimal digits or null")
+        raise FreeArtError(f"{where}: '{key}' is {_quote(value)}, expected 64 hexadecimal digits or null")
     return value
 
 
 def _is_name(value: Any) -> bool:
-    """Whether it may be the name of a folder, that is neither a path nor hidden characters."""
+    """Whether it can be a folder's name: printable and not a path."""
     return (
         isinstance(value, str)
         and 0 < len(value) <= LONGEST_TEXT
@@ -266,8 +266,8 @@ def _is_name(value: Any) -> bool:
     )
 
 
-def _short(value: Any) -> str:
-    """At most sixty characters of what came from outside."""
+def _quote(value: Any) -> str:
+    """`value` for a message, at most sixty characters."""
     if isinstance(value, dict | list):
         return f"{'an object' if isinstance(value, dict) else 'a list'} of {len(value)}"
     return escape_unprintable(repr(value)[:60])

@@ -1,4 +1,4 @@
-"""A triangle surface to sample and to measure to: exact point-to-triangle distance through a bounding-volume tree."""
+"""Triangle surfaces: area-uniform samples, and exact point-to-triangle distances by a bounding volume hierarchy."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 
 LEAF_SIZE = 4
-"""Triangles a leaf may hold; 2, 4 and 8 were measured within 15 % of each other on 80k and 330k faces."""
+"""Most triangles of a leaf. Times for 2, 4 and 8 differed by up to 15 % on 80k and 330k faces."""
 FLATTEST = 1e-12
-"""Triangles whose area is below this share of their longest edge squared are lines: they are left out."""
+"""Triangles with an area below this share of their longest edge squared are left out as lines."""
 SMALLEST = 1e-60
-"""m^2: triangles below it are points; their squares would underflow."""
+"""m^2: smaller triangles are left out as points; their squares would underflow."""
 SLACK = 1e-12
-"""Metres added to what bounds a search, so that rounding cannot hide the nearest triangle."""
+"""Metres added to search bounds, so that rounding cannot exclude the nearest triangle."""
 _CHUNK = 16_384
 _Tree = tuple[Array, Array, Array, NDArray[np.int64], NDArray[np.int64]]
 """Corners (F, 9) and planes (F, 8) of the triangles in leaf order; boxes (N, 6), `first` and `count` of the nodes."""
-_DEPTH = 64  # halving 2^64 triangles needs no deeper stack
+_DEPTH = 64  # of the stack: enough for 2^64 triangles
 
 
 class Surface:
-    """The triangles of a mesh, metres, in the mesh's own frame. May be empty."""
+    """The triangles of a mesh, metres, in the mesh's own frame. Can be empty."""
 
     def __init__(self, mesh: Mesh, faces: NDArray[np.bool_] | None = None) -> None:
-        """The surface of `mesh`, or of those of its faces that `faces` (F,) selects; lines and points are left out."""
+        """The surface of `mesh`, or of the faces that `faces` (F,) selects, without degenerate triangles."""
         corners = mesh.vertices[mesh.faces if faces is None else mesh.faces[faces]]
         edges = corners - np.roll(corners, 1, axis=1)
         areas = 0.5 * np.linalg.norm(np.cross(edges[:, 1], edges[:, 2]), axis=1)
@@ -43,7 +43,7 @@ class Surface:
 
     @property
     def empty(self) -> bool:
-        """No triangle with an area."""
+        """Whether it has no triangle."""
         return len(self.corners) == 0
 
     @property
@@ -53,14 +53,13 @@ class Surface:
 
     @property
     def centre(self) -> Array:
-        """(3,) centre of the surface's area: it moves with the surface, whatever the frame."""
+        """(3,) area-weighted centroid."""
         return np.average(self.corners.mean(1), axis=0, weights=self.areas)
 
     def sample(self, count: int, seed: tuple[int, ...]) -> Array:
-        """(count, 3) points spread evenly over the area, the same for the same seed; (0, 3) from an empty surface.
+        """(count, 3) independent points, uniform over the area, determined by `seed`; (0, 3) from an empty surface.
 
-        The points are independent: the first k of them are a fair sample too. Barycentric sampling by the square root
-        (Osada et al. 2002, eq. 1).
+        Any first k of them are a uniform sample, too. Barycentric sampling by Osada et al. 2002, eq. 1.
         """
         if self.empty:
             return np.zeros((0, 3))
@@ -74,13 +73,13 @@ class Surface:
     def distance(self, points: ArrayLike, at_most: ArrayLike | None = None) -> Array:
         """Distance (n,), metres, from `points` (n, 3) to the nearest point of the surface; inf when it is empty.
 
-        With `at_most` (n,) the answer is the smaller of the two, and far parts are not looked at.
+        `at_most` (n,) caps the distances and makes the search faster.
         """
         points = np.asarray(points, float).reshape(-1, 3)
         limits = np.full(len(points), np.inf) if at_most is None else np.asarray(at_most, float)
         if self.empty or not len(points):
             return limits.copy()
-        order = _along_curve(points)  # neighbours follow each other: they share what they look at, and bound each other
+        order = _along_curve(points)  # each point's distance bounds the next one's
         points, limits, tree = points[order], limits[order], self._tree
 
         def measure(at: int) -> Array:
@@ -104,13 +103,13 @@ class Surface:
 
 
 def _along_curve(points: Array) -> NDArray[np.int64]:
-    """The order of `points` (n, 3) along a Z-order curve of 1024 cells a side (Morton 1966), by place within a cell."""
+    """Order of `points` (n, 3) along a Z-order curve of 1024 cells a side (Morton 1966); stable within a cell."""
     return _curve_order(points, points.min(0), max(float(np.ptp(points, axis=0).max()), SMALLEST))
 
 
 @njit(cache=True, nogil=True)
 def _curve_order(points, low, extent):
-    """Sorted by the 30 bits of each cell, ten at a time from the lowest; whatever is not finite has bits, too."""
+    """Radix sort by the 30 bits of each cell, ten at a time; points that are not finite get some cell."""
     n = len(points)
     keys, order, other = np.empty(n, np.int64), np.arange(n), np.empty(n, np.int64)
     for i in range(n):
@@ -139,10 +138,10 @@ def _curve_order(points, low, extent):
 
 @njit(cache=True, nogil=True)
 def _build(corners, leaf_size):
-    """A tree of boxes, each node halved at the median of its longest side of triangle centres.
+    """A tree of bounding boxes, each node split at the median triangle centre along its longest side.
 
-    Node i is a leaf of `count[i]` triangles from `first[i]` of the returned order, or has the children first[i] and
-    first[i] + 1.
+    Node i is a leaf with `count[i]` triangles, from index `first[i]` of the returned order, or (count 0) an inner node
+    with the children first[i] and first[i] + 1.
     """
     n = len(corners)
     centres = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
@@ -179,8 +178,10 @@ def _build(corners, leaf_size):
 
 @njit(cache=True, nogil=True)
 def _planes(corners):
-    """Of each triangle (n, 9) what says how far a point is from its plane: (n, 8) a corner, the normal (as long as
-    twice the area), the normal's square, and nothing, so that each lies in a cache line of its own."""
+    """Plane (n, 8) of each triangle (n, 9): a corner, the normal of length twice the area, its square, and 0.
+
+    Padded to eight numbers, a cache line.
+    """
     planes = np.zeros((len(corners), 8))
     for i in range(len(corners)):
         t = corners[i]
@@ -197,8 +198,7 @@ def _planes(corners):
 def _nearest(points, limits, corners, planes, boxes, first, count):
     """Distance from each point (n, 3) to the triangles, or its limit (n,) when that is smaller; nearer boxes first.
 
-    No point is further away than from the triangle nearest to the one before it. With SLACK on top, such a bound leaves
-    every digit of the answer as it is: what it hides is farther by more than rounding.
+    The distance to the previous point's nearest triangle, plus SLACK, bounds the search without changing its result.
     """
     nodes, bounds = np.empty(_DEPTH, np.int64), np.empty(_DEPTH)
     distances = np.empty(len(points))

@@ -1,4 +1,4 @@
-"""Printing scores: sequences as rows, the ranking numbers as columns, means by joint type below."""
+"""Prints score tables: sequences as rows, ranking metrics as columns, statistics by joint type below."""
 
 from __future__ import annotations
 
@@ -15,50 +15,52 @@ from leaderboard.rows import Row, Scores, Statistic, Summary
 from leaderboard.submission import escape_unprintable
 
 WIDTH = 100
-"""Columns of characters that the table of ranking numbers fits."""
+"""Characters that the table of ranking metrics fits."""
 COLUMNS_AT_ONCE = 5
-"""Metrics a table when all are shown."""
+"""Metrics per table when all are printed."""
 NOTHING = "–"  # noqa: RUF001
-"""Stands where there is no number."""
+"""Stands for a missing value."""
 _DIGITS = {"deg": 2, "%": 2, "cm": 2, "m": 4, "dm²": 4, "1": 3, "dB": 1, "fraction": 3}
 _SIGNS = {"deg": "°", "%": "%", "cm": " cm", "m": " m", "dm²": "", "1": "", "dB": "", "fraction": ""}
 
 
 def decimals(unit: str) -> int:
-    """Digits behind the point, of numbers of a unit."""
+    """Decimals of values in `unit`."""
     return _DIGITS.get(unit, 3)
 
 
-def sign(unit: str) -> str:
-    """What stands behind a number of a unit."""
+def unit_suffix(unit: str) -> str:
+    """Suffix of values in `unit`."""
     return _SIGNS.get(unit, f" {unit}")
 
 
-def column_foot(metric: Metric, beside: str = "") -> str:
-    """The foot of a column's head: the unit where all sequences have one, and which way is better."""
+def column_foot(metric: Metric, second_unit: str = "") -> str:
+    """Last line of a column's head: the unit if all sequences share one, and an arrow towards better values."""
     unit = metric.unit("all") or ""
-    shown = "" if unit in ("dB", "fraction", "1") else f"{unit} ({beside})" if beside and unit == "%" else unit
+    shown = (
+        "" if unit in ("dB", "fraction", "1") else f"{unit} ({second_unit})" if second_unit and unit == "%" else unit
+    )
     return f"{shown} {'↑' if metric.direction == 'up' else '↓'}".strip()
 
 
 def ranking_metrics(rules: Protocol) -> tuple[Metric, ...]:
-    """The metrics that have a column where there is room for few; all that stand beside no other one when none has."""
+    """The metrics with a column in short tables; if none has one, all that do not supplement another."""
     chosen = tuple(metric for metric in rules.metrics if metric.column)
     return chosen or tuple(metric for metric in rules.metrics if metric.supplements is None)
 
 
 def column_head(metric: Metric) -> str:
-    """The head of a metric's column, in lines."""
+    """The head of a metric's column, in one or more lines."""
     return metric.column or metric.id.replace("_", "\n")
 
 
 def print_scores(scores: Scores, console: Console | None = None, everything: bool = False) -> None:
-    """Print the table of sequences with means by joint type, then a line for each row that needs a word.
+    """Print the table of sequences with statistics by joint type, then failures and notes.
 
-    `everything`: every metric of the protocol, in as many tables as it takes, lengths with cm beside.
+    `everything` prints every metric of the protocol in several tables, with lengths in cm, too.
     """
     console = console or Console()
-    if not console.is_terminal:  # a file or a pipe has no width of its own
+    if not console.is_terminal:  # a file or pipe has no width
         console.width = max(console.width, WIDTH)
     for table in all_tables(scores) if everything else [score_table(scores)]:
         console.print(table)
@@ -68,29 +70,29 @@ def print_scores(scores: Scores, console: Console | None = None, everything: boo
         for line in (*([f"{row.status}: {row.reason}"] if row.reason else []), *row.notes):
             style = "red" if row.status != "ok" else "yellow"
             console.print(f"  {escape(f'{row.sequence}: {line}')}", style=style, soft_wrap=True)
-    took = "" if scores.seconds is None else f", in {scores.seconds:.0f} s"
-    console.print(f"  {scores.measured} of {len(scores.rows)} sequences were measured{took}", style="dim")
+    duration = "" if scores.seconds is None else f", in {scores.seconds:.0f} s"
+    console.print(f"  {scores.measured} of {len(scores.rows)} sequences were measured{duration}", style="dim")
     assets_count = protocol_named(scores.protocol).asset != "none"
     if assets_count and any(row.measured_from == "files" for row in scores.rows):
         console.print("  'files': there is no asset; joint and surfaces are read from the files.", style="dim")
 
 
 def score_table(scores: Scores) -> Table:
-    """A row a sequence, a column for each ranking number that has one, then statistics of the joint types."""
+    """The table of ranking metrics: a row per sequence, then statistics by joint type."""
     return _table(scores, list(ranking_metrics(protocol_named(scores.protocol))), False)
 
 
 def all_tables(scores: Scores) -> Iterator[Table]:
-    """Every metric of the protocol, COLUMNS_AT_ONCE a table."""
+    """Tables of every metric of the protocol, COLUMNS_AT_ONCE each."""
     metrics = protocol_named(scores.protocol).metrics
     for at in range(0, len(metrics), COLUMNS_AT_ONCE):
         yield _table(scores, list(metrics[at : at + COLUMNS_AT_ONCE]), True)
 
 
 def page_entries(row: Row, protocol: str) -> dict[str, dict[str, object]]:
-    """A row for a page: metric id to label, value, unit, better ('up' or 'down') and the value in cm beside.
+    """A row for a page: metric id to label, value, unit, better ('up' or 'down') and, as `beside`, the value in cm.
 
-    Numbers that do not exist for the row are left out.
+    Metrics without a value are left out.
     """
     entries: dict[str, dict[str, object]] = {}
     for metric in protocol_named(protocol).metrics:
@@ -108,12 +110,12 @@ def page_entries(row: Row, protocol: str) -> dict[str, dict[str, object]]:
 
 
 def score_note(row: Row, protocol: str) -> str:
-    """What a page says below a row: by which protocol, of which frames, measured from what."""
+    """The text of a page below a row: protocol, frames, and where the values were measured."""
     measured = {
         "asset": "joint and surfaces of the asset, reloaded and driven in the simulator",
         "files": "joint and surfaces of the result's files, "
-        + ("as there is no asset" if protocol_named(protocol).asset != "none" else "which is all that it looks at"),
-        "nothing": f"nothing could be measured ({row.reason}), and every number is what a failure costs",
+        + ("as there is no asset" if protocol_named(protocol).asset != "none" else "which are all that it reads"),
+        "nothing": f"nothing could be measured ({row.reason}), and every number is the penalty of a failure",
     }[row.measured_from]
     return (
         f"By protocol {protocol}, over all frames of the video (joint state: those that show both parts) and all "
@@ -123,7 +125,7 @@ def score_note(row: Row, protocol: str) -> str:
 
 def _table(scores: Scores, metrics: list[Metric], whole: bool) -> Table:
     rules = protocol_named(scores.protocol)
-    title = f"{scores.method.name} by {rules.name}, sequences of {scores.benchmark['name']}; failures priced"
+    title = f"{scores.method.name} by {rules.name}, sequences of {scores.benchmark['name']}; failures penalised"
     table = Table(title=escape(escape_unprintable(title)), box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     table.add_column("sequence", overflow="fold", min_width=10)
     table.add_column("", overflow="fold")
@@ -133,11 +135,11 @@ def _table(scores: Scores, metrics: list[Metric], whole: bool) -> Table:
         table.add_column(f"{head}\n{foot}", justify="right", no_wrap=True)
     table.add_column("s", justify="right", no_wrap=True)
     for row in scores.rows:
-        cells = [_cell(row, metric, whole) for metric in metrics]
+        cells = [format_cell(row, metric, whole) for metric in metrics]
         style = None if row.status == "ok" else "red"
         seconds = NOTHING if row.seconds is None else f"{row.seconds:.0f}"
-        table.add_row(escape(row.sequence), _status(row, rules), *cells, seconds, style=style)
-    groups = scores.summaries if len(scores.summaries) > 2 else scores.summaries[:1]  # one type is all there is
+        table.add_row(escape(row.sequence), _format_status(row, rules), *cells, seconds, style=style)
+    groups = scores.summaries if len(scores.summaries) > 2 else scores.summaries[:1]
     for summary in groups if len(scores.rows) > 1 else ():
         table.add_section()
         for name, style in (("mean", None), ("std", "dim"), ("median", "dim"), ("worst", "dim")):
@@ -145,13 +147,13 @@ def _table(scores: Scores, metrics: list[Metric], whole: bool) -> Table:
             if name == "mean":
                 head = f"{summary.group} mean"
                 failed = f"{summary.failures}/{summary.sequences} fail" if summary.failures else f"{summary.sequences}"
-            cells = [_statistic(summary, metric, name, whole) for metric in metrics]
+            cells = [_format_statistic(summary, metric, name, whole) for metric in metrics]
             table.add_row(head, failed, *cells, "", style=style)
     return table
 
 
-def _status(row: Row, rules: Protocol) -> str:
-    """What became of a row, in a word."""
+def _format_status(row: Row, rules: Protocol) -> str:
+    """The status of a row, in one or two words."""
     if row.status != "ok":
         return row.status.upper()
     if row.values.get("joint_type") == 0:
@@ -159,24 +161,29 @@ def _status(row: Row, rules: Protocol) -> str:
     return "files" if row.measured_from == "files" and rules.asset != "none" else "ok"
 
 
-def _cell(row: Row, metric: Metric, whole: bool) -> str:
+def format_cell(row: Row, metric: Metric, whole: bool) -> str:
+    """The text of a row's value, with the unit if the column has no common one."""
     value, unit = row.values.get(metric.id), metric.unit(row.joint_type)
     return (
-        NOTHING if value is None or unit is None else _number(value, unit, metric, row.values_cm.get(metric.id), whole)
+        NOTHING
+        if value is None or unit is None
+        else _format_number(value, unit, metric, row.values_cm.get(metric.id), whole)
     )
 
 
-def _statistic(summary: Summary, metric: Metric, name: str, whole: bool) -> str:
+def _format_statistic(summary: Summary, metric: Metric, name: str, whole: bool) -> str:
     def of(id: str) -> float | None:
         found: Statistic | None = summary.statistics.get(id)
         return None if found is None else getattr(found, name)
 
     value, unit = of(metric.id), metric.unit(summary.group)
-    return NOTHING if value is None or unit is None else _number(value, unit, metric, of(f"{metric.id}_cm"), whole)
+    return (
+        NOTHING if value is None or unit is None else _format_number(value, unit, metric, of(f"{metric.id}_cm"), whole)
+    )
 
 
-def _number(value: float, unit: str, metric: Metric, centimetres: float | None, whole: bool) -> str:
-    """`value` in three digits or as many as it has before the point, its unit only where the column has no one unit."""
+def _format_number(value: float, unit: str, metric: Metric, centimetres: float | None, whole: bool) -> str:
+    """`value` with about three digits, and its unit if the column has no common one."""
     digits = decimals(unit) if abs(value) < 10 or unit in ("dB", "fraction") else 1 if abs(value) < 99.95 else 0
-    beside = f" ({centimetres:.{decimals('cm')}f})" if whole and centimetres is not None else ""
-    return f"{value:.{digits}f}{'' if metric.unit('all') else sign(unit)}{beside}"
+    in_cm = f" ({centimetres:.{decimals('cm')}f})" if whole and centimetres is not None else ""
+    return f"{value:.{digits}f}{'' if metric.unit('all') else unit_suffix(unit)}{in_cm}"

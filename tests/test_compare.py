@@ -20,7 +20,7 @@ from leaderboard.bootstrap import bootstrap_intervals, min_sequences
 from leaderboard.categories import read_category
 from leaderboard.compare import compare_results
 from leaderboard.compare_files import COMPARISONS, write_comparison
-from leaderboard.compare_tables import grids, latex, legend, markdown, pieces, print_comparison
+from leaderboard.compare_tables import latex, legend, make_grids, markdown, print_comparison, split_columns
 from leaderboard.protocols import PROTOCOLS, protocol_named
 from leaderboard.rows import Row, Scores
 from leaderboard.score import benchmark_facts, summarise
@@ -100,7 +100,7 @@ def test_means_and_deviations_are_those_of_the_papers_table(data, compared):
     assert (round(found.mean, 2), round(found.std, 2)) == (45.00, 49.30)
     assert revolute.coverage == pytest.approx(13 / 15) and every.coverage == pytest.approx(19 / 21)
     assert revolute.statistics["joint_type"].mean == pytest.approx(8 / 15)
-    first = grids(comparison, "type")[0]
+    first = make_grids(comparison, "type")[0]
     (name, (row,)) = first.sections[0]
     assert name == "revolute, 15 sequences" and [cell.text for cell in row[:4]] == [
         "AA",
@@ -117,7 +117,7 @@ def test_numbers_without_a_common_unit_have_no_common_mean(data, compared):
     assert "state" not in comparison.standing(entrant, groups["all"]).statistics
     assert "position" not in comparison.standing(entrant, groups["prismatic"]).statistics
     assert comparison.standing(entrant, groups["all"]).statistics["position"].sequences == 15
-    texts = [row[0][5].text for _, row in grids(comparison, "type")[0].sections]
+    texts = [row[0][5].text for _, row in make_grids(comparison, "type")[0].sections]
     assert texts == ["3.00 ± 0.00°", "3.00 ± 0.00%", "–"]  # noqa: RUF001
 
 
@@ -127,8 +127,8 @@ def test_the_worst_and_the_best_follow_the_direction_of_the_metric(data, compare
     group = by_name(comparison)["revolute"]
     a, b = (comparison.standing(entrant, group) for entrant in comparison.entrants)
     assert (a.statistics["psnr"].worst, b.statistics["psnr"].worst) == (20, 10)
-    metrics = [head.split("\n")[0] for head in grids(comparison, "type")[0].head]
-    (rows_a, rows_b) = grids(comparison, "type")[0].sections[0][1]
+    metrics = [head.split("\n")[0] for head in make_grids(comparison, "type")[0].head]
+    (rows_a, rows_b) = make_grids(comparison, "type")[0].sections[0][1]
     assert (rows_a[metrics.index("views")].best, rows_b[metrics.index("views")].best) == (True, False)
     assert (rows_a[metrics.index("axis")].best, rows_b[metrics.index("axis")].best) == (False, True)
 
@@ -192,7 +192,7 @@ def test_few_sequences_have_no_interval():
     rng = np.random.default_rng(0)
     for n, has in ((1, False), (5, False), (6, True)):
         (found,) = bootstrap_intervals(rng.normal(size=(n, 1)))
-        assert (found.low is not None) == has and found.sequences == n and (has or not found.sure)
+        assert (found.low is not None) == has and found.sequences == n and (has or not found.significant)
 
 
 def test_intervals_are_the_same_every_time_and_of_each_column_alone():
@@ -229,7 +229,7 @@ def test_a_failure_stays_in_at_its_price(data, compared):
 def test_what_a_method_does_not_make_is_a_dash_and_in_no_difference(data, compared):
     nothing = dict.fromkeys(("pose_rotation", "pose_translation", "state"))
     comparison = compared(made(data, "A"), made(data, "B", nothing, lacks=("poses", "states")))
-    first = grids(comparison, "type")[0]
+    first = make_grids(comparison, "type")[0]
     column = [" ".join(head.split()) for head in first.head].index("ref. part deg ↓")
     texts = [[row[column].text for row in rows] for _, rows in first.sections]
     assert texts == [["1.00 ± 0.00", "–"]] * 3  # noqa: RUF001
@@ -267,7 +267,7 @@ def test_groups_by_category_and_by_sequence(data, compared):
         "all are of one type"
     )
     assert len(comparison.groups("sequence")) == 21
-    (grid,) = grids(comparison, "sequence")
+    (grid,) = make_grids(comparison, "sequence")
     assert grid.sections[0][0] == "p00: Phone, prismatic" and [row[1].text for row in grid.sections[0][1]] == [
         "ok",
         "ok",
@@ -281,7 +281,7 @@ def test_a_joint_type_that_does_not_occur_has_no_group(data, compared):
     assert [group.name for group in comparison.groups("type")] == ["revolute"]
 
 
-# ---- what is not to be set side by side
+# ---- tables that cannot be compared
 
 
 def test_protocols_are_never_mixed(data, compared):
@@ -296,7 +296,7 @@ def test_benchmarks_are_never_mixed(data, compared):
     table = made(data, "B")
     with pytest.raises(FreeArtError, match=r"is scored on other 1 \(000000000000\), expected paper-like 1"):
         compared(made(data, "A"), replace(table, benchmark={**table.benchmark, "name": "other", "sha256": "0" * 64}))
-    with pytest.raises(FreeArtError, match="has a row for x, which is no sequence of"):
+    with pytest.raises(FreeArtError, match="has a row for x, which is not a sequence of"):
         compared(replace(table, rows=(replace(table.rows[0], sequence="x"), *table.rows[1:])))
 
 
@@ -312,7 +312,7 @@ def test_versions_of_the_scoring_code_and_truths_are_never_mixed(data, compared)
 
 
 def test_bad_input_is_one_line(data, tmp_path):
-    with pytest.raises(FreeArtError, match="nothing was named"):
+    with pytest.raises(FreeArtError, match="nothing to compare"):
         compare_results([], data)
     write_scores(tmp_path / "a.json", made(data, "A"))
     with pytest.raises(FreeArtError, match="is named twice"):
@@ -436,19 +436,19 @@ def test_ten_methods_fit_a_screen_of_100_columns(by, data, compared):
     assert max(map(len, lines)) <= 100
     text = "\n".join(lines)
     assert "88.88" in text and "a-method-of-a-very-lo…" in text and all(f"  {name} " in text for name in "BCDEFGHIJ")
-    for grid in grids(comparison, by):
-        shown = [head for piece in pieces(grid, 100) for head in piece.head[1:]]
+    for grid in make_grids(comparison, by):
+        shown = [head for piece in split_columns(grid, 100) for head in piece.head[1:]]
         assert shown == list(grid.head[1:]), "every column, once"
 
 
 def test_other_protocols_have_tables_too(data, compared, monkeypatch):
     """Of a protocol without a type, without heads of columns, and in units of its own."""
     rules = protocol_named("strict-1")
-    own = tuple(replace(m, column="", beside=None) for m in rules.metrics if m.id in ("axis", "state"))
+    own = tuple(replace(m, column="", supplements=None) for m in rules.metrics if m.id in ("axis", "state"))
     own += (replace(own[0], id="twist", revolute_unit="m", prismatic_unit="m"),)
     monkeypatch.setitem(PROTOCOLS, "own-1", replace(rules, name="own-1", metrics=own))
     comparison = compared(made(data, "A", protocol="own-1"), made(data, "B", protocol="own-1"))
-    head = [" ".join(head.split()) for head in grids(comparison, "type")[0].head]
+    head = [" ".join(head.split()) for head in make_grids(comparison, "type")[0].head]
     assert head == ["method", "measured", "axis deg ↓", "state ↓", "twist m ↓"]
     print_comparison(comparison, "type", Console(width=100, file=io.StringIO()))
     assert "0.0000 m" in latex(comparison, "type"), "differences have their unit behind them"

@@ -33,7 +33,7 @@ from leaderboard.protocols.paper1 import PAPER_1, Paper1
 from leaderboard.protocols.strict1 import STRICT_1, Strict1
 from leaderboard.protocols.strict2 import STRICT_2
 from leaderboard.sequence_score import SequenceScorer
-from leaderboard.tables import NOTHING, _cell, print_scores
+from leaderboard.tables import NOTHING, format_cell, print_scores
 from leaderboard.validate import validate_results
 
 QUICK = {
@@ -259,5 +259,5 @@ def test_tables_show_a_dash_and_say_why(data, tmp_path, rules):
     assert "the method makes no masks, meshes: no" in said
     row = next(row for row in scores.rows if row.sequence == "a")
     for metric in rules.metrics:
-        shown = _cell(row, metric, False)
+        shown = format_cell(row, metric, False)
         assert (shown == NOTHING) == bool({"masks", "meshes"} & {*metric.needs}), metric.id
