@@ -221,50 +221,59 @@ def open_library(asset: Asset, measured: Measured, untouched: list[str]) -> Simp
     """All that this file takes of `simgap`: fits of sets of the library's effects to the runs that may be fitted, and
     errors, rad or m, of the runs `untouched`."""
     from freeart21.effects import EFFECTS
-    from simgap.fit.fit import Fit, Theory, fit_starts, fitted, grown, information, joined, unit_of
-    from simgap.fit.guess import neutral_value, off
-    from simgap.fit.problem import as_delivered, problem_of
-    from simgap.fit.search import candidates
-    from simgap.measure.data import fit_runs
-    from simgap.models.surrogate import is_local, plant_of
+    from simgap.fit.fit import (
+        Fit,
+        Model,
+        fit_model,
+        fit_multiple_shooting,
+        fit_starts,
+        information_matrix,
+        initial_theta,
+        residual_dispersion,
+    )
+    from simgap.fit.guess import neutral_point
+    from simgap.fit.problem import make_problem, without_asset_error
+    from simgap.fit.search import list_candidates
+    from simgap.measure.data import make_fit_runs
+    from simgap.models.surrogate import is_local, make_plant
     from simgap.settings import GapSettings
 
-    plant = plant_of(asset, measured)
-    every, floor = fit_runs(measured, plant)
+    plant = make_plant(asset, measured)
+    every, floor = make_fit_runs(measured, plant)
     runs = tuple(run for run in every if run.name not in untouched)
     judged = tuple(run for run in every if run.name in untouched)
-    problem = problem_of(plant, measured, runs, floor, GapSettings())
+    problem = make_problem(plant, measured, runs, floor, GapSettings())
 
     def fit(names: tuple[str, ...], parent: Fit, iterations: int, stretches: bool = True) -> Fit:
         """From a parent; what it has not begins where it does nothing, on short stretches of the runs first."""
-        theory = Theory(problem, tuple(sorted(names)))
-        new = {name: off(problem, name) for name in theory.names if name not in parent.theory.names}
-        theta = joined(theory, parent, new)
+        model = Model(problem, tuple(sorted(names)))
+        new = {name: neutral_point(problem, name) for name in model.names if name not in parent.model.names}
+        theta = initial_theta(model, parent, new)
         if new and stretches:
-            return grown(theory, runs, theta, iterations)
-        return fitted(theory, runs, theta, parent.starts, iterations)
+            return fit_multiple_shooting(model, runs, theta, iterations)
+        return fit_model(model, runs, theta, parent.starts, iterations)
 
     def deliver() -> Fit:
-        theory = Theory(as_delivered(problem), (), prompt=True)
-        return fitted(theory, runs)
+        model = Model(without_asset_error(problem), (), instant_friction=True)
+        return fit_model(model, runs)
 
     def errors(fit: Fit) -> list[float]:
-        placed = fit_starts(fit.theory, fit.theta, judged)
-        return [float(np.sqrt(np.mean((placed.residuals[run.name] * run.sigma) ** 2))) for run in judged]
+        refit = fit_starts(fit.model, fit.theta, judged)
+        return [float(np.sqrt(np.mean((refit.residuals[run.name] * run.sigma) ** 2))) for run in judged]
 
     def claims(fit: Fit) -> list[str]:
-        variance = np.diag(np.linalg.pinv(information(fit, unit_of(fit.residuals)), hermitian=True))
+        variance = np.diag(np.linalg.pinv(information_matrix(fit, residual_dispersion(fit.residuals)), hermitian=True))
         spread = np.sqrt(np.where(variance > 0, variance, np.inf))
-        first = {r.owner: i for i, r in reversed(list(enumerate(fit.theory.ranges())))}
-        return [n for n in fit.theory.names
-                if abs(fit.theta[first[n]] - neutral_value(EFFECTS[n])) > _NORMAL_90 * spread[first[n]]]  # fmt: skip
+        first = {r.owner: i for i, r in reversed(list(enumerate(fit.model.ranges())))}
+        return [n for n in fit.model.names
+                if abs(fit.theta[first[n]] - EFFECTS[n].neutral) > _NORMAL_90 * spread[first[n]]]  # fmt: skip
 
     def bic(fit: Fit) -> float:
         readings = sum(len(run.q) for run in runs)
         return float(readings * math.log(fit.rss / readings) + len(fit.theta) * math.log(readings))
 
-    base = grown(Theory(problem, ()), runs)
-    names = candidates(problem, runs)
+    base = fit_multiple_shooting(Model(problem, ()), runs)
+    names = list_candidates(problem, runs)
     common = tuple(n for n in names if EFFECTS[n].common)
     smooth = tuple(n for n in names if EFFECTS[n].acts != "slack" and not is_local(EFFECTS[n]))
     every_one = tuple(n for n in names if EFFECTS[n].acts != "slack")
@@ -301,14 +310,14 @@ def fit_greedy(library: SimpleNamespace, seconds: float) -> tuple[Any, list[str]
     end, best = time.process_time() + seconds, library.base
     while True:
         rough = []
-        for name in (n for n in library.names if n not in best.theory.names):
+        for name in (n for n in library.names if n not in best.model.names):
             if time.process_time() > end:
-                return best, list(best.theory.names), False
-            rough.append(library.fit((*best.theory.names, name), best, _STEPS))
+                return best, list(best.model.names), False
+            rough.append(library.fit((*best.model.names, name), best, _STEPS))
         nearest = sorted(rough, key=library.bic)[:2]
-        new = min((library.fit(fit.theory.names, fit, 3 * _STEPS) for fit in nearest), key=library.bic, default=best)
+        new = min((library.fit(fit.model.names, fit, 3 * _STEPS) for fit in nearest), key=library.bic, default=best)
         if library.bic(new) >= library.bic(best):
-            return best, list(best.theory.names), True
+            return best, list(best.model.names), True
         best = new
 
 

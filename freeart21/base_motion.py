@@ -15,12 +15,12 @@ from numpy.typing import ArrayLike
 from freeart21.mechanics import JointMechanics
 from freeart21.se3 import Array
 
-WAYS = 8
-"""Rows of `sway_terms`."""
+N_TERMS = 8
+"""Rows of `base_motion_terms`."""
 
 
 @dataclass(frozen=True)
-class Motion:
+class FrameMotion:
     """How the frame of a joint's parent link moves, in its own directions; (n, 3) each."""
 
     acceleration: Array
@@ -33,8 +33,8 @@ class Motion:
     """m/s^2, as it is seen from there."""
 
 
-def sway_terms(mechanics: JointMechanics, motion: Motion) -> Array:
-    """(8, n) what the base's motion adds to the joint's force, as `sway_force` takes it.
+def base_motion_terms(mechanics: JointMechanics, motion: FrameMotion) -> Array:
+    """(8, n) what the base's motion adds to the joint's force, as `base_motion_force` takes it.
 
     The first two rows go with the part's moment about the joint (what its weight goes with), the others with its
     inertia or mass: so a part may be heavier or lie otherwise than an asset has it.
@@ -71,7 +71,7 @@ def sway_terms(mechanics: JointMechanics, motion: Motion) -> Array:
     ])  # fmt: skip
 
 
-def sway_force(terms: Array, q: ArrayLike, moment: float = 1.0, mass: float = 1.0) -> Array:
+def base_motion_force(terms: Array, q: ArrayLike, moment: float = 1.0, mass: float = 1.0) -> Array:
     """(n,) N*m or N at positions `q` (n,) of a part whose moment and mass are these factors of the asset's."""
     q = np.asarray(q, float)
     cosine, sine, constant, cos1, sin1, cos2, sin2, linear = terms

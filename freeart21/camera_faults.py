@@ -98,11 +98,11 @@ class CameraFaults:
                 raise FreeArtError(f"camera faults: {name} is {value!r}, expected {low:g} to {high:g}")
 
     @property
-    def none(self) -> bool:
+    def is_ideal(self) -> bool:
         """Whether the camera has no fault."""
         return replace(self, noise_at=1.0) == CameraFaults()
 
-    def seeing(self, camera: Camera) -> Camera:
+    def actual_camera(self, camera: Camera) -> Camera:
         """The camera that really sees, where `camera` is what is told of it."""
         if not (self.focal or self.centre_u or self.centre_v):
             return camera
@@ -123,48 +123,48 @@ class CameraFaults:
         z = depth.astype(np.float64)
         out = z * (1 + self.depth_scale) + self.depth_offset + self.depth_curve * z * z
         if rng is not None:
-            out = self._noisy(out, z, cosine, rng)
-            out = self._flying(out, z, rng)
-            out = np.where(rng.random(z.shape) < self.lost(brightness, cosine), 0.0, out)
+            out = self._add_noise(out, z, cosine, rng)
+            out = self._add_flying_pixels(out, z, rng)
+            out = np.where(rng.random(z.shape) < self.hole_probability(brightness, cosine), 0.0, out)
         out = np.where(seen, np.maximum(out, 0), 0)
-        return self._laid(out.astype(np.float32), camera)
+        return self._shift_depth(out.astype(np.float32), camera)
 
-    def lost(self, brightness: NDArray, cosine: NDArray) -> Array:
+    def hole_probability(self, brightness: NDArray, cosine: NDArray) -> Array:
         """Probability that a pixel has no depth."""
         kept = np.full(np.shape(brightness), 1 - self.holes)
         if self.dark_share:
-            kept = kept * (1 - self.dark_share * falling((self.dark_level - brightness) / SOFT))
+            kept = kept * (1 - self.dark_share * logistic((self.dark_level - brightness) / SOFT))
         if self.grazing_share:
             angle = np.arccos(np.clip(cosine, 0, 1))
-            kept = kept * (1 - self.grazing_share * falling((angle - self.grazing_angle) / SOFT_RAD))
+            kept = kept * (1 - self.grazing_share * logistic((angle - self.grazing_angle) / SOFT_RAD))
         return np.asarray(1 - kept)
 
-    def spread(self, z: NDArray, cosine: NDArray) -> Array:
+    def depth_noise(self, z: NDArray, cosine: NDArray) -> Array:
         """Standard deviation of the depth, metres."""
         grown = (np.maximum(z, 1e-6) / self.noise_at) ** self.noise_growth
         return np.asarray(self.noise * grown / np.maximum(cosine, 0.05) ** self.noise_grazing)
 
     def colour(self, rgb: NDArray[np.uint8], share: float) -> NDArray[np.uint8]:
         """The colour picture at `share` (0 to 1) of the film."""
-        stops, gamma = at_share(self.exposure, share), at_share(self.gamma, share)
+        stops, gamma = drift_at(self.exposure, share), drift_at(self.gamma, share)
         if not (stops or gamma):
             return rgb
-        table = encoded(2.0**stops * decoded(np.arange(256) / 255.0) ** (1 + gamma))
+        table = srgb_encode(2.0**stops * srgb_decode(np.arange(256) / 255.0) ** (1 + gamma))
         return np.asarray(np.rint(255 * table).astype(np.uint8)[rgb])
 
-    def _noisy(self, out: Array, z: Array, cosine: Map, rng: np.random.Generator) -> Array:
+    def _add_noise(self, out: Array, z: Array, cosine: Map, rng: np.random.Generator) -> Array:
         noise = rng.standard_normal(z.shape)
-        return out + self.spread(z, cosine) * noise if self.noise else out
+        return out + self.depth_noise(z, cosine) * noise if self.noise else out
 
-    def _flying(self, out: Array, z: Array, rng: np.random.Generator) -> Array:
+    def _add_flying_pixels(self, out: Array, z: Array, rng: np.random.Generator) -> Array:
         fly, share = rng.random((2, *z.shape))
         if not (self.flying_share and self.flying_reach):
             return out
-        behind, distance = edges(z)
+        behind, distance = find_depth_edges(z)
         flying = (distance <= self.flying_reach) & (fly < self.flying_share)
         return np.where(flying, out + share * (behind - z), out)
 
-    def _laid(self, depth: Map, camera: Camera) -> Map:
+    def _shift_depth(self, depth: Map, camera: Camera) -> Map:
         """The depth picture where it is laid upon the colour picture; every pixel takes its nearest."""
         if not (self.depth_shift_u or self.depth_shift_v or self.depth_turn):
             return depth
@@ -179,29 +179,29 @@ FAULTS: dict[str, Fault] = {each.name: each.metadata["fault"] for each in fields
 """Field to what it means."""
 
 
-def falling(x: NDArray) -> Array:
+def logistic(x: NDArray) -> Array:
     """The logistic function, without overflow."""
     return np.asarray(0.5 * (1 + np.tanh(0.5 * np.asarray(x, float))))
 
 
-def at_share(knots: tuple[float, ...], share: float) -> float:
+def drift_at(knots: tuple[float, ...], share: float) -> float:
     """The value at `share` (0 to 1) of a film, straight between evenly spread knots; 0 without any."""
     return float(np.interp(share, np.linspace(0, 1, len(knots)), knots)) if knots else 0.0
 
 
-def encoded(linear: NDArray) -> Array:
+def srgb_encode(linear: NDArray) -> Array:
     """sRGB, 0 to 1, of linear light (IEC 61966-2-1)."""
     x = np.clip(linear, 0, 1)
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
 
-def decoded(colours: NDArray) -> Array:
+def srgb_decode(colours: NDArray) -> Array:
     """Linear light of sRGB, both 0 to 1."""
     x = np.clip(colours, 0, 1)
     return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
 
 
-def incidence(depth: NDArray, camera: Camera) -> Map:
+def incidence_cosine(depth: NDArray, camera: Camera) -> Map:
     """Cosine (height, width) of the angle of incidence by the depth picture alone; 1 where nothing is drawn.
 
     On a plane the inverse depth is linear in the picture; each slope is the smaller one of both sides'.
@@ -221,7 +221,7 @@ def incidence(depth: NDArray, camera: Camera) -> Map:
     return np.where(depth > 0, np.nan_to_num(w) / np.maximum(length, 1e-12), 1.0).astype(np.float32)
 
 
-def edges(z: NDArray) -> tuple[Array, Array]:
+def find_depth_edges(z: NDArray) -> tuple[Array, Array]:
     """Depth of what lies behind the nearest depth edge, metres, and the distance to it, pixels; inf far from any.
 
     An edge is where the depth in a 3 x 3 window changes by a twentieth or more, or where the object ends: there the

@@ -109,7 +109,7 @@ class Measured:
     """What was left out of it, and why: a line each."""
 
 
-def without_copies(runs: tuple[Run, ...]) -> tuple[tuple[Run, ...], tuple[str, ...]]:
+def drop_duplicate_runs(runs: tuple[Run, ...]) -> tuple[tuple[Run, ...], tuple[str, ...]]:
     """The runs without those that are another one again, reading by reading, and a line for each that was left out.
 
     Of a run that is fitted and its copy that is held out the copy goes: it would confirm what it was fitted to.

@@ -108,12 +108,12 @@ class DcMotor:
         return self.torque_constant / self.resistance
 
 
-def asked_force(
+def commanded_force(
     q: float, qd: float, q_command: float, effort: float, stiffness: float, damping: float, dead_band: float
 ) -> float:
     """What an actuator's law asks for, N*m or N, at position `q` and velocity `qd`; `q_command` is NaN without one.
 
-    `simgap.models.kernel` compiles this and `given_force`.
+    `simgap.models.kernel` compiles this and `delivered_force`.
     """
     error = q_command - q
     if error == error:
@@ -121,9 +121,9 @@ def asked_force(
     return effort
 
 
-def given_force(asked: float, qd: float, most_asked: float, back_emf: float, most: float) -> float:
+def delivered_force(asked: float, qd: float, max_commanded: float, back_emf: float, max_force: float) -> float:
     """What the actuator gives of it, N*m or N."""
-    return min(max(min(max(asked, -most_asked), most_asked) - back_emf * qd, -most), most)
+    return min(max(min(max(asked, -max_commanded), max_commanded) - back_emf * qd, -max_force), max_force)
 
 
 @dataclass(frozen=True)
@@ -133,27 +133,29 @@ class DriveLaw:
     stiffness: float = 0.0
     damping: float = 0.0
     dead_band: float = 0.0
-    most_asked: float = math.inf
+    max_commanded: float = math.inf
     """Size of what can be asked for, before a motor's back EMF takes its part."""
     back_emf: float = 0.0
     """Force against the motion per speed, whatever is asked for."""
-    most: float = math.inf
+    max_force: float = math.inf
     """Size of the force that can be given."""
 
-    def asked(self, q: float, qd: float, q_command: float, effort: float) -> float:
+    def commanded(self, q: float, qd: float, q_command: float, effort: float) -> float:
         """What is asked for at position `q` and velocity `qd`; `q_command` is NaN without a position law."""
-        return asked_force(q, qd, q_command, effort, self.stiffness, self.damping, self.dead_band)
+        return commanded_force(q, qd, q_command, effort, self.stiffness, self.damping, self.dead_band)
 
     def force(self, q: float, qd: float, q_command: float, effort: float) -> float:
         """N*m or N."""
-        return given_force(self.asked(q, qd, q_command, effort), qd, self.most_asked, self.back_emf, self.most)
+        return delivered_force(
+            self.commanded(q, qd, q_command, effort), qd, self.max_commanded, self.back_emf, self.max_force
+        )
 
     def damped(self, q: float, qd: float, q_command: float, effort: float) -> float:
         """By what the force falls with speed: not at all at its limits, but for a motor's back EMF."""
-        asked = self.asked(q, qd, q_command, effort)
-        falls = self.back_emf + (self.damping if q_command == q_command and abs(asked) < self.most_asked else 0.0)
-        asked = min(max(asked, -self.most_asked), self.most_asked) - self.back_emf * qd
-        return falls if abs(asked) < self.most else 0.0
+        asked = self.commanded(q, qd, q_command, effort)
+        falls = self.back_emf + (self.damping if q_command == q_command and abs(asked) < self.max_commanded else 0.0)
+        asked = min(max(asked, -self.max_commanded), self.max_commanded) - self.back_emf * qd
+        return falls if abs(asked) < self.max_force else 0.0
 
     def forces(self, q: ArrayLike, qd: ArrayLike, q_command: ArrayLike, effort: ArrayLike) -> Array:
         """(n,) `force`, of arrays."""
@@ -190,7 +192,7 @@ class Actuator:
         """Its numbers as forces."""
         motor = self.motor
         if motor is None:
-            return DriveLaw(self.stiffness, self.damping, self.dead_band, most=self.max_effort)
+            return DriveLaw(self.stiffness, self.damping, self.dead_band, max_force=self.max_effort)
         per = motor.per_volt
         return DriveLaw(
             per * self.stiffness,
@@ -207,13 +209,13 @@ class Actuator:
 
     def force(self, q: float, qd: float, t: float) -> float:
         """The force that is given at position `q` and velocity `qd` by the command of time `t`."""
-        return self.law.force(q, qd, *self._told(t)) if self.on(t) else 0.0
+        return self.law.force(q, qd, *self._commands_at(t)) if self.on(t) else 0.0
 
     def damped(self, q: float, qd: float, t: float) -> float:
         """By what that force falls with speed, N*m*s/rad or N*s/m."""
-        return self.law.damped(q, qd, *self._told(t)) if self.on(t) else 0.0
+        return self.law.damped(q, qd, *self._commands_at(t)) if self.on(t) else 0.0
 
-    def _told(self, t: float) -> tuple[float, float]:
+    def _commands_at(self, t: float) -> tuple[float, float]:
         """Commanded position, NaN for none, and effort."""
         return (
             math.nan if self.q_command is None else self.q_command(t),
@@ -221,26 +223,26 @@ class Actuator:
         )
 
 
-def held(times_s: ArrayLike, values: ArrayLike, over_s: float = 0.0) -> Callable[[float], float]:
+def hold_series(times_s: ArrayLike, values: ArrayLike, over_s: float = 0.0) -> Callable[[float], float]:
     """A recorded series (n,), times rising, as a function of time: each value lasts until the next one.
 
     With `over_s` its mean over so many seconds, half of them on either side: what a simulator that takes one force a
     step of that length must be given for the impulse to be right.
     """
-    return between(times_s, values, "held", over_s)
+    return interpolate_series(times_s, values, "held", over_s)
 
 
-def between(
+def interpolate_series(
     times_s: ArrayLike, values: ArrayLike, how: str, over_s: float = 0.0, holding: float = 0.5
 ) -> Callable[[float], float]:
-    """A recorded series (n,) as a function of time, as `course` has it between the rows; `over_s` as in `held`.
+    """A recorded series (n,) as a function of time, by `interpolation_terms`; `over_s` as in `hold_series`.
 
     A value that is NaN was not logged. Of a series of which nobody knows ("unknown") `holding` is the part that is
     held, the rest being smooth.
     """
     known = np.isfinite(np.asarray(values, float))
     times = [float(t) for t in np.asarray(times_s)[known]]
-    rows = course(times, np.asarray(values, float)[known], how)
+    rows = interpolation_terms(times, np.asarray(values, float)[known], how)
     rows[:, 1:] *= 1.0 - holding if how == "unknown" else 1.0
     spans = np.diff(times, append=times[-1])
     areas = rows / np.arange(1, 5)
@@ -265,7 +267,7 @@ def between(
     return lambda t: (integral(t + 0.5 * over_s) - integral(t - 0.5 * over_s)) / over_s
 
 
-def course(times_s: ArrayLike, values: ArrayLike, how: str) -> Array:
+def interpolation_terms(times_s: ArrayLike, values: ArrayLike, how: str) -> Array:
     """(n, 4) a recorded series (n,), times rising, as polynomials of the time since each row; its last value stays.
 
     "held" until the next row, "linear" to it, or ("unknown") as smooth as it may have been: cubics that pass each row

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21 import se3
-from freeart21.camera_faults import CameraFaults, incidence
+from freeart21.camera_faults import CameraFaults, incidence_cosine
 from freeart21.errors import FreeArtError
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
@@ -71,7 +71,7 @@ class Sensor:
         self.name = name
         self._faults, self._fps, self._nominal_camera = faults, fps, scene.camera
         if faults is not None:
-            scene.set_camera(faults.seeing(scene.camera))
+            scene.set_camera(faults.actual_camera(scene.camera))
         self._parts = set(name.split("+"))
         self._scene, self._plan, self._loaded, self._seed = scene, plan, loaded, seed
         self._exposure = min(EXPOSURE_S * fps, 1.0)
@@ -121,7 +121,7 @@ class Sensor:
         assert faults is not None
         rng = np.random.default_rng([self._seed, _FAULTS, i])
         bright = (rgb.mean(-1) / 255).astype(np.float32)
-        depth = faults.depth(depth, bright, incidence(depth, self._scene.camera), self._nominal_camera, rng)
+        depth = faults.depth(depth, bright, incidence_cosine(depth, self._scene.camera), self._nominal_camera, rng)
         return depth, faults.colour(rgb, i / max(len(self._plan.states) - 1, 1))
 
     def start_drawing(self, i: int) -> None:

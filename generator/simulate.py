@@ -146,7 +146,7 @@ class SimulatedAsset:
         self.effects = effects
         forces = [e for e in effects if e.acts == "force"]
         self._force_laws = [(e.law, e.values()) for e in forces]
-        self._speed_laws = [(e.law, e.values()) for e in forces if e.knows_speed]
+        self._speed_laws = [(e.law, e.values()) for e in forces if e.speed_dependent]
         with_memory = [(i, e) for i, e in enumerate(forces) if type(e).remember is not Effect.remember]
         self._memory_laws = [(i, e.remember, e.values()) for i, e in with_memory]
         self._friction_laws = [(e.law, e.values(), e.geared) for e in effects if e.acts == "drive"]

@@ -122,8 +122,8 @@ def replay_folder(
     if not rows:
         raise FreeArtError(f"none of {total} runs was replayed within {seconds:g} s, expected more time (--seconds)")
     command = _command_line(asset, runs, engine, holding, guesses, root)
-    told = tuple(rows), tuple(given_up), tuple(notes)
-    result = Replayed(files, urdf, ", ".join(joints), engine, version, *told, command)
+    row_lists = tuple(rows), tuple(given_up), tuple(notes)
+    result = Replayed(files, urdf, ", ".join(joints), engine, version, *row_lists, command)
     if out is not None:
         with only_writer(out), atomic.new_folder(out) as aside:
             _write(aside, result)
@@ -195,10 +195,10 @@ def _read_uses(asset: Path) -> dict[str, str]:
     home = asset if asset.is_dir() else asset.parent
     path = home.resolve().parent / "verdict.json"
     try:
-        said = checked.read_json(path, VERDICT) if path.is_file() else {}
+        verdict_json = checked.read_json(path, VERDICT) if path.is_file() else {}
     except FreeArtError:
         return {}
-    uses, proof = said.get("uses"), said.get("proof")
+    uses, proof = verdict_json.get("uses"), verdict_json.get("proof")
     hashes = proof.get("runs") if isinstance(proof, dict) else None
     if not isinstance(uses, dict) or not isinstance(hashes, dict):
         return {}

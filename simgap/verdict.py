@@ -18,13 +18,13 @@ SCHEMA = "freeart21/verdict/1"
 Use = Literal["fitted", "choosing", "confirming"]
 """What a run is used for: to fit sets to, to choose among them, or to confirm the choice."""
 Answer = Literal["no_gap", "named", "ambiguous", "unexplained", "not_excited"]
-By = Literal["position", "force", "picture"]
+Quantity = Literal["position", "force", "picture"]
 GEOMETRY = "geometry"
 """Regime of a gap that is counted in metres off the joint."""
 
 
 @dataclass(frozen=True)
-class Named:
+class NamedEffect:
     """One effect of the answer, with 90 % intervals of its parameters."""
 
     effect: Effect
@@ -33,7 +33,7 @@ class Named:
 
 
 @dataclass(frozen=True)
-class Corrected:
+class Correction:
     """A number of the asset's own that was measured and written into its files."""
 
     name: str
@@ -48,7 +48,7 @@ class Corrected:
 
 
 @dataclass(frozen=True)
-class Where:
+class Region:
     """A range of some quantity in which simulation and measurement part."""
 
     quantity: str
@@ -95,7 +95,7 @@ class Proof:
     """Run name to the SHA-256 of its file."""
 
 
-SHOWS = 1.35
+GAP_THRESHOLD = 1.35
 """Floors from which on a run shows a gap of its own, the floor being an estimate."""
 
 
@@ -106,26 +106,26 @@ def root_mean_square(values: ArrayLike) -> float:
 
 def shows_gap(gaps: Sequence[RunGap]) -> bool:
     """Whether any of these runs shows a gap of its own."""
-    return any(gap.before > SHOWS * gap.floor for gap in gaps)
+    return any(gap.before > GAP_THRESHOLD * gap.floor for gap in gaps)
 
 
-def halved(gaps: Sequence[RunGap], most: float) -> bool:
+def closes_gap(gaps: Sequence[RunGap], most: float) -> bool:
     """Whether at most this part of the gap beyond noise is left of these runs together, each in its own floors."""
     before, after = (root_mean_square([getattr(g, k) / g.floor for g in gaps]) for k in ("before", "after"))
     return after**2 - 1 <= most**2 * max(before**2 - 1, 0.0)
 
 
-def told_by(gaps: Sequence[RunGap]) -> list[RunGap]:
+def deciding_runs(gaps: Sequence[RunGap]) -> list[RunGap]:
     """The runs that tell what an answer is worth: those that confirm it, else those that chose it, else those that were
     fitted, of the first kind in which a run shows a gap at all."""
     for use in ("confirming", "choosing", "fitted"):
         found = [gap for gap in gaps if gap.use == use]
-        if any(gap.before > SHOWS * gap.floor for gap in found):
+        if any(gap.before > GAP_THRESHOLD * gap.floor for gap in found):
             return found
     return list(gaps)
 
 
-def unit_of(by: By, joint_type: JointType) -> str:
+def unit_of(by: Quantity, joint_type: JointType) -> str:
     """SI unit of what was compared; none of pictures, where every gap has its own."""
     turns = joint_type == "revolute"
     return {"position": "rad" if turns else "m", "force": "N*m" if turns else "N", "picture": ""}[by]
@@ -136,9 +136,9 @@ class Verdict:
     """What `freeart21 gap` found."""
 
     verdict: Answer
-    effects: tuple[Named, ...]
+    effects: tuple[NamedEffect, ...]
     """The missing effects, strongest first; of an ambiguous verdict the best of the rivals."""
-    where: tuple[Where, ...]
+    where: tuple[Region, ...]
     gaps: tuple[RunGap, ...]
     rivals: tuple[tuple[str, ...], ...]
     """Sets of effects that the data can't tell apart, the best one first; empty when there is no doubt."""
@@ -153,11 +153,11 @@ class Verdict:
     in_part: bool = False
     """Whether what is named is but what dominates, or may be: a remainder above the sensor's noise has no name."""
 
-    corrections: tuple[Corrected, ...] = ()
+    corrections: tuple[Correction, ...] = ()
     """What the asset's own inertia and weight were changed by in the asset beside the verdict."""
     holding: float | None = None
     """Where nobody knows how inputs go on between their rows, how replays take them: 0 smoothly, 1 held."""
-    by: By = "position"
+    by: Quantity = "position"
     """What was compared: where the joint was, or the force that prescribed motion took. Gaps are in its unit."""
     judged_by: dict[str, Any] = field(default_factory=dict)
     """Version, digest of the code and every number that decides."""
@@ -200,12 +200,12 @@ class Verdict:
         atomic.write_json(path, {**self.to_json(joint_type), "files": files})
 
 
-def _named_to_json(named: Named, joint_type: JointType) -> dict[str, Any]:
-    said = named.effect.to_json(joint_type)
+def _named_to_json(named: NamedEffect, joint_type: JointType) -> dict[str, Any]:
+    entry_json = named.effect.to_json(joint_type)
     return {
-        "name": said["effect"],
+        "name": entry_json["effect"],
         "parameters": {
             name: {**entry, "low": named.low[name], "high": named.high[name]}
-            for name, entry in said["parameters"].items()
+            for name, entry in entry_json["parameters"].items()
         },
     }

@@ -17,33 +17,39 @@ from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured, run_hashes
 from freeart21.joint import JointType
 from freeart21.measured import Measured
-from simgap.fit.fit import Problem, Reader, Theory, fit_starts, placed
+from simgap.fit.fit import Model, ParameterMap, Problem, fit_starts, refit_starts
 from simgap.fit.force_search import ForceSearch
-from simgap.fit.force_search import candidates as force_candidates
-from simgap.fit.problem import as_delivered, problem_of
-from simgap.fit.search import Search, candidates
+from simgap.fit.force_search import list_candidates as force_candidates
+from simgap.fit.problem import make_problem, without_asset_error
+from simgap.fit.search import Search, list_candidates
 from simgap.geometry.finding import KinematicsFinding
-from simgap.geometry.kinematics import KinematicsSettings, find_geometry_of
-from simgap.measure.data import FitRun, fit_runs, thinned
-from simgap.measure.floor import Floor
-from simgap.measure.prescribed import ForceRun, force_runs
-from simgap.measure.withstood import withstood
-from simgap.models.surrogate import plant_of
-from simgap.page.publish import Draft, Paths, answer_folder, publish, with_positions
+from simgap.geometry.kinematics import KinematicsSettings, find_geometry
+from simgap.measure.data import FitRun, make_fit_runs, thinning_notes
+from simgap.measure.noise import SensorNoise
+from simgap.measure.prescribed import ForceRun, make_force_runs
+from simgap.measure.stiction import find_stiction_bound
+from simgap.models.surrogate import make_plant
+from simgap.page.publish import Draft, Paths, answer_folder, publish, replace_poses
 from simgap.page.report import Ranked
 from simgap.prove.body import NO_CORRECTION
+from simgap.prove.comparison import ReplayGap, compare_curves
 from simgap.prove.replay import SECONDS, Progress
 from simgap.prove.replay_process import check_match
-from simgap.prove.show import ReplayGap, compare_curves
-from simgap.select.choose import Choice, chosen
-from simgap.select.decide import Delivered, moves_enough, says_enough, silent_verdict, verdict_of
+from simgap.select.choose import Choice, choose_hypotheses
+from simgap.select.decide import (
+    DeliveredFits,
+    has_enough_motion,
+    has_enough_readings,
+    make_verdict,
+    not_excited_verdict,
+)
 from simgap.select.delivery import deliver
-from simgap.select.hypotheses import FORM, Hypothesis, judged
-from simgap.select.predictive import DECISIVE, FREEDOM, lead
-from simgap.select.split import Split, split_of
-from simgap.select.words import amount, effect_words, plain
+from simgap.select.hypotheses import FORM_ERROR, Hypothesis, evaluate_set
+from simgap.select.predictive import DECISIVE_LOG_ODDS, DEGREES_OF_FREEDOM, score_difference
+from simgap.select.split import Split, split_runs
+from simgap.select.words import amount, effect_label, effect_words
 from simgap.settings import GapSettings
-from simgap.verdict import SHOWS, Named, Verdict, root_mean_square
+from simgap.verdict import GAP_THRESHOLD, NamedEffect, Verdict, root_mean_square
 
 DEFAULTS = GapSettings()
 NOT_REPLAYED = (
@@ -70,90 +76,96 @@ def find_gap(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS)
 
 def explain(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS) -> Draft:
     """Measure, tell geometry from dynamics, name: all but what SAPIEN has to show."""
-    draft = _explained(asset, measured, settings)
-    notes = (*measured.notes, *draft.verdict.notes, *(() if draft.verdict.by == "force" else thinned(measured)))
-    return replace(draft, verdict=replace(draft.verdict, notes=notes, judged_by=judged_by(settings)))
+    draft = _analyse(asset, measured, settings)
+    notes = (*measured.notes, *draft.verdict.notes, *(() if draft.verdict.by == "force" else thinning_notes(measured)))
+    return replace(draft, verdict=replace(draft.verdict, notes=notes, judged_by=judgement_provenance(settings)))
 
 
-def judged_by(settings: GapSettings) -> dict[str, Any]:
+def judgement_provenance(settings: GapSettings) -> dict[str, Any]:
     """Version, digest of this package's code and every number that decides a verdict."""
     digest = hashlib.sha256()
     for file in sorted(Path(__file__).parent.rglob("*.py")):
         digest.update(file.read_bytes())
-    fixed = {"form": FORM, "freedom": FREEDOM, "decisive": DECISIVE, "shows": SHOWS}
-    told = {**asdict(settings.judgement), **fixed}
-    return {"freeart21": __version__, "code": digest.hexdigest()[:12], "settings": told}
+    fixed = {"form": FORM_ERROR, "freedom": DEGREES_OF_FREEDOM, "decisive": DECISIVE_LOG_ODDS, "shows": GAP_THRESHOLD}
+    reported = {**asdict(settings.judgement), **fixed}
+    return {"freeart21": __version__, "code": digest.hexdigest()[:12], "settings": reported}
 
 
-def _explained(asset: Asset, measured: Measured, settings: GapSettings) -> Draft:
+def _analyse(asset: Asset, measured: Measured, settings: GapSettings) -> Draft:
     check_match(asset, measured, "gap")
-    geometry = find_geometry_of(asset, measured, KinematicsSettings(without=settings.without))
-    positions = with_positions(measured, geometry)
-    plant = plant_of(asset, measured)
-    runs, floor = as_tracked(*fit_runs(positions, plant), geometry)
-    moved = moves_enough(runs, floor, settings.judgement)
-    held = withstood(positions, plant, floor)
-    if held is not None or not moved or not says_enough(runs, settings.judgement):
-        motion = silent_verdict(runs, floor, moved, measured.joint_type, held)
+    geometry = find_geometry(asset, measured, KinematicsSettings(without=settings.without))
+    positions = replace_poses(measured, geometry)
+    plant = make_plant(asset, measured)
+    runs, noise = apply_tracking_noise(*make_fit_runs(positions, plant), geometry)
+    moved = has_enough_motion(runs, noise, settings.judgement)
+    stiction = find_stiction_bound(positions, plant, noise)
+    if stiction is not None or not moved or not has_enough_readings(runs, settings.judgement):
+        motion = not_excited_verdict(runs, noise, moved, measured.joint_type, stiction)
         return Draft(
-            joined(motion, geometry, measured.joint_type),
+            join_geometry(motion, geometry, measured.joint_type),
             geometry=geometry,
-            floor=floor.still,
-            certain=certain_of(motion, geometry),
+            floor=noise.sigma_at_rest,
+            certain=select_certain(motion, geometry),
         )
-    problem = problem_of(plant, measured, runs, floor, settings)
-    seen = force_runs(positions, plant)
-    if seen is not None and says_enough(seen[0], settings.judgement):
-        runs, floor, problem = seen[0], seen[1], force_problem(problem, seen[0])
-    split = split_of(runs)
-    search = search_of(problem, split, measured, settings)
-    choice = chosen(search, split.folds, settings.judgement)
+    problem = make_problem(plant, measured, runs, noise, settings)
+    prescribed = make_force_runs(positions, plant)
+    if prescribed is not None and has_enough_readings(prescribed[0], settings.judgement):
+        runs, noise, problem = prescribed[0], prescribed[1], make_force_problem(problem, prescribed[0])
+    split = split_runs(runs)
+    search = make_search(problem, split, measured, settings)
+    choice = choose_hypotheses(search, split.folds, settings.judgement)
     if isinstance(search, ForceSearch):
-        choice = with_twins(choice, search, split)
-    best = choice.explaining[0] if choice.explaining else choice.base
+        choice = add_confounded_sets(choice, search, split)
+    best = choice.accepted[0] if choice.accepted else choice.base
     delivery = deliver(best, search.train, split.folds, asset, measured, search.names)
-    as_is = Theory(as_delivered(problem), (), prompt=True)
+    as_is = Model(without_asset_error(problem), (), instant_friction=True)
     before = fit_starts(as_is, np.full(len(as_is.ranges()), delivery.holding), runs)
-    delivered = Delivered(delivery, before, placed(delivery.fit, runs))
-    motion = verdict_of(choice, split, delivered, runs, floor, problem, settings.judgement)
+    delivered = DeliveredFits(delivery, before, refit_starts(delivery.fit, runs))
+    motion = make_verdict(choice, split, delivered, runs, noise, problem, settings.judgement)
     if isinstance(search, Search) and search.stopped:
         motion = replace(motion, notes=(*motion.notes, STOPPED.format(settings.seconds)))
-    motion = replace(motion, notes=(*seen[2], NOT_REPLAYED)) if seen is not None and problem.force_read else motion
+    motion = (
+        replace(motion, notes=(*prescribed[2], NOT_REPLAYED))
+        if prescribed is not None and problem.inverse_dynamics
+        else motion
+    )
     return Draft(
-        joined(motion, geometry, measured.joint_type),
-        Reader(choice.base.fit.theory).nuisance(choice.base.fit.theta),
-        ranking_of(choice),
+        join_geometry(motion, geometry, measured.joint_type),
+        ParameterMap(choice.base.fit.model).nuisance(choice.base.fit.theta),
+        rank_hypotheses(choice),
         geometry,
-        floor.still,
+        noise.sigma_at_rest,
         motion.verdict != "no_gap",
-        certain_of(motion, geometry),
-        curves_of(choice, split, delivered, runs) if problem.force_read else (),
+        select_certain(motion, geometry),
+        make_force_curves(choice, split, delivered, runs) if problem.inverse_dynamics else (),
         delivery.body if motion.corrections or motion.verdict == "ambiguous" else NO_CORRECTION,
         settings.judgement.dominant,
     )
 
 
-def search_of(problem: Problem, split: Split, measured: Measured, settings: GapSettings) -> Search | ForceSearch:
+def make_search(problem: Problem, split: Split, measured: Measured, settings: GapSettings) -> Search | ForceSearch:
     """What looks for sets: in positions, or in the force of prescribed motion."""
-    if problem.force_read:
-        names = force_candidates(problem, split.fitted, settings.without)
-        return ForceSearch(problem, split.fitted, settings.search, names)
+    if problem.inverse_dynamics:
+        names = force_candidates(problem, split.train_runs, settings.without)
+        return ForceSearch(problem, split.train_runs, settings.search, names)
     encoder = any(run.poses is None for run in measured.runs)
-    names = candidates(problem, split.fitted, encoder, settings.without)
-    return Search(problem, split.fitted, settings.search, names, settings.seconds)
+    names = list_candidates(problem, split.train_runs, encoder, settings.without)
+    return Search(problem, split.train_runs, settings.search, names, settings.seconds)
 
 
-def with_twins(choice: Choice, search: ForceSearch, split: Split) -> Choice:
+def add_confounded_sets(choice: Choice, search: ForceSearch, split: Split) -> Choice:
     """The choice with all that these runs cannot tell from what stands."""
-    twins = [judged(fit, split.folds, choice.base) for h in choice.explaining for fit in search.twins(h.names)]
-    return replace(choice, explaining=(*choice.explaining, *twins))
+    confounded = [
+        evaluate_set(fit, split.folds, choice.base) for h in choice.accepted for fit in search.confounded_sets(h.names)
+    ]
+    return replace(choice, accepted=(*choice.accepted, *confounded))
 
 
-def force_problem(problem: Problem, runs: tuple[ForceRun, ...]) -> Problem:
+def make_force_problem(problem: Problem, runs: tuple[ForceRun, ...]) -> Problem:
     """What fits to the force of prescribed motion share."""
     return replace(
         problem,
-        force_read=True,
+        inverse_dynamics=True,
         unknown_inputs=False,
         speed=float(max(np.abs(run.speed).max() for run in runs)),
         force=float(np.sqrt(np.mean(np.concatenate([run.q for run in runs]) ** 2))),
@@ -161,50 +173,53 @@ def force_problem(problem: Problem, runs: tuple[ForceRun, ...]) -> Problem:
     )
 
 
-def as_tracked(
-    runs: tuple[FitRun, ...], floor: Floor, geometry: KinematicsFinding | None
-) -> tuple[tuple[FitRun, ...], Floor]:
+def apply_tracking_noise(
+    runs: tuple[FitRun, ...], noise: SensorNoise, geometry: KinematicsFinding | None
+) -> tuple[tuple[FitRun, ...], SensorNoise]:
     """Runs with the noise that part poses have: a tracker's errors last, so that neighbouring readings hide them."""
-    noise = {} if geometry is None else {track.name: track.q_std for track in geometry.tracks}
-    if not noise:
-        return runs, floor
-    louder = tuple(replace(run, sigma=np.maximum(run.sigma, noise.get(run.name, 0.0))) for run in runs)
-    if len(noise) < len(runs):
-        return louder, floor
-    return louder, replace(floor, still=max(floor.still, float(np.median(list(noise.values())))))
+    q_std = {} if geometry is None else {track.name: track.q_std for track in geometry.tracks}
+    if not q_std:
+        return runs, noise
+    louder = tuple(replace(run, sigma=np.maximum(run.sigma, q_std.get(run.name, 0.0))) for run in runs)
+    if len(q_std) < len(runs):
+        return louder, noise
+    return louder, replace(noise, sigma_at_rest=max(noise.sigma_at_rest, float(np.median(list(q_std.values())))))
 
 
-def curves_of(choice: Choice, split: Split, delivered: Delivered, runs: tuple[FitRun, ...]) -> tuple[ReplayGap, ...]:
+def make_force_curves(
+    choice: Choice, split: Split, delivered: DeliveredFits, runs: tuple[FitRun, ...]
+) -> tuple[ReplayGap, ...]:
     """Runs by inverse dynamics, with the asset as it is and as it is delivered; where nothing is, with the best set
     before runs that it was not fitted to."""
-    nearest = {} if choice.explaining or not choice.gap else choice.best.left
+    nearest = {} if choice.accepted or not choice.has_gap else choice.best.test_residuals
     found = []
     for run in runs:
         if nearest and run.name not in nearest:
             continue
         after = nearest.get(run.name, delivered.after.residuals[run.name])
         curves = run.q - delivered.before.residuals[run.name] * run.sigma, run.q - after * run.sigma
-        floor, use = root_mean_square(run.sigma), split.use(run.name)
-        found.append(compare_curves(run.name, run.times_s, run.q, curves, floor, run.regime, use))
+        noise, use = root_mean_square(run.sigma), split.use(run.name)
+        found.append(compare_curves(run.name, run.times_s, run.q, curves, noise, run.regime, use))
     return tuple(found)
 
 
-def ranking_of(choice: Choice) -> tuple[Ranked, ...]:
+def rank_hypotheses(choice: Choice) -> tuple[Ranked, ...]:
     """All sets that were judged, the most probable first."""
-    of = {h.names: h for h in (*choice.table, *choice.explaining)}
-    order = sorted(of.values(), key=lambda h: -h.score.total)
+    by_names = {h.names: h for h in (*choice.table, *choice.accepted)}
+    order = sorted(by_names.values(), key=lambda h: -h.score.total)
     return tuple(
-        Ranked(h.names, h.floors, *lead(h.score, order[0].score), spread=spread_of(h)) for h in order[:MOST_RANKED]
+        Ranked(h.names, h.rms, *score_difference(h.score, order[0].score), spread=rms_range(h))
+        for h in order[:MOST_RANKED]
     )
 
 
-def spread_of(hypothesis: Hypothesis) -> tuple[float, float]:
+def rms_range(hypothesis: Hypothesis) -> tuple[float, float]:
     """The least and the largest error of one choosing run, in floors."""
-    runs = [float(np.sqrt(np.mean(residual**2))) for residual in hypothesis.left.values()]
+    runs = [float(np.sqrt(np.mean(residual**2))) for residual in hypothesis.test_residuals.values()]
     return min(runs), max(runs)
 
 
-def certain_of(motion: Verdict, geometry: KinematicsFinding | None) -> tuple[Named, ...]:
+def select_certain(motion: Verdict, geometry: KinematicsFinding | None) -> tuple[NamedEffect, ...]:
     """The effects that are named without doubt, whatever may be said of the rest: these go into the asset."""
     return (
         *(geometry.named if geometry is not None and geometry.verdict == "named" else ()),
@@ -212,50 +227,50 @@ def certain_of(motion: Verdict, geometry: KinematicsFinding | None) -> tuple[Nam
     )
 
 
-def joined(motion: Verdict, geometry: KinematicsFinding | None, kind: JointType) -> Verdict:
+def join_geometry(motion: Verdict, geometry: KinematicsFinding | None, kind: JointType) -> Verdict:
     """The verdict on motion along the joint, and what part poses say of the joint itself."""
     if geometry is None or geometry.verdict in ("no_gap", "not_excited"):
         return motion
     answer = max(motion.verdict, geometry.verdict, key=_ORDER.index)
-    told = ("named",) if answer == "unexplained" else ("named", "ambiguous")
-    crooked_effects = geometry.named if geometry.verdict in told else ()
-    kept = (*crooked_effects, *(motion.effects if motion.verdict in told else ()))
+    reported = ("named",) if answer == "unexplained" else ("named", "ambiguous")
+    geometry_effects = geometry.named if geometry.verdict in reported else ()
+    effects = (*geometry_effects, *(motion.effects if motion.verdict in reported else ()))
     sets = [
-        tuple(dict.fromkeys((*crooked, *other)))
-        for crooked in geometry.rivals or (tuple(e.name for e in geometry.effects),)
-        for other in motion.rivals or (tuple(n.effect.name for n in kept[len(crooked_effects) :]),)
+        tuple(dict.fromkeys((*geometry_set, *other)))
+        for geometry_set in geometry.rivals or (tuple(e.name for e in geometry.effects),)
+        for other in motion.rivals or (tuple(n.effect.name for n in effects[len(geometry_effects) :]),)
     ]
-    said = sentence_of(geometry, kind)
+    text = geometry_sentence(geometry, kind)
     return replace(
         motion,
         verdict=answer,
-        effects=kept,
+        effects=effects,
         rivals=tuple(sets) if answer == "ambiguous" else (),
         next_experiment=" ".join(filter(None, (geometry.next_experiment, motion.next_experiment))) or None,
-        sentence=said if motion.verdict == "no_gap" and not motion.corrections else f"{said} {motion.sentence}",
+        sentence=text if motion.verdict == "no_gap" and not motion.corrections else f"{text} {motion.sentence}",
         in_part=motion.in_part and answer in ("named", "ambiguous"),
     )
 
 
-def sentence_of(geometry: KinematicsFinding, kind: JointType) -> str:
+def geometry_sentence(geometry: KinematicsFinding, kind: JointType) -> str:
     """What part poses say of the joint, with its numbers."""
     if geometry.verdict == "named":
-        words = " and ".join(_how_far(effect, kind) for effect in geometry.effects)
+        words = " and ".join(_effect_text(effect, kind) for effect in geometry.effects)
         return f"The joint is not where the asset has it: {words}."
     if geometry.verdict == "ambiguous":
-        sets = ", or ".join(" with ".join(plain(name) for name in names) for names in geometry.rivals)
+        sets = ", or ".join(" with ".join(effect_label(name) for name in names) for names in geometry.rivals)
         return f"The joint is not where the asset has it, but these poses cannot decide how: {sets}."
     off = max((track.gap_before for track in geometry.tracks), default=0.0)
     return f"The part strays from its joint by {amount(off, 'm')}, and no effect of the library explains it."
 
 
-def _how_far(effect: Effect, kind: JointType) -> str:
+def _effect_text(effect: Effect, kind: JointType) -> str:
     """The effect in words; of one with a direction, how far in all."""
     sizes = {n: s.unit(kind) for n, s in effect.parameters(kind).items() if n.endswith(("_first", "_second"))}
     if len(sizes) != 2:
         return effect_words(effect, kind)
     far = float(np.hypot(*(getattr(effect, n) for n in sizes)))
-    return f"{plain(effect.name)}, by {amount(far, next(iter(sizes.values())))}"
+    return f"{effect_label(effect.name)}, by {amount(far, next(iter(sizes.values())))}"
 
 
 def gap_folder(

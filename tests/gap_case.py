@@ -12,8 +12,8 @@ from numba import njit
 from freeart21.asset import Asset
 from freeart21.measured import Interpolation, Measured, Run
 from freeart21.mechanics import Actuator
-from simgap.prove.replay import AssetOnDisk, Starts, address_of, replay
-from simgap.prove.show import Shown, show
+from simgap.prove.comparison import ReplayComparison, compare_replays
+from simgap.prove.replay import AssetOnDisk, Starts, asset_address, replay
 from simgap.verdict import RunGap
 
 MASS, ARM, G = 1.6, 0.5, 9.81
@@ -122,13 +122,13 @@ def shown(
     noise: float = 1e-3,
     holding: float = 0.0,
     regimes: Sequence[str] = (),
-) -> Shown:
+) -> ReplayComparison:
     """What replays by both assets' files show, each run from the state that is told."""
     of = dict(zip([run.name for run in measured.runs], starts, strict=True))
     begin = Starts(of, dict.fromkeys(of, noise))
-    files = [AssetOnDisk(address_of(asset)) for asset in (before, after)]
+    files = [AssetOnDisk(asset_address(asset)) for asset in (before, after)]
     before_, after_ = replay(files, measured, list(of), starts=(begin, begin), holding=holding)
     gaps = [
         RunGap(name, 0, 0, 0, True, regime, "confirming") for name, regime in zip_longest(of, regimes, fillvalue="")
     ]
-    return show(before_, after_, noise, gaps)
+    return compare_replays(before_, after_, noise, gaps)

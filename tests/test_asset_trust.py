@@ -24,7 +24,7 @@ from freeart21.files.asset import read_asset
 from freeart21.files.result import write_result
 from freeart21.reconstruction import Trust
 from freeart21.view.pages import page
-from simgap.prove.writeback import repaired
+from simgap.prove.writeback import write_repaired
 
 REASON = "the axis is known to 12° only --- a test's <reason>"
 DOUBTFUL = Trust("doubtful", (REASON, "and another"))
@@ -72,7 +72,7 @@ def test_check_asset_fails_a_doubtful_asset_from_any_one_of_its_files(doubtful: 
 
 
 def test_a_repaired_asset_carries_the_doubt_on(doubtful: Path, tmp_path: Path):
-    again = repaired(read_asset(doubtful), (Armature(0.001),), tmp_path / "repaired")
+    again = write_repaired(read_asset(doubtful), (Armature(0.001),), tmp_path / "repaired")
     assert again.trust == DOUBTFUL and said_of(tmp_path / "repaired")[0] == "fail"
     for name in ("object.urdf", "object.xml", "LOSSES.md", "loaders/joint.json"):
         assert "doubtful: the axis" in (tmp_path / "repaired" / name).read_text()

@@ -16,12 +16,12 @@ from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured
 from freeart21.files.measured_writer import write_measured
 from freeart21.measured import BaseAxis, BaseSeries, Measured, Run
-from simgap.fit.fit import Theory, fitted, placed, predicted
-from simgap.fit.problem import problem_of
-from simgap.measure.data import fit_runs
-from simgap.measure.inputs import base_sway, inputs_of
-from simgap.models.equation_error import missing_force
-from simgap.models.surrogate import Nuisance, plant_of, simulate
+from simgap.fit.fit import Model, fit_model, predict_readings, refit_starts
+from simgap.fit.problem import make_problem
+from simgap.measure.data import make_fit_runs
+from simgap.measure.inputs import base_force_of, make_inputs
+from simgap.models.equation_error import estimate_missing_force
+from simgap.models.surrogate import Nuisance, make_plant, simulate
 from simgap.settings import GapSettings
 
 ROTARY = Path(__file__).resolve().parents[1].parent / "shared" / "measured" / "rotary_and_cart"
@@ -97,9 +97,9 @@ def measured_of(kind: str, q: np.ndarray, base: BaseSeries, axis: BaseAxis | Non
 
 
 def simulated(folder: Path, measured: Measured, path: Path, effects=()) -> np.ndarray:
-    plant = plant_of(read_asset(path), measured)
+    plant = make_plant(read_asset(path), measured)
     return simulate(
-        plant, effects, TIMES, measured.runs[0].q[0], 0.0, inputs_of(measured.runs[0], measured, 0.01, plant)
+        plant, effects, TIMES, measured.runs[0].q[0], 0.0, make_inputs(measured.runs[0], measured, 0.01, plant)
     )
 
 
@@ -117,14 +117,14 @@ def test_a_crooked_joint_on_a_base_that_turns_and_is_pushed_moves_as_its_bits_of
     assert np.abs(ours - q).max() < 2e-4 * np.ptp(q)
     still = simulated(tmp_path, replace(measured, runs=(replace(measured.runs[0], base=None),)), path, effects)
     assert np.abs(still - q).max() > 0.1 * np.ptp(q)
-    from simgap.prove.writeback import repaired
+    from simgap.prove.writeback import write_repaired
 
-    asset = repaired(read_asset(path), effects, tmp_path / "sprung")
+    asset = write_repaired(read_asset(path), effects, tmp_path / "sprung")
     start = (0.4, 0.0)
     (there,) = shown(asset, asset, measured, (start,), 1e-4).runs
     assert there.after < 2e-4 * np.ptp(q)  # in SAPIEN
-    plant = plant_of(asset, measured)
-    missing = missing_force(measured, plant.mechanics, -50, 50, effects, plant=plant)
+    plant = make_plant(asset, measured)
+    missing = estimate_missing_force(measured, plant.mechanics, -50, 50, effects, plant=plant)
     assert np.sqrt(np.mean(missing.force**2)) < 0.02 * missing.inertia * np.std(
         np.gradient(np.gradient(q, TIMES), TIMES)
     )
@@ -179,8 +179,8 @@ def test_a_part_that_is_heavier_feels_more_of_its_base(tmp_path: Path):
     """Its moment with its weight, its inertia with itself: both twice is the same motion."""
     base = BaseSeries(shifted(TIMES), None, swung(TIMES))
     measured = measured_of("revolute", 0 * TIMES + 0.2, base, BaseAxis(AXIS, POINT))
-    plant = plant_of(read_asset(write_crooked(tmp_path, "revolute")), measured)
-    inputs = inputs_of(measured.runs[0], measured, 0.01, plant)
+    plant = make_plant(read_asset(write_crooked(tmp_path, "revolute")), measured)
+    inputs = make_inputs(measured.runs[0], measured, 0.01, plant)
     one, two, more = (
         simulate(plant, (), TIMES, 0.2, 0.0, inputs, Nuisance(*factors)) for factors in ((1, 1), (2, 2), (1, 2))
     )
@@ -218,9 +218,9 @@ def test_a_base_is_read_as_it_was_written_and_its_faults_cost_one_line(tmp_path:
 
 def test_the_part_that_is_on_the_joints_parent_side_is_refused(tmp_path: Path):
     measured = measured_of("revolute", 0 * TIMES, BaseSeries(shifted(TIMES)), None)
-    plant = replace(plant_of(read_asset(asset_of(tmp_path)), measured), base_is_parent=False)
+    plant = replace(make_plant(read_asset(asset_of(tmp_path)), measured), base_is_parent=False)
     with pytest.raises(FreeArtError, match="the base of joint 'j' moves, but it is on the joint's child side"):
-        base_sway(measured.runs[0], measured, plant)
+        base_force_of(measured.runs[0], measured, plant)
 
 
 @pytest.mark.skipif(not ROTARY.is_dir(), reason="the recordings are not here")
@@ -244,10 +244,10 @@ def test_a_real_pendulum_on_an_arm_moves_as_its_arm_has_it(tmp_path: Path):
     still = replace(measured, runs=tuple(replace(run, base=None) for run in runs))
     left = []
     for told in (measured, still):
-        plant = plant_of(asset, told)
-        seen, floor = fit_runs(told, plant)
-        problem = problem_of(plant, told, seen, floor, GapSettings())
-        fit = fitted(Theory(problem, ("coulomb_friction", "viscous_damping")), seen[:1])
-        both = placed(fit, seen)
-        left.append([np.sqrt(np.mean((predicted(both, run) - run.q) ** 2)) for run in seen])
+        plant = make_plant(asset, told)
+        seen, floor = make_fit_runs(told, plant)
+        problem = make_problem(plant, told, seen, floor, GapSettings())
+        fit = fit_model(Model(problem, ("coulomb_friction", "viscous_damping")), seen[:1])
+        both = refit_starts(fit, seen)
+        left.append([np.sqrt(np.mean((predict_readings(both, run) - run.q) ** 2)) for run in seen])
     assert max(left[0]) < 5e-3 and min(left[1]) > 0.15  # rad; the second run was not fitted

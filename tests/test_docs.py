@@ -173,11 +173,11 @@ def test_the_example_of_a_recording_becomes_a_measured_set(written: Path, tmp_pa
 
 
 def test_the_example_of_a_verdict_is_what_gap_writes(written: Path) -> None:
-    from simgap.verdict import Corrected, Named, Proof, RunGap, Verdict, Where
+    from simgap.verdict import Correction, NamedEffect, Proof, Region, RunGap, Verdict
 
     said = read_json(written / "gap" / "lid" / "verdict.json")
     effects = tuple(
-        Named(
+        NamedEffect(
             effect_from_json(
                 {
                     "effect": one["name"],
@@ -194,13 +194,13 @@ def test_the_example_of_a_verdict_is_what_gap_writes(written: Path) -> None:
     verdict = Verdict(
         said["verdict"],
         effects,
-        tuple(Where(**where) for where in said["where"]),
+        tuple(Region(**where) for where in said["where"]),
         tuple(RunGap(**gap) for gap in said["gap"]),
         tuple(tuple(rival) for rival in said["rivals"]),
         said["next_experiment"],
         said["sentence"],
         tuple(said["added"]),
-        corrections=tuple(Corrected(**corrected) for corrected in said["corrections"]),
+        corrections=tuple(Correction(**corrected) for corrected in said["corrections"]),
         holding=said["holding"],
         judged_by=said["judged_by"],
         proof=Proof(**said["proof"]),

@@ -22,13 +22,13 @@ from freeart21.files.measured_writer import write_measured
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import Actuator, DcMotor
 from generator.simulate import roll_out
-from simgap.fit.problem import problem_of
-from simgap.fit.search import candidates
-from simgap.measure.data import fit_runs
-from simgap.measure.inputs import inputs_of
-from simgap.models.equation_error import missing_force
-from simgap.models.surrogate import plant_of, simulate
-from simgap.prove.writeback import repaired
+from simgap.fit.problem import make_problem
+from simgap.fit.search import list_candidates
+from simgap.measure.data import make_fit_runs
+from simgap.measure.inputs import make_inputs
+from simgap.models.equation_error import estimate_missing_force
+from simgap.models.surrogate import make_plant, simulate
+from simgap.prove.writeback import write_repaired
 from simgap.settings import GapSettings
 
 RATE, SECONDS = 1000, 2.0
@@ -113,9 +113,9 @@ def effects_of(name: str):
 @NAMES
 def test_the_fast_simulation_is_the_equation(name: str, tmp_path: Path):
     measured = measured_of(name)
-    plant = plant_of(read_asset(asset_of(tmp_path)), measured)
+    plant = make_plant(read_asset(asset_of(tmp_path)), measured)
     for longest, within in ((np.inf, 2e-5), (0.01, 5e-5)):  # as it was logged, and taken together
-        ours = simulate(plant, effects_of(name), TIMES, 0.3, 0.0, inputs_of(measured.runs[0], measured, longest))
+        ours = simulate(plant, effects_of(name), TIMES, 0.3, 0.0, make_inputs(measured.runs[0], measured, longest))
         assert np.abs(ours - TRUE[name][:, 0]).max() < within
 
 
@@ -123,7 +123,7 @@ def test_the_fast_simulation_is_the_equation(name: str, tmp_path: Path):
 def test_a_replay_in_sapien_is_the_equation(name: str, tmp_path: Path):
     """Through a job's files and a process of its own; without what is told the motion is another."""
     measured, asset = measured_of(name), read_asset(asset_of(tmp_path))
-    right = repaired(asset, effects_of(name), tmp_path / "right")
+    right = write_repaired(asset, effects_of(name), tmp_path / "right")
     run, start = measured.runs[0], (0.3, 0.0)
     before = asset if name == "offset" else right
     plain = replace(measured, runs=(replace(run, enabled=None),))
@@ -139,8 +139,8 @@ def test_a_replay_in_sapien_is_the_equation(name: str, tmp_path: Path):
 @NAMES
 def test_nothing_is_missing_where_all_is_told(name: str, tmp_path: Path):
     measured = measured_of(name)
-    plant = plant_of(read_asset(asset_of(tmp_path)), measured)
-    found = missing_force(measured, plant.mechanics, -3.0, 3.0, effects_of(name))
+    plant = make_plant(read_asset(asset_of(tmp_path)), measured)
+    found = estimate_missing_force(measured, plant.mechanics, -3.0, 3.0, effects_of(name))
     size = float(np.std(np.gradient(TRUE[name][:, 1], TIMES))) * INERTIA
     assert np.sqrt(np.mean(found.force**2)) < 0.05 * size
 
@@ -172,10 +172,10 @@ def test_an_offset_is_looked_for_only_where_efforts_are_told(tmp_path: Path):
     asset = read_asset(asset_of(tmp_path))
     for name, told in (("offset", True), ("motor", True), ("servo", False)):
         measured = measured_of(name)
-        plant = plant_of(asset, measured)
-        runs, floor = fit_runs(measured, plant)
-        problem = problem_of(plant, measured, runs, floor, GapSettings())
-        assert ("actuator_offset" in candidates(problem, runs)) is told
+        plant = make_plant(asset, measured)
+        runs, floor = make_fit_runs(measured, plant)
+        problem = make_problem(plant, measured, runs, floor, GapSettings())
+        assert ("actuator_offset" in list_candidates(problem, runs)) is told
 
 
 @NAMES
@@ -197,7 +197,7 @@ def test_a_current_limit_is_a_limit_of_force_and_what_is_not_known_may_be_null()
     law = actuator_from_json({"type": "effort", "torque_constant": 0.5, "max_current": 4.0, "max_effort": None}, "x")
     assert law.max_effort == 2.0 and actuator_to_json(law, False) == {"type": "effort", "max_effort": 2.0}
     motor = actuator_from_json({"type": "dc_motor", "torque_constant": 0.5, "resistance": 2.0, "max_current": 4.0}, "x")
-    assert motor.law.most == 2.0 and motor.law.back_emf == 0.125 and np.isinf(motor.law.most_asked)
+    assert motor.law.most == 2.0 and motor.law.back_emf == 0.125 and np.isinf(motor.law.max_commanded)
 
 
 BAD = [

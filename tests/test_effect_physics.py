@@ -43,7 +43,7 @@ from freeart21.effects.wobble import Wobble
 from freeart21.errors import FreeArtError
 from freeart21.events import drive_rebound
 from freeart21.files.asset import read_asset
-from freeart21.mechanics import Actuator, held
+from freeart21.mechanics import Actuator, hold_series
 from generator.simulate import joint_motion, load, roll_out
 
 MASS, ARM, G = 1.6, 0.5, 9.81
@@ -392,16 +392,16 @@ def test_a_rotor_behind_a_shaft_throws_its_links_back(tmp_path: Path):
         return shaft([0.0, 0.0, y[0], y[1]]) + 1e-12
 
     leaves.terminal, leaves.direction = True, 1
-    held = solve_ivp(  # the links stand at the stop, which is below them, the rotor goes on
+    hold_series = solve_ivp(  # the links stand at the stop, which is below them, the rotor goes on
         lambda t, y: (y[1], -shaft([0.0, 0.0, y[0], y[1]]) / J), (0, 1), [0.0, -speed], events=leaves, rtol=1e-10
     )
-    y0 = [0.0, 0.0, held.y[0, -1], held.y[1, -1]]
+    y0 = [0.0, 0.0, hold_series.y[0, -1], hold_series.y[1, -1]]
     free = solve_ivp(lambda t, y: (y[1], shaft(y) / m, y[3], -shaft(y) / J), (0, 0.5), y0, rtol=1e-10)
     back = (m * free.y[1, -1] + J * free.y[3, -1]) / (m + J)
     lasting = float(np.exp(-2 * z * np.arccos(z) / np.sqrt(1 - z * z)))
     share = J / (m + J) * lasting
     assert back / speed == pytest.approx(share, rel=1e-3)
-    behind = float(m * free.y[0, -1] + J * free.y[2, -1]) / (m + J) - back * (held.t[-1] + free.t[-1])
+    behind = float(m * free.y[0, -1] + J * free.y[2, -1]) / (m + J) - back * (hold_series.t[-1] + free.t[-1])
     assert behind < -5e-4
     for swing in (0.0, float(np.sqrt(J / k))):
         asset = asset_with(tmp_path, "prismatic", Armature(J, lasting, swing), axis="0 0 1", limit=limits(0, 9))
@@ -450,7 +450,7 @@ def test_a_servo_with_delay_and_gain_follows_its_equation(tmp_path: Path, kind: 
 def test_commanded_effort_passes_the_actuator_and_a_push_does_not(tmp_path: Path, kind: str):
     I = INERTIA[kind]  # noqa: E741
     asset = asset_with(tmp_path, kind, ActuatorDelay(0.1), ActuatorGain(0.5))
-    effort = Actuator(effort=held([0.0, 0.2, 0.4], [0.0, 2.0, 0.0]))
+    effort = Actuator(effort=hold_series([0.0, 0.2, 0.4], [0.0, 2.0, 0.0]))
     run = roll_out(asset, 0.0, duration_s=1, gravity=WEIGHTLESS, actuator=effort)
     assert run.qd == pytest.approx(0.5 * 2.0 / I * np.clip(run.times_s - 0.3, 0, 0.2), abs=2e-3)
     pushed = roll_out(asset, 0.0, duration_s=1, gravity=WEIGHTLESS, force=lambda t: 2.0)
@@ -567,7 +567,7 @@ def test_the_drive_side_leaves_a_part_that_rests_on_its_limit(tmp_path: Path):
     """A slider on its lower stop: touched from below, left for 0.3 s, then met again and lifted."""
     J, width = 0.4, 0.2
     asset = asset_with(tmp_path, "prismatic", Backlash(width, J), axis="0 0 1", limit=limits(0, 9))
-    efforts = Actuator(effort=held([0.0, 0.6, 0.9], [2.0, -0.5, 20.0]))
+    efforts = Actuator(effort=hold_series([0.0, 0.6, 0.9], [2.0, -0.5, 20.0]))
     run = roll_out(asset, 0.0, duration_s=1.5, actuator=efforts)
     assert np.all(run.q[(run.times_s > 0.5) & (run.times_s < 0.9)] == 0)
     x, v = 0.1 - 0.5 * 0.5 / J * 0.3**2, -0.5 / J * 0.3

@@ -98,7 +98,7 @@ def test_a_drive_is_as_strong_on_its_way_through_the_slack_as_elsewhere():
     slack = made("backlash", width=0.02, drive_inertia=0.5)
     times = np.linspace(0.0, 0.3, 151)
     inputs = Inputs(times[:1], np.full(1, 5.0), np.zeros(1), np.zeros(1))
-    q = fast(slider(drive=DriveLaw(stiffness=100.0, most_asked=4.0)), (slack,), times, 0.0, 0.0, inputs)
+    q = fast(slider(drive=DriveLaw(stiffness=100.0, max_commanded=4.0)), (slack,), times, 0.0, 0.0, inputs)
     taken = np.sqrt(2 * 0.01 * 0.5 / 4.0)
     after = np.maximum(times - taken, 0.0)
     assert q == pytest.approx(0.5 * 8.0 * taken / 2.5 * after + 0.5 * (4.0 / 2.5) * after**2, abs=1e-6)

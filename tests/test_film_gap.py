@@ -12,7 +12,7 @@ from browser import CHROMIUM, browser
 from film_scene import film_with_truth
 
 from freeart21 import cli, se3
-from freeart21.camera_faults import CameraFaults, incidence
+from freeart21.camera_faults import CameraFaults, incidence_cosine
 from freeart21.errors import FreeArtError
 from freeart21.files.camera_faults import read_camera_faults, write_camera_faults
 from freeart21.files.sequence import read_sequence, write_sequence
@@ -58,7 +58,7 @@ def size(verdict, parameter):
 
 def test_nothing_is_named_in_a_clean_film(film):
     verdict = named(film, lambda f: f)
-    assert verdict.verdict == "no_gap" and not verdict.effects and not verdict.left and verdict.camera.none
+    assert verdict.verdict == "no_gap" and not verdict.effects and not verdict.left and verdict.camera.is_ideal
     assert verdict.next_experiment is None
 
 
@@ -193,7 +193,7 @@ def test_a_camera_with_faults_does_what_its_numbers_say(film):
     camera = film.recording.camera
     depth = film.recording.frame(0).depth
     on = depth > 0
-    bright, cosine = np.full(depth.shape, 0.5, np.float32), incidence(depth, camera)
+    bright, cosine = np.full(depth.shape, 0.5, np.float32), incidence_cosine(depth, camera)
     rng = np.random.default_rng(0)
     scaled = CameraFaults(depth_scale=0.1, depth_offset=0.01).depth(depth, bright, cosine, camera, rng)
     np.testing.assert_allclose(scaled[on], 1.1 * depth[on] + 0.01, rtol=1e-5)
@@ -207,15 +207,17 @@ def test_a_camera_with_faults_does_what_its_numbers_say(film):
     brighter = CameraFaults(exposure=(0.0, 1.0)).colour(grey, 1.0)
     assert int(brighter[0, 0, 0]) == pytest.approx(175, abs=2)  # twice the light of sRGB 128
     assert CameraFaults().none and not CameraFaults(holes=0.1).none
-    assert CameraFaults(focal=0.1, centre_u=2).seeing(camera).K[0, 0] == pytest.approx(1.1 * camera.K[0, 0])
+    assert CameraFaults(focal=0.1, centre_u=2).actual_camera(camera).K[0, 0] == pytest.approx(1.1 * camera.K[0, 0])
 
 
 def test_poses_go_between_frames_and_beyond():
-    from simgap.film.drawing import between
+    from simgap.film.drawing import interpolate_pose
 
     Ts = np.stack([se3.pose(np.eye(3), [0.0, 0, k]) for k in (1.0, 2.0, 4.0)])
-    assert between(Ts, 0.5)[2, 3] == pytest.approx(1.5) and between(Ts, -0.5)[2, 3] == pytest.approx(0.5)
-    assert between(Ts, 2.5)[2, 3] == pytest.approx(5.0)
+    assert interpolate_pose(Ts, 0.5)[2, 3] == pytest.approx(1.5) and interpolate_pose(Ts, -0.5)[2, 3] == pytest.approx(
+        0.5
+    )
+    assert interpolate_pose(Ts, 2.5)[2, 3] == pytest.approx(5.0)
 
 
 def test_a_delay_is_told_where_poses_were_estimated(film):

@@ -16,16 +16,16 @@ from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
 from simgap.fit import search as search_module
-from simgap.fit.fit import Fit, Theory, fitted, stretched
-from simgap.fit.problem import problem_of
+from simgap.fit.fit import Fit, Model, fit_model, fit_stretches
+from simgap.fit.problem import make_problem
 from simgap.fit.search import Search
-from simgap.measure.data import FitRun, fit_runs
-from simgap.models.surrogate import plant_of
+from simgap.measure.data import FitRun, make_fit_runs
+from simgap.models.surrogate import make_plant
 from simgap.select import choose, delivery
-from simgap.select.choose import at_once
-from simgap.select.hypotheses import Hypothesis, judged
+from simgap.select.choose import select_presliding
+from simgap.select.hypotheses import Hypothesis, evaluate_set
 from simgap.select.predictive import Score
-from simgap.select.split import Fold, split_of
+from simgap.select.split import Fold, split_runs
 from simgap.settings import GapSettings, SearchSettings
 from simgap.verdict import Verdict
 from simgap.workflow import find_gap
@@ -43,9 +43,9 @@ def damped(tmp_path_factory: pytest.TempPathFactory) -> Verdict:
 
 def search_on(folder: Path, measured: Measured, upper: float = 3.0) -> Search:
     """Over no effects, on the first three runs."""
-    plant = plant_of(read_asset(asset_of(folder, upper=upper), "j"), measured)
-    runs, floor = fit_runs(measured, plant)
-    return Search(problem_of(plant, measured, runs, floor, GapSettings()), runs[:3], SearchSettings(), ())
+    plant = make_plant(read_asset(asset_of(folder, upper=upper), "j"), measured)
+    runs, floor = make_fit_runs(measured, plant)
+    return Search(make_problem(plant, measured, runs, floor, GapSettings()), runs[:3], SearchSettings(), ())
 
 
 def names(found: Verdict) -> set[str]:
@@ -116,14 +116,17 @@ def test_friction_that_is_there_at_once_is_fitted_so(tmp_path: Path):
     """A joint that sticks under a command that changes bends by nothing: the least way of building up leaves most of
     what is left, which other effects would take."""
     measured = measured_of(8, dry=4.0, servo=True, exact=True, lean=0.0, runs=3)
-    plant = plant_of(read_asset(asset_of(tmp_path), "j"), measured)
-    runs, floor = fit_runs(measured, plant)
-    problem = problem_of(plant, measured, runs, floor, GapSettings())
-    theory = Theory(problem, ("coulomb_friction",))
-    built = fitted(theory, runs, at(theory, level=4.0, travel_root=0.1))
-    assert at_once(built, runs).theory.prompt and at_once(built, runs).level < 0.9 * built.level
+    plant = make_plant(read_asset(asset_of(tmp_path), "j"), measured)
+    runs, floor = make_fit_runs(measured, plant)
+    problem = make_problem(plant, measured, runs, floor, GapSettings())
+    model = Model(problem, ("coulomb_friction",))
+    built = fit_model(model, runs, at(model, level=4.0, travel_root=0.1))
+    assert (
+        select_presliding(built, runs).model.instant_friction
+        and select_presliding(built, runs).level < 0.9 * built.level
+    )
     nearer = replace(built, cost=0.0)
-    assert at_once(nearer, runs) is nearer
+    assert select_presliding(nearer, runs) is nearer
 
 
 @pytest.mark.parametrize("servo", [False, True])
@@ -167,9 +170,9 @@ def test_a_late_drive_may_be_a_late_clock(tmp_path: Path):
 
 
 @pytest.mark.parametrize("beside", [{}, {"gain": 1.3, "dry": 0.5}])
-def test_the_gears_of_a_servo_have_their_name(tmp_path: Path, beside: dict[str, float]):
-    found = verdict(tmp_path, measured_of(31, servo=True, gears=0.15, **beside))
-    also = {"actuator_gain", "coulomb_friction"} if beside else set()
+def test_the_gears_of_a_servo_have_their_name(tmp_path: Path, hold_difference: dict[str, float]):
+    found = verdict(tmp_path, measured_of(31, servo=True, gears=0.15, **hold_difference))
+    also = {"actuator_gain", "coulomb_friction"} if hold_difference else set()
     assert found.verdict == "named" and names(found) == {"gear_friction", *also}, found
     gears = next(named for named in found.effects if named.effect.name == "gear_friction")
     assert gears.low["coefficient"] < 0.15 < gears.high["coefficient"]
@@ -191,18 +194,18 @@ def test_a_spring_that_hardens_is_nothing_but_a_spring(tmp_path: Path):
 def test_effects_depart_from_their_formulas_by_what_they_say(tmp_path: Path):
     """A departing fit of a spring finds the bend of one that hardens; friction departs by no more than a tenth."""
     search = search_on(tmp_path, measured_of(11, spring=8.0, rest=0.0, hardens=0.05, exact=True))
-    theory = Theory(search.problem, ("return_spring",))
-    plain = fitted(theory, search.train, at(theory, stiffness=8.0))
-    departing = replace(theory, departing=(("return_spring", plain.effects[0].values()[0]),))
-    theta, starts = stretched(departing, search.train, np.append(plain.theta, [0.0, 0.0]), 5.0, 8)
-    fit = fitted(departing, search.train, theta, starts)
+    model = Model(search.problem, ("return_spring",))
+    plain = fit_model(model, search.train, at(model, stiffness=8.0))
+    departing = replace(model, model_error=(("return_spring", plain.effects[0].values()[0]),))
+    theta, starts = fit_stretches(departing, search.train, np.append(plain.theta, [0.0, 0.0]), 5.0, 8)
+    fit = fit_model(departing, search.train, theta, starts)
     assert plain.level > 2 and fit.level < 1.1
     assert 0.01 < fit.values["return_spring form", "bend"] < 0.1
     ways = {
         (r.owner, r.name): r.upper
-        for r in Theory(search.problem, ("coulomb_friction",), False, (("coulomb_friction", 1.0),)).ranges()
+        for r in Model(search.problem, ("coulomb_friction",), False, (("coulomb_friction", 1.0),)).ranges()
     }
-    assert ways["coulomb_friction form", "over speed"] == EFFECTS["coulomb_friction"].departs[0]
+    assert ways["coulomb_friction form", "over speed"] == EFFECTS["coulomb_friction"].model_error[0]
 
 
 def test_a_force_that_first_guesses_miss_is_fitted_all_the_same(tmp_path: Path):
@@ -210,8 +213,8 @@ def test_a_force_that_first_guesses_miss_is_fitted_all_the_same(tmp_path: Path):
     search = replace(search_on(tmp_path, measured_of(11, lean=0.3)), names=("detent", "gravity_offset"))
     cut, at, found = search._guesses()
     search._first = cut, at, [guess for guess in found if guess.name == "detent"]
-    best = search.singles()[0]
-    assert best.theory.names == ("gravity_offset",) and best.level < 1.2
+    best = search.fit_singles()[0]
+    assert best.model.names == ("gravity_offset",) and best.level < 1.2
 
 
 def test_an_effect_that_is_left_out_of_the_library_is_not_named(tmp_path: Path):
@@ -228,21 +231,21 @@ def _run_by_run(**floors: float) -> dict[str, np.ndarray]:
 def test_a_drive_is_tried_with_other_parts_of_the_same_inertia(tmp_path: Path):
     """Else a fit stays where the part is too heavy, its drive too light, and nothing that comes back is right."""
     search = search_on(tmp_path, measured_of(12, servo=True), 0.3)
-    theory = Theory(search.problem, ("armature",))
-    own, at = search.problem.plant.mechanics.inertia, {r.name: i for i, r in enumerate(theory.ranges())}
-    theta = theory.neutral()
+    model = Model(search.problem, ("armature",))
+    own, at = search.problem.plant.mechanics.inertia, {r.name: i for i, r in enumerate(model.ranges())}
+    theta = model.neutral()
     theta[at["inertia"]] = 1.02
-    fit = replace(search.base(), theory=theory, theta=theta)
-    points = np.array(search_module._shafts(fit))
+    fit = replace(search.base(), model=model, theta=theta)
+    points = np.array(search_module._shaft_points(fit))
     whole = points[:, at["inertia"]] * own + points[:, at["value"]]
     np.testing.assert_allclose(whole, fit.theta[at["inertia"]] * own + fit.theta[at["value"]])
     assert len(np.unique(points[:, at["inertia"]])) == 4 and len(np.unique(points[:, at["swing"]])) == 3
-    assert search_module._shafts(search.base()) == []
+    assert search_module._shaft_points(search.base()) == []
 
 
-def at(theory: Theory, **real: float) -> np.ndarray:
+def at(model: Model, **real: float) -> np.ndarray:
     """The neutral point, but for these parameters."""
-    return np.array([real.get(r.name, x) for r, x in zip(theory.ranges(), theory.neutral(), strict=True)])
+    return np.array([real.get(r.name, x) for r, x in zip(model.ranges(), model.neutral(), strict=True)])
 
 
 def told_by(truth: Fit, runs: tuple[FitRun, ...]) -> tuple[FitRun, ...]:
@@ -257,13 +260,13 @@ def told_by(truth: Fit, runs: tuple[FitRun, ...]) -> tuple[FitRun, ...]:
 def test_a_catch_that_was_looked_for_beside_its_place_is_found(tmp_path: Path, seed: int):
     """Where it holds shows in when it lets go alone: no slope leads there."""
     search = search_on(tmp_path, measured_of(seed, seconds=4.0))
-    theory, real = Theory(search.problem, ("latch",)), {"hold": 0.6, "position": 0.2, "travel": 0.12, "capture": 0.5}
-    truth = fitted(theory, search.train, at(theory, **real), iterations=0)
+    model, real = Model(search.problem, ("latch",)), {"hold": 0.6, "position": 0.2, "travel": 0.12, "capture": 0.5}
+    truth = fit_model(model, search.train, at(model, **real), iterations=0)
     search.train = told_by(truth, search.train)
-    off = at(theory, **(real | {"hold": 0.7, "position": 0.24, "travel": 0.16, "capture": 0.3}))
-    beside = fitted(theory, search.train, off, truth.starts, iterations=0)
-    found = search._finished(beside)
-    assert fitted(theory, search.train, off, truth.starts).level > 3 and found.level < 1.1
+    off = at(model, **(real | {"hold": 0.7, "position": 0.24, "travel": 0.16, "capture": 0.3}))
+    hold_difference = fit_model(model, search.train, off, truth.starts, iterations=0)
+    found = search._finished(hold_difference)
+    assert fit_model(model, search.train, off, truth.starts).level > 3 and found.level < 1.1
     assert found.values["latch", "position"] == pytest.approx(0.2, abs=0.01)
 
 
@@ -279,10 +282,10 @@ def test_of_rivals_in_part_what_all_have_is_named_where_it_may_dominate():
         case("gear_friction", "load_friction", "viscous_damping"),
         case("armature", "gear_friction", "viscous_damping"),
     )
-    assert choose._shared([dry, load, rotor], [pair, dry, load, rotor]) == [pair]
-    assert choose._shared([dry, rotor], [dry, rotor]) == []
-    assert choose._shared([dry, load], [pair, dry, load]) == []
-    assert choose._shared([], [pair]) == []
+    assert choose._common_part([dry, load, rotor], [pair, dry, load, rotor]) == [pair]
+    assert choose._common_part([dry, rotor], [dry, rotor]) == []
+    assert choose._common_part([dry, load], [pair, dry, load]) == []
+    assert choose._common_part([], [pair]) == []
 
 
 def test_a_joint_that_hardly_moves_says_nothing(tmp_path: Path):
@@ -294,8 +297,8 @@ def test_without_marks_every_run_is_held_out_in_turn(tmp_path: Path):
     measured = measured_of(18, marked=False, viscous=0.1, runs=3, seconds=3.0)
     found = verdict(tmp_path, measured)
     assert (found.verdict, names(found)) == ("named", {"viscous_damping"})
-    runs, _ = fit_runs(measured, plant_of(read_asset(asset_of(tmp_path), "j"), measured))
-    folds = split_of(runs).folds
+    runs, _ = make_fit_runs(measured, make_plant(read_asset(asset_of(tmp_path), "j"), measured))
+    folds = split_runs(runs).folds
     assert sorted(run.name for fold in folds for run in fold.test) == sorted(run.name for run in runs)
     assert all(not {r.name for r in fold.train} & {r.name for r in fold.test} for fold in folds)
 
@@ -307,25 +310,25 @@ def test_a_single_run_is_cut(tmp_path: Path):
 
 def test_runs_that_choose_do_not_confirm():
     runs = tuple(SimpleNamespace(name=f"r{i}", held_out=i > 3, regime="free", speed=np.full(9, i)) for i in range(8))
-    split = split_of(runs)
+    split = split_runs(runs)
     uses = {run.name: split.use(run.name) for run in runs}
     assert [uses[f"r{i}"] for i in range(8)] == ["fitted"] * 4 + ["choosing", "confirming"] * 2
     unmarked = tuple(SimpleNamespace(**{**vars(run), "held_out": None}) for run in runs)
-    split = split_of(unmarked)
+    split = split_runs(unmarked)
     assert [run.name for run in split.confirming] == ["r2", "r7"]
     assert not {run.name for fold in split.folds for run in (*fold.train, *fold.test)} & {"r2", "r7"}
-    assert not split_of(unmarked[:4]).confirming
+    assert not split_runs(unmarked[:4]).confirming
 
 
 def test_a_correction_that_runs_need_is_delivered_however_unsure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Where no score tells the asset as it is from the one that leaves noise, the smaller correction would say that a
     gap of many floors is none."""
 
-    def unsure(fit: Fit, folds: tuple[Fold, ...]) -> Hypothesis:
-        seen = judged(fit, folds)
+    def evaluate_without_decision(fit: Fit, folds: tuple[Fold, ...]) -> Hypothesis:
+        seen = evaluate_set(fit, folds)
         return replace(seen, score=Score((), np.zeros(8)))
 
-    monkeypatch.setattr(delivery, "judged", unsure)
+    monkeypatch.setattr(delivery, "evaluate_set", evaluate_without_decision)
     found = verdict(tmp_path, measured_of(0))
     assert found.verdict == "no_gap" and found.corrections
     assert max(gap.before / gap.floor for gap in found.gaps) > 2 > max(gap.after / gap.floor for gap in found.gaps)

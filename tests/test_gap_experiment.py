@@ -10,10 +10,10 @@ from gap_case import ARM, INERTIA, MASS, G, asset_of, measured_of
 
 from freeart21.files.asset import read_asset
 from simgap.fit.fit import Fit
-from simgap.fit.problem import Problem, as_delivered, problem_of
-from simgap.fit.theory import Theory
-from simgap.measure.data import fit_runs
-from simgap.models.surrogate import plant_of
+from simgap.fit.model import Model
+from simgap.fit.problem import Problem, make_problem, without_asset_error
+from simgap.measure.data import make_fit_runs
+from simgap.models.surrogate import make_plant
 from simgap.select.experiment import NO_EXPERIMENT, next_experiment
 from simgap.settings import GapSettings
 
@@ -22,16 +22,16 @@ from simgap.settings import GapSettings
 def problem(tmp_path: Path) -> Problem:
     """A pendulum that swings free, nothing of its asset in doubt."""
     measured = measured_of(3, runs=2)
-    plant = plant_of(read_asset(asset_of(tmp_path)), measured)
-    return as_delivered(problem_of(plant, measured, *fit_runs(measured, plant), GapSettings()))
+    plant = make_plant(read_asset(asset_of(tmp_path)), measured)
+    return without_asset_error(make_problem(plant, measured, *make_fit_runs(measured, plant), GapSettings()))
 
 
 def fit(problem: Problem, name: str, *values: float) -> Fit:
     """One effect of known numbers."""
-    theory = Theory(problem, (name,))
-    count = len(theory.ranges())
+    model = Model(problem, (name,))
+    count = len(model.ranges())
     assert count == len(values)
-    return Fit(theory, np.array(values), {}, {}, 0.0, np.eye(count))
+    return Fit(model, np.array(values), {}, {}, 0.0, np.eye(count))
 
 
 def test_an_experiment_parts_all_rivals(problem: Problem):

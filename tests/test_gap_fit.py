@@ -14,77 +14,78 @@ from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
 from simgap.fit.fit import (
+    Model,
     Problem,
-    Theory,
-    fitted,
-    pieces,
-    placed,
-    predicted,
-    tangent,
+    cut_stretches,
+    fit_model,
+    linearise_runs,
+    predict_readings,
+    refit_starts,
 )
-from simgap.fit.force_guess import local_force, places
-from simgap.fit.guess import _grid
-from simgap.fit.least_squares import Prior, charge, solve, weight
-from simgap.fit.problem import problem_of
-from simgap.fit.search import Search, candidates, loss_sets, stilled
-from simgap.measure.data import fit_runs
-from simgap.measure.floor import floor_of
-from simgap.models.surrogate import plant_of, simulate
-from simgap.select.split import split_of
+from simgap.fit.force_guess import guess_places, sample_missing_force
+from simgap.fit.guess import _trial_values
+from simgap.fit.least_squares import Prior, robust_loss, robust_weight, solve
+from simgap.fit.problem import make_problem
+from simgap.fit.search import Search, clamp_starts, list_candidates, loss_sets
+from simgap.measure.data import make_fit_runs
+from simgap.measure.noise import estimate_noise
+from simgap.models.surrogate import make_plant, simulate
+from simgap.select.split import split_runs
 from simgap.settings import GapSettings
 
 SETTINGS = GapSettings()
 
 
 def problem(folder: Path, measured: Measured) -> tuple[Problem, tuple]:
-    plant = plant_of(read_asset(asset_of(folder), "j"), measured)
-    runs, floor = fit_runs(measured, plant)
-    return problem_of(plant, measured, runs, floor, SETTINGS), runs
+    plant = make_plant(read_asset(asset_of(folder), "j"), measured)
+    runs, floor = make_fit_runs(measured, plant)
+    return make_problem(plant, measured, runs, floor, SETTINGS), runs
 
 
 def test_what_is_hidden_is_found_again_with_free_starts(tmp_path: Path):
     measured = measured_of(1, viscous=0.12, exact=True)
     setup, runs = problem(tmp_path, measured)
-    fit = fitted(Theory(setup, ("viscous_damping",)), runs, np.array([0.0, 0.05]))
+    fit = fit_model(Model(setup, ("viscous_damping",)), runs, np.array([0.0, 0.05]))
     assert fit.effects[0].coefficient == pytest.approx(0.12, rel=0.01)
-    assert max(fit.floors(run.name) for run in runs) < 1.1
+    assert max(fit.rms(run.name) for run in runs) < 1.1
     spread = np.sqrt(np.linalg.inv(fit.normal)[-1, -1])
     assert abs(fit.theta[-1] - 0.12) < 4 * spread and spread < 0.01 * 0.12
-    wrong = fitted(Theory(setup, ()), runs)
-    assert min(wrong.floors(run.name) for run in runs) > 10
+    wrong = fit_model(Model(setup, ()), runs)
+    assert min(wrong.rms(run.name) for run in runs) > 10
 
 
 def test_the_assets_own_doubts_are_fitted_within_their_bounds(tmp_path: Path):
     measured = measured_of(2, inertia=1.3 * INERTIA, seconds=4.0)
     setup, runs = problem(tmp_path, measured)
-    fit = fitted(Theory(setup, ()), runs)
-    names = [r.name for r in fit.theory.ranges()]
+    fit = fit_model(Model(setup, ()), runs)
+    names = [r.name for r in fit.model.ranges()]
     assert names == ["inertia", "gravity", "lean_1"]
-    assert all(r.lower <= x <= r.upper for r, x in zip(fit.theory.ranges(), fit.theta, strict=True))
-    assert fit.theta[0] == pytest.approx(1.1) and min(fit.floors(run.name) for run in runs) > 5
-    armed = fitted(Theory(setup, ("armature",)), runs, np.array([1.1, 1.0, 0.0, 0.05]))
-    assert max(armed.floors(run.name) for run in runs) < 1.1
+    assert all(r.lower <= x <= r.upper for r, x in zip(fit.model.ranges(), fit.theta, strict=True))
+    assert fit.theta[0] == pytest.approx(1.1) and min(fit.rms(run.name) for run in runs) > 5
+    armed = fit_model(Model(setup, ("armature",)), runs, np.array([1.1, 1.0, 0.0, 0.05]))
+    assert max(armed.rms(run.name) for run in runs) < 1.1
 
 
 def test_a_held_out_run_only_gets_a_start(tmp_path: Path):
     setup, runs = problem(tmp_path, measured_of(3, viscous=0.12))
-    fit = fitted(Theory(setup, ("viscous_damping",)), runs[:3])
-    there = placed(fit, runs[3:])
+    fit = fit_model(Model(setup, ("viscous_damping",)), runs[:3])
+    there = refit_starts(fit, runs[3:])
     np.testing.assert_array_equal(there.theta, fit.theta)
-    assert max(there.floors(run.name) for run in runs[3:]) < 1.3
+    assert max(there.rms(run.name) for run in runs[3:]) < 1.3
     np.testing.assert_allclose(
-        (runs[4].q - predicted(there, runs[4])) / runs[4].sigma, there.residuals[runs[4].name], atol=1e-9
+        (runs[4].q - predict_readings(there, runs[4])) / runs[4].sigma, there.residuals[runs[4].name], atol=1e-9
     )
 
 
 def test_slopes_are_what_small_changes_do(tmp_path: Path):
     setup, runs = problem(tmp_path, measured_of(4, viscous=0.12, dry=0.05))
-    theory = Theory(setup, ("coulomb_friction", "viscous_damping"), prompt=True)
-    fit = fitted(theory, runs[:1], np.array([1.0, 1.0, 0.0, 0.05, 0.1]))
-    _, starts, parameters = tangent(fit, runs[:1])
+    model = Model(setup, ("coulomb_friction", "viscous_damping"), instant_friction=True)
+    fit = fit_model(model, runs[:1], np.array([1.0, 1.0, 0.0, 0.05, 0.1]))
+    _, starts, parameters = linearise_runs(fit, runs[:1])
     run, j = runs[0], len(fit.theta) - 1
     more, less = (
-        predicted(type(fit)(**{**vars(fit), "theta": fit.theta + d * np.eye(j + 1)[j]}), run) for d in (1e-3, -1e-3)
+        predict_readings(type(fit)(**{**vars(fit), "theta": fit.theta + d * np.eye(j + 1)[j]}), run)
+        for d in (1e-3, -1e-3)
     )
     expected = (more - less) / 2e-3 / run.sigma
     assert np.abs(parameters[0][j] - expected).max() < 0.02 * np.abs(expected).max()
@@ -94,19 +95,19 @@ def test_slopes_are_what_small_changes_do(tmp_path: Path):
 def test_what_is_faster_than_all_motion_is_not_looked_for(tmp_path: Path):
     """A part that creeps tells nothing of how friction falls with speed, and costs no error."""
     setup, runs = problem(tmp_path, measured_of(5, dry=0.1))
-    assert "stribeck_friction" in candidates(setup, runs)
-    assert "stribeck_friction" not in candidates(replace(setup, speed=5e-5), runs)
-    slow = next(r for r in Theory(replace(setup, speed=6e-4), ("stribeck_friction",)).ranges() if r.name == "speed")
-    assert all(slow.lower <= value <= slow.upper for value in _grid(slow, setup))
+    assert "stribeck_friction" in list_candidates(setup, runs)
+    assert "stribeck_friction" not in list_candidates(replace(setup, speed=5e-5), runs)
+    slow = next(r for r in Model(replace(setup, speed=6e-4), ("stribeck_friction",)).ranges() if r.name == "speed")
+    assert all(slow.lower <= value <= slow.upper for value in _trial_values(slow, setup))
 
 
 def test_a_larger_set_fits_no_worse_than_a_smaller_one(tmp_path: Path):
     setup, runs = problem(tmp_path, measured_of(5, dry=0.1, drag=0.05))
-    train = split_of(runs).folds[0].train
-    search = Search(setup, train, SETTINGS.search, candidates(setup, train))
-    level = search.singles()
-    pairs = search.larger(level[:3])
-    assert {"coulomb_friction", "quadratic_drag"} in [set(fit.theory.names) for fit in pairs]
+    train = split_runs(runs).folds[0].train
+    search = Search(setup, train, SETTINGS.search, list_candidates(setup, train))
+    level = search.fit_singles()
+    pairs = search.fit_larger(level[:3])
+    assert {"coulomb_friction", "quadratic_drag"} in [set(fit.model.names) for fit in pairs]
     assert len(search.fits) > len(level)
     for names, fit in search.fits.items():
         for name in names:
@@ -126,10 +127,12 @@ def test_the_floor_is_the_sensors(tmp_path: Path):
     rng = np.random.default_rng(0)
     times = np.cumsum(rng.uniform(0.004, 0.006, 4000))
     true, speed = np.sin(3 * times), 3 * np.cos(3 * times)
-    assert floor_of([(times, true + rng.normal(0, 2e-3, 4000))]).still == pytest.approx(2e-3, rel=0.1)
-    assert floor_of([(times, np.round(true / 0.01) * 0.01)]).still == pytest.approx(0.01 / np.sqrt(12), rel=0.25)
-    floor = floor_of([(times, true + rng.normal(0, 2e-3, 4000) + speed * rng.normal(0, 2e-3, 4000))])
-    assert floor.stamp_s == pytest.approx(2e-3, rel=0.25) and floor.still == pytest.approx(2e-3, rel=0.4)
+    assert estimate_noise([(times, true + rng.normal(0, 2e-3, 4000))]).sigma_at_rest == pytest.approx(2e-3, rel=0.1)
+    assert estimate_noise([(times, np.round(true / 0.01) * 0.01)]).sigma_at_rest == pytest.approx(
+        0.01 / np.sqrt(12), rel=0.25
+    )
+    floor = estimate_noise([(times, true + rng.normal(0, 2e-3, 4000) + speed * rng.normal(0, 2e-3, 4000))])
+    assert floor.stamp_s == pytest.approx(2e-3, rel=0.25) and floor.sigma_at_rest == pytest.approx(2e-3, rel=0.4)
 
 
 @pytest.mark.parametrize("largest, said", [(57.3, "are its units degrees?"), (0.9, None)])
@@ -152,22 +155,24 @@ def test_a_sensor_that_rests_within_a_step_does_not_hide_its_noise():
     times = np.arange(3000) / 100
     true = np.where(times < 12, 0.5 * np.sin(3 * times), 0.5 * np.sin(36) + 0.0002)
     readings = 1.5e-3 * np.round((true + rng.normal(0, 0.5e-3, 3000)) / 1.5e-3)
-    assert floor_of([(times, readings)]).still == pytest.approx(np.hypot(0.5e-3, 1.5e-3 / np.sqrt(12)), rel=0.12)
+    assert estimate_noise([(times, readings)]).sigma_at_rest == pytest.approx(
+        np.hypot(0.5e-3, 1.5e-3 / np.sqrt(12)), rel=0.12
+    )
 
 
 def test_one_stretch_that_cannot_be_met_holds_up_nothing_else(tmp_path: Path):
     setup, runs = problem(tmp_path, measured_of(3, viscous=0.12))
     broken = replace(runs[0], name="broken", q=runs[0].q + np.where(runs[0].times_s > 1.0, 0.8, 0.0))
-    theory = Theory(setup, ("viscous_damping",))
-    cut = pieces((*runs, broken), 1.5)
-    fit = fitted(theory, cut, np.array([0.9, 0.9, 0.0, 0.02]))
+    model = Model(setup, ("viscous_damping",))
+    cut = cut_stretches((*runs, broken), 1.5)
+    fit = fit_model(model, cut, np.array([0.9, 0.9, 0.0, 0.02]))
     assert fit.effects[0].coefficient == pytest.approx(0.12, rel=0.15)
 
 
 def test_a_start_that_oversteps_goes_on_beside_one_that_is_there():
     """The first run's start is where it should be after one step; the second one's full step makes its run worse."""
 
-    def look(which: np.ndarray, starts: np.ndarray, theta: np.ndarray) -> list[np.ndarray]:
+    def evaluate(which: np.ndarray, starts: np.ndarray, theta: np.ndarray) -> list[np.ndarray]:
         off = starts[:, 0] - 1.0
         return list(np.stack([np.where(which, -9 * np.arctan(3 * off), -off), -starts[:, 1]], 1))
 
@@ -176,14 +181,14 @@ def test_a_start_that_oversteps_goes_on_beside_one_that_is_there():
         return [np.diag([s, 1.0]) for s in steep]
 
     prior, begin = Prior(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 0))), np.array([[2.0, 0.1], [3.0, 0.1]])
-    found = solve(np.zeros(0), begin, look, slopes, prior, -np.inf, np.inf, 12, free=False)
+    found = solve(np.zeros(0), begin, evaluate, slopes, prior, -np.inf, np.inf, 12, free=False)
     assert np.allclose(found.starts, [[1.0, 0.0], [1.0, 0.0]], atol=1e-3)
 
 
 def test_where_nothing_is_to_be_gained_nothing_is_tried():
     asked = []
 
-    def look(which, starts, theta):
+    def evaluate(which, starts, theta):
         asked.append(len(which))
         return [np.array([3.0, 0.0, 1.0]) - np.array([*starts[i], 0.0]) for i in range(len(which))]
 
@@ -193,7 +198,7 @@ def test_where_nothing_is_to_be_gained_nothing_is_tried():
     prior = Prior(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 0)))
     for begin, calls in (([3.0, 0.0], 1), ([2.0, 0.5], 2)):
         asked.clear()
-        found = solve(np.zeros(0), np.array([begin]), look, slopes, prior, -np.inf, np.inf, 12, free=False)
+        found = solve(np.zeros(0), np.array([begin]), evaluate, slopes, prior, -np.inf, np.inf, 12, free=False)
         assert np.allclose(found.starts, [[3.0, 0.0]], atol=2e-3) and len(asked) == calls
 
 
@@ -206,23 +211,23 @@ def test_the_missing_force_tells_where_a_catch_is(tmp_path: Path):
         replace(run, q=simulate(setup.plant, (catch,), run.times_s, *start) + rng.normal(0, 7e-4, len(run.q)))
         for run, start in zip(runs, starts, strict=True)
     )
-    found = places(setup, local_force(setup, caught), "latch", 2)
+    found = guess_places(setup, sample_missing_force(setup, caught), "latch", 2)
     assert len(found) == 2
     assert found[0]["position"] == pytest.approx(0.3, abs=0.03)
     assert found[0]["travel"] == pytest.approx(0.12, rel=0.25)
     assert found[0]["hold"] / found[0]["travel"] == pytest.approx(9.0 / 0.12, rel=0.15)
-    beside = places(setup, local_force(setup, caught, (catch,)), "latch", 1)
-    assert not beside or beside[0]["hold"] < 0.2 * 9.0  # nothing is missing with it
-    assert places(setup, local_force(setup, caught), "viscous_damping", 2) == []
+    hold_difference = guess_places(setup, sample_missing_force(setup, caught, (catch,)), "latch", 1)
+    assert not hold_difference or hold_difference[0]["hold"] < 0.2 * 9.0  # nothing is missing with it
+    assert guess_places(setup, sample_missing_force(setup, caught), "viscous_damping", 2) == []
 
 
 def test_a_start_that_presses_into_a_dead_stop_rests_there(tmp_path: Path):
     setup, runs = problem(tmp_path, measured_of(8))
     plant = replace(setup.plant, upper=float(max(run.q.max() for run in runs)))
-    fit = placed(fitted(Theory(replace(setup, plant=plant), ()), runs[:2], iterations=2), runs[:2])
+    fit = refit_starts(fit_model(Model(replace(setup, plant=plant), ()), runs[:2], iterations=2), runs[:2])
     first, second = (run.name for run in runs[:2])
     pressed = replace(fit, starts={first: (plant.upper, 0.7), second: (0.1, 0.7)})
-    assert stilled(pressed).starts == {first: (plant.upper, 0.0), second: (0.1, 0.7)}
+    assert clamp_starts(pressed).starts == {first: (plant.upper, 0.0), second: (0.1, 0.7)}
 
 
 def test_what_a_run_costs_is_a_likelihood_of_its_own_error():
@@ -230,20 +235,20 @@ def test_what_a_run_costs_is_a_likelihood_of_its_own_error():
     powers = np.array([0.5, 0.7, 0.8, 1.0, 8.99, 9.01, 100.0])
     for i in range(len(powers)):
         moved = powers * (1 + 1e-4 * (np.arange(len(powers)) == i))
-        slope = (charge(moved)[i] - charge(powers)[i]) / (1e-4 * powers[i])
-        assert slope == pytest.approx(weight(powers)[i], rel=1e-3)
-    assert charge(powers)[:5].tolist() == powers[:5].tolist()
+        slope = (robust_loss(moved)[i] - robust_loss(powers)[i]) / (1e-4 * powers[i])
+        assert slope == pytest.approx(robust_weight(powers)[i], rel=1e-3)
+    assert robust_loss(powers)[:5].tolist() == powers[:5].tolist()
     far = np.array([1.0, 1.0, 1.0, 9e2]), np.array([1.0, 1.0, 1.0, 9e4])
-    assert charge(far[1])[-1] - charge(far[0])[-1] == pytest.approx(9 * np.log(100))
+    assert robust_loss(far[1])[-1] - robust_loss(far[0])[-1] == pytest.approx(9 * np.log(100))
     together = np.full(4, 1e4)  # where all are missed alike none is held back
-    assert charge(together).tolist() == together.tolist() and weight(together).tolist() == [1.0] * 4
+    assert robust_loss(together).tolist() == together.tolist() and robust_weight(together).tolist() == [1.0] * 4
 
 
 def test_one_run_that_goes_another_way_moves_no_parameter(tmp_path: Path):
     setup, runs = problem(tmp_path, measured_of(26, viscous=0.12, seconds=4.0))
-    theory = Theory(setup, ("viscous_damping",))
+    model = Model(setup, ("viscous_damping",))
     astray = (replace(runs[0], q=runs[0].q + 0.4 * (runs[0].times_s > 2)), *runs[1:])
-    right, held = fitted(theory, runs), fitted(theory, astray)
+    right, held = fit_model(model, runs), fit_model(model, astray)
     spread = np.sqrt(np.diag(np.linalg.inv(right.normal)))
     assert np.abs((held.theta - right.theta) / spread).max() < 4
-    assert held.floors(runs[0].name) > 50
+    assert held.rms(runs[0].name) > 50

@@ -10,30 +10,30 @@ import pytest
 from gap_case import asset_of, measured_of
 
 from freeart21.files.asset import read_asset
-from simgap.fit.fit import Problem, Theory, grown_mild
-from simgap.fit.parts import on_all, parts_of, worth
-from simgap.fit.problem import problem_of
-from simgap.measure.data import FitRun, fit_runs
-from simgap.models.surrogate import plant_of
+from simgap.fit.fit import Model, Problem, fit_from_small_effects
+from simgap.fit.parts import drop_poor_fits, extend_to_all, select_parts
+from simgap.fit.problem import make_problem
+from simgap.measure.data import FitRun, make_fit_runs
+from simgap.models.surrogate import make_plant
 from simgap.settings import GapSettings
 
 
 def case(folder: Path, seconds: float) -> tuple[Problem, tuple[FitRun, ...]]:
     """Eight runs of a pendulum with oil."""
     measured = measured_of(3, runs=8, seconds=seconds, marked=False, viscous=0.06)
-    plant = plant_of(read_asset(asset_of(folder), "j"), measured)
-    runs, floor = fit_runs(measured, plant)
-    return problem_of(plant, measured, runs, floor, GapSettings()), runs
+    plant = make_plant(read_asset(asset_of(folder), "j"), measured)
+    runs, floor = make_fit_runs(measured, plant)
+    return make_problem(plant, measured, runs, floor, GapSettings()), runs
 
 
 def test_short_runs_are_looked_at_whole(tmp_path: Path):
     problem, runs = case(tmp_path, 4.0)
-    assert parts_of(problem, runs) is runs
+    assert select_parts(problem, runs) is runs
 
 
 def test_what_parts_of_long_runs_tell_holds_to_their_ends(tmp_path: Path):
     problem, runs = case(tmp_path, 60.0)
-    parts = parts_of(problem, runs)
+    parts = select_parts(problem, runs)
     duration = sum(float(part.times_s[-1] - part.times_s[0]) for part in parts)
     assert duration == pytest.approx(100 * problem.crossing_s, rel=0.15)
     assert duration < 0.5 * sum(float(run.times_s[-1] - run.times_s[0]) for run in runs)
@@ -41,7 +41,7 @@ def test_what_parts_of_long_runs_tell_holds_to_their_ends(tmp_path: Path):
         run = next(run for run in runs if part.name.split("#")[0] == run.name)
         begin = int(part.name.split("#")[1])
         np.testing.assert_array_equal(part.q, run.q[begin : begin + len(part.q)])
-    fit = on_all(grown_mild(Theory(problem, ("viscous_damping",)), parts), runs)
+    fit = extend_to_all(fit_from_small_effects(Model(problem, ("viscous_damping",)), parts), runs)
     assert set(fit.residuals) == {run.name for run in runs} and fit.level < 1.2
     assert all(len(fit.residuals[run.name]) == len(run.q) for run in runs)
     inertia = fit.values["asset", "inertia"]
@@ -50,7 +50,7 @@ def test_what_parts_of_long_runs_tell_holds_to_their_ends(tmp_path: Path):
 
 def test_parts_of_what_is_near_are_near():
     def fit(cost: float, *names: str) -> SimpleNamespace:
-        return SimpleNamespace(cost=cost, theory=SimpleNamespace(names=names))
+        return SimpleNamespace(cost=cost, model=SimpleNamespace(names=names))
 
     best, part, far, near = fit(10.0, "a", "b"), fit(900.0, "a"), fit(61.0, "c"), fit(59.0, "d")
-    assert worth([best, part, far, near], 6.0) == [best, part, near]
+    assert drop_poor_fits([best, part, far, near], 6.0) == [best, part, near]

@@ -14,7 +14,16 @@ from freeart21.files.asset import read_asset
 from simgap.measure.data import FitRun
 from simgap.models.surrogate import Inputs
 from simgap.select import predictive
-from simgap.select.predictive import DECISIVE, FREEDOM, Score, error_of, lead, log_densities, motion_of, smallest
+from simgap.select.predictive import (
+    DECISIVE_LOG_ODDS,
+    DEGREES_OF_FREEDOM,
+    Score,
+    estimate_model_error,
+    log_densities,
+    motion_scale,
+    score_difference,
+    select_smallest,
+)
 from simgap.verdict import Verdict
 from simgap.workflow import find_gap
 
@@ -25,7 +34,7 @@ def test_the_density_is_that_of_a_student_t_with_the_dense_covariance():
     K = np.eye(60) + 2.5**2 * np.exp(-np.abs(times[:, None] - times) / 0.2)
     told = log_densities(left, times, 2.5, 0.2)
     for n in (1, 7, 60):
-        dense = multivariate_t(np.zeros(n), K[:n, :n], df=FREEDOM).logpdf(left[:n])
+        dense = multivariate_t(np.zeros(n), K[:n, :n], df=DEGREES_OF_FREEDOM).logpdf(left[:n])
         assert told[n - 1] == pytest.approx(dense, abs=1e-9)
 
 
@@ -41,11 +50,11 @@ def test_the_likeliest_error_is_that_of_the_whole_grid(known: float):
     step = float(np.median(np.concatenate([np.diff(run.times_s) for run in runs])))
 
     def likely(share: float, seconds: float) -> float:
-        scales = {run.name: float(np.hypot(share * motion_of(run), known)) for run in runs}
+        scales = {run.name: float(np.hypot(share * motion_scale(run), known)) for run in runs}
         return sum(float(log_densities(left[r.name], r.times_s, scales[r.name], seconds)[-1]) for r in runs)
 
     best = max(likely(share, n * step) for share in predictive._SHARES for n in predictive._TIMES)
-    error = error_of(left, runs, {run.name: known for run in runs})
+    error = estimate_model_error(left, runs, {run.name: known for run in runs})
     assert likely(error.share, error.seconds) == pytest.approx(best, abs=1e-9)
 
 
@@ -54,10 +63,10 @@ def test_the_smallest_within_one_standard_error_stands_and_its_like_are_rivals()
     best = Score(("a", "b"), np.full(8, 10.0) + even)
     pair = Score(("a", "c"), np.full(8, 9.9) - even)
     one, far = Score(("a",), np.full(8, 5.0)), Score(("b",), np.full(8, 9.0) + even)
-    assert lead(best, far) == pytest.approx((8.0, DECISIVE))
-    assert [s.names for s in smallest([pair, one, best, far])] == [("a", "b"), ("a", "c")]
+    assert score_difference(best, far) == pytest.approx((8.0, DECISIVE_LOG_ODDS))
+    assert [s.names for s in select_smallest([pair, one, best, far])] == [("a", "b"), ("a", "c")]
     near = replace(one, parts=best.parts - 0.1 + 0.2 * even)
-    assert [s.names for s in smallest([pair, near, best, far])] == [("a",)]
+    assert [s.names for s in select_smallest([pair, near, best, far])] == [("a",)]
 
 
 def verdict(folder: Path, seed: int, **hidden: float) -> Verdict:

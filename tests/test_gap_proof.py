@@ -18,16 +18,16 @@ from freeart21.files.measured import read_measured
 from freeart21.files.measured_writer import write_measured
 from freeart21.joint import JointType
 from freeart21.measured import Measured, Run
-from simgap.fit.problem import problem_of
-from simgap.measure.data import fit_runs
-from simgap.models.surrogate import Nuisance, plant_of
+from simgap.fit.problem import make_problem
+from simgap.measure.data import make_fit_runs
+from simgap.models.surrogate import Nuisance, make_plant
 from simgap.page.publish import _roll_back
-from simgap.prove.body import correction_of
+from simgap.prove.body import find_correction
 from simgap.prove.replay import AssetOnDisk, replay
-from simgap.prove.writeback import repaired
-from simgap.select.decide import _gated
+from simgap.prove.writeback import write_repaired
+from simgap.select.decide import _confirm
 from simgap.settings import GapSettings, JudgementSettings
-from simgap.verdict import Named, RunGap, Use, Verdict
+from simgap.verdict import NamedEffect, RunGap, Use, Verdict
 from simgap.workflow import find_gap, gap_folder
 
 
@@ -69,11 +69,11 @@ def free(kind: JointType, *runs: Run, doubt: tuple[float, float] = (0.1, 0.05), 
 @pytest.mark.parametrize("nuisance", [Nuisance(1.09), Nuisance(0.92, 0.97), Nuisance(1.05, 1.03, (0.02, -0.01))])
 def test_a_corrected_body_moves_by_itself_as_the_fit_had_it(kind: JointType, axis: str, nuisance: Nuisance, tmp_path):
     asset = read_asset(tree(tmp_path / "a", kind, axis))
-    plant = plant_of(asset, free(kind))
+    plant = make_plant(asset, free(kind))
     own = plant.gravity_terms
-    body = correction_of(plant, nuisance)
-    again = repaired(asset, (), tmp_path / "b", body=body)
-    after = plant_of(again, free(kind))
+    body = find_correction(plant, nuisance)
+    again = write_repaired(asset, (), tmp_path / "b", body=body)
+    after = make_plant(again, free(kind))
     assert after.mechanics.inertia == pytest.approx(nuisance.inertia * plant.mechanics.inertia, rel=1e-5)
     true = nuisance.gravity * (own[0] + nuisance.lean[0] * own[1] + nuisance.lean[1] * own[2])
     is_now = after.gravity_terms[0] + sum(np.array([e.cosine, e.sine, e.constant]) for e in body.offset)
@@ -152,7 +152,7 @@ def test_an_answer_that_nothing_confirms_asks_for_more_runs(tmp_path: Path):
 
 
 def test_what_no_replay_confirms_ends_with_an_experiment():
-    oil = Named(ViscousDamping(0.1), {"coefficient": 0.09}, {"coefficient": 0.11})
+    oil = NamedEffect(ViscousDamping(0.1), {"coefficient": 0.09}, {"coefficient": 0.11})
     assert _roll_back(Verdict("named", (oil,), (), (), (), None, "Oil."), (oil,), (oil,)).next_experiment
 
 
@@ -172,10 +172,10 @@ def rows(*sizes: tuple[Use, float, float]) -> tuple[RunGap, ...]:
 )
 def test_runs_that_are_kept_to_confirm_decide(gaps: tuple[RunGap, ...], answer: str, tmp_path: Path):
     asset, measured = read_asset(asset_of(tmp_path)), measured_of(0, runs=2)
-    plant = plant_of(asset, measured)
-    problem = problem_of(plant, measured, *fit_runs(measured, plant), GapSettings())
-    oil = Named(ViscousDamping(0.1), {"coefficient": 0.09}, {"coefficient": 0.11})
-    found = _gated(Verdict("named", (oil,), (), gaps, (), None, "Oil."), problem, JudgementSettings())
+    plant = make_plant(asset, measured)
+    problem = make_problem(plant, measured, *make_fit_runs(measured, plant), GapSettings())
+    oil = NamedEffect(ViscousDamping(0.1), {"coefficient": 0.09}, {"coefficient": 0.11})
+    found = _confirm(Verdict("named", (oil,), (), gaps, (), None, "Oil."), problem, JudgementSettings())
     assert (found.verdict, len(found.effects)) == (answer, answer == "named")
     assert (found.next_experiment is not None) == (answer == "unexplained")
 

@@ -20,16 +20,16 @@ from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Run
 from simgap.geometry.finding import KinematicsFinding
-from simgap.geometry.kinematics import find_geometry_of
-from simgap.models.equation_error import missing_force
-from simgap.models.localise import residual_maps
-from simgap.models.surrogate import Nuisance, plant_of
+from simgap.geometry.kinematics import find_geometry
+from simgap.models.equation_error import estimate_missing_force
+from simgap.models.localise import make_residual_maps
+from simgap.models.surrogate import Nuisance, make_plant
 from simgap.page.publish import _as_fitted, publish
 from simgap.prove import replay_process
+from simgap.prove.comparison import compare_replays
 from simgap.prove.replay import CannotReplay, Replay, RunReplay
-from simgap.prove.show import show
 from simgap.verdict import GEOMETRY, RunGap, Verdict
-from simgap.workflow import certain_of, joined
+from simgap.workflow import join_geometry, select_certain
 
 TILT = AxisTilt(0.02, -0.015)
 
@@ -72,9 +72,9 @@ CROOKED = (("axis_tilt",), ("pivot_offset",))
     ],
 )
 def test_geometry_and_motion_are_said_together(motion, geometry, answer, told, certain, rivals):
-    verdict = joined(motion, geometry, "revolute")
+    verdict = join_geometry(motion, geometry, "revolute")
     assert (verdict.verdict, len(verdict.effects), len(verdict.rivals)) == (answer, told, rivals)
-    assert len(certain_of(motion, geometry)) == certain
+    assert len(select_certain(motion, geometry)) == certain
     assert verdict.sentence.strip() and ": ." not in verdict.sentence and ":  " not in verdict.sentence
     if geometry is not None and geometry.verdict == "named":
         assert "by 1.43°" in verdict.sentence  # never without its number
@@ -101,7 +101,7 @@ def test_what_is_not_certain_is_not_written(tmp_path: Path, answer: str):
 def test_geometry_stays_when_only_the_motions_repair_hurts(tmp_path: Path):
     asset = bob(tmp_path / "a")
     measured, true = filmed(replace(asset, effects={"j": (TILT, PivotOffset(0.01, 0.006), ViscousDamping(0.03))}))
-    geometry = find_geometry_of(asset, measured)
+    geometry = find_geometry(asset, measured)
     assert geometry is not None and geometry.verdict == "named"
     starts = tuple(start for _, start in true)
     wrong = draft(measured, starts, *geometry.effects, ReturnSpring(3.0, 0.0), geometry=geometry)
@@ -113,7 +113,8 @@ def test_geometry_stays_when_only_the_motions_repair_hurts(tmp_path: Path):
     assert gaps[GEOMETRY].after < 0.4 * gaps[GEOMETRY].before
     assert gaps["fast"].after == gaps["fast"].before
     assert (
-        "This is mended" in verdict.sentence and "return_spring was tried" in (tmp_path / "out/index.html").read_text()
+        "This is repaired" in verdict.sentence
+        and "return_spring was tried" in (tmp_path / "out/index.html").read_text()
     )
 
 
@@ -202,13 +203,13 @@ def test_a_run_that_hangs_on_a_hair_tells_nothing(change: float | None, told: li
     first = (made("run_0", 0.0, 0.02 if change else 7.0), made("run_1", 0.0, 0.02))
     second = (made("run_0", 0.0, 0.05), made("run_1", 0.1, change or 0.05))
     gaps = [RunGap(f"run_{i}", 0.0, 0.0, 0.0, True, "", "confirming") for i in (0, 1)]
-    seen = show(Replay("sapien", "3", first), Replay("sapien", "3", second), 1e-3, gaps)
+    seen = compare_replays(Replay("sapien", "3", first), Replay("sapien", "3", second), 1e-3, gaps)
     assert [run.run for run in seen.runs] == told
-    assert sorted([*told, *(run.run for run in seen.unsure)]) == ["run_0", "run_1"] and seen.numerics < 1
+    assert sorted([*told, *(run.run for run in seen.inconclusive)]) == ["run_0", "run_1"] and seen.numerics < 1
 
 
 def test_a_sets_of_coulomb_and_oil_are_two_effects():
-    verdict = joined(said("named", ViscousDamping(1.0), CoulombFriction(0.1)), found("named", TILT), "revolute")
+    verdict = join_geometry(said("named", ViscousDamping(1.0), CoulombFriction(0.1)), found("named", TILT), "revolute")
     assert names(verdict.effects) == ["axis_tilt", "viscous_damping", "coulomb_friction"]
 
 
@@ -221,14 +222,14 @@ def test_what_the_asset_is_off_by_is_no_place_of_a_gap(tmp_path: Path):
         return 0.02 * weight * np.cos(q)
 
     asset, measured = bob(tmp_path / "a"), pendulum(starts, lean, seconds=5.0, inertia=1.06 * INERTIA, gravity=0.97)
-    plant = plant_of(asset, measured)
+    plant = make_plant(asset, measured)
     leans = float(np.sign(plant.gravity_terms[1, 0])) * 0.02 / 0.97
     naive, known = (
-        residual_maps(missing_force(*_as_fitted(measured, plant, nuisance)))
+        make_residual_maps(estimate_missing_force(*_as_fitted(measured, plant, nuisance)))
         for nuisance in (Nuisance(), Nuisance(1.06, 0.97, (leans, 0.0)))
     )
     assert min(m.adjusted for m in naive) < 0.01
     assert min(m.adjusted for m in known) > 0.05
-    quiet = replace(draft(measured, starts, answer="no_gap"), moves_otherwise=False)
+    quiet = replace(draft(measured, starts, answer="no_gap"), motion_differs=False)
     verdict = publish(asset, measured, quiet, tmp_path / "out", "leaning")
     assert verdict.where == () and "Where it shows" not in (tmp_path / "out/index.html").read_text()

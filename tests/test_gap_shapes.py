@@ -12,13 +12,13 @@ from gap_case import asset_of, measured_of
 
 from freeart21.effects import EFFECTS
 from freeart21.files.asset import read_asset
-from simgap.fit.fit import Theory, fitted, predicted
-from simgap.fit.problem import problem_of
-from simgap.fit.search import Search, candidates
-from simgap.measure.data import fit_runs
-from simgap.models.surrogate import plant_of
-from simgap.select.choose import chosen
-from simgap.select.split import split_of
+from simgap.fit.fit import Model, fit_model, predict_readings
+from simgap.fit.problem import make_problem
+from simgap.fit.search import Search, list_candidates
+from simgap.measure.data import make_fit_runs
+from simgap.models.surrogate import make_plant
+from simgap.select.choose import choose_hypotheses
+from simgap.select.split import split_runs
 from simgap.settings import GapSettings
 
 HIDDEN = {
@@ -44,23 +44,23 @@ def test_friction_that_gives_takes_what_slides_of_a_cycle():
 def test_it_is_named_where_it_is_all_that_is_missing(tmp_path: Path, name: str, said: str):
     """What every machine has comes first: friction that differs from place to place is dry friction, in part."""
     measured, settings = measured_of(5, exact=True, marked=False), GapSettings()
-    plant = plant_of(read_asset(asset_of(tmp_path), "j"), measured)
-    runs, floor = fit_runs(measured, plant)
-    problem = problem_of(plant, measured, runs, floor, settings)
-    theory = Theory(problem, (name,), prompt=True)
-    theta = np.array([HIDDEN[name].get(r.name, x) for r, x in zip(theory.ranges(), theory.neutral(), strict=True)])
-    true = fitted(theory, runs, theta, iterations=0)
+    plant = make_plant(read_asset(asset_of(tmp_path), "j"), measured)
+    runs, floor = make_fit_runs(measured, plant)
+    problem = make_problem(plant, measured, runs, floor, settings)
+    model = Model(problem, (name,), instant_friction=True)
+    theta = np.array([HIDDEN[name].get(r.name, x) for r, x in zip(model.ranges(), model.neutral(), strict=True)])
+    true = fit_model(model, runs, theta, iterations=0)
     rng = np.random.default_rng(0)
-    runs = tuple(replace(run, q=predicted(true, run) + run.sigma * rng.normal(size=len(run.q))) for run in runs)
-    split = split_of(runs)
-    search = Search(problem, split.fitted, settings.search, candidates(problem, split.fitted))
-    choice = chosen(search, split.folds, settings.judgement)
-    assert choice.explaining and choice.explaining[0].names == (said,) and choice.in_part == (said != name), choice
+    runs = tuple(replace(run, q=predict_readings(true, run) + run.sigma * rng.normal(size=len(run.q))) for run in runs)
+    split = split_runs(runs)
+    search = Search(problem, split.train_runs, settings.search, list_candidates(problem, split.train_runs))
+    choice = choose_hypotheses(search, split.folds, settings.judgement)
+    assert choice.accepted and choice.accepted[0].names == (said,) and choice.in_part == (said != name), choice
 
 
 def test_a_wheel_that_turns_on_and_on_has_no_shape_over_position(tmp_path: Path):
     measured = measured_of(5, exact=True)
-    plant = plant_of(read_asset(asset_of(tmp_path), "j"), measured)
-    runs, floor = fit_runs(measured, plant)
-    problem = replace(problem_of(plant, measured, runs, floor, GapSettings()), q_high=3300.0)
-    assert not {"force_over_position", "friction_over_position"} & set(candidates(problem, runs))
+    plant = make_plant(read_asset(asset_of(tmp_path), "j"), measured)
+    runs, floor = make_fit_runs(measured, plant)
+    problem = replace(make_problem(plant, measured, runs, floor, GapSettings()), q_high=3300.0)
+    assert not {"force_over_position", "friction_over_position"} & set(list_candidates(problem, runs))

@@ -33,19 +33,19 @@ from freeart21.files.places import ANSWER, check_place
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import Actuator
 from generator.simulate import joint_motion, roll_out
-from simgap.geometry.kinematics import find_geometry_of
+from simgap.geometry.kinematics import find_geometry
 from simgap.geometry.placing import place
-from simgap.models.equation_error import missing_force
-from simgap.models.localise import residual_maps
-from simgap.models.surrogate import Nuisance, plant_of
-from simgap.page.publish import Draft, publish, with_positions
+from simgap.models.equation_error import estimate_missing_force
+from simgap.models.localise import make_residual_maps
+from simgap.models.surrogate import Nuisance, make_plant
+from simgap.page.publish import Draft, publish, replace_poses
 from simgap.page.report import Ranked
-from simgap.prove.body import NO_CORRECTION, correction_of, true_gravity
+from simgap.prove.body import NO_CORRECTION, corrected_gravity, find_correction
+from simgap.prove.comparison import closed_part, is_improved
 from simgap.prove.replay import replay
-from simgap.prove.show import closed_part, helps
-from simgap.prove.writeback import repaired
-from simgap.select.words import closed_text, runs_text, with_closed
-from simgap.verdict import GEOMETRY, Named, RunGap, Use, Verdict
+from simgap.prove.writeback import write_repaired
+from simgap.select.words import closed_text, replace_closed_part, runs_text
+from simgap.verdict import GEOMETRY, NamedEffect, RunGap, Use, Verdict
 
 MASS, ARM, G = 1.2, 0.3, 9.81
 INERTIA = 0.01 + MASS * ARM**2
@@ -92,7 +92,7 @@ def damped(s, q, qd):
 def test_urdf_says_what_it_can_and_effects_json_says_all(tmp_path: Path):
     asset = bob(tmp_path / "a", '<dynamics damping="0.01"/>')
     new = (ViscousDamping(0.02), CoulombFriction(0.05), Detent(0.3, 0.2, 0.05), AxisTilt(0.01, 0.0))
-    again = repaired(asset, new, tmp_path / "b", {"by": "test"})
+    again = write_repaired(asset, new, tmp_path / "b", {"by": "test"})
     assert again.effects == {"j": (ViscousDamping(0.03), *new[1:])}
     text = again.urdf.read_text()
     assert "<!-- by hand -->" in text
@@ -107,9 +107,9 @@ def test_urdf_says_what_it_can_and_effects_json_says_all(tmp_path: Path):
 
 
 def test_two_armatures_are_one_that_throws_back_as_the_springier_does(tmp_path: Path):
-    had = repaired(bob(tmp_path / "a"), (Armature(0.002, 0.2),), tmp_path / "b")
+    had = write_repaired(bob(tmp_path / "a"), (Armature(0.002, 0.2),), tmp_path / "b")
     for more, share in ((Armature(0.003), 0.2), (Armature(0.003, 0.3), 0.3)):
-        again = repaired(had, (more,), tmp_path / f"c{share}")
+        again = write_repaired(had, (more,), tmp_path / f"c{share}")
         assert again.effects["j"] == (Armature(0.005, share),)
         assert read_asset(tmp_path / f"c{share}").effects["j"] == again.effects["j"]
 
@@ -121,14 +121,14 @@ def test_mjcf_beside_the_urdf_says_it_too(tmp_path: Path):
         <joint name="j" type="hinge" axis="0 1 0" frictionloss="9"/><inertial pos="0 0 -0.3" mass="1.2"
         diaginertia="0.01 0.01 0.01"/></body></body></worldbody></mujoco>""")
     write_asset_json(tmp_path / "a", asset)
-    again = repaired(read_asset(tmp_path / "a"), (ViscousDamping(0.02), Armature(0.003)), tmp_path / "b")
+    again = write_repaired(read_asset(tmp_path / "a"), (ViscousDamping(0.02), Armature(0.003)), tmp_path / "b")
     joint = mujoco.MjModel.from_xml_path(str(again.urdf.with_suffix(".xml")))
     assert joint.dof_damping[0] == pytest.approx(0.02)
     assert joint.dof_armature[0] == pytest.approx(0.003)
     assert joint.dof_frictionloss[0] == 0
     (tmp_path / "a/bob.xml").write_text("<mujoco/>")
     with pytest.raises(FreeArtError, match="has no joint 'j'; joints: none"):
-        repaired(read_asset(tmp_path / "a"), (ViscousDamping(0.02),), tmp_path / "c")
+        write_repaired(read_asset(tmp_path / "a"), (ViscousDamping(0.02),), tmp_path / "c")
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
@@ -147,7 +147,7 @@ def test_a_urdf_without_mjcf_gets_one_that_moves_the_same(tmp_path: Path, kind: 
         <joint name="j" type="{kind}"><parent link="middle"/><child link="bob"/><origin xyz="0.1 0 0.1" rpy="0 0.3 0"/>
         <axis xyz="0.2 2 0.4"/><limit lower="-9" upper="9"/></joint></robot>""")
     effects = (ViscousDamping(0.4), ReturnSpring(6.0, 0.1), Armature(0.02))
-    again = repaired(read_asset(tmp_path / "a/tree.urdf", "j"), effects, tmp_path / "b")
+    again = write_repaired(read_asset(tmp_path / "a/tree.urdf", "j"), effects, tmp_path / "b")
     model = mujoco.MjModel.from_xml_path(str(again.urdf.with_suffix(".xml")))
     model.opt.timestep = 5e-4
     data = mujoco.MjData(model)
@@ -171,7 +171,7 @@ def test_meshes_go_along(tmp_path: Path):
     text = asset.urdf.read_text()
     visual = '<visual><geometry><mesh filename="meshes/box.obj"/></geometry></visual>'
     asset.urdf.write_text(text.replace("</inertial>", f"</inertial>{visual}"))
-    again = repaired(read_asset(asset.urdf), (ViscousDamping(0.02),), tmp_path / "b")
+    again = write_repaired(read_asset(asset.urdf), (ViscousDamping(0.02),), tmp_path / "b")
     files = {str(p.relative_to(tmp_path / "b")) for p in (tmp_path / "b").rglob("*") if p.is_file()}
     meshes = {"meshes/box.obj", "meshes/box.mtl", "meshes/box.png"}
     assert files == {"bob.urdf", "bob.xml", "asset.json", "effects.json", *meshes}
@@ -193,15 +193,15 @@ def test_meshes_from_elsewhere_come_into_the_copy(tmp_path: Path, named_as: str)
     visual = f'<visual><geometry><mesh filename="{named_as.format(out=out)}"/></geometry></visual>'
     asset.urdf.write_text(asset.urdf.read_text().replace("</inertial>", f"</inertial>{visual}"))
     with pytest.raises(FreeArtError, match=r"leads out of the folder|does not exist: looked for .* --root DIR"):
-        repaired(read_asset(asset.urdf), (ViscousDamping(0.02),), tmp_path / "b/c")
-    again = repaired(read_asset(asset.urdf, root=tmp_path), (ViscousDamping(0.02),), tmp_path / "b/c")
+        write_repaired(read_asset(asset.urdf), (ViscousDamping(0.02),), tmp_path / "b/c")
+    again = write_repaired(read_asset(asset.urdf, root=tmp_path), (ViscousDamping(0.02),), tmp_path / "b/c")
     files = {str(p.relative_to(tmp_path / "b")) for p in (tmp_path / "b").rglob("*") if p.is_file()}
     meshes = {f"c/outside/0/box.{ending}" for ending in ("obj", "mtl", "png")}
     assert files == {"c/bob.urdf", "c/bob.xml", "c/asset.json", "c/effects.json", *meshes}
     shutil.rmtree(tmp_path / "robot")
     assert again.urdf.read_text().count('filename="outside/0/box.obj"') == 1
     mujoco.MjModel.from_xml_path(str(again.urdf.with_suffix(".xml")))
-    twice = repaired(again, (CoulombFriction(0.02),), tmp_path / "d")  # and may be repaired again
+    twice = write_repaired(again, (CoulombFriction(0.02),), tmp_path / "d")  # and may be repaired again
     assert (tmp_path / "d/outside/0/box.png").is_file() and len(twice.effects["j"]) == 2
 
 
@@ -222,7 +222,7 @@ def test_not_everything_that_a_urdf_names_is_copied(tmp_path: Path, name: str, s
     visual = f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
     asset.urdf.write_text(asset.urdf.read_text().replace("</inertial>", f"</inertial>{visual}"))
     with pytest.raises(FreeArtError, match=said) as caught:
-        repaired(read_asset(asset.urdf), (), tmp_path / "b")
+        write_repaired(read_asset(asset.urdf), (), tmp_path / "b")
     assert "\n" not in str(caught.value)
 
 
@@ -235,7 +235,7 @@ def test_an_mjcf_with_folders_of_its_own_comes_along(tmp_path: Path):
     (tmp_path / "a/bob.xml").write_text("""<mujoco><compiler meshdir="../shapes"/><asset><mesh name="m" file="box.obj"/>
         </asset><worldbody><body name="bob" pos="0 0 1"><joint name="j" axis="0 1 0"/>
         <geom type="mesh" mesh="m"/></body></worldbody></mujoco>""")
-    again = repaired(read_asset(asset.urdf), (ViscousDamping(0.02),), tmp_path / "b")
+    again = write_repaired(read_asset(asset.urdf), (ViscousDamping(0.02),), tmp_path / "b")
     shutil.rmtree(tmp_path / "shapes")
     model = mujoco.MjModel.from_xml_path(str(again.urdf.with_suffix(".xml")))
     assert model.dof_damping[0] == pytest.approx(0.02)
@@ -243,14 +243,14 @@ def test_an_mjcf_with_folders_of_its_own_comes_along(tmp_path: Path):
 
 def test_two_springs_are_one(tmp_path: Path):
     asset = replace(bob(tmp_path / "a"), effects={"j": (ReturnSpring(1.0, 0.2),)})
-    again = repaired(asset, (ReturnSpring(3.0, -0.2),), tmp_path / "b")
+    again = write_repaired(asset, (ReturnSpring(3.0, -0.2),), tmp_path / "b")
     assert again.effects["j"][0].values() == pytest.approx((4.0, -0.1)) and len(again.effects["j"]) == 1
 
 
 def test_a_joint_has_one_backlash(tmp_path: Path):
     asset = replace(bob(tmp_path / "a"), effects={"j": (Backlash(0.1, 0.1),)})
     with pytest.raises(FreeArtError, match="has an effect 'backlash' already"):
-        repaired(asset, (Backlash(0.1, 0.1),), tmp_path / "b")
+        write_repaired(asset, (Backlash(0.1, 0.1),), tmp_path / "b")
 
 
 # ---------------------------------------------------------------- and shown
@@ -258,13 +258,13 @@ def test_a_joint_has_one_backlash(tmp_path: Path):
 
 def test_a_right_repair_closes_the_gap_in_a_fresh_process(tmp_path: Path):
     asset, measured = bob(tmp_path / "a"), pendulum(STARTS, damped)
-    again = repaired(asset, (ViscousDamping(0.03),), tmp_path / "b")
+    again = write_repaired(asset, (ViscousDamping(0.03),), tmp_path / "b")
     there = shown(asset, again, measured, STARTS, regimes=["fast", "slow", "fast"])
     for run in there.runs:
         assert run.before > 30 * run.floor
         assert run.after < 1.5 * run.floor
         assert run.curves[1] == pytest.approx(run.measured, abs=8e-3)
-    assert helps(there.runs) and there.numerics < 0.1
+    assert is_improved(there.runs) and there.numerics < 0.1
     near, far = there.split({"slow"})
     assert [run.run for run in near] == ["run_1"] and [run.run for run in far] == ["run_0", "run_2"]
     assert there.split({"other"}) == (list(there.runs), [])
@@ -273,9 +273,9 @@ def test_a_right_repair_closes_the_gap_in_a_fresh_process(tmp_path: Path):
 
 def test_a_wrong_repair_is_no_help(tmp_path: Path):
     asset, measured = bob(tmp_path / "a"), pendulum(STARTS[:2], damped)
-    again = repaired(asset, (ReturnSpring(1.0, 0.0),), tmp_path / "b")
-    assert not helps(shown(asset, again, measured, STARTS[:2]).runs)
-    good = shown(asset, repaired(asset, (ViscousDamping(0.03),), tmp_path / "c"), measured, STARTS[:2])
+    again = write_repaired(asset, (ReturnSpring(1.0, 0.0),), tmp_path / "b")
+    assert not is_improved(shown(asset, again, measured, STARTS[:2]).runs)
+    good = shown(asset, write_repaired(asset, (ViscousDamping(0.03),), tmp_path / "c"), measured, STARTS[:2])
     first, second = good.runs
     for fast, quiet, wider, fine in (  # nor one that harms another regime by a quarter floor
         (20, 10, 0.2, True),
@@ -285,19 +285,19 @@ def test_a_wrong_repair_is_no_help(tmp_path: Path):
     ):
         slow = replace(second, before=quiet * second.floor, after=(quiet + wider) * second.floor, regime="slow")
         quick = replace(first, before=fast * first.floor, after=first.floor)
-        assert helps(good.runs) and helps((quick, slow)) == fine
+        assert is_improved(good.runs) and is_improved((quick, slow)) == fine
     for wider, fine in ((0.4, True), (0.6, False)):  # nor one run by half a floor, however well the others do
         one = replace(second, before=second.floor, after=(1 + wider) * second.floor, regime="all")
         most = replace(first, before=20 * first.floor, after=first.floor, regime="all")
-        assert helps((most, one)) == fine
+        assert is_improved((most, one)) == fine
 
 
 def test_what_the_asset_is_off_by_is_replayed_only_as_its_files_say(tmp_path: Path):
     asset = bob(tmp_path / "a")
     measured = pendulum(STARTS[:1], damped, inertia=1.08 * INERTIA, gravity=0.97)
-    oil, body = (ViscousDamping(0.03),), correction_of(plant_of(asset, measured), Nuisance(1.08, 0.97))
+    oil, body = (ViscousDamping(0.03),), find_correction(make_plant(asset, measured), Nuisance(1.08, 0.97))
     for name, written, most in (("b", NO_CORRECTION, np.inf), ("c", body, 1.5e-3)):
-        again = repaired(asset, oil, tmp_path / name, body=written)
+        again = write_repaired(asset, oil, tmp_path / name, body=written)
         (run,) = shown(asset, again, measured, STARTS[:1]).runs
         assert run.after < most and run.before > 30e-3
         assert written == body or run.after > 10e-3
@@ -310,7 +310,7 @@ def test_a_sensor_that_is_late_is_replayed_from_the_state_it_read_first(tmp_path
     run = Run("run_00", times, np.interp(times - late, true.times_s, true.q))
     measured = replace(pendulum(STARTS[:1], damped, seconds=2.0), runs=(run,))
     start = tuple(float(np.interp(times[0] - late, true.times_s, s)) for s in (true.q, true.qd))
-    again = repaired(asset, (TimeOffset(late),), tmp_path / "b")
+    again = write_repaired(asset, (TimeOffset(late),), tmp_path / "b")
     assert shown(asset, again, measured, (start,)).runs[0].after < 1e-4
 
 
@@ -331,7 +331,7 @@ def test_servo_efforts_and_the_sensor_are_replayed(tmp_path: Path):
     )
     measured = replace(measured, actuator=law, effort_kind="external")
     measured = replace(measured, runs=tuple(replace(r, q=r.q + 0.05) for r in measured.runs))
-    again = repaired(asset, (ViscousDamping(0.03), EncoderOffset(0.05)), tmp_path / "b")
+    again = write_repaired(asset, (ViscousDamping(0.03), EncoderOffset(0.05)), tmp_path / "b")
     (run,) = shown(asset, again, measured, ((0.1, 0.0),)).runs
     assert run.before > 0.05
     assert run.after < 4e-3  # commands are held from reading to reading
@@ -339,7 +339,7 @@ def test_servo_efforts_and_the_sensor_are_replayed(tmp_path: Path):
 
 def test_a_replay_that_cannot_run_says_why_in_one_line(tmp_path: Path):
     asset, measured = bob(tmp_path / "a"), pendulum(STARTS[:1], damped, seconds=1.0)
-    again = repaired(asset, (ViscousDamping(0.03),), tmp_path / "b")
+    again = write_repaired(asset, (ViscousDamping(0.03),), tmp_path / "b")
     (tmp_path / "b/effects.json").unlink()
     (tmp_path / "b/effects.json").write_text("{}")
     with pytest.raises(FreeArtError, match="effects.json") as caught:
@@ -354,7 +354,7 @@ def test_a_replay_that_cannot_run_says_why_in_one_line(tmp_path: Path):
 
 def named(*effects):
     ends = [{n: getattr(e, n) for n in e.parameters()} for e in effects]
-    return tuple(Named(e, end, end) for e, end in zip(effects, ends, strict=True))
+    return tuple(NamedEffect(e, end, end) for e, end in zip(effects, ends, strict=True))
 
 
 def use_of(run):
@@ -386,12 +386,12 @@ def test_a_verdict_is_published_with_the_gaps_that_sapien_measured(tmp_path: Pat
     out.mkdir()
     verdict = publish(asset, measured, draft(measured, STARTS, ViscousDamping(0.03)), out, "A <bob>", 1.0)
     assert verdict.verdict == "named" and verdict.where
-    by_run = {gap.run: gap for gap in verdict.gaps}
-    assert np.isnan(by_run["run_0"].before) and np.isnan(by_run["run_0"].after)  # fitted, not replayed
+    rms_by_run = {gap.run: gap for gap in verdict.gaps}
+    assert np.isnan(rms_by_run["run_0"].before) and np.isnan(rms_by_run["run_0"].after)  # fitted, not replayed
     data = json.loads((out / "verdict.json").read_text())
     assert [gap["run"] for gap in data["gap"]] == ["run_1", "run_2"] and data["uses"]["run_0"] == "fitted"
     for name in ("run_1", "run_2"):
-        assert by_run[name].before > 20e-3 and by_run[name].after < 1.5e-3
+        assert rms_by_run[name].before > 20e-3 and rms_by_run[name].after < 1.5e-3
     assert read_asset(out / "asset").effects == {"j": (ViscousDamping(0.03),)}
     page = (out / "index.html").read_text()
     assert "A &lt;bob&gt;" in page and "<bob>" not in page
@@ -421,7 +421,7 @@ def test_runs_are_called_what_they_are(uses: tuple[Use, ...], in_turn: bool, sai
 
 def test_a_closed_part_is_told_with_the_runs_that_it_is_of():
     told = f"Oil. {closed_text(0.9, '2 runs, each held out in turn')}. More."
-    again = with_closed(told, 0.812, "1 run that chose it, replayed in SAPIEN,")
+    again = replace_closed_part(told, 0.812, "1 run that chose it, replayed in SAPIEN,")
     assert again == "Oil. With it 81% of the gap on 1 run that chose it, replayed in SAPIEN, is gone. More."
 
 
@@ -485,8 +485,8 @@ def test_without_a_gap_the_asset_stays_as_it_is(tmp_path: Path):
 
 
 def test_what_a_fit_says_that_the_asset_is_off_by_goes_with_inertia_and_gravity(tmp_path: Path):
-    plant = plant_of(bob(tmp_path / "a"), pendulum(STARTS[:1], damped, seconds=0.2))
-    more = true_gravity(plant, Nuisance(1.1, 0.9, (0.01, 0.0))) - plant.gravity_terms[0]
+    plant = make_plant(bob(tmp_path / "a"), pendulum(STARTS[:1], damped, seconds=0.2))
+    more = corrected_gravity(plant, Nuisance(1.1, 0.9, (0.01, 0.0))) - plant.gravity_terms[0]
     weight = MASS * G * ARM
     assert more[1] == pytest.approx(0.1 * weight, rel=1e-6)  # less of -m g l sin q
     assert abs(more[0]) == pytest.approx(0.9 * 0.01 * weight, rel=1e-6)
@@ -516,14 +516,14 @@ def test_our_own_release_is_understood_from_part_poses(tmp_path: Path):
     asset = bob(tmp_path / "a")
     crooked = (AxisTilt(0.02, -0.015), PivotOffset(0.01, 0.006))
     measured, true = filmed(replace(asset, effects={"j": (*crooked, ViscousDamping(0.03))}))
-    geometry = find_geometry_of(asset, measured)
+    geometry = find_geometry(asset, measured)
     assert geometry is not None and geometry.verdict == "named"
     assert {e.name for e in geometry.effects} == {"axis_tilt", "pivot_offset"}
-    runs = with_positions(measured, geometry)
+    runs = replace_poses(measured, geometry)
     for run, (q, _) in zip(runs.runs, true, strict=True):
         assert np.sqrt(np.mean((run.q - q) ** 2)) < 2e-3
-    lacking = missing_force(runs, place(asset, runs.gravity).mechanics, -3.0, 3.0)
-    direction = next(m for m in residual_maps(lacking, 0) if m.quantity == "velocity")
+    lacking = estimate_missing_force(runs, place(asset, runs.gravity).mechanics, -3.0, 3.0)
+    direction = next(m for m in make_residual_maps(lacking, 0) if m.quantity == "velocity")
     assert direction.adjusted < 0.05 and direction.mean[1] > 0 > direction.mean[-2]  # a brake
     starts = tuple(start for _, start in true)
     out = tmp_path / "out"
@@ -540,7 +540,7 @@ def test_our_own_release_is_understood_from_part_poses(tmp_path: Path):
 
 def mended(asset: Asset, measured: Measured, name: str, out: Path) -> None:
     """Only this effect of the geometry is found, written, and shown to bring the part back onto its joint."""
-    geometry = find_geometry_of(asset, measured)
+    geometry = find_geometry(asset, measured)
     assert geometry is not None and [e.name for e in geometry.effects] == [name]
     out.mkdir()
     told = draft(measured, ((1.0, 0.0),) * 4, *geometry.effects, geometry=geometry)

@@ -17,16 +17,16 @@ from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured
 from freeart21.files.measured_writer import write_measured
 from freeart21.measured import Measured, Run
-from simgap.fit.force_search import candidates
-from simgap.fit.problem import problem_of
-from simgap.measure.data import fit_runs
-from simgap.measure.prescribed import force_runs
-from simgap.measure.withstood import withstood
-from simgap.models.equation_error import smoothed
-from simgap.models.surrogate import plant_of
-from simgap.select.split import split_of
+from simgap.fit.force_search import list_candidates
+from simgap.fit.problem import make_problem
+from simgap.measure.data import make_fit_runs
+from simgap.measure.prescribed import make_force_runs
+from simgap.measure.stiction import find_stiction_bound
+from simgap.models.equation_error import smooth_run
+from simgap.models.surrogate import make_plant
+from simgap.select.split import split_runs
 from simgap.settings import GapSettings
-from simgap.workflow import find_gap, force_problem, gap_folder
+from simgap.workflow import find_gap, gap_folder, make_force_problem
 
 REAL = [name for name in ("directdrive_steady", "directdrive_slow", "directdrive_breakaway") if name in recordings()]
 
@@ -66,11 +66,11 @@ def test_dry_friction_is_not_told_by_the_load_where_the_load_stays_as_it_is(asse
 
 def test_a_force_of_position_is_told_only_where_places_are_passed_both_ways(asset: Asset):
     def names(measured: Measured) -> set[str]:
-        plant = plant_of(asset, measured)
-        seen = force_runs(measured, plant)
+        plant = make_plant(asset, measured)
+        seen = make_force_runs(measured, plant)
         assert seen is not None
-        problem = problem_of(plant, measured, *fit_runs(measured, plant), GapSettings())
-        return set(candidates(force_problem(problem, seen[0]), split_of(seen[0]).fitted))
+        problem = make_problem(plant, measured, *make_fit_runs(measured, plant), GapSettings())
+        return set(list_candidates(make_force_problem(problem, seen[0]), split_runs(seen[0]).fitted))
 
     of_place = {"detent", "return_spring", "gravity_offset", "actuator_gain"}
     both, one = names(steady_of(0, dry=0.6)), names(steady_of(0, dry=0.6, one_way=True))
@@ -85,13 +85,13 @@ def test_what_swings_is_not_prescribed_and_what_is_said_counts(asset: Asset):
         swings, effort_kind="external", runs=tuple(replace(r, effort=0.1 * np.sin(r.times_s)) for r in swings.runs)
     )
     steady = steady_of(0, dry=0.6)
-    plant = plant_of(asset, steady)
-    assert force_runs(swings, plant) is None and force_runs(pushed, plant) is None
-    assert force_runs(steady, plant) is not None
+    plant = make_plant(asset, steady)
+    assert make_force_runs(swings, plant) is None and make_force_runs(pushed, plant) is None
+    assert make_force_runs(steady, plant) is not None
     free = replace(steady, runs=tuple(replace(run, prescribed=False) for run in steady.runs))
-    assert force_runs(free, plant) is None
+    assert make_force_runs(free, plant) is None
     first, *others = pushed.runs
-    told = force_runs(replace(pushed, runs=(replace(first, prescribed=True), *others)), plant)
+    told = make_force_runs(replace(pushed, runs=(replace(first, prescribed=True), *others)), plant)
     assert told is not None and [run.name for run in told[0]] == [first.name]
     assert sum("not prescribed" in note for note in told[2]) == len(others)
 
@@ -132,14 +132,14 @@ def test_what_holds_a_joint_is_at_least_what_it_withstood(asset: Asset):
         said = find_gap(asset, nothing)
         assert said.verdict == "not_excited" and "withstood" not in said.sentence
     at_last = held_of(0.0, [0.5 * times], away=0.3)
-    plant = plant_of(asset, at_last)
-    assert withstood(at_last, plant, fit_runs(at_last, plant)[1]) is None
+    plant = make_plant(asset, at_last)
+    assert find_stiction_bound(at_last, plant, make_fit_runs(at_last, plant)[1]) is None
 
 
 def test_a_long_run_that_never_turns_back_keeps_its_acceleration():
     """The widest window's polynomials have all their digits; and what forces are seen through is a mean."""
     times = np.arange(20_000) / 1000
-    smooth = smoothed(Run("r", times, 3.0 * times**2 + 100.0))
+    smooth = smooth_run(Run("r", times, 3.0 * times**2 + 100.0))
     assert smooth is not None
     _, _, _, _, qdd, kernel = smooth
     np.testing.assert_allclose(qdd, 6.0, rtol=1e-6)

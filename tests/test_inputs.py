@@ -15,11 +15,11 @@ from freeart21 import cli
 from freeart21.files.asset import read_asset
 from freeart21.files.measured_writer import write_measured
 from freeart21.measured import Measured, Run
-from freeart21.mechanics import Actuator, between, course, held
+from freeart21.mechanics import Actuator, hold_series, interpolate_series, interpolation_terms
 from generator.simulate import roll_out
-from simgap.measure.data import stride_of, thinned
-from simgap.measure.inputs import inputs_of, logged_at
-from simgap.models.surrogate import Nuisance, plant_of, simulate
+from simgap.measure.data import thinning_notes, thinning_stride
+from simgap.measure.inputs import logged_at, make_inputs
+from simgap.models.surrogate import Nuisance, make_plant, simulate
 from simgap.workflow import find_gap
 
 TIMES = np.array([0.0, 0.1, 0.25, 0.3, 0.5, 0.6])
@@ -42,20 +42,20 @@ def driven(rows: int, rate: float, how: str, effort: bool = False) -> Measured:
 
 
 def test_a_straight_line_goes_from_row_to_row_and_a_smooth_one_through_them():
-    straight, smooth = (between(TIMES, VALUES, how, holding=0.0) for how in ("linear", "unknown"))
+    straight, smooth = (interpolate_series(TIMES, VALUES, how, holding=0.0) for how in ("linear", "unknown"))
     at = np.linspace(-0.1, 0.8, 91)
     assert [straight(t) for t in at] == pytest.approx(np.interp(at, TIMES, VALUES))
     assert [smooth(t) for t in TIMES] == pytest.approx(VALUES) and smooth(-1) == 0.0 and smooth(9) == 0.5
-    parabola = between(TIMES, 3 * TIMES**2 - TIMES, "unknown", holding=0.0)
+    parabola = interpolate_series(TIMES, 3 * TIMES**2 - TIMES, "unknown", holding=0.0)
     assert [parabola(t) for t in at[10:70]] == pytest.approx(3 * at[10:70] ** 2 - at[10:70])
-    half = between(TIMES, VALUES, "unknown", holding=0.5)
-    assert half(0.2) == pytest.approx(0.5 * (held(TIMES, VALUES)(0.2) + smooth(0.2)))
-    assert between(TIMES, VALUES, "unknown", holding=1.0)(0.2) == 1.0
+    half = interpolate_series(TIMES, VALUES, "unknown", holding=0.5)
+    assert half(0.2) == pytest.approx(0.5 * (hold_series(TIMES, VALUES)(0.2) + smooth(0.2)))
+    assert interpolate_series(TIMES, VALUES, "unknown", holding=1.0)(0.2) == 1.0
 
 
 @HOW
 def test_the_mean_over_a_step_has_the_impulse(how: str):
-    value, mean = (between(TIMES, VALUES, how, over, 0.3) for over in (0.0, 0.07))
+    value, mean = (interpolate_series(TIMES, VALUES, how, over, 0.3) for over in (0.0, 0.07))
     for t in (-0.2, 0.0, 0.02, 0.13, 0.27, 0.55, 0.59, 0.9):
         fine = t + 0.07 * (np.arange(7000) + 0.5) / 7000 - 0.035
         assert mean(t) == pytest.approx(np.mean([value(s) for s in fine]), abs=2e-4)
@@ -68,11 +68,11 @@ def test_a_servo_follows_its_command_as_in_sapien(how: str, rate: float, tmp_pat
     measured = driven(round(3 * rate), rate, how)
     run = measured.runs[0]
     asset = read_asset(asset_of(tmp_path))
-    plant = plant_of(asset, measured)
+    plant = make_plant(asset, measured)
     times, share = np.arange(0, 2801) * 1e-3, 0.3
-    law = Actuator(between(run.times_s, run.q_command, how, 1e-3, share), *SERVO)
+    law = Actuator(interpolate_series(run.times_s, run.q_command, how, 1e-3, share), *SERVO)
     theirs = roll_out(asset, 0.1, duration_s=2.8, actuator=law)
-    ours = simulate(plant, (), times, 0.1, 0.0, inputs_of(run, measured, 0.01), Nuisance(holding=share))
+    ours = simulate(plant, (), times, 0.1, 0.0, make_inputs(run, measured, 0.01), Nuisance(holding=share))
     assert np.abs(ours - theirs.q).max() < 1e-4
 
 
@@ -81,8 +81,8 @@ def test_values_that_last_move_a_free_part_as_the_curve_does(tmp_path: Path):
     measured = replace(driven(12, 4.0, "linear", effort=True), gravity=np.zeros(3))
     run = measured.runs[0]
     assert run.effort is not None
-    plant = plant_of(read_asset(asset_of(tmp_path)), measured)
-    ours = simulate(plant, (), run.times_s, 0.0, 0.0, inputs_of(run, measured))
+    plant = make_plant(read_asset(asset_of(tmp_path)), measured)
+    ours = simulate(plant, (), run.times_s, 0.0, 0.0, make_inputs(run, measured))
     fine = np.arange(run.times_s[-1] * 1e5 + 1) / 1e5
     force = np.interp(fine, run.times_s, run.effort)
     speed = np.append(0.0, np.cumsum(0.5 * (force[1:] + force[:-1])) * 1e-5) / INERTIA
@@ -99,32 +99,32 @@ def test_rows_without_a_command_are_no_rows_of_it(how: str):
     sparse = replace(run, q_command=np.where(np.arange(97) % 4, np.nan, run.q_command))
     own = Run("own", run.times_s[::4], run.q[::4], None, run.q_command[::4])
     for holding in (0.0, 0.4, 1.0):
-        told = inputs_of(sparse, dense, 0.01)
-        command = told.command + (0 if told.beside is None else holding * told.beside[0])
+        told = make_inputs(sparse, dense, 0.01)
+        command = told.command + (0 if told.hold_difference is None else holding * told.hold_difference[0])
         passed = np.append(0.0, np.cumsum(np.diff(told.times_s) * command[:-1]))
         impulse = np.interp(run.times_s[:-4], told.times_s, passed)
-        mean = between(own.times_s, own.q_command, how, 0.025, holding)
+        mean = interpolate_series(own.times_s, own.q_command, how, 0.025, holding)
         expected = np.append(0.0, np.cumsum([0.025 * mean(t + 0.0125) for t in run.times_s[:-5]]))
         np.testing.assert_allclose(impulse, expected, atol=1e-12)
-        value, same = (between(r.times_s, r.q_command, how, 0.0, holding) for r in (sparse, own))
+        value, same = (interpolate_series(r.times_s, r.q_command, how, 0.0, holding) for r in (sparse, own))
         assert [value(t) for t in run.times_s] == [same(t) for t in run.times_s]
 
 
 def test_what_is_held_is_as_it_was_and_what_stays_costs_nothing():
     measured = driven(50, 20.0, "held", effort=True)
-    told = inputs_of(measured.runs[0], measured, 1e-3)
+    told = make_inputs(measured.runs[0], measured, 1e-3)
     np.testing.assert_array_equal(told.effort, wave(measured.runs[0].times_s))
-    assert told.beside is None
+    assert told.hold_difference is None
     still = replace(measured.runs[0], effort=np.repeat([0.0, 1.0], 25))
-    assert len(inputs_of(still, replace(measured, interpolation="linear"), 0.01).times_s) < 10
+    assert len(make_inputs(still, replace(measured, interpolation="linear"), 0.01).times_s) < 10
 
 
 @HOW
 def test_a_logged_series_at_any_time_is_the_same_curve(how: str):
     at = np.linspace(-0.1, 0.7, 50)
-    value = between(TIMES, VALUES, how)
+    value = interpolate_series(TIMES, VALUES, how)
     np.testing.assert_allclose(logged_at(TIMES, VALUES, how, at), [value(t) for t in at], atol=1e-12)  # type: ignore[arg-type]
-    assert course(TIMES[:1], VALUES[:1], how).tolist() == [[0, 0, 0, 0]]
+    assert interpolation_terms(TIMES[:1], VALUES[:1], how).tolist() == [[0, 0, 0, 0]]
 
 
 def test_a_smooth_command_sampled_is_no_time_offset(tmp_path: Path):
@@ -163,14 +163,14 @@ def test_a_replay_goes_on_between_rows_as_the_fit_found(share: float, tmp_path: 
 def test_many_readings_are_thinned_as_far_as_the_motion_allows_and_that_is_said():
     times = np.arange(24000) / 200
     run = Run("long", times, np.sin(2 * np.pi * 1.0 * times))
-    assert stride_of(times, run.q) == 16  # 1,500 readings are 6 a half swing
+    assert thinning_stride(times, run.q) == 16  # 1,500 readings are 6 a half swing
     fast = np.sin(2 * np.pi * 4.0 * times)
-    assert stride_of(times, fast) == 6  # a half swing has 25
-    assert stride_of(times, np.sin(2 * np.pi * 30.0 * times)) == 4  # 6,000 at most
-    assert stride_of(times[:1500], fast[:1500]) == 1
-    assert stride_of(times, times) == 16  # what never turns back
+    assert thinning_stride(times, fast) == 6  # a half swing has 25
+    assert thinning_stride(times, np.sin(2 * np.pi * 30.0 * times)) == 4  # 6,000 at most
+    assert thinning_stride(times[:1500], fast[:1500]) == 1
+    assert thinning_stride(times, times) == 16  # what never turns back
     measured = Measured("j", "revolute", np.zeros(3), 200.0, "recorded", runs=(run, replace(run, q=fast)))
-    assert thinned(measured) == (
+    assert thinning_notes(measured) == (
         "run 'long': one reading of 16 is looked at, 12.5 of 200 a second",
         "run 'long': one reading of 6 is looked at, 33.3 of 200 a second",
     )

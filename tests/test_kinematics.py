@@ -15,7 +15,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured, Run
 from simgap.geometry.finding import KinematicsFinding
-from simgap.geometry.kinematics import find_geometry_of
+from simgap.geometry.kinematics import find_geometry
 from simgap.geometry.placing import place
 from simgap.geometry.pose_model import Geometry, PoseModel, Track, Weighting
 
@@ -105,7 +105,7 @@ def measured(
 
 def found_in(folder: Path, kind: str, motion: Shape, mass: float = 1.5, **more) -> KinematicsFinding:
     data, _ = measured(kind, motion, **more)
-    found = find_geometry_of(asset(folder, kind, mass=mass), data)
+    found = find_geometry(asset(folder, kind, mass=mass), data)
     assert found is not None
     return found
 
@@ -216,7 +216,7 @@ def test_two_at_once(tmp_path: Path):
 
 def test_the_position_is_free_of_the_geometry(tmp_path: Path):
     data, true = measured("revolute", tilted("revolute"), noise=0.3)
-    found = find_geometry_of(asset(tmp_path, "revolute"), data)
+    found = find_geometry(asset(tmp_path, "revolute"), data)
     assert found is not None
     for track, q in zip(found.tracks, true, strict=True):
         error = track.q - q
@@ -233,7 +233,7 @@ def test_a_door_that_hangs_is_not_told_from_the_trackers_own_zero(tmp_path: Path
         return plain @ about(PIVOT, turn(Y, np.full(len(q), 1e-3)))
 
     data, _ = measured("revolute", motion)
-    found = find_geometry_of(door, data)
+    found = find_geometry(door, data)
     assert found is not None and found.verdict == "no_gap"
 
 
@@ -246,8 +246,8 @@ def test_what_the_library_does_not_have_is_not_named(tmp_path: Path, size: float
         return slid(shift) @ ideal("revolute")(q, t)
 
     found = found_in(tmp_path, "revolute", cam, span=1.1)
-    assert found.verdict == verdict, (found.effects, found.remainder_floors)
-    assert found.remainder_floors > (1 if verdict == "unexplained" else 0.5)
+    assert found.verdict == verdict, (found.effects, found.unexplained_rms)
+    assert found.unexplained_rms > (1 if verdict == "unexplained" else 0.5)
     assert (found.next_experiment is not None) == (verdict == "unexplained")
 
 
@@ -275,7 +275,7 @@ def test_a_large_effect_of_another_form_is_not_two(tmp_path: Path):
 
     found = found_in(tmp_path, "revolute", pin, noise=0.5)
     assert (found.verdict, [e.name for e in found.effects]) == ("named", ["eccentricity"]), found.ranking[:4]
-    assert found.remainder_floors > 0.1
+    assert found.unexplained_rms > 0.1
 
 
 def test_the_other_side_may_be_the_moving_one(tmp_path: Path):
@@ -286,7 +286,7 @@ def test_the_other_side_may_be_the_moving_one(tmp_path: Path):
     turned_round = replace(turned_round, T_canonical_reference=at_zero)
     data, true = measured("revolute", moved_pivot("revolute"))
     runs = tuple(replace(run, poses=np.linalg.inv(run.poses)) for run in data.runs)
-    found = find_geometry_of(turned_round, replace(data, runs=runs))
+    found = find_geometry(turned_round, replace(data, runs=runs))
     assert found is not None
     assert [e.name for e in found.effects] == ["pivot_offset"]
     assert np.abs(found.tracks[0].q - true[0]).max() < 0.02
@@ -303,7 +303,7 @@ def test_a_part_that_tumbles_costs_one_line(tmp_path: Path):
     data, _ = measured("prismatic", tumbles)
     said = r"run 'r0' turns the part by \S+ rad across the axis of joint 'j\w*', expected less than 1"
     with pytest.raises(FreeArtError, match=said):
-        find_geometry_of(asset(tmp_path, "prismatic"), data)
+        find_geometry(asset(tmp_path, "prismatic"), data)
 
 
 def test_a_position_is_not_moved_to_where_more_is_left(tmp_path: Path):
@@ -321,5 +321,5 @@ def test_too_few_poses_cost_one_line(tmp_path: Path):
     data, _ = measured("revolute", ideal("revolute"))
     blind = replace(data.runs[1], seen=np.arange(len(data.runs[1].times_s)) < 5)
     with pytest.raises(FreeArtError, match="run 'r1' has 5 poses, expected 10 or more"):
-        find_geometry_of(asset(tmp_path, "revolute"), replace(data, runs=(data.runs[0], blind)))
-    assert find_geometry_of(asset(tmp_path, "revolute"), replace(data, runs=())) is None
+        find_geometry(asset(tmp_path, "revolute"), replace(data, runs=(data.runs[0], blind)))
+    assert find_geometry(asset(tmp_path, "revolute"), replace(data, runs=())) is None

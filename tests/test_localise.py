@@ -11,8 +11,8 @@ from freeart21.joint import Joint
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import Actuator, JointMechanics
 from simgap.measure.swings import half_swings, reversals
-from simgap.models.equation_error import missing_force
-from simgap.models.localise import LEVEL, benjamini_hochberg, residual_maps, sign_flips, where
+from simgap.models.equation_error import estimate_missing_force
+from simgap.models.localise import LEVEL, benjamini_hochberg, flagged_regions, make_residual_maps, sign_flip_test
 
 INERTIA, WEIGHT = 0.05, 1.2  # kg m^2, N m of m g l
 MECHANICS = JointMechanics(
@@ -51,9 +51,9 @@ def swings(torque, seed=0, runs=6, seconds=6.0, noise=5e-4, starts=None, restitu
 
 
 def maps_of(measured, effects=(), upper=9.0, **more):
-    found = missing_force(measured, MECHANICS, -9.0, upper, effects, **more)
-    maps = residual_maps(found)
-    return {m.quantity: m for m in maps}, where(maps, found, "revolute"), found
+    found = estimate_missing_force(measured, MECHANICS, -9.0, upper, effects, **more)
+    maps = make_residual_maps(found)
+    return {m.quantity: m for m in maps}, flagged_regions(maps, found, "revolute"), found
 
 
 def friction(t, q, qd):
@@ -80,7 +80,7 @@ def test_sign_flips_are_calibrated_under_correlation():
     for _ in range(200):
         units = np.repeat(np.arange(30), 40)
         values = np.repeat(rng.normal(size=30), 40) + rng.normal(size=1200)  # every unit has an offset of its own
-        p.append(sign_flips(units, rng.integers(0, 8, 1200), values, 8, rng)[1])
+        p.append(sign_flip_test(units, rng.integers(0, 8, 1200), values, 8, rng)[1])
     assert 0.01 < np.mean(np.array(p) < 0.05) < 0.1
     assert 0.35 < np.mean(np.array(p) < 0.5) < 0.65
 
@@ -143,8 +143,8 @@ def test_asset_uncertainty_is_not_a_gap():
     from dataclasses import replace
 
     unsure = replace(heavy, inertia_relative=0.1, gravity_relative=0.05)
-    wrong = {m.quantity: m for m in residual_maps(missing_force(heavy, light, -9, 9))}
-    right = {m.quantity: m for m in residual_maps(missing_force(unsure, light, -9, 9))}
+    wrong = {m.quantity: m for m in make_residual_maps(estimate_missing_force(heavy, light, -9, 9))}
+    right = {m.quantity: m for m in make_residual_maps(estimate_missing_force(unsure, light, -9, 9))}
     assert wrong["position"].p_value < 0.01 < right["position"].p_value
     assert right["direction"].adjusted < 0.01
 
@@ -160,10 +160,10 @@ def test_the_servo_and_pushes_are_part_of_the_equation():
     runs = tuple(Run(r.name, r.times_s, r.q, push(r.times_s), command(r.times_s)) for r in data.runs)
     law = Actuator(None, 4.0, 0.1)
     driven = Measured("j", "revolute", data.gravity, 200.0, "recorded", "external", law, runs=runs)
-    found = missing_force(driven, MECHANICS, -9, 9)
-    bare = missing_force(data, MECHANICS, -9, 9)
+    found = estimate_missing_force(driven, MECHANICS, -9, 9)
+    bare = estimate_missing_force(data, MECHANICS, -9, 9)
     assert np.sqrt(np.mean(found.force**2)) < 0.1 * np.sqrt(np.mean(bare.force**2))
-    assert "command" in {m.quantity for m in residual_maps(found)}
+    assert "command" in {m.quantity for m in make_residual_maps(found)}
 
 
 def test_half_swings():
@@ -182,4 +182,4 @@ def test_benjamini_hochberg():
 
 def test_too_little_is_no_map():
     data = swings(friction, runs=1, seconds=0.2)
-    assert residual_maps(missing_force(data, MECHANICS, -9, 9)) == ()
+    assert make_residual_maps(estimate_missing_force(data, MECHANICS, -9, 9)) == ()

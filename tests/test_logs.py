@@ -18,9 +18,9 @@ from freeart21.files.measured_writer import write_measured
 from freeart21.measured import BaseAxis, BaseSeries, Measured, Run
 from freeart21.mechanics import Actuator
 from freeart21.turns import is_wrapped
-from simgap.measure.floor import floor_of
-from simgap.measure.inputs import inputs_of
-from simgap.models.surrogate import plant_of, simulate
+from simgap.measure.inputs import make_inputs
+from simgap.measure.noise import estimate_noise
+from simgap.models.surrogate import make_plant, simulate
 
 TIMES = np.arange(400) / 100
 ROUND = 3.0 + 2.5 * TIMES + np.sin(3 * TIMES)
@@ -106,8 +106,8 @@ def test_the_floor_of_an_encoder_of_a_tenth_of_a_degree_is_its_steps_and_noise(r
         q = size * np.exp(-0.1 * times) * np.sin(2 * np.pi * freq * times)
         read = np.radians(step * np.round((q + noise * rng.normal(size=len(q))) / step))
         true = np.radians(np.hypot(step / np.sqrt(12), noise))
-        floor = floor_of([(times, read)])
-        assert 0.8 * true < floor.still < 1.6 * true
+        floor = estimate_noise([(times, read)])
+        assert 0.8 * true < floor.sigma_at_rest < 1.6 * true
         assert floor.stamp_s < 5e-3
 
 
@@ -118,8 +118,8 @@ def test_commands_of_ten_thousand_rows_a_second_are_taken_together_as_they_move_
     enabled = (times < 1.23456).astype(float)
     run = Run("r", times, 0 * times, effort, enabled=enabled)
     measured = Measured("j", "revolute", np.array([0, 0, -G]), rate, "recorded", "commanded", runs=(run,))
-    plant = plant_of(read_asset(asset_of(tmp_path)), measured)
-    fine, coarse = inputs_of(run, measured), inputs_of(run, measured, 0.02)
+    plant = make_plant(read_asset(asset_of(tmp_path)), measured)
+    fine, coarse = make_inputs(run, measured), make_inputs(run, measured, 0.02)
     assert len(coarse.times_s) < 400 and len(fine.times_s) > 10_000
     ways = [simulate(plant, (), times[::50], 0.2, 0.0, told) for told in (fine, coarse)]
     assert np.abs(ways[0] - ways[1]).max() < 2e-3 * np.ptp(ways[0])

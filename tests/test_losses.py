@@ -24,7 +24,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from generator.simulate import joint_motion
 from leaderboard.asset_measurement import measure_joint
-from simgap.prove.writeback import repaired
+from simgap.prove.writeback import write_repaired
 
 ALL = frozenset({"object.urdf", "object.xml", "object.usdc"})
 
@@ -134,11 +134,11 @@ def test_yourdfpy_reads_either_base(tmp_path: Path, base):
 
 def test_a_repaired_asset_tells_of_what_was_added(tmp_path: Path):
     asset = write_case(tmp_path / "a", "revolute", (ViscousDamping(0.01),))
-    again = repaired(asset, (CoulombFriction(0.2), Armature(0.003)), tmp_path / "b")
+    again = write_repaired(asset, (CoulombFriction(0.2), Armature(0.003)), tmp_path / "b")
     text = (tmp_path / "b/LOSSES.md").read_text()
     assert cells(text, "coulomb friction") and not cells((tmp_path / "a/LOSSES.md").read_text(), "coulomb friction")
     assert '"friction": 0.2' in (tmp_path / "b/loaders/joint.json").read_text()
     assert (tmp_path / "b/object.usdc").is_file() == usd.available()
     assert read_asset(tmp_path / "b").effects == again.effects
-    bare = repaired(read_asset(asset.urdf), (CoulombFriction(0.2),), tmp_path / "c")
+    bare = write_repaired(read_asset(asset.urdf), (CoulombFriction(0.2),), tmp_path / "c")
     assert (bare.urdf.parent / "LOSSES.md").is_file()

@@ -22,7 +22,7 @@ from freeart21.files.truth import read_truth
 from generator.measure import TrackerNoise, measure_truths
 from generator.recorder import RecordSettings, record
 from generator.simulate import joint_motion, load, roll_out
-from simgap.geometry.kinematics import find_geometry_of
+from simgap.geometry.kinematics import find_geometry
 from simgap.geometry.placing import place
 from simgap.measure.reconstruction import measure_result
 
@@ -75,7 +75,7 @@ def test_the_measured_set_is_the_film_and_its_asset_moves_as_the_film_does(tmp_p
         off = se3.log_se3(se3.inverse(ideal) @ run.poses)
         assert 1.5e-3 < off[:, 3:].std() < 6e-3  # a tracker's errors, and no more: the frames are the truth's
     assert np.abs(measured.runs[0].poses - measured.runs[1].poses).max() > 1e-4
-    geometry = find_geometry_of(asset, measured)
+    geometry = find_geometry(asset, measured)
     assert geometry is not None and geometry.verdict == "no_gap"
     error = np.concatenate([track.q - truth.states for track in geometry.tracks])
     assert 0.5 * error.std() < geometry.tracks[0].q_std < 2 * error.std()

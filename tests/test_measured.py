@@ -12,7 +12,7 @@ import pytest
 from freeart21.errors import FreeArtError
 from freeart21.files.measured import read_measured
 from freeart21.files.measured_writer import write_measured
-from freeart21.measured import Run, without_copies
+from freeart21.measured import Run, drop_duplicate_runs
 
 TIMES = np.arange(60) * 0.01
 
@@ -198,8 +198,8 @@ def test_a_copy_of_a_run_is_left_out_and_said_so(tmp_path: Path):
 def test_two_rests_under_other_pushes_are_no_copies():
     still = np.zeros(60)
     runs = tuple(Run(f"r{k}", TIMES + k, still, k * np.ones(60)) for k in range(3))
-    assert without_copies(runs) == (runs, ())
-    assert len(without_copies((*runs, replace(runs[1], name="again")))[0]) == 3
+    assert drop_duplicate_runs(runs) == (runs, ())
+    assert len(drop_duplicate_runs((*runs, replace(runs[1], name="again")))[0]) == 3
 
 
 def test_a_cell_of_a_drive_may_be_empty_but_for_the_first(tmp_path: Path):

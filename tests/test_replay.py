@@ -22,7 +22,7 @@ from freeart21.files.asset import read_asset, write_asset_json
 from freeart21.files.measured_writer import write_measured
 from freeart21.joint import JointType
 from freeart21.measured import Measured, Run
-from simgap.prove.writeback import repaired
+from simgap.prove.writeback import write_repaired
 from simgap.replay import Replayed, format_table, replay_folder
 
 OIL = 0.06
@@ -50,7 +50,7 @@ def write_set(folder: Path, runs: tuple[Run, ...], joint: str = "j", kind: Joint
 
 def oiled(folder: Path, *effects) -> Path:
     """The pendulum's asset with these effects, on disk."""
-    return repaired(
+    return write_repaired(
         read_asset(asset_of(folder / "plain")), effects or (ViscousDamping(OIL),), folder / "oiled"
     ).urdf.parent
 

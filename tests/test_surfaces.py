@@ -211,8 +211,8 @@ def test_a_few_wrong_labels_make_no_surface_of_the_other_part():
     points = np.stack([se3.transform(se3.inverse(T), p) for T, p in zip(ROUND, scene.points, strict=True)])
     far_end = scene.mask & (points[..., 0] > 0.02)
     labels[far_end] = 2
-    seeing = np.argsort(-((points[..., 2] > 0.029) & (points[..., 0] < 0) & scene.mask).sum((1, 2)))[:2]
-    labels[seeing] = 2 * scene.mask[seeing]
+    actual_camera = np.argsort(-((points[..., 2] > 0.029) & (points[..., 0] < 0) & scene.mask).sum((1, 2)))[:2]
+    labels[actual_camera] = 2 * scene.mask[actual_camera]
     mesh = fuse(scene, labels, 2, ROUND, np.ones(len(ROUND), bool), SurfaceSettings())
     assert mesh.vertices[:, 0].max() > 0.055
     assert (mesh.areas() * (mesh.vertices[mesh.faces].mean(1)[:, 0] < 0.01)).sum() < 0.02 * mesh.areas().sum()

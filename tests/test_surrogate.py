@@ -13,10 +13,20 @@ import pytest
 from freeart21.effects import EFFECTS
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
-from freeart21.mechanics import Actuator, held
+from freeart21.mechanics import Actuator, hold_series
 from generator.simulate import roll_out
 from simgap.models import kernel, laws
-from simgap.models.surrogate import Batch, Inputs, Nuisance, numbers_of, plant_of, simulate, step_of, sweep, terms_of
+from simgap.models.surrogate import (
+    Batch,
+    Inputs,
+    Nuisance,
+    effect_terms,
+    make_plant,
+    make_vector,
+    simulate,
+    sweep,
+    time_steps,
+)
 from simgap.settings import SurrogateSettings
 
 MASS, ARM, G = 1.6, 0.5, 9.81
@@ -83,7 +93,7 @@ def test_free_motion_is_sapiens(tmp_path: Path, kind: str, name: str):
     asset = asset_at(tmp_path, kind, FREE[name])
     q0, qd0 = (0.9, 0.0) if kind == "revolute" else (-0.2, 0.9)
     theirs = roll_out(asset, q0, qd0, duration_s=3, gravity=gravity)
-    plant = plant_of(asset, measured_of(kind, gravity=gravity))
+    plant = make_plant(asset, measured_of(kind, gravity=gravity))
     ours = simulate(plant, (FREE[name],), theirs.times_s, q0, qd0)
     assert np.abs(ours - theirs.q_measured).max() < 2e-3 * np.ptp(theirs.q), name
     plain = simulate(plant, (), theirs.times_s, q0, qd0)
@@ -106,7 +116,7 @@ def test_impacts_are_sapiens(tmp_path: Path, bounce: tuple[str, dict[str, float]
     effects = (made(bounce[0], **bounce[1]), made("viscous_damping", coefficient=0.05))
     asset = asset_at(tmp_path, "revolute", *effects, lower=-0.4, upper=1.5)
     theirs = roll_out(asset, 1.2, 0.0, duration_s=4)
-    ours = simulate(plant_of(asset, measured_of("revolute")), effects, theirs.times_s, 1.2)
+    ours = simulate(make_plant(asset, measured_of("revolute")), effects, theirs.times_s, 1.2)
     assert np.abs(ours - theirs.q).max() < 4e-3
     assert ours.min() >= -0.4 - 1e-12
 
@@ -116,7 +126,7 @@ def test_an_impact_that_begins_and_ends_within_a_step_is_one(tmp_path: Path, dee
     """A swing that just reaches its limit: in the kernel's coarse steps, in fine ones, and in SAPIEN."""
     effects = (made("end_stop_bounce", restitution=0.3),)
     asset = asset_at(tmp_path, "revolute", *effects, lower=-1.2 + deep, upper=2.0)
-    plant = plant_of(asset, measured_of("revolute"))
+    plant = make_plant(asset, measured_of("revolute"))
     times = np.arange(601) / 100
     coarse = simulate(plant, effects, times, 1.2)
     assert coarse.min() == pytest.approx(-1.2 + deep, abs=1e-4) and coarse.min() >= plant.lower
@@ -132,7 +142,7 @@ def test_an_impact_that_begins_and_ends_within_a_step_is_one(tmp_path: Path, dee
 def test_a_rotor_takes_its_part_back_from_a_limit_as_a_shaft_does(tmp_path: Path):
     """A pendulum and a rotor behind a damped shaft that meet a dead stop, fast and slowly, in steps of 5 us."""
     rotor, stiffness, damping, limit = 0.12, 7000.0, 28.0, -0.5
-    plant = plant_of(asset_at(tmp_path, "revolute", lower=limit), measured_of("revolute"))
+    plant = make_plant(asset_at(tmp_path, "revolute", lower=limit), measured_of("revolute"))
     inertia, weight = plant.mechanics.inertia, MASS * G * ARM
     times = np.arange(300) / 100
 
@@ -187,9 +197,9 @@ def test_a_servo_is_sapiens(tmp_path: Path, names: tuple[str, ...]):
     times = np.arange(3001) * 1e-3
     ticks = times[::10]
     command = 0.4 * np.sin(4 * ticks)
-    law = Actuator(held(ticks, command), 40.0, 3.0)
+    law = Actuator(hold_series(ticks, command), 40.0, 3.0)
     theirs = roll_out(asset, 0.0, duration_s=3, actuator=law)
-    plant = plant_of(asset, measured_of("revolute", Actuator(None, 40.0, 3.0)))
+    plant = make_plant(asset, measured_of("revolute", Actuator(None, 40.0, 3.0)))
     inputs = Inputs(ticks, command, np.zeros(len(ticks)), np.zeros(len(ticks)))
     ours = simulate(plant, effects, theirs.times_s, 0.0, 0.0, inputs)
     assert np.abs(ours - theirs.q).max() < 4e-3 * np.ptp(theirs.q)
@@ -198,7 +208,7 @@ def test_a_servo_is_sapiens(tmp_path: Path, names: tuple[str, ...]):
 def test_a_push_passes_the_actuator_by_and_a_commanded_effort_does_not(tmp_path: Path):
     effects = (made("actuator_gain", factor=0.5), made("actuator_delay", seconds=0.1))
     asset = asset_at(tmp_path, "prismatic", *effects)
-    plant = plant_of(asset, measured_of("prismatic", gravity=np.zeros(3)))
+    plant = make_plant(asset, measured_of("prismatic", gravity=np.zeros(3)))
     times, ticks = np.arange(1001) * 1e-3, np.array([0.0, 0.2, 0.4])
     effort, none = np.array([0.0, 2.0, 0.0]), np.full(3, np.nan)
     commanded = simulate(plant, effects, times, 0.0, 0.0, Inputs(ticks, none, effort, np.zeros(3)))
@@ -211,7 +221,7 @@ def test_a_push_passes_the_actuator_by_and_a_commanded_effort_does_not(tmp_path:
 
 def test_a_late_clock_reads_what_was(tmp_path: Path):
     asset = asset_at(tmp_path, "revolute")
-    plant = plant_of(asset, measured_of("revolute"))
+    plant = make_plant(asset, measured_of("revolute"))
     times = np.arange(500) * 0.01
     now = simulate(plant, (), times, 0.5)
     late = simulate(plant, (made("time_offset", seconds=0.2),), times, 0.5)
@@ -220,9 +230,9 @@ def test_a_late_clock_reads_what_was(tmp_path: Path):
 
 def test_nuisance_is_another_asset(tmp_path: Path):
     asset = asset_at(tmp_path, "revolute")
-    plant = plant_of(asset, measured_of("revolute"))
+    plant = make_plant(asset, measured_of("revolute"))
     lean = 0.01
-    leant = plant_of(asset, measured_of("revolute", gravity=(G * np.sin(lean), 0, -G * np.cos(lean))))
+    leant = make_plant(asset, measured_of("revolute", gravity=(G * np.sin(lean), 0, -G * np.cos(lean))))
     times = np.arange(300) * 0.01
     way = np.sign(plant.gravity_terms[1] @ (leant.gravity_terms[0] - plant.gravity_terms[0]))
     ours = simulate(plant, (), times, 0.5, nuisance=Nuisance(lean=(way * np.tan(lean), 0.0), gravity=np.cos(lean)))
@@ -233,7 +243,7 @@ def test_steps_make_no_difference(tmp_path: Path):
     from simgap.settings import SurrogateSettings
 
     asset = asset_at(tmp_path, "revolute", lower=-0.5, upper=2)
-    plant = plant_of(asset, measured_of("revolute"))
+    plant = make_plant(asset, measured_of("revolute"))
     effects = (made("coulomb_friction", level=0.2), made("end_stop_bounce", restitution=0.5))
     times = np.arange(500) * 0.01
     fine = simulate(plant, effects, times, 1.5, settings=SurrogateSettings(0.01, 1e-3))
@@ -244,7 +254,7 @@ def test_friction_that_builds_up_is_lugres(tmp_path: Path):
     """Small swings of a pendulum whose friction bends bristles first: against a stiff solver on the textbook's form."""
     from scipy.integrate import solve_ivp
 
-    plant = plant_of(asset_at(tmp_path, "revolute"), measured_of("revolute"))
+    plant = make_plant(asset_at(tmp_path, "revolute"), measured_of("revolute"))
     level, travel, inertia, weight = 0.03, 2e-3, plant.mechanics.inertia, MASS * G * ARM
     effects = (made("coulomb_friction", level=level),)
     stiff, damp = level / travel, np.sqrt(level * inertia / travel)
@@ -256,18 +266,18 @@ def test_friction_that_builds_up_is_lugres(tmp_path: Path):
 
     times = np.arange(400) * 0.01
     true = solve_ivp(slopes, (0, 4), (0.2, 0.0, 0.0), "LSODA", times, rtol=1e-9, atol=1e-12).y[0]
-    numbers = numbers_of(plant, effects, Nuisance())
+    numbers = make_vector(plant, effects, Nuisance())
     numbers[kernel.Q0] = 0.2
-    at_once = sweep(numbers[None], terms_of(effects), times, Inputs(), step_of(plant, effects))[0]
+    at_once = sweep(numbers[None], effect_terms(effects), times, Inputs(), time_steps(plant, effects))[0]
     numbers[[kernel.TRAVEL, kernel.GRIPPING]] = travel, 1.0
-    ours = sweep(numbers[None], terms_of(effects), times, Inputs(), step_of(plant, effects))[0]
+    ours = sweep(numbers[None], effect_terms(effects), times, Inputs(), time_steps(plant, effects))[0]
     assert np.abs(ours - true).max() < 0.03 * np.abs(at_once - true).max()
 
 
 def test_a_loose_drive_side_comes_to_rest_with_a_part_that_leans_on_its_stop(tmp_path: Path):
     effects = (made("backlash", width=0.02, drive_inertia=0.1),)
     asset = asset_at(tmp_path, "prismatic", *effects, axis="1 0 0", lower=0.0, upper=2.0)
-    plant = plant_of(asset, measured_of("prismatic", gravity=[-0.02, 0.0, -G]))
+    plant = make_plant(asset, measured_of("prismatic", gravity=[-0.02, 0.0, -G]))
     times = np.arange(500) / 100
     q = simulate(plant, effects, times, 0.3, -0.4)
     assert q.min() == 0.0 and np.all(q[times > 1.5] == 0.0)
@@ -280,7 +290,7 @@ def test_a_drive_side_goes_on_when_its_part_stops_dead(tmp_path: Path, back: flo
     width, drive, speed, pull = 0.02, 0.4, 0.5, 0.3
     effects = (made("backlash", width=width, drive_inertia=drive, throw_back=back),)
     asset = asset_at(tmp_path, "prismatic", *effects, axis="1 0 0", lower=-2.0, upper=0.3)
-    plant = plant_of(asset, measured_of("prismatic", gravity=np.zeros(3)))
+    plant = make_plant(asset, measured_of("prismatic", gravity=np.zeros(3)))
     times, ticks = np.arange(2001) * 1e-3, np.array([0.0, 0.1, 1.0])
     pushes = np.array([4.0, 0.0, -pull])  # the push takes the part ahead of its drive, up to the end of the slack
     inputs = Inputs(ticks, np.full(3, np.nan), np.zeros(3), pushes)
@@ -299,13 +309,13 @@ def test_a_drive_side_goes_on_when_its_part_stops_dead(tmp_path: Path, back: flo
 
 def test_a_narrow_place_is_stepped_finely_only_there(tmp_path: Path):
     """As by fine steps throughout, where coarse ones throughout are as wrong as none of it."""
-    plant = plant_of(asset_at(tmp_path, "revolute"), measured_of("revolute"))
+    plant = make_plant(asset_at(tmp_path, "revolute"), measured_of("revolute"))
     effects, times = (made("detent", peak=20.0, centre=0.2, width=0.01),), np.arange(200) / 100
-    coarse, fine = step_of(plant, effects)
-    numbers = numbers_of(plant, effects)
+    coarse, fine = time_steps(plant, effects)
+    numbers = make_vector(plant, effects)
     for numbers[kernel.Q0], numbers[kernel.QD0] in ((-0.6, 0.0), (-0.6, 3.0)):
         ours, throughout, coarsely = (
-            sweep(numbers[None], terms_of(effects), times, Inputs(), steps)[0]
+            sweep(numbers[None], effect_terms(effects), times, Inputs(), steps)[0]
             for steps in ((coarse, fine), (fine, fine), (coarse, coarse))
         )
         assert np.abs(ours - throughout).max() < 0.03 * np.abs(coarsely - throughout).max()
@@ -314,18 +324,18 @@ def test_a_narrow_place_is_stepped_finely_only_there(tmp_path: Path):
 @pytest.mark.parametrize("threads", [1, 3])
 def test_runs_side_by_side_are_as_each_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: int):
     if threads > 1:
-        monkeypatch.setattr("simgap.models.surrogate._MANY", 0)
+        monkeypatch.setattr("simgap.models.surrogate._THREADING_SIZE", 0)
         monkeypatch.setattr("os.sched_getaffinity", lambda process: set(range(threads)), raising=False)
     effects = (made("coulomb_friction", level=0.2), made("latch", hold=2.0, position=0.1, travel=0.1, capture=0.4))
-    plant = plant_of(asset_at(tmp_path, "revolute"), measured_of("revolute", Actuator(stiffness=60.0, damping=4.0)))
+    plant = make_plant(asset_at(tmp_path, "revolute"), measured_of("revolute", Actuator(stiffness=60.0, damping=4.0)))
     command = np.full(100, 0.3)
     driven = Inputs(np.arange(100) * 0.02, command, 0.1 * command, -command)
     runs = [(np.arange(300) / 100, Inputs()), (np.arange(50) / 25, driven), (np.arange(7) / 50, Inputs())]
     which, steps = np.array([1, 0, 2, 1]), np.array([(2e-3, 1e-3), (1e-3, 1e-3), (3e-3, 5e-4)])
-    numbers = np.tile(numbers_of(plant, effects), (4, 1))
+    numbers = np.tile(make_vector(plant, effects), (4, 1))
     numbers[:, kernel.Q0] = [0.5, -0.7, 0.2, 0.05]
-    alone = [sweep(numbers[k : k + 1], terms_of(effects), *runs[i], steps[i])[0] for k, i in enumerate(which)]
-    together = Batch.of(runs).sweep(numbers, terms_of(effects), which, steps)
+    alone = [sweep(numbers[k : k + 1], effect_terms(effects), *runs[i], steps[i])[0] for k, i in enumerate(which)]
+    together = Batch.of(runs).sweep(numbers, effect_terms(effects), which, steps)
     assert np.array_equal(together, np.concatenate(alone))
     assert np.ptp(alone[3]) > 0.1 and abs(alone[0] - alone[3]).max() > 0.1
     assert len(kernel.sweep.signatures) == 1  # what a thread gets of an array is laid out as all of it

@@ -12,8 +12,8 @@ class ActuatorDelay(Effect):
 
     name: ClassVar[str] = "actuator_delay"
     acts: ClassVar[Acts] = "command"
-    plain: ClassVar[str] = "a drive that acts late"
-    departs: ClassVar[tuple[float, float]] = (0.05, 0.05)  # part of it may be a lag
+    label: ClassVar[str] = "a drive that acts late"
+    model_error: ClassVar[tuple[float, float]] = (0.05, 0.05)  # part of it may be a lag
 
     seconds: float = parameter("s", "s", 0.0, 10.0, "time from command to force", scale=0.01)
 

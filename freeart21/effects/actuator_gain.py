@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from freeart21.effects.base import Acts, Alternative, Effect, Surroundings, parameter
+from freeart21.effects.base import Acts, Alternative, Effect, OperatingPoint, parameter
 
 MOST_USUAL = 1.5
 """Times what it is told that a drive gives at most, by what its voltage and its windings may be off. By inverse
@@ -18,20 +18,20 @@ class ActuatorGain(Effect):
 
     name: ClassVar[str] = "actuator_gain"
     acts: ClassVar[Acts] = "command"
-    plain: ClassVar[str] = "a drive weaker or stronger than told"
-    of_drive: ClassVar[bool] = True
+    label: ClassVar[str] = "a drive weaker or stronger than told"
+    drivetrain: ClassVar[bool] = True
     neutral: ClassVar[float] = 1.0
     common: ClassVar[bool] = True
-    departs: ClassVar[tuple[float, float]] = (0.05, 0.05)  # motors saturate a little
+    model_error: ClassVar[tuple[float, float]] = (0.05, 0.05)  # motors saturate a little
 
     factor: float = parameter("1", "1", 0.0, 100.0, "force per commanded force", scale=1.0)
 
-    def alternatives(self, among: Surroundings) -> list[Alternative]:
+    def alternatives(self, at: OperatingPoint) -> list[Alternative]:
         """A joint under 1 / factor times the gravity, which moves the same where its inertia is 1 / factor times as
         large, and, of a hinge that hangs and a weaker drive, the spring that this is in small motions."""
         more = 1 / max(self.factor, 1e-9) - 1
-        cosine, sine, constant = (more * term for term in among.gravity)
-        if among.joint_type != "revolute":
+        cosine, sine, constant = (more * term for term in at.gravity)
+        if at.joint_type != "revolute":
             return [Alternative("gravity_offset", {"constant": constant})]
         found = [Alternative("gravity_offset", {"cosine": cosine, "sine": sine})]
         stiffness, rest = float(np.hypot(cosine, sine)), float(np.arctan2(cosine, -sine))
@@ -42,5 +42,5 @@ class ActuatorGain(Effect):
     def gain(self) -> float:
         return self.factor
 
-    def is_usual(self) -> bool:
+    def is_plausible(self) -> bool:
         return 1 / MOST_USUAL < self.factor < MOST_USUAL

@@ -18,10 +18,10 @@ class ActuatorOffset(Effect):
 
     name: ClassVar[str] = "actuator_offset"
     acts: ClassVar[Acts] = "command"
-    plain: ClassVar[str] = "a drive that pushes a little without being told"
+    label: ClassVar[str] = "a drive that pushes a little without being told"
     needs_effort: ClassVar[bool] = True
     common: ClassVar[bool] = True
-    departs: ClassVar[tuple[float, float]] = (0.05, 0.05)  # a zero that drifts; not measured
+    model_error: ClassVar[tuple[float, float]] = (0.05, 0.05)  # a zero that drifts; not measured
 
     bias: float = parameter("N*m", "N", -1e4, 1e4, "force without a command", scale=0.1)
 

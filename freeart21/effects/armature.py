@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from freeart21.effects.base import Acts, Alternative, Effect, Surroundings, parameter
+from freeart21.effects.base import Acts, Alternative, Effect, OperatingPoint, parameter
 
 _SLACKS = (0.003, 0.01, 0.03)
 """Parts of the way moved through that a slack is tried at."""
@@ -23,8 +23,8 @@ class Armature(Effect):
 
     name: ClassVar[str] = "armature"
     acts: ClassVar[Acts] = "inertia"
-    plain: ClassVar[str] = "inertia of the drive itself"
-    of_drive: ClassVar[bool] = True
+    label: ClassVar[str] = "inertia of the drive itself"
+    drivetrain: ClassVar[bool] = True
     joint_word: ClassVar[str | None] = "armature"
     rotor_fields: ClassVar[tuple[str, ...]] = ("value", "throw_back", "swing")
     common: ClassVar[bool] = True
@@ -33,13 +33,13 @@ class Armature(Effect):
     throw_back: float = parameter("1", "1", 0.0, 1.0, "part of its speed that it comes back with", default=0.0)
     swing: float = parameter("s", "s", 0.0, 1.0, "seconds in which it swings by a radian on its shaft", default=0.0)
 
-    def alternatives(self, among: Surroundings) -> list[Alternative]:
+    def alternatives(self, at: OperatingPoint) -> list[Alternative]:
         """Gravity that pulls less: the same motion, where no other force is known. And a drive of this inertia behind a
         slack so narrow that it hardly makes a difference: through a wide one all impacts fall elsewhere."""
         less = dict(
-            zip(("cosine", "sine", "constant"), (-self.value / among.inertia * g for g in among.gravity), strict=True)
+            zip(("cosine", "sine", "constant"), (-self.value / at.inertia * g for g in at.gravity), strict=True)
         )
-        slacks = [{"width": part * among.span, "drive_inertia": self.value} for part in _SLACKS]
+        slacks = [{"width": part * at.span, "drive_inertia": self.value} for part in _SLACKS]
         return [Alternative("gravity_offset", less), *(Alternative("backlash", point) for point in slacks)]
 
     @staticmethod

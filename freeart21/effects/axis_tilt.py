@@ -21,7 +21,7 @@ class AxisTilt(Effect):
     name: ClassVar[str] = "axis_tilt"
     kind: ClassVar[Kind] = "kinematics"
     acts: ClassVar[Acts] = "pose"
-    plain: ClassVar[str] = "an axis that points elsewhere"
+    label: ClassVar[str] = "an axis that points elsewhere"
 
     about_first: float = parameter("rad", "rad", -0.8, 0.8, "turn of the axis about the first direction", scale=0.02)
     about_second: float = parameter("rad", "rad", -0.8, 0.8, "turn of the axis about the second direction", scale=0.02)

@@ -27,9 +27,9 @@ class Backlash(Effect):
 
     name: ClassVar[str] = "backlash"
     acts: ClassVar[Acts] = "slack"
-    plain: ClassVar[str] = "play in the drive"
+    label: ClassVar[str] = "play in the drive"
     rotor_fields: ClassVar[tuple[str, ...]] = ("drive_inertia", "throw_back")
-    becomes: ClassVar[str | None] = "armature"
+    reduces_to: ClassVar[str | None] = "armature"
 
     width: float = parameter("rad", "m", 0.0, 10.0, "free travel from one end of the slack to the other", scale=0.02)
     drive_inertia: float = parameter("kg*m^2", "kg", 1e-9, 1e4, "inertia of the drive side", scale=0.01)
@@ -38,5 +38,5 @@ class Backlash(Effect):
     def slack(self) -> float:
         return self.width
 
-    def merged(self, other: Effect) -> Effect:
+    def merge(self, other: Effect) -> Effect:
         raise FreeArtError(f"the asset's joint has an effect '{self.name}' already, expected at most one")

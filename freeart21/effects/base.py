@@ -58,7 +58,7 @@ class Rotor(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class OperatingPoint:
     """What an effect acts among in some recordings; SI units, a slider's in m and N."""
 
     joint_type: JointType
@@ -79,7 +79,7 @@ class Alternative(NamedTuple):
 
     name: str
     point: dict[str, float]
-    ahead: float = 0.0
+    position_shift: float = 0.0
     """By how much the positions are then ahead, rad or m."""
 
 
@@ -143,49 +143,49 @@ class Effect(ABC):
     |force of the actuator - all other forces but friction|, N*m or N."""
     needs_effort: ClassVar[bool] = False
     """Whether runs tell it only in which the actuator was told its effort."""
-    knows_speed: ClassVar[bool] = True
+    speed_dependent: ClassVar[bool] = True
     """Whether the force of one that acts as "force" changes with speed."""
-    departs: ClassVar[tuple[float, float]] = (0.2, 0.2)
+    model_error: ClassVar[tuple[float, float]] = (0.2, 0.2)
     """By what part of itself a real one may differ from its formula: over the range of speeds, and over that of
     positions, there once as a slope and once between middle and ends. What has a speed or a place of its own, over
     those."""
     form_error: ClassVar[float] = 0.0
     """Part of itself by which the formula is off for real ones of other forms, all numbers fitted: what it leaves of a
     gap by that needs no other name."""
-    widths: ClassVar[float] = 1.5
+    support_widths: ClassVar[float] = 1.5
     """Of an effect with a place: how many widths from there its ends are."""
 
     rotor_fields: ClassVar[tuple[str, ...]] = ()
     """Of a drive's inertia: the parameters that are the numbers of its `Rotor`, in their order. Those of its shaft, all
     but the first, have no first guess of their own: how dead a stop is tells them."""
-    of_drive: ClassVar[bool] = False
+    drivetrain: ClassVar[bool] = False
     """Whether every geared drive has it: of such losses and inertias none shows alone."""
     neutral: ClassVar[float] = 0.0
     """Value of its first parameter with which it does nothing."""
     polar: ClassVar[bool] = False
     """Whether its two parameters are the length and the angle of a vector, in whose components it is linear."""
-    in_time: ClassVar[bool] = False
+    time_driven: ClassVar[bool] = False
     """Whether a displacement goes with time, not with the joint's position."""
     joint_word: ClassVar[str | None] = None
     """What simulators call it that have it as one number of a joint: damping, drag, friction, armature, stiffness."""
-    plain: ClassVar[str] = ""
+    label: ClassVar[str] = ""
     """What a mechanic would call it."""
     experiment: ClassVar[str] = ""
     """What to record so that it parts from others that explain the same; empty for nothing that it has of its own."""
 
-    counts: ClassVar[int] = 1
+    complexity: ClassVar[int] = 1
     """How many effects it counts for where smaller sets come first: one for every three of its numbers, about."""
-    ends: ClassVar[tuple[str, ...]] = ()
+    range_fields: ClassVar[tuple[str, ...]] = ()
     """Parameters that are the ends of the way that was moved through, and no numbers to be fitted."""
-    becomes: ClassVar[str | None] = None
+    reduces_to: ClassVar[str | None] = None
     """The plainer effect that this one is in a special case: that one has the name unless it does worse."""
-    twin: ClassVar[str | None] = None
+    confounded_with: ClassVar[str | None] = None
     """The effect that does the same wherever the load on the bearing stays as it is."""
     dissipates: ClassVar[bool] = False
     """Whether it takes energy from the joint wherever that moves."""
     common: ClassVar[bool] = False
     """Whether every machine has it, more or less, as all have friction and none must have a notch."""
-    spans: ClassVar[tuple[str, ...]] = ()
+    basis_of: ClassVar[tuple[str, ...]] = ()
     """Forces of any shape that it helps to make: of "position", of "velocity", of "direction" alone."""
 
     def __post_init__(self) -> None:
@@ -268,7 +268,7 @@ class Effect(ABC):
         """Seconds by which a command ("command") or a reading ("reading") comes late."""
         return 0.0
 
-    def is_usual(self) -> bool:
+    def is_plausible(self) -> bool:
         """Whether real machines have it in this size; else it more likely stands for something that has no name."""
         return True
 
@@ -290,7 +290,7 @@ class Effect(ABC):
 
     # several of one kind, and other forms
 
-    def merged(self, other: Effect) -> Effect | None:
+    def merge(self, other: Effect) -> Effect | None:
         """One effect that does what this one and `other`, of the same class, do together; None where they stay two.
 
         Forces, friction and inertias of one number are in proportion to it and add; of what shafts give back the larger
@@ -302,13 +302,13 @@ class Effect(ABC):
         larger = {name: max(getattr(self, name), getattr(other, name)) for name in others}
         return type(self)(**{size: getattr(self, size) + getattr(other, size)}, **larger)
 
-    def alternatives(self, among: Surroundings) -> list[Alternative]:
+    def alternatives(self, at: OperatingPoint) -> list[Alternative]:
         """Effects that do much the same there, with the parameters at which they do: where a fit of one is found, fits
         of the others may begin."""
         return []
 
     @classmethod
-    def of_rocking(cls, frequency: float, waves: Array) -> Effect:
+    def from_rocking(cls, frequency: float, waves: Array) -> Effect:
         """The effect, one that is `in_time`, that is a rocking of the part in some runs.
 
         Args:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from freeart21.effects.base import Acts, Alternative, Effect, Surroundings, parameter
+from freeart21.effects.base import Acts, Alternative, Effect, OperatingPoint, parameter
 
 
 @dataclass(frozen=True)
@@ -15,21 +15,21 @@ class CoulombFriction(Effect):
 
     name: ClassVar[str] = "coulomb_friction"
     acts: ClassVar[Acts] = "drive"
-    plain: ClassVar[str] = "dry friction"
-    of_drive: ClassVar[bool] = True
+    label: ClassVar[str] = "dry friction"
+    drivetrain: ClassVar[bool] = True
     joint_word: ClassVar[str | None] = "friction"
     dissipates: ClassVar[bool] = True
     common: ClassVar[bool] = True
-    twin: ClassVar[str | None] = "load_friction"
-    spans: ClassVar[tuple[str, ...]] = ("velocity",)
-    departs: ClassVar[tuple[float, float]] = (0.1, 0.1)  # a level is what it is
+    confounded_with: ClassVar[str | None] = "load_friction"
+    basis_of: ClassVar[tuple[str, ...]] = ("velocity",)
+    model_error: ClassVar[tuple[float, float]] = (0.1, 0.1)  # a level is what it is
 
     level: float = parameter("N*m", "N", 0.0, 1e4, "size of the friction force", scale=0.1)
 
-    def alternatives(self, among: Surroundings) -> list[Alternative]:
+    def alternatives(self, at: OperatingPoint) -> list[Alternative]:
         """Friction of the usual load, and damping that is as strong at half the top speed."""
-        found = [Alternative("viscous_damping", {"coefficient": 2 * self.level / among.speed})]
-        return found + ([Alternative("load_friction", {"coefficient": self.level / among.load})] if among.load else [])
+        found = [Alternative("viscous_damping", {"coefficient": 2 * self.level / at.speed})]
+        return found + ([Alternative("load_friction", {"coefficient": self.level / at.load})] if at.load else [])
 
     @staticmethod
     def law(q: Any, qd: Any, load: Any, memory: Any, level: Any) -> Any:

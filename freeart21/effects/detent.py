@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from freeart21.effects.base import Acts, Alternative, Effect, Surroundings, parameter
+from freeart21.effects.base import Acts, Alternative, Effect, OperatingPoint, parameter
 
 CATCH = 1.5
 """Widths of a notch that a catch of the same force at the same place lets its part travel, about."""
@@ -25,19 +25,19 @@ class Detent(Effect):
 
     name: ClassVar[str] = "detent"
     acts: ClassVar[Acts] = "force"
-    plain: ClassVar[str] = "a notch that it clicks into"
-    spans: ClassVar[tuple[str, ...]] = ("position",)
-    knows_speed: ClassVar[bool] = False
-    departs: ClassVar[tuple[float, float]] = (0.0, 0.4)  # grooves and catches have all shapes
+    label: ClassVar[str] = "a notch that it clicks into"
+    basis_of: ClassVar[tuple[str, ...]] = ("position",)
+    speed_dependent: ClassVar[bool] = False
+    model_error: ClassVar[tuple[float, float]] = (0.0, 0.4)  # grooves and catches have all shapes
     form_error: ClassVar[float] = 0.09
-    widths: ClassVar[float] = 1.9  # a groove ends somewhere, which a Gaussian does not
+    support_widths: ClassVar[float] = 1.9  # a groove ends somewhere, which a Gaussian does not
 
     peak: float = parameter("N*m", "N", 0.0, 1e4, "largest holding force", scale=0.1)
     centre: float = parameter("rad", "m", -100.0, 100.0, "position that it holds", scale=0.1)
     width: float = parameter("rad", "m", 1e-5, 10.0, "distance from the centre to the largest force", scale=0.05)
     tail: float = parameter("1", "1", 0.05, 2.0, "how slowly the force ends beyond that", scale=0.1, default=0.5)
 
-    def alternatives(self, among: Surroundings) -> list[Alternative]:
+    def alternatives(self, at: OperatingPoint) -> list[Alternative]:
         """A spring, for a notch so wide that nothing of it but its slope is seen, and a catch of the same force."""
         spring = {"stiffness": self.peak * float(np.exp(self.tail)) / self.width, "rest": self.centre}
         catch = {"hold": self.peak, "position": self.centre, "travel": CATCH * self.width, "capture": 0.5}

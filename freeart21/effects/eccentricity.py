@@ -23,7 +23,7 @@ class Eccentricity(Effect):
     name: ClassVar[str] = "eccentricity"
     kind: ClassVar[Kind] = "kinematics"
     acts: ClassVar[Acts] = "pose"
-    plain: ClassVar[str] = "a pin out of round"
+    label: ClassVar[str] = "a pin out of round"
     polar: ClassVar[bool] = True
     joint_types: ClassVar[tuple[str, ...]] = ("revolute",)
 

@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from freeart21.effects.base import Acts, Alternative, Effect, Kind, Surroundings, parameter
+from freeart21.effects.base import Acts, Alternative, Effect, Kind, OperatingPoint, parameter
 
 
 @dataclass(frozen=True)
@@ -16,16 +16,16 @@ class EncoderOffset(Effect):
     name: ClassVar[str] = "encoder_offset"
     kind: ClassVar[Kind] = "sensing"
     acts: ClassVar[Acts] = "reading"
-    plain: ClassVar[str] = "a sensor whose zero is off"
+    label: ClassVar[str] = "a sensor whose zero is off"
     common: ClassVar[bool] = True
 
     offset: float = parameter("rad", "m", -100.0, 100.0, "reading at q = 0", scale=0.05)
 
-    def alternatives(self, among: Surroundings) -> list[Alternative]:
+    def alternatives(self, at: OperatingPoint) -> list[Alternative]:
         """A hinge's gravity that pulls from elsewhere: the same motion wherever nothing else has a place."""
-        cosine, sine, _ = among.gravity
+        cosine, sine, _ = at.gravity
         change = complex(cosine, sine) * complex(np.expm1(1j * self.offset))
-        if among.joint_type != "revolute":
+        if at.joint_type != "revolute":
             return []
         return [Alternative("gravity_offset", {"cosine": change.real, "sine": change.imag}, self.offset)]
 

@@ -16,9 +16,9 @@ class EncoderScale(Effect):
     name: ClassVar[str] = "encoder_scale"
     kind: ClassVar[Kind] = "sensing"
     acts: ClassVar[Acts] = "reading"
-    plain: ClassVar[str] = "a sensor whose scale is off"
+    label: ClassVar[str] = "a sensor whose scale is off"
     neutral: ClassVar[float] = 1.0
-    departs: ClassVar[tuple[float, float]] = (0.05, 0.05)  # scales are bent a little
+    model_error: ClassVar[tuple[float, float]] = (0.05, 0.05)  # scales are bent a little
 
     factor: float = parameter("1", "1", 0.1, 10.0, "reading per position", scale=0.1)
 

@@ -20,7 +20,7 @@ class EndStopBounce(Effect):
 
     name: ClassVar[str] = "end_stop_bounce"
     acts: ClassVar[Acts] = "stop"
-    plain: ClassVar[str] = "a stop that throws it back"
+    label: ClassVar[str] = "a stop that throws it back"
 
     restitution: float = parameter("1", "1", 0.0, 1.0, "speed after a slow impact per speed before it", scale=0.3)
     fading: float = parameter("s/rad", "s/m", 0.0, 1e6, "how fast that falls with speed", scale=0.1, default=0.0)

@@ -19,12 +19,12 @@ class ForceOverPosition(Effect):
 
     name: ClassVar[str] = "force_over_position"
     acts: ClassVar[Acts] = "force"
-    plain: ClassVar[str] = "a force that depends on where the joint is"
+    label: ClassVar[str] = "a force that depends on where the joint is"
     experiment: ClassVar[str] = "Move it slowly through its whole range, both ways, with a known force."
-    counts: ClassVar[int] = 3
-    ends: ClassVar[tuple[str, ...]] = ("first", "last")
-    knows_speed: ClassVar[bool] = False
-    departs: ClassVar[tuple[float, float]] = (0.0, 0.0)  # it has any shape as it is
+    complexity: ClassVar[int] = 3
+    range_fields: ClassVar[tuple[str, ...]] = ("first", "last")
+    speed_dependent: ClassVar[bool] = False
+    model_error: ClassVar[tuple[float, float]] = (0.0, 0.0)  # it has any shape as it is
 
     force_1: float = parameter("N*m", "N", -1e4, 1e4, "force at the first position", scale=0.1)
     force_2: float = parameter("N*m", "N", -1e4, 1e4, "force at 1/7 of the way", scale=0.1)

@@ -18,13 +18,13 @@ class FrictionOverPosition(Effect):
 
     name: ClassVar[str] = "friction_over_position"
     acts: ClassVar[Acts] = "drive"
-    plain: ClassVar[str] = "dry friction that differs from place to place"
+    label: ClassVar[str] = "dry friction that differs from place to place"
     experiment: ClassVar[str] = "Move it slowly through its whole range, both ways, with a known force."
-    counts: ClassVar[int] = 3
-    ends: ClassVar[tuple[str, ...]] = ("first", "last")
+    complexity: ClassVar[int] = 3
+    range_fields: ClassVar[tuple[str, ...]] = ("first", "last")
     dissipates: ClassVar[bool] = True
-    becomes: ClassVar[str | None] = "coulomb_friction"
-    departs: ClassVar[tuple[float, float]] = (0.1, 0.0)  # it has any shape over position as it is
+    reduces_to: ClassVar[str | None] = "coulomb_friction"
+    model_error: ClassVar[tuple[float, float]] = (0.1, 0.0)  # it has any shape over position as it is
 
     level_1: float = parameter("N*m", "N", 0.0, 1e4, "level at the first position", scale=0.1)
     level_2: float = parameter("N*m", "N", 0.0, 1e4, "level at 1/7 of the way", scale=0.1)

@@ -19,12 +19,12 @@ class GearFriction(Effect):
 
     name: ClassVar[str] = "gear_friction"
     acts: ClassVar[Acts] = "drive"
-    plain: ClassVar[str] = "friction in the gears that grows with what they carry"
-    of_drive: ClassVar[bool] = True
+    label: ClassVar[str] = "friction in the gears that grows with what they carry"
+    drivetrain: ClassVar[bool] = True
     dissipates: ClassVar[bool] = True
     common: ClassVar[bool] = True
     geared: ClassVar[bool] = True
-    departs: ClassVar[tuple[float, float]] = (0.1, 0.1)  # as Coulomb's
+    model_error: ClassVar[tuple[float, float]] = (0.1, 0.1)  # as Coulomb's
 
     coefficient: float = parameter("1", "1", 0.0, 0.95, "friction force per force that gears carry", scale=0.1)
 

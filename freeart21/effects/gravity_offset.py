@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from freeart21.effects.base import Acts, Alternative, Effect, Surroundings, parameter
+from freeart21.effects.base import Acts, Alternative, Effect, OperatingPoint, parameter
 
 
 @dataclass(frozen=True)
@@ -19,20 +19,20 @@ class GravityOffset(Effect):
 
     name: ClassVar[str] = "gravity_offset"
     acts: ClassVar[Acts] = "force"
-    plain: ClassVar[str] = "a pull of gravity other than the model's"
+    label: ClassVar[str] = "a pull of gravity other than the model's"
     common: ClassVar[bool] = True
-    knows_speed: ClassVar[bool] = False
-    departs: ClassVar[tuple[float, float]] = (0.0, 0.1)  # base or rails bend a little
+    speed_dependent: ClassVar[bool] = False
+    model_error: ClassVar[tuple[float, float]] = (0.0, 0.1)  # base or rails bend a little
 
     cosine: float = parameter("N*m", None, -1e4, 1e4, "torque at q = 0", scale=0.1, default=0.0)
     sine: float = parameter("N*m", None, -1e4, 1e4, "torque at q = 90 degrees", scale=0.1, default=0.0)
     constant: float = parameter(None, "N", -1e4, 1e4, "force along the axis", scale=0.1, default=0.0)
 
-    def alternatives(self, among: Surroundings) -> list[Alternative]:
+    def alternatives(self, at: OperatingPoint) -> list[Alternative]:
         """A sensor whose zero is off, for a hinge's gravity that pulls from elsewhere: see there."""
-        cosine, sine, _ = among.gravity
+        cosine, sine, _ = at.gravity
         was = complex(cosine, sine)
-        if among.joint_type != "revolute" or was == 0:
+        if at.joint_type != "revolute" or was == 0:
             return []
         turn = float(np.angle((was + complex(self.cosine, self.sine)) / was))
         return [Alternative("encoder_offset", {"offset": turn}, -turn)]

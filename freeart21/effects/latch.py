@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from freeart21.effects.base import Acts, Alternative, Effect, Surroundings, parameter
+from freeart21.effects.base import Acts, Alternative, Effect, OperatingPoint, parameter
 from freeart21.effects.detent import CATCH
 
 
@@ -22,17 +22,17 @@ class Latch(Effect):
 
     name: ClassVar[str] = "latch"
     acts: ClassVar[Acts] = "force"
-    plain: ClassVar[str] = "a catch that holds it"
-    knows_speed: ClassVar[bool] = False
-    departs: ClassVar[tuple[float, float]] = (0.0, 0.4)  # grooves and catches have all shapes
-    widths: ClassVar[float] = 1.0
+    label: ClassVar[str] = "a catch that holds it"
+    speed_dependent: ClassVar[bool] = False
+    model_error: ClassVar[tuple[float, float]] = (0.0, 0.4)  # grooves and catches have all shapes
+    support_widths: ClassVar[float] = 1.0
 
     hold: float = parameter("N*m", "N", 0.0, 1e4, "pull at which it lets go", scale=1.0)
     position: float = parameter("rad", "m", -100.0, 100.0, "where it holds the joint", scale=0.1)
     travel: float = parameter("rad", "m", 1e-5, 10.0, "distance from there at which it lets go", scale=0.02)
     capture: float = parameter("1", "1", 0.0, 1.0, "part of the travel within which it catches", scale=0.5)
 
-    def alternatives(self, among: Surroundings) -> list[Alternative]:
+    def alternatives(self, at: OperatingPoint) -> list[Alternative]:
         """A notch of the same force at the same place."""
         return [
             Alternative(

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from freeart21.effects.base import Acts, Alternative, Effect, Surroundings, parameter
+from freeart21.effects.base import Acts, Alternative, Effect, OperatingPoint, parameter
 
 
 @dataclass(frozen=True)
@@ -17,20 +17,20 @@ class LoadFriction(Effect):
 
     name: ClassVar[str] = "load_friction"
     acts: ClassVar[Acts] = "drive"
-    plain: ClassVar[str] = "friction that grows with the load"
+    label: ClassVar[str] = "friction that grows with the load"
     dissipates: ClassVar[bool] = True
     common: ClassVar[bool] = True
-    twin: ClassVar[str | None] = "coulomb_friction"
+    confounded_with: ClassVar[str | None] = "coulomb_friction"
     needs_load: ClassVar[bool] = True
-    departs: ClassVar[tuple[float, float]] = (0.1, 0.1)  # as Coulomb's
+    model_error: ClassVar[tuple[float, float]] = (0.1, 0.1)  # as Coulomb's
 
     coefficient: float = parameter("m", "1", 0.0, 10.0, "friction force per bearing force", scale=0.01)
 
-    def alternatives(self, among: Surroundings) -> list[Alternative]:
+    def alternatives(self, at: OperatingPoint) -> list[Alternative]:
         """Friction of the usual load's size, and damping that is as strong at half the top speed."""
-        level = self.coefficient * among.load
-        found = [Alternative("viscous_damping", {"coefficient": 2 * level / among.speed})]
-        return found + ([Alternative("coulomb_friction", {"level": level})] if among.load else [])
+        level = self.coefficient * at.load
+        found = [Alternative("viscous_damping", {"coefficient": 2 * level / at.speed})]
+        return found + ([Alternative("coulomb_friction", {"level": level})] if at.load else [])
 
     @staticmethod
     def law(q: Any, qd: Any, load: Any, memory: Any, coefficient: Any) -> Any:

@@ -21,7 +21,7 @@ class PivotOffset(Effect):
     name: ClassVar[str] = "pivot_offset"
     kind: ClassVar[Kind] = "kinematics"
     acts: ClassVar[Acts] = "pose"
-    plain: ClassVar[str] = "an axis that lies elsewhere"
+    label: ClassVar[str] = "an axis that lies elsewhere"
     joint_types: ClassVar[tuple[str, ...]] = ("revolute",)
 
     along_first: float = parameter("m", None, -10.0, 10.0, "shift along the first direction", scale=0.005)

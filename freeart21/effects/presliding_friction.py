@@ -20,13 +20,13 @@ class PreslidingFriction(Effect):
 
     name: ClassVar[str] = "presliding_friction"
     acts: ClassVar[Acts] = "force"
-    plain: ClassVar[str] = "dry friction that gives like a spring before it slides"
+    label: ClassVar[str] = "dry friction that gives like a spring before it slides"
     experiment: ClassVar[str] = "Push it to and fro by less and less, down to where it hardly moves."
     dissipates: ClassVar[bool] = True
     common: ClassVar[bool] = True
-    becomes: ClassVar[str | None] = "coulomb_friction"
-    knows_speed: ClassVar[bool] = False
-    departs: ClassVar[tuple[float, float]] = (0.1, 0.1)  # as of other dry friction
+    reduces_to: ClassVar[str | None] = "coulomb_friction"
+    speed_dependent: ClassVar[bool] = False
+    model_error: ClassVar[tuple[float, float]] = (0.1, 0.1)  # as of other dry friction
 
     level: float = parameter("N*m", "N", 0.0, 1e4, "size of the friction force once it slides", scale=0.1)
     travel: float = parameter("rad", "m", 1e-5, 10.0, "way over which it gives before it slides", scale=0.02)

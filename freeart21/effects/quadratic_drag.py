@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from freeart21.effects.base import Acts, Alternative, Effect, Surroundings, parameter
+from freeart21.effects.base import Acts, Alternative, Effect, OperatingPoint, parameter
 
 
 @dataclass(frozen=True)
@@ -16,18 +16,18 @@ class QuadraticDrag(Effect):
 
     name: ClassVar[str] = "quadratic_drag"
     acts: ClassVar[Acts] = "force"
-    plain: ClassVar[str] = "drag that grows with the square of speed"
+    label: ClassVar[str] = "drag that grows with the square of speed"
     joint_word: ClassVar[str | None] = "drag"
     dissipates: ClassVar[bool] = True
     common: ClassVar[bool] = True
-    spans: ClassVar[tuple[str, ...]] = ("velocity",)
-    departs: ClassVar[tuple[float, float]] = (0.2, 0.1)  # the power is not quite 2
+    basis_of: ClassVar[tuple[str, ...]] = ("velocity",)
+    model_error: ClassVar[tuple[float, float]] = (0.2, 0.1)  # the power is not quite 2
 
     coefficient: float = parameter("N*m*s^2/rad^2", "N*s^2/m^2", 0.0, 1e4, "force per speed squared", scale=0.01)
 
-    def alternatives(self, among: Surroundings) -> list[Alternative]:
+    def alternatives(self, at: OperatingPoint) -> list[Alternative]:
         """Damping that is as strong at half the top speed."""
-        return [Alternative("viscous_damping", {"coefficient": 0.5 * among.speed * self.coefficient})]
+        return [Alternative("viscous_damping", {"coefficient": 0.5 * at.speed * self.coefficient})]
 
     @staticmethod
     def law(q: Any, qd: Any, load: Any, memory: Any, coefficient: Any) -> Any:

@@ -14,11 +14,11 @@ class ReturnSpring(Effect):
 
     name: ClassVar[str] = "return_spring"
     acts: ClassVar[Acts] = "force"
-    plain: ClassVar[str] = "a spring"
+    label: ClassVar[str] = "a spring"
     joint_word: ClassVar[str | None] = "stiffness"
-    spans: ClassVar[tuple[str, ...]] = ("position", "direction")
-    knows_speed: ClassVar[bool] = False
-    departs: ClassVar[tuple[float, float]] = (0.0, 0.1)  # a coil's rate is even over the middle of its way only
+    basis_of: ClassVar[tuple[str, ...]] = ("position", "direction")
+    speed_dependent: ClassVar[bool] = False
+    model_error: ClassVar[tuple[float, float]] = (0.0, 0.1)  # a coil's rate is even over the middle of its way only
 
     stiffness: float = parameter("N*m/rad", "N/m", 0.0, 1e6, "force per displacement", scale=1.0)
     rest: float = parameter("rad", "m", -100.0, 100.0, "position without force", scale=0.1)
@@ -27,7 +27,7 @@ class ReturnSpring(Effect):
     def law(q: Any, qd: Any, load: Any, memory: Any, stiffness: Any, rest: Any) -> Any:
         return -stiffness * (q - rest)
 
-    def merged(self, other: Effect) -> ReturnSpring:
+    def merge(self, other: Effect) -> ReturnSpring:
         """Two springs side by side, which MJCF can say only as one."""
         assert isinstance(other, ReturnSpring)
         stiffness = self.stiffness + other.stiffness

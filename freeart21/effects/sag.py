@@ -20,7 +20,7 @@ class Sag(Effect):
     name: ClassVar[str] = "sag"
     kind: ClassVar[Kind] = "kinematics"
     acts: ClassVar[Acts] = "pose"
-    plain: ClassVar[str] = "sagging under its weight"
+    label: ClassVar[str] = "sagging under its weight"
     experiment: ClassVar[str] = (
         "Tip the base by some 30 degrees and record again: a joint that sags follows gravity, crooked parts do not."
     )

@@ -20,7 +20,7 @@ class ScrewPitch(Effect):
     name: ClassVar[str] = "screw_pitch"
     kind: ClassVar[Kind] = "kinematics"
     acts: ClassVar[Acts] = "pose"
-    plain: ClassVar[str] = "a thread: it shifts along its axis as it turns"
+    label: ClassVar[str] = "a thread: it shifts along its axis as it turns"
 
     pitch: float = parameter("m/rad", "rad/m", -100.0, 100.0, "second motion per first", scale=0.005)
 

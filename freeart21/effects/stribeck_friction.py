@@ -19,12 +19,12 @@ class StribeckFriction(Effect):
 
     name: ClassVar[str] = "stribeck_friction"
     acts: ClassVar[Acts] = "drive"
-    plain: ClassVar[str] = "friction that sticks before it slides"
+    label: ClassVar[str] = "friction that sticks before it slides"
     dissipates: ClassVar[bool] = True
     common: ClassVar[bool] = True
-    becomes: ClassVar[str | None] = "coulomb_friction"
-    spans: ClassVar[tuple[str, ...]] = ("velocity",)
-    departs: ClassVar[tuple[float, float]] = (0.2, 0.1)  # curves of many powers are measured
+    reduces_to: ClassVar[str | None] = "coulomb_friction"
+    basis_of: ClassVar[tuple[str, ...]] = ("velocity",)
+    model_error: ClassVar[tuple[float, float]] = (0.2, 0.1)  # curves of many powers are measured
 
     level: float = parameter("N*m", "N", 0.0, 1e4, "size of the friction force in fast motion", scale=0.1)
     rise: float = parameter("N*m", "N", 0.0, 1e4, "how much larger it is at rest", scale=0.1)

@@ -13,8 +13,8 @@ class TimeOffset(Effect):
     name: ClassVar[str] = "time_offset"
     kind: ClassVar[Kind] = "sensing"
     acts: ClassVar[Acts] = "reading"
-    plain: ClassVar[str] = "a sensor whose clock is off"
-    departs: ClassVar[tuple[float, float]] = (0.05, 0.05)  # readings are averages over a while
+    label: ClassVar[str] = "a sensor whose clock is off"
+    model_error: ClassVar[tuple[float, float]] = (0.05, 0.05)  # readings are averages over a while
 
     seconds: float = parameter("s", "s", -10.0, 10.0, "how late a reading is", scale=0.01)
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from freeart21.effects.base import Acts, Alternative, Effect, Surroundings, parameter
+from freeart21.effects.base import Acts, Alternative, Effect, OperatingPoint, parameter
 
 
 @dataclass(frozen=True)
@@ -12,19 +12,19 @@ class ViscousDamping(Effect):
 
     name: ClassVar[str] = "viscous_damping"
     acts: ClassVar[Acts] = "force"
-    plain: ClassVar[str] = "damping as by oil"
-    of_drive: ClassVar[bool] = True
+    label: ClassVar[str] = "damping as by oil"
+    drivetrain: ClassVar[bool] = True
     joint_word: ClassVar[str | None] = "damping"
     dissipates: ClassVar[bool] = True
     common: ClassVar[bool] = True
-    spans: ClassVar[tuple[str, ...]] = ("velocity",)
-    departs: ClassVar[tuple[float, float]] = (0.2, 0.1)  # oils thin with speed; films are much the same everywhere
+    basis_of: ClassVar[tuple[str, ...]] = ("velocity",)
+    model_error: ClassVar[tuple[float, float]] = (0.2, 0.1)  # oils thin with speed; films are much the same everywhere
 
     coefficient: float = parameter("N*m*s/rad", "N*s/m", 0.0, 1e4, "force per speed", scale=0.1)
 
-    def alternatives(self, among: Surroundings) -> list[Alternative]:
+    def alternatives(self, at: OperatingPoint) -> list[Alternative]:
         """Drag that is as strong at half the top speed."""
-        return [Alternative("quadratic_drag", {"coefficient": 2 * self.coefficient / among.speed})]
+        return [Alternative("quadratic_drag", {"coefficient": 2 * self.coefficient / at.speed})]
 
     @staticmethod
     def law(q: Any, qd: Any, load: Any, memory: Any, coefficient: Any) -> Any:

@@ -22,8 +22,8 @@ class Wobble(Effect):
     name: ClassVar[str] = "wobble"
     kind: ClassVar[Kind] = "kinematics"
     acts: ClassVar[Acts] = "pose"
-    plain: ClassVar[str] = "rocking in a worn bearing"
-    in_time: ClassVar[bool] = True
+    label: ClassVar[str] = "rocking in a worn bearing"
+    time_driven: ClassVar[bool] = True
     experiment: ClassVar[str] = (
         "Move the joint at another speed: rocking keeps its own frequency, the rest goes with the joint's position."
     )
@@ -34,7 +34,7 @@ class Wobble(Effect):
     direction: float = parameter("rad", "rad", -7.0, 7.0, "where across the axis it turns about", scale=1.0)
 
     @classmethod
-    def of_rocking(cls, frequency: float, waves: Array) -> Wobble:
+    def from_rocking(cls, frequency: float, waves: Array) -> Wobble:
         """Amplitude over all runs, phase of the first run."""
         u = np.linalg.svd(np.concatenate(list(waves), -1))[0][:, 0]
         u = u * (1.0 if u[int(np.argmax(np.abs(u)))] > 0 else -1.0)

@@ -24,7 +24,7 @@ from freeart21.measured import (
     Measured,
     Run,
     Timestamps,
-    without_copies,
+    drop_duplicate_runs,
 )
 from freeart21.mechanics import Actuator
 from freeart21.se3 import Array
@@ -85,7 +85,7 @@ def read_measured(folder: Path) -> Measured:
     scales = {column: _scale(unit, UNITS[kind][column]) for column, unit in units.items()}
     runs = tuple(_read_run(file, entry, kind, rate, scales, path) for file, entry in zip(files, listed, strict=True))
     runs, turns = _whole_turns(runs, kind, data.get("wrapped"), path)
-    runs, copies = without_copies(runs)
+    runs, copies = drop_duplicate_runs(runs)
     notes = (*turns, *copies)
     _check_rate(runs, rate, path)
     _check_channels(runs, units, efforts, actuator, path)

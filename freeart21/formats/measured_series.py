@@ -29,7 +29,7 @@ from freeart21.formats.position_units import RawMotion, joint_mechanics, unit_by
 from freeart21.formats.series_rows import Raw, begun, near, rising, unwrapped
 from freeart21.formats.time_series import Series, listed, read_series
 from freeart21.joint import JointType
-from freeart21.measured import EffortKind, Interpolation, Measured, Run, without_copies
+from freeart21.measured import EffortKind, Interpolation, Measured, Run, drop_duplicate_runs
 from freeart21.mechanics import Actuator, JointMechanics
 from freeart21.se3 import Array
 from freeart21.turns import is_wrapped
@@ -152,7 +152,7 @@ def measure_series(
     if drives:
         held = " and ".join(d for d in DRIVES if d in roles[0])
         notes.append(f"{held}: {_BETWEEN[settings.interpolation or 'unknown']}")
-    marked, copies = without_copies(_held_out(runs, files, settings.held_out))
+    marked, copies = drop_duplicate_runs(_held_out(runs, files, settings.held_out))
     notes += copies
     if not settings.held_out and len(runs) > 1:
         names = listed([run.name for run in runs])

@@ -12,7 +12,7 @@ from freeart21.camera_faults import CameraFaults
 from freeart21.effects.base import Effect
 from freeart21.files.camera_faults import faults_json
 from freeart21.joint import JointType
-from simgap.film import counts, geometry
+from simgap.film import geometry, pixel_faults
 from simgap.film.choose import Chosen
 from simgap.film.effects import camera_of
 from simgap.film.maps import FilmMap, flagged_places
@@ -20,20 +20,14 @@ from simgap.film.missing import MissingPart
 from simgap.film.samples import Rows
 from simgap.film.scene import FilmScene
 from simgap.models.localise import LEVEL, benjamini_hochberg
-from simgap.select.words import amount, capital, effect_words, plain
-from simgap.verdict import Answer as Answer
-from simgap.verdict import By as By
-from simgap.verdict import Corrected as Corrected
-from simgap.verdict import Named, RunGap, Verdict
-from simgap.verdict import Proof as Proof
-from simgap.verdict import Use as Use
-from simgap.verdict import Where as Where
+from simgap.select.words import amount, capitalise, effect_label, effect_words
+from simgap.verdict import NamedEffect, RunGap, Verdict
 
-LEFT = 0.1
+MIN_SHARE = 0.1
 """Share of a gap that may be left without a word, and that a name must close. Not measured."""
-TWICE = 2.0
+REPORTED_RATIO = 2.0
 """Floors from which on what is left is spoken of."""
-HALF = 0.5
+DOMINATED_SHARE = 0.5
 """Share of its gap that a name leaves, on confirming frames, where a nameless rival explains twice as much: then it is
 not what is there."""
 T_90 = 1.895
@@ -82,7 +76,7 @@ class FilmVerdict(Verdict):
 class Confirmed:
     """What confirming frames leave of what was chosen."""
 
-    named: tuple[Named, ...]
+    named: tuple[NamedEffect, ...]
     """Strongest first."""
     certain: tuple[str, ...]
     """Those that every set has which frames cannot tell from the best: only these go into the camera."""
@@ -106,7 +100,7 @@ def confirm(kinds: Sequence[Chosen], measure: Callable[[CameraFaults], dict[str,
     before, after = measure(CameraFaults()), measure(camera_of(e for c in kinds for e in c.effects))
     p_values = {name: p for c in kinds for name, p in c.p_values.items()}
     adjusted = dict(zip(p_values, benjamini_hochberg(np.array(list(p_values.values()))).tolist(), strict=True))
-    named, certain, notes = list[tuple[float, Named]](), list[str](), list[str]()
+    named, certain, notes = list[tuple[float, NamedEffect]](), list[str](), list[str]()
     rivals: tuple[tuple[str, ...], ...] = ()
     for c in kinds:
         closed = max((1 - after[g] / max(before[g], 1e-12) for g in c.kind.gaps if g in before), default=0.0)
@@ -115,16 +109,16 @@ def confirm(kinds: Sequence[Chosen], measure: Callable[[CameraFaults], dict[str,
             why = c.refused.get(name, "")
             if adjusted[name] > LEVEL:
                 why = f"not confirmed by the frames kept back (p = {adjusted[name]:.2g})"
-            elif c.dominated and closed < HALF:
+            elif c.dominated and closed < DOMINATED_SHARE:
                 why = f"errors by {c.dominated} explain far more"
-            elif closed < LEFT:
+            elif closed < MIN_SHARE:
                 why = "frames that were not fitted hardly come nearer with it"
             if why:
-                notes.append(f"{capital(plain(name))}: {why}")
+                notes.append(f"{capitalise(effect_label(name))}: {why}")
                 continue
             spread = {k: T_90 * c.errors.get(k, np.nan) for k in specs}
             low, high = ({k: c.values[k] + sign * spread[k] for k in specs} for sign in (-1, 1))
-            named.append((c.scores[0].total - c.scores[-1].total, Named(effect, low, high)))
+            named.append((c.scores[0].total - c.scores[-1].total, NamedEffect(effect, low, high)))
             certain += [name] if all(name in names for names in c.rivals) else []
         if len(c.rivals) > 1 and not rivals and any(n.effect.name in c.names for _, n in named):
             rivals = c.rivals
@@ -144,8 +138,8 @@ def verdict_of(
 ) -> FilmVerdict:
     """The verdict, gaps being measured with the camera that is delivered (and, as a trial, with all that is named)."""
     distance = float(np.median(rows["z"]))
-    remains = _left(kinds, found, gaps, distance)
-    answer: Any = "unexplained" if remains else "no_gap"
+    unexplained = _list_unexplained(kinds, found, gaps, distance)
+    answer: Any = "unexplained" if unexplained else "no_gap"
     if found.named or part is not None:
         answer = "ambiguous" if found.rivals else "named"
     large = {gap.regime for gap in gaps if gap.before > _bound(gap, distance)}
@@ -155,31 +149,31 @@ def verdict_of(
         tuple(w for gap, w in flagged_places(maps) if gap in large),
         gaps,
         found.rivals,
-        next_film(answer, remains),
-        _sentence(answer, found, part, remains),
+        next_film(answer, unexplained),
+        _sentence(answer, found, part, unexplained),
         found.certain,
         found.notes,
-        bool(remains) and answer in ("named", "ambiguous"),
+        bool(unexplained) and answer in ("named", "ambiguous"),
         by="picture",
         missing_part=part,
         cannot_tell=_cannot_tell(kinds, scene, rows),
-        left=tuple(remains),
+        left=tuple(unexplained),
         frames=frames,
         camera=found.delivered,
         poses=scene.placed.source,
     )
 
 
-def next_film(answer: str, remains: Sequence[str]) -> str | None:
+def next_film(answer: str, unexplained: Sequence[str]) -> str | None:
     """What to film where the answer leaves rivals or a remainder; None where it tells all."""
-    told = {
+    purposes = {
         "ambiguous": "depth and lens differ there in how they go with distance, angle and place in the picture",
         "unexplained": "what stays there is the camera's, what does not is the object's",
     }
-    if answer not in told and not remains:
+    if answer not in purposes and not unexplained:
         return None
     board = "Film a flat board of known size from half and from twice the distance, square on and tilted by 60 degrees"
-    return f"{board}, all over the picture: {told.get(answer, told['unexplained'])}."
+    return f"{board}, all over the picture: {purposes.get(answer, purposes['unexplained'])}."
 
 
 def size_text(value: float, unit: str) -> str:
@@ -187,13 +181,15 @@ def size_text(value: float, unit: str) -> str:
     return f"{100 * value:.2g} %" if unit == "1" else amount(value, unit)
 
 
-def _left(kinds: Sequence[Chosen], found: Confirmed, gaps: Sequence[QuantityGap], distance: float) -> list[str]:
+def _list_unexplained(
+    kinds: Sequence[Chosen], found: Confirmed, gaps: Sequence[QuantityGap], distance: float
+) -> list[str]:
     """What is above the floor without a name, a line each."""
     out = []
     fraying = any(n.effect.name.endswith(("holes", "flying_pixels")) for n in found.named)
     for gap in gaps:
         after = gap.after if gap.trial is None else gap.trial
-        if after <= max(_bound(gap, distance), LEFT * gap.before):
+        if after <= max(_bound(gap, distance), MIN_SHARE * gap.before):
             continue
         if gap.regime == geometry.GAPS[2] and fraying:
             continue  # what is lost or flies at the rim is missing from the outline, too
@@ -208,14 +204,14 @@ def _left(kinds: Sequence[Chosen], found: Confirmed, gaps: Sequence[QuantityGap]
 def _bound(gap: QuantityGap, distance: float) -> float:
     """What a gap must exceed to be called left."""
     if gap.regime == geometry.GAPS[0]:
-        return max(TWICE * gap.floor, geometry.LEAST_DEPTH * distance)
-    if gap.regime in (counts.LOST, counts.FLYING):
+        return max(REPORTED_RATIO * gap.floor, geometry.LEAST_DEPTH * distance)
+    if gap.regime in (pixel_faults.LOST, pixel_faults.FLYING):
         return gap.floor
-    return (1.25 if gap.unit == "px" else TWICE) * gap.floor
+    return (1.25 if gap.unit == "px" else REPORTED_RATIO) * gap.floor
 
 
 def _cannot_tell(kinds: Sequence[Chosen], scene: FilmScene, rows: Rows) -> tuple[tuple[str, str], ...]:
-    asked = {name for c in kinds for name in c.kind.effects}
+    judged_effects = {name for c in kinds for name in c.kind.effects}
     out = []
     if not scene.placed.exact:
         why = (
@@ -224,7 +220,7 @@ def _cannot_tell(kinds: Sequence[Chosen], scene: FilmScene, rows: Rows) -> tuple
         )
         out.append(("depth_scale, depth_offset, depth_curve, focal_length, principal_point", why))
         out += [("gamma_drift", "light that wanders over the asset's surface looks alike")] * scene.coloured
-    if "depth_delay" not in asked:
+    if "depth_delay" not in judged_effects:
         out.append(("depth_delay", "the object hardly moves in the picture: under half a pixel a frame"))
     if not scene.coloured:
         out.append(("exposure_drift, gamma_drift", "the asset says nothing of its colours"))
@@ -241,16 +237,16 @@ def _fault_words(effect: Effect) -> str:
     if not effect.name.endswith("_drift"):
         return effect_words(effect, "revolute")
     unit = next(iter(effect.parameters().values())).unit("revolute")
-    return f"{plain(effect.name)} ({amount(max(values) - min(values), unit)} in all)"
+    return f"{effect_label(effect.name)} ({amount(max(values) - min(values), unit)} in all)"
 
 
-def _sentence(answer: str, found: Confirmed, part: MissingPart | None, remains: Sequence[str]) -> str:
+def _sentence(answer: str, found: Confirmed, part: MissingPart | None, unexplained: Sequence[str]) -> str:
     lines = []
     sure = [_fault_words(n.effect) for n in found.named if n.effect.name in found.certain]
     if sure:
         lines.append(f"The camera has {', '.join(sure[:-1])}{' and ' * (len(sure) > 1)}{sure[-1]}.")
     if found.rivals:
-        sets = ", or ".join(" and ".join(plain(n) for n in names) for names in found.rivals)
+        sets = ", or ".join(" and ".join(effect_label(n) for n in names) for names in found.rivals)
         lines.append(f"These frames cannot decide between {sets}.")
     if part is not None:
         sides = " x ".join(f"{1e3 * v:.0f}" for v in part.size_m)
@@ -259,6 +255,6 @@ def _sentence(answer: str, found: Confirmed, part: MissingPart | None, remains: 
         lines.append("The simulated film is like the measured one: nothing exceeds what the comparison can tell.")
     if answer == "unexplained":
         lines.append("The films differ, and nothing in the library explains it.")
-    if remains:
-        lines.append(f"Left without a name: {'; '.join(remains)}.")
+    if unexplained:
+        lines.append(f"Left without a name: {'; '.join(unexplained)}.")
     return " ".join(lines)

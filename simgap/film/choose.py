@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from freeart21.effects.base import Effect
 from freeart21.se3 import Array
 from simgap.film.effects import effect_of
-from simgap.models.localise import sign_flips
-from simgap.select.predictive import Score, lead, smallest
+from simgap.models.localise import sign_flip_test
+from simgap.select.predictive import Score, score_difference, select_smallest
 
 Frames = NDArray[np.int64]
 """(n,) indices of frames, ascending."""
@@ -25,16 +25,16 @@ BEAM = 5
 LEAST_SHARE = 0.01
 """Of what the best set gains, that a larger set must bring: less is what a straight line misses of a curve, and columns
 are of first order. Not measured."""
-KEEPS = 0.5
+MAX_SIZE_CHANGE = 0.5
 """Share by which an effect's size may change beside a nameless rival that explains more. Not measured."""
-TWICE = 2.0
+DOMINATION_RATIO = 2.0
 """Times a set's gain from which on what a nameless rival explains is no more what the set explains."""
 GROUPS = 8
 """Of frames, each left out once for the standard error of a parameter (jackknife)."""
 
 
 @dataclass(frozen=True)
-class Fitted:
+class SetFit:
     """A set of effects with its numbers."""
 
     values: dict[str, float]
@@ -53,9 +53,9 @@ class Kind:
 
     name: str
     effects: tuple[str, ...]
-    fit: Callable[[tuple[str, ...], Frames, str], Fitted | None]
+    fit: Callable[[tuple[str, ...], Frames, str], SetFit | None]
     """Effects, frames and a nameless rival ('' for none) to the fit; None for a set that makes no sense."""
-    nameless: tuple[str, ...] = ()
+    discrepancies: tuple[str, ...] = ()
     """Free curves and maps that no name stands for: what they explain and no name does, has no name."""
     spare: float = LEAST_SHARE
     gaps: tuple[str, ...] = ()
@@ -81,7 +81,7 @@ class Chosen:
     refused: dict[str, str]
     """Effects that give way to a nameless rival, and why."""
     dominated: str
-    """A nameless rival that explains `TWICE` as much as the whole set; '' for none."""
+    """A nameless rival that explains `DOMINATION_RATIO` as much as the whole set; '' for none."""
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -93,14 +93,14 @@ def choose(kind: Kind, split: tuple[Frames, Frames, Frames]) -> Chosen:
     """The smallest set within one standard error of the best on the frames that choose."""
     fit_on, choose_on, _ = split
     stretches = np.flatnonzero(np.diff(choose_on, prepend=-2) > 1)
-    fits: dict[tuple[str, ...], Fitted] = {}
+    fits: dict[tuple[str, ...], SetFit] = {}
     scores: dict[tuple[str, ...], Score] = {}
 
-    def attempt(names: tuple[str, ...], nameless: str = "") -> float:
-        found = kind.fit(names, fit_on, nameless)
-        if found is None or not (found.matters or nameless):
+    def attempt(names: tuple[str, ...], discrepancies: str = "") -> float:
+        found = kind.fit(names, fit_on, discrepancies)
+        if found is None or not (found.matters or discrepancies):
             return -np.inf
-        key = (*names, nameless) if nameless else names
+        key = (*names, discrepancies) if discrepancies else names
         fits[key] = found
         scores[key] = Score(key, np.add.reduceat(found.judge(choose_on), stretches))
         return scores[key].total
@@ -117,22 +117,22 @@ def choose(kind: Kind, split: tuple[Frames, Frames, Frames]) -> Chosen:
     first = best[0]
     none, found = scores[()], fits[first.names]
     gain, refused, dominated = first.total - none.total, dict[str, str](), ""
-    for rival in kind.nameless if first.names else ():
+    for rival in kind.discrepancies if first.names else ():
         attempt((), rival)
         alone = scores[(rival,)]
-        if alone.total - none.total > TWICE * gain:
+        if alone.total - none.total > DOMINATION_RATIO * gain:
             dominated = rival
         if not found.sizes:
             continue
         attempt(first.names, rival)
         both = scores[(*first.names, rival)]
-        ahead, error = lead(alone, first)
-        if ahead <= max(error, kind.spare * gain) and both.total - first.total <= gain / TWICE:
+        ahead, error = score_difference(alone, first)
+        if ahead <= max(error, kind.spare * gain) and both.total - first.total <= gain / DOMINATION_RATIO:
             continue
-        brought, error = lead(both, alone)
+        brought, error = score_difference(both, alone)
         for name in first.names:
             own, then = found.sizes[name], fits[both.names].sizes[name]
-            if np.linalg.norm(then - own) > KEEPS * np.linalg.norm(own) or brought <= error:
+            if np.linalg.norm(then - own) > MAX_SIZE_CHANGE * np.linalg.norm(own) or brought <= error:
                 refused[name] = f"errors by {rival} explain more, and beside them it has another size"
     return Chosen(
         kind,
@@ -153,7 +153,7 @@ def _smallest(scores: dict[tuple[str, ...], Score], spare: float) -> tuple[Score
     named = list(scores.values())
     best = max(named, key=lambda s: s.total)
     near = [len(s.names) for s in named if s.names and best.total - s.total <= spare * (best.total - scores[()].total)]
-    return smallest([s for s in named if len(s.names) <= min(near, default=0)])
+    return select_smallest([s for s in named if len(s.names) <= min(near, default=0)])
 
 
 def _standard_errors(kind: Kind, names: tuple[str, ...], frames: Frames, values: dict[str, float]) -> dict[str, float]:
@@ -167,7 +167,7 @@ def _standard_errors(kind: Kind, names: tuple[str, ...], frames: Frames, values:
 
 def _p_value(
     kind: Kind,
-    fits: dict[tuple[str, ...], Fitted],
+    fits: dict[tuple[str, ...], SetFit],
     names: tuple[str, ...],
     name: str,
     split: tuple[Frames, Frames, Frames],
@@ -179,5 +179,5 @@ def _p_value(
     gains = fits[names].judge(split[2]) - without.judge(split[2])
     cap = 3 * max(float(np.median(np.abs(gains))), 1e-12)
     at, capped = np.arange(len(gains)), np.clip(gains, -cap, cap)
-    z, p, _ = sign_flips(at, np.zeros_like(at), capped, 1, np.random.default_rng(13))
+    z, p, _ = sign_flip_test(at, np.zeros_like(at), capped, 1, np.random.default_rng(13))
     return p if z[0] > 0 else 1.0

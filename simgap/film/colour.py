@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from freeart21.se3 import Array
 from simgap.film.choose import Kind
 from simgap.film.effects import KNOTS, parameters_of
-from simgap.film.geometry import Design, hats, linear_kind, stacked, waves
+from simgap.film.geometry import Design, cosine_products, hat_functions, linear_kind, stack_columns
 from simgap.film.linear import Block, LinearFit
 from simgap.film.samples import Rows
 
@@ -30,31 +30,33 @@ _FLOOR = (0.02, 0.01)
 
 def colour_design(rows: Rows) -> Design | None:
     """The rows of the colours as columns; None where too few tell anything."""
-    kept = _rows_of(rows)
-    if len(kept) < LEAST_ROWS:
+    usable = _rows_of(rows)
+    if len(usable) < LEAST_ROWS:
         return None
-    frame, light = rows.of("stops")[kept], light_of(rows)
+    frame, light = rows.of("stops")[usable], light_of(rows)
     contrast = light - np.median(light)
     share = np.array([f.share for f in rows.frames])
-    knots = hats(share, np.linspace(0, 1, KNOTS))[frame]
+    knots = hat_functions(share, np.linspace(0, 1, KNOTS))[frame]
     curve = knots[:, 1:] - knots[:, 1:].mean(0)
-    at = rows["at"][kept] / max(float(np.abs(rows["at"]).max(initial=1.0)), 1.0)
-    walking = (at[:, :, None] * knots[:, None, :]).reshape(len(kept), -1)
+    at = rows["at"][usable] / max(float(np.abs(rows["at"]).max(initial=1.0)), 1.0)
+    walking = (at[:, :, None] * knots[:, None, :]).reshape(len(usable), -1)
     of: dict[str, tuple[Array, ...]] = {
-        "surface": (np.concatenate([_lighting(rows["normal"][kept]), hats(light, 6)], 1),),
+        "surface": (np.concatenate([_lighting(rows["normal"][usable]), hat_functions(light, 6)], 1),),
         "exposure_drift": (curve,),
         "gamma_drift": (curve * light[:, None],),
-        _PLACES: (np.concatenate([waves(at), walking], 1),),
+        _PLACES: (np.concatenate([cosine_products(at), walking], 1),),
     }
-    columns, full, ridge = stacked(of, set(of), 3.0)
-    own = np.column_stack([np.ones(len(kept)), contrast])
-    return Design((Block(rows["stops"][kept], full[0], own, frame, _FLOOR, 12.0),), columns, columns["surface"], ridge)
+    columns, full, ridge = stack_columns(of, set(of), 3.0)
+    own = np.column_stack([np.ones(len(usable)), contrast])
+    return Design(
+        (Block(rows["stops"][usable], full[0], own, frame, _FLOOR, 12.0),), columns, columns["surface"], ridge
+    )
 
 
 def _rows_of(rows: Rows) -> NDArray[np.int64]:
     """(n,) rows that tell something of the colours, at most about `ROWS`, evenly drawn."""
-    kept = np.flatnonzero(np.isfinite(rows["stops"]) & (np.abs(rows["stops"]) < 6))
-    return kept[:: max(1, len(kept) // ROWS)]
+    usable = np.flatnonzero(np.isfinite(rows["stops"]) & (np.abs(rows["stops"]) < 6))
+    return usable[:: max(1, len(usable) // ROWS)]
 
 
 def light_of(rows: Rows) -> Array:

@@ -20,7 +20,7 @@ Map = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class Drawn:
+class RenderedFrame:
     """One simulated picture."""
 
     depth: Map
@@ -40,7 +40,7 @@ class Drawn:
         return np.asarray(self.rgb.mean(-1) / np.float32(255))
 
 
-def draw(scene: FilmScene, camera: Camera, Ts: tuple[Array, Array]) -> Drawn:
+def render(scene: FilmScene, camera: Camera, Ts: tuple[Array, Array]) -> RenderedFrame:
     """The picture of both parts at the poses `Ts` (4, 4), camera from canonical."""
     shape = (camera.height, camera.width)
     depth, face, weights = np.full(shape, np.inf), np.full(shape, -1), np.zeros((*shape, 3))
@@ -60,10 +60,10 @@ def draw(scene: FilmScene, camera: Camera, Ts: tuple[Array, Array]) -> Drawn:
     normals[on] = np.where(across[:, None] > 0, -n, n)
     cosine[on] = np.abs(across) / np.linalg.norm(ray, axis=1)
     rgb[on] = _colours(scene, corners, face[on], weights[on])
-    return Drawn(np.where(on, depth, 0).astype(np.float32), part, normals, cosine, rgb)
+    return RenderedFrame(np.where(on, depth, 0).astype(np.float32), part, normals, cosine, rgb)
 
 
-def between(Ts: Array, t: float) -> Array:
+def interpolate_pose(Ts: Array, t: float) -> Array:
     """The pose (4, 4) at time `t`, in frames, of poses (n, 4, 4): constant twists from frame to frame, and beyond."""
     k = int(np.clip(np.floor(t), 0, max(len(Ts) - 2, 0)))
     if len(Ts) == 1:

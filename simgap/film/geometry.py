@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from freeart21.camera_faults import CameraFaults
 from freeart21.se3 import Array
-from simgap.film.choose import Fitted, Frames, Kind
+from simgap.film.choose import Frames, Kind, SetFit
 from simgap.film.effects import parameters_of
 from simgap.film.linear import Block, LinearFit, density, fit_blocks
 from simgap.film.samples import Rows
@@ -20,12 +20,12 @@ BIAS = ("depth_scale", "depth_offset", "depth_curve")
 """Effects of the depth's size."""
 PICTURE = ("focal_length", "principal_point", "misregistration", "depth_delay")
 """Effects by which a film is simulated anew."""
-NAMELESS = ("place in the picture", "distance", "angle of incidence", "lens")
+DISCREPANCIES = ("place in the picture", "distance", "angle of incidence", "lens")
 GAPS = ("depth of inner pixels", "outline of the mask", "outline of the depth")
 LEAST_DEPTH, LEAST_PX = 5e-4, 0.15
 """An effect is not named that moves depth by less than this share of the distance and outlines by less than this many
 pixels, both as root mean squares: no camera is so good (Tolgyessy 2021: 1 part in 1,000), and no mask."""
-TOGETHER = 0.3
+MIN_COMBINED_SHARE = 0.3
 """Share of the largest of them that several errors of the depth's size must come to together. Not measured."""
 ROWS = 5000
 """Of a kind of rows, that a search reads."""
@@ -54,7 +54,7 @@ def linear_kind(
     name: str,
     design: Design,
     effects: tuple[str, ...],
-    nameless: tuple[str, ...],
+    discrepancies: tuple[str, ...],
     values_of: Callable[[str, Array], dict[str, float]],
     matters: Callable[[Design, LinearFit, tuple[str, ...]], bool],
     gaps: tuple[str, ...],
@@ -69,7 +69,7 @@ def linear_kind(
             cut[key] = [b.of(frames) for b in design.blocks]
         return cut[key]
 
-    def fit(names: tuple[str, ...], frames: Frames, rival: str) -> Fitted:
+    def fit(names: tuple[str, ...], frames: Frames, rival: str) -> SetFit:
         keys = (*names, rival) if rival else names
         columns = [*design.free, *(c for key in keys for c in design.columns[key])]
         found = fit_blocks(blocks_of(frames), columns, design.ridge)
@@ -79,9 +79,9 @@ def linear_kind(
             beta = found.beta[[found.chosen.index(c) for c in at]]
             values |= values_of(key, beta)
             sizes[key] = beta * root_squares[at]
-        return Fitted(values, lambda some: density(blocks_of(some), found, some), matters(design, found, names), sizes)
+        return SetFit(values, lambda some: density(blocks_of(some), found, some), matters(design, found, names), sizes)
 
-    return Kind(name, effects, fit, nameless, gaps=gaps)
+    return Kind(name, effects, fit, discrepancies, gaps=gaps)
 
 
 def geometry_kind(design: Design, shut: frozenset[str]) -> Kind:
@@ -90,14 +90,14 @@ def geometry_kind(design: Design, shut: frozenset[str]) -> Kind:
         "depth and outlines",
         replace(design, blocks=tuple(b.thinned(ROWS) for b in design.blocks)),
         tuple(e for e in (*BIAS, *PICTURE) if e not in shut),
-        NAMELESS,
+        DISCREPANCIES,
         lambda name, beta: dict(zip(parameters_of(name), beta.tolist(), strict=True)),
         _matters,
         GAPS,
     )
 
 
-def design_of(rows: Rows, depth_unit: float, exact: bool, simulated_with: CameraFaults) -> Design:
+def make_design(rows: Rows, depth_unit: float, exact: bool, simulated_with: CameraFaults) -> Design:
     """The rows as blocks: depth of inner pixels (metres), the mask's outline and the depth's outline (pixels).
 
     Args:
@@ -111,7 +111,7 @@ def design_of(rows: Rows, depth_unit: float, exact: bool, simulated_with: Camera
     edge_at, n, moving = rows["outline"], rows["outward"], rows["moving"]
     size = max(float(np.abs(np.concatenate([at, edge_at])).max(initial=1.0)), 1.0)
     along, along_edge = (slope * at).sum(1), (n * edge_at).sum(1)
-    turned, turned_edge = (slope * _turned(at)).sum(1), (n * _turned(edge_at)).sum(1)
+    turned, turned_edge = (slope * _rotate_quarter(at)).sum(1), (n * _rotate_quarter(edge_at)).sum(1)
     none = np.zeros(len(n))
 
     def inner_only(columns: Array) -> tuple[Array, ...]:
@@ -127,12 +127,12 @@ def design_of(rows: Rows, depth_unit: float, exact: bool, simulated_with: Camera
         "principal_point": (-slope, n, n),
         "misregistration": (shifted, 0 * shifted_edge, shifted_edge),
         "depth_delay": (later, none, moving),
-        "place in the picture": inner_only(waves(at / size)),
-        "distance": inner_only(hats(z, 6)),
-        "angle of incidence": inner_only(hats(rows["cosine"][inner], 6)),
+        "place in the picture": inner_only(cosine_products(at / size)),
+        "distance": inner_only(hat_functions(z, 6)),
+        "angle of incidence": inner_only(hat_functions(rows["cosine"][inner], 6)),
         "lens": (-along * r, along_edge * r_edge, along_edge * r_edge),
     }
-    columns, full, held = stacked(of, {"place in the picture", "distance", "angle of incidence"})
+    columns, full, held = stack_columns(of, {"place in the picture", "distance", "angle of incidence"})
     floor = depth_floor(float(np.median(z)) if len(z) else 1.0, depth_unit)
     own = np.ones((len(z), 1)) if exact else _planes(at / size, rows["part"][inner])
     edge = rows.of("mask_off")
@@ -147,7 +147,7 @@ def design_of(rows: Rows, depth_unit: float, exact: bool, simulated_with: Camera
     return Design(tuple(blocks), columns, ridge=held)
 
 
-def stacked(
+def stack_columns(
     of: dict[str, tuple[Array, ...]], held: set[str], deviation: float = 0.01
 ) -> tuple[dict[str, tuple[int, ...]], list[Array], Array]:
     """Names to numbers of columns, the columns of each block (n, K), and a ridge (K,) that holds what is in `held` to
@@ -168,20 +168,20 @@ def depth_floor(distance: float, depth_unit: float) -> float:
     return max(0.5 * depth_unit, 1e-4 * distance)
 
 
-def hats(x: Array, knots: int | Array) -> Array:
+def hat_functions(x: Array, knots: int | Array) -> Array:
     """(n, knots) hat functions over x (n,), at its quantiles or at given knots."""
     if isinstance(knots, int):
         knots = np.unique(np.quantile(x, np.linspace(0.01, 0.99, knots))) if len(x) else np.arange(float(knots))
     return np.stack([np.interp(x, knots, one) for one in np.eye(len(knots))], -1)
 
 
-def waves(at: Array) -> Array:
+def cosine_products(at: Array) -> Array:
     """(n, 15) products of cosines over the picture, `at` (n, 2) in -1 to 1; all but the constant."""
     x, y = (np.stack([np.cos(np.pi * k * (a + 1) / 2) for k in range(4)], -1) for a in (at[:, 0], at[:, 1]))
     return np.asarray((x[:, :, None] * y[:, None, :]).reshape(len(at), 16)[:, 1:])
 
 
-def _turned(at: Array) -> Array:
+def _rotate_quarter(at: Array) -> Array:
     return np.stack([-at[:, 1], at[:, 0]], -1)
 
 
@@ -202,4 +202,6 @@ def _matters(design: Design, fit: LinearFit, names: tuple[str, ...]) -> bool:
         if depth < LEAST_DEPTH * distance and max(outlines) < LEAST_PX:
             return False
     bias = [moves[name][0] for name in names if name in BIAS]
-    return len(bias) < 2 or root_mean_square(np.sum(bias, 0)) >= TOGETHER * max(root_mean_square(m) for m in bias)
+    return len(bias) < 2 or root_mean_square(np.sum(bias, 0)) >= MIN_COMBINED_SHARE * max(
+        root_mean_square(m) for m in bias
+    )

@@ -99,7 +99,7 @@ def fit_blocks(blocks: Sequence[Block], chosen: Sequence[int], ridge: Array | No
             if not len(b.y):
                 continue
             m, v, e = _frame_effects(b, fit.residual(b), sigma[i], tau[i])
-            inlying = _inlying(e, sigma[i], b.span)
+            inlying = _inlier_share(e, sigma[i], b.span)
             w = inlying * (NU + 1) / (NU + (e / sigma[i]) ** 2)
             sigma[i] = max(float(np.sqrt((w * e**2).sum() / max(inlying.sum(), 1))), b.least[0])
             tau[i] = max(float(np.sqrt(np.mean(m**2 + v))), b.least[1])
@@ -119,19 +119,19 @@ def density(blocks: Sequence[Block], fit: LinearFit, frames: NDArray[np.int64]) 
         if not len(b.y):
             continue
         m, v, e = _frame_effects(b, fit.residual(b), s, t)
-        rows = np.add.reduceat(np.log(_likely(e, s) + OUTLIERS / b.span), b.starts)
+        rows = np.add.reduceat(np.log(_inlier_density(e, s) + OUTLIERS / b.span), b.starts)
         rows += (-0.5 * m**2 / (t**2 + v) - 0.5 * np.log(2 * np.pi * (t**2 + v)) + 0.5 * np.log(v)).sum(1)
         out[np.searchsorted(frames, b.frame[b.starts])] += rows
     return out
 
 
-def _likely(e: Array, s: float) -> Array:
+def _inlier_density(e: Array, s: float) -> Array:
     """Density of Student's t of 4 degrees, whose value at 0 is 3 / 8, for all but outliers."""
     return np.asarray((1 - OUTLIERS) * 0.375 / s * (1 + (e / s) ** 2 / NU) ** (-(NU + 1) / 2))
 
 
-def _inlying(e: Array, s: float, span: float) -> Array:
-    p = _likely(e, s)
+def _inlier_share(e: Array, s: float, span: float) -> Array:
+    p = _inlier_density(e, s)
     return np.asarray(p / (p + OUTLIERS / span))
 
 
@@ -143,7 +143,7 @@ def _frame_effects(b: Block, r: Array, s: float, t: float) -> tuple[Array, Array
     m: Array = np.zeros((len(b.starts), d))
     e: Array = r
     for _ in range(3):
-        w = _inlying(e, s, b.span) * (NU + 1) / (NU + (e / s) ** 2) / s**2
+        w = _inlier_share(e, s, b.span) * (NU + 1) / (NU + (e / s) ** 2) / s**2
         H = np.add.reduceat(w[:, None, None] * squares, b.starts)
         g = np.add.reduceat((w * r)[:, None] * b.own, b.starts)
         m = np.asarray(np.linalg.solve(H + np.eye(d) / t**2, g[..., None])[..., 0], float)

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from freeart21.camera_faults import CameraFaults
 from freeart21.se3 import Array
-from simgap.film import colour, counts, geometry
+from simgap.film import colour, geometry, pixel_faults
 from simgap.film.samples import Rows
 from simgap.models.localise import LEVEL, ResidualMap, bin_map, correct_maps
-from simgap.verdict import Where
+from simgap.verdict import Region
 
 _BINS = 10
 _PICTURE = (9, 12)
@@ -49,7 +49,7 @@ def film_maps(rows: Rows, coloured: bool) -> tuple[FilmMap, ...]:
     lost = np.isnan(rows["error"]).astype(float)
     lost -= (np.bincount(inner, lost) / np.maximum(np.bincount(inner), 1))[inner]  # against the frame's mean
     error = (geometry.GAPS[0], "depth error", "mm", 1e3 * rows["error"], inner)
-    holes = (counts.LOST, "holes", "%", 100 * lost, inner)
+    holes = (pixel_faults.LOST, "holes", "%", 100 * lost, inner)
     masks, depths = (
         (gap, gap, "px", rows[field], edge)
         for gap, field in zip(geometry.GAPS[1:], ("mask_off", "depth_off"), strict=True)
@@ -60,17 +60,17 @@ def film_maps(rows: Rows, coloured: bool) -> tuple[FilmMap, ...]:
     wanted = [(what, *over) for what in (error, holes) for over in surface]
     wanted += [(what, "direction of the outline", "° from right, clockwise", outward) for what in (masks, depths)]
     wanted += [(what, "time", "of the film", share[inner]) for what in (error, *[bright] * coloured)]
-    flying = counts.flies(rows, CameraFaults()).astype(float)
-    flying_map = (counts.FLYING, counts.FLYING, "%", 100 * (flying - flying.mean()), band)
+    flying = pixel_faults.find_flying(rows, CameraFaults()).astype(float)
+    flying_map = (pixel_faults.FLYING, pixel_faults.FLYING, "%", 100 * (flying - flying.mean()), band)
     wanted += [(flying_map, "distance to the edge", "px", rows["band"])]
     made = [_over_picture(what, rows["at"], rng) for what in (error, holes)]
     for (gap, what, unit, values, frame), over, over_unit, x in wanted:
-        kept = np.isfinite(values) & np.isfinite(x)
-        if kept.any():
-            low, high = np.percentile(x[kept], [1, 99])
+        usable = np.isfinite(values) & np.isfinite(x)
+        if usable.any():
+            low, high = np.percentile(x[usable], [1, 99])
             edges = np.linspace(low, max(high, low + 1e-9), _BINS + 1)
-            bins = np.clip(np.searchsorted(edges, x[kept], side="right") - 1, 0, _BINS - 1)
-            found = bin_map(f"{what} by {over}", edges, bins, _capped(values[kept]), frame[kept], rng)
+            bins = np.clip(np.searchsorted(edges, x[usable], side="right") - 1, 0, _BINS - 1)
+            found = bin_map(f"{what} by {over}", edges, bins, _capped(values[usable]), frame[usable], rng)
             made.append(FilmMap(gap, what, unit, over, over_unit, found, np.zeros(0)))
     corrected = correct_maps([m.bins for m in made])
     return tuple(replace(m, bins=bins) for m, bins in zip(made, corrected, strict=True))
@@ -78,19 +78,19 @@ def film_maps(rows: Rows, coloured: bool) -> tuple[FilmMap, ...]:
 
 def _over_picture(what: tuple[str, str, str, Array, NDArray[np.int64]], at: Array, rng: np.random.Generator) -> FilmMap:
     gap, name, unit, values, frame = what
-    kept = np.isfinite(values)
+    usable = np.isfinite(values)
     ends = np.percentile(at, [0.5, 99.5], axis=0) if len(at) else np.array([[-1.0, -1.0], [1.0, 1.0]])
     columns, lines = (np.linspace(ends[0, k], ends[1, k], n + 1) for k, n in ((0, _PICTURE[1]), (1, _PICTURE[0])))
     column, line = (
-        np.clip(np.searchsorted(edges, at[kept, k]) - 1, 0, len(edges) - 2) for k, edges in ((0, columns), (1, lines))
+        np.clip(np.searchsorted(edges, at[usable, k]) - 1, 0, len(edges) - 2) for k, edges in ((0, columns), (1, lines))
     )
     cells = np.arange(_PICTURE[0] * _PICTURE[1] + 1.0)
     bins = line * _PICTURE[1] + column
-    found = bin_map(f"{name} by place in the picture", cells, bins, _capped(values[kept]), frame[kept], rng)
+    found = bin_map(f"{name} by place in the picture", cells, bins, _capped(values[usable]), frame[usable], rng)
     return FilmMap(gap, name, unit, "place in the picture", "px", replace(found, edges=columns), lines)
 
 
-def flagged_places(maps: tuple[FilmMap, ...]) -> list[tuple[str, Where]]:
+def flagged_places(maps: tuple[FilmMap, ...]) -> list[tuple[str, Region]]:
     """Of every map that differs from nothing beyond chance its gap, and where it is largest."""
     found = []
     for m in maps:
@@ -106,7 +106,7 @@ def flagged_places(maps: tuple[FilmMap, ...]) -> list[tuple[str, Where]]:
         else:
             ends = float(b.edges[k]), float(b.edges[k + 1])
             text = f"{m.what}: {size} at {m.over} {ends[0]:.3g} to {ends[1]:.3g} {m.over_unit}".strip()
-        found.append((m.gap, Where(b.quantity, *ends, b.adjusted, text)))
+        found.append((m.gap, Region(b.quantity, *ends, b.adjusted, text)))
     return found
 
 

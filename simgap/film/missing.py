@@ -21,11 +21,11 @@ CELLS = 30
 """Cells along the object's diagonal: a cell is larger than what poses and depth are off by (1 % of the diagonal)."""
 LEAST_SHARE = 0.01
 """Of the object's pixels that the blob must cover in the frames that show it: less is a rim of the mask."""
-KEEPS = 0.6
+MIN_PRESENCE = 0.6
 """Share of the frames that can see a place of it in which something must be there."""
 LEAST_FRAMES = 4
 LEAST_CELLS = 3
-LEAST_TOLD = 0.5
+MIN_EXPLAINED = 0.5
 """Share of the confirming frames' excess points that must lie in the blob's cells."""
 
 
@@ -47,7 +47,7 @@ class MissingPart:
     """Of the object's pixels in such frames, the share that it covers."""
 
 
-def missing_part(
+def find_missing_part(
     recording: Recording,
     scene: FilmScene,
     rows: Rows,
@@ -61,32 +61,32 @@ def missing_part(
     cell = scene.diagonal / CELLS
     found = []
     for k, name in enumerate(("reference", "moving")):
-        cells = _kept(recording, scene, rows, learn, k, cell)
+        cells = _persistent_cells(recording, scene, rows, learn, k, cell)
         if len(cells) >= LEAST_CELLS:
-            told, frames, pixels = _told(rows, scene, split[2], k, cells, cell)
-            found.append((told, name, cells, frames, pixels))
+            explained, frames, pixels = _explained_share(rows, scene, split[2], k, cells, cell)
+            found.append((explained, name, cells, frames, pixels))
     if not found:
         return None
-    told, name, cells, frames, pixels = max(found, key=lambda f: f[0])
-    if told < LEAST_TOLD or frames < 2 or pixels < LEAST_SHARE:
+    explained, name, cells, frames, pixels = max(found, key=lambda f: f[0])
+    if explained < MIN_EXPLAINED or frames < 2 or pixels < LEAST_SHARE:
         return None
     low, high = cells.min(0) * cell, (cells.max(0) + 1) * cell
-    return MissingPart(name, (low + high) / 2, high - low, frames, told, pixels)
+    return MissingPart(name, (low + high) / 2, high - low, frames, explained, pixels)
 
 
-def _places(rows: Rows, scene: FilmScene, i: int, k: int, cell: float) -> NDArray[np.int64]:
+def _excess_cells(rows: Rows, scene: FilmScene, i: int, k: int, cell: float) -> NDArray[np.int64]:
     """(m, 3) cells of a frame's excess points in the frame of part `k`."""
     frame = rows.frames[i]
     return np.floor(se3.transform(se3.inverse(scene.placed.Ts[k][frame.frame]), frame.excess) / cell).astype(int)
 
 
-def _kept(
+def _persistent_cells(
     recording: Recording, scene: FilmScene, rows: Rows, learn: NDArray[np.int64], k: int, cell: float
 ) -> NDArray[np.int64]:
     """(m, 3) cells of part `k` in which something is in most frames that can see them."""
     shown: dict[tuple[int, ...], int] = {}
     for i in learn:
-        for place in {tuple(p) for p in _places(rows, scene, int(i), k, cell).tolist()}:
+        for place in {tuple(p) for p in _excess_cells(rows, scene, int(i), k, cell).tolist()}:
             shown[place] = shown.get(place, 0) + 1
     cells = np.array([place for place, times in shown.items() if times >= LEAST_FRAMES], int).reshape(-1, 3)
     if not len(cells):
@@ -95,14 +95,12 @@ def _kept(
     for i in learn:
         frame = recording.frame(rows.frames[int(i)].frame)
         points = se3.transform(scene.placed.Ts[k][rows.frames[int(i)].frame], (cells + 0.5) * cell)
-        empty += _looked_through(recording.camera, frame.depth, frame.mask, points, cell)
+        empty += _is_empty(recording.camera, frame.depth, frame.mask, points, cell)
     times = np.array([shown[tuple(c)] for c in cells.tolist()])
-    return np.asarray(cells[times / (times + empty) >= KEEPS])
+    return np.asarray(cells[times / (times + empty) >= MIN_PRESENCE])
 
 
-def _looked_through(
-    camera: Camera, depth: NDArray, mask: NDArray[np.bool_], points: Array, cell: float
-) -> NDArray[np.bool_]:
+def _is_empty(camera: Camera, depth: NDArray, mask: NDArray[np.bool_], points: Array, cell: float) -> NDArray[np.bool_]:
     """Whether the picture shows something behind each point, or nothing of the object there."""
     at = np.floor(camera.project(points)).astype(int)
     inside = (at[:, 0] >= 0) & (at[:, 1] >= 0) & (at[:, 0] < camera.width) & (at[:, 1] < camera.height)
@@ -114,7 +112,7 @@ def _looked_through(
     return out
 
 
-def _told(
+def _explained_share(
     rows: Rows, scene: FilmScene, frames: NDArray[np.int64], k: int, cells: NDArray[np.int64], cell: float
 ) -> tuple[float, int, float]:
     """Share of the frames' excess points in the cells or beside them, frames that show some, and pixels' share."""
@@ -122,10 +120,10 @@ def _told(
     wide = {tuple(c) for c in (cells[:, None] + reach).reshape(-1, 3).tolist()}
     inside, total, seen, shares = 0, 0, 0, []
     for i in frames:
-        places = _places(rows, scene, int(i), k, cell).tolist()
+        places = _excess_cells(rows, scene, int(i), k, cell).tolist()
         hits = sum(tuple(p) in wide for p in places)
         inside, total = inside + hits, total + len(places)
         if hits > 5:
             seen += 1
-            shares.append(rows.frames[int(i)].beside * hits / len(places) / max(rows.frames[int(i)].pixels, 1))
+            shares.append(rows.frames[int(i)].excess_pixels * hits / len(places) / max(rows.frames[int(i)].pixels, 1))
     return inside / max(total, 1), seen, float(np.median(shares)) if shares else 0.0

@@ -15,7 +15,7 @@ from freeart21.view.document import Section, data_url, document, escape
 from freeart21.view.tables import table_section
 from simgap.film.answer import FilmVerdict, size_text
 from simgap.film.maps import FilmMap
-from simgap.film.samples import simulated
+from simgap.film.samples import simulate_frame
 from simgap.film.workflow import Found
 from simgap.page.replay_page import repeat_section
 from simgap.page.report import (
@@ -28,7 +28,7 @@ from simgap.page.report import (
     tile,
 )
 from simgap.page.report_plots import map_drawing, p_text
-from simgap.select.predictive import lead
+from simgap.select.predictive import score_difference
 
 Image = NDArray[np.uint8]
 MARGIN = 0.12
@@ -69,7 +69,7 @@ def page(verdict: FilmVerdict, found: Found, command: str, seconds: float) -> st
             Ranked(
                 tuple(n if n in kind.kind.effects else f"errors by {n}" for n in s.names),
                 np.nan,
-                *lead(s, kind.scores[0]),
+                *score_difference(s, kind.scores[0]),
             )
             for s in kind.scores[:8]
         ]
@@ -145,8 +145,8 @@ def _frame(verdict: FilmVerdict, found: Found) -> Section:
     recording, scene, camera = found.film.recording, found.film.scene, verdict.camera
     fps = 1 / float(np.median(np.diff(recording.times_s)))
     frame = recording.frame(index)
-    ideal = simulated(scene, recording.camera, type(camera)(), index, fps).colour
-    then = simulated(scene, recording.camera, camera, index, fps)
+    ideal = simulate_frame(scene, recording.camera, type(camera)(), index, fps).colour
+    then = simulate_frame(scene, recording.camera, camera, index, fps)
     rest = replace(camera, depth_shift_u=0.0, depth_shift_v=0.0, depth_turn=0.0)
     rng = np.random.default_rng([index, 51])
     depth = rest.depth(then.depth.depth, then.depth.brightness, then.depth.cosine, recording.camera, rng)
@@ -163,7 +163,7 @@ def _frame(verdict: FilmVerdict, found: Found) -> Section:
     ]
     colours = [frame.rgb[box], np.rint(ideal.rgb).astype(np.uint8)[box], rgb[box]]
     names = ["measured", "simulated, as the asset is", "simulated, with camera.json"]
-    shown = slice(2 if camera.none else 3)
+    shown = slice(2 if camera.is_ideal else 3)
     figures = "".join(
         f'<figure><figcaption><b>{what}</b>, {name}</figcaption><img class="pixels" alt="{what}, {name}" '
         f'src="{_png(_sized(image))}"></figure>'

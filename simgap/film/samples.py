@@ -16,10 +16,10 @@ from scipy.ndimage import map_coordinates
 
 from freeart21 import se3
 from freeart21.camera import Camera
-from freeart21.camera_faults import CameraFaults, decoded
+from freeart21.camera_faults import CameraFaults, srgb_decode
 from freeart21.recording import Frame, Recording
 from freeart21.se3 import Array
-from simgap.film.drawing import Drawn, between, draw
+from simgap.film.drawing import RenderedFrame, interpolate_pose, render
 from simgap.film.scene import FilmScene
 
 INNER_PX = 3.0
@@ -53,7 +53,7 @@ class FrameRows:
     """Of the simulated object."""
     excess: Array
     """(m, 3) measured points, camera frame, in the mask but before or beside the asset by far."""
-    beside: int
+    excess_pixels: int
     """How many pixels such points stand for."""
 
 
@@ -99,31 +99,31 @@ class Rows:
 class Simulated:
     """One frame as the simulated camera has it."""
 
-    colour: Drawn
-    depth: Drawn
+    colour: RenderedFrame
+    depth: RenderedFrame
 
 
-def simulated(scene: FilmScene, camera: Camera, faults: CameraFaults, frame: float, fps: float) -> Simulated:
+def simulate_frame(scene: FilmScene, camera: Camera, faults: CameraFaults, frame: float, fps: float) -> Simulated:
     """The two pictures of a moment, with what `faults` does to their geometry and timing alone."""
-    seeing = faults.seeing(camera)
-    Ts = between(scene.placed.Ts[0], frame), between(scene.placed.Ts[1], frame)
-    colour = draw(scene, seeing, Ts)
+    actual_camera = faults.actual_camera(camera)
+    Ts = interpolate_pose(scene.placed.Ts[0], frame), interpolate_pose(scene.placed.Ts[1], frame)
+    colour = render(scene, actual_camera, Ts)
     if not (faults.depth_shift_u or faults.depth_shift_v or faults.depth_turn or faults.depth_delay):
         return Simulated(colour, colour)
-    K = np.array(seeing.K)
+    K = np.array(actual_camera.K)
     K[:2, 2] += faults.depth_shift_u, faults.depth_shift_v
     roll = se3.pose(se3.exp_so3(np.array([0.0, 0.0, faults.depth_turn])), np.zeros(3))
     then = frame - faults.depth_delay * fps
-    Ts = roll @ between(scene.placed.Ts[0], then), roll @ between(scene.placed.Ts[1], then)
-    return Simulated(colour, draw(scene, Camera(K, camera.width, camera.height), Ts))
+    Ts = roll @ interpolate_pose(scene.placed.Ts[0], then), roll @ interpolate_pose(scene.placed.Ts[1], then)
+    return Simulated(colour, render(scene, Camera(K, camera.width, camera.height), Ts))
 
 
-def rows_of(
+def sample_rows(
     recording: Recording,
     scene: FilmScene,
     frames: Sequence[int] | NDArray[np.int64],
     faults: CameraFaults | None = None,
-    tell: Callable[[], None] = lambda: None,
+    report: Callable[[], None] = lambda: None,
 ) -> Rows:
     """The rows of `frames`, about the simulated camera with the geometry and timing of `faults`."""
     faults = faults or CameraFaults()
@@ -131,19 +131,19 @@ def rows_of(
     rows = []
     for i in frames:
         rows.append(_frame_rows(recording, scene, int(i), faults, fps))
-        tell()
+        report()
     return Rows(tuple(rows))
 
 
 def _frame_rows(recording: Recording, scene: FilmScene, i: int, faults: CameraFaults, fps: float) -> FrameRows:
     camera, frame = recording.camera, recording.frame(i)
-    now, before = (simulated(scene, camera, faults, t, fps) for t in (i, i - AHEAD))
+    now, before = (simulate_frame(scene, camera, faults, t, fps) for t in (i, i - AHEAD))
     rng = np.random.default_rng([i, 41])
-    principal = faults.seeing(camera).K[:2, 2]
-    rows = _outlines(now, before, frame, principal, fps, rng)
-    rows |= _inner(now, before, frame, principal, fps, rng) | _band(now.depth, frame, rng)
+    principal = faults.actual_camera(camera).K[:2, 2]
+    rows = _sample_outlines(now, before, frame, principal, fps, rng)
+    rows |= _sample_inner(now, before, frame, principal, fps, rng) | _sample_edges(now.depth, frame, rng)
     pixels = int((now.colour.part > 0).sum())
-    return FrameRows(i, i / max(len(recording) - 1, 1), rows, pixels, *_excess(now, frame, camera, rng))
+    return FrameRows(i, i / max(len(recording) - 1, 1), rows, pixels, *_find_excess(now, frame, camera, rng))
 
 
 def depth_edges(depth: NDArray) -> tuple[NDArray[np.bool_], NDArray]:
@@ -155,12 +155,12 @@ def depth_edges(depth: NDArray) -> tuple[NDArray[np.bool_], NDArray]:
     return nearer, cv2.distanceTransform((~either).astype(np.uint8), cv2.DIST_L2, 3)
 
 
-def _chosen(mask: NDArray[np.bool_], most: int, rng: np.random.Generator) -> NDArray[np.int64]:
+def _draw_pixels(mask: NDArray[np.bool_], most: int, rng: np.random.Generator) -> NDArray[np.int64]:
     flat = np.flatnonzero(mask)
     return np.sort(rng.choice(flat, most, replace=False)) if len(flat) > most else flat
 
 
-def _inner(
+def _sample_inner(
     now: Simulated, before: Simulated, frame: Frame, principal: Array, fps: float, rng: np.random.Generator
 ) -> dict[str, NDArray]:
     z = now.depth.depth.astype(float)
@@ -177,14 +177,14 @@ def _inner(
     same = before.depth.part == now.depth.part
     later = np.where(same, before.depth.depth - z, 0.0) * fps / AHEAD
     later[np.abs(later) > EDGE_SHARE * z * fps / AHEAD] = 0.0
-    k = _chosen(ok, MOST_INNER, rng)
+    k = _draw_pixels(ok, MOST_INNER, rng)
     v, u = np.divmod(k, z.shape[1])
     at = np.stack([u + 0.5, v + 0.5], -1) - principal
-    light = decoded(np.asarray(now.colour.rgb[..., 1].flat[k]) / 255)  # one channel: tone curves bend each
-    seen = decoded(np.asarray(frame.rgb[..., 1].flat[k]) / 255)
-    told = (now.colour.part.flat[k] > 0) & (light > 0.004) & (seen > 0.004) & (frame.rgb.max(-1).flat[k] < 250)
+    light = srgb_decode(np.asarray(now.colour.rgb[..., 1].flat[k]) / 255)  # one channel: tone curves bend each
+    seen = srgb_decode(np.asarray(frame.rgb[..., 1].flat[k]) / 255)
+    usable = (now.colour.part.flat[k] > 0) & (light > 0.004) & (seen > 0.004) & (frame.rgb.max(-1).flat[k] < 250)
     with np.errstate(divide="ignore", invalid="ignore"):
-        stops = np.where(told, np.log2(seen / light), np.nan)
+        stops = np.where(usable, np.log2(seen / light), np.nan)
     return {
         "error": error.flat[k],
         "z": z.flat[k],
@@ -202,7 +202,7 @@ def _inner(
     }
 
 
-def _outlines(
+def _sample_outlines(
     now: Simulated, before: Simulated, frame: Frame, principal: Array, fps: float, rng: np.random.Generator
 ) -> dict[str, NDArray]:
     """Points on the simulated outline of the whole object, and where both measured outlines cross their normals."""
@@ -212,32 +212,32 @@ def _outlines(
         soft = cv2.GaussianBlur(on.astype(np.float32), (0, 0), 1.5)
         rim = on & (cv2.erode(on.astype(np.uint8), np.ones((3, 3), np.uint8)) == 0)
         rim[:8], rim[-8:], rim[:, :8], rim[:, -8:] = False, False, False, False
-        k = _chosen(rim, MOST_EDGE, rng)
+        k = _draw_pixels(rim, MOST_EDGE, rng)
         v, u = np.divmod(k, on.shape[1])
         gv, gu = np.gradient(soft)
         n = -np.stack([gu.flat[k], gv.flat[k]], -1)
         n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-9)
-        crossing, none = _crossing(on, u, v, n), np.full(len(k), np.nan)
+        crossing, none = _find_crossing(on, u, v, n), np.full(len(k), np.nan)
         rows = {"outline": np.stack([u + 0.5, v + 0.5], -1) - principal, "outward": n, "mask_off": none}
         earlier = before.colour if picture is now.colour else before.depth
-        moving = np.nan_to_num(_crossing(earlier.part > 0, u, v, n) - crossing) * fps / AHEAD
+        moving = np.nan_to_num(_find_crossing(earlier.part > 0, u, v, n) - crossing) * fps / AHEAD
         rows |= {"depth_off": none, "moving": moving}
         if picture is now.colour:
-            rows["mask_off"] = _crossing(frame.mask, u, v, n) - crossing
+            rows["mask_off"] = _find_crossing(frame.mask, u, v, n) - crossing
         if picture is now.depth:
-            near = (frame.depth > 0) & (np.abs(frame.depth - _spread_out(picture.depth)) < 0.08 * frame.depth)
-            rows["depth_off"] = _crossing(near, u, v, n) - crossing
+            near = (frame.depth > 0) & (np.abs(frame.depth - _extend_depth(picture.depth)) < 0.08 * frame.depth)
+            rows["depth_off"] = _find_crossing(near, u, v, n) - crossing
         found.append(rows)
     return {name: np.concatenate([rows[name] for rows in found]) for name in found[0]}
 
 
-def _spread_out(depth: NDArray) -> NDArray:
+def _extend_depth(depth: NDArray) -> NDArray:
     """The depth picture with each empty pixel near the object given its nearest one's depth (of a 15-pixel window)."""
     filled = np.where(depth > 0, depth, 0).astype(np.float32)
     return np.where(depth > 0, depth, cv2.dilate(filled, np.ones((15, 15), np.uint8)))
 
 
-def _crossing(on: NDArray[np.bool_], u: NDArray, v: NDArray, n: Array) -> Array:
+def _find_crossing(on: NDArray[np.bool_], u: NDArray, v: NDArray, n: Array) -> Array:
     """(k,) where, along the normal, what is `on` ends: the place that parts on from off best; NaN where none does."""
     steps = np.arange(-REACH_PX, REACH_PX + STEP_PX / 2, STEP_PX)
     columns, rows = u[:, None] + n[:, :1] * steps, v[:, None] + n[:, 1:] * steps
@@ -245,18 +245,18 @@ def _crossing(on: NDArray[np.bool_], u: NDArray, v: NDArray, n: Array) -> Array:
     score = np.cumsum(values - 0.5, axis=1)
     best = score.argmax(1)
     inside, outside = values[:, : len(steps) // 4].mean(1), values[:, -len(steps) // 4 :].mean(1)
-    told = (best > 0) & (best < len(steps) - 1) & (inside > 0.5) & (outside < 0.5)
+    usable = (best > 0) & (best < len(steps) - 1) & (inside > 0.5) & (outside < 0.5)
     k = np.clip(best, 0, len(steps) - 2)
     a, b = np.take_along_axis(values, k[:, None], 1)[:, 0], np.take_along_axis(values, k[:, None] + 1, 1)[:, 0]
     part = np.clip((a - 0.5) / np.maximum(a - b, 1e-6), 0, 1)
-    return np.where(told, steps[k] + STEP_PX * part, np.nan)
+    return np.where(usable, steps[k] + STEP_PX * part, np.nan)
 
 
-def _band(depth: Drawn, frame: Frame, rng: np.random.Generator) -> dict[str, NDArray]:
+def _sample_edges(depth: RenderedFrame, frame: Frame, rng: np.random.Generator) -> dict[str, NDArray]:
     """Pixels near a depth edge: distance to it, simulated depth and angle, measured depth, and how lonely that is."""
     z = depth.depth
     distance = cv2.distanceTransform((~depth_edges(z)[0]).astype(np.uint8), cv2.DIST_L2, 3) + 1.0
-    k = _chosen((z > 0) & (distance <= BAND_PX) & frame.mask, MOST_BAND, rng)
+    k = _draw_pixels((z > 0) & (distance <= BAND_PX) & frame.mask, MOST_BAND, rng)
     v, u = np.divmod(k, z.shape[1])
     padded = np.pad(frame.depth, 2)
     d = frame.depth.flat[k]
@@ -266,7 +266,7 @@ def _band(depth: Drawn, frame: Frame, rng: np.random.Generator) -> dict[str, NDA
     return {name: values.flat[k].astype(float) for name, values in of.items()} | {"band_depth": d, "lonely": lonely}
 
 
-def _excess(now: Simulated, frame: Frame, camera: Camera, rng: np.random.Generator) -> tuple[Array, int]:
+def _find_excess(now: Simulated, frame: Frame, camera: Camera, rng: np.random.Generator) -> tuple[Array, int]:
     """Measured points of the object where the asset has none: outside its outline, or well before it."""
     on = now.colour.part > 0
     away = cv2.distanceTransform((~on).astype(np.uint8), cv2.DIST_L2, 3)
@@ -277,6 +277,6 @@ def _excess(now: Simulated, frame: Frame, camera: Camera, rng: np.random.Generat
     before = inside & on & (z > 0) & (frame.depth > 0) & (frame.depth < z * (1 - 0.02) - 0.004)
     before = cv2.morphologyEx(before.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
     both = (outside | before) & (frame.depth > 0)
-    k = _chosen(both, 400, rng)
+    k = _draw_pixels(both, 400, rng)
     rays = camera.rays().reshape(-1, 3)[k]
     return rays * frame.depth.flat[k][:, None], int(both.sum())

@@ -25,7 +25,7 @@ from freeart21.view.obj import PLAIN
 
 
 @dataclass(frozen=True)
-class Placed:
+class PartPoses:
     """Where both parts were."""
 
     Ts: tuple[Array, Array]
@@ -56,7 +56,7 @@ class FilmScene:
     """(F,) index into `textures`, -1 for none."""
     textures: tuple[NDArray[np.uint8], ...]
     """(h, w, 3) RGB each."""
-    placed: Placed
+    placed: PartPoses
 
     @property
     def coloured(self) -> bool:
@@ -75,7 +75,7 @@ def read_scene(asset_path: Path, sequence: Path, poses: Path | None = None, root
     Without `poses` they are looked for in the result that holds the asset's folder, then in the data folder that holds
     the sequence. Raises FreeArtError when there are none, or they are not of this asset.
     """
-    found = _found(Path(asset_path), Path(sequence)) if poses is None else Path(poses)
+    found = _find_poses(Path(asset_path), Path(sequence)) if poses is None else Path(poses)
     if (found / "truth.json").is_file():
         return _of_truth(Path(asset_path), found, root)
     if (found / "prediction.json").is_file():
@@ -83,7 +83,7 @@ def read_scene(asset_path: Path, sequence: Path, poses: Path | None = None, root
     raise FreeArtError(f"{found} holds no part poses: expected a result (prediction.json) or a truth (truth.json)")
 
 
-def _found(asset: Path, sequence: Path) -> Path:
+def _find_poses(asset: Path, sequence: Path) -> Path:
     folder = (asset if asset.is_dir() else asset.parent).resolve()
     if (folder.parent / "prediction.json").is_file():
         return folder.parent
@@ -111,7 +111,7 @@ def _of_truth(path: Path, folder: Path, root: Path | None) -> FilmScene:
     q = {**held, str(truth.source.get("joint", asset.joint)): asset.state_zero if described else 0.0}
     T = _canonical_root(asset, urdf, q) if described else np.eye(4)
     Ts = truth.Ts_camera_reference, truth.Ts_camera_moving
-    return _scene(asset, q, T, reference, Placed(Ts, np.ones(len(truth), bool), True, "the recording's truth"))
+    return _scene(asset, q, T, reference, PartPoses(Ts, np.ones(len(truth), bool), True, "the recording's truth"))
 
 
 def _of_result(asset: Asset, folder: Path) -> FilmScene:
@@ -126,7 +126,7 @@ def _of_result(asset: Asset, folder: Path) -> FilmScene:
     shrink = np.eye(4)
     shrink[:3, :3] /= asset.scale
     Ts, seen = (result.Ts_camera_reference, result.Ts_camera_moving), np.asarray(result.seen.all(1))
-    placed = Placed(Ts, seen, False, "the reconstruction of this video")
+    placed = PartPoses(Ts, seen, False, "the reconstruction of this video")
     return _scene(asset, q, shrink @ T, reference, placed)
 
 
@@ -149,7 +149,7 @@ def _check_same_joint(
 
 
 def _scene(
-    asset: Asset, q: dict[str, float], T_canonical_root: Array, reference: set[str], placed: Placed
+    asset: Asset, q: dict[str, float], T_canonical_root: Array, reference: set[str], placed: PartPoses
 ) -> FilmScene:
     shown = read_shown(asset.urdf, asset.root)
     if shown.missing:

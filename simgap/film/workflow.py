@@ -16,16 +16,16 @@ from freeart21.files import checked
 from freeart21.files.camera_faults import write_camera_faults
 from freeart21.files.sequence import read_sequence
 from freeart21.recording import Recording
-from simgap.film import counts
+from simgap.film import pixel_faults
 from simgap.film.answer import FilmVerdict, QuantityGap, confirm, verdict_of
 from simgap.film.choose import Chosen, Frames, choose
 from simgap.film.colour import colour_design, colour_kind
 from simgap.film.effects import camera_of, parameters_of
-from simgap.film.geometry import PICTURE, Design, depth_floor, design_of, geometry_kind
+from simgap.film.geometry import PICTURE, Design, depth_floor, geometry_kind, make_design
 from simgap.film.maps import FilmMap, film_maps
-from simgap.film.missing import missing_part
+from simgap.film.missing import find_missing_part
 from simgap.film.proof import UNITS, floors, measure_gaps
-from simgap.film.samples import Rows, rows_of
+from simgap.film.samples import Rows, sample_rows
 from simgap.film.scene import FilmScene, read_scene
 from simgap.verdict import root_mean_square
 
@@ -71,19 +71,19 @@ def find_film_gap(film: Film, progress: Progress | None = None) -> tuple[FilmVer
     done, total = [0], len(frames) * PASSES + 2 * len(split[2])
 
     def rows_with(camera: CameraFaults, some: Frames) -> Rows:
-        def tell() -> None:
+        def report() -> None:
             done[0] += 1
             if progress is not None:
                 progress(min(done[0], total), total)
 
-        return rows_of(recording, scene, frames[some], camera, tell)
+        return sample_rows(recording, scene, frames[some], camera, report)
 
     shut = ABSORBED if not scene.placed.exact else frozenset[str]()
     first, rows, found = _geometry(film, rows_with, split, shut if _moves(film) else shut | {"depth_delay"})
     quiet = max(depth_floor(float(np.median(rows["z"])), film.depth_unit), film.depth_unit / np.sqrt(12))
-    kinds = [found, choose(counts.noise_kind(rows, quiet), split), choose(counts.holes_kind(rows), split)]
+    kinds = [found, choose(pixel_faults.noise_kind(rows, quiet), split), choose(pixel_faults.holes_kind(rows), split)]
     known = camera_of(effect for kind in kinds for effect in kind.effects)
-    kinds.append(choose(counts.flying_kind(rows, known), split))
+    kinds.append(choose(pixel_faults.flying_kind(rows, known), split))
     drift = colour_design(rows) if scene.coloured else None
     if drift is not None:
         kinds.append(choose(colour_kind(drift, lit=not scene.placed.exact), split))
@@ -109,7 +109,7 @@ def find_film_gap(film: Film, progress: Progress | None = None) -> tuple[FilmVer
         for what, size in before.items()
     )
     maps = film_maps(first, drift is not None)
-    part = missing_part(recording, scene, rows, split)
+    part = find_missing_part(recording, scene, rows, split)
     numbers = {k: frames[i].tolist() for k, i in zip(("fit", "choose", "confirm"), split, strict=True)}
     verdict = verdict_of(kinds, confirmed, gaps, maps, part, scene, rows, numbers)
     return verdict, Found(film, tuple(kinds), maps, first)
@@ -133,7 +133,7 @@ def _geometry(
     for _ in range(PASSES):
         rows = rows_with(camera, every)
         first = first or rows
-        design = design_of(rows, film.depth_unit, film.scene.placed.exact, camera)
+        design = make_design(rows, film.depth_unit, film.scene.placed.exact, camera)
         found = choose(geometry_kind(design, shut), split)
         wanted = camera_of(effect for effect in found.effects if effect.name in PICTURE)
         if _shift(design, wanted, camera) < SETTLED_PX:
@@ -214,7 +214,7 @@ def film_gap_folder(
         film = read_film(asset, sequence, poses, root)
         began = time.perf_counter()
         verdict, found = find_film_gap(film, progress)
-        if not verdict.camera.none:
+        if not verdict.camera.is_ideal:
             write_camera_faults(folder / "camera.json", verdict.camera)
         write_answer(folder, verdict, "revolute", page(verdict, found, command, time.perf_counter() - began))
     return verdict

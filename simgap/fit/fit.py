@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 
 from freeart21.effects import Effect
 from freeart21.se3 import Array
-from simgap.fit.force_model import ForceModel
-from simgap.fit.least_squares import Prior, charge, solve
-from simgap.fit.theory import Problem as Problem
-from simgap.fit.theory import Range as Range
-from simgap.fit.theory import Reader as Reader
-from simgap.fit.theory import Theory as Theory
+from simgap.fit.force_predictor import ForcePredictor
+from simgap.fit.least_squares import Prior, robust_loss, solve
+from simgap.fit.model import Model as Model
+from simgap.fit.model import ParameterMap as ParameterMap
+from simgap.fit.model import ParameterRange as ParameterRange
+from simgap.fit.model import Problem as Problem
 from simgap.measure.data import FitRun
 from simgap.models import kernel
-from simgap.models.surrogate import Batch, creeping, readings_of, step_of, sweep, terms_of
+from simgap.models.surrogate import Batch, apply_sensing, effect_terms, limit_creep_steps, sweep, time_steps
 
 _PROBE = 1e-4
 """Part of a parameter's size by which it is changed to see what it does."""
@@ -49,7 +49,7 @@ Starts = dict[str, tuple[float, float]]
 class Fit:
     """A theory at its best."""
 
-    theory: Theory
+    model: Model
     theta: Array
     """(p,) in the order of `theory.ranges()`."""
     starts: Starts
@@ -65,12 +65,12 @@ class Fit:
     @property
     def values(self) -> dict[tuple[str, str], float]:
         """Parameters by owner and name."""
-        return {(r.owner, r.name): float(x) for r, x in zip(self.theory.ranges(), self.theta, strict=True)}
+        return {(r.owner, r.name): float(x) for r, x in zip(self.model.ranges(), self.theta, strict=True)}
 
     @property
     def effects(self) -> tuple[Effect, ...]:
         """The added effects."""
-        return self.theory.effects(self.theta)
+        return self.model.effects(self.theta)
 
     @property
     def rss(self) -> float:
@@ -78,64 +78,64 @@ class Fit:
         return float(sum((r * r).sum() for r in self.residuals.values()))
 
     @property
-    def tempered(self) -> dict[str, Array]:
+    def robust_residuals(self) -> dict[str, Array]:
         """Residuals, those of runs that are missed by far made less: their squares are what they cost."""
-        return tempered(self.residuals)
+        return robust_residuals(self.residuals)
 
     @property
-    def level(self) -> float:
+    def rms(self) -> float:
         """Root mean square of all residuals, in floors."""
         return float(np.sqrt(self.rss / sum(len(r) for r in self.residuals.values())))
 
-    def floors(self, run: str) -> float:
+    def run_rms(self, run: str) -> float:
         """Root mean square residual of a run, in floors."""
         return float(np.sqrt(np.mean(self.residuals[run] ** 2)))
 
 
-class _Model:
+class _PositionPredictor:
     """A theory before runs, as the solver asks of it."""
 
-    def __init__(self, theory: Theory, runs: tuple[FitRun, ...], at: Array):
-        self.reader, self.runs = Reader(theory), runs
-        self.problem = theory.problem
+    def __init__(self, model: Model, runs: tuple[FitRun, ...], at: Array):
+        self.mapping, self.runs = ParameterMap(model), runs
+        self.problem = model.problem
         self.batch = Batch.of([(run.times_s, run.inputs) for run in runs])
         self.q, self.sigma = (np.concatenate([getattr(run, k) for run in runs]) for k in ("q", "sigma"))
         self.lengths = np.diff(self.batch.begins)
-        self._kept: tuple[bytes, Array, tuple[Effect, ...]] | None = None
-        self._chosen: tuple[bytes, NDArray[np.int64]] | None = None
-        effects, settings = self.numbers(at)[1], theory.problem.surrogate
-        self.terms = terms_of(effects)
-        self.step = {held: step_of(self.problem.plant, effects, settings, held) for held in (True, False)}
+        self._vector_cache: tuple[bytes, Array, tuple[Effect, ...]] | None = None
+        self._rows_cache: tuple[bytes, NDArray[np.int64]] | None = None
+        effects, settings = self.vector(at)[1], model.problem.surrogate
+        self.terms = effect_terms(effects)
+        self.step = {held: time_steps(self.problem.plant, effects, settings, held) for held in (True, False)}
 
-    def numbers(self, theta: Array) -> tuple[Array, tuple[Effect, ...]]:
+    def vector(self, theta: Array) -> tuple[Array, tuple[Effect, ...]]:
         """Vector and effects at parameters (p,); the last ones are kept."""
         key = theta.tobytes()
-        if self._kept is None or self._kept[0] != key:
-            self._kept = (key, *self.reader.numbers(theta))
-        return self._kept[1], self._kept[2]
+        if self._vector_cache is None or self._vector_cache[0] != key:
+            self._vector_cache = (key, *self.mapping.vector(theta))
+        return self._vector_cache[1], self._vector_cache[2]
 
     def steps(self, effects: tuple[Effect, ...]) -> Array:
         """(r, 2) s; the same for all parameters but where they make the joint creep."""
         plant, settings = self.problem.plant, self.problem.surrogate
-        held, loose = (creeping(plant, effects, self.step[it], settings) for it in (True, False))
+        held, loose = (limit_creep_steps(plant, effects, self.step[it], settings) for it in (True, False))
         return np.where(self.batch.held[:, None], held, loose)
 
-    def look(self, which: NDArray[np.int64], starts: Array, theta: Array) -> list[Array]:
+    def evaluate(self, which: NDArray[np.int64], starts: Array, theta: Array) -> list[Array]:
         """Residuals of the runs `which` (m,) from starts (m, 2)."""
         table, effects = self._table(starts, theta)
         q = self.batch.sweep(table, self.terms, which, self.steps(effects))
-        q = readings_of(effects, q) if self.reader.sensing else q
+        q = apply_sensing(effects, q) if self.mapping.sensing else q
         at = self._readings(which)
         flat, ends = (self.q[at] - q) / self.sigma[at], np.cumsum(self.lengths[which])
         return [flat[end - n : end] for end, n in zip(ends, self.lengths[which], strict=True)]
 
-    def begun(self, which: NDArray[np.int64], starts: Array, theta: Array) -> Array:
+    def first_errors(self, which: NDArray[np.int64], starts: Array, theta: Array) -> Array:
         """(m,) mean squared residuals of the first readings of the runs `which` (m,) from starts (m, 2)."""
         table, effects = self._table(starts, theta)
-        cut = [run.between(0, _seen(run)) for run in self.runs]
+        cut = [run.between(0, _count_first_readings(run)) for run in self.runs]
         batch = Batch.of([(run.times_s, run.inputs) for run in cut])
         q = batch.sweep(table, self.terms, which, self.steps(effects))
-        q = readings_of(effects, q) if self.reader.sensing else q
+        q = apply_sensing(effects, q) if self.mapping.sensing else q
         lengths = np.diff(batch.begins)[which]
         flat = np.concatenate([cut[i].q for i in which]) - q
         square = (flat / np.concatenate([cut[i].sigma for i in which])) ** 2
@@ -143,7 +143,7 @@ class _Model:
 
     def _table(self, starts: Array, theta: Array) -> tuple[Array, tuple[Effect, ...]]:
         """(m, n) vectors of numbers that differ in their starts (m, 2), and all effects."""
-        numbers, effects = self.numbers(theta)
+        numbers, effects = self.vector(theta)
         table = np.repeat(numbers[None], len(starts), 0)
         table[:, kernel.Q0], table[:, kernel.QD0] = starts[:, 0], starts[:, 1]
         return table, effects
@@ -151,22 +151,22 @@ class _Model:
     def _readings(self, which: NDArray[np.int64]) -> NDArray[np.int64]:
         """Where the readings of these runs lie, one behind the other; the last ones are kept."""
         key = which.tobytes()
-        if self._chosen is None or self._chosen[0] != key:
+        if self._rows_cache is None or self._rows_cache[0] != key:
             begins = self.batch.begins
-            self._chosen = (key, np.concatenate([np.arange(begins[i], begins[i + 1]) for i in which]))
-        return self._chosen[1]
+            self._rows_cache = (key, np.concatenate([np.arange(begins[i], begins[i + 1]) for i in which]))
+        return self._rows_cache[1]
 
-    def slopes(self, starts: Array, theta: Array, parts: list[Array], free: bool) -> list[Array]:
+    def differentiate(self, starts: Array, theta: Array, parts: list[Array], free: bool) -> list[Array]:
         """Of every run (2 + p, n): what a unit of its start and of every parameter does to its readings, in floors."""
-        problem, ranges = self.problem, self.reader.ranges[: len(theta) if free else 0]
+        problem, ranges = self.problem, self.mapping.ranges[: len(theta) if free else 0]
         deltas = np.array([_PROBE * max(0.1 * abs(x), r.size) for x, r in zip(theta, ranges, strict=False)])
         deltas = np.array([-d if x + d > r.upper else d for x, d, r in zip(theta, deltas, ranges, strict=False)])
-        numbers, effects = self.numbers(theta)
+        numbers, effects = self.vector(theta)
         made = [(numbers, effects), (numbers, effects)]
         for j, delta in enumerate(deltas):
             moved = theta.copy()
             moved[j] += delta
-            made.append(self.reader.numbers(moved))
+            made.append(self.mapping.vector(moved))
         count, rows = len(self.runs), len(made)
         of_starts = (_PROBE * 0.1 * problem.reference[2], _PROBE * 0.1 * problem.speed)
         moves = np.tile(np.append(of_starts, deltas), (count, 1))
@@ -181,14 +181,14 @@ class _Model:
         for run, part, move, n in zip(self.runs, parts, moves, self.lengths, strict=True):
             q = flat[done : done + rows * n].reshape(rows, n)
             done += rows * n
-            if self.reader.sensing:
-                q = np.stack([readings_of(its, row) for (_, its), row in zip(made, q, strict=True)])
+            if self.mapping.sensing:
+                q = np.stack([apply_sensing(its, row) for (_, its), row in zip(made, q, strict=True)])
             found.append((q - (run.q - part * run.sigma)) / run.sigma / move[:, None])
         return found
 
 
-def fitted(
-    theory: Theory,
+def fit_model(
+    model: Model,
     runs: tuple[FitRun, ...],
     theta: Array | None = None,
     starts: Starts | None = None,
@@ -205,18 +205,18 @@ def fitted(
         iterations: at most; as the settings say when not given.
         free: whether the parameters move; without, only the starts do.
     """
-    ranges, plant = theory.ranges(), theory.problem.plant
+    ranges, plant = model.ranges(), model.problem.plant
     low, high = (np.array([getattr(r, k) for r in ranges]) for k in ("lower", "upper"))
     neutral, spread = (np.array([getattr(r, k) for r in ranges]) for k in ("neutral", "prior"))
     weight = np.diag(1 / spread**2)
-    at = np.clip(theory.neutral() if theta is None else theta, low, high)
-    model, begin = _begun(theory, runs, at, starts or {})
+    at = np.clip(model.neutral() if theta is None else theta, low, high)
+    predictor, begin = _make_predictor(model, runs, at, starts or {})
     begin[:, 0] = np.clip(begin[:, 0], plant.lower, plant.upper)
-    most = theory.problem.fit.max_iterations if iterations is None else iterations
+    most = model.problem.fit.max_iterations if iterations is None else iterations
     prior = Prior(low, high, neutral, weight)
-    state = solve(at, begin, model.look, model.slopes, prior, plant.lower, plant.upper, most, free)
+    state = solve(at, begin, predictor.evaluate, predictor.differentiate, prior, plant.lower, plant.upper, most, free)
     return Fit(
-        theory,
+        model,
         state.theta,
         {run.name: (float(q), float(v)) for run, (q, v) in zip(runs, state.starts, strict=True)},
         {run.name: part for run, part in zip(runs, state.parts, strict=True)},
@@ -225,92 +225,98 @@ def fitted(
     )
 
 
-def _begun(theory: Theory, runs: tuple[FitRun, ...], at: Array, known: Starts) -> tuple[_Model | ForceModel, Array]:
+def _make_predictor(
+    model: Model, runs: tuple[FitRun, ...], at: Array, known: Starts
+) -> tuple[_PositionPredictor | ForcePredictor, Array]:
     """The theory before the runs, and (r, 2) their starts, looked for where they are not known; where the force is read
     there are none."""
-    if theory.problem.force_read:
-        return ForceModel(theory, runs), np.zeros((len(runs), 2))
-    model = _Model(theory, runs, at)
+    if model.problem.inverse_dynamics:
+        return ForcePredictor(model, runs), np.zeros((len(runs), 2))
+    predictor = _PositionPredictor(model, runs, at)
     starts = np.array([known.get(run.name, (0.0, 0.0)) for run in runs])
     unknown = np.array([i for i, run in enumerate(runs) if run.name not in known], dtype=int)
     if len(unknown):
-        starts[unknown] = _starts(model, unknown, at)
-    return model, starts
+        starts[unknown] = _find_starts(predictor, unknown, at)
+    return predictor, starts
 
 
-def left_by(theory: Theory, runs: tuple[FitRun, ...], theta: Array, starts: Starts) -> Array:
+def residuals_at(model: Model, runs: tuple[FitRun, ...], theta: Array, starts: Starts) -> Array:
     """(N,) residuals of all runs in a row, of these very parameters and starts."""
-    model, known = _begun(theory, runs, theta, starts)
-    return np.concatenate(model.look(np.arange(len(runs)), known, theta))
+    predictor, known = _make_predictor(model, runs, theta, starts)
+    return np.concatenate(predictor.evaluate(np.arange(len(runs)), known, theta))
 
 
-def misfit(theory: Theory, runs: tuple[FitRun, ...], theta: Array, starts: Starts) -> float:
+def squared_error(model: Model, runs: tuple[FitRun, ...], theta: Array, starts: Starts) -> float:
     """Sum of squared residuals of these very parameters and starts."""
-    left = left_by(theory, runs, theta, starts)
-    return float(left @ left)
+    residuals = residuals_at(model, runs, theta, starts)
+    return float(residuals @ residuals)
 
 
-def _seen(run: FitRun) -> int:
+def _count_first_readings(run: FitRun) -> int:
     """Readings of a run that decide where its start is looked for."""
     return max(8, int(np.searchsorted(run.times_s, run.times_s[0] + _SEEN_S)))
 
 
-def _starts(model: _Model, which: NDArray[np.int64], theta: Array) -> Array:
+def _find_starts(predictor: _PositionPredictor, which: NDArray[np.int64], theta: Array) -> Array:
     """(m, 2) the starts, of those about the first guesses, from which the runs `which` (m,) begin most like their
     readings."""
-    plant, speed = model.problem.plant, model.problem.speed
-    sensing = [effect for effect in model.numbers(theta)[1] if effect.kind == "sensing"]
+    plant, speed = predictor.problem.plant, predictor.problem.speed
+    sensing = [effect for effect in predictor.vector(theta)[1] if effect.kind == "sensing"]
     rows = []
     for i in which:
-        run, told = model.runs[i], model.runs[i].starts
-        speeds = (*(told[0][1] + speed * np.array(_SPEEDS)), *(qd0 for _, qd0 in told[1:]), 0.0)
-        rows.append([*told[1:], *((q, v) for q in (told[0][0], run.q[0]) for v in speeds)])
+        run, guesses = predictor.runs[i], predictor.runs[i].starts
+        speeds = (*(guesses[0][1] + speed * np.array(_SPEEDS)), *(qd0 for _, qd0 in guesses[1:]), 0.0)
+        rows.append([*guesses[1:], *((q, v) for q in (guesses[0][0], run.q[0]) for v in speeds)])
     starts = np.array(rows)  # (m, ways, 2)
     starts[..., 0] -= sum((effect.reading_error(starts[..., 0]) for effect in sensing), np.zeros(starts.shape[:2]))
     starts[..., 0] = np.clip(starts[..., 0], plant.lower, plant.upper)
     ways = starts.shape[1]
-    left = model.begun(np.repeat(which, ways), starts.reshape(-1, 2), theta).reshape(-1, ways)
-    return np.asarray(starts[np.arange(len(which)), left.argmin(1)])
+    residuals = predictor.first_errors(np.repeat(which, ways), starts.reshape(-1, 2), theta).reshape(-1, ways)
+    return np.asarray(starts[np.arange(len(which)), residuals.argmin(1)])
 
 
-def grown(theory: Theory, runs: tuple[FitRun, ...], theta: Array | None = None, iterations: int = 6) -> Fit:
+def fit_multiple_shooting(
+    model: Model, runs: tuple[FitRun, ...], theta: Array | None = None, iterations: int = 6
+) -> Fit:
     """The theory fitted to short stretches first, then to longer ones, then to whole runs."""
-    at, known = stretched(theory, runs, theta, _SHORT, iterations)
-    at, known = stretched(theory, runs, at, _LONG, iterations, known)
-    return resettled(fitted(theory, runs, at, known), runs)
+    at, known = fit_stretches(model, runs, theta, _SHORT, iterations)
+    at, known = fit_stretches(model, runs, at, _LONG, iterations, known)
+    return refit_missed_starts(fit_model(model, runs, at, known), runs)
 
 
-def grown_mild(theory: Theory, runs: tuple[FitRun, ...]) -> Fit:
+def fit_from_small_effects(model: Model, runs: tuple[FitRun, ...]) -> Fit:
     """The theory fitted from the asset as it is told, its effects mild beside the forces at work, to ever longer
-    stretches: as `grown`, but those of a motion that takes its whole run to cross the range are parts of that."""
+    stretches, as `fit_multiple_shooting`."""
     longest = max(float(run.times_s[-1] - run.times_s[0]) for run in runs)
-    crossings = longest / theory.problem.crossing_s
+    crossings = longest / model.problem.crossing_s
     ways = [_SHORT, _LONG] if crossings > _STRETCHES * _SHORT else [crossings / _STRETCHES**2, crossings / _STRETCHES]
     while _LONGER * _STRETCHES / 2 * ways[-1] < crossings:
         ways.append(_LONGER * ways[-1])
-    at, known = _mild(theory, runs), None
+    at, known = _small_effects(model, runs), None
     for way in ways:
-        at, known = stretched(theory, runs, at, way, _MILD_STEPS, known)
-    return resettled(fitted(theory, runs, at, known), runs)
+        at, known = fit_stretches(model, runs, at, way, _MILD_STEPS, known)
+    return refit_missed_starts(fit_model(model, runs, at, known), runs)
 
 
-def _mild(theory: Theory, runs: tuple[FitRun, ...]) -> Array:
+def _small_effects(model: Model, runs: tuple[FitRun, ...]) -> Array:
     """(p,) the neutral point, the first size of every force a small part of the forces at work."""
-    problem, theta = theory.problem, theory.neutral()
+    problem, theta = model.problem, model.neutral()
     q, v = (np.concatenate([getattr(run, k)[::5] for run in runs]) for k in ("q", "speed"))
-    for cls in theory.classes:
+    for cls in model.classes:
         if cls.acts not in ("force", "drive"):
             continue
-        i = next(i for i, r in enumerate(theory.ranges()) if r.owner == cls.name)
-        others = [*(theta[i + k] for k in range(1, len(theory.fitted_of(cls)))), *problem.ends(cls).values()]
-        unit = float(np.sqrt(np.mean((cls.law(q, v, problem.presses(cls), 1.0, 1.0, *others) * np.ones(len(q))) ** 2)))
+        i = next(i for i, r in enumerate(model.ranges()) if r.owner == cls.name)
+        others = [*(theta[i + k] for k in range(1, len(model.free_parameters(cls)))), *problem.range_ends(cls).values()]
+        unit = float(
+            np.sqrt(np.mean((cls.law(q, v, problem.reference_load(cls), 1.0, 1.0, *others) * np.ones(len(q))) ** 2))
+        )
         theta[i] = _MILD * problem.force / max(unit, 1e-12)
-    low, high = (np.array([getattr(r, k) for r in theory.ranges()]) for k in ("lower", "upper"))
+    low, high = (np.array([getattr(r, k) for r in model.ranges()]) for k in ("lower", "upper"))
     return np.asarray(np.clip(theta, low, high))
 
 
-def stretched(
-    theory: Theory,
+def fit_stretches(
+    model: Model,
     runs: tuple[FitRun, ...],
     theta: Array | None,
     crossings: float,
@@ -318,89 +324,91 @@ def stretched(
     known: Starts | None = None,
 ) -> tuple[Array, Starts]:
     """Parameters from stretches of the runs, and the starts of stretches and of runs."""
-    cut = pieces(runs, crossings * theory.problem.crossing_s)
-    rough = fitted(theory, cut, theta, known, iterations)
+    cut = cut_stretches(runs, crossings * model.problem.crossing_s)
+    rough = fit_model(model, cut, theta, known, iterations)
     return rough.theta, {**rough.starts, **{run.name: rough.starts[f"{run.name}#0"] for run in runs}}
 
 
-def placed(fit: Fit, runs: tuple[FitRun, ...], starts: Starts | None = None) -> Fit:
+def refit_starts(fit: Fit, runs: tuple[FitRun, ...], starts: Starts | None = None) -> Fit:
     """The same parameters on other runs: only the start states are fitted."""
-    return fit_starts(fit.theory, fit.theta, runs, starts)
+    return fit_starts(fit.model, fit.theta, runs, starts)
 
 
-def fit_starts(theory: Theory, theta: Array, runs: tuple[FitRun, ...], starts: Starts | None = None) -> Fit:
+def fit_starts(model: Model, theta: Array, runs: tuple[FitRun, ...], starts: Starts | None = None) -> Fit:
     """A theory at parameters (p,) before runs: only the start states are fitted."""
-    starts = settled(theory, theta, runs) if starts is None else starts
-    return fitted(theory, runs, theta, starts, iterations=12, free=False)
+    starts = fit_starts_progressively(model, theta, runs) if starts is None else starts
+    return fit_model(model, runs, theta, starts, iterations=12, free=False)
 
 
-def information(fit: Fit, unit: float) -> Array:
+def information_matrix(fit: Fit, unit: float) -> Array:
     """(p, p) of the parameters, the starts being free: what the readings say is counted in units of noise, what was
     known before in full."""
-    known = np.diag([1 / r.prior**2 for r in fit.theory.ranges()])
+    known = np.diag([1 / r.prior**2 for r in fit.model.ranges()])
     return np.asarray((fit.normal - known) / unit + known)
 
 
-def tempered(residuals: dict[str, Array]) -> dict[str, Array]:
+def robust_residuals(residuals: dict[str, Array]) -> dict[str, Array]:
     """Residuals in floors, by run, with sums of squares that are what the runs cost (`least_squares.charge`)."""
     powers = np.array([max(float(np.mean(r * r)), 1e-12) for r in residuals.values()])
-    factors = np.sqrt(charge(powers) / powers)
+    factors = np.sqrt(robust_loss(powers) / powers)
     return {run: factor * r for factor, (run, r) in zip(factors, residuals.items(), strict=True)}
 
 
-def unit_of(left: dict[str, Array]) -> float:
+def residual_dispersion(residuals: dict[str, Array]) -> float:
     """Variance of a sum of squares' independent part: what is left (residuals in floors, by run), times how far it is
     correlated."""
-    power = max(np.mean([np.mean(r * r) for r in left.values()]), 1e-12)
+    power = max(np.mean([np.mean(r * r) for r in residuals.values()]), 1e-12)
     summed = 0.0
-    for r in left.values():
+    for r in residuals.values():
         for lag in range(1, min(len(r) // 4, 200)):
-            c = float(r[:-lag] @ r[lag:]) / len(r) / power / len(left)
+            c = float(r[:-lag] @ r[lag:]) / len(r) / power / len(residuals)
             if c < 0.02:
                 break
             summed += c
     return float(max(power, 1.0) * (1 + 2 * summed))
 
 
-def priced(free: int, readings: int) -> float:
+def bic_penalty(free: int, readings: int) -> float:
     """What the log density of the very readings that `free` numbers were fitted to is too large by (Schwarz 1978)."""
     return 0.5 * free * float(np.log(readings))
 
 
-def settled(theory: Theory, theta: Array, runs: tuple[FitRun, ...]) -> Starts:
+def fit_starts_progressively(model: Model, theta: Array, runs: tuple[FitRun, ...]) -> Starts:
     """Start states that make the simulation follow each run ever longer: a far impact misleads a first guess."""
     starts: Starts = {}
-    if theory.problem.force_read:
+    if model.problem.inverse_dynamics:
         return starts
     for part in (0.08, 0.2, 0.45):
         cut = tuple(run.between(0, max(8, round(part * len(run.q)))) for run in runs)
-        starts = fitted(theory, cut, theta, starts, iterations=6, free=False).starts
+        starts = fit_model(model, cut, theta, starts, iterations=6, free=False).starts
     return starts
 
 
-def resettled(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
+def refit_missed_starts(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
     """The fit after a new look at the starts of runs that it misses: an impact may have led them astray."""
-    usual = float(np.median([fit.floors(run.name) for run in runs]))
-    missed = tuple(run for run in runs if fit.floors(run.name) > max(_MET, 1.5 * usual))
+    median_rms = float(np.median([fit.run_rms(run.name) for run in runs]))
+    missed = tuple(run for run in runs if fit.run_rms(run.name) > max(_MET, 1.5 * median_rms))
     if not missed:
         return fit
-    again = placed(fit, missed)
-    better = {run.name: again.starts[run.name] for run in missed if again.floors(run.name) < 0.9 * fit.floors(run.name)}
-    return fitted(fit.theory, runs, fit.theta, {**fit.starts, **better}) if better else fit
+    again = refit_starts(fit, missed)
+    better = {
+        run.name: again.starts[run.name] for run in missed if again.run_rms(run.name) < 0.9 * fit.run_rms(run.name)
+    }
+    return fit_model(fit.model, runs, fit.theta, {**fit.starts, **better}) if better else fit
 
 
-def predicted(fit: Fit, run: FitRun, times_s: Array | None = None) -> Array:
+def predict_readings(fit: Fit, run: FitRun, times_s: Array | None = None) -> Array:
     """(n,) readings that the fit predicts of a run that it has a start for."""
-    reader = Reader(fit.theory)
-    numbers, effects = reader.numbers(fit.theta)
+    mapping = ParameterMap(fit.model)
+    numbers, effects = mapping.vector(fit.theta)
     numbers[kernel.Q0], numbers[kernel.QD0] = fit.starts[run.name]
     times = run.times_s if times_s is None else times_s
-    step = step_of(fit.theory.problem.plant, effects, fit.theory.problem.surrogate, run.inputs.held)
-    return readings_of(effects, sweep(numbers[None], terms_of(effects), times, run.inputs, step)[0])
+    step = time_steps(fit.model.problem.plant, effects, fit.model.problem.surrogate, run.inputs.held)
+    return apply_sensing(effects, sweep(numbers[None], effect_terms(effects), times, run.inputs, step)[0])
 
 
 @lru_cache(maxsize=32)
-def pieces(runs: tuple[FitRun, ...], seconds: float) -> tuple[FitRun, ...]:
+def cut_stretches(runs: tuple[FitRun, ...], seconds: float) -> tuple[FitRun, ...]:
     """The runs cut into stretches of about `seconds`, each with a start of its own, named by their first readings."""
     found = []
     for run in runs:
@@ -411,20 +419,20 @@ def pieces(runs: tuple[FitRun, ...], seconds: float) -> tuple[FitRun, ...]:
     return tuple(found)
 
 
-def tangent(fit: Fit, runs: tuple[FitRun, ...]) -> tuple[list[Array], list[Array], list[Array]]:
+def linearise_runs(fit: Fit, runs: tuple[FitRun, ...]) -> tuple[list[Array], list[Array], list[Array]]:
     """Of every run: residuals (n,), and what a unit of start (2, n) and of each parameter (p, n) does to the readings,
     all in floors. The fit must have starts for the runs.
     """
-    model, starts = _begun(fit.theory, runs, fit.theta, fit.starts)
-    parts = model.look(np.arange(len(runs)), starts, fit.theta)
-    slopes = model.slopes(starts, fit.theta, parts, True)
-    first = 2 if fit.theory.problem.force_read else 0
-    return parts, [J[first:2] for J in slopes], [J[2:] for J in slopes]
+    predictor, starts = _make_predictor(fit.model, runs, fit.theta, fit.starts)
+    parts = predictor.evaluate(np.arange(len(runs)), starts, fit.theta)
+    jacobians = predictor.differentiate(starts, fit.theta, parts, True)
+    first = 2 if fit.model.problem.inverse_dynamics else 0
+    return parts, [J[first:2] for J in jacobians], [J[2:] for J in jacobians]
 
 
-def joined(theory: Theory, parent: Fit, points: dict[str, dict[str, float]]) -> Array:
+def initial_theta(model: Model, parent: Fit, points: dict[str, dict[str, float]]) -> Array:
     """(p,) start of a theory: what the parent has, and `points` for effects that it has not."""
     values = parent.values
     for owner, point in points.items():
         values.update({(owner, name): value for name, value in point.items()})
-    return np.array([values.get((r.owner, r.name), r.neutral) for r in theory.ranges()])
+    return np.array([values.get((r.owner, r.name), r.neutral) for r in model.ranges()])

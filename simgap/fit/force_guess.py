@@ -11,12 +11,12 @@ from itertools import product
 
 import numpy as np
 
-from freeart21.base_motion import sway_force
+from freeart21.base_motion import base_motion_force
 from freeart21.effects import EFFECTS, Effect
 from freeart21.se3 import Array
-from simgap.fit.theory import Problem, Theory
+from simgap.fit.model import Model, Problem
 from simgap.measure.data import FitRun
-from simgap.measure.inputs import HALFWAY
+from simgap.measure.inputs import DEFAULT_HOLDING
 from simgap.models.surrogate import Plant, is_local
 
 _READINGS = 7
@@ -26,12 +26,12 @@ _PLACES, _WIDTHS = 41, (0.012, 0.02, 0.03, 0.045, 0.065, 0.1, 0.15)
 _RATIOS = (0.25, 0.5, 0.8)
 _SURE = 1e9
 """One over the standard deviation of what is beyond doubt."""
-_BESIDE = 0.02
+_LIMIT_MARGIN = 0.02
 """Part of the way moved through next to a limit where the contact's own force is unknown."""
 
 
 @dataclass(frozen=True)
-class LocalForce:
+class MissingForceSamples:
     """Samples of all runs in a row, (n,) each but `smooth`."""
 
     q: Array
@@ -44,21 +44,23 @@ class LocalForce:
     """(n, k) what the asset may be off by, and what any friction would make."""
     first: Array
     """Whether a run begins here."""
-    sure: Array
+    precision: Array
     """(k,) one over the standard deviation of what is known of the factors of `smooth` beforehand."""
 
 
-def local_force(problem: Problem, runs: tuple[FitRun, ...], effects: tuple[Effect, ...] = ()) -> LocalForce:
+def sample_missing_force(
+    problem: Problem, runs: tuple[FitRun, ...], effects: tuple[Effect, ...] = ()
+) -> MissingForceSamples:
     """The force that the asset's equation lacks in the runs with `effects` added."""
     plant = replace(problem.plant, effects=(*problem.plant.effects, *effects))
-    parts = [_of_run(problem, plant, run) for run in runs if len(run.q) >= _READINGS]
-    doubts = {r.name: 1 / r.prior for r in Theory(problem, ()).ranges()}
-    sure = np.array([doubts.get(name, _SURE) for name in ("inertia", "gravity", "lean_1", "lean_2")] + 4 * [0.0])
+    parts = [_sample_run(problem, plant, run) for run in runs if len(run.q) >= _READINGS]
+    doubts = {r.name: 1 / r.prior for r in Model(problem, ()).ranges()}
+    precision = np.array([doubts.get(name, _SURE) for name in ("inertia", "gravity", "lean_1", "lean_2")] + 4 * [0.0])
     q, qd, force, weight, smooth, first = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return LocalForce(q, qd, force, weight, smooth, first, sure)
+    return MissingForceSamples(q, qd, force, weight, smooth, first, precision)
 
 
-def _of_run(problem: Problem, plant: Plant, run: FitRun) -> tuple[Array, ...]:
+def _sample_run(problem: Problem, plant: Plant, run: FitRun) -> tuple[Array, ...]:
     t, x, sigma = (np.lib.stride_tricks.sliding_window_view(s, _READINGS) for s in (run.times_s, run.q, run.sigma))
     middle = t[:, _READINGS // 2]
     t = t - middle[:, None]
@@ -68,9 +70,9 @@ def _of_run(problem: Problem, plant: Plant, run: FitRun) -> tuple[Array, ...]:
     q, qd, qdd = terms[:, 0], terms[:, 1] / reach, 2 * terms[:, 2] / reach**2
     noise = 2 * np.linalg.norm(inverse[:, 2], axis=1) / reach**2 * sigma.mean(1)
     ways = plant.gravity_terms @ np.stack([np.cos(q), np.sin(q), np.ones(len(q))])
-    drive, others = _driven(plant, run, middle, q, qd)
-    acting = drive + _known(plant, q, qd, qdd, drive, others + ways[0])
-    slack = _BESIDE * (problem.q_high - problem.q_low)
+    drive, others = _input_forces(plant, run, middle, q, qd)
+    acting = drive + _known_forces(plant, q, qd, qdd, drive, others + ways[0])
+    slack = _LIMIT_MARGIN * (problem.q_high - problem.q_low)
     near = (x.min(1) < plant.lower + slack) | (x.max(1) > plant.upper - slack)
     inertia = plant.mechanics.inertia
     smooth = np.stack([inertia * qdd, *ways, np.ones(len(q)), np.sign(qd), qd, qd * np.abs(qd)], -1)
@@ -78,23 +80,25 @@ def _of_run(problem: Problem, plant: Plant, run: FitRun) -> tuple[Array, ...]:
     return q, qd, inertia * qdd - acting, np.where(near, 0.0, 1 / (inertia * noise)), smooth, first
 
 
-def _driven(plant: Plant, run: FitRun, times: Array, q: Array, qd: Array) -> tuple[Array, Array]:
+def _input_forces(plant: Plant, run: FitRun, times: Array, q: Array, qd: Array) -> tuple[Array, Array]:
     """(n,) each, what the actuator makes, and what pushes and the base do."""
     inputs = run.inputs
     if not len(inputs.times_s):
         return np.zeros(len(times)), np.zeros(len(times))
     at = np.clip(np.searchsorted(inputs.times_s, times, side="right") - 1, 0, len(inputs.times_s) - 1)
     series = np.stack([inputs.command, inputs.effort, inputs.push])
-    command, effort, push = (series if inputs.beside is None else series + HALFWAY * inputs.beside)[:, at]
+    command, effort, push = (
+        series if inputs.hold_difference is None else series + DEFAULT_HOLDING * inputs.hold_difference
+    )[:, at]
     gain = float(np.prod([e.gain() for e in plant.effects]))
     bias = float(np.sum([e.bias_force() for e in plant.effects]))
     given = gain * plant.drive.forces(q, qd, command, effort) + bias
     on = True if inputs.on is None else inputs.on[at]
-    swayed = 0.0 if inputs.sway is None else sway_force(inputs.sway[:, at], q)
-    return np.where(on, given, 0.0), np.asarray(push + swayed)
+    base_force = 0.0 if inputs.base_motion is None else base_motion_force(inputs.base_motion[:, at], q)
+    return np.where(on, given, 0.0), np.asarray(push + base_force)
 
 
-def _known(plant: Plant, q: Array, qd: Array, qdd: Array, drive: Array, others: Array) -> Array:
+def _known_forces(plant: Plant, q: Array, qd: Array, qdd: Array, drive: Array, others: Array) -> Array:
     """(n,) `others`, forces besides the drive's, and those of the effects that the asset has already."""
     load, total, level = plant.mechanics.load(q, qd, qdd), others.copy(), np.zeros(len(q))
     for effect in plant.effects:
@@ -110,7 +114,7 @@ def _known(plant: Plant, q: Array, qd: Array, qdd: Array, drive: Array, others: 
     return np.asarray(total - np.sign(qd) * level)
 
 
-def places(problem: Problem, seen: LocalForce, name: str, most: int) -> list[dict[str, float]]:
+def guess_places(problem: Problem, samples: MissingForceSamples, name: str, most: int) -> list[dict[str, float]]:
     """Parameters of an effect with a place and a width, at most so many, the best first; none of any other effect."""
     cls, kind = EFFECTS[name], problem.plant.joint_type
     specs = cls.parameters(kind)
@@ -129,8 +133,8 @@ def places(problem: Problem, seen: LocalForce, name: str, most: int) -> list[dic
             grids.append(list(np.linspace(problem.q_low, problem.q_high, _PLACES)))
     grid = np.array(list(product(*grids)))
     values = np.insert(grid, 0, 1.0, 1).T[:, :, None]  # one row of points for each parameter
-    columns = cls.law(seen.q, seen.qd, 0.0, _memory(cls, seen, values), *values) * seen.weight
-    costs, sizes = _left(seen, np.asarray(columns))
+    columns = cls.law(samples.q, samples.qd, 0.0, _run_memory(cls, samples, values), *values) * samples.weight
+    costs, sizes = _fit_columns(samples, np.asarray(columns))
     spec = specs[size]
     costs = np.where((sizes > spec.lower) & (sizes < spec.upper), costs, np.inf)
     found: list[dict[str, float]] = []
@@ -138,29 +142,31 @@ def places(problem: Problem, seen: LocalForce, name: str, most: int) -> list[dic
         point = {size: float(sizes[i]), **{n: float(v) for n, v in zip(others, grid[i], strict=True)}}
         if len(found) == most or not np.isfinite(costs[i]):
             break
-        if not any(_alike(point, other, specs.keys() - {size}, 0.06 * span) for other in found):
+        if not any(_is_neighbour(point, other, specs.keys() - {size}, 0.06 * span) for other in found):
             found.append(point)
     return found
 
 
-def _memory(cls: type[Effect], seen: LocalForce, values: Array) -> Array:
+def _run_memory(cls: type[Effect], samples: MissingForceSamples, values: Array) -> Array:
     """(g, n) what an effect with memory would know at every sample, for all points (p, g, 1) of the grid."""
     if cls.remember is Effect.remember:
         return np.zeros((1, 1))
-    now, out = np.zeros(values.shape[1]), np.empty((values.shape[1], len(seen.q)))
-    for i, (q, first) in enumerate(zip(seen.q, seen.first, strict=True)):
+    now, out = np.zeros(values.shape[1]), np.empty((values.shape[1], len(samples.q)))
+    for i, (q, first) in enumerate(zip(samples.q, samples.first, strict=True)):
         now = cls.remember(q, 0.0 * now if first else now, *values[..., 0])
         out[:, i] = now
     return out
 
 
-def _left(seen: LocalForce, columns: Array) -> tuple[Array, Array]:
+def _fit_columns(samples: MissingForceSamples, columns: Array) -> tuple[Array, Array]:
     """(g,) sums of squares with each of the columns (g, n) and all that is smooth at their best, and their sizes."""
-    k = len(seen.sure)
-    smooth = np.concatenate([seen.smooth * seen.weight[:, None], np.diag(seen.sure)])  # as if read besides, as zeros
+    k = len(samples.precision)
+    smooth = np.concatenate(
+        [samples.smooth * samples.weight[:, None], np.diag(samples.precision)]
+    )  # as if read besides, as zeros
     scale = np.linalg.norm(smooth, axis=0)
     basis = np.linalg.svd(smooth[:, scale > 1e-9] / scale[scale > 1e-9], full_matrices=False)[0]
-    force = np.append(seen.force * seen.weight, np.zeros(k))
+    force = np.append(samples.force * samples.weight, np.zeros(k))
     force = force - basis @ (basis.T @ force)
     columns = np.concatenate([columns, np.zeros((len(columns), k))], 1)
     columns = columns - (columns @ basis) @ basis.T
@@ -169,7 +175,7 @@ def _left(seen: LocalForce, columns: Array) -> tuple[Array, Array]:
     return float(force @ force) - along**2 / power, along / power
 
 
-def _alike(first: dict[str, float], second: dict[str, float], names: set[str], reach: float) -> bool:
+def _is_neighbour(first: dict[str, float], second: dict[str, float], names: set[str], reach: float) -> bool:
     """Whether two points are neighbours: places within reach, all else within a factor of 2."""
     return all(
         abs(first[n] - second[n]) < reach or (min(first[n], second[n]) > 0 and 0.5 < first[n] / second[n] < 2)

@@ -10,9 +10,9 @@ from typing import ClassVar
 import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
-from simgap.fit.fit import Fit, Problem, Theory, fitted, joined, priced, unit_of
-from simgap.fit.force_model import force_of
-from simgap.fit.guess import guesses, off
+from simgap.fit.fit import Fit, Model, Problem, bic_penalty, fit_model, initial_theta, residual_dispersion
+from simgap.fit.force_predictor import require_force_runs
+from simgap.fit.guess import first_guesses, neutral_point
 from simgap.measure.data import FitRun
 from simgap.measure.prescribed import ForceRun
 from simgap.settings import SearchSettings
@@ -29,34 +29,34 @@ _POINTS = 2
 """First guesses that a set is fitted from, of each of its subsets."""
 
 
-def candidates(problem: Problem, runs: tuple[FitRun, ...], without: tuple[str, ...] = ()) -> tuple[str, ...]:
+def list_candidates(problem: Problem, runs: tuple[FitRun, ...], without: tuple[str, ...] = ()) -> tuple[str, ...]:
     """Names of the effects, `without` some, that the force of these runs could show."""
-    told = force_of(runs)
-    driven = any(run.on.any() for run in told)
-    to_and_fro = _both_ways(told) >= _RETURNED
-    even = loads_alike(told)
-    turned = any((run.acceleration != 0).any() for run in told)
+    force_runs = require_force_runs(runs)
+    driven = any(run.on.any() for run in force_runs)
+    to_and_fro = _share_both_ways(force_runs) >= _RETURNED
+    even = has_constant_load(force_runs)
+    turned = any((run.acceleration != 0).any() for run in force_runs)
 
     def possible(cls: type[Effect]) -> bool:
-        if problem.plant.joint_type not in cls.joint_types or cls.acts not in _ACTS or not problem.can_span(cls):
+        if problem.plant.joint_type not in cls.joint_types or cls.acts not in _ACTS or not problem.covers_range(cls):
             return False
         if cls.remember is not Effect.remember or cls.delay is not Effect.delay:
             return False  # what catches holds what stands; of a steady force nobody sees when it comes
-        of_place = (cls.acts == "force" and not cls.knows_speed) or cls.gain is not Effect.gain  # as the weight is
+        of_place = (cls.acts == "force" and not cls.speed_dependent) or cls.gain is not Effect.gain  # as the weight is
         if of_place and not to_and_fro:
             return False  # it would be friction that differs from place to place
         if cls.acts == "command":
             return driven
         if cls.geared:
             return False  # what the drive gave is what is judged, so no friction of it can be foretold
-        if cls.needs_load and cls.twin and (even or not problem.bearing_loaded):
+        if cls.needs_load and cls.confounded_with and (even or not problem.bearing_loaded):
             return False  # its twin does the same here, and stands for both
         return cls.acts != "inertia" or turned
 
     return tuple(name for name, cls in EFFECTS.items() if possible(cls) and name not in without)
 
 
-def _both_ways(runs: tuple[ForceRun, ...]) -> float:
+def _share_both_ways(runs: tuple[ForceRun, ...]) -> float:
     """Part of the places that were passed at all that were passed both ways."""
     q, v = (np.concatenate([getattr(run, k) for run in runs]) for k in ("position", "speed"))
     edges = np.linspace(q.min(), q.max(), _BINS + 1)
@@ -64,9 +64,9 @@ def _both_ways(runs: tuple[ForceRun, ...]) -> float:
     return float((forth & back).sum() / max((forth | back).sum(), 1))
 
 
-def loads_alike(runs: tuple[FitRun, ...]) -> bool:
+def has_constant_load(runs: tuple[FitRun, ...]) -> bool:
     """Whether the force on the bearing hardly changes: less than friction departs from its formula."""
-    load = np.concatenate([run.load for run in force_of(runs)])
+    load = np.concatenate([run.load for run in require_force_runs(runs)])
     return float(np.std(load)) < EVEN * float(np.mean(load))
 
 
@@ -79,7 +79,7 @@ class ForceSearch:
     settings: SearchSettings
     names: tuple[str, ...]
     fits: dict[tuple[str, ...], Fit] = field(default_factory=dict)
-    late: ClassVar[bool] = False
+    is_overtime: ClassVar[bool] = False
     """It takes no time to speak of."""
 
     def base(self) -> Fit:
@@ -88,57 +88,61 @@ class ForceSearch:
             self.fits[()] = self._fitted((), None)
         return self.fits[()]
 
-    def promising(self) -> bool:
+    def is_promising(self) -> bool:
         """Whether any effect makes what the asset alone leaves more probable than its numbers cost, to first order."""
         base = self.base()
-        unit, readings = unit_of(base.residuals), sum(len(run.q) for run in self.train)
-        found = guesses(base, self.train, self.names)
-        return any(0.5 * (base.rss - guess.cost) / unit > priced(len(guess.point), readings) for guess in found)
+        unit, readings = residual_dispersion(base.residuals), sum(len(run.q) for run in self.train)
+        found = first_guesses(base, self.train, self.names)
+        return any(0.5 * (base.rss - guess.cost) / unit > bic_penalty(len(guess.point), readings) for guess in found)
 
-    def shaped(self) -> list[Fit]:
+    def fit_shapes(self) -> list[Fit]:
         """None besides: in a force, what may be of any shape costs no more to look for than what has a formula."""
         return []
 
-    def explored(self) -> list[Fit]:
+    def explore(self) -> list[Fit]:
         """The best sets of every size, ever larger ones until nothing is left to explain."""
         best: list[Fit] = []
         for size in range(1, self.settings.max_effects + 1):
-            known = {fit.theory.names for fit in best if len(fit.theory.names) == size - 1}
+            known = {fit.model.names for fit in best if len(fit.model.names) == size - 1}
             sets = [names for names in combinations(sorted(self.names), size)
                     if size < 3 or any(set(smaller) < set(names) for smaller in known)]  # fmt: skip
-            level = sorted((self.of(names) for names in sets), key=lambda fit: fit.cost)
+            level = sorted((self.fit_set(names) for names in sets), key=lambda fit: fit.cost)
             best += level[: self.settings.contenders]
-            best += [fit for fit in level if all(EFFECTS[n].dissipates for n in fit.theory.names) and fit not in best]
-            if min(fit.level for fit in self.fits.values()) < self.settings.all_told:
+            best += [fit for fit in level if all(EFFECTS[n].dissipates for n in fit.model.names) and fit not in best]
+            if min(fit.rms for fit in self.fits.values()) < self.settings.all_told:
                 break
         return best
 
-    def of(self, names: tuple[str, ...]) -> Fit:
+    def fit_set(self, names: tuple[str, ...]) -> Fit:
         """The fit of this very set, no worse than any of its subsets'."""
         if not names:
             return self.base()
         if names not in self.fits:
-            theory, tried = Theory(self.problem, names, prompt=True), []
+            model, tried = Model(self.problem, names, instant_friction=True), []
             for name in names:
-                smaller = self.of(tuple(n for n in names if n != name))
-                points = [guess.point for guess in guesses(smaller, self.train, (name,))[:_POINTS]]
-                for point in (*points, off(self.problem, name)):
-                    tried.append(self._fitted(names, joined(theory, smaller, {name: point})))
+                smaller = self.fit_set(tuple(n for n in names if n != name))
+                points = [guess.point for guess in first_guesses(smaller, self.train, (name,))[:_POINTS]]
+                for point in (*points, neutral_point(self.problem, name)):
+                    tried.append(self._fitted(names, initial_theta(model, smaller, {name: point})))
             self.fits[names] = min(tried, key=lambda fit: fit.cost)
         return self.fits[names]
 
-    def twins(self, names: tuple[str, ...]) -> list[Fit]:
+    def confounded_sets(self, names: tuple[str, ...]) -> list[Fit]:
         """Sets that do the same as this one where the load hardly changes, which the search does without."""
-        if not loads_alike(self.train):
+        if not has_constant_load(self.train):
             return []
         found = []
-        for twin in (n for n, cls in EFFECTS.items() if cls.needs_load and cls.twin in names):
-            theory = Theory(self.problem, tuple(sorted({*names, twin} - {EFFECTS[twin].twin})), prompt=True)
+        for name in (n for n, cls in EFFECTS.items() if cls.needs_load and cls.confounded_with in names):
+            model = Model(
+                self.problem, tuple(sorted({*names, name} - {EFFECTS[name].confounded_with})), instant_friction=True
+            )
             load, values = self.problem.load, self.fits[names].values
-            own = [r.name for r in theory.ranges() if r.owner == twin]
-            first = next(x for (owner, _), x in values.items() if owner == EFFECTS[twin].twin)
-            found.append(fitted(theory, self.train, joined(theory, self.fits[names], {twin: {own[0]: first / load}})))
+            own = [r.name for r in model.ranges() if r.owner == name]
+            first = next(x for (owner, _), x in values.items() if owner == EFFECTS[name].confounded_with)
+            found.append(
+                fit_model(model, self.train, initial_theta(model, self.fits[names], {name: {own[0]: first / load}}))
+            )
         return found
 
     def _fitted(self, names: tuple[str, ...], theta: np.ndarray | None) -> Fit:
-        return fitted(Theory(self.problem, names, prompt=True), self.train, theta)
+        return fit_model(Model(self.problem, names, instant_friction=True), self.train, theta)

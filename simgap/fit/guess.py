@@ -11,13 +11,22 @@ from itertools import product
 
 import numpy as np
 
-from freeart21.effects import EFFECTS, Effect
+from freeart21.effects import EFFECTS
 from freeart21.se3 import Array
-from simgap.fit.fit import Fit, Problem, Range, Reader, Theory, joined, left_by, tangent
-from simgap.fit.force_model import ForceModel
+from simgap.fit.fit import (
+    Fit,
+    Model,
+    ParameterMap,
+    ParameterRange,
+    Problem,
+    initial_theta,
+    linearise_runs,
+    residuals_at,
+)
+from simgap.fit.force_predictor import ForcePredictor
 from simgap.measure.data import FitRun
 from simgap.models import kernel
-from simgap.models.surrogate import readings_of, step_of, sweep, terms_of
+from simgap.models.surrogate import apply_sensing, effect_terms, sweep, time_steps
 
 _PLACES = 13
 _REBOUNDS = (0.15, 0.5)
@@ -39,23 +48,20 @@ class Guess:
     """Sum of squares that it would leave, to first order."""
 
 
-def neutral_value(cls: type[Effect]) -> float:
-    """First parameter's value at which the effect does nothing (or next to nothing, where its bounds forbid that)."""
-    return cls.neutral
-
-
-def off(problem: Problem, name: str) -> dict[str, float]:
+def neutral_point(problem: Problem, name: str) -> dict[str, float]:
     """Parameters at which an effect does next to nothing."""
-    own = [r for r in Theory(problem, (name,)).ranges() if r.owner == name]
-    value = neutral_value(EFFECTS[name])
-    middles = {r.name: float(np.clip(0.0 if is_size(r, own) else 3 * r.size, r.lower, r.upper)) for r in own}
+    own = [r for r in Model(problem, (name,)).ranges() if r.owner == name]
+    value = EFFECTS[name].neutral
+    middles = {
+        r.name: float(np.clip(0.0 if is_linear_parameter(r, own) else 3 * r.size, r.lower, r.upper)) for r in own
+    }
     return {**middles, own[0].name: float(np.clip(value, own[0].lower, own[0].upper))}
 
 
-def guesses(fit: Fit, runs: tuple[FitRun, ...], names: tuple[str, ...]) -> list[Guess]:
+def first_guesses(fit: Fit, runs: tuple[FitRun, ...], names: tuple[str, ...]) -> list[Guess]:
     """Starting points of all sets of one effect more than `fit`, the most promising first; `runs` must have starts."""
-    about = linear(fit, runs)
-    found = [guess for name in names if name not in fit.theory.names for guess in about.guesses(name)]
+    about = linearise(fit, runs)
+    found = [guess for name in names if name not in fit.model.names for guess in about.guesses(name)]
     return sorted(found, key=lambda guess: guess.cost)
 
 
@@ -63,10 +69,10 @@ def guesses(fit: Fit, runs: tuple[FitRun, ...], names: tuple[str, ...]) -> list[
 class _Grid:
     """All places, widths and speeds of an effect."""
 
-    theory: Theory
-    own: list[Range]
+    model: Model
+    own: list[ParameterRange]
     """Of the effect."""
-    sizes: list[Range]
+    sizes: list[ParameterRange]
     """Those that it is linear in."""
     others: list[str]
     grid: list[tuple[float, ...]]
@@ -75,81 +81,85 @@ class _Grid:
     """The effect switched off."""
 
 
-class Linear:
+class Linearisation:
     """The readings about a fit, the directions of its starts and parameters taken out."""
 
     def __init__(self, fit: Fit, runs: tuple[FitRun, ...]):
-        self.fit, self.runs, self.problem = fit, runs, fit.theory.problem
+        self.fit, self.runs, self.problem = fit, runs, fit.model.problem
         self._columns: dict[str, Array] = {}
-        residuals, starts, parameters = tangent(fit, runs)
-        self.now = [run.q - r * run.sigma for run, r in zip(runs, residuals, strict=True)]
-        self.bases = [np.linalg.qr(J.T)[0] for J in starts]
-        self.freed = left = np.concatenate([self._freed(i, r[None])[0] for i, r in enumerate(residuals)])
-        rest = np.concatenate([self._freed(i, J) for i, J in enumerate(parameters)], 1)
+        residuals, starts, parameters = linearise_runs(fit, runs)
+        self.predicted = [run.q - r * run.sigma for run, r in zip(runs, residuals, strict=True)]
+        self.start_bases = [np.linalg.qr(J.T)[0] for J in starts]
+        self.free_residual = left = np.concatenate(
+            [self._project_out_start(i, r[None])[0] for i, r in enumerate(residuals)]
+        )
+        rest = np.concatenate([self._project_out_start(i, J) for i, J in enumerate(parameters)], 1)
         self.parameters = rest
         """(p, N) what a unit of every parameter does to all readings, the starts being free."""
-        self.rest = rest = rest[self._free(rest @ left)]
+        self.nuisance_columns = rest = rest[self._can_move(rest @ left)]
         size = np.linalg.norm(rest, axis=1) if len(rest) else np.zeros(0)
-        self.span = np.linalg.qr(rest[size > 1e-9].T)[0] if (size > 1e-9).any() else np.zeros((len(left), 0))
-        self.left = left - self.span @ (self.span.T @ left)
-        self.cost = float(self.left @ self.left)
+        self.nuisance_basis = np.linalg.qr(rest[size > 1e-9].T)[0] if (size > 1e-9).any() else np.zeros((len(left), 0))
+        self.residual = left - self.nuisance_basis @ (self.nuisance_basis.T @ left)
+        self.cost = float(self.residual @ self.residual)
 
-    def _free(self, downhill: Array) -> Array:
+    def _can_move(self, downhill: Array) -> Array:
         """(p,) whether a parameter may still move, and is not held by a bound."""
-        ranges, theta = self.fit.theory.ranges(), self.fit.theta
+        ranges, theta = self.fit.model.ranges(), self.fit.theta
         near = 1e-6 * np.array([r.upper - r.lower for r in ranges])
         low = theta <= np.array([r.lower for r in ranges]) + near
         high = theta >= np.array([r.upper for r in ranges]) - near
         return np.asarray(~((low & (downhill < 0)) | (high & (downhill > 0))))
 
-    def _freed(self, i: int, rows: Array) -> Array:
+    def _project_out_start(self, i: int, rows: Array) -> Array:
         """(m, n) changes of run i, its start being free."""
-        return np.asarray(rows - (rows @ self.bases[i]) @ self.bases[i].T)
+        return np.asarray(rows - (rows @ self.start_bases[i]) @ self.start_bases[i].T)
 
-    def count(self, name: str) -> int:
+    def count_responses(self, name: str) -> int:
         """How many `columns` there are."""
         at = self._grid_of(name)
         return len(at.grid) * len(at.sizes)
 
-    def columns(self, name: str) -> Array:
+    def unit_responses(self, name: str) -> Array:
         """(m, N) what a unit of the effect's sizes does to all readings, at all points of its grid."""
         if name not in self._columns:
-            self._columns[name] = self._switched(name, self._grid_of(name))
+            self._columns[name] = self._respond_on_grid(name, self._grid_of(name))
         return self._columns[name]
 
-    def pushed(self, forces: Array) -> Array:
+    def force_response(self, forces: Array) -> Array:
         """(m, N) what forces (m, N), N*m or N, that act at the readings do to them, the starts being free."""
-        reader, done, parts = Reader(self.fit.theory), 0, []
-        numbers, effects = reader.numbers(self.fit.theta)
-        terms, settings = terms_of(effects), self.problem.surrogate
+        mapping, done, parts = ParameterMap(self.fit.model), 0, []
+        numbers, effects = mapping.vector(self.fit.theta)
+        terms, settings = effect_terms(effects), self.problem.surrogate
         for i, run in enumerate(self.runs):
             numbers[kernel.Q0], numbers[kernel.QD0] = self.fit.starts[run.name]
-            step = step_of(self.problem.plant, effects, settings, run.inputs.held)
-            told = run.inputs.with_rows(run.times_s)
+            step = time_steps(self.problem.plant, effects, settings, run.inputs.held)
+            inputs = run.inputs.with_rows(run.times_s)
             rows = []
             for force in (np.zeros(len(run.q)), *forces[:, done : done + len(run.q)]):
                 small = _MILD * self.problem.force / max(float(np.abs(force).max()), 1e-12)
-                q = sweep(numbers[None], terms, run.times_s, told.pushed(run.times_s, small * force), step)[0]
-                rows.append((readings_of(effects, q), small))
+                q = sweep(numbers[None], terms, run.times_s, inputs.pushed(run.times_s, small * force), step)[0]
+                rows.append((apply_sensing(effects, q), small))
             changes = np.array([(q - rows[0][0]) / small / run.sigma for q, small in rows[1:]])
-            parts.append(self._freed(i, changes))
+            parts.append(self._project_out_start(i, changes))
             done += len(run.q)
         return np.concatenate(parts, 1)
 
-    def read(self, errors: Array) -> Array:
+    def reading_response(self, errors: Array) -> Array:
         """(m, N) errors of the readings, rad or m, in floors, the starts being free."""
         ends = np.cumsum([0, *(len(run.q) for run in self.runs)])
         rows = [errors[:, a:b] / run.sigma for run, a, b in zip(self.runs, ends[:-1], ends[1:], strict=True)]
-        return np.concatenate([self._freed(i, row) for i, row in enumerate(rows)], 1)
+        return np.concatenate([self._project_out_start(i, row) for i, row in enumerate(rows)], 1)
 
     def _grid_of(self, name: str) -> _Grid:
-        theory = replace(self.fit.theory, names=tuple(sorted((*self.fit.theory.names, name))))
-        own = [r for r in theory.ranges() if r.owner == name]
-        sizes = [r for r in own if is_size(r, own)]
-        grid = list(product(*[_grid(r, self.problem) for r in own if r not in sizes]))
-        return _Grid(theory, own, sizes, [r.name for r in own if r not in sizes], grid, off(self.problem, name))
+        model = replace(self.fit.model, names=tuple(sorted((*self.fit.model.names, name))))
+        own = [r for r in model.ranges() if r.owner == name]
+        sizes = [r for r in own if is_linear_parameter(r, own)]
+        grid = list(product(*[_trial_values(r, self.problem) for r in own if r not in sizes]))
+        return _Grid(
+            model, own, sizes, [r.name for r in own if r not in sizes], grid, neutral_point(self.problem, name)
+        )
 
-    def _switched(self, name: str, at: _Grid) -> Array:
+    def _respond_on_grid(self, name: str, at: _Grid) -> Array:
         """(grid x sizes, N) of the effect, switched on a little at all points of its grid."""
         trials: list[tuple[dict[str, float], float]] = []
         for places in at.grid:
@@ -157,128 +167,132 @@ class Linear:
             for r in at.sizes:
                 step = self._step(name, point, r)
                 trials.append(({**point, r.name: point[r.name] + step}, step))
-        made = self._responses(at.theory, name, [point for point, _ in trials])
+        made = self._responses(at.model, name, [point for point, _ in trials])
         return np.asarray(made / np.array([s for _, s in trials])[:, None])
 
     def guesses(self, name: str) -> list[Guess]:
         """All points of the effect's grid."""
         at = self._grid_of(name)
-        columns = self._switched(name, at)
-        theory, own, sizes, others, grid, zero = at.theory, at.own, at.sizes, at.others, at.grid, at.zero
-        columns = columns - (columns @ self.span) @ self.span.T
+        columns = self._respond_on_grid(name, at)
+        model, own, sizes, others, grid, zero = at.model, at.own, at.sizes, at.others, at.grid, at.zero
+        columns = columns - (columns @ self.nuisance_basis) @ self.nuisance_basis.T
         found = []
         for i in range(len(grid)):
             rows = slice(i * len(sizes), (i + 1) * len(sizes))
             A = columns[rows].T
             if np.linalg.norm(A) < 1e-9:
                 continue
-            moves = np.linalg.lstsq(A, self.left, rcond=1e-6)[0]
+            moves = np.linalg.lstsq(A, self.residual, rcond=1e-6)[0]
             point = {**zero, **dict(zip(others, map(float, grid[i]), strict=True))}
             values = {
                 r.name: float(np.clip(point[r.name] + m, r.lower, r.upper)) for r, m in zip(sizes, moves, strict=True)
             }
-            taken = self.left - A @ np.array([values[r.name] - point[r.name] for r in sizes])
+            taken = self.residual - A @ np.array([values[r.name] - point[r.name] for r in sizes])
             found.append(Guess(name, {**point, **values}, float(taken @ taken)))
         if EFFECTS[name].acts == "stop":  # what hardly comes back stays: a small change tells little
-            found += self._straight(theory, name, [{**zero, sizes[0].name: value} for value in _REBOUNDS])
+            found += self._guess_at(model, name, [{**zero, sizes[0].name: value} for value in _REBOUNDS])
         elif len(own) == 2 and len(sizes) == 1 and len(grid) == _PLACES:
-            found += self._between(name, own, columns[0], columns[-1], float(grid[0][0]), float(grid[-1][0]))
+            found += self._interpolate_place(name, own, columns[0], columns[-1], float(grid[0][0]), float(grid[-1][0]))
         found.sort(key=lambda guess: guess.cost)
-        return [self._nudged(guess, sizes) for guess in found]
+        return [self._nudge(guess, sizes) for guess in found]
 
-    def _straight(self, theory: Theory, name: str, points: list[dict[str, float]]) -> list[Guess]:
+    def _guess_at(self, model: Model, name: str, points: list[dict[str, float]]) -> list[Guess]:
         """These very points."""
-        taken = self._responses(theory, name, points)
-        taken = self.left - (taken - (taken @ self.span) @ self.span.T)
+        taken = self._responses(model, name, points)
+        taken = self.residual - (taken - (taken @ self.nuisance_basis) @ self.nuisance_basis.T)
         return [Guess(name, point, float(row @ row)) for point, row in zip(points, taken, strict=True)]
 
-    def _between(self, name: str, own: list[Range], first: Array, last: Array, low: float, high: float) -> list[Guess]:
+    def _interpolate_place(
+        self, name: str, own: list[ParameterRange], first: Array, last: Array, low: float, high: float
+    ) -> list[Guess]:
         """The point of a law that is linear in its place, too, such as a spring's: between two places, or beyond."""
-        a, b = np.linalg.lstsq(np.stack([first, last], 1), self.left, rcond=1e-6)[0]
+        a, b = np.linalg.lstsq(np.stack([first, last], 1), self.residual, rcond=1e-6)[0]
         size, place = own
         if not size.lower < a + b < size.upper:
             return []
         at = float(np.clip(low + b / (a + b) * (high - low), place.lower, place.upper))
         share = (at - low) / (high - low)
-        taken = self.left - (a + b) * ((1 - share) * first + share * last)
+        taken = self.residual - (a + b) * ((1 - share) * first + share * last)
         return [Guess(name, {size.name: float(a + b), place.name: at}, float(taken @ taken))]
 
-    def _nudged(self, guess: Guess, sizes: list[Range]) -> Guess:
+    def _nudge(self, guess: Guess, sizes: list[ParameterRange]) -> Guess:
         """A size of 0 gives a fit nothing to hold on to."""
-        if all(guess.point[r.name] == max(r.lower, neutral_value(EFFECTS[guess.name])) for r in sizes):
+        if all(guess.point[r.name] == max(r.lower, EFFECTS[guess.name].neutral) for r in sizes):
             r = sizes[0]
             step = 0.2 * self._step(guess.name, guess.point, r)
             return Guess(guess.name, {**guess.point, r.name: guess.point[r.name] + step}, guess.cost)
         return guess
 
-    def _step(self, name: str, point: dict[str, float], r: Range) -> float:
+    def _step(self, name: str, point: dict[str, float], r: ParameterRange) -> float:
         """How far the effect is switched on."""
         cls = EFFECTS[name]
         if cls.acts not in ("force", "drive"):
             return min(r.size, 0.1) if cls.acts != "inertia" else r.size
-        q = np.concatenate([run.way[::5] for run in self.runs])
+        q = np.concatenate([run.joint_position[::5] for run in self.runs])
         v = np.concatenate([run.speed[::5] for run in self.runs])
-        unit = {**point, **self.problem.ends(cls), r.name: 1.0}
+        unit = {**point, **self.problem.range_ends(cls), r.name: 1.0}
         values = [unit.get(n, 0.0) for n in cls.parameters()]
-        force = cls.law(q, v, self.problem.presses(cls), 1.0, *values) * np.ones(len(q))
+        force = cls.law(q, v, self.problem.reference_load(cls), 1.0, *values) * np.ones(len(q))
         size = float(np.sqrt(np.mean(np.square(force))))
         return float(min(_MILD * self.problem.force / max(size, 1e-9), 1e-2 * r.upper))
 
-    def _responses(self, theory: Theory, name: str, points: list[dict[str, float]]) -> Array:
+    def _responses(self, model: Model, name: str, points: list[dict[str, float]]) -> Array:
         """(m, N) changes of all readings in floors, the starts being free."""
-        reader = Reader(theory)
-        made = [reader.numbers(joined(theory, self.fit, {name: point})) for point in points]
+        mapping = ParameterMap(model)
+        made = [mapping.vector(initial_theta(model, self.fit, {name: point})) for point in points]
         table = np.array([numbers for numbers, _ in made])
-        steps = {held: step_of(self.problem.plant, made[0][1], self.problem.surrogate, held) for held in (True, False)}
-        terms, parts = terms_of(made[0][1]), []
+        steps = {
+            held: time_steps(self.problem.plant, made[0][1], self.problem.surrogate, held) for held in (True, False)
+        }
+        terms, parts = effect_terms(made[0][1]), []
         for i, run in enumerate(self.runs):
             table[:, kernel.Q0], table[:, kernel.QD0] = self.fit.starts[run.name]
             q = sweep(table, terms, run.times_s, run.inputs, steps[run.inputs.held])
-            if reader.sensing:
-                q = np.stack([readings_of(effects, row) for (_, effects), row in zip(made, q, strict=True)])
-            parts.append(self._freed(i, (q - self.now[i]) / run.sigma))
+            if mapping.sensing:
+                q = np.stack([apply_sensing(effects, row) for (_, effects), row in zip(made, q, strict=True)])
+            parts.append(self._project_out_start(i, (q - self.predicted[i]) / run.sigma))
         return np.concatenate(parts, 1)
 
 
-class ForceLinear(Linear):
+class ForceLinearisation(Linearisation):
     """The same of runs of which the force is read."""
 
-    def pushed(self, forces: Array) -> Array:
+    def force_response(self, forces: Array) -> Array:
         """(m, N) by how much less the drive has to give, in floors."""
         return np.asarray(forces / np.concatenate([run.sigma for run in self.runs]))
 
-    def _responses(self, theory: Theory, name: str, points: list[dict[str, float]]) -> Array:
+    def _responses(self, model: Model, name: str, points: list[dict[str, float]]) -> Array:
         """(m, N) changes of what the motion needs, in floors."""
-        model, every = ForceModel(theory, self.runs), np.arange(len(self.runs))
+        predictor, every = ForcePredictor(model, self.runs), np.arange(len(self.runs))
         none, rows = np.zeros((len(self.runs), 2)), []
-        before = [(run.q - now) / run.sigma for run, now in zip(self.runs, self.now, strict=True)]
+        before = [(run.q - now) / run.sigma for run, now in zip(self.runs, self.predicted, strict=True)]
         for point in points:
-            left = model.look(every, none, joined(theory, self.fit, {name: point}))
+            left = predictor.evaluate(every, none, initial_theta(model, self.fit, {name: point}))
             rows.append(np.concatenate([b - after for b, after in zip(before, left, strict=True)]))
         return np.array(rows)
 
 
-def linear(fit: Fit, runs: tuple[FitRun, ...]) -> Linear:
+def linearise(fit: Fit, runs: tuple[FitRun, ...]) -> Linearisation:
     """The readings about a fit, of motion or of force."""
-    return (ForceLinear if fit.theory.problem.force_read else Linear)(fit, runs)
+    return (ForceLinearisation if fit.model.problem.inverse_dynamics else Linearisation)(fit, runs)
 
 
-def idle(fit: Fit, runs: tuple[FitRun, ...], gap: float) -> bool:
+def has_inactive_effect(fit: Fit, runs: tuple[FitRun, ...], gap: float) -> bool:
     """Whether an effect of the set does nothing: the set is then the one without it. `gap` is what the asset alone
     leaves of the runs, in floors."""
-    theory = fit.theory
-    now = left_by(theory, runs, fit.theta, fit.starts)
-    for name in theory.names:
-        nothing = off(theory.problem, name)
-        rows = zip(theory.ranges(), fit.theta, strict=True)
+    model = fit.model
+    now = residuals_at(model, runs, fit.theta, fit.starts)
+    for name in model.names:
+        nothing = neutral_point(model.problem, name)
+        rows = zip(model.ranges(), fit.theta, strict=True)
         theta = np.array([nothing[r.name] if r.owner == name else x for r, x in rows])
-        change = left_by(theory, runs, theta, fit.starts) - now
+        change = residuals_at(model, runs, theta, fit.starts) - now
         if float(np.sqrt(np.mean(change**2))) <= _NOTHING * gap:
             return True
     return False
 
 
-def is_size(r: Range, own: list[Range]) -> bool:
+def is_linear_parameter(r: ParameterRange, own: list[ParameterRange]) -> bool:
     """Whether the effect is linear in this parameter, more or less: the first one, and other forces."""
     if r is own[0] or r.name == own[0].name:
         return True
@@ -286,7 +300,7 @@ def is_size(r: Range, own: list[Range]) -> bool:
     return spec.revolute_unit == "N*m" or spec.prismatic_unit == "N"
 
 
-def _grid(r: Range, problem: Problem) -> list[float]:
+def _trial_values(r: ParameterRange, problem: Problem) -> list[float]:
     """Values of a place, a width, a speed or a ratio that are worth trying."""
     span = problem.q_high - problem.q_low
     unit = EFFECTS[r.owner].parameters()[r.name].unit(problem.plant.joint_type)

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from freeart21.se3 import Array
 
-Look = Callable[[NDArray[np.int64], Array, Array], list[Array]]
+ResidualFunction = Callable[[NDArray[np.int64], Array, Array], list[Array]]
 """(runs (m,), starts (m, 2), parameters (p,)) to the residuals of each of these runs, in floors."""
-Slopes = Callable[[Array, Array, list[Array], bool], list[Array]]
+JacobianFunction = Callable[[Array, Array, list[Array], bool], list[Array]]
 """(starts (r, 2), parameters, residuals, whether the parameters move) to (2 [+ p], n) of every run: what a unit of its
 start and of every parameter takes from its residuals."""
 
@@ -64,8 +64,8 @@ class Prior:
 def solve(
     theta: Array,
     starts: Array,
-    look: Look,
-    slopes: Slopes,
+    evaluate: ResidualFunction,
+    differentiate: JacobianFunction,
     prior: Prior,
     lower: float,
     upper: float,
@@ -75,110 +75,113 @@ def solve(
     """The least sum of squares from `theta` (p,) and `starts` (r, 2); `lower`, `upper` bound start positions.
 
     Without `free` only the starts move. A run that is missed by far more than the others has an error of its own, which
-    no formula is near enough to meet and of which only its size is known: its part of the cost is `charge`.
+    no formula is near enough to meet and of which only its size is known: its part of the cost is `robust_loss`.
     """
     p, runs = len(theta), len(starts)
     every = np.arange(runs)
-    parts = look(every, starts, theta)
+    parts = evaluate(every, starts, theta)
     costs = np.array([part @ part for part in parts])
     sizes = np.array([len(part) for part in parts])
-    damping, own, normal = 1e-3, np.full(runs, 1e-3), np.zeros((p, p))
+    damping, start_damping, normal = 1e-3, np.full(runs, 1e-3), np.zeros((p, p))
     for _ in range(iterations):
-        weights = weight(costs / sizes)
+        weights = robust_weight(costs / sizes)
         total = float(weights @ costs) + prior.cost(theta)
-        table = slopes(starts, theta, parts, free)
+        table = differentiate(starts, theta, parts, free)
         blocks = np.array([J @ J.T for J in table])
         rights = np.array([J @ part for J, part in zip(table, parts, strict=True)])
-        normal = _information(blocks, weights, prior, p) if free else normal
-        gain, moved, enough = 0.0, False, 1e-4 * total + 1e-2
+        normal = _information_matrix(blocks, weights, prior, p) if free else normal
+        gain, improved, enough = 0.0, False, 1e-4 * total + 1e-2
         for trials in range(_TRIALS):
-            shift, moves = _step(theta, blocks, rights, weights, damping, own, prior, free)
-            if not trials and _promised(shift, moves, theta, blocks, rights, weights, prior, free) < _ENOUGH * enough:
+            shift, moves = _damped_step(theta, blocks, rights, weights, damping, start_damping, prior, free)
+            if (
+                not trials
+                and _predicted_decrease(shift, moves, theta, blocks, rights, weights, prior, free) < _ENOUGH * enough
+            ):
                 break
             trial = np.clip(theta + shift, prior.low, prior.high)
             there = starts + moves
             there[:, 0] = np.clip(there[:, 0], lower, upper)
-            new_starts, new_parts = there.copy(), look(every, there, trial)
+            new_starts, new_parts = there.copy(), evaluate(every, there, trial)
             new_costs = np.array([part @ part for part in new_parts])
             taken = np.full(runs, True)
             worse = np.flatnonzero(new_costs > costs)
-            for i, row in zip(worse, look(worse, starts[worse], trial) if len(worse) else (), strict=True):
+            for i, row in zip(worse, evaluate(worse, starts[worse], trial) if len(worse) else (), strict=True):
                 if (cost := row @ row) < new_costs[i]:
                     new_starts[i], new_parts[i], new_costs[i], taken[i] = starts[i], row, cost, False
             which = np.repeat(every[~taken], len(_SHORTER))
             if len(which):
                 ways = starts[which] + np.tile(_SHORTER, runs - taken.sum())[:, None] * (there - starts)[which]
-                for i, way, row in zip(which, ways, look(which, ways, trial), strict=True):
+                for i, way, row in zip(which, ways, evaluate(which, ways, trial), strict=True):
                     if (cost := row @ row) < new_costs[i]:
                         new_starts[i], new_parts[i], new_costs[i] = way, row, cost
             new_total = float(weights @ new_costs) + prior.cost(trial)
-            own = np.where(taken, np.maximum(own / 10, 1e-9), np.minimum(own * 10, 1e3))
+            start_damping = np.where(taken, np.maximum(start_damping / 10, 1e-9), np.minimum(start_damping * 10, 1e3))
             if new_total < total:
-                gain, moved = total - new_total, True
+                gain, improved = total - new_total, True
                 theta, starts, parts, costs = trial, new_starts, new_parts, new_costs
                 damping = max(damping / 10, 1e-9)
                 break
             damping *= 8
-        if not moved or gain < enough:
+        if not improved or gain < enough:
             break
-    return State(theta, starts, parts, float(sizes @ charge(costs / sizes)) + prior.cost(theta), normal)
+    return State(theta, starts, parts, float(sizes @ robust_loss(costs / sizes)) + prior.cost(theta), normal)
 
 
-def charge(powers: Array) -> Array:
+def robust_loss(powers: Array) -> Array:
     """(r,) what each reading of runs costs that are missed by mean squares `powers` (r,), floors squared: those, up to
     some times the usual one, and beyond as their logarithm, the likelihood of an error whose size is unknown."""
-    most = _most(powers)
+    most = _outlier_power(powers)
     return np.asarray(np.where(powers <= most, powers, most * (1 + np.log(np.maximum(powers, most) / most))))
 
 
-def weight(powers: Array) -> Array:
-    """(r,) slope of `charge`, the usual error held."""
-    return np.asarray(np.minimum(1.0, _most(powers) / np.maximum(powers, 1e-12)))
+def robust_weight(powers: Array) -> Array:
+    """(r,) slope of `robust_loss`, the usual error held."""
+    return np.asarray(np.minimum(1.0, _outlier_power(powers) / np.maximum(powers, 1e-12)))
 
 
-def _most(powers: Array) -> float:
+def _outlier_power(powers: Array) -> float:
     return _OUTLIER**2 * max(float(np.median(powers)), 1.0)
 
 
-def _information(blocks: Array, weights: Array, prior: Prior, p: int) -> Array:
+def _information_matrix(blocks: Array, weights: Array, prior: Prior, p: int) -> Array:
     """(p, p) of the parameters, all starts free and undamped."""
-    return np.asarray(prior.weight + _beyond_starts(blocks, weights, 1e-9)[0])
+    return np.asarray(prior.weight + _eliminate_starts(blocks, weights, 1e-9)[0])
 
 
-def _beyond_starts(blocks: Array, weights: Array, ridge: Array | float) -> tuple[Array, Array, Array]:
+def _eliminate_starts(blocks: Array, weights: Array, ridge: Array | float) -> tuple[Array, Array, Array]:
     """What runs tell of the parameters (p, p), their starts taken out; what a unit of a run's start stands for in them
     (r, p, 2); inverses of the starts' own blocks (r, 2, 2), their diagonals larger by the part `ridge` (r,)."""
     inner = blocks[:, :2, :2].copy()
     inner[:, (0, 1), (0, 1)] = inner[:, (0, 1), (0, 1)] * (1 + np.broadcast_to(ridge, len(blocks))[:, None]) + 1e-12
     inverses = np.linalg.inv(inner)
     cross = blocks[:, 2:, :2] @ inverses
-    told = blocks[:, 2:, 2:] - cross @ blocks[:, :2, 2:]
-    return np.tensordot(weights, told, 1), cross, np.asarray(inverses)
+    information = blocks[:, 2:, 2:] - cross @ blocks[:, :2, 2:]
+    return np.tensordot(weights, information, 1), cross, np.asarray(inverses)
 
 
-def _step(
+def _damped_step(
     theta: Array,
     blocks: Array,
     rights: Array,
     weights: Array,
     damping: float,
-    own: Array,
+    start_damping: Array,
     prior: Prior,
     free: bool,
 ) -> tuple[Array, Array]:
     """Moves of the parameters (p,) and of the starts (r, 2)."""
-    told, cross, inverses = _beyond_starts(blocks, weights, own + 1e-9)
+    information, cross, inverses = _eliminate_starts(blocks, weights, start_damping + 1e-9)
     shift, of_starts = np.zeros(len(theta)), rights[:, :2]
     if free and len(theta):
         beyond = rights[:, 2:] - (cross @ rights[:, :2, None])[..., 0]
         g = weights @ beyond - prior.weight @ (theta - prior.neutral)
         size = np.diag(prior.weight) + weights @ np.diagonal(blocks[:, 2:, 2:], axis1=1, axis2=2)
-        shift = _bounded(theta, prior.weight + told, g, damping * size, prior)
+        shift = _bounded_step(theta, prior.weight + information, g, damping * size, prior)
         of_starts = of_starts - blocks[:, :2, 2:] @ shift
     return shift, (inverses @ of_starts[..., None])[..., 0]
 
 
-def _promised(
+def _predicted_decrease(
     shift: Array,
     moves: Array,
     theta: Array,
@@ -194,7 +197,7 @@ def _promised(
     return float(weights @ falls) + prior.cost(theta) - prior.cost(theta + shift)
 
 
-def _bounded(theta: Array, A: Array, g: Array, ridge: Array, prior: Prior) -> Array:
+def _bounded_step(theta: Array, A: Array, g: Array, ridge: Array, prior: Prior) -> Array:
     """The damped step, with what would leave its bounds held there."""
     active = ridge > 0
     shift = np.zeros(len(theta))

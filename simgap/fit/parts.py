@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from simgap.fit.fit import Fit, Problem, fitted, resettled
+from simgap.fit.fit import Fit, Problem, fit_model, refit_missed_starts
 from simgap.measure.data import FitRun
 
 _LONG, _SEARCHED = 400.0, 100.0
@@ -19,7 +19,7 @@ _GROWTH, _ITERATIONS = 3, 4
 """Times by which the beginnings of runs grow to the whole of them, and iterations on each."""
 
 
-def parts_of(problem: Problem, runs: tuple[FitRun, ...]) -> tuple[FitRun, ...]:
+def select_parts(problem: Problem, runs: tuple[FitRun, ...]) -> tuple[FitRun, ...]:
     """The runs; of long ones their beginnings and as much from their middles on, named by their first readings."""
     duration = sum(float(run.times_s[-1] - run.times_s[0]) for run in runs)
     if duration < _LONG * problem.crossing_s:
@@ -33,21 +33,21 @@ def parts_of(problem: Problem, runs: tuple[FitRun, ...]) -> tuple[FitRun, ...]:
     return tuple(found)
 
 
-def worth(fits: list[Fit], times: float) -> list[Fit]:
+def drop_poor_fits(fits: list[Fit], times: float) -> list[Fit]:
     """The fits to the same runs but those that leave so many `times` the least sum of squares; what is part of a set
     that stays does so, too."""
     most = times * min((fit.cost for fit in fits), default=0.0)
-    near = [set(fit.theory.names) for fit in fits if fit.cost <= most]
-    return [fit for fit in fits if any(set(fit.theory.names) <= names for names in near)]
+    near = [set(fit.model.names) for fit in fits if fit.cost <= most]
+    return [fit for fit in fits if any(set(fit.model.names) <= names for names in near)]
 
 
-def on_all(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
+def extend_to_all(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
     """The fit to parts of the runs, fitted to ever longer beginnings and then to all of them."""
     count = {run.name: len(fit.residuals[f"{run.name}#0"]) for run in runs}
     theta, starts = fit.theta, {run.name: fit.starts[f"{run.name}#0"] for run in runs}
     while any(_GROWTH * count[run.name] < len(run.q) for run in runs):
         count = {name: _GROWTH * n for name, n in count.items()}
         longer = tuple(run.between(0, count[run.name]) for run in runs)
-        on_these = fitted(fit.theory, longer, theta, starts, _ITERATIONS)
+        on_these = fit_model(fit.model, longer, theta, starts, _ITERATIONS)
         theta, starts = on_these.theta, on_these.starts
-    return resettled(fitted(fit.theory, runs, theta, starts), runs)
+    return refit_missed_starts(fit_model(fit.model, runs, theta, starts), runs)

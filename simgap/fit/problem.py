@@ -7,22 +7,22 @@ from dataclasses import replace
 import numpy as np
 
 from freeart21.measured import Measured
-from simgap.fit.theory import Problem
+from simgap.fit.model import Problem
 from simgap.measure.data import FitRun
-from simgap.measure.floor import Floor
+from simgap.measure.noise import SensorNoise
 from simgap.models.surrogate import Plant
 from simgap.settings import GapSettings
 
 
-def problem_of(
-    plant: Plant, measured: Measured, runs: tuple[FitRun, ...], floor: Floor, settings: GapSettings
+def make_problem(
+    plant: Plant, measured: Measured, runs: tuple[FitRun, ...], noise: SensorNoise, settings: GapSettings
 ) -> Problem:
     """What all fits share."""
     motion = np.concatenate([run.q for run in runs])
     speed = np.concatenate([run.speed for run in runs])
     driven = any(len(run.inputs.times_s) for run in runs)
     load = plant.mechanics.load(motion, speed, np.zeros(len(speed)))
-    force = force_at_work(plant, runs)
+    force = rms_inertial_force(plant, runs)
     weight = plant.mechanics.gravity_force(motion)
     return Problem(
         plant,
@@ -31,7 +31,7 @@ def problem_of(
         float(min(run.q.min() for run in runs)),
         float(max(run.q.max() for run in runs)),
         float(max(np.quantile(np.abs(run.speed), 0.99) for run in runs)),
-        floor.still,
+        noise.sigma_at_rest,
         force,
         float(np.sqrt(np.mean(load**2))),
         float(np.sqrt(force**2 + 4 * np.mean(weight**2))),  # a drive gives what moves the part and bears its weight
@@ -41,13 +41,13 @@ def problem_of(
     )
 
 
-def force_at_work(plant: Plant, runs: tuple[FitRun, ...]) -> float:
+def rms_inertial_force(plant: Plant, runs: tuple[FitRun, ...]) -> float:
     """Root mean square of inertia times acceleration, N*m or N, roughly: from the slopes of speeds."""
     squares = [np.mean(np.gradient(run.speed, run.times_s) ** 2) for run in runs]
     return max(float(plant.mechanics.inertia * np.sqrt(np.mean(squares))), 1e-9)
 
 
-def as_delivered(problem: Problem, plant: Plant | None = None) -> Problem:
+def without_asset_error(problem: Problem, plant: Plant | None = None) -> Problem:
     """The problem without any doubt of the asset: inertia, weight and base are as the files say.
 
     `plant` is what other files say; None for the same ones.

@@ -10,27 +10,27 @@ import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
 from freeart21.se3 import Array
-from simgap.fit import alike
+from simgap.fit import alternatives
 from simgap.fit.fit import (
     Fit,
+    Model,
     Problem,
     Starts,
-    Theory,
-    fitted,
-    grown,
-    grown_mild,
-    joined,
-    misfit,
-    pieces,
-    placed,
-    priced,
-    resettled,
-    unit_of,
+    bic_penalty,
+    cut_stretches,
+    fit_from_small_effects,
+    fit_model,
+    fit_multiple_shooting,
+    initial_theta,
+    refit_missed_starts,
+    refit_starts,
+    residual_dispersion,
+    squared_error,
 )
-from simgap.fit.force_guess import LocalForce, local_force, places
-from simgap.fit.guess import Guess, guesses, off
-from simgap.fit.parts import on_all, parts_of, worth
-from simgap.fit.theory import SHAFT
+from simgap.fit.force_guess import MissingForceSamples, guess_places, sample_missing_force
+from simgap.fit.guess import Guess, first_guesses, neutral_point
+from simgap.fit.model import SHAFT
+from simgap.fit.parts import drop_poor_fits, extend_to_all, select_parts
 from simgap.measure.data import FitRun
 from simgap.models.surrogate import is_local
 from simgap.settings import SearchSettings
@@ -55,12 +55,12 @@ _CATCHES = 3
 _ALL_ALONG = tuple(
     name
     for name, cls in EFFECTS.items()
-    if cls.acts in ("force", "drive") and not (is_local(cls) or cls.becomes or cls.geared)
+    if cls.acts in ("force", "drive") and not (is_local(cls) or cls.reduces_to or cls.geared)
 )
 """Effects that take energy, and forces without a place: they act wherever the joint is."""
 LOSSES = tuple(name for name in _ALL_ALONG if EFFECTS[name].dissipates and not EFFECTS[name].needs_load)
 """What takes energy all along: every joint has some of them."""
-_SERVO = tuple(name for name, cls in EFFECTS.items() if cls.of_drive)
+_SERVO = tuple(name for name, cls in EFFECTS.items() if cls.drivetrain)
 """What a geared drive has, of all of which it takes several to come near: of a hobby servo's
 logs (Rhoban/bam, XL330) dry friction and that of its gears leave 102 floors, a gain besides 38, any less than two of
 the three over 80. One by one none shows."""
@@ -74,25 +74,25 @@ _GROWING = 4
 """Iterations of a fit to stretches."""
 
 
-def candidates(
+def list_candidates(
     problem: Problem, runs: tuple[FitRun, ...], encoder: bool = True, without: tuple[str, ...] = ()
 ) -> tuple[str, ...]:
     """Names of the effects, `without` some, that these runs could show at all; without an `encoder` part poses told the
     positions."""
     commanded = any(np.any(run.inputs.effort) or np.isfinite(run.inputs.command).any() for run in runs)
-    told = any(np.any(run.inputs.effort) for run in runs)
-    near = problem.near_stop
-    driven = commanded or any(np.any(run.inputs.push) or run.inputs.sway is not None for run in runs)
+    with_effort = any(np.any(run.inputs.effort) for run in runs)
+    near = problem.reaches_limit
+    driven = commanded or any(np.any(run.inputs.push) or run.inputs.base_motion is not None for run in runs)
     slack = any(effect.acts == "slack" for effect in problem.plant.effects)
 
     def possible(cls: type[Effect]) -> bool:
-        if problem.plant.joint_type not in cls.joint_types or cls.kind == "kinematics" or not problem.can_span(cls):
+        if problem.plant.joint_type not in cls.joint_types or cls.kind == "kinematics" or not problem.covers_range(cls):
             return False
         if cls.reading_error is not Effect.reading_error and not encoder:
             return False
         if any(s.revolute_unit == "rad/s" and s.lower >= problem.speed for s in cls.parameters().values()):
             return False  # nothing moves as fast as it acts
-        if (cls.needs_effort and not told) or (cls.geared and not commanded):
+        if (cls.needs_effort and not with_effort) or (cls.geared and not commanded):
             return False
         if cls.needs_load and not cls.geared and not problem.bearing_loaded:
             return False  # nothing presses on the bearing
@@ -113,44 +113,44 @@ class Search:
     train: tuple[FitRun, ...]
     settings: SearchSettings
     names: tuple[str, ...]
-    """Effects that sets are made of; those that may have any shape (`Effect.counts`) only beside what is best without:
+    """Effects that sets are made of; those that may have any shape (`Effect.counts`) only beside the best without:
     they would be first in every set."""
     seconds: float = np.inf
     """Of processor time for all that is done with these sets: after half of it no further one is begun."""
     fits: dict[tuple[str, ...], Fit] = field(default_factory=dict)
-    _first: tuple[tuple[FitRun, ...], Fit, list[Guess]] | None = None
+    _first_look: tuple[tuple[FitRun, ...], Fit, list[Guess]] | None = None
     _losses: dict[tuple[str, ...], Fit] = field(default_factory=dict)
     """Of every set of losses, from the asset as it is told."""
-    _forces: dict[tuple[str, ...], LocalForce] = field(default_factory=dict)
+    _forces: dict[tuple[str, ...], MissingForceSamples] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._began, self.stopped = time.process_time(), False
-        self.shapes = tuple(name for name in self.names if EFFECTS[name].counts > 1)
+        self._start_time, self.stopped = time.process_time(), False
+        self.shapes = tuple(name for name in self.names if EFFECTS[name].complexity > 1)
         self.names = tuple(name for name in self.names if name not in self.shapes)
 
     @property
-    def spent(self) -> bool:
+    def is_out_of_time(self) -> bool:
         """Whether the time is over: what was found by then is the answer."""
-        self.stopped = self.stopped or time.process_time() > self._began + 0.5 * self.seconds
+        self.stopped = self.stopped or time.process_time() > self._start_time + 0.5 * self.seconds
         return self.stopped
 
     @property
-    def late(self) -> bool:
+    def is_overtime(self) -> bool:
         """Whether all of the time is over."""
-        late = time.process_time() > self._began + self.seconds
+        late = time.process_time() > self._start_time + self.seconds
         self.stopped = self.stopped or late
         return late
 
     def base(self) -> Fit:
         """Nothing missing but what the asset may be off by."""
         if () not in self.fits:
-            self.fits[()] = grown(Theory(self.problem, ()), self.train)
+            self.fits[()] = fit_multiple_shooting(Model(self.problem, ()), self.train)
         return self.fits[()]
 
-    def promising(self) -> bool:
+    def is_promising(self) -> bool:
         """Whether any effect could, to first order, make what the asset alone leaves more probable than its numbers
         cost."""
-        base, (cut, at, found) = self.base(), self._guesses()
+        base, (cut, at, found) = self.base(), self._look_first()
         if cut is not self.train:
             return True
         return any(self._is_paid(base, guess, at.rss - guess.cost) for guess in found)
@@ -158,267 +158,279 @@ class Search:
     def _is_paid(self, fit: Fit, guess: Guess, gain: float) -> bool:
         """Whether a fall of a fit's sum of squares makes the runs more probable than the numbers of a guess cost."""
         readings = sum(len(run.q) for run in self.train)
-        return 0.5 * gain / unit_of(fit.residuals) > priced(len(guess.point), readings)
+        return 0.5 * gain / residual_dispersion(fit.residuals) > bic_penalty(len(guess.point), readings)
 
-    def explored(self) -> list[Fit]:
+    def explore(self) -> list[Fit]:
         """The best sets of every size, of long runs found on parts of them and then fitted to all."""
-        parts = parts_of(self.problem, self.train)
-        if parts is self.train or self.base().level <= _FAR:
-            return self._explored()
+        parts = select_parts(self.problem, self.train)
+        if parts is self.train or self.base().rms <= _FAR:
+            return self._explore_sizes()
         short = Search(self.problem, parts, self.settings, self.names + self.shapes, 0.5 * self.seconds)
-        near = sorted(worth(short._explored(), _HOPEFUL), key=lambda fit: len(fit.theory.names))
+        near = sorted(drop_poor_fits(short._explore_sizes(), _HOPEFUL), key=lambda fit: len(fit.model.names))
         self.stopped = short.stopped
-        found = [self.keep(on_all(fit, self.train)) for fit in near]
+        found = [self.keep(extend_to_all(fit, self.train)) for fit in near]
         for size in range(1, self.settings.max_effects + 1):
             for fit in self._of_size(size)[: self.settings.parents]:
-                for at in alike.twins(self.problem, fit, self.names):  # of two alike none has found the better swings
-                    found.append(self.keep(fitted(at.theory, self.train, at.theta, at.starts)))
+                for at in alternatives.find_confounded(
+                    self.problem, fit, self.names
+                ):  # of two alike none has found the better swings
+                    found.append(self.keep(fit_model(at.model, self.train, at.theta, at.starts)))
         for fit in sorted(self.fits.values(), key=lambda fit: fit.cost):
-            for name in fit.theory.names:
+            for name in fit.model.names:
                 self._from_above(fit, name)
-        return [self.fits[names] for names in dict.fromkeys(fit.theory.names for fit in found)]
+        return [self.fits[names] for names in dict.fromkeys(fit.model.names for fit in found)]
 
     def _from_above(self, fit: Fit, name: str) -> None:
         """A set of one effect less that fits worse than it would with the numbers and the starts of the larger one: it
         missed some turn of a long run, and goes on from there."""
-        names = tuple(n for n in fit.theory.names if n != name)
+        names = tuple(n for n in fit.model.names if n != name)
         if names in self.fits:
-            theory = Theory(self.problem, names)
-            theta = joined(theory, fit, {})
-            if misfit(theory, self.train, theta, fit.starts) < self.fits[names].cost:
-                self.keep(fitted(theory, self.train, theta, fit.starts))
+            model = Model(self.problem, names)
+            theta = initial_theta(model, fit, {})
+            if squared_error(model, self.train, theta, fit.starts) < self.fits[names].cost:
+                self.keep(fit_model(model, self.train, theta, fit.starts))
 
-    def _explored(self) -> list[Fit]:
+    def _explore_sizes(self) -> list[Fit]:
         """The best sets of every size, ever larger ones until nothing is left to explain: begun from smaller ones, from
         the asset as it is told, and from others that do much the same."""
-        level = self.singles()
+        level = self.fit_singles()
         for size in range(1, self.settings.max_effects + 1):
             if size > 1:
-                level = self.larger(level[: self.settings.parents if size == 2 else self.settings.parents - 1])
-            self._swapped(size)
+                level = self.fit_larger(level[: self.settings.parents if size == 2 else self.settings.parents - 1])
+            self._fit_swaps(size)
             level = self._of_size(size)
-            if self._is_explained() or self.spent:
+            if self._is_explained() or self.is_out_of_time:
                 break
-        every = [] if self._is_explained() else [fit for fit in self.losses() if self.base().level > _FAR]
+        every = [] if self._is_explained() else [fit for fit in self.fit_losses() if self.base().rms > _FAR]
         best = [fit for k in range(1, size + 1) for fit in self._of_size(k)[: self.settings.contenders]]
-        names = {fit.theory.names for fit in best}
-        return best + [fit for fit in every if fit.theory.names not in names]
+        names = {fit.model.names for fit in best}
+        return best + [fit for fit in every if fit.model.names not in names]
 
     def _is_explained(self) -> bool:
         """Whether a set leaves hardly more than noise, so that no other has to be looked for."""
-        return min(self.fits.values(), key=lambda fit: fit.cost).level < self.settings.all_told
+        return min(self.fits.values(), key=lambda fit: fit.cost).rms < self.settings.all_told
 
     def _of_size(self, size: int) -> list[Fit]:
         """All sets of so many effects, the best first."""
         return sorted((fit for names, fit in self.fits.items() if len(names) == size), key=lambda fit: fit.cost)
 
-    def _swapped(self, size: int) -> None:
+    def _fit_swaps(self, size: int) -> None:
         """Beside the best sets of a size those with an effect's like in its place, those that they become in special
-        cases, and those with one effect less; beside the very best only when the time is over."""
-        for fit in self._of_size(size)[: 1 if self.spent else self.settings.parents]:
-            for at in alike.alternatives(self.problem, fit, self.names):
-                if EFFECTS[at.new].becomes != at.old.name:  # that is begun from where it is plain
-                    self.keep(fitted(at.theory, self.train, at.theta, at.starts))
-            for name in fit.theory.names:
-                rest = {*fit.theory.names} - {name}
-                less = EFFECTS[name].becomes
+        cases, and those with one effect less; other_effects the very best only when the time is over."""
+        for fit in self._of_size(size)[: 1 if self.is_out_of_time else self.settings.parents]:
+            for at in alternatives.find_alternatives(self.problem, fit, self.names):
+                if EFFECTS[at.new].reduces_to != at.old.name:  # that is begun from where it is plain
+                    self.keep(fit_model(at.model, self.train, at.theta, at.starts))
+            for name in fit.model.names:
+                rest = {*fit.model.names} - {name}
+                less = EFFECTS[name].reduces_to
                 if less in self.names:
-                    self.of(tuple(sorted({*rest, less})))
+                    self.fit_set(tuple(sorted({*rest, less})))
                 if rest:
-                    self.without(fit, name)
+                    self.fit_without(fit, name)
 
-    def shaped(self) -> list[Fit]:
-        """Forces and frictions of any shape, alone and beside the best of the losses, from the asset as it is told."""
-        lossy = sorted((f for f in self.fits.values() if f.theory.names in loss_sets(self.names)), key=lambda f: f.cost)
-        beside = [(), *(fit.theory.names for fit in lossy[:2])]
-        sets = [tuple(sorted((*names, shape))) for shape in self.shapes for names in beside]
-        return [self.keep(grown_mild(Theory(self.problem, names), self.train)) for names in sets if not self.spent]
+    def fit_shapes(self) -> list[Fit]:
+        """Forces and frictions of any shape, alone and beside the best losses."""
+        lossy = sorted((f for f in self.fits.values() if f.model.names in loss_sets(self.names)), key=lambda f: f.cost)
+        other_effects = [(), *(fit.model.names for fit in lossy[:2])]
+        sets = [tuple(sorted((*names, shape))) for shape in self.shapes for names in other_effects]
+        return [
+            self.keep(fit_from_small_effects(Model(self.problem, names), self.train))
+            for names in sets
+            if not self.is_out_of_time
+        ]
 
-    def losses(self) -> list[Fit]:
+    def fit_losses(self) -> list[Fit]:
         """The sets of `loss_sets`, fitted from the asset as it is told, not from what it must be off by to do
         without."""
         for names in loss_sets(self.names):
-            if names not in self._losses and not self.spent:
-                self._losses[names] = grown_mild(Theory(self.problem, names), self.train)
+            if names not in self._losses and not self.is_out_of_time:
+                self._losses[names] = fit_from_small_effects(Model(self.problem, names), self.train)
         own = self._losses.items()
         return [min((fit, self.fits.get(names, fit)), key=lambda f: f.cost) for names, fit in own]
 
     def _with_losses(self, size: int) -> list[Fit]:
         """Those of a size that fit better than the same set, or than all that was found: others tell a search
         nothing."""
-        if self.base().level <= _FAR or self._is_explained():
+        if self.base().rms <= _FAR or self._is_explained():
             return []
         level = [fit.cost for names, fit in self.fits.items() if len(names) == size]
         found = []
-        for fit in self.losses():
-            names = fit.theory.names
+        for fit in self.fit_losses():
+            names = fit.model.names
             known = self.fits.get(names)
             if len(names) == size and fit.cost < (known.cost if known is not None else min(level, default=np.inf)):
                 found.append(self.keep(fit))
         return found
 
-    def _guesses(self) -> tuple[tuple[FitRun, ...], Fit, list[Guess]]:
+    def _look_first(self) -> tuple[tuple[FitRun, ...], Fit, list[Guess]]:
         """Stretches that a first-order look can span, the asset alone fitted to them, and first guesses of every effect
         alone by them."""
-        if self._first is None:
-            cut, at = self._cut(self.base(), True)
-            self._first = cut, at, guesses(at, cut, self.names)
-        return self._first
+        if self._first_look is None:
+            cut, at = self._choose_stretches(self.base(), True)
+            self._first_look = cut, at, first_guesses(at, cut, self.names)
+        return self._first_look
 
-    def singles(self) -> list[Fit]:
+    def fit_singles(self) -> list[Fit]:
         """Every effect alone, the best first."""
-        cut, at, found = self._guesses()
+        cut, at, found = self._look_first()
         rough = []
         for name in list(dict.fromkeys(guess.name for guess in found))[: self.settings.singles]:
-            points = [guess.point for guess in self._apart([guess for guess in found if guess.name == name])]
-            rough.append(self._best(name, points, cut, at))
-        rough = self._with_sudden(rough, cut, at)
+            points = [guess.point for guess in self._select_distinct([guess for guess in found if guess.name == name])]
+            rough.append(self._best_start(name, points, cut, at))
+        rough = self._refine_sudden(rough, cut, at)
         most = self.settings.contenders + 1
-        for fewer, runs in enumerate(self._longer(cut)):
-            rough = [self._stretched(fit, runs) for fit in _hopeful(rough)[: most - fewer]]
-        for fit in _hopeful(rough)[:most]:
-            self.keep(self._whole(fit, self.base()) if cut is not self.train else self._finished(fit))
+        for fewer, runs in enumerate(self._longer_stretches(cut)):
+            rough = [self._fit_stretched(fit, runs) for fit in _drop_poor(rough)[: most - fewer]]
+        for fit in _drop_poor(rough)[:most]:
+            self.keep(self._fit_whole(fit, self.base()) if cut is not self.train else self._finish(fit))
         self._with_losses(1)
-        far = self._left_out()
+        far = self._fit_remaining()
         for name in self.names:
-            plainer = EFFECTS[name].becomes
-            if plainer and (name,) in self.fits and (plainer,) in self.fits:
-                self._keep_from(name, self.fits[(plainer,)])
-                self._keep_plain(self.fits[(name,)], plainer)
-            if plainer and EFFECTS[name].acts == "slack" and {(name,), (plainer,)} <= {*self.fits}:
-                self._with_slack(name, self.fits[(plainer,)])
-        return self._resettled([self.fits[(name,)] for name in self.names if (name,) in self.fits and name not in far])
+            reduced = EFFECTS[name].reduces_to
+            if reduced and (name,) in self.fits and (reduced,) in self.fits:
+                self._keep_from(name, self.fits[(reduced,)])
+                self._keep_reduced(self.fits[(name,)], reduced)
+            if reduced and EFFECTS[name].acts == "slack" and {(name,), (reduced,)} <= {*self.fits}:
+                self._fit_slack(name, self.fits[(reduced,)])
+        return self._refit_level(
+            [self.fits[(name,)] for name in self.names if (name,) in self.fits and name not in far]
+        )
 
-    def _left_out(self) -> list[str]:
+    def _fit_remaining(self) -> list[str]:
         """Where no effect alone explains the runs, fits of those that first guesses tell nothing of: in stretches a
         start of its own did what the stop before it should have done, a joint that creeps is far from one that falls,
         and one that friction holds tells nothing of what would have moved it. Gives those of them that act all along
         and are not even nearer than all that were guessed."""
-        if min((fit.level for fit in self.fits.values()), default=np.inf) <= self.settings.lost:
+        if min((fit.rms for fit in self.fits.values()), default=np.inf) <= self.settings.lost:
             return []
-        for name in self.names if not self.spent else ():
+        for name in self.names if not self.is_out_of_time else ():
             if EFFECTS[name].acts == "stop":
-                self.of((name,))
+                self.fit_set((name,))
         looked = LOSSES if self._losses else ()
         new = [
-            n for n in _ALL_ALONG if n in self.names and (n,) not in self.fits and n not in looked and not self.spent
+            n
+            for n in _ALL_ALONG
+            if n in self.names and (n,) not in self.fits and n not in looked and not self.is_out_of_time
         ]
         least = min(fit.cost for fit in self.fits.values())
-        return [name for name in new if self.of((name,)).cost >= least]
+        return [name for name in new if self.fit_set((name,)).cost >= least]
 
-    def _with_slack(self, name: str, plain: Fit) -> None:
+    def _fit_slack(self, name: str, reduced: Fit) -> None:
         """A slack, begun from its drive's inertia without one: through a wide one far from the true one all impacts
         fall elsewhere."""
-        begin = alike.alternatives(self.problem, plain, (name,))
-        if self.fits[(name,)].cost < plain.cost or next(iter(plain.effects)).inertia() <= 0:
+        begin = alternatives.find_alternatives(self.problem, reduced, (name,))
+        if self.fits[(name,)].cost < reduced.cost or next(iter(reduced.effects)).inertia() <= 0:
             return
-        best = tried_of(begin[0].theory, [at.theta for at in begin], self.train, plain.starts, _SCREEN)
-        self.keep(fitted(best.theory, self.train, best.theta, best.starts))
+        best = fit_best_start(begin[0].model, [at.theta for at in begin], self.train, reduced.starts, _SCREEN)
+        self.keep(fit_model(best.model, self.train, best.theta, best.starts))
 
-    def _apart(self, own: list[Guess]) -> list[Guess]:
+    def _select_distinct(self, own: list[Guess]) -> list[Guess]:
         """The best first guesses of one effect that differ: neighbours on the grid lead to the same fit."""
-        kept: list[Guess] = []
+        distinct: list[Guess] = []
         for guess in own:
-            if len(kept) < self.problem.fit.starts and not any(self._alike(guess, other) for other in kept):
-                kept.append(guess)
-        return kept
+            if len(distinct) < self.problem.fit.starts and not any(
+                self._is_similar(guess, other) for other in distinct
+            ):
+                distinct.append(guess)
+        return distinct
 
-    def _alike(self, first: Guess, second: Guess) -> bool:
+    def _is_similar(self, first: Guess, second: Guess) -> bool:
         """Whether all but the sizes of two guesses are about the same: places within a tenth of the way moved through,
         widths and speeds within a factor of 2."""
         reach = 0.1 * (self.problem.q_high - self.problem.q_low)
-        own = [r for r in Theory(self.problem, (first.name,)).ranges() if r.owner == first.name]
+        own = [r for r in Model(self.problem, (first.name,)).ranges() if r.owner == first.name]
         for r in own[1:]:
             a, b = first.point[r.name], second.point[r.name]
             if abs(a - b) > reach if r.lower < 0 else max(a, b) > 2 * min(a, b):
                 return False
         return True
 
-    def _with_sudden(self, rough: list[Fit], cut: tuple[FitRun, ...], at: Fit) -> list[Fit]:
+    def _refine_sudden(self, rough: list[Fit], cut: tuple[FitRun, ...], at: Fit) -> list[Fit]:
         """Fits of effects to stretches, those of what catches or throws back begun in shorter ones."""
-        short = self._short(self.base(), at, True)
+        short = self._shorter_stretches(self.base(), at, True)
         if short is None:
             return rough
-        found = guesses(short[1], short[0], tuple(name for name in self.names if is_sudden(EFFECTS[name])))
-        best = {fit.theory.names: fit for fit in rough}
+        found = first_guesses(short[1], short[0], tuple(name for name in self.names if is_sudden(EFFECTS[name])))
+        best = {fit.model.names: fit for fit in rough}
         for name in dict.fromkeys(guess.name for guess in found):
-            own = self._apart([guess for guess in found if guess.name == name])
-            fit = self._best(name, [guess.point for guess in own] + self._places(name), *short)
-            fit = self._lengthened(fit, short[0], len(cut))
+            own = self._select_distinct([guess for guess in found if guess.name == name])
+            fit = self._best_start(name, [guess.point for guess in own] + self._guess_places(name), *short)
+            fit = self._fit_longer(fit, short[0], len(cut))
             fit = min(fit, best.get((name,), fit), key=lambda f: f.cost)
             best[(name,)] = fit
         return list(best.values())
 
-    def _lengthened(self, fit: Fit, cut: tuple[FitRun, ...], fewest: int = 0) -> Fit:
+    def _fit_longer(self, fit: Fit, cut: tuple[FitRun, ...], fewest: int = 0) -> Fit:
         """The fit on ever longer stretches, down to the fewest."""
-        for runs in self._longer(cut):
+        for runs in self._longer_stretches(cut):
             if len(runs) >= fewest:
-                fit = self._stretched(fit, runs)
+                fit = self._fit_stretched(fit, runs)
         return fit
 
-    def _best(self, name: str, points: list[dict[str, float]], cut: tuple[FitRun, ...], at: Fit) -> Fit:
+    def _best_start(self, name: str, points: list[dict[str, float]], cut: tuple[FitRun, ...], at: Fit) -> Fit:
         """`at`, a fit to stretches, with the effect, from the best of these points of it."""
-        theory = Theory(self.problem, tuple(sorted((*at.theory.names, name))))
-        return tried_of(theory, [joined(theory, at, {name: point}) for point in points], cut, at.starts)
+        model = Model(self.problem, tuple(sorted((*at.model.names, name))))
+        return fit_best_start(model, [initial_theta(model, at, {name: point}) for point in points], cut, at.starts)
 
-    def _places(self, name: str, beside: tuple[Effect, ...] = ()) -> list[dict[str, float]]:
+    def _guess_places(self, name: str, other_effects: tuple[Effect, ...] = ()) -> list[dict[str, float]]:
         """First guesses of an effect with a place by the force that is missing there."""
-        key = tuple(effect.name for effect in beside)
+        key = tuple(effect.name for effect in other_effects)
         if key not in self._forces:
-            self._forces[key] = local_force(self.problem, self.train, beside)
-        return places(self.problem, self._forces[key], name, _PLACES)
+            self._forces[key] = sample_missing_force(self.problem, self.train, other_effects)
+        return guess_places(self.problem, self._forces[key], name, _PLACES)
 
-    def _longer(self, cut: tuple[FitRun, ...]) -> list[tuple[FitRun, ...]]:
+    def _longer_stretches(self, cut: tuple[FitRun, ...]) -> list[tuple[FitRun, ...]]:
         """The runs in stretches longer than these, ever longer, whole ones left out."""
         found, count = [], len(cut)
         for crossings in _CROSSINGS:
-            runs = pieces(self.train, crossings * self.problem.crossing_s)
+            runs = cut_stretches(self.train, crossings * self.problem.crossing_s)
             if len(self.train) < len(runs) < count:
                 found.append(runs)
                 count = len(runs)
         return found
 
-    def _stretched(self, fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
+    def _fit_stretched(self, fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
         """The fit on longer stretches."""
-        longer = fitted(fit.theory, runs, fit.theta, fit.starts, _GROWING)
-        return caught(longer, runs)
+        longer = fit_model(fit.model, runs, fit.theta, fit.starts, _GROWING)
+        return refine_multistart(longer, runs)
 
-    def _whole(self, fit: Fit, parent: Fit) -> Fit:
+    def _fit_whole(self, fit: Fit, parent: Fit) -> Fit:
         """The fit to stretches on whole runs, from its own starts or those of a smaller set's fit to them."""
         first = {run.name: fit.starts[f"{run.name}#0"] for run in self.train}
-        ways = [fitted(fit.theory, self.train, fit.theta, at, _SCREEN) for at in (first, parent.starts)]
-        return self._finished(min(ways, key=lambda way: way.cost))
+        ways = [fit_model(fit.model, self.train, fit.theta, at, _SCREEN) for at in (first, parent.starts)]
+        return self._finish(min(ways, key=lambda way: way.cost))
 
-    def _finished(self, fit: Fit) -> Fit:
+    def _finish(self, fit: Fit) -> Fit:
         """The fit to whole runs to its end."""
-        fit = caught(fit, self.train)
-        return fitted(fit.theory, self.train, fit.theta, fit.starts)
+        fit = refine_multistart(fit, self.train)
+        return fit_model(fit.model, self.train, fit.theta, fit.starts)
 
-    def _keep_from(self, name: str, plainer: Fit) -> None:
+    def _keep_from(self, name: str, reduced: Fit) -> None:
         """A general effect fits no worse than the plainer one that it may become, where their parameters agree."""
         fit = self.fits[(name,)]
-        shared = {key: float(x) for (owner, key), x in plainer.values.items() if owner in plainer.theory.names}
-        if fit.cost > plainer.cost and set(shared) <= set(EFFECTS[name].parameters()):
-            point = {**off(self.problem, name), **shared}
-            theta = joined(fit.theory, plainer, {name: point})
-            self.keep(fitted(fit.theory, self.train, theta, plainer.starts))
+        shared = {key: float(x) for (owner, key), x in reduced.values.items() if owner in reduced.model.names}
+        if fit.cost > reduced.cost and set(shared) <= set(EFFECTS[name].parameters()):
+            point = {**neutral_point(self.problem, name), **shared}
+            theta = initial_theta(fit.model, reduced, {name: point})
+            self.keep(fit_model(fit.model, self.train, theta, reduced.starts))
 
-    def _keep_plain(self, general: Fit, plainer: str) -> None:
+    def _keep_reduced(self, general: Fit, reduced: str) -> None:
         """A plainer effect that fits worse is fitted again from where the general one is: that may be its special
         case."""
-        if general.cost < self.fits[(plainer,)].cost:
-            self.keep(reduced(general, general.theory.names[0], self.train))
+        if general.cost < self.fits[(reduced,)].cost:
+            self.keep(reduce_effect(general, general.model.names[0], self.train))
 
-    def larger(self, parents: list[Fit]) -> list[Fit]:
+    def fit_larger(self, parents: list[Fit]) -> list[Fit]:
         """The most promising sets of one effect more than some of `parents`, fitted; of every parent's at least one:
         the best single effect is often none of a pair. What is sudden takes most of the time, and is not tried where it
         does not promise what its numbers cost."""
         rough: dict[tuple[str, ...], tuple[float, Fit, Guess, Fit, tuple[FitRun, ...]]] = {}
         for parent in parents:
-            cut, at = self._cut(parent)
+            cut, at = self._choose_stretches(parent)
             scale = parent.cost / max(at.rss, 1e-9)  # of what is left in stretches, to that of whole runs
-            for guess in guesses(at, cut, self.names):
-                names = tuple(sorted((*parent.theory.names, guess.name)))
+            for guess in first_guesses(at, cut, self.names):
+                names = tuple(sorted((*parent.model.names, guess.name)))
                 cost = guess.cost * scale
                 if is_sudden(EFFECTS[guess.name]) and not self._is_paid(parent, guess, parent.cost - cost):
                     continue
@@ -428,121 +440,121 @@ class Search:
         firsts = [next(e for e in order if e[1] is parent) for parent in parents if any(e[1] is parent for e in order)]
         best = (firsts + [e for e in order if not any(e is f for f in firsts)])[: self.settings.shortlist]
         for entry in tuple(best):
-            plainer = EFFECTS[entry[2].name].becomes
-            other = rough.get(tuple(sorted((*entry[1].theory.names, plainer)))) if plainer else None
+            reduced = EFFECTS[entry[2].name].reduces_to
+            other = rough.get(tuple(sorted((*entry[1].model.names, reduced)))) if reduced else None
             if other is not None and not any(e is other for e in best):
                 best.append(other)  # which has the name when it does as well
         damped = [e for e in order if _hides_damping(e[1]) and EFFECTS[e[2].name].damping is not Effect.damping]
         best += [entry for entry in damped if not any(e is entry for e in best)]
-        level = [self._started(*entry[1:]) for entry in best if not self.spent]
-        lost = self._with_losses(len(parents[0].theory.names) + 1)
-        known = {fit.theory.names for fit in level}
-        return self._resettled(level + [fit for fit in lost if fit.theory.names not in known])
+        level = [self._fit_added(*entry[1:]) for entry in best if not self.is_out_of_time]
+        lost = self._with_losses(len(parents[0].model.names) + 1)
+        known = {fit.model.names for fit in level}
+        return self._refit_level(level + [fit for fit in lost if fit.model.names not in known])
 
-    def _resettled(self, level: list[Fit]) -> list[Fit]:
+    def _refit_level(self, level: list[Fit]) -> list[Fit]:
         """The best ones with a new look at their starts; all of them sorted."""
         level = sorted(level, key=lambda fit: fit.cost)
         for fit in level[: self.settings.parents]:
-            self.fits[fit.theory.names] = resettled(fit, self.train)
-        return sorted((self.fits[fit.theory.names] for fit in level), key=lambda fit: fit.cost)
+            self.fits[fit.model.names] = refit_missed_starts(fit, self.train)
+        return sorted((self.fits[fit.model.names] for fit in level), key=lambda fit: fit.cost)
 
-    def _started(self, parent: Fit, guess: Guess, at: Fit, cut: tuple[FitRun, ...]) -> Fit:
+    def _fit_added(self, parent: Fit, guess: Guess, at: Fit, cut: tuple[FitRun, ...]) -> Fit:
         """The set of `parent` and the guessed effect, from the parent's fit, which is `at` on stretches."""
-        theory = Theory(self.problem, tuple(sorted((*parent.theory.names, guess.name))))
+        model = Model(self.problem, tuple(sorted((*parent.model.names, guess.name))))
         points = [guess.point]
         alone = self.fits.get((guess.name,))
         if alone is not None:
-            values = zip(alone.theory.ranges(), alone.theta, strict=True)
+            values = zip(alone.model.ranges(), alone.theta, strict=True)
             points.append({r.name: float(x) for r, x in values if r.owner == guess.name})
         sudden = is_sudden(EFFECTS[guess.name])
-        if cut is self.train or not (sudden or parent.level > _LOST):
+        if cut is self.train or not (sudden or parent.rms > _LOST):
             # what acts smoothly is found from the smaller set's own course
-            points_at = [joined(theory, parent, {guess.name: point}) for point in points]
-            return self.keep(self._finished(tried_of(theory, points_at, self.train, parent.starts, _SCREEN)))
-        begin = (self._short(parent, at, False) if sudden else None) or (cut, at)
-        fit = self._best(guess.name, points + self._places(guess.name, parent.effects), *begin)
-        return self.keep(self._whole(self._lengthened(fit, begin[0]), parent))
+            points_at = [initial_theta(model, parent, {guess.name: point}) for point in points]
+            return self.keep(self._finish(fit_best_start(model, points_at, self.train, parent.starts, _SCREEN)))
+        begin = (self._shorter_stretches(parent, at, False) if sudden else None) or (cut, at)
+        fit = self._best_start(guess.name, points + self._guess_places(guess.name, parent.effects), *begin)
+        return self.keep(self._fit_whole(self._fit_longer(fit, begin[0]), parent))
 
-    def of(self, names: tuple[str, ...]) -> Fit:
+    def fit_set(self, names: tuple[str, ...]) -> Fit:
         """The fit of this very set, started from its best subset."""
         if names not in self.fits:
             smaller = [self.fits[s] for n in names if (s := tuple(m for m in names if m != n)) in self.fits]
             parent = min(smaller, key=lambda fit: fit.cost) if smaller else self.base()
-            new = tuple(n for n in names if n not in parent.theory.names)
+            new = tuple(n for n in names if n not in parent.model.names)
             if len(new) > 1:
-                parent = self.of(names[:-1])
+                parent = self.fit_set(names[:-1])
                 new = names[-1:]
-            cut, at = self._cut(parent)
-            self._started(parent, guesses(at, cut, new)[0], at, cut)
+            cut, at = self._choose_stretches(parent)
+            self._fit_added(parent, first_guesses(at, cut, new)[0], at, cut)
         return self.fits[names]
 
-    def without(self, fit: Fit, name: str) -> Fit:
+    def fit_without(self, fit: Fit, name: str) -> Fit:
         """The set of `fit` without one effect, started from `fit`."""
-        theory = Theory(self.problem, tuple(n for n in fit.theory.names if n != name))
-        return self.keep(fitted(theory, self.train, joined(theory, fit, {}), fit.starts))
+        model = Model(self.problem, tuple(n for n in fit.model.names if n != name))
+        return self.keep(fit_model(model, self.train, initial_theta(model, fit, {}), fit.starts))
 
     def keep(self, fit: Fit) -> Fit:
         """Remember a fit, after making sure that it is no worse than any of a smaller set."""
-        for name in fit.theory.names:
-            smaller = self.fits.get(tuple(n for n in fit.theory.names if n != name))
+        for name in fit.model.names:
+            smaller = self.fits.get(tuple(n for n in fit.model.names if n != name))
             if smaller is not None and smaller.cost < fit.cost - 1e-3 - 1e-6 * fit.cost:
-                theta = joined(fit.theory, smaller, {name: off(self.problem, name)})
-                again = fitted(fit.theory, self.train, theta, smaller.starts)
+                theta = initial_theta(fit.model, smaller, {name: neutral_point(self.problem, name)})
+                again = fit_model(fit.model, self.train, theta, smaller.starts)
                 fit = min(fit, again, key=lambda f: f.cost)
-        kept = self.fits.get(fit.theory.names)
-        self.fits[fit.theory.names] = fit if kept is None or fit.cost < kept.cost else kept
-        return self.fits[fit.theory.names]
+        known_fit = self.fits.get(fit.model.names)
+        self.fits[fit.model.names] = fit if known_fit is None or fit.cost < known_fit.cost else known_fit
+        return self.fits[fit.model.names]
 
-    def _cut(self, fit: Fit, free: bool = False) -> tuple[tuple[FitRun, ...], Fit]:
+    def _choose_stretches(self, fit: Fit, free: bool = False) -> tuple[tuple[FitRun, ...], Fit]:
         """The runs as they are where a first-order look may span them, else in stretches; and the fit there, its
         parameters fitted anew where `free`."""
-        if fit.level < _FAR:
-            return self.train, stilled(fit)
-        return self._pieces(fit, _CROSSINGS[_USUAL], free)
+        if fit.rms < _FAR:
+            return self.train, clamp_starts(fit)
+        return self._fit_pieces(fit, _CROSSINGS[_USUAL], free)
 
-    def _short(self, fit: Fit, at: Fit, free: bool) -> tuple[tuple[FitRun, ...], Fit] | None:
+    def _shorter_stretches(self, fit: Fit, at: Fit, free: bool) -> tuple[tuple[FitRun, ...], Fit] | None:
         """Stretches that a fit, `at` the usual ones, is not lost in, and the fit there; None where it is not lost."""
         found = None
         for crossings in _CROSSINGS[:_USUAL][::-1]:
-            if (found[1] if found else at).level < _WILD:
+            if (found[1] if found else at).rms < _WILD:
                 break
-            found = self._pieces(fit, crossings, free)
+            found = self._fit_pieces(fit, crossings, free)
         return found
 
-    def _pieces(self, fit: Fit, crossings: float, free: bool) -> tuple[tuple[FitRun, ...], Fit]:
-        cut = pieces(self.train, crossings * self.problem.crossing_s)
-        at = fitted(fit.theory, cut, fit.theta, None, _GROWING) if free else placed(fit, cut)
-        return cut, stilled(at)
+    def _fit_pieces(self, fit: Fit, crossings: float, free: bool) -> tuple[tuple[FitRun, ...], Fit]:
+        cut = cut_stretches(self.train, crossings * self.problem.crossing_s)
+        at = fit_model(fit.model, cut, fit.theta, None, _GROWING) if free else refit_starts(fit, cut)
+        return cut, clamp_starts(at)
 
 
-def tried_of(
-    theory: Theory, points: list[Array], runs: tuple[FitRun, ...], starts: Starts, iterations: int = _GROWING
+def fit_best_start(
+    model: Model, points: list[Array], runs: tuple[FitRun, ...], starts: Starts, iterations: int = _GROWING
 ) -> Fit:
     """The best of a few iterations from each of the points."""
-    return min((fitted(theory, runs, point, starts, iterations) for point in points), key=lambda fit: fit.cost)
+    return min((fit_model(model, runs, point, starts, iterations) for point in points), key=lambda fit: fit.cost)
 
 
-def caught(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
+def refine_multistart(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
     """The fit with what no slope leads to tried anew: the place of a catch and the way over which it holds, which show
     in when it lets go and when it takes hold, and how a drive comes back from a limit, after which all goes on sooner
     or later."""
-    points = [*_catches(fit), *_shafts(fit)]
+    points = [*_catch_points(fit), *_shaft_points(fit)]
     if not points:
         return fit
-    low, high = (np.array([getattr(r, k) for r in fit.theory.ranges()]) for k in ("lower", "upper"))
+    low, high = (np.array([getattr(r, k) for r in fit.model.ranges()]) for k in ("lower", "upper"))
     tried = [np.clip(theta, low, high) for theta in points]
-    order = np.argsort([misfit(fit.theory, runs, theta, fit.starts) for theta in tried], kind="stable")
+    order = np.argsort([squared_error(fit.model, runs, theta, fit.starts) for theta in tried], kind="stable")
     best = [fit.theta, *(tried[i] for i in order[:_CATCHES])]
-    return min(fit, tried_of(fit.theory, best, runs, fit.starts, _SCREEN), key=lambda f: f.cost)
+    return min(fit, fit_best_start(fit.model, best, runs, fit.starts, _SCREEN), key=lambda f: f.cost)
 
 
-def _catches(fit: Fit) -> list[Array]:
+def _catch_points(fit: Fit) -> list[Array]:
     """(p,) points about a fit at which its catch holds elsewhere, or over another way; none without one."""
-    ranges, found = fit.theory.ranges(), []
-    for cls in fit.theory.classes:
+    ranges, found = fit.model.ranges(), []
+    for cls in fit.model.classes:
         if cls.remember is Effect.remember or not is_local(cls):
             continue
-        kind = fit.theory.problem.plant.joint_type
+        kind = fit.model.problem.plant.joint_type
         own = {i: cls.parameters()[r.name] for i, r in enumerate(ranges) if r.owner == cls.name}
         size = min(own)
         width = next(i for i, spec in own.items() if spec.unit(kind) in ("rad", "m") and spec.lower >= 0)
@@ -558,15 +570,15 @@ def _catches(fit: Fit) -> list[Array]:
     return found
 
 
-def _shafts(fit: Fit) -> list[Array]:
+def _shaft_points(fit: Fit) -> list[Array]:
     """(p,) points about a fit of the same inertia in all, at which its drive has another part of it and comes back from
     limits otherwise; none without a drive on a shaft that swings."""
-    at = {(r.owner, r.name): i for i, r in enumerate(fit.theory.ranges())}
+    at = {(r.owner, r.name): i for i, r in enumerate(fit.model.ranges())}
     if (SHAFT, "swing") not in at:
         return []
-    own = fit.theory.problem.plant.mechanics.inertia
-    drive = next(at[cls.name, cls.rotor_fields[0]] for cls in fit.theory.classes if len(cls.rotor_fields) > 2)
-    part, doubt, found = at.get(("asset", "inertia")), fit.theory.problem.inertia_relative, []
+    own = fit.model.problem.plant.mechanics.inertia
+    drive = next(at[cls.name, cls.rotor_fields[0]] for cls in fit.model.classes if len(cls.rotor_fields) > 2)
+    part, doubt, found = at.get(("asset", "inertia")), fit.model.problem.inertia_relative, []
     for taken, back, swing in product(_PARTS if part is not None else _PARTS[:1], _BACK, _SWINGS):
         theta = fit.theta.copy()
         theta[[at[SHAFT, "rebound"], at[SHAFT, "swing"]]] = back, swing
@@ -589,7 +601,7 @@ def loss_sets(names: tuple[str, ...]) -> list[tuple[str, ...]]:
 def _hides_damping(fit: Fit) -> bool:
     """Whether a drive comes and goes: where its inertia and its slack are off, first guesses of damping are worth
     nothing, and it looks like a delay."""
-    return any(cls.rotor_fields for cls in fit.theory.classes)
+    return any(cls.rotor_fields for cls in fit.model.classes)
 
 
 def is_sudden(cls: type[Effect]) -> bool:
@@ -597,11 +609,11 @@ def is_sudden(cls: type[Effect]) -> bool:
     return cls.acts == "stop" or is_local(cls)
 
 
-def stilled(fit: Fit) -> Fit:
+def clamp_starts(fit: Fit) -> Fit:
     """The fit with starts that run into a limit from next to it at rest there: a dead stop makes no difference between
     them, any other does."""
-    plant, near = fit.theory.problem.plant, 2 * fit.theory.problem.sigma
-    if any(cls.acts == "stop" for cls in fit.theory.classes):
+    plant, near = fit.model.problem.plant, 2 * fit.model.problem.sigma
+    if any(cls.acts == "stop" for cls in fit.model.classes):
         return fit
     starts = {}
     for name, (q, v) in fit.starts.items():
@@ -610,35 +622,35 @@ def stilled(fit: Fit) -> Fit:
     return replace(fit, starts=starts)
 
 
-def _hopeful(fits: list[Fit]) -> list[Fit]:
+def _drop_poor(fits: list[Fit]) -> list[Fit]:
     """The fits to the same runs, best first, without those far behind."""
     order = sorted(fits, key=lambda fit: fit.cost)
     return [fit for i, fit in enumerate(order) if i < 2 or fit.cost < _HOPEFUL * order[0].cost]
 
 
-def prompt(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
+def drop_presliding(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
     """The same effects as a simulator has them: dry friction is there at once after a reversal."""
-    theory = Theory(fit.theory.problem, fit.theory.names, prompt=True)
-    if len(theory.ranges()) == len(fit.theta):
+    model = Model(fit.model.problem, fit.model.names, instant_friction=True)
+    if len(model.ranges()) == len(fit.theta):
         return fit
-    return resettled(fitted(theory, runs, joined(theory, fit, {}), fit.starts), runs)
+    return refit_missed_starts(fit_model(model, runs, initial_theta(model, fit, {}), fit.starts), runs)
 
 
-def reduced(fit: Fit, name: str, runs: tuple[FitRun, ...]) -> Fit:
+def reduce_effect(fit: Fit, name: str, runs: tuple[FitRun, ...]) -> Fit:
     """The fit with the plainer effect that one of its effects becomes in a special case, from the numbers of both."""
-    plainer = EFFECTS[name].becomes or name
-    theory = replace(fit.theory, names=tuple(sorted({*fit.theory.names, plainer} - {name})))
+    reduced = EFFECTS[name].reduces_to or name
+    model = replace(fit.model, names=tuple(sorted({*fit.model.names, reduced} - {name})))
     shared = {
-        key: x for (owner, key), x in fit.values.items() if owner == name and key in EFFECTS[plainer].parameters()
+        key: x for (owner, key), x in fit.values.items() if owner == name and key in EFFECTS[reduced].parameters()
     }
-    return fitted(theory, runs, joined(theory, fit, {plainer: shared}), fit.starts)
+    return fit_model(model, runs, initial_theta(model, fit, {reduced: shared}), fit.starts)
 
 
-def plain(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
+def simplify(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
     """The fit, or that with a plainer effect in the place of one whose special case it is: no number that is nothing is
     told."""
-    for name in fit.theory.names:
-        if EFFECTS[name].becomes and EFFECTS[name].becomes not in fit.theory.names:
-            less = reduced(fit, name, runs)
+    for name in fit.model.names:
+        if EFFECTS[name].reduces_to and EFFECTS[name].reduces_to not in fit.model.names:
+            less = reduce_effect(fit, name, runs)
             fit = less if less.cost <= fit.cost + 1e-3 + 1e-6 * fit.cost else fit
     return fit

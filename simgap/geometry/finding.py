@@ -10,7 +10,7 @@ import numpy as np
 from freeart21.effects.base import Effect
 from freeart21.se3 import Array
 from simgap.geometry.track_geometry import TrackGeometry
-from simgap.verdict import Named
+from simgap.verdict import NamedEffect
 
 GeometryVerdict = Literal["no_gap", "named", "ambiguous", "unexplained", "not_excited"]
 
@@ -50,14 +50,14 @@ class KinematicsFinding:
     """The geometry of the joint, as far as it can be told."""
 
     verdict: GeometryVerdict
-    named: tuple[Named, ...]
+    named: tuple[NamedEffect, ...]
     """Effects with their intervals, outermost displacement first."""
     rivals: tuple[tuple[str, ...], ...]
     """Sets of names that explain the poses as well as each other, the best one first; empty when there is no doubt."""
     tracks: tuple[TrackGeometry, ...]
     ranking: tuple[tuple[tuple[str, ...], float, float], ...]
     """Sets of names, their held-out loss over the noise's (1 is noise alone), p-value of no gain over no effect."""
-    remainder_floors: float
+    unexplained_rms: float
     """Floors of displacement that depend on the joint's position and have no name here."""
     next_experiment: str | None = None
     registrations: tuple[Array, Array] = field(default_factory=lambda: (np.zeros(6), np.zeros(6)))

@@ -25,21 +25,21 @@ from simgap.geometry import pose_search
 from simgap.geometry.finding import GeometryVerdict, KinematicsFinding, KinematicsSettings
 from simgap.geometry.placing import place
 from simgap.geometry.pose_intervals import intervals
-from simgap.geometry.pose_model import ROCK, STATIC, Geometry, Linear, PoseModel, Rock, Track, Weighting, waves_at
+from simgap.geometry.pose_model import ROCK, STATIC, Geometry, Linear, PoseModel, Rocking, Track, Weighting, sine_cosine
 from simgap.geometry.pose_search import Losses
 from simgap.geometry.track_geometry import TrackGeometry, track_geometry
 from simgap.measure.swings import unit_numbers
-from simgap.verdict import Named
+from simgap.verdict import NamedEffect
 
 _NOISELESS = np.repeat([1e-12, 1e-12], 3)  # m^2 and rad^2: least noise of any pose
-_STRAYS = 5.0
+_STRAY_RATIO = 5.0
 """Floors off its joint at which a part that stands still along it has moved otherwise."""
-_ASTRAY = 1.0
+_MAX_OFF_AXIS = 1.0
 """rad across the joint's axis by which no joint turns its part, crooked as it may be."""
-_ONE_ERROR = 0.16  # chance of more than one standard error upwards
+_ONE_SIGMA_TAIL = 0.16  # chance of more than one standard error upwards
 
 
-def find_geometry_of(
+def find_geometry(
     asset: Asset, measured: Measured, settings: KinematicsSettings | None = None
 ) -> KinematicsFinding | None:
     """The geometry of an asset's joint in the pose runs of a measured set; None when it has none.
@@ -53,24 +53,25 @@ def find_geometry_of(
     if not posed:
         return None
     if all(run.held_out for run in posed):
-        said = ", ".join(run.name for run in posed)
-        raise FreeArtError(f"all runs of poses ({said}) are held out, expected at least one to fit to")
+        advice = ", ".join(run.name for run in posed)
+        raise FreeArtError(f"all runs of poses ({advice}) are held out, expected at least one to fit to")
     placed = place(asset, measured.gravity)
     tracks, mechanics = [placed.track(run) for run in posed], placed.mechanics
     for t in tracks:
         if len(t.times_s) < 10:
             raise FreeArtError(f"run '{t.name}' has {len(t.times_s)} poses, expected 10 or more")
-        turned = float(np.quantile(_swing(t.motions, mechanics.joint.axis), 0.9))
-        if turned > _ASTRAY:
+        turned = float(np.quantile(_off_axis_rotation(t.motions, mechanics.joint.axis), 0.9))
+        if turned > _MAX_OFF_AXIS:
             raise FreeArtError(
                 f"run '{t.name}' turns the part by {turned:.3g} rad across the axis of joint '{mechanics.joint.name}', "
-                f"expected less than {_ASTRAY:g}: is this the joint that was moved, are asset and poses in one frame?"
+                f"expected less than {_MAX_OFF_AXIS:g}: is this the joint that was moved, and are asset and "
+                "poses in one frame?"
             )
     held_out = [bool(run.held_out) for run in posed]
     return _Search(tracks, held_out, mechanics, settings or KinematicsSettings()).find()
 
 
-def _swing(motions: Array, axis: Array) -> Array:
+def _off_axis_rotation(motions: Array, axis: Array) -> Array:
     """(n,) rad of the motions (n, 4, 4) when their turn about the axis (3,) is left out."""
     q = se3.wxyz(motions)
     return 2 * np.arccos(np.clip(np.hypot(q[:, 0], q[:, 1:] @ axis), 0.0, 1.0))
@@ -93,7 +94,7 @@ class _Search:
         if units.max() < 3:  # a short sweep that never turns back
             units = np.arange(self.frames) * 4 // self.frames
         self.units: NDArray[np.int64] = units
-        self.folds = model.run if len(train) >= 3 else _pieces(units, 4)
+        self.folds = model.run if len(train) >= 3 else _split_units(units, 4)
         self.rate_hz = 1 / float(np.median(np.concatenate([np.diff(t.times_s) for t in thin])))
         self.weighting = self._first_weighting()
 
@@ -102,15 +103,15 @@ class _Search:
         model, settings = self.model, self.settings
         least = settings.least_span[0 if self.mechanics.joint.type == "revolute" else 1]
         if max(float(np.ptp(model.q0[model.run == r])) for r in np.unique(model.run)) < least:
-            return self._nothing()
+            return self._not_excited_finding()
         able = [n for n in STATIC if model.joint.type in EFFECTS[n].joint_types and n not in settings.without]
         full = Geometry.zero(tuple(able))
         for _ in range(2):  # with the noise that is left over the fit with all static effects
             full, q = model.fit(full, self.weighting)
-            self.weighting = self._weighting_over(full)
+            self.weighting = self._weighting_about(full)
         lin = model.linear(full, q, self.weighting)
-        left = pose_search.free_residual(lin, self.weighting.priors(()))
-        frequencies = pose_search.rocking_frequency(lin, left, self.folds, self.rate_hz)
+        residual = pose_search.free_residual(lin, self.weighting.priors(()))
+        frequencies = pose_search.find_rocking_frequency(lin, residual, self.folds, self.rate_hz)
         rocks = all(f is not None for f in frequencies) and ROCK not in settings.without
         names = (*able, *((ROCK,) if rocks else ()))
         sizes = range(min(settings.most_effects, len(names)) + 1)
@@ -118,10 +119,10 @@ class _Search:
         losses = pose_search.held_out_losses(
             lin, full.names, self.weighting, self.units, subsets, frequencies, self.folds
         )
-        chosen, p_values = _pruned(losses, _chosen(losses), settings)
+        chosen, p_values = _prune_subset(losses, _select_subset(losses), settings)
         point = self._fit_chosen(chosen, full, frequencies)
         if point.rock is not None:  # what rocked was taken for noise so far
-            self.weighting = self._weighting_over(point)
+            self.weighting = self._weighting_about(point)
         return self._finding(losses, chosen, p_values, point)
 
     def _first_weighting(self) -> Weighting:
@@ -139,18 +140,18 @@ class _Search:
         shrunk = 0.9 * covariance + 0.1 * np.diag(np.diag(covariance))
         return Weighting(shrunk, 1.0, self.settings.registration_std)
 
-    def _weighting_over(self, point: Geometry) -> Weighting:
+    def _weighting_about(self, point: Geometry) -> Weighting:
         """Noise by what neither this point of the model nor any function of the joint's position explains: its part
         along the joint is not seen there, and taken to be as the rest."""
         model, weighting = self.model, self.weighting
         lin = model.linear(point, model.positions(point, weighting), weighting)
-        left = pose_search.free_residual(lin, weighting.priors(()), model.rocking(lin, point))
+        residual = pose_search.free_residual(lin, weighting.priors(()), model.rocking(lin, point))
         L = weighting.whitening
-        scale = float((left**2).sum(-1).mean()) / 5.0
-        shape = np.cov(np.linalg.inv(L) @ left.T) + 1e-3 * scale * weighting.covariance
+        scale = float((residual**2).sum(-1).mean()) / 5.0
+        shape = np.cov(np.linalg.inv(L) @ residual.T) + 1e-3 * scale * weighting.covariance
         along = model.joint.screw / np.linalg.norm(L @ model.joint.screw)  # of unit length once whitened
         noise = shape + scale * np.outer(along, along) + np.diag(_NOISELESS)
-        return replace(weighting, covariance=noise, correlation=_correlation(left, model.run))
+        return replace(weighting, covariance=noise, correlation=_correlation(residual, model.run))
 
     def _fit_chosen(self, chosen: tuple[str, ...], full: Geometry, frequencies: Sequence[float | None]) -> Geometry:
         """The chosen effects fitted to all training runs, without linearisation."""
@@ -163,9 +164,9 @@ class _Search:
         frequency = float(np.median([f for f in frequencies if f is not None]))
         for _ in range(4):
             now = self.model.linear(replace(point, rock=None), q, self.weighting)
-            left = now.residual(point)
-            frequency = _refined(now, left, frequency)
-            rock = Rock(frequency, pose_search.rock_coefficients(now, left, frequency)).in_one_direction()
+            residual = now.residual(point)
+            frequency = _refine_frequency(now, residual, frequency)
+            rock = Rocking(frequency, pose_search.fit_rocking(now, residual, frequency)).in_one_direction()
             point, q = self.model.fit(replace(point, rock=rock), self.weighting, rounds=4)
         return point
 
@@ -179,7 +180,7 @@ class _Search:
         more = remainder > settings.unexplained_floors and p_more <= settings.level
         gaps = [np.sqrt(losses.mean(s) / noise) for s in ((), chosen)]
         closed = (gaps[0] - gaps[1]) / max(gaps[0] - 1.0, 1e-9)
-        rivals = _rivals(losses, chosen, settings)
+        rivals = _find_rivals(losses, chosen, settings)
         plain, _ = model.fit(Geometry.zero(()), weighting)
         if more and closed < settings.closed and chosen and gaps[0] ** 2 - 1 < settings.tracker_floors**2:
             return self._finding(losses, (), (), plain)
@@ -189,7 +190,7 @@ class _Search:
             verdict = "no_gap"
         else:
             verdict = "ambiguous" if rivals else "named"
-        named: list[Named] = []
+        named: list[NamedEffect] = []
         if chosen:
             lin = model.linear(point, model.positions(point, weighting), weighting)
             named = intervals(lin, point, weighting, self.units)
@@ -205,7 +206,7 @@ class _Search:
             self._track_geometries(plain, point),
             tuple(sorted(ranking, key=lambda row: row[1])),
             remainder,
-            _experiment(rivals) if rivals else _UNNAMED if verdict == "unexplained" else None,
+            _suggest_experiment(rivals) if rivals else _UNEXPLAINED_EXPERIMENT if verdict == "unexplained" else None,
             (plain.registration, point.registration),
             tuple(order[each.effect.name] for each in named),
         )
@@ -216,27 +217,27 @@ class _Search:
             for track, out in zip(self.tracks, self.held_out, strict=True)
         )
 
-    def _nothing(self) -> KinematicsFinding:
+    def _not_excited_finding(self) -> KinematicsFinding:
         """The joint hardly moved along itself."""
         seen = self._track_geometries(Geometry.zero(()), Geometry.zero(()))
-        if any(t.gap_before > _STRAYS * t.floor for t in seen):
-            said = "Make sure that this is the joint that was moved, and that asset and poses have one frame."
-            return KinematicsFinding("unexplained", (), (), seen, (), 0.0, said)
-        said = "Move the joint through more of its range: it stood all but still."
-        return KinematicsFinding("not_excited", (), (), seen, (), 0.0, said)
+        if any(t.gap_before > _STRAY_RATIO * t.floor for t in seen):
+            advice = "Make sure that this is the joint that was moved, and that asset and poses have one frame."
+            return KinematicsFinding("unexplained", (), (), seen, (), 0.0, advice)
+        advice = "Move the joint through more of its range: it stood all but still."
+        return KinematicsFinding("not_excited", (), (), seen, (), 0.0, advice)
 
 
-def _pieces(units: NDArray[np.int64], least: int) -> NDArray[np.int64]:
+def _split_units(units: NDArray[np.int64], least: int) -> NDArray[np.int64]:
     """Folds of whole units, in order, where runs are too few to leave one out."""
     count = int(units.max()) + 1
     return (units * min(least, count)) // count
 
 
-def _correlation(left: Array, run: NDArray[np.int64]) -> float:
+def _correlation(residual: Array, run: NDArray[np.int64]) -> float:
     """Frames that count as one: 1 + 2 sum of the autocorrelations, down to the first below 0.1."""
-    centred = left - left.mean(0)
+    centred = residual - residual.mean(0)
     total, power = 1.0, float((centred**2).sum()) or 1.0
-    for lag in range(1, min(len(left) // 4, 400)):
+    for lag in range(1, min(len(residual) // 4, 400)):
         same = run[lag:] == run[:-lag]
         r = float((centred[lag:] * centred[:-lag])[same].sum()) / power
         if r < 0.1:
@@ -245,18 +246,18 @@ def _correlation(left: Array, run: NDArray[np.int64]) -> float:
     return total
 
 
-def _chosen(losses: Losses) -> tuple[str, ...]:
+def _select_subset(losses: Losses) -> tuple[str, ...]:
     """The subset of least held-out loss, or a smaller one that is not worse by more than one standard error."""
     best = min(losses.subsets, key=losses.mean)
     for subset in sorted(losses.subsets, key=lambda s: (len(s), losses.mean(s))):
         if len(subset) >= len(best):
             break
-        if losses.gain(losses.of(subset), losses.of(best))[1] > _ONE_ERROR:
+        if losses.gain(losses.of(subset), losses.of(best))[1] > _ONE_SIGMA_TAIL:
             return subset
     return best
 
 
-def _pruned(
+def _prune_subset(
     losses: Losses, chosen: tuple[str, ...], settings: KinematicsSettings
 ) -> tuple[tuple[str, ...], tuple[float, ...]]:
     """The subset without members whose absence costs too little or is not significant; p-values of the others."""
@@ -277,21 +278,21 @@ def _pruned(
     return chosen, ()
 
 
-def _refined(lin: Linear, left: Array, frequency: float) -> float:
+def _refine_frequency(lin: Linear, residual: Array, frequency: float) -> float:
     """The frequency near this one that fits best."""
     from scipy.optimize import minimize_scalar
 
     reach = 0.5 / max(float(np.ptp(lin.times_s[lin.run == r])) for r in np.unique(lin.run))
 
     def loss(f: float) -> float:
-        waves = waves_at(f, lin.times_s)
-        c = pose_search.rock_coefficients(lin, left, f)[lin.run]
-        return float(((left - np.einsum("nij,njb,nb->ni", lin.rocks, c, waves)) ** 2).sum())
+        waves = sine_cosine(f, lin.times_s)
+        c = pose_search.fit_rocking(lin, residual, f)[lin.run]
+        return float(((residual - np.einsum("nij,njb,nb->ni", lin.rocks, c, waves)) ** 2).sum())
 
     return float(minimize_scalar(loss, bounds=(max(frequency - reach, 1e-6), frequency + reach), method="bounded").x)
 
 
-def _rivals(losses: Losses, chosen: tuple[str, ...], settings: KinematicsSettings) -> tuple[tuple[str, ...], ...]:
+def _find_rivals(losses: Losses, chosen: tuple[str, ...], settings: KinematicsSettings) -> tuple[tuple[str, ...], ...]:
     """The chosen set, then others of no more names that predict held-out runs as well; none without such."""
     if not chosen:
         return ()
@@ -305,13 +306,13 @@ def _rivals(losses: Losses, chosen: tuple[str, ...], settings: KinematicsSetting
     return (chosen, *(subset for _, subset in sorted(found))) if found else ()
 
 
-_UNNAMED = (
+_UNEXPLAINED_EXPERIMENT = (
     "Move the joint slowly through its whole range, both ways, and once with the part held still, all in the picture."
 )
 """What to record of a displacement that has no name: whether it goes with position, direction or time."""
 
 
-def _experiment(rivals: tuple[tuple[str, ...], ...]) -> str:
+def _suggest_experiment(rivals: tuple[tuple[str, ...], ...]) -> str:
     """What to record next so that the rivals part."""
     own = (EFFECTS[name].experiment for name in sorted({n for r in rivals for n in r}))
     return next(filter(None, own), "Record the joint over more of its range: only there do these causes part.")

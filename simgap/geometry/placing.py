@@ -17,7 +17,7 @@ from simgap.geometry.pose_model import Track
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedAsset:
     """An asset under the gravity of a measured set, its root link's frame being the world."""
 
     gravity: Array
@@ -52,7 +52,7 @@ class Placed:
         return Track(run.name, run.times_s[seen], self.motions(run.poses[seen]))
 
 
-def place(asset: Asset, gravity: Array) -> Placed:
+def place(asset: Asset, gravity: Array) -> PlacedAsset:
     """The asset's joint with `gravity` (3,), m/s^2 in the reference part's (canonical) frame."""
     simulated = simulate.load(replace(asset, effects={}), gravity=(0.0, 0.0, 0.0))
     simulated.set_state(asset.state_zero)
@@ -62,7 +62,7 @@ def place(asset: Asset, gravity: Array) -> Placed:
     g = T_world_canonical[:3, :3] @ np.asarray(gravity, float)
     mechanics = simulated.mechanics
     placed = replace(mechanics, gravity=T_world_parent[:3, :3].T @ g)
-    apart = simulated.link_pose(asset.moving_link)
+    before = simulated.link_pose(asset.moving_link)
     simulated.set_state(asset.state_zero + 0.1)
-    child_moves = bool(np.abs(simulated.link_pose(asset.moving_link) - apart).max() > 1e-6)
-    return Placed(g, placed, se3.inverse(T_world_parent) @ T_world_canonical, asset.state_zero, child_moves)
+    child_moves = bool(np.abs(simulated.link_pose(asset.moving_link) - before).max() > 1e-6)
+    return PlacedAsset(g, placed, se3.inverse(T_world_parent) @ T_world_canonical, asset.state_zero, child_moves)

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from freeart21.effects import EFFECTS
 from freeart21.se3 import Array
 from simgap.geometry.pose_model import Geometry, Linear, Weighting, normal_equations, rocking_effect
-from simgap.verdict import Named
+from simgap.verdict import NamedEffect
 
 
-def intervals(lin: Linear, point: Geometry, weighting: Weighting, units: NDArray[np.int64]) -> list[Named]:
+def intervals(lin: Linear, point: Geometry, weighting: Weighting, units: NDArray[np.int64]) -> list[NamedEffect]:
     """Every effect of `point`, outermost displacement first, with its interval.
 
     Covariance by the sandwich of scores summed over half-swings `units` (n,) (Liang and Zeger 1986), with the
@@ -41,7 +41,7 @@ def intervals(lin: Linear, point: Geometry, weighting: Weighting, units: NDArray
         ends = dict(zip(("amplitude", "direction", "frequency", "phase"), spread.tolist(), strict=False))
         low, high = ({name: getattr(rocks, name) + sign * e for name, e in ends.items()} for sign in (-1, 1))
         low["amplitude"] = max(low["amplitude"], 0.0)
-        found.append(Named(rocks, low, high))
+        found.append(NamedEffect(rocks, low, high))
     for effect, (name, values) in zip(point.effects(), point.split(), strict=True):
         block = covariance[at : at + len(values), at : at + len(values)]
         at += len(values)
@@ -53,7 +53,7 @@ def intervals(lin: Linear, point: Geometry, weighting: Weighting, units: NDArray
         centres, specs = effect.values(), effect.parameters()
         low = {n: max(c - float(e), specs[n].lower) for n, c, e in zip(specs, centres, errors, strict=True)}
         high = {n: c + float(e) for n, c, e in zip(specs, centres, errors, strict=True)}
-        found.append(Named(effect, low, high))
+        found.append(NamedEffect(effect, low, high))
     return found
 
 

@@ -21,9 +21,9 @@ from freeart21.joint import Joint
 from freeart21.mechanics import JointMechanics
 from freeart21.se3 import Array
 
-STATIC: dict[str, int] = {n: len(c.parameters()) for n, c in EFFECTS.items() if c.acts == "pose" and not c.in_time}
+STATIC: dict[str, int] = {n: len(c.parameters()) for n, c in EFFECTS.items() if c.acts == "pose" and not c.time_driven}
 """Effects that depend on the joint's position alone, and how many coordinates each has; first one outermost."""
-ROCK = next(name for name, cls in EFFECTS.items() if cls.in_time)
+ROCK = next(name for name, cls in EFFECTS.items() if cls.time_driven)
 """The effect that is a rocking in time."""
 _STEP = 1e-5  # of a coordinate's scale in central differences
 _SCALES = {name: next(iter(EFFECTS[name].parameters().values())).scale for name in STATIC}
@@ -45,7 +45,7 @@ class Track:
 
 
 @dataclass(frozen=True)
-class Rock:
+class Rocking:
     """A steady rocking of the part across the axis: what ROCK says, with a phase for each run."""
 
     frequency: float
@@ -58,14 +58,14 @@ class Rock:
         """(2,) unit vector on the directions across the axis about which it rocks most."""
         return np.asarray(np.linalg.svd(np.concatenate(list(self.coefficients), -1))[0][:, 0])
 
-    def in_one_direction(self) -> Rock:
+    def in_one_direction(self) -> Rocking:
         """With every run rocking about that direction alone."""
         u = self.direction
         return replace(self, coefficients=u[:, None] * (u @ self.coefficients)[:, None, :])
 
     def angles(self, run: NDArray[np.int64], times_s: Array, ahead: bool = False) -> Array:
         """(n, 2) rad at times (n,) of runs (n,); a quarter period `ahead` for the derivative by the phase."""
-        waves = waves_at(self.frequency, times_s)
+        waves = sine_cosine(self.frequency, times_s)
         return np.einsum("nab,nb->na", self.coefficients[run], waves[:, ::-1] * [1.0, -1.0] if ahead else waves)
 
 
@@ -79,7 +79,7 @@ class Geometry:
     """(k,) their coordinates: parameters, but length * (cos, sin)(angle) of one that is `polar`."""
     registration: Array
     """(6,) twist of B."""
-    rock: Rock | None = None
+    rock: Rocking | None = None
 
     def effects(self) -> tuple[Effect, ...]:
         """The static effects as the library has them, outermost first."""
@@ -99,13 +99,13 @@ class Geometry:
 
 def effect_of(name: str, values: Array) -> Effect:
     """A static effect from its coordinates; what lies beyond a bound is put on it."""
-    values = np.clip(values, *_ends(name))
+    values = np.clip(values, *_coordinate_bounds(name))
     if EFFECTS[name].polar:
-        values = np.array([min(np.hypot(*values), _ends(name)[1][0]), np.arctan2(values[1], values[0])])
+        values = np.array([min(np.hypot(*values), _coordinate_bounds(name)[1][0]), np.arctan2(values[1], values[0])])
     return EFFECTS[name](*values.tolist())
 
 
-def _ends(name: str) -> tuple[Array, Array]:
+def _coordinate_bounds(name: str) -> tuple[Array, Array]:
     """(k,) lowest and highest of every coordinate of a static effect, as the library bounds its parameters."""
     specs = list(EFFECTS[name].parameters().values())
     if EFFECTS[name].polar:
@@ -146,7 +146,7 @@ class Weighting:
     def bounds(self, names: tuple[str, ...]) -> tuple[Array, Array]:
         """(k + 6,) twice: what coordinates and registration can be at all: no sag upwards, a tracker not far off."""
         box = _MOST_REGISTRATION * np.repeat(self.registration_std, 3)
-        low, high = zip(*(_ends(name) for name in names), (-box, box), strict=True)
+        low, high = zip(*(_coordinate_bounds(name) for name in names), (-box, box), strict=True)
         return np.concatenate(low), np.concatenate(high)
 
 
@@ -169,7 +169,7 @@ class Linear:
     """(n,)."""
     q: Array
     """(n,)."""
-    left_to_whitened: Array
+    parent_to_whitened: Array
     """(n, 6, 6) of a twist in the parent's frame, acting outermost."""
 
     def residual(self, point: Geometry) -> Array:
@@ -199,7 +199,7 @@ class PoseModel:
 
     def poses(self, point: Geometry, q: Array) -> Array:
         """(n, 4, 4) motions by the model at positions `q` (n,)."""
-        X = self._rocked(point)
+        X = self._rocking_transform(point)
         for effect in point.effects():
             X = X @ effect.displacement(q, self.times_s, self.mechanics)
         return X @ self.joint.transform(q) @ se3.exp_se3(point.registration)
@@ -215,9 +215,9 @@ class PoseModel:
         y = self.residuals(point, q) @ weighting.whitening.T
         for _ in range(rounds):
             moved = q + (along * y).sum(-1) / (along * along).sum(-1)
-            left = self.residuals(point, moved) @ weighting.whitening.T
-            less = (left**2).sum(-1) < (y**2).sum(-1)
-            q, y = np.where(less, moved, q), np.where(less[:, None], left, y)
+            residual = self.residuals(point, moved) @ weighting.whitening.T
+            less = (residual**2).sum(-1) < (y**2).sum(-1)
+            q, y = np.where(less, moved, q), np.where(less[:, None], residual, y)
         return q
 
     def linear(self, point: Geometry, q: Array, weighting: Weighting) -> Linear:
@@ -248,15 +248,15 @@ class PoseModel:
         k = len(point.values)
 
         def squares(at: Geometry, q: Array) -> float:
-            left = self.residuals(at, q) @ weighting.whitening.T
+            residual = self.residuals(at, q) @ weighting.whitening.T
             size = np.concatenate([at.values, at.registration])
-            return float((left**2).sum(-1).sum() + prior @ size**2)
+            return float((residual**2).sum(-1).sum() + prior @ size**2)
 
         least = squares(point, q)
         for _ in range(rounds):
             lin = self.linear(point, q, weighting)
             A, b = normal_equations(lin.columns, lin.data - self.rocking(lin, point))
-            found = solved_within(A + np.diag(prior), b, *weighting.bounds(point.names))
+            found = solve_bounded(A + np.diag(prior), b, *weighting.bounds(point.names))
             step = found - np.concatenate([point.values, point.registration])
             for part in _PARTS:
                 here = part * step
@@ -278,7 +278,7 @@ class PoseModel:
             return np.zeros((len(self.times_s), 6))
         return np.asarray((lin.rocks @ point.rock.angles(self.run, self.times_s)[..., None])[..., 0])
 
-    def _rocked(self, point: Geometry) -> Array:
+    def _rocking_transform(self, point: Geometry) -> Array:
         if point.rock is None:
             return np.broadcast_to(np.eye(4), (len(self.times_s), 4, 4))
         return se3.exp_se3(point.rock.angles(self.run, self.times_s) @ self.rock_screws)
@@ -290,12 +290,12 @@ class PoseModel:
 
     def _effect_twists(self, point: Geometry, q: Array) -> Array:
         """(n, 6, k) derivative of the displacement by every coordinate, as a twist in the parent's frame, outermost."""
-        before = self._rocked(point)
+        before = self._rocking_transform(point)
         columns = []
         for name, values in point.split():
             to_outer = se3.adjoint(before)
             h = _STEP * _SCALES[name]
-            low, high = _ends(name)
+            low, high = _coordinate_bounds(name)
             base = np.clip(values, low + h, high - h)  # a one-sided difference where the other side does not exist
             for i in range(len(values)):
                 ends = [
@@ -307,7 +307,7 @@ class PoseModel:
         return np.stack(columns, -1) if columns else np.zeros((len(q), 6, 0))
 
 
-def solved_within(A: Array, b: Array, low: Array, high: Array) -> Array:
+def solve_bounded(A: Array, b: Array, low: Array, high: Array) -> Array:
     """(k,) x of least x A x / 2 - b x, each within its bounds; those beyond are put on them, until none is."""
     x = np.asarray(np.linalg.solve(A, b), float)
     held = np.zeros(len(b), bool)
@@ -329,12 +329,12 @@ def normal_equations(columns: Array, data: Array) -> tuple[Array, Array]:
     return flat.T @ flat, flat.T @ data.reshape(-1)
 
 
-def waves_at(frequency: float, times_s: Array) -> Array:
+def sine_cosine(frequency: float, times_s: Array) -> Array:
     """(n, 2) sine and cosine."""
     angle = 2 * np.pi * frequency * times_s
     return np.stack([np.sin(angle), np.cos(angle)], -1)
 
 
-def rocking_effect(rock: Rock) -> Effect:
+def rocking_effect(rock: Rocking) -> Effect:
     """The library's effect: amplitude over all runs, phase of the first run."""
-    return EFFECTS[ROCK].of_rocking(rock.frequency, rock.coefficients)
+    return EFFECTS[ROCK].from_rocking(rock.frequency, rock.coefficients)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21.se3 import Array
-from simgap.geometry.pose_model import ROCK, STATIC, Linear, Weighting, normal_equations, solved_within, waves_at
+from simgap.geometry.pose_model import ROCK, STATIC, Linear, Weighting, normal_equations, sine_cosine, solve_bounded
 
 _RIDGE = 1e-9
 
@@ -48,10 +48,10 @@ class Losses:
         gain, weights = float(np.average(small - big, weights=self.weights)), self.weights
         differences = (small - big) * weights / weights.mean()
         ratios = np.log(np.maximum(small, 1e-12)) - np.log(np.maximum(big, 1e-12))
-        return gain, min(1.0, 2 * min(_above_zero(differences), _above_zero(ratios)))
+        return gain, min(1.0, 2 * min(_p_above_zero(differences), _p_above_zero(ratios)))
 
 
-def _above_zero(terms: Array) -> float:
+def _p_above_zero(terms: Array) -> float:
     """p-value of a mean that is not above 0."""
     from scipy.stats import t as student
 
@@ -98,11 +98,11 @@ def held_out_losses(
             grams = plain if rocked is None or ROCK not in subset else rocked
             A = sum((grams[g][0] for g in numbers if g != f), np.zeros_like(plain[f][0]))
             b = sum((grams[g][1] for g in numbers if g != f), np.zeros_like(plain[f][1]))
-            x = solved_within(A[np.ix_(use, use)] + np.diag(prior[use]), b[use], *(ends[use] for ends in limits))
-            left = lin.data[here] - lin.columns[here][:, :, use] @ x
+            x = solve_bounded(A[np.ix_(use, use)] + np.diag(prior[use]), b[use], *(ends[use] for ends in limits))
+            residual = lin.data[here] - lin.columns[here][:, :, use] @ x
             if grams is rocked and frequency is not None:
-                left = _rocks_taken_out(left, lin.rocks[here], lin.times_s[here], frequency)
-            out[s] += np.bincount(units[here], (left**2).sum(-1), len(count))
+                residual = _remove_rocking(residual, lin.rocks[here], lin.times_s[here], frequency)
+            out[s] += np.bincount(units[here], (residual**2).sum(-1), len(count))
     ceiling = _ceiling_losses(lin, prior[k:], folds, units)
     kept = count > 0
     return Losses(subsets, out[:, kept] / count[kept], ceiling[kept] / count[kept], count[kept].astype(float))
@@ -118,7 +118,7 @@ def free_columns(lin: Linear, degree: int = 5) -> Array:
         x = 2 * (lin.q - lin.q.min()) / span - 1
         basis = np.polynomial.legendre.legvander(x, degree)
     n, m = basis.shape
-    return (lin.left_to_whitened[..., None] * basis[:, None, None, :]).reshape(n, 6, 6 * m)
+    return (lin.parent_to_whitened[..., None] * basis[:, None, None, :]).reshape(n, 6, 6 * m)
 
 
 def free_residual(lin: Linear, prior: Array, rocking: Array | float = 0.0) -> Array:
@@ -128,7 +128,9 @@ def free_residual(lin: Linear, prior: Array, rocking: Array | float = 0.0) -> Ar
     return data - columns @ _ridge(A, b, np.concatenate([np.zeros(len(b) - 6), prior]))
 
 
-def rocking_frequency(lin: Linear, left: Array, folds: NDArray[np.int64], rate_hz: float) -> list[float | None]:
+def find_rocking_frequency(
+    lin: Linear, residual: Array, folds: NDArray[np.int64], rate_hz: float
+) -> list[float | None]:
     """For every fold the frequency, Hz, at which the others' residuals `left` (n, 6) rock most above their noise.
 
     Between 1.5 turns in the shortest fold and 0.45 of the sampling rate; None where runs are too short for any.
@@ -145,7 +147,7 @@ def rocking_frequency(lin: Linear, left: Array, folds: NDArray[np.int64], rate_h
     for f in numbers:
         here = folds == f
         R = lin.rocks[here]
-        turns = np.einsum("nij,ni->nj", R, left[here])
+        turns = np.einsum("nij,ni->nj", R, residual[here])
         size = np.einsum("nij,nik->jk", R, R) / here.sum()
         t = lin.times_s[here]
         chunks = [
@@ -161,13 +163,13 @@ def rocking_frequency(lin: Linear, left: Array, folds: NDArray[np.int64], rate_h
     return found
 
 
-def rock_coefficients(lin: Linear, left: Array, frequency: float) -> Array:
+def fit_rocking(lin: Linear, residual: Array, frequency: float) -> Array:
     """(runs, 2, 2) rad of rocking that fit residuals `left` (n, 6) best, run by run: rows are the directions."""
     out = []
     for r in range(int(lin.run.max()) + 1):
         here = lin.run == r
         columns = _rock_columns(lin.rocks[here], lin.times_s[here], frequency)
-        out.append(_ridge(*normal_equations(columns, left[here])).reshape(2, 2))
+        out.append(_ridge(*normal_equations(columns, residual[here])).reshape(2, 2))
     return np.stack(out)
 
 
@@ -178,7 +180,7 @@ def _ridge(A: Array, b: Array, prior: Array | float = 0.0) -> Array:
 
 def _rock_columns(rocks: Array, times_s: Array, frequency: float) -> Array:
     """(n, 6, 4) of rocking: directions by waves."""
-    waves = waves_at(frequency, times_s)
+    waves = sine_cosine(frequency, times_s)
     return (rocks[..., None] * waves[:, None, None, :]).reshape(len(rocks), 6, 4)
 
 
@@ -196,14 +198,14 @@ def _rock_grams(lin: Linear, frequency: float, folds: NDArray[np.int64]) -> dict
     return out
 
 
-def _rocks_taken_out(left: Array, rocks: Array, times_s: Array, frequency: float) -> Array:
+def _remove_rocking(residual: Array, rocks: Array, times_s: Array, frequency: float) -> Array:
     """Residuals less the rocking that the other half of the run has, at this frequency."""
     columns = _rock_columns(rocks, times_s, frequency)
     late = times_s > np.median(times_s)
-    out = np.array(left)
+    out = np.array(residual)
     for part in (late, ~late):
         if part.any() and (~part).any():
-            out[part] -= columns[part] @ _ridge(*normal_equations(columns[~part], left[~part]))
+            out[part] -= columns[part] @ _ridge(*normal_equations(columns[~part], residual[~part]))
     return out
 
 
@@ -218,6 +220,6 @@ def _ceiling_losses(lin: Linear, prior: Array, folds: NDArray[np.int64], units: 
         here, others = folds == f, lin.q[folds != f]
         beyond = (lin.q[here] < others.min()) | (lin.q[here] > others.max())  # a polynomial does not reach there
         x = np.where(beyond[:, None], whole, _ridge(total_A - A, total_b - b, precisions))
-        left = lin.data[here] - (columns[here] @ x[..., None])[..., 0]
-        out += np.bincount(units[here], (left**2).sum(-1), len(out))
+        residual = lin.data[here] - (columns[here] @ x[..., None])[..., 0]
+        out += np.bincount(units[here], (residual**2).sum(-1), len(out))
     return out

@@ -9,7 +9,7 @@ import numpy as np
 from freeart21.mechanics import JointMechanics
 from freeart21.se3 import Array
 from simgap.geometry import pose_search
-from simgap.geometry.pose_model import Geometry, PoseModel, Rock, Track, Weighting
+from simgap.geometry.pose_model import Geometry, PoseModel, Rocking, Track, Weighting
 
 
 @dataclass(frozen=True)
@@ -45,17 +45,17 @@ def track_geometry(
 ) -> TrackGeometry:
     """One run off the ideal joint (`plain`, registration only) and off the joint of `point`."""
     model = PoseModel((track,), mechanics)
-    middle = middle_of(mechanics)
-    lever = lever_of(mechanics, middle)
+    middle = part_centre(mechanics)
+    lever = gyration_radius(mechanics, middle)
     q_plain = model.positions(plain, weighting)
-    here = _with_phase(model, point, weighting)
+    here = _fit_phase(model, point, weighting)
     q = model.positions(here, weighting)
-    before, after = (at_point(middle, model.residuals(g, at)) for g, at in ((plain, q_plain), (here, q)))
+    before, after = (move_twists(middle, model.residuals(g, at)) for g, at in ((plain, q_plain), (here, q)))
     L = weighting.whitening
     along = L @ mechanics.joint.screw
     size = float(np.linalg.norm(along))
     off = np.eye(6) - np.outer(along, along) / size**2
-    noise = at_point(middle, (np.linalg.inv(L) @ off).T)
+    noise = move_twists(middle, (np.linalg.inv(L) @ off).T)
     return TrackGeometry(
         track.name,
         track.times_s,
@@ -65,14 +65,14 @@ def track_geometry(
         1 / size,
         before,
         after,
-        displacement(before, lever),
-        displacement(after, lever),
-        float(displacement(noise, lever) * np.sqrt(len(noise))),
+        rms_displacement(before, lever),
+        rms_displacement(after, lever),
+        float(rms_displacement(noise, lever) * np.sqrt(len(noise))),
         held_out,
     )
 
 
-def _with_phase(model: PoseModel, point: Geometry, weighting: Weighting) -> Geometry:
+def _fit_phase(model: PoseModel, point: Geometry, weighting: Weighting) -> Geometry:
     """The point of the model with rocking's phase of this one run; direction, amplitude and frequency stay."""
     if point.rock is None:
         return point
@@ -80,9 +80,9 @@ def _with_phase(model: PoseModel, point: Geometry, weighting: Weighting) -> Geom
     amplitude = float(np.sqrt(((u @ point.rock.coefficients) ** 2).sum(-1).mean()))
     still = replace(point, rock=None)
     lin = model.linear(still, model.positions(still, weighting), weighting)
-    waves = u @ pose_search.rock_coefficients(lin, lin.residual(point), point.rock.frequency)[0]
+    waves = u @ pose_search.fit_rocking(lin, lin.residual(point), point.rock.frequency)[0]
     waves = amplitude * waves / max(float(np.linalg.norm(waves)), 1e-12)
-    return replace(point, rock=Rock(point.rock.frequency, np.outer(u, waves)[None]))
+    return replace(point, rock=Rocking(point.rock.frequency, np.outer(u, waves)[None]))
 
 
 def _time_shift(point: Geometry, here: Geometry) -> float:
@@ -95,23 +95,23 @@ def _time_shift(point: Geometry, here: Geometry) -> float:
     return float(ahead / (2 * np.pi * point.rock.frequency))
 
 
-def middle_of(mechanics: JointMechanics) -> Array:
+def part_centre(mechanics: JointMechanics) -> Array:
     """(3,) the part's centre of mass at joint position zero, else the pivot."""
     return np.asarray(mechanics.moment_zero / mechanics.mass if mechanics.mass else mechanics.joint.pivot)
 
 
-def lever_of(mechanics: JointMechanics, middle: Array) -> float:
+def gyration_radius(mechanics: JointMechanics, middle: Array) -> float:
     """m: how far from its middle the part's points are taken to lie, to count turns as displacements."""
     if mechanics.joint.type == "revolute" and mechanics.mass > 0:
         return float(np.sqrt(mechanics.inertia / mechanics.mass))
     return max(float(np.linalg.norm(middle - mechanics.joint.pivot)), 0.05)
 
 
-def at_point(point: Array, twists: Array) -> Array:
+def move_twists(point: Array, twists: Array) -> Array:
     """(n, 6) twists whose translation is that of `point` (3,) of the part."""
     return np.concatenate([twists[:, :3] + np.cross(twists[:, 3:], point), twists[:, 3:]], -1)
 
 
-def displacement(twists: Array, lever: float) -> float:
+def rms_displacement(twists: Array, lever: float) -> float:
     """m: root mean square displacement of points at `lever` around where twists (n, 6) are counted."""
     return float(np.sqrt(((twists[:, :3] ** 2).sum(-1) + lever**2 * (twists[:, 3:] ** 2).sum(-1)).mean()))

@@ -10,18 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from freeart21 import se3
-from freeart21.base_motion import Motion, sway_terms
+from freeart21.base_motion import FrameMotion, base_motion_terms
 from freeart21.errors import FreeArtError
 from freeart21.measured import BaseAxis, BaseSeries
 from freeart21.mechanics import JointMechanics
 from freeart21.se3 import Array
-from simgap.measure.floor import floor_of
+from simgap.measure.noise import estimate_noise
 
 _ORDER = 4
 """Of the polynomials through neighbouring rows whose derivatives are taken (Savitzky and Golay 1964)."""
 _WINDOWS = (7, 11, 17, 25, 37, 55, 81, 121, 181, 271)
 """Rows that such a polynomial may go through."""
-_MORE, _SURE = 1.15, 3.0
+_MAX_RMS_RATIO, _MAX_PEAK_RATIO = 1.15, 3.0
 """Times the sensor's noise that a polynomial may leave in the root mean square, and of all but a hundredth of the
 readings (of white noise that is 2.6). Not measured."""
 _ROWS_PER_WINDOW = 8
@@ -29,7 +29,7 @@ _ROWS_PER_WINDOW = 8
 
 
 @dataclass(frozen=True)
-class Sway:
+class BaseForce:
     """What the base's motion adds to the joint's force; straight between its times, its ends stay."""
 
     times_s: Array
@@ -57,14 +57,14 @@ class Sway:
         return force
 
 
-def sway_of(
+def make_base_force(
     times_s: Array,
     base: BaseSeries,
     turns: BaseAxis | None,
     mechanics: JointMechanics,
     T_parent_canonical: Array,
     base_is_parent: bool = True,
-) -> Sway:
+) -> BaseForce:
     """What a joint feels of a base that moves so.
 
     Args:
@@ -80,67 +80,70 @@ def sway_of(
     if not base_is_parent:
         raise FreeArtError(f"the base of joint '{mechanics.joint.name}' moves, but it is on the joint's child side")
     rows = [r for r in (base.position, base.acceleration, base.angle) if r is not None]
-    window = min((_window(times_s, r) for r in _columns(base)), default=_WINDOWS[0])
+    window = min((_choose_window(times_s, r) for r in _position_columns(base)), default=_WINDOWS[0])
     step = float(np.median(np.diff(times_s))) * max(1, window // _ROWS_PER_WINDOW)
     at = np.arange(times_s[0], times_s[-1] + 0.5 * step, step) if rows else times_s[[0, -1]]
     zero = np.zeros((len(at), 3))
     pushed, angle, rate, change = zero, *(np.zeros(len(at)) for _ in range(3))
     if base.position is not None:
-        pushed = np.stack([_derived(times_s, column, at)[2] for column in base.position.T], 1)
+        pushed = np.stack([_differentiate(times_s, column, at)[2] for column in base.position.T], 1)
     if base.acceleration is not None:
-        pushed = np.stack([_filled(times_s, column, at) for column in base.acceleration.T], 1)
+        pushed = np.stack([_interpolate(times_s, column, at) for column in base.acceleration.T], 1)
     axis, point = (np.array([0.0, 0.0, 1.0]), np.zeros(3)) if turns is None else (turns.axis, turns.point)
     if base.angle is not None:
-        angle, rate, change = _derived(times_s, base.angle, at)
+        angle, rate, change = _differentiate(times_s, base.angle, at)
     back = se3.exp_so3(-angle[:, None] * axis)  # from directions at rest to the base's own
     to = T_parent_canonical[:3, :3]
     g = np.einsum("nij,j->ni", back, to.T @ mechanics.gravity)
     w, dw = np.outer(rate, axis), np.outer(change, axis)
     arm = se3.inverse(T_parent_canonical)[:3, 3] - point
     a = np.einsum("nij,nj->ni", back, pushed) + np.cross(dw, arm) + np.cross(w, np.cross(w, arm))
-    return Sway(at, sway_terms(mechanics, Motion(*(series @ to.T for series in (a, w, dw, g)))))
+    return BaseForce(at, base_motion_terms(mechanics, FrameMotion(*(series @ to.T for series in (a, w, dw, g)))))
 
 
-def _columns(base: BaseSeries) -> list[Array]:
+def _position_columns(base: BaseSeries) -> list[Array]:
     """Those series whose derivatives are needed."""
     found = [] if base.position is None else list(base.position.T)
     return found + ([] if base.angle is None else [base.angle])
 
 
-def _filled(times: Array, values: Array, at: Array) -> Array:
+def _interpolate(times: Array, values: Array, at: Array) -> Array:
     known = np.isfinite(values)
     return np.interp(at, times[known], values[known])
 
 
-def _even(times: Array, values: Array) -> tuple[Array, Array, float]:
+def _resample(times: Array, values: Array) -> tuple[Array, Array, float]:
     """Even times, values there, and their step."""
     step = float(np.median(np.diff(times)))
     even = times[0] + step * np.arange(int(np.floor((times[-1] - times[0]) / step + 1e-6)) + 1)
-    return even, _filled(times, values, even), step
+    return even, _interpolate(times, values, even), step
 
 
-def _window(times: Array, values: Array) -> int:
+def _choose_window(times: Array, values: Array) -> int:
     """Rows of the widest window whose polynomials leave no more of the readings than the sensor's noise and steps: it
     blurs no motion."""
     from scipy.signal import savgol_filter
 
-    even, x, _ = _even(times, values)
-    noise = floor_of([(even, x)]).still
-    kept = _WINDOWS[0]
+    even, x, _ = _resample(times, values)
+    noise = estimate_noise([(even, x)]).sigma_at_rest
+    widest = _WINDOWS[0]
     for w in (w for w in _WINDOWS if w < len(x) // 2):
         left = x - savgol_filter(x, w, _ORDER)
-        if w > kept and (np.sqrt(np.mean(left**2)) > _MORE * noise or np.quantile(np.abs(left), 0.99) > _SURE * noise):
+        if w > widest and (
+            np.sqrt(np.mean(left**2)) > _MAX_RMS_RATIO * noise
+            or np.quantile(np.abs(left), 0.99) > _MAX_PEAK_RATIO * noise
+        ):
             break
-        kept = w
-    return kept
+        widest = w
+    return widest
 
 
-def _derived(times: Array, values: Array, at: Array) -> tuple[Array, Array, Array]:
+def _differentiate(times: Array, values: Array, at: Array) -> tuple[Array, Array, Array]:
     """(m,) values, first and second derivatives at times `at`."""
     from scipy.signal import savgol_filter
 
-    even, x, step = _even(times, values)
-    w = _window(times, values)
+    even, x, step = _resample(times, values)
+    w = _choose_window(times, values)
     if len(x) <= w:
         raise FreeArtError(f"the base's motion has {len(x)} rows, expected more than {w} for its accelerations")
     found = [savgol_filter(x, w, _ORDER, deriv=k, delta=step) for k in range(3)]

@@ -11,10 +11,10 @@ import numpy as np
 from freeart21.errors import FreeArtError
 from freeart21.measured import Measured
 from freeart21.se3 import Array
-from simgap.measure.floor import Floor, floor_of
-from simgap.measure.inputs import inputs_of
+from simgap.measure.inputs import make_inputs
+from simgap.measure.noise import SensorNoise, estimate_noise
 from simgap.measure.swings import reversals
-from simgap.models.surrogate import Inputs, Plant, step_of
+from simgap.models.surrogate import Inputs, Plant, time_steps
 
 MAX_SAMPLES = 1500
 """Readings of a run that a fit looks at, where they are enough; more are thinned out evenly."""
@@ -24,7 +24,7 @@ MOST_SAMPLES = 6000
 """Readings of a run that a fit looks at at most: its time grows with them. Not measured."""
 
 
-_BEGINNINGS_S = (0.06, 0.12, 0.25)
+_START_WINDOWS_S = (0.06, 0.12, 0.25)
 """Of a run, that tell its first velocity: a short one is noisy, a long one may hold an impact."""
 
 
@@ -44,16 +44,16 @@ class FitRun:
     inputs: Inputs
     held_out: bool | None
     regime: str = ""
-    turn: int = 0
+    order: int = 0
     """Its place in the order of recording."""
 
     @property
-    def way(self) -> Array:
+    def joint_position(self) -> Array:
         """(n,) where the joint is, rad or m."""
         return self.q
 
     @property
-    def extent(self) -> float:
+    def reading_scale(self) -> float:
         """Size of what is read, beside which a model's error is counted: standard deviation of a motion."""
         return float(np.std(self.q))
 
@@ -66,7 +66,7 @@ class FitRun:
     def starts(self) -> list[tuple[float, float]]:
         """First guesses of the state at the first reading, by parabolas through beginnings ever longer."""
         found = []
-        for seconds in _BEGINNINGS_S:
+        for seconds in _START_WINDOWS_S:
             k = max(7, int(np.searchsorted(self.times_s, self.times_s[0] + seconds)))
             k = min(len(self.q), k)
             t = (self.times_s[:k] - self.times_s[0]) / (self.times_s[k - 1] - self.times_s[0])
@@ -82,8 +82,8 @@ class FitRun:
         return replace(self, **cut)
 
 
-def fit_runs(measured: Measured, plant: Plant) -> tuple[tuple[FitRun, ...], Floor]:
-    """All runs of a measured set, whose positions are known, and the floor of its sensor.
+def make_fit_runs(measured: Measured, plant: Plant) -> tuple[tuple[FitRun, ...], SensorNoise]:
+    """All runs of a measured set, whose positions are known, and the noise of its sensor.
 
     Raises FreeArtError when the readings cannot be positions of this joint: far beyond its limits, or in degrees.
     """
@@ -92,17 +92,17 @@ def fit_runs(measured: Measured, plant: Plant) -> tuple[tuple[FitRun, ...], Floo
         good = np.isfinite(run.q)
         series.append((run.times_s[good], run.q[good]))
     _check_units(measured, plant, series)
-    floor = floor_of(series)
-    runs, longest = [], step_of(plant, plant.effects)[0]
-    for turn, (run, (times, q)) in enumerate(zip(measured.runs, series, strict=True)):
-        stride = stride_of(times, q)
-        speed, inputs = rough_speed(times, q)[::stride], inputs_of(run, measured, longest, plant)
-        read = np.ascontiguousarray(times[::stride]), q[::stride], floor.sigma(speed), speed
-        runs.append(FitRun(run.name, *read, inputs, run.held_out, turn=turn))
-    return _with_regimes(runs), floor
+    noise = estimate_noise(series)
+    runs, longest = [], time_steps(plant, plant.effects)[0]
+    for order, (run, (times, q)) in enumerate(zip(measured.runs, series, strict=True)):
+        stride = thinning_stride(times, q)
+        speed, inputs = rough_speed(times, q)[::stride], make_inputs(run, measured, longest, plant)
+        read = np.ascontiguousarray(times[::stride]), q[::stride], noise.sigma(speed), speed
+        runs.append(FitRun(run.name, *read, inputs, run.held_out, order=order))
+    return _label_regimes(runs), noise
 
 
-def stride_of(times: Array, q: Array) -> int:
+def thinning_stride(times: Array, q: Array) -> int:
     """Of how many readings one is looked at: as few as the motion needs, where there are many."""
     few = -(-len(times) // MAX_SAMPLES)
     if few == 1:
@@ -112,12 +112,12 @@ def stride_of(times: Array, q: Array) -> int:
     return max(1, -(-len(times) // MOST_SAMPLES), int(min(few, swing / LEAST_A_SWING)))
 
 
-def thinned(measured: Measured) -> tuple[str, ...]:
+def thinning_notes(measured: Measured) -> tuple[str, ...]:
     """A line for each run of which not all readings are looked at."""
     notes = []
     for run in measured.runs:
         good = np.isfinite(run.q)
-        stride = stride_of(run.times_s[good], run.q[good]) if good.any() else 1
+        stride = thinning_stride(run.times_s[good], run.q[good]) if good.any() else 1
         if stride > 1:
             rate = float(1 / np.median(np.diff(run.times_s[good])))
             notes.append(
@@ -136,31 +136,32 @@ def rough_speed(times: Array, q: Array) -> Array:
     return np.asarray((t * v).sum(1) / (t * t).sum(1))
 
 
-def _with_regimes(runs: list[FitRun]) -> tuple[FitRun, ...]:
+def _label_regimes(runs: list[FitRun]) -> tuple[FitRun, ...]:
     """Runs named by how they move: driven or free, and small or large against the others of their kind."""
     driven = [
-        np.isfinite(given.command).any() or any(np.any(each) for each in (given.effort, given.push, given.sway))
-        for given in (run.inputs for run in runs)
+        np.isfinite(inputs.command).any()
+        or any(np.any(each) for each in (inputs.effort, inputs.push, inputs.base_motion))
+        for inputs in (run.inputs for run in runs)
     ]
     fast = np.array([float(np.sqrt(np.mean(run.speed**2))) for run in runs])
     named = []
     for i, run in enumerate(runs):
-        kin = fast[[d == driven[i] for d in driven]]
-        middle = np.sqrt(kin.min() * kin.max())
-        size = "" if kin.max() < 1.5 * kin.min() else (" slow" if fast[i] < middle else " fast")
+        same_kind = fast[[d == driven[i] for d in driven]]
+        middle = np.sqrt(same_kind.min() * same_kind.max())
+        size = "" if same_kind.max() < 1.5 * same_kind.min() else (" slow" if fast[i] < middle else " fast")
         named.append(replace(run, regime=("driven" if driven[i] else "free") + size))
     return tuple(named)
 
 
 def _check_units(measured: Measured, plant: Plant, series: list[tuple[Array, Array]]) -> None:
-    unit, foreign = ("rad", "degrees") if plant.joint_type == "revolute" else ("m", "mm")
+    unit, wrong_unit = ("rad", "degrees") if plant.joint_type == "revolute" else ("m", "mm")
     for run, (_, q) in zip(measured.runs, series, strict=True):
         low, high, span = float(q.min()), float(q.max()), plant.upper - plant.lower
         beyond = max(plant.lower - low, high - plant.upper)
         if np.isfinite(span) and beyond > 0.25 * span + (0.3 if unit == "rad" else 0.0):
             raise FreeArtError(
                 f"run '{run.name}' reads {low:.4g} to {high:.4g} {unit}, but joint '{measured.joint}' has limits "
-                f"{plant.lower:.4g} to {plant.upper:.4g} {unit}: are its units {foreign}?"
+                f"{plant.lower:.4g} to {plant.upper:.4g} {unit}: are its units {wrong_unit}?"
             )
         turns = np.abs(np.diff(q[[0, *reversals(q, 0.1 * float(np.ptp(q))), -1]]))
         if unit == "rad" and len(turns) >= 3 and np.median(turns) > 4 * np.pi:

@@ -10,47 +10,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21.measured import Interpolation, Measured, Run
-from freeart21.mechanics import DriveLaw, course
+from freeart21.mechanics import DriveLaw, interpolation_terms
 from freeart21.se3 import Array
-from simgap.measure.base_motion import Sway, sway_of
+from simgap.measure.base_motion import BaseForce, make_base_force
 from simgap.models.surrogate import Inputs, Plant
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 """Of a stretch as -1 to 1: exact for the cubics that curves are, and for their first moments."""
-_DENSE = 4.0
+_MERGE_DENSITY = 4.0
 """Values in the longest time that one may last, from which on they are taken together: a log of 10 kHz would have a
 simulation step a hundred times as finely as it needs."""
-_LEAP = 0.05
+_STEP_SHARE = 0.05
 """Of the range of a series, from one value to the next, that is a step of it and not taken together with the next."""
-_BENT = 4.0
+_LIMIT_REFINEMENT = 4.0
 """Times shorter than the longest time that the values last in which a drive with limits or a dead band is told of:
 means do not tell what it gives."""
-HALFWAY = 0.5
+DEFAULT_HOLDING = 0.5
 """Part that is taken to be held of what nobody knows, where that is not fitted."""
 
 
-def inputs_of(run: Run, measured: Measured, longest_s: float = np.inf, plant: Plant | None = None) -> Inputs:
+def make_inputs(run: Run, measured: Measured, longest_s: float = np.inf, plant: Plant | None = None) -> Inputs:
     """What drove a run; no value lasts longer than `longest_s` where a curve is to be followed.
 
     A base that moves is told of the `plant` that stands on it.
     """
-    driven = _driven_inputs(run, measured, longest_s)
+    driven = _actuator_inputs(run, measured, longest_s)
     if run.base is None or plant is None:
         return driven
-    return _swayed(driven, base_sway(run, measured, plant), longest_s)
+    return _add_base_motion(driven, base_force_of(run, measured, plant), longest_s)
 
 
-def base_sway(run: Run, measured: Measured, plant: Plant) -> Sway:
+def base_force_of(run: Run, measured: Measured, plant: Plant) -> BaseForce:
     """What the joint feels of its base in a run in which that moves."""
     assert run.base is not None
     T, side = plant.T_parent_canonical, plant.base_is_parent
-    return sway_of(run.times_s, run.base, measured.base_axis, plant.mechanics, T, side)
+    return make_base_force(run.times_s, run.base, measured.base_axis, plant.mechanics, T, side)
 
 
-def _swayed(driven: Inputs, sway: Sway, longest_s: float) -> Inputs:
+def _add_base_motion(driven: Inputs, base_force: BaseForce, longest_s: float) -> Inputs:
     """The inputs with those of a base that moves, which goes straight from each of its times to the next."""
-    own, terms, _ = _as_held(sway.times_s, sway.terms, "linear", longest_s)
-    own, terms = _together(own, terms, longest_s, np.zeros(0))
+    own, terms, _ = _hold_values(base_force.times_s, base_force.terms, "linear", longest_s)
+    own, terms = _merge_dense(own, terms, longest_s, np.zeros(0))
     times = np.union1d(own, driven.times_s)
 
     def lasting(values: Array, since: Array, none: float) -> Array:
@@ -66,51 +66,51 @@ def _swayed(driven: Inputs, sway: Sway, longest_s: float) -> Inputs:
         lasting(d.command, d.times_s, np.nan),
         lasting(d.effort, d.times_s, 0.0),
         lasting(d.push, d.times_s, 0.0),
-        None if d.beside is None else lasting(d.beside, d.times_s, 0.0),
+        None if d.hold_difference is None else lasting(d.hold_difference, d.times_s, 0.0),
         on,
         np.ascontiguousarray(lasting(terms, own, 0.0)),
     )
 
 
-def _driven_inputs(run: Run, measured: Measured, longest_s: float) -> Inputs:
+def _actuator_inputs(run: Run, measured: Measured, longest_s: float) -> Inputs:
     """What an actuator or a push made."""
     if run.effort is None and run.q_command is None and run.voltage is None:
         return Inputs()
     nothing = np.zeros(len(run.times_s))
-    asked, push = told_efforts(run, measured)
+    commanded, push = split_efforts(run, measured)
     command = nothing if run.q_command is None else run.q_command
-    logged = np.stack([command, nothing if asked is None else asked, nothing if push is None else push])
-    times, series, beside = _as_held(run.times_s, logged, measured.interpolation, longest_s)
+    logged = np.stack([command, nothing if commanded is None else commanded, nothing if push is None else push])
+    times, series, hold_difference = _hold_values(run.times_s, logged, measured.interpolation, longest_s)
     switched = np.zeros(0) if run.enabled is None else run.times_s[1:][np.diff(run.enabled > 0)]
     law = DriveLaw() if measured.actuator is None else measured.actuator.law
-    bent = law.dead_band > 0 or min(law.most, law.most_asked) < np.inf
-    lasts = longest_s / _BENT if bent else longest_s
-    times, both = _together(times, np.concatenate([series, beside]), lasts, switched)
-    series, beside = both[:3], both[3:]
-    on = enabled_at(run, times, asked is not None)
-    told = np.concatenate([series, beside, [on]])
-    new = np.append(True, (np.diff(told) != 0).any(0))  # a value lasts: only where it changes matters
+    limited = law.dead_band > 0 or min(law.max_force, law.max_commanded) < np.inf
+    lasts = longest_s / _LIMIT_REFINEMENT if limited else longest_s
+    times, both = _merge_dense(times, np.concatenate([series, hold_difference]), lasts, switched)
+    series, hold_difference = both[:3], both[3:]
+    on = enabled_at(run, times, commanded is not None)
+    stacked = np.concatenate([series, hold_difference, [on]])
+    new = np.append(True, (np.diff(stacked) != 0).any(0))  # a value lasts: only where it changes matters
     follows = np.full(int(new.sum()), np.nan) if run.q_command is None else series[0, new]
-    extra = np.ascontiguousarray(beside[:, new]) if beside.any() else None
+    extra = np.ascontiguousarray(hold_difference[:, new]) if hold_difference.any() else None
     drives = None if on.all() else on[new]
     return Inputs(
         np.ascontiguousarray(times[new]), follows, series[1, new].copy(), series[2, new].copy(), extra, drives
     )
 
 
-def told_efforts(run: Run, measured: Measured) -> tuple[Array | None, Array | None]:
+def split_efforts(run: Run, measured: Measured) -> tuple[Array | None, Array | None]:
     """(n,) what the actuator was told to give, by voltage too, and what pushed the part itself; None for nothing."""
-    asked = run.effort if measured.effort_kind == "commanded" else None
+    commanded = run.effort if measured.effort_kind == "commanded" else None
     motor = measured.actuator.motor if measured.actuator is not None else None
     if run.voltage is not None and motor is not None:
         volts = motor.per_volt * run.voltage
-        asked = volts if asked is None else asked + volts
-    return asked, run.effort if measured.effort_kind == "external" else None
+        commanded = volts if commanded is None else commanded + volts
+    return commanded, run.effort if measured.effort_kind == "external" else None
 
 
-def enabled_at(run: Run, at: Array, told: bool) -> NDArray[np.bool_]:
+def enabled_at(run: Run, at: Array, commanded: bool) -> NDArray[np.bool_]:
     """(m,) whether the actuator is on at the times `at`; `told` is whether it was told an effort."""
-    if not told and run.q_command is None:
+    if not commanded and run.q_command is None:
         return np.zeros(len(at), bool)
     if run.enabled is None:
         return np.ones(len(at), bool)
@@ -121,7 +121,7 @@ def enabled_at(run: Run, at: Array, told: bool) -> NDArray[np.bool_]:
 def logged_at(times: Array, values: Array, how: Interpolation, at: Array) -> Array:
     """(m,) a logged series (n,) at the times `at` (m,)."""
     base, moved = _Logged(times, values, how)(at, at)
-    return np.asarray(base + (1 - HALFWAY if how == "unknown" else 1.0) * (moved - base))
+    return np.asarray(base + (1 - DEFAULT_HOLDING if how == "unknown" else 1.0) * (moved - base))
 
 
 class _Logged:
@@ -130,7 +130,7 @@ class _Logged:
     def __init__(self, times: Array, values: Array, how: Interpolation):
         known = np.isfinite(values)
         self.times = times[known]
-        self.terms = course(self.times, values[known], how)
+        self.terms = interpolation_terms(self.times, values[known], how)
 
     def row(self, at: Array) -> NDArray[np.int64]:
         """(m,) the last one by the times `at`."""
@@ -144,25 +144,25 @@ class _Logged:
         return a, a + since * (b + since * (c + since * d))
 
 
-def _together(times: Array, values: Array, longest_s: float, kept: Array) -> tuple[Array, Array]:
+def _merge_dense(times: Array, values: Array, longest_s: float, cuts: Array) -> tuple[Array, Array]:
     """Values (k, i) that last from `times` (i,), those far denser than `longest_s` taken together, but not across the
     times `kept`: two for each such time, with their impulse and the way that they move a free part by."""
     begin, end = times[0], times[-1]
-    if not np.isfinite(longest_s) or (end - begin) / len(times) > longest_s / _DENSE:
+    if not np.isfinite(longest_s) or (end - begin) / len(times) > longest_s / _MERGE_DENSITY:
         return times, values
     edges = begin + longest_s * np.arange(int((end - begin) / longest_s) + 1)
-    leaps = times[1:][(np.abs(np.diff(values)) > _LEAP * np.ptp(values, axis=1, keepdims=True)).any(0)]
-    kept = np.append(kept, leaps) if len(leaps) < len(edges) else kept
-    edges = np.unique(np.clip(np.concatenate([edges, kept, [end]]), begin, end))
+    leaps = times[1:][(np.abs(np.diff(values)) > _STEP_SHARE * np.ptp(values, axis=1, keepdims=True)).any(0)]
+    cuts = np.append(cuts, leaps) if len(leaps) < len(edges) else cuts
+    edges = np.unique(np.clip(np.concatenate([edges, cuts, [end]]), begin, end))
     spans, at = np.diff(edges), edges - begin
-    impulse, moment = np.diff(_passed(times - begin, values, at), axis=-1)
+    impulse, moment = np.diff(_integrals(times - begin, values, at), axis=-1)
     tilt = 4 * (moment - impulse * 0.5 * (at[1:] + at[:-1])) / spans**2
     pairs = np.stack([impulse / spans - tilt, impulse / spans + tilt], -1).reshape(len(values), -1)
     halves = (edges[:-1, None] + spans[:, None] * np.array([0.0, 0.5])).ravel()
     return np.append(halves, end), np.append(pairs, values[:, -1:], 1)
 
 
-def _passed(since: Array, values: Array, at: Array) -> Array:
+def _integrals(since: Array, values: Array, at: Array) -> Array:
     """(2, k, m) integrals up to the times `at` (m,) of values (k, i), which last from `since` (i,), and of these times
     time."""
     row = np.clip(np.searchsorted(since, at, side="right") - 1, 0, len(since) - 1)
@@ -174,7 +174,7 @@ def _passed(since: Array, values: Array, at: Array) -> Array:
     return before + np.stack([own, own * 0.5 * (at + since[row])])
 
 
-def _as_held(times: Array, logged: Array, how: Interpolation, longest_s: float) -> tuple[Array, Array, Array]:
+def _hold_values(times: Array, logged: Array, how: Interpolation, longest_s: float) -> tuple[Array, Array, Array]:
     """Times (i,), the (k, i) values that last from each to the next, and what these have besides if the `logged` ones
     (k, n) are held."""
     channels = [_Logged(times, values, how) for values in logged]
@@ -188,11 +188,15 @@ def _as_held(times: Array, logged: Array, how: Interpolation, longest_s: float) 
     span = spans[row] / parts[row]
     begin = times[row] + span * (np.arange(len(row)) - (np.cumsum(parts) - parts)[row])
     nodes = begin + 0.5 * span * (1 + _NODES[:, None])
-    told = [channel(times[row], nodes) for channel in channels]
-    mean, tilt = (np.stack([weights @ curve for _, curve in told]) for weights in (_WEIGHTS / 2, _WEIGHTS * _NODES))
+    stacked = [channel(times[row], nodes) for channel in channels]
+    mean, tilt = (np.stack([weights @ curve for _, curve in stacked]) for weights in (_WEIGHTS / 2, _WEIGHTS * _NODES))
     series = np.stack([mean - tilt, mean + tilt], -1).reshape(len(logged), -1)
     at = begin[:, None] + span[:, None] * np.array([0.0, 0.5])
     last = np.stack([channel(times[-1:], times[-1:])[1] for channel in channels])
-    base = np.repeat(np.stack([held for held, _ in told]), 2, axis=1)
-    beside = base - series if how == "unknown" else np.zeros_like(series)
-    return np.append(at.ravel(), times[-1]), np.append(series, last, 1), np.append(beside, np.zeros_like(last), 1)
+    base = np.repeat(np.stack([held for held, _ in stacked]), 2, axis=1)
+    hold_difference = base - series if how == "unknown" else np.zeros_like(series)
+    return (
+        np.append(at.ravel(), times[-1]),
+        np.append(series, last, 1),
+        np.append(hold_difference, np.zeros_like(last), 1),
+    )

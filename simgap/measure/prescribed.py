@@ -14,30 +14,30 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21.base_motion import sway_force
+from freeart21.base_motion import base_motion_force
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import DriveLaw
 from freeart21.se3 import Array
 from simgap.measure.data import MAX_SAMPLES, FitRun
-from simgap.measure.floor import Floor, floor_of
-from simgap.measure.inputs import base_sway, enabled_at, logged_at, told_efforts
+from simgap.measure.inputs import base_force_of, enabled_at, logged_at, split_efforts
+from simgap.measure.noise import SensorNoise, estimate_noise
 from simgap.measure.swings import reversals
-from simgap.models.equation_error import smoothed
+from simgap.models.equation_error import smooth_run
 from simgap.models.surrogate import Inputs, Plant
 
-STEADY = 0.01
+MAX_INERTIA_SHARE = 0.01
 """Part of the told force that inertia takes where the joint slides, root mean squares, below which motion is
 prescribed. Turns of a real arm at steady speeds have .0001 to .004, a motor that runs up under torque steps .025,
 swings 1. Told forces are hardly surer."""
 _WINDOWS = (7, 11, 15, 21, 31, 45, 65, 95, 135, 201, 301, 501)
 """Readings that accelerations are smoothed over: the fewest in which their noise is little beside that of the force,"""
-_QUIET = 0.1
+_NOISE_SHARE = 0.1
 """... a tenth: with as much as the force's a fit makes inertia small and the drive strong, to be rid of it."""
 _RESTING = 0.02
 """Part of a run's usual speed below which its joint turns back or rests, and tells no sliding friction."""
-_SURE = 4.0
+_MOVING_SIGMAS = 4.0
 """Standard deviations of a speed by which a joint surely moves."""
-_BUILT = 0.1
+_PRESLIDING_SHARE = 0.1
 """Part of the way between two rests or turns in which friction may still build up: contacts of a real arm gave way by
 .1 degree, and turned by .8 in its slowest runs."""
 _FEWEST = 8
@@ -52,117 +52,121 @@ class ForceRun(FitRun):
     """(n,) rad or m."""
     acceleration: Array = field(kw_only=True)
     """(n,) rad/s^2 or m/s^2."""
-    asked: Array = field(kw_only=True)
+    commanded: Array = field(kw_only=True)
     """(n,) of the force what the actuator was told to give."""
     on: Array = field(kw_only=True)
     """(n,) 1 where the actuator was on, else 0."""
-    turned: Array = field(kw_only=True)
+    cos_sin: Array = field(kw_only=True)
     """(2, n) cosine and sine of the position, which gravity goes with."""
     load: Array = field(kw_only=True)
     """(n,) N on the bearing."""
 
     @property
-    def way(self) -> Array:
+    def joint_position(self) -> Array:
         """(n,) where the joint is."""
         return self.position
 
     @property
-    def extent(self) -> float:
+    def reading_scale(self) -> float:
         """Root mean square of the force at work."""
         return float(np.sqrt(np.mean(self.q**2)))
 
 
-def force_runs(measured: Measured, plant: Plant) -> tuple[tuple[ForceRun, ...], Floor, tuple[str, ...]] | None:
+def make_force_runs(
+    measured: Measured, plant: Plant
+) -> tuple[tuple[ForceRun, ...], SensorNoise, tuple[str, ...]] | None:
     """The runs as a fit to their force sees them, its floor, and a line for each run that is left out; None when their
     motion is not prescribed.
 
     It is where measured.json says so, and, where nobody says, when inertia takes hardly any of the force of every run.
     """
-    told = [run for run in measured.runs if run.prescribed] or list(measured.runs)
-    if any(_asked(run, measured) is None or run.poses is not None or run.prescribed is False for run in told):
+    candidates = [run for run in measured.runs if run.prescribed] or list(measured.runs)
+    if any(
+        _logged_force(run, measured) is None or run.poses is not None or run.prescribed is False for run in candidates
+    ):
         return None
-    if any(run.q_command is not None and not run.prescribed for run in told):
+    if any(run.q_command is not None and not run.prescribed for run in candidates):
         return None  # its law is told: the simulation holds it, too
-    if not (told[0].prescribed or all(_steady(run, measured, plant) for run in told)):
+    if not (candidates[0].prescribed or all(_is_steady(run, measured, plant) for run in candidates)):
         return None
-    noise = floor_of([_known(run.times_s, _asked(run, measured)) for run in told]).still
-    still = floor_of([_known(run.times_s, run.q) for run in told]).still
-    seen = [_of_run(measured, plant, run, noise, still) for run in told]
-    kept = [run for run in seen if run is not None]
-    if not kept:
+    noise = estimate_noise([_finite(run.times_s, _logged_force(run, measured)) for run in candidates]).sigma_at_rest
+    still = estimate_noise([_finite(run.times_s, run.q) for run in candidates]).sigma_at_rest
+    seen = [_make_run(measured, plant, run, noise, still) for run in candidates]
+    force_runs = [run for run in seen if run is not None]
+    if not force_runs:
         return None
-    names = {run.name for run in kept}
-    notes = [f"run '{r.name}': its joint slides for too few readings: it was left out" for r in told
+    names = {run.name for run in force_runs}
+    notes = [f"run '{r.name}': its joint slides for too few readings: it was left out" for r in candidates
              if r.name not in names]  # fmt: skip
     notes += [f"run '{r.name}': its motion is not prescribed as that of others is: it was left out"
-              for r in measured.runs if r not in told]  # fmt: skip
-    return tuple(kept), Floor(float(np.median([run.sigma[0] for run in kept])), 0.0), tuple(notes)
+              for r in measured.runs if r not in candidates]  # fmt: skip
+    return tuple(force_runs), SensorNoise(float(np.median([run.sigma[0] for run in force_runs])), 0.0), tuple(notes)
 
 
-def _asked(run: Run, measured: Measured) -> Array | None:
+def _logged_force(run: Run, measured: Measured) -> Array | None:
     """(n,) the told force, the actuator's or a push; None for none."""
-    asked, push = told_efforts(run, measured)
-    return asked if push is None else push
+    commanded, push = split_efforts(run, measured)
+    return commanded if push is None else push
 
 
-def _known(times: Array, values: Array | None) -> tuple[Array, Array]:
+def _finite(times: Array, values: Array | None) -> tuple[Array, Array]:
     assert values is not None
     known = np.isfinite(values)
     return times[known], values[known]
 
 
-def _steady(run: Run, measured: Measured, plant: Plant) -> bool:
+def _is_steady(run: Run, measured: Measured, plant: Plant) -> bool:
     """Whether inertia takes hardly any of the force, by accelerations that are smoothed over as much as half a swing
     allows: noise in them is no motion."""
-    smooth = smoothed(run)
+    smooth = smooth_run(run)
     if smooth is None:
         return False
     t, _, q, _, qdd, kernel = smooth
-    half, told = len(kernel) // 2 + 1, np.interp(t, *_known(run.times_s, _asked(run, measured)))
+    half, force = len(kernel) // 2 + 1, np.interp(t, *_finite(run.times_s, _logged_force(run, measured)))
     slides = _sliding(q)  # and not where it is only brought to its speed
     slides[:half], slides[-half:] = False, False
     if not slides.any():
         return False
-    taken, given = (float(np.sqrt(np.mean(v[slides] ** 2))) for v in (plant.mechanics.inertia * qdd, told))
-    return taken < STEADY * given
+    taken, given = (float(np.sqrt(np.mean(v[slides] ** 2))) for v in (plant.mechanics.inertia * qdd, force))
+    return taken < MAX_INERTIA_SHARE * given
 
 
-def _of_run(measured: Measured, plant: Plant, run: Run, noise: float, still: float) -> ForceRun | None:
+def _make_run(measured: Measured, plant: Plant, run: Run, noise: float, still: float) -> ForceRun | None:
     """The run, where its joint slides and touches no limit; None where that is too little."""
     inertia, mechanics = plant.mechanics.inertia, plant.mechanics
-    smooth, sigma, spread = smoothed(run), 0.0, 0.0
+    smooth, sigma, spread = smooth_run(run), 0.0, 0.0
     widest = 0 if smooth is None else len(smooth[5])
     for window in (*(w for w in _WINDOWS if w < widest), widest):
-        found = smoothed(run, window)
+        found = smooth_run(run, window)
         if found is None:
             return None
         smooth = found
         step = float(found[0][1] - found[0][0])
-        spread, bend = (still * _size(window, deriv, step) for deriv in (1, 2))
+        spread, bend = (still * _noise_gain(window, deriv, step) for deriv in (1, 2))
         of_force, of_bend = noise * float(np.sqrt(found[5] @ found[5])), inertia * bend
         sigma = float(np.hypot(of_force, of_bend))
-        if of_bend <= _QUIET * of_force:
+        if of_bend <= _NOISE_SHARE * of_force:
             break
     if smooth is None:
         return None
     t, _, q, qd, qdd, kernel = smooth
     if run.qd is not None:
-        qd = np.interp(t, *_known(run.times_s, run.qd))
-    effort, push = told_efforts(run, measured)
+        qd = np.interp(t, *_finite(run.times_s, run.qd))
+    effort, push = split_efforts(run, measured)
     how = measured.interpolation
     on = enabled_at(run, t, effort is not None).astype(float)
     law = DriveLaw() if measured.actuator is None else measured.actuator.law
-    asked = np.zeros(len(t)) if effort is None else logged_at(run.times_s, effort, how, t)
-    asked = on * law.forces(q, qd, np.full(len(t), np.nan), asked)
-    beside = np.zeros(len(t)) if push is None else logged_at(run.times_s, push, how, t)
+    commanded = np.zeros(len(t)) if effort is None else logged_at(run.times_s, effort, how, t)
+    commanded = on * law.forces(q, qd, np.full(len(t), np.nan), commanded)
+    external = np.zeros(len(t)) if push is None else logged_at(run.times_s, push, how, t)
     if run.base is not None:
-        beside = beside + sway_force(base_sway(run, measured, plant).at(t), q)
-    seen = (np.convolve(series, kernel, "same") for series in (asked, beside, np.cos(q), np.sin(q), qd))
-    asked, beside, cosine, sine, speed = seen  # as the acceleration is
+        external = external + base_motion_force(base_force_of(run, measured, plant).at(t), q)
+    seen = (np.convolve(series, kernel, "same") for series in (commanded, external, np.cos(q), np.sin(q), qd))
+    commanded, external, cosine, sine, speed = seen  # as the acceleration is
     half, span = len(kernel) // 2 + 1, plant.upper - plant.lower
     slack = 1e-3 * span if np.isfinite(span) else 0.0
     usual = float(np.sqrt(np.mean(qd**2)))
-    rests = (np.abs(speed) < max(_RESTING * usual, _SURE * spread)) | (on < float(effort is not None))
+    rests = (np.abs(speed) < max(_RESTING * usual, _MOVING_SIGMAS * spread)) | (on < float(effort is not None))
     rests |= ~_sliding(q)
     rests |= (q < plant.lower + slack) | (q > plant.upper - slack)
     near = np.convolve(rests, np.ones(2 * half + 1), "same") > 0.5
@@ -173,14 +177,14 @@ def _of_run(measured: Measured, plant: Plant, run: Run, noise: float, still: flo
         return None
     ways = np.sign(speed[at])
     regime = "forwards" if (ways > 0).all() else "backwards" if (ways < 0).all() else "both ways"
-    read = t[at] - run.times_s[0], (asked + beside)[at], np.full(len(at), sigma), speed[at]
+    read = t[at] - run.times_s[0], (commanded + external)[at], np.full(len(at), sigma), speed[at]
     return ForceRun(
         *(run.name, *read, Inputs(), run.held_out, regime, measured.runs.index(run)),
         position=q[at],
         acceleration=qdd[at],
-        asked=asked[at],
+        commanded=commanded[at],
         on=on[at],
-        turned=np.stack([cosine, sine])[:, at],
+        cos_sin=np.stack([cosine, sine])[:, at],
         load=mechanics.load(q, qd, qdd)[at],
     )
 
@@ -190,11 +194,11 @@ def _sliding(q: Array) -> NDArray[np.bool_]:
     ends, slides = [0, *reversals(q, 0.03 * max(float(np.ptp(q)), 1e-12)).tolist(), len(q)], []
     for a, b in pairwise(ends):
         gone = np.abs(q[a:b] - q[a])
-        slides.append(gone > _BUILT * float(gone.max(initial=0.0)))
+        slides.append(gone > _PRESLIDING_SHARE * float(gone.max(initial=0.0)))
     return np.concatenate(slides)
 
 
-def _size(window: int, deriv: int, step: float) -> float:
+def _noise_gain(window: int, deriv: int, step: float) -> float:
     """What white noise of 1 becomes in a smoothed derivative."""
     from scipy.signal import savgol_coeffs
 

@@ -17,10 +17,10 @@ from freeart21.files.result import read_result
 from freeart21.measured import Measured, Run
 from freeart21.reconstruction import Failure
 
-UNSURE = 0.3
+DENSITY_UNCERTAINTY = 0.3
 """Part of themselves by which inertia and weight of a reconstructed part may be off: its density is a guess."""
 
-_STILL = 0.1
+_STATIC_SHARE = 0.1
 """Part of the other's motion before the camera below which a part stood still."""
 
 
@@ -45,7 +45,7 @@ def measure_result(result: Path, out: Path, gravity: ArrayLike, rate_hz: float) 
         raise FreeArtError(f"{result} has no asset; make one by `freeart21 export {result} --out {result / 'asset'}`")
     asset = read_asset(result / "asset", guesses=False)
     moved = [float(np.ptp(Ts, axis=0).max()) for Ts in (read.Ts_camera_reference, read.Ts_camera_moving)]
-    if moved[1] < _STILL * moved[0]:
+    if moved[1] < _STATIC_SHARE * moved[0]:
         raise FreeArtError(
             f"{result} has for its moving part the one that stood still before the camera, expected that the reference "
             "part stands fixed: the asset's base is the part that swung"
@@ -67,8 +67,8 @@ def measure_result(result: Path, out: Path, gravity: ArrayLike, rate_hz: float) 
         np.asarray(gravity, float),
         rate_hz,
         "nominal",
-        inertia_relative=UNSURE,
-        gravity_relative=UNSURE,
+        inertia_relative=DENSITY_UNCERTAINTY,
+        gravity_relative=DENSITY_UNCERTAINTY,
         runs=(run,),
     )
     with atomic.new_folder(out) as aside:

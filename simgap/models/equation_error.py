@@ -12,12 +12,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21.base_motion import sway_force
+from freeart21.base_motion import base_motion_force
 from freeart21.effects.base import Effect
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import DriveLaw, JointMechanics
 from freeart21.se3 import Array
-from simgap.measure.inputs import base_sway, enabled_at, logged_at, told_efforts
+from simgap.measure.inputs import base_force_of, enabled_at, logged_at, split_efforts
 from simgap.measure.swings import reversals, unit_numbers
 from simgap.models.surrogate import Plant
 
@@ -57,7 +57,7 @@ class MissingForce:
     """(m, 3) of every arrival at a limit: which (-1 or 1), speed before, speed after, away from it."""
 
 
-def missing_force(
+def estimate_missing_force(
     measured: Measured,
     mechanics: JointMechanics,
     lower: float,
@@ -80,20 +80,20 @@ def missing_force(
     runs = tuple(r for r in measured.runs if not r.held_out) if runs is None else runs
     pieces, impacts, how = [], [], measured.interpolation
     for index, run in enumerate(runs):
-        smooth = smoothed(run)
+        smooth = smooth_run(run)
         if smooth is None:
             continue
         t, raw, q, qd, qdd, kernel = smooth
         half = len(kernel) // 2 + 1
         # close to a stop the contact's own force is unknown
-        touching = _touching(q, lower, upper)
+        touching = _is_near_limit(q, lower, upper)
         near = np.convolve(touching, np.ones(2 * half + 1), "same") > 0
-        impacts += _impacts(t, raw, touching)
-        acting = known_forces(measured, mechanics, run, effects, t, q, qd, qdd)
+        impacts += _find_impacts(t, raw, touching)
+        acting = model_forces(measured, mechanics, run, effects, t, q, qd, qdd)
         if run.base is not None and plant is not None:
-            acting = acting[0] + sway_force(base_sway(run, measured, plant).at(t), q), acting[1]
+            acting = acting[0] + base_motion_force(base_force_of(run, measured, plant).at(t), q), acting[1]
         given, gravity = (np.convolve(force, kernel, "same") for force in acting)  # as smooth as qdd is
-        since = _since_reversal(q)
+        since = _distance_since_reversal(q)
         command = (
             np.full(len(t), np.nan) if run.q_command is None else logged_at(run.times_s, run.q_command, how, t) - q
         )
@@ -104,7 +104,7 @@ def missing_force(
     rows = np.concatenate(pieces) if pieces else np.zeros((0, 9))
     time, q, qd, qdd, given, gravity, since, command, number = rows.T
     inertia = mechanics.inertia + float(np.sum([e.inertia() for e in effects]))
-    a, g = _scales(measured, inertia, q, qd, qdd, given, gravity)
+    a, g = _fit_scales(measured, inertia, q, qd, qdd, given, gravity)
     of_run = np.asarray(number, np.int64)
     unit = unit_numbers(q, of_run, 0.03 * float(np.ptp(q)), max(10, len(q) // 60)) if len(q) else of_run
     return MissingForce(
@@ -123,7 +123,7 @@ def missing_force(
     )
 
 
-def smoothed(run: Run, window: int | None = None) -> tuple[Array, Array, Array, Array, Array, Array] | None:
+def smooth_run(run: Run, window: int | None = None) -> tuple[Array, Array, Array, Array, Array, Array] | None:
     """Even times; position as read, smoothed, velocity, acceleration; and what acceleration is smoothed by.
 
     `window` is of how many readings; as wide as half swings allow when not given. None for too short a run. A local
@@ -151,7 +151,7 @@ def smoothed(run: Run, window: int | None = None) -> tuple[Array, Array, Array, 
     return t, raw, q, qd, qdd, np.convolve(kernel, [1 / 12, 10 / 12, 1 / 12])
 
 
-def known_forces(
+def model_forces(
     measured: Measured,
     mechanics: JointMechanics,
     run: Run,
@@ -165,15 +165,15 @@ def known_forces(
     gain = float(np.prod([e.gain() for e in effects]))
     late = float(np.sum([e.delay() for e in effects if e.acts == "command"]))
     acting, drive, how = np.zeros(len(t)), np.zeros(len(t)), measured.interpolation
-    effort, push = told_efforts(run, measured)
+    effort, push = split_efforts(run, measured)
     on = enabled_at(run, t - late, effort is not None)
     if on.any():
         law = DriveLaw() if measured.actuator is None else measured.actuator.law
-        asked, told = (
+        commands, efforts = (
             other if values is None else logged_at(run.times_s, values, how, t - late)
             for values, other in ((run.q_command, np.full(len(t), np.nan)), (effort, np.zeros(len(t))))
         )
-        given = gain * law.forces(q, qd, asked, told) + float(np.sum([e.bias_force() for e in effects]))
+        given = gain * law.forces(q, qd, commands, efforts) + float(np.sum([e.bias_force() for e in effects]))
         drive += np.where(on, given, 0.0)
     if push is not None:
         acting += logged_at(run.times_s, push, how, t)
@@ -192,7 +192,7 @@ def known_forces(
     return acting + drive - level * np.sign(qd), gravity
 
 
-def _scales(
+def _fit_scales(
     measured: Measured, inertia: float, q: Array, qd: Array, qdd: Array, given: Array, gravity: Array
 ) -> tuple[float, float]:
     """By how much inertia and gravity differ from the asset's, as far as they may, with room for smooth losses."""
@@ -213,12 +213,12 @@ def _scales(
     return float(found[0]), float(found[1])
 
 
-def _touching(q: Array, lower: float, upper: float) -> NDArray[np.bool_]:
+def _is_near_limit(q: Array, lower: float, upper: float) -> NDArray[np.bool_]:
     slack = 0.02 * max(float(np.ptp(q)), 1e-9)
     return (q < lower + slack) | (q > upper - slack)
 
 
-def _impacts(t: Array, raw: Array, touching: NDArray[np.bool_]) -> list[list[float]]:
+def _find_impacts(t: Array, raw: Array, touching: NDArray[np.bool_]) -> list[list[float]]:
     """Of every arrival at a limit: which one (-1 or 1), speed just before it, speed away just after it.
 
     Speeds by parabolas through some readings on either side, for after a dead stop gravity may take the part away too.
@@ -242,7 +242,7 @@ def _impacts(t: Array, raw: Array, touching: NDArray[np.bool_]) -> list[list[flo
     return found
 
 
-def _since_reversal(q: Array) -> Array:
+def _distance_since_reversal(q: Array) -> Array:
     out = np.full(len(q), np.nan)
     ends = [*reversals(q, 0.03 * max(float(np.ptp(q)), 1e-9)).tolist(), len(q)]
     for a, b in pairwise(ends):

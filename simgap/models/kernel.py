@@ -18,9 +18,9 @@ from simgap.models.laws import (
     FORCE,
     STAMP,
     STOP,
-    asked_force,
+    commanded_force,
+    delivered_force,
     drive_rebound,
-    given_force,
     inlined,
     jit,
     law,
@@ -36,18 +36,18 @@ GAIN, COMMAND_DELAY, STIFFNESS, DAMPING = 8, 9, 10, 11
 LOWER, UPPER, SLACK_WIDTH, SLACK_INERTIA = 12, 13, 14, 15
 READING_DELAY, Q0, QD0, TRAVEL, GRIPPING = 16, 17, 18, 19, 20
 SHAFT_INERTIA, SHAFT_BACK, SHAFT_SWING, HOLDING = 21, 22, 23, 24
-OFFSET, DEAD_BAND, MOST_ASKED, BACK_EMF, MOST = 25, 26, 27, 28, 29
-MOMENT_SCALE, MASS_SCALE, SWAYS = 30, 31, 32
+OFFSET, DEAD_BAND, MAX_COMMANDED, BACK_EMF, MAX_FORCE = 25, 26, 27, 28, 29
+MOMENT_SCALE, MASS_SCALE, BASE_MOVES = 30, 31, 32
 """Of a base that moves: factors of the rows of `base_motion.sway_terms`, and whether it does. What it does now:"""
-SWAY_COS, SWAY_SIN, SWAY_CONST, SWAY_COS2, SWAY_SIN2, SWAY_LINEAR = 33, 34, 35, 36, 37, 38
-DEPARTS = 39
+BASE_COS, BASE_SIN, BASE_CONST, BASE_COS2, BASE_SIN2, BASE_LINEAR = 33, 34, 35, 36, 37, 38
+MODEL_ERROR_SPEED = 39
 """The speed at which effects depart from their formulas by all that they do over speeds; 0 when they do not."""
 GEARED = 40
 """Whether the drive's gears rub."""
 HEAD = 41
 """Places in the vector of numbers that describes one simulation; behind them each effect has its place, then how it
 departs from its formula, then its parameters."""
-PLACE = 5
+TERM_HEAD = 5
 """The middle and the half width of where an effect acts that has a place, or departs; and by what part of itself it
 departs over speeds, as a slope over places, and as a bend there."""
 
@@ -55,39 +55,41 @@ _BISECTIONS = 25
 _SPARE_STEPS = 4000
 """Steps cut short by events that a simulation may have besides twice its whole ones."""
 _FALSI = 7
-_HAIR = 2.0**-25
+_BEYOND_EVENT = 2.0**-25
 """Of a step, beyond which an event that was just found has surely happened: as close as bisection comes."""
-_BENDING = 0.02
+_PRESLIDING_LEFT = 0.02
 """Part of the friction level that may still build up unseen."""
-_BENT = 40.0
+_PRESLIDING_TRAVELS = 40.0
 """Times TRAVEL after which nothing is left of where a motion began: exp(-40) is less than a bit of 1."""
-_YIELD = 0.98
+_MAX_REST_LOAD = 0.98
 """Of the friction level: beyond, a part at rest gives way no further before it slides."""
-_SAME = 1e-9
+_CONVERGED = 1e-9
 """Part of itself by which an acceleration may yet change: four orders below what a step is off by."""
-_SLOWEST = 0.05
+_MIN_SPEED_SHARE = 0.05
 """Of the speed at which effects depart by all that they do over speeds: below, they depart no more. Not measured."""
-_REACH = 2.0
+_PLACE_REACH = 2.0
 """Half widths about its middle within which an effect that has a place is stepped finely."""
-_STOPPED, _LIMIT, _MEMORY, _MET, _PARTED, _SURE = 1, 2, 4, 8, 16, 32
+_STOPPED, _LIMIT, _MEMORY, _MET, _PARTED, _LOCATED = 1, 2, 4, 8, 16, 32
 
 
 @inlined
-def departed(p, at, q, v):  # pragma: no cover
+def error_factor(p, at, q, v):  # pragma: no cover
     """What a real effect is times its formula: a slope over the logarithm of speeds, so that what goes with another
     power of speed departs as much at all of them, and a slope and a bend over places."""
-    fast = 1.0 - 2.0 * math.log(max(min(abs(v) / p[DEPARTS], 1.0), _SLOWEST)) / math.log(_SLOWEST)
+    fast = 1.0 - 2.0 * math.log(max(min(abs(v) / p[MODEL_ERROR_SPEED], 1.0), _MIN_SPEED_SHARE)) / math.log(
+        _MIN_SPEED_SHARE
+    )
     x = min(max((q - p[at]) / p[at + 1], -1.0), 1.0)
     return max(1.0 + p[at + 2] * fast + p[at + 3] * x + p[at + 4] * (1.5 * x * x - 0.5), 0.0)
 
 
 @njit(cache=True)
-def departures(p, at, q, v):  # pragma: no cover
+def error_factors(p, at, q, v):  # pragma: no cover
     """(n,) the same along a motion; 1 where effects are their formulas."""
     found = np.ones(len(q))
-    if p[DEPARTS] > 0.0:
+    if p[MODEL_ERROR_SPEED] > 0.0:
         for i in range(len(q)):
-            found[i] = departed(p, at, q[i], v[i])
+            found[i] = error_factor(p, at, q[i], v[i])
     return found
 
 
@@ -98,8 +100,8 @@ def _sum(acts, terms, p, memory, q, v, load, carried):  # pragma: no cover
     for k in range(len(terms)):
         if terms[k, 1] == acts:
             presses = carried if terms[k, 4] else load
-            own = law(terms[k, 0], q, v, presses, memory[k], p, terms[k, 2] + PLACE)
-            total += own if p[DEPARTS] == 0.0 else own * departed(p, terms[k, 2], q, v)
+            own = law(terms[k, 0], q, v, presses, memory[k], p, terms[k, 2] + TERM_HEAD)
+            total += own if p[MODEL_ERROR_SPEED] == 0.0 else own * error_factor(p, terms[k, 2], q, v)
     return total
 
 
@@ -107,32 +109,32 @@ def _sum(acts, terms, p, memory, q, v, load, carried):  # pragma: no cover
 def _actuator(p, q, v, position, effort):  # pragma: no cover
     """Force of the actuator at the position and speed that it sees; `position` is NaN without a position law. GAIN and
     OFFSET are 0 while it is off."""
-    asked = asked_force(q, v, position, effort, p[STIFFNESS], p[DAMPING], p[DEAD_BAND])
-    return p[GAIN] * given_force(asked, v, p[MOST_ASKED], p[BACK_EMF], p[MOST]) + p[OFFSET]
+    commanded = commanded_force(q, v, position, effort, p[STIFFNESS], p[DAMPING], p[DEAD_BAND])
+    return p[GAIN] * delivered_force(commanded, v, p[MAX_COMMANDED], p[BACK_EMF], p[MAX_FORCE]) + p[OFFSET]
 
 
 @inlined
-def _swayed(p, q):  # pragma: no cover
+def _base_force(p, q):  # pragma: no cover
     """Force of a base that moves (`base_motion.sway_force`)."""
     c, s = math.cos(q), math.sin(q)
-    F = p[SWAY_CONST] + p[SWAY_LINEAR] * q + p[SWAY_COS] * c + p[SWAY_SIN] * s
-    return F + p[SWAY_COS2] * (c * c - s * s) + 2.0 * p[SWAY_SIN2] * s * c
+    F = p[BASE_CONST] + p[BASE_LINEAR] * q + p[BASE_COS] * c + p[BASE_SIN] * s
+    return F + p[BASE_COS2] * (c * c - s * s) + 2.0 * p[BASE_SIN2] * s * c
 
 
 @inlined
-def _acting(terms, p, memory, q, v, side, push, position, effort):  # pragma: no cover
+def _total_force(terms, p, memory, q, v, side, push, position, effort):  # pragma: no cover
     """All forces on the part but friction."""
     F = p[GRAVITY_CONST] + push
     if p[GRAVITY_COS] != 0.0:
         F += p[GRAVITY_COS] * math.cos(q - p[GRAVITY_SIN])
-    if p[SWAYS] != 0.0:
-        F += _swayed(p, q)
+    if p[BASE_MOVES] != 0.0:
+        F += _base_force(p, q)
     F += _sum(FORCE, terms, p, memory, q, v, 0.0, 0.0)
-    return F + _driving(p, q, v, side, position, effort)
+    return F + _drive_force(p, q, v, side, position, effort)
 
 
 @inlined
-def _driving(p, q, v, side, position, effort):  # pragma: no cover
+def _drive_force(p, q, v, side, position, effort):  # pragma: no cover
     """Force of the actuator on the part, 0 where slack is between them."""
     if p[SLACK_WIDTH] == 0.0:
         return _actuator(p, q, v, position, effort)
@@ -142,15 +144,15 @@ def _driving(p, q, v, side, position, effort):  # pragma: no cover
 
 
 @inlined
-def _carried(p, q, v, side, position, effort, F):  # pragma: no cover
+def _gear_load(p, q, v, side, position, effort, F):  # pragma: no cover
     """What gears carry of all forces `F` but friction; 0 where none rub."""
     if p[GEARED] == 0.0:
         return 0.0
-    return abs(2.0 * _driving(p, q, v, side, position, effort) - F)
+    return abs(2.0 * _drive_force(p, q, v, side, position, effort) - F)
 
 
 @inlined
-def _bearing(p, q, v):  # pragma: no cover
+def _bearing_load(p, q, v):  # pragma: no cover
     """Square of the load that the bearing carries but for its acceleration, and what a unit of that adds to it to first
     order; 0 where no friction asks for the load."""
     if p[LOAD_WEIGHT2] == 0.0 and p[LOAD_ARM2] == 0.0:
@@ -162,7 +164,7 @@ def _bearing(p, q, v):  # pragma: no cover
 
 @inlined
 def _level_of(terms, p, memory, q, v, qdd, bearing, carried):  # pragma: no cover
-    """Friction level at this acceleration under what `_bearing` and `_carried` say."""
+    """Friction level at this acceleration under what `_bearing_load` and `_gear_load` say."""
     load2 = bearing[0] + qdd * (bearing[1] + qdd * p[LOAD_ARM2])
     load = math.sqrt(load2) if load2 > 0.0 else 0.0  # a root costs as much as a formula
     return _sum(DRIVE, terms, p, memory, q, v, load, carried)
@@ -171,7 +173,7 @@ def _level_of(terms, p, memory, q, v, qdd, bearing, carried):  # pragma: no cove
 @inlined
 def _level(terms, p, memory, q, carried):  # pragma: no cover
     """Friction level at rest, under the load that the bearing and the gears carry there."""
-    return _level_of(terms, p, memory, q, 0.0, 0.0, _bearing(p, q, 0.0), carried)
+    return _level_of(terms, p, memory, q, 0.0, 0.0, _bearing_load(p, q, 0.0), carried)
 
 
 @inlined
@@ -181,7 +183,7 @@ def _bristle(p, slide, grip, q):  # pragma: no cover
     if p[TRAVEL] == 0.0 or grip[0] == slide:
         return 1.0 * slide
     way = abs(q - grip[1])
-    if way > _BENT * p[TRAVEL]:
+    if way > _PRESLIDING_TRAVELS * p[TRAVEL]:
         return 1.0 * slide
     return slide + (grip[0] - slide) * math.exp(-way / p[TRAVEL])
 
@@ -190,7 +192,7 @@ def _bristle(p, slide, grip, q):  # pragma: no cover
 def _acceleration(terms, p, memory, q, v, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
     """Of a moving part; `slide` is the direction in which it slides against friction, 0 without friction."""
     share = 1.0 / (p[INERTIA] + (p[SLACK_INERTIA] if side != 0 else 0.0))
-    F = _acting(terms, p, memory, q, v, side, push, position, effort)
+    F = _total_force(terms, p, memory, q, v, side, push, position, effort)
     free = F * share
     if slide == 0:
         return free
@@ -199,11 +201,11 @@ def _acceleration(terms, p, memory, q, v, slide, grip, side, push, position, eff
     bent, damp = _bristle(p, slide, grip, q), 0.0
     if bent != slide:
         damp = p[GRIPPING] * math.sqrt(p[INERTIA] / p[TRAVEL]) * abs(v) * (slide - bent)
-    bearing, carried, qdd = _bearing(p, q, v), _carried(p, q, v, side, position, effort, F), free
+    bearing, carried, qdd = _bearing_load(p, q, v), _gear_load(p, q, v, side, position, effort, F), free
     for _ in range(5 if loaded else 1):  # the load depends on the acceleration that friction changes
         level, before = _level_of(terms, p, memory, q, v, qdd, bearing, carried), qdd
         qdd = free - (level * bent + (damp * math.sqrt(level) if damp != 0.0 else 0.0)) * share
-        if abs(qdd - before) <= _SAME * abs(qdd):
+        if abs(qdd - before) <= _CONVERGED * abs(qdd):
             break
     return qdd
 
@@ -221,7 +223,7 @@ def _slopes(y, terms, p, memory, frozen, slide, grip, side, push, position, effo
 
 
 @jit
-def _advanced(y, h, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
+def _rk4_step(y, h, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
     """State after `h` by the classical Runge-Kutta step, nothing changing but the state."""
     q, v, x, w = y
     q1, v1, x1, w1, there = q, v, x, w, y
@@ -255,7 +257,7 @@ def _events(y, terms, p, memory, frozen, slide, grip, side, push, position, effo
             found |= _LIMIT
         for k in range(len(terms)):
             if terms[k, 1] == FORCE:
-                leap = remember(terms[k, 0], q, memory[k], p, terms[k, 2] + PLACE) - memory[k]
+                leap = remember(terms[k, 0], q, memory[k], p, terms[k, 2] + TERM_HEAD) - memory[k]
                 found |= _MEMORY if abs(leap) > 0.5 else 0
     if p[SLACK_WIDTH] > 0.0:
         pushes = 0.0
@@ -267,7 +269,9 @@ def _events(y, terms, p, memory, frozen, slide, grip, side, push, position, effo
 
 
 @jit
-def _apart(what, y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
+def _event_function(
+    what, y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded
+):  # pragma: no cover
     """What is left until the sides of a slack part meet (how far they are apart), or part (the force between them)."""
     if what == _MET:
         return 0.5 * p[SLACK_WIDTH] - abs(y[2] - y[0])
@@ -275,21 +279,21 @@ def _apart(what, y, terms, p, memory, frozen, slide, grip, side, push, position,
 
 
 @jit
-def _passes(terms, p, a, b):  # pragma: no cover
+def _passes_place(terms, p, a, b):  # pragma: no cover
     """Whether a way from a to b comes near the place of an effect that has one."""
     for k in range(len(terms)):
         if terms[k, 3]:
             at = terms[k, 2]
-            reach = _REACH * p[at + 1]
+            reach = _PLACE_REACH * p[at + 1]
             if min(a, b) <= p[at] + reach and max(a, b) >= p[at] - reach:
                 return True
     return False
 
 
 @jit
-def _settled(y, p, load, part, side):  # pragma: no cover
+def _rest_position(y, p, load, part, side):  # pragma: no cover
     """State and grip of a part at rest that gives way to a `load`, over the friction level, until friction bears it."""
-    load = min(max(load, -_YIELD), _YIELD)
+    load = min(max(load, -_MAX_REST_LOAD), _MAX_REST_LOAD)
     if abs(load - part) < 1e-9:
         return y, (part, y[0])
     way = 1.0 if load > part else -1.0
@@ -304,27 +308,29 @@ def _rebound(terms, p, v):  # pragma: no cover
     after = 0.0
     for k in range(len(terms)):
         if terms[k, 1] == STOP:
-            speed = law(terms[k, 0], 0.0, v, 0.0, 0.0, p, terms[k, 2] + PLACE)
+            speed = law(terms[k, 0], 0.0, v, 0.0, 0.0, p, terms[k, 2] + TERM_HEAD)
             if abs(speed) > abs(after):
                 after = speed
     return after
 
 
 @jit
-def _taken_back(terms, p, memory, limit, towards, v, side, push, position, effort):  # pragma: no cover
+def _rebound_from_drive(terms, p, memory, limit, towards, v, side, push, position, effort):  # pragma: no cover
     """Seconds at a limit, and speed after them, of a part that came in with `v` and whose drive takes it back."""
     drive, press, others = 0.0, 0.0, p[INERTIA] - p[SHAFT_INERTIA]
     if p[SHAFT_SWING] > 0.0:
         drive = towards * _actuator(p, limit, 0.0, position, effort)
-        F = _acting(terms, p, memory, limit, 0.0, side, push, position, effort)
+        F = _total_force(terms, p, memory, limit, 0.0, side, push, position, effort)
         press = towards * F - drive
-        press += _level(terms, p, memory, limit, _carried(p, limit, 0.0, side, position, effort, F))
+        press += _level(terms, p, memory, limit, _gear_load(p, limit, 0.0, side, position, effort, F))
     stays, speed = drive_rebound(abs(v), press, drive, others, p[SHAFT_INERTIA], p[SHAFT_BACK], p[SHAFT_SWING])
     return stays, -towards * speed
 
 
 @jit
-def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, sway, coarse, fine, out):  # pragma: no cover
+def _roll(
+    p, terms, memory, times, t_in, command, effort, pushes, hold_difference, base_motion, coarse, fine, out
+):  # pragma: no cover
     """Positions `out` (n,) as read at `times` (n,), for one vector of numbers, by steps that are `coarse` but near the
     place of an effect that has one."""
     n, inputs = len(times), len(t_in)
@@ -334,7 +340,7 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, sway, 
     y = (p[Q0], p[QD0], p[Q0], p[QD0])
     for k in range(len(terms)):
         if terms[k, 1] == FORCE:
-            memory[k] = remember(terms[k, 0], y[0], 0.0, p, terms[k, 2] + PLACE)
+            memory[k] = remember(terms[k, 0], y[0], 0.0, p, terms[k, 2] + TERM_HEAD)
     turned = math.atan2(p[GRAVITY_SIN], p[GRAVITY_COS])  # from here on the largest force of gravity, and where it is
     p[GRAVITY_COS], p[GRAVITY_SIN] = math.hypot(p[GRAVITY_COS], p[GRAVITY_SIN]), turned
     gain, offset = p[GAIN], p[OFFSET]
@@ -351,29 +357,29 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, sway, 
         if done == n:
             return
         # inputs
-        position, asked, push, until = np.nan, 0.0, 0.0, np.inf
+        position, effort_now, push, until = np.nan, 0.0, 0.0, np.inf
         if inputs > 0:
             while late + 1 < inputs and t_in[late + 1] + delayed <= now + 1e-12:
                 late += 1
             while early + 1 < inputs and t_in[early + 1] <= now + 1e-12:
                 early += 1
-            position = command[late] + p[HOLDING] * beside[0, late]
-            asked = effort[late] + p[HOLDING] * beside[1, late]
-            push = pushes[early] + p[HOLDING] * beside[2, early]
+            position = command[late] + p[HOLDING] * hold_difference[0, late]
+            effort_now = effort[late] + p[HOLDING] * hold_difference[1, late]
+            push = pushes[early] + p[HOLDING] * hold_difference[2, early]
             p[GAIN], p[OFFSET] = gain, offset
-            if np.isnan(asked):  # it is off
-                p[GAIN], p[OFFSET], asked = 0.0, 0.0, 0.0
-            if p[SWAYS] != 0.0:
+            if np.isnan(effort_now):  # it is off
+                p[GAIN], p[OFFSET], effort_now = 0.0, 0.0, 0.0
+            if p[BASE_MOVES] != 0.0:
                 b, m = p[MOMENT_SCALE], p[MASS_SCALE]
-                p[SWAY_COS] = b * sway[0, early] + m * sway[3, early]
-                p[SWAY_SIN] = b * sway[1, early] + m * sway[4, early]
-                p[SWAY_CONST], p[SWAY_LINEAR] = m * sway[2, early], m * sway[7, early]
-                p[SWAY_COS2], p[SWAY_SIN2] = m * sway[5, early], m * sway[6, early]
+                p[BASE_COS] = b * base_motion[0, early] + m * base_motion[3, early]
+                p[BASE_SIN] = b * base_motion[1, early] + m * base_motion[4, early]
+                p[BASE_CONST], p[BASE_LINEAR] = m * base_motion[2, early], m * base_motion[7, early]
+                p[BASE_COS2], p[BASE_SIN2] = m * base_motion[5, early], m * base_motion[6, early]
             if late + 1 < inputs:
                 until = t_in[late + 1] + delayed
             if early + 1 < inputs:
                 until = min(until, t_in[early + 1])
-        step = fine if fine < coarse and (now < passed or _passes(terms, p, y[0], y[0])) else coarse
+        step = fine if fine < coarse and (now < passed or _passes_place(terms, p, y[0], y[0])) else coarse
         h = max(min(step, until - now), 1e-9)
         # what holds the part
         q, v = y[0], y[1]
@@ -381,13 +387,13 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, sway, 
         if now < waits:
             frozen, h = True, min(h, waits - now)
         elif v == 0.0 and (dry or resting != 0):
-            F = _acting(terms, p, memory, q, 0.0, side, push, position, asked)
-            carried = _carried(p, q, 0.0, side, position, asked, F)
+            F = _total_force(terms, p, memory, q, 0.0, side, push, position, effort_now)
+            carried = _gear_load(p, q, 0.0, side, position, effort_now, F)
             held = _level(terms, p, memory, q, carried) if dry else 0.0
             if abs(F) <= held or (resting != 0 and resting * F >= -held):
                 frozen = True
                 if p[TRAVEL] > 0.0 and resting == 0 and held > 0.0:
-                    y, grip = _settled(y, p, F / held, grip[0], side)
+                    y, grip = _rest_position(y, p, F / held, grip[0], side)
                     still, q = y[0] == q, y[0]
             else:
                 slide, resting = (1 if F > 0 else -1) if dry else 0, 0
@@ -397,7 +403,7 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, sway, 
             resting = 0
         if p[TRAVEL] > 0.0 and slide != 0:
             grip = (grip[0], q)
-            if abs(slide - grip[0]) > _BENDING:  # steps that see the bristles bend
+            if abs(slide - grip[0]) > _PRESLIDING_LEFT:  # steps that see the bristles bend
                 if v == 0.0:
                     h = min(h, math.sqrt(p[TRAVEL] * p[INERTIA] / max(abs(F), 1e-12)))
                 else:
@@ -407,78 +413,88 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, sway, 
             until = min(until, waits) if now < waits else until
             h = max(min(until, end) - now, 1e-9)  # until something else acts
         # a step, cut where something happens
-        after = _advanced(y, h, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
-        if step > fine and _passes(terms, p, q, after[0]):
+        after = _rk4_step(y, h, terms, p, memory, frozen, slide, grip, side, push, position, effort_now, loaded)
+        if step > fine and _passes_place(terms, p, q, after[0]):
             passed = now + h
             continue
-        found = _events(after, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+        found = _events(after, terms, p, memory, frozen, slide, grip, side, push, position, effort_now, loaded)
         if v * after[1] < 0.0 and not found & _LIMIT:  # it turns within the step: was it at a limit there?
             turn = v / (v - after[1]) * h
             peak = q + 0.55 * turn * v
             if peak < p[LOWER] or peak > p[UPPER]:
-                there = _advanced(y, turn, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+                there = _rk4_step(
+                    y, turn, terms, p, memory, frozen, slide, grip, side, push, position, effort_now, loaded
+                )
                 if there[0] < p[LOWER] or there[0] > p[UPPER]:
                     after, h = there, turn
-                    found = _events(after, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+                    found = _events(
+                        after, terms, p, memory, frozen, slide, grip, side, push, position, effort_now, loaded
+                    )
         if found in (_STOPPED, _LIMIT):  # where a smooth number passes zero: regula falsi (Illinois)
             aim = 0.0 if found == _STOPPED else (p[LOWER] if after[0] < p[LOWER] else p[UPPER])
             which = 1 if found == _STOPPED else 0
             low, high, f_low, f_high = 0.0, h, y[which] - aim, after[which] - aim
             if f_low * f_high < 0.0:
-                kept = 0
+                side_kept = 0
                 for _ in range(_FALSI):
                     mid = (low * f_high - high * f_low) / (f_high - f_low)
-                    there = _advanced(
-                        y, mid, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded
+                    there = _rk4_step(
+                        y, mid, terms, p, memory, frozen, slide, grip, side, push, position, effort_now, loaded
                     )
                     f_mid = there[which] - aim
                     if f_mid * f_high > 0.0:
                         high, f_high, after = mid, f_mid, there
-                        f_low = 0.5 * f_low if kept == 1 else f_low
-                        kept = 1
+                        f_low = 0.5 * f_low if side_kept == 1 else f_low
+                        side_kept = 1
                     else:
                         low, f_low, after = mid, f_mid, there
-                        f_high = 0.5 * f_high if kept == -1 else f_high
-                        kept = -1
+                        f_high = 0.5 * f_high if side_kept == -1 else f_high
+                        side_kept = -1
                     h = mid
                     if abs(f_mid) < 1e-12:
                         break
-                found |= _SURE
+                found |= _LOCATED
         elif found in (_MET, _PARTED):  # the same, and a hair beyond, where it has happened
             low, high, root = 0.0, h, 0.0
-            f_low = _apart(found, y, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
-            f_high = _apart(found, after, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+            f_low = _event_function(
+                found, y, terms, p, memory, frozen, slide, grip, side, push, position, effort_now, loaded
+            )
+            f_high = _event_function(
+                found, after, terms, p, memory, frozen, slide, grip, side, push, position, effort_now, loaded
+            )
             if f_low * f_high < 0.0:
-                kept = 0
+                side_kept = 0
                 for _ in range(_FALSI):
                     root = (low * f_high - high * f_low) / (f_high - f_low)
-                    there = _advanced(
-                        y, root, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded
+                    there = _rk4_step(
+                        y, root, terms, p, memory, frozen, slide, grip, side, push, position, effort_now, loaded
                     )
-                    f_root = _apart(
-                        found, there, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded
+                    f_root = _event_function(
+                        found, there, terms, p, memory, frozen, slide, grip, side, push, position, effort_now, loaded
                     )
                     if f_root * f_high > 0.0:
                         high, f_high = root, f_root
-                        f_low = 0.5 * f_low if kept == 1 else f_low
-                        kept = 1
+                        f_low = 0.5 * f_low if side_kept == 1 else f_low
+                        side_kept = 1
                     else:
                         low, f_low = root, f_root
-                        f_high = 0.5 * f_high if kept == -1 else f_high
-                        kept = -1
+                        f_high = 0.5 * f_high if side_kept == -1 else f_high
+                        side_kept = -1
                     if abs(f_root) < 1e-12:
                         break
-            root = min(root + _HAIR * h, h)
-            there = _advanced(y, root, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
-            beyond = _events(there, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+            root = min(root + _BEYOND_EVENT * h, h)
+            there = _rk4_step(y, root, terms, p, memory, frozen, slide, grip, side, push, position, effort_now, loaded)
+            beyond = _events(there, terms, p, memory, frozen, slide, grip, side, push, position, effort_now, loaded)
             if beyond:
-                after, found, h = there, beyond | _SURE, root
-        if found and not found & _SURE:
+                after, found, h = there, beyond | _LOCATED, root
+        if found and not found & _LOCATED:
             low, high = 0.0, h
             for _ in range(_BISECTIONS):
                 mid = 0.5 * (low + high)
-                there = _advanced(y, mid, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
-                at_mid = _events(there, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+                there = _rk4_step(
+                    y, mid, terms, p, memory, frozen, slide, grip, side, push, position, effort_now, loaded
+                )
+                at_mid = _events(there, terms, p, memory, frozen, slide, grip, side, push, position, effort_now, loaded)
                 if at_mid:
                     high, after, found = mid, there, at_mid
                 else:
@@ -503,14 +519,14 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, sway, 
             grip = (_bristle(p, slide, grip, y[0]), y[0])
         for k in range(len(terms)):
             if terms[k, 1] == FORCE:
-                memory[k] = remember(terms[k, 0], y[0], memory[k], p, terms[k, 2] + PLACE)
+                memory[k] = remember(terms[k, 0], y[0], memory[k], p, terms[k, 2] + TERM_HEAD)
         # what the event changes
         if found & _PARTED and not found & (_STOPPED | _LIMIT):  # what stops takes its drive side with it
             side = 0
         if found & _MET:
             side = 1 if y[2] > y[0] else -1
             at, part, drive = y[0] + 0.5 * side * p[SLACK_WIDTH], p[INERTIA], p[SLACK_INERTIA]
-            least = 0.5 * step * max(side * _actuator(p, y[2], y[3], position, asked) / drive, 0.0)
+            least = 0.5 * step * max(side * _actuator(p, y[2], y[3], position, effort_now) / drive, 0.0)
             held = frozen and resting * side > 0  # by its limit: what comes back within half a step stays
             v1, w1, side = meet_part(side, y[1], y[3], held, part, drive, p[SHAFT_BACK], least)
             y = (y[0], v1, at, w1)
@@ -519,10 +535,12 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, sway, 
             limit = p[UPPER] if towards > 0 else p[LOWER]
             back, stays = _rebound(terms, p, y[1]), 0.0
             if p[SHAFT_BACK] > 0.0 and p[SLACK_WIDTH] == 0.0:
-                seconds, taken = _taken_back(terms, p, memory, limit, towards, y[1], side, push, position, asked)
+                seconds, taken = _rebound_from_drive(
+                    terms, p, memory, limit, towards, y[1], side, push, position, effort_now
+                )
                 if abs(taken) > abs(back):
                     back, stays = taken, seconds
-            inward = towards * _acting(terms, p, memory, limit, 0.0, side, push, position, asked) / p[INERTIA]
+            inward = towards * _total_force(terms, p, memory, limit, 0.0, side, push, position, effort_now) / p[INERTIA]
             if back * towards >= 0 or (inward > 0 and abs(back) < 0.25 * step * inward):
                 back, resting, stays = 0.0, towards, 0.0  # it would come back within half a step: it stays
             if stays > 1e-9:
@@ -539,12 +557,25 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, sway, 
         out[i] = y[0]
 
 
-def _made(stamp: int) -> Any:
+def _compile_sweep(stamp: int) -> Any:
     """The door, as a closure over the formulas' stamp: so numba's cache on disk knows when one has changed."""
 
     @njit(cache=True, nogil=True, error_model="numpy")
     def sweep(
-        numbers, terms, which, times, begins, t_in, command, effort, pushes, beside, sway, enters, steps, out
+        numbers,
+        terms,
+        which,
+        times,
+        begins,
+        t_in,
+        command,
+        effort,
+        pushes,
+        hold_difference,
+        base_motion,
+        enters,
+        steps,
+        out,
     ):  # pragma: no cover
         if stamp < 0:
             return
@@ -555,7 +586,7 @@ def _made(stamp: int) -> Any:
             own = times[begins[run] : begins[run + 1]]
             memory[:] = 0.0
             p[:] = numbers[row]
-            p[SWAYS] = 1.0 if sway.shape[1] > 0 else 0.0
+            p[BASE_MOVES] = 1.0 if base_motion.shape[1] > 0 else 0.0
             _roll(
                 p,
                 terms,
@@ -565,8 +596,8 @@ def _made(stamp: int) -> Any:
                 command[first:last],
                 effort[first:last],
                 pushes[first:last],
-                beside[:, first:last],
-                sway[:, first:last],
+                hold_difference[:, first:last],
+                base_motion[:, first:last],
                 steps[run, 0],
                 steps[run, 1],
                 out[done : done + len(own)],
@@ -576,7 +607,7 @@ def _made(stamp: int) -> Any:
     return sweep
 
 
-sweep = _made(STAMP)
+sweep = _compile_sweep(STAMP)
 """sweep(numbers (m, k), terms (t, 5), which (m,), times, begins, t_in, command, effort, pushes, beside, sway, enters,
 steps, out): m simulations, row by row of run `which`. Runs lie one behind the other: the times of run r from begins[r]
 to begins[r + 1], its inputs from enters[r, 0] to enters[r, 1]; its steps are steps[r], coarse and fine. `terms` are

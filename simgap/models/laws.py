@@ -25,7 +25,7 @@ jit = njit(error_model="numpy", fastmath={"contract"}, _nrt=False)  # type: igno
 
 inlined = njit(error_model="numpy", fastmath={"contract"}, _nrt=False, forceinline=True)  # type: ignore[call-overload]
 
-_TAKEN = {  # a slice would cost more than the formula
+_READ_PARAMETERS = {  # a slice would cost more than the formula
     1: jit(lambda p, at: (p[at],)),
     2: jit(lambda p, at: (p[at], p[at + 1])),
     3: jit(lambda p, at: (p[at], p[at + 1], p[at + 2])),
@@ -40,7 +40,7 @@ _TAKEN = {  # a slice would cost more than the formula
 
 def _law_among(names: list[str]) -> Any:
     """A compiled choice among the laws of the effects `names`."""
-    number, formula, taken = _pieces(names[0], "law")
+    number, formula, taken = _law_parts(names[0], "law")
     others = _law_among(names[1:]) if len(names) > 1 else jit(lambda which, q, qd, load, memory, p, at: 0.0)
 
     @inlined
@@ -56,7 +56,7 @@ def _memory_among(names: list[str]) -> Any:
     """A compiled choice among the memories of the effects `names`; 0 for all others."""
     if not names:
         return jit(lambda which, q, memory, p, at: 0.0)
-    number, formula, taken = _pieces(names[0], "remember")
+    number, formula, taken = _law_parts(names[0], "remember")
     others = _memory_among(names[1:])
 
     @inlined
@@ -68,13 +68,13 @@ def _memory_among(names: list[str]) -> Any:
     return choose
 
 
-def _pieces(name: str, formula: str) -> tuple[int, Any, Any]:
-    return LAWS[name], jit(getattr(EFFECTS[name], formula)), _TAKEN[len(EFFECTS[name].parameters())]
+def _law_parts(name: str, formula: str) -> tuple[int, Any, Any]:
+    return LAWS[name], jit(getattr(EFFECTS[name], formula)), _READ_PARAMETERS[len(EFFECTS[name].parameters())]
 
 
 law = _law_among(list(LAWS))
 remember = _memory_among([n for n in LAWS if EFFECTS[n].remember is not Effect.remember])
-asked_force, given_force = jit(mechanics.asked_force), jit(mechanics.given_force)
+commanded_force, delivered_force = jit(mechanics.commanded_force), jit(mechanics.delivered_force)
 drive_rebound, meet_part = jit(events.drive_rebound), jit(events.meet_part)
 part_at_limit, touching_side = jit(events.part_at_limit), jit(events.touching_side)
 _files = (__file__, events.__file__, mechanics.__file__, *(inspect.getfile(EFFECTS[n]) for n in LAWS))

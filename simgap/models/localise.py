@@ -18,7 +18,7 @@ from freeart21.joint import JointType
 from freeart21.se3 import Array
 from simgap.models.equation_error import MissingForce
 from simgap.select.words import amount, span_text
-from simgap.verdict import Where
+from simgap.verdict import Region
 
 LEVEL = 0.05
 """False discovery rate over the maps."""
@@ -48,38 +48,40 @@ class ResidualMap:
     """True: positive is towards larger positions. False: positive is along the motion, negative a brake."""
     labels: tuple[str, ...] = ()
     """Names of the bins where they are no range, such as runs."""
-    within: bool = False
+    local_only: bool = False
     """True: what smooth friction, spring and gravity leave; only what is local shows."""
 
 
-def residual_maps(found: MissingForce, seed: int = 0) -> tuple[ResidualMap, ...]:
+def make_residual_maps(found: MissingForce, seed: int = 0) -> tuple[ResidualMap, ...]:
     """Maps of the missing force: position, speed, direction, since reversal, to limit, command, time, run."""
     if len(found.force) < 4 * _BINS or not found.qd.any():  # an encoder that reads the same all along
         return ()
     rng = np.random.default_rng([seed, 11])
-    local = _local(found)
+    local = _remove_smooth(found)
     along, moving = np.sign(found.qd), np.abs(found.qd) > 0.05 * np.abs(found.qd).max()
     every = np.ones(len(along), bool)
     maps = [
-        _map("position", found.q, found.force, found, every, rng),
-        _map("velocity", found.qd, found.force, found, every, rng),
+        _binned_map("position", found.q, found.force, found, every, rng),
+        _binned_map("velocity", found.qd, found.force, found, every, rng),
         _named_map("direction", (along > 0).astype(int), found.force, found, moving, rng, ("backwards", "forwards")),
-        _map("position, by itself", found.q, local, found, every, rng, within=True),
-        _map("time", found.time_s, along * local, found, moving, rng, signed=False, within=True),
+        _binned_map("position, by itself", found.q, local, found, every, rng, local_only=True),
+        _binned_map("time", found.time_s, along * local, found, moving, rng, signed=False, local_only=True),
     ]
     known = moving & np.isfinite(found.since_reversal)
     if known.sum() > 4 * _BINS:
         maps.append(
-            _map("distance since reversal", found.since_reversal, along * local, found, known, rng, False, True)
+            _binned_map("distance since reversal", found.since_reversal, along * local, found, known, rng, False, True)
         )
     if found.to_limit.min() < 0.15 * np.ptp(found.q):  # a stop far away has nothing to do with it
-        maps.append(_map("distance to limit", found.to_limit, local, found, every, rng, within=True))
+        maps.append(_binned_map("distance to limit", found.to_limit, local, found, every, rng, local_only=True))
     given = np.isfinite(found.command)
     if given.sum() > 4 * _BINS:
-        maps.append(_map("command", found.command, found.force, found, given, rng))
+        maps.append(_binned_map("command", found.command, found.force, found, given, rng))
     if len(found.run_names) > 1:
         maps.append(
-            _named_map("run", found.run, along * local, found, moving, rng, found.run_names, signed=False, within=True)
+            _named_map(
+                "run", found.run, along * local, found, moving, rng, found.run_names, signed=False, local_only=True
+            )
         )
     return correct_maps(maps)
 
@@ -100,26 +102,26 @@ def benjamini_hochberg(p: Array) -> Array:
     return out
 
 
-def where(maps: tuple[ResidualMap, ...], found: MissingForce, joint_type: JointType) -> tuple[Where, ...]:
+def flagged_regions(maps: tuple[ResidualMap, ...], found: MissingForce, joint_type: JointType) -> tuple[Region, ...]:
     """The regions that the maps flag, the surest first, in words; and stops that throw the part back."""
-    out: list[Where] = []
+    out: list[Region] = []
     for m in maps:
         if m.adjusted > LEVEL:
             continue
-        for first, last in _stretches(m):
+        for first, last in _flagged_stretches(m):
             mean = float(np.nanmean(m.mean[first : last + 1]))
             low, high = float(m.edges[first]), float(m.edges[last + 1])
-            if any(_same_place(w, m.quantity, low, high) for w in out):
+            if any(_is_same_place(w, m.quantity, low, high) for w in out):
                 continue
-            text = _text(m, first, low, high, mean, joint_type)
-            out.append(Where(m.quantity, low, high, m.p_value, text))
-    bounce = _bounces(found)
+            text = _region_text(m, first, low, high, mean, joint_type)
+            out.append(Region(m.quantity, low, high, m.p_value, text))
+    bounce = _find_bounces(found)
     if bounce is not None:
         out.append(bounce)
     return tuple(sorted(out, key=lambda w: w.p_value))
 
 
-def sign_flips(
+def sign_flip_test(
     units: NDArray[np.int64], bins: NDArray[np.int64], values: Array, count: int, rng: np.random.Generator
 ) -> tuple[Array, float, float]:
     """Deviation (bins,) in standard errors, p-value of the largest one, and what it must pass at 5 %.
@@ -141,22 +143,22 @@ def sign_flips(
     return z, p, float(np.quantile(largest, 0.95))
 
 
-def _map(
+def _binned_map(
     quantity: str,
     x: Array,
     values: Array,
     found: MissingForce,
-    kept: NDArray[np.bool_],
+    mask: NDArray[np.bool_],
     rng: np.random.Generator,
     signed: bool = True,
-    within: bool = False,
+    local_only: bool = False,
 ) -> ResidualMap:
     """Bins of equal width between the outer percentiles."""
-    low, high = np.percentile(x[kept], [0.5, 99.5])
+    low, high = np.percentile(x[mask], [0.5, 99.5])
     edges = np.linspace(low, max(high, low + 1e-9), _BINS + 1)
-    inside = kept & (x >= low) & (x <= high)
+    inside = mask & (x >= low) & (x <= high)
     bins = np.clip(np.searchsorted(edges, x[inside], side="right") - 1, 0, _BINS - 1)
-    return bin_map(quantity, edges, bins, values[inside], found.unit[inside], rng, signed, (), within)
+    return bin_map(quantity, edges, bins, values[inside], found.unit[inside], rng, signed, (), local_only)
 
 
 def _named_map(
@@ -164,14 +166,14 @@ def _named_map(
     bins: NDArray[np.int64],
     values: Array,
     found: MissingForce,
-    kept: NDArray[np.bool_],
+    mask: NDArray[np.bool_],
     rng: np.random.Generator,
     labels: tuple[str, ...],
     signed: bool = True,
-    within: bool = False,
+    local_only: bool = False,
 ) -> ResidualMap:
     edges = np.arange(len(labels) + 1.0)
-    return bin_map(quantity, edges, bins[kept], values[kept], found.unit[kept], rng, signed, labels, within)
+    return bin_map(quantity, edges, bins[mask], values[mask], found.unit[mask], rng, signed, labels, local_only)
 
 
 def bin_map(
@@ -183,19 +185,19 @@ def bin_map(
     rng: np.random.Generator,
     signed: bool = True,
     labels: tuple[str, ...] = (),
-    within: bool = False,
+    local_only: bool = False,
 ) -> ResidualMap:
     """The map of `values` (n,) in `bins` (n,), each of one of the exchangeable `units` (n,)."""
     count = len(edges) - 1
-    z, p, most = sign_flips(units, bins, values, count, rng)
+    z, p, most = sign_flip_test(units, bins, values, count, rng)
     n = np.bincount(bins, minlength=count)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.bincount(bins, values, count) / np.where(n > 0, n, np.nan)
         spread = np.abs(mean) / np.maximum(np.abs(z), 1e-12)
-    return ResidualMap(quantity, edges, mean, spread, p, p, np.abs(z) > most, signed, labels, within)
+    return ResidualMap(quantity, edges, mean, spread, p, p, np.abs(z) > most, signed, labels, local_only)
 
 
-def _local(found: MissingForce) -> Array:
+def _remove_smooth(found: MissingForce) -> Array:
     """The missing force less what friction, drag, spring and gravity of any size make of it, by least squares."""
     q, qd = found.q, found.qd
     columns = np.stack([np.ones_like(q), q, np.sin(q), np.cos(q), qd, np.sign(qd), qd * np.abs(qd)], -1)
@@ -204,7 +206,7 @@ def _local(found: MissingForce) -> Array:
     return np.asarray(found.force - columns / size @ fitted)
 
 
-def _stretches(m: ResidualMap) -> list[tuple[int, int]]:
+def _flagged_stretches(m: ResidualMap) -> list[tuple[int, int]]:
     """First and last bin of every unbroken stretch of flagged bins of one sign."""
     out: list[tuple[int, int]] = []
     for i in np.flatnonzero(m.flagged):
@@ -213,13 +215,13 @@ def _stretches(m: ResidualMap) -> list[tuple[int, int]]:
     return out
 
 
-def _same_place(told: Where, quantity: str, low: float, high: float) -> bool:
+def _is_same_place(known_region: Region, quantity: str, low: float, high: float) -> bool:
     """Whether a region of the position alone is one that was told of already."""
-    both = {told.quantity, quantity} == {"position", "position, by itself"}
-    return both and low <= told.high and high >= told.low
+    both = {known_region.quantity, quantity} == {"position", "position, by itself"}
+    return both and low <= known_region.high and high >= known_region.low
 
 
-def _bounces(found: MissingForce) -> Where | None:
+def _find_bounces(found: MissingForce) -> Region | None:
     """Arrivals at a limit after which the part comes back, which the simulated stop does not do."""
     from scipy.stats import binomtest
 
@@ -239,12 +241,12 @@ def _bounces(found: MissingForce) -> Where | None:
         f"At the stop the part comes back with about {ratio:.0%} of its speed ({int(back.sum())} of {len(hard)} "
         "times); the simulated stop swallows all of it."
     )
-    return Where("distance to limit", 0.0, 0.0, p, text)
+    return Region("distance to limit", 0.0, 0.0, p, text)
 
 
-def _text(m: ResidualMap, first: int, low: float, high: float, mean: float, kind: JointType) -> str:
+def _region_text(m: ResidualMap, first: int, low: float, high: float, mean: float, kind: JointType) -> str:
     size = amount(abs(mean), "N*m" if kind == "revolute" else "N")
-    more = "more than smooth friction and springs explain" if m.within else "that the simulation lacks"
+    more = "more than smooth friction and springs explain" if m.local_only else "that the simulation lacks"
     if m.signed:
         how = f"it is pushed {'forwards' if mean > 0 else 'backwards'} by {size} {more}"
     else:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from freeart21.asset import Asset
-from freeart21.base_motion import WAYS
+from freeart21.base_motion import N_TERMS
 from freeart21.effects import Effect
 from freeart21.effects.base import strongest_rotor
 from freeart21.errors import FreeArtError
@@ -30,7 +30,7 @@ from simgap.geometry.placing import place
 from simgap.models import kernel, laws
 from simgap.settings import SurrogateSettings
 
-_MANY = 20_000
+_THREADING_SIZE = 20_000
 """Readings and inputs from which rows are shared out to threads. On two idle cores 8,000 took .35 ms by one thread and
 .45 by two, 24,000 1.0 and .66, 135,000 9.3 and 5.1."""
 Steps = tuple[float, float]
@@ -92,7 +92,7 @@ def _gravity_terms(mechanics: JointMechanics) -> Array:
     return np.append(mechanics.gravity_force([0.0, np.pi / 2]), 0.0)
 
 
-def plant_of(asset: Asset, measured: Measured) -> Plant:
+def make_plant(asset: Asset, measured: Measured) -> Plant:
     """The joint of `asset` under the gravity and the actuator of `measured`; loads the asset in SAPIEN, neutral.
 
     Raises FreeArtError when what the joint moves has neither mass nor inertia.
@@ -115,7 +115,7 @@ def plant_of(asset: Asset, measured: Measured) -> Plant:
     )
 
 
-def _nothing() -> Array:
+def _empty() -> Array:
     return np.zeros(0)
 
 
@@ -123,23 +123,23 @@ def _nothing() -> Array:
 class Inputs:
     """What drove a run; (i,) arrays, each value lasts until the next time."""
 
-    times_s: Array = field(default_factory=_nothing)
-    command: Array = field(default_factory=_nothing)
+    times_s: Array = field(default_factory=_empty)
+    command: Array = field(default_factory=_empty)
     """Commanded positions; NaN without a position law."""
-    effort: Array = field(default_factory=_nothing)
+    effort: Array = field(default_factory=_empty)
     """Commanded efforts: they pass the actuator."""
-    push: Array = field(default_factory=_nothing)
+    push: Array = field(default_factory=_empty)
     """External efforts: they act on the part."""
-    beside: Array | None = None
+    hold_difference: Array | None = None
     """(3, i) what commands, efforts and pushes have besides if each is held until its next row (`Nuisance.holding` 1);
     None for nothing."""
     on: NDArray[np.bool_] | None = None
     """(i,) whether the actuator is on; None for always."""
-    sway: Array | None = None
+    base_motion: Array | None = None
     """(8, i) what the joint feels of a base that moves (`base_motion.sway_terms`); None for one at rest."""
 
     @property
-    def told(self) -> Array:
+    def actuator_effort(self) -> Array:
         """(i,) commanded efforts as the kernel takes them: NaN while the actuator is off."""
         return self.effort if self.on is None else np.where(self.on, self.effort, np.nan)
 
@@ -161,9 +161,9 @@ class Inputs:
             held(self.command, np.nan),
             held(self.effort, 0.0),
             held(self.push, 0.0),
-            None if self.beside is None else held(self.beside, 0.0),
+            None if self.hold_difference is None else held(self.hold_difference, 0.0),
             None if self.on is None else held(self.on, False) > 0,
-            None if self.sway is None else held(self.sway, 0.0),
+            None if self.base_motion is None else held(self.base_motion, 0.0),
         )
 
     def pushed(self, times_s: Array, force: Array) -> Inputs:
@@ -187,18 +187,18 @@ class Nuisance:
     """Of inputs of which nobody knows how they go on between their rows: 0 smoothly, 1 held until the next one."""
 
 
-def terms_of(effects: tuple[Effect, ...] | tuple[type[Effect], ...]) -> NDArray[np.int64]:
+def effect_terms(effects: tuple[Effect, ...] | tuple[type[Effect], ...]) -> NDArray[np.int64]:
     """(t, 5) what the kernel needs to know of those effects that have a law there."""
     rows, at = [], kernel.HEAD
     for effect in effects:
         if effect.name in laws.LAWS:
             place = is_local(effect if isinstance(effect, type) else type(effect))
             rows.append((laws.LAWS[effect.name], laws.ACTS[effect.acts], at, place, effect.geared))
-            at += kernel.PLACE + len(effect.parameters())
+            at += kernel.TERM_HEAD + len(effect.parameters())
     return np.array(rows, np.int64).reshape(-1, 5)
 
 
-def numbers_of(
+def make_vector(
     plant: Plant,
     effects: tuple[Effect, ...],
     nuisance: Nuisance = Nuisance(),
@@ -233,14 +233,19 @@ def numbers_of(
     head[kernel.OFFSET] = sum(effect.bias_force() for effect in effects)
     drive = plant.drive
     head[kernel.STIFFNESS], head[kernel.DAMPING] = drive.stiffness, drive.damping
-    head[kernel.DEAD_BAND : kernel.MOST + 1] = drive.dead_band, drive.most_asked, drive.back_emf, drive.most
+    head[kernel.DEAD_BAND : kernel.MAX_FORCE + 1] = (
+        drive.dead_band,
+        drive.max_commanded,
+        drive.back_emf,
+        drive.max_force,
+    )
     head[kernel.HOLDING] = nuisance.holding
     head[kernel.MOMENT_SCALE], head[kernel.MASS_SCALE] = nuisance.gravity, nuisance.inertia
     head[kernel.LOWER], head[kernel.UPPER] = plant.lower, plant.upper
     parts = [head]
     for effect in effects:
         if effect.name in laws.LAWS:
-            parts += [np.array(_place_of(effect)), np.zeros(kernel.PLACE - 2), np.array(effect.values())]
+            parts += [np.array(_place_of(effect)), np.zeros(kernel.TERM_HEAD - 2), np.array(effect.values())]
     return np.concatenate(parts)
 
 
@@ -252,7 +257,7 @@ def _place_of(effect: Effect) -> tuple[float, float]:
         if spec.revolute_unit == "rad" and spec.lower < 0:
             place = value
         elif spec.revolute_unit == "rad" and place is not None:
-            return place, max(effect.widths * value, 1e-9)
+            return place, max(effect.support_widths * value, 1e-9)
     return 0.0, 1.0
 
 
@@ -268,7 +273,7 @@ def _load_terms(mechanics: JointMechanics) -> tuple[float, float, float, float]:
     return float(across @ across), float(weight @ weight), float(across @ weight), float(turned @ weight)
 
 
-def step_of(
+def time_steps(
     plant: Plant,
     effects: tuple[Effect, ...],
     settings: SurrogateSettings = SurrogateSettings(),  # noqa: B008 (frozen)
@@ -293,10 +298,10 @@ def step_of(
     near = away + sum(effect.steepness() * local for effect in effects if is_local(type(effect)))
     if near > away:  # what a place does next hangs on how it is met
         away = min(4 * away, near)
-    return creeping(plant, effects, (longest(away), longest(near)), settings)
+    return limit_creep_steps(plant, effects, (longest(away), longest(near)), settings)
 
 
-def creeping(plant: Plant, effects: tuple[Effect, ...], steps_s: Steps, settings: SurrogateSettings) -> Steps:
+def limit_creep_steps(plant: Plant, effects: tuple[Effect, ...], steps_s: Steps, settings: SurrogateSettings) -> Steps:
     """The steps, s, or shorter ones at which a joint in thick oil creeps and does not blow up."""
     damping = sum(effect.damping() for effect in effects)
     most = plant.mechanics.inertia / max(damping, 1e-12)
@@ -329,17 +334,21 @@ class Batch:
     def of(runs: Sequence[tuple[Array, Inputs]]) -> Batch:
         """Of the times and the inputs of some runs."""
         own = {id(i): i for _, i in runs}
-        told = [(i.times_s, i.command, i.told, i.push) for i in own.values()]
-        first, second, third, fourth = (np.concatenate([t[k] for t in told]).astype(float) for k in range(4))
-        extras = [np.zeros((3, len(i.times_s))) if i.beside is None else i.beside for i in own.values()]
-        sways = [np.zeros((WAYS, len(i.times_s))) if i.sway is None else i.sway for i in own.values()]
-        if all(i.sway is None for i in own.values()):
-            sways = [np.zeros((WAYS, 0))]
+        shared = [(i.times_s, i.command, i.actuator_effort, i.push) for i in own.values()]
+        first, second, third, fourth = (np.concatenate([t[k] for t in shared]).astype(float) for k in range(4))
+        extras = [
+            np.zeros((3, len(i.times_s))) if i.hold_difference is None else i.hold_difference for i in own.values()
+        ]
+        base_motions = [
+            np.zeros((N_TERMS, len(i.times_s))) if i.base_motion is None else i.base_motion for i in own.values()
+        ]
+        if all(i.base_motion is None for i in own.values()):
+            base_motions = [np.zeros((N_TERMS, 0))]
         ends = dict(zip(own, np.cumsum([len(i.times_s) for i in own.values()]), strict=True))
         return Batch(
             np.concatenate([times for times, _ in runs]).astype(float),
             np.cumsum([0, *(len(times) for times, _ in runs)]),
-            (first, second, third, fourth, _in_rows(extras), _in_rows(sways)),
+            (first, second, third, fourth, _stack_rows(extras), _stack_rows(base_motions)),
             np.array([(ends[id(i)] - len(i.times_s), ends[id(i)]) for _, i in runs]),
             np.array([i.held for _, i in runs]),
         )
@@ -351,18 +360,18 @@ class Batch:
         out = np.empty(int(ends[-1]))
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         many = len(out) + int((self.enters[which, 1] - self.enters[which, 0]).sum())
-        parts = min(cores, len(which)) if many >= _MANY else 1
+        parts = min(cores, len(which)) if many >= _THREADING_SIZE else 1
         cuts = np.searchsorted(ends, np.linspace(0, ends[-1], parts + 1))
 
-        def look(a: int, b: int) -> None:
+        def run_rows(a: int, b: int) -> None:
             own = out[ends[a] : ends[b]]
-            told = (self.times_s, self.begins, *self.series, self.enters, steps_s)
-            kernel.sweep(numbers[a:b], terms, which[a:b], *told, own)
+            shared = (self.times_s, self.begins, *self.series, self.enters, steps_s)
+            kernel.sweep(numbers[a:b], terms, which[a:b], *shared, own)
 
         if parts == 1:
-            look(0, len(which))
+            run_rows(0, len(which))
         else:
-            list(_threads(os.getpid()).map(look, cuts[:-1], cuts[1:]))
+            list(_threads(os.getpid()).map(run_rows, cuts[:-1], cuts[1:]))
         return out
 
 
@@ -372,7 +381,7 @@ def _threads(process: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(thread_name_prefix="sweep")
 
 
-def _in_rows(series: list[Array]) -> Array:
+def _stack_rows(series: list[Array]) -> Array:
     """Side by side, and laid out one way: numba's cache mixes up formulas in a process that loads two versions of the
     kernel."""
     return np.ascontiguousarray(np.concatenate(series, 1))
@@ -385,7 +394,7 @@ def sweep(numbers: Array, terms: NDArray[np.int64], times_s: Array, inputs: Inpu
     return flat.reshape(len(numbers), len(times_s))
 
 
-def readings_of(effects: tuple[Effect, ...], q: Array) -> Array:
+def apply_sensing(effects: tuple[Effect, ...], q: Array) -> Array:
     """What a sensor with these effects writes down at positions (...); the delay is the kernel's."""
     return np.asarray(q + sum(effect.reading_error(q) for effect in effects if effect.kind == "sensing"))
 
@@ -401,8 +410,8 @@ def simulate(
     settings: SurrogateSettings = SurrogateSettings(),  # noqa: B008 (frozen)
 ) -> Array:
     """(n,) readings at `times_s` (n,), rising; the state (q0, qd0) is that of the first reading's instant."""
-    numbers = numbers_of(plant, effects, nuisance)
+    numbers = make_vector(plant, effects, nuisance)
     numbers[kernel.Q0], numbers[kernel.QD0] = q0, qd0
     times = np.ascontiguousarray(times_s, float)
-    q = sweep(numbers[None], terms_of(effects), times, inputs, step_of(plant, effects, settings))[0]
-    return readings_of(effects, q)
+    q = sweep(numbers[None], effect_terms(effects), times, inputs, time_steps(plant, effects, settings))[0]
+    return apply_sensing(effects, q)

@@ -28,12 +28,13 @@ from freeart21.measured import Measured, Run
 from freeart21.mechanics import JointMechanics
 from simgap.geometry.finding import KinematicsFinding
 from simgap.geometry.placing import place
-from simgap.geometry.track_geometry import TrackGeometry, lever_of, middle_of
-from simgap.models.equation_error import missing_force
-from simgap.models.localise import residual_maps, where
-from simgap.models.surrogate import Nuisance, Plant, plant_of
+from simgap.geometry.track_geometry import TrackGeometry, gyration_radius, part_centre
+from simgap.models.equation_error import estimate_missing_force
+from simgap.models.localise import flagged_regions, make_residual_maps
+from simgap.models.surrogate import Nuisance, Plant, make_plant
 from simgap.page.report import Draft, Gap, page
-from simgap.prove.body import NO_CORRECTION, BodyCorrection, true_gravity
+from simgap.prove.body import NO_CORRECTION, BodyCorrection, corrected_gravity
+from simgap.prove.comparison import ReplayComparison, closed_part, compare_replays, is_improved
 from simgap.prove.replay import (
     SECONDS,
     AssetOnDisk,
@@ -42,21 +43,30 @@ from simgap.prove.replay import (
     Progress,
     Replay,
     Starts,
-    address_of,
+    asset_address,
     replay,
 )
-from simgap.prove.show import Shown, closed_part, helps, show
-from simgap.prove.writeback import repaired
-from simgap.select.experiment import UNNAMED
-from simgap.select.words import plain, runs_text, with_closed, with_replayed
-from simgap.verdict import GEOMETRY, Named, Proof, RunGap, Verdict, halved, root_mean_square, told_by, unit_of
+from simgap.prove.writeback import write_repaired
+from simgap.select.experiment import DISCREPANCY_EXPERIMENTS
+from simgap.select.words import effect_label, replace_amounts, replace_closed_part, runs_text
+from simgap.verdict import (
+    GEOMETRY,
+    NamedEffect,
+    Proof,
+    RunGap,
+    Verdict,
+    closes_gap,
+    deciding_runs,
+    root_mean_square,
+    unit_of,
+)
 
 MOST_REPLAYS = 6
 """Runs that SAPIEN replays; of every regime some."""
 _MOST_POSES = 150
 
 
-def with_positions(measured: Measured, geometry: KinematicsFinding | None) -> Measured:
+def replace_poses(measured: Measured, geometry: KinematicsFinding | None) -> Measured:
     """The set with the poses of its runs replaced by positions along the joint, the named geometry taken out."""
     if geometry is None:
         return measured
@@ -128,67 +138,74 @@ def publish(
         progress: told how many replays are done.
         paths: those of the command; as they are here when not given.
     """
-    runs, posed = with_positions(measured, draft.geometry), any(run.poses is not None for run in measured.runs)
+    runs, posed = replace_poses(measured, draft.geometry), any(run.poses is not None for run in measured.runs)
     if posed:
         write_measured(folder / "runs", runs)
         runs = read_measured(folder / "runs")
-    plant, verdict = plant_of(asset, measured), draft.verdict
-    found = missing_force(*_as_fitted(runs, plant, draft.nuisance), plant=plant)
-    maps = residual_maps(found, seed)
-    if draft.moves_otherwise and not verdict.where:
-        verdict = replace(verdict, where=where(maps, found, measured.joint_type))
+    plant, verdict = make_plant(asset, measured), draft.verdict
+    found = estimate_missing_force(*_missing_force_inputs(runs, plant, draft.nuisance), plant=plant)
+    maps = make_residual_maps(found, seed)
+    if draft.motion_differs and not verdict.where:
+        verdict = replace(verdict, where=flagged_regions(maps, found, measured.joint_type))
     tried = verdict.effects if verdict.verdict in ("named", "ambiguous") else draft.certain
     changed = bool(tried) or draft.body != NO_CORRECTION
     _write_asset(asset, tried, draft.body, verdict, folder / "asset")
-    given, delivered = AssetOnDisk(address_of(asset), asset.root, guesses=False), AssetOnDisk(folder / "asset")
+    given, delivered = AssetOnDisk(asset_address(asset), asset.root, guesses=False), AssetOnDisk(folder / "asset")
     end = time.monotonic() + replay_seconds
     chosen = _pick_runs(runs, verdict) if verdict.by == "position" else []
     tracks = _place_tracks(asset, measured, draft.geometry, tried)
     files = (given, delivered) if changed else (given,)
-    replays, shown, why = _replay_trial(files, runs, draft, chosen, tracks, replay_seconds, progress)
-    kept, notes = draft.certain, [] if changed or not why else [f"SAPIEN could not replay the asset: {why}"]
-    if shown is not None:
-        verdict = replace(verdict, gaps=_measure_gaps(verdict.gaps, shown))
-    if shown is not None and shown.runs:
-        was, left, floor = (root_mean_square([getattr(r, k) for r in shown.runs]) for k in ("before", "after", "floor"))
+    replays, comparison, why = _replay_trial(files, runs, draft, chosen, tracks, replay_seconds, progress)
+    delivered_effects, notes = (
+        draft.certain,
+        [] if changed or not why else [f"SAPIEN could not replay the asset: {why}"],
+    )
+    if comparison is not None:
+        verdict = replace(verdict, gaps=_measure_gaps(verdict.gaps, comparison))
+    if comparison is not None and comparison.runs:
+        was, left, floor = (
+            root_mean_square([getattr(r, k) for r in comparison.runs]) for k in ("before", "after", "floor")
+        )
         unit = unit_of("position", measured.joint_type)
-        verdict = replace(verdict, sentence=with_replayed(verdict.sentence, was, left, floor, unit))
+        verdict = replace(verdict, sentence=replace_amounts(verdict.sentence, was, left, floor, unit))
     if changed and why:
-        bad = _select_moving(tried) or list(tried)
-        notes = [f"SAPIEN could not replay {_names(bad) or 'the corrected asset'}: {why}"]
-        verdict = _roll_back(verdict, draft.certain, bad)
-        kept = verdict.effects
-    elif changed and shown is not None:
-        verdict, kept, notes = _judge(verdict, draft, tried, shown, replay_seconds)
+        rejected = _select_moving(tried) or list(tried)
+        notes = [f"SAPIEN could not replay {_names(rejected) or 'the corrected asset'}: {why}"]
+        verdict = _make_rolled_back(verdict, draft.certain, rejected)
+        delivered_effects = verdict.effects
+    elif changed and comparison is not None:
+        verdict, delivered_effects, notes = _judge(verdict, draft, tried, comparison, replay_seconds)
     body = draft.body if verdict.corrections else NO_CORRECTION
-    if (kept, body) != (tried, draft.body):
+    if (delivered_effects, body) != (tried, draft.body):
         (folder / "asset").rename(folder / "trial")
-        _write_asset(asset, kept, body, verdict, folder / "asset")
-    verdict = replace(verdict, added=tuple(n.effect.name for n in kept))
+        _write_asset(asset, delivered_effects, body, verdict, folder / "asset")
+    verdict = replace(verdict, added=tuple(n.effect.name for n in delivered_effects))
     if verdict.by == "position":
-        verdict = replace(verdict, gaps=_gaps_of_files(verdict.gaps, shown, tried, kept, body == draft.body))
+        verdict = replace(
+            verdict, gaps=_gaps_of_files(verdict.gaps, comparison, tried, delivered_effects, body == draft.body)
+        )
     if replays:
-        same = not _select_moving(kept) and body == NO_CORRECTION
+        same = not _select_moving(delivered_effects) and body == NO_CORRECTION
         assets = (given,) if same else (given, delivered)
         witness = _ask_witness(assets, runs, replays, verdict.holding or 0.0, end - time.monotonic())
         proof = _make_proof(paths, asset, posed, folder, verdict.holding, replays[0], witness)
         verdict = replace(verdict, proof=proof)
-    gap = Gap(title, measured, verdict, draft, maps, shown, tuple(notes), seconds)
+    gap = Gap(title, measured, verdict, draft, maps, comparison, tuple(notes), seconds)
     write_answer(folder, verdict, measured.joint_type, page(gap))
     return verdict
 
 
 def _write_asset(
-    asset: Asset, effects: tuple[Named, ...], body: BodyCorrection, verdict: Verdict, folder: Path
+    asset: Asset, effects: tuple[NamedEffect, ...], body: BodyCorrection, verdict: Verdict, folder: Path
 ) -> None:
     """The asset with these effects and this body, which says what became of it."""
     source: dict[str, Any] = {"verdict": verdict.verdict, "effects": [n.effect.name for n in effects]}
     source |= {"corrections": [vars(c) for c in verdict.corrections]} if verdict.corrections else {}
     changed = bool(effects) or body != NO_CORRECTION
-    repaired(asset, tuple(n.effect for n in effects), folder, source if changed else None, body)
+    write_repaired(asset, tuple(n.effect for n in effects), folder, source if changed else None, body)
 
 
-def _select_moving(effects: Sequence[Named]) -> list[Named]:
+def _select_moving(effects: Sequence[NamedEffect]) -> list[NamedEffect]:
     """Those that change how the joint moves, or what is read of it."""
     return [named for named in effects if named.effect.kind != "kinematics"]
 
@@ -210,7 +227,7 @@ def _replay_trial(
     poses: _Tracks,
     seconds: float,
     progress: Progress | None,
-) -> tuple[tuple[Replay, ...], Shown | None, str]:
+) -> tuple[tuple[Replay, ...], ReplayComparison | None, str]:
     """The replays by the asset as it was and, where it was changed, by the other one, and what they show; or why there
     are none, which is empty for nothing to replay."""
     if not chosen and not poses.tracks:
@@ -220,26 +237,26 @@ def _replay_trial(
         replays = replay(files, runs, chosen, holding=holding, poses=both, seconds=seconds, progress=progress)
     except CannotReplay as error:
         return (), None, str(error)
-    return replays, show(replays[0], replays[-1], draft.floor, draft.verdict.gaps, poses.tracks), ""
+    return replays, compare_replays(replays[0], replays[-1], draft.floor, draft.verdict.gaps, poses.tracks), ""
 
 
 def _ask_witness(
     assets: Sequence[AssetOnDisk], runs: Measured, replays: tuple[Replay, ...], holding: float, seconds: float
 ) -> dict[str, Any]:
     """What MuJoCo says of the same runs, from the same states, by the files as they were given and as delivered."""
-    said: dict[str, Any] = {"engine": "mujoco"}
+    answer: dict[str, Any] = {"engine": "mujoco"}
     names = [run.run for run in replays[0].runs]
     starts = [Starts({r.run: r.start for r in one.runs}, {r.run: r.noise for r in one.runs}) for one in replays]
     if not names:
-        return {**said, "absent": "no run was replayed in time"}
+        return {**answer, "absent": "no run was replayed in time"}
     starts, seconds = starts[: len(assets)], max(seconds, 1.0)
     try:
         found = replay(assets, runs, names, starts=starts, engine="mujoco", holding=holding, seconds=seconds)
     except FreeArtError as error:
-        return {**said, "absent": str(error)}
+        return {**answer, "absent": str(error)}
     pairs = zip(found[0].runs, found[-1].runs, strict=True)
     gaps = [{"run": was.run, "before": was.error, "after": is_now.error} for was, is_now in pairs]
-    return {**said, "version": found[0].version, "gap": gaps}
+    return {**answer, "version": found[0].version, "gap": gaps}
 
 
 def _make_proof(
@@ -252,14 +269,14 @@ def _make_proof(
     witness: dict[str, Any],
 ) -> Proof:
     """What replayed, and the command lines that do it again."""
-    paths = paths or Paths(address_of(asset), Path("MEASURED"), folder, asset.root)
-    set_ = paths.out / "runs" if posed else paths.measured
+    paths = paths or Paths(asset_address(asset), Path("MEASURED"), folder, asset.root)
+    measured_path = paths.out / "runs" if posed else paths.measured
     how = [] if holding is None else ["--holding", repr(holding)]
     bounds = [] if paths.root is None else ["--root", str(paths.root)]
     bounds += ["--without-guesses"] if has_guessed_dynamics(asset) else []
 
     def command(path: Path, *more: str) -> str:
-        return shlex.join(["freeart21", "replay", str(path), str(set_), *how, *more])
+        return shlex.join(["freeart21", "replay", str(path), str(measured_path), *how, *more])
 
     repeat = {"before": command(paths.asset, *bounds), "after": command(paths.out / "asset")}
     if (folder / "trial").is_dir():
@@ -269,39 +286,39 @@ def _make_proof(
 
 
 def _judge(
-    verdict: Verdict, draft: Draft, tried: tuple[Named, ...], shown: Shown, seconds: float
-) -> tuple[Verdict, tuple[Named, ...], list[str]]:
+    verdict: Verdict, draft: Draft, tried: tuple[NamedEffect, ...], comparison: ReplayComparison, seconds: float
+) -> tuple[Verdict, tuple[NamedEffect, ...], list[str]]:
     """The verdict after the replay, the effects that go into the asset, and what else must be said."""
     certain = draft.certain
     notes: list[str] = []
     fitted = {gap.regime for gap in verdict.gaps if gap.use == "fitted"}
-    near, _ = shown.split(fitted)
+    near, _ = comparison.split(fitted)
     same = closed_part(near)
     if same is not None:
         of = runs_text([run.use for run in near])
-        verdict = replace(verdict, sentence=with_closed(verdict.sentence, same, f"{of}, replayed in SAPIEN,"))
-    if shown.given_up:
-        done = len(shown.runs) + len(shown.unsure)
+        verdict = replace(verdict, sentence=replace_closed_part(verdict.sentence, same, f"{of}, replayed in SAPIEN,"))
+    if comparison.given_up:
+        done = len(comparison.runs) + len(comparison.inconclusive)
         notes.append(
-            f"SAPIEN's replay took more than {seconds:g} s and was given up: {done} of {done + len(shown.given_up)} "
-            "runs are replayed."
+            f"SAPIEN's replay took more than {seconds:g} s and was given up: {done} of "
+            f"{done + len(comparison.given_up)} runs are replayed."
         )
         if not done:
             unsure = "SAPIEN has not confirmed it: the replay took too long."
             verdict = replace(verdict, sentence=f"{verdict.sentence} {unsure}")
-    replayed = {run.run for run in shown.runs}
+    replayed = {run.run for run in comparison.runs}
     confirming = [gap for gap in verdict.gaps if gap.use == "confirming" and gap.run in replayed]
-    confirmed = not confirming or halved(confirming, draft.dominant)
-    motion = helps(shown.runs) and confirmed if shown.runs else None
-    geometry = helps(shown.poses) if shown.poses else None
-    bad = [n for n in tried if (geometry if n.effect.kind == "kinematics" else motion) is False]
-    if bad or (motion is False and verdict.corrections):
-        of = runs_text([run.use for run in shown.runs or shown.poses])
+    confirmed = not confirming or closes_gap(confirming, draft.dominant)
+    motion = is_improved(comparison.runs) and confirmed if comparison.runs else None
+    geometry = is_improved(comparison.poses) if comparison.poses else None
+    rejected = [n for n in tried if (geometry if n.effect.kind == "kinematics" else motion) is False]
+    if rejected or (motion is False and verdict.corrections):
+        of = runs_text([run.use for run in comparison.runs or comparison.poses])
         notes.append(
-            f"A repair with {_names(bad) or 'another body'} was tried and rolled back: replayed in SAPIEN it did not "
-            f"help on {of}, or made some of their motion worse."
+            f"A repair with {_names(rejected) or 'another body'} was tried and rolled back: replayed in SAPIEN it did "
+            f"not help on {of}, or made some of their motion worse."
         )
-        verdict = _roll_back(verdict, certain, bad)
+        verdict = _make_rolled_back(verdict, certain, rejected)
         return verdict, verdict.effects, notes
     rest = [n for n in tried if n not in certain]
     if rest:
@@ -309,28 +326,28 @@ def _judge(
             f"The asset was not given {_names(rest)}: that is not certain. It is in trial/, and curves show what it "
             "would do."
         )
-    if shown.unsure:
+    if comparison.inconclusive:
         notes.append(
-            f"Not judged by its replay: {', '.join(run.run for run in shown.unsure)}. Such a run hangs on a hair, and "
-            "the fineness of SAPIEN's time steps changes its course."
+            f"Not judged by its replay: {', '.join(run.run for run in comparison.inconclusive)}. Such a run is "
+            "ill-conditioned: SAPIEN's time step changes it, however small."
         )
-    if np.isfinite(shown.numerics) and shown.numerics > 0.25:
+    if np.isfinite(comparison.numerics) and comparison.numerics > 0.25:
         notes.append(
-            f"Halving SAPIEN's time step down to {1e3 * shown.timestep_s:g} ms still changed a run by "
-            f"{shown.numerics:.2g} floors: gaps are no surer than that."
+            f"Halving SAPIEN's time step down to {1e3 * comparison.timestep_s:g} ms still changed a run by "
+            f"{comparison.numerics:.2g} floors: gaps are no surer than that."
         )
     return verdict, certain, notes
 
 
-def _names(effects: Sequence[Named]) -> str:
+def _names(effects: Sequence[NamedEffect]) -> str:
     return ", ".join(named.effect.name for named in effects)
 
 
-def _as_fitted(
+def _missing_force_inputs(
     runs: Measured, plant: Plant, nuisance: Nuisance
 ) -> tuple[Measured, JointMechanics, float, float, tuple[Effect, ...], tuple[Run, ...]]:
-    """What `missing_force` takes, held-out runs too: by as much as the asset is known to be off there is no gap."""
-    limits, more = (plant.lower, plant.upper), true_gravity(plant, nuisance) - plant.gravity_terms[0]
+    """Arguments of `estimate_missing_force` for all runs, with the fitted errors of the asset corrected."""
+    limits, more = (plant.lower, plant.upper), corrected_gravity(plant, nuisance) - plant.gravity_terms[0]
     if nuisance.inertia == 1.0 and not more.any():
         return runs, plant.mechanics, *limits, plant.effects, runs.runs
     exact = replace(runs, inertia_relative=0.0, gravity_relative=0.0)
@@ -340,7 +357,7 @@ def _as_fitted(
 
 def _pick_runs(runs: Measured, verdict: Verdict) -> list[str]:
     """Runs to replay, of those with a start that tell what the answer is worth: the regimes in turn."""
-    tell = {gap.run: gap for gap in told_by(verdict.gaps)}
+    tell = {gap.run: gap for gap in deciding_runs(verdict.gaps)}
     unfitted = {gap.run for gap in verdict.gaps if gap.use != "fitted"}
     wanted = tell.keys() & unfitted or tell.keys()
     by_regime: dict[str, list[str]] = {}
@@ -352,66 +369,73 @@ def _pick_runs(runs: Measured, verdict: Verdict) -> list[str]:
 
 
 def _place_tracks(
-    asset: Asset, measured: Measured, geometry: KinematicsFinding | None, tried: tuple[Named, ...]
+    asset: Asset, measured: Measured, geometry: KinematicsFinding | None, tried: tuple[NamedEffect, ...]
 ) -> _Tracks:
     """Runs of poses to replay: those held out, else three, where any geometry is tried."""
     if geometry is None or not geometry.effects or len(_select_moving(tried)) == len(tried):
         return _Tracks()
     of, placed = {run.name: run for run in measured.runs}, place(asset, measured.gravity)
     at_zero = se3.inverse(placed.T_parent_canonical) @ placed.mechanics.joint.transform(asset.state_zero)
-    middle = middle_of(placed.mechanics)
-    point, lever = se3.transform(at_zero, middle[None])[0], lever_of(placed.mechanics, middle)
+    middle = part_centre(placed.mechanics)
+    point, lever = se3.transform(at_zero, middle[None])[0], gyration_radius(placed.mechanics, middle)
     chosen = tuple(t for t in geometry.tracks if t.held_out) or geometry.tracks[:3]
     found: tuple[list[PosesToReplay], ...] = [], []
     for track in chosen:
         motions = placed.track(of[track.name]).motions
-        kept = np.unique(np.linspace(0, len(motions) - 1, min(_MOST_POSES, len(motions))).astype(int))
-        times = track.times_s[kept] + track.time_shift_s
+        sampled = np.unique(np.linspace(0, len(motions) - 1, min(_MOST_POSES, len(motions))).astype(int))
+        times = track.times_s[sampled] + track.time_shift_s
         for some, registration, q in zip(found, geometry.registrations, (track.q_before, track.q), strict=True):
-            poses = placed.poses(motions[kept] @ se3.exp_se3(-registration))
-            some.append(PosesToReplay(poses, q[kept] - asset.state_zero, times, point, lever))
+            poses = placed.poses(motions[sampled] @ se3.exp_se3(-registration))
+            some.append(PosesToReplay(poses, q[sampled] - asset.state_zero, times, point, lever))
     return _Tracks(chosen, *map(tuple, found))
 
 
-def _measure_gaps(gaps: tuple[RunGap, ...], shown: Shown) -> tuple[RunGap, ...]:
+def _measure_gaps(gaps: tuple[RunGap, ...], comparison: ReplayComparison) -> tuple[RunGap, ...]:
     """Gaps with those that SAPIEN measured in their places, and those of the geometry."""
-    replayed = {run.run: run for run in (*shown.runs, *shown.unsure)}
+    replayed = {run.run: run for run in (*comparison.runs, *comparison.inconclusive)}
     sizes = [
         {} if gap.run not in replayed else {k: getattr(replayed[gap.run], k) for k in ("before", "after")}
         for gap in gaps
     ]
-    return (*(replace(gap, **size) for gap, size in zip(gaps, sizes, strict=True)), *shown.poses)
+    return (*(replace(gap, **size) for gap, size in zip(gaps, sizes, strict=True)), *comparison.poses)
 
 
 def _gaps_of_files(
-    gaps: tuple[RunGap, ...], shown: Shown | None, tried: tuple[Named, ...], kept: tuple[Named, ...], same_body: bool
+    gaps: tuple[RunGap, ...],
+    comparison: ReplayComparison | None,
+    tried: tuple[NamedEffect, ...],
+    delivered_effects: tuple[NamedEffect, ...],
+    same_body: bool,
 ) -> tuple[RunGap, ...]:
     """Gaps by the files that are delivered: of motion and of geometry what was tried where it was kept, else as before;
     NaN of what was not replayed."""
-    bent = all(n in kept for n in tried if n.effect.kind == "kinematics")
-    moved = same_body and all(n in kept for n in _select_moving(tried))
-    done = set() if shown is None else {run.run for run in (*shown.runs, *shown.unsure)}
+    same_geometry = all(n in delivered_effects for n in tried if n.effect.kind == "kinematics")
+    same_motion = same_body and all(n in delivered_effects for n in _select_moving(tried))
+    done = set() if comparison is None else {run.run for run in (*comparison.runs, *comparison.inconclusive)}
     found = []
     for gap in gaps:
         if gap.regime != GEOMETRY and gap.run not in done:
             found.append(replace(gap, before=np.nan, after=np.nan))
-        elif bent if gap.regime == GEOMETRY else moved:
+        elif same_geometry if gap.regime == GEOMETRY else same_motion:
             found.append(gap)
         else:
             found.append(replace(gap, after=gap.before, trial=gap.after))
     return tuple(found)
 
 
-def _roll_back(verdict: Verdict, certain: tuple[Named, ...], bad: Sequence[Named]) -> Verdict:
+def _make_rolled_back(verdict: Verdict, certain: tuple[NamedEffect, ...], rejected: Sequence[NamedEffect]) -> Verdict:
     """Unexplained but for what is certain and helped."""
-    kept = tuple(named for named in certain if named not in bad)
-    moved = bool(_select_moving(bad)) or not bad
+    delivered_effects = tuple(named for named in certain if named not in rejected)
+    same_motion = bool(_select_moving(rejected)) or not rejected
     what = "the best repair of it did not help, or made some motion worse"
-    if kept:
-        words = ", ".join(plain(named.effect.name) for named in kept)
-        said = f"This is mended: {words}. What else simulation and measurement differ by is not known: {what}."
+    if delivered_effects:
+        words = ", ".join(effect_label(named.effect.name) for named in delivered_effects)
+        sentence = f"This is repaired: {words}. What else simulation and measurement differ by is not known: {what}."
     else:
-        said = f"Simulation and measurement differ, and nothing known here mends it: {what}."
-    later, corrections = verdict.next_experiment or UNNAMED[""], () if moved else verdict.corrections
-    bare = replace(verdict, effects=kept, rivals=(), in_part=False, corrections=corrections)
-    return replace(bare, verdict="unexplained", sentence=said, next_experiment=later)
+        sentence = f"Simulation and measurement differ, and nothing known here repairs it: {what}."
+    later, corrections = (
+        verdict.next_experiment or DISCREPANCY_EXPERIMENTS[""],
+        () if same_motion else verdict.corrections,
+    )
+    bare = replace(verdict, effects=delivered_effects, rivals=(), in_part=False, corrections=corrections)
+    return replace(bare, verdict="unexplained", sentence=sentence, next_experiment=later)

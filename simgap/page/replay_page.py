@@ -10,9 +10,9 @@ from freeart21.joint import JointType
 from freeart21.view.document import Section, document, escape
 from freeart21.view.tables import table_section
 from simgap.page.report_plots import run_drawings
+from simgap.prove.comparison import ReplayGap, compare_curves
 from simgap.prove.replay import RunReplay
-from simgap.prove.show import ReplayGap, compare_curves
-from simgap.verdict import By
+from simgap.verdict import Quantity
 
 MOST_DRAWN = 40
 """Runs whose curves are drawn: each takes some 50 kB."""
@@ -45,7 +45,7 @@ class Row:
         run = self.replay
         error, q, qd = (f"{value / self.per_unit:.6g} {self.unit}" for value in (run.error, *run.start))
         sigmas = f"{run.sigmas:.4g}" if run.sigmas < MOST_SIGMAS else f"over {MOST_SIGMAS:g}"
-        return self.name, error, sigmas + " (hangs on a hair)" * (not run.sure), self.use, q, f"{qd}/s"
+        return self.name, error, sigmas + " (ill-conditioned)" * (not run.is_converged), self.use, q, f"{qd}/s"
 
 
 def repeat_section(commands: dict[str, str], note: str = "") -> Section:
@@ -58,7 +58,7 @@ def repeat_section(commands: dict[str, str], note: str = "") -> Section:
 
 
 def run_section(
-    title: str, run: ReplayGap, kind: JointType, names: tuple[str, str | None], by: By = "position"
+    title: str, run: ReplayGap, kind: JointType, names: tuple[str, str | None], by: Quantity = "position"
 ) -> Section:
     """The curves of a run; `names` are those of the simulations, None for one that is not drawn."""
     figures, data = run_drawings(run, kind, names, by)
@@ -67,13 +67,13 @@ def run_section(
 
 def replay_page(title: str, about: Sequence[str], command: str, rows: Sequence[Row], notes: Sequence[str] = ()) -> str:
     """The page as HTML, which needs no other file."""
-    told = (
+    note_text = (
         "Simulated from the asset's files alone. Only the state at each run's first reading is free; it is fitted to "
         "the run. Sigma is the noise of the readings."
     )
     texts = [row.texts() for row in rows]
     sections = [
-        table_section("Runs", texts, HEAD, "full", " ".join([told, *notes])),
+        table_section("Runs", texts, HEAD, "full", " ".join([note_text, *notes])),
         repeat_section({"This replay": command}),
     ]
     for row, (name, error, sigmas, *_) in list(zip(rows, texts, strict=True))[:MOST_DRAWN]:

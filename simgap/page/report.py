@@ -21,10 +21,10 @@ from simgap.models.surrogate import Nuisance
 from simgap.page.replay_page import repeat_section, run_section
 from simgap.page.report_plots import AFTER, BEFORE, chart, drawn_samples, force_map, interval_drawing, p_text
 from simgap.prove.body import NO_CORRECTION, BodyCorrection
-from simgap.prove.show import ReplayGap, Shown, closed_part, use_of
-from simgap.select.words import amount, capital, effect_words, number_text, plain, runs_text
+from simgap.prove.comparison import ReplayComparison, ReplayGap, closed_part, track_use
+from simgap.select.words import amount, capitalise, effect_label, effect_words, number_text, runs_text
 from simgap.settings import JudgementSettings
-from simgap.verdict import GEOMETRY, Named, RunGap, Use, Verdict, root_mean_square, told_by, unit_of
+from simgap.verdict import GEOMETRY, NamedEffect, RunGap, Use, Verdict, deciding_runs, root_mean_square, unit_of
 
 ROLLED_BACK = "with the repair that was rolled back"
 MOST_RUNS = 4
@@ -44,7 +44,7 @@ class Ranked:
 
     names: tuple[str, ...]
     """Effects; none for the asset as it is."""
-    floors: float
+    rms: float
     """Error on choosing runs in floors: 1 is noise alone."""
     ahead: float = 0.0
     """Log probability of choosing runs less that of the most probable set,"""
@@ -67,9 +67,9 @@ class Draft:
     geometry: KinematicsFinding | None = None
     floor: float = 0.0
     """rad or m."""
-    moves_otherwise: bool = True
+    motion_differs: bool = True
     """Whether the motion along the joint is other than simulated; without that, nothing is said of where."""
-    certain: tuple[Named, ...] = ()
+    certain: tuple[NamedEffect, ...] = ()
     """Effects that are named without doubt, whatever is said of the rest: only these go into the asset."""
     curves: tuple[ReplayGap, ...] = ()
     """Of runs whose motion was prescribed, the force by inverse dynamics: by the asset as it is and by the best that
@@ -89,7 +89,7 @@ class Gap:
     verdict: Verdict
     draft: Draft
     maps: tuple[ResidualMap, ...] = ()
-    shown: Shown | None = None
+    comparison: ReplayComparison | None = None
     notes: tuple[str, ...] = ()
     """What else should be known, such as that a repair was rolled back."""
     seconds: float | None = None
@@ -105,7 +105,7 @@ class Gap:
         return all(g.use == "fitted" for g in self.motion)
 
     @property
-    def moves_otherwise(self) -> bool:
+    def motion_differs(self) -> bool:
         """Whether the answer is (also) about the motion, not about the joint's geometry alone."""
         kinds = [named.effect.kind for named in self.verdict.effects]
         return not kinds or any(kind != "kinematics" for kind in kinds)
@@ -114,7 +114,7 @@ class Gap:
     def second_curve(self) -> str | None:
         """What the second curve of a replayed run is; None where there is none."""
         verdict = self.verdict
-        if self.shown is None or not self.shown.changed:
+        if self.comparison is None or not self.comparison.changed:
             return None
         if verdict.verdict == "ambiguous":
             return "with the best of these answers"
@@ -140,7 +140,7 @@ def page(gap: Gap) -> str:
         *doubt_sections(verdict, runs_text(uses)),
     ]
     motion, geometry = [*_runs(gap), *_maps(gap)], _geometry(gap)
-    sections += [*motion, *geometry] if gap.moves_otherwise else [*geometry, *motion]
+    sections += [*motion, *geometry] if gap.motion_differs else [*geometry, *motion]
     return document(gap.title, [*sections, *_ranking(gap), *_gaps(gap), *_repeat(gap)], "gap", chips)
 
 
@@ -160,8 +160,8 @@ def _tiles(gap: Gap) -> list[str]:
     """The gap, and how much of it is closed: of the motion, and of the poses off the joint."""
     tiles = []
     motion = [g for g in gap.motion if np.isfinite(g.before)]
-    if gap.moves_otherwise and motion:
-        replayed = gap.shown is not None and bool(gap.shown.runs)
+    if gap.motion_differs and motion:
+        replayed = gap.comparison is not None and bool(gap.comparison.runs)
         after = gap.second_curve if replayed else None
         tiles.append(_sizes(motion, gap.text, "", after, gap.in_turn and not replayed))
         tiles += _closed(gap) if after not in (None, ROLLED_BACK) else []
@@ -176,7 +176,7 @@ def _sizes(
 ) -> str:
     """A tile of the gap before and, where SAPIEN replayed it, after, beside the noise, with the runs that it is of: the
     confirming ones; where there is none, those that chose, or all."""
-    judged = told_by(gaps)
+    judged = deciding_runs(gaps)
     before, floor = (root_mean_square([getattr(g, name) for g in judged]) for name in ("before", "floor"))
     after = root_mean_square([g.after if g.trial is None else g.trial for g in judged])
     shown = [before, after] if after_is and after_is != ROLLED_BACK and np.isfinite(after) else [before]
@@ -191,10 +191,10 @@ def _sizes(
 
 def _closed(gap: Gap) -> list[str]:
     """Tiles of the part of the gap that is closed, in motion as was fitted and in other."""
-    assert gap.shown is not None
+    assert gap.comparison is not None
     fitted = {r.regime for r in gap.verdict.gaps if r.use == "fitted"}
     tiles = []
-    for runs in gap.shown.split(fitted):
+    for runs in gap.comparison.split(fitted):
         part, regimes = closed_part(runs), {run.regime for run in runs}
         if part is not None:
             other = f"other motion: {', '.join(sorted(regimes))}"
@@ -229,7 +229,7 @@ def parameters_section(verdict: Verdict, kind: JointType, note: str, file_of: Ca
     for named in verdict.effects:
         effect = named.effect
         file = f"in {file_of(effect)}" if effect.name in verdict.added else "not written"
-        head = f"{capital(plain(effect.name))}", f"{effect.name}, {file}"
+        head = f"{capitalise(effect_label(effect.name))}", f"{effect.name}, {file}"
         for name, spec in effect.parameters(kind).items():
             sizes = getattr(effect, name), named.low[name], named.high[name]
             rows.append(row(head, name, spec.meaning, sizes, [number_text(v, spec.unit(kind)) for v in sizes]))
@@ -261,8 +261,10 @@ def doubt_sections(verdict: Verdict, of: str, more: str = "") -> list[Section]:
     """Rivals, what else is in doubt (`more`, HTML) and the next experiment; and where something shows, in what `of`."""
     html = ""
     if verdict.rivals:
-        said = [(capital(" and ".join(plain(n) for n in names)), ", ".join(names)) for names in verdict.rivals]
-        lines = "".join(f"<li>{escape(words)} <small>{escape(names)}</small></li>" for words, names in said)
+        texts = [
+            (capitalise(" and ".join(effect_label(n) for n in names)), ", ".join(names)) for names in verdict.rivals
+        ]
+        lines = "".join(f"<li>{escape(words)} <small>{escape(names)}</small></li>" for words, names in texts)
         html += f'<p>These explain what was measured equally well:</p><ul class="remarks">{lines}</ul>'
     html += more
     if verdict.next_experiment:
@@ -282,8 +284,8 @@ def doubt_sections(verdict: Verdict, of: str, more: str = "") -> list[Section]:
 
 def _runs(gap: Gap) -> list[Section]:
     """Runs before and after, as SAPIEN replays them; by inverse dynamics where motion was prescribed."""
-    replayed = gap.shown.runs if gap.shown is not None else ()
-    most = MOST_RUNS if gap.moves_otherwise else 1
+    replayed = gap.comparison.runs if gap.comparison is not None else ()
+    most = MOST_RUNS if gap.motion_differs else 1
     names: tuple[str, str | None]
     if replayed:
         second = gap.second_curve
@@ -344,7 +346,7 @@ def _geometry(gap: Gap) -> list[Section]:
     shown = [r for r in g.ranking if len(r[0]) < 2 or tuple(sorted(r[0])) == chosen or r[0] in g.rivals]
     rows = [
         (
-            capital(" and ".join(plain(n) for n in names) or "the asset's ideal joint"),
+            capitalise(" and ".join(effect_label(n) for n in names) or "the asset's ideal joint"),
             ", ".join(names),
             f"{np.sqrt(loss):.2f}",
             p_text(p) if names else "",
@@ -355,15 +357,15 @@ def _geometry(gap: Gap) -> list[Section]:
     what = f"Run {track.name}, {'held out' if track.held_out else 'fitted'}"
     note = (
         "The position along the joint is free in every frame here, so no dynamics is in it: what remains is geometry. "
-        + capital("; ".join(effect_words(e, gap.measured.joint_type) for e in g.effects))
+        + capitalise("; ".join(effect_words(e, gap.measured.joint_type) for e in g.effects))
     )
     table = table_section(
-        f"Explanations of the geometry, by poses of {runs_text([use_of(t) for t in g.tracks if not t.held_out])}, "
+        f"Explanations of the geometry, by poses of {runs_text([track_use(t) for t in g.tracks if not t.held_out])}, "
         "left out in turn",
         rows,
         ("", "", "error, in floors", "p of no gain", ""),
         "full",
-        f"{g.remainder_floors:.1f} floors of displacement go with the position and have no name.",
+        f"{g.unexplained_rms:.1f} floors of displacement go with the position and have no name.",
     )
     drawing = Section(
         f"Off its joint: {what}, {1e3 * track.gap_before:.2g} mm → {1e3 * track.gap_after:.2g} mm "
@@ -393,15 +395,15 @@ def _ranking(gap: Gap) -> list[Section]:
 
 def ranking_section(ranking: Sequence[Ranked], of: str) -> list[Section]:
     """Explanations that were tried, by their error on what they were not fitted to: `of` says what that is."""
-    worst = max((np.log10(max(r.floors, 1.0)) for r in ranking if np.isfinite(r.floors)), default=0.0)
+    worst = max((np.log10(max(r.rms, 1.0)) for r in ranking if np.isfinite(r.rms)), default=0.0)
     rows = []
     for r in ranking:
-        names = capital(" and ".join(plain(n) for n in r.names) or "nothing is missing")
+        names = capitalise(" and ".join(effect_label(n) for n in r.names) or "nothing is missing")
         behind = "0" if r.ahead == 0.0 else f"{r.ahead:.0f} ± {r.error:.0f}"
         cells: list[str] = [two_lines(names, ", ".join(r.names), heading=True), behind]
         if worst:
             spread = "" if r.spread is None else f"{r.spread[0]:.2f} to {r.spread[1]:.2f}"
-            cells += [bar(np.log10(max(r.floors, 1.0)) / worst), f"{r.floors:.2f}", spread]
+            cells += [bar(np.log10(max(r.rms, 1.0)) / worst), f"{r.rms:.2f}", spread]
         rows.append(cells)
     heads = ("", "log probability", *("error (log)", "floors", "run by run") * bool(worst))
     return [table_section(f"Explanations, judged on {of}", rows, heads, "full", kind="ranked")] if ranking else []
@@ -429,11 +431,11 @@ def _gaps(gap: Gap) -> list[Section]:
         fitted = "fitted" if replayed or not gap.in_turn else "held out in turn"
         rows.append((g.run, fitted if g.use == "fitted" else g.use, g.regime, *texts))
     note = ""
-    if gap.shown is not None and gap.shown.runs:
+    if gap.comparison is not None and gap.comparison.runs:
         note = (
             "Replayed by the files in a fresh process in SAPIEN, each run at the time step that it needs, "
-            f"{1e3 * gap.shown.timestep_s:g} ms at the finest; the last halving changed a run, before or after, by no "
-            f"more than {gap.shown.numerics:.2g} floors."
+            f"{1e3 * gap.comparison.timestep_s:g} ms at the finest; the last halving changed a run, before or after, "
+            f"by no more than {gap.comparison.numerics:.2g} floors."
         )
     note += f" {still} more runs were not replayed." if still else ""
     return [table_section("Runs", rows, head, "full", note)]
@@ -450,5 +452,5 @@ def _repeat(gap: Gap) -> list[Section]:
         "trial": "The gap with the trial repair, which is not in that asset",
     }
     absent = proof.witness.get("absent")
-    said = f"MuJoCo has not witnessed it: {absent}." if absent else "Add --engine mujoco for MuJoCo's numbers."
-    return [repeat_section({of[what]: line for what, line in proof.repeat.items()}, said)]
+    note = f"MuJoCo has not witnessed it: {absent}." if absent else "Add --engine mujoco for MuJoCo's numbers."
+    return [repeat_section({of[what]: line for what, line in proof.repeat.items()}, note)]

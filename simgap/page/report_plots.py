@@ -13,8 +13,8 @@ from freeart21.view.curves import Curve, curves_data, line_figure
 from freeart21.view.document import MOVING, REFERENCE, escape
 from freeart21.view.plot import Axes, display_unit, ticks
 from simgap.models.localise import ResidualMap
-from simgap.prove.show import ReplayGap
-from simgap.verdict import By, unit_of
+from simgap.prove.comparison import ReplayGap
+from simgap.verdict import Quantity, unit_of
 
 MEASURED, BEFORE, AFTER = "#7d8894", MOVING, REFERENCE
 """Grey for what was measured, orange for the asset as it was, blue for the repaired one."""
@@ -55,7 +55,10 @@ def run_axes(x: Array, lines: Sequence[Curve], band: float, height: int) -> Axes
 
 
 def run_drawings(
-    run: ReplayGap, kind: JointType, names: tuple[str, str | None] = ("as the asset was", "after"), by: By = "position"
+    run: ReplayGap,
+    kind: JointType,
+    names: tuple[str, str | None] = ("as the asset was", "after"),
+    by: Quantity = "position",
 ) -> tuple[list[str], dict[str, Any]]:
     """Figures of one replayed run, position (or force) and difference, and what the script of kind 'curves' needs.
 
@@ -84,7 +87,7 @@ def force_map(m: ResidualMap, kind: JointType) -> str:
     small = 0 < float(np.nanmax(np.abs(m.mean), initial=0.0)) < 0.1
     force_factor, force_unit = 1e3 if small else 1.0, "m" * small + ("N m" if kind == "revolute" else "N")
     how = "towards larger positions" if m.signed else "along the motion; negative brakes"
-    rest = ", besides smooth friction and springs" if m.within else ""
+    rest = ", besides smooth friction and springs" if m.local_only else ""
     title = _TITLES.get(m.quantity, m.quantity.capitalize())
     return map_drawing(m, title, f"{force_unit} {how}{rest}", factor, unit, force_factor)
 

@@ -40,31 +40,31 @@ class _Copy:
         self.places: dict[Path, str] = {}
         """Folder outside of `home`, the URDF's absolute one, to its place in the new one."""
 
-    def take(self, source: Path, told: str) -> str:
+    def take(self, source: Path, named_by: str) -> str:
         """Copy a file and what it names itself; its name in the new folder."""
         source = Path(os.path.normpath(source))
         if source not in self.done:
             inside = source.is_relative_to(self.home)
             base = self.home if inside else source.parent
-            self._copy(source, base, "" if inside else self._place(base), told)
+            self._copy(source, base, "" if inside else self._place(base), named_by)
         return self.done[source]
 
-    def _copy(self, source: Path, base: Path, place: str, told: str) -> None:
+    def _copy(self, source: Path, base: Path, place: str, named_by: str) -> None:
         name = str(Path(place) / source.relative_to(base))
         if source.suffix.lower() not in ENDINGS:
-            raise FreeArtError(f"{told} names file '{source}', expected a mesh or a picture ({', '.join(ENDINGS)})")
+            raise FreeArtError(f"{named_by} names file '{source}', expected a mesh or a picture ({', '.join(ENDINGS)})")
         size = source.stat().st_size
         self.total += size
         if size > MAX_FILE_BYTES or self.total > MAX_BYTES:
             raise FreeArtError(
-                f"{told} names file '{source}' of {size} bytes, {self.total} with those before: at most "
+                f"{named_by} names file '{source}' of {size} bytes, {self.total} with those before: at most "
                 f"{MAX_FILE_BYTES} each and {MAX_BYTES} together are copied"
             )
         target = self.folder / name
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(checked.require_file(source, MAX_FILE_BYTES, checked.ANYWHERE), target)
         self.done[source] = name
-        for other in _beside(source):
+        for other in _referenced_files(source):
             if other.is_relative_to(base) and other not in self.done and other.suffix.lower() in ENDINGS:
                 self._copy(other, base, place, str(source))  # what lies elsewhere is a colour at most
 
@@ -75,7 +75,7 @@ class _Copy:
         return self.places[folder]
 
 
-def copied(urdf: Path, folder: Path, root: Path | None = None) -> dict[str, ET.Element]:
+def copy_asset_files(urdf: Path, folder: Path, root: Path | None = None) -> dict[str, ET.Element]:
     """Copy the files that the asset of `urdf` needs, all inside `root`, into `folder`.
 
     Returns the URDF, and the MJCF when there is one beside it, by file name, with their files named as in the copy;
@@ -89,7 +89,7 @@ def copied(urdf: Path, folder: Path, root: Path | None = None) -> dict[str, ET.E
     for element in _naming(robot, "filename"):
         name = element.get("filename", "")
         element.set("filename", copy.take(find_file(urdf, name, root), str(urdf)))
-    out, mjcf = {urdf.name: robot}, mjcf_beside(urdf)
+    out, mjcf = {urdf.name: robot}, mjcf_path(urdf)
     if mjcf.is_file():
         model = read_xml(mjcf, comments=True)
         if model.tag == "mujoco":  # else it is something of the same name
@@ -104,15 +104,15 @@ def file_hashes(urdf: Path, root: Path | None = None) -> dict[str, str]:
     """SHA-256 of the URDF, of what lies beside it and says of the asset what it cannot, and of the files that it names,
     by their names; a named file that is not there is left out."""
     home = urdf.parent
-    beside = (urdf, home / "asset.json", home / "effects.json", mjcf_beside(urdf))
-    found = {path.name: path for path in beside if path.is_file()}
+    described = (urdf, home / "asset.json", home / "effects.json", mjcf_path(urdf))
+    found = {path.name: path for path in described if path.is_file()}
     for name in sorted({e.get("filename", "") for e in _naming(read_xml(urdf), "filename")}):
         if (path := resolve_file(urdf, name, root)).is_file():
             found[name] = path
     return {name: file_sha256(path, checked.ANYWHERE) for name, path in found.items()}
 
 
-def mjcf_beside(urdf: Path) -> Path:
+def mjcf_path(urdf: Path) -> Path:
     """Where the MJCF of a URDF stands."""
     return urdf.with_suffix(".mjcf" if urdf.suffix == ".xml" else ".xml")
 
@@ -133,8 +133,8 @@ def _copy_named(path: Path, root: ET.Element, copy: _Copy) -> None:
     for compiler in root.iter("compiler"):
         every = compiler.attrib.pop("assetdir", "")
         meshes, textures = (compiler.attrib.pop(word, every) for word in ("meshdir", "texturedir"))
-        told = {"mesh": meshes, "hfield": meshes, "texture": textures}
-        folders |= {tag: where for tag, where in told.items() if where}
+        tag_folders = {"mesh": meshes, "hfield": meshes, "texture": textures}
+        folders |= {tag: where for tag, where in tag_folders.items() if where}
     for element in _naming(root, "file"):
         name = element.get("file", "")
         source = copy.home / folders.get(element.tag, "") / name
@@ -143,7 +143,7 @@ def _copy_named(path: Path, root: ET.Element, copy: _Copy) -> None:
         element.set("file", copy.take(source, str(path)))
 
 
-def _beside(source: Path) -> list[Path]:
+def _referenced_files(source: Path) -> list[Path]:
     """What an OBJ or MTL file names, if it is there."""
     if source.suffix.lower() not in (".obj", ".mtl"):
         return []

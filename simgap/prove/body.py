@@ -45,16 +45,16 @@ class BodyCorrection:
 NO_CORRECTION = BodyCorrection()
 
 
-def true_gravity(plant: Plant, nuisance: Nuisance) -> Array:
+def corrected_gravity(plant: Plant, nuisance: Nuisance) -> Array:
     """(3,) cosine, sine and constant of gravity's force under `nuisance`, N*m or N."""
     terms = plant.gravity_terms
     return np.asarray(nuisance.gravity * (terms[0] + nuisance.lean[0] * terms[1] + nuisance.lean[1] * terms[2]))
 
 
-def correction_of(plant: Plant, nuisance: Nuisance) -> BodyCorrection:
+def find_correction(plant: Plant, nuisance: Nuisance) -> BodyCorrection:
     """The correction that makes an asset of `plant` move by itself as it does under `nuisance`."""
     terms, f = plant.gravity_terms, nuisance.inertia
-    own, true = terms[0], true_gravity(plant, nuisance)
+    own, true = terms[0], corrected_gravity(plant, nuisance)
     was, is_now = complex(own[0], own[1]), complex(true[0], true[1])
     if plant.joint_type == "revolute" and abs(is_now - was) < abs(was):
         weight = abs(is_now) / abs(was)

@@ -26,10 +26,10 @@ from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.measured import Measured, Run
 from freeart21.se3 import Array
-from simgap.fit.fit import Theory, fit_starts
-from simgap.fit.problem import as_delivered, problem_of
-from simgap.measure.data import fit_runs
-from simgap.models.surrogate import plant_of
+from simgap.fit.fit import Model, fit_starts
+from simgap.fit.problem import make_problem, without_asset_error
+from simgap.measure.data import make_fit_runs
+from simgap.models.surrogate import make_plant
 from simgap.prove.replay_process import AssetOnDisk, Engine, Job, PosesToReplay, Starts, State
 from simgap.settings import GapSettings
 from simgap.verdict import root_mean_square
@@ -39,7 +39,7 @@ SECONDS = 120.0
 """What is not replayed by then is given up."""
 SURE, SURE_PART = 1.0, 0.05
 """Sigmas by which halving the finest time step may change a replay that tells something, and the part of its error."""
-_STIRRED = 1e-3
+_MIN_SCALE = 1e-3
 """rad or m, and a second: at which sizes starts are looked for where nothing moved."""
 Progress = Callable[[int, int], None]
 """Called with the number of runs replayed and their total."""
@@ -80,7 +80,7 @@ class RunReplay:
         return self.error / self.noise
 
     @property
-    def sure(self) -> bool:
+    def is_converged(self) -> bool:
         """Whether halving the time step changes it by little: else it hangs on a hair, and tells nothing."""
         return self.change < max(SURE, SURE_PART * self.sigmas)
 
@@ -99,7 +99,7 @@ class Replay:
     """Runs that were not replayed in time."""
 
 
-def address_of(asset: Asset) -> Path:
+def asset_address(asset: Asset) -> Path:
     """The folder or the URDF that `read_asset` reads it from."""
     home = asset.urdf.parent
     return home if (home / "asset.json").is_file() else asset.urdf
@@ -149,7 +149,7 @@ def replay(
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
         folder = Path(place)
         _run(folder, job, max(end - time.monotonic(), 0.0), progress)
-        version, off = _read_told(folder, len(assets))
+        version, off = _read_status(folder, len(assets))
         done = [i for i in range(len(runs)) if all(_answer_path(folder, k, i).is_file() for k in range(len(assets)))]
         late = tuple(name for name in names if name not in {runs[i].name for i in done})
         return tuple(
@@ -164,18 +164,18 @@ def fit_start_states(
     """From where the asset follows each run best, for runs that are reached before time.monotonic() is `end`."""
     if not names:
         return Starts({}, {})
-    plant = plant_of(asset, measured)
-    runs, floor = fit_runs(measured, plant)
-    problem = as_delivered(problem_of(plant, measured, runs, floor, GapSettings()))
-    speed, high = max(problem.speed, _STIRRED), max(problem.q_high, problem.q_low + _STIRRED)
-    theory = Theory(replace(problem, speed=speed, q_high=high), (), prompt=True)
-    theta = np.full(len(theory.ranges()), holding)  # nothing else is left to fit
+    plant = make_plant(asset, measured)
+    runs, noise = make_fit_runs(measured, plant)
+    problem = without_asset_error(make_problem(plant, measured, runs, noise, GapSettings()))
+    speed, high = max(problem.speed, _MIN_SCALE), max(problem.q_high, problem.q_low + _MIN_SCALE)
+    model = Model(replace(problem, speed=speed, q_high=high), (), instant_friction=True)
+    theta = np.full(len(model.ranges()), holding)  # nothing else is left to fit
     states: dict[str, State] = {}
     of = {run.name: run for run in runs}
     for name in names:
         if time.monotonic() > end:
             break
-        states |= fit_starts(theory, theta, (of[name],)).starts  # each by itself: it hangs on no other run
+        states |= fit_starts(model, theta, (of[name],)).starts  # each by itself: it hangs on no other run
     return Starts(states, {run.name: root_mean_square(run.sigma) for run in runs})
 
 
@@ -184,13 +184,13 @@ def _answer_path(folder: Path, asset: int, run: int) -> Path:
     return folder / f"run_{asset}_{run}.npz"
 
 
-def _read_told(folder: Path, count: int) -> tuple[str, list[tuple[float, ...]]]:
+def _read_status(folder: Path, count: int) -> tuple[str, list[tuple[float, ...]]]:
     """The engine's version, and for each of `count` assets how far poses are off, as far as this is known."""
-    path = folder / "told.json"
+    path = folder / "status.json"
     if not path.is_file():
         return "", [()] * count
-    told = checked.read_json(path)
-    return str(told["version"]), [tuple(map(float, off)) for off in told["poses"]]
+    status = checked.read_json(path)
+    return str(status["version"]), [tuple(map(float, off)) for off in status["poses"]]
 
 
 def _read_run(folder: Path, asset: int, i: int, run: Run, starts: Starts) -> RunReplay:
@@ -211,7 +211,7 @@ def _read_run(folder: Path, asset: int, i: int, run: Run, starts: Starts) -> Run
 
 def _run(folder: Path, job: Job, seconds: float, progress: Progress | None) -> None:
     """Let the fresh process work for some seconds."""
-    told, end, count = -1, time.monotonic() + seconds, len(job.measured.runs) * len(job.assets)
+    reported, end, count = -1, time.monotonic() + seconds, len(job.measured.runs) * len(job.assets)
     with (folder / "stderr").open("w") as stderr, tempfile.TemporaryFile() as stdin:
         pickle.dump(job, stdin)
         stdin.seek(0)
@@ -226,8 +226,8 @@ def _run(folder: Path, job: Job, seconds: float, progress: Progress | None) -> N
         try:
             while process.poll() is None and time.monotonic() < end:
                 done = sum(1 for _ in folder.glob("run_*.npz"))
-                if progress is not None and done > told:
-                    told = done
+                if progress is not None and done > reported:
+                    reported = done
                     progress(done, count)
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     process.wait(0.05)

@@ -1,8 +1,8 @@
-"""The fresh process of `simgap.prove.replay`: FOLDER is its argument, and a pickled `Job` its standard input.
+"""The fresh process of `simgap.prove.replay`. Its argument is FOLDER, its standard input a pickled `Job`.
 
-Results appear one by one, so that those in time count when the others are not: FOLDER/told.json (the engine's version,
-and how far poses are off), then run_K_I.npz, run I by asset K, with the sensor's readings, the time step and what its
-last halving changed, in sigmas.
+Results are written one by one, so that a stopped process leaves the finished ones: FOLDER/status.json (the engine's
+version, and how far poses are off), then run_K_I.npz for run I by asset K: the sensor's readings, the time step (s),
+and what the last halving of the step changed (sigmas).
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from freeart21.files import atomic
 from freeart21.files.asset import check_no_mimics, find_movable_joint, read_asset
 from freeart21.files.urdf import read_xml
 from freeart21.measured import Measured, Run
-from freeart21.mechanics import Actuator, between
+from freeart21.mechanics import Actuator, interpolate_series
 from freeart21.se3 import Array
 from generator import simulate
 from simgap.geometry.placing import place
-from simgap.geometry.track_geometry import at_point, displacement
-from simgap.prove.asset_files import copied, mjcf_beside, write_xml
+from simgap.geometry.track_geometry import move_twists, rms_displacement
+from simgap.prove.asset_files import copy_asset_files, mjcf_path, write_xml
 from simgap.verdict import root_mean_square
 
 Engine = Literal["sapien", "mujoco"]
@@ -125,12 +125,12 @@ class Job:
     """For each asset, or none."""
 
 
-class _Stage(ABC):
+class _AssetInEngine(ABC):
     """One asset in an engine, as its files say, ready to replay runs."""
 
-    def __init__(self, said: AssetOnDisk, job: Job):
+    def __init__(self, on_disk: AssetOnDisk, job: Job):
         self.job, measured = job, job.measured
-        self.asset = said.read(measured)
+        self.asset = on_disk.read(measured)
         self.placed = place(self.asset, measured.gravity)
         joint = find_movable_joint(self.asset.urdf, self.asset.joint)
         self.lower, self.upper = joint.lower, joint.upper
@@ -155,45 +155,55 @@ class _Stage(ABC):
         first = float(times[0])
         begin = first - sum(effect.delay() for effect in self.sensing)
 
-        def told(values: Array | None, mean_s: float = h, how: str = measured.interpolation) -> Any:
-            return None if values is None else between(run.times_s - begin, values, how, mean_s, self.job.holding)
+        def function_of(values: Array | None, mean_s: float = h, how: str = measured.interpolation) -> Any:
+            return (
+                None
+                if values is None
+                else interpolate_series(run.times_s - begin, values, how, mean_s, self.job.holding)
+            )
 
-        effort = told(run.effort)
+        effort = function_of(run.effort)
         push = effort if measured.effort_kind == "external" else None
-        asked = None if push else effort
-        actuator = self._driven(told(run.q_command), asked, told(run.voltage), told(run.enabled, 0.0, "held"))
+        commanded = None if push else effort
+        actuator = self._make_actuator(
+            function_of(run.q_command), commanded, function_of(run.voltage), function_of(run.enabled, 0.0, "held")
+        )
         q0 = float(np.clip(start[0], self.lower, self.upper))
         seconds = float(np.ceil((times[-1] - first) / h) * h) + h
-        sway = self._sway(run, begin)
-        at, course = self.roll(loaded, h, (q0, start[1]), seconds, force=push, actuator=actuator, base_force=sway)
+        base_force = self._base_force(run, begin)
+        at, course = self.roll(loaded, h, (q0, start[1]), seconds, force=push, actuator=actuator, base_force=base_force)
         q = np.interp(times - first, at, course)
         return np.asarray(q + sum((effect.reading_error(q) for effect in self.sensing), np.zeros(len(q))))
 
-    def _sway(self, run: Run, begin: float) -> simulate.BaseForce | None:
+    def _base_force(self, run: Run, begin: float) -> simulate.BaseForce | None:
         """What the joint feels of a base that moves."""
         if run.base is None:
             return None
-        from simgap.measure.base_motion import sway_of  # most bases stand still, and it imports a second's worth
+        from simgap.measure.base_motion import (
+            make_base_force,  # most bases stand still, and it imports a second's worth
+        )
 
         placed, turns = self.placed, self.job.measured.base_axis
-        found = sway_of(run.times_s, run.base, turns, placed.mechanics, placed.T_parent_canonical, placed.child_moves)
+        found = make_base_force(
+            run.times_s, run.base, turns, placed.mechanics, placed.T_parent_canonical, placed.child_moves
+        )
         return found.function(begin)
 
-    def _driven(self, command: Any, effort: Any, voltage: Any, enabled: Any) -> Actuator | None:
+    def _make_actuator(self, command: Any, effort: Any, voltage: Any, enabled: Any) -> Actuator | None:
         """What drives the joint by these functions of time, each of which may be missing."""
-        said = self.job.measured.actuator
-        law = said or Actuator()
-        volts, asked = (voltage if law.motor else None), effort
+        known = self.job.measured.actuator
+        law = known or Actuator()
+        volts, commanded = (voltage if law.motor else None), effort
         if volts is not None and law.motor is not None:
             per = law.motor.per_volt
-            asked = (lambda t: per * volts(t)) if effort is None else (lambda t: per * volts(t) + effort(t))
-        follows = command if said is not None else None
-        if follows is None and asked is None:
+            commanded = (lambda t: per * volts(t)) if effort is None else (lambda t: per * volts(t) + effort(t))
+        follows = command if known is not None else None
+        if follows is None and commanded is None:
             return None
-        return replace(law, q_command=follows, effort=asked, enabled=enabled)
+        return replace(law, q_command=follows, effort=commanded, enabled=enabled)
 
 
-class _InSapien(_Stage):
+class _AssetInSapien(_AssetInEngine):
     def load(self, timestep_s: float) -> simulate.SimulatedAsset:
         return simulate.load(self.asset, timestep_s=timestep_s, gravity=self.placed.gravity)
 
@@ -202,11 +212,11 @@ class _InSapien(_Stage):
         return rolled.times_s, rolled.q
 
 
-class _InMujoco(_Stage):
+class _AssetInMujoco(_AssetInEngine):
     """By the MJCF beside the URDF; the drive and what the joint feels of a moved base are forces from outside."""
 
-    def __init__(self, said: AssetOnDisk, job: Job):
-        super().__init__(said, job)
+    def __init__(self, on_disk: AssetOnDisk, job: Job):
+        super().__init__(on_disk, job)
         unsaid = [e.name for e in self.effects if e.kind != "kinematics" and not e.mjcf_joint()]
         if unsaid:
             raise FreeArtError(f"MuJoCo's format cannot say {', '.join(unsaid)} of joint '{self.asset.joint}'")
@@ -217,7 +227,7 @@ class _InMujoco(_Stage):
         import mujoco
 
         with tempfile.TemporaryDirectory() as place_:
-            mjcf = mjcf_beside(self.asset.urdf)
+            mjcf = mjcf_path(self.asset.urdf)
             if not (mjcf.is_file() and read_xml(mjcf).tag == "mujoco"):
                 mjcf = _convert_to_mjcf(self.asset, Path(place_))
             try:
@@ -229,9 +239,9 @@ class _InMujoco(_Stage):
                 raise FreeArtError(f"{mjcf.name} cannot be loaded by MuJoCo: {str(error).splitlines()[0]}") from error
         names = [model.joint(i).name for i in range(model.njnt)]
         if names != [self.asset.joint]:
-            said = ", ".join(names) or "none"
+            listed = ", ".join(names) or "none"
             raise FreeArtError(
-                f"{mjcf.name} has joints {said}, expected '{self.asset.joint}' alone: MuJoCo holds no other"
+                f"{mjcf.name} has joints {listed}, expected '{self.asset.joint}' alone: MuJoCo holds no other"
             )
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_AUTORESET
         model.opt.gravity = self._gravity(model)
@@ -284,26 +294,33 @@ def _convert_to_mjcf(asset: Asset, folder: Path) -> Path:
     from export.mjcf_of_urdf import mjcf_of_urdf  # most have one, and it imports half a second's worth
 
     urdf = folder / asset.urdf.name
-    write_xml(urdf, copied(asset.urdf, folder, asset.root)[urdf.name])
-    atomic.write_bytes(mjcf_beside(urdf), mjcf_of_urdf(replace(asset, urdf=urdf, root=folder)))
-    return mjcf_beside(urdf)
+    write_xml(urdf, copy_asset_files(asset.urdf, folder, asset.root)[urdf.name])
+    atomic.write_bytes(mjcf_path(urdf), mjcf_of_urdf(replace(asset, urdf=urdf, root=folder)))
+    return mjcf_path(urdf)
 
 
 def _replay(folder: Path, job: Job) -> None:
-    stages = [(_InMujoco if job.engine == "mujoco" else _InSapien)(said, job) for said in job.assets]
-    off = [[_pose_gap(stage, one) for one in tracks] for stage, tracks in zip(stages, job.poses, strict=False)]
-    off += [[]] * (len(stages) - len(off))
-    atomic.write_json(folder / "told.json", {"version": str(import_module(job.engine).__version__), "poses": off})
+    loaded_assets = [
+        (_AssetInMujoco if job.engine == "mujoco" else _AssetInSapien)(on_disk, job) for on_disk in job.assets
+    ]
+    off = [
+        [_pose_gap(asset_in_engine, one) for one in tracks]
+        for asset_in_engine, tracks in zip(loaded_assets, job.poses, strict=False)
+    ]
+    off += [[]] * (len(loaded_assets) - len(off))
+    atomic.write_json(folder / "status.json", {"version": str(import_module(job.engine).__version__), "poses": off})
     for i, run in enumerate(job.measured.runs):
-        for k, (stage, begin) in enumerate(zip(stages, job.starts, strict=True)):
+        for k, (asset_in_engine, begin) in enumerate(zip(loaded_assets, job.starts, strict=True)):
             h = TIMESTEPS_S[job.engine]
-            q, *step = _converged(stage, run, begin.states[run.name], begin.noise[run.name], h)
+            q, *step = _replay_converged(asset_in_engine, run, begin.states[run.name], begin.noise[run.name], h)
             aside = folder / f"aside_{k}_{i}.npz"
             np.savez(aside, q=q, step=np.array(step))
             aside.replace(folder / f"run_{k}_{i}.npz")
 
 
-def _converged(stage: _Stage, run: Run, start: State, noise: float, h: float) -> tuple[Array, float, float]:
+def _replay_converged(
+    asset_in_engine: _AssetInEngine, run: Run, start: State, noise: float, h: float
+) -> tuple[Array, float, float]:
     """Readings of one run, the time step that they needed, s, and by how many sigmas its last halving changed them.
 
     Each run with each asset by itself: what was added may be stiffer than all that was there, and a run that just
@@ -316,25 +333,25 @@ def _converged(stage: _Stage, run: Run, start: State, noise: float, h: float) ->
     coarse = None
     while coarse is None:
         try:
-            coarse = stage.replay(stage.load(h), h, run, start)
+            coarse = asset_in_engine.replay(asset_in_engine.load(h), h, run, start)
         except FreeArtError:  # too stiff for such a step
             if h < 4 * finest:
                 raise
             h /= 2
     while True:
         h /= 2
-        fine = stage.replay(stage.load(h), h, run, start)
+        fine = asset_in_engine.replay(asset_in_engine.load(h), h, run, start)
         change, off = (root_mean_square(fine - q) / noise for q in (coarse, measured))
         if change < max(ENOUGH, SMALL * off) or h / 2 < enough:
             return fine, h, change
         coarse = fine
 
 
-def _pose_gap(stage: _Stage, track: PosesToReplay) -> float:
+def _pose_gap(asset_in_engine: _AssetInEngine, track: PosesToReplay) -> float:
     """m: how far measured poses are from where the asset has the part."""
-    motion = simulate.joint_motion(stage.asset, track.states, track.times_s, stage.placed.gravity)
+    motion = simulate.joint_motion(asset_in_engine.asset, track.states, track.times_s, asset_in_engine.placed.gravity)
     off = se3.log_se3(se3.inverse(motion) @ track.poses)
-    return displacement(at_point(track.middle, off), track.lever)
+    return rms_displacement(move_twists(track.middle, off), track.lever)
 
 
 def main() -> None:

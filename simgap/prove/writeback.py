@@ -19,13 +19,13 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.asset import read_asset, write_asset_json
 from generator import simulate
-from simgap.prove.asset_files import copied, mjcf_beside, write_xml
+from simgap.prove.asset_files import copy_asset_files, mjcf_path, write_xml
 from simgap.prove.body import NO_CORRECTION, BodyCorrection, check_body, correct_body
 
 _POSE_TOLERANCE = 1e-6  # single precision of the engine, metres and rotation entries
 
 
-def repaired(
+def write_repaired(
     asset: Asset,
     effects: tuple[Effect, ...],
     folder: Path,
@@ -45,36 +45,36 @@ def repaired(
     not the same but for its effects.
     """
     effects = (*effects, *body.offset)
-    joined = {**asset.effects, asset.joint: joined_effects(asset.effects.get(asset.joint, ()), effects)}
-    files = copied(asset.urdf, folder, asset.root)
-    urdf, mjcf = folder / asset.urdf.name, mjcf_beside(asset.urdf)
+    merged = {**asset.effects, asset.joint: merge_effects(asset.effects.get(asset.joint, ()), effects)}
+    files = copy_asset_files(asset.urdf, folder, asset.root)
+    urdf, mjcf = folder / asset.urdf.name, mjcf_path(asset.urdf)
     correct_body(files[urdf.name], asset, body)
-    set_dynamics(files[urdf.name], joined)
+    set_dynamics(files[urdf.name], merged)
     write_xml(urdf, files[urdf.name])
-    as_it_was = mjcf.name in files and body == NO_CORRECTION  # else it is made anew, of the corrected URDF
-    if as_it_was:
-        set_joint_words(files[mjcf.name], asset.joint, joined, mjcf)
+    keeps_mjcf = mjcf.name in files and body == NO_CORRECTION  # else it is made anew, of the corrected URDF
+    if keeps_mjcf:
+        set_joint_words(files[mjcf.name], asset.joint, merged, mjcf)
         write_xml(folder / mjcf.name, files[mjcf.name])
-    told = {key: value for key, value in asset.source.items() if key != "dynamics"}  # measured now, not guessed
-    told |= {"repair": source} if source else {}
-    mended = replace(asset, urdf=urdf, effects=joined, source=told, root=folder)
-    if not as_it_was:
-        atomic.write_bytes(folder / mjcf.name, mjcf_of_urdf(mended))
-    write_asset_json(folder, mended)
+    source_json = {key: value for key, value in asset.source.items() if key != "dynamics"}  # measured now, not guessed
+    source_json |= {"repair": source} if source else {}
+    repaired = replace(asset, urdf=urdf, effects=merged, source=source_json, root=folder)
+    if not keeps_mjcf:
+        atomic.write_bytes(folder / mjcf.name, mjcf_of_urdf(repaired))
+    write_asset_json(folder, repaired)
     if (asset.urdf.parent / LOADERS).is_dir():  # what came from our exporter tells of effects in more files
-        write_beside(folder, mended)
-    read = _reloaded(asset, joined, folder)
+        write_beside(folder, repaired)
+    read = _check_reloaded(asset, merged, folder)
     if body != NO_CORRECTION:
         check_body(asset, read, body, folder)
     return read
 
 
-def joined_effects(had: tuple[Effect, ...], new: tuple[Effect, ...]) -> tuple[Effect, ...]:
+def merge_effects(had: tuple[Effect, ...], new: tuple[Effect, ...]) -> tuple[Effect, ...]:
     """The effects of both, two of a kind as one where that can be (`Effect.merged`)."""
     out = list(had)
     for effect in new:
         same = next((i for i, e in enumerate(out) if e.name == effect.name), None)
-        both = None if same is None else out[same].merged(effect)
+        both = None if same is None else out[same].merge(effect)
         if same is None or both is None:
             out.append(effect)
         else:
@@ -108,7 +108,7 @@ def set_joint_words(root: ET.Element, joint: str, effects: dict[str, tuple[Effec
         element.set(word, said)
 
 
-def _reloaded(asset: Asset, effects: dict[str, tuple[Effect, ...]], folder: Path) -> Asset:
+def _check_reloaded(asset: Asset, effects: dict[str, tuple[Effect, ...]], folder: Path) -> Asset:
     """The asset as read from `folder`, checked: effects as given, and the joint where it was."""
     read = read_asset(folder)
     if read.effects != {name: said for name, said in effects.items() if said}:

@@ -11,7 +11,7 @@ import numpy as np
 
 from freeart21.mechanics import JointMechanics
 from freeart21.se3 import Array, exp_so3
-from simgap.fit.fit import Fit, Reader
+from simgap.fit.fit import Fit, ParameterMap
 from simgap.models.surrogate import Inputs, Plant, simulate
 
 _SECONDS, _RATE = 5.0, 100.0
@@ -33,7 +33,7 @@ class Trial:
 
 
 NO_EXPERIMENT = "No simple experiment would part these explanations by their own predictions."
-UNNAMED = {
+DISCREPANCY_EXPERIMENTS = {
     "position": "Move it slowly through its whole range, both ways, with a known force, and record again.",
     "velocity": "Record it at several steady speeds, both ways, with a known force.",
     "direction": "Record the same motion both ways, and once with the base turned round.",
@@ -51,14 +51,14 @@ _CLEAR = 3.0
 def next_experiment(fits: Sequence[Fit]) -> str:
     """What would part all rivals, and by how much the nearest two of them then differ; where nothing parts all, what
     parts the best two."""
-    problem, menu = fits[0].theory.problem, list(_menu(fits[0]))
+    problem, menu = fits[0].model.problem, list(_list_trials(fits[0]))
     for rivals in (fits, fits[:2]):
         best, most = None, 0.0
         for trial in menu:
-            curves = [_predicted(trial, fit) for fit in rivals]
-            apart = min(float(np.sqrt(np.mean((a - b) ** 2))) for a, b in combinations(curves, 2))
-            if apart > 1.3 * most:  # earlier ones are simpler
-                best, most = trial, apart
+            curves = [_predict(trial, fit) for fit in rivals]
+            difference = min(float(np.sqrt(np.mean((a - b) ** 2))) for a, b in combinations(curves, 2))
+            if difference > 1.3 * most:  # earlier ones are simpler
+                best, most = trial, difference
         floors = most / problem.sigma
         if best is None or floors < _CLEAR:
             continue
@@ -69,8 +69,8 @@ def next_experiment(fits: Sequence[Fit]) -> str:
     return NO_EXPERIMENT
 
 
-def _menu(fit: Fit) -> Iterator[Trial]:
-    problem = fit.theory.problem
+def _list_trials(fit: Fit) -> Iterator[Trial]:
+    problem = fit.model.problem
     plant, still = problem.plant, Inputs()
     middle, half = problem.reference[1], problem.reference[2]
     times = np.arange(int(_SECONDS * _RATE)) / _RATE
@@ -84,15 +84,17 @@ def _menu(fit: Fit) -> Iterator[Trial]:
     for way, side in ((1, "largest"), (-1, "smallest")):
         far = inside(middle + way * (3.0 if plant.joint_type == "revolute" else 1.5) * half)
         far = float(np.clip(far, -2.6, 2.6)) if plant.joint_type == "revolute" else far
-        yield Trial(f"Let it go from {_at(far, plant)}, near the {side} position that it can have", plant, far, still)
+        yield Trial(
+            f"Let it go from {_position_text(far, plant)}, near the {side} position that it can have", plant, far, still
+        )
     wave = problem.force * np.sin(2 * np.pi * 0.5 * times)
     push = Inputs(times, none, nothing, wave)
     unit = "N m" if plant.joint_type == "revolute" else "N"
     yield Trial(f"Push it to and fro with a known {problem.force:.2g} {unit}, once in 2 s", plant, inside(middle), push)
     ramp = Inputs(times, none, nothing, problem.force * 1.5 * times / _SECONDS)
     yield Trial(f"Push it ever harder from rest, up to {1.5 * problem.force:.2g} {unit}", plant, inside(middle), ramp)
-    yield Trial("Tilt the base by 20 degrees in the plane of the motion", _tilted(plant), usual, still)
-    yield Trial(f"Add {_PAYLOAD:.0%} of its mass at its centre of mass", _loaded(plant), usual, still)
+    yield Trial("Tilt the base by 20 degrees in the plane of the motion", _tilt(plant), usual, still)
+    yield Trial(f"Add {_PAYLOAD:.0%} of its mass at its centre of mass", _add_payload(plant), usual, still)
     if plant.stiffness > 0:
         step = np.where(times > 0.5, inside(middle + 0.5 * half), inside(middle))
         yield Trial(
@@ -103,11 +105,11 @@ def _menu(fit: Fit) -> Iterator[Trial]:
         )
 
 
-def _at(q: float, plant: Plant) -> str:
+def _position_text(q: float, plant: Plant) -> str:
     return f"{np.degrees(q):.0f}°" if plant.joint_type == "revolute" else f"{100 * q:.1f} cm"
 
 
-def _tilted(plant: Plant) -> Plant:
+def _tilt(plant: Plant) -> Plant:
     mechanics = plant.mechanics
     axis, g = mechanics.joint.axis, mechanics.gravity
     about = axis if plant.joint_type == "revolute" and np.linalg.norm(np.cross(axis, g)) > 1e-3 else None
@@ -118,7 +120,7 @@ def _tilted(plant: Plant) -> Plant:
     return replace(plant, mechanics=replace(mechanics, gravity=exp_so3(_TILT * about) @ g))
 
 
-def _loaded(plant: Plant) -> Plant:
+def _add_payload(plant: Plant) -> Plant:
     m = plant.mechanics
     more = 1 + _PAYLOAD
     arm = m.moment(0.0) / max(m.mass, 1e-12)
@@ -128,9 +130,9 @@ def _loaded(plant: Plant) -> Plant:
     return replace(plant, mechanics=loaded)
 
 
-def _predicted(trial: Trial, fit: Fit) -> Array:
+def _predict(trial: Trial, fit: Fit) -> Array:
     """(n,) what is recorded by this fit, rad or m; it begins where the sensor reads the trial's first position."""
-    times, reader = np.arange(int(_SECONDS * _RATE)) / _RATE, Reader(fit.theory)
+    times, reader = np.arange(int(_SECONDS * _RATE)) / _RATE, ParameterMap(fit.model)
     effects, nuisance = reader.effects(fit.theta), reader.nuisance(fit.theta)
     readings = simulate(trial.plant, effects, times[:1], trial.q0, 0.0, trial.inputs, nuisance)
     begin = trial.q0 - float(readings[0] - trial.q0)

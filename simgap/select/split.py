@@ -17,10 +17,10 @@ from simgap.verdict import Use
 
 _GROUPS = 4
 """Of runs that nobody marked, that are left out in turn: each of the fits then has three quarters of them."""
-_ENOUGH = 5
-"""Runs that nobody marked from which on one of every `_ENOUGH` confirms: fewer are all needed to fit and to choose."""
+_CONFIRM_EVERY = 5
+"""Of this many unmarked runs one confirms; fewer are all needed to fit and to choose."""
 
-_TURN = 0.1
+_TURN_SHARE = 0.1
 """Of the range of a run, a way back that counts as a turn, as where half swings are counted (`equation_error`)."""
 
 
@@ -42,7 +42,7 @@ class Split:
     """Runs that neither fits nor the choice have seen; none where there are too few runs."""
 
     @property
-    def fitted(self) -> tuple[FitRun, ...]:
+    def train_runs(self) -> tuple[FitRun, ...]:
         """What the sets are searched on: all but what is kept back for good."""
         if len(self.folds) == 1:
             return self.folds[0].train
@@ -56,22 +56,22 @@ class Split:
         return "choosing" if marked else "fitted"
 
 
-def split_of(runs: tuple[FitRun, ...]) -> Split:
+def split_runs(runs: tuple[FitRun, ...]) -> Split:
     """Runs that are marked as held out choose and confirm by turns, in order of how they move; without marks each run
     is left out in turn, in at most four groups of like size of motion, and of five or more some confirm.
 
     A single run is cut into three stretches, or into so many that one may confirm where each then has two swings.
     """
-    back = sorted((run for run in runs if run.held_out), key=_motion)
+    back = sorted((run for run in runs if run.held_out), key=_motion_key)
     if back:
         train = tuple(run for run in runs if not run.held_out)
         return Split((Fold(train, tuple(back[::2])),), tuple(back[1::2]))
     if len(runs) == 1:
-        turns = len(reversals(runs[0].q, _TURN * float(np.ptp(runs[0].q))))
-        bounds = np.linspace(0, len(runs[0].q), (_ENOUGH if turns >= 4 * _ENOUGH else 3) + 1).astype(int)
-        runs = tuple(_stretch(runs[0], int(a), int(b)) for a, b in pairwise(bounds))
-    order = sorted(runs, key=_motion)
-    confirming = tuple(order[_ENOUGH // 2 :: _ENOUGH]) if len(order) >= _ENOUGH else ()
+        turns = len(reversals(runs[0].q, _TURN_SHARE * float(np.ptp(runs[0].q))))
+        bounds = np.linspace(0, len(runs[0].q), (_CONFIRM_EVERY if turns >= 4 * _CONFIRM_EVERY else 3) + 1).astype(int)
+        runs = tuple(_cut_run(runs[0], int(a), int(b)) for a, b in pairwise(bounds))
+    order = sorted(runs, key=_motion_key)
+    confirming = tuple(order[_CONFIRM_EVERY // 2 :: _CONFIRM_EVERY]) if len(order) >= _CONFIRM_EVERY else ()
     kept = [run for run in order if run not in confirming]
     groups = [[kept[i] for i in g] for g in np.array_split(np.arange(len(kept)), min(len(kept), _GROUPS))]
     return Split(
@@ -80,10 +80,10 @@ def split_of(runs: tuple[FitRun, ...]) -> Split:
     )
 
 
-def _motion(run: FitRun) -> tuple[str, float]:
+def _motion_key(run: FitRun) -> tuple[str, float]:
     """Kind and size of a run's motion."""
     return run.regime, float(np.mean(run.speed**2))
 
 
-def _stretch(run: FitRun, begin: int, end: int) -> FitRun:
+def _cut_run(run: FitRun, begin: int, end: int) -> FitRun:
     return replace(run.between(begin, end), name=f"{run.name}#{begin}")

@@ -11,12 +11,12 @@ import numpy as np
 from freeart21.effects import EFFECTS
 from freeart21.effects.base import Effect
 from freeart21.joint import JointType
-from simgap.verdict import Corrected, Use
+from simgap.verdict import Correction, Use
 
 
-def plain(name: str) -> str:
+def effect_label(name: str) -> str:
     """What a mechanic would call the effect of this name."""
-    return EFFECTS[name].plain if name in EFFECTS else name.replace("_", " ")
+    return EFFECTS[name].label if name in EFFECTS else name.replace("_", " ")
 
 
 def amount(value: float, unit: str) -> str:
@@ -40,12 +40,12 @@ def effect_words(effect: Effect, joint_type: JointType) -> str:
         for name, spec in effect.parameters(joint_type).items()
         if getattr(effect, name) != nothing[name]
     )
-    return f"{plain(effect.name)} ({numbers})"
+    return f"{effect_label(effect.name)} ({numbers})"
 
 
-def correction_words(corrections: Sequence[Corrected]) -> str:
+def correction_words(corrections: Sequence[Correction]) -> str:
     """The asset's corrected numbers."""
-    said = {
+    templates = {
         "inertia": "its inertia is {} times what the asset says",
         "weight": "its weight pulls {} times as much as the asset says",
         "lean": "its weight pulls {} from where the asset says",
@@ -54,7 +54,7 @@ def correction_words(corrections: Sequence[Corrected]) -> str:
     words = []
     for c in corrections:
         value, low, high = (f"{v:.4g}" if c.unit == "1" else amount(v, c.unit) for v in (c.value, c.low, c.high))
-        words.append(f"{said[c.name].format(value)} ({low} to {high})")
+        words.append(f"{templates[c.name].format(value)} ({low} to {high})")
     return " and ".join(words)
 
 
@@ -72,7 +72,7 @@ def span_text(quantity: str, low: float, high: float, joint_type: JointType) -> 
 _CLOSED = re.compile(r"With it -?\d+% of the gap on [^.;]* is gone")
 _DIFFER, _LEFT = re.compile(r"differ by (?=[\d.])[^,]*(?=,)"), re.compile(r"what is left \([^)]*\)")
 _REMAINS = re.compile(r"hat remains, [^,]* or \S+ times")
-_DID = {"fitted": "that it was fitted to", "choosing": "that chose it", "confirming": "kept to confirm it"}
+_USE_TEXT = {"fitted": "that it was fitted to", "choosing": "that chose it", "confirming": "kept to confirm it"}
 
 
 def runs_text(uses: Sequence[Use], in_turn: bool = False) -> str:
@@ -82,7 +82,7 @@ def runs_text(uses: Sequence[Use], in_turn: bool = False) -> str:
         return (
             f"{_runs(len(uses))}, each held out in turn" if len(uses) != 1 else "1 run, its stretches held out in turn"
         )
-    return " and ".join(f"{_runs(uses.count(use))} {did}" for use, did in _DID.items() if use in uses)
+    return " and ".join(f"{_runs(uses.count(use))} {did}" for use, did in _USE_TEXT.items() if use in uses)
 
 
 def _runs(count: int) -> str:
@@ -95,12 +95,12 @@ def closed_text(part: float, which: str) -> str:
     return f"With it {min(part, 1.0):.0%} of the gap on {which} is gone"
 
 
-def with_closed(sentence: str, part: float, which: str) -> str:
+def replace_closed_part(sentence: str, part: float, which: str) -> str:
     """The sentence with another closed part, of other runs."""
     return _CLOSED.sub(closed_text(part, which), sentence)
 
 
-def with_replayed(sentence: str, before: float, after: float, floor: float, unit: str) -> str:
+def replace_amounts(sentence: str, before: float, after: float, floor: float, unit: str) -> str:
     """The sentence with root mean squares of replayed runs in the places of the fits' own."""
     for pattern, now in (
         (_DIFFER, f"differ by {amount(before, unit)}"),
@@ -118,6 +118,6 @@ def number_text(value: float, unit: str) -> str:
     return amount(value, unit)
 
 
-def capital(text: str) -> str:
+def capitalise(text: str) -> str:
     """The text with its first letter large."""
     return text[:1].upper() + text[1:]

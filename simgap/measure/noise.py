@@ -19,20 +19,20 @@ _FAR = 8
 
 
 @dataclass(frozen=True)
-class Floor:
+class SensorNoise:
     """Standard deviation of a reading: sqrt(still^2 + (stamp * speed)^2)."""
 
-    still: float
+    sigma_at_rest: float
     """rad or m, at rest."""
-    stamp_s: float
+    time_jitter_s: float
     """Seconds by which time stamps scatter."""
 
     def sigma(self, speed: Array) -> Array:
         """(n,) standard deviations at speeds (n,), rad/s or m/s."""
-        return np.asarray(np.hypot(self.still, self.stamp_s * speed))
+        return np.asarray(np.hypot(self.sigma_at_rest, self.time_jitter_s * speed))
 
 
-def floor_of(series: list[tuple[Array, Array]]) -> Floor:
+def estimate_noise(series: list[tuple[Array, Array]]) -> SensorNoise:
     """The floor of one sensor from its runs (times (n,), readings (n,), both finite).
 
     What neighbouring readings leave that no polynomial through them explains is, robustly and as a function of speed,
@@ -40,30 +40,30 @@ def floor_of(series: list[tuple[Array, Array]]) -> Floor:
     steps for noise, many take fast turns for it: the lesser of both counts.
     """
     readings = np.concatenate([q for _, q in series])
-    step = _quantum(readings)
+    step = _quantisation_step(readings)
     smallest = 1e-7 * max(float(np.ptp(readings)), 1e-9)
-    found = [_scatter(series, *window, step) for window in _WINDOWS]
+    found = [_fit_noise(series, *window, step) for window in _WINDOWS]
     still2, stamp2 = min(found, key=lambda f: f[0] + f[2] * f[1])[:2]
-    return Floor(float(np.sqrt(max(still2, step**2 / 12, smallest**2))), float(np.sqrt(stamp2)))
+    return SensorNoise(float(np.sqrt(max(still2, step**2 / 12, smallest**2))), float(np.sqrt(stamp2)))
 
 
-def _scatter(series: list[tuple[Array, Array]], points: int, order: int, step: float) -> tuple[float, float, float]:
+def _fit_noise(series: list[tuple[Array, Array]], points: int, order: int, step: float) -> tuple[float, float, float]:
     """Variance at rest, its growth with speed squared, and the mean square of speed."""
-    parts = [_left(t, q, points, order) for t, q in series if len(q) >= points]
+    parts = [_local_residuals(t, q, points, order) for t, q in series if len(q) >= points]
     if not parts:
         return np.inf, 0.0, 0.0
     left2, speed, ways = (np.concatenate(column) for column in zip(*parts, strict=True))
-    told = ways > step  # a sensor at rest shows the same step again and again, and hides its noise
-    if told.sum() > max(100, 0.05 * len(told)):
-        left2, speed = left2[told], speed[told]
+    moving = ways > step  # a sensor at rest shows the same step again and again, and hides its noise
+    if moving.sum() > max(100, 0.05 * len(moving)):
+        left2, speed = left2[moving], speed[moving]
     free = points - order - 1
     bins = [part for part in np.array_split(np.argsort(speed), _BINS) if len(part)]
     variance = np.array([np.median(left2[part]) for part in bins]) / chi2.median(free)
     squares = np.array([np.mean(speed[part] ** 2) for part in bins])
-    return (*_line(squares, variance), float(np.mean(squares)))
+    return (*_fit_line(squares, variance), float(np.mean(squares)))
 
 
-def _left(times: Array, q: Array, points: int, order: int) -> tuple[Array, Array, Array]:
+def _local_residuals(times: Array, q: Array, points: int, order: int) -> tuple[Array, Array, Array]:
     """Of every so many neighbours: the sum of squares beyond a polynomial, their speed, and how far five of them move,
     by readings further apart; (n - points + 1,) each."""
     n = len(times) - points + 1
@@ -81,7 +81,7 @@ def _left(times: Array, q: Array, points: int, order: int) -> tuple[Array, Array
     )
 
 
-def _line(x: Array, y: Array) -> tuple[float, float]:
+def _fit_line(x: Array, y: Array) -> tuple[float, float]:
     """Intercept and slope, neither below 0, of y over x by relative least squares."""
     weight = 1 / np.maximum(y, 1e-3 * y.max() + 1e-300)
     A = np.stack([np.ones_like(x), x], 1) * weight[:, None]
@@ -94,7 +94,7 @@ def _line(x: Array, y: Array) -> tuple[float, float]:
     return float(np.mean(y)), 0.0
 
 
-def _quantum(q: Array) -> float:
+def _quantisation_step(q: Array) -> float:
     """Step between neighbouring values where readings are few distinct ones, else 0."""
     values = np.unique(np.round(q, 12))
     if len(values) > 0.5 * len(q) or len(values) < 2:

@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 
 from freeart21.camera_faults import CameraFaults
 from freeart21.se3 import Array
-from simgap.film.choose import Fitted, Frames, Kind
+from simgap.film.choose import Frames, Kind, SetFit
 from simgap.film.effects import parameters_of
 from simgap.film.samples import EDGE_SHARE, Rows
 
@@ -50,15 +50,15 @@ def noise_kind(rows: Rows, floor: float) -> Kind:
 
     `floor` is what the step of the measured depth and the asset's own roughness make of it, metres.
     """
-    kept = np.flatnonzero(np.isfinite(rows["pair"]))
-    e, z, cosine = rows["pair"][kept], rows["z"][kept], np.maximum(rows["cosine"][kept], 0.05)
-    frame, cell = rows.of("pair")[kept], _cells(rows["at"][kept])
+    usable = np.flatnonzero(np.isfinite(rows["pair"]))
+    e, z, cosine = rows["pair"][usable], rows["z"][usable], np.maximum(rows["cosine"][usable], 0.05)
+    frame, cell = rows.of("pair")[usable], _cells(rows["at"][usable])
     middle = float(np.median(z)) if len(z) else 1.0
     near = np.abs(rows["near"][np.isfinite(rows["near"])])
-    beside = float(np.sqrt(np.mean(np.minimum(near, np.quantile(near, 0.95)) ** 2))) if len(near) else 0.0
+    neighbour_rms = float(np.sqrt(np.mean(np.minimum(near, np.quantile(near, 0.95)) ** 2))) if len(near) else 0.0
     growths = {"noise_growth": np.log(np.maximum(z, 1e-6) / middle), "noise_grazing": -np.log(cosine)}
 
-    def fit(names: tuple[str, ...], frames: Frames, rival: str) -> Fitted | None:
+    def fit(names: tuple[str, ...], frames: Frames, rival: str) -> SetFit | None:
         on, values, matters = np.isin(frame, frames), dict[str, float](), True
         size = np.zeros(len(e))
         if rival:
@@ -73,12 +73,12 @@ def noise_kind(rows: Rows, floor: float) -> Kind:
             values = {"noise": float(np.exp(beta[0])), "noise_at": middle}
             values |= {name: float(np.clip(b, -4, 8)) for name, b in zip(names[1:], beta[1:], strict=True)}
             matters = (
-                max(LEAST_NOISE * floor, LEAST_DEPTH * middle) <= values["noise"] <= beside / SMOOTH
+                max(LEAST_NOISE * floor, LEAST_DEPTH * middle) <= values["noise"] <= neighbour_rms / SMOOTH
                 and abs(values.get("noise_growth", 1.0)) >= LEAST_EXPONENT
                 and values.get("noise_grazing", 1.0) >= LEAST_EXPONENT
             )
         logs = _log_noise(e, np.hypot(floor, size))
-        return Fitted(values, lambda some: _sums(logs, frame, some), matters)
+        return SetFit(values, lambda some: _sum_by_frame(logs, frame, some), matters)
 
     return Kind("noise", ("axial_noise", *growths), fit, (_PLACE,), 0.0, (NOISE,))
 
@@ -116,7 +116,7 @@ def count_holes(rows: Rows) -> tuple[Array, Array]:
 def hole_rate(camera: CameraFaults) -> Array:
     """(brightness, angle) share of the pixels that a camera loses."""
     light, slope = ((np.arange(n) + 0.5) / n for n in BINS)
-    return camera.lost(light[:, None], np.cos(slope * np.pi / 2)[None])
+    return camera.hole_probability(light[:, None], np.cos(slope * np.pi / 2)[None])
 
 
 def holes_kind(rows: Rows) -> Kind:
@@ -128,12 +128,12 @@ def holes_kind(rows: Rows) -> Kind:
     flat_end = float(np.arccos(np.clip(np.quantile(rows["cosine"], 0.95), 0, 1))) if len(lost) else 0.0
     ceiling = {"dark_level": 0.8, "grazing_angle": np.pi / 2}
 
-    def fit(names: tuple[str, ...], frames: Frames, rival: str) -> Fitted:
+    def fit(names: tuple[str, ...], frames: Frames, rival: str) -> SetFit:
         if rival:
             on, key = np.isin(frame, frames), cells[rival]
             share = (np.bincount(key[on], lost[on], 16) + 0.5) / (np.bincount(key[on], minlength=16) + 1 / FLOOR_RATE)
             logs = np.where(lost, np.log(share[key]), np.log1p(-np.minimum(share[key], 1 - 1e-3)))
-            return Fitted({}, lambda some: _sums(logs, frame, some))
+            return SetFit({}, lambda some: _sum_by_frame(logs, frame, some))
         fields = [field for name in names for field in parameters_of(name)]
         total, g = every[frames].sum(0), gone[frames].sum(0)
 
@@ -163,15 +163,15 @@ def holes_kind(rows: Rows) -> Kind:
         ]
         inside = values.get("dark_level", 0.0) < dark_end and values.get("grazing_angle", 2.0) > flat_end
         matters = inside and min(own, default=np.inf) >= LEAST_HOLES * total.sum()  # each takes some, leaves others
-        return Fitted(values, lambda some: logs_of(values, every[some], gone[some]).sum((1, 2)), matters)
+        return SetFit(values, lambda some: logs_of(values, every[some], gone[some]).sum((1, 2)), matters)
 
     return Kind("holes", ("holes", "dark_holes", "grazing_holes"), fit, tuple(cells), LEAST_MORE, (LOST,))
 
 
-def flies(rows: Rows, camera: CameraFaults) -> NDArray[np.bool_]:
+def find_flying(rows: Rows, camera: CameraFaults) -> NDArray[np.bool_]:
     """(b,) which pixels at edges have a depth that is of no surface, the camera's noise and bias considered."""
     z, d = rows["band_z"], rows["band_depth"]
-    noise = camera.spread(z, np.minimum(rows["band_cosine"], 1.0)) if camera.noise else np.zeros(len(z))
+    noise = camera.depth_noise(z, np.minimum(rows["band_cosine"], 1.0)) if camera.noise else np.zeros(len(z))
     near = z * (1 + camera.depth_scale) + camera.depth_offset + camera.depth_curve * z**2
     beyond = d - near > np.maximum(EDGE_SHARE * near, 5 * noise)
     return np.asarray((d > 0) & beyond & (rows["lonely"] >= np.maximum(0.01 * d, 3 * noise)))
@@ -179,13 +179,13 @@ def flies(rows: Rows, camera: CameraFaults) -> NDArray[np.bool_]:
 
 def flying_kind(rows: Rows, camera: CameraFaults) -> Kind:
     """Pixels at depth edges whose depth is that of no surface; `camera` is what is known of depth and its noise."""
-    frame, distance, flying = rows.of("band"), rows["band"], flies(rows, camera)
+    frame, distance, flying = rows.of("band"), rows["band"], find_flying(rows, camera)
 
     def logs_of(reach: float, share: float) -> Array:
         p = np.where(distance <= reach, np.clip(share, FLOOR_RATE, 0.999), FLOOR_RATE)
         return np.where(flying, np.log(p), np.log1p(-p))
 
-    def fit(names: tuple[str, ...], frames: Frames, rival: str) -> Fitted:
+    def fit(names: tuple[str, ...], frames: Frames, rival: str) -> SetFit:
         on, best = np.isin(frame, frames), (-np.inf, 0.0, 0.0)
         for reach in (1.0, 1.5, 2.0, 2.5, 3.0, 4.0) if names else ():
             near = on & (distance <= reach)
@@ -194,12 +194,12 @@ def flying_kind(rows: Rows, camera: CameraFaults) -> Kind:
         _, reach, share = best
         logs = logs_of(reach, share)
         values = {"flying_share": share, "flying_reach": reach} if names else {}
-        return Fitted(values, lambda some: _sums(logs, frame, some), not names or share >= LEAST_FLYING)
+        return SetFit(values, lambda some: _sum_by_frame(logs, frame, some), not names or share >= LEAST_FLYING)
 
     return Kind("flying pixels", ("flying_pixels",), fit, (), 0.0, (FLYING,))
 
 
-def _sums(logs: Array, frame: NDArray[np.int64], some: Frames) -> Array:
+def _sum_by_frame(logs: Array, frame: NDArray[np.int64], some: Frames) -> Array:
     """(some,) of the rows of each frame."""
     return np.asarray(np.bincount(frame, logs, int(max(some.max(initial=0), frame.max(initial=0))) + 1)[some])
 

@@ -9,14 +9,14 @@ import pytest
 from gap_case import asset_of, measured_of
 
 from freeart21.files.asset import read_asset
-from simgap.fit.fit import Fit, Theory, fitted, left_by, predicted
-from simgap.fit.guess import idle
-from simgap.fit.problem import problem_of
-from simgap.measure.data import FitRun, fit_runs
-from simgap.models.surrogate import plant_of
-from simgap.select.hypotheses import judged
-from simgap.select.nameless import Nameless, _told, beside
-from simgap.select.split import split_of
+from simgap.fit.fit import Fit, Model, fit_model, predict_readings, residuals_at
+from simgap.fit.guess import has_inactive_effect
+from simgap.fit.problem import make_problem
+from simgap.measure.data import FitRun, make_fit_runs
+from simgap.models.surrogate import make_plant
+from simgap.select.discrepancy import Discrepancy, _fit_ridge, find_discrepancies
+from simgap.select.hypotheses import evaluate_set
+from simgap.select.split import split_runs
 from simgap.settings import GapSettings
 
 
@@ -24,16 +24,16 @@ from simgap.settings import GapSettings
 def alone(tmp_path_factory: pytest.TempPathFactory) -> tuple[Fit, tuple[FitRun, ...]]:
     """The asset as it is, and runs that it explains, none of them marked."""
     measured = measured_of(5, marked=False, exact=True)
-    plant = plant_of(read_asset(asset_of(tmp_path_factory.mktemp("asset")), "j"), measured)
-    runs, floor = fit_runs(measured, plant)
-    return fitted(Theory(problem_of(plant, measured, runs, floor, GapSettings()), ()), runs), runs
+    plant = make_plant(read_asset(asset_of(tmp_path_factory.mktemp("asset")), "j"), measured)
+    runs, floor = make_fit_runs(measured, plant)
+    return fit_model(Model(make_problem(plant, measured, runs, floor, GapSettings()), ()), runs), runs
 
 
-def found(fit: Fit, runs: tuple[FitRun, ...]) -> dict[str, Nameless]:
-    folds = split_of(runs).folds
+def found(fit: Fit, runs: tuple[FitRun, ...]) -> dict[str, Discrepancy]:
+    folds = split_runs(runs).folds
     kept = tuple(run for fold in folds for run in fold.test)
-    hypothesis = judged(fitted(fit.theory, kept, fit.theta, fit.starts), folds)
-    return {rival.kind: rival for rival in beside(hypothesis, folds)}
+    hypothesis = evaluate_set(fit_model(fit.model, kept, fit.theta, fit.starts), folds)
+    return {rival.kind: rival for rival in find_discrepancies(hypothesis, folds)}
 
 
 def read(run: FitRun, q: np.ndarray, seed: int) -> FitRun:
@@ -46,28 +46,28 @@ def test_a_force_of_the_time_since_a_run_began(alone: tuple[Fit, tuple[FitRun, .
     for i, run in enumerate(runs):
         t = run.times_s - run.times_s[0]
         pushed = replace(run, inputs=run.inputs.with_rows(run.times_s).pushed(run.times_s, 0.02 * t / t[-1]))
-        made.append(read(run, predicted(fit, pushed), i))
+        made.append(read(run, predict_readings(fit, pushed), i))
     rivals = found(fit, tuple(made))
-    assert rivals["time"].ahead > rivals["time"].error and rivals["time"].floors < 1.1 < rivals["time"].without
-    assert all(rivals["time"].ahead > rival.ahead for kind, rival in rivals.items() if kind != "time")
+    assert rivals["time"].gain > rivals["time"].error and rivals["time"].rms < 1.1 < rivals["time"].rms_alone
+    assert all(rivals["time"].gain > rival.gain for kind, rival in rivals.items() if kind != "time")
 
 
 def test_parts_that_flex_between_sensor_and_load(alone: tuple[Fit, tuple[FitRun, ...]]):
     fit, runs = alone
     made = []
     for i, run in enumerate(runs):
-        q = predicted(fit, run)
+        q = predict_readings(fit, run)
         bent = np.gradient(np.gradient(q, run.times_s), run.times_s)
         made.append(read(run, q + 20 * run.sigma.mean() * bent / np.abs(bent).max(), i))
     rivals = found(fit, tuple(made))
-    assert rivals["flexing"].ahead > rivals["flexing"].error
-    assert all(rivals["flexing"].ahead >= rival.ahead for rival in rivals.values())
+    assert rivals["flexing"].gain > rivals["flexing"].error
+    assert all(rivals["flexing"].gain >= rival.gain for rival in rivals.values())
 
 
 def test_noise_alone_needs_none(alone: tuple[Fit, tuple[FitRun, ...]]):
     fit, runs = alone
-    made = tuple(read(run, predicted(fit, run), i) for i, run in enumerate(runs))
-    assert all(rival.ahead < rival.error for rival in found(fit, made).values())
+    made = tuple(read(run, predict_readings(fit, run), i) for i, run in enumerate(runs))
+    assert all(rival.gain < rival.error for rival in found(fit, made).values())
 
 
 def test_columns_that_one_run_alone_reads_and_columns_alike_are_told():
@@ -76,7 +76,7 @@ def test_columns_that_one_run_alone_reads_and_columns_alike_are_told():
     one, both = np.zeros(60), rng.normal(size=60)
     one[30:] = rng.normal(size=30)
     columns, left = np.stack([one, both, both]), 1e9 * (2 * one + 3 * both) + rng.normal(size=60)
-    sizes = _told(columns, left, [0, 30, 60], np.zeros(3))
+    sizes = _fit_ridge(columns, left, [0, 30, 60], np.zeros(3))
     assert np.isfinite(sizes).all()
     assert np.allclose(sizes @ columns, 1e9 * (2 * one + 3 * both), rtol=1e-3, atol=1e6)
 
@@ -84,10 +84,12 @@ def test_columns_that_one_run_alone_reads_and_columns_alike_are_told():
 def test_an_effect_does_nothing_by_what_it_does_to_readings_not_by_its_size(alone: tuple[Fit, tuple[FitRun, ...]]):
     """A damping of a ten thousandth of the usual size stops what is light, and may be all that it lacks."""
     fit, runs = alone
-    there = fitted(Theory(fit.theory.problem, ("viscous_damping",)), runs, iterations=0)
-    at = [r.owner for r in there.theory.ranges()].index("viscous_damping")
+    there = fit_model(Model(fit.model.problem, ("viscous_damping",)), runs, iterations=0)
+    at = [r.owner for r in there.model.ranges()].index("viscous_damping")
     told = replace(there, theta=np.where(np.arange(len(there.theta)) == at, 1e-5, there.theta))
-    shows = float(np.sqrt(np.mean(left_by(told.theory, runs, told.theta, told.starts) ** 2)))
-    assert not idle(told, runs, gap=shows)
-    assert idle(told, runs, gap=1e6 * shows)
-    assert idle(replace(told, theta=np.where(np.arange(len(there.theta)) == at, 0.0, told.theta)), runs, gap=shows)
+    shows = float(np.sqrt(np.mean(residuals_at(told.model, runs, told.theta, told.starts) ** 2)))
+    assert not has_inactive_effect(told, runs, gap=shows)
+    assert has_inactive_effect(told, runs, gap=1e6 * shows)
+    assert has_inactive_effect(
+        replace(told, theta=np.where(np.arange(len(there.theta)) == at, 0.0, told.theta)), runs, gap=shows
+    )

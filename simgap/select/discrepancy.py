@@ -17,12 +17,12 @@ import numpy as np
 
 from freeart21.effects import EFFECTS
 from freeart21.se3 import Array
-from simgap.fit.fit import Fit, tempered, unit_of
-from simgap.fit.guess import Linear, linear
-from simgap.fit.theory import Range
+from simgap.fit.fit import Fit, residual_dispersion, robust_residuals
+from simgap.fit.guess import Linearisation, linearise
+from simgap.fit.model import ParameterRange
 from simgap.measure.data import FitRun
-from simgap.select.hypotheses import Hypothesis, rms, score_parts
-from simgap.select.predictive import Score, lead
+from simgap.select.hypotheses import Hypothesis, pooled_rms, score_parts
+from simgap.select.predictive import Score, score_difference
 from simgap.select.split import Fold
 
 KINDS = ("position", "velocity", "direction", "time", "flexing", "session")
@@ -35,18 +35,18 @@ _SESSION = 6
 
 
 @dataclass(frozen=True)
-class Nameless:
+class Discrepancy:
     """A force without a name beside a set."""
 
     kind: str
     """One of KINDS."""
-    ahead: float
+    gain: float
     """By how much it makes the choosing runs more probable than the set alone does, to the same order."""
     error: float
     """Standard error of that."""
-    floors: float
+    rms: float
     """That are left of choosing runs with it,"""
-    without: float
+    rms_alone: float
     """... and by the set alone."""
     changes: dict[str, float]
     """Of kind "session": effect to the part of itself that its size changes by over the session."""
@@ -56,78 +56,84 @@ class Nameless:
     """(k,) by how much it makes every stretch more probable."""
 
     @property
-    def taken(self) -> float:
+    def rms_removed(self) -> float:
         """Floors that it takes."""
-        return float(np.sqrt(max(self.without**2 - self.floors**2, 0.0)))
+        return float(np.sqrt(max(self.rms_alone**2 - self.rms**2, 0.0)))
 
 
-def beside(hypothesis: Hypothesis, folds: tuple[Fold, ...], most: int | None = None) -> tuple[Nameless, ...]:
+def find_discrepancies(
+    hypothesis: Hypothesis, folds: tuple[Fold, ...], most: int | None = None
+) -> tuple[Discrepancy, ...]:
     """All forces without a name, or those of at most so many numbers, beside a set of effects, or beside none."""
-    seen = [
-        _Seen(trained, there, fold)
-        for trained, there, fold in zip(hypothesis.trained, hypothesis.foretold, folds, strict=True)
+    linear_folds = [
+        _LinearFold(trained, there, fold)
+        for trained, there, fold in zip(hypothesis.trained, hypothesis.predicted, folds, strict=True)
     ]
-    alone, left = _scored([(one.fit.freed, one.new.freed) for one in seen], folds)
+    alone, left = _score_folds([(one.fit.free_residual, one.new.free_residual) for one in linear_folds], folds)
     found = []
     for kind in KINDS:
-        if most is not None and seen[0].numbers(kind) > most:
+        if most is not None and linear_folds[0].numbers(kind) > most:
             continue
-        told = [one.with_(kind) for one in seen]
-        if any(each is None for each in told):
+        fits = [one.fit_kind(kind) for one in linear_folds]
+        if any(each is None for each in fits):
             continue
-        rows = [each for each in told if each is not None]
-        score, floors = _scored([(first, second) for first, second, _ in rows], folds)
-        ahead, error = lead(score, alone)
+        rows = [each for each in fits if each is not None]
+        score, floors = _score_folds([(first, second) for first, second, _ in rows], folds)
+        ahead, error = score_difference(score, alone)
         sizes, more = rows[0][2], score.parts - alone.parts
-        changes = _changes(hypothesis.fit, sizes, kind)
-        found.append(Nameless(kind, ahead, error, floors, left, changes, len(sizes), more))
+        changes = _session_changes(hypothesis.fit, sizes, kind)
+        found.append(Discrepancy(kind, ahead, error, floors, left, changes, len(sizes), more))
     return tuple(found)
 
 
-class _Seen:
+class _LinearFold:
     """One fold about a fit: what is left, to first order, of runs that were fitted and of others."""
 
     def __init__(self, trained: Fit, there: Fit, fold: Fold):
         self.fold, self.trained = fold, trained
-        self.fit, self.new = linear(trained, fold.train), linear(there, fold.test)
+        self.fit, self.new = linearise(trained, fold.train), linearise(there, fold.test)
 
-    def with_(self, kind: str) -> tuple[Array, Array, Array] | None:
+    def fit_kind(self, kind: str) -> tuple[Array, Array, Array] | None:
         """What is left of both with the force beside, and its coefficients; None where it cannot be told."""
-        if kind == "session" and len({run.turn for run in self.fold.train}) < _SESSION:
+        if kind == "session" and len({run.order for run in self.fold.train}) < _SESSION:
             return None
         first, second = (self._columns(at, runs, kind) for at, runs in self._both())
         if not len(first):
             return None
         own = len(self.fit.parameters)
         columns = np.concatenate([self.fit.parameters, first]), np.concatenate([self.new.parameters, second])
-        known = np.array([1 / r.prior**2 for r in self.trained.theory.ranges()])
-        known = np.append(unit_of(tempered(self.trained.residuals)) * known, np.zeros(len(first)))
-        sizes = _told(columns[0], self.fit.freed, _bounds(self.fold.train), known)
-        return self.fit.freed - sizes @ columns[0], self.new.freed - sizes @ columns[1], sizes[own:]
+        known = np.array([1 / r.prior**2 for r in self.trained.model.ranges()])
+        known = np.append(residual_dispersion(robust_residuals(self.trained.residuals)) * known, np.zeros(len(first)))
+        sizes = _fit_ridge(columns[0], self.fit.free_residual, _run_bounds(self.fold.train), known)
+        return self.fit.free_residual - sizes @ columns[0], self.new.free_residual - sizes @ columns[1], sizes[own:]
 
-    def _both(self) -> tuple[tuple[Linear, tuple[FitRun, ...]], ...]:
+    def _both(self) -> tuple[tuple[Linearisation, tuple[FitRun, ...]], ...]:
         return (self.fit, self.fold.train), (self.new, self.fold.test)
 
-    def _columns(self, at: Linear, runs: tuple[FitRun, ...], kind: str) -> Array:
+    def _columns(self, at: Linearisation, runs: tuple[FitRun, ...], kind: str) -> Array:
         """(m, N) what a unit of each of its numbers does to all readings."""
-        if kind == "flexing" and at.problem.force_read:
+        if kind == "flexing" and at.problem.inverse_dynamics:
             return np.zeros((0, 0))
         if kind == "flexing":  # a shaft bends by what it carries
-            return at.read(np.concatenate([_bends(now, run.times_s) for now, run in zip(at.now, runs, strict=True)], 1))
+            return at.reading_response(
+                np.concatenate(
+                    [_flex_columns(now, run.times_s) for now, run in zip(at.predicted, runs, strict=True)], 1
+                )
+            )
         if kind == "time":
-            return at.pushed(np.concatenate([self._hats(run) for run in runs], 1))
+            return at.force_response(np.concatenate([self._hat_functions(run) for run in runs], 1))
         if kind == "session":
-            turns = np.concatenate([np.full(len(run.q), float(run.turn)) for run in runs])
+            turns = np.concatenate([np.full(len(run.q), float(run.order)) for run in runs])
             return at.parameters[self._sizes()] * ((turns - self._begin()) / self._span() - 0.5)
         names = self._names(kind)
         if kind == "direction":  # a push one way, which with friction is friction of two levels
-            pairs = [at.columns(name) for name in names]
+            pairs = [at.unit_responses(name) for name in names]
             return np.concatenate([rows[-1:] - rows[:1] for rows in pairs]) if pairs else np.zeros((0, 0))
-        return np.concatenate([at.columns(name) for name in names]) if names else np.zeros((0, 0))
+        return np.concatenate([at.unit_responses(name) for name in names]) if names else np.zeros((0, 0))
 
     def _names(self, kind: str) -> list[str]:
         """Effects that the force is made of."""
-        names = [name for name, cls in EFFECTS.items() if kind in cls.spans and name not in self.trained.theory.names]
+        names = [name for name, cls in EFFECTS.items() if kind in cls.basis_of and name not in self.trained.model.names]
         return [name for name in names if self.fit.problem.plant.joint_type in EFFECTS[name].joint_types]
 
     def numbers(self, kind: str) -> int:
@@ -135,51 +141,51 @@ class _Seen:
         if kind in ("time", "flexing", "session"):
             return {"time": _MOMENTS, "flexing": 2, "session": len(self._sizes())}[kind]
         names = self._names(kind)
-        return len(names) if kind == "direction" else sum(self.fit.count(name) for name in names)
+        return len(names) if kind == "direction" else sum(self.fit.count_responses(name) for name in names)
 
-    def _hats(self, run: FitRun) -> Array:
+    def _hat_functions(self, run: FitRun) -> Array:
         """(m, n) straight pieces of the time since a run began."""
         last = max(float(one.times_s[-1] - one.times_s[0]) for one in (*self.fold.train, *self.fold.test))
         parts = (run.times_s - run.times_s[0]) / last
         return np.maximum(1 - np.abs(parts * (_MOMENTS - 1) - np.arange(_MOMENTS)[:, None]), 0.0)
 
     def _begin(self) -> int:
-        return min(run.turn for run in (*self.fold.train, *self.fold.test))
+        return min(run.order for run in (*self.fold.train, *self.fold.test))
 
     def _span(self) -> int:
-        return max(run.turn for run in (*self.fold.train, *self.fold.test)) - self._begin()
+        return max(run.order for run in (*self.fold.train, *self.fold.test)) - self._begin()
 
     def _sizes(self) -> list[int]:
         """Where the first number of every effect stands among the parameters."""
-        ranges = self.trained.theory.ranges()
-        return [next(i for i, r in enumerate(ranges) if r.owner == name) for name in self.trained.theory.names]
+        ranges = self.trained.model.ranges()
+        return [next(i for i, r in enumerate(ranges) if r.owner == name) for name in self.trained.model.names]
 
 
-def _bends(q: Array, times_s: Array) -> Array:
+def _flex_columns(q: Array, times_s: Array) -> Array:
     """(2, n) acceleration of a motion, and how fast that changes."""
     qdd = np.gradient(np.gradient(q, times_s), times_s)
     return np.stack([qdd, np.gradient(qdd, times_s)])
 
 
-def _scored(rows: list[tuple[Array, Array]], folds: tuple[Fold, ...]) -> tuple[Score, float]:
+def _score_folds(rows: list[tuple[Array, Array]], folds: tuple[Fold, ...]) -> tuple[Score, float]:
     """Score of what is left (fitted, choosing) in every fold, and its floors on choosing runs."""
     parts = []
     for (first, second), fold in zip(rows, folds, strict=True):
-        own, seen = _by_run(first, fold.train), _by_run(second, fold.test)
-        parts.append(score_parts(own, seen, fold, len(folds)))
-    return Score((), np.concatenate(parts)), rms([second for _, second in rows])
+        own, predicted = _split_by_run(first, fold.train), _split_by_run(second, fold.test)
+        parts.append(score_parts(own, predicted, fold, len(folds)))
+    return Score((), np.concatenate(parts)), pooled_rms([second for _, second in rows])
 
 
-def _by_run(rows: Array, runs: tuple[FitRun, ...]) -> dict[str, Array]:
-    bounds = _bounds(runs)
+def _split_by_run(rows: Array, runs: tuple[FitRun, ...]) -> dict[str, Array]:
+    bounds = _run_bounds(runs)
     return {run.name: rows[a:b] for run, (a, b) in zip(runs, pairwise(bounds), strict=True)}
 
 
-def _bounds(runs: tuple[FitRun, ...]) -> list[int]:
+def _run_bounds(runs: tuple[FitRun, ...]) -> list[int]:
     return [0, *np.cumsum([len(run.q) for run in runs]).tolist()]
 
 
-def _told(columns: Array, left: Array, bounds: list[int], known: Array) -> Array:
+def _fit_ridge(columns: Array, left: Array, bounds: list[int], known: Array) -> Array:
     """(m,) sizes of columns (m, N) in what is left (N,): ridge regression, its ridge the one by which runs left out in
     turn, between `bounds`, are told best, beside what is `known` of them (m,), in inverse squares."""
     size = np.maximum(np.linalg.norm(columns, axis=1), 1e-9)
@@ -189,40 +195,40 @@ def _told(columns: Array, left: Array, bounds: list[int], known: Array) -> Array
     sides = [scaled[:, a:b] @ left[a:b] for a, b in cuts]
     whole, side = sum(normals) + np.diag(known / size**2), sum(sides)
     unit = len(columns) / max(float(left @ left), 1e-12)
-    kept = [(_axes(whole - normal), normal, own) for normal, own in zip(normals, sides, strict=True)]
+    folds_left_out = [(_eigen(whole - normal), normal, own) for normal, own in zip(normals, sides, strict=True)]
 
     def missed(ridge: float) -> float:
         total = 0.0
-        for axes, normal, own in kept:
-            x = _solved(axes, side - own, ridge)
+        for axes, normal, own in folds_left_out:
+            x = _solve_ridge(axes, side - own, ridge)
             total += float(x @ normal @ x - 2 * x @ own)
         return total
 
     ridge = min((unit * float(tight) for tight in _TIGHT), key=missed)
-    return _solved(_axes(whole), side, ridge) / size
+    return _solve_ridge(_eigen(whole), side, ridge) / size
 
 
-def _axes(normal: Array) -> tuple[Array, Array]:
+def _eigen(normal: Array) -> tuple[Array, Array]:
     """Eigenvalues (m,) and vectors (m, m) of a normal matrix. What lies below the lost digits, or below zero by them,
     stands at them: columns of one run are left without any reading when that run is left out."""
     values, vectors = np.linalg.eigh(normal)
     return np.maximum(values, len(values) * np.finfo(float).eps * values[-1]), vectors
 
 
-def _solved(axes: tuple[Array, Array], side: Array, ridge: float) -> Array:
+def _solve_ridge(axes: tuple[Array, Array], side: Array, ridge: float) -> Array:
     """(m,) the solution of (normal + ridge) x = side."""
     values, vectors = axes
     return np.asarray(vectors @ ((vectors.T @ side) / (values + ridge)))
 
 
-def _changes(fit: Fit, sizes: Array, kind: str) -> dict[str, float]:
+def _session_changes(fit: Fit, sizes: Array, kind: str) -> dict[str, float]:
     """Effect to the part of itself that its size changes by; of one that is next to nothing, of a usual size."""
     if kind != "session":
         return {}
     first = {r.owner: max(abs(float(x)), 0.1 * r.size) for r, x in _backwards(fit)}
-    return {name: float(s) / first[name] for name, s in zip(fit.theory.names, sizes, strict=True)}
+    return {name: float(s) / first[name] for name, s in zip(fit.model.names, sizes, strict=True)}
 
 
-def _backwards(fit: Fit) -> list[tuple[Range, float]]:
+def _backwards(fit: Fit) -> list[tuple[ParameterRange, float]]:
     """The numbers of a fit, the first ones last."""
-    return list(zip(fit.theory.ranges(), fit.theta, strict=True))[::-1]
+    return list(zip(fit.model.ranges(), fit.theta, strict=True))[::-1]

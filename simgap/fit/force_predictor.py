@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from freeart21.effects import Effect
 from freeart21.se3 import Array
-from simgap.fit.theory import Reader, Theory
+from simgap.fit.model import Model, ParameterMap
 from simgap.measure.data import FitRun
 from simgap.measure.prescribed import ForceRun
 from simgap.models import kernel, laws
-from simgap.models.surrogate import terms_of
+from simgap.models.surrogate import effect_terms
 
 _PROBE = 1e-4
 """Part of a parameter's size by which it is changed to see what it does."""
@@ -23,45 +23,45 @@ _LEAST_GAIN = 1e-3
 """Of a drive, below which no told force says what it gave."""
 
 
-class ForceModel:
+class ForcePredictor:
     """As the solver asks of it; runs have no start states that matter."""
 
-    def __init__(self, theory: Theory, runs: Sequence[FitRun]):
-        self.reader = Reader(theory)
-        self.runs = force_of(runs)
-        self.all = one_of(self.runs)
+    def __init__(self, model: Model, runs: Sequence[FitRun]):
+        self.mapping = ParameterMap(model)
+        self.runs = require_force_runs(runs)
+        self.all = concatenate_runs(self.runs)
         self.ends = np.cumsum([len(run.q) for run in self.runs])[:-1]
 
-    def look(self, which: NDArray[np.int64], starts: Array, theta: Array) -> list[Array]:
+    def evaluate(self, which: NDArray[np.int64], starts: Array, theta: Array) -> list[Array]:
         """Residuals of the runs `which` (m,), in floors; `starts` do nothing."""
-        numbers, effects = self.reader.numbers(theta)
+        numbers, effects = self.mapping.vector(theta)
         if len(which) < len(self.runs):
-            return [left_of(self.runs[i], numbers, effects) for i in which]
-        return np.split(left_of(self.all, numbers, effects), self.ends)
+            return [force_residuals(self.runs[i], numbers, effects) for i in which]
+        return np.split(force_residuals(self.all, numbers, effects), self.ends)
 
-    def slopes(self, starts: Array, theta: Array, parts: list[Array], free: bool) -> list[Array]:
+    def differentiate(self, starts: Array, theta: Array, parts: list[Array], free: bool) -> list[Array]:
         """Of every run (2 + p, n): what a unit of its start, nothing, and of every parameter does, in floors."""
-        every, ranges = np.arange(len(self.runs)), self.reader.ranges[: len(theta) if free else 0]
+        every, ranges = np.arange(len(self.runs)), self.mapping.ranges[: len(theta) if free else 0]
         found = [[np.zeros(len(part))] * 2 for part in parts]
         for j, (x, r) in enumerate(zip(theta, ranges, strict=False)):
             delta = _PROBE * max(0.1 * abs(x), r.size)
             moved = theta.copy()
             moved[j] += -delta if x + delta > r.upper else delta
-            there = self.look(every, starts, moved)
+            there = self.evaluate(every, starts, moved)
             for rows, part, new in zip(found, parts, there, strict=True):
                 rows.append((part - new) / (moved[j] - x))
         return [np.stack(rows) for rows in found]
 
 
-def force_of(runs: Sequence[FitRun]) -> tuple[ForceRun, ...]:
+def require_force_runs(runs: Sequence[FitRun]) -> tuple[ForceRun, ...]:
     """These runs, all of which tell their force."""
-    told = tuple(run for run in runs if isinstance(run, ForceRun))
-    if len(told) != len(runs):
+    force_runs = tuple(run for run in runs if isinstance(run, ForceRun))
+    if len(force_runs) != len(runs):
         raise TypeError("runs of position among runs of force")
-    return told
+    return force_runs
 
 
-def one_of(runs: Sequence[ForceRun]) -> ForceRun:
+def concatenate_runs(runs: Sequence[ForceRun]) -> ForceRun:
     """All readings of runs in a row."""
     joined: dict[str, Any] = {
         f.name: np.concatenate([getattr(run, f.name) for run in runs], -1)
@@ -71,21 +71,21 @@ def one_of(runs: Sequence[ForceRun]) -> ForceRun:
     return replace(runs[0], **joined)
 
 
-def left_of(run: ForceRun, numbers: Array, effects: tuple[Effect, ...]) -> Array:
+def force_residuals(run: ForceRun, numbers: Array, effects: tuple[Effect, ...]) -> Array:
     """(n,) told force less what the motion needs, in floors: of a drive that gives a part of what it is told, over that
     part, as it is told."""
     q, v = run.position, run.speed
     cosine, sine, constant = numbers[kernel.GRAVITY_COS : kernel.GRAVITY_CONST + 1]
-    taken = numbers[kernel.INERTIA] * run.acceleration - cosine * run.turned[0] - sine * run.turned[1] - constant
-    places = {laws.NAMES[which]: at for which, _, at, *_ in terms_of(effects)}
+    taken = numbers[kernel.INERTIA] * run.acceleration - cosine * run.cos_sin[0] - sine * run.cos_sin[1] - constant
+    places = {laws.NAMES[which]: at for which, _, at, *_ in effect_terms(effects)}
     for effect in effects:
         if effect.acts == "force":
-            taken = taken - kernel.departures(numbers, places[effect.name], q, v) * effect.force(q, v)
-    carried = np.abs(run.asked * run.on - (numbers[kernel.INERTIA] * run.acceleration - taken))
+            taken = taken - kernel.error_factors(numbers, places[effect.name], q, v) * effect.force(q, v)
+    carried = np.abs(run.commanded * run.on - (numbers[kernel.INERTIA] * run.acceleration - taken))
     for effect in effects:
         if effect.acts == "drive":
             level = effect.drive_limit(q, v, carried if effect.geared else run.load)
-            taken = taken + np.sign(v) * kernel.departures(numbers, places[effect.name], q, v) * level
+            taken = taken + np.sign(v) * kernel.error_factors(numbers, places[effect.name], q, v) * level
     gain = np.where(run.on > 0, max(float(numbers[kernel.GAIN]), _LEAST_GAIN), 1.0)
-    beside = run.q - run.asked
-    return np.asarray((run.asked + (numbers[kernel.OFFSET] * run.on + beside - taken) / gain) / run.sigma)
+    external = run.q - run.commanded
+    return np.asarray((run.commanded + (numbers[kernel.OFFSET] * run.on + external - taken) / gain) / run.sigma)

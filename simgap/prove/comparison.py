@@ -49,7 +49,7 @@ def compare_curves(
 
 
 @dataclass(frozen=True)
-class Shown:
+class ReplayComparison:
     """The gap of all replayed runs."""
 
     runs: tuple[ReplayGap, ...]
@@ -61,7 +61,7 @@ class Shown:
     """How far the part is off the assets' joints in each run of poses, m: root mean square displacement."""
     given_up: tuple[str, ...] = ()
     """Runs that were not replayed in time."""
-    unsure: tuple[ReplayGap, ...] = ()
+    inconclusive: tuple[ReplayGap, ...] = ()
     """Runs whose replays hang on a hair: time steps however fine change them, so they tell nothing."""
     changed: bool = True
     """Whether there are two assets, or one replay stands for both."""
@@ -81,18 +81,18 @@ def closed_part(runs: Sequence[RunGap]) -> float | None:
     return (before - after) / (before - floor) if before > floor else None
 
 
-def use_of(track: TrackGeometry) -> Use:
+def track_use(track: TrackGeometry) -> Use:
     """What a run of poses was used for."""
     return "choosing" if track.held_out else "fitted"
 
 
-def show(
+def compare_replays(
     before: Replay,
     after: Replay,
     floor: float,
     judged: Iterable[RunGap],
     poses: Sequence[TrackGeometry] = (),
-) -> Shown:
+) -> ReplayComparison:
     """Two replays of the same runs, by the asset as it was and by the repaired one.
 
     A run that hangs on a hair counts only where all do. `floor` is the noise of the readings, rad or m; `judged` says
@@ -103,24 +103,24 @@ def show(
     for was, is_now in zip(before.runs, after.runs, strict=True):
         curves, about = (was.simulated, is_now.simulated), of[was.run]
         gaps.append(compare_curves(was.run, was.times_s, was.measured, curves, floor, about.regime, about.use))
-        sure.append(was.sure and is_now.sure)
-    tells = sure if any(sure) else [True] * len(sure)
-    told = [run for asset in (before, after) for run, counts in zip(asset.runs, tells, strict=True) if counts]
-    return Shown(
-        tuple(gap for gap, counts in zip(gaps, tells, strict=True) if counts),
-        max((run.change for run in told), default=np.nan if before.given_up else 0.0),
-        min((run.timestep_s for run in told), default=np.nan),
+        sure.append(was.is_converged and is_now.is_converged)
+    counts_too = sure if any(sure) else [True] * len(sure)
+    counted = [run for asset in (before, after) for run, counts in zip(asset.runs, counts_too, strict=True) if counts]
+    return ReplayComparison(
+        tuple(gap for gap, counts in zip(gaps, counts_too, strict=True) if counts),
+        max((run.change for run in counted), default=np.nan if before.given_up else 0.0),
+        min((run.timestep_s for run in counted), default=np.nan),
         tuple(
-            RunGap(track.name, was, is_now, track.floor, track.held_out, GEOMETRY, use_of(track))
+            RunGap(track.name, was, is_now, track.floor, track.held_out, GEOMETRY, track_use(track))
             for track, was, is_now in zip(poses, before.poses, after.poses, strict=False)
         ),
         before.given_up,
-        tuple(gap for gap, counts in zip(gaps, tells, strict=True) if not counts),
+        tuple(gap for gap, counts in zip(gaps, counts_too, strict=True) if not counts),
         before is not after,
     )
 
 
-def helps(gaps: Sequence[RunGap]) -> bool:
+def is_improved(gaps: Sequence[RunGap]) -> bool:
     """Whether the gap, in floors, is smaller in all, in no regime wider by a quarter floor, and in no run by half a
     floor: runs of one regime may be of different kinds all the same."""
     groups: dict[str, list[tuple[float, float]]] = {}
