@@ -5,4 +5,4 @@ The rooms `generator`, `reconstruct`, `export`, `leaderboard` and `simgap` stand
 other way round.
 """
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
