@@ -360,7 +360,7 @@ FAULTS = (
     Fault(
         "missing-number-unpriced",
         "leaderboard/sequence_score.py",
-        "found.values.get(id, price)",
+        "found.values.get(id, penalty)",
         "found.values.get(id)",
         "a failure that is not priced: what an answer lacks is left out of the mean",
         "score strict1 submission",

@@ -314,30 +314,33 @@ def test_articulate_anything_in_the_label_frame_scores_badly(data, tmp_path, src
 # ScrewSplat
 
 
-def screwsplat(folder, name="a", *, order="wv", shown=2):
-    """Arrays by the conventions of ScrewSplat in the camera's frame of the anchor; its second screw is the joint."""
+def screwsplat(folder, name="a", *, order="wv", shown=2, unit=1.0):
+    """Arrays by the conventions of ScrewSplat in the camera's frame of the anchor, lengths in `unit`s, metres.
+
+    The second screw is the joint."""
     truth = truth_of(name)
     joint, first, world = truth.articulation.joint, truth.states[ANCHOR], truth.Ts_camera_reference[ANCHOR]
     axis, pivot = world[:3, :3] @ joint.axis, apply(world, joint.pivot)
     turns = joint.type == "revolute"
-    w, v = (axis, -np.cross(axis, pivot)) if turns else (np.zeros(3), axis)
+    w, v = (axis, -np.cross(axis, pivot) / unit) if turns else (np.zeros(3), axis)
     folder.mkdir(parents=True)
     np.save(folder / "screws.npy", np.array([[0, 0, 1, 0, 0, 0], [*w, *v] if order == "wv" else [*v, *w]]))
     np.save(folder / "screw_confs.npy", np.array([0.05, 0.97]))
     thetas = truth.states - first if shown is None else np.linspace(0, 0.5, shown)
+    thetas = thetas / (1.0 if turns else unit)
     np.save(folder / "theta.npy", np.stack([np.zeros(len(thetas)), thetas], 1))
     for label, mesh, T in (
         ("static", truth.articulation.reference, world),
         ("movable_2", truth.articulation.moving, world @ moved(joint, first)),
     ):
-        np.save(folder / f"point_cloud_{label}.npy", apply(T, surface_points(mesh, 3000)))
+        np.save(folder / f"point_cloud_{label}.npy", apply(T, surface_points(mesh, 3000)) / unit)
     return folder
 
 
 @pytest.mark.parametrize("name", ["a", "b"])
 def test_screwsplat(data, tmp_path, src, name):
-    screwsplat(src / name, name)
-    row = imported(data, src, tmp_path / "r", "screwsplat", name=name, anchor=ANCHOR)
+    screwsplat(src / name, name, unit=0.4)
+    row = imported(data, src, tmp_path / "r", "screwsplat", name=name, anchor=ANCHOR, scale=0.4)
     assert_states(row, name, chamfer=1.0)
     assert lacks(tmp_path / "r") == LACKS
 

@@ -168,8 +168,10 @@ def test_tof_noise_on_a_white_wall_is_as_published(distance: float, published_mm
 def test_tof_error_is_within_the_data_sheet_for_every_specimen() -> None:
     z = np.linspace(0.2, 4, 500)
     for seed in range(20):
-        error = TimeOfFlight(NARROW, seed).systematic(z)
+        error = TimeOfFlight(NARROW, seed).systematic_error(z)
         assert (np.abs(error) < 0.011 + 0.001 * z).all() and np.abs(error).max() > 1e-3
+    one, other = (TimeOfFlight(NARROW, seed).systematic_error(z) for seed in (1, 2))
+    assert np.abs(one - other).max() > 1e-3, "each specimen has an error of its own"
     assert tof.noise_m(np.array([0.15 / 0.8 / 3.86**2])) < 0.017  # 15 % at the end of the range
 
 

@@ -116,8 +116,8 @@ def test_states_far_away_do_not_matter_to_a_joint_that_moves_slowly():
     assert not reasons(rival_distance=far), "the state moves by 3 degrees a frame at most"
 
 
-def with_states(states):
-    result = long_result(N)
+def with_states(states, kind="revolute"):
+    result = long_result(N, joint_type=kind)
     moving = result.Ts_camera_reference @ result.articulation.joint.transform(states)
     return replace(result, states=states, Ts_camera_moving=moving)
 
@@ -128,6 +128,14 @@ def test_a_jump_of_the_state(degrees, doubted):
     states[40:] += np.radians(degrees)
     found = reasons(with_states(states))
     assert bool(found) == doubted and all("jumps by up to" in text and "(40)" in text for text in found)
+
+
+@pytest.mark.parametrize("share, doubted", [(0.2, True), (0.05, False)])
+def test_a_jump_of_a_slider_is_measured_by_the_size_of_the_object(share, doubted):
+    states = np.linspace(0, 0.01, N)
+    states[40:] += share * size_of(with_states(states, "prismatic"))
+    found = [text for text in reasons(with_states(states, "prismatic")) if "jumps by up to" in text]
+    assert bool(found) == doubted and all("(40)" in text for text in found)
 
 
 def test_what_moves_while_hidden_has_not_jumped():
