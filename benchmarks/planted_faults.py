@@ -472,7 +472,7 @@ FAULTS = (
     ),
     Fault(
         "floor-quantum",
-        "simgap/measure/floor.py",
+        "simgap/measure/noise.py",
         "step**2 / 12",
         "step**2 / 1200",
         "factor: the noise of a coarse encoder is taken for a tenth of what it is",
