@@ -172,7 +172,7 @@ def test_ctrl_c_says_in_one_line_how_to_go_on(tmp_path: Path) -> None:
     assert running.returncode == 130, errors
     assert len(errors.strip().splitlines()) == 1 and "the same command goes on" in errors
     assert (data / ".recording" / "job.json").is_file()
-    with dataset._only_writer(data):  # no worker of it is left
+    with dataset._writer_lock(data):  # no worker of it is left
         pass
 
 
@@ -203,12 +203,12 @@ def test_a_fault_in_a_worker_is_one_line(tmp_path: Path) -> None:
 def test_two_writers_on_one_folder_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dataset, "_PATIENCE_S", 0.2)
     data = tmp_path / "data"
-    with dataset._only_writer(data):
+    with dataset._writer_lock(data):
         with pytest.raises(FreeArtError, match="another process is recording into .*data; wait for it"):
             record_jobs(data, plan_jobs(["stapler"], SETTINGS))
         other = (
             "import sys; from pathlib import Path; from generator import dataset; dataset._PATIENCE_S = 0.2\n"
-            "with dataset._only_writer(Path(sys.argv[1])): pass"
+            "with dataset._writer_lock(Path(sys.argv[1])): pass"
         )
         done = run_python("-c", other, data)
         assert done.returncode != 0 and "another process is recording" in done.stderr
