@@ -1,4 +1,4 @@
-"""One picture of many objects, each in three poses: shut, half open and open, seen from where most can be learnt."""
+"""A picture of many objects, each closed, half open and open, seen from the most informative directions."""
 
 from __future__ import annotations
 
@@ -23,12 +23,13 @@ from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 from generator import objects, partnet
 from generator.motion import hull_points, motion_range
+from generator.motion.body import UPRIGHT
 from generator.partnet_writer import write_partnet
 from generator.rays import Caster
 from generator.scene import Scene
 
 _SHARES = (0.0, 0.5, 1.0)
-"""Shares of the joint's range of the three poses."""
+"""Joint states of the three tiles, as shares of the range."""
 
 _FOV = np.radians(20.0)
 _FIRST_YAWS, _PITCHES = (-35.0, -60.0), (20.0, 35.0, 52.0)
@@ -37,13 +38,10 @@ _FILL = 0.90
 """Share of a tile that its object fills."""
 
 _APART = 60.0
-"""Degrees of yaw between the views of the three poses at least."""
+"""Least difference in yaw between the views of the three tiles, degrees."""
 
 _MARGIN, _CAPTION = 10, 28
 _PAPER, _FRAME, _INK, _PALE = (255, 255, 255), (222, 222, 226), (45, 45, 50), (140, 140, 148)
-
-_UPRIGHT: Array = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
-"""Camera axes for a look along +x at an object with z up."""
 
 View = tuple[float, float]
 """Yaw and pitch, degrees."""
@@ -52,7 +50,7 @@ View = tuple[float, float]
 def contact_sheet(
     names: Sequence[str], path: Path, seed: int = 0, tile: int = 212, columns: int = 3, shader: str = "default"
 ) -> None:
-    """Draw the procedural objects `names`, of one seed, as the PNG `path`: a card each, `columns` cards a row.
+    """Draw the procedural objects `names` of one seed into the PNG `path`: one card each, `columns` cards a row.
 
     A card has the object's category and name above three tiles of `tile` pixels. The file has a palette of 256 colours,
     which keeps it small. Raises FreeArtError when an object is unknown or this machine cannot render.
@@ -92,7 +90,7 @@ def _card(name: str, pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]
 
 
 def tiles(name: str, seed: int, tile: int, shader: str = "default") -> list[NDArray[np.uint8]]:
-    """Three square pictures (tile, tile, 3) of a procedural object on white: shut, half open and open."""
+    """Three square pictures (tile, tile, 3) of a procedural object on white: closed, half open and open."""
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
         loaded = partnet.load(write_partnet(objects.build(name, seed), Path(place) / name))
         lower, upper = motion_range(loaded.joint)
@@ -103,7 +101,7 @@ def tiles(name: str, seed: int, tile: int, shader: str = "default") -> list[NDAr
         first, second = (side.surface.mesh() for side in loaded.sides)
         states = [lower + share * (upper - lower) for share in _SHARES]
         pictures = []
-        for q, (yaw, pitch) in zip(states, telling_views((first, second), loaded.joint, states), strict=True):
+        for q, (yaw, pitch) in zip(states, choose_views((first, second), loaded.joint, states), strict=True):
             points = np.concatenate([hulls[0], se3.transform(loaded.joint.transform(q), hulls[1])])
             picture = scene.render(_pose(points, yaw, pitch, camera), {**loaded.asset.held, loaded.joint.name: q})
             rgb = np.where((picture.side > 0)[..., None], picture.rgb, 255).astype(np.uint8)
@@ -111,12 +109,12 @@ def tiles(name: str, seed: int, tile: int, shader: str = "default") -> list[NDAr
     return pictures
 
 
-def telling_views(meshes: tuple[Mesh, Mesh], joint: Joint, states: Sequence[float]) -> list[View]:
-    """Where to look from at each of the joint's `states`, of which the first is the shut one.
+def choose_views(meshes: tuple[Mesh, Mesh], joint: Joint, states: Sequence[float]) -> list[View]:
+    """The view (yaw, pitch) for each of the joint's `states`; the first state is the closed one.
 
-    The first view is the three-quarter view from the front, from higher up for flat objects. Each other is the one of
-    36 that shows most of what is hidden while the object is shut, of the part that shows less, and of the object at
-    all, at least 60 degrees away from those before; the further, the better among equals.
+    The first view is a three-quarter view from the front, from higher up for flat objects. Each other view is the best
+    of 36 by a score: new surface that is hidden while the object is closed, visibility of the smaller part, size of the
+    object, and the distance from the views before, which is at least 60 degrees.
     """
     look = _Look(meshes, joint, states)
     around = [(float(yaw), pitch) for yaw in _YAWS for pitch in _PITCHES]
@@ -143,7 +141,7 @@ def telling_views(meshes: tuple[Mesh, Mesh], joint: Joint, states: Sequence[floa
 
 
 class _Look:
-    """Coarse views of an object as lists of the patches of its surface that they show."""
+    """Coarse views of an object as lists of the surface patches that they show."""
 
     def __init__(self, meshes: tuple[Mesh, Mesh], joint: Joint, states: Sequence[float]) -> None:
         swept = [se3.transform(joint.transform(q), meshes[1].vertices) for q in states]
@@ -154,8 +152,10 @@ class _Look:
         self._caster, self._joint, self._first = Caster(meshes), joint, len(meshes[0].faces)
 
     def patches(self, q: float, view: View) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Per pixel on the object its side, and a number of the face and the cell, a 16th of the object's radius wide,
-        that it shows."""
+        """Side and patch number of each pixel on the object.
+
+        A patch is the part of a face within a cell of the size of a 16th of the object's radius.
+        """
         R = _rotation(*view)
         T = se3.pose(R, np.array([0, 0, 1.05 * self._radius / np.sin(_FOV / 2)]) - R @ self._middle)
         Ts = T, T @ self._joint.transform(q)
@@ -169,12 +169,12 @@ class _Look:
 
 
 def _rotation(yaw: float, pitch: float) -> Array:
-    """R_camera_object (3, 3) of a look from `yaw` and `pitch`, degrees."""
-    return se3.exp_so3(np.array([np.radians(pitch), 0, 0])) @ _UPRIGHT @ se3.exp_so3(np.array([0, 0, -np.radians(yaw)]))
+    """R_camera_object (3, 3) for a view from `yaw` and `pitch`, degrees."""
+    return se3.exp_so3(np.array([np.radians(pitch), 0, 0])) @ UPRIGHT @ se3.exp_so3(np.array([0, 0, -np.radians(yaw)]))
 
 
 def _pose(points: Array, yaw: float, pitch: float, camera: Camera) -> Array:
-    """T_camera_object (4, 4) that looks from (yaw, pitch) at `points` (n, 3), which then fill the picture."""
+    """T_camera_object (4, 4) for a view from (yaw, pitch) in which `points` (n, 3) fill the picture."""
     R = _rotation(yaw, pitch)
     turned = points @ R.T
     middle = (turned.min(0) + turned.max(0)) / 2

@@ -1,8 +1,8 @@
-"""A whole data set: which sequences, one writer at a time, several workers, and going on after an interruption.
+"""Records a data set: plans its sequences, holds a lock, runs workers, and continues after an interruption.
 
-A data folder under construction holds `.recording/`: a lock, job.json (what is being made, in full), and a work folder
-a sequence. A finished sequence is renamed into place, truth first; at the end benchmark.json is written and
-`.recording/` goes. Whatever was killed, the same command goes on from there, to the same bytes.
+While it is recorded, a data folder holds `.recording/`: a lock, job.json (the complete plan) and a work folder for each
+sequence. A finished sequence is renamed into place, its truth first. At the end benchmark.json is written and
+`.recording/` removed. After an interruption at any point the same command continues and gives the same bytes.
 """
 
 from __future__ import annotations
@@ -43,21 +43,21 @@ from generator.session import ACCESS, RecordSettings, catalog_entry, find_partne
 __all__ = ["WORK", "Job", "Label", "is_unfinished", "official_names", "plan_jobs", "procedural_jobs", "record_jobs"]
 
 MAX_OBJECTS = 1000
-"""Of a category, drawn at once: three digits."""
+"""Procedural objects of one call: their names end in three digits."""
 MAX_WORKERS = 64
 _MADE_WITH = ("freeart21", "sapien", "numpy", "opencv-python-headless", "embreex", "manifold3d", "scipy")
 SECONDS_A_PICTURE = 0.25
-"""What a picture takes, about: for the time limits of clusters."""
+"""Approximate time for a picture: for the time limits of clusters."""
 _JOBS = ".jobs-elsewhere"
-"""Folder in the work folder where jobs on other machines say how far they are; no sequence is called so."""
+"""Folder in the work folder for the state of jobs on other machines; no sequence has this name."""
 _OBJECT_FILES = 107
-"""Files of an object, and of a sequence but for its pictures: the mean of freeart21-v1."""
+"""Files of a sequence besides its pictures, those of the object included: the mean of freeart21-v1."""
 _BYTES_OF_LINE = 102
-"""Of a line of benchmark.json, without the sequence's name: the picture's path and its hash."""
+"""Length of a line of benchmark.json (a picture's path and hash) without the sequence's name."""
 _PATHS = ("camera", "effects", "partnet_root", "root", "track", "urdf")
 """Settings that are paths."""
 _PATIENCE_S = 3.0
-"""How long the lock is waited for: the workers of a killed recorder need a moment to notice."""
+"""Longest wait for the lock: the workers of a killed recorder need a moment to end."""
 
 
 @dataclass(frozen=True)
@@ -70,16 +70,16 @@ class Job:
     """Name of the sequence's folders."""
     settings: RecordSettings
     notes: tuple[str, ...] = ()
-    """What a user should know of the object, a line each."""
+    """Remarks on the object for the user, one line each."""
 
     def to_json(self) -> dict[str, Any]:
-        """All that decides the sequence's bytes, as JSON."""
+        """All that decides the bytes of the sequence, as JSON."""
         return {"object": self.name, "sequence": self.sequence, **self.settings.to_json()}
 
 
 @dataclass(frozen=True)
 class Label:
-    """What benchmark.json says of the whole."""
+    """Name, version and split of the data set, as in benchmark.json."""
 
     name: str
     version: str = "1"
@@ -90,11 +90,11 @@ class Label:
 
 
 def plan_jobs(names: Sequence[str], settings: RecordSettings) -> list[Job]:
-    """A job for each of `names`: objects of the catalog, paths of URDFs or, given settings.partnet_root,
+    """One job for each of `names`: objects of the catalog, paths of URDFs or, given settings.partnet_root,
     PartNet-Mobility ids.
 
-    Sequences are called such as 'stapler-s0' or '41083-joint_2-s0': the joint is named unless it is a procedural
-    object's own. Raises FreeArtError when a name is unknown, or an object of others is unfit.
+    Sequences get names such as 'stapler-s0' or '41083-joint_2-s0'; the name contains the joint unless it is the scored
+    joint of a procedural object. Raises FreeArtError when a name is unknown or the object's files are unfit.
     """
     settings.check()
     given, jobs = settings, []
@@ -120,7 +120,10 @@ def plan_jobs(names: Sequence[str], settings: RecordSettings) -> list[Job]:
 
 
 def official_names(root: Path, skip_missing: bool = False) -> tuple[str, ...]:
-    """The 21 ids of the official FreeArt-21, all of which must be in `root` unless those absent may be skipped."""
+    """The ids of the official FreeArt-21, 21 objects, that are in `root`.
+
+    Raises FreeArtError when one is absent without `skip_missing`, or all are.
+    """
     if not root.is_dir():
         raise FreeArtError(f"{root} is not a folder; expected one that holds PartNet-Mobility objects ({ACCESS})")
     official = [entry.name for entry in catalog.CATALOG if entry.benchmark == "FreeArt-21"]
@@ -137,9 +140,9 @@ def official_names(root: Path, skip_missing: bool = False) -> tuple[str, ...]:
 
 
 def procedural_jobs(category: str, count: int, seed: int, settings: RecordSettings) -> list[Job]:
-    """`count` fresh objects of a category: the design and all else of the k-th is drawn from (seed, k).
+    """Jobs for `count` procedural objects of a category; the k-th object is drawn from the random stream (seed, k).
 
-    Sequences are called such as 'stapler-s7-000'. Raises FreeArtError when there is no such category.
+    Sequences get names such as 'stapler-s7-000'. Raises FreeArtError when there is no such category.
     """
     designs: dict[str, list[str]] = {}
     for entry in catalog.CATALOG:
@@ -163,7 +166,7 @@ def procedural_jobs(category: str, count: int, seed: int, settings: RecordSettin
     return jobs
 
 
-# --- the whole --------------------------------------------------------------------------------------------------------
+# --- recording --------------------------------------------------------------------------------------------------------
 
 
 def record_jobs(
@@ -174,16 +177,23 @@ def record_jobs(
     on_done: Callable[[str], None] = lambda sequence: None,
     executor: str = "local",
 ) -> list[str]:
-    """Record `jobs` into the data folder `out`; returns the sequences made now: those already there are kept.
+    """Record `jobs` into the data folder `out`; returns the names of the sequences that were recorded now.
 
-    Other sequences of a finished data folder stay as they are; benchmark.json is renewed. `label` None keeps what
-    benchmark.json says, or takes the folder's name. `on_done` is called with every sequence that takes its place.
-    The bytes do not depend on `workers` (processes), nor on how often the work was interrupted, nor on the `executor`
-    (`freeart21.jobs.EXECUTORS`): by another one than 'local' every sequence is a job, on machines that all see `out`.
+    Existing sequences of the same settings are kept, and so are other sequences of a finished data folder;
+    benchmark.json is updated. The bytes depend neither on `workers` and `executor` nor on interruptions.
 
-    Raises FreeArtError, in one line, when a job is unfit, a sequence exists from other settings, another process writes
-    to `out`, an unfinished recording there was of something else, or the disk refuses (then what is done is kept, and
-    the same call goes on). KeyboardInterrupt stops all workers and keeps what is done, too.
+    Args:
+        out: the data folder.
+        jobs: what to record.
+        workers: processes at a time.
+        label: of benchmark.json; None keeps the existing one, or takes the folder's name.
+        on_done: called with the name of every sequence that is in place.
+        executor: one of `freeart21.jobs.EXECUTORS`. With another one than 'local' every sequence is a job on machines
+            that all see `out`.
+
+    Raises FreeArtError, in one line, when a job is unfit, a sequence exists with other settings, another process writes
+    to `out`, an unfinished recording with another plan is there, or the disk refuses. Finished work is kept then, as
+    after KeyboardInterrupt, and the same call continues.
     """
     out = Path(out)
     check_growing(out)
@@ -205,12 +215,12 @@ def record_jobs(
                 _run(out, todo, workers, on_done, executor)
             except atomic.CannotWrite:
                 raise
-            except Exception:  # of whatever kind: what is done stays, and the folder is as before
+            except Exception:  # finished sequences stay, and the folder is left in order
                 _finish(out, label)
                 raise
             _finish(out, label)
         except atomic.CannotWrite as error:
-            kept = f"; what is done is kept in {out / WORK}" if is_unfinished(out) else ""
+            kept = f"; finished work is kept in {out / WORK}" if is_unfinished(out) else ""
             raise atomic.CannotWrite(f"{error}{kept}: make room and run the same command again") from error
     return [job.sequence for job in todo]
 
@@ -229,7 +239,7 @@ def _check(jobs: Sequence[Job], workers: int) -> None:
 
 
 def _check_list(out: Path, jobs: Sequence[Job]) -> None:
-    """FreeArtError when benchmark.json, which lists every file with its hash, would be larger than is read."""
+    """FreeArtError when benchmark.json, which lists every file with its hash, would exceed the size that is read."""
     there = (out / "benchmark.json").stat().st_size if (out / "benchmark.json").is_file() else 0
     sizes = [_listed_bytes(job) for job in jobs if not (out / "sequences" / job.sequence).exists()]
     if there + sum(sizes) > checked.MAX_JSON_BYTES:
@@ -242,8 +252,10 @@ def _check_list(out: Path, jobs: Sequence[Job]) -> None:
 
 
 def _listed_bytes(job: Job) -> int:
-    """Of benchmark.json, about, for one sequence: three pictures a frame and one of its truth, two a held-out view, and
-    the object's own files."""
+    """Approximate bytes of benchmark.json for one sequence.
+
+    There are four pictures for a frame (one of them in the truth), two for a held-out view, and the object's files.
+    """
     files = 4 * job.settings.frames + 2 * job.settings.queries + _OBJECT_FILES
     return files * (len(job.sequence) + _BYTES_OF_LINE)
 
@@ -260,7 +272,7 @@ def _read_label(out: Path) -> Label:
 
 
 def _unfinished_jobs(out: Path, jobs: Sequence[Job]) -> list[Job]:
-    """The jobs whose sequence is not in place; FreeArtError when one is there, but of other settings."""
+    """The jobs whose sequence is not in place; FreeArtError when it is there with other settings."""
     todo = []
     for job in jobs:
         sequence, truth = (out / sub / job.sequence for sub in ("sequences", "truth"))
@@ -278,14 +290,14 @@ def _unfinished_jobs(out: Path, jobs: Sequence[Job]) -> list[Job]:
 
 
 def _remove_partial_files(out: Path) -> None:
-    """Remove the files that a recorder left aside when it was killed while it wrote one of the whole."""
+    """Remove temporary files of data-set files that a killed recorder left."""
     for folder in (out, out / WORK):
         for left in folder.glob(f".*{atomic.ASIDE}"):
             left.unlink(missing_ok=True)
 
 
 def _difference(job: Job, header: Path) -> str:
-    """What the truth of an existing sequence says otherwise than `job`; '' when it is the same."""
+    """The first difference between the truth of an existing sequence and `job`, in words; '' for none."""
     try:
         source = checked.read_json(header).get("source") or {}
     except FreeArtError:
@@ -304,12 +316,12 @@ def _parsed_json(data: Any) -> Any:
 
 
 def _write_plan(out: Path, jobs: Sequence[Job], label: Label) -> None:
-    """Write down what is to be made; FreeArtError when something else was being made here."""
+    """Write the plan; FreeArtError when an unfinished recording has another one."""
     made_with = {name: metadata.version(name) for name in _MADE_WITH}
     plan = {"schema": JOB_SCHEMA, "label": vars(label), "made_with": made_with, "jobs": [j.to_json() for j in jobs]}
     path = out / WORK / "job.json"
     if not path.is_file():
-        for left in (out / WORK).iterdir():  # of a recording that was done, killed while it cleaned up
+        for left in (out / WORK).iterdir():  # of a finished recording that was killed during its clean-up
             if left.is_dir():
                 shutil.rmtree(left)
         atomic.write_json(path, plan)
@@ -324,7 +336,7 @@ def _write_plan(out: Path, jobs: Sequence[Job], label: Label) -> None:
     )
     raise FreeArtError(
         f"{out} holds an unfinished recording of something else ({different}): finish it by its own command, "
-        f"or give it up by removing {out / WORK}"
+        f"or discard it by removing {out / WORK}"
     )
 
 
@@ -337,11 +349,11 @@ def _different_jobs(before: list[dict[str, Any]], now: list[dict[str, Any]]) -> 
 
 
 def _finish(out: Path, label: Label) -> None:
-    """List every file with its hash and clear away what is under way; a folder with no sequence vanishes."""
+    """Write benchmark.json with the hash of every file, and remove the work folders of unfinished sequences."""
     work = out / WORK
     if any((out / "sequences").glob("*/sequence.json")):
         write_benchmark(out, label.name, label.version, label.split)
-    with contextlib.suppress(OSError):  # job.json first: without it the rest counts for nothing
+    with contextlib.suppress(OSError):  # job.json first: without it the other files mean nothing
         (work / "job.json").unlink(missing_ok=True)
     for left in work.iterdir():
         if left.is_dir():
@@ -350,7 +362,7 @@ def _finish(out: Path, label: Label) -> None:
 
 @contextlib.contextmanager
 def _writer_lock(out: Path) -> Iterator[None]:
-    """Be the only one who writes to `out`, together with this recorder's own workers (`_join_writers`)."""
+    """Hold the lock of the data folder `out`; this recorder's workers share it (`_start_worker`)."""
     made = [folder for folder in (out, *out.parents) if not folder.exists()]
     lock = out / WORK / "lock"
     deadline = time.monotonic() + _PATIENCE_S
@@ -363,13 +375,13 @@ def _writer_lock(out: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        if is_unfinished(out):  # a worker that ends a moment later has it still
+        if is_unfinished(out):  # a worker that ends a moment later still holds it
             os.close(handle)
         else:
             release(lock, handle, [lock.parent, out / "sequences", out / "truth", *made])
 
 
-# --- one after the other, or side by side -----------------------------------------------------------------------------
+# --- workers -----------------------------------------------------------------------------
 
 
 def _run(out: Path, jobs: list[Job], workers: int, on_done: Callable[[str], None], executor: str) -> None:
@@ -387,7 +399,7 @@ def _run(out: Path, jobs: list[Job], workers: int, on_done: Callable[[str], None
 
 
 def _record_sequence(out: Path, job: Job, progress: Callable[[int, int], None]) -> None:
-    """Record one sequence and put it in its place, the truth first. A call that was killed anywhere may be repeated."""
+    """Record one sequence and move it into place, the truth first. A killed call may be repeated."""
     work = out / WORK / job.sequence
     places = {sub: out / folder / job.sequence for sub, folder in (("truth", "truth"), ("sequence", "sequences"))}
     try:
@@ -409,13 +421,13 @@ def _record_sequence(out: Path, job: Job, progress: Callable[[int, int], None]) 
 
 
 _reports: Any = None
-"""In a worker: where progress goes."""
+"""In a worker: the queue that takes progress reports."""
 
 
 def _start_worker(folder: Path, lock: Path, life: Connection, reports: Any) -> None:
-    """Go to the recorder's folder, hold the lock as long as this worker lives, and end when the recorder ends.
+    """Set a worker up: change to the recorder's folder, share its lock, and end when the recorder ends.
 
-    That shows by its side of `life`, which it may close before.
+    The worker ends when the recorder's side of the pipe `life` closes.
     """
     global _reports
     os.chdir(folder)
@@ -431,7 +443,7 @@ def _start_worker(folder: Path, lock: Path, life: Connection, reports: Any) -> N
 
 
 def _record_in_worker(out: Path, job: Job) -> str:
-    """In a worker: record one sequence, and tell of it a few times a second."""
+    """In a worker: record one sequence and report progress a few times a second."""
     last = 0.0
 
     def progress(done: int, total: int) -> None:
@@ -445,7 +457,7 @@ def _record_in_worker(out: Path, job: Job) -> str:
 
 
 def _run_workers(out: Path, jobs: list[Job], workers: int, board: Board, on_done: Callable[[str], None]) -> None:
-    """Workers are processes of their own, because the simulator holds Python's lock while it draws."""
+    """Record jobs in worker processes: threads would not do, as the simulator holds Python's lock while it draws."""
     context = get_context("spawn")
     theirs, ours = context.Pipe(duplex=False)
     with _renderer_threads(workers), tempfile.TemporaryDirectory(prefix="freeart21-") as empty:
@@ -456,13 +468,13 @@ def _run_workers(out: Path, jobs: list[Job], workers: int, board: Board, on_done
         worker_setup = Path.cwd(), out / WORK / "lock", theirs, reports
         pool = ProcessPoolExecutor(workers, context, _start_worker, worker_setup)
         try:
-            with stopping.unheard(), child.spawn_in(Path(empty)):  # from birth: the recorder says when to stop
+            with stopping.unheard(), child.spawn_in(Path(empty)):  # workers ignore signals: the recorder stops them
                 futures: list[Future[str]] = [pool.submit(_record_in_worker, out, job) for job in jobs]
             for future in as_completed(futures):
                 board.finished(future.result())
                 on_done(future.result())
         except BrokenProcessPool as error:
-            raise atomic.CannotWrite("a worker of the recorder was killed, for want of memory perhaps") from error
+            raise atomic.CannotWrite("a worker of the recorder was killed, perhaps for lack of memory") from error
         finally:
             ours.close()  # ends the workers
             pool.shutdown(wait=True, cancel_futures=True)
@@ -473,9 +485,9 @@ def _run_workers(out: Path, jobs: list[Job], workers: int, board: Board, on_done
 def _run_on_executor(
     out: Path, jobs: list[Job], workers: int, executor: str, board: Board, on_done: Callable[[str], None]
 ) -> None:
-    """A job a sequence. What is done of a sequence that was lost with its machine is gone on from."""
+    """Record each sequence as a job of `executor`. A job whose machine failed continues from its finished frames."""
     place, by_name = out.resolve(), {f"record/{job.sequence}": job for job in jobs}
-    asked = [
+    job_list = [
         jobs_anywhere.Job(
             name,
             call="generator.dataset:record_one",
@@ -490,23 +502,23 @@ def _run_on_executor(
         for name, job in by_name.items()
     ]
 
-    def listener(event: str, asked: jobs_anywhere.Job, facts: dict[str, object]) -> None:
+    def listener(event: str, done: jobs_anywhere.Job, facts: dict[str, object]) -> None:
         if event == "finished":
-            job = by_name[asked.name]
+            job = by_name[done.name]
             board.update(job.sequence, *[job.settings.frames + job.settings.queries] * 2)
             board.finished(job.sequence)
             on_done(job.sequence)
 
-    report = jobs_anywhere.run_jobs(place / WORK / _JOBS, asked, workers, executor, listener=listener)
+    report = jobs_anywhere.run_jobs(place / WORK / _JOBS, job_list, workers, executor, listener=listener)
     for failed in report.failed:
         full = failed.reason.startswith("cannot write")
         raise (atomic.CannotWrite if full else FreeArtError)(failed.reason)
 
 
 def record_one(out: str, name: str, sequence: str, settings: dict[str, Any]) -> None:
-    """What the job of a sequence does: record it into the data folder `out`, whose recorder waits for it.
+    """Record one sequence into the data folder `out` as a job of an executor; the recorder waits for it.
 
-    It holds the recorder's lock as long as it works, so that none comes after it to the same folder.
+    It shares the recorder's lock while it works, so that no other recorder writes to the folder.
     """
     paths = {key: None if settings[key] is None else Path(settings[key]) for key in _PATHS}
     handle = os.open(Path(out) / WORK / "lock", os.O_RDWR)
@@ -520,7 +532,7 @@ def record_one(out: str, name: str, sequence: str, settings: dict[str, Any]) -> 
 
 
 def _settings_to_json(settings: RecordSettings) -> dict[str, Any]:
-    """All fields as JSON, paths from the root."""
+    """All fields as JSON, with absolute paths."""
     return {key: str(value.resolve()) if isinstance(value, Path) else value for key, value in asdict(settings).items()}
 
 
@@ -531,7 +543,7 @@ def _forward_reports(reports: Any, board: Board) -> None:
 
 @contextlib.contextmanager
 def _renderer_threads(workers: int) -> Iterator[None]:
-    """Share the cores among workers: Mesa's software renderer takes all for each, unless it is told."""
+    """Divide the cores among the workers: by default Mesa's software renderer takes all of them in each process."""
     name = "LP_NUM_THREADS"
     given = os.environ.get(name)
     if given is None:

@@ -1,4 +1,4 @@
-"""The whole truth of a foreign recording: what its folder knows, and the meshes of its PartNet-Mobility object."""
+"""The truth of a third-party recording: from its own files, with the meshes of its PartNet-Mobility object."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ _SAME_STATE = 1e-3
 def truth_of(read: Foreign, partnet_root: Path, joint: str | None = None, skip_missing: bool = False) -> Truth:
     """The truth of `read`, with meshes from partnet_root/ID (or partnet_root/dataset/ID) and no held-out views.
 
-    The joint is the one named, or the one that the layout or the catalog names, or the only movable one. Raises
-    FreeArtError when the object is not there or unfit, or is not the one that was filmed: its joint sits elsewhere, or
-    its other joints stood otherwise than the loader holds them.
+    The joint is the given one, or that of the layout or the catalog, or the only movable one. Raises FreeArtError when
+    the object is absent or unfit, or differs from the one that was filmed: another joint axis, or other positions of
+    the joints that are held.
     """
     known = read.known
     if known is None:
@@ -91,7 +91,7 @@ def _check_same(read: Foreign, known: Known, loaded: partnet.PartNetObject, diag
 
 
 def _difference(seen: Joint, urdf: Joint, diagonal: float) -> str:
-    """What differs between the joint that the poses show and the URDF's; empty when nothing does."""
+    """The difference between the joint of the recorded poses and the URDF's, in words; empty for none."""
     if seen.type != urdf.type:
         return f"{seen.type} in the recording, {urdf.type} in the URDF"
     angle = float(np.degrees(np.arccos(np.clip(seen.axis @ urdf.axis, -1, 1))))

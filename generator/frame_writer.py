@@ -1,4 +1,4 @@
-"""Writes pictures beside the rendering: encoded in threads, so that the renderer hardly waits."""
+"""Writes pictures while the renderer draws: they are encoded in threads."""
 
 from __future__ import annotations
 
@@ -16,16 +16,15 @@ from freeart21.files import atomic, checked
 
 
 class FrameWriter:
-    """A context: `put` pictures into it; all of them are on disk when it ends well.
+    """A context manager: `put` pictures into it; all of them are on disk when it ends without an error.
 
-    The simulator holds Python's lock while it draws, so a thread that wants the lock waits for the next picture. Hence
-    a thread makes one call that needs no lock (the encoding), `put` returns only when that call has begun, and the
-    small encoded files are written by the caller's thread. That also bounds what lies in memory: `put` waits when all
-    threads are busy.
+    The simulator holds Python's global lock while it draws, and a thread that wants the lock waits for a whole picture.
+    So a thread only encodes, which needs no lock; `put` returns when the encoding has started; and the caller's thread
+    writes the encoded files. Memory is bounded: `put` waits when all threads are busy.
     """
 
     def __init__(self, threads: int | None = None) -> None:
-        """`threads` that encode; None takes four or the number of cores, whichever is more, and at most 16."""
+        """`threads` that encode; None takes the number of cores, at least 4 and at most 16."""
         self._pool = ThreadPoolExecutor(threads or min(max(4, os.cpu_count() or 1), 16), "png")
         self._encoding = threading.Semaphore(0)
         self._waiting: deque[list[tuple[Path, Future[bytes]]]] = deque()

@@ -1,7 +1,7 @@
-"""Checks a data folder against its truth without trusting the recorder: rays and a second rendering must agree with it.
+"""Checks a data folder against its truth, independently of the recorder.
 
-- Depth and part masks of some frames are cast anew (Embree) from the truth's meshes at the truth's poses.
-- The held-out views are rendered anew from the object's own URDF in the truth folder, posed by the truth.
+- Depth and part masks of some frames are compared with rays (Embree) against the truth's meshes at the truth's poses.
+- The held-out views are rendered again from the object's URDF in the truth folder, posed by the truth.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from generator.rays import Caster
 from generator.scene import Picture, Scene
 
 DEPTH_SHARE = 0.002
-"""Largest error of the depth away from edges, as a share of the object's diagonal."""
+"""Largest depth error away from edges, as a share of the object's diagonal."""
 ODD_PIXELS = 0.005
-"""Share of pixels that may be off: edges within a part, which the part mask does not show."""
+"""Largest share of pixels with a larger error: edges within a part, which the part mask does not show."""
 LEAST_PSNR = 35.0
-"""Of a held-out view rendered anew, dB, inside its mask."""
+"""Least PSNR of a held-out view that is rendered again, dB, inside its mask."""
 
 
 def verify_deep(data: Path, frames: int = 5, views: int = 5, apart: Path | None = None) -> list[str]:
-    """What is wrong with the data folder `data`, one line each, by some `frames` and `views` of every sequence.
+    """Findings on the data folder `data`, one line each, from `frames` frames and `views` views of every sequence.
 
-    Depth is looked at where the sensor was clean; objects are rendered anew where the truth holds their files, which it
-    does not for PartNet-Mobility. `apart` is where a packed folder's truth lies. What cannot be read, or rendered on
-    this machine, is a line, too. Raises FreeArtError when there is no readable benchmark.json.
+    Depth is compared where the sensor was clean. Views are rendered again where the truth holds the object's files,
+    which it does not for PartNet-Mobility. `apart` is the truth of a packed folder. What cannot be read, or rendered on
+    this machine, is a finding, too. Raises FreeArtError when there is no readable benchmark.json.
     """
     benchmark = read_benchmark(Path(data), apart)
     findings: list[str] = []
@@ -57,7 +57,7 @@ def _deep_findings(benchmark: Benchmark, name: str, frames: int, views: int) -> 
 
 
 def cast_findings(name: str, recording: Recording, truth: Truth, frames: int) -> Iterator[str]:
-    """Findings on depth and masks of some frames, spread over the video."""
+    """Findings on depth and masks of `frames` frames, spread evenly over the video."""
     sensors = set(str(truth.source.get("sensor", "clean")).split("+"))
     caster = Caster((truth.articulation.reference, truth.articulation.moving))
     for i in np.unique(np.linspace(0, len(truth) - 1, frames).astype(int)):
@@ -83,14 +83,14 @@ def cast_findings(name: str, recording: Recording, truth: Truth, frames: int) ->
 
 
 def render_findings(name: str, recording: Recording, truth: Truth, folder: Path, views: int) -> Iterator[str]:
-    """Findings on some held-out views, rendered anew from the object in the truth's `folder`."""
+    """Findings on some held-out views, rendered again from the object in the truth's `folder`."""
     psnr = np.array([value for _, value in render_again(recording, truth, folder, views)])
     for i in np.flatnonzero(psnr < LEAST_PSNR):
         yield f"{name}: view {i}, rendered anew from truth/{name}/object, has {psnr[i]:.1f} dB, expected {LEAST_PSNR:g}"
 
 
 def render_again(recording: Recording, truth: Truth, folder: Path, views: int) -> Iterator[tuple[Picture, float]]:
-    """The first `views` held-out views from the object in the truth's `folder`, and their PSNR, dB, inside the mask."""
+    """Render the first `views` held-out views from the object in the truth's `folder`; with PSNR, dB, in the mask."""
     source = truth.source
     loaded = partnet.load(folder / "object", source.get("joint"))
     parent_is_reference = loaded.asset.reference_link in source.get("reference_links", ())

@@ -1,14 +1,14 @@
-"""A hand with a forearm that holds the object, shifts its grip now and then, and hides what is behind it.
+"""A hand with a forearm that holds the object, changes its grip, and occludes what is behind it.
 
-A proxy: tapered rods of a real hand's proportions, not a scan. Its frame: origin in the middle of the palm, x towards
-the fingers, z out of the palm. All lengths are those of a hand 21 cm long, times `Hand.scale`: 17 to 20 cm for
+The hand consists of tapered rods with the proportions of a real hand. Its frame: origin in the middle of the palm, x
+towards the fingers, z out of the palm. All lengths are those of a hand 21 cm long, times `Hand.scale`: 17 to 20 cm for
 objects of real size, larger for objects of PartNet's scale (`LARGE_M`).
 
-The hand grips the side of the object that is seen most (the reference part, as far as a few frames tell), at its rim as
-seen from the camera, thumb on one face and fingers on the other, and turns with it. Every few seconds it lets go, backs
-off and grips elsewhere, more often where no grip lasts. Of some grips drawn at random for each stretch the one is taken
-that hides about the wanted share of the object, mostly not of its moving part, runs into nothing and bends the wrist
-little; the arm comes from below. A hand is as large as it is: of a large object it may hide less, of a tiny one more.
+The hand grips the side of the object with more visible pixels (usually the reference part) at its rim as seen from the
+camera, thumb on one face and fingers on the other, and moves with it. Every few seconds it changes the grip, more often
+where no grip is good for long. For each stretch several random grips are scored, and the best is taken: it hides the
+wanted share of the object, little of the moving part, does not collide, and bends the wrist little; the arm comes from
+below. The size of the hand is fixed: it may hide less of a large object and more of a tiny one.
 """
 
 from __future__ import annotations
@@ -66,48 +66,48 @@ ROOTS = np.array(
 WRIST = np.array([-0.058, 0.0, 0.0])
 """Where the forearm begins, metres."""
 GRIP_HEIGHT = 0.034
-"""Height above the palm's middle of what is held between thumb and fingers, metres."""
+"""Height above the middle of the palm of the object between thumb and fingers, metres."""
 WIDEST = 0.06
-"""Widest that thumb and fingers span, metres."""
+"""Largest span between thumb and fingers, metres."""
 LARGE_M = 1.0
-"""Objects of a larger diagonal are of PartNet's scale, and the hand is scaled as if they measured `LIKE_M`."""
+"""Objects of a larger diagonal are of PartNet's scale: the hand is scaled as if they measured `LIKE_M`."""
 LIKE_M = 0.45
 """See `LARGE_M`."""
 SHARE: tuple[float, float] = (0.08, 0.25)
-"""Share of the object that a grip shall hide on average."""
+"""Wanted range of the share of the object that a grip hides on average."""
 WORST_SHARE = 0.35
-"""Share of the object that a grip may well hide in any one frame."""
+"""Share of the object that a grip may hide in one frame without a cost."""
 GOOD = 0.25
-"""Cost (`_Planner._cost`) of a grip that is kept throughout its stretch; worse ones are changed half-way."""
-DRAWS, MOST_DRAWS = 20, 40
-"""Grips drawn for a stretch at least, and at most."""
+"""Largest cost (`_Planner._cost`) of a grip for a whole stretch; with a larger one the stretch is halved."""
+DRAWS, MAX_DRAWS = 20, 40
+"""Least and largest number of grips drawn for a stretch."""
 SHORTEST = 28
-"""Frames that a grip lasts at least."""
+"""Shortest duration of a grip, frames."""
 REGRASP_FRAMES = 75
-"""About how many frames a grip lasts."""
+"""Mean duration of a grip, frames."""
 WITHDRAWN = 0.08
-"""How far the hand is drawn back between two grips, metres."""
+"""Retraction of the hand between two grips, metres."""
 SHIFT_FRAMES = 16
-"""Frames that a change of grip takes."""
+"""Duration of a change of grip, frames."""
 BONES = 17
 """Rigid pieces: three of each digit, palm, forearm."""
 
 
 @dataclass(frozen=True)
 class Grasp:
-    """How the object is held."""
+    """A grip: pose of the hand and positions of the finger tips."""
 
     T_side_hand: Array
     """(4, 4) hand in the frame of the held side of the object."""
     tips: Array
     """(5, 3) tips of the digits in the hand's frame, metres."""
     withdrawn: float = 0.0
-    """How far the hand is drawn back along its forearm, and 0.7 times as far away from the camera, metres."""
+    """Retraction along the forearm, and by 0.7 times as much away from the camera, metres."""
 
 
 @dataclass(frozen=True)
 class Hand:
-    """A hand: its size, which hand it is, and how it looks."""
+    """A hand: size, left or right, and textures."""
 
     scale: float
     """1 is 21 cm from wrist to finger tip."""
@@ -124,7 +124,7 @@ class Hand:
         return np.array([1.0, self.thumb, 1.0]) * self.scale
 
     def joints(self, tips: Array) -> Array:
-        """(5, 4, 3) joints and tips of the digits that reach for `tips` (5, 3), in the hand's frame."""
+        """(5, 4, 3) joints and tips of the digits that reach to `tips` (5, 3), in the hand's frame."""
         chains = []
         for k in range(5):
             bulge = np.array([0.0, 0.9 * self.thumb, 0.35]) if k == 0 else np.array([0.25, 0.0, -1.0])
@@ -132,24 +132,24 @@ class Hand:
         return np.stack(chains)
 
     def poses(self, T_camera_hand: Array, tips: Array, T_camera_arm: Array) -> Array:
-        """(BONES, 4, 4) camera from every piece."""
+        """(BONES, 4, 4) poses camera from piece."""
         chains = self.joints(tips)
         pieces = []
         for k, chain in enumerate(chains):
             back = np.array([0.0, 0.9 * self.thumb, -0.4]) if k == 0 else np.array([0.3, 0.0, -1.0])
             for a, b in itertools.pairwise(chain):
-                pieces.append(T_camera_hand @ _along(a, b, back))
+                pieces.append(T_camera_hand @ _pose_along(a, b, back))
         return np.stack([*pieces, T_camera_hand, T_camera_arm])
 
     def pieces(self, segments: int = 28) -> list[list[Skin]]:
-        """The looks of every piece, in the order of `poses`."""
+        """Textured surfaces of every piece, in the order of `poses`."""
         s = self.scale
         pieces = []
         for k in range(5):
             for j in range(3):
                 looks = [_skin(_rod(LENGTHS[k, j] * s, RADII[k, j] * s, RADII[k, j + 1] * s, segments), self.skin, s)]
                 if j == 2:
-                    looks.append(_skin(_nail(k, s, segments), _tinted(self.skin, (1.06, 1.0, 1.02)), s, 0.35))
+                    looks.append(_skin(_nail(k, s, segments), _tint(self.skin, (1.06, 1.0, 1.02)), s, 0.35))
                 pieces.append(looks)
         pieces.append([_skin(self._palm(segments), self.skin, s)])
         arm = _rod(0.13 * s, 0.0245 * s, 0.036 * s, segments, flat=0.8)
@@ -175,7 +175,7 @@ class Hand:
 
     def outlines(self) -> list[Mesh]:
         """Coarse meshes of all pieces, in the order of `poses`."""
-        return [_joined([(look.vertices, look.faces) for look in looks]) for looks in self.pieces(10)]
+        return [_join_meshes([(look.vertices, look.faces) for look in looks]) for looks in self.pieces(10)]
 
 
 def make_hand(diagonal: float, rng: np.random.Generator) -> Hand:
@@ -193,7 +193,7 @@ def make_hand(diagonal: float, rng: np.random.Generator) -> Hand:
 
 
 class HandMotion:
-    """A hand that holds one side of the object all through a planned motion. Everything follows from the seed."""
+    """A hand that holds one side of the object during a planned motion; everything follows from the seed."""
 
     def __init__(self, plan: Plan, joint: Joint, meshes: tuple[Mesh, Mesh], camera: Camera, seed: int) -> None:
         rng = np.random.default_rng([seed, 6])
@@ -210,38 +210,38 @@ class HandMotion:
         self._changes = np.array([start for of_stretch in found for start, _ in of_stretch][1:], float)
 
     def poses(self, t: float, T_camera_object: Array, state: float) -> Array:
-        """(BONES, 4, 4) camera from every piece of the hand at time `t`, in frames."""
+        """(BONES, 4, 4) poses camera from piece at time `t`, in frames."""
         T_camera_side = T_camera_object if self.held == 0 else T_camera_object @ self._joint.transform(state)
         grasp = self.grasp(t)
         T_camera_hand = T_camera_side @ grasp.T_side_hand
         T_camera_arm = forearm(T_camera_hand, self.hand)
-        away = T_camera_arm[:3, 2] + np.array([0, 0, 0.7])  # behind the object rather than before it
+        away = T_camera_arm[:3, 2] + np.array([0, 0, 0.7])  # to behind the object
         for T in (T_camera_hand, T_camera_arm):
             T[:3, 3] += grasp.withdrawn * away
         return self.hand.poses(T_camera_hand, grasp.tips, T_camera_arm)
 
     def grasp(self, t: float) -> Grasp:
-        """The grip at time `t`, in frames; on its way from one to the next it lets go, backs off and closes again."""
+        """The grip at time `t`, in frames; between two grips the hand opens, retracts and closes again."""
         k = int(np.searchsorted(self._changes, t - SHIFT_FRAMES / 2))
         if k >= len(self._changes):
             return self.grasps[-1]
         u = float(np.clip((t - self._changes[k]) / SHIFT_FRAMES + 0.5, 0, 1))
         if u == 0:
             return self.grasps[k]
-        return _shifted(self.grasps[k], self.grasps[k + 1], u, self.hand.scale)
+        return _interpolate_grasps(self.grasps[k], self.grasps[k + 1], u, self.hand.scale)
 
 
 def forearm(T_camera_hand: Array, hand: Hand) -> Array:
-    """The forearm's pose (4, 4): from the wrist, partly on from the hand, mostly to the picture's lower border."""
+    """The forearm's pose (4, 4): from the wrist, partly in line with the hand, mostly to the picture's lower border."""
     wrist = se3.transform(T_camera_hand, (WRIST * hand.scale)[None])[0]
-    back = -T_camera_hand[:3, 0] * [1.0, 1.0, 0.4]  # an arm neither reaches for the camera nor comes from afar
+    back = -T_camera_hand[:3, 0] * [1.0, 1.0, 0.4]  # the arm points neither to the camera nor away from it
     down = np.array([-0.3 * wrist[0] / max(wrist[2], 1e-6), 1.0, -0.15])
     way = 0.7 * back + down / np.linalg.norm(down)
-    return _along(wrist, wrist + way, T_camera_hand[:3, 1], T_camera_hand[:3, 2])
+    return _pose_along(wrist, wrist + way, T_camera_hand[:3, 1], T_camera_hand[:3, 2])
 
 
-def _shifted(a: Grasp, b: Grasp, u: float, scale: float) -> Grasp:
-    """Between two grips, u from 0 to 1: opened and drawn back in the middle."""
+def _interpolate_grasps(a: Grasp, b: Grasp, u: float, scale: float) -> Grasp:
+    """Interpolate two grips, u from 0 to 1; the hand is open and retracted in the middle."""
     s = u * u * u * (10 - 15 * u + 6 * u * u)
     away = np.sin(np.pi * s)
     turn = se3.log_so3(a.T_side_hand[:3, :3].T @ b.T_side_hand[:3, :3])
@@ -253,7 +253,7 @@ def _shifted(a: Grasp, b: Grasp, u: float, scale: float) -> Grasp:
 
 
 class _Planner:
-    """Looks for grips: draws some at the object's rim and takes the one that hides about the wanted share."""
+    """Plans grips: draws some at the object's rim and takes the one of least cost."""
 
     def __init__(self, hand: Hand, plan: Plan, joint: Joint, meshes: tuple[Mesh, Mesh], camera: Camera) -> None:
         self._hand, self._plan, self._joint, self._meshes = hand, plan, joint, meshes
@@ -268,7 +268,7 @@ class _Planner:
         self._one = Caster((meshes[self.held], meshes[self.held]))
 
     def grips(self, frames: range, rng: np.random.Generator) -> list[tuple[int, Grasp]]:
-        """(first frame, grip) for all of `frames`: one, or several where none does well throughout."""
+        """(first frame, grip) pairs for all of `frames`: one, or several where no grip is good throughout."""
         cost, grasp = self._best(frames, rng)
         if cost <= GOOD or len(frames) < 2 * SHORTEST:
             return [(frames[0], grasp)]
@@ -276,11 +276,11 @@ class _Planner:
         return self.grips(frames[:half], rng) + self.grips(frames[half:], rng)
 
     def _best(self, frames: range, rng: np.random.Generator) -> tuple[float, Grasp]:
-        """The best of some grips for `frames`, and its cost; more are drawn while none is good."""
+        """Cost and grip of the best of several random grips; more are drawn while none is good."""
         some = sorted({int(k) for k in np.linspace(frames[0], frames[-1], 9)})
         looks = {i: self._look(i) for i in some}
         best: tuple[float, Grasp] | None = None
-        for draw in range(MOST_DRAWS):
+        for draw in range(MAX_DRAWS):
             if draw >= DRAWS and best is not None and best[0] <= GOOD:
                 break
             grasp = self._draw(int(rng.choice(some)), looks, rng)
@@ -304,7 +304,7 @@ class _Planner:
     def _draw(
         self, i: int, looks: dict[int, tuple[Array, NDArray[np.int64]]], rng: np.random.Generator
     ) -> Grasp | None:
-        """A grip over a point of the held side's rim as it is seen in frame `i`."""
+        """Draw a grip over a point of the held side's rim as seen in frame `i`."""
         depth, side = looks[i]
         body = (side >= 0).astype(np.uint8)
         rim = (side == self.held) & (cv2.erode(body, np.ones((3, 3), np.uint8)) == 0)
@@ -342,10 +342,10 @@ class _Planner:
             at = np.array([0.05 * s + overlap, 0.008 * self._hand.thumb * s, GRIP_HEIGHT * s + 0.5 * span])
         T_camera_hand = se3.pose(R, contact - R @ at)
         T_side_hand = T_side_camera @ T_camera_hand
-        return Grasp(T_side_hand, self._tips(T_side_hand, overlap, span))
+        return Grasp(T_side_hand, self._contact_tips(T_side_hand, overlap, span))
 
     def _thickness(self, at: Array, view: Array, T_side_camera: Array) -> tuple[float, float] | None:
-        """Depths along `view` at which the line through `at` enters and leaves the held side."""
+        """Distances along `view` at which the line through `at` enters and leaves the held side."""
         reach = 10 * float(np.linalg.norm(at))
         origins = np.stack([at - view * (at @ view), at + view * (reach - at @ view)])
         eye = np.eye(4)
@@ -356,8 +356,8 @@ class _Planner:
             return None
         return float(hits.distance[0]), float(reach - hits.distance[1])
 
-    def _tips(self, T_side_hand: Array, overlap: float, span: float) -> Array:
-        """Where the digits touch: on the surface where there is one within reach, else curled."""
+    def _contact_tips(self, T_side_hand: Array, overlap: float, span: float) -> Array:
+        """(5, 3) tips of the digits: on the surface where it is within reach, else curled."""
         s, m = self._hand.scale, self._hand.mirror
         height = GRIP_HEIGHT * s
         tips = np.empty((5, 3))
@@ -385,13 +385,13 @@ class _Planner:
         return tips
 
     def _cost(self, grasp: Grasp, looks: dict[int, tuple[Array, NDArray[np.int64]]]) -> float:
-        """How far a grip is from what is wanted."""
+        """Cost of a grip: hidden shares, collisions, bend of the wrist, direction of the arm."""
         eye = np.eye(4)
         Ts = self._hand.poses(eye, grasp.tips, eye)[:-1]
         pieces = [
             (se3.transform(T, mesh.vertices), mesh.faces) for T, mesh in zip(Ts, self._outlines[:-1], strict=True)
         ]
-        caster = Caster((_joined(pieces), self._outlines[-1]))
+        caster = Caster((_join_meshes(pieces), self._outlines[-1]))
         shares, moving, bends, above, lows = [], [], [], [], []
         for i, (depth, side) in looks.items():
             T_camera_hand = self._Ts(i)[self.held] @ grasp.T_side_hand
@@ -410,10 +410,10 @@ class _Planner:
         cost += 3 * max(float(np.max(shares)) - WORST_SHARE, 0) + 0.8 * max(float(np.mean(moving)) - 0.3, 0)
         cost += 0.5 * float(np.mean(np.maximum(np.array(bends) - 0.8, 0))) + 0.5 * float(np.mean(above))
         cost += 2.0 * float(np.mean(lows))
-        return cost + 0.5 * self._bumps(grasp, list(looks))
+        return cost + 0.5 * self._collision_share(grasp, list(looks))
 
-    def _bumps(self, grasp: Grasp, frames: list[int]) -> float:
-        """Share of frames in which the hand runs into the other side of the object."""
+    def _collision_share(self, grasp: Grasp, frames: list[int]) -> float:
+        """Share of frames in which the hand collides with the other side of the object."""
         joints = self._hand.joints(grasp.tips).reshape(-1, 3)
         points = se3.transform(grasp.T_side_hand, np.concatenate([joints, (joints[0::4] + joints[1::4]) / 2]))
         mesh = self._meshes[1 - self.held]
@@ -427,30 +427,30 @@ class _Planner:
         return float(np.mean(hit))
 
     def _fallback(self, i: int) -> Grasp:
-        """A hand below the object, when no rim is seen."""
+        """A grip below the object, for when no rim is visible."""
         Ts = self._Ts(i)
         vertices = se3.transform(Ts[self.held], self._meshes[self.held].vertices)
         low = vertices[vertices[:, 1].argmax()]
         R = np.stack([[0.0, -1, 0], [-1.0, 0, 0], [0.0, 0, -1]], 1)
         T_side_hand = se3.inverse(Ts[self.held]) @ se3.pose(R, low - R @ np.array([0.07, 0, 0.03]) * self._hand.scale)
-        return Grasp(T_side_hand, self._tips(T_side_hand, 0.01 * self._hand.scale, 0.02 * self._hand.scale))
+        return Grasp(T_side_hand, self._contact_tips(T_side_hand, 0.01 * self._hand.scale, 0.02 * self._hand.scale))
 
 
 def _arc(root: Array, tip: Array, lengths: Array, bulge: Array) -> Array:
-    """(4, 3) joints of three bones from `root` to `tip`, bent evenly towards `bulge`; straight when out of reach."""
+    """(4, 3) joints of three bones from `root` to `tip`, bent towards `bulge`; straight when the tip is out of reach."""
     chord = tip - root
     distance = float(np.linalg.norm(chord))
     way = chord / max(distance, 1e-9)
     side = bulge - way * (bulge @ way)
     side /= max(float(np.linalg.norm(side)), 1e-9)
 
-    flat = _bent(lengths, distance)
+    flat = _bend_bones(lengths, distance)
     return root + flat[:, :1] * way + flat[:, 1:] * side
 
 
 @numba.njit(cache=True)
-def _bent(lengths: Array, distance: float) -> Array:
-    """(4, 2) joints of bones in a plane, from the origin to a tip on the x axis at `distance`, or straight."""
+def _bend_bones(lengths: Array, distance: float) -> Array:
+    """(4, 2) joints of three bones in a plane, from the origin to a tip on the x axis at `distance`, or straight."""
     flat = np.zeros((4, 2))
     low, high = 0.0, 1.9
     for _ in range(26):
@@ -470,8 +470,8 @@ def _bent(lengths: Array, distance: float) -> Array:
     return turned
 
 
-def _along(a: Array, b: Array, back: Array, spare: Array | None = None) -> Array:
-    """The pose (4, 4) at `a` with z towards `b` and x as near to `back` as may be."""
+def _pose_along(a: Array, b: Array, back: Array, spare: Array | None = None) -> Array:
+    """The pose (4, 4) at `a` with z towards `b` and x as near as possible to `back`."""
     z = (b - a) / max(float(np.linalg.norm(b - a)), 1e-12)
     x = back - z * (back @ z)
     if np.linalg.norm(x) < 1e-3:
@@ -494,14 +494,14 @@ def _nail(digit: int, scale: float, segments: int) -> Manifold:
     return nail.translate([0.93 * radius, 0, length])
 
 
-def _joined(pieces: list[tuple[Array, NDArray[np.int64]]]) -> Mesh:
+def _join_meshes(pieces: list[tuple[Array, NDArray[np.int64]]]) -> Mesh:
     first = np.cumsum([0, *(len(v) for v, _ in pieces)])
     vertices = np.concatenate([v for v, _ in pieces])
     return Mesh(vertices, np.concatenate([f + first[k] for k, (_, f) in enumerate(pieces)]))
 
 
 def _skin(solid: Manifold, picture: NDArray[np.uint8], scale: float, roughness: float = 0.55) -> Skin:
-    """A smooth surface with a picture laid along z, one repeat every 8 cm."""
+    """A smooth surface with a texture along z, repeated every 8 cm."""
     vertices, faces = triangles(solid)
     corners = vertices[faces]
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -512,7 +512,7 @@ def _skin(solid: Manifold, picture: NDArray[np.uint8], scale: float, roughness: 
     return Skin(vertices, faces, normals, uv, picture, roughness)
 
 
-def _tinted(picture: NDArray[np.uint8], factors: tuple[float, float, float]) -> NDArray[np.uint8]:
+def _tint(picture: NDArray[np.uint8], factors: tuple[float, float, float]) -> NDArray[np.uint8]:
     return np.clip(picture.astype(float) * np.array(factors) * 1.06, 0, 255).astype(np.uint8)
 
 

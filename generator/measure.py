@@ -1,7 +1,7 @@
-"""Recordings of a joint that was let go as a measured set: the truth's part poses with a tracker's errors.
+"""Turns recordings of the motion 'release' into a measured set: the truth's part poses with a tracker's errors.
 
-So the loop closes on our own data: what an effect did to a film is to be found again by `freeart21 gap`, from the asset
-without the effect.
+It makes test cases of our own for `freeart21 gap`: an effect that acted in the recording is to be found again from the
+asset without effects.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from generator.release import add_inertia
 from generator.session import RecordSettings, build_model, find_partnet_folder
 
 UNCERTAINTY = 0.02
-"""Part of itself by which the asset's inertia and weight are said to be off: they are the recorder's own."""
+"""Stated relative uncertainty of the asset's inertia and weight, which are the recorder's own."""
 
 
 @dataclass(frozen=True)
 class TrackerNoise:
-    """How far part poses are off, frame by frame; errors last for some frames."""
+    """Errors of part poses, correlated over some frames."""
 
     shift_m: float = 5e-4
     """Standard deviation along each axis."""
@@ -68,11 +68,11 @@ def measure_truths(
     urdf: Path | None = None,
     root: Path | None = None,
 ) -> None:
-    """Write `out/asset`, the object as the recorder built it but without effects, and `out/measured`, a run a truth.
+    """Write `out/asset`, the recorded object without effects, and `out/measured`, with one run for each truth.
 
-    With three runs or more the last quarter of them, at least one, is held out. Of a truth that is of a URDF, `urdf` is
-    that file, and `root` bounds what it names. Raises FreeArtError when a truth is not of the motion release, or they
-    are not all of one object and joint.
+    With three runs or more the last quarter of them, at least one, is held out. For truths of a URDF, `urdf` is that
+    file, and `root` the folder that holds all files that it names. Raises FreeArtError when a truth is not of the
+    motion release, or they are not all of one object and joint.
     """
     folders = [Path(folder) for folder in truths]
     check_place(out, None, folders)
@@ -122,8 +122,10 @@ def _check_one_object(folders: list[Path], truths: list[Truth]) -> None:
 
 
 def _gravity(folder: Path, truth: Truth) -> Array:
-    """(3,) m/s^2 in the canonical frame of the part that stands still: the reference part's, but where that is the one
-    that swings; both are one frame at state zero."""
+    """(3,) m/s^2 in the canonical frame of the part at rest.
+
+    That is the reference part, unless it is the one that moves; both frames coincide at state zero.
+    """
     world = checked.read_npz(folder / "world.npz", ("T_camera_world",))["T_camera_world"]
     sides = [se3.inverse(world) @ Ts for Ts in (truth.Ts_camera_reference, truth.Ts_camera_moving)]
     still = min(sides, key=lambda Ts: float(np.ptp(Ts, axis=0).max()))
@@ -144,7 +146,7 @@ def _run(truth: Truth, take: int, noise: TrackerNoise) -> Run:
 def _asset(
     folder: Path, truth: Truth, out: Path, partnet_root: Path | None, urdf: Path | None, root: Path | None
 ) -> Asset:
-    """The object with the inertia that its release had, no effects, in the truth's frames."""
+    """The object with the inertia of its release and without effects, in the truth's frames."""
     source = truth.source
     own = source.get("object_source") == "procedural"
     joint, skip_missing = str(source["joint"]), bool(source["settings"].get("skip_missing"))
@@ -153,7 +155,7 @@ def _asset(
         urdf_folder.clear_notes(out)
         _remove_dynamics(out / partnet.URDF_NAME)
     elif urdf is not None:
-        raise FreeArtError(f"{folder} is of {source['object']}, which is no URDF of its own; got {urdf}")
+        raise FreeArtError(f"{folder} is of {source['object']}, which was not recorded from a URDF; got {urdf}")
     else:
         checked.copy_folder(folder / "object" if own else find_partnet_folder(str(source["object"]), partnet_root), out)
         loaded = partnet.load(out, joint, skip_missing=skip_missing)
@@ -164,7 +166,7 @@ def _asset(
         asset = add_inertia(asset, build_model(entry.name, settings), out, shapes=True)
         Path(asset.urdf).replace(out / partnet.URDF_NAME)
         asset = replace(asset, urdf=out / partnet.URDF_NAME)
-    if asset.reference_link not in source["reference_links"]:  # the child side is the larger one in the picture
+    if asset.reference_link not in source["reference_links"]:  # the child side is the reference part
         simulated = simulate.load(asset, gravity=(0.0, 0.0, 0.0))
         simulated.set_state(0.0)
         T = se3.inverse(simulated.link_pose(asset.reference_link)) @ simulated.link_pose(asset.moving_link)
@@ -180,23 +182,21 @@ def _asset(
 
 
 def _check_urdf(folder: Path, truth: Truth, urdf: Path | None, root: Path | None) -> Path:
-    """The file `urdf`, when it is what was recorded."""
+    """Return `urdf`; FreeArtError unless it is the recorded file."""
     name = truth.source["object"]
     if urdf is None:
-        raise FreeArtError(
-            f"{folder} is of the URDF {name}, whose hash a truth keeps, not its files; name it by --urdf"
-        )
+        raise FreeArtError(f"{folder} is of the URDF {name}; a truth holds its hash, not its files: give it as --urdf")
     was, now = (truth.source["settings"].get("urdf") or {}).get("sha256"), urdf_folder.digest(urdf, root)
     if was != now:
         raise FreeArtError(
-            f"{urdf} is not what {folder} was recorded of: it and its meshes have SHA-256 {now[:12]}..., expected "
+            f"{urdf} is not the object of {folder}: it and its meshes have SHA-256 {now[:12]}..., expected "
             f"{str(was)[:12]}..."
         )
     return urdf
 
 
 def _remove_dynamics(urdf: Path) -> None:
-    """Take <dynamics> out of a URDF: a joint that is let go has the effects of the recording, and no others."""
+    """Remove <dynamics> from a URDF: a released joint has the effects of the recording and no others."""
     robot = parse_urdf(urdf)
     for joint in robot.findall("joint"):
         for dynamics in joint.findall("dynamics"):

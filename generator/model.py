@@ -1,4 +1,4 @@
-"""What a procedural object is before it is written: links made of pieces, each piece one material."""
+"""Data types of a procedural object: links that consist of pieces, each of one material."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ SHINE: dict[str, tuple[float, float]] = {
 
 @dataclass(frozen=True)
 class Material:
-    """How a piece looks and what it weighs."""
+    """Appearance and density of a piece."""
 
     name: str
     colour: tuple[float, float, float]
-    """RGB, 0 to 1, as it should look (sRGB); of no effect where there is a texture."""
+    """sRGB, 0 to 1; not used with a texture."""
     finish: Finish
     density: float
     """kg/m^3."""
     texture: NDArray[np.uint8] | None = None
     """(h, w, 3) RGB, or None for a plain colour."""
     tile_m: float | None = None
-    """Metres that one texture covers; None fits it once to the piece's bounding box."""
+    """Metres that one repeat of the texture covers; None fits it once to the piece's bounding box."""
 
 
 def textured(
@@ -87,14 +87,14 @@ class Link:
     """A rigid part."""
 
     semantic: str
-    """What PartNet-Mobility calls such a part, for example 'rotation_lid'."""
+    """PartNet-Mobility's name for such a part, for example 'rotation_lid'."""
     pieces: tuple[Piece, ...]
     hinge: Hinge | None = None
     """None for the root link."""
 
     @property
     def mass(self) -> float:
-        """kg, by the materials' densities."""
+        """kg, from the materials' densities."""
         return float(sum(piece.solid.volume() * piece.material.density for piece in self.pieces))
 
 
@@ -112,12 +112,12 @@ class ObjectModel:
 
     @property
     def diagonal(self) -> float:
-        """Metres: the diagonal of the axis-aligned box round all solids, joints at zero."""
+        """Diagonal of the axis-aligned bounding box of all solids, joints at zero, metres."""
         boxes = np.array([piece.solid.bounding_box() for link in self.links for piece in link.pieces])
         return float(np.linalg.norm(boxes[:, 3:].max(0) - boxes[:, :3].min(0)))
 
     def scaled(self, factor: float) -> ObjectModel:
-        """The object `factor` times as large, of the same materials: solids, pivots, slides and texture tiles grow."""
+        """The object scaled by `factor`, materials unchanged: solids, pivots, slides and texture tiles."""
         return replace(self, links=tuple(_scaled_link(link, factor) for link in self.links))
 
 
@@ -137,7 +137,7 @@ def _scaled_link(link: Link, factor: float) -> Link:
         return replace(link, pieces=pieces)
     x, y, z = hinge.pivot
     slide = factor if hinge.type == "prismatic" else 1.0
-    grown = replace(
+    scaled = replace(
         hinge, pivot=(factor * x, factor * y, factor * z), lower=slide * hinge.lower, upper=slide * hinge.upper
     )
-    return replace(link, pieces=pieces, hinge=grown)
+    return replace(link, pieces=pieces, hinge=scaled)

@@ -1,6 +1,6 @@
-"""Objects as folders that a simulator can load: a procedural one is written, one of PartNet-Mobility made readable.
+"""Objects as folders that a simulator can load: procedural ones are written, PartNet-Mobility ones made readable.
 
-With `simulate` the only door of this room for others: `export.maniskill` makes objects of the catalog through it.
+Part of the package's interface for other packages, besides `simulate`: `export.maniskill` uses it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ __all__ = ["object_folder", "sapien_urdf"]
 
 
 def object_folder(name: str, seed: int, place: Path) -> Path:
-    """The folder place/NAME-sSEED of the procedural object `name` of the catalog, written unless it is there.
+    """The folder place/NAME-sSEED of the catalog's procedural object `name`; it is written unless it exists.
 
     Raises FreeArtError when the catalog holds no procedural object of that name.
     """

@@ -22,13 +22,13 @@ class _Rate(ProgressColumn):
 
 
 class Board:
-    """Bars on standard error, when that is a terminal: one a running sequence, and one for all when there are more.
+    """Progress bars on standard error: one for each running sequence, and one for all when there are several.
 
-    Otherwise, and when there are more, a line for every sequence done.
+    Without a terminal, and with several sequences, a line for every finished sequence instead.
     """
 
     def __init__(self, bars: Bars, console: Console, sequences: int, pictures: int) -> None:
-        """`sequences` are to be recorded, with `pictures` in all."""
+        """`sequences` are recorded, with `pictures` in all."""
         self._bars, self._console, self._sequences = bars, console, sequences
         self._running: dict[str, TaskID] = {}
         self._shares: dict[str, int] = {}
@@ -37,7 +37,7 @@ class Board:
         self._pictures = pictures
 
     def update(self, sequence: str, done: int, total: int) -> None:
-        """`done` of `total` pictures of a sequence exist."""
+        """Report that `done` of `total` pictures of a sequence exist."""
         if sequence not in self._running:
             self._running[sequence] = self._bars.add_task(sequence, total=total)
         self._drawn += done - self._shares.get(sequence, 0)
@@ -47,7 +47,7 @@ class Board:
             self._bars.update(self._all, completed=self._drawn)
 
     def finished(self, sequence: str) -> None:
-        """A sequence is in its place."""
+        """Report a finished sequence."""
         self._finished += 1
         if sequence in self._running:
             self._bars.remove_task(self._running.pop(sequence))
@@ -65,7 +65,7 @@ class Board:
 
 @contextmanager
 def progress_board(sequences: int, pictures: int) -> Iterator[Board]:
-    """A board for `sequences` with `pictures` in all."""
+    """Open a board for `sequences` with `pictures` in all."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), _Rate(), TimeRemainingColumn())
     with Bars(*columns, console=console, disable=not console.is_terminal, speed_estimate_period=20) as bars:
@@ -74,13 +74,13 @@ def progress_board(sequences: int, pictures: int) -> Iterator[Board]:
 
 @contextmanager
 def progress_bar(what: str) -> Iterator[Progress]:
-    """A bar named `what`, on standard error when that is a terminal; call it with (done, total)."""
+    """Open one bar named `what`, on standard error when that is a terminal; call it with (done, total)."""
     with progress_board(1, 0) as board:
         yield partial(board.update, what)
 
 
 def print_line(text: str) -> None:
-    """One plain line on standard error."""
+    """Print one plain line on standard error."""
     Console(stderr=True).print(text, highlight=False, markup=False, soft_wrap=True)
 
 

@@ -1,4 +1,4 @@
-"""Held-out views: poses and states of different frames, seen by a camera that moved a little."""
+"""Plans held-out views: pose and joint state from different frames, seen by a camera that moved a little."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from generator.motion import hull_points
 
 @dataclass(frozen=True)
 class QuerySettings:
-    """How far the camera of a held-out view stands from the recording one."""
+    """How far the camera of a held-out view is from the recording camera."""
 
     turn_degrees: float = 15.0
-    """Largest turn of the camera about the object."""
+    """Largest rotation of the camera about the object."""
     shift: float = 0.04
-    """Largest translation besides, as a share of the distance to the object."""
+    """Largest additional translation, as a share of the distance to the object."""
     margin: float = 0.02
     """Strip along the picture's border, as a share of its height, that the object never enters."""
 
@@ -49,11 +49,11 @@ def plan_queries(
     seed: int,
     settings: QuerySettings | None = None,
 ) -> tuple[PlannedQuery, ...]:
-    """`n` views: the reference part as in a random frame, the joint as in another, the camera moved.
+    """Draw `n` views: the reference part as in one random frame, the joint as in another, the camera moved.
 
-    `meshes` are reference and moving part, and `joint` moves the second. The whole object is in each picture: moves of
-    the camera that cut it off are drawn again, a little smaller each time, and so are the frames when none will do.
-    Raises FreeArtError when no such view is found.
+    `meshes` are reference and moving part; `joint` moves the second. The whole object is in each picture: a camera
+    motion that cuts it off is drawn again, a little smaller each time, and new frames are drawn when none fits. Raises
+    FreeArtError when no such view is found.
     """
     settings = settings or QuerySettings()
     rng = np.random.default_rng([seed, 3])
@@ -74,7 +74,7 @@ def plan_queries(
 
 
 def _fitting_move(rng: np.random.Generator, camera: Camera, points: Array, settings: QuerySettings) -> Array | None:
-    """A camera move (4, 4) that keeps all points (k, 3) in the picture; None when only tiny ones would."""
+    """A camera motion T_newcam_cam (4, 4) that keeps all points (k, 3) in the picture; None when none is found."""
     centre = (points.min(0) + points.max(0)) / 2
     for size in 0.95 ** np.arange(30):
         T_newcam_cam = _camera_move(rng, centre, float(size), settings)
@@ -84,7 +84,7 @@ def _fitting_move(rng: np.random.Generator, camera: Camera, points: Array, setti
 
 
 def _camera_move(rng: np.random.Generator, centre: Array, size: float, settings: QuerySettings) -> Array:
-    """A turn about the object's centre and a small translation: up to the settings' amounts times `size`."""
+    """A rotation about the object's centre and a translation: up to the settings' amounts times `size`."""
     axis = rng.normal(size=3)
     angle = np.radians(settings.turn_degrees) * size * rng.uniform(0.3, 1.0)
     R = se3.exp_so3(angle * axis / np.linalg.norm(axis))

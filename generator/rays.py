@@ -1,4 +1,4 @@
-"""Rays against the two sides of a posed object, with Embree: depth, hit side and hit face, without any renderer."""
+"""Casts rays against the two sides of a posed object with Embree: depth, side and face of the first hit."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ _FAR = 1e20
 
 @dataclass(frozen=True)
 class Hits:
-    """What n rays met first."""
+    """First hits of n rays."""
 
     distance: Array
-    """(n,) in lengths of the ray's direction; inf where nothing was hit."""
+    """(n,) in units of the length of the ray's direction; inf for no hit."""
     side: NDArray[np.int64]
-    """(n,) 0 or 1 for the sides in the order given, -1 for nothing."""
+    """(n,) 0 or 1, the index of the side; -1 for no hit."""
     face: NDArray[np.int64]
-    """(n,) face index in its side's mesh, -1 for nothing."""
+    """(n,) face index in the mesh of that side; -1 for no hit."""
 
 
 class Caster:
-    """Both sides of an object, each in a ray tracing scene of its own, so that posing them costs nothing."""
+    """Two sides of an object, each in its own ray tracing scene: moving a side only transforms the rays."""
 
     def __init__(self, meshes: tuple[Mesh, Mesh]) -> None:
         """`meshes` are the sides in the object's frame at joint state zero."""
@@ -41,7 +41,7 @@ class Caster:
             self._scenes.append(scene)
 
     def cast(self, origins: Array, directions: Array, Ts: tuple[Array, Array]) -> Hits:
-        """First hits of rays (n, 3), given in a frame into which `Ts` (4, 4 each) map the two sides."""
+        """First hits of rays (n, 3) in a common frame; `Ts` (4, 4 each) map the two sides into it."""
         posed = []
         for T in Ts:
             T_side_world = se3.inverse(T)
@@ -49,7 +49,7 @@ class Caster:
         return self.meet((posed[0], posed[1]))
 
     def meet(self, rays: tuple[tuple[Array, Array], tuple[Array, Array]]) -> Hits:
-        """First hits of n rays, each given twice: origins and directions (n, 3) in the frame of either side."""
+        """First hits of n rays, each given as origins and directions (n, 3) in the frame of side 0 and of side 1."""
         n = len(rays[0][0])
         distance, side, face = np.full(n, np.inf), np.full(n, -1), np.full(n, -1)
         for k, (scene, (origins, directions)) in enumerate(zip(self._scenes, rays, strict=True)):
@@ -61,7 +61,7 @@ class Caster:
         return Hits(distance, side, face)
 
     def look(self, camera: Camera, Ts_camera: tuple[Array, Array], pixels: NDArray[np.bool_] | None = None) -> Hits:
-        """First hits of rays through all pixel centres, or those of `pixels` (height, width); distance is z-depth."""
+        """First hits through all pixel centres, or those of the mask `pixels` (height, width); distance is z-depth."""
         rays = camera.rays() if pixels is None else camera.rays()[pixels]
         directions = rays.reshape(-1, 3)
         return self.cast(np.zeros_like(directions), directions, Ts_camera)

@@ -1,4 +1,4 @@
-"""The recorder's door: one object becomes a sequence folder, which a method may see, and a truth folder, which not."""
+"""Records one object: a sequence folder, which methods may see, and a truth folder, which they may not."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ __all__ = ["LICENCES", "Job", "RecordSettings", "built_in_names", "nice_scale", 
 def record(name: str, out: Path, settings: RecordSettings | None = None) -> str:
     """Record the object `name` of the catalog into the data folder `out`; returns the sequence's name.
 
-    Writes `out/sequences/SEQ` and `out/truth/SEQ`, both or neither, and renews `out/benchmark.json`; a sequence that is
-    there already, of the same settings, is left alone. Progress shows when standard error is a terminal. Raises
-    FreeArtError when the object is unknown, its files are unfit, the sequence exists from other settings, or this
-    machine cannot render.
+    Writes `out/sequences/SEQ` and `out/truth/SEQ`, both or neither, and updates `out/benchmark.json`. A sequence that
+    exists with the same settings is kept. Progress is shown when standard error is a terminal. Raises FreeArtError when
+    the object is unknown, its files are unfit, the sequence exists with other settings, or this machine cannot render.
     """
     jobs = plan_jobs([name], settings or RecordSettings())
     record_jobs(out, jobs)

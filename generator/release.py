@@ -1,7 +1,7 @@
-"""The motion 'release': the joint of a fixed, tipped object is let go, and SAPIEN says how it moves.
+"""The motion 'release': the joint of a fixed, tipped object is released, and SAPIEN simulates its motion.
 
-The masses of a procedural object are those of its materials. A PartNet-Mobility object has none: its parts weigh what
-SAPIEN makes of their convex collision shapes at 1000 kg/m^3.
+A procedural object has the masses of its materials. A PartNet-Mobility object has none; SAPIEN takes its convex
+collision shapes at 1000 kg/m^3.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ def roll_out_release(
     start: float | None = None,
     model: ObjectModel | None = None,
 ) -> Array:
-    """Joint states (frames,), rad or m, after the joint was let go at rest in frame 0.
+    """Joint states (frames,), rad or m, after the joint is released at rest in frame 0.
 
     Args:
         loaded: the object; its base is fixed as `tip_base` says, which 'release' plans show too.
-        effects: what acts on the joint besides gravity; none at all means no loss.
+        effects: what acts on the joint besides gravity; without effects there are no losses.
         frames: 2 or more.
         fps: frames a second.
-        seed: decides where the joint is let go when `start` does not: within the last tenth of its way up.
-        start: state to let go at, rad or m.
-        model: the procedural object that was loaded, whose materials give the masses.
+        seed: of the start when `start` is None: within the last tenth of the range.
+        start: state at the release, rad or m.
+        model: the procedural object that was loaded; its materials give the masses.
 
-    Raises FreeArtError when the start lies beyond the limits or the moving part has no mass.
+    Raises FreeArtError when the start is outside the limits or the moving part has no mass.
     """
     parent, child = (side.surface.mesh() for side in loaded.sides)
     body = Body.of((parent, child), loaded.joint)
@@ -77,7 +77,10 @@ def roll_out_release(
 
 
 def add_inertia(asset: Asset, model: ObjectModel, folder: Path, shapes: bool = False) -> Asset:
-    """`asset`, written from `model`, with a URDF in `folder` that has inertia by the materials, and maybe shapes."""
+    """`asset`, written from `model`, with a new URDF in `folder` that has inertia by the materials.
+
+    The URDF has the visual and collision shapes only with `shapes`.
+    """
     root = parse_urdf(asset.urdf)
     for element in root.findall("link"):
         for shape in () if shapes else (*element.findall("visual"), *element.findall("collision")):
@@ -93,7 +96,7 @@ def add_inertia(asset: Asset, model: ObjectModel, folder: Path, shapes: bool = F
 
 
 def _inertial(link: Link, pivot: Array) -> ET.Element:
-    """The URDF's <inertial> of a link, in its frame: at `pivot` (3,) of the object, with the mesh frame's axes."""
+    """The URDF's <inertial> of a link, in the link's frame: at `pivot` (3,) of the object, with mesh-frame axes."""
     mass, moment, about_zero = 0.0, np.zeros(3), np.zeros((3, 3))
     for piece in link.pieces:
         solid = trimesh.Trimesh(*triangles(piece.solid), process=False)

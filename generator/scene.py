@@ -1,4 +1,4 @@
-"""A SAPIEN scene with one articulated object, posed by hand and rendered: colour, depth and part of every pixel."""
+"""Renders one articulated object in SAPIEN at given poses: colour, depth and part of every pixel."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _T_SAPIEN_CAMERA = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0
 """SAPIEN's camera axes (x forward, y left, z up) from ours (x right, y down, z forward)."""
 
 _MOST_VIEWS = 4
-"""Sizes of pictures for which the engine's buffers are kept: making them anew takes as long as a picture."""
+"""Picture sizes for which the engine's buffers are cached: making them takes as long as a picture."""
 
 
 @dataclass(frozen=True)
@@ -35,14 +35,14 @@ class Picture:
     rgb: NDArray[np.uint8]
     """(height, width, 3)."""
     depth: NDArray[np.float32]
-    """(height, width) z-depth, metres; 0 where there is nothing."""
+    """(height, width) z-depth, metres; 0 for background."""
     side: NDArray[np.uint8]
     """(height, width): 0 no object, k for the k-th group of links, from 1."""
 
 
 @dataclass(frozen=True)
 class Skin:
-    """A surface with a picture on it."""
+    """A textured surface."""
 
     vertices: Array
     """(V, 3) metres."""
@@ -53,18 +53,18 @@ class Skin:
     uv: Array
     """(V, 2)."""
     picture: NDArray[np.uint8]
-    """(h, w, 3) RGB; repeats."""
+    """(h, w, 3) RGB texture, repeated."""
     roughness: float = 0.6
     """0 a mirror, 1 chalk."""
     gloss: float = 0.05
-    """Specular strength, 0 to 1, as MTL's Ks; skin and cloth reflect about so much."""
+    """Specular strength, 0 to 1, as MTL's Ks; the default is about that of skin and cloth."""
 
 
 class Scene:
-    """One object before a camera; nothing is simulated.
+    """One object in front of a camera; nothing is simulated.
 
-    The camera stands at the engine's origin and everything is posed in its frame, because the engine's poses are single
-    precision: a moving camera moves the lamps instead.
+    The engine's poses are single precision. So the camera is at the engine's origin, everything is posed in its frame,
+    and a moving camera moves the lamps instead.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class Scene:
         far: float,
         shader: str = "default",
     ) -> None:
-        """`groups` are names of links, one group a label; `near` and `far` bound the depth, metres.
+        """`groups` are the link names of each label, from label 1; `near` and `far` bound the depth, metres.
 
         Raises FreeArtError when this machine cannot render or SAPIEN cannot load the object.
         """
@@ -111,7 +111,7 @@ class Scene:
         self.set_camera(camera)
 
     def set_camera(self, camera: Camera) -> None:
-        """Draw with this camera from now on; it stands where any other stood."""
+        """Set the intrinsics and size of the following pictures; the camera's pose stays."""
         import sapien
 
         K, size, (near, far) = camera.K, (camera.width, camera.height), self._depths
@@ -126,22 +126,22 @@ class Scene:
         self.camera, self._view = camera, view
 
     def fix_lamps(self, T_camera_world: Array) -> None:
-        """Fix the lamps in the world as they stand about a camera at `T_camera_world` (4, 4)."""
+        """Fix the lamps in the world where they are for a camera at `T_camera_world` (4, 4)."""
         self._R_camera_world = np.asarray(T_camera_world, float)[:3, :3]
 
     def render(
         self, T_camera_object: Array, positions: dict[str, float], T_camera_world: Array | None = None
     ) -> Picture:
-        """The view with the root link at `T_camera_object` (4, 4) and joints at `positions` (rad or m; others zero).
+        """Render with the root link at `T_camera_object` (4, 4) and joints at `positions` (rad or m; others zero).
 
-        The lamps stand still in the world when `T_camera_world` (4, 4) is given (see `fix_lamps`); without it they go
-        with the camera. Where they are in the world does not matter: they are infinitely far away.
+        With `T_camera_world` (4, 4) the lamps are fixed in the world (see `fix_lamps`), without it they move with the
+        camera. Lamps are infinitely far away, so that only their direction matters.
         """
         self.shoot(T_camera_object, positions, T_camera_world)
         return Picture(self.rgb(), *self.depth_and_side())
 
     def set_props(self, things: Sequence[Sequence[Skin]]) -> None:
-        """The rigid things besides the object, instead of those before; seen in views that say where they are."""
+        """Replace the rigid props besides the object; they are drawn in views that give their poses."""
         import sapien
 
         for entity in self._props:
@@ -162,9 +162,9 @@ class Scene:
         T_camera_world: Array | None = None,
         Ts_camera_prop: Array | None = None,
     ) -> None:
-        """Draw a view, for the functions that fetch what is wanted of it; arguments as `render`.
+        """Draw a view; other methods fetch its pictures. Arguments as in `render`.
 
-        `Ts_camera_prop` (n, 4, 4) are the poses of the props in the order of `set_props`; without it none is seen.
+        `Ts_camera_prop` (n, 4, 4) are the poses of the props in the order of `set_props`; without it none is drawn.
         """
         import sapien
 
@@ -189,9 +189,9 @@ class Scene:
         return encode_srgb(picture[..., :3]) if self._linear else _to_bytes(picture)
 
     def colour_and_cover(self) -> NDArray[np.float32]:
-        """(height, width, 4) of the last view as the engine gives it: colours, 0 to 1, and 1 where there is something.
+        """(height, width, 4) of the last view, from the engine: colours, 0 to 1, and alpha, 1 where something is drawn.
 
-        The colours are sRGB; those of the shader 'trivial' are linear.
+        The colours are sRGB, but linear with the shader 'trivial'.
         """
         return np.asarray(self._view.get_picture("Color"))
 
@@ -201,7 +201,7 @@ class Scene:
         return np.clip(picture, 0, 1) if self._linear else decode_srgb(picture)
 
     def materials(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Of the last view: linear base colours (height, width, 3), 0 to 1, and specular strength (height, width)."""
+        """Linear base colours (height, width, 3), 0 to 1, and specular strength (height, width) of the last view."""
         base = self._view.get_picture("Color" if self._linear else "Albedo")[..., :3]
         shape = self._view.get_picture("Segmentation")[..., 0]
         if self._strength is None:
@@ -213,7 +213,7 @@ class Scene:
         return _depth_and_side(self._view.get_picture("Position"), self._view.get_picture("Segmentation"), self._label)
 
     def _turn_lamps(self, R_camera_world: Array) -> None:
-        """Turn the lamps to where they stand in the world for a camera at `R_camera_world` (3, 3)."""
+        """Rotate the lamps, which are fixed in the world, for a camera at `R_camera_world` (3, 3)."""
         import sapien
 
         R = R_camera_world @ self._R_camera_world.T
@@ -226,7 +226,7 @@ class Scene:
         self._R_now = R
 
     def link_poses(self) -> dict[str, Array]:
-        """Link name to its pose (4, 4) in the camera frame, as SAPIEN has it since the last `render`."""
+        """Link name to its pose (4, 4) in the camera frame at the last `render`, from SAPIEN."""
         T_camera_sapien = se3.inverse(_T_SAPIEN_CAMERA)
         return {
             link.name: T_camera_sapien @ se3.pose_from_wxyz(link.entity_pose.p, link.entity_pose.q)
@@ -235,7 +235,7 @@ class Scene:
 
 
 def simulator() -> dict[str, str]:
-    """Simulator, its version and the name of the render device, as they go into a truth's source."""
+    """Simulator, its version and the name of the render device, for a truth's `source`."""
     require_rendering()
     import sapien
 
@@ -245,12 +245,12 @@ def simulator() -> dict[str, str]:
 
 
 def encode_srgb(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """sRGB, 0 to 255, of light, 0 to 1 (IEC 61966-2-1); light is taken in 65536 steps."""
+    """sRGB bytes of linear light, 0 to 1 (IEC 61966-2-1), quantised to 65536 steps."""
     return _srgb_tables()[0][_to_16_bits(linear)]
 
 
 def decode_srgb(colours: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Light, 0 to 1, of sRGB colours, 0 to 1; colours are taken in 65536 steps."""
+    """Linear light, 0 to 1, of sRGB colours, 0 to 1, quantised to 65536 steps."""
     return _srgb_tables()[1][_to_16_bits(colours)]
 
 
@@ -260,7 +260,7 @@ def _to_16_bits(values: NDArray[np.float32]) -> NDArray[np.uint16]:
 
 @functools.cache
 def _srgb_tables() -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """sRGB bytes of light, and light of sRGB, by step."""
+    """Tables of sRGB bytes by linear light, and of linear light by sRGB."""
     x = np.arange(65536) / 65535
     light = np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
     return srgb_bytes(x), light.astype(np.float32)
@@ -273,14 +273,14 @@ def _to_bytes(colours: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 _PROP = 255
-"""Label of what is seen and is not the object."""
+"""Label of props."""
 
 
 @numba.njit(cache=True)
 def _depth_and_side(
     position: NDArray[np.float32], segmentation: NDArray[np.uint32], label: NDArray[np.uint8]
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Depth and side of the engine's pictures (h, w, 4); `label` by entity, its last entry for entities beyond."""
+    """Depth and side of the engine's pictures (h, w, 4); `label` by entity, its last entry for larger ids."""
     height, width = position.shape[:2]
     depth, side = np.zeros((height, width), np.float32), np.zeros((height, width), np.uint8)
     for v in range(height):
@@ -293,7 +293,7 @@ def _depth_and_side(
 
 
 def _render_body(skins: Sequence[Skin]) -> Any:
-    """What the engine draws of a thing."""
+    """The engine's render body of a prop."""
     import sapien
 
     body = sapien.render.RenderBodyComponent()
@@ -307,14 +307,14 @@ def _render_body(skins: Sequence[Skin]) -> Any:
 
 
 def _out_of_view() -> Any:
-    """Where a thing is not seen: behind the camera."""
+    """A pose behind the camera, where a prop is not visible."""
     import sapien
 
     return sapien.Pose([-1e4, 0, 0])
 
 
 def _load(scene: Any, urdf: Path) -> Any:
-    """The articulation of a URDF without its collision shapes (nothing collides here) and without absent files."""
+    """The articulation of a URDF without collision shapes and without absent files."""
     loader = scene.create_urdf_loader()
     loader.fix_root_link = False
     with sapien_urdf(urdf) as readable:
@@ -331,7 +331,7 @@ def _load(scene: Any, urdf: Path) -> Any:
 
 
 def _read_files_now(articulation: Any) -> None:
-    """Let SAPIEN read the mesh files and pictures now; it would put that off until the first view."""
+    """Let SAPIEN read mesh files and pictures now, not at the first view."""
     import sapien
 
     for link in articulation.links:
@@ -341,11 +341,11 @@ def _read_files_now(articulation: Any) -> None:
 
 
 def _specular_strengths(scene: Any, known: dict[int, list[float]]) -> NDArray[np.float32]:
-    """Specular strength (MTL Ks) by per-scene id of a shape; the last entry is for nothing.
+    """Specular strength (MTL Ks) by per-scene id of a shape; the last entry is for background.
 
-    `known` gives that of every shape of some entities, by their per-scene id; of the others it is told by roughness:
-    SAPIEN's importer keeps of Ks and the exponent Ns only the roughness 1 - Ks sqrt(Ns / 1000); Ns is taken as 230 Ks,
-    about as in `generator.model.SHINE`.
+    `known` gives the strengths of all shapes of some entities, by the entity's per-scene id. Of other shapes SAPIEN's
+    importer keeps only the roughness 1 - Ks sqrt(Ns / 1000); it is solved for Ks with the exponent Ns = 230 Ks, about
+    that of `generator.model.SHINE`.
     """
     import sapien
 
@@ -365,7 +365,7 @@ def _specular_strengths(scene: Any, known: dict[int, list[float]]) -> NDArray[np
 
 
 def _group_labels(articulation: Any, groups: Sequence[Sequence[str]], urdf: Path) -> NDArray[np.uint8]:
-    """Per-scene entity id to group label; the last entry is for ids beyond all links, which are props."""
+    """Group label by per-scene entity id; the last entry is for larger ids, which are props."""
     ids = {link.name: link.entity.per_scene_id for link in articulation.links}
     labels = np.zeros(max(ids.values()) + 2, np.uint8)
     for label, names in enumerate(groups, start=1):

@@ -1,10 +1,10 @@
-"""What the camera adds to a rendered video: named sensors, each of which may be joined with others by '+'.
+"""Simulates the camera's errors in a rendered video: named sensors, which may be combined with '+'.
 
 - clean: nothing.
 - noise2: depth with Gaussian noise of 2 % of itself.
 - tof: depth as a time-of-flight camera gives it (`generator.tof`).
-- hand: a hand holds the object and hides some of it (`generator.hand`); it is no part of the mask, but has depth.
-- blur: motion blur; light is averaged over the exposure. Poses, states, depth and mask are those of its middle.
+- hand: a hand holds the object and hides part of it (`generator.hand`); it is not in the mask, but has depth.
+- blur: motion blur; light is averaged over the exposure. Poses, states, depth and mask are those of mid-exposure.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ SENSORS: tuple[str, ...] = ("clean", "noise2", "tof", "blur", "hand")
 """Names of the sensors."""
 
 EXPOSURE_S = 1 / 60
-"""Time for which blur's shutter is open, half a frame at 30 a second; never longer than a frame."""
+"""Exposure time of blur, half a frame at 30 a second; at most a frame."""
 
 NOISE2_SHARE = 0.02
 """Standard deviation of noise2's depth, as a share of the depth."""
 
 _FAULTS = 6
-"""Random stream of the camera's faults, as `_STREAM`."""
+"""Random stream of the camera's faults: frame i draws from [seed, _FAULTS, i]."""
 _STREAM = 4
-"""Random stream of the sensors: frame i draws from [seed, _STREAM, i], whatever was drawn before."""
+"""Random stream of the sensors: frame i draws from [seed, _STREAM, i]."""
 
 
 @dataclass(frozen=True)
 class Shot:
-    """One frame of the video, as the camera gives it, and what it truly shows."""
+    """One frame of the video as the camera gives it, with its true labels."""
 
     rgb: NDArray[np.uint8]
     """(height, width, 3)."""
@@ -51,7 +51,7 @@ class Shot:
     mask: NDArray[np.bool_]
     """(height, width) where the object is seen: `side` > 0."""
     side: NDArray[np.uint8]
-    """(height, width): 0 no object, 1 the scored joint's parent side, 2 its child side; true, whatever `depth` says."""
+    """(height, width) true labels: 0 no object, 1 the scored joint's parent side, 2 its child side."""
 
 
 class Sensor:
@@ -85,7 +85,7 @@ class Sensor:
             scene.set_props(self._hand.hand.pieces())
 
     def shoot(self, i: int) -> Shot:
-        """Frame `i` of the video: the same whatever was shot before."""
+        """Frame `i` of the video; it does not depend on the frames before."""
         count = count_sub_frames(self.motion_px(i)) if "blur" in self._parts else 1
         then = None if self._faults is None or not self._faults.depth_delay else self._delayed_depth(i)
         light = self._light(i, count)
@@ -107,7 +107,7 @@ class Sensor:
         return Shot(rgb, depth, side > 0, side)
 
     def _delayed_depth(self, i: int) -> NDArray[np.float32]:
-        """The clean depth of the moment that frame `i`'s depth picture shows."""
+        """Clean depth at the earlier time that frame `i`'s delayed depth picture shows."""
         assert self._faults is not None
         self._draw(i - self._faults.depth_delay * self._fps)
         self._started_frame = None
@@ -116,7 +116,7 @@ class Sensor:
     def _apply_faults(
         self, i: int, depth: NDArray[np.float32], rgb: NDArray[np.uint8]
     ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        """Depth and colours with the camera's faults."""
+        """Add the camera's faults to depth and colours."""
         faults = self._faults
         assert faults is not None
         rng = np.random.default_rng([self._seed, _FAULTS, i])
@@ -125,7 +125,7 @@ class Sensor:
         return depth, faults.colour(rgb, i / max(len(self._plan.states) - 1, 1))
 
     def start_drawing(self, i: int) -> None:
-        """Let the renderer draw frame `i` while the caller does something else; `shoot` then takes the picture."""
+        """Let the renderer start frame `i` while the caller does other work; `shoot` then fetches the picture."""
         if "blur" not in self._parts and not (self._faults is not None and self._faults.depth_delay):
             self._draw(i)
             self._started_frame = i
@@ -139,7 +139,7 @@ class Sensor:
         self._scene.shoot(T, {**held, joint: state}, interpolate_pose(self._plan.Ts_camera_world, t), hand)
 
     def _light(self, i: int, count: int) -> NDArray[np.float32] | None:
-        """Sum of the light of all `count` sub-frames of frame `i` but the middle one; None when there is no other."""
+        """Sum of the light of the `count` sub-frames of frame `i` without the middle one; None for a single one."""
         light = None
         for k in range(count):
             if k != count // 2:
@@ -148,7 +148,7 @@ class Sensor:
         return light
 
     def motion_px(self, i: int) -> float:
-        """How far corners of object and hand move in the picture at most while frame `i` is exposed, pixels."""
+        """Largest motion of points of object and hand in the picture during the exposure of frame `i`, pixels."""
         ends = []
         for t in (i - self._exposure / 2, i + self._exposure / 2):
             T = interpolate_pose(self._plan.Ts_camera_object, t)
@@ -176,21 +176,21 @@ def make_sensor(
     Args:
         name: one of `SENSORS`, or several joined by '+', such as 'tof+blur'.
         scene: holds `loaded`.
-        plan: the motion; its first camera says where the lamps stand in the world.
+        plan: the motion; the lamps are fixed in the world by its first camera pose.
         loaded: the object.
         meshes: parent side and child side in the object's frame at joint state zero.
-        seed: of everything random.
+        seed: of all random numbers.
         fps: frames per second.
-        faults: what a real camera does besides, after all others; a delayed depth picture is a clean one.
+        faults: faults of a real camera, applied last; a delayed depth picture has no other errors.
 
-    Raises FreeArtError when the name is unknown or joins what cannot be joined.
+    Raises FreeArtError when a name is unknown or the names cannot be combined.
     """
     check_sensor(name)
     return Sensor(name, scene, plan, loaded, meshes, seed, fps, faults)
 
 
 def check_sensor(name: str) -> None:
-    """Raises FreeArtError unless `name` is a sensor or sensors joined by '+'."""
+    """Raise FreeArtError unless `name` is a sensor, or sensors joined by '+' that can be combined."""
     parts = name.split("+")
     for part in parts:
         if part not in SENSORS:
@@ -202,7 +202,7 @@ def check_sensor(name: str) -> None:
 
 
 def interpolate_pose(Ts: Array, t: float) -> Array:
-    """The pose (4, 4) at time `t`, in frames, of poses (n, 4, 4): constant twists from frame to frame, and beyond."""
+    """The pose (4, 4) at time `t`, in frames, of poses (n, 4, 4): constant twist between frames and beyond the ends."""
     k = int(np.clip(np.floor(t), 0, max(len(Ts) - 2, 0)))
     if t == k or len(Ts) == 1:
         return Ts[k]
@@ -212,17 +212,17 @@ def interpolate_pose(Ts: Array, t: float) -> Array:
 
 
 def count_sub_frames(motion_px: float) -> int:
-    """How many pictures make up an exposure in which the picture moves by `motion_px`: one a pixel, odd, at most 9.
+    """Number of pictures that make up an exposure with a motion of `motion_px`: one for each pixel, odd, at most 9.
 
-    Odd, so that the middle of the exposure, where depth and truth are taken, is one of them.
+    It is odd so that mid-exposure, at which depth and truth are taken, is one of them.
     """
     return min(2 * int(np.ceil((motion_px - 0.5) / 2)) + 1, 9) if motion_px > 0.5 else 1
 
 
 def noise2(depth: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
-    """Depth with Gaussian noise of 2 % of itself, drawn afresh for every pixel; 0 stays 0.
+    """Depth with independent Gaussian noise of 2 % of itself for every pixel; 0 stays 0.
 
-    It knows no edges, angles or materials.
+    The noise does not depend on edges, angles or materials.
     """
     noise = rng.standard_normal(depth.shape, np.float32)
     return depth * (np.float32(1) + np.float32(NOISE2_SHARE) * noise)

@@ -1,4 +1,4 @@
-"""One recording: an object, its planned motion and its scene become a sequence folder and a truth folder."""
+"""Records one object with its planned motion as a sequence folder and a truth folder."""
 
 from __future__ import annotations
 
@@ -55,21 +55,21 @@ ACCESS = "https://sapien.ucsd.edu/downloads"
 """Where to ask for PartNet-Mobility."""
 
 _PICTURES = ("sequence/rgb", "sequence/depth", "sequence/mask", "side")
-"""What a frame leaves in the work folder, one picture each; `side` is true and goes to the truth only."""
+"""Folders in the work folder, each with one picture a frame; `side` holds true labels for the truth folder."""
 
 TRACK = "track"
-"""The motion that is a take's: `RecordSettings.track` names its file."""
+"""The motion that replays a take; `RecordSettings.track` is its file."""
 
 SHADERS = ("default", "trivial")
-"""SAPIEN's camera shaders that give all the recorder needs."""
+"""SAPIEN's camera shaders that give all pictures that the recorder needs."""
 
 MAX_PICTURES = 100_000
-"""Frames, and held-out views: their files are numbered by five digits."""
+"""Of frames, and of held-out views: their files are numbered with five digits."""
 MAX_PIXELS = 1 << 24
-"""Of a picture, 4096 x 4096: as 3 bytes each they stay below the 64 MiB that `checked` reads of one file."""
+"""Pixels of a picture, 4096 x 4096: with 3 bytes each below the 64 MiB that `checked` reads of one file."""
 
 MAX_CARRY = 100.0
-"""Largest factor on the way of a take: from millimetres to the size of a room. Not measured."""
+"""Largest factor on a take's translation: from millimetres to the size of a room. Not measured."""
 
 _PNG_END = b"\x00\x00\x00\x00IEND\xaeB`\x82"
 
@@ -79,58 +79,59 @@ class RecordSettings:
     """How one object is recorded."""
 
     frames: int = 300
-    """Pictures of the video."""
+    """Number of pictures of the video."""
     seed: int = 0
-    """Of everything random: the object's sizes and colours, the motion, the sensor, the held-out views."""
+    """Seed of the object's sizes and colours, the motion, the sensor and the held-out views."""
     width: int = 640
     height: int = 360
     """Size of the pictures, pixels."""
     fov_y_degrees: float | None = None
-    """Vertical field of view; None takes the preset's."""
+    """Vertical field of view, degrees; None takes the preset's."""
     fps: float = 30.0
     """Pictures per second."""
     queries: int = 20
-    """Held-out views."""
+    """Number of held-out views."""
     motion: str = "tumble"
     """How the object is moved: one of `generator.motion.STYLES`, or TRACK."""
     track: Path | None = None
     """File of the take that the motion TRACK replays (`freeart21.formats.captured.read_track`)."""
     carry: float | None = None
-    """Factor on the way of a take whose poses are changes since the first; None takes sizes for it
-    (`generator.motion.track.scale_translation`)."""
+    """Factor on the translation of a take whose poses are changes since its first; None scales it by the sizes of the
+    objects (`generator.motion.track.scale_translation`)."""
     preset: str = "handheld"
-    """How large the object is and how far away: one of `generator.motion.PRESETS`."""
+    """Size and distance of the object: one of `generator.motion.PRESETS`."""
     sensor: str = "clean"
-    """What the camera adds: one of `generator.sensor.SENSORS`, or several joined by '+'."""
+    """Errors of the camera: one of `generator.sensor.SENSORS`, or several joined by '+'."""
     camera: Path | None = None
-    """camera.json of what a real camera does to its pictures (`freeart21.camera_faults`), put upon the sensor's."""
+    """camera.json with the faults of a real camera (`freeart21.camera_faults`), applied after the sensor."""
     effects: Path | None = None
     """effects.json of the released joint, for the motion 'release'."""
     let_go: float | None = None
-    """Share of the released joint's range, from its lower limit, at which it is let go; None draws it from the seed."""
+    """Start of the released joint, as a share of its range from the lower limit; None draws it from the seed."""
     partnet_root: Path | None = None
-    """Folder that holds PartNet-Mobility objects, one folder an id."""
+    """Folder with PartNet-Mobility objects, one folder for each id."""
     urdf: Path | None = None
-    """The object's own URDF, of an object that is in no catalog."""
+    """URDF of an object that is not in the catalog."""
     root: Path | None = None
-    """Folder within which the files lie that `urdf` names; None takes its own, or its package's."""
+    """Folder that holds all files that `urdf` names; None takes the URDF's own folder, or its package's."""
     joint: str | None = None
     """Scored joint; None takes the catalog's, or the only movable one."""
     skip_missing: bool = False
-    """Leave out mesh files that an object names but does not have, rather than refuse the object."""
+    """Leave out absent mesh files instead of refusing the object."""
     shader: str = "default"
     """SAPIEN's camera shader, one of `SHADERS`.
 
-    'default' lights the object: highlights and shading that change as it turns are part of the task. 'trivial' (unlit,
-    three times as fast, no compile wait) is for tests. 'minimal' will not do: it gives depth in whole millimetres.
+    'default' lights the object: highlights and shading that change with its pose are part of the task. 'trivial' is
+    unlit, three times as fast and needs no compilation; it is for tests. 'minimal' is not allowed: the steps of its
+    depth are a millimetre.
     """
     edge: float = 0.02
     """Longest edge of the truth meshes, as a share of the object's diagonal."""
     visible_every: int = 3
-    """Every how many frames the truth's visible faces are looked for."""
+    """Frames between those in which the truth's visible faces are searched."""
 
     def check(self) -> None:
-        """FreeArtError, in one line, when these settings make no recording."""
+        """Raise FreeArtError, in one line, when these settings cannot be recorded."""
         if self.seed < 0:
             raise FreeArtError(f"cannot draw from seed {self.seed}; expected 0 or more")
         if self.frames < 2 or self.fps <= 0 or self.queries < 0 or min(self.width, self.height) < 16:
@@ -177,14 +178,14 @@ class RecordSettings:
             )
 
     def to_json(self) -> dict[str, Any]:
-        """All that decides the recording's bytes, as JSON: without places on this machine."""
+        """All that decides the recording's bytes, as JSON, without paths of this machine."""
         facts = asdict(self)
         del facts["partnet_root"], facts["root"]
         facts["effects"] = None if self.effects is None else checked.read_json(self.effects, root=checked.ANYWHERE)
         facts["camera"] = None if self.camera is None else checked.read_json(self.camera, root=checked.ANYWHERE)
         for later in ("let_go", "track", "urdf", "camera"):
             if getattr(self, later) is None:
-                del facts[later]  # what was recorded before there was a choice
+                del facts[later]  # older recordings have no such key
         if self.track is None:
             del facts["carry"]
         if self.urdf is not None:
@@ -195,11 +196,11 @@ class RecordSettings:
 
 
 def record_object(name: str, settings: RecordSettings, work: Path, progress: Progress) -> None:
-    """Record the object `name` into the folder `work`: it then holds `sequence` and `truth`, both whole.
+    """Record the object `name` into `work/sequence` and `work/truth`, both complete.
 
-    A folder that an interrupted call left goes on from there, with the same result to the last byte: its frames are
-    kept and only the missing ones are drawn. `truth` appears last. Raises FreeArtError when the object's files are
-    unfit, this machine cannot render, or the disk refuses.
+    After an interruption the same call continues: existing frames are kept, missing ones drawn, and the result is the
+    same to the last byte. `truth` appears last. Raises FreeArtError when the object's files are unfit, this machine
+    cannot render, or the disk refuses.
     """
     if (work / "truth").is_dir():
         return
@@ -228,17 +229,17 @@ def record_object(name: str, settings: RecordSettings, work: Path, progress: Pro
 
 
 def catalog_entry(name: str, settings: RecordSettings) -> catalog.CatalogEntry:
-    """The catalog's entry of `name`, or one made for the settings' URDF or a number of PartNet-Mobility's."""
+    """The catalog's entry of `name`, or a new one for the settings' URDF or a PartNet-Mobility id."""
     if settings.urdf is not None:
         return catalog.CatalogEntry(name, "unknown", None, None, "urdf", None)
     return catalog.find(name, partnet=settings.partnet_root is not None)
 
 
 def load_object(entry: catalog.CatalogEntry, settings: RecordSettings, place: Path) -> partnet.PartNetObject:
-    """The object of the catalog's `entry`, loaded from its PartNet-Mobility folder.
+    """The object of the catalog's `entry`, loaded from a PartNet-Mobility folder.
 
-    A procedural object's folder is made in `place`, of the preset's size, unless it is there, and so is one of a URDF;
-    others are the user's.
+    The folder of a procedural object or a URDF is written in `place` unless it exists; a procedural object gets the
+    preset's size. Folders of PartNet-Mobility objects are the user's.
     """
     if settings.urdf is not None:
         return urdf_folder.load_urdf(
@@ -261,7 +262,7 @@ def build_model(name: str, settings: RecordSettings) -> ObjectModel:
 def plan_recording(
     loaded: partnet.PartNetObject, settings: RecordSettings, model: ObjectModel | None = None
 ) -> tuple[Camera, Plan]:
-    """The camera, and the motion before it. `model` gives the masses of a procedural object that is let go."""
+    """The camera and the planned motion. `model` gives the masses of a procedural object for the motion 'release'."""
     preset, s = PRESETS[settings.preset], settings
     fov_y = preset.fov_y_degrees if s.fov_y_degrees is None else s.fov_y_degrees
     camera = Camera.from_fov(s.width, s.height, np.radians(fov_y))
@@ -278,7 +279,7 @@ def plan_recording(
 
 
 def _plan_from_take(loaded: partnet.PartNetObject, settings: RecordSettings, camera: Camera) -> Plan:
-    """The motion of the settings' take; poses that are meant as changes begin as seen in scripted motion."""
+    """The motion of the settings' take. Poses that are changes since the first start as the motion 'tumble' does."""
     assert settings.track is not None
     s, preset, take = settings, PRESETS[settings.preset], read_track(settings.track)
     body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
@@ -314,34 +315,34 @@ def _plan_from_take(loaded: partnet.PartNetObject, settings: RecordSettings, cam
 
 
 def depth_bounds(Ts_camera_object: Array, diagonal: float) -> tuple[float, float]:
-    """Nearest and furthest depth, metres, that is drawn of an object of this diagonal, at poses (n, 4, 4)."""
+    """Near and far clipping depth, metres, for an object of this diagonal at poses (n, 4, 4)."""
     reach = float(np.linalg.norm(Ts_camera_object[:, :3, 3], axis=1).max() + 2 * diagonal)
     return 1e-3 * reach, reach
 
 
 def read_release_effects(path: Path, joint: Joint) -> tuple[Effect, ...]:
-    """The effects that an effects.json gives to the joint."""
+    """Read the joint's effects from an effects.json; FreeArtError when one of them cannot act on a released joint."""
     entries = checked.read_json(path, EFFECTS_SCHEMA, checked.ANYWHERE).get("joints")
     if not isinstance(entries, dict) or not all(isinstance(v, list) for v in entries.values()):
         raise FreeArtError(f"{path}: 'joints' must map joint names to lists of effects")
     if joint.name not in entries:
-        raise FreeArtError(f"{path} says nothing of '{joint.name}'; its joints: {', '.join(entries) or 'none'}")
+        raise FreeArtError(f"{path} has no joint '{joint.name}'; its joints: {', '.join(entries) or 'none'}")
     effects = tuple(effect_from_json(e, joint.type, f"{path} joint '{joint.name}'") for e in entries[joint.name])
     odd = [effect.name for effect in effects if effect.kind != "dynamics" or effect.acts == "command"]
     if odd:
         raise FreeArtError(
-            f"{path} gives joint '{joint.name}' {', '.join(odd)}: a joint that is let go is filmed with what works on "
-            "its motion alone, not with effects of geometry, sensors or drives"
+            f"{path} gives joint '{joint.name}' {', '.join(odd)}: a released joint takes effects of dynamics only, not "
+            "of geometry, sensors or drives"
         )
     return effects
 
 
 def find_partnet_folder(name: str, root: Path | None) -> Path:
-    """The folder of the PartNet-Mobility object `name`; FreeArtError says where to ask for it when it is not there."""
+    """The folder of the PartNet-Mobility object `name`; FreeArtError when it is absent, with where to ask for it."""
     if root is None:
         raise FreeArtError(
-            f"object '{name}' is from PartNet-Mobility: name the folder that holds {name} by --partnet-root; "
-            f"who has none may ask for access at {ACCESS}"
+            f"object '{name}' is from PartNet-Mobility: give the folder that holds {name} as --partnet-root; "
+            f"access to the dataset: {ACCESS}"
         )
     folder = partnet.find_folder(name, root)
     if folder is None:
@@ -359,18 +360,18 @@ def nice_scale(least: float) -> float:
 
 
 def reverse_joint(joint: Joint) -> Joint:
-    """The joint as motion of its parent side against its child side, with the same states: the axis turns round."""
+    """The same joint with parent and child side exchanged: the axis is reversed, the states stay the same."""
     return replace(joint, axis=-joint.axis)
 
 
 @dataclass(frozen=True)
 class Parts:
-    """Which side of the joint became the reference part, and what follows from it."""
+    """The sides of the joint as reference part and moving part."""
 
     order: tuple[int, int]
-    """Side (0 parent, 1 child) of the reference and of the moving part."""
+    """Side (0 parent, 1 child) of the reference part and of the moving part."""
     joint: Joint
-    """Motion of the moving part against the reference part."""
+    """Motion of the moving part relative to the reference part."""
     Ts_camera: tuple[Array, Array]
     """Poses (n, 4, 4) of reference and moving part."""
     seen: NDArray[np.int64]
@@ -378,7 +379,7 @@ class Parts:
 
 
 class Session:
-    """One recording under way: the scene, the planned motion, and a work folder for its pictures."""
+    """The state of one recording: the scene, the planned motion, and a work folder for its pictures."""
 
     def __init__(
         self,
@@ -407,10 +408,10 @@ class Session:
         self._done = 0
 
     def film(self) -> None:
-        """Draw all frames of the video that the work folder does not hold yet.
+        """Draw all frames of the video that are not in the work folder yet.
 
         While a frame is encoded and written, the renderer draws the next one. Raises FreeArtError when a picture is
-        empty though nothing stands before the object: under heavy load a software renderer was seen to fail so.
+        empty although nothing hides the object: a software renderer was seen to fail like this under heavy load.
         """
         n = self.settings.frames
         kept = [all(_is_complete_png(self._work / sub / f"{i:05d}.png") for sub in _PICTURES) for i in range(n)]
@@ -432,7 +433,7 @@ class Session:
                 self._count_picture()
 
     def parts(self) -> Parts:
-        """Reference and moving part of the video: the side with more pixels over all frames is the reference."""
+        """Choose the reference part: the side with more pixels over all frames."""
         counts = self._counts
         order = (1, 0) if counts[:, 1].sum() > counts[:, 0].sum() else (0, 1)
         joint = self.loaded.joint
@@ -441,16 +442,16 @@ class Session:
         return Parts(order, own, (Ts[order[0]], Ts[order[1]]), counts[:, list(order)])
 
     def plan_views(self, parts: Parts) -> tuple[PlannedQuery, ...]:
-        """The held-out views of the video."""
+        """Plan the held-out views of the video."""
         meshes = self.meshes[parts.order[0]], self.meshes[parts.order[1]]
         n, seed = self.settings.queries, self.settings.seed
         return plan_queries(meshes, parts.joint, self.camera, parts.Ts_camera[0], self.plan.states, n, seed)
 
     def truth(self, parts: Parts, views: tuple[PlannedQuery, ...], facts: dict[str, Any]) -> Truth:
-        """The truth of the video; renders the held-out views, which are clean whatever the sensor.
+        """The truth of the video, with the held-out views rendered; these are clean for every sensor.
 
-        Faces that nothing outside can ever see (where solids of one part meet) are left out: no video tells of them,
-        and handed in as an answer the truth must score perfect.
+        Faces that cannot be seen from outside in any state (where solids of one part meet) are left out: no video shows
+        them, and the truth, submitted as an answer, must score perfectly.
         """
         order = parts.order
         meshes = self.meshes[order[0]], self.meshes[order[1]]
@@ -472,7 +473,7 @@ class Session:
         )
 
     def _sampled_views(self, parts: Parts) -> Iterator[tuple[Array, Array, NDArray[np.bool_]]]:
-        """Poses of both parts and foreground of some frames."""
+        """Poses of both parts and foreground mask of every `visible_every`-th frame."""
         for i in range(0, self.settings.frames, self.settings.visible_every):
             yield parts.Ts_camera[0][i], parts.Ts_camera[1][i], self._side(i) > 0
 
@@ -497,7 +498,7 @@ class Session:
         }
 
     def _view(self, i: int, view: PlannedQuery, parts: Parts) -> Picture:
-        """Held-out view `i`: the lamps stay; the root link stands with the parent side, whichever part it is."""
+        """Render held-out view `i`. The lamps stay fixed in the world; the root link belongs to the parent side."""
         T_parent = (view.T_camera_reference, view.T_camera_reference @ parts.joint.transform(view.state))
         positions = {**self.loaded.asset.held, self.loaded.joint.name: view.state}
         query = view.query
@@ -519,7 +520,7 @@ class Session:
 
 
 def _is_complete_png(path: Path) -> bool:
-    """Whether a PNG file is there to its end: after a power cut a file may be there without its content."""
+    """Whether a PNG file exists and ends properly: after a power cut files may lack their content."""
     try:
         return checked.read_bytes(path, checked.MAX_IMAGE_BYTES).endswith(_PNG_END)
     except FreeArtError:

@@ -1,4 +1,4 @@
-"""A painted triangle surface, which can be made fine enough to carry its colours at the vertices."""
+"""A textured triangle surface that can be subdivided until its vertices carry the colours."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Paint:
 
 @dataclass(frozen=True)
 class Surface:
-    """Triangles whose vertices carry texture coordinates and a paint."""
+    """Triangles with texture coordinates and a paint at each vertex."""
 
     vertices: Array
     """(V, 3) metres."""
@@ -49,7 +49,7 @@ class Surface:
 
     @classmethod
     def joined(cls, surfaces: Sequence[Surface]) -> Surface:
-        """All surfaces as one."""
+        """Concatenate surfaces."""
         if not surfaces:
             return cls(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros((0, 2)), np.zeros(0, np.int64), ())
         first_vertex = np.cumsum([0, *(len(s.vertices) for s in surfaces)])
@@ -69,10 +69,10 @@ class Surface:
         return replace(self, vertices=se3.transform(T_new_old, self.vertices * scale), faces=faces)
 
     def subdivided(self, longest: float) -> Surface:
-        """The same surface with every edge at most `longest` metres: too long edges are halved, the longest first.
+        """The same surface with edges of at most `longest` metres: longer edges are halved, the longest first.
 
-        An edge is halved at its middle on both of its faces or on neither, so that no gap opens. Raises FreeArtError
-        when that would make more than 20 million triangles.
+        An edge is halved on both of its faces or on neither, so that no gap opens. Raises FreeArtError when the result
+        would have more than 20 million triangles.
         """
         vertices, uv, paint, todo = self.vertices, self.uv, self.paint, self.faces
         done: list[NDArray[np.int64]] = []
@@ -100,7 +100,7 @@ class Surface:
         return replace(self, vertices=vertices, uv=uv, paint=paint, faces=np.concatenate(done) if done else self.faces)
 
     def mesh(self) -> Mesh:
-        """The plain mesh, coloured at its vertices; triangles without area are left out."""
+        """The mesh with colours at its vertices, without triangles of zero area."""
         colours = np.zeros((len(self.vertices), 3), np.uint8)
         for k, paint in enumerate(self.paints):
             here = self.paint == k

@@ -1,6 +1,6 @@
 """A time-of-flight depth camera of the Orbbec Femto Bolt class (the depth camera of Microsoft's Azure Kinect).
 
-Everything is metric: noise has the same millimetres on a lighter as on a wardrobe, so that small objects fare worse.
+Noise is metric: it has as many millimetres on a lighter as on a wardrobe, so that small objects suffer more.
 
 Sources
 -------
@@ -61,19 +61,19 @@ Map = NDArray[np.float32]
 NOISE_MM2: tuple[float, float, float] = (0.23, 0.22, 0.012)
 """Variance, mm^2: constant, by 1 / signal, by 1 / signal^2."""
 WHITE = 0.8
-"""Albedo of the white wall that has signal 1 at 1 m."""
+"""Albedo of a white wall, which has signal 1 at 1 m."""
 DARKEST = 0.03
 """Least infrared albedo."""
 WORST_NOISE_MM = 17.0
-"""Pixels of more noise are invalid."""
+"""Pixels with more noise are invalid."""
 SATURATION = 45.0
-"""Pixels of more signal are invalid."""
+"""Pixels with more signal are invalid."""
 GRAZING_DEGREES: tuple[float, float] = (78.0, 86.0)
-"""Angle to the ray at which the first and the last pixel is lost."""
+"""Angles of incidence from which some pixels, and all pixels, are invalid."""
 FOOTPRINT_RAD = 1.2e-3
 """Standard deviation of a pixel's footprint."""
 ROOM_BEHIND_M = 1.0
-"""How far the room's wall is behind the object's farthest point."""
+"""Distance of the room's wall behind the object's farthest point."""
 ROOM_ALBEDO = 0.5
 """Of the room's wall."""
 MIXED_M = 0.02
@@ -88,19 +88,19 @@ SCALE_ERROR = 1e-3
 
 @dataclass(frozen=True)
 class TimeOfFlight:
-    """One such camera: `seed` is its specimen, whose systematic errors stay."""
+    """One time-of-flight camera; `seed` gives its specimen's constant systematic errors."""
 
     camera: Camera
     seed: int
 
     def measure(self, depth: Map, albedo: Map, gloss: Map, rng: np.random.Generator) -> Map:
-        """What the camera gives.
+        """The measured depth (height, width), metres; 0 for invalid pixels.
 
         Args:
-            depth: true z-depth, metres; 0 where nothing is drawn.
+            depth: true z-depth, metres; 0 for background.
             albedo: infrared albedo, 0 to 1.
             gloss: specular strength, 0 to 1.
-            rng: of the frame.
+            rng: random numbers of the frame.
         """
         seen = depth > 0
         if not seen.any():
@@ -134,7 +134,7 @@ class TimeOfFlight:
         return error
 
     def mix_footprints(self, depth: Map, signal: Map) -> tuple[Map, Map]:
-        """Mean and standard deviation of the depth within every footprint, weighted by signal; 0 off the object."""
+        """Mean and standard deviation of the depth in every footprint, weighted by signal; 0 off the object."""
         sigma_px = max(FOOTPRINT_RAD * float(self.camera.K[0, 0]), 0.2)
         reach = max(1, math.ceil(2.5 * sigma_px))
         taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma_px) ** 2)
@@ -145,28 +145,28 @@ class TimeOfFlight:
 
 
 def infrared_albedo(linear_rgb: NDArray[np.float32]) -> Map:
-    """Infrared albedo (height, width) by base colours (height, width, 3), linear."""
+    """Infrared albedo (height, width) from linear base colours (height, width, 3)."""
     return np.maximum(linear_rgb.mean(-1), np.float32(DARKEST))
 
 
 def noise_m(signal: NDArray) -> NDArray:
-    """Standard deviation of the random error, metres, by the signal."""
+    """Standard deviation of the random error, metres, as a function of the signal."""
     a, b, c = NOISE_MM2
     signal = np.maximum(signal, 1e-6)
     return 1e-3 * np.sqrt(a + (b + c / signal) / signal)
 
 
 def incidence_cosine(depth: Map, rays: Array) -> Map:
-    """Cosine (height, width) of the angle between surface and ray; 1 where nothing is drawn.
+    """Cosine (height, width) of the angle between surface normal and ray; 1 for background.
 
-    On a plane the inverse depth is linear in the picture; each slope is the smaller one of both sides' differences, so
-    that a surface keeps its normal at its edge. `rays` (height, width, 3) have z = 1.
+    On a plane the inverse depth is linear in the picture. Each slope is the smaller of the two one-sided differences, so
+    that normals at edges stay those of the surface. `rays` (height, width, 3) have z = 1.
     """
     return _incidence_cosine(depth, rays)
 
 
 def returned_signal(depth: Map, albedo: Map, gloss: Map, cosine: Map, rays: Array) -> Map:
-    """Signal (height, width) that comes back; 0 where nothing is drawn."""
+    """Returned signal (height, width); 0 for background."""
     return _returned_signal(depth, albedo, gloss, cosine, rays)
 
 

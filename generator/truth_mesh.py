@@ -1,4 +1,4 @@
-"""Truth meshes: fine enough to be flagged face by face, with what can be seen at all and what a video showed."""
+"""Flags the faces of truth meshes: those that can be seen from outside, and those that a video showed."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from freeart21.camera import Camera
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
+from freeart21.sphere import sphere
 from generator.motion import motion_range
 from generator.rays import Caster, Hits
 
@@ -20,25 +21,26 @@ Flags = tuple[NDArray[np.bool_], NDArray[np.bool_]]
 _DIRECTIONS = 40
 _GRID = 100
 _ESCAPES = 30
-_SAME = 1e-6  # of the side's size: corners no further apart are one corner
+_SAME = 1e-6  # of the side's size: vertices within this distance are one
 
 
 def outer_faces(meshes: tuple[Mesh, Mesh], joint: Joint, states: int = 5) -> Flags:
     """Per side (F,) faces that a ray from outside can hit at one of `states` joint states spread over the range.
 
-    First parallel rays from 40 directions, others at each state; then, for faces that these missed (smaller than the
-    rays' spacing, or deep inside), rays from their centres outwards, in 30 directions, others at each state: a face is
-    outer when one of them escapes. What shows through a slit in less than about one direction in fifty may be missed.
+    First, parallel rays are cast from 40 directions, different ones at each state. For faces that these miss (smaller
+    than the spacing of the rays, or deep inside), rays are cast from their centres in 30 directions, different ones at
+    each state: a face is outer when one of them escapes. Faces that show through a slit in less than about 1 of 50
+    directions may be missed.
     """
     caster = Caster(meshes)
     flags = (np.zeros(len(meshes[0].faces), bool), np.zeros(len(meshes[1].faces), bool))
     groups = coincident_faces(meshes[0]), coincident_faces(meshes[1])
     poses = [(np.eye(4), joint.transform(q)) for q in np.linspace(*motion_range(joint), states)]
-    directions = _sphere(_DIRECTIONS * states)
+    directions = sphere(_DIRECTIONS * states)
     for k, Ts in enumerate(poses):
         _mark_from_outside(caster, meshes, Ts, directions[k::states], flags)
     _mark_coincident(flags, groups)
-    directions = _sphere(_ESCAPES * states)
+    directions = sphere(_ESCAPES * states)
     for k, Ts in enumerate(poses):
         _mark_escaping(caster, meshes, Ts, directions[k::states], flags, groups)
     return flags
@@ -47,9 +49,9 @@ def outer_faces(meshes: tuple[Mesh, Mesh], joint: Joint, states: int = 5) -> Fla
 def visible_faces(
     meshes: tuple[Mesh, Mesh], camera: Camera, views: Iterable[tuple[Array, Array, NDArray[np.bool_]]]
 ) -> Flags:
-    """Per side (F,) faces hit by a pixel's ray in one of the views, and the faces that lie on those.
+    """Per side (F,) faces hit by a pixel's ray in one of the views, and the faces that coincide with those.
 
-    A view is the pose of each side (4, 4) and the foreground (height, width) to look at.
+    A view is the pose of each side (4, 4) and the foreground mask (height, width).
     """
     caster = Caster(meshes)
     flags = (np.zeros(len(meshes[0].faces), bool), np.zeros(len(meshes[1].faces), bool))
@@ -60,9 +62,9 @@ def visible_faces(
 
 
 def coincident_faces(mesh: Mesh) -> NDArray[np.int64]:
-    """(F,) group of each face: faces with the same three corners, whichever way round, share one.
+    """(F,) group of each face: faces with the same three corners, in any order, share one.
 
-    PartNet-Mobility draws most faces twice, once for each way to look at them; a ray hits either.
+    PartNet-Mobility holds most faces twice, once for each direction; a ray hits either.
     """
     if mesh.empty:
         return np.zeros(0, np.int64)
@@ -72,7 +74,7 @@ def coincident_faces(mesh: Mesh) -> NDArray[np.int64]:
 
 
 def _mark_coincident(flags: Flags, groups: tuple[NDArray[np.int64], NDArray[np.int64]]) -> None:
-    """What holds for a face holds for the faces that lie on it."""
+    """Copy flags to coincident faces."""
     for flag, group in zip(flags, groups, strict=True):
         marked = np.zeros(group.max(initial=-1) + 1, bool)
         marked[group[flag]] = True
@@ -121,11 +123,3 @@ def _mark_escaping(
             hits = caster.cast(middle[todo] + step * out, np.broadcast_to(direction, (len(todo), 3)), Ts)
             flags[k][rest[todo[hits.side < 0]]] = True
     _mark_coincident(flags, groups)
-
-
-def _sphere(n: int) -> Array:
-    """n directions (n, 3), evenly spread (Fibonacci)."""
-    z = 1 - 2 * (np.arange(n) + 0.5) / n
-    angle = np.pi * (1 + 5**0.5) * np.arange(n)
-    r = np.sqrt(1 - z**2)
-    return np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)

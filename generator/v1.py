@@ -1,8 +1,8 @@
-"""FreeArt-21 v1: which shapes and motions its sequences have, frozen so that results can be compared for years.
+"""The benchmark freeart21-v1: its sequences, and frozen fingerprints of their shapes and motions.
 
 The public split is for tuning, the test split is only scored. `freeart21_v1.json` holds a fingerprint of every
-sequence's shape and motion. A change that moves one of them is a new version of the benchmark: give it a new number and
-new fingerprints by `python -m generator.v1 --write`, and say so in the changelog.
+sequence's shape and motion. A change of one of them makes a new version of the benchmark: give it a new number and new
+fingerprints (`python -m generator.v1 --write`), and note it in the changelog.
 """
 
 from __future__ import annotations
@@ -46,13 +46,13 @@ class Entry:
     object: str
     """Name in the catalog."""
     sequence: str
-    """Name of its folders; tells nothing in the test split."""
+    """Name of its folders; opaque in the test split."""
     seed: int
     motion: str
 
 
 def entries(split: Split) -> tuple[Entry, ...]:
-    """The 21 sequences of a split: every category has one object of each style, and the splits differ in which."""
+    """The 21 sequences of a split. Every category has one object of each style; the splits assign them differently."""
     found = []
     for k, name in enumerate(catalog.built_in_names()):
         seed, turn = SEEDS[split], get_args(Split).index(split)
@@ -63,19 +63,19 @@ def entries(split: Split) -> tuple[Entry, ...]:
 
 
 def jobs(split: Split, settings: RecordSettings | None = None) -> list[Job]:
-    """What the recorder has to do for a split; `settings` are the benchmark's own but for seed and motion."""
+    """The recorder's jobs of a split; seed and motion of `settings` are replaced by the benchmark's."""
     settings = settings or RecordSettings()
     return [Job(e.object, e.sequence, replace(settings, seed=e.seed, motion=e.motion)) for e in entries(split)]
 
 
 def label(split: Split, settings: RecordSettings) -> Label:
-    """What benchmark.json says of a split; it has another name when `settings` are not the benchmark's own."""
+    """The label of a split for benchmark.json; its name differs when `settings` are not the benchmark's own."""
     own = RecordSettings(seed=settings.seed, motion=settings.motion)
     return Label(NAME if settings == own else f"{NAME}-changed", VERSION, split)
 
 
 def check_own_sequences(out: Path, jobs: Sequence[Job], label: Label | None) -> None:
-    """FreeArtError when the folder `out` would bear the benchmark's name with other sequences than its own.
+    """FreeArtError when the folder `out` would have the benchmark's name with other sequences than its own.
 
     `label` is that of the `jobs`; None takes the folder's, or the folder's name.
     """
@@ -90,7 +90,7 @@ def check_own_sequences(out: Path, jobs: Sequence[Job], label: Label | None) -> 
 
 
 def read_frozen() -> dict[str, dict[str, str]]:
-    """Sequence name to the fingerprints of its shape and motion when this version was made, both splits."""
+    """Sequence name to the frozen fingerprints of its shape and motion, both splits."""
     return checked.read_json(_FROZEN)["sequences"]
 
 
@@ -100,9 +100,9 @@ def shape_fingerprint(entry: Entry) -> str:
 
 
 def motion_fingerprint(entry: Entry, settings: RecordSettings | None = None) -> str:
-    """SHA-256, hexadecimal, of a sequence's poses and states, rounded to 1e-4 where machines agree (m, rad).
+    """SHA-256, hexadecimal, of a sequence's poses and states, rounded to 1e-4 m or rad, where machines agree.
 
-    `settings` are the benchmark's own when not given, but for seed and motion.
+    Seed and motion of `settings` are replaced by the entry's; None takes the benchmark's own.
     """
     settings = replace(settings or RecordSettings(), seed=entry.seed, motion=entry.motion)
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
@@ -140,7 +140,7 @@ def _text(values: Array, digits: int) -> str:
 
 
 def main(
-    write: Annotated[bool, tyro.conf.arg(help="Take what the sequences are now for what they shall be.")] = False,
+    write: Annotated[bool, tyro.conf.arg(help="Write the present fingerprints as the frozen ones.")] = False,
 ) -> int:
     """Compare all sequences with their frozen fingerprints; exit code 1 when one differs."""
     every = [entry for split in get_args(Split) for entry in entries(split)]

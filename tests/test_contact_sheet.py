@@ -41,7 +41,7 @@ def test_every_tile_shows_its_object_whole_and_large(pictures: dict[str, list[np
 
 
 def test_the_poses_differ_even_from_one_side(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(contact_sheet, "telling_views", lambda *_: [(-35.0, 20.0)] * 3)
+    monkeypatch.setattr(contact_sheet, "choose_views", lambda *_: [(-35.0, 20.0)] * 3)
     tiles = contact_sheet.tiles("drawer_unit", 2, TILE, "trivial")
     for a, b in ((0, 1), (1, 2)):
         assert (np.abs(tiles[a].astype(int) - tiles[b]).max(-1) > 30).mean() > 0.1
@@ -55,7 +55,7 @@ def test_open_poses_are_seen_from_where_the_inside_shows() -> None:
         vertices, faces = triangles(solid)
         meshes.append(Mesh(vertices, faces, np.zeros((len(vertices), 3), np.uint8)))
     joint = Joint("j", "prismatic", np.array([0, -1.0, 0]), np.zeros(3), 0.0, 1.05)
-    views = contact_sheet.telling_views((meshes[0], meshes[1]), joint, [0.0, 0.5, 1.05])
+    views = contact_sheet.choose_views((meshes[0], meshes[1]), joint, [0.0, 0.5, 1.05])
     directions = np.array([[np.cos(np.radians(yaw)), np.sin(np.radians(yaw))] for yaw, _ in views])
     # the box's open side is met squarely by looks along +x, the lid's inner side by looks along -x
     assert np.abs(directions[1:, 0]).min() > 0.8

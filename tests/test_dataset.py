@@ -431,6 +431,6 @@ def test_effects_that_do_not_fit_are_one_line(tmp_path: Path) -> None:
         plan_jobs(["stapler"], settings)
     for joints, said in (({}, "none"), ({"joint_0": []}, "joint_0")):
         atomic.write_json(effects, {"schema": "freeart21/effects/1", "joints": joints})
-        with pytest.raises(FreeArtError, match=f"says nothing of 'joint_1'; its joints: {said}"):
+        with pytest.raises(FreeArtError, match=f"has no joint 'joint_1'; its joints: {said}"):
             record_jobs(tmp_path / "data", plan_jobs(["stapler"], dataclasses.replace(settings, motion="release")))
     assert not (tmp_path / "data").exists()

@@ -120,7 +120,7 @@ def test_a_film_of_a_urdf_is_measured_with_that_urdf_alone(tmp_path: Path):
     name = record(str(folder / "case.urdf"), tmp_path / "data", settings(tmp_path, let_go=0.9, effects_joint="hinge"))
     film = tmp_path / "data/truth" / name
     for urdf, said in (
-        (None, "is of the URDF case, whose hash a truth keeps, not its files; name it by --urdf"),
+        (None, "is of the URDF case; a truth holds its hash, not its files: give it as --urdf"),
         (tmp_path / "none.urdf", "is missing"),
     ):
         with pytest.raises(FreeArtError, match=said) as caught:
@@ -137,12 +137,12 @@ def test_a_film_of_a_urdf_is_measured_with_that_urdf_alone(tmp_path: Path):
     states = np.interp(measured.runs[0].times_s, rolled.times_s, rolled.q)
     assert np.ptp(truth.states) > 0.5 and np.abs(states - truth.states).max() < 2e-3
     (folder / "case.urdf").write_text(light.replace("0.05 0.02", "0.05 0.03"))
-    with pytest.raises(FreeArtError, match=r"case\.urdf is not what .* was recorded of"):
+    with pytest.raises(FreeArtError, match=r"case\.urdf is not the object of"):
         measure_truths([film], tmp_path / "other", urdf=folder / "case.urdf")
 
 
 def test_a_urdf_goes_with_a_film_of_one(tmp_path: Path, film: Path):
-    with pytest.raises(FreeArtError, match="is of stapler, which is no URDF of its own"):
+    with pytest.raises(FreeArtError, match="is of stapler, which was not recorded from a URDF"):
         measure_truths([film], tmp_path / "out", urdf=tmp_path / "a.urdf")
 
 

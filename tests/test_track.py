@@ -212,7 +212,7 @@ def test_the_way_is_as_long_in_sizes_of_the_object_as_it_was_where_the_take_tell
     assert track.scale_translation(ours, 0.06, 0.5)[0] == 0.5
     stays = dataclasses.replace(ours, poses="camera")
     assert track.scale_translation(stays, 0.06, None) == (1.0, {})
-    with pytest.raises(FreeArtError, match=r"a\.txt: its poses stand before the camera as they are, .* by 0.5"):
+    with pytest.raises(FreeArtError, match=r"a\.txt: its poses are in the camera.s frame, .* by 0.5"):
         track.scale_translation(stays, 0.06, 0.5)
     body, camera = _body(), Camera.from_fov(320, 180, 0.7)
     stretch = track.resample_take(ours, 30.0, 61)
@@ -248,7 +248,7 @@ def test_what_was_done_to_a_take_is_told_and_kept(tmp_path: Path, capsys: pytest
     assert np.linalg.norm(Ts[-1, :3, 3] - Ts[0, :3, 3]) == pytest.approx(0.22 * said["carry"], rel=1e-4)
     out, err = capsys.readouterr()
     assert out.strip().endswith("flip_cap_usb-s0")
-    assert f"a.npy: its way scaled by {said['carry']:.2g} (an object of" in err and err.count("\n") == 1
+    assert f"a.npy: its translation scaled by {said['carry']:.2g} (an object of" in err and err.count("\n") == 1
     with pytest.raises(FreeArtError, match="exists with carry None, not 1"):
         cli.record(("flip_cap_usb",), tmp_path / "data", motion=f"track:{tmp_path / 'a.npy'}", carry=1.0, **small)  # type: ignore[arg-type]
 

@@ -1,9 +1,9 @@
 """The motions of the recorder: how object, camera and joint move over a video.
 
-`plan_motion` draws a few candidates of a style (`styles`), smooth courses of rotations (`turns`) and joint states with
-pauses (`timing`). What each shows is looked up in a table of what can be seen from where (`visibility`), and the
-distance follows from the picture (`framing`). `release` lets go of the joint; its states come from a roll-out
-(`generator.release`). `track` replays what somebody did.
+`plan_motion` draws several candidates of a style (`styles`): smooth rotations (`turns`) and joint states with pauses
+(`timing`). It scores them by a table of visibility (`visibility`) and sets the distance so that the object fills the
+picture (`framing`). The style `release` shows a simulated roll-out of the joint (`generator.release`). `track` replays
+a take.
 """
 
 from generator.motion.body import hull_points, motion_range

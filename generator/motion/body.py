@@ -1,4 +1,4 @@
-"""What is moved: two sides, the joint between them, and what bounds them."""
+"""The moved object: two sides, the joint between them, and their bounds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 
 UPRIGHT: Array = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
-"""Camera axes of a level look along +x at something with z up: at the front of a PartNet-Mobility object."""
+"""Rotation camera from object for a level view along +x with z up: the front of a PartNet-Mobility object."""
 
 _STATES = 9
 
@@ -28,13 +28,13 @@ class Body:
     """Moves the child side."""
     lower: float
     upper: float
-    """The states to run over, rad or m."""
+    """Range of the states, rad or m."""
     hulls: tuple[Array, Array]
     """Points (k, 3) that bound each side."""
     centre: Array
     """(3,) centre of the box round the object at all states."""
     radius: float
-    """Metres from there to the furthest point at any state."""
+    """Metres from the centre to the furthest point at any state."""
 
     @classmethod
     def of(cls, meshes: tuple[Mesh, Mesh], joint: Joint) -> Body:
@@ -65,7 +65,7 @@ class Body:
 
 
 def motion_range(joint: Joint) -> tuple[float, float]:
-    """The states to run over: the limits, or half a turn to either side (one metre) where there is none."""
+    """Range of the states: the limits, or half a turn (one metre) to either side where there is none."""
     free = np.pi if joint.type == "revolute" else 1.0
     return (
         joint.lower if np.isfinite(joint.lower) else min(-free, joint.upper - 2 * free),
@@ -74,7 +74,7 @@ def motion_range(joint: Joint) -> tuple[float, float]:
 
 
 def hull_points(mesh: Mesh) -> Array:
-    """The corners of the convex hull of a mesh: what bounds it in every view."""
+    """Vertices of the convex hull of a mesh; they bound it in every view."""
     points = mesh.vertices[np.unique(mesh.faces)]
     try:
         return points[ConvexHull(points).vertices]

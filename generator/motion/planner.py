@@ -1,4 +1,4 @@
-"""Plans a motion: draws candidates of a style, judges what they show by the atlas, counts in the best, takes one."""
+"""Plans a motion: draws candidates of a style, scores them by a visibility table, and recounts the best ones."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from generator.motion.styles import STYLES
 from generator.motion.visibility import Atlas
 
 FEW = 0.05
-"""Below this share of the object's pixels a part is hard to follow."""
-_HARD_SHARE = (0.19, 0.32)  # of the frames in which a hard motion shows fewer
+"""A part with a smaller share of the object's pixels is hard to follow."""
+_HARD_SHARE = (0.19, 0.32)  # share of frames in which a hard motion shows fewer
 _GONE_FRAMES = (9, 40)
-_HARD, _GONE = 0.5, 0.4  # shares of seeds that are hard where they can be, and of these that let a side disappear
-_HIDEABLE = 0.008  # share of the directions from which a side must be hidden, for its motions to be hard at all
+_HARD, _GONE = 0.5, 0.4  # share of seeds that are hard where possible, and of these those that hide a side fully
+_HIDEABLE = 0.008  # least share of directions that hide a side, for its motions to be hard at all
 _COUNTED = 4
 
 
@@ -43,11 +43,11 @@ def plan_motion(
     states: Array | None = None,
     hard: bool | None = None,
 ) -> Plan:
-    """The motion `style` of an object: a plan of `frames` poses and states, all of which follow from the seed.
+    """Plan `frames` poses and joint states of an object in a style; everything follows from the seed.
 
     About a third of all (object, seed) are hard: the smaller side shows less than 5 % of the object's pixels in 19 to
-    32 % of the frames; in some of these it is out of sight for a while. Frame 0 shows both sides. Where the shape
-    of an object lets no view hide a side, the motion hides it as far as it can.
+    32 % of the frames; in some of these it is out of sight for a while. Frame 0 shows both sides. Where no view of an
+    object hides a side, the motion hides it as far as possible.
 
     Args:
         style_name: one of `STYLES`.
@@ -56,10 +56,10 @@ def plan_motion(
         camera: intrinsics; the object stays inside its picture.
         frames: 2 or more.
         fps: frames a second.
-        seed: of everything random.
+        seed: of all random numbers.
         preset: size and distance.
-        states: (frames,) joint states to take, rad or m, instead of planned ones; 'release' needs them.
-        hard: whether the smaller side is to be hidden for long; None lets object and seed decide.
+        states: (frames,) given joint states, rad or m, instead of planned ones; 'release' needs them.
+        hard: whether the smaller side is hidden for long; None decides by object and seed.
 
     Raises FreeArtError for an unknown style and for states that do not fit.
     """
@@ -102,10 +102,7 @@ def _atlas(body: Body, camera: Camera, frames: int) -> Atlas:
 
 
 def _draw_hardship(task: Task, seed: int, hard: bool | None) -> Hardship:
-    """What object and seed decide: another object of the same seed is another case.
-
-    Objects whose sides always show are left out, and the others are hard the more often.
-    """
+    """Draw the hardship from object and seed; objects whose sides are always visible are never hard."""
     luck, kind = np.random.default_rng([seed, 7, _shape_key(task.body)]).uniform(0, 1, 2)
     if hard is None:
         hard = bool(luck < _HARD and task.hidden_area().max() > _HIDEABLE)
@@ -116,7 +113,7 @@ def _draw_hardship(task: Task, seed: int, hard: bool | None) -> Hardship:
 
 
 def _shape_key(body: Body) -> int:
-    """A number that tells objects apart by their proportions: two of the same seed move differently."""
+    """A hash of the object's proportions: objects with the same seed move differently."""
     extents = np.concatenate([np.ptp(h, axis=0) for h in body.hulls]) / body.radius
     return zlib.crc32(" ".join(f"{x:.3f}" for x in extents).encode())
 
@@ -127,7 +124,7 @@ def _view_directions(Rs: Array) -> Array:
 
 
 def _score(course: Course, task: Task, shares: Array) -> float:
-    """How well a motion does what it shall, rounded so that the last digits decide nothing."""
+    """Score of a candidate, rounded so that the last digits, which differ between machines, decide nothing."""
     first, few = min(float(shares[0]), 0.15) / 0.15, float(np.mean(shares < FEW))
     shown = float(np.minimum(shares, 0.2).mean()) / 0.2
     score = 1.5 * first + sphere.coverage(_view_directions(course.Rs)) + shown

@@ -1,4 +1,4 @@
-"""What a style of motion is, and what several styles share: views, paces, the joint, the hand."""
+"""The interface of a style of motion, and functions that styles share: views, paces, the joint, the hand."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from generator.motion.timing import Hold, JointCourse
 from generator.motion.visibility import Atlas
 
 Hardship = Literal["none", "hidden", "gone"]
-"""Whether the smaller part is to be shown, nearly hidden for long, or out of sight for a while."""
+"""Whether the smaller part is shown, nearly hidden for long, or out of sight for a while."""
 
 
 HIDDEN = 0.045
-"""A side whose share of the object's pixels is below counts as hidden."""
+"""A side with a smaller share of the object's pixels counts as hidden."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """What a style is asked for."""
+    """The input of a style."""
 
     body: Body
     atlas: Atlas
@@ -40,7 +40,7 @@ class Task:
     heights: tuple[float, float] = (-1.0, 1.0)
     """Sines of the lowest and highest angles from which the style looks down on the object."""
     seed: tuple[int, ...] = (0,)
-    """The plan's: what is one and the same in all candidates is drawn from it."""
+    """Seed of what is the same in all candidates."""
 
     def hidden_area(self) -> Array:
         """(Q,) share of the style's directions from which the smaller side is hidden, at each state of the atlas."""
@@ -52,49 +52,49 @@ class Task:
 
 @dataclass(frozen=True)
 class Course:
-    """A candidate: everything but the distance."""
+    """A candidate motion without the distance to the camera."""
 
     Rs: Array
     """(n, 3, 3) camera from object."""
     offsets: Array
-    """(n, 3) right, down, away: see `framing.placed`."""
+    """(n, 3) right, down, away: see `framing.place_object`."""
     clock: Array
-    """(n,) the hand's time, frames."""
+    """(n,) frames, the hand's time: it stops while the hand rests."""
     states: Array
     """(n,) joint state, rad or m."""
     pace: float
-    """The median step that was wanted, degrees a frame at 30 frames a second."""
+    """Wanted median rotation, degrees a frame at 30 frames a second."""
     fastest: float = 6.5
-    """The largest step that is welcome, degrees a frame at 30 frames a second."""
+    """Largest rotation without a penalty, degrees a frame at 30 frames a second."""
 
 
 @dataclass(frozen=True)
 class Style:
-    """A way to move an object: one file of `generator.motion.styles` each, or one of somebody else's package."""
+    """A style of motion: one file of `generator.motion.styles`, or of another package."""
 
     name: str
     stream: int
-    """Number of its random stream, which no other style may have: what a seed draws depends on it."""
+    """Number of its random stream, unique among styles."""
     propose: Callable[[Task, np.random.Generator], Course] | None = None
     """Draws one candidate; the planner takes the best of several."""
     plan: Callable[[Body, Array, Camera, Preset, int], Plan] | None = None
-    """Instead: the plan of given joint states (n,), of a style that needs them (a joint that is let go)."""
+    """Instead of `propose`: the plan for given joint states (n,), of a style that needs them (a released joint)."""
     heights: tuple[float, float] = (-1.0, 1.0)
     """Sines of the lowest and highest angles from which it looks down on the object."""
     still: bool = False
-    """Whether the camera keeps its distance over the whole video."""
+    """Whether the distance to the camera is constant."""
     world: Literal["upright", "object", "foot"] = "upright"
     """The world's axes: upright, the object's in frame 0, or moving with the object, which stands on the ground."""
 
 
 def plan_joint(task: Task, rng: np.random.Generator) -> tuple[Array, JointCourse]:
-    """States (frames,) and when they move; a hard motion rests where the smaller side can be hidden best."""
+    """Joint states (frames,) and their course; a hard motion has a long rest where the smaller side is hidden best."""
     course = timing.joint_course(task.frames, rng, choose_long_rest(task, rng))
     return (task.body.state(course.shares) if task.states is None else task.states), course
 
 
 def choose_long_rest(task: Task, rng: np.random.Generator) -> Hold | None:
-    """Where the joint of a hard motion rests for long: where the smaller side can be hidden best."""
+    """The long rest of the joint of a hard motion, at a state in which the smaller side can be hidden; else None."""
     if task.hardship == "none":
         return None
     area = task.hidden_area() + 0.01 * (1 - task.atlas.share.min(0))
@@ -104,12 +104,12 @@ def choose_long_rest(task: Task, rng: np.random.Generator) -> Hold | None:
 
 
 def draw_pace(task: Task, rng: np.random.Generator, slowest: float, fastest: float) -> float:
-    """Radians a frame: between so many degrees at 30 frames a second."""
+    """Draw a pace, radians a frame; `slowest` and `fastest` are degrees a frame at 30 frames a second."""
     return float(np.radians(rng.uniform(slowest, fastest)) * 30 / task.fps)
 
 
 def speed_while_hiding(task: Task) -> float:
-    """How much slower the hand is while it hides the smaller side."""
+    """Factor on the hand's speed while it hides the smaller side."""
     return 1.0 if task.hardship == "none" else 0.55
 
 
@@ -123,7 +123,7 @@ def plan_views(
     even: bool = True,
     highest: float = 1.0,
 ) -> list[Array]:
-    """Views for a path that has come `way` (frames,) radians in every frame: both sides shown, or one hidden."""
+    """Views along a path whose length at each frame is `way` (frames,) radians."""
     allowed = np.abs(task.atlas.directions[:, 2]) <= highest
 
     def score_at(s: float) -> tuple[Array, bool]:
@@ -171,12 +171,12 @@ def choose_start_view(
 
 
 def clip_to_views(Rs: Array, u: Array) -> Array:
-    """Places (n,) on a path through views `Rs`, which ends at its last view."""
+    """Path parameters `u` (n,), clipped to the range of the views `Rs`."""
     return np.clip(u, 0, len(Rs) - 1)
 
 
 def match_pace(course: Callable[[float], Array], first: float, pace: float) -> Array:
-    """The rotations `course(scale)` at the scale, searched from `first`, at which their median step is `pace` rad."""
+    """The rotations `course(scale)` whose median step is `pace` rad; the scale is searched from `first`."""
     scale, best = first, (np.inf, course(first))
     for _ in range(14):
         Rs = course(scale)

@@ -1,4 +1,4 @@
-"""When things move: the joint's course, and the pauses of the hand that holds the object."""
+"""Timing: the joint's course, and the pauses of the hand that holds the object."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ class Hold:
     """A long rest of the joint."""
 
     share: float
-    """Of the range, at which it rests."""
+    """Position, as a share of the range."""
     length: float
     """Share of the frames, below 1."""
 
 
 @dataclass(frozen=True)
 class JointCourse:
-    """How far the joint is open over time."""
+    """The joint's opening over time."""
 
     shares: Array
     """(n,) share of the range, 0 to 1."""
@@ -58,9 +58,9 @@ def glide(u: Array) -> Array:
 
 
 def joint_course(frames: int, rng: np.random.Generator, hold: Hold | None = None) -> JointCourse:
-    """Part open, then all the way open, shut and open again, then to random places; with rests in between.
+    """Partly open, then fully open, closed and open again, then random positions, with rests in between.
 
-    Every move is a minimum-jerk one. A `hold` is put in at a random place after the first move.
+    Every move has minimum jerk. A `hold` is inserted at a random place after the first move.
     """
     stops = [float(rng.uniform(0.12, 0.3)), 1.0, 0.0, 1.0]
     while len(stops) < frames // 65:
@@ -90,8 +90,8 @@ def joint_course(frames: int, rng: np.random.Generator, hold: Hold | None = None
 def pose_rate(frames: int, course: JointCourse, rng: np.random.Generator, linger: float = 1.0) -> Array:
     """(frames,) speed of the hand, 1 at the median: uneven, with pauses.
 
-    In some pauses the joint is worked, in others it rests as well; there are rests of the joint in which the hand goes
-    on. During the joint's long rest the hand is slower by the factor `linger`.
+    In some pauses the joint moves, in others it rests; in some rests of the joint the hand moves. During the joint's
+    long rest the hand is slower by the factor `linger`.
     """
     t = np.arange(frames, dtype=float)
     scale = min(frames / _LONG, 1.0)
@@ -111,7 +111,7 @@ def pose_rate(frames: int, course: JointCourse, rng: np.random.Generator, linger
 
 
 def clock(rate: Array) -> Array:
-    """(n,) time of a clock that runs at `rate` (n,), from 0: it stands still while the hand does."""
+    """(n,) time, from 0, of a clock that runs at `rate` (n,): it stops while the hand rests."""
     return np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2)])
 
 
@@ -123,13 +123,13 @@ def wander(t: Array, rng: np.random.Generator, hz: float, parts: int = 3) -> Arr
 
 
 def tremor(frames: int, fps: float, rng: np.random.Generator) -> Array:
-    """(frames, 3) the rest of motion in a hand at rest, radians or as many metres a metre: a tenth of a degree."""
+    """(frames, 3) tremor of a hand at rest, radians (or metres per metre): a tenth of a degree."""
     t = np.arange(frames) / fps
     return np.radians(0.1) * np.stack([wander(t, rng, 1.2) for _ in range(3)], -1)
 
 
 def _window(t: Array, start: float, stop: float, ramp: float) -> Array:
-    """1 from `start` to `stop`, 0 further than `ramp` from there."""
+    """1 from `start` to `stop`, smoothly to 0 at a distance of `ramp`."""
     return ease((t - start + ramp) / ramp) * ease((stop + ramp - t) / ramp)
 
 

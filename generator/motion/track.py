@@ -1,4 +1,4 @@
-"""A take replayed: the object and its joint moved before the camera as somebody moved them."""
+"""Replays a take: a recorded motion of object and joint."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from generator.motion.framing import image_extent, place_as_moved
 from generator.motion.plan import Plan, Preset
 
 MAX_FRAMES = 100_000
-_ROUNDING = 1e-6  # of a frame, and of a way: numbers in files are rounded
-_SAME_SIZE = 1e-3  # part by which sizes of one object differ at most: meshes in files are rounded
-_FARTHER, _FARTHEST = 1.05, 4.0  # steps by which an object is placed farther off, and how far at most
+_ROUNDING = 1e-6  # tolerance, in frames and as a share of a range: numbers in files are rounded
+_SAME_SIZE = 1e-3  # largest relative difference of sizes of one object: meshes in files are rounded
+_FARTHER, _FARTHEST = 1.05, 4.0  # factors on the distance: of one step, and the largest
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """A take at the recorder's clock, or the part of it that is recorded."""
+    """The recorded part of a take, resampled to the frames of the video."""
 
     Ts: Array
     """(n, 4, 4)."""
     states: Array
-    """(n,) as the take has them."""
+    """(n,) joint states of the take, rad or m."""
     begins_s: float
     """Seconds from the take's beginning."""
 
 
 def count_frames(take: Take, fps: float) -> int:
-    """How many frames, `fps` a second, a take lasts; the first is its first sample."""
+    """Number of frames, `fps` a second, from the first sample of a take to its end."""
     frames = float(np.ptp(take.times)) * fps + _ROUNDING + 1
     if frames > MAX_FRAMES:
         raise FreeArtError(f"{take.name} lasts {np.ptp(take.times):.0f} s, expected at most {MAX_FRAMES / fps:.0f} s")
@@ -45,10 +45,10 @@ def count_frames(take: Take, fps: float) -> int:
 
 
 def resample_take(take: Take, fps: float, frames: int) -> Stretch:
-    """The `frames` frames of a take over which its joint moves most, the earliest such.
+    """The earliest `frames` frames of a take over which its joint moves most.
 
-    The take's filter, if it names one, smooths its samples. Between them places and states are linear in time, and
-    turns go the shortest way at a steady rate (slerp). Raises FreeArtError when the take is shorter.
+    Samples are smoothed by the take's filter, if it names one. Positions and states are interpolated
+    linearly, rotations by slerp. Raises FreeArtError when the take is shorter.
     """
     count = count_frames(take, fps)
     if frames > count:
@@ -59,16 +59,16 @@ def resample_take(take: Take, fps: float, frames: int) -> Stretch:
         Ts, taken = one_euro.filtered(take.filter, take.times, Ts, taken)
     states = np.interp(times, take.times, taken)
     moved = np.ptp(np.lib.stride_tricks.sliding_window_view(states, frames), axis=1)
-    first = int(np.argmax(moved >= (1 - _ROUNDING) * moved.max()))  # the last digits decide nothing
+    first = int(np.argmax(moved >= (1 - _ROUNDING) * moved.max()))  # not by the last digits
     part = slice(first, first + frames)
     return Stretch(_interpolate_poses(take.times, Ts, times[part]), states[part], first / fps)
 
 
 def fit_states(states: Array, take: Take, body: Body) -> tuple[Array, dict[str, Any]]:
-    """The states (n,) of a take for the body's joint, and what was done to them.
+    """The states (n,) of a take for the body's joint, and a record of the change.
 
-    As they are where the joint is of the take's type and reaches all of its states; else the take's range becomes the
-    joint's. Raises FreeArtError when it must and the take's joint stands still.
+    They are kept when the joint has the take's type and reaches all states; else the take's range is scaled to the
+    joint's. Raises FreeArtError when it must be scaled and the take's joint does not move.
     """
     joint, low, high = body.joint, float(take.states.min()), float(take.states.max())
     if take.joint_type == joint.type and joint.lower <= low and high <= joint.upper:
@@ -84,17 +84,17 @@ def fit_states(states: Array, take: Take, body: Body) -> tuple[Array, dict[str, 
 
 
 def scale_translation(take: Take, diagonal: float, carry: float | None) -> tuple[float, dict[str, Any]]:
-    """By how much the way of a take is scaled for an object of this `diagonal`, metres, and what was done to it.
+    """The factor on a take's translation for an object of this `diagonal`, metres, and a record of the change.
 
-    `carry` says so itself, 1 for the take's own metres. Where it is None the way is as long in sizes of the object as
-    it was in those of the one that was taken. Of that one ARCTIC's tracks tell no more than that it is one of theirs:
-    where the object may be of its size, metres stay metres. A take of ours that does not tell the size keeps its own,
-    too. Of poses before the camera the way is that from the camera: what is half as large comes twice as near.
+    A given `carry` is the factor. With None the translation is scaled by the ratio of the sizes of this object and of
+    the take's. ARCTIC's tracks do not name the size: the factor is 1 where the object may have the size of one of
+    theirs. A take of ours without a size has factor 1, too. For poses in the camera's frame the factor acts on the
+    distance from the camera: an object of half the size comes twice as near.
     """
     if take.poses == "camera":
         if carry is not None:
             raise FreeArtError(
-                f"{take.name}: its poses stand before the camera as they are, so that no way is scaled by "
+                f"{take.name}: its poses are in the camera's frame, so that no translation is scaled by "
                 f"{carry:g}; expected no carry"
             )
         if take.size is None or abs(diagonal / take.size - 1) < _SAME_SIZE:
@@ -108,10 +108,10 @@ def scale_translation(take: Take, diagonal: float, carry: float | None) -> tuple
 
 
 def describe_changes(source: dict[str, Any]) -> str:
-    """What was done to a take, as `scale_translation` and `fit_states` have it, in words."""
+    """The records of `scale_translation` and `fit_states` in words."""
     words = []
     if source.get("carry", 1.0) != 1.0:
-        words.append(f"its way scaled by {source['carry']:.2g}")
+        words.append(f"its translation scaled by {source['carry']:.2g}")
         if "size" in source:
             words[-1] += f" (an object of {source['size']:.2g} m for one of {source['taken_with']:.2g} m)"
     if source.get("states") == "scaled":
@@ -129,11 +129,11 @@ def object_poses(
     preset: Preset,
     carry: float = 1.0,
 ) -> Array:
-    """(n, 4, 4) camera from object as in a stretch of a take.
+    """(n, 4, 4) camera from object for a stretch of a take.
 
-    Poses that are meant as their change since the first begin with the rotation `R_first` (3, 3), so far before the
-    camera that the object stays in the picture as large as `preset` says, and go on by the take's own turns, and by its
-    way times `carry`.
+    Poses in the camera's frame are taken as they are. Poses that are changes since the first start with the rotation
+    `R_first` (3, 3) and continue with the take's rotations and its translations times `carry`; the object is placed so
+    that it stays in the picture with the size of `preset`.
     """
     if take.poses == "camera" or R_first is None:
         return se3.pose(stretch.Ts[:, :3, :3], carry * stretch.Ts[:, :3, 3]) if carry != 1 else stretch.Ts
@@ -142,8 +142,10 @@ def object_poses(
 
 
 def move_away(Ts: Array, states: Array, body: Body, camera: Camera) -> tuple[Array, float]:
-    """Poses (n, 4, 4) so far off that another object than the one that was taken stays in the picture, and how many
-    times as far: of two things of one size one may be wider. It stays where it was in the picture, only smaller."""
+    """Poses (n, 4, 4) scaled away from the camera until the object is in every picture, and the factor.
+
+    It is needed for another object than the take's, which may be wider. Its place in the picture stays the same.
+    """
     factor, size = 1.0, np.array([camera.width, camera.height], float)
     while factor < _FARTHEST:
         candidate = se3.pose(Ts[:, :3, :3], factor * Ts[:, :3, 3])
@@ -156,7 +158,7 @@ def move_away(Ts: Array, states: Array, body: Body, camera: Camera) -> tuple[Arr
 
 
 def check_in_view(name: str, plan: Plan, body: Body, camera: Camera, near: float, fps: float) -> None:
-    """FreeArtError says of the first frame in which the object is nearer than `near` metres, or leaves the picture."""
+    """FreeArtError, with the first such frame, when the object is nearer than `near` metres or leaves the picture."""
     depth = se3.transform(plan.Ts_camera_object, body.points(plan.states))[..., 2].min(1)
     close = np.flatnonzero(depth <= near)
     if len(close):
@@ -178,7 +180,7 @@ def check_in_view(name: str, plan: Plan, body: Body, camera: Camera, near: float
 
 
 def _interpolate_poses(at: Array, Ts: Array, times: Array) -> Array:
-    """Poses (m, 4, 4) at `times` (m,) between those (n, 4, 4) at `at` (n,)."""
+    """Poses (m, 4, 4) at `times` (m,), interpolated from poses (n, 4, 4) at `at` (n,)."""
     k = np.clip(np.searchsorted(at, times, side="right") - 1, 0, len(at) - 2)
     u = ((times - at[k]) / (at[k + 1] - at[k]))[:, None]
     R, t = Ts[:, :3, :3], Ts[:, :3, 3]

@@ -1,4 +1,4 @@
-"""Paths of rotations through chosen views."""
+"""Chooses views and interpolates rotations through them."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from freeart21.sphere import covered_cells
 from generator.motion.body import UPRIGHT
 
 DirectionScores = Callable[[float], tuple[Array, bool]]
-"""Distance along a path, radians, to how welcome each of the candidate directions is there, (D,), 0 to 1, and whether
-to stay near by, rather than to go on to what has not been seen."""
+"""Path length, radians, to the score (D,), 0 to 1, of each candidate direction at this point, and whether to stay near
+rather than to go on to unseen directions."""
 
 
 def upright_rotation(yaw: Array | float, pitch: Array | float) -> Array:
@@ -36,11 +36,11 @@ def choose_views(
     step: tuple[float, float],
     even: bool,
 ) -> list[Array]:
-    """Views from `start` (3,) on, with at least `length` radians of way between them, taken from `directions` (D, 3).
+    """A path of views from `start` (3,) of at least `length` radians, chosen from `directions` (D, 3).
 
-    The next view is `step` (least, most) radians on, and the one that shows most of what has not been seen, is most
-    welcome, and turns back least. `even` counts every step as one of middle size, as it will take as long,
-    and lets a view be chosen again where it is welcome to stay.
+    The next view is `step` (least, most) radians away; among these it maximises unseen directions plus score minus
+    change of heading. With `even` every step counts as one of mean size, because it will take the same time, and a view
+    may be repeated where the scores ask to stay.
     """
     views, way, heading = [start], 0.0, np.zeros(3)
     cells = covered_cells(directions)
@@ -71,7 +71,8 @@ def choose_views(
 
 
 def rotations_through(views: list[Array], roll: float, rng: np.random.Generator) -> Array:
-    """(k, 3, 3) rotations that show `views`, the first upright, each by the shortest turn and up to `roll` more."""
+    """(k, 3, 3) rotations that show `views`: the first upright, each next by the shortest turn and a roll of up to
+    `roll` radians."""
     Rs = [upright_looking_from(views[0])]
     for view in views[1:]:
         there = Rs[-1] @ view  # in the camera's axes, to be turned to point at the camera
@@ -85,7 +86,7 @@ def rotations_through(views: list[Array], roll: float, rng: np.random.Generator)
 def spline(Rs: Array, u: Array) -> Array:
     """(n, 3, 3) the cumulative cubic B-spline (Kim, Kim and Shin 1995) of `Rs` (k, 3, 3) at `u` (n,), 0 to k - 1.
 
-    It begins and ends at the first and last of `Rs`, passes the others nearby, and has two continuous derivatives.
+    It starts at the first and ends at the last of `Rs`, passes near the others, and has two continuous derivatives.
     """
     first, last = Rs[0] @ Rs[1].T @ Rs[0], Rs[-1] @ Rs[-2].T @ Rs[-1]
     controls = np.concatenate([first[None], Rs, last[None]])

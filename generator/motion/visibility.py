@@ -1,8 +1,7 @@
-"""How much of each side can be seen from where, and at which joint state: counted once, then looked up.
+"""Visibility of each side by view direction and joint state, computed once as a table.
 
-What a camera sees depends on three numbers alone, the direction it looks from and the joint state: a turn about the
-line of sight changes nothing. So a coarse table over both tells of any motion, before it is planned, where the smaller
-side is hidden.
+The visible share depends on three numbers, the direction of view and the joint state: a rotation about the line of
+sight changes nothing. A coarse table over them tells for any motion where the smaller side is hidden.
 """
 
 from __future__ import annotations
@@ -18,14 +17,14 @@ from generator.rays import Caster
 
 _GRID = 28
 _SPREAD = np.radians(7.0)
-_STEP = 0.01  # shares are rounded to it: the last ray of a ray tracer is another one on another processor
+_STEP = 0.01  # shares are rounded to it: single rays differ between processors
 
 
 class Atlas:
     """The smaller side's share of the object's pixels, by direction and state."""
 
     def __init__(self, body: Body, distance: float, directions: int = 162, states: int = 6) -> None:
-        """`distance` is the camera's, metres from the body's centre."""
+        """`distance` of the camera from the body's centre, metres."""
         self._body, self._caster = body, Caster(body.meshes)
         self.directions = sphere(directions)
         """(D, 3) unit vectors from the object to the camera, object frame."""
@@ -34,11 +33,11 @@ class Atlas:
         eyes = np.repeat(body.centre + distance * self.directions, states, axis=0)
         counts = self._counts(eyes, np.tile(self.states, directions)).reshape(directions, states, 2)
         self.small = int(counts[..., 1].sum() < counts[..., 0].sum())
-        """Which side, 0 or 1, shows less over all directions and states."""
+        """The side, 0 or 1, that shows less over all directions and states."""
         self.share = np.round(_share(counts, self.small) / _STEP) * _STEP
         """(D, Q)."""
         self.gone = counts[..., self.small] == 0
-        """(D, Q) whether not one ray met the smaller side."""
+        """(D, Q) whether no ray met the smaller side."""
 
     def at_state(self, q: float) -> Array:
         """(D,) share of the smaller side at a state."""
@@ -47,7 +46,7 @@ class Atlas:
         return self.share[:, k] + np.clip(x - k, 0, 1) * (self.share[:, k + 1] - self.share[:, k])
 
     def shares(self, views: Array, states: Array) -> Array:
-        """(n,) share of the smaller side seen from unit vectors `views` (n, 3) at `states` (n,): interpolated."""
+        """(n,) share of the smaller side from unit vectors `views` (n, 3) at `states` (n,), interpolated."""
         cosine = np.clip(views @ self.directions.T, -1, 1)
         weights = np.exp(-0.5 * (np.arccos(cosine) / _SPREAD) ** 2)
         by_state = (weights / weights.sum(1, keepdims=True)) @ self.share
@@ -57,12 +56,12 @@ class Atlas:
         return (1 - f) * by_state[rows, k] + f * by_state[rows, k + 1]
 
     def count_shares(self, Ts_camera_object: Array, states: Array) -> Array:
-        """(n,) share of the smaller side in poses (n, 4, 4) at `states` (n,): counted, pose by pose."""
+        """(n,) share of the smaller side in poses (n, 4, 4) at `states` (n,), from rays for each pose."""
         R, t = Ts_camera_object[:, :3, :3], Ts_camera_object[:, :3, 3]
         return _share(self._counts(-np.einsum("nji,nj->ni", R, t), states), self.small)
 
     def _counts(self, eyes: Array, states: Array) -> NDArray[np.int64]:
-        """(n, 2) rays, of a grid over the object's outline box, that meet each side from `eyes` (n, 3)."""
+        """(n, 2) rays that hit each side from `eyes` (n, 3), on a grid over the object's bounding rectangle."""
         counts = np.zeros((len(eyes), 2), np.int64)
         offsets = (np.arange(_GRID) + 0.4142) / _GRID  # off the middle: no ray runs along an edge of symmetry
         gu, gv = (g.reshape(-1) for g in np.meshgrid(offsets, offsets + 0.1317 / _GRID))

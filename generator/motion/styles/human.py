@@ -1,4 +1,4 @@
-"""The style `human`: an object in a person's hands, as motion capture shows it (`human_hand` has the measures)."""
+"""The style `human`: an object in a person's hands, from distributions of motion capture (`human_hand`)."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from generator.motion.human_hand import BACK, ON, Sweep
 from generator.motion.style import Course, Style, Task, choose_long_rest, choose_start_view, score_directions
 
 _TREMOR = 2.1
-"""Times `timing.tremor`: an object held still then turns by .040 degrees a frame in the median, as measured, and shifts
-by .0003 diagonals."""
+"""Factor on `timing.tremor`: an object held still then turns by .040 degrees a frame in the median, as measured, and
+shifts by .0003 diagonals."""
 _AWAY = 0.8
-"""Of the distance is a diagonal of the object, where it fills the picture by two thirds at 40 degrees of view."""
+"""The object's diagonal as a share of the distance, where it fills two thirds of a picture of 40 degrees of view."""
 _ROOM = np.array([0.20, 0.08, 0.20])
-"""How far the object is carried right, down and away, as shares of the distance: what is carried further is small in
-the picture. People carry it further (in 10 s by .1 to 1.5 diagonals each way)."""
-_DIRECTIONS = 48  # of which a sweep takes one
-_RAMP = 0.2  # s in which a hand lets go, or takes hold
+"""Largest offset of the object right, down and away, as shares of the distance: further away it is small in the
+picture. People carry it further (in 10 s by .1 to 1.5 diagonals each way)."""
+_DIRECTIONS = 48  # candidate axes of a sweep
+_RAMP = 0.2  # s in which a hand releases or grasps the object
 
 
 def propose(task: Task, rng: np.random.Generator) -> Course:
-    """In a person's hands: sweeps, holds, corrections, put down at times, the joint worked in strokes of its own."""
-    # candidates differ in directions alone: the choice among them favours no larger sweeps, and no fewer rests
+    """In a person's hands: sweeps, holds and corrections, sometimes put down; the joint moves independently."""
+    # candidates differ in directions only, so that the choice among them favours neither larger sweeps nor fewer rests
     motion = human_hand.draw_hand(task.frames, task.fps, np.random.default_rng([*task.seed, 11]))
     course = human_hand.draw_joint_course(task.frames, task.fps, rng, choose_long_rest(task, rng))
     states = task.body.state(course.shares) if task.states is None else task.states
@@ -58,8 +58,11 @@ def _choose_axis(
     wanted: Array,
     rng: np.random.Generator,
 ) -> Array:
-    """(3,) the axis of a sweep from `R` (3, 3), camera axes: on, back or aside, as often as people do, and of these the
-    one that ends at the most welcome view."""
+    """(3,) unit axis, in camera axes, of a sweep from the rotation `R` (3, 3).
+
+    It continues the sweep before, reverses it or turns aside, with the frequencies of people; among such axes the one
+    whose end view has the best score is taken.
+    """
     axes = rng.normal(size=(_DIRECTIONS, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     cosine, luck = axes @ before, rng.uniform()
@@ -72,7 +75,7 @@ def _choose_axis(
 
 
 def _choose_place(place: Array, way: float, rng: np.random.Generator) -> Array:
-    """(3,) where a sweep of this way ends: of a few directions the one that stays nearest to the middle."""
+    """(3,) end of a sweep with the translation `way`: of three random directions the one nearest to the middle."""
     steps = rng.normal(size=(3, 3))
     ends = place + way * steps / np.linalg.norm(steps, axis=1, keepdims=True)
     best = ends[int(np.abs(ends / _ROOM).max(1).argmin())]
@@ -80,7 +83,7 @@ def _choose_place(place: Array, way: float, rng: np.random.Generator) -> Array:
 
 
 def _held_in_hand(resting_on_table: tuple[tuple[float, float], ...], frames: int, fps: float) -> Array:
-    """(frames,) 1 in the hand, 0 while the object is put down."""
+    """(frames,) 1 while the object is in the hand, 0 while it rests on the table."""
     t, held = np.arange(frames, dtype=float), np.ones(frames)
     for a, b in resting_on_table:
         ramp = _RAMP * fps

@@ -11,7 +11,7 @@ from generator.motion.style import Course, Style, Task, draw_pace, in_hand, plan
 
 
 def propose(task: Task, rng: np.random.Generator) -> Course:
-    """Shown side after side: eased turns between views, with short holds, in some of which the joint is worked."""
+    """Shown from side to side: smooth turns between views, with short holds; in some of them the joint moves."""
     states, course = plan_joint(task, rng)
     pace = draw_pace(task, rng, 2.2, 2.6)
     t = np.arange(task.frames, dtype=float)
@@ -21,7 +21,7 @@ def propose(task: Task, rng: np.random.Generator) -> Course:
     lengths, luck = np.linalg.norm(steps, axis=1), rng.uniform(0, 1, (2, len(Rs)))
 
     def turn_at_speed(speed: float) -> tuple[Array, Array]:
-        """Rotations at a mean speed of turning, radians a frame, and how many views have been shown."""
+        """Rotations (frames, 3, 3) at a mean angular speed, radians a frame, and the view number (frames,) reached."""
         start, u, long = 2.0, np.zeros(task.frames), 0
         for k, length in enumerate(lengths):
             last = start + max(length / speed, 10.0)

@@ -1,4 +1,4 @@
-"""Let go: the base is fixed in the world, tipped so that gravity works the joint, and the camera rests."""
+"""The style `release`: the base is fixed and tipped so that gravity moves the joint; the camera rests."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from generator.motion.style import Style
 from generator.motion.visibility import Atlas
 
 SLOPE = np.radians(20.0)
-"""How steeply a sliding part's way goes down."""
-_REST = 0.55  # share of the range at which a hinged part hangs straight down, where its weight allows
-_WIDEST = np.radians(150.0)  # furthest that a part is lifted from there
+"""Downward slope of a sliding joint's axis."""
+_REST = 0.55  # share of the range at which a hinged part hangs straight down, if it has a moment about the axis
+_WIDEST = np.radians(150.0)  # largest angle of the start from there
 _VIEWS = 60
 _UP: Array = np.array([0.0, 0.0, 1.0])
 
 
 def tip_base(body: Body) -> tuple[Array, float]:
-    """Rotation (3, 3) world from object, z up, at which gravity works the joint, and the state to let go at.
+    """Rotation (3, 3) world (z up) from object for which gravity moves the joint, and the state of the release.
 
-    A hinge lies level, and the moving side hangs straight down just past the middle of its range: let go from the
-    upper end it swings without touching a limit. A slide goes down by 20 degrees towards its upper limit and is let go
-    at its lower one. The weight is taken to be spread over the moving side's surface.
+    A hinge is level, and the moving side hangs straight down just past the middle of its range: released at the upper
+    end it swings without touching a limit. A slide descends by 20 degrees towards its upper limit and is released at
+    its lower one. The mass is assumed to be spread evenly over the moving side's surface.
     """
     joint = body.joint
     if joint.type == "prismatic":
@@ -44,7 +44,7 @@ def tip_base(body: Body) -> tuple[Array, float]:
 
 
 def plan_release(body: Body, states: Array, camera: Camera, preset: Preset, seed: int) -> Plan:
-    """The base at rest as `tip_base` says, seen upright from where both sides show best over `states` (n,)."""
+    """The base at rest, oriented by `tip_base`, seen upright from where both sides show best over `states` (n,)."""
     R_world_object, _ = tip_base(body)
     rng = np.random.default_rng([seed, 2])
     yaws, pitches = rng.uniform(-np.pi, np.pi, _VIEWS), rng.uniform(0.05, 0.7, _VIEWS)

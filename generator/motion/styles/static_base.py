@@ -10,7 +10,7 @@ from generator.motion.style import Course, Style, Task, draw_pace, in_hand, matc
 
 
 def propose(task: Task, rng: np.random.Generator) -> Course:
-    """At rest on its base while a camera in a hand goes to and fro round it, higher and lower, nearer and further.
+    """At rest on its base; a handheld camera moves to and fro around it, higher and lower, nearer and further.
 
     Slower than the other styles: half as many degrees a frame take a person round an object at a metre's distance at
     walking pace.

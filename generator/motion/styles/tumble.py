@@ -20,7 +20,7 @@ from generator.motion.style import (
 
 
 def propose(task: Task, rng: np.random.Generator) -> Course:
-    """Turned over and over in the hand, with pauses, while the joint is worked."""
+    """Turned over and over in the hand, with pauses, while the joint moves."""
     states, course = plan_joint(task, rng)
     pace = draw_pace(task, rng, 2.3, 2.8)
     tau = timing.clock(timing.pose_rate(task.frames, course, rng, speed_while_hiding(task)))

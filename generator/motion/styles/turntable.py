@@ -9,7 +9,7 @@ from generator.motion.style import Course, Style, Task, draw_pace, plan_joint
 
 
 def propose(task: Task, rng: np.random.Generator) -> Course:
-    """Standing upright on a plate that turns steadily; the camera rests and looks a little down."""
+    """Upright on a turntable of constant speed; the camera is at rest and looks slightly down."""
     states, _ = plan_joint(task, rng)
     pace = draw_pace(task, rng, 2.2, 2.8) * rng.choice([-1, 1])
     yaw = rng.uniform(-np.pi, np.pi) + pace * np.arange(task.frames)

@@ -21,7 +21,7 @@ from generator.motion.style import (
 
 
 def propose(task: Task, rng: np.random.Generator) -> Course:
-    """Held about upright, swung and shaken, while it turns slowly round and the joint is worked."""
+    """Held roughly upright, swung and shaken, while it turns slowly and the joint moves."""
     states, course = plan_joint(task, rng)
     pace = draw_pace(task, rng, 2.2, 2.7)
     slow = draw_pace(task, rng, 0.5, 0.8) if task.hardship == "none" else draw_pace(task, rng, 1.2, 1.6)
