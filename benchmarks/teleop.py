@@ -125,7 +125,7 @@ async def _driven(url: str, seconds: float, pid: int) -> dict[str, Any]:
         async def read() -> None:
             async for message in page:
                 if message.type == aiohttp.WSMsgType.BINARY:
-                    n, sent_ms, jpeg = wire.taken_apart(message.data)
+                    n, sent_ms, jpeg = wire.unpack_picture(message.data)
                     pictures.append((time.perf_counter(), n, sent_ms, len(jpeg)))
                     await page.send_json({"type": "seen", "n": len(pictures)})
                 else:

@@ -381,7 +381,7 @@ def _writer_lock(out: Path) -> Iterator[None]:
             release(lock, handle, [lock.parent, out / "sequences", out / "truth", *made])
 
 
-# --- workers -----------------------------------------------------------------------------
+# --- workers ----------------------------------------------------------------------------------------------------------
 
 
 def _run(out: Path, jobs: list[Job], workers: int, on_done: Callable[[str], None], executor: str) -> None:

@@ -437,7 +437,7 @@ class _Planner:
 
 
 def _arc(root: Array, tip: Array, lengths: Array, bulge: Array) -> Array:
-    """(4, 3) joints of three bones from `root` to `tip`, bent towards `bulge`; straight when the tip is out of reach."""
+    """(4, 3) joints of three bones from `root` to `tip`, bent towards `bulge`; straight when out of reach."""
     chord = tip - root
     distance = float(np.linalg.norm(chord))
     way = chord / max(distance, 1e-9)

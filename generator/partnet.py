@@ -1,20 +1,20 @@
 """Loads a PartNet-Mobility folder, real or written by `generator.partnet_writer`.
 
-What such folders are like (each point has a test, `test_quirk_NN_...`):
+Properties of such folders (each has a test, `test_quirk_NN_...`):
 
-- mobility.urdf alone is the truth: mobility_v2.json turns some axes round and counts in degrees, and the names and ids
-  of semantics.txt and meta.json may differ. Other URDFs beside it (ManiSkill's mobility_cvx, mobility_fixed) are not
-  looked at. Limits may be "-0.0".
-- The link `base` is empty; the last joint fixes the real root to it, turning y-up meshes to z-up. Parts that are free
-  in the world ("free" in semantics.txt, as a stapler's base) hang on it, too: the recorder moves the root.
-- Links have no inertia and joints no dynamics, effort or velocity; collision shapes repeat the visual ones.
-- Link frames sit on their joints, meshes stay in the object's frame: their origin is minus the sum of joint origins.
-- Visual names repeat. Sliders may have their origin at zero, so their pivot means nothing.
-- Joints may be continuous, without limits. A slider that also turns is two joints, by way of an empty helper link, and
-  its limits may exclude zero: joints are held, and recorded, within their limits only.
-- Meshes are drawn twice, once a side, and have inner faces; units are not metric (the diagonal is about 2).
-- Meshes, pictures and material libraries may be absent (see `generator.partnet_files`); files that the URDF does not
-  name may lie about.
+- Only mobility.urdf is read for geometry and joints: mobility_v2.json reverses some axes and uses degrees, and names
+  and ids in semantics.txt and meta.json may differ. Other URDFs in the folder (ManiSkill's mobility_cvx,
+  mobility_fixed) are ignored. Limits may be "-0.0".
+- The link `base` is empty; the last joint fixes the real root to it and turns y-up meshes to z-up. Parts that are free
+  in the world ("free" in semantics.txt, as a stapler's base) are fixed to it, too: the recorder moves the root.
+- Links have no inertia, joints no dynamics, effort or velocity; collision shapes repeat the visual ones.
+- Link frames are at the joints, meshes in the object's frame: their origin is minus the sum of joint origins.
+- Visual names repeat. The origin of a slider may be zero, so that its pivot has no meaning.
+- Joints may be continuous, without limits. A slider that also rotates is two joints with an empty link between them,
+  and its limits may exclude zero: joints are held, and recorded, only within their limits.
+- Meshes hold each face twice, once for each direction, and inner faces; units are not metric (the diagonal is about 2).
+- Meshes, pictures and material libraries may be absent (see `generator.partnet_files`), and the folder may hold files
+  that the URDF does not name.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ INCOMPLETE = frozenset((
     "3380", "3593", "7130", "7138", "7347", "7221", "7306", "7320", "8966",
 ))
 # fmt: on
-"""Objects whose URDF names meshes that nobody has: they had no faces and were never shipped (SAPIEN's issues 33 and
-201; the list is r-pad's missing_objs.txt). One, the scissors 10546, is FreeArt-21's."""
+"""Objects whose URDF names meshes that were never published because they have no faces (SAPIEN's issues 33 and 201; the
+list is r-pad's missing_objs.txt). One of them, the scissors 10546, belongs to FreeArt-21."""
 
 
 @dataclass(frozen=True)
@@ -80,19 +80,19 @@ class PartNetObject:
     name: str
     """The folder's name."""
     category: str
-    """As meta.json says; 'unknown' when it does not."""
+    """From meta.json; 'unknown' without it."""
     asset: Asset
     """Reference link = the joint's parent, moving link = its child; canonical frame = the object's frame."""
     joint: Joint
-    """Motion of the child side against the parent side, in the object's frame."""
+    """Motion of the child side relative to the parent side, in the object's frame."""
     parent_side: Side
     child_side: Side
     semantics: dict[str, str]
     """Link name to semantics.txt's kind and name, such as 'slider drawer'; mobility_v2.json may use other names."""
     missing: tuple[str, ...]
-    """Mesh files that the URDF names and that are absent (only with `skip_missing`, or in one of `INCOMPLETE`)."""
+    """Absent mesh files that the URDF names (only with `skip_missing`, or for an object of `INCOMPLETE`)."""
     notes: tuple[str, ...]
-    """What a user should know of this object, one line each: what it lacks, and what was made of it."""
+    """Remarks on this object for the user, one line each."""
 
     @property
     def sides(self) -> tuple[Side, Side]:
@@ -101,16 +101,16 @@ class PartNetObject:
 
 
 def find_folder(name: str, root: Path) -> Path | None:
-    """Where the object `name` is in `root`: ROOT/NAME or, as the data set unpacks, ROOT/dataset/NAME; None if not."""
+    """The folder of object `name`: ROOT/NAME or, as the data set unpacks, ROOT/dataset/NAME; None when absent."""
     return next((place for place in (root / name, root / "dataset" / name) if place.is_dir()), None)
 
 
 def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> PartNetObject:
-    """The object in `folder`, with the joint named (or the one that meta.json calls scored, or the only movable one).
+    """Load the object in `folder` with the named joint (or meta.json's scored joint, or the only movable one).
 
     Raises FreeArtError, in one line, when a file is missing or unreadable, when the joint is unknown (the movable ones
-    are listed) or has no range, or when a side has no surface. `skip_missing` leaves out absent mesh files instead, as
-    is always done for the objects `INCOMPLETE`.
+    are listed) or has no range, or when a side has no surface. `skip_missing` leaves absent mesh files out instead, as
+    is always done for the objects in `INCOMPLETE`.
     """
     folder = Path(folder)
     urdf = folder / URDF_NAME
@@ -136,7 +136,9 @@ def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> 
     T_object_joint = Ts[scored.parent] @ scored.T_parent_joint
     assert scored.joint_type is not None
     lower, upper = scored.lower + 0.0, scored.upper + 0.0
-    if scored.joint_type == "prismatic":  # by the object's diagonal: half to either side, or from the end there is
+    if (
+        scored.joint_type == "prismatic"
+    ):  # a missing limit: the object's diagonal from the other, or half of it to either side
         size = bounding_diagonal(parent.surface.mesh(), child.surface.mesh())
         ends = np.isfinite([lower, upper])
         lower = lower if ends[0] else (upper - size if ends[1] else -0.5 * size)
@@ -183,15 +185,15 @@ def _joint_notes(moving: Joint, scored: UrdfJoint, joints: dict[str, UrdfJoint],
 
 
 def floating_notes(joints: dict[str, UrdfJoint]) -> list[str]:
-    """What is made of joints that leave their link free."""
+    """Remarks on floating joints, which are held at their origin."""
     return [f"joint '{j.name}' is {FLOATING}: it is held at its origin" for j in joints.values() if j.type == FLOATING]
 
 
 def _scale_notes(read: Urdf, visuals: dict[str, list[Visual]], folder: Path) -> list[str]:
-    """Whether meshes were scaled and the frames of hinges were not, by bounding_box.json: the box of the meshes before.
+    """Remarks on hinges whose frames were not scaled with the meshes, found by bounding_box.json (of the old meshes).
 
-    At zero joint frames cancel, and the assembly is right whatever they are. A hinge that passes outside the assembly
-    (by 5 % of its diagonal; none of the real objects' does) throws its part about as soon as it turns.
+    At state zero the assembly is right in any case. A hinge whose axis is outside the assembly by more than 5 % of its
+    diagonal moves its part away from the object; no real object has one.
     """
     box = _read_box_diagonal(folder / BOX_NAME)
     if box is None or all(np.allclose(v.scale, 1) for of_link in visuals.values() for v in of_link):
@@ -222,7 +224,7 @@ def _scale_notes(read: Urdf, visuals: dict[str, list[Visual]], folder: Path) -> 
 
 
 def _read_box_diagonal(path: Path) -> float | None:
-    """The diagonal of a PartNet-Mobility object's box; None without a file, or when it holds none."""
+    """The diagonal of a PartNet-Mobility object's bounding box; None without a file or with an empty box."""
     if not path.is_file():
         return None
     data = checked.read_json(path)
@@ -233,7 +235,7 @@ def _read_box_diagonal(path: Path) -> float | None:
 
 
 def _line_crosses_box(point: Array, direction: Array, low: Array, high: Array) -> bool:
-    """Whether a line passes through a box: the slabs between its faces have a stretch of it in common."""
+    """Whether a line crosses a box (slab method)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = np.sort([(low - point) / direction, (high - point) / direction], axis=0)
     still = np.abs(direction) < 1e-12
@@ -250,9 +252,9 @@ def _meta_notes(meta: dict, folder: Path) -> list[str]:
 
 
 def read_tree(urdf: Path) -> Urdf:
-    """The URDF; FreeArtError when it is not one tree of links, or a joint is not understood.
+    """Read a URDF; FreeArtError when it is not one tree of links, or has an unknown joint type.
 
-    (SAPIEN would take an unknown type for a fixed joint, and fails without saying where for much else.)
+    SAPIEN would take an unknown type for a fixed joint, and reports other faults without their place.
     """
     read = read_urdf(urdf)
     try:
@@ -299,7 +301,7 @@ def _visuals(link: UrdfLink, folder: Path, urdf: Path) -> list[Visual]:
 
 
 def _missing_meshes(visuals: dict[str, list[Visual]], folder: Path, urdf: Path, may_lack: bool) -> tuple[str, ...]:
-    """Mesh files named but not there; FreeArtError unless the object may lack some."""
+    """Absent mesh files; FreeArtError unless `may_lack`."""
     meshes = {v.mesh for of_link in visuals.values() for v in of_link}
     absent = tuple(sorted(str(mesh.relative_to(folder.resolve())) for mesh in meshes if not mesh.is_file()))
     if absent and not may_lack:

@@ -1,11 +1,11 @@
-"""What lies in a PartNet-Mobility folder: meshes, materials and pictures; and a copy that SAPIEN can read.
+"""Reads meshes, materials and pictures of a PartNet-Mobility folder, and makes a copy that SAPIEN can read.
 
-Not every object of the data set is whole. What is made do with is noted, and what is wrong is refused, in one line:
+Some objects of the data set are incomplete. What is left out is noted, what is wrong is refused, each in one line:
 
-- A mesh that is absent, or has no face, is left out (`generator.partnet` decides which absent ones may be).
-- A picture or a material library that is absent leaves the plain colour, as SAPIEN has it: Kd, or a grey of 0.6.
-- SAPIEN itself refuses meshes without faces and materials without their picture, so it is given a copy without them.
-- A picture replaces Kd, and Kd is linear: so SAPIEN paints.
+- A mesh that is absent or has no faces is left out (`generator.partnet` decides which may be absent).
+- Without its picture or material library a surface has SAPIEN's plain colour: Kd, or a grey of 0.6.
+- SAPIEN refuses meshes without faces and materials without their picture, so it gets a copy without them.
+- As in SAPIEN, a picture replaces Kd, and Kd is linear.
 """
 
 from __future__ import annotations
@@ -34,34 +34,34 @@ from generator.surface import Paint, Surface, srgb_bytes
 
 MAX_OBJ_BYTES = 256 << 20
 MAX_MTL_BYTES = 4 << 20
-_LARGEST = 1e6  # a coordinate beyond this is no object's
-_NO_KD = 0.6  # what SAPIEN's reader (Assimp) takes for a material that says nothing
+_LARGEST = 1e6  # largest plausible coordinate
+_NO_KD = 0.6  # default Kd of SAPIEN's reader (Assimp)
 _FACE = re.compile(r"^[ \t]*f[ \t]", re.MULTILINE)
 _FACE_LINE = re.compile(r"^[ \t]*f[ \t]+(.*)", re.MULTILINE)
 _BACK_INDEX = re.compile(r"^[ \t]*f[ \t].*-\d", re.MULTILINE)
 _NO_INDEX = re.compile(r"^[ \t]*f(?:[ \t]+[\d/-]+)*[ \t]+(?:0+|-\d+)(?:/|\s|$)", re.MULTILINE)
 _LIBRARY = re.compile(r"^[ \t]*mtllib[ \t]+(.*\S)", re.MULTILINE)
 _USED = re.compile(r"^[ \t]*usemtl[ \t]+(.*\S)", re.MULTILINE)
-_PICTURES = ("map_", "bump", "disp", "norm", "decal", "refl")  # how the MTL lines begin that name a picture
+_PICTURES = ("map_", "bump", "disp", "norm", "decal", "refl")  # first words of MTL lines that name a picture
 
 
 @dataclass
 class Gaps:
-    """What an object lacks, found while it is read; names as the files give them."""
+    """What an object lacks; names as in its files."""
 
     meshes: set[str] = field(default_factory=set)
-    """Named by the URDF and absent."""
+    """Absent meshes that the URDF names."""
     empty: set[str] = field(default_factory=set)
     """Meshes without faces."""
     libraries: set[str] = field(default_factory=set)
-    """Material libraries that are absent."""
+    """Absent material libraries."""
     pictures: set[str] = field(default_factory=set)
-    """Pictures that are absent."""
+    """Absent pictures."""
     transparent: set[str] = field(default_factory=set)
-    """Material libraries with a material that lets light through."""
+    """Material libraries with a transparent material."""
 
     axes: set[str] = field(default_factory=set)
-    """COLLADA files that say that another axis than z points up."""
+    """COLLADA files whose up axis is not z."""
 
     def notes(self) -> tuple[str, ...]:
         """One line for each kind of gap."""
@@ -70,30 +70,30 @@ class Gaps:
             (self.empty, "meshes without faces are left out"),
             (self.libraries, "absent material libraries leave plain grey"),
             (self.pictures, "absent pictures leave the plain colour"),
-            (self.axes, "COLLADA's <up_axis> is not heeded, as in RViz: meshes stand as they are written"),
+            (self.axes, "COLLADA's <up_axis> is ignored, as in RViz: meshes are taken as they are written"),
             (self.transparent, "materials are transparent: colour shows what is behind them, depth and mask do not"),
         )
         return tuple(f"{what}: {_list_names(names)}" for names, what in lines if names)
 
 
 def _list_names(names: set[str]) -> str:
-    """Up to three of the names, in order, and how many more."""
+    """Up to three of the names, sorted, and the number of others."""
     more = f" and {len(names) - 3} more" if len(names) > 3 else ""
     return ", ".join(sorted(names)[:3]) + more
 
 
 @dataclass(frozen=True)
 class Material:
-    """How a material of an MTL file looks in SAPIEN."""
+    """Appearance of a material of an MTL file in SAPIEN."""
 
     colour: NDArray[np.uint8]
     """(3,) sRGB of Kd."""
     picture: Path | None = None
-    """The picture of its colour, which replaces Kd."""
+    """The picture that replaces Kd."""
 
 
 def resolve_inside(folder: Path, name: str, what: str) -> Path:
-    """The file `name` in `folder`; FreeArtError when it is elsewhere, also by way of a link."""
+    """The file `name` in `folder`; FreeArtError when it is outside, also through a link."""
     if "://" in name or name.startswith(("/", "\\")):
         raise FreeArtError(f"{what} '{name}', expected a path inside {folder}")
     try:
@@ -109,10 +109,10 @@ def resolve_inside(folder: Path, name: str, what: str) -> Path:
 
 
 def read_obj(path: Path, folder: Path, gaps: Gaps) -> Surface:
-    """The triangles of an OBJ file of the object in `folder`, with its materials; adds to `gaps` what is not there.
+    """The triangles of an OBJ file of the object in `folder`, with its materials; adds absent files to `gaps`.
 
-    Raises FreeArtError, in one line, when the file is no OBJ, names corners that do not exist or are not finite, when
-    a picture is there and unreadable, or when a file lies outside `folder`.
+    Raises FreeArtError, in one line, when the file is not an OBJ, refers to vertices that do not exist or are not
+    finite, when a picture is unreadable, or when a file is outside `folder`.
     """
     text = _text(path, MAX_OBJ_BYTES)
     materials = read_materials(path, text, folder, gaps)
@@ -162,12 +162,12 @@ def _piece(geometry: dict, materials: dict[str, Material]) -> Surface:
 
 @functools.lru_cache(maxsize=64)
 def _read_picture(path: Path, changed_ns: int) -> NDArray[np.uint8]:
-    """The picture as it was at the time `changed_ns`; the meshes of an object share few pictures."""
+    """Read a picture; cached by its modification time, because the meshes of an object share pictures."""
     return checked.read_rgb(path)
 
 
 def _resolve_back_indices(text: str) -> str:
-    """OBJ text without negative indices, which count back from the last vertex above them."""
+    """OBJ text with negative indices, which count back from the last vertex before them, replaced."""
     counts, lines = {"v": 0, "vt": 0, "vn": 0}, []
     for line in text.splitlines():
         words = line.split()
@@ -188,7 +188,7 @@ def _resolve_back_indices(text: str) -> str:
 
 
 def read_materials(obj: Path, text: str, folder: Path, gaps: Gaps) -> dict[str, Material]:
-    """Material name to material, from the libraries that the OBJ file `obj` of this text names."""
+    """Materials by name, from the libraries that the OBJ file `obj` with this text names."""
     materials: dict[str, Material] = {}
     for library in _LIBRARY.findall(text):
         mtl = _neighbour(obj, library, folder, "material library")
@@ -216,7 +216,7 @@ def read_materials(obj: Path, text: str, folder: Path, gaps: Gaps) -> dict[str, 
 
 
 def _picture(rest: str, mtl: Path, folder: Path) -> Path | None:
-    """The file that what follows `map_Kd` names: all of it, or its last word after options; None when it is absent."""
+    """The file named after `map_Kd`: the whole text, or its last word after options; None when absent."""
     for name in dict.fromkeys((rest, *rest.split()[-1:])):
         path = _neighbour(mtl, name.replace("\\", "/"), folder, "picture")
         if path is not None:
@@ -224,10 +224,10 @@ def _picture(rest: str, mtl: Path, folder: Path) -> Path | None:
     return None
 
 
-def _neighbour(beside: Path, name: str, folder: Path, what: str) -> Path | None:
-    """The file `name` as seen from the file `beside`, inside `folder`; None when it is absent."""
-    here = beside.parent.resolve().relative_to(folder.resolve())
-    path = resolve_inside(folder, name if name.startswith("/") else f"{here}/{name}", f"{beside} names the {what}")
+def _neighbour(origin: Path, name: str, folder: Path, what: str) -> Path | None:
+    """The file `name` relative to the file `origin`, inside `folder`; None when absent."""
+    here = origin.parent.resolve().relative_to(folder.resolve())
+    path = resolve_inside(folder, name if name.startswith("/") else f"{here}/{name}", f"{origin} names the {what}")
     return path if path.is_file() else None
 
 
@@ -246,7 +246,7 @@ def _floats(rest: str, mtl: Path, key: str) -> Array:
 
 
 def _text(path: Path, limit: int) -> str:
-    """A file's text, its lines ended by a plain line feed and without a byte order mark."""
+    """A file's text with plain line feeds and without a byte order mark."""
     data = checked.read_bytes(path, limit)
     return data.decode("utf-8-sig", errors="replace").replace("\r\n", "\n").replace("\r", "\n")
 
@@ -260,11 +260,11 @@ def _name(path: Path, folder: Path) -> str:
 
 @contextlib.contextmanager
 def sapien_urdf(urdf: Path, root: Path | None = None) -> Iterator[Path]:
-    """A URDF that SAPIEN can load, valid inside the `with`: `urdf` itself, or a copy without what its folder lacks.
+    """A URDF that SAPIEN can load, valid inside the `with`: `urdf` itself, or a repaired copy.
 
-    In the copy absent meshes and meshes without faces are left out, as visuals and as collision shapes, materials go
-    without absent pictures, and meshes that their scale mirrors have their faces turned round (SAPIEN would show them
-    from within). Only OBJ files are looked into; all lie in `root`, as in `freeart21.files.urdf_files`.
+    The copy lacks absent meshes and meshes without faces, as visuals and as collision shapes, and absent pictures of
+    materials. Meshes with a mirroring scale have reversed faces (SAPIEN would show them from inside). Only OBJ files
+    are inspected; all are in `root`, as in `freeart21.files.urdf_files`.
     """
     robot = parse_urdf(urdf)
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
@@ -297,9 +297,9 @@ def _scale(mesh: ET.Element) -> Array:
 
 
 def _mesh_for_sapien(path: Path, place: Path, mirrored: bool) -> Path | None:
-    """The mesh file itself, or None when there is nothing to show, or a copy in `place`.
+    """The mesh file itself, a repaired copy in `place`, or None when there is nothing to show.
 
-    The copy goes without absent pictures; its faces are turned round when it is to be `mirrored`.
+    The copy lacks absent pictures; its faces are reversed when `mirrored`.
     """
     if path.suffix.lower() != ".obj":
         return checked.require_file(path, MAX_OBJ_BYTES, checked.ANYWHERE) if path.exists() else path
@@ -312,7 +312,11 @@ def _mesh_for_sapien(path: Path, place: Path, mirrored: bool) -> Path | None:
     lines = [
         _resolve_picture(line, path.parent) for mtl in libraries for line in _text(mtl, MAX_MTL_BYTES).splitlines()
     ]
-    if all(as_it_is for _, as_it_is in lines) and not mirrored and not any(map(_marked, (path, *libraries))):
+    if (
+        all(unchanged for _, unchanged in lines)
+        and not mirrored
+        and not any(map(_has_byte_order_mark, (path, *libraries)))
+    ):
         return path
     if mirrored:
         text = _FACE_LINE.sub(lambda face: "f " + " ".join(reversed(face[1].split())), text)
@@ -323,7 +327,7 @@ def _mesh_for_sapien(path: Path, place: Path, mirrored: bool) -> Path | None:
 
 
 def _resolve_picture(line: str, folder: Path) -> tuple[str, bool]:
-    """An MTL line with its picture's full path, or empty when that is absent; and whether it would do as it is."""
+    """An MTL line with its picture's full path, empty when that is absent; and whether it needs no change."""
     key, _, rest = line.strip().partition(" ")
     rest = rest.strip()
     if not key.startswith(_PICTURES):
@@ -335,6 +339,6 @@ def _resolve_picture(line: str, folder: Path) -> tuple[str, bool]:
     return "", False
 
 
-def _marked(path: Path) -> bool:
-    """Whether a file begins with a byte order mark, which hides its first line from SAPIEN."""
+def _has_byte_order_mark(path: Path) -> bool:
+    """Whether a file starts with a byte order mark, which makes SAPIEN miss its first line."""
     return checked.read_head(path, 3) == b"\xef\xbb\xbf"

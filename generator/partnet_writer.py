@@ -1,4 +1,4 @@
-"""Writes a procedural object as a PartNet-Mobility folder, with the habits of real ones (see `generator.partnet`)."""
+"""Writes a procedural object as a PartNet-Mobility folder with the properties of real ones (`generator.partnet`)."""
 
 from __future__ import annotations
 
@@ -61,9 +61,7 @@ def _write_meshes(model: ObjectModel, folder: Path) -> list[list[tuple[str, str]
         names.append([])
         for piece in link.pieces:
             part += 1
-            for (
-                body
-            ) in piece.solid.decompose():  # pieces in several bodies give duplicate visual names, as in real objects
+            for body in piece.solid.decompose():  # several bodies give duplicate visual names, as in real objects
                 count += 1
                 stem = f"original-{count}"
                 atomic.write_bytes(folder / "textured_objs" / f"{stem}.obj", _obj(body, piece, stem))

@@ -1,4 +1,4 @@
-"""Records one object: a sequence folder, which methods may see, and a truth folder, which they may not."""
+"""Records one object: a sequence folder, for methods, and a truth folder, which they must not see."""
 
 from __future__ import annotations
 

@@ -159,8 +159,8 @@ def noise_m(signal: NDArray) -> NDArray:
 def incidence_cosine(depth: Map, rays: Array) -> Map:
     """Cosine (height, width) of the angle between surface normal and ray; 1 for background.
 
-    On a plane the inverse depth is linear in the picture. Each slope is the smaller of the two one-sided differences, so
-    that normals at edges stay those of the surface. `rays` (height, width, 3) have z = 1.
+    On a plane the inverse depth is linear in the picture. Each slope is the smaller of the two one-sided differences,
+    so that normals at edges stay those of the surface. `rays` (height, width, 3) have z = 1.
     """
     return _incidence_cosine(depth, rays)
 

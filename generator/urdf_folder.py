@@ -1,10 +1,10 @@
-"""Any URDF that shows something, brought into the shape of a PartNet-Mobility folder, which the one loader reads.
+"""Converts any URDF with visuals to a PartNet-Mobility folder, so that one loader reads all objects.
 
-Meshes (`freeart21.view.mesh_pieces`) and primitives become OBJ files with a picture for every colour. A visual that the
-URDF gives a colour has it; else the mesh's own materials count, else it is grey. A mesh that bounds no volume (open, or
-faces of it turned round) is drawn twice, once a side, as PartNet-Mobility's are: renderers show a face from its front
-alone. Collision shapes are left out; joints, inertia, origins and scales stay as they are. What the URDF and its meshes
-name lies in one folder, the root (`freeart21.files.urdf_files`).
+Meshes (`freeart21.view.mesh_pieces`) and primitives become OBJ files with a picture for every colour. A visual has the
+colour that the URDF gives it, else its mesh's materials, else grey. A mesh that bounds no volume (open, or with
+reversed faces) is written with each face in both directions, like PartNet-Mobility's: renderers show a face from its
+front only. Collision shapes are left out; joints, inertia, origins and scales are kept. All files that the URDF and its
+meshes name are in one folder, the root (`freeart21.files.urdf_files`).
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ from generator.partnet_files import MAX_OBJ_BYTES, Gaps, read_obj
 from generator.surface import Paint, Surface
 
 _NOTES = "notes.json"
-"""What the URDF's folder lacks, kept beside what was made of it."""
+"""Remarks on the URDF, stored in the folder written for it."""
 _GREY = np.full(3, 153, np.uint8)
-_BEYOND = 1e6  # a coordinate beyond this is no object's
+_LARGEST = 1e6  # largest plausible coordinate
 
 
 URDF_ENDINGS = (".urdf", ".xacro")
-"""Of the files that are taken for URDFs; what xacro is, their reader says."""
+"""File names that stand for URDFs; the reader refuses xacro with an explanation."""
 
 
 def object_name(urdf: Path) -> str:
-    """What an object of this file is called; FreeArtError unless it may be the name of a folder."""
+    """Name of the object of this file; FreeArtError unless it can name a folder."""
     name = urdf.stem
     if not name or not all(c.isalnum() or c in "-_." for c in name) or name.startswith("."):
         raise FreeArtError(f"{urdf}: '{name}' cannot name a recording; expected letters, digits, '-', '_' and '.'")
@@ -49,7 +49,7 @@ def object_name(urdf: Path) -> str:
 
 
 def digest(urdf: Path, root: Path | None = None) -> str:
-    """SHA-256, hexadecimal, of the URDF and of the meshes in `root` that it shows."""
+    """SHA-256, hexadecimal, of the URDF and of its visual meshes in `root`."""
     sums = hashlib.sha256()
     names = {shape.filename for link in partnet.read_tree(urdf).links.values() for shape in link.visuals}
     for path in (urdf, *(resolve_file(urdf, name, root) for name in sorted(names) if name)):
@@ -61,10 +61,10 @@ def digest(urdf: Path, root: Path | None = None) -> str:
 def load_urdf(
     urdf: Path, folder: Path, joint: str | None = None, skip_missing: bool = False, root: Path | None = None
 ) -> partnet.PartNetObject:
-    """The object of a URDF by the joint named, or the only movable one; `folder` is written unless it is there.
+    """The object of a URDF with the named joint, or the only movable one; `folder` is written unless it exists.
 
-    What the URDF names lies in `root`, by default in its own folder or its package's. Raises FreeArtError, in one line,
-    as `generator.partnet.load` does.
+    Files that the URDF names are in `root`, by default its own folder or its package's. Raises FreeArtError, in one
+    line, as `generator.partnet.load` does.
     """
     scored = find_movable_joint(urdf, joint).name
     try:
@@ -118,12 +118,12 @@ def write_folder(urdf: Path, folder: Path, skip_missing: bool = False, root: Pat
 
 
 def clear_notes(folder: Path) -> None:
-    """Leave what a URDF shows in `folder`, and nothing that was said of it."""
+    """Remove the remarks on the URDF from `folder`."""
     (folder / _NOTES).unlink()
 
 
 def _surface(shape: UrdfShape, urdf: Path, where: str, skip_missing: bool, root: Path, gaps: Gaps) -> Surface | None:
-    """What a visual shows, in its mesh's own frame; None where its file is absent and may be."""
+    """The surface of a visual in its mesh's frame; None for an absent file with `skip_missing`."""
     if shape.kind != "mesh":
         surface = _joined([Piece(primitive(shape, where))])
     elif not shape.size.all():
@@ -144,8 +144,8 @@ def _surface(shape: UrdfShape, urdf: Path, where: str, skip_missing: bool, root:
             surface = _joined(read_pieces(path, root))
             if path.suffix.lower() == ".dae" and up_axis(path, root) in ("X_UP", "Y_UP"):
                 gaps.axes.add(shape.filename)
-    if not (np.abs(surface.vertices) < _BEYOND).all():
-        raise FreeArtError(f"{where} shows vertices beyond {_BEYOND:g}")
+    if not (np.abs(surface.vertices) < _LARGEST).all():
+        raise FreeArtError(f"{where} shows vertices beyond {_LARGEST:g}")
     if shape.rgba is None:
         return surface
     colour = Paint(np.rint(255 * np.clip(shape.rgba[:3], 0, 1)).astype(np.uint8))
@@ -153,7 +153,7 @@ def _surface(shape: UrdfShape, urdf: Path, where: str, skip_missing: bool, root:
 
 
 def _joined(pieces: list[Piece]) -> Surface:
-    """Pieces as one surface: each with its picture, or the mean of its colours, or grey."""
+    """Pieces as one surface, each with its picture, its mean colour, or grey."""
     return Surface.joined([_painted(piece) for piece in pieces])
 
 
@@ -166,19 +166,19 @@ def _painted(piece: Piece) -> Surface:
 
 
 def _bounds_volume(surface: Surface) -> bool:
-    """Whether the surface is closed and its faces all look out of it."""
+    """Whether the surface is closed with all faces outwards."""
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=True)
-    mesh.update_faces(mesh.nondegenerate_faces())  # such as those at the poles of a sphere
+    mesh.update_faces(mesh.nondegenerate_faces())  # as at the poles of a sphere
     return bool(mesh.is_volume)
 
 
 def _both_sides(surface: Surface) -> Surface:
-    """The surface, and once more with its faces turned round."""
+    """The surface with each face in both directions."""
     return Surface.joined([surface, replace(surface, faces=surface.faces[:, ::-1])])
 
 
 def _write(surface: Surface, folder: Path, stem: str) -> str:
-    """Write a surface as textured_objs/STEM.obj, with materials and pictures; its file's name."""
+    """Write a surface as textured_objs/STEM.obj, with materials and pictures; returns the file's name."""
     strength, exponent = SHINE["plastic"]
     lines, materials = [f"mtllib {stem}.mtl"], []
     lines += [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in surface.vertices.tolist()]
@@ -192,7 +192,7 @@ def _write(surface: Surface, folder: Path, stem: str) -> str:
         lines += [f"f {a}/{a} {b}/{b} {c}/{c}" for a, b, c in faces.tolist()]
         picture = textures.plain(tuple((paint.colour / 255.0).tolist())) if paint.picture is None else paint.picture
         atomic.write_bytes(folder / "images" / f"{stem}-{k}.png", checked.encode_png(picture))
-        # pictures also of plain colours: SAPIEN takes Kd as linear
+        # plain colours are pictures, too, because SAPIEN takes Kd as linear
         materials += [
             f"newmtl paint-{k}",
             "illum 2",

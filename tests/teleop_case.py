@@ -27,7 +27,7 @@ from generator.teleop import wire
 from generator.teleop.driving import Placement
 from generator.teleop.gate import Gate
 from generator.teleop.server import Server
-from generator.teleop.stage import Mark, Shown
+from generator.teleop.stage import LivePicture, Mark
 from generator.teleop.takes import Takes
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -44,11 +44,11 @@ class NoStage:
     """A stage that shows the same picture at once."""
 
     def __init__(self) -> None:
-        self.size, self.ready, self.last = (640, 360), True, Shown(JPEG, Mark(), 0.0)
+        self.size, self.ready, self.last = (640, 360), True, LivePicture(JPEG, Mark(), 0.0)
         self.show = lambda: None
 
-    def want(self, place: Placement, mark: Mark) -> None:
-        self.last = Shown(JPEG, mark, 0.0)
+    def request(self, place: Placement, mark: Mark) -> None:
+        self.last = LivePicture(JPEG, mark, 0.0)
         self.show()
 
     def resize(self, size: tuple[int, int]) -> None:
@@ -132,7 +132,7 @@ class Page:
     async def _read(self) -> None:
         async for message in self.socket:
             if message.type == aiohttp.WSMsgType.BINARY:
-                n, time_ms, _ = wire.taken_apart(message.data)
+                n, time_ms, _ = wire.unpack_picture(message.data)
                 self.pictures.append((n, time_ms))
                 await self.say({"type": "seen", "n": len(self.pictures)})
             else:

@@ -79,7 +79,7 @@ def test_collada_is_in_its_unit_and_stands_as_written(tmp_path: Path) -> None:
         urdf = tmp_path / "x.urdf"
         urdf.write_text(URDF.format(base='<mesh filename="a.dae"/>', lid='<sphere radius="0.001"/>'))
         notes = load_urdf(urdf, tmp_path / f"made{axis}").notes
-        expected = ["COLLADA's <up_axis> is not heeded, as in RViz"] if axis in ("X_UP", "Y_UP") else []
+        expected = ["COLLADA's <up_axis> is ignored, as in RViz"] if axis in ("X_UP", "Y_UP") else []
         assert [note.split(":")[0] for note in notes] == expected
     for unit, said in (("0", "its unit is 0 m"), ("x", "could not convert"), ("nan", "its unit is nan m")):
         told(f'<unit meter="{unit}"/>')

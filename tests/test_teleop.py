@@ -35,7 +35,7 @@ from generator.session import RecordSettings, catalog_entry, load_object
 from generator.teleop import connections, gate, server, stage_process, wire
 from generator.teleop.clock import Clock
 from generator.teleop.driving import GAP_S, STEP_S, UNDO_S, Driving, Placement
-from generator.teleop.limits import FILL, Room
+from generator.teleop.limits import FILL, Workspace
 from generator.teleop.stage import ASPECTS, Mark, Pace, Stage, live_size
 from generator.teleop.takes import Takes, write_new
 
@@ -59,9 +59,9 @@ def test_a_good_message_is_read_as_it_was_meant() -> None:
     np.testing.assert_allclose(move.T[:3, 3], said["position"])
     np.testing.assert_allclose(se3.wxyz(move.T), said["quaternion"], atol=1e-12)
     assert wire.read('{"type":"ping","time":5,"latency":[1,2]}', BOUNDS) == wire.Ping(5.0, (1.0, 2.0))
-    assert wire.read('{"type":"do","what":"undo","n":4}', BOUNDS) == wire.Do("undo")
-    assert wire.read('{"type":"view","width":390,"height":844}', BOUNDS) == wire.View(390, 844)
-    assert wire.taken_apart(wire.picture(9, 1.5, b"abc")) == (9, 1.5, b"abc")
+    assert wire.read('{"type":"do","what":"undo","n":4}', BOUNDS) == wire.Command("undo")
+    assert wire.read('{"type":"view","width":390,"height":844}', BOUNDS) == wire.ViewSize(390, 844)
+    assert wire.unpack_picture(wire.pack_picture(9, 1.5, b"abc")) == (9, 1.5, b"abc")
 
 
 def test_a_state_beyond_its_limits_is_brought_back() -> None:
@@ -135,8 +135,8 @@ def test_the_clock_follows_drift_over_half_an_hour_and_ignores_late_packets(drif
         sent = (t - 40.0) * (1 + drift)
         late = 0.004 + rng.exponential(0.01) + (0.5 if rng.random() < 0.02 else 0.0)
         arrived = max(arrived, t + late)  # a websocket keeps the order
-        clock.heard(sent, arrived)
-        at = clock.at(sent)
+        clock.observe(sent, arrived)
+        at = clock.server_time(sent)
         if t > 5:
             worst = max(worst, abs(at - (t + 0.004)))
             if before is not None:
@@ -165,16 +165,16 @@ def test_a_pause_leaves_no_gap_and_no_jump() -> None:
     left = driving.place
     assert driving.pause() and not driving.pause()
     driven(driving, 11 + np.arange(300) / 60)
-    assert not driving.place.is_like(left) and len(driving.take) == 60
+    assert not driving.place.is_close(left) and len(driving.take) == 60
     epoch = driving.epoch
-    assert driving.record() and driving.place.is_like(left) and driving.epoch == epoch + 1
+    assert driving.record() and driving.place.is_close(left) and driving.epoch == epoch + 1
     driven(driving, [30.0], epoch=epoch)  # sent before the page knew
-    assert driving.place.is_like(left) and len(driving.take) == 60
+    assert driving.place.is_close(left) and len(driving.take) == 60
     place = left
     driving.move(wire.Move(0, 0, driving.epoch, place.T, place.state, "keys"), 40.0)
     driving.move(wire.Move(0, 0, driving.epoch, place.T, place.state, "keys"), 40.5)
     assert np.diff(driving.take.times[-3:]) == pytest.approx([STEP_S, 0.5])
-    assert driving.take.last.is_like(left) and list(driving.devices) == ["mouse"], "keys moved nothing"
+    assert driving.take.last.is_close(left) and list(driving.devices) == ["mouse"], "keys moved nothing"
     driving.move(wire.Move(0, 0, driving.epoch, place.T, place.state + 0.01, "keys"), 40.6)
     assert list(driving.devices) == ["mouse", "keys"]
 
@@ -186,7 +186,7 @@ def test_undo_drops_the_last_seconds_and_goes_on_from_there() -> None:
     whole = [*driving.take.times]
     assert driving.undo() == pytest.approx(UNDO_S, abs=2 * STEP_S) and driving.phase == "recording"
     kept = [*driving.take.times]
-    assert kept == whole[: len(kept)] and driving.place.is_like(driving.take.last)
+    assert kept == whole[: len(kept)] and driving.place.is_close(driving.take.last)
     driven(driving, [20.0])
     assert np.diff(driving.take.times)[-1] == pytest.approx(STEP_S)
     while driving.undo():
@@ -197,7 +197,7 @@ def test_undo_drops_the_last_seconds_and_goes_on_from_there() -> None:
 def test_undo_without_a_take_takes_back_what_was_moved() -> None:
     driving = Driving(START)
     driven(driving, np.arange(60) / 60 + 5)
-    assert driving.undo() > 0.9 and driving.place.is_like(START)
+    assert driving.undo() > 0.9 and driving.place.is_close(START)
     assert driving.undo() == 0.0
 
 
@@ -208,7 +208,7 @@ def test_undo_while_paused_takes_back_what_was_moved_since_and_then_the_take() -
     driving.pause()
     left = driving.place
     driven(driving, 20 + np.arange(30) / 60)
-    assert driving.undo() > 0 and driving.place.is_like(left) and len(driving.take) == 301
+    assert driving.undo() > 0 and driving.place.is_close(left) and len(driving.take) == 301
     assert driving.undo() > 1.9 and len(driving.take) < 301
 
 
@@ -300,7 +300,7 @@ def test_the_file_of_a_take_is_the_take_at_every_moment(tmp_path: Path) -> None:
                 saved += 1
                 assert path.read_text().splitlines()[1:] == lines and not unsaved.exists()
                 assert len(read_take(path).times) == len(lines)
-                driving.saved()
+                driving.start_new_take()
         else:
             getattr(driving, what)()
         if rng.random() < 0.6:
@@ -319,12 +319,12 @@ def test_a_take_that_an_earlier_run_left_is_said_and_stays(tmp_path: Path) -> No
     driving = a_drive()
     first.write(driving)
     second = Takes(tmp_path / "take.jsonl", "revolute")
-    assert second.unsaved_takes() == []  # it is being made
+    assert second.find_unsaved_takes() == []  # it is being made
     kept = first.rescue(driving)
     (tmp_path / "take-unsaved-old.jsonl").write_text("mine")
     (tmp_path / "take-unsaved-3.jsonl").mkdir()
     os.mkfifo(tmp_path / "take-unsaved-4.jsonl")
-    assert second.unsaved_takes() == [(kept, pytest.approx(1.5))]
+    assert second.find_unsaved_takes() == [(kept, pytest.approx(1.5))]
     text = kept.read_text()
     second.write(a_drive())
     assert kept.read_text() == text and (tmp_path / "take-unsaved-2.jsonl").exists()
@@ -372,7 +372,7 @@ def test_an_object_begins_in_the_middle_and_large(name: str, tmp_path: Path) -> 
     loaded = load_object(catalog_entry(name, RecordSettings()), RecordSettings(), tmp_path)
     body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
     camera = Camera.from_fov(640, 360, np.radians(40))
-    room = Room.of(body, camera)
+    room = Workspace.of(body, camera)
     uv = camera.project(se3.transform(room.T_start, body.points(np.array([room.state]))[0]))
     assert np.abs((uv.max(0) + uv.min(0)) / 2 - [320, 180]).max() < 3
     assert np.ptp(uv[:, 1]) / 360 == pytest.approx(FILL, abs=0.06) or np.ptp(uv[:, 0]) > 0.9 * 640
@@ -392,10 +392,10 @@ def test_the_stage_draws_what_is_new_in_the_size_that_was_asked_for() -> None:
     async def asked() -> None:
         stage = Stage({}, (640, 360), START)
         stage._changed.clear()
-        stage.want(Placement(START.T.copy(), START.state), Mark(None, 5, 1.0))
+        stage.request(Placement(START.T.copy(), START.state), Mark(None, 5, 1.0))
         stage.resize((640, 360))
         assert not stage._changed.is_set() and stage._mark == Mark()
-        stage.want(Placement(START.T, 0.5), Mark(None, 6, 2.0))
+        stage.request(Placement(START.T, 0.5), Mark(None, 6, 2.0))
         assert stage._changed.is_set() and stage._mark.n == 6
         stage._changed.clear()
         stage.resize((300, 640))
@@ -407,15 +407,15 @@ def test_the_stage_draws_what_is_new_in_the_size_that_was_asked_for() -> None:
 def test_pictures_are_as_fine_as_there_is_time_for() -> None:
     pace = Pace(2.0)
     for _ in range(100):
-        pace.took(0.004 * pace.growth**2)
-    assert pace.growth == 2.0
+        pace.observe(0.004 * pace.scale**2)
+    assert pace.scale == 2.0
     for _ in range(10):
-        pace.took(0.03)
-    assert pace.growth == 1.0
+        pace.observe(0.03)
+    assert pace.scale == 1.0
     for _ in range(100):
-        pace.took(0.018 * pace.growth**2)
-    assert pace.growth == 1.0
-    assert Pace(1.0).growth == 1.0
+        pace.observe(0.018 * pace.scale**2)
+    assert pace.scale == 1.0
+    assert Pace(1.0).scale == 1.0
 
 
 def test_the_live_shader_shows_the_recorder_s_colours(tmp_path: Path) -> None:
@@ -439,8 +439,8 @@ def test_the_live_shader_shows_the_recorder_s_colours(tmp_path: Path) -> None:
 
 def test_the_picture_s_border_has_the_page_s_colour() -> None:
     for width, height in ((640, 360), (300, 640)):
-        ground = stage_process.ground(width, height)
-        for border in (ground[0], ground[-1], ground[:, 0], ground[:, -1]):
+        background = stage_process.background(width, height)
+        for border in (background[0], background[-1], background[:, 0], background[:, -1]):
             assert (np.abs(border.astype(int) - stage_process.EDGE) <= 1).all()
     blue, green, red = stage_process.EDGE
     style = (Path(stage_process.__file__).parent / "static" / "style.css").read_text()
@@ -670,7 +670,7 @@ def test_ten_thousand_hostile_messages_do_nothing(tmp_path: Path, monkeypatch: p
         monkeypatch.setattr(gate, "PER_SECOND", 1e9)
         monkeypatch.setattr(gate, "BURST", 1e9)
         monkeypatch.setattr("generator.teleop.gate.Allowance._left", 1e9, raising=False)
-        monkeypatch.setattr(server, "MOST_BAD", 10**9)
+        monkeypatch.setattr(server, "MAX_BAD", 10**9)
     rng = random.Random(1)
 
     async def attack(at: Served, count: int) -> int:
@@ -708,7 +708,7 @@ def test_ten_thousand_hostile_messages_do_nothing(tmp_path: Path, monkeypatch: p
             gc.collect()
             assert resident_bytes() - memory < 8 << 20, "memory grew by more than 8 MB"
             driving = at.server.driving
-            assert driving.place.is_like(before) and driving.phase == "idle" and not len(driving.take)
+            assert driving.place.is_close(before) and driving.phase == "idle" and not len(driving.take)
             assert pages == 1 if doors == "open" else pages >= 10
             assert len(at.log) < 400 and all(len(line) < 200 and line.isprintable() for line in at.log)
             async with page(at.address) as one:  # and it still serves
@@ -725,7 +725,7 @@ def harmless(text: str) -> str:
         said = wire.read(text, BOUNDS)
     except wire.BadMessage:
         return text
-    return "{}" if isinstance(said, wire.Move | wire.Do | wire.View) else text
+    return "{}" if isinstance(said, wire.Move | wire.Command | wire.ViewSize) else text
 
 
 def test_idle_connections_end_and_cost_no_take(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -737,7 +737,7 @@ def test_idle_connections_end_and_cost_no_take(tmp_path: Path, monkeypatch: pyte
             idle = []
             async with page(at.address) as one:
                 await one.do("record")
-                for k in range(5 * connections.MOST):
+                for k in range(5 * connections.MAX_CONNECTIONS):
                     reader, writer = await asyncio.open_connection("127.0.0.1", at.port)
                     if k % 2:
                         writer.write(b"GET / HTTP/1.1\r\nX-Slow: ")

@@ -24,7 +24,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from generator.teleop import address, certificate
-from generator.teleop.certificate import Certificate, own_certificate, server_context
+from generator.teleop.certificate import Certificate, load_certificate
 
 HOST = "192.0.2.77"
 
@@ -66,7 +66,7 @@ def believer(own: Certificate, path: Path) -> ssl.SSLContext:
 
 
 def test_a_handshake_proves_every_name_and_the_printed_fingerprint(tmp_path: Path) -> None:
-    own = own_certificate(HOST, ("my-desk.example",), tmp_path / "own")
+    own = load_certificate(HOST, ("my-desk.example",), tmp_path / "own")
     client = believer(own, tmp_path / "trusted.pem")
     assert {"localhost", "127.0.0.1", "::1", HOST, "my-desk.example"} <= set(own.names)
     assert set(certificate.local_addresses()) <= set(own.names) and socket.gethostname().lower() in own.names
@@ -83,7 +83,7 @@ def test_a_handshake_proves_every_name_and_the_printed_fingerprint(tmp_path: Pat
 
 def test_it_is_a_p256_leaf_for_servers_of_397_days(tmp_path: Path) -> None:
     now = datetime.now(timezone.utc)
-    found = parsed(own_certificate(HOST, folder=tmp_path / "own", now=now))
+    found = parsed(load_certificate(HOST, folder=tmp_path / "own", now=now))
     assert found.not_valid_after_utc - found.not_valid_before_utc == timedelta(days=397)
     assert found.not_valid_before_utc < now - timedelta(hours=23)
     assert isinstance(found.public_key(), ec.EllipticCurvePublicKey)
@@ -99,12 +99,12 @@ def test_it_is_a_p256_leaf_for_servers_of_397_days(tmp_path: Path) -> None:
 def test_the_key_is_its_owner_s_alone_and_no_two_machines_share_one(tmp_path: Path) -> None:
     old = os.umask(0)
     try:
-        own = own_certificate(HOST, folder=tmp_path / "a" / "own")
+        own = load_certificate(HOST, folder=tmp_path / "a" / "own")
     finally:
         os.umask(old)
     assert stat.S_IMODE(own.path.stat().st_mode) == 0o600 and stat.S_IMODE(own.path.parent.stat().st_mode) == 0o700
     assert [p.name for p in own.path.parent.iterdir()] == [own.path.name]
-    other = own_certificate(HOST, folder=tmp_path / "b" / "own")
+    other = load_certificate(HOST, folder=tmp_path / "b" / "own")
     assert parsed(own).public_key() != parsed(other).public_key()
     repository = Path(certificate.__file__).resolve().parents[2]
     shipped = [p for room in ("generator", "freeart21", "docs", "tests") for p in (repository / room).rglob("*.pem")]
@@ -112,10 +112,10 @@ def test_the_key_is_its_owner_s_alone_and_no_two_machines_share_one(tmp_path: Pa
 
 
 def test_it_is_kept_while_it_is_good(tmp_path: Path) -> None:
-    first, folder = own_certificate(HOST, folder=tmp_path), tmp_path
+    first, folder = load_certificate(HOST, folder=tmp_path), tmp_path
     data = first.path.read_bytes()
-    assert own_certificate(HOST, folder=folder) == first and own_certificate("127.0.0.1", folder=folder) == first
-    assert isinstance(server_context(HOST, (), folder), ssl.SSLContext)
+    assert load_certificate(HOST, folder=folder) == first and load_certificate("127.0.0.1", folder=folder) == first
+    assert isinstance(load_certificate(HOST, (), folder).context(), ssl.SSLContext)
     assert first.path.read_bytes() == data
 
 
@@ -150,26 +150,26 @@ def _empty(path: Path) -> None:
 
 @pytest.mark.parametrize("spoil", [_expires, _readable, _cut, _another_key, _linked, _empty])
 def test_it_is_made_anew_when_it_is_good_no_more(tmp_path: Path, spoil) -> None:
-    first = own_certificate(HOST, folder=tmp_path)
+    first = load_certificate(HOST, folder=tmp_path)
     later = spoil(first.path) or timedelta()
-    second = own_certificate(HOST, folder=tmp_path, now=datetime.now(timezone.utc) + later)
+    second = load_certificate(HOST, folder=tmp_path, now=datetime.now(timezone.utc) + later)
     assert second.fingerprint != first.fingerprint
     assert stat.S_IMODE(second.path.lstat().st_mode) == 0o600 and not second.path.is_symlink()
-    assert own_certificate(HOST, folder=tmp_path, now=datetime.now(timezone.utc) + later) == second
+    assert load_certificate(HOST, folder=tmp_path, now=datetime.now(timezone.utc) + later) == second
 
 
 def test_a_new_name_makes_a_new_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    first = own_certificate(HOST, folder=tmp_path)
-    second = own_certificate("192.0.2.78", folder=tmp_path)
+    first = load_certificate(HOST, folder=tmp_path)
+    second = load_certificate("192.0.2.78", folder=tmp_path)
     assert second.fingerprint != first.fingerprint and "192.0.2.78" in second.names
     monkeypatch.setattr(certificate, "local_addresses", lambda: ("127.0.0.1", "192.0.2.99"))
-    assert "192.0.2.99" in own_certificate("0.0.0.0", folder=tmp_path).names
+    assert "192.0.2.99" in load_certificate("0.0.0.0", folder=tmp_path).names
 
 
 @pytest.mark.parametrize("host", ["", "a b", "x/y", "*", "-a", "a" * 300, "1.2.3.4:80", "exam\nple", "größe"])
 def test_a_host_that_is_none_is_refused_in_a_line(tmp_path: Path, host: str) -> None:
-    with pytest.raises(FreeArtError, match="is no address and no host's name") as caught:
-        own_certificate(host, folder=tmp_path / "own")
+    with pytest.raises(FreeArtError, match="is neither an address nor a host name") as caught:
+        load_certificate(host, folder=tmp_path / "own")
     assert not (tmp_path / "own").exists()
     assert "\n" not in str(caught.value)
 
@@ -177,11 +177,11 @@ def test_a_host_that_is_none_is_refused_in_a_line(tmp_path: Path, host: str) -> 
 def test_a_folder_that_is_none_or_a_link_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     with pytest.raises(FreeArtError, match="cannot write"):
-        own_certificate(HOST, folder=tmp_path / "file")
+        load_certificate(HOST, folder=tmp_path / "file")
     (tmp_path / "there").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "there")
-    with pytest.raises(FreeArtError, match="is not a folder of this user's"):
-        own_certificate(HOST, folder=tmp_path / "link")
+    with pytest.raises(FreeArtError, match="is not a folder of this user"):
+        load_certificate(HOST, folder=tmp_path / "link")
     assert not list((tmp_path / "there").iterdir())
 
 
@@ -189,7 +189,7 @@ def test_a_name_server_that_does_not_answer_does_not_hold_things_up(monkeypatch:
     answer = threading.Event()
     monkeypatch.setattr(certificate, "_PATIENCE_S", 0.01)
     monkeypatch.setattr(socket, "getfqdn", lambda: answer.wait(60) and "never")
-    assert "never" not in certificate.machine_names("0.0.0.0")
+    assert "never" not in certificate.find_machine_names("0.0.0.0")
     answer.set()
 
 

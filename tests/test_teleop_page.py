@@ -26,8 +26,8 @@ from generator.motion.track import check_in_view, resample_take
 from generator.session import RecordSettings, catalog_entry, load_object
 from generator.teleop import wire
 from generator.teleop.driving import Placement
-from generator.teleop.limits import Room
-from generator.teleop.start import _facts
+from generator.teleop.limits import Workspace
+from generator.teleop.start import _object_facts
 
 pytestmark = pytest.mark.skipif(not CHROMIUM, reason="no browser on this machine")
 
@@ -137,17 +137,17 @@ def chromium() -> Iterator[Browser]:
 
 
 @pytest.fixture(scope="module")
-def thing(tmp_path_factory: pytest.TempPathFactory) -> tuple[Body, Room, dict[str, Any]]:
+def thing(tmp_path_factory: pytest.TempPathFactory) -> tuple[Body, Workspace, dict[str, Any]]:
     loaded = load_object(
         catalog_entry("stapler", RecordSettings()), RecordSettings(), tmp_path_factory.mktemp("object")
     )
     body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
-    room = Room.of(body, CAMERA)
-    return body, room, _facts("stapler", loaded, room, FOV_Y)
+    room = Workspace.of(body, CAMERA)
+    return body, room, _object_facts("stapler", loaded, room, FOV_Y)
 
 
 @pytest.fixture
-def at(chromium: Browser, tmp_path: Path, thing: tuple[Body, Room, dict[str, Any]]) -> Iterator[Served]:
+def at(chromium: Browser, tmp_path: Path, thing: tuple[Body, Workspace, dict[str, Any]]) -> Iterator[Served]:
     body, room, facts = thing
     bounds = wire.Bounds(body.lower, body.upper, room.reach)
     with served_aside(tmp_path / "take.jsonl", facts, bounds, Placement(room.T_start, room.state)) as one:
@@ -334,7 +334,7 @@ def test_a_take_holds_what_the_page_sent(desk: Desk, tmp_path: Path) -> None:
 
 
 def test_whatever_is_done_to_it_a_take_stays_in_the_recorder_s_picture(
-    desk: Desk, thing: tuple[Body, Room, dict[str, Any]]
+    desk: Desk, thing: tuple[Body, Workspace, dict[str, Any]]
 ) -> None:
     desk.click("record")
     desk.until("teleop.link.status.recording")
@@ -491,7 +491,7 @@ def test_a_page_beside_the_driver_s_only_watches(chromium: Browser, at: Served) 
         watcher.until("teleop.link.drives")
         watcher.drag([50, 0])
         end = time.monotonic() + PATIENCE_S
-        while at.server.driving.place.is_like(before):
+        while at.server.driving.place.is_close(before):
             assert time.monotonic() < end
             time.sleep(0.01)
     finally:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-CLEAN: tuple[str, ...] = ()
+CLEAN: tuple[str, ...] = ("generator",)
 """Packages and modules that are held to it: all but those that nobody has rewritten yet."""
 NOWHERE = [
     "foretold",

@@ -61,7 +61,7 @@ LAID = 0.23
 """Share of rests of a second or more in which the object is as still as on a table: less than .025 degrees a frame.
 Noise of the motion capture makes .02. An object held still in the hand has .040 (median)."""
 
-_LEAST = 0.05  # of the range: smaller submovements were not measured (`freeart21.strokes.JOINT_STROKE`)
+_LEAST = 0.05  # of the range: smaller submovements were not measured
 _LARGEST = 170.0  # degrees: a larger rotation has no unique axis; 1 % of those measured are larger
 FASTEST = 25.0
 """Largest rotation, degrees a frame at 30 a second; the largest measured is 24.8."""

@@ -1,7 +1,10 @@
-"""Teleoperation: an object and its joint moved by hand, live, in a browser; what was done is a take.
+"""Teleoperation: a user moves an object and its joint live in a browser and records takes.
 
-`start` is the door of the command. `wire` reads what a page says and trusts nothing else, `gate` says who gets in,
-`clock` brings a page's time to the server's, `driving` is what moving, recording, pausing and undoing mean (no network,
-no simulator), `takes` writes it, `stage` shows it (`stage_process`, a process of its own, holds SAPIEN), `limits` is
-where the object may be, `server` lets one page drive and others watch, and `static/` is the page.
+- `start`: entry point of the command.
+- `server`: HTTP and websockets; one page drives, others watch. `client` is one page, `connections` bounds connections.
+- `wire`: parses and checks messages of pages. `gate`: token, origin and rate limits. `clock`: page time to server time.
+- `driving`: state of moving, recording, pausing and undoing, without network or simulator.
+- `takes`, `take_file`: files of takes. `limits`: where the object may be.
+- `stage`: the live picture; `stage_process` holds SAPIEN in a process of its own.
+- `certificate`, `address`: for pages on other machines. `static/`: the page.
 """

@@ -1,4 +1,4 @@
-"""Where the page is: addresses that hold the token, and a QR code of one for a headset's or a telephone's camera."""
+"""Addresses of the page, with the token, and a QR code of one for the camera of a headset or telephone."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import ipaddress
 import socket
 from urllib.parse import quote
 
-from generator.teleop.certificate import is_any, local_addresses
+from generator.teleop.certificate import is_unspecified, local_addresses
 
 QUIET = 4
-"""Modules of margin round a QR code: ISO/IEC 18004."""
+"""Margin of a QR code, modules (ISO/IEC 18004)."""
 
 
 def is_loopback(host: str) -> bool:
-    """True where only this machine reaches `host`."""
+    """Whether only this machine can reach `host`."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -21,11 +21,11 @@ def is_loopback(host: str) -> bool:
 
 
 def addresses(host: str, port: int, token: str) -> tuple[str, ...]:
-    """Addresses of the page at `host`, the best first; https beyond this machine."""
+    """Addresses of the page at `host`, the best first; with https unless it is loopback."""
     if is_loopback(host):
         return (_address("http", host, port, token),)
     hosts = [host]
-    if is_any(host):
+    if is_unspecified(host):
         v4_only = ipaddress.ip_address(host).version == 4
         reached = [a for a in map(ipaddress.ip_address, local_addresses()) if not a.is_loopback]
         hosts = [str(a) for a in reached if a.version == 4 or not v4_only] + [socket.gethostname()]

@@ -1,4 +1,4 @@
-"""One page as the server sees it: what it may say, what it is told, and which pictures are on their way to it."""
+"""One connected page: its rate limit, its queue of messages, and the pictures that it has not acknowledged."""
 
 from __future__ import annotations
 
@@ -13,75 +13,75 @@ from aiohttp import web
 from generator.teleop import wire
 from generator.teleop.clock import Clock
 from generator.teleop.gate import Allowance
-from generator.teleop.stage import Shown, Stage
+from generator.teleop.stage import LivePicture, Stage
 
 IN_FLIGHT = 2
-"""Pictures that a page may not have shown yet before it gets another: one is shown while one is on its way."""
-_MOST_WORDS = 64
-"""Messages that may wait for a page that takes none; then it is sent away."""
+"""Unacknowledged pictures after which a page gets no other: one is shown while one is in transit."""
+_MAX_QUEUED = 64
+"""Queued messages after which a page that reads none is closed."""
 
 
 class Client:
-    """A page, and the task that sends to it: words first, then the newest picture."""
+    """A page and its sending task: messages first, then the newest picture."""
 
     def __init__(self, socket: web.WebSocketResponse, name: str, stage: Stage) -> None:
         self.socket, self.name, self._stage = socket, name, stage
         self.clock, self.allowance = Clock(), Allowance()
         self.n = -1
-        """Of the newest move heard."""
-        self.heard = time.monotonic()
-        """When it last said something that counts."""
+        """Number of the newest move."""
+        self.heard_at = time.monotonic()
+        """Time of its last ping or move."""
         self.bad = self.late = 0
-        """Messages that were none, and moves that came after newer ones."""
+        """Numbers of invalid messages, and of moves that arrived after newer ones."""
         self.latency_ms: tuple[float, float] | None = None
-        """What the page measured: median and 95th percentile."""
-        self._words: deque[dict[str, Any]] = deque()
+        """Latency that the page measured: median and 95th percentile."""
+        self._messages: deque[dict[str, Any]] = deque()
         self._status: dict[str, Any] | None = None
         self._wake = asyncio.Event()
         self._sent = self._seen = 0
-        self._tells = False
+        self._acknowledges = False
 
-    def tell(self, message: dict[str, Any]) -> None:
-        """Send a message when it can be sent; of statuses only the newest."""
+    def queue(self, message: dict[str, Any]) -> None:
+        """Queue a message; of status messages only the newest is sent."""
         if message["type"] == "status":
             self._status = message
         else:
-            self._words.append(message)
+            self._messages.append(message)
         self._wake.set()
 
-    def look(self) -> None:
-        """There may be a new picture."""
+    def wake(self) -> None:
+        """Wake the sending task: there may be a new picture."""
         self._wake.set()
 
-    def has_seen(self, count: int) -> None:
-        """The page has shown so many pictures."""
-        self._tells, self._seen = True, min(count, self._sent)
+    def acknowledge(self, count: int) -> None:
+        """Note that the page has shown `count` pictures."""
+        self._acknowledges, self._seen = True, min(count, self._sent)
         self._wake.set()
 
     async def send(self) -> None:
-        """Send, until the page has gone."""
-        last: Shown | None = None
-        with contextlib.suppress(ConnectionError, RuntimeError):  # it has gone
-            while len(self._words) <= _MOST_WORDS:
+        """Send until the page disconnects."""
+        last: LivePicture | None = None
+        with contextlib.suppress(ConnectionError, RuntimeError):  # it has disconnected
+            while len(self._messages) <= _MAX_QUEUED:
                 await self._wake.wait()
                 self._wake.clear()
-                while self._words:
-                    await self.socket.send_json(self._words.popleft())
+                while self._messages:
+                    await self.socket.send_json(self._messages.popleft())
                 if self._status is not None:
                     status, self._status = self._status, None
                     await self.socket.send_json(status)
                 shown = self._stage.last
-                if shown is None or shown is last or (self._tells and self._sent - self._seen >= IN_FLIGHT):
+                if shown is None or shown is last or (self._acknowledges and self._sent - self._seen >= IN_FLIGHT):
                     continue
                 last = shown
                 self._sent += 1
                 own = shown.mark.by is self
                 await self.socket.send_bytes(
-                    wire.picture(shown.mark.n if own else 0, shown.mark.time_ms if own else 0.0, shown.jpeg)
+                    wire.pack_picture(shown.mark.n if own else 0, shown.mark.time_ms if own else 0.0, shown.jpeg)
                 )
             await self.close("it takes no messages")
 
     async def close(self, why: str) -> None:
-        """Send the page away."""
+        """Close the page's connection."""
         with contextlib.suppress(Exception):
             await asyncio.wait_for(self.socket.close(code=1001, message=why.encode()), 1.0)

@@ -1,9 +1,8 @@
-"""A page's clock brought to the server's, by the messages themselves.
+"""Converts times of a page's clock to the server's clock, from the time stamps of messages.
 
-A message arrives after it was sent, by the way's delay; the least of (arrival - sent) over a while is the clocks'
-offset plus the shortest delay, which is the same all along (Cristian 1989 bounds it by half the round trip). Clocks
-drift against each other, by up to 100 ppm of common quartz: the least is taken over a window that goes on, and the
-offset follows it so slowly that no time between two samples is stretched by more than `SLEW`.
+The minimum of (arrival - sent) over a window is the offset of the clocks plus the shortest delay, which is constant
+(Cristian 1989 bounds it by half the round trip). Quartz clocks drift by up to 100 ppm, so the window moves, and the
+offset follows the minimum so slowly that no interval is stretched by more than `SLEW`.
 """
 
 from __future__ import annotations
@@ -12,25 +11,25 @@ import math
 from collections import deque
 
 WINDOW_S = 20.0
-"""Over which the shortest way is looked for: 100 ppm of it are 2 ms."""
+"""Window of the minimum: 100 ppm of it are 2 ms."""
 SLEW = 1e-3
-"""Seconds a second by which the offset may follow: ten times the drift of common quartz."""
+"""Largest rate of change of the offset, s/s: ten times the drift of a quartz clock."""
 SETTLING_S = 1.0
-"""From the first message: until then, or until something is recorded, the offset jumps to a shorter way."""
+"""Time after the first message in which the offset jumps to a smaller minimum, unless a recording starts before."""
 
 
 class Clock:
-    """The clock of one page, in seconds; every message is told to it."""
+    """The clock of one page; `observe` gets every message. All times in seconds."""
 
     def __init__(self) -> None:
         self._least: deque[tuple[float, float]] = deque()
-        """(arrival, offset) of growing offsets: the first is the window's least."""
+        """(arrival, offset) with increasing offsets: the first is the minimum of the window."""
         self._offset: float | None = None
         self._settled = math.inf
         self._last = 0.0
 
-    def heard(self, sent: float, arrived: float) -> None:
-        """A message that the page stamped `sent` arrived at `arrived`, of the server's clock; seconds."""
+    def observe(self, sent: float, arrived: float) -> None:
+        """Note a message that was sent at `sent` (page's clock) and arrived at `arrived` (server's clock)."""
         offset = arrived - sent
         if self._least and arrived < self._least[-1][0]:
             return
@@ -50,11 +49,11 @@ class Clock:
             self._offset += min(max(least - self._offset, -most), most)
         self._last = max(self._last, sent)
 
-    def steady(self) -> None:
-        """From now on the offset only follows slowly: something is recorded."""
+    def stop_jumping(self) -> None:
+        """Let the offset change only slowly from now on, because a recording starts."""
         self._settled = -math.inf
 
-    def at(self, sent: float) -> float:
-        """The server's time of what the page stamped `sent`; a message was heard before."""
+    def server_time(self, sent: float) -> float:
+        """The server's time for the page's time `sent`; needs at least one observation."""
         assert self._offset is not None
         return sent + self._offset

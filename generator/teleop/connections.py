@@ -1,6 +1,6 @@
-"""Bounds on connections: how many there may be, and how soon each must show the token.
+"""Bounds the number of connections and the time until each must show the token.
 
-Where there are too many, a new one takes the place of the first that has not shown it.
+When there are too many, a new connection replaces the oldest one that has not shown the token.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from generator.teleop.gate import QuietLog
+from generator.teleop.gate import RateLimitedLog
 
-MOST, MAX_PER_ADDRESS = 96, 64
-"""Connections at once: 16 pages have one each, and up to 6 more (a browser's, for a server) while they load."""
+MAX_CONNECTIONS, MAX_PER_ADDRESS = 96, 64
+"""Connections at the same time: 16 pages have one each, and up to 6 more (the limit of browsers) while they load."""
 SPEAK_S = 5.0
-"""After so long a connection must have shown the token; this includes the handshake of https."""
+"""Time until a connection must have shown the token, the TLS handshake included."""
 KEEP_S = 5.0
-"""How long a connection that asked for a file stays for the next one."""
+"""Time for which a connection stays open after a file."""
 _FULL_S = 0.2
-"""A pause when this process can have no more open files."""
+"""Pause when this process cannot open more files."""
 
 
 @dataclass(eq=False)
@@ -43,37 +43,37 @@ class _Connection:
 
 
 class Connections:
-    """Takes connections from a listening socket and hands them to a server's protocol."""
+    """Accepts connections of a listening socket and hands them to a server's protocol."""
 
-    def __init__(self, protocol: Callable[[], asyncio.BaseProtocol], log: QuietLog) -> None:
-        """`protocol` makes what serves one connection, as `web.AppRunner.server` does."""
+    def __init__(self, protocol: Callable[[], asyncio.BaseProtocol], log: RateLimitedLog) -> None:
+        """`protocol` makes the protocol of one connection, as `web.AppRunner.server` does."""
         self._protocol, self._log = protocol, log
         self._by_peer: dict[Any, _Connection] = {}
-        """In the order in which they came, by address and port of the other side."""
+        """By address and port of the other side, oldest first."""
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of open connections."""
         self._by_peer = {peer: one for peer, one in self._by_peer.items() if not one.is_over}
         return len(self._by_peer)
 
     def admit(self, transport: asyncio.BaseTransport | None) -> None:
-        """Keep the connection of this transport: its request has shown the token."""
+        """Mark the connection of this transport as admitted: its request has shown the token."""
         peer = None if transport is None else transport.get_extra_info("peername")
         if peer in self._by_peer:
             self._by_peer[peer].admitted = True
 
-    async def take(self, listener: socket.socket, context: ssl.SSLContext | None = None) -> None:
-        """Take connections of a socket that listens until cancelled; by TLS where there is a `context`."""
+    async def accept(self, listener: socket.socket, context: ssl.SSLContext | None = None) -> None:
+        """Accept connections until cancelled; with TLS where a `context` is given."""
         loop = asyncio.get_running_loop()
         listener.setblocking(False)
         try:
             while True:
-                await asyncio.sleep(0)  # where many wait to be taken, nothing else would run
+                await asyncio.sleep(0)  # let other tasks run while many connections wait
                 try:
                     connected, peer = await loop.sock_accept(listener)
                 except OSError as error:
-                    self._log.dropped(f"no connection can be taken: {error.strerror or error}", "somebody")
+                    self._log.report_dropped(f"no connection can be taken: {error.strerror or error}", "somebody")
                     await asyncio.sleep(_FULL_S)
                     continue
                 one = _Connection(str(peer[0]))
@@ -90,14 +90,14 @@ class Connections:
     async def _serve(
         self, peer: Any, one: _Connection, connected: socket.socket, context: ssl.SSLContext | None
     ) -> None:
-        """Hand a connection over, and end it when it does not show the token in time."""
+        """Hand a connection to the protocol, and end it when it does not show the token in time."""
         end = asyncio.get_running_loop().time() + SPEAK_S
         secure: dict[str, Any] = {} if context is None else {"ssl": context, "ssl_handshake_timeout": SPEAK_S}
         try:
             one.transport, _ = await asyncio.get_running_loop().connect_accepted_socket(
                 self._protocol, connected, **secure
             )
-        except OSError:  # it has gone, or spoke no TLS
+        except OSError:  # disconnected, or no TLS
             pass
         finally:
             if one.transport is None:
@@ -108,18 +108,18 @@ class Connections:
 
     def _end_silent(self, one: _Connection) -> None:
         if not one.admitted and not one.is_over:
-            self._log.dropped(f"a connection that showed no token in {SPEAK_S:g} s", one.host)
+            self._log.report_dropped(f"a connection that showed no token in {SPEAK_S:g} s", one.host)
             one.end()
 
     def _make_room(self, host: str) -> bool:
-        """Whether one more may come from `host`; where there are many, the first that showed no token goes for it."""
-        for whose, most in ((host, MAX_PER_ADDRESS), ("", MOST)):
+        """Whether one more connection of `host` is accepted; the oldest without token is ended for it if needed."""
+        for whose, most in ((host, MAX_PER_ADDRESS), ("", MAX_CONNECTIONS)):
             if self.count == 0:
                 break
             many = [one for one in self._by_peer.values() if whose in ("", one.host)]
             if len(many) < most:
                 continue
-            self._log.dropped(f"more than {most} connections{' of an address' if whose else ''}", host)
+            self._log.report_dropped(f"more than {most} connections{' of an address' if whose else ''}", host)
             silent = next((one for one in many if not one.admitted), None)
             if silent is None:
                 return False

@@ -1,9 +1,9 @@
-"""The process that holds SAPIEN for the live picture: asked by lines of JSON, it answers with JPEGs.
+"""The process that renders the live picture with SAPIEN: it reads orders as lines of JSON and answers with JPEGs.
 
-A process of its own, because SAPIEN holds Python's lock while it draws (measured: a thread beside it ran once in
-30 ms), and because what happens to a renderer must not happen to a take.
+It is a separate process because SAPIEN holds Python's lock while it draws (measured: another thread ran once in 30 ms),
+and because a crash of the renderer must not cost a take.
 
-The shader is 'minimal': its colours are those of the recorder's 'default' (a test holds it), in a third of the time.
+The shader 'minimal' gives the colours of the recorder's 'default' (as a test checks) in a third of the time.
 """
 
 from __future__ import annotations
@@ -28,11 +28,12 @@ from generator.scene import Scene
 
 SHADER = "minimal"
 ANSWER = struct.Struct("<Id")
-"""Bytes that follow, and the seconds that drawing and packing took. No bytes after a fault: its words follow then."""
+"""Header of an answer: number of bytes that follow, and seconds for drawing and packing. FAULT instead of the number:
+a second header and the error's text follow."""
 FAULT = 0xFFFFFFFF
 MIDDLE, EDGE = (118, 112, 106), (27, 22, 18)
-"""Blue, green and red of the ground behind the object, in the middle of the picture and along its border. The page has
-the border's colour, so that no edge is seen; before a grey middle dark and light objects stand out."""
+"""Blue, green and red of the background in the middle of the picture and at its border. The page has the border's
+colour, so that no edge is visible; a grey middle contrasts with dark and light objects."""
 
 
 FIRST: dict[str, Any] = {
@@ -47,63 +48,63 @@ FIRST: dict[str, Any] = {
 
 
 def main() -> None:
-    """Answer until standard input ends."""
+    """Answer orders until standard input ends."""
     questions, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what native libraries print is no answer
+    os.dup2(2, 1)  # output of native libraries goes to standard error
     first = questions.readline()
     if not first:
         return
     try:
         stage = Stage(json.loads(first))
         stage.draw(FIRST)  # compiles the shaders: seconds
-    except Exception as error:  # told to who asked, who knows what to do
-        said = str(error) if isinstance(error, FreeArtError) else child.one_line(error)
-        _tell(answers, FAULT, 0.0, said.encode())
+    except Exception as error:  # the parent process reports it
+        text = str(error) if isinstance(error, FreeArtError) else child.one_line(error)
+        _send(answers, FAULT, 0.0, text.encode())
         return
-    _tell(answers, 0, 0.0, b"")
+    _send(answers, 0, 0.0, b"")
     for line in questions:
         begun = time.perf_counter()
         jpeg = stage.draw(json.loads(line))
-        _tell(answers, len(jpeg), time.perf_counter() - begun, jpeg)
+        _send(answers, len(jpeg), time.perf_counter() - begun, jpeg)
 
 
 class Stage:
-    """The object before a camera whose size may change."""
+    """The object in front of a camera of variable size."""
 
-    def __init__(self, told: dict[str, Any]) -> None:
-        """`told`: path and link groups of the URDF, the joint's name, what other joints are held at, and the camera."""
-        self._fov_y, self._joint, self._held = told["fov_y"], told["joint"], told["held"]
+    def __init__(self, setup: dict[str, Any]) -> None:
+        """`setup`: URDF, link groups, the joint's name, positions of the other joints, and the camera."""
+        self._fov_y, self._joint, self._held = setup["fov_y"], setup["joint"], setup["held"]
         camera = Camera.from_fov(64, 36, self._fov_y)
-        self._scene = Scene(Path(told["urdf"]), told["groups"], camera, told["near"], told["far"], SHADER)
-        self._ground = ground(64, 36)
+        self._scene = Scene(Path(setup["urdf"]), setup["groups"], camera, setup["near"], setup["far"], SHADER)
+        self._background = background(64, 36)
         self._sum = np.zeros((36, 64, 3), np.uint16)
 
-    def draw(self, asked: dict[str, Any]) -> bytes:
-        """The JPEG of what was asked for: the mean of this view and of those that were its layers before."""
-        width, height, layer = asked["width"], asked["height"], asked["layer"]
+    def draw(self, order: dict[str, Any]) -> bytes:
+        """Render an order as JPEG: the mean of this view and of its earlier layers."""
+        width, height, layer = order["width"], order["height"], order["layer"]
         camera = Camera.from_fov(width, height, self._fov_y)
         K = camera.K.copy()
-        K[:2, 2] += asked["shift"]
+        K[:2, 2] += order["shift"]
         self._scene.set_camera(Camera(K, width, height))
-        self._scene.shoot(np.array(asked["T"]), {**self._held, self._joint: asked["state"]})
-        if self._ground.shape[:2] != (height, width):
-            self._ground = ground(width, height)
-        picture = on_ground(self._scene.colour_and_cover(), self._ground)
+        self._scene.shoot(np.array(order["T"]), {**self._held, self._joint: order["state"]})
+        if self._background.shape[:2] != (height, width):
+            self._background = background(width, height)
+        picture = over_background(self._scene.colour_and_cover(), self._background)
         if layer == 0:
             self._sum = picture.astype(np.uint16)
         else:
             self._sum += picture
             picture = (self._sum // np.uint16(layer + 1)).astype(np.uint8)
-        ok, packed = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, asked["quality"]])
+        ok, packed = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, order["quality"]])
         if not ok:
             raise FreeArtError("a picture cannot be packed as JPEG")
         return packed.tobytes()
 
 
-def ground(width: int, height: int) -> NDArray[np.uint8]:
-    """(height, width, 3) blue, green, red of what is behind the object: light in the middle, `EDGE` along the border.
+def background(width: int, height: int) -> NDArray[np.uint8]:
+    """(height, width, 3) blue, green, red of the background: light in the middle, `EDGE` at the border.
 
-    Each colour is rounded up or down by a fixed grain, or the slow change would show as rings.
+    Fixed random dithering avoids visible rings.
     """
     x = (np.arange(width) + 0.5) / width * 2 - 1
     y = (np.arange(height) + 0.5) / height * 2 - 1
@@ -114,9 +115,9 @@ def ground(width: int, height: int) -> NDArray[np.uint8]:
 
 
 @numba.njit(cache=True)
-def on_ground(colours: NDArray[np.float32], ground: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The engine's colours (h, w, 4) as bytes, blue first, before a ground."""
-    picture = ground.copy()
+def over_background(colours: NDArray[np.float32], background: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The engine's colours and alpha (h, w, 4) as bytes, blue first, over a background."""
+    picture = background.copy()
     for v in range(colours.shape[0]):
         for u in range(colours.shape[1]):
             if colours[v, u, 3] > 0:
@@ -126,7 +127,7 @@ def on_ground(colours: NDArray[np.float32], ground: NDArray[np.uint8]) -> NDArra
     return picture
 
 
-def _tell(answers: BinaryIO, size: int, seconds: float, data: bytes) -> None:
+def _send(answers: BinaryIO, size: int, seconds: float, data: bytes) -> None:
     answers.write(ANSWER.pack(size, seconds))
     if size == FAULT:
         answers.write(ANSWER.pack(len(data), 0.0))

@@ -1,4 +1,4 @@
-"""The door of teleoperation: an object is loaded, a server started, and it runs until it is told to stop."""
+"""Entry point of teleoperation: loads an object and serves it until the process is stopped."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from generator.motion.body import Body
 from generator.motion.plan import PRESETS
 from generator.session import RecordSettings, catalog_entry, load_object
 from generator.teleop.address import addresses, is_loopback, qr_code
-from generator.teleop.certificate import Certificate, own_certificate, usual_host
+from generator.teleop.certificate import Certificate, load_certificate, normalise_host
 from generator.teleop.driving import Driving, Placement
 from generator.teleop.gate import Gate, new_token
-from generator.teleop.limits import Room
-from generator.teleop.stage import GROWTHS, Stage
+from generator.teleop.limits import Workspace
+from generator.teleop.stage import SCALES, Stage
 from generator.teleop.takes import Takes
 from generator.teleop.wire import Bounds
 
@@ -45,24 +45,24 @@ SIDES = 64, 1280
 
 @dataclass(frozen=True)
 class TeleopSettings:
-    """How an object is put into a hand."""
+    """Settings of teleoperation."""
 
     host: str = "127.0.0.1"
     """Where the server listens."""
     port: int = 8021
-    """0 takes a free one."""
+    """0 takes any free port."""
     width: int = 640
     height: int = 360
-    """Of the live picture, pixels; a page of another shape gets as many."""
-    finest: float = GROWTHS[-1]
-    """How much finer it may be, a side, where the machine draws that in time."""
+    """Size of the live picture, pixels; a page with another aspect ratio gets as many pixels."""
+    finest: float = SCALES[-1]
+    """Largest factor on its resolution (each side), where the machine draws that in time."""
 
 
 def serve(name: str, out: Path, settings: TeleopSettings, record: RecordSettings) -> None:
-    """Serve the object `name`, which `record` tells of, until the process is told to stop; takes go to `out`.
+    """Serve the object `name`, loaded with the settings `record`, until the process is stopped; takes go to `out`.
 
     Raises FreeArtError when the object is unknown or unfit, `out` exists, the port is taken or the simulator cannot
-    show it, and KeyboardInterrupt when told to stop; what was taken and not saved is written beside `out` then.
+    show the object; KeyboardInterrupt when stopped. A take that was not saved is then written next to `out`.
     """
     lacking = [package for package in PACKAGES if find_spec(package) is None]
     if lacking:
@@ -75,69 +75,70 @@ def serve(name: str, out: Path, settings: TeleopSettings, record: RecordSettings
     if not 0 <= settings.port <= 65535:
         raise FreeArtError(f"port {settings.port} is none, expected 0 (any free one) to 65535")
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
-        name, loaded, inputs = _loaded(name, record, Path(place))
+        name, loaded, inputs = _load_object(name, record, Path(place))
         for note in loaded.notes:
             print(f"{name}: {note}", file=sys.stderr)
         size = bounding_diagonal(loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh())
         takes = Takes(out, loaded.joint.type, inputs, size)
-        with _heard_by_loop() as told:
-            kept = asyncio.run(_serve(name, loaded, takes, settings, told))
-    if told:
-        with stopping.explained(lambda: kept):
-            os.kill(os.getpid(), told[0])
+        with _signals_to_loop() as signals:
+            rescued = asyncio.run(_serve(name, loaded, takes, settings, signals))
+    if signals:
+        with stopping.explained(lambda: rescued):
+            os.kill(os.getpid(), signals[0])
             stopping.check()
 
 
-def _loaded(name: str, record: RecordSettings, place: Path) -> tuple[str, partnet.PartNetObject, tuple[Path, ...]]:
-    """What the object is called, the object as `record` would film it, and the folders that are the user's."""
+def _load_object(name: str, record: RecordSettings, place: Path) -> tuple[str, partnet.PartNetObject, tuple[Path, ...]]:
+    """The object's name, the loaded object, and the user's folders, which are never written to."""
     if name.lower().endswith(urdf_folder.URDF_ENDINGS):
         record = replace(record, urdf=checked.require_file(Path(name), MAX_URDF_BYTES, checked.ANYWHERE))
         name = urdf_folder.object_name(Path(name))
     loaded = load_object(catalog_entry(name, record), record, place)
-    own = loaded.asset.urdf.parent
-    return name, loaded, () if own.is_relative_to(place) else (own,)
+    folder = loaded.asset.urdf.parent
+    return name, loaded, () if folder.is_relative_to(place) else (folder,)
 
 
 async def _serve(
-    name: str, loaded: partnet.PartNetObject, takes: Takes, settings: TeleopSettings, told: list[int]
+    name: str, loaded: partnet.PartNetObject, takes: Takes, settings: TeleopSettings, signals: list[int]
 ) -> str:
-    """Serve until told to stop; what is to be said of a take that nobody saved."""
+    """Serve until stopped; returns a message on an unsaved take, or ''."""
     from generator.teleop.server import Server
 
     body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
     fov_y = float(np.radians(PRESETS["handheld"].fov_y_degrees))
-    room = Room.of(body, Camera.from_fov(settings.width, settings.height, fov_y))
+    room = Workspace.of(body, Camera.from_fov(settings.width, settings.height, fov_y))
     start = Placement(room.T_start, room.state)
-    with _listening(settings) as listener:
+    with _open_listener(settings) as listener:
         port = listener.getsockname()[1]
-        own = None if is_loopback(settings.host) else own_certificate(settings.host)
+        certificate = None if is_loopback(settings.host) else load_certificate(settings.host)
         here = "127.0.0.1", "localhost", "::1", settings.host
-        scheme, names = ("http", here) if own is None else ("https", own.names)
+        scheme, names = ("http", here) if certificate is None else ("https", certificate.names)
         gate = Gate.of(new_token(), scheme, names, port)
-        stage = Stage(_told(loaded, room, fov_y), (settings.width, settings.height), start, settings.finest)
+        stage = Stage(_stage_setup(loaded, room, fov_y), (settings.width, settings.height), start, settings.finest)
         bounds = Bounds(body.lower, body.upper, room.reach)
-        server = Server(_facts(name, loaded, room, fov_y), bounds, start, stage, takes, gate, _log)
-        for path, seconds in takes.unsaved_takes():
+        server = Server(_object_facts(name, loaded, room, fov_y), bounds, start, stage, takes, gate, _log)
+        for path, seconds in takes.find_unsaved_takes():
             _log(f"{path} is a take of {seconds:.1f} s that nobody saved: move it to keep it, or remove it")
-        _announce(addresses(settings.host, port, gate.token), own)
+        _announce(addresses(settings.host, port, gate.token), certificate)
         _log(f"{name}: open this address in a browser; takes go to {takes.next_name()}; Ctrl-C ends")
         try:
-            await _until_told(told, [server.run(listener, None if own is None else own.context()), stage.run(_log)])
+            tls = None if certificate is None else certificate.context()
+            await _run_until_stopped(signals, [server.run(listener, tls), stage.run(_log)])
         finally:
             await server.finish_saving()
-            kept = _rescued(server.driving, takes)
-            if kept and not told:
-                _log(kept)
+            rescued = _rescue_take(server.driving, takes)
+            if rescued and not signals:
+                _log(rescued)
             await server.close()
             if server.latency_ms is not None:
                 median, high = server.latency_ms
                 _log(f"from a move to its picture: median {median:.0f} ms, 95 % within {high:.0f} ms (the last 100)")
                 _log(f"drawing a picture: median {stage.drawing_ms():.0f} ms")
-    return kept
+    return rescued
 
 
-def _facts(name: str, loaded: partnet.PartNetObject, room: Room, fov_y: float) -> dict[str, Any]:
-    """What every page is told of the object."""
+def _object_facts(name: str, loaded: partnet.PartNetObject, room: Workspace, fov_y: float) -> dict[str, Any]:
+    """Facts on the object that every page gets."""
     return {
         "object": name,
         "joint": loaded.joint.name,
@@ -153,8 +154,8 @@ def _facts(name: str, loaded: partnet.PartNetObject, room: Room, fov_y: float) -
     }
 
 
-def _told(loaded: partnet.PartNetObject, room: Room, fov_y: float) -> dict[str, Any]:
-    """What the simulator's process is made of."""
+def _stage_setup(loaded: partnet.PartNetObject, room: Workspace, fov_y: float) -> dict[str, Any]:
+    """Arguments of the simulator's process (`stage_process.Stage`)."""
     return {
         "urdf": str(loaded.asset.urdf),
         "groups": [list(side.links) for side in loaded.sides],
@@ -166,12 +167,12 @@ def _told(loaded: partnet.PartNetObject, room: Room, fov_y: float) -> dict[str, 
     }
 
 
-async def _until_told(told: list[int], works: list[Coroutine[Any, Any, None]]) -> None:
-    """Do the works until the process is told to stop, or one of them ends; its fault is raised."""
+async def _run_until_stopped(signals: list[int], works: list[Coroutine[Any, Any, None]]) -> None:
+    """Run coroutines until the process is stopped or one of them ends; its exception is raised."""
     loop, end = asyncio.get_running_loop(), asyncio.Event()
 
     def stop(number: int) -> None:
-        told.append(number)
+        signals.append(number)
         end.set()
 
     for number in stopping.SIGNALS:
@@ -189,8 +190,8 @@ async def _until_told(told: list[int], works: list[Coroutine[Any, Any, None]]) -
         task.result()
 
 
-def _rescued(driving: Driving, takes: Takes) -> str:
-    """Write a take that nobody saved; what is to be said of it."""
+def _rescue_take(driving: Driving, takes: Takes) -> str:
+    """Write an unsaved take; returns a message on it, or ''."""
     if not driving.has_take:
         takes.discard()
         return ""
@@ -201,21 +202,21 @@ def _rescued(driving: Driving, takes: Takes) -> str:
 
 
 @contextlib.contextmanager
-def _heard_by_loop() -> Iterator[list[int]]:
-    """Signals that say stop go to the event loop in this block (the list gets their numbers), then to who had them."""
+def _signals_to_loop() -> Iterator[list[int]]:
+    """Restore the handlers of stop signals after this block; in it the event loop appends their numbers to the list."""
     before = {number: signal.getsignal(number) for number in stopping.SIGNALS}
-    told: list[int] = []
+    signals: list[int] = []
     try:
-        yield told
+        yield signals
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
 
 
 @contextlib.contextmanager
-def _listening(settings: TeleopSettings) -> Iterator[socket.socket]:
-    """A socket that listens; FreeArtError, in one line, when it cannot be had."""
-    usual_host(settings.host)
+def _open_listener(settings: TeleopSettings) -> Iterator[socket.socket]:
+    """Open a listening socket; FreeArtError, in one line, when that fails."""
+    normalise_host(settings.host)
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
     try:
@@ -231,13 +232,13 @@ def _listening(settings: TeleopSettings) -> Iterator[socket.socket]:
         yield listener
 
 
-def _announce(found: tuple[str, ...], own: Certificate | None) -> None:
-    """Say where the page is, the best address first; who looks at a terminal gets a code for a camera, too."""
+def _announce(found: tuple[str, ...], certificate: Certificate | None) -> None:
+    """Print the page's addresses, the best first; on a terminal also a QR code."""
     print("\n".join(found), flush=True)
     if sys.stderr.isatty():
         print(qr_code(found[0]), file=sys.stderr, flush=True)
-    if own is not None:
-        _log(f"this machine made its certificate itself: a browser warns, and must show the SHA-256 {own.fingerprint}")
+    if certificate is not None:
+        _log(f"the certificate is self-signed: a browser warns, and must show the SHA-256 {certificate.fingerprint}")
 
 
 def _log(line: str) -> None:

@@ -1,4 +1,4 @@
-"""The file of a take while it is made: what is recorded is appended to it, what is undone is cut off it."""
+"""The file of a take during recording: samples are appended, undone ones cut off."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from freeart21.files.take import sample
 from generator.teleop.driving import Track
 
 HEAD_BYTES = 1024
-"""Of the first line, padded by spaces: it is written again when another device comes in. The longest has some 500."""
+"""Length of the first line, padded with spaces: it is rewritten when a device is added. The longest has about 500."""
 
 
 class TakeFile:
-    """A file that is a valid take after every write, up to the last sample that was written.
+    """A file that is a valid take after every write.
 
     Lines are written whole, so they stay when this process is killed. The file is locked as long as it is open.
     """
 
     def __init__(self, path: Path) -> None:
-        """Make it; nothing may be there. Raises OSError."""
+        """Create the file, which must not exist. Raises OSError."""
         self.path = path
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
         fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._head = ""
         self._ends = array("q", [HEAD_BYTES])
-        """Bytes of the file up to sample k."""
+        """Length of the file, bytes, up to sample k."""
 
     def write(self, head: str, track: Track) -> None:
-        """Bring the file to what `track` holds, and its first line to `head`. Raises OSError."""
+        """Update the samples to those of `track` and the first line to `head`. Raises OSError."""
         if head != self._head:
             self._put(0, (head.ljust(HEAD_BYTES - 1) + "\n").encode())
             self._head = head
@@ -55,14 +55,14 @@ class TakeFile:
             at, data = at + count, data[count:]
 
     def save(self, path: Path) -> None:
-        """Give the file this name, which nothing may have. Raises OSError."""
+        """Rename the file to `path`, which must not exist. Raises OSError."""
         self._require_own_name()
         os.fsync(self._file)
         rename_new(self.path, path)
         self.close()
 
     def close(self) -> None:
-        """Leave the file as it is."""
+        """Close the file."""
         with contextlib.suppress(OSError):
             os.close(self._file)
 
@@ -74,13 +74,13 @@ class TakeFile:
         self.close()
 
     def _require_own_name(self) -> None:
-        """Raise FileNotFoundError when another file has come to stand in this one's place."""
+        """Raise FileNotFoundError when the path now names another file."""
         if not os.path.samestat(self.path.lstat(), os.fstat(self._file)):
             raise FileNotFoundError(f"{self.path} is another file")
 
 
 def is_open(path: Path) -> bool:
-    """Whether a process still writes the take file at `path`. Raises OSError."""
+    """Whether a process is still writing the take at `path`. Raises OSError."""
     file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
         fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -92,7 +92,7 @@ def is_open(path: Path) -> bool:
 
 
 def rename_new(aside: Path, path: Path) -> None:
-    """Rename `aside` to `path`: unlike the system's rename, it replaces nothing. Raises OSError."""
+    """Rename `aside` to `path` without replacing an existing file. Raises OSError."""
     try:
         os.link(aside, path)
     except FileExistsError:

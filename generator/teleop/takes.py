@@ -1,4 +1,4 @@
-"""Where takes are written: beside each other, never over anything."""
+"""The files of takes: numbered, and never written over an existing file."""
 
 from __future__ import annotations
 
@@ -22,37 +22,37 @@ from generator.teleop.take_file import TakeFile, is_open, rename_new
 
 MAX_FILES = 10_000
 UNSAVED = "-unsaved"
-"""Of the name of a take that nobody has saved yet."""
+"""Suffix of the name of an unsaved take."""
 
 
 class Takes:
-    """The files of one run: OUT, then OUT-2, OUT-3 and so on, and OUT-unsaved while a take is made."""
+    """The files of one run: OUT, then OUT-2, OUT-3 and so on, and OUT-unsaved while a take is recorded."""
 
     def __init__(
         self, out: Path, joint_type: JointType, inputs: Iterable[Path] = (), size: float | None = None
     ) -> None:
-        """`size` is the object's diagonal, metres. Raises FreeArtError unless `out` is free and may be written."""
+        """`size` is the object's diagonal, metres. Raises FreeArtError when `out` exists or is not writable."""
         self._out, self._joint_type, self._inputs, self._size = out, joint_type, tuple(inputs), size
         self._file: TakeFile | None = None
         self._track: Track | None = None
         check_place(out, None, self._inputs)
 
     def next_name(self) -> str:
-        """What the next take will be called, if nobody else takes the name."""
-        return _free(self._out).name
+        """Name of the next take, if no other process takes it."""
+        return _free_path(self._out).name
 
-    def unsaved_takes(self) -> list[tuple[Path, float]]:
-        """Takes that an earlier run left unsaved, and how long each lasts, s."""
+    def find_unsaved_takes(self) -> list[tuple[Path, float]]:
+        """Unsaved takes of earlier runs, with their durations, s."""
         found = []
         for path in sorted(self._out.parent.glob(f"{glob.escape(self._out.stem)}{UNSAVED}*{self._out.suffix}")):
-            with contextlib.suppress(FreeArtError, OSError):  # another file, or one that is being made
+            with contextlib.suppress(FreeArtError, OSError):  # another file, or an unfinished one
                 if not is_open(path):
                     take = read_take(path)
                     found.append((path, float(np.ptp(take.times))))
         return found
 
     def write(self, driving: Driving) -> None:
-        """Bring the file of the take that is being made to what it is now; one that was thrown away goes.
+        """Update the file of the present take; the file of a discarded take is deleted.
 
         Raises FreeArtError when it cannot be written.
         """
@@ -64,7 +64,7 @@ class Takes:
         path = self._out if self._file is None else self._file.path
         try:
             if self._file is None:
-                path = _free(self._out.with_name(f"{self._out.stem}{UNSAVED}{self._out.suffix}"))
+                path = _free_path(self._out.with_name(f"{self._out.stem}{UNSAVED}{self._out.suffix}"))
                 path.parent.mkdir(parents=True, exist_ok=True)
                 driving.take.unchanged = 0
                 self._file = TakeFile(path)
@@ -73,27 +73,27 @@ class Takes:
             raise atomic.cannot_write(path, error) from error
 
     def save(self, driving: Driving) -> Path:
-        """Give the take its name, whole or not at all. Raises FreeArtError."""
-        path = _free(self._out)
+        """Save the take under its name, completely or not at all. Raises FreeArtError."""
+        path = _free_path(self._out)
         check_place(path, None, self._inputs)
         try:
             self.write(driving)
             assert self._file is not None
             self._file.save(path)
-        except (FreeArtError, OSError):  # its file is gone, or its disk is full
+        except (FreeArtError, OSError):  # its file was removed, or the disk is full
             write_new(path, self._text(driving))
             self.discard()
         self._file = None
         return path
 
     def discard(self) -> None:
-        """Delete the file of the take that is being made."""
+        """Delete the file of the present take."""
         if self._file is not None:
             self._file.remove()
             self._file = None
 
     def rescue(self, driving: Driving) -> Path:
-        """Write an unsaved take to its file, else to another one, and return its place. Raises FreeArtError."""
+        """Write an unsaved take to its file, or else to another one, and return the path. Raises FreeArtError."""
         try:
             self.write(driving)
             assert self._file is not None
@@ -105,7 +105,7 @@ class Takes:
         text = self._text(driving)
         for folder in (self._out.parent, Path(tempfile.gettempdir())):
             try:
-                path = _free(folder / f"{self._out.stem}{UNSAVED}{self._out.suffix}")
+                path = _free_path(folder / f"{self._out.stem}{UNSAVED}{self._out.suffix}")
                 write_new(path, text)
                 self.discard()
                 return path
@@ -114,7 +114,7 @@ class Takes:
         raise fault
 
     def _head(self, driving: Driving) -> str:
-        # controllers in hands shake, mice do not
+        # a hand-held controller has tremor, a mouse has not
         held = headset(self._joint_type) if "headset" in driving.devices else None
         return header(", ".join(driving.devices) or "none", "camera", self._joint_type, held, self._size)
 
@@ -122,17 +122,17 @@ class Takes:
         return ("\n".join([self._head(driving), *(sample(*s) for s in driving.take.samples())]) + "\n").encode()
 
 
-def _free(path: Path) -> Path:
-    """`path`, or it with a number, whichever is the first that nothing has."""
+def _free_path(path: Path) -> Path:
+    """The first of `path` and its numbered variants that does not exist."""
     for k in range(1, MAX_FILES):
         numbered = path if k == 1 else path.with_name(f"{path.stem}-{k}{path.suffix}")
         if not os.path.lexists(numbered):
             return numbered
-    raise FreeArtError(f"{path} and {MAX_FILES} numbered names beside it exist")
+    raise FreeArtError(f"{path} and {MAX_FILES} numbered files of that name exist")
 
 
 def write_new(path: Path, data: bytes) -> None:
-    """Write a file that is not there yet, whole or not at all; also after a signal said stop. Raises FreeArtError."""
+    """Write a new file, completely or not at all, also after a stop signal. Raises FreeArtError."""
     aside = path.with_name(f".{path.name}.{os.getpid()}{atomic.ASIDE}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

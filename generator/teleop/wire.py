@@ -1,4 +1,4 @@
-"""What a page may say to the server, read and bounded; nothing behind this trusts a message."""
+"""Parses the messages of pages and checks all their values against bounds."""
 
 from __future__ import annotations
 
@@ -13,38 +13,38 @@ from freeart21 import se3
 from freeart21.se3 import Array
 
 VERSION = "1"
-"""Of these messages; the address of the websocket names it."""
+"""Version of the messages, part of the websocket's address."""
 MAX_BYTES = 2048
-"""Of a message: the longest of ours, a move, has about 300."""
+"""Largest message; the page's longest, a move, has about 300 bytes."""
 MAX_COUNT = 2**53
-"""Numbers of JavaScript are whole up to there."""
+"""Largest integer that JavaScript numbers represent exactly."""
 MAX_TIME_MS = 1e11
-"""Three years after a page was opened."""
+"""Largest time since a page was opened: three years."""
 MAX_VIEW = 16384
-"""Pixels a side of a page: no screen has more."""
+"""Largest side of a page, pixels; no screen has more."""
 _ROUNDING = 1e-3
-"""How far from 1 the length of a quaternion may be: `freeart21.files.take` takes no more."""
+"""Largest deviation of a quaternion's length from 1, as in `freeart21.files.take`."""
 
 Device = Literal["mouse", "keys", "touch", "gamepad", "headset"]
-Wish = Literal["record", "pause", "undo", "save", "reset", "drive"]
-_DEVICES, _WISHES = frozenset(get_args(Device)), frozenset(get_args(Wish))
+CommandName = Literal["record", "pause", "undo", "save", "reset", "drive"]
+_DEVICES, _COMMANDS = frozenset(get_args(Device)), frozenset(get_args(CommandName))
 _PICTURE = struct.Struct("<Id")
 
 
 class BadMessage(Exception):
-    """What is wrong with a message, in a few words that repeat nothing of it."""
+    """The fault of a message, in a few words that quote nothing of it."""
 
 
 @dataclass(frozen=True)
 class Move:
-    """Where the page's hand has the object, and its joint."""
+    """The object's pose and joint state in the page."""
 
     n: int
-    """Grows by one a message."""
+    """Number of the message, increasing by one."""
     time_ms: float
-    """The page's clock."""
+    """Time of the page's clock."""
     epoch: int
-    """How often the server had placed the object when the page sent this: older ones must not undo a placing."""
+    """Number of times that the server had placed the object when the page sent this; older moves are dropped."""
     T: Array
     """(4, 4) the object's frame in the camera's axes."""
     state: float
@@ -54,7 +54,7 @@ class Move:
 
 @dataclass(frozen=True)
 class Ping:
-    """Asks for an answer, and tells what the page measured."""
+    """A request for an answer, with the latency that the page measured."""
 
     time_ms: float
     latency_ms: tuple[float, float] | None
@@ -62,14 +62,14 @@ class Ping:
 
 
 @dataclass(frozen=True)
-class Do:
-    """A wish: a button, or its key."""
+class Command:
+    """A command: a button or its key."""
 
-    what: Wish
+    what: CommandName
 
 
 @dataclass(frozen=True)
-class View:
+class ViewSize:
     """The size of the page's picture, in pixels of the screen."""
 
     width: int
@@ -77,18 +77,18 @@ class View:
 
 
 @dataclass(frozen=True)
-class Seen:
-    """How many pictures the page has shown: those sent and not shown are on their way."""
+class Acknowledgement:
+    """Number of pictures that the page has shown."""
 
     count: int
 
 
-Message = Move | Ping | Do | View | Seen
+Message = Move | Ping | Command | ViewSize | Acknowledgement
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Where an object may be."""
+    """Bounds on joint state and position."""
 
     lower: float
     upper: float
@@ -98,7 +98,7 @@ class Bounds:
 
 
 def read(text: str, bounds: Bounds) -> Message:
-    """The message of a text frame; BadMessage says what is wrong."""
+    """Parse a text frame; BadMessage for a fault."""
     if len(text) > MAX_BYTES or len(text.encode("utf-8", "replace")) > MAX_BYTES:
         raise BadMessage(f"more than {MAX_BYTES} bytes")
     try:
@@ -113,29 +113,29 @@ def read(text: str, bounds: Bounds) -> Message:
     if kind == "ping":
         return Ping(_number(data, "time", 0, MAX_TIME_MS), _latency(data))
     if kind == "do":
-        if not isinstance(data.get("what"), str) or data["what"] not in _WISHES:
+        if not isinstance(data.get("what"), str) or data["what"] not in _COMMANDS:
             raise BadMessage("an unknown wish")
-        return Do(data["what"])
+        return Command(data["what"])
     if kind == "view":
-        return View(_count(data, "width", 1, MAX_VIEW), _count(data, "height", 1, MAX_VIEW))
+        return ViewSize(_count(data, "width", 1, MAX_VIEW), _count(data, "height", 1, MAX_VIEW))
     if kind == "seen":
-        return Seen(_count(data, "n", 0, MAX_COUNT))
+        return Acknowledgement(_count(data, "n", 0, MAX_COUNT))
     raise BadMessage("an unknown type")
 
 
-def picture(n: int, time_ms: float, jpeg: bytes) -> bytes:
-    """The binary frame of a picture: the number and the page time of the newest move in it, and the JPEG."""
+def pack_picture(n: int, time_ms: float, jpeg: bytes) -> bytes:
+    """The binary frame of a picture: number and page time of the newest move that it shows, and the JPEG."""
     return _PICTURE.pack(n & 0xFFFFFFFF, time_ms) + jpeg
 
 
-def taken_apart(frame: bytes) -> tuple[int, float, bytes]:
-    """What `picture` put together."""
+def unpack_picture(frame: bytes) -> tuple[int, float, bytes]:
+    """Number, page time in ms and JPEG of a frame made by `pack_picture`."""
     n, time_ms = _PICTURE.unpack_from(frame)
     return n, time_ms, frame[_PICTURE.size :]
 
 
 def printable(text: str) -> str:
-    """`text` of somebody, safe for a log."""
+    """`text` without control characters and shortened, for a log."""
     return re.sub(r"[^\x20-\x7e]", "?", text)[:60]
 
 
