@@ -108,7 +108,7 @@ def main(
     tables: dict[str, list[dict[str, Any]]] = {}
     for source in ("truth", "reconstruction") if results else ("truth",):
         rows = []
-        for name in benchmark.chosen(sequences or None):
+        for name in benchmark.select_sequences(sequences or None):
             if source == "reconstruction" and results is not None and not (results / name).is_dir():
                 console.print(f"{source}: {name}: no result in {results}", highlight=False)
                 continue

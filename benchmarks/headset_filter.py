@@ -2,9 +2,9 @@
 
     python -m benchmarks.headset_filter --mocap /path/to/mocap
 
-prints a table for some settings; those of `freeart21.one_euro.headset` are marked. The noise is assumed, not measured
-(no headset was at hand): white, .3 mm and .1 degrees a sample and axis, and a hand's tremor at 10 Hz, .2 mm and .1
-degrees. Lag is of captured motion (ARCTIC's tracks, every third file, brought to a headset's 72 Hz by splines)
+prints a table for some settings; those of `freeart21.one_euro.headset_filter` are marked. The noise is assumed, not
+measured (no headset was at hand): white, .3 mm and .1 degrees a sample and axis, and a hand's tremor at 10 Hz, .2 mm
+and .1 degrees. Lag is of captured motion (ARCTIC's tracks, every third file, brought to a headset's 72 Hz by splines)
 without noise: how long ago the filter's answer was true, by the part of its error along the motion. *Fast* are the
 fastest 5 % of a take's samples, *else* those of the others that move by more than 2 cm/s or 11 degrees/s.
 """
@@ -22,12 +22,12 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from freeart21 import se3
 from freeart21.formats.captured import read_track
-from freeart21.one_euro import Band, OneEuro, filtered, headset
+from freeart21.one_euro import Band, OneEuro, filter_motion, headset_filter
 from freeart21.se3 import Array
 
 HZ = 72.0
 """Frames a second of a headset: the least that the Quest and the PICO offer."""
-TRIED = [headset("revolute")] + [
+TRIED = [headset_filter("revolute")] + [
     OneEuro(Band(low, p), Band(low, r), Band(low, r))
     for low, p, r in ((1, 0, 0), (1, 10, 1), (1, 30, 3), (1, 60, 5), (0.5, 100, 10), (3, 60, 5))
 ]
@@ -53,7 +53,7 @@ def main(mocap: Path) -> None:
         table.add_column(name, justify="right")
     for settings in TRIED:
         assert settings.position is not None and settings.rotation is not None
-        after = _spread(filtered(settings, still, held, np.zeros(len(still)))[0][int(HZ) :])
+        after = _spread(filter_motion(settings, still, held, np.zeros(len(still)))[0][int(HZ) :])
         lags = np.array([_lags(settings, *take) for take in takes])
         mark = " *" if settings is TRIED[0] else ""
         table.add_row(
@@ -92,7 +92,7 @@ def _spread(Ts: Array) -> tuple[float, float]:
 
 def _lags(settings: OneEuro, times: Array, Ts: Array, states: Array) -> tuple[float, float, float, float]:
     """Median lag, ms, of fast places, others, fast turns, others."""
-    out = filtered(settings, times, Ts, states)[0]
+    out = filter_motion(settings, times, Ts, states)[0]
     R, back = Ts[:, :3, :3], np.swapaxes(Ts[:-1, :3, :3], 1, 2)
     v, w = HZ * np.diff(Ts[:, :3, 3], axis=0), HZ * se3.log_so3(R[1:] @ back)
     away = (Ts - out)[1:, :3, 3], se3.log_so3(R[1:] @ np.swapaxes(out[1:, :3, :3], 1, 2))

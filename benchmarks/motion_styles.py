@@ -28,7 +28,7 @@ from freeart21.files import atomic
 from freeart21.files.take import Take
 from freeart21.formats.captured import read_track
 from freeart21.se3 import Array
-from freeart21.strokes import Movement, strokes
+from freeart21.submovements import Movement, find_submovements
 from generator.motion.body import Body
 from generator.session import RecordSettings, load_object, plan_recording
 
@@ -182,7 +182,7 @@ def figures(stretch: Stretch) -> dict[str, float]:
     """The `FIGURES` of a stretch; NaN where there is nothing to measure."""
     m = stretch.movement
     joint = np.abs(np.diff(m.opening))
-    sweeps_s, strokes_s = (np.diff(s, axis=1)[:, 0] / m.fps for s in (m.sweeps, m.joint_strokes))
+    sweeps_s, strokes_s = (np.diff(s, axis=1)[:, 0] / m.fps for s in (m.sweeps, m.joint_submovements))
     known = m.degrees.std() > 0 and joint.std() > 0
     return {
         "median_degrees": float(np.median(m.degrees)),
@@ -204,7 +204,7 @@ def figures(stretch: Stretch) -> dict[str, float]:
         "sweep_degrees": _middle(m.sweep_degrees),
         "p90_sweep_degrees": _middle(m.sweep_degrees, 90),
         "sweep_s": _middle(sweeps_s),
-        "joint_strokes": m.joint_strokes_a_minute,
+        "joint_strokes": m.joint_submovements_a_minute,
         "reversals": m.reversals_a_minute,
         "joint_way": 100 * _middle(np.abs(m.joint_ways)),
         "joint_stroke_s": _middle(strokes_s),
@@ -267,13 +267,13 @@ def drawn_from(takes: list[Take]) -> dict[str, str]:
     gaps = np.concatenate([(m.sweeps[1:, 0] - m.sweeps[:-1, 1]) / m.fps for m in moves])
     bends = np.concatenate([_bends(m) for m in moves])
     shares = np.concatenate([np.abs(m.joint_ways) for m in moves])
-    joint_s = np.concatenate([np.diff(m.joint_strokes, axis=1)[:, 0] / m.fps for m in moves])
-    rests = np.concatenate([(m.joint_strokes[1:, 0] - m.joint_strokes[:-1, 1]) / m.fps for m in moves])
+    joint_s = np.concatenate([np.diff(m.joint_submovements, axis=1)[:, 0] / m.fps for m in moves])
+    rests = np.concatenate([(m.joint_submovements[1:, 0] - m.joint_submovements[:-1, 1]) / m.fps for m in moves])
     turned = np.concatenate([np.diff(np.sign(m.joint_ways)) != 0 for m in moves])
     holds = [m.degrees[~m.pose_moves] for m in moves]
     still = [m.shifts[~m.pose_moves] for m in moves]
-    puts = [len(strokes(np.where(m.pose_moves, 0.0, 1.0), 0.5)) for m in moves]
-    begins, ends = (np.concatenate([m.opening[m.joint_strokes[:, k]] for m in moves]) for k in (0, 1))
+    puts = [len(find_submovements(np.where(m.pose_moves, 0.0, 1.0), 0.5)) for m in moves]
+    begins, ends = (np.concatenate([m.opening[m.joint_submovements[:, k]] for m in moves]) for k in (0, 1))
     room, left = (np.where(ends > begins, 1 - at, at) for at in (begins, ends))
     to_end, far = left < 0.1, room >= 0.8
     part = 1 - (left / room)[~to_end]

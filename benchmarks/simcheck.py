@@ -58,7 +58,7 @@ def main(
     """
     benchmark, console = read_benchmark(data), console_of()
     rows = []
-    for name in benchmark.chosen(sequences or None):
+    for name in benchmark.select_sequences(sequences or None):
         rows.append(_row(name, benchmark, engines, work, limit_s))
         console.print(f"{name}: {_told(rows[-1])}", highlight=False)
     _print(console, rows)

@@ -47,7 +47,7 @@ SETTLED = 0.1
 _SERVER = """
 import sys
 from pathlib import Path
-from freeart21.ending import in_one_line
+from freeart21.ending import report_errors
 from freeart21 import stopping
 from generator.session import RecordSettings
 from generator.teleop.server import Server
@@ -60,7 +60,7 @@ def noted(server):
     look(server)
 Server._look = noted
 stopping.listen()
-with in_one_line():
+with report_errors():
     serve(name, Path(out), TeleopSettings(port=0, width=int(width), height=int(height), finest=1.0), RecordSettings())
 """
 

@@ -37,7 +37,7 @@ from freeart21.files.lock import only_writer
 from freeart21.files.places import ASSET, check_place
 from freeart21.files.result import read_method, read_result
 from freeart21.files.sequence import read_sequence
-from freeart21.mesh import Mesh, bounding_diagonal, middle
+from freeart21.mesh import Mesh, bounding_diagonal, box_centre
 from freeart21.reconstruction import Failure, Reconstruction
 from generator.simulate import joint_motion
 
@@ -245,7 +245,7 @@ def _check_lengths(reconstruction: Reconstruction, settings: ExportSettings) -> 
         size = settings.scale * bounding_diagonal(part)
         if not low <= size <= high:
             raise FreeArtError(f"{name} part is {size:.3g} m large, {expected}")
-        arm = settings.scale * float(np.linalg.norm(np.cross(joint.axis, middle(part) - joint.pivot)))
+        arm = settings.scale * float(np.linalg.norm(np.cross(joint.axis, box_centre(part) - joint.pivot)))
         if joint.type == "revolute" and arm > high:
             raise FreeArtError(f"{name} part lies {arm:.3g} m from the axis of joint '{joint.name}', {expected}")
     travel = settings.scale * float(np.ptp(reconstruction.states))

@@ -17,7 +17,7 @@ from freeart21 import se3
 from freeart21.articulation import PARTS, Articulation
 from freeart21.errors import FreeArtError
 from freeart21.joint import Joint
-from freeart21.mesh import Mesh, bounding_diagonal, middle
+from freeart21.mesh import Mesh, bounding_diagonal, box_centre
 from freeart21.reconstruction import Reconstruction
 from freeart21.se3 import Array
 
@@ -133,7 +133,7 @@ def placed(
     parts = {name: articulation.part(name).moved(Ts[name]) for name in PARTS}
     child = "reference" if root == "moving" else "moving"
     in_root = joint.moved(T_root_canonical)
-    pivot = middle(parts[child])
+    pivot = box_centre(parts[child])
     if joint.type == "revolute":  # the point of the axis nearest to the part: a reconstructed pivot may be far away
         pivot = in_root.pivot + in_root.axis * (in_root.axis @ (pivot - in_root.pivot))
     to_child = se3.pose(np.eye(3), -pivot)

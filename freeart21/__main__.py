@@ -1,4 +1,4 @@
-"""The process `freeart21`: hears a stop signal from the first moment, before anything large is loaded."""
+"""The process `freeart21`. It handles stop signals from its first moment, before anything large is imported."""
 
 import sys
 
@@ -11,13 +11,13 @@ import signal  # noqa: E402
 from typing import Any  # noqa: E402
 
 
-def _at_once(number: int, frame: Any) -> None:
+def _exit_at_once(number: int, frame: Any) -> None:
     print("freeart21: stopped", file=sys.stderr, flush=True)
     os._exit(128 + number)
 
 
 if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-    signal.signal(signal.SIGINT, _at_once)  # nothing is under way yet; `listen` takes it over
+    signal.signal(signal.SIGINT, _exit_at_once)  # no work has begun yet; `listen` replaces it
 
 from freeart21 import stopping  # noqa: E402
 
@@ -25,17 +25,17 @@ from freeart21 import stopping  # noqa: E402
 def main() -> None:
     """Run the command line."""
     stopping.listen()
-    from freeart21.ending import run
+    from freeart21.ending import run_and_exit
 
-    run(_command)
+    run_and_exit(_run_command)
 
 
-def _command() -> None:
-    from freeart21.ending import in_one_line
+def _run_command() -> None:
+    from freeart21.ending import report_errors
     from freeart21.errors import FreeArtError
     from freeart21.search_path import replaced_package
 
-    with in_one_line():
+    with report_errors():
         if (fault := replaced_package()) is not None:
             raise FreeArtError(fault)
         from freeart21.cli import main as command

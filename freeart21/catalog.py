@@ -1,4 +1,4 @@
-"""The objects that the product knows by name."""
+"""The objects that commands know by name."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ class CatalogEntry:
 
     name: str
     category: str
-    """As PartNet-Mobility calls it."""
+    """Category name of PartNet-Mobility."""
     joint_type: JointType | None
-    """Of the scored joint; None when only the object's files can tell."""
+    """Type of the scored joint; None when only the object's files state it."""
     size_m: float | None
     """Approximate diagonal, metres; None for PartNet-Mobility, whose unit is not metric (its diagonals are about 2)."""
     source: Literal["procedural", "partnet", "urdf"]
     joint: str | None
-    """Name of the scored joint; None when it must be named by the user."""
+    """Name of the scored joint; None when the user must name it."""
     note: str = ""
     benchmark: str = ""
     """'FreeArt-21' for the objects of the official benchmark."""
@@ -67,7 +67,7 @@ CATALOG: tuple[CatalogEntry, ...] = (
         for name in names
     ),
 )
-"""The procedural objects, then the 21 of FreeArt-21, whose files the user brings."""
+"""The procedural objects, then the 21 of FreeArt-21, whose files the user provides."""
 
 
 def built_in_names() -> tuple[str, ...]:
@@ -88,5 +88,5 @@ def find(name: str, partnet: bool = False) -> CatalogEntry:
     official = ", ".join(entry.name for entry in CATALOG if entry.source == "partnet")
     raise FreeArtError(
         f"unknown object '{name}'; objects: {', '.join(built_in_names())}; with --partnet-root also any "
-        f"PartNet-Mobility id, of which FreeArt-21's are {official}"
+        f"PartNet-Mobility id (those of FreeArt-21: {official})"
     )

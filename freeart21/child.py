@@ -1,13 +1,12 @@
-"""A Python of one's own for work that may crash, hang or fill the memory: how every process of ours is started.
+"""Command lines of child processes, for work that may crash, hang or fill the memory.
 
-Results come from anywhere, and a `numpy.py` among them must not be what is imported: no process of ours searches the
-folder that the user stands in.
+Child processes do not search the user's working folder for modules: results come from anywhere, and a `numpy.py` among
+them must not be imported.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import sys
 from collections.abc import Iterator
@@ -17,24 +16,24 @@ from freeart21.search_path import search_path
 
 
 def python(code: str) -> list[str]:
-    """The command line that runs `code` in another Python, which finds modules where this one does.
+    """The command line that runs `code` in another Python with this one's module search path.
 
-    It is isolated (-I): from its start it searches neither the working folder nor what PYTHON variables name.
+    It is isolated (-I): it searches neither the working folder nor the places that PYTHON variables name.
     """
     return [sys.executable, "-I", "-c", f"import sys; sys.path[:] = {search_path()!r}\n{code}"]
 
 
 def command(module: str) -> list[str]:
-    """The command line that runs `main()` of `module` in another Python, as `python` does, and ends by `ending.run`."""
-    return python(f"from freeart21.ending import run\nfrom {module} import main\nrun(main)")
+    """The command line that runs `main()` of `module` as `python` does, and ends by `ending.run_and_exit`."""
+    return python(f"from freeart21.ending import run_and_exit\nfrom {module} import main\nrun_and_exit(main)")
 
 
 @contextlib.contextmanager
 def spawn_in(folder: Path) -> Iterator[None]:
     """Processes that multiprocessing starts in this block begin in `folder`, which is empty and outlives them.
 
-    Its command lines are its own: they import from the folder that they begin in, and then take this process's search
-    path. Who needs another folder goes there when it has begun.
+    multiprocessing has its own command lines: its children import from the folder they begin in, then take over this
+    process's search path. A worker that needs another folder changes to it after its start.
     """
     here, before = Path.cwd(), sys.path[:]
     sys.path[:] = search_path()
@@ -47,10 +46,5 @@ def spawn_in(folder: Path) -> Iterator[None]:
 
 
 def one_line(error: BaseException) -> str:
-    """An error as one line: its first, or its type when it says nothing."""
+    """The first line of an error's message, or its type when the message is empty."""
     return (str(error).strip().splitlines() or [type(error).__name__])[0]
-
-
-def answer(**what: object) -> None:
-    """Say `what` as the last line of standard output, whatever native code has printed before."""
-    print("\n" + json.dumps(what), flush=True)

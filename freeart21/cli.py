@@ -1,4 +1,4 @@
-"""The command line: the one file that sees every room. Each command is a plain function; tyro reads its signature."""
+"""The command line: the one file that imports all packages. Each command is a function; tyro reads its signature."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import tyro
 
 import freeart21
 from freeart21 import stopping
-from freeart21.ending import in_one_line
+from freeart21.ending import report_errors
 from freeart21.errors import FreeArtError
 from leaderboard import commands as board
 from reconstruct.settings import ReconstructSettings
@@ -31,15 +31,15 @@ if TYPE_CHECKING:
 Positional = tyro.conf.Positional
 DESCRIPTION = "FreeArt-21: from RGB-D videos of articulated objects to simulation-ready assets, and their score."
 DOUBTFUL = 3
-"""Exit code when there is an answer, and it says itself that something is wrong: of `reconstruct` one that it does not
-trust, of `export` an asset made of such a one or with contact far from what is seen, of `check-asset` a failed rule."""
-STOP_AFTER = "Stop after this stage; what it found is kept for the next call. " + " ".join(
+"""Exit code of a result with a warning: `reconstruct` does not trust it, `export` made an asset from such a result or
+with collision shapes far from the visible ones, a rule of `check-asset` failed."""
+STOP_AFTER = "Stop after this stage and save its result for the next call. " + " ".join(
     f"{stage.name}: {stage.does}." for stage in STAGES if stage.kept
 )
 
 
 def doctor(as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> int:
-    """Say what this machine has (Vulkan, GPU, packages), and how to mend what it lacks.
+    """Check this machine (Vulkan, GPU, packages), and print how to fix what is missing.
 
     Args:
         as_json: Print JSON instead of a table.
@@ -54,15 +54,15 @@ def doctor(as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> int:
     if as_json:
         print(json.dumps([vars(f) for f in findings], indent=1))
     else:
-        table = Table("what", "", "found", title="freeart21 doctor")
+        table = Table("item", "", "found", title="freeart21 doctor")
         marks = {"ok": "[green]ok[/]", "note": "[dim]note[/]", "missing": "[bold red]missing[/]"}
         for f in findings:
             table.add_row(f.name, marks[f.status], escape(f.detail))
         console = Console()
         console.print(table)
         for f in findings:
-            if f.mend:
-                print(f"To mend {f.name}: {f.mend}")
+            if f.fix:
+                print(f"To fix {f.name}: {f.fix}")
     return 1 if any(f.status == "missing" for f in findings) else 0
 
 
@@ -74,15 +74,15 @@ def demo(
     partnet_root: Path | None = None,
     joint: str | None = None,
 ) -> None:
-    """Take one object all the way: simulator, video, reconstruction, URDF, simulator, score, and a page to look at.
+    """Run the whole pipeline on one object: simulate, record, reconstruct, export, simulate, score, and make a page.
 
     Args:
         name: Object of the catalog, or a PartNet-Mobility id.
-        out: Folder for everything that the demo makes; an older demo there is replaced.
+        out: Folder for all results. An older demo there is replaced.
         frames: Frames of the video.
         seed: Seed of shape, motion and views.
-        partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf.
-        joint: Joint of a PartNet-Mobility object that moves.
+        partnet_root: Folder of PartNet-Mobility objects, as ROOT/41083/mobility.urdf.
+        joint: Moving joint of a PartNet-Mobility object.
     """
     from export.exporter import export_result
     from freeart21.files.atomic import new_folder, write_json
@@ -99,7 +99,7 @@ def demo(
 
     check_place(out, DEMO)
     settings = RecordSettings(frames=frames, seed=seed, partnet_root=partnet_root, joint=joint)
-    plan_jobs((name,), settings)  # what cannot be recorded is said before anything is made
+    plan_jobs((name,), settings)  # raises for an unknown object before anything is written
     with only_writer(out), new_folder(out, DEMO) as aside:
         data, results = aside / "data", aside / "results" / "ours"
         print(f"Recording {frames} frames of {name} in the simulator", flush=True)
@@ -107,13 +107,13 @@ def demo(
         print("Reconstructing it from the video alone", flush=True)
         answer = reconstruct_folder(data / "sequences" / sequence, results / sequence)
         if not isinstance(answer, Failure):
-            print("Exporting it as an asset for simulators, with the video's print; reloading it", flush=True)
+            print("Exporting it as a textured asset for simulators, and reloading that", flush=True)
             try:
                 video = data / "sequences" / sequence
                 export_result(results / sequence, results / sequence / "asset", video=video)
-            except FreeArtError as error:  # the score and the page say that there is no asset
+            except FreeArtError as error:  # the score and the page show the missing asset
                 print(f"No asset: {error}", file=sys.stderr)
-        print("Scoring the reloaded asset, and the answer's masks, poses and views, against the truth", flush=True)
+        print("Scoring the reloaded asset and the result's masks, poses and views against the truth", flush=True)
         scores = score_results(results, data)
         write_scores(aside / "scores.json", scores)
         write_page(
@@ -127,11 +127,11 @@ def demo(
         files = sorted(path.relative_to(aside).as_posix() for path in aside.rglob("*") if path.is_file())
         write_json(aside / DEMO.marker, {"schema": "freeart21/demo/1", "object": name, "files": files})
     print_scores(scores)
-    print(f"Everything is in {out}; open {out / 'index.html'} to look at it.")
+    print(f"All results are in {out}; open {out / 'index.html'} in a browser.")
 
 
 def objects(as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> None:
-    """List the catalog: name, category, joint type, size, source.
+    """List the objects of the catalog: name, category, joint type, size, source.
 
     Args:
         as_json: Print JSON instead of a table.
@@ -177,39 +177,38 @@ def record(
     shader: str = "default",
     executor: Literal["local", "ray", "slurm"] = "local",
 ) -> int:
-    """Record objects in SAPIEN: the video that a method may see, and the truth apart from it.
+    """Record objects in SAPIEN: the video for methods, and the ground truth in a separate folder.
 
-    May be stopped at any moment: the same command goes on, and the data are the same to the last byte.
+    Can be stopped at any moment: the same command resumes, with the same data to the last byte.
 
     Args:
         names: Objects of the catalog (`freeart21 objects`), URDFs as PATH.urdf, PartNet-Mobility ids, or `all`:
             freeart21-v1 or, with --partnet-root, the 21 of the official FreeArt-21. With --seed or --motion: the
             built-in 21.
         out: Data folder; sequences are added to it.
-        frames: Frames a sequence; 300 when not given, or as many as a take lasts.
+        frames: Frames per sequence; 300 when not given, or the length of the take.
         seed: Seed of shape, motion, sensor and views; 0 when not given.
-        partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf or ROOT/dataset/41083.
-        joint: Joint that moves, of a URDF or of a PartNet-Mobility object where the catalog names none.
-        skip_missing: Leave out meshes that an object names but does not have and, with `all`, objects that are not in
-            --partnet-root.
-        root: Folder that bounds what a URDF names; its own, or its package's.
+        partnet_root: Folder of PartNet-Mobility objects, as ROOT/41083/mobility.urdf or ROOT/dataset/41083.
+        joint: Moving joint of a URDF, or of a PartNet-Mobility object for which the catalog names none.
+        skip_missing: Leave out missing meshes of an object and, with `all`, objects missing in --partnet-root.
+        root: Folder with all files of a URDF; its own, or its package's, when not given.
         motion: tumble (when not given), inspect, wave, turntable, static_base, release, human, or track:FILE, a take
             (or teleop:FILE).
-        carry: Factor on a take's way, 1 for its metres; by the objects' sizes when not given.
+        carry: Scale of a take's translations; from the objects' sizes when not given.
         preset: handheld (real size, filling the picture) or paper (PartNet scale, 3 m away).
         sensor: clean, noise2, tof, blur, hand, or several joined by '+'.
-        camera: camera.json of `gap`: a real camera's faults, besides the sensor's.
-        effects: effects.json of the joint that is let go, for the motion release.
-        let_go: Share of its range, 0 to 1, at which it is let go; drawn when not given.
-        procedural: Instead of names: a category of which --count fresh objects are drawn from the seed.
-        count: How many fresh objects.
-        split: Of freeart21-v1: public, to tune on, or test, which is only scored.
-        workers: Processes that record, each a sequence at a time.
-        queries: Held-out views a sequence.
-        width: Of the pictures, pixels.
-        height: Of the pictures, pixels.
+        camera: camera.json of `gap`: faults of a real camera, added to those of the sensor.
+        effects: effects.json of the joint, for the motion release.
+        let_go: Where the motion release lets the joint go, 0 to 1 of its range; random when not given.
+        procedural: Category, instead of names: --count new objects from the seed.
+        count: Number of new objects.
+        split: Of freeart21-v1: public (for tuning), test (scoring only).
+        workers: Processes that record in parallel, one sequence each.
+        queries: Held-out views per sequence.
+        width: Picture width, pixels.
+        height: Picture height, pixels.
         shader: SAPIEN's camera shader: default, or trivial (unlit, fast).
-        executor: Where they record: local (this machine), ray or slurm (--out on a file system that all machines see).
+        executor: Where to record: local (this machine), ray or slurm (--out on a file system that all machines share).
     """
     from freeart21.files import checked
     from freeart21.formats.captured import read_track
@@ -225,7 +224,7 @@ def record(
     if track is not None:
         lasts = count_frames(read_track(track), RecordSettings.fps)
         if frames is not None and frames < lasts:
-            print(f"{track} lasts {lasts} frames; the {frames} over which its joint moves most are recorded")
+            print(f"{track} lasts {lasts} frames; the {frames} with most joint motion are recorded")
         frames = lasts if frames is None else min(frames, lasts)
     settings = RecordSettings(
         frames=300 if frames is None else frames,
@@ -251,9 +250,7 @@ def record(
         raise FreeArtError(f"record: name objects or a category, not both; got {', '.join(names)} and {procedural}")
     frozen = names == ("all",) and partnet_root is None and seed is None and motion is None
     if split != "public" and not frozen:
-        raise FreeArtError(
-            f"record: --split {split} is of freeart21-v1, which `all` records when neither seed nor motion is given"
-        )
+        raise FreeArtError(f"record: --split {split} needs freeart21-v1: the object `all`, without --seed and --motion")
     label = None
     if frozen:
         jobs, label = v1.jobs(split, settings), v1.label(split, settings)
@@ -261,11 +258,11 @@ def record(
         jobs = procedural_jobs(procedural, count, settings.seed, settings)
     else:
         if "all" in names and len(names) > 1:
-            raise FreeArtError(f"record: `all` stands alone; got {' '.join(names)}")
+            raise FreeArtError(f"record: `all` cannot be combined with names; got {' '.join(names)}")
         if names == ("all",):
             names = built_in_names() if partnet_root is None else official_names(partnet_root, skip_missing)
         if not names:
-            raise FreeArtError(f"record: no object was named; name some of {', '.join(built_in_names())}, or all")
+            raise FreeArtError(f"record: got no object; expected some of {', '.join(built_in_names())}, or all")
         jobs = plan_jobs(names, settings)
     v1.check_own_sequences(out, jobs, label)
     for job in jobs:
@@ -278,12 +275,12 @@ def record(
             source = checked.read_json(out / "truth" / sequence / "truth.json")["source"]
             print(f"{sequence}: {describe_changes(source['track'])}", file=sys.stderr, flush=True)
 
-    with stopping.explained(
-        lambda: f"what is done is kept in {out}: the same command goes on" if is_unfinished(out) else ""
+    with stopping.resume_hint(
+        lambda: f"finished sequences are in {out}: the same command goes on" if is_unfinished(out) else ""
     ):
         made = record_jobs(out, jobs, workers, label, done, executor)
     if not made:
-        print(f"{out} holds {'this sequence' if len(jobs) == 1 else f'these {len(jobs)} sequences'} already")
+        print(f"{out} already has {'this sequence' if len(jobs) == 1 else f'these {len(jobs)} sequences'}")
     return 0
 
 
@@ -300,24 +297,24 @@ def teleop(
     width: int = 640,
     height: int = 360,
 ) -> None:
-    """Move an object and its joint by hand, live in a browser, and record it as a take.
+    """Move an object and its joint by hand in a browser, and record the motion as a take.
 
-    Prints an address with a secret token: who has it drives, or watches. `freeart21 record NAME --motion track:TAKE`
-    replays a take at full quality. Needs the extra `teleop`.
+    Prints an address with a secret token: the first to open it drives, others watch. `freeart21 record NAME --motion
+    track:TAKE` replays a take at full quality. Needs the extra `teleop`.
 
     Args:
         name: Object of the catalog (`freeart21 objects`), a URDF as PATH.urdf, or a PartNet-Mobility id.
-        out: File of the take; nothing is replaced, and further takes are numbered.
+        out: File of the take. Nothing is replaced; further takes are numbered.
         seed: Seed of the object's shape and colours.
-        partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf or ROOT/dataset/41083.
-        joint: Joint that moves, of a URDF or of a PartNet-Mobility object where the catalog names none.
-        skip_missing: Leave out meshes that the object names but does not have.
-        root: Folder that bounds what a URDF names; its own, or its package's.
-        host: Address to listen at; 0.0.0.0 is all that this machine has. Beyond 127.0.0.1 the page is served by https,
-            with a certificate that is made for this machine and kept.
+        partnet_root: Folder of PartNet-Mobility objects, as ROOT/41083/mobility.urdf or ROOT/dataset/41083.
+        joint: Moving joint of a URDF, or of a PartNet-Mobility object for which the catalog names none.
+        skip_missing: Leave out missing meshes of the object.
+        root: Folder with all files of a URDF; its own, or its package's, when not given.
+        host: Address to listen at; 0.0.0.0 for all of this machine. Other addresses than 127.0.0.1 use https, with a
+            certificate that is made once for this machine.
         port: Port to listen at; 0 takes a free one.
-        width: Of the live picture, pixels; a page of another shape gets as many.
-        height: Of the live picture, pixels.
+        width: Width of the live picture, pixels; a page of another shape gets as many pixels.
+        height: Height of the live picture, pixels.
     """
     from generator.session import RecordSettings
     from generator.teleop.start import TeleopSettings, serve
@@ -330,16 +327,16 @@ def teleop(
 def verify(data: Annotated[Path, Positional], deep: bool = False, truth: Path | None = None) -> int:
     """Check a data folder: every hash, every format, and that video and truth agree.
 
-    One that was packed without its truth is looked through for traces of it.
+    A folder that was packed without its truth is searched for traces of the truth.
 
     Args:
         data: A data folder (with benchmark.json).
-        truth: Where the truth of a packed data folder lies (`freeart21 pack DATA --truth`).
-        deep: Also cast the truth's meshes anew and render its objects anew, without trusting the recorder.
+        truth: Folder of the truth of a packed data folder (from `freeart21 pack DATA --truth`).
+        deep: Also render the truth's meshes and objects again, independently of the recorder.
     """
-    from freeart21.files.verify import verify as look_through
+    from freeart21.files.verify import verify as verify_folder
 
-    report = look_through(data, truth)
+    report = verify_folder(data, truth)
     if deep and not report.findings:
         from generator.golden import verify_deep
 
@@ -361,19 +358,18 @@ def reconstruct(
     settings_file: Annotated[Path | None, tyro.conf.arg(name="settings", metavar="FILE.json")] = None,
     settings: ReconstructSettings = ReconstructSettings(),  # noqa: B008 (frozen)
 ) -> int:
-    """Solve one sequence: two parts, their poses, the joint between them, and meshes, from the video alone.
+    """Reconstruct one sequence from the video alone: two parts, their poses, their joint, and meshes.
 
-    May be stopped at any moment: the same command goes on after the last finished stage, to the same result. An older
-    result at --out is replaced, and with it the asset that was made of it; anything else there is left alone. The last
-    line says whether to trust the answer; if it is doubtful, the exit code is 3.
+    Can be stopped at any moment: the same command resumes after the last finished stage, with the same result. An older
+    result at --out is replaced with its asset; anything else there is an error. The last line says whether to trust the
+    result: `sound`, or `doubtful` with exit code 3.
 
     Args:
         sequence: A sequence folder (with sequence.json).
         out: Result folder, such as results/ours/SEQ.
-        keep_work: Keep what the stages found when the result is written, too, for calls with other settings.
-        segmentation: Short for --settings.segmentation: ours, or the paper's with features made by hand.
-        settings_file: Settings of every stage to start from; what the file does not name keeps its default. The
-            `settings` of a method.json, or such a file itself.
+        keep_work: Keep the stages' files after the result is written, for calls with other settings.
+        segmentation: Short for --settings.segmentation: ours, or the paper's with hand-crafted features.
+        settings_file: Settings file: a method.json, or JSON as its `settings`. Others keep their defaults.
         settings: One setting, such as --settings.joint.type-rule paper; --settings.help lists them all.
     """
     from freeart21.files.lock import only_writer
@@ -388,17 +384,15 @@ def reconstruct(
         settings = replace(settings, segmentation=segmentation)
     check_place(out, RESULT, (sequence,))
     work = work_folder(out)
-    kept_too = f"finished stages are kept in {work}: the same command goes on"
-    with stopping.explained(lambda: kept_too if work.is_dir() else ""), only_writer(out):
+    hint = f"finished stages are in {work}: the same command goes on"
+    with stopping.resume_hint(lambda: hint if work.is_dir() else ""), only_writer(out):
         if until is not None:
-            kept = reconstruct_until(sequence, out, until, settings)
-            if isinstance(kept, Path):
-                size = kept.stat().st_size / 1e6
-                print(
-                    f"{kept}: what was found until {until} ({size:.1f} MB); the next call for {out} goes on from here"
-                )
+            outcome = reconstruct_until(sequence, out, until, settings)
+            if isinstance(outcome, Path):
+                size = outcome.stat().st_size / 1e6
+                print(f"{outcome}: results until {until} ({size:.1f} MB); the next call for {out} goes on from here")
                 return 0
-            print(f"{out}: failed in {kept.stage}: {kept.reason}", file=sys.stderr)
+            print(f"{out}: failed in {outcome.stage}: {outcome.reason}", file=sys.stderr)
             return 1
         result = reconstruct_folder(sequence, out, settings, keep_work)
     code = f"freeart21 {freeart21.__version__}, solver {VERSION}"
@@ -407,13 +401,13 @@ def reconstruct(
     if isinstance(result, Failure):
         print(f"{out}: failed in {result.stage}: {result.reason}", file=sys.stderr)
         return 1
-    return _say_answer(result, out)
+    return _print_result(result, out)
 
 
-def _say_answer(result: Reconstruction, out: Path) -> int:
-    """Prints what was found, how well it is known and, last, whether to trust it; 0 when sound, 3 when doubtful."""
+def _print_result(result: Reconstruction, out: Path) -> int:
+    """Print joint, standard deviations, time and, last, whether to trust the result; 0 when sound, 3 when doubtful."""
     joint = result.articulation.joint
-    low, high = _shown(joint.lower, joint.type), _shown(joint.upper, joint.type)
+    low, high = _format_state(joint.lower, joint.type), _format_state(joint.upper, joint.type)
     known = []
     if result.axis_std is not None:
         known.append(f"axis to {math.degrees(result.axis_std):.2g} deg")
@@ -445,29 +439,29 @@ def export(
     base: Literal["free", "fixed"] = "free",
     usd: Literal["auto", "yes", "no"] = "auto",
 ) -> int:
-    """Write a result as a simulation-ready asset (URDF, MJCF, USD, meshes, loaders), reload it, and check it.
+    """Export a result as a simulation-ready asset (URDF, MJCF, USD, meshes, loaders), reload it, and check it.
 
-    The last line says whether the result trusts itself, as the asset's files do. The exit code is 3 if it is doubtful,
-    or if collision shapes are far from what is seen.
+    The last line says whether to trust the result, as do the asset's files. The exit code is 3 if it is doubtful, or if
+    collision shapes are far from the visible ones.
 
     Args:
         result: A result folder (with prediction.json).
         out: Asset folder to write.
-        density: kg/m^3 of both parts, that of the material when not given: video tells no mass.
-        mass: kg of the whole object instead; the parts share it by their volumes.
-        material: What both parts are made of, plastic (1050 kg/m^3) when not given.
-        wall: Metres: the parts are hollow, with walls this thick; solid when not given.
-        dynamics: A joint of which nothing is known gets a little damping and friction, marked as guessed, or none.
-        scale: Factor for all lengths. An asset of another scale than 1 is not scored: it is not the video's object.
-        up: Direction in the result's canonical frame (ours: the camera's of the first frame, right, down, forward)
-            that becomes z; when not given, that of gravity or of the likeliest pose in which the object rests.
-        gravity: Which way gravity pulls in the camera's axes (right, down, forward) of the first frame, 0 9.81 0 of a
+        density: Density of both parts, kg/m^3; that of the material when not given, as video shows no mass.
+        mass: Mass of the whole object instead, kg, split between the parts by volume.
+        material: Material of both parts; plastic (1050 kg/m^3) when not given.
+        wall: Wall thickness of hollow parts, m; solid parts when not given.
+        dynamics: Damping and friction of the joint, which the video does not show: small guessed values, or none.
+        scale: Factor for all lengths. Assets of another scale than 1 are not scored.
+        up: Direction that becomes z, in the result's canonical frame (ours: the camera's of the first frame, right,
+            down, forward); from gravity or the likeliest resting pose when not given.
+        gravity: Direction of gravity in the camera's axes (right, down, forward) of the first frame, 0 9.81 0 for a
             level camera; only when the reference part stood still before the camera.
-        zero: Where the joint is at zero: in the first frame, at the end where both parts fill the least space (closed),
-            or at its lower or upper end.
-        video: Sequence folder that was reconstructed, for textures from its sharpest frames.
-        base: The reference part moves freely, or stands fixed in the world (in URDF on a link named world).
-        usd: Write object.usdc too; auto where usd-core is installed.
+        zero: Joint position that becomes zero: that of the first frame, the end where both parts fill the least space
+            (closed), or the lower or upper end.
+        video: The reconstructed sequence folder, for textures from its sharpest frames.
+        base: Whether the reference part moves freely or is fixed in the world (in URDF to a link named world).
+        usd: Write object.usdc too; auto: if usd-core is installed.
     """
     from export.check.contact_rule import contact_row
     from export.checklist import check_asset
@@ -516,18 +510,17 @@ def joint_asset(
     upper: float | None = None,
     joint: str = "hinge",
 ) -> None:
-    """Write an asset of one joint from a few numbers, for `gap`: a recording of a joint, and no URDF of it.
+    """Write a URDF of one joint from a few numbers, for `gap` on a recorded joint without a URDF.
 
     Args:
         out: URDF file to write.
-        mass: kg of the moving part.
+        mass: Mass of the moving part, kg.
         kind: A pendulum turns about y and hangs down at 0, a door turns about z, a drawer slides along x; z is up.
-        length: Metres from the joint's axis to the centre of mass; 0 for a rotor (of --kind door).
-        inertia: kg*m^2 about the joint's axis; that of the mass at its length when not given.
-        period: Seconds of a small free swing of the pendulum, there and back: tells the length, or, beside a length,
-            the inertia.
+        length: Distance from the joint's axis to the centre of mass, m; 0 for a rotor (with --kind door).
+        inertia: Inertia about the joint's axis, kg*m^2; that of a point mass at the length when not given.
+        period: Period of small free swings of the pendulum, s: gives the length or, with --length, the inertia.
         lower: Lower limit of the joint, rad or m; no limits when not given.
-        upper: Upper limit.
+        upper: Upper limit of the joint, rad or m.
         joint: Name of the joint.
     """
     from export.joint_asset import JointNumbers, write_joint_asset
@@ -544,19 +537,18 @@ def check_asset(
     as_json: Annotated[Path | None, tyro.conf.arg(name="json", metavar="FILE")] = None,
     limit_s: float = 60.0,
 ) -> int:
-    """Check any URDF or MJCF, not only ours: named rules on its files, and trials in every installed engine.
+    """Check any URDF or MJCF: named rules on its files, and trials in every installed physics engine.
 
-    It is loaded in each engine, compared with the file's own numbers, pushed through its range, let go, and left to
-    rest on a plane. The exit code is 0 when all rules pass, 3 when one fails or could not be judged in time (unknown),
-    1 when there is no asset.
+    Each engine loads it, compares it with the file's numbers, drives its joint through the range, releases it, and lets
+    it rest on a plane. Exit code: 0 all rules pass, 3 a rule fails or ran out of time (unknown), 1 no asset.
 
     Args:
         path: An asset folder, a folder with one URDF or MJCF, or such a file.
-        root: Folder that bounds what a URDF names; its own, or its package's.
-        engines: Engines to try it in: sapien, mujoco, pybullet, drake; all that are installed when not given.
-        simcheck: Run the public checker of that name, too.
-        as_json: File for the report: every rule with its verdict, reason, measured number and what it is good for.
-        limit_s: Seconds of processor time that the files, and each engine, may take; three times that by the clock.
+        root: Folder with all files of a URDF; its own, or its package's, when not given.
+        engines: Some of sapien, mujoco, pybullet, drake; all installed ones when not given.
+        simcheck: Also run the public checker of that name.
+        as_json: File for the report: every rule with its verdict, reason, measured number and purpose.
+        limit_s: Processor seconds for the files, and for each engine; three times that of wall-clock time.
     """
     from export.check.checking import check
     from export.check.report import print_report, write_report
@@ -598,35 +590,35 @@ def measure(
     """Make a measured set for `gap`: from CSV, JSON or MAT files, a filmed result, or recorded truths.
 
     Args:
-        sources: Files of a joint's position against time (each a run), with --asset; or one result folder
-            (RESULTS/SEQ) whose reference part stood fixed, with --gravity; or truth folders of one object
-            (DATA/truth/SEQ, each recorded with --motion release).
-        out: Folder for the measured set (OUT/measured) and, of truths, the object without effects (OUT/asset).
-        gravity: m/s^2. Of files: in the asset's reference link, 0 0 -9.81 when not given. Of a result: in the camera's
-            axes (right, down, forward) of the first frame, 0 9.81 0 of a level camera.
-        rate_hz: Rows a second of files without a time; frames a second of a result [30].
-        asset: Asset folder or URDF that the recordings are of.
-        joint: Joint of the URDF; may be left out when only one can move.
-        columns: Of t, q, qd, effort, q_command, voltage, enabled, base_x, base_y, base_z, base_ax, base_ay, base_az,
-            base_angle, such as t=time q=angle; or a JSON file of such. Without a header columns are 1, 2, ...
-        unit_t: Of times: s, ms, us or ns; guessed when not given.
-        unit_q: Of positions and commands: rad, deg, turns, counts=N (N a turn), m, cm, mm; when not given, what the
-            joint's limits and the asset's motion tell.
-        unit_effort: Of efforts: N*m, N*cm or mN*m, N or mN; N*m or N when not given.
-        zero: Position as recorded, in its unit, at the URDF's 0.
-        reverse: The recording counts against the URDF's joint axis.
-        effort: Asked of the actuator, or pushing the part from outside.
-        actuator: Of force = STIFFNESS (q_command - q) - DAMPING qd, in N*m/rad and N*m*s/rad (N/m, N*s/m).
-        interpolation: Of efforts and commands between their rows; unknown when not given.
-        circumstances: JSON of actuator, base, prescribed runs, units, wrapped.
-        inertia_relative: By which the asset's inertia may be off, 0.1 when not given.
-        gravity_relative: By which its weight's torque or force may be off, 0.05 when not given.
-        held_out: Runs that a fit must never see: names, numbers from 1, or files.
-        noise_mm: Standard deviation, mm, of a tracker's shifts.
-        noise_deg: Standard deviation, degrees, of a tracker's turns.
+        sources: Files of a joint's position over time (a run each), with --asset; or one result folder (RESULTS/SEQ)
+            whose reference part stood still, with --gravity; or truth folders of one object (DATA/truth/SEQ, each
+            recorded with --motion release).
+        out: Folder for the measured set (OUT/measured) and, for truths, the object without effects (OUT/asset).
+        gravity: Gravity, m/s^2. For files: in the asset's reference link, 0 0 -9.81 when not given. For a result: in
+            the camera's axes (right, down, forward) of the first frame, 0 9.81 0 for a level camera.
+        rate_hz: Rows per second of files without times; frames of a result [30].
+        asset: Asset folder or URDF of the recorded object.
+        joint: Joint of the URDF; only needed when several can move.
+        columns: Columns of t, q, qd, effort, q_command, voltage, enabled, base_x, base_y, base_z, base_ax, base_ay,
+            base_az, base_angle, such as t=time q=angle; or a JSON file. Without a header they are called 1, 2, ...
+        unit_t: Unit of times: s, ms, us or ns; guessed when not given.
+        unit_q: Unit of positions and commands: rad, deg, turns, counts=N (N per turn), m, cm, mm; guessed from
+            the joint's limits and dynamics when not given.
+        unit_effort: Unit of efforts: N*m, N*cm or mN*m, N or mN; N*m or N when not given.
+        zero: Recorded position, in its unit, where the URDF's joint is at 0.
+        reverse: The recording's positive direction is opposite to the URDF's joint axis.
+        effort: Efforts are commanded to the actuator, or push the part.
+        actuator: Gains of force = STIFFNESS (q_command - q) - DAMPING qd, in N*m/rad and N*m*s/rad (N/m, N*s/m).
+        interpolation: Efforts and commands between their rows; unknown when not given.
+        circumstances: JSON file of actuator, base, prescribed runs, units, wrapped.
+        inertia_relative: Relative uncertainty of the asset's inertia, 0.1 when not given.
+        gravity_relative: Relative uncertainty of its gravity torque or force, 0.05 when not given.
+        held_out: Runs that no fit uses: names, numbers from 1, or files.
+        noise_mm: Standard deviation of the tracker's translations, mm.
+        noise_deg: Standard deviation of the tracker's rotations, degrees.
         seed: Seed of the tracker's errors.
-        partnet_root: Folder that holds PartNet-Mobility objects, for truths of such.
-        urdf: The object's URDF as it was recorded, for truths of one.
+        partnet_root: Folder of PartNet-Mobility objects, for truths of such objects.
+        urdf: The object's URDF as it was recorded, for truths of a URDF.
         root: The --root of that recording.
     """
     given = dict(locals())
@@ -646,8 +638,8 @@ def measure(
         from freeart21.formats.measured_series import SeriesSettings, columns_from, measure_series
 
         if asset is None:
-            raise FreeArtError("measure: files need --asset FOLDER or URDF: whose joint was measured?")
-        told = SeriesSettings(
+            raise FreeArtError("measure: files need --asset FOLDER or URDF, the object whose joint was measured")
+        series = SeriesSettings(
             columns_from(columns),
             unit_t,
             unit_q,
@@ -664,26 +656,26 @@ def measure(
             held_out,
             Circumstances() if circumstances is None else read_circumstances(circumstances),
         )
-        for note in measure_series(files, out, asset, joint, told):
+        for note in measure_series(files, out, asset, joint, series):
             print(f"- {note}")
-        _say_next(asset, out)
+        _print_next_step(asset, out)
         return
     if results and (len(sources) > 1 or gravity is None):
         raise FreeArtError(
-            "measure: a result stands alone and needs --gravity X Y Z in the camera's axes of its first frame "
+            "measure: expected one result and --gravity X Y Z in the camera's axes of its first frame "
             f"(0 9.81 0 for a level camera); got {len(sources)} folders, gravity {gravity}"
         )
     if results and gravity is not None:
         from simgap.measure.reconstruction import measure_result
 
         measure_result(results[0], out, gravity, 30.0 if rate_hz is None else rate_hz)
-        _say_next(results[0] / "asset", out)
+        _print_next_step(results[0] / "asset", out)
     else:
         from generator.measure import TrackerNoise, measure_truths
 
         noise = TrackerNoise(1e-3 * noise_mm, math.radians(noise_deg), seed=seed)
         measure_truths(sources, out, noise, partnet_root, urdf, root)
-        _say_next(out / "asset", out)
+        _print_next_step(out / "asset", out)
 
 
 def gap(
@@ -695,18 +687,18 @@ def gap(
     poses: Path | None = None,
     root: Path | None = None,
 ) -> None:
-    """Find what the simulation of an asset lacks, from measured runs or an RGB-D video: name it, or say why not.
+    """Name the physical effects that an asset's simulation lacks, from measured runs or an RGB-D video.
 
     Args:
         asset: An asset folder or a URDF.
         measured: A measured set (with measured.json), or a sequence folder: a video of the asset.
-        out: Folder for verdict.json, what was named (the repaired asset, or camera.json for `record --camera`) and a
-            page; an older one there is replaced.
-        seconds: Of a measured set: processor time after which nothing further is looked for; the answer then says so.
-        replay_seconds: Of a measured set: seconds after which SAPIEN's replay is given up; the answer then says so.
-        poses: Of a video: the result or truth folder that says where the asset was; the result that holds the asset, or
-            the truth beside the sequence, when not given.
-        root: Folder that bounds what a URDF names; its own, or its package's.
+        out: Folder for verdict.json, the repaired asset (or camera.json for `record --camera`) and a page. An older one
+            there is replaced.
+        seconds: Limit of the search on a measured set, processor seconds; the answer says when it was reached.
+        replay_seconds: Limit of the replay of a measured set in SAPIEN, s; the answer says when it was reached.
+        poses: For a video: the result or truth folder with the asset's poses; the asset's own result, or the truth of
+            the sequence, when not given.
+        root: Folder with all files of a URDF; its own, or its package's, when not given.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -717,21 +709,21 @@ def gap(
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     verdict: Any
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
-        task = bars.add_task("Looking for what is missing", total=None)
+        task = bars.add_task("Searching for missing effects", total=None)
 
-        def told(what: str) -> Callable[[int, int], None]:
-            return lambda done, total: bars.update(task, description=what, completed=done, total=total)
+        def progress(text: str) -> Callable[[int, int], None]:
+            return lambda done, total: bars.update(task, description=text, completed=done, total=total)
 
         if (measured / "sequence.json").is_file():
             from simgap.film.workflow import film_gap_folder
 
-            verdict = film_gap_folder(asset, measured, out, poses, told("Comparing the films"), root)
+            verdict = film_gap_folder(asset, measured, out, poses, progress("Comparing the videos"), root)
         else:
             from simgap.settings import GapSettings
             from simgap.workflow import gap_folder
 
-            settings, replayed = GapSettings(seconds=seconds), told("Replaying in SAPIEN")
-            verdict = gap_folder(asset, measured, out, settings, replay_seconds, replayed, root)
+            settings, replaying = GapSettings(seconds=seconds), progress("Replaying in SAPIEN")
+            verdict = gap_folder(asset, measured, out, settings, replay_seconds, replaying, root)
     for note in verdict.notes:
         print(f"- {note}", file=sys.stderr)
     print(f"{verdict.verdict}: {verdict.sentence}")
@@ -751,19 +743,19 @@ def replay(
     seconds: float = 120.0,
     root: Path | None = None,
 ) -> None:
-    """Simulate measured runs from an asset's files alone, and say how far the simulation is from each.
+    """Simulate measured runs from an asset's files alone, and print the simulation error of each run.
 
-    Only the state in which a run starts is free; it is fitted to the run and reported. `gap` has these very numbers.
+    Only the start state of a run is fitted; it is reported. `gap` prints the same numbers.
 
     Args:
-        asset: An asset folder or a URDF, with what lies beside it (effects.json; MJCF for MuJoCo).
-        runs: Measured sets (with measured.json), or files of runs in such.
+        asset: An asset folder or a URDF, with effects.json (or MJCF for MuJoCo) next to it.
+        runs: Measured sets (with measured.json), or files of runs in them.
         out: New folder for replay.json, a curve of every run and a page.
-        engine: What simulates: sapien, or mujoco, whose format cannot say all effects.
-        holding: Of inputs of which the set does not say how they go on between their rows: 0 smoothly, 1 held [0].
-        without_guesses: Leave out effects that asset.json calls guessed, as `gap` does.
-        seconds: Seconds after which what is not replayed is given up.
-        root: Folder that bounds what a URDF names; its own, or its package's.
+        engine: Simulator: sapien, or mujoco, whose format lacks some effects.
+        holding: Inputs between their rows, where the set says unknown: 0 smooth, 1 held [0].
+        without_guesses: Leave out effects that asset.json marks as guessed, as `gap` does.
+        seconds: Limit of the whole replay, s; runs beyond it are left out.
+        root: Folder with all files of a URDF; its own, or its package's, when not given.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -779,10 +771,10 @@ def replay(
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
         task = bars.add_task(f"Replaying in {engine}", total=None)
 
-        def told(done: int, total: int) -> None:
+        def progress(done: int, total: int) -> None:
             bars.update(task, completed=done, total=total)
 
-        done = replay_folder(asset, runs, out, engine, holding, not without_guesses, seconds, told, root)
+        done = replay_folder(asset, runs, out, engine, holding, not without_guesses, seconds, progress, root)
     for note in done.notes:
         print(f"- {note}", file=sys.stderr)
     if done.given_up:
@@ -803,9 +795,9 @@ def view(
     Args:
         path: A sequence, result, truth, asset or data folder, a URDF, or a PLY of Gaussians.
         out: The page; NAME.html in the working folder when not given.
-        truth: Truth folder to show beside a sequence or a result.
+        truth: Truth folder to show with a sequence or a result.
         sequence: Sequence folder of a result, for its video.
-        root: Folder that bounds what a URDF names; its own, or its package's.
+        root: Folder with all files of a URDF; its own, or its package's, when not given.
     """
     from freeart21.view import write_page
 
@@ -829,20 +821,20 @@ def convert(
     depth_unit: float = 0.001,
     fps: float | None = None,
 ) -> None:
-    """Convert recordings between layouts: a camera's pictures, official, Video2Articulation-S, ManiSkill, our own.
+    """Convert recordings between layouts: RGB-D picture folders, official, Video2Articulation-S, ManiSkill, native.
 
     Args:
-        source: A recording, or a folder of them.
-        out: Folder to add to: a data folder (native), or one that gets examples/ and data/, or .h5 files.
+        source: A recording, or a folder of recordings.
+        out: Folder to add to: a data folder (native), or one for examples/ and data/ (official), or for .h5 files.
         to: Layout to write.
         layout: Layout of the source; recognised by its files when not given.
-        partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf: truth needs their meshes.
-        joint: Joint that moves, where neither the layout nor the catalog names one.
+        partnet_root: Folder of PartNet-Mobility objects, as ROOT/41083/mobility.urdf: a truth needs their meshes.
+        joint: Moving joint, where neither the layout nor the catalog names it.
         meta: Video2Articulation's new_partnet_mobility_dataset_correct_intr_meta.json, for the joint's limits.
         hold_out: Write the official split: 5 % of the frames go to eval/.
-        skip_missing: Leave out meshes that a PartNet-Mobility object names but does not have.
-        depth_unit: Metres per depth unit of a plain folder of pictures (rgb/, depth/, masks/, cam_K.txt).
-        fps: Frames a second of such a folder; by the time stamps in its names, or 30, when not given.
+        skip_missing: Leave out missing meshes of a PartNet-Mobility object.
+        depth_unit: Metres per depth unit of a picture folder (rgb/, depth/, masks/, cam_K.txt).
+        fps: Frames per second of such a folder; from time stamps in its names, or 30, when not given.
     """
     from functools import partial
 
@@ -862,7 +854,7 @@ def convert(
 
 
 def known_commands() -> dict[str, Callable[..., Any]]:
-    """Every command by its name, in the order in which help names them: those of this file and of the rooms'."""
+    """Command name to function, in the order of the help text."""
     commands = (
         doctor,
         demo,
@@ -892,12 +884,12 @@ def known_commands() -> dict[str, Callable[..., Any]]:
 
 
 def main() -> None:
-    """Run a command; every fault is one line on standard error (`in_one_line`), a known one with exit code 1."""
+    """Run the command of `sys.argv`; errors are one line on standard error (`report_errors`)."""
     commands = known_commands()
-    if _told(sys.argv[1:], commands):
+    if _print_help_or_version(sys.argv[1:], commands):
         return
     stopping.listen()
-    with in_one_line():
+    with report_errors():
         code = tyro.extras.subcommand_cli_from_dict(
             _with_settings_file(commands, sys.argv), prog="freeart21", description=DESCRIPTION
         )
@@ -905,7 +897,7 @@ def main() -> None:
 
 
 def _check_options(kind: str, given: dict[str, Any]) -> None:
-    """FreeArtError when `measure` was given an option that is not of its kind of source."""
+    """FreeArtError when `measure` got an option that does not apply to its kind of source."""
     from freeart21.help import OPTION_GROUPS
 
     defaults = inspect.signature(measure).parameters
@@ -915,17 +907,17 @@ def _check_options(kind: str, given: dict[str, Any]) -> None:
             if whose != kind and given[name] != defaults[name].default:
                 sources = ", ".join(str(source) for source in given["sources"])
                 raise FreeArtError(
-                    f"measure: --{name.replace('_', '-')} is of {whose}, but this was taken for {kind}: {sources}"
+                    f"measure: --{name.replace('_', '-')} applies to {whose}, but this was taken for {kind}: {sources}"
                 )
 
 
-def _say_next(asset: Path, out: Path) -> None:
-    """How a measured set is used."""
+def _print_next_step(asset: Path, out: Path) -> None:
+    """Print the command that uses a measured set."""
     print(f"{out / 'measured'}: now `freeart21 gap {asset} {out / 'measured'} --out GAP`")
 
 
-def _told(argv: list[str], commands: dict[str, Callable[..., Any]]) -> bool:
-    """Answer `--version` and `--help`, if that is what was asked for."""
+def _print_help_or_version(argv: list[str], commands: dict[str, Callable[..., Any]]) -> bool:
+    """Handle `--version` and `--help`; gives whether `argv` has one of them."""
     from freeart21.help import command_help, top_help
 
     if argv[:1] == ["--version"]:
@@ -940,8 +932,8 @@ def _told(argv: list[str], commands: dict[str, Callable[..., Any]]) -> bool:
 
 
 def _with_settings_file(commands: dict[str, Callable[..., Any]], argv: list[str]) -> dict[str, Callable[..., Any]]:
-    """`commands`, in which `reconstruct` starts from the settings of the file that `argv` names; `--settings.help` is
-    turned into what prints them all."""
+    """`commands`, where the defaults of `reconstruct` come from the settings file in `argv`. `--settings.help` becomes
+    tyro's `--help`."""
     if argv[1:2] != ["reconstruct"]:
         return commands
     if "--settings.help" in argv:
@@ -968,5 +960,5 @@ def _hardware() -> str:
     return f"{platform.machine()}, {os.cpu_count()} cores"
 
 
-def _shown(state: float, joint_type: str) -> str:
+def _format_state(state: float, joint_type: str) -> str:
     return f"{math.degrees(state):.1f} deg" if joint_type == "revolute" else f"{100 * state:.2f} cm"

@@ -1,4 +1,4 @@
-"""What source code does, as a fingerprint: comments, docstrings and layout left out."""
+"""Fingerprints of source code: comments, docstrings and layout do not count."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from typing import Any
 
 
 def code_digest(modules: Iterable[tuple[str, Path]]) -> str:
-    """SHA-256, hexadecimal, of what Python modules do: their (name, file), in a given order."""
+    """SHA-256, hexadecimal, of the syntax trees of Python modules, given as (name, file) in a fixed order."""
     digest = hashlib.sha256()
     for name, path in modules:
         digest.update(f"{name}\n".encode())
-        _add_meaning(digest, path.read_text("utf-8"))
+        _add_syntax(digest, path.read_text("utf-8"))
     return digest.hexdigest()
 
 
 def source_digest(source: str) -> str:
-    """SHA-256, hexadecimal, of what the Python text `source` does."""
+    """SHA-256, hexadecimal, of the syntax tree of the Python text `source`."""
     digest = hashlib.sha256()
-    _add_meaning(digest, source)
+    _add_syntax(digest, source)
     return digest.hexdigest()
 
 
 def modules_behind(module: str, root: Path, packages: Iterable[str]) -> dict[str, Path]:
-    """Module name to file of `module` and all that it may import, at any depth, of the `packages` in the folder `root`.
+    """Module name to file, of `module` and of all that it may import, at any depth, from `packages` in `root`.
 
-    Read from the import statements, those within functions too. Not seen: what is imported by a computed name, and
-    packages that are only on the way to a module (ours merely name what they hold).
+    Read from import statements, also those inside functions. Imports by a computed name are not found, nor are the
+    packages on the way to a module.
     """
     packages = frozenset(packages)
     found: dict[str, Path] = {}
@@ -49,25 +49,25 @@ def modules_behind(module: str, root: Path, packages: Iterable[str]) -> dict[str
     return dict(sorted(found.items()))
 
 
-def _add_meaning(digest: hashlib._Hash, source: str) -> None:
-    for word in _meaning(ast.parse(source)):
+def _add_syntax(digest: hashlib._Hash, source: str) -> None:
+    for word in _syntax_words(ast.parse(source)):
         digest.update(f"{word} ".encode())
 
 
-def _meaning(node: Any) -> Iterator[str]:
-    """The words of a syntax tree: kinds of nodes, names and constants; what a Python version adds empty is left out."""
+def _syntax_words(node: Any) -> Iterator[str]:
+    """Node types, names and constants of a syntax tree. Empty fields, which differ by Python version, are left out."""
     if isinstance(node, list):
         yield "["
         for entry in node:
             text = isinstance(entry, ast.Expr) and isinstance(entry.value, ast.Constant)
-            if not (text and isinstance(entry.value.value, str)):  # a docstring, of a field perhaps
-                yield from _meaning(entry)
+            if not (text and isinstance(entry.value.value, str)):  # a docstring, also of a field
+                yield from _syntax_words(entry)
         yield "]"
     elif isinstance(node, ast.AST):
         yield type(node).__name__
         for name, value in ast.iter_fields(node):
             if value is not None and value != []:
                 yield name
-                yield from _meaning(value)
+                yield from _syntax_words(value)
     else:
         yield repr(node)

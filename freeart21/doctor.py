@@ -1,7 +1,7 @@
-"""What this machine has and lacks, and the command that mends each lack.
+"""What this machine has and lacks, and the command that fixes each lack.
 
-Everything that may crash (SAPIEN, OpenCV, a Vulkan driver) is tried in a process of its own, so that a broken driver
-costs one line, not the Python that asks.
+Whatever may crash (SAPIEN, OpenCV, a Vulkan driver) is tried in a process of its own, so that a broken driver costs one
+line of output.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from freeart21 import child
 from freeart21.errors import FreeArtError
@@ -26,7 +26,7 @@ BACKPORTS = (
     "sudo tee /etc/apt/sources.list.d/bookworm-backports.list && sudo apt-get update && "
     "sudo apt-get install -y --no-install-recommends -t bookworm-backports mesa-vulkan-drivers libx11-6"
 )
-"""Installs a software Vulkan driver that SAPIEN accepts on Debian 12; `make setup` runs the same."""
+"""Installs a software Vulkan driver that SAPIEN accepts on Debian 12. `make setup` runs the same."""
 
 _NEEDED = (
     "SAPIEN needs Vulkan 1.2 with descriptorBindingPartiallyBound, timelineSemaphore and VK_EXT_extended_dynamic_state"
@@ -57,7 +57,7 @@ import json
 from reconstruct.gaussians.backends import outlook
 print(json.dumps(dict(zip(("backend", "why"), outlook()))))
 """
-# Names of the devices that the Vulkan loader sees (VkPhysicalDeviceProperties, where the name starts at byte 20).
+# Names of the devices that the Vulkan loader finds: in VkPhysicalDeviceProperties the name begins at byte 20.
 _PROBE_VULKAN = """
 import ctypes, json, struct
 try:
@@ -84,26 +84,30 @@ print(json.dumps({"devices": devices}))
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at."""
+    """One checked item."""
 
     name: str
     status: Literal["ok", "note", "missing"]
-    """'note' is worth knowing but nothing needs it."""
+    """'note': good to know, but nothing needs it."""
     detail: str
-    mend: str = ""
-    """The command or step that mends it; empty when nothing needs mending."""
+    fix: str = ""
+    """The command or step that fixes it; empty when nothing is wrong."""
 
 
 def examine() -> list[Finding]:
-    """Everything that the product needs or can use on this machine, in the order in which it should be mended."""
+    """Everything that FreeArt-21 needs or can use on this machine, in the order in which to fix it."""
     return [_python(), *_packages(), _cv2(), _rendering(), _gpu(), _gaussians(), *_optional()]
 
 
 def require_rendering() -> None:
-    """Raise FreeArtError, in one line with the mend, unless SAPIEN can render here; asked once a process."""
+    """Raise FreeArtError, with the fix, unless SAPIEN can render here; tried once a process."""
     finding = _rendering()
     if finding.status == "missing":
-        raise FreeArtError(f"{finding.detail}. Mend: {finding.mend}")
+        raise FreeArtError(f"{finding.detail}. Fix: {finding.fix}")
+
+
+def _missing(name: str, detail: str, fix: str) -> Finding:
+    return Finding(name, "missing", detail, fix)
 
 
 def _python() -> Finding:
@@ -118,15 +122,13 @@ def _python() -> Finding:
 
 
 def _packages() -> list[Finding]:
-    """The declared dependencies of the core install against what is installed."""
+    """The declared core dependencies against the installed versions."""
     from packaging.requirements import Requirement
 
     try:
         declared = [Requirement(text) for text in importlib.metadata.requires("freeart21") or []]
     except importlib.metadata.PackageNotFoundError:
-        return [
-            Finding("packages", "missing", "freeart21 itself is not installed", "pip install -e . -c constraints.txt")
-        ]
+        return [_missing("packages", "freeart21 itself is not installed", "pip install -e . -c constraints.txt")]
     core = [r for r in declared if r.marker is None or r.marker.evaluate({"extra": ""})]
     wrong = []
     for requirement in core:
@@ -138,62 +140,59 @@ def _packages() -> list[Finding]:
         if not requirement.specifier.contains(version, prereleases=True):
             wrong.append(f"{requirement.name} is {version}, expected {requirement.specifier}")
     if wrong:
-        return [Finding("packages", "missing", text, "pip install -e . -c constraints.txt") for text in wrong]
+        return [_missing("packages", text, "pip install -e . -c constraints.txt") for text in wrong]
     return [Finding("packages", "ok", f"{len(core)} core packages as declared")]
 
 
 def _cv2() -> Finding:
-    done = _python_says(_PROBE_CV2)
+    done = _run_python(_PROBE_CV2)
     if done.returncode == 0:
         return Finding("OpenCV", "ok", done.stdout.strip())
     reason = done.stderr.strip().splitlines()[-1] if done.stderr.strip() else f"exit {done.returncode}"
     if "lib" in reason and ".so" in reason:
         reason = f"OpenCV's build with windows overwrote the headless one and needs a screen's libraries ({reason})"
-    return Finding("OpenCV", "missing", reason, "pip install --force-reinstall --no-deps opencv-python-headless")
+    return _missing("OpenCV", reason, "pip install --force-reinstall --no-deps opencv-python-headless")
 
 
 @functools.cache
 def _rendering() -> Finding:
-    done = _python_says(_PROBE_SAPIEN)
+    done = _run_python(_PROBE_SAPIEN)
     answer = _last_json(done.stdout)
     if "summary" in answer:
         names = [line.split(":", 1)[1].strip() for line in answer["summary"].splitlines() if line.startswith("GPU:")]
         return Finding("Vulkan", "ok", ", ".join(names))
     if "import" in answer:
         if "libX11" in answer["import"]:
-            return Finding(
+            return _missing(
                 "Vulkan",
-                "missing",
                 "SAPIEN cannot be imported: libX11.so.6 is missing",
                 "sudo apt-get install -y libx11-6",
             )
-        return Finding(
-            "Vulkan", "missing", f"SAPIEN cannot be imported: {answer['import']}", "pip install -e . -c constraints.txt"
+        return _missing(
+            "Vulkan", f"SAPIEN cannot be imported: {answer['import']}", "pip install -e . -c constraints.txt"
         )
     return _why_no_rendering(answer.get("error") or f"SAPIEN ended with exit code {done.returncode}")
 
 
 def _why_no_rendering(error: str) -> Finding:
-    devices = _last_json(_python_says(_PROBE_VULKAN).stdout).get("devices") or []
+    devices = _last_json(_run_python(_PROBE_VULKAN).stdout).get("devices") or []
     if devices:
-        return Finding(
+        return _missing(
             "Vulkan",
-            "missing",
             f"no Vulkan device that SAPIEN accepts: the driver of {', '.join(devices)} is too "
             f"old or unfit; {_NEEDED}; Debian 12's own Mesa 22.3 lacks the first",
             BACKPORTS,
         )
     if _nvidia() and not os.environ.get("VK_ICD_FILENAMES"):
-        return Finding(
+        return _missing(
             "Vulkan",
-            "missing",
             "there is an NVIDIA GPU but no Vulkan driver for it in this system or container",
             "start the container with NVIDIA_DRIVER_CAPABILITIES=all, or install libnvidia-gl, or set "
             "VK_ICD_FILENAMES=/usr/share/vulkan/icd.d/lvp_icd.x86_64.json for software rendering",
         )
     hint = os.environ.get("VK_ICD_FILENAMES") or os.environ.get("VK_DRIVER_FILES")
-    said = f" (VK_ICD_FILENAMES or VK_DRIVER_FILES points to {hint})" if hint else ""
-    return Finding("Vulkan", "missing", f"no Vulkan driver is installed{said}; SAPIEN says: {error}", BACKPORTS)
+    pointer = f" (VK_ICD_FILENAMES or VK_DRIVER_FILES points to {hint})" if hint else ""
+    return _missing("Vulkan", f"no Vulkan driver is installed{pointer}; SAPIEN says: {error}", BACKPORTS)
 
 
 def _gpu() -> Finding:
@@ -204,17 +203,16 @@ def _gpu() -> Finding:
 
 
 def _gaussians() -> Finding:
-    """Which rasteriser of Gaussians the reconstruction takes."""
-    done = _python_says(_PROBE_GAUSSIANS)
+    """The Gaussian rasteriser that `reconstruct` uses here."""
+    done = _run_python(_PROBE_GAUSSIANS)
     answer = _last_json(done.stdout)
     if "backend" in answer:
         return Finding("Gaussians", "ok", f"{answer['backend']}: {answer['why']}")
-    said = done.stderr.strip().splitlines()
-    reason = said[-1] if said else f"exit code {done.returncode}"
-    return Finding(
+    lines = done.stderr.strip().splitlines()
+    reason = lines[-1] if lines else f"exit code {done.returncode}"
+    return _missing(
         "Gaussians",
-        "missing",
-        f"looking for what draws them failed ({reason})",
+        f"choosing a rasteriser failed ({reason})",
         "pip install -e . -c constraints.txt, or where torch crashes: pip uninstall torch",
     )
 
@@ -238,7 +236,7 @@ def _nvidia() -> list[str]:
     return [line.strip() for line in done.stdout.splitlines() if line.strip()] if done.returncode == 0 else []
 
 
-def _python_says(code: str) -> subprocess.CompletedProcess[str]:
+def _run_python(code: str) -> subprocess.CompletedProcess[str]:
     return _run(child.python(code))
 
 
@@ -249,6 +247,6 @@ def _run(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
         return subprocess.CompletedProcess(command, 124, "", "no answer within 120 s")
 
 
-def _last_json(text: str) -> dict:
+def _last_json(text: str) -> dict[str, Any]:
     lines = [line for line in text.splitlines() if line.startswith("{")]
     return json.loads(lines[-1]) if lines else {}

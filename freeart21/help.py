@@ -1,4 +1,4 @@
-"""`--help` that fits a screen, written from the signatures and docstrings of the commands."""
+"""`--help` texts that fit a screen, made from the signatures and docstrings of the commands."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 import tyro
 
 WIDTH = 100
-"""Columns that a help text has at most."""
+"""Largest width of a help text, columns."""
 _COLUMN = 27
 _METAVARS = {int: "N", float: "NUMBER", str: "NAME", Path: "PATH"}
 OPTION_GROUPS: dict[str, dict[str, tuple[str, ...]]] = {
     "record": {
-        "what is filmed": ("procedural", "count", "split", "partnet_root", "joint", "skip_missing", "root"),
-        "how it moves": ("motion", "carry", "seed", "effects", "let_go"),
-        "how it is filmed": ("frames", "preset", "sensor", "camera", "queries", "width", "height", "shader"),
+        "the objects": ("procedural", "count", "split", "partnet_root", "joint", "skip_missing", "root"),
+        "the motion": ("motion", "carry", "seed", "effects", "let_go"),
+        "the camera": ("frames", "preset", "sensor", "camera", "queries", "width", "height", "shader"),
     },
     "teleop": {
-        "what is moved": ("seed", "partnet_root", "joint", "skip_missing", "root"),
+        "the object": ("seed", "partnet_root", "joint", "skip_missing", "root"),
         "the server and its picture": ("host", "port", "width", "height"),
     },
     "measure": {
         "of files": ("asset", "joint", "columns", "unit_t", "unit_q", "unit_effort", "zero", "reverse", "held_out"),
-        "what drove it, and how sure the asset is": (
+        "of files, the drive and the asset's uncertainty": (
             "effort",
             "actuator",
             "interpolation",
@@ -38,10 +38,10 @@ OPTION_GROUPS: dict[str, dict[str, tuple[str, ...]]] = {
             "inertia_relative",
             "gravity_relative",
         ),
-        "of truths, the errors of a tracker": ("noise_mm", "noise_deg", "seed", "partnet_root", "urdf", "root"),
+        "of truths, the simulated tracker": ("noise_mm", "noise_deg", "seed", "partnet_root", "urdf", "root"),
     },
 }
-"""Command to headings and their options; what is in none comes first."""
+"""Command to headings and their options. Options under no heading come first."""
 
 
 def top_help(commands: dict[str, Callable[..., Any]], description: str) -> str:
@@ -49,20 +49,23 @@ def top_help(commands: dict[str, Callable[..., Any]], description: str) -> str:
     width = _width()
     lines = ["usage: freeart21 COMMAND [OPTIONS]", "", *textwrap.wrap(description, width), "", "commands:"]
     for name, f in commands.items():
-        said = inspect.getdoc(f) or ""
-        line = said.splitlines()[0] if said else ""
+        line = (inspect.getdoc(f) or "").partition("\n")[0]
         for end in (r":| \(", ","):
             if len(line) > width - 20:
                 line = re.split(end, line)[0] + "."
         lines.append(f"  {name:16}  {line}")
     return "\n".join(
-        [*lines, "", "`freeart21 COMMAND --help` tells a command's options; `freeart21 --version` the version."]
+        [
+            *lines,
+            "",
+            "`freeart21 COMMAND --help` lists the options of a command, `freeart21 --version` prints the version.",
+        ]
     )
 
 
 def command_help(name: str, f: Callable[..., Any]) -> str:
     """The help of one command: usage, what it does, and its options with their units and defaults."""
-    summary, said = _docstring(f)
+    summary, texts = _docstring(f)
     hints = get_type_hints(f, include_extras=True)
     parameters = list(inspect.signature(f).parameters.values())
     positional = [p for p in parameters if tyro.conf.Positional in _markers(hints[p.name])]
@@ -78,7 +81,7 @@ def command_help(name: str, f: Callable[..., Any]) -> str:
     for paragraph in summary.split("\n\n"):
         lines += [*textwrap.wrap(paragraph, _width()), ""]
     for p in positional:
-        lines += _entry(_positional(p, hints[p.name]).strip("[]"), said.get(p.name, ""), p.default)
+        lines += _entry(_positional(p, hints[p.name]).strip("[]"), texts.get(p.name, ""), p.default)
     groups = OPTION_GROUPS.get(name, {})
     grouped = {option for names in groups.values() for option in names}
     headed = {"options": tuple(p.name for p in options if p.name not in grouped), **groups}
@@ -90,14 +93,14 @@ def command_help(name: str, f: Callable[..., Any]) -> str:
             metavar = _metavar(hint)
             lines += _entry(
                 f"{_flag(option, hint)} {metavar}".replace(" .", ".").rstrip(),
-                said.get(option) or _said(hint, "help") or "",
+                texts.get(option) or _tyro_argument(hint, "help") or "",
                 by_name[option].default,
             )
     return "\n".join(lines)
 
 
 def _entry(left: str, text: str, default: object) -> Iterator[str]:
-    """An option and what it is, the text in a column of its own."""
+    """The lines of one option: its flag, then its text in a second column."""
     plain = default is inspect.Parameter.empty or default is None or default is False or default == ()
     if not plain and not dataclasses.is_dataclass(default):
         shown = " ".join(map(str, default)) if isinstance(default, tuple) else str(default)
@@ -117,32 +120,32 @@ def _width() -> int:
 
 
 def _docstring(f: Callable[..., Any]) -> tuple[str, dict[str, str]]:
-    """What stands before "Args:", and the text of each argument."""
+    """The text before "Args:", and argument name to its text."""
     summary, _, listed = (inspect.getdoc(f) or "").partition("\nArgs:\n")
-    said: dict[str, str] = {}
+    texts: dict[str, str] = {}
     name = ""
     for line in listed.splitlines():
         begins = re.match(r" {4}(\w+): (.*)", line)
         if begins:
             name = begins[1]
-            said[name] = begins[2]
+            texts[name] = begins[2]
         elif name:
-            said[name] += " " + line.strip()
-    return summary.strip(), said
+            texts[name] += " " + line.strip()
+    return summary.strip(), texts
 
 
 def _markers(hint: Any) -> tuple[Any, ...]:
     return get_args(hint)[1:] if get_origin(hint) is Annotated else ()
 
 
-def _said(hint: Any, what: str) -> Any:
-    """What `tyro.conf.arg` says of a parameter: its name, metavar or help."""
-    told = [m for m in _markers(hint) if hasattr(m, "help_behavior_hint")]
-    return getattr(told[0], what) if told else None
+def _tyro_argument(hint: Any, field: str) -> Any:
+    """A field of a parameter's `tyro.conf.arg`: its name, metavar or help; None without one."""
+    marker = next((m for m in _markers(hint) if hasattr(m, "help_behavior_hint")), None)
+    return getattr(marker, field, None)
 
 
 def _flag(name: str, hint: Any) -> str:
-    return "--" + (_said(hint, "name") or name).replace("_", "-")
+    return "--" + (_tyro_argument(hint, "name") or name).replace("_", "-")
 
 
 def _positional(p: inspect.Parameter, hint: Any) -> str:
@@ -152,10 +155,10 @@ def _positional(p: inspect.Parameter, hint: Any) -> str:
 
 
 def _metavar(hint: Any) -> str:
-    """What stands for the value of an option: nothing for a switch."""
-    told = _said(hint, "metavar")
-    if told is not None:
-        return str(told)
+    """The placeholder of an option's value; empty for a switch."""
+    given = _tyro_argument(hint, "metavar")
+    if given is not None:
+        return str(given)
     bare = get_args(hint)[0] if get_origin(hint) is Annotated else hint
     if get_origin(bare) in (Union, types.UnionType):
         bare = next(a for a in get_args(bare) if a is not type(None))

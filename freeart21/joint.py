@@ -29,7 +29,7 @@ class Joint:
     axis: Array
     """(3,) unit vector."""
     pivot: Array
-    """(3,) a point on the axis, metres. Arbitrary for a prismatic joint, and never scored there."""
+    """(3,) a point on the axis, metres. Arbitrary for a prismatic joint, where it is not scored."""
     lower: float
     """Lower limit, rad or m; -inf when there is none."""
     upper: float
@@ -82,5 +82,5 @@ class Joint:
         return replace(self, axis=T[:3, :3] @ self.axis, pivot=se3.transform(T, self.pivot))
 
     def reversed(self) -> Joint:
-        """The same motions with the axis turned round and every state negated."""
+        """The same motion with the opposite axis and negated states."""
         return replace(self, axis=-self.axis, lower=-self.upper, upper=-self.lower)

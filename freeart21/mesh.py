@@ -1,4 +1,4 @@
-"""A triangle mesh as plain arrays: what one rigid part looks like."""
+"""A triangle mesh as plain arrays: the surface of one rigid part."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Mesh:
 
     @property
     def empty(self) -> bool:
-        """No triangle at all."""
+        """Whether the mesh has no triangle."""
         return len(self.faces) == 0
 
     def moved(self, T_new_old: ArrayLike) -> Mesh:
@@ -50,7 +50,7 @@ class Mesh:
         return replace(self, vertices=se3.transform(T_new_old, self.vertices))
 
     def with_faces(self, kept: NDArray[np.bool_]) -> Mesh:
-        """The mesh of the faces `kept` (F,) alone, without vertices that none of them uses."""
+        """The mesh of the faces where `kept` (F,) is true, without unused vertices."""
         faces = self.faces[kept]
         used, new = np.unique(faces, return_inverse=True)
         return Mesh(self.vertices[used], new.reshape(-1, 3), None if self.colours is None else self.colours[used])
@@ -62,13 +62,13 @@ class Mesh:
 
 
 def bounding_diagonal(*meshes: Mesh) -> float:
-    """Length, metres, of the diagonal of the axis-aligned box round all meshes; 0 when all are empty."""
+    """Diagonal, metres, of the axis-aligned box around all meshes; 0 when all are empty."""
     points = [mesh.vertices[np.unique(mesh.faces)] for mesh in meshes if not mesh.empty]
     return float(np.linalg.norm(np.ptp(np.concatenate(points), axis=0))) if points else 0.0
 
 
 def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
-    """All meshes as one; colours are kept when every mesh has them."""
+    """All meshes as one, with colours when every mesh has them."""
     if len(meshes) == 1:
         return meshes[0]
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
@@ -78,8 +78,8 @@ def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
     return Mesh(vertices, faces, np.concatenate(colours) if colours and len(colours) == len(meshes) else None)
 
 
-def middle(mesh: Mesh) -> NDArray[np.float64]:
-    """(3,) the middle of a mesh's box; the origin when it is empty."""
+def box_centre(mesh: Mesh) -> NDArray[np.float64]:
+    """(3,) centre of the axis-aligned box around a mesh, metres; the origin when it is empty."""
     if mesh.empty:
         return np.zeros(3)
     used = mesh.vertices[np.unique(mesh.faces)]

@@ -1,9 +1,8 @@
-"""The one-euro filter (Casiez, Roussel and Vogel, CHI 2012) of a pose and a joint's state: steady yet prompt.
+"""The one-euro filter (Casiez, Roussel and Vogel, CHI 2012) for a pose and a joint state.
 
-A first-order low pass whose cutoff grows with speed, `min_cutoff + beta * |speed|`, the speed itself low-passed. A
-vector has one cutoff, by the length of its speed, so that no path is bent. A rotation is filtered on SO(3): the
-filter goes a share of the rotation vector from where it stands to what was measured; the speed is that vector over
-the time.
+A first-order low pass whose cutoff grows with the low-passed speed: `min_cutoff + beta * |speed|`. A vector has one
+cutoff, from the norm of its speed, so that paths are not bent. A rotation is filtered on SO(3): the filter moves along
+the rotation vector from its estimate to the measurement; the speed is that vector over the time step.
 """
 
 from __future__ import annotations
@@ -23,31 +22,31 @@ Vector = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Band:
-    """How one quantity is filtered."""
+    """Filter parameters of one quantity."""
 
     min_cutoff_hz: float
-    """Cutoff of what stands still."""
+    """Cutoff at rest."""
     beta: float
-    """Hz of cutoff more for each unit of speed: 1/m for positions and sliding joints, 1/rad for turns and hinges."""
+    """Increase of the cutoff with speed: 1/m for positions and prismatic joints, 1/rad for rotations and hinges."""
 
 
 @dataclass(frozen=True)
 class OneEuro:
-    """Settings of the filter; None leaves a quantity as it is."""
+    """Settings of the filter; a quantity with None is not filtered."""
 
     position: Band | None
     rotation: Band | None
     state: Band | None
     speed_cutoff_hz: float = 1.0
-    """Of the speed: the paper's value, which its authors found to need no tuning."""
+    """Cutoff of the speed. The paper's value; its authors found that it needs no tuning."""
 
 
-def headset(joint_type: JointType) -> OneEuro:
-    """What controllers held in the hand want, for a hinge's or a slide's joint.
+def headset_filter(joint_type: JointType) -> OneEuro:
+    """Settings for hand-held controllers, for a revolute or prismatic joint.
 
-    By `python -m benchmarks.headset_filter` a held controller's noise (assumed: .6 mm and .25 degrees, half of it a
-    hand's tremor at 10 Hz) becomes 4.1 and 4.5 times less, and captured motion of eleven takes lags 3 and 4 ms where it
-    is fastest (5 % of each take) and 6 ms elsewhere (places, turns). A joint's speed counts as a turn's or a place's.
+    Measured by `python -m benchmarks.headset_filter`: a held controller's noise (assumed: .6 mm and .25 degrees, half
+    of it a tremor at 10 Hz) falls by 4.1 (position) and 4.5 (rotation). Captured motion of eleven takes lags 3 and 4 ms
+    in its fastest 5 %, and 6 ms elsewhere. The joint state is filtered as a rotation or a position, by its type.
     """
     place, turn = Band(1.0, 100.0), Band(1.0, 10.0)
     return OneEuro(place, turn, turn if joint_type == "revolute" else place)
@@ -56,10 +55,8 @@ def headset(joint_type: JointType) -> OneEuro:
 class PoseFilter:
     """The filter, sample by sample.
 
-    Each quantity asks for a cutoff by its own speed, and the largest is used for all of them: what is filtered goes one
-    share of its way. So pose and joint are together what they were together some milliseconds ago, as somebody saw
-    them, and not a pose of one moment with a joint of another: in one of the first takes such an object left the
-    picture that it had been kept in.
+    Every quantity computes a cutoff from its own speed, and all use the largest one. So pose and joint state lag by the
+    same time. With separate lags, an object left the picture that the operator had kept it in.
     """
 
     def __init__(self, settings: OneEuro) -> None:
@@ -68,27 +65,27 @@ class PoseFilter:
         self._parts: tuple[_Filter, _Filter, _Filter] | None = None
 
     def step(self, time: float, position: Vector, quaternion: Vector, state: float) -> tuple[Vector, Vector, float]:
-        """The filtered position (3,) m, unit quaternion (4,) wxyz and state of a sample at `time` s; times grow."""
-        given, wanted = self._settings, (position, quaternion, (state,))
+        """The filtered position (3,) m, unit quaternion (4,) wxyz and state of a sample at `time` s; times increase."""
+        given, measured = self._settings, (position, quaternion, (state,))
         if self._parts is None:
             self._parts = (
                 _Filter(given.position, _minus, _plus, position),
-                _Filter(given.rotation, _turn_to, _turned, quaternion),
+                _Filter(given.rotation, _rotation_between, _rotate, quaternion),
                 _Filter(given.state, _minus, _plus, (state,)),
             )
         else:
             dt, parts = time - self._time, self._parts
             a = _share(given.speed_cutoff_hz, dt)
-            b = _share(max(part.cutoff(value, a, dt) for part, value in zip(parts, wanted, strict=True)), dt)
-            for part, value in zip(parts, wanted, strict=True):
-                part.go(value, b)
+            b = _share(max(part.cutoff(value, a, dt) for part, value in zip(parts, measured, strict=True)), dt)
+            for part, value in zip(parts, measured, strict=True):
+                part.update(value, b)
         self._time = time
         place, turn, joint = self._parts
-        return place.at, turn.at, joint.at[0]
+        return place.value, turn.value, joint.value[0]
 
 
-def filtered(settings: OneEuro, times: Array, Ts: Array, states: Array) -> tuple[Array, Array]:
-    """Poses (n, 4, 4) and states (n,) at the same `times` (n,): what `PoseFilter` gives, sample by sample."""
+def filter_motion(settings: OneEuro, times: Array, Ts: Array, states: Array) -> tuple[Array, Array]:
+    """Filter poses `Ts` (n, 4, 4) and states (n,) at `times` (n,), s, with `PoseFilter`."""
     running = PoseFilter(settings)
     rows = zip(times.tolist(), Ts[:, :3, 3].tolist(), se3.wxyz(Ts).tolist(), states.tolist(), strict=True)
     out = [running.step(time, tuple(p), tuple(q), s) for time, p, q, s in rows]
@@ -97,7 +94,7 @@ def filtered(settings: OneEuro, times: Array, Ts: Array, states: Array) -> tuple
 
 
 class _Filter:
-    """One quantity in the paper's Algorithm 1: anything with a difference (a vector) and a way to add one."""
+    """One quantity in the paper's Algorithm 1: a value with a difference (a vector) and an addition."""
 
     def __init__(
         self,
@@ -106,29 +103,29 @@ class _Filter:
         plus: Callable[[Vector, Vector], Vector],
         at: Vector,
     ) -> None:
-        self.at = at
-        """Where the filter stands."""
+        self.value = at
+        """The filtered value."""
         self._band, self._minus, self._plus = band, minus, plus
         self._speed = minus(at, at)
 
     def cutoff(self, value: Vector, a: float, dt: float) -> float:
-        """The cutoff that it asks for, Hz, once its speed has gone a share `a` to the one it needs to `value`."""
+        """Update the speed with weight `a` towards the new `value`; gives the cutoff, Hz."""
         if self._band is None:
             return 0.0
-        away = self._minus(value, self.at)
+        away = self._minus(value, self.value)
         self._speed = tuple(v + a * (d / dt - v) for v, d in zip(self._speed, away, strict=True))
         return self._band.min_cutoff_hz + self._band.beta * math.hypot(*self._speed)
 
-    def go(self, value: Vector, share: float) -> None:
-        """Go so much of the way to `value`; all of it, where nothing is filtered."""
+    def update(self, value: Vector, share: float) -> None:
+        """Move by `share` of the difference to `value`; all of it without a filter."""
         if self._band is None:
-            self.at = value
+            self.value = value
         else:
-            self.at = self._plus(self.at, tuple(share * d for d in self._minus(value, self.at)))
+            self.value = self._plus(self.value, tuple(share * d for d in self._minus(value, self.value)))
 
 
 def _share(cutoff_hz: float, dt: float) -> float:
-    """How far a low pass goes to a new value in `dt` seconds, of 1."""
+    """Weight of a new value in a first-order low pass after `dt` seconds, 0 to 1."""
     return 1 / (1 + 1 / (2 * math.pi * cutoff_hz * dt)) if cutoff_hz > 0 else 0.0
 
 
@@ -140,8 +137,8 @@ def _plus(a: Vector, b: Vector) -> Vector:
     return tuple(x + y for x, y in zip(a, b, strict=True))
 
 
-def _turn_to(to: Vector, at: Vector) -> Vector:
-    """The rotation vector (3,) that turns `at` to `to`, the shorter way."""
+def _rotation_between(to: Vector, at: Vector) -> Vector:
+    """The shortest rotation vector (3,) from quaternion `at` to `to`."""
     w, x, y, z = _product(to, (at[0], -at[1], -at[2], -at[3]))
     if w < 0:
         w, x, y, z = -w, -x, -y, -z
@@ -150,8 +147,8 @@ def _turn_to(to: Vector, at: Vector) -> Vector:
     return x * scale, y * scale, z * scale
 
 
-def _turned(at: Vector, by: Vector) -> Vector:
-    """`at` turned by the rotation vector `by`, of length 1, w >= 0 or not as `at`."""
+def _rotate(at: Vector, by: Vector) -> Vector:
+    """The unit quaternion `at` rotated by the rotation vector `by`."""
     angle = math.hypot(*by)
     scale = math.sin(angle / 2) / angle if angle > 1e-12 else 0.5
     q = _product((math.cos(angle / 2), by[0] * scale, by[1] * scale, by[2] * scale), at)

@@ -1,4 +1,4 @@
-"""What a method may see: an RGB-D video with foreground masks, and the held-out views to be rendered."""
+"""The input of a method: an RGB-D video with foreground masks, and the held-out views to render."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Query:
-    """A held-out view: the object posed as in one frame, its joint as in another, seen from a moved camera."""
+    """A held-out view: the object's pose of one frame, the joint state of another, and a moved camera."""
 
     pose_of_frame: int
     """Frame whose pose of the reference part is taken."""
@@ -42,7 +42,7 @@ class Query:
 
 
 class FrameSource(Protocol):
-    """Where frames come from (a folder, memory): loaded one at a time."""
+    """Loads frames one at a time, from a folder or from memory."""
 
     def __call__(self, index: int) -> Frame:
         """The frame `index`."""
@@ -51,7 +51,7 @@ class FrameSource(Protocol):
 
 @dataclass(frozen=True)
 class Recording:
-    """An RGB-D video of one object from a camera with known intrinsics. Frames load when asked for."""
+    """An RGB-D video of one object from a camera with known intrinsics. Frames load on demand."""
 
     camera: Camera
     times_s: NDArray[np.float64]

@@ -12,7 +12,7 @@ from freeart21.errors import FreeArtError
 
 Array = NDArray[np.float64]
 
-_SMALL_ANGLE = 1e-4  # below it the closed forms lose digits and their Taylor series are exact to 1e-16
+_SMALL_ANGLE = 1e-4  # rad: below it closed forms lose digits and Taylor series are exact to 1e-16
 
 
 def pose(R: ArrayLike, t: ArrayLike) -> Array:
@@ -140,8 +140,8 @@ def rotation_angle(R: ArrayLike) -> Array:
 def mean_pose(Ts: ArrayLike, sigma: float | None = 2.0) -> Array:
     """Robust mean (4, 4) of poses (n, 4, 4): chordal L2 for the rotation, arithmetic for the translation.
 
-    Poses further than `sigma` standard deviations (root mean square of the distance to the current mean, rotation or
-    translation) are left out, until the set no longer changes. `sigma=None` keeps all.
+    Poses whose rotation or translation is further from the current mean than `sigma` times the root mean square are
+    left out, until the set no longer changes. `sigma=None` keeps all.
     """
     Ts = np.asarray(Ts, float)
     kept = np.ones(len(Ts), bool)
@@ -162,7 +162,7 @@ def mean_pose(Ts: ArrayLike, sigma: float | None = 2.0) -> Array:
 
 
 def pose_from_wxyz(position: ArrayLike, wxyz: ArrayLike) -> Array:
-    """The pose (..., 4, 4) of a position (..., 3) and a quaternion in w, x, y, z order (..., 4), normalised here."""
+    """The pose (..., 4, 4) of a position (..., 3) and a quaternion (..., 4) in w, x, y, z order, of any length."""
     q = np.asarray(wxyz, float)
     w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
     rows = [

@@ -1,6 +1,6 @@
-"""Where Python looks for modules: not in the folder that the user stands in.
+"""Python's module search path without the user's working folder.
 
-This module imports only what Python itself has imported before it looks into that folder.
+This module imports only what Python itself imports before it looks into that folder.
 """
 
 import os
@@ -18,14 +18,14 @@ _MODULES = {
 
 
 def search_path() -> list[str]:
-    """`sys.path` with this package's own place and without the working folder.
+    """`sys.path` with the folder of this package and without the working folder.
 
-    The working folder stays where PYTHONPATH names it in full, where the package lies in it, and where it is a
-    `site-packages`. Our place comes before any other that has a package named as one of ours.
+    The working folder stays where PYTHONPATH names it in full, where this package lies in it, or where it is a
+    `site-packages`. The folder of this package comes before any other with a package of the same name as one of ours.
     """
     try:
         here = os.getcwd()
-    except OSError:  # it is gone
+    except OSError:  # it was removed
         here = ""
     named = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     wanted = here in (_ROOT, *named) or os.path.basename(here) == "site-packages"

@@ -1,4 +1,4 @@
-"""Directions: evenly spread over the sphere, and how much of it a set of views covers."""
+"""Evenly spread directions on the sphere, and how much of it a set of views covers."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from freeart21.se3 import Array
 
 CELLS = 48
-"""Equal shares into which the sphere of views is divided."""
+"""Number of equal cells of the viewing sphere."""
 REACH_DEGREES = 30.0
-"""A cell is covered by any view within this angle of its middle."""
+"""A cell is covered by any view within this angle of its centre."""
 
 
-def sphere(n: int) -> Array:
-    """n unit vectors (n, 3), evenly spread: a Fibonacci lattice (Swinbank and Purser 2006), each of equal area."""
+def fibonacci_sphere(n: int) -> Array:
+    """n evenly spread unit vectors (n, 3): a Fibonacci lattice of equal areas (Swinbank and Purser 2006)."""
     z = 1 - 2 * (np.arange(n) + 0.5) / n
     angle = np.pi * (1 + 5**0.5) * np.arange(n)
     r = np.sqrt(1 - z**2)
@@ -23,7 +23,7 @@ def sphere(n: int) -> Array:
 
 def covered_cells(views: Array) -> NDArray[np.bool_]:
     """(..., CELLS) which cells each of the unit vectors `views` (..., 3) covers."""
-    return views @ sphere(CELLS).T >= np.cos(np.radians(REACH_DEGREES))
+    return views @ fibonacci_sphere(CELLS).T >= np.cos(np.radians(REACH_DEGREES))
 
 
 def coverage(views: Array) -> float:

@@ -1,4 +1,4 @@
-"""What a recording's motion is like: its pace, what is seen of the object, and how hard it is to follow."""
+"""Statistics of a recording's motion: its pace, what is visible of the object, and how hard it is to track."""
 
 from __future__ import annotations
 
@@ -8,45 +8,46 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21 import se3, sphere
+from freeart21.mesh import box_centre
 from freeart21.recording import Recording
 from freeart21.se3 import Array
-from freeart21.strokes import JOINT_SHARE, SHIFT, TURN_DEGREES, Movement
+from freeart21.submovements import JOINT_SHARE, SHIFT, TURN_DEGREES, Movement
 from freeart21.truth import Truth
 
 FEW = 0.05
-"""Share of the object's pixels below which the moving part is hard to follow."""
+"""Share of the object's pixels below which the moving part is hard to track."""
 HARD_FRAMES = 0.15
-"""Share of the frames, with few pixels of the moving part, that makes a sequence a hard one."""
+"""A sequence is hard when the moving part has few pixels in this share of its frames."""
 GONE_FRAMES = 5
-"""Frames without a pixel of the moving part, one after the other, that count as its disappearance."""
+"""The moving part has disappeared when it has no pixel in this many frames in a row."""
 
 
 @dataclass(frozen=True)
 class MotionStatistics:
-    """Of one sequence of n frames."""
+    """Statistics of one sequence of n frames."""
 
     name: str
     source: dict[str, str]
-    """Object, motion, sensor and seed, as far as the truth tells; of a take, its name and device."""
+    """Object, motion, sensor and seed, where the truth states them; of a take, its name and device."""
     joint_type: str
     frames: int
     degrees: Array
-    """(n - 1,) turn of the held part (the one that turns less in all) from frame to frame, against the camera."""
+    """(n - 1,) degrees from frame to frame that the held part (the one that turns less in all) turns in camera axes."""
     opening: Array
-    """(n,) joint state as a share of its limits; of its states in the video where there are none."""
+    """(n,) joint state as a share of its limits, or of its range in the video where it has no limits."""
     share: Array
     """(n,) the moving part's share of the object's pixels."""
     views: Array
     """(n, 3) unit vectors from the object to the camera, canonical frame."""
     movement: Movement
-    """Of the held part, and of the joint over the range of its states."""
+    """Motion of the held part, and of the joint over the range of its states."""
     pose_only: float
     """Shares of the frames in which only the pose, only the joint, both or neither moved."""
     joint_only: float
     both: float
     neither: float
     coverage: float
-    """Share of the sphere of views that was seen (`freeart21.sphere`)."""
+    """Share of the viewing sphere that the video covers (`freeart21.sphere`)."""
     range_covered: float
     """Share of the joint's limits that its states span."""
     fill: float
@@ -54,49 +55,49 @@ class MotionStatistics:
     leaves: bool
     """Whether the object touches the border of the picture in some frame."""
     depth_m: tuple[float, float]
-    """Nearest and furthest depth, metres, over the frames looked at."""
+    """Nearest and furthest depth, metres, over the checked frames."""
     masks_valid: bool
-    """Whether foreground, part masks and the truth's pixel counts agree, in the frames looked at."""
+    """Whether foreground, part masks and the truth's pixel counts agree, in the checked frames."""
 
     @property
     def recorded(self) -> bool:
-        """Whether somebody moved the object, rather than a script."""
+        """Whether a person moved the object, not a script."""
         return "take" in self.source
 
     @property
-    def moved_by(self) -> str:
-        """The scripted style, or what the motion was taken with."""
+    def motion_source(self) -> str:
+        """The scripted style, or the device of the take."""
         return self.source.get("device", "a take") if self.recorded else self.source.get("motion", "unknown")
 
     @property
     def median_degrees(self) -> float:
-        """Median turn a frame."""
+        """Median rotation from frame to frame, degrees."""
         return float(np.median(self.degrees)) if len(self.degrees) else 0.0
 
     @property
     def max_degrees(self) -> float:
-        """Largest turn a frame."""
+        """Largest rotation from frame to frame, degrees."""
         return float(self.degrees.max(initial=0.0))
 
     @property
-    def few(self) -> float:
-        """Share of frames in which the moving part has few pixels."""
+    def few_pixels_share(self) -> float:
+        """Share of frames in which the moving part has few pixels (FEW)."""
         return float(np.mean(self.share < FEW))
 
     @property
-    def gone(self) -> int:
+    def longest_absence(self) -> int:
         """Most frames in a row without a pixel of the moving part."""
         edges = np.flatnonzero(np.diff(np.concatenate([[0], (self.share == 0).astype(int), [0]])))
         return int(np.diff(edges)[::2].max(initial=0))
 
     @property
-    def hard(self) -> bool:
-        """Whether the moving part has few pixels for long."""
-        return self.few >= HARD_FRAMES
+    def is_hard(self) -> bool:
+        """Whether the moving part has few pixels in HARD_FRAMES of the frames."""
+        return self.few_pixels_share >= HARD_FRAMES
 
 
 def motion_statistics(recording: Recording, truth: Truth, every: int = 10) -> MotionStatistics:
-    """The statistics of a recording with its truth; depth and foreground are looked at in every `every`-th frame.
+    """The statistics of a recording with its truth; depth and foreground are checked in every `every`-th frame.
 
     Raises FreeArtError when a picture is missing or of another size than the camera's.
     """
@@ -105,11 +106,12 @@ def motion_statistics(recording: Recording, truth: Truth, every: int = 10) -> Mo
     poses = truth.Ts_camera_reference, truth.Ts_camera_moving
     held = int(turns[1].sum() < turns[0].sum())
     moves = np.maximum(turns / TURN_DEGREES, shifts / (SHIFT * truth.diagonal))
-    pose = moves.min(0) >= 1  # a part at rest says that the object was held still and the joint worked
+    pose = moves.min(0) >= 1  # one part at rest: the object was held still while the joint moved
     span = float(np.ptp(states))
     working = np.abs(np.diff(states)) >= JOINT_SHARE * span if span > 0 else np.zeros(n - 1, bool)
     shares = (states - states.min()) / max(span, 1e-12)
-    low, high = (joint.lower, joint.upper) if np.isfinite([joint.lower, joint.upper]).all() else _ends(states)
+    limits = joint.lower, joint.upper
+    low, high = limits if np.isfinite(limits).all() else (float(states.min()), float(states.max()))
     boxes, leaves, counts_agree = _outlines(truth)
     depth, masks_agree = _depths(recording, truth, range(0, n, every))
     centre = np.mean(middles, axis=0)
@@ -143,30 +145,25 @@ def motion_statistics(recording: Recording, truth: Truth, every: int = 10) -> Mo
 
 def _source(truth: Truth) -> dict[str, str]:
     keys = ("object", "motion", "sensor", "seed")
-    told: dict[str, str] = {str(key): str(truth.source[key]) for key in keys if key in truth.source}
+    found: dict[str, str] = {str(key): str(truth.source[key]) for key in keys if key in truth.source}
     take = truth.source.get("track")
     if isinstance(take, dict):
-        told |= {"take": str(take.get("name", "unknown")), "device": str(take.get("device", "a take"))}
-    return told
-
-
-def _ends(states: Array) -> tuple[float, float]:
-    return float(states.min()), float(states.max())
+        found |= {"take": str(take.get("name", "unknown")), "device": str(take.get("device", "a take"))}
+    return found
 
 
 def frames_a_second(recording: Recording) -> float:
-    """Frames a second, by the middle one of all waits between frames."""
+    """Frames a second, from the median time between frames."""
     return 1 / float(np.median(np.diff(recording.times_s))) if len(recording) > 1 else 30.0
 
 
 def _parts_motion(truth: Truth) -> tuple[list[Array], list[Array], Array, Array]:
-    """Middles (3,) of both parts, canonical; where these are before the camera, metres, (n, 3) each; turns,
-    degrees, and shifts of the middles, metres, (2, n - 1) each."""
+    """Box centres (3,) of both parts, canonical frame; the same in the camera's axes, metres, (n, 3) each; rotations,
+    degrees, and shifts of the centres, metres, from frame to frame, (2, n - 1) each."""
     middles, wheres, turns, shifts = [], [], [], []
     parts = truth.articulation.reference, truth.articulation.moving
     for mesh, Ts in zip(parts, (truth.Ts_camera_reference, truth.Ts_camera_moving), strict=True):
-        corners = mesh.vertices[np.unique(mesh.faces)]
-        middle = (corners.min(0) + corners.max(0)) / 2 if len(corners) else np.zeros(3)
+        middle = box_centre(mesh)
         Rs = Ts[:, :3, :3]
         where = Rs @ middle + Ts[:, :3, 3]
         middles.append(middle)
@@ -177,7 +174,8 @@ def _parts_motion(truth: Truth) -> tuple[list[Array], list[Array], Array, Array]
 
 
 def _outlines(truth: Truth) -> tuple[NDArray[np.int64], bool, bool]:
-    """Heights (n,) of the object, pixels; whether it touches a border; whether the pixel counts are the masks'."""
+    """Heights (n,) of the object, pixels; whether it touches a border; whether the truth's pixel counts fit the
+    masks."""
     heights, leaves, agree = np.zeros(len(truth), np.int64), False, True
     for i in range(len(truth)):
         labels = truth.part_mask(i)
@@ -190,7 +188,7 @@ def _outlines(truth: Truth) -> tuple[NDArray[np.int64], bool, bool]:
 
 
 def _depths(recording: Recording, truth: Truth, frames: range) -> tuple[tuple[float, float], bool]:
-    """Nearest and furthest depth of the object, metres, and whether the foreground is that of the part masks."""
+    """Nearest and furthest depth of the object, metres, and whether the foreground fits the part masks."""
     near, far, agree = np.inf, 0.0, True
     for i in frames:
         frame = recording.frame(i)

@@ -1,8 +1,8 @@
-"""Being told to stop: by Ctrl-C, by a terminal that closes, or by `kill`.
+"""Stop signals: Ctrl-C, a terminal that closes, or `kill`.
 
-A command is told once, by KeyboardInterrupt in its main thread; then its contexts clear up what is half done, and the
-process ends (`ending.leave`) before the native libraries are taken down. Telling again while things are cleared up does
-nothing; nothing is written any more (`check`), whatever became of the exception on its way.
+The first signal raises KeyboardInterrupt in the main thread. The contexts then clean up unfinished work, and the
+process ends (`ending.exit_process`) before native libraries are torn down. Further signals during clean-up are ignored.
+Nothing is written any more (`raise_if_stopped`), even when the exception was swallowed on its way.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Each means stop."""
 
 _PATIENCE_S = 10.0
-"""How long clearing up may take before another Ctrl-C is heeded: workers in the midst of a picture need seconds."""
+"""Clean-up time before another Ctrl-C counts: workers need seconds to finish a picture."""
 _AGAIN_S = 0.05
-"""After so long an interrupt is raised anew that was raised where Python drops it (in a `__del__`, say)."""
+"""Delay before an interrupt is raised again that Python dropped (raised in a `__del__`, for example)."""
 
-_told: int = 0
-_told_at: float = 0.0
+_signal: int = 0
+_signal_at: float = 0.0
 _listening = _dropped = _missed = False
 _deferred: int = 0
 _hints: list[Callable[[], str]] = []
@@ -32,31 +32,31 @@ _hook: Callable[[Any], Any] = sys.unraisablehook
 
 
 def listen() -> None:
-    """Take stop signals as this module says, from now to the process's end; those that are ignored stay ignored."""
+    """Handle stop signals from now to the end of the process. Signals that are ignored stay ignored."""
     global _listening, _hook
     if _listening:
         return
     _listening = True
     for number in SIGNALS:
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as of `nohup`, or of a shell's '&'
-            signal.signal(number, _heed)
-    _hook, sys.unraisablehook = sys.unraisablehook, _dropped_somewhere
+        if signal.getsignal(number) is not signal.SIG_IGN:  # `nohup` and a shell's '&' ignore some
+            signal.signal(number, _on_signal)
+    _hook, sys.unraisablehook = sys.unraisablehook, _on_unraisable
 
 
-def told() -> int:
-    """The number of the signal that said stop; 0 when none did."""
-    return _told
+def stop_signal() -> int:
+    """The number of the stop signal that arrived; 0 when none did."""
+    return _signal
 
 
-def check() -> None:
-    """Raise KeyboardInterrupt when the process was told to stop."""
-    if _told:
+def raise_if_stopped() -> None:
+    """Raise KeyboardInterrupt when a stop signal has arrived."""
+    if _signal:
         raise KeyboardInterrupt
 
 
 @contextlib.contextmanager
-def deferred() -> Iterator[None]:
-    """What happens in this block happens whole: being told to stop takes effect at its end."""
+def defer_stop() -> Iterator[None]:
+    """Run the block to its end: a stop signal takes effect after it."""
     global _deferred, _missed
     _deferred += 1
     try:
@@ -69,21 +69,21 @@ def deferred() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def explained(hint: Callable[[], str]) -> Iterator[None]:
-    """While the block runs, `hint` says (when stopped, after clearing up) what is kept and how to go on."""
+def resume_hint(hint: Callable[[], str]) -> Iterator[None]:
+    """If the block is stopped, the last line printed is `hint()`: what was saved, and how to go on."""
     _hints.append(hint)
     yield
     _hints.remove(hint)
 
 
-def kept() -> str:
-    """What the innermost of the blocks `explained` says that was left by an interrupt; '' when none says anything."""
-    return next((said for hint in reversed(_hints) if (said := hint())), "")
+def current_hint() -> str:
+    """The text of the innermost interrupted `resume_hint` block that has one; '' when none has."""
+    return next((text for hint in reversed(_hints) if (text := hint())), "")
 
 
 @contextlib.contextmanager
-def unheard() -> Iterator[None]:
-    """Processes that are started in this block do not hear what a terminal tells them all: their parent ends them."""
+def block_signals() -> Iterator[None]:
+    """Child processes that start in this block ignore the terminal's stop signals: their parent ends them."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
         yield
@@ -91,26 +91,26 @@ def unheard() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _heed(number: int, frame: FrameType | None) -> None:
-    global _told, _told_at, _dropped, _missed
+def _on_signal(number: int, frame: FrameType | None) -> None:
+    global _signal, _signal_at, _dropped, _missed
     now = time.monotonic()
-    if _told and not _dropped and now - _told_at < _PATIENCE_S:
+    if _signal and not _dropped and now - _signal_at < _PATIENCE_S:
         return
     if number != signal.SIGALRM:
-        _told = number
-    _told_at, _dropped = now, False
+        _signal = number
+    _signal_at, _dropped = now, False
     if _deferred:
         _missed = True
         return
     raise KeyboardInterrupt
 
 
-def _dropped_somewhere(unraisable: Any) -> None:
-    """Python's hook for exceptions that it cannot raise: an interrupt among them is raised again, a moment later."""
+def _on_unraisable(unraisable: Any) -> None:
+    """Python's hook for exceptions that it cannot raise. An interrupt among them is raised again a moment later."""
     global _dropped
-    if not _told:
+    if not _signal:
         _hook(unraisable)
     elif isinstance(unraisable.exc_value, KeyboardInterrupt):
         _dropped = True
-        signal.signal(signal.SIGALRM, _heed)
+        signal.signal(signal.SIGALRM, _on_signal)
         signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)

@@ -19,7 +19,7 @@ from freeart21 import se3
 from freeart21.articulation import PARTS
 from freeart21.files.diagnostics import Diagnostics
 from freeart21.joint import Joint
-from freeart21.mesh import Mesh, bounding_diagonal, middle
+from freeart21.mesh import Mesh, bounding_diagonal, box_centre
 from freeart21.reconstruction import Reconstruction, Trust
 from freeart21.se3 import Array
 
@@ -132,7 +132,7 @@ def motion_of(result: Reconstruction) -> Motion:
     """Gaps to the joint and steps of both parts, from the poses alone: for a result of any method."""
     articulation, seen = result.articulation, result.seen
     Ts = np.stack([result.Ts_camera_reference, result.Ts_camera_moving], 1)
-    centres = [middle(articulation.part(name)) for name in PARTS]
+    centres = [box_centre(articulation.part(name)) for name in PARTS]
     gap = se3.inverse(Ts[:, 0] @ articulation.joint.transform(result.states)) @ Ts[:, 1]
     moved = se3.transform(gap, centres[1][None, None])[:, 0]
     both = seen.all(1)

@@ -1,4 +1,4 @@
-"""What is true of a recording: kept apart from it, and out of reach of every method."""
+"""The ground truth of a recording. It is in other files than the recording, and methods cannot import it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Truth:
-    """The answer to a recording. The canonical frame is the object's own; states are the simulator's joint values."""
+    """The ground truth of n frames. The canonical frame is the object's own; states are the simulator's joint
+    values."""
 
     articulation: Articulation
     states: NDArray[np.float64]
@@ -31,7 +32,7 @@ class Truth:
     seen: NDArray[np.int64]
     """(n, 2) visible pixels of the reference and the moving part."""
     outer: tuple[NDArray[np.bool_], NDArray[np.bool_]]
-    """Per part (F,) faces that can be seen from outside the object at some joint state."""
+    """Per part (F,) faces that are visible from outside the object at some joint state."""
     visible: tuple[NDArray[np.bool_], NDArray[np.bool_]]
     """Per part (F,) faces that the video shows in at least one frame."""
     part_mask: Callable[[int], Image]
@@ -41,7 +42,7 @@ class Truth:
     query_mask: Callable[[int], NDArray[np.bool_]]
     """Query index to (height, width) foreground."""
     source: dict[str, Any] = field(default_factory=dict)
-    """Where it came from: simulator and version, driver, seed, object, motion, sensor."""
+    """Its origin: simulator and version, driver, seed, object, motion, sensor."""
 
     def __post_init__(self) -> None:
         n = len(self.states)

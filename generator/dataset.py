@@ -33,8 +33,8 @@ from freeart21.doctor import require_rendering
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import JOB_SCHEMA, WORK, is_unfinished, read_benchmark, write_benchmark
-from freeart21.files.lock import release, take
-from freeart21.files.places import check_growing
+from freeart21.files.lock import acquire, release
+from freeart21.files.places import check_append
 from freeart21.files.urdf import MAX_URDF_BYTES
 from generator import partnet, urdf_folder
 from generator.progress import Board, progress_board
@@ -196,7 +196,7 @@ def record_jobs(
     after KeyboardInterrupt, and the same call continues.
     """
     out = Path(out)
-    check_growing(out)
+    check_append(out)
     _check(jobs, workers if executor == "local" else 1)
     if executor not in jobs_anywhere.EXECUTORS:
         known = ", ".join(jobs_anywhere.EXECUTORS)
@@ -292,7 +292,7 @@ def _unfinished_jobs(out: Path, jobs: Sequence[Job]) -> list[Job]:
 def _remove_partial_files(out: Path) -> None:
     """Remove temporary files of data-set files that a killed recorder left."""
     for folder in (out, out / WORK):
-        for left in folder.glob(f".*{atomic.ASIDE}"):
+        for left in folder.glob(f".*{atomic.PART_SUFFIX}"):
             left.unlink(missing_ok=True)
 
 
@@ -366,7 +366,7 @@ def _writer_lock(out: Path) -> Iterator[None]:
     made = [folder for folder in (out, *out.parents) if not folder.exists()]
     lock = out / WORK / "lock"
     deadline = time.monotonic() + _PATIENCE_S
-    while (handle := take(lock)) is None:
+    while (handle := acquire(lock)) is None:
         if time.monotonic() > deadline:
             if not lock.is_file():
                 raise FreeArtError(f"cannot write {lock}: its folder cannot be made")
@@ -468,7 +468,10 @@ def _run_workers(out: Path, jobs: list[Job], workers: int, board: Board, on_done
         worker_setup = Path.cwd(), out / WORK / "lock", theirs, reports
         pool = ProcessPoolExecutor(workers, context, _start_worker, worker_setup)
         try:
-            with stopping.unheard(), child.spawn_in(Path(empty)):  # workers ignore signals: the recorder stops them
+            with (
+                stopping.block_signals(),
+                child.spawn_in(Path(empty)),
+            ):  # workers ignore signals: the recorder stops them
                 futures: list[Future[str]] = [pool.submit(_record_in_worker, out, job) for job in jobs]
             for future in as_completed(futures):
                 board.finished(future.result())

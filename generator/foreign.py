@@ -9,7 +9,7 @@ import numpy as np
 from freeart21 import catalog
 from freeart21.articulation import Articulation
 from freeart21.errors import FreeArtError
-from freeart21.formats.foreign import Foreign, Known, safe_name
+from freeart21.formats.third_party import KnownTruth, ThirdPartyRecording, safe_name
 from freeart21.joint import Joint
 from freeart21.mesh import bounding_diagonal
 from freeart21.truth import Truth
@@ -25,7 +25,9 @@ _SAME_PLACE = 0.01  # of the diagonal
 _SAME_STATE = 1e-3
 
 
-def truth_of(read: Foreign, partnet_root: Path, joint: str | None = None, skip_missing: bool = False) -> Truth:
+def truth_of(
+    read: ThirdPartyRecording, partnet_root: Path, joint: str | None = None, skip_missing: bool = False
+) -> Truth:
     """The truth of `read`, with meshes from partnet_root/ID (or partnet_root/dataset/ID) and no held-out views.
 
     The joint is the given one, or that of the layout or the catalog, or the only movable one. Raises FreeArtError when
@@ -76,7 +78,7 @@ def truth_of(read: Foreign, partnet_root: Path, joint: str | None = None, skip_m
     )
 
 
-def _check_same(read: Foreign, known: Known, loaded: partnet.PartNetObject, diagonal: float) -> None:
+def _check_same(read: ThirdPartyRecording, known: KnownTruth, loaded: partnet.PartNetObject, diagonal: float) -> None:
     wrong = sorted(n for n, q in known.held.items() if abs(loaded.asset.held.get(n, q) - q) > _SAME_STATE)
     if wrong:
         name = wrong[0]

@@ -204,7 +204,7 @@ def record_object(name: str, settings: RecordSettings, work: Path, progress: Pro
     """
     if (work / "truth").is_dir():
         return
-    atomic.sweep(work)
+    atomic.remove_leftovers(work)
     entry = catalog_entry(name, settings)
     loaded = load_object(entry, settings, work / "object")
     released = settings.motion == "release" and entry.source == "procedural"

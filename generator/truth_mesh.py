@@ -12,7 +12,7 @@ from freeart21.camera import Camera
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
-from freeart21.sphere import sphere
+from freeart21.sphere import fibonacci_sphere
 from generator.motion import motion_range
 from generator.rays import Caster, Hits
 
@@ -36,11 +36,11 @@ def outer_faces(meshes: tuple[Mesh, Mesh], joint: Joint, states: int = 5) -> Fla
     flags = (np.zeros(len(meshes[0].faces), bool), np.zeros(len(meshes[1].faces), bool))
     groups = coincident_faces(meshes[0]), coincident_faces(meshes[1])
     poses = [(np.eye(4), joint.transform(q)) for q in np.linspace(*motion_range(joint), states)]
-    directions = sphere(_DIRECTIONS * states)
+    directions = fibonacci_sphere(_DIRECTIONS * states)
     for k, Ts in enumerate(poses):
         _mark_from_outside(caster, meshes, Ts, directions[k::states], flags)
     _mark_coincident(flags, groups)
-    directions = sphere(_ESCAPES * states)
+    directions = fibonacci_sphere(_ESCAPES * states)
     for k, Ts in enumerate(poses):
         _mark_escaping(caster, meshes, Ts, directions[k::states], flags, groups)
     return flags

@@ -67,7 +67,7 @@ def score(
         if out is None:
             raise FreeArtError(f"score: --executor {executor} needs --out: rows are gathered beside it")
         out.parent.mkdir(parents=True, exist_ok=True)
-        work = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}.", suffix=atomic.ASIDE))
+        work = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}.", suffix=atomic.PART_SUFFIX))
     console = Console(stderr=True)
     with (
         open_results(results) as folder,
@@ -324,9 +324,9 @@ def suite(
     from rich.console import Console
 
     from freeart21 import stopping
-    from freeart21.jobs.board import job_board, span
     from freeart21.jobs.executors import executor_named
-    from freeart21.jobs.run import unfinished
+    from freeart21.jobs.progress import format_duration, job_progress
+    from freeart21.jobs.run import unfinished_jobs
     from leaderboard.suite.rows import chosen_rows
     from leaderboard.suite.table import print_table
     from leaderboard.suite.workflow import prepare, print_rows, run_suite
@@ -342,17 +342,17 @@ def suite(
     jobs, done = len(plan.plan.jobs), len(plan.plan.jobs) - len(plan.todo)
     print(
         f"{len(plan.plan.rows)} rows over {len(plan.plan.sequences)} sequences: {jobs} jobs, "
-        f"{done} of them done; the others take about {span(plan.seconds / workers)} and {plan.bytes / 1e9:.2f} GB of "
-        f"{plan.free_bytes / 1e9:.0f} GB free"
+        f"{done} of them done; the others take about {format_duration(plan.seconds / workers)} and "
+        f"{plan.bytes / 1e9:.2f} GB of {plan.free_bytes / 1e9:.0f} GB free"
     )
     for kind, seconds in kinds.items():
-        print(f"  {kind}: {len(seconds)} jobs, about {span(sum(seconds))} of one worker")
+        print(f"  {kind}: {len(seconds)} jobs, about {format_duration(sum(seconds))} of one worker")
     if dry_run:
         return 0
     kept = f"what is done is kept in {out}: the same command goes on"
     with (
-        stopping.explained(lambda: kept if unfinished(out, plan.plan.jobs) and out.is_dir() else ""),
-        job_board(plan.todo, workers) as listener,
+        stopping.resume_hint(lambda: kept if unfinished_jobs(out, plan.plan.jobs) and out.is_dir() else ""),
+        job_progress(plan.todo, workers) as listener,
     ):
         outcome = run_suite(plan, workers, executor, listener=listener)
     console = Console()

@@ -208,7 +208,7 @@ def compare_results(
     found = [(place, scored(place)) for place in places]
     facts = benchmark_facts(benchmark)
     notes = check_tables(found, facts, benchmark.sequences)
-    known = not benchmark.hidden or benchmark.apart is not None  # comparing tables needs no truth
+    known = not benchmark.hidden or benchmark.hidden_truth is not None  # comparing tables needs no truth
     categories = {name: read_category(benchmark.truth(name)) if known else UNKNOWN for name in benchmark.sequences}
     return Comparison(rules, facts, _entrants(found), categories, notes)
 

@@ -24,7 +24,7 @@ from freeart21 import stopping
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import MAX_HASHED_BYTES, SCHEMA, Benchmark, file_sha256, read_benchmark
-from freeart21.files.hidden import MARKER, PICTURES, digest
+from freeart21.files.hidden import MARKER, PICTURES, hidden_digest
 from freeart21.files.hidden import SCHEMA as HIDDEN_SCHEMA
 from freeart21.files.places import Output, require_replaceable
 from freeart21.files.sequence import encode_depth, header_json, queries_json, read_sequence
@@ -107,7 +107,7 @@ def pack_public(
         names, hidden = {name: name for name in benchmark.sequences}, benchmark.hidden
     else:
         found = choose_names(benchmark, read_or_create_key(key or default_key_path(data)), keep_names)
-        names, hidden = found.packed, digest(found.salt, _truth_hashes(benchmark, found))
+        names, hidden = found.packed, hidden_digest(found.salt, _truth_hashes(benchmark, found))
     _write(Path(out), PUBLIC, _public_files(benchmark, names, hidden, progress))
 
 
@@ -156,7 +156,7 @@ def _sequence_files(folder: Path, pool: ThreadPoolExecutor) -> _Files:
     scale = float(checked.read_json(folder / "sequence.json")["depth_scale"])
 
     def pictures(i: int) -> list[tuple[str, bytes]]:
-        stopping.check()
+        stopping.raise_if_stopped()
         frame = recording.frame(i)
         shown = {"rgb": frame.rgb, "depth": encode_depth(frame.depth, scale), "mask": frame.mask.astype(np.uint8) * 255}
         for sub, image in shown.items():
@@ -208,7 +208,7 @@ def _write(out: Path, kind: Output, files: _Files) -> None:
         return
     with atomic.new_folder(out, kind) as aside:
         for name, content in files:
-            stopping.check()
+            stopping.raise_if_stopped()
             path = aside / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
@@ -225,11 +225,11 @@ def _write_zip(out: Path, files: _Files) -> None:
     aside: Path | None = None
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=out.parent, prefix=f".{out.name}.", suffix=atomic.ASIDE)
+        handle, name = tempfile.mkstemp(dir=out.parent, prefix=f".{out.name}.", suffix=atomic.PART_SUFFIX)
         aside = Path(name)
         with os.fdopen(handle, "wb") as opened, zipfile.ZipFile(opened, "w") as archive:
             for inside, content in files:
-                stopping.check()
+                stopping.raise_if_stopped()
                 entry = zipfile.ZipInfo(f"{out.stem}/{inside}", (1980, 1, 1, 0, 0, 0))
                 entry.create_system, entry.external_attr = 3, 0o100644 << 16
                 archive.writestr(entry, content)  # stored: pictures are packed already

@@ -54,12 +54,12 @@ def score_rows_locally(
 
     pool = ThreadPoolExecutor(len(scorers))
     try:
-        with stopping.deferred():
+        with stopping.defer_stop():
             futures: list[Future[Row]] = [pool.submit(score, request) for request in requests]
         for future in as_completed(futures):
             report(future.result())
     finally:
-        with stopping.deferred():
+        with stopping.defer_stop():
             pool.shutdown(wait=False, cancel_futures=True)
             for scorer in scorers:
                 scorer.end()

@@ -47,7 +47,7 @@ def write_reference(kind: Kind, data: Path, out: Path, seed: int = 0, sequences:
     with atomic.new_folder(Path(out)) as staging:
         code = f"freeart21 {freeart21.__version__}, reference row made from the truth"
         write_method(staging, Method(Path(out).resolve().name, code, settings))
-        for name in benchmark.chosen(sequences):
+        for name in benchmark.select_sequences(sequences):
             truth = read_truth(benchmark.truth(name))
             rng = np.random.default_rng([seed, *name.encode()])
             answer = {"truth": truth_answer, "static": static_answer, "random": random_answer}[kind](truth, rng)

@@ -54,7 +54,7 @@ def score_results(
     benchmark = read_benchmark(data, truth)
     check_results_folder(results, benchmark.sequences)
     method, faults = read_submitted_method(results)
-    chosen = benchmark.chosen(sequences)
+    chosen = benchmark.select_sequences(sequences)
     requests: list[dict[str, Any]] = [
         {
             "result": str(results / name),

@@ -13,7 +13,7 @@ from typing import Any, get_args
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.places import SCORES, require_replaceable
-from freeart21.files.result import Method, lacks_of
+from freeart21.files.result import Method, read_lacks
 from freeart21.joint import JointType
 from leaderboard.protocol import Metric, Protocol
 from leaderboard.protocols import protocol_named
@@ -126,7 +126,7 @@ def _read_method(data: dict[str, Any], path: Path) -> Method:
     words = [shorten(checked.text(data, key, path)) for key in ("name", "code", "hardware")]
     if not words[0].strip():
         raise FreeArtError(f"{path}: the method has no name")
-    return Method(words[0], words[1], plain_json(settings), words[2], lacks_of(data, path))
+    return Method(words[0], words[1], plain_json(settings), words[2], read_lacks(data, path))
 
 
 def _read_row(data: Any, where: str, rules: Protocol) -> Row:

@@ -23,7 +23,7 @@ from freeart21.files import checked
 from freeart21.files.gaussians import GAUSSIANS
 from freeart21.files.joint_json import joint_from_json
 from freeart21.files.mesh_file import read_ply
-from freeart21.files.result import METHOD_SCHEMA, SCHEMA, Method, lacks_of, read_appearance, read_result
+from freeart21.files.result import METHOD_SCHEMA, SCHEMA, Method, read_appearance, read_lacks, read_result
 from freeart21.reconstruction import Failure, Reconstruction
 
 LARGEST = 1e6
@@ -151,7 +151,7 @@ def read_submitted_method(results: Path) -> tuple[Method, list[Fault]]:
             fault = Fault("method.json", found, "an object", "settings", fix=fix, fatal=False)
             return Method(name), [fault]
         code, hardware = (shorten(str(data.get(key) or "")) for key in ("code", "hardware"))
-        lacks, faults = _attempt(results, path, "lacks", partial(lacks_of, data, path))
+        lacks, faults = _attempt(results, path, "lacks", partial(read_lacks, data, path))
         method = Method(name, code, plain_json(settings), hardware, lacks or ())
         return method, [replace(fault, fatal=False) for fault in faults]
     except Exception as error:  # as in find_faults

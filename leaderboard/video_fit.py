@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
-from freeart21.formats.foreign import T_GL_CV
+from freeart21.formats.third_party import T_GL_CV
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Piece, Reconstruction
 from freeart21.recording import Recording

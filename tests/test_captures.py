@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from freeart21.errors import FreeArtError
-from freeart21.formats import foreign
+from freeart21.formats import third_party
 from freeart21.formats.convert import convert
 from freeart21.formats.rgbd_folder import read_rgbd_folder
 
@@ -82,7 +82,7 @@ MASKS: dict[str, Callable[[Path], object]] = {
 @pytest.mark.parametrize("kind", MASKS)
 def test_a_mask_of_any_kind_is_the_object(tmp_path: Path, kind: str) -> None:
     MASKS[kind](tmp_path / "mask.png")
-    shown = foreign.read_foreground(tmp_path / "mask.png")
+    shown = third_party.read_foreground(tmp_path / "mask.png")
     wrong = int(np.count_nonzero(shown != (OBJECT > 0)))
     assert wrong <= (4 if kind == "enlarged" else 0), f"{wrong} pixels"  # enlarging rounds the four corners
 
@@ -90,10 +90,10 @@ def test_a_mask_of_any_kind_is_the_object(tmp_path: Path, kind: str) -> None:
 def test_masks_in_jpeg(tmp_path: Path) -> None:
     large = np.kron(OBJECT > 0, np.ones((8, 8))).astype(np.uint8)
     cv2.imwrite(str(tmp_path / "mask.jpg"), 255 * large, [cv2.IMWRITE_JPEG_QUALITY, 60])
-    assert np.array_equal(foreign.read_foreground(tmp_path / "mask.jpg"), large > 0)
+    assert np.array_equal(third_party.read_foreground(tmp_path / "mask.jpg"), large > 0)
     noise = np.random.default_rng(0).integers(0, 8, large.shape).astype(np.uint8)
     cv2.imwrite(str(tmp_path / "empty.jpg"), noise)
-    assert not foreign.read_foreground(tmp_path / "empty.jpg").any()
+    assert not third_party.read_foreground(tmp_path / "empty.jpg").any()
 
 
 def test_masks_that_say_nothing_are_refused(tmp_path: Path) -> None:
@@ -200,7 +200,7 @@ def test_a_wall_behind_the_object_is_depth(tmp_path: Path) -> None:
 def test_the_largest_of_a_type_is_no_depth(raw: np.generic) -> None:
     array = np.full((H, W), raw)
     array[4:12, 6:11] = 0.5 if array.dtype.kind == "f" else 500
-    depth = foreign.depth_metres(array, Path("depth.npz"))
+    depth = third_party.depth_metres(array, Path("depth.npz"))
     assert depth[5, 7] == pytest.approx(0.5) and depth[0, 0] == 0
 
 

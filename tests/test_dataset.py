@@ -24,7 +24,7 @@ from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.benchmark import file_sha256, read_benchmark
-from freeart21.files.lock import take
+from freeart21.files.lock import acquire
 from freeart21.files.truth import read_truth
 from freeart21.files.verify import verify
 from generator import dataset, objects, session
@@ -218,16 +218,16 @@ def test_two_writers_on_one_folder_are_refused(tmp_path: Path, monkeypatch: pyte
 def test_a_worker_holds_the_lock_after_its_recorder_was_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dataset, "_PATIENCE_S", 0.2)
     lock = tmp_path / "data" / dataset.WORK / "lock"
-    first = take(lock)
+    first = acquire(lock)
     assert first is not None
     import fcntl
 
     worker = os.open(lock, os.O_RDWR)
     fcntl.flock(worker, fcntl.LOCK_SH | fcntl.LOCK_NB)  # as `_start_worker` does
     os.close(first)
-    assert take(lock) is None
+    assert acquire(lock) is None
     os.close(worker)
-    assert take(lock) is not None
+    assert acquire(lock) is not None
 
 
 def test_other_settings_on_an_unfinished_folder_are_refused_saying_what_differs(

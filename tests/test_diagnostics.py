@@ -23,7 +23,7 @@ from freeart21.files.diagnostics import (
 )
 from freeart21.files.result import read_result, write_result
 from freeart21.joint import Joint
-from freeart21.mesh import middle
+from freeart21.mesh import box_centre
 from freeart21.recording import Frame, Recording
 from freeart21.trust import motion_of
 from freeart21.view import page
@@ -297,7 +297,7 @@ def test_gap_and_steps_in_closed_form():
     motion = motion_of(result)
     assert motion.gap_angle == pytest.approx(np.zeros(view.N), abs=1e-6)
     assert motion.gap_distance == pytest.approx(np.zeros(view.N), abs=1e-9)
-    centre = middle(result.articulation.moving)
+    centre = box_centre(result.articulation.moving)
     off = se3.pose(se3.exp_so3([0, 0, 0.02]), [0, 0, 0])
     off[:3, 3] = centre - off[:3, :3] @ centre + [0.003, 0, 0]  # turned about its middle, then shifted
     moving = result.Ts_camera_moving.copy()
@@ -306,7 +306,7 @@ def test_gap_and_steps_in_closed_form():
     assert motion.gap_angle[3] == pytest.approx(0.02) and motion.gap_distance[3] == pytest.approx(0.003)
     assert np.delete(motion.gap_angle, 3) == pytest.approx(np.zeros(view.N - 1), abs=1e-6)
     T = se3.pose(se3.exp_so3(np.arange(view.N)[:, None] * [0, 0.1, 0]), np.zeros((view.N, 3)))
-    reference = middle(result.articulation.reference)
+    reference = box_centre(result.articulation.reference)
     steps = motion_of(replace(result, Ts_camera_reference=T))
     assert np.isnan(steps.step_angle[0, 0]) and steps.step_angle[1:, 0] == pytest.approx(np.full(view.N - 1, 0.1))
     radius = np.hypot(reference[0], reference[2])
@@ -442,7 +442,7 @@ def test_axis_in_pictures_is_the_projected_axis():
     truth, camera = view.make_truth("prismatic"), view.make_recording().camera
     ends = axis_in_pictures(truth.articulation, truth.states, truth.Ts_camera_reference, camera)
     joint = truth.articulation.joint
-    at = middle(truth.articulation.moving.moved(joint.transform(truth.states[0])))
+    at = box_centre(truth.articulation.moving.moved(joint.transform(truth.states[0])))
     for i in range(view.N):
         a, b, c = camera.project(
             se3.transform(truth.Ts_camera_reference[i], at + np.outer([-0.05, 0, 0.05], joint.axis))

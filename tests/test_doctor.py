@@ -1,4 +1,4 @@
-"""The doctor names what is missing and the command that mends it."""
+"""The doctor names what is missing and the command that fixes it."""
 
 import subprocess
 import sys
@@ -14,7 +14,7 @@ def says(monkeypatch):
     """Replaces what the probes print."""
     doctor._rendering.cache_clear()
     answers = {}
-    monkeypatch.setattr(doctor, "_python_says", lambda code: subprocess.CompletedProcess([], *answers[code]))
+    monkeypatch.setattr(doctor, "_run_python", lambda code: subprocess.CompletedProcess([], *answers[code]))
     monkeypatch.setattr(doctor, "_nvidia", lambda: [])
     monkeypatch.delenv("VK_ICD_FILENAMES", raising=False)
     yield answers
@@ -47,7 +47,7 @@ def test_an_absent_driver_is_told_by_a_real_probe():
 def test_a_driver_that_is_too_old_is_told_from_none(says):
     says[doctor._PROBE_SAPIEN] = (0, '{"error": "failed to find a rendering device"}')
     says[doctor._PROBE_VULKAN] = (0, '{"devices": ["llvmpipe (LLVM 15.0.6, 256 bits)"]}')
-    with pytest.raises(FreeArtError, match="the driver of llvmpipe .* is too old or unfit.*Mend: .*bookworm-backports"):
+    with pytest.raises(FreeArtError, match="the driver of llvmpipe .* is too old or unfit.*Fix: .*bookworm-backports"):
         doctor.require_rendering()
 
 
@@ -70,18 +70,18 @@ def test_a_probe_that_crashes_is_no_crash_of_ours(says):
 
 def test_sapien_without_x11(says):
     says[doctor._PROBE_SAPIEN] = (0, '{"import": "libX11.so.6: cannot open shared object file"}')
-    with pytest.raises(FreeArtError, match="Mend: sudo apt-get install -y libx11-6"):
+    with pytest.raises(FreeArtError, match="Fix: sudo apt-get install -y libx11-6"):
         doctor.require_rendering()
 
 
 def test_opencv_with_windows_on_a_machine_without_screen(says, monkeypatch):
     error = "ImportError: libGL.so.1: cannot open shared object file: No such file or directory"
     monkeypatch.setattr(
-        doctor, "_python_says", lambda code: subprocess.CompletedProcess([], 1, "", f"Traceback\n{error}\n")
+        doctor, "_run_python", lambda code: subprocess.CompletedProcess([], 1, "", f"Traceback\n{error}\n")
     )
     finding = doctor._cv2()
     assert finding.status == "missing" and "libGL.so.1" in finding.detail
-    assert finding.mend == "pip install --force-reinstall --no-deps opencv-python-headless"
+    assert finding.fix == "pip install --force-reinstall --no-deps opencv-python-headless"
 
 
 def test_a_wrong_package_version_is_named(monkeypatch):

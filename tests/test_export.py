@@ -32,7 +32,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.files.result import write_result
 from freeart21.joint import Joint
-from freeart21.mesh import Mesh, middle
+from freeart21.mesh import Mesh, box_centre
 from freeart21.reconstruction import Failure, Reconstruction
 from generator.simulate import joint_motion, load, roll_out
 from leaderboard.asset_measurement import measure_joint
@@ -128,7 +128,7 @@ def test_frames_in_which_a_part_was_not_seen_count_as_predicted(tmp_path: Path):
 def test_root_stands_over_the_middle_of_what_touches_the_ground(tmp_path: Path):
     answer = reconstruction(frame=7)
     whole = answer.articulation
-    up = middle(whole.moving) - middle(whole.reference)
+    up = box_centre(whole.moving) - box_centre(whole.reference)
     asset = export_result(answer, tmp_path / "a", ExportSettings(placement=PlacementSettings(up=tuple(up))))
     T = se3.inverse(asset.T_canonical_reference)
     vertices = se3.transform(T, whole.reference.vertices)

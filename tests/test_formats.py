@@ -28,7 +28,7 @@ from freeart21.files.benchmark import read_benchmark
 from freeart21.files.result import Method, write_method, write_result
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
-from freeart21.formats import foreign, freeart21_official, rgbd_folder, untrusted_pickle, video2articulation
+from freeart21.formats import freeart21_official, rgbd_folder, third_party, untrusted_pickle, video2articulation
 from freeart21.formats.convert import convert, find_sources
 from freeart21.joint import Joint
 from freeart21.reconstruction import Reconstruction
@@ -70,7 +70,7 @@ def refused(call: Callable[[], object], *words: str) -> None:
     assert "\n" not in text and all(word in text for word in words), text
 
 
-def read_all(read: foreign.Foreign) -> None:
+def read_all(read: third_party.ThirdPartyRecording) -> None:
     for i in range(len(read.recording)):
         read.recording.frame(i)
         if read.known is not None:
@@ -123,7 +123,7 @@ def example(tmp_path: Path) -> Path:
     return official(tmp_path / "examples" / "100109")
 
 
-def assert_point_lands(read: foreign.Foreign, point: np.ndarray) -> None:
+def assert_point_lands(read: third_party.ThirdPartyRecording, point: np.ndarray) -> None:
     """The known point of the object's frame: its pixel, its depth, and back from there to where it is."""
     assert read.known is not None
     camera = read.recording.camera

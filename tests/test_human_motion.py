@@ -15,7 +15,7 @@ from freeart21.camera import Camera
 from freeart21.formats.captured import read_track
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
-from freeart21.strokes import Movement, spans_of, strokes
+from freeart21.submovements import Movement, find_submovements, spans_of
 from generator.motion import Plan, human_hand, plan_motion
 from generator.motion.body import Body
 from generator.motion.framing import MARGIN, image_extent
@@ -107,7 +107,7 @@ def test_people_hold_sweep_and_grasp_anew() -> None:
     assert 0.1 < np.median([np.mean(~m.pose_moves) for m in moves]) < 0.5
     assert np.median([m.regrasps_a_minute for m in moves]) >= 6
     assert 0.4 < np.median([np.mean(~m.joint_moves) for m in moves]) < 0.85
-    assert np.median([m.joint_strokes_a_minute for m in moves]) >= 18
+    assert np.median([m.joint_submovements_a_minute for m in moves]) >= 18
     assert all(np.ptp(_plan(seed).states) > 0.7 * 1.4 for seed in SEEDS)
 
 
@@ -200,11 +200,11 @@ def test_strokes_are_cut_at_dips_and_end_at_rest() -> None:
     t = np.arange(60)
     bump = lambda middle, height: height * np.exp(-0.5 * ((t - middle) / 3.0) ** 2)  # noqa: E731
     apart, near = bump(15, 2.0) + bump(45, 1.0), bump(20, 2.0) + bump(30, 2.0)
-    assert [tuple(s) for s in strokes(apart, 0.1)] == [(8, 23), (39, 52)]
-    cut = strokes(near, 0.1)
+    assert [tuple(s) for s in find_submovements(apart, 0.1)] == [(8, 23), (39, 52)]
+    cut = find_submovements(near, 0.1)
     assert len(cut) == 2 and cut[0][1] == cut[1][0] == 25
-    assert len(strokes(bump(20, 2.0) + bump(25, 2.0), 0.1)) == 1  # one stroke with a broad peak
-    assert strokes(np.zeros(60), 0.1).shape == (0, 2)
+    assert len(find_submovements(bump(20, 2.0) + bump(25, 2.0), 0.1)) == 1  # one stroke with a broad peak
+    assert find_submovements(np.zeros(60), 0.1).shape == (0, 2)
     assert spans_of(np.array([True, False, True, True])).tolist() == [[0, 1], [2, 4]]
 
 

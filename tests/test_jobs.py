@@ -16,11 +16,11 @@ import pytest
 
 from freeart21.errors import FreeArtError
 from freeart21.jobs import Job, read_jobs, run_jobs
-from freeart21.jobs.board import Forecast
 from freeart21.jobs.executors import Slurm
 from freeart21.jobs.ledger import Ledger
-from freeart21.jobs.run import unfinished
-from freeart21.jobs.work import do, request, start
+from freeart21.jobs.progress import Forecast
+from freeart21.jobs.run import unfinished_jobs
+from freeart21.jobs.worker import encode_request, run_job, start_process
 
 ROOT = Path(__file__).resolve().parents[1]
 WRITE = (  # a folder of two files, the second a while after the first; every beginning is written down
@@ -100,7 +100,7 @@ def test_a_changed_job_and_what_hangs_on_it_are_done_anew(tmp_path):
     jobs = [writing(0, 0), writing(1, 0, ("write/0",)), writing(2, 0)]
     run_jobs(tmp_path, jobs)
     other = Job(**{**vars(jobs[0]), "key": "another input"})
-    assert [job.name for job in unfinished(tmp_path, [other, *jobs[1:]])] == ["write/0", "write/1"]
+    assert [job.name for job in unfinished_jobs(tmp_path, [other, *jobs[1:]])] == ["write/0", "write/1"]
     assert run_jobs(tmp_path, [other, *jobs[1:]]).finished == ("write/0", "write/1")
     (tmp_path / "results/2/a").unlink()
     (tmp_path / "results/2/b").unlink()
@@ -276,14 +276,14 @@ def test_ctrl_c_ends_with_130_and_its_jobs_with_it(tmp_path):
 
 STOPPED = (
     "import sys; from freeart21 import stopping; from test_jobs import chain, run_jobs, Path\n"
-    "from freeart21.ending import in_one_line\n"
+    "from freeart21.ending import report_errors\n"
     "stopping.listen()\n"
-    "with in_one_line(): run_jobs(Path(sys.argv[1]), chain(4, 60), 2)"
+    "with report_errors(): run_jobs(Path(sys.argv[1]), chain(4, 60), 2)"
 )
 
 
 def test_a_command_ends_with_the_process_of_its_job_though_that_alone_is_killed(tmp_path):
-    process = start(request(tmp_path, writing(0, 60), "digest"))
+    process = start_process(encode_request(tmp_path, writing(0, 60), "digest"))
     until(lambda: processes(str(tmp_path / "results")))
     process.kill()
     process.wait()
@@ -301,7 +301,7 @@ def test_a_job_that_was_killed_between_its_statistics_and_its_marker_is_no_failu
     marker.unlink()
     monkeypatch.setattr(Ledger, "finish", killed)
     with pytest.raises(RuntimeError):
-        do(tmp_path, job, "digest")
+        run_job(tmp_path, job, "digest")
     monkeypatch.undo()
     assert not marker.exists() and run_jobs(tmp_path, [job]).finished == ("write/0",)
     assert results(tmp_path) == before
@@ -310,7 +310,7 @@ def test_a_job_that_was_killed_between_its_statistics_and_its_marker_is_no_failu
 def test_the_same_job_done_by_two_at_a_time_is_done_once(tmp_path):
     """As when a cluster still runs what a killed run had submitted."""
     job = writing(0, 0.3)
-    both = [threading.Thread(target=do, args=(tmp_path, job, "digest")) for _ in range(2)]
+    both = [threading.Thread(target=run_job, args=(tmp_path, job, "digest")) for _ in range(2)]
     for thread in both:
         thread.start()
     for thread in both:
@@ -337,7 +337,7 @@ def test_rays_workers_killed_at_random_lose_nothing_and_do_nothing_twice(tmp_pat
     def kill() -> None:
         while not over.is_set() and len(killed) < 4:
             time.sleep(draw.uniform(0.2, 0.6))
-            workers = [pid for pid in processes("ray::in_a_process") if pid not in killed]
+            workers = [pid for pid in processes("ray::run_in_process") if pid not in killed]
             if workers and begun(tmp_path) > 1:
                 killed.append(draw.choice(workers))
                 with contextlib.suppress(ProcessLookupError):
@@ -363,8 +363,8 @@ def test_rays_workers_killed_at_random_lose_nothing_and_do_nothing_twice(tmp_pat
 def test_a_forecast_learns_from_what_jobs_took():
     jobs = [Job(f"{kind}/{k}", ("x",), seconds=10) for kind in "ab" for k in range(3)]
     forecast = Forecast(jobs, 2)
-    assert forecast.left_s() == 30
-    forecast.ended(jobs[0], 20.0)  # of kind a, twice its estimate
-    assert forecast.left_s() == (2 * 20 + 3 * 10) / 2
-    forecast.ended(jobs[3], None)  # failed: no measure
-    assert forecast.left_s() == (2 * 20 + 2 * 10) / 2
+    assert forecast.remaining_s() == 30
+    forecast.job_ended(jobs[0], 20.0)  # of kind a, twice its estimate
+    assert forecast.remaining_s() == (2 * 20 + 3 * 10) / 2
+    forecast.job_ended(jobs[3], None)  # failed: no measure
+    assert forecast.remaining_s() == (2 * 20 + 2 * 10) / 2

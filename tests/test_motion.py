@@ -142,7 +142,7 @@ def test_a_hold_keeps_the_joint_where_it_is_asked_to() -> None:
 
 
 def test_the_spline_begins_and_ends_at_its_views_and_bends_evenly() -> None:
-    views = [sphere.sphere(40)[k] for k in (20, 25, 15, 30, 22)]
+    views = [sphere.fibonacci_sphere(40)[k] for k in (20, 25, 15, 30, 22)]
     Rs = rotations_through(views, 0.3, np.random.default_rng(0))
     assert np.allclose(-Rs[:, 2], views, atol=1e-9)
     path = spline(Rs, np.linspace(0, 4, 401))

@@ -12,12 +12,12 @@ import pytest
 
 from freeart21 import se3
 from freeart21.errors import FreeArtError
-from freeart21.files.take import header, read_take, sample, write_take
+from freeart21.files.take import header_line, read_take, sample_line, write_take
 from freeart21.formats.captured import read_track
-from freeart21.one_euro import Band, OneEuro, PoseFilter, filtered, headset
+from freeart21.one_euro import Band, OneEuro, PoseFilter, filter_motion, headset_filter
 from generator.motion import track
 
-HEADSET = headset("revolute")
+HEADSET = headset_filter("revolute")
 BAND = Band(1.2, 0.7)
 ALL = OneEuro(BAND, BAND, BAND, 0.9)
 TIMES = 3 + np.cumsum(np.random.default_rng(1).uniform(0.002, 0.05, 300))  # as irregular as a radio link
@@ -55,9 +55,9 @@ def wandering(seed: int) -> tuple[np.ndarray, np.ndarray]:
 def test_numbers_are_filtered_as_the_paper_says() -> None:
     Ts, states = wandering(0)
     Ts[:, 1:3, 3] = 0.2  # one coordinate moves: the vector's speed is its own
-    _, smooth = filtered(OneEuro(None, None, BAND, 0.9), TIMES, Ts, states)
+    _, smooth = filter_motion(OneEuro(None, None, BAND, 0.9), TIMES, Ts, states)
     np.testing.assert_allclose(smooth, paper(states, BAND, 0.9), atol=1e-12)
-    out, _ = filtered(OneEuro(BAND, None, None, 0.9), TIMES, Ts, states)
+    out, _ = filter_motion(OneEuro(BAND, None, None, 0.9), TIMES, Ts, states)
     np.testing.assert_allclose(out[:, 0, 3], paper(Ts[:, 0, 3], BAND, 0.9), atol=1e-12)
     np.testing.assert_allclose(out[:, 1:3, 3], 0.2, atol=1e-12)
 
@@ -66,7 +66,7 @@ def test_a_turn_about_one_axis_is_filtered_as_its_angle_over_many_turns() -> Non
     angles = np.cumsum(np.abs(np.random.default_rng(2).normal(0.2, 0.1, len(TIMES))))  # 9 turns
     axis = np.array([2.0, -1, 2]) / 3
     Ts = se3.pose(se3.exp_so3(angles[:, None] * axis), np.zeros(3))
-    out, _ = filtered(OneEuro(None, BAND, None, 0.9), TIMES, Ts, angles)
+    out, _ = filter_motion(OneEuro(None, BAND, None, 0.9), TIMES, Ts, angles)
     expected = se3.exp_so3(paper(angles, BAND, 0.9)[:, None] * axis)
     np.testing.assert_allclose(out[:, :3, :3], expected, atol=1e-9)
 
@@ -75,8 +75,8 @@ def test_all_go_one_share_of_their_way_the_largest_that_one_of_them_wants() -> N
     Ts, states = wandering(8)
     states[:150] = states[0]  # first the pose moves alone, then the joint
     Ts[150:] = Ts[150]
-    out, smooth = filtered(ALL, TIMES, Ts, states)
-    alone = [filtered(only, TIMES, Ts, states) for only in _each(BAND)]
+    out, smooth = filter_motion(ALL, TIMES, Ts, states)
+    alone = [filter_motion(only, TIMES, Ts, states) for only in _each(BAND)]
 
     def shares(Ts_out: np.ndarray, states_out: np.ndarray) -> np.ndarray:
         """How far each quantity went of its way, (n - 1, 3); NaN where there was none to go."""
@@ -101,14 +101,14 @@ def _each(band: Band) -> list[OneEuro]:
 
 def test_the_filter_knows_no_axes() -> None:
     Ts, states = wandering(3)
-    out, _ = filtered(ALL, TIMES, Ts, states)
+    out, _ = filter_motion(ALL, TIMES, Ts, states)
     A, B = se3.exp_se3([0.3, 0.1, -2, 1, 2, -0.5]), se3.pose(se3.exp_so3([0.4, -1, 2]), np.zeros(3))
-    np.testing.assert_allclose(filtered(ALL, TIMES, A @ Ts @ B, states)[0], A @ out @ B, atol=1e-9)
+    np.testing.assert_allclose(filter_motion(ALL, TIMES, A @ Ts @ B, states)[0], A @ out @ B, atol=1e-9)
 
 
 def test_sample_by_sample_it_is_the_same_to_the_last_bit_whatever_a_quaternion_s_sign() -> None:
     Ts, states = wandering(4)
-    out, smooth = filtered(ALL, TIMES, Ts, states)
+    out, smooth = filter_motion(ALL, TIMES, Ts, states)
     running, rows = PoseFilter(ALL), []
     for k, q in enumerate(se3.wxyz(Ts)):
         rows.append(running.step(TIMES[k], tuple(Ts[k, :3, 3].tolist()), tuple(q.tolist()), float(states[k])))
@@ -123,22 +123,22 @@ def test_sample_by_sample_it_is_the_same_to_the_last_bit_whatever_a_quaternion_s
 
 def test_what_is_none_stays_and_what_stands_still_stays() -> None:
     Ts, states = wandering(5)
-    out, smooth = filtered(OneEuro(None, None, None), TIMES, Ts, states)
+    out, smooth = filter_motion(OneEuro(None, None, None), TIMES, Ts, states)
     np.testing.assert_allclose(out, Ts, atol=1e-12)
     assert np.array_equal(smooth, states)
     still = np.tile(Ts[7], (len(TIMES), 1, 1))
-    np.testing.assert_allclose(filtered(HEADSET, TIMES, still, states)[0], still, atol=1e-12)
+    np.testing.assert_allclose(filter_motion(HEADSET, TIMES, still, states)[0], still, atol=1e-12)
 
 
 def test_held_it_is_steadier_and_moved_it_follows() -> None:
     rng, n = np.random.default_rng(6), len(TIMES)
     noise = se3.pose(se3.exp_so3(0.002 * rng.normal(size=(n, 3))), 5e-4 * rng.normal(size=(n, 3)))
-    held, _ = filtered(HEADSET, TIMES, noise, np.zeros(n))
+    held, _ = filter_motion(HEADSET, TIMES, noise, np.zeros(n))
     for part in (held[50:, :3, 3] / 5e-4, se3.log_so3(held[50:, :3, :3]) / 0.002):
         assert np.std(part) < 0.5
     path = np.sin(2 * (TIMES - TIMES[0]))[:, None]
     swept = se3.pose(se3.exp_so3(path * [0, 1.5, 0]), path * [0.3, 0, 0])
-    out, _ = filtered(HEADSET, TIMES, swept, np.zeros(n))
+    out, _ = filter_motion(HEADSET, TIMES, swept, np.zeros(n))
     middle = np.abs(np.gradient(path[:, 0], TIMES)) > 1.5
     assert np.linalg.norm((out - swept)[middle, :3, 3], axis=1).max() < 0.02 * 0.6  # 20 ms of its speed
     assert se3.rotation_angle(out[middle, :3, :3] @ np.swapaxes(swept[middle, :3, :3], 1, 2)).max() < 0.02 * 3
@@ -159,7 +159,7 @@ def test_a_take_s_filter_is_read_as_written_and_used_before_the_recorder_s_clock
     assert take.filter == ALL
     np.testing.assert_allclose(take.Ts, Ts, atol=1e-12)  # as it was taken
     count = track.count_frames(take, 30.0)
-    smooth, smooth_states = filtered(ALL, take.times, take.Ts, take.states)
+    smooth, smooth_states = filter_motion(ALL, take.times, take.Ts, take.states)
     plain = dataclasses.replace(take, Ts=smooth, states=smooth_states, filter=None)
     ours, expected = track.resample_take(take, 30.0, count), track.resample_take(plain, 30.0, count)
     assert np.array_equal(ours.Ts, expected.Ts) and np.array_equal(ours.states, expected.states)
@@ -201,8 +201,8 @@ GOOD = dataclasses.asdict(HEADSET)
     ],
 )
 def test_a_filter_that_is_none_is_refused_in_a_line(tmp_path: Path, given: object, said: str) -> None:
-    head = {**json.loads(header("a test", "first", "revolute")), "filter": given}
-    samples = [sample(k / 10, se3.pose(np.eye(3), [0, 0, 1]), 0.1 * k) for k in range(3)]
+    head = {**json.loads(header_line("a test", "first", "revolute")), "filter": given}
+    samples = [sample_line(k / 10, se3.pose(np.eye(3), [0, 0, 1]), 0.1 * k) for k in range(3)]
     (tmp_path / "a.txt").write_text("\n".join([json.dumps(head), *samples]))
     with pytest.raises(FreeArtError, match=said) as caught:
         read_track(tmp_path / "a.txt")
@@ -214,7 +214,7 @@ def test_captured_motion_lags_a_few_milliseconds_where_it_is_fast() -> None:
     take = read_track(SHARED / "mocap" / "s1_laptop_use_03.object.npy")
     times = np.arange(take.times[0], take.times[-1], 1 / 72)
     Ts = track._interpolate_poses(take.times, take.Ts, times)
-    out, _ = filtered(HEADSET, times, Ts, np.zeros(len(times)))
+    out, _ = filter_motion(HEADSET, times, Ts, np.zeros(len(times)))
     velocity, error = np.gradient(Ts[:, :3, 3], 1 / 72, axis=0), (Ts - out)[:, :3, 3]
     speed = np.linalg.norm(velocity, axis=1)
     lag = (error * velocity).sum(1) / np.maximum(speed, 1e-9) ** 2

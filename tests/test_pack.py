@@ -20,7 +20,7 @@ from synthetic_case import QUERIES, make_recording, make_truth
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.benchmark import read_benchmark, write_benchmark
-from freeart21.files.hidden import digest, read_hidden, traces
+from freeart21.files.hidden import find_traces, hidden_digest, read_hidden
 from freeart21.files.sequence import read_sequence, write_sequence
 from freeart21.files.truth import read_truth, write_truth
 from freeart21.files.verify import verify
@@ -207,7 +207,7 @@ def test_what_a_method_may_see_is_all_there(data, halves):
 
 
 def test_what_careless_makers_left_is_found_in_any_folder(data, halves):
-    found = [line for name in OBJECTS for line in traces(data / "sequences" / name)]
+    found = [line for name in OBJECTS for line in find_traces(data / "sequences" / name)]
     for wrong in (
         "sequence.json holds more",
         "queries.json holds more",
@@ -220,7 +220,7 @@ def test_what_careless_makers_left_is_found_in_any_folder(data, halves):
     ):
         assert sum(wrong in line for line in found) == 2, wrong
     assert len(found) == 16
-    assert [line for path in (halves[0] / "sequences").iterdir() for line in traces(path)] == []
+    assert [line for path in (halves[0] / "sequences").iterdir() for line in find_traces(path)] == []
 
 
 PLANTS = {
@@ -324,8 +324,8 @@ def test_a_guess_of_the_truth_is_not_confirmed(data, halves):
     """Whoever records the very truth has all hashes, and yet not the one that is published."""
     public, truth = halves
     hidden = read_hidden(truth)
-    assert read_benchmark(public).hidden == hidden.digest == digest(hidden.salt, hidden.sha256)
-    assert digest("", hidden.sha256) != hidden.digest != digest("0" * 64, hidden.sha256)
+    assert read_benchmark(public).hidden == hidden.digest == hidden_digest(hidden.salt, hidden.sha256)
+    assert hidden_digest("", hidden.sha256) != hidden.digest != hidden_digest("0" * 64, hidden.sha256)
 
 
 def test_names_may_be_kept(data, tmp_path):

@@ -281,7 +281,10 @@ def test_interrupted_the_command_says_what_is_kept(sequence, tmp_path, monkeypat
     Calls(monkeypatch, "bridge_gaps")
     with pytest.raises(KeyboardInterrupt):
         command(sequence, tmp_path / "ours" / "x", settings=QUIET)
-    assert str(cache.work_folder(tmp_path / "ours" / "x")) in stopping.kept() and "goes on" in stopping.kept()
+    assert (
+        str(cache.work_folder(tmp_path / "ours" / "x")) in stopping.current_hint()
+        and "goes on" in stopping.current_hint()
+    )
     assert [path.name for path in (tmp_path / "ours").iterdir()] == [".x.work"]
 
 

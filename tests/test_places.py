@@ -268,7 +268,7 @@ def test_an_old_folder_comes_back_when_the_new_one_cannot_take_its_name(
     before, rename = bytes_of(home), Path.replace
 
     def failing(self: Path, target: Path) -> Path:
-        if self.name.endswith(atomic.ASIDE) and Path(target) == result:
+        if self.name.endswith(atomic.PART_SUFFIX) and Path(target) == result:
             raise KeyboardInterrupt
         return rename(self, target)
 
@@ -341,7 +341,7 @@ def test_a_demo_that_cannot_be_recorded_says_nothing_else(tmp_path: Path, capsys
     assert capsys.readouterr().out == "" and not list(tmp_path.iterdir())
 
 
-ENDING = "from freeart21.ending import in_one_line\nwith in_one_line():\n    "
+ENDING = "from freeart21.ending import report_errors\nwith report_errors():\n    "
 
 
 @pytest.mark.parametrize(
@@ -411,7 +411,7 @@ def test_output_that_cannot_be_written_is_said() -> None:
 HIDDEN = """
 import os, signal, sys, time
 from freeart21 import stopping
-from freeart21.ending import in_one_line
+from freeart21.ending import report_errors
 stopping.listen()
 class Dropping:
     def __del__(self):
@@ -423,7 +423,7 @@ def native():
         time.sleep(5)
     except KeyboardInterrupt as error:
         raise SystemError("returned a result with an exception set") from error
-with in_one_line():
+with report_errors():
     {code}
 """
 

@@ -39,7 +39,7 @@ def test_a_job_a_sequence_gives_the_bytes_of_one_process(tmp_path):
         """Two of the jobs' processes, in the midst of their work."""
         while not over.is_set() and len(killed) < 2:
             work = tmp_path / "there" / ".recording"
-            for pid in processes("freeart21.jobs.work"):
+            for pid in processes("freeart21.jobs.worker"):
                 if pid not in killed and len(killed) < 2 and len(list(work.glob("*/side/*.png"))) > 2 * len(killed):
                     killed.append(pid)
                     with contextlib.suppress(ProcessLookupError):

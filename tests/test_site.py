@@ -212,7 +212,7 @@ def test_an_older_site_is_replaced_and_nothing_else(world, kept, tmp_path):
     out = tmp_path / "site"
     write(world, kept, out)
     write(world, kept, out, title="another")
-    assert "another" in (out / "index.html").read_text() and SITE.marks(out)
+    assert "another" in (out / "index.html").read_text() and SITE.stands_at(out)
     (out / "mine.txt").write_text("mine")
     with pytest.raises(FreeArtError, match=r"mine.txt in it would be lost"):
         write(world, kept, out)

@@ -65,7 +65,7 @@ def test_a_known_motion_gives_its_known_figures(kind: str, swapped: bool) -> Non
     s = motion_statistics(make_recording(truth), truth, every=1)
     assert (s.pose_only, s.joint_only, s.both, s.neither) == tuple(np.array([10, 11, 12, 6]) / 39)
     assert s.median_degrees == pytest.approx(2.5) and s.max_degrees == pytest.approx(2.5)
-    assert s.few == 17 / 40 and s.gone == 7 and s.hard
+    assert s.few_pixels_share == 17 / 40 and s.longest_absence == 7 and s.is_hard
     assert s.range_covered == pytest.approx(23 / 25) and s.opening[-1] == pytest.approx(23 / 25)
     assert s.fill == 20 / 32 and not s.leaves and s.depth_m == (1.0, 1.0) and s.masks_valid
 
@@ -84,7 +84,7 @@ def test_an_object_at_the_border_and_masks_that_differ_are_found() -> None:
 
 
 def test_coverage_grows_with_what_is_seen() -> None:
-    dots = sphere.sphere(500)
+    dots = sphere.fibonacci_sphere(500)
     assert np.allclose(np.linalg.norm(dots, axis=1), 1) and np.abs(dots.mean(0)).max() < 0.01
     assert sphere.coverage(dots) == 1 and sphere.coverage(dots[:250]) < 0.8
     one = sphere.coverage(np.array([[0.0, 0, 1]]))
@@ -163,7 +163,7 @@ def test_figures_of_a_source_are_those_of_its_motion() -> None:
     s = motion_statistics(make_recording(_known()), _known())
     m = s.movement
     assert m.pose_moves.sum() == 22 and m.joint_moves.sum() == 23  # as STEPS says
-    assert m.degrees.max() == pytest.approx(2.5) and len(m.joint_strokes) == 1
+    assert m.degrees.max() == pytest.approx(2.5) and len(m.joint_submovements) == 1
     text = re.sub("<.*?>", " ", motion_section([s]).html)
     assert "2.50°, most 2.5°" in text and "object at rest  44%" in text and "joint at rest  41%" in text
 

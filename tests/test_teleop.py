@@ -28,7 +28,7 @@ from freeart21 import child, cli, se3
 from freeart21.camera import Camera
 from freeart21.catalog import built_in_names
 from freeart21.errors import FreeArtError
-from freeart21.files.take import read_take, sample, write_take
+from freeart21.files.take import read_take, sample_line, write_take
 from generator.motion.body import UPRIGHT, Body
 from generator.scene import Scene
 from generator.session import RecordSettings, catalog_entry, load_object
@@ -278,7 +278,7 @@ def test_a_take_that_cannot_be_written_beside_is_rescued_elsewhere(
 
 def content(driving: Driving) -> list[str]:
     """The lines of samples that the file of a take must have now."""
-    return [sample(*one) for one in driving.take.samples()]
+    return [sample_line(*one) for one in driving.take.samples()]
 
 
 def test_the_file_of_a_take_is_the_take_at_every_moment(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.files.take import Take, read_take
 from freeart21.files.truth import read_truth
-from freeart21.one_euro import PoseFilter, headset
+from freeart21.one_euro import PoseFilter, headset_filter
 from generator.motion import track
 from generator.motion.body import Body
 from generator.motion.framing import image_extent
@@ -39,7 +39,7 @@ for _needed in ("aiohttp", "cryptography", "qrcode"):
     pytest.importorskip(_needed, reason="the extra teleop is not installed")
 needs_headset = pytest.mark.skipif(not headset_rig.HAS_IWER, reason="needs Chromium and iwer, see CONTRIBUTING.md")
 PATIENCE_S = 600.0
-HEADSET = headset("revolute")
+HEADSET = headset_filter("revolute")
 
 
 @dataclasses.dataclass

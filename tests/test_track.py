@@ -17,7 +17,7 @@ from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files.benchmark import file_sha256
 from freeart21.files.sequence import read_sequence
-from freeart21.files.take import header, read_take, sample, write_take
+from freeart21.files.take import header_line, read_take, sample_line, write_take
 from freeart21.files.truth import read_truth
 from freeart21.formats.captured import ARCTIC_SIZES_M, read_track
 from freeart21.joint import Joint
@@ -109,8 +109,8 @@ def test_a_track_of_arctic_is_told_by_its_content_and_seen_by_a_level_camera(tmp
     np.testing.assert_allclose(se3.log_so3(turn), [0, -0.6, 0], atol=1e-6)  # about the upright axis; y is down
 
 
-HEAD = header("a test", "first", "revolute")
-GOOD = [sample(k / 10, se3.pose(np.eye(3), [0, 0, 1]), 0.1 * k) for k in range(3)]
+HEAD = header_line("a test", "first", "revolute")
+GOOD = [sample_line(k / 10, se3.pose(np.eye(3), [0, 0, 1]), 0.1 * k) for k in range(3)]
 
 
 def _changed(**changes: object) -> list[str]:

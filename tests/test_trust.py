@@ -12,7 +12,7 @@ from benchmarks import trust as bench
 from freeart21 import se3
 from freeart21.articulation import PARTS, Articulation
 from freeart21.camera import Camera
-from freeart21.cli import DOUBTFUL, _say_answer
+from freeart21.cli import DOUBTFUL, _print_result
 from freeart21.files.diagnostics import diagnostics_from_json, diagnostics_to_json
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
@@ -213,10 +213,10 @@ def test_the_page_lists_what_the_answer_says_of_itself():
 
 def test_the_command_says_it_last_and_in_its_exit_code(tmp_path, capsys):
     result = replace(long_result(N), axis_std=0.002, pivot_std=0.0003, trust=Trust("sound"))
-    assert _say_answer(result, tmp_path) == 0
+    assert _print_result(result, tmp_path) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1] == "sound" and "(axis to 0.11 deg, pivot to 0.3 mm)" in lines[0]
-    assert _say_answer(replace(result, trust=Trust("doubtful", ("a", "b"))), tmp_path) == DOUBTFUL == 3
+    assert _print_result(replace(result, trust=Trust("doubtful", ("a", "b"))), tmp_path) == DOUBTFUL == 3
     assert capsys.readouterr().out.splitlines()[-1] == "doubtful: a; b"
 
 

@@ -1,1 +1,1 @@
-"""Readers and writers of the native formats. Files appear whole or not at all; every reader checks what it reads."""
+"""Readers and writers of the native formats. Files are written whole or not at all; readers check all input."""

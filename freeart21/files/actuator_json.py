@@ -1,4 +1,4 @@
-"""What a measured set says of its actuator, from JSON and to it."""
+"""The actuator of a measured set, from JSON and to JSON."""
 
 from __future__ import annotations
 
@@ -13,48 +13,48 @@ from freeart21.mechanics import Actuator, DcMotor
 
 _LIMITS = ("max_effort", "torque_constant", "max_current")
 _LAW = ("stiffness", "damping", "dead_band")
-WORDS: dict[str, tuple[str, ...]] = {
+FIELDS: dict[str, tuple[str, ...]] = {
     "position": (*_LAW, *_LIMITS),
     "effort": _LIMITS,
     "dc_motor": ("resistance", "max_voltage", *_LAW, *_LIMITS),
 }
-"""Type of actuator to the numbers that may be told of it."""
-NEEDED: dict[str, tuple[str, ...]] = {
+"""Type of actuator to its numbers in JSON."""
+REQUIRED: dict[str, tuple[str, ...]] = {
     "effort": (),
     "position": ("stiffness", "damping"),
     "dc_motor": ("torque_constant", "resistance"),
 }
-"""Those that must be."""
+"""Type of actuator to the required ones."""
 _ABOVE_ZERO = (*_LIMITS, "resistance", "max_voltage")
 
 
 def actuator_from_json(given: dict[str, Any], where: Path | str) -> Actuator:
-    """The actuator that a measured set tells of; null stands for a number that nobody knows.
+    """The actuator in the JSON object `given`; null is an unknown number.
 
-    Raises FreeArtError, in one line that begins with `where`, on another type, a missing, unknown or impossible number.
+    Raises FreeArtError, which begins with `where`, on another type, or a missing, unknown or impossible number.
     """
     kind = given.get("type")
-    if not isinstance(kind, str) or kind not in WORDS:
-        raise FreeArtError(f"{where}: the actuator's type is {kind!r}, expected {' or '.join(map(repr, WORDS))}")
-    unknown = [key for key in given if key not in ("type", *WORDS[kind])]
+    if not isinstance(kind, str) or kind not in FIELDS:
+        raise FreeArtError(f"{where}: the actuator's type is {kind!r}, expected {' or '.join(map(repr, FIELDS))}")
+    unknown = [key for key in given if key not in ("type", *FIELDS[kind])]
     if unknown:
         raise FreeArtError(
-            f"{where}: an actuator of type '{kind}' has no '{unknown[0]}'; it may have {', '.join(WORDS[kind])}"
+            f"{where}: an actuator of type '{kind}' has no '{unknown[0]}'; expected {', '.join(FIELDS[kind])}"
         )
-    told = {key: _number(given[key], key, kind, where) for key in WORDS[kind] if given.get(key) is not None}
-    for key in NEEDED[kind]:
-        if key not in told:
+    numbers = {key: _number(given[key], key, kind, where) for key in FIELDS[kind] if given.get(key) is not None}
+    for key in REQUIRED[kind]:
+        if key not in numbers:
             raise FreeArtError(f"{where}: an actuator of type '{kind}' needs '{key}', expected a finite number")
-    if kind != "dc_motor" and ("max_current" in told) != ("torque_constant" in told):
+    if kind != "dc_motor" and ("max_current" in numbers) != ("torque_constant" in numbers):
         raise FreeArtError(f"{where}: an actuator's limit of current needs both 'max_current' and 'torque_constant'")
-    law = [told.get(key, 0.0) for key in _LAW]
-    most, current = told.get("max_effort", math.inf), told.get("max_current", math.inf)
+    law = [numbers.get(key, 0.0) for key in _LAW]
+    most, current = numbers.get("max_effort", math.inf), numbers.get("max_current", math.inf)
     if kind == "dc_motor":
-        volts = told.get("max_voltage", math.inf)
-        motor = DcMotor(told["torque_constant"], told["resistance"], volts, current)
+        volts = numbers.get("max_voltage", math.inf)
+        motor = DcMotor(numbers["torque_constant"], numbers["resistance"], volts, current)
         return Actuator(None, law[0], law[1], dead_band=law[2], max_effort=most, motor=motor)
-    if "torque_constant" in told:
-        most = min(most, told["torque_constant"] * current)
+    if "torque_constant" in numbers:
+        most = min(most, numbers["torque_constant"] * current)
     return Actuator(None, law[0], law[1], dead_band=law[2], max_effort=most)
 
 
@@ -68,12 +68,7 @@ def _number(value: Any, key: str, kind: str, where: Path | str) -> float:
 
 
 def actuator_to_json(actuator: Actuator, follows: bool = True) -> dict[str, Any]:
-    """What `actuator_from_json` reads; limits that are not known are left out.
-
-    Args:
-        actuator: what to say.
-        follows: whether there are commanded positions that it follows.
-    """
+    """The JSON object of `actuator`, without unknown limits. `follows`: whether it follows commanded positions."""
     law = {"stiffness": actuator.stiffness, "damping": actuator.damping, "dead_band": actuator.dead_band}
     if not follows or not actuator.dead_band:
         del law["dead_band"]
@@ -81,7 +76,7 @@ def actuator_to_json(actuator: Actuator, follows: bool = True) -> dict[str, Any]
     motor = actuator.motor
     if motor is None:
         return {"type": "position", **law, **limits} if follows else {"type": "effort", **limits}
-    told = {"max_voltage": motor.max_voltage, "max_current": motor.max_current}
-    limits |= {key: value for key, value in told.items() if math.isfinite(value)}
+    numbers = {"max_voltage": motor.max_voltage, "max_current": motor.max_current}
+    limits |= {key: value for key, value in numbers.items() if math.isfinite(value)}
     own = {"torque_constant": motor.torque_constant, "resistance": motor.resistance}
     return {"type": "dc_motor", **own, **(law if follows else {}), **limits}

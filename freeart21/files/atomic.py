@@ -1,4 +1,4 @@
-"""Writing aside and renaming, so that no half-written file or folder is ever seen under its name."""
+"""Writes under a hidden name, then renames: no half-written file or folder is ever seen under its name."""
 
 from __future__ import annotations
 
@@ -15,36 +15,36 @@ from pathlib import Path
 from typing import Any
 
 from freeart21 import stopping
-from freeart21.ending import reason
+from freeart21.ending import os_error_text
 from freeart21.errors import FreeArtError
 from freeart21.files.places import Output, require_replaceable
 
-ASIDE = ".part"
-"""Ending of the hidden names under which files and folders are written aside."""
-OLD = ".old"
-"""The same of a folder that is put by while a new one takes its place."""
+PART_SUFFIX = ".part"
+"""Suffix of the hidden names of unfinished files and folders."""
+OLD_SUFFIX = ".old"
+"""Suffix of the hidden name of a folder while a new one replaces it."""
 
 
 class CannotWrite(FreeArtError):
-    """The disk refused: it is full, read-only, or may not be written."""
+    """The disk is full, read-only, or without write permission."""
 
 
 def cannot_write(path: Path, error: OSError) -> CannotWrite:
-    """The error of `path`, which could not be written because of `error`."""
-    return CannotWrite(f"cannot write {path}: {reason(error)}")
+    """The error for a `path` that could not be written because of `error`."""
+    return CannotWrite(f"cannot write {path}: {os_error_text(error)}")
 
 
 def write_bytes(path: Path, data: bytes, sync: bool = True, mode: int = 0o644) -> None:
     """Write `data` to `path` whole or not at all, with these permissions; parent folders are made.
 
-    Without `sync` the file may be lost, not half-written, when the machine (rather than the process) stops before
-    somebody calls `os.sync`. Raises CannotWrite, and KeyboardInterrupt once the process was told to stop.
+    Without `sync` a crash of the machine before the next `os.sync` can lose the file, but not leave it half-written.
+    Raises CannotWrite, and KeyboardInterrupt after a stop signal.
     """
-    stopping.check()
+    stopping.raise_if_stopped()
     aside: str | None = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, aside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=ASIDE)
+        handle, aside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=PART_SUFFIX)
         with os.fdopen(handle, "wb") as file:
             file.write(data)
             file.flush()
@@ -66,48 +66,48 @@ def write_json(path: Path, data: Any) -> None:
 
 
 def json_text(data: Any) -> str:
-    """The text that `write_json` writes."""
+    """The text of the file that `write_json` writes."""
     return json.dumps(_plain(data), indent=1, allow_nan=False) + "\n"
 
 
 @contextmanager
 def new_folder(path: Path, older: Output | None = None) -> Iterator[Path]:
-    """A folder to fill, which takes the name `path` when the block ends well and vanishes when it fails.
+    """A folder to fill: it is renamed to `path` when the block succeeds, and removed when it fails.
 
-    What stands at `path` stays until the new folder is whole, and is replaced when it is an older output of the kind
-    `older` (`places.require_replaceable`, before the block and after it). Raises FreeArtError, and CannotWrite.
+    An existing folder at `path` stays until the new one is complete. Only an older output of the kind `older` is
+    replaced (`places.require_replaceable`, checked before and after the block). Raises FreeArtError, and CannotWrite.
     """
     require_replaceable(path, older)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        aside = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}.", suffix=ASIDE))
+        aside = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}.", suffix=PART_SUFFIX))
     except OSError as error:
         raise cannot_write(path, error) from error
     try:
         yield aside
-        stopping.check()
+        stopping.raise_if_stopped()
         require_replaceable(path, older)
         aside.chmod(0o755)
-        with stopping.deferred():
-            _put_in_place(aside, path)
+        with stopping.defer_stop():
+            _replace_folder(aside, path)
     except OSError as error:
         raise cannot_write(path, error) from error
     finally:
-        with stopping.deferred():
+        with stopping.defer_stop():
             shutil.rmtree(aside, ignore_errors=True)
 
 
-def _put_in_place(aside: Path, path: Path) -> None:
-    """Give `aside` the name `path`; what has it goes when the new folder is there, or gets it back."""
+def _replace_folder(aside: Path, path: Path) -> None:
+    """Rename `aside` to `path`. An older folder there is removed afterwards, or restored when the renaming fails."""
     if not path.exists():
         aside.replace(path)
         return
-    old = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}.", suffix=OLD))
+    old = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}.", suffix=OLD_SUFFIX))
     try:
         path.replace(old / path.name)
         aside.replace(path)
     except BaseException:
-        with contextlib.suppress(OSError):  # another process's new folder stands there: it is as good
+        with contextlib.suppress(OSError):  # another process has put its new folder there: keep that
             (old / path.name).replace(path)
         raise
     finally:
@@ -115,18 +115,20 @@ def _put_in_place(aside: Path, path: Path) -> None:
             shutil.rmtree(old, ignore_errors=True)
 
 
-def mend(path: Path) -> None:
-    """Clear up what processes left beside the folder `path` that were killed while they wrote it.
+def recover_folder(path: Path) -> None:
+    """Clean up after processes that were killed while they wrote the folder `path`. The caller holds its lock.
 
-    Only who holds its lock may call this. A folder that was put by to be replaced gets its name back.
+    Unfinished folders are removed; a folder that was about to be replaced gets its name back.
     """
     if not path.parent.is_dir():
         return
-    left = re.compile(rf"\.{re.escape(path.name)}\.[a-z0-9_]{{8}}({re.escape(ASIDE)}|{re.escape(OLD)})")
+    leftover = re.compile(
+        rf"\.{re.escape(path.name)}\.[a-z0-9_]{{8}}({re.escape(PART_SUFFIX)}|{re.escape(OLD_SUFFIX)})"
+    )
     for place in sorted(path.parent.iterdir()):
-        if not left.fullmatch(place.name) or place.is_symlink():
+        if not leftover.fullmatch(place.name) or place.is_symlink():
             continue
-        if place.suffix == OLD and not path.exists() and (place / path.name).is_dir():
+        if place.suffix == OLD_SUFFIX and not path.exists() and (place / path.name).is_dir():
             (place / path.name).replace(path)
         if place.is_dir():
             shutil.rmtree(place, ignore_errors=True)
@@ -134,9 +136,9 @@ def mend(path: Path) -> None:
             place.unlink(missing_ok=True)
 
 
-def sweep(folder: Path) -> None:
-    """Remove what a killed process left aside anywhere in `folder`."""
-    for path in [*folder.rglob(f".*{ASIDE}")]:
+def remove_leftovers(folder: Path) -> None:
+    """Remove unfinished files and folders of killed processes anywhere in `folder`."""
+    for path in [*folder.rglob(f".*{PART_SUFFIX}")]:
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
         else:

@@ -1,4 +1,4 @@
-"""How the base of a measured set moved: the columns of its runs, and what measured.json says of it."""
+"""The motion of the base in a measured set: columns of its runs, and `base` in measured.json."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from freeart21.files import checked
 from freeart21.measured import BaseAxis, BaseSeries
 from freeart21.se3 import Array
 
-BASE = ("position", "acceleration", "angle")
-"""Fields of `BaseSeries`."""
 POSITIONS, ACCELERATIONS = (tuple(f"base_{k}{x}" for x in "xyz") for k in ("", "a"))
 ANGLE = "base_angle"
 COLUMNS: dict[str, str] = {**dict.fromkeys(POSITIONS, "m"), **dict.fromkeys(ACCELERATIONS, "m/s^2"), ANGLE: "rad"}
@@ -22,17 +20,18 @@ COLUMNS: dict[str, str] = {**dict.fromkeys(POSITIONS, "m"), **dict.fromkeys(ACCE
 
 
 def base_of(table: Mapping[str, Array], where: Path) -> BaseSeries | None:
-    """The motion of the base in the columns of a run; None when there is none of them.
+    """The motion of the base in the columns of a run; None without such columns. Directions without a column are at
+    rest.
 
-    Directions that have no column are at rest. Raises FreeArtError when there are positions and accelerations.
+    Raises FreeArtError when there are both positions and accelerations.
     """
-    told = [[table[c] for c in columns if c in table] for columns in (POSITIONS, ACCELERATIONS)]
-    if all(told):
+    given = [[table[c] for c in columns if c in table] for columns in (POSITIONS, ACCELERATIONS)]
+    if all(given):
         raise FreeArtError(f"{where} has positions and accelerations of its base, expected one of both")
     n = len(table["t_s"])
     position, acceleration = (
         np.stack([table.get(c, np.zeros(n)) for c in columns], 1) if some else None
-        for columns, some in zip((POSITIONS, ACCELERATIONS), told, strict=True)
+        for columns, some in zip((POSITIONS, ACCELERATIONS), given, strict=True)
     )
     for column in COLUMNS:
         if column in table and not (np.isfinite(table[column][0]) and not np.isinf(table[column]).any()):
@@ -41,38 +40,33 @@ def base_of(table: Mapping[str, Array], where: Path) -> BaseSeries | None:
     return None if position is None and acceleration is None and found.angle is None else found
 
 
-def base_axis_of(said: Any, moved: bool, turned: bool, where: Path) -> BaseAxis | None:
-    """What the base turns about, of `base` in measured.json: "fixed", "moving", or an object with axis and point.
+def base_axis_of(value: Any, moved: bool, turned: bool, where: Path) -> BaseAxis | None:
+    """The rotation axis of the base, from `base` in measured.json: "fixed", "moving", or an object with axis and point.
 
-    Args:
-        said: the value.
-        moved: whether any run has a column of the base.
-        turned: whether any run has its angle.
-        where: the file.
-
-    Raises FreeArtError when it does not go with the columns.
+    `moved` and `turned`: whether any run has a column of the base's motion, and of its angle. Raises FreeArtError when
+    the value does not fit the columns.
     """
-    if isinstance(said, dict):
-        axis = checked.numbers(said, "axis", (3,), where)
-        point = checked.numbers(said, "point", (3,), where) if "point" in said else np.zeros(3)
+    if isinstance(value, dict):
+        axis = checked.numbers(value, "axis", (3,), where)
+        point = checked.numbers(value, "point", (3,), where) if "point" in value else np.zeros(3)
         length = float(np.linalg.norm(axis))
         if not abs(length - 1) < 1e-3:
             raise FreeArtError(f"{where}: the base's axis is {length:g} long, expected a unit vector")
         if not turned:
             raise FreeArtError(f"{where}: the base has an axis, but no run has a column '{ANGLE}'")
         return BaseAxis(axis / length, point)
-    if said not in ("fixed", "moving"):
-        raise FreeArtError(f"{where}: base is {said!r}, expected 'fixed', 'moving' or an object with its axis")
+    if value not in ("fixed", "moving"):
+        raise FreeArtError(f"{where}: base is {value!r}, expected 'fixed', 'moving' or an object with its axis")
     if turned:
-        raise FreeArtError(f"{where}: a run has '{ANGLE}', but base is {said!r}, expected an object with its axis")
-    if moved != (said == "moving"):
+        raise FreeArtError(f"{where}: a run has '{ANGLE}', but base is {value!r}, expected an object with its axis")
+    if moved != (value == "moving"):
         has = "a run has columns of its motion" if moved else "no run has a column of its motion"
-        raise FreeArtError(f"{where}: base is {said!r}, but {has}")
+        raise FreeArtError(f"{where}: base is {value!r}, but {has}")
     return None
 
 
 def base_columns(base: BaseSeries | None) -> dict[str, Array]:
-    """Column to its values, of those that there are."""
+    """Column to (n,) values, for the columns that `base` has."""
     if base is None:
         return {}
     found: dict[str, Array] = {}

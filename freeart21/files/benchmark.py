@@ -1,4 +1,4 @@
-"""A benchmark folder: sequences, truths, and a list of every file with its hash."""
+"""A data folder: sequences, truths, and benchmark.json with the hash of every file."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from freeart21.files import atomic, checked
 
 SCHEMA = "freeart21/benchmark/1"
 WORK = ".recording"
-"""Folder of what is under way, in a data folder that is being recorded."""
+"""Folder of unfinished work in a data folder that is being recorded."""
 MAX_HASHED_BYTES = checked.MAX_ARRAY_BYTES
-"""No reader takes a larger file."""
+"""The largest file that any reader accepts."""
 JOB_SCHEMA = "freeart21/recording-job/1"
-"""Of job.json there: what is being made, in full."""
+"""Schema of job.json there, the full plan of a recording."""
 
 
 @dataclass(frozen=True)
@@ -29,31 +29,29 @@ class Benchmark:
     split: str
     sequences: tuple[str, ...]
     hidden: str = ""
-    """Salted SHA-256 of the truth that was left out (`freeart21.files.hidden`); empty when it is in the folder."""
-    apart: Path | None = None
-    """Where the truth lies that was left out; None when nobody said."""
+    """Salted SHA-256 of a truth that was left out (`freeart21.files.hidden`); empty when the folder has its truth."""
+    hidden_truth: Path | None = None
+    """Folder of a truth that was left out, if given."""
     salt: str = ""
-    """Of its hashes."""
+    """Salt of the hashes of a hidden truth."""
 
     def sequence(self, name: str) -> Path:
-        """The sequence folder of `name`. Raises FreeArtError when it leads out of the data folder by a link."""
+        """The sequence folder of `name`. Raises FreeArtError when a link leads out of the data folder."""
         return checked.require_inside(self.folder, self.folder / "sequences" / name)
 
     def truth(self, name: str) -> Path:
-        """The truth folder of `name`. Raises FreeArtError when it was left out, and nobody said where it is, or when it
-        leads out by a link."""
-        if self.hidden and self.apart is None:
+        """The truth folder of `name`. Raises FreeArtError when it is hidden and not given, or a link leads out of
+        it."""
+        if self.hidden and self.hidden_truth is None:
             raise FreeArtError(
                 f"{self.folder} was packed without its truth, which only its makers have; got no --truth"
             )
-        folder = self.apart or self.folder
+        folder = self.hidden_truth or self.folder
         return checked.require_inside(folder, folder / "truth" / name)
 
-    def chosen(self, names: Sequence[str] | None) -> tuple[str, ...]:
-        """Those of its sequences that `names` says, in its own order; all when it is None.
-
-        Raises FreeArtError when one is not among them.
-        """
+    def select_sequences(self, names: Sequence[str] | None) -> tuple[str, ...]:
+        """The sequences in `names`, in the benchmark's order; all when it is None. Raises FreeArtError for an unknown
+        one."""
         if names is None:
             return self.sequences
         for name in names:
@@ -94,12 +92,12 @@ def write_benchmark(folder: Path, name: str, version: str, split: str) -> Benchm
 
 
 def is_unfinished(folder: Path) -> bool:
-    """Whether an interrupted (or running) recording waits in `folder`."""
+    """Whether `folder` holds an interrupted or running recording."""
     return (folder / WORK / "job.json").is_file()
 
 
-def unfinished(folder: Path) -> FreeArtError:
-    """The error of a data folder that is not whole yet: how far it is, and how to go on."""
+def unfinished_error(folder: Path) -> FreeArtError:
+    """The error for an unfinished data folder: how many sequences are done, and how to go on."""
     try:
         jobs = checked.read_json(folder / WORK / "job.json", JOB_SCHEMA).get("jobs")
     except FreeArtError:
@@ -113,14 +111,14 @@ def unfinished(folder: Path) -> FreeArtError:
 
 
 def read_benchmark(folder: Path, truth: Path | None = None) -> Benchmark:
-    """The benchmark in `folder`; `truth` is where its truth lies, if that was left out.
+    """The benchmark in `folder`; `truth` is the folder of a hidden truth.
 
-    Raises FreeArtError when it is broken, or `truth` is not the truth that was left out.
+    Raises FreeArtError when the folder is broken, or `truth` does not belong to it.
     """
     folder = Path(folder)
     path = folder / "benchmark.json"
     if not checked.is_there(path) and is_unfinished(folder):
-        raise unfinished(folder)
+        raise unfinished_error(folder)
     if not checked.is_there(path):
         raise FreeArtError(f"{folder} is not a benchmark: it has no benchmark.json")
     data = checked.read_json(path, SCHEMA)
@@ -146,4 +144,4 @@ def read_benchmark(folder: Path, truth: Path | None = None) -> Benchmark:
         raise FreeArtError(
             f"{truth} is not the truth of {folder}: its digest is {found.digest[:12]}, expected {benchmark.hidden[:12]}"
         )
-    return replace(benchmark, apart=Path(truth), salt=found.salt)
+    return replace(benchmark, hidden_truth=Path(truth), salt=found.salt)

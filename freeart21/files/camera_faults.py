@@ -1,4 +1,4 @@
-"""A file of what a camera does to its pictures: written by `gap`, taken by `record --camera`."""
+"""camera.json, the faults of a camera: written by `gap`, read by `record --camera`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SCHEMA = "freeart21/camera-faults/1"
 
 
 def faults_json(faults: CameraFaults) -> dict[str, Any]:
-    """What the file says: only what departs from a camera without fault."""
+    """The JSON object of the file: only fields that differ from a perfect camera."""
     plain = asdict(CameraFaults())
     return {"schema": SCHEMA} | {name: value for name, value in asdict(faults).items() if value != plain[name]}
 
@@ -25,7 +25,7 @@ def write_camera_faults(path: Path, faults: CameraFaults) -> None:
 
 
 def read_camera_faults(path: Path) -> CameraFaults:
-    """The faults in a file; FreeArtError names a number that is unknown, no number or out of all bounds."""
+    """The faults in a file; FreeArtError names a field that is unknown, no number or out of bounds."""
     data = checked.read_json(path, SCHEMA, checked.ANYWHERE)
     known = [field.name for field in fields(CameraFaults)]
     values: dict[str, Any] = {}

@@ -1,11 +1,11 @@
-"""Reading what may come from anywhere: the only place where files of users are opened.
+"""Reading untrusted files: the only module that opens files of users.
 
-A file is opened when it is a regular file (no pipe, device or socket), does not lead out of its folder by a link, and
-is of bounded size. Nothing in it is executed, and what it claims to hold (depth of JSON, shapes of arrays, sizes of
-pictures) is compared with bounds and with its bytes before memory is taken. Whatever is wrong is one clear line.
+A file is opened only when it is a regular file (no pipe, device or socket) of bounded size, and no link leads out of
+its folder. Nothing in it is executed. What it claims to hold (depth of JSON, shapes of arrays, sizes of pictures) is
+checked against limits and against its bytes before memory is allocated. Every error is one clear line.
 
-`root` is the folder that the user named: a file that resolves to a place outside of it is refused. Without a root it is
-the file's own folder. ANYWHERE is the root of a file that the user named himself, which may be a link.
+`root` is the folder that the user named: a file that resolves to a place outside of it is refused. The default is the
+file's own folder. ANYWHERE is the root of a file that the user named directly, which can be a link.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ from freeart21.errors import FreeArtError
 
 MAX_JSON_BYTES = 64 << 20
 MAX_JSON_DEPTH = 64
-"""Lists and objects in each other; the deepest file of ours, comparison.json, has 7."""
+"""Nested lists and objects; the deepest file of ours, comparison.json, has 7."""
 MAX_DIGITS = 300
-"""Of a whole number in JSON: any shorter one is a finite float. A longer one is read as infinite, as 1e999 is."""
+"""Digits of a whole number in JSON: any shorter one is a finite float. A longer one is read as infinite, as 1e999."""
 MAX_ARRAY_BYTES = 1 << 30
 MAX_DIRECTORY_BYTES = 1 << 20
-"""Of the list of arrays in an .npz, some 60 bytes each."""
+"""Size of an .npz file's list of arrays, some 60 bytes each."""
 MAX_IMAGE_BYTES = 64 << 20
 MAX_PIXELS = 1 << 26
-"""8192 x 8192: the largest textures that renderers take. A video's pictures have at most a quarter of it."""
+"""8192 x 8192: the largest textures of renderers. Video frames have at most a quarter of it."""
 _MAX_SEGMENTS = 1 << 16
-"""Of a JPEG before its picture, and fill bytes: cameras write tens."""
+"""JPEG segments before the picture, and fill bytes: cameras write tens."""
 ANYWHERE = Path(os.sep)
-"""The root of a file that the user named himself."""
+"""The root of a file that the user named directly."""
 _NO_LIMIT = 1 << 62
 _SPECIAL = {
     stat.S_IFDIR: "a folder",
@@ -61,15 +61,15 @@ _ABSENT = (errno.ENOENT, errno.ENOTDIR)
 def open_file(path: Path, limit: int, root: Path | None = None) -> BufferedReader:
     """`path`, opened for reading in binary; the caller closes it.
 
-    Raises FreeArtError when it is absent, no regular file, larger than `limit` bytes, unreadable, or when it leads out
-    of `root` by a link (see the module).
+    Raises FreeArtError when it is missing, no regular file, larger than `limit` bytes or unreadable, or when a link
+    leads out of `root` (see the module).
     """
     path = Path(path)
     try:
         if _leads_out(path, root):
             folder = path.parent if root is None else root
             raise FreeArtError(f"{path} leads out of {folder} by a link, expected the file itself: copy it there")
-        _require_plain(path, path.stat(), limit)  # before it is opened, which a device may act on
+        _require_plain(path, path.stat(), limit)  # before opening it, on which a device can act
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         try:
             _require_plain(path, os.fstat(handle), limit)
@@ -84,7 +84,7 @@ def open_file(path: Path, limit: int, root: Path | None = None) -> BufferedReade
 
 
 def read_bytes(path: Path, limit: int, root: Path | None = None) -> bytes:
-    """All bytes of the file `path`, as many as it has when it is opened. Raises FreeArtError as `open_file`."""
+    """All bytes of the file `path`. Raises FreeArtError as `open_file`."""
     with open_file(path, limit, root) as file:
         try:
             return file.read(os.fstat(file.fileno()).st_size)
@@ -102,7 +102,7 @@ def read_head(path: Path, count: int, root: Path | None = None) -> bytes:
 
 
 def read_text(path: Path, limit: int, root: Path | None = None, encoding: str = "utf-8", errors: str = "strict") -> str:
-    """The text in `path`, every line ended by a line feed. Raises FreeArtError as `open_file`, and when it is none."""
+    """The text in `path`, lines ended by line feeds. Raises FreeArtError as `open_file`, and when it is not text."""
     try:
         text = read_bytes(path, limit, root).decode(encoding, errors)
     except UnicodeDecodeError as error:
@@ -111,18 +111,18 @@ def read_text(path: Path, limit: int, root: Path | None = None, encoding: str = 
 
 
 def is_there(path: Path) -> bool:
-    """Whether anything has this name: what is no file is opened, and refused, rather than taken for absent."""
+    """Whether anything has this name, also a broken link: readers then refuse it instead of skipping it as absent."""
     return path.exists() or path.is_symlink()
 
 
 def require_file(path: Path, limit: int, root: Path | None = None) -> Path:
-    """`path` itself, for a library that opens it by its name. Raises FreeArtError as `open_file`."""
+    """`path` itself, checked as by `open_file`, for a library that opens it by name."""
     open_file(path, limit, root).close()
     return path
 
 
 def copy_folder(source: Path, target: Path) -> None:
-    """Copy all files below `source` to the folder `target`. Raises FreeArtError as `open_file`, of root `source`."""
+    """Copy all files below `source` to the folder `target`. Raises FreeArtError as `open_file` with root `source`."""
     target.mkdir(parents=True, exist_ok=True)
     for path in sorted(source.rglob("*")):
         place = target / path.relative_to(source)
@@ -135,7 +135,7 @@ def copy_folder(source: Path, target: Path) -> None:
 
 
 def require_inside(folder: Path, path: Path) -> Path:
-    """`path` itself, which starts with `folder`; FreeArtError when a link on the way leads out of the folder."""
+    """`path` itself, which is in `folder`; FreeArtError when a link on the way leads out of the folder."""
     inside(folder, str(path.relative_to(folder)))
     return path
 
@@ -153,7 +153,8 @@ def inside(folder: Path, relative: str) -> Path:
 
 
 def _leads_out(path: Path, root: Path | None) -> bool:
-    """Whether `path` resolves to a place outside of `root` (None: its folder). One lstat for every folder below it."""
+    """Whether `path` resolves to a place outside of `root` (None: its folder). Costs one lstat for each folder below
+    it."""
     if root == ANYWHERE:
         return False
     place = path.parent if root is None else Path(root)
@@ -186,7 +187,8 @@ def _unreadable(path: Path, error: OSError) -> FreeArtError:
 
 
 def parse_json(text: str, where: Path | str) -> Any:
-    """Whatever JSON `text` is, of at most MAX_JSON_DEPTH levels; FreeArtError, which begins with `where`, when none."""
+    """The JSON value of `text`, of at most MAX_JSON_DEPTH levels; FreeArtError, which begins with `where`,
+    otherwise."""
     try:
         data = json.loads(text, parse_int=_whole_number)
     except RecursionError:
@@ -207,7 +209,7 @@ def parse_json(text: str, where: Path | str) -> Any:
 
 
 def read_any_json(path: Path, root: Path | None = None, limit: int = MAX_JSON_BYTES) -> Any:
-    """Whatever JSON is in `path`."""
+    """The JSON value in `path`."""
     data = read_bytes(path, limit, root)
     try:
         return parse_json(data.decode("utf-8"), path)
@@ -230,7 +232,7 @@ def read_json(
 def numbers(
     data: dict[str, Any], key: str, shape: tuple[int | None, ...], path: Path, nullable: bool = False
 ) -> NDArray[np.float64]:
-    """The array `data[key]`; None in `shape` is any length; null is NaN when `nullable`, else all must be finite."""
+    """The array `data[key]` of `shape`, where None is any length. Entries are finite, or null (NaN) when `nullable`."""
     if key not in data:
         raise FreeArtError(f"{path} has no '{key}'; it has {', '.join(sorted(data))[:300]}")
     try:
@@ -253,8 +255,8 @@ def text(data: dict[str, Any], key: str, path: Path) -> str:
     return value
 
 
-def shortened(value: Any) -> str:
-    """At most sixty characters of a value that came from outside."""
+def shorten(value: Any) -> str:
+    """At most sixty characters of the repr of an untrusted value."""
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
@@ -279,8 +281,8 @@ def read_npz(
 ) -> dict[str, NDArray[Any]]:
     """The named arrays (all when None) of an .npz file, and those of `optional` that it has, without pickle.
 
-    The file has at most `limit` bytes (None: MAX_ARRAY_BYTES), packed and unpacked. Raises FreeArtError when one is
-    missing, or when an array's header claims more than there is.
+    The file has at most `limit` bytes (default MAX_ARRAY_BYTES), packed and unpacked. Raises FreeArtError when an array
+    is missing, or its header claims more data than there is.
     """
     limit = MAX_ARRAY_BYTES if limit is None else limit
     try:
@@ -311,9 +313,9 @@ def read_npy(path: Path, root: Path | None = None, limit: int = MAX_ARRAY_BYTES)
 
 
 def open_zip(file: IO[bytes], path: Path, limit: int) -> zipfile.ZipFile:
-    """The archive in `file`, whose name is `path`; FreeArtError when its list of entries has over `limit` bytes.
+    """The zip archive in `file`, named `path`. FreeArtError when its directory has over `limit` bytes.
 
-    ZipFile reads that list at once, before any of it can be looked at. Raises what ZipFile does.
+    ZipFile reads the whole directory at once, before it can be checked. Raises also what ZipFile raises.
     """
     bounded = _BoundedReads(file, path, limit)
     archive = zipfile.ZipFile(cast(IO[bytes], bounded))
@@ -322,13 +324,13 @@ def open_zip(file: IO[bytes], path: Path, limit: int) -> zipfile.ZipFile:
 
 
 class _BoundedReads:
-    """A file of which no read takes more than `limit` bytes."""
+    """A file that refuses reads of more than `limit` bytes."""
 
     def __init__(self, file: IO[bytes], path: Path, limit: int):
         self.limit, self._file, self._path = limit, file, path
 
     def read(self, size: int = -1) -> bytes:
-        """As the file's own."""
+        """Read as the file does."""
         if size > self.limit:
             raise FreeArtError(f"{self._path} has a directory of {size} bytes, at most {self.limit} are read")
         return self._file.read(size)
@@ -338,7 +340,7 @@ class _BoundedReads:
 
 
 def _read_array(file: IO[bytes], size: int, what: str) -> NDArray[Any]:
-    """The array in an .npy stream of `size` bytes. Its header is read first, since NumPy takes the memory it claims."""
+    """The array in an .npy stream of `size` bytes. The header is checked first: NumPy allocates what it claims."""
     version = np.lib.format.read_magic(file)
     if version not in _NPY_HEADERS:
         raise ValueError(f"{what} has version {version}, expected 1.0 or 2.0")
@@ -357,7 +359,7 @@ def _read_array(file: IO[bytes], size: int, what: str) -> NDArray[Any]:
 _NPY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 _NO_ARRAY = (
     *(ValueError, OSError, RuntimeError, EOFError, KeyError, NotImplementedError, zipfile.BadZipFile, zlib.error),
-    *(TypeError, struct.error, OverflowError, MemoryError),  # of headers that are none
+    *(TypeError, struct.error, OverflowError, MemoryError),  # of malformed headers
 )
 
 
@@ -373,7 +375,7 @@ def read_image(path: Path, flags: int, root: Path | None = None) -> NDArray[Any]
 
 
 def decode_image(data: bytes, path: Path, flags: int) -> NDArray[Any]:
-    """As `read_image`, of the bytes of the file `path`."""
+    """As `read_image`, from the bytes of the file `path`."""
     try:
         width, height = image_size(data)
     except (ValueError, struct.error) as error:
@@ -390,7 +392,7 @@ def decode_image(data: bytes, path: Path, flags: int) -> NDArray[Any]:
 
 
 def image_size(data: bytes) -> tuple[int, int]:
-    """Width and height that a picture's header says: PNG, JPEG, BMP, WebP. ValueError or struct.error otherwise."""
+    """Width and height in the header of a PNG, JPEG, BMP or WebP. ValueError or struct.error otherwise."""
     if data.startswith(b"\x89PNG\r\n\x1a\n"):
         if b"IEND" not in data[-64:] and b"IEND" not in data:
             raise ValueError("it is cut off")
@@ -418,7 +420,7 @@ def image_size(data: bytes) -> tuple[int, int]:
 
 
 def _webp_size(data: bytes) -> tuple[int, int]:
-    """Of the three kinds of WebP (RFC 9649, 2.5 to 2.7)."""
+    """Width and height of the three kinds of WebP (RFC 9649, 2.5 to 2.7)."""
     kind = data[12:16]
     if kind == b"VP8X":
         return 1 + int.from_bytes(data[24:27], "little"), 1 + int.from_bytes(data[27:30], "little")
@@ -453,9 +455,8 @@ def read_uint16(path: Path, root: Path | None = None) -> NDArray[np.uint16]:
 def encode_png(image: NDArray[Any]) -> bytes:
     """PNG bytes of a (height, width) uint8 or uint16 map or a (height, width, 3) RGB image.
 
-    OpenCV's own settings (each pixel coded by its left neighbour, run lengths, fast deflate) are the choice: naming any
-    compression level makes it try all filters a row, which takes twice the time and, on pictures of objects before a
-    plain background, no less room.
+    OpenCV's default settings are used: with any explicit compression level it tries all filters on each row, which
+    takes twice the time and saves nothing on objects before a plain background.
     """
     if image.ndim == 3:
         image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)

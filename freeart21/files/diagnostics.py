@@ -1,7 +1,7 @@
-"""diagnostics.json and confidence/ of a result folder: what a method can say of its own work without knowing the truth.
+"""diagnostics.json and confidence/ of a result folder: a method's own quality measures, made without the truth.
 
-Written beside prediction.json by methods that measure it; results without it are just as good. No scorer reads it. What
-a result tells already (states and their standard deviations, poses, masks, `seen`) is not told again.
+Optional: no scorer reads them. Contents of the other result files (states and their standard deviations, poses, masks,
+`seen`) are not repeated.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ from freeart21.se3 import Array
 SCHEMA = "freeart21/diagnostics/1"
 FILE = "diagnostics.json"
 MAX_BYTES = 32 << 20
-"""A hundred thousand frames take less."""
+"""Enough for a hundred thousand frames."""
 
 
 @dataclass(frozen=True)
 class Diagnostics:
     """How well n frames of both parts (reference, moving) agree with each other. NaN where nothing could be measured.
 
-    A frame's samples of a part are carried into other frames by the poses of both, and looked up there.
+    Samples of a part are mapped from one frame into others by both poses, and compared with the pixels there.
     """
 
     pixels: Array
     """(n, 2) pixels of each part in the picture."""
     confidence: Array
-    """(n, 2) mean probability, 0 to 1, that the labels give to the part that they name."""
+    """(n, 2) mean probability, 0 to 1, of the labels given."""
     inliers: Array
-    """(n, 2) share, 0 to 1, of samples that meet the same part's surface within `gate_m`."""
+    """(n, 2) share, 0 to 1, of samples within `gate_m` of the same part's surface."""
     outside: Array
     """(n, 2) share, 0 to 1, of samples that fall off the foreground."""
     residual_m: Array
     """(n, 2) metres: root mean square distance of inliers to the surface's planes, by the free poses."""
     jointed_residual_m: Array
-    """(n, 2) metres: the same by poses that obey the joint."""
+    """(n, 2) metres: the same, by poses constrained by the joint."""
     gate_m: float
     """Metres: samples farther from the surface are no inliers."""
     footprint_m: float
@@ -51,35 +51,33 @@ class Diagnostics:
     diagonal_m: float
     """Metres: estimated size of the object."""
     peak_bytes: int | None = None
-    """Most memory that the process has held, if known."""
+    """Peak memory of the process, if known."""
     confidence_maps: NDArray[np.uint8] | None = None
-    """(n, height, width) probability, in 255ths, of the label that every pixel was given; 0 where it has none."""
+    """(n, height, width) probability, in 255ths, of the label of each pixel; 0 without a label."""
     unexplained: Array | None = None
-    """(n,) share, 0 to 1, of the object's pixels that follow neither part's motion into other frames, if known."""
+    """(n,) share, 0 to 1, of the object's pixels that fit neither part's motion into other frames, if known."""
     other_motion_cost: Array | None = None
     """(n, 2) mean cost of each part's pixels under the other part's motion, where the joint moves; 0.5 is a misfit of a
     standard deviation. If known."""
     rival_distance: Array | None = None
-    """(n,) how far, rad or m, another state is that explains the frame as well; 0 when none does. If known."""
+    """(n,) distance, rad or m, to another state that explains the frame equally well; 0 without one. If known."""
     type_residuals_m: Array | None = None
-    """(2,) metres: median misfit of the measured poses to the best joint of this type, and to that of the other. If
-    known."""
+    """(2,) metres: median misfit of the measured poses to the best joint of this type, and of the other. If known."""
     uncovered: Array | None = None
     """(n, 2) share, 0 to 1, of each part's pixels, off the object's outline and depth steps, where neither part's
-    surface lies when joint and states pose them. In frames of any kind; what follows: where both parts were seen. In
-    some of them, if known."""
+    surface lies when joint and states pose them. In frames of any kind; the fields below: in frames that see both
+    parts. If known."""
     spilled: Array | None = None
-    """(n, 2) share, 0 to 1, of each part's surface, so drawn, that lies off the object's mask and is not hidden."""
+    """(n, 2) share, 0 to 1, of each part's visible surface, so posed, that lies off the object's mask."""
     off_surface: Array | None = None
-    """(n, 2) share, 0 to 1, of each part's pixels on which its surface is drawn, but not where depth was measured."""
+    """(n, 2) share, 0 to 1, of each part's pixels where its surface is drawn at another depth than measured."""
     colour_residual: Array | None = None
     """(n, 2) median distance of the surface's colours to the picture's: CIELAB, lightness times 0.3."""
     extent_ratio: Array | None = None
-    """(2,) diagonal of the box round each part's surface over the widest span of its pixels in any frame, at their
-    depth."""
+    """(2,) diagonal of the box around each part's surface, over the largest extent of its pixels in any frame."""
     seen_share: Array | None = None
-    """(2,) share, 0 to 1, of each part's surface by area where some frame measured depth on it. Detached pieces that
-    were seen at one state alone do not count: they may be the other part's."""
+    """(2,) share, 0 to 1, of each part's surface by area where some frame measured depth on it, without detached
+    pieces that were seen at one state only."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -104,7 +102,7 @@ class Diagnostics:
         return len(self.pixels)
 
     def exchanged(self) -> Diagnostics:
-        """The same with the parts' names exchanged."""
+        """The same with reference and moving part exchanged."""
         turned = {name: getattr(self, name) for name in (*_OF_FRAMES, *_OF_PARTS)}
         return replace(self, **{name: value[..., ::-1] for name, value in turned.items() if value is not None})
 
@@ -119,25 +117,25 @@ _OF_PARTS = (
     "extent_ratio",
     "seen_share",
 )
-_MAY_MISS = ("unexplained", "rival_distance", "type_residuals_m", *_OF_PARTS)
+_OPTIONAL = ("unexplained", "rival_distance", "type_residuals_m", *_OF_PARTS)
 _SHARES = ("confidence", "inliers", "outside", "unexplained", "uncovered", "spilled", "off_surface", "seen_share")
 _LENGTHS = ("gate_m", "footprint_m", "noise_m", "diagonal_m")
 
 
 def _shapes(n: int) -> dict[str, tuple[int, ...]]:
-    """Of what need not be known."""
-    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(_MAY_MISS, (n, 2))
+    """Shapes of the optional fields for n frames."""
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(_OPTIONAL, (n, 2))
     shapes.update(dict.fromkeys(("unexplained", "rival_distance"), (n,)))
     shapes.update(dict.fromkeys(("type_residuals_m", "extent_ratio", "seen_share"), (2,)))
     return shapes
 
 
 def diagnostics_to_json(diagnostics: Diagnostics) -> dict[str, Any]:
-    """Plain values, arrays to six digits; null where nothing was measured. The maps are not among them."""
+    """Plain values without the maps; arrays to six digits, null where nothing was measured."""
     data: dict[str, Any] = {"schema": SCHEMA}
     for name in _OF_FRAMES:
         data[name] = [[_six_digits(v) for v in row] for row in np.asarray(getattr(diagnostics, name), float).tolist()]
-    for name in _MAY_MISS:
+    for name in _OPTIONAL:
         value = getattr(diagnostics, name)
         if value is not None:
             flat = [_six_digits(v) for v in np.ravel(value).tolist()]
@@ -179,9 +177,9 @@ def write_diagnostics(folder: Path, diagnostics: Diagnostics) -> None:
 
 
 def read_diagnostics(folder: Path, n: int) -> Diagnostics | None:
-    """The diagnostics in a result folder of `n` frames, None when it has none; FreeArtError when they are no such.
+    """The diagnostics in a result folder of `n` frames; None without any, FreeArtError when they are invalid.
 
-    Without the maps: those are read one by one by `read_confidence`.
+    Without the maps, which `read_confidence` reads one by one.
     """
     path = Path(folder) / FILE
     if not checked.is_there(path):
@@ -193,7 +191,7 @@ def read_diagnostics(folder: Path, n: int) -> Diagnostics | None:
 
 
 def confidence_file(folder: Path, index: int) -> Path:
-    """Where the confidence map of frame `index` stands."""
+    """Path of the confidence map of frame `index`."""
     return Path(folder) / "confidence" / f"{index:05d}.png"
 
 

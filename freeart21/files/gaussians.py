@@ -2,7 +2,7 @@
 
 Binary, little-endian, 32-bit floats: `x y z nx ny nz f_dc_0..2 opacity scale_0..2 rot_0..3 part_weight`; `opacity` is a
 logit, `scale_*` are natural logarithms, `rot_*` is w first, and the colour is `0.5 + SH_0 * f_dc`. Viewers find
-properties by name, and skip the last one and the comments, where the light stands.
+properties by name; they skip part_weight and the comments, which hold the light.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from freeart21.se3 import Array
 GAUSSIANS = "gaussians.ply"
 """The file in a result folder."""
 SH_0 = 0.28209479177387814
-"""The spherical harmonic of degree 0, by which 3DGS files scale colours."""
+"""The spherical harmonic of degree 0, which scales colours in 3DGS files."""
 MAX_GAUSSIANS = 4_000_000
 MAX_HEADER_BYTES = 16 << 10
-"""A file of ours has at most 2,500; readers elsewhere look for the header's end in the first 8 to 10 kB."""
+"""Our files have at most 2,500; other readers look for the header's end in the first 8 to 10 kB."""
 FAINTEST = 1e-9
-"""Opacities are kept this far from 0 and 1, whose logits are infinite: 1 is read back as 1, 0 as this."""
+"""Opacities stay this far from 0 and 1, whose logits are infinite: 1 is read back as 1, 0 as this."""
 SMALLEST = 1e-12
-"""Metres: scales are kept from 0, whose logarithm is infinite."""
+"""Smallest scale, metres: the logarithm of 0 is infinite."""
 _LIGHT = "comment freeart21/light "
-"""Before the three numbers of one coefficient, in the order of `spherical_harmonics`."""
+"""Precedes the three numbers of one coefficient, in the order of `spherical_harmonics`."""
 _NAMES = (
     *("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"),
     *("scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", "part_weight"),
@@ -44,8 +44,8 @@ _OPTIONAL = ("nx", "ny", "nz", "part_weight")
 def write_gaussians(path: Path, gaussians: Gaussians) -> None:
     """Write `gaussians` to `path`, whole or not at all.
 
-    They are read back to the precision of 32-bit floats, but opacities nearer to 0 or 1 than FAINTEST and scales below
-    SMALLEST. Colours are those in mean light; `light` is kept in comments. Raises CannotWrite.
+    Precision is that of 32-bit floats, with the limits FAINTEST and SMALLEST. Colours are those in mean light; `light`
+    is written into comments. Raises CannotWrite.
     """
     opacity = np.clip(gaussians.opacities.astype(float), FAINTEST, 1 - FAINTEST)
     columns = [
@@ -74,23 +74,23 @@ def write_gaussians(path: Path, gaussians: Gaussians) -> None:
 def read_gaussians(path: Path, parted: bool = False, root: Path | None = None) -> Gaussians:
     """The Gaussians in `path`, from any 3DGS writer: bounded, checked, nothing executed.
 
-    Properties may stand in any order, and unknown ones (`f_rest_*`, which depend on the view) are left out; colours
-    are cut to 0..1. Without normals, or where they are zero, a Gaussian's thinnest axis is its normal, away from the
-    middle of all. Without part_weight nothing moves: all are the reference part's.
+    Properties can be in any order; unknown ones (`f_rest_*`, which depend on the view) are ignored; colours are clipped
+    to 0..1. Without normals, or where they are zero, a Gaussian's thinnest axis is its normal, pointing away from the
+    median of all. Without part_weight all belong to the reference part.
 
-    Raises FreeArtError, in one line, on anything else than such a file, and with `parted` when part_weight is missing.
+    Raises FreeArtError on any other file, and with `parted` when part_weight is missing.
     """
     try:
         with checked.open_file(path, MAX_PLY_BYTES, root) as file:
             table, light = _table(file)
-        with np.errstate(over="ignore"):  # what is beyond 32-bit floats becomes infinite, and is refused
+        with np.errstate(over="ignore"):  # numbers beyond 32-bit floats become infinite, and are refused
             return _gaussians(table, light, parted)
     except (ValueError, OverflowError, OSError, FreeArtError) as error:
         raise FreeArtError(f"{path} is not a readable PLY file of Gaussians: {error}") from error
 
 
 def _table(file: BufferedReader) -> tuple[NDArray[np.void], Floats | None]:
-    """The rows of the vertices, and the light of the comments; ValueError says what is wrong."""
+    """The rows of the vertices, and the light in the comments; ValueError when the file is invalid."""
     head = file.read(MAX_HEADER_BYTES)
     if not head.startswith(b"ply"):
         raise ValueError("it does not begin with 'ply'")
@@ -101,11 +101,11 @@ def _table(file: BufferedReader) -> tuple[NDArray[np.void], Floats | None]:
     lines = [line.strip() for line in before.decode("ascii").split("\n")]
     encoding = [line for line in lines if line.startswith("format ")]
     if encoding != ["format binary_little_endian 1.0"]:
-        raise ValueError(f"its format is {_shortened(' '.join(encoding))}, expected binary_little_endian 1.0")
+        raise ValueError(f"its format is {_quote(' '.join(encoding))}, expected binary_little_endian 1.0")
     elements = [k for k, line in enumerate(lines) if line.startswith("element ")]
     words = lines[elements[0]].split() if elements else []
     if len(words) != 3 or words[1] != "vertex" or not words[2].isdecimal() or len(words[2]) > 12:
-        raise ValueError(f"its first element is {_shortened(' '.join(words[1:]))}, expected vertex and their number")
+        raise ValueError(f"its first element is {_quote(' '.join(words[1:]))}, expected vertex and their number")
     count = int(words[2])
     if count > MAX_GAUSSIANS:
         raise ValueError(f"it has {count} Gaussians, at most {MAX_GAUSSIANS} are read")
@@ -115,11 +115,11 @@ def _table(file: BufferedReader) -> tuple[NDArray[np.void], Floats | None]:
         if words[:1] != ["property"]:
             continue
         if len(words) != 3 or words[1] not in PLY_TYPES or words[2] in dict(fields):
-            raise ValueError(f"a property is {_shortened(line[9:])}, expected a type of number and a name of its own")
+            raise ValueError(f"a property is {_quote(line[9:])}, expected a type of number and a name of its own")
         fields.append((words[2], "<" + PLY_TYPES[words[1]]))
     missing = [name for name in _NAMES if name not in dict(fields) and name not in _OPTIONAL]
     if missing:
-        known = _shortened(", ".join(name for name, _ in fields)) if fields else "none"
+        known = _quote(", ".join(name for name, _ in fields)) if fields else "none"
         raise ValueError(f"its vertices have no {', '.join(missing)}; their properties are {known}")
     start, dtype = len(before) + len(mark) + line_end + 1, np.dtype(fields)
     there = max(0, os.fstat(file.fileno()).st_size - start) // dtype.itemsize
@@ -182,7 +182,7 @@ def _normals(
     quaternions: Array,
     scales: Array,
 ) -> Array:
-    """(N, 3) unit normals as given, or where these are zero the thinnest axes, turned away from the middle of all."""
+    """(N, 3) unit normals as given, or where these are zero the thinnest axes, pointing away from the median point."""
     lengths = np.linalg.norm(given, axis=1)
     lost = lengths == 0
     normals = given / np.where(lost, 1, lengths)[:, None]
@@ -194,7 +194,7 @@ def _normals(
     return normals
 
 
-def _shortened(text: str) -> str:
-    """At most eighty printable characters of what a file says."""
+def _quote(text: str) -> str:
+    """At most eighty printable characters of an untrusted text, in quotes."""
     plain = "".join(c for c in text if c.isprintable())
     return f"'{plain}'" if len(plain) <= 80 else f"'{plain[:77]}...'"

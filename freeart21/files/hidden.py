@@ -1,7 +1,7 @@
-"""Data folders whose truth lies elsewhere: how the truth is known again, and that nothing of it is left in them.
+"""Data folders without their truth: how to recognise the truth, and how to check that no trace of it is left.
 
-benchmark.json of such a folder says `hidden`, a salted hash of all truth files: a plain one would confirm a guess of
-the truth, such as a recording of the same object with a known seed. The salt lies with the truth.
+Their benchmark.json has `hidden`, a salted hash of all truth files. Without the salt, which is stored with the truth,
+anybody could confirm a guess of the truth, such as a recording of the same object with a known seed.
 """
 
 from __future__ import annotations
@@ -25,33 +25,33 @@ MARKER = "hidden.json"
 PICTURES = ("rgb", "depth", "mask")
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _FORMS = {"rgb": (8, 2, 3), "depth": (16, 0, 2), "mask": (8, 0, 1)}
-"""Subfolder to bit depth, colour type (PNG specification, 11.2.2) and bytes a pixel of its pictures."""
+"""Subfolder to bit depth, colour type (PNG specification, 11.2.2) and bytes per pixel of its pictures."""
 
 
 @dataclass(frozen=True)
 class Hidden:
-    """The truth of a data folder that was packed without it."""
+    """The truth that was left out of a packed data folder."""
 
     folder: Path
     salt: str
     names: dict[str, str]
     """Name of a sequence in the data folder to its name where it was recorded."""
     sha256: dict[str, str]
-    """Every file of the truth, from this folder on, to its hash."""
+    """File of the truth, relative to this folder, to its hash."""
 
     @property
     def digest(self) -> str:
-        """What benchmark.json of the data folder says."""
-        return digest(self.salt, self.sha256)
+        """`hidden` in benchmark.json of the data folder."""
+        return hidden_digest(self.salt, self.sha256)
 
 
-def digest(salt: str, sha256: Mapping[str, str]) -> str:
+def hidden_digest(salt: str, sha256: Mapping[str, str]) -> str:
     """Salted SHA-256, hexadecimal, of file names and their hashes."""
     return hashlib.sha256(json.dumps([salt, sorted(sha256.items())]).encode()).hexdigest()
 
 
 def read_hidden(folder: Path) -> Hidden:
-    """The hidden truth in `folder`, every file of it compared with its hash. Raises FreeArtError in one line."""
+    """The hidden truth in `folder`; every file is checked against its hash. Raises FreeArtError."""
     folder = Path(folder)
     path = folder / MARKER
     if not checked.is_there(path):
@@ -59,10 +59,10 @@ def read_hidden(folder: Path) -> Hidden:
     data = checked.read_json(path, SCHEMA)
     tables: dict[str, dict[str, str]] = {}
     for key in ("names", "sha256"):
-        said = data.get(key)
-        if not isinstance(said, dict) or not all(isinstance(value, str) for value in said.values()):
+        table = data.get(key)
+        if not isinstance(table, dict) or not all(isinstance(value, str) for value in table.values()):
             raise FreeArtError(f"{path}: '{key}' is no object of texts")
-        tables[key] = said
+        tables[key] = table
     for name, expected in tables["sha256"].items():
         file = checked.inside(folder, name)
         if not file.is_file() or file_sha256(file) != expected:
@@ -70,12 +70,11 @@ def read_hidden(folder: Path) -> Hidden:
     return Hidden(folder, checked.text(data, "salt", path), tables["names"], tables["sha256"])
 
 
-def traces(sequence: Path) -> Iterator[str]:
-    """A line for everything in a sequence folder that may say more than a method may see.
+def find_traces(sequence: Path) -> Iterator[str]:
+    """A line for everything in a sequence folder that could leak the truth to a method.
 
-    Its files are a function of what they show: pictures hold pixels and nothing else (no other chunks, nothing behind
-    their end or their pixels, masks are black and white), JSON is as our own writer writes it, and no other file lies
-    there.
+    Pictures hold pixels only (no other chunks, no bytes behind their end or their pixels; masks are black and white),
+    JSON is byte for byte what our writer writes, and there is no other file.
     """
     recording = read_sequence(sequence)
     n = len(recording)
@@ -83,7 +82,7 @@ def traces(sequence: Path) -> Iterator[str]:
     for path in sorted(sequence.rglob("*")):
         name = path.relative_to(sequence).as_posix()
         if path.is_symlink() or not (name in allowed or (path.is_dir() and name in PICTURES)):
-            yield f"{path} is nothing that a method may see"
+            yield f"{path} does not belong to what a method sees"
     scale = checked.read_json(sequence / "sequence.json").get("depth_scale")
     written: dict[str, Any] = {
         "sequence.json": header_json(recording.camera, scale, recording.times_s, recording.licence),  # type: ignore[arg-type]
@@ -92,7 +91,7 @@ def traces(sequence: Path) -> Iterator[str]:
     for name, data in written.items():
         path = sequence / name
         if path.is_file() and checked.read_bytes(path, checked.MAX_JSON_BYTES) != atomic.json_text(data).encode():
-            yield f"{path} holds more than what it has to say: it is not as our writer writes it"
+            yield f"{path} is not as our writer writes it: it could hold more than its values"
     size = recording.camera.width, recording.camera.height
     for sub in PICTURES:
         for i in range(n):
@@ -106,7 +105,7 @@ def traces(sequence: Path) -> Iterator[str]:
 
 
 def _beyond_pixels(path: Path, sub: str, size: tuple[int, int]) -> str:
-    """What a picture holds beside its pixels; empty when there is nothing."""
+    """What a picture holds besides its pixels; '' when nothing."""
     data = checked.read_bytes(path, checked.MAX_IMAGE_BYTES, path.parent.parent)
     if not data.startswith(_SIGNATURE):
         return "is no PNG"
@@ -118,7 +117,7 @@ def _beyond_pixels(path: Path, sub: str, size: tuple[int, int]) -> str:
             return "is cut off"
         kinds.append(kind)
         if kind == b"IHDR" and struct.unpack(">IIBBBBB", body) != (*size, *_FORMS[sub][:2], 0, 0, 0):
-            return "has another form than our pictures"
+            return "has another size, bit depth or colour type than our pictures"
         packed += [body] if kind == b"IDAT" else []
         at += 12 + length
         if kind == b"IEND":

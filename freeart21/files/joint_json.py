@@ -1,4 +1,4 @@
-"""A joint as JSON: the same words in truth.json, prediction.json and pages."""
+"""A joint as JSON, as in truth.json, prediction.json and pages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One writer at a time, by locks that the system takes away with the process: a killed one leaves none."""
+"""One writer at a time, by file locks that the system releases when the process ends."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from freeart21.files import atomic
 
 @contextlib.contextmanager
 def only_writer(out: Path) -> Iterator[None]:
-    """Be the only process that makes the folder `out`: holds the hidden file `.NAME.lock` beside it.
+    """Be the only process that writes the folder `out`: holds the hidden lock file `.NAME.lock` next to it.
 
-    Clears up first what killed ones left (`atomic.mend`); folders made for the lock go when they stay empty. Raises
-    FreeArtError when another process has the lock, and CannotWrite.
+    First cleans up after killed processes (`atomic.recover_folder`). Folders made for the lock are removed when they
+    stay empty. Raises FreeArtError when another process has the lock, and CannotWrite.
     """
     out = out.absolute()
-    with locked(out.parent / f".{out.name}.lock", f"another process is writing {out}", 0.0):
-        atomic.mend(out)
+    with hold_lock(out.parent / f".{out.name}.lock", f"another process is writing {out}", 0.0):
+        atomic.recover_folder(out)
         yield
 
 
 @contextlib.contextmanager
-def locked(lock: Path, otherwise: str, patience_s: float) -> Iterator[None]:
-    """Hold the lock file `lock`; FreeArtError `otherwise` when another process has it for longer than `patience_s`."""
+def hold_lock(lock: Path, otherwise: str, patience_s: float) -> Iterator[None]:
+    """Hold the lock file `lock`; FreeArtError `otherwise` when another process keeps it for `patience_s`."""
     made = [folder for folder in lock.parents if not folder.exists()]
     deadline = time.monotonic() + patience_s
-    while (handle := take(lock)) is None:
+    while (handle := acquire(lock)) is None:
         if time.monotonic() > deadline:
             raise FreeArtError(f"{otherwise}; wait for it, or choose another place")
         time.sleep(0.05)
@@ -42,7 +42,7 @@ def locked(lock: Path, otherwise: str, patience_s: float) -> Iterator[None]:
 
 
 def release(lock: Path, handle: int, made: list[Path]) -> None:
-    """Give up the lock; its file goes, and those of the folders `made` for it (the innermost first) that are empty."""
+    """Release the lock and remove its file, and those of the folders `made` for it (innermost first) that are empty."""
     lock.unlink(missing_ok=True)
     for folder in made:
         with contextlib.suppress(OSError):  # what is not empty stays
@@ -50,15 +50,15 @@ def release(lock: Path, handle: int, made: list[Path]) -> None:
     os.close(handle)
 
 
-def take(path: Path) -> int | None:
-    """A handle that holds the lock file `path`, shared after nobody else had it; None when somebody has.
+def acquire(path: Path) -> int | None:
+    """A handle that holds the lock file `path`, or None when another process has it.
 
-    Raises CannotWrite when the file cannot be made.
+    The lock is taken exclusively, then kept as a shared one. Raises CannotWrite when the file cannot be made.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
-    except FileNotFoundError:  # its folder went, with the process that made it
+    except FileNotFoundError:  # another process has removed the folder
         return None
     except OSError as error:
         raise atomic.cannot_write(path, error) from error

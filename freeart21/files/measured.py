@@ -28,28 +28,28 @@ from freeart21.measured import (
 )
 from freeart21.mechanics import Actuator
 from freeart21.se3 import Array
-from freeart21.turns import is_wrapped, near, unwrapped
+from freeart21.turns import is_wrapped, unwrap_angles, unwrap_command
 
 VERSION = 1
 MAX_BYTES = 256 << 20
-"""Of all runs together."""
+"""Size limit of all runs together."""
 MAX_RUNS = 1000
 MAX_RATE_HZ = 1e5
 MAX_GRAVITY = 50.0
-"""m/s^2; more is another unit."""
+"""m/s^2; larger values are in another unit."""
 MAX_POSITION = 1e4
-"""rad or m; more is no position of a joint."""
+"""rad or m; larger values are no joint positions."""
 MIN_SAMPLES = 20
-"""Fewer readings say nothing of a motion."""
+"""Fewest readings of a run."""
 DRIVES = ("effort", "q_command", "voltage", "enabled")
-"""Columns of what drove the joint."""
+"""Columns of the joint's drive."""
 COLUMNS = ("t_s", "q", *DRIVES, "qd", *base_json.COLUMNS)
 MARKS = ("held_out", "prescribed")
-"""What measured.json may say of a run: true or false."""
-_ALIKE = {"t_s": "s", "voltage": "V", "enabled": "1", **base_json.COLUMNS}
+"""Flags of a run in measured.json."""
+_SHARED_UNITS = {"t_s": "s", "voltage": "V", "enabled": "1", **base_json.COLUMNS}
 UNITS: dict[str, dict[str, str]] = {
-    "revolute": {"q": "rad", "qd": "rad/s", "effort": "N*m", "q_command": "rad", **_ALIKE},
-    "prismatic": {"q": "m", "qd": "m/s", "effort": "N", "q_command": "m", **_ALIKE},
+    "revolute": {"q": "rad", "qd": "rad/s", "effort": "N*m", "q_command": "rad", **_SHARED_UNITS},
+    "prismatic": {"q": "m", "qd": "m/s", "effort": "N", "q_command": "m", **_SHARED_UNITS},
 }
 OTHER_UNITS: dict[str, dict[str, float]] = {
     "rad": {"deg": np.pi / 180},
@@ -57,11 +57,11 @@ OTHER_UNITS: dict[str, dict[str, float]] = {
     "m": {"mm": 1e-3},
     "m/s": {"mm/s": 1e-3},
 }
-"""Unit to others that are read in its place, and what one of them is of it."""
+"""Unit to other accepted units, and their sizes in it."""
 
 
 def read_measured(folder: Path) -> Measured:
-    """The measured set in a folder; FreeArtError says in one line what is wrong with it."""
+    """The measured set in a folder. Raises FreeArtError when it is invalid."""
     folder = Path(folder)
     path = folder / "measured.json"
     if not folder.is_dir() or not checked.is_there(path):
@@ -145,23 +145,23 @@ def _listed_runs(data: dict[str, Any], path: Path) -> list[dict[str, Any]]:
 
 
 def _run_files(folder: Path, listed: list[dict[str, Any]], path: Path) -> list[Path]:
-    """The file of every run, each another, their names another, and all together not too large."""
+    """The files of all runs: different files of different names, of bounded total size."""
     files: dict[Path, str] = {}
     names: dict[str, str] = {}
     for entry in listed:
-        file, said = checked.inside(folder, entry["file"]), entry["file"]
+        file, listed_name = checked.inside(folder, entry["file"]), entry["file"]
         if file.is_dir() and entry.get("kind") == "poses":
-            file = checked.inside(folder, f"{said}/poses.npz")
+            file = checked.inside(folder, f"{listed_name}/poses.npz")
         if file in files:
             raise FreeArtError(
-                f"{path}: 'runs' names a file twice, as '{files[file]}' and '{said}', expected each once"
+                f"{path}: 'runs' names a file twice, as '{files[file]}' and '{listed_name}', expected each once"
             )
-        name = _name_of(said)
+        name = _name_of(listed_name)
         if name in names:
             raise FreeArtError(
-                f"{path}: runs '{names[name]}' and '{said}' would both be called '{name}', expected names of their own"
+                f"{path}: runs '{names[name]}' and '{listed_name}' would both be called '{name}', expected other names"
             )
-        files[file], names[name] = said, said
+        files[file], names[name] = listed_name, listed_name
     total = sum(file.stat().st_size for file in files if file.is_file())
     if total > MAX_BYTES:
         raise FreeArtError(f"{path}: the runs have {total} bytes together, at most {MAX_BYTES} are read")
@@ -169,7 +169,7 @@ def _run_files(folder: Path, listed: list[dict[str, Any]], path: Path) -> list[P
 
 
 def _name_of(file: str) -> str:
-    """What the run of a file is called."""
+    """The name of a file's run."""
     return str(Path(file.removesuffix("poses.npz") if file.endswith("/poses.npz") else file)).removesuffix(".csv")
 
 
@@ -197,7 +197,7 @@ def _read_run(
 
 
 def _read_poses(file: Path, name: str, rate_hz: float, held_out: bool | None) -> Run:
-    """Poses as a result folder has them; their times are `times_s` when it is there, else even at the rate."""
+    """Poses as in a result folder, at `times_s` if the file has it, else evenly spaced at `rate_hz`."""
     data = checked.read_npz(file, ("T_camera_reference", "T_camera_moving"), optional=("times_s", "seen"))
     for key, values in data.items():
         if values.dtype.kind not in "fiub":
@@ -248,7 +248,7 @@ def _check_series(file: Path, times: Array, q: Array, places: list[str], what: s
 
 
 def _check_rate(runs: tuple[Run, ...], rate_hz: float, path: Path) -> None:
-    """Times in another unit than seconds."""
+    """FreeArtError when times are in another unit than seconds."""
     for run in runs:
         step = float(np.median(np.diff(run.times_s)))
         if not 1 / 30 < step * rate_hz < 30:
@@ -273,16 +273,16 @@ def _units(data: dict[str, Any], kind: JointType, path: Path) -> dict[str, str]:
 
 
 def _scale(unit: str, own: str) -> float:
-    """What one of `unit` is in our own unit of it."""
+    """Size of `unit` in the unit `own`."""
     return 1.0 if unit == own else OTHER_UNITS[own][unit]
 
 
 def _whole_turns(
     runs: tuple[Run, ...], kind: JointType, wrapped: Any, path: Path
 ) -> tuple[tuple[Run, ...], tuple[str, ...]]:
-    """The runs without leaps of a turn, and a line for each that had some.
+    """The runs with unwrapped angles, and a line for each changed run.
 
-    `wrapped` is what the file says of its angles: true, false, or nothing; then leaps go that are clearly a turn's end.
+    `wrapped` is true, false or None as in the file. With None, jumps are removed that are clearly the end of a turn.
     """
     if wrapped not in (None, True, False):
         raise FreeArtError(f"{path}: 'wrapped' is {wrapped!r}, expected true or false")
@@ -290,14 +290,14 @@ def _whole_turns(
         return runs, ()
     found, notes = [], []
     for run in runs:
-        q, jumps = unwrapped(run.q, np.pi) if wrapped or is_wrapped(run.q) else (run.q, 0)
+        q, jumps = unwrap_angles(run.q, np.pi) if wrapped or is_wrapped(run.q) else (run.q, 0)
         command = run.q_command
         if command is not None and (wrapped or jumps):
-            command, turned = near(command, q)
+            command, turned = unwrap_command(command, q)
             jumps += turned
         if jumps:
-            how = "" if wrapped else ', as its leaps from one end of a turn to the other show (else "wrapped": false)'
-            notes.append(f"run '{run.name}': angles within one turn were made whole, {jumps} leaps{how}")
+            how = "" if wrapped else ', recognised by jumps from one end of a turn to the other (else "wrapped": false)'
+            notes.append(f"run '{run.name}': angles were within one turn and have been unwrapped, {jumps} jumps{how}")
         found.append(replace(run, q=q, q_command=command))
     return tuple(found), tuple(notes)
 
@@ -305,7 +305,7 @@ def _whole_turns(
 def _check_channels(
     runs: tuple[Run, ...], units: dict[str, str], efforts: str | None, actuator: Actuator | None, path: Path
 ) -> None:
-    """Every column has its unit, and whoever drives says how."""
+    """FreeArtError when a column has no unit, or a drive lacks its description."""
     for run in runs:
         columns: tuple[str, ...] = () if run.poses is not None else ("t_s", "q")
         columns += () if run.qd is None else ("qd",)
@@ -331,10 +331,10 @@ def _check_channels(
             raise FreeArtError(f"{path}: run '{run.name}' has 'q_command', but there is no 'actuator' that follows it")
         if run.voltage is not None and (actuator is None or actuator.motor is None):
             raise FreeArtError(f"{path}: run '{run.name}' has 'voltage', but there is no 'actuator' of type 'dc_motor'")
-        told = (
+        commanded = (
             run.q_command is not None or run.voltage is not None or (run.effort is not None and efforts == "commanded")
         )
-        if run.enabled is not None and not told:
+        if run.enabled is not None and not commanded:
             raise FreeArtError(f"{path}: run '{run.name}' has 'enabled', but nothing that was commanded")
 
 

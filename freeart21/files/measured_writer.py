@@ -1,4 +1,4 @@
-"""A measured set to disk: measured.json and one CSV file or poses.npz a run, as `read_measured` reads them."""
+"""Writes a measured set: measured.json and one CSV file or poses.npz per run, as `read_measured` reads them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from freeart21.se3 import Array
 
 
 def write_measured(folder: Path, measured: Measured) -> None:
-    """Write a set into `folder`, which is made; of poses, the reference part's frame stands in for the camera's."""
+    """Write a set into `folder`, which is made. Poses are relative to the reference part: its own are the identity."""
     folder.mkdir(parents=True, exist_ok=True)
     units = UNITS[measured.joint_type]
     columns = {"t_s", "q"} | {c for c in DRIVES for r in measured.runs if getattr(r, c) is not None}
@@ -47,7 +47,7 @@ def write_measured(folder: Path, measured: Measured) -> None:
 
 
 def _base(measured: Measured) -> str | dict[str, Array]:
-    """What measured.json says of the base."""
+    """`base` of measured.json."""
     if measured.base_axis is not None:
         return {"axis": measured.base_axis.axis, "point": measured.base_axis.point}
     return "moving" if any(run.base is not None for run in measured.runs) else "fixed"
@@ -58,14 +58,14 @@ def _follows(actuator: Actuator, columns: set[str]) -> bool:
 
 
 def _write_run(folder: Path, run: Run) -> dict[str, str | bool]:
-    """The file or folder of a run, and what measured.json says of it."""
+    """Write the file or folder of a run; gives its entry in measured.json."""
     marked = {word: getattr(run, word) for word in MARKS if getattr(run, word) is not None}
     if run.poses is None:
         _write_csv(folder / f"{run.name}.csv", run)
         return {"file": f"{run.name}.csv", **marked}
     if run.base is not None or any(getattr(run, column) is not None for column in DRIVES):
         raise FreeArtError(
-            f"run '{run.name}' has poses and is driven or moved, which no file of a measured set can say"
+            f"run '{run.name}' has poses and a drive or a moving base, which no file of a measured set can hold"
         )
     place = folder / run.name
     place.mkdir()
@@ -81,7 +81,7 @@ def _write_run(folder: Path, run: Run) -> dict[str, str | bool]:
 
 
 def _write_csv(path: Path, run: Run) -> None:
-    """Every number to its last digit; a reading that is missing is an empty cell."""
+    """Write all digits of every number; a missing reading is an empty cell."""
     series = {"t_s": run.times_s, "q": run.q, "qd": run.qd, **{column: getattr(run, column) for column in DRIVES}}
     series |= base_columns(run.base)
     table = {name: values.tolist() for name, values in series.items() if values is not None}

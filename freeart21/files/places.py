@@ -1,8 +1,8 @@
-"""Where a command may write. One rule, so that nothing is lost.
+"""Where commands can write without data loss.
 
-A command replaces an older output of its own kind and nothing else: one that has the kind's mark, and in which nothing
-lies that the kind's writer does not write. It never writes over, around or into what it reads, nor into another output,
-nor through a link. Whatever else stands there is refused, before any work is done and once more at its end.
+A command replaces only an older output of its own kind: one with the kind's mark, and with no file that the kind's
+writer does not write. It never writes over, around or into its inputs, into another output, or through a link. Anything
+else is refused, before the work and again at its end.
 """
 
 from __future__ import annotations
@@ -17,28 +17,28 @@ from freeart21.errors import FreeArtError
 from freeart21.files import checked
 
 _HEAD = 4096
-"""Bytes of a file in which its mark stands: our writers put the schema first."""
+"""Bytes of a file that hold its mark: our writers put the schema first."""
 _PICTURE = "[0-9]" * 5 + ".png"
-_REST = (".*.part", ".*.old", ".*.lock")
-"""What killed processes leave, which holds nothing of anybody's."""
+_LEFTOVERS = (".*.part", ".*.old", ".*.lock")
+"""Patterns of what killed processes leave."""
 
 
 @dataclass(frozen=True)
 class Output:
-    """A kind of output: how an older one is known, and what may lie in it."""
+    """A kind of output: how to recognise it, and the files it can hold."""
 
     what: str
     mark: bytes
-    """Stands in the head of the marker file, or of the output itself when that is one file."""
+    """Bytes near the beginning of the marker file, or of an output that is one file."""
     marker: str = ""
-    """Of a folder: the file in it that has the mark."""
+    """Of a folder: its file with the mark."""
     files: tuple[str, ...] = ()
-    """Of a folder: patterns (fnmatch; '*' crosses '/') of all that its writer writes, and later commands into it."""
+    """Of a folder: patterns (fnmatch; '*' crosses '/') of all files that commands write into it."""
     listed: bool = False
-    """Whether the marker file names, in its list "files", what else was written."""
+    """Whether the list "files" of the marker file names further files."""
 
-    def marks(self, path: Path) -> bool:
-        """Whether an output of this kind stands at `path`."""
+    def stands_at(self, path: Path) -> bool:
+        """Whether `path` is an output of this kind."""
         file = path / self.marker if self.marker else path
         try:
             return self.mark in checked.read_head(file, _HEAD, checked.ANYWHERE)
@@ -74,7 +74,7 @@ RESULT = Output(
             "parts/moving.ply",
         ),
         *(f"{folder}/{_PICTURE}" for folder in ("part_mask", "confidence", "renders", "renders_other")),
-        *(f"asset/{pattern}" for pattern in ASSET.files),  # derived from the result, and stale with it
+        *(f"asset/{pattern}" for pattern in ASSET.files),  # made from the result, and outdated with it
     ),
 )
 ANSWER = Output("answer of gap", _json("verdict"), "verdict.json", ("verdict.json", "index.html"), listed=True)
@@ -82,7 +82,7 @@ SITE = Output("site", _json("site"), "site.json", ("site.json",), listed=True)
 DEMO = Output("demo", _json("demo"), "demo.json", ("demo.json",), listed=True)
 PAGE = Output("page", b'<meta name="generator" content="freeart21')
 SUITE = Output("suite of rows", _json("suite"), "suite.json", ("*",))
-"""Grows: a suite goes on in its folder, and replaces nothing there but what its own jobs made."""
+"""A suite resumes in its folder, and replaces only files of its own jobs."""
 SCORES = Output("table of scores", _json("scores"))
 SHEET = Output("contact sheet", b"freeart21 contact sheet")
 JOINT_ASSET = Output("asset of a few numbers", b"freeart21 joint-asset")
@@ -99,9 +99,9 @@ _TRUTH = Output("truth", _json("truth"), "truth.json")
 _DATA = Output("data folder", _json("benchmark"), "benchmark.json")
 _UNDER_WAY = Output("unfinished recording", _json("recording-job"), ".recording/job.json")
 _CLOSED = (_SEQUENCE, _TRUTH, _DATA, _UNDER_WAY, RESULT, ASSET, ANSWER, SITE)
-"""Folders that hold what one command wrote, and into which no other one writes."""
+"""Folders of one command's output, into which no other command writes."""
 _GROWING = ("benchmark.json", ".recording", "sequences", "examples")
-"""What a folder holds to which recordings are added."""
+"""Entries of a folder to which recordings can be added."""
 
 
 def check_place(out: Path, kind: Output | None, inputs: Iterable[Path] = (), into: Path | None = None) -> None:
@@ -118,8 +118,8 @@ def check_place(out: Path, kind: Output | None, inputs: Iterable[Path] = (), int
     _check_around(out, inputs, into)
 
 
-def check_growing(out: Path, inputs: Iterable[Path] = ()) -> None:
-    """FreeArtError, in one line, unless recordings may be added to the folder `out`: a data folder, or an empty one."""
+def check_append(out: Path, inputs: Iterable[Path] = ()) -> None:
+    """Raise FreeArtError unless recordings can be added to the folder `out`: a data folder, or an empty one."""
     out = Path(out)
     _check_path(out)
     if out.exists() and not out.is_dir():
@@ -127,15 +127,15 @@ def check_growing(out: Path, inputs: Iterable[Path] = ()) -> None:
     if out.is_dir() and any(out.iterdir()) and not any((out / name).exists() for name in _GROWING):
         raise FreeArtError(f"{out} holds other things and is no data folder; choose another place")
     if out.is_dir() and not os.access(out, os.W_OK | os.X_OK):
-        raise FreeArtError(f"cannot write {out}: it may not be written")
+        raise FreeArtError(f"cannot write {out}: no permission")
     for kind in _CLOSED:
-        if kind not in (_DATA, _UNDER_WAY) and kind.marks(out):
+        if kind not in (_DATA, _UNDER_WAY) and kind.stands_at(out):
             raise FreeArtError(f"{out} is a {kind.what}, expected a data folder or a new one")
     _check_around(out, inputs, None)
 
 
 def require_replaceable(out: Path, kind: Output | None) -> None:
-    """FreeArtError unless nothing stands at `out`, or an older output of `kind` in which nothing else lies."""
+    """Raise FreeArtError unless `out` does not exist, or is an older output of `kind` without other files."""
     _check_path(out)
     if not out.exists():
         return
@@ -146,29 +146,29 @@ def require_replaceable(out: Path, kind: Output | None) -> None:
         raise FreeArtError(f"{out} is {is_}, expected {expected} for the {kind.what}; choose another place")
     if kind.marker and not any(out.iterdir()):
         return
-    if not kind.marks(out):
+    if not kind.stands_at(out):
         lacks = f"it has no {kind.marker} of ours" if kind.marker else "it lacks our mark"
         raise FreeArtError(
             f"{out} exists and is no older {kind.what} ({lacks}); choose another place or remove it first"
         )
-    foreign = _foreign(out, kind)
-    if foreign:
-        more = f" and {len(foreign) - 1} more" if len(foreign) > 1 else ""
+    others = _other_files(out, kind)
+    if others:
+        more = f" and {len(others) - 1} more" if len(others) > 1 else ""
         raise FreeArtError(
-            f"{out} is an older {kind.what}, but {foreign[0]}{more} in it would be lost; move that away, or choose "
+            f"{out} is an older {kind.what}, but {others[0]}{more} in it would be lost; move that away, or choose "
             "another place"
         )
 
 
-def _foreign(out: Path, kind: Output) -> list[str]:
-    """What lies in the folder `out`, without being part of such an output: links, too, wherever they lead."""
+def _other_files(out: Path, kind: Output) -> list[str]:
+    """Files in the folder `out` that are not part of such an output, and all links."""
     found, named = [], _listed(out / kind.marker) if kind.listed else frozenset[str]()
     for place, folders, files in os.walk(out):
         links = [name for name in folders if (Path(place) / name).is_symlink()]
         for name in (*files, *links):
             path = Path(place) / name
             inside = path.relative_to(out).as_posix()
-            if any(fnmatchcase(part, rest) for part in path.relative_to(out).parts for rest in _REST):
+            if any(fnmatchcase(part, rest) for part in path.relative_to(out).parts for rest in _LEFTOVERS):
                 continue
             known = inside in named or any(fnmatchcase(inside, pattern) for pattern in kind.files)
             if path.is_symlink() or not known:
@@ -185,14 +185,14 @@ def _listed(marker: Path) -> frozenset[str]:
 
 
 def _check_path(out: Path) -> None:
-    """The place itself is no link, and it can be made: the folders above are folders, and may be written."""
+    """FreeArtError when `out` is a link, or cannot be made: above it is no folder, or none with write permission."""
     if out.is_symlink():
         raise FreeArtError(f"{out} is a link; name the place itself")
     above = next((folder for folder in out.absolute().parents if folder.exists() or folder.is_symlink()), None)
     if above is None or not above.is_dir():
         raise FreeArtError(f"cannot write {out}: {above} is not a folder")
     if not os.access(above, os.W_OK | os.X_OK):
-        raise FreeArtError(f"cannot write {out}: the folder {above} may not be written")
+        raise FreeArtError(f"cannot write {out}: no permission to write in {above}")
 
 
 def _check_around(out: Path, inputs: Iterable[Path], into: Path | None) -> None:
@@ -208,5 +208,5 @@ def _check_around(out: Path, inputs: Iterable[Path], into: Path | None) -> None:
             raise FreeArtError(f"{out} lies in {path}, which would be read; choose another place to write")
     for folder in place.parents:
         for kind in _CLOSED:
-            if folder != allowed and kind.marks(folder):
+            if folder != allowed and kind.stands_at(folder):
                 raise FreeArtError(f"{out} lies in the {kind.what} {folder}; choose another place to write")

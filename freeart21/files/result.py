@@ -1,4 +1,4 @@
-"""A result folder: what a method says of one sequence."""
+"""A result folder: a method's answer for one sequence."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SCHEMA = "freeart21/prediction/1"
 METHOD_SCHEMA = "freeart21/method/1"
 MAX_FRAMES = 100_000
 RENDERS = ("renders", "renders_other")
-"""Folders of the held-out views: posed by the part that the result calls the reference part, and by the other one."""
+"""Folders of the held-out views: posed by the result's reference part, and by its moving part."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Method:
     settings: dict[str, Any] | None = None
     hardware: str = ""
     lacks: tuple[Piece, ...] = ()
-    """What it does not make, for any sequence: its numbers are left out (never priced), and the files hold fillers."""
+    """Pieces that it never makes: their metrics are left out without a penalty, and the files hold placeholders."""
 
 
 def write_method(folder: Path, method: Method) -> None:
@@ -57,10 +57,10 @@ def write_method(folder: Path, method: Method) -> None:
 
 
 def write_own_method(folder: Path, method: Method) -> bool:
-    """Write method.json if `folder` is a folder of this method's results; whether it did.
+    """Write method.json if `folder` is a folder of this method's results; gives whether it did.
 
-    It is when the method.json there says the same of who wrote it (`code` up to the version) or, without one, when
-    nothing lies there but results and hidden files. Whatever else a parent of a result may hold stays as it is.
+    It is, when its method.json has the same `code` up to the version or, without method.json, when it holds only
+    results and hidden files.
     """
     if (folder / "method.json").exists():
         try:
@@ -82,15 +82,15 @@ def read_method(folder: Path) -> Method:
         return Method(folder.name)
     data = checked.read_json(path, METHOD_SCHEMA)
     words = [str(data.get(key, "")) for key in ("code", "hardware")]
-    return Method(checked.text(data, "name", path), words[0], data.get("settings"), words[1], lacks_of(data, path))
+    return Method(checked.text(data, "name", path), words[0], data.get("settings"), words[1], read_lacks(data, path))
 
 
-def lacks_of(data: dict[str, Any], path: Path) -> tuple[Piece, ...]:
+def read_lacks(data: dict[str, Any], path: Path) -> tuple[Piece, ...]:
     """The optional 'lacks' of method.json; raises FreeArtError naming `path`."""
-    said = data.get("lacks", [])
-    if not isinstance(said, list) or not all(piece in PIECES for piece in said):
-        raise FreeArtError(f"{path}: 'lacks' is {checked.shortened(said)}, expected a list of {', '.join(PIECES)}")
-    return tuple(piece for piece in PIECES if piece in said)
+    given = data.get("lacks", [])
+    if not isinstance(given, list) or not all(piece in PIECES for piece in given):
+        raise FreeArtError(f"{path}: 'lacks' is {checked.shorten(given)}, expected a list of {', '.join(PIECES)}")
+    return tuple(piece for piece in PIECES if piece in given)
 
 
 def write_result(
@@ -101,10 +101,9 @@ def write_result(
     diagnostics: Diagnostics | None = None,
     renders_other: list[NDArray[np.uint8]] | None = None,
 ) -> None:
-    """Write one result folder, replacing an older one whole, with its asset; FreeArtError when anything else is there.
+    """Write one result folder. An older result, with its asset, is replaced; FreeArtError when anything else is there.
 
-    `renders` are the held-out views (height, width, 3), `renders_other` the same with the moving part in the reference
-    part's place; `diagnostics` are of a reconstruction. All three may be left out.
+    `renders` are the held-out views (height, width, 3), `renders_other` the same with both parts' roles exchanged.
     """
     with atomic.new_folder(folder, RESULT) as aside:
         if isinstance(result, Failure):
@@ -123,15 +122,15 @@ def write_result(
         n = len(result)
         std = result.state_std if result.state_std is not None else np.full(n, np.nan)
         joint = result.articulation.joint
-        said = {} if result.trust is None else {"trust": trust_to_json(result.trust)}
+        optional = {} if result.trust is None else {"trust": trust_to_json(result.trust)}
         if result.axis_std is not None or result.pivot_std is not None:
-            said["joint_std"] = {"axis_rad": result.axis_std, "pivot_m": result.pivot_std}
+            optional["joint_std"] = {"axis_rad": result.axis_std, "pivot_m": result.pivot_std}
         atomic.write_json(
             aside / "prediction.json",
             {
                 "schema": SCHEMA,
                 "status": "ok",
-                **said,
+                **optional,
                 "joint": joint_to_json(joint),
                 "states": result.states,
                 "state_unit": joint.state_unit,
@@ -168,8 +167,8 @@ def read_result(
 ) -> Reconstruction | Failure:
     """The reconstruction or failure in a result folder, from any method: bounded, checked, nothing executed.
 
-    `masks` are those of part_mask/, all frames, when they have been read before. Without `appearance`, which no number
-    is made of, gaussians.ply is left alone.
+    `masks` are all part masks, if the caller has read them already. Without `appearance`, gaussians.ply is not read; no
+    metric needs it.
     """
     folder = Path(folder)
     header = folder / "prediction.json"
@@ -212,15 +211,15 @@ def read_result(
 
 
 def read_appearance(folder: Path) -> Gaussians | None:
-    """What the answer in a result folder looks like, or None when it has no gaussians.ply; raises FreeArtError."""
+    """The Gaussians of a result folder, or None without gaussians.ply; raises FreeArtError."""
     path = folder / GAUSSIANS
     return read_gaussians(path, parted=True, root=folder) if checked.is_there(path) else None
 
 
 def read_render(folder: Path, index: int, other: bool = False) -> NDArray[np.uint8] | None:
-    """The held-out view `index` that the method rendered, (height, width, 3), or None when there is none.
+    """The rendered held-out view `index`, (height, width, 3), or None without one.
 
-    With `other`, the view that it rendered with its moving part in the reference part's place.
+    With `other`, the view that was rendered with both parts' roles exchanged.
     """
     path = folder / RENDERS[other] / f"{index:05d}.png"
     return checked.read_rgb(path, folder) if path.is_file() else None
@@ -228,25 +227,25 @@ def read_render(folder: Path, index: int, other: bool = False) -> NDArray[np.uin
 
 def _read_anchor(data: dict[str, Any], n: int, path: Path) -> int:
     """The optional 'anchor' of prediction.json; raises FreeArtError naming `path`."""
-    said = data.get("anchor", 0)
-    if not isinstance(said, int) or isinstance(said, bool) or not 0 <= said < n:
-        raise FreeArtError(f"{path}: 'anchor' is {checked.shortened(said)}, expected a frame from 0 to {n - 1}")
-    return said
+    anchor = data.get("anchor", 0)
+    if not isinstance(anchor, int) or isinstance(anchor, bool) or not 0 <= anchor < n:
+        raise FreeArtError(f"{path}: 'anchor' is {checked.shorten(anchor)}, expected a frame from 0 to {n - 1}")
+    return anchor
 
 
 def _read_joint_std(data: dict[str, Any], path: Path) -> tuple[float | None, float | None]:
     """The optional 'joint_std' of prediction.json: axis, rad, and pivot, metres; raises FreeArtError naming `path`."""
-    said = data.get("joint_std")
-    if said is None:
+    given = data.get("joint_std")
+    if given is None:
         return None, None
-    if not isinstance(said, dict):
-        raise FreeArtError(f"{path}: 'joint_std' is {checked.shortened(said)}, expected axis_rad and pivot_m")
+    if not isinstance(given, dict):
+        raise FreeArtError(f"{path}: 'joint_std' is {checked.shorten(given)}, expected axis_rad and pivot_m")
     found = []
     for name in ("axis_rad", "pivot_m"):
-        value = said.get(name)
+        value = given.get(name)
         number = isinstance(value, int | float) and not isinstance(value, bool)
         if value is not None and not (number and 0 <= value < np.inf):
-            raise FreeArtError(f"{path}: joint_std '{name}' is {checked.shortened(value)}, expected 0 or more, or null")
+            raise FreeArtError(f"{path}: joint_std '{name}' is {checked.shorten(value)}, expected 0 or more, or null")
         found.append(None if value is None else float(value))
     return found[0], found[1]
 

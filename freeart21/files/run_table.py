@@ -1,4 +1,4 @@
-"""The table of a run: a CSV file of numbers."""
+"""Reads the table of a run: a CSV file of numbers."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from freeart21.se3 import Array
 
 MAX_CSV_BYTES = 64 << 20
 MAX_SAMPLES = 1_000_000
-"""Of a run."""
+"""Most rows of a run."""
 
 
 def read_table(file: Path, columns: Sequence[str]) -> tuple[dict[str, Array], list[int]]:
     """Column name to (n,) numbers, and the line of each; an empty cell is NaN.
 
-    Raises FreeArtError when it is no table of numbers with `t_s` and `q`, and else of these columns.
+    Raises FreeArtError unless it is a table of numbers with `t_s`, `q` and other `columns` only.
     """
     if file.is_dir():
         raise FreeArtError(f"{file} is a folder, expected a CSV file; a folder with poses.npz is of kind 'poses'")
@@ -43,7 +43,7 @@ def read_table(file: Path, columns: Sequence[str]) -> tuple[dict[str, Array], li
             values[i] = [float(cell) if cell.strip() else np.nan for cell in row]
         except ValueError as error:
             raise FreeArtError(
-                f"{file} line {line} is '{short(','.join(row))}', expected {len(header)} numbers"
+                f"{file} line {line} is '{shorten_line(','.join(row))}', expected {len(header)} numbers"
             ) from error
     table = {column: np.ascontiguousarray(values[:, i]) for i, column in enumerate(header)}
     return table, [line for line, _ in numbered[1:]]
@@ -52,15 +52,19 @@ def read_table(file: Path, columns: Sequence[str]) -> tuple[dict[str, Array], li
 def _check_header(file: Path, header: list[str], rows: int, columns: Sequence[str]) -> None:
     for column in ("t_s", "q"):
         if column not in header:
-            raise FreeArtError(f"{file} has no column '{column}'; its columns: {short(', '.join(header)) or 'none'}")
+            raise FreeArtError(
+                f"{file} has no column '{column}'; its columns: {shorten_line(', '.join(header)) or 'none'}"
+            )
     unknown = [column for column in header if column not in columns]
     if unknown or len(set(header)) != len(header):
-        raise FreeArtError(f"{file} has columns {short(', '.join(header))}; expected each once of {', '.join(columns)}")
+        raise FreeArtError(
+            f"{file} has columns {shorten_line(', '.join(header))}; expected each once of {', '.join(columns)}"
+        )
     if rows > MAX_SAMPLES:
         raise FreeArtError(f"{file} has {rows} samples, at most {MAX_SAMPLES} are read: thin them out")
 
 
-def short(text: str, most: int = 80) -> str:
-    """The text on one line, and not much of it."""
+def shorten_line(text: str, most: int = 80) -> str:
+    """The first `most` characters of a text, on one line."""
     text = " ".join(text.split())
     return text if len(text) <= most else text[:most] + "..."

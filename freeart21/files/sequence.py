@@ -1,4 +1,4 @@
-"""A sequence folder: all that a method may see of a recording."""
+"""A sequence folder: the part of a recording that methods see."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from freeart21.recording import Frame, Query, Recording
 SCHEMA = "freeart21/sequence/1"
 QUERIES_SCHEMA = "freeart21/queries/1"
 NO_DEPTH = 65535
-"""The largest depth unit: cameras write it where they measured nothing, so it is none, as 0 is."""
+"""The largest depth value: cameras write it where they measured nothing. It means no depth, as 0 does."""
 MAX_SIDE = 16384
 
 
 def header_json(camera: Camera, depth_scale: float, times_s: np.ndarray, licence: str | None) -> dict[str, Any]:
-    """What sequence.json says. `depth_scale` is metres per depth unit."""
+    """The JSON object of sequence.json. `depth_scale` is metres per depth unit."""
     return {
         "schema": SCHEMA,
         "camera": {"K": camera.K, "width": camera.width, "height": camera.height},
@@ -36,7 +36,7 @@ def write_header(folder: Path, camera: Camera, depth_scale: float, times_s: np.n
 
 
 def queries_json(queries: tuple[Query, ...]) -> dict[str, Any]:
-    """What queries.json says."""
+    """The JSON object of queries.json."""
     return {
         "schema": QUERIES_SCHEMA,
         "queries": [
@@ -52,7 +52,7 @@ def write_queries(folder: Path, queries: tuple[Query, ...]) -> None:
 
 
 def encode_depth(depth: np.ndarray, depth_scale: float) -> np.ndarray:
-    """uint16 units of a z-depth map, metres; 0 stays none, and what is out of range becomes none."""
+    """A z-depth map, metres, in uint16 units; 0 where there is no depth or it is out of range."""
     units = np.rint(np.asarray(depth, np.float32) * np.float32(1 / depth_scale))
     return np.where((units >= 1) & (units < NO_DEPTH), units, np.float32(0)).astype(np.uint16)
 
@@ -114,7 +114,7 @@ def read_sequence(folder: Path) -> Recording:
     return Recording(camera, times, load, _read_queries(folder), data.get("licence"), folder.name)
 
 
-def _camera(data: dict, path: Path) -> Camera:
+def _camera(data: dict[str, Any], path: Path) -> Camera:
     camera = data.get("camera")
     if not isinstance(camera, dict):
         raise FreeArtError(f"{path}: 'camera' is {camera!r}, expected an object with K, width, height")

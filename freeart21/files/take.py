@@ -1,13 +1,13 @@
-"""A take: how somebody moved an object and its joint, against time; as a text of one JSON object a line.
+"""A take: the motion of a hand-moved object and its joint over time, as a text file with one JSON object per line.
 
     {"schema": "freeart21/take/1", "device": "mouse", "poses": "first", "joint_type": "revolute",
-     "units": {"time": "s", "position": "m", "state": "rad"}}                               (one line)
-    {"time": 0.0, "position": [0, 0, 0.5], "quaternion": [1, 0, 0, 0], "state": 0.2}        (a line a sample)
+     "units": {"time": "s", "position": "m", "state": "rad"}}                               (first line)
+    {"time": 0.0, "position": [0, 0, 0.5], "quaternion": [1, 0, 0, 0], "state": 0.2}        (one per sample)
 
-Poses are the object's frame in the camera's axes (x right, y down, z forward). `poses` is "camera" where they are meant
-as they stand, and "first" where only their change since the first sample is: the turn, and the way of the object's
-origin. Quaternions are wxyz. Samples are as they were taken; where they want smoothing before use, as those of a
-controller in the hand do, the first line has a key more: `"filter": {"one_euro": {...}}` (`freeart21.one_euro`).
+Poses are the object's frame in the camera's axes (x right, y down, z forward). `poses` is "camera" where they are
+absolute, and "first" where only their change since the first sample counts: the rotation, and the shift of the object's
+origin. Quaternions are wxyz. Samples are raw; where they need smoothing before use, as those of a hand-held controller,
+the first line also has `"filter": {"one_euro": {...}}` (`freeart21.one_euro`).
 """
 
 from __future__ import annotations
@@ -35,36 +35,36 @@ MAX_SAMPLES = 500_000
 Meaning = Literal["camera", "first"]
 _UNIT = {"revolute": "rad", "prismatic": "m"}
 _FARTHEST = 1e4
-"""Metres, seconds and radians beyond which a sample is none; a clock may begin anywhere."""
+"""Largest number of a sample: metres, radians, and seconds since the first one."""
 _MOST_IN_FILTER = 1e4
-"""Hz, and Hz for a unit of speed, beyond which a filter does nothing at any rate that a take has."""
+"""Largest filter parameter: beyond it a filter does nothing at any sampling rate of a take."""
 
 
 @dataclass(frozen=True)
 class Take:
-    """How an object was moved, sample by sample."""
+    """The motion of an object in n samples."""
 
     name: str
-    """Of its file, without the folder."""
+    """Name of its file, without the folder."""
     sha256: str
-    """Of the file's bytes."""
+    """Hash of the file."""
     form: str
-    """Its schema, or whose layout it is."""
+    """Its schema, or the name of a third-party layout."""
     device: str
-    """What it was taken with."""
+    """Input device."""
     poses: Meaning
-    """Whether the poses are meant as they stand in the camera's axes, or as their change since the first."""
+    """Whether poses are absolute in the camera's axes, or count as changes since the first."""
     joint_type: JointType
     times: Array
-    """(n,) seconds, growing."""
+    """(n,) seconds, increasing."""
     Ts: Array
     """(n, 4, 4) the object's frame in the camera's axes."""
     states: Array
     """(n,) joint state, rad or m."""
     filter: OneEuro | None = None
-    """What the samples are to be smoothed by before use; None where they are good as they are."""
+    """Filter to apply before use; None for none."""
     size: float | None = None
-    """Metres, the diagonal of the box of the object that was moved; None where nobody told."""
+    """Metres: diagonal of the bounding box of the moved object; None when unknown."""
 
     def __post_init__(self) -> None:
         n = len(self.times)
@@ -75,7 +75,7 @@ class Take:
             i = int(back[0]) + 1
             raise FreeArtError(
                 f"{self.name}: sample {i} is of {self.times[i]:g} s, after one of {self.times[i - 1]:g} s; expected "
-                "times that grow"
+                "increasing times"
             )
         far = max(np.ptp(self.times), np.abs(self.Ts[:, :3, 3]).max(), np.abs(self.states).max())
         if not far <= _FARTHEST:
@@ -84,18 +84,18 @@ class Take:
             raise FreeArtError(f"{self.name}: 'size' is {self.size:g} m, expected more than 0, at most {_FARTHEST:g}")
 
 
-def header(
+def header_line(
     device: str, poses: Meaning, joint_type: JointType, filter: OneEuro | None = None, size: float | None = None
 ) -> str:
-    """The first line of a take's file, without its end."""
+    """The first line of a take's file, without the line end."""
     units = {"time": "s", "position": "m", "state": _UNIT[joint_type]}
     head = {"schema": TAKE_SCHEMA, "device": device, "poses": poses, "joint_type": joint_type, "units": units}
     smoothed = {} if filter is None else {"filter": {"one_euro": asdict(filter)}}
     return _line(head | smoothed | ({} if size is None else {"size": float(size)}))
 
 
-def sample(time: float, T: Array, state: float) -> str:
-    """The line of a sample, without its end; `T` (4, 4)."""
+def sample_line(time: float, T: Array, state: float) -> str:
+    """The line of a sample, without the line end; `T` is its pose (4, 4)."""
     T = np.asarray(T, float)
     numbers = {"position": T[:3, 3].tolist(), "quaternion": se3.wxyz(T).tolist()}
     return _line({"time": float(time), **numbers, "state": float(state)})
@@ -111,12 +111,12 @@ def write_take(
     size: float | None = None,
 ) -> None:
     """Write a take, whole or not at all; `samples` are (time in s, pose (4, 4), state in rad or m)."""
-    lines = [header(device, poses, joint_type, filter, size), *(sample(*s) for s in samples)]
+    lines = [header_line(device, poses, joint_type, filter, size), *(sample_line(*s) for s in samples)]
     atomic.write_bytes(path, ("\n".join(lines) + "\n").encode())
 
 
 def read_take(path: Path) -> Take:
-    """The take in `path`; FreeArtError names the line that is wrong."""
+    """The take in `path`; FreeArtError names a wrong line."""
     data = checked.read_bytes(path, MAX_TAKE_BYTES, checked.ANYWHERE)
     lines = data.splitlines()
     head = _object(lines[0] if lines else b"", f"{path} line 1")
@@ -166,22 +166,22 @@ def _one_of(head: dict[str, Any], key: str, known: tuple[str, ...], path: Path) 
 
 
 def _filter(given: object, path: Path) -> OneEuro | None:
-    """What the first line says of a filter; FreeArtError names what is none."""
+    """`filter` of the first line; FreeArtError when it is invalid."""
     if given is None:
         return None
     inner = _keys(given, "'filter'", {"one_euro"}, path)["one_euro"]
-    said = _keys(inner, "'filter.one_euro'", {field.name for field in fields(OneEuro)}, path)
+    settings = _keys(inner, "'filter.one_euro'", {field.name for field in fields(OneEuro)}, path)
     bands: dict[str, Band | None] = {}
     for name in ("position", "rotation", "state"):
         bands[name] = None
-        if said[name] is not None:
-            band = _keys(said[name], f"'filter.one_euro.{name}'", {field.name for field in fields(Band)}, path)
+        if settings[name] is not None:
+            band = _keys(settings[name], f"'filter.one_euro.{name}'", {field.name for field in fields(Band)}, path)
             where = f"{path}: 'filter.one_euro.{name}"
             bands[name] = Band(
                 _bounded(band["min_cutoff_hz"], f"{where}.min_cutoff_hz'", 1e-3),
                 _bounded(band["beta"], f"{where}.beta'", 0.0),
             )
-    speed = _bounded(said["speed_cutoff_hz"], f"{path}: 'filter.one_euro.speed_cutoff_hz'", 1e-3)
+    speed = _bounded(settings["speed_cutoff_hz"], f"{path}: 'filter.one_euro.speed_cutoff_hz'", 1e-3)
     return OneEuro(bands["position"], bands["rotation"], bands["state"], speed)
 
 

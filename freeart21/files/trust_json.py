@@ -25,12 +25,12 @@ def trust_from_json(data: Any, path: Path) -> Trust | None:
     if data is None or data == trust_to_json(None):
         return None
     if not isinstance(data, dict) or data.get("verdict") not in VERDICTS:
-        raise FreeArtError(f"{path}: 'trust' is {checked.shortened(data)}, expected a verdict, {' or '.join(VERDICTS)}")
+        raise FreeArtError(f"{path}: 'trust' is {checked.shorten(data)}, expected a verdict, {' or '.join(VERDICTS)}")
     reasons = data.get("reasons", [])
     lines = isinstance(reasons, list) and len(reasons) <= MAX_REASONS and all(isinstance(r, str) for r in reasons)
     if not lines or any(len(r) > MAX_REASON or not r.isprintable() for r in reasons):
         raise FreeArtError(
-            f"{path}: the reasons of 'trust' are {checked.shortened(reasons)}, expected at most {MAX_REASONS} plain "
+            f"{path}: the reasons of 'trust' are {checked.shorten(reasons)}, expected at most {MAX_REASONS} plain "
             f"lines of at most {MAX_REASON} characters"
         )
     if data["verdict"] == "sound" and reasons:

@@ -1,4 +1,4 @@
-"""A truth folder: the answer to a sequence, kept apart from it."""
+"""A truth folder: the ground truth of a sequence, in a folder of its own."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Looks through a data folder: every hash and format, and whether each video and its truth tell the same story."""
+"""Checks a data folder: every hash and format, and that each video agrees with its truth."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.benchmark import Benchmark, file_sha256, is_unfinished, read_benchmark, unfinished
-from freeart21.files.hidden import traces
+from freeart21.files.benchmark import Benchmark, file_sha256, is_unfinished, read_benchmark, unfinished_error
+from freeart21.files.hidden import find_traces
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
 from freeart21.recording import Recording
@@ -24,12 +24,12 @@ _SEQUENCE_KEYS = {"schema", "camera", "depth_scale", "times_s", "licence"}
 _CLOSE = 1e-9
 _S = TypeVar("_S")
 _T = TypeVar("_T")
-_SIGHTED = ("hand",)  # sensors whose depth shows more than the object
+_SCENE_SENSORS = ("hand",)  # sensors whose depth shows more than the object
 
 
 @dataclass
 class Report:
-    """What was looked at, and what is wrong."""
+    """Numbers of checked files and sequences, and the findings."""
 
     files: int = 0
     sequences: int = 0
@@ -38,36 +38,36 @@ class Report:
 
 
 def verify(data: Path, truth: Path | None = None) -> Report:
-    """Look through the data folder `data`. Raises FreeArtError when it has no readable benchmark.json, or not yet.
+    """Check the data folder `data`. Raises FreeArtError when it is unfinished, or has no readable benchmark.json.
 
-    One that was packed without its truth is looked through for traces of it; with `truth`, where that lies, video and
-    truth are compared as in any other folder.
+    A folder that was packed without its truth is searched for traces of the truth. With the folder `truth` of that
+    truth, videos and truths are compared as in any other data folder.
     """
     data = Path(data)
     if is_unfinished(data):
-        raise unfinished(data)
+        raise unfinished_error(data)
     benchmark = read_benchmark(data, truth)
     listed = listed_files(data)
     report = Report(len(listed), len(benchmark.sequences))
     report.findings += differing_files(data, listed)
     for name in benchmark.sequences:
-        found = collect_findings(partial(_look_through, benchmark, name))
+        found = collect_findings(partial(_check_sequence_folders, benchmark, name))
         report.findings += [line if name in line else f"{name}: {line}" for line in found]
     return report
 
 
-def _look_through(benchmark: Benchmark, name: str) -> Iterator[str]:
+def _check_sequence_folders(benchmark: Benchmark, name: str) -> Iterator[str]:
     if benchmark.hidden:
-        yield from collect_findings(lambda: traces(benchmark.sequence(name)))
-    if not benchmark.hidden or benchmark.apart:
+        yield from collect_findings(lambda: find_traces(benchmark.sequence(name)))
+    if not benchmark.hidden or benchmark.hidden_truth:
         yield from _sequence(benchmark.sequence(name), benchmark.truth(name))
 
 
-def collect_findings(*looks: Callable[[], Iterable[str]]) -> Iterator[str]:
-    """What all `looks` find; the error of one is a line, too, and keeps no other from being taken."""
-    for look in looks:
+def collect_findings(*checks: Callable[[], Iterable[str]]) -> Iterator[str]:
+    """The findings of all `checks`. An error of one is a finding too, and the others still run."""
+    for check in checks:
         try:
-            yield from look()
+            yield from check()
         except FreeArtError as error:
             yield str(error)
         except OSError as error:
@@ -85,7 +85,8 @@ def listed_files(data: Path) -> dict[str, Any]:
 
 
 def differing_files(data: Path, listed: dict[str, Any]) -> Iterator[str]:
-    """A line for every file of the data folder `data` that is not as `listed`: missing, extra, of other content."""
+    """A line for every file of the data folder `data` that differs from `listed`: missing, extra, or of other
+    content."""
     here = {str(path.relative_to(data)) for path in data.rglob("*") if not path.is_dir()} - {"benchmark.json"}
     for name in sorted(set(listed) | here):
         path = data / name
@@ -108,7 +109,7 @@ def differing_files(data: Path, listed: dict[str, Any]) -> Iterator[str]:
 
 def _sequence(folder: Path, truth_folder: Path) -> Iterator[str]:
     recording, truth = _read(read_sequence, folder), _read(read_truth, truth_folder)
-    yield from collect_findings(lambda: _apart(folder))
+    yield from collect_findings(lambda: _check_contents(folder))
     yield from (found for found in (recording, truth) if isinstance(found, str))
     if isinstance(recording, str) or isinstance(truth, str):
         return
@@ -128,24 +129,24 @@ def _sequence(folder: Path, truth_folder: Path) -> Iterator[str]:
 
 
 def _read(reader: Callable[[_S], _T], what: _S) -> _T | str:
-    """What `reader` makes of `what`, or the line of its error."""
+    """The result of `reader(what)`, or the line of its error."""
     try:
         return reader(what)
     except FreeArtError as error:
         return str(error)
 
 
-def _apart(folder: Path) -> Iterator[str]:
-    """What a method may see is there, and nothing besides."""
+def _check_contents(folder: Path) -> Iterator[str]:
+    """Findings when the sequence folder holds more than methods are to see."""
     for path in sorted(folder.iterdir()):
         if path.name not in _SEEN_BY_METHODS:
-            yield f"{path} does not belong into what a method may see; expected {', '.join(sorted(_SEEN_BY_METHODS))}"
+            yield f"{path} does not belong in a sequence folder; expected {', '.join(sorted(_SEEN_BY_METHODS))}"
     for key in sorted(set(checked.read_json(folder / "sequence.json")) - _SEQUENCE_KEYS):
-        yield f"{folder}/sequence.json says '{key}', which a method may not see"
+        yield f"{folder}/sequence.json says '{key}', which methods are not to see"
 
 
 def _counts(folder: Path, truth_folder: Path, frames: int, queries: int) -> Iterator[str]:
-    """As many pictures as frames and views: one too many says as much as one too few."""
+    """Findings when the number of pictures is not that of frames and views."""
     for path, n in (
         *((folder / sub, frames) for sub in ("rgb", "depth", "mask")),
         (truth_folder / "part_mask", frames),
@@ -157,9 +158,9 @@ def _counts(folder: Path, truth_folder: Path, frames: int, queries: int) -> Iter
         if here != expected:
             odd = sorted(here ^ expected)[0]
             yield f"{path} holds {len(here)} files, expected {n} from 00000.png on; the first that differs is {odd}"
-    said = checked.read_json(truth_folder / "truth.json").get("queries")
-    if said != queries:
-        yield f"{truth_folder}/truth.json says {said} held-out views, {folder}/queries.json has {queries}"
+    stated = checked.read_json(truth_folder / "truth.json").get("queries")
+    if stated != queries:
+        yield f"{truth_folder}/truth.json has {stated} held-out views, {folder}/queries.json has {queries}"
 
 
 def _kinematics(folder: Path, truth: Truth) -> Iterator[str]:
@@ -175,7 +176,7 @@ def _kinematics(folder: Path, truth: Truth) -> Iterator[str]:
     error = np.abs(truth.Ts_camera_reference @ joint.transform(states) - truth.Ts_camera_moving).max((1, 2))
     if error.max() > _CLOSE:
         i = int(error.argmax())
-        yield f"{folder}: the moving part's pose of frame {i} is {error[i]:.3g} off what joint and state say"
+        yield f"{folder}: the moving part's pose of frame {i} differs by {error[i]:.3g} from that of joint and state"
 
 
 def _frame(folder: Path, truth_folder: Path, recording: Recording, truth: Truth, i: int) -> Iterator[str]:
@@ -198,7 +199,7 @@ def _frame(folder: Path, truth_folder: Path, recording: Recording, truth: Truth,
     seen = [int(np.sum(part_mask == 1)), int(np.sum(part_mask == 2))]
     if not np.array_equal(truth.seen[i], seen):
         yield f"{truth_folder}/seen.npz says {truth.seen[i].tolist()} of frame {i}, its part_mask shows {seen}"
-    if not set(sensors) & set(_SIGHTED) and (stray := int(np.sum((frame.depth > 0) & ~frame.mask))):
+    if not set(sensors) & set(_SCENE_SENSORS) and (stray := int(np.sum((frame.depth > 0) & ~frame.mask))):
         yield f"{folder}/depth/{name} has depth at {stray} pixels outside the mask"
     if "clean" in sensors and (bare := int(np.sum((frame.depth == 0) & frame.mask))):
         yield f"{folder}/depth/{name} has no depth at {bare} pixels of the mask, and the sensor was clean"

@@ -13,18 +13,18 @@ import numpy as np
 
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
-from freeart21.files.benchmark import is_unfinished, read_benchmark, unfinished, write_benchmark
-from freeart21.files.places import check_growing
+from freeart21.files.benchmark import is_unfinished, read_benchmark, unfinished_error, write_benchmark
+from freeart21.files.places import check_append
 from freeart21.files.sequence import read_sequence, write_frame, write_header, write_queries
 from freeart21.files.truth import read_truth, write_truth
-from freeart21.formats import foreign, freeart21_official, maniskill, rgbd_folder, video2articulation
-from freeart21.formats.foreign import Foreign, Progress, safe_name
+from freeart21.formats import freeart21_official, maniskill, rgbd_folder, third_party, video2articulation
+from freeart21.formats.third_party import Progress, ThirdPartyRecording, safe_name
 from freeart21.recording import Recording
 from freeart21.truth import Truth
 
 Layout = Literal["native", "rgbd", "official", "video2articulation", "maniskill"]
 Target = Literal["official", "native", "maniskill"]
-TruthMaker = Callable[[Foreign, Path], Truth]
+TruthMaker = Callable[[ThirdPartyRecording, Path], Truth]
 """The whole truth of a foreign recording, from a folder of PartNet-Mobility objects; FreeArtError says what lacks."""
 
 _RIM = 0.9  # of the picture's rim: what the mask covers there is no object in the picture, but all around it
@@ -120,7 +120,7 @@ def convert(
     Raises FreeArtError, in one line; what was written before stays, and is whole.
     """
     out = Path(out)
-    check_growing(out, (source,))
+    check_append(out, (source,))
     label = _label(out) if to == "native" else None
     for kind, folder in find_sources(source, layout):
         checked.require_inside(Path(source), folder)
@@ -146,14 +146,14 @@ def convert(
 def _label(out: Path) -> tuple[str, str, str]:
     """Name, version and split of the data folder: as it has them, if it is one already."""
     if is_unfinished(out):
-        raise unfinished(out)
+        raise unfinished_error(out)
     if not (out / "benchmark.json").exists():
         return out.resolve().name, "1", "public"
     known = read_benchmark(out)
     return known.name, known.version, known.split
 
 
-def _read(kind: Layout, folder: Path, meta: Path | None, partnet_root: Path | None) -> Foreign:
+def _read(kind: Layout, folder: Path, meta: Path | None, partnet_root: Path | None) -> ThirdPartyRecording:
     if kind == "official":
         return freeart21_official.read_example(folder)
     if kind == "video2articulation":
@@ -163,19 +163,21 @@ def _read(kind: Layout, folder: Path, meta: Path | None, partnet_root: Path | No
     recording, name = read_sequence(folder), folder.resolve().name
     truth_folder = _truth_folder(folder)
     if not truth_folder.is_dir():
-        return Foreign(name, name, recording, None, f"there is no {truth_folder}")
+        return ThirdPartyRecording(name, name, recording, None, f"there is no {truth_folder}")
     truth = read_truth(truth_folder)
     object_id = str(truth.source.get("object") or name)
-    read = Foreign(name, object_id, recording, None)
+    read = ThirdPartyRecording(name, object_id, recording, None)
     known = freeart21_official.known_of_truth(truth, _object_folder("native", folder, read, partnet_root))
-    return Foreign(name, object_id, recording, known)
+    return ThirdPartyRecording(name, object_id, recording, known)
 
 
 def _truth_folder(sequence: Path) -> Path:
     return sequence.resolve().parent.parent / "truth" / sequence.resolve().name
 
 
-def _object_folder(kind: Layout, folder: Path, recording: Foreign, partnet_root: Path | None) -> Path | None:
+def _object_folder(
+    kind: Layout, folder: Path, recording: ThirdPartyRecording, partnet_root: Path | None
+) -> Path | None:
     """The object's PartNet-Mobility folder, when it is at hand."""
     beside = _truth_folder(folder) / "object" if kind == "native" else None
     name = safe_name(recording.object_id)
@@ -192,7 +194,7 @@ def _root_beside(kind: Layout, folder: Path) -> Path | None:
 
 
 def _write_native(
-    out: Path, read: Foreign, truth_of: TruthMaker | None, root: Path | None, tick: Progress
+    out: Path, read: ThirdPartyRecording, truth_of: TruthMaker | None, root: Path | None, tick: Progress
 ) -> Converted:
     sequence, truth_folder = (out / sub / read.name for sub in ("sequences", "truth"))
     for folder in (sequence, truth_folder):
@@ -213,7 +215,7 @@ def _write_native(
     return Converted(read.name, sequence, truth is not None, notes)
 
 
-def _truth(read: Foreign, truth_of: TruthMaker | None, root: Path | None) -> tuple[Truth | None, str]:
+def _truth(read: ThirdPartyRecording, truth_of: TruthMaker | None, root: Path | None) -> tuple[Truth | None, str]:
     if read.known is None:
         return None, read.lacks
     if truth_of is None or root is None:
@@ -251,7 +253,9 @@ def _depth_scale(recording: Recording, tick: Callable[[int], None]) -> float:
     return float(f"{next(power * k for k in (1, 2, 5, 10) if power * k >= least * (1 - 1e-12)):.1g}")
 
 
-def _write_official(out: Path, read: Foreign, object_folder: Path | None, hold_out: bool, tick: Progress) -> Converted:
+def _write_official(
+    out: Path, read: ThirdPartyRecording, object_folder: Path | None, hold_out: bool, tick: Progress
+) -> Converted:
     folder = freeart21_official.write_example(out, read.name, read.recording, read.known, object_folder, hold_out, tick)
     notes = [*read.notes, *read.observe()]
     if read.known is None:
@@ -263,14 +267,14 @@ def _write_official(out: Path, read: Foreign, object_folder: Path | None, hold_o
     return Converted(read.name, folder, read.known is not None, tuple(notes))
 
 
-def _write_maniskill(out: Path, read: Foreign, object_folder: Path | None) -> Converted:
+def _write_maniskill(out: Path, read: ThirdPartyRecording, object_folder: Path | None) -> Converted:
     if (out / f"{read.name}.h5").exists():
         raise FreeArtError(f"{out / read.name}.h5 exists; choose another place or remove it first")
     if read.known is None or object_folder is None:
         lacks = read.lacks or f"{read.object_id} is not at hand (--partnet-root)"
         raise FreeArtError(f"{read.name} gives no motion to replay: {lacks}")
     known, recording = read.known, read.recording
-    poses = foreign.T_SAPIEN_CV @ known.Ts_camera_object
+    poses = third_party.T_SAPIEN_CV @ known.Ts_camera_object
     file = maniskill.write_trajectory(
         out, read.name, object_folder.resolve(), recording.times_s, known.states, poses, recording.camera
     )

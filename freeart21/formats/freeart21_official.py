@@ -32,8 +32,8 @@ from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.urdf import read_urdf_joints
-from freeart21.formats import foreign
-from freeart21.formats.foreign import Foreign, Image, Known, Progress
+from freeart21.formats import third_party
+from freeart21.formats.third_party import Image, KnownTruth, Progress, ThirdPartyRecording
 from freeart21.recording import Frame, Recording
 from freeart21.se3 import Array
 from freeart21.truth import Truth
@@ -60,7 +60,7 @@ def is_example(folder: Path) -> bool:
     return (folder / "cam_K.txt").is_file() and (folder / "rgb").is_dir() and (folder / "depth").is_dir()
 
 
-def read_example(folder: Path) -> Foreign:
+def read_example(folder: Path) -> ThirdPartyRecording:
     """The official example in `folder`; frames load lazily.
 
     After the official split, the video is what the split left in the folder and its times tell the gaps; the held-out
@@ -70,13 +70,13 @@ def read_example(folder: Path) -> Foreign:
     folder = Path(folder)
     if not is_example(folder):
         raise FreeArtError(f"{folder} is not an official FreeArt-21 example: expected rgb/, depth/ and cam_K.txt")
-    rgb = foreign.numbered(folder / "rgb", (".png", ".jpg", ".jpeg"))
-    depth = foreign.numbered(folder / "depth", (".npz",))
-    masks = foreign.numbered(folder / "masks", (".png",))
+    rgb = third_party.numbered(folder / "rgb", (".png", ".jpg", ".jpeg"))
+    depth = third_party.numbered(folder / "depth", (".npz",))
+    masks = third_party.numbered(folder / "masks", (".png",))
     n = len(rgb)
-    if not 0 < n <= foreign.MAX_FRAMES:
-        raise FreeArtError(f"{folder}/rgb has {n} frames, expected 1 to {foreign.MAX_FRAMES}")
-    foreign.same_count(folder, {"rgb": n, "depth": len(depth), "masks": len(masks)})
+    if not 0 < n <= third_party.MAX_FRAMES:
+        raise FreeArtError(f"{folder}/rgb has {n} frames, expected 1 to {third_party.MAX_FRAMES}")
+    third_party.same_count(folder, {"rgb": n, "depth": len(depth), "masks": len(masks)})
     for sub, files in (("rgb", rgb), ("depth", depth), ("masks", masks)):
         absent = sorted(set(range(n)) - set(files))
         if absent:
@@ -88,21 +88,21 @@ def read_example(folder: Path) -> Foreign:
         raise FreeArtError(
             f"{folder / SIDECAR} has {len(times)} times, expected one for each of {max(train) + 1} frames"
         )
-    camera = Camera(foreign.read_matrix(folder / "cam_K.txt"), *_size(rgb[0]))
+    camera = Camera(third_party.read_matrix(folder / "cam_K.txt"), *_size(rgb[0]))
 
     def load(index: int) -> Frame:
-        path = foreign.within(folder, depth[index])
+        path = third_party.within(folder, depth[index])
         raw = checked.read_npz(path, ("depth",))["depth"]
         return Frame(
-            checked.read_rgb(foreign.within(folder, rgb[index])),
-            foreign.depth_metres(raw, path),
-            foreign.read_foreground(foreign.within(folder, masks[index])),
+            checked.read_rgb(third_party.within(folder, rgb[index])),
+            third_party.depth_metres(raw, path),
+            third_party.read_foreground(third_party.within(folder, masks[index])),
         )
 
     name = folder.resolve().name
     recording = Recording(camera, times[train], load, (), extra.get("licence") or LICENCE, name)
     known, lacks = _known(folder, n, train, (camera.height, camera.width), extra)
-    return Foreign(foreign.safe_name(name), name, recording, known, lacks)
+    return ThirdPartyRecording(third_party.safe_name(name), name, recording, known, lacks)
 
 
 def read_states(path: Path) -> Array:
@@ -132,8 +132,10 @@ def read_object_poses(folder: Path) -> Array:
     Ts_world_object = _object_poses(folder / "object_poses.json")
     Ts_world_gl = _cameras(folder / "camera_params.json")
     if len(Ts_world_gl) > 1:
-        foreign.same_count(folder, {"object_poses.json": len(Ts_world_object), "camera_params.json": len(Ts_world_gl)})
-    return np.asarray(se3.inverse(Ts_world_gl @ foreign.T_GL_CV) @ Ts_world_object)
+        third_party.same_count(
+            folder, {"object_poses.json": len(Ts_world_object), "camera_params.json": len(Ts_world_gl)}
+        )
+    return np.asarray(se3.inverse(Ts_world_gl @ third_party.T_GL_CV) @ Ts_world_object)
 
 
 def eval_indices(frames: int, share: float = EVAL_SHARE, seed: int = EVAL_SEED) -> list[int]:
@@ -146,7 +148,7 @@ def write_example(
     root: Path,
     name: str,
     recording: Recording,
-    known: Known | None,
+    known: KnownTruth | None,
     object_folder: Path | None = None,
     hold_out: bool = False,
     progress: Progress = lambda done, total: None,
@@ -157,14 +159,14 @@ def write_example(
     is written at rest at the world's origin and all motion given to the object. Without `known` there are pictures and
     cam_K.txt only. `hold_out` splits as their split_eval_subset.py would, into the folder and its eval/.
     """
-    name = foreign.safe_name(name).replace("_", "-")
+    name = third_party.safe_name(name).replace("_", "-")
     folder, copied = root / "examples" / name, root / OBJECTS / name
     for place in (folder, copied):
         if place.exists():
             raise FreeArtError(f"{place} exists; choose another place or remove it first")
     n = len(recording)
     if known is not None:
-        foreign.same_count(folder, {"video": n, "truth": len(known.states)})
+        third_party.same_count(folder, {"video": n, "truth": len(known.states)})
     held_out = eval_indices(n) if hold_out else []
     if hold_out and len(held_out) == n:
         raise FreeArtError(f"cannot hold frames out of {n}")
@@ -192,7 +194,7 @@ def write_example(
     return folder
 
 
-def known_of_truth(truth: Truth, object_folder: Path | None) -> Known:
+def known_of_truth(truth: Truth, object_folder: Path | None) -> KnownTruth:
     """What an official example tells of a native truth: the root link's poses, and the sides of the joint.
 
     Which side became the reference part is told by the URDF in `object_folder` and the links that the truth's source
@@ -201,7 +203,7 @@ def known_of_truth(truth: Truth, object_folder: Path | None) -> Known:
     turned = _child_is_reference(truth, object_folder)
     label = np.array([0, 2, 1] if turned else [0, 1, 2], np.uint8)
     joint = truth.articulation.joint
-    return Known(
+    return KnownTruth(
         truth.states,
         truth.Ts_camera_moving if turned else truth.Ts_camera_reference,
         lambda i: label[np.minimum(truth.part_mask(i), 2)],
@@ -222,7 +224,7 @@ def _child_is_reference(truth: Truth, object_folder: Path | None) -> bool:
 
 def _known(
     folder: Path, n: int, train: list[int], size: tuple[int, int], extra: dict[str, Any]
-) -> tuple[Known | None, str]:
+) -> tuple[KnownTruth | None, str]:
     for name in ("object_poses.json", "joint_states.json", "camera_params.json"):
         if not (folder / name).is_file():
             return None, f"it has no {name}"
@@ -230,9 +232,11 @@ def _known(
         return None, "it has no rendered_masks/mask_0"
     Ts_camera_object = read_object_poses(folder)
     states = read_states(folder / "joint_states.json")
-    foreign.same_count(folder, {"rgb": n, "object_poses.json": len(Ts_camera_object), "joint_states.json": len(states)})
+    third_party.same_count(
+        folder, {"rgb": n, "object_poses.json": len(Ts_camera_object), "joint_states.json": len(states)}
+    )
     joint = extra.get("joint")
-    known = Known(
+    known = KnownTruth(
         states,
         Ts_camera_object,
         _side_reader(folder, n, train, size),
@@ -244,8 +248,8 @@ def _known(
 
 def _side_reader(folder: Path, n: int, train: list[int], size: tuple[int, int]) -> Callable[[int], Image]:
     """Frame index to sides. The official split leaves 4-digit part masks alone, so they may go by the old numbers."""
-    sides = [foreign.numbered(folder / "rendered_masks" / f"mask_{k}", (".png",)) for k in (0, 1)]
-    foreign.same_count(folder / "rendered_masks", {"mask_0": len(sides[0]), "mask_1": len(sides[1])})
+    sides = [third_party.numbered(folder / "rendered_masks" / f"mask_{k}", (".png",)) for k in (0, 1)]
+    third_party.same_count(folder / "rendered_masks", {"mask_0": len(sides[0]), "mask_1": len(sides[1])})
     numbers = list(range(n)) if len(sides[0]) == n else train
     for k, files in enumerate(sides):
         absent = sorted(set(numbers) - set(files))
@@ -253,7 +257,7 @@ def _side_reader(folder: Path, n: int, train: list[int], size: tuple[int, int]) 
             raise FreeArtError(f"{folder}/rendered_masks/mask_{k}: frame {absent[0]} is missing, expected {n} frames")
 
     def side(i: int) -> Image:
-        parent, child = (foreign.read_foreground(foreign.within(folder, files[numbers[i]])) for files in sides)
+        parent, child = (third_party.read_foreground(third_party.within(folder, files[numbers[i]])) for files in sides)
         if parent.shape != size or child.shape != size:
             raise FreeArtError(
                 f"{folder}: part masks of frame {i} are {parent.shape[1]} x {parent.shape[0]} and "
@@ -270,7 +274,7 @@ def _train_indices(folder: Path, n: int) -> list[int]:
     if not path.is_file():
         return list(range(n))
     train = checked.read_json(path).get("train_original_indices")
-    whole = isinstance(train, list) and all(type(i) is int and 0 <= i < foreign.MAX_FRAMES for i in train)
+    whole = isinstance(train, list) and all(type(i) is int and 0 <= i < third_party.MAX_FRAMES for i in train)
     if not isinstance(train, list) or not whole or train != sorted(set(train)):
         raise FreeArtError(f"{path}: train_original_indices is not a rising list of frame numbers")
     if len(train) != n:
@@ -289,7 +293,7 @@ def _object_poses(path: Path) -> Array:
             raise FreeArtError(f"{path}: pose {i} needs 'position' of 3 and 'quaternion' of 4 numbers") from None
     if not rows:
         raise FreeArtError(f"{path} holds no list of poses")
-    return foreign.poses_from_rows(np.array(rows), str(path))
+    return third_party.poses_from_rows(np.array(rows), str(path))
 
 
 def _cameras(path: Path) -> Array:
@@ -351,8 +355,8 @@ def _write_K(path: Path, K: Array) -> None:
 
 
 def _write_lists(folder: Path, Ts_camera_object: Array, states: Array) -> None:
-    Ts_world_object = foreign.T_SAPIEN_CV @ Ts_camera_object
-    T_world_gl = foreign.T_SAPIEN_CV @ se3.inverse(foreign.T_GL_CV)
+    Ts_world_object = third_party.T_SAPIEN_CV @ Ts_camera_object
+    T_world_gl = third_party.T_SAPIEN_CV @ se3.inverse(third_party.T_GL_CV)
     camera = {
         "model_matrix": T_world_gl,
         "camera_pose": {"position": [0.0, 0.0, 0.0], "quaternion": [1.0, 0.0, 0.0, 0.0]},
@@ -363,6 +367,6 @@ def _write_lists(folder: Path, Ts_camera_object: Array, states: Array) -> None:
     atomic.write_json(folder / "camera_params.json", [camera] * len(states))
 
 
-def _write_sidecar(path: Path, recording: Recording, known: Known | None) -> None:
+def _write_sidecar(path: Path, recording: Recording, known: KnownTruth | None) -> None:
     facts = {"times_s": recording.times_s, "licence": recording.licence}
     atomic.write_json(path, {"schema": SIDECAR_SCHEMA, **facts, "joint": None if known is None else known.joint_name})

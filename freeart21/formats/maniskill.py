@@ -23,8 +23,8 @@ from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
-from freeart21.formats import foreign
-from freeart21.formats.foreign import Foreign, Image, Known
+from freeart21.formats import third_party
+from freeart21.formats.third_party import Image, KnownTruth, ThirdPartyRecording
 from freeart21.recording import Frame, Recording
 from freeart21.se3 import Array
 
@@ -70,7 +70,7 @@ def _env_info(told: Any) -> dict[str, Any]:
     return {**info, "env_kwargs": kwargs if isinstance(kwargs, dict) else {}}
 
 
-def read_episode(episode: Path) -> Foreign:
+def read_episode(episode: Path) -> ThirdPartyRecording:
     """The recording of an episode as `episodes` names it; pictures load lazily.
 
     Raises FreeArtError, in one line, when h5py is missing, or the episode has no colours, depth and segmentation.
@@ -88,7 +88,7 @@ def read_episode(episode: Path) -> Foreign:
     rows = _read(file, f"{traj}/env_states/articulations/object").astype(float)
     sides = _sides(_read(file, f"{traj}/obs/extra/part_ids", 0))
     n = len(rows)
-    if not 0 < n <= foreign.MAX_FRAMES or rows.shape[1] != 15 or len(K) != n or len(E) != n:
+    if not 0 < n <= third_party.MAX_FRAMES or rows.shape[1] != 15 or len(K) != n or len(E) != n:
         raise FreeArtError(
             f"{file} {traj}: states have shape {rows.shape}, expected (n, 15), of as many frames as pictures"
         )
@@ -105,7 +105,7 @@ def read_episode(episode: Path) -> Foreign:
     camera = Camera(K[0], colours.shape[1], colours.shape[0])
     Ts_camera_world = np.tile(np.eye(4), (n, 1, 1))
     Ts_camera_world[:, :3] = E
-    known = Known(
+    known = KnownTruth(
         rows[:, 13],
         Ts_camera_world @ se3.pose_from_wxyz(rows[:, :3], rows[:, 3:7]),
         side,
@@ -119,9 +119,9 @@ def read_episode(episode: Path) -> Foreign:
     elif not (folder / "mobility.urdf").is_file():
         lacks = f"{folder} is no PartNet-Mobility folder, whose meshes a truth needs"
     notes = (f"of {len(cameras)} cameras the first is taken: {cameras[0]}",) if len(cameras) > 1 else ()
-    name = foreign.safe_name(f"{file.stem}-{traj}")
+    name = third_party.safe_name(f"{file.stem}-{traj}")
     recording = Recording(camera, np.arange(n) / hz, load, (), None, name)
-    return Foreign(name, folder.resolve().name, recording, None if lacks else known, lacks, notes)
+    return ThirdPartyRecording(name, folder.resolve().name, recording, None if lacks else known, lacks, notes)
 
 
 def objects_beside(episode: Path) -> Path | None:

@@ -26,13 +26,13 @@ from freeart21.files.measured_writer import write_measured
 from freeart21.formats import circumstances
 from freeart21.formats.circumstances import Circumstances
 from freeart21.formats.position_units import RawMotion, joint_mechanics, unit_by_motion
-from freeart21.formats.series_rows import Raw, begun, near, rising, unwrapped
+from freeart21.formats.series_rows import Raw, rising, trim_start
 from freeart21.formats.time_series import Series, listed, read_series
 from freeart21.joint import JointType
 from freeart21.measured import EffortKind, Interpolation, Measured, Run, drop_duplicate_runs
 from freeart21.mechanics import Actuator, JointMechanics
 from freeart21.se3 import Array
-from freeart21.turns import is_wrapped
+from freeart21.turns import is_wrapped, unwrap_angles, unwrap_command
 
 ROLES = ("t", "q", "effort", "q_command", "enabled", *circumstances.COLUMNS)
 """time; position; force or torque on the joint; commanded position; 0 where the drive was off; velocity; voltage; how
@@ -409,7 +409,7 @@ def _timed(
     if name is None:
         assert settings.rate_hz is not None
         return runs, settings.rate_hz, False
-    runs = [begun(rising(run, notes), notes) for run in runs]
+    runs = [trim_start(rising(run, notes), notes) for run in runs]
     steps = np.concatenate([np.diff(run.values["t"]) for run in runs])
     step = float(np.median(steps))
     unit: str | None = settings.unit_t
@@ -476,7 +476,7 @@ def _scaled(
         values = run.values
         q = sign * size_q * (values["q"] - settings.zero)
         if kind == "revolute" and settings.told.wrapped is not False:
-            q, turns = unwrapped(q)
+            q, turns = unwrap_angles(q)
             wrapped += turns
         drives: dict[str, Any] = {"effort": None, "q_command": None}
         for role in drives:
@@ -485,7 +485,7 @@ def _scaled(
                 zero, size = (settings.zero, size_q) if role == "q_command" else (0.0, EFFORTS[effort_unit or "N"])
                 drives[role] = sign * size * (values[role] - zero)
         if kind == "revolute" and drives["q_command"] is not None and settings.told.wrapped is not False:
-            drives["q_command"], turns = near(drives["q_command"], q)
+            drives["q_command"], turns = unwrap_command(drives["q_command"], q)
             turned += turns
         name = next(n for n in (run.name, *(f"{run.name}_{k}" for k in range(2, 10**6))) if n not in taken)
         taken.add(name)

@@ -26,8 +26,8 @@ import numpy as np
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.formats import foreign
-from freeart21.formats.foreign import Foreign
+from freeart21.formats import third_party
+from freeart21.formats.third_party import ThirdPartyRecording
 from freeart21.recording import Frame, Recording
 from freeart21.se3 import Array
 
@@ -53,7 +53,7 @@ def is_rgbd_folder(folder: Path) -> bool:
     )
 
 
-def read_rgbd_folder(folder: Path, depth_unit: float = MILLIMETRE, fps: float | None = None) -> Foreign:
+def read_rgbd_folder(folder: Path, depth_unit: float = MILLIMETRE, fps: float | None = None) -> ThirdPartyRecording:
     """The recording in `folder`; frames load lazily. `depth_unit` is in metres, `fps` in frames a second.
 
     `fps` None takes times from the names where these are time stamps, else FPS. Raises FreeArtError, in one line, when
@@ -76,8 +76,8 @@ def read_rgbd_folder(folder: Path, depth_unit: float = MILLIMETRE, fps: float | 
         )
     rgb, deep, mask = (_pictures(folder, names) for names in (_COLOUR, _DEPTH, _MASK))
     frames, times, notes = _frames(folder, rgb, deep, mask, fps)
-    if len(frames) > foreign.MAX_FRAMES:
-        raise FreeArtError(f"{folder} has {len(frames)} frames, expected 1 to {foreign.MAX_FRAMES}")
+    if len(frames) > third_party.MAX_FRAMES:
+        raise FreeArtError(f"{folder} has {len(frames)} frames, expected 1 to {third_party.MAX_FRAMES}")
     height, width = checked.read_rgb(frames[0][0]).shape[:2]
     camera = _camera(folder, width, height)
     none = _first_invalid_depth([depth for _, depth, _ in frames])
@@ -85,7 +85,7 @@ def read_rgbd_folder(folder: Path, depth_unit: float = MILLIMETRE, fps: float | 
 
     def load(index: int) -> Frame:
         colours, raw = checked.read_rgb(frames[index][0]), checked.read_uint16(frames[index][1])
-        shown = foreign.read_foreground(frames[index][2])
+        shown = third_party.read_foreground(frames[index][2])
         for path, size in zip(frames[index], (colours.shape, raw.shape, shown.shape), strict=True):
             if size[:2] != (height, width):
                 raise FreeArtError(
@@ -101,9 +101,9 @@ def read_rgbd_folder(folder: Path, depth_unit: float = MILLIMETRE, fps: float | 
         text = f"depth {none} is taken as none: {pixels} pixels ({pixels / (width * height * len(lost) or 1):.1%}) of "
         return (f"{text}{some} frames",) if pixels else ()
 
-    name = foreign.safe_name(folder.resolve().name)
+    name = third_party.safe_name(folder.resolve().name)
     recording = Recording(camera, times, load, (), None, name)
-    return Foreign(name, name, recording, None, "a video alone has none", notes, observe)
+    return ThirdPartyRecording(name, name, recording, None, "a video alone has none", notes, observe)
 
 
 def _first_invalid_depth(depth: list[Path]) -> int:
@@ -139,7 +139,7 @@ def _pictures(folder: Path, names: tuple[str, ...]) -> dict[str, Path]:
         if path.suffix.lower() in suffixes:
             if path.stem in found:
                 raise FreeArtError(f"{place}: {found[path.stem].name} and {path.name} are one frame")
-            found[path.stem] = foreign.within(folder, path)
+            found[path.stem] = third_party.within(folder, path)
     if not found:
         kinds = sorted({path.suffix if path.is_file() else f"{path.name}/" for path in place.iterdir()})
         form = "16-bit .png" if names == _DEPTH else ".png or .jpg"
@@ -262,7 +262,7 @@ def _camera(folder: Path, width: int, height: int) -> Camera:
     """The camera, with pixel centres at +0.5."""
     if (folder / "cam_K.txt").is_file():
         path = folder / "cam_K.txt"
-        K = foreign.read_matrix(path)
+        K = third_party.read_matrix(path)
     else:
         path = next(folder / name for name in _OPEN3D if (folder / name).is_file())
         data = checked.read_json(path)

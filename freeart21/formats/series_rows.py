@@ -9,8 +9,6 @@ import numpy as np
 from freeart21.errors import FreeArtError
 from freeart21.files.measured import MIN_SAMPLES
 from freeart21.se3 import Array
-from freeart21.turns import near as near
-from freeart21.turns import unwrapped as unwrapped
 
 _SWAPPED, _SWAPPED_STEPS = 0.05, 10
 """Share of rows that may come after later ones, and by how many steps at most, before it is another recording. Not
@@ -61,7 +59,7 @@ def _in_order(run: Raw, notes: list[str]) -> Raw:
     return replace(run, values={role: values[order] for role, values in run.values.items()})
 
 
-def begun(run: Raw, notes: list[str]) -> Raw:
+def trim_start(run: Raw, notes: list[str]) -> Raw:
     """A run from the first row on in which every drive has a value: what drove it before is not known."""
     drives = [role for role in ("effort", "q_command", "voltage") if role in run.values]
     known = [np.isfinite(run.values[role]) for role in drives]

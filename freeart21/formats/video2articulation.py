@@ -32,8 +32,8 @@ from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.formats import foreign
-from freeart21.formats.foreign import Foreign, Image, Known
+from freeart21.formats import third_party
+from freeart21.formats.third_party import Image, KnownTruth, ThirdPartyRecording
 from freeart21.formats.untrusted_pickle import read_pickle
 from freeart21.joint import Joint, JointType
 from freeart21.recording import Frame, Recording
@@ -59,7 +59,7 @@ def is_view(folder: Path) -> bool:
     return (folder / "camera_pose.npy").is_file() and (folder / "intrinsics.npy").is_file()
 
 
-def read_view(folder: Path, meta: Path | None = None) -> Foreign:
+def read_view(folder: Path, meta: Path | None = None) -> ThirdPartyRecording:
     """The recording of one view folder, with the poses of both parts; frames load lazily.
 
     `meta` is the data set's new_partnet_mobility_dataset_correct_intr_meta.json; its limits are used, and its axis and
@@ -76,21 +76,21 @@ def read_view(folder: Path, meta: Path | None = None) -> Foreign:
     if named is None:
         raise FreeArtError(f"{folder} lies in {home.name}, expected a folder named like joint_0_bg")
     number, object_id, category = int(named[1]), home.parent.name, home.parent.parent.name
-    cameras = foreign.poses_from_rows(
-        foreign.read_npy(folder / "camera_pose.npy", (None, 7)), f"{folder}/camera_pose.npy"
+    cameras = third_party.poses_from_rows(
+        third_party.read_npy(folder / "camera_pose.npy", (None, 7)), f"{folder}/camera_pose.npy"
     )
     T = len(cameras)
     frames = _frames(folder, T)
-    rgb = foreign.numbered(folder / "rgb", (".jpg", ".jpeg", ".png"))
-    depth, segment = (foreign.numbered(folder / sub, (".npz",)) for sub in ("depth", "segment"))
+    rgb = third_party.numbered(folder / "rgb", (".jpg", ".jpeg", ".png"))
+    depth, segment = (third_party.numbered(folder / sub, (".npz",)) for sub in ("depth", "segment"))
     for sub, files in (("rgb", rgb), ("depth", depth), ("segment", segment)):
         absent = [i for i in frames if i not in files]
         if absent:
             raise FreeArtError(f"{folder}/{sub}: frame {absent[0]} is missing; {len(frames)} frames are used")
         if max(files) >= T:
             raise FreeArtError(f"{folder}/{sub} has frame {max(files)}, but camera_pose.npy has {T} poses")
-    height, width = checked.read_rgb(foreign.within(folder, rgb[frames[0]])).shape[:2]
-    camera = Camera(foreign.read_npy(folder / "intrinsics.npy", (3, 3)), width, height)
+    height, width = checked.read_rgb(third_party.within(folder, rgb[frames[0]])).shape[:2]
+    camera = Camera(third_party.read_npy(folder / "intrinsics.npy", (3, 3)), width, height)
     actors = _actors(home / "actor_pose.pkl", T)
     cast = _cast(actors, home)
     notes: list[str] = []
@@ -98,7 +98,7 @@ def read_view(folder: Path, meta: Path | None = None) -> Foreign:
     sides = _side_labels(cast, home)
 
     def side(i: int) -> Image:
-        path = foreign.within(folder, segment[frames[i]])
+        path = third_party.within(folder, segment[frames[i]])
         labels = checked.read_npz(path, ("a",))["a"]
         if labels.shape != (height, width) or labels.dtype.kind not in "iu":
             raise FreeArtError(
@@ -107,14 +107,14 @@ def read_view(folder: Path, meta: Path | None = None) -> Foreign:
         return sides[labels.astype(np.int64) % _LABELS]
 
     def load(index: int) -> Frame:
-        path = foreign.within(folder, depth[frames[index]])
-        metres = foreign.depth_metres(checked.read_npz(path, ("a",))["a"], path)
-        picture = checked.read_rgb(foreign.within(folder, rgb[frames[index]]))
+        path = third_party.within(folder, depth[frames[index]])
+        metres = third_party.depth_metres(checked.read_npz(path, ("a",))["a"], path)
+        picture = checked.read_rgb(third_party.within(folder, rgb[frames[index]]))
         return Frame(picture, metres, side(index) > 0)
 
     stated = None if meta is None else _stated(meta, category, object_id, number)
     joint, lacks = _joint(actors, cast, states, number, home, stated, notes)
-    T_camera_world = se3.inverse(cameras @ foreign.T_SAPIEN_CV)
+    T_camera_world = se3.inverse(cameras @ third_party.T_SAPIEN_CV)
     source = {
         "layout": "Video2Articulation-S",
         "category": category,
@@ -122,7 +122,7 @@ def read_view(folder: Path, meta: Path | None = None) -> Foreign:
         "view": folder.resolve().name,
         "frames": frames,
     }
-    known = Known(
+    known = KnownTruth(
         states[frames],
         (T_camera_world @ actors[cast.root])[frames],
         side,
@@ -133,7 +133,7 @@ def read_view(folder: Path, meta: Path | None = None) -> Foreign:
     )
     name = f"{category}-{object_id}-joint_{number}-{folder.resolve().name}"
     recording = Recording(camera, np.array(frames) / FPS, load, (), LICENCE, name)
-    return Foreign(foreign.safe_name(name), object_id, recording, known, lacks, tuple(notes))
+    return ThirdPartyRecording(third_party.safe_name(name), object_id, recording, known, lacks, tuple(notes))
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ def _frames(folder: Path, T: int) -> list[int]:
     sample = folder / "sample_rgb"
     if not sample.is_dir():
         return list(range(T))
-    frames = sorted(foreign.numbered(sample, (".jpg", ".jpeg", ".png")))
+    frames = sorted(third_party.numbered(sample, (".jpg", ".jpeg", ".png")))
     if not frames or frames[-1] >= T:
         raise FreeArtError(f"{sample} names frames {frames[-1:] or 'none'}, but camera_pose.npy has {T} poses")
     return frames
@@ -174,7 +174,7 @@ def _actors(path: Path, T: int) -> dict[int, Array]:
             raise FreeArtError(
                 f"{path}: {key} has shape {table.shape}, expected ({T}, 7) as camera_pose.npy has {T} poses"
             )
-        actors[int(named[1])] = foreign.poses_from_rows(table, f"{path}: {key}")
+        actors[int(named[1])] = third_party.poses_from_rows(table, f"{path}: {key}")
     if len(actors) < 2:
         raise FreeArtError(f"{path} has {len(actors)} actors, expected the object's links, two or more")
     return actors
@@ -222,7 +222,7 @@ def _states(home: Path, number: int, T: int, notes: list[str]) -> tuple[Array, d
     names = _joint_names(home / "joint_id_list.txt")
     columns: dict[str, Array] = {}
     if (home / "qpos.npy").is_file() and names:
-        columns = dict(zip(names, foreign.read_npy(home / "qpos.npy", (T, len(names))).T, strict=True))
+        columns = dict(zip(names, third_party.read_npy(home / "qpos.npy", (T, len(names))).T, strict=True))
     own = columns.pop(f"joint_{number}", None)
     held = {name: float(column[0]) for name, column in columns.items()}
     path = home / "gt_joint_value.npy"
@@ -231,9 +231,9 @@ def _states(home: Path, number: int, T: int, notes: list[str]) -> tuple[Array, d
             raise FreeArtError(f"{path} is missing, and there is no qpos.npy with joint_{number} in joint_id_list.txt")
         return own, held
     try:
-        states = foreign.read_npy(path, (T,))
+        states = third_party.read_npy(path, (T,))
     except FreeArtError:
-        states = foreign.read_npy(path, (T, 1))[:, 0]
+        states = third_party.read_npy(path, (T, 1))[:, 0]
     if own is not None and np.abs(own - states).max() > _AGREES:
         notes.append(f"{path.name} and qpos.npy differ by up to {np.abs(own - states).max():.3g}; qpos.npy is taken")
         states = own

@@ -1,10 +1,10 @@
-"""Many jobs: a list in a file, a marker a finished job, and executors that can be exchanged.
+"""Batches of jobs: a list in a file, a marker file per finished job, and interchangeable executors.
 
-A folder of jobs holds `jobs.json`, results wherever the jobs put them, and `.jobs/`: what each job said (statistics,
-its two streams) and, written last, a marker when it is finished. What has a marker is skipped, what lacks one is done
-anew, so a run that was killed goes on. Where a job runs (this machine, Ray, SLURM) changes none of its bytes.
+A folder of jobs holds `jobs.json`, the results of the jobs, and `.jobs/` with each job's statistics, output streams
+and, written last, its marker. Jobs with a marker are skipped, so that a killed run can resume. Where a job runs (this
+machine, Ray, SLURM) does not change its results.
 
-A jobs file names commands that will be run: it is a program, to be trusted as one.
+A jobs file names commands that will be run: trust it like a program.
 """
 
 from freeart21.jobs.executors import EXECUTORS, Executor

@@ -1,4 +1,4 @@
-"""One job, and a list of them as a file."""
+"""A job, and a list of jobs as a file."""
 
 from __future__ import annotations
 
@@ -17,41 +17,41 @@ SCHEMA = "freeart21/jobs/1"
 
 @dataclass(frozen=True)
 class Job:
-    """One piece of work that can be done anew at any time: a command, or a call of a function of ours.
+    """A repeatable piece of work: a command, or a call of a function of this project.
 
-    In the words of a command and in the texts among a call's arguments, `{folder}` is the folder of jobs, `{out}` a
-    place aside that takes the name `out` once all is well, `{freeart21}` (a whole word) the command line of this
-    program and `{python}` its Python. Without `{out}` the job itself must see to it that its output appears whole.
+    In the words of a command and in a call's text arguments, `{folder}` is the folder of jobs, `{out}` a temporary path
+    that is renamed to `out` on success, `{freeart21}` (a whole word) the command line of this program and `{python}`
+    its Python. A job without `{out}` must write its output atomically itself.
     """
 
     name: str
-    """Unique; parts of it between '/' sort jobs by kind, as 'score/ours'."""
+    """Unique; the part before the first '/' is its kind, as in 'score/ours'."""
     command: tuple[str, ...] = ()
-    """Words of a command; it runs in the folder of jobs."""
+    """Words of a command, which runs in the folder of jobs."""
     call: str = ""
-    """Instead of a command 'module:function'; what it returns (JSON) is kept with the statistics."""
+    """'module:function' in place of a command; its return value (JSON) is saved with the statistics."""
     arguments: dict[str, Any] = field(default_factory=dict)
-    """Of the call, by name; plain JSON."""
+    """Keyword arguments of the call; plain JSON."""
     out: str | None = None
-    """File or folder that it makes, inside the folder of jobs; None when it puts its results elsewhere."""
+    """File or folder that it makes in the folder of jobs; None when its results are elsewhere."""
     needs: tuple[str, ...] = ()
-    """Jobs that must be finished before."""
+    """Jobs that must finish first."""
     seconds: float = 0.0
-    """Estimate of what it takes."""
+    """Estimated time."""
     codes: tuple[int, ...] = (0,)
-    """Exit codes of the command that are an answer, as long as `out` is there."""
+    """Exit codes of the command that count as success when `out` exists."""
     resumes: bool = False
-    """It goes on from what stands at `out`; otherwise what an unfinished one left there is cleared away first."""
+    """Whether it resumes from an existing `out`; otherwise unfinished output is removed first."""
     key: str = ""
-    """What else decides the result, such as a hash of the inputs: another key is another job."""
+    """Further inputs of the result, such as a hash of files: another key makes another job."""
 
     @property
     def kind(self) -> str:
-        """What stands before the first '/' of its name: jobs of a kind take about the same time a unit."""
+        """The part of its name before the first '/'. Time estimates of one kind share their error."""
         return self.name.split("/")[0]
 
     def to_json(self) -> dict[str, Any]:
-        """As `read_jobs` reads it: only what is not the default."""
+        """The fields that differ from their defaults."""
         empty = Job("")
         return {name: value for name, value in asdict(self).items() if value != getattr(empty, name)}
 
@@ -62,12 +62,12 @@ def write_jobs(path: Path, jobs: Iterable[Job]) -> None:
 
 
 def read_jobs(path: Path) -> list[Job]:
-    """The jobs in `path`; FreeArtError names what is wrong with the first that is no job."""
+    """The jobs in `path`; FreeArtError names the first invalid one."""
     listed = checked.read_json(Path(path), SCHEMA, checked.ANYWHERE).get("jobs")
     if not isinstance(listed, list):
         raise FreeArtError(f"{path}: 'jobs' is {str(listed)[:60]}, expected a list")
     jobs = [job_from_json(data, f"{path}: job {k}") for k, data in enumerate(listed)]
-    in_order(jobs)
+    job_digests(jobs)
     return jobs
 
 
@@ -82,7 +82,7 @@ _KINDS: dict[str, tuple[type, ...]] = {
 
 
 def job_from_json(data: Any, what: str = "job") -> Job:
-    """The job that `data` says; FreeArtError, beginning with `what`, when it says none."""
+    """The job in the JSON value `data`; FreeArtError, beginning with `what`, when it is invalid."""
     if not isinstance(data, dict):
         raise FreeArtError(f"{what} is {str(data)[:60]}, expected an object")
     known = [f.name for f in fields(Job)]
@@ -99,12 +99,12 @@ def job_from_json(data: Any, what: str = "job") -> Job:
     return Job(**{"name": "", **data, **lists})
 
 
-def in_order(jobs: Sequence[Job]) -> dict[str, str]:
-    """Job name to digest, every job after those that it needs, otherwise in their order.
+def job_digests(jobs: Sequence[Job]) -> dict[str, str]:
+    """Job name to digest, in topological order: every job after those that it needs.
 
-    A digest is over all that decides a job's result, those of the jobs it needs included: after a change, it and what
-    hangs on it are other jobs. Raises FreeArtError when a name is taken twice or is none, a need is unknown, needs go
-    in a circle, or a job is neither a command nor a call.
+    A digest covers all inputs of a job's result, with the digests of the jobs it needs: a change makes it and its
+    dependents other jobs. Raises FreeArtError on a duplicate or invalid name, an unknown need, a cycle, or a job that
+    is neither a command nor a call.
     """
     by_name: dict[str, Job] = {}
     for job in jobs:

@@ -1,4 +1,4 @@
-"""What is known of jobs, in files: which began, what each said, and which are finished."""
+"""The state of jobs, in files: started, statistics, finished."""
 
 from __future__ import annotations
 
@@ -14,56 +14,56 @@ STATISTICS_SCHEMA = "freeart21/job-statistics/1"
 
 
 class Ledger:
-    """The files of a folder of jobs that say how far it is. Whoever reads them may be killed at any moment."""
+    """The state files of a folder of jobs. Readers and writers can be killed at any moment."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = Path(folder)
         self.place = self.folder / PLACE
 
     def path(self, what: str, name: str, ending: str = ".json") -> Path:
-        """The file of a job: `what` is 'begun', 'logs', 'statistics', 'running' or 'done'."""
+        """The file of a job; `what` is one of the folders `begun`, logs, statistics, running, done."""
         return self.place / what / f"{name}{ending}"
 
     def finished(self, job: Job, digest: str) -> bool:
-        """Whether the job has its marker, of this digest, and its output is there."""
+        """Whether the job has a marker of this digest, and its output exists."""
         if job.out is not None and not (self.folder / job.out).exists():
             return False
         return _read(self.path("done", job.name)).get("digest") == digest
 
     def finish(self, job: Job, digest: str) -> None:
-        """Set the marker: the last thing that a job does."""
+        """Write the marker, as the last step of a job."""
         atomic.write_json(self.path("done", job.name), {"digest": digest})
 
     def forget(self, job: Job) -> None:
-        """Take away the marker and the statistics: the job is to be done anew."""
+        """Remove the marker and the statistics, so that the job runs again."""
         for what in ("done", "statistics"):
             self.path(what, job.name).unlink(missing_ok=True)
 
     def begin(self, job: Job) -> None:
-        """Note that the job may have written its output from now on, so that what is found there is its own.
+        """Record that the job has started: output found later is its own.
 
-        Raises FreeArtError when something stands there already although the job never began.
+        Raises FreeArtError when its output exists although it never started.
         """
-        begun = self.path("begun", job.name)
-        if begun.is_file():
+        started = self.path("begun", job.name)
+        if started.is_file():
             return
         if job.out is not None and (self.folder / job.out).exists():
             raise FreeArtError(f"{self.folder / job.out} exists and was not made by the job '{job.name}'; move it away")
-        atomic.write_json(begun, {})
+        atomic.write_json(started, {})
 
-    def say(self, job: Job, digest: str, **facts: Any) -> None:
-        """Keep what came of a job: code, last line, seconds."""
+    def write_statistics(self, job: Job, digest: str, **facts: Any) -> None:
+        """Save the outcome of a job: code, last line, seconds."""
         data = {"schema": STATISTICS_SCHEMA, "job": job.name, "digest": digest, **facts}
         atomic.write_json(self.path("statistics", job.name), data)
 
-    def said(self, job: Job, digest: str) -> dict[str, Any]:
-        """What was kept of this very job; empty when nothing was."""
+    def read_statistics(self, job: Job, digest: str) -> dict[str, Any]:
+        """The saved outcome of the job with this digest; empty without one."""
         data = _read(self.path("statistics", job.name))
         return data if data.get("digest") == digest else {}
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """The JSON object in `path`; an empty one when there is none, or it is cut short."""
+    """The JSON object in `path`; empty when it is missing or incomplete."""
     try:
         return checked.read_json(path)
     except FreeArtError:

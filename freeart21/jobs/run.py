@@ -1,4 +1,4 @@
-"""Running jobs: each once, after what it needs; what is finished is skipped, what fails is said, the others go on."""
+"""Runs jobs: each once, after those it needs. Finished jobs are skipped; a failed one does not stop the others."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from typing import Literal
 
 from freeart21 import stopping
 from freeart21.files import atomic
-from freeart21.files.lock import locked
+from freeart21.files.lock import hold_lock
 from freeart21.jobs.executors import Executor, executor_named
-from freeart21.jobs.job import Job, in_order, write_jobs
+from freeart21.jobs.job import Job, job_digests, write_jobs
 from freeart21.jobs.ledger import Ledger
-from freeart21.jobs.work import Ended, request
+from freeart21.jobs.worker import ProcessExit, encode_request
 
 ATTEMPTS = 3
-"""Times that a job is begun whose process is killed; one that says itself that it failed is not begun again."""
+"""Times that a job is started when its process is killed. A job that fails by itself is not started again."""
 _LOCK_PATIENCE_S = 3.0
-"""How long the folder's lock is waited for: that of a killed run goes with its process."""
+"""Waiting time for the folder's lock: a killed run loses its lock with its process."""
 
 
 @dataclass(frozen=True)
 class Failed:
-    """A job that is not finished, and why."""
+    """A job that is not finished, and the reason."""
 
     name: str
     reason: str
@@ -33,24 +33,24 @@ class Failed:
 
 @dataclass(frozen=True)
 class Report:
-    """What came of a run."""
+    """The outcome of a run."""
 
     finished: tuple[str, ...]
-    """Done by this run, in the order in which they ended."""
+    """Jobs finished by this run, in the order in which they ended."""
     skipped: tuple[str, ...]
-    """Had been finished before."""
+    """Jobs that were finished before."""
     failed: tuple[Failed, ...]
-    """With those that could not begin because of them."""
+    """Failed jobs, and those that need them."""
 
 
 Event = Literal["begins", "finished", "failed", "lost"]
 Listener = Callable[[Event, Job, dict[str, object]], None]
-"""Told what happens to a job, with its statistics once it has ended."""
+"""Called with an event, its job and, once the job has ended, its statistics."""
 
 
-def unfinished(folder: Path, jobs: Sequence[Job]) -> list[Job]:
-    """Those of `jobs` that a run would do: without a marker, of another digest, or after one that would be done."""
-    digests, ledger, by_name = in_order(jobs), Ledger(folder), {job.name: job for job in jobs}
+def unfinished_jobs(folder: Path, jobs: Sequence[Job]) -> list[Job]:
+    """The jobs that a run would do: without a marker of the same digest, or needing such a job."""
+    digests, ledger, by_name = job_digests(jobs), Ledger(folder), {job.name: job for job in jobs}
     todo: dict[str, Job] = {}
     for name, digest in digests.items():  # what a job needs comes before it
         job = by_name[name]
@@ -67,28 +67,28 @@ def run_jobs(
     attempts: int = ATTEMPTS,
     listener: Listener | None = None,
 ) -> Report:
-    """Run those of `jobs` that are not finished in `folder`, up to `workers` at a time.
+    """Run the unfinished ones of `jobs` in `folder`, up to `workers` at a time.
 
-    `executor` is a name (`executors.EXECUTORS`), or one that is made already (`workers` is then its own). A job that
-    fails stops none but those that need it. May be interrupted or killed at any moment: the same call goes on.
+    `executor` is a name in `executors.EXECUTORS`, or an executor (with its own number of workers). A failed job stops
+    only those that need it. The run can be interrupted or killed at any moment: the same call resumes it.
 
-    Raises FreeArtError when a job is none (`job.in_order`), an executor is unknown or not installed, or another process
-    runs jobs here; KeyboardInterrupt when told to stop, after the jobs' processes have ended.
+    Raises FreeArtError when a job is invalid (`job_digests`), the executor is unknown or not installed, or another
+    process runs jobs here; KeyboardInterrupt after a stop signal, once the jobs' processes have ended.
     """
     folder = Path(folder)
-    digests = in_order(jobs)
+    digests = job_digests(jobs)
     made = executor_named(executor, workers, folder) if isinstance(executor, str) else executor
     ledger = Ledger(folder)
-    with locked(ledger.place / "lock", f"another process runs jobs in {folder}", _LOCK_PATIENCE_S):
-        atomic.sweep(ledger.place)
+    with hold_lock(ledger.place / "lock", f"another process runs jobs in {folder}", _LOCK_PATIENCE_S):
+        atomic.remove_leftovers(ledger.place)
         write_jobs(folder / "jobs.json", jobs)
-        todo = unfinished(folder, jobs)
+        todo = unfinished_jobs(folder, jobs)
         run = _Run(folder, todo, digests, attempts, listener or (lambda event, job, facts: None))
         for job in todo:
             ledger.forget(job)
         if todo:
-            with _cleared_up(run), made as started:
-                run.all_of_them(started)
+            with _clean_up_on_error(run), made as started:
+                run.run_all(started)
     names = {job.name for job in todo}
     skipped = tuple(job.name for job in jobs if job.name not in names)
     return Report(tuple(run.finished), skipped, tuple(run.failed))
@@ -116,25 +116,25 @@ class _Run:
         self.failed: list[Failed] = []
         self.given_up: set[str] = set()
 
-    def all_of_them(self, executor: Executor) -> None:
-        """Until none is left that can be done."""
+    def run_all(self, executor: Executor) -> None:
+        """Run until no job is ready or running."""
         while self.ready or self.running:
-            stopping.check()
+            stopping.raise_if_stopped()
             while self.ready and len(self.running) < executor.workers:
-                self._begin(self.ready.popleft(), executor)
+                self._start(self.ready.popleft(), executor)
             for end in executor.wait():
-                self._ended(end)
+                self._handle_exit(end)
 
-    def _begin(self, name: str, executor: Executor) -> None:
+    def _start(self, name: str, executor: Executor) -> None:
         job = self.jobs[name]
         self.tried[name] = self.running[name] = self.tried.get(name, 0) + 1
         self.listener("begins", job, {})
-        executor.start(name, request(self.folder, job, self.digests[name]), job.seconds)
+        executor.start(name, encode_request(self.folder, job, self.digests[name]), job.seconds)
 
-    def _ended(self, end: Ended) -> None:
+    def _handle_exit(self, end: ProcessExit) -> None:
         job, digest = self.jobs[end.name], self.digests[end.name]
         del self.running[end.name]
-        facts = self.ledger.said(job, digest)
+        facts = self.ledger.read_statistics(job, digest)
         if self.ledger.finished(job, digest):
             self.finished.append(job.name)
             self.listener("finished", job, facts)
@@ -142,7 +142,7 @@ class _Run:
                 self.missing[name].discard(job.name)
                 if not self.missing[name]:
                     self.ready.append(name)
-        elif (facts and not facts.get("good")) or end.code >= 0:  # it, or its process, says itself what was wrong
+        elif (facts and not facts.get("good")) or end.code >= 0:  # the job or its process reports an error
             self._fail(job.name, str(facts.get("line") or end.line or f"exit code {end.code}"), facts)
         elif self.tried[job.name] < self.attempts:
             self.listener("lost", job, facts)
@@ -152,7 +152,7 @@ class _Run:
             self._fail(job.name, f"its process was killed {times}{f' ({end.line})' if end.line else ''}", facts)
 
     def _fail(self, name: str, reason: str, facts: dict[str, object]) -> None:
-        """Not finished; nor are those that need it, and those that need them."""
+        """Record a failed job, and all that directly or indirectly need it."""
         lost = [(name, reason)]
         for job, why in lost:
             if job not in self.given_up:
@@ -163,14 +163,14 @@ class _Run:
 
 
 @contextlib.contextmanager
-def _cleared_up(run: _Run) -> Iterator[None]:
-    """When the block fails: remove what those that ran have left aside."""
+def _clean_up_on_error(run: _Run) -> Iterator[None]:
+    """When the block fails, remove unfinished output of the running jobs."""
     try:
         yield
     except BaseException:
-        with stopping.deferred():
+        with stopping.defer_stop():
             for name in run.running:
                 out = run.jobs[name].out
                 if out is not None:
-                    atomic.mend(run.folder / out)
+                    atomic.recover_folder(run.folder / out)
         raise

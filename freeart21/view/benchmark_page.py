@@ -98,8 +98,11 @@ def summary_rows(statistics: Sequence[MotionStatistics]) -> list[tuple[str, str]
 
     paces = [s.median_degrees for s in statistics]
     return [
-        ("Hard: under 5 % in 15 % of the frames", of(sum(s.hard for s in statistics))),
-        (f"The moving part gone for {GONE_FRAMES} frames or more", of(sum(s.gone >= GONE_FRAMES for s in statistics))),
+        ("Hard: under 5 % in 15 % of the frames", of(sum(s.is_hard for s in statistics))),
+        (
+            f"The moving part gone for {GONE_FRAMES} frames or more",
+            of(sum(s.longest_absence >= GONE_FRAMES for s in statistics)),
+        ),
         ("First frame shows both parts (5 % or more)", of(sum(s.share[0] >= FEW for s in statistics))),
         ("Object in frame throughout", of(sum(not s.leaves for s in statistics))),
         ("Median turn of 2 to 3 degrees a frame", of(sum(2 <= pace <= 3 for pace in paces))),
@@ -126,8 +129,8 @@ def _table(statistics: Sequence[MotionStatistics]) -> Section:
             (f"{s.median_degrees:.2f}", s.median_degrees),
             (f"{s.max_degrees:.1f}", s.max_degrees),
             *((f"{v:.0%}", v) for v in (s.pose_only, s.joint_only, s.both, s.neither, s.coverage, s.range_covered)),
-            (f"{s.few:.0%}" + " hard" * s.hard, s.few),
-            (str(s.gone), s.gone),
+            (f"{s.few_pixels_share:.0%}" + " hard" * s.is_hard, s.few_pixels_share),
+            (str(s.longest_absence), s.longest_absence),
             (f"{s.fill:.0%}", s.fill),
             (f"{s.depth_m[0]:.2f} to {s.depth_m[1]:.2f}", s.depth_m[0]),
             ("no" if s.leaves else "yes", float(s.leaves)),
@@ -162,7 +165,7 @@ def _card(s: MotionStatistics, strip: str) -> Section:
         f'<img class="strip" alt="{_THUMBS} pictures of the video" src="{strip}">'
         f'<div class="courses">{plots}{_globe(s.views)}</div>'
     )
-    return Section(s.name + ", hard" * s.hard, html, place="full")
+    return Section(s.name + ", hard" * s.is_hard, html, place="full")
 
 
 def _course(label: str, values: Array, colour: str, low: float, high: float, line: float | None) -> str:
@@ -196,7 +199,7 @@ def _globe(views: Array) -> str:
     for k, sign in enumerate((1.0, -1.0)):
         x0 = 38 + 76 * k
         parts.append(f'<circle class="half" cx="{x0}" cy="37" r="{radius}"/>')
-        for group, dots, size in (("cell", sphere.sphere(sphere.CELLS), 1.1), ("view", views, 1.7)):
+        for group, dots, size in (("cell", sphere.fibonacci_sphere(sphere.CELLS), 1.1), ("view", views, 1.7)):
             here = dots[sign * dots[:, 2] >= 0]
             scale = radius / np.sqrt(1 + np.abs(here[:, 2]))
             x, y = x0 + sign * scale * here[:, 0], 37 - scale * here[:, 1]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from freeart21 import sphere
 from freeart21.se3 import Array
 from freeart21.statistics import MotionStatistics
-from freeart21.strokes import TURN_DEGREES, Movement
+from freeart21.submovements import TURN_DEGREES, Movement
 from freeart21.view.document import MOVING, REFERENCE, TRUTH, Section, escape
 
 _WIDTH, _HEIGHT = 220, 112
@@ -31,7 +31,7 @@ def motion_section(statistics: Sequence[MotionStatistics]) -> Section:
     """Every source of motion, scripted ones first, with its turns, strokes of the joint, rests and views."""
     groups: dict[tuple[bool, str], list[MotionStatistics]] = {}
     for s in statistics:
-        groups.setdefault((s.recorded, s.moved_by), []).append(s)
+        groups.setdefault((s.recorded, s.motion_source), []).append(s)
     rows = "".join(_group(name, recorded, groups[recorded, name]) for recorded, name in sorted(groups))
     return Section("Motion, by its source", f'<div class="motions">{rows}</div><p class="note">{escape(NOTE)}</p>',
                    place="full")  # fmt: skip
@@ -48,7 +48,7 @@ def _group(name: str, recorded: bool, group: list[MotionStatistics]) -> str:
         ("object at rest", _share([~m.pose_moves for m in moves])),
         ("joint at rest", _share([~m.joint_moves for m in moves])),
         ("grasped anew", f"{np.mean([m.regrasps_a_minute for m in moves]):.0f} a minute"),
-        ("joint strokes", f"{sum(len(m.joint_strokes) for m in moves) / minutes:.0f} a minute"),
+        ("joint strokes", f"{sum(len(m.joint_submovements) for m in moves) / minutes:.0f} a minute"),
     ]
     told = "".join(f"<div><dt>{escape(label)}</dt><dd>{escape(value)}</dd></div>" for label, value in facts)
     panels = _turns(turns) + _strokes(moves) + _rests(moves, minutes) + _views(group)
@@ -75,7 +75,7 @@ def _turns(turns: Array) -> str:
 
 def _strokes(moves: list[Movement]) -> str:
     """A dot a stroke of the joint: how long it lasts and how much of the range it passes."""
-    seconds = np.concatenate([np.diff(m.joint_strokes, axis=1)[:, 0] / m.fps for m in moves])
+    seconds = np.concatenate([np.diff(m.joint_submovements, axis=1)[:, 0] / m.fps for m in moves])
     ways = np.abs(np.concatenate([m.joint_ways for m in moves]))
     x = _LEFT + np.minimum(seconds / _STROKE_S, 1) * (_WIDTH - _LEFT - _RIGHT)
     y = _down(ways, 1.0)
@@ -103,7 +103,7 @@ def _rests(moves: list[Movement], minutes: float) -> str:
 def _views(group: list[MotionStatistics]) -> str:
     """The cells of the sphere of views, the darker the more of the sequences saw the object from there."""
     seen = np.mean([sphere.covered_cells(s.views).any(0) for s in group], axis=0)
-    cells, radius, parts = sphere.sphere(sphere.CELLS), 44.0, []
+    cells, radius, parts = sphere.fibonacci_sphere(sphere.CELLS), 44.0, []
     for k, sign in enumerate((1.0, -1.0)):
         x0, y0 = 56 + 108 * k, 56
         parts.append(f'<circle class="half" cx="{x0}" cy="{y0}" r="{radius + 6}"/>')

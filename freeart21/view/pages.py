@@ -13,7 +13,7 @@ from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.asset import read_asset, read_effects
-from freeart21.files.benchmark import is_unfinished, unfinished
+from freeart21.files.benchmark import is_unfinished, unfinished_error
 from freeart21.files.diagnostics import Diagnostics, confidence_file, read_confidence, read_diagnostics
 from freeart21.files.gaussians import GAUSSIANS, read_gaussians
 from freeart21.files.places import PAGE, check_place
@@ -158,7 +158,7 @@ def recognised(path: Path) -> str:
     if list(path.glob("*.urdf")):
         return "asset"
     if is_unfinished(path):
-        raise unfinished(path)
+        raise unfinished_error(path)
     names = sorted(p.name + "/" * p.is_dir() for p in path.iterdir())
     there = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "") or "nothing"
     patterns = ("*/sequence.json", "*/*/sequence.json", "*/prediction.json", "*/asset.json")

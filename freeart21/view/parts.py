@@ -12,7 +12,7 @@ from freeart21.articulation import Articulation
 from freeart21.camera import Camera
 from freeart21.gaussians import Gaussians
 from freeart21.joint import Joint
-from freeart21.mesh import Mesh, bounding_diagonal, middle
+from freeart21.mesh import Mesh, bounding_diagonal, box_centre
 from freeart21.reconstruction import Reconstruction
 from freeart21.se3 import Array
 from freeart21.truth import Truth
@@ -183,7 +183,7 @@ def _centre(articulation: Articulation, T_moving: Array) -> Array:
     """(3,) the middle of the moving part's box where `T_moving` puts it, or of the other when it is empty."""
     for mesh in (articulation.moving.moved(T_moving), articulation.reference):
         if not mesh.empty:
-            return middle(mesh)
+            return box_centre(mesh)
     return np.asarray(articulation.joint.pivot, float)
 
 

@@ -56,7 +56,7 @@ def resample_take(take: Take, fps: float, frames: int) -> Stretch:
     times = np.minimum(take.times[0] + np.arange(count) / fps, take.times[-1])
     Ts, taken = take.Ts, take.states
     if take.filter is not None:
-        Ts, taken = one_euro.filtered(take.filter, take.times, Ts, taken)
+        Ts, taken = one_euro.filter_motion(take.filter, take.times, Ts, taken)
     states = np.interp(times, take.times, taken)
     moved = np.ptp(np.lib.stride_tricks.sliding_window_view(states, frames), axis=1)
     first = int(np.argmax(moved >= (1 - _ROUNDING) * moved.max()))  # not by the last digits

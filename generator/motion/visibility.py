@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from freeart21 import se3
 from freeart21.se3 import Array
-from freeart21.sphere import sphere
+from freeart21.sphere import fibonacci_sphere
 from generator.motion.body import Body
 from generator.rays import Caster
 
@@ -26,7 +26,7 @@ class Atlas:
     def __init__(self, body: Body, distance: float, directions: int = 162, states: int = 6) -> None:
         """`distance` of the camera from the body's centre, metres."""
         self._body, self._caster = body, Caster(body.meshes)
-        self.directions = sphere(directions)
+        self.directions = fibonacci_sphere(directions)
         """(D, 3) unit vectors from the object to the camera, object frame."""
         self.states = np.linspace(body.lower, body.upper, states)
         """(Q,) rad or m."""

@@ -146,7 +146,7 @@ class Stage:
 
     @contextlib.asynccontextmanager
     async def _started(self) -> Any:
-        with stopping.unheard():
+        with stopping.block_signals():
             process = await asyncio.create_subprocess_exec(
                 *child.command("generator.teleop.stage_process"),
                 stdin=asyncio.subprocess.PIPE,

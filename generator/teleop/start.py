@@ -83,9 +83,9 @@ def serve(name: str, out: Path, settings: TeleopSettings, record: RecordSettings
         with _signals_to_loop() as signals:
             rescued = asyncio.run(_serve(name, loaded, takes, settings, signals))
     if signals:
-        with stopping.explained(lambda: rescued):
+        with stopping.resume_hint(lambda: rescued):
             os.kill(os.getpid(), signals[0])
-            stopping.check()
+            stopping.raise_if_stopped()
 
 
 def _load_object(name: str, record: RecordSettings, place: Path) -> tuple[str, partnet.PartNetObject, tuple[Path, ...]]:

@@ -8,7 +8,7 @@ import os
 from array import array
 from pathlib import Path
 
-from freeart21.files.take import sample
+from freeart21.files.take import sample_line
 from generator.teleop.driving import Track
 
 HEAD_BYTES = 1024
@@ -39,7 +39,7 @@ class TakeFile:
         if whole < len(self._ends) - 1:
             del self._ends[whole + 1 :]
             os.ftruncate(self._file, self._ends[-1])
-        lines = [(sample(*track.sample(k)) + "\n").encode() for k in range(whole, len(track))]
+        lines = [(sample_line(*track.sample(k)) + "\n").encode() for k in range(whole, len(track))]
         try:
             self._put(self._ends[-1], b"".join(lines))
         except OSError:  # no half line stays

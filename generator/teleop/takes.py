@@ -14,9 +14,9 @@ import numpy as np
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.places import check_place
-from freeart21.files.take import header, read_take, sample
+from freeart21.files.take import header_line, read_take, sample_line
 from freeart21.joint import JointType
-from freeart21.one_euro import headset
+from freeart21.one_euro import headset_filter
 from generator.teleop.driving import Driving, Track
 from generator.teleop.take_file import TakeFile, is_open, rename_new
 
@@ -115,11 +115,11 @@ class Takes:
 
     def _head(self, driving: Driving) -> str:
         # a hand-held controller has tremor, a mouse has not
-        held = headset(self._joint_type) if "headset" in driving.devices else None
-        return header(", ".join(driving.devices) or "none", "camera", self._joint_type, held, self._size)
+        held = headset_filter(self._joint_type) if "headset" in driving.devices else None
+        return header_line(", ".join(driving.devices) or "none", "camera", self._joint_type, held, self._size)
 
     def _text(self, driving: Driving) -> bytes:
-        return ("\n".join([self._head(driving), *(sample(*s) for s in driving.take.samples())]) + "\n").encode()
+        return ("\n".join([self._head(driving), *(sample_line(*s) for s in driving.take.samples())]) + "\n").encode()
 
 
 def _free_path(path: Path) -> Path:
@@ -133,7 +133,7 @@ def _free_path(path: Path) -> Path:
 
 def write_new(path: Path, data: bytes) -> None:
     """Write a new file, completely or not at all, also after a stop signal. Raises FreeArtError."""
-    aside = path.with_name(f".{path.name}.{os.getpid()}{atomic.ASIDE}")
+    aside = path.with_name(f".{path.name}.{os.getpid()}{atomic.PART_SUFFIX}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:

@@ -19,7 +19,7 @@ import numpy as np
 
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.formats.foreign import read_npy
+from freeart21.formats.third_party import read_npy
 from freeart21.joint import JOINT_TYPES, Joint, JointType
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from freeart21 import se3
 from freeart21.errors import FreeArtError
-from freeart21.mesh import Mesh, middle
+from freeart21.mesh import Mesh, box_centre
 from freeart21.se3 import Array
 from leaderboard.adapters.fitting import fit_joint
 from leaderboard.adapters.toolbox import Found, answered, joined, spread_poses, spread_states
@@ -52,7 +52,7 @@ def found_of(
         if part is not base and part is not moving:
             sides[_slip(moving.Ts, part.Ts, _size(part)) < _slip(base.Ts, part.Ts, _size(part))].append(part)
     motion = se3.inverse(base.Ts) @ moving.Ts
-    centre = np.zeros(3) if moving.mesh is None else middle(moving.mesh)
+    centre = np.zeros(3) if moving.mesh is None else box_centre(moving.mesh)
     fit = fit_joint("joint", motion, centre, _size(moving))
     T_moving_own = se3.inverse(fit.T_reference_moving)
     reference = spread_poses(base.Ts, at, frames)

@@ -24,7 +24,7 @@ import numpy as np
 from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.formats.foreign import T_GL_CV
+from freeart21.formats.third_party import T_GL_CV
 from freeart21.se3 import Array
 from leaderboard.adapters.followed import Followed, found_of
 from leaderboard.adapters.toolbox import Found, Layout, Request, read_part, scaled, scaled_mesh, wxyz_first

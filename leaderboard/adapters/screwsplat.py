@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from freeart21.errors import FreeArtError
-from freeart21.formats.foreign import read_npy
+from freeart21.formats.third_party import read_npy
 from freeart21.joint import JointType
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array

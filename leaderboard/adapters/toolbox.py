@@ -23,7 +23,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.mesh_file import read_ply
 from freeart21.formats import freeart21_official
-from freeart21.formats.foreign import T_GL_CV, poses_from_rows, read_npy
+from freeart21.formats.third_party import T_GL_CV, poses_from_rows, read_npy
 from freeart21.formats.video2articulation import R_OBJECT_LABEL
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh

@@ -198,7 +198,7 @@ def _sequences(
         try:
             for job in jobs:
                 one = job.result()
-                stopping.check()
+                stopping.raise_if_stopped()
                 file = files[one.name]
                 _write(aside / "data" / f"{file}.js", one.script.encode())
                 _write(aside / "thumbs" / f"{file}.jpg", one.thumb)

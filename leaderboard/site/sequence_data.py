@@ -18,7 +18,7 @@ from freeart21.files.benchmark import Benchmark
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
 from freeart21.joint import Joint, JointType
-from freeart21.mesh import Mesh, bounding_diagonal, middle
+from freeart21.mesh import Mesh, bounding_diagonal, box_centre
 from freeart21.recording import Recording
 from freeart21.se3 import Array
 from freeart21.truth import Truth
@@ -275,7 +275,7 @@ def _round(values: Any) -> list[float]:
 
 def _near(truth: Truth) -> Array:
     """(3,) the middle of the true moving part in frame 0: where axes are drawn."""
-    return middle(truth.articulation.moving.moved(truth.articulation.joint.transform(float(truth.states[0]))))
+    return box_centre(truth.articulation.moving.moved(truth.articulation.joint.transform(float(truth.states[0]))))
 
 
 def _arrow_pose(joint: Joint, near: Array, size: float) -> Array:

@@ -13,7 +13,7 @@ from typing import Any
 from freeart21 import child
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
-from freeart21.jobs.work import dies_with_us, last_line, waited
+from freeart21.jobs.worker import kill_with_parent, last_line, wait_for_child
 from leaderboard.protocols import Metric, protocol_named
 from leaderboard.reference import Kind, write_reference
 from leaderboard.rows import Scores
@@ -43,7 +43,7 @@ def export(result: str) -> dict[str, Any]:
     said = checked.read_json(folder / "prediction.json")
     if said.get("status") != "ok":
         return {"asset": False, "why": f"no answer: {said.get('reason')}"}
-    atomic.mend(folder / "asset")
+    atomic.recover_folder(folder / "asset")
     code, line = _freeart21("export", str(folder), "--out", str(folder / "asset"))
     if (folder / "asset" / "asset.json").is_file() and code in (0, 1, 3):  # 3: made, and doubtful
         return {"asset": True, "why": line}
@@ -88,10 +88,10 @@ def _freeart21(*words: str) -> tuple[int, str]:
             [*child.command("freeart21.__main__"), *words],
             stdin=subprocess.DEVNULL,
             stderr=errors,
-            preexec_fn=dies_with_us(),
+            preexec_fn=kill_with_parent(),
         )
         try:
-            code = waited(process)
+            code = wait_for_child(process)
         finally:
             errors.seek(0)
             said = errors.read().decode(errors="replace")

@@ -15,7 +15,7 @@ from freeart21.files.benchmark import file_sha256, read_benchmark
 from freeart21.files.places import SUITE, check_place
 from freeart21.jobs import ATTEMPTS, Failed, Job, run_jobs
 from freeart21.jobs.ledger import Ledger
-from freeart21.jobs.run import Listener, unfinished
+from freeart21.jobs.run import Listener, unfinished_jobs
 from leaderboard.protocols import DEFAULT, protocol_named
 from leaderboard.suite.plan import Plan, disk_bytes, plan_suite
 from leaderboard.suite.rates import read_rates, update_rates, write_rates
@@ -77,8 +77,8 @@ def prepare(
             raise FreeArtError(f"{out} is a suite over other data ({before}); choose another place")
     measured = out / "rates.json"
     rates = read_rates(measured) if measured.is_file() else read_rates()
-    plan = plan_suite(benchmark, chosen, benchmark.chosen(sequences), tuple(names), rates)
-    todo = unfinished(out, plan.jobs)
+    plan = plan_suite(benchmark, chosen, benchmark.select_sequences(sequences), tuple(names), rates)
+    todo = unfinished_jobs(out, plan.jobs)
     above = next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.is_dir())
     return Suite(
         Path(data),

@@ -42,7 +42,7 @@ _MOST_LABELS = 16  # two parts, a hand and a few more; what has more flat values
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownTruth:
     """What a foreign folder knows of the truth.
 
     The object's frame is that of its URDF's root link (z up). The sides are those of the scored joint: the root link's
@@ -102,7 +102,7 @@ class Parts:
 
 
 @dataclass(frozen=True)
-class Foreign:
+class ThirdPartyRecording:
     """A foreign folder, read."""
 
     name: str
@@ -110,7 +110,7 @@ class Foreign:
     object_id: str
     """The object's PartNet-Mobility id, as the folder has it."""
     recording: Recording
-    known: Known | None
+    known: KnownTruth | None
     """None when too little of the truth is there; `lacks` says what."""
     lacks: str = ""
     notes: tuple[str, ...] = ()
