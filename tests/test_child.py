@@ -40,7 +40,7 @@ def test_processes_are_started_by_one_function():
                 found.add((name, node.value))
     assert found == {
         ("freeart21/child.py", "executable"),
-        ("freeart21/jobs/work.py", "executable"),  # the word {python} of somebody's own command
+        ("freeart21/jobs/worker.py", "executable"),  # the word {python} of somebody's own command
         ("generator/dataset.py", "get_context"),  # its processes start within `child.spawn_in`
         ("generator/dataset.py", "ProcessPoolExecutor"),
     }

@@ -204,7 +204,7 @@ BAD = [
     ({"type": "velocity"}, "type is 'velocity', expected 'position' or 'effort' or 'dc_motor'"),
     ({"type": "position", "stiffness": 1.0}, "an actuator of type 'position' needs 'damping'"),
     ({"type": "position", "stiffness": 1.0, "damping": -1.0}, "'damping' is -1, expected 0 or more"),
-    ({"type": "position", "stiffness": 1, "damping": 1, "max_efort": 2}, "has no 'max_efort'; it may have stiffness"),
+    ({"type": "position", "stiffness": 1, "damping": 1, "max_efort": 2}, "has no 'max_efort'; expected stiffness"),
     ({"type": "dc_motor", "torque_constant": 1.0, "resistance": 0.0}, "'resistance' is 0, expected above 0"),
     ({"type": "dc_motor", "torque_constant": 1.0, "resistance": None}, "needs 'resistance'"),
     ({"type": "effort", "max_current": 2.0}, "needs both 'max_current' and 'torque_constant'"),

@@ -55,8 +55,8 @@ def test_angles_within_a_turn_are_made_whole_where_told_or_clear_and_that_is_sai
         read = said(tmp_path / name, wrapped, **words)
         np.testing.assert_allclose(read.runs[0].q - read.runs[0].q[0], ROUND - ROUND[0], atol=1e-9)
         (note,) = read.notes
-        assert note.startswith("run 'r': angles within one turn were made whole, 2 leaps")
-        assert ("wrapped" in note) is (name == "clear")
+        assert note.startswith("run 'r': angles were within one turn and have been unwrapped, 2 jumps")
+        assert ('"wrapped": false' in note) is (name == "clear")
     raw = said(tmp_path / "no", wrapped, wrapped=False)
     np.testing.assert_array_equal(raw.runs[0].q, within(ROUND))
     assert raw.notes == ()

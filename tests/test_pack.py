@@ -209,10 +209,10 @@ def test_what_a_method_may_see_is_all_there(data, halves):
 def test_what_careless_makers_left_is_found_in_any_folder(data, halves):
     found = [line for name in OBJECTS for line in find_traces(data / "sequences" / name)]
     for wrong in (
-        "sequence.json holds more",
-        "queries.json holds more",
-        "notes.txt is nothing that a method may see",
-        "rgb/99999.png is nothing that a method may see",
+        "sequence.json is not as our writer writes it",
+        "queries.json is not as our writer writes it",
+        "notes.txt does not belong to what a method sees",
+        "rgb/99999.png does not belong to what a method sees",
         "rgb/00000.png has a chunk b'tEXt'",
         "depth/00000.png has bytes behind its end",
         "rgb/00001.png has bytes behind its pixels",

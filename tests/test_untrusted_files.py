@@ -47,7 +47,7 @@ EXEMPT = {
         "export/loaders/__init__.py:read_bytes"
     ),
     "the answer of a process of our own": (
-        "freeart21/doctor.py:json.loads freeart21/formats/mat_file.py:json.loads freeart21/jobs/work.py:json.loads "
+        "freeart21/doctor.py:json.loads freeart21/formats/mat_file.py:json.loads freeart21/jobs/worker.py:json.loads "
         "generator/teleop/stage_process.py:json.loads export/check/trial_process.py:json.loads "
         "leaderboard/asset_process.py:json.loads leaderboard/asset_process.py:fdopen leaderboard/worker.py:json.loads "
         "leaderboard/worker.py:fdopen"
@@ -63,7 +63,7 @@ EXEMPT = {
     ),
     "an entry of an archive that `checked` has opened": "leaderboard/archive.py:open",
     "/proc/cpuinfo": "leaderboard/provenance.py:read_text",
-    "the log of a job of ours": "freeart21/jobs/work.py:open",
+    "the log of a job of ours": "freeart21/jobs/worker.py:open",
     "the log of a process of our own, and a device": "leaderboard/asset_process.py:open",
     "a device": "freeart21/ending.py:open",
     "a lock of ours, which is written": "freeart21/files/lock.py:open generator/dataset.py:open",

@@ -143,7 +143,7 @@ def _second_part_as_first(image: np.ndarray) -> None:
 FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
     "moving pose": (
         lambda d: change_arrays(d / TRUTH / "poses.npz", _turn_moving),
-        "moving part's pose of frame 1 is .* off what joint and state say",
+        "moving part's pose of frame 1 differs by .* from that of joint and state",
     ),
     "pose not rigid": (
         lambda d: change_arrays(d / TRUTH / "poses.npz", _shear),
@@ -183,9 +183,9 @@ FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "the seed in the video's header": (
         lambda d: change_json(d / SEQUENCE / "sequence.json", lambda c: c.update(seed=3)),
-        "says 'seed', which a method may not see",
+        "says 'seed', which methods are not to see",
     ),
-    "a file besides": (lambda d: (d / SEQUENCE / "stapler.txt").write_text(""), "does not belong into what a method"),
+    "a file besides": (lambda d: (d / SEQUENCE / "stapler.txt").write_text(""), "does not belong in a sequence folder"),
     "another schema": (
         lambda d: change_json(d / SEQUENCE / "sequence.json", lambda c: c.update(schema="freeart21/sequence/9")),
         "has schema 'freeart21/sequence/9'",
