@@ -141,13 +141,13 @@ def test_a_minute_of_ten_thousand_rows_a_second_takes_seconds_and_less_than_a_gi
 from pathlib import Path
 from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured
-from simgap.measure.data import fit_runs, thinned
-from simgap.models.surrogate import plant_of
+from simgap.measure.data import make_fit_runs, thinning_notes
+from simgap.models.surrogate import make_plant
 measured = read_measured(Path({str(tmp_path / "set")!r}))
-runs, floor = fit_runs(measured, plant_of(read_asset(Path({str(asset_of(tmp_path))!r})), measured))
+runs, sensor = make_fit_runs(measured, make_plant(read_asset(Path({str(asset_of(tmp_path))!r})), measured))
 memory = int(Path('/proc/self/status').read_text().split('VmHWM:')[1].split()[0]) / 2**20  # its own, no parent's
-print(memory, len(runs[0].q), len(runs[0].inputs.times_s), floor.still)
-print(thinned(measured)[0])
+print(memory, len(runs[0].q), len(runs[0].inputs.times_s), sensor.sigma_at_rest)
+print(thinning_notes(measured)[0])
 """
     done = subprocess.run(["sh", "-c", 'exec "$0" -c "$1"', sys.executable, code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
