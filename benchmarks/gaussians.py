@@ -48,7 +48,7 @@ from reconstruct.gaussians.model import Parameters, logit
 from reconstruct.gaussians.optimisation import Fit
 from reconstruct.gaussians.rasteriser import DILATION, FAINTEST, Lens, Rasterise, Splats
 from reconstruct.gaussians.windows import Window, Windows
-from reconstruct.kernels import in_threads
+from reconstruct.kernels import run_in_threads
 from reconstruct.poses import JointedPoses
 from reconstruct.settings import GaussianSettings
 
@@ -104,7 +104,7 @@ def main(
         seed: Of the discs.
         out: The JSON file.
     """
-    rasterise = backends.choose(backend)
+    rasterise = backends.choose_backend(backend)
     name = rasterise.__module__.rsplit(".", 1)[-1].removesuffix("_backend")
     scenes = {(n, window): _scene(n, *_size(window), focal, seed) for window in windows for n in counts}
     bandwidth, taken = _measure(rasterise, scenes, focal, repeats)
@@ -210,8 +210,8 @@ def _step(scene: Scene, rasterise: Rasterise, focal: float) -> Callable[[], Any]
     surface = Mesh(box.vertices, box.faces)
     fit = Fit(video, (surface, surface), poses, rasterise, settings, np.random.default_rng(0))
     fit.parameters, fit.adam = own, Adam(own)
-    fit.screen, fit.looks = np.zeros(len(own)), np.zeros(len(own))
-    return lambda: fit.step(0, 0.5)
+    fit.screen_sums, fit.views = np.zeros(len(own)), np.zeros(len(own))
+    return lambda: fit.train_step(0, 0.5)
 
 
 # --- measuring --------------------------------------------------------------------------------------------------------
@@ -230,7 +230,7 @@ def _measure(
         np.copyto(target[begin:end], source[begin:end])
 
     for turn in range(repeats + 1):
-        copies.append(_seconds(lambda: in_threads(copy, COPIED, 1))[0])
+        copies.append(_seconds(lambda: run_in_threads(copy, COPIED, 1))[0])
         for key, scene in scenes.items():
             forward, (picture, pull) = _seconds(lambda s=scene: rasterise(s.splats, s.poses, s.lens))
             backward, _ = _seconds(lambda p=pull, s=scene: p(*s.given))

@@ -54,7 +54,7 @@ from leaderboard.suite.rows import ROWS
 from reconstruct import VERSION
 from reconstruct.cache import code_digest, work_folder
 from reconstruct.settings import ReconstructSettings
-from reconstruct.stages import used_by
+from reconstruct.stages import settings_used_by
 
 PROTOCOL = "strict-2"
 SCHEMA = "freeart21/benchmark-reconstruct/1"
@@ -285,7 +285,7 @@ def without(settings: ReconstructSettings, name: str) -> ReconstructSettings:
 
     FreeArtError when the suite has no such row, or one that differs before the stage `gaussians`.
     """
-    late = set(settings.to_json()) - set(used_by("joint", settings.to_json()))
+    late = set(settings.to_json()) - set(settings_used_by("joint", settings.to_json()))
     pieces = {row.name.removeprefix("ours-"): row.settings for row in ROWS if row.group == "pieces"}
     offered = [piece for piece, its in pieces.items() if set(its) <= late]
     if name not in offered:

@@ -47,9 +47,9 @@ from generator.sensor import Sensor
 from generator.session import RecordSettings
 from leaderboard.protocols.strict1 import Strict1, measure
 from reconstruct import VERSION
-from reconstruct.drawn_back import surface_signs
+from reconstruct.surface_check import check_surfaces
 from reconstruct.pipeline import reconstruct_folder
-from reconstruct.scene import prepare
+from reconstruct.scene import prepare_scene
 from reconstruct.settings import GaussianSettings, ReconstructSettings, SceneSettings
 from reconstruct.surfaces import vertex_normals
 
@@ -310,12 +310,12 @@ def _judge_spoilt(video: Video, sequence: Path, result: Path) -> dict[str, str]:
     assert isinstance(answer, Reconstruction)
     diagnostics = read_diagnostics(result, len(answer))
     assert diagnostics is not None
-    scene, parts, found = prepare(read_sequence(sequence), SceneSettings()), answer.articulation, dict[str, str]()
+    scene, parts, found = prepare_scene(read_sequence(sequence), SceneSettings()), answer.articulation, dict[str, str]()
     for part in PARTS:
         for name, spoil in FAULTS.items():
             mesh = spoil(parts.part(part), size_of(answer), parts.joint)
             wrong = replace(answer, articulation=replace(parts, **{part: mesh}))
-            trust = judge(wrong, replace(diagnostics, **surface_signs(scene, wrong)))
+            trust = judge(wrong, replace(diagnostics, **check_surfaces(scene, wrong)))
             found[f"{video.name}, {part}, {name}"] = describe_trust(trust)
     return found
 

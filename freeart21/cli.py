@@ -23,7 +23,7 @@ from freeart21.ending import report_errors
 from freeart21.errors import FreeArtError
 from leaderboard import commands as board
 from reconstruct.settings import ReconstructSettings
-from reconstruct.stages import STAGES, KeptStage
+from reconstruct.stages import STAGES, CachedStageName
 
 if TYPE_CHECKING:
     from freeart21.reconstruction import Reconstruction
@@ -34,7 +34,7 @@ DOUBTFUL = 3
 """Exit code of a result with a warning: `reconstruct` does not trust it, `export` made an asset from such a result or
 with collision shapes far from the visible ones, a rule of `check-asset` failed."""
 STOP_AFTER = "Stop after this stage and save its result for the next call. " + " ".join(
-    f"{stage.name}: {stage.does}." for stage in STAGES if stage.kept
+    f"{stage.name}: {stage.description}." for stage in STAGES if stage.cached
 )
 
 
@@ -352,7 +352,7 @@ def verify(data: Annotated[Path, Positional], deep: bool = False, truth: Path | 
 def reconstruct(
     sequence: Annotated[Path, Positional],
     out: Path,
-    until: Annotated[KeptStage | None, tyro.conf.arg(help=STOP_AFTER)] = None,
+    until: Annotated[CachedStageName | None, tyro.conf.arg(help=STOP_AFTER)] = None,
     keep_work: bool = False,
     segmentation: Literal["ours", "paper"] | None = None,
     settings_file: Annotated[Path | None, tyro.conf.arg(name="settings", metavar="FILE.json")] = None,

@@ -54,8 +54,8 @@ except RuntimeError as error:
 """
 _PROBE_GAUSSIANS = """
 import json
-from reconstruct.gaussians.backends import outlook
-print(json.dumps(dict(zip(("backend", "why"), outlook()))))
+from reconstruct.gaussians.backends import predict_backend
+print(json.dumps(dict(zip(("backend", "why"), predict_backend()))))
 """
 # Names of the devices that the Vulkan loader finds: in VkPhysicalDeviceProperties the name begins at byte 20.
 _PROBE_VULKAN = """

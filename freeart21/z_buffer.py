@@ -1,4 +1,4 @@
-"""What the rays through the pixels' centres meet of triangles: a z-buffer on the CPU."""
+"""Z-buffer on the CPU: the triangles that the rays through the pixels' centres hit first."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from functools import cache
 from typing import Any
 
 BEHIND = 1e-6
-"""m before the camera up to which a corner counts as behind it. Not measured."""
+"""Depth, m, up to which a corner counts as behind the camera. Not measured."""
 
 
-def enter(at: Any, depth: Any, faces: Any, nearest: Any, face: Any, weights: Any) -> None:
-    """Enter triangles `faces` (F, 3), either way round; corners at pixels `at` (V, 2), z-depths `depth` (V,) in m.
+def draw_triangles(at: Any, depth: Any, faces: Any, nearest: Any, face: Any, weights: Any) -> None:
+    """Draw triangles `faces` (F, 3), from both sides; corners at pixels `at` (V, 2), z-depths `depth` (V,) in metres.
 
-    Where one is nearer than `nearest` (h, w), its depth, its number in `face` (h, w) and the weights of its corners in
-    `weights` (h, w, 3) are written; inverse depth is linear in the picture. Triangles that reach behind the camera are
-    left out.
+    Where a triangle is nearer than `nearest` (h, w), writes its depth there, its number into `face` (h, w) and its
+    barycentric weights into `weights` (h, w, 3). Inverse depth is interpolated linearly. Triangles that reach behind
+    the camera are skipped.
     """
     _compiled()(at, depth, faces, nearest, face, weights)
 
@@ -24,10 +24,10 @@ def enter(at: Any, depth: Any, faces: Any, nearest: Any, face: Any, weights: Any
 def _compiled() -> Any:
     from numba import njit
 
-    return njit(nogil=True, cache=True)(_enter)
+    return njit(nogil=True, cache=True)(_draw_triangles)
 
 
-def _enter(at, depth, faces, nearest, face, weights):  # pragma: no cover
+def _draw_triangles(at, depth, faces, nearest, face, weights):  # pragma: no cover
     h, w = nearest.shape
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]

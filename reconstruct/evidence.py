@@ -1,4 +1,4 @@
-"""What pixels say about motions between frames, with every scale taken from the scene."""
+"""Costs of pixels under motions between frames, and registration."""
 
 from __future__ import annotations
 
@@ -16,6 +16,23 @@ from reconstruct.settings import EvidenceSettings, LabelSettings
 
 Float = TypeVar("Float", np.float32, np.float64)
 
+SIGMA = 0.8
+"""Footprints: standard deviation of point-to-plane residuals of a clean sensor. Depth noise adds in quadrature."""
+SIGMA_COLOUR = 3.0
+"""Standard deviation of colour residuals, CIELAB units."""
+SIGMA_SILHOUETTE = 2.0
+"""Standard deviation, pixels, of points outside the mask."""
+MAX_COST = 6.0
+"""Largest cost of a pixel."""
+ENOUGH_PIXELS = 60
+"""With fewer pixels of a part away from depth steps, those at depth steps are used, too."""
+SMOOTHNESS, SMOOTHING_ROUNDS = 0.5, 10
+"""Mean-field smoothing of a seed's labels: weight of one similar neighbour, in log-odds, and iterations."""
+NEIGHBOUR_REACH = 0.12
+"""Object diagonals over which neighbouring pixels influence each other's label."""
+DENSE_PIXELS = 12_000
+"""Of a larger foreground only every other pixel is measured."""
+
 Pixels = NDArray[np.integer[Any]]
 """(m, 2) row and column."""
 
@@ -25,22 +42,22 @@ Samples = dict[int, NDArray[np.int32]]
 
 @dataclass(frozen=True)
 class Records:
-    """What registration reads of samples, gathered once for many calls: see `Evidence.records`."""
+    """The records of sample pixels, gathered once for many calls of `Evidence.register`."""
 
     pixels: NDArray[np.float32]
-    """(m, 10) records of the samples' pixels, one frame after the other."""
+    """(m, 10) records of the samples, frame after frame; see `Scene.pixels`."""
     offsets: NDArray[np.int64]
-    """(n + 1,) where each frame's begin."""
+    """(n + 1,) where each frame's records begin."""
 
 
 class Evidence:
-    """The scene's answer to questions about motion; holds no state of its own."""
+    """Costs and registration on one scene. Keeps no results."""
 
     def __init__(self, scene: Scene, settings: EvidenceSettings, labels: LabelSettings) -> None:
         self.scene, self.settings, self.label_settings = scene, settings, labels
         self.unit = float(np.hypot(scene.footprint, 2 * scene.noise))
-        """Metres: the footprint, widened by the noise that planes leave; gates are multiples of it."""
-        self.sigma = float(np.hypot(settings.sigma * scene.footprint, scene.noise))
+        """Metres: footprint and depth noise in quadrature; gates are multiples of it."""
+        self.sigma = float(np.hypot(SIGMA * scene.footprint, scene.noise))
         """Metres: standard deviation of point-to-plane residuals."""
 
     def register(
@@ -55,10 +72,11 @@ class Evidence:
     ) -> tuple[Array, Array, Array]:
         """Gauss-Newton terms H (p, 6, 6), g (p, 6) for left twists of T (p, 4, 4) = T_target_source, and stats (p, 4).
 
-        `gate` is in units. With `labels` (n, h, w) and `part` 1 or 2, samples do not meet the other part; label 0 is
-        either's. Statistics are inliers, projected, cost and outside.
+        `gate` is in units. With `labels` (n, h, w) and `part` 1 or 2, samples are not matched to the other part; label
+        0 matches either. The statistics are numbers of inliers, projected and outside samples around the cost: inliers,
+        projected, cost, outside.
         """
-        scene, s = self.scene, self.settings
+        scene = self.scene
         records = samples if isinstance(samples, Records) else self.records(samples)
         H, g, stats = np.zeros((len(source), 6, 6)), np.zeros((len(source), 6)), np.zeros((len(source), 4))
         arguments = (
@@ -77,18 +95,18 @@ class Evidence:
             scene.cy,
             gate * self.unit,
             self.sigma,
-            s.sigma_colour,
-            s.colour_weight,
-            s.sigma_silhouette,
+            SIGMA_COLOUR,
+            self.settings.colour_weight,
+            SIGMA_SILHOUETTE,
             H,
             g,
             stats,
         )
-        kernels.in_threads(lambda begin, end: kernels.register_pairs(begin, end, *arguments), len(source), 50)
+        kernels.run_in_threads(lambda begin, end: kernels.register_pairs(begin, end, *arguments), len(source), 50)
         return H, g, stats
 
     def records(self, samples: Samples) -> Records:
-        """What `register` reads of the samples' pixels."""
+        """The records of the samples' pixels, as `register` reads them."""
         scene = self.scene
         counts = np.zeros(len(scene) + 1, np.int64)
         for frame, pixels in samples.items():
@@ -108,8 +126,8 @@ class Evidence:
         logodds: NDArray[np.float32] | None = None,
         label_weight: float = 0.0,
     ) -> Array:
-        """(p, s, k) cost of `pixels` (p, 2: row, column) of `frame` under motions T (s, k, 4, 4) to `others` (s,)."""
-        scene, s = self.scene, self.settings
+        """(p, s, k) costs of `pixels` (p, 2: row, column) of `frame` under motions T (s, k, 4, 4) to `others` (s,)."""
+        scene = self.scene
         costs = np.zeros((len(pixels), len(others), T.shape[1]))
         arguments = (
             frame,
@@ -125,73 +143,70 @@ class Evidence:
             scene.cx,
             scene.cy,
             1.5 * self.sigma,
-            2 * s.sigma_colour,
-            s.cap,
+            2 * SIGMA_COLOUR,
+            MAX_COST,
             costs,
         )
-        kernels.in_threads(lambda begin, end: kernels.pixel_costs(begin, end, *arguments), len(pixels), 2000)
+        kernels.run_in_threads(lambda begin, end: kernels.pixel_costs(begin, end, *arguments), len(pixels), 2000)
         return costs
 
-    def smoothed(self, frame: int, unary: Array) -> NDArray[np.float32]:
-        """Log-odds (h, w) of `frame` after relaxation of `unary` (h, w) among like neighbours."""
-        scene, s = self.scene, self.label_settings
-        valid = scene.valid[frame]
-        starts, ends, weights = kernels.neighbours(
-            valid,
-            scene.points[frame],
-            scene.normals[frame],
-            scene.features[frame],
-            s.reach * scene.diagonal,
-            2 * self.unit,
-        )
+    def smooth_logodds(self, frame: int, unary: Array) -> NDArray[np.float32]:
+        """Log-odds (h, w) of `frame`: `unary` (h, w) smoothed over similar neighbours."""
+        valid = self.scene.valid[frame]
         logodds = np.zeros(valid.shape, np.float32)
-        logodds[valid] = kernels.relax(unary[valid], starts, ends, weights, s.smoothness, s.rounds)
+        logodds[valid] = kernels.relax(unary[valid], *self.neighbour_graph(frame), SMOOTHNESS, SMOOTHING_ROUNDS)
         return logodds
+
+    def neighbour_graph(self, frame: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """Similar neighbours of the valid pixels of `frame`; see `kernels.neighbours`."""
+        scene = self.scene
+        surface = (scene.valid[frame], scene.points[frame], scene.normals[frame], scene.features[frame])
+        graph: tuple[NDArray[Any], ...] = kernels.neighbours(*surface, NEIGHBOUR_REACH * scene.diagonal, 2 * self.unit)
+        return graph[0], graph[1], graph[2]
 
     def pixel_logodds(self, frame: int, others: NDArray[np.int64], T: Array) -> NDArray[np.float32]:
         """Smoothed log-odds (h, w) that pixels of `frame` move by T[:, 1] rather than T[:, 0] to `others`."""
-        measured = self.measured(frame)
+        measured = self.measured_pixels(frame)
         costs = self.costs(frame, others, T, np.argwhere(measured))
         unary = np.zeros(measured.shape)
         unary[measured] = np.clip((costs[:, :, 0] - costs[:, :, 1]).sum(1) / np.sqrt(len(others)), -6, 6)
-        return self.smoothed(frame, spread(unary, measured))
+        return self.smooth_logodds(frame, fill_between(unary, measured))
 
-    def measured(self, frame: int) -> NDArray[np.bool_]:
-        """(h, w) pixels that are asked: all, or every other one when there are many."""
+    def measured_pixels(self, frame: int) -> NDArray[np.bool_]:
+        """(h, w) pixels whose costs are computed: all valid ones, or every other one when there are many."""
         valid = self.scene.valid[frame]
-        if valid.sum() <= self.label_settings.dense_pixels:
+        if valid.sum() <= DENSE_PIXELS:
             return valid
         return np.asarray(valid & (np.indices(valid.shape).sum(0) % 2 == 0))
 
-    def usable(self, frame: int, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """The pixels of `mask` (h, w) to register with: away from depth steps, or any when those are too few.
+    def usable_pixels(self, frame: int, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Pixels of `mask` (h, w) to register with: those away from depth steps, or all when those are too few.
 
-        A face seen at a grazing angle is all depth step, and yet the best there is.
+        A face seen at a grazing angle is at depth steps throughout.
         """
         everything = mask & self.scene.valid[frame]
         inner = everything & ~self.scene.edge[frame]
-        enough = self.settings.enough_pixels
-        return everything if inner.sum() < enough <= everything.sum() else inner
+        return everything if inner.sum() < ENOUGH_PIXELS <= everything.sum() else inner
 
 
 _NO_LABELS = np.zeros(1, np.uint8)
 _NO_ODDS = np.zeros(1, np.float32)
 
 
-def spread(values: NDArray[Float], measured: NDArray[np.bool_]) -> NDArray[Float]:
-    """`values` (h, w) blurred a little among `measured` pixels, which fills those between."""
+def fill_between(values: NDArray[Float], measured: NDArray[np.bool_]) -> NDArray[Float]:
+    """`values` (h, w) blurred over `measured` pixels, which fills the pixels between."""
     weight = np.maximum(cv2.GaussianBlur(measured.astype(values.dtype), (0, 0), 0.8), 0.05)
     return np.asarray(cv2.GaussianBlur(np.where(measured, values, 0), (0, 0), 0.8) / weight, values.dtype)
 
 
-def evenly(frames: NDArray[np.int64], most: int) -> NDArray[np.int64]:
-    """At most `most` of the frames, evenly drawn."""
+def sample_evenly(frames: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+    """At most `most` of the frames, evenly spaced."""
     if len(frames) <= most:
         return frames
     return frames[np.linspace(0, len(frames) - 1, most).round().astype(int)]
 
 
-def draw(mask: NDArray[np.bool_], most: int, rng: np.random.Generator) -> NDArray[np.int32]:
-    """At most `most` pixels (m, 2: row, column) of a mask (h, w), drawn evenly."""
+def sample_pixels(mask: NDArray[np.bool_], most: int, rng: np.random.Generator) -> NDArray[np.int32]:
+    """At most `most` random pixels (m, 2: row, column) of a mask (h, w)."""
     pixels = np.argwhere(mask).astype(np.int32)
     return pixels if len(pixels) <= most else pixels[np.sort(rng.choice(len(pixels), most, replace=False))]

@@ -1,8 +1,8 @@
-"""The joint from the poses of two parts: the paper's type rule and closed forms, and a robust fit of both hypotheses.
+"""The joint from the poses of two parts: the paper's type rule and closed forms, and a robust fit of either type.
 
-Throughout, `Ts` (n, 4, 4) are relative poses T_reference_moving. The two parts' canonical frames need not agree, so
-that an ideal joint gives T_i = J(q_i) G with a constant G, and the translations obey t_i = p + R_i v (not the paper's
-t_i = c + (I - R_i) p, which holds only when both parts share the first frame's gauge).
+`Ts` (n, 4, 4) are relative poses T_reference_moving. The canonical frames of the two parts need not agree: an ideal
+joint gives T_i = J(q_i) G with a constant G, and translations t_i = p + R_i v. The paper's t_i = c + (I - R_i) p holds
+only when both parts share the gauge of the first frame.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from freeart21 import se3
@@ -17,10 +18,15 @@ from freeart21.joint import Joint, JointType
 from freeart21.se3 import Array
 from reconstruct.settings import JointSettings
 
+MIN_ROTATION_DEG = 10.0
+"""theta_th of the paper's type rule."""
+MAX_LINEARITY = 0.05
+"""rho_th of the paper's type rule."""
+
 
 @dataclass(frozen=True)
 class JointFit:
-    """One joint hypothesis fitted to relative poses."""
+    """A joint of one type fitted to relative poses."""
 
     type: JointType
     axis: Array
@@ -28,30 +34,30 @@ class JointFit:
     pivot: Array
     """(3,) metres, reference frame; a point on the axis."""
     states: Array
-    """(n,) rad or m, one for each relative pose."""
+    """(n,) rad or m, one per relative pose."""
     T_zero: Array
     """(4, 4) T_reference_moving at state zero."""
     residuals: Array
-    """(n,) metres: root mean square displacement of the moving part's points from where the joint puts them."""
+    """(n,) metres: rms displacement of the moving part's points from where the joint puts them."""
 
     @property
     def residual(self) -> float:
-        """Median of the residuals, metres."""
+        """Median residual, metres."""
         return float(np.median(self.residuals))
 
     def joint(self) -> Joint:
-        """The joint with the observed range as its limits."""
+        """The joint, limited to the observed range."""
         return Joint("joint", self.type, self.axis, self.pivot, float(self.states.min()), float(self.states.max()))
 
 
 def rotation_amplitude(Ts: Array) -> float:
-    """Degrees: span of the angles to the mean rotation, outliers by the IQR rule left out (supplement, Joint Type)."""
+    """Degrees: range of the angles to the mean rotation, without outliers by the IQR rule (supplement, Joint Type)."""
     R = se3.project_so3(Ts[:, :3, :3])
     mean = se3.project_so3(R.sum(0))
     angles = se3.rotation_angle(R @ mean.T)
     low, high = np.percentile(angles, [25, 75])
-    kept = angles[(angles >= low - 1.5 * (high - low)) & (angles <= high + 1.5 * (high - low))]
-    return float(np.degrees(np.ptp(kept)))
+    inliers = angles[(angles >= low - 1.5 * (high - low)) & (angles <= high + 1.5 * (high - low))]
+    return float(np.degrees(np.ptp(inliers)))
 
 
 def translation_linearity(Ts: Array) -> float:
@@ -61,16 +67,16 @@ def translation_linearity(Ts: Array) -> float:
     return float((values[0] + values[1]) / (values[2] + 1e-12))
 
 
-def paper_joint_type(Ts: Array, settings: JointSettings) -> JointType:
+def paper_joint_type(Ts: Array) -> JointType:
     """Prismatic when the rotation amplitude is small or the translations are collinear (supplement, Joint Type)."""
-    straight = translation_linearity(Ts) < settings.linearity_threshold
-    return "prismatic" if rotation_amplitude(Ts) < settings.rotation_threshold_deg or straight else "revolute"
+    straight = translation_linearity(Ts) < MAX_LINEARITY
+    return "prismatic" if rotation_amplitude(Ts) < MIN_ROTATION_DEG or straight else "revolute"
 
 
-def without_outliers(Ts: Array, sigmas: float = 2.0) -> np.ndarray:
+def find_inlier_poses(Ts: Array, sigmas: float = 2.0) -> NDArray[np.bool_]:
     """(n,) poses whose step from their neighbours is within `sigmas` standard deviations (paper, Noise Resistance).
 
-    A pose is judged by the smaller of its two steps, so that the good neighbour of a bad pose is kept.
+    The smaller of a pose's two steps counts, so that the good neighbour of a bad pose is kept.
     """
     if len(Ts) < 4:
         return np.ones(len(Ts), bool)
@@ -81,10 +87,10 @@ def without_outliers(Ts: Array, sigmas: float = 2.0) -> np.ndarray:
 
 
 def revolute_axis(Rs: Array, weights: Array | None = None, robust: bool = True) -> Array:
-    """The unit axis (3,) that all pairwise relative rotations of `Rs` (n, 3, 3) leave in place.
+    """The unit axis (3,) that all pairwise relative rotations of `Rs` (n, 3, 3) leave fixed.
 
-    Smallest eigenvector of sum w_ij (R_ij - I)^T (R_ij - I), R_ij = R_i R_j^T (supplement, Joint Axis), with pairs
-    reweighted by a Cauchy-like kernel on |(R_ij - I) u| when `robust`.
+    Smallest eigenvector of sum w_ij (R_ij - I)^T (R_ij - I), R_ij = R_i R_j^T (supplement, Joint Axis). When `robust`,
+    pairs are reweighted by a Cauchy-like kernel of |(R_ij - I) u|.
     """
     pairs = np.einsum("iab,jcb->ijac", Rs, Rs) - np.eye(3)
     w0 = np.ones(len(Rs)) if weights is None else np.asarray(weights, float)
@@ -100,7 +106,7 @@ def revolute_axis(Rs: Array, weights: Array | None = None, robust: bool = True) 
 
 
 def revolute_pivot(Ts: Array, axis: Array, weights: Array | None = None, robust: bool = True) -> tuple[Array, Array]:
-    """A pivot p (3,) and the offset v (3,) with t_i = p + R_i v; p in the plane through the origin across the axis.
+    """A pivot p (3,) and the offset v (3,) with t_i = p + R_i v; p is perpendicular to the axis.
 
     Along the axis p and v are one unknown: p gets none of it.
     """
@@ -134,17 +140,17 @@ def prismatic_axis(positions: Array, weights: Array | None = None, robust: bool 
 
 
 def fit_joint(Ts: Array, kind: JointType, centre: Array, lever: float, settings: JointSettings) -> JointFit:
-    """One hypothesis fitted to relative poses (n, 4, 4): closed form, then a robust least-squares refinement.
+    """A joint of type `kind` fitted to relative poses (n, 4, 4): closed form, then robust least squares.
 
     `centre` (3,) is the moving part's middle in its own canonical frame and `lever`, metres, its radius: residuals are
-    displacements of points there, so that rotation and translation errors compare. States are measured from the first
+    displacements of points at that radius, so that rotation and translation errors compare. States count from the first
     pose.
     """
     Ts = se3.orthonormalised(Ts)
     w = np.ones(len(Ts))
     if settings.noise_resistance:
-        steady = w * without_outliers(Ts)
-        w = steady if (steady > 0).sum() >= 4 else w
+        inliers = w * find_inlier_poses(Ts)
+        w = inliers if (inliers > 0).sum() >= 4 else w
     R, robust = Ts[:, :3, :3], settings.noise_resistance
     body = centre + lever * np.concatenate([np.eye(3), -np.eye(3)])
     if kind == "prismatic":
@@ -156,59 +162,62 @@ def fit_joint(Ts: Array, kind: JointType, centre: Array, lever: float, settings:
         axis = revolute_axis(R, w, robust)
         pivot, v = revolute_pivot(Ts, axis, w, robust)
         along = w @ (Ts[:, :3, 3] @ axis - (R @ v) @ axis) / w.sum()
-        R_zero = _mean_about(R, axis, w)
+        R_zero = _mean_rotation_about(R, axis, w)
         T_zero = se3.pose(R_zero, pivot + along * axis + R_zero @ v)
     fit = JointFit(kind, axis, pivot, np.zeros(len(Ts)), T_zero, np.zeros(len(Ts)))
-    return _from_first(_refined(fit, Ts, body, w))
+    return _shift_zero_to_first(_refine_fit(fit, Ts, body, w))
 
 
-def states_of(fit: JointFit, Ts: Array, body: Array) -> Array:
+def estimate_states(fit: JointFit, Ts: Array, body: Array) -> Array:
     """(n,) states that bring the moving part's points `body` (b, 3) nearest to where `Ts` (n, 4, 4) put them."""
-    at_zero, now = se3.transform(fit.T_zero, body), se3.transform(Ts, np.broadcast_to(body, (len(Ts), *body.shape)))
+    at_zero = se3.transform(fit.T_zero, body)
+    observed = se3.transform(Ts, np.broadcast_to(body, (len(Ts), *body.shape)))
     if fit.type == "prismatic":
-        return ((now - at_zero) @ fit.axis).mean(1)
-    a, b = at_zero - fit.pivot, now - fit.pivot
+        return ((observed - at_zero) @ fit.axis).mean(1)
+    a, b = at_zero - fit.pivot, observed - fit.pivot
     a, b = a - np.outer(a @ fit.axis, fit.axis), b - (b @ fit.axis)[..., None] * fit.axis
     turn = np.arctan2((np.cross(np.broadcast_to(a, b.shape), b) @ fit.axis).sum(1), (a * b).sum((1, 2)))
     return np.unwrap(turn)
 
 
-def _refined(fit: JointFit, Ts: Array, body: Array, weights: Array) -> JointFit:
+def _refine_fit(fit: JointFit, Ts: Array, body: Array, weights: Array) -> JointFit:
     """Robust least squares over axis, pivot and T_zero; the states follow in closed form."""
     across = np.linalg.svd(fit.axis[None])[2][1:]
-    now = se3.transform(Ts, np.broadcast_to(body, (len(Ts), *body.shape)))
+    observed = se3.transform(Ts, np.broadcast_to(body, (len(Ts), *body.shape)))
     size = float(np.linalg.norm(body - body.mean(0), axis=1).mean())
-    turns = 2 if fit.type == "prismatic" else 4
+    axis_parameters = 2 if fit.type == "prismatic" else 4
     root = np.sqrt(weights / weights.max())
 
     def unpack(x: Array) -> JointFit:
         axis = fit.axis + x[:2] @ across
-        pivot = fit.pivot + (size * x[2:4] @ across if turns == 4 else 0)
-        T_zero = se3.exp_se3(x[turns:] * np.repeat([size, 1.0], 3)) @ fit.T_zero
+        pivot = fit.pivot + (size * x[2:4] @ across if axis_parameters == 4 else 0)
+        T_zero = se3.exp_se3(x[axis_parameters:] * np.repeat([size, 1.0], 3)) @ fit.T_zero
         new = replace(fit, axis=axis / np.linalg.norm(axis), pivot=pivot, T_zero=T_zero)
-        return replace(new, states=states_of(new, Ts, body))
+        return replace(new, states=estimate_states(new, Ts, body))
 
     def errors(x: Array) -> Array:
         new = unpack(x)
         placed = se3.transform(new.joint().transform(new.states), se3.transform(new.T_zero, body)[None])
-        return now - placed
+        return observed - placed
 
-    scale = max(1.5 * float(np.median(np.linalg.norm(errors(np.zeros(turns + 6)), axis=2))), 1e-9 * size)
-    solved = least_squares(
-        lambda x: (errors(x) * root[:, None, None]).ravel() / scale, np.zeros(turns + 6), loss="cauchy", max_nfev=40
-    )
+    scale = max(1.5 * float(np.median(np.linalg.norm(errors(np.zeros(axis_parameters + 6)), axis=2))), 1e-9 * size)
+
+    def scaled(x: Array) -> Array:
+        return (errors(x) * root[:, None, None]).ravel() / scale
+
+    solved = least_squares(scaled, np.zeros(axis_parameters + 6), loss="cauchy", max_nfev=40)
     best = unpack(solved.x)
     return replace(best, residuals=np.sqrt((errors(solved.x) ** 2).sum(2).mean(1)))
 
 
-def _from_first(fit: JointFit) -> JointFit:
+def _shift_zero_to_first(fit: JointFit) -> JointFit:
     """The same fit with state zero at the first pose."""
     shift = fit.joint().transform(fit.states[0])
     return replace(fit, states=fit.states - fit.states[0], T_zero=shift @ fit.T_zero)
 
 
-def _mean_about(R: Array, axis: Array, weights: Array) -> Array:
-    """The rotation R_0 (3, 3) with R_i close to exp(angle_i axis) R_0 for free angles."""
+def _mean_rotation_about(R: Array, axis: Array, weights: Array) -> Array:
+    """The rotation R_0 (3, 3) closest to exp(-angle_i axis) R_i, with free angles."""
     R_zero = R[len(R) // 2]
     for _ in range(10):
         angle = se3.log_so3(R @ R_zero.T) @ axis

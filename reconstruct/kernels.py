@@ -33,7 +33,7 @@ _THREADS = min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity
 _POOL, _FRAMES_POOL = ThreadPoolExecutor(_THREADS), ThreadPoolExecutor(_THREADS)
 
 
-def in_threads(work: Callable[[int, int], object], n: int, worth: int) -> None:
+def run_in_threads(work: Callable[[int, int], object], n: int, worth: int) -> None:
     """Call `work(begin, end)` on pieces of range(n), in threads when n is at least `worth`.
 
     Pieces write to places of their own, so the outcome does not depend on the number of threads. Kernels release the
@@ -47,8 +47,8 @@ def in_threads(work: Callable[[int, int], object], n: int, worth: int) -> None:
         done.result()
 
 
-def each_in_threads(work: Callable[[int], T], n: int) -> list[T]:
-    """`work(i)` for all i in range(n), in threads; it may itself call `in_threads`, but not this."""
+def map_in_threads(work: Callable[[int], T], n: int) -> list[T]:
+    """`work(i)` for all i in range(n), in threads; it may itself call `run_in_threads`, but not this."""
     return list(_FRAMES_POOL.map(work, range(n)))
 
 

@@ -1,10 +1,9 @@
-"""Which pixel belongs to which part, given the poses of both parts: dense masks with confidence.
+"""Part labels of pixels, given the poses of both parts: dense masks with confidence.
 
-A pixel is asked twice. Frames between which the joint has moved say by depth, silhouette and colour which of the two
-motions it follows. Then, since a surface never changes its part, other frames pass on what they know: while growing,
-those near in time and in view; afterwards all frames together, by `votes`. And a random walk (Grady 2006) over
-neighbours that look alike and lie in one plane carries the answers to where neither knows: the harmonic interpolation
-between sure pixels, to the end and not only so far as a few rounds reach.
+A pixel gets evidence of two kinds. Frames between which the joint has moved compare both motions by depth, silhouette
+and colour. Other frames pass on their beliefs, since a surface never changes its part: during propagation the frames
+near in time and view, afterwards all frames together (`votes`). A random walk (Grady 2006) over neighbours of similar
+colour in a common plane then interpolates harmonically between certain pixels.
 """
 
 from __future__ import annotations
@@ -19,16 +18,35 @@ from scipy.ndimage import distance_transform_edt
 from freeart21 import se3
 from freeart21.se3 import Array
 from reconstruct import kernels
-from reconstruct.evidence import Evidence, spread
+from reconstruct.evidence import Evidence, fill_between
 from reconstruct.rigid import view_angle
-from reconstruct.settings import LabelSettings
 from reconstruct.votes import SurfaceVotes
 
 Frames = NDArray[np.int64]
 Floats = NDArray[np.float32]
 
 SURE = 3.0
-"""Log-odds of a pixel that knows."""
+"""Log-odds of a pixel whose part is certain."""
+AMBIGUOUS_SHARE = 0.25
+"""Share of uncertain pixels (log-odds within 1) above which a frame is ambiguous."""
+REFERENCES = 10
+"""Frames that each frame is compared with."""
+MAX_TURN = 1.2
+"""Radians between two views that are compared."""
+MIN_DISPLACEMENT = 0.02
+"""Object diagonals that the second part must have moved between two frames for them to tell the motions apart."""
+NEIGHBOUR_OFFSETS = (-12, -6, -3, -1, 1, 3, 6, 12)
+"""Frame offsets over which beliefs are passed on."""
+SIMILAR_FRAMES = 5
+"""More distant frames, of the most similar view, that pass their beliefs on."""
+EDGE_WEIGHT = 8.0
+"""Random walk: weight of a similar neighbour. A pixel that has seen the joint move weighs its own log-odds."""
+VOTE_WEIGHT = 20.0
+"""Random walk: weight of the belief of all frames about a surface."""
+PRIOR_WEIGHT = 0.03
+"""Random walk: pull to log-odds 0, which makes beliefs fade with the distance to pixels that know."""
+RESIDUAL = 3e-3
+"""Residual, relative to that of the unsmoothed log-odds, at which the random walk is solved."""
 
 
 def label_frame(
@@ -41,173 +59,168 @@ def label_frame(
     logodds: Floats,
     rng: np.random.Generator,
 ) -> Floats:
-    """Log-odds (h, w), from -3 to 3, that pixels of `frame` are the second part's; 0 where nobody knows.
+    """Log-odds (h, w), from -3 to 3, that pixels of `frame` are the second part's; 0 where unknown.
 
-    `Ts` (2, n, 4, 4) are both parts' poses and `body` (b, 3) points of the second part in its own frame. Asked are the
-    frames `known` (n,): their poses are believed, their joint if it was `measured` (n,), and their `logodds` (n, h, w)
-    as far as they go.
+    `Ts` (2, n, 4, 4) are both parts' poses and `body` (b, 3) points of the second part in its own frame. Evidence comes
+    from the frames `known` (n,) by their `logodds` (n, h, w), and, where the joint state was `measured` (n,), by their
+    motion.
     """
-    telling = telling_frames(evidence, frame, Ts, body, measured, rng)
-    found = motion_evidence(evidence, frame, Ts, telling)
-    return walked(evidence, frame, found, *hearsay(evidence, frame, Ts, known, logodds), start=logodds[frame])
+    references = discriminative_frames(evidence, frame, Ts, body, measured, rng)
+    own = motion_logodds(evidence, frame, Ts, references)
+    beliefs = neighbour_beliefs(evidence, frame, Ts, known, logodds)
+    return random_walk_logodds(evidence, frame, own, *beliefs, start=logodds[frame])
 
 
 def label_frames(
     evidence: Evidence, Ts: Array, body: Array, seen: NDArray[np.bool_], start: Floats, rng: np.random.Generator
 ) -> Floats:
-    """Log-odds (n, h, w) of all frames: what the pixels of each say, and then what all frames say of their surfaces.
+    """Log-odds (n, h, w) of all frames: from each frame's own motion evidence, then from the beliefs of all frames.
 
-    Frames in which the joint is a guess say nothing of their own: they begin with what was believed. Each
-    part was `seen` (n, 2) or not by the log-odds `start` (n, h, w) so far; see `label_frame` for the rest.
+    Frames whose joint state is a guess have no motion evidence and keep their log-odds `start` (n, h, w). `seen` (n, 2)
+    says which parts were visible. See `label_frame` for the other arguments.
     """
     n = Ts.shape[1]
-    unsure = np.array([is_open(logodds[valid]) for logodds, valid in zip(start, evidence.scene.valid, strict=True)])
-    measured = np.asarray(seen.all(1)) | unsure
-    nothing = np.zeros(0, np.int64)  # where the joint stands is a guess in a frame that was not measured
-    telling = [telling_frames(evidence, i, Ts, body, measured, rng) if measured[i] else nothing for i in range(n)]
-    found = kernels.each_in_threads(lambda i: motion_evidence(evidence, i, Ts, telling[i]).astype(np.float16), n)
+    valid = evidence.scene.valid
+    ambiguous = np.array([is_ambiguous(values[here]) for values, here in zip(start, valid, strict=True)])
+    measured = np.asarray(seen.all(1)) | ambiguous
+    references = [
+        discriminative_frames(evidence, i, Ts, body, measured, rng) if measured[i] else np.zeros(0, np.int64)
+        for i in range(n)
+    ]
+    own = kernels.map_in_threads(lambda i: motion_logodds(evidence, i, Ts, references[i]).astype(np.float16), n)
     logodds = start.copy()
     for i in np.flatnonzero(measured):
-        logodds[i] = np.clip(found[i], -SURE, SURE)
-    votes = SurfaceVotes(evidence, Ts, seen | unsure[:, None])
+        logodds[i] = np.clip(own[i], -SURE, SURE)
+    votes = SurfaceVotes(evidence, Ts, seen | ambiguous[:, None])
     for _ in range(evidence.label_settings.rounds_of_votes):
-        beliefs = votes.beliefs(logodds, SURE)
+        beliefs = votes.surface_beliefs(logodds, SURE)
 
-        def vote(i: int, beliefs: Floats = beliefs) -> None:
-            heard = votes.in_frame(beliefs, i)
-            strength = np.float32(evidence.label_settings.vote) * np.abs(heard)
-            seen = found[i].astype(np.float32)
-            logodds[i] = walked(evidence, i, seen, np.sign(heard), strength, start=logodds[i])
+        def relabel(i: int, beliefs: Floats = beliefs) -> None:
+            belief = votes.frame_beliefs(beliefs, i)
+            weight = np.float32(VOTE_WEIGHT) * np.abs(belief)
+            own_logodds = own[i].astype(np.float32)
+            logodds[i] = random_walk_logodds(evidence, i, own_logodds, np.sign(belief), weight, start=logodds[i])
 
-        kernels.each_in_threads(vote, n)
+        kernels.map_in_threads(relabel, n)
     return logodds
 
 
-def is_open(logodds: Floats) -> bool:
-    """Whether so many of a frame's pixels (p,) are in doubt that either part may be among them.
+def is_ambiguous(logodds: Floats) -> bool:
+    """Whether so many of a frame's valid pixels (p,) are uncertain that either part may be among them.
 
-    Such a frame moved as one body with its neighbours; with no pixel in doubt, a part that is not seen is hidden, and
-    its state a guess.
+    Such a frame moved rigidly with its neighbours. If instead no pixel is uncertain, an unseen part is hidden, and its
+    state is a guess.
     """
-    return len(logodds) > 0 and bool((np.abs(logodds) <= 1).mean() > 0.25)
+    return len(logodds) > 0 and bool((np.abs(logodds) <= 1).mean() > AMBIGUOUS_SHARE)
 
 
-def motion_evidence(evidence: Evidence, frame: int, Ts: Array, others: Frames) -> Floats:
-    """Log-odds (h, w), within 6, from `others`, between which and `frame` the joint has moved; see `label_frame`."""
+def motion_logodds(evidence: Evidence, frame: int, Ts: Array, others: Frames) -> Floats:
+    """Log-odds (h, w), within 6, from the motion between `frame` and the frames `others`; see `label_frame`."""
     unary = np.zeros(evidence.scene.mask.shape[1:], np.float32)
-    measured = evidence.measured(frame)
+    measured = evidence.measured_pixels(frame)
     if len(others) == 0 or not measured.any():
         return unary
-    costs = evidence.costs(frame, others, _motions(Ts, frame, others), np.argwhere(measured))
+    costs = evidence.costs(frame, others, part_motions(Ts, frame, others), np.argwhere(measured))
     unary[measured] = np.clip((costs[:, :, 0] - costs[:, :, 1]).sum(1) / np.sqrt(len(others)), -6, 6)
-    return spread(unary, measured)
+    return fill_between(unary, measured)
 
 
-def hearsay(
+def neighbour_beliefs(
     evidence: Evidence, frame: int, Ts: Array, usable: NDArray[np.bool_], logodds: Floats
 ) -> tuple[Floats, Floats]:
-    """Mean belief (h, w), -1 to 1, of frames near in time and in view of the surfaces of `frame`, and its strength."""
-    scene, s = evidence.scene, evidence.label_settings
-    others = knowing_frames(frame, _turn(Ts, frame), usable, s)
+    """Mean belief, -1 to 1, of frames near in time and view about the surfaces of `frame`, and its weight; (h, w)."""
+    scene = evidence.scene
+    others = neighbour_frames(frame, _view_changes(Ts, frame), usable)
     mean, strength = np.zeros(scene.mask.shape[1:], np.float32), np.zeros(scene.mask.shape[1:], np.float32)
-    measured = evidence.measured(frame)
+    measured = evidence.measured_pixels(frame)
     if len(others) == 0 or not measured.any():
         return mean, strength
-    pixels, T = np.argwhere(measured), np.ascontiguousarray(_motions(Ts, frame, others))
-    said, size = np.zeros(len(pixels)), np.zeros(len(pixels))
-    lens = (scene.fx, scene.fy, scene.cx, scene.cy)
-    arguments = (frame, others, T, pixels, scene.points, scene.normals, logodds, *lens, 3 * evidence.unit, said, size)
-    kernels.in_threads(lambda begin, end: _hear(begin, end, *arguments), len(pixels), 2000)
-    mean[measured] = said / np.maximum(size, 1e-6)
-    strength[measured] = s.propagation * np.minimum(np.abs(said), 4) / 4
-    return spread(mean, measured), spread(strength, measured)
+    pixels, T = np.argwhere(measured), np.ascontiguousarray(part_motions(Ts, frame, others))
+    belief_sums, weight_sums = np.zeros(len(pixels)), np.zeros(len(pixels))
+    surfaces = (scene.points, scene.normals, logodds, scene.fx, scene.fy, scene.cx, scene.cy)
+    arguments = (frame, others, T, pixels, *surfaces, 3 * evidence.unit, belief_sums, weight_sums)
+    kernels.run_in_threads(lambda begin, end: _sum_neighbour_beliefs(begin, end, *arguments), len(pixels), 2000)
+    mean[measured] = belief_sums / np.maximum(weight_sums, 1e-6)
+    strength[measured] = evidence.label_settings.propagation * np.minimum(np.abs(belief_sums), 4) / 4
+    return fill_between(mean, measured), fill_between(strength, measured)
 
 
-def _turn(Ts: Array, frame: int) -> Array:
-    """(n,) radians from the view in `frame`, of the part whose view changed less."""
+def _view_changes(Ts: Array, frame: int) -> Array:
+    """(n,) radians of view change against `frame`, of the part whose view changed less."""
     return np.minimum(*(view_angle(T[:, :3, :3], T[frame, :3, :3]) for T in Ts))
 
 
-def _motions(Ts: Array, frame: int, others: Frames) -> Array:
-    """(s, 2, 4, 4) of both parts from `frame` to `others`."""
+def part_motions(Ts: Array, frame: int, others: Frames) -> Array:
+    """(s, 2, 4, 4) motions of both parts from `frame` to `others`."""
     return np.stack([Ts[:, j] @ se3.inverse(Ts[:, frame]) for j in others])
 
 
-def telling_frames(
+def discriminative_frames(
     evidence: Evidence, frame: int, Ts: Array, body: Array, usable: NDArray[np.bool_], rng: np.random.Generator
 ) -> Frames:
-    """Frames of a similar view in which the joint stands elsewhere: they tell the two motions apart.
-
-    See `label_frame` for the arguments.
-    """
-    settings, turn = evidence.label_settings, _turn(Ts, frame)
-    known = np.flatnonzero(usable & (turn < settings.max_turn) & (np.arange(len(turn)) != frame))
+    """Frames of a similar view in which the joint stands elsewhere, so that the two motions differ; see
+    `label_frame`."""
+    turn = _view_changes(Ts, frame)
+    known = np.flatnonzero(usable & (turn < MAX_TURN) & (np.arange(len(turn)) != frame))
     relative = se3.inverse(Ts[0, known]) @ Ts[1, known]
     here = se3.transform(se3.inverse(Ts[0, frame]) @ Ts[1, frame], body)
     there = se3.transform(relative, np.broadcast_to(body, (len(known), *body.shape)))
-    apart = np.linalg.norm(there - here, axis=2).mean(1) / evidence.scene.diagonal
-    known, apart = known[apart > settings.least_apart], apart[apart > settings.least_apart]
-    value = np.minimum(apart, 0.25) - 0.25 * turn[known]
-    pool = known[np.argsort(-value, kind="stable")[: 4 * settings.references]]
-    if len(pool) > settings.references:
-        pool = rng.choice(pool, settings.references, replace=False)
-    return np.sort(pool)
+    displacement = np.linalg.norm(there - here, axis=2).mean(1) / evidence.scene.diagonal
+    moved = displacement > MIN_DISPLACEMENT
+    known, displacement = known[moved], displacement[moved]
+    value = np.minimum(displacement, 0.25) - 0.25 * turn[known]
+    best = known[np.argsort(-value, kind="stable")[: 4 * REFERENCES]]
+    if len(best) > REFERENCES:
+        best = rng.choice(best, REFERENCES, replace=False)
+    return np.sort(best)
 
 
-def knowing_frames(frame: int, turn: Array, usable: NDArray[np.bool_], settings: LabelSettings) -> Frames:
-    """Frames that show the same surfaces, whatever the joint does: near in time, and near in view."""
+def neighbour_frames(frame: int, turn: Array, usable: NDArray[np.bool_]) -> Frames:
+    """Frames that show the same surfaces, near in time or in view, whatever the joint does."""
     n = len(turn)
     usable = usable & (np.arange(n) != frame)
-    chosen = [frame + d for d in settings.neighbours if 0 <= frame + d < n and usable[frame + d]]
-    similar = np.flatnonzero(usable & (np.abs(np.arange(n) - frame) > max(settings.neighbours)))
-    similar = similar[turn[similar] < settings.max_turn]
-    similar = similar[np.argsort(turn[similar], kind="stable")][: 8 * settings.similar : 8]
+    chosen = [frame + d for d in NEIGHBOUR_OFFSETS if 0 <= frame + d < n and usable[frame + d]]
+    similar = np.flatnonzero(usable & (np.abs(np.arange(n) - frame) > max(NEIGHBOUR_OFFSETS)))
+    similar = similar[turn[similar] < MAX_TURN]
+    similar = similar[np.argsort(turn[similar], kind="stable")][: 8 * SIMILAR_FRAMES : 8]
     return np.union1d(np.array(chosen, int), similar)
 
 
-def walked(
+def random_walk_logodds(
     evidence: Evidence,
     frame: int,
-    seen: Floats,
-    heard: Floats | float = 0.0,
-    strength: Floats | float = 0.0,
+    own: Floats,
+    belief: Floats | float = 0.0,
+    weight: Floats | float = 0.0,
     start: Floats | None = None,
 ) -> Floats:
     """Log-odds (h, w), from -3 to 3, after the random walk.
 
-    A pixel is held to what it has `seen` (log-odds, h, w) by their size, to what it has `heard` by its `strength`, to
-    not knowing by a little, and to its neighbours. So belief fades with the way from those who know. The nearer the
-    log-odds `start` (h, w) to the outcome, the sooner it is found.
+    Each pixel is tied to its `own` log-odds (h, w) by their magnitude, to the `belief` (h, w) of other frames by its
+    `weight`, to 0 by `PRIOR_WEIGHT`, and to its neighbours. `start` (h, w) only speeds up convergence.
     """
-    valid, s = evidence.scene.valid[frame], evidence.label_settings
-    hold = np.abs(seen) + strength + s.doubt
-    target = (np.abs(seen) * np.clip(seen, -1, 1) + strength * heard) / hold
+    valid = evidence.scene.valid[frame]
+    total = np.abs(own) + weight + PRIOR_WEIGHT
+    target = (np.abs(own) * np.clip(own, -1, 1) + weight * belief) / total
     logodds = np.zeros(valid.shape, np.float32)
-    starts, ends, weights = _graph(evidence, frame)
-    hold, target = hold[valid].astype(float), target[valid].astype(float)
+    starts, ends, weights = evidence.neighbour_graph(frame)
+    total, target = total[valid].astype(float), target[valid].astype(float)
     first = target if start is None else start[valid] / SURE
-    x = _random_walk(hold, target, first.astype(float), starts, ends, s.walk * weights, s.residual, 300)
+    x = _random_walk(total, target, first.astype(float), starts, ends, EDGE_WEIGHT * weights, RESIDUAL, 300)
     logodds[valid] = SURE * np.clip(x, -1, 1)
     blind = evidence.scene.mask[frame] & ~valid
-    if blind.any() and valid.any():  # a pixel without depth goes with the nearest that has
+    if blind.any() and valid.any():  # pixels without depth take the nearest label
         rows, columns = distance_transform_edt(~valid, return_distances=False, return_indices=True)
         logodds[blind] = logodds[rows[blind], columns[blind]]
     return logodds
-
-
-def _graph(evidence: Evidence, frame: int) -> tuple[NDArray, NDArray, NDArray]:
-    """See `kernels.neighbours`."""
-    scene = evidence.scene
-    surface = (scene.valid[frame], scene.points[frame], scene.normals[frame], scene.features[frame])
-    return kernels.neighbours(*surface, evidence.label_settings.reach * scene.diagonal, 2 * evidence.unit)
 
 
 @njit(nogil=True, cache=True)
 def _random_walk(strength, target, first, starts, ends, weights, tolerance, rounds):  # pragma: no cover
     """x (p,) that minimises sum strength (x - target)^2 + sum over edges weights (x_p - x_q)^2.
 
-    Conjugate gradients with Jacobi's preconditioner from `first` (p,), until the residual has fallen to `tolerance` of
-    the target's.
+    Conjugate gradients with Jacobi preconditioning from `first` (p,), until the residual is `tolerance` of the
+    target's.
     """
     n = len(strength)
     diagonal = strength.copy()
@@ -240,7 +253,7 @@ def _random_walk(strength, target, first, starts, ends, weights, tolerance, roun
 
 @njit(nogil=True, cache=True)
 def _residual(x, strength, target, diagonal, starts, ends, weights, r):  # pragma: no cover
-    """Fills r (p,), minus half of the gradient at x (p,); see `_random_walk`."""
+    """Fill r (p,), minus half of the gradient at x (p,); see `_random_walk`."""
     for p in range(len(x)):
         r[p] = strength[p] * target[p] - diagonal[p] * x[p]
         for e in range(starts[p], starts[p + 1]):
@@ -248,14 +261,14 @@ def _residual(x, strength, target, diagonal, starts, ends, weights, r):  # pragm
 
 
 @njit(nogil=True, cache=True)
-def _hear(
-    begin, end, frame, others, T, pixels, points, normals, logodds, fx, fy, cx, cy, gate, said, size
+def _sum_neighbour_beliefs(
+    begin, end, frame, others, T, pixels, points, normals, logodds, fx, fy, cx, cy, gate, belief_sums, weight_sums
 ):  # pragma: no cover  # fmt: skip
-    """What `others` (s,) believe of the surfaces at pixels begin to end, under both motions T (s, 2, 4, 4).
+    """Sum the beliefs of the frames `others` (s,) about the pixels begin to end, under both motions T (s, 2, 4, 4).
 
-    Where the first motion leads to what is believed the second part's, that speaks for the second; and the other way
-    round. A frame speaks as loudly as it is sure, lest rumours feed on themselves. Fills the sums, over frames, of
-    belief times its size, `said` (p,), and of its `size` (p,).
+    A pixel that the first motion takes onto the second part counts for the second part, and vice versa. A frame's
+    belief is weighted by its own magnitude, so that uncertain beliefs do not reinforce each other. Fills, per pixel,
+    the sums over frames of weighted beliefs, `belief_sums` (p,), and of weights, `weight_sums` (p,).
     """
     h, w = points.shape[1], points.shape[2]
     for p in range(begin, end):
@@ -289,5 +302,5 @@ def _hear(
                 if abs(off) > gate or same < 0.7:
                     continue
                 belief += (max(logodds[j, yi, xi], 0.0) if k == 0 else min(logodds[j, yi, xi], 0.0)) / SURE
-            said[p] += belief * abs(belief)
-            size[p] += abs(belief)
+            belief_sums[p] += belief * abs(belief)
+            weight_sums[p] += abs(belief)

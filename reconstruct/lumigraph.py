@@ -18,7 +18,7 @@ FACING = 0.1
 
 
 @njit(nogil=True, cache=True)
-def seen_alike(T, point, normal, lit, view, fx, fy, cx, cy):  # pragma: no cover
+def view_similarity_weight(T, point, normal, lit, view, fx, fy, cx, cy):  # pragma: no cover
     """Weight, column, row and depth, metres, of a place in the frame to whose camera T (4, 4) takes its part, and how
     much depth changes there from pixel to pixel; weight 0 where it shows its back or lies behind the camera.
 

@@ -1,15 +1,14 @@
-"""The paper's free-moving part segmentation, step by step: clusters, transforms, windowed objective, propagation.
+"""The paper's free-moving part segmentation: clusters, transforms, windowed objective, propagation.
 
-Functions stand in the order of the paper (Sec. 3.2; supplement: Transformation Initialization, Part Segmentation) and
-bear its names. T^0 and T^1 are `Ts` (2, 4, 4); a weight w near 1 says part 1, carried by T^1. Where the text leaves
-something open, `PaperSegmentationSettings` says what was chosen. The tracks are filtered by the tracker.
+Functions are in the order of the paper (Sec. 3.2; supplement: Transformation Initialization, Part Segmentation) and use
+its names. T^0 and T^1 are `Ts` (2, 4, 4); a weight w near 1 means part 1, which moves by T^1. Lengths are in half
+object diagonals: the paper's objects, and with them its learning rates, are of about 2 m. Numbers are the paper's where
+it states them. The tracker filters the tracks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,26 +21,50 @@ from freeart21.se3 import Array
 from reconstruct import rigid
 from reconstruct.evidence import Evidence
 from reconstruct.features import Descriptors, Features
-from reconstruct.growth import Grown, Growth
-from reconstruct.hypotheses import frames_with_both
-from reconstruct.scene import HopelessError
+from reconstruct.joint_type import frames_with_both_parts
+from reconstruct.propagation import PartEstimate, Propagation
+from reconstruct.scene import UnsolvableError
 from reconstruct.seeds import Seed
 from reconstruct.segmentation import add_frames
 from reconstruct.settings import PaperSegmentationSettings, ReconstructSettings
 from reconstruct.tracks import Tracker, Tracks
 
-TERMS = ("main", "smoothness", "entropy", "init")
-_LEAST_WEIGHT = 1e-3  # weights keep away from 0 and 1, where BCE and entropy have infinite slope
+LAMBDAS = {"main": 200.0, "smoothness": 10.0, "entropy": 0.01, "init": 5.0}
+"""Weights of the terms: lambda_m, lambda_s, lambda_e, lambda_init. The released code has -0.01 for the entropy, of a
+term of the other sign, and 20 for L_init."""
+WINDOW = 8
+"""Frames of a window; pairs are (0, i) with i up to WINDOW - 1."""
+RATE_TRANSFORM, RATE_WEIGHT = 1e-4, 1e-2
+"""Adam's learning rates of the transforms' twists and of the part weights."""
+HUBER = 1.0
+"""Where rho turns from square to linear, relative to the displacement. The paper does not state it."""
+EPSILON = 1e-3
+"""The constant in L_main's denominator. The paper does not state it."""
+EM_ROUNDS = 5
+"""EM iterations of the initial transforms."""
+TUKEY = 5.0
+"""Cut-off of Tukey's weight, in units of `Evidence.unit`. The paper does not state it."""
+RADIUS, NEIGHBOURS = 1.0, 12
+"""Radius of the neighbour graph in feature space, which the paper does not state, and nearest neighbours used."""
+FILL_NEIGHBOURS = 16
+"""Tracks, nearest in features, whose weights fill a pixel."""
+MAX_TRACKS = 1500
+"""Tracks of a window, to bound time."""
+MIN_TRACKS = 60
+"""A pair with fewer tracks is not solved: it keeps weights and motions of the pair before."""
+_MIN_WEIGHT = 1e-3
+"""Weights stay away from 0 and 1, where BCE and entropy have infinite slope."""
 
 
 # --- initial weights and transforms -----------------------------------------------------------------------------------
 
 
-def feature_clusters(descriptors: Descriptors, clusters: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """(p,) cluster of each descriptor by k-means: "semantically similar points are assigned the same part label"."""
-    if len(descriptors) <= clusters:
-        return np.arange(len(descriptors)) % clusters
-    return kmeans2(descriptors, clusters, iter=30, minit="++", rng=rng)[1].astype(np.int64)
+def feature_clusters(descriptors: Descriptors, rng: np.random.Generator) -> NDArray[np.int64]:
+    """(p,) one of two clusters for each descriptor by k-means: "semantically similar points are assigned the same part
+    label"."""
+    if len(descriptors) <= 2:
+        return np.arange(len(descriptors)) % 2
+    return kmeans2(descriptors, 2, iter=30, minit="++", rng=rng)[1].astype(np.int64)
 
 
 def initial_transforms(
@@ -49,7 +72,6 @@ def initial_transforms(
     Y: Array,
     second: NDArray[np.bool_],
     cutoff: float,
-    settings: PaperSegmentationSettings,
     rng: np.random.Generator,
 ) -> tuple[Array, NDArray[np.bool_]] | None:
     """T^0, T^1 (2, 4, 4) from X to Y (p, 3), metres, and which tracks follow T^1: RANSAC, Tukey, EM.
@@ -66,11 +88,9 @@ def initial_transforms(
         Ts = [Ts[0], Ts[0]]
     if len(Ts) < 2:
         return None
-    pair = np.stack(Ts)
-    if settings.second_from_outliers:
-        pair = _parted(pair, X, Y, second, cutoff, rng)
+    pair = _separate_motions(np.stack(Ts), X, Y, second, cutoff, rng)
     z = second
-    for _ in range(settings.em_rounds):
+    for _ in range(EM_ROUNDS):
         errors = rigid.distances(pair, X[None], Y[None])
         z = np.where(errors[0] == errors[1], z, errors[1] < errors[0])  # E-step
         for k, mine in enumerate((~z, z)):  # M-step
@@ -79,10 +99,13 @@ def initial_transforms(
     return pair, z
 
 
-def _parted(
+def _separate_motions(
     pair: Array, X: Array, Y: Array, second: NDArray[np.bool_], cutoff: float, rng: np.random.Generator
 ) -> Array:
-    """`pair`, or, where both are one motion, that one and the motion of the tracks it does not explain."""
+    """`pair`, or, where both are the same motion, that one and the motion of the tracks it does not explain.
+
+    Not in the paper, whose learned features separate the parts better.
+    """
     if np.median(np.linalg.norm(se3.transform(pair[0], X) - se3.transform(pair[1], X), axis=1)) > cutoff / 2:
         return pair
     errors = rigid.distances(pair, X[None], Y[None])
@@ -92,7 +115,7 @@ def _parted(
     if other is None:
         return pair
     follows = rigid.distances(other, X, Y) < errors[first]
-    swapped = (follows == second).mean() < 0.5  # labels stay with whom most tracks say they stay
+    swapped = (follows == second).mean() < 0.5  # most tracks keep their label
     return np.stack([other, pair[first]] if swapped else [pair[first], other])
 
 
@@ -109,7 +132,9 @@ class Graph:
     """(e,) weights alpha_pq; those of one p add up to 1."""
 
 
-def neighbour_graph(descriptors: Descriptors, features: Features, radius: float, most: int) -> Graph:
+def neighbour_graph(
+    descriptors: Descriptors, features: Features, radius: float = RADIUS, most: int = NEIGHBOURS
+) -> Graph:
     """N(p) and alpha_pq of L_smooth: at most `most` neighbours within `radius`, weighted by their similarity."""
     if len(descriptors) < 2:
         return Graph(np.zeros((0, 2), np.int64), np.zeros(0))
@@ -126,7 +151,7 @@ def neighbour_graph(descriptors: Descriptors, features: Features, radius: float,
 
 @dataclass(frozen=True)
 class Pair:
-    """What the objective of one frame pair (0, t) is made of."""
+    """The data of the objective of one frame pair (0, t)."""
 
     X: Array
     """(p, 3) X_{0,p}, in half diagonals from the object's middle."""
@@ -137,35 +162,36 @@ class Pair:
     graph: Graph
 
 
-def lambdas(settings: PaperSegmentationSettings) -> dict[str, float]:
+def term_weights(settings: PaperSegmentationSettings) -> dict[str, float]:
     """The weight of each term; 0 for one that is switched off."""
-    return {name: getattr(settings, name) if getattr(settings, f"use_{name}") else 0.0 for name in TERMS}
+    return {name: value if getattr(settings, f"use_{name}") else 0.0 for name, value in LAMBDAS.items()}
 
 
 def objective(
     pair: Pair, Ts: Array, w: Array, settings: PaperSegmentationSettings
 ) -> tuple[dict[str, float], Array, Array]:
-    """Weighted terms of L by name, and the gradients of L: (2, 6) left twists (v, w) of `Ts` (2, 4, 4), and w (p,).
+    """Weighted terms of L by name, and the gradients of L: (2, 6) by left twists (v, w) of `Ts` (2, 4, 4), and (p,) by
+    w.
 
     L = lambda_m L_main + lambda_s L_smooth + lambda_e L_ent + lambda_init L_init (Sec. 3.2).
     """
-    weight = lambdas(settings)
-    value = dict.fromkeys(TERMS, 0.0)
+    weight = term_weights(settings)
+    value = dict.fromkeys(LAMBDAS, 0.0)
     dT, dw = np.zeros((2, 6)), np.zeros(len(w))
     if weight["main"]:
-        moved = pair.X @ np.swapaxes(Ts[:, :3, :3], 1, 2) + Ts[:, None, :3, 3]
-        off = moved - pair.Y
+        displacement = pair.X @ np.swapaxes(Ts[:, :3, :3], 1, 2) + Ts[:, None, :3, 3]
+        off = displacement - pair.Y
         length = np.sqrt((off**2).sum(2))
-        scale = np.linalg.norm(pair.X - pair.Y, axis=1) + settings.epsilon
+        scale = np.linalg.norm(pair.X - pair.Y, axis=1) + EPSILON
         ratio = length / scale
-        rho = np.where(ratio < settings.huber, 0.5 * ratio**2, settings.huber * (ratio - 0.5 * settings.huber))
+        rho = np.where(ratio < HUBER, 0.5 * ratio**2, HUBER * (ratio - 0.5 * HUBER))
         share = np.stack([1 - w, w])
         value["main"] = weight["main"] * float((share * rho).sum())
         dw += weight["main"] * (rho[1] - rho[0])
-        slope = weight["main"] * share * np.minimum(ratio, settings.huber) / scale / np.maximum(length, 1e-12)
+        slope = weight["main"] * share * np.minimum(ratio, HUBER) / scale / np.maximum(length, 1e-12)
         pull = slope[..., None] * off
         dT[:, :3] = pull.sum(1)
-        dT[:, 3:] = np.cross(moved, pull).sum(1)
+        dT[:, 3:] = np.cross(displacement, pull).sum(1)
     if weight["smoothness"]:
         p, q = pair.graph.edges.T
         difference = w[p] - w[q]
@@ -185,14 +211,14 @@ def objective(
 def solve_pair(pair: Pair, Ts: Array, settings: PaperSegmentationSettings) -> tuple[Array, Array]:
     """T^0, T^1 and w of one frame pair: Adam on the objective from the initial transforms and weights (Sec. 4.1).
 
-    The weights themselves are descended and cut to (0, 1); transforms by left twists.
+    Weights are updated directly and cut to (0, 1); transforms by left twists.
     """
-    w = np.clip(pair.w_init, _LEAST_WEIGHT, 1 - _LEAST_WEIGHT)
-    step_T, step_w = _Adam((2, 6), settings.rate_transform), _Adam(w.shape, settings.rate_weight)
+    w = np.clip(pair.w_init, _MIN_WEIGHT, 1 - _MIN_WEIGHT)
+    step_T, step_w = _Adam((2, 6), RATE_TRANSFORM), _Adam(w.shape, RATE_WEIGHT)
     for _ in range(settings.iterations):
         _, dT, dw = objective(pair, Ts, w, settings)
         Ts = se3.exp_se3(-step_T(dT)) @ Ts
-        w = np.clip(w - step_w(dw), _LEAST_WEIGHT, 1 - _LEAST_WEIGHT)
+        w = np.clip(w - step_w(dw), _MIN_WEIGHT, 1 - _MIN_WEIGHT)
     return se3.orthonormalised(Ts), w
 
 
@@ -214,16 +240,16 @@ class _Adam:
 
 @dataclass(frozen=True)
 class Window:
-    """One window solved."""
+    """A solved window."""
 
     frames: NDArray[np.int64]
     """(s + 1,) frames; pairs are (0, i)."""
     Ts: Array
     """(s + 1, 2, 4, 4) motions T_{0->i}, metres, camera frame; the identity for i = 0."""
     pixels: list[NDArray[np.int64]]
-    """For each frame the tracks' pixels (m, 2), row and column."""
+    """The tracks' pixels (m, 2), row and column, for each frame."""
     weights: list[Array]
-    """For each frame the tracks' weights (m,); those of frame 0 are means over the pairs."""
+    """The tracks' weights (m,) for each frame; those of frame 0 are means over the pairs."""
 
 
 def solve_window(
@@ -240,16 +266,15 @@ def solve_window(
     """
     scene = evidence.scene
     kept = np.flatnonzero(tracks.visible[:, 1])
-    kept = kept[np.sort(rng.permutation(len(kept))[: settings.max_tracks])]
-    if len(kept) < settings.min_tracks:
+    kept = kept[np.sort(rng.permutation(len(kept))[:MAX_TRACKS])]
+    if len(kept) < MIN_TRACKS:
         return None
     visible, points = tracks.visible[kept], tracks.points[kept]
     pixels = np.rint(tracks.pixels[kept][..., ::-1]).astype(np.int64)
     descriptors = features.describe(int(tracks.frames[0]), pixels[:, 0])
-    cutoff = settings.tukey * evidence.unit
-    start = partial(initial_transforms, cutoff=cutoff, settings=settings, rng=rng)
+    cutoff = TUKEY * evidence.unit
     if carried is None:
-        w_init = _clustered(descriptors, visible, points, start, settings, rng)
+        w_init = feature_clusters(descriptors, rng).astype(float)
     else:
         w_init = carried[tuple(pixels[:, 0].T)]
     middle, half = np.median(points[:, 0], axis=0), scene.diagonal / 2
@@ -260,13 +285,13 @@ def solve_window(
     for i in range(1, steps):
         mine = visible[:, i]
         X, Y, w0 = points[mine, 0], points[mine, i], w_init[mine]
-        first = start(X, Y, w0 > 0.5) if mine.sum() >= settings.min_tracks else None
+        first = initial_transforms(X, Y, w0 > 0.5, cutoff, rng) if mine.sum() >= MIN_TRACKS else None
         if first is None:
             Ts[i] = Ts[i - 1] @ se3.inverse(Ts[i - 2]) @ Ts[i - 1] if i > 1 else Ts[i]
             found_pixels.append(pixels[mine, i])
             found_weights.append(w0)
             continue
-        graph = neighbour_graph(descriptors[mine], features, settings.radius, settings.neighbours)
+        graph = neighbour_graph(descriptors[mine], features)
         pair = Pair((X - middle) / half, (Y - middle) / half, w0, graph)
         solved, w = solve_pair(pair, _scaled(first[0], middle, half), settings)
         Ts[i] = _scaled(solved, -middle / half, 1 / half)
@@ -278,31 +303,8 @@ def solve_window(
     return Window(tracks.frames, Ts, found_pixels, found_weights)
 
 
-def _clustered(
-    descriptors: Descriptors,
-    visible: NDArray[np.bool_],
-    points: Array,
-    start: Callable[[Array, Array, NDArray[np.bool_]], tuple[Array, NDArray[np.bool_]] | None],
-    settings: PaperSegmentationSettings,
-    rng: np.random.Generator,
-) -> Array:
-    """(p,) initial weights of the first window: the clusters, or, of more than two, the vote of their motions."""
-    cluster = feature_clusters(descriptors, settings.clusters, rng)
-    if settings.clusters == 2:
-        return cluster.astype(float)
-    halves = feature_clusters(descriptors, 2, rng) > 0
-    enough = np.flatnonzero(visible.sum(0) >= settings.min_tracks)
-    last = int(enough[-1])
-    mine = visible[:, last]
-    first = start(points[mine, 0], points[mine, last], halves[mine])
-    if first is None:
-        return halves.astype(float)
-    votes = np.bincount(cluster[mine], first[1], settings.clusters)
-    return (votes / np.maximum(np.bincount(cluster[mine], minlength=settings.clusters), 1))[cluster]
-
-
 def _scaled(Ts: Array, middle: Array, unit: float) -> Array:
-    """Transforms (..., 4, 4) as they read in coordinates (X - middle) / unit."""
+    """Transforms (..., 4, 4) in the coordinates (X - middle) / unit."""
     R, t = Ts[..., :3, :3], Ts[..., :3, 3]
     return se3.pose(R, (R @ middle + t - middle) / unit)
 
@@ -313,27 +315,22 @@ def dense_weights(
     foreground: NDArray[np.bool_],
     pixels: NDArray[np.int64],
     weights: Array,
-    settings: PaperSegmentationSettings,
+    neighbours: int = FILL_NEIGHBOURS,
 ) -> Array:
-    """The dense map w~_t (h, w) of one frame: weights at tracks, their similarity-weighted mean elsewhere (supplement).
-
-    Background pixels have 0.5.
-    """
+    """The dense map w~_t (h, w) of one frame: weights at tracks, elsewhere the similarity-weighted mean of the nearest
+    ones (supplement). The background has 0.5."""
     dense = np.full(foreground.shape, 0.5)
     if len(pixels) == 0:
         return dense
     wanted = np.argwhere(foreground)
     known, unknown = features.describe(frame, pixels), features.describe(frame, wanted)
-    k = settings.fill_neighbours
-    if 0 < k < len(known):
-        distance, near = cKDTree(known).query(unknown, k=k)
-        squared, w = distance.reshape(len(unknown), k) ** 2, weights[near.reshape(len(unknown), k)]
-        filled = _mean(features, squared, w)
+    if neighbours < len(known):
+        distance, near = cKDTree(known).query(unknown, k=neighbours)
+        shape = (len(unknown), neighbours)
+        filled = _mean(features, distance.reshape(shape) ** 2, weights[near.reshape(shape)])
     else:
-        filled = np.empty(len(unknown))
-        for part in np.array_split(np.arange(len(unknown)), len(unknown) // 2000 + 1):
-            squared = cdist(unknown[part], known, "sqeuclidean")
-            filled[part] = _mean(features, squared, np.broadcast_to(weights, squared.shape))
+        squared = cdist(unknown, known, "sqeuclidean")
+        filled = _mean(features, squared, np.broadcast_to(weights, squared.shape))
     dense[tuple(wanted.T)] = filled
     covered = foreground[tuple(pixels.T)]
     dense[tuple(pixels[covered].T)] = weights[covered]
@@ -341,7 +338,7 @@ def dense_weights(
 
 
 def _mean(features: Features, squared: Array, weights: Array) -> Array:
-    """(m,) similarity-weighted means; only ratios of a row's similarities count, so far pixels are no special case."""
+    """(m,) similarity-weighted means; similarities are normalised by each row's largest."""
     s = features.similarity(squared - squared.min(1, keepdims=True)) + 1e-12
     return (s * weights).sum(1) / s.sum(1)
 
@@ -363,10 +360,10 @@ def segment(
     settings: PaperSegmentationSettings,
     rng: np.random.Generator,
 ) -> PartWeights:
-    """Part weights of every frame: window after window, each from the dense map that the one before ends with.
+    """Part weights of every frame, window after window, each from the dense map at the end of the one before.
 
-    Windows share one frame. One that has too few tracks hands on the weights of the frame before by features alone.
-    Raises HopelessError when the first window, or most windows, cannot be solved.
+    Windows share one frame. Where a window has too few tracks, the weights of the frame before are carried on by
+    features alone. Raises UnsolvableError when no window can be solved.
     """
     scene = evidence.scene
     n = len(scene)
@@ -375,31 +372,30 @@ def segment(
     carried: Array | None = None
     t = most = 0
     while t < n - 1:
-        tracks = tracker.follow(t, min(settings.window - 1, n - 1 - t))
+        tracks = tracker.follow(t, min(WINDOW - 1, n - 1 - t))
         most = max(most, int(tracks.visible[:, 1].sum()))
         window = solve_window(evidence, features, tracks, carried, settings, rng) if len(tracks.pixels) else None
         if window is None:
-            if carried is not None:  # by features alone
+            if carried is not None:
                 at = np.argwhere(scene.valid[t])
-                at = at[np.sort(rng.permutation(len(at))[: settings.max_tracks])]
+                at = at[np.sort(rng.permutation(len(at))[:MAX_TRACKS])]
                 there = at + np.rint(tracker.step(t, 1)[tuple(at.T)][:, ::-1]).astype(int)
                 there = np.clip(there, 0, np.array(scene.mask.shape[1:]) - 1)
                 values = carried[tuple(at.T)]
-                carried = dense_weights(features, t + 1, scene.valid[t + 1], there, values, settings)
+                carried = dense_weights(features, t + 1, scene.valid[t + 1], there, values)
                 weights[t + 1] = carried
             t += 1
             continue
         for i, frame in enumerate(map(int, window.frames)):
             if i == 0 and carried is not None:
                 continue
-            dense = dense_weights(features, frame, scene.valid[frame], window.pixels[i], window.weights[i], settings)
-            weights[frame] = dense
+            weights[frame] = dense_weights(features, frame, scene.valid[frame], window.pixels[i], window.weights[i])
         motions[t : t + len(window.frames) - 1] = window.Ts[1:] @ se3.inverse(window.Ts[:-1])
         t = int(window.frames[-1])
         carried = weights[t].astype(float)
     if carried is None:
-        raise HopelessError(
-            f"from no frame to the next can {settings.min_tracks} points of the object be followed: {most} at most"
+        raise UnsolvableError(
+            f"from no frame to the next can {MIN_TRACKS} points of the object be followed: {most} at most"
         )
     return PartWeights(weights, motions)
 
@@ -409,22 +405,22 @@ def segment(
 
 def part_poses(
     evidence: Evidence, tracker: Tracker, found: PartWeights, settings: ReconstructSettings, rng: np.random.Generator
-) -> Grown:
+) -> PartEstimate:
     """Poses of both parts in every frame under the paper's labels, and the joint.
 
-    "Off-the-shelf pose estimators" (Sec. 3.3) is here our registration of each part to the frames before, started from
-    the segmentation's motions too; labels stay. The joint is chosen on all frames by `settings.joint`.
-    Raises HopelessError when fewer than 4 frames show two parts.
+    The "off-the-shelf pose estimators" (Sec. 3.3) are here our registration, started from the segmentation's motions,
+    too; labels stay. The joint is chosen on all frames by `settings.joint`. Raises UnsolvableError when fewer than 4
+    frames show two parts.
     """
-    growth = _Labelled(evidence, tracker, found, settings, rng)
-    add_frames(growth, len(evidence.scene))
-    frames_with_both(growth.seen, growth.done)
-    growth.adopt(growth.try_joint())
-    return Grown(growth.jointed(), growth.labels, growth.logodds, growth.seen)
+    propagation = _GivenLabels(evidence, tracker, found, settings, rng)
+    add_frames(propagation, len(evidence.scene))
+    frames_with_both_parts(propagation.seen, propagation.done)
+    propagation.set_joint(propagation.choose_joint())
+    return PartEstimate(propagation.current_poses(), propagation.labels, propagation.logodds, propagation.seen)
 
 
-class _Labelled(Growth):
-    """Growth from frame 0 in which all labels are given: poses only."""
+class _GivenLabels(Propagation):
+    """Propagation from frame 0 with given labels: poses only."""
 
     def __init__(
         self,
@@ -434,18 +430,22 @@ class _Labelled(Growth):
         settings: ReconstructSettings,
         rng: np.random.Generator,
     ) -> None:
-        w = np.clip(found.weights, _LEAST_WEIGHT, 1 - _LEAST_WEIGHT)
+        w = np.clip(found.weights, _MIN_WEIGHT, 1 - _MIN_WEIGHT)
         self.given = np.where(evidence.scene.mask, np.log(w / (1 - w)), 0).astype(np.float32)
         self.motions = found.motions
         start = Seed(0, np.zeros(0, np.int64), np.zeros((0, 2, 4, 4)), self.given[0], 0.0)
         super().__init__(evidence, tracker, start, settings, rng)
 
-    def label(self, frame: int) -> None:
-        self.put_labels(frame, self.given[frame])
+    def label_frame(self, frame: int) -> None:
+        self.set_labels(frame, self.given[frame])
 
-    def carried(self, frame: int, neighbour: int) -> NDArray[np.uint8]:
+    def carry_labels(self, frame: int, neighbour: int) -> NDArray[np.uint8]:
         return np.where(self.evidence.scene.mask[frame], np.where(self.given[frame] > 0, 2, 1), 0).astype(np.uint8)
 
-    def predictions(self, k: int, frame: int, neighbour: int) -> list[Array]:
-        starts = super().predictions(k, frame, neighbour)
-        return [*starts, self.motions[neighbour, k] @ self.Ts[k, neighbour]] if frame > neighbour else starts
+    def predict_part_poses(self, k: int, frame: int, neighbour: int) -> list[Array]:
+        initial_guesses = super().predict_part_poses(k, frame, neighbour)
+        return (
+            [*initial_guesses, self.motions[neighbour, k] @ self.Ts[k, neighbour]]
+            if frame > neighbour
+            else initial_guesses
+        )

@@ -1,6 +1,6 @@
-"""Adjustment of part poses over pairs of frames: no frame is anchored, every frame counts.
+"""Adjustment of all part poses over frame pairs. No frame is fixed.
 
-Unknowns are left twists (v, w) of T_camera_part; `Ts` (n, 4, 4) stacks hold them for one part.
+Unknowns are left twists (v, w) of T_camera_part; the stack `Ts` (n, 4, 4) holds one part's poses.
 """
 
 from __future__ import annotations
@@ -15,17 +15,41 @@ from scipy.sparse.linalg import splu
 from freeart21 import se3
 from freeart21.joint import Joint
 from freeart21.se3 import Array
-from reconstruct.evidence import Evidence, Records, Samples, draw
+from reconstruct.evidence import Evidence, Records, Samples, sample_pixels
 from reconstruct.rigid import view_angle
 from reconstruct.scene import Scene
 from reconstruct.settings import PoseSettings
 
 Labels = NDArray[np.uint8]
 
+OFFSETS = (1, 2, 4, 7, 11)
+"""Frame distances of pairs along time."""
+SAMPLES = 500
+"""Pixels per frame and part."""
+GATE, FINAL_GATE = 9.0, 4.0
+"""First and last point-to-plane gate of the adjustment under a joint."""
+JOINT_ROUNDS, FREE_ROUNDS = 14, 8
+"""Iterations of the adjustment under a joint, and without."""
+AXIS_FACTOR = 2.8
+"""Factor on the axis's standard deviation from noise and SYSTEMATIC: root mean square of error over deviation, of 19
+answers to 18 recordings (unlit, 320 x 180, 40 to 60 frames, clean, tof, noise2 and hand, 16 objects, two not ours,
+without Gaussians), divided by sqrt(2) for the axis's two tilts. Half of the errors were below 1.1 deviations, four
+beyond 4 (4.4, 5.6, 7.7, 12.5); of the 11 answers that `trust` finds sound, one (4.4). The axis line needed no factor:
+seven sound answers up to 2.2, root mean square 1.1. For lit videos the factor is too large: 8 right answers of
+benchmarks/trust.py erred by up to 1.8 deviations without it, 13 with Gaussians by up to 2.5."""
+_SINGULAR = 1e-12
+"""Eigenvalues below this share of the largest count as zero."""
+SYSTEMATIC = 1 / 3
+"""Systematic error of a part's pose, in units of `Evidence.unit`: rims, creases and labels err alike in all frames.
+Eight right answers of benchmarks/trust.py had errors of 4 (median) to 9 deviations of the noise alone: 0.1 to 1.3
+degrees where the noise explains 0.05 to 0.3. With this they have about 1. States of noisy sensors were off by 3 to 9
+deviations of the noise alone, with Gaussians by 2.6 to 5; of four of six clean recordings by less than one already, so
+that their deviations are now too large."""
+
 
 @dataclass(frozen=True)
 class JointedPoses:
-    """All poses under one joint; both parts share one canonical frame."""
+    """Poses of both parts under one joint, in one canonical frame."""
 
     joint: Joint
     states: Array
@@ -33,13 +57,13 @@ class JointedPoses:
     Ts: Array
     """(n, 4, 4) T_camera_reference."""
     state_std: Array
-    """(n,) standard deviations of the states; inf where nothing was seen."""
+    """(n,) standard deviations of the states; inf where a part was not seen."""
     cost: float
-    """Mean cost per projected sample: compares hypotheses."""
+    """Mean cost per projected sample, to compare joints."""
     joint_std: Array | None = None
-    """(2, 2) standard deviations of the axis's direction, rad, and of the axis line at the second part, metres (NaN for
-    a prismatic joint), in the frame of the first part and of the second, of noise and of systematic errors; None when
-    not measured. See `_joint_std`, `_systematic_std`."""
+    """(2, 2) standard deviations in the frame of the first and of the second part: of the axis direction, rad, and of
+    the axis line at the second part, metres (NaN for a prismatic joint). None when not estimated. See `_joint_std` and
+    `_systematic_std`."""
 
     @property
     def Ts_moving(self) -> Array:
@@ -49,35 +73,38 @@ class JointedPoses:
 
 @dataclass(frozen=True)
 class FreePoses:
-    """Poses of one part, unconstrained by any joint."""
+    """Poses of one part without a joint."""
 
     Ts: Array
     """(n, 4, 4) T_camera_part."""
     covariances: Array
-    """(n, 6, 6) of the left twists (v, w), the gauge held by the mean."""
+    """(n, 6, 6) of the left twists (v, w), with their mean fixed."""
 
 
 def part_samples(
     evidence: Evidence, labels: Labels, part: int, most: int, rng: np.random.Generator, frames: NDArray[np.bool_]
 ) -> Samples:
-    """Usable pixels of one part (1 or 2) in every one of `frames` (n,)."""
-    return {i: draw(evidence.usable(i, labels[i] == part), most, rng) for i in map(int, np.flatnonzero(frames))}
+    """Usable pixels of one part (1 or 2) in each of `frames` (n,)."""
+    return {
+        i: sample_pixels(evidence.usable_pixels(i, labels[i] == part), most, rng)
+        for i in map(int, np.flatnonzero(frames))
+    }
 
 
 def choose_pairs(Ts: Array, seen: NDArray[np.bool_], settings: PoseSettings) -> tuple[NDArray, NDArray]:
     """Directed pairs (source, target) of frames: neighbours in time, and distant frames of a similar view."""
     frames = np.flatnonzero(seen)
-    found = {(int(i), int(i) + d) for i in frames for d in settings.offsets if i + d < len(Ts) and seen[i + d]}
+    found = {(int(i), int(i) + d) for i in frames for d in OFFSETS if i + d < len(Ts) and seen[i + d]}
     for i in map(int, frames):
         turn = view_angle(Ts[frames, :3, :3], Ts[i, :3, :3])
         near = (turn <= 0.9) & (np.abs(frames - i) > 8)
-        left = frames[near][np.argsort(turn[near], kind="stable")]
+        remaining = frames[near][np.argsort(turn[near], kind="stable")]
         for _ in range(settings.loops):
-            if len(left) == 0:
+            if len(remaining) == 0:
                 break
-            j = int(left[0])
+            j = int(remaining[0])
             found.add((min(i, j), max(i, j)))
-            left = left[np.abs(left - j) > 3]
+            remaining = remaining[np.abs(remaining - j) > 3]
     pairs = np.array(sorted(found), int).reshape(-1, 2)
     both = np.concatenate([pairs, pairs[:, ::-1]])
     both = both[np.argsort(both[:, 1], kind="stable")]  # by target: its picture is then at hand for all its sources
@@ -93,19 +120,19 @@ def free_adjustment(
     settings: PoseSettings,
     rng: np.random.Generator,
 ) -> FreePoses:
-    """Gauss-Newton over all pairs of one part. Frames without the part keep their pose."""
+    """Gauss-Newton over all pairs of one part. Frames that do not show it keep their pose."""
     n = len(Ts)
-    samples = evidence.records(part_samples(evidence, labels, part, settings.samples, rng, seen))
+    samples = evidence.records(part_samples(evidence, labels, part, SAMPLES, rng, seen))
     source, target = choose_pairs(Ts, seen, settings)
     covariances = np.full((n, 6, 6), np.nan)
     if len(source) == 0:
         return FreePoses(Ts, covariances)
     start = Ts
     A = sparse.csr_array((6 * n, 6 * n))
-    for _ in range(settings.free_rounds):
-        A, b, _ = _normal_equations(evidence, labels, part, Ts, samples, source, target, settings.final_gate)
-        step = damped_solve(A, b).reshape(n, 6)
-        Ts = se3.orthonormalised(se3.exp_se3(limited(step)) @ Ts)
+    for _ in range(FREE_ROUNDS):
+        A, b, _ = _normal_equations(evidence, labels, part, Ts, samples, source, target, FINAL_GATE)
+        step = solve_damped(A, b).reshape(n, 6)
+        Ts = se3.orthonormalised(se3.exp_se3(limit_rotations(step)) @ Ts)
     drift = se3.mean_pose(se3.inverse(start[seen]) @ Ts[seen])
     Ts = np.where(seen[:, None, None], Ts @ se3.inverse(drift), start)
     return FreePoses(Ts, _covariances(A, Ts, seen, len(source) / max(seen.sum(), 1)))
@@ -120,55 +147,58 @@ def joint_adjustment(
     rng: np.random.Generator,
     rounds: int | None = None,
     within: NDArray[np.bool_] | None = None,
+    samples: int = SAMPLES,
+    gate: float = GATE,
 ) -> JointedPoses:
-    """Gauss-Newton over all poses, one joint and one state a frame, on the pairs of both parts.
+    """Gauss-Newton over all poses, one joint and one state per frame, on the pairs of both parts.
 
-    `seen` (n, 2) says where each part can be measured, `within` (n,) which frames take part at all. Without
-    `rounds` it runs to the end and measures the standard deviations of the states.
+    `seen` (n, 2) says where each part can be measured, `within` (n,) which frames take part. `gate` is the first gate,
+    in units. Without `rounds` it runs JOINT_ROUNDS and estimates standard deviations.
     """
     n, final = len(start.Ts), rounds is None
-    rounds = settings.joint_rounds if rounds is None else rounds
+    rounds = JOINT_ROUNDS if rounds is None else rounds
     within = np.ones(n, bool) if within is None else within
     usable = seen & within[:, None]
-    drawn = [part_samples(evidence, labels, k + 1, settings.samples, rng, usable[:, k]) for k in range(2)]
-    samples = [evidence.records(pixels) for pixels in drawn]
-    now = start
-    pairs = [choose_pairs(T, usable[:, k], settings) for k, T in enumerate((now.Ts, now.Ts_moving))]
+    pixels = [part_samples(evidence, labels, k + 1, samples, rng, usable[:, k]) for k in range(2)]
+    records = [evidence.records(part) for part in pixels]
+    current = start
+    pairs = [choose_pairs(T, usable[:, k], settings) for k, T in enumerate((current.Ts, current.Ts_moving))]
     A, cost = sparse.csr_array((7 * n, 7 * n)), np.inf
     for r in range(rounds):
-        gate = max(settings.final_gate, settings.gate * 0.85**r)
-        A0, b0, s0 = _normal_equations(evidence, labels, 1, now.Ts, samples[0], *pairs[0], gate)
-        A1, b1, s1 = _normal_equations(evidence, labels, 2, now.Ts_moving, samples[1], *pairs[1], gate)
+        round_gate = max(FINAL_GATE, gate * 0.85**r)
+        A0, b0, s0 = _normal_equations(evidence, labels, 1, current.Ts, records[0], *pairs[0], round_gate)
+        A1, b1, s1 = _normal_equations(evidence, labels, 2, current.Ts_moving, records[1], *pairs[1], round_gate)
         cost = (s0[2] + s1[2]) / max(s0[1] + s1[1], 1)
-        M, across = joint_jacobian(now)
+        M, across = joint_jacobian(current)
         own = sparse.eye_array(6 * n, M.shape[1], format="csr")
         A, b = own.T @ A0 @ own + M.T @ A1 @ M, own.T @ b0 + M.T @ b1
-        step = damped_solve(*with_state_smoothness(A, b, now.states - start.states))
-        now = stepped(now, step, across, evidence.scene.diagonal)
+        step = solve_damped(*add_state_smoothness(A, b, current.states - start.states))
+        current = apply_joint_step(current, step, across, evidence.scene.diagonal)
         if r in (rounds // 3, 2 * rounds // 3):
-            pairs = [choose_pairs(T, usable[:, k], settings) for k, T in enumerate((now.Ts, now.Ts_moving))]
+            pairs = [choose_pairs(T, usable[:, k], settings) for k, T in enumerate((current.Ts, current.Ts_moving))]
     if final:
-        reuse = len(pairs[1][0]) / max(usable[:, 1].sum(), 1)
-        clouds = [_cloud(evidence.scene, drawn[k], T) for k, T in enumerate((now.Ts, now.Ts_moving))]
-        now = with_std(now, A.toarray(), usable, clouds, reuse, evidence.unit)
-    return replace(now, cost=float(cost))
+        pairs_per_pixel = len(pairs[1][0]) / max(usable[:, 1].sum(), 1)
+        clouds = [_sample_points(evidence.scene, pixels[k], T) for k, T in enumerate((current.Ts, current.Ts_moving))]
+        current = add_standard_deviations(current, A.toarray(), usable, clouds, pairs_per_pixel, evidence.unit)
+    return replace(current, cost=float(cost))
 
 
-def with_std(
-    now: JointedPoses, A: Array, usable: NDArray[np.bool_], clouds: list[Array], reuse: float, unit: float
+def add_standard_deviations(
+    current: JointedPoses, A: Array, usable: NDArray[np.bool_], clouds: list[Array], pairs_per_pixel: float, unit: float
 ) -> JointedPoses:
-    """`now` with standard deviations of states and joint, of normal matrix A (7n + m, 7n + m) and systematic errors.
+    """`current` with standard deviations of states and joint from the normal matrix A (7n + m, 7n + m) and systematic
+    errors.
 
-    Parts can be measured where `usable` (n, 2); `clouds` are points (p, 3) of theirs in their own frames, metres. Each
-    residual was counted about `reuse` times; `unit`, metres, is what systematic errors go by.
+    `usable` (n, 2) says where the parts were measured; `clouds` are points (p, 3) of theirs in their own frames. Each
+    residual was counted about `pairs_per_pixel` times. Systematic errors are proportional to `unit`, metres.
     """
     measured = np.asarray(usable.all(1))
-    noise = _joint_std(A.copy(), now, usable, clouds[1].mean(0), reuse)
+    noise = _joint_std(A.copy(), current, usable, clouds[1].mean(0), pairs_per_pixel)
     systematic = _systematic_std(clouds, unit)
     joint_std = np.hypot(noise, systematic) * [AXIS_FACTOR, 1.0]
-    by_noise = _state_std(A.copy(), measured, reuse)
-    state_std = np.where(measured, np.hypot(by_noise, systematic[0 if now.joint.type == "revolute" else 1]), np.inf)
-    return replace(now, state_std=state_std, joint_std=joint_std)
+    by_noise = _state_std(A.copy(), measured, pairs_per_pixel)
+    state_std = np.where(measured, np.hypot(by_noise, systematic[0 if current.joint.type == "revolute" else 1]), np.inf)
+    return replace(current, state_std=state_std, joint_std=joint_std)
 
 
 def _normal_equations(
@@ -181,7 +211,7 @@ def _normal_equations(
     target: NDArray,
     gate: float,
 ) -> tuple[sparse.csr_array, Array, Array]:
-    """A (6n, 6n), b (6n,) over all frames and summed statistics (4,): inliers, projected, cost, outside.
+    """A (6n, 6n), b (6n,) over all frames, and summed statistics (4,): inliers, projected, cost, outside.
 
     With T = T_j T_i^-1 a left twist x_i moves T by -Ad(T) x_i. A has blocks for the pairs only.
     """
@@ -190,11 +220,11 @@ def _normal_equations(
         return sparse.csr_array((6 * n, 6 * n)), np.zeros(6 * n), np.zeros(4)
     T = Ts[target] @ se3.inverse(Ts[source])
     H, g, stats = evidence.register(source, target, T, samples, gate, labels, part)
-    back = -se3.adjoint(T)
-    Hb = H @ back
-    to_target, to_source = (_summing(frames, n) for frames in (target, source))
-    own = to_target @ H.reshape(-1, 36) + to_source @ (np.swapaxes(back, 1, 2) @ Hb).reshape(-1, 36)
-    b = to_target @ g + to_source @ np.einsum("pji,pj->pi", back, g)
+    by_source = -se3.adjoint(T)
+    Hb = H @ by_source
+    to_target, to_source = (_summation_matrix(frames, n) for frames in (target, source))
+    own = to_target @ H.reshape(-1, 36) + to_source @ (np.swapaxes(by_source, 1, 2) @ Hb).reshape(-1, 36)
+    b = to_target @ g + to_source @ np.einsum("pji,pj->pi", by_source, g)
     A = _from_blocks(
         np.concatenate([np.arange(n), target, source]),
         np.concatenate([np.arange(n), source, target]),
@@ -204,57 +234,58 @@ def _normal_equations(
     return A, b.ravel(), stats.sum(0)
 
 
-def _summing(frames: NDArray, n: int) -> sparse.csr_array:
-    """(n, p) sums what belongs to pairs over the pairs of each frame."""
+def _summation_matrix(frames: NDArray, n: int) -> sparse.csr_array:
+    """(n, p) matrix that sums values of pairs over the pairs of each frame."""
     return sparse.csr_array((np.ones(len(frames)), (frames, np.arange(len(frames)))), (n, len(frames)))
 
 
 def _from_blocks(rows: NDArray, columns: NDArray, blocks: Array, n: int) -> sparse.csr_array:
-    """(6n, 6n) of blocks (k, 6, 6) at block rows and columns (k,); those of the same place add up."""
+    """(6n, 6n) matrix of blocks (k, 6, 6) at block rows and columns (k,); blocks at the same place add up."""
     order = np.argsort(rows, kind="stable")
     starts = np.searchsorted(rows[order], np.arange(n + 1))
     return sparse.bsr_array((blocks[order], columns[order], starts), (6 * n, 6 * n)).tocsr()
 
 
-def joint_jacobian(now: JointedPoses) -> tuple[sparse.csr_array, Array]:
-    """M (6n, 7n + m) from (x_i, dq_i, axis, pivot) to left twists of the moving part, and directions across the axis.
+def joint_jacobian(current: JointedPoses) -> tuple[sparse.csr_array, Array]:
+    """M (6n, 7n + m) from (x_i, dq_i, axis, pivot) to left twists of the moving part, and two directions across the
+    axis.
 
-    m is 4 for a revolute joint (two of the axis, two of the pivot), 2 for a prismatic one.
+    m is 4 for a revolute joint (two for the axis, two for the pivot), 2 for a prismatic one.
     """
-    n, joint = len(now.Ts), now.joint
+    n, joint = len(current.Ts), current.joint
     across = np.linalg.svd(joint.axis[None])[2][1:]
-    J = joint.transform(now.states)
-    Ad = se3.adjoint(now.Ts)
+    J = joint.transform(current.states)
+    Ad = se3.adjoint(current.Ts)
     eps = 1e-5
     changed = [replace(joint, axis=_unit(joint.axis + eps * a)) for a in across]
     if joint.type == "revolute":
         changed += [replace(joint, pivot=joint.pivot + eps * a) for a in across]
-    twists = [se3.log_se3(other.transform(now.states) @ se3.inverse(J)) / eps for other in changed]
+    twists = [se3.log_se3(other.transform(current.states) @ se3.inverse(J)) / eps for other in changed]
     shared = np.einsum("nij,cnj->nic", Ad, twists).reshape(6 * n, len(changed))
     of_frame = np.repeat(np.arange(n), 6)
     states = sparse.csr_array(((Ad @ joint.screw).ravel(), of_frame, np.arange(6 * n + 1)), (6 * n, n))
     return sparse.hstack([sparse.eye_array(6 * n), states, shared], format="csr"), across
 
 
-def stepped(now: JointedPoses, x: Array, across: Array, size: float) -> JointedPoses:
-    """`now` after a step x (7n + m,) of `joint_jacobian`'s unknowns, cut where it is rash for an object of `size`,
-    metres."""
-    n, joint = len(now.Ts), now.joint
-    Ts = se3.orthonormalised(se3.exp_se3(limited(x[: 6 * n].reshape(n, 6))) @ now.Ts)
+def apply_joint_step(current: JointedPoses, x: Array, across: Array, size: float) -> JointedPoses:
+    """`current` after a limited step x (7n + m,) of `joint_jacobian`'s unknowns; `size` is the object's, metres."""
+    n, joint = len(current.Ts), current.joint
+    Ts = se3.orthonormalised(se3.exp_se3(limit_rotations(x[: 6 * n].reshape(n, 6))) @ current.Ts)
     most = 0.1 if joint.type == "revolute" else 0.1 * size
-    states = now.states + np.clip(x[6 * n : 7 * n], -most, most)
+    states = current.states + np.clip(x[6 * n : 7 * n], -most, most)
     axis = _unit(joint.axis + np.clip(x[7 * n : 7 * n + 2], -0.1, 0.1) @ across)
     pivot = joint.pivot
     if joint.type == "revolute":
         pivot = pivot + np.clip(x[7 * n + 2 :], -0.05 * size, 0.05 * size) @ across
     new = replace(joint, axis=axis, pivot=pivot).spanning(states)
-    return replace(now, joint=new, states=states, Ts=Ts)
+    return replace(current, joint=new, states=states, Ts=Ts)
 
 
-def with_state_smoothness(A: sparse.csr_array, b: Array, corrections: Array) -> tuple[sparse.csr_array, Array]:
-    """A weak pull of the states' corrections (n,) to a straight line: frames without evidence go with their neighbours.
+def add_state_smoothness(A: sparse.csr_array, b: Array, corrections: Array) -> tuple[sparse.csr_array, Array]:
+    """A and b with a weak prior that the states' corrections (n,) are linear in time.
 
-    Not of the states: where nothing is seen, those of the growth are the best there are.
+    Frames without evidence then follow their neighbours. The prior is on corrections, not states: where nothing is
+    seen, the states of the propagation are the best guess.
     """
     n = len(corrections)
     if n < 3:
@@ -266,8 +297,8 @@ def with_state_smoothness(A: sparse.csr_array, b: Array, corrections: Array) -> 
     return A + weight * bend.T @ bend, b + weight * bend.T @ (D @ corrections)
 
 
-def damped_solve(A: sparse.csr_array, b: Array, damping: float = 1e-4) -> Array:
-    """The Levenberg-Marquardt step -(A + damping)^-1 b; the damping is what holds the gauge and empty frames.
+def solve_damped(A: sparse.csr_array, b: Array, damping: float = 1e-4) -> Array:
+    """The Levenberg-Marquardt step -(A + damping)^-1 b; damping fixes the gauge and empty frames.
 
     A is symmetric and, damped, positive definite: its factors need no pivoting.
     """
@@ -280,7 +311,7 @@ def damped_solve(A: sparse.csr_array, b: Array, damping: float = 1e-4) -> Array:
     )
 
 
-def limited(twists: Array) -> Array:
+def limit_rotations(twists: Array) -> Array:
     """Twists (n, 6) cut to 0.1 rad."""
     turn = np.linalg.norm(twists[:, 3:], axis=1)
     shrink = np.minimum(1, 0.1 / np.maximum(turn, 1e-12))
@@ -288,13 +319,13 @@ def limited(twists: Array) -> Array:
 
 
 def _unit(v: Array) -> Array:
-    return v / np.linalg.norm(v)
+    return np.asarray(v / np.linalg.norm(v), float)
 
 
-def _covariances(A: sparse.csr_array, Ts: Array, seen: NDArray[np.bool_], reuse: float) -> Array:
-    """(n, 6, 6) blocks of the inverse Hessian with the mean gauge twist held; NaN where not seen.
+def _covariances(A: sparse.csr_array, Ts: Array, seen: NDArray[np.bool_], pairs_per_pixel: float) -> Array:
+    """(n, 6, 6) blocks of the inverse Hessian with the mean twist fixed; NaN where not seen.
 
-    Each pixel enters about `reuse` pairs, which are not independent: the covariance is that much larger.
+    Each pixel enters about `pairs_per_pixel` dependent pairs, which scales the covariance.
     """
     n, frames = len(Ts), np.flatnonzero(seen)
     rows = (6 * frames[:, None] + np.arange(6)).ravel()
@@ -308,12 +339,13 @@ def _covariances(A: sparse.csr_array, Ts: Array, seen: NDArray[np.bool_], reuse:
     covariances = np.full((n, 6, 6), np.nan)
     for c, i in enumerate(frames):
         block = inverse[6 * c : 6 * c + 6, 6 * c : 6 * c + 6]
-        covariances[i] = 0.5 * reuse * (block + block.T)
+        covariances[i] = 0.5 * pairs_per_pixel * (block + block.T)
     return covariances
 
 
-def _state_std(A: Array, measured: NDArray[np.bool_], reuse: float) -> Array:
-    """(n,) standard deviations of the `measured` (n,) states against their mean, all else free; of others nothing."""
+def _state_std(A: Array, measured: NDArray[np.bool_], pairs_per_pixel: float) -> Array:
+    """(n,) standard deviations of the `measured` (n,) states against their mean, with all else free; the rest is
+    undefined."""
     n = len(measured)
     unknown = 6 * n + np.flatnonzero(~measured)
     A[unknown], A[:, unknown] = 0, 0
@@ -323,25 +355,10 @@ def _state_std(A: Array, measured: NDArray[np.bool_], reuse: float) -> Array:
     variances = _gauge_free_variances(normed, np.append(6 * frame + np.arange(6), 6 * n + frame))
     if variances is None:
         variances = np.diag(np.linalg.pinv(normed, rcond=1e-9, hermitian=True))
-    return np.sqrt(np.maximum(reuse * variances[6 * n : 7 * n] / scale[6 * n : 7 * n] ** 2, 0))
+    return np.sqrt(np.maximum(pairs_per_pixel * variances[6 * n : 7 * n] / scale[6 * n : 7 * n] ** 2, 0))
 
 
-AXIS_FACTOR = 2.8
-"""Times by which the axis's deviation, of noise and SYSTEMATIC, was too small: errors over it, root mean square of 19
-answers to 18 recordings (unlit, 320 x 180, 40 to 60 frames, clean, tof, noise2 and hand, 16 objects, two not ours,
-without Gaussians), divided by sqrt(2) for its two tilts. Half of the errors were below 1.1 deviations, four beyond 4
-(4.4, 5.6, 7.7, 12.5); of the 11 answers that `trust` finds sound one (4.4). The axis line's needed none: of seven sound
-answers up to 2.2, root mean square 1.1. Of lit videos the factor is too large: 8 right answers of
-benchmarks/trust.py erred by up to 1.8 deviations without it, 13 with Gaussians by up to 2.5."""
-SYSTEMATIC = 1 / 3
-"""Units by which a part's pose errs however many pixels are asked: rims, creases and labels err alike in all frames.
-Eight right answers of benchmarks/trust.py had errors of 4 (median) to 9 deviations of the noise alone, of .1 to 1.3
-degrees where the noise explains .05 to .3; with this they have about 1. States of
-noisy sensors were off by 3 to 9 deviations of the noise alone, those of the Gaussians by 2.6 to 5; of four of six clean
-recordings by less than one already, and their deviations are now too large."""
-
-
-def _cloud(scene: Scene, samples: Samples, Ts: Array) -> Array:
+def _sample_points(scene: Scene, samples: Samples, Ts: Array) -> Array:
     """(p, 3) sampled points of a part in its own frame; the origin when there are none."""
     points = scene.points
     clouds = [se3.transform(se3.inverse(Ts[i]), points[i, p[:, 0], p[:, 1]]) for i, p in samples.items() if len(p)]
@@ -349,34 +366,35 @@ def _cloud(scene: Scene, samples: Samples, Ts: Array) -> Array:
 
 
 def _systematic_std(clouds: list[Array], unit: float) -> Array:
-    """(2,) what SYSTEMATIC `unit`s, metres, of both parts make of the axis, rad, and of the axis line, metres.
+    """(2,) standard deviations of axis, rad, and axis line, metres, for pose errors of SYSTEMATIC `unit`s, metres.
 
-    A part turns by such an error over its extent, twice the root mean square of its points' (p, 3) distances from their
-    mean.
+    A part turns by such an error over its extent: twice the rms distance of its points (p, 3) from their mean.
     """
     extents = [2 * float(np.sqrt(((c - c.mean(0)) ** 2).sum(1).mean())) for c in clouds]
     tilts = [SYSTEMATIC * unit / max(extent, unit) for extent in extents]
     return np.array([np.hypot(tilts[0], tilts[1]), np.sqrt(2) * SYSTEMATIC * unit])
 
 
-def _joint_std(A: Array, now: JointedPoses, seen: NDArray[np.bool_], centre: Array, reuse: float) -> Array:
-    """(2, 2) standard deviations of the joint in the frame of either part by noise; see `JointedPoses.joint_std`.
+def _joint_std(
+    A: Array, current: JointedPoses, seen: NDArray[np.bool_], centre: Array, pairs_per_pixel: float
+) -> Array:
+    """(2, 2) standard deviations of the joint from noise, in the frame of either part; see `JointedPoses.joint_std`.
 
     `A` (7n + m, 7n + m) are the normal equations of all unknowns with the joint's m last, `seen` (n, 2) where each part
-    was measured, `centre` (3,) the second part's. All frames and states are free but for what the video cannot tell:
-    the mean twist of that part in its own frame, and the mean state, are held (Lagrange's multipliers, so exactly).
-    Both figures are root mean squares of two directions across the axis: the two tilts, and the two ways in which the
-    axis line moves at its point nearest the centre.
+    was measured, `centre` (3,) the second part's. All frames and states are free except for what the video cannot
+    determine: the part's mean twist in its own frame and the mean state are fixed by Lagrange multipliers. Both figures
+    are rms over two directions across the axis: the two tilts, and the two shifts of the axis line at its point nearest
+    the centre.
     """
-    n, count = len(now.Ts), len(A) - 7 * len(now.Ts)
-    M, _ = joint_jacobian(now)
+    n, count = len(current.Ts), len(A) - 7 * len(current.Ts)
+    M, _ = joint_jacobian(current)
     scale = np.sqrt(np.where(np.diag(A) > 0, np.diag(A), 1.0))
     normed = A / scale[:, None] / scale[None]
     np.fill_diagonal(normed, np.where(np.diag(A) > 0, np.diag(normed), 1.0))
     mean_state = np.zeros(len(A))
     mean_state[6 * n : 7 * n] = seen.all(1)
     found = np.full((2, 2), np.nan)
-    for k, Ts in enumerate((now.Ts, now.Ts_moving)):
+    for k, Ts in enumerate((current.Ts, current.Ts_moving)):
         frames = np.flatnonzero(seen[:, k])
         if not len(frames) or not seen.all(1).any():
             continue
@@ -387,26 +405,26 @@ def _joint_std(A: Array, now: JointedPoses, seen: NDArray[np.bool_], centre: Arr
         held = np.vstack([mean_twist @ own, mean_state]) / scale
         held /= np.maximum(np.linalg.norm(held, axis=1, keepdims=True), 1e-300)
         system = np.block([[normed, held.T], [held, np.zeros((7, 7))]])
-        wanted = np.zeros((len(system), count))
-        wanted[7 * n : len(A)] = np.eye(count)
+        right_hand_side = np.zeros((len(system), count))
+        right_hand_side[7 * n : len(A)] = np.eye(count)
         try:
-            solved = np.linalg.solve(system, wanted)
+            solved = np.linalg.solve(system, right_hand_side)
         except np.linalg.LinAlgError:  # the video tells nothing of the joint
             continue
-        covariance = reuse * solved[7 * n : len(A)] / scale[7 * n :, None] / scale[None, 7 * n :]
+        covariance = pairs_per_pixel * solved[7 * n : len(A)] / scale[7 * n :, None] / scale[None, 7 * n :]
         found[k, 0] = np.sqrt(max(np.trace(covariance[:2, :2]) / 2, 0.0))
         if count == 4:
-            along = float((centre - now.joint.pivot) @ now.joint.axis)
+            along = float((centre - current.joint.pivot) @ current.joint.axis)
             to_line = np.hstack([along * np.eye(2), np.eye(2)])
             found[k, 1] = np.sqrt(max(np.trace(to_line @ covariance @ to_line.T) / 2, 0.0))
     return found
 
 
 def _gauge_free_variances(A: Array, gauge: NDArray[np.int64]) -> Array | None:
-    """The diagonal of A's pseudo-inverse; None unless A is regular once the unknowns `gauge` are held.
+    """The diagonal of A's pseudo-inverse; None unless A is regular with the unknowns `gauge` fixed.
 
-    Eigenvectors of A cost three times as much. With the gauge held, the inverse G of the rest is a generalised
-    inverse of A, and the rest's answer to a move of the gauge spans A's null space N: A+ = (I - N N^T) G (I - N N^T).
+    A third of the time of an eigendecomposition. With the gauge fixed, the inverse G of the rest is a generalised
+    inverse of A, and the rest's response to a move of the gauge spans A's null space N: A+ = (I - N N^T) G (I - N N^T).
     """
     seen = np.diag(A) > 0
     rest = seen.copy()
@@ -424,12 +442,8 @@ def _gauge_free_variances(A: Array, gauge: NDArray[np.int64]) -> Array | None:
     return np.asarray(np.diag(G) - 2 * (GN * N).sum(1) + (N @ (N.T @ GN) * N).sum(1), float)
 
 
-_SINGULAR = 1e-12
-"""Eigenvalues below this share of the largest count as zero."""
-
-
 def _inverse(A: Array) -> Array | None:
-    """The inverse of a regular matrix; None of a singular one, to rounding."""
+    """The inverse of a matrix; None when it is numerically singular."""
     try:
         inverse = np.linalg.inv(A)
     except np.linalg.LinAlgError:

@@ -19,10 +19,10 @@ from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction
 from freeart21.recording import Query, Recording
 from freeart21.se3 import Array
-from freeart21.z_buffer import enter
+from freeart21.z_buffer import draw_triangles
 from reconstruct.gaussians.views import posed, render_views
-from reconstruct.kernels import in_threads
-from reconstruct.lumigraph import seen_alike
+from reconstruct.kernels import run_in_threads
+from reconstruct.lumigraph import view_similarity_weight
 from reconstruct.settings import RendersFrom
 from reconstruct.surfaces import vertex_normals
 
@@ -89,7 +89,7 @@ def _look(camera: Camera, meshes: list[Mesh]) -> _Look:
         if mesh.empty:
             continue
         face, weights = np.full(shape, -1), np.zeros((*shape, 3))
-        enter(camera.project(mesh.vertices), mesh.vertices[:, 2], mesh.faces, depth, face, weights)
+        draw_triangles(camera.project(mesh.vertices), mesh.vertices[:, 2], mesh.faces, depth, face, weights)
         on = face >= 0
         corners, weight = mesh.faces[face[on]], weights[on]
         which[on] = k
@@ -161,7 +161,7 @@ class _Film:
                 beside = cv2.dilate(labels[k], np.ones((3, 3)))
                 labels[k] = np.where(mask, np.where(labels[k] > 0, labels[k], beside), 0)
 
-        in_threads(load, most, 8)
+        run_in_threads(load, most, 8)
         K = recording.camera.K
         Ts = result.Ts_camera_reference[frames], result.Ts_camera_moving[frames]
         lens = (K[0, 0], K[1, 1], K[0, 2] - columns[:1].sum() - 0.5, K[1, 2] - rows[:1].sum() - 0.5)
@@ -237,7 +237,7 @@ def _blended(
     colours, agreed = np.zeros((len(points), 3)), np.zeros(len(points))
     pictures = (film.rgb, film.depth, film.labels, part + 1, *film.lens, film.tolerance[part])
     arguments = (points, normals, lit, views, film.Ts[part], frames, *pictures, colours, agreed)
-    in_threads(lambda begin, end: _blend(begin, end, *arguments), len(points), 500)
+    run_in_threads(lambda begin, end: _blend(begin, end, *arguments), len(points), 500)
     return colours, agreed
 
 
@@ -257,7 +257,9 @@ def _blend(
         weight, spoke, agreeing = 0.0, 0.0, 0.0
         total[:] = 0
         for i in frames:
-            good, u, v, pz, tilt = seen_alike(Ts[i], points[k], normals[k], lit[k], views[k], fx, fy, cx, cy)
+            good, u, v, pz, tilt = view_similarity_weight(
+                Ts[i], points[k], normals[k], lit[k], views[k], fx, fy, cx, cy
+            )
             if good == 0:
                 continue
             x0, y0 = math.floor(u), math.floor(v)

@@ -1,295 +1,326 @@
-"""Free-moving part segmentation: grow labels and poses of two parts from a seed, both ways in time.
+"""Free-moving part segmentation: labels and poses of both parts, propagated from a seed in both time directions.
 
-Growth starts free (two poses a frame); as soon as the relative motion says what the joint is, it goes on with six plus
-one degrees of freedom. Labels of a frame come from all its pixels: under both motions, against several earlier frames.
+Propagation starts with two free poses per frame. Once the relative motion determines the joint, it goes on with six
+plus one degrees of freedom. The labels of a frame come from all its pixels, under both motions, against earlier frames.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from operator import itemgetter
 
 import numpy as np
 
 from freeart21 import se3
 from freeart21.se3 import Array
 from reconstruct.evidence import Evidence
-from reconstruct.growth import Grown, Growth, body_points
-from reconstruct.hypotheses import frames_with_both
+from reconstruct.joint_type import frames_with_both_parts
 from reconstruct.labels import Frames, label_frames
-from reconstruct.pieces import is_doubtful, join, lost_stretches
 from reconstruct.poses import joint_adjustment
-from reconstruct.recovery import doubted_frames, found_anew, is_lost
-from reconstruct.scene import HopelessError
+from reconstruct.propagation import (
+    AGREEING_FRAMES,
+    AGREEMENT,
+    FINE_GATES,
+    GATES,
+    MIN_JOINTED_PIXELS,
+    MIN_PART_PIXELS,
+    REST_COST,
+    PartEstimate,
+    Propagation,
+    body_points,
+)
+from reconstruct.recovery import is_lost, recover_frame, unreliable_frames
+from reconstruct.resegmentation import find_lost_stretches, is_unreliable, replace_stretch
+from reconstruct.scene import UnsolvableError
 from reconstruct.seeds import Seed, find_seeds
 from reconstruct.settings import ReconstructSettings
 from reconstruct.tracks import Tracker
 
+BOOTSTRAP_FRAMES, BOOTSTRAP_MAX_FRAMES = 18, 48
+"""Frames with free poses before a joint is fitted: at least, and at most."""
+BOOTSTRAP_MOTION = 0.12
+"""Relative displacement of the moving part, in object diagonals, from which a joint is fitted."""
+SEED_DISTANCE = 20
+"""Smallest distance, frames, between alternative seeds."""
+SURE_COST = 0.15
+"""Mean cost of a start's frames under its joint below which no other seed is tried."""
+ADJUST_EVERY, ADJUST_SAMPLES = 16, 250
+"""Frames between joint adjustments during propagation, and their pixels per frame and part."""
+SAME_PLACE = 0.2
+"""A frame whose pose changes by less than this many units after labelling keeps its labels."""
+STRETCH_MARGIN = 40
+"""Frames beyond a lost stretch, both ways, that its new segmentation covers: there it is aligned."""
 
-def frontier(growth: Growth) -> list[tuple[int, int]]:
-    """(frame, neighbour already done) at the ends of what is done."""
-    frames, (first, last) = np.flatnonzero(growth.done), growth.span
+
+def next_frames(propagation: Propagation) -> list[tuple[int, int]]:
+    """(frame, neighbour already done) at both ends of the frames done."""
+    frames, (first, last) = np.flatnonzero(propagation.done), propagation.span
     ends = [(int(frames[-1]) + 1, int(frames[-1])), (int(frames[0]) - 1, int(frames[0]))]
     return [(i, p) for i, p in ends if first <= i <= last]
 
 
-def add_frames(growth: Growth, most: int) -> int:
-    """Add up to `most` frames, alternating between the two ends; how many were added."""
+def add_frames(propagation: Propagation, most: int) -> int:
+    """Add up to `most` frames, alternating between the two ends; returns how many were added."""
     added = 0
-    while added < most and (ends := frontier(growth)):
+    while added < most and (ends := next_frames(propagation)):
         for frame, neighbour in ends:
-            if growth.joint is None:
-                step_free(growth, frame, neighbour, tuple(growth.predictions(k, frame, neighbour) for k in range(2)))
+            if propagation.joint is None:
+                guesses = tuple(propagation.predict_part_poses(k, frame, neighbour) for k in range(2))
+                add_frame_without_joint(propagation, frame, neighbour, guesses)
             else:
-                step_jointed(growth, frame, neighbour)
+                add_frame_with_joint(propagation, frame, neighbour)
             added += 1
     return added
 
 
-def step_free(growth: Growth, frame: int, neighbour: int, starts: tuple[list[Array], ...]) -> None:
-    """Pose both parts of a frame freely, each from the best of several starts, and label it."""
-    growth.labels[frame] = growth.carried(frame, neighbour)
-    found: list[Array | None] = []
-    for k in range(2):
-        best, best_cost = None, np.inf
-        for start in starts[k]:
-            references = growth.references(k, start, frame)
-            if len(references) == 0:
-                continue
-            T, inliers = growth.registered(k, frame, start, references, growth.settings.growth.gates)
-            cost = growth.cost(k, frame, T, references)
-            if inliers >= growth.settings.growth.min_part_pixels and cost < best_cost:
-                best, best_cost = T, cost
-        found.append(best)
+def add_frame_without_joint(
+    propagation: Propagation, frame: int, neighbour: int, guesses: tuple[list[Array], ...]
+) -> None:
+    """Pose both parts of a frame independently, each from the best of its initial `guesses`, and label the frame."""
+    propagation.labels[frame] = propagation.carry_labels(frame, neighbour)
+    found = [_register_best(propagation, k, frame, guesses[k]) for k in range(2)]
     poses = []
     for k in range(2):
-        mine, other = found[k], found[1 - k]
-        if mine is None:  # a hidden part moves as if fixed to the other
-            other = growth.Ts[1 - k, neighbour] if other is None else other
-            mine = other @ se3.inverse(growth.Ts[1 - k, neighbour]) @ growth.Ts[k, neighbour]
-        poses.append(mine)
+        own, other = found[k], found[1 - k]
+        if own is None:  # a hidden part moves as if fixed to the other
+            other = propagation.Ts[1 - k, neighbour] if other is None else other
+            own = other @ se3.inverse(propagation.Ts[1 - k, neighbour]) @ propagation.Ts[k, neighbour]
+        poses.append(own)
     for last in (False, True):
-        growth.Ts[:, frame] = poses
-        growth.label(frame)
+        propagation.Ts[:, frame] = poses
+        propagation.label_frame(frame)
         for k in range(0 if last else 2):
-            references = growth.references(k, poses[k], frame)
-            if growth.seen[frame, k] and len(references):
-                T, inliers = growth.registered(k, frame, poses[k], references, (6.0, 5.0, 4.0))
-                poses[k] = T if inliers >= growth.settings.growth.min_part_pixels else poses[k]
-    growth.done[frame] = True
-    growth.body = None
+            references = propagation.references(k, poses[k], frame)
+            if propagation.seen[frame, k] and len(references):
+                T, inliers = propagation.register_part(k, frame, poses[k], references, FINE_GATES)
+                poses[k] = T if inliers >= MIN_PART_PIXELS else poses[k]
+    propagation.done[frame] = True
+    propagation.body = None
 
 
-def _by_cost(found: tuple[Array, float, float]) -> float:
-    """The cost of a registration."""
-    return found[2]
+def _register_best(propagation: Propagation, k: int, frame: int, guesses: list[Array]) -> Array | None:
+    """Part k's pose of least cost, registered from several initial guesses; None when it does not show enough."""
+    best, best_cost = None, np.inf
+    for guess in guesses:
+        references = propagation.references(k, guess, frame)
+        if len(references) == 0:
+            continue
+        T, inliers = propagation.register_part(k, frame, guess, references, GATES)
+        cost = propagation.cost(k, frame, T, references)
+        if inliers >= MIN_PART_PIXELS and cost < best_cost:
+            best, best_cost = T, cost
+    return best
 
 
-def step_jointed(growth: Growth, frame: int, neighbour: int) -> None:
-    """Pose a frame by the reference pose and the joint state, from the best of several starts, and label it."""
-    growth.labels[frame] = growth.carried(frame, neighbour)
-    starts, gates = growth.starts(frame, neighbour), growth.settings.growth.gates
-    moving = [growth.registered_jointed(frame, T, q, gates) for T, q in starts]
-    still = [growth.registered_jointed(frame, T, q, gates, True) for T, q in starts if q == growth.states[neighbour]]
-    T, q, cost = min(moving, key=_by_cost)
-    at_rest = min(still, key=_by_cost)
-    if not at_rest[2] > growth.settings.growth.rest_cost * cost:  # nor is there a motion where nothing is measured
+def add_frame_with_joint(propagation: Propagation, frame: int, neighbour: int) -> None:
+    """Pose a frame by reference pose and joint state, from the best of several initial guesses, and label it."""
+    propagation.labels[frame] = propagation.carry_labels(frame, neighbour)
+    guesses, last_state = propagation.initial_guesses(frame, neighbour), propagation.states[neighbour]
+    moving = [propagation.register_with_joint(frame, T, q, GATES) for T, q in guesses]
+    resting = [propagation.register_with_joint(frame, T, q, GATES, True) for T, q in guesses if q == last_state]
+    T, q, cost = min(moving, key=itemgetter(2))
+    at_rest = min(resting, key=itemgetter(2))
+    if not at_rest[2] > REST_COST * cost:  # also true where nothing is measured and costs are infinite
         T, q, cost = at_rest
-    rest, parted = q == growth.states[neighbour], False
-    if is_lost(growth, neighbour):
-        T, q, parted = found_anew(growth, frame, neighbour, T, q)
-    if parted:
-        cost = growth.jointed_cost(frame, T, q)
-        if growth.jumped(q - growth.states[neighbour]):
-            growth.found_again.append((frame, neighbour))
-    growth.place(frame, T, q)
-    growth.label(frame)
-    if not parted:
-        labels = growth.labels[frame].copy()
-        if growth.open[frame]:
-            growth.labels[frame][np.abs(growth.logodds[frame]) <= 1] = 0  # either part may be met there
-        T, q, cost = growth.registered_jointed(frame, T, q, (6.0, 5.0, 4.0), rest)
-        growth.labels[frame] = labels
-    if growth.moved(frame, T, q) > growth.settings.growth.same_place * growth.evidence.unit:
-        growth.place(frame, T, q)
-        growth.label(frame)
-    growth.place(frame, T, q)
-    growth.costs[frame] = cost
-    growth.done[frame] = True
+    rests, recovered = q == last_state, False
+    if is_lost(propagation, neighbour):
+        T, q, recovered = recover_frame(propagation, frame, neighbour, T, q)
+    if recovered:
+        cost = propagation.cost_with_joint(frame, T, q)
+        if propagation.is_state_jump(q - last_state):
+            propagation.recovered_frames.append((frame, neighbour))
+    propagation.set_pose(frame, T, q)
+    propagation.label_frame(frame)
+    if not recovered:
+        labels = propagation.labels[frame].copy()
+        if propagation.ambiguous[frame]:
+            propagation.labels[frame][np.abs(propagation.logodds[frame]) <= 1] = 0  # matches either part
+        T, q, cost = propagation.register_with_joint(frame, T, q, FINE_GATES, rests)
+        propagation.labels[frame] = labels
+    if propagation.displacement(frame, T, q) > SAME_PLACE * propagation.evidence.unit:
+        propagation.set_pose(frame, T, q)
+        propagation.label_frame(frame)
+    propagation.set_pose(frame, T, q)
+    propagation.costs[frame] = cost
+    propagation.done[frame] = True
 
 
-def go_back(growth: Growth, frame: int, neighbour: int) -> bool:
-    """Grow again from `frame`, where a part was found anew, over `neighbour` to where it had been lost.
+def redo_lost_frames(propagation: Propagation, frame: int, neighbour: int) -> bool:
+    """Propagate again from `frame`, where a part was recovered, over `neighbour` back to where it had been lost.
 
-    There old and new poses agree; whether they do. If not, all is as before. What lies between is no reference
-    until it is grown again.
+    Ends where new and old poses agree, and returns whether they do; if not, everything is restored. The frames between
+    are no references until they are done again.
     """
-    back = 1 if neighbour > frame else -1
-    doubted = doubted_frames(growth, neighbour, back)
-    Ts, states, logodds = growth.Ts[:, doubted].copy(), growth.states[doubted].copy(), growth.logodds[doubted].copy()
-    costs, seen = growth.costs[doubted].copy(), growth.seen[doubted].copy()
-    growth.body = growth.body_points() if growth.body is None else growth.body
-    growth.done[doubted] = False
-    alike = grown = 0
+    direction = 1 if neighbour > frame else -1
+    doubted = unreliable_frames(propagation, neighbour, direction)
+    Ts, states = propagation.Ts[:, doubted].copy(), propagation.states[doubted].copy()
+    logodds, costs = propagation.logodds[doubted].copy(), propagation.costs[doubted].copy()
+    seen = propagation.seen[doubted].copy()
+    propagation.body = propagation.body_points() if propagation.body is None else propagation.body
+    propagation.done[doubted] = False
+    agreeing = redone = 0
     for i, T, q in zip(doubted, Ts[0], states, strict=True):
-        step_jointed(growth, int(i), int(i) - back)
-        grown += 1
-        near = growth.moved(int(i), T, q) < growth.settings.growth.agreeing * growth.evidence.unit
-        alike = alike + 1 if near else 0
-        if alike == growth.settings.growth.agreeing_frames:
+        add_frame_with_joint(propagation, int(i), int(i) - direction)
+        redone += 1
+        near = propagation.displacement(int(i), T, q) < AGREEMENT * propagation.evidence.unit
+        agreeing = agreeing + 1 if near else 0
+        if agreeing == AGREEING_FRAMES:
             break
-    agreed = alike == growth.settings.growth.agreeing_frames
-    for c, i in enumerate(doubted[:grown]):
+    agreed = agreeing == AGREEING_FRAMES
+    for c, i in enumerate(doubted[:redone]):
         if not agreed:
-            growth.Ts[:, i], growth.states[i] = Ts[:, c], states[c]
-            growth.put_labels(int(i), logodds[c])
-            growth.costs[i], growth.seen[i] = costs[c], seen[c]
-    growth.done[doubted] = True
-    growth.body = None
+            propagation.Ts[:, i], propagation.states[i] = Ts[:, c], states[c]
+            propagation.set_labels(int(i), logodds[c])
+            propagation.costs[i], propagation.seen[i] = costs[c], seen[c]
+    propagation.done[doubted] = True
+    propagation.body = None
     return agreed
 
 
-def grow(
+def propagate_from_seeds(
     evidence: Evidence, tracker: Tracker, seeds: Sequence[Seed], settings: ReconstructSettings, rng: np.random.Generator
-) -> Grown:
-    """Labels, poses and joint of the whole recording from one of `seeds`, best first, and from others where that was
-    lost for long.
+) -> PartEstimate:
+    """Labels, poses and joint of the whole recording, from one of `seeds` (best first); lost stretches are segmented
+    anew.
 
-    Raises HopelessError when the second part never moves against the first.
+    Raises UnsolvableError when the second part never moves against the first.
     """
-    growth = _best_grown(evidence, tracker, seeds, settings, rng)
-    given_up: set[int] = set()
+    propagation = _best_propagation(evidence, tracker, seeds, settings, rng)
+    failed: set[int] = set()
     for _ in range(settings.pieces.most):
-        stretch = next((run for run in lost_stretches(growth) if int(run[0]) not in given_up), None)
+        stretch = next((run for run in find_lost_stretches(propagation) if int(run[0]) not in failed), None)
         if stretch is None:
             break
-        if not _mended(growth, stretch, rng):
-            given_up.add(int(stretch[0]))
-    return Grown(growth.jointed(), growth.labels, growth.logodds, growth.seen)
+        if not _resegment(propagation, stretch, rng):
+            failed.add(int(stretch[0]))
+    return PartEstimate(propagation.current_poses(), propagation.labels, propagation.logodds, propagation.seen)
 
 
-def _best_grown(
+def _best_propagation(
     evidence: Evidence, tracker: Tracker, seeds: Sequence[Seed], settings: ReconstructSettings, rng: np.random.Generator
-) -> Growth:
-    """All frames, grown from one of `seeds`, and from others if much of that is in doubt: the least cost decides."""
-    best, failure = None, HopelessError("no second part")
+) -> Propagation:
+    """The cheapest propagation over all frames; other seeds are tried only while much of it is unreliable."""
+    best, failure = None, UnsolvableError("no second part")
     for _ in range(settings.growth.attempts):
         try:
-            growth, seed = _grown_piece(evidence, tracker, seeds, settings, rng)
-        except HopelessError as error:
+            propagation, seed = _propagate_span(evidence, tracker, seeds, settings, rng)
+        except UnsolvableError as error:
             failure = error
             break
-        if best is None or np.nanmean(growth.costs) < np.nanmean(best.costs):
-            best = growth
-        if not is_doubtful(growth):
+        if best is None or np.nanmean(propagation.costs) < np.nanmean(best.costs):
+            best = propagation
+        if not is_unreliable(propagation):
             break
-        seeds = [other for other in seeds if abs(other.frame - seed.frame) >= settings.growth.beginnings_apart]
+        seeds = [other for other in seeds if abs(other.frame - seed.frame) >= SEED_DISTANCE]
     if best is None:
         raise failure
     return best
 
 
-def _grown_piece(
+def _propagate_span(
     evidence: Evidence,
     tracker: Tracker,
     seeds: Sequence[Seed],
     settings: ReconstructSettings,
     rng: np.random.Generator,
     span: tuple[int, int] | None = None,
-) -> tuple[Growth, Seed]:
-    """All frames, or those from the first to the last of `span`, grown from the returned one of `seeds`."""
-    growth, seed = _begun(evidence, tracker, seeds, settings, rng, span)
-    while frontier(growth):
-        add_frames(growth, settings.growth.adjust_every)
-        found, growth.found_again = growth.found_again, []
+) -> tuple[Propagation, Seed]:
+    """A propagation over all frames, or from `span[0]` to `span[1]`, and the seed that it started from."""
+    propagation, seed = _initial_propagation(evidence, tracker, seeds, settings, rng, span)
+    while next_frames(propagation):
+        add_frames(propagation, ADJUST_EVERY)
+        found, propagation.recovered_frames = propagation.recovered_frames, []
         for pair in found:
-            go_back(growth, *pair)
-        growth.found_again.clear()  # what the way back found leads nowhere new
-        growth.relabel_doubtful()
-        _adjust(growth, rng)
-    return growth, seed
+            redo_lost_frames(propagation, *pair)
+        propagation.recovered_frames.clear()  # those found on the way back need no second pass
+        propagation.relabel_uncertain_frames()
+        _adjust_poses(propagation, rng)
+    return propagation, seed
 
 
-def _begun(
+def _initial_propagation(
     evidence: Evidence,
     tracker: Tracker,
     seeds: Sequence[Seed],
     settings: ReconstructSettings,
     rng: np.random.Generator,
     span: tuple[int, int] | None = None,
-) -> tuple[Growth, Seed]:
-    """Grown until the joint is known, from the first of some `seeds` far apart that leads to one without doubt.
+) -> tuple[Propagation, Seed]:
+    """A propagation up to the joint, from the first of some distant `seeds` whose joint is beyond doubt, and that seed.
 
-    If all leave doubt, from that whose joint explains its frames best; of those with motion enough, if there are any.
+    Otherwise the one whose joint explains its frames best, preferring those with enough motion.
     """
-    s, chosen = settings.growth, list[Seed]()
+    chosen = list[Seed]()
     for seed in seeds:
-        if all(abs(seed.frame - other.frame) >= s.beginnings_apart for other in chosen):
+        if all(abs(seed.frame - other.frame) >= SEED_DISTANCE for other in chosen):
             chosen.append(seed)
-    best, least, failure = None, (True, np.inf), HopelessError("no second part")
-    for seed in chosen[: s.beginnings]:
+    best, least, failure = None, (True, np.inf), UnsolvableError("no second part")
+    for seed in chosen[: settings.growth.beginnings]:
         try:
-            growth = _with_joint(Growth(evidence, tracker, seed, settings, rng, span), seed)
-        except HopelessError as error:
+            propagation = _propagate_until_joint(Propagation(evidence, tracker, seed, settings, rng, span), seed)
+        except UnsolvableError as error:
             failure = error
             continue
-        still = growth.relative_motion() < s.bootstrap_motion * evidence.scene.diagonal
-        frames = np.flatnonzero(growth.done & growth.seen.all(1))
-        costs = [growth.jointed_cost(int(i), growth.Ts[0, i], growth.states[i]) for i in frames]
-        quality = still, float(np.mean(costs))
+        moves_little = propagation.relative_motion() < BOOTSTRAP_MOTION * evidence.scene.diagonal
+        frames = np.flatnonzero(propagation.done & propagation.seen.all(1))
+        costs = [propagation.cost_with_joint(int(i), propagation.Ts[0, i], propagation.states[i]) for i in frames]
+        quality = moves_little, float(np.mean(costs))
         if best is None or quality < least:
-            best, least = (growth, seed), quality
-        if least < (False, s.sure_cost):
+            best, least = (propagation, seed), quality
+        if least < (False, SURE_COST):
             break
     if best is None:
         raise failure
     return best
 
 
-def _with_joint(growth: Growth, seed: Seed) -> Growth:
-    """`growth` from `seed` on, free at first, until the relative motion says what the joint is."""
+def _propagate_until_joint(propagation: Propagation, seed: Seed) -> Propagation:
+    """Propagate from `seed` with free poses until there is enough relative motion, then fit the joint."""
     for j, T in zip(seed.others, seed.Ts, strict=True):
-        step_free(growth, int(j), int(j) - 1, ([T[0]], [T[1]]))
-    s = growth.settings.growth
-    add_frames(growth, s.bootstrap_frames - int(growth.done.sum()))
-    enough = s.bootstrap_motion * growth.evidence.scene.diagonal
-    while growth.relative_motion() < enough and growth.done.sum() < s.bootstrap_most and frontier(growth):
-        add_frames(growth, 4)
-    frames_with_both(growth.seen, growth.done)
-    growth.adopt(growth.try_joint())
-    return growth
+        add_frame_without_joint(propagation, int(j), int(j) - 1, ([T[0]], [T[1]]))
+    add_frames(propagation, BOOTSTRAP_FRAMES - int(propagation.done.sum()))
+    enough = BOOTSTRAP_MOTION * propagation.evidence.scene.diagonal
+    while (
+        propagation.relative_motion() < enough
+        and propagation.done.sum() < BOOTSTRAP_MAX_FRAMES
+        and next_frames(propagation)
+    ):
+        add_frames(propagation, 4)
+    frames_with_both_parts(propagation.seen, propagation.done)
+    propagation.set_joint(propagation.choose_joint())
+    return propagation
 
 
-def _adjust(growth: Growth, rng: np.random.Generator) -> None:
-    """All poses so far under one joint, roughly."""
-    roughly = replace(growth.settings.poses, samples=growth.settings.growth.adjust_samples)
-    asked = growth.evidence, growth.labels, growth.jointed(), growth.seen, roughly, rng
-    growth.adopt(joint_adjustment(*asked, 4, growth.done))
+def _adjust_poses(propagation: Propagation, rng: np.random.Generator) -> None:
+    """A short joint adjustment of all poses so far."""
+    known = propagation.evidence, propagation.labels, propagation.current_poses(), propagation.seen
+    settings, within = propagation.settings.poses, propagation.done
+    propagation.set_joint(joint_adjustment(*known, settings, rng, 4, within, samples=ADJUST_SAMPLES))
 
 
-def _mended(growth: Growth, stretch: Frames, rng: np.random.Generator) -> bool:
-    """Whether a piece from a seed within `stretch` took the place of what growth had found there."""
-    settings, last = growth.settings, len(growth.done) - 1
-    span = max(0, int(stretch[0]) - settings.pieces.margin), min(last, int(stretch[-1]) + settings.pieces.margin)
+def _resegment(propagation: Propagation, stretch: Frames, rng: np.random.Generator) -> bool:
+    """Segment `stretch` anew from a seed within it; returns whether the result was better and taken."""
+    settings, last = propagation.settings, len(propagation.done) - 1
+    span = max(0, int(stretch[0]) - STRETCH_MARGIN), min(last, int(stretch[-1]) + STRETCH_MARGIN)
     try:
         within = int(stretch[0]), int(stretch[-1])
-        seeds = find_seeds(growth.evidence, growth.tracker, settings.seeds, rng, within)
-        piece, _ = _grown_piece(growth.evidence, growth.tracker, seeds, settings, rng, span)
-    except HopelessError:
+        seeds = find_seeds(propagation.evidence, propagation.tracker, rng, within)
+        piece, _ = _propagate_span(propagation.evidence, propagation.tracker, seeds, settings, rng, span)
+    except UnsolvableError:
         return False
-    if not join(growth, piece, stretch):
+    if not replace_stretch(propagation, piece, stretch):
         return False
-    _adjust(growth, rng)
+    _adjust_poses(propagation, rng)
     return True
 
 
-def relabel(evidence: Evidence, grown: Grown, settings: ReconstructSettings, rng: np.random.Generator) -> Grown:
-    """Labels of all frames anew, given all poses."""
-    Ts = np.stack([grown.poses.Ts, grown.poses.Ts_moving])
-    body = body_points(evidence, grown.labels, Ts[1], grown.seen[:, 1])
-    logodds = label_frames(evidence, Ts, body, grown.seen, grown.logodds, rng)
-    scene, least = evidence.scene, settings.growth.min_jointed_pixels
-    labels = np.where(scene.mask, (logodds > 0) + np.uint8(1), np.uint8(0))
+def relabel_frames(evidence: Evidence, estimate: PartEstimate, rng: np.random.Generator) -> PartEstimate:
+    """`estimate` with new labels in all frames, given all poses."""
+    Ts = np.stack([estimate.poses.Ts, estimate.poses.Ts_moving])
+    body = body_points(evidence, estimate.labels, Ts[1], estimate.seen[:, 1])
+    logodds = label_frames(evidence, Ts, body, estimate.seen, estimate.logodds, rng)
+    labels = np.where(evidence.scene.mask, (logodds > 0) + np.uint8(1), np.uint8(0))
     sure = np.abs(logodds) > 1
-    seen = [[evidence.usable(i, (labels[i] == k) & sure[i]).sum() >= least for k in (1, 2)] for i in range(len(labels))]
-    return replace(grown, labels=labels, logodds=logodds, seen=np.array(seen))
+    counts = [[evidence.usable_pixels(i, (labels[i] == k) & sure[i]).sum() for k in (1, 2)] for i in range(len(labels))]
+    return replace(estimate, labels=labels, logodds=logodds, seen=np.array(counts) >= MIN_JOINTED_PIXELS)

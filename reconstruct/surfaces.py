@@ -1,4 +1,4 @@
-"""Fusion of every part's depth into a coloured mesh. What no frame showed gets no triangle."""
+"""Fusion of each part's depth into a coloured mesh. Unobserved places get no triangle."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from skimage.measure import marching_cubes
 from freeart21 import se3
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
-from reconstruct.evidence import evenly
-from reconstruct.kernels import in_threads
+from reconstruct.evidence import sample_evenly
+from reconstruct.kernels import run_in_threads
 from reconstruct.scene import Floats, Scene
 from reconstruct.settings import SurfaceSettings
 
@@ -27,11 +27,22 @@ Faces = NDArray[np.int64]
 
 BLOCK = 4
 """Voxels along the edge of a block: the unit in which the neighbourhood of the surface is marked."""
-
+MAX_VOXELS = 16_000_000
+"""In the box round a part; most of them are far from any surface and never visited."""
+TRUNCATION = 3.0
+"""Voxels in front of the surface over which a depth measurement counts."""
+BEHIND = 2.0
+"""Voxels behind the surface over which it counts: thinner sheets grow thicker."""
+MAX_FRAMES = 80
+"""Frames that are fused, evenly spaced."""
+MIN_COMPONENT = 0.1
+"""Connected components smaller than this share of the largest are dropped."""
+SHARPNESS = 6.0
+"""Power of a view's quality (frontal, near) in the mean colour: high values let the best views dominate."""
 FOREIGN = 3
-"""Frames that must see the other part at a place before it can be taken from this one."""
+"""Frames that must show the other part at a vertex before it is removed from this one."""
 EMPTY = 0.5
-"""Weight of a background pixel's word that a place is free; a pixel that faces the surface squarely has 1."""
+"""Weight of a background pixel as evidence of free space; a pixel that faces the surface has 1."""
 
 
 def fuse(
@@ -39,45 +50,44 @@ def fuse(
 ) -> Mesh:
     """The mesh of one part (1 or 2), in the frame that `Ts` (n, 4, 4) take to the camera; empty when never seen.
 
-    A truncated signed distance field averaged over the frames `used` (n,) (Curless and Levoy 1996), of distances to
-    the pixels' planes; pixels of the other part and of the background say what is free, and cells no frame spoke of
-    are left open.
+    A truncated signed distance field averaged over the frames `used` (n,) (Curless and Levoy 1996), of distances to the
+    pixels' planes. Pixels of the other part and of the background mark free space; unobserved cells stay open.
     """
-    frames = evenly(np.flatnonzero(used), settings.max_frames)
-    points = _cloud(scene, labels, part, Ts, frames)
+    frames = sample_evenly(np.flatnonzero(used), MAX_FRAMES)
+    points = _part_points(scene, labels, part, Ts, frames)
     if len(points) < 100:
-        return _nothing()
+        return _empty_mesh()
     T_part_grid, shape, voxel = _grid(scene, points, settings)
     Ts_grid = Ts @ T_part_grid
-    reach = settings.truncation * voxel + 2 * scene.noise
-    near = _near_blocks(se3.transform(se3.inverse(T_part_grid), points), voxel, shape, reach)
+    reach = TRUNCATION * voxel + 2 * scene.noise
+    near = _blocks_near_points(se3.transform(se3.inverse(T_part_grid), points), voxel, shape, reach)
     field, weight = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    pictures = (scene.points, scene.normals, scene.mask, labels, _to_rim(scene, labels, part, frames))
+    pictures = (scene.points, scene.normals, scene.mask, labels, _rim_distances(scene, labels, part, frames))
     lens = (scene.fx, scene.fy, scene.cx, scene.cy)
-    distances = (reach, settings.behind * voxel + 2 * scene.noise, 0.5 * voxel + scene.noise)
+    distances = (reach, BEHIND * voxel + 2 * scene.noise, 0.5 * voxel + scene.noise)
     blocks = np.argwhere(near)
     arguments = (field, weight, blocks, voxel, Ts_grid, frames, *pictures, part, *lens, *distances)
-    in_threads(lambda begin, end: _integrate(begin, end, *arguments), len(blocks), 100)
+    run_in_threads(lambda begin, end: _integrate(begin, end, *arguments), len(blocks), 100)
     known = weight > 0
     if not (field[known] < 0).any():
-        return _nothing()
+        return _empty_mesh()
     field[~known] = 1
     vertices, faces, _, _ = marching_cubes(field, 0.0)
-    vertices, faces = _observed(vertices, faces, known)
-    vertices, faces = _large_pieces(vertices, faces, settings.min_component)
+    vertices, faces = _drop_unobserved(vertices, faces, known)
+    vertices, faces = _drop_small_components(vertices, faces)
     vertices = (vertices * voxel).astype(float)
     tolerance = 2 * voxel + 3 * scene.noise
-    colours, foreign = _colours(scene, labels, part, Ts_grid, frames, vertices, faces, tolerance, settings.sharpness)
+    colours, foreign = _colour_vertices(scene, labels, part, Ts_grid, frames, vertices, faces, tolerance)
     mesh = Mesh(se3.transform(T_part_grid, vertices), faces, colours)
     return mesh.with_faces(foreign[faces].sum(1) == 0)
 
 
-def _nothing() -> Mesh:
+def _empty_mesh() -> Mesh:
     return Mesh(np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros((0, 3), np.uint8))
 
 
-def _cloud(scene: Scene, labels: Labels, part: int, Ts: Array, frames: NDArray[np.int64]) -> Array:
-    """The part's points in its own frame, one of three."""
+def _part_points(scene: Scene, labels: Labels, part: int, Ts: Array, frames: NDArray[np.int64]) -> Array:
+    """Every third point of the part, in its own frame."""
     clouds = [np.zeros((0, 3))]
     for i in frames:
         mine = (labels[i] == part) & scene.valid[i]
@@ -88,7 +98,7 @@ def _cloud(scene: Scene, labels: Labels, part: int, Ts: Array, frames: NDArray[n
 def _grid(scene: Scene, points: Array, settings: SurfaceSettings) -> tuple[Array, NDArray[np.int64], float]:
     """T_part_grid of a box along the principal axes of the points, its voxels each way, and a voxel's edge, metres.
 
-    The grid's frame has the centre of the first voxel at its origin.
+    The grid's origin is the centre of the first voxel.
     """
     axes = np.linalg.eigh(np.cov(points.T))[1]
     axes[:, 2] *= np.sign(np.linalg.det(axes))
@@ -96,14 +106,14 @@ def _grid(scene: Scene, points: Array, settings: SurfaceSettings) -> tuple[Array
     low, high = np.percentile(along, 0.1, axis=0), np.percentile(along, 99.9, axis=0)
     voxel = settings.voxel * scene.footprint
     for _ in range(3):
-        pad = (settings.truncation + 3) * voxel + 2 * scene.noise + 0.01 * scene.diagonal
+        pad = (TRUNCATION + 3) * voxel + 2 * scene.noise + 0.01 * scene.diagonal
         volume = float(np.prod(high - low + 2 * pad))
-        voxel = max(voxel, (volume / settings.max_voxels) ** (1 / 3))
+        voxel = max(voxel, (volume / MAX_VOXELS) ** (1 / 3))
     shape = (np.ceil((high - low + 2 * pad) / voxel / BLOCK).astype(int) + 1) * BLOCK
     return se3.pose(axes, axes @ (low - pad)), shape, voxel
 
 
-def _near_blocks(points_grid: Array, voxel: float, shape: NDArray[np.int64], reach: float) -> NDArray[np.bool_]:
+def _blocks_near_points(points_grid: Array, voxel: float, shape: NDArray[np.int64], reach: float) -> NDArray[np.bool_]:
     """(shape / BLOCK) blocks within `reach`, metres, of a point."""
     blocks = shape // BLOCK
     at = np.floor(points_grid / (BLOCK * voxel)).astype(int)
@@ -113,10 +123,11 @@ def _near_blocks(points_grid: Array, voxel: float, shape: NDArray[np.int64], rea
     return binary_dilation(near, np.ones((3, 3, 3)), math.ceil((reach + voxel) / (BLOCK * voxel)))
 
 
-def _to_rim(scene: Scene, labels: Labels, part: int, frames: NDArray[np.int64]) -> Floats:
-    """(frames, h, w) pixels to the part's rim: its pixels beside others, or beside what lies well behind them.
+def _rim_distances(scene: Scene, labels: Labels, part: int, frames: NDArray[np.int64]) -> Floats:
+    """(frames, h, w) signed distance, pixels, to the part's rim: its pixels next to others, or in front of a depth
+    step.
 
-    Positive within the part, 0 on the rim; outside of it minus the distance to the part.
+    Positive within the part, 0 on the rim; outside, minus the distance to the part.
     """
     distance = np.zeros((len(frames), *scene.mask.shape[1:]), np.float32)
     jump = 4 * (scene.footprint + scene.noise)
@@ -125,48 +136,48 @@ def _to_rim(scene: Scene, labels: Labels, part: int, frames: NDArray[np.int64]) 
         depth = scene.points[i, ..., 2]
         depth = np.where(mine & scene.valid[i], depth, np.where(scene.mask[i] | (depth == 0), np.float32(1e6), -depth))
         rim = (cv2.dilate(depth, np.ones((3, 3))) > depth + jump) & mine
-        distance[k] = _distance(rim) * mine - _distance(mine)
+        distance[k] = _distance_to(rim) * mine - _distance_to(mine)
     return distance
 
 
-def _distance(places: NDArray[np.bool_]) -> Floats:
-    """(h, w) pixels to the nearest of the places, or the picture's size when there is none."""
+def _distance_to(places: NDArray[np.bool_]) -> Floats:
+    """(h, w) pixels to the nearest of the places; the sum of the image's sides when there is none."""
     if not places.any():
         return np.full(places.shape, sum(places.shape), np.float32)
     return cv2.distanceTransform((~places).astype(np.uint8), cv2.DIST_L2, 5).astype(np.float32, copy=False)
 
 
-def _observed(vertices: Array, faces: Faces, known: NDArray[np.bool_]) -> tuple[Array, Faces]:
-    """Faces all of whose vertices lie between two voxels that some frame measured."""
+def _drop_unobserved(vertices: Array, faces: Faces, known: NDArray[np.bool_]) -> tuple[Array, Faces]:
+    """Faces all of whose vertices lie between two observed voxels."""
     lower, upper = np.floor(vertices).astype(int), np.ceil(vertices).astype(int)
     seen = known[tuple(lower.T)] & known[tuple(upper.T)]
-    return _used_only(vertices, faces[seen[faces].all(1)])
+    return _drop_unused_vertices(vertices, faces[seen[faces].all(1)])
 
 
-def _large_pieces(vertices: Array, faces: Faces, least: float) -> tuple[Array, Faces]:
-    """Connected pieces with at least the share `least` of the largest piece's faces."""
+def _drop_small_components(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
+    """Connected components with at least MIN_COMPONENT of the faces of the largest."""
     if len(faces) == 0:
         return vertices, faces
-    piece = label_pieces(faces, len(vertices))
-    sizes = np.bincount(piece)
-    return _used_only(vertices, faces[sizes[piece] >= least * sizes.max()])
+    component = label_components(faces, len(vertices))
+    sizes = np.bincount(component)
+    return _drop_unused_vertices(vertices, faces[sizes[component] >= MIN_COMPONENT * sizes.max()])
 
 
-def label_pieces(faces: Faces, n: int) -> NDArray[np.int64]:
-    """(F,) number of the connected piece that each face, of `n` vertices, belongs to."""
+def label_components(faces: Faces, n: int) -> NDArray[np.int64]:
+    """(F,) connected component of each face; `n` is the number of vertices."""
     rows, columns = faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()
-    piece = connected_components(coo_matrix((np.ones(len(rows)), (rows, columns)), (n, n)), directed=False)[1]
-    return np.asarray(piece[faces[:, 0]], np.int64)
+    component = connected_components(coo_matrix((np.ones(len(rows)), (rows, columns)), (n, n)), directed=False)[1]
+    return np.asarray(component[faces[:, 0]], np.int64)
 
 
-def _used_only(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
-    """The same faces without vertices that none of them uses."""
+def _drop_unused_vertices(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
+    """The same faces without unused vertices."""
     used, new = np.unique(faces, return_inverse=True)
     return vertices[used], new.reshape(-1, 3).astype(np.int64)
 
 
 def vertex_normals(vertices: Array, faces: Faces) -> Array:
-    """(V, 3) unit outward normals, faces counted by area."""
+    """(V, 3) unit outward normals, weighted by face area."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     face_normals = np.cross(b - a, c - a)
     normals = np.stack(
@@ -175,7 +186,7 @@ def vertex_normals(vertices: Array, faces: Faces) -> Array:
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
 
 
-def _colours(
+def _colour_vertices(
     scene: Scene,
     labels: Labels,
     part: int,
@@ -184,20 +195,18 @@ def _colours(
     vertices: Array,
     faces: Faces,
     tolerance: float,
-    sharpness: float,
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """(V, 3) RGB from the frames that see a vertex best; one that no frame saw takes that of the nearest seen.
+    """(V, 3) RGB from the frames that see a vertex best; unseen vertices take the colour of the nearest seen one.
 
-    And (V,) vertices of the other part: where its pixels lie on them far oftener than this part's, a few pixels were
-    labelled wrongly.
+    Also (V,) which vertices belong to the other part: its pixels lie on them far more often, so some labels were wrong.
     """
     normals = vertex_normals(vertices, faces)
     colours, weight = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
     owners = np.zeros((len(vertices), 2), np.int32)
     lens = (scene.fx, scene.fy, scene.cx, scene.cy)
     pictures = (scene.rgb, scene.points, scene.edge, labels)
-    arguments = (vertices, normals, Ts, frames, *pictures, part, *lens, tolerance, sharpness, colours, weight, owners)
-    in_threads(lambda begin, end: _sample_colours(begin, end, *arguments), len(vertices), 1000)
+    arguments = (vertices, normals, Ts, frames, *pictures, part, *lens, tolerance, colours, weight, owners)
+    run_in_threads(lambda begin, end: _sample_colours(begin, end, *arguments), len(vertices), 1000)
     seen = weight > 0
     if seen.any() and not seen.all():
         colours[~seen] = colours[seen][cKDTree(vertices[seen]).query(vertices[~seen])[1]]
@@ -207,10 +216,10 @@ def _colours(
 
 @njit(nogil=True, cache=True)
 def _sample_colours(
-    begin, end, vertices, normals, Ts, frames, rgb, points, edge, labels, part, fx, fy, cx, cy, tolerance, sharpness,
-    colours, weights, owners,
+    begin, end, vertices, normals, Ts, frames, rgb, points, edge, labels, part, fx, fy, cx, cy, tolerance, colours,
+    weights, owners,
 ):  # pragma: no cover  # fmt: skip
-    """Mean of bilinear samples, weighted by the cosine of the view angle over depth to the power `sharpness`.
+    """Mean of bilinear samples, weighted by (cosine of the view angle over depth) to the power SHARPNESS.
 
     `owners` (V, 2) counts the frames whose nearest pixel lies on the vertex: of this part, and of the other.
     """
@@ -256,7 +265,7 @@ def _sample_colours(
                         sample[d] += s * rgb[i, y, x, d]
             if share < 0.1:
                 continue
-            good = (share * facing / pz) ** sharpness
+            good = (share * facing / pz) ** SHARPNESS
             weight += good
             for d in range(3):
                 total[d] += good * sample[d] / share
@@ -266,16 +275,58 @@ def _sample_colours(
                 colours[k, d] = total[d] / weight
 
 
+@njit(nogil=True, cache=True, inline="always")
+def _interpolate(image, u, v):  # pragma: no cover
+    """Bilinear value of `image` (h, w) at column u and row v."""
+    x0, y0 = math.floor(u), math.floor(v)
+    p, q = u - x0, v - y0
+    above = (1 - p) * image[y0, x0] + p * image[y0, x0 + 1]
+    below = (1 - p) * image[y0 + 1, x0] + p * image[y0 + 1, x0 + 1]
+    return (1 - q) * above + q * below
+
+
+@njit(nogil=True, cache=True)
+def _observe(
+    px, py, pz, xi, yi, points, normals, mask, labels, part, reach, behind, sure
+):  # pragma: no cover  # fmt: skip
+    """Distance, in units of `reach`, and weight of the voxel at (px, py, pz), camera frame, from the pixel (xi, yi).
+
+    Weight 0 without evidence.
+    """
+    around = -points[yi, xi, 2]
+    if around > 0 and pz > around - reach:
+        return 1.0, 0.0
+    if not mask[yi, xi]:
+        return 1.0, EMPTY
+    depth, label = points[yi, xi, 2], labels[yi, xi]
+    if depth <= 0 or label == 0 or pz - depth > 2.2 * reach:
+        return 1.0, 0.0
+    n0, n1, n2 = normals[yi, xi, 0], normals[yi, xi, 1], normals[yi, xi, 2]
+    across = n0 * px + n1 * py + n2 * pz
+    distance = across - (n0 * points[yi, xi, 0] + n1 * points[yi, xi, 1] + n2 * depth)
+    if distance < -behind:
+        return 1.0, 0.0
+    facing = -across / math.sqrt(px * px + py * py + pz * pz)
+    if facing < 0.05:
+        return 1.0, 0.0
+    weight = facing * facing
+    if label != part and distance < 2 * sure:
+        return 1.0, 0.0
+    if distance < -sure:
+        weight *= (distance + behind) / (behind - sure)
+    return min(1.0, distance / reach), weight
+
+
 @njit(nogil=True, cache=True)
 def _integrate(
-    begin, end, field, weight, blocks, voxel, Ts, frames, points, normals, mask, labels, to_rim, part, fx, fy, cx, cy,
-    reach, behind, sure,
+    begin, end, field, weight, blocks, voxel, Ts, frames, points, normals, mask, labels, rim_distance, part, fx, fy, cx,
+    cy, reach, behind, sure,
 ):  # pragma: no cover  # fmt: skip
     """Average, over frames, of the distance in units of `reach`, in [-1, 1]; > 0 is free. Blocks begin to end.
 
-    A pixel of the part is a piece of plane. In front of it the distance counts in full; behind it, where the far side
-    of a thin sheet may be, it counts less and less from `sure` to `behind`. Any other pixel says that what lies in
-    front of its surface is free. No free place is farther from the part than, across the picture, from the part's rim.
+    A pixel of the part is a piece of plane. In front of it the distance has full weight; behind it, where the far side
+    of a thin sheet may be, the weight falls from `sure` to `behind`. Any other pixel marks the space in front of its
+    surface as free. The distance of free space is at most the one, across the image, to the part's rim.
     """
     h, w = labels.shape[1], labels.shape[2]
     sums, weights = np.zeros((BLOCK, BLOCK, BLOCK)), np.zeros((BLOCK, BLOCK, BLOCK))
@@ -285,6 +336,7 @@ def _integrate(
         for f in range(frames.shape[0]):
             i = frames[f]
             T = Ts[i]
+            frame_points, frame_normals, frame_mask, frame_labels = points[i], normals[i], mask[i], labels[i]
             for a in range(BLOCK):
                 for b in range(BLOCK):
                     x, y, z = (first[0] + a) * voxel, (first[1] + b) * voxel, first[2] * voxel
@@ -301,39 +353,14 @@ def _integrate(
                         xi, yi = math.floor(u + 0.5), math.floor(v + 0.5)
                         if xi < 1 or yi < 1 or xi >= w - 1 or yi >= h - 1:
                             continue
-                        value, vote = 1.0, EMPTY
-                        label = labels[i, yi, xi]
-                        mine = label == part
-                        around = -points[i, yi, xi, 2]
-                        if around > 0 and pz > around - reach:
+                        value, vote = _observe(
+                            px, py, pz, xi, yi, frame_points, frame_normals, frame_mask, frame_labels, part, reach,
+                            behind, sure,
+                        )  # fmt: skip
+                        if vote == 0:
                             continue
-                        if mask[i, yi, xi]:
-                            depth = points[i, yi, xi, 2]
-                            if depth <= 0 or label == 0 or pz - depth > 2.2 * reach:
-                                continue
-                            n0, n1, n2 = normals[i, yi, xi, 0], normals[i, yi, xi, 1], normals[i, yi, xi, 2]
-                            across = n0 * px + n1 * py + n2 * pz
-                            distance = across - (n0 * points[i, yi, xi, 0] + n1 * points[i, yi, xi, 1] + n2 * depth)
-                            if distance < -behind:
-                                continue
-                            facing = -across / math.sqrt(px * px + py * py + pz * pz)
-                            if facing < 0.05:
-                                continue
-                            vote = facing * facing
-                            if distance < 0:
-                                if not mine:
-                                    continue
-                                if distance < -sure:
-                                    vote *= (distance + behind) / (behind - sure)
-                            elif not mine and distance < 2 * sure:
-                                continue
-                            value = min(1.0, distance / reach)
-                        if value > 0 and to_rim[f, yi, xi] != 0 and abs(to_rim[f, yi, xi]) < 12:
-                            x0, y0 = math.floor(u), math.floor(v)
-                            p, q = u - x0, v - y0
-                            rim = (1 - q) * ((1 - p) * to_rim[f, y0, x0] + p * to_rim[f, y0, x0 + 1]) + q * (
-                                (1 - p) * to_rim[f, y0 + 1, x0] + p * to_rim[f, y0 + 1, x0 + 1]
-                            )
+                        if value > 0 and rim_distance[f, yi, xi] != 0 and abs(rim_distance[f, yi, xi]) < 12:
+                            rim = _interpolate(rim_distance[f], u, v)
                             value = min(value, max(0.0, abs(rim) - 0.5) * pz / (fx * reach))
                         sums[a, b, c] += vote * value
                         weights[a, b, c] += vote

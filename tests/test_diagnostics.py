@@ -31,12 +31,12 @@ from freeart21.view.curves import Chart, Curve, curves_section
 from freeart21.view.diagnosis import diagnosis_section, remarks, remarks_section
 from freeart21.view.parts import axis_in_pictures
 from leaderboard.submission import read_submission
-from reconstruct.cache import Kept, Known, _packed, _read
-from reconstruct.diagnostics import _means, agreement, diagnose, label_probability
+from reconstruct.cache import CachedStage, SolverState, _pack_stage, _read_stage
+from reconstruct.diagnostics import _means, diagnose, label_probability, measure_agreement
 from reconstruct.evidence import Evidence
-from reconstruct.growth import Grown
-from reconstruct.poses import FreePoses, JointedPoses, part_samples
-from reconstruct.scene import prepare
+from reconstruct.poses import GATE, FreePoses, JointedPoses, part_samples
+from reconstruct.propagation import PartEstimate
+from reconstruct.scene import prepare_scene
 from reconstruct.settings import EvidenceSettings, JointSettings, LabelSettings, PoseSettings, SceneSettings
 
 N, H, W, DEPTH, FOCAL = 6, 40, 48, 1.0, 100.0
@@ -58,7 +58,9 @@ def walls(bulge=0.0, hole=False, recede=0.0):
         depth = np.where(mask, DEPTH + recede * i + (bulge if i == 2 else 0), 0).astype(np.float32)
         return Frame(np.zeros((*mask.shape, 3), np.uint8), depth, mask)
 
-    scene = prepare(Recording(camera, np.arange(N) / 30, load), SceneSettings(max_crop_pixels=H * W, min_frames=N))
+    scene = prepare_scene(
+        Recording(camera, np.arange(N) / 30, load), SceneSettings(max_crop_pixels=H * W, min_frames=N)
+    )
     labels = np.where(np.arange(W) < W / 2, 1, 2).astype(np.uint8) * scene.mask
     return Evidence(scene, EvidenceSettings(), LabelSettings()), labels
 
@@ -66,7 +68,7 @@ def walls(bulge=0.0, hole=False, recede=0.0):
 def measured(evidence, labels, Ts, part=1, gate=0.05):
     samples = part_samples(evidence, labels, part, 200, np.random.default_rng(0), np.ones(N, bool))
     i, j = np.nonzero(~np.eye(N, dtype=bool))
-    return agreement(evidence, labels, part, Ts, samples, (i, j), gate)
+    return measure_agreement(evidence, labels, part, Ts, samples, (i, j), gate)
 
 
 def still(offset=0.0, frame=2):
@@ -144,7 +146,7 @@ def grown_of(labels, joint_off=0.0, hidden=None):
     if hidden is not None:
         seen[hidden, 1] = False
     poses = JointedPoses(joint, np.zeros(N), Ts, np.full(N, 0.001), 0.1)
-    return Grown(poses, labels, np.where(labels == 2, 3.0, -3.0).astype(np.float32), seen)
+    return PartEstimate(poses, labels, np.where(labels == 2, 3.0, -3.0).astype(np.float32), seen)
 
 
 def test_diagnosis_of_both_parts_by_both_kinds_of_poses():
@@ -164,7 +166,7 @@ def test_diagnosis_of_both_parts_by_both_kinds_of_poses():
     assert found.residual_m[[0, 1, 2, 3, 5]] == pytest.approx(np.zeros((5, 2)), abs=1e-6)
     assert found.jointed_residual_m[2] == pytest.approx([0.002, 0.002], rel=1e-3)
     assert np.isnan(found.residual_m[4, 1]) and found.residual_m[4, 0] == pytest.approx(0, abs=1e-6)
-    assert found.gate_m == pytest.approx(PoseSettings().gate * evidence.unit)
+    assert found.gate_m == pytest.approx(GATE * evidence.unit)
     again = diagnose(evidence, grown_of(labels, joint_off=0.002, hidden=4), free, *SETTINGS)
     assert diagnostics_to_json(found) | {"peak_bytes": 0} == diagnostics_to_json(again) | {"peak_bytes": 0}
 
@@ -180,10 +182,12 @@ def test_parts_never_seen_have_no_numbers():
 def test_kept_with_the_last_stage(tmp_path):
     found = replace(sample_diagnostics(), confidence_maps=np.arange(24, dtype=np.uint8).reshape(6, 2, 2))
     path = tmp_path / "surfaces.npz"
-    path.write_bytes(_packed(Kept("surfaces", Known(diagnostics=found), np.random.default_rng(0)), "key"))
-    kept = _read(path, "surfaces", "key")
-    assert diagnostics_to_json(kept.known.diagnostics) == diagnostics_to_json(found)
-    assert (kept.known.diagnostics.confidence_maps == found.confidence_maps).all()
+    path.write_bytes(
+        _pack_stage(CachedStage("surfaces", SolverState(diagnostics=found), np.random.default_rng(0)), "key")
+    )
+    kept = _read_stage(path, "surfaces", "key")
+    assert diagnostics_to_json(kept.state.diagnostics) == diagnostics_to_json(found)
+    assert (kept.state.diagnostics.confidence_maps == found.confidence_maps).all()
 
 
 # ---------------------------------------------------------------- the file

@@ -1,7 +1,5 @@
 """Gauss-Newton over the pixels: steps go home, and what the model's own surface would take back is left out of them."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import trimesh
@@ -10,10 +8,10 @@ from scipy.ndimage import map_coordinates
 from freeart21 import se3
 from freeart21.mesh import Mesh
 from reconstruct.gaussians import numba_backend
-from reconstruct.gaussians.alignment import CELLS, HOLD, Scales, Terms, alignment_terms, reduced
-from reconstruct.gaussians.initial import discs
+from reconstruct.gaussians.alignment import CELLS, HOLD, Scales, Terms, alignment_terms, eliminate_patches
+from reconstruct.gaussians.initial import place_discs
 from reconstruct.gaussians.losses import Target
-from reconstruct.gaussians.model import splats_of
+from reconstruct.gaussians.model import make_splats
 from reconstruct.gaussians.rasteriser import Lens
 from reconstruct.settings import GaussianSettings
 
@@ -39,13 +37,13 @@ def textured(extents, centre, seed):
 
 @pytest.fixture(scope="module")
 def model():
+    """Discs of one part each."""
     meshes = textured((0.3, 0.2, 0.06), (0, 0, 0), 0), textured((0.12, 0.18, 0.06), (0.0, 0.0, 0.12), 1)
-    settings = replace(GaussianSettings(), sure=0.9999)
-    return discs(meshes, 0.004, settings, np.random.default_rng(0)).gaussians(blended=False)
+    return place_discs(meshes, 0.004, GaussianSettings(), np.random.default_rng(0)).gaussians(blended=False)
 
 
 def shown(model, poses):
-    splats, _ = splats_of(model, poses)
+    splats, _ = make_splats(model, poses)
     return numba_backend.rasterise(splats, poses, LENS)[0]
 
 
@@ -151,7 +149,7 @@ def test_eliminating_the_patches_solves_the_whole_system(part):
     still = 1e-3 * np.eye(6 * n)  # all parts may move together
     whole[: 6 * n, : 6 * n] += still
     expected = np.linalg.solve(whole, -right)
-    found = reduced(terms, n)
+    found = eliminate_patches(terms, n)
     twists = np.linalg.solve(found.A[part] + still, -found.b[part])
     np.testing.assert_allclose(twists, expected[: 6 * n], atol=2e-5)
     both = (twists, np.zeros(6 * n)) if part == 0 else (np.zeros(6 * n), twists)
@@ -161,10 +159,10 @@ def test_eliminating_the_patches_solves_the_whole_system(part):
 def test_a_frame_before_a_fixed_model_does_not_move_the_surface():
     terms, _ = said()
     alone = {i: t.before_a_fixed_model() for i, t in terms.items()}
-    found = reduced(alone, 7)
+    found = eliminate_patches(alone, 7)
     assert not found.shifts((np.ones(42), np.ones(42))).any()
     np.testing.assert_allclose(found.A[0][:6, :6], terms[0].H[0])
-    assert np.abs(reduced(terms, 7).A[0][:6, :6] - terms[0].H[0]).max() > 1
+    assert np.abs(eliminate_patches(terms, 7).A[0][:6, :6] - terms[0].H[0]).max() > 1
 
 
 def test_coarse_pixels_see_farther(model):

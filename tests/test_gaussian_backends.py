@@ -17,9 +17,9 @@ from reconstruct.gaussians.rasteriser import Lens, Splats
 
 @pytest.fixture(autouse=True)
 def asked_anew():
-    gsplat_backend.fault.cache_clear()
+    gsplat_backend.rendering_error.cache_clear()
     yield
-    gsplat_backend.fault.cache_clear()
+    gsplat_backend.rendering_error.cache_clear()
 
 
 @pytest.fixture
@@ -99,10 +99,10 @@ def test_gradients_by_gsplat_without_its_kernels(without_kernels, name):
 
 
 def test_both_backends_on_a_gpu():
-    lack = gsplat_backend.lack()
+    lack = gsplat_backend.missing_requirement()
     if lack:
         pytest.skip(f"no gsplat on a GPU: {lack}")
-    assert gsplat_backend.fault() is None
+    assert gsplat_backend.rendering_error() is None
     some, lens = splats(3000, 40, (0.002, 0.02)), Lens(300.0, 300.0, 101.0, 83.0, 203, 165)
     rng = np.random.default_rng(41)
     weights = [rng.normal(size=s).astype(np.float32) for s in ((165, 203, 3), (165, 203), (165, 203))]
@@ -121,19 +121,19 @@ def test_both_backends_on_a_gpu():
 
 def test_without_a_package_the_processor_draws(monkeypatch):
     monkeypatch.setattr(gsplat_backend.importlib.util, "find_spec", lambda name: None)
-    assert backends.choose() is numba_backend.rasterise
-    name, why = backends.outlook()
+    assert backends.choose_backend() is numba_backend.rasterise
+    name, why = backends.predict_backend()
     assert name == "numba" and why.startswith("on the processor: torch is not installed (")
     with pytest.raises(FreeArtError, match="cannot be drawn by gsplat here: torch is not installed") as raised:
-        backends.choose("gsplat")
+        backends.choose_backend("gsplat")
     assert "\n" not in str(raised.value)
 
 
 def test_a_torch_that_cannot_be_imported_is_no_crash_of_ours(monkeypatch):
     monkeypatch.setattr(gsplat_backend.importlib.util, "find_spec", lambda name: name)
     monkeypatch.setitem(sys.modules, "torch", None)
-    assert gsplat_backend.lack().startswith("torch cannot be imported: ")
-    assert backends.choose() is numba_backend.rasterise
+    assert gsplat_backend.missing_requirement().startswith("torch cannot be imported: ")
+    assert backends.choose_backend() is numba_backend.rasterise
 
 
 def _torch(cuda, toolkit):
@@ -162,21 +162,21 @@ def test_what_is_missing_is_named(monkeypatch, tmp_path, cuda, toolkit, built, e
     monkeypatch.setattr(gsplat_backend.shutil, "which", lambda name: None)
     specs = {"torch": 1, "gsplat": 1, **({"gsplat.csrc": 1} if built else {})}
     monkeypatch.setattr(gsplat_backend.importlib.util, "find_spec", specs.get)
-    lack = gsplat_backend.lack()
+    lack = gsplat_backend.missing_requirement()
     assert lack is None if expected is None else expected in lack
-    assert backends.outlook()[0] == ("gsplat" if expected is None else "numba")
+    assert backends.predict_backend()[0] == ("gsplat" if expected is None else "numba")
 
 
 def test_gsplat_is_taken_where_it_works_and_only_there(stand_in, monkeypatch):
-    monkeypatch.setattr(gsplat_backend, "lack", lambda: None)
-    assert backends.choose("numba") is numba_backend.rasterise
-    assert backends.choose() is gsplat_backend.rasterise
-    assert backends.choose("gsplat") is gsplat_backend.rasterise
-    gsplat_backend.fault.cache_clear()
+    monkeypatch.setattr(gsplat_backend, "missing_requirement", lambda: None)
+    assert backends.choose_backend("numba") is numba_backend.rasterise
+    assert backends.choose_backend() is gsplat_backend.rasterise
+    assert backends.choose_backend("gsplat") is gsplat_backend.rasterise
+    gsplat_backend.rendering_error.cache_clear()
     monkeypatch.setitem(sys.modules, "gsplat", types.SimpleNamespace(rasterization=stand_in.broken))
-    assert backends.choose() is numba_backend.rasterise
+    assert backends.choose_backend() is numba_backend.rasterise
     with pytest.raises(FreeArtError, match="gsplat fails: RuntimeError: Error building extension 'gsplat_cuda'; "):
-        backends.choose("gsplat")
+        backends.choose_backend("gsplat")
 
 
 def test_a_gsplat_that_draws_nothing_is_not_taken(stand_in, monkeypatch):
@@ -184,7 +184,7 @@ def test_a_gsplat_that_draws_nothing_is_not_taken(stand_in, monkeypatch):
         seen, alpha, meta = stand_in.rasterization(*args, **kwargs)
         return 0 * seen, 0 * alpha, meta
 
-    monkeypatch.setattr(gsplat_backend, "lack", lambda: None)
+    monkeypatch.setattr(gsplat_backend, "missing_requirement", lambda: None)
     monkeypatch.setitem(sys.modules, "gsplat", types.SimpleNamespace(rasterization=empty))
-    assert gsplat_backend.fault() == "gsplat draws nothing"
-    assert backends.choose() is numba_backend.rasterise
+    assert gsplat_backend.rendering_error() == "gsplat draws nothing"
+    assert backends.choose_backend() is numba_backend.rasterise

@@ -11,9 +11,9 @@ from freeart21.gaussians import LIGHT_TERMS, Gaussians, rotations, spherical_har
 from freeart21.mesh import Mesh
 from reconstruct.gaussians import adam, density, initial, model
 from reconstruct.gaussians.adam import Adam
-from reconstruct.gaussians.density import grown_and_pruned
-from reconstruct.gaussians.initial import discs
-from reconstruct.gaussians.model import Parameters, logit, splats_of
+from reconstruct.gaussians.density import densify_and_prune
+from reconstruct.gaussians.initial import place_discs
+from reconstruct.gaussians.model import Parameters, logit, make_splats
 from reconstruct.gaussians.rasteriser import SplatGradients
 from reconstruct.settings import GaussianSettings
 
@@ -53,7 +53,7 @@ def parameters(n=30, seed=0, terms=4):
 
 def test_a_gaussian_is_drawn_under_both_motions_by_its_weight():
     some = gaussians()
-    splats, _ = splats_of(some, POSES)
+    splats, _ = make_splats(some, POSES)
     w, n = some.part_weights, len(some)
     still, moved = np.flatnonzero(w > 0), np.flatnonzero(w < 1)
     assert 0 < len(still) < n and 0 < len(moved) < n and len(still) + len(moved) > n
@@ -71,7 +71,7 @@ def test_a_gaussian_is_drawn_under_both_motions_by_its_weight():
 
 def test_copies_too_faint_to_matter_are_left_out():
     some = replace(gaussians(4), opacities=np.full(4, 0.5), part_weights=np.array([1, 0.97, 0.95, 0]))
-    splats, _ = splats_of(some, POSES)
+    splats, _ = make_splats(some, POSES)
     assert 0.5 * (1 - 0.97) < model.FAINT_COPY < 0.5 * (1 - 0.95)
     np.testing.assert_array_equal(splats.motion, [0, 0, 0, 1, 1])
     np.testing.assert_array_equal(splats.means, some.means[[0, 1, 2, 2, 3]])
@@ -83,32 +83,32 @@ def test_discs_that_are_turned_away_are_left_out():
     normals = np.stack([np.sin(angles), 0 * angles, -np.cos(angles)], 1)
     some = replace(gaussians(n), means=np.zeros((n, 3)), normals=normals, part_weights=np.ones(n))
     ahead = np.stack([se3.pose(np.eye(3), [0, 0, 2.0])] * 2)
-    splats, _ = splats_of(some, ahead)
+    splats, _ = make_splats(some, ahead)
     np.testing.assert_array_equal(splats.opacities, some.opacities[:4])
     # the part's own pose counts: turned round, the others show
     turned = np.stack([se3.pose(se3.exp_so3([0, np.pi, 0]), [0, 0, 2.0]), ahead[1]])
-    np.testing.assert_array_equal(splats_of(some, turned)[0].opacities, some.opacities[2:])
+    np.testing.assert_array_equal(make_splats(some, turned)[0].opacities, some.opacities[2:])
 
 
 def test_light_stands_where_it_is_told_to():
     some = gaussians()
     elsewhere = se3.pose(se3.exp_so3([0.0, 0.2, 0.0]), np.zeros(3)) @ POSES
-    here, _ = splats_of(some, elsewhere, POSES)
-    splats, _ = splats_of(some, POSES)
+    here, _ = make_splats(some, elsewhere, POSES)
+    splats, _ = make_splats(some, POSES)
     assert len(here) == len(splats)
     np.testing.assert_array_equal(here.colours, splats.colours)
-    assert np.abs(splats_of(some, elsewhere)[0].colours - splats.colours).max() > 0.01
+    assert np.abs(make_splats(some, elsewhere)[0].colours - splats.colours).max() > 0.01
 
 
 def test_no_light_leaves_colours_as_they_are():
-    splats, _ = splats_of(replace(gaussians(), light=None, part_weights=np.ones(40)), POSES)
+    splats, _ = make_splats(replace(gaussians(), light=None, part_weights=np.ones(40)), POSES)
     np.testing.assert_allclose(splats.colours, gaussians().colours, rtol=1e-5)
 
 
 def test_in_the_dark_a_little_is_seen_and_light_is_not_pulled():
     dark = np.zeros((4, 3), np.float32)
     some = replace(gaussians(), light=dark)
-    splats, back = splats_of(some, POSES)
+    splats, back = make_splats(some, POSES)
     assert (splats.colours > 0).all() and splats.colours.max() <= model.DARKEST
     assert not back(pulls(splats))["light"].any()
 
@@ -127,12 +127,12 @@ def pulls(splats, seed=3):
 def test_the_way_back_is_the_difference(name):
     """What is drawn is linear in each of them by itself: differences are exact however wide the step."""
     some = gaussians(12, seed=1)
-    splats, back = splats_of(some, POSES)
+    splats, back = make_splats(some, POSES)
     d = pulls(splats)
     found = back(d)[name]
 
     def value(values):
-        drawn, _ = splats_of(replace(some, **{name: values}), POSES)
+        drawn, _ = make_splats(replace(some, **{name: values}), POSES)
         assert len(drawn) == len(splats), "another choice of splats"
         return sum(
             float((getattr(drawn, k).astype(float) * getattr(d, k)).sum())
@@ -155,7 +155,7 @@ def test_the_way_back_is_the_difference(name):
 
 def test_a_gaussian_s_copies_are_summed():
     some = gaussians()
-    splats, back = splats_of(some, POSES)
+    splats, back = make_splats(some, POSES)
     d = pulls(splats)
     found = back(d)
     index = np.concatenate([np.flatnonzero(some.part_weights > 0), np.flatnonzero(some.part_weights < 1)])
@@ -167,7 +167,7 @@ def test_a_gaussian_s_copies_are_summed():
 
 def test_a_frame_that_shows_none_of_them_has_a_way_back():
     some = gaussians()
-    splats, back = splats_of(replace(some, normals=-some.normals), POSES)
+    splats, back = make_splats(replace(some, normals=-some.normals), POSES)
     assert len(splats) == 0
     found = back(pulls(splats))
     for name in ("means", "quaternions", "opacities", "part_weights", "light"):
@@ -196,14 +196,14 @@ def test_what_parameters_stand_for():
     assert len(np.unique(found.part_weights)) == 30
     hard = some.gaussians(blended=False)
     np.testing.assert_array_equal(hard.part_weights, some.weight_logits > 0)
-    splats, _ = splats_of(hard, POSES)
+    splats, _ = make_splats(hard, POSES)
     assert 0 < len(splats) <= 30 and np.isin(splats.opacities, hard.opacities).all()
 
 
 @pytest.mark.parametrize("which", [np.arange(30) % 3 == 0, np.array([4, 4, 0])])
 def test_some_parameters_are_kept(which):
     some = parameters()
-    kept = some.kept(which)
+    kept = some.select(which)
     for field in fields(Parameters):
         old, new = getattr(some, field.name), getattr(kept, field.name)
         np.testing.assert_array_equal(new, old if field.name == "light" else old[which])
@@ -272,7 +272,7 @@ def test_moments_go_with_their_gaussians():
         optimiser.step(some, gradient, rng.random(30) < 0.8, rates)
     old, counts = optimiser.second.arrays(), optimiser.steps.copy()
     which, fresh = np.array([7, 3, 3, 29]), np.array([False, False, True, False])
-    optimiser.kept(which, fresh)
+    optimiser.select(which, fresh)
     assert counts[which].all()
     np.testing.assert_array_equal(optimiser.steps, np.where(fresh, 0, counts[which]))
     for name, values in optimiser.second.arrays().items():
@@ -294,7 +294,7 @@ def growing(n=200, seed=8):
 
 def test_those_that_are_pulled_most_are_split():
     some, pull, looks = growing()
-    new, which, fresh = grown_and_pruned(some, pull, looks, 1000)
+    new, which, fresh = densify_and_prune(some, pull, looks, 1000)
     chosen = np.sort(np.argsort(-pull)[: round(density.SPLIT * 200)])
     assert len(new) == len(which) == 200 + len(chosen)
     np.testing.assert_array_equal(np.unique(which[fresh]), chosen)
@@ -315,7 +315,7 @@ def test_those_that_are_pulled_most_are_split():
 
 @pytest.mark.parametrize("most, expected", [(205, 205), (200, 200), (150, 200)])
 def test_there_are_never_more_than_allowed_by_growth(most, expected):
-    new, _, fresh = grown_and_pruned(*growing(), most)
+    new, _, fresh = densify_and_prune(*growing(), most)
     assert len(new) == expected and fresh.sum() == 2 * (expected - 200)
 
 
@@ -325,7 +325,7 @@ def test_faint_and_unseen_ones_go():
     some.opacity_logits[20:40] = logit(np.float32([density.FAINT + 0.01]))
     looks[180:] = 0
     pull[:20], pull[180:] = 10, 20  # and are not split either
-    new, which, fresh = grown_and_pruned(some, pull, looks, 200)
+    new, which, fresh = densify_and_prune(some, pull, looks, 200)
     np.testing.assert_array_equal(np.unique(which), np.arange(20, 180))
     assert len(new) == 160 + round(density.SPLIT * 160)
     assert fresh.sum() == 2 * round(density.SPLIT * 160)
@@ -345,13 +345,15 @@ BOXES = (box((0.4, 0.2, 0.1), (0, 0, 0), (200, 40, 90)), box((0.1, 0.1, 0.02), (
 
 def test_discs_lie_on_the_surfaces():
     settings, footprint = GaussianSettings(), 0.01
-    found = discs(BOXES, footprint, settings, np.random.default_rng(9))
+    found = place_discs(BOXES, footprint, settings, np.random.default_rng(9))
     areas = [mesh.areas().sum() for mesh in BOXES]
     counts = [round(area / footprint**2) for area in areas]
     second = found.weight_logits < 0
     assert [int((~second).sum()), int(second.sum())] == counts
     some = found.gaussians()
-    np.testing.assert_allclose(some.part_weights, np.where(second, 1 - settings.sure, settings.sure), rtol=1e-4)
+    np.testing.assert_allclose(
+        some.part_weights, np.where(second, 1 - initial.PART_WEIGHT, initial.PART_WEIGHT), rtol=1e-4
+    )
     np.testing.assert_allclose(some.opacities, initial.OPACITY, rtol=1e-5)
     radius = initial.RADIUS * footprint
     np.testing.assert_allclose(
@@ -368,30 +370,28 @@ def test_discs_lie_on_the_surfaces():
         each = np.bincount(face, minlength=len(mesh.faces))
         assert np.abs(each - mesh.areas() / footprint**2).max() < 3, "as many on each face as its area asks for"
     assert len(found.light) == settings.light_terms and not found.light[1:].any()
-    splats, _ = splats_of(some, np.stack([se3.pose(np.eye(3), [0, 0, 2.0])] * 2))
+    splats, _ = make_splats(some, np.stack([se3.pose(np.eye(3), [0, 0, 2.0])] * 2))
     np.testing.assert_allclose(splats.colours.max(0), np.float32([200, 140, 250]) / 255, rtol=1e-5)
 
 
 def test_there_are_fewer_discs_where_there_would_be_too_many():
-    many = discs(BOXES, 0.001, replace(GaussianSettings(), begin=1000), np.random.default_rng(0))
+    many = place_discs(BOXES, 0.001, replace(GaussianSettings(), begin=1000), np.random.default_rng(0))
     assert abs(len(many) - 1000) <= 1
     area = sum(mesh.areas().sum() for mesh in BOXES)
     np.testing.assert_allclose(np.exp(many.log_scales[:, 0]), initial.RADIUS * np.sqrt(area / 1000), rtol=1e-5)
-    wide = discs(BOXES, 0.01, replace(GaussianSettings(), spacing=2.0), np.random.default_rng(0))
-    assert abs(len(wide) - area / 0.02**2) <= 1
 
 
 def test_a_part_that_was_never_seen_has_no_discs():
     nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
-    found = discs((BOXES[0], nothing), 0.01, GaussianSettings(), np.random.default_rng(0))
+    found = place_discs((BOXES[0], nothing), 0.01, GaussianSettings(), np.random.default_rng(0))
     assert len(found) == round(BOXES[0].areas().sum() / 0.01**2) and (found.weight_logits > 0).all()
-    found = discs((nothing, BOXES[1]), 0.01, GaussianSettings(), np.random.default_rng(0))
+    found = place_discs((nothing, BOXES[1]), 0.01, GaussianSettings(), np.random.default_rng(0))
     assert len(found) == round(BOXES[1].areas().sum() / 0.01**2) and (found.weight_logits < 0).all()
 
 
 def test_where_no_part_was_seen_there_are_none():
     nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
-    found = discs((nothing, nothing), 0.01, GaussianSettings(), np.random.default_rng(0))
+    found = place_discs((nothing, nothing), 0.01, GaussianSettings(), np.random.default_rng(0))
     assert len(found) == 0 and found.means.shape == (0, 3) and found.quaternions.shape == (0, 4)
-    splats, back = splats_of(found.gaussians(), POSES)
+    splats, back = make_splats(found.gaussians(), POSES)
     assert len(splats) == 0 and back(pulls(splats))["means"].shape == (0, 3)

@@ -9,9 +9,9 @@ from test_reconstruct import true_growth
 
 from freeart21 import se3
 from freeart21.errors import FreeArtError
-from reconstruct.gaussians.initial import discs
+from reconstruct.gaussians.initial import place_discs
 from reconstruct.gaussians.optimisation import optimise
-from reconstruct.gaussians.windows import windows_of
+from reconstruct.gaussians.windows import make_windows
 from reconstruct.settings import GaussianSettings, ReconstructSettings
 
 FEW = GaussianSettings(rounds=8, begin=4000, most=5000, held_back=6)
@@ -25,18 +25,18 @@ def clip():
 
 def spoilt(clip, seed=0):
     """The truth with states that are 3 % off in scale, an axis 1 degree off, and poses that drift."""
-    evidence, grown = true_growth(clip, np.zeros(0, int), 1)
+    evidence, estimate = true_growth(clip, np.zeros(0, int), 1)
     rng = np.random.default_rng(seed)
-    n = len(grown.labels)
+    n = len(estimate.labels)
     drift = np.cumsum(rng.normal(0, [5e-4] * 3 + [2e-3] * 3, (n, 6)), 0)
-    axis = se3.exp_so3(np.radians(1.0) * np.array([0.0, 0, 1])) @ grown.poses.joint.axis
+    axis = se3.exp_so3(np.radians(1.0) * np.array([0.0, 0, 1])) @ estimate.poses.joint.axis
     poses = replace(
-        grown.poses,
-        joint=replace(grown.poses.joint, axis=axis),
+        estimate.poses,
+        joint=replace(estimate.poses.joint, axis=axis),
         states=1.03 * clip.states,
         Ts=clip.Ts @ se3.exp_se3(drift - drift.mean(0)),
     )
-    return evidence.scene, replace(grown, poses=poses)
+    return evidence.scene, replace(estimate, poses=poses)
 
 
 def errors(poses, clip):
@@ -53,18 +53,18 @@ def axis_error(poses, clip):
     return np.degrees(np.arccos(np.clip(axis @ clip.joint.axis, -1, 1)))
 
 
-def run(scene, grown, clip, **changes):
+def run(scene, estimate, clip, **changes):
     settings = replace(SETTINGS, gaussians=replace(FEW, **changes))
-    return optimise(clip.recording, scene, grown, settings, np.random.default_rng(0))
+    return optimise(clip.recording, scene, estimate, settings, np.random.default_rng(0))
 
 
 def test_a_spoilt_motion_is_mended_and_kept(clip):
-    scene, grown = spoilt(clip)
-    before = errors(grown.poses, clip)
-    found = run(scene, grown, clip)
+    scene, estimate = spoilt(clip)
+    before = errors(estimate.poses, clip)
+    found = run(scene, estimate, clip)
     after = errors(found.poses, clip)
-    assert found.kept and after[0] < 0.6 * before[0] and after[1] < 0.5 * before[1]
-    assert axis_error(found.poses, clip) < 0.95 * axis_error(grown.poses, clip)
+    assert found.motion_refined and after[0] < 0.6 * before[0] and after[1] < 0.5 * before[1]
+    assert axis_error(found.poses, clip) < 0.95 * axis_error(estimate.poses, clip)
     for k, Ts in enumerate((clip.Ts, clip.Ts @ clip.joint.transform(clip.states))):
         off = se3.inverse(Ts) @ found.free[k].Ts
         turns = np.degrees(se3.rotation_angle((off @ se3.inverse(se3.mean_pose(off)))[:, :3, :3]))
@@ -74,14 +74,14 @@ def test_a_spoilt_motion_is_mended_and_kept(clip):
     deviations = np.abs(off - np.median(off)) / found.poses.state_std
     # .196 on one processor, above .2 on others; a deviation too large by ten would be .02, one too small by ten 2
     assert 0.1 < np.median(deviations) < 2 and found.poses.joint_std is not None, "a state's is about its error"
-    new = found.in_place_of(grown)
-    assert (new.labels == grown.labels)[grown.labels > 0].mean() > 0.95 and new.poses.cost == grown.poses.cost
+    new = found.apply_to(estimate)
+    assert (new.labels == estimate.labels)[estimate.labels > 0].mean() > 0.95 and new.poses.cost == estimate.poses.cost
 
 
 def test_a_right_motion_is_not_spoilt(clip):
     """Kept or not: the bound is a fifth of what `spoilt` does to poses, and less of states and axis."""
-    evidence, grown = true_growth(clip, np.zeros(0, int), 1)
-    found = run(evidence.scene, grown, clip, rounds=6)
+    evidence, estimate = true_growth(clip, np.zeros(0, int), 1)
+    found = run(evidence.scene, estimate, clip, rounds=6)
     states, turns = errors(found.poses, clip)
     assert states < 0.12 and turns < 0.12 and axis_error(found.poses, clip) < 0.3
 
@@ -93,38 +93,38 @@ def test_a_frame_that_shows_nothing_goes_with_the_others(clip):
     part_masks = clip.part_masks.copy()
     part_masks[blank] = 0
     gone = replace(clip, recording=replace(clip.recording, load=frames.__getitem__), part_masks=part_masks)
-    scene, grown = spoilt(gone)
-    seen = grown.seen.copy()
+    scene, estimate = spoilt(gone)
+    seen = estimate.seen.copy()
     seen[blank] = False
-    found = run(scene, replace(grown, seen=seen), gone, rounds=3)
+    found = run(scene, replace(estimate, seen=seen), gone, rounds=3)
     assert np.isnan(found.shares[blank]).all() and np.isfinite(found.shares[blank - 1]).any()
     assert np.isfinite(found.poses.Ts).all() and np.isfinite(found.poses.states).all()
     assert len(found.gaussians) > 500
 
 
 def test_the_motion_stays_without_end_to_end_and_weights_are_whole_without_blending(clip):
-    scene, grown = spoilt(clip)
-    found = run(scene, grown, clip, end_to_end=False, blended=False, rounds=3)
-    assert not found.kept and found.poses is grown.poses and found.in_place_of(grown) is grown
+    scene, estimate = spoilt(clip)
+    found = run(scene, estimate, clip, end_to_end=False, blended=False, rounds=3)
+    assert not found.motion_refined and found.poses is estimate.poses and found.apply_to(estimate) is estimate
     assert set(np.unique(found.gaussians.part_weights)) == {0, 1}
 
 
 def test_a_video_is_solved_to_the_same_bytes_twice(clip):
-    scene, grown = spoilt(clip)
-    a, b = (run(scene, grown, clip, rounds=2, warm_up=1) for _ in range(2))
-    assert a.kept == b.kept and a.gaussians.means.tobytes() == b.gaussians.means.tobytes()
+    scene, estimate = spoilt(clip)
+    a, b = (run(scene, estimate, clip, rounds=2, warm_up=1) for _ in range(2))
+    assert a.motion_refined == b.motion_refined and a.gaussians.means.tobytes() == b.gaussians.means.tobytes()
     assert a.poses.Ts.tobytes() == b.poses.Ts.tobytes() and a.shares.tobytes() == b.shares.tobytes()
 
 
 def test_nothing_to_begin_with_is_no_model(clip):
-    scene, grown = spoilt(clip)
-    assert run(scene, replace(grown, labels=np.zeros_like(grown.labels)), clip) is None
+    scene, estimate = spoilt(clip)
+    assert run(scene, replace(estimate, labels=np.zeros_like(estimate.labels)), clip) is None
 
 
 @pytest.mark.parametrize("most_pixels", [10**9, 2000])
 def test_windows_show_what_the_recording_does(clip, most_pixels):
     evidence, _ = true_growth(clip, np.zeros(0, int), 1)
-    windows = windows_of(clip.recording, evidence.scene, most_pixels)
+    windows = make_windows(clip.recording, evidence.scene, most_pixels)
     assert windows.factor == (1 if most_pixels == 10**9 else 2)
     window, frame = windows[7], clip.recording.frame(7)
     rows, columns = np.nonzero(window.depth > 0)
@@ -149,12 +149,12 @@ def test_discs_lie_on_the_parts_and_face_outwards(clip):
 
     box = trimesh.creation.box((0.1, 0.2, 0.3))
     mesh, nothing = Mesh(box.vertices, box.faces), Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
-    found = discs((mesh, nothing), 0.002, replace(FEW, begin=10**6), np.random.default_rng(0)).gaussians()
+    found = place_discs((mesh, nothing), 0.002, replace(FEW, begin=10**6), np.random.default_rng(0)).gaussians()
     assert abs(len(found) - mesh.areas().sum() / 0.002**2) < 2 and (found.part_weights > 0.9).all()
     on = np.abs(np.abs(found.means) / np.array([0.05, 0.1, 0.15]) - 1).min(1)
     assert on.max() < 1e-5 and (found.means * found.normals).sum(1).min() > 0
-    assert len(discs((mesh, nothing), 0.002, FEW, np.random.default_rng(0))) == pytest.approx(FEW.begin, abs=2)
-    assert len(discs((nothing, nothing), 0.002, FEW, np.random.default_rng(0))) == 0
+    assert len(place_discs((mesh, nothing), 0.002, FEW, np.random.default_rng(0))) == pytest.approx(FEW.begin, abs=2)
+    assert len(place_discs((nothing, nothing), 0.002, FEW, np.random.default_rng(0))) == 0
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 
 from freeart21.camera import Camera
 from freeart21.recording import Frame, Recording
-from reconstruct.gaussians.windows import MARGIN, Windows, windows_of
+from reconstruct.gaussians.windows import MARGIN, Windows, make_windows
 
 CAMERA = Camera.from_fov(97, 74, 0.6)
 PLANE = np.array([0.5, 0.7, 1.0])
@@ -35,7 +35,7 @@ def windows(frames, factor):
     masks = np.stack([frame.mask for frame in frames])
     scene = types.SimpleNamespace(mask=masks, factor=1, footprint=1 / CAMERA.K[0, 0], diagonal=0.3)
     pixels = masks.sum((1, 2)).mean()
-    found = windows_of(recording, scene, pixels if factor == 1 else pixels / (factor - 0.5) ** 2)
+    found = make_windows(recording, scene, pixels if factor == 1 else pixels / (factor - 0.5) ** 2)
     assert found.factor == factor
     return found
 

@@ -11,10 +11,10 @@ from test_surfaces import CAMERA, ROUND, shoot
 
 from freeart21 import se3
 from freeart21.recording import Frame, Recording
-from reconstruct.evidence import Evidence, draw
+from reconstruct.evidence import Evidence, sample_pixels
 from reconstruct.kernels import HIDDEN
 from reconstruct.pipeline import reconstruct
-from reconstruct.scene import prepare
+from reconstruct.scene import prepare_scene
 from reconstruct.settings import SceneSettings, SurfaceSettings
 from reconstruct.surfaces import fuse
 
@@ -49,7 +49,7 @@ def clip():
 
 
 def asked(clip, frames):
-    return Evidence(prepare(filmed(frames, clip.recording), SceneSettings()), QUIET.evidence, QUIET.labels)
+    return Evidence(prepare_scene(filmed(frames, clip.recording), SceneSettings()), QUIET.evidence, QUIET.labels)
 
 
 def over_the_hand(clip, told):
@@ -86,7 +86,7 @@ def test_a_hand_does_not_draw_the_pose(clip):
         evidence, pixels, T = over_the_hand(clip, told)
         mask = np.zeros(evidence.scene.mask.shape[1:], bool)
         mask[tuple(pixels.T)] = True
-        samples = {0: draw(evidence.usable(0, mask), 600, np.random.default_rng(0))}
+        samples = {0: sample_pixels(evidence.usable_pixels(0, mask), 600, np.random.default_rng(0))}
         H, g, stats = evidence.register(np.array([0]), np.array([1]), T[None], samples, 4.0)
         offs.append((np.linalg.norm(np.linalg.solve(H[0] + 1e-6 * np.trace(H[0]) * np.eye(6), g[0])), stats[0, 3]))
     (step, outside), (blind_step, blind_outside) = offs
@@ -106,7 +106,7 @@ def test_a_wall_behind_changes_nothing(clip):
 def test_a_hand_carves_nothing_off_a_mesh(told):
     size = np.array([0.12, 0.09, 0.06])
     frames = [held(f, lower_right(f, 0.3), told) for f in (shoot(size, T) for T in ROUND)]
-    scene = prepare(Recording(CAMERA, np.arange(len(ROUND)) / 30, lambda i: frames[i]), SceneSettings())
+    scene = prepare_scene(Recording(CAMERA, np.arange(len(ROUND)) / 30, lambda i: frames[i]), SceneSettings())
     mesh = fuse(scene, scene.mask.astype(np.uint8), 1, ROUND, np.ones(len(ROUND), bool), SurfaceSettings())
     off = np.abs(trimesh.proximity.signed_distance(trimesh.creation.box(size), mesh.vertices))
     off = np.percentile(off, 99) / scene.footprint

@@ -7,8 +7,9 @@ import pytest
 
 from freeart21 import se3
 from freeart21.joint import Joint
-from reconstruct import hypotheses
+from reconstruct import joint_type
 from reconstruct.joint import (
+    find_inlier_poses,
     fit_joint,
     paper_joint_type,
     prismatic_axis,
@@ -16,7 +17,6 @@ from reconstruct.joint import (
     revolute_pivot,
     rotation_amplitude,
     translation_linearity,
-    without_outliers,
 )
 from reconstruct.settings import JointSettings, ReconstructSettings
 
@@ -122,15 +122,15 @@ def test_small_range_revolute_with_a_small_lever():
     assert fits["prismatic"].residual > 2 * fits["revolute"].residual
 
 
-def test_an_arc_of_89_degrees_is_a_hinge_where_the_paper_says_slide():
+def test_an_arc_of_89_degrees_is_a_hinge_where_the_paper_says_slide(monkeypatch):
     rng = np.random.default_rng(0)
     joint = Joint("j", "revolute", np.array([0, 1.0, 0]), np.array([0.3, 0, 0]), -2, 2)
     states = np.radians(89) * (0.5 - 0.5 * np.cos(np.linspace(0, np.pi, 60)))
     Ts = relative_poses(joint, states, rng, noise=0.002, gauge=False)
     fits = both_fits(Ts, np.zeros(3), 0.2)
     assert fits["revolute"].residual < 0.002 and fits["prismatic"].residual > 0.05
-    paper = JointSettings(type_rule="paper", linearity_threshold=0.2)
-    assert translation_linearity(Ts) < 0.2 and paper_joint_type(Ts, paper) == "prismatic"
+    monkeypatch.setattr("reconstruct.joint.MAX_LINEARITY", 0.2)
+    assert translation_linearity(Ts) < 0.2 and paper_joint_type(Ts) == "prismatic"
 
 
 @pytest.mark.parametrize("turned, kind", [(2.4, "revolute"), (0.1, "prismatic")])
@@ -147,13 +147,13 @@ def test_under_the_papers_rule_its_type_alone_is_adjusted(turned, kind, monkeypa
         starts.append(start)
         return start
 
-    monkeypatch.setattr(hypotheses, "joint_adjustment", adjustment)
+    monkeypatch.setattr(joint_type, "joint_adjustment", adjustment)
     arguments = (None, None, Ts, np.ones((30, 2), bool), rng.normal(size=(50, 3)), np.ones(30, bool), settings, rng)
-    found = hypotheses.better_type(*arguments)
+    found = joint_type.choose_joint_type(*arguments)
     assert found.joint.type == kind and len(starts) == 1
-    assert hypotheses.better_type(*arguments, found) is found
+    assert joint_type.choose_joint_type(*arguments, found) is found
     other = replace(found, joint=replace(found.joint, type="prismatic" if kind == "revolute" else "revolute"))
-    assert hypotheses.better_type(*arguments, other).joint.type == kind and len(starts) == 3
+    assert joint_type.choose_joint_type(*arguments, other).joint.type == kind and len(starts) == 3
 
 
 def test_paper_rule_on_clear_cases():
@@ -161,8 +161,8 @@ def test_paper_rule_on_clear_cases():
     hinge = Joint("j", "revolute", np.array([0, 0, 1.0]), np.array([0.2, 0, 0]), -3, 3)
     turned = relative_poses(hinge, np.linspace(0, 2.4, 50), rng)
     slid = relative_poses(random_joint(rng, "prismatic"), np.linspace(0, 0.3, 50), rng)
-    assert paper_joint_type(turned, SETTINGS) == "revolute" and rotation_amplitude(turned) > 50
-    assert paper_joint_type(slid, SETTINGS) == "prismatic" and rotation_amplitude(slid) < 1e-4
+    assert paper_joint_type(turned) == "revolute" and rotation_amplitude(turned) > 50
+    assert paper_joint_type(slid) == "prismatic" and rotation_amplitude(slid) < 1e-4
     assert translation_linearity(slid) < 1e-12
 
 
@@ -170,7 +170,7 @@ def test_two_sigma_filter_names_the_jumps():
     joint = Joint("j", "prismatic", np.array([1.0, 0, 0]), np.zeros(3), 0, 1)
     Ts = joint.transform(np.linspace(0, 0.3, 40))
     Ts[17, :3, 3] += (0, 0.5, 0)
-    kept = without_outliers(Ts)
+    kept = find_inlier_poses(Ts)
     assert not kept[17] and kept.sum() == 39
 
 

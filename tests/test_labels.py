@@ -11,12 +11,12 @@ from freeart21.joint import Joint
 from freeart21.recording import Recording
 from reconstruct import labels
 from reconstruct.evidence import Evidence
-from reconstruct.growth import body_points
-from reconstruct.hypotheses import _hinged
+from reconstruct.joint_type import _revolute_wins
 from reconstruct.poses import JointedPoses
+from reconstruct.propagation import body_points
 from reconstruct.rigid import view_angle
-from reconstruct.scene import full_labels, prepare
-from reconstruct.settings import JointSettings, ReconstructSettings, SceneSettings
+from reconstruct.scene import prepare_scene, uncrop_labels
+from reconstruct.settings import ReconstructSettings, SceneSettings
 
 FRAMES = 20
 SETTINGS = ReconstructSettings()
@@ -28,7 +28,7 @@ def clip():
 
 
 def asked(recording, scene_settings=SETTINGS.scene):
-    scene = prepare(recording, scene_settings)
+    scene = prepare_scene(recording, scene_settings)
     return Evidence(scene, SETTINGS.evidence, SETTINGS.labels)
 
 
@@ -64,7 +64,7 @@ def shared(found, truth):
 def test_true_poses_give_true_labels(clip):
     evidence = asked(clip.recording)
     logodds = labelled(clip, evidence, clip.states)
-    found = full_labels(evidence.scene, np.where(logodds > 0, 2, 1).astype(np.uint8), logodds, clip.recording)
+    found = uncrop_labels(evidence.scene, np.where(logodds > 0, 2, 1).astype(np.uint8), logodds, clip.recording)
     assert shared(found, clip.part_masks) > 0.95
 
 
@@ -78,7 +78,7 @@ def test_a_smaller_crop_keeps_the_outline(clip):
     evidence = asked(clip.recording, SceneSettings(max_crop_pixels=3000))
     assert evidence.scene.factor > 1
     logodds = labelled(clip, evidence, clip.states)
-    found = full_labels(evidence.scene, np.where(logodds > 0, 2, 1).astype(np.uint8), logodds, clip.recording)
+    found = uncrop_labels(evidence.scene, np.where(logodds > 0, 2, 1).astype(np.uint8), logodds, clip.recording)
     masks = np.stack([clip.recording.frame(i).mask for i in range(FRAMES)])
     assert ((found > 0) == masks).mean() > 0.999
     assert shared(found, clip.part_masks) > 0.9
@@ -108,10 +108,10 @@ def test_telling_frames_are_those_in_which_the_joint_stood_elsewhere(clip):
     Ts = poses_of(clip, np.where(np.arange(FRAMES) < 10, 0.0, 0.5))
     body = clip.joint.pivot + np.array([[0.1, 0, 0], [0, 0, 0.1], [-0.1, 0, 0.1]])
     evidence, everywhere, rng = asked(clip.recording), np.ones(FRAMES, bool), np.random.default_rng(0)
-    told = labels.telling_frames(evidence, 3, Ts, body, everywhere, rng)
+    told = labels.discriminative_frames(evidence, 3, Ts, body, everywhere, rng)
     assert len(told) and told.min() >= 10
     Ts[:, 10:] = se3.pose(se3.exp_so3(np.array([0.0, 2, 0])), np.zeros(3)) @ Ts[:, 10:]  # other surfaces are seen there
-    assert len(labels.telling_frames(evidence, 3, Ts, body, everywhere, rng)) == 0
+    assert len(labels.discriminative_frames(evidence, 3, Ts, body, everywhere, rng)) == 0
 
 
 def test_random_walk_solves_its_equations():
@@ -154,4 +154,4 @@ def test_a_hinge_is_believed_when_clearly_cheaper_and_near(cost, pivot, hinged):
         return JointedPoses(joint, np.zeros(2), np.tile(np.eye(4), (2, 1, 1)), np.zeros(2), cost)
 
     found = {"revolute": jointed("revolute", cost), "prismatic": jointed("prismatic", 1.0)}
-    assert _hinged(found, np.zeros(3), 1.0, JointSettings()) is hinged
+    assert _revolute_wins(found, np.zeros(3), 1.0) is hinged

@@ -32,9 +32,9 @@ from reconstruct import VERSION, cache, pipeline
 from reconstruct.gaussians import gsplat_backend
 from reconstruct.gaussians.model import FAINT_COPY
 from reconstruct.pipeline import reconstruct_folder, reconstruct_until
-from reconstruct.scene import prepare
+from reconstruct.scene import prepare_scene
 from reconstruct.settings import GaussianSettings, ReconstructSettings
-from reconstruct.stages import KEPT, STAGES, used_by
+from reconstruct.stages import CACHED_STAGES, STAGES, settings_used_by
 
 ROOT = Path(__file__).resolve().parents[1]
 QUIET = ReconstructSettings(progress=False, gaussians=GaussianSettings(rounds=3, warm_up=1, begin=3000, most=4000))
@@ -204,25 +204,27 @@ def test_killed_in_the_gaussians_or_after_them_a_run_goes_on_to_the_same_ones(
     os.kill(process.pid, signal.SIGKILL)
     process.join()
     assert process.exitcode == -signal.SIGKILL and not out.exists()
-    assert cache.Work(sequence, out, QUIET).last()[0].stage == kept
+    assert cache.StageCache(sequence, out, QUIET).load_last()[0].stage == kept
     monkeypatch.setitem(pipeline._SOLVERS, "gaussians", _coloured)
     reconstruct_folder(sequence, out, QUIET, keep_work=True)
     assert contents(out) == contents(coloured) and "gaussians.ply" in contents(out)
-    found, whole = (cache.Work(sequence, o, QUIET).last()[0].known.answer.appearance for o in (out, coloured))
+    found, whole = (
+        cache.StageCache(sequence, o, QUIET).load_last()[0].state.result.appearance for o in (out, coloured)
+    )
     for f in fields(Gaussians):
         assert np.array_equal(getattr(found, f.name), getattr(whole, f.name)), f.name
 
 
 def test_the_answers_gaussians_stand_where_those_of_the_stage_did(sequence, coloured):
-    work, recording = cache.Work(sequence, coloured, QUIET), read_sequence(sequence)
-    known = cache._read(work.path("poses"), "poses", work._keys["poses"]).known
-    poses = replace(known.grown.poses, states=known.grown.poses.states + 0.3)  # a state zero far from frame 0's
+    work, recording = cache.StageCache(sequence, coloured, QUIET), read_sequence(sequence)
+    known = cache._read_stage(work.path("poses"), "poses", work._keys["poses"]).state
+    poses = replace(known.estimate.poses, states=known.estimate.poses.states + 0.3)  # a state zero far from frame 0's
     nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3)))
-    grown, articulation = replace(known.grown, poses=poses), Articulation(poses.joint, nothing, nothing)
-    scene = prepare(recording, QUIET.scene)
-    answer = pipeline._canonical(articulation, known.appearance, grown, known.free, scene, recording)
+    estimate, articulation = replace(known.estimate, poses=poses), Articulation(poses.joint, nothing, nothing)
+    scene = prepare_scene(recording, QUIET.scene)
+    answer = pipeline._to_canonical_frame(articulation, replace(known, estimate=estimate), scene, recording)
     for q, state in zip(poses.states, answer.states, strict=True):
-        expected = drawn(known.appearance, poses.joint.transform(q), known.free[0].Ts[0])
+        expected = drawn(known.appearance, poses.joint.transform(q), known.free_poses[0].Ts[0])
         found = drawn(answer.appearance, answer.articulation.joint.transform(state), np.eye(4))
         assert expected.shape == found.shape and np.allclose(found, expected, atol=1e-5)
 
@@ -230,7 +232,7 @@ def test_the_answers_gaussians_stand_where_those_of_the_stage_did(sequence, colo
 def test_gaussians_draw_the_same_in_every_state_with_another_state_zero():
     gaussians, joint = some_gaussians(np.random.default_rng(4)), Joint("j", "revolute", [0, 0, 1], [0.1, 0.2, 0], -1, 2)
     q0 = 0.7
-    parted = pipeline._parted(gaussians, joint.transform(q0))
+    parted = pipeline._split_shared_gaussians(gaussians, joint.transform(q0))
     assert set(parted.part_weights) == {0, 1}
     for q in (0.0, q0, -0.4):
         before = drawn(gaussians, joint.transform(q), np.eye(4))
@@ -261,7 +263,7 @@ def test_until_stops_keeps_and_goes_on(sequence, whole, tmp_path, monkeypatch, c
     assert reconstruct_until(sequence, out, "segmentation", QUIET) == kept / "segmentation.npz" and not calls.solved
     assert command(sequence, out, keep_work=True, settings=QUIET) == 0
     assert calls.solved == ["optimise", *FREE, "fuse", "fuse"]
-    assert {path.stem for path in kept.iterdir()} == set(KEPT)
+    assert {path.stem for path in kept.iterdir()} == set(CACHED_STAGES)
     method = json.loads((out.parent / "method.json").read_text())
     assert VERSION in method["code"] and contents(out)["prediction.json"]["settings"]["solver"] == VERSION
     assert contents(out) == whole
@@ -293,26 +295,30 @@ def test_interrupted_the_command_says_what_is_kept(sequence, tmp_path, monkeypat
 
 def test_command_line_pipeline_and_cache_know_the_stages_of_the_table(tmp_path):
     assert len({stage.name for stage in STAGES}) == len(STAGES)
-    assert set(pipeline._SOLVERS) == set(KEPT)
+    assert set(pipeline._SOLVERS) == set(CACHED_STAGES)
     until = get_type_hints(command)["until"]
-    assert get_args(until) == (Literal[KEPT], type(None))
+    assert get_args(until) == (Literal[CACHED_STAGES], type(None))
     lines = " ".join(command_help("reconstruct", command).split())
-    assert f"--until {'|'.join(KEPT)} " in lines
-    assert [stage.name for stage in STAGES if stage.kept and f"{stage.name}: {stage.does}." not in lines] == []
+    assert f"--until {'|'.join(CACHED_STAGES)} " in lines
+    assert [stage.name for stage in STAGES if stage.cached and f"{stage.name}: {stage.description}." not in lines] == []
 
 
 def test_every_group_of_settings_counts_from_one_stage_on():
     groups = QUIET.to_json()
-    named = [group for stage in STAGES for group in stage.first_uses]
+    named = [group for stage in STAGES for group in stage.first_used_settings]
     assert len(set(named)) == len(named) and set(named) <= set(groups)
-    assert set(used_by(KEPT[-1], groups)) == set(groups) - {"renders"}, "the last kept stage depends on all but one"
-    assert "a new group" in used_by(KEPT[0], {"a new group": {}}), "and on nothing that nobody thought of too late"
+    assert set(settings_used_by(CACHED_STAGES[-1], groups)) == set(groups) - {"renders"}, (
+        "the last kept stage depends on all but one"
+    )
+    assert "a new group" in settings_used_by(CACHED_STAGES[0], {"a new group": {}}), (
+        "and on nothing that nobody thought of too late"
+    )
 
 
 def test_the_bar_moves_within_a_long_stage():
-    with pipeline._Clock(show=False) as clock:
+    with pipeline._StageClock(show=False) as clock:
         (bar,) = clock._bar.tasks
-        for k, stage in enumerate(KEPT[:2]):
+        for k, stage in enumerate(CACHED_STAGES[:2]):
             with clock.stage(stage):
                 clock.progress(0.25)
                 assert bar.completed == k + 0.25 and bar.total == len(STAGES)
@@ -345,9 +351,9 @@ def test_no_stage_reads_settings_that_the_table_gives_to_later_ones(sequence, tm
     for stage, solver in list(pipeline._SOLVERS.items()):
         monkeypatch.setitem(pipeline._SOLVERS, stage, watched(stage, solver))
     reconstruct_folder(sequence, tmp_path / "out", Watched(progress=False, gaussians=QUIET.gaussians))
-    assert {"seeds", "growth"} <= found["segmentation"] and "gaps" in found["joint"]
-    for stage in KEPT:
-        assert found[stage] <= set(used_by(stage, groups)), stage
+    assert {"growth", "pieces"} <= found["segmentation"] and "gaps" in found["joint"]
+    for stage in CACHED_STAGES:
+        assert found[stage] <= set(settings_used_by(stage, groups)), stage
 
 
 # ---- what makes a kept stage invalid -------------------------------------------------------------------------------
@@ -369,7 +375,7 @@ def test_changed_settings_are_solved_again_from_the_first_stage_that_uses_them(
 def test_keys_change_with_what_a_stage_depends_on_and_nothing_else(sequence, tmp_path, monkeypatch):
     def changed(settings=QUIET, folder=sequence):
         now = cache.stage_keys(folder, settings)
-        return [stage for stage in KEPT if now[stage] != before[stage]]
+        return [stage for stage in CACHED_STAGES if now[stage] != before[stage]]
 
     geometry = replace(QUIET, gaussians=replace(QUIET.gaussians, refine=False))
     on_the_processor = replace(QUIET, gaussians=replace(QUIET.gaussians, backend="numba"))
@@ -377,12 +383,12 @@ def test_keys_change_with_what_a_stage_depends_on_and_nothing_else(sequence, tmp
     assert len(set(before.values())) == len(before)
     assert changed(replace(QUIET, progress=True)) == []
     from_joint = ["joint", "gaussians", "poses", "surfaces"]
-    assert changed(replace(QUIET, gaps=replace(QUIET.gaps, steps=3))) == from_joint
-    assert changed(replace(QUIET, exchanges=replace(QUIET.exchanges, every=3))) == from_joint
+    assert changed(replace(QUIET, gaps=replace(QUIET.gaps, shortest_gap=3))) == from_joint
+    assert changed(replace(QUIET, exchanges=replace(QUIET.exchanges, most=3))) == from_joint
     assert changed(geometry) == ["gaussians", "poses", "surfaces"]
     assert changed(replace(QUIET, surfaces=replace(QUIET.surfaces, voxel=2.0))) == ["gaussians", "poses", "surfaces"]
     with monkeypatch.context() as patch:
-        patch.setattr(cache, "_drawn_by", lambda: ["1.5.3", "2.9.0", "Some GPU"])
+        patch.setattr(cache, "_describe_renderer", lambda: ["1.5.3", "2.9.0", "Some GPU"])
         assert changed() == ["gaussians", "poses", "surfaces"]
         on_a_gpu = [cache.stage_keys(sequence, s) for s in (geometry, on_the_processor)]
     assert on_a_gpu == [cache.stage_keys(sequence, s) for s in (geometry, on_the_processor)]
@@ -390,25 +396,25 @@ def test_keys_change_with_what_a_stage_depends_on_and_nothing_else(sequence, tmp
     for name in set(QUIET.to_json()) - {"progress", "exchanges", "gaps", "gaussians", "surfaces", "renders"}:
         group = getattr(QUIET, name)
         other = replace(group, **{fields(group)[0].name: 12345}) if is_dataclass(group) else 12345
-        assert changed(replace(QUIET, **{name: other})) == list(KEPT), name
+        assert changed(replace(QUIET, **{name: other})) == list(CACHED_STAGES), name
     write_sequence(tmp_path / "a", make_clip("hinge", 10, (120, 90), spin=0.2).recording, 2e-5)
     assert changed(folder=tmp_path / "a") == [], "held-out views and the folder's name do not count"
     depth = tmp_path / "a" / "depth" / "00004.png"
     data = bytearray(depth.read_bytes())
     data[-20] ^= 1
     depth.write_bytes(data)
-    assert changed(folder=tmp_path / "a") == list(KEPT)
+    assert changed(folder=tmp_path / "a") == list(CACHED_STAGES)
     monkeypatch.setattr(cache, "VERSION", "0")
-    assert changed() == list(KEPT)
+    assert changed() == list(CACHED_STAGES)
 
 
 @pytest.mark.parametrize("lack", [None, "torch is not installed"])
 def test_where_gsplat_draws_keys_name_it_and_the_gpu(lack, monkeypatch):
     cuda = SimpleNamespace(get_device_name=lambda: "Some GPU")
     monkeypatch.setitem(sys.modules, "torch", SimpleNamespace(__version__="2.9.0", cuda=cuda))
-    monkeypatch.setattr(gsplat_backend, "lack", lambda: lack)
+    monkeypatch.setattr(gsplat_backend, "missing_requirement", lambda: lack)
     monkeypatch.setattr(cache.metadata, "version", {"gsplat": "1.5.3"}.__getitem__)
-    assert cache._drawn_by.__wrapped__() == (["1.5.3", "2.9.0", "Some GPU"] if lack is None else [])
+    assert cache._describe_renderer.__wrapped__() == (["1.5.3", "2.9.0", "Some GPU"] if lack is None else [])
 
 
 def test_a_joint_comes_back_to_the_last_bit():
@@ -577,7 +583,8 @@ def test_a_tier_takes_one_object_of_each_category():
 def test_changed_settings_name_their_variant():
     own = ReconstructSettings(progress=False)
     paper = replace(own, joint=replace(own.joint, type_rule="paper"))
-    many = replace(paper, growth=replace(own.growth, gates=(9.0, 4.0)))
+    growth = replace(own.growth, surprise_weight=0.0, surprising_cost=9.0, attempts=1, beginnings=1)
+    many = replace(paper, growth=growth, labels=replace(own.labels, propagation=0.0))
     assert bench._changed(own) == [] and bench._changed(paper) == ["type_rule=paper"]
     (name,) = bench._changed(many)
     assert name.startswith("settings-") and name != bench._changed(replace(many, seed=1))[0]

@@ -28,7 +28,7 @@ class Springs:
 def test_pairs_are_the_nearest_views_far_apart_in_time():
     Ts, seen, settings = turning(), np.ones(40, bool), PoseSettings()
     seen[5] = False
-    expected = {(i, i + d) for i in range(40) for d in settings.offsets if i + d < 40 and seen[i] and seen[i + d]}
+    expected = {(i, i + d) for i in range(40) for d in poses.OFFSETS if i + d < 40 and seen[i] and seen[i + d]}
     for i in np.flatnonzero(seen):
         turn = np.arccos(np.clip(Ts[:, 2, :3] @ Ts[i, 2, :3], -1, 1))
         chosen = []
@@ -69,7 +69,7 @@ def test_jacobian_is_the_derivative_of_the_moving_part(kind):
     now = JointedPoses(joint, rng.uniform(0, 1, 5), turning(5), np.ones(5), 0.0)
     M, across = poses.joint_jacobian(now)
     x = 1e-6 * rng.normal(size=M.shape[1])
-    moved = se3.log_se3(poses.stepped(now, x, across, 1.0).Ts_moving @ se3.inverse(now.Ts_moving))
+    moved = se3.log_se3(poses.apply_joint_step(now, x, across, 1.0).Ts_moving @ se3.inverse(now.Ts_moving))
     np.testing.assert_allclose(moved.ravel(), M @ x, atol=1e-9)
 
 
@@ -83,7 +83,7 @@ def test_variances_with_the_gauge_held_are_those_by_eigenvalues():
     _, (A1, _, _) = equations(now.Ts_moving, seen, 2)
     M, _ = poses.joint_jacobian(now)
     own = np.eye(6 * n, M.shape[1])
-    A, _ = poses.with_state_smoothness(own.T @ A0 @ own + M.T @ A1 @ M, np.zeros(M.shape[1]), np.zeros(n))
+    A, _ = poses.add_state_smoothness(own.T @ A0 @ own + M.T @ A1 @ M, np.zeros(M.shape[1]), np.zeros(n))
     A = np.asarray(A)
     held = np.append(np.arange(6), 6 * n)
     scale = np.sqrt(np.maximum(np.diag(A), 1e-12 * np.diag(A).max()))
@@ -145,7 +145,7 @@ def test_deviations_of_the_joint_are_those_of_random_solutions_in_the_frame_of_a
 def test_the_axis_deviation_carries_its_factor_and_the_lines_does_not():
     A, now, seen, _, _ = jointed_equations()
     clouds = [np.random.default_rng(k).normal(size=(50, 3)) for k in range(2)]
-    found = poses.with_std(now, A, seen, clouds, 1.0, 0.01).joint_std
+    found = poses.add_standard_deviations(now, A, seen, clouds, 1.0, 0.01).joint_std
     plain = np.hypot(poses._joint_std(A.copy(), now, seen, clouds[1].mean(0), 1.0), poses._systematic_std(clouds, 0.01))
     assert found == pytest.approx(plain * [poses.AXIS_FACTOR, 1.0])
 

@@ -21,12 +21,12 @@ from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure, Reconstruction
 from freeart21.recording import Frame, Recording
 from reconstruct.evidence import Evidence
-from reconstruct.gaps import _hidden_path, bridge_gaps, fill_gaps
-from reconstruct.growth import Grown
+from reconstruct.gaps import _find_hidden_path, bridge_gaps, fill_gaps
 from reconstruct.pipeline import reconstruct, reconstruct_folder
 from reconstruct.poses import JointedPoses, joint_adjustment
+from reconstruct.propagation import PartEstimate
 from reconstruct.renders import render
-from reconstruct.scene import prepare
+from reconstruct.scene import prepare_scene
 from reconstruct.settings import GaussianSettings, ReconstructSettings, SceneSettings, TrackSettings
 from reconstruct.tracks import follow, lift, optical_flow
 
@@ -176,8 +176,8 @@ def test_depth_that_cannot_be_the_objects_is_none(hinge, value):
         wrong = frame.mask & (rng.random(frame.mask.shape) < (0.9 if i == 5 else 0.05))
         return replace(frame, depth=np.where(wrong, np.float32(value), frame.depth))
 
-    spoilt = prepare(replace(source, load=load), SceneSettings())
-    clean = prepare(source, SceneSettings())
+    spoilt = prepare_scene(replace(source, load=load), SceneSettings())
+    clean = prepare_scene(source, SceneSettings())
     assert 0.04 < spoilt.implausible < 0.15 and clean.implausible == 0
     assert spoilt.diagonal == pytest.approx(clean.diagonal, rel=0.05)
     assert spoilt.points[spoilt.valid][:, 2].max() < 2 and spoilt.points[spoilt.valid][:, 2].min() > 0.5
@@ -213,7 +213,7 @@ def _without_mask(frame):
 
 def true_growth(clip, hidden, part):
     """The scene of a clip and its true answer, `part` unseen in the frames `hidden`."""
-    scene = prepare(clip.recording, SceneSettings())
+    scene = prepare_scene(clip.recording, SceneSettings())
     size = scene.mask.shape[1:]
     labels = np.stack(
         [m[y:, x:][: size[0], : size[1]] for m, (x, y) in zip(clip.part_masks, scene.origin, strict=True)]
@@ -221,15 +221,15 @@ def true_growth(clip, hidden, part):
     seen = np.ones((len(labels), 2), bool)
     seen[hidden, part] = False
     poses = JointedPoses(clip.joint, clip.states.copy(), clip.Ts.copy(), np.zeros(len(labels)), 0.0)
-    grown = Grown(poses, labels, np.where(labels == 2, 1, -1).astype(np.float32), seen)
-    return Evidence(scene, QUIET.evidence, QUIET.labels), grown
+    estimate = PartEstimate(poses, labels, np.where(labels == 2, 1, -1).astype(np.float32), seen)
+    return Evidence(scene, QUIET.evidence, QUIET.labels), estimate
 
 
-def slipped(clip, grown, part, share):
-    """`grown` with `part` off by a `share` of the range from frame 12 on, while the other part stays where it is."""
+def slipped(clip, estimate, part, share):
+    """`estimate` with `part` off by a `share` of the range from frame 12 on, while the other part stays where it is."""
     states = clip.states + np.where(np.arange(FRAMES) >= 12, share * np.ptp(clip.states), 0)
-    Ts = clip.Ts if part == 1 else grown.poses.Ts_moving @ clip.joint.transform(-states)
-    return replace(grown, poses=replace(grown.poses, states=states, Ts=Ts))
+    Ts = clip.Ts if part == 1 else estimate.poses.Ts_moving @ clip.joint.transform(-states)
+    return replace(estimate, poses=replace(estimate.poses, states=states, Ts=Ts))
 
 
 def assert_stays(found, true, part):
@@ -242,13 +242,13 @@ def assert_stays(found, true, part):
 @pytest.mark.parametrize("name", ["hinge", "slide"])
 def test_a_slip_behind_a_gap_is_found_and_the_gap_interpolated(name, part, hinge, slide):
     clip = {"hinge": hinge, "slide": slide}[name]
-    evidence, grown = true_growth(clip, slice(12, 15), part)
-    found = bridge_gaps(evidence, slipped(clip, grown, part, 0.4), QUIET.gaps, np.random.default_rng(0)).poses
+    evidence, estimate = true_growth(clip, slice(12, 15), part)
+    found = bridge_gaps(evidence, slipped(clip, estimate, part, 0.4), QUIET.gaps, np.random.default_rng(0)).poses
     off = found.states - clip.states
     assert np.abs(off[:12] - off[0]).max() < 1e-12 and np.abs(off[15:] - off[15]).max() < 1e-12
-    assert np.abs(off - off[0])[grown.seen[:, part]].max() < 0.03 * np.ptp(clip.states)
+    assert np.abs(off - off[0])[estimate.seen[:, part]].max() < 0.03 * np.ptp(clip.states)
     assert np.abs(off - off[0]).max() < 0.08 * np.ptp(clip.states), "only guessed"
-    assert_stays(found, grown.poses, part)
+    assert_stays(found, estimate.poses, part)
 
 
 @pytest.mark.parametrize("unseen", [[], [11], [12]])
@@ -256,11 +256,11 @@ def test_a_slip_behind_a_gap_is_found_and_the_gap_interpolated(name, part, hinge
 @pytest.mark.parametrize("name", ["hinge", "slide"])
 def test_a_jump_of_a_part_that_was_not_hidden_is_undone(name, part, unseen, hinge, slide):
     clip = {"hinge": hinge, "slide": slide}[name]
-    evidence, grown = true_growth(clip, unseen, part)
-    found = bridge_gaps(evidence, slipped(clip, grown, part, 0.7), QUIET.gaps, np.random.default_rng(0)).poses
+    evidence, estimate = true_growth(clip, unseen, part)
+    found = bridge_gaps(evidence, slipped(clip, estimate, part, 0.7), QUIET.gaps, np.random.default_rng(0)).poses
     off = found.states - clip.states
     assert np.abs(off - off[0]).max() < 0.05 * np.ptp(clip.states)
-    assert_stays(found, grown.poses, part)
+    assert_stays(found, estimate.poses, part)
 
 
 @pytest.mark.parametrize("part", [0, 1])
@@ -270,42 +270,44 @@ def test_in_a_gap_a_part_stands_where_it_would_not_be_seen(kind, part):
         [np.linspace(0, 0.5, 8), np.linspace(0.6, 1, 4), np.linspace(1, 0.6, 4), np.linspace(0.5, 0, 8)]
     )
     clip = make_clip(kind, len(sweep), spin=GENTLE, sweep=sweep)
-    evidence, grown = true_growth(clip, slice(8, 16), part)
-    evenly = replace(grown.poses, states=np.interp(np.arange(24), [0, 7, 16, 23], clip.states[[0, 7, 16, 23]]))
-    Ts = clip.Ts if part == 1 else grown.poses.Ts_moving @ clip.joint.transform(-evenly.states)
+    evidence, estimate = true_growth(clip, slice(8, 16), part)
+    evenly = replace(estimate.poses, states=np.interp(np.arange(24), [0, 7, 16, 23], clip.states[[0, 7, 16, 23]]))
+    Ts = clip.Ts if part == 1 else estimate.poses.Ts_moving @ clip.joint.transform(-evenly.states)
     found = fill_gaps(
-        evidence, replace(grown, poses=replace(evenly, Ts=Ts)), QUIET.gaps, np.random.default_rng(0)
+        evidence, replace(estimate, poses=replace(evenly, Ts=Ts)), QUIET.gaps, np.random.default_rng(0)
     ).poses
-    reach = clip.states[grown.seen.all(1)].max() + 0.05 * np.ptp(clip.states)  # hardly further than it was ever seen
+    reach = clip.states[estimate.seen.all(1)].max() + 0.05 * np.ptp(clip.states)  # hardly further than it was ever seen
     off = np.abs(found.states - np.minimum(clip.states, reach)) / np.ptp(clip.states)
     assert off.max() < 0.08 and (np.abs(evenly.states - clip.states) / np.ptp(clip.states)).max() > 0.4
-    assert_stays(found, grown.poses, part)
+    assert_stays(found, estimate.poses, part)
 
 
 def test_a_hidden_path_goes_round_what_is_exposed_and_back():
     grid, even = np.linspace(0, 1, 11), np.full(9, 0.5)
-    assert np.allclose(_hidden_path(np.zeros((9, 11)), even, grid, (True, True), 1.0), 0.5)
+    assert np.allclose(_find_hidden_path(np.zeros((9, 11)), even, grid, (True, True), 1.0), 0.5)
     exposed = np.zeros((9, 11))
     exposed[4, :9] = 5.0
-    found = _hidden_path(exposed, even, grid, (True, True), 1.0)
+    found = _find_hidden_path(exposed, even, grid, (True, True), 1.0)
     assert found[4] == pytest.approx(0.9) and found[0] < 0.7 and found[8] < 0.7
-    assert _hidden_path(exposed, even, grid, (True, False), 1.0)[8] == pytest.approx(0.9)
+    assert _find_hidden_path(exposed, even, grid, (True, False), 1.0)[8] == pytest.approx(0.9)
 
 
 def test_a_state_that_was_not_measured_leaves_the_others_as_sure(hinge):
     def median_std(hidden):
-        evidence, grown = true_growth(hinge, hidden, 1)
-        poses = joint_adjustment(evidence, grown.labels, grown.poses, grown.seen, QUIET.poses, np.random.default_rng(0))
-        assert np.array_equal(np.isfinite(poses.state_std), grown.seen.all(1))
-        return np.median(poses.state_std[grown.seen.all(1)])
+        evidence, estimate = true_growth(hinge, hidden, 1)
+        poses = joint_adjustment(
+            evidence, estimate.labels, estimate.poses, estimate.seen, QUIET.poses, np.random.default_rng(0)
+        )
+        assert np.array_equal(np.isfinite(poses.state_std), estimate.seen.all(1))
+        return np.median(poses.state_std[estimate.seen.all(1)])
 
     assert median_std([10]) == pytest.approx(median_std([]), rel=0.2)
 
 
 def test_where_nothing_slipped_nothing_is_shifted(hinge):
-    evidence, grown = true_growth(hinge, slice(12, 15), 1)
-    states = bridge_gaps(evidence, grown, QUIET.gaps, np.random.default_rng(0)).poses.states
-    seen = grown.seen.all(1)
+    evidence, estimate = true_growth(hinge, slice(12, 15), 1)
+    states = bridge_gaps(evidence, estimate, QUIET.gaps, np.random.default_rng(0)).poses.states
+    seen = estimate.seen.all(1)
     assert np.array_equal(states[seen], hinge.states[seen])
     assert np.abs(states - hinge.states).max() < 0.08 * np.ptp(hinge.states), "only guessed, near a turning point"
 
@@ -332,7 +334,7 @@ def sliding_plane(frames=6, step=3):
 
 
 def test_tracks_follow_a_sliding_plane_in_3d():
-    scene = prepare(sliding_plane(), SceneSettings(min_frames=3))
+    scene = prepare_scene(sliding_plane(), SceneSettings(min_frames=3))
     flow = optical_flow(scene)
     tracks = follow(scene, flow, 0, 4, TrackSettings())
     kept = tracks.visible[:, -1]
@@ -348,7 +350,7 @@ def test_tracks_follow_a_sliding_plane_in_3d():
 
 
 def test_lift_meets_the_plane_between_pixels():
-    scene = prepare(sliding_plane(), SceneSettings(min_frames=3))
+    scene = prepare_scene(sliding_plane(), SceneSettings(min_frames=3))
     at = np.array([[40.3, 50.7], [60.5, 30.2]])
     points = lift(scene, 0, at)
     rows = (points[:, 1] / points[:, 2]) * scene.fy + scene.cy[0]
@@ -358,7 +360,7 @@ def test_lift_meets_the_plane_between_pixels():
 
 
 def test_fast_tracks_are_dropped_beyond_two_sigma():
-    scene = prepare(sliding_plane(), SceneSettings(min_frames=3))
+    scene = prepare_scene(sliding_plane(), SceneSettings(min_frames=3))
     flow = optical_flow(scene)
     flow.forward[0, 40:44, 40:44] += (9, 0)
     flow.backward[1] = -np.median(flow.forward[0], axis=(0, 1))

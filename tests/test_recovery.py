@@ -10,14 +10,14 @@ from test_reconstruct import GENTLE, QUIET, true_growth
 from freeart21 import se3
 from freeart21.reconstruction import Failure, Reconstruction
 from freeart21.recording import Frame, Recording
-from reconstruct import seeds
-from reconstruct.growth import Growth
+from reconstruct import recovery, seeds, segmentation
 from reconstruct.paper_segmentation import PartWeights, part_poses
 from reconstruct.pipeline import reconstruct
-from reconstruct.recovery import _Look, _patches
-from reconstruct.scene import HopelessError
+from reconstruct.propagation import Propagation
+from reconstruct.recovery import _assign_patches, _UnlabelledFrame
+from reconstruct.scene import UnsolvableError
 from reconstruct.seeds import Seed, find_seeds
-from reconstruct.segmentation import _begun, add_frames, go_back, grow
+from reconstruct.segmentation import _initial_propagation, add_frames, propagate_from_seeds, redo_lost_frames
 from reconstruct.tracks import DisTracker
 
 SIZE = (160, 120)
@@ -62,14 +62,14 @@ def half_grown(done, resting, settings):
     """A growth that has found the first `done` frames to be what they truly are."""
     clip, evidence, true, tracker = resting
     nothing = Seed(0, np.zeros(0, np.int64), np.zeros((0, 2, 4, 4)), true.logodds[0], gain=0.0)
-    growth = Growth(evidence, tracker, nothing, settings, RNG(0))
+    propagation = Propagation(evidence, tracker, nothing, settings, RNG(0))
     for i in range(done):
-        growth.put_labels(i, true.logodds[i])
-    growth.done[:done] = True
+        propagation.set_labels(i, true.logodds[i])
+    propagation.done[:done] = True
     past = np.arange(len(SWEEP)) < done
     Ts = np.where(past[:, None, None], true.poses.Ts, np.eye(4))
-    growth.adopt(replace(true.poses, states=np.where(past, clip.states, 0), Ts=Ts))
-    return growth
+    propagation.set_joint(replace(true.poses, states=np.where(past, clip.states, 0), Ts=Ts))
+    return propagation
 
 
 # ---- a rest --------------------------------------------------------------------------------------------------------
@@ -77,52 +77,52 @@ def half_grown(done, resting, settings):
 
 def test_growth_holds_a_resting_joint_still_and_lets_it_go_on(resting):
     clip = resting[0]
-    growth = half_grown(done=20, resting=resting, settings=QUIET)
-    add_frames(growth, len(SWEEP) - 20)
-    steps = np.diff(growth.states)
+    propagation = half_grown(done=20, resting=resting, settings=QUIET)
+    add_frames(propagation, len(SWEEP) - 20)
+    steps = np.diff(propagation.states)
     assert (steps[19 : REST.stop - 1] == 0).mean() > 0.5, "not only nearly"
     assert (steps[REST.stop - 1 :] != 0).all()
-    assert np.abs(growth.states - clip.states).max() < 0.017 * np.ptp(clip.states)
-    assert growth.seen.all() and growth.done.all()
+    assert np.abs(propagation.states - clip.states).max() < 0.017 * np.ptp(clip.states)
+    assert propagation.seen.all() and propagation.done.all()
 
 
 def test_a_joint_that_rests_and_goes_on_is_followed(resting):
     clip, evidence, true, tracker = resting
     rng = RNG(0)
-    grown = grow(evidence, tracker, find_seeds(evidence, tracker, QUIET.seeds, rng), QUIET, rng)
-    off = state_errors(grown.poses.states, clip)
-    assert grown.poses.joint.type == "revolute"
+    estimate = propagate_from_seeds(evidence, tracker, find_seeds(evidence, tracker, rng), QUIET, rng)
+    off = state_errors(estimate.poses.states, clip)
+    assert estimate.poses.joint.type == "revolute"
     assert np.ptp(off[REST]) < 0.028 and np.abs(off).mean() < 0.006 and np.abs(off).max() < 0.015
-    assert right_labels(grown.labels, true.labels).min() > 0.93
+    assert right_labels(estimate.labels, true.labels).min() > 0.93
 
 
-def test_the_way_back_that_leads_nowhere_changes_nothing(resting):
-    settings = replace(QUIET, growth=replace(QUIET.growth, agreeing=-1.0))
-    growth = half_grown(done=14, resting=resting, settings=settings)
-    kept = ("Ts", "states", "labels", "logodds", "seen", "open", "costs", "done")
-    before = {name: getattr(growth, name).copy() for name in kept}
-    assert not go_back(growth, 12, 11)
+def test_the_way_back_that_leads_nowhere_changes_nothing(resting, monkeypatch):
+    monkeypatch.setattr(segmentation, "AGREEMENT", -1.0)
+    propagation = half_grown(done=14, resting=resting, settings=QUIET)
+    kept = ("Ts", "states", "labels", "logodds", "seen", "ambiguous", "costs", "done")
+    before = {name: getattr(propagation, name).copy() for name in kept}
+    assert not redo_lost_frames(propagation, 12, 11)
     for name in kept:
-        assert np.array_equal(getattr(growth, name), before[name], equal_nan=name == "costs"), name
+        assert np.array_equal(getattr(propagation, name), before[name], equal_nan=name == "costs"), name
 
 
-def test_the_way_back_may_lead_over_all_that_was_found(resting):
-    settings = replace(QUIET, growth=replace(QUIET.growth, sound_share=0.49))  # no frame is sound
-    growth = half_grown(done=12, resting=resting, settings=settings)
-    go_back(growth, 11, 10)
-    assert growth.done[:12].all() and np.isfinite(growth.Ts).all()
+def test_the_way_back_may_lead_over_all_that_was_found(resting, monkeypatch):
+    monkeypatch.setattr(recovery, "SOUND_SHARE", 0.49)  # no frame is reliable
+    propagation = half_grown(done=12, resting=resting, settings=QUIET)
+    redo_lost_frames(propagation, 11, 10)
+    assert propagation.done[:12].all() and np.isfinite(propagation.Ts).all()
 
 
 def test_the_way_back_mends_what_was_lost(resting):
     clip, _, true, _ = resting
-    growth = half_grown(done=30, resting=resting, settings=QUIET)
+    propagation = half_grown(done=30, resting=resting, settings=QUIET)
     lost = np.arange(15, 24)
-    growth.states[lost] += 0.5 * np.ptp(clip.states)
-    growth.Ts[1, lost] = growth.Ts[0, lost] @ growth.joint.transform(growth.states[lost])
+    propagation.states[lost] += 0.5 * np.ptp(clip.states)
+    propagation.Ts[1, lost] = propagation.Ts[0, lost] @ propagation.joint.transform(propagation.states[lost])
     for i in lost:
-        growth.put_labels(int(i), np.where(true.labels[i] > 0, -3, 0).astype(np.float32))
-    assert go_back(growth, 24, 23)
-    assert np.abs(growth.states[:30] - clip.states[:30]).max() < 0.02 * np.ptp(clip.states)
+        propagation.set_labels(int(i), np.where(true.labels[i] > 0, -3, 0).astype(np.float32))
+    assert redo_lost_frames(propagation, 24, 23)
+    assert np.abs(propagation.states[:30] - clip.states[:30]).max() < 0.02 * np.ptp(clip.states)
 
 
 # ---- nothing to see ------------------------------------------------------------------------------------------------
@@ -161,81 +161,80 @@ def test_papers_poses_bear_a_part_that_appears_late():
     clip = without(make_clip("hinge", 12, size=SIZE, spin=GENTLE), slice(0, late), part=2)
     evidence, true = true_growth(clip, slice(0, 0), 1)
     given = PartWeights((true.labels == 2).astype(np.float32), np.tile(np.eye(4), (12, 2, 1, 1)))
-    grown = part_poses(evidence, DisTracker(evidence.scene, QUIET.tracks), given, QUIET, RNG(0))
-    assert grown.seen[:, 0].all() and np.array_equal(grown.seen[:, 1], np.arange(12) >= late)
-    assert grown.poses.joint.type == "revolute"
-    assert np.abs(state_errors(grown.poses.states, clip)[late:]).max() < 0.016
+    estimate = part_poses(evidence, DisTracker(evidence.scene, QUIET.tracks), given, QUIET, RNG(0))
+    assert estimate.seen[:, 0].all() and np.array_equal(estimate.seen[:, 1], np.arange(12) >= late)
+    assert estimate.poses.joint.type == "revolute"
+    assert np.abs(state_errors(estimate.poses.states, clip)[late:]).max() < 0.016
 
 
 # ---- what is found anew ----------------------------------------------------------------------------------------------
 
 
-class Noisy(_Look):
+class Noisy(_UnlabelledFrame):
     """Two parts on the left and right half of a picture; costs come with noise, of motions with what they lack."""
 
     def costs(self, Ts, states):
         noise = RNG(0).normal(0, 0.05, (len(self.pixels), len(Ts), 2))
         noise[:, 0, 1] = noise[:, 0, 0]  # at rest both parts move alike
         right = self.pixels[:, 1] >= 50
-        lack = np.stack([np.ones((len(right), 2)), np.stack([right, ~right], 1)], 1)
-        return 0.2 + noise + lack * states[:, None]
+        costs = np.stack([np.ones((len(right), 2)), np.stack([right, ~right], 1)], 1)
+        return 0.2 + noise + costs * states[:, None]
 
 
 def test_noise_is_not_taken_for_a_motion_but_a_motion_is():
     grid = np.stack(np.meshgrid(np.arange(0, 100, 4), np.arange(0, 100, 4), indexing="ij"), -1).reshape(-1, 2)
-    look = Noisy(None, 0, np.zeros(0, np.int64), grid, _patches(grid, 100 * 100))
+    look = Noisy(None, 0, np.zeros(0, np.int64), grid, _assign_patches(grid, 100 * 100))
     assert 60 < look.patches.max() < 100
     twice = np.broadcast_to(np.eye(4), (2, 4, 4))
     pixelwise = look.costs(twice, np.zeros(2)).min(2).mean(0)
     assert pixelwise[1] < 0.9 * pixelwise[0], "pixel by pixel the noise would be explained"
-    rest, moved = look.explained(twice, np.zeros(2))
-    assert rest < QUIET.growth.rest_cost_freely * moved
-    rest, moved = look.explained(twice, np.array([0.05, 0.3]))
-    assert rest > QUIET.growth.rest_cost_freely * moved
+    rest, moved = look.patch_costs(twice, np.zeros(2))
+    assert rest < recovery.REST_COST_UNLABELLED * moved
+    rest, moved = look.patch_costs(twice, np.array([0.05, 0.3]))
+    assert rest > recovery.REST_COST_UNLABELLED * moved
 
 
 def test_without_labels_the_joint_goes_back_where_it_was_and_not_beyond(resting):
     evidence = resting[1]
-    growth = half_grown(done=20, resting=resting, settings=QUIET)
+    propagation = half_grown(done=20, resting=resting, settings=QUIET)
     rest, pixels = 19, np.argwhere(evidence.scene.valid[19])[::20].astype(np.int32)
     others = np.arange(8, 19, 2)  # all of them at rest
-    look = _Look(growth, rest, others, pixels, _patches(pixels, 20 * len(pixels)))
-    T, q, top = growth.Ts[0, rest], growth.states[rest], growth.states[:20].max()
+    look = _UnlabelledFrame(propagation, rest, others, pixels, _assign_patches(pixels, 20 * len(pixels)))
+    T, q, top = propagation.Ts[0, rest], propagation.states[rest], propagation.states[:20].max()
     assert q == pytest.approx(top)
-    within = look.within_range(T, q + 0.02, q, np.inf)
+    within = look.prefer_known_state(T, q + 0.02, q, np.inf)
     assert within[1] < q, "the parts are exchanged, and the state goes back"
-    assert look.within_range(T, q + 0.02, q, 0.0)[1] == q + 0.02, "not when that explains less"
-    assert look.within_range(T, q - 0.02, q, np.inf)[1] == q - 0.02
+    assert look.prefer_known_state(T, q + 0.02, q, 0.0)[1] == q + 0.02, "not when that explains less"
+    assert look.prefer_known_state(T, q - 0.02, q, np.inf)[1] == q - 0.02
 
 
 def test_all_pixels_choose_the_windows_whatever_the_tracks_noise_says(resting, monkeypatch):
     _, evidence, _, tracker = resting
-    found = seeds.candidates(evidence, tracker, QUIET.seeds, RNG(0))
+    found = seeds.find_candidates(evidence, tracker, RNG(0))
     at_rest = [c for c in found if REST.start <= c.frame and c.frame + c.gap < REST.stop]
     noisy = [replace(c, gain=c.gain + 100) if c in at_rest else c for c in found]
-    monkeypatch.setattr(seeds, "candidates", lambda *_: sorted(noisy, key=lambda c: -c.gain))
-    few = replace(QUIET.seeds, refined=2, stretch=6)
+    monkeypatch.setattr(seeds, "find_candidates", lambda *_: sorted(noisy, key=lambda c: -c.gain))
+    monkeypatch.setattr(seeds, "MAX_REFINED", 2)
+    monkeypatch.setattr(seeds, "STRETCH", 6)
     assert len(at_rest) >= 2 and len(noisy) > len(at_rest)
-    assert not any(
-        REST.start <= s.frame and s.others[-1] < REST.stop for s in find_seeds(evidence, tracker, few, RNG(0))
-    )
+    assert not any(REST.start <= s.frame and s.others[-1] < REST.stop for s in find_seeds(evidence, tracker, RNG(0)))
 
 
-def test_of_several_beginnings_the_one_that_explains_its_frames_is_taken(resting):
+def test_of_several_beginnings_the_one_that_explains_its_frames_is_taken(resting, monkeypatch):
     _, evidence, true, tracker = resting
-    good = find_seeds(evidence, tracker, QUIET.seeds, RNG(0))
+    good = find_seeds(evidence, tracker, RNG(0))
     at = 9  # the joint rests: halves of the picture are taken for parts
     halves = np.where(np.arange(true.labels.shape[2]) < true.labels.shape[2] // 2, -3, 3)
     others = np.arange(at + 1, at + 7)
     Ts = true.poses.Ts[others] @ se3.inverse(true.poses.Ts[at])
     bad = Seed(at, others, np.stack([Ts, Ts], 1), np.where(true.labels[at] > 0, halves, 0).astype(np.float32), 1.0)
-    settings = replace(QUIET, growth=replace(QUIET.growth, beginnings_apart=1))
+    monkeypatch.setattr(segmentation, "SEED_DISTANCE", 1)
 
     def begun(*seeds):
-        return _begun(evidence, tracker, seeds, settings, RNG(0))[0]
+        return _initial_propagation(evidence, tracker, seeds, QUIET, RNG(0))[0]
 
-    def right(growth):
-        return right_labels(growth.labels[growth.done], true.labels[growth.done]).mean()
+    def right(propagation):
+        return right_labels(propagation.labels[propagation.done], true.labels[propagation.done]).mean()
 
     assert right(begun(bad)) < 0.8 < 0.93 < right(begun(bad, *good))
     assert right(begun(good[0], bad)) > 0.93
@@ -255,17 +254,21 @@ def test_a_refusal_names_the_test_that_failed_and_no_other(share, drop, shown, l
         nothing = np.zeros((0, 2, 4, 4))
         return Seed(frame, np.zeros(0, int), nothing, np.zeros((1, 1), np.float32), 0.0, drop, share)
 
-    text = seeds._refusal([window(3, 0.01, 0.01), window(7, share, drop)], QUIET.seeds)
+    text = seeds._explain_rejection([window(3, 0.01, 0.01), window(7, share, drop)])
     assert "frame 7 comes nearest" in text and all(words in text for words in shown), text
     assert not any(words in text for words in left_out), text
 
 
-def test_a_refusal_by_the_tracks_names_the_test_that_failed(resting):
+@pytest.mark.parametrize(
+    "name, value, words",
+    [
+        ("SAMPLE", 10**6, r"\d+ points of the object can be followed, at least 8000000 are needed"),
+        ("NEIGHBOURHOOD", 1e-6, "0 neighbourhoods hold 8 points that can be followed, at least 2 are needed"),
+        ("FRAME_GAPS", (1000,), "hold no pair 1000 apart"),
+    ],
+)
+def test_a_refusal_by_the_tracks_names_the_test_that_failed(resting, monkeypatch, name, value, words):
     _, evidence, _, tracker = resting
-    for change, words in (
-        ({"sample": 10**6}, r"\d+ points of the object can be followed, at least 8000000 are needed"),
-        ({"neighbourhood": 1e-6}, "0 neighbourhoods hold 8 points that can be followed, at least 2 are needed"),
-        ({"gaps": (1000,)}, "hold no pair 1000 apart"),
-    ):
-        with pytest.raises(HopelessError, match=words):
-            find_seeds(evidence, tracker, replace(QUIET.seeds, **change), RNG(0))
+    monkeypatch.setattr(seeds, name, value)
+    with pytest.raises(UnsolvableError, match=words):
+        find_seeds(evidence, tracker, RNG(0))

@@ -18,7 +18,7 @@ from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction
 from freeart21.recording import Frame, Query, Recording
 from reconstruct.renders import render, render_queries
-from reconstruct.scene import prepare
+from reconstruct.scene import prepare_scene
 from reconstruct.settings import SceneSettings, SurfaceSettings
 from reconstruct.surfaces import fuse
 
@@ -49,7 +49,7 @@ def shoot(size, T, lamp=None):
 def film(size, Ts):
     """Scene and labels of such a box."""
     frames = [shoot(size, T) for T in Ts]
-    scene = prepare(Recording(CAMERA, np.arange(len(Ts)) / 30, lambda i: frames[i]), SceneSettings())
+    scene = prepare_scene(Recording(CAMERA, np.arange(len(Ts)) / 30, lambda i: frames[i]), SceneSettings())
     return scene, scene.mask.astype(np.uint8)
 
 
@@ -139,7 +139,7 @@ def seen_under_a_lamp():
     moves = se3.pose(se3.exp_so3([[0.15, 0.1, 0.1], [-0.2, 0, 0.1], [0, 0.2, -0.1]]), np.array([0.01, 0, 0.02]))
     queries = tuple(Query(i, 0, T) for i, T in zip((7, 20, 41), moves, strict=True))
     recording = Recording(CAMERA, np.arange(len(ROUND)) / 30, lambda i: frames[i], queries)
-    scene = prepare(recording, SceneSettings())
+    scene = prepare_scene(recording, SceneSettings())
     mesh = fuse(scene, scene.mask.astype(np.uint8), 1, ROUND, np.ones(len(ROUND), bool), SurfaceSettings())
     joint = Joint("joint", "revolute", np.array([0.0, 0, 1]), np.zeros(3), 0, 0)
     masks = np.stack([frame.mask for frame in frames]).astype(np.uint8)

@@ -23,18 +23,18 @@ from freeart21.view.diagnosis import remarks
 from generator import session
 from generator.motion import Plan
 from reconstruct.diagnostics import (
-    _nearest_rival,
+    _nearest_rival_distance,
     other_motion_cost,
     rival_distance,
     type_residuals,
     unexplained,
 )
-from reconstruct.drawn_back import _seen_share, surface_signs
 from reconstruct.evidence import Evidence
-from reconstruct.growth import Grown, body_points
 from reconstruct.poses import JointedPoses
-from reconstruct.scene import prepare
+from reconstruct.propagation import PartEstimate, body_points
+from reconstruct.scene import prepare_scene
 from reconstruct.settings import EvidenceSettings, JointSettings, LabelSettings, SceneSettings
+from reconstruct.surface_check import _seen_share, check_surfaces
 
 N = 60
 
@@ -238,14 +238,14 @@ def filmed(pictures, Ts, states, joint):
     frames = [Frame(rgb, depth.astype(np.float32), part > 0) for rgb, depth, part in pictures]
     size = pictures[0][2].shape[::-1]
     camera = Camera.from_fov(*size, np.radians(22))
-    scene = prepare(Recording(camera, np.arange(len(Ts)) / 30, lambda i: frames[i]), SceneSettings())
+    scene = prepare_scene(Recording(camera, np.arange(len(Ts)) / 30, lambda i: frames[i]), SceneSettings())
     h, w = scene.mask.shape[1:]
     crops = [p[2][y:, x:][:h, :w] for p, (x, y) in zip(pictures, scene.origin, strict=True)]
     labels = np.stack([np.pad(c, [(0, h - c.shape[0]), (0, w - c.shape[1])]) for c in crops])
     poses = JointedPoses(joint, states, Ts, np.zeros(len(Ts)), 0.0)
     logodds = np.where(labels == 2, 3.0, -3.0).astype(np.float32)
-    grown = Grown(poses, labels, logodds, np.ones((len(Ts), 2), bool))
-    return Evidence(scene, EvidenceSettings(), LabelSettings()), grown
+    estimate = PartEstimate(poses, labels, logodds, np.ones((len(Ts), 2), bool))
+    return Evidence(scene, EvidenceSettings(), LabelSettings()), estimate
 
 
 def film(first, second, joint, states, third=lambda i: [], turn=0.6, size=(160, 120)):
@@ -276,8 +276,8 @@ def unpainted(evidence):
     return Evidence(scene, evidence.settings, evidence.label_settings)
 
 
-def both_poses(grown):
-    return np.stack([grown.poses.Ts, grown.poses.Ts_moving])
+def both_poses(estimate):
+    return np.stack([estimate.poses.Ts, estimate.poses.Ts_moving])
 
 
 def slider(share):
@@ -290,8 +290,8 @@ def test_a_third_motion_is_left_unexplained():
     states = low + (high - low) * (0.5 - 0.5 * np.cos(np.linspace(0, 5, 24)))
     shares = {}
     for moves in (False, True):
-        evidence, grown = film(first, second, joint, states, lambda i, moves=moves: slider(moves * i / 24))
-        found = unexplained(evidence, both_poses(grown), grown.seen, np.random.default_rng(0))
+        evidence, estimate = film(first, second, joint, states, lambda i, moves=moves: slider(moves * i / 24))
+        found = unexplained(evidence, both_poses(estimate), estimate.seen, np.random.default_rng(0))
         shares[moves] = np.nanpercentile(found, 90)
     assert shares[False] < 0.004 and shares[True] > 0.012, shares
 
@@ -299,10 +299,10 @@ def test_a_third_motion_is_left_unexplained():
 def test_each_part_follows_its_own_motion_only():
     first, second, joint, (low, high) = OBJECTS["hinge"]
     states = low + (high - low) * (0.5 - 0.5 * np.cos(np.linspace(0, 5, 20)))
-    evidence, grown = film(first, second, joint, states)
-    Ts, rng = both_poses(grown), np.random.default_rng(0)
-    body = body_points(evidence, grown.labels, Ts[1], grown.seen[:, 1])
-    assert (np.nanmedian(other_motion_cost(evidence, grown, Ts, body, rng), 0) > 1).all()
+    evidence, estimate = film(first, second, joint, states)
+    Ts, rng = both_poses(estimate), np.random.default_rng(0)
+    body = body_points(evidence, estimate.labels, Ts[1], estimate.seen[:, 1])
+    assert (np.nanmedian(other_motion_cost(evidence, estimate, Ts, body, rng), 0) > 1).all()
 
 
 def test_a_round_part_follows_the_other_one_as_well():
@@ -310,11 +310,11 @@ def test_a_round_part_follows_the_other_one_as_well():
     ball = trimesh.creation.icosphere(4, 0.08)
     arm = [box((0.02, 0.03, 0.2), (0.11, 0, 0.02)), box((0.05, 0.05, 0.03), (0.11, 0.03, 0.12))]
     joint = Joint("j", "revolute", np.array([0.0, 0, 1]), np.zeros(3), -1, 1)
-    evidence, grown = film([ball], arm, joint, np.sin(np.linspace(0, 5, 20)))
+    evidence, estimate = film([ball], arm, joint, np.sin(np.linspace(0, 5, 20)))
     evidence = unpainted(evidence)
-    Ts, rng = both_poses(grown), np.random.default_rng(0)
-    body = body_points(evidence, grown.labels, Ts[1], grown.seen[:, 1])
-    round_part, arm_part = np.nanmedian(other_motion_cost(evidence, grown, Ts, body, rng), 0)
+    Ts, rng = both_poses(estimate), np.random.default_rng(0)
+    body = body_points(evidence, estimate.labels, Ts[1], estimate.seen[:, 1])
+    round_part, arm_part = np.nanmedian(other_motion_cost(evidence, estimate, Ts, body, rng), 0)
     assert round_part < 0.5 < 1.0 < arm_part
 
 
@@ -325,23 +325,23 @@ def test_a_fan_may_stand_a_wing_further_and_a_lid_may_not():
     ]
     mast = [box((0.03, 0.03, 0.1), (0, 0, -0.06)), box((0.2, 0.12, 0.02), (0, 0, -0.12))]
     joint = Joint("j", "revolute", np.array([0.0, 0, 1]), np.zeros(3), -1, 1)
-    evidence, grown = film(mast, wings, joint, np.sin(np.linspace(0, 5, 20)), turn=0.2)
-    found = rival_distance(unpainted(evidence), grown, np.random.default_rng(0))
-    asked = found[np.isfinite(found)]
-    assert (asked > 0).mean() > 0.7 and np.median(asked[asked > 0]) == pytest.approx(np.pi / 2, abs=np.radians(6))
+    evidence, estimate = film(mast, wings, joint, np.sin(np.linspace(0, 5, 20)), turn=0.2)
+    found = rival_distance(unpainted(evidence), estimate, np.random.default_rng(0))
+    tested = found[np.isfinite(found)]
+    assert (tested > 0).mean() > 0.7 and np.median(tested[tested > 0]) == pytest.approx(np.pi / 2, abs=np.radians(6))
     clip = make_clip("hinge", 20, (160, 120), spin=0.3)
     pictures = [(f.rgb, f.depth, m) for f, m in zip(map(clip.recording.frame, range(20)), clip.part_masks, strict=True)]
-    evidence, grown = filmed(pictures, clip.Ts, clip.states, clip.joint)
-    lid = rival_distance(evidence, grown, np.random.default_rng(0))
+    evidence, estimate = filmed(pictures, clip.Ts, clip.states, clip.joint)
+    lid = rival_distance(evidence, estimate, np.random.default_rng(0))
     assert np.mean(lid[np.isfinite(lid)] > 0) < 0.25
 
 
 def test_a_rival_lies_beyond_a_barrier():
-    tried = np.linspace(-1, 1, 21)
-    own = np.minimum(20 * tried**2, 2.0)
-    assert _nearest_rival(own, tried) == 0.0
-    assert _nearest_rival(np.where(np.abs(tried - 0.7) < 0.05, 0.2, own), tried) == pytest.approx(0.7)
-    assert _nearest_rival(np.full(21, 0.3), tried) == 0.0, "where all states are alike, evenness decides"
+    states = np.linspace(-1, 1, 21)
+    own = np.minimum(20 * states**2, 2.0)
+    assert _nearest_rival_distance(own, states) == 0.0
+    assert _nearest_rival_distance(np.where(np.abs(states - 0.7) < 0.05, 0.2, own), states) == pytest.approx(0.7)
+    assert _nearest_rival_distance(np.full(21, 0.3), states) == 0.0, "where all states are alike, evenness decides"
 
 
 @pytest.mark.parametrize(
@@ -397,10 +397,10 @@ def test_the_benchmark_counts_wrong_and_doubted_answers():
 
 def test_a_staged_recording_moves_as_it_says():
     plan = Plan(np.tile(np.eye(4), (40, 1, 1)), np.linspace(0, 1, 40), np.tile(np.eye(4), (40, 1, 1)))
-    asked = []
+    tested = []
 
     def plan_recording(loaded, settings, model=None):
-        asked.append(settings.frames)
+        tested.append(settings.frames)
         return "camera", plan
 
     with pytest.MonkeyPatch.context() as patch:
@@ -409,7 +409,7 @@ def test_a_staged_recording_moves_as_it_says():
         with bench._staged(video):
             _, changed = session.plan_recording(None, bench.RecordSettings(frames=10))
         assert session.plan_recording is plan_recording, "and afterwards nothing is staged"
-    assert asked == [40] and len(changed.states) == 10
+    assert tested == [40] and len(changed.states) == 10
     assert np.ptp(changed.states) == pytest.approx(0.04 * np.ptp(plan.states[::4]))
 
 
@@ -428,17 +428,17 @@ def drawn():
     parts = Articulation(clip.joint, meshes[0], meshes[1])
     seen = np.ones((16, 2), bool)
     answer = Reconstruction(parts, clip.states, clip.Ts, moving, clip.part_masks, seen)
-    return prepare(clip.recording, SceneSettings()), answer
+    return prepare_scene(clip.recording, SceneSettings()), answer
 
 
 def surface_reasons(scene, answer):
-    d = replace(sample_diagnostics(len(answer)), **surface_signs(scene, answer))
+    d = replace(sample_diagnostics(len(answer)), **check_surfaces(scene, answer))
     return {part: " ".join(_surface_elsewhere(d, k)) for k, part in enumerate(PARTS)}
 
 
 def test_true_surfaces_lie_where_the_video_shows_them(drawn):
     scene, answer = drawn
-    found = surface_signs(scene, answer)
+    found = check_surfaces(scene, answer)
     assert np.isfinite(found["uncovered"]).any() and np.nanmax(found["uncovered"]) < 0.005
     assert np.nanmedian(found["spilled"]) == 0 and np.nanmax(np.nanmedian(found["off_surface"], 0)) < 0.01
     assert np.isnan(found["colour_residual"]).all(), "these meshes have no colours"
@@ -492,7 +492,7 @@ def test_a_part_that_shows_where_it_was_not_recognised_is_doubted(drawn):
     masks[lost] = np.minimum(masks[lost], 1)
     wrong = replace(answer, seen=seen, part_masks=masks, states=states)
     assert "lie on neither surface" in surface_reasons(scene, wrong)["reference"]
-    unmeasured = replace(sample_diagnostics(len(answer)), **surface_signs(scene, wrong))
+    unmeasured = replace(sample_diagnostics(len(answer)), **check_surfaces(scene, wrong))
     assert np.isnan(unmeasured.off_surface[lost]).all(), "asked of both parts' labels alone"
 
 

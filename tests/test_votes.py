@@ -5,8 +5,8 @@ import pytest
 from reconstruct_clip import make_clip
 from test_labels import asked, cropped, poses_of
 
-from reconstruct.growth import body_points
 from reconstruct.labels import SURE, label_frames
+from reconstruct.propagation import body_points
 from reconstruct.votes import SurfaceVotes
 
 FRAMES = 20
@@ -31,7 +31,7 @@ def test_a_wrong_frame_is_outvoted(case):
     wrong = logodds.copy()
     wrong[7] *= -1
     votes = SurfaceVotes(evidence, Ts, np.ones((FRAMES, 2), bool))
-    found = votes.in_frame(votes.beliefs(wrong, SURE), 7)
+    found = votes.frame_beliefs(votes.surface_beliefs(wrong, SURE), 7)
     assert right(found, truth[7], evidence.scene.valid[7]) > 0.9  # its own wrong voice counts too
 
 
@@ -40,7 +40,7 @@ def test_a_blank_frame_hears_of_both_parts(case):
     blank = logodds.copy()
     blank[7] = 0
     votes = SurfaceVotes(evidence, Ts, np.ones((FRAMES, 2), bool))
-    found = votes.in_frame(votes.beliefs(blank, SURE), 7)
+    found = votes.frame_beliefs(votes.surface_beliefs(blank, SURE), 7)
     assert right(found, truth[7], evidence.scene.valid[7]) > 0.95
     assert {1, 2} <= set(np.unique(truth[7][np.abs(found) > 0.5]))
 
@@ -53,8 +53,8 @@ def test_frames_without_a_vote_have_no_say(case):
     voting[:12] = False
     few = SurfaceVotes(evidence, Ts, voting)
     valid = evidence.scene.valid[15]
-    assert right(everyone.in_frame(everyone.beliefs(wrong, SURE), 15), truth[15], valid) < 0.7
-    assert right(few.in_frame(few.beliefs(wrong, SURE), 15), truth[15], valid) > 0.95
+    assert right(everyone.frame_beliefs(everyone.surface_beliefs(wrong, SURE), 15), truth[15], valid) < 0.7
+    assert right(few.frame_beliefs(few.surface_beliefs(wrong, SURE), 15), truth[15], valid) > 0.95
 
 
 def test_who_is_surer_is_louder(case):
@@ -62,7 +62,7 @@ def test_who_is_surer_is_louder(case):
     mixed = logodds.copy()
     mixed[:15] *= -0.2  # most frames are wrong, and hardly sure
     votes = SurfaceVotes(evidence, Ts, np.ones((FRAMES, 2), bool))
-    found = votes.in_frame(votes.beliefs(mixed, SURE), 17)
+    found = votes.frame_beliefs(votes.surface_beliefs(mixed, SURE), 17)
     assert right(found, truth[17], evidence.scene.valid[17]) > 0.9
 
 

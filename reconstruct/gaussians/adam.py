@@ -1,4 +1,4 @@
-"""Adam (Kingma and Ba 2015) over the Gaussians that a frame shows: others keep their moments."""
+"""Adam (Kingma and Ba 2015) over the Gaussians that a frame shows; the others keep their moments."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from reconstruct.gaussians.model import Parameters
 from reconstruct.gaussians.rasteriser import Floats
-from reconstruct.kernels import in_threads
+from reconstruct.kernels import run_in_threads
 
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15
 """Of 3D Gaussian splatting (Kerbl et al. 2023)."""
 
 
 class Adam:
-    """Steps `Parameters` in place; counts a Gaussian's own steps, since frames show it or not."""
+    """Steps `Parameters` in place. Each Gaussian has its own step count, since not every frame shows it."""
 
     def __init__(self, parameters: Parameters) -> None:
         self.first, self.second = parameters.zeros(), parameters.zeros()
@@ -41,10 +41,10 @@ class Adam:
                 a.reshape(shape)
                 for a in (values, gradient[name], getattr(self.first, name), getattr(self.second, name))
             ]
-            in_threads(partial(_step_some, (*flat, rows, count, np.float32(rates[name]))), len(flat[0]), 2000)
+            run_in_threads(partial(_step_some, (*flat, rows, count, np.float32(rates[name]))), len(flat[0]), 2000)
 
-    def kept(self, which: NDArray[np.int64], fresh: NDArray[np.bool_]) -> None:
-        """Go on with the Gaussians `which` (M,), of which `fresh` (M,) begin anew."""
+    def select(self, which: NDArray[np.int64], fresh: NDArray[np.bool_]) -> None:
+        """Continue with the Gaussians `which` (M,); the moments of `fresh` (M,) ones start from zero."""
         for moments in (self.first, self.second):
             for name, values in moments.arrays().items():
                 if name != "light":
@@ -64,10 +64,10 @@ def _step(begin, end, values, gradient, first, second, shown, steps, rate):  # p
     for n in range(begin, end):
         if not shown[n]:
             continue
-        under1, under2 = one / (one - beta1 ** steps[n]), one / (one - beta2 ** steps[n])
+        correction1, correction2 = one / (one - beta1 ** steps[n]), one / (one - beta2 ** steps[n])
         for k in range(values.shape[1]):
             g = gradient[n, k]
             first[n, k] = beta1 * first[n, k] + (one - beta1) * g
             second[n, k] = beta2 * second[n, k] + (one - beta2) * g * g
-            root = math.sqrt(second[n, k] * under2) + np.float32(EPSILON)
-            values[n, k] -= rate * first[n, k] * under1 / root
+            root = math.sqrt(second[n, k] * correction2) + np.float32(EPSILON)
+            values[n, k] -= rate * first[n, k] * correction1 / root

@@ -1,9 +1,9 @@
-"""Poses, states and joint from the model as it stands: Gauss-Newton on the pixels of all frames.
+"""Poses, states and joint from the model: Gauss-Newton on the pixels of all frames.
 
-A small motion of a part shifts what the model shows along the picture's gradient; so colour, depth and silhouette of a
-frame give normal equations for the twists of both parts (direct alignment: Baker and Matthews 2004; the gradient is
-the mean of model's and frame's, which makes steps second order: Benhimane and Malis 2004), and all frames together,
-through the joint's Jacobian, those of poses, states, axis and pivot.
+A small motion of a part shifts the rendered image along its gradient, so a frame's colour, depth and silhouette give
+normal equations for the twists of both parts (direct alignment: Baker and Matthews 2004). The gradient is the mean of
+the model's and the frame's, for second-order steps (Benhimane and Malis 2004). All frames together, through the joint's
+Jacobian, give those of poses, states, axis and pivot.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from reconstruct.gaussians.rasteriser import Floats, Lens, Picture
 
 @dataclass(frozen=True)
 class Scales:
-    """Standard deviations of residuals of good pixels."""
+    """Standard deviations of the residuals of good pixels."""
 
     colour: float
     """sRGB, 0 to 1."""
@@ -36,36 +36,35 @@ class Scales:
 
 @dataclass(frozen=True)
 class Terms:
-    """What a frame says of its poses."""
+    """A frame's contribution to the normal equations."""
 
     H: Array
     """(2, 6, 6) of left twists (v, w) of the reference and the moving part."""
     g: Array
     """(2, 6)."""
     cells: NDArray[np.int32]
-    """(c,) patches of the model's surface that the frame shows, numbers below 2 CELLS; the upper half is the moving
-    part's."""
+    """(c,) surface patches that the frame shows, numbers below 2 CELLS; the upper half is the moving part's."""
     shared: Floats
-    """(c, 27) for each of them: sums of the products of the Jacobians by its part's twist and by its own shift in the
+    """(c, 27) for each patch: sums of the products of the Jacobians by its part's twist and by its own shift in the
     canonical frame (6 x 3), by its shift alone (upper half of 3 x 3), and with the residuals (3)."""
     cost: float
-    """Sum of robust squares, in standard deviations."""
+    """Sum of robust squared residuals, in standard deviations."""
     count: float
-    """Of them."""
+    """Number of residuals."""
     spread: Array
-    """(3,) medians of absolute residuals of colour, depth and mask; NaN where there are none."""
+    """(3,) median absolute residuals of colour, depth and mask; NaN where there are none."""
 
     def before_a_fixed_model(self) -> Terms:
-        """The same with no say in how the surface shifts."""
+        """The same without the patches: the surface does not shift."""
         return replace(self, cells=self.cells[:0], shared=self.shared[:0])
 
 
 def alignment_terms(
     picture: Picture, target: Target, lens: Lens, Ts: Array, scales: Scales, cell: float, coarseness: int = 1
 ) -> Terms:
-    """Normal equations of a frame's two part poses Ts (2, 4, 4); `cell` is the size of the surface's cells, metres.
+    """Normal equations of a frame's two part poses Ts (2, 4, 4); `cell` is the edge of the surface's patches, metres.
 
-    Blocks of `coarseness` pixels each way are taken as one: a gradient tells the way from no farther than its pixels.
+    Blocks of `coarseness` pixels each way are averaged: an image gradient is only valid over about one pixel.
     """
     c = coarseness
     shown: tuple[Any, ...] = _coarser(picture, target, c)
@@ -90,8 +89,8 @@ def alignment_terms(
 
 
 def _coarser(picture: Picture, target: Target, c: int) -> tuple[Floats, ...]:
-    """Colour, depth, alpha and moving of the model and colour, depth, foreground and what stands around of the frame,
-    means over blocks of c x c pixels; depths are means of those that are known, 0 where fewer than half are."""
+    """Model's colour, depth, alpha and moving, and frame's colour, depth, foreground and surroundings, averaged over
+    blocks of c x c pixels. Depths are means of the known ones, 0 where fewer than half are known."""
     seen = (picture.colour, picture.depth, picture.alpha, picture.moving, target.colour)
     if c == 1:
         return (*seen, target.depth, target.mask.astype(np.float32), target.around)
@@ -108,15 +107,15 @@ def _coarser(picture: Picture, target: Target, c: int) -> tuple[Floats, ...]:
 
 
 CELLS = 1 << 15
-"""Places for cells of a part's surface; those that share one by chance are taken as one."""
+"""Hash table size for patches of a part's surface; patches that collide are merged."""
 _TABLE = np.zeros((2 * CELLS, 27))
 SUBPIXEL = 0.3
-"""Pixels by which a sampled edge is off: residuals grow with the gradient by so much."""
+"""Position error of sampled edges, pixels: residuals grow with the gradient by so much."""
 
 
 @dataclass(frozen=True)
-class Reduced:
-    """Normal equations of all twists, A x = -b, the patches eliminated, and the way back to the patches."""
+class ReducedEquations:
+    """Normal equations A x = -b of all twists, with the patches eliminated, and the way back to the patches."""
 
     A: Array
     """(2, 6n, 6n) of both parts."""
@@ -127,7 +126,7 @@ class Reduced:
     terms: dict[int, Terms]
 
     def shifts(self, twists: tuple[Array, Array]) -> Array:
-        """(2 CELLS, 3) metres, canonical frame: how the patches move when the parts' poses do by `twists` (6n,)."""
+        """(2 CELLS, 3) metres, canonical frame: shifts of the patches for pose changes `twists` (6n,) of the parts."""
         right = self.own[:, 24:].copy()
         for i, t in self.terms.items():
             x = np.stack([part[6 * i : 6 * i + 6] for part in twists])[t.cells // CELLS]
@@ -139,19 +138,19 @@ class Reduced:
 
 
 def _patches(own: Array) -> tuple[NDArray[np.int64], Array]:
-    """Numbers (c,) of the patches that anything was said of, and their own normal matrices (c, 3, 3), held a little."""
+    """Numbers (c,) of the observed patches, and their damped normal matrices (c, 3, 3)."""
     trace = own[:, [18, 21, 23]].sum(1)
     known = np.flatnonzero(trace > 0)
     upper = np.array([[18, 19, 20], [19, 21, 22], [20, 22, 23]])
     return known, own[known][:, upper] + HOLD * trace[known, None, None] * np.eye(3)
 
 
-def reduced(terms: dict[int, Terms], n: int) -> Reduced:
-    """The normal equations of all frames, with every patch of the surface free to shift.
+def eliminate_patches(terms: dict[int, Terms], n: int) -> ReducedEquations:
+    """The normal equations of all frames, with every surface patch free to shift.
 
-    Were the model held as it stands, every frame would be pulled back to where it was when the model was learned, and
-    a drift along the video would only go by diffusion, a twentieth a round. The patches are unknowns, and taken out by
-    Schur's complement, as the points are in bundle adjustment (Triggs et al. 2000).
+    With a fixed model, every frame would be pulled back to where it was when the model was trained, and a drift along
+    the video would only shrink by a twentieth per round. The patches are eliminated by Schur's complement, like points
+    in bundle adjustment (Triggs et al. 2000).
     """
     A, b = np.zeros((2, 6 * n, 6 * n)), np.zeros((2, 6 * n))
     own = np.zeros((2 * CELLS, 27))
@@ -177,17 +176,17 @@ def reduced(terms: dict[int, Terms], n: int) -> Reduced:
             flat = B.reshape(-1, 6 * n)
             A[part] -= flat.T @ flat
             b[part] -= flat.T @ sides[some].reshape(-1).astype(np.float32)
-    return Reduced(A, b, own, terms)
+    return ReducedEquations(A, b, own, terms)
 
 
 CHUNK = 2048
 """Patches that are eliminated at a time: 40 MB for 300 frames."""
 HOLD = 1e-3
-"""Share of a patch's own normal matrix that holds it where nothing says how it shifts."""
+"""Damping of a patch's normal matrix, relative to its trace."""
 
 
-def cells_of(points: NDArray, moving: NDArray[np.bool_], cell: float) -> NDArray[np.int64]:
-    """(N,) patches that points (N, 3) of the canonical frame lie in, of the moving part where `moving` (N,)."""
+def patch_numbers(points: NDArray, moving: NDArray[np.bool_], cell: float) -> NDArray[np.int64]:
+    """(N,) patches of points (N, 3) of the canonical frame, of the moving part where `moving` (N,)."""
     i, j, k = np.floor(np.asarray(points, float) / cell).astype(np.int64).T
     return (((i * 73856093) ^ (j * 19349663) ^ (k * 83492791)) & (CELLS - 1)) + moving * CELLS
 
@@ -272,8 +271,11 @@ def _accumulate(
 
 @njit(nogil=True, cache=True)
 def _add(H, g, patch, T, J, r, sigma, sums):  # pragma: no cover
-    """One residual under Cauchy's weight. A shift of the patch in the canonical frame, to which T takes, is one of the
-    camera's by T's transposed rotation."""
+    """Add one residual with Cauchy's weight.
+
+    T takes the camera to the canonical frame, so a patch's shift there is one of the camera's by T's transposed
+    rotation.
+    """
     e = r / (2 * sigma)
     weight = 1 / (sigma * sigma * (1 + e * e))
     s0 = T[0, 0] * J[0] + T[0, 1] * J[1] + T[0, 2] * J[2]

@@ -1,4 +1,4 @@
-"""Which rasteriser draws here: gsplat where torch, gsplat and an NVIDIA GPU are, else the processor's."""
+"""Choice of the rasteriser: gsplat where torch, gsplat and an NVIDIA GPU work, otherwise the one on the processor."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from reconstruct.gaussians.rasteriser import Rasterise
 Name = Literal["auto", "numba", "gsplat"]
 
 
-def choose(name: Name = "auto") -> Rasterise:
-    """The rasteriser `name`; auto is gsplat where it works, else numba.
+def choose_backend(name: Name = "auto") -> Rasterise:
+    """The rasteriser `name`; 'auto' is gsplat where it works, otherwise numba.
 
-    Raises FreeArtError when gsplat is asked for and does not work here. Where gsplat is not compiled yet, it is now,
-    which takes minutes.
+    Raises FreeArtError when gsplat is requested and does not work here. Compiles gsplat's kernels if needed, which
+    takes minutes.
     """
     from reconstruct.gaussians import gsplat_backend, numba_backend
 
     if name == "numba":
         return numba_backend.rasterise
-    wrong = gsplat_backend.lack() or gsplat_backend.fault()
+    wrong = gsplat_backend.missing_requirement() or gsplat_backend.rendering_error()
     if wrong is None:
         return gsplat_backend.rasterise
     if name == "gsplat":
@@ -28,11 +28,11 @@ def choose(name: Name = "auto") -> Rasterise:
     return numba_backend.rasterise
 
 
-def outlook() -> tuple[str, str]:
-    """What `choose('auto')` would take, numba or gsplat, and why, in one line; compiles nothing."""
+def predict_backend() -> tuple[str, str]:
+    """The choice of `choose_backend('auto')`, numba or gsplat, and the reason, in one line; compiles nothing."""
     from reconstruct.gaussians import gsplat_backend
 
-    lack = gsplat_backend.lack()
-    if lack is None:
+    missing_requirement = gsplat_backend.missing_requirement()
+    if missing_requirement is None:
         return "gsplat", "torch, gsplat and a CUDA GPU are here; its kernels are compiled at first use, in minutes"
-    return "numba", f"on the processor: {lack}"
+    return "numba", f"on the processor: {missing_requirement}"

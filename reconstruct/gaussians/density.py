@@ -1,4 +1,4 @@
-"""More Gaussians where pictures ask for them, none where they are not seen (Kerbl et al. 2023, Adaptive Control)."""
+"""Density control: split Gaussians with large gradients, remove faint and unseen ones (Kerbl et al. 2023)."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ from freeart21.se3 import Array
 from reconstruct.gaussians.model import Parameters, sigmoid
 
 FAINT = 0.05
-"""Opacity below which a Gaussian is taken away."""
+"""Opacity below which a Gaussian is removed."""
 SHRUNK = 1.6
-"""By which the two halves of a split Gaussian are smaller (Kerbl et al. 2023)."""
+"""Factor by which the two halves of a split Gaussian are smaller (Kerbl et al. 2023)."""
 
 
 SPLIT = 0.06
 """Share of the Gaussians that is split at a time."""
 
 
-def grown_and_pruned(
-    parameters: Parameters, pull: Array, looks: Array, most: int
+def densify_and_prune(
+    parameters: Parameters, gradients: Array, views: Array, most: int
 ) -> tuple[Parameters, NDArray[np.int64], NDArray[np.bool_]]:
-    """Those that are pulled most split in two, up to `most` in all, and faint and unseen ones gone.
+    """Split the Gaussians with the largest gradients in two, up to `most` in all, and remove faint and unseen ones.
 
-    `pull` (N,) are mean lengths of the derivatives by the projected means, `looks` (N,) the pictures that showed each.
-    Also which Gaussian each of the new ones came from (M,), and whether it begins anew (M,).
+    `gradients` (N,) are mean lengths of the derivatives by the projected means, `views` (N,) the number of images that
+    showed each. Also returns the source of each new Gaussian (M,), and whether it is a half (M,).
     """
-    sound = (sigmoid(parameters.opacity_logits) > FAINT) & (looks > 0)
-    room = max(0, min(most - int(sound.sum()), round(SPLIT * int(sound.sum()))))
-    order = np.argsort(np.where(sound, -pull, np.inf), kind="stable")
-    chosen = order[:room]
-    which = np.concatenate([np.flatnonzero(sound), chosen])
-    new = parameters.kept(which)
+    visible = (sigmoid(parameters.opacity_logits) > FAINT) & (views > 0)
+    splits = max(0, min(most - int(visible.sum()), round(SPLIT * int(visible.sum()))))
+    order = np.argsort(np.where(visible, -gradients, np.inf), kind="stable")
+    chosen = order[:splits]
+    which = np.concatenate([np.flatnonzero(visible), chosen])
+    new = parameters.select(which)
     halves = np.zeros(len(parameters), bool)
     halves[chosen] = True
     fresh = halves[which]
@@ -40,7 +40,7 @@ def grown_and_pruned(
     longest = np.argmax(new.log_scales[fresh], 1)
     axes = np.take_along_axis(rotations(new.quaternions[fresh]), longest[:, None, None], 2)[..., 0]
     length = np.exp(np.take_along_axis(new.log_scales[fresh], longest[:, None], 1))
-    side = np.where(np.arange(len(which)) < int(sound.sum()), -0.5, 0.5)[fresh]
+    side = np.where(np.arange(len(which)) < int(visible.sum()), -0.5, 0.5)[fresh]
     new.means[fresh] += (side[:, None] * length * axes).astype(np.float32)
     new.log_scales[fresh] -= np.float32(np.log(SHRUNK))
     return new, which, fresh

@@ -1,7 +1,7 @@
-"""The rasteriser on an NVIDIA GPU: gsplat (Ye et al. 2024; extra `torch`), whose derivatives torch carries on to the
-two motions.
+"""The rasteriser on an NVIDIA GPU: gsplat (Ye et al. 2024; extra `torch`), with torch's derivatives for the two
+motions.
 
-Sums of derivatives come in any order there, so the last digits differ from run to run.
+The order of its sums varies, so the last digits differ from run to run.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from reconstruct.gaussians.rasteriser import (
     DILATION,
     NEAR,
     THIN,
+    Backward,
     Floats,
     Lens,
     Picture,
-    Pull,
     SplatGradients,
     Splats,
 )
@@ -34,11 +34,9 @@ if TYPE_CHECKING:
 _DEVICE = "cuda"
 
 
-def lack() -> str | None:
-    """What is missing here for gsplat to draw, in one line; None when nothing is.
-
-    Looks only: whether gsplat's kernels compile, `fault` tries.
-    """
+def missing_requirement() -> str | None:
+    """What gsplat lacks here, in one line; None when nothing. Whether its kernels compile is tested by
+    `rendering_error`."""
     for package in ("torch", "gsplat"):
         if importlib.util.find_spec(package) is None:
             return f"{package} is not installed (for an NVIDIA GPU: pip install 'freeart21[torch]')"
@@ -58,10 +56,10 @@ def lack() -> str | None:
 
 
 @functools.cache
-def fault() -> str | None:
-    """What goes wrong when gsplat draws one Gaussian, in one line; None when nothing does.
+def rendering_error() -> str | None:
+    """The error when gsplat draws one Gaussian, in one line; None when there is none.
 
-    The first time on a machine this compiles gsplat's kernels, which takes minutes.
+    Compiles gsplat's kernels the first time, which takes minutes.
     """
     one = np.ones((1, 3), np.float32)
     splat = Splats(0 * one, np.ones((1, 4), np.float32), one, one[:, 0], one, np.zeros(1, np.uint8))
@@ -74,12 +72,12 @@ def fault() -> str | None:
     return None if picture.alpha.max() > 0.9 else "gsplat draws nothing"
 
 
-def rasterise(splats: Splats, Ts: Array, lens: Lens) -> tuple[Picture, Pull]:
+def rasterise(splats: Splats, Ts: Array, lens: Lens) -> tuple[Picture, Backward]:
     """See `rasteriser.Rasterise`.
 
-    gsplat linearises the projection of a mean more than 15 % of the window off it as if it stood there, which turns
-    the tails of such Gaussians a little: where a window cuts an object of Gaussians of 2 to 8 mm, colours differ from
-    the other backend's by 6e-5 in the mean and 0.003 at most.
+    gsplat linearises the projection of means more than 15 % of the window outside it at the clamped position. Where a
+    window cuts an object of Gaussians of 2 to 8 mm, colours differ from the numba backend's by 6e-5 on average and
+    0.003 at most.
     """
     if len(splats) == 0:
         return _nothing(lens)
@@ -141,9 +139,9 @@ def rasterise(splats: Splats, Ts: Array, lens: Lens) -> tuple[Picture, Pull]:
 
 
 def _planes(points: Tensor, turns: Tensor, scales: Tensor, lens: Lens) -> Tensor:
-    """(M, 3) depth of Gaussians in the camera's frame at pixel (x, y): a sum over 1, x - cx and y - cy. See `Picture`.
+    """(M, 3) depth of Gaussians in the camera's frame as coefficients of 1, x - cx and y - cy. See `Picture`.
 
-    gsplat itself has the depth of the means alone.
+    gsplat itself only has the depth of the means.
     """
     import torch
 
@@ -185,8 +183,8 @@ def _array(tensor: Tensor) -> Any:
     return np.ascontiguousarray(tensor.detach().cpu().numpy())
 
 
-def _nothing(lens: Lens) -> tuple[Picture, Pull]:
-    """The empty picture, of no Gaussians."""
+def _nothing(lens: Lens) -> tuple[Picture, Backward]:
+    """The empty image of no Gaussians."""
     empty = np.zeros((lens.height, lens.width), np.float32)
     one, three, four = (np.zeros((0, *shape), np.float32) for shape in ((), (3,), (4,)))
     gradients = SplatGradients(three, four, three, one, three, np.zeros((2, 6)), one, np.zeros(0, bool))

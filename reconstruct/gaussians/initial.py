@@ -1,4 +1,4 @@
-"""The Gaussians that optimisation begins with: discs on the fused surfaces of both parts."""
+"""Initial Gaussians: discs on the fused surfaces of both parts."""
 
 from __future__ import annotations
 
@@ -12,21 +12,23 @@ from reconstruct.settings import GaussianSettings
 from reconstruct.surfaces import vertex_normals
 
 THICKNESS = 0.1
-"""Of a disc, in its radii."""
+"""Of a disc, in radii."""
 OPACITY = 0.7
+PART_WEIGHT = 0.97
+"""Initial part weight of Gaussians on the reference part; one minus it on the moving part."""
 RADIUS = 0.6
 """Standard deviation of a disc, in mean distances between neighbours."""
 
 
-def discs(
+def place_discs(
     meshes: tuple[Mesh, Mesh], footprint: float, settings: GaussianSettings, rng: np.random.Generator
 ) -> Parameters:
-    """Gaussians on the meshes of reference and moving part, canonical frame, one for each `footprint`, metres, squared.
+    """Gaussians on the meshes of reference and moving part, canonical frame: one per `footprint`, metres, squared.
 
     Fewer where that would be more than `settings.begin`.
     """
     areas = [float(mesh.areas().sum()) for mesh in meshes]
-    spacing = max(settings.spacing * footprint, float(np.sqrt(sum(areas) / settings.begin)))
+    spacing = max(footprint, float(np.sqrt(sum(areas) / settings.begin)))
     means, normals, colours = ([np.zeros((0, 3))] for _ in range(3))
     weights = [np.zeros(0)]
     for part, (mesh, area) in enumerate(zip(meshes, areas, strict=True)):
@@ -34,7 +36,7 @@ def discs(
         if mesh.empty or count == 0:
             continue
         share = mesh.areas()
-        # evenly along the faces' areas: fewer doubles and holes than by independent draws
+        # stratified by area: fewer doubles and holes than independent draws
         at = (np.arange(count) + rng.random(count)) / count * share.sum()
         face = np.minimum(np.searchsorted(np.cumsum(share), at), len(share) - 1)
         u, v = rng.random(count), rng.random(count)
@@ -46,14 +48,14 @@ def discs(
         normals.append(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))
         palette = np.full((len(mesh.vertices), 3), 128, np.uint8) if mesh.colours is None else mesh.colours
         colours.append(np.einsum("nk,nkd->nd", mix, palette[corners]) / 255)
-        weights.append(np.full(count, settings.sure if part == 0 else 1 - settings.sure))
+        weights.append(np.full(count, PART_WEIGHT if part == 0 else 1 - PART_WEIGHT))
     n = sum(map(len, means))
     light = np.zeros((settings.light_terms, 3), np.float32)
     light[0] = 1 / 0.28209479177387814
     radius = np.log(RADIUS * spacing * np.array([1, 1, THICKNESS]))
     return Parameters(
         np.concatenate(means).astype(np.float32),
-        _facing(np.concatenate(normals)).astype(np.float32),
+        _rotations_to_normals(np.concatenate(normals)).astype(np.float32),
         np.tile(radius, (n, 1)).astype(np.float32),
         logit(np.full(n, OPACITY, np.float32)),
         np.concatenate(colours).astype(np.float32),
@@ -62,7 +64,7 @@ def discs(
     )
 
 
-def _facing(normals: Array) -> Array:
+def _rotations_to_normals(normals: Array) -> Array:
     """(n, 4) wxyz of rotations that turn z to the normals (n, 3)."""
     z = normals
     helper = np.where(np.abs(z[:, :1]) < 0.7, np.array([[1.0, 0, 0]]), np.array([[0, 1.0, 0]]))

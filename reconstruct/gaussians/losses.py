@@ -1,5 +1,4 @@
-"""What a picture of the model is held to: L1 + SSIM of colour, depth, foreground mask (paper, End-to-end
-Optimization)."""
+"""Image losses of the model: L1 + SSIM of colour, depth, foreground mask (paper, End-to-end Optimization)."""
 
 from __future__ import annotations
 
@@ -14,30 +13,30 @@ from reconstruct.gaussians.rasteriser import Floats, Picture
 from reconstruct.settings import GaussianSettings
 
 C1, C2 = 0.01**2, 0.03**2
-"""Of SSIM, for colours from 0 to 1 (Wang et al. 2004)."""
+"""SSIM's constants, for colours from 0 to 1 (Wang et al. 2004)."""
 WINDOW, SIGMA = 11, 1.5
-"""Of SSIM, pixels (Kerbl et al. 2023)."""
+"""SSIM's window and its sigma, pixels (Kerbl et al. 2023)."""
 COVERED = 0.5
-"""Opacity from which a pixel of the model has a depth."""
+"""Opacity above which a pixel of the model has a depth."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """What the camera saw in a window of a frame."""
+    """A frame's window, as measured."""
 
     colour: Floats
     """(h, w, 3) sRGB, 0 to 1."""
     depth: Floats
-    """(h, w) metres on the object; 0 where there is none or it is not believed."""
+    """(h, w) metres on the object; 0 where there is none or it is unreliable."""
     mask: NDArray[np.bool_]
     """(h, w) foreground."""
     around: Floats
-    """(h, w) metres, measured depth of what is not the object; 0 where there is none."""
+    """(h, w) metres, measured depth off the object; 0 where there is none."""
 
 
 @dataclass(frozen=True)
 class Loss:
-    """Means over a window's pixels, and their weighted sum's derivatives by the picture."""
+    """Mean losses over a window's pixels, and the derivatives of their weighted sum by the rendered image."""
 
     rgb: float
     depth: float
@@ -48,9 +47,9 @@ class Loss:
 
 
 def loss(picture: Picture, target: Target, background: Floats, unit: float, settings: GaussianSettings) -> Loss:
-    """L_rgb + lambda_depth L_depth + lambda_mask L_mask before a `background` (3,), depth in `unit`s, metres.
+    """L_rgb + lambda_depth L_depth + lambda_mask L_mask before a `background` (3,); depth in `unit`s, metres.
 
-    Pixels where something that is not the object stands before the model say nothing of it.
+    Pixels at which something else stands in front of the model do not count.
     """
     alpha, pixels = picture.alpha, picture.alpha.size
     covered = alpha > COVERED
@@ -88,7 +87,7 @@ def loss(picture: Picture, target: Target, background: Floats, unit: float, sett
 
 
 def ssim(seen: Floats, wanted: Floats) -> tuple[float, Floats]:
-    """Mean structural similarity of two pictures (h, w, 3), and the derivative of its sum by `seen`."""
+    """Mean structural similarity of two images (h, w, 3), and the derivative of its sum by `seen`."""
     x, y = seen.astype(np.float32), wanted.astype(np.float32)
     mx, my = _blur(x), _blur(y)
     xx, yy, xy = _blur(x * x) - mx * mx, _blur(y * y) - my * my, _blur(x * y) - mx * my

@@ -1,8 +1,8 @@
-"""The articulated model that is optimised: canonical Gaussians of both parts, one soft part weight each, and light.
+"""The articulated model: canonical Gaussians of both parts with soft part weights, and light.
 
-Paper, Blended Rendering: G_i = w (G o I) u (1 - w)(G o J_i). What it lacks is light: lamps stand still while the object
-turns, so a Gaussian's colour is its own times what falls on a surface that is turned as it is, the same for all of
-them (irradiance in spherical harmonics: Ramamoorthi and Hanrahan 2001).
+Paper, Blended Rendering: G_i = w (G o I) u (1 - w)(G o J_i). Light is added: lamps stand still while the object turns,
+so a Gaussian's colour is multiplied by the irradiance of its orientation, which all Gaussians share (spherical
+harmonics: Ramamoorthi and Hanrahan 2001).
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ from numpy.typing import NDArray
 from freeart21.gaussians import FAINT_COPY, TURNED_AWAY, Gaussians
 from freeart21.se3 import Array
 from reconstruct.gaussians.rasteriser import Floats, SplatGradients, Splats
-from reconstruct.kernels import in_threads
+from reconstruct.kernels import run_in_threads
 
 _F = np.float32
 _MOST_TERMS = 25
 DARKEST = 0.02
-"""Of mean light, the least that falls anywhere."""
+"""Smallest light, relative to the mean."""
 
 
 @dataclass
 class Parameters:
-    """All that Adam steps, float32; or its gradient."""
+    """The optimised parameters, float32; or their gradient."""
 
     means: Floats
     """(N, 3) metres."""
     quaternions: Floats
-    """(N, 4) wxyz, of any length; the third axis is the outward normal."""
+    """(N, 4) wxyz, not normalised; the third axis is the outward normal."""
     log_scales: Floats
     """(N, 3)."""
     opacity_logits: Floats
     """(N,)."""
     colours: Floats
-    """(N, 3) sRGB in mean light; may leave 0 to 1 while it is optimised."""
+    """(N, 3) sRGB in mean light; may leave 0 to 1 during optimisation."""
     weight_logits: Floats
     """(N,) of the part weights."""
     light: Floats
@@ -48,13 +48,13 @@ class Parameters:
     def __len__(self) -> int:
         return len(self.means)
 
-    def kept(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Parameters:
-        """Those Gaussians alone."""
+    def select(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Parameters:
+        """The Gaussians `which` alone."""
         own = {name: values[which] for name, values in self.arrays().items() if name != "light"}
         return Parameters(**own, light=self.light)
 
     def zeros(self) -> Parameters:
-        """Of the same shapes."""
+        """Zeros of the same shapes."""
         return Parameters(*(np.zeros_like(getattr(self, f.name)) for f in fields(self)))
 
     def arrays(self) -> dict[str, Floats]:
@@ -62,7 +62,7 @@ class Parameters:
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def gaussians(self, blended: bool = True) -> Gaussians:
-        """What they stand for; without `blended` the part weights are 0 or 1."""
+        """As `Gaussians`; without `blended` the part weights are rounded to 0 or 1."""
         q = self.quaternions / np.linalg.norm(self.quaternions, axis=1, keepdims=True)
         w, x, y, z = q.T
         normals = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], 1)
@@ -90,17 +90,16 @@ def logit(p: Floats) -> Floats:
     return np.asarray(np.log(p / (1 - p)), np.float32)
 
 
-Back = Callable[[SplatGradients], dict[str, Floats]]
+SplatBackward = Callable[[SplatGradients], dict[str, Floats]]
 
 
-def splats_of(gaussians: Gaussians, Ts: Array, lit: Array | None = None) -> tuple[Splats, Back]:
-    """What to draw in a frame with poses Ts (2, 4, 4) of the two parts, and the way back.
+def make_splats(gaussians: Gaussians, Ts: Array, lit: Array | None = None) -> tuple[Splats, SplatBackward]:
+    """The splats to draw in a frame with poses Ts (2, 4, 4) of the two parts, and the backward pass.
 
-    `lit` (2, 4, 4) are the parts' poses before the recording camera, whose lamps they stand in; Ts when None.
-
-    A disc shows its outer face alone: those turned away stay out, as do copies too faint to matter. The way back gives
-    derivatives by means, quaternions, scales, opacities, colours, part_weights and light, with the normal that light
-    falls on held fixed, and `screen` and `drawn` as `SplatGradients` has them, summed over a Gaussian's copies.
+    `lit` (2, 4, 4) are the parts' poses in the recording camera's frame, which determine the light; Ts when None. Discs
+    that face away and copies too faint to matter are left out. The backward pass gives derivatives by means,
+    quaternions, scales, opacities, colours, part_weights and light, with the normals that determine light held fixed,
+    and `screen` and `drawn` of `SplatGradients`, summed over a Gaussian's copies.
     """
     poses = np.ascontiguousarray(Ts, np.float32)
     opacities, weights = gaussians.opacities, gaussians.part_weights
@@ -111,7 +110,7 @@ def splats_of(gaussians: Gaussians, Ts: Array, lit: Array | None = None) -> tupl
     harmonics = np.empty((m, len(light)), np.float32)
     turned = poses if lit is None else np.ascontiguousarray(lit, np.float32)
     shading = (index, motion, gaussians.normals, gaussians.colours, turned, light, harmonics, shades, colours)
-    in_threads(lambda a, b: _light(a, b, *shading), m, 2000)
+    run_in_threads(lambda a, b: _light(a, b, *shading), m, 2000)
     share = np.where(motion == 0, weights[index], 1 - weights[index])
     shape = (gaussians.means[index], gaussians.quaternions[index], gaussians.scales[index], opacities[index] * share)
     splats = Splats(*shape, colours, motion)
@@ -143,12 +142,12 @@ def splats_of(gaussians: Gaussians, Ts: Array, lit: Array | None = None) -> tupl
 
 @njit(nogil=True, cache=True)
 def _select(means, normals, opacities, weights, poses):  # pragma: no cover
-    """(m,) numbers of the Gaussians to be drawn, and (m,) under which motion; those under motion 0 first."""
+    """(m,) indices of the Gaussians to draw, and (m,) their motions; those under motion 0 first."""
     index, motion = np.empty(2 * len(means), np.int64), np.empty(2 * len(means), np.uint8)
     m = 0
     for k in range(2):
         T = poses[k]
-        # the camera in the canonical frame
+        # camera position in the canonical frame
         c0 = -(T[0, 0] * T[0, 3] + T[1, 0] * T[1, 3] + T[2, 0] * T[2, 3])
         c1 = -(T[0, 1] * T[0, 3] + T[1, 1] * T[1, 3] + T[2, 1] * T[2, 3])
         c2 = -(T[0, 2] * T[0, 3] + T[1, 2] * T[1, 3] + T[2, 2] * T[2, 3])
@@ -204,7 +203,7 @@ def _harmonics(x, y, z, found):  # pragma: no cover
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def _light(begin, end, index, motion, normals, colours, poses, light, harmonics, shades, lit):  # pragma: no cover
-    """Spherical harmonics of the normals as the camera has them, the light there, and the colours in it."""
+    """Spherical harmonics of the normals in the camera's frame, the light there, and the lit colours."""
     for k in range(begin, end):
         g, M = index[k], poses[motion[k]]
         a, b, c = normals[g, 0], normals[g, 1], normals[g, 2]

@@ -1,8 +1,8 @@
-"""The rasteriser on a CPU: tiles side by side, Gaussians front to back within a tile, rows of each one's ellipse.
+"""The rasteriser on a CPU: tiles in parallel, Gaussians front to back within a tile, row by row of each one's ellipse.
 
-A Gaussian's row of pixels is a stretch of memory, and what a tile adds to a Gaussian's derivatives has a place of its
-own, so that threads share nothing and the outcome does not depend on them. A loop over pixels, each with its list of
-Gaussians, took five times as long.
+A Gaussian's row of pixels is contiguous in memory, and each tile has its own buffer for a Gaussian's derivatives, so
+that threads share nothing and the result does not depend on them. A loop over pixels, each with its list of Gaussians,
+was five times slower.
 """
 
 from __future__ import annotations
@@ -21,42 +21,42 @@ from reconstruct.gaussians.rasteriser import (
     NEAR,
     OPAQUE,
     THIN,
+    Backward,
     Floats,
     Lens,
     Picture,
-    Pull,
     SplatGradients,
     Splats,
 )
-from reconstruct.kernels import in_threads
+from reconstruct.kernels import run_in_threads
 
 TILE = 32
-"""Pixels, each way: 16 took a third longer, 64 leaves too few for two threads in a small window."""
+"""Pixels, each way: 16 took a third longer, 64 leaves too few tiles for two threads in a small window."""
 _LANES = 8
-"""Pixels that are worked on at a time, those beside the ellipse with no effect: most rows are shorter than two such
-stretches, and what is left over of a stretch would be worked on pixel by pixel."""
+"""Pixels processed at a time, masked beyond the ellipse, so that the loop vectorises: most rows are shorter than two
+such stretches."""
 _PIECES = 16
-"""Into which the tiles are dealt out: neighbours, which cost alike, go to different threads."""
+"""Stride with which tiles are dealt to threads: neighbours, of similar cost, go to different threads."""
 
 _F = np.float32
 _U = np.uint64
-"""Of indices into a tile: a signed one might count from the end, and such a loop is no SIMD."""
+"""Unsigned index type: with a signed one, which may count from the end, the loop does not vectorise."""
 _DENSEST, _OPAQUE, _DILATION, _THIN, _NEAR = _F(DENSEST), _F(OPAQUE), _F(DILATION), _F(THIN), _F(NEAR)
 
 # record of a drawn Gaussian, in the order of depth
 _X, _Y, _Q0, _Q1, _Q2, _OPACITY, _RED, _GREEN, _BLUE, _DEPTH, _MOVING, _REACH, _ACROSS, _DOWN, _FIELDS = range(15)
 _SUMS = 12
-"""Of a Gaussian's derivatives in a tile: by mean (2), conic (3), depth and its slopes (3), colour (3), opacity."""
+"""Derivatives of a Gaussian in a tile: by mean (2), conic (3), depth and its slopes (3), colour (3), opacity."""
 
 
-def rasterise(splats: Splats, Ts: Array, lens: Lens) -> tuple[Picture, Pull]:
+def rasterise(splats: Splats, Ts: Array, lens: Lens) -> tuple[Picture, Backward]:
     """See `rasteriser.Rasterise`."""
     m, (h, w) = len(splats), (lens.height, lens.width)
     poses = np.ascontiguousarray(Ts, np.float32)
     frame = (_F(lens.fx), _F(lens.fy), _F(lens.cx), _F(lens.cy), w, h)
     shape = (splats.means, splats.quaternions, splats.scales, splats.opacities, splats.colours, splats.motion)
     records, boxes = np.empty((m, _FIELDS), np.float32), np.empty((m, 4), np.int32)
-    in_threads(lambda begin, end: _project(begin, end, *shape, poses, *frame, records, boxes), m, 500)
+    run_in_threads(lambda begin, end: _project(begin, end, *shape, poses, *frame, records, boxes), m, 500)
     drawn = np.flatnonzero(boxes[:, 0] < boxes[:, 1])
     order = _by_depth(drawn, records[drawn, _DEPTH])
     records, boxes = records[order], boxes[order]
@@ -66,20 +66,20 @@ def rasterise(splats: Splats, Ts: Array, lens: Lens) -> tuple[Picture, Pull]:
     colour, depth = np.zeros((h, w, 3), np.float32), np.zeros((h, w), np.float32)
     left, moving = np.ones((h, w), np.float32), np.zeros((h, w), np.float32)
     pictures = (colour, depth, left, moving)
-    in_threads(lambda a, b: _blend(tiles[a:b], across, starts, entries, records, boxes, *pictures), len(tiles), 2)
+    run_in_threads(lambda a, b: _blend(tiles[a:b], across, starts, entries, records, boxes, *pictures), len(tiles), 2)
     alpha = 1 - left
 
     def pull(d_colour: Floats, d_depth: Floats, d_alpha: Floats) -> SplatGradients:
         given = [np.ascontiguousarray(d, np.float32) for d in (d_colour, d_depth, d_alpha)]
         buffer = np.zeros((len(entries), _SUMS), np.float32)
         arguments = (starts, entries, records, boxes, colour, depth, left, *given, buffer)
-        in_threads(lambda a, b: _blend_back(tiles[a:b], across, *arguments), len(tiles), 2)
+        run_in_threads(lambda a, b: _blend_back(tiles[a:b], across, *arguments), len(tiles), 2)
         flat = np.zeros((len(order), _SUMS), np.float32)
         _gather(entries, buffer, flat)
         means, quaternions, scales = (np.zeros((m, k), np.float32) for k in (3, 4, 3))
         twists = np.zeros((len(order), 6))
         back = (order, records, flat, *shape[:3], splats.motion, poses, *frame[:4], means, quaternions, scales, twists)
-        in_threads(lambda a, b: _project_back(a, b, *back), len(order), 500)
+        run_in_threads(lambda a, b: _project_back(a, b, *back), len(order), 500)
         opacities, colours = np.zeros(m, np.float32), np.zeros((m, 3), np.float32)
         screen, shown = np.zeros(m, np.float32), np.zeros(m, bool)
         opacities[order], colours[order], shown[order] = flat[:, 11], flat[:, 8:11], True
@@ -92,9 +92,9 @@ def rasterise(splats: Splats, Ts: Array, lens: Lens) -> tuple[Picture, Pull]:
 
 
 def _by_depth(numbers: NDArray[np.int64], depths: Floats) -> NDArray[np.int64]:
-    """`numbers` (n,), which rise, in the order of their depths, above zero; of equal ones the lower number first.
+    """`numbers` (n,), which are sorted, ordered by their positive depths; ties by number.
 
-    Bits of positive floats are in their order; sorting whole keys takes an eighth of a stable sort of indices.
+    The bits of positive floats sort like the floats; sorting packed keys takes an eighth of a stable argsort.
     """
     keys = depths.view(np.uint32).astype(np.uint64) << np.uint64(32) | np.arange(len(numbers), dtype=np.uint64)
     keys.sort()
@@ -103,7 +103,7 @@ def _by_depth(numbers: NDArray[np.int64], depths: Floats) -> NDArray[np.int64]:
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def _matrix(q, R):  # pragma: no cover
-    """Rotation of a quaternion, wxyz, of any length; returns one over its length."""
+    """Fill R with the rotation of a quaternion, wxyz, of any length; returns one over its length."""
     n = _F(1) / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     w, x, y, z = q[0] * n, q[1] * n, q[2] * n, q[3] * n
     two, one = _F(2), _F(1)
@@ -118,9 +118,9 @@ def _project(
     begin, end, means, quaternions, scales, opacities, colours, motion, poses, fx, fy, cx, cy, width, height, records,
     boxes,
 ):  # pragma: no cover  # fmt: skip
-    """Records of the Gaussians begin to end, and the pixels (x0, x1, y0, y1; ends excluded) of their ellipses' boxes.
+    """Records of the Gaussians begin to end, and the bounding boxes (x0, x1, y0, y1; ends excluded) of their ellipses.
 
-    The covariance in the picture is that of the projection linearised at the mean (EWA: Zwicker et al. 2001).
+    The image covariance is that of the projection linearised at the mean (EWA: Zwicker et al. 2001).
     """
     R = np.empty((3, 3), np.float32)
     for g in range(begin, end):
@@ -175,7 +175,7 @@ def _project(
 
 @njit(nogil=True, cache=True)
 def _bin(boxes, across, down):  # pragma: no cover
-    """(tiles + 1,) where each tile's entries begin, and (entries,) numbers of the records, front to back."""
+    """(tiles + 1,) start of each tile's entries, and (entries,) record numbers, front to back."""
     counts = np.zeros(across * down + 1, np.int64)
     for g in range(boxes.shape[0]):
         for ty in range(boxes[g, 2] // TILE, (boxes[g, 3] - 1) // TILE + 1):
@@ -195,7 +195,7 @@ def _bin(boxes, across, down):  # pragma: no cover
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True, inline="always")
 def _exp(x):  # pragma: no cover
-    """exp(x) for x from -5.6 to 0, to 2e-6 of itself: math.exp stands in the way of SIMD."""
+    """exp(x) for x from -5.6 to 0, with relative error 2e-6; math.exp prevents vectorisation."""
     t = x * _F(0.125) + _F(0.35)
     p = _F(0.00590244011) * t + _F(0.0295423057)
     p = p * t + _F(0.117446174)
@@ -209,7 +209,8 @@ def _exp(x):  # pragma: no cover
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True, inline="always")
 def _span(r, y, left, right):  # pragma: no cover
-    """The pixels (begin, end) of row y within [left, right) in a record's ellipse, and the row's distance from it."""
+    """The pixels (begin, end) of row y within [left, right) in a record's ellipse, and the row's distance from its
+    centre."""
     dy = _F(y) + _F(0.5) - r[_Y]
     mid = -r[_Q1] * dy / r[_Q0]
     half = mid * mid - (r[_Q2] * dy * dy - r[_REACH]) / r[_Q0]
@@ -226,7 +227,7 @@ _T, _R, _G, _B, _D, _M, _BEHIND = 0, 1, 2, 3, 4, 5, 5
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def _blend(tiles, across, starts, entries, records, boxes, colour, depth, left, moving):  # pragma: no cover
-    """Draw into the pictures of some tiles, which were made for no Gaussian: black and clear."""
+    """Draw some tiles into the images, which are initially black and transparent."""
     height, width = left.shape
     S = np.empty((TILE, 6, TILE), np.float32)
     for tile in tiles:
@@ -278,7 +279,7 @@ def _blend(tiles, across, starts, entries, records, boxes, colour, depth, left, 
 
 @njit(nogil=True, cache=True)
 def _closed(S):  # pragma: no cover
-    """Whether all pixels of a tile are closed."""
+    """Whether all pixels of a tile are opaque."""
     for y in range(TILE):
         for x in range(TILE):
             if S[y, _T, x] > 0:
@@ -290,9 +291,9 @@ def _closed(S):  # pragma: no cover
 def _blend_back(
     tiles, across, starts, entries, records, boxes, colour, depth, left, d_colour, d_depth, d_alpha, buffer
 ):  # pragma: no cover
-    """Derivatives, as `_SUMS` has them, an entry a row, of some tiles.
+    """Derivatives (`_SUMS`) of some tiles, one entry per row.
 
-    Front to back again: what lies behind a Gaussian is the whole less what is before it and itself.
+    Front to back again: what lies behind a Gaussian is the total minus what is in front of it and itself.
     """
     height, width = left.shape
     S = np.empty((TILE, 6, TILE), np.float32)
@@ -388,7 +389,7 @@ def _project_back(
     begin, end, order, records, flat, means, quaternions, scales, motion, poses, fx, fy, cx, cy, d_means, d_quaternions,
     d_scales, twists,
 ):  # pragma: no cover  # fmt: skip
-    """Derivatives of the records begin to end taken back through the projection."""
+    """Derivatives of the records begin to end, propagated back through the projection."""
     R, D, Q = np.empty((3, 3), np.float32), np.empty((3, 3), np.float32), np.empty(4, np.float32)
     e = np.empty(3, np.float32)
     for n in range(begin, end):

@@ -1,8 +1,7 @@
-"""What a rasteriser of Gaussians is: one function, `Rasterise`, that backends provide (`numba_backend`,
-`gsplat_backend`).
+"""Interface of a rasteriser of Gaussians: one function, `Rasterise` (backends: `numba_backend`, `gsplat_backend`).
 
-Colour, depth and opacity by front-to-back blending of Gaussians projected to the picture (Kerbl et al. 2023; Zwicker
-et al. 2001), with the constants of gsplat so that the backends agree.
+Colour, depth and opacity by front-to-back blending of projected Gaussians (Kerbl et al. 2023; Zwicker et al. 2001),
+with gsplat's constants so that the backends agree.
 """
 
 from __future__ import annotations
@@ -20,15 +19,15 @@ Floats = NDArray[np.float32]
 DILATION = 0.3
 """Square pixels added to every projected covariance (gsplat's eps2d)."""
 THIN = 0.01
-"""Square pixels added to the covariance that a Gaussian's slope of depth is of: a tenth of a pixel, so that a disc seen
-edge on has one. It leaves .03 and .24 pixels of error on planes tilted by 40 and 65 degrees, of .59 and 1.5 without a
-slope."""
+"""Square pixels added to the covariance from which a Gaussian's depth slope is computed: a tenth of a pixel, so that a
+disc seen edge-on has a slope. On planes tilted by 40 and 65 degrees it leaves 0.03 and 0.24 pixels of error; without
+slopes 0.59 and 1.5."""
 FAINTEST, DENSEST = 1 / 255, 0.999
-"""Of a Gaussian at a pixel: a smaller opacity is left out, a larger one is cut (gsplat's)."""
+"""Opacities of a Gaussian at a pixel: smaller ones are skipped, larger ones cut (gsplat's)."""
 OPAQUE = 1e-4
-"""Transmittance at which a pixel is closed (gsplat's)."""
+"""Transmittance below which a pixel is finished (gsplat's)."""
 NEAR = 0.01
-"""Metres: nearer Gaussians are left out (gsplat's near plane)."""
+"""Metres: nearer Gaussians are skipped (gsplat's near plane)."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ class Splats:
     colours: Floats
     """(M, 3)."""
     motion: NDArray[np.uint8]
-    """(M,) 0 or 1: which of the two poses places it."""
+    """(M,) 0 or 1: the pose that places it."""
 
     def __len__(self) -> int:
         return len(self.means)
@@ -66,16 +65,16 @@ class Splats:
 
 @dataclass(frozen=True)
 class Picture:
-    """What a window shows; float32. Nothing is put behind: a picture before white is colour + (1 - alpha) white."""
+    """A rendered window; float32. Without background: on white it is colour + (1 - alpha) white."""
 
     colour: Floats
     """(h, w, 3) sum over Gaussians of blending weight times colour."""
     depth: Floats
-    """(h, w) sum of blending weight times the Gaussian's depth there, metres: over alpha it is a depth.
+    """(h, w) sum of blending weight times the Gaussian's depth at the pixel, metres; a depth when divided by alpha.
 
-    That is the mean depth of what of it is seen at a pixel: of a disc, its plane's. Were it the depth of the Gaussian's
-    mean, what comes first would count more where a surface is tilted, by .6 pixels' breadth of depth between a
-    face seen frontally and one at 60 degrees (torch_lighter), and poses would follow (RaDe-GS: Zhang et al. 2024).
+    A Gaussian's depth is the mean of its visible mass at a pixel: for a disc, its plane's. The depth of its mean would
+    favour the nearer Gaussians on tilted surfaces, by 0.6 pixels' breadth between a frontal face and one at 60 degrees
+    (torch_lighter), and bias the poses (RaDe-GS: Zhang et al. 2024).
     """
     alpha: Floats
     """(h, w) sum of blending weights, 0 to 1."""
@@ -85,7 +84,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class SplatGradients:
-    """Derivatives of a scalar by everything that was drawn; float32 but for the twists."""
+    """Derivatives of a scalar by all that was drawn; float32 except the twists."""
 
     means: Floats
     quaternions: Floats
@@ -95,14 +94,14 @@ class SplatGradients:
     twists: Array
     """(2, 6) by left twists (v, w) of the two poses: T becomes exp(twist) T."""
     screen: Floats
-    """(M,) length of the derivative by the projected mean, per pixel: what densification goes by."""
+    """(M,) length of the derivative by the projected mean, per pixel, for densification."""
     drawn: NDArray[np.bool_]
-    """(M,) whether it was in the picture at all."""
+    """(M,) whether it was in the image at all."""
 
 
-Pull = Callable[[Floats, Floats, Floats], SplatGradients]
-"""Derivatives by `Picture.colour` (h, w, 3), `.depth` (h, w) and `.alpha` (h, w) to those by what was drawn. May be
+Backward = Callable[[Floats, Floats, Floats], SplatGradients]
+"""From derivatives by `Picture.colour` (h, w, 3), `.depth` (h, w) and `.alpha` (h, w) to those by the splats. Can be
 called once."""
 
-Rasterise = Callable[[Splats, Array, Lens], tuple[Picture, Pull]]
-"""(splats, poses (2, 4, 4) camera from canonical, lens) to the picture and the way back."""
+Rasterise = Callable[[Splats, Array, Lens], tuple[Picture, Backward]]
+"""(splats, poses (2, 4, 4) camera from canonical, lens) to the image and its backward pass."""

@@ -1,8 +1,8 @@
-"""Held-out views from the Gaussians, with what they do not explain taken from the video.
+"""Held-out views: the Gaussians' rendering plus what the video shows beyond them.
 
-A view is the Gaussians' picture plus a mean of residuals, video less the Gaussians' picture of its frame, from the
-frames that saw each place most alike (an unstructured lumigraph, Buehler et al. 2001, of residuals): shadows,
-highlights, and texture finer than a Gaussian. Where no frame saw a place, the Gaussians stand alone.
+The addition is a weighted mean of residuals (video minus rendering of its frame) from the frames that saw each place
+most similarly, an unstructured lumigraph (Buehler et al. 2001) of residuals: shadows, highlights, and texture finer
+than a Gaussian. Where no frame saw a place, nothing is added.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ from freeart21.reconstruction import Reconstruction
 from freeart21.recording import Query, Recording
 from freeart21.se3 import Array
 from reconstruct.gaussians.losses import COVERED
-from reconstruct.gaussians.model import splats_of
+from reconstruct.gaussians.model import make_splats
 from reconstruct.gaussians.numba_backend import rasterise
 from reconstruct.gaussians.rasteriser import Floats, Lens, Picture
-from reconstruct.kernels import in_threads
-from reconstruct.lumigraph import seen_alike
+from reconstruct.kernels import run_in_threads
+from reconstruct.lumigraph import view_similarity_weight
 
 Image = NDArray[np.uint8]
 
 FRAMES, PIXELS = 300, 20_000_000
-"""Frames whose residuals are looked at, evenly drawn, and the pixels that they have at most together."""
+"""Frames, evenly spaced, whose residuals are used, and the limit of their pixels together."""
 ALIKE, SPREAD = 48, 24
-"""Of these, the frames for one part of one view: so many that see it turned most alike, and so many evenly drawn."""
+"""Of these, the frames for one part of one view: those with the most similar orientation, and evenly spaced ones."""
 REACH = 0.2
-"""Pixels: standard deviation of the weight of a frame's pixel beside the place. Half a pixel, or none but bilinear
-weights, blurs: .2 dB less on two objects."""
+"""Standard deviation, pixels, of the spatial weight of a frame's pixels. Half a pixel, or bilinear weights alone,
+blurs: 0.2 dB less on two objects."""
 RIM = 0.05
-"""Opacity from which a pixel beside a covered one shows the object: a pixel that the object touches has its colour in
-pictures without anti-aliasing. With 0.5, pictures lacked their rim: 1 to 2 dB less."""
+"""Opacity above which a pixel next to a covered one shows the object: without anti-aliasing, a pixel that the object
+touches has its colour. With 0.5 the rim was missing: 1 to 2 dB less."""
 TOLERANCE = 3.0
-"""Footprints by which a frame's depth may differ from the view's at one place."""
+"""Footprints by which a frame's depth may differ from the view's."""
 
 
 def posed(result: Reconstruction, query: Query, other: bool) -> tuple[Array, Array]:
@@ -58,7 +58,7 @@ def posed(result: Reconstruction, query: Query, other: bool) -> tuple[Array, Arr
 
 
 def render_views(result: Reconstruction, recording: Recording, with_video: bool) -> tuple[list[Image], list[Image]]:
-    """One picture (height, width, 3) for each query, white where there is nothing: posed by the reference part, and by
+    """One image (height, width, 3) for each query, white where there is nothing: posed by the reference part, and by
     the moving part. `with_video` adds what the frames show beyond the Gaussians."""
     assert result.appearance is not None
     film = _Film.of(result, recording) if with_video else None
@@ -76,7 +76,7 @@ def _lens(camera: Camera) -> Lens:
 
 def _drawn(gaussians: Gaussians, Ts: Array, lens: Lens, lit: Array) -> tuple[Picture, Floats]:
     """The picture, and colours (h, w, 3) 0 to 255 of what it shows."""
-    picture, _ = rasterise(splats_of(gaussians, Ts, lit)[0], Ts, lens)
+    picture, _ = rasterise(make_splats(gaussians, Ts, lit)[0], Ts, lens)
     over = 255 / np.maximum(picture.alpha, 1e-3)[..., None]
     return picture, np.clip(picture.colour * over, 0, 255).astype(np.float32)
 
@@ -154,7 +154,7 @@ def _view(gaussians: Gaussians, poses: tuple[Array, Array], film: _Film | None, 
 def _normals(gaussians: Gaussians, Ts: Array, lens: Lens) -> Array:
     """(h, w, 3) unit normals in the camera's frame, drawn as colours are."""
     unlit = replace(gaussians, colours=gaussians.normals, light=None)
-    splats, _ = splats_of(unlit, Ts)
+    splats, _ = make_splats(unlit, Ts)
     R = np.ascontiguousarray(Ts[splats.motion][:, :3, :3], np.float32)
     turned = np.einsum("nij,nj->ni", R, splats.colours).astype(np.float32)
     total = rasterise(replace(splats, colours=turned), Ts, lens)[0].colour.astype(float)
@@ -175,7 +175,7 @@ def _residuals(film: _Film, part: int, T: Array, back: Array, points: Array, nor
     lens = (film.lens.fx, film.lens.fy, film.lens.cx - 0.5, film.lens.cy - 0.5)
     pictures = (film.Ts[part], film.frames_like(part, back @ T), film.residuals, film.depth, film.part, part + 1)
     arguments = (own, normals @ T[:3, :3], normals @ back[:3, :3].T, views, *pictures, *lens, tolerance, found)
-    in_threads(lambda a, b: _blend(a, b, *arguments), len(points), 200)
+    run_in_threads(lambda a, b: _blend(a, b, *arguments), len(points), 200)
     return found
 
 
@@ -195,7 +195,9 @@ def _blend(
         total[:] = 0
         weight = 0.0
         for i in frames:
-            good, u, v, pz, tilt = seen_alike(Ts[i], points[k], normals[k], lit[k], views[k], fx, fy, cx, cy)
+            good, u, v, pz, tilt = view_similarity_weight(
+                Ts[i], points[k], normals[k], lit[k], views[k], fx, fy, cx, cy
+            )
             if good == 0:
                 continue
             x0, y0 = math.floor(u), math.floor(v)

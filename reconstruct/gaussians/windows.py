@@ -1,4 +1,4 @@
-"""What the frames show, as the Gaussians are held to it: windows round the object at the recording's resolution."""
+"""Training images of the Gaussians: windows round the object at the recording's resolution."""
 
 from __future__ import annotations
 
@@ -12,35 +12,35 @@ from numpy.typing import NDArray
 from freeart21.recording import Frame, Recording
 from reconstruct.gaussians.losses import Target
 from reconstruct.gaussians.rasteriser import Floats, Lens
-from reconstruct.kernels import each_in_threads
-from reconstruct.scene import Scene, depth_noise
+from reconstruct.kernels import map_in_threads
+from reconstruct.scene import Scene, estimate_depth_noise
 
 MARGIN = 8
 """Pixels of a frame's window round its mask."""
 NOISE_FRAMES = 12
-"""Frames that the noise of depth is taken from."""
+"""Frames from which the depth noise is estimated."""
 EXACT, AS_COLOUR = 0.1, 0.015
-"""Footprints to which the model's depth can be right, and the error of colour, sRGB from 0 to 1, that weighs as much as
-a standard deviation of depth's: what a model of a video is off by. With the paper's weight for depth outlines, which
-Gaussians blur, drew the surface of the clean torch_lighter .4 pixels inward; with 10 times that, .01."""
+"""Accuracy of the model's depth, footprints, and colour error, sRGB from 0 to 1, that weighs as much as one standard
+deviation of depth: typical of a model of a video. With the paper's depth weight, blurred outlines drew the surface of
+the clean torch_lighter 0.4 pixels inward; with 10 times that, 0.01."""
 JUMP = 4.0
-"""Footprints, and deviations of noise, between neighbours' depths beyond which neither is believed: sensors mix what
-they see there."""
+"""Footprints plus noise deviations between neighbouring depths above which neither is used: sensors mix depths
+there."""
 
 
 @dataclass(frozen=True)
 class Window:
-    """What a frame shows of the object, and through which lens."""
+    """A frame's image of the object, with its lens."""
 
     lens: Lens
     rgb: NDArray[np.uint8]
     """(h, w, 3)."""
     depth: Floats
-    """(h, w) metres; minus the depth of what is not the object; 0 where there is none or it is not believed."""
+    """(h, w) metres; minus the depth of anything else; 0 where there is none or it is unreliable."""
     mask: NDArray[np.bool_]
     """(h, w) foreground."""
     corner: tuple[int, int]
-    """Column and row of its first pixel in the recording's picture."""
+    """Column and row of its first pixel in the recording's image."""
 
     def target(self) -> Target:
         """The same as numbers."""
@@ -50,18 +50,18 @@ class Window:
 
 @dataclass(frozen=True)
 class Windows:
-    """Those of all frames."""
+    """The windows of all frames."""
 
     frames: tuple[Window | None, ...]
     """None where a frame shows nothing."""
     footprint: float
     """Metres a pixel covers at the object."""
     noise: float
-    """Metres: standard deviation of the depth."""
+    """Standard deviation of the depth, metres."""
     diagonal: float
-    """Metres: the object's size."""
+    """Size of the object, metres."""
     factor: int
-    """Pixels of the recording, each way, that one of a window's stands for."""
+    """Recorded pixels per window pixel, each way."""
 
     @property
     def shown(self) -> NDArray[np.bool_]:
@@ -70,12 +70,12 @@ class Windows:
 
     @property
     def depth_unit(self) -> float:
-        """Metres that the loss of depth counts in: half the object's diagonal, as the paper's objects, of about 2 m,
-        have metres; less where the sensor is so exact that depth has more to say than colour."""
+        """Unit of the depth loss, metres: half the object's diagonal (the paper's objects are of about 2 m), or less
+        where an exact sensor's depth says more than colour."""
         return min(self.diagonal / 2, math.hypot(self.noise, EXACT * self.footprint) / AS_COLOUR)
 
     def in_crop(self, i: int, image: Floats, scene: Scene) -> Floats:
-        """A picture (h, w) of frame i's window as the scene's crop (h, w) of that frame has it; NaN beyond."""
+        """An image (h, w) of frame i's window resampled to the scene's crop (h, w); NaN outside."""
         h, w = scene.mask.shape[1:]
         left, top = self[i].corner
         found = np.full((h, w), np.nan, np.float32)
@@ -91,19 +91,19 @@ class Windows:
         return window
 
 
-def windows_of(recording: Recording, scene: Scene, most_pixels: int) -> Windows:
+def make_windows(recording: Recording, scene: Scene, most_pixels: int) -> Windows:
     """The windows of a recording, sampled down by a whole factor where foregrounds have more than `most_pixels`."""
     pixels = float(np.mean(scene.mask.sum((1, 2)))) * scene.factor**2
     factor = max(1, math.ceil(math.sqrt(pixels / most_pixels)))
     footprint = scene.footprint / scene.factor * factor
     K = recording.camera.K
     some = [recording.frame(i) for i in np.linspace(0, len(recording) - 1, NOISE_FRAMES).round().astype(int)]
-    noise = depth_noise(np.stack([np.where(frame.mask, frame.depth, 0) for frame in some]).astype(np.float32))
+    noise = estimate_depth_noise(np.stack([np.where(frame.mask, frame.depth, 0) for frame in some]).astype(np.float32))
 
     def load(i: int) -> Window | None:
         return _window(recording.frame(i), K, factor, JUMP * footprint + 4 * noise)
 
-    frames = tuple(each_in_threads(load, len(recording)))
+    frames = tuple(map_in_threads(load, len(recording)))
     return Windows(frames, footprint, noise, scene.diagonal, factor)
 
 
@@ -141,9 +141,9 @@ def _window(frame: Frame, K: NDArray[np.float64], factor: int, jump: float) -> W
 
 
 def _at_centres(depth: Floats, factor: int) -> Floats:
-    """Depth (h, w), signed as a window's, at the centres of blocks of `factor` pixels each way; 0 where it is in doubt.
+    """Signed depth (h, w) at the centres of blocks of `factor` pixels each way; 0 where unreliable.
 
-    An even block's centre lies between four pixels: any one of them would be half a pixel off the lens and the colours.
+    The centre of an even block lies between four pixels: using one of them would be half a pixel off lens and colours.
     """
     middle = ((factor - 1) // 2, factor // 2)
     four = np.stack([depth[i::factor, j::factor] for i in middle for j in middle])

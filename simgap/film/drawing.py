@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.se3 import Array
-from freeart21.z_buffer import BEHIND, enter
+from freeart21.z_buffer import BEHIND, draw_triangles
 from simgap.film.scene import FilmScene
 
 Map = NDArray[np.float32]
@@ -46,7 +46,7 @@ def render(scene: FilmScene, camera: Camera, Ts: tuple[Array, Array]) -> Rendere
     depth, face, weights = np.full(shape, np.inf), np.full(shape, -1), np.zeros((*shape, 3))
     vertices = np.where((scene.part == 1)[:, None], *(se3.transform(T, scene.vertices) for T in Ts))
     at = camera.project(np.where(vertices[:, 2:] > BEHIND, vertices, [0.0, 0.0, 1.0]))
-    enter(at, vertices[:, 2], scene.faces, depth, face, weights)
+    draw_triangles(at, vertices[:, 2], scene.faces, depth, face, weights)
     on = face >= 0
     corners, part = scene.faces[face[on]], np.zeros(shape, np.uint8)
     part[on] = scene.part[corners[:, 0]]

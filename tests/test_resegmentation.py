@@ -6,10 +6,10 @@ from reconstruct_clip import make_clip
 from test_reconstruct import GENTLE, QUIET, true_growth
 from test_recovery import RNG, right_labels
 
-from reconstruct.growth import Growth
-from reconstruct.pieces import lost_stretches
+from reconstruct.propagation import Propagation
+from reconstruct.resegmentation import find_lost_stretches
 from reconstruct.seeds import Seed
-from reconstruct.segmentation import _mended
+from reconstruct.segmentation import _resegment
 from reconstruct.tracks import DisTracker
 
 FRAMES = 32
@@ -32,19 +32,19 @@ def grown_but_lost(film, turn, shift, swap):
     """A growth that holds the truth in all frames but those of STRETCH: there all is turned, shifted or misnamed."""
     clip, evidence, true, tracker = film
     nothing = Seed(0, np.zeros(0, np.int64), np.zeros((0, 2, 4, 4)), 4 * true.logodds[0], gain=0.0)
-    growth = Growth(evidence, tracker, nothing, QUIET, RNG(0))
+    propagation = Propagation(evidence, tracker, nothing, QUIET, RNG(0))
     for i in range(FRAMES):
         wrong = i in STRETCH and swap
-        growth.put_labels(i, (-4 if wrong else 4) * np.where(true.labels[i] > 0, true.logodds[i], 0))
-    growth.done[:] = True
-    growth.adopt(true.poses)
-    growth.costs[:] = 0.1
+        propagation.set_labels(i, (-4 if wrong else 4) * np.where(true.labels[i] > 0, true.logodds[i], 0))
+    propagation.done[:] = True
+    propagation.set_joint(true.poses)
+    propagation.costs[:] = 0.1
     for i in STRETCH:
-        T = growth.Ts[0, i].copy()
+        T = propagation.Ts[0, i].copy()
         T[:3, :3] = turn @ T[:3, :3]
-        growth.place(int(i), T, growth.states[i] + shift * np.ptp(clip.states))
-        growth.costs[i] = 2.0
-    return growth
+        propagation.set_pose(int(i), T, propagation.states[i] + shift * np.ptp(clip.states))
+        propagation.costs[i] = 2.0
+    return propagation
 
 
 def quarter_turn():
@@ -57,32 +57,32 @@ def quarter_turn():
 )
 def test_a_lost_stretch_is_found_and_mended(name, turn, shift, swap, films):
     clip, _, true, _ = films[name]
-    growth = grown_but_lost(films[name], turn, shift, swap)
-    (stretch,) = lost_stretches(growth)
+    propagation = grown_but_lost(films[name], turn, shift, swap)
+    (stretch,) = find_lost_stretches(propagation)
     assert np.array_equal(stretch, STRETCH)
-    assert _mended(growth, stretch, RNG(0))
-    off = np.abs(growth.states - clip.states) / np.ptp(clip.states)
+    assert _resegment(propagation, stretch, RNG(0))
+    off = np.abs(propagation.states - clip.states) / np.ptp(clip.states)
     assert np.median(off) < 0.01 and off.max() < 0.08, "it was off by half, or misnamed"
-    assert right_labels(growth.labels, true.labels).min() > 0.85
-    named = (growth.labels == true.labels)[true.labels > 0].mean()
+    assert right_labels(propagation.labels, true.labels).min() > 0.85
+    named = (propagation.labels == true.labels)[true.labels > 0].mean()
     assert named > 0.95, "and by the names of the rest"
 
 
 def test_what_is_sound_is_left_as_it_is(films):
-    growth = grown_but_lost(films["slide"], np.eye(3), 0.0, False)
-    Ts, labels = growth.Ts.copy(), growth.labels.copy()
-    growth.costs[:] = 0.1
-    assert lost_stretches(growth) == []
-    growth.costs[STRETCH] = 2.0  # it seems lost, and yet no piece fits better
-    assert not _mended(growth, STRETCH, RNG(0))
-    assert np.array_equal(growth.Ts, Ts) and np.array_equal(growth.labels, labels)
+    propagation = grown_but_lost(films["slide"], np.eye(3), 0.0, False)
+    Ts, labels = propagation.Ts.copy(), propagation.labels.copy()
+    propagation.costs[:] = 0.1
+    assert find_lost_stretches(propagation) == []
+    propagation.costs[STRETCH] = 2.0  # it seems lost, and yet no piece fits better
+    assert not _resegment(propagation, STRETCH, RNG(0))
+    assert np.array_equal(propagation.Ts, Ts) and np.array_equal(propagation.labels, labels)
 
 
 def test_a_few_costly_frames_are_no_stretch(films):
-    growth = grown_but_lost(films["hinge"], np.eye(3), 0.0, False)
-    growth.costs[:] = 0.1
-    growth.costs[3:9] = 5.0
-    assert lost_stretches(growth) == []
-    growth.costs[[3, 4, 5, 8, 9, 10, 14, 15, 16]] = 5.0  # some better ones in between
-    (stretch,) = lost_stretches(growth)
+    propagation = grown_but_lost(films["hinge"], np.eye(3), 0.0, False)
+    propagation.costs[:] = 0.1
+    propagation.costs[3:9] = 5.0
+    assert find_lost_stretches(propagation) == []
+    propagation.costs[[3, 4, 5, 8, 9, 10, 14, 15, 16]] = 5.0  # some better ones in between
+    (stretch,) = find_lost_stretches(propagation)
     assert stretch[0] == 3 and stretch[-1] == 16
