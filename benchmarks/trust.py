@@ -47,10 +47,10 @@ from generator.sensor import Sensor
 from generator.session import RecordSettings
 from leaderboard.protocols.strict1 import Strict1, measure
 from reconstruct import VERSION
-from reconstruct.surface_check import check_surfaces
 from reconstruct.pipeline import reconstruct_folder
 from reconstruct.scene import prepare_scene
 from reconstruct.settings import GaussianSettings, ReconstructSettings, SceneSettings
+from reconstruct.surface_check import check_surfaces
 from reconstruct.surfaces import vertex_normals
 
 WRONG_AXIS_DEG, WRONG_PIVOT_PERCENT, WRONG_STATES, WRONG_SURFACE_PERCENT = 5.0, 5.0, 0.1, 1.0
