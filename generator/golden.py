@@ -26,6 +26,7 @@ from freeart21.truth import Truth
 from generator import partnet
 from generator.rays import Caster
 from generator.scene import Picture, Scene
+from generator.sensors import SENSORS
 
 DEPTH_SHARE = 0.002
 """Largest depth error away from edges, as a share of the object's diagonal."""
@@ -65,7 +66,7 @@ def cast_findings(name: str, recording: Recording, truth: Truth, frames: int) ->
         part_mask, frame = truth.part_mask(int(i)), recording.frame(int(i))
         labels = (hits.side + 1).reshape(part_mask.shape)
         wrong = labels != part_mask
-        if "hand" in sensors:  # the hand may hide what the rays meet
+        if any(name in SENSORS and SENSORS[name].occludes for name in sensors):  # it may hide what the rays meet
             wrong &= part_mask > 0
         share = wrong.sum() / max(int((part_mask > 0).sum()), 1)
         if share > 0.01:

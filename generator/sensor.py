@@ -1,11 +1,4 @@
-"""Simulates the camera's errors in a rendered video: named sensors, which may be combined with '+'.
-
-- clean: nothing.
-- noise2: depth with Gaussian noise of 2 % of itself.
-- tof: depth as a time-of-flight camera gives it (`generator.tof`).
-- hand: a hand holds the object and hides part of it (`generator.hand`); it is not in the mask, but has depth.
-- blur: motion blur; light is averaged over the exposure. Poses, states, depth and mask are those of mid-exposure.
-"""
+"""Films a planned motion as a camera does: the scene rendered, then what its sensors (`generator.sensors`) add."""
 
 from __future__ import annotations
 
@@ -16,23 +9,16 @@ from numpy.typing import NDArray
 
 from freeart21 import se3
 from freeart21.camera_faults import CameraFaults, incidence_cosine
-from freeart21.errors import FreeArtError
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
-from generator.hand import HandMotion
 from generator.motion import Plan, hull_points
 from generator.partnet import PartNetObject
 from generator.scene import Scene, encode_srgb
-from generator.tof import TimeOfFlight, infrared_albedo
-
-SENSORS: tuple[str, ...] = ("clean", "noise2", "tof", "blur", "hand")
-"""Names of the sensors."""
+from generator.sensors import check_sensor
+from generator.sensors.base import Video
 
 EXPOSURE_S = 1 / 60
 """Exposure time of blur, half a frame at 30 a second; at most a frame."""
-
-NOISE2_SHARE = 0.02
-"""Standard deviation of noise2's depth, as a share of the depth."""
 
 _FAULTS = 6
 """Random stream of the camera's faults: frame i draws from [seed, _FAULTS, i]."""
@@ -72,21 +58,21 @@ class Sensor:
         self._faults, self._fps, self._nominal_camera = faults, fps, scene.camera
         if faults is not None:
             scene.set_camera(faults.actual_camera(scene.camera))
-        self._parts = set(name.split("+"))
         self._scene, self._plan, self._loaded, self._seed = scene, plan, loaded, seed
         self._exposure = min(EXPOSURE_S * fps, 1.0)
         self._hulls = hull_points(meshes[0]), hull_points(meshes[1])
-        self._tof = TimeOfFlight(scene.camera, seed)
         scene.fix_lamps(plan.Ts_camera_world[0])
         self._started_frame: int | None = None
-        self._hand: HandMotion | None = None
-        if "hand" in self._parts:
-            self._hand = HandMotion(plan, loaded.joint, meshes, scene.camera, seed)
-            scene.set_props(self._hand.hand.pieces())
+        video = Video(scene, plan, loaded.joint, meshes, seed)
+        self.models = tuple(model(video) for model in check_sensor(name))
+        pieces = [piece for model in self.models for piece in model.pieces()]
+        self._has_pieces = bool(pieces)
+        if pieces:
+            scene.set_props(pieces)
 
     def shoot(self, i: int) -> Shot:
         """Frame `i` of the video; it does not depend on the frames before."""
-        count = count_sub_frames(self.motion_px(i)) if "blur" in self._parts else 1
+        count = max(model.sub_frames(self.motion_px(i)) for model in self.models) if self._averages else 1
         then = None if self._faults is None or not self._faults.depth_delay else self._delayed_depth(i)
         light = self._light(i, count)
         if self._started_frame != i:
@@ -97,11 +83,8 @@ class Sensor:
         )
         depth, side = self._scene.depth_and_side()
         rng = np.random.default_rng([self._seed, _STREAM, i])
-        if "noise2" in self._parts:
-            depth = noise2(depth, rng)
-        elif "tof" in self._parts:
-            base, gloss = self._scene.materials()
-            depth = self._tof.measure(depth, infrared_albedo(base), gloss, rng)
+        for model in self.models:
+            depth = model.depth(depth, rng)
         if self._faults is not None:
             depth, rgb = self._apply_faults(i, depth if then is None else then, rgb)
         return Shot(rgb, depth, side > 0, side)
@@ -126,7 +109,7 @@ class Sensor:
 
     def start_drawing(self, i: int) -> None:
         """Let the renderer start frame `i` while the caller does other work; `shoot` then fetches the picture."""
-        if "blur" not in self._parts and not (self._faults is not None and self._faults.depth_delay):
+        if not self._averages and not (self._faults is not None and self._faults.depth_delay):
             self._draw(i)
             self._started_frame = i
 
@@ -135,8 +118,15 @@ class Sensor:
         held, joint = self._loaded.asset.held, self._loaded.joint.name
         state = float(np.interp(t, np.arange(len(self._plan.states)), self._plan.states))
         T = interpolate_pose(self._plan.Ts_camera_object, t)
-        hand = None if self._hand is None else self._hand.poses(t, T, state)
-        self._scene.shoot(T, {**held, joint: state}, interpolate_pose(self._plan.Ts_camera_world, t), hand)
+        pieces = self._piece_poses(t, T, state) if self._has_pieces else None
+        self._scene.shoot(T, {**held, joint: state}, interpolate_pose(self._plan.Ts_camera_world, t), pieces)
+
+    @property
+    def _averages(self) -> bool:
+        return any(model.averages for model in self.models)
+
+    def _piece_poses(self, t: float, T_camera_object: Array, state: float) -> Array:
+        return np.concatenate([model.piece_poses(t, T_camera_object, state) for model in self.models])
 
     def _light(self, i: int, count: int) -> NDArray[np.float32] | None:
         """Sum of the light of the `count` sub-frames of frame `i` without the middle one; None for a single one."""
@@ -155,8 +145,7 @@ class Sensor:
             state = float(np.interp(t, np.arange(len(self._plan.states)), self._plan.states))
             Ts = T, T @ self._loaded.joint.transform(state)
             points = np.concatenate([se3.transform(T, hull) for T, hull in zip(Ts, self._hulls, strict=True)])
-            if self._hand is not None:
-                points = np.concatenate([points, self._hand.poses(t, T, state)[:, :3, 3]])
+            points = np.concatenate([points, self._piece_poses(t, T, state)[:, :3, 3]])
             ends.append(self._scene.camera.project(points))
         return float(np.nanmax(np.linalg.norm(ends[1] - ends[0], axis=1), initial=0.0))
 
@@ -174,7 +163,7 @@ def make_sensor(
     """The sensor `name` before `scene`, filming `plan`.
 
     Args:
-        name: one of `SENSORS`, or several joined by '+', such as 'tof+blur'.
+        name: one of `generator.sensors.SENSORS`, or several joined by '+', such as 'tof+blur'.
         scene: holds `loaded`.
         plan: the motion; the lamps are fixed in the world by its first camera pose.
         loaded: the object.
@@ -185,20 +174,7 @@ def make_sensor(
 
     Raises FreeArtError when a name is unknown or the names cannot be combined.
     """
-    check_sensor(name)
     return Sensor(name, scene, plan, loaded, meshes, seed, fps, faults)
-
-
-def check_sensor(name: str) -> None:
-    """Raise FreeArtError unless `name` is a sensor, or sensors joined by '+' that can be combined."""
-    parts = name.split("+")
-    for part in parts:
-        if part not in SENSORS:
-            raise FreeArtError(f"unknown sensor '{part}'; sensors: {', '.join(SENSORS)}, or several joined by '+'")
-    if len(set(parts)) < len(parts) or ("clean" in parts and len(parts) > 1) or {"noise2", "tof"} <= set(parts):
-        raise FreeArtError(
-            f"sensor '{name}' joins what does not go together: each name once, clean alone, noise2 or tof but not both"
-        )
 
 
 def interpolate_pose(Ts: Array, t: float) -> Array:
@@ -209,20 +185,3 @@ def interpolate_pose(Ts: Array, t: float) -> Array:
     if t == k + 1:
         return Ts[k + 1]
     return Ts[k] @ se3.exp_se3((t - k) * se3.log_se3(se3.inverse(Ts[k]) @ Ts[k + 1]))
-
-
-def count_sub_frames(motion_px: float) -> int:
-    """Number of pictures that make up an exposure with a motion of `motion_px`: one for each pixel, odd, at most 9.
-
-    It is odd so that mid-exposure, at which depth and truth are taken, is one of them.
-    """
-    return min(2 * int(np.ceil((motion_px - 0.5) / 2)) + 1, 9) if motion_px > 0.5 else 1
-
-
-def noise2(depth: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
-    """Depth with independent Gaussian noise of 2 % of itself for every pixel; 0 stays 0.
-
-    The noise does not depend on edges, angles or materials.
-    """
-    noise = rng.standard_normal(depth.shape, np.float32)
-    return depth * (np.float32(1) + np.float32(NOISE2_SHARE) * noise)

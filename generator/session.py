@@ -41,7 +41,8 @@ from generator.progress import Progress
 from generator.queries import PlannedQuery, plan_queries
 from generator.release import roll_out_release
 from generator.scene import Picture, Scene, simulator
-from generator.sensor import check_sensor, make_sensor
+from generator.sensor import make_sensor
+from generator.sensors import check_sensor
 from generator.truth_mesh import outer_faces, visible_faces
 
 LICENCES = {
@@ -101,7 +102,7 @@ class RecordSettings:
     preset: str = "handheld"
     """Size and distance of the object: one of `generator.motion.PRESETS`."""
     sensor: str = "clean"
-    """Errors of the camera: one of `generator.sensor.SENSORS`, or several joined by '+'."""
+    """What the camera adds: one of `generator.sensors.SENSORS`, or several joined by '+'."""
     camera: Path | None = None
     """camera.json with the faults of a real camera (`freeart21.camera_faults`), applied after the sensor."""
     effects: Path | None = None
@@ -403,7 +404,7 @@ class Session:
         self.sensor = make_sensor(
             settings.sensor, self.scene, self.plan, loaded, coarse, settings.seed, settings.fps, faults
         )
-        self._may_hide = "hand" in settings.sensor.split("+")
+        self._may_hide = any(model.occludes for model in self.sensor.models)
         self._counts = np.zeros((settings.frames, 2), np.int64)
         self._done = 0
 

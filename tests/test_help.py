@@ -89,7 +89,7 @@ def test_what_the_help_lists_is_what_there_is():
     from export.materials import MATERIALS
     from freeart21.formats.measured_series import ANGLES, EFFORTS, LENGTHS, ROLES, TIME_UNITS, UNSURE
     from generator.motion import PRESETS, STYLES
-    from generator.sensor import SENSORS
+    from generator.sensors import SENSORS
     from generator.session import SHADERS
 
     lists = {

@@ -376,7 +376,7 @@ def test_bad_requests_get_one_clear_line(tmp_path: Path) -> None:
     _fails("cannot record 1 frames", "stapler", tmp_path, frames=1)
     _fails("unknown motion 'dance'; motions: tumble, inspect", "stapler", tmp_path, motion="dance")
     _fails("unknown preset 'huge'; presets: handheld, paper", "stapler", tmp_path, preset="huge")
-    _fails("unknown sensor 'noisy'; sensors: clean, noise2", "stapler", tmp_path, sensor="noisy")
+    _fails("unknown sensor 'noisy'; sensors: blur, clean", "stapler", tmp_path, sensor="noisy")
     _fails("unknown shader 'point'; shaders: default, trivial", "stapler", tmp_path, shader="point")
     _fails("cannot draw from seed -1; expected 0 or more", "stapler", tmp_path, seed=-1)
     _fails(

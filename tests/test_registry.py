@@ -12,6 +12,8 @@ from freeart21.errors import FreeArtError
 from freeart21.registry import find_classes, find_instances
 from generator.motion.style import Style
 from generator.motion.styles import STYLES
+from generator.sensors import SENSORS
+from generator.sensors.base import SensorModel
 from leaderboard.adapters.registry import layouts
 from leaderboard.adapters.toolbox import Layout
 from leaderboard.protocols import PROTOCOLS, Protocol
@@ -34,6 +36,15 @@ from dataclasses import replace
 from generator.motion.styles import wave
 
 STYLE = replace(wave.STYLE, name="shake", stream=1000)
+"""
+SENSOR = """
+from generator.sensors.base import SensorModel
+
+class Millimetres(SensorModel):
+    name = "millimetres"
+
+    def depth(self, depth, rng):
+        return (depth * 1000).round() / 1000
 """
 LAYOUT = """
 from dataclasses import replace
@@ -59,10 +70,17 @@ def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     return tmp_path
 
 
-def test_an_effect_of_a_stranger(stranger: Path):
-    install(stranger, "freeart21.effects", EFFECT)
-    found = find_classes("freeart21.effects", Effect)
-    assert set(found) - set(EFFECTS) == {"squeak"} and found["squeak"](0.1).coefficient == 0.1
+@pytest.mark.parametrize(
+    ("group", "text", "kind", "ours", "name"),
+    [
+        ("freeart21.effects", EFFECT, Effect, EFFECTS, "squeak"),
+        ("generator.sensors", SENSOR, SensorModel, SENSORS, "millimetres"),
+    ],
+)
+def test_a_class_of_a_stranger(stranger: Path, group: str, text: str, kind: type, ours: dict, name: str):
+    install(stranger, group, text)
+    found = find_classes(group, kind)
+    assert set(found) - set(ours) == {name} and issubclass(found[name], kind)
 
 
 @pytest.mark.parametrize(

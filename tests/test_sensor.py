@@ -14,7 +14,10 @@ from generator.model import Hinge, Link, Material, ObjectModel, Piece
 from generator.motion import Plan
 from generator.partnet_writer import write_partnet
 from generator.scene import _T_SAPIEN_CAMERA, Scene, decode_srgb, encode_srgb
-from generator.sensor import NOISE2_SHARE, SENSORS, Sensor, count_sub_frames, interpolate_pose, make_sensor, noise2
+from generator.sensor import Sensor, interpolate_pose, make_sensor
+from generator.sensors import SENSORS
+from generator.sensors.blur import Blur
+from generator.sensors.noise2 import NOISE2_SHARE, Noise2
 from generator.shapes import box
 from generator.tof import TimeOfFlight, infrared_albedo
 
@@ -89,7 +92,7 @@ def test_a_frame_is_the_same_in_any_order_and_frames_differ(
 
 def test_unknown_names_get_one_line(scene: Scene, loaded: partnet.PartNetObject) -> None:
     for name, message in (
-        ("fog", "unknown sensor 'fog'; sensors: clean, noise2, tof, blur, hand"),
+        ("fog", "unknown sensor 'fog'; sensors: blur, clean, hand, noise2, tof"),
         ("tof+fog", "unknown sensor 'fog'"),
         ("clean+blur", "'clean\\+blur' joins"),
         ("noise2+tof", "joins"),
@@ -128,7 +131,7 @@ def test_light_and_srgb() -> None:
 def test_noise2_is_two_percent_everywhere_and_fresh() -> None:
     depth = np.tile(np.linspace(0.2, 4, 400, dtype=np.float32), (400, 1))
     depth[:, :10] = 0
-    one, other = (noise2(depth, np.random.default_rng([0, 4, i])) for i in (0, 1))
+    one, other = (Noise2(None).depth(depth, np.random.default_rng([0, 4, i])) for i in (0, 1))
     assert np.array_equal(one[:, :10], depth[:, :10])
     x, y = ((d[:, 10:] / depth[:, 10:] - 1) / NOISE2_SHARE for d in (one, other))
     assert NOISE2_SHARE == 0.02 and abs(x.mean()) < 0.01
@@ -274,7 +277,7 @@ def test_blur_widens_edges_by_the_motion_and_keeps_the_light(scene: Scene, loade
 
 
 def test_sub_frames_are_odd_and_a_pixel_apart() -> None:
-    counts = [count_sub_frames(x) for x in (0.0, 0.5, 0.6, 2.4, 2.6, 4.0, 100.0)]
+    counts = [Blur(None).sub_frames(x) for x in (0.0, 0.5, 0.6, 2.4, 2.6, 4.0, 100.0)]
     assert counts == [1, 1, 3, 3, 5, 5, 9]
 
 
