@@ -262,8 +262,8 @@ FAULTS = (
     Fault(
         "scene-pixel-centre",
         "reconstruct/scene.py",
-        "(K[0, 2] - origin[:, 0] - at - 0.5) / factor",
-        "(K[0, 2] - origin[:, 0] - at) / factor",
+        "(K[0, 2] - origin[:, 0] - offset - 0.5) / factor",
+        "(K[0, 2] - origin[:, 0] - offset) / factor",
         "frame convention: all points are half a pixel to the side",
         "labels hands diagnostics surfaces",
     ),
@@ -277,11 +277,11 @@ FAULTS = (
     ),
     Fault(
         "exchange-mirror",
-        "reconstruct/exchanges.py",
+        "reconstruct/part_swaps.py",
         "2 * turning - poses.states",
         "turning - poses.states",
-        "states of exchanged parts are mirrored about the wrong state",
-        "exchanges",
+        "states of swapped parts are mirrored about the wrong state",
+        "part_swaps",
     ),
     Fault(
         "adam-bias",
