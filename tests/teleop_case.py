@@ -120,13 +120,13 @@ def served_aside(out: Path, *what: Any) -> Iterator[Served]:
 
 
 class Page:
-    """A page without a browser: its messages, and what it was told."""
+    """A page without a browser: its messages, and those it received."""
 
     def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
         self.socket = socket
         self.n = 0
         self.pictures: list[tuple[int, float]] = []
-        self.told: list[dict[str, Any]] = []
+        self.received: list[dict[str, Any]] = []
         self._reading = asyncio.create_task(self._read())
 
     async def _read(self) -> None:
@@ -136,10 +136,10 @@ class Page:
                 self.pictures.append((n, time_ms))
                 await self.say({"type": "seen", "n": len(self.pictures)})
             else:
-                self.told.append(json.loads(message.data))
+                self.received.append(json.loads(message.data))
 
     def last(self, kind: str) -> dict[str, Any] | None:
-        return next((m for m in reversed(self.told) if m["type"] == kind), None)
+        return next((m for m in reversed(self.received) if m["type"] == kind), None)
 
     async def say(self, message: Any) -> None:
         with contextlib.suppress(ConnectionError):
@@ -156,13 +156,13 @@ class Page:
 
     @property
     def epoch(self) -> int:
-        return next((m["epoch"] for m in reversed(self.told) if m["type"] in ("hello", "place")), 0)
+        return next((m["epoch"] for m in reversed(self.received) if m["type"] in ("hello", "place")), 0)
 
     async def until(self, true: Any, what: str = "") -> None:
         """Wait until something is true."""
         end = time.monotonic() + PATIENCE_S
         while not true():
-            assert time.monotonic() < end, f"never came: {what} {self.told[-1:]}"
+            assert time.monotonic() < end, f"never came: {what} {self.received[-1:]}"
             await asyncio.sleep(0.005)
 
     async def status(self, **wanted: Any) -> dict[str, Any]:

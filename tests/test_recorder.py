@@ -371,7 +371,7 @@ def _fails(message: str, name: str, out: Path, **changes: object) -> None:
 
 def test_bad_requests_get_one_clear_line(tmp_path: Path) -> None:
     _fails("unknown object 'teapot'; objects: swivel_usb, flip_cap_usb, ", "teapot", tmp_path)
-    _fails("'45135' is from PartNet-Mobility: name the folder .*; .* ask for access at https://", "45135", tmp_path)
+    _fails("'45135' is from PartNet-Mobility: give the folder .*; access to the dataset: https://", "45135", tmp_path)
     _fails("object 45135 is not in .*; ask for access", "45135", tmp_path, partnet_root=tmp_path)
     _fails("cannot record 1 frames", "stapler", tmp_path, frames=1)
     _fails("unknown motion 'dance'; motions: tumble, inspect", "stapler", tmp_path, motion="dance")

@@ -184,7 +184,7 @@ class Server:
         self._count += 1
         client = Client(channel, f"page {self._count}", self._stage)
         self._clients.append(client)
-        self._log(f"{client.name} came, of {_peer_name(request)}")
+        self._log(f"{client.name} connected from {_peer_name(request)}")
         if self._driver is None:
             self._drive(client)
         else:
@@ -208,7 +208,7 @@ class Server:
         if not client.allowance.allow(now):
             return self._count_bad(client, "more messages than a page may send")
         if frame.type != WSMsgType.TEXT:
-            return self._count_bad(client, "a message that is no text")
+            return self._count_bad(client, "a message that is not text")
         try:
             message = wire.read(frame.data, self._bounds)
         except wire.BadMessage as error:
@@ -226,7 +226,7 @@ class Server:
                 self._drive(client)
         elif client is not self._driver:
             if isinstance(message, wire.Move | wire.Command):
-                return self._count_bad(client, "a page that only watches would drive")
+                return self._count_bad(client, "a watching page tried to drive")
         elif isinstance(message, wire.Move):
             self._move(client, message, now)
         elif isinstance(message, wire.ViewSize):
@@ -240,7 +240,7 @@ class Server:
         client.bad += 1
         self._quiet.report_dropped(why, client.name)
         if client.bad >= MAX_BAD:
-            self._log(f"{client.name} is sent away after {client.bad} bad messages")
+            self._log(f"{client.name} is closed after {client.bad} bad messages")
             return False
         return True
 
@@ -266,8 +266,8 @@ class Server:
         except FreeArtError as error:
             fault = str(error)
         if fault and fault != self._fault:
-            self._log(f"the take is kept in memory alone: {fault}")
-            self._notify(f"the take is kept in memory alone: {fault}", alarm=True)
+            self._log(f"the take is only in memory: {fault}")
+            self._notify(f"the take is only in memory: {fault}", alarm=True)
         self._fault = fault
 
     def _run_command(self, what: str) -> None:
@@ -277,15 +277,15 @@ class Server:
         elif what == "record":
             if self._driver is not None:
                 self._driver.clock.stop_jumping()
-            self._notify("recording goes on from where it was" if driving.record() else "recording")
+            self._notify("recording continues from the end of the take" if driving.record() else "recording")
         elif what == "pause" and driving.pause():
-            self._notify("paused: move freely, going on returns the object to where it is now")
+            self._notify("paused: move freely; to continue, the object returns to its present place")
         elif what == "undo":
             gone = driving.undo()
-            self._notify(f"the last {gone:.1f} s are undone" if gone else "there is nothing to undo")
+            self._notify(f"the last {gone:.1f} s are undone" if gone else "nothing to undo")
         elif what == "reset":
             driving.reset()
-            self._notify("back at the beginning")
+            self._notify("the object is back at its start")
         elif what == "save":
             self._begin_saving()
         self._write()
@@ -326,12 +326,12 @@ class Server:
 
     def _remove_client(self, client: Client) -> None:
         self._clients.remove(client)
-        late = f"; {client.late} of its moves came out of order and were dropped" if client.late else ""
-        self._log(f"{client.name} has left{late}")
+        late = f"; {client.late} of its moves arrived out of order and were dropped" if client.late else ""
+        self._log(f"{client.name} disconnected{late}")
         if client is self._driver:
             self._driver = None
             if self.driving.pause():
-                self._notify("paused: the driver's page has gone")
+                self._notify("paused: the driver's page disconnected")
 
     # --- messages to pages --------------------------------------------------------------------------------------------
 

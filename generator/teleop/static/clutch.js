@@ -1,4 +1,4 @@
-// The maths of carrying an object by a controller, and of moving its joint by a stick or a trigger. No page, no headset.
+// Geometry of carrying an object with a controller, and of moving its joint by stick or trigger. No page, no headset.
 //
 // Poses are {position: [x, y, z] m, quaternion: [w, x, y, z]}. A room's axes are WebXR's (x right, y up, z back), a
 // camera's are x right, y down, z forward.
@@ -8,11 +8,11 @@ import { add, clamp, conjugate, minus, multiply, normalised, rotate } from "./ha
 const HALF_TURN_ABOUT_X = [0, 1, 0, 0]; // up becomes down, back becomes forward
 const STEEP = 0.3;
 
-/** Which way a head faces: the horizontal unit vector [x, 0, z] in the room's axes. */
+/** The heading of a head: a horizontal unit vector [x, 0, z] in the room's axes. */
 export function heading(headQuaternion) {
   let ahead = rotate(headQuaternion, [0, 0, -1]);
   if (Math.hypot(ahead[0], ahead[2]) < STEEP) {
-    // looking at the floor or the ceiling, the top of the head tells more
+    // when looking at the floor or the ceiling, the top of the head gives the heading
     const top = rotate(headQuaternion, [0, 1, 0]);
     ahead = ahead[1] < 0 ? top : top.map((c) => -c);
   }
@@ -20,26 +20,26 @@ export function heading(headQuaternion) {
   return [ahead[0] / length, 0, ahead[2] / length];
 }
 
-/** The turn about the upright axis that brings "ahead" (0, 0, -1) to `ahead` (`heading`). */
+/** The rotation about the upright axis that takes (0, 0, -1) to `ahead` (`heading`). */
 export function facing(ahead) {
   const yaw = Math.atan2(-ahead[0], -ahead[2]);
   return [Math.cos(yaw / 2), 0, Math.sin(yaw / 2), 0];
 }
 
 /**
- * The turn that maps a room's vectors to the camera's for a person who faces `ahead`: the person's right is right in the
- * camera's picture, up is up, and away is away.
+ * The rotation from the room's axes to the camera's for a person who faces `ahead`: right, up and away of the person are
+ * right, up and away in the camera's picture.
  */
 export function roomToCamera(ahead) {
   return multiply(HALF_TURN_ABOUT_X, conjugate(facing(ahead)));
 }
 
 /**
- * A controller that carries the object while it is squeezed. The object goes and turns as the controller has since the
- * grasp, as if it were held at `pivot`: nothing jumps when a grasp begins or ends, and several grasps add up.
+ * A controller that carries the object while it is squeezed. The object moves and rotates about `pivot` as the controller
+ * has since the grasp: nothing jumps when a grasp begins or ends, and several grasps add up.
  */
 export class Clutch {
-  /** @param pivot Point of the object's frame, m, about which it turns: its centre. */
+  /** @param pivot Centre of rotation in the object's frame, m. */
   constructor(pivot = [0, 0, 0]) {
     this.pivot = pivot;
     this.release();
@@ -50,7 +50,7 @@ export class Clutch {
   }
 
   /**
-   * Begin to carry.
+   * Start a grasp.
    * @param object The object's pose in the camera's axes, now.
    * @param controller The controller's pose in the room, now.
    * @param toCamera `roomToCamera`.
@@ -70,7 +70,7 @@ export class Clutch {
     this.begun = null;
   }
 
-  /** The object's pose for the controller's: metre for metre, as objects are seen at arm's length. */
+  /** The object's pose for the controller's; translations have scale 1. */
   carried(controller) {
     const { centre, turn, at, back, toCamera } = this.begun;
     const way = rotate(toCamera, minus(controller.position, at));
@@ -83,38 +83,37 @@ export class Clutch {
 }
 
 /**
- * How far a stick may stand from its middle and mean nothing: XInput's XINPUT_GAMEPAD_LEFT_THUMB_DEADZONE, 7849 of 32767.
+ * Dead zone of a stick: XInput's XINPUT_GAMEPAD_LEFT_THUMB_DEADZONE, 7849 of 32767.
  */
 export const STICK_REST = 0.24;
-/** How far a trigger may be pulled and mean nothing: XInput's XINPUT_GAMEPAD_TRIGGER_THRESHOLD, 30 of 255. */
+/** Dead zone of a trigger: XInput's XINPUT_GAMEPAD_TRIGGER_THRESHOLD, 30 of 255. */
 export const TRIGGER_REST = 0.12;
 /**
- * Ranges of the joint a second, at a stick's end. In 23 takes of ARCTIC in which a joint moves, nine tenths of its motion
- * is slower than 2.1; half is slower than .76, which is where a stick is 70 % out.
+ * Joint speed, ranges a second, at full deflection of a stick. In 23 takes of ARCTIC with a moving joint, nine tenths of
+ * its motion are slower than 2.1; half is slower than .76, the speed at 70 % deflection.
  */
 export const STICK_SPEED = 2;
-/** The most that a trigger moves the joint by, in ranges a second: 99 % of that motion is slower than 3.9. */
+/** Largest joint speed by a trigger, ranges a second: 99 % of that motion is slower than 3.9. */
 export const TRIGGER_SPEED = 4;
 
-/** A stick's deflection in -1 to 1 without its rest, squared, so that it is fine near the middle. */
+/** A stick's deflection in -1 to 1 beyond the dead zone, squared for fine control near the middle. */
 export function response(deflection) {
   const beyond = Math.max(Math.abs(deflection) - STICK_REST, 0) / (1 - STICK_REST);
   return Math.sign(deflection) * Math.min(beyond, 1) ** 2;
 }
 
 /**
- * One controller's say on the joint's state.
+ * The joint state commanded by one controller.
  *
- * The stick is a speed: pushed away the state grows, pulled near it falls. The trigger is a place, as with a pair of
- * pliers: as far as it is pulled, so far the joint goes from where it was to the end that is farther away, and back when
- * the finger lets go.
+ * The stick commands a speed: pushed away the state increases, pulled near it decreases. The trigger commands a position:
+ * the joint moves from its present state towards the farther end in proportion to the pull, and back on release.
  */
 export class JointGrip {
   constructor() {
     this.drop();
   }
 
-  /** Mean nothing until the trigger was let go: after the controller was lost, or carried, or something else moved the joint. */
+  /** Ignore the trigger until it is released: after the controller was lost or carried, or something else moved the joint. */
   drop() {
     this.ready = false;
     this.from = null;
@@ -147,15 +146,15 @@ export class JointGrip {
   }
 }
 
-/** A button: `step` says "press" when it goes down; then "short" when it is let go, or "long" once it was held so long. */
+/** A button: `step` returns "press" when it goes down, then "short" on release or "long" after `longest` seconds. */
 export class Button {
-  /** @param longest Seconds after which it is held. */
+  /** @param longest Seconds after which a press is long. */
   constructor(longest = Infinity) {
     this.longest = longest;
     this.drop();
   }
 
-  /** Mean nothing until it was let go. */
+  /** Ignore the button until it is released. */
   drop() {
     this.since = null;
     this.spent = true;

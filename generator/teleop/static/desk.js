@@ -7,13 +7,13 @@ const WHEEL_RANGE = 1200; // pixels of the wheel that take the joint through its
 const WHEEL_DEPTH = 0.0012; // of a pixel of the wheel, as a share of the depth: a notch is 12 %
 const LINE_PX = 33; // of a wheel that counts in lines: three lines are a notch
 
-/** The point of the ball round the object that is under (x, y), in its radii: beyond it a hyperbola, which rolls (Bell). */
+/** The point under (x, y) on the sphere around the object, in its radii; outside it on a hyperbola (Bell's trackball). */
 function onBall(x, y) {
   const d2 = x * x + y * y;
   return [x, y, -(d2 < 0.5 ? Math.sqrt(1 - d2) : 0.5 / Math.sqrt(d2))];
 }
 
-/** The rotation vector that takes the ball from under one point to under another. */
+/** The rotation vector that takes the sphere's point under one position to that under another. */
 export function arcball(from, to) {
   const a = onBall(...from), b = onBall(...to);
   const cross = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
@@ -38,7 +38,7 @@ export class Desk {
     startPad({ hand, link, may });
   }
 
-  /** Where the picture is in the page, CSS pixels: the canvas shows it as large as it fits. */
+  /** The picture's rectangle in the page, CSS pixels: it is scaled to fit the canvas. */
   frame() {
     const box = this.canvas.getBoundingClientRect();
     const aspect = this.hand.aspect;
@@ -46,7 +46,7 @@ export class Desk {
     return { left: box.left + (box.width - width) / 2, top: box.top + (box.height - height) / 2, width, height };
   }
 
-  /** A place of the page on the ball round the object, in its radii. */
+  /** A position of the page relative to the sphere around the object, in its radii. */
   _ball(x, y) {
     const frame = this.frame(), middle = this.hand.middle();
     const scale = frame.height / 2 / Math.tan(this.hand.fovY / 2);
@@ -56,7 +56,7 @@ export class Desk {
     return [(x - cx) / radius, (y - cy) / radius];
   }
 
-  /** Metres in the picture's plane at the object's depth, of a pixel of the page. */
+  /** Metres per pixel of the page at the object's depth. */
   _metre() {
     return this.hand.span() / this.frame().height;
   }

@@ -1,4 +1,4 @@
-// The commanded pose and joint state: pure maths, no page. Camera axes: x right, y down, z forward; metres, radians.
+// The commanded pose and joint state: geometry only, no page. Camera axes: x right, y down, z forward; metres, radians.
 // Quaternions are [w, x, y, z].
 
 export const multiply = (a, b) => [
@@ -15,7 +15,7 @@ export function normalised(q) {
   return q.map((x) => x / length);
 }
 
-/** The turn about `w` by its length. */
+/** The rotation of the rotation vector `w`. */
 export function fromRotationVector(w) {
   const angle = Math.hypot(...w);
   const share = angle > 1e-9 ? Math.sin(angle / 2) / angle : 0.5;
@@ -36,11 +36,11 @@ export const clamp = (x, low, high) => Math.min(Math.max(x, low), high);
 const MARGIN = 0.02;
 
 /**
- * Where the hand has the object. All devices change it by `set`, `turn`, `shift` and `swing`; whatever they ask for, the
- * object stays wholly in the picture, in reach, and its joint within its limits: a take can always be recorded.
+ * The commanded pose. All devices change it by `set`, `turn`, `shift` and `swing`. It is limited so that the object stays
+ * in the picture and within reach, and its joint within its limits: a take can always be recorded.
  *
- * `placed` grows whenever the server puts the object somewhere (undo, going on, reset): a device that moves it relative
- * to a grasp must then grasp anew.
+ * `placed` increases whenever the server places the object (undo, continue, reset): a device that moves it relative to a
+ * grasp must then start a new grasp.
  */
 export class Hand {
   constructor() {
@@ -62,7 +62,7 @@ export class Hand {
     this.onchange = () => {};
   }
 
-  /** Learn of the object from the server's `hello`. */
+  /** Take the object's facts from the server's `hello`. */
   meet(hello) {
     this.limits = hello.limits;
     this.centre = hello.centre;
@@ -76,7 +76,7 @@ export class Hand {
     this.place(hello, hello.epoch);
   }
 
-  /** Be where the server says; nothing is sent. */
+  /** Take a placement of the server; nothing is sent. */
   place(where, epoch) {
     this.position = [...where.position];
     this.quaternion = [...where.quaternion];
@@ -85,7 +85,7 @@ export class Hand {
     this.placed += 1;
   }
 
-  /** Put the object's frame and its joint there, or as near as it may be; `time`, ms, of a device that has a clock. */
+  /** Set pose and joint state, limited to the allowed region; `time`, ms, of a device with its own clock. */
   set(position, quaternion, state, device, time = null) {
     const q = normalised(quaternion);
     const wanted = add(position, rotate(q, this.centre));
@@ -102,12 +102,12 @@ export class Hand {
     return add(this.position, rotate(this.quaternion, this.centre));
   }
 
-  /** Height of what the picture shows at the object's depth, metres. */
+  /** Height of the picture at the object's depth, metres. */
   span() {
     return 2 * Math.tan(this.fovY / 2) * this.middle()[2];
   }
 
-  /** Turn about the object's centre by a rotation vector in the camera's axes. */
+  /** Rotate about the object's centre by a rotation vector in the camera's axes. */
   turn(w, device) {
     const q = normalised(multiply(fromRotationVector(w), this.quaternion));
     this.set(minus(this.middle(), rotate(q, this.centre)), q, this.state, device);
@@ -118,7 +118,7 @@ export class Hand {
     this.set(add(this.position, d), this.quaternion, this.state, device);
   }
 
-  /** Bring the object's centre `factor` times as far away, along the line of sight. */
+  /** Scale the distance of the object's centre by `factor`, along the line of sight. */
   away(factor, device) {
     const middle = this.middle();
     this.shift(middle.map((x) => x * (factor - 1)), device);
@@ -129,12 +129,12 @@ export class Hand {
     this.set(this.position, this.quaternion, this.state + d, device);
   }
 
-  /** Where it was at the beginning. */
+  /** Return to the start pose. */
   reset(device = this.device) {
     if (this.start) this.set(this.start.position, this.start.quaternion, this.start.state, device);
   }
 
-  /** Into the picture again after its shape changed. */
+  /** Apply the limits again after the picture's shape changed. */
   fit() {
     const before = this.position;
     const middle = this._fitted(this.quaternion, this.middle());
@@ -142,7 +142,7 @@ export class Hand {
     if (Math.hypot(...minus(position, before)) > 1e-6) this.set(position, this.quaternion, this.state, this.device);
   }
 
-  /** The points that bound the object with its joint as it is. */
+  /** Bounding points of the object at the present joint state. */
   bounding() {
     const { axis, pivot, turns } = this.joint;
     const scaled = axis.map((x) => x * this.state);
@@ -151,7 +151,7 @@ export class Hand {
     return [...this.points[0], ...this.points[1].map(moved)];
   }
 
-  /** The centre nearest to `wanted` at which the object, turned by `q`, is where it may be. */
+  /** The allowed centre nearest to `wanted` for the rotation `q`. */
   _fitted(q, wanted) {
     const points = this.bounding().map((p) => rotate(q, minus(p, this.centre)));
     const half = Math.tan(this.fovY / 2);

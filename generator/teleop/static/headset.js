@@ -1,7 +1,6 @@
-// The object in the hands of a person in a headset: WebXR in, the hand's pose and state out.
+// Control by a headset: reads WebXR controllers, sets the commanded pose and joint state.
 //
-// One controller carries the object while it is squeezed, whoever squeezes first; the other's stick or trigger moves the
-// joint. Only indices of the "xr-standard" mapping are used (trigger 0, squeeze 1, stick 3 and axes 2 and 3, buttons 4
+// The controller that is squeezed first carries the object; the other's stick or trigger moves the joint. Only indices of the "xr-standard" mapping are used (trigger 0, squeeze 1, stick 3 and axes 2 and 3, buttons 4
 // and 5), which PICO's and Quest's controllers share.
 
 import { Button, Clutch, JointGrip, facing, heading, roomToCamera } from "./clutch.js";
@@ -22,12 +21,12 @@ const ALONE = ["The connection is lost.", "It is tried again and again; a record
 const LOST = ["The controller was out of sight.", "Squeeze again to carry on."];
 
 /**
- * Show `button` where a headset can be had, and begin a session when it is pressed.
+ * Show `button` where a headset is available, and start a session when it is pressed.
  * @param hand The commanded pose and state (hand.js).
  * @param link The connection (link.js).
- * @param picture The canvas that shows the camera's newest picture: where nothing moves, no other comes.
+ * @param picture The canvas with the camera's newest picture; no new one arrives while nothing moves.
  * @param button An element that is hidden.
- * @returns What is going on: {session: Headset or null}.
+ * @returns The state: {session: Headset or null}.
  */
 export async function startHeadset({ hand, link, picture, button }) {
   const now = { session: null };
@@ -127,7 +126,7 @@ export class Headset {
     session.requestAnimationFrame((time, frame) => this.step(time, frame));
   }
 
-  /** The person opened the headset's menu, or took it off: nothing moves, and nothing is recorded. */
+  /** The headset's menu is open, or it was taken off: nothing moves, and nothing is recorded. */
   looked() {
     if (this.session.visibilityState !== "visible") this.rest();
   }
@@ -164,7 +163,7 @@ export class Headset {
     this.show(time, viewer.views);
   }
 
-  /** The panel hangs before the head, and the room's axes are the head's heading, from now on. */
+  /** Place the panel in front of the head, and align the axes with the head's heading. */
   recentre({ position, orientation }) {
     const ahead = heading([orientation.w, orientation.x, orientation.y, orientation.z]);
     this.toCamera = roomToCamera(ahead);
@@ -172,7 +171,7 @@ export class Headset {
     if (this.holder) this.grasp(this.holder);
   }
 
-  /** What both controllers say in this frame. */
+  /** Evaluate both controllers in this frame. */
   read(frame) {
     const sources = [...this.session.inputSources].filter(
       (source) => source.gamepad?.mapping === "xr-standard" && !source.hand,
@@ -205,7 +204,7 @@ export class Headset {
     this.holder = side;
   }
 
-  /** Who carries: whoever squeezed first, until the squeeze ends or the controller is not seen. */
+  /** The carrying controller: the one squeezed first, until it is released or not tracked. */
   choose() {
     const { controllers } = this;
     if (this.holder && !controllers[this.holder].wants) {
@@ -220,7 +219,7 @@ export class Headset {
     controllers[wanting].pulse();
   }
 
-  /** The joint's state by the controllers that do not carry; by the one that does, where there is no other. */
+  /** The joint state from the controllers that do not carry, or from the only one. */
   bent(dt) {
     let { state } = this.hand;
     const tracked = Object.values(this.controllers).filter((one) => one.pose).length;
@@ -237,7 +236,7 @@ export class Headset {
   move(dt, time) {
     const { hand } = this;
     if (this.left && !same(this.left, hand)) {
-      // an undo, or another device, has placed the object: it is carried on from there, and no trigger takes it back
+      // an undo or another device has placed the object: continue from there, and ignore held triggers
       for (const one of Object.values(this.controllers)) one.joint.drop();
       if (this.holder) this.grasp(this.holder);
     }
@@ -268,7 +267,7 @@ export class Headset {
   }
 }
 
-/** What is known of one controller. */
+/** The state of one controller. */
 class Controller {
   constructor() {
     this.joint = new JointGrip();
@@ -280,17 +279,17 @@ class Controller {
     this.drop();
   }
 
-  /** Mean nothing until all is let go. */
+  /** Ignore all inputs until they are released. */
   drop() {
     this.wants = false; // to carry
     this.squeezed = true;
     for (const part of [this.joint, this.record, this.undo, this.recentre]) part.drop();
   }
 
-  /** @param found XRPose, or nothing where the controller is not seen. */
+  /** @param found XRPose; null while the controller is not tracked. */
   read(source, found) {
     this.gamepad = source?.gamepad ?? null;
-    // an emulated position is guessed, and jumps when cameras see the controller again; but some headsets know no other
+    // an emulated position jumps when the controller is tracked again; but some headsets have no other
     if (found && !found.emulatedPosition) this.located = true;
     if (!found || (found.emulatedPosition && this.located)) {
       if (this.pose) this.drop();
@@ -312,12 +311,12 @@ class Controller {
     return this.pose !== null && (this.gamepad?.buttons[index]?.pressed ?? false);
   }
 
-  /** The stick's axis towards the person. */
+  /** Stick deflection towards the person. */
   get stick() {
     return this.gamepad?.axes[3] ?? 0;
   }
 
-  /** A short tick in the hand. */
+  /** A short haptic pulse. */
   pulse() {
     this.gamepad?.hapticActuators?.[0]?.pulse?.(0.4, 25)?.catch?.(() => {});
   }

@@ -1,4 +1,4 @@
-// Keys: held ones move the object by real time, others are wishes.
+// Keyboard: held keys move the object in real time, others are commands.
 
 const TURN = Math.PI / 2; // radians a second
 const SHIFT = 0.6; // heights of the picture a second
@@ -19,7 +19,7 @@ export function startKeys({ hand, link, may }) {
   const held = new Set();
   let slow = false, last = null;
 
-  /** Whether what has the focus needs the key itself. */
+  /** Whether the focused element needs the key itself. */
   function taken(event) {
     const target = event.target;
     if (!(target instanceof HTMLElement)) return false;

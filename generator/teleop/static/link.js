@@ -1,4 +1,4 @@
-// The websocket: moves out, pictures in. It connects again by itself, and never lets moves or pictures queue.
+// The websocket: sends moves, receives pictures. It reconnects by itself and queues neither.
 
 const STEP_MS = 1000 / 60;
 const KEEP_ALIVE_MS = 1000 / 30;
@@ -41,7 +41,7 @@ export class Link {
 
   get drives() { return this.hello !== null && this.hello.role === "driver" && this.state === "open"; }
 
-  /** The hand has moved: send it, now or with the next step; 60 a second at most, but all that has a `time` of its own, ms. */
+  /** Send the changed pose, now or with the next step: at most 60 a second, but every one with its own `time`, ms. */
   send(hand, device, time = null) {
     this._hand = hand;
     this._device = device;
@@ -50,19 +50,19 @@ export class Link {
     else this._transmit(time);
   }
 
-  /** Send what waits for its step. */
+  /** Send the pending move. */
   flush() {
     if (this._dirty && performance.now() - this._lastSent >= STEP_MS - 1.5) this._transmit();
   }
 
-  /** Ask for something: record, pause, undo, save, reset, drive. */
+  /** Send a command: record, pause, undo, save, reset, drive. */
   do(what) {
     if (!this.drives && what !== "drive") return;
     if (this._dirty) this._transmit();
     this._say({ type: "do", what, n: this._n });
   }
 
-  /** Tell the size of the picture on the screen, in its pixels. */
+  /** Send the picture's size on the screen, in its pixels. */
   view(width, height) {
     this.shape = [width, height];
     this._view = { type: "view", width: Math.max(1, Math.round(width)), height: Math.max(1, Math.round(height)) };
@@ -77,7 +77,7 @@ export class Link {
     return [at(0.5), at(0.95)];
   }
 
-  /** Pictures that came in the last second. */
+  /** Number of pictures in the last second. */
   fps() {
     const now = performance.now();
     this._arrivals = this._arrivals.filter((t) => now - t < 1000);

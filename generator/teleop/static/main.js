@@ -1,4 +1,4 @@
-// The page begins: the token leaves the visible address for the tab's own storage, and hand, link, desk and panel are joined.
+// Start of the page: moves the token from the address to the tab's storage and connects hand, link, desk and panel.
 
 import { Desk } from "./desk.js";
 import { Hand } from "./hand.js";

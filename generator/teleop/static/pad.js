@@ -5,7 +5,7 @@ const DEAD = 0.12; // of a stick: worn ones rest that far off
 const RECORD = 0, UNDO = 1, SAVE = 3; // A, B, Y
 const [LEFT_SHOULDER, RIGHT_SHOULDER, LEFT_TRIGGER, RIGHT_TRIGGER] = [4, 5, 6, 7];
 
-/** A stick's axis without its dead middle, finer in the middle than at the end. */
+/** A stick's deflection beyond the dead zone, with fine control near the middle. */
 function shaped(x) {
   const size = Math.abs(x);
   return size < DEAD ? 0 : Math.sign(x) * ((size - DEAD) / (1 - DEAD)) ** 2;

@@ -1,4 +1,4 @@
-// Buttons and what is shown of the state of things.
+// Buttons and status display.
 
 const $ = (id) => document.getElementById(id);
 const STEPS = 1000; // of the slider
@@ -52,7 +52,7 @@ export class Panel {
     if (shown) $("helpclose").focus();
   }
 
-  /** Show where the joint is. */
+  /** Show the joint state. */
   joint() {
     const { state, limits } = this.hand;
     const [low, high] = limits;
@@ -64,7 +64,7 @@ export class Panel {
     $("state").value = turns ? `${((state * 180) / Math.PI).toFixed(1)}°` : `${(state * 100).toFixed(2)} cm`;
   }
 
-  /** What stands over the picture while there is none, or no connection. */
+  /** The text over the picture while there is no picture or no connection. */
   veil() {
     const { link } = this;
     const ready = link.status && link.status.ready;
@@ -83,7 +83,7 @@ export class Panel {
     $("picture").classList.toggle("still", !link.drives);
   }
 
-  /** A picture has been shown. */
+  /** Note that a picture was shown. */
   shown() {
     this._shown = true;
   }
@@ -124,7 +124,7 @@ export class Panel {
     this.veil();
   }
 
-  /** Show a line for a while; an alarm until the next. */
+  /** Show a line for some time; an alarm until the next one. */
   say(text, alarm = false) {
     const notice = $("notice");
     clearTimeout(this._fade);

@@ -1,5 +1,5 @@
-// What a person in a headset sees: the camera's picture on a panel, a line of status under it, both controllers, a floor.
-// Plain WebGL2, drawn once an eye.
+// The view in a headset: the camera's picture on a panel, a line of status below it, both controllers, a floor.
+// WebGL2, drawn once for each eye.
 
 import { add, clamp, rotate } from "./hand.js";
 
@@ -78,26 +78,26 @@ export class Room {
     this.panel = null;
   }
 
-  /** Hang the panel before a head: `centre` (3,) m, `turn` the quaternion about the upright axis that the head faces. */
+  /** Place the panel: `centre` (3,) m, `turn` the quaternion of the head's heading. */
   hang(centre, turn) {
     const ahead = rotate(turn, [0, 0, -PANEL_AWAY]);
     this.panel = { position: add(centre, ahead), quaternion: turn };
   }
 
-  /** Show a new picture of the camera (ImageBitmap, or whatever a texture takes). */
+  /** Show a new picture of the camera (ImageBitmap, or any source of a texture). */
   show(picture) {
     this.aspect = picture.width / picture.height;
     print(this.gl, this.picture, picture);
   }
 
-  /** Draw the line of status anew; `facts` as `drawStatus` takes them. */
+  /** Redraw the line of status; `facts` as for `drawStatus`. */
   tell(facts) {
     drawStatus(this.board.getContext("2d"), facts);
     print(this.gl, this.status, this.board);
   }
 
   /**
-   * Draw all, for each of the views of a frame.
+   * Draw the scene for each view of a frame.
    * @param layer The session's XRWebGLLayer.
    * @param views Of an XRViewerPose.
    * @param controllers [{position, quaternion, colour: [r, g, b]}].
@@ -166,7 +166,7 @@ export class Room {
 }
 
 /**
- * What stands under the picture.
+ * The status below the picture.
  * @param facts {recording, paused, seconds, state, limits, joint (type), notice, latency (ms or null), lines (two)}.
  */
 export function drawStatus(context, facts) {
@@ -216,7 +216,7 @@ export function clock(seconds) {
   return `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")}`;
 }
 
-/** A 4x4 matrix, column by column, of a scale, then a turn, then a shift. */
+/** A 4x4 matrix, column by column, of a scale, then a rotation, then a translation. */
 export function model(position, quaternion, scale) {
   const column = (axis) => rotate(quaternion, axis);
   const x = column([scale[0], 0, 0]);
@@ -247,7 +247,7 @@ function program(gl, [vertex, fragment]) {
   return { name, at };
 }
 
-/** Triangles of `vertices`, six numbers each: place and normal. */
+/** Triangles of `vertices`, six numbers each: position and normal. */
 function mesh(gl, vertices) {
   const array = gl.createVertexArray();
   gl.bindVertexArray(array);
