@@ -371,9 +371,7 @@ class _Planner:
         toward = np.array([-1.0, 1, 1, 1, 1])  # the thumb closes along -z, the fingers along +z
         start = tips - np.array([0, 0, 1]) * (toward * 0.06 * s)[:, None]
         hits = self._one.cast(
-            se3.transform(T_side_hand, start),
-            np.outer(toward, T_side_hand[:3, 2]),
-            (np.eye(4), np.eye(4)),
+            se3.transform(T_side_hand, start), np.outer(toward, T_side_hand[:3, 2]), (np.eye(4), np.eye(4))
         )
         touched = hits.distance < 0.11 * s
         depth = start[:, 2] + toward * np.where(touched, hits.distance, 0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import json
 import os
 import queue
@@ -13,7 +14,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,20 @@ BOUNDS = wire.Bounds(0.0, 1.0, 5.0)
 START = Placement(se3.pose(np.eye(3), [0.0, 0.0, 1.0]), 0.0)
 FACTS = {"object": "thing", "joint": "hinge", "joint_type": "revolute"}
 JPEG = cv2.imencode(".jpg", np.full((360, 640, 3), 60, np.uint8))[1].tobytes()
+
+
+def run(coroutine: Coroutine[Any, Any, Any]) -> Any:
+    return asyncio.run(asyncio.wait_for(coroutine, 240))
+
+
+def in_a_loop(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., None]:
+    """Let pytest run an asynchronous test."""
+
+    @functools.wraps(test)
+    def in_loop(*args: Any, **named: Any) -> None:
+        run(test(*args, **named))
+
+    return in_loop
 
 
 class NoStage:

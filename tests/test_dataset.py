@@ -404,10 +404,7 @@ def test_a_released_joint_swings_by_the_effects_given_while_the_rest_stands_stil
         effects = tmp_path / "effects.json"
         atomic.write_json(
             effects,
-            {
-                "schema": "freeart21/effects/1",
-                "joints": {"joint_0": [ViscousDamping(coefficient).to_json("revolute")]},
-            },
+            {"schema": "freeart21/effects/1", "joints": {"joint_0": [ViscousDamping(coefficient).to_json("revolute")]}},
         )
         settings = dataclasses.replace(SETTINGS, frames=30, motion="release", effects=effects, queries=1)
         record_jobs(data, plan_jobs(["flip_lighter"], settings))

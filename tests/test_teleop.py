@@ -22,7 +22,7 @@ import pytest
 pytest.importorskip("aiohttp", reason="the extra teleop is not installed")
 
 import aiohttp
-from teleop_case import BOUNDS, START, TOKEN, Served, a_move, page, served, started
+from teleop_case import BOUNDS, START, TOKEN, Served, a_move, in_a_loop, page, run, served, started
 
 from freeart21 import child, cli, se3
 from freeart21.camera import Camera
@@ -388,20 +388,18 @@ def test_a_page_of_any_shape_sees_no_more_than_the_recorder() -> None:
         assert width / height == pytest.approx(np.clip(aspect, *ASPECTS), rel=0.02)
 
 
-def test_the_stage_draws_what_is_new_in_the_size_that_was_asked_for() -> None:
-    async def asked() -> None:
-        stage = Stage({}, (640, 360), START)
-        stage._changed.clear()
-        stage.request(Placement(START.T.copy(), START.state), Mark(None, 5, 1.0))
-        stage.resize((640, 360))
-        assert not stage._changed.is_set() and stage._mark == Mark()
-        stage.request(Placement(START.T, 0.5), Mark(None, 6, 2.0))
-        assert stage._changed.is_set() and stage._mark.n == 6
-        stage._changed.clear()
-        stage.resize((300, 640))
-        assert stage._changed.is_set() and stage.size == (300, 640)
-
-    in_a_loop(asked())
+@in_a_loop
+async def test_the_stage_draws_what_is_new_in_the_size_that_was_asked_for() -> None:
+    stage = Stage({}, (640, 360), START)
+    stage._changed.clear()
+    stage.request(Placement(START.T.copy(), START.state), Mark(None, 5, 1.0))
+    stage.resize((640, 360))
+    assert not stage._changed.is_set() and stage._mark == Mark()
+    stage.request(Placement(START.T, 0.5), Mark(None, 6, 2.0))
+    assert stage._changed.is_set() and stage._mark.n == 6
+    stage._changed.clear()
+    stage.resize((300, 640))
+    assert stage._changed.is_set() and stage.size == (300, 640)
 
 
 def test_pictures_are_as_fine_as_there_is_time_for() -> None:
@@ -450,10 +448,6 @@ def test_the_picture_s_border_has_the_page_s_colour() -> None:
 # --- who gets in ------------------------------------------------------------------------------------------------------
 
 
-def in_a_loop(coroutine: Any) -> Any:
-    return asyncio.run(asyncio.wait_for(coroutine, 240))
-
-
 async def answer(address: str, path: str, **headers: str) -> tuple[int, str]:
     async with aiohttp.ClientSession() as session, session.get(address + path, headers=headers) as response:
         return response.status, await response.text()
@@ -468,88 +462,82 @@ async def raw(port: int, head: str) -> str:
     return said.decode()
 
 
-def test_only_the_token_opens_the_page_and_its_files(tmp_path: Path) -> None:
-    async def asked() -> None:
-        async with served(tmp_path / "take.jsonl") as at:
-            for path in server.FILES:
-                for query in ("", "?token=", "?token=wrong", f"?token={TOKEN}x", "?token=%00", "?token=é"):
-                    status, text = await answer(at.address, path + query)
-                    assert status == 403 and TOKEN not in text
-            status, text = await answer(at.address, f"/?token={TOKEN}")
-            assert status == 200 and f"./main.js?token={TOKEN}" in text
-            status, text = await answer(at.address, f"/main.js?token={TOKEN}")
-            assert status == 200 and f'from "./hand.js?token={TOKEN}"' in text
-            for odd in (
-                "/../pyproject.toml", "/..%2f..%2fpyproject.toml", "/static/hand.js", "//etc/passwd", "/teleop.html",
-                "/%2e%2e/%2e%2e/etc/passwd", "/hand.js/", "/hand.js%00", "/ws/..", "/.git/config", "/hand.js;x",
-                "/static/../hand.js", "http://evil.example/hand.js", "/" + "a" * 3000,
-            ):  # fmt: skip
-                said = await raw(at.port, f"GET {odd}?token={TOKEN} HTTP/1.1\r\nHost: 127.0.0.1:{at.port}")
-                assert said.split()[1] in ("400", "403", "404"), odd
-                assert len(said) < 1500 and "root:" not in said and "class Hand" not in said
-            for method in ("POST", "PUT", "DELETE", "OPTIONS", "TRACE"):
-                said = await raw(at.port, f"{method} /?token={TOKEN} HTTP/1.1\r\nHost: 127.0.0.1:{at.port}")
-                assert said.split()[1] in ("400", "404", "405")
-            said = await raw(at.port, f"GET /?token={TOKEN} HTTP/1.1\r\nHost: evil.example")
-            assert said.split()[1] == "403"
-
-    in_a_loop(asked())
+@in_a_loop
+async def test_only_the_token_opens_the_page_and_its_files(tmp_path: Path) -> None:
+    async with served(tmp_path / "take.jsonl") as at:
+        for path in server.FILES:
+            for query in ("", "?token=", "?token=wrong", f"?token={TOKEN}x", "?token=%00", "?token=é"):
+                status, text = await answer(at.address, path + query)
+                assert status == 403 and TOKEN not in text
+        status, text = await answer(at.address, f"/?token={TOKEN}")
+        assert status == 200 and f"./main.js?token={TOKEN}" in text
+        status, text = await answer(at.address, f"/main.js?token={TOKEN}")
+        assert status == 200 and f'from "./hand.js?token={TOKEN}"' in text
+        for odd in (
+            "/../pyproject.toml", "/..%2f..%2fpyproject.toml", "/static/hand.js", "//etc/passwd", "/teleop.html",
+            "/%2e%2e/%2e%2e/etc/passwd", "/hand.js/", "/hand.js%00", "/ws/..", "/.git/config", "/hand.js;x",
+            "/static/../hand.js", "http://evil.example/hand.js", "/" + "a" * 3000,
+        ):  # fmt: skip
+            said = await raw(at.port, f"GET {odd}?token={TOKEN} HTTP/1.1\r\nHost: 127.0.0.1:{at.port}")
+            assert said.split()[1] in ("400", "403", "404"), odd
+            assert len(said) < 1500 and "root:" not in said and "class Hand" not in said
+        for method in ("POST", "PUT", "DELETE", "OPTIONS", "TRACE"):
+            said = await raw(at.port, f"{method} /?token={TOKEN} HTTP/1.1\r\nHost: 127.0.0.1:{at.port}")
+            assert said.split()[1] in ("400", "404", "405")
+        said = await raw(at.port, f"GET /?token={TOKEN} HTTP/1.1\r\nHost: evil.example")
+        assert said.split()[1] == "403"
 
 
-def test_a_page_of_another_origin_or_name_stays_out(tmp_path: Path) -> None:
-    async def asked() -> None:
-        async with served(tmp_path / "take.jsonl") as at, aiohttp.ClientSession() as session:
-            good = at.address
-            for token, headers in [
-                ("wrong", {"Origin": good}),
-                ("", {"Origin": good}),
-                (TOKEN, {}),
-                (TOKEN, {"Origin": "null"}),
-                (TOKEN, {"Origin": "https://evil.example"}),
-                (TOKEN, {"Origin": good.replace("http", "https")}),
-                (TOKEN, {"Origin": f"http://127.0.0.1:{at.port + 1}"}),
-                (TOKEN, {"Origin": f"http://evil.example:{at.port}", "Host": f"evil.example:{at.port}"}),
-                (TOKEN, {"Origin": f"http://localhost:{at.port}"}),
-            ]:
-                with pytest.raises(aiohttp.WSServerHandshakeError) as caught:
-                    await session.ws_connect(f"{good}/ws?token={token}&v=1", headers=headers)
-                assert caught.value.status == 403
-            with pytest.raises(aiohttp.WSServerHandshakeError):
-                await session.ws_connect(f"{good}/ws?token={TOKEN}&v=9", headers={"Origin": good})
-            assert at.server._driver is None and len(at.log) <= 4
-            async with page(f"http://localhost:{at.port}") as one:
-                assert one.last("hello")["role"] == "driver"
-
-    in_a_loop(asked())
+@in_a_loop
+async def test_a_page_of_another_origin_or_name_stays_out(tmp_path: Path) -> None:
+    async with served(tmp_path / "take.jsonl") as at, aiohttp.ClientSession() as session:
+        good = at.address
+        for token, headers in [
+            ("wrong", {"Origin": good}),
+            ("", {"Origin": good}),
+            (TOKEN, {}),
+            (TOKEN, {"Origin": "null"}),
+            (TOKEN, {"Origin": "https://evil.example"}),
+            (TOKEN, {"Origin": good.replace("http", "https")}),
+            (TOKEN, {"Origin": f"http://127.0.0.1:{at.port + 1}"}),
+            (TOKEN, {"Origin": f"http://evil.example:{at.port}", "Host": f"evil.example:{at.port}"}),
+            (TOKEN, {"Origin": f"http://localhost:{at.port}"}),
+        ]:
+            with pytest.raises(aiohttp.WSServerHandshakeError) as caught:
+                await session.ws_connect(f"{good}/ws?token={token}&v=1", headers=headers)
+            assert caught.value.status == 403
+        with pytest.raises(aiohttp.WSServerHandshakeError):
+            await session.ws_connect(f"{good}/ws?token={TOKEN}&v=9", headers={"Origin": good})
+        assert at.server._driver is None and len(at.log) <= 4
+        async with page(f"http://localhost:{at.port}") as one:
+            assert one.last("hello")["role"] == "driver"
 
 
-def test_one_drives_others_watch(tmp_path: Path) -> None:
-    async def driven_by_two() -> None:
-        async with served(tmp_path / "take.jsonl") as at:
-            async with page(at.address) as first, page(at.address) as second:
-                assert (first.last("hello")["role"], second.last("hello")["role"]) == ("driver", "watcher")
-                before = at.server.driving.place
-                await second.move(0.7)
-                await second.do("record")
-                await second.do("drive")
-                await second.say({"type": "view", "width": 10, "height": 20})
-                await second.say({"type": "ping", "time": 1})
-                await second.until(lambda: second.last("pong"), "pong")
-                assert at.server.driving.place is before and at.server.driving.phase == "idle"
-                assert at.server._stage.size == (640, 360) and second.last("hello")["role"] == "watcher"
-                sent = await first.move(0.5)
-                await second.until(lambda: len(second.pictures) > 1, "a picture")
-                await first.until(lambda: first.pictures[-1] == (sent["n"], sent["time"]), "the picture of a move")
-                assert second.pictures[-1] == (0, 0.0)
-                await first.socket.close()
-                await second.status(driven=False)
-                await second.do("drive")
-                await second.until(lambda: second.last("hello")["role"] == "driver", "the role")
-                await second.move(0.25)
-                await second.status(state=0.25)
-            assert sum("drives" in line for line in at.log) == 2
-
-    in_a_loop(driven_by_two())
+@in_a_loop
+async def test_one_drives_others_watch(tmp_path: Path) -> None:
+    async with served(tmp_path / "take.jsonl") as at:
+        async with page(at.address) as first, page(at.address) as second:
+            assert (first.last("hello")["role"], second.last("hello")["role"]) == ("driver", "watcher")
+            before = at.server.driving.place
+            await second.move(0.7)
+            await second.do("record")
+            await second.do("drive")
+            await second.say({"type": "view", "width": 10, "height": 20})
+            await second.say({"type": "ping", "time": 1})
+            await second.until(lambda: second.last("pong"), "pong")
+            assert at.server.driving.place is before and at.server.driving.phase == "idle"
+            assert at.server._stage.size == (640, 360) and second.last("hello")["role"] == "watcher"
+            sent = await first.move(0.5)
+            await second.until(lambda: len(second.pictures) > 1, "a picture")
+            await first.until(lambda: first.pictures[-1] == (sent["n"], sent["time"]), "the picture of a move")
+            assert second.pictures[-1] == (0, 0.0)
+            await first.socket.close()
+            await second.status(driven=False)
+            await second.do("drive")
+            await second.until(lambda: second.last("hello")["role"] == "driver", "the role")
+            await second.move(0.25)
+            await second.status(state=0.25)
+        assert sum("drives" in line for line in at.log) == 2
 
 
 # --- a session --------------------------------------------------------------------------------------------------------
@@ -564,96 +552,86 @@ async def a_stretch(one: Any, states: Any) -> list[dict[str, Any]]:
     return sent
 
 
-def test_a_session_saves_what_was_sent(tmp_path: Path) -> None:
-    async def session() -> None:
-        async with served(tmp_path / "take.jsonl") as at, page(at.address) as one:
-            await a_stretch(one, np.linspace(0, 0.2, 6))
+@in_a_loop
+async def test_a_session_saves_what_was_sent(tmp_path: Path) -> None:
+    async with served(tmp_path / "take.jsonl") as at, page(at.address) as one:
+        await a_stretch(one, np.linspace(0, 0.2, 6))
+        await one.do("record")
+        await one.status(recording=True)
+        sent = await a_stretch(one, np.linspace(0.2, 0.9, 40))
+        late = dict(sent[3], state=0.0)
+        await one.say(late)
+        await one.status(samples=len(sent))
+        await one.do("save")
+        await one.until(lambda: "saved as take.jsonl" in (one.last("status")["notice"] or ""), "saved")
+        take = read_take(tmp_path / "take.jsonl")
+        assert len(take.times) == len(sent)
+        np.testing.assert_allclose(take.states, [m["state"] for m in sent], atol=1e-9)
+        np.testing.assert_allclose(take.Ts[:, :3, 3], [m["position"] for m in sent], atol=1e-9)
+        gaps = np.diff([m["time"] for m in sent]) / 1e3
+        np.testing.assert_allclose(np.diff(take.times), gaps, rtol=0.02, atol=2e-3)
+        assert at.server._driver.late == 1
+        await one.do("save")
+        await one.until(lambda: "no take" in one.last("status")["notice"], "nothing to save")
+
+
+@in_a_loop
+async def test_a_lost_connection_pauses_and_a_new_one_goes_on_without_gap_or_jump(tmp_path: Path) -> None:
+    async with served(tmp_path / "take.jsonl") as at:
+        async with page(at.address) as one:
             await one.do("record")
-            await one.status(recording=True)
-            sent = await a_stretch(one, np.linspace(0.2, 0.9, 40))
-            late = dict(sent[3], state=0.0)
-            await one.say(late)
-            await one.status(samples=len(sent))
-            await one.do("save")
-            await one.until(lambda: "saved as take.jsonl" in (one.last("status")["notice"] or ""), "saved")
-            take = read_take(tmp_path / "take.jsonl")
-            assert len(take.times) == len(sent)
-            np.testing.assert_allclose(take.states, [m["state"] for m in sent], atol=1e-9)
-            np.testing.assert_allclose(take.Ts[:, :3, 3], [m["position"] for m in sent], atol=1e-9)
-            gaps = np.diff([m["time"] for m in sent]) / 1e3
-            np.testing.assert_allclose(np.diff(take.times), gaps, rtol=0.02, atol=2e-3)
-            assert at.server._driver.late == 1
-            await one.do("save")
-            await one.until(lambda: "no take" in one.last("status")["notice"], "nothing to save")
-
-    in_a_loop(session())
-
-
-def test_a_lost_connection_pauses_and_a_new_one_goes_on_without_gap_or_jump(tmp_path: Path) -> None:
-    async def session() -> None:
-        async with served(tmp_path / "take.jsonl") as at:
-            async with page(at.address) as one:
-                await one.do("record")
-                await a_stretch(one, np.linspace(0.2, 0.5, 20))
-                await one.until(lambda: len(at.server.driving.take) == 20, "20 samples")
-            async with page(at.address) as two:
-                await two.status(paused=True, driven=True)
-                hello = two.last("hello")
-                assert hello["role"] == "driver" and hello["state"] == pytest.approx(0.5)
-                np.testing.assert_allclose(hello["position"], at.server.driving.take.last.T[:3, 3])
-                await a_stretch(two, np.linspace(0.9, 1.0, 5))  # moved while it is paused
-                epoch = two.epoch
-                await two.do("record")
-                await two.move(0.95, epoch=epoch)  # sent before the page heard where the object was put
-                await two.until(lambda: two.epoch == epoch + 1, "placed")
-                assert two.last("place")["state"] == pytest.approx(0.5)
-                two.n = 19
-                two.at = hello
-                await two.say(a_move(30, 0.5) | {"epoch": two.epoch, "position": hello["position"]})
-                await two.say(a_move(31, 0.5) | {"epoch": two.epoch, "position": hello["position"]})
-                await two.status(samples=22)
-                await two.do("save")
-                await two.until(lambda: (tmp_path / "take.jsonl").exists(), "the file")
-            take = read_take(tmp_path / "take.jsonl")
-            assert np.diff(take.times).max() < 0.2 and np.abs(np.diff(take.states)).max() < 0.1
-            assert np.ptp(take.times) < 0.8
-
-    in_a_loop(session())
+            await a_stretch(one, np.linspace(0.2, 0.5, 20))
+            await one.until(lambda: len(at.server.driving.take) == 20, "20 samples")
+        async with page(at.address) as two:
+            await two.status(paused=True, driven=True)
+            hello = two.last("hello")
+            assert hello["role"] == "driver" and hello["state"] == pytest.approx(0.5)
+            np.testing.assert_allclose(hello["position"], at.server.driving.take.last.T[:3, 3])
+            await a_stretch(two, np.linspace(0.9, 1.0, 5))  # moved while it is paused
+            epoch = two.epoch
+            await two.do("record")
+            await two.move(0.95, epoch=epoch)  # sent before the page heard where the object was put
+            await two.until(lambda: two.epoch == epoch + 1, "placed")
+            assert two.last("place")["state"] == pytest.approx(0.5)
+            two.n = 19
+            two.at = hello
+            await two.say(a_move(30, 0.5) | {"epoch": two.epoch, "position": hello["position"]})
+            await two.say(a_move(31, 0.5) | {"epoch": two.epoch, "position": hello["position"]})
+            await two.status(samples=22)
+            await two.do("save")
+            await two.until(lambda: (tmp_path / "take.jsonl").exists(), "the file")
+        take = read_take(tmp_path / "take.jsonl")
+        assert np.diff(take.times).max() < 0.2 and np.abs(np.diff(take.states)).max() < 0.1
+        assert np.ptp(take.times) < 0.8
 
 
-def test_a_silent_driver_s_recording_is_paused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@in_a_loop
+async def test_a_silent_driver_s_recording_is_paused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "SILENCE_S", 0.2)
-
-    async def session() -> None:
-        async with served(tmp_path / "take.jsonl") as at, page(at.address) as one:
-            await one.do("record")
-            await a_stretch(one, [0.1, 0.2, 0.3])
-            status = await one.status(paused=True, samples=3)
-            assert "silent" in status["notice"]
-
-    in_a_loop(session())
+    async with served(tmp_path / "take.jsonl") as at, page(at.address) as one:
+        await one.do("record")
+        await a_stretch(one, [0.1, 0.2, 0.3])
+        status = await one.status(paused=True, samples=3)
+        assert "silent" in status["notice"]
 
 
-def test_what_cannot_be_saved_is_said_and_kept(tmp_path: Path) -> None:
+@in_a_loop
+async def test_what_cannot_be_saved_is_said_and_kept(tmp_path: Path) -> None:
     folder = tmp_path / "takes"
     folder.mkdir()
-
-    async def session() -> None:
-        async with served(folder / "take.jsonl") as at, page(at.address) as one:
-            await one.do("record")
-            await a_stretch(one, np.linspace(0, 1, 10))
-            folder.rename(tmp_path / "elsewhere")
-            folder.write_text("a file where the folder was")
-            await one.do("save")
-            status = await one.status(alarm=True)
-            assert "not saved" in status["notice"] and "press save again" in status["notice"]
-            assert status["samples"] == 10 and status["paused"]
-            folder.unlink()
-            await one.do("save")
-            await one.status(alarm=False, samples=0)
-            assert len(read_take(folder / "take.jsonl").times) == 10
-
-    in_a_loop(session())
+    async with served(folder / "take.jsonl") as at, page(at.address) as one:
+        await one.do("record")
+        await a_stretch(one, np.linspace(0, 1, 10))
+        folder.rename(tmp_path / "elsewhere")
+        folder.write_text("a file where the folder was")
+        await one.do("save")
+        status = await one.status(alarm=True)
+        assert "not saved" in status["notice"] and "press save again" in status["notice"]
+        assert status["samples"] == 10 and status["paused"]
+        folder.unlink()
+        await one.do("save")
+        await one.status(alarm=False, samples=0)
+        assert len(read_take(folder / "take.jsonl").times) == 10
 
 
 # --- hostile messages -------------------------------------------------------------------------------------------------
@@ -716,7 +694,7 @@ def test_ten_thousand_hostile_messages_do_nothing(tmp_path: Path, monkeypatch: p
                 await one.status(state=0.5)
         assert not list(tmp_path.iterdir())
 
-    in_a_loop(session())
+    run(session())
 
 
 def harmless(text: str) -> str:
@@ -728,80 +706,70 @@ def harmless(text: str) -> str:
     return "{}" if isinstance(said, wire.Move | wire.Command | wire.ViewSize) else text
 
 
-def test_idle_connections_end_and_cost_no_take(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@in_a_loop
+async def test_idle_connections_end_and_cost_no_take(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Many that say nothing, or never end their request: those give way to pages, and a take is made meanwhile."""
     monkeypatch.setattr(connections, "SPEAK_S", 0.5)
-
-    async def session() -> None:
-        async with served(tmp_path / "take.jsonl") as at:
-            idle = []
-            async with page(at.address) as one:
-                await one.do("record")
-                for k in range(5 * connections.MAX_CONNECTIONS):
-                    reader, writer = await asyncio.open_connection("127.0.0.1", at.port)
-                    if k % 2:
-                        writer.write(b"GET / HTTP/1.1\r\nX-Slow: ")
-                    idle.append((reader, writer))
-                    if k % 50 == 0:
-                        await one.move(0.5)
-                        assert at.server.connections.count <= connections.MAX_PER_ADDRESS
-                async with page(at.address) as two:
-                    assert two.last("hello")["role"] == "watcher"
-                for reader, writer in idle:  # all are ended by the server
-                    with contextlib.suppress(ConnectionError):
-                        assert await reader.read() == b""
-                    writer.close()
-                await one.do("save")
-                await one.until((tmp_path / "take.jsonl").exists, "saved")
-                assert at.server.connections.count == 1
-            assert any("connections of an address" in line for line in at.log) and len(at.log) < 40
-
-    in_a_loop(session())
-
-
-def test_who_shows_the_token_is_not_put_out_by_who_comes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connections, "MAX_PER_ADDRESS", 2)
-
-    async def session() -> None:
-        async with served(tmp_path / "take.jsonl") as at, page(at.address) as one, page(at.address) as two:
-            reader, _ = await asyncio.open_connection("127.0.0.1", at.port)
-            with contextlib.suppress(ConnectionError):
-                assert await reader.read() == b""
-            await one.move(0.5)
-            await two.status(state=0.5)
-
-    in_a_loop(session())
-
-
-def test_an_oversized_frame_and_a_dead_page_cost_nothing(tmp_path: Path) -> None:
-    async def session() -> None:
-        async with served(tmp_path / "take.jsonl") as at:
-            async with page(at.address) as one:
-                await one.say(json.dumps(a_move(1, 0.9) | {"extra": "x" * 3000}))
-                await one.say(json.dumps({"type": "ping", "time": 1}))
-                await one.until(lambda: one.last("pong"), "pong")
-                assert at.server.driving.place is START and any("2048 bytes" in line for line in at.log)
-                await one.say("x" * (1 << 20))
-                await one.until(lambda: one.socket.closed, "closed")
+    async with served(tmp_path / "take.jsonl") as at:
+        idle = []
+        async with page(at.address) as one:
+            await one.do("record")
+            for k in range(5 * connections.MAX_CONNECTIONS):
+                reader, writer = await asyncio.open_connection("127.0.0.1", at.port)
+                if k % 2:
+                    writer.write(b"GET / HTTP/1.1\r\nX-Slow: ")
+                idle.append((reader, writer))
+                if k % 50 == 0:
+                    await one.move(0.5)
+                    assert at.server.connections.count <= connections.MAX_PER_ADDRESS
             async with page(at.address) as two:
-                assert two.last("hello")["role"] == "driver"
+                assert two.last("hello")["role"] == "watcher"
+            for reader, writer in idle:  # all are ended by the server
+                with contextlib.suppress(ConnectionError):
+                    assert await reader.read() == b""
+                writer.close()
+            await one.do("save")
+            await one.until((tmp_path / "take.jsonl").exists, "saved")
+            assert at.server.connections.count == 1
+        assert any("connections of an address" in line for line in at.log) and len(at.log) < 40
 
-    in_a_loop(session())
+
+@in_a_loop
+async def test_who_shows_the_token_is_not_put_out_by_who_comes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "MAX_PER_ADDRESS", 2)
+    async with served(tmp_path / "take.jsonl") as at, page(at.address) as one, page(at.address) as two:
+        reader, _ = await asyncio.open_connection("127.0.0.1", at.port)
+        with contextlib.suppress(ConnectionError):
+            assert await reader.read() == b""
+        await one.move(0.5)
+        await two.status(state=0.5)
 
 
-def test_a_flood_is_dropped(tmp_path: Path) -> None:
-    async def session() -> None:
-        async with served(tmp_path / "take.jsonl") as at, page(at.address) as one:
-            begun = time.monotonic()
-            for _ in range(900):
-                await one.move(0.5)
-            await one.say(json.dumps({"type": "ping", "time": 1}))  # dropped, too, or the last that is read
-            most = gate.BURST + gate.PER_SECOND * (time.monotonic() - begun) + 1
-            await one.until(lambda: at.server._driver is None or at.server._driver.bad >= 900 - most, "bad")
-            assert at.server._driver is not None and at.server._driver.bad >= 900 - most
-            assert any("more messages than" in line for line in at.log)
+@in_a_loop
+async def test_an_oversized_frame_and_a_dead_page_cost_nothing(tmp_path: Path) -> None:
+    async with served(tmp_path / "take.jsonl") as at:
+        async with page(at.address) as one:
+            await one.say(json.dumps(a_move(1, 0.9) | {"extra": "x" * 3000}))
+            await one.say(json.dumps({"type": "ping", "time": 1}))
+            await one.until(lambda: one.last("pong"), "pong")
+            assert at.server.driving.place is START and any("2048 bytes" in line for line in at.log)
+            await one.say("x" * (1 << 20))
+            await one.until(lambda: one.socket.closed, "closed")
+        async with page(at.address) as two:
+            assert two.last("hello")["role"] == "driver"
 
-    in_a_loop(session())
+
+@in_a_loop
+async def test_a_flood_is_dropped(tmp_path: Path) -> None:
+    async with served(tmp_path / "take.jsonl") as at, page(at.address) as one:
+        begun = time.monotonic()
+        for _ in range(900):
+            await one.move(0.5)
+        await one.say(json.dumps({"type": "ping", "time": 1}))  # dropped, too, or the last that is read
+        most = gate.BURST + gate.PER_SECOND * (time.monotonic() - begun) + 1
+        await one.until(lambda: at.server._driver is None or at.server._driver.bad >= 900 - most, "bad")
+        assert at.server._driver is not None and at.server._driver.bad >= 900 - most
+        assert any("more messages than" in line for line in at.log)
 
 
 # --- the command ------------------------------------------------------------------------------------------------------
@@ -844,7 +812,7 @@ def test_the_command_keeps_a_take_that_nobody_saved(tmp_path: Path) -> None:
             await one.status(samples=moves)
 
     with started(out) as at:
-        in_a_loop(drive(at, 30))
+        run(drive(at, 30))
         code, said = at.stop(signal.SIGINT)
     kept = tmp_path / "take-unsaved.jsonl"
     assert code == 130 and said.splitlines()[-1] == f"freeart21: stopped; the take that was not saved is in {kept}"
@@ -865,7 +833,7 @@ def test_a_command_that_is_killed_has_lost_a_second_at_most(tmp_path: Path) -> N
             at.process.kill()
 
     with started(out) as at:
-        in_a_loop(drive(at))
+        run(drive(at))
         at.process.wait()
     assert len(read_take(kept).times) == 30
     with started(out) as at:
@@ -874,22 +842,19 @@ def test_a_command_that_is_killed_has_lost_a_second_at_most(tmp_path: Path) -> N
     assert code == 143 and f"{kept} is a take of" in said and len(read_take(kept).times) == 30
 
 
-def test_a_simulator_that_compiles_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+@in_a_loop
+async def test_a_simulator_that_compiles_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its process ends when drawing is cancelled, though it hears nothing: no stop signal, no end of its input."""
     deaf = "import signal\nfor n in (2, 15): signal.signal(n, signal.SIG_IGN)\nwhile True: signal.pause()"
     monkeypatch.setattr("freeart21.child.command", lambda module: child.python(deaf))
-
-    async def draw() -> None:
-        stage = Stage({}, (64, 36), START)
-        drawing = asyncio.create_task(stage.run(print))
-        while stage.process is None:
-            await asyncio.sleep(0.005)
-        drawing.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await drawing
-        assert stage.process.returncode == -signal.SIGKILL
-
-    in_a_loop(draw())
+    stage = Stage({}, (64, 36), START)
+    drawing = asyncio.create_task(stage.run(print))
+    while stage.process is None:
+        await asyncio.sleep(0.005)
+    drawing.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await drawing
+    assert stage.process.returncode == -signal.SIGKILL
 
 
 def test_a_simulator_that_dies_is_started_again_and_the_take_is_kept(tmp_path: Path) -> None:
@@ -909,7 +874,7 @@ def test_a_simulator_that_dies_is_started_again_and_the_take_is_kept(tmp_path: P
             await one.until(lambda: (tmp_path / "take.jsonl").exists(), "the take")
 
     with started(tmp_path / "take.jsonl") as at:
-        in_a_loop(drive(at))
+        run(drive(at))
         code, said = at.stop()
     assert code == 143 and "it is started again" in said
     assert len(read_take(tmp_path / "take.jsonl").times) >= 10

@@ -487,11 +487,7 @@ def _without(text: str, what: str) -> str:
         ),
         (lambda t: t.replace("box.obj", "../box.obj"), None, "leads out of the folder"),
         (lambda t: t.replace("box.obj", "box.step"), None, "mesh 'box.step', expected .obj, .stl, .ply, .off, .dae"),
-        (
-            lambda t: t.replace('<mesh filename="box.obj"/>', '<torus size="1"/>'),
-            None,
-            "<torus> is unknown; known",
-        ),
+        (lambda t: t.replace('<mesh filename="box.obj"/>', '<torus size="1"/>'), None, "<torus> is unknown; known"),
         (lambda t: t.replace('<mesh filename="box.obj"/>', '<box size="1 0 1"/>'), None, "expected more than zero"),
         (lambda t: t.replace('upper="1.5"', 'upper="0"'), None, r"joint 'hinge' cannot move: its limits are \[0, 0\]"),
         (lambda t: _without(t, "<visual><geometry>.*?</visual>"), None, "no surface on the side of links box"),

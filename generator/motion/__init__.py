@@ -11,12 +11,4 @@ from generator.motion.plan import PRESETS, Plan, Preset
 from generator.motion.planner import plan_motion
 from generator.motion.styles import STYLES
 
-__all__ = [
-    "PRESETS",
-    "STYLES",
-    "Plan",
-    "Preset",
-    "hull_points",
-    "motion_range",
-    "plan_motion",
-]
+__all__ = ["PRESETS", "STYLES", "Plan", "Preset", "hull_points", "motion_range", "plan_motion"]

@@ -383,11 +383,7 @@ def folding_display(seed: int) -> ObjectModel:
         textures.shade(colour, 0.28),
     )
     panel = Link("heavy display_panel", (*_tablet(p, rng), *_tablet_edges(p), *_tablet_back(p, rng)))
-    stand = Link(
-        "hinge display_stand",
-        _kickstand(p, rng),
-        Hinge("revolute", "link_1", (0, -1, 0), p.hinge, 0.0, 2.2),
-    )
+    stand = Link("hinge display_stand", _kickstand(p, rng), Hinge("revolute", "link_1", (0, -1, 0), p.hinge, 0.0, 2.2))
     return ObjectModel("folding_display", "Display", (stand, panel), 0, seed)
 
 

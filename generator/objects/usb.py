@@ -7,17 +7,7 @@ from manifold3d import CrossSection
 
 from generator import textures
 from generator.model import Hinge, Link, Material, ObjectModel, Piece, Pieces, Rng, printed, textured
-from generator.shapes import (
-    box,
-    moulded,
-    plate,
-    rod,
-    rounded_outline,
-    smooth_outline,
-    text_outline,
-    tube,
-    union,
-)
+from generator.shapes import box, moulded, plate, rod, rounded_outline, smooth_outline, text_outline, tube, union
 from generator.textures import Colour
 
 _ABS = 1050.0
@@ -123,9 +113,7 @@ def flip_cap_usb(seed: int) -> ObjectModel:
     pivot = (0.0, 0.0, thick / 2 + 0.0004)
     body = Link("heavy usb_body", _grip(long, width, thick, coat, ring, rubber, rng))
     cap = Link(
-        "hinge lid",
-        _cap(width, thick, coat, ring, rng),
-        Hinge("revolute", "link_1", (0, 1, 0), pivot, 0.0, 2.95),
+        "hinge lid", _cap(width, thick, coat, ring, rng), Hinge("revolute", "link_1", (0, 1, 0), pivot, 0.0, 2.95)
     )
     return ObjectModel("flip_cap_usb", "USB", (cap, body), 0, seed)
 

@@ -114,7 +114,7 @@ def read(text: str, bounds: Bounds) -> Message:
         return Ping(_number(data, "time", 0, MAX_TIME_MS), _latency(data))
     if kind == "do":
         if not isinstance(data.get("what"), str) or data["what"] not in _COMMANDS:
-            raise BadMessage("an unknown wish")
+            raise BadMessage("an unknown command")
         return Command(data["what"])
     if kind == "view":
         return ViewSize(_count(data, "width", 1, MAX_VIEW), _count(data, "height", 1, MAX_VIEW))

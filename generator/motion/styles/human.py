@@ -51,12 +51,7 @@ def propose(task: Task, rng: np.random.Generator) -> Course:
 
 
 def _choose_axis(
-    R: Array,
-    sweep: Sweep,
-    before: Array,
-    directions: Array,
-    wanted: Array,
-    rng: np.random.Generator,
+    R: Array, sweep: Sweep, before: Array, directions: Array, wanted: Array, rng: np.random.Generator
 ) -> Array:
     """(3,) unit axis, in camera axes, of a sweep from the rotation `R` (3, 3).
 

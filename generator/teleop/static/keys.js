@@ -13,7 +13,7 @@ const HELD = {
   KeyA: { shift: [-1, 0] }, KeyD: { shift: [1, 0] }, KeyW: { shift: [0, -1] }, KeyS: { shift: [0, 1] },
   KeyQ: { depth: 1 }, KeyE: { depth: -1 }, BracketLeft: { swing: -1 }, BracketRight: { swing: 1 },
 };
-const WISHES = { KeyR: "record", KeyP: "pause", KeyU: "undo", Enter: "save" };
+const COMMANDS = { KeyR: "record", KeyP: "pause", KeyU: "undo", Enter: "save" };
 
 export function startKeys({ hand, link, may }) {
   const held = new Set();
@@ -67,13 +67,13 @@ export function startKeys({ hand, link, may }) {
       event.preventDefault();
       if (!held.size) requestAnimationFrame(step);
       held.add(event.code);
-    } else if (WISHES[event.code] && !event.repeat) {
+    } else if (COMMANDS[event.code] && !event.repeat) {
       event.preventDefault();
       const recording = link.status && link.status.recording, paused = link.status && link.status.paused;
-      let wish = WISHES[event.code];
-      if (wish === "pause" && paused) wish = "record";
-      if (wish === "record" && recording) wish = "pause";
-      link.do(wish);
+      let command = COMMANDS[event.code];
+      if (command === "pause" && paused) command = "record";
+      if (command === "record" && recording) command = "pause";
+      link.do(command);
     }
   });
   addEventListener("keyup", (event) => {

@@ -15,11 +15,11 @@ export function startPad({ hand, link, may }) {
   let last = null;
   const pressed = new Map();
 
-  function wishes(pad) {
-    for (const [button, wish] of [[RECORD, "record"], [UNDO, "undo"], [SAVE, "save"]]) {
+  function runCommands(pad) {
+    for (const [button, command] of [[RECORD, "record"], [UNDO, "undo"], [SAVE, "save"]]) {
       const down = Boolean(pad.buttons[button] && pad.buttons[button].pressed);
       if (down && !pressed.get(button)) {
-        link.do(wish === "record" && link.status && link.status.recording ? "pause" : wish);
+        link.do(command === "record" && link.status && link.status.recording ? "pause" : command);
       }
       pressed.set(button, down);
     }
@@ -31,7 +31,7 @@ export function startPad({ hand, link, may }) {
     const dt = last === null ? 0 : Math.min((now - last) / 1000, 0.1);
     last = now;
     if (!pad || !may()) return;
-    wishes(pad);
+    runCommands(pad);
     const [mx, my, tx, ty] = [0, 1, 2, 3].map((k) => shaped(pad.axes[k] || 0));
     const value = (k) => (pad.buttons[k] ? pad.buttons[k].value : 0);
     const swing = value(RIGHT_TRIGGER) - value(LEFT_TRIGGER);
