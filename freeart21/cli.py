@@ -839,10 +839,10 @@ def convert(
     from functools import partial
 
     from freeart21.formats import convert as formats
-    from generator.foreign import truth_of
     from generator.progress import progress_board
+    from generator.third_party import complete_truth
 
-    maker = partial(truth_of, joint=joint, skip_missing=skip_missing)
+    maker = partial(complete_truth, joint=joint, skip_missing=skip_missing)
     with progress_board(1, 0) as board:
         for done in formats.convert(
             source, out, to, layout, maker, partnet_root, meta, hold_out, depth_unit, fps, board.update

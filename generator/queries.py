@@ -15,17 +15,12 @@ from freeart21.recording import Query
 from freeart21.se3 import Array
 from generator.motion import hull_points
 
-
-@dataclass(frozen=True)
-class QuerySettings:
-    """How far the camera of a held-out view is from the recording camera."""
-
-    turn_degrees: float = 15.0
-    """Largest rotation of the camera about the object."""
-    shift: float = 0.04
-    """Largest additional translation, as a share of the distance to the object."""
-    margin: float = 0.02
-    """Strip along the picture's border, as a share of its height, that the object never enters."""
+TURN_DEGREES = 15.0
+"""Largest rotation of the camera of a held-out view about the object."""
+SHIFT = 0.04
+"""Largest additional translation, as a share of the distance to the object."""
+MARGIN = 0.02
+"""Strip along the picture's border, as a share of its height, that the object never enters."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +42,6 @@ def plan_queries(
     states: Array,
     n: int,
     seed: int,
-    settings: QuerySettings | None = None,
 ) -> tuple[PlannedQuery, ...]:
     """Draw `n` views: the reference part as in one random frame, the joint as in another, the camera moved.
 
@@ -55,7 +49,6 @@ def plan_queries(
     motion that cuts it off is drawn again, a little smaller each time, and new frames are drawn when none fits. Raises
     FreeArtError when no such view is found.
     """
-    settings = settings or QuerySettings()
     rng = np.random.default_rng([seed, 3])
     hulls = hull_points(meshes[0]), hull_points(meshes[1])
     views: list[PlannedQuery] = []
@@ -65,7 +58,7 @@ def plan_queries(
         a, b = (int(k) for k in rng.choice(len(states), 2, replace=False))
         T, q = Ts_camera_reference[a], float(states[b])
         points = np.concatenate([se3.transform(T, hulls[0]), se3.transform(T @ joint.transform(q), hulls[1])])
-        move = _fitting_move(rng, camera, points, settings)
+        move = _fitting_move(rng, camera, points)
         if move is not None:
             views.append(PlannedQuery(Query(a, b, move), move @ T, q))
     if len(views) < n:
@@ -73,25 +66,25 @@ def plan_queries(
     return tuple(views)
 
 
-def _fitting_move(rng: np.random.Generator, camera: Camera, points: Array, settings: QuerySettings) -> Array | None:
+def _fitting_move(rng: np.random.Generator, camera: Camera, points: Array) -> Array | None:
     """A camera motion T_newcam_cam (4, 4) that keeps all points (k, 3) in the picture; None when none is found."""
     centre = (points.min(0) + points.max(0)) / 2
     for size in 0.95 ** np.arange(30):
-        T_newcam_cam = _camera_move(rng, centre, float(size), settings)
-        if _inside(camera, se3.transform(T_newcam_cam, points), settings.margin):
+        T_newcam_cam = _camera_move(rng, centre, float(size))
+        if _inside(camera, se3.transform(T_newcam_cam, points)):
             return T_newcam_cam
     return None
 
 
-def _camera_move(rng: np.random.Generator, centre: Array, size: float, settings: QuerySettings) -> Array:
-    """A rotation about the object's centre and a translation: up to the settings' amounts times `size`."""
+def _camera_move(rng: np.random.Generator, centre: Array, size: float) -> Array:
+    """A rotation about the object's centre and a translation: up to `TURN_DEGREES` and `SHIFT` times `size`."""
     axis = rng.normal(size=3)
-    angle = np.radians(settings.turn_degrees) * size * rng.uniform(0.3, 1.0)
+    angle = np.radians(TURN_DEGREES) * size * rng.uniform(0.3, 1.0)
     R = se3.exp_so3(angle * axis / np.linalg.norm(axis))
-    shift = size * settings.shift * np.linalg.norm(centre) * rng.uniform(-1, 1, 3)
+    shift = size * SHIFT * np.linalg.norm(centre) * rng.uniform(-1, 1, 3)
     return se3.pose(R, centre + shift - R @ centre)
 
 
-def _inside(camera: Camera, points_camera: Array, margin: float) -> bool:
-    uv, strip = camera.project(points_camera), margin * camera.height
+def _inside(camera: Camera, points_camera: Array) -> bool:
+    uv, strip = camera.project(points_camera), MARGIN * camera.height
     return bool((uv >= strip).all() and (uv <= np.array([camera.width, camera.height]) - strip).all())

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21 import catalog
-from freeart21.articulation import Articulation
 from freeart21.camera import Camera
 from freeart21.camera_faults import ROOM_M
 from freeart21.effects import Effect, effect_from_json
@@ -25,6 +23,7 @@ from freeart21.files.sequence import MAX_SIDE, encode_depth, write_header, write
 from freeart21.files.take import MAX_TAKE_BYTES
 from freeart21.files.truth import write_truth
 from freeart21.formats.captured import read_track
+from freeart21.formats.third_party import Parts, assign_parts
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh, bounding_diagonal
 from freeart21.se3 import Array
@@ -43,7 +42,7 @@ from generator.release import roll_out_release
 from generator.scene import Picture, Scene, simulator
 from generator.sensor import make_sensor
 from generator.sensors import check_sensor
-from generator.truth_mesh import outer_faces, visible_faces
+from generator.truth_mesh import build_truth
 
 LICENCES = {
     "procedural": "CC0-1.0",
@@ -360,25 +359,6 @@ def nice_scale(least: float) -> float:
     return float(f"{next(power * k for k in (1, 2, 5, 10) if power * k >= least * (1 - 1e-12)):.1g}")
 
 
-def reverse_joint(joint: Joint) -> Joint:
-    """The same joint with parent and child side exchanged: the axis is reversed, the states stay the same."""
-    return replace(joint, axis=-joint.axis)
-
-
-@dataclass(frozen=True)
-class Parts:
-    """The sides of the joint as reference part and moving part."""
-
-    order: tuple[int, int]
-    """Side (0 parent, 1 child) of the reference part and of the moving part."""
-    joint: Joint
-    """Motion of the moving part relative to the reference part."""
-    Ts_camera: tuple[Array, Array]
-    """Poses (n, 4, 4) of reference and moving part."""
-    seen: NDArray[np.int64]
-    """(n, 2) pixels of reference and moving part."""
-
-
 class Session:
     """The state of one recording: the scene, the planned motion, and a work folder for its pictures."""
 
@@ -435,12 +415,8 @@ class Session:
 
     def parts(self) -> Parts:
         """Choose the reference part: the side with more pixels over all frames."""
-        counts = self._counts
-        order = (1, 0) if counts[:, 1].sum() > counts[:, 0].sum() else (0, 1)
-        joint = self.loaded.joint
-        Ts = self.plan.Ts_camera_object, self.plan.Ts_camera_object @ joint.transform(self.plan.states)
-        own = joint if order == (0, 1) else reverse_joint(joint)
-        return Parts(order, own, (Ts[order[0]], Ts[order[1]]), counts[:, list(order)])
+        plan = self.plan
+        return assign_parts(self._counts, plan.Ts_camera_object, plan.states, self.loaded.joint, self._side)
 
     def plan_views(self, parts: Parts) -> tuple[PlannedQuery, ...]:
         """Plan the held-out views of the video."""
@@ -449,34 +425,18 @@ class Session:
         return plan_queries(meshes, parts.joint, self.camera, parts.Ts_camera[0], self.plan.states, n, seed)
 
     def truth(self, parts: Parts, views: tuple[PlannedQuery, ...], facts: dict[str, Any]) -> Truth:
-        """The truth of the video, with the held-out views rendered; these are clean for every sensor.
-
-        Faces that cannot be seen from outside in any state (where solids of one part meet) are left out: no video shows
-        them, and the truth, submitted as an answer, must score perfectly.
-        """
-        order = parts.order
-        meshes = self.meshes[order[0]], self.meshes[order[1]]
-        visible = visible_faces(meshes, self.camera, self._sampled_views(parts))
-        outer = [o | v for o, v in zip(outer_faces(meshes, parts.joint), visible, strict=True)]
-        label = np.array([0, 1 + order.index(0), 1 + order.index(1)], np.uint8)
+        """The truth of the video, with the held-out views rendered; these are clean for every sensor."""
         pictures = [self._view(i, view, parts) for i, view in enumerate(views)]
-        return Truth(
-            Articulation(parts.joint, *(mesh.with_faces(o) for mesh, o in zip(meshes, outer, strict=True))),
+        return build_truth(
+            self.meshes,
+            parts,
             self.plan.states,
-            *parts.Ts_camera,
-            parts.seen,
-            (outer[0][outer[0]], outer[1][outer[1]]),
-            (visible[0][outer[0]], visible[1][outer[1]]),
-            lambda i: label[self._side(i)],
+            self.camera,
+            range(0, self.settings.frames, self.settings.visible_every),
+            facts | simulator() | self._truth_source(parts.order),
             lambda i: pictures[i].rgb,
             lambda i: pictures[i].side > 0,
-            facts | simulator() | self._truth_source(order),
         )
-
-    def _sampled_views(self, parts: Parts) -> Iterator[tuple[Array, Array, NDArray[np.bool_]]]:
-        """Poses of both parts and foreground mask of every `visible_every`-th frame."""
-        for i in range(0, self.settings.frames, self.settings.visible_every):
-            yield parts.Ts_camera[0][i], parts.Ts_camera[1][i], self._side(i) > 0
 
     def _side(self, i: int) -> NDArray[np.uint8]:
         return checked.read_labels(self._work / "side" / f"{i:05d}.png")

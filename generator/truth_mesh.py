@@ -1,18 +1,22 @@
-"""Flags the faces of truth meshes: those that can be seen from outside, and those that a video showed."""
+"""Builds a truth: flags the faces that can be seen from outside, and those that a video showed."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from freeart21 import se3
+from freeart21.articulation import Articulation
 from freeart21.camera import Camera
+from freeart21.formats.third_party import Parts
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 from freeart21.sphere import fibonacci_sphere
+from freeart21.truth import Truth
 from generator.motion import motion_range
 from generator.rays import Caster, Hits
 
@@ -22,6 +26,49 @@ _DIRECTIONS = 40
 _GRID = 100
 _ESCAPES = 30
 _SAME = 1e-6  # of the side's size: vertices within this distance are one
+
+
+def build_truth(
+    sides: Sequence[Mesh],
+    parts: Parts,
+    states: Array,
+    camera: Camera,
+    frames: Iterable[int],
+    source: dict[str, Any],
+    query_rgb: Callable[[int], NDArray[np.uint8]] = lambda i: np.zeros((0, 0, 3), np.uint8),
+    query_mask: Callable[[int], NDArray[np.bool_]] = lambda i: np.zeros((0, 0), bool),
+) -> Truth:
+    """The truth of a video.
+
+    Faces that cannot be seen from outside in any state (where solids of one part meet) are left out: no video shows
+    them, and the truth, submitted as an answer, must score perfectly.
+
+    Args:
+        sides: fine meshes of parent and child side.
+        parts: the sides as reference and moving part.
+        states: (n,) joint states, rad or m.
+        camera: of the video.
+        frames: those in which visible faces are searched.
+        source: facts for the truth's `source`.
+        query_rgb: number of a held-out view to its colours (height, width, 3).
+        query_mask: number of a held-out view to its mask (height, width).
+    """
+    meshes = sides[parts.order[0]], sides[parts.order[1]]
+    shown = ((parts.Ts_camera[0][i], parts.Ts_camera[1][i], parts.part_mask(i) > 0) for i in frames)
+    visible = visible_faces(meshes, camera, shown)
+    outer = [o | v for o, v in zip(outer_faces(meshes, parts.joint), visible, strict=True)]
+    return Truth(
+        Articulation(parts.joint, *(mesh.with_faces(o) for mesh, o in zip(meshes, outer, strict=True))),
+        states,
+        *parts.Ts_camera,
+        parts.seen,
+        (outer[0][outer[0]], outer[1][outer[1]]),
+        (visible[0][outer[0]], visible[1][outer[1]]),
+        parts.part_mask,
+        query_rgb,
+        query_mask,
+        source,
+    )
 
 
 def outer_faces(meshes: tuple[Mesh, Mesh], joint: Joint, states: int = 5) -> Flags:

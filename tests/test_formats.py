@@ -34,8 +34,8 @@ from freeart21.joint import Joint
 from freeart21.reconstruction import Reconstruction
 from freeart21.truth import Truth
 from generator import partnet
-from generator.foreign import truth_of
 from generator.rays import Caster
+from generator.third_party import complete_truth
 from leaderboard.protocols import PROTOCOLS
 from leaderboard.protocols.strict1 import Strict1
 from leaderboard.protocols.strict2 import STRICT_2, measure
@@ -719,7 +719,7 @@ def test_a_view_becomes_a_sequence_with_and_without_its_object(one_view: Path, t
     root = tmp_path / "root"  # another object than the one that was filmed
     shutil.copytree(toy_root / "7777", root / "7265")
     read = video2articulation.read_view(one_view)
-    refused(lambda: truth_of(read, root, "joint_0"), "is not the joint of", "deg apart")
+    refused(lambda: complete_truth(read, root, "joint_0"), "is not the joint of", "deg apart")
 
 
 def test_a_view_with_its_object_gives_a_truth(tmp_path: Path) -> None:
@@ -733,13 +733,15 @@ def test_a_view_with_its_object_gives_a_truth(tmp_path: Path) -> None:
     (folder / "textured_objs/lid.obj").write_text(obj((-0.2, -0.2, -0.25), (0.2, 0.2, -0.2)))
     place = view(tmp_path)
     read = video2articulation.read_view(place)
-    truth = truth_of(read, tmp_path / "root")
+    truth = complete_truth(read, tmp_path / "root")
     assert truth.articulation.joint.axis == pytest.approx([0, 0, 1]) and truth.states.tolist() == VALUES
     assert truth.seen.tolist() == [[1, 0], [0, 1], [1, 0]] and truth.source["joint"] == "joint_12"
     np.save(place.parent / "qpos.npy", np.array([[-0.7, q] for q in VALUES]))
     held = TOY_HELD_JOINT.replace("LOW", "-0.7")
     (folder / "mobility.urdf").write_text(urdf.replace("</robot>", held + "</robot>"))
-    refused(lambda: truth_of(video2articulation.read_view(place), tmp_path / "root"), "joint 'joint_0' stood at -0.7")
+    refused(
+        lambda: complete_truth(video2articulation.read_view(place), tmp_path / "root"), "joint 'joint_0' stood at -0.7"
+    )
 
 
 TOY_HELD_JOINT = """

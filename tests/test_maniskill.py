@@ -330,8 +330,8 @@ def test_an_episode_becomes_a_sequence_with_truth_and_that_a_trajectory_again(tm
     from freeart21.files.sequence import read_sequence
     from freeart21.files.truth import read_truth
     from freeart21.formats.convert import convert
-    from generator.foreign import truth_of
     from generator.object_folder import object_folder
+    from generator.third_party import complete_truth
 
     folder = object_folder("folding_usb", 0, tmp_path / "objects")
     pictures = {
@@ -347,7 +347,7 @@ def test_an_episode_becomes_a_sequence_with_truth_and_that_a_trajectory_again(tm
         env.step(np.array([env.unwrapped._target], np.float32))
     last = env.unwrapped.body.q, env.unwrapped.body.root_pose
     env.close()
-    (made,) = convert(tmp_path / "a", tmp_path / "data", "native", truth_of=truth_of)
+    (made,) = convert(tmp_path / "a", tmp_path / "data", "native", truth_of=complete_truth)
     assert made.with_truth, made.notes
     recording, truth = read_sequence(made.folder), read_truth(tmp_path / "data" / "truth" / made.name)
     assert len(recording) == 5 and (recording.camera.width, recording.camera.height) == (96, 72)

@@ -74,15 +74,10 @@ class KnownTruth:
     def parts(self, joint: Joint) -> Parts:
         """Reference and moving part for the child-against-parent motion `joint`.
 
-        The side with more pixels over all frames is the reference; when that is the child side, the axis turns round
-        and the states stay. Reads every part mask.
+        Reads every part mask, see `assign_parts`.
         """
         counts = np.array([np.bincount(self.side(i).ravel(), minlength=3)[1:3] for i in range(len(self.states))])
-        order = (1, 0) if counts[:, 1].sum() > counts[:, 0].sum() else (0, 1)
-        Ts = self.Ts_camera_object, self.Ts_camera_object @ joint.transform(self.states)
-        own = joint if order == (0, 1) else replace(joint, axis=-joint.axis)
-        label = np.array([0, 1 + order.index(0), 1 + order.index(1)], np.uint8)
-        return Parts(order, own, (Ts[order[0]], Ts[order[1]]), counts[:, list(order)], lambda i: label[self.side(i)])
+        return assign_parts(counts, self.Ts_camera_object, self.states, joint, self.side)
 
 
 @dataclass(frozen=True)
@@ -99,6 +94,27 @@ class Parts:
     """(n, 2) pixels of reference and moving part."""
     part_mask: Callable[[int], Image]
     """Frame index to (height, width): 0 neither, 1 reference, 2 moving."""
+
+
+def assign_parts(
+    counts: NDArray[np.int64], Ts_camera_object: Array, states: Array, joint: Joint, side: Callable[[int], Image]
+) -> Parts:
+    """Choose the reference part: the side with more pixels over all frames.
+
+    When that is the child side, the axis is reversed and the states stay.
+
+    Args:
+        counts: (n, 2) pixels of parent and child side.
+        Ts_camera_object: (n, 4, 4) poses of the parent side.
+        states: (n,) joint states, rad or m.
+        joint: motion of the child side relative to the parent side, in the object's frame.
+        side: frame index to (height, width): 0 no object, 1 parent side, 2 child side.
+    """
+    order = (1, 0) if counts[:, 1].sum() > counts[:, 0].sum() else (0, 1)
+    Ts = Ts_camera_object, Ts_camera_object @ joint.transform(states)
+    own = joint if order == (0, 1) else replace(joint, axis=-joint.axis)
+    label = np.array([0, 1 + order.index(0), 1 + order.index(1)], np.uint8)
+    return Parts(order, own, (Ts[order[0]], Ts[order[1]]), counts[:, list(order)], lambda i: label[side(i)])
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from freeart21 import catalog
-from freeart21.articulation import Articulation
 from freeart21.errors import FreeArtError
 from freeart21.formats.third_party import KnownTruth, ThirdPartyRecording, safe_name
 from freeart21.joint import Joint
 from freeart21.mesh import bounding_diagonal
 from freeart21.truth import Truth
 from generator import partnet
-from generator.truth_mesh import outer_faces, visible_faces
+from generator.truth_mesh import build_truth
 
 EDGE = 0.02
 """Longest edge of the truth meshes, as a share of the object's diagonal: as in recordings of our own."""
@@ -25,7 +24,7 @@ _SAME_PLACE = 0.01  # of the diagonal
 _SAME_STATE = 1e-3
 
 
-def truth_of(
+def complete_truth(
     read: ThirdPartyRecording, partnet_root: Path, joint: str | None = None, skip_missing: bool = False
 ) -> Truth:
     """The truth of `read`, with meshes from partnet_root/ID (or partnet_root/dataset/ID) and no held-out views.
@@ -49,33 +48,18 @@ def truth_of(
     _check_same(read, known, loaded, diagonal)
     parts = known.parts(loaded.joint)
     fine = [side.surface.subdivided(EDGE * diagonal).mesh() for side in loaded.sides]
-    meshes = fine[parts.order[0]], fine[parts.order[1]]
-    frames = range(0, len(known.states), VISIBLE_EVERY)
-    shown = ((parts.Ts_camera[0][i], parts.Ts_camera[1][i], parts.part_mask(i) > 0) for i in frames)
-    visible = visible_faces(meshes, read.recording.camera, shown)
-    outer = [o | v for o, v in zip(outer_faces(meshes, parts.joint), visible, strict=True)]
     links = [side.links for side in loaded.sides]
-    return Truth(
-        Articulation(parts.joint, *(mesh.with_faces(o) for mesh, o in zip(meshes, outer, strict=True))),
-        known.states,
-        *parts.Ts_camera,
-        parts.seen,
-        (outer[0][outer[0]], outer[1][outer[1]]),
-        (visible[0][outer[0]], visible[1][outer[1]]),
-        parts.part_mask,
-        lambda i: np.zeros((0, 0, 3), np.uint8),
-        lambda i: np.zeros((0, 0), bool),
-        known.source
-        | {
-            "object": read.object_id,
-            "category": loaded.category,
-            "object_source": "partnet",
-            "joint": loaded.joint.name,
-            "held": loaded.asset.held,
-            "reference_links": links[parts.order[0]],
-            "moving_links": links[parts.order[1]],
-        },
-    )
+    facts = {
+        "object": read.object_id,
+        "category": loaded.category,
+        "object_source": "partnet",
+        "joint": loaded.joint.name,
+        "held": loaded.asset.held,
+        "reference_links": links[parts.order[0]],
+        "moving_links": links[parts.order[1]],
+    }
+    frames = range(0, len(known.states), VISIBLE_EVERY)
+    return build_truth(fine, parts, known.states, read.recording.camera, frames, known.source | facts)
 
 
 def _check_same(read: ThirdPartyRecording, known: KnownTruth, loaded: partnet.PartNetObject, diagonal: float) -> None:
