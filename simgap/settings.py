@@ -1,4 +1,4 @@
-"""Settings of every step."""
+"""Settings of all steps."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import Any
 
 @dataclass(frozen=True)
 class SurrogateSettings:
-    """The fast simulation that fits search in."""
+    """The fast simulation used in fits."""
 
     phase_per_step: float = 0.15
-    """rad of the fastest oscillation a step: the fourth-order step is then late by 4e-6 of the way."""
+    """rad of the fastest oscillation per step; the RK4 step is then off by 4e-6 of the motion."""
     local_phase_per_step: float = 0.4
-    """The same of what is stiff at a place only: little of a run is spent there."""
+    """The same for effects that are stiff at one place only; a run spends little time there."""
     max_step_s: float = 0.02
     min_step_s: float = 5e-4
-    """What swings so fast that this is coarse, readings at usual rates do not show."""
+    """Oscillations for which this is too coarse are not resolved by readings at usual rates."""
 
 
 @dataclass(frozen=True)
@@ -25,81 +25,80 @@ class FitSettings:
 
     max_iterations: int = 15
     starts: int = 3
-    """Starting points of an effect with a place, a width or a speed to find."""
+    """Initial guesses of an effect with a place, a width or a speed to find."""
     tilt_rad: float = 7e-3
-    """How far the base may lean in the plane of the motion without being called an effect; a usual mounting is 0.3
-    degrees off."""
+    """Prior standard deviation of the base's tilt in the plane of motion; a usual mounting is 0.3 degrees off."""
     shaft_damping: float = 0.35
-    """Least damping ratio with which a drive's inertia and the part's own swing about the shaft between them. What
-    loses less is an elastic drive, not an armature."""
+    """Minimum damping ratio of a drive's inertia against the part on the shaft between them. Less damping is an elastic
+    drive, not an armature."""
     swing_tolerance: float = 0.02
-    """Part of the time of a crossing at top speed in which a drive's inertia and the part's own swing by a radian about
-    the shaft between them, at most: what swings slower is an elastic drive."""
+    """Maximum time of one radian of that oscillation, as a share of the time to cross the range at top speed. A slower
+    one is an elastic drive."""
     travel_tolerance: float = 1e-2
-    """Part of the way moved through over which dry friction may build up after a reversal: no real one does at once,
-    and small swings are the faster for it. Of filmed pendula 8e-3 were measured."""
+    """Maximum presliding travel of dry friction after a reversal, as a share of the range. Filmed pendula had 8e-3."""
 
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """How far sets are looked for; none of it decides between two that were found."""
+    """Effort of the search. None of these decides between two sets that were found."""
 
     max_effects: int = 3
     singles: int = 7
-    """Effects that are fitted alone: those of the best first-order guesses."""
+    """Effects fitted alone: those with the best first-order guesses."""
     shortlist: int = 5
-    """Sets of one effect more that are fitted to the end."""
+    """Sets with one more effect that are fitted to convergence."""
     parents: int = 3
-    """Sets that larger ones start from."""
+    """Sets that larger ones are started from."""
     contenders: int = 8
-    """Sets of a size that are put before runs that they were not fitted to."""
+    """Sets of each size that are evaluated on test runs."""
     all_told: float = 1.1
-    """Floors of a fit from which on no larger set is looked for: nothing is left to explain."""
+    """Normalised RMS of a fit below which no larger set is tried."""
     lost: float = 1.35
-    """Floors of the best single effect from which on those are fitted, too, that first guesses tell nothing of."""
+    """Normalised RMS of the best single effect above which effects without a first guess are fitted, too."""
 
 
 @dataclass(frozen=True)
 class JudgementSettings:
-    """All numbers that decide a verdict; they stand in verdict.json."""
+    """All numbers that decide a verdict; they are stored in verdict.json."""
 
     least_motion: float = 15.0
-    """Floors that the joint must move through for anything to be said."""
+    """Range of motion, in noise sigmas, below which the verdict is `not_excited`."""
     least_readings: int = 60
-    """Readings, of all runs together, below which nothing is said: three stretches, each with a start of its own, and
-    the asset's own doubts leave none to spare."""
+    """Readings of all runs together below which the verdict is `not_excited`: three stretches with a start state each,
+    and the asset's own parameters, need more."""
     least_gap: float = 0.35
-    """Floors that an explanation must take of choosing runs for a small gap to be one: less may come of coarse time
-    stamps alone."""
+    """Normalised RMS (root of the difference of squares) that a set must remove from test runs; coarse time stamps
+    alone make up to that."""
     plain_gap: float = 2.5
-    """Floors of error of the middle run at which there is a gap, whether anything explains it or not."""
+    """Normalised RMS of the median run above which there is a gap, explained or not."""
     explained_part: float = 0.03
-    """Part of a large gap that an explanation may leave, departures of its formulas being counted. Of strong effects
-    of a second world .002 to .01 are left; of a filmed pendulum, whose losses have no such names, .07."""
+    """Share of a large gap that an explanation may leave, with model error allowed. Strong effects of a second
+    simulated world left .002 to .01; a filmed pendulum, whose losses no effect describes, .07."""
     most: float = 10.0
-    """Floors that it may leave of a run in any case: more is a name in part."""
+    """Normalised RMS that an explanation may leave of a run at most; above it is named in part."""
     met: float = 0.75
-    """Part of the runs that must be met so: what just passes a notch or grazes a stop hangs on a hair."""
+    """Share of the runs that must meet these bounds. A run that just passes a notch or grazes a stop is
+    ill-conditioned."""
     dominant: float = 0.5
-    """Part of a run's gap that what dominates may leave."""
+    """Share of a run's gap that dominant effects may leave."""
     drift: float = 0.2
-    """Part of itself by which the size of an effect must change over the session for it not to be a constant."""
+    """Relative change of an effect's size over the session above which it is not constant."""
 
 
 @dataclass(frozen=True)
 class GapSettings:
-    """Of the whole workflow."""
+    """All settings of `gap`."""
 
     surrogate: SurrogateSettings = field(default_factory=SurrogateSettings)
     fit: FitSettings = field(default_factory=FitSettings)
     search: SearchSettings = field(default_factory=SearchSettings)
     judgement: JudgementSettings = field(default_factory=JudgementSettings)
     seconds: float = 120.0
-    """Of processor time after which no further set of effects is looked for."""
+    """Processor time, s, after which no further set is tried."""
     seed: int = 0
-    """Of permutations."""
+    """Of permutation tests."""
     without: tuple[str, ...] = ()
-    """Effects that are left out of the library."""
+    """Effects excluded from the library."""
 
     def to_json(self) -> dict[str, Any]:
         """All settings as plain data."""

@@ -1,4 +1,4 @@
-"""The answer: what is missing in the simulation, where, how sure, and what would tell more."""
+"""The result of `gap`: missing effects, where they act, confidence, and the next experiment."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from freeart21.joint import JointType
 
 SCHEMA = "freeart21/verdict/1"
 Use = Literal["fitted", "choosing", "confirming"]
-"""What a run is used for: to fit sets to, to choose among them, or to confirm the choice."""
+"""A run is used to fit models, to choose among them, or to confirm the choice."""
 Answer = Literal["no_gap", "named", "ambiguous", "unexplained", "not_excited"]
 Quantity = Literal["position", "force", "picture"]
 GEOMETRY = "geometry"
-"""Regime of a gap that is counted in metres off the joint."""
+"""Regime of gaps in part poses: metres off the joint."""
 
 
 @dataclass(frozen=True)
 class NamedEffect:
-    """One effect of the answer, with 90 % intervals of its parameters."""
+    """A named effect with 90 % intervals of its parameters."""
 
     effect: Effect
     low: dict[str, float]
@@ -34,25 +34,25 @@ class NamedEffect:
 
 @dataclass(frozen=True)
 class Correction:
-    """A number of the asset's own that was measured and written into its files."""
+    """A parameter of the asset itself that was estimated and written into its files."""
 
     name: str
-    """`inertia` about the joint (mass on a slider) or `weight`, over what the asset says; `lean` of the weight's pull
-    in the plane of the motion (along a slider), and `lean_across`."""
+    """`inertia` (about a hinge, or a slider's mass) and `weight` as factors of the asset's; `lean`, the angle of the
+    weight in the plane of motion (along a slider); `lean_across`, the angle across it."""
     unit: str
-    """1 of a factor, rad of a lean."""
+    """"1" for factors, "rad" for angles."""
     value: float
     low: float
-    """90 % interval, all else that the asset may be off by being as doubtful."""
+    """90 % interval, with all other parameters of the asset free."""
     high: float
 
 
 @dataclass(frozen=True)
 class Region:
-    """A range of some quantity in which simulation and measurement part."""
+    """A range of some quantity in which simulation and measurement differ."""
 
     quantity: str
-    """Such as position, velocity, distance since reversal, distance to limit, command, time."""
+    """For example position, velocity, distance since reversal, distance to limit, command, time."""
     low: float
     high: float
     p_value: float
@@ -61,63 +61,63 @@ class Region:
 
 @dataclass(frozen=True)
 class RunGap:
-    """How far simulation and measurement of one run are apart: root mean squares, rad or m, or N*m or N.
+    """RMS difference between simulation and measurement of one run: rad or m, or N*m or N.
 
-    Of positions, once it is published: replays of files (`simgap.prove.replay`), NaN for a run that was not replayed.
+    In a published verdict these are replays of files (`simgap.prove.replay`); NaN for a run that was not replayed.
     """
 
     run: str
     before: float
-    """By the asset that was given."""
+    """With the asset as given."""
     after: float
-    """By the asset beside the verdict."""
+    """With the delivered asset."""
     floor: float
-    """What the sensor's own noise leaves."""
+    """RMS of the sensor's noise."""
     held_out: bool
     regime: str
-    """Which kind of motion the run is, such as 'small' or 'large' swings."""
+    """Kind of motion, such as 'free slow'."""
     use: Use = "fitted"
     trial: float | None = None
-    """By a trial repair that is not in the asset beside the verdict; None where there is no such repair."""
+    """With a trial repair that was not delivered; None without one."""
 
 
 @dataclass(frozen=True)
 class Proof:
-    """What replayed the files, and how anybody repeats it."""
+    """The replay behind the numbers, and how to repeat it."""
 
     engine: str
     version: str
     repeat: dict[str, str]
-    """Command lines: `before`, `after`, and `trial` of a trial repair that is not in the asset."""
+    """Command lines: `before`, `after`, and `trial` for a trial repair that was not delivered."""
     witness: dict[str, Any]
-    """A second engine's word: `engine`, with its `version` and `gap`, run by run, or why it is `absent`."""
+    """Result of a second engine: `engine` with `version` and `gap` of each run, or why it is `absent`."""
     runs: dict[str, str] = field(default_factory=dict)
     """Run name to the SHA-256 of its file."""
 
 
 GAP_THRESHOLD = 1.35
-"""Floors from which on a run shows a gap of its own, the floor being an estimate."""
+"""Normalised RMS above which a run shows a gap. Above 1 because the noise is an estimate."""
 
 
 def root_mean_square(values: ArrayLike) -> float:
-    """Of all values; 0 of none."""
+    """Of all values; 0 for an empty array."""
     return float(np.sqrt(np.mean(np.square(values)))) if np.size(values) else 0.0
 
 
 def shows_gap(gaps: Sequence[RunGap]) -> bool:
-    """Whether any of these runs shows a gap of its own."""
+    """Whether any of these runs shows a gap."""
     return any(gap.before > GAP_THRESHOLD * gap.floor for gap in gaps)
 
 
 def closes_gap(gaps: Sequence[RunGap], most: float) -> bool:
-    """Whether at most this part of the gap beyond noise is left of these runs together, each in its own floors."""
+    """Whether at most the share `most` of the gap beyond noise remains, over all runs, each normalised by its noise."""
     before, after = (root_mean_square([getattr(g, k) / g.floor for g in gaps]) for k in ("before", "after"))
     return after**2 - 1 <= most**2 * max(before**2 - 1, 0.0)
 
 
 def deciding_runs(gaps: Sequence[RunGap]) -> list[RunGap]:
-    """The runs that tell what an answer is worth: those that confirm it, else those that chose it, else those that were
-    fitted, of the first kind in which a run shows a gap at all."""
+    """The runs that decide what an answer is worth: confirming ones, else choosing ones, else fitted ones; the first
+    kind in which a run shows a gap."""
     for use in ("confirming", "choosing", "fitted"):
         found = [gap for gap in gaps if gap.use == use]
         if any(gap.before > GAP_THRESHOLD * gap.floor for gap in found):
@@ -126,54 +126,54 @@ def deciding_runs(gaps: Sequence[RunGap]) -> list[RunGap]:
 
 
 def unit_of(by: Quantity, joint_type: JointType) -> str:
-    """SI unit of what was compared; none of pictures, where every gap has its own."""
+    """SI unit of the compared quantity; empty for pictures, where every gap has its own."""
     turns = joint_type == "revolute"
     return {"position": "rad" if turns else "m", "force": "N*m" if turns else "N", "picture": ""}[by]
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What `freeart21 gap` found."""
+    """Result of `freeart21 gap`."""
 
     verdict: Answer
     effects: tuple[NamedEffect, ...]
-    """The missing effects, strongest first; of an ambiguous verdict the best of the rivals."""
+    """Missing effects, strongest first; for an ambiguous verdict those of the most probable set."""
     where: tuple[Region, ...]
     gaps: tuple[RunGap, ...]
     rivals: tuple[tuple[str, ...], ...]
-    """Sets of effects that the data can't tell apart, the best one first; empty when there is no doubt."""
+    """Sets of effects that the data cannot distinguish, the most probable first; empty without doubt."""
     next_experiment: str | None
-    """What would tell the rivals apart, or excite what lay still."""
+    """What to record to distinguish the rivals, or to excite what did not move."""
     sentence: str
-    """The verdict for a mechanic."""
+    """The verdict in words, for users."""
     added: tuple[str, ...] = ()
-    """Names of the effects that the asset beside the verdict got: those that are certain, and helped in SAPIEN."""
+    """Names of the effects in the delivered asset: those that are certain and improved the replay in SAPIEN."""
     notes: tuple[str, ...] = ()
     """What of the data was left out or thinned, and why: a line each."""
     in_part: bool = False
-    """Whether what is named is but what dominates, or may be: a remainder above the sensor's noise has no name."""
+    """Whether only the dominant effects are named, and a residual above the noise has no name."""
 
     corrections: tuple[Correction, ...] = ()
-    """What the asset's own inertia and weight were changed by in the asset beside the verdict."""
+    """Changes of the asset's own inertia and weight in the delivered asset."""
     holding: float | None = None
-    """Where nobody knows how inputs go on between their rows, how replays take them: 0 smoothly, 1 held."""
+    """How replays interpolate inputs of unknown interpolation: 0 smooth, 1 zero-order hold."""
     by: Quantity = "position"
-    """What was compared: where the joint was, or the force that prescribed motion took. Gaps are in its unit."""
+    """The compared quantity. Gaps are in its unit."""
     judged_by: dict[str, Any] = field(default_factory=dict)
     """Version, digest of the code and every number that decides."""
     proof: Proof | None = None
-    """Of the gaps of positions; None where nothing was replayed."""
+    """Of gaps in position; None without a replay."""
 
     @property
     def uses(self) -> dict[str, Use]:
-        """Run name to what the run was used for, by its motion where it has one."""
+        """Run name to its use, by its motion where it has one."""
         uses: dict[str, Use] = {}
         for gap in self.gaps:
             uses.setdefault(gap.run, gap.use)
         return uses
 
     def to_json(self, joint_type: JointType) -> dict[str, Any]:
-        """As it stands in verdict.json."""
+        """The contents of verdict.json."""
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
@@ -195,7 +195,7 @@ class Verdict:
         }
 
     def write(self, path: Path, joint_type: JointType) -> None:
-        """Write verdict.json whole or not at all, with the names of the files that lie beside it ("files")."""
+        """Write verdict.json atomically, with the names of the other files in its folder under "files"."""
         files = sorted(file.relative_to(path.parent).as_posix() for file in path.parent.rglob("*") if file.is_file())
         atomic.write_json(path, {**self.to_json(joint_type), "files": files})
 

@@ -1,4 +1,4 @@
-"""The five steps, from an asset and what was measured of it to a verdict."""
+"""The five steps of `gap`: measure, localise, name, add, show."""
 
 from __future__ import annotations
 
@@ -61,28 +61,28 @@ STOPPED = (
     "larger --seconds may find more."
 )
 MOST_RANKED = 12
-"""Sets that the page lists."""
+"""Sets of effects that the page lists."""
 _ORDER = ("no_gap", "not_excited", "named", "ambiguous", "unexplained")
-"""Answers; of two the later one stands."""
+"""Verdicts by precedence: of two, the later one is reported."""
 
 
 def find_gap(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS) -> Verdict:
-    """What the simulation of `asset` lacks, by what was measured of it; nothing is written.
+    """The effects that the simulation of `asset` lacks, from measured runs. Writes nothing.
 
-    Raises FreeArtError when the measurement is not of this asset's joint, or its units cannot be right.
+    Raises FreeArtError when the measurement is of another joint, or its units cannot be right.
     """
     return explain(asset, measured, settings).verdict
 
 
 def explain(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS) -> Draft:
-    """Measure, tell geometry from dynamics, name: all but what SAPIEN has to show."""
+    """Everything but the replay in SAPIEN: fits, the choice of effects and the verdict."""
     draft = _analyse(asset, measured, settings)
     notes = (*measured.notes, *draft.verdict.notes, *(() if draft.verdict.by == "force" else thinning_notes(measured)))
     return replace(draft, verdict=replace(draft.verdict, notes=notes, judged_by=judgement_provenance(settings)))
 
 
 def judgement_provenance(settings: GapSettings) -> dict[str, Any]:
-    """Version, digest of this package's code and every number that decides a verdict."""
+    """Version, digest of this package's code, and every number that decides a verdict."""
     digest = hashlib.sha256()
     for file in sorted(Path(__file__).parent.rglob("*.py")):
         digest.update(file.read_bytes())
@@ -144,7 +144,7 @@ def _analyse(asset: Asset, measured: Measured, settings: GapSettings) -> Draft:
 
 
 def make_search(problem: Problem, split: Split, measured: Measured, settings: GapSettings) -> Search | ForceSearch:
-    """What looks for sets: in positions, or in the force of prescribed motion."""
+    """The search over sets of effects, on positions or on the force of prescribed motion."""
     if problem.inverse_dynamics:
         names = force_candidates(problem, split.train_runs, settings.without)
         return ForceSearch(problem, split.train_runs, settings.search, names)
@@ -154,7 +154,7 @@ def make_search(problem: Problem, split: Split, measured: Measured, settings: Ga
 
 
 def add_confounded_sets(choice: Choice, search: ForceSearch, split: Split) -> Choice:
-    """The choice with all that these runs cannot tell from what stands."""
+    """The choice with all sets that these runs cannot distinguish from the accepted ones."""
     confounded = [
         evaluate_set(fit, split.folds, choice.base) for h in choice.accepted for fit in search.confounded_sets(h.names)
     ]
@@ -162,7 +162,7 @@ def add_confounded_sets(choice: Choice, search: ForceSearch, split: Split) -> Ch
 
 
 def make_force_problem(problem: Problem, runs: tuple[ForceRun, ...]) -> Problem:
-    """What fits to the force of prescribed motion share."""
+    """The problem with the reference sizes of inverse dynamics."""
     return replace(
         problem,
         inverse_dynamics=True,
@@ -176,7 +176,8 @@ def make_force_problem(problem: Problem, runs: tuple[ForceRun, ...]) -> Problem:
 def apply_tracking_noise(
     runs: tuple[FitRun, ...], noise: SensorNoise, geometry: KinematicsFinding | None
 ) -> tuple[tuple[FitRun, ...], SensorNoise]:
-    """Runs with the noise that part poses have: a tracker's errors last, so that neighbouring readings hide them."""
+    """The runs with the noise of part poses. A tracker's errors are correlated over time, so differences between
+    neighbouring readings miss them."""
     q_std = {} if geometry is None else {track.name: track.q_std for track in geometry.tracks}
     if not q_std:
         return runs, noise
@@ -189,8 +190,8 @@ def apply_tracking_noise(
 def make_force_curves(
     choice: Choice, split: Split, delivered: DeliveredFits, runs: tuple[FitRun, ...]
 ) -> tuple[ReplayGap, ...]:
-    """Runs by inverse dynamics, with the asset as it is and as it is delivered; where nothing is, with the best set
-    before runs that it was not fitted to."""
+    """Measured and modelled force of each run, with the asset as given and as delivered. Where nothing is delivered:
+    with the most probable set, on runs that it was not fitted to."""
     nearest = {} if choice.accepted or not choice.has_gap else choice.best.test_residuals
     found = []
     for run in runs:
@@ -204,7 +205,7 @@ def make_force_curves(
 
 
 def rank_hypotheses(choice: Choice) -> tuple[Ranked, ...]:
-    """All sets that were judged, the most probable first."""
+    """All evaluated sets, the most probable first."""
     by_names = {h.names: h for h in (*choice.table, *choice.accepted)}
     order = sorted(by_names.values(), key=lambda h: -h.score.total)
     return tuple(
@@ -214,13 +215,13 @@ def rank_hypotheses(choice: Choice) -> tuple[Ranked, ...]:
 
 
 def rms_range(hypothesis: Hypothesis) -> tuple[float, float]:
-    """The least and the largest error of one choosing run, in floors."""
+    """Smallest and largest normalised RMS of a test run."""
     runs = [float(np.sqrt(np.mean(residual**2))) for residual in hypothesis.test_residuals.values()]
     return min(runs), max(runs)
 
 
 def select_certain(motion: Verdict, geometry: KinematicsFinding | None) -> tuple[NamedEffect, ...]:
-    """The effects that are named without doubt, whatever may be said of the rest: these go into the asset."""
+    """The effects that are named without doubt. Only these are written into the asset."""
     return (
         *(geometry.named if geometry is not None and geometry.verdict == "named" else ()),
         *(motion.effects if motion.verdict == "named" else ()),
@@ -228,7 +229,7 @@ def select_certain(motion: Verdict, geometry: KinematicsFinding | None) -> tuple
 
 
 def join_geometry(motion: Verdict, geometry: KinematicsFinding | None, kind: JointType) -> Verdict:
-    """The verdict on motion along the joint, and what part poses say of the joint itself."""
+    """The verdict on motion along the joint joined with that on the joint's geometry."""
     if geometry is None or geometry.verdict in ("no_gap", "not_excited"):
         return motion
     answer = max(motion.verdict, geometry.verdict, key=_ORDER.index)
@@ -253,7 +254,7 @@ def join_geometry(motion: Verdict, geometry: KinematicsFinding | None, kind: Joi
 
 
 def geometry_sentence(geometry: KinematicsFinding, kind: JointType) -> str:
-    """What part poses say of the joint, with its numbers."""
+    """What part poses say about the joint, with numbers."""
     if geometry.verdict == "named":
         words = " and ".join(_effect_text(effect, kind) for effect in geometry.effects)
         return f"The joint is not where the asset has it: {words}."
@@ -265,7 +266,7 @@ def geometry_sentence(geometry: KinematicsFinding, kind: JointType) -> str:
 
 
 def _effect_text(effect: Effect, kind: JointType) -> str:
-    """The effect in words; of one with a direction, how far in all."""
+    """The effect in words; of one with two vector components, its length."""
     sizes = {n: s.unit(kind) for n, s in effect.parameters(kind).items() if n.endswith(("_first", "_second"))}
     if len(sizes) != 2:
         return effect_words(effect, kind)
@@ -282,11 +283,18 @@ def gap_folder(
     progress: Progress | None = None,
     root: Path | None = None,
 ) -> Verdict:
-    """`find_gap` from folders to a folder with verdict, repaired asset and page, which appears whole or not at all.
+    """`find_gap` from folders to a folder with verdict, repaired asset and page. `out` appears whole or not at all.
 
-    Only an older answer is replaced. SAPIEN's replay is given up after `replay_seconds`; `progress` is told how many
-    runs are replayed; `root` bounds what the asset's URDF may name. Raises FreeArtError when `out` holds anything else,
-    or asset or measurement.
+    Args:
+        asset: asset folder or URDF.
+        measured: measured set.
+        out: new folder, or an older answer, which is replaced.
+        settings: of the analysis.
+        replay_seconds: limit for SAPIEN's replay, s.
+        progress: called with the number of replayed runs and their total.
+        root: folder that the files named in the URDF must be in.
+
+    Raises FreeArtError when `out` holds anything else, or is the asset or the measurement.
     """
     with answer_folder(out, (asset, measured)) as folder:
         runs = read_measured(measured)

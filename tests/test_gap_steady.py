@@ -1,4 +1,4 @@
-"""Motion that a drive prescribes is judged by the force that it took; and what a joint withstood is said. 45 s."""
+"""Motion that a drive prescribes is judged by the force that it took; and a stiction bound is reported. 45 s."""
 
 from __future__ import annotations
 
@@ -124,13 +124,13 @@ def held_of(begin: float, efforts: list[np.ndarray], away: float = 0.0) -> Measu
 def test_what_holds_a_joint_is_at_least_what_it_withstood(asset: Asset):
     times, weight = np.arange(800) / 100, MASS * G * ARM * np.sin(0.7)
     pushed = find_gap(asset, held_of(0.0, [0.5 * times, -0.4 * times]))
-    assert pushed.verdict == "not_excited" and "withstood 3.8 N m" in pushed.sentence
+    assert pushed.verdict == "not_excited" and "held against 3.8 N m" in pushed.sentence
     assert pushed.next_experiment is not None and "Push harder than 3.8 N m" in pushed.next_experiment
     hung = find_gap(asset, held_of(0.7, [0 * times]))
-    assert "withstood 4.91 N m" in hung.sentence and pytest.approx(0.97 * weight, abs=0.02) == 4.91
+    assert "held against 4.91 N m" in hung.sentence and pytest.approx(0.97 * weight, abs=0.02) == 4.91
     for nothing in (held_of(0.0, [0 * times]), held_of(0.7, [0 * times + weight])):
         said = find_gap(asset, nothing)
-        assert said.verdict == "not_excited" and "withstood" not in said.sentence
+        assert said.verdict == "not_excited" and "held against" not in said.sentence
     at_last = held_of(0.0, [0.5 * times], away=0.3)
     plant = make_plant(asset, at_last)
     assert find_stiction_bound(at_last, plant, make_fit_runs(at_last, plant)[1]) is None
@@ -154,7 +154,7 @@ def test_a_real_direct_drive_has_the_dry_friction_that_its_authors_found(name: s
     measured = read_measured(tmp_path / "measured")
     found = find_gap(read_asset(tmp_path / "asset.urdf", guesses=False), measured)
     if name == "directdrive_breakaway":
-        assert found.verdict == "not_excited" and "withstood 9.48 N m" in found.sentence
+        assert found.verdict == "not_excited" and "held against 9.48 N m" in found.sentence
         return
     assert found.by == "force" and found.verdict == "ambiguous"
     assert set(found.rivals) == {("coulomb_friction",), ("load_friction",)}

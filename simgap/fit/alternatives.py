@@ -1,4 +1,4 @@
-"""Sets that do much the same as one that was found, begun where they do: what a search from below may miss."""
+"""Fits started from alternatives: effects that do much the same as a fitted one."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from simgap.models import kernel
 
 @dataclass(frozen=True)
 class AlternativeStart:
-    """Where a fit of a set begins."""
+    """Initial guess of a set with one effect replaced."""
 
     model: Model
     theta: Array
     """(p,)"""
     starts: Starts
     old: Effect
-    """The effect of the set that was found, in whose place is `new`."""
+    """The replaced effect."""
     new: str
 
 
 def find_alternatives(problem: Problem, fit: Fit, names: tuple[str, ...]) -> list[AlternativeStart]:
-    """The sets with another effect, of `names`, in the place of one that does much the same (`Effect.alternatives`)."""
+    """Starts with an effect replaced by one of `names` that does much the same (`Effect.alternatives`)."""
     numbers = ParameterMap(fit.model).vector(fit.theta)[0]
     cosine, sine, constant = map(float, numbers[kernel.GRAVITY_COS : kernel.GRAVITY_CONST + 1])
     operating_point = OperatingPoint(
@@ -45,7 +45,7 @@ def find_alternatives(problem: Problem, fit: Fit, names: tuple[str, ...]) -> lis
 
 
 def find_confounded(problem: Problem, fit: Fit, names: tuple[str, ...]) -> list[AlternativeStart]:
-    """Those with an effect's twin in its place."""
+    """Those with an effect replaced by its confounded one."""
     return [at for at in find_alternatives(problem, fit, names) if at.new == at.old.confounded_with]
 
 

@@ -1,8 +1,8 @@
-"""Output-error fits: a set of effects, the asset's own doubts and a free start of every run, against all readings.
+"""Output-error fits: effects, errors of the asset and a start state per run, fitted to all readings.
 
-The noise is in the readings and nowhere else, so the simulation runs free and is compared with them. Far from the
-answer a run that is simulated whole meets its stops and turns in another order than the real one; so a fit begins with
-short stretches, each with a start of its own, and goes on to longer ones (multiple shooting: Bock 1983).
+Noise is in the readings only, so the simulation runs freely and is compared with them. Far from the solution a long
+simulation meets stops and turns in another order than the recording. Fits therefore begin with short stretches, each
+with its own start state, and continue with longer ones (multiple shooting: Bock 1983).
 """
 
 from __future__ import annotations
@@ -27,40 +27,39 @@ from simgap.models import kernel
 from simgap.models.surrogate import Batch, apply_sensing, effect_terms, limit_creep_steps, sweep, time_steps
 
 _PROBE = 1e-4
-"""Part of a parameter's size by which it is changed to see what it does."""
+"""Finite-difference step, as a share of a parameter's size."""
 _SEEN_S = 0.3
-"""Of a run that decides where its start is looked for."""
+"""First seconds of a run that decide its start state."""
 _SPEEDS = (0.0, *(s * part for part in (0.05, 0.1, 0.2, 0.3, 1.0) for s in (-1, 1)))
-"""Parts of the largest speed by which a start may differ from its first guess."""
+"""Start speeds that are tried, as shares of the largest speed."""
 
 _MET = 2.0
-"""Floors of error up to which a run is met, wherever it begins."""
+"""Normalised RMS below which a run's start needs no second search."""
 
 _SHORT, _LONG = 1.5, 5.0
-"""Crossings of its range, at its top speed, that a stretch lasts for."""
+"""Length of stretches, in crossings of the range at top speed."""
 _STRETCHES, _LONGER, _MILD, _MILD_STEPS = 4, 3.0, 0.02, 6
-"""Into which a run that hardly crosses its range is cut, and each of them again; times by which stretches of long runs
-grow; part of the forces at work that a loss begins with; iterations on stretches."""
+"""For slow motion: stretches per run, and stretches per stretch; growth of stretches; initial size of a loss, as a
+share of the RMS force; iterations on stretches."""
 
 Starts = dict[str, tuple[float, float]]
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A theory at its best."""
+    """A fitted model."""
 
     model: Model
     theta: Array
-    """(p,) in the order of `theory.ranges()`."""
+    """(p,) in the order of `model.ranges()`."""
     starts: Starts
-    """State at the first reading of every run that was fitted, by name."""
+    """Run name to the state (q, qd) at its first reading."""
     residuals: dict[str, Array]
-    """Reading less simulation over the floor, by run."""
+    """Run name to (n,) normalised residuals, reading less simulation."""
     cost: float
-    """Of all residuals, those of runs that are missed by far for less than their squares, and of what was known
-    beforehand."""
+    """Robust loss of all residuals plus the prior's."""
     normal: Array
-    """(p, p) information of the parameters, the starts being free."""
+    """(p, p) information matrix of the parameters, start states eliminated."""
 
     @property
     def values(self) -> dict[tuple[str, str], float]:
@@ -84,16 +83,16 @@ class Fit:
 
     @property
     def rms(self) -> float:
-        """Root mean square of all residuals, in floors."""
+        """Normalised RMS of all residuals."""
         return float(np.sqrt(self.rss / sum(len(r) for r in self.residuals.values())))
 
     def run_rms(self, run: str) -> float:
-        """Root mean square residual of a run, in floors."""
+        """Normalised RMS of a run."""
         return float(np.sqrt(np.mean(self.residuals[run] ** 2)))
 
 
 class _PositionPredictor:
-    """A theory before runs, as the solver asks of it."""
+    """A model and runs as the solver takes them: residuals of positions and their derivatives."""
 
     def __init__(self, model: Model, runs: tuple[FitRun, ...], at: Array):
         self.mapping, self.runs = ParameterMap(model), runs
@@ -108,20 +107,20 @@ class _PositionPredictor:
         self.step = {held: time_steps(self.problem.plant, effects, settings, held) for held in (True, False)}
 
     def vector(self, theta: Array) -> tuple[Array, tuple[Effect, ...]]:
-        """Vector and effects at parameters (p,); the last ones are kept."""
+        """Kernel vector and effects at parameters (p,); the last ones are cached."""
         key = theta.tobytes()
         if self._vector_cache is None or self._vector_cache[0] != key:
             self._vector_cache = (key, *self.mapping.vector(theta))
         return self._vector_cache[1], self._vector_cache[2]
 
     def steps(self, effects: tuple[Effect, ...]) -> Array:
-        """(r, 2) s; the same for all parameters but where they make the joint creep."""
+        """(r, 2) time steps, s; the same for all parameters except strong damping."""
         plant, settings = self.problem.plant, self.problem.surrogate
         held, loose = (limit_creep_steps(plant, effects, self.step[it], settings) for it in (True, False))
         return np.where(self.batch.held[:, None], held, loose)
 
     def evaluate(self, which: NDArray[np.int64], starts: Array, theta: Array) -> list[Array]:
-        """Residuals of the runs `which` (m,) from starts (m, 2)."""
+        """Normalised residuals of the runs `which` (m,) from starts (m, 2)."""
         table, effects = self._table(starts, theta)
         q = self.batch.sweep(table, self.terms, which, self.steps(effects))
         q = apply_sensing(effects, q) if self.mapping.sensing else q
@@ -142,14 +141,14 @@ class _PositionPredictor:
         return np.asarray(np.add.reduceat(square, np.cumsum(lengths) - lengths) / lengths)
 
     def _table(self, starts: Array, theta: Array) -> tuple[Array, tuple[Effect, ...]]:
-        """(m, n) vectors of numbers that differ in their starts (m, 2), and all effects."""
+        """(m, n) kernel vectors that differ in their starts (m, 2), and all effects."""
         numbers, effects = self.vector(theta)
         table = np.repeat(numbers[None], len(starts), 0)
         table[:, kernel.Q0], table[:, kernel.QD0] = starts[:, 0], starts[:, 1]
         return table, effects
 
     def _readings(self, which: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Where the readings of these runs lie, one behind the other; the last ones are kept."""
+        """Indices of the readings of these runs; the last ones are cached."""
         key = which.tobytes()
         if self._rows_cache is None or self._rows_cache[0] != key:
             begins = self.batch.begins
@@ -157,7 +156,7 @@ class _PositionPredictor:
         return self._rows_cache[1]
 
     def differentiate(self, starts: Array, theta: Array, parts: list[Array], free: bool) -> list[Array]:
-        """Of every run (2 + p, n): what a unit of its start and of every parameter does to its readings, in floors."""
+        """Per run (2 + p, n): response of its normalised readings to a unit of start state and parameter."""
         problem, ranges = self.problem, self.mapping.ranges[: len(theta) if free else 0]
         deltas = np.array([_PROBE * max(0.1 * abs(x), r.size) for x, r in zip(theta, ranges, strict=False)])
         deltas = np.array([-d if x + d > r.upper else d for x, d, r in zip(theta, deltas, ranges, strict=False)])
@@ -195,15 +194,15 @@ def fit_model(
     iterations: int | None = None,
     free: bool = True,
 ) -> Fit:
-    """The theory fitted to the runs from `theta` (p,) within its bounds.
+    """The model fitted to the runs within its bounds.
 
     Args:
-        theory: what is fitted.
-        runs: what to.
-        theta: first guess; the neutral point when not given.
-        starts: first guesses of start states; looked for in the readings where not given.
-        iterations: at most; as the settings say when not given.
-        free: whether the parameters move; without, only the starts do.
+        model: what is fitted.
+        runs: to these.
+        theta: (p,) initial guess; the neutral point when None.
+        starts: initial start states; searched where missing.
+        iterations: at most; as in the settings when None.
+        free: whether the parameters move; else only start states do.
     """
     ranges, plant = model.ranges(), model.problem.plant
     low, high = (np.array([getattr(r, k) for r in ranges]) for k in ("lower", "upper"))
@@ -228,8 +227,7 @@ def fit_model(
 def _make_predictor(
     model: Model, runs: tuple[FitRun, ...], at: Array, known: Starts
 ) -> tuple[_PositionPredictor | ForcePredictor, Array]:
-    """The theory before the runs, and (r, 2) their starts, looked for where they are not known; where the force is read
-    there are none."""
+    """The predictor, and (r, 2) start states, searched where unknown; zeros for inverse dynamics."""
     if model.problem.inverse_dynamics:
         return ForcePredictor(model, runs), np.zeros((len(runs), 2))
     predictor = _PositionPredictor(model, runs, at)
@@ -241,25 +239,24 @@ def _make_predictor(
 
 
 def residuals_at(model: Model, runs: tuple[FitRun, ...], theta: Array, starts: Starts) -> Array:
-    """(N,) residuals of all runs in a row, of these very parameters and starts."""
+    """(N,) normalised residuals of all runs at given parameters and starts."""
     predictor, known = _make_predictor(model, runs, theta, starts)
     return np.concatenate(predictor.evaluate(np.arange(len(runs)), known, theta))
 
 
 def squared_error(model: Model, runs: tuple[FitRun, ...], theta: Array, starts: Starts) -> float:
-    """Sum of squared residuals of these very parameters and starts."""
+    """Sum of squared residuals at given parameters and starts."""
     residuals = residuals_at(model, runs, theta, starts)
     return float(residuals @ residuals)
 
 
 def _count_first_readings(run: FitRun) -> int:
-    """Readings of a run that decide where its start is looked for."""
+    """Number of readings that decide a run's start state."""
     return max(8, int(np.searchsorted(run.times_s, run.times_s[0] + _SEEN_S)))
 
 
 def _find_starts(predictor: _PositionPredictor, which: NDArray[np.int64], theta: Array) -> Array:
-    """(m, 2) the starts, of those about the first guesses, from which the runs `which` (m,) begin most like their
-    readings."""
+    """(m, 2) start states near the first guesses from which the runs `which` (m,) begin with the least error."""
     plant, speed = predictor.problem.plant, predictor.problem.speed
     sensing = [effect for effect in predictor.vector(theta)[1] if effect.kind == "sensing"]
     rows = []
@@ -278,15 +275,15 @@ def _find_starts(predictor: _PositionPredictor, which: NDArray[np.int64], theta:
 def fit_multiple_shooting(
     model: Model, runs: tuple[FitRun, ...], theta: Array | None = None, iterations: int = 6
 ) -> Fit:
-    """The theory fitted to short stretches first, then to longer ones, then to whole runs."""
+    """The model fitted to short stretches, then longer ones, then whole runs."""
     at, known = fit_stretches(model, runs, theta, _SHORT, iterations)
     at, known = fit_stretches(model, runs, at, _LONG, iterations, known)
     return refit_missed_starts(fit_model(model, runs, at, known), runs)
 
 
 def fit_from_small_effects(model: Model, runs: tuple[FitRun, ...]) -> Fit:
-    """The theory fitted from the asset as it is told, its effects mild beside the forces at work, to ever longer
-    stretches, as `fit_multiple_shooting`."""
+    """The model fitted from the asset as given with small effects, to ever longer stretches. Of motions that cross
+    their range once, stretches are parts of that."""
     longest = max(float(run.times_s[-1] - run.times_s[0]) for run in runs)
     crossings = longest / model.problem.crossing_s
     ways = [_SHORT, _LONG] if crossings > _STRETCHES * _SHORT else [crossings / _STRETCHES**2, crossings / _STRETCHES]
@@ -299,7 +296,7 @@ def fit_from_small_effects(model: Model, runs: tuple[FitRun, ...]) -> Fit:
 
 
 def _small_effects(model: Model, runs: tuple[FitRun, ...]) -> Array:
-    """(p,) the neutral point, the first size of every force a small part of the forces at work."""
+    """(p,) the neutral point with every force a small share of the RMS force."""
     problem, theta = model.problem, model.neutral()
     q, v = (np.concatenate([getattr(run, k)[::5] for run in runs]) for k in ("q", "speed"))
     for cls in model.classes:
@@ -323,40 +320,39 @@ def fit_stretches(
     iterations: int,
     known: Starts | None = None,
 ) -> tuple[Array, Starts]:
-    """Parameters from stretches of the runs, and the starts of stretches and of runs."""
+    """Parameters from stretches of the runs, and start states of stretches and runs."""
     cut = cut_stretches(runs, crossings * model.problem.crossing_s)
     rough = fit_model(model, cut, theta, known, iterations)
     return rough.theta, {**rough.starts, **{run.name: rough.starts[f"{run.name}#0"] for run in runs}}
 
 
 def refit_starts(fit: Fit, runs: tuple[FitRun, ...], starts: Starts | None = None) -> Fit:
-    """The same parameters on other runs: only the start states are fitted."""
+    """The same parameters on other runs; only start states are fitted."""
     return fit_starts(fit.model, fit.theta, runs, starts)
 
 
 def fit_starts(model: Model, theta: Array, runs: tuple[FitRun, ...], starts: Starts | None = None) -> Fit:
-    """A theory at parameters (p,) before runs: only the start states are fitted."""
+    """A model at parameters (p,) on runs; only start states are fitted."""
     starts = fit_starts_progressively(model, theta, runs) if starts is None else starts
     return fit_model(model, runs, theta, starts, iterations=12, free=False)
 
 
 def information_matrix(fit: Fit, unit: float) -> Array:
-    """(p, p) of the parameters, the starts being free: what the readings say is counted in units of noise, what was
-    known before in full."""
+    """(p, p) with the data term divided by the dispersion `unit`; the prior counts in full."""
     known = np.diag([1 / r.prior**2 for r in fit.model.ranges()])
     return np.asarray((fit.normal - known) / unit + known)
 
 
 def robust_residuals(residuals: dict[str, Array]) -> dict[str, Array]:
-    """Residuals in floors, by run, with sums of squares that are what the runs cost (`least_squares.charge`)."""
+    """Residuals by run, scaled so that their sums of squares are the robust loss (`least_squares.robust_loss`)."""
     powers = np.array([max(float(np.mean(r * r)), 1e-12) for r in residuals.values()])
     factors = np.sqrt(robust_loss(powers) / powers)
     return {run: factor * r for factor, (run, r) in zip(factors, residuals.items(), strict=True)}
 
 
 def residual_dispersion(residuals: dict[str, Array]) -> float:
-    """Variance of a sum of squares' independent part: what is left (residuals in floors, by run), times how far it is
-    correlated."""
+    """Variance of the residuals times their integrated autocorrelation time: the unit of a sum of squares, 1 for white
+    noise."""
     power = max(np.mean([np.mean(r * r) for r in residuals.values()]), 1e-12)
     summed = 0.0
     for r in residuals.values():
@@ -369,12 +365,12 @@ def residual_dispersion(residuals: dict[str, Array]) -> float:
 
 
 def bic_penalty(free: int, readings: int) -> float:
-    """What the log density of the very readings that `free` numbers were fitted to is too large by (Schwarz 1978)."""
+    """Optimism of the log density of data that `free` parameters were fitted to (Schwarz 1978)."""
     return 0.5 * free * float(np.log(readings))
 
 
 def fit_starts_progressively(model: Model, theta: Array, runs: tuple[FitRun, ...]) -> Starts:
-    """Start states that make the simulation follow each run ever longer: a far impact misleads a first guess."""
+    """Start states fitted to ever longer parts of each run; a late impact misleads an initial guess."""
     starts: Starts = {}
     if model.problem.inverse_dynamics:
         return starts
@@ -385,7 +381,7 @@ def fit_starts_progressively(model: Model, theta: Array, runs: tuple[FitRun, ...
 
 
 def refit_missed_starts(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
-    """The fit after a new look at the starts of runs that it misses: an impact may have led them astray."""
+    """The fit after a new search of start states of runs with large residuals."""
     median_rms = float(np.median([fit.run_rms(run.name) for run in runs]))
     missed = tuple(run for run in runs if fit.run_rms(run.name) > max(_MET, 1.5 * median_rms))
     if not missed:
@@ -398,7 +394,7 @@ def refit_missed_starts(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
 
 
 def predict_readings(fit: Fit, run: FitRun, times_s: Array | None = None) -> Array:
-    """(n,) readings that the fit predicts of a run that it has a start for."""
+    """(n,) readings predicted by the fit for a run whose start state it has."""
     mapping = ParameterMap(fit.model)
     numbers, effects = mapping.vector(fit.theta)
     numbers[kernel.Q0], numbers[kernel.QD0] = fit.starts[run.name]
@@ -409,7 +405,7 @@ def predict_readings(fit: Fit, run: FitRun, times_s: Array | None = None) -> Arr
 
 @lru_cache(maxsize=32)
 def cut_stretches(runs: tuple[FitRun, ...], seconds: float) -> tuple[FitRun, ...]:
-    """The runs cut into stretches of about `seconds`, each with a start of its own, named by their first readings."""
+    """The runs cut into stretches of about `seconds`, named by their first readings."""
     found = []
     for run in runs:
         duration = float(run.times_s[-1] - run.times_s[0])
@@ -420,9 +416,8 @@ def cut_stretches(runs: tuple[FitRun, ...], seconds: float) -> tuple[FitRun, ...
 
 
 def linearise_runs(fit: Fit, runs: tuple[FitRun, ...]) -> tuple[list[Array], list[Array], list[Array]]:
-    """Of every run: residuals (n,), and what a unit of start (2, n) and of each parameter (p, n) does to the readings,
-    all in floors. The fit must have starts for the runs.
-    """
+    """Per run: residuals (n,), and responses of the readings to the start state (2, n) and to each parameter (p, n),
+    all normalised. The fit must have start states of the runs."""
     predictor, starts = _make_predictor(fit.model, runs, fit.theta, fit.starts)
     parts = predictor.evaluate(np.arange(len(runs)), starts, fit.theta)
     jacobians = predictor.differentiate(starts, fit.theta, parts, True)
@@ -431,7 +426,7 @@ def linearise_runs(fit: Fit, runs: tuple[FitRun, ...]) -> tuple[list[Array], lis
 
 
 def initial_theta(model: Model, parent: Fit, points: dict[str, dict[str, float]]) -> Array:
-    """(p,) start of a theory: what the parent has, and `points` for effects that it has not."""
+    """(p,) initial guess of a model: values of the parent fit, and `points` for new effects."""
     values = parent.values
     for owner, point in points.items():
         values.update({(owner, name): value for name, value in point.items()})

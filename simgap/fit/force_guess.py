@@ -1,7 +1,7 @@
-"""First guesses of what acts at a place only, by the force that the equation of motion lacks there.
+"""Initial guesses of effects at a place, from the force that the equation of motion lacks there.
 
-A catch holds the joint where a simulation without it runs away: no small change of that simulation tells what it would
-take. The readings' own accelerations do. They are noisy and biased, so these are places to begin a fit, no more.
+A catch holds the joint where a simulation without it moves on, so linearising that simulation shows nothing. The
+measured accelerations do. They are noisy and biased, so these are starting points only.
 """
 
 from __future__ import annotations
@@ -20,32 +20,32 @@ from simgap.measure.inputs import DEFAULT_HOLDING
 from simgap.models.surrogate import Plant, is_local
 
 _READINGS = 7
-"""Of a window whose parabola tells speed and acceleration."""
+"""Readings of a window whose parabola gives speed and acceleration."""
 _PLACES, _WIDTHS = 41, (0.012, 0.02, 0.03, 0.045, 0.065, 0.1, 0.15)
-"""Places over the way moved through, and parts of it that a width may have."""
+"""Grid of places over the range, and of widths as shares of it."""
 _RATIOS = (0.25, 0.5, 0.8)
 _SURE = 1e9
-"""One over the standard deviation of what is beyond doubt."""
+"""Precision of parameters without uncertainty."""
 _LIMIT_MARGIN = 0.02
-"""Part of the way moved through next to a limit where the contact's own force is unknown."""
+"""Share of the range next to a limit where the contact force is unknown."""
 
 
 @dataclass(frozen=True)
 class MissingForceSamples:
-    """Samples of all runs in a row, (n,) each but `smooth`."""
+    """Samples of all runs in a row, (n,) each unless stated."""
 
     q: Array
     qd: Array
     force: Array
-    """N*m or N that the motion has beyond the asset's equation."""
+    """N*m or N that the motion needs beyond the asset's equation."""
     weight: Array
-    """One over the force's noise; 0 next to a limit."""
+    """1 / noise of the force; 0 next to a limit."""
     smooth: Array
-    """(n, k) what the asset may be off by, and what any friction would make."""
+    """(n, k) regressors of asset errors and of friction."""
     first: Array
     """Whether a run begins here."""
     precision: Array
-    """(k,) one over the standard deviation of what is known of the factors of `smooth` beforehand."""
+    """(k,) 1 / prior standard deviation of the coefficients of `smooth`."""
 
 
 def sample_missing_force(
@@ -81,7 +81,7 @@ def _sample_run(problem: Problem, plant: Plant, run: FitRun) -> tuple[Array, ...
 
 
 def _input_forces(plant: Plant, run: FitRun, times: Array, q: Array, qd: Array) -> tuple[Array, Array]:
-    """(n,) each, what the actuator makes, and what pushes and the base do."""
+    """(n,) force of the actuator, and (n,) forces of pushes and base motion."""
     inputs = run.inputs
     if not len(inputs.times_s):
         return np.zeros(len(times)), np.zeros(len(times))
@@ -99,7 +99,7 @@ def _input_forces(plant: Plant, run: FitRun, times: Array, q: Array, qd: Array) 
 
 
 def _known_forces(plant: Plant, q: Array, qd: Array, qdd: Array, drive: Array, others: Array) -> Array:
-    """(n,) `others`, forces besides the drive's, and those of the effects that the asset has already."""
+    """(n,) `others`, forces but the drive's, plus those of the asset's own effects."""
     load, total, level = plant.mechanics.load(q, qd, qdd), others.copy(), np.zeros(len(q))
     for effect in plant.effects:
         memory: float | Array = 0.0
@@ -115,7 +115,7 @@ def _known_forces(plant: Plant, q: Array, qd: Array, qdd: Array, drive: Array, o
 
 
 def guess_places(problem: Problem, samples: MissingForceSamples, name: str, most: int) -> list[dict[str, float]]:
-    """Parameters of an effect with a place and a width, at most so many, the best first; none of any other effect."""
+    """At most `most` points of an effect with place and width, best first; none of any other effect."""
     cls, kind = EFFECTS[name], problem.plant.joint_type
     specs = cls.parameters(kind)
     size, *others = specs
@@ -132,7 +132,7 @@ def guess_places(problem: Problem, samples: MissingForceSamples, name: str, most
         else:
             grids.append(list(np.linspace(problem.q_low, problem.q_high, _PLACES)))
     grid = np.array(list(product(*grids)))
-    values = np.insert(grid, 0, 1.0, 1).T[:, :, None]  # one row of points for each parameter
+    values = np.insert(grid, 0, 1.0, 1).T[:, :, None]  # (p, g, 1)
     columns = cls.law(samples.q, samples.qd, 0.0, _run_memory(cls, samples, values), *values) * samples.weight
     costs, sizes = _fit_columns(samples, np.asarray(columns))
     spec = specs[size]
@@ -148,7 +148,7 @@ def guess_places(problem: Problem, samples: MissingForceSamples, name: str, most
 
 
 def _run_memory(cls: type[Effect], samples: MissingForceSamples, values: Array) -> Array:
-    """(g, n) what an effect with memory would know at every sample, for all points (p, g, 1) of the grid."""
+    """(g, n) memory of an effect at every sample, for all points (p, g, 1) of the grid."""
     if cls.remember is Effect.remember:
         return np.zeros((1, 1))
     now, out = np.zeros(values.shape[1]), np.empty((values.shape[1], len(samples.q)))
@@ -159,11 +159,11 @@ def _run_memory(cls: type[Effect], samples: MissingForceSamples, values: Array) 
 
 
 def _fit_columns(samples: MissingForceSamples, columns: Array) -> tuple[Array, Array]:
-    """(g,) sums of squares with each of the columns (g, n) and all that is smooth at their best, and their sizes."""
+    """(g,) sums of squares with each of the columns (g, n) and all smooth regressors fitted, and the columns' sizes."""
     k = len(samples.precision)
     smooth = np.concatenate(
         [samples.smooth * samples.weight[:, None], np.diag(samples.precision)]
-    )  # as if read besides, as zeros
+    )  # the prior as extra rows
     scale = np.linalg.norm(smooth, axis=0)
     basis = np.linalg.svd(smooth[:, scale > 1e-9] / scale[scale > 1e-9], full_matrices=False)[0]
     force = np.append(samples.force * samples.weight, np.zeros(k))
@@ -176,7 +176,7 @@ def _fit_columns(samples: MissingForceSamples, columns: Array) -> tuple[Array, A
 
 
 def _is_neighbour(first: dict[str, float], second: dict[str, float], names: set[str], reach: float) -> bool:
-    """Whether two points are neighbours: places within reach, all else within a factor of 2."""
+    """Whether two points are neighbours: places within `reach`, all else within a factor of 2."""
     return all(
         abs(first[n] - second[n]) < reach or (min(first[n], second[n]) > 0 and 0.5 < first[n] / second[n] < 2)
         for n in names

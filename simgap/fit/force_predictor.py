@@ -1,4 +1,4 @@
-"""A theory before runs of which the force is read: what force the measured motion needs, by inverse dynamics."""
+"""Inverse dynamics: the force that a model requires for the measured motion."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from simgap.models import kernel, laws
 from simgap.models.surrogate import effect_terms
 
 _PROBE = 1e-4
-"""Part of a parameter's size by which it is changed to see what it does."""
+"""Finite-difference step, as a share of a parameter's size."""
 _LEAST_GAIN = 1e-3
-"""Of a drive, below which no told force says what it gave."""
+"""Smallest gain of a drive by which the commanded force is divided."""
 
 
 class ForcePredictor:
-    """As the solver asks of it; runs have no start states that matter."""
+    """A model and runs as the solver takes them; start states have no effect."""
 
     def __init__(self, model: Model, runs: Sequence[FitRun]):
         self.mapping = ParameterMap(model)
@@ -33,14 +33,14 @@ class ForcePredictor:
         self.ends = np.cumsum([len(run.q) for run in self.runs])[:-1]
 
     def evaluate(self, which: NDArray[np.int64], starts: Array, theta: Array) -> list[Array]:
-        """Residuals of the runs `which` (m,), in floors; `starts` do nothing."""
+        """Normalised force residuals of the runs `which` (m,); `starts` are ignored."""
         numbers, effects = self.mapping.vector(theta)
         if len(which) < len(self.runs):
             return [force_residuals(self.runs[i], numbers, effects) for i in which]
         return np.split(force_residuals(self.all, numbers, effects), self.ends)
 
     def differentiate(self, starts: Array, theta: Array, parts: list[Array], free: bool) -> list[Array]:
-        """Of every run (2 + p, n): what a unit of its start, nothing, and of every parameter does, in floors."""
+        """Per run (2 + p, n): response to the start state, zero, and to every parameter, normalised."""
         every, ranges = np.arange(len(self.runs)), self.mapping.ranges[: len(theta) if free else 0]
         found = [[np.zeros(len(part))] * 2 for part in parts]
         for j, (x, r) in enumerate(zip(theta, ranges, strict=False)):
@@ -54,7 +54,7 @@ class ForcePredictor:
 
 
 def require_force_runs(runs: Sequence[FitRun]) -> tuple[ForceRun, ...]:
-    """These runs, all of which tell their force."""
+    """The runs, all of which must have a measured force."""
     force_runs = tuple(run for run in runs if isinstance(run, ForceRun))
     if len(force_runs) != len(runs):
         raise TypeError("runs of position among runs of force")
@@ -62,7 +62,7 @@ def require_force_runs(runs: Sequence[FitRun]) -> tuple[ForceRun, ...]:
 
 
 def concatenate_runs(runs: Sequence[ForceRun]) -> ForceRun:
-    """All readings of runs in a row."""
+    """All readings in a row."""
     joined: dict[str, Any] = {
         f.name: np.concatenate([getattr(run, f.name) for run in runs], -1)
         for f in fields(ForceRun)
@@ -72,8 +72,7 @@ def concatenate_runs(runs: Sequence[ForceRun]) -> ForceRun:
 
 
 def force_residuals(run: ForceRun, numbers: Array, effects: tuple[Effect, ...]) -> Array:
-    """(n,) told force less what the motion needs, in floors: of a drive that gives a part of what it is told, over that
-    part, as it is told."""
+    """(n,) normalised: commanded force less required force; a drive's gain divides the required one."""
     q, v = run.position, run.speed
     cosine, sine, constant = numbers[kernel.GRAVITY_COS : kernel.GRAVITY_CONST + 1]
     taken = numbers[kernel.INERTIA] * run.acceleration - cosine * run.cos_sin[0] - sine * run.cos_sin[1] - constant

@@ -1,5 +1,4 @@
-"""Which effects explain the force of runs whose motion is prescribed: inverse dynamics are so fast that all sets of a
-size are fitted."""
+"""Search over sets of effects by inverse dynamics, which is fast enough to fit all sets of a size."""
 
 from __future__ import annotations
 
@@ -18,19 +17,19 @@ from simgap.measure.prescribed import ForceRun
 from simgap.settings import SearchSettings
 
 _ACTS = ("force", "drive", "inertia", "command")
-"""What a force tells of; what a sensor or a stop does shows in positions alone."""
-EVEN = 0.1
-"""Part by which the load on the bearing must change for friction that grows with it to be told from other friction:
-real friction departs so far from its formula (`Effect.departs`)."""
+"""Actions that forces show; sensors and stops show in positions alone."""
+CONSTANT_LOAD = 0.1
+"""Relative variation of the bearing load below which load-dependent friction is confounded with other friction, whose
+own model error is as large."""
 _BINS, _RETURNED = 20, 0.5
-"""Places over the range; part of them that must be passed both ways for a force of position to be told from friction.
-Not measured."""
+"""Bins over the range; share of them that must be passed both ways to separate a force over position from friction. Not
+measured."""
 _POINTS = 2
-"""First guesses that a set is fitted from, of each of its subsets."""
+"""Initial guesses from each subset."""
 
 
 def list_candidates(problem: Problem, runs: tuple[FitRun, ...], without: tuple[str, ...] = ()) -> tuple[str, ...]:
-    """Names of the effects, `without` some, that the force of these runs could show."""
+    """Effects that the force of these runs could show, but those of `without`."""
     force_runs = require_force_runs(runs)
     driven = any(run.on.any() for run in force_runs)
     to_and_fro = _share_both_ways(force_runs) >= _RETURNED
@@ -41,23 +40,23 @@ def list_candidates(problem: Problem, runs: tuple[FitRun, ...], without: tuple[s
         if problem.plant.joint_type not in cls.joint_types or cls.acts not in _ACTS or not problem.covers_range(cls):
             return False
         if cls.remember is not Effect.remember or cls.delay is not Effect.delay:
-            return False  # what catches holds what stands; of a steady force nobody sees when it comes
-        of_place = (cls.acts == "force" and not cls.speed_dependent) or cls.gain is not Effect.gain  # as the weight is
+            return False  # memory and delays do not show in steady motion
+        of_place = (cls.acts == "force" and not cls.speed_dependent) or cls.gain is not Effect.gain  # like weight
         if of_place and not to_and_fro:
-            return False  # it would be friction that differs from place to place
+            return False  # confounded with friction over position
         if cls.acts == "command":
             return driven
         if cls.geared:
-            return False  # what the drive gave is what is judged, so no friction of it can be foretold
+            return False  # the drive's force is the reading, so its friction cannot be predicted
         if cls.needs_load and cls.confounded_with and (even or not problem.bearing_loaded):
-            return False  # its twin does the same here, and stands for both
+            return False  # confounded with the other friction, which represents both
         return cls.acts != "inertia" or turned
 
     return tuple(name for name, cls in EFFECTS.items() if possible(cls) and name not in without)
 
 
 def _share_both_ways(runs: tuple[ForceRun, ...]) -> float:
-    """Part of the places that were passed at all that were passed both ways."""
+    """Share of the visited positions that were passed in both directions."""
     q, v = (np.concatenate([getattr(run, k) for run in runs]) for k in ("position", "speed"))
     edges = np.linspace(q.min(), q.max(), _BINS + 1)
     forth, back = (np.histogram(q[way], edges)[0] > 0 for way in (v > 0, v < 0))
@@ -65,14 +64,14 @@ def _share_both_ways(runs: tuple[ForceRun, ...]) -> float:
 
 
 def has_constant_load(runs: tuple[FitRun, ...]) -> bool:
-    """Whether the force on the bearing hardly changes: less than friction departs from its formula."""
+    """Whether the bearing load varies by less than friction's model error."""
     load = np.concatenate([run.load for run in require_force_runs(runs)])
-    return float(np.std(load)) < EVEN * float(np.mean(load))
+    return float(np.std(load)) < CONSTANT_LOAD * float(np.mean(load))
 
 
 @dataclass
 class ForceSearch:
-    """All fits to the force of the runs that may be fitted, kept."""
+    """All fits to the force of the training runs."""
 
     problem: Problem
     train: tuple[FitRun, ...]
@@ -80,27 +79,27 @@ class ForceSearch:
     names: tuple[str, ...]
     fits: dict[tuple[str, ...], Fit] = field(default_factory=dict)
     is_overtime: ClassVar[bool] = False
-    """It takes no time to speak of."""
+    """It takes next to no time."""
 
     def base(self) -> Fit:
-        """Nothing missing but what the asset may be off by."""
+        """No effect missing, only errors of the asset."""
         if () not in self.fits:
             self.fits[()] = self._fitted((), None)
         return self.fits[()]
 
     def is_promising(self) -> bool:
-        """Whether any effect makes what the asset alone leaves more probable than its numbers cost, to first order."""
+        """Whether any effect improves the fit by more than its parameters cost, to first order."""
         base = self.base()
         unit, readings = residual_dispersion(base.residuals), sum(len(run.q) for run in self.train)
         found = first_guesses(base, self.train, self.names)
         return any(0.5 * (base.rss - guess.cost) / unit > bic_penalty(len(guess.point), readings) for guess in found)
 
     def fit_shapes(self) -> list[Fit]:
-        """None besides: in a force, what may be of any shape costs no more to look for than what has a formula."""
+        """None: by inverse dynamics free shapes are searched with all other effects."""
         return []
 
     def explore(self) -> list[Fit]:
-        """The best sets of every size, ever larger ones until nothing is left to explain."""
+        """The best sets of every size, until nothing is left to explain."""
         best: list[Fit] = []
         for size in range(1, self.settings.max_effects + 1):
             known = {fit.model.names for fit in best if len(fit.model.names) == size - 1}
@@ -114,7 +113,7 @@ class ForceSearch:
         return best
 
     def fit_set(self, names: tuple[str, ...]) -> Fit:
-        """The fit of this very set, no worse than any of its subsets'."""
+        """The fit of this set, no worse than any subset's."""
         if not names:
             return self.base()
         if names not in self.fits:
@@ -128,7 +127,7 @@ class ForceSearch:
         return self.fits[names]
 
     def confounded_sets(self, names: tuple[str, ...]) -> list[Fit]:
-        """Sets that do the same as this one where the load hardly changes, which the search does without."""
+        """Sets with load-dependent friction in place of other friction, confounded under constant load."""
         if not has_constant_load(self.train):
             return []
         found = []

@@ -1,7 +1,7 @@
-"""First guesses for fits: what each effect would have to be to explain what a smaller set leaves, to first order.
+"""Initial guesses: the size of each effect that explains the residuals of a smaller set, to first order.
 
-Each effect is switched on a little at every point of a coarse grid of its places, widths and speeds; what that does to
-the readings is compared with the residual, the starts of the runs and the smaller set's own parameters being free.
+Each effect is switched on a little at every point of a coarse grid of its places, widths and speeds. The response of
+the readings is regressed on the residuals, with start states and the smaller set's parameters free.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ _PLACES = 13
 _REBOUNDS = (0.15, 0.5)
 """Restitutions that are tried."""
 _NOTHING = 1e-3
-"""Part of the gap by which an effect changes readings at most that does nothing. Not measured."""
+"""Largest change of readings, as a share of the gap, by an inactive effect. Not measured."""
 _MILD = 0.05
-"""Part of the forces at work that a force is switched on with."""
+"""Size at which a force is switched on, as a share of the RMS force."""
 
 
 @dataclass(frozen=True)
 class Guess:
-    """One starting point of a larger set."""
+    """Initial guess of one added effect."""
 
     name: str
-    """Of the added effect."""
+    """The added effect."""
     point: dict[str, float]
     cost: float
-    """Sum of squares that it would leave, to first order."""
+    """Sum of squares left, to first order."""
 
 
 def neutral_point(problem: Problem, name: str) -> dict[str, float]:
@@ -59,7 +59,8 @@ def neutral_point(problem: Problem, name: str) -> dict[str, float]:
 
 
 def first_guesses(fit: Fit, runs: tuple[FitRun, ...], names: tuple[str, ...]) -> list[Guess]:
-    """Starting points of all sets of one effect more than `fit`, the most promising first; `runs` must have starts."""
+    """Guesses of all effects of `names` that are not in `fit`, most promising first; the fit must have starts of
+    `runs`."""
     about = linearise(fit, runs)
     found = [guess for name in names if name not in fit.model.names for guess in about.guesses(name)]
     return sorted(found, key=lambda guess: guess.cost)
@@ -71,9 +72,9 @@ class _Grid:
 
     model: Model
     own: list[ParameterRange]
-    """Of the effect."""
+    """Its parameters."""
     sizes: list[ParameterRange]
-    """Those that it is linear in."""
+    """Parameters that the effect is linear in."""
     others: list[str]
     grid: list[tuple[float, ...]]
     """Values of the others."""
@@ -82,7 +83,7 @@ class _Grid:
 
 
 class Linearisation:
-    """The readings about a fit, the directions of its starts and parameters taken out."""
+    """The readings about a fit, with start states and parameters projected out."""
 
     def __init__(self, fit: Fit, runs: tuple[FitRun, ...]):
         self.fit, self.runs, self.problem = fit, runs, fit.model.problem
@@ -95,7 +96,7 @@ class Linearisation:
         )
         rest = np.concatenate([self._project_out_start(i, J) for i, J in enumerate(parameters)], 1)
         self.parameters = rest
-        """(p, N) what a unit of every parameter does to all readings, the starts being free."""
+        """(p, N) response of all readings to a unit of every parameter; starts free."""
         self.nuisance_columns = rest = rest[self._can_move(rest @ left)]
         size = np.linalg.norm(rest, axis=1) if len(rest) else np.zeros(0)
         self.nuisance_basis = np.linalg.qr(rest[size > 1e-9].T)[0] if (size > 1e-9).any() else np.zeros((len(left), 0))
@@ -103,7 +104,7 @@ class Linearisation:
         self.cost = float(self.residual @ self.residual)
 
     def _can_move(self, downhill: Array) -> Array:
-        """(p,) whether a parameter may still move, and is not held by a bound."""
+        """(p,) whether a parameter is free to move downhill, not clamped at a bound."""
         ranges, theta = self.fit.model.ranges(), self.fit.theta
         near = 1e-6 * np.array([r.upper - r.lower for r in ranges])
         low = theta <= np.array([r.lower for r in ranges]) + near
@@ -111,22 +112,22 @@ class Linearisation:
         return np.asarray(~((low & (downhill < 0)) | (high & (downhill > 0))))
 
     def _project_out_start(self, i: int, rows: Array) -> Array:
-        """(m, n) changes of run i, its start being free."""
+        """(m, n) changes of run i, its start state projected out."""
         return np.asarray(rows - (rows @ self.start_bases[i]) @ self.start_bases[i].T)
 
     def count_responses(self, name: str) -> int:
-        """How many `columns` there are."""
+        """Number of rows of `unit_responses`."""
         at = self._grid_of(name)
         return len(at.grid) * len(at.sizes)
 
     def unit_responses(self, name: str) -> Array:
-        """(m, N) what a unit of the effect's sizes does to all readings, at all points of its grid."""
+        """(m, N) response of all readings to a unit of the effect's sizes, at all points of its grid."""
         if name not in self._columns:
             self._columns[name] = self._respond_on_grid(name, self._grid_of(name))
         return self._columns[name]
 
     def force_response(self, forces: Array) -> Array:
-        """(m, N) what forces (m, N), N*m or N, that act at the readings do to them, the starts being free."""
+        """(m, N) response of the readings to forces (m, N), N*m or N, given at their times; starts free."""
         mapping, done, parts = ParameterMap(self.fit.model), 0, []
         numbers, effects = mapping.vector(self.fit.theta)
         terms, settings = effect_terms(effects), self.problem.surrogate
@@ -145,7 +146,7 @@ class Linearisation:
         return np.concatenate(parts, 1)
 
     def reading_response(self, errors: Array) -> Array:
-        """(m, N) errors of the readings, rad or m, in floors, the starts being free."""
+        """(m, N) normalised errors of the readings, rad or m; starts free."""
         ends = np.cumsum([0, *(len(run.q) for run in self.runs)])
         rows = [errors[:, a:b] / run.sigma for run, a, b in zip(self.runs, ends[:-1], ends[1:], strict=True)]
         return np.concatenate([self._project_out_start(i, row) for i, row in enumerate(rows)], 1)
@@ -160,7 +161,7 @@ class Linearisation:
         )
 
     def _respond_on_grid(self, name: str, at: _Grid) -> Array:
-        """(grid x sizes, N) of the effect, switched on a little at all points of its grid."""
+        """(grid x sizes, N) response per unit size at all points of the grid."""
         trials: list[tuple[dict[str, float], float]] = []
         for places in at.grid:
             point = {**at.zero, **dict(zip(at.others, map(float, places), strict=True))}
@@ -171,7 +172,7 @@ class Linearisation:
         return np.asarray(made / np.array([s for _, s in trials])[:, None])
 
     def guesses(self, name: str) -> list[Guess]:
-        """All points of the effect's grid."""
+        """Guesses at all points of the effect's grid."""
         at = self._grid_of(name)
         columns = self._respond_on_grid(name, at)
         model, own, sizes, others, grid, zero = at.model, at.own, at.sizes, at.others, at.grid, at.zero
@@ -189,7 +190,7 @@ class Linearisation:
             }
             taken = self.residual - A @ np.array([values[r.name] - point[r.name] for r in sizes])
             found.append(Guess(name, {**point, **values}, float(taken @ taken)))
-        if EFFECTS[name].acts == "stop":  # what hardly comes back stays: a small change tells little
+        if EFFECTS[name].acts == "stop":  # a small rebound is swallowed, so the response is not linear
             found += self._guess_at(model, name, [{**zero, sizes[0].name: value} for value in _REBOUNDS])
         elif len(own) == 2 and len(sizes) == 1 and len(grid) == _PLACES:
             found += self._interpolate_place(name, own, columns[0], columns[-1], float(grid[0][0]), float(grid[-1][0]))
@@ -197,7 +198,7 @@ class Linearisation:
         return [self._nudge(guess, sizes) for guess in found]
 
     def _guess_at(self, model: Model, name: str, points: list[dict[str, float]]) -> list[Guess]:
-        """These very points."""
+        """Guesses at given points."""
         taken = self._responses(model, name, points)
         taken = self.residual - (taken - (taken @ self.nuisance_basis) @ self.nuisance_basis.T)
         return [Guess(name, point, float(row @ row)) for point, row in zip(points, taken, strict=True)]
@@ -205,7 +206,7 @@ class Linearisation:
     def _interpolate_place(
         self, name: str, own: list[ParameterRange], first: Array, last: Array, low: float, high: float
     ) -> list[Guess]:
-        """The point of a law that is linear in its place, too, such as a spring's: between two places, or beyond."""
+        """The guess of a law that is linear in its place as well, such as a spring's."""
         a, b = np.linalg.lstsq(np.stack([first, last], 1), self.residual, rcond=1e-6)[0]
         size, place = own
         if not size.lower < a + b < size.upper:
@@ -216,7 +217,7 @@ class Linearisation:
         return [Guess(name, {size.name: float(a + b), place.name: at}, float(taken @ taken))]
 
     def _nudge(self, guess: Guess, sizes: list[ParameterRange]) -> Guess:
-        """A size of 0 gives a fit nothing to hold on to."""
+        """The guess with a size above 0, where a fit has a gradient."""
         if all(guess.point[r.name] == max(r.lower, EFFECTS[guess.name].neutral) for r in sizes):
             r = sizes[0]
             step = 0.2 * self._step(guess.name, guess.point, r)
@@ -224,7 +225,7 @@ class Linearisation:
         return guess
 
     def _step(self, name: str, point: dict[str, float], r: ParameterRange) -> float:
-        """How far the effect is switched on."""
+        """Size at which the effect is switched on."""
         cls = EFFECTS[name]
         if cls.acts not in ("force", "drive"):
             return min(r.size, 0.1) if cls.acts != "inertia" else r.size
@@ -237,7 +238,7 @@ class Linearisation:
         return float(min(_MILD * self.problem.force / max(size, 1e-9), 1e-2 * r.upper))
 
     def _responses(self, model: Model, name: str, points: list[dict[str, float]]) -> Array:
-        """(m, N) changes of all readings in floors, the starts being free."""
+        """(m, N) normalised changes of all readings at these points; starts free."""
         mapping = ParameterMap(model)
         made = [mapping.vector(initial_theta(model, self.fit, {name: point})) for point in points]
         table = np.array([numbers for numbers, _ in made])
@@ -255,14 +256,14 @@ class Linearisation:
 
 
 class ForceLinearisation(Linearisation):
-    """The same of runs of which the force is read."""
+    """The same for inverse dynamics."""
 
     def force_response(self, forces: Array) -> Array:
-        """(m, N) by how much less the drive has to give, in floors."""
+        """(m, N) normalised decrease of the drive's force."""
         return np.asarray(forces / np.concatenate([run.sigma for run in self.runs]))
 
     def _responses(self, model: Model, name: str, points: list[dict[str, float]]) -> Array:
-        """(m, N) changes of what the motion needs, in floors."""
+        """(m, N) normalised changes of the required force."""
         predictor, every = ForcePredictor(model, self.runs), np.arange(len(self.runs))
         none, rows = np.zeros((len(self.runs), 2)), []
         before = [(run.q - now) / run.sigma for run, now in zip(self.runs, self.predicted, strict=True)]
@@ -273,13 +274,12 @@ class ForceLinearisation(Linearisation):
 
 
 def linearise(fit: Fit, runs: tuple[FitRun, ...]) -> Linearisation:
-    """The readings about a fit, of motion or of force."""
+    """The linearisation about a fit, of positions or of force."""
     return (ForceLinearisation if fit.model.problem.inverse_dynamics else Linearisation)(fit, runs)
 
 
 def has_inactive_effect(fit: Fit, runs: tuple[FitRun, ...], gap: float) -> bool:
-    """Whether an effect of the set does nothing: the set is then the one without it. `gap` is what the asset alone
-    leaves of the runs, in floors."""
+    """Whether an effect of the set changes nothing. `gap` is the normalised RMS of the asset alone."""
     model = fit.model
     now = residuals_at(model, runs, fit.theta, fit.starts)
     for name in model.names:
@@ -293,7 +293,7 @@ def has_inactive_effect(fit: Fit, runs: tuple[FitRun, ...], gap: float) -> bool:
 
 
 def is_linear_parameter(r: ParameterRange, own: list[ParameterRange]) -> bool:
-    """Whether the effect is linear in this parameter, more or less: the first one, and other forces."""
+    """Whether the effect is about linear in this parameter: its first one, and other forces."""
     if r is own[0] or r.name == own[0].name:
         return True
     spec = EFFECTS[r.owner].parameters()[r.name]
@@ -301,7 +301,7 @@ def is_linear_parameter(r: ParameterRange, own: list[ParameterRange]) -> bool:
 
 
 def _trial_values(r: ParameterRange, problem: Problem) -> list[float]:
-    """Values of a place, a width, a speed or a ratio that are worth trying."""
+    """Grid values of a place, width, speed or ratio."""
     span = problem.q_high - problem.q_low
     unit = EFFECTS[r.owner].parameters()[r.name].unit(problem.plant.joint_type)
     if unit in ("rad", "m") and r.lower < problem.q_low and r.upper > problem.q_high:

@@ -1,8 +1,8 @@
-"""Levenberg and Marquardt's method for many runs that share parameters and have a start state each.
+"""Levenberg-Marquardt for many runs that share parameters and have a start state each.
 
-A start state touches its own run only. It is taken out of the normal equations (variable projection: Golub and Pereyra
-1973), damped by itself, and moves less, or stays, where its move makes its run worse: so one run that meets a stop
-otherwise than its linear picture says holds up nothing but itself.
+Start states are eliminated from the normal equations (variable projection: Golub and Pereyra 1973). Each has its own
+damping, and a start that makes its run worse moves less or stays. So one run that hits a stop, where linearisation
+fails, does not block the others.
 """
 
 from __future__ import annotations
@@ -16,48 +16,47 @@ from numpy.typing import NDArray
 from freeart21.se3 import Array
 
 ResidualFunction = Callable[[NDArray[np.int64], Array, Array], list[Array]]
-"""(runs (m,), starts (m, 2), parameters (p,)) to the residuals of each of these runs, in floors."""
+"""(runs (m,), starts (m, 2), parameters (p,)) to the normalised residuals of each of these runs."""
 JacobianFunction = Callable[[Array, Array, list[Array], bool], list[Array]]
-"""(starts (r, 2), parameters, residuals, whether the parameters move) to (2 [+ p], n) of every run: what a unit of its
-start and of every parameter takes from its residuals."""
+"""(starts (r, 2), parameters, residuals, whether the parameters move) to a (2 [+ p], n) array per run: the decrease of
+its residuals per unit of start state and parameter."""
 
 _TRIALS = 6
 _SHORTER = np.array([0.3, 0.1, 0.03])
-"""Parts of a start's move that are tried where all of it makes its run worse."""
+"""Shares of a start's step that are tried where the full step makes its run worse."""
 _ENOUGH = 0.3
-"""Part of a gain that is not worth another step, below which the first-order look must promise one for any to be
-taken."""
+"""Share of the convergence threshold: a step whose predicted decrease is below it is not tried."""
 _OUTLIER = 3.0
-"""Times the usual error, or floors where that is less than the floor, beyond which a run counts for less."""
+"""Ratio to the median RMS (at least 1) above which a run's loss grows logarithmically."""
 
 
 @dataclass
 class State:
-    """Where the search is."""
+    """State of the optimisation."""
 
     theta: Array
     """(p,)"""
     starts: Array
     """(r, 2)"""
     parts: list[Array]
-    """Residuals of every run."""
+    """Normalised residuals of every run."""
     cost: float
     normal: Array
-    """(p, p) information of the parameters, the starts being free."""
+    """(p, p) information matrix of the parameters, start states eliminated."""
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Bounds of the parameters, (p,) each, and what is known of them beforehand."""
+    """Bounds (p,) and Gaussian prior of the parameters."""
 
     low: Array
     high: Array
     neutral: Array
     weight: Array
-    """(p, p) inverse of the covariance."""
+    """(p, p) precision."""
 
     def cost(self, theta: Array) -> float:
-        """Of parameters away from what is known."""
+        """Negative log prior, doubled."""
         return float((theta - self.neutral) @ self.weight @ (theta - self.neutral))
 
 
@@ -72,10 +71,10 @@ def solve(
     iterations: int,
     free: bool = True,
 ) -> State:
-    """The least sum of squares from `theta` (p,) and `starts` (r, 2); `lower`, `upper` bound start positions.
+    """The local minimum from `theta` (p,) and `starts` (r, 2). `lower` and `upper` bound start positions.
 
-    Without `free` only the starts move. A run that is missed by far more than the others has an error of its own, which
-    no formula is near enough to meet and of which only its size is known: its part of the cost is `robust_loss`.
+    With `free` False only start states move. Runs with a far larger RMS than the others have an error of unknown size,
+    so their loss is robust (`robust_loss`).
     """
     p, runs = len(theta), len(starts)
     every = np.arange(runs)
@@ -128,14 +127,14 @@ def solve(
 
 
 def robust_loss(powers: Array) -> Array:
-    """(r,) what each reading of runs costs that are missed by mean squares `powers` (r,), floors squared: those, up to
-    some times the usual one, and beyond as their logarithm, the likelihood of an error whose size is unknown."""
+    """(r,) loss per reading of runs with mean squared residuals `powers` (r,): the power itself up to a multiple of the
+    median, beyond that its logarithm (the likelihood of an error of unknown variance)."""
     most = _outlier_power(powers)
     return np.asarray(np.where(powers <= most, powers, most * (1 + np.log(np.maximum(powers, most) / most))))
 
 
 def robust_weight(powers: Array) -> Array:
-    """(r,) slope of `robust_loss`, the usual error held."""
+    """(r,) derivative of `robust_loss` at a fixed median."""
     return np.asarray(np.minimum(1.0, _outlier_power(powers) / np.maximum(powers, 1e-12)))
 
 
@@ -144,13 +143,13 @@ def _outlier_power(powers: Array) -> float:
 
 
 def _information_matrix(blocks: Array, weights: Array, prior: Prior, p: int) -> Array:
-    """(p, p) of the parameters, all starts free and undamped."""
+    """(p, p) of the parameters, start states eliminated without damping."""
     return np.asarray(prior.weight + _eliminate_starts(blocks, weights, 1e-9)[0])
 
 
 def _eliminate_starts(blocks: Array, weights: Array, ridge: Array | float) -> tuple[Array, Array, Array]:
-    """What runs tell of the parameters (p, p), their starts taken out; what a unit of a run's start stands for in them
-    (r, p, 2); inverses of the starts' own blocks (r, 2, 2), their diagonals larger by the part `ridge` (r,)."""
+    """Normal matrix (p, p) with the starts eliminated, (r, p, 2) coupling of the starts, and (r, 2, 2) inverses of
+    their blocks, whose diagonals are increased by the share `ridge` (r,)."""
     inner = blocks[:, :2, :2].copy()
     inner[:, (0, 1), (0, 1)] = inner[:, (0, 1), (0, 1)] * (1 + np.broadcast_to(ridge, len(blocks))[:, None]) + 1e-12
     inverses = np.linalg.inv(inner)
@@ -169,7 +168,7 @@ def _damped_step(
     prior: Prior,
     free: bool,
 ) -> tuple[Array, Array]:
-    """Moves of the parameters (p,) and of the starts (r, 2)."""
+    """Steps of the parameters (p,) and of the starts (r, 2)."""
     information, cross, inverses = _eliminate_starts(blocks, weights, start_damping + 1e-9)
     shift, of_starts = np.zeros(len(theta)), rights[:, :2]
     if free and len(theta):
@@ -191,14 +190,14 @@ def _predicted_decrease(
     prior: Prior,
     free: bool,
 ) -> float:
-    """By how much the cost would fall, were all as linear as it looks."""
+    """Decrease of the cost by the linear model."""
     steps = np.hstack([moves, np.tile(shift, (len(moves), 1))]) if free else moves
     falls = 2 * (steps * rights).sum(1) - np.einsum("ri,rij,rj->r", steps, blocks, steps)
     return float(weights @ falls) + prior.cost(theta) - prior.cost(theta + shift)
 
 
 def _bounded_step(theta: Array, A: Array, g: Array, ridge: Array, prior: Prior) -> Array:
-    """The damped step, with what would leave its bounds held there."""
+    """The damped step; parameters that would leave their bounds are clamped there."""
     active = ridge > 0
     shift = np.zeros(len(theta))
     for _ in range(len(theta) + 1):

@@ -1,4 +1,4 @@
-"""What is fitted: a set of effects that may be missing, how far the asset itself may be off, and their bounds."""
+"""The fitted model: effects that may be missing, errors of the asset itself, and the bounds of all parameters."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from simgap.models.surrogate import Nuisance, Plant, effect_terms, make_vector
 from simgap.settings import FitSettings, SurrogateSettings
 
 _FRICTION = "friction form"
-"""Owner of how all dry friction that is missing builds up."""
+"""Owner of the presliding parameters, shared by all missing dry friction."""
 SHAFT = "shaft form"
-"""Owner of how a drive's inertia comes back when the part stops dead: no shaft is stiff."""
+"""Owner of the parameters of the drive's shaft: how its inertia rebounds when the part stops dead."""
 _FORM = " form"
-"""What the name of an effect is followed by in the owner of how it departs from its formula."""
+"""Suffix of the owner of an effect's model error."""
 HOLDING = "holding"
-"""The asset's number that says how inputs go on between their rows; no lateness of half a row is an effect."""
+"""Asset parameter: interpolation of the inputs between their rows. A delay of half a row is no effect."""
 
 
 @dataclass(frozen=True)
 class ParameterRange:
-    """One number that is fitted."""
+    """One fitted parameter."""
 
     owner: str
-    """Name of an effect, 'asset', or what is fitted beside effects ('friction form', 'shaft form')."""
+    """Name of an effect, 'asset', 'friction form', 'shaft form', or an effect's name + ' form'."""
     name: str
     lower: float
     upper: float
     size: float
-    """A usual size."""
+    """Typical size."""
     prior: float = np.inf
-    """Standard deviation of what is known of it beforehand, about its neutral value."""
+    """Prior standard deviation about `neutral`."""
     neutral: float = 0.0
 
 
@@ -51,82 +51,79 @@ class Problem:
     speed: float
     """Largest speed of all runs."""
     sigma: float
-    """Floor at rest."""
+    """Noise sigma at rest."""
     force: float = 1.0
-    """Root mean square of the forces at work, N*m or N."""
+    """RMS inertial force, N*m or N."""
     load: float = 1.0
-    """A usual force on the bearing, N."""
+    """Typical bearing force, N."""
     gear_load: float = 1.0
-    """What the drive's gears usually carry, N*m or N."""
+    """Typical load of the drive's gears, N*m or N."""
     unknown_inputs: bool = False
-    """Whether nobody knows if commands and efforts last until their next rows or go on smoothly: where between the two
-    they are is then fitted, either end being as likely as any place between."""
+    """Whether the interpolation of commands and efforts between rows is unknown. It is then fitted, between smooth and
+    zero-order hold, with a uniform prior."""
     fit: FitSettings = field(default_factory=FitSettings)
     surrogate: SurrogateSettings = field(default_factory=SurrogateSettings)
     inverse_dynamics: bool = False
-    """Whether the motion is prescribed and the force is read (`simgap.measure.prescribed`): residuals are then of
-    force."""
+    """Whether motion is prescribed and the force is read (`simgap.measure.prescribed`): residuals are then of force."""
 
     def reference_load(self, cls: type[Effect]) -> float:
-        """A usual load of what an effect looks at."""
+        """Typical load in an effect's law."""
         return self.gear_load if cls.geared else self.load
 
     def range_ends(self, cls: type[Effect]) -> dict[str, float]:
-        """Parameters of an effect that are the ends of the way that was moved through."""
+        """Parameters of an effect that are fixed at the ends of the range of motion."""
         return dict(zip(cls.range_fields, (self.q_low, self.q_high), strict=False))
 
     def covers_range(self, cls: type[Effect]) -> bool:
-        """Whether an effect over the way that was moved through can say so long a way; a wheel's turns it cannot."""
+        """Whether the range of motion is within the bounds of an effect's `range_fields`; a wheel's turns are not."""
         specs = cls.parameters()
         return all(specs[name].lower <= x <= specs[name].upper for name, x in self.range_ends(cls).items())
 
     @property
     def reference(self) -> tuple[float, float, float]:
-        """Largest speed, middle and half range of position."""
+        """Largest speed, and middle and half width of the range of motion."""
         return self.speed, 0.5 * (self.q_low + self.q_high), max(0.5 * (self.q_high - self.q_low), 1e-9)
 
     @property
     def bearing_loaded(self) -> bool:
-        """Whether anything but rounding presses on the bearing."""
+        """Whether the bearing carries any load."""
         mechanics = self.plant.mechanics
         return self.load > 1e-9 * mechanics.mass * float(np.linalg.norm(mechanics.gravity))
 
     @property
     def reaches_limit(self) -> bool:
-        """Whether any run comes to a limit."""
+        """Whether any run reaches a limit."""
         near = 0.02 * (self.q_high - self.q_low)
         return self.q_low < self.plant.lower + near or self.q_high > self.plant.upper - near
 
     @property
     def crossing_s(self) -> float:
-        """Seconds in which the range moved through is crossed at top speed: how fast all goes here."""
+        """Time to cross the range of motion at top speed, s: the time scale of the motion."""
         return (self.q_high - self.q_low) / max(self.speed, 1e-9)
 
 
 @dataclass(frozen=True)
 class Model:
-    """A set of effects that may be missing, and what of it is fitted."""
+    """A set of missing effects with its parameters."""
 
     problem: Problem
     names: tuple[str, ...]
     instant_friction: bool = False
-    """Whether dry friction is there at once after a reversal, as in simulators; else it builds up, as real friction
-    does."""
+    """Friction without presliding, as in simulators; else it builds up after a reversal."""
     model_error: tuple[tuple[str, float], ...] = ()
-    """Effects, and usual first numbers of theirs, that depart from their formulas as real ones do (`Effect.departs`):
-    no oil is quite viscous and no spring quite straight. Each is then its formula, and parts of the formula at its
-    usual size that are a slope over the speeds, and a slope and a bend over the places that were moved through, any
-    size of these up to what the effect says being as likely: a discrepancy inside the model (Brynjarsdottir and O'Hagan
-    2014), so that what a strong effect's formula leaves gets no other name. At its usual size: what is no product of
-    two numbers is far easier to fit."""
+    """(effect name, reference size): effects that may deviate from their formulas (`Effect.model_error`). Their force
+    is the formula plus shares of the formula at its reference size: a slope over speed, and a slope and a bend over
+    position, with uniform priors. This is a discrepancy inside the model (Brynjarsdottir and O'Hagan 2014), so that the
+    form error of a strong effect gets no other name. The fixed reference size keeps the model free of products of two
+    parameters."""
 
     @property
     def classes(self) -> tuple[type[Effect], ...]:
-        """Of the added effects."""
+        """Classes of the added effects."""
         return tuple(EFFECTS[name] for name in self.names)
 
     def ranges(self) -> tuple[ParameterRange, ...]:
-        """All that is fitted, but the starts."""
+        """All parameters but the start states."""
         problem, found = self.problem, []
         if problem.inertia_relative > 0:
             r = problem.inertia_relative
@@ -140,7 +137,9 @@ class Model:
             column = float(np.linalg.norm(terms[i]))
             lean = problem.fit.tilt_rad
             if i == 1 and problem.plant.joint_type == "revolute" and column > 0:
-                lean += problem.gravity_relative * size / column  # a centre of mass that is off turns the pull, too
+                lean += (
+                    problem.gravity_relative * size / column
+                )  # an offset centre of mass turns the weight's torque, too
             if lean > 0 and column > 1e-6 * np.linalg.norm(terms):
                 found.append(ParameterRange("asset", f"lean_{i}", -lean, lean, lean, lean))
         if problem.unknown_inputs:
@@ -153,7 +152,7 @@ class Model:
         acts = {cls.acts for cls in self.classes}
         shaft = max((len(cls.rotor_fields) for cls in self.classes), default=0)
         if shaft > 1 and problem.reaches_limit and not problem.inverse_dynamics and "stop" not in acts:
-            # part of the most that a shaft gives back; where no run tells, as if all of that were as likely
+            # shares of their maxima, with uniform priors
             found.append(ParameterRange(SHAFT, "rebound", 0.0, 1.0, 0.1, 1 / np.sqrt(12), 0.5))
             if shaft > 2 and "slack" not in acts:
                 found.append(ParameterRange(SHAFT, "swing", 0.0, 1.0, 0.1, 1 / np.sqrt(12), 0.5))
@@ -167,12 +166,12 @@ class Model:
         return tuple(found)
 
     def free_parameters(self, cls: type[Effect]) -> list[str]:
-        """The parameters of an effect that are its own: what a shaft gives back, and when, is fitted in their place."""
+        """The fitted parameters of an effect; those of its shaft are fitted as SHAFT's."""
         excluded = (*cls.rotor_fields[1:], *cls.range_fields)
         return [n for n in cls.parameters(self.problem.plant.joint_type) if n not in excluded]
 
     def _range(self, cls: type[Effect], name: str) -> ParameterRange:
-        """Bounds and size of an effect's parameter on these data: nothing beyond what was moved through."""
+        """Bounds and size of an effect's parameter, limited to the range of motion."""
         spec, problem = cls.parameters()[name], self.problem
         unit, span = spec.unit(problem.plant.joint_type), problem.q_high - problem.q_low
         low, high, size = spec.lower, spec.upper, spec.scale
@@ -183,10 +182,10 @@ class Model:
             reach = 0.1 * span if local else 3 * span
             low, high, size = problem.q_low - reach, problem.q_high + reach, 0.1 * span
         elif unit in ("rad", "m") and cls.acts != "drive":
-            # what is wider than a third of the way moved through is no local effect, and looks like a spring
+            # wider than a third of the range it is not local, and looks like a spring
             low, high, size = max(2 * problem.sigma, 1e-3 * span), 0.35 * span, 0.05 * span
         elif unit in ("N*m", "N") and cls.range_fields:
-            # where a fold's runs do not come it is no more than a part of the forces at work
+            # the prior holds it where a fold's runs do not come
             return ParameterRange(cls.name, name, low, high, 0.1 * problem.force, 0.3 * problem.force)
         elif unit in ("N*m", "N") and cls.acts == "command":
             size = 0.1 * problem.force
@@ -196,10 +195,10 @@ class Model:
             low, high = max(spec.lower, -0.5), 0.5
         elif unit in ("kg*m^2", "kg"):
             size = 0.1 * problem.plant.mechanics.inertia
-            low = 1e-3 * size if cls.acts == "inertia" else 0.2 * size  # a lighter drive side moves no otherwise
+            low = 1e-3 * size if cls.acts == "inertia" else 0.2 * size  # a lighter drive side makes no difference
             low, high = max(spec.lower, low), 1e3 * size
         elif unit in ("s/rad", "s/m"):
-            # impacts of one speed do not tell it: without need it is none
+            # impacts of one speed do not determine it, so its prior is at 0
             usual = 1 / problem.speed
             return ParameterRange(cls.name, name, low, 50 * usual, 0.5 * usual, usual)
         elif unit == "1":
@@ -207,7 +206,7 @@ class Model:
         return ParameterRange(cls.name, name, max(low, spec.lower), min(high, spec.upper), size)
 
     def neutral(self) -> Array:
-        """(p,) a point at which the asset is right; effects are at half their usual size."""
+        """(p,) the point where the asset is exact and effects have half their typical size."""
         return np.array(
             [
                 np.clip(r.neutral if r.owner == "asset" or "form" in r.owner else 0.5 * r.size, r.lower, r.upper)
@@ -221,7 +220,7 @@ class Model:
 
 
 def model_error_terms(cls: type[Effect]) -> dict[str, float]:
-    """Ways in which a real effect departs from its formula, and by what part of itself at most."""
+    """Terms of an effect's model error and their largest shares."""
     if cls.name not in laws.LAWS or cls.acts == "stop":
         return {}
     over_speed, over_place = cls.model_error
@@ -230,7 +229,7 @@ def model_error_terms(cls: type[Effect]) -> dict[str, float]:
 
 
 class ParameterMap:
-    """Turns parameters into the kernel's vectors."""
+    """Maps parameters (p,) to effects and to the kernel's vectors."""
 
     def __init__(self, model: Model):
         self.model: Model = model
@@ -254,8 +253,8 @@ class ParameterMap:
         return tuple(self._with_shaft(theta, e, effects) for e in effects) if SHAFT in self.owners else tuple(effects)
 
     def _with_shaft(self, theta: Array, effect: Effect, added: Sequence[Effect]) -> Effect:
-        """The effect, if it is a drive, as it comes back from limits: a rotor on its shaft by its own share of all
-        inertia, but behind a slack the drive side."""
+        """The effect with its shaft's rebound, if it is a drive. The rotor's share of all inertia counts, or that of
+        the drive side of a slack."""
         slack = any(e.acts == "slack" for e in (*self.base, *added))
         own, shaft = effect.rotor().inertia, effect.rotor_fields[1:]
         if not shaft or (slack and effect.acts != "slack"):
@@ -266,31 +265,28 @@ class ParameterMap:
         return replace(effect, **dict(zip(shaft, values, strict=False)))  # type: ignore[type-var]
 
     def rebound_ratio(self, theta: Array, share: float) -> float:
-        """Part of its speed that a drive comes back with, whose `share` of all inertia is known.
-
-        Of the drive's inertia alone on a shaft that stops at the other end, a damping ratio z is left of that of both:
-        see `events.drive_rebound`.
-        """
+        """Rebound speed ratio of a drive with this `share` of all inertia. A damping ratio z of both bodies together is
+        z * sqrt(1 - share) of the drive alone; see `events.drive_rebound`."""
         z = self.model.problem.fit.shaft_damping * np.sqrt(1 - share)
         most = np.exp(-2 * z * np.arccos(z) / np.sqrt(1 - z * z))
         return float(theta[self.owners.index(SHAFT)] * most)
 
     def swing_time(self, theta: Array, share: float) -> float:
-        """Seconds in which the drive alone swings by a radian on its shaft, slower than it and the part together."""
+        """Time, s, in which the drive alone oscillates by one radian on its shaft."""
         found = [x for r, x in zip(self.ranges, theta, strict=True) if (r.owner, r.name) == (SHAFT, "swing")]
         most = self.model.problem.fit.swing_tolerance * self.model.problem.crossing_s
         return float(found[0] * most / np.sqrt(1 - share)) if found else 0.0
 
     def drive_share(self, theta: Array, added: Sequence[Effect]) -> float:
-        """Part of all inertia that is a drive's, as large as it may be: what is taken for the part's own inertia beyond
-        the least that this may be is the drive's as well."""
+        """Largest possible share of all inertia that is the drive's: inertia beyond the least of the part may be the
+        drive's."""
         own, doubt = self.model.problem.plant.mechanics.inertia, self.model.problem.inertia_relative
         drive = sum(e.rotor().inertia for e in added)
         taken = self.nuisance(theta).inertia
         return float((drive + (taken - 1 + doubt) * own) / (taken * own + drive))
 
     def nuisance(self, theta: Array) -> Nuisance:
-        """How the asset is off."""
+        """Errors of the asset."""
         asset = {r.name: float(x) for r, x in zip(self.ranges, theta, strict=True) if r.owner == "asset"}
         return Nuisance(
             asset.get("inertia", 1.0),
@@ -300,7 +296,7 @@ class ParameterMap:
         )
 
     def vector(self, theta: Array) -> tuple[Array, tuple[Effect, ...]]:
-        """The vector, start left at 0, and all effects."""
+        """The kernel's vector, start state 0, and all effects."""
         effects, problem = self.effects(theta), self.model.problem
         numbers = make_vector(problem.plant, effects, self.nuisance(theta))
         if _FRICTION in self.owners:
@@ -312,7 +308,7 @@ class ParameterMap:
         return numbers, effects
 
     def _set_model_error(self, numbers: Array, effects: tuple[Effect, ...], theta: Array) -> None:
-        """Write into the kernel's vector how effects depart from their formulas."""
+        """Write the model error of the effects into the kernel's vector."""
         speed, middle, half = self.model.problem.reference
         values = {(r.owner, r.name): float(x) for r, x in zip(self.ranges, theta, strict=True)}
         by_name = {e.name: e for e in effects}

@@ -1,4 +1,4 @@
-"""Long runs: sets are looked for on parts of them, and what is near is then fitted to all of them."""
+"""Long runs: sets are searched on parts of them, and the best are fitted to all."""
 
 from __future__ import annotations
 
@@ -10,17 +10,16 @@ from simgap.fit.fit import Fit, Problem, fit_model, refit_missed_starts
 from simgap.measure.data import FitRun
 
 _LONG, _SEARCHED = 400.0, 100.0
-"""Crossings of its range, at top speed, of all runs together from which on sets are looked for on parts, and those of
-the parts. Real sets of 1 to 362 stay whole: parts of those of 200 and more took half of the time, and of 12 verdicts
-two got worse."""
+"""Total duration, in crossings of the range at top speed, above which the search uses parts, and the duration of these.
+Real sets had 1 to 362: parts of those from 200 on took half the time, and two of 12 verdicts got worse."""
 _FEWEST = 100
 """Readings of a part at least."""
 _GROWTH, _ITERATIONS = 3, 4
-"""Times by which the beginnings of runs grow to the whole of them, and iterations on each."""
+"""Factor by which parts are extended, and iterations on each length."""
 
 
 def select_parts(problem: Problem, runs: tuple[FitRun, ...]) -> tuple[FitRun, ...]:
-    """The runs; of long ones their beginnings and as much from their middles on, named by their first readings."""
+    """The runs; of long ones the beginning and as much from the middle on, named by their first readings."""
     duration = sum(float(run.times_s[-1] - run.times_s[0]) for run in runs)
     if duration < _LONG * problem.crossing_s:
         return runs
@@ -34,15 +33,14 @@ def select_parts(problem: Problem, runs: tuple[FitRun, ...]) -> tuple[FitRun, ..
 
 
 def drop_poor_fits(fits: list[Fit], times: float) -> list[Fit]:
-    """The fits to the same runs but those that leave so many `times` the least sum of squares; what is part of a set
-    that stays does so, too."""
+    """The fits within a factor `times` of the least cost, and all fits of their subsets."""
     most = times * min((fit.cost for fit in fits), default=0.0)
     near = [set(fit.model.names) for fit in fits if fit.cost <= most]
     return [fit for fit in fits if any(set(fit.model.names) <= names for names in near)]
 
 
 def extend_to_all(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
-    """The fit to parts of the runs, fitted to ever longer beginnings and then to all of them."""
+    """A fit to parts, extended to ever longer beginnings of the runs and then to all of them."""
     count = {run.name: len(fit.residuals[f"{run.name}#0"]) for run in runs}
     theta, starts = fit.theta, {run.name: fit.starts[f"{run.name}#0"] for run in runs}
     while any(_GROWTH * count[run.name] < len(run.q) for run in runs):

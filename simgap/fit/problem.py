@@ -1,4 +1,4 @@
-"""What all fits to one measured set share, and the same with the asset taken as its files say."""
+"""The problem that all fits to one measured set share, and the same without errors of the asset."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from simgap.settings import GapSettings
 def make_problem(
     plant: Plant, measured: Measured, runs: tuple[FitRun, ...], noise: SensorNoise, settings: GapSettings
 ) -> Problem:
-    """What all fits share."""
+    """The problem of some runs."""
     motion = np.concatenate([run.q for run in runs])
     speed = np.concatenate([run.speed for run in runs])
     driven = any(len(run.inputs.times_s) for run in runs)
@@ -34,7 +34,7 @@ def make_problem(
         noise.sigma_at_rest,
         force,
         float(np.sqrt(np.mean(load**2))),
-        float(np.sqrt(force**2 + 4 * np.mean(weight**2))),  # a drive gives what moves the part and bears its weight
+        float(np.sqrt(force**2 + 4 * np.mean(weight**2))),  # a drive moves the part and carries its weight
         driven and measured.interpolation == "unknown",
         settings.fit,
         settings.surrogate,
@@ -42,16 +42,13 @@ def make_problem(
 
 
 def rms_inertial_force(plant: Plant, runs: tuple[FitRun, ...]) -> float:
-    """Root mean square of inertia times acceleration, N*m or N, roughly: from the slopes of speeds."""
+    """RMS of inertia times acceleration, N*m or N, from slopes of the speed."""
     squares = [np.mean(np.gradient(run.speed, run.times_s) ** 2) for run in runs]
     return max(float(plant.mechanics.inertia * np.sqrt(np.mean(squares))), 1e-9)
 
 
 def without_asset_error(problem: Problem, plant: Plant | None = None) -> Problem:
-    """The problem without any doubt of the asset: inertia, weight and base are as the files say.
-
-    `plant` is what other files say; None for the same ones.
-    """
+    """The problem with inertia, weight and tilt fixed as in the files; `plant` is that of other files."""
     fit = replace(problem.fit, tilt_rad=0.0)
     plant = problem.plant if plant is None else plant
     return replace(problem, plant=plant, inertia_relative=0.0, gravity_relative=0.0, fit=fit)

@@ -1,4 +1,4 @@
-"""Which effects explain the runs: fits of one, two and three effects, every larger set started from its subsets."""
+"""Search over sets of effects: fits of one, two and three effects, larger sets started from smaller ones."""
 
 from __future__ import annotations
 
@@ -36,40 +36,38 @@ from simgap.models.surrogate import is_local
 from simgap.settings import SearchSettings
 
 _CROSSINGS = (0.25, 0.8, 2.5, 6.0)
-"""Crossings of the range at top speed that stretches last for: fits grow from some through all longer ones to whole
-runs."""
+"""Lengths of stretches, in crossings of the range at top speed."""
 _USUAL = 2
-"""Which of these a first-order look sees all effects in. In shorter ones it finds what catches or throws back, where
-the asset alone is lost; they hardly tell what acts all along."""
+"""Index of the length used for first-order guesses of all effects. Shorter stretches are used for catches and stops
+only, where the asset alone is lost; they hardly show what acts all along."""
 _SCREEN = 2
 _PLACES = 2
-"""Starting points that the missing force tells, for an effect with a place."""
+"""Initial guesses from the missing force, for an effect with a place."""
 _SHIFTS, _STIFFER, _TRAVELS, _CAPTURES = (-0.3, 0.0, 0.3), (0.6, 1.0, 1.6), (0.65, 0.8, 1.0, 1.25), (0.3, 0.5, 0.7)
-"""Of the way over which a catch holds: parts by which it may lie elsewhere; how much stiffer it may be; parts of that
-way which are tried, and of those where it takes hold."""
+"""Multistart grid of a catch, relative to its travel: shifts of its place, factors of its stiffness, factors of its
+travel, capture ratios."""
 _PARTS, _BACK, _SWINGS = (None, -0.5, 0.0, 0.5), (0.3, 0.85), (0.2, 0.5, 0.8)
-"""Of a drive on its shaft: how much of the doubt in the part's own inertia is the drive's instead; what comes back, and
-how fast, as parts of what may be."""
+"""Multistart grid of a drive on its shaft: share of the asset's inertia uncertainty given to the drive (None for
+unchanged), rebound, oscillation time, as shares of their maxima."""
 _CATCHES = 3
-"""How many of these are fitted, beside what was found."""
+"""Points of these grids that are fitted."""
 _ALL_ALONG = tuple(
     name
     for name, cls in EFFECTS.items()
     if cls.acts in ("force", "drive") and not (is_local(cls) or cls.reduces_to or cls.geared)
 )
-"""Effects that take energy, and forces without a place: they act wherever the joint is."""
+"""Losses and forces without a place: they act everywhere."""
 LOSSES = tuple(name for name in _ALL_ALONG if EFFECTS[name].dissipates and not EFFECTS[name].needs_load)
-"""What takes energy all along: every joint has some of them."""
+"""Effects that dissipate everywhere; every joint has some."""
 _SERVO = tuple(name for name, cls in EFFECTS.items() if cls.drivetrain)
-"""What a geared drive has, of all of which it takes several to come near: of a hobby servo's
-logs (Rhoban/bam, XL330) dry friction and that of its gears leave 102 floors, a gain besides 38, any less than two of
-the three over 80. One by one none shows."""
+"""Effects of a geared drive. Several are needed to come near: on logs of a hobby servo (Rhoban/bam, XL330) Coulomb and
+gear friction leave a normalised RMS of 102, with a gain 38, any two or one over 80."""
 _HOPEFUL = 6.0
-"""Times the least sum of squares on stretches that another effect may leave there and still be fitted to whole runs."""
+"""Ratio to the least cost on stretches up to which an effect is fitted to whole runs."""
 _FAR, _WILD = 2.0, 4.0
-"""Floors of error beyond which runs are looked at in stretches, and stretches in shorter ones."""
+"""Normalised RMS above which runs are cut into stretches, and stretches into shorter ones."""
 _LOST = 8.0
-"""Floors of error of a set beyond which what is added to it is first fitted to stretches, whatever it is."""
+"""Normalised RMS of a set above which any added effect is first fitted to stretches."""
 _GROWING = 4
 """Iterations of a fit to stretches."""
 
@@ -77,8 +75,7 @@ _GROWING = 4
 def list_candidates(
     problem: Problem, runs: tuple[FitRun, ...], encoder: bool = True, without: tuple[str, ...] = ()
 ) -> tuple[str, ...]:
-    """Names of the effects, `without` some, that these runs could show at all; without an `encoder` part poses told the
-    positions."""
+    """Effects that these runs could show, but those of `without`. Without `encoder` positions come from part poses."""
     commanded = any(np.any(run.inputs.effort) or np.isfinite(run.inputs.command).any() for run in runs)
     with_effort = any(np.any(run.inputs.effort) for run in runs)
     near = problem.reaches_limit
@@ -91,11 +88,11 @@ def list_candidates(
         if cls.reading_error is not Effect.reading_error and not encoder:
             return False
         if any(s.revolute_unit == "rad/s" and s.lower >= problem.speed for s in cls.parameters().values()):
-            return False  # nothing moves as fast as it acts
+            return False  # it acts above the largest speed
         if (cls.needs_effort and not with_effort) or (cls.geared and not commanded):
             return False
         if cls.needs_load and not cls.geared and not problem.bearing_loaded:
-            return False  # nothing presses on the bearing
+            return False
         if cls.acts == "command" or cls.acts == "slack":
             return commanded and not (slack and cls.acts == "slack")
         if cls.acts == "stop":
@@ -107,20 +104,20 @@ def list_candidates(
 
 @dataclass
 class Search:
-    """All fits to the runs that may be fitted, kept."""
+    """All fits to the training runs."""
 
     problem: Problem
     train: tuple[FitRun, ...]
     settings: SearchSettings
     names: tuple[str, ...]
-    """Effects that sets are made of; those that may have any shape (`Effect.counts`) only beside the best without:
-    they would be first in every set."""
+    """Candidate effects; free shapes (`Effect.complexity` > 1) are fitted separately since they would lead every set.
+    """
     seconds: float = np.inf
-    """Of processor time for all that is done with these sets: after half of it no further one is begun."""
+    """Processor time, s; after half of it no further set is fitted."""
     fits: dict[tuple[str, ...], Fit] = field(default_factory=dict)
     _first_look: tuple[tuple[FitRun, ...], Fit, list[Guess]] | None = None
     _losses: dict[tuple[str, ...], Fit] = field(default_factory=dict)
-    """Of every set of losses, from the asset as it is told."""
+    """Fits of all sets of losses from small effects."""
     _forces: dict[tuple[str, ...], MissingForceSamples] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -130,7 +127,7 @@ class Search:
 
     @property
     def is_out_of_time(self) -> bool:
-        """Whether the time is over: what was found by then is the answer."""
+        """Whether half of the time is over."""
         self.stopped = self.stopped or time.process_time() > self._start_time + 0.5 * self.seconds
         return self.stopped
 
@@ -142,26 +139,25 @@ class Search:
         return late
 
     def base(self) -> Fit:
-        """Nothing missing but what the asset may be off by."""
+        """No effect missing, only errors of the asset."""
         if () not in self.fits:
             self.fits[()] = fit_multiple_shooting(Model(self.problem, ()), self.train)
         return self.fits[()]
 
     def is_promising(self) -> bool:
-        """Whether any effect could, to first order, make what the asset alone leaves more probable than its numbers
-        cost."""
+        """Whether any effect improves the fit by more than its parameters cost, to first order."""
         base, (cut, at, found) = self.base(), self._look_first()
         if cut is not self.train:
             return True
         return any(self._is_paid(base, guess, at.rss - guess.cost) for guess in found)
 
     def _is_paid(self, fit: Fit, guess: Guess, gain: float) -> bool:
-        """Whether a fall of a fit's sum of squares makes the runs more probable than the numbers of a guess cost."""
+        """Whether a decrease of a fit's sum of squares exceeds the BIC penalty of a guess."""
         readings = sum(len(run.q) for run in self.train)
         return 0.5 * gain / residual_dispersion(fit.residuals) > bic_penalty(len(guess.point), readings)
 
     def explore(self) -> list[Fit]:
-        """The best sets of every size, of long runs found on parts of them and then fitted to all."""
+        """The best sets of every size; for long runs found on parts of them and then fitted to all."""
         parts = select_parts(self.problem, self.train)
         if parts is self.train or self.base().rms <= _FAR:
             return self._explore_sizes()
@@ -171,9 +167,8 @@ class Search:
         found = [self.keep(extend_to_all(fit, self.train)) for fit in near]
         for size in range(1, self.settings.max_effects + 1):
             for fit in self._of_size(size)[: self.settings.parents]:
-                for at in alternatives.find_confounded(
-                    self.problem, fit, self.names
-                ):  # of two alike none has found the better swings
+                # only one of two confounded effects may have found the better optimum
+                for at in alternatives.find_confounded(self.problem, fit, self.names):
                     found.append(self.keep(fit_model(at.model, self.train, at.theta, at.starts)))
         for fit in sorted(self.fits.values(), key=lambda fit: fit.cost):
             for name in fit.model.names:
@@ -181,8 +176,7 @@ class Search:
         return [self.fits[names] for names in dict.fromkeys(fit.model.names for fit in found)]
 
     def _from_above(self, fit: Fit, name: str) -> None:
-        """A set of one effect less that fits worse than it would with the numbers and the starts of the larger one: it
-        missed some turn of a long run, and goes on from there."""
+        """A subset that fits worse than with the parameters of the larger set, refitted from there."""
         names = tuple(n for n in fit.model.names if n != name)
         if names in self.fits:
             model = Model(self.problem, names)
@@ -191,8 +185,8 @@ class Search:
                 self.keep(fit_model(model, self.train, theta, fit.starts))
 
     def _explore_sizes(self) -> list[Fit]:
-        """The best sets of every size, ever larger ones until nothing is left to explain: begun from smaller ones, from
-        the asset as it is told, and from others that do much the same."""
+        """The best sets of every size, until nothing is left to explain; started from smaller sets, from small effects,
+        and from alternatives."""
         level = self.fit_singles()
         for size in range(1, self.settings.max_effects + 1):
             if size > 1:
@@ -207,19 +201,19 @@ class Search:
         return best + [fit for fit in every if fit.model.names not in names]
 
     def _is_explained(self) -> bool:
-        """Whether a set leaves hardly more than noise, so that no other has to be looked for."""
+        """Whether a set leaves hardly more than noise."""
         return min(self.fits.values(), key=lambda fit: fit.cost).rms < self.settings.all_told
 
     def _of_size(self, size: int) -> list[Fit]:
-        """All sets of so many effects, the best first."""
+        """All fits of sets of this size, best first."""
         return sorted((fit for names, fit in self.fits.items() if len(names) == size), key=lambda fit: fit.cost)
 
     def _fit_swaps(self, size: int) -> None:
-        """Beside the best sets of a size those with an effect's like in its place, those that they become in special
-        cases, and those with one effect less; other_effects the very best only when the time is over."""
+        """Fits of the best sets with an effect replaced by an alternative, reduced, or removed; of the very best only
+        when time is over."""
         for fit in self._of_size(size)[: 1 if self.is_out_of_time else self.settings.parents]:
             for at in alternatives.find_alternatives(self.problem, fit, self.names):
-                if EFFECTS[at.new].reduces_to != at.old.name:  # that is begun from where it is plain
+                if EFFECTS[at.new].reduces_to != at.old.name:  # that one is started from its reduced form
                     self.keep(fit_model(at.model, self.train, at.theta, at.starts))
             for name in fit.model.names:
                 rest = {*fit.model.names} - {name}
@@ -230,7 +224,7 @@ class Search:
                     self.fit_without(fit, name)
 
     def fit_shapes(self) -> list[Fit]:
-        """Forces and frictions of any shape, alone and beside the best losses."""
+        """Fits of free shapes, alone and with the best losses."""
         lossy = sorted((f for f in self.fits.values() if f.model.names in loss_sets(self.names)), key=lambda f: f.cost)
         other_effects = [(), *(fit.model.names for fit in lossy[:2])]
         sets = [tuple(sorted((*names, shape))) for shape in self.shapes for names in other_effects]
@@ -241,8 +235,7 @@ class Search:
         ]
 
     def fit_losses(self) -> list[Fit]:
-        """The sets of `loss_sets`, fitted from the asset as it is told, not from what it must be off by to do
-        without."""
+        """Fits of all `loss_sets` from small effects, not from a biased asset."""
         for names in loss_sets(self.names):
             if names not in self._losses and not self.is_out_of_time:
                 self._losses[names] = fit_from_small_effects(Model(self.problem, names), self.train)
@@ -250,8 +243,7 @@ class Search:
         return [min((fit, self.fits.get(names, fit)), key=lambda f: f.cost) for names, fit in own]
 
     def _with_losses(self, size: int) -> list[Fit]:
-        """Those of a size that fit better than the same set, or than all that was found: others tell a search
-        nothing."""
+        """Those of a size that fit better than the same set, or than all found; the others are no use to the search."""
         if self.base().rms <= _FAR or self._is_explained():
             return []
         level = [fit.cost for names, fit in self.fits.items() if len(names) == size]
@@ -264,15 +256,14 @@ class Search:
         return found
 
     def _look_first(self) -> tuple[tuple[FitRun, ...], Fit, list[Guess]]:
-        """Stretches that a first-order look can span, the asset alone fitted to them, and first guesses of every effect
-        alone by them."""
+        """Stretches for first-order guesses, the asset alone fitted to them, and guesses of every effect."""
         if self._first_look is None:
             cut, at = self._choose_stretches(self.base(), True)
             self._first_look = cut, at, first_guesses(at, cut, self.names)
         return self._first_look
 
     def fit_singles(self) -> list[Fit]:
-        """Every effect alone, the best first."""
+        """Every effect alone, best first."""
         cut, at, found = self._look_first()
         rough = []
         for name in list(dict.fromkeys(guess.name for guess in found))[: self.settings.singles]:
@@ -298,10 +289,8 @@ class Search:
         )
 
     def _fit_remaining(self) -> list[str]:
-        """Where no effect alone explains the runs, fits of those that first guesses tell nothing of: in stretches a
-        start of its own did what the stop before it should have done, a joint that creeps is far from one that falls,
-        and one that friction holds tells nothing of what would have moved it. Gives those of them that act all along
-        and are not even nearer than all that were guessed."""
+        """Where no effect alone explains the runs: fits of those that first guesses do not reach (stops, strong
+        damping, stiction). Returns those that act everywhere and are worse than all others."""
         if min((fit.rms for fit in self.fits.values()), default=np.inf) <= self.settings.lost:
             return []
         for name in self.names if not self.is_out_of_time else ():
@@ -317,8 +306,7 @@ class Search:
         return [name for name in new if self.fit_set((name,)).cost >= least]
 
     def _fit_slack(self, name: str, reduced: Fit) -> None:
-        """A slack, begun from its drive's inertia without one: through a wide one far from the true one all impacts
-        fall elsewhere."""
+        """A slack, started from its drive's inertia without one: with a wrong width all impacts are displaced."""
         begin = alternatives.find_alternatives(self.problem, reduced, (name,))
         if self.fits[(name,)].cost < reduced.cost or next(iter(reduced.effects)).inertia() <= 0:
             return
@@ -326,7 +314,7 @@ class Search:
         self.keep(fit_model(best.model, self.train, best.theta, best.starts))
 
     def _select_distinct(self, own: list[Guess]) -> list[Guess]:
-        """The best first guesses of one effect that differ: neighbours on the grid lead to the same fit."""
+        """The best guesses of one effect that are not neighbours on the grid."""
         distinct: list[Guess] = []
         for guess in own:
             if len(distinct) < self.problem.fit.starts and not any(
@@ -336,8 +324,8 @@ class Search:
         return distinct
 
     def _is_similar(self, first: Guess, second: Guess) -> bool:
-        """Whether all but the sizes of two guesses are about the same: places within a tenth of the way moved through,
-        widths and speeds within a factor of 2."""
+        """Whether two guesses differ only in size: places within a tenth of the range, widths and speeds within a
+        factor of 2."""
         reach = 0.1 * (self.problem.q_high - self.problem.q_low)
         own = [r for r in Model(self.problem, (first.name,)).ranges() if r.owner == first.name]
         for r in own[1:]:
@@ -347,7 +335,7 @@ class Search:
         return True
 
     def _refine_sudden(self, rough: list[Fit], cut: tuple[FitRun, ...], at: Fit) -> list[Fit]:
-        """Fits of effects to stretches, those of what catches or throws back begun in shorter ones."""
+        """The fits to stretches, with those of catches and stops started on shorter ones."""
         short = self._shorter_stretches(self.base(), at, True)
         if short is None:
             return rough
@@ -362,26 +350,26 @@ class Search:
         return list(best.values())
 
     def _fit_longer(self, fit: Fit, cut: tuple[FitRun, ...], fewest: int = 0) -> Fit:
-        """The fit on ever longer stretches, down to the fewest."""
+        """The fit on ever longer stretches, down to a number of them."""
         for runs in self._longer_stretches(cut):
             if len(runs) >= fewest:
                 fit = self._fit_stretched(fit, runs)
         return fit
 
     def _best_start(self, name: str, points: list[dict[str, float]], cut: tuple[FitRun, ...], at: Fit) -> Fit:
-        """`at`, a fit to stretches, with the effect, from the best of these points of it."""
+        """`at`, a fit to stretches, with the effect added from the best of these points."""
         model = Model(self.problem, tuple(sorted((*at.model.names, name))))
         return fit_best_start(model, [initial_theta(model, at, {name: point}) for point in points], cut, at.starts)
 
     def _guess_places(self, name: str, other_effects: tuple[Effect, ...] = ()) -> list[dict[str, float]]:
-        """First guesses of an effect with a place by the force that is missing there."""
+        """Initial guesses of an effect with a place, from the missing force."""
         key = tuple(effect.name for effect in other_effects)
         if key not in self._forces:
             self._forces[key] = sample_missing_force(self.problem, self.train, other_effects)
         return guess_places(self.problem, self._forces[key], name, _PLACES)
 
     def _longer_stretches(self, cut: tuple[FitRun, ...]) -> list[tuple[FitRun, ...]]:
-        """The runs in stretches longer than these, ever longer, whole ones left out."""
+        """The runs cut into longer and longer stretches, without whole runs."""
         found, count = [], len(cut)
         for crossings in _CROSSINGS:
             runs = cut_stretches(self.train, crossings * self.problem.crossing_s)
@@ -396,18 +384,18 @@ class Search:
         return refine_multistart(longer, runs)
 
     def _fit_whole(self, fit: Fit, parent: Fit) -> Fit:
-        """The fit to stretches on whole runs, from its own starts or those of a smaller set's fit to them."""
+        """A fit to stretches extended to whole runs, from its own start states or its parent's."""
         first = {run.name: fit.starts[f"{run.name}#0"] for run in self.train}
         ways = [fit_model(fit.model, self.train, fit.theta, at, _SCREEN) for at in (first, parent.starts)]
         return self._finish(min(ways, key=lambda way: way.cost))
 
     def _finish(self, fit: Fit) -> Fit:
-        """The fit to whole runs to its end."""
+        """The fit to whole runs, to convergence."""
         fit = refine_multistart(fit, self.train)
         return fit_model(fit.model, self.train, fit.theta, fit.starts)
 
     def _keep_from(self, name: str, reduced: Fit) -> None:
-        """A general effect fits no worse than the plainer one that it may become, where their parameters agree."""
+        """Refit a general effect from the one that it reduces to, which it cannot fit worse than."""
         fit = self.fits[(name,)]
         shared = {key: float(x) for (owner, key), x in reduced.values.items() if owner in reduced.model.names}
         if fit.cost > reduced.cost and set(shared) <= set(EFFECTS[name].parameters()):
@@ -416,19 +404,17 @@ class Search:
             self.keep(fit_model(fit.model, self.train, theta, reduced.starts))
 
     def _keep_reduced(self, general: Fit, reduced: str) -> None:
-        """A plainer effect that fits worse is fitted again from where the general one is: that may be its special
-        case."""
+        """Refit a reduced effect from the general one where it fits worse."""
         if general.cost < self.fits[(reduced,)].cost:
             self.keep(reduce_effect(general, general.model.names[0], self.train))
 
     def fit_larger(self, parents: list[Fit]) -> list[Fit]:
-        """The most promising sets of one effect more than some of `parents`, fitted; of every parent's at least one:
-        the best single effect is often none of a pair. What is sudden takes most of the time, and is not tried where it
-        does not promise what its numbers cost."""
+        """The most promising sets with one more effect than `parents`, fitted, at least one for each parent. Sudden
+        effects cost most time and are tried only where they promise more than their penalty."""
         rough: dict[tuple[str, ...], tuple[float, Fit, Guess, Fit, tuple[FitRun, ...]]] = {}
         for parent in parents:
             cut, at = self._choose_stretches(parent)
-            scale = parent.cost / max(at.rss, 1e-9)  # of what is left in stretches, to that of whole runs
+            scale = parent.cost / max(at.rss, 1e-9)  # cost of whole runs per cost of stretches
             for guess in first_guesses(at, cut, self.names):
                 names = tuple(sorted((*parent.model.names, guess.name)))
                 cost = guess.cost * scale
@@ -443,7 +429,7 @@ class Search:
             reduced = EFFECTS[entry[2].name].reduces_to
             other = rough.get(tuple(sorted((*entry[1].model.names, reduced)))) if reduced else None
             if other is not None and not any(e is other for e in best):
-                best.append(other)  # which has the name when it does as well
+                best.append(other)  # it is preferred when it fits as well
         damped = [e for e in order if _hides_damping(e[1]) and EFFECTS[e[2].name].damping is not Effect.damping]
         best += [entry for entry in damped if not any(e is entry for e in best)]
         level = [self._fit_added(*entry[1:]) for entry in best if not self.is_out_of_time]
@@ -452,14 +438,14 @@ class Search:
         return self._refit_level(level + [fit for fit in lost if fit.model.names not in known])
 
     def _refit_level(self, level: list[Fit]) -> list[Fit]:
-        """The best ones with a new look at their starts; all of them sorted."""
+        """The sets sorted, the best with a new search of start states."""
         level = sorted(level, key=lambda fit: fit.cost)
         for fit in level[: self.settings.parents]:
             self.fits[fit.model.names] = refit_missed_starts(fit, self.train)
         return sorted((self.fits[fit.model.names] for fit in level), key=lambda fit: fit.cost)
 
     def _fit_added(self, parent: Fit, guess: Guess, at: Fit, cut: tuple[FitRun, ...]) -> Fit:
-        """The set of `parent` and the guessed effect, from the parent's fit, which is `at` on stretches."""
+        """The parent's set with the guessed effect, started from the parent's fit (`at` on stretches)."""
         model = Model(self.problem, tuple(sorted((*parent.model.names, guess.name))))
         points = [guess.point]
         alone = self.fits.get((guess.name,))
@@ -468,7 +454,7 @@ class Search:
             points.append({r.name: float(x) for r, x in values if r.owner == guess.name})
         sudden = is_sudden(EFFECTS[guess.name])
         if cut is self.train or not (sudden or parent.rms > _LOST):
-            # what acts smoothly is found from the smaller set's own course
+            # a smooth effect is found from the parent's own simulation
             points_at = [initial_theta(model, parent, {guess.name: point}) for point in points]
             return self.keep(self._finish(fit_best_start(model, points_at, self.train, parent.starts, _SCREEN)))
         begin = (self._shorter_stretches(parent, at, False) if sudden else None) or (cut, at)
@@ -476,7 +462,7 @@ class Search:
         return self.keep(self._fit_whole(self._fit_longer(fit, begin[0]), parent))
 
     def fit_set(self, names: tuple[str, ...]) -> Fit:
-        """The fit of this very set, started from its best subset."""
+        """The fit of this set, started from its best subset."""
         if names not in self.fits:
             smaller = [self.fits[s] for n in names if (s := tuple(m for m in names if m != n)) in self.fits]
             parent = min(smaller, key=lambda fit: fit.cost) if smaller else self.base()
@@ -494,7 +480,7 @@ class Search:
         return self.keep(fit_model(model, self.train, initial_theta(model, fit, {}), fit.starts))
 
     def keep(self, fit: Fit) -> Fit:
-        """Remember a fit, after making sure that it is no worse than any of a smaller set."""
+        """Store a fit, after making sure that it is no worse than any subset's."""
         for name in fit.model.names:
             smaller = self.fits.get(tuple(n for n in fit.model.names if n != name))
             if smaller is not None and smaller.cost < fit.cost - 1e-3 - 1e-6 * fit.cost:
@@ -506,14 +492,14 @@ class Search:
         return self.fits[fit.model.names]
 
     def _choose_stretches(self, fit: Fit, free: bool = False) -> tuple[tuple[FitRun, ...], Fit]:
-        """The runs as they are where a first-order look may span them, else in stretches; and the fit there, its
-        parameters fitted anew where `free`."""
+        """The runs whole where linearisation holds, else in stretches, and the fit on them; its parameters are refitted
+        if `free`."""
         if fit.rms < _FAR:
             return self.train, clamp_starts(fit)
         return self._fit_pieces(fit, _CROSSINGS[_USUAL], free)
 
     def _shorter_stretches(self, fit: Fit, at: Fit, free: bool) -> tuple[tuple[FitRun, ...], Fit] | None:
-        """Stretches that a fit, `at` the usual ones, is not lost in, and the fit there; None where it is not lost."""
+        """Stretches on which the fit holds, and the fit there; None where `at` holds on the usual ones."""
         found = None
         for crossings in _CROSSINGS[:_USUAL][::-1]:
             if (found[1] if found else at).rms < _WILD:
@@ -535,9 +521,8 @@ def fit_best_start(
 
 
 def refine_multistart(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
-    """The fit with what no slope leads to tried anew: the place of a catch and the way over which it holds, which show
-    in when it lets go and when it takes hold, and how a drive comes back from a limit, after which all goes on sooner
-    or later."""
+    """The fit after trying points that no gradient leads to: place and travel of a catch, and the rebound of a drive at
+    a limit."""
     points = [*_catch_points(fit), *_shaft_points(fit)]
     if not points:
         return fit
@@ -549,7 +534,7 @@ def refine_multistart(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
 
 
 def _catch_points(fit: Fit) -> list[Array]:
-    """(p,) points about a fit at which its catch holds elsewhere, or over another way; none without one."""
+    """(p,) points about a fit with the catch at another place or travel; none without a catch."""
     ranges, found = fit.model.ranges(), []
     for cls in fit.model.classes:
         if cls.remember is Effect.remember or not is_local(cls):
@@ -571,8 +556,7 @@ def _catch_points(fit: Fit) -> list[Array]:
 
 
 def _shaft_points(fit: Fit) -> list[Array]:
-    """(p,) points about a fit of the same inertia in all, at which its drive has another part of it and comes back from
-    limits otherwise; none without a drive on a shaft that swings."""
+    """(p,) points about a fit with the same total inertia and another share and rebound of the drive."""
     at = {(r.owner, r.name): i for i, r in enumerate(fit.model.ranges())}
     if (SHAFT, "swing") not in at:
         return []
@@ -590,8 +574,7 @@ def _shaft_points(fit: Fit) -> list[Array]:
 
 
 def loss_sets(names: tuple[str, ...]) -> list[tuple[str, ...]]:
-    """Of the effects `names` every set of losses, and of up to four of what a geared drive has where one drives the
-    joint."""
+    """Sets of one to three losses among `names`, and of up to four drive effects where one is geared."""
     sets = [s for k in (1, 2, 3) for s in combinations(LOSSES, k)]
     if any(EFFECTS[name].geared for name in names):
         sets += [s for k in (1, 2, 3, 4) for s in combinations(_SERVO, k) if s not in sets]
@@ -599,19 +582,17 @@ def loss_sets(names: tuple[str, ...]) -> list[tuple[str, ...]]:
 
 
 def _hides_damping(fit: Fit) -> bool:
-    """Whether a drive comes and goes: where its inertia and its slack are off, first guesses of damping are worth
-    nothing, and it looks like a delay."""
+    """Whether the set has a rotor or slack; until these fit, damping looks like a delay."""
     return any(cls.rotor_fields for cls in fit.model.classes)
 
 
 def is_sudden(cls: type[Effect]) -> bool:
-    """Whether an effect catches or throws back: a course with it differs from one without it at once."""
+    """Whether an effect changes motion abruptly: a stop or a force at a place."""
     return cls.acts == "stop" or is_local(cls)
 
 
 def clamp_starts(fit: Fit) -> Fit:
-    """The fit with starts that run into a limit from next to it at rest there: a dead stop makes no difference between
-    them, any other does."""
+    """The fit with start states that run into a limit clamped to rest there; a dead stop makes no difference."""
     plant, near = fit.model.problem.plant, 2 * fit.model.problem.sigma
     if any(cls.acts == "stop" for cls in fit.model.classes):
         return fit
@@ -629,7 +610,7 @@ def _drop_poor(fits: list[Fit]) -> list[Fit]:
 
 
 def drop_presliding(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
-    """The same effects as a simulator has them: dry friction is there at once after a reversal."""
+    """The same set refitted with friction without presliding."""
     model = Model(fit.model.problem, fit.model.names, instant_friction=True)
     if len(model.ranges()) == len(fit.theta):
         return fit
@@ -637,7 +618,7 @@ def drop_presliding(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
 
 
 def reduce_effect(fit: Fit, name: str, runs: tuple[FitRun, ...]) -> Fit:
-    """The fit with the plainer effect that one of its effects becomes in a special case, from the numbers of both."""
+    """The fit with an effect replaced by the one it reduces to, started from the parameters of both."""
     reduced = EFFECTS[name].reduces_to or name
     model = replace(fit.model, names=tuple(sorted({*fit.model.names, reduced} - {name})))
     shared = {
@@ -647,8 +628,7 @@ def reduce_effect(fit: Fit, name: str, runs: tuple[FitRun, ...]) -> Fit:
 
 
 def simplify(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
-    """The fit, or that with a plainer effect in the place of one whose special case it is: no number that is nothing is
-    told."""
+    """The fit, with effects replaced by those that they reduce to where that fits no worse."""
     for name in fit.model.names:
         if EFFECTS[name].reduces_to and EFFECTS[name].reduces_to not in fit.model.names:
             less = reduce_effect(fit, name, runs)

@@ -1,10 +1,9 @@
-"""Which set of effects stands: one table, one score.
+"""Model selection: which set of effects explains the runs.
 
-Every set that the search came to is judged by the log predictive density of runs that it was not fitted to
-(`hypotheses`, `predictive`), its effects departing from their formulas as real ones do. The smallest within one
-standard error of the best stand; those of them are rivals that no run tells apart. A set that leaves next to nothing is
-the answer. Real machines leave a remainder above their sensor's noise: then what dominates is named in part, of what
-every machine has. Where neither is so, nothing is named.
+Every set found by the search is scored by its log predictive density of runs that it was not fitted to (`hypotheses`,
+`predictive`), with model error allowed. The smallest sets within one standard error of the best are accepted; several
+of them are rivals. A set that leaves almost no residual is the answer. Real machines leave more than sensor noise: then
+the dominant effects are named in part, of those that every machine has. Otherwise nothing is named.
 """
 
 from __future__ import annotations
@@ -29,32 +28,32 @@ from simgap.settings import JudgementSettings
 from simgap.verdict import GAP_THRESHOLD
 
 _SETS_PER_SIZE = 5
-"""Sets of each size that may depart from their formulas, the most probable ones: of 59 cases that were tried more
-changed one verdict."""
+"""Sets of each size that are evaluated with model error, the most probable ones. In 59 cases more changed one verdict.
+"""
 _BOUND_SHARE = 0.01
-"""Part of a range that counts as its end."""
+"""Share of a parameter's range that counts as its bound."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What stands."""
+    """Result of the model selection."""
 
     base: Hypothesis
-    """Nothing missing but what the asset may be off by."""
+    """No effect missing, only the asset's own parameters off."""
     best: Hypothesis
-    """The most probable set, whether it may be named or not."""
+    """The most probable set, accepted or not."""
     accepted: tuple[Hypothesis, ...] = ()
-    """Rivals, the most probable first; empty when there is no gap, or nothing may be named."""
+    """Accepted sets, the most probable first; empty without a gap, or when nothing may be named."""
     has_gap: bool = False
     in_part: bool = False
-    """Whether the sets of `explaining` are but what dominates: they leave a remainder without a name."""
+    """Whether the accepted sets are only the dominant effects and leave a residual without a name."""
     discrepancies: tuple[Discrepancy, ...] = ()
-    """Forces without a name beside what is named, or beside what was nearest."""
+    """Nonparametric discrepancies of the accepted set, or of the best one."""
     table: tuple[Hypothesis, ...] = field(default=(), repr=False)
 
 
 def choose_hypotheses(search: Search | ForceSearch, folds: tuple[Fold, ...], settings: JudgementSettings) -> Choice:
-    """The smallest explanation, what dominates, or none."""
+    """The smallest sets that explain the gap, else the dominant effects, else none."""
     base = evaluate_set(search.base(), folds)
     if not search.is_promising():
         return Choice(base, base, table=(base,))
@@ -74,9 +73,9 @@ def choose_hypotheses(search: Search | ForceSearch, folds: tuple[Fold, ...], set
     candidates = [h for h in candidates if not any(_repairs_formula(h, part) for part in candidates)]
     whole = [h for h in select_irreducible(candidates) if not _is_subset_enough(h, evaluated)]
     part = [] if whole else _find_dominant(table, base, settings)
-    if not whole and not part:  # what has a formula, and what every machine has, come first
-        fit_shapes = [fit for fit in search.fit_shapes() if not has_inactive_effect(fit, search.train, base.fit.rms)]
-        table += [evaluate_set(fit, folds, base) for fit in fit_shapes]
+    if not whole and not part:  # free shapes come last
+        shapes = [fit for fit in search.fit_shapes() if not has_inactive_effect(fit, search.train, base.fit.rms)]
+        table += [evaluate_set(fit, folds, base) for fit in shapes]
         best = max(table, key=lambda h: h.score.total)
         evaluated += [
             h if search.is_overtime else evaluate_with_model_error(h, folds, base) for h in table if _has_shape(h)
@@ -99,28 +98,28 @@ def choose_hypotheses(search: Search | ForceSearch, folds: tuple[Fold, ...], set
 
 
 def select_presliding(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
-    """The fit, or the same set with dry friction that is there at once, where that is nearer than friction that builds
-    up over the least way that is tried: a joint that sticks and is pushed to and fro shows even that way."""
+    """The fit, or the same set with friction without presliding where that fits better. A joint that sticks while it is
+    pushed back and forth shows even the smallest presliding travel of the model."""
     return min((fit, drop_presliding(fit, runs)), key=lambda f: f.cost)
 
 
 def _drifts(rival: Discrepancy, settings: JudgementSettings) -> bool:
-    """Whether the size of an effect is no constant: it clearly changes over the session, and by much."""
+    """Whether the size of an effect changes over the session, significantly and by much."""
     much = any(abs(change) > settings.drift for change in rival.changes.values())
     return rival.kind == "session" and rival.gain > rival.error and much
 
 
 def _has_gap(base: Hypothesis, best: Hypothesis, settings: JudgementSettings) -> bool:
-    """Whether a set makes the runs more probable than the asset does, and takes more of what is left than coarse time
-    stamps may; or most runs leave far more than noise."""
+    """Whether a set is more probable than the asset alone and removes more than coarse time stamps explain, or most
+    runs are far above the noise."""
     ahead, error = score_difference(best.score, base.score)
     taken = float(np.sqrt(max(base.rms**2 - best.rms**2, 0.0)))
-    simplify = [floors > settings.plain_gap for floors in base.rms_by_run.values()]
-    return (ahead > error and taken >= settings.least_gap) or sum(simplify) >= (1 - settings.met) * len(simplify)
+    clear = [rms > settings.plain_gap for rms in base.rms_by_run.values()]
+    return (ahead > error and taken >= settings.least_gap) or sum(clear) >= (1 - settings.met) * len(clear)
 
 
 def _has_shape(hypothesis: Hypothesis) -> bool:
-    """Whether an effect of the set may be of any shape."""
+    """Whether an effect of the set is a free shape (`Effect.complexity` > 1)."""
     return any(EFFECTS[name].complexity > 1 for name in hypothesis.names)
 
 
@@ -131,8 +130,8 @@ def _best_of_each_size(table: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 
 def select_irreducible(table: Iterable[Hypothesis]) -> list[Hypothesis]:
-    """The smallest sets within one standard error of the best, the most probable first; none that becomes another of
-    them in a special case."""
+    """The smallest sets within one standard error of the best, the most probable first, without those that reduce to
+    another of them."""
     of = {h.names: h for h in table}
     near = [of[score.names] for score in select_smallest([h.score for h in of.values()])] if of else []
     names = {h.names for h in near}
@@ -140,7 +139,7 @@ def select_irreducible(table: Iterable[Hypothesis]) -> list[Hypothesis]:
 
 
 def reduced_sets(names: tuple[str, ...]) -> list[tuple[str, ...]]:
-    """The sets that this one becomes in special cases."""
+    """The sets that this one reduces to in special cases."""
     special = [(name, EFFECTS[name].reduces_to) for name in names]
     return [tuple(sorted({*names, less} - {name})) for name, less in special if less]
 
@@ -148,10 +147,9 @@ def reduced_sets(names: tuple[str, ...]) -> list[tuple[str, ...]]:
 def explains_gap(
     hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings, table: Sequence[Hypothesis] = ()
 ) -> bool:
-    """Whether a set leaves next to nothing of what `base` does, or what its formulas are off by, in all runs that show
-    a gap but one of four, which may hang on a hair, and in half of those that choose; and none of its numbers is at its
-    bound, where it stands for something else. What an effect's formula is off by is a part of what it takes beside the
-    others, by the sets of `table`."""
+    """Whether a set leaves almost none of the gap of `base` in three of four runs that show one and in half of the test
+    runs among these, with no parameter at a bound. What an effect's own form error (`Effect.form_error`) leaves of its
+    contribution, by the sets of `table`, is allowed."""
     if is_at_bound(hypothesis.fit):
         return False
     before, after = base.rms_by_run, hypothesis.rms_by_run
@@ -165,7 +163,7 @@ def explains_gap(
 
 
 def _form_error(hypothesis: Hypothesis, run: str, base: Hypothesis, table: Sequence[Hypothesis]) -> float:
-    """Floors of a run by which the formulas of a set are off (`Effect.form_error`)."""
+    """Normalised RMS of a run that the form errors of a set explain (`Effect.form_error`)."""
     of, off = {h.names: h for h in table}, 0.0
     for name in hypothesis.names:
         rest = of.get(tuple(n for n in hypothesis.names if n != name), base)
@@ -174,22 +172,21 @@ def _form_error(hypothesis: Hypothesis, run: str, base: Hypothesis, table: Seque
 
 
 def _is_subset_enough(hypothesis: Hypothesis, table: Sequence[Hypothesis]) -> bool:
-    """Whether a part of a set, which leaves too much for a name, is about as probable as all of it: that what all of it
-    leaves just passes then hangs on a hair."""
+    """Whether a subset, which leaves too much to be accepted, is about as probable: then passing the threshold is
+    chance."""
     fewer = [h for h in table if h.score.size < hypothesis.score.size and _is_contained(h, hypothesis)]
     return any(not _is_ahead(hypothesis, h) for h in fewer)
 
 
 def _repairs_formula(hypothesis: Hypothesis, part: Hypothesis) -> bool:
-    """Whether all that a set has beside a part of it are forces at a place, as is one of the part whose formula is off
-    by itself (`Effect.form_error`)."""
+    """Whether a set adds only local forces to a part of it that has a form error: they correct that formula."""
     more = {*hypothesis.names} - {*part.names}
     off = any(EFFECTS[name].form_error > 0 for name in part.names)
     return off and bool(more) and {*part.names} < {*hypothesis.names} and all(is_local(EFFECTS[name]) for name in more)
 
 
 def _is_contained(hypothesis: Hypothesis, other: Hypothesis) -> bool:
-    """Whether another set has all that a set has, dry friction being one, and what becomes a plainer effect that."""
+    """Whether another set contains this one, up to reductions; all dry friction counts as one."""
     return _reduced_names(hypothesis.names) <= _reduced_names(other.names)
 
 
@@ -198,8 +195,8 @@ def _reduced_names(names: tuple[str, ...]) -> set[str]:
 
 
 def _find_dominant(table: Sequence[Hypothesis], base: Hypothesis, settings: JudgementSettings) -> list[Hypothesis]:
-    """The smallest sets that may dominate, but where a set with a number at its bound, which no machine has, is clearly
-    more probable than they: then something else is at work."""
+    """The smallest sets that may dominate. A set with a parameter at a bound, which no machine has, excludes those that
+    are clearly less probable: then something else is at work."""
     candidates = [h for h in table if may_dominate(h, base, settings)]
     best = max(candidates, key=lambda h: h.score.total, default=None)
     near = [h for h in candidates if best is not None and not _is_ahead(best, h)]
@@ -209,7 +206,7 @@ def _find_dominant(table: Sequence[Hypothesis], base: Hypothesis, settings: Judg
 
 
 def _common_part(rivals: Sequence[Hypothesis], candidates: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """The part that all rivals have, where that may itself dominate: it is sure, what they have besides is not."""
+    """The common part of all rivals, where it may dominate by itself: it is certain, the rest is not."""
     if not rivals:
         return []
     common = set.intersection(*(_reduced_names(h.names) for h in rivals))
@@ -224,16 +221,17 @@ def _is_ahead(other: Hypothesis, hypothesis: Hypothesis) -> bool:
 
 
 def _is_dry(name: str) -> bool:
-    """Whether an effect is a dry friction of the joint's bearing, or becomes one."""
+    """Whether an effect is dry friction of the joint's bearing, or reduces to one."""
     cls = EFFECTS[name]
     return (cls.acts == "drive" and not cls.geared) or (cls.reduces_to is not None and _is_dry(cls.reduces_to))
 
 
 def may_dominate(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:
-    """Whether a set is of what every machine has, a loss and one dry friction at most among it, no number at its bound
-    or beyond what is usual, and halves the gap in most of the runs that show one, and in half of those that choose."""
+    """Whether a set consists of effects that every machine has, with a loss and at most one dry friction, all
+    parameters plausible and off their bounds, and halves the gap in most runs that show one and in half of the test
+    runs among these."""
     classes = [EFFECTS[name] for name in hypothesis.names]
-    one_friction = sum(_is_dry(name) for name in hypothesis.names) <= 1  # one contact has one law of it
+    one_friction = sum(_is_dry(name) for name in hypothesis.names) <= 1
     if not any(cls.dissipates for cls in classes) or not all(cls.common for cls in classes) or not one_friction:
         return False
     if is_at_bound(hypothesis.fit) or not all(effect.is_plausible() for effect in hypothesis.fit.effects):
@@ -249,9 +247,9 @@ def may_dominate(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSe
 
 
 def is_at_bound(fit: Fit) -> bool:
-    """Whether a number of an effect is at the end of what it may be; 0, where the effect is none, is no such end."""
+    """Whether a parameter of an effect is at its bound. 0, where the effect vanishes, does not count."""
     numbers = [(r, x) for r, x in zip(fit.model.ranges(), fit.theta, strict=True) if r.owner in EFFECTS]
-    numbers = [(r, x) for r, x in numbers if EFFECTS[r.owner].acts != "stop"]  # all that a stop gives back is no bound
+    numbers = [(r, x) for r, x in numbers if EFFECTS[r.owner].acts != "stop"]  # full restitution is no bound
     return any(
         x > r.upper - _BOUND_SHARE * (r.upper - r.lower)
         or (r.lower < 0 and x < r.lower + _BOUND_SHARE * (r.upper - r.lower))
@@ -262,8 +260,8 @@ def is_at_bound(fit: Fit) -> bool:
 def fit_for_simulator(
     hypothesis: Hypothesis, search: Search | ForceSearch, folds: tuple[Fold, ...], base: Hypothesis
 ) -> Hypothesis:
-    """The set with the numbers that bring a simulator nearest, which knows no build-up of friction; by its plainer name
-    where these are of a special case."""
+    """The set refitted as a simulator has it, without presliding, and reduced where its parameters are of a special
+    case."""
     fit = simplify(drop_presliding(hypothesis.fit, search.train), search.train)
     if fit is hypothesis.fit:
         return hypothesis

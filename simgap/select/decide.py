@@ -1,4 +1,4 @@
-"""From what stands to what is said: names with intervals, rivals and the experiment that parts them, and a sentence."""
+"""From the choice to the verdict: effects with intervals, rivals, the next experiment and a sentence."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from simgap.settings import JudgementSettings
 from simgap.verdict import Quantity, RunGap, Verdict, closes_gap, deciding_runs, root_mean_square, shows_gap, unit_of
 
 _OUTLIER_RATIO = 3.0
-"""Times what the other runs are off by at which a run is spoken of."""
+"""Times the median run's RMS above which a run is mentioned."""
 _REPORTED_RMS = 1.5
-"""Floors that an explanation leaves of the middle run from which on the rest is spoken of."""
+"""Normalised RMS of the median run above which a residual is mentioned."""
 _REPORTED_SHARE = 0.5
-"""Part of the gap that the best try may leave and still be told of where nothing explains it."""
+"""Share of the gap that the nearest set may leave to be mentioned."""
 _REPORTED_DISCREPANCY = 0.1
-"""Part of the gap that a force without a name takes beside a set to be spoken of."""
+"""Share of the gap that a discrepancy must remove to be mentioned."""
 _DISCREPANCY_TEXT = {
     "position": "a force that depends on where the joint is",
     "velocity": "friction that depends on speed in another way",
@@ -42,7 +42,7 @@ _DISCREPANCY_TEXT = {
 
 @dataclass(frozen=True)
 class DeliveredFits:
-    """What is delivered, and all runs before the asset as it is and as it is delivered: only their starts are free."""
+    """The delivery, and fits of all runs with the asset as given and as delivered; only start states are fitted."""
 
     delivery: Delivery
     before: Fit
@@ -50,19 +50,19 @@ class DeliveredFits:
 
 
 def has_enough_motion(runs: tuple[FitRun, ...], noise: SensorNoise, settings: JudgementSettings) -> bool:
-    """Whether any run moves by more than the sensor's noise can hide."""
+    """Whether any run moves by more than the noise can hide."""
     return max(float(np.ptp(run.q)) for run in runs) > settings.least_motion * noise.sigma_at_rest
 
 
 def has_enough_readings(runs: tuple[FitRun, ...], settings: JudgementSettings) -> bool:
-    """Whether there are readings enough to fit some and hold out others."""
+    """Whether there are enough readings to fit some and hold out others."""
     return sum(len(run.q) for run in runs) >= settings.least_readings
 
 
 def not_excited_verdict(
     runs: tuple[FitRun, ...], noise: SensorNoise, moved: bool, joint_type: JointType, held: StictionBound | None = None
 ) -> Verdict:
-    """Nothing moved, or hardly anything was read: nothing is known but what pushes it withstood."""
+    """The verdict where nothing moved or there are too few readings; it reports a stiction bound, if any."""
     gaps = tuple(
         RunGap(r.name, noise.sigma_at_rest, noise.sigma_at_rest, noise.sigma_at_rest, bool(r.held_out), r.regime)
         for r in runs
@@ -72,7 +72,7 @@ def not_excited_verdict(
     if held is not None:
         most = amount(held.force, force)
         sentence = (
-            f"The joint withstood {most}, weight and told force together, and gave way by "
+            f"The joint held against {most}, weight and commanded force together, and moved by "
             f"{amount(held.travel, length)}: what holds it, dry friction or a catch, is at least that. Beyond that"
         )
         later = f"Push harder than {most} until it moves. {later}"
@@ -95,7 +95,7 @@ def not_excited_verdict(
 
 
 def compared_quantity(problem: Problem) -> Quantity:
-    """What of the runs is compared."""
+    """Position, or force where motion is prescribed."""
     return "force" if problem.inverse_dynamics else "position"
 
 
@@ -123,8 +123,8 @@ def make_verdict(
 
 
 def _confirm(found: Verdict, problem: Problem, settings: JudgementSettings) -> Verdict:
-    """The verdict, or that it is none: a name stands only where the runs that are kept to confirm it show the gap, and
-    lose most of it with what is delivered."""
+    """The verdict as confirming runs leave it: a name needs a gap in these runs, most of which the delivered asset
+    closes."""
     if found.verdict == "unexplained" and not shows_gap(found.gaps):
         return replace(found, verdict="no_gap", next_experiment=None, sentence=_agreement_text(found.gaps, problem))
     confirming = [gap for gap in found.gaps if gap.use == "confirming"]
@@ -157,7 +157,7 @@ def _confirm(found: Verdict, problem: Problem, settings: JudgementSettings) -> V
 
 
 def _agreement_text(gaps: tuple[RunGap, ...], problem: Problem) -> str:
-    """That simulation and measurement agree, and what is left of the run in the middle."""
+    """That simulation and measurement agree, and the residual of the median run."""
     left = _amount_text(float(np.median([gap.after for gap in gaps])), problem)
     return f"Simulation and measurement agree: what is left ({left}) is the sensor's noise."
 
@@ -237,7 +237,7 @@ def _draft_verdict(
 
 
 def _unexplained_verdict(choice: Choice, gaps: tuple[RunGap, ...], noise: SensorNoise, problem: Problem) -> Verdict:
-    """What is told where nothing may be named: what comes nearest, and what has no name beside it."""
+    """The verdict where nothing may be named: the nearest set, and the main discrepancy."""
     before, best = choice.base, choice.best
     sentence = (
         f"Simulation and measurement differ by {_amount_text(before.rms * noise.sigma_at_rest, problem)}, and no "
@@ -255,14 +255,13 @@ def _unexplained_verdict(choice: Choice, gaps: tuple[RunGap, ...], noise: Sensor
 
 
 def _next_recording(choice: Choice) -> str:
-    """What to record of what has no name."""
+    """What to record about a discrepancy."""
     rival = _main_discrepancy(choice)
     return DISCREPANCY_EXPERIMENTS[rival.kind if rival is not None else ""]
 
 
 def _main_discrepancy(choice: Choice) -> Discrepancy | None:
-    """The force without a name that is most probable beside what was named or was nearest, and takes a part of the
-    gap."""
+    """The most probable discrepancy that removes part of the gap; None without one."""
     sure = [n for n in choice.discrepancies if n.gain > (n.error if n.kind == "session" else 0.0)]
     able = [
         n
@@ -273,13 +272,13 @@ def _main_discrepancy(choice: Choice) -> Discrepancy | None:
 
 
 def shared_effects_text(sets: tuple[tuple[str, ...], ...]) -> str:
-    """What all rivals have."""
+    """The effects that all rivals have."""
     shared = [name for name in sets[0] if all(name in names for names in sets)]
     return f" Sure is {' and '.join(effect_label(name) for name in shared)}." if shared else ""
 
 
 def describe_residual(choice: Choice, runs: tuple[FitRun, ...], noise: SensorNoise, problem: Problem) -> str:
-    """What a name in part leaves, and where most of it is: in which run, at which places and speeds."""
+    """What the dominant effects leave, and where most of it is: run, position and speed."""
     best, rival = choice.accepted[0], _main_discrepancy(choice)
     floors = {name: float(np.sqrt(np.mean(r * r))) for name, r in best.test_residuals.items()}
     name = max(floors, key=lambda run: floors[run])
@@ -303,10 +302,8 @@ def describe_residual(choice: Choice, runs: tuple[FitRun, ...], noise: SensorNoi
 
 
 def find_unexcited(hypothesis: Hypothesis) -> list[str]:
-    """Names of the effects of which these runs tell no size, were all else known: they hardly stir them.
-
-    What an effect shares with the asset's own doubts is no lack of motion, and more of the same would not part them.
-    """
+    """Effects whose size these runs do not determine even with all else known. Confounding with the asset's own
+    parameters does not count: more motion would not resolve it."""
     fit, unit, found = hypothesis.fit, residual_dispersion(robust_residuals(hypothesis.test_residuals)), []
     ranges = fit.model.ranges()
     for effect in fit.effects:
@@ -325,7 +322,7 @@ def find_unexcited(hypothesis: Hypothesis) -> list[str]:
 
 
 def _run_gaps(runs: tuple[FitRun, ...], split: Split, delivered: DeliveredFits) -> tuple[RunGap, ...]:
-    """Root mean squares of every run, rad or m (N*m or N of force), with the asset as it is and as it is delivered."""
+    """RMS of every run with the asset as given and as delivered: rad or m, or N*m or N."""
     return tuple(
         RunGap(
             run.name,

@@ -1,8 +1,8 @@
-"""What of an explanation can be delivered in files: its numbers with the asset as it is, or with its body corrected.
+"""What of an explanation files can express: the effects' parameters with the asset's inertia and weight as they are, or
+corrected.
 
-Fits leave inertia, weight and base free by what the asset may be off by. No file says so. Here the smallest correction
-of the body that runs need is chosen by the score that chooses effects, and the effects are fitted anew to the
-asset as it then is.
+In the fits, inertia, weight and tilt of the asset are free within their uncertainty. Here the smallest correction that
+the runs need is chosen by the score that chooses effects, and the effects are refitted with the corrected asset.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from simgap.settings import FitSettings
 from simgap.verdict import GAP_THRESHOLD, Correction, NamedEffect
 
 ASSET = "asset"
-"""Owner of the numbers that say how the asset is off (`Theory.ranges`)."""
+"""Owner of the asset's own parameters (`Model.ranges`)."""
 _LEAN = "lean_1"
 _VERDICT_NAMES = {
     "inertia": ("inertia", "1"),
@@ -50,7 +50,7 @@ _VERDICT_NAMES = {
     _LEAN: ("lean", "rad"),
     "lean_2": ("lean_across", "rad"),
 }
-"""Its names to those of verdict.json, and units."""
+"""Parameter to its name in verdict.json, and unit."""
 
 
 @dataclass(frozen=True)
@@ -59,32 +59,32 @@ class RivalCorrection:
 
     fit: Fit
     numbers: tuple[Correction, ...] = ()
-    """Those of the asset that the correction does not have."""
+    """Parameters of the asset that the correction does not have."""
     effects: tuple[Effect, ...] = ()
-    """Likewise."""
+    """Effects that the correction does not have."""
 
 
 @dataclass(frozen=True)
 class Delivery:
-    """An explanation as files say it."""
+    """An explanation as files can express it."""
 
     fit: Fit
-    """The effects, the asset's inertia and weight being what the corrected files say."""
+    """The effects, with inertia and weight as in the corrected files."""
     body: BodyCorrection = NO_CORRECTION
     corrected: tuple[Correction, ...] = ()
-    """The numbers of the body that were fitted, with 90 % intervals."""
+    """Corrected parameters with 90 % intervals."""
     correction_fit: Fit | None = None
-    """The fit by which the body is corrected."""
+    """The fit with the corrected parameters free."""
     rivals: tuple[RivalCorrection, ...] = ()
-    """What does as well in the place of numbers of the correction."""
+    """Explanations as good as parameters of the correction."""
 
     @property
     def holding(self) -> float:
-        """How inputs go on between their rows, see `Nuisance`."""
+        """Interpolation of inputs, see `Nuisance`."""
         return ParameterMap(self.fit.model).nuisance(self.fit.theta).holding
 
     def with_delivered_values(self, named: Sequence[NamedEffect]) -> tuple[NamedEffect, ...]:
-        """The effects with the numbers that are delivered; intervals keep the doubt of the asset."""
+        """The effects with the delivered values; intervals keep the uncertainty of the asset."""
         of = {effect.name: effect for effect in self.fit.effects}
         return tuple(_replace_values(n, of[n.effect.name]) for n in named)
 
@@ -103,18 +103,23 @@ def deliver(
     measured: Measured,
     names: Collection[str] = (),
 ) -> Delivery:
-    """The effects of a hypothesis with the smallest correction of the body that leaves noise where all of them do: what
-    is fitted and not delivered may explain nothing. Where all leave more, with the smallest within one standard error
-    of the best.
+    """The effects of a hypothesis with the smallest correction of the asset that leaves noise where the full correction
+    does; where that leaves more, the smallest within one standard error of the best. Of two of one size the better fit
+    is taken.
 
-    Of two corrections as small the one that the asset's doubts make likelier stands. `train` are the runs to fit,
-    `names` effects that these could show.
+    Args:
+        hypothesis: the effects.
+        train: runs to fit.
+        folds: runs to choose by.
+        asset: as given.
+        measured: the measurement.
+        names: effects that the runs could show.
     """
     problem = hypothesis.fit.model.problem
     tried = [
         _refit_delivered(variant, hypothesis.fit, train) for variant in _correction_variants(problem, hypothesis.names)
     ]
-    if len(tried) == 1:  # nothing of the asset is in doubt
+    if len(tried) == 1:  # the asset is exact
         return Delivery(tried[0])
     seen = [evaluate_set(fit, folds) for fit in tried]
     best = max((h.score for h in seen), key=lambda score: score.total)
@@ -143,7 +148,7 @@ def deliver(
     try:
         with tempfile.TemporaryDirectory(prefix="freeart21-") as folder:
             plant = make_plant(write_repaired(asset, (), Path(folder) / "asset", body=body), measured)
-    except FreeArtError:  # its files cannot say so
+    except FreeArtError:  # its files cannot express it
         return Delivery(tried[0])
     corrected = _make_corrections(fit, every_doubt)
     delivered = _refit_delivered(without_asset_error(problem, plant), fit, train)
@@ -151,19 +156,19 @@ def deliver(
 
 
 def _leaves_noise(hypothesis: Hypothesis, runs: set[str]) -> bool:
-    """Whether three of four of these runs show no gap of their own."""
+    """Whether three of four of these runs show no gap."""
     shown = sum(hypothesis.rms_by_run[run] > GAP_THRESHOLD for run in runs)
     return shown <= 0.25 * len(runs)
 
 
 def _is_as_good(hypothesis: Hypothesis, other: Hypothesis, runs: set[str]) -> bool:
-    """Whether a hypothesis leaves noise of these runs, or is within one standard error of another."""
+    """Whether a hypothesis leaves noise in these runs, or is within one standard error of another."""
     return _leaves_noise(hypothesis, runs) or _is_near(other.score, hypothesis.score)
 
 
 def _fit_lean_alternatives(fit: Fit, runs: tuple[FitRun, ...], names: Collection[str]) -> list[Fit]:
-    """What else, of the effects `names`, explains that the weight pulls from where the asset does not say, by more than
-    a usual mounting: that set, begun without a lean, to which its prior holds it."""
+    """Fits with another effect, of `names`, in place of a tilt of the weight beyond a usual mounting. They start
+    without tilt, at which its prior holds it."""
     problem, nuisance = fit.model.problem, ParameterMap(fit.model).nuisance(fit.theta)
     if problem.inverse_dynamics or abs(nuisance.lean[0]) <= FitSettings.tilt_rad:
         return []
@@ -198,8 +203,7 @@ def _is_near(best: Score, score: Score) -> bool:
 
 
 def _correction_variants(problem: Problem, names: tuple[str, ...]) -> list[Problem]:
-    """The problem without doubts of the asset, with that of its inertia, of its base, of both, of its weight, and with
-    all."""
+    """The problem with no asset parameter free, with inertia, tilt, both, weight, and all of them."""
     bare = without_asset_error(problem)
     variants = [
         bare,
@@ -217,20 +221,19 @@ def _correction_variants(problem: Problem, names: tuple[str, ...]) -> list[Probl
 
 
 def _refit_delivered(problem: Problem, parent: Fit, runs: tuple[FitRun, ...]) -> Fit:
-    """The effects of a fit, as a simulator has them, fitted under another problem."""
+    """The effects of a fit, without presliding, refitted under another problem."""
     model = Model(problem, parent.model.names, instant_friction=True)
     starts = {run.name: parent.starts[run.name] for run in runs if run.name in parent.starts}
     return refit_missed_starts(fit_model(model, runs, initial_theta(model, parent, {}), starts), runs)
 
 
 def _asset_parameters(fit: Fit) -> dict[str, int]:
-    """Names of the numbers that say how the asset is off, and their indices."""
+    """Name to index of the asset's own parameters."""
     return {r.name: i for i, r in enumerate(fit.model.ranges()) if r.owner == ASSET and r.name != HOLDING}
 
 
 def _make_corrections(fit: Fit, every: Fit, without: Collection[str] = ()) -> tuple[Correction, ...]:
-    """The numbers of the asset that were fitted, but those `without`, with the 90 % intervals that they have in a fit
-    of `every` doubt."""
+    """The fitted asset parameters but those of `without`, with 90 % intervals from a fit with all of them free."""
     at = _asset_parameters(every)
     spread = NORMAL_90 * np.sqrt(np.diag(covariance(every, residual_dispersion(robust_residuals(every.residuals)))))
     found = []

@@ -1,11 +1,10 @@
-"""Competitors without a name: forces of any shape beside a set, before the runs that choose.
+"""Nonparametric discrepancies: forces of free shape added to a set of effects.
 
-A set that stands for something else leaves what a force without a name takes: any function of position, any friction of
-speed, friction of two levels (one each way), any function of the time since a run began, two masses and a spring (as
-far as that is stiff: parts that flex), or sizes that change over the session, as of what warms up or wears. Each is
-added to first order about the set, its many numbers fitted where the set was and held together by a prior whose size
-runs left out in turn tell, and judged by the same score (Brynjarsdottir and O'Hagan 2014: a discrepancy without a name
-names nothing, but tells that one is missing).
+A set that stands in for something else leaves what a free force explains: a function of position, friction over speed,
+friction of two levels (one for each direction), a function of time since the run began, flexing parts (two masses and a
+spring, to first order), or sizes that change over the session (warming, wear). Each is fitted to first order about the
+set with a ridge prior, whose size is chosen by leaving out runs, and scored as sets are. A discrepancy names nothing
+but shows that something is missing (Brynjarsdottir and O'Hagan 2014).
 """
 
 from __future__ import annotations
@@ -27,44 +26,44 @@ from simgap.select.split import Fold
 
 KINDS = ("position", "velocity", "direction", "time", "flexing", "session")
 _MOMENTS = 6
-"""Of a run, that a force of time goes straight between."""
+"""Knots of a force over time."""
 _TIGHT = np.geomspace(1e-4, 1e4, 9)
-"""Ridges that are tried, times what would make every column as large as all that is left."""
+"""Grid of the ridge, relative to columns that explain the whole residual."""
 _SESSION = 6
-"""Runs of a session that tell whether a size changes over it: a line through fewer is hardly tested."""
+"""Runs of a session that show a change of size over it; a line through fewer is hardly tested."""
 
 
 @dataclass(frozen=True)
 class Discrepancy:
-    """A force without a name beside a set."""
+    """A free force added to a set."""
 
     kind: str
     """One of KINDS."""
     gain: float
-    """By how much it makes the choosing runs more probable than the set alone does, to the same order."""
+    """Gain of log predictive density over the set alone, to the same order."""
     error: float
-    """Standard error of that."""
+    """Its standard error."""
     rms: float
-    """That are left of choosing runs with it,"""
+    """Normalised RMS of the test runs with it,"""
     rms_alone: float
-    """... and by the set alone."""
+    """... and of the set alone."""
     changes: dict[str, float]
-    """Of kind "session": effect to the part of itself that its size changes by over the session."""
+    """For kind "session": effect to the relative change of its size over the session."""
     numbers: int
-    """How many numbers it has."""
+    """Number of parameters."""
     more: Array
-    """(k,) by how much it makes every stretch more probable."""
+    """(k,) gain of log density of each stretch."""
 
     @property
     def rms_removed(self) -> float:
-        """Floors that it takes."""
+        """Normalised RMS that it removes."""
         return float(np.sqrt(max(self.rms_alone**2 - self.rms**2, 0.0)))
 
 
 def find_discrepancies(
     hypothesis: Hypothesis, folds: tuple[Fold, ...], most: int | None = None
 ) -> tuple[Discrepancy, ...]:
-    """All forces without a name, or those of at most so many numbers, beside a set of effects, or beside none."""
+    """All discrepancies of a set, or those with at most `most` parameters."""
     linear_folds = [
         _LinearFold(trained, there, fold)
         for trained, there, fold in zip(hypothesis.trained, hypothesis.predicted, folds, strict=True)
@@ -87,14 +86,14 @@ def find_discrepancies(
 
 
 class _LinearFold:
-    """One fold about a fit: what is left, to first order, of runs that were fitted and of others."""
+    """One fold, linearised about a fit: training and test runs."""
 
     def __init__(self, trained: Fit, there: Fit, fold: Fold):
         self.fold, self.trained = fold, trained
         self.fit, self.new = linearise(trained, fold.train), linearise(there, fold.test)
 
     def fit_kind(self, kind: str) -> tuple[Array, Array, Array] | None:
-        """What is left of both with the force beside, and its coefficients; None where it cannot be told."""
+        """Residuals (training, test) with the discrepancy fitted, and its coefficients; None where there is none."""
         if kind == "session" and len({run.order for run in self.fold.train}) < _SESSION:
             return None
         first, second = (self._columns(at, runs, kind) for at, runs in self._both())
@@ -111,10 +110,10 @@ class _LinearFold:
         return (self.fit, self.fold.train), (self.new, self.fold.test)
 
     def _columns(self, at: Linearisation, runs: tuple[FitRun, ...], kind: str) -> Array:
-        """(m, N) what a unit of each of its numbers does to all readings."""
+        """(m, N) response of all readings to a unit of each parameter."""
         if kind == "flexing" and at.problem.inverse_dynamics:
             return np.zeros((0, 0))
-        if kind == "flexing":  # a shaft bends by what it carries
+        if kind == "flexing":  # a shaft twists in proportion to its load
             return at.reading_response(
                 np.concatenate(
                     [_flex_columns(now, run.times_s) for now, run in zip(at.predicted, runs, strict=True)], 1
@@ -126,25 +125,25 @@ class _LinearFold:
             turns = np.concatenate([np.full(len(run.q), float(run.order)) for run in runs])
             return at.parameters[self._sizes()] * ((turns - self._begin()) / self._span() - 0.5)
         names = self._names(kind)
-        if kind == "direction":  # a push one way, which with friction is friction of two levels
+        if kind == "direction":  # a constant force; with friction it makes two levels
             pairs = [at.unit_responses(name) for name in names]
             return np.concatenate([rows[-1:] - rows[:1] for rows in pairs]) if pairs else np.zeros((0, 0))
         return np.concatenate([at.unit_responses(name) for name in names]) if names else np.zeros((0, 0))
 
     def _names(self, kind: str) -> list[str]:
-        """Effects that the force is made of."""
+        """Effects that are the basis functions."""
         names = [name for name, cls in EFFECTS.items() if kind in cls.basis_of and name not in self.trained.model.names]
         return [name for name in names if self.fit.problem.plant.joint_type in EFFECTS[name].joint_types]
 
     def numbers(self, kind: str) -> int:
-        """How many the force has."""
+        """Number of parameters."""
         if kind in ("time", "flexing", "session"):
             return {"time": _MOMENTS, "flexing": 2, "session": len(self._sizes())}[kind]
         names = self._names(kind)
         return len(names) if kind == "direction" else sum(self.fit.count_responses(name) for name in names)
 
     def _hat_functions(self, run: FitRun) -> Array:
-        """(m, n) straight pieces of the time since a run began."""
+        """(m, n) hat functions over time since the run began."""
         last = max(float(one.times_s[-1] - one.times_s[0]) for one in (*self.fold.train, *self.fold.test))
         parts = (run.times_s - run.times_s[0]) / last
         return np.maximum(1 - np.abs(parts * (_MOMENTS - 1) - np.arange(_MOMENTS)[:, None]), 0.0)
@@ -156,19 +155,19 @@ class _LinearFold:
         return max(run.order for run in (*self.fold.train, *self.fold.test)) - self._begin()
 
     def _sizes(self) -> list[int]:
-        """Where the first number of every effect stands among the parameters."""
+        """Index of the first parameter of every effect."""
         ranges = self.trained.model.ranges()
         return [next(i for i, r in enumerate(ranges) if r.owner == name) for name in self.trained.model.names]
 
 
 def _flex_columns(q: Array, times_s: Array) -> Array:
-    """(2, n) acceleration of a motion, and how fast that changes."""
+    """(2, n) second and third derivative of a motion."""
     qdd = np.gradient(np.gradient(q, times_s), times_s)
     return np.stack([qdd, np.gradient(qdd, times_s)])
 
 
 def _score_folds(rows: list[tuple[Array, Array]], folds: tuple[Fold, ...]) -> tuple[Score, float]:
-    """Score of what is left (fitted, choosing) in every fold, and its floors on choosing runs."""
+    """Score of the residuals (training, test) of all folds, and the RMS of the test runs."""
     parts = []
     for (first, second), fold in zip(rows, folds, strict=True):
         own, predicted = _split_by_run(first, fold.train), _split_by_run(second, fold.test)
@@ -186,8 +185,8 @@ def _run_bounds(runs: tuple[FitRun, ...]) -> list[int]:
 
 
 def _fit_ridge(columns: Array, left: Array, bounds: list[int], known: Array) -> Array:
-    """(m,) sizes of columns (m, N) in what is left (N,): ridge regression, its ridge the one by which runs left out in
-    turn, between `bounds`, are told best, beside what is `known` of them (m,), in inverse squares."""
+    """(m,) coefficients of the columns (m, N) in the residuals (N,), by ridge regression. The ridge predicts runs that
+    are left out in turn (between `bounds`) best. `known` (m,) are prior precisions."""
     size = np.maximum(np.linalg.norm(columns, axis=1), 1e-9)
     scaled = columns / size[:, None]
     cuts = list(pairwise(bounds))
@@ -209,20 +208,20 @@ def _fit_ridge(columns: Array, left: Array, bounds: list[int], known: Array) -> 
 
 
 def _eigen(normal: Array) -> tuple[Array, Array]:
-    """Eigenvalues (m,) and vectors (m, m) of a normal matrix. What lies below the lost digits, or below zero by them,
-    stands at them: columns of one run are left without any reading when that run is left out."""
+    """Eigenvalues (m,), at least rounding error, and eigenvectors (m, m) of a normal matrix. Without the one run that
+    excites it, a column is zero."""
     values, vectors = np.linalg.eigh(normal)
     return np.maximum(values, len(values) * np.finfo(float).eps * values[-1]), vectors
 
 
 def _solve_ridge(axes: tuple[Array, Array], side: Array, ridge: float) -> Array:
-    """(m,) the solution of (normal + ridge) x = side."""
+    """(m,) solution of (normal + ridge) x = side."""
     values, vectors = axes
     return np.asarray(vectors @ ((vectors.T @ side) / (values + ridge)))
 
 
 def _session_changes(fit: Fit, sizes: Array, kind: str) -> dict[str, float]:
-    """Effect to the part of itself that its size changes by; of one that is next to nothing, of a usual size."""
+    """Effect to the relative change of its size, relative to a tenth of its scale for small ones."""
     if kind != "session":
         return {}
     first = {r.owner: max(abs(float(x)), 0.1 * r.size) for r, x in _backwards(fit)}
@@ -230,5 +229,5 @@ def _session_changes(fit: Fit, sizes: Array, kind: str) -> dict[str, float]:
 
 
 def _backwards(fit: Fit) -> list[tuple[ParameterRange, float]]:
-    """The numbers of a fit, the first ones last."""
+    """Parameters and values of a fit in reverse order."""
     return list(zip(fit.model.ranges(), fit.theta, strict=True))[::-1]

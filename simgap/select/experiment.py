@@ -1,5 +1,4 @@
-"""The next experiment: which of a few simple ones would part the rivals most, by their own predictions; and, where
-there are no rivals, what to record of what has no name."""
+"""The next experiment: of a few simple ones, the one whose predictions differ most between rivals."""
 
 from __future__ import annotations
 
@@ -21,15 +20,15 @@ _PAYLOAD = 0.5
 
 @dataclass(frozen=True)
 class Trial:
-    """One experiment that could be made."""
+    """One possible experiment."""
 
     words: str
-    """What to do, for a mechanic."""
+    """What to do, for users."""
     plant: Plant
     q0: float
     inputs: Inputs
     poses: bool = False
-    """Whether the true position is recorded besides the sensor's readings."""
+    """Whether the true position is recorded in addition to the sensor's readings."""
 
 
 NO_EXPERIMENT = "No simple experiment would part these explanations by their own predictions."
@@ -43,14 +42,14 @@ DISCREPANCY_EXPERIMENTS = {
     "": "Record free motion without any drive, small and large, then the same with known pushes: what is missing in "
     "both is the joint's, what only in one is the drive's.",
 }
-"""Kind of force without a name (`nameless.KINDS`), empty for none, to what would tell more of it."""
+"""Kind of discrepancy (`discrepancy.KINDS`, empty for none) to what to record about it."""
 _CLEAR = 3.0
-"""Floors from which on predictions of an experiment are apart."""
+"""Noise sigmas by which predictions must differ."""
 
 
 def next_experiment(fits: Sequence[Fit]) -> str:
-    """What would part all rivals, and by how much the nearest two of them then differ; where nothing parts all, what
-    parts the best two."""
+    """The experiment that distinguishes all rivals, and by how much the two closest then differ; where none does, the
+    one that distinguishes the best two."""
     problem, menu = fits[0].model.problem, list(_list_trials(fits[0]))
     for rivals in (fits, fits[:2]):
         best, most = None, 0.0
@@ -131,7 +130,7 @@ def _add_payload(plant: Plant) -> Plant:
 
 
 def _predict(trial: Trial, fit: Fit) -> Array:
-    """(n,) what is recorded by this fit, rad or m; it begins where the sensor reads the trial's first position."""
+    """(n,) recorded readings, rad or m, by this fit; they begin at the trial's first position."""
     times, reader = np.arange(int(_SECONDS * _RATE)) / _RATE, ParameterMap(fit.model)
     effects, nuisance = reader.effects(fit.theta), reader.nuisance(fit.theta)
     readings = simulate(trial.plant, effects, times[:1], trial.q0, 0.0, trial.inputs, nuisance)

@@ -1,4 +1,4 @@
-"""Sets of effects before runs that they were not fitted to, all by one score."""
+"""Sets of effects evaluated on runs that they were not fitted to."""
 
 from __future__ import annotations
 
@@ -23,72 +23,69 @@ from simgap.select.predictive import Score, estimate_model_error, stretch_densit
 from simgap.select.split import Fold
 
 FORM_ERROR = 0.06
-"""Part of the gap by which the right effect is off though it departs from its formula (`Effect.departs`): how real ones
-depart is not quite a slope and a bend. With .02 the verdicts of the second world's cases that were tried are the same.
-"""
+"""Share of the gap that even the right effect with its model error leaves: real effects deviate by more than a slope
+and a bend. With .02 the verdicts of the tried cases of a second simulated world are the same."""
 _EXPLAINED = 0.4
-"""Part of the gap that a formula leaves at most for its departures to take next to all of that: they are a fifth of it
-by one standard deviation (`Effect.departs`), and this by two."""
+"""Share of the gap that the formulas leave at most for model error to explain the rest: it is a fifth of the force by
+one standard deviation (`Effect.model_error`), and this is two."""
 _CROSSINGS = 5.0
-"""Crossings of its range, at top speed, of the stretches that departures are first fitted to. Of 0.5, 1.5 and 5 the
-last two led a spring that hardens to the same place."""
+"""Length of the stretches that model error is first fitted on, in crossings of the range at top speed. Of 0.5, 1.5 and
+5 the last two led a hardening spring to the same optimum."""
 _STRETCHES = 8
-"""Of the choosing runs, at least, whose densities are paired: fewer tell no standard error."""
+"""Least number of stretches whose densities are compared in pairs; fewer give no standard error."""
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A set of effects before runs that it was not fitted to."""
+    """A set of effects with its predictions of test runs."""
 
     fit: Fit
-    """To all runs that may be fitted, by the effects' formulas."""
+    """To all training runs, by the effects' formulas."""
     trained: tuple[Fit, ...]
-    """Of every fold, to its runs to fit."""
+    """Fit to the training runs of each fold."""
     predicted: tuple[Fit, ...]
-    """Of every fold, before its runs to predict: only their starts are free."""
+    """The same parameters on the test runs of each fold; only their start states are fitted."""
     score: Score
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the effects."""
+        """Names of the effects."""
         return self.fit.model.names
 
     @property
     def has_model_error(self) -> bool:
-        """Whether its effects depart from their formulas."""
+        """Whether the effects may deviate from their formulas."""
         return bool(self.trained[0].model.model_error)
 
     @cached_property
     def test_residuals(self) -> dict[str, Array]:
-        """What is left of choosing runs, by run, in floors."""
+        """Run name to (n,) normalised residuals of the test runs."""
         return {run: r for fit in self.predicted for run, r in fit.residuals.items()}
 
     @property
     def rms(self) -> float:
-        """Root mean square of that."""
+        """Normalised RMS over the test runs."""
         return pooled_rms(list(self.test_residuals.values()))
 
     @property
     def median_rms(self) -> float:
-        """Floors that are left of the run in the middle."""
+        """Normalised RMS of the median run."""
         return float(np.median(list(self.rms_by_run.values())))
 
     @cached_property
     def rms_by_run(self) -> dict[str, float]:
-        """Floors that are left of every run, choosing or fitted."""
+        """Normalised RMS of every run, test or training."""
         everything = {run: r for fit in self.trained for run, r in fit.residuals.items()} | self.test_residuals
         return {run: pooled_rms([r]) for run, r in everything.items()}
 
 
 def evaluate_set(fit: Fit, folds: tuple[Fold, ...], base: Hypothesis | None = None) -> Hypothesis:
-    """The set, by its effects' formulas, before choosing runs; `base` is the asset as it is, without which nothing is
-    known of the gap."""
+    """The set, by its effects' formulas, on the test runs; `base` is the asset alone, None when that is evaluated."""
     return _predict_folds(fit, tuple(_refit(fit, fold) for fold in folds), folds, base)
 
 
 def evaluate_with_model_error(hypothesis: Hypothesis, folds: tuple[Fold, ...], base: Hypothesis) -> Hypothesis:
-    """The set with its effects departing from their formulas as real ones do; itself where it explains too little for
-    that to matter."""
+    """The set with model error allowed; unchanged when it explains too little for that to matter."""
     fit = hypothesis.fit
     if not hypothesis.names or fit.rms > _EXPLAINED * base.fit.rms:
         return hypothesis
@@ -100,21 +97,21 @@ def evaluate_with_model_error(hypothesis: Hypothesis, folds: tuple[Fold, ...], b
     for fold in folds:
         theta, starts = np.append(fit.theta, np.zeros(more)), fit.starts
         if not model.problem.inverse_dynamics:
-            # what both a formula and a departure do is a narrow bent valley over whole runs, a straight one over parts
+            # formula and model error are nearly confounded: a narrow curved valley on whole runs, a straight one on stretches
             theta, starts = fit_stretches(model, fold.train, theta, _CROSSINGS, 8)
         trained.append(fit_model(model, fold.train, theta, starts, iterations=8))
     return _predict_folds(fit, tuple(trained), folds, base)
 
 
 def _refit(fit: Fit, fold: Fold) -> Fit:
-    """The set fitted to the fold's runs alone."""
+    """The set fitted to the training runs of a fold."""
     if set(fit.starts) == {run.name for run in fold.train}:
         return fit
     return fit_model(fit.model, fold.train, fit.theta, fit.starts, iterations=8)
 
 
 def _predict_folds(fit: Fit, trained: tuple[Fit, ...], folds: tuple[Fold, ...], base: Hypothesis | None) -> Hypothesis:
-    """What fits to the runs of all folds make of the others."""
+    """Predictions of the test runs of all folds by fits to the others."""
     predicted = tuple(refit_starts(own, fold.test) for own, fold in zip(trained, folds, strict=True))
     parts = [
         score_parts(own.residuals, seen.residuals, fold, len(folds), base)
@@ -125,8 +122,8 @@ def _predict_folds(fit: Fit, trained: tuple[Fit, ...], folds: tuple[Fold, ...], 
 
 
 def _penalty(fit: Fit, departed: Fit, count: int) -> float:
-    """What the log density of readings that numbers were fitted to is too large by: the formulas' numbers by Schwarz,
-    those whose size was known beforehand by how much better they are known now (Laplace)."""
+    """Optimism of the log density of training runs: Schwarz for the formulas' parameters, Laplace (gain of precision
+    over the prior) for model error."""
     ranges, more = departed.model.ranges(), len(fit.theta)
     known = np.array([r.prior for r in ranges[more:]])
     information = information_matrix(departed, residual_dispersion(robust_residuals(departed.residuals)))[
@@ -142,15 +139,15 @@ def score_parts(
     folds: int,
     base: Hypothesis | None = None,
 ) -> Array:
-    """(k,) log density of stretches of a fold's choosing runs, and, where it is the only one, of those that were
-    fitted: what is kept back may be of one kind of motion, which tells little of the other.
+    """(k,) log densities of stretches of a fold's test runs. With a single fold the training runs count as well: marked
+    test runs may be of one kind of motion, which tells little about another.
 
     Args:
-        fitted_to: what is left of the runs to fit, in floors.
-        seen: what is left of the runs to predict.
-        fold: these runs.
-        folds: how many there are.
-        base: the asset as it is. A formula is off by a part of the gap that it explains, whatever runs say.
+        train: run name to normalised residuals of the training runs.
+        test: the same of the test runs.
+        fold: the runs.
+        folds: number of folds.
+        base: the asset alone; formulas are off by a share of the gap at least (`FORM_ERROR`).
     """
     off = {} if base is None else {run: FORM_ERROR * excess(floors) for run, floors in base.rms_by_run.items()}
     error = estimate_model_error(train, fold.train, off)
@@ -163,15 +160,15 @@ def score_parts(
 
 
 def count_readings(runs: tuple[FitRun, ...]) -> int:
-    """Of all runs together."""
+    """Of all runs."""
     return sum(len(run.q) for run in runs)
 
 
 def pooled_rms(residuals: list[Array]) -> float:
-    """Root mean square of residuals."""
+    """RMS over all arrays."""
     return float(np.sqrt(np.mean(np.concatenate(residuals) ** 2)))
 
 
 def excess(floors: float) -> float:
-    """What of an error, in floors, is more than noise."""
+    """Normalised RMS less the noise's, as root of the difference of squares."""
     return float(np.sqrt(max(floors**2 - 1.0, 0.0)))

@@ -1,4 +1,4 @@
-"""How well the sizes of effects are known: 90 % intervals, and what of an effect is a force."""
+"""90 % intervals of effects' parameters."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ NORMAL_90 = 1.645
 
 
 def estimate_intervals(hypothesis: Hypothesis) -> tuple[NamedEffect, ...]:
-    """The effects with 90 % intervals, strongest first: the one without which most would be left.
+    """The effects with 90 % intervals, strongest first: the one whose removal costs most.
 
-    Noise is counted as what the set leaves of choosing runs, and as long as that lasts; and the size of an effect that
-    may depart from its formula by some part of itself, any as likely, is known to that only.
+    Noise is taken from the residuals of the test runs, with their correlation. An effect's size is known only up to its
+    model error, which is uniform within `Effect.model_error`.
     """
     fit, unit = hypothesis.fit, residual_dispersion(robust_residuals(hypothesis.test_residuals))
     ranges = fit.model.ranges()
@@ -25,7 +25,7 @@ def estimate_intervals(hypothesis: Hypothesis) -> tuple[NamedEffect, ...]:
     found = []
     for effect in fit.effects:
         own = {r.name: i for i, r in enumerate(ranges) if r.owner == effect.name}
-        specs, part, ends = effect.parameters(), max(effect.model_error) / np.sqrt(3.0), {}  # any part up to that
+        specs, part, ends = effect.parameters(), max(effect.model_error) / np.sqrt(3.0), {}  # uniform
         for name, i in own.items():
             x = fit.theta[i]
             size = 0.0 if is_place(effect, name) else x - effect.neutral * (i == min(own.values()))
@@ -44,8 +44,8 @@ def estimate_intervals(hypothesis: Hypothesis) -> tuple[NamedEffect, ...]:
 def _shaft_interval(
     fit: Fit, errors: dict[tuple[str, str], float], effect: Effect, name: str, parameter: str
 ) -> tuple[float, float]:
-    """90 % interval of the parameter `told` that a drive has of its shaft, fitted as SHAFT's `name`; nothing where
-    stops bounce by themselves."""
+    """90 % interval of the drive's shaft `parameter`, fitted as SHAFT's `name`; 0 to 0 where a stop effect bounces
+    instead."""
     ranges = fit.model.ranges()
     at = next((i for i, r in enumerate(ranges) if (r.owner, r.name) == (SHAFT, name)), None)
     if at is None:
@@ -65,7 +65,7 @@ def is_place(effect: Effect, name: str) -> bool:
 
 
 def covariance(fit: Fit, unit: float) -> np.ndarray:
-    """(p, p) of the parameters; `unit` is that of noise."""
+    """(p, p) of the parameters; `unit` is the residual dispersion."""
     normal = information_matrix(fit, unit)
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     return np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-10, hermitian=True) / np.outer(scale, scale)

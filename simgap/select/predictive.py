@@ -1,14 +1,13 @@
-"""How probable a theory makes runs that it never saw, when it is not quite right: one formula for every theory.
+"""Log predictive density of runs under a model that is not exact.
 
-A reading is off by the sensor's white noise, 1 floor, and by the model's own error, an Ornstein-Uhlenbeck process whose
-scale is a share of the run's own motion; share and correlation time are the likeliest on the runs that were fitted. A
-run may be worse altogether than others are: its covariance has an unknown factor, so that its readings are Student's t
-(a Student-t process: Shah, Wilson and Ghahramani 2014).
+A reading has white sensor noise of 1 sigma and the error of the model, an Ornstein-Uhlenbeck process whose scale is a
+share of the run's motion. Share and correlation time are the most likely ones of the training runs. The covariance of a
+run has an unknown factor, so its readings follow Student's t (a Student-t process: Shah, Wilson and Ghahramani 2014).
 
     log p(y) = lgamma((v + n) / 2) - lgamma(v / 2) - n/2 log(v pi) - 1/2 log |K| - (v + n)/2 log(1 + y' K^-1 y / v)
     K = I + s^2 exp(-|t - t'| / T)
 
-in n steps, by the Kalman filter of that process (Hartikainen and Sarkka 2010).
+It takes n steps of the Kalman filter of that process (Hartikainen and Sarkka 2010).
 """
 
 from __future__ import annotations
@@ -26,19 +25,19 @@ from freeart21.se3 import Array
 from simgap.measure.data import FitRun
 
 DEGREES_OF_FREEDOM = 4.0
-"""v: the fewest whole degrees of freedom but for which runs would have no finite kurtosis at all. Not measured."""
+"""v: the smallest integer but for which runs would have no finite kurtosis. Not measured."""
 _SHARES = np.geomspace(1e-5, 1.0, 26)
-"""Of a run's own motion that the model's error is tried at."""
+"""Grid of the model error's scale, as share of the run's motion."""
 _TIMES = np.geomspace(2.0, 2000.0, 10)
-"""Readings that it lasts for, likewise."""
+"""Grid of its correlation time, in readings."""
 
 
 @dataclass(frozen=True)
 class ModelError:
-    """By how much a theory is off beyond the sensor's noise."""
+    """Error of a model beyond the sensor's noise."""
 
     share: float
-    """Standard deviation, as a part of that of the run's own motion."""
+    """Standard deviation, as a share of that of the run's motion."""
     seconds: float
     """Correlation time."""
 
@@ -47,8 +46,8 @@ class ModelError:
 def _log_likelihoods(
     residuals: Array, times: Array, begins: Array, motions: Array, least: Array, shares: Array, seconds: float
 ) -> Array:  # pragma: no cover
-    """(k,) log density of runs, one behind the other from begins[r] to begins[r + 1], by the model's error as `shares`
-    (k,) of their motions, `least` floors of it being known: up to what does not hang on it."""
+    """(k,) log density of all runs, up to constants, for model errors of `shares` (k,) of the runs' `motions`, and at
+    least `least` sigmas. Readings of run r are at begins[r] to begins[r + 1]."""
     found, v = np.zeros(len(shares)), DEGREES_OF_FREEDOM
     for r in range(len(motions)):
         a, b = begins[r], begins[r + 1]
@@ -74,7 +73,7 @@ def _log_likelihoods(
 
 @njit(cache=True)
 def _filter(residuals: Array, times: Array, scale: float, seconds: float) -> tuple[Array, Array]:  # pragma: no cover
-    """(n,) of the first 1, 2, ... n readings: y' K^-1 y and log |K|, with white noise of 1."""
+    """(n,) y' K^-1 y and log |K| of the first 1, 2, ... n readings, with white noise of 1."""
     squares, logs = np.empty(len(residuals)), np.empty(len(residuals))
     mean, variance, square, log = 0.0, scale * scale, 0.0, 0.0
     for i in range(len(residuals)):
@@ -94,9 +93,9 @@ def log_densities(residuals: Array, times_s: Array, scale: float, seconds: float
     """(n,) log density of the first 1, 2, ... n readings.
 
     Args:
-        left: (n,) reading less prediction, in floors.
+        residuals: (n,) normalised.
         times_s: (n,)
-        scale: standard deviation of the model's error, in floors.
+        scale: standard deviation of the model's error, sigmas.
         seconds: its correlation time.
     """
     squares, logs = _filter(np.asarray(residuals, float), np.asarray(times_s, float), float(scale), float(seconds))
@@ -113,15 +112,15 @@ def _log_student(squares: Any, logs: Any, n: Any) -> Any:
 
 
 def motion_scale(run: FitRun) -> float:
-    """Size of a run's readings, in floors."""
+    """Size of a run's readings, in noise sigmas."""
     return run.reading_scale / float(np.sqrt(np.mean(run.sigma**2)))
 
 
 def estimate_model_error(
     residuals: dict[str, Array], runs: Sequence[FitRun], least: dict[str, float] | None = None
 ) -> ModelError:
-    """The likeliest model error of `residuals` (in floors, by run), those of `runs` that they name; by how many floors
-    a model is off at `least`, by run, is known beforehand."""
+    """The most likely model error of normalised `residuals` (by run), of those `runs` that they name. `least` is a
+    known lower bound of its scale, sigmas, by run."""
     seen = [run for run in runs if run.name in residuals]
     step = float(np.median(np.concatenate([np.diff(run.times_s) for run in seen])))
     flat = np.concatenate([residuals[run.name] for run in seen]).astype(float)
@@ -135,8 +134,8 @@ def estimate_model_error(
 
 
 def stretch_densities(residuals: Array, run: FitRun, error: ModelError, count: int, least: float = 0.0) -> Array:
-    """(count,) log density of every stretch of a run, given what came before it; the run's own is their sum. The
-    model's error is `least` floors at least."""
+    """(count,) log density of each stretch of a run given the stretches before it; they add up to the run's. The model
+    error is at least `least` sigmas."""
     scale = float(np.hypot(error.share * motion_scale(run), least))
     sums = log_densities(residuals, run.times_s, scale, error.seconds)
     ends = np.array([len(residuals) * (k + 1) // count for k in range(count)]) - 1
@@ -144,43 +143,42 @@ def stretch_densities(residuals: Array, run: FitRun, error: ModelError, count: i
 
 
 DECISIVE_LOG_ODDS = float(np.log(20.0))
-"""Log probability that sets must differ by to be told apart at all, where all runs agree on it: twenty to one is strong
+"""Least difference of log probabilities to distinguish two sets, where all runs agree: odds of twenty to one are strong
 evidence (Kass and Raftery 1995)."""
 
 
 @dataclass(frozen=True)
 class Score:
-    """A theory before runs that it never saw."""
+    """Log predictive densities of a model."""
 
     names: tuple[str, ...]
     parts: Array
-    """(k,) log density of every stretch, the same stretches for all theories."""
+    """(k,) log density of each stretch, the same stretches for all models."""
     penalty: float = 0.0
-    """What the fitted ones among them are too large by, for the numbers that were fitted."""
+    """Optimism of the training stretches among them."""
 
     @property
     def size(self) -> int:
-        """How many effects it has, those of very many numbers counting for several."""
+        """Number of effects; free shapes count for several."""
         return sum(EFFECTS[name].complexity if name in EFFECTS else 1 for name in self.names)
 
     @property
     def total(self) -> float:
-        """Log density of all runs."""
+        """Penalised log density of all runs."""
         return float(self.parts.sum()) - self.penalty
 
 
 def score_difference(score: Score, other: Score) -> tuple[float, float]:
-    """By how much a theory makes the runs more probable than another does, and the standard error of that: stretches
-    are paired, since they are hard or easy for both; never less than what is decisive."""
+    """Difference of two models' log densities and its standard error. Stretches are paired, since they are hard or easy
+    for both. The error is at least DECISIVE_LOG_ODDS."""
     more = score.parts - other.parts
     error = float(np.sqrt(len(more)) * np.std(more, ddof=1)) if len(more) > 1 else float("inf")
     return score.total - other.total, max(error, DECISIVE_LOG_ODDS)
 
 
 def select_smallest(scores: Sequence[Score]) -> tuple[Score, ...]:
-    """The smallest theories within one standard error of the best, the most probable first (Breiman's rule; those are a
-    model confidence set of their size). Of theories of one size the predictions count, and not the price: two that
-    predict the same are told apart by nothing."""
+    """The smallest models within one standard error of the best, the most probable first (Breiman's rule). Among models
+    of one size penalties do not count: two that predict the same are indistinguishable."""
     best = max(scores, key=lambda s: s.total)
     near = []
     for score in scores:

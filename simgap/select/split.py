@@ -1,7 +1,7 @@
-"""Three kinds of runs: those that sets are fitted to, those that choose among sets, and those that confirm the choice.
+"""Runs to fit sets, to choose among them, and to confirm the choice.
 
-A run that chose is no witness any more: of forty sets the one that suits it best does so by chance, too. What is said
-of a gap before and after is said of confirming runs alone, where there are runs enough to keep some for that.
+A run that was used to choose cannot confirm: of forty sets the best one is partly best by chance. Gaps before and after
+are reported for confirming runs alone, where there are enough.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from simgap.measure.swings import reversals
 from simgap.verdict import Use
 
 _GROUPS = 4
-"""Of runs that nobody marked, that are left out in turn: each of the fits then has three quarters of them."""
+"""Folds of unmarked runs: each fit then has three quarters of them."""
 _CONFIRM_EVERY = 5
 """Of this many unmarked runs one confirms; fewer are all needed to fit and to choose."""
 
 _TURN_SHARE = 0.1
-"""Of the range of a run, a way back that counts as a turn, as where half swings are counted (`equation_error`)."""
+"""Share of a run's range by which it must turn back to count as a swing."""
 
 
 @dataclass(frozen=True)
 class Fold:
-    """Runs to fit, and runs to predict."""
+    """Training and test runs."""
 
     train: tuple[FitRun, ...]
     test: tuple[FitRun, ...]
@@ -34,22 +34,22 @@ class Fold:
 
 @dataclass(frozen=True)
 class Split:
-    """What each run is used for."""
+    """The use of every run."""
 
     folds: tuple[Fold, ...]
-    """One where runs were marked; else several, and every run of theirs is fitted and chooses in turn."""
+    """One when runs were marked as held out; else several, in which every run is test run once."""
     confirming: tuple[FitRun, ...]
-    """Runs that neither fits nor the choice have seen; none where there are too few runs."""
+    """Runs that neither fits nor the choice see; none where there are too few."""
 
     @property
     def train_runs(self) -> tuple[FitRun, ...]:
-        """What the sets are searched on: all but what is kept back for good."""
+        """Runs of the search: all but those held out for good."""
         if len(self.folds) == 1:
             return self.folds[0].train
         return tuple(run for fold in self.folds for run in fold.test)
 
     def use(self, run: str) -> Use:
-        """Of a run by its name; one that is fitted and chooses in turn is fitted."""
+        """Use of a run by name; runs that are tested in turn count as fitted."""
         if run in {r.name for r in self.confirming}:
             return "confirming"
         marked = len(self.folds) == 1 and run in {r.name for r in self.folds[0].test}
@@ -57,10 +57,10 @@ class Split:
 
 
 def split_runs(runs: tuple[FitRun, ...]) -> Split:
-    """Runs that are marked as held out choose and confirm by turns, in order of how they move; without marks each run
-    is left out in turn, in at most four groups of like size of motion, and of five or more some confirm.
+    """Held-out runs alternately choose and confirm, ordered by their motion. Without marks each run is left out in
+    turn, in at most four groups of similar motion, and of five or more some confirm.
 
-    A single run is cut into three stretches, or into so many that one may confirm where each then has two swings.
+    A single run is cut into three stretches, or five when each then has four half swings.
     """
     back = sorted((run for run in runs if run.held_out), key=_motion_key)
     if back:
@@ -81,7 +81,7 @@ def split_runs(runs: tuple[FitRun, ...]) -> Split:
 
 
 def _motion_key(run: FitRun) -> tuple[str, float]:
-    """Kind and size of a run's motion."""
+    """Regime and mean squared speed of a run."""
     return run.regime, float(np.mean(run.speed**2))
 
 

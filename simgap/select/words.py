@@ -1,4 +1,4 @@
-"""Numbers and effects in the words of a mechanic."""
+"""Numbers and effects as text for users."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from simgap.verdict import Correction, Use
 
 
 def effect_label(name: str) -> str:
-    """What a mechanic would call the effect of this name."""
+    """The effect of this name in words."""
     return EFFECTS[name].label if name in EFFECTS else name.replace("_", " ")
 
 
@@ -33,7 +33,7 @@ def amount(value: float, unit: str) -> str:
 
 
 def effect_words(effect: Effect, joint_type: JointType) -> str:
-    """An effect with its numbers, such as 'dry friction (level 0.12 N m)'; without those that do nothing."""
+    """An effect with its parameters, such as 'dry friction (level 0.12 N m)'; defaults are omitted."""
     nothing = {field.name: field.default for field in dataclasses.fields(effect)}  # type: ignore[arg-type]
     numbers = ", ".join(
         f"{name} {amount(getattr(effect, name), spec.unit(joint_type))}"
@@ -44,7 +44,7 @@ def effect_words(effect: Effect, joint_type: JointType) -> str:
 
 
 def correction_words(corrections: Sequence[Correction]) -> str:
-    """The asset's corrected numbers."""
+    """The asset's corrected parameters."""
     templates = {
         "inertia": "its inertia is {} times what the asset says",
         "weight": "its weight pulls {} times as much as the asset says",
@@ -76,8 +76,8 @@ _USE_TEXT = {"fitted": "that it was fitted to", "choosing": "that chose it", "co
 
 
 def runs_text(uses: Sequence[Use], in_turn: bool = False) -> str:
-    """Which runs a figure is of, such as '2 runs kept to confirm it'; `in_turn` is for runs of which none is held out
-    for good, but each from the fit that it is judged by."""
+    """The runs that a figure is about, such as '2 runs kept to confirm it'. `in_turn`: each run was held out of the fit
+    that it is judged by."""
     if in_turn:
         return (
             f"{_runs(len(uses))}, each held out in turn" if len(uses) != 1 else "1 run, its stretches held out in turn"
@@ -90,18 +90,17 @@ def _runs(count: int) -> str:
 
 
 def closed_text(part: float, which: str) -> str:
-    """How much of the gap beyond the sensor's noise an answer closes, and on `which` runs; nobody closes more than all
-    of it."""
+    """The share of the gap beyond noise that is closed on the runs `which`, at most all of it."""
     return f"With it {min(part, 1.0):.0%} of the gap on {which} is gone"
 
 
 def replace_closed_part(sentence: str, part: float, which: str) -> str:
-    """The sentence with another closed part, of other runs."""
+    """The sentence with another closed share, of other runs."""
     return _CLOSED.sub(closed_text(part, which), sentence)
 
 
 def replace_amounts(sentence: str, before: float, after: float, floor: float, unit: str) -> str:
-    """The sentence with root mean squares of replayed runs in the places of the fits' own."""
+    """The sentence with the fits' RMS replaced by those of replayed runs."""
     for pattern, now in (
         (_DIFFER, f"differ by {amount(before, unit)}"),
         (_LEFT, f"what is left ({amount(after, unit)})"),
@@ -112,12 +111,12 @@ def replace_amounts(sentence: str, before: float, after: float, floor: float, un
 
 
 def number_text(value: float, unit: str) -> str:
-    """A parameter as a table shows it: `amount`, infinite ends as words."""
+    """A parameter as a table shows it: `amount`, or "no bound"."""
     if not np.isfinite(value):
         return "no bound"
     return amount(value, unit)
 
 
 def capitalise(text: str) -> str:
-    """The text with its first letter large."""
+    """The text with its first letter in upper case."""
     return text[:1].upper() + text[1:]
