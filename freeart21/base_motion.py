@@ -1,8 +1,8 @@
-"""A joint whose base is moved: the forces that it feels besides, seen from the base.
+"""Forces on a joint whose base moves, in the base's frame.
 
-In the base's frame every bit of mass m at x, moving at u, feels -m (a + alpha x x + omega x (omega x x) + 2 omega x u)
-(Goldstein, Classical Mechanics, 4.10). Of one joint all of this becomes a force of position alone: the Coriolis part is
-across the way that the joint lets its part go.
+There a mass m at x, moving at u, feels -m (a + alpha x x + omega x (omega x x) + 2 omega x u) (Goldstein, Classical
+Mechanics, 4.10). For one joint this is a force over position alone: the Coriolis force is perpendicular to the joint's
+motion.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ N_TERMS = 8
 
 @dataclass(frozen=True)
 class FrameMotion:
-    """How the frame of a joint's parent link moves, in its own directions; (n, 3) each."""
+    """Motion of the frame of a joint's parent link, in its own directions; (n, 3) each."""
 
     acceleration: Array
     """m/s^2, of its origin."""
@@ -30,14 +30,14 @@ class FrameMotion:
     rate_change: Array
     """rad/s^2."""
     gravity: Array
-    """m/s^2, as it is seen from there."""
+    """m/s^2, in this frame."""
 
 
 def base_motion_terms(mechanics: JointMechanics, motion: FrameMotion) -> Array:
-    """(8, n) what the base's motion adds to the joint's force, as `base_motion_force` takes it.
+    """(8, n) coefficients of the base's force on the joint, for `base_motion_force`.
 
-    The first two rows go with the part's moment about the joint (what its weight goes with), the others with its
-    inertia or mass: so a part may be heavier or lie otherwise than an asset has it.
+    The first two rows scale with the part's mass moment about the joint (like its weight), the others with its inertia
+    or mass, so both can be corrected separately.
     """
     joint, w, dw = mechanics.joint, motion.rate, motion.rate_change
     n, zero = joint.axis, np.zeros(len(w))
@@ -72,7 +72,7 @@ def base_motion_terms(mechanics: JointMechanics, motion: FrameMotion) -> Array:
 
 
 def base_motion_force(terms: Array, q: ArrayLike, moment: float = 1.0, mass: float = 1.0) -> Array:
-    """(n,) N*m or N at positions `q` (n,) of a part whose moment and mass are these factors of the asset's."""
+    """(n,) N*m or N at positions `q` (n,); `moment` and `mass` are factors of the asset's."""
     q = np.asarray(q, float)
     cosine, sine, constant, cos1, sin1, cos2, sin2, linear = terms
     c, s = np.cos(q), np.sin(q)

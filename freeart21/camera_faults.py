@@ -1,8 +1,7 @@
-"""What a real RGB-D camera does to its pictures, as a few plain numbers: found by `gap`, taken by the recorder.
+"""Faults of a real RGB-D camera as a few numbers: found by `gap`, applied by the recorder.
 
-Every number is zero in a camera without fault. The order is that of light: where the lens really points, when the depth
-picture was taken, what distance the sensor gives, what it mixes at edges and loses, where the depth picture is laid
-upon the colour picture, and how the colours came out.
+Every number is zero for an ideal camera. The order of application is that of light: intrinsics, delay of the depth
+picture, depth bias and noise, flying pixels at edges and holes, registration of depth to colour, colour response.
 """
 
 from __future__ import annotations
@@ -22,20 +21,21 @@ Map = NDArray[np.float32]
 """(height, width)."""
 
 SOFT = 0.03
-"""Width, in brightness 0 to 1, over which dark surfaces fade out of the depth picture. Not measured."""
+"""Width, in brightness 0 to 1, over which dark surfaces lose depth. Not measured."""
 SOFT_RAD = float(np.radians(3.0))
 """The same for grazing surfaces, radians; half of what `generator.tof` has after Nguyen 2012. Not measured."""
 ROOM_M = 1.0
-"""How far behind an object the room is that flying pixels are mixed with, where nothing is drawn, as in `tof`."""
+"""Distance of the room behind an object, with which flying pixels mix where nothing is drawn, as in `tof`."""
 MOST_KNOTS, MOST_DRIFT = 100, 20.0
-"""Knots of a drift, and the largest value at one, stops or 1."""
+"""Knots of a drift, and its largest value, stops or 1."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """What a number of `CameraFaults` means."""
+    """Meaning of a field of `CameraFaults`."""
 
     low: float
+    """Bounds, far beyond any camera, so that a damaged file is refused."""
     high: float
     """Between these it must lie: far beyond any camera, so that a damaged file is refused."""
     unit: str
@@ -49,12 +49,12 @@ def _fault(low: float, high: float, unit: str, meaning: str, default: float | tu
 
 @dataclass(frozen=True)
 class CameraFaults:
-    """How a camera departs from an ideal pinhole with perfect depth.
+    """Deviations of a camera from an ideal pinhole with perfect depth.
 
-    A depth z reads (1 + depth_scale) z + depth_offset + depth_curve z^2. Noise is at the distance `noise_at` and
-    straight on. Surfaces much darker than `dark_level` lose `dark_share` of their pixels, those at it half as much;
-    likewise those seen flatter than `grazing_angle`. Drifts are values at moments spread evenly over the film, straight
-    between.
+    A depth z reads (1 + depth_scale) z + depth_offset + depth_curve z^2. Noise is given at the distance `noise_at` and
+    normal incidence. Surfaces much darker than `dark_level` lose `dark_share` of their pixels, at it half as many;
+    likewise at incidence beyond `grazing_angle`. Drifts are values at evenly spaced moments of the film, linear between
+    them.
     """
 
     depth_scale: float = _fault(-0.5, 1.0, "1", "share of itself that depth reads too much")
@@ -103,7 +103,7 @@ class CameraFaults:
         return replace(self, noise_at=1.0) == CameraFaults()
 
     def actual_camera(self, camera: Camera) -> Camera:
-        """The camera that really sees, where `camera` is what is told of it."""
+        """The true intrinsics of a camera with the nominal intrinsics `camera`."""
         if not (self.focal or self.centre_u or self.centre_v):
             return camera
         K = np.array(camera.K)
@@ -114,10 +114,10 @@ class CameraFaults:
     def depth(
         self, depth: Map, brightness: Map, cosine: Map, camera: Camera, rng: np.random.Generator | None = None
     ) -> Map:
-        """The depth picture (height, width), metres, 0 where there is none, that this camera gives of a true one.
+        """The depth picture (height, width), metres, 0 for none, that this camera makes of a true one.
 
-        `brightness` is the mean of sRGB, 0 to 1, `cosine` that of the angle of incidence. Without `rng` nothing is
-        drawn: no noise, no holes, no flying pixels.
+        `brightness` is the mean of sRGB, 0 to 1, `cosine` that of the angle of incidence. Without `rng` nothing random
+        is applied: no noise, holes or flying pixels.
         """
         seen = depth > 0
         z = depth.astype(np.float64)
@@ -165,7 +165,7 @@ class CameraFaults:
         return np.where(flying, out + share * (behind - z), out)
 
     def _shift_depth(self, depth: Map, camera: Camera) -> Map:
-        """The depth picture where it is laid upon the colour picture; every pixel takes its nearest."""
+        """The depth picture with its registration error; nearest-neighbour."""
         if not (self.depth_shift_u or self.depth_shift_v or self.depth_turn):
             return depth
         c, s = np.cos(self.depth_turn), np.sin(self.depth_turn)
@@ -176,7 +176,7 @@ class CameraFaults:
 
 
 FAULTS: dict[str, Fault] = {each.name: each.metadata["fault"] for each in fields(CameraFaults)}
-"""Field to what it means."""
+"""Field to its meaning."""
 
 
 def logistic(x: NDArray) -> Array:
@@ -185,7 +185,7 @@ def logistic(x: NDArray) -> Array:
 
 
 def drift_at(knots: tuple[float, ...], share: float) -> float:
-    """The value at `share` (0 to 1) of a film, straight between evenly spread knots; 0 without any."""
+    """The value at `share` (0 to 1) of a film, linear between evenly spaced knots; 0 without any."""
     return float(np.interp(share, np.linspace(0, 1, len(knots)), knots)) if knots else 0.0
 
 
@@ -202,9 +202,9 @@ def srgb_decode(colours: NDArray) -> Array:
 
 
 def incidence_cosine(depth: NDArray, camera: Camera) -> Map:
-    """Cosine (height, width) of the angle of incidence by the depth picture alone; 1 where nothing is drawn.
+    """Cosine (height, width) of the angle of incidence from the depth picture alone; 1 where nothing is drawn.
 
-    On a plane the inverse depth is linear in the picture; each slope is the smaller one of both sides'.
+    On a plane the inverse depth is linear in the picture; each slope is the smaller of both sides'.
     """
     rays = camera.rays()
     w = np.where(depth > 0, 1 / np.maximum(depth, 1e-9), np.nan)
@@ -222,10 +222,10 @@ def incidence_cosine(depth: NDArray, camera: Camera) -> Map:
 
 
 def find_depth_edges(z: NDArray) -> tuple[Array, Array]:
-    """Depth of what lies behind the nearest depth edge, metres, and the distance to it, pixels; inf far from any.
+    """Depth behind the nearest depth edge, metres, and the distance to that edge, pixels; inf far from any.
 
     An edge is where the depth in a 3 x 3 window changes by a twentieth or more, or where the object ends: there the
-    room lies `ROOM_M` behind.
+    room is `ROOM_M` behind.
     """
     room = float(z.max()) + ROOM_M
     filled = np.where(z > 0, z, room).astype(np.float32)

@@ -1,28 +1,29 @@
-"""What a joint and its drive do at limits and at the ends of a slack: the one code of both simulations.
+"""Events of a joint and its drive at limits and at the ends of a slack, shared by both simulations.
 
-Numbers in, numbers out, and `math` alone: `simgap.models.kernel` compiles these functions, `generator.simulate` calls
-them. When an event is, each of the two finds in its own steps.
+Plain numbers and `math` only: `simgap.models.kernel` compiles these functions, `generator.simulate` calls them. Each of
+the two detects in its own steps when an event happens.
 """
 
 import math
 
 _STEP, _LONGEST = 0.05, 12.0
-"""Of the motion of a rotor that presses its part into a limit, and when it surely has come back; rad of its swing."""
+"""Integration step of a rotor that presses its part into a limit, and the latest time of its rebound; rad of its
+oscillation."""
 _DEADEST = 10.0
-"""Damping ratio from which on a rotor's swing comes to nothing."""
+"""Damping ratio above which a rotor does not rebound."""
 
 
 def touching_side(side: int, x: float, w: float, q: float, v: float, push: float, width: float) -> int:
-    """The side on which a drive side and its part touch: 1 drive side ahead, -1 behind, 0 apart.
+    """The side on which drive side and part are in contact: 1 drive side ahead, -1 behind, 0 free.
 
     Args:
-        side: the same, until now.
+        side: the same, before.
         x: position of the drive side, rad or m.
         w: its velocity.
         q: position of the part.
         v: its velocity.
-        push: force that the drive side puts on the part if they touch: the actuator's less drive inertia times
-            acceleration, N*m or N.
+        push: force of the drive side on the part in contact: the actuator's less drive inertia times acceleration, N*m
+            or N.
         width: of the slack.
     """
     if side != 0:
@@ -35,10 +36,10 @@ def touching_side(side: int, x: float, w: float, q: float, v: float, push: float
 def meet_part(
     side: int, v: float, w: float, held: bool, part: float, drive: float, throw_back: float, least: float
 ) -> tuple[float, float, int]:
-    """Velocities of the part and of the drive side, and the side on which they touch, after they have met on `side`.
+    """Velocities of part and drive side, and their side of contact, after an impact on `side`.
 
-    Both go on at the speed that keeps the momentum: a perfectly inelastic contact. A drive side that comes upon a part
-    that its limit holds comes back from there.
+    Both continue at the speed that conserves momentum: a perfectly inelastic contact. A drive side that meets a part
+    held by its limit rebounds.
 
     Args:
         side: 1 drive side ahead, -1 behind.
@@ -47,8 +48,8 @@ def meet_part(
         held: whether the part rests on the limit that it is pushed into.
         part: inertia, kg*m^2 or kg.
         drive: inertia of the drive side.
-        throw_back: part of its speed that the drive side comes back with.
-        least: speed, 0 or more, up to which it stays there instead.
+        throw_back: rebound speed ratio of the drive side.
+        least: rebound speed, 0 or more, below which it stays there.
     """
     if held:
         back = throw_back * abs(w)
@@ -58,17 +59,17 @@ def meet_part(
 
 
 def part_at_limit(side: int, towards: float, v: float, after: float, throw_back: float) -> tuple[float, int]:
-    """Velocity of a drive side, and the side on which it touches its part, when this has met a limit.
+    """Velocity of a drive side, and its side of contact, when its part has met a limit.
 
-    One that the part was dragging along goes on through the slack; one that was pushing it comes back with `throw_back`
-    of its speed, or, where that is 0, stays with the part.
+    A drive side that the part was pulling continues through the slack. One that was pushing it rebounds with
+    `throw_back` of its speed, or stays with the part where that is 0.
 
     Args:
-        side: on which they touched, 1 or -1.
-        towards: the limit's direction, its sign counts.
+        side: side of contact, 1 or -1.
+        towards: direction of the limit; only its sign matters.
         v: velocity of both before.
         after: velocity of the part after.
-        throw_back: part of its speed that the drive side comes back with.
+        throw_back: rebound speed ratio of the drive side.
     """
     if side * towards < 0:
         return v, 0
@@ -80,29 +81,28 @@ def part_at_limit(side: int, towards: float, v: float, after: float, throw_back:
 def drive_rebound(
     speed: float, press: float, push: float, part: float, drive: float, throw_back: float, swing: float
 ) -> tuple[float, float]:
-    """What a drive does after its part has stopped dead at a limit: seconds for which the part stays there, and the
-    speed, 0 or more, with which it then leaves; a speed of 0 for a part that only other forces can take away.
+    """Rebound of a drive whose part has stopped dead at a limit: time that the part stays there, s, and speed at which
+    it then leaves, 0 or more; a speed of 0 when only other forces can take it away.
 
-    The rotor swings on its shaft, a spring and a dashpot, until these press the part no more against what else acts on
-    it. From then on both together go on with the rotor's momentum and under all forces; how they swing against each
-    other dies within milliseconds and is left out. What acts is taken to last for as long as that.
+    The rotor oscillates on its shaft, a spring and a dashpot, until these no longer press the part against the other
+    forces. Then both move together with the rotor's momentum and under all forces; their relative oscillation decays
+    within milliseconds and is neglected. Forces are constant during the rebound.
 
     Args:
         speed: of the impact, 0 or more, rad/s or m/s.
-        press: what else presses the part into the limit, less than 0 for what pulls it away, friction taken off; N*m
-            or N.
+        press: other forces into the limit, less than 0 away from it, less friction; N*m or N.
         push: the actuator's force on the rotor, towards the limit.
         part: inertia of the links, kg*m^2 or kg.
-        drive: the drive's.
-        throw_back: part of its speed that the rotor comes back with.
-        swing: seconds in which it swings by a radian.
+        drive: inertia of the drive.
+        throw_back: rebound speed ratio of the rotor.
+        swing: time of one radian of its oscillation, s.
     """
     share = drive / (part + drive)
     if throw_back <= 0.0 or share <= 0.0 or speed <= 0.0:
         return 0.0, 0.0
     if swing <= 0.0:
         return 0.0, share * throw_back * speed
-    low, z = 0.0, _DEADEST  # the damping ratio with which so much comes back
+    low, z = 0.0, _DEADEST  # the damping ratio of this rebound
     for _ in range(40):
         middle = 0.5 * (low + z)
         swung = math.sqrt(abs(1.0 - middle * middle))
@@ -111,7 +111,7 @@ def drive_rebound(
             low = middle
         else:
             z = middle
-    unit = swing / (drive * speed)  # of forces, where the rotor comes in with 1 and swings by a radian in 1
+    unit = swing / (drive * speed)  # unit of force for an impact speed of 1 and a swing of 1
     F, against, gone = unit * push, -unit * press, 0.0
     x, w, force = 0.0, 1.0, 2.0 * z
     while force > against:

@@ -1,4 +1,4 @@
-"""What was measured of one joint: runs of its position against time, and what is known of the circumstances."""
+"""Measured runs of one joint: position against time, and their circumstances."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ INTERPOLATIONS: tuple[str, ...] = get_args(Interpolation)
 
 @dataclass(frozen=True)
 class BaseSeries:
-    """How the base moved in a run: NaN where nothing was logged, None for what it did not do."""
+    """Motion of the base in a run: NaN where nothing was logged, None for no such motion."""
 
     position: Array | None = None
-    """(n, 3) m by which it was moved, in the directions that the canonical frame has at angle 0."""
+    """(n, 3) m, displacement in the directions of the canonical frame at angle 0."""
     acceleration: Array | None = None
     """(n, 3) m/s^2 in these directions; in place of positions."""
     angle: Array | None = None
-    """(n,) rad by which it was turned about `Measured.base_axis`."""
+    """(n,) rad about `Measured.base_axis`."""
 
 
 @dataclass(frozen=True)
 class BaseAxis:
-    """What a base turns about, in its canonical frame."""
+    """Rotation axis of a base, in its canonical frame."""
 
     axis: Array
     """(3,) unit vector."""
     point: Array
-    """(3,) m: what `BaseSeries.position` and its acceleration are of."""
+    """(3,) m: the point of `BaseSeries.position` and acceleration."""
 
 
 @dataclass(frozen=True)
@@ -52,67 +52,66 @@ class Run:
     q: Array
     """(n,) position as read, rad or m; NaN where there is no reading, and all NaN when only poses were measured."""
     effort: Array | None = None
-    """(n,) N*m or N, NaN where none was logged; between those as `Measured.interpolation` says."""
+    """(n,) N*m or N, NaN where none was logged; interpolated as `Measured.interpolation`."""
     q_command: Array | None = None
-    """(n,) commanded position, rad or m, NaN where none was logged; between those as `Measured.interpolation` says."""
+    """(n,) commanded position, rad or m, NaN where none was logged; interpolated as `Measured.interpolation`."""
     poses: Array | None = None
-    """(n, 4, 4) T_reference_moving: the moving part's pose in the reference part's (base) frame, which is the identity
-    at state zero of an ideal joint: both parts are at home in the asset's canonical frame."""
+    """(n, 4, 4) T_reference_moving: the moving part's pose in the reference part's (base) frame, identity at state zero
+    of an ideal joint. Both frames are the asset's canonical frame there."""
     seen: NDArray[np.bool_] | None = None
-    """(n,) whether the parts were seen when the poses were measured."""
+    """(n,) whether both parts were visible when the poses were measured."""
     held_out: bool | None = None
-    """Whether a fit must never see it; None when nobody said."""
+    """Whether fits must not use it; None when not specified."""
     voltage: Array | None = None
-    """(n,) V at the actuator's motor, NaN where none was logged; between those as `Measured.interpolation` says."""
+    """(n,) V at the actuator's motor, NaN where none was logged; interpolated as `Measured.interpolation`."""
     enabled: Array | None = None
-    """(n,) whether the actuator was on, above 0, until the next value; NaN where none was logged."""
+    """(n,) whether the actuator was on (above 0), by zero-order hold; NaN where none was logged."""
     base: BaseSeries | None = None
-    """How the base moved; None at rest."""
+    """Motion of the base; None at rest."""
     qd: Array | None = None
-    """(n,) velocity as read, rad/s or m/s, NaN where there is no reading. Fits look at positions; it tells what torque
-    goes with what speed (`simgap.measure.prescribed`)."""
+    """(n,) velocity as read, rad/s or m/s, NaN where there is no reading. Fits use positions; velocities relate torque
+    to speed in prescribed motion (`simgap.measure.prescribed`)."""
     prescribed: bool | None = None
-    """Whether something else than the efforts told the joint how to move, as a drive that holds its speed: efforts then
-    answer the motion. None when nobody said."""
+    """Whether something other than the efforts prescribed the motion, such as a speed-controlled drive: efforts are
+    then a response. None when not specified."""
 
 
 @dataclass(frozen=True)
 class Measured:
-    """All runs of one joint of one object, its base at rest or moved as the runs tell."""
+    """All runs of one joint of one object."""
 
     joint: str
     """Name in the asset's URDF."""
     joint_type: JointType
     gravity: Array
-    """(3,) m/s^2 in the asset's canonical frame, its base at rest (`T_canonical_reference` takes the base link's)."""
+    """(3,) m/s^2 in the asset's canonical frame, its base at rest."""
     rate_hz: float
     timestamps: Timestamps
-    """"recorded" times may jitter and are to be believed; "nominal" ones are even and may be off by the jitter."""
+    """"recorded" times may jitter and are exact; "nominal" ones are even and may be off by the jitter."""
     effort_kind: EffortKind | None = None
-    """Whether efforts pass the actuator or push the moving part itself; None without efforts."""
+    """Whether efforts pass the actuator or act on the moving part directly; None without efforts."""
     actuator: Actuator | None = None
-    """What the actuator is known to be: its position law, limits and motor; its functions of time are empty. What it
-    is not known for may be missing from the simulation."""
+    """The known properties of the actuator: position law, limits and motor, without functions of time. Unknown ones may
+    be missing in the simulation."""
     inertia_relative: float = 0.0
-    """How far the asset's inertia may be off, as a part of it; 0 is exact."""
+    """Relative uncertainty of the asset's inertia; 0 is exact."""
     gravity_relative: float = 0.0
-    """How far the asset's gravity torque (or force) may be off, as a part of it; 0 is exact."""
+    """Relative uncertainty of the asset's gravity torque or force; 0 is exact."""
     runs: tuple[Run, ...] = field(default_factory=tuple)
-    """In the order of recording: what changes over the session shows in it."""
+    """In the order of recording, so that drift over the session shows."""
     interpolation: Interpolation = "held"
-    """Efforts and commands between their rows: each value lasts until the next one ("held", as by a digital drive that
-    is logged at its own rate), they go on straight ("linear"), or nobody knows: they may be held, go on
-    smoothly, or anything between the two ("unknown")."""
+    """Efforts and commands between rows: zero-order hold ("held", such as a digital drive logged at its own rate),
+    "linear", or "unknown" (anything between hold and a smooth curve)."""
     base_axis: BaseAxis | None = None
-    """What the base turns about where runs have an angle of it."""
+    """Rotation axis of the base, where runs have its angle."""
     notes: tuple[str, ...] = ()
-    """What was left out of it, and why: a line each."""
+    """What was left out, and why: a line each."""
 
 
 def drop_duplicate_runs(runs: tuple[Run, ...]) -> tuple[tuple[Run, ...], tuple[str, ...]]:
-    """The runs without those that are another one again, reading by reading, and a line for each that was left out.
+    """The runs without exact copies of others, and a line for each that was dropped.
 
-    Of a run that is fitted and its copy that is held out the copy goes: it would confirm what it was fitted to.
+    Of a fitted run and its held-out copy the copy is dropped: it would confirm what it was fitted to.
     """
     first: dict[bytes, Run] = {}
     for run in sorted(runs, key=lambda run: bool(run.held_out)):
@@ -127,7 +126,7 @@ def drop_duplicate_runs(runs: tuple[Run, ...]) -> tuple[tuple[Run, ...], tuple[s
 
 
 def _readings(run: Run) -> bytes:
-    """All that was measured in a run, whenever its clock began."""
+    """All measurements of a run, with times since its start."""
     since = np.round(run.times_s - run.times_s[0], 9)
     base = BaseSeries() if run.base is None else run.base
     series = (

@@ -1,4 +1,4 @@
-"""What a joint carries and what drives it: mass, inertia and gravity of the moving part, and the actuator."""
+"""Mechanics of a joint: mass, inertia and gravity of the moving part, and the actuator."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Body = tuple[float, Array, Array]
 
 
 def joint_inertia(joint: Joint, bodies: Iterable[Body]) -> float:
-    """What the joint feels of `bodies`, all in one frame: kg*m^2 about a hinge, kg along a slider."""
+    """Inertia of `bodies`, all in one frame, at the joint: kg*m^2 about a hinge, kg along a slider."""
     if joint.type == "prismatic":
         return float(sum(mass for mass, _, _ in bodies))
     arms = ((mass, np.cross(joint.axis, centre - joint.pivot), inertia) for mass, centre, inertia in bodies)
@@ -29,9 +29,9 @@ def joint_inertia(joint: Joint, bodies: Iterable[Body]) -> float:
 
 @dataclass(frozen=True)
 class JointMechanics:
-    """A rigid moving part on a joint whose base is at rest; all in one frame, that of the joint's parent link.
+    """A rigid moving part on a joint with a base at rest; all in the frame of the joint's parent link.
 
-    The generalised equation of free motion is inertia * qdd = gravity_force(q).
+    The equation of free motion is inertia * qdd = gravity_force(q).
     """
 
     joint: Joint
@@ -45,7 +45,7 @@ class JointMechanics:
     gravity: Array
     """(3,) m/s^2."""
     tensor_zero: Array | None = None
-    """(3, 3) kg*m^2 about the pivot, and in the directions of the frame, at q = 0; only a base that turns needs it."""
+    """(3, 3) kg*m^2 about the pivot, in the directions of the frame, at q = 0; needed for rotating bases only."""
 
     @cached_property
     def _arms(self) -> tuple[Array, Array, Array]:
@@ -72,10 +72,10 @@ class JointMechanics:
         return np.asarray(self.gravity_moment(q) @ self.joint.axis)
 
     def load(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Array:
-        """(...) N: size of the bearing's force on the moving part at position, velocity and acceleration (...).
+        """(...) N: size of the bearing force on the moving part at position, velocity and acceleration (...).
 
-        Revolute: |m a - m g|, a the acceleration of the centre of mass. Prismatic: its part across the axis, where the
-        acceleration has none. Moments on the bearing are not counted, nor where a push meets the part.
+        Revolute: |m a - m g| with the acceleration a of the centre of mass. Prismatic: the component across the axis.
+        Moments on the bearing are neglected, as is where a push acts.
         """
         weight, axis = self.mass * self.gravity, self.joint.axis
         if self.joint.type == "prismatic":
@@ -89,12 +89,11 @@ class JointMechanics:
 
 @dataclass(frozen=True)
 class DcMotor:
-    """A DC motor under a voltage V, |V| up to `max_voltage`: force = torque_constant * I at the joint, |I| up to
-    `max_current`, and I = (V - torque_constant * qd) / resistance. Its inductance is left out: it makes milliseconds.
-    """
+    """A DC motor at voltage V, |V| up to `max_voltage`: force = torque_constant * I at the joint, |I| up to
+    `max_current`, I = (V - torque_constant * qd) / resistance. Inductance (milliseconds) is neglected."""
 
     torque_constant: float
-    """N*m/A or N/A at the joint, gears included; the same number is its back EMF in V*s/rad or V*s/m."""
+    """N*m/A or N/A at the joint, gears included; also the back EMF in V*s/rad or V*s/m."""
     resistance: float
     """ohm."""
     max_voltage: float = math.inf
@@ -111,7 +110,8 @@ class DcMotor:
 def commanded_force(
     q: float, qd: float, q_command: float, effort: float, stiffness: float, damping: float, dead_band: float
 ) -> float:
-    """What an actuator's law asks for, N*m or N, at position `q` and velocity `qd`; `q_command` is NaN without one.
+    """Force commanded by an actuator's law, N*m or N, at position `q` and velocity `qd`; `q_command` is NaN without
+    one.
 
     `simgap.models.kernel` compiles this and `delivered_force`.
     """
@@ -122,74 +122,74 @@ def commanded_force(
 
 
 def delivered_force(asked: float, qd: float, max_commanded: float, back_emf: float, max_force: float) -> float:
-    """What the actuator gives of it, N*m or N."""
+    """Force that the actuator delivers for a commanded one, N*m or N."""
     return min(max(min(max(asked, -max_commanded), max_commanded) - back_emf * qd, -max_force), max_force)
 
 
 @dataclass(frozen=True)
 class DriveLaw:
-    """The numbers of an actuator that is on, in N*m or N: `force` is what it gives."""
+    """The law of an actuator that is on, in N*m or N."""
 
     stiffness: float = 0.0
     damping: float = 0.0
     dead_band: float = 0.0
     max_commanded: float = math.inf
-    """Size of what can be asked for, before a motor's back EMF takes its part."""
+    """Limit of the commanded force, before a motor's back EMF."""
     back_emf: float = 0.0
-    """Force against the motion per speed, whatever is asked for."""
+    """Force against the motion per speed, for any command."""
     max_force: float = math.inf
-    """Size of the force that can be given."""
+    """Limit of the delivered force."""
 
     def commanded(self, q: float, qd: float, q_command: float, effort: float) -> float:
-        """What is asked for at position `q` and velocity `qd`; `q_command` is NaN without a position law."""
+        """Commanded force at position `q` and velocity `qd`; `q_command` is NaN without a position law."""
         return commanded_force(q, qd, q_command, effort, self.stiffness, self.damping, self.dead_band)
 
     def force(self, q: float, qd: float, q_command: float, effort: float) -> float:
-        """N*m or N."""
+        """Delivered force, N*m or N."""
         return delivered_force(
             self.commanded(q, qd, q_command, effort), qd, self.max_commanded, self.back_emf, self.max_force
         )
 
     def damped(self, q: float, qd: float, q_command: float, effort: float) -> float:
-        """By what the force falls with speed: not at all at its limits, but for a motor's back EMF."""
+        """Decrease of the force per speed; at its limits only by back EMF."""
         asked = self.commanded(q, qd, q_command, effort)
         falls = self.back_emf + (self.damping if q_command == q_command and abs(asked) < self.max_commanded else 0.0)
         asked = min(max(asked, -self.max_commanded), self.max_commanded) - self.back_emf * qd
         return falls if abs(asked) < self.max_force else 0.0
 
     def forces(self, q: ArrayLike, qd: ArrayLike, q_command: ArrayLike, effort: ArrayLike) -> Array:
-        """(n,) `force`, of arrays."""
-        with np.errstate(invalid="ignore"):  # NaN stands for no position law
+        """(n,) `force` for arrays."""
+        with np.errstate(invalid="ignore"):  # NaN without a position law
             return np.asarray(np.vectorize(self.force, otypes=[float])(q, qd, q_command, effort))
 
 
 @dataclass(frozen=True)
 class Actuator:
-    """What drives a joint: a position law, a commanded effort, or both; a measured set's `actuator` and `effort`.
+    """The drive of a joint: a position law, a commanded effort, or both; a measured set's `actuator` and `effort`.
 
     Without limits: force = stiffness * (q_command(t) - q) - damping * qd + effort(t).
     """
 
     q_command: Callable[[float], float] | None = None
-    """Seconds to commanded position, rad or m; None for no position law."""
+    """Time, s, to commanded position, rad or m; None for no position law."""
     stiffness: float = 0.0
     """N*m/rad or N/m; with a `motor` V/rad or V/m."""
     damping: float = 0.0
     """N*m*s/rad or N*s/m, with a `motor` V*s/rad or V*s/m; acts with a position law only."""
     effort: Callable[[float], float] | None = None
-    """Seconds to commanded force, N*m or N; of a `motor` what its voltage makes at rest."""
+    """Time, s, to commanded force, N*m or N; with a `motor` the force of its voltage at rest."""
     dead_band: float = 0.0
-    """rad or m that the position may be off by before the law acts: it acts on what is beyond."""
+    """Position error, rad or m, below which the law is 0; it acts on what is beyond."""
     max_effort: float = math.inf
-    """N*m or N that it gives at most, either way."""
+    """Limit of the force, N*m or N."""
     motor: DcMotor | None = None
-    """What makes the force of a voltage; None for a force that is as asked for."""
+    """The motor of a voltage-driven actuator; None where forces are commanded."""
     enabled: Callable[[float], float] | None = None
-    """Seconds to whether it is on (above 0); None for always. What is off gives no force, and no back EMF."""
+    """Time, s, to whether it is on (above 0); None for always. When off there is no force and no back EMF."""
 
     @cached_property
     def law(self) -> DriveLaw:
-        """Its numbers as forces."""
+        """The law in forces."""
         motor = self.motor
         if motor is None:
             return DriveLaw(self.stiffness, self.damping, self.dead_band, max_force=self.max_effort)
@@ -204,15 +204,15 @@ class Actuator:
         )
 
     def on(self, t: float) -> bool:
-        """Whether it is on at the time `t`."""
+        """Whether it is on at time `t`."""
         return self.enabled is None or self.enabled(t) > 0
 
     def force(self, q: float, qd: float, t: float) -> float:
-        """The force that is given at position `q` and velocity `qd` by the command of time `t`."""
+        """Delivered force at position `q` and velocity `qd` by the commands of time `t`."""
         return self.law.force(q, qd, *self._commands_at(t)) if self.on(t) else 0.0
 
     def damped(self, q: float, qd: float, t: float) -> float:
-        """By what that force falls with speed, N*m*s/rad or N*s/m."""
+        """Decrease of that force per speed, N*m*s/rad or N*s/m."""
         return self.law.damped(q, qd, *self._commands_at(t)) if self.on(t) else 0.0
 
     def _commands_at(self, t: float) -> tuple[float, float]:
@@ -224,10 +224,10 @@ class Actuator:
 
 
 def hold_series(times_s: ArrayLike, values: ArrayLike, over_s: float = 0.0) -> Callable[[float], float]:
-    """A recorded series (n,), times rising, as a function of time: each value lasts until the next one.
+    """A recorded series (n,), times rising, as a function of time, by zero-order hold.
 
-    With `over_s` its mean over so many seconds, half of them on either side: what a simulator that takes one force a
-    step of that length must be given for the impulse to be right.
+    With `over_s` its mean over a window of so many seconds, centred: what a simulator with one force per step needs for
+    the right impulse.
     """
     return interpolate_series(times_s, values, "held", over_s)
 
@@ -237,8 +237,8 @@ def interpolate_series(
 ) -> Callable[[float], float]:
     """A recorded series (n,) as a function of time, by `interpolation_terms`; `over_s` as in `hold_series`.
 
-    A value that is NaN was not logged. Of a series of which nobody knows ("unknown") `holding` is the part that is
-    held, the rest being smooth.
+    NaN values were not logged. With "unknown" interpolation `holding` is the share of zero-order hold, the rest is
+    smooth.
     """
     known = np.isfinite(np.asarray(values, float))
     times = [float(t) for t in np.asarray(times_s)[known]]
@@ -268,11 +268,12 @@ def interpolate_series(
 
 
 def interpolation_terms(times_s: ArrayLike, values: ArrayLike, how: str) -> Array:
-    """(n, 4) a recorded series (n,), times rising, as polynomials of the time since each row; its last value stays.
+    """(n, 4) a recorded series (n,), times rising, as cubic polynomials of the time since each row; its last value
+    stays.
 
-    "held" until the next row, "linear" to it, or ("unknown") as smooth as it may have been: cubics that pass each row
-    with the slope of the parabola through it and its neighbours (Catmull and Rom 1974). A straight line through the
-    rows of a smooth motion loses (w dt)^2 / 12 of it, w its angular frequency: a sensor's scale that is none.
+    "held" is zero-order hold, "linear" linear interpolation, "unknown" Catmull-Rom cubics (Catmull and Rom 1974):
+    through each row with the slope of the parabola through its neighbours. Linear interpolation of a smooth motion
+    loses (w dt)^2 / 12 of its amplitude, w being its angular frequency, which looks like a scale error of the sensor.
     """
     times, series = np.asarray(times_s, float), np.asarray(values, float)
     rows = np.zeros((len(series), 4))
@@ -292,5 +293,5 @@ def interpolation_terms(times_s: ArrayLike, values: ArrayLike, how: str) -> Arra
 
 
 def _polynomial(terms: Any, x: Any) -> Any:
-    """Of four terms, the constant first."""
+    """Cubic with four coefficients, the constant first."""
     return terms[0] + x * (terms[1] + x * (terms[2] + x * terms[3]))

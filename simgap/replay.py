@@ -1,6 +1,7 @@
-"""From paths to replays: measured runs by an asset's files alone, as a table, and as a folder that tells how to repeat.
+"""The `replay` command: measured runs with an asset's files, as a table, and as a folder with the command that repeats
+it.
 
-`simgap.prove.replay` replays. Of an answer of `gap` beside the asset only what runs were used for is read.
+`simgap.prove.replay` replays. From a `gap` answer beside the asset only the runs' uses are read.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ UNKNOWN = "unknown"
 
 @dataclass(frozen=True)
 class Replayed:
-    """All that came out."""
+    """Result of the command."""
 
     asset: AssetOnDisk
     urdf: Path
@@ -50,7 +51,7 @@ class Replayed:
     """Runs that were not replayed in time."""
     notes: tuple[str, ...]
     command: str
-    """The command line that does it again."""
+    """The command line that repeats it."""
 
 
 def replay_folder(
@@ -64,19 +65,19 @@ def replay_folder(
     progress: Progress | None = None,
     root: Path | None = None,
 ) -> Replayed:
-    """Replay measured runs by the files of an asset; with `out` written to a new folder: replay.json, curves, a page.
+    """Replay measured runs with the files of an asset; with `out` also written to a new folder: replay.json, curves, a
+    page.
 
     Args:
         asset: an asset folder, or a URDF.
         runs: measured sets, or files of runs in such.
-        out: appears whole or not at all; must not exist.
-        engine: what simulates.
-        holding: of inputs of which a set does not say how they go on between their rows: 0 smoothly, 1 held; 0 when not
-            given.
-        guesses: whether effects act that asset.json calls guessed.
-        seconds: what is not replayed by then is given up.
-        progress: called with the number of runs replayed and their total.
-        root: bounds what the URDF may name.
+        out: appears as a whole or not at all; must not exist.
+        engine: the simulator.
+        holding: interpolation of inputs where a set does not specify it: 0 smooth, 1 zero-order hold; None for 0.
+        guesses: whether effects that asset.json marks as guessed act.
+        seconds: time limit.
+        progress: called with the number of replayed runs and their total.
+        root: folder that the files named in the URDF must be in.
 
     Raises FreeArtError when asset or runs cannot be read, nothing is replayed in time, or `out` exists.
     """
@@ -131,7 +132,7 @@ def replay_folder(
 
 
 def _check_urdf(asset: Path) -> None:
-    """FreeArtError where another kind of model is given for a URDF."""
+    """FreeArtError where another kind of model is given in place of a URDF."""
     if asset.is_file() and (tag := read_xml(asset).tag) != "robot":
         raise FreeArtError(
             f"{asset} is of <{tag}>, expected a URDF's <robot>, or an asset folder: MuJoCo (--engine mujoco) takes the "
@@ -165,8 +166,7 @@ def _find_sets(runs: Sequence[Path]) -> dict[Path, list[str]]:
 
 
 def _check_names(folder: Path, names: Sequence[str], runs: Sequence[Run]) -> None:
-    """FreeArtError where a run was left out of the set that was read, as one that is another again, or has no
-    positions."""
+    """FreeArtError where a run is a duplicate and was dropped, or has no positions."""
     of = {run.name: run for run in runs}
     for name in names:
         if name not in of:
@@ -184,14 +184,14 @@ def _is_driven(runs: Sequence[Run], names: Sequence[str]) -> bool:
 
 
 def _read_unit(folder: Path, kind: JointType) -> tuple[str, float]:
-    """The unit of the positions in the files of a set, and what one of it is in rad or m."""
+    """Unit of positions in the files of a set, and its size in rad or m."""
     own = unit_of("position", kind)
     unit = checked.read_json(folder / MEASURED)["units"].get("q", own)
     return unit, 1.0 if unit == own else OTHER_UNITS[own][unit]
 
 
 def _read_uses(asset: Path) -> dict[str, str]:
-    """SHA-256 of a run's file to what it was used for, as the verdict beside the asset's folder says."""
+    """SHA-256 of a run's file to its use, from the verdict beside the asset's folder."""
     home = asset if asset.is_dir() else asset.parent
     path = home.resolve().parent / "verdict.json"
     try:
@@ -217,7 +217,7 @@ def _command_line(
 
 
 def _write(out: Path, result: Replayed) -> None:
-    """replay.json, a curve a run, and the page."""
+    """Write replay.json, a curve per run, and the page."""
     names = _file_names([row.name for row in result.rows])
     for row, name in zip(result.rows, names, strict=True):
         unit, run = unit_of("position", row.joint_type), row.replay
@@ -245,7 +245,7 @@ def _write(out: Path, result: Replayed) -> None:
 
 
 def _row_to_json(row: Row, curve: str) -> dict[str, Any]:
-    """A run as it stands in replay.json."""
+    """A run in replay.json."""
     run = row.replay
     return {
         "run": row.name,
@@ -265,7 +265,7 @@ def _row_to_json(row: Row, curve: str) -> dict[str, Any]:
 
 
 def _file_names(names: Sequence[str]) -> list[str]:
-    """A file of its own for each run."""
+    """A unique file name for each run."""
     safe = [re.sub(r"[^\w.-]+", "_", name).strip("._") or "run" for name in names]
     twice = len(set(safe)) < len(safe)
     return [f"curves/{f'{k:03d}_' * twice}{name}.csv" for k, name in enumerate(safe)]

@@ -1,5 +1,5 @@
 """What drives a joint, as it is told: limits, dead bands, motors under a voltage, what is switched off; a drive that
-pushes without being told. The fast simulation, SAPIEN and a replay, against equations solved here by scipy."""
+pushes without a command. The fast simulation, SAPIEN and a replay, against equations solved here by scipy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The effect library: every physical effect the product knows by name, one module with one class each."""
+"""The effect library: every physical effect that the product knows by name, one module with one class each."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def effect_from_json(data: Any, joint_type: JointType, where: str) -> Effect:
 
 
 def gravity_change(cosine: float, sine: float, constant: float) -> Effect:
-    """What gravity's force has besides: of cos q and sin q of a hinge, N*m, or the constant of a slider, N."""
+    """A change of gravity's force: of cos q and sin q of a hinge, N*m, or the constant of a slider, N."""
     return GravityOffset(cosine, sine, constant)
 
 

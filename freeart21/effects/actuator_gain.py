@@ -1,4 +1,4 @@
-"""Actuator gain: the actuator gives another force than was commanded."""
+"""Actuator gain: the actuator's force is a multiple of the commanded one."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -8,17 +8,17 @@ import numpy as np
 from freeart21.effects.base import Acts, Alternative, Effect, OperatingPoint, parameter
 
 MOST_USUAL = 1.5
-"""Times what it is told that a drive gives at most, by what its voltage and its windings may be off. By inverse
-dynamics a hobby servo's logs have 1.0 to 1.5; more stands for a loss that is not the model's."""
+"""Largest plausible factor, from tolerances of voltage and windings. By inverse dynamics a hobby servo's logs have 1.0
+to 1.5; more stands for a loss outside the model."""
 
 
 @dataclass(frozen=True)
 class ActuatorGain(Effect):
-    """Force of the actuator = factor * the force that its law or its commanded effort asks for."""
+    """Force of the actuator = factor * commanded force (of its position law or effort)."""
 
     name: ClassVar[str] = "actuator_gain"
     acts: ClassVar[Acts] = "command"
-    label: ClassVar[str] = "a drive weaker or stronger than told"
+    label: ClassVar[str] = "a drive weaker or stronger than commanded"
     drivetrain: ClassVar[bool] = True
     neutral: ClassVar[float] = 1.0
     common: ClassVar[bool] = True
@@ -27,8 +27,8 @@ class ActuatorGain(Effect):
     factor: float = parameter("1", "1", 0.0, 100.0, "force per commanded force", scale=1.0)
 
     def alternatives(self, at: OperatingPoint) -> list[Alternative]:
-        """A joint under 1 / factor times the gravity, which moves the same where its inertia is 1 / factor times as
-        large, and, of a hinge that hangs and a weaker drive, the spring that this is in small motions."""
+        """Gravity times 1 / factor, which moves the same with 1 / factor times the inertia. For a hanging hinge and a
+        weaker drive also the spring that this is in small motions."""
         more = 1 / max(self.factor, 1e-9) - 1
         cosine, sine, constant = (more * term for term in at.gravity)
         if at.joint_type != "revolute":

@@ -1,5 +1,4 @@
-"""Actuator offset: the actuator gives a constant force besides what was commanded, as a current sensor whose zero is
-off makes it do."""
+"""Actuator offset: the actuator adds a constant force, for example by the zero error of its current sensor."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -9,16 +8,16 @@ from freeart21.effects.base import Acts, Effect, parameter
 
 @dataclass(frozen=True)
 class ActuatorOffset(Effect):
-    """Force of the actuator = what its law or its commanded effort asks for + bias, while it is on.
+    """Force of the actuator = commanded force + bias, while it is on.
 
-    What is always on and stands still cannot tell it from a pull of gravity or of a spring: runs with the actuator off,
-    or over a range in which those change, do. Of a slider that is always on, it is `gravity_offset`'s constant. Under
-    a position law alone it is a command that is off by bias / stiffness.
+    An actuator that is always on, with the joint at rest, does not separate it from gravity or a spring. Runs with the
+    actuator off, or over a range where those change, do. On a slider that is always on it equals `gravity_offset`'s
+    constant. With a position law alone it is a command error of bias / stiffness.
     """
 
     name: ClassVar[str] = "actuator_offset"
     acts: ClassVar[Acts] = "command"
-    label: ClassVar[str] = "a drive that pushes a little without being told"
+    label: ClassVar[str] = "a drive that pushes without a command"
     needs_effort: ClassVar[bool] = True
     common: ClassVar[bool] = True
     model_error: ClassVar[tuple[float, float]] = (0.05, 0.05)  # a zero that drifts; not measured

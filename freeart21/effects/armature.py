@@ -1,4 +1,4 @@
-"""Armature: the inertia of a rotor or gear train that turns with the joint, and that gravity does not feel."""
+"""Armature: inertia of a rotor or gear train that turns with the joint and has no weight."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -6,19 +6,19 @@ from typing import Any, ClassVar
 from freeart21.effects.base import Acts, Alternative, Effect, OperatingPoint, parameter
 
 _SLACKS = (0.003, 0.01, 0.03)
-"""Parts of the way moved through that a slack is tried at."""
+"""Initial widths of a slack, as shares of the range of motion."""
 
 
 @dataclass(frozen=True)
 class Armature(Effect):
-    """Inertia of the joint = inertia of the links + value; of a geared rotor it is its own times the ratio squared.
+    """Inertia of the joint = inertia of the links + value. For a geared rotor that is its own inertia times the ratio
+    squared.
 
-    When the links stop dead at a limit the rotor goes on, twists its shaft, presses them into the limit, and takes
-    them back with it: see `freeart21.events.drive_rebound`. `throw_back` is the part of its speed that the rotor itself
-    comes back with when nothing else pulls, exp(-2 z acos(z) / sqrt(1 - z^2)) for a damping ratio z of the rotor on its
-    shaft (a spring and a dashpot that let go when they push no more); `swing` the time in which it swings by a radian,
-    1 / (2 pi) of its period. With a swing of 0 the links leave at once, at throw_back times the rotor's share of all
-    inertia. URDF has no word for it, MJCF for the inertia only.
+    When the links stop dead at a limit, the rotor twists its shaft, presses them into the limit, and takes them back
+    with it; see `freeart21.events.drive_rebound`. `throw_back` is the speed ratio of the rotor's own rebound, exp(-2 z
+    acos(z) / sqrt(1 - z^2)) for a damping ratio z of the rotor on its shaft (a spring and a dashpot that cannot pull).
+    `swing` is the time of one radian of its oscillation, period / (2 pi). With swing 0 the links leave at once, at
+    throw_back times the rotor's share of all inertia. URDF cannot express it, MJCF only the inertia.
     """
 
     name: ClassVar[str] = "armature"
@@ -34,8 +34,8 @@ class Armature(Effect):
     swing: float = parameter("s", "s", 0.0, 1.0, "seconds in which it swings by a radian on its shaft", default=0.0)
 
     def alternatives(self, at: OperatingPoint) -> list[Alternative]:
-        """Gravity that pulls less: the same motion, where no other force is known. And a drive of this inertia behind a
-        slack so narrow that it hardly makes a difference: through a wide one all impacts fall elsewhere."""
+        """Weaker gravity: the same motion where no other force is known. And a drive of this inertia behind a slack so
+        narrow that it hardly matters; with a wide one all impacts are displaced."""
         less = dict(
             zip(("cosine", "sine", "constant"), (-self.value / at.inertia * g for g in at.gravity), strict=True)
         )

@@ -1,4 +1,4 @@
-"""Axis tilt: the joint's axis points elsewhere than the asset says."""
+"""Axis tilt: the joint's axis has another direction than in the asset."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -14,9 +14,8 @@ from freeart21.se3 import Array
 
 @dataclass(frozen=True)
 class AxisTilt(Effect):
-    """True axis = exp([about_first * first + about_second * second]x) axis, `first` and `second` being
-    `perpendiculars(axis)`; through the same pivot. URDF's joint origin can hold it.
-    """
+    """True axis = exp([about_first * first + about_second * second]x) axis, with `first, second =
+    perpendiculars(axis)`, through the same pivot. URDF's joint origin can express it."""
 
     name: ClassVar[str] = "axis_tilt"
     kind: ClassVar[Kind] = "kinematics"

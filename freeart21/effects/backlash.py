@@ -1,4 +1,4 @@
-"""Backlash: slack between the actuator's side of the joint and the moving part."""
+"""Backlash: slack between the drive side of the joint and the moving part."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -9,20 +9,22 @@ from freeart21.errors import FreeArtError
 
 @dataclass(frozen=True)
 class Backlash(Effect):
-    """The actuator drives a body of its own, that meets the moving part at either end of a slack of `width`.
+    """The actuator drives a body of its own, which meets the moving part at either end of a slack of `width`.
 
-    Two inertias with a gap (Nordin and Gutman, "Controlling mechanical systems with backlash - a survey", Automatica 38
-    (2002), with stiff, perfectly inelastic contact). With x the drive side's position and J its inertia, its share
-    `drive_inertia` and any armature together:
-      apart (|x - q| < width / 2): J x'' = actuator's force, and the part moves without it;
-      touching (|x - q| = width / 2): (I + J) q'' = all forces, for as long as the drive side pushes, not pulls;
-      meeting: both go on at the speed that keeps the momentum.
-    At limits (`freeart21.events`): when the part stops dead there, a drive side that it was dragging along goes on
-    through the slack; one that was pushing it on, or that comes upon the part at rest there, comes back with
-    `throw_back` of its speed.
-    An actuator's law sees the drive side's position and speed, as a servo's encoder does; `q` stays the part's.
-    Friction and all else act on the part. At the start the drive side is in the middle, as fast as the part. A joint
-    without an actuator only carries a loose body along. URDF and MJCF's joint have no word for it.
+    Two inertias with a gap and stiff, perfectly inelastic contact (Nordin and Gutman, "Controlling mechanical systems
+    with backlash - a survey", Automatica 38, 2002). x is the drive side's position, J its inertia, `drive_inertia` plus
+    any armature:
+
+      free (|x - q| < width / 2): J x'' = actuator's force, and the part moves without it;
+      in contact (|x - q| = width / 2): (I + J) q'' = all forces, while the drive side pushes;
+      impact: both continue at the speed that conserves momentum.
+
+    At limits (`freeart21.events`): when the part stops dead, a drive side that it was pulling continues through the
+    slack. One that was pushing it, or that meets the part at rest there, rebounds with `throw_back` of its speed.
+
+    The actuator's law sees position and speed of the drive side, as a servo's encoder does; `q` is the part's. Friction
+    and all else act on the part. At the start the drive side is in the middle, as fast as the part. Without an actuator
+    it is a loose body. URDF and MJCF's joint cannot express it.
     """
 
     name: ClassVar[str] = "backlash"

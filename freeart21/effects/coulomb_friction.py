@@ -1,4 +1,4 @@
-"""Coulomb friction: a force of constant size against the motion, that holds the joint at rest up to the same size."""
+"""Coulomb friction: constant force against the motion, and up to that level at rest."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -8,9 +8,9 @@ from freeart21.effects.base import Acts, Alternative, Effect, OperatingPoint, pa
 
 @dataclass(frozen=True)
 class CoulombFriction(Effect):
-    """force = -level * sign(qd) when moving, any force up to level when at rest.
+    """force = -level * sign(qd) in motion, any force up to level at rest.
 
-    In SAPIEN it owns the joint's drive, as a saturated damper: exact, with real sticking, and no chatter.
+    In SAPIEN it is the joint's drive as a saturated damper: exact, with true sticking, without chatter.
     """
 
     name: ClassVar[str] = "coulomb_friction"
@@ -22,12 +22,12 @@ class CoulombFriction(Effect):
     common: ClassVar[bool] = True
     confounded_with: ClassVar[str | None] = "load_friction"
     basis_of: ClassVar[tuple[str, ...]] = ("velocity",)
-    model_error: ClassVar[tuple[float, float]] = (0.1, 0.1)  # a level is what it is
+    model_error: ClassVar[tuple[float, float]] = (0.1, 0.1)
 
     level: float = parameter("N*m", "N", 0.0, 1e4, "size of the friction force", scale=0.1)
 
     def alternatives(self, at: OperatingPoint) -> list[Alternative]:
-        """Friction of the usual load, and damping that is as strong at half the top speed."""
+        """Friction proportional to the typical load, and damping as strong at half the top speed."""
         found = [Alternative("viscous_damping", {"coefficient": 2 * self.level / at.speed})]
         return found + ([Alternative("load_friction", {"coefficient": self.level / at.load})] if at.load else [])
 

@@ -1,4 +1,4 @@
-"""Detent: a click position that holds the joint weakly, as a ball that snaps into a groove."""
+"""Detent: a click position that holds the joint weakly, like a ball in a groove."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -8,19 +8,18 @@ import numpy as np
 from freeart21.effects.base import Acts, Alternative, Effect, OperatingPoint, parameter
 
 CATCH = 1.5
-"""Widths of a notch that a catch of the same force at the same place lets its part travel, about."""
+"""Travel of a latch of the same force at the same place, in widths of a detent."""
 
 
 @dataclass(frozen=True)
 class Detent(Effect):
-    """force = -peak * x * exp(tail * (1 - |x|^(1 / tail))) with x = (q - centre) / width: largest, `peak`, one width
-    from the centre on either side, whatever the tail; small swings about the centre feel a spring of
-    peak * exp(tail) / width.
+    """force = -peak * x * exp(tail * (1 - |x|^(1 / tail))) with x = (q - centre) / width.
 
-    A tail of 1/2 is the slope of a Gaussian well, 1 a magnet's long reach, 1/4 the two lobes of a rounded groove, and
-    less than that a spring catch, whose force drops as it lets go. Beside half sine lobes, parabolas, raised cosines,
-    a magnet's 1 / (1 + x^2)^2 and a ramp that ends, each of its own width, this form is off by 4 to 9 % of the
-    force, without a tail of its own by 16 to 42 %. URDF and MJCF have no word for it.
+    The largest force, `peak`, is one width from the centre on either side for any tail. Near the centre it is a spring
+    of stiffness peak * exp(tail) / width. A tail of 1/2 is the slope of a Gaussian well, 1 the long reach of a magnet,
+    1/4 the two lobes of a rounded groove, less a spring catch whose force drops on release. Fitted to half sine lobes,
+    parabolas, raised cosines, a magnet's 1 / (1 + x^2)^2 and a truncated ramp, each with its own width, it is off by 4
+    to 9 % of the force; with a fixed tail by 16 to 42 %. URDF and MJCF cannot express it.
     """
 
     name: ClassVar[str] = "detent"
@@ -28,9 +27,9 @@ class Detent(Effect):
     label: ClassVar[str] = "a notch that it clicks into"
     basis_of: ClassVar[tuple[str, ...]] = ("position",)
     speed_dependent: ClassVar[bool] = False
-    model_error: ClassVar[tuple[float, float]] = (0.0, 0.4)  # grooves and catches have all shapes
+    model_error: ClassVar[tuple[float, float]] = (0.0, 0.4)  # shapes of grooves and catches vary
     form_error: ClassVar[float] = 0.09
-    support_widths: ClassVar[float] = 1.9  # a groove ends somewhere, which a Gaussian does not
+    support_widths: ClassVar[float] = 1.9  # a groove ends, a Gaussian does not
 
     peak: float = parameter("N*m", "N", 0.0, 1e4, "largest holding force", scale=0.1)
     centre: float = parameter("rad", "m", -100.0, 100.0, "position that it holds", scale=0.1)
@@ -38,7 +37,7 @@ class Detent(Effect):
     tail: float = parameter("1", "1", 0.05, 2.0, "how slowly the force ends beyond that", scale=0.1, default=0.5)
 
     def alternatives(self, at: OperatingPoint) -> list[Alternative]:
-        """A spring, for a notch so wide that nothing of it but its slope is seen, and a catch of the same force."""
+        """A spring, for a notch wider than the motion, and a latch of the same force."""
         spring = {"stiffness": self.peak * float(np.exp(self.tail)) / self.width, "rest": self.centre}
         catch = {"hold": self.peak, "position": self.centre, "travel": CATCH * self.width, "capture": 0.5}
         return [Alternative("return_spring", spring), Alternative("latch", catch)]
@@ -49,6 +48,6 @@ class Detent(Effect):
         return -peak * x * np.exp(tail * (1.0 - np.abs(x) ** (1.0 / tail)))
 
     def steepness(self) -> float:
-        """At the centre, or where the force ends: its slope is peak / width * exp(tail * (1 - y)) * (1 - y) with
-        y = |x|^(1 / tail), least at y = 1 + 1 / tail."""
+        """At the centre, or where the force ends. The slope is peak / width * exp(tail * (1 - y)) * (1 - y) with y =
+        |x|^(1 / tail), least at y = 1 + 1 / tail."""
         return float(self.peak / self.width * max(np.exp(self.tail), np.exp(-1.0) / self.tail))

@@ -14,10 +14,10 @@ from freeart21.se3 import Array
 
 @dataclass(frozen=True)
 class Eccentricity(Effect):
-    """A shift by amplitude * (cos(2 q + phase) * first + sin(2 q + phase) * second), `perpendiculars(axis)`.
+    """Shift by amplitude * (cos(2 q + phase) * first + sin(2 q + phase) * second), in the basis `perpendiculars(axis)`.
 
-    Two turns of the shift per turn of the joint: the first harmonic of the pivot's path that no ideal hinge explains
-    (none, or one, is a pivot offset).
+    Two turns of the shift per turn of the joint: the first harmonic that no ideal hinge explains (none, or one, is a
+    pivot offset).
     """
 
     name: ClassVar[str] = "eccentricity"

@@ -1,4 +1,4 @@
-"""Encoder offset: the position sensor's zero is off."""
+"""Encoder offset: zero error of the position sensor."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -22,7 +22,7 @@ class EncoderOffset(Effect):
     offset: float = parameter("rad", "m", -100.0, 100.0, "reading at q = 0", scale=0.05)
 
     def alternatives(self, at: OperatingPoint) -> list[Alternative]:
-        """A hinge's gravity that pulls from elsewhere: the same motion wherever nothing else has a place."""
+        """For a hinge, gravity of another direction: the same motion where nothing else depends on position."""
         cosine, sine, _ = at.gravity
         change = complex(cosine, sine) * complex(np.expm1(1j * self.offset))
         if at.joint_type != "revolute":

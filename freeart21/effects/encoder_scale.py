@@ -1,4 +1,4 @@
-"""Encoder scale: the position sensor counts too much or too little per turn or metre."""
+"""Encoder scale: scale error of the position sensor."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -18,7 +18,7 @@ class EncoderScale(Effect):
     acts: ClassVar[Acts] = "reading"
     label: ClassVar[str] = "a sensor whose scale is off"
     neutral: ClassVar[float] = 1.0
-    model_error: ClassVar[tuple[float, float]] = (0.05, 0.05)  # scales are bent a little
+    model_error: ClassVar[tuple[float, float]] = (0.05, 0.05)  # slightly nonlinear scales
 
     factor: float = parameter("1", "1", 0.1, 10.0, "reading per position", scale=0.1)
 

@@ -1,4 +1,4 @@
-"""End-stop bounce: the limits throw the joint back instead of stopping it dead."""
+"""End-stop bounce: the limits bounce the joint back instead of stopping it dead."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -12,15 +12,15 @@ from freeart21.effects.base import Acts, Effect, parameter
 class EndStopBounce(Effect):
     """Speed after an impact at a limit = -restitution * speed before it / (1 + fading * |speed before it|).
 
-    Without fading this is Newton's law of restitution. Real stops throw fast parts back less than slow ones (Goldsmith
+    Without fading this is Newton's law of restitution. Real stops bounce fast parts back less than slow ones (Goldsmith
     1960; Hunt and Crossley 1975): at a speed of 1 / fading half of the restitution is left. Without the effect limits
-    are perfectly inelastic. Of several, the largest counts. URDF and MJCF have no word for it (MuJoCo's `solreflimit`
-    is a soft limit).
+    are perfectly inelastic. Of several, the largest applies. URDF and MJCF cannot express it (MuJoCo's `solreflimit` is
+    a soft limit).
     """
 
     name: ClassVar[str] = "end_stop_bounce"
     acts: ClassVar[Acts] = "stop"
-    label: ClassVar[str] = "a stop that throws it back"
+    label: ClassVar[str] = "a stop that bounces it back"
 
     restitution: float = parameter("1", "1", 0.0, 1.0, "speed after a slow impact per speed before it", scale=0.3)
     fading: float = parameter("s/rad", "s/m", 0.0, 1e6, "how fast that falls with speed", scale=0.1, default=0.0)

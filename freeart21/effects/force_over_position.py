@@ -1,4 +1,4 @@
-"""Force over position: a force that is some curve over the joint's position."""
+"""Force over position: a force of free shape over the joint's position."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -10,11 +10,10 @@ from freeart21.effects.base import Acts, Effect, parameter
 
 @dataclass(frozen=True)
 class ForceOverPosition(Effect):
-    """A force of any shape over position: straight lines between eight forces, evenly from the first position to the
-    last, and beyond them as at the ends.
+    """Linear interpolation between eight forces at even positions from first to last, constant beyond.
 
-    What springs, notches, magnets, cams and cables make that have no formula here. Eight numbers: those that have a
-    formula come first (`counts`). URDF and MJCF have no word for it.
+    Springs, notches, magnets, cams and cables without a formula here. It has eight parameters, so effects with a
+    formula come first (`complexity`). URDF and MJCF cannot express it.
     """
 
     name: ClassVar[str] = "force_over_position"
@@ -24,7 +23,7 @@ class ForceOverPosition(Effect):
     complexity: ClassVar[int] = 3
     range_fields: ClassVar[tuple[str, ...]] = ("first", "last")
     speed_dependent: ClassVar[bool] = False
-    model_error: ClassVar[tuple[float, float]] = (0.0, 0.0)  # it has any shape as it is
+    model_error: ClassVar[tuple[float, float]] = (0.0, 0.0)  # a free shape
 
     force_1: float = parameter("N*m", "N", -1e4, 1e4, "force at the first position", scale=0.1)
     force_2: float = parameter("N*m", "N", -1e4, 1e4, "force at 1/7 of the way", scale=0.1)

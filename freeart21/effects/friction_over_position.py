@@ -1,4 +1,4 @@
-"""Friction over position: dry friction whose level is some curve over the joint's position."""
+"""Friction over position: dry friction whose level has a free shape over the joint's position."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -9,11 +9,10 @@ from freeart21.effects.force_over_position import ForceOverPosition
 
 @dataclass(frozen=True)
 class FrictionOverPosition(Effect):
-    """level(q) against the motion, and up to level(q) at rest: straight lines between eight levels, evenly from the
-    first position to the last, and beyond them as at the ends.
+    """level(q) against the motion, and up to level(q) at rest: linear interpolation between eight levels at even
+    positions from first to last, constant beyond.
 
-    What rails, seals and bearings have that rub harder at some places than at others. URDF and MJCF have no word for
-    it.
+    Rails, seals and bearings whose friction varies with position. URDF and MJCF cannot express it.
     """
 
     name: ClassVar[str] = "friction_over_position"
@@ -24,7 +23,7 @@ class FrictionOverPosition(Effect):
     range_fields: ClassVar[tuple[str, ...]] = ("first", "last")
     dissipates: ClassVar[bool] = True
     reduces_to: ClassVar[str | None] = "coulomb_friction"
-    model_error: ClassVar[tuple[float, float]] = (0.1, 0.0)  # it has any shape over position as it is
+    model_error: ClassVar[tuple[float, float]] = (0.1, 0.0)  # a free shape over position
 
     level_1: float = parameter("N*m", "N", 0.0, 1e4, "level at the first position", scale=0.1)
     level_2: float = parameter("N*m", "N", 0.0, 1e4, "level at 1/7 of the way", scale=0.1)

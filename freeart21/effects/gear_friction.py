@@ -1,4 +1,4 @@
-"""Gear friction: dry friction in proportion to what the drive's gears carry."""
+"""Gear friction: dry friction proportional to the load of the drive's gears."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -8,13 +8,12 @@ from freeart21.effects.base import Acts, Effect, parameter
 
 @dataclass(frozen=True)
 class GearFriction(Effect):
-    """level = coefficient * load, the load being |force of the actuator - all other forces but friction|, N*m or N.
+    """level = coefficient * load, with load = |force of the actuator - all other forces but friction|, N*m or N.
 
-    Teeth that press on each other rub: what a geared drive loses grows with the torque that passes through it, from
-    the motor's side and from the part's (Duclusaud et al., Extended friction models for the physics simulation of servo
-    actuators, 2025, model M3). A part that hangs still on its drive weighs on the teeth from both sides, so the load is
-    twice its weight, and half a gearbox's loss of torque is the coefficient. From 1 on nothing would move. URDF and
-    MJCF have no word for it.
+    The loss of a geared drive grows with the torque through its teeth, from the motor and from the part (Duclusaud et
+    al., Extended friction models for the physics simulation of servo actuators, 2025, model M3). A part at rest on its
+    drive loads the teeth from both sides, so the load is twice its weight, and the coefficient is half the gearbox's
+    loss of torque. From 1 on nothing would move. URDF and MJCF cannot express it.
     """
 
     name: ClassVar[str] = "gear_friction"

@@ -11,20 +11,18 @@ from freeart21.effects.detent import CATCH
 
 @dataclass(frozen=True)
 class Latch(Effect):
-    """While caught, force = -hold * (q - position) / travel. It lets go where |q - position| passes travel, so at a
-    pull of just `hold`, and catches again within capture * travel of the position: closing it takes less work than
-    opening it.
+    """While caught, force = -hold * (q - position) / travel. It releases where |q - position| exceeds travel, so at a
+    pull of `hold`, and catches again within capture * travel: closing it takes less work than opening it.
 
-    A linear spring with hysteresis, the least that has a release force and a closed state of its own. Its memory is 1
-    while caught, else 0; it starts caught when the joint starts within the capture range. URDF and MJCF have no word
-    for it.
+    A linear spring with hysteresis, the simplest model with a release force and a closed state. Its memory is 1 while
+    caught, else 0; it starts caught within the capture range. URDF and MJCF cannot express it.
     """
 
     name: ClassVar[str] = "latch"
     acts: ClassVar[Acts] = "force"
     label: ClassVar[str] = "a catch that holds it"
     speed_dependent: ClassVar[bool] = False
-    model_error: ClassVar[tuple[float, float]] = (0.0, 0.4)  # grooves and catches have all shapes
+    model_error: ClassVar[tuple[float, float]] = (0.0, 0.4)  # shapes of grooves and catches vary
     support_widths: ClassVar[float] = 1.0
 
     hold: float = parameter("N*m", "N", 0.0, 1e4, "pull at which it lets go", scale=1.0)

@@ -1,4 +1,4 @@
-"""Load friction: dry friction in proportion to the force that the bearing carries."""
+"""Load friction: dry friction proportional to the bearing force."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -8,11 +8,11 @@ from freeart21.effects.base import Acts, Alternative, Effect, OperatingPoint, pa
 
 @dataclass(frozen=True)
 class LoadFriction(Effect):
-    """level = coefficient * load, the load being the bearing's force in N (`JointMechanics.load`).
+    """level = coefficient * load, with the bearing force in N as load (`JointMechanics.load`).
 
-    Coulomb's law at the bearing: the coefficient is that of friction for a slider, and times the pin's radius for a
-    hinge; a journal bearing's friction radius. Not SAPIEN's `joint.friction`, which weighs forces and moments alike.
-    URDF and MJCF have no word for it.
+    Coulomb's law at the bearing: the coefficient of friction for a slider, times the pin's radius for a hinge (a
+    journal bearing's friction radius). SAPIEN's `joint.friction` differs: it adds forces and moments. URDF and MJCF
+    cannot express it.
     """
 
     name: ClassVar[str] = "load_friction"
@@ -27,7 +27,7 @@ class LoadFriction(Effect):
     coefficient: float = parameter("m", "1", 0.0, 10.0, "friction force per bearing force", scale=0.01)
 
     def alternatives(self, at: OperatingPoint) -> list[Alternative]:
-        """Friction of the usual load's size, and damping that is as strong at half the top speed."""
+        """Coulomb friction at the typical load, and damping as strong at half the top speed."""
         level = self.coefficient * at.load
         found = [Alternative("viscous_damping", {"coefficient": 2 * level / at.speed})]
         return found + ([Alternative("coulomb_friction", {"level": level})] if at.load else [])

@@ -1,4 +1,4 @@
-"""Pivot offset: a hinge's axis lies beside where the asset has it."""
+"""Pivot offset: a hinge's axis is shifted from where the asset has it."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -14,9 +14,8 @@ from freeart21.se3 import Array
 
 @dataclass(frozen=True)
 class PivotOffset(Effect):
-    """True pivot = pivot + along_first * first + along_second * second, `first` and `second` being
-    `perpendiculars(axis)`. A slider has no pivot to be off. URDF's joint origin can hold it.
-    """
+    """True pivot = pivot + along_first * first + along_second * second, with `first, second = perpendiculars(axis)`. A
+    slider has no pivot. URDF's joint origin can express it."""
 
     name: ClassVar[str] = "pivot_offset"
     kind: ClassVar[Kind] = "kinematics"

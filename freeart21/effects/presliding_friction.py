@@ -1,4 +1,4 @@
-"""Pre-sliding friction: dry friction that gives like a spring before it slides."""
+"""Presliding friction: dry friction that is elastic before it slides."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -10,12 +10,12 @@ from freeart21.effects.base import Acts, Effect, parameter
 
 @dataclass(frozen=True)
 class PreslidingFriction(Effect):
-    """force = -level * (q - anchor) / travel; the anchor is dragged along where it is further away than travel.
+    """force = -level * (q - anchor) / travel; the anchor is dragged along when it is further away than travel.
 
-    Its memory is the anchor. After a reversal friction builds up over 2 * travel, so small swings feel a spring that
-    takes energy. The elastoplastic bristle that Dahl's and the LuGre model smooth: Dupont, Hayward, Armstrong and
-    Altpeter, "Single state elastoplastic friction models", IEEE Transactions on Automatic Control 47 (2002). URDF and
-    MJCF have no word for it.
+    Its memory is the anchor. After a reversal friction builds up over 2 * travel, so small swings feel a lossy spring.
+    This is the elastoplastic bristle that Dahl's and the LuGre model smooth (Dupont, Hayward, Armstrong and Altpeter,
+    "Single state elastoplastic friction models", IEEE Transactions on Automatic Control 47, 2002). URDF and MJCF cannot
+    express it.
     """
 
     name: ClassVar[str] = "presliding_friction"
@@ -26,7 +26,7 @@ class PreslidingFriction(Effect):
     common: ClassVar[bool] = True
     reduces_to: ClassVar[str | None] = "coulomb_friction"
     speed_dependent: ClassVar[bool] = False
-    model_error: ClassVar[tuple[float, float]] = (0.1, 0.1)  # as of other dry friction
+    model_error: ClassVar[tuple[float, float]] = (0.1, 0.1)  # as Coulomb's
 
     level: float = parameter("N*m", "N", 0.0, 1e4, "size of the friction force once it slides", scale=0.1)
     travel: float = parameter("rad", "m", 1e-5, 10.0, "way over which it gives before it slides", scale=0.02)

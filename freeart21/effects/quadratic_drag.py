@@ -1,4 +1,4 @@
-"""Quadratic drag: a force against the motion, in proportion to its speed squared, as of air."""
+"""Quadratic drag: force against the motion, proportional to speed squared, like that of air."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -11,8 +11,7 @@ from freeart21.effects.base import Acts, Alternative, Effect, OperatingPoint, pa
 @dataclass(frozen=True)
 class QuadraticDrag(Effect):
     """force = -coefficient * qd * |qd|: the drag equation with density, area, drag coefficient and lever arms in one
-    number. URDF has no word for it, and MJCF none before MuJoCo 3.7.
-    """
+    number. URDF cannot express it, MJCF only from MuJoCo 3.7 on."""
 
     name: ClassVar[str] = "quadratic_drag"
     acts: ClassVar[Acts] = "force"
@@ -26,7 +25,7 @@ class QuadraticDrag(Effect):
     coefficient: float = parameter("N*m*s^2/rad^2", "N*s^2/m^2", 0.0, 1e4, "force per speed squared", scale=0.01)
 
     def alternatives(self, at: OperatingPoint) -> list[Alternative]:
-        """Damping that is as strong at half the top speed."""
+        """Damping as strong at half the top speed."""
         return [Alternative("viscous_damping", {"coefficient": 0.5 * at.speed * self.coefficient})]
 
     @staticmethod

@@ -1,4 +1,4 @@
-"""Return spring: a force towards a rest position, in proportion to the distance from it."""
+"""Return spring: force towards a rest position, proportional to the distance."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from freeart21.effects.base import Acts, Effect, parameter
 
 @dataclass(frozen=True)
 class ReturnSpring(Effect):
-    """force = -stiffness * (q - rest). URDF has no word for it."""
+    """force = -stiffness * (q - rest). URDF cannot express it."""
 
     name: ClassVar[str] = "return_spring"
     acts: ClassVar[Acts] = "force"
@@ -18,7 +18,10 @@ class ReturnSpring(Effect):
     joint_word: ClassVar[str | None] = "stiffness"
     basis_of: ClassVar[tuple[str, ...]] = ("position", "direction")
     speed_dependent: ClassVar[bool] = False
-    model_error: ClassVar[tuple[float, float]] = (0.0, 0.1)  # a coil's rate is even over the middle of its way only
+    model_error: ClassVar[tuple[float, float]] = (
+        0.0,
+        0.1,
+    )  # a coil's rate is constant in the middle of its travel only
 
     stiffness: float = parameter("N*m/rad", "N/m", 0.0, 1e6, "force per displacement", scale=1.0)
     rest: float = parameter("rad", "m", -100.0, 100.0, "position without force", scale=0.1)
@@ -28,7 +31,7 @@ class ReturnSpring(Effect):
         return -stiffness * (q - rest)
 
     def merge(self, other: Effect) -> ReturnSpring:
-        """Two springs side by side, which MJCF can say only as one."""
+        """Two parallel springs as one, since MJCF has only one."""
         assert isinstance(other, ReturnSpring)
         stiffness = self.stiffness + other.stiffness
         rest = (self.stiffness * self.rest + other.stiffness * other.rest) / stiffness if stiffness else self.rest

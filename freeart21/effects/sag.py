@@ -1,4 +1,4 @@
-"""Sag: the joint yields under the moving part's weight, as a door that droops or a drawer that tips when pulled out."""
+"""Sag: the joint yields under the moving part's weight, like a drooping door or a tipping drawer."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -13,9 +13,8 @@ from freeart21.se3 import Array
 
 @dataclass(frozen=True)
 class Sag(Effect):
-    """A turn about the pivot by compliance * M, M being the part of gravity's moment about the pivot that is across the
-    axis (`JointMechanics.gravity_moment`): a bearing of equal stiffness about both directions across its axis.
-    """
+    """Rotation about the pivot by compliance * M, with M the component of gravity's moment across the axis
+    (`JointMechanics.gravity_moment`): a bearing of equal stiffness in both directions across its axis."""
 
     name: ClassVar[str] = "sag"
     kind: ClassVar[Kind] = "kinematics"

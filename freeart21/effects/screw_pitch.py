@@ -13,9 +13,8 @@ from freeart21.se3 import Array
 
 @dataclass(frozen=True)
 class ScrewPitch(Effect):
-    """Revolute: a shift of pitch * q along the axis. Prismatic: a turn by pitch * q about the axis through the joint's
-    origin. The helical pair.
-    """
+    """Revolute: shift of pitch * q along the axis. Prismatic: rotation by pitch * q about the axis through the joint's
+    origin. The helical pair."""
 
     name: ClassVar[str] = "screw_pitch"
     kind: ClassVar[Kind] = "kinematics"

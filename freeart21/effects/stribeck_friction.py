@@ -14,7 +14,7 @@ class StribeckFriction(Effect):
 
     The Gaussian form of Armstrong-Helouvry, Dupont and Canudas de Wit, "A survey of models, analysis tools and
     compensation methods for the control of machines with friction", Automatica 30 (1994), with exponent 2. URDF and
-    MJCF have no word for it.
+    MJCF cannot express it.
     """
 
     name: ClassVar[str] = "stribeck_friction"
@@ -24,7 +24,7 @@ class StribeckFriction(Effect):
     common: ClassVar[bool] = True
     reduces_to: ClassVar[str | None] = "coulomb_friction"
     basis_of: ClassVar[tuple[str, ...]] = ("velocity",)
-    model_error: ClassVar[tuple[float, float]] = (0.2, 0.1)  # curves of many powers are measured
+    model_error: ClassVar[tuple[float, float]] = (0.2, 0.1)  # measured exponents vary
 
     level: float = parameter("N*m", "N", 0.0, 1e4, "size of the friction force in fast motion", scale=0.1)
     rise: float = parameter("N*m", "N", 0.0, 1e4, "how much larger it is at rest", scale=0.1)

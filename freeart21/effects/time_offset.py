@@ -1,4 +1,4 @@
-"""Time offset: the position sensor's clock is off, or its readings come late."""
+"""Time offset: the position sensor's clock is off, or its readings are late."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -14,7 +14,7 @@ class TimeOffset(Effect):
     kind: ClassVar[Kind] = "sensing"
     acts: ClassVar[Acts] = "reading"
     label: ClassVar[str] = "a sensor whose clock is off"
-    model_error: ClassVar[tuple[float, float]] = (0.05, 0.05)  # readings are averages over a while
+    model_error: ClassVar[tuple[float, float]] = (0.05, 0.05)  # readings are averages
 
     seconds: float = parameter("s", "s", -10.0, 10.0, "how late a reading is", scale=0.01)
 

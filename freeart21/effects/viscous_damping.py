@@ -1,4 +1,4 @@
-"""Viscous damping: a force against the motion, in proportion to its speed."""
+"""Viscous damping: force against the motion, proportional to speed."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -18,12 +18,12 @@ class ViscousDamping(Effect):
     dissipates: ClassVar[bool] = True
     common: ClassVar[bool] = True
     basis_of: ClassVar[tuple[str, ...]] = ("velocity",)
-    model_error: ClassVar[tuple[float, float]] = (0.2, 0.1)  # oils thin with speed; films are much the same everywhere
+    model_error: ClassVar[tuple[float, float]] = (0.2, 0.1)  # oils are shear-thinning; films are even
 
     coefficient: float = parameter("N*m*s/rad", "N*s/m", 0.0, 1e4, "force per speed", scale=0.1)
 
     def alternatives(self, at: OperatingPoint) -> list[Alternative]:
-        """Drag that is as strong at half the top speed."""
+        """Drag as strong at half the top speed."""
         return [Alternative("quadratic_drag", {"coefficient": 2 * self.coefficient / at.speed})]
 
     @staticmethod

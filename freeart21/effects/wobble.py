@@ -1,4 +1,4 @@
-"""Wobble: the moving part rocks in its worn joint, in time rather than with the joint's position."""
+"""Wobble: the moving part oscillates in its worn joint, over time instead of over position."""
 
 from __future__ import annotations
 
@@ -15,9 +15,8 @@ from freeart21.se3 import Array
 
 @dataclass(frozen=True)
 class Wobble(Effect):
-    """A turn by amplitude * sin(2 pi frequency t + phase) about the direction cos(direction) * first + sin(direction) *
-    second across the axis, `perpendiculars(axis)`, through the pivot: a second mode, written as a steady oscillation.
-    """
+    """Rotation by amplitude * sin(2 pi frequency t + phase) about cos(direction) * first + sin(direction) * second, in
+    the basis `perpendiculars(axis)`, through the pivot: a second mode as a steady oscillation."""
 
     name: ClassVar[str] = "wobble"
     kind: ClassVar[Kind] = "kinematics"

@@ -1,4 +1,4 @@
-"""From what every kind of effect came to, to the verdict: what confirming frames confirm, and what is left."""
+"""The verdict: effects that confirming frames confirm, and what remains unexplained."""
 
 from __future__ import annotations
 
@@ -24,42 +24,41 @@ from simgap.select.words import amount, capitalise, effect_label, effect_words
 from simgap.verdict import NamedEffect, RunGap, Verdict
 
 MIN_SHARE = 0.1
-"""Share of a gap that may be left without a word, and that a name must close. Not measured."""
+"""Share of a gap that may remain without mention, and that a named effect must close. Not measured."""
 REPORTED_RATIO = 2.0
-"""Floors from which on what is left is spoken of."""
+"""Ratio to the noise above which a residual is mentioned."""
 DOMINATED_SHARE = 0.5
-"""Share of its gap that a name leaves, on confirming frames, where a nameless rival explains twice as much: then it is
-not what is there."""
+"""Share of its gap that an effect must close on confirming frames where a discrepancy explains twice as much."""
 T_90 = 1.895
-"""Standard errors of a 90 % interval, by Student's t with the 7 degrees of freedom of the jackknife's 8 groups."""
+"""Half width of a 90 % interval in standard errors: Student's t with the 7 degrees of freedom of 8 jackknife groups."""
 
 
 @dataclass(frozen=True)
 class QuantityGap(RunGap):
-    """How far the films are apart on the confirming frames in one quantity, which is the `regime`."""
+    """The gap of confirming frames in one quantity, its `regime`."""
 
     unit: str = ""
 
 
 @dataclass(frozen=True)
 class FilmVerdict(Verdict):
-    """What `freeart21 gap` found between two films."""
+    """Result of `freeart21 gap` for two films."""
 
     gaps: tuple[QuantityGap, ...]
     missing_part: MissingPart | None = None
     cannot_tell: tuple[tuple[str, str], ...] = ()
-    """Names, and why nothing is said of them."""
+    """Effects, and why these frames do not show them."""
     left: tuple[str, ...] = ()
-    """What remains without a name, a line each."""
+    """Unexplained gaps, a line each."""
     frames: dict[str, list[int]] = field(default_factory=dict)
-    """fit, choose and confirm to the frames' numbers."""
+    """fit, choose and confirm to frame numbers."""
     camera: CameraFaults = field(default_factory=CameraFaults)
-    """What is certain, as the recorder takes it."""
+    """Certain faults, for the recorder."""
     poses: str = ""
-    """Where they come from."""
+    """Their source."""
 
     def to_json(self, joint_type: JointType) -> dict[str, Any]:
-        """As it stands in verdict.json; a camera's parameters have no type of joint."""
+        """The contents of verdict.json; a camera's parameters have no joint type."""
         part = self.missing_part
         return {
             **super().to_json(joint_type),
@@ -74,29 +73,29 @@ class FilmVerdict(Verdict):
 
 @dataclass(frozen=True)
 class Confirmed:
-    """What confirming frames leave of what was chosen."""
+    """The chosen effects that confirming frames confirm."""
 
     named: tuple[NamedEffect, ...]
     """Strongest first."""
     certain: tuple[str, ...]
-    """Those that every set has which frames cannot tell from the best: only these go into the camera."""
+    """Those in every rival set; only these go into the camera."""
     rivals: tuple[tuple[str, ...], ...]
     notes: tuple[str, ...]
 
     @property
     def best(self) -> CameraFaults:
-        """With everything that is named."""
+        """With all named faults."""
         return camera_of(n.effect for n in self.named)
 
     @property
     def delivered(self) -> CameraFaults:
-        """With what is certain."""
+        """With certain faults."""
         return camera_of(n.effect for n in self.named if n.effect.name in self.certain)
 
 
 def confirm(kinds: Sequence[Chosen], measure: Callable[[CameraFaults], dict[str, float]]) -> Confirmed:
-    """What stands of every kind: each effect gains on confirming frames beyond chance, and the camera that has them all
-    closes their gaps there. `measure` gives the gaps of confirming frames with a camera."""
+    """The confirmed effects of every kind: each gains significantly on confirming frames, and the camera with all of
+    them closes the gaps there. `measure` gives the gaps of confirming frames with a camera."""
     before, after = measure(CameraFaults()), measure(camera_of(e for c in kinds for e in c.effects))
     p_values = {name: p for c in kinds for name, p in c.p_values.items()}
     adjusted = dict(zip(p_values, benjamini_hochberg(np.array(list(p_values.values()))).tolist(), strict=True))
@@ -136,7 +135,7 @@ def verdict_of(
     rows: Rows,
     frames: dict[str, list[int]],
 ) -> FilmVerdict:
-    """The verdict, gaps being measured with the camera that is delivered (and, as a trial, with all that is named)."""
+    """The verdict; gaps are measured with the delivered camera (and, as a trial, with all named faults)."""
     distance = float(np.median(rows["z"]))
     unexplained = _list_unexplained(kinds, found, gaps, distance)
     answer: Any = "unexplained" if unexplained else "no_gap"
@@ -165,7 +164,7 @@ def verdict_of(
 
 
 def next_film(answer: str, unexplained: Sequence[str]) -> str | None:
-    """What to film where the answer leaves rivals or a remainder; None where it tells all."""
+    """What to film where the answer has rivals or a residual; None otherwise."""
     purposes = {
         "ambiguous": "depth and lens differ there in how they go with distance, angle and place in the picture",
         "unexplained": "what stays there is the camera's, what does not is the object's",
@@ -177,14 +176,14 @@ def next_film(answer: str, unexplained: Sequence[str]) -> str | None:
 
 
 def size_text(value: float, unit: str) -> str:
-    """A gap of pictures, for people."""
+    """A gap of pictures as text."""
     return f"{100 * value:.2g} %" if unit == "1" else amount(value, unit)
 
 
 def _list_unexplained(
     kinds: Sequence[Chosen], found: Confirmed, gaps: Sequence[QuantityGap], distance: float
 ) -> list[str]:
-    """What is above the floor without a name, a line each."""
+    """Gaps above the noise without a name, a line each."""
     out = []
     fraying = any(n.effect.name.endswith(("holes", "flying_pixels")) for n in found.named)
     for gap in gaps:
@@ -202,7 +201,7 @@ def _list_unexplained(
 
 
 def _bound(gap: QuantityGap, distance: float) -> float:
-    """What a gap must exceed to be called left."""
+    """The size above which a gap is unexplained."""
     if gap.regime == geometry.GAPS[0]:
         return max(REPORTED_RATIO * gap.floor, geometry.LEAST_DEPTH * distance)
     if gap.regime in (pixel_faults.LOST, pixel_faults.FLYING):
@@ -232,7 +231,7 @@ def _cannot_tell(kinds: Sequence[Chosen], scene: FilmScene, rows: Rows) -> tuple
 
 
 def _fault_words(effect: Effect) -> str:
-    """An effect with its numbers; of a drift how far it goes in all."""
+    """An effect with its parameters; of a drift its range."""
     values = effect.values()
     if not effect.name.endswith("_drift"):
         return effect_words(effect, "revolute")

@@ -1,7 +1,7 @@
-"""Which set of effects of one kind: forward selection by a beam, judged by frames that it was not fitted to.
+"""Model selection for one kind of effects: forward selection by beam search, judged by frames that were not fitted.
 
-Scores and the smallest set within one standard error are those of `simgap.select.predictive`: a stretch of frames
-here is what a stretch of a run is there.
+Scores and the one-standard-error rule are those of `simgap.select.predictive`, with stretches of frames in place of
+stretches of runs.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from simgap.select.predictive import Score, score_difference, select_smallest
 Frames = NDArray[np.int64]
 """(n,) indices of frames, ascending."""
 BEAM = 5
-"""Sets of each size that are widened: greedy search picks the best single effect and cannot reach a pair without it."""
+"""Sets of each size that are extended; greedy search takes the best single effect and may miss a pair."""
 LEAST_SHARE = 0.01
-"""Of what the best set gains, that a larger set must bring: less is what a straight line misses of a curve, and columns
-are of first order. Not measured."""
+"""Share of the best set's gain that a larger set must add: columns are of first order, so curvature leaves less. Not
+measured."""
 MAX_SIZE_CHANGE = 0.5
-"""Share by which an effect's size may change beside a nameless rival that explains more. Not measured."""
+"""Relative change of an effect's size with a discrepancy that explains more. Not measured."""
 DOMINATION_RATIO = 2.0
-"""Times a set's gain from which on what a nameless rival explains is no more what the set explains."""
+"""Ratio of a discrepancy's gain to the set's above which the set does not explain it."""
 GROUPS = 8
-"""Of frames, each left out once for the standard error of a parameter (jackknife)."""
+"""Jackknife groups of frames for standard errors."""
 
 
 @dataclass(frozen=True)
 class SetFit:
-    """A set of effects with its numbers."""
+    """A fitted set of effects."""
 
     values: dict[str, float]
     """By parameter."""
@@ -44,7 +44,7 @@ class SetFit:
     matters: bool = True
     """Whether each of its effects is large enough to be named."""
     sizes: dict[str, Array] = field(default_factory=dict)
-    """Effect to its parameters by what they move, where it may be compared beside a nameless rival."""
+    """Effect to its parameters, scaled by what they move, where it may be compared with and without a discrepancy."""
 
 
 @dataclass(frozen=True)
@@ -54,9 +54,9 @@ class Kind:
     name: str
     effects: tuple[str, ...]
     fit: Callable[[tuple[str, ...], Frames, str], SetFit | None]
-    """Effects, frames and a nameless rival ('' for none) to the fit; None for a set that makes no sense."""
+    """Effects, frames and a discrepancy ('' for none) to the fit; None for an invalid set."""
     discrepancies: tuple[str, ...] = ()
-    """Free curves and maps that no name stands for: what they explain and no name does, has no name."""
+    """Free curves and maps without a name."""
     spare: float = LEAST_SHARE
     gaps: tuple[str, ...] = ()
     """The gaps that its effects close (`proof`)."""
@@ -64,24 +64,24 @@ class Kind:
 
 @dataclass(frozen=True)
 class Chosen:
-    """What the frames say of one kind."""
+    """Result of the selection for one kind."""
 
     kind: Kind
     names: tuple[str, ...]
     """The smallest set within one standard error of the best; none for the film as it is."""
     rivals: tuple[tuple[str, ...], ...]
-    """All sets of as many effects that are, itself first."""
+    """All sets of this size that are, itself first."""
     values: dict[str, float]
     errors: dict[str, float]
     """Standard errors of `values`."""
     scores: tuple[Score, ...]
-    """Of everything that was tried, the most probable first."""
+    """Of all sets that were fitted, the most probable first."""
     p_values: dict[str, float]
-    """Effect to the chance that confirming frames gain as much by it if it is not there."""
+    """Effect to the p-value of its gain on confirming frames."""
     refused: dict[str, str]
-    """Effects that give way to a nameless rival, and why."""
+    """Effects rejected in favour of a discrepancy, and why."""
     dominated: str
-    """A nameless rival that explains `DOMINATION_RATIO` as much as the whole set; '' for none."""
+    """A discrepancy that explains DOMINATION_RATIO as much as the whole set; '' for none."""
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -148,8 +148,8 @@ def choose(kind: Kind, split: tuple[Frames, Frames, Frames]) -> Chosen:
 
 
 def _smallest(scores: dict[tuple[str, ...], Score], spare: float) -> tuple[Score, ...]:
-    """The smallest sets within one standard error of the best; of sets that gain, up to the share `spare`, what the
-    best one does, only the smallest stand."""
+    """The smallest sets within one standard error of the best; also sets that gain all but the share `spare` of the
+    best one's."""
     named = list(scores.values())
     best = max(named, key=lambda s: s.total)
     near = [len(s.names) for s in named if s.names and best.total - s.total <= spare * (best.total - scores[()].total)]
@@ -157,7 +157,7 @@ def _smallest(scores: dict[tuple[str, ...], Score], spare: float) -> tuple[Score
 
 
 def _standard_errors(kind: Kind, names: tuple[str, ...], frames: Frames, values: dict[str, float]) -> dict[str, float]:
-    """Of the values, from fits without each of `GROUPS` groups of frames."""
+    """Of the values, by jackknife over `GROUPS` groups of frames."""
     if not names or len(frames) < GROUPS:
         return {}
     again = [kind.fit(names, np.delete(frames, np.s_[g::GROUPS]), "") for g in range(GROUPS)]
@@ -172,8 +172,8 @@ def _p_value(
     name: str,
     split: tuple[Frames, Frames, Frames],
 ) -> float:
-    """By the signs of confirming frames' gains, flipped at random; gains are capped at three times their median size,
-    so that one frame does not decide."""
+    """By sign flips of confirming frames' gains, capped at three times their median size so that one frame does not
+    decide."""
     rest = tuple(n for n in names if n != name)
     without = fits.get(rest) or kind.fit(rest, split[0], "") or fits[()]
     gains = fits[names].judge(split[2]) - without.judge(split[2])

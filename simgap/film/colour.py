@@ -1,8 +1,7 @@
-"""How the colours drift: exposure and the tone curve's exponent over the film, the asset's own light left free.
+"""Colour drift: exposure and gamma over the film, with the asset's own lighting free.
 
-Rows are measured over simulated light, in powers of two. Every model has what lamps that stand still make of the
-surface, and how the asset's brightness is off; a drift is a curve over the film, and every frame has an error of its
-own in brightness and contrast.
+Rows are log2 of measured over simulated light. Every model has the lighting of static lamps and the asset's brightness
+error; a drift is a curve over the film, and every frame has its own error in brightness and contrast.
 """
 
 from __future__ import annotations
@@ -19,17 +18,17 @@ from simgap.film.samples import Rows
 
 GAP = "brightness of frames"
 LEAST = {"exposure_drift": 0.1, "gamma_drift": 0.05}
-"""Least spread (largest less smallest) of a drift that is named, stops and 1: two clean films lit by SAPIEN's lamps
-came to .009 and .065 stops by light alone."""
+"""Smallest range of a drift that is named, stops and 1: two clean films lit by SAPIEN's lamps had .009 and .065 stops
+from lighting alone."""
 LEAST_ROWS = 200
 ROWS = 9000
 _PLACES = "place in the picture, and time"
 _FLOOR = (0.02, 0.01)
-"""Stops of a row and of a frame: 8 bits of a middle grey are a hundredth of a stop."""
+"""Noise of a row and of a frame, stops: 8 bits of a middle grey are a hundredth of a stop."""
 
 
 def colour_design(rows: Rows) -> Design | None:
-    """The rows of the colours as columns; None where too few tell anything."""
+    """The colour rows as columns; None where there are too few."""
     usable = _rows_of(rows)
     if len(usable) < LEAST_ROWS:
         return None
@@ -54,7 +53,7 @@ def colour_design(rows: Rows) -> Design | None:
 
 
 def _rows_of(rows: Rows) -> NDArray[np.int64]:
-    """(n,) rows that tell something of the colours, at most about `ROWS`, evenly drawn."""
+    """(n,) usable colour rows, at most about `ROWS`, evenly spaced."""
     usable = np.flatnonzero(np.isfinite(rows["stops"]) & (np.abs(rows["stops"]) < 6))
     return usable[:: max(1, len(usable) // ROWS)]
 
@@ -65,10 +64,10 @@ def light_of(rows: Rows) -> Array:
 
 
 def colour_kind(design: Design, lit: bool) -> Kind:
-    """Drifts of exposure and tone.
+    """Drifts of exposure and gamma.
 
-    Where the asset's colours hold the light of the film (`lit`), as a reconstruction's do, the tone curve is not asked
-    for: light that wanders over the surface looks alike.
+    Where the asset's colours contain the film's lighting (`lit`), as a reconstruction's do, gamma is not fitted: it is
+    confounded with lighting that moves over the surface.
     """
     effects = ("exposure_drift",) if lit else ("exposure_drift", "gamma_drift")
     return linear_kind("colours", design, effects, (_PLACES,), _values_of, _matters, (GAP,))
@@ -85,7 +84,7 @@ def _matters(design: Design, fit: LinearFit, names: tuple[str, ...]) -> bool:
 
 
 def _lighting(normal: Array) -> Array:
-    """(n, 8) what lamps that stand still make of normals (n, 3), to second order: the constant is the brightness's own.
+    """(n, 8) lighting of static lamps over normals (n, 3), to second order, without the constant.
 
     Nine such numbers give the light on a matt surface to 1 % (Ramamoorthi and Hanrahan 2001).
     """

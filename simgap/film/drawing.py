@@ -1,6 +1,6 @@
-"""The simulated film: one frame's depth, colours and angles, by a z-buffer of our own on the CPU.
+"""The simulated film: depth, colours and angles of a frame, by a z-buffer on the CPU.
 
-It shares nothing with the renderer that made a recording: what both get wrong alike would not be seen.
+It shares no code with the renderer of recordings, so common errors do not cancel.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class RenderedFrame:
     cosine: Map
     """(height, width) of the angle of incidence; 1 where there is nothing."""
     rgb: Map
-    """(height, width, 3) sRGB, 0 to 255, as the textures have it: nothing is lit."""
+    """(height, width, 3) sRGB, 0 to 255, unlit texture colours."""
 
     @property
     def brightness(self) -> Map:
@@ -64,7 +64,7 @@ def render(scene: FilmScene, camera: Camera, Ts: tuple[Array, Array]) -> Rendere
 
 
 def interpolate_pose(Ts: Array, t: float) -> Array:
-    """The pose (4, 4) at time `t`, in frames, of poses (n, 4, 4): constant twists from frame to frame, and beyond."""
+    """The pose (4, 4) at time `t`, in frames, of poses (n, 4, 4): constant twists between frames, and beyond."""
     k = int(np.clip(np.floor(t), 0, max(len(Ts) - 2, 0)))
     if len(Ts) == 1:
         return np.asarray(Ts[0])

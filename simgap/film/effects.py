@@ -1,4 +1,4 @@
-"""What a camera may do to its pictures, as effects with named parameters like those of a joint."""
+"""Camera faults as effects, with parameters like those of a joint."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from freeart21.camera_faults import FAULTS, CameraFaults
 from freeart21.effects.base import Effect, parameter
 
 KNOTS = 7
-"""Of a drift's curve over the film: frames of each kind take turns ten times or more, so that each knot has some."""
+"""Knots of a drift over the film: frames of each use alternate ten times or more, so each knot has some."""
 
 
 _FIELDS: dict[str, tuple[str, ...]] = {
@@ -33,7 +33,7 @@ _FIELDS: dict[str, tuple[str, ...]] = {
     "exposure_drift": ("exposure",),
     "gamma_drift": ("gamma",),
 }
-"""Effect to the fields of `CameraFaults` that it has; a drift's field becomes a parameter at every knot."""
+"""Effect to its fields of `CameraFaults`; a drift's field becomes a parameter at every knot."""
 DRIFTS = ("exposure", "gamma")
 
 
@@ -61,13 +61,13 @@ def parameters_of(name: str) -> tuple[str, ...]:
 
 
 def effect_of(name: str, values: Mapping[str, float]) -> Effect:
-    """The effect with its parameters out of `values`, within their bounds."""
+    """The effect with its parameters from `values`, clipped to their bounds."""
     specs = EFFECTS[name].parameters()
     return EFFECTS[name](**{k: float(np.clip(values[k], s.lower, s.upper)) for k, s in specs.items()})
 
 
 def camera_of(effects: Iterable[Effect]) -> CameraFaults:
-    """The camera that has these effects and is else without fault."""
+    """The camera with these faults and no others."""
     values = {name: getattr(effect, name) for effect in effects for name in effect.parameters()}
     for field in (drift for drift in DRIFTS if f"{drift}_0" in values):
         values[field] = tuple(values.pop(f"{field}_{k}") for k in range(KNOTS))

@@ -1,4 +1,4 @@
-"""What a camera does to the size of depth, to the pictures' geometry and to their timing, as columns over the rows."""
+"""Depth bias, intrinsics, registration and delay of a camera, as columns over the rows."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from simgap.film.samples import Rows
 from simgap.verdict import root_mean_square
 
 BIAS = ("depth_scale", "depth_offset", "depth_curve")
-"""Effects of the depth's size."""
+"""Effects of depth bias."""
 PICTURE = ("focal_length", "principal_point", "misregistration", "depth_delay")
-"""Effects by which a film is simulated anew."""
+"""Effects with which a film is simulated anew."""
 DISCREPANCIES = ("place in the picture", "distance", "angle of incidence", "lens")
 GAPS = ("depth of inner pixels", "outline of the mask", "outline of the depth")
 LEAST_DEPTH, LEAST_PX = 5e-4, 0.15
-"""An effect is not named that moves depth by less than this share of the distance and outlines by less than this many
-pixels, both as root mean squares: no camera is so good (Tolgyessy 2021: 1 part in 1,000), and no mask."""
+"""An effect is named only if it changes depth by this share of the distance or outlines by this many pixels, RMS: no
+camera (Tolgyessy 2021: 1 part in 1,000) and no mask is better."""
 MIN_COMBINED_SHARE = 0.3
-"""Share of the largest of them that several errors of the depth's size must come to together. Not measured."""
+"""Share of the largest depth bias that several must amount to together. Not measured."""
 ROWS = 5000
-"""Of a kind of rows, that a search reads."""
+"""Rows of a kind that a search uses."""
 
 
 @dataclass(frozen=True)
@@ -37,14 +37,14 @@ class Design:
 
     blocks: tuple[Block, ...]
     columns: dict[str, tuple[int, ...]]
-    """Effect, or nameless rival, to its columns."""
+    """Effect, or discrepancy, to its columns."""
     free: tuple[int, ...] = ()
-    """Columns that every model has, without a name."""
+    """Columns of every model."""
     ridge: Array | None = None
-    """(K,) 1 / standard deviation^2 by which each parameter is held towards zero."""
+    """(K,) prior precision of each parameter about zero."""
 
     def moves(self, name: str, fit: LinearFit) -> list[Array]:
-        """(n,) of each block: what an effect of a fit does to its rows."""
+        """(n,) per block: contribution of an effect of a fit."""
         columns = list(self.columns[name])
         beta = fit.beta[[fit.chosen.index(c) for c in columns]]
         return [b.columns[:, columns] @ beta for b in self.blocks]
@@ -59,7 +59,7 @@ def linear_kind(
     matters: Callable[[Design, LinearFit, tuple[str, ...]], bool],
     gaps: tuple[str, ...],
 ) -> Kind:
-    """Effects that are columns over the same rows. `values_of` makes parameters of an effect's coefficients."""
+    """Effects that are columns over the same rows. `values_of` converts an effect's coefficients to parameters."""
     cut: dict[bytes, list[Block]] = {}
     root_squares = np.sqrt(np.mean(np.concatenate([b.columns**2 for b in design.blocks]), 0))
 
@@ -85,7 +85,7 @@ def linear_kind(
 
 
 def geometry_kind(design: Design, shut: frozenset[str]) -> Kind:
-    """What the camera does to depth and outlines, but for what is in `shut`."""
+    """The camera's effects on depth and outlines, without those in `shut`."""
     return linear_kind(
         "depth and outlines",
         replace(design, blocks=tuple(b.thinned(ROWS) for b in design.blocks)),
@@ -102,9 +102,9 @@ def make_design(rows: Rows, depth_unit: float, exact: bool, simulated_with: Came
 
     Args:
         rows: about the camera `simulated_with`.
-        depth_unit: step of the measured depth, metres.
-        exact: whether the poses leave no doubt; else every frame's parts may stand off a little.
-        simulated_with: what it does to geometry and time is put back to first order: parameters are then whole ones.
+        depth_unit: quantisation of the measured depth, metres.
+        exact: whether poses are exact; else every frame has a small pose error of each part.
+        simulated_with: its geometry and timing are added back to first order, so parameters are total ones.
     """
     inner, mask, depth = np.isfinite(rows["error"]), np.isfinite(rows["mask_off"]), np.isfinite(rows["depth_off"])
     z, at, slope, later = (rows[name][inner] for name in ("z", "at", "slope", "later"))
@@ -150,8 +150,8 @@ def make_design(rows: Rows, depth_unit: float, exact: bool, simulated_with: Came
 def stack_columns(
     of: dict[str, tuple[Array, ...]], held: set[str], deviation: float = 0.01
 ) -> tuple[dict[str, tuple[int, ...]], list[Array], Array]:
-    """Names to numbers of columns, the columns of each block (n, K), and a ridge (K,) that holds what is in `held` to
-    `deviation`, so that what no row tells stays finite."""
+    """Names to column numbers, the columns of each block (n, K), and a ridge (K,) that holds the columns of `held` to
+    `deviation`, so that unconstrained ones stay finite."""
     columns, count = dict[str, tuple[int, ...]](), 0
     parts = {key: [np.asarray(b, float).reshape(len(b), -1) for b in blocks] for key, blocks in of.items()}
     for key, blocks in parts.items():
@@ -163,8 +163,8 @@ def stack_columns(
 
 
 def depth_floor(distance: float, depth_unit: float) -> float:
-    """Metres: what the comparison of depth cannot tell: half the measured depth's step, or 1 part in 10,000 of the
-    distance, a tenth of what the best cameras err by (Tolgyessy 2021: a millimetre at a metre)."""
+    """Metres: resolution of the depth comparison: half a quantisation step, or 1e-4 of the distance, a tenth of the
+    error of the best cameras (Tolgyessy 2021: a millimetre at a metre)."""
     return max(0.5 * depth_unit, 1e-4 * distance)
 
 
@@ -176,7 +176,7 @@ def hat_functions(x: Array, knots: int | Array) -> Array:
 
 
 def cosine_products(at: Array) -> Array:
-    """(n, 15) products of cosines over the picture, `at` (n, 2) in -1 to 1; all but the constant."""
+    """(n, 15) products of cosines over the picture, `at` (n, 2) in -1 to 1; without the constant."""
     x, y = (np.stack([np.cos(np.pi * k * (a + 1) / 2) for k in range(4)], -1) for a in (at[:, 0], at[:, 1]))
     return np.asarray((x[:, :, None] * y[:, None, :]).reshape(len(at), 16)[:, 1:])
 
@@ -186,14 +186,13 @@ def _rotate_quarter(at: Array) -> Array:
 
 
 def _planes(at: Array, part: NDArray[np.int64]) -> Array:
-    """(n, 6) an offset and two slopes of each part: what a pose does that is a little off."""
+    """(n, 6) an offset and two slopes of each part: a small pose error."""
     plane = np.column_stack([np.ones(len(at)), at])
     return np.concatenate([np.where((part == k)[:, None], plane, 0.0) for k in (1, 2)], 1)
 
 
 def _matters(design: Design, fit: LinearFit, names: tuple[str, ...]) -> bool:
-    """Whether every effect moves depth or outlines by enough, and errors of the depth's size do not undo each other:
-    together they would be no more than a curve through something else."""
+    """Whether every effect moves depth or outlines enough, and depth biases do not cancel each other."""
     z = design.blocks[0].columns[:, design.columns["depth_scale"][0]]
     distance = float(np.median(z)) if len(z) else 1.0
     moves = {name: design.moves(name, fit) for name in names}

@@ -1,8 +1,8 @@
-"""How likely a frame is under a linear model: errors with heavy tails, and an error of its own that a frame shares.
+"""Likelihood of a frame under a linear model, with heavy-tailed errors and random effects of the frame.
 
-Pixels of one frame are not independent: a pose that is a little off moves them all. So a frame has random effects (its
-mean depth error, the mean shift of its two outlines), and the log predictive density of a frame is that of these plus
-that of what every row then lacks (Student's t, mixed with outliers).
+Pixels of one frame are dependent: a small pose error moves them all. So a frame has random effects (mean depth error,
+mean shift of its two outlines). Its log predictive density is that of these plus that of the rows' residuals (Student's
+t with outliers).
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from freeart21.se3 import Array
 
 NU = 4.0
-"""Degrees of freedom of Student's t: tails as robust fits of depth use them (Lange et al. 1989 recommend 4)."""
+"""Degrees of freedom of Student's t (Lange et al. 1989 recommend 4)."""
 OUTLIERS = 0.02
-"""Share of rows that may be anything at all."""
+"""Share of outlier rows."""
 ROUNDS = 6
-"""Of reweighting; a further one moves parameters by under 1 % of their standard error (looked at on ten fits)."""
+"""Of reweighting; one more moves parameters by under 1 % of their standard error (ten fits)."""
 
 
 @dataclass(frozen=True)
@@ -32,61 +32,61 @@ class Block:
     y: Array
     """(n,) measured less simulated."""
     columns: Array
-    """(n, K) one column for every parameter."""
+    """(n, K) one column per parameter."""
     own: Array
-    """(n, d) what a frame's random effects do."""
+    """(n, d) design of a frame's random effects."""
     frame: NDArray[np.int64]
     """(n,) ascending."""
     least: tuple[float, float]
-    """Least standard deviation of a row and of a frame's effects: the floor of what the comparison itself can tell."""
+    """Least standard deviation of a row and of a frame's effects: the resolution of the comparison."""
     span: float
     """Range over which an outlier may lie."""
 
     @cached_property
     def starts(self) -> NDArray[np.int64]:
-        """(frames,) the first row of each."""
+        """(frames,) first row of each frame."""
         return np.flatnonzero(np.diff(self.frame, prepend=-1))
 
     @cached_property
     def index(self) -> NDArray[np.int64]:
-        """(n,) number of the row's frame among the block's."""
+        """(n,) number of the row's frame in the block."""
         return np.cumsum(np.diff(self.frame, prepend=self.frame[:1]) != 0)
 
     def of(self, frames: NDArray[np.int64]) -> Block:
-        """The rows of some frames alone."""
+        """The rows of some frames."""
         return self.cut(np.isin(self.frame, frames))
 
     def cut(self, rows: NDArray[np.bool_] | slice) -> Block:
-        """Some rows alone."""
+        """Some rows."""
         return replace(self, y=self.y[rows], columns=self.columns[rows], own=self.own[rows], frame=self.frame[rows])
 
     def thinned(self, most: int) -> Block:
-        """At most about `most` rows, evenly drawn."""
+        """At most about `most` rows, evenly spaced."""
         return self.cut(slice(None, None, max(1, len(self.y) // most)))
 
 
 @dataclass(frozen=True)
 class LinearFit:
-    """A model with its parameters."""
+    """A fitted model."""
 
     chosen: tuple[int, ...]
-    """Columns in it."""
+    """Its columns."""
     beta: Array
     """(k,)."""
     sigma: tuple[float, ...]
-    """A block's standard deviation of a row."""
+    """Standard deviation of a row, per block."""
     tau: tuple[float, ...]
-    """A block's standard deviation of a frame's effects."""
+    """Standard deviation of a frame's effects, per block."""
 
     def residual(self, b: Block) -> Array:
-        """(n,) what the model leaves of a block's rows."""
+        """(n,) residuals of a block's rows."""
         return b.y - b.columns[:, list(self.chosen)] @ self.beta
 
 
 def fit_blocks(blocks: Sequence[Block], chosen: Sequence[int], ridge: Array | None = None) -> LinearFit:
     """The columns `chosen`, by maximum likelihood with t-weights; frames' effects are integrated out.
 
-    `ridge` (K,) holds each parameter towards zero, as 1 / standard deviation^2.
+    `ridge` (K,) is the prior precision of each parameter about zero.
     """
     k = list(chosen)
     sigma = [max(float(np.median(np.abs(b.y)) / 0.74) if len(b.y) else 0.0, b.least[0]) for b in blocks]
@@ -126,7 +126,7 @@ def density(blocks: Sequence[Block], fit: LinearFit, frames: NDArray[np.int64]) 
 
 
 def _inlier_density(e: Array, s: float) -> Array:
-    """Density of Student's t of 4 degrees, whose value at 0 is 3 / 8, for all but outliers."""
+    """Density of inliers: Student's t with 4 degrees of freedom, 3 / 8 at 0."""
     return np.asarray((1 - OUTLIERS) * 0.375 / s * (1 + (e / s) ** 2 / NU) ** (-(NU + 1) / 2))
 
 
@@ -136,8 +136,8 @@ def _inlier_share(e: Array, s: float, span: float) -> Array:
 
 
 def _frame_effects(b: Block, r: Array, s: float, t: float) -> tuple[Array, Array, Array]:
-    """(frames, d) effects of the frames of residuals `r` (n,), their variances by the rows alone, and what rows lack
-    besides (n,)."""
+    """(frames, d) effects of the frames of residuals `r` (n,), their variances from the rows alone, and remaining
+    residuals (n,)."""
     d = b.own.shape[1]
     squares = b.own[:, :, None] * b.own[:, None, :]
     m: Array = np.zeros((len(b.starts), d))
@@ -152,7 +152,7 @@ def _frame_effects(b: Block, r: Array, s: float, t: float) -> tuple[Array, Array
 
 
 def _normal_equations(b: Block, X: Array, w: Array, t: float) -> tuple[Array, Array]:
-    """(k, k) and (k,): the frames' own effects eliminated."""
+    """(k, k) and (k,) with the frames' effects eliminated."""
     d, k = b.own.shape[1], X.shape[1]
     both = np.concatenate([X, b.own, b.y[:, None]], 1)
     ends = np.append(b.starts, len(w))

@@ -1,7 +1,6 @@
-"""Where the two films part: maps over picture, distance, angle of incidence, edges and time, tested frame by frame.
+"""Localisation between films: maps over picture, distance, angle of incidence, edges and time, tested frame by frame.
 
-Pixels beside each other say the same, so the exchangeable unit is the frame, as half-swings are in
-`simgap.models.localise`: where nothing is missing, a frame's error in a bin is as likely to be positive as negative.
+Neighbouring pixels are dependent, so the exchangeable unit is the frame, like half swings in `simgap.models.localise`.
 """
 
 from __future__ import annotations
@@ -28,19 +27,19 @@ class FilmMap:
     """One error over bins of another quantity."""
 
     gap: str
-    """Of which it is a map (`proof`)."""
+    """The gap of which it is a map (`proof`)."""
     what: str
     unit: str
     over: str
     over_unit: str
     bins: ResidualMap
-    """Edges in `over_unit`, means in `unit`; of a map over the picture row by row, its edges those of the columns."""
+    """Edges in `over_unit`, means in `unit`; for a map over the picture row by row, with the columns' edges."""
     rows: Array
-    """Of a map over the picture the rows' edges, pixels from the principal point; empty else."""
+    """For a map over the picture the rows' edges, pixels from the principal point; else empty."""
 
 
 def film_maps(rows: Rows, coloured: bool) -> tuple[FilmMap, ...]:
-    """The maps of all frames of the asset's film as it is with an ideal camera."""
+    """The maps of all frames for the simulated film with an ideal camera."""
     rng = np.random.default_rng(23)
     share = np.array([f.share for f in rows.frames])
     inner, edge, band = rows.of("error"), rows.of("mask_off"), rows.of("band")
@@ -91,7 +90,7 @@ def _over_picture(what: tuple[str, str, str, Array, NDArray[np.int64]], at: Arra
 
 
 def flagged_places(maps: tuple[FilmMap, ...]) -> list[tuple[str, Region]]:
-    """Of every map that differs from nothing beyond chance its gap, and where it is largest."""
+    """The gap and the largest deviation of every significant map."""
     found = []
     for m in maps:
         b = m.bins
@@ -111,6 +110,6 @@ def flagged_places(maps: tuple[FilmMap, ...]) -> list[tuple[str, Region]]:
 
 
 def _capped(values: Array) -> Array:
-    """Sizes beyond five times their median taken as that, so that one edge does not decide."""
+    """Values limited to five times their median size, so that one edge does not decide."""
     cap = 5 * float(np.median(np.abs(values))) if len(values) else 0.0
     return np.clip(values, -cap, cap) if cap > 1e-9 else values

@@ -1,6 +1,6 @@
-"""A part that the asset lacks: measured points where the asset has none, which keep their place on one of its parts.
+"""A part that the asset lacks: measured points beyond the asset that keep their place on one of its parts.
 
-A hand comes and goes; what belongs to a part is there, at the same place of the part, whenever that place can be seen.
+A hand comes and goes; a part is there whenever its place is visible.
 """
 
 from __future__ import annotations
@@ -18,33 +18,33 @@ from simgap.film.samples import Rows
 from simgap.film.scene import FilmScene
 
 CELLS = 30
-"""Cells along the object's diagonal: a cell is larger than what poses and depth are off by (1 % of the diagonal)."""
+"""Cells along the object's diagonal; a cell is larger than the errors of poses and depth (1 % of the diagonal)."""
 LEAST_SHARE = 0.01
-"""Of the object's pixels that the blob must cover in the frames that show it: less is a rim of the mask."""
+"""Least share of the object's pixels that it covers in frames that show it; less is a mask's rim."""
 MIN_PRESENCE = 0.6
-"""Share of the frames that can see a place of it in which something must be there."""
+"""Share of the frames that see a cell in which it must be occupied."""
 LEAST_FRAMES = 4
 LEAST_CELLS = 3
 MIN_EXPLAINED = 0.5
-"""Share of the confirming frames' excess points that must lie in the blob's cells."""
+"""Share of the confirming frames' excess points that must lie in the cells."""
 
 
 @dataclass(frozen=True)
 class MissingPart:
-    """Something rigid with a part of the asset, which it lacks."""
+    """Something rigidly attached to a part of the asset, which it lacks."""
 
     part: str
     """'reference' or 'moving'."""
     middle_m: Array
     """(3,) metres, canonical frame at state zero."""
     size_m: Array
-    """(3,) metres: the sides of its box."""
+    """(3,) metres: sides of its bounding box."""
     frames: int
     """Confirming frames that show it."""
     share_explained: float
     """Share of the confirming frames' excess points that lie in it."""
     share_of_pixels: float
-    """Of the object's pixels in such frames, the share that it covers."""
+    """Share of the object's pixels that it covers in such frames."""
 
 
 def find_missing_part(
@@ -53,7 +53,7 @@ def find_missing_part(
     rows: Rows,
     split: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]],
 ) -> MissingPart | None:
-    """What the frames show that keeps its place on a part; None where nothing does."""
+    """The excess points that keep their place on a part; None without any."""
     learn = np.sort(np.concatenate(split[:2]))
     counts = np.array([len(f.excess) for f in rows.frames])
     if (counts[learn] > 5).sum() < LEAST_FRAMES:
@@ -83,7 +83,7 @@ def _excess_cells(rows: Rows, scene: FilmScene, i: int, k: int, cell: float) -> 
 def _persistent_cells(
     recording: Recording, scene: FilmScene, rows: Rows, learn: NDArray[np.int64], k: int, cell: float
 ) -> NDArray[np.int64]:
-    """(m, 3) cells of part `k` in which something is in most frames that can see them."""
+    """(m, 3) cells of part `k` that are occupied in most frames that see them."""
     shown: dict[tuple[int, ...], int] = {}
     for i in learn:
         for place in {tuple(p) for p in _excess_cells(rows, scene, int(i), k, cell).tolist()}:
@@ -115,7 +115,7 @@ def _is_empty(camera: Camera, depth: NDArray, mask: NDArray[np.bool_], points: A
 def _explained_share(
     rows: Rows, scene: FilmScene, frames: NDArray[np.int64], k: int, cells: NDArray[np.int64], cell: float
 ) -> tuple[float, int, float]:
-    """Share of the frames' excess points in the cells or beside them, frames that show some, and pixels' share."""
+    """Share of the frames' excess points in or next to the cells, number of frames that show some, share of pixels."""
     reach = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), -1).reshape(-1, 3)
     wide = {tuple(c) for c in (cells[:, None] + reach).reshape(-1, 3).tolist()}
     inside, total, seen, shares = 0, 0, 0, []

@@ -1,5 +1,4 @@
-"""The page of a gap between two films, of the sections of every gap page: what the camera does, how sure that is, where
-it shows, and one frame three times."""
+"""The page of a gap between two films: camera faults, confidence, where they act, and one frame three times."""
 
 from __future__ import annotations
 
@@ -32,14 +31,14 @@ from simgap.select.predictive import score_difference
 
 Image = NDArray[np.uint8]
 MARGIN = 0.12
-"""Share of the object's box that is shown round it."""
+"""Margin round the object's box, as a share of it."""
 WIDEST = 420
-"""Pixels of a picture on the page, at most."""
+"""Largest width of a picture on the page, pixels."""
 _BLUE, _RED = np.array([0, 114, 178.0]), np.array([213, 94, 0.0])
 
 
 def page(verdict: FilmVerdict, found: Found, command: str, seconds: float) -> str:
-    """The page as HTML. `command` is what makes it again."""
+    """The page as HTML. `command` repeats it."""
     n = {k: len(v) for k, v in verdict.frames.items()}
     chips = [
         f"{sum(n.values())} frames: {n['fit']} fitted, {n['choose']} choosing, {n['confirm']} confirming",
@@ -139,7 +138,7 @@ def _picture_map(m: FilmMap) -> str:
 
 
 def _frame(verdict: FilmVerdict, found: Found) -> Section:
-    """The confirming frame that the film as it is misses most, measured, simulated, and with the camera's faults."""
+    """The confirming frame with the largest error: measured, simulated, and simulated with the camera's faults."""
     of = {f.frame: f for f in found.rows.frames}
     index = max(verdict.frames["confirm"], key=lambda i: np.nansum(np.abs(of[i].fields["error"])))
     recording, scene, camera = found.film.recording, found.film.scene, verdict.camera
@@ -182,7 +181,7 @@ def _sized(image: Image) -> Image:
 
 
 def _coloured(depth: Array, near: float, far: float) -> Image:
-    """Near dark, far light (viridis); none is white, beyond is grey."""
+    """Near dark, far light (viridis); white for none, grey beyond."""
     level = np.clip((depth - near) / max(far - near, 1e-9), 0, 1)
     out = cv2.applyColorMap((255 * level).astype(np.uint8), cv2.COLORMAP_VIRIDIS)[..., ::-1].copy()
     out[depth <= 0] = 255

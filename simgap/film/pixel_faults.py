@@ -1,6 +1,6 @@
-"""Noise of single pixels, holes and flying pixels: what a depth picture has that no smooth shift explains.
+"""Pixel noise, holes and flying pixels of depth pictures.
 
-Each is a small family of models with a formula for every pixel; frames judge them as they judge the geometry.
+Each is a small family of models with a likelihood per pixel, judged by frames as the geometry is.
 """
 
 from __future__ import annotations
@@ -18,37 +18,37 @@ from simgap.film.effects import parameters_of
 from simgap.film.samples import EDGE_SHARE, Rows
 
 WILD = 0.02
-"""Share of the pixels that may be off by anything up to a metre: noise is Gaussian but for odd pixels. Not measured."""
+"""Share of outliers, off by up to a metre; the rest of the noise is Gaussian. Not measured."""
 LEAST_DEPTH = 5e-4
-"""Share of the distance that noise must come to, as every error of the depth (`geometry.LEAST_DEPTH`)."""
+"""Least noise that is named, as a share of the distance (`geometry.LEAST_DEPTH`)."""
 LEAST_MORE = 0.05
-"""Share of what the best set gains that another kind of holes must bring: creases lose pixels, too, and are darker."""
+"""Share of the best set's gain that another kind of holes must add: creases lose pixels, too, and are darker."""
 SMOOTH = 0.2
-"""What pixels beside each other must differ by, as a share of what pixels four apart do, to be noise: of a smooth error
-it is a sixteenth, of a Kinect's noise, which is smoothed, .7 (the foam tube, .25 against .35 mm)."""
+"""Least RMS difference of neighbours over that of pixels four apart, for noise. For a smooth error it is a sixteenth,
+for a Kinect's smoothed noise .7 (the foam tube, .25 against .35 mm)."""
 LEAST_NOISE = 1.5
-"""Floors that a pixel's noise must exceed to be named."""
+"""Least pixel noise that is named, in floors."""
 LEAST_EXPONENT = 0.2
-"""By which noise grows with distance or angle, to be named: less is hardly any. Not measured."""
+"""Least exponent of noise over distance or angle that is named. Not measured."""
 LEAST_HOLES, LEAST_FLYING = 0.01, 0.1
-"""Least share of the pixels (of the object; at its edges) that is named. A mask's rim is wrong for as many."""
+"""Least share of pixels (of the object; at its edges) that is named; a mask's rim is wrong for as many."""
 FLOOR_RATE = 2e-3
-"""Share of pixels that may be lost, or fly, in a film without fault."""
+"""Share of pixels that may be lost, or fly, without a fault."""
 BINS = (30, 24)
-"""Of brightness and of the angle of incidence, into which holes are counted."""
+"""Bins of brightness and of the angle of incidence, for holes."""
 NOISE, LOST, FLYING = "noise of single pixels", "pixels lost", "pixels that fly at edges"
 _PLACE = "place in the picture"
 
 
 def robust_deviation(e: Array, otherwise: float = 0.0) -> float:
-    """Standard deviation by the median of sizes."""
+    """Standard deviation by the median absolute value."""
     return float(np.median(np.abs(e)) * 1.4826) if len(e) > 20 else otherwise
 
 
 def noise_kind(rows: Rows, floor: float) -> Kind:
-    """Noise of single pixels, by the differences of pixels near each other, which poses and smooth shapes do not touch.
+    """Pixel noise, from differences of nearby pixels, which poses and smooth shapes do not affect.
 
-    `floor` is what the step of the measured depth and the asset's own roughness make of it, metres.
+    `floor` is the contribution of depth quantisation and the asset's roughness, metres.
     """
     usable = np.flatnonzero(np.isfinite(rows["pair"]))
     e, z, cosine = rows["pair"][usable], rows["z"][usable], np.maximum(rows["cosine"][usable], 0.05)
@@ -84,7 +84,7 @@ def noise_kind(rows: Rows, floor: float) -> Kind:
 
 
 def _fit_scale(e: Array, features: Array, floor: float) -> Array:
-    """Coefficients of the log scale of `e` (n,), which has the noise `floor` besides, by maximum likelihood."""
+    """Maximum-likelihood coefficients of the log scale of `e` (n,), with the additional noise `floor`."""
     step = max(1, len(e) // 8000)
     e, features = e[::step], features[::step]
     first = np.zeros(features.shape[1])
@@ -120,7 +120,7 @@ def hole_rate(camera: CameraFaults) -> Array:
 
 
 def holes_kind(rows: Rows) -> Kind:
-    """Pixels without depth inside the object: anywhere, on dark surfaces, on grazing ones."""
+    """Pixels without depth inside the object: anywhere, on dark surfaces, at grazing incidence."""
     lost, frame = np.isnan(rows["error"]), rows.of("error")
     every, gone = count_holes(rows)
     cells = {_PLACE: _cells(rows["at"]), "part": rows["part"]}
@@ -169,7 +169,7 @@ def holes_kind(rows: Rows) -> Kind:
 
 
 def find_flying(rows: Rows, camera: CameraFaults) -> NDArray[np.bool_]:
-    """(b,) which pixels at edges have a depth that is of no surface, the camera's noise and bias considered."""
+    """(b,) whether pixels at edges have a depth of no surface, given the camera's noise and bias."""
     z, d = rows["band_z"], rows["band_depth"]
     noise = camera.depth_noise(z, np.minimum(rows["band_cosine"], 1.0)) if camera.noise else np.zeros(len(z))
     near = z * (1 + camera.depth_scale) + camera.depth_offset + camera.depth_curve * z**2
@@ -178,7 +178,7 @@ def find_flying(rows: Rows, camera: CameraFaults) -> NDArray[np.bool_]:
 
 
 def flying_kind(rows: Rows, camera: CameraFaults) -> Kind:
-    """Pixels at depth edges whose depth is that of no surface; `camera` is what is known of depth and its noise."""
+    """Pixels at depth edges with the depth of no surface; `camera` is the known depth bias and noise."""
     frame, distance, flying = rows.of("band"), rows["band"], find_flying(rows, camera)
 
     def logs_of(reach: float, share: float) -> Array:
@@ -200,12 +200,12 @@ def flying_kind(rows: Rows, camera: CameraFaults) -> Kind:
 
 
 def _sum_by_frame(logs: Array, frame: NDArray[np.int64], some: Frames) -> Array:
-    """(some,) of the rows of each frame."""
+    """(some,) sums of the rows of each frame."""
     return np.asarray(np.bincount(frame, logs, int(max(some.max(initial=0), frame.max(initial=0))) + 1)[some])
 
 
 def _cells(at: Array, side: int = 4) -> NDArray[np.int64]:
-    """(n,) cell of a grid over where the object ever is."""
+    """(n,) cell of a grid over the object's area in the picture."""
     if not len(at):
         return np.zeros(0, int)
     low, high = np.quantile(at, [0.01, 0.99], axis=0)

@@ -1,6 +1,6 @@
-"""How far a camera's simulated film is from the measured one: the gap before and after, by one measure for all.
+"""The gap between a camera's simulated film and the measured one.
 
-It knows only a camera's numbers, as camera.json has them, and nothing of how they were found.
+It takes a camera's numbers as in camera.json, however they were found.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from simgap.film.samples import Rows
 from simgap.verdict import root_mean_square
 
 ROUNDED_PX = 0.41
-"""Root mean square of the difference of two outlines that are both rounded to whole pixels: 1 / sqrt(6)."""
+"""RMS difference of two outlines that are both rounded to whole pixels: 1 / sqrt(6)."""
 UNITS = {
     **dict(zip(geometry.GAPS, ("m", "px", "px"), strict=True)),
     pixel_faults.NOISE: "m",
@@ -29,14 +29,14 @@ UNITS = {
 def measure_gaps(
     rows: Rows, camera: CameraFaults, known: CameraFaults, quiet: float, depth_unit: float
 ) -> dict[str, float]:
-    """Root mean squares (of holes and flying pixels shares) of what is measured less what is simulated.
+    """RMS of measured less simulated quantities (shares, for holes and flying pixels).
 
     Args:
         rows: about the film simulated with the geometry and timing of `camera`.
         camera: whose gap it is.
-        known: what is known of depth and noise, by which pixels at edges are called flying.
-        quiet: floor of a pixel's noise, metres.
-        depth_unit: step of the measured depth, metres.
+        known: known depth bias and noise, for finding flying pixels.
+        quiet: noise floor of a pixel, metres.
+        depth_unit: quantisation of the measured depth, metres.
     """
     inner, *outlines = geometry.make_design(rows, depth_unit, True, CameraFaults()).blocks
     z = rows["z"][np.isfinite(rows["error"])]
@@ -63,19 +63,19 @@ def measure_gaps(
 
 
 def floors(rows: Rows, best: CameraFaults, quiet: float, depth_unit: float) -> dict[str, float]:
-    """What no effect may be blamed for: the measurement's own steps, and noise once it is named; units as the gaps."""
+    """Resolution of the comparison: quantisation, and noise once it is named; units as the gaps."""
     depth = float(np.hypot(geometry.depth_floor(float(np.median(rows["z"])), depth_unit), best.noise))
     sizes = (depth, ROUNDED_PX, ROUNDED_PX, quiet, pixel_faults.LEAST_HOLES, pixel_faults.LEAST_FLYING)
     return dict(zip(UNITS, (*sizes, colour.LEAST["exposure_drift"] / 2), strict=True))
 
 
 def _winsorised_rms(r: Array) -> float:
-    """Root mean square, sizes beyond the 95th percentile taken as that."""
+    """RMS with sizes limited to the 95th percentile."""
     return root_mean_square(np.minimum(np.abs(r), np.quantile(np.abs(r), 0.95))) if len(r) else 0.0
 
 
 def _brightness(rows: Rows, design: geometry.Design, camera: CameraFaults) -> float:
-    """Stops that frames are off by as a whole, their mean taken out."""
+    """RMS brightness error of whole frames, stops, without their median."""
     (block,) = design.blocks
     share = np.array([f.share for f in rows.frames])
     exposure, gamma = (np.array([drift_at(knots, s) for s in share]) for knots in (camera.exposure, camera.gamma))

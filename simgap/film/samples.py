@@ -1,7 +1,8 @@
-"""Where both films are compared: pixels inside the object, and points on its outline, a few thousand a frame.
+"""Samples for the comparison of both films: pixels inside the object, and points on its outline, a few thousand a
+frame.
 
-Three kinds of rows stand side by side: the depth of inner pixels, the outline of the mask (which goes with the colour
-picture) and the outline of the depth picture. What a camera may do is, to first order, a column over these rows.
+There are three kinds of rows: depth of inner pixels, outline of the mask (which belongs to the colour picture), and
+outline of the depth picture. A camera fault is, to first order, a column over these rows.
 """
 
 from __future__ import annotations
@@ -23,21 +24,20 @@ from simgap.film.drawing import RenderedFrame, interpolate_pose, render
 from simgap.film.scene import FilmScene
 
 INNER_PX = 3.0
-"""Pixels from any depth edge that count as inside; a flying pixel's reach in published cameras is 1 or 2."""
+"""Distance from depth edges, pixels, of inner pixels; published cameras have flying pixels within 1 or 2."""
 EDGE_SHARE = 0.03
-"""Step of the depth, as a share of itself, that is an edge: a surface at 80 degrees steps by 1 % a pixel at f = 570."""
+"""Relative step of the depth at an edge; a surface at 80 degrees steps by 1 % a pixel at f = 570."""
 REACH_PX = 7.0
-"""How far along its normal an outline is looked for."""
+"""Search distance of an outline along its normal."""
 STEP_PX = 0.25
 PAIR_PX = 4
-"""Pixels apart whose errors are compared for noise: real depth cameras smooth over their neighbours, which differ by
-less than the noise."""
+"""Distance, pixels, of the errors compared for noise: real depth cameras smooth over neighbours."""
 BAND_PX = 5.0
-"""Pixels from a depth edge, on the nearer surface, where flying pixels are looked for."""
+"""Distance from a depth edge, on the nearer surface, within which flying pixels are searched."""
 MOST_INNER, MOST_EDGE, MOST_BAND = 1500, 400, 600
-"""Rows of each kind a frame: more say the same, as pixels beside each other do."""
+"""Rows of each kind per frame; more are redundant."""
 AHEAD = 0.5
-"""Frames by which the motion is looked at for its speed in the picture."""
+"""Frames over which the speed in the picture is measured."""
 
 
 @dataclass(frozen=True)
@@ -46,35 +46,34 @@ class FrameRows:
 
     frame: int
     share: float
-    """Of the film, 0 to 1."""
+    """Time in the film, 0 to 1."""
     fields: dict[str, NDArray]
     """As `Rows` has them."""
     pixels: int
     """Of the simulated object."""
     excess: Array
-    """(m, 3) measured points, camera frame, in the mask but before or beside the asset by far."""
+    """(m, 3) measured points, camera frame, in the mask but far before or beside the asset."""
     excess_pixels: int
-    """How many pixels such points stand for."""
+    """Number of such pixels."""
 
 
 class Rows:
-    """All frames' rows: `rows["error"]` are those of one field, one frame below the other.
+    """Rows of all frames; `rows["error"]` is one field, frames concatenated.
 
     Inner pixels (n,): `error` measured less simulated depth, metres, NaN for a hole; `z` simulated depth; `at` (n, 2)
-    pixels from the principal point; `slope` (n, 2) of the simulated depth, metres a pixel; `later` how that depth
-    changes with a delay of the depth picture, metres a second; `cosine` of the angle of incidence;
-    `measured_brightness` sRGB 0 to 1; `part` 1 or 2; `normal` (n, 3) camera frame; `pair` second difference of the
-    error over `PAIR_PX` to both sides, over root 6, metres, NaN where there is none: as large as the noise, and blind
-    to what is smooth; `near` the same over the next pixels; `stops` measured over simulated linear light, powers of
-    two, NaN where a picture is too dark or bright to tell; `light` log2 of the simulated one.
+    pixels from the principal point; `slope` (n, 2) of the simulated depth, metres per pixel; `later` change of depth
+    per delay of the depth picture, metres per second; `cosine` of the angle of incidence; `measured_brightness` sRGB 0
+    to 1; `part` 1 or 2; `normal` (n, 3) camera frame; `pair` second difference of the error over `PAIR_PX` to both
+    sides, over sqrt(6), metres, NaN without (equal to the noise for white noise, zero for smooth errors); `near` the
+    same over adjacent pixels; `stops` log2 of measured over simulated linear light, NaN where too dark or bright;
+    `light` log2 of the simulated light.
 
-    Outlines (e,): `outline` (e, 2) from the principal point, pixels; `outward` (e, 2) unit normals; `mask_off` how
-    far the measured mask reaches beyond the simulated one, pixels, NaN where that is not known; `depth_off` the same
-    of the depth picture; `moving` how far the outline goes outwards with a delay, pixels a second.
+    Outlines (e,): `outline` (e, 2) from the principal point, pixels; `outward` (e, 2) unit normals; `mask_off` distance
+    of the measured mask's outline beyond the simulated one, pixels, NaN where unknown; `depth_off` the same of the
+    depth picture; `moving` outward speed of the outline with a delay, pixels per second.
 
     Pixels at edges (b,): `band` pixels to the depth edge; `band_z` simulated depth; `band_cosine`; `band_depth`
-    measured depth, 0 for a hole; `lonely` metres within which five pixels of the measured 5 x 5 round it are as far
-    away.
+    measured depth, 0 for a hole; `lonely` fifth smallest depth difference, metres, to the measured 5 x 5 neighbourhood.
     """
 
     def __init__(self, frames: tuple[FrameRows, ...]) -> None:
@@ -97,14 +96,14 @@ class Rows:
 
 @dataclass(frozen=True)
 class Simulated:
-    """One frame as the simulated camera has it."""
+    """One frame of the simulated camera."""
 
     colour: RenderedFrame
     depth: RenderedFrame
 
 
 def simulate_frame(scene: FilmScene, camera: Camera, faults: CameraFaults, frame: float, fps: float) -> Simulated:
-    """The two pictures of a moment, with what `faults` does to their geometry and timing alone."""
+    """Both pictures at a moment, with the geometry and timing of `faults` alone."""
     actual_camera = faults.actual_camera(camera)
     Ts = interpolate_pose(scene.placed.Ts[0], frame), interpolate_pose(scene.placed.Ts[1], frame)
     colour = render(scene, actual_camera, Ts)
@@ -147,7 +146,7 @@ def _frame_rows(recording: Recording, scene: FilmScene, i: int, faults: CameraFa
 
 
 def depth_edges(depth: NDArray) -> tuple[NDArray[np.bool_], NDArray]:
-    """Pixels at which the depth ends or steps away, on the nearer surface, and all others' distance to one, px."""
+    """Pixels on the nearer surface at a depth edge, and the distance of all pixels to any edge, px."""
     filled = np.where(depth > 0, depth, 1e3).astype(np.float32)
     kernel = np.ones((3, 3), np.uint8)
     nearer = (depth > 0) & (cv2.dilate(filled, kernel) > (1 + EDGE_SHARE) * filled)
@@ -205,7 +204,8 @@ def _sample_inner(
 def _sample_outlines(
     now: Simulated, before: Simulated, frame: Frame, principal: Array, fps: float, rng: np.random.Generator
 ) -> dict[str, NDArray]:
-    """Points on the simulated outline of the whole object, and where both measured outlines cross their normals."""
+    """Points on the simulated outline of the whole object, and distances of both measured outlines along their
+    normals."""
     found: list[dict[str, NDArray]] = []
     for picture in (now.colour, now.depth)[: 1 if now.depth is now.colour else 2]:
         on = picture.part > 0
@@ -232,13 +232,13 @@ def _sample_outlines(
 
 
 def _extend_depth(depth: NDArray) -> NDArray:
-    """The depth picture with each empty pixel near the object given its nearest one's depth (of a 15-pixel window)."""
+    """The depth picture with empty pixels near the object filled by the depth there (15-pixel window)."""
     filled = np.where(depth > 0, depth, 0).astype(np.float32)
     return np.where(depth > 0, depth, cv2.dilate(filled, np.ones((15, 15), np.uint8)))
 
 
 def _find_crossing(on: NDArray[np.bool_], u: NDArray, v: NDArray, n: Array) -> Array:
-    """(k,) where, along the normal, what is `on` ends: the place that parts on from off best; NaN where none does."""
+    """(k,) position along the normal where `on` ends, by the best split; NaN where there is none."""
     steps = np.arange(-REACH_PX, REACH_PX + STEP_PX / 2, STEP_PX)
     columns, rows = u[:, None] + n[:, :1] * steps, v[:, None] + n[:, 1:] * steps
     values = map_coordinates(on.astype(np.float32), [rows, columns], order=1, mode="nearest")
@@ -253,7 +253,7 @@ def _find_crossing(on: NDArray[np.bool_], u: NDArray, v: NDArray, n: Array) -> A
 
 
 def _sample_edges(depth: RenderedFrame, frame: Frame, rng: np.random.Generator) -> dict[str, NDArray]:
-    """Pixels near a depth edge: distance to it, simulated depth and angle, measured depth, and how lonely that is."""
+    """Pixels near a depth edge: distance to it, simulated depth and angle, measured depth, isolation."""
     z = depth.depth
     distance = cv2.distanceTransform((~depth_edges(z)[0]).astype(np.uint8), cv2.DIST_L2, 3) + 1.0
     k = _draw_pixels((z > 0) & (distance <= BAND_PX) & frame.mask, MOST_BAND, rng)
@@ -267,7 +267,7 @@ def _sample_edges(depth: RenderedFrame, frame: Frame, rng: np.random.Generator) 
 
 
 def _find_excess(now: Simulated, frame: Frame, camera: Camera, rng: np.random.Generator) -> tuple[Array, int]:
-    """Measured points of the object where the asset has none: outside its outline, or well before it."""
+    """Measured points of the object beyond the asset: outside its outline, or well before it."""
     on = now.colour.part > 0
     away = cv2.distanceTransform((~on).astype(np.uint8), cv2.DIST_L2, 3)
     inside = cv2.distanceTransform(frame.mask.astype(np.uint8), cv2.DIST_L2, 3) > 1.5

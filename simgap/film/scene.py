@@ -1,4 +1,4 @@
-"""The asset as triangles of two rigid parts with colours, and where these were in every frame of the video."""
+"""The asset as triangles of two rigid parts with colours, and their poses in every frame of the video."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from freeart21.view.obj import PLAIN
 
 @dataclass(frozen=True)
 class PartPoses:
-    """Where both parts were."""
+    """Poses of both parts."""
 
     Ts: tuple[Array, Array]
     """(n, 4, 4) camera from canonical, reference and moving part."""
     seen: NDArray[np.bool_]
     """(n,) whether both poses of a frame are known."""
     exact: bool
-    """Whether the poses are the truth of a recording; else they were estimated from the same video."""
+    """Whether the poses are a recording's truth; else they were estimated from the same video."""
     source: str
-    """Where the poses come from, in words."""
+    """Source of the poses, in words."""
 
 
 @dataclass(frozen=True)
 class FilmScene:
-    """All that the simulated film needs."""
+    """Everything that the simulated film needs."""
 
     vertices: Array
     """(V, 3) metres, in the canonical frame at state zero."""
@@ -60,7 +60,7 @@ class FilmScene:
 
     @property
     def coloured(self) -> bool:
-        """Whether the asset says anything of its colours."""
+        """Whether the asset has colours."""
         return bool(self.textures) or bool((self.colours != np.array(PLAIN)).any())
 
     @property
@@ -72,8 +72,8 @@ class FilmScene:
 def read_scene(asset_path: Path, sequence: Path, poses: Path | None = None, root: Path | None = None) -> FilmScene:
     """The asset in a folder (or URDF), with the part poses of a result or of a recording's truth.
 
-    Without `poses` they are looked for in the result that holds the asset's folder, then in the data folder that holds
-    the sequence. Raises FreeArtError when there are none, or they are not of this asset.
+    Without `poses` they are searched in the result that contains the asset's folder, then in the data folder that
+    contains the sequence. Raises FreeArtError when there are none, or they are of another asset.
     """
     found = _find_poses(Path(asset_path), Path(sequence)) if poses is None else Path(poses)
     if (found / "truth.json").is_file():
@@ -137,7 +137,7 @@ def _canonical_root(asset: Asset, urdf: Urdf, q: dict[str, float]) -> Array:
 def _check_same_joint(
     asset: Asset, urdf: Urdf, q: dict[str, float], T_canonical_root: Array, axis: Array, folder: Path
 ) -> None:
-    """The asset's axis must be the result's: else the poses mean another frame."""
+    """FreeArtError unless the asset's axis is the result's; else the poses are in another frame."""
     joint = urdf.joints[asset.joint]
     own = T_canonical_root[:3, :3] @ urdf.link_poses(q)[joint.child][:3, :3] @ joint.axis
     off = np.degrees(np.arccos(np.clip(abs(own @ axis), 0, 1)))

@@ -1,4 +1,4 @@
-"""The five steps between two films: measure, where, name, add, show."""
+"""The five steps of `gap` between two films: measure, localise, name, add, show."""
 
 from __future__ import annotations
 
@@ -30,41 +30,42 @@ from simgap.film.scene import FilmScene, read_scene
 from simgap.verdict import root_mean_square
 
 MOST_FRAMES = 90
-"""Frames that are compared, evenly drawn: a third of them confirms, enough for a standard error."""
+"""Frames that are compared, evenly spaced; a third of them confirms."""
 LEAST_FRAMES = 12
 PASSES = 3
-"""Times that the film is simulated with the geometry found: columns are of first order."""
+"""Times that the film is simulated with the estimated geometry, since columns are of first order."""
 SETTLED_PX = 0.2
-"""Pixels by which a further pass may move outlines and end it."""
+"""Shift of the outlines, pixels, at convergence."""
 ABSORBED = frozenset({"depth_scale", "depth_offset", "depth_curve", "focal_length", "principal_point"})
-"""What an asset reconstructed from the same video has taken on."""
+"""Faults that an asset reconstructed from the same video has absorbed."""
 
 Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
 class Film:
-    """What is compared."""
+    """Two films to compare."""
 
     recording: Recording
     scene: FilmScene
     depth_unit: float
-    """Metres: the step of the measured depth."""
+    """Metres: quantisation of the measured depth."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """What a page shows besides the verdict."""
+    """Results for the page beyond the verdict."""
 
     film: Film
     kinds: tuple[Chosen, ...]
     maps: tuple[FilmMap, ...]
     rows: Rows
-    """Of the asset's film as it is."""
+    """For the asset's film as it is."""
 
 
 def find_film_gap(film: Film, progress: Progress | None = None) -> tuple[FilmVerdict, Found]:
-    """What the simulated film lacks; nothing is written. Deterministic. Raises FreeArtError when films do not fit."""
+    """The effects that the simulated film lacks. Writes nothing; deterministic. Raises FreeArtError when films do not
+    match."""
     recording, scene = film.recording, film.scene
     frames = _frames(film)
     split = _split(len(frames))
@@ -116,7 +117,7 @@ def find_film_gap(film: Film, progress: Progress | None = None) -> tuple[FilmVer
 
 
 def _picture(camera: CameraFaults) -> CameraFaults:
-    """The geometry and timing of a camera alone, by which a film is simulated."""
+    """Geometry and timing of a camera, with which a film is simulated."""
     return CameraFaults(**{f: getattr(camera, f) for n in PICTURE for f in parameters_of(n)})
 
 
@@ -126,8 +127,8 @@ def _geometry(
     split: tuple[Frames, Frames, Frames],
     shut: frozenset[str],
 ) -> tuple[Rows, Rows, Chosen]:
-    """The rows of the film as it is, those of the film simulated with the geometry found, and that geometry, found anew
-    about the film that was simulated with what was found before."""
+    """Rows of the film as it is, rows of the film simulated with the estimated geometry, and that geometry, by
+    relinearisation."""
     camera, every = CameraFaults(), np.sort(np.concatenate(split))
     first: Rows | None = None
     for _ in range(PASSES):
@@ -144,20 +145,20 @@ def _geometry(
 
 
 def _shift(design: Design, new: CameraFaults, old: CameraFaults) -> float:
-    """Pixels, root mean square, by which the outlines of two cameras' pictures differ, to first order."""
+    """RMS shift, pixels, between the outlines of two cameras' pictures, to first order."""
     beta = np.array([getattr(new, f) - getattr(old, f) for n in PICTURE for f in parameters_of(n)])
     columns = [c for n in PICTURE for c in design.columns[n]]
     return max(root_mean_square(b.columns[:, columns] @ beta) for b in design.blocks[1:])
 
 
 def _split(n: int) -> tuple[Frames, Frames, Frames]:
-    """Frames to fit, to choose and to confirm with: stretches of frames in turn, as neighbours say the same."""
+    """Frames to fit, choose and confirm: alternating stretches, since neighbours are redundant."""
     turn = (np.arange(n) // max(1, n // 30)) % 3
     return np.flatnonzero(turn == 0), np.flatnonzero(turn == 1), np.flatnonzero(turn == 2)
 
 
 def _frames(film: Film) -> Frames:
-    """Frames with known poses, evenly drawn."""
+    """Frames with known poses, evenly spaced."""
     n, placed = len(film.recording), film.scene.placed
     if len(placed.Ts[0]) != n:
         raise FreeArtError(
@@ -173,7 +174,7 @@ def _frames(film: Film) -> Frames:
 
 
 def _moves(film: Film) -> bool:
-    """Whether the object moves in the picture, so that a delay would show: by half a pixel a frame in the median."""
+    """Whether the object moves in the picture by half a pixel a frame in the median, so that a delay would show."""
     speed = []
     for k, Ts in enumerate(film.scene.placed.Ts, 1):
         own = film.scene.vertices[film.scene.part == k]
@@ -184,12 +185,12 @@ def _moves(film: Film) -> bool:
 
 
 def is_sequence(path: Path) -> bool:
-    """Whether a folder is a video's, and no measured set's."""
+    """Whether a folder is a video, not a measured set."""
     return (Path(path) / "sequence.json").is_file()
 
 
 def read_film(asset: Path, sequence: Path, poses: Path | None = None, root: Path | None = None) -> Film:
-    """Asset (what its URDF names is read inside `root`), video and poses from files."""
+    """Asset (referenced files inside `root`), video and poses from files."""
     recording = read_sequence(sequence)
     unit = float(checked.read_json(Path(sequence) / "sequence.json")["depth_scale"])
     return Film(recording, read_scene(asset, sequence, poses, root), unit)

@@ -1,4 +1,4 @@
-"""What can be told of a joint's geometry, and when it is believed."""
+"""Result of the analysis of a joint's geometry, and its settings."""
 
 from __future__ import annotations
 
@@ -17,52 +17,52 @@ GeometryVerdict = Literal["no_gap", "named", "ambiguous", "unexplained", "not_ex
 
 @dataclass(frozen=True)
 class KinematicsSettings:
-    """How geometry is looked for and when it is believed."""
+    """Settings of the search and thresholds."""
 
     without: tuple[str, ...] = ()
-    """Effects that are left out of the library."""
+    """Effects excluded from the library."""
     most_effects: int = 3
     """Effects that may be named together."""
     level: float = 0.01
-    """p-value that every named effect must reach on runs that it was not fitted to."""
+    """Largest p-value of a named effect on runs that it was not fitted to."""
     least_share: float = 0.03
-    """Share of the noise's loss by which an effect must lower the held-out loss: about 0.17 floors of displacement."""
+    """Least decrease of the held-out loss per effect, as a share of the noise's: 0.17 sigmas of displacement."""
     form: float = 0.1
-    """Part of the whole displacement that may be a named effect's real form being other than the library's: what
-    closes no more than that has no name of its own. Rocking goes with time, so neither is it the form of another effect
-    nor is another one its form."""
+    """Share of the whole displacement that the form error of a named effect may leave: an effect that explains no more
+    is not named. Rocking depends on time, so it is exempt both ways."""
     unexplained_floors: float = 0.5
-    """Floors of displacement, besides the named effects, that a free function of the joint's position explains."""
+    """Normalised displacement beyond the named effects, explained by a free function of position, above which it is
+    unexplained."""
     tracker_floors: float = 2.0
-    """The same without any effect, where none explains it: so far a tracker's own errors go with the position."""
+    """The same without any named effect, where tracker errors over position reach this far."""
     closed: float = 0.75
-    """Part of the gap that must be closed for a name to be given while something remains."""
+    """Share of the gap that named effects must close while something remains."""
     least_span: tuple[float, float] = (0.05, 0.005)
-    """Motion, rad and m, below which nothing can be said."""
+    """Range of motion, rad and m, below which nothing is reported."""
     registration_std: tuple[float, float] = (1e-3, 1e-3)
-    """Metres and radians by which the tracker's idea of the part's frame may be off: a constant, no effect."""
+    """Standard deviation, m and rad, of the tracker's part frame: a constant, no effect."""
     most_frames: int = 1000
-    """Frames, of all runs together, that the search looks at: poses next to each other say the same."""
+    """Frames of all runs used by the search; neighbouring poses are redundant."""
 
 
 @dataclass(frozen=True)
 class KinematicsFinding:
-    """The geometry of the joint, as far as it can be told."""
+    """The estimated geometry of a joint."""
 
     verdict: GeometryVerdict
     named: tuple[NamedEffect, ...]
     """Effects with their intervals, outermost displacement first."""
     rivals: tuple[tuple[str, ...], ...]
-    """Sets of names that explain the poses as well as each other, the best one first; empty when there is no doubt."""
+    """Sets of effects that explain the poses equally well, the best first; empty without doubt."""
     tracks: tuple[TrackGeometry, ...]
     ranking: tuple[tuple[tuple[str, ...], float, float], ...]
-    """Sets of names, their held-out loss over the noise's (1 is noise alone), p-value of no gain over no effect."""
+    """Sets of effects, held-out loss relative to noise (1 is noise alone), p-value of no gain over no effect."""
     unexplained_rms: float
-    """Floors of displacement that depend on the joint's position and have no name here."""
+    """Normalised displacement that depends on the joint's position and has no name."""
     next_experiment: str | None = None
     registrations: tuple[Array, Array] = field(default_factory=lambda: (np.zeros(6), np.zeros(6)))
-    """Twists by which the tracker's idea of the part's frame is off, with the ideal joint and with the named effects:
-    measured motion = model @ exp(twist), in the parent link's frame."""
+    """Twists of the tracker's part frame, with the ideal joint and with the named effects: measured motion = model @
+    exp(twist), in the parent link's frame."""
     p_values: tuple[float, ...] = field(default=())
     """Of every named effect: that the others do as well without it."""
 

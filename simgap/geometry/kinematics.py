@@ -1,8 +1,8 @@
-"""Geometry from part poses alone, before any dynamics: where the joint's motion is not the asset's ideal joint.
+"""Geometry from part poses alone, before any dynamics: deviations of the joint from the asset's ideal one.
 
-The measured motion is split into its part along the joint (position over time: dynamics and timing) and what is left of
-it (geometry). The latter is explained by axis_tilt, pivot_offset, screw_pitch, sag, eccentricity and wobble, alone or
-up to three together; runs that were not fitted decide, and what cannot be told apart is said.
+The measured motion is split into motion along the joint (position over time, for dynamics and timing) and the rest
+(geometry). The latter is explained by axis_tilt, pivot_offset, screw_pitch, sag, eccentricity and wobble, alone or up
+to three together. Runs that were not fitted decide, and confounded sets are reported as rivals.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ from simgap.verdict import NamedEffect
 
 _NOISELESS = np.repeat([1e-12, 1e-12], 3)  # m^2 and rad^2: least noise of any pose
 _STRAY_RATIO = 5.0
-"""Floors off its joint at which a part that stands still along it has moved otherwise."""
+"""Normalised displacement off its joint above which a part at rest along it has moved otherwise."""
 _MAX_OFF_AXIS = 1.0
-"""rad across the joint's axis by which no joint turns its part, crooked as it may be."""
+"""Rotation across the joint's axis, rad, that no joint makes."""
 _ONE_SIGMA_TAIL = 0.16  # chance of more than one standard error upwards
 
 
 def find_geometry(
     asset: Asset, measured: Measured, settings: KinematicsSettings | None = None
 ) -> KinematicsFinding | None:
-    """The geometry of an asset's joint in the pose runs of a measured set; None when it has none.
+    """The geometry of an asset's joint from the pose runs of a measured set; None without any.
 
-    Runs that are held out are only used to measure the gap; cross-validation decides.
+    Held-out runs are only used to measure the gap; cross-validation decides.
 
-    Raises FreeArtError when there is no run to fit, a run has fewer than 10 poses, or turns the part as no such joint
+    Raises FreeArtError when there is no run to fit, a run has fewer than 10 poses, or rotates the part as no such joint
     does.
     """
     posed = [run for run in measured.runs if run.poses is not None]
@@ -72,13 +72,13 @@ def find_geometry(
 
 
 def _off_axis_rotation(motions: Array, axis: Array) -> Array:
-    """(n,) rad of the motions (n, 4, 4) when their turn about the axis (3,) is left out."""
+    """(n,) rad of the motions (n, 4, 4), without their rotation about the axis (3,)."""
     q = se3.wxyz(motions)
     return 2 * np.arccos(np.clip(np.hypot(q[:, 0], q[:, 1:] @ axis), 0.0, 1.0))
 
 
 class _Search:
-    """All runs, and those that are fitted thinned out to some frames, whose noise is known better and better."""
+    """The search: all runs, and the fitted ones thinned to some frames, with an improving estimate of their noise."""
 
     def __init__(
         self, tracks: Sequence[Track], held_out: list[bool], mechanics: JointMechanics, settings: KinematicsSettings
@@ -99,7 +99,7 @@ class _Search:
         self.weighting = self._first_weighting()
 
     def find(self) -> KinematicsFinding:
-        """What the poses say."""
+        """Search the sets of effects."""
         model, settings = self.model, self.settings
         least = settings.least_span[0 if self.mechanics.joint.type == "revolute" else 1]
         if max(float(np.ptp(model.q0[model.run == r])) for r in np.unique(model.run)) < least:
@@ -126,10 +126,8 @@ class _Search:
         return self._finding(losses, chosen, p_values, point)
 
     def _first_weighting(self) -> Weighting:
-        """Noise by second differences of the residual to the ideal joint: motion has next to none.
-
-        Along the joint there is no residual, whatever the noise: it is taken to be as across it.
-        """
+        """Noise from second differences of the residual to the ideal joint, in which motion cancels. Along the joint
+        there is no residual; the noise there is taken as across it."""
         model = self.model
         y = model.residuals(Geometry.zero(()), model.q0)
         same = model.run[2:] == model.run[:-2]
@@ -141,8 +139,8 @@ class _Search:
         return Weighting(shrunk, 1.0, self.settings.registration_std)
 
     def _weighting_about(self, point: Geometry) -> Weighting:
-        """Noise by what neither this point of the model nor any function of the joint's position explains: its part
-        along the joint is not seen there, and taken to be as the rest."""
+        """Noise from the residual of this point and a free function of position. Its component along the joint is not
+        observed, and taken as the rest."""
         model, weighting = self.model, self.weighting
         lin = model.linear(point, model.positions(point, weighting), weighting)
         residual = pose_search.free_residual(lin, weighting.priors(()), model.rocking(lin, point))
@@ -154,7 +152,7 @@ class _Search:
         return replace(weighting, covariance=noise, correlation=_correlation(residual, model.run))
 
     def _fit_chosen(self, chosen: tuple[str, ...], full: Geometry, frequencies: Sequence[float | None]) -> Geometry:
-        """The chosen effects fitted to all training runs, without linearisation."""
+        """The chosen effects fitted to all training runs, nonlinearly."""
         start = Geometry.zero(tuple(n for n in chosen if n != ROCK))
         of_full = dict(full.split())
         values = np.concatenate([of_full[n] for n in start.names] or [np.zeros(0)])
@@ -218,7 +216,7 @@ class _Search:
         )
 
     def _not_excited_finding(self) -> KinematicsFinding:
-        """The joint hardly moved along itself."""
+        """The finding where the joint hardly moved along itself."""
         seen = self._track_geometries(Geometry.zero(()), Geometry.zero(()))
         if any(t.gap_before > _STRAY_RATIO * t.floor for t in seen):
             advice = "Make sure that this is the joint that was moved, and that asset and poses have one frame."
@@ -228,13 +226,13 @@ class _Search:
 
 
 def _split_units(units: NDArray[np.int64], least: int) -> NDArray[np.int64]:
-    """Folds of whole units, in order, where runs are too few to leave one out."""
+    """Folds of whole units, in order, where there are too few runs to leave one out."""
     count = int(units.max()) + 1
     return (units * min(least, count)) // count
 
 
 def _correlation(residual: Array, run: NDArray[np.int64]) -> float:
-    """Frames that count as one: 1 + 2 sum of the autocorrelations, down to the first below 0.1."""
+    """Frames per independent frame: 1 + 2 sum of the autocorrelations, down to the first below 0.1."""
     centred = residual - residual.mean(0)
     total, power = 1.0, float((centred**2).sum()) or 1.0
     for lag in range(1, min(len(residual) // 4, 400)):
@@ -247,7 +245,7 @@ def _correlation(residual: Array, run: NDArray[np.int64]) -> float:
 
 
 def _select_subset(losses: Losses) -> tuple[str, ...]:
-    """The subset of least held-out loss, or a smaller one that is not worse by more than one standard error."""
+    """The subset of least held-out loss, or a smaller one within one standard error."""
     best = min(losses.subsets, key=losses.mean)
     for subset in sorted(losses.subsets, key=lambda s: (len(s), losses.mean(s))):
         if len(subset) >= len(best):
@@ -260,7 +258,7 @@ def _select_subset(losses: Losses) -> tuple[str, ...]:
 def _prune_subset(
     losses: Losses, chosen: tuple[str, ...], settings: KinematicsSettings
 ) -> tuple[tuple[str, ...], tuple[float, ...]]:
-    """The subset without members whose absence costs too little or is not significant; p-values of the others."""
+    """The subset without effects that gain too little or not significantly; p-values of the others."""
     tests = len(losses.subsets) - 1  # what was looked at before this was chosen
     while chosen:
         whole = losses.mean((ROCK,) if ROCK in chosen else ()) - losses.mean(chosen)
@@ -279,7 +277,7 @@ def _prune_subset(
 
 
 def _refine_frequency(lin: Linear, residual: Array, frequency: float) -> float:
-    """The frequency near this one that fits best."""
+    """The locally best frequency."""
     from scipy.optimize import minimize_scalar
 
     reach = 0.5 / max(float(np.ptp(lin.times_s[lin.run == r])) for r in np.unique(lin.run))
@@ -293,7 +291,7 @@ def _refine_frequency(lin: Linear, residual: Array, frequency: float) -> float:
 
 
 def _find_rivals(losses: Losses, chosen: tuple[str, ...], settings: KinematicsSettings) -> tuple[tuple[str, ...], ...]:
-    """The chosen set, then others of no more names that predict held-out runs as well; none without such."""
+    """The chosen set, then others of no more effects that predict held-out runs as well; empty without such."""
     if not chosen:
         return ()
     found = []
@@ -309,10 +307,10 @@ def _find_rivals(losses: Losses, chosen: tuple[str, ...], settings: KinematicsSe
 _UNEXPLAINED_EXPERIMENT = (
     "Move the joint slowly through its whole range, both ways, and once with the part held still, all in the picture."
 )
-"""What to record of a displacement that has no name: whether it goes with position, direction or time."""
+"""What to record about an unexplained displacement: whether it depends on position, direction or time."""
 
 
 def _suggest_experiment(rivals: tuple[tuple[str, ...], ...]) -> str:
-    """What to record next so that the rivals part."""
+    """What to record to separate the rivals."""
     own = (EFFECTS[name].experiment for name in sorted({n for r in rivals for n in r}))
     return next(filter(None, own), "Record the joint over more of its range: only there do these causes part.")

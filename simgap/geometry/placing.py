@@ -1,4 +1,4 @@
-"""A measured set and an asset in one frame: gravity and part poses are measured in the reference part's frame."""
+"""A measured set and an asset in one frame: gravity and part poses are given in the reference part's frame."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from simgap.geometry.pose_model import Track
 
 @dataclass(frozen=True)
 class PlacedAsset:
-    """An asset under the gravity of a measured set, its root link's frame being the world."""
+    """An asset under the gravity of a measured set; its root link's frame is the world."""
 
     gravity: Array
     """(3,) m/s^2 in the world frame of `generator.simulate`."""
     mechanics: JointMechanics
     """In the frame of the joint's parent link."""
     T_parent_canonical: Array
-    """(4, 4) where the canonical frame is, the moving part standing at canonical state zero."""
+    """(4, 4) pose of the canonical frame, with the moving part at canonical state zero."""
     state_zero: float
     child_moves: bool
-    """False when the moving part is on the joint's parent side: then the reference part is what the joint moves."""
+    """False when the moving part is on the joint's parent side; the joint then moves the reference part."""
 
     def motions(self, poses: Array) -> Array:
-        """(n, 4, 4) of the child link's side from joint position zero, in the parent link's frame.
+        """(n, 4, 4) motion of the child link's side from joint position zero, in the parent link's frame.
 
         `poses` (n, 4, 4) are of the moving part in the reference part's frame, identity at canonical state zero.
         """
@@ -40,7 +40,7 @@ class PlacedAsset:
         return T @ moved @ se3.inverse(T) @ self.mechanics.joint.transform(self.state_zero)
 
     def poses(self, motions: Array) -> Array:
-        """(n, 4, 4) what `motions` was given: the inverse of that."""
+        """(n, 4, 4) inverse of `motions`."""
         T = self.T_parent_canonical
         moved = se3.inverse(T) @ motions @ se3.inverse(self.mechanics.joint.transform(self.state_zero)) @ T
         return np.asarray(moved if self.child_moves else se3.inverse(moved))

@@ -1,4 +1,4 @@
-"""How sure the parameters of kinematic effects are: 90 % intervals that take no frame as independent of the next."""
+"""90 % intervals of kinematic effects' parameters, with dependent frames."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from simgap.verdict import NamedEffect
 def intervals(lin: Linear, point: Geometry, weighting: Weighting, units: NDArray[np.int64]) -> list[NamedEffect]:
     """Every effect of `point`, outermost displacement first, with its interval.
 
-    Covariance by the sandwich of scores summed over half-swings `units` (n,) (Liang and Zeger 1986), with the
-    registration's prior as an error of its own.
+    Covariance by the sandwich estimator with scores summed over half swings `units` (n,) (Liang and Zeger 1986), plus
+    the registration's prior.
     """
     from scipy.stats import t as student
 
@@ -58,7 +58,7 @@ def intervals(lin: Linear, point: Geometry, weighting: Weighting, units: NDArray
 
 
 def _rocking(lin: Linear, point: Geometry) -> tuple[Array, Array]:
-    """(n, 6) of the rocking and (n, 6, 3 + runs) its derivatives by amplitude, direction, frequency, every phase."""
+    """(n, 6) twist of the rocking, and (n, 6, 3 + runs) derivatives by amplitude, direction, frequency, every phase."""
     rock = point.rock
     assert rock is not None
     angles, turned = (rock.angles(lin.run, lin.times_s, ahead) for ahead in (False, True))

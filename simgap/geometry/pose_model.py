@@ -1,9 +1,9 @@
-"""Measured poses of the moving part against a joint with kinematic effects: the model, its derivatives, its fit.
+"""Measured poses of the moving part under a joint with kinematic effects: model, derivatives, fit.
 
-The motion of the moving part from joint position zero, in the frame of the joint's parent link, is
-X(q, t) J(q) B noise: J the ideal joint, X the effects' displacements, B a small constant by which the tracker's idea of
-the part's frame is off. Noise acts in the part's frame. The position q is free in every frame, so only what leaves the
-joint's own motion tells of geometry. Twists are (v, w), translation first.
+The motion of the moving part from joint position zero, in the frame of the joint's parent link, is X(q, t) J(q) B
+noise, with the ideal joint J, the effects' displacements X, and a small constant B, the error of the tracker's part
+frame. Noise acts in the part's frame. The position q is free in every frame, so only deviations from the joint's own
+motion are geometry. Twists are (v, w), translation first.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from freeart21.mechanics import JointMechanics
 from freeart21.se3 import Array
 
 STATIC: dict[str, int] = {n: len(c.parameters()) for n, c in EFFECTS.items() if c.acts == "pose" and not c.time_driven}
-"""Effects that depend on the joint's position alone, and how many coordinates each has; first one outermost."""
+"""Effects that depend on position alone, with their number of coordinates; first one outermost."""
 ROCK = next(name for name, cls in EFFECTS.items() if cls.time_driven)
-"""The effect that is a rocking in time."""
+"""The effect that oscillates in time."""
 _STEP = 1e-5  # of a coordinate's scale in central differences
 _SCALES = {name: next(iter(EFFECTS[name].parameters().values())).scale for name in STATIC}
 _PARTS = (1.0, 0.5, 0.25, 0.125)  # of a step that are tried
@@ -35,7 +35,7 @@ _WIDE = 100.0  # scales: standard deviation of the prior that keeps unexcited co
 
 @dataclass(frozen=True)
 class Track:
-    """One run of poses, frames in which the part was seen."""
+    """Poses of one run, frames in which the part was seen."""
 
     name: str
     times_s: Array
@@ -46,25 +46,25 @@ class Track:
 
 @dataclass(frozen=True)
 class Rocking:
-    """A steady rocking of the part across the axis: what ROCK says, with a phase for each run."""
+    """A steady oscillation of the part across the axis (ROCK), with a phase per run."""
 
     frequency: float
     """Hz."""
     coefficients: Array
-    """(runs, 2, 2) rad: about the first and second direction across the axis, of sine and cosine."""
+    """(runs, 2, 2) rad: about the two directions across the axis, of sine and cosine."""
 
     @property
     def direction(self) -> Array:
-        """(2,) unit vector on the directions across the axis about which it rocks most."""
+        """(2,) main direction across the axis."""
         return np.asarray(np.linalg.svd(np.concatenate(list(self.coefficients), -1))[0][:, 0])
 
     def in_one_direction(self) -> Rocking:
-        """With every run rocking about that direction alone."""
+        """The same with all runs oscillating about that direction."""
         u = self.direction
         return replace(self, coefficients=u[:, None] * (u @ self.coefficients)[:, None, :])
 
     def angles(self, run: NDArray[np.int64], times_s: Array, ahead: bool = False) -> Array:
-        """(n, 2) rad at times (n,) of runs (n,); a quarter period `ahead` for the derivative by the phase."""
+        """(n, 2) rad at times (n,) of runs (n,); `ahead` by a quarter period is the derivative by the phase."""
         waves = sine_cosine(self.frequency, times_s)
         return np.einsum("nab,nb->na", self.coefficients[run], waves[:, ::-1] * [1.0, -1.0] if ahead else waves)
 
@@ -76,7 +76,7 @@ class Geometry:
     names: tuple[str, ...]
     """Static effects, in the order of STATIC."""
     values: Array
-    """(k,) their coordinates: parameters, but length * (cos, sin)(angle) of one that is `polar`."""
+    """(k,) coordinates: parameters, or length * (cos, sin)(angle) of `polar` effects."""
     registration: Array
     """(6,) twist of B."""
     rock: Rocking | None = None
@@ -98,7 +98,7 @@ class Geometry:
 
 
 def effect_of(name: str, values: Array) -> Effect:
-    """A static effect from its coordinates; what lies beyond a bound is put on it."""
+    """A static effect from its coordinates, clipped to its bounds."""
     values = np.clip(values, *_coordinate_bounds(name))
     if EFFECTS[name].polar:
         values = np.array([min(np.hypot(*values), _coordinate_bounds(name)[1][0]), np.arctan2(values[1], values[0])])
@@ -106,7 +106,7 @@ def effect_of(name: str, values: Array) -> Effect:
 
 
 def _coordinate_bounds(name: str) -> tuple[Array, Array]:
-    """(k,) lowest and highest of every coordinate of a static effect, as the library bounds its parameters."""
+    """(k,) lower and upper bounds of the coordinates of a static effect."""
     specs = list(EFFECTS[name].parameters().values())
     if EFFECTS[name].polar:
         return np.full(2, -specs[0].upper), np.full(2, specs[0].upper)
@@ -114,20 +114,20 @@ def _coordinate_bounds(name: str) -> tuple[Array, Array]:
 
 
 def coordinate_scales(names: tuple[str, ...]) -> Array:
-    """(k,) a usual size of every coordinate."""
+    """(k,) typical size of every coordinate."""
     return np.concatenate([np.full(STATIC[name], _SCALES[name]) for name in names] or [np.zeros(0)])
 
 
 @dataclass(frozen=True)
 class Weighting:
-    """What the noise of a pose is: its covariance in the part's frame, and how far it lasts."""
+    """Noise of a pose: covariance in the part's frame, and correlation over time."""
 
     covariance: Array
     """(6, 6) of the twist (m, rad)."""
     correlation: float = 1.0
-    """Frames that count as one, 1 or more."""
+    """Frames per independent frame, 1 or more."""
     registration_std: tuple[float, float] = (1e-3, 1e-3)
-    """Metres and radians by which the tracker's part frame may be off."""
+    """Standard deviation of the tracker's part frame, m and rad."""
 
     @cached_property
     def whitening(self) -> Array:
@@ -136,15 +136,15 @@ class Weighting:
 
     @property
     def registration_precision(self) -> Array:
-        """(6,) of the registration's coordinates, as many-fold as frames count."""
+        """(6,) of the registration, times `correlation`."""
         return self.correlation / np.repeat(np.square(self.registration_std), 3)
 
     def priors(self, names: tuple[str, ...]) -> Array:
-        """(k + 6,) precisions about zero: wide ones for the coordinates, the tracker's for the registration."""
+        """(k + 6,) precisions about zero: wide for the coordinates, the tracker's for the registration."""
         return np.concatenate([(_WIDE * coordinate_scales(names)) ** -2.0, self.registration_precision])
 
     def bounds(self, names: tuple[str, ...]) -> tuple[Array, Array]:
-        """(k + 6,) twice: what coordinates and registration can be at all: no sag upwards, a tracker not far off."""
+        """(k + 6,) lower and upper bounds of coordinates and registration."""
         box = _MOST_REGISTRATION * np.repeat(self.registration_std, 3)
         low, high = zip(*(_coordinate_bounds(name) for name in names), (-box, box), strict=True)
         return np.concatenate(low), np.concatenate(high)
@@ -152,7 +152,8 @@ class Weighting:
 
 @dataclass(frozen=True)
 class Linear:
-    """The model about one point, frames of all runs in a row; everything whitened and free of the joint's own motion.
+    """The model linearised about one point, frames of all runs in a row, whitened, with the joint's own motion
+    projected out.
 
     residual = data - columns @ (coordinates, registration) - rocks @ coefficients.
     """
@@ -162,7 +163,7 @@ class Linear:
     columns: Array
     """(n, 6, k + 6)."""
     rocks: Array
-    """(n, 6, 2) of a turn about the first and the second direction across the axis."""
+    """(n, 6, 2) of rotations about the two directions across the axis."""
     run: NDArray[np.int64]
     """(n,) number of the run."""
     times_s: Array
@@ -170,15 +171,15 @@ class Linear:
     q: Array
     """(n,)."""
     parent_to_whitened: Array
-    """(n, 6, 6) of a twist in the parent's frame, acting outermost."""
+    """(n, 6, 6) from twists in the parent's frame, acting outermost."""
 
     def residual(self, point: Geometry) -> Array:
-        """(n, 6) what the static effects and the registration of a point leave."""
+        """(n, 6) residual of the static effects and the registration of a point."""
         return self.data - self.columns @ np.concatenate([point.values, point.registration])
 
 
 def first_positions(joint: Joint, motions: Array) -> Array:
-    """(n,) joint positions by the joint's own direction alone: the twist about it, or the shift along it."""
+    """(n,) joint positions: rotation about the joint's axis, or shift along it."""
     if joint.type == "prismatic":
         return np.asarray((motions[:, :3, 3]) @ joint.axis)
     q = se3.wxyz(motions)
@@ -186,7 +187,7 @@ def first_positions(joint: Joint, motions: Array) -> Array:
 
 
 class PoseModel:
-    """The model of some runs; `linear` and `fit` work on all frames of all runs at once."""
+    """The model of some runs; `linear` and `fit` take all frames of all runs at once."""
 
     def __init__(self, tracks: tuple[Track, ...], mechanics: JointMechanics):
         self.tracks, self.mechanics, self.joint = tracks, mechanics, mechanics.joint
@@ -198,18 +199,18 @@ class PoseModel:
         self.rock_screws = np.stack([replace(self.joint, type="revolute", axis=axis).screw for axis in (first, second)])
 
     def poses(self, point: Geometry, q: Array) -> Array:
-        """(n, 4, 4) motions by the model at positions `q` (n,)."""
+        """(n, 4, 4) modelled motions at positions `q` (n,)."""
         X = self._rocking_transform(point)
         for effect in point.effects():
             X = X @ effect.displacement(q, self.times_s, self.mechanics)
         return X @ self.joint.transform(q) @ se3.exp_se3(point.registration)
 
     def residuals(self, point: Geometry, q: Array) -> Array:
-        """(n, 6) twists from the model to what was measured, in the part's frame."""
+        """(n, 6) twists from the model to the measurement, in the part's frame."""
         return se3.log_se3(se3.inverse(self.poses(point, q)) @ self.motions)
 
     def positions(self, point: Geometry, weighting: Weighting, q: Array | None = None, rounds: int = 3) -> Array:
-        """(n,) the position in every frame that leaves the least residual; a step that leaves more is not gone."""
+        """(n,) the position in every frame with the least residual; steps that increase it are rejected."""
         q = self.q0 if q is None else q
         along = self._tangents(point, q) @ weighting.whitening.T
         y = self.residuals(point, q) @ weighting.whitening.T
@@ -221,7 +222,7 @@ class PoseModel:
         return q
 
     def linear(self, point: Geometry, q: Array, weighting: Weighting) -> Linear:
-        """The model about `point` and `q`, as absolute coordinates."""
+        """The model about `point` and `q`, in absolute coordinates."""
         L = weighting.whitening
         M = self.poses(point, q)
         y = se3.log_se3(se3.inverse(M) @ self.motions)
@@ -239,10 +240,8 @@ class PoseModel:
         return lin if point.rock is None else replace(lin, data=data + self.rocking(lin, point))
 
     def fit(self, point: Geometry, weighting: Weighting, rounds: int = 6) -> tuple[Geometry, Array]:
-        """Coordinates and registration (rocking as it is) of least weighted squares, by Gauss-Newton; positions (n,).
-
-        Steps that make the squares larger are halved.
-        """
+        """Coordinates and registration (rocking fixed) of least weighted squares, by Gauss-Newton with step halving;
+        positions (n,)."""
         q = self.positions(point, weighting)
         prior = weighting.priors(point.names)
         k = len(point.values)
@@ -273,7 +272,7 @@ class PoseModel:
         return point, q
 
     def rocking(self, lin: Linear, point: Geometry) -> Array:
-        """(n, 6) what rocking gives to `lin`'s data."""
+        """(n, 6) contribution of rocking to `lin`'s data."""
         if point.rock is None:
             return np.zeros((len(self.times_s), 6))
         return np.asarray((lin.rocks @ point.rock.angles(self.run, self.times_s)[..., None])[..., 0])
@@ -289,7 +288,7 @@ class PoseModel:
         return se3.log_se3(se3.inverse(self.poses(point, q - h)) @ self.poses(point, q + h)) / (2 * h)
 
     def _effect_twists(self, point: Geometry, q: Array) -> Array:
-        """(n, 6, k) derivative of the displacement by every coordinate, as a twist in the parent's frame, outermost."""
+        """(n, 6, k) derivative of the displacement by every coordinate, as outermost twists in the parent's frame."""
         before = self._rocking_transform(point)
         columns = []
         for name, values in point.split():
@@ -308,7 +307,7 @@ class PoseModel:
 
 
 def solve_bounded(A: Array, b: Array, low: Array, high: Array) -> Array:
-    """(k,) x of least x A x / 2 - b x, each within its bounds; those beyond are put on them, until none is."""
+    """(k,) minimiser x of x A x / 2 - b x within bounds, by clamping violated ones."""
     x = np.asarray(np.linalg.solve(A, b), float)
     held = np.zeros(len(b), bool)
     for _ in range(len(b)):

@@ -1,8 +1,8 @@
-"""Which kinematic effects the poses need: every subset, judged on runs that it was not fitted to.
+"""Subsets of kinematic effects, judged on runs that they were not fitted to.
 
-The model is nearly linear about its own best fit, so subsets are compared by linear algebra there: each run is
-predicted from the others, and losses of half-swings are compared in pairs. Rocking in time has a frequency
-that is looked for without the run it is judged on, and a phase in every run that is fitted to its other half.
+The model is nearly linear about its best fit, so subsets are compared by linear algebra there: each run is predicted
+from the others, and losses of half swings are compared in pairs. The frequency of rocking is found without the run it
+is judged on, and its phase in every half run is fitted to the other half.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ class Losses:
 
     subsets: tuple[tuple[str, ...], ...]
     units: Array
-    """(subsets, units) mean whitened squared residual a frame; about 5 where only noise is left."""
+    """(subsets, units) mean whitened squared residual per frame; about 5 for noise alone."""
     ceiling: Array
-    """(units,) the same of a free function of the joint's position, which names nothing."""
+    """(units,) the same for a free function of the joint's position."""
     weights: Array
     """(units,) frames."""
 
     def mean(self, subset: tuple[str, ...]) -> float:
-        """Held-out loss a frame."""
+        """Held-out loss per frame."""
         return float(np.average(self.of(subset), weights=self.weights))
 
     def of(self, subset: tuple[str, ...]) -> Array:
@@ -40,10 +40,10 @@ class Losses:
         return self.units[self.subsets.index(subset)]
 
     def gain(self, small: Array, big: Array) -> tuple[float, float]:
-        """How much lower the loss `big` (units,) is than `small`, a frame, and a one-sided p-value of no gain.
+        """Decrease of the loss per frame from `small` to `big` (units,), and a one-sided p-value of no gain.
 
-        The lesser of two paired t-tests, doubled: of differences, which the largest swings decide, and of ratios, to
-        which all contribute alike.
+        Twice the lesser of two paired t-tests: of differences, dominated by large swings, and of ratios, to which all
+        swings contribute evenly.
         """
         gain, weights = float(np.average(small - big, weights=self.weights)), self.weights
         differences = (small - big) * weights / weights.mean()
@@ -52,7 +52,7 @@ class Losses:
 
 
 def _p_above_zero(terms: Array) -> float:
-    """p-value of a mean that is not above 0."""
+    """p-value of a mean not above 0."""
     from scipy.stats import t as student
 
     n = len(terms)
@@ -77,12 +77,12 @@ def held_out_losses(
 
     Args:
         lin: the model about its fit with all `names`.
-        names: static effects, as the columns of `lin` have them.
-        weighting: the noise, and what is known of coordinates and registration beforehand.
-        units: (n,) what losses are averaged over.
+        names: static effects, in the order of `lin`'s columns.
+        weighting: noise, and priors of coordinates and registration.
+        units: (n,) exchangeable units of the losses.
         subsets: of `names` and ROCK.
         frequencies: Hz of rocking for each fold, found without it; None for no candidate.
-        folds: (n,) what is left out together.
+        folds: (n,) fold of each frame.
     """
     k, prior, limits = lin.columns.shape[-1] - 6, weighting.priors(names), weighting.bounds(names)
     of_column = np.repeat(np.array([*names, ""]), [*(STATIC[name] for name in names), 6])  # "" of the registration
@@ -109,7 +109,7 @@ def held_out_losses(
 
 
 def free_columns(lin: Linear, degree: int = 5) -> Array:
-    """(n, 6, 6 m) of a free twist that depends on the joint's position only: polynomials, or waves over many turns."""
+    """(n, 6, 6 m) of a free twist over the joint's position: polynomials, or Fourier terms over many turns."""
     span = float(np.ptp(lin.q)) or 1.0
     if span > 4 * np.pi:
         waves = [f(h * lin.q) for h in range(1, 5) for f in (np.sin, np.cos)]
@@ -122,7 +122,7 @@ def free_columns(lin: Linear, degree: int = 5) -> Array:
 
 
 def free_residual(lin: Linear, prior: Array, rocking: Array | float = 0.0) -> Array:
-    """(n, 6) what neither `rocking` (n, 6) nor a function of the joint's position explains; `prior` (6,) of B."""
+    """(n, 6) residual of `rocking` (n, 6) and a free function of position; `prior` (6,) is of the registration."""
     columns, data = np.concatenate([free_columns(lin), lin.columns[..., -6:]], -1), lin.data - rocking
     A, b = normal_equations(columns, data)
     return data - columns @ _ridge(A, b, np.concatenate([np.zeros(len(b) - 6), prior]))
@@ -131,9 +131,9 @@ def free_residual(lin: Linear, prior: Array, rocking: Array | float = 0.0) -> Ar
 def find_rocking_frequency(
     lin: Linear, residual: Array, folds: NDArray[np.int64], rate_hz: float
 ) -> list[float | None]:
-    """For every fold the frequency, Hz, at which the others' residuals `left` (n, 6) rock most above their noise.
+    """Per fold the frequency, Hz, at which the other folds' residuals (n, 6) rock most above their noise.
 
-    Between 1.5 turns in the shortest fold and 0.45 of the sampling rate; None where runs are too short for any.
+    Between 1.5 periods in the shortest fold and 0.45 of the sampling rate; None where runs are too short for any.
     """
     from scipy.ndimage import median_filter
 
@@ -164,7 +164,7 @@ def find_rocking_frequency(
 
 
 def fit_rocking(lin: Linear, residual: Array, frequency: float) -> Array:
-    """(runs, 2, 2) rad of rocking that fit residuals `left` (n, 6) best, run by run: rows are the directions."""
+    """(runs, 2, 2) rad of rocking fitted to residuals (n, 6), run by run: rows are the directions."""
     out = []
     for r in range(int(lin.run.max()) + 1):
         here = lin.run == r
@@ -179,7 +179,7 @@ def _ridge(A: Array, b: Array, prior: Array | float = 0.0) -> Array:
 
 
 def _rock_columns(rocks: Array, times_s: Array, frequency: float) -> Array:
-    """(n, 6, 4) of rocking: directions by waves."""
+    """(n, 6, 4) of rocking: directions by sine and cosine."""
     waves = sine_cosine(frequency, times_s)
     return (rocks[..., None] * waves[:, None, None, :]).reshape(len(rocks), 6, 4)
 
@@ -199,7 +199,7 @@ def _rock_grams(lin: Linear, frequency: float, folds: NDArray[np.int64]) -> dict
 
 
 def _remove_rocking(residual: Array, rocks: Array, times_s: Array, frequency: float) -> Array:
-    """Residuals less the rocking that the other half of the run has, at this frequency."""
+    """Residuals less the rocking fitted to the other half of the run, at this frequency."""
     columns = _rock_columns(rocks, times_s, frequency)
     late = times_s > np.median(times_s)
     out = np.array(residual)

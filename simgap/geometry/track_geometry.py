@@ -1,4 +1,4 @@
-"""What one run of part poses says: the joint's position over time, and how far the part is off its joint."""
+"""One run of part poses: the joint's position over time, and the part's displacement off its joint."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from simgap.geometry.pose_model import Geometry, PoseModel, Rocking, Track, Weig
 
 @dataclass(frozen=True)
 class TrackGeometry:
-    """What one run says."""
+    """Geometry of one run."""
 
     name: str
     times_s: Array
     """(n,) s."""
     q: Array
-    """(n,) rad or m: the joint's position with the named geometry taken out, for the dynamics that follows."""
+    """(n,) rad or m: joint position without the named geometry, for the analysis of dynamics."""
     q_before: Array
     """(n,) the same with the asset's ideal joint."""
     time_shift_s: float
-    """By how much the clock of this run is set on so that rocking has the phase of the named effect."""
+    """Shift of this run's clock with which rocking has the phase of the named effect."""
     q_std: float
-    """Standard deviation of the noise of `q`."""
+    """Noise of `q`, standard deviation."""
     off_before: Array
-    """(n, 6) m and rad: twist off the ideal joint, at the moving part's middle."""
+    """(n, 6) m and rad: twist off the ideal joint, at the moving part's centre."""
     off_after: Array
     """(n, 6) the same off the joint with the named effects."""
     gap_before: float
-    """m: root mean square displacement of the part off the ideal joint."""
+    """m: RMS displacement of the part off the ideal joint."""
     gap_after: float
     """m: off the joint with the named effects."""
     floor: float
@@ -73,7 +73,7 @@ def track_geometry(
 
 
 def _fit_phase(model: PoseModel, point: Geometry, weighting: Weighting) -> Geometry:
-    """The point of the model with rocking's phase of this one run; direction, amplitude and frequency stay."""
+    """The point with the phase of rocking fitted to this run; direction, amplitude and frequency stay."""
     if point.rock is None:
         return point
     u = point.rock.direction
@@ -86,7 +86,7 @@ def _fit_phase(model: PoseModel, point: Geometry, weighting: Weighting) -> Geome
 
 
 def _time_shift(point: Geometry, here: Geometry) -> float:
-    """Seconds by which rocking of this run's phase is ahead of the first run's."""
+    """Time, s, by which this run's phase is ahead of the first run's."""
     if point.rock is None or here.rock is None:
         return 0.0
     u = point.rock.direction
@@ -101,17 +101,17 @@ def part_centre(mechanics: JointMechanics) -> Array:
 
 
 def gyration_radius(mechanics: JointMechanics, middle: Array) -> float:
-    """m: how far from its middle the part's points are taken to lie, to count turns as displacements."""
+    """m: radius of gyration, to count rotations as displacements."""
     if mechanics.joint.type == "revolute" and mechanics.mass > 0:
         return float(np.sqrt(mechanics.inertia / mechanics.mass))
     return max(float(np.linalg.norm(middle - mechanics.joint.pivot)), 0.05)
 
 
 def move_twists(point: Array, twists: Array) -> Array:
-    """(n, 6) twists whose translation is that of `point` (3,) of the part."""
+    """(n, 6) twists with the translation of `point` (3,) of the part."""
     return np.concatenate([twists[:, :3] + np.cross(twists[:, 3:], point), twists[:, 3:]], -1)
 
 
 def rms_displacement(twists: Array, lever: float) -> float:
-    """m: root mean square displacement of points at `lever` around where twists (n, 6) are counted."""
+    """m: RMS displacement of points at `lever` around the reference point of the twists (n, 6)."""
     return float(np.sqrt(((twists[:, :3] ** 2).sum(-1) + lever**2 * (twists[:, 3:] ** 2).sum(-1)).mean()))

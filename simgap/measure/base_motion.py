@@ -1,4 +1,4 @@
-"""What a joint feels of a base that was moved, from the base's log."""
+"""Force on a joint from a logged motion of its base."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ from freeart21.se3 import Array
 from simgap.measure.noise import estimate_noise
 
 _ORDER = 4
-"""Of the polynomials through neighbouring rows whose derivatives are taken (Savitzky and Golay 1964)."""
+"""Order of the local polynomials that are differentiated (Savitzky and Golay 1964)."""
 _WINDOWS = (7, 11, 17, 25, 37, 55, 81, 121, 181, 271)
-"""Rows that such a polynomial may go through."""
+"""Window lengths of these polynomials, rows."""
 _MAX_RMS_RATIO, _MAX_PEAK_RATIO = 1.15, 3.0
-"""Times the sensor's noise that a polynomial may leave in the root mean square, and of all but a hundredth of the
-readings (of white noise that is 2.6). Not measured."""
+"""Largest residual of a polynomial over the sensor's noise: RMS, and 99th percentile (2.6 for white noise). Not
+measured."""
 _ROWS_PER_WINDOW = 8
-"""Of a window, that its polynomial's derivatives are looked at: they bend no faster."""
+"""Samples per window at which derivatives are evaluated; they vary no faster."""
 
 
 @dataclass(frozen=True)
 class BaseForce:
-    """What the base's motion adds to the joint's force; straight between its times, its ends stay."""
+    """Force of a moving base, linear between its times, constant beyond."""
 
     times_s: Array
     """(b,)"""
     terms: Array
-    """(8, b) as `sway_force` takes them."""
+    """(8, b) for `freeart21.base_motion.base_motion_force`."""
 
     def at(self, times_s: Array | float) -> Array:
-        """(8, n) the terms at times (n,)."""
+        """(8, n) terms at times (n,)."""
         return np.stack([np.interp(times_s, self.times_s, row) for row in self.terms])
 
     def function(self, begin_s: float) -> Callable[[float, float], float]:
-        """Position and seconds since `begin_s` to the force, N*m or N: for a simulator that asks at every step."""
+        """A function of position and time since `begin_s` to the force, N*m or N, for simulators."""
         times, rows = self.times_s.tolist(), self.terms.T.tolist()
 
         def force(q: float, t: float) -> float:  # `sway_force` without arrays, ten times as fast
@@ -65,17 +65,17 @@ def make_base_force(
     T_parent_canonical: Array,
     base_is_parent: bool = True,
 ) -> BaseForce:
-    """What a joint feels of a base that moves so.
+    """The force of a base that moves.
 
     Args:
         times_s: (n,) of the rows of `base`.
-        base: how it moves.
-        turns: what it turns about, where it has an angle.
-        mechanics: the joint, in the frame of its parent link, the base at rest.
-        T_parent_canonical: (4, 4) where the canonical frame is.
+        base: its motion.
+        turns: its rotation axis, where it has an angle.
+        mechanics: the joint, in the frame of its parent link, with the base at rest.
+        T_parent_canonical: (4, 4) pose of the canonical frame.
         base_is_parent: whether the base is on the joint's parent side.
 
-    Raises FreeArtError when it is not: what it carries is then another part.
+    Raises FreeArtError when it is not: it then carries another part.
     """
     if not base_is_parent:
         raise FreeArtError(f"the base of joint '{mechanics.joint.name}' moves, but it is on the joint's child side")
@@ -102,7 +102,7 @@ def make_base_force(
 
 
 def _position_columns(base: BaseSeries) -> list[Array]:
-    """Those series whose derivatives are needed."""
+    """Series that have to be differentiated."""
     found = [] if base.position is None else list(base.position.T)
     return found + ([] if base.angle is None else [base.angle])
 
@@ -120,8 +120,7 @@ def _resample(times: Array, values: Array) -> tuple[Array, Array, float]:
 
 
 def _choose_window(times: Array, values: Array) -> int:
-    """Rows of the widest window whose polynomials leave no more of the readings than the sensor's noise and steps: it
-    blurs no motion."""
+    """Length, rows, of the longest window whose polynomials leave no more than noise and quantisation."""
     from scipy.signal import savgol_filter
 
     even, x, _ = _resample(times, values)

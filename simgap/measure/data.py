@@ -1,4 +1,4 @@
-"""Runs as a fit sees them: readings with their noise, inputs, a first guess of the start, and the regime."""
+"""Runs as fits take them: readings with their noise, inputs, initial guesses of the start state, and the regime."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from simgap.measure.swings import reversals
 from simgap.models.surrogate import Inputs, Plant, time_steps
 
 MAX_SAMPLES = 1500
-"""Readings of a run that a fit looks at, where they are enough; more are thinned out evenly."""
+"""Readings of a run that a fit uses, where they resolve its motion; more are thinned out evenly."""
 LEAST_A_SWING = 4.0
-"""Readings of half a swing that are left: a sine is told by two; twice that leaves its end apart from its middle."""
+"""Readings per half swing that must remain; a sine needs two."""
 MOST_SAMPLES = 6000
-"""Readings of a run that a fit looks at at most: its time grows with them. Not measured."""
+"""Most readings of a run that a fit uses; its time grows with them. Not measured."""
 
 
 _START_WINDOWS_S = (0.06, 0.12, 0.25)
-"""Of a run, that tell its first velocity: a short one is noisy, a long one may hold an impact."""
+"""First seconds of a run that give its initial velocity: short windows are noisy, long ones may contain an impact."""
 
 
 @dataclass(frozen=True, eq=False)
 class FitRun:
-    """One run, or a stretch of one; the same only as itself."""
+    """One run, or a stretch of one; compared by identity."""
 
     name: str
     times_s: Array
-    """(n,) of the readings."""
+    """(n,) s."""
     q: Array
     """(n,) readings."""
     sigma: Array
@@ -45,26 +45,26 @@ class FitRun:
     held_out: bool | None
     regime: str = ""
     order: int = 0
-    """Its place in the order of recording."""
+    """Place in the order of recording."""
 
     @property
     def joint_position(self) -> Array:
-        """(n,) where the joint is, rad or m."""
+        """(n,) joint position, rad or m."""
         return self.q
 
     @property
     def reading_scale(self) -> float:
-        """Size of what is read, beside which a model's error is counted: standard deviation of a motion."""
+        """Standard deviation of the motion, to which a model's error is relative."""
         return float(np.std(self.q))
 
     @property
     def start(self) -> tuple[float, float]:
-        """A first guess of the state at the first reading."""
+        """Initial guess of the state at the first reading."""
         return self.starts[0]
 
     @cached_property
     def starts(self) -> list[tuple[float, float]]:
-        """First guesses of the state at the first reading, by parabolas through beginnings ever longer."""
+        """Guesses of the state at the first reading, from parabolas through ever longer beginnings."""
         found = []
         for seconds in _START_WINDOWS_S:
             k = max(7, int(np.searchsorted(self.times_s, self.times_s[0] + seconds)))
@@ -83,7 +83,7 @@ class FitRun:
 
 
 def make_fit_runs(measured: Measured, plant: Plant) -> tuple[tuple[FitRun, ...], SensorNoise]:
-    """All runs of a measured set, whose positions are known, and the noise of its sensor.
+    """All runs of a measured set with known positions, and the noise of its sensor.
 
     Raises FreeArtError when the readings cannot be positions of this joint: far beyond its limits, or in degrees.
     """
@@ -103,7 +103,7 @@ def make_fit_runs(measured: Measured, plant: Plant) -> tuple[tuple[FitRun, ...],
 
 
 def thinning_stride(times: Array, q: Array) -> int:
-    """Of how many readings one is looked at: as few as the motion needs, where there are many."""
+    """Use every n-th reading: as few as the motion needs."""
     few = -(-len(times) // MAX_SAMPLES)
     if few == 1:
         return 1
@@ -113,7 +113,7 @@ def thinning_stride(times: Array, q: Array) -> int:
 
 
 def thinning_notes(measured: Measured) -> tuple[str, ...]:
-    """A line for each run of which not all readings are looked at."""
+    """A line for each run that is thinned out."""
     notes = []
     for run in measured.runs:
         good = np.isfinite(run.q)
@@ -137,7 +137,7 @@ def rough_speed(times: Array, q: Array) -> Array:
 
 
 def _label_regimes(runs: list[FitRun]) -> tuple[FitRun, ...]:
-    """Runs named by how they move: driven or free, and small or large against the others of their kind."""
+    """Runs with regimes: driven or free, and slow or fast relative to the others of their kind."""
     driven = [
         np.isfinite(inputs.command).any()
         or any(np.any(each) for each in (inputs.effort, inputs.push, inputs.base_motion))

@@ -1,7 +1,7 @@
-"""What drove a run, as the kernel takes it: values that last until the next one, however the logged ones go on.
+"""Inputs of a run as the kernel takes them: piecewise constant, whatever the interpolation of the log.
 
-A curve between two rows becomes two values, each for half of the time, with the impulse of the curve and the way that
-it moves a free part by.
+A curve between two rows becomes two constant values, each for half of the time, with the same impulse and the same
+displacement of a free body.
 """
 
 from __future__ import annotations
@@ -16,24 +16,20 @@ from simgap.measure.base_motion import BaseForce, make_base_force
 from simgap.models.surrogate import Inputs, Plant
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
-"""Of a stretch as -1 to 1: exact for the cubics that curves are, and for their first moments."""
+"""Gauss-Legendre on [-1, 1]: exact for the cubics of the curves, and for their first moments."""
 _MERGE_DENSITY = 4.0
-"""Values in the longest time that one may last, from which on they are taken together: a log of 10 kHz would have a
-simulation step a hundred times as finely as it needs."""
+"""Values per longest step above which they are merged: a log of 10 kHz would need a hundred times as many steps as the
+simulation."""
 _STEP_SHARE = 0.05
-"""Of the range of a series, from one value to the next, that is a step of it and not taken together with the next."""
+"""Jump between two values, as a share of the series' range, that is a step and not merged."""
 _LIMIT_REFINEMENT = 4.0
-"""Times shorter than the longest time that the values last in which a drive with limits or a dead band is told of:
-means do not tell what it gives."""
+"""Refinement of the longest step for a drive with limits or a dead band, which means do not represent."""
 DEFAULT_HOLDING = 0.5
-"""Part that is taken to be held of what nobody knows, where that is not fitted."""
+"""Share of zero-order hold for inputs of unknown interpolation, where it is not fitted."""
 
 
 def make_inputs(run: Run, measured: Measured, longest_s: float = np.inf, plant: Plant | None = None) -> Inputs:
-    """What drove a run; no value lasts longer than `longest_s` where a curve is to be followed.
-
-    A base that moves is told of the `plant` that stands on it.
-    """
+    """The inputs of a run; curves are resolved to `longest_s`. A moving base needs the `plant` that stands on it."""
     driven = _actuator_inputs(run, measured, longest_s)
     if run.base is None or plant is None:
         return driven
@@ -41,14 +37,14 @@ def make_inputs(run: Run, measured: Measured, longest_s: float = np.inf, plant: 
 
 
 def base_force_of(run: Run, measured: Measured, plant: Plant) -> BaseForce:
-    """What the joint feels of its base in a run in which that moves."""
+    """Force of the base on the joint in a run with base motion."""
     assert run.base is not None
     T, side = plant.T_parent_canonical, plant.base_is_parent
     return make_base_force(run.times_s, run.base, measured.base_axis, plant.mechanics, T, side)
 
 
 def _add_base_motion(driven: Inputs, base_force: BaseForce, longest_s: float) -> Inputs:
-    """The inputs with those of a base that moves, which goes straight from each of its times to the next."""
+    """The inputs with the force of a moving base, linear between its times."""
     own, terms, _ = _hold_values(base_force.times_s, base_force.terms, "linear", longest_s)
     own, terms = _merge_dense(own, terms, longest_s, np.zeros(0))
     times = np.union1d(own, driven.times_s)
@@ -73,7 +69,7 @@ def _add_base_motion(driven: Inputs, base_force: BaseForce, longest_s: float) ->
 
 
 def _actuator_inputs(run: Run, measured: Measured, longest_s: float) -> Inputs:
-    """What an actuator or a push made."""
+    """Inputs of an actuator or a push."""
     if run.effort is None and run.q_command is None and run.voltage is None:
         return Inputs()
     nothing = np.zeros(len(run.times_s))
@@ -99,7 +95,7 @@ def _actuator_inputs(run: Run, measured: Measured, longest_s: float) -> Inputs:
 
 
 def split_efforts(run: Run, measured: Measured) -> tuple[Array | None, Array | None]:
-    """(n,) what the actuator was told to give, by voltage too, and what pushed the part itself; None for nothing."""
+    """(n,) commanded effort of the actuator, voltage included, and effort that acts on the part; None for none."""
     commanded = run.effort if measured.effort_kind == "commanded" else None
     motor = measured.actuator.motor if measured.actuator is not None else None
     if run.voltage is not None and motor is not None:
@@ -109,7 +105,7 @@ def split_efforts(run: Run, measured: Measured) -> tuple[Array | None, Array | N
 
 
 def enabled_at(run: Run, at: Array, commanded: bool) -> NDArray[np.bool_]:
-    """(m,) whether the actuator is on at the times `at`; `told` is whether it was told an effort."""
+    """(m,) whether the actuator is on at times `at`; `commanded` is whether it had commanded efforts."""
     if not commanded and run.q_command is None:
         return np.zeros(len(at), bool)
     if run.enabled is None:
@@ -119,13 +115,13 @@ def enabled_at(run: Run, at: Array, commanded: bool) -> NDArray[np.bool_]:
 
 
 def logged_at(times: Array, values: Array, how: Interpolation, at: Array) -> Array:
-    """(m,) a logged series (n,) at the times `at` (m,)."""
+    """(m,) a logged series (n,) at times `at` (m,)."""
     base, moved = _Logged(times, values, how)(at, at)
     return np.asarray(base + (1 - DEFAULT_HOLDING if how == "unknown" else 1.0) * (moved - base))
 
 
 class _Logged:
-    """A series (n,) as it goes on from the rows in which it was logged, not NaN."""
+    """A series (n,) with its interpolation; NaN rows were not logged."""
 
     def __init__(self, times: Array, values: Array, how: Interpolation):
         known = np.isfinite(values)
@@ -133,11 +129,11 @@ class _Logged:
         self.terms = interpolation_terms(self.times, values[known], how)
 
     def row(self, at: Array) -> NDArray[np.int64]:
-        """(m,) the last one by the times `at`."""
+        """(m,) the last row before the times `at`."""
         return np.clip(np.searchsorted(self.times, at, side="right") - 1, 0, len(self.times) - 1)
 
     def __call__(self, begin: Array, at: Array) -> tuple[Array, Array]:
-        """Values of the rows that last at the times `begin`, and of their curves at the times `at`, (m, ...) each."""
+        """(m, ...) values held at the times `begin`, and of the curve from there at the times `at`."""
         row = self.row(begin)
         since = np.maximum(at - self.times[row], 0.0)
         a, b, c, d = self.terms[row].T
@@ -145,8 +141,8 @@ class _Logged:
 
 
 def _merge_dense(times: Array, values: Array, longest_s: float, cuts: Array) -> tuple[Array, Array]:
-    """Values (k, i) that last from `times` (i,), those far denser than `longest_s` taken together, but not across the
-    times `kept`: two for each such time, with their impulse and the way that they move a free part by."""
+    """Values (k, i) from `times` (i,) on, merged where far denser than `longest_s`, but not across `cuts`: two per
+    step, with the same impulse and displacement of a free body."""
     begin, end = times[0], times[-1]
     if not np.isfinite(longest_s) or (end - begin) / len(times) > longest_s / _MERGE_DENSITY:
         return times, values
@@ -163,8 +159,7 @@ def _merge_dense(times: Array, values: Array, longest_s: float, cuts: Array) -> 
 
 
 def _integrals(since: Array, values: Array, at: Array) -> Array:
-    """(2, k, m) integrals up to the times `at` (m,) of values (k, i), which last from `since` (i,), and of these times
-    time."""
+    """(2, k, m) integrals up to the times `at` (m,) of piecewise constant values (k, i), and of these times time."""
     row = np.clip(np.searchsorted(since, at, side="right") - 1, 0, len(since) - 1)
     ahead, zero = at - since[row], np.zeros((len(values), 1))
     whole = values[:, :-1] * np.diff(since)
@@ -175,8 +170,8 @@ def _integrals(since: Array, values: Array, at: Array) -> Array:
 
 
 def _hold_values(times: Array, logged: Array, how: Interpolation, longest_s: float) -> tuple[Array, Array, Array]:
-    """Times (i,), the (k, i) values that last from each to the next, and what these have besides if the `logged` ones
-    (k, n) are held."""
+    """Times (i,), piecewise constant values (k, i), and their change under zero-order hold of the `logged` ones (k,
+    n)."""
     channels = [_Logged(times, values, how) for values in logged]
     if how == "held" or len(times) < 2:
         series = np.stack([channel(times, times)[0] for channel in channels])

@@ -1,4 +1,4 @@
-"""What the sensor itself leaves: noise, quantisation, and time stamps that are a little off."""
+"""Sensor noise: white noise, quantisation, and jitter of time stamps."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from scipy.stats import chi2
 from freeart21.se3 import Array
 
 _WINDOWS = ((5, 3), (11, 4))
-"""Neighbouring readings, and the order of the polynomial through them."""
+"""Window length (readings) and order of the local polynomials."""
 _MOST = 1000
-"""Windows of a run that are looked at."""
+"""Windows of a run that are used."""
 _BINS = 6
 _FAR = 8
-"""Readings on either side that tell how fast they move."""
+"""Readings on either side that give the speed."""
 
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Standard deviation of a reading: sqrt(still^2 + (stamp * speed)^2)."""
+    """Standard deviation of a reading: sqrt(sigma_at_rest^2 + (time_jitter_s * speed)^2)."""
 
     sigma_at_rest: float
-    """rad or m, at rest."""
+    """rad or m."""
     time_jitter_s: float
-    """Seconds by which time stamps scatter."""
+    """Standard deviation of time stamps."""
 
     def sigma(self, speed: Array) -> Array:
         """(n,) standard deviations at speeds (n,), rad/s or m/s."""
@@ -33,11 +33,11 @@ class SensorNoise:
 
 
 def estimate_noise(series: list[tuple[Array, Array]]) -> SensorNoise:
-    """The floor of one sensor from its runs (times (n,), readings (n,), both finite).
+    """Noise of one sensor from its runs (times (n,), readings (n,), both finite).
 
-    What neighbouring readings leave that no polynomial through them explains is, robustly and as a function of speed,
-    the noise; quantisation is at least a twelfth of its step squared. Few neighbours take even motion over a sensor's
-    steps for noise, many take fast turns for it: the lesser of both counts.
+    Residuals of local polynomials, robustly and as a function of speed, are the noise; quantisation is at least step^2
+    / 12. Short windows take slow motion over quantisation steps for noise, long ones take fast turns for it, so the
+    smaller estimate is used.
     """
     readings = np.concatenate([q for _, q in series])
     step = _quantisation_step(readings)
@@ -64,8 +64,8 @@ def _fit_noise(series: list[tuple[Array, Array]], points: int, order: int, step:
 
 
 def _local_residuals(times: Array, q: Array, points: int, order: int) -> tuple[Array, Array, Array]:
-    """Of every so many neighbours: the sum of squares beyond a polynomial, their speed, and how far five of them move,
-    by readings further apart; (n - points + 1,) each."""
+    """Per window: sum of squared residuals of a polynomial, speed, and displacement over five readings; (n - points +
+    1,) each."""
     n = len(times) - points + 1
     at = np.arange(n)[:: -(-n // _MOST)]
     t, values = times[at[:, None] + np.arange(points)], q[at[:, None] + np.arange(points)]
@@ -82,7 +82,7 @@ def _local_residuals(times: Array, q: Array, points: int, order: int) -> tuple[A
 
 
 def _fit_line(x: Array, y: Array) -> tuple[float, float]:
-    """Intercept and slope, neither below 0, of y over x by relative least squares."""
+    """Intercept and slope, both 0 or more, of y over x by relative least squares."""
     weight = 1 / np.maximum(y, 1e-3 * y.max() + 1e-300)
     A = np.stack([np.ones_like(x), x], 1) * weight[:, None]
     if np.linalg.matrix_rank(A) == 2:
@@ -95,7 +95,7 @@ def _fit_line(x: Array, y: Array) -> tuple[float, float]:
 
 
 def _quantisation_step(q: Array) -> float:
-    """Step between neighbouring values where readings are few distinct ones, else 0."""
+    """Step between values where readings are few distinct ones, else 0."""
     values = np.unique(np.round(q, 12))
     if len(values) > 0.5 * len(q) or len(values) < 2:
         return 0.0

@@ -1,9 +1,9 @@
-"""Runs whose motion is prescribed while their force is read: what a fit then looks at is the force.
+"""Runs with prescribed motion: the fitted reading is the force.
 
-Where a drive holds the speed, positions tell nothing of friction: the force that was needed does. Nearly all of that
-force is then taken by what a fit looks for and hardly any by inertia, so that the least error of the force, left to
-move the joint freely, moves it anywhere: what the force was told to be is known to some parts in a hundred, and that is
-more than what accelerates it. The reading is the told force; a theory foretells what the measured motion needs.
+With a speed-controlled drive positions do not show friction; the required force does. Nearly all of that force is
+friction and hardly any inertia, so a simulation under it would drift anywhere: commanded force is known to a few
+percent, which is more than what accelerates the joint. The reading is therefore the commanded force, and models predict
+it by inverse dynamics.
 """
 
 from __future__ import annotations
@@ -26,59 +26,58 @@ from simgap.models.equation_error import smooth_run
 from simgap.models.surrogate import Inputs, Plant
 
 MAX_INERTIA_SHARE = 0.01
-"""Part of the told force that inertia takes where the joint slides, root mean squares, below which motion is
-prescribed. Turns of a real arm at steady speeds have .0001 to .004, a motor that runs up under torque steps .025,
-swings 1. Told forces are hardly surer."""
+"""Share of inertia in the commanded force, RMS while the joint slides, below which motion is prescribed. A real arm at
+steady speeds has .0001 to .004, a motor under torque steps .025, swings 1. Commanded forces are hardly more accurate.
+"""
 _WINDOWS = (7, 11, 15, 21, 31, 45, 65, 95, 135, 201, 301, 501)
-"""Readings that accelerations are smoothed over: the fewest in which their noise is little beside that of the force,"""
+"""Smoothing windows of accelerations, readings: the shortest whose noise is small relative to that of the force,"""
 _NOISE_SHARE = 0.1
-"""... a tenth: with as much as the force's a fit makes inertia small and the drive strong, to be rid of it."""
+"""... by this share. With as much noise as the force's, a fit makes inertia small and the drive strong."""
 _RESTING = 0.02
-"""Part of a run's usual speed below which its joint turns back or rests, and tells no sliding friction."""
+"""Share of a run's RMS speed below which the joint turns or rests."""
 _MOVING_SIGMAS = 4.0
-"""Standard deviations of a speed by which a joint surely moves."""
+"""Standard deviations of speed above which the joint surely moves."""
 _PRESLIDING_SHARE = 0.1
-"""Part of the way between two rests or turns in which friction may still build up: contacts of a real arm gave way by
-.1 degree, and turned by .8 in its slowest runs."""
+"""Share of the travel since a rest or turn over which friction may build up. Contacts of a real arm slid after .1
+degree, and it turned by .8 degrees in its slowest runs."""
 _FEWEST = 8
-"""Readings of the force that a run must have where its joint slides."""
+"""Readings of the force that a run must have while sliding."""
 
 
 @dataclass(frozen=True)
 class ForceRun(FitRun):
-    """A run of which the force is read: `q` and `sigma` are of the told force, N*m or N, `speed` of the joint."""
+    """A run with measured force: `q` and `sigma` are of the commanded force, N*m or N, `speed` is of the joint."""
 
     position: Array = field(kw_only=True)
     """(n,) rad or m."""
     acceleration: Array = field(kw_only=True)
     """(n,) rad/s^2 or m/s^2."""
     commanded: Array = field(kw_only=True)
-    """(n,) of the force what the actuator was told to give."""
+    """(n,) commanded force of the actuator."""
     on: Array = field(kw_only=True)
-    """(n,) 1 where the actuator was on, else 0."""
+    """(n,) 1 while the actuator was on, else 0."""
     cos_sin: Array = field(kw_only=True)
-    """(2, n) cosine and sine of the position, which gravity goes with."""
+    """(2, n) smoothed cosine and sine of the position, for gravity."""
     load: Array = field(kw_only=True)
-    """(n,) N on the bearing."""
+    """(n,) bearing force, N."""
 
     @property
     def joint_position(self) -> Array:
-        """(n,) where the joint is."""
+        """(n,) rad or m."""
         return self.position
 
     @property
     def reading_scale(self) -> float:
-        """Root mean square of the force at work."""
+        """RMS force."""
         return float(np.sqrt(np.mean(self.q**2)))
 
 
 def make_force_runs(
     measured: Measured, plant: Plant
 ) -> tuple[tuple[ForceRun, ...], SensorNoise, tuple[str, ...]] | None:
-    """The runs as a fit to their force sees them, its floor, and a line for each run that is left out; None when their
-    motion is not prescribed.
+    """The runs for fits to force, their noise, and a line for each dropped run; None when motion is not prescribed.
 
-    It is where measured.json says so, and, where nobody says, when inertia takes hardly any of the force of every run.
+    It is where measured.json says so, or, without that, where inertia is a tiny share of the force in every run.
     """
     candidates = [run for run in measured.runs if run.prescribed] or list(measured.runs)
     if any(
@@ -104,7 +103,7 @@ def make_force_runs(
 
 
 def _logged_force(run: Run, measured: Measured) -> Array | None:
-    """(n,) the told force, the actuator's or a push; None for none."""
+    """(n,) the commanded force, of the actuator or a push; None for none."""
     commanded, push = split_efforts(run, measured)
     return commanded if push is None else push
 
@@ -116,8 +115,7 @@ def _finite(times: Array, values: Array | None) -> tuple[Array, Array]:
 
 
 def _is_steady(run: Run, measured: Measured, plant: Plant) -> bool:
-    """Whether inertia takes hardly any of the force, by accelerations that are smoothed over as much as half a swing
-    allows: noise in them is no motion."""
+    """Whether inertia is a tiny share of the force. Accelerations are smoothed as much as half a swing allows."""
     smooth = smooth_run(run)
     if smooth is None:
         return False
@@ -132,7 +130,7 @@ def _is_steady(run: Run, measured: Measured, plant: Plant) -> bool:
 
 
 def _make_run(measured: Measured, plant: Plant, run: Run, noise: float, still: float) -> ForceRun | None:
-    """The run, where its joint slides and touches no limit; None where that is too little."""
+    """The run while its joint slides off its limits; None where that is too little."""
     inertia, mechanics = plant.mechanics.inertia, plant.mechanics
     smooth, sigma, spread = smooth_run(run), 0.0, 0.0
     widest = 0 if smooth is None else len(smooth[5])
@@ -190,7 +188,7 @@ def _make_run(measured: Measured, plant: Plant, run: Run, noise: float, still: f
 
 
 def _sliding(q: Array) -> NDArray[np.bool_]:
-    """(n,) whether the joint has gone far enough since it began or turned back for its contacts to slide."""
+    """(n,) whether the joint moved far enough since it began or turned back for its contacts to slide."""
     ends, slides = [0, *reversals(q, 0.03 * max(float(np.ptp(q)), 1e-12)).tolist(), len(q)], []
     for a, b in pairwise(ends):
         gone = np.abs(q[a:b] - q[a])
@@ -199,7 +197,7 @@ def _sliding(q: Array) -> NDArray[np.bool_]:
 
 
 def _noise_gain(window: int, deriv: int, step: float) -> float:
-    """What white noise of 1 becomes in a smoothed derivative."""
+    """Standard deviation of white noise of 1 in a smoothed derivative."""
     from scipy.signal import savgol_coeffs
 
     return float(np.linalg.norm(savgol_coeffs(window, 4, deriv=deriv, delta=step)))

@@ -1,4 +1,4 @@
-"""A reconstructed video as a measured set: its part poses, and where they were seen."""
+"""A reconstructed video as a measured set: its part poses and their visibility."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from freeart21.measured import Measured, Run
 from freeart21.reconstruction import Failure
 
 DENSITY_UNCERTAINTY = 0.3
-"""Part of themselves by which inertia and weight of a reconstructed part may be off: its density is a guess."""
+"""Relative uncertainty of inertia and weight of a reconstructed part, whose density is a guess."""
 
 _STATIC_SHARE = 0.1
-"""Part of the other's motion before the camera below which a part stood still."""
+"""Motion before the camera, relative to the other part's, below which a part stood still."""
 
 
 def measure_result(result: Path, out: Path, gravity: ArrayLike, rate_hz: float) -> None:
-    """Write `out/measured`, for `freeart21 gap` with the result's own exported asset: one run, none held out.
+    """Write `out/measured`, for `freeart21 gap` with the result's own exported asset: one run, not held out.
 
     Args:
-        result: a result folder with its `asset`; its reference part stood fixed in the world.
+        result: a result folder with its `asset`; its reference part was static in the world.
         out: the folder to make.
-        gravity: (3,) m/s^2 in the result's canonical frame, which for our own is the camera's of the first frame.
+        gravity: (3,) m/s^2 in the result's canonical frame (for our own results the camera's of the first frame).
         rate_hz: frames a second.
 
-    Raises FreeArtError when the result is a failure, has no asset, or one of another joint, or when the part that stood
-    still before the camera is not the reference part, which is the asset's base.
+    Raises FreeArtError when the result is a failure, has no asset, or one of another joint, or when its moving part,
+    not its reference part, was static before the camera.
     """
     result = Path(result)
     check_place(out, None, (result,))

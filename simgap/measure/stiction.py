@@ -1,7 +1,7 @@
-"""Pushes that a joint withstood: what holds it is at least as large, and nothing else is told.
+"""Pushes that did not move a joint: a lower bound of what holds it.
 
-Dry friction takes whatever it is given up to its level, and its contacts bend a little before they slide: a joint that
-moves by no more than that, under what would have carried it far, was held.
+Dry friction balances any force up to its level, and contacts deform a little before they slide. A joint that moves no
+further than that, under a force that would have carried it far, was held.
 """
 
 from __future__ import annotations
@@ -16,31 +16,31 @@ from simgap.measure.noise import SensorNoise
 from simgap.models.surrogate import Plant
 
 PRESLIDING_TRAVEL = {"revolute": 1e-2, "prismatic": 1e-4}
-"""rad or m by which what holds a joint may bend: a real arm's friction gave way by 1.8e-3 rad before it slid, filmed
-pendula's by 8e-3 of a radian, contacts of sliders by .02 to .05 mm (Armstrong-Helouvry 1994)."""
+"""Largest presliding displacement, rad or m: a real arm slid after 1.8e-3 rad, filmed pendula after 8e-3 rad, contacts
+of sliders after .02 to .05 mm (Armstrong-Helouvry 1994)."""
 FREE_TRAVEL_RATIO = 100.0
-"""Times that reach that the push alone would have carried it, at least."""
+"""Times that travel by which the push must have moved a free joint."""
 FORCE_UNCERTAINTY = 0.05
-"""Part of a told force that is not relied on: what a drive gives is hardly surer (`Effect.departs`)."""
+"""Relative uncertainty of a commanded force; see `Effect.model_error` of the drive."""
 _NOISES = 8.0
-"""Of the sensor, that a joint at rest may seem to move by from end to end."""
+"""Peak-to-peak noise of a joint at rest, sigmas."""
 
 
 @dataclass(frozen=True)
 class StictionBound:
-    """What a joint withstood."""
+    """A lower bound of what holds a joint."""
 
     force: float
-    """N*m or N, the largest, weight and told force together, less what is not sure of them."""
+    """N*m or N: largest sum of weight and commanded force, less its uncertainty."""
     travel: float
-    """rad or m that it moved by."""
+    """rad or m that the joint moved."""
     free_travel: float
-    """rad or m by which that would have carried it."""
+    """rad or m that a free joint would have moved."""
 
 
 def find_stiction_bound(measured: Measured, plant: Plant, noise: SensorNoise) -> StictionBound | None:
-    """What the joint withstood in all runs; None when it moved in any, when no push would have moved it, or when a
-    position law may have held it."""
+    """The bound from all runs; None when the joint moved in any, when no push would have moved it, or when a position
+    law may have held it."""
     if any(run.q_command is not None or run.poses is not None for run in measured.runs):
         return None
     found = [_bound_of_run(run, measured, plant) for run in measured.runs]

@@ -1,4 +1,4 @@
-"""Half-swings of a joint's motion: the stretches between one reversal and the next, which statistics treat as units."""
+"""Half swings of a joint's motion, between reversals: the exchangeable units of statistics."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from freeart21.se3 import Array
 
 
 def reversals(q: Array, least: float) -> NDArray[np.int64]:
-    """Indices of turning points of `q` (n,): extremes from which it comes back by more than `least`, rad or m."""
+    """Indices of turning points of `q` (n,): extremes from which it returns by more than `least`, rad or m."""
     found: list[int] = []
     low = high = 0
     rising: bool | None = None
@@ -30,7 +30,7 @@ def reversals(q: Array, least: float) -> NDArray[np.int64]:
 
 
 def half_swings(q: Array, least: float, longest: int | None = None) -> NDArray[np.int64]:
-    """(n,) number, from 0, of each sample's half-swing; one longer than `longest` samples is divided evenly."""
+    """(n,) number, from 0, of each sample's half swing; longer ones than `longest` samples are divided evenly."""
     ends = [0, *reversals(q, least).tolist(), len(q)]
     cuts = [0]
     for a, b in pairwise(ends):
@@ -40,7 +40,7 @@ def half_swings(q: Array, least: float, longest: int | None = None) -> NDArray[n
 
 
 def unit_numbers(q: Array, run: NDArray[np.int64], least: float, longest: int | None = None) -> NDArray[np.int64]:
-    """(n,) number of the half-swing, unique over all runs; `run` (n,) are the samples' runs, in order."""
+    """(n,) number of the half swing, unique over all runs; `run` (n,) are the samples' runs, in order."""
     out = np.zeros(len(q), np.int64)
     count = 0
     for r in np.unique(run):

@@ -1,7 +1,7 @@
-"""What force is missing at every instant: measured accelerations against the equation of motion.
+"""Equation error: the force that measured accelerations require beyond the asset's equation of motion.
 
-Smoothed derivatives make this biased and noisy: it points at where the gap is (facts of identification: errors in the
-regressors), and never decides what it is called.
+Smoothed derivatives make it biased and noisy (errors in regressors). It shows where simulation and measurement differ,
+and never decides which effect is named.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ _IMPACT_READINGS = (5, 12)  # fewest and most on either side of an impact
 
 @dataclass(frozen=True)
 class MissingForce:
-    """Samples of all runs in a row, those without a contact at a limit; (n,) each."""
+    """Samples of all runs in a row, those in contact with a limit excluded; (n,) each."""
 
     force: Array
-    """N*m or N: what the measured motion has beyond the simulated equation."""
+    """N*m or N that the measured motion requires beyond the simulated equation."""
     inertia: float
     """kg*m^2 or kg."""
     q: Array
@@ -45,16 +45,16 @@ class MissingForce:
     run: NDArray[np.int64]
     """Number of the run."""
     unit: NDArray[np.int64]
-    """Number of the half-swing, over all runs."""
+    """Number of the half swing, over all runs."""
     since_reversal: Array
-    """Way since the joint last turned back, rad or m; NaN before it first did."""
+    """Distance since the last reversal, rad or m; NaN before the first."""
     to_limit: Array
     """Distance to the nearer limit; inf without any."""
     command: Array
     """Commanded position less position; NaN without any."""
     run_names: tuple[str, ...]
     impacts: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    """(m, 3) of every arrival at a limit: which (-1 or 1), speed before, speed after, away from it."""
+    """(m, 3) of every impact at a limit: which (-1 or 1), speed before, rebound speed."""
 
 
 def estimate_missing_force(
@@ -69,13 +69,13 @@ def estimate_missing_force(
     """The force that the asset's equation lacks, with `effects` acting.
 
     Args:
-        measured: circumstances; inertia and gravity are scaled within their uncertainty to what fits best.
+        measured: circumstances; inertia and gravity are scaled within their uncertainty to the best fit.
         mechanics: the joint's, with the gravity of the recording.
         lower: limit, rad or m.
         upper: limit.
-        effects: those that are in the simulation.
-        runs: which to look at; None takes all that are not held out. Their `q` must be known.
-        plant: what says where the base is, where runs move it.
+        effects: those in the simulation.
+        runs: to use; None for all that are not held out. Their `q` must be known.
+        plant: for runs with base motion.
     """
     runs = tuple(r for r in measured.runs if not r.held_out) if runs is None else runs
     pieces, impacts, how = [], [], measured.interpolation
@@ -124,11 +124,12 @@ def estimate_missing_force(
 
 
 def smooth_run(run: Run, window: int | None = None) -> tuple[Array, Array, Array, Array, Array, Array] | None:
-    """Even times; position as read, smoothed, velocity, acceleration; and what acceleration is smoothed by.
+    """Even times; position as read, smoothed position, velocity, acceleration; and the smoothing kernel of the
+    acceleration. None for too short a run.
 
-    `window` is of how many readings; as wide as half swings allow when not given. None for too short a run. A local
-    polynomial's second derivative (Savitzky and Golay 1964) is exactly the true acceleration seen through a kernel;
-    forces seen through the same one have the same bias.
+    `window` is in readings; None for the longest that half swings allow. A local polynomial's second derivative
+    (Savitzky and Golay 1964) is exactly the true acceleration convolved with a kernel; forces convolved with it have
+    the same bias.
     """
     from scipy.signal import savgol_coeffs, savgol_filter
 
@@ -161,7 +162,7 @@ def model_forces(
     qd: Array,
     qdd: Array,
 ) -> tuple[Array, Array]:
-    """(n,) what acts besides gravity by the model, and gravity."""
+    """(n,) modelled forces without gravity, and gravity."""
     gain = float(np.prod([e.gain() for e in effects]))
     late = float(np.sum([e.delay() for e in effects if e.acts == "command"]))
     acting, drive, how = np.zeros(len(t)), np.zeros(len(t)), measured.interpolation
@@ -195,7 +196,7 @@ def model_forces(
 def _fit_scales(
     measured: Measured, inertia: float, q: Array, qd: Array, qdd: Array, given: Array, gravity: Array
 ) -> tuple[float, float]:
-    """By how much inertia and gravity differ from the asset's, as far as they may, with room for smooth losses."""
+    """Scales of inertia and gravity within their uncertainty, with free smooth losses."""
     from scipy.optimize import lsq_linear
 
     reach = measured.inertia_relative, measured.gravity_relative
@@ -219,9 +220,10 @@ def _is_near_limit(q: Array, lower: float, upper: float) -> NDArray[np.bool_]:
 
 
 def _find_impacts(t: Array, raw: Array, touching: NDArray[np.bool_]) -> list[list[float]]:
-    """Of every arrival at a limit: which one (-1 or 1), speed just before it, speed away just after it.
+    """Per impact at a limit: which one (-1 or 1), speed before it, rebound speed after it.
 
-    Speeds by parabolas through some readings on either side, for after a dead stop gravity may take the part away too.
+    Speeds are from parabolas through some readings on either side, since after a dead stop gravity may move the part
+    away, too.
     """
     found: list[list[float]] = []
     middle = 0.5 * (float(raw.max()) + float(raw.min()))

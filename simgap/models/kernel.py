@@ -1,8 +1,7 @@
-"""One joint under any effects, compiled: classical Runge-Kutta steps between events, each at its own time.
+"""Simulation of one joint under any effects, compiled: RK4 steps between events, each at its own time.
 
-Events are: friction stops the joint (it then sticks, or slides back), an impact at a limit, a memory that changes, the
-two sides of a slack that meet or part, and an input that jumps. A step in which one happens is cut there, by regula
-falsi or by bisection.
+Events: friction stops the joint (it then sticks, or reverses), an impact at a limit, a change of memory, contact or
+separation at a slack, and a jump of an input. A step with an event is cut there, by regula falsi or bisection.
 """
 
 from __future__ import annotations
@@ -38,44 +37,45 @@ READING_DELAY, Q0, QD0, TRAVEL, GRIPPING = 16, 17, 18, 19, 20
 SHAFT_INERTIA, SHAFT_BACK, SHAFT_SWING, HOLDING = 21, 22, 23, 24
 OFFSET, DEAD_BAND, MAX_COMMANDED, BACK_EMF, MAX_FORCE = 25, 26, 27, 28, 29
 MOMENT_SCALE, MASS_SCALE, BASE_MOVES = 30, 31, 32
-"""Of a base that moves: factors of the rows of `base_motion.sway_terms`, and whether it does. What it does now:"""
+"""Of a moving base: factors of its moment and mass terms (`base_motion.base_motion_terms`), and whether it moves."""
 BASE_COS, BASE_SIN, BASE_CONST, BASE_COS2, BASE_SIN2, BASE_LINEAR = 33, 34, 35, 36, 37, 38
+"""Force terms of the moving base at present."""
 MODEL_ERROR_SPEED = 39
-"""The speed at which effects depart from their formulas by all that they do over speeds; 0 when they do not."""
+"""Speed at which the speed term of the effects' model error is at its largest; 0 without model error."""
 GEARED = 40
-"""Whether the drive's gears rub."""
+"""Whether the drive's gears have friction."""
 HEAD = 41
-"""Places in the vector of numbers that describes one simulation; behind them each effect has its place, then how it
-departs from its formula, then its parameters."""
+"""Length of the head of the vector that describes a simulation. Then, for each effect: place, model error (TERM_HEAD
+numbers together), parameters."""
 TERM_HEAD = 5
-"""The middle and the half width of where an effect acts that has a place, or departs; and by what part of itself it
-departs over speeds, as a slope over places, and as a bend there."""
+"""Middle and half width of an effect's place or of its model error's range; shares over speed, over position, and of
+the bend."""
 
 _BISECTIONS = 25
 _SPARE_STEPS = 4000
-"""Steps cut short by events that a simulation may have besides twice its whole ones."""
+"""Steps beyond twice the regular ones that events may add."""
 _FALSI = 7
 _BEYOND_EVENT = 2.0**-25
-"""Of a step, beyond which an event that was just found has surely happened: as close as bisection comes."""
+"""Share of a step beyond a located event, where it has surely happened: the resolution of the bisection."""
 _PRESLIDING_LEFT = 0.02
-"""Part of the friction level that may still build up unseen."""
+"""Share of the friction level below which presliding is not resolved by steps."""
 _PRESLIDING_TRAVELS = 40.0
-"""Times TRAVEL after which nothing is left of where a motion began: exp(-40) is less than a bit of 1."""
+"""Presliding travels after which the initial state is forgotten: exp(-40) is below rounding."""
 _MAX_REST_LOAD = 0.98
-"""Of the friction level: beyond, a part at rest gives way no further before it slides."""
+"""Share of the friction level above which a part at rest deflects no further before it slides."""
 _CONVERGED = 1e-9
-"""Part of itself by which an acceleration may yet change: four orders below what a step is off by."""
+"""Relative change of an acceleration at convergence: four orders below the step's error."""
 _MIN_SPEED_SHARE = 0.05
-"""Of the speed at which effects depart by all that they do over speeds: below, they depart no more. Not measured."""
+"""Share of MODEL_ERROR_SPEED below which the speed term is constant. Not measured."""
 _PLACE_REACH = 2.0
-"""Half widths about its middle within which an effect that has a place is stepped finely."""
+"""Distance to the place of an effect, in half widths, within which steps are fine."""
 _STOPPED, _LIMIT, _MEMORY, _MET, _PARTED, _LOCATED = 1, 2, 4, 8, 16, 32
 
 
 @inlined
 def error_factor(p, at, q, v):  # pragma: no cover
-    """What a real effect is times its formula: a slope over the logarithm of speeds, so that what goes with another
-    power of speed departs as much at all of them, and a slope and a bend over places."""
+    """Factor of an effect's formula with model error: a slope over the logarithm of speed, so that another exponent
+    deviates evenly, and a slope and a bend over position."""
     fast = 1.0 - 2.0 * math.log(max(min(abs(v) / p[MODEL_ERROR_SPEED], 1.0), _MIN_SPEED_SHARE)) / math.log(
         _MIN_SPEED_SHARE
     )
@@ -85,7 +85,7 @@ def error_factor(p, at, q, v):  # pragma: no cover
 
 @njit(cache=True)
 def error_factors(p, at, q, v):  # pragma: no cover
-    """(n,) the same along a motion; 1 where effects are their formulas."""
+    """(n,) the same along a motion; 1 without model error."""
     found = np.ones(len(q))
     if p[MODEL_ERROR_SPEED] > 0.0:
         for i in range(len(q)):
@@ -95,7 +95,7 @@ def error_factors(p, at, q, v):  # pragma: no cover
 
 @inlined
 def _sum(acts, terms, p, memory, q, v, load, carried):  # pragma: no cover
-    """Sum of all forces, or of all friction levels, under the load on the bearing and what gears carry."""
+    """Sum of all forces, or of all friction levels, under the bearing's and the gears' load."""
     total = 0.0
     for k in range(len(terms)):
         if terms[k, 1] == acts:
@@ -115,7 +115,7 @@ def _actuator(p, q, v, position, effort):  # pragma: no cover
 
 @inlined
 def _base_force(p, q):  # pragma: no cover
-    """Force of a base that moves (`base_motion.sway_force`)."""
+    """Force of a moving base (`base_motion.base_motion_force`)."""
     c, s = math.cos(q), math.sin(q)
     F = p[BASE_CONST] + p[BASE_LINEAR] * q + p[BASE_COS] * c + p[BASE_SIN] * s
     return F + p[BASE_COS2] * (c * c - s * s) + 2.0 * p[BASE_SIN2] * s * c
@@ -135,7 +135,7 @@ def _total_force(terms, p, memory, q, v, side, push, position, effort):  # pragm
 
 @inlined
 def _drive_force(p, q, v, side, position, effort):  # pragma: no cover
-    """Force of the actuator on the part, 0 where slack is between them."""
+    """Force of the actuator on the part, 0 within a slack."""
     if p[SLACK_WIDTH] == 0.0:
         return _actuator(p, q, v, position, effort)
     if side != 0:
@@ -145,7 +145,7 @@ def _drive_force(p, q, v, side, position, effort):  # pragma: no cover
 
 @inlined
 def _gear_load(p, q, v, side, position, effort, F):  # pragma: no cover
-    """What gears carry of all forces `F` but friction; 0 where none rub."""
+    """Load of the gears under all forces `F` but friction; 0 where none have friction."""
     if p[GEARED] == 0.0:
         return 0.0
     return abs(2.0 * _drive_force(p, q, v, side, position, effort) - F)
@@ -153,8 +153,8 @@ def _gear_load(p, q, v, side, position, effort, F):  # pragma: no cover
 
 @inlined
 def _bearing_load(p, q, v):  # pragma: no cover
-    """Square of the load that the bearing carries but for its acceleration, and what a unit of that adds to it to first
-    order; 0 where no friction asks for the load."""
+    """Square of the bearing load without acceleration, and its derivative by the acceleration; 0 where no friction
+    depends on it."""
     if p[LOAD_WEIGHT2] == 0.0 and p[LOAD_ARM2] == 0.0:
         return 0.0, 0.0
     c, s = math.cos(q), math.sin(q)
@@ -164,7 +164,7 @@ def _bearing_load(p, q, v):  # pragma: no cover
 
 @inlined
 def _level_of(terms, p, memory, q, v, qdd, bearing, carried):  # pragma: no cover
-    """Friction level at this acceleration under what `_bearing_load` and `_gear_load` say."""
+    """Friction level at this acceleration, for the loads of `_bearing_load` and `_gear_load`."""
     load2 = bearing[0] + qdd * (bearing[1] + qdd * p[LOAD_ARM2])
     load = math.sqrt(load2) if load2 > 0.0 else 0.0  # a root costs as much as a formula
     return _sum(DRIVE, terms, p, memory, q, v, load, carried)
@@ -172,14 +172,14 @@ def _level_of(terms, p, memory, q, v, qdd, bearing, carried):  # pragma: no cove
 
 @inlined
 def _level(terms, p, memory, q, carried):  # pragma: no cover
-    """Friction level at rest, under the load that the bearing and the gears carry there."""
+    """Friction level at rest."""
     return _level_of(terms, p, memory, q, 0.0, 0.0, _bearing_load(p, q, 0.0), carried)
 
 
 @inlined
 def _bristle(p, slide, grip, q):  # pragma: no cover
-    """How far friction has built up at `q`, -1 to 1: `grip` is that where a motion in direction `slide` began, and
-    where it did."""
+    """Presliding state at `q`, -1 to 1: `grip` is the state where a motion in direction `slide` began, and that
+    position."""
     if p[TRAVEL] == 0.0 or grip[0] == slide:
         return 1.0 * slide
     way = abs(q - grip[1])
@@ -224,7 +224,7 @@ def _slopes(y, terms, p, memory, frozen, slide, grip, side, push, position, effo
 
 @jit
 def _rk4_step(y, h, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
-    """State after `h` by the classical Runge-Kutta step, nothing changing but the state."""
+    """State after `h` by one RK4 step under constant conditions."""
     q, v, x, w = y
     q1, v1, x1, w1, there = q, v, x, w, y
     for stage in range(4):
@@ -240,14 +240,14 @@ def _rk4_step(y, h, terms, p, memory, frozen, slide, grip, side, push, position,
 
 @jit
 def _contact(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
-    """Force of the drive side on the part while they touch."""
+    """Force of the drive side on the part in contact."""
     a, _ = _slopes(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
     return _actuator(p, y[2], y[3], position, effort) - p[SLACK_INERTIA] * a
 
 
 @jit
 def _events(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
-    """What has happened by the state `y`, as bits."""
+    """Events that have happened by the state `y`, as bits."""
     found = 0
     q, v, x, w = y
     if not frozen:
@@ -272,7 +272,7 @@ def _events(y, terms, p, memory, frozen, slide, grip, side, push, position, effo
 def _event_function(
     what, y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded
 ):  # pragma: no cover
-    """What is left until the sides of a slack part meet (how far they are apart), or part (the force between them)."""
+    """Zero at the event: distance of the sides of a slack before contact, force between them before separation."""
     if what == _MET:
         return 0.5 * p[SLACK_WIDTH] - abs(y[2] - y[0])
     return side * _contact(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
@@ -280,7 +280,7 @@ def _event_function(
 
 @jit
 def _passes_place(terms, p, a, b):  # pragma: no cover
-    """Whether a way from a to b comes near the place of an effect that has one."""
+    """Whether a motion from a to b comes near the place of an effect."""
     for k in range(len(terms)):
         if terms[k, 3]:
             at = terms[k, 2]
@@ -292,7 +292,7 @@ def _passes_place(terms, p, a, b):  # pragma: no cover
 
 @jit
 def _rest_position(y, p, load, part, side):  # pragma: no cover
-    """State and grip of a part at rest that gives way to a `load`, over the friction level, until friction bears it."""
+    """State and grip of a part at rest that deflects under a `load` (relative to the friction level) to equilibrium."""
     load = min(max(load, -_MAX_REST_LOAD), _MAX_REST_LOAD)
     if abs(load - part) < 1e-9:
         return y, (part, y[0])
@@ -304,7 +304,7 @@ def _rest_position(y, p, load, part, side):  # pragma: no cover
 
 @jit
 def _rebound(terms, p, v):  # pragma: no cover
-    """Speed after an impact that came in with `v`."""
+    """Speed after an impact with speed `v`."""
     after = 0.0
     for k in range(len(terms)):
         if terms[k, 1] == STOP:
@@ -316,7 +316,7 @@ def _rebound(terms, p, v):  # pragma: no cover
 
 @jit
 def _rebound_from_drive(terms, p, memory, limit, towards, v, side, push, position, effort):  # pragma: no cover
-    """Seconds at a limit, and speed after them, of a part that came in with `v` and whose drive takes it back."""
+    """Time at a limit, s, and speed after it, of a part that hits it with `v` and is taken back by its drive."""
     drive, press, others = 0.0, 0.0, p[INERTIA] - p[SHAFT_INERTIA]
     if p[SHAFT_SWING] > 0.0:
         drive = towards * _actuator(p, limit, 0.0, position, effort)
@@ -331,8 +331,8 @@ def _rebound_from_drive(terms, p, memory, limit, towards, v, side, push, positio
 def _roll(
     p, terms, memory, times, t_in, command, effort, pushes, hold_difference, base_motion, coarse, fine, out
 ):  # pragma: no cover
-    """Positions `out` (n,) as read at `times` (n,), for one vector of numbers, by steps that are `coarse` but near the
-    place of an effect that has one."""
+    """Positions `out` (n,) as read at `times` (n,), for one vector; steps are `coarse`, `fine` near the place of an
+    effect."""
     n, inputs = len(times), len(t_in)
     dry, loaded = False, p[LOAD_ARM2] > 0
     for k in range(len(terms)):
@@ -558,7 +558,7 @@ def _roll(
 
 
 def _compile_sweep(stamp: int) -> Any:
-    """The door, as a closure over the formulas' stamp: so numba's cache on disk knows when one has changed."""
+    """The entry point, as a closure over the formulas' stamp, so that numba's disk cache notices changed formulas."""
 
     @njit(cache=True, nogil=True, error_model="numpy")
     def sweep(
@@ -608,11 +608,13 @@ def _compile_sweep(stamp: int) -> Any:
 
 
 sweep = _compile_sweep(STAMP)
-"""sweep(numbers (m, k), terms (t, 5), which (m,), times, begins, t_in, command, effort, pushes, beside, sway, enters,
-steps, out): m simulations, row by row of run `which`. Runs lie one behind the other: the times of run r from begins[r]
-to begins[r + 1], its inputs from enters[r, 0] to enters[r, 1]; its steps are steps[r], coarse and fine. `terms` are
-law, what it does (FORCE, DRIVE, STOP), where its numbers begin, whether it has a place, near which steps are fine, and
-whether it looks at what gears carry.
-Inputs last from `t_in` to the next, with HOLDING times `beside` (3, i) added to the three; so does `sway` (8, i), of
-bases that move, (8, 0) where none does. Into `out`, one behind the other, the positions of every row at the times of
-its run. A run that leaves all bounds reads 1e6; one with events without end stays where they begin."""
+"""sweep(numbers (m, k), terms (t, 5), which (m,), times, begins, t_in, command, effort, pushes, hold_difference,
+base_motion, enters, steps, out): m simulations; row j is of run which[j].
+
+Runs are concatenated: times of run r from begins[r] to begins[r + 1], inputs from enters[r, 0] to enters[r, 1],
+steps[r] coarse and fine. `terms` are law, action (FORCE, DRIVE, STOP), index of its numbers, whether it has a place
+near which steps are fine, and whether it depends on the gears' load. Inputs are constant from `t_in` to the next;
+HOLDING times `hold_difference` (3, i) is added to the three. `base_motion` is (8, i), or (8, 0) without. `out` are the
+positions of all rows at the times of their runs, concatenated. A run that diverges reads 1e6; one with endless events
+stays where they begin.
+"""

@@ -1,4 +1,4 @@
-"""The effects' formulas, compiled: a choice among them by number, which costs no more than the formula."""
+"""The effects' formulas, compiled, with a choice among them by number that costs no more than the formula."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FORCE, DRIVE, STOP = 0, 1, 2
 ACTS = {"force": FORCE, "drive": DRIVE, "stop": STOP}
 
 LAWS: dict[str, int] = {name: i for i, name in enumerate(n for n in EFFECTS if EFFECTS[n].acts in ACTS)}
-"""Number of each law that the kernel knows."""
+"""Number of each law in the kernel."""
 NAMES = tuple(LAWS)
 """Effect of each number."""
 
@@ -79,4 +79,4 @@ drive_rebound, meet_part = jit(events.drive_rebound), jit(events.meet_part)
 part_at_limit, touching_side = jit(events.part_at_limit), jit(events.touching_side)
 _files = (__file__, events.__file__, mechanics.__file__, *(inspect.getfile(EFFECTS[n]) for n in LAWS))
 STAMP = int.from_bytes(hashlib.sha256(b"".join(Path(file).read_bytes() for file in _files)).digest()[:7], "big")
-"""Of all these formulas: another one when any of them changes."""
+"""Hash of all formulas."""

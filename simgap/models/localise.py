@@ -1,9 +1,9 @@
-"""Where simulation and measurement part: maps of the missing force, tested by flipping the signs of half-swings.
+"""Localisation: maps of the missing force, tested by sign flips of half swings.
 
-Samples next to each other say the same, so the exchangeable unit is the half-swing: where nothing is missing, the sum
-of its residuals is as likely to be positive as negative. The largest deviation over all bins of a map is compared
-with those of sign-flipped data (so one p-value holds for the whole map), and maps are corrected for their number
-(Benjamini and Hochberg 1995).
+Neighbouring samples are dependent, so the exchangeable unit is the half swing: where nothing is missing, the sum of its
+residuals is positive or negative with equal probability. The largest deviation over all bins of a map is compared with
+those of sign-flipped data, which gives one p-value per map; these are corrected for the number of maps (Benjamini and
+Hochberg 1995).
 """
 
 from __future__ import annotations
@@ -29,31 +29,31 @@ _LEAST_UNITS = 6  # half-swings below which no sign pattern is rare
 
 @dataclass(frozen=True)
 class ResidualMap:
-    """Mean missing force against one quantity."""
+    """Mean missing force over one quantity."""
 
     quantity: str
     edges: Array
     """(bins + 1,) in SI units."""
     mean: Array
-    """(bins,) N*m or N; NaN where nothing was measured."""
+    """(bins,) N*m or N; NaN without samples."""
     spread: Array
-    """(bins,) standard error of the mean, from half-swing to half-swing."""
+    """(bins,) standard error of the mean, between half swings."""
     p_value: float
-    """That nothing is missing anywhere on this map; all its bins are accounted for."""
+    """Of no missing force anywhere on this map, over all its bins."""
     adjusted: float
-    """The same after the correction for the number of maps."""
+    """The same, corrected for the number of maps."""
     flagged: NDArray[np.bool_]
-    """(bins,) where the deviation alone is beyond what sign flips make anywhere."""
+    """(bins,) whether the deviation exceeds that of sign flips anywhere."""
     signed: bool
     """True: positive is towards larger positions. False: positive is along the motion, negative a brake."""
     labels: tuple[str, ...] = ()
     """Names of the bins where they are no range, such as runs."""
     local_only: bool = False
-    """True: what smooth friction, spring and gravity leave; only what is local shows."""
+    """True: with smooth friction, springs and gravity removed, so only local forces show."""
 
 
 def make_residual_maps(found: MissingForce, seed: int = 0) -> tuple[ResidualMap, ...]:
-    """Maps of the missing force: position, speed, direction, since reversal, to limit, command, time, run."""
+    """Maps over position, speed, direction, distance since reversal, distance to limit, command, time and run."""
     if len(found.force) < 4 * _BINS or not found.qd.any():  # an encoder that reads the same all along
         return ()
     rng = np.random.default_rng([seed, 11])
@@ -87,13 +87,13 @@ def make_residual_maps(found: MissingForce, seed: int = 0) -> tuple[ResidualMap,
 
 
 def correct_maps(maps: Sequence[ResidualMap]) -> tuple[ResidualMap, ...]:
-    """The maps with p-values corrected for their number, and nothing flagged on those above `LEVEL`."""
+    """The maps with p-values corrected for their number, and no flags on those above `LEVEL`."""
     adjusted = benjamini_hochberg(np.array([m.p_value for m in maps])).tolist()
     return tuple(replace(m, adjusted=p, flagged=m.flagged & (p <= LEVEL)) for m, p in zip(maps, adjusted, strict=True))
 
 
 def benjamini_hochberg(p: Array) -> Array:
-    """(n,) p-values corrected for their number: called significant below a level, that part of them is false."""
+    """(n,) p-values corrected for their number (false discovery rate)."""
     order = np.argsort(p)
     n = len(p)
     stepped = np.minimum.accumulate((p[order] * n / np.arange(1, n + 1))[::-1])[::-1]
@@ -103,7 +103,7 @@ def benjamini_hochberg(p: Array) -> Array:
 
 
 def flagged_regions(maps: tuple[ResidualMap, ...], found: MissingForce, joint_type: JointType) -> tuple[Region, ...]:
-    """The regions that the maps flag, the surest first, in words; and stops that throw the part back."""
+    """The flagged regions of the maps, in words, the most significant first; and rebounds at stops."""
     out: list[Region] = []
     for m in maps:
         if m.adjusted > LEVEL:
@@ -124,9 +124,9 @@ def flagged_regions(maps: tuple[ResidualMap, ...], found: MissingForce, joint_ty
 def sign_flip_test(
     units: NDArray[np.int64], bins: NDArray[np.int64], values: Array, count: int, rng: np.random.Generator
 ) -> tuple[Array, float, float]:
-    """Deviation (bins,) in standard errors, p-value of the largest one, and what it must pass at 5 %.
+    """Deviation (bins,) in standard errors, p-value of the largest one, and its 5 % threshold.
 
-    Sums of `values` (n,) by unit and bin are flipped by random signs, one sign a unit.
+    Sums of `values` (n,) by unit and bin are multiplied by random signs, one per unit.
     """
     names, unit = np.unique(units, return_inverse=True)
     sums = np.zeros((len(names), count))
@@ -187,7 +187,7 @@ def bin_map(
     labels: tuple[str, ...] = (),
     local_only: bool = False,
 ) -> ResidualMap:
-    """The map of `values` (n,) in `bins` (n,), each of one of the exchangeable `units` (n,)."""
+    """The map of `values` (n,) in `bins` (n,), with exchangeable `units` (n,)."""
     count = len(edges) - 1
     z, p, most = sign_flip_test(units, bins, values, count, rng)
     n = np.bincount(bins, minlength=count)
@@ -198,7 +198,7 @@ def bin_map(
 
 
 def _remove_smooth(found: MissingForce) -> Array:
-    """The missing force less what friction, drag, spring and gravity of any size make of it, by least squares."""
+    """The missing force less friction, drag, spring and gravity, by least squares."""
     q, qd = found.q, found.qd
     columns = np.stack([np.ones_like(q), q, np.sin(q), np.cos(q), qd, np.sign(qd), qd * np.abs(qd)], -1)
     size = np.maximum(np.abs(columns).max(0), 1e-12)
@@ -207,7 +207,7 @@ def _remove_smooth(found: MissingForce) -> Array:
 
 
 def _flagged_stretches(m: ResidualMap) -> list[tuple[int, int]]:
-    """First and last bin of every unbroken stretch of flagged bins of one sign."""
+    """First and last bin of every run of flagged bins of one sign."""
     out: list[tuple[int, int]] = []
     for i in np.flatnonzero(m.flagged):
         joined = not m.labels and out and out[-1][1] == i - 1 and m.mean[i] * m.mean[i - 1] > 0
@@ -216,13 +216,13 @@ def _flagged_stretches(m: ResidualMap) -> list[tuple[int, int]]:
 
 
 def _is_same_place(known_region: Region, quantity: str, low: float, high: float) -> bool:
-    """Whether a region of the position alone is one that was told of already."""
+    """Whether a region of the position map is already reported by the local one, or the reverse."""
     both = {known_region.quantity, quantity} == {"position", "position, by itself"}
     return both and low <= known_region.high and high >= known_region.low
 
 
 def _find_bounces(found: MissingForce) -> Region | None:
-    """Arrivals at a limit after which the part comes back, which the simulated stop does not do."""
+    """Impacts after which the part rebounds, which the simulated stop does not do."""
     from scipy.stats import binomtest
 
     speeds = found.impacts

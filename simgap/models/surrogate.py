@@ -1,7 +1,6 @@
-"""The fast simulation that fits search in: one joint in double precision, any effects of the library, inputs and all.
+"""The fast simulation used by fits: one joint in double precision, with any effects and inputs.
 
-`kernel` does the stepping; here assets, effects and runs become its vectors of numbers. It must say what
-`generator.simulate` says (a test holds them together).
+`kernel` steps; here assets, effects and runs become its vectors. A test compares it with `generator.simulate`.
 """
 
 from __future__ import annotations
@@ -31,27 +30,27 @@ from simgap.models import kernel, laws
 from simgap.settings import SurrogateSettings
 
 _THREADING_SIZE = 20_000
-"""Readings and inputs from which rows are shared out to threads. On two idle cores 8,000 took .35 ms by one thread and
-.45 by two, 24,000 1.0 and .66, 135,000 9.3 and 5.1."""
+"""Readings and inputs above which rows are distributed to threads. On two free cores 8,000 took .35 ms with one thread
+and .45 with two, 24,000 1.0 and .66, 135,000 9.3 and 5.1."""
 Steps = tuple[float, float]
-"""Time steps, s: away from the places of effects that have one, and near them."""
+"""Time steps, s: away from local effects, and near them."""
 
 
 @dataclass(frozen=True)
 class Plant:
-    """What the asset says of its joint; frame of the joint's parent link."""
+    """A joint as the asset describes it; frame of the joint's parent link."""
 
     mechanics: JointMechanics
     lower: float
     upper: float
     effects: tuple[Effect, ...] = ()
-    """Effects that the asset has already."""
+    """Effects of the asset."""
     T_parent_canonical: Array = field(default_factory=lambda: np.eye(4))
-    """(4, 4) where the canonical frame is."""
+    """(4, 4) pose of the canonical frame."""
     base_is_parent: bool = True
     """Whether the joint moves the moving part, not the reference part (the base)."""
     drive: DriveLaw = DriveLaw()  # noqa: RUF009 (frozen)
-    """What the actuator gives."""
+    """The actuator's law."""
 
     @property
     def stiffness(self) -> float:
@@ -70,9 +69,11 @@ class Plant:
 
     @cached_property
     def gravity_terms(self) -> Array:
-        """(3, 3) cosine, sine and constant of gravity's force: as it is, and per rad of lean of the base in two ways.
+        """(3, 3) cosine, sine and constant of gravity's force: nominal, and per rad of tilt of the base in two
+        directions.
 
-        The two ways turn gravity towards the direction in the plane of a hinge's motion (a slider's axis), and across.
+        The tilts rotate gravity towards the direction in the plane of a hinge's motion (a slider's axis), and across
+        it.
         """
         joint, g = self.mechanics.joint, self.mechanics.gravity
         size = float(np.linalg.norm(g))
@@ -93,7 +94,7 @@ def _gravity_terms(mechanics: JointMechanics) -> Array:
 
 
 def make_plant(asset: Asset, measured: Measured) -> Plant:
-    """The joint of `asset` under the gravity and the actuator of `measured`; loads the asset in SAPIEN, neutral.
+    """The joint of `asset` under the gravity and the actuator of `measured`; loads the neutral asset in SAPIEN.
 
     Raises FreeArtError when what the joint moves has neither mass nor inertia.
     """
@@ -121,35 +122,35 @@ def _empty() -> Array:
 
 @dataclass(frozen=True)
 class Inputs:
-    """What drove a run; (i,) arrays, each value lasts until the next time."""
+    """Inputs of a run; (i,) arrays, zero-order hold."""
 
     times_s: Array = field(default_factory=_empty)
     command: Array = field(default_factory=_empty)
     """Commanded positions; NaN without a position law."""
     effort: Array = field(default_factory=_empty)
-    """Commanded efforts: they pass the actuator."""
+    """Commanded efforts, which pass the actuator."""
     push: Array = field(default_factory=_empty)
-    """External efforts: they act on the part."""
+    """External efforts, which act on the part."""
     hold_difference: Array | None = None
-    """(3, i) what commands, efforts and pushes have besides if each is held until its next row (`Nuisance.holding` 1);
-    None for nothing."""
+    """(3, i) change of commands, efforts and pushes under zero-order hold of the logged rows (`Nuisance.holding` 1);
+    None for none."""
     on: NDArray[np.bool_] | None = None
     """(i,) whether the actuator is on; None for always."""
     base_motion: Array | None = None
-    """(8, i) what the joint feels of a base that moves (`base_motion.sway_terms`); None for one at rest."""
+    """(8, i) force terms of a moving base (`base_motion.base_motion_terms`); None at rest."""
 
     @property
     def actuator_effort(self) -> Array:
-        """(i,) commanded efforts as the kernel takes them: NaN while the actuator is off."""
+        """(i,) commanded efforts for the kernel: NaN while the actuator is off."""
         return self.effort if self.on is None else np.where(self.on, self.effort, np.nan)
 
     @cached_property
     def held(self) -> bool:
-        """Whether a position law is at work."""
+        """Whether a position law is active."""
         return bool(np.isfinite(self.command).any())
 
     def with_rows(self, times_s: Array) -> Inputs:
-        """The same, with rows at these times (n,) besides."""
+        """The same, with additional rows at these times (n,)."""
         times = np.union1d(self.times_s, times_s)
         at = np.searchsorted(self.times_s, times, "right") - 1
 
@@ -167,7 +168,7 @@ class Inputs:
         )
 
     def pushed(self, times_s: Array, force: Array) -> Inputs:
-        """The same, with a force besides, (n,) in N*m or N at some of its times: it goes straight between."""
+        """The same, with an additional force (n,), N*m or N, at some of its times, linear between them."""
         middles = np.append(0.5 * (force[1:] + force[:-1]), force[-1])
         at = np.searchsorted(times_s, self.times_s, "right") - 1
         return replace(self, push=self.push + np.where(at < 0, 0.0, middles[np.maximum(at, 0)]))
@@ -175,20 +176,20 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Nuisance:
-    """By how much the asset may be off without anything missing."""
+    """Errors of the asset that are no effect."""
 
     inertia: float = 1.0
     """True over the asset's inertia."""
     gravity: float = 1.0
     """True over the asset's gravity force."""
     lean: tuple[float, float] = (0.0, 0.0)
-    """rad by which the base leans, see `Plant.gravity_terms`."""
+    """rad of tilt of the base, see `Plant.gravity_terms`."""
     holding: float = 0.0
-    """Of inputs of which nobody knows how they go on between their rows: 0 smoothly, 1 held until the next one."""
+    """Interpolation of inputs where it is unknown: 0 smooth, 1 zero-order hold."""
 
 
 def effect_terms(effects: tuple[Effect, ...] | tuple[type[Effect], ...]) -> NDArray[np.int64]:
-    """(t, 5) what the kernel needs to know of those effects that have a law there."""
+    """(t, 5) the kernel's description of the effects with a law."""
     rows, at = [], kernel.HEAD
     for effect in effects:
         if effect.name in laws.LAWS:
@@ -207,8 +208,8 @@ def make_vector(
 
     Args:
         plant: the joint.
-        effects: all effects, those of the asset among them.
-        nuisance: how the asset is off.
+        effects: all effects, those of the asset included.
+        nuisance: errors of the asset.
     """
     mechanics = plant.mechanics
     head = np.zeros(kernel.HEAD)
@@ -250,7 +251,7 @@ def make_vector(
 
 
 def _place_of(effect: Effect) -> tuple[float, float]:
-    """Middle and half width of where an effect acts that has a place; 0 and 1 of another."""
+    """Middle and half width of a local effect's support; 0 and 1 for others."""
     place: float | None = None
     for name, spec in effect.parameters().items():
         value = float(getattr(effect, name))
@@ -262,7 +263,7 @@ def _place_of(effect: Effect) -> tuple[float, float]:
 
 
 def _load_terms(mechanics: JointMechanics) -> tuple[float, float, float, float]:
-    """Numbers from which the kernel has the bearing's force (`JointMechanics.load`)."""
+    """The kernel's numbers for the bearing force (`JointMechanics.load`)."""
     weight, axis = mechanics.mass * mechanics.gravity, mechanics.joint.axis
     if mechanics.joint.type == "prismatic":
         across = weight - (weight @ axis) * axis
@@ -279,8 +280,8 @@ def time_steps(
     settings: SurrogateSettings = SurrogateSettings(),  # noqa: B008 (frozen)
     held: bool = True,
 ) -> Steps:
-    """Longest steps, s, at which the fastest oscillation is stepped finely, with the position law off unless `held`,
-    and none blows up: away from the places of effects that have one, and near them."""
+    """Longest steps, s, that resolve the fastest oscillation and are stable, away from local effects and near them;
+    without the position law unless `held`."""
     gain = float(np.prod([effect.gain() for effect in effects]))
     damping = gain * plant.drive.back_emf
     gain = gain if held else 0.0
@@ -302,7 +303,7 @@ def time_steps(
 
 
 def limit_creep_steps(plant: Plant, effects: tuple[Effect, ...], steps_s: Steps, settings: SurrogateSettings) -> Steps:
-    """The steps, s, or shorter ones at which a joint in thick oil creeps and does not blow up."""
+    """The steps, s, or shorter ones that are stable under strong damping."""
     damping = sum(effect.damping() for effect in effects)
     most = plant.mechanics.inertia / max(damping, 1e-12)
     coarse, fine = (max(min(step, most), settings.min_step_s) for step in steps_s)
@@ -310,29 +311,29 @@ def limit_creep_steps(plant: Plant, effects: tuple[Effect, ...], steps_s: Steps,
 
 
 def is_local(cls: type[Effect]) -> bool:
-    """Whether an effect has a place and a width, beyond which it does nothing."""
+    """Whether an effect has a place and a width beyond which it vanishes."""
     lengths = [s.lower for s in cls.parameters().values() if s.revolute_unit == "rad"]
     return cls.acts == "force" and min(lengths, default=0.0) < 0 <= max(lengths, default=0.0)
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Runs one behind the other, as the kernel takes them."""
+    """Concatenated runs, as the kernel takes them."""
 
     times_s: Array
     begins: NDArray[np.int64]
-    """(r + 1,) where the times of each run begin, and where they all end."""
+    """(r + 1,) index of the first time of each run, and their number."""
     series: tuple[Array, Array, Array, Array, Array, Array]
-    """Times, commands, efforts, pushes, (3, i) `Inputs.beside` and (8, i) `Inputs.sway` of all inputs, this (8, 0) when
-    no base moves."""
+    """Times, commands, efforts, pushes, (3, i) `Inputs.hold_difference` and (8, i) `Inputs.base_motion` of all inputs;
+    the last is (8, 0) without base motion."""
     enters: NDArray[np.int64]
-    """(r, 2) where the inputs of each run begin and end: stretches of one run share them."""
+    """(r, 2) range of the inputs of each run; stretches of one run share them."""
     held: NDArray[np.bool_]
-    """(r,) whether a position law is at work."""
+    """(r,) whether a position law is active."""
 
     @staticmethod
     def of(runs: Sequence[tuple[Array, Inputs]]) -> Batch:
-        """Of the times and the inputs of some runs."""
+        """From the times and inputs of some runs."""
         own = {id(i): i for _, i in runs}
         shared = [(i.times_s, i.command, i.actuator_effort, i.push) for i in own.values()]
         first, second, third, fourth = (np.concatenate([t[k] for t in shared]).astype(float) for k in range(4))
@@ -354,8 +355,8 @@ class Batch:
         )
 
     def sweep(self, numbers: Array, terms: NDArray[np.int64], which: NDArray[np.int64], steps_s: Array) -> Array:
-        """True positions, as late as they are read, of m vectors of numbers (m, k), each at the times of run `which`
-        (m,), one behind the other; `steps_s` (r, 2) are the runs' steps."""
+        """Positions, delayed as read, of m kernel vectors (m, k), each at the times of run `which` (m,), concatenated;
+        `steps_s` (r, 2) are the runs' steps."""
         ends = np.cumsum(np.append(0, self.begins[which + 1] - self.begins[which]))
         out = np.empty(int(ends[-1]))
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -377,25 +378,25 @@ class Batch:
 
 @lru_cache(maxsize=1)
 def _threads(process: int) -> ThreadPoolExecutor:
-    """Threads of a process: one that is forked needs its own."""
+    """Thread pool of a process; a forked one needs its own."""
     return ThreadPoolExecutor(thread_name_prefix="sweep")
 
 
 def _stack_rows(series: list[Array]) -> Array:
-    """Side by side, and laid out one way: numba's cache mixes up formulas in a process that loads two versions of the
+    """Concatenated and contiguous: numba's cache mixes up formulas in a process that loads two versions of the
     kernel."""
     return np.ascontiguousarray(np.concatenate(series, 1))
 
 
 def sweep(numbers: Array, terms: NDArray[np.int64], times_s: Array, inputs: Inputs, steps_s: Steps) -> Array:
-    """(m, n) true positions, as late as they are read, at `times_s` (n,), of m vectors of numbers (m, k)."""
+    """(m, n) positions, delayed as read, at `times_s` (n,), of m kernel vectors (m, k)."""
     which = np.zeros(len(numbers), np.int64)
     flat = Batch.of([(times_s, inputs)]).sweep(numbers, terms, which, np.array([steps_s]))
     return flat.reshape(len(numbers), len(times_s))
 
 
 def apply_sensing(effects: tuple[Effect, ...], q: Array) -> Array:
-    """What a sensor with these effects writes down at positions (...); the delay is the kernel's."""
+    """Readings of a sensor with these effects at positions (...); the kernel applies the delay."""
     return np.asarray(q + sum(effect.reading_error(q) for effect in effects if effect.kind == "sensing"))
 
 
@@ -409,7 +410,7 @@ def simulate(
     nuisance: Nuisance = Nuisance(),
     settings: SurrogateSettings = SurrogateSettings(),  # noqa: B008 (frozen)
 ) -> Array:
-    """(n,) readings at `times_s` (n,), rising; the state (q0, qd0) is that of the first reading's instant."""
+    """(n,) readings at `times_s` (n,), rising; (q0, qd0) is the state at the first reading."""
     numbers = make_vector(plant, effects, nuisance)
     numbers[kernel.Q0], numbers[kernel.QD0] = q0, qd0
     times = np.ascontiguousarray(times_s, float)

@@ -1,4 +1,4 @@
-"""From an explanation to what stands on disk: the repaired asset, shown in SAPIEN or rolled back, verdict and page."""
+"""Publication: the repaired asset, confirmed in SAPIEN or rolled back, the verdict and the page."""
 
 from __future__ import annotations
 
@@ -62,12 +62,12 @@ from simgap.verdict import (
 )
 
 MOST_REPLAYS = 6
-"""Runs that SAPIEN replays; of every regime some."""
+"""Runs that SAPIEN replays, from every regime some."""
 _MOST_POSES = 150
 
 
 def replace_poses(measured: Measured, geometry: KinematicsFinding | None) -> Measured:
-    """The set with the poses of its runs replaced by positions along the joint, the named geometry taken out."""
+    """The set with part poses replaced by positions along the joint, the named geometry removed."""
     if geometry is None:
         return measured
     of = {track.name: track for track in geometry.tracks}
@@ -82,7 +82,7 @@ def replace_poses(measured: Measured, geometry: KinematicsFinding | None) -> Mea
 
 @dataclass(frozen=True)
 class Paths:
-    """Where things are, as they were given: for the command lines that repeat the proof."""
+    """Paths as given to the command, for the command lines that repeat the proof."""
 
     asset: Path
     measured: Path
@@ -94,15 +94,15 @@ class Paths:
 
 @contextmanager
 def answer_folder(out: Path, inputs: Sequence[Path]) -> Iterator[Path]:
-    """A new folder that takes the place of `out` at the end, whole or not at all. Raises FreeArtError where `out` holds
-    anything but an older answer, or is one of the inputs."""
+    """A new folder that replaces `out` at the end, as a whole. Raises FreeArtError where `out` holds anything but an
+    older answer, or is an input."""
     check_place(out, ANSWER, inputs)
     with only_writer(out), new_folder(out, ANSWER) as aside:
         yield aside
 
 
 def write_answer(folder: Path, verdict: Verdict, kind: JointType, html: str) -> None:
-    """The page and verdict.json, which names the files that lie beside it."""
+    """Write the page, then verdict.json, which lists the other files."""
     atomic.write_bytes(folder / "index.html", html.encode())
     verdict.write(folder / "verdict.json", kind)
 
@@ -119,24 +119,24 @@ def publish(
     progress: Progress | None = None,
     paths: Paths | None = None,
 ) -> Verdict:
-    """Write asset/, verdict.json and index.html into `folder`; the verdict as it stands after the replay in SAPIEN.
+    """Write asset/, verdict.json and index.html into `folder`; returns the verdict after the replay in SAPIEN.
 
-    Only effects that are certain are written into asset/. Those that do not help on runs that were not fitted are
-    rolled back, motion and geometry each by itself, and the verdict is then unexplained. A trial repair that is not in
-    asset/ is in trial/, as of several rivals the best. Positions that part poses were made into are in runs/.
-    Every gap of positions is a replay of these files.
+    Only certain effects are written into asset/. Those that do not improve runs that were not fitted are rolled back,
+    motion and geometry separately, and the verdict becomes unexplained. A trial repair that is not in asset/ is in
+    trial/, for example the best of several rivals. Positions from part poses are in runs/. Every gap in position is a
+    replay of these files.
 
     Args:
-        asset: as it was.
-        measured: all runs, poses too.
-        draft: what the fits came to.
+        asset: as given.
+        measured: all runs, poses included.
+        draft: result of the fits.
         folder: must exist.
         title: of the page.
-        seconds: what the verdict took, for the page.
-        seed: of permutations.
-        replay_seconds: when these are over the replay is given up; the answer stays, and says so.
-        progress: told how many replays are done.
-        paths: those of the command; as they are here when not given.
+        seconds: duration of the analysis, for the page.
+        seed: of permutation tests.
+        replay_seconds: limit of the replay; the verdict then says so.
+        progress: called with the number of replays done.
+        paths: those of the command; None for the actual ones.
     """
     runs, posed = replace_poses(measured, draft.geometry), any(run.poses is not None for run in measured.runs)
     if posed:
@@ -198,7 +198,7 @@ def publish(
 def _write_asset(
     asset: Asset, effects: tuple[NamedEffect, ...], body: BodyCorrection, verdict: Verdict, folder: Path
 ) -> None:
-    """The asset with these effects and this body, which says what became of it."""
+    """Write the asset with these effects and this body, with the source in asset.json."""
     source: dict[str, Any] = {"verdict": verdict.verdict, "effects": [n.effect.name for n in effects]}
     source |= {"corrections": [vars(c) for c in verdict.corrections]} if verdict.corrections else {}
     changed = bool(effects) or body != NO_CORRECTION
@@ -206,13 +206,13 @@ def _write_asset(
 
 
 def _select_moving(effects: Sequence[NamedEffect]) -> list[NamedEffect]:
-    """Those that change how the joint moves, or what is read of it."""
+    """Effects that change the joint's motion or its readings."""
     return [named for named in effects if named.effect.kind != "kinematics"]
 
 
 @dataclass(frozen=True)
 class _Tracks:
-    """Runs of poses, as they are held against the asset as it was and as it is now."""
+    """Runs of poses to compare with the asset as given and as repaired."""
 
     tracks: tuple[TrackGeometry, ...] = ()
     before: tuple[PosesToReplay, ...] = ()
@@ -228,8 +228,8 @@ def _replay_trial(
     seconds: float,
     progress: Progress | None,
 ) -> tuple[tuple[Replay, ...], ReplayComparison | None, str]:
-    """The replays by the asset as it was and, where it was changed, by the other one, and what they show; or why there
-    are none, which is empty for nothing to replay."""
+    """Replays with the asset as given and as repaired, their comparison, and why there is none (empty for nothing to
+    replay)."""
     if not chosen and not poses.tracks:
         return (), None, ""
     both, holding = (poses.before, poses.after), draft.verdict.holding or 0.0
@@ -243,7 +243,7 @@ def _replay_trial(
 def _ask_witness(
     assets: Sequence[AssetOnDisk], runs: Measured, replays: tuple[Replay, ...], holding: float, seconds: float
 ) -> dict[str, Any]:
-    """What MuJoCo says of the same runs, from the same states, by the files as they were given and as delivered."""
+    """MuJoCo's gaps of the same runs, from the same start states, with the files as given and as delivered."""
     answer: dict[str, Any] = {"engine": "mujoco"}
     names = [run.run for run in replays[0].runs]
     starts = [Starts({r.run: r.start for r in one.runs}, {r.run: r.noise for r in one.runs}) for one in replays]
@@ -268,7 +268,7 @@ def _make_proof(
     made_by: Replay,
     witness: dict[str, Any],
 ) -> Proof:
-    """What replayed, and the command lines that do it again."""
+    """The engine of the replay, and the command lines that repeat it."""
     paths = paths or Paths(asset_address(asset), Path("MEASURED"), folder, asset.root)
     measured_path = paths.out / "runs" if posed else paths.measured
     how = [] if holding is None else ["--holding", repr(holding)]
@@ -288,7 +288,7 @@ def _make_proof(
 def _judge(
     verdict: Verdict, draft: Draft, tried: tuple[NamedEffect, ...], comparison: ReplayComparison, seconds: float
 ) -> tuple[Verdict, tuple[NamedEffect, ...], list[str]]:
-    """The verdict after the replay, the effects that go into the asset, and what else must be said."""
+    """The verdict after the replay, the effects of the asset, and notes."""
     certain = draft.certain
     notes: list[str] = []
     fitted = {gap.regime for gap in verdict.gaps if gap.use == "fitted"}
@@ -356,7 +356,7 @@ def _missing_force_inputs(
 
 
 def _pick_runs(runs: Measured, verdict: Verdict) -> list[str]:
-    """Runs to replay, of those with a start that tell what the answer is worth: the regimes in turn."""
+    """Runs to replay: deciding ones with a start state, from the regimes in turn."""
     tell = {gap.run: gap for gap in deciding_runs(verdict.gaps)}
     unfitted = {gap.run for gap in verdict.gaps if gap.use != "fitted"}
     wanted = tell.keys() & unfitted or tell.keys()
@@ -371,7 +371,7 @@ def _pick_runs(runs: Measured, verdict: Verdict) -> list[str]:
 def _place_tracks(
     asset: Asset, measured: Measured, geometry: KinematicsFinding | None, tried: tuple[NamedEffect, ...]
 ) -> _Tracks:
-    """Runs of poses to replay: those held out, else three, where any geometry is tried."""
+    """Runs of poses to replay: held-out ones, else three, where any geometry is tried."""
     if geometry is None or not geometry.effects or len(_select_moving(tried)) == len(tried):
         return _Tracks()
     of, placed = {run.name: run for run in measured.runs}, place(asset, measured.gravity)
@@ -391,7 +391,7 @@ def _place_tracks(
 
 
 def _measure_gaps(gaps: tuple[RunGap, ...], comparison: ReplayComparison) -> tuple[RunGap, ...]:
-    """Gaps with those that SAPIEN measured in their places, and those of the geometry."""
+    """Gaps with those measured by SAPIEN, and those of the geometry."""
     replayed = {run.run: run for run in (*comparison.runs, *comparison.inconclusive)}
     sizes = [
         {} if gap.run not in replayed else {k: getattr(replayed[gap.run], k) for k in ("before", "after")}
@@ -407,8 +407,7 @@ def _gaps_of_files(
     delivered_effects: tuple[NamedEffect, ...],
     same_body: bool,
 ) -> tuple[RunGap, ...]:
-    """Gaps by the files that are delivered: of motion and of geometry what was tried where it was kept, else as before;
-    NaN of what was not replayed."""
+    """Gaps of the delivered files: as tried where motion or geometry was kept, else as before; NaN without a replay."""
     same_geometry = all(n in delivered_effects for n in tried if n.effect.kind == "kinematics")
     same_motion = same_body and all(n in delivered_effects for n in _select_moving(tried))
     done = set() if comparison is None else {run.run for run in (*comparison.runs, *comparison.inconclusive)}
@@ -424,7 +423,7 @@ def _gaps_of_files(
 
 
 def _make_rolled_back(verdict: Verdict, certain: tuple[NamedEffect, ...], rejected: Sequence[NamedEffect]) -> Verdict:
-    """Unexplained but for what is certain and helped."""
+    """Unexplained, except effects that are certain and helped."""
     delivered_effects = tuple(named for named in certain if named not in rejected)
     same_motion = bool(_select_moving(rejected)) or not rejected
     what = "the best repair of it did not help, or made some motion worse"

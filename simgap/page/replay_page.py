@@ -1,4 +1,4 @@
-"""The page of a replay: every run as it was measured and as the files have it, and the command that does it again."""
+"""The page of a replay: measured and simulated runs, and the command that repeats it."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from simgap.prove.replay import RunReplay
 from simgap.verdict import Quantity
 
 MOST_DRAWN = 40
-"""Runs whose curves are drawn: each takes some 50 kB."""
+"""Runs whose curves are drawn; each takes some 50 kB."""
 
 
 MOST_SIGMAS = 1e6
-"""More come of readings without noise, of which sigma is the last digit of a number."""
+"""Larger values occur with readings without noise, whose sigma is a rounding error."""
 HEAD = ("run", "rms error", "in sigmas", "used", "start", "start velocity")
-"""Of what `Row.texts` gives."""
+"""Columns of `Row.texts`."""
 
 
 @dataclass(frozen=True)
@@ -29,14 +29,14 @@ class Row:
     """One run."""
 
     name: str
-    """Of all sets that were given, unmistakable."""
+    """Unique over all given sets."""
     file: Path
     unit: str
-    """Of the file's positions."""
+    """Unit of positions in the file."""
     per_unit: float
-    """rad or m in one of these."""
+    """rad or m per unit."""
     use: str
-    """What the verdict beside the asset says that it was used for; "unknown" where there is none, or of other runs."""
+    """Use according to the verdict beside the asset; "unknown" without one, or for other runs."""
     joint_type: JointType
     replay: RunReplay
 
@@ -49,7 +49,7 @@ class Row:
 
 
 def repeat_section(commands: dict[str, str], note: str = "") -> Section:
-    """What repeats the proof: what a command is of to the command line."""
+    """Command lines that repeat the proof, by description."""
     lines = "".join(
         f'<p class="note">{escape(what)}</p><pre class="command">{escape(line)}</pre>'
         for what, line in commands.items()
@@ -66,7 +66,7 @@ def run_section(
 
 
 def replay_page(title: str, about: Sequence[str], command: str, rows: Sequence[Row], notes: Sequence[str] = ()) -> str:
-    """The page as HTML, which needs no other file."""
+    """The page as HTML, self-contained."""
     note_text = (
         "Simulated from the asset's files alone. Only the state at each run's first reading is free; it is fitted to "
         "the run. Sigma is the noise of the readings."

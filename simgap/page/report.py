@@ -1,4 +1,4 @@
-"""The page of a gap: what is missing, how sure that is, where it shows, and how much smaller the gap is with it."""
+"""The page of a gap: missing effects, confidence, where they act, and how much smaller the gap is with them."""
 
 from __future__ import annotations
 
@@ -40,49 +40,48 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class Ranked:
-    """One explanation that was tried."""
+    """One evaluated set of effects."""
 
     names: tuple[str, ...]
     """Effects; none for the asset as it is."""
     rms: float
-    """Error on choosing runs in floors: 1 is noise alone."""
+    """Normalised RMS of test runs: 1 is noise alone."""
     ahead: float = 0.0
-    """Log probability of choosing runs less that of the most probable set,"""
+    """Log density less that of the most probable set,"""
     error: float = 0.0
     """... and its standard error."""
     spread: tuple[float, float] | None = None
-    """The least and the largest error of one run, in floors."""
+    """Smallest and largest normalised RMS of a run."""
 
 
 @dataclass(frozen=True)
 class Draft:
-    """What fits and choice have come to, before SAPIEN has seen it."""
+    """Result of fits and model selection, before the replay in SAPIEN."""
 
     verdict: Verdict
-    """Gaps as the fits have them; those of replayed runs are measured anew."""
+    """With gaps of the fits; those of replayed runs are measured anew."""
     nuisance: Nuisance = field(default_factory=Nuisance)
-    """How far the asset is off by itself, which the maps of where know."""
+    """Errors of the asset itself, corrected in the maps."""
     ranking: tuple[Ranked, ...] = ()
     """Best first."""
     geometry: KinematicsFinding | None = None
     floor: float = 0.0
-    """rad or m."""
+    """Noise sigma at rest, rad or m."""
     motion_differs: bool = True
-    """Whether the motion along the joint is other than simulated; without that, nothing is said of where."""
+    """Whether the motion along the joint differs; without that there are no maps."""
     certain: tuple[NamedEffect, ...] = ()
-    """Effects that are named without doubt, whatever is said of the rest: only these go into the asset."""
+    """Effects named without doubt; only these go into the asset."""
     curves: tuple[ReplayGap, ...] = ()
-    """Of runs whose motion was prescribed, the force by inverse dynamics: by the asset as it is and by the best that
-    was found."""
+    """Force by inverse dynamics of runs with prescribed motion: with the asset as given and with the best set."""
     body: BodyCorrection = NO_CORRECTION
-    """What the asset's inertia and weight are corrected by, beside the effects of the verdict."""
+    """Correction of the asset's inertia and weight."""
     dominant: float = JudgementSettings.dominant
-    """Part of the gap that what is delivered may leave of confirming runs."""
+    """Share of the gap that the delivered asset may leave of confirming runs."""
 
 
 @dataclass(frozen=True)
 class Gap:
-    """All that the page shows."""
+    """Contents of the page."""
 
     title: str
     measured: Measured
@@ -91,7 +90,7 @@ class Gap:
     maps: tuple[ResidualMap, ...] = ()
     comparison: ReplayComparison | None = None
     notes: tuple[str, ...] = ()
-    """What else should be known, such as that a repair was rolled back."""
+    """Other remarks, such as a repair that was rolled back."""
     seconds: float | None = None
 
     @property
@@ -101,18 +100,18 @@ class Gap:
 
     @property
     def in_turn(self) -> bool:
-        """Whether none of the runs of motion is held out for good: the fits then hold out each in turn."""
+        """Whether no motion run is held out for good; the fits then hold out each in turn."""
         return all(g.use == "fitted" for g in self.motion)
 
     @property
     def motion_differs(self) -> bool:
-        """Whether the answer is (also) about the motion, not about the joint's geometry alone."""
+        """Whether the answer includes motion, not the joint's geometry alone."""
         kinds = [named.effect.kind for named in self.verdict.effects]
         return not kinds or any(kind != "kinematics" for kind in kinds)
 
     @property
     def second_curve(self) -> str | None:
-        """What the second curve of a replayed run is; None where there is none."""
+        """Name of the second curve of a replayed run; None without one."""
         verdict = self.verdict
         if self.comparison is None or not self.comparison.changed:
             return None
@@ -122,7 +121,7 @@ class Gap:
         return "after" if moved or verdict.corrections else ROLLED_BACK
 
     def text(self, value: float) -> str:
-        """What runs are compared by: a length or an angle, or, of prescribed motion, a force."""
+        """A gap as text: length or angle, or force for prescribed motion."""
         return amount(value, unit_of(self.verdict.by, self.measured.joint_type))
 
 
@@ -145,7 +144,7 @@ def page(gap: Gap) -> str:
 
 
 def answer_section(verdict: Verdict, tiles: Sequence[str], notes: Sequence[str] = ()) -> Section:
-    """The sentence, and the figures that matter."""
+    """The sentence, and the main figures."""
     word = _WORDS[verdict.verdict] + ", in part" * verdict.in_part
     html = (
         f'<p class="verdict {escape(verdict.verdict)}"><b>{escape(word)}</b></p>'
@@ -157,7 +156,7 @@ def answer_section(verdict: Verdict, tiles: Sequence[str], notes: Sequence[str] 
 
 
 def _tiles(gap: Gap) -> list[str]:
-    """The gap, and how much of it is closed: of the motion, and of the poses off the joint."""
+    """The gap and its closed share: of motion, and of poses off the joint."""
     tiles = []
     motion = [g for g in gap.motion if np.isfinite(g.before)]
     if gap.motion_differs and motion:
@@ -174,8 +173,7 @@ def _tiles(gap: Gap) -> list[str]:
 def _sizes(
     gaps: list[RunGap], text: Callable[[float], str], what: str, after_is: str | None, in_turn: bool = False
 ) -> str:
-    """A tile of the gap before and, where SAPIEN replayed it, after, beside the noise, with the runs that it is of: the
-    confirming ones; where there is none, those that chose, or all."""
+    """A tile with the gap before and, where replayed, after, relative to noise, on the deciding runs."""
     judged = deciding_runs(gaps)
     before, floor = (root_mean_square([getattr(g, name) for g in judged]) for name in ("before", "floor"))
     after = root_mean_square([g.after if g.trial is None else g.trial for g in judged])
@@ -190,7 +188,7 @@ def _sizes(
 
 
 def _closed(gap: Gap) -> list[str]:
-    """Tiles of the part of the gap that is closed, in motion as was fitted and in other."""
+    """Tiles with the closed share of the gap, for motion like the fitted one and for other motion."""
     assert gap.comparison is not None
     fitted = {r.regime for r in gap.verdict.gaps if r.use == "fitted"}
     tiles = []
@@ -205,13 +203,12 @@ def _closed(gap: Gap) -> list[str]:
 
 
 def tile(figure: str, what: str, more: str) -> str:
-    """A figure with what it is of, and a word more."""
+    """A figure with its description and a remark."""
     return f"<div><b>{escape(figure)}</b><span>{escape(what)}</span><small>{escape(more)}</small></div>"
 
 
 def parameters_section(verdict: Verdict, kind: JointType, note: str, file_of: Callable[[Effect], str]) -> list[Section]:
-    """Every parameter of the named effects and every corrected number of the asset, with 90 % interval and file:
-    `file_of` an effect that was written."""
+    """Every parameter of the named effects and every correction, with 90 % interval and file (`file_of` an effect)."""
 
     def row(
         head: tuple[str, str], name: str, meaning: str, sizes: tuple[float, float, float], texts: list[str]
@@ -243,7 +240,7 @@ def parameters_section(verdict: Verdict, kind: JointType, note: str, file_of: Ca
 
 
 def _file_of(effect: Effect) -> str:
-    """Files of the delivered asset that say an effect."""
+    """Files of the delivered asset that contain an effect."""
     more = ", ".join(f"<dynamics {name}>" for name in effect.urdf_dynamics())
     return f"asset/effects.json{', URDF ' * bool(more)}{more}"
 
@@ -252,13 +249,13 @@ _OWN = {"1": "times what the asset says", "rad": "of the pull of its weight"}
 
 
 def _fitted_text(gap: Gap) -> str:
-    """The runs that the answer's numbers are fitted to: those that neither chose it nor confirm it."""
+    """The runs that the parameters are fitted to."""
     names = list(dict.fromkeys(g.run for g in gap.verdict.gaps if g.use == "fitted"))
     return f"run {names[0]}" if len(names) == 1 else f"{len(names)} runs: {', '.join(names)}"
 
 
 def doubt_sections(verdict: Verdict, of: str, more: str = "") -> list[Section]:
-    """Rivals, what else is in doubt (`more`, HTML) and the next experiment; and where something shows, in what `of`."""
+    """Rivals, other doubts (`more`, HTML), the next experiment, and flagged regions in the runs `of`."""
     html = ""
     if verdict.rivals:
         texts = [
@@ -283,7 +280,7 @@ def doubt_sections(verdict: Verdict, of: str, more: str = "") -> list[Section]:
 
 
 def _runs(gap: Gap) -> list[Section]:
-    """Runs before and after, as SAPIEN replays them; by inverse dynamics where motion was prescribed."""
+    """Runs before and after, replayed in SAPIEN, or by inverse dynamics for prescribed motion."""
     replayed = gap.comparison.runs if gap.comparison is not None else ()
     most = MOST_RUNS if gap.motion_differs else 1
     names: tuple[str, str | None]
@@ -304,7 +301,7 @@ def _runs(gap: Gap) -> list[Section]:
 
 
 def _maps(gap: Gap) -> list[Section]:
-    """Maps of the missing force, the surest first."""
+    """Maps of the missing force, the most significant first."""
     maps = sorted(gap.maps, key=lambda m: m.p_value)
     note = (
         "What force the asset's equation lacks, by the accelerations in "
@@ -314,7 +311,7 @@ def _maps(gap: Gap) -> list[Section]:
 
 
 def maps_section(drawings: Sequence[str], maps: Sequence[ResidualMap], units: str, note: str) -> list[Section]:
-    """Maps of where measurement and simulation differ, the surest first; those that chance explains are folded away."""
+    """Maps of where measurement and simulation differ, the most significant first; insignificant ones are collapsed."""
     sure = [drawing for drawing, m in zip(drawings, maps, strict=True) if m.adjusted <= LEVEL]
     rest = [drawing for drawing in drawings if drawing not in sure]
     note += (
@@ -330,7 +327,7 @@ def maps_section(drawings: Sequence[str], maps: Sequence[ResidualMap], units: st
 
 
 def _geometry(gap: Gap) -> list[Section]:
-    """How far the part is off its joint, by the poses alone."""
+    """The part's displacement off its joint, from poses alone."""
     g = gap.draft.geometry
     if g is None or not g.tracks:
         return []
@@ -386,7 +383,7 @@ def _off_drawing(track: TrackGeometry, columns: slice, title: str, unit: str, fa
 
 
 def _ranking(gap: Gap) -> list[Section]:
-    """Every explanation tried, by what it leaves on runs that it was not fitted to."""
+    """Every evaluated set with its error on test runs."""
     uses = [g.use for g in gap.motion]
     marked = [use for use in uses if use == "choosing"]
     of = runs_text(marked) if marked else runs_text([use for use in uses if use == "fitted"], in_turn=True)
@@ -394,7 +391,7 @@ def _ranking(gap: Gap) -> list[Section]:
 
 
 def ranking_section(ranking: Sequence[Ranked], of: str) -> list[Section]:
-    """Explanations that were tried, by their error on what they were not fitted to: `of` says what that is."""
+    """Evaluated sets with their error on `of`."""
     worst = max((np.log10(max(r.rms, 1.0)) for r in ranking if np.isfinite(r.rms)), default=0.0)
     rows = []
     for r in ranking:
@@ -442,7 +439,7 @@ def _gaps(gap: Gap) -> list[Section]:
 
 
 def _repeat(gap: Gap) -> list[Section]:
-    """The command lines of the proof, and what the second engine says."""
+    """The command lines of the proof, and the second engine's result."""
     proof = gap.verdict.proof
     if proof is None:
         return []

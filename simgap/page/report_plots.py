@@ -1,4 +1,4 @@
-"""Drawings of the gap page, as SVG text: a replayed run, a map of missing force, an interval."""
+"""SVG drawings of the gap page: a replayed run, a map of missing force, an interval."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from simgap.prove.comparison import ReplayGap
 from simgap.verdict import Quantity, unit_of
 
 MEASURED, BEFORE, AFTER = "#7d8894", MOVING, REFERENCE
-"""Grey for what was measured, orange for the asset as it was, blue for the repaired one."""
+"""Grey for the measurement, orange for the asset as given, blue for the repaired one."""
 _MOST_POINTS = 600
 _MARGINS = 50, 8, 8, 22
 
 
 def drawn_samples(n: int, most: int = _MOST_POINTS) -> Array:
-    """Indices of at most so many of `n` samples, evenly drawn."""
+    """Indices of at most `most` of `n` samples, evenly spaced."""
     return np.unique(np.linspace(0, n - 1, min(most, n)).astype(int))
 
 
 def _axes(x: tuple[float, float], values: Array, reach: float, margin: float, height: int, width: int = 560) -> Axes:
-    """Axes with room for values, and for `reach` to both sides of zero."""
+    """Axes with room for values, and for `reach` on both sides of zero."""
     values = values[np.isfinite(values)]
     low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
     low, high = (min(low, -reach), max(high, reach)) if reach else (low, high)
@@ -37,7 +37,7 @@ def _axes(x: tuple[float, float], values: Array, reach: float, margin: float, he
 
 
 def chart(x: Array, lines: Sequence[Curve], title: str, unit: str, *, band: float = 0.0, height: int = 190) -> str:
-    """A figure of lines over seconds `x` (n,), with room above and below; `band` is a grey stretch about zero."""
+    """A figure of lines over seconds `x` (n,); `band` is a grey band about zero."""
     axes = run_axes(x, lines, band, height)
     left, right, _, _ = _MARGINS
     top, bottom = float(axes.down(band)), float(axes.down(-band))
@@ -60,9 +60,9 @@ def run_drawings(
     names: tuple[str, str | None] = ("as the asset was", "after"),
     by: Quantity = "position",
 ) -> tuple[list[str], dict[str, Any]]:
-    """Figures of one replayed run, position (or force) and difference, and what the script of kind 'curves' needs.
+    """Figures of one replayed run, position (or force) and difference, and the data for the script of kind 'curves'.
 
-    `names` say what the two simulations are; without a second one only the first is drawn.
+    `names` are those of the two simulations; without the second only the first is drawn.
     """
     unit, factor = display_unit(kind) if by == "position" else (unit_of(by, kind).replace("*", " "), 1.0)
     kept = drawn_samples(len(run.times_s))
@@ -93,8 +93,8 @@ def force_map(m: ResidualMap, kind: JointType) -> str:
 
 
 def map_drawing(m: ResidualMap, title: str, what: str, factor: float, unit: str, force_factor: float = 1.0) -> str:
-    """A map as bars with their standard errors, flagged ones on colour; `factor` makes `unit` of its edges, and
-    `force_factor` what is written of its means."""
+    """A map as bars with standard errors, flagged bins coloured. `factor` converts edges to `unit`, `force_factor`
+    means."""
     mean, spread = force_factor * m.mean, force_factor * m.spread
     reach = np.nan_to_num(np.minimum(spread, np.nanmax(np.abs(mean), initial=0.0)))
     edges = np.arange(len(mean) + 1.0) if m.labels else factor * m.edges
@@ -136,7 +136,7 @@ def map_drawing(m: ResidualMap, title: str, what: str, factor: float, unit: str,
 
 
 def interval_drawing(value: float, low: float, high: float, width: int = 190) -> str:
-    """A value and its interval on a line that begins at zero or reaches to both sides of it."""
+    """A value and its interval on a line that includes zero."""
     finite = [v for v in (value, low, high, 0.0) if np.isfinite(v)]
     a, b = min(finite), max(finite)
     span = (b - a) or 1.0
@@ -154,7 +154,7 @@ def interval_drawing(value: float, low: float, high: float, width: int = 190) ->
 
 
 def p_text(p: float) -> str:
-    """A p-value as people write it."""
+    """A p-value as text."""
     return f"{p:.1g}" if p >= 1e-4 else "below 0.0001"
 
 

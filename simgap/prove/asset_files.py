@@ -1,8 +1,8 @@
-"""The files of an asset into a folder of their own: all that its URDF, and the MJCF beside it, name, wherever it lies.
+"""Copies of an asset's files: everything that its URDF, and the MJCF beside it, reference.
 
-A file in the asset's folder keeps its place. One that is named by an absolute path, by package:// or from a folder
-above goes to `outside/`, and its name in the copy says so: the new folder needs no other. Whatever a URDF names may
-come from strangers, so only meshes and pictures are taken, of bounded size, and nothing is written outside the folder.
+Files inside the asset's folder keep their place. Those referenced by absolute path, package:// or from a parent folder
+go to `outside/`, and the copy references them there, so it is self-contained. A URDF may be untrusted: only meshes and
+pictures of bounded size are copied, and nothing is written outside the folder.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ _BESIDE_MESH = ("mtllib", "map_Kd", "map_Ka", "map_Ks", "map_d", "map_Bump", "ma
 
 
 class _Copy:
-    """What was copied so far into a folder."""
+    """State of a copy into a folder."""
 
     def __init__(self, home: Path, folder: Path):
         self.home, self.folder, self.total = home, folder, 0
         self.done: dict[Path, str] = {}
         """Source to its name in the folder."""
         self.places: dict[Path, str] = {}
-        """Folder outside of `home`, the URDF's absolute one, to its place in the new one."""
+        """Folder outside of `home`, absolute, to its place in the new one."""
 
     def take(self, source: Path, named_by: str) -> str:
-        """Copy a file and what it names itself; its name in the new folder."""
+        """Copy a file and the files that it references; its name in the new folder."""
         source = Path(os.path.normpath(source))
         if source not in self.done:
             inside = source.is_relative_to(self.home)
@@ -78,9 +78,8 @@ class _Copy:
 def copy_asset_files(urdf: Path, folder: Path, root: Path | None = None) -> dict[str, ET.Element]:
     """Copy the files that the asset of `urdf` needs, all inside `root`, into `folder`.
 
-    Returns the URDF, and the MJCF when there is one beside it, by file name, with their files named as in the copy;
-    nobody has written these two yet. Raises FreeArtError when a named file is missing, too large, or neither mesh nor
-    picture.
+    Returns the URDF, and the MJCF beside it if any, by file name, with references updated; the caller writes these two.
+    Raises FreeArtError when a referenced file is missing, too large, or neither mesh nor picture.
     """
     folder.mkdir(parents=True, exist_ok=True)
     home = Path(os.path.normpath(urdf.absolute().parent))
@@ -101,8 +100,8 @@ def copy_asset_files(urdf: Path, folder: Path, root: Path | None = None) -> dict
 
 
 def file_hashes(urdf: Path, root: Path | None = None) -> dict[str, str]:
-    """SHA-256 of the URDF, of what lies beside it and says of the asset what it cannot, and of the files that it names,
-    by their names; a named file that is not there is left out."""
+    """SHA-256 of the URDF, the files that describe the asset beside it, and referenced files, by name; missing ones are
+    omitted."""
     home = urdf.parent
     described = (urdf, home / "asset.json", home / "effects.json", mjcf_path(urdf))
     found = {path.name: path for path in described if path.is_file()}
@@ -113,12 +112,12 @@ def file_hashes(urdf: Path, root: Path | None = None) -> dict[str, str]:
 
 
 def mjcf_path(urdf: Path) -> Path:
-    """Where the MJCF of a URDF stands."""
+    """Path of the MJCF of a URDF."""
     return urdf.with_suffix(".mjcf" if urdf.suffix == ".xml" else ".xml")
 
 
 def write_xml(path: Path, root: ET.Element) -> None:
-    """Write a URDF or MJCF, whole or not at all."""
+    """Write a URDF or MJCF atomically."""
     declared = True if root.tag == "robot" else None
     atomic.write_bytes(path, ET.tostring(root, encoding="utf-8", xml_declaration=declared) + b"\n")
 
@@ -128,7 +127,7 @@ def _naming(root: ET.Element, attribute: str) -> list[ET.Element]:
 
 
 def _copy_named(path: Path, root: ET.Element, copy: _Copy) -> None:
-    """Copy the files of an MJCF, which then names them from its own folder: its compiler's folders go."""
+    """Copy the files of an MJCF and update their references; its compiler's folders are removed."""
     folders: dict[str, str] = {}
     for compiler in root.iter("compiler"):
         every = compiler.attrib.pop("assetdir", "")
@@ -144,7 +143,7 @@ def _copy_named(path: Path, root: ET.Element, copy: _Copy) -> None:
 
 
 def _referenced_files(source: Path) -> list[Path]:
-    """What an OBJ or MTL file names, if it is there."""
+    """Existing files that an OBJ or MTL file references."""
     if source.suffix.lower() not in (".obj", ".mtl"):
         return []
     found: list[Path] = []

@@ -1,4 +1,4 @@
-"""Inertia and weight of an asset as measured: written into the `<inertial>` of its moving links."""
+"""Corrected inertia and weight, written into the `<inertial>` of an asset's moving links."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from generator import simulate
 from simgap.models.surrogate import Nuisance, Plant
 
 _EXACT = 1e-4
-"""Part of the inertia by which that of the reloaded file may differ; SAPIEN reads single precision."""
+"""Largest relative error of the inertia of the reloaded file; SAPIEN reads single precision."""
 
 
 @dataclass(frozen=True)
 class BodyCorrection:
     """Factors of an asset's `<inertial>` numbers beyond its joint, with which it moves as measured.
 
-    With mass * arm**2 = inertia and tensors times `inertia`, the inertia of the whole about a hinge is multiplied by
-    `inertia` and its weight by mass * arm, and every link stays a possible one.
+    With mass * arm**2 = inertia, and tensors times `inertia`, the total inertia about a hinge is multiplied by
+    `inertia` and its weight by mass * arm, and every link stays physically possible.
     """
 
     inertia: float = 1.0
-    """Of tensors; the inertia about a hinge, or the mass on a slider, over the asset's."""
+    """Of tensors: inertia about a hinge, or mass on a slider, over the asset's."""
     mass: float = 1.0
     """Of masses."""
     arm: float = 1.0
     """Of distances of centres of mass from a hinge's axis."""
     turn: float = 0.0
-    """rad by which centres of mass are turned about a hinge's axis."""
+    """rad by which centres of mass are rotated about a hinge's axis."""
     offset: tuple[Effect, ...] = ()
-    """What of gravity's force no `<inertial>` can say, as an effect: a vertical hinge has no weight to scale, and a
-    slider's mass is its inertia."""
+    """Change of gravity's force that no `<inertial>` can express, as an effect: a vertical hinge has no weight to
+    scale, and a slider's mass is its inertia."""
 
 
 NO_CORRECTION = BodyCorrection()
@@ -52,7 +52,7 @@ def corrected_gravity(plant: Plant, nuisance: Nuisance) -> Array:
 
 
 def find_correction(plant: Plant, nuisance: Nuisance) -> BodyCorrection:
-    """The correction that makes an asset of `plant` move by itself as it does under `nuisance`."""
+    """The correction with which an asset of `plant` moves as under `nuisance`."""
     terms, f = plant.gravity_terms, nuisance.inertia
     own, true = terms[0], corrected_gravity(plant, nuisance)
     was, is_now = complex(own[0], own[1]), complex(true[0], true[1])
@@ -66,7 +66,7 @@ def find_correction(plant: Plant, nuisance: Nuisance) -> BodyCorrection:
 
 
 def correct_body(root: ET.Element, asset: Asset, correction: BodyCorrection) -> None:
-    """Correct the `<inertial>` of all links beyond the joint of `asset` in its URDF; everything else stays."""
+    """Correct the `<inertial>` of all links beyond the joint of `asset` in its URDF."""
     if correction == NO_CORRECTION:
         return
     loaded = simulate.load(replace(asset, effects={}), gravity=(0.0, 0.0, 0.0))
@@ -89,7 +89,7 @@ def correct_body(root: ET.Element, asset: Asset, correction: BodyCorrection) -> 
 
 
 def check_body(before: Asset, after: Asset, correction: BodyCorrection, folder: Path) -> None:
-    """FreeArtError when the inertia of the reloaded asset is not the corrected one of the asset before."""
+    """FreeArtError when the inertia of the reloaded asset is not the corrected one."""
     was, is_now = (simulate.load(asset).joint_inertia for asset in (before, after))
     if abs(is_now / (was * correction.inertia) - 1) > _EXACT:
         raise FreeArtError(
@@ -99,7 +99,7 @@ def check_body(before: Asset, after: Asset, correction: BodyCorrection, folder: 
 
 
 def _move_centre(inertial: ET.Element, axis: Array, pivot: Array, factor: float, turn: float) -> None:
-    """Move the centre of mass (link frame) from or to the hinge's axis by a factor, and turn it about that."""
+    """Scale the distance of the centre of mass (link frame) from the hinge's axis, and rotate it about that."""
     origin = inertial.find("origin")
     origin = ET.SubElement(inertial, "origin") if origin is None else origin
     arm = np.array([float(v) for v in origin.get("xyz", "0 0 0").split()]) - pivot

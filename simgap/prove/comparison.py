@@ -1,7 +1,4 @@
-"""The gap that counts: measured runs, replayed by the files of the asset as it was and of the repaired one.
-
-`simgap.prove.replay` replays; here the two are held against each other.
-"""
+"""Comparison of two replays: measured runs with the files of the asset as given and of the repaired one."""
 
 from __future__ import annotations
 
@@ -16,19 +13,19 @@ from simgap.prove.replay import Replay
 from simgap.verdict import GEOMETRY, RunGap, Use, root_mean_square
 
 WIDER, RUN_WIDER = 0.25, 0.5
-"""Floors by which a repair may widen the gap of a regime, and of any one run in it."""
+"""Increase of the normalised gap that a repair may cause: of a regime, and of any one run."""
 
 
 @dataclass(frozen=True, eq=False)
 class ReplayGap(RunGap):
-    """The gap of one run with its curves, of positions (rad or m) or of the force that prescribed motion took."""
+    """The gap of one run with its curves: positions (rad or m), or force for prescribed motion."""
 
     times_s: Array = field(kw_only=True)
     """(n,) s."""
     measured: Array = field(kw_only=True)
     """(n,) readings."""
     curves: tuple[Array, Array] = field(kw_only=True)
-    """(n,) what the asset as it was gives, and the repaired one."""
+    """(n,) with the asset as given, and with the repaired one."""
 
 
 def compare_curves(
@@ -40,7 +37,7 @@ def compare_curves(
     regime: str = "",
     use: Use = "fitted",
 ) -> ReplayGap:
-    """The gap of curves (n,) to what was measured (n,)."""
+    """The gap between curves (n,) and measurement (n,)."""
     before, after = (root_mean_square(curve - measured) for curve in curves)
     held_out = use != "fitted"
     return ReplayGap(
@@ -50,31 +47,31 @@ def compare_curves(
 
 @dataclass(frozen=True)
 class ReplayComparison:
-    """The gap of all replayed runs."""
+    """The gaps of all replayed runs."""
 
     runs: tuple[ReplayGap, ...]
     numerics: float
-    """Floors by which the last halving of the time step changed a replay at most; NaN when it was never reached."""
+    """Largest normalised change of a replay by the last halving of the time step; NaN without any."""
     timestep_s: float
-    """The finest one of any run."""
+    """The finest of any run."""
     poses: tuple[RunGap, ...] = ()
-    """How far the part is off the assets' joints in each run of poses, m: root mean square displacement."""
+    """RMS displacement, m, of the part off the assets' joints in each run of poses."""
     given_up: tuple[str, ...] = ()
     """Runs that were not replayed in time."""
     inconclusive: tuple[ReplayGap, ...] = ()
-    """Runs whose replays hang on a hair: time steps however fine change them, so they tell nothing."""
+    """Ill-conditioned runs: they change with the time step, however small."""
     changed: bool = True
-    """Whether there are two assets, or one replay stands for both."""
+    """Whether there are two assets; else one replay stands for both."""
 
     def split(self, fitted: Iterable[str]) -> tuple[list[ReplayGap], list[ReplayGap]]:
-        """The runs that move as the `fitted` regimes do (all where none does), and the others."""
+        """Runs of the `fitted` regimes (all where none is), and the others."""
         of = set(fitted)
         near = [run for run in self.runs if run.regime in of] or list(self.runs)
         return near, [run for run in self.runs if run not in near]
 
 
 def closed_part(runs: Sequence[RunGap]) -> float | None:
-    """Part of the gap beyond the floor that is closed in these runs; None without any gap."""
+    """Closed share of the gap beyond noise in these runs; None without a gap."""
     if not runs:
         return None
     before, after, floor = (root_mean_square([getattr(r, name) for r in runs]) for name in ("before", "after", "floor"))
@@ -82,7 +79,7 @@ def closed_part(runs: Sequence[RunGap]) -> float | None:
 
 
 def track_use(track: TrackGeometry) -> Use:
-    """What a run of poses was used for."""
+    """Use of a run of poses."""
     return "choosing" if track.held_out else "fitted"
 
 
@@ -93,10 +90,10 @@ def compare_replays(
     judged: Iterable[RunGap],
     poses: Sequence[TrackGeometry] = (),
 ) -> ReplayComparison:
-    """Two replays of the same runs, by the asset as it was and by the repaired one.
+    """The comparison of two replays of the same runs, with the asset as given and the repaired one.
 
-    A run that hangs on a hair counts only where all do. `floor` is the noise of the readings, rad or m; `judged` says
-    what the runs were used for, and `poses` are the runs of poses that were replayed.
+    Ill-conditioned runs count only where all are. `floor` is the noise of the readings, rad or m; `judged` gives the
+    use of the runs, and `poses` are the replayed runs of poses.
     """
     of = {gap.run: gap for gap in judged if gap.regime != GEOMETRY}
     gaps, sure = [], []
@@ -121,8 +118,8 @@ def compare_replays(
 
 
 def is_improved(gaps: Sequence[RunGap]) -> bool:
-    """Whether the gap, in floors, is smaller in all, in no regime wider by a quarter floor, and in no run by half a
-    floor: runs of one regime may be of different kinds all the same."""
+    """Whether the normalised gap decreased overall, and increased in no regime by a quarter sigma and in no run by half
+    a sigma; runs of one regime may still differ."""
     groups: dict[str, list[tuple[float, float]]] = {}
     for gap in gaps:
         groups.setdefault(gap.regime, []).append((gap.before / gap.floor, gap.after / gap.floor))

@@ -1,6 +1,6 @@
-"""Measured runs, simulated by the files of assets alone: nothing of how an asset was made is known here.
+"""Replay of measured runs with the files of assets alone.
 
-Only the state in which a run starts is free; it is fitted to the run, for each asset by itself. A fresh process
+Only the start state of a run is free; it is fitted to the run, for each asset separately. A fresh process
 (`simgap.prove.replay_process`) reads the files and simulates.
 """
 
@@ -36,22 +36,22 @@ from simgap.verdict import root_mean_square
 
 ENGINES: tuple[str, ...] = get_args(Engine)
 SECONDS = 120.0
-"""What is not replayed by then is given up."""
+"""Time limit; the rest is not replayed."""
 SURE, SURE_PART = 1.0, 0.05
-"""Sigmas by which halving the finest time step may change a replay that tells something, and the part of its error."""
+"""Largest change of a conclusive replay by the last halving of the time step: sigmas, and share of its error."""
 _MIN_SCALE = 1e-3
-"""rad or m, and a second: at which sizes starts are looked for where nothing moved."""
+"""rad or m, and per second: scale of the search of start states where nothing moved."""
 Progress = Callable[[int, int], None]
-"""Called with the number of runs replayed and their total."""
+"""Called with the number of replayed runs and their total."""
 
 
 class CannotReplay(FreeArtError):
-    """The fresh process failed; its last line says why."""
+    """The fresh process failed; the message is its last line."""
 
 
 @dataclass(frozen=True, eq=False)
 class RunReplay:
-    """One run, as the files of one asset have it; the same only as itself."""
+    """One run simulated with the files of one asset; compared by identity."""
 
     run: str
     times_s: Array
@@ -59,19 +59,19 @@ class RunReplay:
     measured: Array
     """(n,) rad or m."""
     simulated: Array
-    """(n,) rad or m: what the sensor would read."""
+    """(n,) rad or m: simulated readings."""
     noise: float
-    """rad or m: sigma of the run's readings, estimated on all runs of the set."""
+    """rad or m: RMS sigma of the run's readings."""
     start: State
-    """At the first reading: fitted to the run."""
+    """At the first reading; fitted to the run."""
     timestep_s: float
     """The finest."""
     change: float
-    """Sigmas by which the last halving of the time step changed it."""
+    """Change by the last halving of the time step, sigmas."""
 
     @property
     def error(self) -> float:
-        """Root mean square of simulated less measured, rad or m."""
+        """RMS of simulated less measured, rad or m."""
         return root_mean_square(self.simulated - self.measured)
 
     @property
@@ -81,26 +81,26 @@ class RunReplay:
 
     @property
     def is_converged(self) -> bool:
-        """Whether halving the time step changes it by little: else it hangs on a hair, and tells nothing."""
+        """Whether the last halving of the time step changed it little; else it is ill-conditioned and shows nothing."""
         return self.change < max(SURE, SURE_PART * self.sigmas)
 
 
 @dataclass(frozen=True)
 class Replay:
-    """The runs that were replayed in time by one asset's files."""
+    """The runs replayed in time with one asset's files."""
 
     engine: Engine
     version: str
     """Of the engine."""
     runs: tuple[RunReplay, ...]
     poses: tuple[float, ...] = ()
-    """m: how far each run of poses is off where the files have the part, root mean square displacement."""
+    """m: RMS displacement of each run of poses from the part in the files."""
     given_up: tuple[str, ...] = ()
     """Runs that were not replayed in time."""
 
 
 def asset_address(asset: Asset) -> Path:
-    """The folder or the URDF that `read_asset` reads it from."""
+    """The folder or URDF from which `read_asset` reads it."""
     home = asset.urdf.parent
     return home if (home / "asset.json").is_file() else asset.urdf
 
@@ -117,22 +117,21 @@ def replay(
     seconds: float = SECONDS,
     progress: Progress | None = None,
 ) -> tuple[Replay, ...]:
-    """Simulate runs of a measured set with each of the assets, as their files say.
+    """Simulate runs of a measured set with the files of each of the assets.
 
     Args:
-        assets: what is on disk.
+        assets: on disk.
         measured: all runs of the set (noise is estimated on all), and their circumstances.
         names: of the runs to replay; None for all.
-        starts: for each asset where runs start; None fits them to the runs.
-        engine: MuJoCo takes the MJCF beside the URDF, or the URDF as MJCF where there is none.
-        holding: of inputs of which `measured` does not say how they go on between their rows: 0 smoothly, 1 held until
-            the next.
+        starts: start states for each asset; None fits them to the runs.
+        engine: MuJoCo takes the MJCF beside the URDF, or the converted URDF without one.
+        holding: interpolation of inputs where `measured` does not specify it: 0 smooth, 1 zero-order hold.
         poses: for each asset, runs of poses.
-        seconds: when these are over, runs that all assets have done count, and the rest is given up.
+        seconds: time limit; runs that all assets have finished count.
         progress: called with the number of replays done and their total.
 
     Raises FreeArtError when an asset cannot be read or there is nothing to replay, and CannotReplay when the fresh
-    process fails, as where MuJoCo's format cannot say an effect.
+    process fails, for example where MuJoCo's format cannot express an effect.
     """
     end = time.monotonic() + seconds
     names = [run.name for run in measured.runs] if names is None else names
@@ -161,7 +160,7 @@ def replay(
 def fit_start_states(
     asset: Asset, measured: Measured, names: Sequence[str], holding: float = 0.0, end: float = np.inf
 ) -> Starts:
-    """From where the asset follows each run best, for runs that are reached before time.monotonic() is `end`."""
+    """Start states from which the asset follows each run best, for runs reached before time.monotonic() is `end`."""
     if not names:
         return Starts({}, {})
     plant = make_plant(asset, measured)
@@ -180,12 +179,12 @@ def fit_start_states(
 
 
 def _answer_path(folder: Path, asset: int, run: int) -> Path:
-    """Where the fresh process puts the replay of a run by an asset."""
+    """File of the replay of a run by an asset."""
     return folder / f"run_{asset}_{run}.npz"
 
 
 def _read_status(folder: Path, count: int) -> tuple[str, list[tuple[float, ...]]]:
-    """The engine's version, and for each of `count` assets how far poses are off, as far as this is known."""
+    """The engine's version, and the displacements of poses for each of `count` assets, as far as known."""
     path = folder / "status.json"
     if not path.is_file():
         return "", [()] * count
@@ -210,7 +209,7 @@ def _read_run(folder: Path, asset: int, i: int, run: Run, starts: Starts) -> Run
 
 
 def _run(folder: Path, job: Job, seconds: float, progress: Progress | None) -> None:
-    """Let the fresh process work for some seconds."""
+    """Run the fresh process for at most `seconds`."""
     reported, end, count = -1, time.monotonic() + seconds, len(job.measured.runs) * len(job.assets)
     with (folder / "stderr").open("w") as stderr, tempfile.TemporaryFile() as stdin:
         pickle.dump(job, stdin)

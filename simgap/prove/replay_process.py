@@ -39,15 +39,15 @@ Engine = Literal["sapien", "mujoco"]
 State = tuple[float, float]
 """Position, rad or m, and velocity."""
 TIMESTEPS_S: dict[Engine, float] = {"sapien": 4e-3, "mujoco": 1e-3}
-"""First choice; halved for every run until that changes it by little."""
+"""First choice; halved for every run until that changes it little."""
 HALVINGS = 6
 """Of the first time step, at most."""
 MOST_STEPS = 100_000
-"""Of one simulation, from which on the time step is not halved any more: SAPIEN takes some four seconds for them. A
-number, not a time, so that a replay is the same whenever it is repeated."""
+"""Steps of one simulation above which the time step is not halved. A number, not a time, so that replays are
+repeatable."""
 ENOUGH, SMALL = 0.1, 0.005
-"""Sigmas that a halving of the time step may change a replay by, and the part of what that replay is off by anyway: a
-free swing far from the measured one may differ by more at any step, and tells the same."""
+"""Largest change by a halving of the time step: sigmas, and share of the replay's error; a simulation far from the
+measurement may differ more at any step."""
 
 
 @dataclass(frozen=True)
@@ -57,24 +57,24 @@ class AssetOnDisk:
     path: Path
     """Its folder, or its URDF."""
     root: Path | None = None
-    """Bounds what the URDF may name (`Asset.root`)."""
+    """Folder that referenced files must be in (`Asset.root`)."""
     guesses: bool = True
-    """Whether effects act that asset.json calls guessed."""
+    """Whether effects that asset.json marks as guessed act."""
 
     def read(self, measured: Measured) -> Asset:
-        """The asset; FreeArtError when it has not the joint that was measured, or others follow that one."""
+        """The asset; FreeArtError when it lacks the measured joint, or others mimic that one."""
         asset = read_asset(self.path, measured.joint, guesses=self.guesses, root=self.root)
         check_match(asset, measured)
         return asset
 
     def resolved(self) -> AssetOnDisk:
-        """The same from any working folder."""
+        """The same with absolute paths."""
         return replace(self, path=self.path.resolve(), root=None if self.root is None else self.root.resolve())
 
 
 def check_match(asset: Asset, measured: Measured, what: str = "a replay") -> None:
-    """Raise FreeArtError when the measured joint is not the asset's, or others follow it, with which `what` moves one
-    part alone."""
+    """Raise FreeArtError when the measured joint is not the asset's, or others mimic it, which `what` does not
+    support."""
     joint = find_movable_joint(asset.urdf, measured.joint)
     check_no_mimics(asset.urdf, joint.name, what)
     if joint.joint_type != measured.joint_type:
@@ -85,7 +85,7 @@ def check_match(asset: Asset, measured: Measured, what: str = "a replay") -> Non
 
 @dataclass(frozen=True)
 class Starts:
-    """Where runs start, and what their sensor's noise is."""
+    """Start states of runs, and their sensor noise."""
 
     states: Mapping[str, State]
     """Run name to the state at its first reading."""
@@ -95,38 +95,38 @@ class Starts:
 
 @dataclass(frozen=True)
 class PosesToReplay:
-    """Measured poses of one run to hold against where an asset puts the part."""
+    """Measured poses of one run, to compare with the part's pose in an asset."""
 
     poses: Array
     """(n, 4, 4) in the canonical frame, without the tracker's registration."""
     states: Array
-    """(n,) canonical joint states, as the poses say them."""
+    """(n,) canonical joint states, from the poses."""
     times_s: Array
     """(n,) on the clock of the asset's effects."""
     middle: Array
-    """(3,) canonical, at state zero: the point of the moving part at which shifts are counted."""
+    """(3,) canonical, at state zero: the point of the moving part at which displacements are counted."""
     lever: float
-    """m: how far points are from there, to count turns as shifts."""
+    """m: distance of points from there, to count rotations as displacements."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """What to replay."""
+    """The task of the process."""
 
     assets: tuple[AssetOnDisk, ...]
     measured: Measured
-    """With the runs to replay alone."""
+    """Only the runs to replay."""
     starts: tuple[Starts, ...]
     """For each asset."""
     engine: Engine
     holding: float
-    """Of inputs of which nobody knows how they go on between their rows: 0 smoothly, 1 held."""
+    """Interpolation of inputs where it is unknown: 0 smooth, 1 zero-order hold."""
     poses: tuple[tuple[PosesToReplay, ...], ...]
     """For each asset, or none."""
 
 
 class _AssetInEngine(ABC):
-    """One asset in an engine, as its files say, ready to replay runs."""
+    """One asset's files in an engine, ready to replay runs."""
 
     def __init__(self, on_disk: AssetOnDisk, job: Job):
         self.job, measured = job, job.measured
@@ -139,17 +139,17 @@ class _AssetInEngine(ABC):
 
     @abstractmethod
     def load(self, timestep_s: float) -> Any:
-        """The asset with its effects, to be stepped by `timestep_s`."""
+        """The asset with its effects, for steps of `timestep_s`."""
 
     @abstractmethod
     def roll(self, loaded: Any, h: float, start: State, seconds: float, **forces: Any) -> tuple[Array, Array]:
-        """Times and positions from `start` on, each (n,); `forces` as `simulate.roll_out` takes them: `force`,
-        `actuator` and `base_force`."""
+        """Times and positions (n,) from `start` on; `forces` as for `simulate.roll_out`: `force`, `actuator`,
+        `base_force`."""
 
     def replay(self, loaded: Any, h: float, run: Run, start: State) -> Array:
-        """(n,) what the sensor reads at the known readings of `run`; the state `start` is that of the first one.
+        """(n,) simulated readings at the known readings of `run`; `start` is the state at the first one.
 
-        A sensor that is late reads a state of before: the simulation begins by so much earlier.
+        With a delayed sensor the simulation begins earlier by that delay.
         """
         times, measured = run.times_s[np.isfinite(run.q)], self.job.measured
         first = float(times[0])
@@ -176,7 +176,7 @@ class _AssetInEngine(ABC):
         return np.asarray(q + sum((effect.reading_error(q) for effect in self.sensing), np.zeros(len(q))))
 
     def _base_force(self, run: Run, begin: float) -> simulate.BaseForce | None:
-        """What the joint feels of a base that moves."""
+        """Force of a moving base; None at rest."""
         if run.base is None:
             return None
         from simgap.measure.base_motion import (
@@ -190,7 +190,7 @@ class _AssetInEngine(ABC):
         return found.function(begin)
 
     def _make_actuator(self, command: Any, effort: Any, voltage: Any, enabled: Any) -> Actuator | None:
-        """What drives the joint by these functions of time, each of which may be missing."""
+        """The actuator with these functions of time, each of which may be None."""
         known = self.job.measured.actuator
         law = known or Actuator()
         volts, commanded = (voltage if law.motor else None), effort
@@ -213,7 +213,7 @@ class _AssetInSapien(_AssetInEngine):
 
 
 class _AssetInMujoco(_AssetInEngine):
-    """By the MJCF beside the URDF; the drive and what the joint feels of a moved base are forces from outside."""
+    """In MuJoCo, by the MJCF beside the URDF; the drive and a moving base are external forces."""
 
     def __init__(self, on_disk: AssetOnDisk, job: Job):
         super().__init__(on_disk, job)
@@ -223,7 +223,7 @@ class _AssetInMujoco(_AssetInEngine):
 
     @cached_property
     def model(self) -> Any:
-        """The compiled model: one joint moves, and nothing touches anything."""
+        """The compiled model with one moving joint and without contacts."""
         import mujoco
 
         with tempfile.TemporaryDirectory() as place_:
@@ -248,7 +248,7 @@ class _AssetInMujoco(_AssetInEngine):
         return model
 
     def _gravity(self, model: Any) -> Array:
-        """(3,) in MuJoCo's world, so that the reference part feels what was measured."""
+        """(3,) in MuJoCo's world, such that the reference part feels the measured one."""
         import mujoco
 
         data = mujoco.MjData(model)
@@ -290,7 +290,7 @@ class _AssetInMujoco(_AssetInEngine):
 
 
 def _convert_to_mjcf(asset: Asset, folder: Path) -> Path:
-    """The asset's URDF as MJCF, in a folder with the files that it names."""
+    """The asset's URDF as MJCF, in a folder with its files."""
     from export.mjcf_of_urdf import mjcf_of_urdf  # most have one, and it imports half a second's worth
 
     urdf = folder / asset.urdf.name
@@ -321,10 +321,10 @@ def _replay(folder: Path, job: Job) -> None:
 def _replay_converged(
     asset_in_engine: _AssetInEngine, run: Run, start: State, noise: float, h: float
 ) -> tuple[Array, float, float]:
-    """Readings of one run, the time step that they needed, s, and by how many sigmas its last halving changed them.
+    """Readings of one run, the time step that they needed, s, and the change by its last halving, sigmas.
 
-    Each run with each asset by itself: what was added may be stiffer than all that was there, and a run that just
-    passes a notch, or does not, needs far finer steps than one that only swings wider and faster.
+    For each run and asset separately: an added effect may be stiffer than all others, and a run that just passes a
+    notch needs far finer steps than a smooth one.
     """
     known = np.isfinite(run.q)
     times, measured = run.times_s[known], run.q[known]
@@ -348,14 +348,14 @@ def _replay_converged(
 
 
 def _pose_gap(asset_in_engine: _AssetInEngine, track: PosesToReplay) -> float:
-    """m: how far measured poses are from where the asset has the part."""
+    """m: displacement of measured poses from the part in the asset."""
     motion = simulate.joint_motion(asset_in_engine.asset, track.states, track.times_s, asset_in_engine.placed.gravity)
     off = se3.log_se3(se3.inverse(motion) @ track.poses)
     return rms_displacement(move_twists(track.middle, off), track.lever)
 
 
 def main() -> None:
-    """Replay what standard input says, into the folder that the command line names."""
+    """Replay the job of standard input into the folder of the command line."""
     try:
         _replay(Path(sys.argv[1]), pickle.load(sys.stdin.buffer))
     except FreeArtError as error:

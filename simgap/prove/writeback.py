@@ -1,4 +1,4 @@
-"""Named effects into a copy of the asset: URDF says what it can, effects.json says all, MJCF says what it can."""
+"""Effects written into a copy of the asset: URDF and MJCF as far as they can express them, effects.json fully."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ def write_repaired(
     source: dict[str, Any] | None = None,
     body: BodyCorrection = NO_CORRECTION,
 ) -> Asset:
-    """Write a copy of the asset with `effects` added to its joint's into `folder`, reload it, and give it back.
+    """Write a copy of the asset with `effects` added to its joint's into `folder`, and return it as reloaded.
 
     Args:
-        asset: stays as it is.
-        effects: what is missing; those of one size add to what the asset has already.
-        folder: takes the files; need not exist, must hold nothing else.
-        source: what asset.json shall say of where the repair came from.
-        body: what the inertia and the weight beyond the joint are multiplied by.
+        asset: unchanged.
+        effects: added; those of a kind that the asset has are merged with it.
+        folder: for the files; must be empty or new.
+        source: provenance of the repair, for asset.json.
+        body: correction of inertia and weight beyond the joint.
 
-    Raises FreeArtError when the joint cannot have an effect, a named file cannot be copied, or the reloaded asset is
-    not the same but for its effects.
+    Raises FreeArtError when the joint cannot have an effect, a referenced file cannot be copied, or the reloaded asset
+    differs in more than its effects.
     """
     effects = (*effects, *body.offset)
     merged = {**asset.effects, asset.joint: merge_effects(asset.effects.get(asset.joint, ()), effects)}
@@ -70,7 +70,7 @@ def write_repaired(
 
 
 def merge_effects(had: tuple[Effect, ...], new: tuple[Effect, ...]) -> tuple[Effect, ...]:
-    """The effects of both, two of a kind as one where that can be (`Effect.merged`)."""
+    """The effects of both, merged where that is possible (`Effect.merge`)."""
     out = list(had)
     for effect in new:
         same = next((i for i, e in enumerate(out) if e.name == effect.name), None)
@@ -83,7 +83,7 @@ def merge_effects(had: tuple[Effect, ...], new: tuple[Effect, ...]) -> tuple[Eff
 
 
 def set_dynamics(root: ET.Element, effects: dict[str, tuple[Effect, ...]]) -> None:
-    """Set `<dynamics>` of every joint of a URDF as its effects say; everything else, comments too, stays."""
+    """Set `<dynamics>` of every joint of a URDF from its effects; the rest is unchanged."""
     for joint in root.findall("joint"):
         acting = effects.get(joint.get("name", ""), ())
         said = [effect.urdf_dynamics() for effect in acting]
@@ -97,7 +97,7 @@ def set_dynamics(root: ET.Element, effects: dict[str, tuple[Effect, ...]]) -> No
 
 
 def set_joint_words(root: ET.Element, joint: str, effects: dict[str, tuple[Effect, ...]], where: Path) -> None:
-    """Set the words of an MJCF's joint as the effects say; FreeArtError when it has no such joint."""
+    """Set the attributes of an MJCF's joint from the effects; FreeArtError when it has no such joint."""
     element = next((e for e in root.iter("joint") if e.get("name") == joint), None)
     if element is None:
         names = ", ".join(e.get("name", "") for e in root.iter("joint"))
@@ -109,7 +109,7 @@ def set_joint_words(root: ET.Element, joint: str, effects: dict[str, tuple[Effec
 
 
 def _check_reloaded(asset: Asset, effects: dict[str, tuple[Effect, ...]], folder: Path) -> Asset:
-    """The asset as read from `folder`, checked: effects as given, and the joint where it was."""
+    """The asset as read from `folder`, after checking its effects and its joint."""
     read = read_asset(folder)
     if read.effects != {name: said for name, said in effects.items() if said}:
         raise FreeArtError(f"{folder} has effects {read.effects} once reloaded, expected {effects}")

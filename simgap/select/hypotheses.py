@@ -97,7 +97,7 @@ def evaluate_with_model_error(hypothesis: Hypothesis, folds: tuple[Fold, ...], b
     for fold in folds:
         theta, starts = np.append(fit.theta, np.zeros(more)), fit.starts
         if not model.problem.inverse_dynamics:
-            # formula and model error are nearly confounded: a narrow curved valley on whole runs, a straight one on stretches
+            # formula and model error form a narrow valley, curved on whole runs, straight on stretches
             theta, starts = fit_stretches(model, fold.train, theta, _CROSSINGS, 8)
         trained.append(fit_model(model, fold.train, theta, starts, iterations=8))
     return _predict_folds(fit, tuple(trained), folds, base)
