@@ -1,1 +1,1 @@
-"""Finding where simulation and measurement disagree, naming the missing effect, adding it."""
+"""Finding where simulation and measurement differ, naming the missing effect, adding it to the asset."""

@@ -191,7 +191,7 @@ def _list_unexplained(
         if after <= max(_bound(gap, distance), MIN_SHARE * gap.before):
             continue
         if gap.regime == geometry.GAPS[2] and fraying:
-            continue  # what is lost or flies at the rim is missing from the outline, too
+            continue  # lost and flying pixels at the rim change the outline, too
         best = kinds[0].scores[0].names
         how = (
             f", mostly by {best[-1]}" if gap.regime == geometry.GAPS[0] and best[-1:] and best != kinds[0].names else ""
@@ -218,7 +218,7 @@ def _cannot_tell(kinds: Sequence[Chosen], scene: FilmScene, rows: Rows) -> tuple
             "an asset of known size (export --scale, or a CAD model) would tell"
         )
         out.append(("depth_scale, depth_offset, depth_curve, focal_length, principal_point", why))
-        out += [("gamma_drift", "light that wanders over the asset's surface looks alike")] * scene.coloured
+        out += [("gamma_drift", "light that moves over the asset's surface looks the same")] * scene.coloured
     if "depth_delay" not in judged_effects:
         out.append(("depth_delay", "the object hardly moves in the picture: under half a pixel a frame"))
     if not scene.coloured:

@@ -108,7 +108,7 @@ def choose(kind: Kind, split: tuple[Frames, Frames, Frames]) -> Chosen:
     attempt(())
     beam: list[tuple[str, ...]] = [()]
     best = _smallest(scores, kind.spare)
-    while len(beam[0]) <= len(best[0].names) + 1:  # a size further than what helps: pairs may do what neither does
+    while len(beam[0]) <= len(best[0].names) + 1:  # one size beyond the best: pairs may help where singles do not
         wider = {tuple(e for e in kind.effects if e in (*s, more)) for s in beam for more in kind.effects} - set(beam)
         if not wider:
             break

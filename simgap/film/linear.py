@@ -93,7 +93,7 @@ def fit_blocks(blocks: Sequence[Block], chosen: Sequence[int], ridge: Array | No
     tau = [max(s, b.least[1]) for s, b in zip(sigma, blocks, strict=True)]
     fit = LinearFit(tuple(k), np.zeros(len(k)), tuple(sigma), tuple(tau))
     prior = np.diag(np.zeros(len(k)) if ridge is None else ridge[k]).astype(float)
-    for last in [False] * (ROUNDS if k else 2) + [True]:  # the last one: what is left once the last step is taken
+    for last in [False] * (ROUNDS if k else 2) + [True]:  # the last round updates scales only
         A, g = prior.copy(), np.zeros(len(k))
         for i, b in enumerate(blocks):
             if not len(b.y):

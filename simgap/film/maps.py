@@ -27,7 +27,7 @@ class FilmMap:
     """One error over bins of another quantity."""
 
     gap: str
-    """The gap of which it is a map (`proof`)."""
+    """The mapped gap (`proof`)."""
     what: str
     unit: str
     over: str
@@ -46,7 +46,7 @@ def film_maps(rows: Rows, coloured: bool) -> tuple[FilmMap, ...]:
     angle = np.degrees(np.arccos(np.clip(rows["cosine"], 0, 1)))
     outward = np.degrees(np.arctan2(rows["outward"][:, 1], rows["outward"][:, 0]))
     lost = np.isnan(rows["error"]).astype(float)
-    lost -= (np.bincount(inner, lost) / np.maximum(np.bincount(inner), 1))[inner]  # against the frame's mean
+    lost -= (np.bincount(inner, lost) / np.maximum(np.bincount(inner), 1))[inner]  # relative to the frame's mean
     error = (geometry.GAPS[0], "depth error", "mm", 1e3 * rows["error"], inner)
     holes = (pixel_faults.LOST, "holes", "%", 100 * lost, inner)
     masks, depths = (

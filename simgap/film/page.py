@@ -15,7 +15,7 @@ from freeart21.view.tables import table_section
 from simgap.film.answer import FilmVerdict, size_text
 from simgap.film.maps import FilmMap
 from simgap.film.samples import simulate_frame
-from simgap.film.workflow import Found
+from simgap.film.workflow import FilmResult
 from simgap.page.replay_page import repeat_section
 from simgap.page.report import (
     Ranked,
@@ -37,7 +37,7 @@ WIDEST = 420
 _BLUE, _RED = np.array([0, 114, 178.0]), np.array([213, 94, 0.0])
 
 
-def page(verdict: FilmVerdict, found: Found, command: str, seconds: float) -> str:
+def page(verdict: FilmVerdict, found: FilmResult, command: str, seconds: float) -> str:
     """The page as HTML. `command` repeats it."""
     n = {k: len(v) for k, v in verdict.frames.items()}
     chips = [
@@ -110,7 +110,7 @@ def _doubt(verdict: FilmVerdict) -> str:
     return html
 
 
-def _maps(found: Found) -> list[Section]:
+def _maps(found: FilmResult) -> list[Section]:
     maps = sorted(found.maps, key=lambda m: (m.bins.adjusted, not len(m.rows)))
     drawings = [
         _picture_map(m)
@@ -137,7 +137,7 @@ def _picture_map(m: FilmMap) -> str:
     )
 
 
-def _frame(verdict: FilmVerdict, found: Found) -> Section:
+def _frame(verdict: FilmVerdict, found: FilmResult) -> Section:
     """The confirming frame with the largest error: measured, simulated, and simulated with the camera's faults."""
     of = {f.frame: f for f in found.rows.frames}
     index = max(verdict.frames["confirm"], key=lambda i: np.nansum(np.abs(of[i].fields["error"])))

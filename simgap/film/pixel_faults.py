@@ -138,7 +138,7 @@ def holes_kind(rows: Rows) -> Kind:
         total, g = every[frames].sum(0), gone[frames].sum(0)
 
         def values_of(x: Array) -> dict[str, Any]:
-            shares = 0.5 * (1 + np.tanh(0.5 * x))  # each between 0 and its ceiling
+            shares = 0.5 * (1 + np.tanh(0.5 * x))  # between 0 and the ceiling
             return {f: float(ceiling.get(f, 0.995) * s) for f, s in zip(fields, shares, strict=True)}
 
         def logs_of(values: dict[str, Any], total: Array, g: Array) -> Array:
@@ -162,7 +162,7 @@ def holes_kind(rows: Rows) -> Kind:
             float((total * hole_rate(CameraFaults(**{f: values[f] for f in parameters_of(n)}))).sum()) for n in names
         ]
         inside = values.get("dark_level", 0.0) < dark_end and values.get("grazing_angle", 2.0) > flat_end
-        matters = inside and min(own, default=np.inf) >= LEAST_HOLES * total.sum()  # each takes some, leaves others
+        matters = inside and min(own, default=np.inf) >= LEAST_HOLES * total.sum()  # each explains enough pixels
         return SetFit(values, lambda some: logs_of(values, every[some], gone[some]).sum((1, 2)), matters)
 
     return Kind("holes", ("holes", "dark_holes", "grazing_holes"), fit, tuple(cells), LEAST_MORE, (LOST,))

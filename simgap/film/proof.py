@@ -50,9 +50,7 @@ def measure_gaps(
     sizes[pixel_faults.NOISE] = abs(had - pixel_faults.robust_deviation(simulated))
     every, gone = (c.sum(0) for c in pixel_faults.count_holes(rows))
     off = (gone - every * pixel_faults.hole_rate(camera)).reshape(6, -1, 6, every.shape[1] // 6).sum((1, 3))
-    sizes[pixel_faults.LOST] = float(
-        np.abs(off).sum() / max(every.sum(), 1)
-    )  # in wide bins, for single ones are chance
+    sizes[pixel_faults.LOST] = float(np.abs(off).sum() / max(every.sum(), 1))  # in wide bins, less noisy
     near = rows["band"] <= (known.flying_reach or 2.0)
     flying = float(pixel_faults.find_flying(rows, known)[near].mean()) if near.any() else 0.0
     sizes[pixel_faults.FLYING] = abs(flying - camera.flying_share)

@@ -179,7 +179,7 @@ def _sample_inner(
     k = _draw_pixels(ok, MOST_INNER, rng)
     v, u = np.divmod(k, z.shape[1])
     at = np.stack([u + 0.5, v + 0.5], -1) - principal
-    light = srgb_decode(np.asarray(now.colour.rgb[..., 1].flat[k]) / 255)  # one channel: tone curves bend each
+    light = srgb_decode(np.asarray(now.colour.rgb[..., 1].flat[k]) / 255)  # one channel: tone curves act on each
     seen = srgb_decode(np.asarray(frame.rgb[..., 1].flat[k]) / 255)
     usable = (now.colour.part.flat[k] > 0) & (light > 0.004) & (seen > 0.004) & (frame.rgb.max(-1).flat[k] < 250)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -261,7 +261,7 @@ def _sample_edges(depth: RenderedFrame, frame: Frame, rng: np.random.Generator) 
     padded = np.pad(frame.depth, 2)
     d = frame.depth.flat[k]
     off = np.abs([padded[v + dv, u + du] - d for dv in range(5) for du in range(5)])
-    lonely = np.partition(off, 5, axis=0)[5]  # the pixel itself is one of them
+    lonely = np.partition(off, 5, axis=0)[5]  # includes the pixel itself
     of = {"band": distance, "band_z": z, "band_cosine": depth.cosine}
     return {name: values.flat[k].astype(float) for name, values in of.items()} | {"band_depth": d, "lonely": lonely}
 

@@ -53,7 +53,7 @@ class Film:
 
 
 @dataclass(frozen=True)
-class Found:
+class FilmResult:
     """Results for the page beyond the verdict."""
 
     film: Film
@@ -63,7 +63,7 @@ class Found:
     """For the asset's film as it is."""
 
 
-def find_film_gap(film: Film, progress: Progress | None = None) -> tuple[FilmVerdict, Found]:
+def find_film_gap(film: Film, progress: Progress | None = None) -> tuple[FilmVerdict, FilmResult]:
     """The effects that the simulated film lacks. Writes nothing; deterministic. Raises FreeArtError when films do not
     match."""
     recording, scene = film.recording, film.scene
@@ -113,7 +113,7 @@ def find_film_gap(film: Film, progress: Progress | None = None) -> tuple[FilmVer
     part = find_missing_part(recording, scene, rows, split)
     numbers = {k: frames[i].tolist() for k, i in zip(("fit", "choose", "confirm"), split, strict=True)}
     verdict = verdict_of(kinds, confirmed, gaps, maps, part, scene, rows, numbers)
-    return verdict, Found(film, tuple(kinds), maps, first)
+    return verdict, FilmResult(film, tuple(kinds), maps, first)
 
 
 def _picture(camera: CameraFaults) -> CameraFaults:

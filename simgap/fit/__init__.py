@@ -1,1 +1,1 @@
-"""Sets of effects fitted to runs, and the search for those that explain them."""
+"""Fits of sets of effects to runs, and the search over sets."""

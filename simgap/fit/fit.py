@@ -399,7 +399,7 @@ def predict_readings(fit: Fit, run: FitRun, times_s: Array | None = None) -> Arr
     numbers, effects = mapping.vector(fit.theta)
     numbers[kernel.Q0], numbers[kernel.QD0] = fit.starts[run.name]
     times = run.times_s if times_s is None else times_s
-    step = time_steps(fit.model.problem.plant, effects, fit.model.problem.surrogate, run.inputs.held)
+    step = time_steps(fit.model.problem.plant, effects, fit.model.problem.surrogate, run.inputs.has_position_law)
     return apply_sensing(effects, sweep(numbers[None], effect_terms(effects), times, run.inputs, step)[0])
 
 

@@ -54,7 +54,7 @@ class ForcePredictor:
 
 
 def require_force_runs(runs: Sequence[FitRun]) -> tuple[ForceRun, ...]:
-    """The runs, all of which must have a measured force."""
+    """The runs, if they all have a measured force; else TypeError."""
     force_runs = tuple(run for run in runs if isinstance(run, ForceRun))
     if len(force_runs) != len(runs):
         raise TypeError("runs of position among runs of force")

@@ -133,7 +133,7 @@ class Linearisation:
         terms, settings = effect_terms(effects), self.problem.surrogate
         for i, run in enumerate(self.runs):
             numbers[kernel.Q0], numbers[kernel.QD0] = self.fit.starts[run.name]
-            step = time_steps(self.problem.plant, effects, settings, run.inputs.held)
+            step = time_steps(self.problem.plant, effects, settings, run.inputs.has_position_law)
             inputs = run.inputs.with_rows(run.times_s)
             rows = []
             for force in (np.zeros(len(run.q)), *forces[:, done : done + len(run.q)]):
@@ -248,7 +248,7 @@ class Linearisation:
         terms, parts = effect_terms(made[0][1]), []
         for i, run in enumerate(self.runs):
             table[:, kernel.Q0], table[:, kernel.QD0] = self.fit.starts[run.name]
-            q = sweep(table, terms, run.times_s, run.inputs, steps[run.inputs.held])
+            q = sweep(table, terms, run.times_s, run.inputs, steps[run.inputs.has_position_law])
             if mapping.sensing:
                 q = np.stack([apply_sensing(effects, row) for (_, effects), row in zip(made, q, strict=True)])
             parts.append(self._project_out_start(i, (q - self.predicted[i]) / run.sigma))

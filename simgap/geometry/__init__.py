@@ -1,1 +1,1 @@
-"""The joint's own geometry, from part poses alone."""
+"""The joint's geometry, from part poses alone."""

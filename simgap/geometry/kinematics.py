@@ -36,7 +36,7 @@ _STRAY_RATIO = 5.0
 """Normalised displacement off its joint above which a part at rest along it has moved otherwise."""
 _MAX_OFF_AXIS = 1.0
 """Rotation across the joint's axis, rad, that no joint makes."""
-_ONE_SIGMA_TAIL = 0.16  # chance of more than one standard error upwards
+_ONE_SIGMA_TAIL = 0.16  # one-sided probability of one standard error
 
 
 def find_geometry(
@@ -91,7 +91,7 @@ class _Search:
         self.frames = len(model.run)
         span = float(np.ptp(model.q0)) or 1.0
         units = unit_numbers(model.q0, model.run, 0.05 * span, longest=max(20, self.frames // 24))
-        if units.max() < 3:  # a short sweep that never turns back
+        if units.max() < 3:  # no reversals
             units = np.arange(self.frames) * 4 // self.frames
         self.units: NDArray[np.int64] = units
         self.folds = model.run if len(train) >= 3 else _split_units(units, 4)
@@ -106,7 +106,7 @@ class _Search:
             return self._not_excited_finding()
         able = [n for n in STATIC if model.joint.type in EFFECTS[n].joint_types and n not in settings.without]
         full = Geometry.zero(tuple(able))
-        for _ in range(2):  # with the noise that is left over the fit with all static effects
+        for _ in range(2):  # noise is re-estimated with all static effects fitted
             full, q = model.fit(full, self.weighting)
             self.weighting = self._weighting_about(full)
         lin = model.linear(full, q, self.weighting)
@@ -121,7 +121,7 @@ class _Search:
         )
         chosen, p_values = _prune_subset(losses, _select_subset(losses), settings)
         point = self._fit_chosen(chosen, full, frequencies)
-        if point.rock is not None:  # what rocked was taken for noise so far
+        if point.rock is not None:  # noise without the rocking
             self.weighting = self._weighting_about(point)
         return self._finding(losses, chosen, p_values, point)
 
@@ -147,7 +147,7 @@ class _Search:
         L = weighting.whitening
         scale = float((residual**2).sum(-1).mean()) / 5.0
         shape = np.cov(np.linalg.inv(L) @ residual.T) + 1e-3 * scale * weighting.covariance
-        along = model.joint.screw / np.linalg.norm(L @ model.joint.screw)  # of unit length once whitened
+        along = model.joint.screw / np.linalg.norm(L @ model.joint.screw)  # unit length, whitened
         noise = shape + scale * np.outer(along, along) + np.diag(_NOISELESS)
         return replace(weighting, covariance=noise, correlation=_correlation(residual, model.run))
 
@@ -259,7 +259,7 @@ def _prune_subset(
     losses: Losses, chosen: tuple[str, ...], settings: KinematicsSettings
 ) -> tuple[tuple[str, ...], tuple[float, ...]]:
     """The subset without effects that gain too little or not significantly; p-values of the others."""
-    tests = len(losses.subsets) - 1  # what was looked at before this was chosen
+    tests = len(losses.subsets) - 1  # number of tests
     while chosen:
         whole = losses.mean((ROCK,) if ROCK in chosen else ()) - losses.mean(chosen)
         drops = []

@@ -25,12 +25,12 @@ STATIC: dict[str, int] = {n: len(c.parameters()) for n, c in EFFECTS.items() if 
 """Effects that depend on position alone, with their number of coordinates; first one outermost."""
 ROCK = next(name for name, cls in EFFECTS.items() if cls.time_driven)
 """The effect that oscillates in time."""
-_STEP = 1e-5  # of a coordinate's scale in central differences
+_STEP = 1e-5  # step of central differences, per scale
 _SCALES = {name: next(iter(EFFECTS[name].parameters().values())).scale for name in STATIC}
-_PARTS = (1.0, 0.5, 0.25, 0.125)  # of a step that are tried
-_DONE = 1e-3  # scales by which the last round moved a coordinate
-_MOST_REGISTRATION = 3.0  # standard deviations: beyond, it is no longer the tracker
-_WIDE = 100.0  # scales: standard deviation of the prior that keeps unexcited coordinates finite
+_PARTS = (1.0, 0.5, 0.25, 0.125)  # step halving
+_DONE = 1e-3  # convergence: largest step, per scale
+_MOST_REGISTRATION = 3.0  # standard deviations: bound
+_WIDE = 100.0  # prior standard deviation, per scale, of unexcited coordinates
 
 
 @dataclass(frozen=True)
@@ -295,7 +295,7 @@ class PoseModel:
             to_outer = se3.adjoint(before)
             h = _STEP * _SCALES[name]
             low, high = _coordinate_bounds(name)
-            base = np.clip(values, low + h, high - h)  # a one-sided difference where the other side does not exist
+            base = np.clip(values, low + h, high - h)  # one-sided at a bound
             for i in range(len(values)):
                 ends = [
                     effect_of(name, base + s * h * np.eye(len(values))[i]).displacement(q, self.times_s, self.mechanics)

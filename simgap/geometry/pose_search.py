@@ -85,7 +85,7 @@ def held_out_losses(
         folds: (n,) fold of each frame.
     """
     k, prior, limits = lin.columns.shape[-1] - 6, weighting.priors(names), weighting.bounds(names)
-    of_column = np.repeat(np.array([*names, ""]), [*(STATIC[name] for name in names), 6])  # "" of the registration
+    of_column = np.repeat(np.array([*names, ""]), [*(STATIC[name] for name in names), 6])  # "" is the registration
     numbers = np.unique(folds)
     count = np.bincount(units)
     plain = {f: normal_equations(lin.columns[folds == f], lin.data[folds == f]) for f in numbers}
@@ -218,7 +218,7 @@ def _ceiling_losses(lin: Linear, prior: Array, folds: NDArray[np.int64], units: 
     whole = _ridge(total_A, total_b, precisions)
     for f, (A, b) in grams.items():
         here, others = folds == f, lin.q[folds != f]
-        beyond = (lin.q[here] < others.min()) | (lin.q[here] > others.max())  # a polynomial does not reach there
+        beyond = (lin.q[here] < others.min()) | (lin.q[here] > others.max())  # no extrapolation of polynomials
         x = np.where(beyond[:, None], whole, _ridge(total_A - A, total_b - b, precisions))
         residual = lin.data[here] - (columns[here] @ x[..., None])[..., 0]
         out += np.bincount(units[here], (residual**2).sum(-1), len(out))

@@ -1,1 +1,1 @@
-"""What was measured, as fits see it: readings with their noise, inputs between rows, motion."""
+"""Measured runs as fits take them: readings with noise, inputs between rows, base motion."""

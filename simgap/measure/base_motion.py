@@ -45,7 +45,7 @@ class BaseForce:
         """A function of position and time since `begin_s` to the force, N*m or N, for simulators."""
         times, rows = self.times_s.tolist(), self.terms.T.tolist()
 
-        def force(q: float, t: float) -> float:  # `sway_force` without arrays, ten times as fast
+        def force(q: float, t: float) -> float:  # `base_motion_force` on floats, 10 times faster
             t += begin_s
             i = min(max(bisect_right(times, t) - 1, 0), len(times) - 2)
             share = min(max((t - times[i]) / (times[i + 1] - times[i]), 0.0), 1.0)
@@ -92,7 +92,7 @@ def make_base_force(
     axis, point = (np.array([0.0, 0.0, 1.0]), np.zeros(3)) if turns is None else (turns.axis, turns.point)
     if base.angle is not None:
         angle, rate, change = _differentiate(times_s, base.angle, at)
-    back = se3.exp_so3(-angle[:, None] * axis)  # from directions at rest to the base's own
+    back = se3.exp_so3(-angle[:, None] * axis)  # from the directions at rest to the base's
     to = T_parent_canonical[:3, :3]
     g = np.einsum("nij,j->ni", back, to.T @ mechanics.gravity)
     w, dw = np.outer(rate, axis), np.outer(change, axis)

@@ -85,7 +85,7 @@ def _actuator_inputs(run: Run, measured: Measured, longest_s: float) -> Inputs:
     series, hold_difference = both[:3], both[3:]
     on = enabled_at(run, times, commanded is not None)
     stacked = np.concatenate([series, hold_difference, [on]])
-    new = np.append(True, (np.diff(stacked) != 0).any(0))  # a value lasts: only where it changes matters
+    new = np.append(True, (np.diff(stacked) != 0).any(0))  # only changes matter
     follows = np.full(int(new.sum()), np.nan) if run.q_command is None else series[0, new]
     extra = np.ascontiguousarray(hold_difference[:, new]) if hold_difference.any() else None
     drives = None if on.all() else on[new]
@@ -179,7 +179,7 @@ def _hold_values(times: Array, logged: Array, how: Interpolation, longest_s: flo
     spans = np.diff(times)
     moves = np.any([(c.terms[c.row(times[:-1]), 1:] != 0).any(1) for c in channels], 0)
     parts = np.where(moves, np.maximum(np.ceil(spans / (2 * longest_s)), 1), 1).astype(int)
-    row = np.repeat(np.arange(len(spans)), parts)  # of every part of a row's time
+    row = np.repeat(np.arange(len(spans)), parts)  # of each part
     span = spans[row] / parts[row]
     begin = times[row] + span * (np.arange(len(row)) - (np.cumsum(parts) - parts)[row])
     nodes = begin + 0.5 * span * (1 + _NODES[:, None])

@@ -53,7 +53,7 @@ def _fit_noise(series: list[tuple[Array, Array]], points: int, order: int, step:
     if not parts:
         return np.inf, 0.0, 0.0
     left2, speed, ways = (np.concatenate(column) for column in zip(*parts, strict=True))
-    moving = ways > step  # a sensor at rest shows the same step again and again, and hides its noise
+    moving = ways > step  # at rest quantisation hides the noise
     if moving.sum() > max(100, 0.05 * len(moving)):
         left2, speed = left2[moving], speed[moving]
     free = points - order - 1

@@ -85,7 +85,7 @@ def make_force_runs(
     ):
         return None
     if any(run.q_command is not None and not run.prescribed for run in candidates):
-        return None  # its law is told: the simulation holds it, too
+        return None  # with a position law the simulation can follow the motion
     if not (candidates[0].prescribed or all(_is_steady(run, measured, plant) for run in candidates)):
         return None
     noise = estimate_noise([_finite(run.times_s, _logged_force(run, measured)) for run in candidates]).sigma_at_rest
@@ -121,7 +121,7 @@ def _is_steady(run: Run, measured: Measured, plant: Plant) -> bool:
         return False
     t, _, q, _, qdd, kernel = smooth
     half, force = len(kernel) // 2 + 1, np.interp(t, *_finite(run.times_s, _logged_force(run, measured)))
-    slides = _sliding(q)  # and not where it is only brought to its speed
+    slides = _sliding(q)  # excludes acceleration from rest
     slides[:half], slides[-half:] = False, False
     if not slides.any():
         return False
@@ -160,7 +160,7 @@ def _make_run(measured: Measured, plant: Plant, run: Run, noise: float, still: f
     if run.base is not None:
         external = external + base_motion_force(base_force_of(run, measured, plant).at(t), q)
     seen = (np.convolve(series, kernel, "same") for series in (commanded, external, np.cos(q), np.sin(q), qd))
-    commanded, external, cosine, sine, speed = seen  # as the acceleration is
+    commanded, external, cosine, sine, speed = seen  # smoothed as the acceleration
     half, span = len(kernel) // 2 + 1, plant.upper - plant.lower
     slack = 1e-3 * span if np.isfinite(span) else 0.0
     usual = float(np.sqrt(np.mean(qd**2)))

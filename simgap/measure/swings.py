@@ -15,7 +15,7 @@ def reversals(q: Array, least: float) -> NDArray[np.int64]:
     found: list[int] = []
     low = high = 0
     rising: bool | None = None
-    values = q.tolist()  # twenty times as fast
+    values = q.tolist()  # 20 times faster than arrays
     for i, x in enumerate(values):
         low, high = (i if x < values[low] else low), (i if x > values[high] else high)
         if rising is not False and values[high] - x > least:

@@ -1,1 +1,1 @@
-"""Motion along the joint: a fast simulation under any effects, and where the measured one parts from it."""
+"""Motion along the joint: a fast simulation under any effects, and maps of where it differs from the measurement."""

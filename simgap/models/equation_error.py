@@ -23,8 +23,8 @@ from simgap.models.surrogate import Plant
 
 _ORDER = 4  # of the local polynomials
 _SHORTEST = 7  # readings of a window
-_LONGEST = 501  # readings of one: scipy's coefficients lose their digits beyond (of 3,333 accelerations were 20-fold)
-_WINDOWS_PER_HALF_SWING = 6  # what is narrower is blurred, and noise grows with the power 2.5
+_LONGEST = 501  # readings of one: scipy's coefficients lose precision beyond (with 3,333 accelerations were 20-fold)
+_WINDOWS_PER_HALF_SWING = 6  # wider blurs, narrower adds noise with power 2.5
 _IMPACT_READINGS = (5, 12)  # fewest and most on either side of an impact
 
 
@@ -85,21 +85,21 @@ def estimate_missing_force(
             continue
         t, raw, q, qd, qdd, kernel = smooth
         half = len(kernel) // 2 + 1
-        # close to a stop the contact's own force is unknown
+        # the contact force at a stop is unknown
         touching = _is_near_limit(q, lower, upper)
         near = np.convolve(touching, np.ones(2 * half + 1), "same") > 0
         impacts += _find_impacts(t, raw, touching)
         acting = model_forces(measured, mechanics, run, effects, t, q, qd, qdd)
         if run.base is not None and plant is not None:
             acting = acting[0] + base_motion_force(base_force_of(run, measured, plant).at(t), q), acting[1]
-        given, gravity = (np.convolve(force, kernel, "same") for force in acting)  # as smooth as qdd is
+        given, gravity = (np.convolve(force, kernel, "same") for force in acting)  # smoothed as qdd
         since = _distance_since_reversal(q)
         command = (
             np.full(len(t), np.nan) if run.q_command is None else logged_at(run.times_s, run.q_command, how, t) - q
         )
         columns = [t - run.times_s[0], q, qd, qdd, given, gravity, since, command, np.full(len(t), float(index))]
         keep = ~near
-        keep[:half], keep[len(keep) - half :] = False, False  # one-sided windows there
+        keep[:half], keep[len(keep) - half :] = False, False  # one-sided windows
         pieces.append(np.stack(columns, -1)[keep])
     rows = np.concatenate(pieces) if pieces else np.zeros((0, 9))
     time, q, qd, qdd, given, gravity, since, command, number = rows.T
@@ -143,12 +143,12 @@ def smooth_run(run: Run, window: int | None = None) -> tuple[Array, Array, Array
         turns = len(reversals(raw, 0.1 * float(np.ptp(raw))))
         window = int(len(raw) / max(turns, 1) / _WINDOWS_PER_HALF_SWING) // 2 * 2 + 1
     window = min(max(window, _SHORTEST), _LONGEST, len(raw) // 4 * 2 - 1)
-    # of wide windows scipy's coefficients keep so few digits that what goes on for long drowns its own acceleration
+    # remove the trend: with wide windows scipy's coefficients are too imprecise for it
     trend = np.polynomial.Polynomial.fit(t, raw, 2)
     rest = raw - trend(t)
     filtered = [savgol_filter(rest, window, _ORDER, deriv=k, delta=step) for k in range(3)]
     q, qd, qdd = (own + (trend.deriv(k) if k else trend)(t) for k, own in enumerate(filtered))
-    kernel = np.cumsum(np.cumsum(savgol_coeffs(window, _ORDER, deriv=2)))[:-2]  # its second difference is the filter
+    kernel = np.cumsum(np.cumsum(savgol_coeffs(window, _ORDER, deriv=2)))[:-2]  # the filter is its second difference
     return t, raw, q, qd, qdd, np.convolve(kernel, [1 / 12, 10 / 12, 1 / 12])
 
 
@@ -210,7 +210,7 @@ def _fit_scales(
     high = np.concatenate([[1 + reach[0] + 1e-9, 1 + reach[1] + 1e-9], free]) * size
     found = lsq_linear(columns / size, given, (low, high)).x / size
     if np.ptp(gravity) < 1e-9 * max(float(np.abs(gravity).max()), 1e-12):
-        found[1] = 1.0  # a constant pull is no scale of gravity
+        found[1] = 1.0  # a constant force does not determine the scale
     return float(found[0]), float(found[1])
 
 
@@ -228,7 +228,7 @@ def _find_impacts(t: Array, raw: Array, touching: NDArray[np.bool_]) -> list[lis
     found: list[list[float]] = []
     middle = 0.5 * (float(raw.max()) + float(raw.min()))
     half_swing = len(raw) / max(len(reversals(raw, 0.1 * float(np.ptp(raw)))), 1)
-    n = min(int(half_swing / 8), _IMPACT_READINGS[1])  # in longer stretches gravity would turn the motion round
+    n = min(int(half_swing / 8), _IMPACT_READINGS[1])  # short enough that gravity does not reverse the motion
     if n < _IMPACT_READINGS[0]:
         return []
     for i in np.flatnonzero(touching[1:] & ~touching[:-1]) + 1:

@@ -166,7 +166,7 @@ def _bearing_load(p, q, v):  # pragma: no cover
 def _level_of(terms, p, memory, q, v, qdd, bearing, carried):  # pragma: no cover
     """Friction level at this acceleration, for the loads of `_bearing_load` and `_gear_load`."""
     load2 = bearing[0] + qdd * (bearing[1] + qdd * p[LOAD_ARM2])
-    load = math.sqrt(load2) if load2 > 0.0 else 0.0  # a root costs as much as a formula
+    load = math.sqrt(load2) if load2 > 0.0 else 0.0  # avoids a square root, which costs as much as a formula
     return _sum(DRIVE, terms, p, memory, q, v, load, carried)
 
 
@@ -196,13 +196,13 @@ def _acceleration(terms, p, memory, q, v, slide, grip, side, push, position, eff
     free = F * share
     if slide == 0:
         return free
-    # against the motion: LuGre's, whose bristles bend over TRAVEL and damp by GRIPPING times the usual (Canudas de Wit,
-    # Olsson, Astrom and Lischinsky 1995); the level at once without TRAVEL
+    # LuGre friction: bristles deflect over TRAVEL, with GRIPPING times the usual damping (Canudas de Wit, Olsson,
+    # Astrom and Lischinsky 1995); instant without TRAVEL
     bent, damp = _bristle(p, slide, grip, q), 0.0
     if bent != slide:
         damp = p[GRIPPING] * math.sqrt(p[INERTIA] / p[TRAVEL]) * abs(v) * (slide - bent)
     bearing, carried, qdd = _bearing_load(p, q, v), _gear_load(p, q, v, side, position, effort, F), free
-    for _ in range(5 if loaded else 1):  # the load depends on the acceleration that friction changes
+    for _ in range(5 if loaded else 1):  # fixed point: the load depends on the acceleration
         level, before = _level_of(terms, p, memory, q, v, qdd, bearing, carried), qdd
         qdd = free - (level * bent + (damp * math.sqrt(level) if damp != 0.0 else 0.0)) * share
         if abs(qdd - before) <= _CONVERGED * abs(qdd):
@@ -341,16 +341,16 @@ def _roll(
     for k in range(len(terms)):
         if terms[k, 1] == FORCE:
             memory[k] = remember(terms[k, 0], y[0], 0.0, p, terms[k, 2] + TERM_HEAD)
-    turned = math.atan2(p[GRAVITY_SIN], p[GRAVITY_COS])  # from here on the largest force of gravity, and where it is
+    turned = math.atan2(p[GRAVITY_SIN], p[GRAVITY_COS])  # from here on as amplitude and phase
     p[GRAVITY_COS], p[GRAVITY_SIN] = math.hypot(p[GRAVITY_COS], p[GRAVITY_SIN]), turned
     gain, offset = p[GAIN], p[OFFSET]
     if inputs == 0:
         p[GAIN] = p[OFFSET] = 0.0
     delayed, now = p[COMMAND_DELAY], times[0] - p[READING_DELAY]
     end = times[n - 1] - p[READING_DELAY]
-    late = early = 0  # the inputs that act now, through the actuator and directly
+    late = early = 0  # current inputs of the actuator, and of pushes
     side, done, resting, passed = 0, 0, 0, -np.inf
-    waits, leaves = -np.inf, 0.0  # until when a drive keeps the part at a limit, and with what speed it goes then
+    waits, leaves = -np.inf, 0.0  # a drive's rebound: when and how fast the part leaves its limit
     grip = (0.0 if y[1] == 0.0 else math.copysign(1.0, y[1]), y[0])
     most = _SPARE_STEPS + 2 * (int((end - now) / fine) + 2 * inputs)
     for _ in range(most):
@@ -367,7 +367,7 @@ def _roll(
             effort_now = effort[late] + p[HOLDING] * hold_difference[1, late]
             push = pushes[early] + p[HOLDING] * hold_difference[2, early]
             p[GAIN], p[OFFSET] = gain, offset
-            if np.isnan(effort_now):  # it is off
+            if np.isnan(effort_now):  # off
                 p[GAIN], p[OFFSET], effort_now = 0.0, 0.0, 0.0
             if p[BASE_MOVES] != 0.0:
                 b, m = p[MOMENT_SCALE], p[MASS_SCALE]
@@ -381,7 +381,7 @@ def _roll(
                 until = min(until, t_in[early + 1])
         step = fine if fine < coarse and (now < passed or _passes_place(terms, p, y[0], y[0])) else coarse
         h = max(min(step, until - now), 1e-9)
-        # what holds the part
+        # sticking and resting
         q, v = y[0], y[1]
         frozen, still, slide, F = False, True, 0, 0.0
         if now < waits:
@@ -403,7 +403,7 @@ def _roll(
             resting = 0
         if p[TRAVEL] > 0.0 and slide != 0:
             grip = (grip[0], q)
-            if abs(slide - grip[0]) > _PRESLIDING_LEFT:  # steps that see the bristles bend
+            if abs(slide - grip[0]) > _PRESLIDING_LEFT:  # resolve presliding
                 if v == 0.0:
                     h = min(h, math.sqrt(p[TRAVEL] * p[INERTIA] / max(abs(F), 1e-12)))
                 else:
@@ -411,14 +411,14 @@ def _roll(
                 h = max(h, 0.01 * step)
         if frozen and still and p[SLACK_WIDTH] == 0.0:
             until = min(until, waits) if now < waits else until
-            h = max(min(until, end) - now, 1e-9)  # until something else acts
-        # a step, cut where something happens
+            h = max(min(until, end) - now, 1e-9)  # up to the next change
+        # a step, cut at events
         after = _rk4_step(y, h, terms, p, memory, frozen, slide, grip, side, push, position, effort_now, loaded)
         if step > fine and _passes_place(terms, p, q, after[0]):
             passed = now + h
             continue
         found = _events(after, terms, p, memory, frozen, slide, grip, side, push, position, effort_now, loaded)
-        if v * after[1] < 0.0 and not found & _LIMIT:  # it turns within the step: was it at a limit there?
+        if v * after[1] < 0.0 and not found & _LIMIT:  # it reverses within the step, perhaps beyond a limit
             turn = v / (v - after[1]) * h
             peak = q + 0.55 * turn * v
             if peak < p[LOWER] or peak > p[UPPER]:
@@ -430,7 +430,7 @@ def _roll(
                     found = _events(
                         after, terms, p, memory, frozen, slide, grip, side, push, position, effort_now, loaded
                     )
-        if found in (_STOPPED, _LIMIT):  # where a smooth number passes zero: regula falsi (Illinois)
+        if found in (_STOPPED, _LIMIT):  # a smooth event function: regula falsi (Illinois)
             aim = 0.0 if found == _STOPPED else (p[LOWER] if after[0] < p[LOWER] else p[UPPER])
             which = 1 if found == _STOPPED else 0
             low, high, f_low, f_high = 0.0, h, y[which] - aim, after[which] - aim
@@ -454,7 +454,7 @@ def _roll(
                     if abs(f_mid) < 1e-12:
                         break
                 found |= _LOCATED
-        elif found in (_MET, _PARTED):  # the same, and a hair beyond, where it has happened
+        elif found in (_MET, _PARTED):  # the same, and slightly beyond
             low, high, root = 0.0, h, 0.0
             f_low = _event_function(
                 found, y, terms, p, memory, frozen, slide, grip, side, push, position, effort_now, loaded
@@ -504,7 +504,7 @@ def _roll(
             for i in range(done, n):
                 out[i] = 1e6
             return
-        # readings within the step: the cubic with its ends' positions and speeds
+        # readings within the step: cubic Hermite interpolation
         last = now + h >= end - 1e-12
         while done < n and (times[done] - p[READING_DELAY] <= now + h or last):
             s = min((times[done] - p[READING_DELAY] - now) / h, 1.0)
@@ -520,14 +520,14 @@ def _roll(
         for k in range(len(terms)):
             if terms[k, 1] == FORCE:
                 memory[k] = remember(terms[k, 0], y[0], memory[k], p, terms[k, 2] + TERM_HEAD)
-        # what the event changes
-        if found & _PARTED and not found & (_STOPPED | _LIMIT):  # what stops takes its drive side with it
+        # effects of the event
+        if found & _PARTED and not found & (_STOPPED | _LIMIT):  # a part that stops takes its drive side with it
             side = 0
         if found & _MET:
             side = 1 if y[2] > y[0] else -1
             at, part, drive = y[0] + 0.5 * side * p[SLACK_WIDTH], p[INERTIA], p[SLACK_INERTIA]
             least = 0.5 * step * max(side * _actuator(p, y[2], y[3], position, effort_now) / drive, 0.0)
-            held = frozen and resting * side > 0  # by its limit: what comes back within half a step stays
+            held = frozen and resting * side > 0  # at its limit
             v1, w1, side = meet_part(side, y[1], y[3], held, part, drive, p[SHAFT_BACK], least)
             y = (y[0], v1, at, w1)
         if found & _LIMIT:
@@ -542,7 +542,7 @@ def _roll(
                     back, stays = taken, seconds
             inward = towards * _total_force(terms, p, memory, limit, 0.0, side, push, position, effort_now) / p[INERTIA]
             if back * towards >= 0 or (inward > 0 and abs(back) < 0.25 * step * inward):
-                back, resting, stays = 0.0, towards, 0.0  # it would come back within half a step: it stays
+                back, resting, stays = 0.0, towards, 0.0  # it would return within half a step
             if stays > 1e-9:
                 waits, leaves, back, resting = now + stays, back, 0.0, towards
             v = y[1]
@@ -553,7 +553,7 @@ def _roll(
                 y = (limit, back, at, w1)
         elif found & _STOPPED:
             y = (y[0], 0.0, y[2], 0.0 if side != 0 else y[3])
-    for i in range(done, n):  # ever more events in ever less time: it comes to rest here
+    for i in range(done, n):  # endless events: at rest
         out[i] = y[0]
 
 

@@ -25,7 +25,7 @@ jit = njit(error_model="numpy", fastmath={"contract"}, _nrt=False)  # type: igno
 
 inlined = njit(error_model="numpy", fastmath={"contract"}, _nrt=False, forceinline=True)  # type: ignore[call-overload]
 
-_READ_PARAMETERS = {  # a slice would cost more than the formula
+_READ_PARAMETERS = {  # slicing costs more than the formula
     1: jit(lambda p, at: (p[at],)),
     2: jit(lambda p, at: (p[at], p[at + 1])),
     3: jit(lambda p, at: (p[at], p[at + 1], p[at + 2])),

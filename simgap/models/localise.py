@@ -24,7 +24,7 @@ LEVEL = 0.05
 """False discovery rate over the maps."""
 _BINS = 16
 _FLIPS = 1999
-_LEAST_UNITS = 6  # half-swings below which no sign pattern is rare
+_LEAST_UNITS = 6  # half swings; fewer give no rare sign pattern
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class ResidualMap:
 
 def make_residual_maps(found: MissingForce, seed: int = 0) -> tuple[ResidualMap, ...]:
     """Maps over position, speed, direction, distance since reversal, distance to limit, command, time and run."""
-    if len(found.force) < 4 * _BINS or not found.qd.any():  # an encoder that reads the same all along
+    if len(found.force) < 4 * _BINS or not found.qd.any():  # a stuck encoder
         return ()
     rng = np.random.default_rng([seed, 11])
     local = _remove_smooth(found)
@@ -72,7 +72,7 @@ def make_residual_maps(found: MissingForce, seed: int = 0) -> tuple[ResidualMap,
         maps.append(
             _binned_map("distance since reversal", found.since_reversal, along * local, found, known, rng, False, True)
         )
-    if found.to_limit.min() < 0.15 * np.ptp(found.q):  # a stop far away has nothing to do with it
+    if found.to_limit.min() < 0.15 * np.ptp(found.q):  # a far stop is irrelevant
         maps.append(_binned_map("distance to limit", found.to_limit, local, found, every, rng, local_only=True))
     given = np.isfinite(found.command)
     if given.sum() > 4 * _BINS:

@@ -145,7 +145,7 @@ class Inputs:
         return self.effort if self.on is None else np.where(self.on, self.effort, np.nan)
 
     @cached_property
-    def held(self) -> bool:
+    def has_position_law(self) -> bool:
         """Whether a position law is active."""
         return bool(np.isfinite(self.command).any())
 
@@ -154,17 +154,17 @@ class Inputs:
         times = np.union1d(self.times_s, times_s)
         at = np.searchsorted(self.times_s, times, "right") - 1
 
-        def held(series: NDArray[Any], before: float) -> Array:
+        def hold(series: NDArray[Any], before: float) -> Array:
             return np.where(at < 0, before, series[..., np.maximum(at, 0)]) if series.size else np.full(len(at), before)
 
         return Inputs(
             times,
-            held(self.command, np.nan),
-            held(self.effort, 0.0),
-            held(self.push, 0.0),
-            None if self.hold_difference is None else held(self.hold_difference, 0.0),
-            None if self.on is None else held(self.on, False) > 0,
-            None if self.base_motion is None else held(self.base_motion, 0.0),
+            hold(self.command, np.nan),
+            hold(self.effort, 0.0),
+            hold(self.push, 0.0),
+            None if self.hold_difference is None else hold(self.hold_difference, 0.0),
+            None if self.on is None else hold(self.on, False) > 0,
+            None if self.base_motion is None else hold(self.base_motion, 0.0),
         )
 
     def pushed(self, times_s: Array, force: Array) -> Inputs:
@@ -297,7 +297,7 @@ def time_steps(
 
     away = weight + sum(effect.steepness() for effect in effects if not is_local(type(effect)))
     near = away + sum(effect.steepness() * local for effect in effects if is_local(type(effect)))
-    if near > away:  # what a place does next hangs on how it is met
+    if near > away:  # motion after a local effect depends on how it is entered
         away = min(4 * away, near)
     return limit_creep_steps(plant, effects, (longest(away), longest(near)), settings)
 
@@ -351,7 +351,7 @@ class Batch:
             np.cumsum([0, *(len(times) for times, _ in runs)]),
             (first, second, third, fourth, _stack_rows(extras), _stack_rows(base_motions)),
             np.array([(ends[id(i)] - len(i.times_s), ends[id(i)]) for _, i in runs]),
-            np.array([i.held for _, i in runs]),
+            np.array([i.has_position_law for _, i in runs]),
         )
 
     def sweep(self, numbers: Array, terms: NDArray[np.int64], which: NDArray[np.int64], steps_s: Array) -> Array:

@@ -1,1 +1,1 @@
-"""The answer as files and a page."""
+"""The answer as files and an HTML page."""

@@ -267,7 +267,11 @@ def doubt_sections(verdict: Verdict, of: str, more: str = "") -> list[Section]:
     if verdict.next_experiment:
         html += f'<p class="next"><b>Next experiment.</b> {escape(verdict.next_experiment)}</p>'
     title = (
-        "What cannot be told apart" if verdict.rivals else "What would tell more" if not more else "What is in doubt"
+        "What these runs cannot decide"
+        if verdict.rivals
+        else "What would tell more"
+        if not more
+        else "What is in doubt"
     )
     found = [Section(title, html, place="full")] if html else []
     if verdict.where:
@@ -291,7 +295,7 @@ def _runs(gap: Gap) -> list[Section]:
         nearest = "with the nearest try, which is no answer" if gap.verdict.verdict == "unexplained" else None
         runs, where, names = gap.draft.curves, "by inverse dynamics", ("as the asset is", nearest)
     sections = []
-    for run in sorted(runs, key=lambda r: get_args(Use)[::-1].index(r.use))[:most]:  # first those that tell
+    for run in sorted(runs, key=lambda r: get_args(Use)[::-1].index(r.use))[:most]:  # deciding ones first
         role = run.use if run.use != "fitted" or replayed else "held out in turn"
         facts = ", ".join(w for w in (role, run.regime, where) if w)
         sizes = [gap.text(v) for v in (run.before, run.after)]

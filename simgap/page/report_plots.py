@@ -112,7 +112,7 @@ def map_drawing(m: ResidualMap, title: str, what: str, factor: float, unit: str,
         a, b, tip = ends[i] + 1.5, ends[i + 1] - 1.5, float(axes.down(mean[i]))
         low, high = axes.down(mean[i] + reach[i] * np.array([-1.0, 1.0]))
         parts.append(
-            f'<rect class="{"told" if m.flagged[i] else "mean"}" x="{a:.1f}" width="{b - a:.1f}" '
+            f'<rect class="{"significant" if m.flagged[i] else "mean"}" x="{a:.1f}" width="{b - a:.1f}" '
             f'y="{min(tip, zero):.1f}" height="{max(abs(tip - zero), 0.8):.1f}"/><line class="error" '
             f'x1="{(a + b) / 2:.1f}" x2="{(a + b) / 2:.1f}" y1="{low:.1f}" y2="{high:.1f}"/>'
         )

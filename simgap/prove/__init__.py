@@ -1,1 +1,1 @@
-"""The effects added to the asset, and SAPIEN's replay of runs with them."""
+"""Effects written into the asset, and replays of runs with its files."""

@@ -1,4 +1,4 @@
-"""Copies of an asset's files: everything that its URDF, and the MJCF beside it, reference.
+"""Copies of an asset's files: everything that its URDF, and the MJCF next to it, reference.
 
 Files inside the asset's folder keep their place. Those referenced by absolute path, package:// or from a parent folder
 go to `outside/`, and the copy references them there, so it is self-contained. A URDF may be untrusted: only meshes and
@@ -66,7 +66,7 @@ class _Copy:
         self.done[source] = name
         for other in _referenced_files(source):
             if other.is_relative_to(base) and other not in self.done and other.suffix.lower() in ENDINGS:
-                self._copy(other, base, place, str(source))  # what lies elsewhere is a colour at most
+                self._copy(other, base, place, str(source))  # elsewhere only colours are lost
 
     def _place(self, folder: Path) -> str:
         if folder not in self.places:
@@ -78,7 +78,7 @@ class _Copy:
 def copy_asset_files(urdf: Path, folder: Path, root: Path | None = None) -> dict[str, ET.Element]:
     """Copy the files that the asset of `urdf` needs, all inside `root`, into `folder`.
 
-    Returns the URDF, and the MJCF beside it if any, by file name, with references updated; the caller writes these two.
+    Returns the URDF, and the MJCF next to it if any, by file name, with references updated; the caller writes both.
     Raises FreeArtError when a referenced file is missing, too large, or neither mesh nor picture.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -91,7 +91,7 @@ def copy_asset_files(urdf: Path, folder: Path, root: Path | None = None) -> dict
     out, mjcf = {urdf.name: robot}, mjcf_path(urdf)
     if mjcf.is_file():
         model = read_xml(mjcf, comments=True)
-        if model.tag == "mujoco":  # else it is something of the same name
+        if model.tag == "mujoco":  # else another file of that name
             _copy_named(mjcf, model, copy)
             out[mjcf.name] = model
     if (home / "semantics.txt").is_file():
@@ -100,7 +100,7 @@ def copy_asset_files(urdf: Path, folder: Path, root: Path | None = None) -> dict
 
 
 def file_hashes(urdf: Path, root: Path | None = None) -> dict[str, str]:
-    """SHA-256 of the URDF, the files that describe the asset beside it, and referenced files, by name; missing ones are
+    """SHA-256 of the URDF, the files that describe the asset, and referenced files, by name; missing ones are
     omitted."""
     home = urdf.parent
     described = (urdf, home / "asset.json", home / "effects.json", mjcf_path(urdf))

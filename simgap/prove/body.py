@@ -59,7 +59,7 @@ def find_correction(plant: Plant, nuisance: Nuisance) -> BodyCorrection:
     if plant.joint_type == "revolute" and abs(is_now - was) < abs(was):
         weight = abs(is_now) / abs(was)
         return BodyCorrection(f, weight**2 / f, f / weight, -float(np.angle(is_now / was)))
-    rest = true - f * own  # masses times the inertia's factor weigh so much more
+    rest = true - f * own  # scaled masses weigh more
     if np.abs(rest).max() <= 1e-9 * np.abs(terms).max():
         return BodyCorrection(f, f)
     return BodyCorrection(f, f, offset=(gravity_change(*(float(value) for value in rest)),))

@@ -168,13 +168,13 @@ def fit_start_states(
     problem = without_asset_error(make_problem(plant, measured, runs, noise, GapSettings()))
     speed, high = max(problem.speed, _MIN_SCALE), max(problem.q_high, problem.q_low + _MIN_SCALE)
     model = Model(replace(problem, speed=speed, q_high=high), (), instant_friction=True)
-    theta = np.full(len(model.ranges()), holding)  # nothing else is left to fit
+    theta = np.full(len(model.ranges()), holding)
     states: dict[str, State] = {}
     of = {run.name: run for run in runs}
     for name in names:
         if time.monotonic() > end:
             break
-        states |= fit_starts(model, theta, (of[name],)).starts  # each by itself: it hangs on no other run
+        states |= fit_starts(model, theta, (of[name],)).starts  # separately, so independent of other runs
     return Starts(states, {run.name: root_mean_square(run.sigma) for run in runs})
 
 
@@ -220,7 +220,7 @@ def _run(folder: Path, job: Job, seconds: float, progress: Progress | None) -> N
             stdout=subprocess.DEVNULL,
             stderr=stderr,
             cwd=folder,
-            env={**os.environ, "TMPDIR": str(folder)},  # goes, however that process ends
+            env={**os.environ, "TMPDIR": str(folder)},  # removed with the folder
         )
         try:
             while process.poll() is None and time.monotonic() < end:

@@ -179,9 +179,7 @@ class _AssetInEngine(ABC):
         """Force of a moving base; None at rest."""
         if run.base is None:
             return None
-        from simgap.measure.base_motion import (
-            make_base_force,  # most bases stand still, and it imports a second's worth
-        )
+        from simgap.measure.base_motion import make_base_force  # rarely needed, and takes a second to import
 
         placed, turns = self.placed, self.job.measured.base_axis
         found = make_base_force(
@@ -190,7 +188,7 @@ class _AssetInEngine(ABC):
         return found.function(begin)
 
     def _make_actuator(self, command: Any, effort: Any, voltage: Any, enabled: Any) -> Actuator | None:
-        """The actuator with these functions of time, each of which may be None."""
+        """The actuator with these functions of time; each may be None."""
         known = self.job.measured.actuator
         law = known or Actuator()
         volts, commanded = (voltage if law.motor else None), effort
@@ -291,7 +289,7 @@ class _AssetInMujoco(_AssetInEngine):
 
 def _convert_to_mjcf(asset: Asset, folder: Path) -> Path:
     """The asset's URDF as MJCF, in a folder with its files."""
-    from export.mjcf_of_urdf import mjcf_of_urdf  # most have one, and it imports half a second's worth
+    from export.mjcf_of_urdf import mjcf_of_urdf  # rarely needed, and takes half a second to import
 
     urdf = folder / asset.urdf.name
     write_xml(urdf, copy_asset_files(asset.urdf, folder, asset.root)[urdf.name])

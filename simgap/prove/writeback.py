@@ -22,7 +22,7 @@ from generator import simulate
 from simgap.prove.asset_files import copy_asset_files, mjcf_path, write_xml
 from simgap.prove.body import NO_CORRECTION, BodyCorrection, check_body, correct_body
 
-_POSE_TOLERANCE = 1e-6  # single precision of the engine, metres and rotation entries
+_POSE_TOLERANCE = 1e-6  # metres and rotation entries; the engine has single precision
 
 
 def write_repaired(
@@ -51,7 +51,7 @@ def write_repaired(
     correct_body(files[urdf.name], asset, body)
     set_dynamics(files[urdf.name], merged)
     write_xml(urdf, files[urdf.name])
-    keeps_mjcf = mjcf.name in files and body == NO_CORRECTION  # else it is made anew, of the corrected URDF
+    keeps_mjcf = mjcf.name in files and body == NO_CORRECTION  # else it is converted from the corrected URDF
     if keeps_mjcf:
         set_joint_words(files[mjcf.name], asset.joint, merged, mjcf)
         write_xml(folder / mjcf.name, files[mjcf.name])
@@ -61,7 +61,7 @@ def write_repaired(
     if not keeps_mjcf:
         atomic.write_bytes(folder / mjcf.name, mjcf_of_urdf(repaired))
     write_asset_json(folder, repaired)
-    if (asset.urdf.parent / LOADERS).is_dir():  # what came from our exporter tells of effects in more files
+    if (asset.urdf.parent / LOADERS).is_dir():  # our exporter's assets contain effects in more files
         write_beside(folder, repaired)
     read = _check_reloaded(asset, merged, folder)
     if body != NO_CORRECTION:

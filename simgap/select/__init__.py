@@ -1,1 +1,1 @@
-"""Which set stands, and what is said of it."""
+"""Model selection among sets of effects, and the verdict."""

@@ -123,7 +123,7 @@ def make_verdict(
 
 
 def _confirm(found: Verdict, problem: Problem, settings: JudgementSettings) -> Verdict:
-    """The verdict as confirming runs leave it: a name needs a gap in these runs, most of which the delivered asset
+    """The verdict as confirming runs leave it: a name needs a gap in these runs that the delivered asset mostly
     closes."""
     if found.verdict == "unexplained" and not shows_gap(found.gaps):
         return replace(found, verdict="no_gap", next_experiment=None, sentence=_agreement_text(found.gaps, problem))
