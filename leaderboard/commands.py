@@ -1,18 +1,32 @@
-"""The commands of the leaderboard, each a plain function; tyro reads its signature, and help its docstring.
+"""The leaderboard's commands: tyro reads each function's signature, and the help its docstring.
 
-What a command needs is imported inside it: `freeart21 --help` needs nothing heavy.
+Heavy imports are inside the functions, so that `freeart21 --help` is fast.
 """
 
 from __future__ import annotations
 
+import contextlib
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
 Positional = tyro.conf.Positional
 ExecutorName = Literal["local", "ray", "slurm"]
+
+
+@contextlib.contextmanager
+def _progress_bar(description: str) -> Iterator[Callable[..., Any]]:
+    """A progress bar on standard error; yields rich's `update(description=..., completed=..., total=...)`."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
+        task = bars.add_task(description, total=None)
+        yield lambda **changes: bars.update(task, **changes)
 
 
 def score(
@@ -28,28 +42,24 @@ def score(
     """Score a folder of results against the truth of a data folder.
 
     Joint and surfaces are measured from each result's asset/, loaded and driven in SAPIEN; without one, from
-    prediction.json and parts/ and marked `files`. Masks, poses and held-out views are read from the result's files.
-    What each number means: docs/protocols.md. Exit code 1 when no sequence could be measured.
+    prediction.json and parts/, and marked `files`. Masks, poses and held-out views are read from the result's files.
+    The metrics are defined in docs/protocols.md. Exit code 1 when no sequence could be measured.
 
     Args:
         results: A method's results (RESULTS/SEQ/prediction.json), or a .zip of them.
-        data: The data folder they answer.
-        protocol: Named protocol, what each number means: strict-2 (the ranking), strict-1 (joint from the asset,
-            surfaces from parts/), paper-1 (as FreeArtGS's evaluator), itaco-1 (as iTACO's), arena-1 (the joint as a
-            motion, limits included).
-        out: Write every number as JSON here, too.
-        everything: Print every number, not only the ranking ones.
-        truth: Where the truth of a packed data folder lies (`freeart21 pack DATA --truth`).
-        workers: Sequences that are scored at a time, each by a process of up to 1.2 GiB; the numbers do not depend on
-            it.
-        executor: Where they are scored: local (this machine), ray, or slurm, which need --out on a file system that all
-            their machines see.
+        data: The data folder of the sequences.
+        protocol: Protocol that defines the metrics: strict-2 (the ranking), strict-1 (joint from the asset, surfaces
+            from parts/), paper-1 (as FreeArtGS's evaluator), itaco-1 (as iTACO's), arena-1 (the joint as a motion,
+            limits included).
+        out: Also write every metric to this JSON file.
+        everything: Print every metric, not only the ranking ones.
+        truth: The truth of a packed data folder (`freeart21 pack DATA --truth`).
+        workers: Sequences scored in parallel, each by a process of up to 1.2 GiB; does not change the values.
+        executor: Where they are scored: local (this machine), ray, or slurm. The last two need --out on a file system
+            of all their machines.
     """
     import shutil
     import tempfile
-
-    from rich.console import Console
-    from rich.progress import Progress
 
     from freeart21.errors import FreeArtError
     from freeart21.files import atomic
@@ -65,27 +75,22 @@ def score(
     work = None
     if executor != "local":
         if out is None:
-            raise FreeArtError(f"score: --executor {executor} needs --out: rows are gathered beside it")
+            raise FreeArtError(f"score: --executor {executor} needs --out: rows are gathered in its folder")
         out.parent.mkdir(parents=True, exist_ok=True)
         work = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}.", suffix=atomic.PART_SUFFIX))
-    console = Console(stderr=True)
-    with (
-        open_results(results) as folder,
-        Progress(console=console, transient=True, disable=not console.is_terminal) as bars,
-    ):
-        task = bars.add_task("Scoring", total=None)
+    try:
+        with open_results(results) as folder, _progress_bar("Scoring") as update:
 
-        def scored(row: Row, of: int) -> None:
-            bars.update(task, description=f"Scored {row.sequence}", advance=1, total=of)
+            def report(row: Row, of: int) -> None:
+                update(description=f"Scored {row.sequence}", advance=1, total=of)
 
-        try:
-            rows = None if work is None else work / "jobs"
+            jobs = None if work is None else work / "jobs"
             scores = score_results(
-                folder, data, protocol, scored, workers=workers, executor=executor, work=rows, truth=truth
+                folder, data, protocol, report, workers=workers, executor=executor, work=jobs, truth=truth
             )
-        finally:
-            if work is not None:
-                shutil.rmtree(work, ignore_errors=True)
+    finally:
+        if work is not None:
+            shutil.rmtree(work, ignore_errors=True)
     print_scores(scores, everything=everything)
     if out is not None:
         write_scores(out, scores)
@@ -101,23 +106,20 @@ def compare(
     by: Literal["type", "category", "sequence"] = "type",
     truth: Path | None = None,
 ) -> None:
-    """Compare methods: mean and spread by joint type, and how sure their differences are, over the same sequences.
+    """Compare methods: mean and spread by joint type, and differences with confidence intervals over common sequences.
 
-    Differences are to the method that is named first, with paired bootstrap intervals of 95 %. Numbers of different
-    protocols, benchmarks or versions of the scoring code are refused, never set side by side.
+    Differences are to the first method, with paired bootstrap intervals of 95 %. Tables of different protocols,
+    benchmarks or versions of the scoring code are refused.
 
     Args:
-        results: Results folders (or .zip of them), which are scored, or tables of `score --out`.
-        data: The data folder that they answer.
-        protocol: Named protocol; that of the tables, or strict-2, when not given.
-        scores: Keep the tables of scores of results folders here, and score them again only when something changed.
-        out: Write the comparison here, too: .csv, .json (everything), .md, or .tex (booktabs).
-        by: What is summed up together: sequences of a joint type, of a category, or each for itself.
-        truth: Where the truth of a packed data folder lies.
+        results: Results folders (or .zip files), which are scored, or tables of `score --out`.
+        data: The data folder of the sequences.
+        protocol: Protocol; by default that of the tables, else strict-2.
+        scores: Folder that caches the tables of scored results; they are scored again when something has changed.
+        out: Also write the comparison to this file: .csv, .json (everything), .md, or .tex (booktabs).
+        by: Group sequences by joint type or category, or list each sequence.
+        truth: The truth of a packed data folder.
     """
-    from rich.console import Console
-    from rich.progress import Progress, TaskID
-
     from freeart21.files.places import check_place
     from leaderboard.compare import compare_results
     from leaderboard.compare_files import kind_of, write_comparison
@@ -126,29 +128,27 @@ def compare(
 
     if out is not None:
         check_place(out, kind_of(out), (data, *results))
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
-        tasks: dict[Path, TaskID] = {}
+    with _progress_bar("Scoring") as update:
+        finished: dict[Path, int] = {}
 
-        def scored(place: Path, row: Row, of: int) -> None:
-            if place not in tasks:
-                tasks[place] = bars.add_task("", total=of)
-            bars.update(tasks[place], description=f"Scored {place.name} {row.sequence}", advance=1, total=of)
+        def report(place: Path, row: Row, of: int) -> None:
+            finished[place] = finished.get(place, 0) + 1
+            update(description=f"Scored {place.name} {row.sequence}", completed=finished[place], total=of)
 
-        comparison = compare_results(results, data, protocol, scores, scored, truth)
+        comparison = compare_results(results, data, protocol, scores, report, truth)
     print_comparison(comparison, by)
     if out is not None:
         write_comparison(out, comparison, by)
 
 
 def validate(results: Annotated[Path, Positional], data: Path) -> int:
-    """Check a folder of results as `score` will read it, without measuring: every fault, with its place and its cure.
+    """Check a folder of results without scoring it: every fault that `score` would meet, with its place and a fix.
 
     Exit code 1 when there is a fault. Needs the sequences of the data folder, not their truth.
 
     Args:
         results: A method's results (RESULTS/SEQ/prediction.json), or a .zip of them.
-        data: The data folder they answer.
+        data: The data folder of the sequences.
     """
     from leaderboard.archive import open_results
     from leaderboard.validate import validate_results
@@ -168,21 +168,20 @@ def validate(results: Annotated[Path, Positional], data: Path) -> int:
 
 
 def init_submission(data: Annotated[Path, Positional], out: Path) -> None:
-    """Write a skeleton of results to fill in: method.json and, for every sequence, each file in its format.
+    """Write a template of results to fill in: method.json and, for every sequence, each file in its format.
 
-    Every prediction.json declares the failure "not solved yet": what is not filled in is priced, never scored as an
-    answer. Beside it prediction.example.json shows an answer (of the right number of states), and poses.npz, part_mask/
-    and parts/ hold placeholders of the right shapes: replace them, then write prediction.json. `validate` says what is
-    still wrong.
+    Every prediction.json declares the failure "not solved yet", so that unfilled results are penalised. Its neighbour
+    prediction.example.json shows an answer (with the right number of states), and poses.npz, part_mask/ and parts/ hold
+    placeholders of the right shapes: replace them, then write prediction.json. `validate` lists the remaining faults.
 
     Args:
-        data: The data folder to answer.
-        out: Results folder to make, such as results/mine; it must not exist.
+        data: The data folder of the sequences.
+        out: New results folder, such as results/mine.
     """
     from leaderboard.skeleton import write_skeleton
 
     sequences = write_skeleton(data, out)
-    print(f"{out}: {len(sequences)} sequences to fill in; {out / 'README.txt'} says how")
+    print(f"{out}: {len(sequences)} sequences to fill in; see {out / 'README.txt'}")
 
 
 def site(
@@ -194,37 +193,32 @@ def site(
     title: str | None = None,
     truth: Path | None = None,
 ) -> None:
-    """Write a static site: the ranking, a page a method and a sequence, failures, definitions, downloads.
+    """Write a static site: the ranking, a page per method and per sequence, failures, definitions, downloads.
 
-    One folder that opens from disk or from any host and fetches nothing from elsewhere. Methods are scored first,
-    unless their tables are kept in the folder of --scores; of tables alone (scores/*.json) the site has every number,
-    and neither videos nor answers. An older site at the place is replaced, nothing else.
+    One folder that opens from disk or from any host and loads nothing from elsewhere. Methods are scored first, unless
+    their tables are cached in the folder of --scores. A site of tables alone (scores/*.json) has every value, but
+    neither videos nor answers. An older site at OUT is replaced, nothing else.
 
     Args:
-        results: Folders of results, one a method (RESULTS/SEQ/prediction.json), or tables of `score --out`.
+        results: Results folders, one per method (RESULTS/SEQ/prediction.json), or tables of `score --out`.
         out: Folder of the site.
-        data: The data folder that they answer, with its truth; tables need none.
-        protocol: Named protocols, a table each, the first one orders the site; those of the tables, or strict-2, when
-            not given.
-        scores: Folder in which tables of scores are kept.
-        title: What the site is called; the name of the data when not given.
-        truth: Where the truth of a packed data folder lies, to score against. Nothing of it is in the site: answers
-            stand as they are, and joint states are scored in the means alone.
+        data: The data folder of the sequences, with its truth; not needed for tables.
+        protocol: Protocols, one table each; the first one orders the site. By default those of the tables, else
+            strict-2.
+        scores: Folder that caches the tables of scored results.
+        title: Title of the site; by default the name of the data.
+        truth: The truth of a packed data folder, for scoring. The site has nothing of it: answers are shown as they
+            are, and joint states are scored in the means alone.
     """
-    from rich.console import Console
-    from rich.progress import Progress
-
     from leaderboard.site.build import write_site
 
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
-        task = bars.add_task("Reading", total=None)
+    with _progress_bar("Reading") as update:
 
-        def done(what: str, count: int, of: int) -> None:
-            bars.update(task, description=what, completed=count, total=of)
+        def report(description: str, completed: int, of: int) -> None:
+            update(description=description, completed=completed, total=of)
 
         command = ["freeart21", *sys.argv[1:]]
-        index = write_site(results, data, out, protocol, scores, title, command, done, truth)
+        index = write_site(results, data, out, protocol, scores, title, command, report, truth)
     print(f"{out}: open {index}")
 
 
@@ -243,52 +237,47 @@ def import_(
     object_poses: Path | None = None,
     name: str | None = None,
 ) -> None:
-    """Make a results folder of what another project wrote, to be scored beside the others.
+    """Convert the output of another project to a results folder, for scoring.
 
     Layouts: freeartgs, itaco, rsrd, paris, digitaltwinart, artgs, articulate-anything, bundlesdf, foundationpose,
-    screwsplat. What each gives, lacks and means: docs/adapters.md. Results are looked for in SOURCE/SEQ for every
-    sequence of the data folder, whose truth is not read. What a layout does not give is left out of its score.
+    screwsplat. docs/adapters.md lists what each provides, lacks and means. Results are read from SOURCE/SEQ for every
+    sequence of the data folder; its truth is not read. Metrics that need what a layout lacks get no value.
 
     Args:
-        layout: Whose files these are.
-        source: Folder with a result a sequence, or with one result.
-        data: The data folder that they answer.
-        out: Results folder to make, such as results/NAME; an older import of the same layout is replaced.
+        layout: Layout of the files.
+        source: Folder with a result per sequence, or with one result.
+        data: The data folder of the sequences.
+        out: Results folder to write, such as results/NAME; an older import of the same layout is replaced.
         sequence: SOURCE is the result of this one sequence.
         map: JSON file of {"SEQ": "folder in SOURCE"}, or {"SEQ": {"folder": ..., and any of frame, axes, anchor, scale,
             joint}}.
-        frame: Where the world of the files stands, if they do not say; else as in the project's own evaluator.
-        axes: Axes of the cameras in the files; else as in the project's own evaluator.
-        anchor: Frame of the video at which a result without poses stands.
-        scale: Metres in one unit of length of the files.
-        joint: Which joint, by name or number, if there are several.
-        object_poses: Official FreeArt-21 examples, for frames that hang on the object.
-        name: Of the method; else as the results folder is called.
+        frame: World frame of the files, if they do not define it; by default that of the project's own evaluator.
+        axes: Camera axes of the files; by default those of the project's own evaluator.
+        anchor: Frame of the video that shows the state of a result without poses.
+        scale: Metres per unit of length of the files.
+        joint: Joint to import, by name or number, if there are several.
+        object_poses: Official FreeArt-21 examples, for world frames that are fixed to the object.
+        name: Name of the method; by default that of the results folder.
     """
-    from rich.console import Console
-    from rich.progress import Progress
-
     from leaderboard.adapters.importer import import_results
-    from leaderboard.adapters.toolbox import Options
+    from leaderboard.adapters.layout import Options
 
     options = Options(frame, axes, anchor, scale, joint, object_poses)  # type: ignore[arg-type]  # checked there
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
-        task = bars.add_task("Importing", total=None)
+    with _progress_bar("Importing") as update:
 
-        def begun(sequence: str, done: int, total: int) -> None:
-            bars.update(task, description=f"Importing {sequence}", completed=done, total=total)
+        def report(sequence: str, completed: int, of: int) -> None:
+            update(description=f"Importing {sequence}", completed=completed, total=of)
 
-        report = import_results(layout, source, data, out, options, sequence, map, name, begun)
-    for key, lines in report.notes.items():
+        imported = import_results(layout, source, data, out, options, sequence, map, name, report)
+    for key, lines in imported.notes.items():
         for line in lines:
             print(f"{key}: {line}")
-    if report.missing:
-        some = ", ".join(report.missing[:5]) + (", ..." if len(report.missing) > 5 else "")
-        print(f"nothing of {len(report.missing)} sequences ({some}): the score will price them")
-    lacks = f"; it lacks {', '.join(report.lacks)}" if report.lacks else ""
-    failed = f", {len(report.failures)} declared failures" if report.failures else ""
-    print(f"{out}: {len(report.sequences)} answers{failed}{lacks}")
+    if imported.missing:
+        some = ", ".join(imported.missing[:5]) + (", ..." if len(imported.missing) > 5 else "")
+        print(f"no result for {len(imported.missing)} sequences ({some}): the score will penalise them")
+    lacks = f"; it lacks {', '.join(imported.lacks)}" if imported.lacks else ""
+    failed = f", {len(imported.failures)} declared failures" if imported.failures else ""
+    print(f"{out}: {len(imported.sequences)} answers{failed}{lacks}")
 
 
 def suite(
@@ -302,56 +291,56 @@ def suite(
     list_rows: Annotated[bool, tyro.conf.arg(name="list")] = False,
     dry_run: bool = False,
 ) -> int:
-    """Run and score reference rows over a data folder: ours, ours without each of its pieces, the paper's segmentation
-    and its ablations, other sensors, the truth, nothing that moves, a dice.
+    """Run and score reference rows over a data folder: our method, our method without each of its parts, the paper's
+    segmentation and its ablations, other sensors, and the truth, a static object and random numbers as checks.
 
-    Says first how long it will take and how much room it needs. May be stopped at any moment: the same command goes on,
-    nothing is done twice. Exit code 1 when a job failed (the others are done, and it is tried again next time), or when
-    the truth does not score perfect, or luck does not score badly.
+    First prints a forecast of time and disk space. A stopped run continues with the same command. Exit code 1 when a
+    job failed (the others are done, and the same command retries it), when the truth does not score perfectly, or when
+    the static or random row does not score badly.
 
     Args:
         data: A data folder (with benchmark.json and its truth).
         out: Folder of the suite: results/ROW, scores/ROW.PROTOCOL.json, data/SENSOR, jobs.json.
-        rows: Rows or groups of rows (--list names them); all when not given.
-        sequences: Some of the data folder's; all when not given.
-        protocols: By which the rows are scored.
-        workers: Jobs at a time.
+        rows: Rows or groups of rows (see --list); by default all.
+        sequences: Some sequences of the data folder; by default all.
+        protocols: Protocols that the rows are scored by.
+        workers: Jobs in parallel.
         executor: Where they run: local (this machine), ray (RAY_ADDRESS names a cluster), or slurm (sbatch's variables
-            choose the partition); for these, DATA and --out lie on a file system that all machines see.
-        list_rows: List the rows, and do nothing.
-        dry_run: Say what would be done and what it would cost, and do nothing.
+            choose the partition). The last two need DATA and --out on a file system of all machines.
+        list_rows: List the rows and exit.
+        dry_run: Print the forecast and exit.
     """
     from rich.console import Console
 
     from freeart21 import stopping
-    from freeart21.jobs.executors import executor_named
     from freeart21.jobs.progress import format_duration, job_progress
+    from freeart21.jobs.executors import executor_named
     from freeart21.jobs.run import unfinished_jobs
-    from leaderboard.suite.rows import chosen_rows
+    from leaderboard.suite.rows import choose_rows
     from leaderboard.suite.table import print_table
     from leaderboard.suite.workflow import prepare, print_rows, run_suite
 
     if list_rows:
-        print_rows(chosen_rows(rows))
+        print_rows(choose_rows(rows))
         return 0
     plan = prepare(data, out, rows, sequences or None, protocols)
     executor_named(executor, workers, out)
-    kinds: dict[str, list[float]] = {}
+    seconds_by_kind: dict[str, list[float]] = {}
     for job in plan.todo:
-        kinds.setdefault(job.kind, []).append(job.seconds)
+        seconds_by_kind.setdefault(job.kind, []).append(job.seconds)
     jobs, done = len(plan.plan.jobs), len(plan.plan.jobs) - len(plan.todo)
     print(
         f"{len(plan.plan.rows)} rows over {len(plan.plan.sequences)} sequences: {jobs} jobs, "
-        f"{done} of them done; the others take about {format_duration(plan.seconds / workers)} and "
-        f"{plan.bytes / 1e9:.2f} GB of {plan.free_bytes / 1e9:.0f} GB free"
+        f"{done} of them done; the others take about {format_duration(plan.seconds / workers)} and {plan.bytes / 1e9:.2f} GB of "
+        f"{plan.free_bytes / 1e9:.0f} GB free"
     )
-    for kind, seconds in kinds.items():
+    for kind, seconds in seconds_by_kind.items():
         print(f"  {kind}: {len(seconds)} jobs, about {format_duration(sum(seconds))} of one worker")
     if dry_run:
         return 0
-    kept = f"what is done is kept in {out}: the same command goes on"
+    message = f"finished jobs stay in {out}: the same command continues"
     with (
-        stopping.resume_hint(lambda: kept if unfinished_jobs(out, plan.plan.jobs) and out.is_dir() else ""),
+        stopping.resume_hint(lambda: message if unfinished_jobs(out, plan.plan.jobs) and out.is_dir() else ""),
         job_progress(plan.todo, workers) as listener,
     ):
         outcome = run_suite(plan, workers, executor, listener=listener)
@@ -362,9 +351,7 @@ def suite(
         print(f"freeart21: {failed.name}: {failed.reason}", file=sys.stderr)
     for objection in outcome.objections:
         print(f"freeart21: {objection}", file=sys.stderr)
-    print(
-        f"{out / 'scores'}: every number; `freeart21 compare {out / 'results'}/* --data {data}` sets rows side by side"
-    )
+    print(f"{out / 'scores'}: every value; `freeart21 compare {out / 'results'}/* --data {data}` compares rows")
     return 1 if outcome.failed or outcome.objections else 0
 
 
@@ -376,41 +363,36 @@ def pack(
     keep_names: bool = False,
     key: Path | None = None,
 ) -> None:
-    """Split a data folder: what methods may see, to hand out (--public), or its truth, to score against (--truth).
+    """Split a data folder: the public half for methods (--public), or its truth for scoring (--truth).
 
-    The public half holds nothing of the truth: pictures and JSON are written anew from what they show, sequences have
-    names that tell nothing, times are all the same, and benchmark.json has a salted hash of the truth. Score with
+    The public half has nothing of the truth: pictures and JSON are rewritten from their content, sequences have
+    meaningless names, file times are equal, and benchmark.json has a salted hash of the truth. Score with
     `freeart21 score RESULTS --data PUBLIC --truth TRUTH`. Names and salt come from a key; both halves need the same.
-    Nothing hides a recording that others can make again: give hidden sets a large seed that nobody knows.
+    A recording that others can repeat is not hidden: give hidden sets a large secret seed.
 
     Args:
         data: A data folder (with benchmark.json).
-        out: Folder to make, or a ZIP where its name ends in .zip.
-        public: Write what methods may see.
+        out: Folder to write, or a ZIP if its name ends in .zip.
+        public: Write the public half.
         truth: Write the truth.
-        keep_names: Leave the names of sequences as they are.
-        key: File with the key, made where there is none; DATA.key beside the data folder when not given.
+        keep_names: Keep the names of the sequences.
+        key: File with the key, created when missing; by default DATA.key in the parent folder.
     """
-    from rich.console import Console
-    from rich.progress import Progress
-
     from freeart21.errors import FreeArtError
     from freeart21.files.places import check_place
     from leaderboard.pack import PUBLIC, TRUTH, default_key_path, pack_public, pack_truth
 
     if public == truth:
-        raise FreeArtError("pack: say which half, --public or --truth; it takes one of them")
+        raise FreeArtError("pack: name one half, --public or --truth")
     key = key or default_key_path(data)
-    made = not key.exists()
+    is_new = not key.exists()
     check_place(out, None if out.suffix == ".zip" else PUBLIC if public else TRUTH, (data, key))
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
-        task = bars.add_task("Packing", total=None)
+    with _progress_bar("Packing") as update:
 
-        def told(done: int, of: int) -> None:
-            bars.update(task, completed=done, total=of)
+        def report(completed: int, of: int) -> None:
+            update(completed=completed, total=of)
 
-        (pack_public if public else pack_truth)(data, out, key, keep_names, told)
+        (pack_public if public else pack_truth)(data, out, key, keep_names, report)
     print(out)
-    if made and key.exists():
-        print(f"{key}: the key of both halves; keep it, and hand it to nobody")
+    if is_new and key.exists():
+        print(f"{key}: the secret key of both halves; keep it")

@@ -1,8 +1,8 @@
-"""A data folder in two: what methods may see, to be handed out, and its truth, to score against elsewhere.
+"""Splits a data folder into a public half for methods and a hidden half with the truth for scoring.
 
-The public half is a function of what a video shows: pictures are decoded and encoded anew, JSON is read and written
-anew, sequences get names that tell nothing, all times are one. Names and the salt of the truth's hash come from a key
-that stays with the makers, so both halves can be made at any time, in any order, with the same bytes.
+The public half depends only on what a video shows: pictures are decoded and re-encoded, JSON is read and rewritten,
+sequences get meaningless names, and all file times are equal. Names and the salt of the truth's hash come from a secret
+key, so either half can be made at any time with the same bytes.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from freeart21.files.verify import differing_files, listed_files
 
 KEY_SCHEMA = "freeart21/pack-key/1"
 EPOCH_S = 315532800
-"""1980-01-01, the first moment that a ZIP knows: the time of every file of a pack."""
+"""1980-01-01, the earliest time in a ZIP: the time of every packed file."""
 PUBLIC = Output(
     "packed set",
     b'"schema": "freeart21/benchmark/1",\n "hidden": ',
@@ -46,13 +46,13 @@ TRUTH = Output("hidden truth", b'"schema": "freeart21/hidden-truth/', MARKER, (M
 THREADS = 2
 
 Progress = Callable[[int, int], None]
-"""Told of pictures (or files) that are done, of how many."""
+"""Called with the number of finished pictures (or files) and the total."""
 _Files = Iterator[tuple[str, bytes]]
 
 
 @dataclass(frozen=True)
 class Names:
-    """What the halves call the sequences, and the salt of the truth's hash."""
+    """Names of the sequences in both halves, and the salt of the truth's hash."""
 
     salt: str
     packed: dict[str, str]
@@ -60,29 +60,29 @@ class Names:
 
 
 def default_key_path(data: Path) -> Path:
-    """Where the key of a data folder lies when no place is named: beside it."""
+    """Default file of a data folder's key: FOLDER.key in its parent folder."""
     data = Path(data).resolve()
     return data.parent / f"{data.name}.key"
 
 
 def read_or_create_key(path: Path) -> bytes:
-    """The key in the file `path`, which is made, for its owner's eyes only, where there is none."""
+    """The key in the file `path`; a missing file is created, readable by its owner only."""
     path = Path(path)
     if not checked.is_there(path):
         atomic.write_json(path, {"schema": KEY_SCHEMA, "key": secrets.token_hex(32)})
         path.chmod(0o600)
-    said = checked.text(checked.read_json(path, KEY_SCHEMA, checked.ANYWHERE), "key", path)
+    text = checked.text(checked.read_json(path, KEY_SCHEMA, checked.ANYWHERE), "key", path)
     try:
-        key = bytes.fromhex(said)
+        key = bytes.fromhex(text)
     except ValueError:
         key = b""
     if len(key) < 16:
-        raise FreeArtError(f"{path}: 'key' is no key, expected 32 or more hexadecimal digits")
+        raise FreeArtError(f"{path}: 'key' is not a key, expected 32 or more hexadecimal digits")
     return key
 
 
 def choose_names(benchmark: Benchmark, key: bytes, keep_names: bool) -> Names:
-    """What the halves of `benchmark` call its sequences under `key`."""
+    """The names of the sequences of `benchmark` under `key`."""
 
     def keyed(what: str) -> str:
         return hmac.new(key, what.encode(), "sha256").hexdigest()
@@ -94,15 +94,14 @@ def choose_names(benchmark: Benchmark, key: bytes, keep_names: bool) -> Names:
 def pack_public(
     data: Path, out: Path, key: Path | None = None, keep_names: bool = False, progress: Progress = lambda done, of: None
 ) -> None:
-    """Write what methods may see of the data folder `data` to `out`: a folder, or a ZIP where its name ends so.
+    """Write the public half of the data folder `data` to `out`: a folder, or a ZIP if its name ends in .zip.
 
-    `keep_names` leaves the sequences' names as they are, which tell what objects they show. `key` is a file, made where
-    there is none; None takes `default_key_path`. A set that was packed before gives the same again. Raises FreeArtError
-    when `data` is broken or not as its benchmark.json lists it, or when something else stands at `out` (a ZIP is never
-    replaced).
+    `keep_names` keeps the sequences' names, which reveal their objects. `key` is a file, created when missing; None
+    means `default_key_path`. A folder that was packed before gives itself. Raises FreeArtError when `data` is broken or
+    differs from its benchmark.json, or when something else exists at `out` (a ZIP is never replaced).
     """
     benchmark = read_benchmark(data)
-    _check_files(Path(data))
+    _check_hashes(Path(data))
     if benchmark.hidden:
         names, hidden = {name: name for name in benchmark.sequences}, benchmark.hidden
     else:
@@ -114,17 +113,17 @@ def pack_public(
 def pack_truth(
     data: Path, out: Path, key: Path | None = None, keep_names: bool = False, progress: Progress = lambda done, of: None
 ) -> None:
-    """Write the truth of the data folder `data` to `out`, to score against what `pack_public` wrote; as that does."""
+    """Write the hidden half, the truth of `data`, to `out`; arguments and errors as in `pack_public`."""
     benchmark = read_benchmark(data)
     if benchmark.hidden:
-        raise FreeArtError(f"{data} was packed without its truth: there is none to write")
-    _check_files(Path(data))
+        raise FreeArtError(f"{data} was packed without its truth: there is nothing to write")
+    _check_hashes(Path(data))
     names = choose_names(benchmark, read_or_create_key(key or default_key_path(data)), keep_names)
     _write(Path(out), TRUTH, _truth_files(benchmark, names, progress))
 
 
-def _check_files(data: Path) -> None:
-    """FreeArtError, in one line, where a file is missing, is not listed, or is not the one of benchmark.json's hash."""
+def _check_hashes(data: Path) -> None:
+    """Raise FreeArtError, one line, when a file is missing, unlisted, or differs from its hash in benchmark.json."""
     faults = list(differing_files(data, listed_files(data)))
     if faults:
         more = f" ({len(faults) - 1} more files differ: `freeart21 verify {data}` names them)" * (len(faults) > 1)
@@ -151,7 +150,7 @@ def _public_files(benchmark: Benchmark, names: dict[str, str], hidden: str, prog
 
 
 def _sequence_files(folder: Path, pool: ThreadPoolExecutor) -> _Files:
-    """All that a method may see of one sequence, made anew from what it shows."""
+    """Name and bytes of every public file of one sequence, re-encoded."""
     recording = read_sequence(folder)
     scale = float(checked.read_json(folder / "sequence.json")["depth_scale"])
 
@@ -161,7 +160,7 @@ def _sequence_files(folder: Path, pool: ThreadPoolExecutor) -> _Files:
         shown = {"rgb": frame.rgb, "depth": encode_depth(frame.depth, scale), "mask": frame.mask.astype(np.uint8) * 255}
         for sub, image in shown.items():
             if image.shape[:2] != (recording.camera.height, recording.camera.width):
-                raise FreeArtError(f"{folder}/{sub}/{i:05d}.png is of another size than its camera")
+                raise FreeArtError(f"{folder}/{sub}/{i:05d}.png has another size than its camera")
         return [(f"{sub}/{i:05d}.png", checked.encode_png(image)) for sub, image in shown.items()]
 
     yield "sequence.json", _json(header_json(recording.camera, scale, recording.times_s, recording.licence))
@@ -171,30 +170,30 @@ def _sequence_files(folder: Path, pool: ThreadPoolExecutor) -> _Files:
 
 
 def _truth_files(benchmark: Benchmark, names: Names, progress: Progress) -> _Files:
-    """Name and bytes of every file of the truth, as they are; the marker last."""
+    """Name and bytes of every file of the hidden half, unchanged; the marker last."""
     hashes = _truth_hashes(benchmark, names)
-    places = dict(_truth_places(benchmark, names))
-    for done, (name, path) in enumerate(sorted(places.items())):
+    paths = dict(_truth_paths(benchmark, names))
+    for done, (name, path) in enumerate(sorted(paths.items())):
         yield name, checked.read_bytes(path, MAX_HASHED_BYTES)
-        progress(done + 1, len(places))
+        progress(done + 1, len(paths))
     facts = {"name": benchmark.name, "version": benchmark.version, "split": benchmark.split, "salt": names.salt}
     mapping = {packed: name for name, packed in sorted(names.packed.items(), key=lambda pair: pair[1])}
     yield MARKER, _json({"schema": HIDDEN_SCHEMA, **facts, "names": mapping, "sha256": hashes})
 
 
-def _truth_places(benchmark: Benchmark, names: Names) -> Iterator[tuple[str, Path]]:
-    """Name in the truth half and place of every file of the truth."""
+def _truth_paths(benchmark: Benchmark, names: Names) -> Iterator[tuple[str, Path]]:
+    """Name in the hidden half and path of every file of the truth."""
     for sequence in benchmark.sequences:
         folder = benchmark.truth(sequence)
         if not (folder / "truth.json").is_file():
-            raise FreeArtError(f"{folder} holds no truth: it has no truth.json")
+            raise FreeArtError(f"{folder} is not a truth: it has no truth.json")
         for path in sorted(folder.rglob("*")):
             if path.is_file():
                 yield f"truth/{names.packed[sequence]}/{path.relative_to(folder).as_posix()}", path
 
 
 def _truth_hashes(benchmark: Benchmark, names: Names) -> dict[str, str]:
-    return dict(sorted((name, file_sha256(path)) for name, path in _truth_places(benchmark, names)))
+    return dict(sorted((name, file_sha256(path)) for name, path in _truth_paths(benchmark, names)))
 
 
 def _json(data: dict[str, object]) -> bytes:
@@ -202,43 +201,43 @@ def _json(data: dict[str, object]) -> bytes:
 
 
 def _write(out: Path, kind: Output, files: _Files) -> None:
-    """Write `files` to a folder or a ZIP, whole or not at all, every time of theirs the same."""
+    """Write `files` to a folder or a ZIP, atomically, all with the same time."""
     if out.suffix == ".zip":
         _write_zip(out, files)
         return
-    with atomic.new_folder(out, kind) as aside:
+    with atomic.new_folder(out, kind) as staging:
         for name, content in files:
             stopping.raise_if_stopped()
-            path = aside / name
+            path = staging / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
             path.chmod(0o644)
-        for path in sorted(aside.rglob("*"), reverse=True):  # what is within before the folder
+        for path in sorted(staging.rglob("*"), reverse=True):  # contents before their folder
             if path.is_dir():
                 path.chmod(0o755)
             os.utime(path, (EPOCH_S, EPOCH_S))
-        os.utime(aside, (EPOCH_S, EPOCH_S))
+        os.utime(staging, (EPOCH_S, EPOCH_S))
 
 
 def _write_zip(out: Path, files: _Files) -> None:
     require_replaceable(out, None)
-    aside: Path | None = None
+    temporary: Path | None = None
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=out.parent, prefix=f".{out.name}.", suffix=atomic.PART_SUFFIX)
-        aside = Path(name)
+        temporary = Path(name)
         with os.fdopen(handle, "wb") as opened, zipfile.ZipFile(opened, "w") as archive:
             for inside, content in files:
                 stopping.raise_if_stopped()
                 entry = zipfile.ZipInfo(f"{out.stem}/{inside}", (1980, 1, 1, 0, 0, 0))
                 entry.create_system, entry.external_attr = 3, 0o100644 << 16
-                archive.writestr(entry, content)  # stored: pictures are packed already
-        aside.chmod(0o644)
+                archive.writestr(entry, content)  # stored: pictures are compressed already
+        temporary.chmod(0o644)
         require_replaceable(out, None)
-        aside.replace(out)
-        aside = None
+        temporary.replace(out)
+        temporary = None
     except OSError as error:
         raise atomic.cannot_write(out, error) from error
     finally:
-        if aside is not None:
-            aside.unlink(missing_ok=True)
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)

@@ -1,7 +1,7 @@
-"""Whether an answer's parts, posed as it says, lie on the object of its video; if not, what would put them there.
+"""Checks without the truth whether an answer's posed parts lie on the object in the video, and suggests a correction.
 
-No truth is needed: masks and depth say where the object is. Poses in OpenGL's camera axes, inverse poses, quaternions
-in the other order and lengths in millimetres are files that read well and score nothing.
+Files with poses in OpenGL's camera axes, inverse poses, quaternions in the other order or lengths in millimetres read
+well but score badly. The video's masks and depth reveal them.
 """
 
 from __future__ import annotations
@@ -24,25 +24,26 @@ from freeart21.se3 import Array
 from leaderboard.surface import Surface
 
 FRAMES = 5
-"""Pictures that are looked at, evenly spread."""
+"""Evenly spaced frames that are compared."""
 POINTS = 1500
-"""Of the surface of each part."""
+"""Sampled on the surface of each part."""
 CELLS = 12
-"""Of a grid over the mask's longer side: those with a point of the answer are covered."""
+"""Grid cells along the mask's longer side; a cell with a point of the answer is covered."""
 DOES_NOT_FIT = 0.4
 FITS = 0.6
-"""Measured on 14 recordings (clean and time of flight) of our objects and of PartNet's. Truths fit to 0.89 to 0.98, the
-solver's answers to 0.68 to 0.98, truths whose moving part stands still to 0.71 and more, with poses of frame 0
-throughout to 0.35 (scissors) to 0.84, with meshes 1.3 times too large to 0.48 and more. Answers in OpenGL's axes, in
-mm, or with quaternions in the other order fit to 0 to 0.31."""
+"""Fits below DOES_NOT_FIT are reported; a correction is suggested when it fits by FITS. Measured on 14 recordings
+(clean and time of flight) of our objects and PartNet's: truths fit by 0.89 to 0.98, the solver's answers by 0.68 to 0.98,
+truths with a static moving part by 0.71 and more, with poses of frame 0 throughout by 0.35 (scissors) to 0.84, with
+meshes 1.3 times too large by 0.48 and more. Answers in OpenGL's axes, in mm, or with quaternions in the other order fit
+by 0 to 0.31."""
 EQUAL = 0.03
-"""Of two explanations that fit as well as each other, the first, and simpler, is named."""
+"""Explanations whose fits differ by less are equal; the first, simplest one is suggested."""
 CLEAR, TIMES = 0.8, 4.0
-"""Other axes are named, too, where they fit to CLEAR and miss TIMES less: inverse poses of the solver's answers fit to
-0.39 to 0.81, as its frame is nearly the camera's. Of 14 this names 12, and none of 148 honest or bad ones that fit to
-0.4."""
+"""Other axes are also suggested above DOES_NOT_FIT when they fit by CLEAR and their misfit is TIMES smaller: inverse
+poses of the solver's answers fit by 0.39 to 0.81, as its frame is nearly the camera's. This finds 12 of 14 such
+answers, and none of 148 others that fit by 0.4."""
 NEAR = 1.25
-"""Depth sees the object's front, so it tells a unit too small: by up to 15 % on those recordings."""
+"""Largest error factor of the estimated unit of length: depth shows only the front (15 % measured)."""
 _UNITS = {1e-3: "mm", 1e-2: "cm", 0.0254: "inches"}
 
 
@@ -53,26 +54,26 @@ class _Picture:
     camera: Camera
     mask: NDArray[np.bool_]
     depth: NDArray[np.float32]
-    """Metres; the object's median where the video has none."""
+    """Metres; the object's median depth where a pixel has none."""
     size: float
-    """Metres: the diagonal of what its depth shows of it; infinite without depth."""
+    """Metres, the diagonal of the visible surface; infinite without depth."""
 
 
 def describe_misfit(answer: Reconstruction, recording: Recording, lacks: tuple[Piece, ...] = ()) -> str:
-    """A line when the parts of `answer` do not lie on the object of its video, or its pictures cannot be read; else
-    empty.
+    """One line if the parts of `answer` do not lie on the object in its video, or the video cannot be read; else ''.
 
-    `lacks` are the pieces that are fillers: without meshes nothing is looked at, without poses the anchor frame alone.
+    `lacks` are the pieces that are fillers. Without meshes nothing is checked; without poses, only the anchor frame.
     """
     if "meshes" in lacks or any(part.empty for part in _parts(answer)):
         return ""
     chosen_frames = {round(i) for i in np.linspace(0, len(recording) - 1, FRAMES)}
     try:
-        found = {i: _picture(recording, i) for i in ([answer.anchor] if "poses" in lacks else sorted(chosen_frames))}
+        wanted = [answer.anchor] if "poses" in lacks else sorted(chosen_frames)
+        pictures = {i: _read_picture(recording, i) for i in wanted}
     except FreeArtError as error:
-        return f"whether the parts lie on the object of the video is not known: {error}"
-    frames = [i for i, picture in found.items() if picture is not None]
-    chosen = [picture for picture in found.values() if picture is not None]
+        return f"whether the parts lie on the object in the video is not known: {error}"
+    frames = [i for i, picture in pictures.items() if picture is not None]
+    chosen = [picture for picture in pictures.values() if picture is not None]
     if not chosen:
         return ""
     reference = answer.Ts_camera_reference[frames]
@@ -93,10 +94,10 @@ def describe_misfit(answer: Reconstruction, recording: Recording, lacks: tuple[P
     message = f"the parts, posed by the answer, fit the video's masks and depth to {fit:.0%} (frames {where})"
     if not clear:
         units = [(_fit(other, poses, chosen), name) for name, other, poses in _other_units(points, Ts, chosen)]
-        tried = [*axes, *units]
-        best, name = next(pair for pair in tried if pair[0] >= max(tried)[0] - EQUAL)
+        candidates = [*axes, *units]
+        best, name = next(pair for pair in candidates if pair[0] >= max(candidates)[0] - EQUAL)
     if best < FITS:
-        return f"{message}; no other axes, units or order of quaternions that were tried fit"
+        return f"{message}; none of the other axes, units and orders of quaternions fits"
     return f"{message}; {best:.0%} would do {name}"
 
 
@@ -104,23 +105,22 @@ def _parts(answer: Reconstruction) -> tuple[Mesh, Mesh]:
     return answer.articulation.reference, answer.articulation.moving
 
 
-def _picture(recording: Recording, index: int) -> _Picture | None:
+def _read_picture(recording: Recording, index: int) -> _Picture | None:
     frame = recording.frame(index)
     if not frame.mask.any():
         return None
-    there = frame.mask & (frame.depth > 0)
-    points = recording.camera.backproject(frame.depth)[there]
+    measured = frame.mask & (frame.depth > 0)
+    points = recording.camera.backproject(frame.depth)[measured]
     size = float(np.linalg.norm(np.ptp(np.percentile(points, [2, 98], axis=0), axis=0))) if len(points) else np.inf
-    middle = np.median(frame.depth[there]) if len(points) else 0.0
+    middle = np.median(frame.depth[measured]) if len(points) else 0.0
     return _Picture(recording.camera, frame.mask, np.where(frame.depth > 0, frame.depth, np.float32(middle)), size)
 
 
 def _fit(points: list[Array], Ts: Array, pictures: list[_Picture]) -> float:
-    """0 to 1, the mean over pictures of the smaller of two shares: of the answer's points that lie on the object, and
-    of the object's cells that hold such a point.
+    """Fit in [0, 1]: mean over pictures of the smaller of two fractions, points on the object and covered mask cells.
 
-    A point lies on the object where its pixel is of the mask, and its depth is the video's to the size of the object:
-    what faces away is deeper. Without any depth the mask alone tells.
+    A point is on the object if its pixel is in the mask and its depth differs from the video's by at most the object's
+    size (the far side is deeper). Without depth the mask alone decides.
     """
     fits = []
     for k, picture in enumerate(pictures):
@@ -140,7 +140,7 @@ def _fit(points: list[Array], Ts: Array, pictures: list[_Picture]) -> float:
 
 
 def _other_axes(Ts: Array) -> dict[str, Array]:
-    """What may be wrong with poses (2, n, 4, 4), as 'the poses were ...', and the poses that were meant then."""
+    """Possible mistakes in the poses (2, n, 4, 4), to complete 'if ...', with the corrected poses."""
     return {
         "the poses were in OpenGL's camera axes (import --axes or --frame, where the layout has one)": T_GL_CV @ Ts,
         "the object's frame had OpenGL's axes": Ts @ T_GL_CV,
@@ -148,37 +148,41 @@ def _other_axes(Ts: Array) -> dict[str, Array]:
         "the poses were camera to object": se3.inverse(Ts),
         "the poses were camera to object, in OpenGL's axes": T_GL_CV @ se3.inverse(Ts),
         "the poses were OpenGL's camera to object": se3.inverse(Ts @ T_GL_CV),
-        "quaternions were x, y, z, w": _reordered(Ts, [3, 0, 1, 2]),
-        "quaternions were w, x, y, z": _reordered(Ts, [1, 2, 3, 0]),
-        "quaternions of camera to object were x, y, z, w": se3.inverse(_reordered(se3.inverse(Ts), [3, 0, 1, 2])),
-        "quaternions of camera to object were w, x, y, z": se3.inverse(_reordered(se3.inverse(Ts), [1, 2, 3, 0])),
+        "quaternions were x, y, z, w": _reorder_quaternions(Ts, [3, 0, 1, 2]),
+        "quaternions were w, x, y, z": _reorder_quaternions(Ts, [1, 2, 3, 0]),
+        "quaternions of camera to object were x, y, z, w": se3.inverse(
+            _reorder_quaternions(se3.inverse(Ts), [3, 0, 1, 2])
+        ),
+        "quaternions of camera to object were w, x, y, z": se3.inverse(
+            _reorder_quaternions(se3.inverse(Ts), [1, 2, 3, 0])
+        ),
     }
 
 
 def _other_units(points: list[Array], Ts: Array, pictures: list[_Picture]) -> Iterator[tuple[str, list[Array], Array]]:
-    """The same of units of length, by themselves and with other axes: also the points that were meant then."""
+    """Possible mistakes in the unit of length, alone and with other axes, with the corrected points and poses."""
     for name, poses in {"": Ts, **_other_axes(Ts)}.items():
-        seen = _scale(points, poses, pictures)
-        known = any(1 / NEAR < seen / unit < NEAR for unit in (1.0, *_UNITS))
-        for unit in (*_UNITS, *([] if known else [seen])):
+        estimate = _estimate_unit(points, poses, pictures)
+        known = any(1 / NEAR < estimate / unit < NEAR for unit in (1.0, *_UNITS))
+        for unit in (*_UNITS, *([] if known else [estimate])):
             scaled = [unit * p for p in points]
             lengths = f"lengths were in {_UNITS[unit]}" if unit in _UNITS else f"a unit of length were {unit:.3g} m"
             lengths += f" (import --scale {unit:.3g})"
-            yield f"if {name} and {lengths}" if name else f"if {lengths}", scaled, _scaled(poses, unit)
+            yield f"if {name} and {lengths}" if name else f"if {lengths}", scaled, _scale_poses(poses, unit)
             if not name:
                 other = _UNITS.get(unit, f"units of {unit:.3g} m")
                 yield f"if lengths of the meshes alone were in {other}", scaled, poses
-                yield f"if lengths of the poses alone were in {other}", points, _scaled(poses, unit)
+                yield f"if lengths of the poses alone were in {other}", points, _scale_poses(poses, unit)
 
 
-def _scaled(Ts: Array, unit: float) -> Array:
+def _scale_poses(Ts: Array, unit: float) -> Array:
     Ts = Ts.copy()
     Ts[..., :3, 3] *= unit
     return Ts
 
 
-def _reordered(Ts: Array, order: list[int]) -> Array:
-    """Poses whose quaternion (w, x, y, z) is read again in another order."""
+def _reorder_quaternions(Ts: Array, order: list[int]) -> Array:
+    """Poses whose quaternion (w, x, y, z) is read in another order."""
     xyzw = Rotation.from_matrix(Ts[..., :3, :3].reshape(-1, 3, 3)).as_quat()
     again = Rotation.from_quat(xyzw[:, [3, 0, 1, 2]][:, order][:, [1, 2, 3, 0]])
     poses = Ts.copy()
@@ -186,8 +190,8 @@ def _reordered(Ts: Array, order: list[int]) -> Array:
     return poses
 
 
-def _scale(points: list[Array], Ts: Array, pictures: list[_Picture]) -> float:
-    """Metres in one unit of the answer: the video's depth on the object over that of the answer, medians of each."""
+def _estimate_unit(points: list[Array], Ts: Array, pictures: list[_Picture]) -> float:
+    """Metres per unit of the answer: the ratio of median depths on the object, video to answer."""
     ratios = []
     for k, picture in enumerate(pictures):
         z = np.concatenate([se3.transform(T[k], p)[:, 2] for T, p in zip(Ts, points, strict=True)])

@@ -17,7 +17,7 @@ from score_files import few_samples, truths, write_data
 
 from freeart21.files.result import read_method
 from leaderboard.adapters.importer import import_results
-from leaderboard.adapters.toolbox import Options
+from leaderboard.adapters.layout import Options
 from leaderboard.sequence_score import score_sequence
 
 __all__ = ["few_samples", "write_data"]

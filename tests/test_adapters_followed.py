@@ -26,7 +26,8 @@ from freeart21.files.result import read_method, read_result
 from freeart21.joint import Joint
 from leaderboard.adapters.fitting import fit_joint
 from leaderboard.adapters.importer import import_results
-from leaderboard.adapters.toolbox import Options, frame_numbers
+from leaderboard.adapters.layout import Options
+from leaderboard.adapters.readers import number_frames
 
 
 @pytest.fixture(scope="module")
@@ -209,13 +210,13 @@ def test_one_run_is_the_reference_parts_poses_and_no_joint(data, tmp_path, src):
     ],
 )
 def test_names_of_frames(stems, expected):
-    assert frame_numbers(stems, 3, "here")[0].tolist() == expected
+    assert number_frames(stems, 3, "here")[0].tolist() == expected
 
 
 @pytest.mark.parametrize("stems", [["0", "7"], ["00", "0"], [], ["x"]])
 def test_names_that_fit_no_frames(stems):
     with pytest.raises(FreeArtError, match="here"):
-        frame_numbers(stems, 3, "here")
+        number_frames(stems, 3, "here")
 
 
 # The joint that is fitted

@@ -19,9 +19,9 @@ from test_adapters_states import artgs, articulate_anything, digitaltwinart, par
 from freeart21.errors import FreeArtError
 from freeart21.files.result import read_method, read_result
 from leaderboard.adapters.importer import import_results
-from leaderboard.adapters.points import SIDE, mesh_of_points
+from leaderboard.adapters.layout import Options
+from leaderboard.adapters.points import SIDE, mesh_from_points
 from leaderboard.adapters.registry import layouts
-from leaderboard.adapters.toolbox import Options
 from leaderboard.validate import validate_results
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -359,7 +359,7 @@ def test_numbers_that_are_none(data, tmp_path, src, value):
 def test_a_cloud_becomes_a_triangle_at_each_point_in_its_surface():
     rng = np.random.default_rng(0)
     points = np.column_stack([rng.random((500, 2)), np.zeros(500)])
-    mesh = mesh_of_points(points)
+    mesh = mesh_from_points(points)
     corners = mesh.vertices[mesh.faces]
     assert corners.mean(1) == pytest.approx(points, abs=1e-9)
     assert np.abs(corners[..., 2]).max() < 1e-9
@@ -372,7 +372,7 @@ def test_a_cloud_becomes_a_triangle_at_each_point_in_its_surface():
 @pytest.mark.parametrize("points", [np.zeros((0, 3)), np.zeros((3, 3)), np.ones((50, 3))])
 def test_clouds_that_are_none(points):
     with pytest.raises(FreeArtError, match="a cloud has"):
-        mesh_of_points(points)
+        mesh_from_points(points)
 
 
 # The command and its page
@@ -387,7 +387,7 @@ def test_the_command(data, tmp_path, src):
     assert done.returncode == 0, done.stderr
     last = done.stdout.splitlines()[-1]
     assert last == f"{tmp_path / 'r'}: 1 answers; it lacks masks, renders"
-    assert "nothing of 2 sequences (b, c)" in done.stdout and "fitted to the poses" in done.stdout
+    assert "no result for 2 sequences (b, c)" in done.stdout and "fitted to the poses" in done.stdout
     (src / "a" / "part_0.ply").unlink()
     done = subprocess.run(
         [*command, "--out", str(tmp_path / "r")], capture_output=True, text=True, check=False, cwd=ROOT

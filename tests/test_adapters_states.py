@@ -24,7 +24,7 @@ from test_adapters import assert_perfect
 from freeart21.errors import FreeArtError
 from freeart21.files.result import read_method, read_result
 from leaderboard.adapters.importer import import_results
-from leaderboard.adapters.toolbox import IN_OBJECT, Options
+from leaderboard.adapters.layout import IN_OBJECT, Options
 
 ANCHOR = 4
 """The frame of the video that shows the first state."""

@@ -15,7 +15,7 @@ from generator.motion.styles import STYLES
 from generator.sensors import SENSORS
 from generator.sensors.base import SensorModel
 from leaderboard.adapters.registry import layouts
-from leaderboard.adapters.toolbox import Layout
+from leaderboard.adapters.layout import Layout
 from leaderboard.protocols import PROTOCOLS, Protocol
 
 EFFECT = """

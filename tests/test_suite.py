@@ -22,8 +22,8 @@ from leaderboard.reference import KINDS, static_answer, write_reference
 from leaderboard.score import score_results as score_results_apart
 from leaderboard.suite import steps
 from leaderboard.suite.rates import MEASURED, read_rates, update_rates
-from leaderboard.suite.rows import GROUPS, ROWS, chosen_rows
-from leaderboard.suite.workflow import _facts, _objections, prepare, run_suite
+from leaderboard.suite.rows import GROUPS, ROWS, choose_rows
+from leaderboard.suite.workflow import _describe_data, _find_objections, prepare, run_suite
 from reconstruct.settings import ReconstructSettings, read_settings
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -137,7 +137,7 @@ def test_a_place_that_is_no_suite_over_these_data_is_refused(data, tmp_path):
 def test_jobs_that_fail_are_listed_and_the_command_ends_with_1(data, tmp_path):
     out = tmp_path / "out"
     out.mkdir()
-    (out / "suite.json").write_text(json.dumps({"schema": "freeart21/suite/1", **_facts(data, out)}))
+    (out / "suite.json").write_text(json.dumps({"schema": "freeart21/suite/1", **_describe_data(data)}))
     (out / "results" / "static").mkdir(parents=True)  # of nobody's job
     command = [sys.executable, "-m", "freeart21", "suite", str(data), "--rows", "static", "--out", str(out)]
     done = subprocess.run([*command, "--sequences", "a"], env=ENVIRONMENT, capture_output=True, text=True)
@@ -180,9 +180,9 @@ def test_a_truth_that_is_a_little_off_is_objected_to(data, tmp_path, monkeypatch
     found = steps.list_imperfect(score_results(tmp_path / "truth", data, "strict-1"))
     assert any(line.startswith("b: axis 90, expected 0") for line in found)
     row = {row.name: row for row in ROWS}
-    assert "does not score perfect" in _objections(row["truth"], "strict-1", {"imperfect": found})[0]
+    assert "does not score perfect" in _find_objections(row["truth"], "strict-1", {"imperfect": found})[0]
     lucky = {"summaries": [{"group": "all", "statistics": {"miou": {"mean": 0.9}}}]}
-    assert "mean mIoU of 0.90" in _objections(row["random"], "strict-1", lucky)[0]
+    assert "mean mIoU of 0.90" in _find_objections(row["random"], "strict-1", lucky)[0]
 
 
 # --- rows as data -----------------------------------------------------------------------------------------------------
@@ -203,12 +203,12 @@ def _written(folder: Path, settings) -> Path:
 
 
 def test_rows_are_chosen_by_name_or_group():
-    assert chosen_rows([]) == list(ROWS) and {row.group for row in ROWS} == set(GROUPS)
+    assert choose_rows([]) == list(ROWS) and {row.group for row in ROWS} == set(GROUPS)
     assert len({row.name for row in ROWS}) == len(ROWS)
-    assert [row.name for row in chosen_rows(["random", "ours"])] == ["random", "ours"]
-    assert all(row.group == "paper-pieces" for row in chosen_rows(["paper-pieces"]))
+    assert [row.name for row in choose_rows(["random", "ours"])] == ["random", "ours"]
+    assert all(row.group == "paper-pieces" for row in choose_rows(["paper-pieces"]))
     with pytest.raises(FreeArtError, match="unknown row 'theirs'; groups: reference"):
-        chosen_rows(["theirs"])
+        choose_rows(["theirs"])
 
 
 def test_rows_without_a_piece_of_the_gaussians_are_solved_by_its_switch(data, tmp_path):

@@ -114,7 +114,7 @@ def test_a_place_that_nothing_explains_is_said_without_a_guess() -> None:
     truth = make_truth()
     aside = se3.pose(np.eye(3), [0.5, 0.3, 0])
     said = describe_misfit(with_poses(truth, lambda Ts: aside @ Ts), filmed(truth))
-    assert said.endswith("no other axes, units or order of quaternions that were tried fit")
+    assert said.endswith("none of the other axes, units and orders of quaternions fits")
 
 
 def test_what_a_method_lacks_is_not_looked_at() -> None:

@@ -1,5 +1,6 @@
-"""Results as other projects write them become ours: one file a layout, each naming the code in which it was read.
+"""Imports results of other projects: one file per layout, each naming the code that defines it.
 
-`registry` knows them all, `importer` writes the results folder, `toolbox` holds what they share: what was found of a
-sequence, frames, units and readers that trust nothing. docs/adapters.md says what each layout gives and lacks.
+`registry` finds the layouts, `importer` writes the results folder. `layout` and `readers` are shared by all; `points` is
+for point clouds, `two_states` for methods without a video, `tracked_parts` with `fitting` for methods without a joint.
+docs/adapters.md lists what each layout provides and lacks.
 """

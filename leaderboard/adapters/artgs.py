@@ -8,9 +8,8 @@
 
 Read in YuLiu-LY/ArtGS@b11a0e1e7bbfe0dfdfdfe473a21713950b284e16: render.py (export_joint_info_json, render_set), scene/
 artgs.py (get_joint_param: axis and position in the world of its Gaussians), utils/metrics.py (compared with PARIS's
-truth, z up). How far the joint moves is not written, so it has no limits. Of several iterations the last counts; all
-parts but that of the chosen joint are the reference part. The type is the method's own guess (train_predict.py), unless
-a user gave it.
+truth, z up). The files lack limits. The last iteration counts; all parts but the chosen joint's are the reference part.
+The joint type is the method's own estimate (train_predict.py), unless a user gave it.
 """
 
 from __future__ import annotations
@@ -23,34 +22,33 @@ import numpy as np
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.joint import JointType
-from freeart21.mesh import Mesh
-from leaderboard.adapters.toolbox import Found, Layout, Request, chosen, joined, read_list, read_part
-from leaderboard.adapters.two_states import found
+from freeart21.mesh import Mesh, join_meshes
+from leaderboard.adapters.layout import ImportedResult, Layout, Request
+from leaderboard.adapters.readers import choose_joint, read_list, read_part
+from leaderboard.adapters.two_states import two_state_result
 
 _TYPES: dict[str, JointType] = {"hinge": "revolute", "slider": "prismatic"}
 
 
-def _read(folder: Path, request: Request) -> Found:
+def _read(folder: Path, request: Request) -> ImportedResult:
     path, scale = folder / "joint_info.json", request.options.scale
     entries = read_list(path, "parts")
     joints = [entry for entry in entries if entry.get("joint") in _TYPES]
-    which = joints[chosen([str(j.get("name")) for j in joints], request.options.joint, str(path))]
-    axis = which.get("jointData", {}).get("axis") if isinstance(which.get("jointData"), dict) else None
+    joint = joints[choose_joint([str(j.get("name")) for j in joints], request.options.joint, str(path))]
+    axis = joint.get("jointData", {}).get("axis") if isinstance(joint.get("jointData"), dict) else None
     if not isinstance(axis, dict):
-        raise FreeArtError(f"{path}: '{which.get('name')}' has no jointData with an axis"[:300])
+        raise FreeArtError(f"{path}: '{joint.get('name')}' has no jointData with an axis"[:300])
     pivot = scale * checked.numbers(axis, "origin", (3,), path)
     direction = checked.numbers(axis, "direction", (3,), path)
-    surfaces = {id(entry): _surface(entry, folder, path, scale) for entry in entries}
-    meshes = None
-    rest = [mesh for key, mesh in surfaces.items() if key != id(which) and mesh is not None]
-    moving = surfaces[id(which)]
-    if moving is not None and rest:
-        meshes = joined(rest), moving
+    surfaces = {id(entry): _read_surface(entry, folder, path, scale) for entry in entries}
+    moving = surfaces[id(joint)]
+    rest = [mesh for key, mesh in surfaces.items() if key != id(joint) and mesh is not None]
+    meshes = (join_meshes(rest), moving) if moving is not None and rest else None
     limits = (-np.inf, np.inf)
-    return found(folder, request, "zup", _TYPES[which["joint"]], direction, pivot, limits, meshes)
+    return two_state_result(folder, request, "zup", _TYPES[joint["joint"]], direction, pivot, limits, meshes)
 
 
-def _surface(entry: dict[str, Any], folder: Path, path: Path, scale: float) -> Mesh | None:
+def _read_surface(entry: dict[str, Any], folder: Path, path: Path, scale: float) -> Mesh | None:
     """The meshes of one part as one; None when one of them is missing."""
     names = entry.get("visuals")
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
@@ -58,7 +56,7 @@ def _surface(entry: dict[str, Any], folder: Path, path: Path, scale: float) -> M
     files = [checked.inside(folder, name) for name in names]
     if not all(file.is_file() for file in files):
         return None
-    return joined([read_part(file, folder, scale)[0] for file in files])
+    return join_meshes([read_part(file, folder, scale)[0] for file in files])
 
 
 LAYOUT = Layout(
@@ -67,7 +65,7 @@ LAYOUT = Layout(
     "YuLiu-LY/ArtGS@b11a0e1e7bbfe0dfdfdfe473a21713950b284e16:render.py, scene/artgs.py",
     lambda folder: (folder / "joint_info.json").is_file(),
     _read,
-    inside=("train/ours_*", "*/train/ours_*", "*"),
+    subfolders=("train/ours_*", "*/train/ours_*", "*"),
     frame="zup",
-    joint_choice=True,
+    has_several_joints=True,
 )

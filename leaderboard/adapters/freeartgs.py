@@ -1,22 +1,23 @@
-"""FreeArtGS: `outputs/<id>/evaluation_data`, as its export writes it for its own evaluator.
+"""FreeArtGS: `outputs/<id>/evaluation_data`, as exported for its own evaluator.
 
-    export_manifest.json               joint_type, which of the two folders counts
+    export_manifest.json               joint_type: which of the two folders counts
     revolute/ or prismatic/            as in `evaluation_data`, and camera_poses.json:
-                                       [{"file_path": ".../00012.png", "transform_matrix": 4 x 4}], each frame answered
-    ../splatfacto-art/articulation.json  beside it: "frames" with angle_rad or distance, as trained
+                                       [{"file_path": ".../00012.png", "transform_matrix": 4 x 4}], each exported frame
+    ../splatfacto-art/articulation.json  "frames" with the trained angle_rad or distance
 
-Read in FreeArtGS/FreeArtGS@061c6c8be42aa7dfd090dfd7c4137d6c2dcccd6a: evaluate/export_evaluation_data.py (files, the
-first joint value is taken off all, uncertain Gaussians are in neither cloud), evaluate/eval_data.py (the manifest
-decides the type), evaluate/eval_utils.py (file_path names the frame), evaluate/evaluate_freeartgs.py (cameras have
-OpenCV's axes, as it turns them to compare with OpenGL's), evaluate/psnr_utils.py (the moving Gaussians turn by the
-right-hand rule by the trained value, from where the cloud has them; moving_map.npz holds thresholded weights).
+Read in FreeArtGS/FreeArtGS@061c6c8be42aa7dfd090dfd7c4137d6c2dcccd6a: evaluate/export_evaluation_data.py (files; the
+first joint value is subtracted from all; uncertain Gaussians are in neither cloud), evaluate/eval_data.py (the manifest
+decides the type), evaluate/eval_utils.py (file_path names the frame), evaluate/evaluate_freeartgs.py (OpenCV cameras,
+which it turns to compare with OpenGL's), evaluate/psnr_utils.py (the moving Gaussians rotate by the right-hand rule by
+the trained value from where the cloud has them; moving_map.npz has thresholded weights).
 
-So the clouds stand where the trained value is zero, while joint_value.npy is zero in the first frame: the difference
-is in articulation.json. Without it the two are taken for the same, and that is noted.
+So the clouds are at the trained value zero, but joint_value.npy is zero in the first frame. articulation.json has the
+difference; without it, both are assumed equal, with a note.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,24 +25,26 @@ import numpy as np
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.joint import JOINT_TYPES, JointType
-from leaderboard.adapters.evaluation_data import found, hypotheses
-from leaderboard.adapters.toolbox import Found, Layout, Request, read_list
+from leaderboard.adapters.evaluation_data import list_hypotheses, read_hypothesis
+from leaderboard.adapters.layout import ImportedResult, Layout, Request
+from leaderboard.adapters.readers import read_list
 
-_VALUES = {"revolute": "angle_rad", "prismatic": "distance"}
-
-
-def _fits(folder: Path) -> bool:
-    return (folder / "export_manifest.json").is_file() and bool(hypotheses(folder))
+_VALUE_KEYS = {"revolute": "angle_rad", "prismatic": "distance"}
 
 
-def _read(folder: Path, request: Request) -> Found:
+def _matches(folder: Path) -> bool:
+    return (folder / "export_manifest.json").is_file() and bool(list_hypotheses(folder))
+
+
+def _read(folder: Path, request: Request) -> ImportedResult:
     manifest = folder / "export_manifest.json"
-    kind = checked.read_json(manifest).get("joint_type")
-    if kind not in JOINT_TYPES or kind not in hypotheses(folder):
-        raise FreeArtError(f"{manifest} has joint_type {kind!r}, expected one of {', '.join(hypotheses(folder))}"[:300])
-    chosen: JointType = "revolute" if kind == "revolute" else "prismatic"
+    given = checked.read_json(manifest).get("joint_type")
+    hypotheses = list_hypotheses(folder)
+    if given not in JOINT_TYPES or given not in hypotheses:
+        raise FreeArtError(f"{manifest} has joint_type {given!r}, expected one of {', '.join(hypotheses)}"[:300])
+    joint_type: JointType = "revolute" if given == "revolute" else "prismatic"
     names, cameras = None, None
-    path = folder / chosen / "camera_poses.json"
+    path = folder / joint_type / "camera_poses.json"
     if path.is_file():
         frames = read_list(path, "cameras")
         try:
@@ -52,26 +55,21 @@ def _read(folder: Path, request: Request) -> Found:
         if cameras.shape[1:] != (4, 4):
             raise FreeArtError(f"{path}: transform_matrix has shape {cameras.shape[1:]}, expected (4, 4)")
     trained = checked.inside(folder.parent, "splatfacto-art/articulation.json")
-    first, notes = _first_value(trained, chosen)
+    first, notes = _read_first_value(trained, joint_type)
     axes = request.options.axes or LAYOUT.axes or "opencv"
-    told = found(folder, chosen, request, axes, 1.0, first, names, cameras)
-    return Found(**{**vars(told), "notes": (*told.notes, *notes)})
+    result = read_hypothesis(folder, joint_type, request, axes, 1.0, first, names, cameras)
+    return replace(result, notes=(*result.notes, *notes))
 
 
-def _first_value(path: Path, kind: JointType) -> tuple[float, tuple[str, ...]]:
-    """The trained joint value of the first frame, rad or m."""
+def _read_first_value(path: Path, joint_type: JointType) -> tuple[float, tuple[str, ...]]:
+    """The trained joint value of the first frame, rad or m, and a note when the file is missing."""
     if not path.is_file():
-        return 0.0, (
-            "no splatfacto-art/articulation.json beside it: the clouds are taken to stand as in the first frame",
-        )
-    frames = checked.read_json(path).get("frames")
-    value = (
-        frames[0].get(_VALUES[kind], 0.0)
-        if isinstance(frames, list) and frames and isinstance(frames[0], dict)
-        else None
-    )
+        return 0.0, ("no splatfacto-art/articulation.json: the clouds are assumed to be at the first frame's state",)
+    frames, key = checked.read_json(path).get("frames"), _VALUE_KEYS[joint_type]
+    first = frames[0] if isinstance(frames, list) and frames else None
+    value = first.get(key, 0.0) if isinstance(first, dict) else None
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e6:
-        raise FreeArtError(f"{path}: the first of 'frames' has {_VALUES[kind]} {value!r}, expected a number"[:300])
+        raise FreeArtError(f"{path}: the first of 'frames' has {key} {value!r}, expected a number"[:300])
     return float(value), ()
 
 
@@ -79,8 +77,8 @@ LAYOUT = Layout(
     "freeartgs",
     "FreeArtGS, https://github.com/FreeArtGS/FreeArtGS",
     "FreeArtGS/FreeArtGS@061c6c8be42aa7dfd090dfd7c4137d6c2dcccd6a:evaluate/export_evaluation_data.py",
-    _fits,
+    _matches,
     _read,
-    inside=("evaluation_data",),
+    subfolders=("evaluation_data",),
     axes="opencv",
 )

@@ -1,4 +1,4 @@
-"""Writing a results folder from results of another layout: every sequence that is found, whole or not at all."""
+"""Writes a results folder from results of another layout, for all sequences that it has, atomically."""
 
 from __future__ import annotations
 
@@ -13,41 +13,59 @@ from freeart21 import child
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import Benchmark, read_benchmark
-from freeart21.files.places import Output, check_place, import_of
+from freeart21.files.places import check_place, import_of
 from freeart21.files.result import Method, write_method, write_result
 from freeart21.files.sequence import read_sequence
-from freeart21.reconstruction import Failure, Piece, Reconstruction
-from leaderboard.adapters.registry import layout_named
-from leaderboard.adapters.toolbox import (
+from freeart21.reconstruction import Failure, Piece
+from freeart21.recording import Recording
+from leaderboard.adapters.layout import (
     FRAMES,
     Axes,
+    ImportedResult,
     Layout,
     Options,
     Request,
-    lacking,
-    reconstruction,
+    common_lacks,
+    to_reconstruction,
 )
+from leaderboard.adapters.registry import layout_named
 from leaderboard.submission import MAX_FILES
 from leaderboard.video_fit import describe_misfit
 
 MOST_FAULTS = 20
-"""Faults that are told at once."""
+"""Most faults in one error message."""
+_MAP_KINDS: dict[str, tuple[type, ...]] = {
+    "frame": (str,),
+    "axes": (str,),
+    "anchor": (int,),
+    "scale": (int, float),
+    "joint": (str, int),
+}
+"""Options of a sequence in a map file, and their JSON types."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """What an import wrote."""
+    """The outcome of an import."""
 
     sequences: tuple[str, ...]
-    """That have an answer."""
+    """Sequences with an answer."""
     failures: tuple[str, ...]
-    """That the method itself counts as failed."""
+    """Sequences that the method itself counts as failed."""
     missing: tuple[str, ...]
-    """Of which nothing was found: the score prices them."""
+    """Sequences without a result, which the score penalises."""
     lacks: tuple[str, ...]
-    """What the layout does not give for any sequence."""
+    """Pieces that the layout has for no sequence."""
     notes: Mapping[str, tuple[str, ...]]
-    """By sequence."""
+    """Sequence to remarks."""
+
+
+@dataclass(frozen=True)
+class _Source:
+    """The folder that holds the result of one sequence, and its options."""
+
+    folder: Path
+    options: Options
 
 
 def import_results(
@@ -61,14 +79,14 @@ def import_results(
     name: str | None = None,
     progress: Callable[[str, int, int], None] = lambda name, done, total: None,
 ) -> Report:
-    """Write the results folder `out` of what `source` holds in `layout` for the sequences of `data`.
+    """Write the results folder `out` from results in `layout` in `source` for the sequences of `data`.
 
-    Where a sequence's result lies: in `source` itself when it is of one `sequence`; where the JSON file `map_file` says
-    ({"SEQ": "folder", ...}, or an object with the folder and options of its own); else in the folder of the sequence's
-    name. No truth is read. An older import of the same layout at `out` is replaced; anything else there is refused.
+    A sequence's result is `source` itself when that is the result of one `sequence`; the folder in the JSON file
+    `map_file` ({"SEQ": "folder", ...}, or an object with the folder and options of its own); else the folder named as
+    the sequence. No truth is read. An older import of the same layout at `out` is replaced, nothing else.
 
-    Notes say where parts, posed by the answer, do not lie on the object of the video (`video_fit`). Raises
-    FreeArtError, a line a fault, when nothing is found or a result cannot be read: then nothing is written.
+    A note names sequences whose posed parts do not lie on the object in the video (`video_fit`). Raises FreeArtError,
+    one line per fault, and writes nothing when no result is found or one cannot be read.
     """
     source, data, out = Path(source), Path(data), Path(out)
     rules, options = layout_named(layout), options or Options()
@@ -78,210 +96,195 @@ def import_results(
     if not source.is_dir():
         raise FreeArtError(f"{source} is not a folder")
     _check_options(rules, options)
-    places, own = _places(rules, source, benchmark, sequence, map_file, options)
-    return _write(rules, places, own, benchmark, source, out, kind, name or out.resolve().name, progress)
-
-
-def _write(
-    rules: Layout,
-    places: dict[str, Path],
-    options: dict[str, Options],
-    benchmark: Benchmark,
-    source: Path,
-    out: Path,
-    kind: Output,
-    name: str,
-    progress: Callable[[str, int, int], None],
-) -> Report:
-    lacked: list[set[Piece]] = []
+    sources = _find_sources(rules, source, benchmark, sequence, map_file, options)
+    lacks: list[set[Piece]] = []
     failures, faults = [], []
     notes: dict[str, tuple[str, ...]] = {}
-    with atomic.new_folder(out, kind) as aside:
-        for done, (sequence, place) in enumerate(places.items()):
-            progress(sequence, done, len(places))
-            recording = read_sequence(benchmark.sequence(sequence))
+    with atomic.new_folder(out, kind) as staging:
+        for done, (key, place) in enumerate(sources.items()):
+            progress(key, done, len(sources))
+            recording = read_sequence(benchmark.sequence(key))
             try:
-                _check_links(place, source)
-                found = rules.read(place, Request(recording, options[sequence]))
-                answer = found if isinstance(found, Failure) else reconstruction(found, recording)
+                result, notes[key] = _write_answer(rules, place, source, recording, staging / key)
             except FreeArtError as error:
-                faults.append(f"{sequence}: {error}")
+                faults.append(f"{key}: {error}")
                 continue
-            except Exception as error:  # hostile bytes reach parsers of many libraries; each has exceptions of its own
-                faults.append(f"{sequence}: {place} cannot be read ({type(error).__name__}: {child.one_line(error)})")
-                continue
-            notes[sequence] = () if isinstance(found, Failure) else found.notes
-            if isinstance(answer, Reconstruction) and not isinstance(found, Failure):
-                misfit = describe_misfit(answer, recording, tuple(found.lacks()))
-                notes[sequence] += (misfit,) if misfit else ()
-            own = {"layout": rules.name, "notes": list(notes[sequence])}
-            write_result(aside / sequence, answer, {"import": own})
-            if isinstance(found, Failure):
-                failures.append(sequence)
+            if isinstance(result, Failure):
+                failures.append(key)
             else:
-                lacked.append(found.lacks())
+                lacks.append(result.lacks())
         if faults:
             more = [f"and {len(faults) - MOST_FAULTS} more"] if len(faults) > MOST_FAULTS else []
             raise FreeArtError("\n".join([*faults[:MOST_FAULTS], *more]))
-        lacks = lacking(lacked)
-        said = {sequence: list(lines) for sequence, lines in notes.items() if lines}
         settings: dict[str, Any] = {
             "imported": rules.name,
             "read_as": rules.source,
             "by": f"freeart21 {freeart21.__version__}",
-            "options": {sequence: _plain(options[sequence]) for sequence in places},
-            "notes": said,
+            "options": {key: _options_to_json(place.options) for key, place in sources.items()},
+            "notes": {key: list(lines) for key, lines in notes.items() if lines},
         }
-        write_method(aside, Method(name, rules.project, settings, "", lacks))
-    missing = tuple(name for name in benchmark.sequences if name not in places)
-    done_ = tuple(sequence for sequence in places if sequence not in failures)
-    return Report(done_, tuple(failures), missing, lacks, notes)
+        method = Method(name or out.resolve().name, rules.project, settings, "", common_lacks(lacks))
+        write_method(staging, method)
+    missing = tuple(key for key in benchmark.sequences if key not in sources)
+    answers = tuple(key for key in sources if key not in failures)
+    return Report(answers, tuple(failures), missing, method.lacks, notes)
 
 
-def _check_links(place: Path, source: Path) -> None:
-    """FreeArtError for a result that is, or holds, a link that leads out of `source`, or that has too many files."""
+def _write_answer(
+    rules: Layout, place: _Source, source: Path, recording: Recording, out: Path
+) -> tuple[ImportedResult | Failure, tuple[str, ...]]:
+    """Read one result and write it as a result folder; returns it and its notes. Raises FreeArtError, one line."""
+    try:
+        _check_links(place.folder, source)
+        result = rules.read(place.folder, Request(recording, place.options))
+        answer = result if isinstance(result, Failure) else to_reconstruction(result, recording)
+    except FreeArtError:
+        raise
+    except Exception as error:  # parsers of many libraries read hostile bytes, each with its own exceptions
+        message = f"{place.folder} cannot be read ({type(error).__name__}: {child.one_line(error)})"
+        raise FreeArtError(message) from error
+    notes: tuple[str, ...] = ()
+    if not isinstance(result, Failure) and not isinstance(answer, Failure):
+        misfit = describe_misfit(answer, recording, tuple(result.lacks()))
+        notes = (*result.notes, *([misfit] if misfit else []))
+    write_result(out, answer, {"import": {"layout": rules.name, "notes": list(notes)}})
+    return result, notes
+
+
+def _check_links(folder: Path, source: Path) -> None:
+    """Raise FreeArtError when a result is, or holds, a link that leads out of `source`, or has too many files."""
     home = source.resolve()
-    if not place.resolve().is_relative_to(home):
-        raise FreeArtError(f"{place} leads out of {source}")
-    for count, path in enumerate(place.rglob("*")):
+    if not folder.resolve().is_relative_to(home):
+        raise FreeArtError(f"{folder} leads out of {source}")
+    for count, path in enumerate(folder.rglob("*")):
         if count > MAX_FILES:
-            raise FreeArtError(f"{place} has more than {MAX_FILES} files, expected one result")
+            raise FreeArtError(f"{folder} has more than {MAX_FILES} files, expected one result")
         if path.is_symlink() and not path.resolve().is_relative_to(home):
             raise FreeArtError(f"{path} leads out of {source}")
 
 
-def _plain(options: Options) -> dict[str, Any]:
-    """The options that are not as they are by default; the place of object poses by its name alone."""
-    told = {key: value for key, value in vars(options).items() if value != getattr(Options(), key)}
-    return {key: value.name if isinstance(value, Path) else value for key, value in told.items()}
+def _options_to_json(options: Options) -> dict[str, Any]:
+    """The options that differ from the default; paths by their name alone."""
+    changed = {key: value for key, value in vars(options).items() if value != getattr(Options(), key)}
+    return {key: value.name if isinstance(value, Path) else value for key, value in changed.items()}
 
 
-def _places(
+def _find_sources(
     rules: Layout,
     source: Path,
     benchmark: Benchmark,
     sequence: str | None,
     map_file: Path | None,
     options: Options,
-) -> tuple[dict[str, Path], dict[str, Options]]:
-    """Sequence to the folder of its result and its options, in the benchmark's order."""
+) -> dict[str, _Source]:
+    """Sequence to the folder and options of its result, in the benchmark's order."""
     if sequence is not None and map_file is not None:
-        raise FreeArtError("--sequence and --map say the same in two ways; give one of them")
-    own = {name: options for name in benchmark.sequences}
+        raise FreeArtError("--sequence and --map exclude each other; give one of them")
     if map_file is not None:
-        given, told = _read_map(map_file, source, benchmark, rules, options)
-        own |= told
-        places = {}
-        for name, folder in given.items():
-            home = _home(rules, folder)
-            if home is None:
-                raise FreeArtError(f"{map_file}: {folder} holds no result of the layout {rules.name}")
-            places[name] = home
-        return {name: places[name] for name in benchmark.sequences if name in places}, own
+        return _read_map(map_file, source, benchmark, rules, options)
     if sequence is not None:
-        if sequence not in benchmark.sequences:
-            raise FreeArtError(f"{benchmark.folder} has no sequence '{sequence}'; it has {_some(benchmark.sequences)}")
-        home = _home(rules, source)
+        _check_sequence(benchmark, sequence)
+        home = _find_home(rules, source)
         if home is None:
-            raise FreeArtError(f"{source} holds no result of the layout {rules.name}: expected {_wanted(rules)}")
-        return {sequence: home}, own
-    places = {}
+            inside = f", or {' or '.join(rules.subfolders)} with them" if rules.subfolders else ""
+            raise FreeArtError(f"{source} holds no result of the layout {rules.name}: expected its files{inside}")
+        return {sequence: _Source(home, options)}
+    sources = {}
     for name in benchmark.sequences:
-        for below in dict.fromkeys((name, name.replace("_", "-"), *rules.folders(name))):
-            folder = source / below
-            home = _home(rules, folder) if folder.is_dir() else None
+        for child_name in dict.fromkeys((name, name.replace("_", "-"), *rules.sequence_folders(name))):
+            folder = source / child_name
+            home = _find_home(rules, folder) if folder.is_dir() else None
             if home is not None:
-                places[name] = home
+                sources[name] = _Source(home, options)
                 break
-    if not places:
-        one = ", or --sequence SEQ if it is the result of one" if _home(rules, source) is not None else ""
+    if not sources:
+        one = ", or --sequence SEQ if it is the result of one" if _find_home(rules, source) is not None else ""
         raise FreeArtError(
             f"{source} holds no result of the layout {rules.name} in a folder named as a sequence of "
-            f"{benchmark.folder} ({_some(benchmark.sequences)}); give --map FILE.json to say which is which{one}"
+            f"{benchmark.folder} ({_list_some(benchmark.sequences)}); give --map FILE.json with the folder of each{one}"
         )
-    return places, own
+    return sources
 
 
-def _some(names: tuple[str, ...]) -> str:
+def _check_sequence(benchmark: Benchmark, name: str, where: str = "") -> None:
+    if name not in benchmark.sequences:
+        names = _list_some(benchmark.sequences)
+        raise FreeArtError(f"{where}{benchmark.folder} has no sequence '{name}'; it has {names}")
+
+
+def _list_some(names: tuple[str, ...]) -> str:
     return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
 
 
-def _wanted(rules: Layout) -> str:
-    return f"its files, or {' or '.join(rules.inside)} with them" if rules.inside else "its files"
-
-
-def _home(rules: Layout, folder: Path) -> Path | None:
-    """The folder with the files, `folder` itself or one below where the project puts them; None when there is none."""
-    if rules.fits(folder):
+def _find_home(rules: Layout, folder: Path) -> Path | None:
+    """The folder with the files: `folder`, or one of the layout's subfolders; None when there is none."""
+    if rules.matches(folder):
         return folder
     root = folder.resolve()
-    for pattern in rules.inside:
+    for pattern in rules.subfolders:
         below = [path for path in folder.glob(pattern) if path.is_dir() and path.resolve().is_relative_to(root)]
-        fitting = [path for path in below if rules.fits(path)]
-        if fitting:
-            return max(fitting, key=_numbers)
+        if matching := [path for path in below if rules.matches(path)]:
+            return max(matching, key=_number_key)
     return None
 
 
-def _numbers(path: Path) -> tuple[list[int], str]:
-    """Orders step_0004000 behind step_0000500, and ours_20000 behind ours_7000."""
+def _number_key(path: Path) -> tuple[list[int], str]:
+    """Sort key: step_0004000 after step_0000500, and ours_20000 after ours_7000."""
     return [int(number) for number in re.findall(r"[0-9]{1,18}", path.name)], path.name
 
 
-def _read_map(
-    path: Path, source: Path, benchmark: Benchmark, rules: Layout, options: Options
-) -> tuple[dict[str, Path], dict[str, Options]]:
+def _read_map(path: Path, source: Path, benchmark: Benchmark, rules: Layout, options: Options) -> dict[str, _Source]:
     data = checked.read_json(path, root=checked.ANYWHERE)
-    places, own = {}, {}
+    sources = {}
     for name, entry in data.items():
-        if name not in benchmark.sequences:
-            raise FreeArtError(
-                f"{path}: {benchmark.folder} has no sequence '{name}'; it has {_some(benchmark.sequences)}"
-            )
-        told = {"folder": entry} if isinstance(entry, str) else entry
-        if not isinstance(told, dict) or not isinstance(told.get("folder"), str):
+        _check_sequence(benchmark, name, f"{path}: ")
+        given = {"folder": entry} if isinstance(entry, str) else entry
+        if not isinstance(given, dict) or not isinstance(given.get("folder"), str):
             raise FreeArtError(f"{path}: '{name}' is {entry!r}, expected a folder, or an object with one"[:300])
-        unknown = set(told) - {"folder", "frame", "axes", "anchor", "scale", "joint"}
-        if unknown:
+        if unknown := set(given) - {"folder", *_MAP_KINDS}:
             raise FreeArtError(
                 f"{path}: '{name}' has '{min(unknown)}', expected folder, frame, axes, anchor, scale or joint"
             )
-        places[name] = checked.inside(source, told["folder"])
-        if not places[name].is_dir():
-            raise FreeArtError(f"{path}: '{name}' is in {told['folder']}, which is not a folder of {source}")
-        own[name] = _own_options(path, name, told, options)
-        _check_options(rules, own[name])
-    if not places:
+        folder = checked.inside(source, given["folder"])
+        if not folder.is_dir():
+            raise FreeArtError(f"{path}: '{name}' is in {given['folder']}, which is not a folder of {source}")
+        own = _merge_options(path, name, given, options)
+        _check_options(rules, own)
+        home = _find_home(rules, folder)
+        if home is None:
+            raise FreeArtError(f"{path}: {folder} holds no result of the layout {rules.name}")
+        sources[name] = _Source(home, own)
+    if not sources:
         raise FreeArtError(f"{path} names no sequence")
-    return places, own
+    return {name: sources[name] for name in benchmark.sequences if name in sources}
 
 
-def _own_options(path: Path, name: str, told: dict[str, Any], options: Options) -> Options:
-    kinds = {"anchor": (int,), "scale": (int, float), "joint": (str, int), "frame": (str,), "axes": (str,)}
-    for key, allowed in kinds.items():
-        if key in told and (isinstance(told[key], bool) or not isinstance(told[key], allowed)):
-            raise FreeArtError(f"{path}: '{key}' of '{name}' is {told[key]!r}, expected {allowed[0].__name__}"[:300])
-    given = {key: told[key] for key in kinds if key in told}
-    if "joint" in given:
-        given["joint"] = str(given["joint"])
-    return replace(options, **given)
+def _merge_options(path: Path, name: str, given: dict[str, Any], options: Options) -> Options:
+    """`options` with those of one sequence in a map file."""
+    for key, types in _MAP_KINDS.items():
+        if key in given and (isinstance(given[key], bool) or not isinstance(given[key], types)):
+            raise FreeArtError(f"{path}: '{key}' of '{name}' is {given[key]!r}, expected {types[0].__name__}"[:300])
+    own = {key: given[key] for key in _MAP_KINDS if key in given}
+    if "joint" in own:
+        own["joint"] = str(own["joint"])
+    return replace(options, **own)
 
 
 def _check_options(rules: Layout, options: Options) -> None:
-    """FreeArtError for an option that the layout has no use for, or that is none of its values."""
+    """Raise FreeArtError for an option that has a bad value or no effect in the layout."""
     if options.frame is not None and options.frame not in FRAMES:
         raise FreeArtError(f"frame is '{options.frame}', expected one of {', '.join(FRAMES)}")
     if options.axes is not None and options.axes not in get_args(Axes):
         raise FreeArtError(f"axes are '{options.axes}', expected opencv or opengl")
     if not 0 < options.scale < 1e6:
         raise FreeArtError(f"scale is {options.scale:g}, expected metres in one unit of length, above 0")
-    useless = {
+    without_effect = {
         "frame": options.frame is not None and rules.frame is None,
         "object-poses": options.object_poses is not None and rules.frame is None,
         "axes": options.axes is not None and rules.axes is None,
         "anchor": options.anchor != 0 and rules.frame is None,
-        "joint": options.joint is not None and not rules.joint_choice,
+        "joint": options.joint is not None and not rules.has_several_joints,
     }
-    for option, wrong in useless.items():
+    for option, wrong in without_effect.items():
         if wrong:
-            raise FreeArtError(f"the layout {rules.name} has no use for --{option}: its files say it")
+            raise FreeArtError(f"the layout {rules.name} has no use for --{option}: its files define it")

@@ -11,7 +11,7 @@ Read in 3dlg-hcvc/paris@fcab60d2e9f65d67134931f45a8592bed9e21fde: systems/base.p
 systems/revolute.py and prismatic.py (angle in degrees, or length, of the whole motion from t = 0 to t = 1, by the
 right-hand rule or along axis_d), utils/mixins.py (save_trans_part_mesh), models/revolute.py (canonical is t = 0.5),
 preprocess.py (the world is the object's, z up: (x, -z, y) of PartNet-Mobility's meshes). The largest N counts. Lengths
-are PartNet-Mobility's own. The type is that of the configuration.
+are PartNet-Mobility's own. The joint type is that of the configuration.
 """
 
 from __future__ import annotations
@@ -24,54 +24,53 @@ import numpy as np
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.joint import Joint, JointType
-from freeart21.mesh import Mesh
-from leaderboard.adapters.toolbox import Found, Layout, Request, one_number, read_part, unit
-from leaderboard.adapters.two_states import TOLD, found
+from leaderboard.adapters.layout import ImportedResult, Layout, Request
+from leaderboard.adapters.readers import read_number, read_part, unit_vector
+from leaderboard.adapters.two_states import TYPE_GIVEN, two_state_result
 
 _MOTION = re.compile(r"it([0-9]{1,9})_(?:val|test)_motion\.json")
 _TYPES: dict[str, tuple[JointType, str]] = {"rotate": ("revolute", "rot_angle"), "translate": ("prismatic", "dist")}
 
 
-def _motions(folder: Path) -> list[tuple[int, Path]]:
-    found_ = [
-        (int(match[1]), path) for path in folder.glob("it*_motion.json") if (match := _MOTION.fullmatch(path.name))
-    ]
-    return sorted(found_)
+def _list_motions(folder: Path) -> list[tuple[int, Path]]:
+    """(N, file) of every motion, by rising N."""
+    matches = ((_MOTION.fullmatch(path.name), path) for path in folder.glob("it*_motion.json"))
+    return sorted((int(match[1]), path) for match, path in matches if match)
 
 
-def _read(folder: Path, request: Request) -> Found:
-    step, path = _motions(folder)[-1]
+def _read(folder: Path, request: Request) -> ImportedResult:
+    step, path = _list_motions(folder)[-1]
     data, scale = checked.read_json(path), request.options.scale
-    said = data.get("type")
-    if said not in _TYPES:
-        raise FreeArtError(f"{path}: type is {said!r}, expected rotate or translate"[:300])
-    kind, key = _TYPES[said]
-    axis = unit(checked.numbers(data, "axis_d", (3,), path), f"{path}: axis_d")
+    given = data.get("type")
+    if given not in _TYPES:
+        raise FreeArtError(f"{path}: type is {given!r}, expected rotate or translate"[:300])
+    joint_type, key = _TYPES[given]
+    axis = unit_vector(checked.numbers(data, "axis_d", (3,), path), f"{path}: axis_d")
     pivot = scale * checked.numbers(data, "axis_o", (3,), path)
-    amount = one_number(data, key, path)
-    span = float(np.radians(amount)) if kind == "revolute" else scale * amount
-    static, moving = _surface(folder, step, "static"), _surface(folder, step, "dyn_t0")
+    amount = read_number(data, key, path)
+    span = float(np.radians(amount)) if joint_type == "revolute" else scale * amount
+    static, moving = _find_surface(folder, step, "static"), _find_surface(folder, step, "dyn_t0")
     meshes = None
     if static is not None and moving is not None:
         meshes = read_part(static, folder, scale)[0], read_part(moving, folder, scale)[0]
-    elif static is not None and (half := _surface(folder, step, "dynamic")) is not None:
-        joint = Joint("joint", kind, axis, pivot, -np.inf, np.inf)
-        moved: Mesh = read_part(half, folder, scale)[0].moved(joint.transform(-span / 2))
-        meshes = read_part(static, folder, scale)[0], moved
-    return found(folder, request, "zup", kind, axis, pivot, span, meshes, (TOLD,))
+    elif static is not None and (half := _find_surface(folder, step, "dynamic")) is not None:
+        joint = Joint("joint", joint_type, axis, pivot, -np.inf, np.inf)
+        at_start = read_part(half, folder, scale)[0].moved(joint.transform(-span / 2))
+        meshes = read_part(static, folder, scale)[0], at_start
+    return two_state_result(folder, request, "zup", joint_type, axis, pivot, span, meshes, (TYPE_GIVEN,))
 
 
-def _surface(folder: Path, step: int, what: str) -> Path | None:
-    """The mesh of that step; of several resolutions or thresholds, the first by name."""
-    return next(iter(sorted(folder.glob(f"it{step}_{what}_*.ply"))), None)
+def _find_surface(folder: Path, step: int, part: str) -> Path | None:
+    """The mesh of that step; among several resolutions or thresholds, the first by name."""
+    return next(iter(sorted(folder.glob(f"it{step}_{part}_*.ply"))), None)
 
 
 LAYOUT = Layout(
     "paris",
     "PARIS, https://github.com/3dlg-hcvc/paris",
     "3dlg-hcvc/paris@fcab60d2e9f65d67134931f45a8592bed9e21fde:systems/base.py, utils/mixins.py, preprocess.py",
-    lambda folder: bool(_motions(folder)),
+    lambda folder: bool(_list_motions(folder)),
     _read,
-    inside=("save", "*/save", "*"),
+    subfolders=("save", "*/save", "*"),
     frame="zup",
 )

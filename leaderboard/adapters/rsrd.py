@@ -1,18 +1,18 @@
-"""RSRD (Robot See Robot Do): keyframes.txt of its tracker, and the Gaussians that it moved.
+"""RSRD (Robot See Robot Do): keyframes.txt of its tracker, and the Gaussians that it moves.
 
     keyframes.txt                JSON: part_deltas [T][P][7], T_objreg_objinit [1][7]: quaternion w, x, y, z; position
     part_0.ply ... part_<P-1>.ply  Gaussians (or any points) of each part, as scanned, in nerfstudio's world
-    dataparser_transforms.json   "scale": nerfstudio's units in a metre (or --scale, metres in one unit)
+    dataparser_transforms.json   "scale": nerfstudio's units per metre (or --scale, metres per unit)
 
 Read in kerrj/rsrd@0c047831a85fd72ee1f76e3ac5cece9acd87e0ce: rsrd/motion/motion_optimizer.py (save_tracks; the object's
-frame is at the mean of all Gaussians, a part's at the mean of its own, neither turned; the camera is at the world's
-origin) and rsrd/util/warp_kernels.py (the order of the products). A part's points go to
-T_world_obj T_objreg_objinit T_obj_part delta (T_world_obj T_obj_part)^-1 in the camera, whose axes are OpenGL's as
-nerfstudio has them. `dataset_scale` divides lengths to metres in rsrd/robot/graspable_obj.py.
+frame is at the mean of all Gaussians, a part's at the mean of its own, both without rotation; the camera is at the
+world's origin) and rsrd/util/warp_kernels.py (the order of the products). A part's points go to
+T_world_obj T_objreg_objinit T_obj_part delta (T_world_obj T_obj_part)^-1 in the camera, which has OpenGL's axes as in
+nerfstudio. `dataset_scale` divides lengths to metres in rsrd/robot/graspable_obj.py.
 
-The means are in the trained model only (a pickled checkpoint, which is not read), so the parts' Gaussians must be
-exported beside keyframes.txt; without them neither the axis's place nor any pose can be known. RSRD has no joint: it is
-fitted here. Its part_deltas are one a frame of the video; P may be more than two.
+The means are only in the trained model, a pickled checkpoint that is not read, so the parts' Gaussians have to be
+exported to the folder of keyframes.txt; without them neither axis nor poses can be computed. RSRD has no joint: it is
+fitted here. part_deltas has one entry per frame of the video; P can exceed two.
 """
 
 from __future__ import annotations
@@ -26,17 +26,14 @@ from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.formats.third_party import T_GL_CV
 from freeart21.se3 import Array
-from leaderboard.adapters.followed import Followed, found_of
-from leaderboard.adapters.toolbox import Found, Layout, Request, read_part, scaled, scaled_mesh, wxyz_first
+from leaderboard.adapters.layout import ImportedResult, Layout, Request
+from leaderboard.adapters.readers import poses_from_wxyz, read_part, scale_mesh, scale_poses
+from leaderboard.adapters.tracked_parts import TrackedPart, fit_tracked_parts
 
 MAX_PARTS = 64
 
 
-def _fits(folder: Path) -> bool:
-    return (folder / "keyframes.txt").is_file()
-
-
-def _read(folder: Path, request: Request) -> Found:
+def _read(folder: Path, request: Request) -> ImportedResult:
     path = folder / "keyframes.txt"
     data = checked.read_json(path)
     deltas = checked.numbers(data, "part_deltas", (None, None, 7), path)
@@ -51,40 +48,41 @@ def _read(folder: Path, request: Request) -> Found:
         if not file.is_file():
             raise FreeArtError(
                 f"{file} is missing: part_deltas turn about the mean of each part's Gaussians, which only the trained "
-                f"model knows; export the Gaussians of all {count} parts as part_0.ply to part_{count - 1}.ply"
+                f"model has; export the Gaussians of all {count} parts as part_0.ply to part_{count - 1}.ply"
             )
-    read = [read_part(file, folder) for file in files]
-    clouds = [_points(mesh.vertices, bool(note)) for mesh, note in read]
-    scale, notes = _scale(folder, request)
+    surfaces = [read_part(file, folder) for file in files]
+    clouds = [_centres(mesh.vertices, bool(note)) for mesh, note in surfaces]
+    scale, notes = _read_scale(folder, request)
     means = [cloud.mean(0) for cloud in clouds]
-    middle = np.concatenate(clouds).mean(0)
-    T_world_obj = _at(middle) @ wxyz_first(start, f"{path}: T_objreg_objinit")[0]
-    Ts_delta = wxyz_first(deltas, f"{path}: part_deltas")
+    mean = np.concatenate(clouds).mean(0)
+    T_world_obj = _translation(mean) @ poses_from_wxyz(start, f"{path}: T_objreg_objinit")[0]
+    Ts_delta = poses_from_wxyz(deltas, f"{path}: part_deltas")
     parts = []
-    for k, (mesh, _) in enumerate(read):
-        Ts = T_world_obj @ _at(means[k] - middle) @ Ts_delta[:, k]
-        Ts = scaled(se3.inverse(T_GL_CV) @ Ts, scale)
-        own = scaled_mesh(mesh.moved(_at(-means[k])), scale)
-        parts.append(Followed(se3.orthonormalised(Ts), own, float(len(clouds[k]))))
-    said = tuple(note for _, note in read if note)
-    return found_of(parts, np.arange(frames), frames, (*notes, *said))
+    for k, (mesh, _) in enumerate(surfaces):
+        Ts = T_world_obj @ _translation(means[k] - mean) @ Ts_delta[:, k]
+        Ts = scale_poses(se3.inverse(T_GL_CV) @ Ts, scale)
+        own = scale_mesh(mesh.moved(_translation(-means[k])), scale)
+        parts.append(TrackedPart(se3.orthonormalised(Ts), own, float(len(clouds[k]))))
+    notes += tuple(note for _, note in surfaces if note)
+    return fit_tracked_parts(parts, np.arange(frames), frames, notes)
 
 
-def _points(vertices: Array, cloud: bool) -> Array:
-    """The Gaussians' centres: of a cloud that became triangles, the middle of each."""
-    return vertices.reshape(-1, 3, 3).mean(1) if cloud else vertices
+def _centres(vertices: Array, is_cloud: bool) -> Array:
+    """Centres of the Gaussians; those of a cloud, read as triangles, are the triangles' centres."""
+    return vertices.reshape(-1, 3, 3).mean(1) if is_cloud else vertices
 
 
-def _at(position: Array) -> Array:
+def _translation(position: Array) -> Array:
     return se3.pose(np.eye(3), position)
 
 
-def _scale(folder: Path, request: Request) -> tuple[float, tuple[str, ...]]:
-    """Metres in one unit of nerfstudio's world."""
+def _read_scale(folder: Path, request: Request) -> tuple[float, tuple[str, ...]]:
+    """Metres per unit of nerfstudio's world, and a note when neither the user nor a file gives it."""
     path = folder / "dataparser_transforms.json"
-    if request.options.scale != 1 or not path.is_file():
-        said = "no dataparser_transforms.json: one unit of its world is taken for a metre"
-        return request.options.scale, () if request.options.scale != 1 else (said,)
+    if request.options.scale != 1:
+        return request.options.scale, ()
+    if not path.is_file():
+        return 1.0, ("no dataparser_transforms.json: one unit of its world is assumed to be a metre",)
     value = checked.read_json(path).get("scale")
     if isinstance(value, bool) or not isinstance(value, int | float) or not 1e-6 < value < 1e6:
         raise FreeArtError(f"{path}: 'scale' is {value!r}, expected units in a metre"[:300])
@@ -95,6 +93,6 @@ LAYOUT = Layout(
     "rsrd",
     "RSRD (Robot See Robot Do), https://github.com/kerrj/rsrd",
     "kerrj/rsrd@0c047831a85fd72ee1f76e3ac5cece9acd87e0ce:rsrd/motion/motion_optimizer.py, rsrd/util/warp_kernels.py",
-    _fits,
+    lambda folder: (folder / "keyframes.txt").is_file(),
     _read,
 )

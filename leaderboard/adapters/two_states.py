@@ -1,8 +1,8 @@
-"""What methods share that reconstruct an object from many views of two joint states, and not from a video.
+"""Results of methods that reconstruct an object from many views of two joint states instead of a video.
 
-They give a joint and the parts as they stand in the first state, in a world of their own; no pose in any frame of a
-video, no part masks and no state a frame. So an answer stands in one frame, the anchor: the frame of the video that is
-in the first state. Where the world stands in that frame's camera, the files do not say (`Request.T_camera_world`).
+They give a joint and the parts in the first state, in a world frame of their own, without poses, part masks or states
+per frame. Such an answer is placed in one frame of the video, the anchor, which must show the first state. Its files do
+not define the camera's pose in that world (`Request.T_camera_world`).
 """
 
 from __future__ import annotations
@@ -15,32 +15,31 @@ from numpy.typing import ArrayLike
 from freeart21.joint import Joint, JointType
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
-from leaderboard.adapters.toolbox import Found, Frame, Request, unit
+from leaderboard.adapters.layout import Frame, ImportedResult, Request
+from leaderboard.adapters.readers import unit_vector
+
+TYPE_GIVEN = "the joint type is an input of the method: joint_type says nothing about it"
 
 
-def found(
+def two_state_result(
     folder: Path,
     request: Request,
     default: Frame,
-    kind: JointType,
+    joint_type: JointType,
     axis: ArrayLike,
     pivot: Array,
     span: float | tuple[float, float],
     meshes: tuple[Mesh, Mesh] | None,
     notes: tuple[str, ...] = (),
-) -> Found:
-    """The answer of a layout that has no video, in its own world, lengths in metres.
+) -> ImportedResult:
+    """The result of a layout without video, in its own world frame (`default`, unless the user names one), metres.
 
-    `span` is the joint's motion from the first state to the second, rad or m, or its two limits. `meshes` are as in
-    the first state, which is state zero.
+    `span` is the motion from the first state to the second, rad or m, or the joint's two limits. `meshes` are the parts
+    in the first state, which is state zero.
     """
     T_camera_world = request.T_camera_world(folder, default)
     limits = span if isinstance(span, tuple) else (min(0.0, span), max(0.0, span))
-    joint = Joint("joint", kind, unit(axis, f"{folder}: the joint's axis"), np.asarray(pivot, float), *limits)
-    stands = (
-        f"it has no poses: it stands in frame {request.anchor}, the one that it is taken to show at joint state zero"
-    )
-    return Found(joint, None, None, request.anchor, T_camera_world, None, meshes, None, (stands, *notes))
-
-
-TOLD = "the method is told the joint type: joint_type is no merit of its own"
+    axis = unit_vector(axis, f"{folder}: the joint's axis")
+    joint = Joint("joint", joint_type, axis, np.asarray(pivot, float), *limits)
+    note = f"it has no poses: it is placed in frame {request.anchor}, assumed to show joint state zero"
+    return ImportedResult(joint, anchor=request.anchor, anchor_pose=T_camera_world, meshes=meshes, notes=(note, *notes))

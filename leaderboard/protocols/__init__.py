@@ -1,6 +1,6 @@
 """Named protocols, one file each: what each number means, in which unit, what a failure costs, and how it is measured.
 
-A protocol's text and numbers never change: a changed definition is a new protocol with a new name.
+The text and values of a protocol never change: a changed definition is a new protocol with a new name.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __all__ = [
 PROTOCOLS: dict[str, Protocol] = find_instances(__name__, Protocol)
 """Every protocol by its name: the modules of this folder, and entry points of others (`freeart21.registry`)."""
 DEFAULT = "strict-2"
-"""The protocol by which is scored when none is named."""
+"""The default protocol."""
 
 
 def protocol_named(name: str) -> Protocol:

@@ -1,8 +1,8 @@
 """arena-1: the joint as a motion, limits included, by the metric of ArticulateArena (arXiv 2609.33931).
 
 A joint is the unordered pair of its end twists {lower xi, upper xi}; the distance of two joints is that of their pairs
-under the kinetic-energy norm of the true moving part, in metres. Our own implementation makes the numbers everywhere;
-where the package `articulatearena` (extra [arena]) is installed, each is computed by it too, and the two must agree.
+under the kinetic-energy norm of the true moving part, in metres. Our own implementation computes it; where the package
+`articulatearena` (extra [arena]) is installed, it computes each value, too, and the two must agree.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from leaderboard.matching import match
 from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, to_floats
 
 KAPPA = np.pi
-"""Metres at which the compact metric bends: the setting of their benchmark."""
+"""Metres, the scale of the compact metric, as in their benchmark."""
 LEAST_VOLUME = 1e-12
-"""m^3 up to which a closed mesh is no solid, and its convex hull is taken."""
+"""m^3; closed meshes of less volume are replaced by their convex hull."""
 AGREEMENT = 1e-9
-"""Share by which the package's number may differ from ours."""
+"""Largest relative difference between the package's value and ours."""
 
 
 @dataclass(frozen=True)
@@ -39,15 +39,14 @@ class Solid:
     """The mass distribution of a rigid part."""
 
     mass: float
-    """Volume times density 1: only ratios count."""
+    """Volume times density 1: only ratios matter."""
     centre: Array
     """(3,) of mass, metres."""
     inertia: Array
     """(3, 3) about the centre of mass, positive definite."""
 
     def square(self, twist: Array) -> float:
-        """m^2: the mean squared speed of the part's points under `twist` (v, w) (6,), which is twice its kinetic
-        energy over its mass."""
+        """Mean squared speed, m^2, of the part's points under `twist` (v, w) (6,): twice kinetic energy over mass."""
         v, w = twist[:3], twist[3:]
         at_centre = v + np.cross(w, self.centre)
         return float(w @ self.inertia @ w / self.mass + at_centre @ at_centre)
@@ -62,10 +61,10 @@ def measure(
     constants: None = None,
     lacks: tuple[Piece, ...] = (),
 ) -> Measured:
-    """Every number of arena-1 for an answer of as many frames as the truth.
+    """The metrics of arena-1 for an answer with as many frames as the truth.
 
-    `renders`, `asset` and `renders_other` are not looked at, and there are no constants to choose. `lacks`: what the
-    method does not make; numbers that need it mean nothing.
+    `renders`, `asset`, `renders_other` and `constants` are not used. Metrics that need a piece in `lacks` get
+    meaningless values.
     """
     matched = match(truth, answer, lacks)
     true, aligned = truth.articulation.joint, matched.answer
@@ -82,16 +81,15 @@ def measure(
     elif has_limits(joint):
         values["twist"] = joint_distance(true, joint, solid)
     else:
-        notes = ("the joint has no limits, the true one has: no finite distance, twist is priced",)
+        notes = ("the joint has no limits, the true one has: no finite distance, twist is penalised",)
     return Measured(to_floats(values), matched.swapped, notes=notes)
 
 
 def count_from_true_zero(truth: Truth, aligned: Reconstruction, lacks: tuple[Piece, ...] = ()) -> tuple[Array, Joint]:
-    """States (n,) and joint of an aligned answer, limits with them, counted from the truth's state zero.
+    """States (n,) and joint of an aligned answer, its limits shifted as well, counted from the truth's state zero.
 
-    Where a method puts its state zero is its own affair: the offset of strict-2's `state` is taken off. States of
-    another joint type have no such offset: they are zero in the frame in which the truth is nearest its zero. Without
-    states, the answer's zero is its anchor frame.
+    A method chooses its own state zero: the offset of strict-2's `state` is removed. For another joint type, the states
+    become zero in the frame in which the truth is nearest zero. Without states, the answer's zero is its anchor frame.
     """
     true, joint, states = truth.articulation.joint, aligned.articulation.joint, aligned.states
     sign = 1.0 if true.axis @ joint.axis >= 0 else -1.0
@@ -111,9 +109,9 @@ def has_limits(joint: Joint) -> bool:
 
 
 def solid_from_mesh(mesh: Mesh) -> Solid:
-    """`mesh` as a body of uniform density: its inside where it is closed, else that of its convex hull.
+    """`mesh` as a body of uniform density: its interior if closed, else its convex hull.
 
-    A flat mesh, for which theirs has no body, is a sheet of uniform mass.
+    A flat mesh, which the original cannot handle, is a sheet of uniform mass.
     """
     body = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)
     if not (body.is_watertight and body.volume > LEAST_VOLUME):
@@ -121,7 +119,7 @@ def solid_from_mesh(mesh: Mesh) -> Solid:
             body = body.convex_hull
         except QhullError:
             return _sheet(mesh)
-        with np.errstate(invalid="ignore"):  # the centre of no volume is divided by it
+        with np.errstate(invalid="ignore"):  # trimesh divides by the zero volume
             if not body.volume > LEAST_VOLUME:
                 return _sheet(mesh)
     inertia = 0.5 * (body.moment_inertia + body.moment_inertia.T)
@@ -132,7 +130,7 @@ def solid_from_mesh(mesh: Mesh) -> Solid:
 
 
 def _sheet(mesh: Mesh) -> Solid:
-    """The triangles of `mesh` as a thin sheet of mass 1 a square metre."""
+    """The triangles of `mesh` as a thin sheet of 1 kg/m^2."""
     corners, areas = mesh.vertices[mesh.faces], mesh.areas()
     centre = np.average(corners.mean(1), axis=0, weights=areas)
     from_centre = corners - centre
@@ -142,9 +140,9 @@ def _sheet(mesh: Mesh) -> Solid:
 
 
 def end_twists(joint: Joint, solid: Solid, kappa: float | None = None) -> tuple[Array, Array]:
-    """The end twists (v, w) (6,) of a joint, lower and upper; with `kappa` bent into the unit ball of the norm.
+    """The end twists (v, w) (6,) of a joint, lower and upper; with `kappa` mapped into the unit ball of the norm.
 
-    Bent, an end without a limit is the unit twist that it goes towards.
+    An infinite limit is mapped to the unit twist in its direction.
     """
     if kappa is None:
         return joint.lower * joint.screw, joint.upper * joint.screw
@@ -154,32 +152,31 @@ def end_twists(joint: Joint, solid: Solid, kappa: float | None = None) -> tuple[
 
 
 def joint_distance(true: Joint, joint: Joint, solid: Solid, kappa: float | None = None) -> float:
-    """The distance of two joints of one frame: metres, or without a unit in [0, 2 sqrt 2] when bent by `kappa`."""
+    """Distance of two joints in one frame: metres, or without unit in [0, 2 sqrt 2] when mapped with `kappa`."""
     found = pair_distance(end_twists(true, solid, kappa), end_twists(joint, solid, kappa), solid.square)
     if theirs := _package():
-        beside = _by_package(theirs, true, joint, solid, kappa)
-        if abs(beside - found) > AGREEMENT * max(1.0, found):
-            raise FreeArtError(
-                f"arena-1: articulatearena {theirs.__version__} gives {beside!r}, we give {found!r}, expected the same"
-            )
+        reference = _by_package(theirs, true, joint, solid, kappa)
+        if abs(reference - found) > AGREEMENT * max(1.0, found):
+            name = f"articulatearena {theirs.__version__}"
+            raise FreeArtError(f"arena-1: {name} gives {reference!r}, we give {found!r}, expected the same")
     return found
 
 
 def pair_distance(a: tuple[Array, Array], b: tuple[Array, Array], square: Callable[[Array], float]) -> float:
-    """Root of the smaller sum of squares over the two ways to pair the ends of `a` with those of `b`."""
+    """Root of the smaller sum of squares over the two pairings of the ends of `a` with those of `b`."""
     straight = square(a[0] - b[0]) + square(a[1] - b[1])
     crossed = square(a[0] - b[1]) + square(a[1] - b[0])
     return float(np.sqrt(min(straight, crossed)))
 
 
 def still_distance(joint: Joint, solid: Solid, kappa: float | None = None) -> float:
-    """The distance of a joint to one that does not move: what the tree distance charges for a joint not found."""
+    """Distance of a joint to one that does not move: the tree distance's cost of a missing joint."""
     nothing = np.zeros(6), np.zeros(6)
     return pair_distance(end_twists(joint, solid, kappa), nothing, solid.square)
 
 
 def penalties(truth: Truth) -> dict[str, float | None]:
-    """What a joint that does not move costs."""
+    """The distance of the true joint to one that does not move."""
     joint, solid = truth.articulation.joint, solid_from_mesh(truth.articulation.moving)
     return {
         "twist": still_distance(joint, solid) if has_limits(joint) else None,
@@ -268,10 +265,7 @@ ARENA_1 = Protocol(
             "whatever its stated limits",
             label="joint as a motion, over the states of the video",
             column="E\nshown",
-            needs=(
-                "joint",
-                "states",
-            ),
+            needs=("joint", "states"),
             penalty_source=_NOTHING,
         ),
         Metric(

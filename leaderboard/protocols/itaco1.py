@@ -1,7 +1,7 @@
-"""itaco-1: what iTACO's evaluate.py computes on Video2Articulation-S, in deg and cm instead of rad and m.
+"""itaco-1: the metrics of iTACO's evaluate.py on Video2Articulation-S, in deg and cm instead of rad and m.
 
-Re-implemented from its definitions (3dlg-hcvc/video2articulation, evaluate.py). There the object's base stands still
-and methods are told its frame; our answers have a frame of their own, which is laid on the truth's in the first frame.
+Re-implemented from its definitions (3dlg-hcvc/video2articulation, evaluate.py). There the object's base is static and
+methods get its frame; our answers have a frame of their own, which is aligned with the truth's in the first frame.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ class Itaco1:
     """The constants of the protocol: other values are another protocol."""
 
     samples: int = 10_000
-    """Points on each surface."""
+    """Points per surface."""
     seed: int = 0
-    """Of the samples; theirs are not seeded."""
+    """Seed of the samples; the original evaluator has none."""
 
 
 def measure(
@@ -44,10 +44,9 @@ def measure(
     constants: Itaco1 | None = None,
     lacks: tuple[Piece, ...] = (),
 ) -> Measured:
-    """Every number of itaco-1 for an answer of as many frames as the truth, with masks of the truth's size.
+    """The metrics of itaco-1 for an answer with as many frames as the truth and masks of its size.
 
-    `renders`, `asset` and `renders_other` are not looked at. `lacks`: what the method does not make; numbers that need
-    it mean nothing.
+    `renders`, `asset` and `renders_other` are not used. Metrics that need a piece in `lacks` get meaningless values.
     """
     c = constants or Itaco1()
     matched = match(truth, answer, lacks, rename=False, align=first_alignment)
@@ -69,30 +68,30 @@ def measure(
 
 
 def first_alignment(Ts_camera_truth: Array, Ts_camera_predicted: Array, centre_truth: Array) -> Array:
-    """T_truth_pred (4, 4) of the first of the frames (n, 4, 4); `centre_truth` is not looked at."""
+    """T_truth_pred (4, 4) of the first of the frames (n, 4, 4); `centre_truth` is not used."""
     return se3.inverse(Ts_camera_truth[0]) @ Ts_camera_predicted[0]
 
 
 def state_error(states_truth: Array, states: Array) -> float:
-    """Mean absolute difference of the sizes of joint states (n,), rad or m: no sign is seen, an offset is paid for."""
+    """Mean absolute difference of the magnitudes of joint states (n,), rad or m; an offset is not removed."""
     return float(np.mean(np.abs(np.abs(states_truth) - np.abs(states))))
 
 
 def moving_map_iou(truth: Truth, answer: Reconstruction) -> float:
     """Intersection over union of the moving part's pixels, mean over the frames in which truth or answer has any.
 
-    1 where no frame has any: there was nothing to find, and nothing was said.
+    1 when no frame has any.
     """
     ratios = []
     for i, labels in enumerate(answer.part_masks):
-        true, said = truth.part_mask(i) == MOVING, labels == MOVING
-        if union := int((true | said).sum()):
-            ratios.append((true & said).sum() / union)
+        true, predicted = truth.part_mask(i) == MOVING, labels == MOVING
+        if union := int((true | predicted).sum()):
+            ratios.append((true & predicted).sum() / union)
     return float(np.mean(ratios)) if ratios else 1.0
 
 
 def _surface_values(truth: Truth, matched: Matched, c: Itaco1) -> dict[str, float | None]:
-    """Chamfer distances in the first frame, as the alignment puts them; no entry where the answer has no surface."""
+    """Chamfer distances in the first frame, without registration; no entry where the answer has no surface."""
     frame = matched.answer.anchor if "states" in matched.lacks else 0
     motions = truth.articulation.joint.transform(truth.states)
     true = posed_surfaces(Shape((truth.articulation.reference, truth.articulation.moving), motions), frame)
@@ -176,10 +175,7 @@ ITACO_1 = Protocol(
             "number says little where states cross 0",
             label="state",
             column="state",
-            needs=(
-                "joint",
-                "states",
-            ),
+            needs=("joint", "states"),
             prismatic_penalty=100.0,
         ),
         _surface("cd_w", "CD-w", "whole object"),

@@ -1,7 +1,7 @@
-"""paper-1: what the evaluator that FreeArtGS released computes, so that our rows can be laid beside the paper's tables.
+"""paper-1: the metrics of FreeArtGS's released evaluator, for comparison with the paper's tables.
 
 Re-implemented from its definitions (FreeArtGS/FreeArtGS at 061c6c8, evaluate/; the alignment `average` of its script),
-with the failure values of iTACO's evaluator where it has none. What it cannot see is said in docs/protocols.md.
+with the failure values of iTACO's evaluator where it has none. docs/protocols.md has its limits.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from freeart21 import se3
 from freeart21.joint import Joint
-from freeart21.mesh import Mesh
+from freeart21.mesh import join_meshes
 from freeart21.reconstruction import Piece, Reconstruction
 from freeart21.se3 import Array
 from freeart21.truth import Truth
@@ -29,7 +29,7 @@ SURFACES = ("cd_w", "cd_m", "cd_s")
 PARALLEL = 1e-6
 """Length of the cross product of two axes up to which they are parallel, and the position error is 0."""
 EQUAL_DB = 99.0
-"""PSNR of equal pictures."""
+"""PSNR, dB, of equal pictures."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +37,9 @@ class Paper1:
     """The constants of the protocol: other values are another protocol."""
 
     samples: int = 10_000
-    """Points on each surface."""
+    """Points per surface."""
     seed: int = 0
-    """Of the samples; theirs are not seeded."""
+    """Seed of the samples; the original evaluator has none."""
 
 
 def measure(
@@ -51,17 +51,17 @@ def measure(
     constants: Paper1 | None = None,
     lacks: tuple[Piece, ...] = (),
 ) -> Measured:
-    """Every number of paper-1 for an answer of as many frames as the truth, with masks of the truth's size.
+    """The metrics of paper-1 for an answer with as many frames as the truth and masks of its size.
 
-    `renders` holds the answer's picture of each held-out query, or None where it has none; `asset` and `renders_other`
-    are not looked at. `lacks`: what the method does not make; numbers that need it mean nothing.
+    `renders` has the answer's render of each held-out query, or None; `asset` and `renders_other` are not used. Metrics
+    that need a piece in `lacks` get meaningless values.
     """
     c = constants or Paper1()
     matched = match(truth, answer, lacks, rename=False, align=average_alignment)
     aligned, true = matched.answer, truth.articulation.joint
     revolute = true.type == "revolute"
     states = aligned.states
-    if aligned.articulation.joint.type == "revolute":  # theirs turns them so, which shows where the true joint slides
+    if aligned.articulation.joint.type == "revolute":  # as the original does; matters when the true joint is prismatic
         states = np.mod(states, 2 * np.pi)
     angle, shift = metrics.camera_error(truth.Ts_camera_reference, aligned.Ts_camera_reference)
     surfaces, notes = surface_values(truth, matched, c)
@@ -83,8 +83,8 @@ def measure(
 def average_alignment(Ts_camera_truth: Array, Ts_camera_predicted: Array, centre_truth: Array) -> Array:
     """T_truth_pred (4, 4): the plain mean over frames of T_camera_truth^-1 @ T_camera_predicted (n, 4, 4).
 
-    Translations are averaged at the origin of the prediction's own frame, rotations as quaternions turned to the side
-    of the first; nothing is trimmed. `centre_truth` is not looked at.
+    Translations are averaged at the origin of the prediction's own frame, rotations as quaternions with the signs of
+    the first; nothing is trimmed. `centre_truth` is not used.
     """
     Ts = se3.inverse(Ts_camera_truth) @ Ts_camera_predicted
     quaternions = Rotation.from_matrix(Ts[:, :3, :3]).as_quat()
@@ -103,9 +103,9 @@ def position_error(true: Joint, joint: Joint) -> float:
 
 
 def state_error(states_truth: Array, states: Array, wrapped: bool) -> float:
-    """Mean absolute difference of joint states (n,), rad or m, for the better sign of all of them.
+    """Mean absolute difference of joint states (n,), rad or m, for the better one of the two global signs.
 
-    The median of the differences is taken off; `wrapped` differences are brought to [-pi, pi) before and after.
+    The median difference is removed; `wrapped` differences are mapped to [-pi, pi) before and after.
     """
     wrap = metrics.wrap if wrapped else np.asarray
     errors = []
@@ -116,19 +116,17 @@ def state_error(states_truth: Array, states: Array, wrapped: bool) -> float:
 
 
 def posed_surfaces(shape: Shape, frame: int) -> dict[str, Surface]:
-    """Whole object, moving and reference part of `shape` as in `frame`, canonical frame, by the ids of SURFACES."""
+    """Surfaces of the whole object, moving and reference part in `frame`, canonical frame; keys as SURFACES."""
     reference, moving = shape.parts[0], shape.parts[1].moved(shape.motions[frame])
-    whole = Mesh(
-        np.concatenate([reference.vertices, moving.vertices]),
-        np.concatenate([reference.faces, moving.faces + len(reference.vertices)]),
-    )
+    whole = join_meshes([reference, moving])
     return dict(zip(SURFACES, (Surface(whole), Surface(moving), Surface(reference)), strict=True))
 
 
 def surface_values(truth: Truth, matched: Matched, c: Paper1) -> tuple[dict[str, float | None], tuple[str, ...]]:
-    """Chamfer distances in the first frame, each surface registered to its own truth first; and a note of the floor.
+    """Chamfer distances in the first frame (without states, the anchor), each surface registered to its truth first.
 
-    No entry where the answer has no surface. Without states the frame is the anchor's.
+    No entry where the answer has no surface. A note lists values near the sampling floor: the distance between two
+    samplings of the truth.
     """
     frame = matched.answer.anchor if "states" in matched.lacks else 0
     motions = truth.articulation.joint.transform(truth.states)
@@ -145,8 +143,9 @@ def surface_values(truth: Truth, matched: Matched, c: Paper1) -> tuple[dict[str,
         values[id] = distance
         if distance < 2 * floor:
             floors.append(f"{id} {floor:.3g}")
-    said = f"near the floor, what two samplings of the truth itself are apart: {', '.join(floors)}" if floors else ""
-    return values, (said,) if said else ()
+    if not floors:
+        return values, ()
+    return values, (f"near the floor, the distance of two samplings of the truth: {', '.join(floors)}",)
 
 
 def picture_value(truth: Truth, renders: Sequence[Render]) -> float | None:
@@ -233,10 +232,7 @@ PAPER_1 = Protocol(
             "difference taken off; revolute differences wrapped",
             label="state",
             column="state",
-            needs=(
-                "joint",
-                "states",
-            ),
+            needs=("joint", "states"),
             prismatic_penalty=100.0,
         ),
         _surface("cd_w", "CD-w", "whole object"),

@@ -1,4 +1,4 @@
-"""strict-1: match parts, align, then every number in its unit; what each means and what a failure costs."""
+"""strict-1: match parts, align frames, then measure every metric."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, to_f
 from leaderboard.surface import Surface
 
 Pair = tuple[Array, Array]
-"""Something of the reference part, and the same of the moving part."""
+"""Arrays of the reference and the moving part."""
 
 
 @dataclass(frozen=True)
@@ -27,17 +27,17 @@ class Strict1:
     """The constants of the protocol: other values are another protocol."""
 
     samples: int = 100_000
-    """Points on each surface."""
+    """Points per surface."""
     seed: int = 0
-    """Of the samples."""
+    """Seed of the samples."""
     poses: int = 5
-    """Frames, spread over the joint range, over which surface distances are averaged."""
+    """Frames, spread over the joint range, whose surface distances are averaged."""
     near: float = 0.01
     """Threshold of the F-score, in diagonals."""
     seen_share: float = 0.01
-    """Least share of the visible foreground that each part must have in a frame of `state`."""
+    """Least share of the visible foreground for each part in a frame that counts for `state`."""
     signless: float = 1e-9
-    """Cosine of the angle between the axes below which neither direction of the predicted axis is nearer."""
+    """Cosine of the angle between the axes below which the sign of the predicted axis is undetermined."""
 
 
 def measure(
@@ -49,10 +49,10 @@ def measure(
     constants: Strict1 | None = None,
     lacks: tuple[Piece, ...] = (),
 ) -> Measured:
-    """Every number of strict-1 for an answer of as many frames as the truth, with masks of the truth's size.
+    """The metrics of strict-1 for an answer with as many frames as the truth and masks of its size.
 
-    `renders` holds the answer's picture of each held-out query, or None where it has none; `asset` and `renders_other`
-    are not looked at. `lacks`: what the method does not make; numbers that need it mean nothing.
+    `renders` has the answer's render of each held-out query, or None; `asset` and `renders_other` are not used. Metrics
+    that need a piece in `lacks` get meaningless values.
     """
     c = constants or Strict1()
     matched = match(truth, answer, lacks)
@@ -65,7 +65,7 @@ def measure(
 
 
 def answer_values(truth: Truth, matched: Matched, c: Strict1) -> dict[str, float | None]:
-    """The numbers of joint, masks and the reference part's poses."""
+    """The metrics of joint, masks and the reference part's poses."""
     outer, diagonal = matched.outer, matched.diagonal
     angle, shift = metrics.pose_error(truth.Ts_camera_reference, matched.answer.Ts_camera_reference, outer[0].centre)
     return {
@@ -91,7 +91,7 @@ def _joint_values(
     truth: Truth, aligned: Reconstruction, centre: Array, diagonal: float, c: Strict1
 ) -> dict[str, float | None]:
     true, joint = truth.articulation.joint, aligned.articulation.joint
-    if joint.type != true.type:  # the other figures do not exist; the protocol prices them
+    if joint.type != true.type:  # the other joint metrics are undefined and penalised
         return {"joint_type": 0.0}
     revolute = true.type == "revolute"
     cosine = float(true.axis @ joint.axis)
@@ -120,7 +120,7 @@ def _joint_values(
 def surface_values(truth: Truth, matched: Matched, shape: Shape, c: Strict1) -> dict[str, float | None]:
     """Chamfer distances and F-score, averaged over the chosen frames; no entry where the answer has no surface.
 
-    `shape` is in the matched answer's canonical frame. A true part of which the video shows nothing is sampled over its
+    `shape` is in the matched answer's canonical frame. A true part that the video never shows is sampled over its whole
     outer surface.
     """
     outer, diagonal = matched.outer, matched.diagonal
@@ -130,9 +130,8 @@ def surface_values(truth: Truth, matched: Matched, shape: Shape, c: Strict1) -> 
     true_points, true_counts = _samples((shown[0], shown[1]), c, 0)
     found_points, found_counts = _samples(found, c, 1)
     sums: dict[str, list[float]] = {}
-    # where the method has no states its parts stand as in one frame
-    anchored = "states" in matched.lacks
-    for frame in [matched.answer.anchor] if anchored else spread_frames(truth.states, c.poses):
+    has_states = "states" not in matched.lacks  # else its parts are posed for the anchor frame alone
+    for frame in spread_frames(truth.states, c.poses) if has_states else [matched.answer.anchor]:
         true_poses = truth.Ts_camera_reference[frame], truth.Ts_camera_moving[frame]
         reference = matched.answer.Ts_camera_reference[frame]
         found_poses = reference, reference @ shape.motions[frame]
@@ -147,7 +146,7 @@ def surface_values(truth: Truth, matched: Matched, shape: Shape, c: Strict1) -> 
 
 
 def _samples(surfaces: tuple[Surface, Surface], c: Strict1, side: int) -> tuple[Pair, tuple[int, int]]:
-    """Points of both parts, and how many of each, in proportion to area, make as many samples of the whole."""
+    """Points of both parts, and how many of each, in proportion to area, are the samples of the whole object."""
     points = tuple(surface.sample(c.samples, (c.seed, side, part)) for part, surface in enumerate(surfaces))
     total = surfaces[0].area + surfaces[1].area
     first = round(c.samples * surfaces[0].area / total) if total else 0
@@ -157,9 +156,9 @@ def _samples(surfaces: tuple[Surface, Surface], c: Strict1, side: int) -> tuple[
 def _distances(
     points: Pair, counts: tuple[int, int], poses: Pair, targets: tuple[Surface, Surface], target_poses: Pair
 ) -> tuple[Array, Array, Array]:
-    """Distances, metres, from the points of the reference part to the target's, moving to moving, and whole to whole.
+    """Distances, metres, from points of the reference part to the target's, moving to moving, and whole to whole.
 
-    The distance to the whole is the smaller of the distances to its two parts, each measured in that part's own frame.
+    The distance to the whole is the smaller of the distances to its two parts, each computed in that part's frame.
     """
     own, whole = [], []
     for part in (0, 1):
@@ -172,7 +171,7 @@ def _distances(
 
 
 def picture_values(truth: Truth, renders: Sequence[Render]) -> dict[str, float | None]:
-    """PSNR and SSIM, averaged over the queries that show the object; none when there is no such query."""
+    """PSNR and SSIM, averaged over the queries that show the object; None without such a query."""
     ratios, similarities = [], []
     for i, render in enumerate(renders):
         mask = truth.query_mask(i)
@@ -187,11 +186,11 @@ def picture_values(truth: Truth, renders: Sequence[Render]) -> dict[str, float |
 
 
 def penalties(truth: Truth) -> dict[str, float | None]:
-    """What the states cost where there are none: the range of motion, deg, or % of the diagonal."""
+    """The penalty of the states: the range of motion, deg or % of the diagonal."""
     motion = truth.range_of_motion
     revolute = truth.articulation.joint.type == "revolute"
-    price = float(np.rad2deg(motion)) if revolute else 100 * motion / truth.diagonal
-    return {"state": price, "state_all": price}
+    penalty = float(np.rad2deg(motion)) if revolute else 100 * motion / truth.diagonal
+    return {"state": penalty, "state_all": penalty}
 
 
 def _surface(id: str, what: str, column: str) -> Metric:
@@ -285,10 +284,7 @@ STRICT_1 = Protocol(
             _STATE.format(frames=_BOTH),
             label="joint state",
             column="state",
-            needs=(
-                "joint",
-                "states",
-            ),
+            needs=("joint", "states"),
         ),
         Metric(
             "state_all",
@@ -298,10 +294,7 @@ STRICT_1 = Protocol(
             None,
             _STATE.format(frames="all frames"),
             label="joint state, all frames",
-            needs=(
-                "joint",
-                "states",
-            ),
+            needs=("joint", "states"),
         ),
         Metric(
             "miou",

@@ -1,7 +1,7 @@
-"""How strict-2 measures one answer against one truth: as strict-1, but for what is written in docs/protocols.md.
+"""strict-2: strict-1 with the asset's surfaces, the moving part's poses, and renders for either reference part.
 
-Surfaces are those of the asset as the simulator poses them, with those of the part files beside; the moving part's
-poses count, too; held-out views may be given for both choices of the reference part.
+Surfaces are those of the asset, posed by the simulator; those of the part files are extra metrics. docs/protocols.md
+lists all differences to strict-1.
 """
 
 from __future__ import annotations
@@ -29,12 +29,11 @@ def measure(
     constants: Strict1 | None = None,
     lacks: tuple[Piece, ...] = (),
 ) -> Measured:
-    """Every number of strict-2 for an answer of as many frames as the truth, with masks of the truth's size.
+    """The metrics of strict-2 for an answer with as many frames as the truth and masks of its size.
 
-    `asset` is the asset's own shape in the answer's canonical frame; None when there is no asset, and the part files
-    stand for it. `renders` holds the answer's picture of each held-out query, or None where it has none;
-    `renders_other` the same when the other part is the reference part, or None when the answer has none of these.
-    `lacks`: what the method does not make; numbers that need it mean nothing.
+    `asset` is the asset's shape in the answer's canonical frame; None without an asset, when the part files replace it.
+    `renders` has the answer's render of each held-out query, or None; `renders_other` the same for the other choice of
+    reference part, or None as a whole. Metrics that need a piece in `lacks` get meaningless values.
     """
     c = constants or Strict1()
     matched = match(truth, answer, lacks)
@@ -56,7 +55,7 @@ def measure(
 
 
 def moving_pose_values(truth: Truth, matched: Matched) -> dict[str, float | None]:
-    """The moving part's pose errors after an alignment of its own: its frame and state zero are the method's affair."""
+    """The moving part's pose errors after a separate alignment, as methods choose its frame and state zero."""
     centre, Ts = matched.outer[1].centre, matched.answer.Ts_camera_moving
     T_truth_pred = metrics.align(truth.Ts_camera_moving, Ts, centre)
     angle, shift = metrics.pose_error(truth.Ts_camera_moving, Ts @ se3.inverse(T_truth_pred), centre)
@@ -73,7 +72,7 @@ _OWN_ALIGNMENT = (
 
 
 def _of_parts(metric: Metric) -> Metric:
-    """The same number from the part files, beside the asset's."""
+    """The same metric measured from the part files."""
     return replace(
         metric,
         id=f"{metric.id}_parts",
@@ -85,7 +84,7 @@ def _of_parts(metric: Metric) -> Metric:
 
 
 def _strict_2_metrics() -> tuple[Metric, ...]:
-    """Those of strict-1, the moving part's poses after the reference part's, and surfaces of the part files beside."""
+    """Those of strict-1, with the moving part's poses and the part files' surfaces inserted."""
     metrics: list[Metric] = []
     for metric in STRICT_1.metrics:
         metrics.append(metric)

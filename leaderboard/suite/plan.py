@@ -1,4 +1,4 @@
-"""The jobs of a suite, and what they will cost."""
+"""The jobs of a suite, with their forecast cost."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from leaderboard.suite.rates import Rate
 from leaderboard.suite.rows import SuiteRow
 
 _RECORDED = ("frames", "seed", "width", "height", "queries", "motion", "preset", "shader")
-"""What a truth says of how it was recorded that `freeart21 record` takes."""
+"""Settings of a recording (from truth.json) that are options of `freeart21 record`."""
 _FIXED = {
     "fov_y_degrees": None,
     "fps": 30.0,
@@ -33,25 +33,31 @@ _FIXED = {
     "edge": 0.02,
     "visible_every": 3,
 }
-"""What it does not take, or what would change a sequence's name: such as these only is recorded anew."""
+"""Settings that are not, or that would rename the sequence: only recordings with these values can be repeated."""
 
 
 @dataclass
 class Plan:
-    """The jobs of a suite, and the frames that each works on."""
+    """The jobs of a suite over some sequences."""
 
     rows: list[SuiteRow]
     sequences: tuple[str, ...]
     protocols: tuple[str, ...]
+    rates: dict[str, Rate]
     jobs: list[Job] = field(default_factory=list)
     frames: dict[str, int] = field(default_factory=dict)
+    """Job to the number of frames that it works on."""
 
-    def add(self, rates: dict[str, Rate], frames: int, name: str, **facts: Any) -> str:
-        """Add the job `name`, which works on so many frames; returns its name."""
-        seconds = rates[name.split("/")[0]].seconds_per_frame * frames
+    def add(self, name: str, frames: int, **facts: Any) -> str:
+        """Add the job `name`, which works on `frames` frames and has the fields `facts`; returns its name."""
+        seconds = self.rates[name.split("/")[0]].seconds_per_frame * frames
         self.jobs.append(Job(name, seconds=round(seconds, 3), **facts))
         self.frames[name] = frames
         return name
+
+    def disk_bytes(self, jobs: Sequence[Job]) -> float:
+        """Forecast of the bytes that `jobs` write to the disk."""
+        return sum(self.rates[job.kind].bytes_per_frame * self.frames[job.name] for job in jobs)
 
 
 def plan_suite(
@@ -65,121 +71,126 @@ def plan_suite(
 
     Raises FreeArtError when a sequence cannot be recorded with another sensor.
     """
-    plan = Plan(list(rows), sequences, protocols)
-    frames = {name: _frames(benchmark, name) for name in sequences}
-    data, total = str(benchmark.folder.resolve()), sum(frames.values())
+    plan = Plan(list(rows), sequences, protocols, rates)
+    frames = {name: len(read_sequence(benchmark.sequence(name))) for name in sequences}
     key = f"data {file_sha256(benchmark.folder / 'benchmark.json')}"
     for row in rows:
-        results, place, names = f"results/{row.name}", data, dict(zip(sequences, sequences, strict=True))
-        first: tuple[str, ...] = ()
+        data, names = str(benchmark.folder.resolve()), {name: name for name in sequences}
+        recorded: tuple[str, ...] = ()
         if row.sensor is not None:
-            place = f"{{folder}}/data/{row.sensor}"
-            commands = {name: _recording(benchmark, name, row.sensor) for name in sequences}
-            names = {name: f"{words[0]}-s{words[words.index('--seed') + 1]}" for name, words in commands.items()}
-            twice = next((name for name in names.values() if list(names.values()).count(name) > 1), None)
-            if twice is not None:
-                raise FreeArtError(f"two of the sequences would be recorded anew as '{twice}': choose one of them")
-            first = (
-                plan.add(
-                    rates,
-                    total,
-                    f"record/{row.sensor}",
-                    call="leaderboard.suite.steps:record",
-                    arguments={"commands": list(commands.values()), "out": place},
-                    out=f"data/{row.sensor}",
-                    resumes=True,
-                    key=key,
-                ),
-            )
+            data, names, recorded = _add_recording(plan, benchmark, row.sensor, frames, key)
         if row.reference is not None:
-            made = plan.add(
-                rates,
-                total,
-                f"reference/{row.name}",
-                call="leaderboard.suite.steps:reference",
-                arguments={"kind": row.reference, "data": place, "out": "{out}", "sequences": list(sequences)},
-                out=results,
-                key=f"{key} code {package_digest('leaderboard')}",
-            )
-            solved = dict.fromkeys(sequences, made)
+            answers = _add_reference(plan, row, data, frames, key)
         else:
-            solved = {
-                name: plan.add(
-                    rates,
-                    frames[name],
-                    f"{row.kind}/{row.name}/{own}",
-                    command=(
-                        *("{freeart21}", "reconstruct", f"{place}/sequences/{own}"),
-                        *("--out", f"{{folder}}/{results}/{own}"),
-                        *(("--settings", f"{{folder}}/settings/{row.name}.json") if row.settings else ()),
-                    ),
-                    out=f"{results}/{own}",
-                    needs=first,
-                    codes=(0, 1, 3),  # 1 is an answer, too, as long as the failure is written down
-                    key=f"{key} code {package_digest('reconstruct')} "
-                    f"settings {json.dumps(row.settings, sort_keys=True)}",
-                )
-                for name, own in names.items()
-            }
+            answers = _add_solving(plan, row, data, names, frames, recorded, key)
         if row.exported:
-            solved = {
+            answers = {
                 name: plan.add(
-                    rates,
-                    frames[name],
                     f"export/{row.name}/{own}",
+                    frames[name],
                     call="leaderboard.suite.steps:export",
-                    arguments={"result": f"{{folder}}/{results}/{own}"},
-                    needs=(solved[name],),
+                    arguments={"result": f"{{folder}}/results/{row.name}/{own}"},
+                    needs=(answers[name],),
                     key=f"code {package_digest('export')}",
                 )
                 for name, own in names.items()
             }
         for protocol in protocols:
+            arguments = {"data": data, "protocol": protocol, "out": "{out}", "sequences": list(names.values())}
             plan.add(
-                rates,
-                total,
                 f"score/{row.name}/{protocol}",
+                sum(frames.values()),
                 call="leaderboard.suite.steps:score",
-                arguments={
-                    "results": f"{{folder}}/{results}",
-                    "data": place,
-                    "protocol": protocol,
-                    "out": "{out}",
-                    "sequences": list(names.values()),
-                },
+                arguments={"results": f"{{folder}}/results/{row.name}", **arguments},
                 out=f"scores/{row.name}.{protocol}.json",
-                needs=tuple(dict.fromkeys(solved.values())),
+                needs=tuple(dict.fromkeys(answers.values())),
                 key=f"{key} code {package_digest('leaderboard')}",
             )
     return plan
 
 
-def disk_bytes(plan: Plan, jobs: Sequence[Job], rates: dict[str, Rate]) -> float:
-    """What `jobs` will leave on the disk."""
-    return sum(rates[job.kind].bytes_per_frame * plan.frames[job.name] for job in jobs)
+def _add_recording(
+    plan: Plan, benchmark: Benchmark, sensor: str, frames: dict[str, int], key: str
+) -> tuple[str, dict[str, str], tuple[str, ...]]:
+    """Add the job that records all sequences with `sensor`: its data folder, sequence to new name, and job name."""
+    data = f"{{folder}}/data/{sensor}"
+    commands = {name: _record_command(benchmark, name, sensor) for name in frames}
+    names = {name: f"{words[0]}-s{words[words.index('--seed') + 1]}" for name, words in commands.items()}
+    repeated = next((name for name in names.values() if list(names.values()).count(name) > 1), None)
+    if repeated is not None:
+        raise FreeArtError(f"two of the sequences would be recorded anew as '{repeated}': choose one of them")
+    job = plan.add(
+        f"record/{sensor}",
+        sum(frames.values()),
+        call="leaderboard.suite.steps:record",
+        arguments={"commands": list(commands.values()), "out": data},
+        out=f"data/{sensor}",
+        resumes=True,
+        key=key,
+    )
+    return data, names, (job,)
+
+
+def _add_reference(plan: Plan, row: SuiteRow, data: str, frames: dict[str, int], key: str) -> dict[str, str]:
+    """Add the job that writes a reference row; returns sequence to its name."""
+    job = plan.add(
+        f"reference/{row.name}",
+        sum(frames.values()),
+        call="leaderboard.suite.steps:reference",
+        arguments={"kind": row.reference, "data": data, "out": "{out}", "sequences": list(frames)},
+        out=f"results/{row.name}",
+        key=f"{key} code {package_digest('leaderboard')}",
+    )
+    return dict.fromkeys(frames, job)
+
+
+def _add_solving(
+    plan: Plan,
+    row: SuiteRow,
+    data: str,
+    names: dict[str, str],
+    frames: dict[str, int],
+    recorded: tuple[str, ...],
+    key: str,
+) -> dict[str, str]:
+    """Add a job that solves each sequence; returns sequence to job name."""
+    settings = ("--settings", f"{{folder}}/settings/{row.name}.json") if row.settings else ()
+    solver = f"code {package_digest('reconstruct')} settings {json.dumps(row.settings, sort_keys=True)}"
+    return {
+        name: plan.add(
+            f"{row.kind}/{row.name}/{own}",
+            frames[name],
+            command=(
+                *("{freeart21}", "reconstruct", f"{data}/sequences/{own}"),
+                *("--out", f"{{folder}}/results/{row.name}/{own}"),
+                *settings,
+            ),
+            out=f"results/{row.name}/{own}",
+            needs=recorded,
+            codes=(0, 1, 3),  # 1: a declared failure is a result, too
+            key=f"{key} {solver}",
+        )
+        for name, own in names.items()
+    }
 
 
 @lru_cache
-def package_digest(room: str) -> str:
-    """SHA-256, hexadecimal, of the version and of a room's code, comments and layout apart; it is not imported."""
-    found = importlib.util.find_spec(room)
-    places = [] if found is None else list(found.submodule_search_locations or [])
-    files = sorted(path for place in places for path in Path(place).rglob("*.py"))
+def package_digest(package: str) -> str:
+    """Hash (16 hexadecimal digits) of our version and a package's code without comments; it is not imported."""
+    spec = importlib.util.find_spec(package)
+    folders = [] if spec is None else list(spec.submodule_search_locations or [])
+    files = sorted(path for folder in folders for path in Path(folder).rglob("*.py"))
     text = "".join(ast.dump(ast.parse(path.read_text("utf-8"))) for path in files)
     return hashlib.sha256(f"{freeart21.__version__} {text}".encode()).hexdigest()[:16]
 
 
-def _frames(benchmark: Benchmark, name: str) -> int:
-    return len(read_sequence(benchmark.sequence(name)))
-
-
-def _recording(benchmark: Benchmark, name: str, sensor: str) -> list[str]:
-    """The words of `freeart21 record` that record the object and motion of a sequence with another sensor."""
+def _record_command(benchmark: Benchmark, name: str, sensor: str) -> list[str]:
+    """The words of `freeart21 record` that repeat a sequence's object and motion with another sensor."""
     source = checked.read_json(benchmark.truth(name) / "truth.json").get("source") or {}
     settings = source.get("settings") or {}
     other = next((key for key, value in _FIXED.items() if settings.get(key, value) != value), None)
     if source.get("object_source") != "procedural" or not all(key in settings for key in _RECORDED) or other:
-        why = f"it has {other} {settings.get(other)}" if other else "it is no recording of an object of ours"
+        why = f"it has {other} {settings.get(other)}" if other else "it is not a recording of a catalog object"
         raise FreeArtError(f"{name} cannot be recorded with another sensor: {why}; leave out the rows of `sensors`")
     words = [str(source["object"]), "--sensor", sensor]
     for key in _RECORDED:

@@ -1,4 +1,4 @@
-"""What a job takes, by its kind, a frame of video: from measured rates, and then from what this suite has measured."""
+"""Cost of a suite's jobs per frame of video, by kind of job: measured rates, updated by the suite's own jobs."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from freeart21.files import atomic, checked
 
 SCHEMA = "freeart21/suite-rates/1"
 MEASURED = Path(__file__).with_name("rates.json")
-"""The one place of the rates that a forecast begins with."""
+"""The rates that a new suite's forecast uses."""
 
 
 @dataclass(frozen=True)
 class Rate:
-    """Of one kind of job."""
+    """Cost of one kind of job."""
 
     seconds_per_frame: float
     """Of one worker: CPU seconds, or wall seconds where `source` says so."""
     bytes_per_frame: float
-    """What it leaves on the disk."""
+    """Written to the disk."""
     source: str
-    """Where these were measured."""
+    """Where both were measured."""
 
 
 def read_rates(path: Path = MEASURED) -> dict[str, Rate]:
-    """Kind of job to its rate; FreeArtError when the file holds none."""
+    """Kind of job to its rate. Raises FreeArtError when the file holds none."""
     data = checked.read_json(path, SCHEMA, checked.ANYWHERE).get("rates")
     try:
         return {str(kind): Rate(**rate) for kind, rate in dict(data or {}).items()}
@@ -35,14 +35,14 @@ def read_rates(path: Path = MEASURED) -> dict[str, Rate]:
         raise FreeArtError(f"{path}: 'rates' is not a rate (seconds, bytes, source) for every kind of job") from error
 
 
-def update_rates(rates: dict[str, Rate], taken: Iterable[tuple[str, float, int]], where: str) -> dict[str, Rate]:
-    """`rates` with the seconds of those kinds that `taken` (kind, seconds, frames) tells; `where` names the source."""
+def update_rates(rates: dict[str, Rate], finished: Iterable[tuple[str, float, int]], source: str) -> dict[str, Rate]:
+    """`rates` with the seconds of the `finished` jobs (kind, seconds, frames) where there are any of a kind."""
     sums: dict[str, tuple[float, int, int]] = {}
-    for kind, seconds, frames in taken:
+    for kind, seconds, frames in finished:
         total, n, jobs = sums.get(kind, (0.0, 0, 0))
         sums[kind] = total + seconds, n + frames, jobs + 1
     return {
-        kind: Rate(sums[kind][0] / sums[kind][1], rate.bytes_per_frame, f"{where}: {sums[kind][2]} jobs")
+        kind: Rate(sums[kind][0] / sums[kind][1], rate.bytes_per_frame, f"{source}: {sums[kind][2]} jobs")
         if kind in sums and sums[kind][1]
         else rate
         for kind, rate in rates.items()

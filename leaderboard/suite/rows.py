@@ -1,4 +1,4 @@
-"""The rows of the suite, as data: which method, with which settings, on which data."""
+"""The rows of the suite: which method, with which settings, on which data."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ class SuiteRow:
     name: str
     group: RowGroup
     what: str
-    """What it is, in a line."""
+    """Its description, one line."""
     settings: dict[str, Any] = field(default_factory=dict)
-    """Of `freeart21 reconstruct --settings FILE`: only what is not the default."""
+    """For `freeart21 reconstruct --settings FILE`: what differs from the default."""
     reference: Kind | None = None
-    """Made from the truth instead of by a solver."""
+    """Kind of reference answers, made from the truth without a solver."""
     exported: bool = True
-    """Whether its answers are exported, and scored by their assets."""
+    """Whether its answers are exported and their assets scored."""
     sensor: str | None = None
-    """The same objects and motions recorded anew with this sensor, to be solved and scored instead of the data."""
+    """Sensor with which the same objects and motions are recorded again; these are solved and scored instead."""
 
     @property
     def kind(self) -> str:
-        """The kind of its solving jobs: rows of a kind take about the same time."""
+        """The kind of its solving jobs; all jobs of a kind share one rate."""
         return "reconstruct-paper" if self.settings.get("segmentation") == "paper" else "reconstruct"
 
 
@@ -41,8 +41,9 @@ def _piece(name: str, what: str, **settings: dict[str, Any]) -> SuiteRow:
 
 
 def _paper_piece(name: str, what: str, **settings: dict[str, Any]) -> SuiteRow:
-    said = f"the paper's segmentation {what}"
-    return SuiteRow(f"paper-{name}", "paper-pieces", said, {"segmentation": "paper", **settings})
+    return SuiteRow(
+        f"paper-{name}", "paper-pieces", f"the paper's segmentation {what}", {"segmentation": "paper", **settings}
+    )
 
 
 def _sensor(sensor: str, what: str) -> SuiteRow:
@@ -52,10 +53,12 @@ def _sensor(sensor: str, what: str) -> SuiteRow:
 _NEVER = 1e9
 
 ROWS: tuple[SuiteRow, ...] = (
-    SuiteRow("truth", "reference", "the truth itself, from files: must be perfect", reference="truth", exported=False),
+    SuiteRow(
+        "truth", "reference", "the truth itself, from files: must score perfectly", reference="truth", exported=False
+    ),
     SuiteRow("truth-exported", "reference", "the truth as an asset: what the export costs", reference="truth"),
-    SuiteRow("static", "reference", "nothing moves: must be bad", reference="static", exported=False),
-    SuiteRow("random", "reference", "a dice: must be bad", reference="random", exported=False),
+    SuiteRow("static", "reference", "nothing moves: must score badly", reference="static", exported=False),
+    SuiteRow("random", "reference", "random numbers: must score badly", reference="random", exported=False),
     SuiteRow("ours", "ours", "our solver as it is"),
     _piece("no-track-filters", "with all tracks", tracks={"visibility_filter": False, "displacement_filter": False}),
     _piece("no-colour", "without colour in registration", evidence={"colour_weight": 0.0}),
@@ -87,10 +90,10 @@ ROWS: tuple[SuiteRow, ...] = (
 )
 
 
-def chosen_rows(names: Sequence[str]) -> list[SuiteRow]:
-    """The rows of `names` (of rows or groups), in the suite's order; all when none is named.
+def choose_rows(names: Sequence[str]) -> list[SuiteRow]:
+    """The rows with the given names or groups, in the suite's order; all for no names.
 
-    FreeArtError when a name is unknown.
+    Raises FreeArtError when a name is unknown.
     """
     known = {row.name: row for row in ROWS}
     for name in names:

@@ -1,4 +1,4 @@
-"""What the suite's jobs do, each in a process of its own: functions of plain arguments, called by `freeart21.jobs`."""
+"""The functions that the suite's jobs run, each in a process of its own (`freeart21.jobs`)."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from leaderboard.scores_file import write_scores
 
 
 def reference(kind: Kind, data: str, out: str, sequences: Sequence[str]) -> None:
-    """Make the results folder of a reference row."""
+    """Write the results folder of a reference row."""
     write_reference(kind, Path(data), Path(out), sequences=sequences)
 
 
 def record(commands: Sequence[Sequence[str]], out: str) -> None:
-    """Record one sequence after the other into the data folder `out`; those that are there are left alone."""
+    """Record sequences one after another into the data folder `out`; existing ones stay."""
     for words in commands:
         code, line = _freeart21("record", *words, "--out", out)
         if code:
@@ -35,17 +35,17 @@ def record(commands: Sequence[Sequence[str]], out: str) -> None:
 
 
 def export(result: str) -> dict[str, Any]:
-    """Export a result; returns what became of it. A result that is no answer, or cannot be exported, has no asset.
+    """Export a result; returns whether it has an asset and why. Failures and results that cannot be exported have none.
 
-    Raises FreeArtError when that says nothing of the result: when the disk refused, or the exporter crashed.
+    Raises FreeArtError when the disk or the exporter fails.
     """
     folder = Path(result)
-    said = checked.read_json(folder / "prediction.json")
-    if said.get("status") != "ok":
-        return {"asset": False, "why": f"no answer: {said.get('reason')}"}
+    header = checked.read_json(folder / "prediction.json")
+    if header.get("status") != "ok":
+        return {"asset": False, "why": f"no answer: {header.get('reason')}"}
     atomic.recover_folder(folder / "asset")
     code, line = _freeart21("export", str(folder), "--out", str(folder / "asset"))
-    if (folder / "asset" / "asset.json").is_file() and code in (0, 1, 3):  # 3: made, and doubtful
+    if (folder / "asset" / "asset.json").is_file() and code in (0, 1, 3):  # 3: exported, but doubtful
         return {"asset": True, "why": line}
     if code == 1 and "cannot write" not in line:
         return {"asset": False, "why": line}
@@ -53,18 +53,18 @@ def export(result: str) -> dict[str, Any]:
 
 
 def score(results: str, data: str, protocol: str, out: str, sequences: Sequence[str]) -> dict[str, Any]:
-    """Score a row, write its table, and return its statistics and which numbers are not those of a perfect answer."""
+    """Score a row and write its table; returns its statistics and the values that are not perfect."""
     scores = score_results(Path(results), Path(data), protocol, sequences=sequences)
     write_scores(Path(out), scores)
     return {"summaries": [asdict(summary) for summary in scores.summaries], "imperfect": list_imperfect(scores)}
 
 
 TOLERANCE = 0.01
-"""By which a number of the truth itself may be off, in its unit: deg, %, dB or a fraction."""
+"""Largest deviation of the truth's own values from perfect, in their unit."""
 
 
 def list_imperfect(scores: Scores) -> list[str]:
-    """What a table of the truth should not show, a line a number: all that is further than TOLERANCE from perfect."""
+    """A line for each value that is further than TOLERANCE from perfect."""
     rules = protocol_named(scores.protocol)
     return [
         f"{row.sequence}: {metric.id} {value:.4g}, expected {perfect_value(metric):g}"
@@ -75,14 +75,14 @@ def list_imperfect(scores: Scores) -> list[str]:
 
 
 def perfect_value(metric: Metric) -> float:
-    """The number of a perfect answer."""
+    """The value of a perfect answer."""
     if metric.direction == "down":
         return 0.0
     return 100.0 if "dB" in (metric.revolute_unit, metric.prismatic_unit) else 1.0
 
 
 def _freeart21(*words: str) -> tuple[int, str]:
-    """Exit code and last line on standard error of a command of ours; what it says goes to this job's streams, too."""
+    """Run a freeart21 command; returns exit code and last line of standard error, which this job's log gets, too."""
     with tempfile.TemporaryFile() as errors:
         process = subprocess.Popen(
             [*child.command("freeart21.__main__"), *words],
@@ -94,6 +94,6 @@ def _freeart21(*words: str) -> tuple[int, str]:
             code = wait_for_child(process)
         finally:
             errors.seek(0)
-            said = errors.read().decode(errors="replace")
-            print(said, end="", file=sys.stderr, flush=True)
-    return code, last_line(said).removeprefix("freeart21: ")
+            text = errors.read().decode(errors="replace")
+            print(text, end="", file=sys.stderr, flush=True)
+    return code, last_line(text).removeprefix("freeart21: ")

@@ -1,4 +1,4 @@
-"""The suite's table: means of the ranking numbers, a row a method, by joint type."""
+"""The suite's table: means of the ranking metrics by joint type, a row per method."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _DIGITS = {"deg": 2, "%": 2, "cm": 2, "dB": 1, "fraction": 3}
 
 
 def print_table(protocol: str, tables: Mapping[str, Sequence[Mapping[str, Any]]], console: Console) -> None:
-    """Print the means of `tables` (row to its statistics by joint type), one table a joint type."""
+    """Print the means of `tables` (row to its statistics by joint type), one table per joint type."""
     if not console.is_terminal:
         console.width = max(console.width, WIDTH)
     groups: tuple[Group, ...] = ("revolute", "prismatic", "all")
     found = {summary["group"] for summaries in tables.values() for summary in summaries}
-    for group in groups if len(found) > 2 else groups[:-1]:  # of one type only, all are that type
+    for group in groups if len(found) > 2 else groups[:-1]:
         lines = {row: s for row, summaries in tables.items() for s in summaries if s["group"] == group}
         if lines:
             console.print(_table(protocol, group, lines))

@@ -1,4 +1,4 @@
-"""The suite from a data folder to its table: plan, forecast, run, check the reference rows."""
+"""Runs a suite: plan and forecast its jobs, run them, collect the tables, check the reference rows."""
 
 from __future__ import annotations
 
@@ -17,41 +17,41 @@ from freeart21.jobs import ATTEMPTS, Failed, Job, run_jobs
 from freeart21.jobs.ledger import Ledger
 from freeart21.jobs.run import Listener, unfinished_jobs
 from leaderboard.protocols import DEFAULT, protocol_named
-from leaderboard.suite.plan import Plan, disk_bytes, plan_suite
+from leaderboard.suite.plan import Plan, plan_suite
 from leaderboard.suite.rates import read_rates, update_rates, write_rates
-from leaderboard.suite.rows import SuiteRow, chosen_rows
+from leaderboard.suite.rows import SuiteRow, choose_rows
 
 SCHEMA = "freeart21/suite/1"
 MOST_RIGHT_BY_CHANCE = 0.75
-"""Mean mIoU that an answer in which nothing moves, or all is drawn, stays below."""
+"""Highest mean mIoU of the static and random reference rows."""
 
 
 @dataclass(frozen=True)
 class Suite:
-    """What is to be done in a folder, and what it will cost."""
+    """The open work of a suite in a folder, with its forecast cost."""
 
     data: Path
     out: Path
     plan: Plan
     todo: list[Job]
     seconds: float
-    """Of one worker, for what is to be done."""
+    """Of one worker, for the jobs `todo`."""
     bytes: float
-    """That it will leave on the disk."""
+    """Written to the disk by the jobs `todo`."""
     free_bytes: int
-    """That the disk has."""
+    """Free on the disk."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of it."""
+    """The outcome of a suite."""
 
     tables: dict[str, dict[str, list[dict[str, Any]]]]
     """Protocol to row to its statistics by joint type (`rows.Summary` as JSON)."""
     failed: tuple[Failed, ...]
-    """Jobs that are not finished."""
+    """Jobs that failed."""
     objections: tuple[str, ...]
-    """What the reference rows show of the scoring that must not be."""
+    """Faults of the scoring that the reference rows reveal."""
 
 
 def prepare(
@@ -61,33 +61,33 @@ def prepare(
     sequences: Sequence[str] | None = None,
     protocols: Sequence[str] = (DEFAULT,),
 ) -> Suite:
-    """What a suite in the folder `out` would do; nothing is written.
+    """The plan of a suite in the folder `out`; writes nothing.
 
-    Raises FreeArtError when a row, sequence or protocol is unknown, the data folder is none, or `out` is not a new
-    folder or a suite over the same data.
+    Raises FreeArtError when a row, sequence or protocol is unknown, the data folder is broken, or `out` is neither new
+    nor a suite over the same data.
     """
-    chosen = chosen_rows(rows)
+    chosen = choose_rows(rows)
     names = list(dict.fromkeys(protocol_named(name).name for name in protocols))
     benchmark = read_benchmark(data)
     check_place(out, SUITE, (data,))
-    facts = _facts(data, out)
+    facts = _describe_data(data)
     if (out / SUITE.marker).is_file():
         before = checked.read_json(out / SUITE.marker, SCHEMA).get("benchmark")
         if before != facts["benchmark"]:
             raise FreeArtError(f"{out} is a suite over other data ({before}); choose another place")
-    measured = out / "rates.json"
-    rates = read_rates(measured) if measured.is_file() else read_rates()
+    own_rates = out / "rates.json"
+    rates = read_rates(own_rates) if own_rates.is_file() else read_rates()
     plan = plan_suite(benchmark, chosen, benchmark.select_sequences(sequences), tuple(names), rates)
     todo = unfinished_jobs(out, plan.jobs)
-    above = next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.is_dir())
+    existing = next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.is_dir())
     return Suite(
         Path(data),
         out,
         plan,
         todo,
         sum(job.seconds for job in todo),
-        disk_bytes(plan, todo, rates),
-        shutil.disk_usage(above).free,
+        plan.disk_bytes(todo),
+        shutil.disk_usage(existing).free,
     )
 
 
@@ -98,9 +98,9 @@ def run_suite(
     attempts: int = ATTEMPTS,
     listener: Listener | None = None,
 ) -> Outcome:
-    """Do what is to be done of `suite`; what was done before is kept. May be killed at any moment, and goes on.
+    """Run the open jobs of `suite`. A call that was killed can be repeated: finished jobs are not run again.
 
-    Raises FreeArtError when the disk has not the room, or as `freeart21.jobs.run_jobs`.
+    Raises FreeArtError when the disk has too little space, and as `freeart21.jobs.run_jobs`.
     """
     plan, out = suite.plan, suite.out
     if suite.bytes > suite.free_bytes:
@@ -108,50 +108,47 @@ def run_suite(
             f"{out} will take about {suite.bytes / 1e9:.1f} GB, and the disk has {suite.free_bytes / 1e9:.1f} GB free; "
             "choose fewer rows, or another place"
         )
-    atomic.write_json(out / SUITE.marker, {"schema": SCHEMA, **_facts(suite.data, out)})
+    atomic.write_json(out / SUITE.marker, {"schema": SCHEMA, **_describe_data(suite.data)})
     for row in plan.rows:
         if row.settings:
             atomic.write_json(out / "settings" / f"{row.name}.json", row.settings)
     report = run_jobs(out, plan.jobs, workers, executor, attempts, listener)
     failed = {f.name for f in report.failed}
     ledger = Ledger(out)
-    said = {job.name: checked.read_json(path) for job in plan.jobs if (path := _statistics(ledger, job)).is_file()}
-    taken = [(name.split("/")[0], float(facts["seconds"]), plan.frames[name]) for name, facts in said.items()]
-    write_rates(out / "rates.json", update_rates(read_rates(), taken, f"this suite, {executor}, {workers} workers"))
+    paths = {job.name: ledger.path("statistics", job.name) for job in plan.jobs}
+    statistics = {name: checked.read_json(path) for name, path in paths.items() if path.is_file()}
+    finished = [(name.split("/")[0], float(facts["seconds"]), plan.frames[name]) for name, facts in statistics.items()]
+    write_rates(out / "rates.json", update_rates(read_rates(), finished, f"this suite, {executor}, {workers} workers"))
     tables: dict[str, dict[str, list[dict[str, Any]]]] = {}
     objections = []
     for protocol in plan.protocols:
         for row in plan.rows:
             name = f"score/{row.name}/{protocol}"
-            if name in said and name not in failed:
-                returned = said[name]["returned"]
+            if name in statistics and name not in failed:
+                returned = statistics[name]["returned"]
                 tables.setdefault(protocol, {})[row.name] = returned["summaries"]
-                objections += _objections(row, protocol, returned)
+                objections += _find_objections(row, protocol, returned)
     return Outcome(tables, report.failed, tuple(objections))
 
 
-def _objections(row: SuiteRow, protocol: str, returned: dict[str, Any]) -> list[str]:
-    """What a reference row shows that must not be: a truth that is not perfect, luck that scores."""
+def _find_objections(row: SuiteRow, protocol: str, returned: dict[str, Any]) -> list[str]:
+    """Faults of the scoring: the truth is not perfect, or the static or random row scores too well."""
     if not protocol.startswith("strict") or row.reference is None or row.exported:
         return []
     if row.reference == "truth":
-        found = returned["imperfect"]
-        more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
-        return [f"the truth does not score perfect by {protocol}: {found[0]}{more}"] if found else []
-    (everything,) = (summary for summary in returned["summaries"] if summary["group"] == "all")
-    right = everything["statistics"]["miou"]["mean"]
-    if right <= MOST_RIGHT_BY_CHANCE:
+        lines = returned["imperfect"]
+        more = f" (and {len(lines) - 1} more)" if len(lines) > 1 else ""
+        return [f"the truth does not score perfect by {protocol}: {lines[0]}{more}"] if lines else []
+    (total,) = (summary for summary in returned["summaries"] if summary["group"] == "all")
+    miou = total["statistics"]["miou"]["mean"]
+    if miou <= MOST_RIGHT_BY_CHANCE:
         return []
     return [
-        f"the row '{row.name}' has a mean mIoU of {right:.2f} by {protocol}, expected {MOST_RIGHT_BY_CHANCE} at most"
+        f"the row '{row.name}' has a mean mIoU of {miou:.2f} by {protocol}, expected {MOST_RIGHT_BY_CHANCE} at most"
     ]
 
 
-def _statistics(ledger: Ledger, job: Job) -> Path:
-    return ledger.path("statistics", job.name)
-
-
-def _facts(data: Path, out: Path) -> dict[str, Any]:
+def _describe_data(data: Path) -> dict[str, Any]:
     benchmark = read_benchmark(data)
     return {
         "freeart21": freeart21.__version__,
@@ -161,6 +158,6 @@ def _facts(data: Path, out: Path) -> dict[str, Any]:
 
 
 def print_rows(rows: Sequence[SuiteRow], say: Callable[[str], None] = print) -> None:
-    """A line a row."""
+    """Print a line per row."""
     for row in rows:
         say(f"{row.name:28} {row.group:13} {row.what}")
