@@ -31,11 +31,13 @@ CELLS = 12
 """Grid cells along the mask's longer side; a cell with a point of the answer is covered."""
 DOES_NOT_FIT = 0.4
 FITS = 0.6
-"""Fits below DOES_NOT_FIT are reported; a correction is suggested when it fits by FITS. Measured on 14 recordings
-(clean and time of flight) of our objects and PartNet's: truths fit by 0.89 to 0.98, the solver's answers by 0.68 to 0.98,
-truths with a static moving part by 0.71 and more, with poses of frame 0 throughout by 0.35 (scissors) to 0.84, with
-meshes 1.3 times too large by 0.48 and more. Answers in OpenGL's axes, in mm, or with quaternions in the other order fit
-by 0 to 0.31."""
+"""Fits below DOES_NOT_FIT are reported; a correction is suggested when it fits by FITS.
+
+Measured on 14 recordings (clean and time of flight) of our objects and PartNet's: truths fit by 0.89 to 0.98, the
+solver's answers by 0.68 to 0.98, truths with a static moving part by 0.71 and more, with poses of frame 0 throughout by
+0.35 (scissors) to 0.84, with meshes 1.3 times too large by 0.48 and more. Answers in OpenGL's axes, in mm, or with
+quaternions in the other order fit by 0 to 0.31.
+"""
 EQUAL = 0.03
 """Explanations whose fits differ by less are equal; the first, simplest one is suggested."""
 CLEAR, TIMES = 0.8, 4.0

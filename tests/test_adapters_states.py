@@ -201,7 +201,7 @@ def test_digitaltwinart(data, tmp_path, src, examples, name, known):
     assert_states(row, name)
     assert lacks(tmp_path / "r") == LACKS
     notes = " ".join(read_method(tmp_path / "r").settings["notes"][name])
-    assert ("is told the joint type" in notes) == known and ("the import took" in notes) != known
+    assert ("joint type is an input" in notes) == known and ("the import chose" in notes) != known
     joint = read_result(tmp_path / "r" / name).articulation.joint
     assert joint.upper - joint.lower == pytest.approx(
         abs((1.0 if name == "a" else 0.2) - truth_of(name).states[ANCHOR])
