@@ -24,7 +24,7 @@ from freeart21.files.hidden import find_traces, hidden_digest, read_hidden
 from freeart21.files.sequence import read_sequence, write_sequence
 from freeart21.files.truth import read_truth, write_truth
 from freeart21.files.verify import verify
-from leaderboard import commands, kept
+from leaderboard import cached, commands
 from leaderboard.compare import compare_results
 from leaderboard.pack import EPOCH_S, default_key_path, pack_public, pack_truth, read_or_create_key
 from leaderboard.scores_file import write_scores
@@ -402,7 +402,7 @@ def test_both_halves_verify_together(halves):
 
 def test_tables_are_kept_and_compared_with_the_truth_elsewhere(halves, answered, tmp_path, monkeypatch):
     few_samples(monkeypatch)
-    monkeypatch.setattr(kept, "score_results", lambda *a, workers, **named: score_results(*a, **named))
+    monkeypatch.setattr(cached, "score_results", lambda *a, workers, **named: score_results(*a, **named))
     public, truth = halves
     comparison = compare_results([answered], public, None, tmp_path / "keep", truth=truth)
     assert set(comparison.categories.values()) == {"Stapler"}
