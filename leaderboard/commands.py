@@ -313,8 +313,8 @@ def suite(
     from rich.console import Console
 
     from freeart21 import stopping
-    from freeart21.jobs.progress import format_duration, job_progress
     from freeart21.jobs.executors import executor_named
+    from freeart21.jobs.progress import format_duration, job_progress
     from freeart21.jobs.run import unfinished_jobs
     from leaderboard.suite.rows import choose_rows
     from leaderboard.suite.table import print_table
@@ -331,8 +331,8 @@ def suite(
     jobs, done = len(plan.plan.jobs), len(plan.plan.jobs) - len(plan.todo)
     print(
         f"{len(plan.plan.rows)} rows over {len(plan.plan.sequences)} sequences: {jobs} jobs, "
-        f"{done} of them done; the others take about {format_duration(plan.seconds / workers)} and {plan.bytes / 1e9:.2f} GB of "
-        f"{plan.free_bytes / 1e9:.0f} GB free"
+        f"{done} of them done; the others take about {format_duration(plan.seconds / workers)} and "
+        f"{plan.bytes / 1e9:.2f} GB of {plan.free_bytes / 1e9:.0f} GB free"
     )
     for kind, seconds in seconds_by_kind.items():
         print(f"  {kind}: {len(seconds)} jobs, about {format_duration(sum(seconds))} of one worker")
