@@ -14,8 +14,8 @@ from generator.motion.style import Style
 from generator.motion.styles import STYLES
 from generator.sensors import SENSORS
 from generator.sensors.base import SensorModel
-from leaderboard.adapters.registry import layouts
 from leaderboard.adapters.layout import Layout
+from leaderboard.adapters.registry import layouts
 from leaderboard.protocols import PROTOCOLS, Protocol
 
 EFFECT = """
