@@ -423,12 +423,12 @@ FAULTS = (
         "surrogate",
     ),
     Fault(
-        "mujoco-step-middle",
+        "mujoco-gravity-frame",
         "simgap/prove/replay_process.py",
-        "(k + 0.5) * h",
-        "k * h",
-        "off by half a step: commands act early in MuJoCo",
-        "replay",
+        "se3.inverse(self.asset.T_canonical_reference)[:3, :3]",
+        "self.asset.T_canonical_reference[:3, :3]",
+        "frame convention: gravity points elsewhere in MuJoCo where the reference link is turned",
+        "replay base_motion drives",
     ),
     Fault(
         "body-turn-sign",

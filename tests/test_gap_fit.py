@@ -131,8 +131,10 @@ def test_the_floor_is_the_sensors(tmp_path: Path):
     assert estimate_noise([(times, np.round(true / 0.01) * 0.01)]).sigma_at_rest == pytest.approx(
         0.01 / np.sqrt(12), rel=0.25
     )
+    steps = 0.01 * np.round(np.interp(times, [0, 10, 20], [0, 0.5, 0]) / 0.01)  # long at rest on each step
+    assert estimate_noise([(times, steps)]).sigma_at_rest >= 0.99 * 0.01 / np.sqrt(12)
     floor = estimate_noise([(times, true + rng.normal(0, 2e-3, 4000) + speed * rng.normal(0, 2e-3, 4000))])
-    assert floor.stamp_s == pytest.approx(2e-3, rel=0.25) and floor.sigma_at_rest == pytest.approx(2e-3, rel=0.4)
+    assert floor.time_jitter_s == pytest.approx(2e-3, rel=0.25) and floor.sigma_at_rest == pytest.approx(2e-3, rel=0.4)
 
 
 @pytest.mark.parametrize("largest, said", [(57.3, "are its units degrees?"), (0.9, None)])

@@ -21,10 +21,10 @@ from freeart21.measured import Measured, Run
 from simgap.fit.problem import make_problem
 from simgap.measure.data import make_fit_runs
 from simgap.models.surrogate import Nuisance, make_plant
-from simgap.page.publish import _roll_back
+from simgap.page.publish import _make_rolled_back
 from simgap.prove.body import find_correction
 from simgap.prove.replay import AssetOnDisk, replay
-from simgap.prove.writeback import write_repaired
+from simgap.prove.writeback import set_joint_words, write_repaired
 from simgap.select.decide import _confirm
 from simgap.settings import GapSettings, JudgementSettings
 from simgap.verdict import NamedEffect, RunGap, Use, Verdict
@@ -151,9 +151,15 @@ def test_an_answer_that_nothing_confirms_asks_for_more_runs(tmp_path: Path):
     assert found.next_experiment and "Record more runs" in found.next_experiment
 
 
+def test_a_repaired_mjcf_says_the_effects_and_no_older_numbers():
+    root = ET.fromstring('<mujoco><joint name="j" stiffness="3" springref="0.2" armature="0.1" damping="9"/></mujoco>')
+    set_joint_words(root, "j", {"j": (ViscousDamping(0.25),)}, Path("pendulum.xml"))
+    assert root[0].attrib == {"name": "j", "damping": "0.25"}
+
+
 def test_what_no_replay_confirms_ends_with_an_experiment():
     oil = NamedEffect(ViscousDamping(0.1), {"coefficient": 0.09}, {"coefficient": 0.11})
-    assert _roll_back(Verdict("named", (oil,), (), (), (), None, "Oil."), (oil,), (oil,)).next_experiment
+    assert _make_rolled_back(Verdict("named", (oil,), (), (), (), None, "Oil."), (oil,), (oil,)).next_experiment
 
 
 def rows(*sizes: tuple[Use, float, float]) -> tuple[RunGap, ...]:

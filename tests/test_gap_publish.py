@@ -24,7 +24,7 @@ from simgap.geometry.kinematics import find_geometry
 from simgap.models.equation_error import estimate_missing_force
 from simgap.models.localise import make_residual_maps
 from simgap.models.surrogate import Nuisance, make_plant
-from simgap.page.publish import _as_fitted, publish
+from simgap.page.publish import _missing_force_inputs, publish
 from simgap.prove import replay_process
 from simgap.prove.comparison import compare_replays
 from simgap.prove.replay import CannotReplay, Replay, RunReplay
@@ -163,7 +163,7 @@ def run_of(off: float, seconds: float = 2.0) -> Run:
 def test_every_run_is_replayed_at_the_time_step_that_it_needs():
     def needed(stiff: float, run: Run | None = None) -> tuple[float, float]:
         run = run or run_of(0.0)
-        q, h, numerics = replay_process._converged(_Stage(stiff), run, (0.0, 0.0), 1e-3, 2e-3)
+        q, h, numerics = replay_process._replay_converged(_Stage(stiff), run, (0.0, 0.0), 1e-3, 2e-3)
         np.testing.assert_allclose(q, stiff * h**2)  # the finest that was tried
         return h, numerics
 
@@ -188,9 +188,9 @@ class _StiffStage(_Stage):
 
 def test_what_is_too_stiff_for_a_step_is_stepped_finer():
     run = run_of(0.0)
-    assert replay_process._converged(_StiffStage(1.5e-3), run, (0.0, 0.0), 1e-3, 4e-3)[1] == 5e-4
+    assert replay_process._replay_converged(_StiffStage(1.5e-3), run, (0.0, 0.0), 1e-3, 4e-3)[1] == 5e-4
     with pytest.raises(FreeArtError, match="shorten"):
-        replay_process._converged(_StiffStage(1e-4), run, (0.0, 0.0), 1e-3, 4e-3)
+        replay_process._replay_converged(_StiffStage(1e-4), run, (0.0, 0.0), 1e-3, 4e-3)
 
 
 @pytest.mark.parametrize("change, told", [(0.9, ["run_0", "run_1"]), (40.0, ["run_0"]), (None, ["run_1"])])
@@ -225,7 +225,7 @@ def test_what_the_asset_is_off_by_is_no_place_of_a_gap(tmp_path: Path):
     plant = make_plant(asset, measured)
     leans = float(np.sign(plant.gravity_terms[1, 0])) * 0.02 / 0.97
     naive, known = (
-        make_residual_maps(estimate_missing_force(*_as_fitted(measured, plant, nuisance)))
+        make_residual_maps(estimate_missing_force(*_missing_force_inputs(measured, plant, nuisance)))
         for nuisance in (Nuisance(), Nuisance(1.06, 0.97, (leans, 0.0)))
     )
     assert min(m.adjusted for m in naive) < 0.01

@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gap_case import ARM, INERTIA, MASS, RATE, G, asset_of
+from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
-from freeart21 import cli
+from freeart21 import cli, se3
 from freeart21.effects.coulomb_friction import CoulombFriction
 from freeart21.effects.detent import Detent
 from freeart21.effects.viscous_damping import ViscousDamping
@@ -42,8 +43,10 @@ def pendulum(count: int = 6, oil: float = OIL, seconds: float = 3.0, noise: floa
     return tuple(runs)
 
 
-def write_set(folder: Path, runs: tuple[Run, ...], joint: str = "j", kind: JointType = "revolute") -> Path:
-    down = np.array([0.0, 0.0, -G])
+def write_set(
+    folder: Path, runs: tuple[Run, ...], joint: str = "j", kind: JointType = "revolute", down: ArrayLike = (0, 0, -G)
+) -> Path:
+    down = np.asarray(down, float)
     write_measured(folder, Measured(joint, kind, down, RATE, "recorded", None, None, 0.0, 0.0, runs, "unknown"))
     return folder
 
@@ -131,6 +134,16 @@ def test_the_engines_witness_each_other_or_say_why_not(tmp_path: Path):
     notched = oiled(tmp_path / "notched", Detent(0.3, 0.2, 0.05))
     with pytest.raises(FreeArtError, match="MuJoCo's format cannot say detent"):
         replay_folder(notched, [runs], engine="mujoco")
+
+
+def test_gravity_is_measured_in_the_canonical_frame_whichever_engine_replays(tmp_path: Path):
+    pytest.importorskip("mujoco")
+    R = se3.exp_so3(np.array([0.9, 0.5, -0.3]))
+    folder = oiled(tmp_path)
+    write_asset_json(folder, replace(read_asset(folder), T_canonical_reference=se3.pose(R, [0.1, 0.2, 0.3])))
+    runs = write_set(tmp_path / "m", pendulum(1), down=R @ [0, 0, -G])
+    for engine in ("sapien", "mujoco"):
+        assert replay_folder(folder, [runs], engine=engine).rows[0].replay.error < 0.01
 
 
 def test_without_mujoco_one_line_says_so(tmp_path: Path, monkeypatch):

@@ -309,6 +309,12 @@ def test_free_base_falls_and_fixed_base_does_not(tmp_path: Path):
         assert 2 - simulated.link_pose("base")[2, 3] == pytest.approx(drop, abs=1e-3)
 
 
+def test_effects_feel_gravity_along_the_axes_of_a_turned_base(tmp_path: Path):
+    simulated = load(asset_with(tmp_path, "revolute"))
+    simulated.set_base_pose(se3.pose(se3.exp_so3([np.pi / 2, 0, 0]), [0, 0, 2]))
+    assert np.allclose(simulated.mechanics.gravity, [0, -9.81, 0], atol=1e-5), "the base's y axis points up"
+
+
 def test_faults_cost_one_clear_line(tmp_path: Path):
     mesh = """<link name="x"><visual><geometry><mesh filename="no.obj"/></geometry></visual></link>
         <joint name="f" type="fixed"><parent link="bob"/><child link="x"/></joint>"""
