@@ -33,7 +33,7 @@ from reconstruct import VERSION, paper_segmentation
 from reconstruct.cache import CachedStage, SolverState, StageCache
 from reconstruct.diagnostics import diagnose, peak_bytes
 from reconstruct.evidence import Evidence
-from reconstruct.features import HandMade
+from reconstruct.features import make_features
 from reconstruct.gaps import bridge_gaps, fill_gaps
 from reconstruct.gaussians.optimisation import optimise
 from reconstruct.joint_type import choose_joint_type
@@ -48,7 +48,8 @@ from reconstruct.settings import ReconstructSettings
 from reconstruct.stages import CACHED_STAGES, STAGES, CachedStageName, require_cached
 from reconstruct.surface_check import check_surfaces
 from reconstruct.surfaces import fuse
-from reconstruct.tracks import DisTracker, Tracker
+from reconstruct.trackers import make_tracker
+from reconstruct.tracks import Tracker
 
 __all__ = ["ReconstructSettings", "reconstruct", "reconstruct_folder", "reconstruct_until"]
 
@@ -176,7 +177,7 @@ def _tracks(
     scene = prepare_scene(recording, settings.scene)
     if scene.implausible:
         clock.say(f"{100 * scene.implausible:.2g} % of the object's depths lie implausibly far from it: taken as none")
-    tracker = DisTracker(scene, settings.tracks) if with_tracks else None
+    tracker = make_tracker(scene, settings.tracks) if with_tracks else None
     evidence = Evidence(scene, settings.evidence, settings.labels)
     return _PreparedVideo(recording, scene, evidence, tracker, clock.progress)
 
@@ -197,7 +198,7 @@ def _segmentation(
 ) -> SolverState:
     assert video.tracker is not None
     if settings.segmentation == "paper":
-        features = HandMade(video.scene, settings.features)
+        features = make_features(video.scene, settings.features)
         weights = paper_segmentation.segment(video.evidence, video.tracker, features, settings.paper, rng)
         estimate = paper_segmentation.part_poses(video.evidence, video.tracker, weights, settings, rng)
     else:

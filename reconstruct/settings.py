@@ -31,6 +31,8 @@ class SceneSettings:
 class TrackSettings:
     """Dense optical flow chained over short windows, and the supplement's trajectory filters."""
 
+    tracker: str = "dis"
+    """One of `reconstruct.trackers`."""
     max_round_trip: float = 1.5
     """Disagreement of forward and backward flow, pixels, at which the confidence is 0.5."""
     visibility_filter: bool = True
@@ -90,6 +92,8 @@ class ResegmentationSettings:
 class FeatureSettings:
     """Hand-made features: the difference of each cue that counts as one unit of distance; 0 leaves the cue out."""
 
+    model: str = "hand_made"
+    """One of `reconstruct.features`."""
     colour: float = 10.0
     """CIELAB units, lightness damped."""
     gradient: float = 10.0

@@ -1,13 +1,13 @@
 """Pixels followed over short windows and lifted to 3D, behind one interface, and the supplement's filters.
 
-The default tracker chains dense optical flow between neighbours; a learned one takes its place by being a `Tracker`.
+`reconstruct.trackers` has the trackers.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -49,12 +49,17 @@ class Tracks:
     """(p, s + 1) the tracker's own trust, 0 to 1, that the pixel is where it says: c_{t,p} of the supplement."""
 
 
-class Tracker(Protocol):
-    """What the solver asks of tracks. Pixels are of the scene's crops."""
+class Tracker:
+    """What the solver asks of tracks; one file of `reconstruct.trackers` each. Pixels are of the scene's crops."""
+
+    name: ClassVar[str]
+
+    def __init__(self, scene: Scene, settings: TrackSettings) -> None:
+        self.scene, self.settings = scene, settings
 
     def step(self, frame: int, direction: int) -> Floats:
         """Displacements (h, w, 2), column and row, of all pixels of `frame` to its neighbour in time, +1 or -1."""
-        ...
+        raise NotImplementedError
 
     def follow(
         self, start: int, steps: int, direction: int = 1, pixels: NDArray[np.integer[Any]] | None = None
@@ -63,24 +68,7 @@ class Tracker(Protocol):
 
         `pixels` (p, 2) are rows and columns to follow; the tracker's own choice when not given.
         """
-        ...
-
-
-class DisTracker:
-    """The default: DIS flow between all neighbours, chained; trusted where forward and backward flow agree."""
-
-    def __init__(self, scene: Scene, settings: TrackSettings) -> None:
-        self.scene, self.settings, self.flow = scene, settings, optical_flow(scene)
-
-    def step(self, frame: int, direction: int) -> Floats:
-        """See `Tracker`."""
-        return self.flow.step(frame, direction)
-
-    def follow(
-        self, start: int, steps: int, direction: int = 1, pixels: NDArray[np.integer[Any]] | None = None
-    ) -> Tracks:
-        """See `Tracker`; all valid pixels on a grid of `settings.stride` when none are given."""
-        return follow(self.scene, self.flow, start, steps, self.settings, direction, pixels)
+        raise NotImplementedError
 
 
 def optical_flow(scene: Scene) -> Flow:

@@ -137,7 +137,7 @@ def test_settings_of_a_saved_result_that_no_longer_exist_are_ignored_with_a_note
     "data, said",
     [
         ({"sead": 1}, "there is no setting 'sead'; settings: seed, segmentation"),
-        ({"tracks": {"tau": 1}}, "there is no setting 'tracks.tau'; tracks.: max_round_trip"),
+        ({"tracks": {"tau": 1}}, "there is no setting 'tracks.tau'; tracks.: tracker, max_round_trip"),
         ({"tracks": 3}, "setting 'tracks' is 3, expected an object"),
         ({"seed": 1.5}, "setting 'seed' is 1.5, expected a whole number"),
         ({"tracks": {"tau_c": True}}, "setting 'tracks.tau_c' is True, expected a number"),

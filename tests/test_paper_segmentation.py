@@ -10,7 +10,7 @@ from freeart21 import se3
 from freeart21.reconstruction import Reconstruction
 from reconstruct import paper_segmentation, pipeline
 from reconstruct.evidence import Evidence
-from reconstruct.features import HandMade
+from reconstruct.features.hand_made import HandMade
 from reconstruct.paper_segmentation import (
     Graph,
     Pair,
@@ -26,7 +26,8 @@ from reconstruct.paper_segmentation import (
 from reconstruct.rigid import tukey_weights
 from reconstruct.scene import prepare_scene
 from reconstruct.settings import GaussianSettings, PaperSegmentationSettings, ReconstructSettings, TrackSettings
-from reconstruct.tracks import DisTracker, filtered
+from reconstruct.trackers.dis import Dis
+from reconstruct.tracks import filtered
 
 PAPER = PaperSegmentationSettings()
 AHEAD = np.array([0, 0, 1.5])
@@ -248,7 +249,7 @@ def slide():
     settings = ReconstructSettings()
     scene = prepare_scene(clip.recording, settings.scene)
     evidence = Evidence(scene, settings.evidence, settings.labels)
-    return clip, evidence, DisTracker(scene, settings.tracks), HandMade(scene, settings.features)
+    return clip, evidence, Dis(scene, settings.tracks), HandMade(scene, settings.features)
 
 
 def crop_truth(clip, scene):

@@ -18,7 +18,7 @@ from reconstruct.recovery import _assign_patches, _UnlabelledFrame
 from reconstruct.scene import UnsolvableError
 from reconstruct.seeds import Seed, find_seeds
 from reconstruct.segmentation import _initial_propagation, add_frames, propagate_from_seeds, redo_lost_frames
-from reconstruct.tracks import DisTracker
+from reconstruct.trackers.dis import Dis
 
 SIZE = (160, 120)
 SWEEP = np.concatenate([np.linspace(0, 0.5, 7), np.full(17, 0.5), np.linspace(0.5, 1, 8)])
@@ -31,7 +31,7 @@ def resting():
     """A clip whose joint rests for nineteen frames, its scene, its true answer, sure of its labels, and its tracker."""
     clip = make_clip("hinge", len(SWEEP), size=(200, 150), spin=GENTLE, sweep=SWEEP)
     evidence, true = true_growth(clip, slice(0, 0), 1)
-    return clip, evidence, replace(true, logodds=4 * true.logodds), DisTracker(evidence.scene, QUIET.tracks)
+    return clip, evidence, replace(true, logodds=4 * true.logodds), Dis(evidence.scene, QUIET.tracks)
 
 
 def without(clip, frames, part=None):
@@ -161,7 +161,7 @@ def test_papers_poses_bear_a_part_that_appears_late():
     clip = without(make_clip("hinge", 12, size=SIZE, spin=GENTLE), slice(0, late), part=2)
     evidence, true = true_growth(clip, slice(0, 0), 1)
     given = PartWeights((true.labels == 2).astype(np.float32), np.tile(np.eye(4), (12, 2, 1, 1)))
-    estimate = part_poses(evidence, DisTracker(evidence.scene, QUIET.tracks), given, QUIET, RNG(0))
+    estimate = part_poses(evidence, Dis(evidence.scene, QUIET.tracks), given, QUIET, RNG(0))
     assert estimate.seen[:, 0].all() and np.array_equal(estimate.seen[:, 1], np.arange(12) >= late)
     assert estimate.poses.joint.type == "revolute"
     assert np.abs(state_errors(estimate.poses.states, clip)[late:]).max() < 0.016

@@ -17,6 +17,9 @@ from generator.sensors.base import SensorModel
 from leaderboard.adapters.layout import Layout
 from leaderboard.adapters.registry import layouts
 from leaderboard.protocols import PROTOCOLS, Protocol
+from reconstruct.features import FEATURES, Features
+from reconstruct.trackers import TRACKERS
+from reconstruct.tracks import Tracker
 
 EFFECT = """
 from freeart21.effects.viscous_damping import ViscousDamping
@@ -45,6 +48,18 @@ class Millimetres(SensorModel):
 
     def depth(self, depth, rng):
         return (depth * 1000).round() / 1000
+"""
+TRACKER = """
+from reconstruct.trackers.dis import Dis
+
+class Slow(Dis):
+    name = "slow"
+"""
+FEATURES_ = """
+from reconstruct.features.hand_made import HandMade
+
+class Grey(HandMade):
+    name = "grey"
 """
 LAYOUT = """
 from dataclasses import replace
@@ -75,6 +90,8 @@ def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     [
         ("freeart21.effects", EFFECT, Effect, EFFECTS, "squeak"),
         ("generator.sensors", SENSOR, SensorModel, SENSORS, "millimetres"),
+        ("reconstruct.trackers", TRACKER, Tracker, TRACKERS, "slow"),
+        ("reconstruct.features", FEATURES_, Features, FEATURES, "grey"),
     ],
 )
 def test_a_class_of_a_stranger(stranger: Path, group: str, text: str, kind: type, ours: dict, name: str):

@@ -10,7 +10,7 @@ from reconstruct.propagation import Propagation
 from reconstruct.resegmentation import find_lost_stretches
 from reconstruct.seeds import Seed
 from reconstruct.segmentation import _resegment
-from reconstruct.tracks import DisTracker
+from reconstruct.trackers.dis import Dis
 
 FRAMES = 32
 STRETCH = np.arange(12, 24)
@@ -25,7 +25,7 @@ def films():
 
 def filmed(clip):
     evidence, true = true_growth(clip, slice(0, 0), 1)
-    return clip, evidence, true, DisTracker(evidence.scene, QUIET.tracks)
+    return clip, evidence, true, Dis(evidence.scene, QUIET.tracks)
 
 
 def grown_but_lost(film, turn, shift, swap):

@@ -1,46 +1,24 @@
-"""What pixels look like, behind one interface: the paper clusters, connects and fills by DINO features.
-
-The default is made by hand from colour, gradients and 3D geometry; a learned one takes its place by being a `Features`.
-"""
+"""The features `hand_made`: colour, gradients and 3D geometry."""
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruct.scene import Scene
-from reconstruct.settings import FeatureSettings
-
-Descriptors = NDArray[np.float64]
+from reconstruct.features.base import Descriptors, Features
 
 
-class Features(Protocol):
-    """What the segmentation asks of features. Euclidean distance between descriptors says how unlike pixels are."""
-
-    def describe(self, frame: int, pixels: NDArray[np.integer[Any]]) -> Descriptors:
-        """(m, d) descriptors of `pixels` (m, 2), row and column, of one frame: phi_t(u) of the supplement."""
-        ...
-
-    def similarity(self, squared_distance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """s_t(u, p) of the supplement, 0 to 1, from squared distances of descriptors of one frame.
-
-        Of unit descriptors the cosine is 1 - squared_distance / 2.
-        """
-        ...
-
-
-class HandMade:
+class HandMade(Features):
     """Colour, gradients, place, normal and curvature, each in units of what tells two surfaces apart.
 
     Place is the camera-frame point against the object's middle, in object diagonals: the frame's own, since nobody
     knows yet how the object turns. So descriptors of one frame compare, those of distant frames do not.
     """
 
-    def __init__(self, scene: Scene, settings: FeatureSettings) -> None:
-        self.scene, self.settings = scene, settings
+    name = "hand_made"
 
     def describe(self, frame: int, pixels: NDArray[np.integer[Any]]) -> Descriptors:
         """(m, 3 + 2 + 3 + 3 + 1) descriptors; see `Features`. A cue whose scale is 0 is left out."""
