@@ -27,9 +27,9 @@ from freeart21.mesh import box_centre
 from freeart21.recording import Frame, Recording
 from freeart21.trust import motion_of
 from freeart21.view import page
-from freeart21.view.curves import Chart, Curve, curves_section
-from freeart21.view.diagnosis import diagnosis_section, remarks, remarks_section
-from freeart21.view.parts import axis_in_pictures
+from freeart21.view.diagnosis import diagnosis_section, warnings, warnings_section
+from freeart21.view.parts import axis_in_images, axis_place
+from freeart21.view.plots import Chart, Curve, curves_section
 from leaderboard.submission import read_submission
 from reconstruct.cache import CachedStage, SolverState, _pack_stage, _read_stage
 from reconstruct.diagnostics import _means, diagnose, label_probability, measure_agreement
@@ -340,21 +340,19 @@ def long_result(n=60, hidden=(), joint_type="revolute"):
 
 
 def told(result, diagnostics=None):
-    return [(remark.where, remark.text) for remark in remarks(result, diagnostics)]
+    return [(remark.where, remark.text) for remark in warnings(result, diagnostics)]
 
 
 def test_nothing_is_said_of_a_good_result():
     assert told(long_result(), sample_diagnostics(60)) == []
-    assert "Nothing stands out" in remarks_section(long_result(), None).html
+    assert "No warnings" in warnings_section(long_result(), None).html
 
 
 def test_hidden_parts_are_told():
     assert told(long_result(hidden=range(20, 31))) == [
-        ("frames 20-30", "the moving part was not seen; states there are interpolated")
+        ("frames 20-30", "the moving part was not seen; its states are interpolated")
     ]
-    assert told(long_result(hidden=[59])) == [
-        ("frame 59", "the moving part was not seen; states there are not measured")
-    ]
+    assert told(long_result(hidden=[59])) == [("frame 59", "the moving part was not seen; its states are not measured")]
 
 
 def test_a_bad_frame_is_told_by_its_residual():
@@ -371,9 +369,9 @@ def test_a_bad_frame_is_told_by_its_residual():
         (
             lambda d: d.confidence.__setitem__((9, 1), 0.6),
             "frame 9",
-            "the moving part's labels are only 60 % sure on average",
+            "the mean label confidence of the moving part is 60 %",
         ),
-        (lambda d: d.outside.__setitem__((9, 1), 0.2), "frame 9", "off the mask in other frames are 20 %"),
+        (lambda d: d.outside.__setitem__((9, 1), 0.2), "frame 9", "moving part outside the mask: 20 %"),
         (lambda d: d.jointed_residual_m.__setitem__((slice(None), 1), 0.002), "", "the joint does not explain"),
     ],
 )
@@ -390,7 +388,7 @@ def test_a_jump_and_a_pose_off_the_joint_are_told():
     moving[40] = moving[40] @ se3.exp_se3([0, 0, 0, 0.3, 0, 0])
     found = told(replace(result, Ts_camera_moving=moving))
     assert {where for where, _ in found} == {"frame 40", "frame 41"}, found
-    assert any("pose lies off the joint by 17.2° and" in text for _, text in found)
+    assert any("pose deviates from the joint by 17.2° and" in text for _, text in found)
     assert any("the moving part turns by" in text for _, text in found)
     both = replace(result, Ts_camera_reference=result.Ts_camera_reference.copy(), Ts_camera_moving=moving)
     both.seen[40, 1] = False
@@ -428,7 +426,7 @@ def test_curves_break_where_nothing_is_known_and_outliers_leave_at_the_top():
     values[30] = 1000.0
     chart = Chart("Residual <b>", "mm", (Curve("a&b", "#000000", values),), "about")
     section = curves_section("T", (chart,), np.arange(50.0), False, np.arange(50) == 20)
-    assert section.html.count("<path") == 3 and "h0" in section.html, "two lines and a dot"
+    assert section.html.count("<path") == 4 and "h0" in section.html, "two lines, a dot, and one in the legend"
     assert section.html.count('class="unseen"') == 1
     assert "Residual &lt;b&gt;" in section.html and "a&amp;b" in section.html
     assert section.data["charts"][0][0][30] == 1000.0 and section.data["charts"][0][0][10] is None
@@ -444,8 +442,8 @@ def test_curves_of_hardly_anything_are_drawn(values):
 
 def test_axis_in_pictures_is_the_projected_axis():
     truth, camera = view.make_truth("prismatic"), view.make_recording().camera
-    ends = axis_in_pictures(truth.articulation, truth.states, truth.Ts_camera_reference, camera)
-    joint = truth.articulation.joint
+    joint, place = truth.articulation.joint, axis_place(truth.articulation, truth.states)
+    ends = axis_in_images(joint, *place, truth.Ts_camera_reference, camera)
     at = box_centre(truth.articulation.moving.moved(joint.transform(truth.states[0])))
     for i in range(view.N):
         a, b, c = camera.project(
@@ -463,7 +461,7 @@ def test_axis_that_passes_the_camera_is_cut_and_one_behind_it_left_out():
     parts = Articulation(along, truth.articulation.reference, truth.articulation.moving)
     T = np.tile(np.eye(4), (2, 1, 1))
     T[:, 0, 3], T[0, 2, 3], T[1, 2, 3] = 0.01, 0.05, -5.0
-    ends = axis_in_pictures(parts, np.zeros(2), T, camera)
+    ends = axis_in_images(along, *axis_place(parts, np.zeros(2)), T, camera)
     assert np.isfinite(ends[0]).all() and np.isnan(ends[1]).all()
 
 
@@ -474,19 +472,19 @@ def test_page_of_a_result_tells_what_it_should(tmp_path, monkeypatch):
     view.write_truth(tmp_path / "t", truth, 0)
     text = page(tmp_path / "r", None, tmp_path / "s")
     parsed = view.Parsed(text)
-    for words in ("What to distrust", "Residual", "Label confidence", "Off the joint", "1.50 GB", "Frames 2-3"):
+    for words in ("Warnings", "Residual", "Label confidence", "Joint residual", "1.50 GB", "Frames 2-3"):
         assert words in text
     (player,) = [data for data in parsed.data if "axes" in data]
-    assert [axis["name"] for axis in player["axes"]] == ["found"] and len(player["axes"][0]["ends"]) == view.N
-    (charts,) = [data for data in parsed.data if "charts" in data]
+    assert [axis["name"] for axis in player["axes"]] == ["estimate"] and len(player["axes"][0]["ends"]) == view.N
+    _, charts = [data for data in parsed.data if "charts" in data]
     assert len(charts["charts"]) == 9 and len(charts["x"]) == view.N
     assert charts["charts"][0][1][0] is None, "the moving part's residual in frame 0 is not known"
     bare = view.perfect_result(truth)
     write_result(tmp_path / "r", bare)
     text = page(tmp_path / "r", tmp_path / "t", tmp_path / "s")
-    assert "wrote no diagnostics" in text and "Label confidence" not in text and "Off the joint" in text
+    assert "wrote no diagnostics" in text and "Label confidence" not in text and "Joint residual" in text
     (player,) = [data for data in view.Parsed(text).data if "axes" in data]
-    assert [axis["name"] for axis in player["axes"]] == ["found", "truth"]
+    assert [axis["name"] for axis in player["axes"]] == ["estimate", "truth"]
     found, true = (np.array(axis["ends"][1]).reshape(2, 2) for axis in player["axes"])
     line = found[1] - found[0]
     across = np.array([-line[1], line[0]]) / np.linalg.norm(line)
@@ -501,8 +499,13 @@ def test_the_page_shows_what_the_surfaces_look_like_in_the_video():
     plain = diagnosis_section(long_result(), sample_diagnostics(60), np.arange(60.0), False)
     section = diagnosis_section(long_result(), found, np.arange(60.0), False)
     assert len(section.data["charts"]) == len(plain.data["charts"]) + 4
-    for words in ("Surface off the mask", "Off the surface", "1.1 and 8.6e+02 times", "90 and 20 % of them were seen"):
-        assert words in section.html and words not in plain.html
+    for words in (
+        "Surface outside the mask",
+        "Depth off the surface",
+        "1.1 and 8.6e+02 times",
+        "90 and 20 % of them were seen",
+    ):
+        assert words in section.html + section.note and words not in plain.html + plain.note
 
 
 def test_exchanged_parts_take_their_diagnostics_along():

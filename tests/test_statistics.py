@@ -23,8 +23,7 @@ from freeart21.recording import Recording
 from freeart21.statistics import motion_statistics
 from freeart21.truth import Truth
 from freeart21.view import page
-from freeart21.view.benchmark_page import summary_rows
-from freeart21.view.motion_panels import motion_section
+from freeart21.view.data_page import motion_section, summary_rows
 
 N = 40
 STEPS = np.repeat(["pose", "joint", "both", "none"], [10, 11, 12, 6])
@@ -146,7 +145,7 @@ def test_the_panels_fit_a_desk_and_a_phone(tmp_path: Path, width: int) -> None:
         chrome.open(file, width=width, ready="true")
         wide = chrome.run("document.documentElement.scrollWidth")
         panels = chrome.run(
-            "[...document.querySelectorAll('.panels figure')].map((f) => { const b = f.getBoundingClientRect();"
+            "[...document.querySelectorAll('article figure')].map((f) => { const b = f.getBoundingClientRect();"
             " return [b.left, b.right, b.top, parseFloat(getComputedStyle(f.querySelector('svg')).width)]; })"
         )
         letters = chrome.run(
@@ -165,7 +164,7 @@ def test_figures_of_a_source_are_those_of_its_motion() -> None:
     assert m.pose_moves.sum() == 22 and m.joint_moves.sum() == 23  # as STEPS says
     assert m.degrees.max() == pytest.approx(2.5) and len(m.joint_submovements) == 1
     text = re.sub("<.*?>", " ", motion_section([s]).html)
-    assert "2.50°, most 2.5°" in text and "object at rest  44%" in text and "joint at rest  41%" in text
+    assert "median 2.50°, largest 2.5°" in text and "object at rest  44%" in text and "joint at rest  41%" in text
 
 
 def test_a_folder_without_truths_is_told_in_one_line(tmp_path: Path) -> None:
@@ -180,18 +179,15 @@ def test_a_folder_without_truths_is_told_in_one_line(tmp_path: Path) -> None:
 def test_a_click_on_a_heading_sorts_numbers_as_numbers(tmp_path: Path) -> None:
     script = Path("freeart21/view/static/table.js").resolve().read_text()
     harness = """
-const FreeArt = { kinds: {} };
+const FreeArt = {};
 SCRIPT
 const row = (v) => ({ v, children: [{ dataset: { value: v } }] });
 const body = { children: ["10", "9", "0.5"].map(row), append(...rows) { this.children = rows; } };
-const heading = { a: {}, getAttribute(n) { return this.a[n] ?? null; }, setAttribute(n, v) { this.a[n] = v; } };
 let click;
-const button = { dataset: { column: "0" }, parentElement: heading, addEventListener(_, f) { click = f; } };
-const section = {
-  querySelector: () => body,
-  querySelectorAll: (what) => (what.startsWith("button") ? [button] : []),
-};
-FreeArt.kinds.table(section);
+const button = { addEventListener(_, f) { click = f; } };
+const head = { a: {}, getAttribute(n) { return this.a[n] ?? null; }, setAttribute(n, v) { this.a[n] = v; },
+  removeAttribute(n) { delete this.a[n]; }, querySelector: () => button };
+FreeArt.sortable({ querySelector: () => body, querySelectorAll: () => [head] });
 click(); console.log(body.children.map((r) => r.v).join());
 click(); console.log(body.children.map((r) => r.v).join());
 """

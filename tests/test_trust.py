@@ -19,7 +19,7 @@ from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction, Trust
 from freeart21.recording import Frame, Recording
 from freeart21.trust import _surface_elsewhere, judge, motion_of, size_of
-from freeart21.view.diagnosis import remarks
+from freeart21.view.diagnosis import warnings
 from generator import session
 from generator.motion import Plan
 from reconstruct.diagnostics import (
@@ -197,16 +197,16 @@ def test_a_near_perfect_answer_is_not_warned_of_a_fraction_of_a_millimetre():
     d.residual_m[:], d.jointed_residual_m[:] = 0.00005, 0.00007
     d.residual_m[20:24] = 0.0003  # six medians, and more than half a pixel: of an object of 20 cm
     d = replace(d, footprint_m=0.0002, noise_m=0.0)
-    assert judge(result, d).verdict == "sound" and not remarks(result, d)
+    assert judge(result, d).verdict == "sound" and not warnings(result, d)
     d.residual_m[20:24] = 0.004
-    assert [r.where for r in remarks(result, d)] == ["frames 20-23", "frames 20-23"], "of both parts"
+    assert [r.where for r in warnings(result, d)] == ["frames 20-23", "frames 20-23"], "of both parts"
 
 
 def test_the_page_lists_what_the_answer_says_of_itself():
     result = replace(long_result(N), trust=Trust("doubtful", ("because I say so",)))
-    assert [r.text for r in remarks(result, sound_diagnostics(unexplained=np.ones(N)))] == ["because I say so"]
+    assert [r.text for r in warnings(result, sound_diagnostics(unexplained=np.ones(N)))] == ["because I say so"]
     untold = replace(result, trust=None)
-    assert [r.text for r in remarks(untold, sound_diagnostics(unexplained=np.ones(N)))] == list(
+    assert [r.text for r in warnings(untold, sound_diagnostics(unexplained=np.ones(N)))] == list(
         reasons(unexplained=np.ones(N))
     )
 

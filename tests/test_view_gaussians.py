@@ -27,7 +27,7 @@ from freeart21.view.pages import write_page
 from freeart21.view.parts import articulation_scene, exchanged
 from freeart21.view.scene import Scene, scene_section
 from freeart21.view.simplify import box
-from freeart21.view.splats import MAX_SPLATS, SplatLayers, splat_data, thinned
+from freeart21.view.splats import MAX_SPLATS, SplatLayers, largest_gaussians, splat_data
 
 STATIC = Path(__file__).resolve().parents[1] / "freeart21" / "view" / "static"
 CAMERA = Camera(np.array([[400.0, 0, 165], [0, 390, 85], [0, 0, 1]]), 320, 180)
@@ -136,12 +136,12 @@ def test_a_page_of_very_many_gaussians_keeps_those_that_cover_most():
     given = made(MAX_SPLATS + 5000, light=9)
     faint = np.arange(len(given)) % 25 == 3
     given = replace(given, opacities=np.where(faint, 1e-6, given.opacities).astype(np.float32))
-    kept = thinned(given, MAX_SPLATS)
+    kept = largest_gaussians(given, MAX_SPLATS)
     assert len(kept) == MAX_SPLATS and (kept.opacities < 1e-5).sum() < faint.sum()
     assert np.abs(np.sort(kept.means[:, 0])[0] - np.sort(given.means[:, 0])[0]) < 1e-2
-    assert thinned(kept, MAX_SPLATS) is kept
+    assert largest_gaussians(kept, MAX_SPLATS) is kept
     section = scene_section(made_scene(given))
-    assert f"the {MAX_SPLATS:,} of {len(given):,} Gaussians" in section.html
+    assert f"the {MAX_SPLATS:,} largest of {len(given):,} Gaussians" in section.html
     assert "Gaussians" not in scene_section(made_scene(kept)).html
     assert len(embed_json(splat_data(SplatLayers(given, (0, 1), (0, 1))))) < 2.4e6
 

@@ -1,9 +1,8 @@
-"""Pages to look at: one self-contained HTML file for a sequence, a result, a truth, an asset or a whole data folder.
+"""Pages to look at: one self-contained HTML file of a sequence, result, truth, asset, file of Gaussians or data folder.
 
-A page is a list of sections, each built by one small function: `video_section` (the player), `scene_section` (parts and
-joint in 3D), `plot_section` (the joint state over time) and `table_section` (numbers). A section is HTML plus data; the
-scripts in `static/` bring it to life. A page loads nothing: pictures, meshes, style and scripts are inside it, and its
-content security policy forbids the browser to fetch anything.
+A page is a list of sections (`document`): tables, plots, the video player, the 3D view. A section is HTML with data for
+a script in `static/`. Images, meshes, style and scripts are inside the page; its content security policy forbids the
+browser to load anything else. The pages of `site` and `gap` are made of the same sections.
 """
 
 from freeart21.view.document import Section, document

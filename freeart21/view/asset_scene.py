@@ -10,34 +10,34 @@ from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files.urdf import UrdfJoint
 from freeart21.joint import Joint
-from freeart21.mesh import Mesh, bounding_diagonal
+from freeart21.mesh import Mesh, bounding_diagonal, box_centre
 from freeart21.se3 import Array, inverse
 from freeart21.view.document import MOVING, REFERENCE
 from freeart21.view.link_shapes import ShownUrdf
-from freeart21.view.parts import AXIS
+from freeart21.view.parts import AXIS, FIRST_VIEW
 from freeart21.view.scene import Layer, Link, Scene, Slider, Surface, axis_mesh, link_poses, slider_range
 from freeart21.view.simplify import joined
 
 LINK_COLOURS = (REFERENCE, MOVING, "#56B4E9", "#CC79A7", "#F0E442", "#D55E00", "#8C8C8C")
-"""Colours of the bodies when parts are told apart, in the order of the tree."""
+"""Colours of the bodies, in the order of the tree."""
 HULL_COLOURS = ((86, 180, 233), (0, 158, 115), (230, 159, 0), (204, 121, 167), (240, 228, 66), (0, 114, 178))
-"""Colours of collision shapes, one after the other, so that the pieces of a decomposition can be told apart."""
+"""Colours of collision shapes in turn, to distinguish the pieces of a decomposition."""
 
 
 @dataclass(frozen=True)
 class _Body:
-    """Links that never move against each other."""
+    """Links joined by fixed joints."""
 
     name: str
     links: tuple[str, ...]
 
 
 def asset_scene(shown: ShownUrdf, asset: Asset | None = None, T_camera_canonical: Array | None = None) -> Scene:
-    """All links of a URDF, joined into bodies where fixed joints hold them, with collision shapes to be switched on.
+    """All links of a URDF, a layer for every body, and a layer of collision shapes, hidden at first.
 
-    Sliders stand at first at the asset's state zero and held positions, else at zero or at the limit nearest to it. The
-    world is the root link with z up; with `T_camera_canonical` (4, 4) and an asset it is the asset's canonical frame,
-    seen as that camera sees it.
+    Sliders are first at the asset's state zero and held positions, else at zero or the nearest limit. The world is the
+    root link, z up; with `T_camera_canonical` (4, 4) and an asset it is the asset's canonical frame, seen from that
+    camera.
     """
     values: dict[str, float] = {} if asset is None else {**asset.held, asset.joint: asset.state_zero}
     urdf = shown.urdf
@@ -69,17 +69,17 @@ def asset_scene(shown: ShownUrdf, asset: Asset | None = None, T_camera_canonical
     up, towards = np.array([0.0, 0.0, 1.0]), np.array([-1.0, -0.75, 0.55])
     if asset is not None and T_camera_canonical is not None:
         R_canonical_camera = T_camera_canonical[:3, :3].T
-        up, towards = R_canonical_camera @ [0.0, -1.0, 0.0], R_canonical_camera @ [0.45, -0.4, -1.0]
+        up, towards = R_canonical_camera @ [0.0, -1.0, 0.0], R_canonical_camera @ FIRST_VIEW
         first = link_poses(links, [slider.value for slider in sliders])[names.index(asset.reference_link)]
         T_world_root = asset.T_canonical_reference @ inverse(first)
         links = [Link(-1, T_world_root), *(replace(link, parent=link.parent + 1) for link in links)]
-    return _dressed(shown, asset, links, sliders, up, towards)
+    return _scene(shown, asset, links, sliders, up, towards)
 
 
-def _dressed(
+def _scene(
     shown: ShownUrdf, asset: Asset | None, links: list[Link], sliders: list[Slider], up: Array, towards: Array
 ) -> Scene:
-    """Visuals by body, axes, and collision shapes on their links."""
+    """The scene with visuals by body, axes, and collision shapes on their links."""
     shift = len(links) - len(shown.visuals)
     position = {name: i + shift for i, name in enumerate(shown.visuals)}
     layers: list[Layer] = []
@@ -97,7 +97,7 @@ def _dressed(
     for link, (owner, visuals) in zip(links[shift:], shown.visuals.items(), strict=True):
         meshes = [piece.mesh for piece in visuals if not piece.mesh.empty]
         if link.joint is not None:
-            near = _middle(meshes)
+            near = box_centre(joined(*meshes)) if meshes else np.zeros(3)
             size = bounding_diagonal(*meshes) or 1.0
             surfaces.append(Surface(axis_mesh(link.joint, near, size), position[owner], axes))
         surfaces += [
@@ -108,35 +108,28 @@ def _dressed(
 
 
 def _bodies(shown: ShownUrdf, asset: Asset | None) -> list[_Body]:
-    """Groups of links between movable joints that show anything: the asset's two parts first, then down the tree."""
-    held_by = {joint.child: joint.parent for joint in shown.urdf.joints.values() if joint.joint_type is None}
+    """Groups of links with visuals, separated by movable joints: the asset's two parts first, then down the tree."""
+    fixed_to = {joint.child: joint.parent for joint in shown.urdf.joints.values() if joint.joint_type is None}
     groups: dict[str, list[str]] = {}
     for name in shown.visuals:
         top = name
-        while top in held_by:
-            top = held_by[top]
+        while top in fixed_to:
+            top = fixed_to[top]
         groups.setdefault(top, []).append(name)
     bodies = []
     for links in groups.values():
-        seen = [name for name in links if shown.visuals[name]]
-        if seen:
-            bodies.append(_Body(seen[0], tuple(links)))
+        visible = [name for name in links if shown.visuals[name]]
+        if visible:
+            bodies.append(_Body(visible[0], tuple(links)))
     first = [asset.reference_link, asset.moving_link] if asset is not None else []
     return sorted(bodies, key=lambda body: next((i for i, link in enumerate(first) if link in body.links), len(first)))
 
 
 def _at_child(joint: UrdfJoint) -> Joint:
-    """A movable joint in the frame of its child link, which is the joint's own."""
+    """A movable joint in its child link's frame."""
     assert joint.joint_type is not None
     return Joint(joint.name, joint.joint_type, joint.axis, np.zeros(3), joint.lower, joint.upper)
 
 
 def _painted(mesh: Mesh, colour: tuple[int, int, int]) -> Mesh:
     return Mesh(mesh.vertices, mesh.faces, np.tile(np.array(colour, np.uint8), (len(mesh.vertices), 1)))
-
-
-def _middle(meshes: list[Mesh]) -> Array:
-    if not meshes:
-        return np.zeros(3)
-    vertices = joined(*meshes).vertices
-    return (vertices.min(0) + vertices.max(0)) / 2

@@ -1,6 +1,6 @@
-"""Why a result is good or bad, judged without the truth: what its parts, poses and joint say of each other.
+"""Quality of a result without the truth: charts over the frames, and warnings.
 
-Whether to trust it at all is what it says itself, or what `freeart21.trust` makes of it; here are the frames.
+The overall verdict is the result's own, or that of `freeart21.trust`.
 """
 
 from __future__ import annotations
@@ -15,27 +15,30 @@ from freeart21.files.diagnostics import Diagnostics
 from freeart21.reconstruction import Reconstruction
 from freeart21.se3 import Array
 from freeart21.trust import JUMP, Motion, judge, median, motion_of, outstanding, size_of
-from freeart21.view.curves import Chart, Curve, curves_section
 from freeart21.view.document import MOVING, REFERENCE, Section, escape
-from freeart21.view.plot import display_unit, runs
+from freeart21.view.plots import Chart, Curve, curves_section, display_unit, true_runs
 
 COLOURS = (REFERENCE, MOVING)
-GAP = "#AA3377"
-MOST_REMARKS = 14
-SPIKE = 3.0
-"""Medians above which a frame is worth a remark."""
-MATTERS = 0.005
-"""Sizes of the object below which no length is worth a remark. A near-perfect stapler of 19 cm has frames with three
+JOINT_RESIDUAL = "#AA3377"
+MAX_WARNINGS = 14
+OUTLIER = 3.0
+"""Medians above which a frame gets a warning."""
+MIN_LENGTH = 0.005
+"""Lengths below this share of the object's size get no warning. A near-perfect stapler of 19 cm has frames with three
 medians of residual, .3 mm."""
+MIN_INLIERS, MIN_CONFIDENCE, MAX_OUTSIDE = 0.6, 0.75, 0.05
+"""Shares of a part's points, and mean label probability, beyond which a frame gets a warning."""
+BRIDGE = 3
+"""Warnings closer than this many frames are one."""
 
 
 @dataclass(frozen=True)
-class Remark:
-    """One thing to distrust."""
+class Finding:
+    """One sign of a bad result."""
 
     text: str
     frames: tuple[int, int] | None = None
-    """First and last frame, or None when it is about the whole video."""
+    """First and last frame, or None for the whole video."""
 
     @property
     def where(self) -> str:
@@ -49,211 +52,199 @@ class Remark:
 def diagnosis_section(
     result: Reconstruction, diagnostics: Diagnostics | None, abscissa: NDArray[np.float64], timed: bool
 ) -> Section:
-    """Charts of residuals, labels, gaps and steps; those that need a method's own diagnostics only when given."""
+    """Charts of residuals, labels and motion over `abscissa` (n,), seconds when `timed`, else frame numbers.
+
+    Those that need the method's own `diagnostics` are left out without them.
+    """
     motion = motion_of(result)
-    percent, mm = 100.0, 1000.0
+    note = "Grey: a part was not seen. No ground truth is used."
+    if diagnostics is None:
+        note += " The method wrote no diagnostics: residuals and confidence are unknown."
+    elif diagnostics.extent_ratio is not None and diagnostics.seen_share is not None:
+        extents, shares = diagnostics.extent_ratio, 100 * diagnostics.seen_share
+        note += (
+            f" The surfaces of reference and moving part are {extents[0]:.2g} and {extents[1]:.2g} times as large as "
+            f"their pixels span; {shares[0]:.0f} and {shares[1]:.0f} % of them were seen."
+        )
+    charts = (
+        *(_own_charts(diagnostics) if diagnostics is not None else ()),
+        Chart(
+            "Joint residual: rotation",
+            "°",
+            (Curve("moving part", JOINT_RESIDUAL, np.degrees(motion.gap_angle)),),
+            "Angle between the moving part's measured pose and its pose by the reference part and the joint.",
+        ),
+        Chart(
+            "Joint residual: translation",
+            "mm",
+            (Curve("moving part", JOINT_RESIDUAL, 1000 * motion.gap_distance),),
+            "Distance of the moving part's measured centre from its place by the reference part and the joint.",
+        ),
+        Chart("Rotation per frame", "°", _both(np.degrees(motion.step_angle)), "Rotation since the previous frame."),
+        Chart(
+            "Translation per frame",
+            "mm",
+            _both(1000 * motion.step_distance),
+            "Displacement of the part's centre since the previous frame.",
+        ),
+        Chart("Visible pixels", "thousands", _both(_pixels(result) / 1000), "Pixels of each part."),
+    )
     unseen = np.asarray(~result.seen.all(1))
-    charts: list[Chart] = []
-    if diagnostics is not None:
-        d = diagnostics
-        moving_jointed = Curve("moving, by the joint", GAP, mm * d.jointed_residual_m[:, 1], "dashed")
-        residual = Chart(
+    return curves_section("Quality, frame by frame", charts, abscissa, timed, unseen, note)
+
+
+def _own_charts(d: Diagnostics) -> list[Chart]:
+    """Charts of the method's own diagnostics."""
+    by_joint = Curve("moving, pose by the joint", JOINT_RESIDUAL, 1000 * d.jointed_residual_m[:, 1], "dashed")
+    charts = [
+        Chart(
             "Residual",
             "mm",
-            (*_both(mm * d.residual_m), moving_jointed),
-            "Root mean square distance of each part's points to its surface in other frames. When the dashed line lies "
-            "above the moving part's own, the joint does not explain what was measured.",
-        )
-        charts += [
-            residual,
-            Chart(
-                "Met surface",
-                "%",
-                _both(percent * d.inliers),
-                f"Share of each part's points that meet its surface in other frames within {mm * d.gate_m:.1f} mm.",
-                100.0,
-            ),
-            Chart(
-                "Off the mask",
-                "%",
-                _both(percent * d.outside),
-                "Share of each part's points that fall off the foreground in other frames.",
-                5.0,
-            ),
-            Chart("Label confidence", "%", _both(percent * d.confidence), "Mean probability of the labels.", 100.0),
-            *_surface_charts(d),
-        ]
-    charts += [
-        Chart(
-            "Off the joint: turn",
-            "°",
-            (Curve("moving part", GAP, np.degrees(motion.gap_angle)),),
-            "Angle between the moving part's measured pose and where the reference part and the joint put it.",
+            (*_both(1000 * d.residual_m), by_joint),
+            "RMS distance of each part's points from its surface in other frames. Where the dashed line is higher than "
+            "the moving part's own, the joint does not explain the measurement.",
         ),
         Chart(
-            "Off the joint: shift",
-            "mm",
-            (Curve("moving part", GAP, mm * motion.gap_distance),),
-            "Distance between the moving part's measured middle and where the reference part and the joint put it.",
+            "Inliers",
+            "%",
+            _both(100 * d.inliers),
+            f"Share of each part's points within {1000 * d.gate_m:.1f} mm of its surface in other frames.",
+            100.0,
         ),
-        Chart("Turn a frame", "°", _both(np.degrees(motion.step_angle)), "Rotation of each part since the last frame."),
-        Chart("Shift a frame", "mm", _both(mm * motion.step_distance), "Way of each part's middle since then."),
-        Chart("Pixels", "thousands", _both(_pixels(result) / 1000), "Pixels of each part in the picture."),
+        Chart(
+            "Outside the mask",
+            "%",
+            _both(100 * d.outside),
+            "Share of each part's points outside the foreground mask of other frames.",
+            5.0,
+        ),
+        Chart("Label confidence", "%", _both(100 * d.confidence), "Mean probability of the part labels.", 100.0),
     ]
-    note = "Grey: frames in which a part was not seen. Nothing here knows the truth."
-    if diagnostics is None:
-        note += " The method wrote no diagnostics: residuals and confidence are not known."
-    elif diagnostics.extent_ratio is not None and diagnostics.seen_share is not None:
-        extents, shares = diagnostics.extent_ratio, percent * diagnostics.seen_share
-        note += (
-            f" Surfaces of reference and moving part extend over {extents[0]:.2g} and {extents[1]:.2g} times what "
-            f"their pixels span; {shares[0]:.0f} and {shares[1]:.0f} % of them were seen where they are."
-        )
-    return curves_section("Frame by frame", tuple(charts), abscissa, timed, unseen, note)
-
-
-def _surface_charts(d: Diagnostics) -> list[Chart]:
-    """What the surfaces, posed by joint and states, look like beside the video, as far as that was measured."""
-    shares = (
-        ("On no surface", d.uncovered, "Share of each part's pixels on which neither surface lies.", 5.0),
-        ("Surface off the mask", d.spilled, "Share of each part's drawn surface off the object's mask.", 5.0),
-        ("Off the surface", d.off_surface, "Share of each part's pixels whose depth lies off its surface.", 5.0),
+    surfaces = (
+        (
+            "Pixels without surface",
+            d.uncovered,
+            "Share of each part's pixels covered by neither rendered surface.",
+            5.0,
+        ),
+        ("Surface outside the mask", d.spilled, "Share of each part's rendered surface outside the object mask.", 5.0),
+        ("Depth off the surface", d.off_surface, "Share of each part's pixels with a depth off its surface.", 5.0),
     )
-    charts = [Chart(title, "%", _both(100 * v), text, top) for title, v, text, top in shares if v is not None]
+    charts += [Chart(title, "%", _both(100 * v), text, top) for title, v, text, top in surfaces if v is not None]
     if d.colour_residual is not None:
-        about = "Median distance of the surface's colours to the picture's, CIELAB, lightness damped."
-        charts.append(Chart("Colours", "CIELAB", _both(d.colour_residual), about))
+        about = "Median colour difference of rendered surface and image, CIELAB, lightness damped."
+        charts.append(Chart("Colour residual", "CIELAB", _both(d.colour_residual), about))
     return charts
 
 
-def remarks_section(result: Reconstruction, diagnostics: Diagnostics | None) -> Section:
-    """The remarks as a list; a click on the frames shows them."""
-    found = remarks(result, diagnostics)
+def warnings_section(result: Reconstruction, diagnostics: Diagnostics | None) -> Section:
+    """The warnings as a list; a click on the frames shows them."""
+    found = warnings(result, diagnostics)
     lines = []
-    for remark in found[:MOST_REMARKS]:
-        go = "" if remark.frames is None else f'<button type="button" data-frame="{_middle_of(remark)}">'
-        where = f"{go}{remark.where.capitalize()}</button>: " if go else ""
-        text = remark.text if go else remark.text[:1].upper() + remark.text[1:]
-        lines.append(f"<li>{where}{escape(text)}.</li>")
-    if len(found) > MOST_REMARKS:
-        lines.append(f"<li>And {len(found) - MOST_REMARKS} more of the same kinds.</li>")
+    for warning in found[:MAX_WARNINGS]:
+        text = escape(warning.text)
+        if warning.frames is None:
+            lines.append(f"<li>{text[:1].upper()}{text[1:]}.</li>")
+        else:
+            button = (
+                f'<button type="button" data-frame="{sum(warning.frames) // 2}">{warning.where.capitalize()}</button>'
+            )
+            lines.append(f"<li>{button}: {text}.</li>")
+    if len(found) > MAX_WARNINGS:
+        lines.append(f"<li>{len(found) - MAX_WARNINGS} more.</li>")
     if not found:
-        lines = ["<li class=fine>Nothing stands out.</li>"]
-    return Section(
-        "What to distrust", f'<ul class="remarks">{"".join(lines)}</ul>', "remarks", {"n": len(found)}, "right"
-    )
+        lines = ["<li class=fine>No warnings.</li>"]
+    return Section("Warnings", f'<ul class="remarks">{"".join(lines)}</ul>', "remarks", {"n": len(found)}, "right")
 
 
-def remarks(result: Reconstruction, diagnostics: Diagnostics | None = None) -> list[Remark]:
-    """What to distrust, in plain words: the reasons to doubt the whole answer, then frame by frame.
-
-    Those of the answer itself (`trust`) when it gives any. Of frames only what matters at the object's size.
-    """
+def warnings(result: Reconstruction, diagnostics: Diagnostics | None = None) -> list[Finding]:
+    """Reasons to doubt the result: of the whole (its own `trust`, else judged here), then frame by frame."""
     motion = motion_of(result)
     trust = result.trust or judge(result, diagnostics)
-    found = [*map(Remark, trust.reasons), *_unseen(result)]
-    unit, factor = display_unit(result.articulation.joint.type)
-    size = size_of(result)
-    for k, part in enumerate(("reference", "moving")):
+    size, joint_type = size_of(result), result.articulation.joint.type
+    unit, factor = display_unit(joint_type)
+    found = [*map(Finding, trust.reasons), *_unseen(result)]
+    for k, part in enumerate(PARTS):
         if diagnostics is not None:
             d = diagnostics
-            finest = max(0.5 * d.footprint_m, d.noise_m, MATTERS * size)
+            finest = max(0.5 * d.footprint_m, d.noise_m, MIN_LENGTH * size)
             found += _high(d.residual_m[:, k], finest, 1000, "mm", f"the residual of the {part} part is")
-            found += _low_shares(
-                d.inliers[:, k], 0.6, f"only {{:.0f}} % of the {part} part's points meet its surface in other frames"
+            found += _low(d.inliers[:, k], MIN_INLIERS, f"only {{:.0f}} % of the {part} part's points are inliers")
+            found += _low(
+                d.confidence[:, k], MIN_CONFIDENCE, f"the mean label confidence of the {part} part is {{:.0f}} %"
             )
-            found += _low_shares(
-                d.confidence[:, k], 0.75, f"the {part} part's labels are only {{:.0f}} % sure on average"
-            )
-            found += _high(
-                d.outside[:, k], 0.05, 100, "%", f"the {part} part's points off the mask in other frames are"
-            )
+            found += _high(d.outside[:, k], MAX_OUTSIDE, 100, "%", f"points of the {part} part outside the mask:")
         found += _jumps(np.degrees(motion.step_angle[:, k]), 3.0, "°", f"the {part} part turns by")
-        found += _jumps(1000 * motion.step_distance[:, k], 20 * size, "mm", f"the {part} part shifts by")
+        found += _jumps(1000 * motion.step_distance[:, k], 20 * size, "mm", f"the {part} part moves by")
     found += _off_the_joint(motion, size)
     if result.state_std is not None:
-        least = np.radians(1.0) if result.articulation.joint.type == "revolute" else MATTERS * size
+        least = np.radians(1.0) if joint_type == "revolute" else MIN_LENGTH * size
         found += _high(result.state_std, least, factor, unit, "the standard deviation of the state is")
-    whole, some = [r for r in found if r.frames is None], [r for r in found if r.frames is not None]
-    return whole + sorted(some, key=lambda r: r.frames or (0, 0))
+    whole = [w for w in found if w.frames is None]
+    return whole + sorted((w for w in found if w.frames is not None), key=lambda w: w.frames or (0, 0))
 
 
-# ---------------------------------------------------------------- what is worth a remark
+# ---------------------------------------------------------------- kinds of warnings
 
 
-def _unseen(result: Reconstruction) -> list[Remark]:
+def _unseen(result: Reconstruction) -> list[Finding]:
     found, last = [], len(result) - 1
-    for run in runs(~result.seen[:, 1]):
-        inside = run[0] > 0 and run[-1] < last
-        then = "states there are interpolated" if inside else "states there are not measured"
-        found.append(Remark(f"the moving part was not seen; {then}", _ends(run)))
-    for run in runs(~result.seen[:, 0]):
-        found.append(Remark("the reference part was not seen; its poses there are guessed", _ends(run)))
+    for run in true_runs(~result.seen[:, 1]):
+        how = "interpolated" if run[0] > 0 and run[-1] < last else "not measured"
+        found.append(Finding(f"the moving part was not seen; its states are {how}", _ends(run)))
+    for run in true_runs(~result.seen[:, 0]):
+        found.append(Finding("the reference part was not seen; its poses are guessed", _ends(run)))
     return found
 
 
-def _high(values: Array, floor: float, factor: float, unit: str, what: str) -> list[Remark]:
-    """A remark a run of frames with values beyond SPIKE medians and `floor`."""
+def _high(values: Array, least: float, factor: float, unit: str, what: str) -> list[Finding]:
+    """A warning for every run of frames with values beyond OUTLIER medians and `least`."""
     known = values[np.isfinite(values)]
     if not len(known):
         return []
-    median = float(np.median(known))
+    middle = float(np.median(known))
     found = []
-    for run in _near_runs(np.nan_to_num(values) > max(SPIKE * median, floor)):
+    for run in true_runs(np.nan_to_num(values) > max(OUTLIER * middle, least), BRIDGE):
         most = float(np.nanmax(values[run]))
-        times = f", {most / median:.0f} times the median" if median > 0 and most < 1000 * median else ""
+        times = f", {most / middle:.0f} times the median" if middle > 0 and most < 1000 * middle else ""
         upto = "up to " if len(run) > 1 else ""
-        found.append(Remark(f"{what} {upto}{factor * most:.3g}{_spaced(unit)}{times}", _ends(run)))
+        found.append(Finding(f"{what} {upto}{factor * most:.3g}{_spaced(unit)}{times}", _ends(run)))
     return found
 
 
-def _off_the_joint(motion: Motion, size: float) -> list[Remark]:
-    """A remark a run of frames whose angle or distance off the joint is far beyond the median and one half percent."""
+def _off_the_joint(motion: Motion, size: float) -> list[Finding]:
+    """A warning for every run of frames with a measured pose far from the joint's, by angle or distance."""
     angle, distance = np.nan_to_num(motion.gap_angle), np.nan_to_num(motion.gap_distance)
-    usual = median(motion.gap_angle), median(motion.gap_distance)
-    far = (angle > max(SPIKE * usual[0], np.radians(1.0))) | (distance > max(SPIKE * usual[1], MATTERS * size))
+    medians = median(motion.gap_angle), median(motion.gap_distance)
+    far = angle > max(OUTLIER * medians[0], np.radians(1.0))
+    far |= distance > max(OUTLIER * medians[1], MIN_LENGTH * size)
     return [
-        Remark(
-            f"the moving part's measured pose lies off the joint by {'up to ' * (len(run) > 1)}"
+        Finding(
+            f"the moving part's measured pose deviates from the joint by {'up to ' * (len(run) > 1)}"
             f"{np.degrees(angle[run].max()):.3g}° and {1000 * distance[run].max():.3g} mm; the medians are "
-            f"{np.degrees(usual[0]):.2g}° and {1000 * usual[1]:.2g} mm",
+            f"{np.degrees(medians[0]):.2g}° and {1000 * medians[1]:.2g} mm",
             _ends(run),
         )
-        for run in _near_runs(far)
+        for run in true_runs(far, BRIDGE)
     ]
 
 
-def _low_shares(values: Array, least: float, what: str) -> list[Remark]:
-    """A remark a run of frames with shares below `least`; `what` has a place for the lowest, percent."""
-    found = []
-    for run in _near_runs(np.nan_to_num(values, nan=1.0) < least):
-        low = float(np.nanmin(values[run]))
-        found.append(Remark(what.format(100 * low), _ends(run)))
-    return found
+def _low(values: Array, least: float, what: str) -> list[Finding]:
+    """A warning for every run of frames with shares below `least`; `what` has a place for the lowest, percent."""
+    runs = true_runs(np.nan_to_num(values, nan=1.0) < least, BRIDGE)
+    return [Finding(what.format(100 * float(np.nanmin(values[run]))), _ends(run)) for run in runs]
 
 
-def _jumps(values: Array, floor: float, unit: str, what: str) -> list[Remark]:
-    """A remark a frame whose step, far larger than those around it and than `floor`, is `outstanding`."""
+def _jumps(values: Array, least: float, unit: str, what: str) -> list[Finding]:
+    """A warning for every frame with a step far larger than its neighbours' and than `least`."""
     return [
-        Remark(f"{what} {values[i]:.3g}{_spaced(unit)} in one frame, far more than before and after", (i, i))
-        for i in map(int, outstanding(values, floor, JUMP))
+        Finding(f"{what} {values[i]:.3g}{_spaced(unit)} in one frame, far more than in its neighbours", (i, i))
+        for i in map(int, outstanding(values, least, JUMP))
     ]
-
-
-def _near_runs(flags: NDArray[np.bool_], bridge: int = 3) -> list[NDArray[np.int64]]:
-    """Runs of True, joined over up to `bridge` - 1 frames of False."""
-    index = np.flatnonzero(flags)
-    pieces = np.split(index, np.flatnonzero(np.diff(index) > bridge) + 1) if len(index) else []
-    return [np.arange(piece[0], piece[-1] + 1) for piece in pieces]
 
 
 def _ends(run: NDArray[np.int64]) -> tuple[int, int]:
     return int(run[0]), int(run[-1])
-
-
-def _middle_of(remark: Remark) -> int:
-    assert remark.frames is not None
-    return sum(remark.frames) // 2
 
 
 def _both(values: Array) -> tuple[Curve, ...]:

@@ -1,4 +1,4 @@
-"""The HTML document: sections side by side, with style, scripts and data inside."""
+"""The HTML document of every page: a self-contained file, or one page of a site whose style and scripts are files."""
 
 from __future__ import annotations
 
@@ -18,12 +18,20 @@ from numpy.typing import ArrayLike, NDArray
 from freeart21 import __version__
 
 SCRIPTS = (
-    *("base.js", "kinematics.js", "video.js", "plot.js", "curves.js", "splats.js", "scene.js", "table.js", "start.js"),
+    *("base.js", "kinematics.js", "player.js", "video.js", "plots.js", "splats.js", "scene.js", "table.js", "start.js"),
 )
 """Files of `static/`, in the order in which they run."""
 
+SITE_POLICY = (
+    "default-src 'none'; img-src 'self' file: data:; script-src 'self' file:; style-src 'self' file:; "
+    "base-uri 'none'; form-action 'none'"
+)
+"""Content security policy of a site's pages: own files only, nothing inline. Some browsers give a page opened from disk
+no origin, hence 'file:'."""
+
 REFERENCE, MOVING, TRUTH = "#0072B2", "#E69F00", "#009E73"
-"""Colours of the two parts and of the truth: blue, orange and green of Okabe and Ito (2008), safe for all eyes."""
+"""Colours of the two parts and of the ground truth: blue, orange and green of Okabe and Ito (2008), safe for all
+eyes."""
 
 _DTYPES = {"f32": "<f4", "u32": "<u4", "u16": "<u2", "u8": "u1"}
 
@@ -34,13 +42,32 @@ class Section:
 
     title: str
     html: str
-    """What stands in the box, already escaped."""
-    kind: Literal["video", "scene", "plot", "curves", "remarks", "table", "still"] = "still"
-    """Which script brings it to life."""
+    """Content, already escaped."""
+    kind: Literal["video", "overlays", "scene", "curves", "remarks", "ranking", "still"] = "still"
+    """Which script handles it; 'still' for none."""
     data: dict[str, Any] = field(default_factory=dict)
-    """What that script reads: plain values, and arrays by `embed_array`."""
+    """Input of that script: plain values, and arrays by `embed_array`."""
     place: Literal["left", "right", "full", "small"] = "small"
-    """In one of the two columns on top, or below them over the whole width or side by side with others."""
+    """Left or right column at the top, or below them at full width, or below them beside others."""
+    note: str = ""
+    """A sentence under the content; escaped here."""
+    id: str = ""
+    """Target of links."""
+
+
+@dataclass(frozen=True)
+class Site:
+    """What a page of a site has around its content."""
+
+    title: str
+    menu: Sequence[tuple[str, str]]
+    """Address, from the site's root, and text of every entry."""
+    here: str = ""
+    """Address of this page, when it has an entry in the menu."""
+    root: str = ""
+    """'../' on a page in a folder."""
+    data: Sequence[str] = ()
+    """Addresses, from the page, of scripts with its data."""
 
 
 def escape(text: object) -> str:
@@ -49,7 +76,7 @@ def escape(text: object) -> str:
 
 
 def embed_json(data: Any) -> str:
-    """`data` as JSON that can stand inside a `<script>` element: it holds no '<', '>' or '&'; inf and NaN are null."""
+    """`data` as JSON that is safe inside a `<script>` element: no '<', '>' or '&'; infinities and NaN become null."""
     text = json.dumps(_finite(data), allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
@@ -61,7 +88,7 @@ def embed_array(array: ArrayLike, dtype: Literal["f32", "u32", "u16", "u8"]) -> 
 
 
 def embed_points(points: ArrayLike) -> dict[str, Any]:
-    """Points (n, d) as `embed_array` has them, in half the bytes: to 1/65535 of the box around all."""
+    """Points (n, d) as 16-bit integers over their bounding box: `embed_array` with the box's corner and step."""
     points = np.asarray(points, float)
     low, high = (points.min(0), points.max(0)) if len(points) else np.zeros((2, points.shape[1]))
     steps = (high - low) / 65535
@@ -69,7 +96,7 @@ def embed_points(points: ArrayLike) -> dict[str, Any]:
 
 
 def extract_array(data: dict[str, Any]) -> NDArray[Any]:
-    """The array that `embed_array` or `embed_points` put away."""
+    """The array behind the output of `embed_array` or `embed_points`."""
     array = np.frombuffer(base64.b64decode(data["base64"]), _DTYPES[data["dtype"]]).reshape(data["shape"])
     return data["low"] + array * np.asarray(data["steps"]) if "low" in data else array
 
@@ -79,51 +106,105 @@ def data_url(mime: str, content: bytes) -> str:
     return f"data:{mime};base64,{base64.b64encode(content).decode('ascii')}"
 
 
-def document(
-    title: str, sections: Sequence[Section], kind: str = "", chips: Iterable[str] = (), notices: Iterable[str] = ()
-) -> str:
-    """The whole page.
+def static_text(*names: str, package: str = "freeart21.view") -> str:
+    """The texts of files in a package's `static/`, one after the other."""
+    return "".join(resources.files(package).joinpath("static", name).read_text("utf-8") for name in names)
 
-    `kind` is a small word over the title ('result'), `chips` are short facts under it, `notices` are warnings shown
-    above all sections. All texts but `Section.html` are escaped here.
+
+def document(
+    title: str,
+    sections: Sequence[Section],
+    kind: str = "",
+    chips: Iterable[str] = (),
+    notices: Iterable[str] = (),
+    lead: str = "",
+    icon: str = "",
+    site: Site | None = None,
+) -> str:
+    """The whole page; self-contained when it belongs to no `site`.
+
+    Args:
+        title: Heading and window title.
+        sections: Boxes of the page.
+        kind: Small word over the title, such as 'result'.
+        chips: Short facts under the title.
+        notices: Warnings above all sections.
+        lead: What else stands under the title, already escaped.
+        icon: A mark in front of the title, already escaped.
+        site: What the page has around its content when it is one of a site.
     """
-    script = "".join(_static(name) for name in SCRIPTS)
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
-    policy = f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
-    return "\n".join(
-        [
-            "<!DOCTYPE html>",
-            '<html lang="en">',
-            "<head>",
-            '<meta charset="utf-8">',
-            f'<meta http-equiv="Content-Security-Policy" content="{escape(policy)}">',
-            '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            '<meta name="color-scheme" content="light dark">',
-            f'<meta name="generator" content="freeart21 {__version__}">',  # by which `files.places` knows our pages
-            f"<title>{escape(title)} · FreeArt-21</title>",
-            '<link rel="icon" href="data:,">',
-            f"<style>{_static('page.css')}</style>",
-            "</head>",
-            "<body>",
-            "<header>",
-            f'<p class="kind">FreeArt-21{f" · {escape(kind)}" if kind else ""}</p>',
-            f"<h1>{escape(title)}</h1>",
-            '<ul class="chips">' + "".join(f"<li>{escape(chip)}</li>" for chip in chips) + "</ul>",
-            "</header>",
-            *(f'<p class="notice" role="note">{escape(notice)}</p>' for notice in notices),
-            "<noscript><p class='notice'>This page needs JavaScript for the video and the 3D view.</p></noscript>",
-            "<main>",
-            *_columns([section for section in sections if section.place in ("left", "right")]),
-            '<div class="below">',
-            *(_section(section) for section in sections if section.place in ("full", "small")),
-            "</div>",
-            "</main>",
-            f"<script>{script}</script>",
-            "</body>",
-            "</html>",
-            "",
-        ]
+    above = kind if site else f"FreeArt-21{f' · {kind}' if kind else ''}"
+    marks = "".join(f"<li>{escape(chip)}</li>" for chip in chips)
+    lines = [
+        *_head(title, site),
+        "<body>",
+        *(_navigation(site) if site else ()),
+        "<header>",
+        f'<p class="kind">{escape(above)}</p>' if above else "",
+        f"<h1>{icon}{escape(title)}</h1>",
+        f'<ul class="chips">{marks}</ul>' if marks else "",
+        f'<div class="lead">{lead}</div>' if lead else "",
+        "</header>",
+        *(f'<p class="notice" role="note">{escape(notice)}</p>' for notice in notices),
+        '<noscript><p class="notice">Video, 3D view and sorting need JavaScript; all numbers are here.</p></noscript>',
+        '<main id="main">',
+        *_columns([section for section in sections if section.place in ("left", "right")]),
+        '<div class="below">',
+        *(_section(section) for section in sections if section.place in ("full", "small")),
+        "</div>",
+        "</main>",
+        *(_footer(site) if site else (f"<script>{static_text(*SCRIPTS)}</script>",)),
+        "</body>",
+        "</html>",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _head(title: str, site: Site | None) -> list[str]:
+    if site is None:
+        digest = base64.b64encode(hashlib.sha256(static_text(*SCRIPTS).encode()).digest()).decode("ascii")
+        policy = f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
+        style = f"<style>{static_text('page.css')}</style>"
+    else:
+        policy, style = SITE_POLICY, f'<link rel="stylesheet" href="{site.root}static/site.css">'
+    of = "FreeArt-21" if site is None else site.title
+    return [
+        "<!DOCTYPE html>",
+        '<html lang="en">',
+        "<head>",
+        '<meta charset="utf-8">',
+        f'<meta http-equiv="Content-Security-Policy" content="{escape(policy)}">',
+        '<meta name="viewport" content="width=device-width, initial-scale=1">',
+        '<meta name="color-scheme" content="light dark">',
+        '<meta name="referrer" content="no-referrer">',
+        f'<meta name="generator" content="freeart21 {__version__}">',  # `files.places` recognises our pages by it
+        f"<title>{escape(title)}{f' · {escape(of)}' if of != title else ''}</title>",
+        '<link rel="icon" href="data:,">',
+        style,
+        "</head>",
+    ]
+
+
+def _navigation(site: Site) -> list[str]:
+    entries = "".join(
+        f'<li><a href="{site.root}{address}"{" aria-current=page" * (address == site.here)}>{escape(text)}</a></li>'
+        for address, text in site.menu
     )
+    return [
+        '<a class="skip" href="#main">Skip to the content</a>',
+        f'<nav class="top" aria-label="site"><a class="brand" href="{site.root}index.html">{escape(site.title)}</a>',
+        f"<ul>{entries}</ul></nav>",
+    ]
+
+
+def _footer(site: Site) -> list[str]:
+    return [
+        f"<footer><p>Made by <code>freeart21 site</code> {escape(__version__)}. Nothing is loaded from elsewhere.</p>",
+        "</footer>",
+        *(f'<script src="{escape(address)}"></script>' for address in site.data),
+        f'<script src="{site.root}static/site.js"></script>',
+    ]
 
 
 def _columns(sections: list[Section]) -> list[str]:
@@ -137,14 +218,13 @@ def _columns(sections: list[Section]) -> list[str]:
 
 def _section(section: Section) -> str:
     data = f'<script type="application/json">{embed_json(section.data)}</script>' if section.data else ""
+    target = f' id="{escape(section.id)}"' if section.id else ""
+    kind = f' data-kind="{section.kind}"' if section.kind != "still" else ""
+    note = f'<p class="note">{escape(section.note)}</p>' if section.note else ""
     return (
-        f'<section class="{section.place}" data-kind="{section.kind}"><h2>{escape(section.title)}</h2>'
-        f"{section.html}{data}</section>"
+        f'<section class="{section.place}"{target}{kind}><h2>{escape(section.title)}</h2>'
+        f"{section.html}{note}{data}</section>"
     )
-
-
-def _static(name: str) -> str:
-    return resources.files("freeart21.view").joinpath("static", name).read_text("utf-8")
 
 
 def _finite(value: Any) -> Any:

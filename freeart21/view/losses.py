@@ -1,4 +1,4 @@
-"""What formats and engines lose of an asset, as its page shows it: the tables of its LOSSES.md."""
+"""The tables of an asset's LOSSES.md: which properties formats and engines lose."""
 
 from __future__ import annotations
 
@@ -13,31 +13,28 @@ MAX_BYTES = 1 << 18
 
 
 def losses_sections(folder: Path) -> list[Section]:
-    """A section for every table of LOSSES.md, titled by the heading above it, and one of what else it says.
+    """A section for every table of LOSSES.md, with the heading above it as title, and one for all other paragraphs.
 
-    None when there is no such file. Raises FreeArtError when it is larger than 256 KiB.
+    Empty without the file. Raises FreeArtError when it is larger than 256 KiB.
     """
     if not (folder / FILE).is_file():
         return []
-    text = checked.read_text(folder / FILE, MAX_BYTES, errors="replace")
     title, sections, notes = "", [], []
-    for block in text.split("\n\n"):
+    for block in checked.read_text(folder / FILE, MAX_BYTES, errors="replace").split("\n\n"):
         lines = block.strip().splitlines()
         if block.startswith("#"):
-            title = _plain(lines[0].lstrip("# "))
+            title = _plain_text(lines[0].lstrip("# "))
         elif lines and all(line.startswith("|") for line in lines):
-            head, *rows = [
-                [_plain(cell) for cell in line.strip("|").split("|")] for line in lines if set(line) - set("|-: ")
-            ]
-            sections.append(table_section(f"What is lost: {title.lower()}", rows, head, "full"))
+            rows = [line.strip("|").split("|") for line in lines if set(line) - set("|-: ")]
+            head, *body = [[_plain_text(cell) for cell in row] for row in rows]
+            sections.append(table_section(f"What is lost: {title.lower()}", body, head, "full"))
         elif lines:
-            notes.append(_plain(" ".join(lines)))
+            notes.append(f"<p>{escape(_plain_text(' '.join(lines)))}</p>")
     if notes:
-        paragraphs = "".join(f"<p>{escape(note)}</p>" for note in notes)
-        sections.append(Section("What is lost: notes", paragraphs, place="full"))
+        sections.append(Section("What is lost: notes", "".join(notes), place="full"))
     return sections
 
 
-def _plain(text: str) -> str:
+def _plain_text(text: str) -> str:
     """A cell or paragraph of Markdown without its marks."""
     return text.strip().replace("**", "").replace("`", "")

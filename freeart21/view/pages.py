@@ -21,20 +21,29 @@ from freeart21.files.result import read_appearance, read_result
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
 from freeart21.files.urdf import MAX_URDF_BYTES
+from freeart21.gaussians import Gaussians
 from freeart21.reconstruction import Failure, Reconstruction, describe_trust
 from freeart21.recording import Recording
 from freeart21.se3 import Array
 from freeart21.truth import Truth
 from freeart21.view.asset_scene import asset_scene
-from freeart21.view.benchmark_page import benchmark_page
-from freeart21.view.diagnosis import diagnosis_section, remarks_section
+from freeart21.view.data_page import data_page
+from freeart21.view.diagnosis import diagnosis_section, warnings_section
 from freeart21.view.document import TRUTH, Section, document
-from freeart21.view.gaussian_page import gaussians_page
 from freeart21.view.link_shapes import read_shown
 from freeart21.view.losses import losses_sections
-from freeart21.view.parts import AXIS, align, articulation_scene, axis_in_pictures, matched, with_truth
-from freeart21.view.plot import StateSeries, plot_section
-from freeart21.view.scene import scene_section
+from freeart21.view.parts import (
+    AXIS,
+    align,
+    articulation_scene,
+    axis_in_images,
+    axis_place,
+    gaussians_scene,
+    matched,
+    with_truth,
+)
+from freeart21.view.plots import state_section
+from freeart21.view.scene import scene_section, without_outliers
 from freeart21.view.tables import (
     compared_rows,
     joint_rows,
@@ -50,9 +59,17 @@ from freeart21.view.tables import (
 from freeart21.view.video import AxisLine, PartMasks, VideoSettings, shown_frames, video_section
 
 ALIGNMENT_NOTE = (
-    "The truth is moved into the prediction's frame by the reference part's poses over all frames; one sign and the "
-    "median offset of its states are taken out."
+    "The ground truth is aligned with the estimate by the reference part's poses over all frames; the sign of the axis "
+    "and the median offset of the states are removed."
 )
+MARKERS = {
+    "sequence.json": "sequence",
+    "prediction.json": "result",
+    "truth.json": "truth",
+    "asset.json": "asset",
+    "benchmark.json": "data",
+}
+"""The file by which a folder is recognised, and what it then is."""
 
 
 def page(
@@ -67,50 +84,41 @@ def page(
 ) -> str:
     """One self-contained HTML page of a sequence, a result, a truth, an asset, a file of Gaussians or a data folder.
 
-    A result is shown with its asset (`asset`, else its own folder asset/), over the pictures of its `sequence` and
-    beside its `truth` when these folders are given; a sequence is shown with its truth. `scores` and their note are as
-    in `score_section`. What a URDF names is read inside `root` (`urdf_files.find_root`). Raises FreeArtError in one
-    line when `path` is none of these, or when what is given does not fit together.
+    Args:
+        path: What to show.
+        truth: Truth folder of a sequence or a result.
+        sequence: Sequence folder of a result or a truth, for its images.
+        scores: As for `score_section`.
+        asset: Asset of a result; its own folder asset/ when not given.
+        title: Heading; the folder's name when not given.
+        score_note: A sentence under the scores.
+        root: Folder that bounds what a URDF refers to.
+
+    Raises FreeArtError when `path` is none of these, or when the inputs do not fit together.
     """
     path = Path(path)
     kind = recognised(path)
-    name = title or _name(path.resolve())
+    name = title or _default_title(path.resolve())
     if kind == "data":
-        return benchmark_page(path, name)
+        return data_page(path, name)
     if kind == "gaussians":
         for what, other in (("truth", truth), ("sequence", sequence), ("asset", asset)):
             if other is not None:
                 raise FreeArtError(f"{path} is a file of Gaussians, shown without a {what} (given: {other})")
-        gaussians = read_gaussians(path, root=checked.ANYWHERE)
-        if not len(gaussians):
-            raise FreeArtError(f"{path} has no Gaussians, expected at least one")
-        return gaussians_page(name, gaussians)
-    true = read_truth(truth) if truth is not None and kind != "truth" else None
+        return _gaussians_page(name, path)
     extra = [score_section(scores, score_note, "small" if kind == "asset" else "right")] if scores else []
-    if kind == "sequence":
-        return _sequence_page(name, read_sequence(path), true, extra)
-    if kind == "truth":
-        return _sequence_page(name, read_sequence(sequence) if sequence is not None else None, read_truth(path), extra)
-    if kind == "result":
-        recording = read_sequence(sequence) if sequence is not None else None
-        answer = read_result(path, appearance=False)
-        if isinstance(answer, Failure):
-            return _failure_page(name, answer, true, recording, extra)
-        inside = path / "asset"
-        asset = asset or (inside if inside.is_dir() else None)
-        diagnostics, confidence, notices = None, None, []
-        try:
-            answer = replace(answer, appearance=read_appearance(path))
-        except FreeArtError as error:
-            notices = [f"The Gaussians cannot be shown: {error}"]
-        try:
-            diagnostics = read_diagnostics(path, len(answer))
-            confidence = _confidence(path, answer)
-        except FreeArtError as error:
-            notices.append(f"The diagnostics cannot be shown: {error}")
-        return _result_page(name, answer, true, recording, asset, diagnostics, confidence, extra, notices)
-    sections, chips, notices = _asset_sections(path, None, root)
-    return document(name, [*sections, *extra], "asset", chips, notices)
+    if kind == "asset":
+        sections, chips, notices = _asset_sections(path, None, root)
+        return document(name, [*sections, *extra], "asset", chips, notices)
+    truth, video = path if kind == "truth" else truth, path if kind == "sequence" else sequence
+    true = read_truth(truth) if truth is not None else None
+    recording = read_sequence(video) if video is not None else None
+    if kind in ("sequence", "truth"):
+        return _sequence_page(name, recording, true, extra)
+    answer = read_result(path, appearance=False)
+    if isinstance(answer, Failure):
+        return _failure_page(name, answer, true, recording, extra)
+    return _result_page(name, path, answer, true, recording, asset, extra)
 
 
 def write_page(
@@ -124,17 +132,14 @@ def write_page(
     score_note: str = "",
     root: Path | None = None,
 ) -> None:
-    """Write `page(...)` to the file `out`, whole or not at all; FreeArtError unless only an older page stands there."""
+    """Write `page(...)` to the file `out`, completely or not at all; FreeArtError if another file is there."""
     inputs = [given for given in (path, truth, sequence, asset) if given is not None]
     check_place(out, PAGE, inputs)
     atomic.write_bytes(Path(out), page(path, truth, sequence, scores, asset, title, score_note, root).encode())
 
 
 def recognised(path: Path) -> str:
-    """'sequence', 'result', 'truth', 'asset', 'data' or 'gaussians'.
-
-    FreeArtError says what was looked for and what is there.
-    """
+    """'sequence', 'result', 'truth', 'asset', 'data' or 'gaussians'; FreeArtError names what was expected and found."""
     if not path.exists():
         raise FreeArtError(f"{path} does not exist")
     if not path.is_dir():
@@ -146,13 +151,7 @@ def recognised(path: Path) -> str:
             f"{path} is a file, expected a URDF, a PLY of Gaussians, or the folder of a sequence, a result, a truth, "
             "an asset or a data set"
         )
-    for name, kind in (
-        ("sequence.json", "sequence"),
-        ("prediction.json", "result"),
-        ("truth.json", "truth"),
-        ("asset.json", "asset"),
-        ("benchmark.json", "data"),
-    ):
+    for name, kind in MARKERS.items():
         if checked.is_there(path / name):
             return kind
     if list(path.glob("*.urdf")):
@@ -165,20 +164,41 @@ def recognised(path: Path) -> str:
     inner = sorted(str(p.parent.relative_to(path)) for pattern in patterns for p in path.glob(pattern))
     hint = f"; what can be shown in it: {', '.join(inner[:8])}{' ...' * (len(inner) > 8)}" if inner else ""
     raise FreeArtError(
-        f"{path} is nothing to show: looked for sequence.json, prediction.json, truth.json, asset.json, "
-        f"benchmark.json or a .urdf file, found {there}{hint}"
+        f"{path} is nothing to show: looked for {', '.join(MARKERS)} or a .urdf file, found {there}{hint}"
     )
 
 
-def _name(path: Path) -> str:
-    """What a page is called after: a folder; of asset/ and gaussians.ply the one they stand in; a file's stem."""
+def _default_title(path: Path) -> str:
+    """A folder's name, or a file's stem; of asset/ and gaussians.ply the name of the folder around them."""
     if path.is_file() and path.name != GAUSSIANS:
         return path.stem
     return path.parent.name if path.name in ("asset", GAUSSIANS) else path.name
 
 
+def _gaussians_page(name: str, path: Path) -> str:
+    gaussians = read_gaussians(path, root=checked.ANYWHERE)
+    n, moving = len(gaussians), int((gaussians.part_weights < 0.5).sum())
+    if not n:
+        raise FreeArtError(f"{path} has no Gaussians, expected at least one")
+    rows = [("Gaussians", f"{n:,}"), ("Extent, units of the file", _extent_text(gaussians))]
+    if (gaussians.part_weights < 1).any():
+        rows += [("Of the reference part", f"{n - moving:,}"), ("Of the moving part", f"{moving:,}")]
+        rows.append(("Joint", "not in this file: parts are at state zero; the page of a result has a slider"))
+    light = "no shading"
+    if gaussians.light is not None:
+        light = f"fixed to the camera, here the viewer ({len(gaussians.light)} spherical harmonics)"
+    facts = table_section("Gaussians", [*rows, ("Light", light)])
+    return document(
+        name, [scene_section(gaussians_scene(gaussians), "3D view", "full"), facts], "Gaussians", [f"{n:,} Gaussians"]
+    )
+
+
+def _extent_text(gaussians: Gaussians) -> str:
+    return " x ".join(f"{x:.3g}" for x in np.ptp(without_outliers(gaussians.means), 0))
+
+
 def _sequence_page(name: str, recording: Recording | None, true: Truth | None, extra: list[Section]) -> str:
-    """The page of a sequence, of a truth, or of both together."""
+    """The page of a sequence, of a truth, or of both."""
     _check_lengths(recording=recording, truth=true)
     chips = _recording_chips(recording)
     sections = []
@@ -187,62 +207,61 @@ def _sequence_page(name: str, recording: Recording | None, true: Truth | None, e
     else:
         joint, states = true.articulation.joint, true.states
         camera = recording.camera if recording is not None else None
+        scene = articulation_scene(true.articulation, states, true.Ts_camera_reference, camera)
         sections += [
             video_section(recording, truth=true.part_mask, n=len(true), states=states, joint_type=joint.type),
-            scene_section(
-                articulation_scene(true.articulation, states, true.Ts_camera_reference, camera), "True parts and joint"
-            ),
-            plot_section(StateSeries(joint.type, *_abscissa(recording, len(true)), truth=states)),
+            scene_section(scene, "True parts and joint"),
+            state_section(joint.type, *_abscissa(recording, len(true)), truth=states),
             table_section("True joint", joint_rows(joint, states), place="right"),
             table_section("Source", source_rows(true.source)),
         ]
         chips.append(f"{joint.type} joint")
     if recording is not None:
-        place: Literal["right", "small"] = "small" if true is not None else "right"
-        sections.append(table_section("Recording", recording_rows(recording), place=place))
+        rows = recording_rows(recording)
+        sections.append(table_section("Recording", rows, place="small" if true is not None else "right"))
     return document(name, [*sections, *extra], "sequence" if recording is not None else "truth", chips)
 
 
 def _result_page(
     name: str,
+    path: Path,
     result: Reconstruction,
     true: Truth | None,
     recording: Recording | None,
     asset: Path | None,
-    diagnostics: Diagnostics | None,
-    confidence: PartMasks | None,
     extra: list[Section],
-    notices: list[str],
 ) -> str:
-    """The page of a reconstruction, with whatever belongs to it."""
+    """The page of a reconstruction, with its diagnostics and asset."""
+    result, diagnostics, confidence, notices = _read_extras(path, result)
     _check_lengths(recording=recording, truth=true, result=result)
     if true is not None:
         given, result = result, matched(result, true)
         if diagnostics is not None and result is not given:
             diagnostics = diagnostics.exchanged()
-    Ts = result.Ts_camera_reference
-    joint, states, masks = result.articulation.joint, result.states, result.part_masks
+    Ts, parts, states = result.Ts_camera_reference, result.articulation, result.states
+    joint, masks = parts.joint, result.part_masks
     camera = recording.camera if recording is not None else None
-    scene = articulation_scene(result.articulation, states, Ts, camera, result.appearance)
+    abscissa, timed = _abscissa(recording, len(result))
+    scene = articulation_scene(parts, states, Ts, camera, result.appearance)
     axes = []
     if camera is not None:
-        axes.append(AxisLine("found", AXIS, axis_in_pictures(result.articulation, states, Ts, camera)))
-    series = StateSeries(joint.type, *_abscissa(recording, len(result)), states, result.state_std, result.seen[:, 1])
-    place: Literal["left", "right"] = "left" if extra else "right"
-    facts = table_section("Joint", joint_rows(joint, states), place=place)
+        axes.append(AxisLine("estimate", AXIS, axis_in_images(joint, *axis_place(parts, states), Ts, camera)))
+    true_states: Array | None = None
+    side: Literal["left", "right"] = "left" if extra else "right"
+    facts = table_section("Joint", joint_rows(joint, states), (), side)
     if true is not None:
         alignment = align(result, true)
         scene = with_truth(scene, true, alignment)
-        if alignment.comparable:
-            series = replace(series, truth=alignment.states(true))
+        aligned, aligned_states = alignment.joint(true), alignment.states(true)
+        true_states = aligned_states if alignment.comparable else None
         if camera is not None:
-            lines = axis_in_pictures(true.articulation, true.states, true.Ts_camera_reference, camera)
+            own, place = true.articulation.joint, axis_place(true.articulation, true.states)
+            lines = axis_in_images(own, *place, true.Ts_camera_reference, camera)
             axes.append(AxisLine("truth", TRUTH, lines if alignment.sign > 0 else lines[:, ::-1]))
-        true_axis = alignment.joint(true).axis
-        angle = np.degrees(np.arctan2(np.linalg.norm(np.cross(joint.axis, true_axis)), abs(joint.axis @ true_axis)))
-        apart = f"The axes are {angle:.2f}° apart."
-        rows = compared_rows(joint, states, alignment.joint(true), alignment.states(true))
-        facts = table_section("Joint", rows, ("", "found", "true"), place, f"{ALIGNMENT_NOTE} {apart}")
+        angle = np.arctan2(np.linalg.norm(np.cross(joint.axis, aligned.axis)), abs(joint.axis @ aligned.axis))
+        note = f"{ALIGNMENT_NOTE} Angle between the axes: {np.degrees(angle):.2f}°."
+        rows = compared_rows(joint, states, aligned, aligned_states)
+        facts = table_section("Joint", rows, ("", "estimate", "ground truth"), side, note)
     sections = [
         video_section(
             recording,
@@ -255,39 +274,52 @@ def _result_page(
             confidence=confidence,
         ),
         scene_section(scene, "Parts and joint"),
-        plot_section(series),
-        remarks_section(result, diagnostics),
+        state_section(joint.type, abscissa, timed, states, result.state_std, result.seen[:, 1], true_states),
+        warnings_section(result, diagnostics),
         *extra,
         facts,
-        diagnosis_section(result, diagnostics, series.frames_or_times, series.timed),
+        diagnosis_section(result, diagnostics, abscissa, timed),
     ]
     if result.seconds:
         sections.append(seconds_section(result.seconds, diagnostics.peak_bytes if diagnostics else None))
     if recording is not None:
         sections.append(table_section("Recording", recording_rows(recording)))
+    inside = path / "asset"
+    asset = asset or (inside if inside.is_dir() else None)
     if asset is not None:
         try:
-            more, _, told = _asset_sections(asset, Ts[0])
-            sections, notices = sections + more, [*notices, *told]
+            more, _, warnings = _asset_sections(asset, Ts[0])
+            sections, notices = sections + more, [*notices, *warnings]
         except FreeArtError as error:
-            notices = [*notices, f"The asset cannot be shown: {error}"]
+            notices.append(f"The asset cannot be shown: {error}")
     moved = limits_text(joint.type, float(states.min()), float(states.max()))
     return document(name, sections, "result", [f"{joint.type} joint", moved, *_recording_chips(recording)], notices)
 
 
-def _confidence(path: Path, result: Reconstruction) -> PartMasks | None:
-    """The maps of a result folder, all there and of the right size, or None when it has none; raises FreeArtError."""
-    if not confidence_file(path, 0).exists():
-        return None
-    height, width = result.part_masks.shape[1:]
-    shown = shown_frames(len(result), VideoSettings().max_frames).tolist()
-    return {i: read_confidence(path, i, (height, width)) for i in shown}.__getitem__
+def _read_extras(
+    path: Path, result: Reconstruction
+) -> tuple[Reconstruction, Diagnostics | None, PartMasks | None, list[str]]:
+    """The result with its Gaussians, its diagnostics and confidence maps, and notices of what cannot be read."""
+    diagnostics, confidence, notices = None, None, []
+    try:
+        result = replace(result, appearance=read_appearance(path))
+    except FreeArtError as error:
+        notices.append(f"The Gaussians cannot be shown: {error}")
+    try:
+        diagnostics = read_diagnostics(path, len(result))
+        if confidence_file(path, 0).exists():
+            height, width = result.part_masks.shape[1:]
+            frames = shown_frames(len(result), VideoSettings().max_frames).tolist()
+            confidence = {i: read_confidence(path, i, (height, width)) for i in frames}.__getitem__
+    except FreeArtError as error:
+        notices.append(f"The diagnostics cannot be shown: {error}")
+    return result, diagnostics, confidence, notices
 
 
 def _failure_page(
     name: str, failure: Failure, true: Truth | None, recording: Recording | None, extra: list[Section]
 ) -> str:
-    """The page of a failure: where the method gave up, and on what video."""
+    """The page of a failure: its stage and reason, and the video."""
     _check_lengths(recording=recording, truth=true)
     sections = []
     if recording is not None:
@@ -295,7 +327,7 @@ def _failure_page(
     sections += [table_section("No reconstruction", [("Stage", failure.stage), ("Reason", failure.reason)]), *extra]
     if failure.seconds:
         sections.append(seconds_section(failure.seconds))
-    notice = f"The method gave up in the stage '{failure.stage}': {failure.reason}"
+    notice = f"The method failed in the stage '{failure.stage}': {failure.reason}"
     return document(name, sections, "result", ["failed", *_recording_chips(recording)], [notice])
 
 
@@ -314,8 +346,8 @@ def _asset_sections(
     effects = asset.effects if asset is not None else read_effects(urdf)
     missing, notices = shown.missing, []
     if missing:
-        some = ", ".join(missing[:5]) + " ..." * (len(missing) > 5)
-        notices = [f"{len(missing)} mesh files that {urdf.name} names are missing: {some}"]
+        names = ", ".join(missing[:5]) + " ..." * (len(missing) > 5)
+        notices = [f"{len(missing)} mesh files that {urdf.name} names are missing: {names}"]
     if asset is not None and asset.trust is not None and asset.trust.verdict == "doubtful":
         notices.append(f"The reconstruction that the asset was made of is {describe_trust(asset.trust)}")
     movable = [joint for joint in model.joints.values() if joint.joint_type]
@@ -334,7 +366,7 @@ def _asset_sections(
     ]
     if asset is not None and asset.source:
         rows = [("trust", describe_trust(asset.trust)), *source_rows(asset.source)]
-        sections.append(table_section("Where the asset came from", rows))
+        sections.append(table_section("Source of the asset", rows))
     if path.is_dir():
         sections += losses_sections(path)
     return sections, chips, notices
@@ -353,14 +385,11 @@ def _one_urdf(path: Path) -> Path:
 def _check_lengths(
     recording: Recording | None = None, truth: Truth | None = None, result: Reconstruction | None = None
 ) -> None:
-    lengths = {
-        name: len(what)
-        for name, what in (("sequence", recording), ("truth", truth), ("result", result))
-        if what is not None
-    }
+    given = {"sequence": recording, "truth": truth, "result": result}
+    lengths = {name: len(what) for name, what in given.items() if what is not None}
     if len(set(lengths.values())) > 1:
-        told = ", ".join(f"the {name} has {n} frames" for name, n in lengths.items())
-        raise FreeArtError(f"these do not belong together: {told}")
+        texts = ", ".join(f"the {name} has {n} frames" for name, n in lengths.items())
+        raise FreeArtError(f"these do not belong together: {texts}")
     if truth is not None and result is not None and truth.part_mask(0).shape != result.part_masks.shape[1:]:
         raise FreeArtError(
             f"the part masks of the result are {result.part_masks.shape[1:]}, those of the truth "
@@ -369,6 +398,7 @@ def _check_lengths(
 
 
 def _abscissa(recording: Recording | None, n: int) -> tuple[np.ndarray, bool]:
+    """Times, s, or frame numbers (n,), and whether they are times."""
     return (recording.times_s, True) if recording is not None else (np.arange(n, dtype=float), False)
 
 

@@ -1,4 +1,4 @@
-"""The 3D view: a tree of links with sliders for its joints, and what is drawn on each link."""
+"""The 3D view: a tree of links with a slider for every joint, and the surfaces on each link."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MAX_TEXTURE_SIDE = 1024
 
 @dataclass(frozen=True)
 class Slider:
-    """One joint state that the reader of the page may set."""
+    """One joint state that can be set on the page."""
 
     name: str
     type: Literal["revolute", "prismatic"]
@@ -36,9 +36,9 @@ class Slider:
     upper: float
     """Right end, rad or m."""
     value: float
-    """Where it stands at first, rad or m."""
+    """At first, rad or m."""
     states: NDArray[np.float64] | None = None
-    """(n,) state in every frame of the video, which the slider can follow."""
+    """(n,) state in every frame of the video, for following the video."""
 
 
 @dataclass(frozen=True)
@@ -48,30 +48,30 @@ class Link:
     parent: int
     """Index of an earlier link, or -1 for the world."""
     T_parent_link: Array = field(default_factory=lambda: np.eye(4))
-    """(4, 4) where the link stands in its parent at state zero."""
+    """(4, 4) parent from link at state zero."""
     joint: Joint | None = None
-    """How it moves: it stands at `T_parent_link @ joint.transform(q)`, the axis in the link's own frame."""
+    """Its pose in the parent is `T_parent_link @ joint.transform(q)`: the axis is in the link's own frame."""
     slider: int = -1
-    """Which slider drives it: q = scale * slider + offset."""
+    """Index of its slider: q = scale * slider + offset."""
     scale: float = 1.0
     offset: float = 0.0
 
 
 @dataclass(frozen=True)
 class Layer:
-    """What the legend shows and hides with one click."""
+    """Surfaces that are shown and hidden together, by one entry of the legend."""
 
     name: str
     colour: str
-    """'#rrggbb', of its legend mark and of its surfaces unless these show their own."""
+    """'#rrggbb' of the legend mark, and of surfaces without colours of their own."""
     style: Literal["solid", "ghost", "axis"] = "solid"
-    """'ghost' is see-through; an 'axis' shines through what stands before it."""
+    """A 'ghost' is transparent; an 'axis' is visible through solid surfaces."""
     shown: bool = True
 
 
 @dataclass(frozen=True)
 class Surface:
-    """One mesh, drawn on a link."""
+    """One mesh on a link."""
 
     mesh: Mesh
     """In the link's frame, metres."""
@@ -84,7 +84,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class Scene:
-    """All that the 3D view shows."""
+    """The content of the 3D view."""
 
     links: tuple[Link, ...]
     sliders: tuple[Slider, ...]
@@ -93,17 +93,17 @@ class Scene:
     up: Array
     """(3,) up in the world of the scene."""
     towards_viewer: Array
-    """(3,) direction from the scene to the eye at first."""
+    """(3,) direction from the scene to the first viewpoint."""
     camera: Camera | None = None
-    """The recording camera, for looking through it."""
+    """The recording camera, as a second viewpoint."""
     Ts_camera_world: Array | None = None
-    """(n, 4, 4) the recording camera from the world of the scene, in every frame."""
+    """(n, 4, 4) recording camera from the world of the scene, in every frame."""
     splats: SplatLayers | None = None
-    """What two of the layers look like as Gaussians."""
+    """Gaussians in place of the surfaces of two layers."""
 
 
 def link_poses(links: Sequence[Link], values: Sequence[float]) -> list[Array]:
-    """(4, 4) world from link, for every link, when the sliders stand at `values`. The scripts do the same."""
+    """(4, 4) world from link of every link, with the sliders at `values`; `Kinematics.linkPoses` does the same."""
     poses: list[Array] = []
     for link in links:
         T = (poses[link.parent] if link.parent >= 0 else np.eye(4)) @ link.T_parent_link
@@ -115,26 +115,38 @@ def link_poses(links: Sequence[Link], values: Sequence[float]) -> list[Array]:
 
 
 def axis_mesh(joint: Joint, near: ArrayLike, size: float, length: float = 1.15) -> Mesh:
-    """An arrow along the axis, with a second one bent round it for a revolute joint: positive motion, at a glance.
+    """An arrow along the axis, and round it a bent one for a revolute joint: both show positive motion.
 
-    It stands at the axis point nearest to `near` (3,); `size` (m) is the diagonal of what it belongs to, of which the
-    arrow has `length`.
+    It is centred at the axis point nearest to `near` (3,), and `length` times `size` (m), the object's diagonal, long.
     """
-    centre = joint.pivot + joint.axis * (joint.axis @ (np.asarray(near) - joint.pivot))
-    if joint.type == "prismatic":
-        centre = np.asarray(near, float)
+    return axis_arrow(joint.type, size, length).moved(axis_pose(joint, near))
+
+
+def axis_arrow(joint_type: str, size: float = 1.0, length: float = 1.15, segments: tuple[int, int] = (32, 12)) -> Mesh:
+    """The arrow of `axis_mesh` along z, centred at the origin; its straight and its bent part have so many segments."""
     radius = 0.008 * size / length
-    shape = arrow(length * size, radius)
-    if joint.type == "revolute":
-        shape = joined(shape, turning_arrow(0.085 * size, 0.7 * radius, 0.36 * length * size))
+    shape = arrow(length * size, radius, segments[0])
+    if joint_type == "prismatic":
+        return shape
+    return joined(shape, turning_arrow(0.085 * size, 0.7 * radius, 0.36 * length * size, segments[1]))
+
+
+def axis_point(joint: Joint, near: ArrayLike) -> Array:
+    """(3,) the axis point nearest to `near`; of a prismatic joint `near` itself, as its axis has no place."""
+    near = np.asarray(near, float)
+    return near if joint.type == "prismatic" else joint.pivot + joint.axis * (joint.axis @ (near - joint.pivot))
+
+
+def axis_pose(joint: Joint, near: ArrayLike) -> Array:
+    """(4, 4) with z along the axis and the origin at `axis_point`."""
     other = np.eye(3)[np.argmin(np.abs(joint.axis))]
     x = np.cross(other, joint.axis)
     x /= np.linalg.norm(x)
-    return shape.moved(se3.pose(np.stack([x, np.cross(joint.axis, x), joint.axis], -1), centre))
+    return se3.pose(np.stack([x, np.cross(joint.axis, x), joint.axis], -1), axis_point(joint, near))
 
 
 def slider_range(joint: Joint, states: ArrayLike | None = None, size: float = 1.0) -> tuple[float, float]:
-    """Ends of a joint's slider, rad or m: its limits and all its states; without a limit half a turn, or `size`."""
+    """Ends of a joint's slider, rad or m: its limits and all its states, else half a turn or `size` to both sides."""
     known = [] if states is None else [float(np.min(states)), float(np.max(states))]
     free = np.pi if joint.type == "revolute" else size
     ends = known + [limit for limit in (joint.lower, joint.upper) if np.isfinite(limit)]
@@ -143,76 +155,63 @@ def slider_range(joint: Joint, states: ArrayLike | None = None, size: float = 1.
     return (lower, upper) if upper > lower else (lower - 0.1 * free, upper + 0.1 * free)
 
 
-def gathered(points: ArrayLike) -> Array:
-    """(m, 3) of points (n, 3), without the hundredth that is farthest from their middle: strays of a fit."""
+def without_outliers(points: ArrayLike) -> Array:
+    """(m, 3) of points (n, 3), without the 1 % farthest from their median."""
     points = np.asarray(points, float)
     distances = np.linalg.norm(points - np.median(points, 0), axis=1)
     return points[distances <= np.quantile(distances, 0.99, method="higher")]
 
 
 def scene_section(
-    scene: Scene, title: str = "In 3D", place: Literal["right", "full"] = "right", max_faces: int = MAX_FACES_PER_LAYER
+    scene: Scene,
+    title: str = "3D view",
+    place: Literal["right", "full"] = "right",
+    max_faces: int = MAX_FACES_PER_LAYER,
 ) -> Section:
-    """The 3D view of a scene. Layers of more than `max_faces` triangles are simplified for display."""
+    """The 3D view of a scene. Layers with more than `max_faces` triangles are simplified."""
     surfaces = [
         part
         for layer in range(len(scene.layers))
-        for part in _light(
-            [surface for surface in scene.surfaces if surface.layer == layer and not surface.mesh.empty], max_faces
-        )
+        for part in _reduced([s for s in scene.surfaces if s.layer == layer and not s.mesh.empty], max_faces)
     ]
     textures = sorted({surface.texture for surface in surfaces if surface.texture is not None})
     data = scene_data(scene)
     data["surfaces"] = [_surface_data(surface, textures) for surface in surfaces]
     data["textures"] = [_texture_url(path) for path in textures]
     html, count = '<div class="scene"></div>', 0 if scene.splats is None else len(scene.splats.gaussians)
-    if scene.splats is not None and count > scene.splats.at_most:
-        html += f'<p class="note">Shown are the {scene.splats.at_most:,} of {count:,} Gaussians that cover most.</p>'
+    if scene.splats is not None and count > scene.splats.max_count:
+        html += f'<p class="note">Shown: the {scene.splats.max_count:,} largest of {count:,} Gaussians.</p>'
     return Section(title, html, "scene", data, place)
 
 
 def scene_data(scene: Scene) -> dict[str, Any]:
-    """What the script of the 3D view reads of a scene, but for its surfaces and textures."""
+    """Input of the 3D view's script, without surfaces and textures."""
     centre, radius = _bounds(scene)
+    camera = scene.camera
     return {
         "links": [_link_data(link) for link in scene.links],
-        "sliders": [
-            {
-                "name": s.name,
-                "type": s.type,
-                "lower": s.lower,
-                "upper": s.upper,
-                "value": s.value,
-                "states": s.states,
-            }
-            for s in scene.sliders
-        ],
-        "layers": [
-            {"name": layer.name, "colour": layer.colour, "style": layer.style, "shown": layer.shown}
-            for layer in scene.layers
-        ],
+        "sliders": [dict(vars(slider)) for slider in scene.sliders],
+        "layers": [dict(vars(layer)) for layer in scene.layers],
         "surfaces": [],
         "textures": [],
         "up": scene.up,
         "towards_viewer": scene.towards_viewer,
         "centre": centre,
         "radius": radius,
-        "camera": None
-        if scene.camera is None
-        else {"K": scene.camera.K, "width": scene.camera.width, "height": scene.camera.height},
+        "camera": camera and {"K": camera.K, "width": camera.width, "height": camera.height},
         "gaussians": None if scene.splats is None else splat_data(scene.splats),
         "camera_poses": None if scene.Ts_camera_world is None else np.round(scene.Ts_camera_world[:, :3], 6),
     }
 
 
-def _light(surfaces: list[Surface], max_faces: int) -> list[Surface]:
-    """The surfaces of one layer, joined where they look alike, with `max_faces` triangles in all at most."""
-    alike: dict[tuple[int, Path | None], list[Surface]] = {}
+def _reduced(surfaces: list[Surface], max_faces: int) -> list[Surface]:
+    """The surfaces of one layer, joined by link and texture, with at most `max_faces` triangles in all."""
+    groups: dict[tuple[int, Path | None], list[Surface]] = {}
     for surface in surfaces:
-        alike.setdefault((surface.link, surface.texture), []).append(surface)
+        groups.setdefault((surface.link, surface.texture), []).append(surface)
     total = sum(len(surface.mesh.faces) for surface in surfaces)
-    light = []
-    for (link, texture), group in alike.items():
+    reduced = []
+    for (link, texture), group in groups.items():
         mesh = joined(*(surface.mesh for surface in group))
         if all(surface.mesh.colours is not None for surface in group):
             colours = [surface.mesh.colours for surface in group if surface.mesh.colours is not None]
@@ -222,8 +221,8 @@ def _light(surfaces: list[Surface], max_faces: int) -> list[Surface]:
             if texture is not None and uv is not None:
                 mesh, texture, uv = Mesh(mesh.vertices, mesh.faces, _sampled(texture, uv)), None, None
             mesh = simplified(mesh, max(4, max_faces * len(mesh.faces) // total))
-        light.append(Surface(mesh, link, surfaces[0].layer, uv, texture))
-    return light
+        reduced.append(Surface(mesh, link, surfaces[0].layer, uv, texture))
+    return reduced
 
 
 def _sampled(texture: Path, uv: NDArray[np.float64]) -> NDArray[np.uint8]:
@@ -267,21 +266,21 @@ def _surface_data(surface: Surface, textures: list[Path]) -> dict[str, Any]:
 
 
 def _bounds(scene: Scene) -> tuple[Array, float]:
-    """Centre and radius, metres, of the ball that is shown at first.
+    """Centre (3,) and radius, m, of the ball that is visible at first.
 
-    It holds all solid surfaces with the sliders at their first values, and nearly all of them at the sliders' ends;
-    where there are none, the Gaussians without strays.
+    It contains all solid surfaces with the sliders at their first values, and nearly all at the sliders' ends; without
+    surfaces, the Gaussians except outliers.
     """
     solid = [s for s in scene.surfaces if scene.layers[s.layer].style == "solid" and not s.mesh.empty]
-    held = [(s.link, s.mesh.vertices[s.mesh.faces[:, 0]]) for s in solid]
-    if not held and scene.splats is not None:
-        held = [(link, gathered(scene.splats.gaussians.means)) for link in set(scene.splats.links)]
-    if not held:
+    shapes = [(s.link, s.mesh.vertices[s.mesh.faces[:, 0]]) for s in solid]
+    if not shapes and scene.splats is not None:
+        shapes = [(link, without_outliers(scene.splats.gaussians.means)) for link in set(scene.splats.links)]
+    if not shapes:
         return np.zeros(3), 1.0
 
     def points(values: list[float]) -> Array:
         poses = link_poses(scene.links, values)
-        return np.concatenate([se3.transform(poses[link], vertices) for link, vertices in held])
+        return np.concatenate([se3.transform(poses[link], vertices) for link, vertices in shapes])
 
     first = points([s.value for s in scene.sliders])
     centre = (first.min(0) + first.max(0)) / 2

@@ -1,4 +1,4 @@
-"""Coarser meshes for display, and the small solid shapes that stand for axes and URDF primitives."""
+"""Simplified meshes for display, and the solids of axis arrows and URDF primitives."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ from freeart21.mesh import Mesh
 def simplified(mesh: Mesh, max_faces: int) -> Mesh:
     """`mesh` with at most `max_faces` triangles, for display only.
 
-    Vertex clustering on a uniform grid with one optimal vertex a cell (Lindstrom, "Out-of-core simplification of large
-    polygonal models", 2000), so that flat faces stay flat and edges sharp; triangles that collapse or repeat are
-    dropped. A vertex takes the colour of the one it replaces that is nearest. The grid grows until the result is small
-    enough.
+    Vertex clustering on a uniform grid with one optimal vertex per cell (Lindstrom, "Out-of-core simplification of
+    large polygonal models", 2000): flat faces stay flat and edges sharp. Degenerate and repeated triangles are dropped.
+    A vertex gets the colour of the nearest one that it replaces. Cells are enlarged until the result is small enough.
     """
     if len(mesh.faces) <= max_faces:
         return mesh
@@ -23,7 +22,7 @@ def simplified(mesh: Mesh, max_faces: int) -> Mesh:
     low, size = mesh.vertices[used].min(0), np.ptp(mesh.vertices[used], axis=0).max()
     if size == 0:
         return Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
-    places = np.where(used[:, None], mesh.vertices - low, 0.0)  # vertices of no triangle may lie anywhere
+    places = np.where(used[:, None], mesh.vertices - low, 0.0)  # unused vertices can be anywhere
     key = np.array([1, 1 << 21, 1 << 42])
     cell = size * np.sqrt(1.0 / max_faces)
     while True:
@@ -38,7 +37,7 @@ def simplified(mesh: Mesh, max_faces: int) -> Mesh:
 
 
 def _clustered(mesh: Mesh, cluster: NDArray[np.int64], faces: NDArray[np.int64], cell: float) -> Mesh:
-    """The mesh of `faces` over clusters, each vertex nearest to the planes of the triangles it stands for."""
+    """The mesh of `faces` over clusters, each vertex nearest to the planes of the triangles in its cell."""
     n = int(cluster.max()) + 1
     corners = mesh.faces.reshape(-1)
     counts = np.maximum(np.bincount(cluster[corners], minlength=n), 1)
@@ -51,7 +50,9 @@ def _clustered(mesh: Mesh, cluster: NDArray[np.int64], faces: NDArray[np.int64],
     normal = np.repeat(np.cross(b - a, c - a) / cell**2, 3, axis=0)
     offset = np.einsum("ij,ij->i", normal, mesh.vertices[corners] - mean[cluster[corners]])
     A = total(normal[:, :, None] * normal[:, None, :]).reshape(-1, 3, 3)
-    weight = 1e-3 * np.trace(A, axis1=1, axis2=2) + 1e-12  # where the planes leave it open, the mean decides
+    weight = (
+        1e-3 * np.trace(A, axis1=1, axis2=2) + 1e-12
+    )  # the mean decides along directions that the planes leave free
     step = np.linalg.solve(A + weight[:, None, None] * np.eye(3), total(normal * offset[:, None])[..., None])[..., 0]
     vertices = mean + np.clip(step, -cell, cell)
     colours = None
@@ -61,10 +62,10 @@ def _clustered(mesh: Mesh, cluster: NDArray[np.int64], faces: NDArray[np.int64],
         groups, first = np.unique(cluster[corners][order], return_index=True)
         colours = np.zeros((n, 3), np.uint8)
         colours[groups] = mesh.colours[corners[order[first]]]
-    kept = np.unique(faces)
+    used = np.unique(faces)
     index = np.zeros(n, np.int64)
-    index[kept] = np.arange(len(kept))
-    return Mesh(vertices[kept], index[faces], None if colours is None else colours[kept])
+    index[used] = np.arange(len(used))
+    return Mesh(vertices[used], index[faces], None if colours is None else colours[used])
 
 
 def joined(*meshes: Mesh) -> Mesh:
@@ -110,20 +111,24 @@ def box(size: ArrayLike) -> Mesh:
     return Mesh(corners, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))
 
 
-def arrow(length: float, radius: float) -> Mesh:
-    """An arrow along z, its middle at the origin, metres."""
+def arrow(length: float, radius: float, segments: int = 32) -> Mesh:
+    """An arrow along z, centred at the origin, metres."""
     tip, half = 5 * radius, length / 2
-    return revolved([(0, -half), (radius, -half), (radius, half - tip), (2.4 * radius, half - tip), (0, half)])
+    profile = [(0, -half), (radius, -half), (radius, half - tip), (2.4 * radius, half - tip), (0, half)]
+    return revolved(profile, segments)
 
 
-def turning_arrow(ring: float, radius: float, height: float) -> Mesh:
-    """An arrow bent round z by the right-hand rule, three quarters of a turn of radius `ring` at `height`, metres."""
-    angle = np.linspace(0, 1.5 * np.pi, 49)
+def turning_arrow(ring: float, radius: float, height: float, segments: int = 12) -> Mesh:
+    """An arrow round z by the right-hand rule, three quarters of a turn of radius `ring` at `height`, metres.
+
+    Its tube has `segments` corners.
+    """
+    angle = np.linspace(0, 1.5 * np.pi, 4 * segments + 1)
     shaft = np.full(len(angle), radius)
     head = np.linspace(1.5 * np.pi, 1.5 * np.pi + 5 * radius / ring, 7)
     sizes = np.concatenate([[0.0], shaft, np.linspace(2.4 * radius, 0.0, len(head))])
     angles = np.concatenate([[0.0], angle, head])
-    around = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    around = np.linspace(0, 2 * np.pi, segments, endpoint=False)
     out = ring + sizes[:, None] * np.cos(around)
     vertices = np.stack(
         [out * np.cos(angles)[:, None], out * np.sin(angles)[:, None], height + sizes[:, None] * np.sin(around)], -1

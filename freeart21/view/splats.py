@@ -1,4 +1,4 @@
-"""Gaussians in the 3D view: what its script reads of them, in twenty-one bytes each."""
+"""Gaussians in the 3D view: the input of its script, 21 to 24 bytes each."""
 
 from __future__ import annotations
 
@@ -11,41 +11,41 @@ from freeart21.gaussians import FAINT_COPY, TURNED_AWAY, Gaussians
 from freeart21.view.document import embed_array
 
 MAX_SPLATS = 80_000
-"""Gaussians in a page: 2.3 MB of it."""
+"""Gaussians in a page: 2.3 MB."""
 
 
 @dataclass(frozen=True)
 class SplatLayers:
-    """Gaussians that are drawn instead of the surfaces of two layers, when the reader of the page likes."""
+    """Gaussians that can be drawn in place of the surfaces of two layers."""
 
     gaussians: Gaussians
     """In the frame of both links at state zero."""
     links: tuple[int, int]
     """The links of the reference and the moving part."""
     layers: tuple[int, int]
-    """The layers whose surfaces they stand for."""
-    at_most: int = MAX_SPLATS
-    """Gaussians that are shown."""
+    """The layers of their surfaces."""
+    max_count: int = MAX_SPLATS
+    """Most Gaussians that are shown."""
 
 
-def thinned(gaussians: Gaussians, at_most: int) -> Gaussians:
-    """The `at_most` Gaussians that cover most: by opacity times the area of the largest section."""
-    if len(gaussians) <= at_most:
+def largest_gaussians(gaussians: Gaussians, count: int) -> Gaussians:
+    """The `count` Gaussians with the largest opacity times area of the largest section."""
+    if len(gaussians) <= count:
         return gaussians
     widths = np.sort(gaussians.scales.astype(float), 1)
     cover = gaussians.opacities * widths[:, 1] * widths[:, 2]
-    kept = np.sort(np.argsort(-cover, kind="stable")[:at_most])
+    chosen = np.sort(np.argsort(-cover, kind="stable")[:count])
     arrays = ("means", "quaternions", "scales", "opacities", "colours", "part_weights", "normals")
-    return replace(gaussians, **{name: getattr(gaussians, name)[kept] for name in arrays})
+    return replace(gaussians, **{name: getattr(gaussians, name)[chosen] for name in arrays})
 
 
 def splat_data(layers: SplatLayers) -> dict[str, Any]:
-    """What the script reads, in steps that are not seen; positions are 1/65535 of the box around all.
+    """Input of the script, quantised below what is visible.
 
-    Where such a step would be seen, because some stray far off, positions are 32-bit floats. Scales are logarithms
-    between their smallest and largest; quaternions and normals have 127 for 1.
+    Positions have 16 bits over their bounding box, or are 32-bit floats where outliers would make that too coarse.
+    Scales are logarithms between the smallest and the largest, 8 bits; of quaternions and normals, 127 is 1.
     """
-    gaussians = thinned(layers.gaussians, layers.at_most)
+    gaussians = largest_gaussians(layers.gaussians, layers.max_count)
     means = gaussians.means.astype(float)
     logs = np.log(np.maximum(gaussians.scales.astype(float), 1e-9))
     low, high = (means.min(0), means.max(0)) if len(means) else (np.zeros(3), np.zeros(3))

@@ -1,4 +1,4 @@
-"""The numbers of a page: facts, found against true, seconds a stage, scores."""
+"""Tables of pages, and the rows of those about recordings, joints, links, scores and run times."""
 
 from __future__ import annotations
 
@@ -14,9 +14,15 @@ from freeart21.files.urdf import Urdf, UrdfJoint
 from freeart21.joint import Joint
 from freeart21.recording import Recording
 from freeart21.view.document import Section, escape
-from freeart21.view.plot import display_unit
+from freeart21.view.plots import display_unit
 
-ARROWS = {"up": ("↑", "more is better"), "down": ("↓", "less is better")}
+ARROWS = {"up": ("↑", "larger is better"), "down": ("↓", "smaller is better")}
+NONE = "\N{EN DASH}"
+"""Shown where a number is missing."""
+_DIGITS = {"deg": 2, "%": 2, "cm": 2, "dB": 1, "fraction": 3, "m": 4, "rad": 3, "1": 3, "dm²": 4}
+_SIGNS = {"deg": "°", "%": " %", "dB": " dB", "cm": " cm", "m": " m", "rad": " rad"}
+_WORDS = re.compile(r"[^\W\d_]{4,}")
+"""A word of four letters or more: a cell with one is text, not numbers with their units."""
 
 
 class Markup(str):
@@ -26,14 +32,62 @@ class Markup(str):
 
 
 def two_lines(text: str, below: str, heading: bool = False, bold: bool = False) -> Markup:
-    """A cell, or a row's heading, with a text, and a smaller one below."""
+    """A cell, or a row's heading, with a text and a smaller one below."""
     lines = f"{f'<b>{escape(text)}</b>' if bold else escape(text)}<br><small>{escape(below)}</small>"
     return Markup(f"<th scope=row>{lines}</th>" if heading else f"<td>{lines}</td>")
 
 
 def bar(share: float) -> Markup:
-    """A cell with a bar as wide as this share of it, 0 to 1."""
+    """A cell with a bar over this share of its width, 0 to 1."""
     return Markup(f'<td class="bar"><i style="width:{100 * share:.1f}%"></i></td>')
+
+
+def value_cell(text: str, value: object = None, html: bool = False, css: str = "") -> Markup:
+    """A cell that sorts by `value` (by its text when None); `text` is HTML if so said, `css` its class."""
+    sort = "" if value is None else f' data-value="{escape(value)}"'
+    look = f' class="{css}"' if css else ""
+    return Markup(f"<td{look}{sort}>{text if html else escape(text)}</td>")
+
+
+def number_cell(text: str, best: bool = False, value: float | None = None, more: str = "") -> Markup:
+    """A right-aligned cell with a number as `text`, sorted by `value`, with HTML `more` below it."""
+    return value_cell(f"<span>{text}</span>{more}", value, True, "number" + " best" * best)
+
+
+def row_head(html: str, value: object = None) -> Markup:
+    """A row's heading as HTML, sorted by `value`."""
+    sort = "" if value is None else f' data-value="{escape(value)}"'
+    return Markup(f"<th scope=row{sort}>{html}</th>")
+
+
+def column_head(html: str, number: bool = False, sortable: bool = False, more: str = "") -> Markup:
+    """A column's heading as HTML, a button when it is sortable, with HTML `more` behind it."""
+    inside = f'<button type="button">{html}</button>' if sortable else html
+    look = " class=number" if number else ""
+    return Markup(f"<th scope=col{look}>{inside}{more}</th>")
+
+
+def table(
+    rows: Iterable[Sequence[str]], head: Sequence[str] = (), css: str = "", label: str = "", row_css: Sequence[str] = ()
+) -> str:
+    """A table in a box that scrolls sideways.
+
+    Args:
+        rows: Texts, escaped here, or `Markup`; the first cell of a row is its heading.
+        head: Headings of the columns, as texts or `Markup`.
+        css: Class of the table; with 'sortable' a click on a heading's button sorts the rows.
+        label: What the table is, for screen readers; the keyboard then scrolls it.
+        row_css: Class of each row, when given.
+    """
+    names = [cell if isinstance(cell, Markup) else column_head(escape(cell)) for cell in head]
+    header = f"<thead><tr>{''.join(names)}</tr></thead>" if head else ""
+    lines = []
+    for k, row in enumerate(rows):
+        look = f' class="{row_css[k]}"' if k < len(row_css) and row_css[k] else ""
+        lines.append(f"<tr{look}>{table_cell(row[0], 'th')}{''.join(map(table_cell, row[1:]))}</tr>")
+    region = f' tabindex="0" role="region" aria-label="{escape(label)}, scrolls sideways"' if label else ""
+    look = f' class="{css}"' if css else ""
+    return f'<div class="table"{region}><table{look}>{header}<tbody>{"".join(lines)}</tbody></table></div>'
 
 
 def table_section(
@@ -44,16 +98,12 @@ def table_section(
     note: str = "",
     kind: str = "",
 ) -> Section:
-    """A table of texts, all escaped here but `Markup`; the first cell of a row is its heading, `kind` a CSS class."""
-    header = f"<thead><tr>{''.join(f'<th scope=col>{escape(cell)}</th>' for cell in head)}</tr></thead>" if head else ""
-    body = "".join(f"<tr>{table_cell(row[0], 'th')}{''.join(map(table_cell, row[1:]))}</tr>" for row in rows)
-    below = f'<p class="note">{escape(note)}</p>' if note else ""
-    table = f"<table>{header}<tbody>{body}</tbody></table>"
-    return Section(title, f'<div class="{f"table {kind}".strip()}">{table}</div>{below}', place=place)
+    """A section with one table; `kind` is its CSS class."""
+    return Section(title, table(rows, head, kind), place=place, note=note)
 
 
 def table_cell(text: str, tag: Literal["td", "th"] = "td") -> str:
-    """A cell; one of numbers is never broken, so that a narrow page scrolls the table in its box instead."""
+    """A cell; numbers stay on one line, so that a narrow page scrolls the table instead."""
     if isinstance(text, Markup):
         return text
     if tag == "th":
@@ -62,12 +112,17 @@ def table_cell(text: str, tag: Literal["td", "th"] = "td") -> str:
     return f"<td{' class=number' * figures}>{escape(text)}</td>"
 
 
-_WORDS = re.compile(r"[^\W\d_]{4,}")
-"""A word of four letters or more: what has one is text, not numbers with their units."""
+def number_text(value: float | None, unit: str | None, with_unit: bool = False) -> str:
+    """A value with about three significant digits; `FreeArt.numberText` does the same."""
+    if value is None or unit is None:
+        return NONE
+    small = abs(value) < 10 or unit in ("dB", "fraction")
+    digits = _DIGITS.get(unit, 2) if small else 1 if abs(value) < 99.95 else 0
+    return f"{value:.{digits}f}{_SIGNS.get(unit, '') if with_unit else ''}"
 
 
 def source_rows(source: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Where an asset came from, one line for each thing: nested entries by their path, and nothing for None."""
+    """Nested facts as rows: names joined by commas, values as text; None is left out."""
     rows: list[tuple[str, str]] = []
     for key, value in source.items():
         name = str(key).replace("_", " ")
@@ -91,14 +146,14 @@ def _plain(value: object) -> str:
 
 
 def recording_rows(recording: Recording) -> list[tuple[str, str]]:
-    """What is known of a video."""
+    """Facts about a video."""
     camera, n = recording.camera, len(recording)
     span = float(recording.times_s[-1] - recording.times_s[0])
     rate = f", {(n - 1) / span:.3g} per second" if n > 1 else ""
     return [
         ("Frames", f"{n}{rate}"),
         ("Length", f"{span:.3g} s"),
-        ("Picture", f"{camera.width} x {camera.height} pixels"),
+        ("Image size", f"{camera.width} x {camera.height} pixels"),
         ("Focal length", f"{camera.K[0, 0]:.1f}, {camera.K[1, 1]:.1f} pixels"),
         ("Principal point", f"{camera.K[0, 2]:.1f}, {camera.K[1, 2]:.1f}"),
         ("Held-out views", str(len(recording.queries))),
@@ -107,7 +162,7 @@ def recording_rows(recording: Recording) -> list[tuple[str, str]]:
 
 
 def joint_rows(joint: Joint, states: Sequence[float] | np.ndarray) -> list[tuple[str, str]]:
-    """What is said of a joint: type, axis, pivot, limits, states of the video."""
+    """Type, axis, pivot, limits, and the range of the video's states (n,)."""
     rows = [("Type", joint.type), ("Axis", _vector(joint.axis))]
     if joint.type == "revolute":
         rows.append(("Pivot", f"{_vector(joint.pivot)} m"))
@@ -119,36 +174,33 @@ def joint_rows(joint: Joint, states: Sequence[float] | np.ndarray) -> list[tuple
 
 
 def compared_rows(
-    found: Joint, found_states: np.ndarray, true: Joint, true_states: np.ndarray
+    estimate: Joint, states: np.ndarray, true: Joint, true_states: np.ndarray
 ) -> list[tuple[str, str, str]]:
-    """The rows of `joint_rows` for a found and a true joint, side by side, both in the prediction's frame.
+    """The rows of `joint_rows` for an estimated and a true joint side by side, both in the estimate's frame.
 
-    A pivot may be any point of its axis: the true one is told where it is nearest to the found one.
+    Any point of the axis may be its pivot: shown is the one of the true axis nearest to the estimated pivot.
     """
-    true = replace(true, pivot=true.pivot + true.axis * (true.axis @ (found.pivot - true.pivot)))
-    left, right = dict(joint_rows(found, found_states)), dict(joint_rows(true, true_states))
+    true = replace(true, pivot=true.pivot + true.axis * (true.axis @ (estimate.pivot - true.pivot)))
+    left, right = dict(joint_rows(estimate, states)), dict(joint_rows(true, true_states))
     return [(name, left.get(name, "-"), right.get(name, "-")) for name in {**left, **right}]
 
 
 def seconds_section(seconds: Mapping[str, float], peak_bytes: int | None = None) -> Section:
-    """Seconds a stage, with bars; most memory held, if known."""
-    most, total = max([*seconds.values(), 1e-9]), sum(seconds.values())
-    rows = "".join(
-        f"<tr><th scope=row>{escape(stage)}</th>{bar(max(value, 0.0) / most)}<td>{value:.2f} s</td></tr>"
-        for stage, value in seconds.items()
-    )
-    last = f'<tr class="total"><th scope=row>all</th><td></td><td>{total:.2f} s</td></tr>'
+    """Seconds of every stage, with bars, and the peak memory when known."""
+    longest = max([*seconds.values(), 1e-9])
+    rows: list[list[str]] = [[stage, bar(max(v, 0.0) / longest), f"{v:.2f} s"] for stage, v in seconds.items()]
+    rows.append(["total", "", f"{sum(seconds.values()):.2f} s"])
     if peak_bytes is not None:
-        last += f"<tr><th scope=row>memory</th><td></td><td>{peak_bytes / 1e9:.2f} GB at most</td></tr>"
-    return Section("Time per stage", f'<div class="table"><table><tbody>{rows}{last}</tbody></table></div>')
+        rows.append(["peak memory", "", f"{peak_bytes / 1e9:.2f} GB"])
+    return Section("Time per stage", table(rows, row_css=[""] * len(seconds) + ["total"]))
 
 
 def score_section(scores: Mapping[str, Any], note: str = "", place: Literal["right", "small"] = "right") -> Section:
-    """The score table, and below it `note`: by which protocol, of what.
+    """The table of scores, with a `note` under it, such as the protocol.
 
-    `scores` maps a metric's id to its value, or to {"value", "unit", "better" ('up' or 'down'), "beside", "label"};
-    `beside` is a second figure as text, such as '0.4 cm', and `label` the metric's name for people, without which it is
-    made of the id. Raises FreeArtError on anything else.
+    `scores` maps a metric's id to its value, or to {"value", "unit", "better" ('up' or 'down'), "beside", "label"}:
+    `beside` is a second figure as text, such as '0.4 cm', `label` the metric's name, else made from the id. Raises
+    FreeArtError on anything else.
     """
     rows = []
     for name, entry in scores.items():
@@ -157,42 +209,41 @@ def score_section(scores: Mapping[str, Any], note: str = "", place: Literal["rig
         if not (value is None or isinstance(value, int | float | str)) or better not in (None, *ARROWS):
             raise FreeArtError(f"score '{name}' is {entry!r}, expected a value, and better 'up' or 'down'")
         arrow = '<abbr title="{1}">{0}</abbr>'.format(*ARROWS[better]) if better else ""
-        rows.append(
-            f"<tr><th scope=row>{escape(entry.get('label') or _label(name))} {arrow}</th>"
-            f"<td class=number>{escape(_score(value, entry.get('unit')))}</td>"
-            f"<td class=number>{escape(entry.get('beside') or '')}</td></tr>"
-        )
-    below = f'<p class="note">{escape(note)}</p>' if note else ""
-    table = f'<div class="table scores"><table><tbody>{"".join(rows)}</tbody></table></div>'
-    return Section("Score", table + below, place=place)
+        label = escape(entry.get("label") or name.replace("_", " ").capitalize())
+        texts = escape(_score_text(value, entry.get("unit"))), escape(entry.get("beside") or "")
+        rows.append([Markup(f"<th scope=row>{label} {arrow}</th>"), *map(Markup, map(_FIGURE, texts))])
+    return Section("Score", table(rows, css="scores"), place=place, note=note)
+
+
+_FIGURE = "<td class=number>{}</td>".format
+
+
+def _score_text(value: float | str | None, unit: str | None) -> str:
+    if value is None or isinstance(value, str):
+        return value or NONE
+    if unit in _DIGITS and not isinstance(value, int):
+        return number_text(value, unit, True)
+    return f"{value:.4g}{f' {unit}' if unit else ''}"
 
 
 def link_section(urdf: Urdf) -> Section:
-    """Mass properties of every link that has any shape or mass."""
+    """Mass properties of every link with a shape or a mass."""
     rows = []
     for link in (urdf.links[name] for name in urdf.parents_first):
         if link.inertial is None and not link.visuals and not link.collisions:
             continue
-        shapes = f"{len(link.visuals)} / {len(link.collisions)}"
-        if link.inertial is None:
-            rows.append((link.name, "not given", "", "", shapes))
-            continue
-        rows.append(
-            (
-                link.name,
-                f"{link.inertial.mass:.4g} kg",
-                f"{_vector(link.inertial.centre)} m",
-                ", ".join(f"{moment:.3g}" for moment in np.diag(link.inertial.inertia)),
-                shapes,
-            )
-        )
+        mass, centre, moments = "not given", "", ""
+        if link.inertial is not None:
+            mass, centre = f"{link.inertial.mass:.4g} kg", f"{_vector(link.inertial.centre)} m"
+            moments = ", ".join(f"{moment:.3g}" for moment in np.diag(link.inertial.inertia))
+        rows.append((link.name, mass, centre, moments, f"{len(link.visuals)} / {len(link.collisions)}"))
     return table_section(
-        "Links", rows, ("", "mass", "centre of mass", "Ixx, Iyy, Izz, kg m²", "visuals / collisions"), "full"
+        "Links", rows, ("", "mass", "centre of mass", "Ixx, Iyy, Izz, kg m²", "visual / collision shapes"), "full"
     )
 
 
 def joint_section(urdf: Urdf, effects: Mapping[str, Sequence[Any]]) -> Section:
-    """Every movable joint: limits, effort, velocity, and the effects that act on it."""
+    """Every movable joint: limits, effort, velocity, and its `effects`, by the joint's name."""
     rows = []
     for name, joint in urdf.joints.items():
         if joint.joint_type is None:
@@ -227,7 +278,7 @@ def effect_text(effect: Any, joint: UrdfJoint) -> str:
 
 
 def limits_text(joint_type: str, lower: float, upper: float) -> str:
-    """Two states in degrees or centimetres."""
+    """Two states, rad or m, as text in degrees or centimetres."""
     unit, factor = display_unit(joint_type)
     if not np.isfinite([lower, upper]).any():
         return "none"
@@ -239,39 +290,3 @@ def limits_text(joint_type: str, lower: float, upper: float) -> str:
 
 def _vector(values: np.ndarray) -> str:
     return ", ".join(f"{value:.3f}" for value in np.round(np.asarray(values), 3) + 0.0)
-
-
-_ACRONYMS = {
-    "iou": "IoU",
-    "psnr": "PSNR",
-    "miou": "mean IoU",
-    "fscore": "F-score",
-    "ssim": "SSIM",
-    "lpips": "LPIPS",
-    "fps": "frames per second",
-}
-
-
-def _label(id: str) -> str:
-    """A metric's id as people read it, such as 'Mask IoU, moving'."""
-    words = [_ACRONYMS.get(word, word) for word in id.split("_")]
-    text = " ".join(words)
-    return text[:1].upper() + text[1:]
-
-
-_UNITS = {"deg": "°", "fraction": "", "": ""}
-
-
-def _score(value: float | str | None, unit: str | None) -> str:
-    """A score with its unit, to three significant digits, and to no more than three decimals; tiny is 'below 0.001'."""
-    if value is None:
-        return "-"
-    if isinstance(value, str):
-        return value
-    sign = _UNITS.get(unit or "", f" {unit}")
-    if isinstance(value, int) or not np.isfinite(value):
-        return f"{value}{sign}"
-    if 0 < abs(value) < 0.001:
-        return f"below 0.001{sign}" if value > 0 else f"above -0.001{sign}"
-    digits = 0 if value == 0 else min(3, max(0, 2 - int(np.floor(np.log10(abs(value))))))
-    return f"{value:.{digits}f}{sign}"

@@ -1,6 +1,6 @@
-"""The leaderboard as a static site: one folder that opens from disk or any host and fetches nothing.
+"""The leaderboard as a static site: a folder that opens from disk or any host and loads nothing from elsewhere.
 
-`build.write_site` is the door. A page is HTML that says all its numbers without any script; the scripts sort, filter,
-play and turn. What is heavy (meshes, masks, curves) is packed into one small script file a sequence (`packed`), because
-a page that was opened from disk may load scripts but may not fetch files.
+Entry point: `build.write_site`. Pages have all numbers without scripts, which sort, filter, play and turn. Meshes,
+masks and curves of a sequence are packed into one script file (`packed`), because a page opened from disk may load
+scripts but no other files.
 """

@@ -1,7 +1,7 @@
-"""What a method's files say of one sequence, brought to the truth as the protocol aligns it, for display.
+"""A method's result for one sequence, aligned with the truth as the protocol does it, for display.
 
-Of a set whose truth is hidden, answers lie in the camera frame of the first picture, as each of them says it: nothing
-of the truth is in them, not even an alignment to it.
+When the truth is hidden, a result is shown in the camera frame of the first image, as its own poses say: nothing of the
+truth is in it, not even an alignment.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from freeart21.mesh import Mesh
 from freeart21.reconstruction import Piece
 from freeart21.se3 import Array
 from freeart21.truth import Truth
+from freeart21.view.parts import state_offset
 from leaderboard import metrics
 from leaderboard.submission import LARGEST, find_link_faults
 from leaderboard.surface import Surface
@@ -35,28 +36,28 @@ EMPTY = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
 
 @dataclass(frozen=True)
 class Answer:
-    """An answer in the truth's canonical frame, or in the first picture's camera frame; parts by the truth's names."""
+    """A result in the truth's canonical frame, or in the first image's camera frame; parts by the truth's names."""
 
     articulation: Articulation
     states: Array
-    """(n,) as the answer counts them."""
+    """(n,) with the result's own sign and zero."""
     sign: float
-    """1, or -1 when its axis points away from the true one."""
+    """-1 when its axis is opposite to the true one, else 1."""
     offset: float
-    """A true state q is the state `sign * q + offset` of the answer."""
+    """A true state q is the state `sign * q + offset` of the result."""
     comparable: bool
-    """Whether its joint is of the true type, so that states can be compared."""
+    """Whether its joint has the true type, so that states can be compared."""
     zero: int | None
-    """The frame at which a method without states has its state zero."""
+    """The frame at state zero of a method without states."""
     Ts_camera_articulation: Array
     """(n, 4, 4) camera from the frame of `articulation`; (0, 4, 4) of a method without poses."""
     masks: NDArray[np.uint8]
-    """(k, height, width) part labels of the frames that were asked for."""
+    """(k, height, width) part labels of the requested frames."""
     lacks: tuple[Piece, ...]
 
     @property
     def states_as_true(self) -> Array:
-        """(n,) its states, counted as the truth counts."""
+        """(n,) its states with the truth's sign and zero."""
         return self.sign * (self.states - self.offset)
 
 
@@ -68,14 +69,20 @@ def read_answer(
     lacks: tuple[Piece, ...],
     size: tuple[int, int],
 ) -> Answer:
-    """The answer in the result folder `folder`, with the part masks of `frames` alone.
+    """The result in `folder`; only what is shown is read.
 
-    `truth` is what it is brought to, or, where that is hidden, the number of frames. `swapped` is what scoring found of
-    the names of its parts, `size` is (height, width). Only what is shown is read. Raises FreeArtError when it cannot be
-    shown.
+    Args:
+        folder: The result.
+        truth: What it is aligned with; the number of frames when that is hidden.
+        frames: Frames whose part masks are read.
+        swapped: Whether scoring exchanged its part names.
+        lacks: What the method does not make.
+        size: (height, width) of the masks.
+
+    Raises FreeArtError when it cannot be shown.
     """
     if any(find_link_faults(folder)):
-        raise FreeArtError(f"{folder.name} holds links that lead out of it")
+        raise FreeArtError(f"{folder.name} has links that lead out of it")
     header, n = folder / "prediction.json", truth if isinstance(truth, int) else len(truth)
     data = checked.read_json(header, SCHEMA)
     joint = joint_from_json(data.get("joint"), header)
@@ -85,14 +92,14 @@ def read_answer(
     parts = [EMPTY if "meshes" in lacks else read_ply(folder / "parts" / f"{name}.ply")[0] for name in PARTS]
     masks = np.zeros((0, *size), np.uint8)
     if "masks" not in lacks:
-        masks = np.stack([_mask(folder, i, size) for i in frames])
+        masks = np.stack([_read_mask(folder, i, size) for i in frames])
     for what, numbers in (("states", states), ("poses", Ts[0]), *(("meshes", part.vertices) for part in parts)):
         if np.abs(numbers).max(initial=0.0) > LARGEST:
             raise FreeArtError(f"{folder.name}: {what} has numbers beyond {LARGEST:g}")
     anchor = data.get("anchor", 0)
     if not isinstance(anchor, int) or not 0 <= anchor < n:
         raise FreeArtError(f"{folder.name}: 'anchor' is no frame of the video")
-    if "poses" in lacks:  # as `matching.match`: the anchor's alone, the moving part after its joint
+    if "poses" in lacks:  # as `matching.match`: the anchor frame's only, the moving part posed by its joint
         Ts = [Ts[0][anchor][None], (Ts[0][anchor] @ joint.transform(states[anchor]))[None]]
     if swapped:  # as `matching.with_parts_swapped`: the axis is reversed, the states stay
         joint, parts, Ts = replace(joint, axis=-joint.axis), parts[::-1], Ts[::-1]
@@ -111,9 +118,9 @@ def read_answer(
 
 
 def align_states(answer: Answer, joint: Joint, states: Array) -> Answer:
-    """The answer with the sign, offset and type that make its states those (n,) of `joint`, in the same frame.
+    """The result with the sign and offset that align its states with those (n,) of `joint`, in the same frame.
 
-    That is the sign of the axes, then the median difference, as scoring has it.
+    The sign is that of the axes, the offset the median difference, as in scoring.
     """
     own = answer.articulation.joint
     sign = 1.0 if float(own.axis @ joint.axis) >= 0 else -1.0
@@ -121,16 +128,12 @@ def align_states(answer: Answer, joint: Joint, states: Array) -> Answer:
         return replace(answer, sign=sign, offset=0.0, comparable=False)
     if answer.zero is not None:
         return replace(answer, sign=sign, offset=-sign * float(states[answer.zero]), comparable=True)
-    difference = answer.states - sign * states
-    if own.type == "revolute":
-        centre = float(np.angle(np.exp(1j * difference).mean()))
-        difference = centre + metrics.wrap(difference - centre)
-    return replace(answer, sign=sign, offset=float(np.median(difference)), comparable=True)
+    return replace(answer, sign=sign, offset=state_offset(answer.states - sign * states, own.type), comparable=True)
 
 
-def _mask(folder: Path, index: int, size: tuple[int, int]) -> NDArray[np.uint8]:
+def _read_mask(folder: Path, index: int, size: tuple[int, int]) -> NDArray[np.uint8]:
     path = folder / "part_mask" / f"{index:05d}.png"
-    head = checked.read_head(path, 24, folder)  # before it is unpacked: a PNG's size stands there
+    head = checked.read_head(path, 24, folder)  # the size in a PNG's header, before it is unpacked
     mask = np.zeros((0, 0), np.uint8)
     if head[:8] == b"\x89PNG\r\n\x1a\n" and head[16:24] == struct.pack(">II", size[1], size[0]):
         mask = checked.read_labels(path, folder)

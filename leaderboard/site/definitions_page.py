@@ -1,56 +1,55 @@
-"""What each number means: the text of every protocol of the site, and of prices."""
+"""Definitions: the text of every protocol of the site, and what a penalty is."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from freeart21.view.document import Section, escape
+from freeart21.view.tables import ARROWS
+from leaderboard.protocols import Metric, Protocol, protocol_named
+from leaderboard.site.html import Board, metric_name, page, penalty_sentence, sentence, unit_text
 
-from freeart21.view.document import escape
-from leaderboard.protocols import Protocol, protocol_named
-from leaderboard.site.html import page, price_text, section, sentence, unit_text
-
-PRICE = (
-    "A price is what a row costs that cannot be measured: a declared failure, a missing or unreadable result, an asset "
-    "that does not load. It stands in every mean, so that no method gains by leaving out what is hard. A number that a "
-    "method says it never makes is left out instead, and shown as a dash: it is not priced, and such a method has no "
-    "place by mean rank. A wrong joint type prices the numbers that then do not exist: axis, place and state."
+PENALTY = (
+    "A sequence that cannot be measured counts with a fixed penalty in every mean, so that no method gains by leaving "
+    "out difficult sequences: a declared failure, a missing or unreadable result, an asset that does not load. With a "
+    "wrong joint type, the numbers that then do not exist (axis, position, state) count with their penalty. A number "
+    "that a method states it never makes is shown as a dash, without a penalty; such a method has no mean rank."
 )
 
 
-def definitions_page(site: str, protocols: Sequence[str]) -> bytes:
+def definitions_page(board: Board) -> bytes:
     """The page."""
-    main = section("What a price is", f"<p class=text>{PRICE}</p>", id="price")
-    main += "".join(_protocol(protocol_named(name)) for name in protocols)
     lead = (
-        "<p>A protocol is named and never changes: a changed definition is another protocol. Numbers of two protocols "
-        "are never set side by side.</p>"
+        "<p>A protocol never changes: another definition gets another name. Numbers by different protocols are not "
+        "compared.</p>"
     )
-    return page("Definitions", main, site, here="definitions.html", lead=lead)
+    sections = [
+        Section("Penalties", f"<p class=text>{PENALTY}</p>", place="full", id="penalty"),
+        *(_protocol_section(protocol_named(name)) for name in board.protocols),
+    ]
+    return page(board, "Definitions", sections, here="definitions.html", lead=lead)
 
 
-def _protocol(rules: Protocol) -> str:
+def _protocol_section(rules: Protocol) -> Section:
     paragraphs = "".join(f"<p class=text>{escape(part)}</p>" for part in rules.preamble.split("\n\n"))
     entries = []
     for metric in rules.metrics:
-        units = {metric.revolute_unit, metric.prismatic_unit} - {None}
-        told = (
-            unit_text(next(iter(units))) or "fraction"
-            if len(units) == 1
-            else f"{unit_text(metric.revolute_unit)} (revolute), {unit_text(metric.prismatic_unit)} (prismatic)"
-        )
-        only = (
-            "; revolute only"
-            if metric.prismatic_unit is None
-            else "; prismatic only"
-            if metric.revolute_unit is None
-            else ""
-        )
-        beside = f" Stands beside {metric.supplements} and does not rank." if metric.supplements else ""
-        better = "larger is better" if metric.direction == "up" else "smaller is better"
+        beside = f" Shown with {metric.supplements}; not part of the ranking." if metric.supplements else ""
         entries.append(
-            f'<div id="{escape(rules.name)}.{escape(metric.id)}"><dt>{escape(metric.label or metric.id)} '
+            f'<div id="{escape(rules.name)}.{escape(metric.id)}"><dt>{escape(metric_name(metric))} '
             f"<code>{escape(metric.id)}</code></dt>"
             f"<dd><p>{escape(sentence(metric.definition))}{escape(beside)}</p>"
-            f'<p class="note">In {escape(told)}{only}; {better}; a failure costs {escape(price_text(metric))}.'
-            "</p></dd></div>"
+            f'<p class="note">Unit: {escape(_unit_sentence(metric))}; {ARROWS[metric.direction][1]}; '
+            f"{escape(penalty_sentence(metric))}.</p></dd></div>"
         )
-    return section(rules.name, f'{paragraphs}<dl class="definitions">{"".join(entries)}</dl>', id=rules.name)
+    html = f'{paragraphs}<dl class="definitions">{"".join(entries)}</dl>'
+    return Section(rules.name, html, place="full", id=rules.name)
+
+
+def _unit_sentence(metric: Metric) -> str:
+    """'° (revolute), cm (prismatic)', for example."""
+    units = {"revolute": metric.revolute_unit, "prismatic": metric.prismatic_unit}
+    texts = {kind: unit_text(unit) or "fraction" for kind, unit in units.items() if unit is not None}
+    if len(texts) == 1:
+        return f"{next(iter(texts.values()))}; {next(iter(texts))} joints only"
+    if len(set(texts.values())) == 1:
+        return next(iter(texts.values()))
+    return ", ".join(f"{text} ({kind})" for kind, text in texts.items())

@@ -1,4 +1,4 @@
-"""Every number as a file, its hash, and the command that made the site."""
+"""Every number as a file with its hash, and the command that made the site."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import csv
 import hashlib
 import io
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
-from freeart21.view.document import escape
+from freeart21.view.document import Section, escape
+from freeart21.view.tables import row_head, table, value_cell
 from leaderboard.rows import Scores
-from leaderboard.site.entrant import Entrant
-from leaderboard.site.html import method_link, page, section, table
+from leaderboard.site.html import Board, hash_text, method_link, page
 
 
 def scores_csv(scores: Scores) -> bytes:
-    """A line a sequence: type, status, reason, source, seconds, every number in its unit, `id_cm` in centimetres."""
+    """A line per sequence: type, status, reason, source, seconds, every number in its unit, `id_cm` in centimetres."""
     ids = list(dict.fromkeys(id for row in scores.rows for id in row.values))
     lengths = list(dict.fromkeys(id for row in scores.rows for id in row.values_cm))
     text = io.StringIO()
@@ -23,55 +23,51 @@ def scores_csv(scores: Scores) -> bytes:
     words = ("sequence", "joint_type_truth", "status", "reason", "measured_from", "swapped", "seconds")
     writer.writerow([*words, *ids, *(f"{id}_cm" for id in lengths)])
     for row in scores.rows:
-        said = [row.sequence, row.joint_type, row.status, row.reason, row.measured_from, int(row.swapped), row.seconds]
-        writer.writerow(
-            [*map(_plain, said), *(row.values.get(id) for id in ids), *(row.values_cm.get(id) for id in lengths)]
-        )
+        own = [row.sequence, row.joint_type, row.status, row.reason, row.measured_from, int(row.swapped), row.seconds]
+        numbers = [*(row.values.get(id) for id in ids), *(row.values_cm.get(id) for id in lengths)]
+        writer.writerow([*map(_no_formula, own), *numbers])
     return text.getvalue().encode()
 
 
-def _plain(value: object) -> object:
+def _no_formula(value: object) -> object:
     """Text that no spreadsheet takes for a formula."""
     return f"'{value}" if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r") else value
 
 
-def downloads_page(
-    site: str,
-    entrants: Sequence[Entrant],
-    protocols: Sequence[str],
-    files: Mapping[str, bytes],
-    command: Sequence[str],
-    benchmark: Mapping[str, str],
-) -> bytes:
-    """The page; `files` holds the tables of the folder scores/ by name, `command` the words that made the site."""
-    lines = []
-    for protocol in protocols:
-        for entrant in entrants:
-            links = []
-            for end, what in (("json", "JSON"), ("csv", "CSV")):
-                name = f"{entrant.file}.{protocol}.{end}"
-                digest = hashlib.sha256(files[name]).hexdigest()
-                links.append(
-                    f'<td><a href="scores/{name}" download>{what}</a> <small>{len(files[name]) / 1000:.0f} kB</small>'
-                    f'<code class="hash">{digest}</code></td>'
-                )
-            name = f'<th scope="row">{method_link(entrant, False)}</th>'
-            lines.append(f"<tr>{name}<td>{escape(protocol)}</td>{''.join(links)}</tr>")
-    heads = ("method", "protocol", "every number, with definitions", "a line a sequence")
-    head = "".join(f'<th scope="col">{text}</th>' for text in heads)
-    tables = table("downloads", "downloads", head, "".join(lines))
-    made = section(
-        "The command that made this site",
-        f"<pre tabindex=0>{escape(shlex.join(command))}</pre>",
-        note="The same results, data and version give the same bytes. To check one table by itself: "
-        "<code>freeart21 score RESULTS --data DATA --protocol PROTOCOL --out TABLE.json</code>.",
-    )
-    data = section(
-        "The data",
-        f'<p class="text">{escape(benchmark["name"])}, version {escape(benchmark["version"])}, '
-        f"{escape(benchmark['split'])}. The SHA-256 of its benchmark.json, which holds the hash of every file "
-        f"{'of video, and a salted hash of the truth' if benchmark.get('hidden') else 'of video and truth'}:</p>"
-        f'<p><code class="hash">{escape(benchmark["sha256"])}</code></p>',
-    )
-    tables = section("Tables", tables, note="Below each link: the SHA-256 of the file.")
-    return page("Downloads", tables + made + data, site, here="downloads.html")
+def downloads_page(board: Board, files: Mapping[str, bytes]) -> bytes:
+    """The page; `files` are the tables of the folder scores/ by name."""
+    rows = []
+    for protocol in board.protocols:
+        for entrant in board.entrants:
+            cells = []
+            for ending, what in (("json", "JSON"), ("csv", "CSV")):
+                name = f"{entrant.file}.{protocol}.{ending}"
+                link = f'<a href="scores/{name}" download>{what}</a> <small>{len(files[name]) / 1000:.0f} kB</small>'
+                cells.append(value_cell(link + hash_text(hashlib.sha256(files[name]).hexdigest()), html=True))
+            rows.append([row_head(method_link(entrant, False)), value_cell(protocol), *cells])
+    head = ("method", "protocol", "every number, with definitions", "a line per sequence")
+    benchmark = board.benchmark
+    covered = "videos, and a salted hash of the ground truth" if benchmark.get("hidden") else "videos and ground truth"
+    sections = [
+        Section(
+            "Tables",
+            table(rows, head, "downloads", "downloads"),
+            place="full",
+            note="Below each link: the SHA-256 of the file.",
+        ),
+        Section(
+            "The command that made this site",
+            f"<pre tabindex=0>{escape(shlex.join(board.command))}</pre>"
+            '<p class="note">The same results, data and version give the same bytes. To check one table: '
+            "<code>freeart21 score RESULTS --data DATA --protocol PROTOCOL --out TABLE.json</code>.</p>",
+            place="full",
+        ),
+        Section(
+            "The data",
+            f'<p class="text">{escape(benchmark["name"])}, version {escape(benchmark["version"])}, '
+            f"{escape(benchmark['split'])}. The SHA-256 of its benchmark.json, which has the hash of every file of "
+            f"{covered}:</p><p>{hash_text(benchmark['sha256'])}</p>",
+            place="full",
+        ),
+    ]
+    return page(board, "Downloads", sections, here="downloads.html")

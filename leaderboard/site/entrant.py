@@ -1,4 +1,4 @@
-"""Who stands on the board: a method with its results, its scores and the mark by which every page shows it."""
+"""The methods of a site: results, scores, and the mark of each on every page."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from leaderboard.score import summarise
 from leaderboard.site.names import file_names
 
 COLOURS = ("#0072B2", "#D55E00", "#CC79A7", "#E69F00", "#56B4E9", "#8A6D00", "#6B7280")
-"""Of Okabe and Ito (2008), without the green that is the truth's; the yellow darkened so that it shows on white."""
+"""Of Okabe and Ito (2008), without the green of the ground truth; the yellow is darkened for white backgrounds."""
 SHAPES = (
     "M8 2.2a5.8 5.8 0 1 0 0 11.6a5.8 5.8 0 1 0 0-11.6z",
     "M2.8 2.8h10.4v10.4h-10.4z",
@@ -23,31 +23,31 @@ SHAPES = (
     "M1.200 2.200h13.600l-6.800 12z",
     "M8 1l6 3.500v7l-6 3.500l-6-3.500v-7z",
 )
-"""Paths in a box of 16, filled: a method is never told by its colour alone."""
+"""Filled SVG paths in a box of 16: a method is never recognised by its colour alone."""
 DASHES = ("", "7 3", "2 3", "9 3 2 3", "4 2", "1 4", "12 4")
-"""Of its curves."""
+"""SVG stroke-dasharrays of curves."""
 
 
 @dataclass(frozen=True, eq=False)
 class Entrant:
-    """One method on the board."""
+    """One method."""
 
     name: str
-    """Shown; no two are alike."""
+    """Unique."""
     file: str
-    """Of its page and its tables, without ending."""
+    """File name of its page and its tables, without ending."""
     folder: Path | None
-    """Of its answers; None where its tables alone were given."""
+    """Of its results; None when only its tables were given."""
     scores: Mapping[str, Scores]
-    """Protocol to its table, as far as the site may show its rows (`public_scores`)."""
+    """Protocol to its table with the rows that the site may show (`public_scores`)."""
     whole: Mapping[str, Scores]
-    """Protocol to its table as it was made: means are of this one."""
+    """Protocol to its complete table, for means."""
     index: int
-    """Of its colour, shape and dashes."""
+    """Chooses colour, shape and dash."""
 
     @property
     def method(self) -> Method:
-        """What method.json says."""
+        """The content of method.json."""
         return next(iter(self.scores.values())).method
 
     @property
@@ -57,7 +57,7 @@ class Entrant:
 
     @property
     def shape(self) -> str:
-        """An SVG path in a box of 16; after one round of colours the shapes move on, so that pairs differ."""
+        """An SVG path in a box of 16, shifted after each round of colours so that pairs differ."""
         return SHAPES[(self.index + self.index // len(COLOURS)) % len(SHAPES)]
 
     @property
@@ -66,50 +66,55 @@ class Entrant:
         return DASHES[(self.index + self.index // len(COLOURS)) % len(DASHES)]
 
     def row(self, protocol: str, sequence: str) -> Row | None:
-        """Its row of a sequence by a protocol; None when the table has none."""
+        """Its row for a sequence by a protocol, if any."""
         return next((row for row in self.scores[protocol].rows if row.sequence == sequence), None)
 
 
-def public_scores(scores: Scores, hidden: str) -> Scores:
-    """`scores` without the numbers of each row that may be the truth's own, where `hidden`, its digest, is not empty.
+def svg_mark(shape: str, colour: str) -> str:
+    """An SVG path in a box of 16 in its colour."""
+    return f'<svg class="mark" viewBox="0 0 16 16" aria-hidden="true"><path d="{shape}" fill="{colour}"/></svg>'
 
-    The price of a failure in joint state is the range of motion, so a failed row would tell it.
+
+def public_scores(scores: Scores, hidden: str) -> Scores:
+    """`scores` without the numbers of single rows that may reveal the truth, when `hidden`, its digest, is not empty.
+
+    The penalty of a failure in joint state is the range of motion, so a failed row would reveal it.
     """
     rules = protocol_named(scores.protocol)
-    lost = rules.penalised_by_truth if hidden else ()
-    if not lost:
+    removed = rules.penalised_by_truth if hidden else ()
+    if not removed:
         return scores
     rows = [
         replace(
             row,
-            values={**row.values, **dict.fromkeys(lost)},
-            values_cm={id: value for id, value in row.values_cm.items() if id not in lost},
+            values={**row.values, **dict.fromkeys(removed)},
+            values_cm={id: value for id, value in row.values_cm.items() if id not in removed},
         )
         for row in scores.rows
     ]
-    note = f"the truth is hidden: no row has {', '.join(lost)}, whose price is the truth's own number"
+    note = f"the truth is hidden: no row has {', '.join(removed)}, whose penalty is a number of the truth"
     facts = {**scores.benchmark, "hidden": hidden}
     notes = (*scores.notes, note)
     return replace(scores, rows=tuple(rows), summaries=summarise(rows, rules), notes=notes, benchmark=facts)
 
 
 def entrants(tables: Sequence[tuple[Path, Mapping[str, Scores]]], hidden: str = "") -> tuple[Entrant, ...]:
-    """All methods in the order given, each with the folder of its answers or the file of a table.
+    """All methods in the order given, each with the folder of its results or the file of a table.
 
-    Of two that go by one name, each is told with that place. `hidden` is the digest of a hidden truth.
+    Methods of the same name get that place added to it. `hidden` is the digest of a hidden truth.
     """
-    names = [next(iter(scores.values())).method.name for _, scores in tables]
-    folders = [folder.resolve().name for folder, _ in tables]
-    told = [n if names.count(n) == 1 else f"{n} ({f})" for n, f in zip(names, folders, strict=True)]
-    told = [n if told.count(n) == 1 else f"{n} #{k + 1}" for k, n in enumerate(told)]
+    plain = [next(iter(scores.values())).method.name for _, scores in tables]
+    places = [place.resolve().name for place, _ in tables]
+    names = [n if plain.count(n) == 1 else f"{n} ({p})" for n, p in zip(plain, places, strict=True)]
+    names = [n if names.count(n) == 1 else f"{n} #{k + 1}" for k, n in enumerate(names)]
     return tuple(
         Entrant(
             name,
             file,
-            folder if folder.is_dir() else None,
+            place if place.is_dir() else None,
             {protocol: public_scores(table, hidden) for protocol, table in scores.items()},
             scores,
             k,
         )
-        for k, (name, file, (folder, scores)) in enumerate(zip(told, file_names(told), tables, strict=True))
+        for k, (name, file, (place, scores)) in enumerate(zip(names, file_names(names), tables, strict=True))
     )

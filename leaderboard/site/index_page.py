@@ -1,4 +1,4 @@
-"""The front page: a ranking a protocol, every sequence below it, and tables as others published them."""
+"""The front page: a ranking by every protocol, with every sequence below it, and published tables of other papers."""
 
 from __future__ import annotations
 
@@ -8,36 +8,36 @@ from typing import Any
 
 import numpy as np
 
-from freeart21.view.document import escape
+from freeart21.view.document import Section, escape
+from freeart21.view.tables import NONE, Markup, column_head, number_cell, number_text, row_head, table, value_cell
 from leaderboard.protocols import Group, Metric, Protocol, protocol_named
 from leaderboard.site.entrant import Entrant
 from leaderboard.site.html import (
-    NONE,
+    TABLES_ONLY,
+    Board,
     columns,
     explained,
     facts,
+    method_heads,
     method_link,
-    number,
-    number_cell,
+    metric_head,
+    metric_name,
     page,
-    section,
-    table,
-    unit_text,
+    sequence_link,
 )
 from leaderboard.site.published_tables import published_section
-from leaderboard.site.sequence_data import Shown
 
 RANKING = "strict-2"
-"""The protocol whose table is the ranking; all others are tables of their own."""
-
-
+"""The protocol of the ranking; tables by other protocols do not rank."""
 HIDDEN = (
-    "The truth is hidden: shown are scores, and the methods' answers as they are. Joint states are scored in the means "
-    "alone, as the price of a failed one is the true range of motion."
+    "The ground truth is hidden: shown are scores and the methods' results as they are. Joint states appear in means "
+    "only, because the penalty of a failure is the true range of motion."
 )
-TABLES_ALONE = "Made of tables of scores alone: without the videos and the methods' answers."
-FEWEST = 3
-"""Rows of which a mean and its deviation do not tell the single values."""
+MIN_ROWS = 3
+"""Rows from which mean and deviation do not reveal single values."""
+
+Cell = tuple[float, float | None]
+"""Mean and sample standard deviation, None for one row."""
 
 
 @dataclass(frozen=True)
@@ -46,110 +46,79 @@ class Place:
 
     entrant: Entrant
     rank: float | None
-    """Mean of its places over all columns; None when it lacks one."""
-    cells: tuple[tuple[float, float | None] | None, ...]
-    """Mean and sample standard deviation a column; None where it has no number."""
+    """Mean of its places over all columns; None when it lacks a number."""
+    cells: tuple[Cell | None, ...]
+    """Of every column; None where it has no number."""
     measured: int
     sequences: int
 
 
-def index_page(
-    site: str,
-    entrants: Sequence[Entrant],
-    protocols: Sequence[str],
-    shown: Sequence[Shown],
-    files: dict[str, str],
-    benchmark: dict[str, str],
-) -> bytes:
-    """The front page; `files` says by which file name a sequence goes."""
-    frames = sum(s.facts.get("frames", 0) for s in shown)
+def index_page(board: Board) -> bytes:
+    """The front page."""
+    n, m, benchmark = len(board.entrants), len(board.shown), board.benchmark
+    frames = sum(s.facts.get("frames", 0) for s in board.shown)
     truth = f'<code title="{escape(benchmark["sha256"])}">{escape(benchmark["sha256"][:12])}</code>'
+    rows = [
+        ("benchmark", escape(f"{benchmark['name']}, version {benchmark['version']}")),
+        ("split", escape(benchmark["split"])),
+        *([("frames", f"{frames:,}".replace(",", " "))] if frames else []),
+        ("ground truth", f"{truth}, hidden" if benchmark.get("hidden") else truth),
+    ]
     lead = (
-        f"<p>{len(entrants)} method{'s' * (len(entrants) != 1)} on {len(shown)} video{'s' * (len(shown) != 1)} of "
-        "articulated objects that move freely before a camera: find the two parts, the joint, its state in every "
-        "frame, and an asset to simulate. Failures are priced, never dropped.</p>"
+        f"<p>{n} method{'s' * (n != 1)} on {m} RGB-D video{'s' * (m != 1)} of articulated objects that move freely in "
+        "front of the camera. Each estimates the two parts, the joint, its state in every frame, and an asset for "
+        f"simulation. A failure counts with a fixed penalty in every mean; none is left out.</p>{facts(rows)}"
     )
-    lead += facts(
-        [
-            ("benchmark", escape(f"{benchmark['name']}, version {benchmark['version']}")),
-            ("split", escape(benchmark["split"])),
-            *([("frames", f"{frames:,}".replace(",", " "))] if frames else []),
-            ("truth", f"{truth}, hidden" if benchmark.get("hidden") else truth),
-        ]
-    )
-    if benchmark.get("hidden"):
-        lead += f'<p class="note">{HIDDEN}</p>'
-    if not frames:
-        lead += f'<p class="note">{TABLES_ALONE}</p>'
-    chooser = '<div class="protocols" data-protocols></div>' if len(protocols) > 1 else ""
-    sections = [_board(name, entrants, shown, files) for name in protocols]
-    return page(site, chooser + "".join(sections) + published_section(), site, here="index.html", lead=lead)
+    lead += f'<p class="note">{HIDDEN}</p>' * bool(benchmark.get("hidden"))
+    lead += f'<p class="note">{TABLES_ONLY}</p>' * (not frames)
+    lead += '<div class="protocols" data-protocols></div>' * (len(board.protocols) > 1)
+    sections = [*(_ranking_section(board, name) for name in board.protocols), published_section()]
+    return page(board, board.title, sections, here="index.html", lead=lead)
 
 
-def _board(protocol: str, entrants: Sequence[Entrant], shown: Sequence[Shown], files: dict[str, str]) -> str:
+def _ranking_section(board: Board, protocol: str) -> Section:
     rules = protocol_named(protocol)
     heads = columns(rules)
-    places = ranked(protocol, entrants)
-    titles = [_head(m.column.replace("\n", " ") or m.label, m, g) for m, g in heads]
-    head = "".join(
-        f'<th scope="col" class="number"><button type="button" data-column="{k}" aria-describedby="explain-{protocol}">'
-        f"{title}</button></th>"
-        for k, title in enumerate(titles)
-    )
+    places = ranked(protocol, board.entrants)
+    titles = [metric_head(metric, group, True) for metric, group in heads]
+    head = [
+        column_head("#", sortable=True),
+        column_head("method", sortable=True),
+        column_head("measured", number=True, sortable=True),
+        *(column_head(title, number=True, sortable=True) for title in titles),
+    ]
     best = _best(places, heads)
-    body = "".join(_line(place, k, heads, titles, best) for k, place in enumerate(places))
-    first = (
-        '<th scope="col" class="place"><button type="button" data-column="rank">#</button></th>'
-        '<th scope="col"><button type="button" data-column="name">method</button></th>'
-        '<th scope="col" class="number"><button type="button" data-column="measured">measured</button></th>'
-    )
-    ranking = table("ranking", "ranking", first + head, body)
+    rows = [_line(place, k, heads, titles, best) for k, place in enumerate(places)]
     intro = (
-        '<p class="note">Mean ± standard deviation over all sequences, failures at their price. Ordered by mean '
-        "rank: a method's place by each column, averaged over all columns; only methods with every number have "
-        "one. No single number decides: sort by the one that you care for. "
-        f'<a href="definitions.html#{protocol}">What each number means</a>.</p>'
+        '<p class="note">Mean ± standard deviation over all sequences, failures with their penalty. Ordered by mean '
+        "rank: a method's place in each column, averaged over all columns; only methods with every number have one. "
+        f'Sort by the number that matters to you. <a href="definitions.html#{protocol}">Definitions</a>.</p>'
     )
-    explain = (
-        f'<p class="explain" id="explain-{protocol}" aria-live="polite">Point at, focus or tap a column to read what '
-        "it means.</p>"
+    explain = '<p class="explain" aria-live="polite">Point at, focus or tap a column to read what it means.</p>'
+    html = (
+        f'<div class="filters"></div>{intro}{table(rows, head, "ranking", "ranking")}{explain}'
+        f"<h3>Every sequence</h3>{_sequences(board, rules)}"
     )
     ranks = getattr(rules, "ranking", protocol == RANKING)
     title = f"Ranking by {protocol}" if ranks else f"By {protocol}: another protocol, not the ranking"
-    data = _data(rules, entrants, shown, files)
-    matrix = f'<h3>Every sequence</h3><div class="matrix">{_matrix(rules, entrants, shown, files)}</div>'
-    return section(
-        title,
-        f'<div class="filters"></div>{intro}{ranking}{explain}{matrix}',
-        "ranking",
-        data,
-        id=f"protocol-{protocol}",
-    )
-
-
-def _head(label: str, metric: Metric, group: Group) -> str:
-    unit = unit_text(metric.unit(group))
-    arrow = "↑" if metric.direction == "up" else "↓"
-    kind = f" <i>{group}</i>" if group != "all" else ""
-    return f"{escape(label)}{kind} <small>{escape(unit)} {arrow}</small>"
+    return Section(title, html, "ranking", _data(board, rules), "full", id=f"protocol-{protocol}")
 
 
 def ranked(protocol: str, entrants: Sequence[Entrant]) -> list[Place]:
-    """All methods in the order of their mean rank; those that lack a number after the others, as given."""
+    """All methods by their mean rank; those that lack a number after the others, in the order given."""
     heads = columns(protocol_named(protocol))
     cells = [tuple(_cell(entrant, protocol, m, g) for m, g in heads) for entrant in entrants]
     ranks = np.full((len(entrants), len(heads)), np.nan)
     for k, (metric, _) in enumerate(heads):
-        column = [row[k] for row in cells]
-        values = np.array([np.nan if cell is None else cell[0] for cell in column])
+        values = np.array([np.nan if row[k] is None else row[k][0] for row in cells])  # type: ignore[index]
         if metric.direction == "up":
             values = -values
         for i, value in enumerate(values):
             if np.isfinite(value):
                 ranks[i, k] = 1 + (values < value).sum() + 0.5 * ((values == value).sum() - 1)
-    there = [k for k in range(len(heads)) if any(c[k] is not None for c in cells)]
+    used = [k for k in range(len(heads)) if any(row[k] is not None for row in cells)]
     places = []
-    for entrant, given, own in zip(entrants, cells, ranks[:, there], strict=True):
+    for entrant, given, own in zip(entrants, cells, ranks[:, used], strict=True):
         rows = entrant.scores[protocol].rows
         rank = float(own.mean()) if len(own) and np.isfinite(own).all() else None
         places.append(Place(entrant, rank, given, sum(row.status == "ok" for row in rows), len(rows)))
@@ -157,14 +126,14 @@ def ranked(protocol: str, entrants: Sequence[Entrant]) -> list[Place]:
 
 
 def hidden_metrics(entrant: Entrant, rules: Protocol) -> tuple[str, ...]:
-    """Ids of the numbers that are shown in means alone, as the truth is hidden."""
+    """Ids of the metrics that are shown in means only, because the truth is hidden."""
     return rules.penalised_by_truth if entrant.scores[rules.name].benchmark.get("hidden") else ()
 
 
-def _cell(entrant: Entrant, protocol: str, metric: Metric, group: str) -> tuple[float, float | None] | None:
+def _cell(entrant: Entrant, protocol: str, metric: Metric, group: str) -> Cell | None:
     rows = entrant.whole[protocol].rows
     values = [v for row in rows if group in ("all", row.joint_type) and (v := row.values.get(metric.id)) is not None]
-    if len(values) < (FEWEST if metric.id in hidden_metrics(entrant, protocol_named(protocol)) else 1):
+    if len(values) < (MIN_ROWS if metric.id in hidden_metrics(entrant, protocol_named(protocol)) else 1):
         return None
     return float(np.mean(values)), float(np.std(values, ddof=1)) if len(values) > 1 else None
 
@@ -178,58 +147,53 @@ def _best(places: Sequence[Place], heads: Sequence[tuple[Metric, Any]]) -> list[
 
 
 def _line(
-    place: Place, k: int, heads: Sequence[tuple[Metric, Any]], titles: Sequence[str], best: Sequence[float | None]
-) -> str:
+    place: Place,
+    k: int,
+    heads: Sequence[tuple[Metric, Group]],
+    titles: Sequence[str],
+    best: Sequence[float | None],
+) -> list[Markup]:
+    """A row; the buttons with the columns' names in its cells are shown on narrow screens."""
     cells = []
-    for c, ((metric, group), cell) in enumerate(zip(heads, place.cells, strict=True)):
+    for (metric, group), title, cell, top in zip(heads, titles, place.cells, best, strict=True):
         unit = metric.unit(group)
-        label = f'<button type="button" class="what" data-column="{c}">{titles[c]}</button>'
-        if cell is None:
-            text = f"<span>{NONE}</span>"
-        else:
-            std = "" if cell[1] is None else f"<small>± {number(cell[1], unit)}</small>"
-            text = f"<span>{number(cell[0], unit)}</span>{std}"
-        cells.append(f'<td class="number{" best" * (cell is not None and cell[0] == best[c])}">{label}{text}</td>')
-    return (
-        f'<tr><td class="place">{k + 1 if place.rank is not None else NONE}</td><th scope="row">'
-        f'{method_link(place.entrant, False)}</th><td class="number measured"><span class="what">measured</span>'
-        f"<span>{place.measured} of {place.sequences}</span></td>{''.join(cells)}</tr>"
-    )
+        std = "" if cell is None or cell[1] is None else f"± {number_text(cell[1], unit)}"
+        text = number_text(None if cell is None else cell[0], unit)
+        html = f'<button type="button" class="what">{title}</button><span>{text}</span><small>{std}</small>'
+        cells.append(value_cell(html, None, True, "number" + " best" * (cell is not None and cell[0] == top)))
+    measured = f'<b class="what">measured</b><span>{place.measured} of {place.sequences}</span>'
+    return [
+        value_cell(str(k + 1) if place.rank is not None else NONE, css="place"),
+        row_head(method_link(place.entrant, False)),
+        value_cell(measured, None, True, "number measured"),
+        *cells,
+    ]
 
 
-def _matrix(rules: Protocol, entrants: Sequence[Entrant], shown: Sequence[Shown], files: dict[str, str]) -> str:
-    """Every sequence with the first ranking number of every method; the scripts offer the others."""
-    metric = next((m for m in rules.metrics if m.column and m.supplements is None), rules.metrics[0])
-    head = "".join(f'<th scope="col">{name}</th>' for name in ("sequence", "category", "joint"))
-    head += "".join(f'<th scope="col" class="number">{method_link(e, False)}</th>' for e in entrants)
-    lines = []
-    for s in shown:
+def _first_metric(rules: Protocol) -> Metric:
+    """The metric that the table of every sequence shows at first."""
+    return next((m for m in rules.metrics if m.column and m.supplements is None), rules.metrics[0])
+
+
+def _sequences(board: Board, rules: Protocol) -> str:
+    """Every sequence with one number of every method; the scripts offer the other numbers."""
+    metric = _first_metric(rules)
+    rows = []
+    for s in board.shown:
         cells = []
-        for entrant in entrants:
+        for entrant in board.entrants:
             row = entrant.row(rules.name, s.name)
             value = None if row is None else row.values.get(metric.id)
             more = "" if row is None or row.status == "ok" else f'<small class="failed">{escape(row.status)}</small>'
-            cells.append(number_cell(number(value, metric.unit(s.facts["joint_type"]), True), more=more))
-        lines.append(
-            f'<tr><th scope="row">{sequence_link(s, files)}</th><td>{escape(s.facts["category"])}</td>'
-            f"<td>{escape(s.facts['joint_type'])}</td>{''.join(cells)}</tr>"
-        )
-    every = table("every sequence", "every", head, "".join(lines))
-    return f'<p class="note metric">{escape(metric.label)}</p>{every}'
+            cells.append(number_cell(number_text(value, metric.unit(s.facts["joint_type"]), True), more=more))
+        rows.append([row_head(sequence_link(s, board)), s.facts["category"], s.facts["joint_type"], *cells])
+    head = ["sequence", "category", "joint", *method_heads(board.entrants, False)]
+    return f'<p class="note metric">{escape(metric.label)}</p>{table(rows, head, "every", "every sequence")}'
 
 
-def sequence_link(shown: Shown, files: dict[str, str], deep: bool = False) -> str:
-    """A sequence's small picture and name, leading to its page."""
-    up, file = "../" if deep else "", files[shown.name]
-    picture = f'<img src="{up}thumbs/{file}.jpg" alt="" width="88" height="50" loading="lazy">' if shown.thumb else ""
-    return f'<a class="sequence" href="{up}sequences/{file}.html">{picture}<span>{escape(shown.name)}</span></a>'
-
-
-def _data(
-    rules: Protocol, entrants: Sequence[Entrant], shown: Sequence[Shown], files: dict[str, str]
-) -> dict[str, Any]:
-    """What `static/ranking.js` sorts and filters."""
-    heads = columns(rules)
+def _data(board: Board, rules: Protocol) -> dict[str, Any]:
+    """Input of `static/ranking.js`."""
+    entrants, shown = board.entrants, board.shown
     metrics = [m for m in rules.metrics if any(e.row(rules.name, s.name) for e in entrants for s in shown)]
     at = {metric.id: k for k, metric in enumerate(metrics)}
     methods = []
@@ -238,8 +202,6 @@ def _data(
         methods.append(
             {
                 "name": entrant.name,
-                "colour": entrant.colour,
-                "shape": entrant.shape,
                 "href": f"methods/{entrant.file}.html",
                 "status": [row.status if row else "missing" for row in rows],
                 "values": [[_short(row.values.get(metric.id)) if row else None for metric in metrics] for row in rows],
@@ -253,34 +215,25 @@ def _data(
                 "group": g,
                 "unit": m.unit(g),
                 "up": m.direction == "up",
-                "title": _head(m.column.replace("\n", " ") or m.label, m, g),
                 "cells": [_cell(e, rules.name, m, g) for e in entrants]
                 if any(m.id in hidden_metrics(e, rules) for e in entrants)
                 else None,
             }
-            for m, g in heads
+            for m, g in columns(rules)
         ],
         "metrics": [
             {
                 "id": m.id,
-                "label": m.label or m.id,
+                "label": metric_name(m),
                 "explain": explained(m),
                 "units": {"revolute": m.revolute_unit, "prismatic": m.prismatic_unit},
                 "up": m.direction == "up",
             }
             for m in metrics
         ],
-        "first": at[next((m for m in metrics if m.column and m.supplements is None), metrics[0]).id] if metrics else 0,
+        "first": at.get(_first_metric(rules).id, 0),
         "methods": methods,
-        "sequences": [
-            {
-                "name": s.name,
-                "file": files[s.name],
-                "type": s.facts["joint_type"],
-                "category": s.facts["category"],
-            }
-            for s in shown
-        ],
+        "sequences": [{"type": s.facts["joint_type"], "category": s.facts["category"]} for s in shown],
     }
 
 

@@ -1,141 +1,169 @@
-"""The page of a method: what it says of itself, where its numbers come from, its means, and every sequence."""
+"""The page of a method: its own facts, means, every sequence, settings, and the provenance of its numbers."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-from freeart21.view.document import escape
+from freeart21.view.document import Section, escape
+from freeart21.view.tables import (
+    ARROWS,
+    NONE,
+    Markup,
+    column_head,
+    number_cell,
+    number_text,
+    row_head,
+    table,
+    value_cell,
+)
 from leaderboard.protocols import Metric, Protocol, protocol_named
 from leaderboard.rows import Row, Scores, Summary
 from leaderboard.site.entrant import Entrant
 from leaderboard.site.html import (
-    NONE,
+    Board,
     columns,
     facts,
+    hash_text,
     mark,
-    metric_row,
-    number,
-    number_cell,
+    metric_row_head,
+    missing,
     page,
-    section,
-    table,
+    sequence_link,
     unit_text,
 )
-from leaderboard.site.index_page import FEWEST, hidden_metrics, sequence_link
-from leaderboard.site.provenance import provenance
-from leaderboard.site.sequence_data import Shown
-from leaderboard.site.sequence_page import WORDS
+from leaderboard.site.index_page import MIN_ROWS, hidden_metrics
+from leaderboard.site.sequence_data import LACKS
 
 
-def method_page(
-    site: str, entrant: Entrant, protocols: Sequence[str], shown: Sequence[Shown], files: dict[str, str]
-) -> bytes:
+def method_page(board: Board, entrant: Entrant) -> bytes:
     """The page of one method."""
-    method = entrant.method
+    method, protocols = entrant.method, board.protocols
     first = entrant.scores[protocols[0]]
     lead = facts(
         [
-            ("code", escape(method.code) or "not said"),
-            ("hardware", escape(method.hardware) or "not said"),
+            ("code", escape(method.code) or "not stated"),
+            ("hardware", escape(method.hardware) or "not stated"),
             ("measured", f"{first.measured} of {len(first.rows)} sequences"),
-            ("time", _time(first)),
+            ("time", _time_text(first)),
         ]
     )
-    lacks = [WORDS[piece] for piece in method.lacks]
-    notice = ""
-    if lacks:
-        told = " and ".join([", ".join(lacks[:-1]), lacks[-1]] if len(lacks) > 1 else lacks)
-        notice = f'<p class="notice">It {escape(told)}: numbers that need them are left out ({NONE}), never priced.</p>'
-    notes = "".join(f'<p class="notice">{escape(note)}</p>' for note in dict.fromkeys(first.notes))
-    tables = "".join(_protocol(entrant, protocol_named(name), shown, files) for name in protocols)
+    notices = list(dict.fromkeys(first.notes))
+    if method.lacks:
+        *some, last = [LACKS[piece] for piece in method.lacks]
+        names = f"{', '.join(some)} and {last}" if some else last
+        notices.insert(0, f"This method {names}: numbers that need them are left out ({NONE}), without a penalty.")
     settings = json.dumps(method.settings, indent=2, ensure_ascii=True, sort_keys=True) if method.settings else ""
-    own = f"<pre tabindex=0>{escape(settings)}</pre>" if settings else '<p class="note">It says none.</p>'
-    traced = "".join(
-        f"<h3>By {escape(name)}</h3>{facts(provenance(entrant.scores[name]))}"
-        f'<p class="note"><a href="../scores/{entrant.file}.{name}.json">Every number as JSON</a>, '
-        f'<a href="../scores/{entrant.file}.{name}.csv">as CSV</a></p>'
-        for name in protocols
-    )
-    own = section("Settings, by its own word", own)
-    traced = section("Where these numbers come from", traced, id="provenance")
-    main = f"{notice}{notes}{tables}{own}{traced}"
-    return page(entrant.name, main, site, True, lead=lead, kind="Method", icon=mark(entrant))
+    own = f"<pre tabindex=0>{escape(settings)}</pre>" if settings else '<p class="note">Not stated.</p>'
+    sections = [
+        *(_protocol_section(board, entrant, protocol_named(name)) for name in protocols),
+        Section("Settings, as stated by the method", own, place="full"),
+        Section("Provenance", _provenance(entrant, protocols), place="full", id="provenance"),
+    ]
+    return page(board, entrant.name, sections, deep=True, lead=lead, kind="Method", icon=mark(entrant), notices=notices)
 
 
-def _time(scores: Scores) -> str:
+def _time_text(scores: Scores) -> str:
     seconds = sorted(row.seconds for row in scores.rows if row.seconds is not None)
     if not seconds:
-        return "not said"
-    return f"{seconds[len(seconds) // 2]:.0f} s a sequence (median, by its own word)"
+        return "not stated"
+    return f"{seconds[len(seconds) // 2]:.0f} s per sequence (median, stated by the method)"
 
 
-def _protocol(entrant: Entrant, rules: Protocol, shown: Sequence[Shown], files: dict[str, str]) -> str:
-    return section(
-        f"By {rules.name}",
-        f"{_means(entrant, rules)}<h3>Every sequence</h3>{_rows(entrant, rules, shown, files)}",
-        "sortable",
-        id=f"protocol-{rules.name}",
-    )
+def _protocol_section(board: Board, entrant: Entrant, rules: Protocol) -> Section:
+    html = f"{_means(entrant, rules)}<h3>Every sequence</h3>{_sequences(board, entrant, rules)}"
+    return Section(f"Scores by {rules.name}", html, place="full", id=f"protocol-{rules.name}")
 
 
 def _means(entrant: Entrant, rules: Protocol) -> str:
-    """Every number over each joint type and over all: mean and standard deviation, median and worst."""
+    """Every number by joint type and over all: mean and standard deviation, median and worst."""
     groups, hidden = entrant.whole[rules.name].summaries, hidden_metrics(entrant, rules)
-    head = '<th scope="col">mean ± standard deviation</th>' + "".join(
-        f'<th scope="col" class="number">{s.group} <small>{s.sequences - s.failures} of {s.sequences}</small></th>'
-        for s in groups
-    )
-    lines = []
+    head = ["mean ± standard deviation"]
+    for group in groups:
+        measured = f"<small>{group.sequences - group.failures} of {group.sequences}</small>"
+        head.append(column_head(f"{group.group} {measured}", number=True))
+    rows = []
     for metric in rules.metrics:
         cells = [_mean(metric, summary, metric.id in hidden) for summary in groups]
         if any(NONE not in cell for cell in cells):
-            lines.append(metric_row(rules, metric, "".join(cells)))
-    return table("means", "numbers means", head, "".join(lines))
+            rows.append((metric, [metric_row_head(rules, metric), *cells]))
+    css = ["beside" if metric.supplements else "" for metric, _ in rows]
+    return table([row for _, row in rows], head, "numbers means", "means", css)
 
 
-def _mean(metric: Metric, summary: Summary, hidden: bool) -> str:
-    """A cell; `hidden` where it must not tell the number of any one sequence."""
+def _mean(metric: Metric, summary: Summary, hidden: bool) -> Markup:
+    """A cell; when `hidden` it must not reveal the number of a single sequence."""
     unit, found = metric.unit(summary.group), summary.statistics.get(metric.id)
-    if unit is None or found is None or (hidden and found.sequences < FEWEST):
+    if unit is None or found is None or (hidden and found.sequences < MIN_ROWS):
         return number_cell(NONE)
-    std = "" if found.std is None else f' <small class="std">± {number(found.std, unit)}</small>'
-    rest = "" if hidden else f"<small>median {number(found.median, unit)}, worst {number(found.worst, unit)}</small>"
-    return number_cell(number(found.mean, unit, True), more=std + rest)
+    more = "" if found.std is None else f' <small class="std">± {number_text(found.std, unit)}</small>'
+    if not hidden:
+        more += f"<small>median {number_text(found.median, unit)}, worst {number_text(found.worst, unit)}</small>"
+    return number_cell(number_text(found.mean, unit, True), more=more)
 
 
-def _rows(entrant: Entrant, rules: Protocol, shown: Sequence[Shown], files: dict[str, str]) -> str:
-    """Every sequence with the ranking numbers; sorted by a click on a heading."""
+def _sequences(board: Board, entrant: Entrant, rules: Protocol) -> str:
+    """Every sequence with the ranking numbers, sortable."""
     metrics = list({metric.id: metric for metric, _ in columns(rules) if metric.column}.values())
-    head = _sortable("sequence") + _sortable("joint") + _sortable("status")
+    head = [column_head(text, sortable=True) for text in ("sequence", "joint", "status")]
     for metric in metrics:
-        arrow = "↑" if metric.direction == "up" else "↓"
-        unit = f" <small>{escape(unit_text(metric.unit('all')))} {arrow}</small>"
-        head += _sortable(metric.column.replace("\n", " "), unit, ' class="number"')
-    head += _sortable("s", "", ' class="number"')
-    lines = []
-    for s in shown:
+        unit = f" <small>{escape(unit_text(metric.unit('all')))} {ARROWS[metric.direction][0]}</small>"
+        head.append(column_head(escape(metric.column.replace("\n", " ")), True, True, unit))
+    head.append(column_head("s", True, True))
+    rows = []
+    for s in board.shown:
         row = entrant.row(rules.name, s.name)
         if row is not None:
-            lines.append(_line(row, metrics, sequence_link(s, files, True)))
-    return table("every sequence", "rows", head, "".join(lines))
+            rows.append(_line(row, metrics, sequence_link(s, board, True)))
+    return table(rows, head, "sortable", "every sequence")
 
 
-def _sortable(name: str, more: str = "", attributes: str = "") -> str:
-    return f'<th scope="col"{attributes}><button type="button">{escape(name)}</button>{more}</th>'
-
-
-def _line(row: Row, metrics: Sequence[Metric], link: str) -> str:
+def _line(row: Row, metrics: Sequence[Metric], link: str) -> list[str]:
     wrong = row.status == "ok" and row.values.get("joint_type") == 0
     word = "wrong type" if wrong else "files" if row.status == "ok" and row.measured_from == "files" else row.status
-    failed = ' class="failed"' if row.status != "ok" or wrong else ""
+    status = f'<span title="{escape(row.reason)}">{escape(word)}</span>'
     cells = []
     for metric in metrics:
         value, unit = row.values.get(metric.id), metric.unit(row.joint_type)
-        cells.append(number_cell(number(value, unit, metric.unit("all") is None), value=value))
+        cells.append(number_cell(number_text(value, unit, metric.unit("all") is None), value=value))
     took = NONE if row.seconds is None else f"{row.seconds:.0f}"
-    return (
-        f'<tr><th scope="row" data-value="{escape(row.sequence)}">{link}</th><td>{escape(row.joint_type)}</td>'
-        f'<td{failed} title="{escape(row.reason)}">{escape(word)}</td>{"".join(cells)}'
-        f"{number_cell(took, value=row.seconds)}</tr>"
-    )
+    return [
+        row_head(link, row.sequence),
+        value_cell(row.joint_type),
+        value_cell(status, word, True, "failed" if row.status != "ok" or wrong else ""),
+        *cells,
+        number_cell(took, value=row.seconds),
+    ]
+
+
+def _provenance(entrant: Entrant, protocols: Sequence[str]) -> str:
+    """Benchmark, code, libraries and machine behind every table, with the tables as files."""
+    html = ""
+    for name in protocols:
+        scores, benchmark = entrant.scores[name], entrant.scores[name].benchmark
+        rows = [
+            ("benchmark", escape(f"{benchmark['name']}, version {benchmark['version']}, {benchmark['split']}")),
+            ("benchmark.json", hash_text(benchmark["sha256"])),
+            ("protocol", escape(scores.protocol)),
+            *_nested_facts("", scores.made_with),
+        ]
+        html += (
+            f'<h3>By {escape(name)}</h3>{facts(rows)}<p class="note">'
+            f'<a href="../scores/{entrant.file}.{name}.json">Every number as JSON</a>, '
+            f'<a href="../scores/{entrant.file}.{name}.csv">as CSV</a></p>'
+        )
+    return html
+
+
+def _nested_facts(before: str, given: Mapping[str, Any]) -> list[tuple[str, str]]:
+    rows: list[tuple[str, str]] = []
+    for key, value in given.items():
+        name = f"{before} {key}".strip().replace("_", " ")
+        if isinstance(value, Mapping):
+            rows += _nested_facts(name, value)
+        elif isinstance(value, str) and len(value) == 64 and set(value) <= set("0123456789abcdef"):
+            rows.append((name, hash_text(value)))
+        else:
+            rows.append((name, missing(value)))
+    return rows

@@ -1,4 +1,4 @@
-"""Names from outside as names of files."""
+"""File names from names of users."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import re
 from collections.abc import Iterable
 
 LONGEST = 60
-"""Characters of a name that are kept."""
+"""Characters kept of a name."""
 _RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{k}" for port in ("com", "lpt") for k in range(10))}
 
 
 def file_names(names: Iterable[str]) -> list[str]:
-    """A file name without ending for each name: letters, digits, '-', '_' and '.', all different whatever the case.
+    """A file name without ending for each name: letters, digits, '-', '_' and '.', unique regardless of case.
 
-    A name that is safe keeps its look; any other gets a short digest of itself, so that it never depends on the rest.
+    A safe name stays as it is; any other gets a short digest of itself, so that it is independent of the others.
     """
     taken: set[str] = set()
     found: list[str] = []

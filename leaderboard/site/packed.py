@@ -1,7 +1,7 @@
-"""Arrays for display, as small as they get: whole numbers, differences, variable-length bytes, DEFLATE, base64.
+"""Compact arrays for display: integers, differences, variable-length bytes, DEFLATE, base64.
 
-`Packed` collects the arrays of one page and becomes a script that the page loads; `static/packed.js` reads it back.
-What is equal is kept once: methods that share a mesh share its bytes.
+`Packed` collects the arrays of one page and becomes a script that the page loads; `static/packed.js` reads it. Equal
+arrays are stored once.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from numpy.typing import ArrayLike, NDArray
 from freeart21.mesh import Mesh
 
 LEVELS = 4095
-"""Steps in which the longest side of a mesh's box is told: a 0.02 % of it."""
+"""Quantisation steps along the longest side of a mesh's bounding box."""
 POSE_STEP = 1.0 / 4095
-"""Of rotation entries, and of translations over the farthest."""
+"""Quantisation of rotation entries, and of translations relative to the largest."""
 STATE_LEVELS = 4095
-"""Steps in which the range of joint states is told."""
+"""Quantisation steps over the range of joint states."""
 
 
 def varints(values: ArrayLike) -> bytes:
-    """Whole numbers (n,) as zigzag variable-length bytes, seven bits each, lowest first (as in Protocol Buffers)."""
+    """Integers (n,) as zigzag variable-length bytes, seven bits each, lowest first (as in Protocol Buffers)."""
     v = np.asarray(values, np.int64).reshape(-1)
     rest = ((v << 1) ^ (v >> 63)).astype(np.uint64)
     columns, more = [], []
@@ -36,14 +36,14 @@ def varints(values: ArrayLike) -> bytes:
         if not more[-1].any():
             break
     table = np.stack([c | (m.astype(np.uint8) << 7) for c, m in zip(columns, more, strict=True)], 1)
-    kept = np.ones(table.shape, bool)
+    used = np.ones(table.shape, bool)
     for k in range(1, len(more)):
-        kept[:, k] = more[k - 1] & kept[:, k - 1]
-    return table[kept].tobytes()
+        used[:, k] = more[k - 1] & used[:, k - 1]
+    return table[used].tobytes()
 
 
 def read_varints(data: bytes) -> NDArray[np.int64]:
-    """The numbers that `varints` wrote; the scripts do the same."""
+    """The integers (n,) behind the output of `varints`."""
     found, value, shift = [], 0, 0
     for byte in data:
         value |= (byte & 127) << shift
@@ -55,14 +55,14 @@ def read_varints(data: bytes) -> NDArray[np.int64]:
 
 
 class Packed:
-    """The arrays of one page, each kept once."""
+    """The arrays of one page. A packed array is a dictionary with its kind under '$', which the scripts replace."""
 
     def __init__(self) -> None:
         self._data = bytearray()
         self._places: dict[bytes, list[int]] = {}
 
-    def whole(self, values: ArrayLike) -> list[int]:
-        """Where whole numbers (n,) stand: [first byte, bytes]. All other kinds have a key '$', which names them."""
+    def place(self, values: ArrayLike) -> list[int]:
+        """Stores integers (n,); returns [first byte, number of bytes]."""
         data = varints(values)
         if data not in self._places:
             self._places[data] = [len(self._data), len(data)]
@@ -70,26 +70,33 @@ class Packed:
         return self._places[data]
 
     def curve(self, values: ArrayLike, low: float, step: float) -> dict[str, Any]:
-        """Numbers (n,) in steps of `step` from `low` on, as differences."""
+        """Numbers (n,) as `low` plus multiples of `step`."""
         levels = np.rint((np.asarray(values, float) - low) / step).astype(np.int64)
-        return {"$": "curve", "low": low, "step": step, "at": self.whole(np.diff(levels, prepend=0))}
+        return {"$": "curve", "low": low, "step": step, "at": self.place(np.diff(levels, prepend=0))}
 
     def states(self, values: ArrayLike) -> dict[str, Any]:
-        """Joint states (n,), rad or m, to a four-thousandth of their range."""
+        """Joint states (n,), rad or m."""
         v = np.asarray(values, float)
         low, step = _rounded(float(v.min())), _rounded(max(float(np.ptp(v)) / STATE_LEVELS, 1e-9))
         return self.curve(v, low, step)
 
     def poses(self, Ts: ArrayLike) -> dict[str, Any]:
-        """Rigid poses (n, 4, 4): the twelve numbers of [R t], each a curve over the frames."""
+        """Rigid poses (n, 4, 4): the twelve entries of [R t], each a curve over the frames."""
         T = np.asarray(Ts, float)[:, :3].reshape(-1, 12)
         scale = np.ones(12)
         scale[3::4] = _rounded(max(float(np.abs(T[:, 3::4]).max(initial=0.0)), 1e-6))
         columns = [self.curve(T[:, k] / scale[k], 0.0, POSE_STEP) for k in range(12)]
         return {"$": "poses", "scale": scale.tolist(), "columns": columns}
 
+    def lines(self, ends: ArrayLike) -> dict[str, Any]:
+        """Line segments (n, 2, 2), pixels, to a tenth of a pixel; null where NaN."""
+        table = np.asarray(ends, float).reshape(-1, 4)
+        gaps = ~np.isfinite(table).all(1)
+        columns = [self.curve(np.where(gaps, 0.0, table[:, k]), 0.0, 0.1) for k in range(4)]
+        return {"$": "lines", "gaps": {"$": "integers", "at": self.place(gaps)}, "columns": columns}
+
     def mesh(self, mesh: Mesh) -> dict[str, Any]:
-        """Triangles, vertices to `LEVELS` steps along the longest side of their box."""
+        """Triangles, with vertices to 1 / `LEVELS` of the longest side of their bounding box."""
         used, faces = np.unique(mesh.faces, return_inverse=True)
         places, faces = mesh.vertices[used], faces.reshape(-1, 3)
         low = places.min(0) if len(places) else np.zeros(3)
@@ -102,31 +109,31 @@ class Packed:
         faces = rank[index.reshape(-1)[faces]].reshape(-1, 3)
         faces = faces[(faces != np.roll(faces, 1, axis=1)).all(1)]
         first = faces.argmin(1)
-        faces = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, 1)  # turned, never turned over
+        faces = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, 1)  # the smallest first, same order
         faces = faces[np.lexsort(faces.T[::-1])]
         vertices = np.diff(cells[order], axis=0, prepend=np.zeros((1, 3), np.int64))
         steps = np.column_stack([np.diff(faces[:, 0], prepend=0), faces[:, 1:] - faces[:, :1]])
-        places_at, faces_at = self.whole(vertices.T), self.whole(steps.T)
+        places_at, faces_at = self.place(vertices.T), self.place(steps.T)
         return {"$": "mesh", "low": low.tolist(), "step": step, "vertices": places_at, "faces": faces_at}
 
     def labels(self, frames: NDArray[np.uint8]) -> dict[str, Any]:
-        """Label maps (n, height, width) of 0, 1, 2 as runs in reading order: three times the length, and the label."""
+        """Label maps (n, height, width) of 0, 1, 2 as runs in reading order: three times the length plus the label."""
         runs: list[NDArray[np.int64]] = []
         for frame in frames:
             flat = frame.reshape(-1)
             ends = np.append(np.flatnonzero(np.diff(flat)) + 1, len(flat))
             runs.append(3 * np.diff(ends, prepend=0) + flat[ends - 1])
-        return {"$": "labels", "at": self.whole(np.concatenate(runs) if runs else [])}
+        return {"$": "integers", "at": self.place(np.concatenate(runs) if runs else [])}
 
     def script(self, header: dict[str, Any]) -> str:
-        """A script that puts `header` and all arrays where `static/packed.js` finds them."""
+        """A script that defines `header` and all arrays for `static/packed.js`."""
         text = json.dumps(header, allow_nan=False, separators=(",", ":"), sort_keys=True).encode()
         body = zlib.compress(len(text).to_bytes(4, "little") + text + bytes(self._data), 9)
         return f'var FreeArtPacked="{base64.b64encode(body).decode("ascii")}";\n'
 
 
 def read_script(script: str) -> tuple[dict[str, Any], bytes]:
-    """Header and bytes of what `Packed.script` wrote."""
+    """Header and bytes behind the output of `Packed.script`."""
     body = zlib.decompress(base64.b64decode(script.split('"')[1]))
     length = int.from_bytes(body[:4], "little")
     return json.loads(body[4 : 4 + length]), body[4 + length :]
@@ -137,7 +144,7 @@ def _rounded(value: float) -> float:
 
 
 def _along_curve(cells: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The order of whole places (n, 3) along a Z-order curve (Morton 1966)."""
+    """The order of integer points (n, 3) along a Z-order curve (Morton 1966)."""
     key = np.zeros(len(cells), np.int64)
     for bit in range(12):
         for axis in range(3):

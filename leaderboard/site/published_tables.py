@@ -1,51 +1,40 @@
-"""Tables as others published them: other objects, another protocol, never ranked."""
+"""Tables from publications: measured by others, on other objects or by other protocols; never ranked."""
 
 from __future__ import annotations
 
-from freeart21.view.document import escape
+from freeart21.view.document import Section, escape
+from freeart21.view.tables import NONE, column_head, number_cell, table
 from leaderboard.protocol import Group
 from leaderboard.protocols import protocol_named
 from leaderboard.published import PUBLISHED, PublishedRow
-from leaderboard.site.html import NONE, section, table, unit_text
+from leaderboard.site.html import metric_head
 
 
-def published_section() -> str:
-    """All published rows, a table a protocol, data set and joint type."""
+def published_section() -> Section:
+    """A table for every protocol, data set, joint type and source."""
     groups: dict[tuple[str, str, Group, str], list[PublishedRow]] = {}
     for row in PUBLISHED:
         groups.setdefault((row.protocol, row.dataset, row.group, row.source), []).append(row)
-    tables: list[str] = []
-    for (protocol, dataset, group, source), members in groups.items():
-        ids = list(dict.fromkeys(id for row in members for id in row.values))
-        head = '<th scope="col">method</th>' + "".join(_head(protocol, id, group) for id in ids)
-        lines = []
-        for row in members:
-            cells = "".join(f'<td class="number">{_cell(row.values.get(id))}</td>' for id in ids)
-            lines.append(f'<tr><th scope="row">{escape(row.method)}</th>{cells}</tr>')
-        tables.append(
-            f"<details{' open' * (not tables)}><summary>{escape(dataset)}, {escape(group)}, nearest protocol "
-            f"{escape(protocol)} <small>{escape(source)}</small></summary>"
-            f"{table(f'{dataset}, {group}', 'published', head, ''.join(lines))}</details>"
-        )
-    return section(
-        "As published",
-        '<p class="note">Other objects, other videos: copied from the publication, not measured here, and never ranked '
-        f"with the tables above. The protocol named is the one whose definitions come nearest.</p>{''.join(tables)}",
-        id="published",
+    html = (
+        '<p class="note">Copied from publications, on other objects and videos; not measured here and not ranked with '
+        "the tables above. The protocol named is the one with the closest definitions.</p>"
     )
+    for k, ((protocol, dataset, group, source), members) in enumerate(groups.items()):
+        ids = list(dict.fromkeys(id for row in members for id in row.values))
+        rules = protocol_named(protocol)
+        head = ["method", *(column_head(metric_head(rules.metric(id), group), number=True) for id in ids)]
+        rows = [[row.method, *(number_cell(*_texts(row.values.get(id))) for id in ids)] for row in members]
+        html += (
+            f"<details{' open' * (k == 0)}><summary>{escape(dataset)}, {escape(group)}, closest protocol "
+            f"{escape(protocol)} <small>{escape(source)}</small></summary>"
+            f"{table(rows, head, 'published', f'{dataset}, {group}')}</details>"
+        )
+    return Section("As published", html, place="full", id="published")
 
 
-def _head(protocol: str, id: str, group: Group) -> str:
-    """The head of a column: the number's name and unit."""
-    metric = protocol_named(protocol).metric(id)
-    arrow = "↑" if metric.direction == "up" else "↓"
-    name = escape(metric.column.replace("\n", " ") or metric.label)
-    unit = escape(unit_text(metric.unit(group)))
-    return f'<th scope="col" class="number">{name} <small>{unit} {arrow}</small></th>'
-
-
-def _cell(value: tuple[float, float | None] | None) -> str:
+def _texts(value: tuple[float, float | None] | None) -> tuple[str, bool, None, str]:
+    """Arguments of `number_cell` for mean and standard deviation."""
     if value is None:
-        return NONE
+        return NONE, False, None, ""
     mean, std = value
-    return f"<span>{mean:.2f}</span>" + ("" if std is None else f" <small>± {std:.2f}</small>")
+    return f"{mean:.2f}", False, None, "" if std is None else f" <small>± {std:.2f}</small>"

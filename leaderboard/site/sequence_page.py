@@ -1,168 +1,124 @@
-"""The page of a sequence: its video with every method's parts over it, 3D, joint states, and all numbers."""
+"""The page of a sequence: its video with every method's parts, the 3D view, joint states, and all numbers."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
-from freeart21.view.document import escape
+from freeart21.view.document import Section, escape
+from freeart21.view.plots import display_unit
+from freeart21.view.tables import NONE, number_cell, number_text, table
 from leaderboard.protocols import protocol_named
 from leaderboard.rows import Row
 from leaderboard.site.entrant import Entrant
 from leaderboard.site.html import (
-    NONE,
+    TABLES_ONLY,
+    Board,
     facts,
+    hash_text,
+    method_heads,
     method_link,
-    metric_row,
-    number,
-    number_cell,
+    metric_row_head,
     page,
-    section,
-    sources,
-    table,
 )
-from leaderboard.site.index_page import TABLES_ALONE, hidden_metrics
-from leaderboard.site.sequence_data import Shown
+from leaderboard.site.index_page import hidden_metrics
+from leaderboard.site.sequence_data import LACKS, Shown
 
-WORDS = {
-    "states": "makes no joint states",
-    "poses": "makes no poses of the parts over time",
-    "masks": "makes no part masks",
-    "meshes": "makes no meshes",
-    "renders": "makes no held-out views",
-}
-"""What a method says that it does not make, where it would be."""
 MEASURED = {
-    "asset": "the asset, loaded and driven in the simulator",
+    "asset": "the asset, loaded and moved in the simulator",
     "files": "the result's files, as there is no asset",
     "nothing": "nothing",
 }
 
 
-def sequence_page(
-    site: str,
-    shown: Shown,
-    file: str,
-    entrants: Sequence[Entrant],
-    protocols: Sequence[str],
-    around: tuple[tuple[str, str] | None, tuple[str, str] | None],
-) -> bytes:
-    """The page; `around` holds name and file name of the sequence before and of the one after it."""
-    f = shown.facts
+def sequence_page(board: Board, k: int) -> bytes:
+    """The page of the k-th sequence."""
+    shown, f = board.shown[k], board.shown[k].facts
     lines = [("joint", escape(f["joint_type"]))]
     if "range" in f:
-        unit = "°" if f["joint_type"] == "revolute" else " cm"
-        motion = f["range"] * (57.29577951308232 if f["joint_type"] == "revolute" else 100)
-        lines = [("category", escape(f["category"])), *lines, ("range", f"{motion:.1f}{unit}")]
+        unit, factor = display_unit(f["joint_type"])
+        motion = f"{factor * f['range']:.1f}{'' if unit == '°' else ' '}{unit}"
+        lines = [("category", escape(f["category"])), *lines, ("range", motion)]
         lines.append(("diagonal", f"{f['diagonal_cm']:.1f} cm"))
     if "frames" in f:
         lines.append(("video", f"{f['frames']} frames, {f['seconds']:.1f} s, {escape(f['size'])}"))
-    lead = facts(lines)
-    steps = "".join(
-        f'<a rel="{rel}" href="{escape(place[1])}.html">{arrow.format(escape(place[0]))}</a>'
-        if place
+    steps = [(board.shown[i].name if 0 <= i < len(board.shown) else None) for i in (k - 1, k + 1)]
+    links = "".join(
+        f'<a rel="{rel}" href="{escape(board.files[name])}.html">{arrow.format(escape(name))}</a>'
+        if name is not None
         else "<span></span>"
-        for rel, arrow, place in (("prev", "← {}", around[0]), ("next", "{} →", around[1]))
+        for rel, arrow, name in zip(("prev", "next"), ("← {}", "{} →"), steps, strict=True)
     )
-    numbers = "".join(_numbers(name, shown, entrants) for name in protocols)
-    said = _said(shown, entrants, protocols)
-    main = (
-        f'<nav class="steps" aria-label="sequences">{steps}</nav>{_shown(shown, file, entrants)}{numbers}{said}'
-        f"{_source(f, entrants[0].row(protocols[0], shown.name))}"
-    )
-    scripts = [f"../data/{file}.js"] if shown.script else []
-    return page(shown.name, main, site, True, lead=lead, kind="Sequence", scripts=scripts)
+    lead = f'{facts(lines)}<nav class="steps" aria-label="sequences">{links}</nav>'
+    sections = [
+        *_visual_sections(shown, board),
+        *(_numbers_section(name, shown, board.entrants) for name in board.protocols),
+        _notes_section(shown, board),
+        *_source_section(f, board.entrants[0].row(board.protocols[0], shown.name)),
+    ]
+    data = [f"../data/{board.files[shown.name]}.js"] if shown.script else []
+    return page(board, shown.name, sections, deep=True, lead=lead, kind="Sequence", data=data)
 
 
-def _shown(shown: Shown, file: str, entrants: Sequence[Entrant]) -> str:
-    """Video, 3D and joint states; of tables alone, that there are none."""
+def _visual_sections(shown: Shown, board: Board) -> list[Section]:
+    """Video, 3D view and joint states, as far as there are any."""
     if not shown.script:
-        return section("Video and parts", f'<p class="note">{TABLES_ALONE}</p>')
+        return [Section("Video and parts", f'<p class="note">{TABLES_ONLY}</p>', place="full")]
     hidden = "range" not in shown.facts
-    told = _told(shown, entrants, hidden)
-    sheets = [f"../video/{file}-{k}.jpg" for k in range(len(shown.sheets))]
-    there = [s for s in told if s["id"] == "truth" or s["id"] not in shown.absent]
-    noted = (
-        "Solid lines and stronger colour: the moving part; dashed: the reference part. Parts go by the truth's names."
-    )
-    where = (
-        "The truth is hidden: each answer stands where it says that the object is, in the camera's frame of the first "
-        "picture; the slider moves all joints of one type."
-        if hidden
-        else "Answers lie in the truth's frame as the protocol aligns them; the slider moves all joints of the true "
-        "type."
-    )
-    counted = (
-        "The truth is hidden: states are counted as the first shown method counts; the sign of the axis and the median "
-        "offset to it are taken out."
-        if hidden
-        else "States are counted as the truth counts: the sign of the axis and the median offset are taken out, as in "
-        "scoring. Grey: not one pixel of the moving part is seen."
-    )
-    video = section(
+    without = _without_meshes(shown, board.entrants)
+    sheets = [f"../video/{board.files[shown.name]}-{k}.jpg" for k in range(len(shown.sheets))]
+    video = Section(
         "Video and parts",
         '<div class="stage"><p class="note">Loading …</p></div><div class="player"></div>',
-        "player",
-        {"sources": told, "sheets": sheets},
-        place="half",
-        note=noted,
+        "overlays",
+        {"sheets": sheets},
+        "left",
+        "Solid outline and stronger colour: moving part; dashed: reference part.",
     )
-    scene = section(
+    if shown.states is None:  # no method has a result that can be shown
+        return [video, Section("Parts and joint in 3D", without, place="right")]
+    where = (
+        "The ground truth is hidden: every result is shown in the camera frame of the first image."
+        if hidden
+        else "Results are aligned with the ground truth as the protocol does it."
+    )
+    signs = (
+        "The ground truth is hidden: states have the sign and zero of the first method shown; the sign of the axis and "
+        "the median offset are removed."
+        if hidden
+        else "The sign of the axis and the median offset are removed, as in scoring. Grey: the moving part is "
+        "not visible."
+    )
+    scene = Section(
         "Parts and joint in 3D",
-        f'<div class="scene"></div>{_absent_list(shown, entrants, "meshes")}',
+        f'<div class="scene"></div>{without}',
         "scene",
-        {"sources": there},
-        place="half right",
-        note=f"{where} Shown are prediction.json and parts/, thinned out; pale: the reference part.",
+        {},
+        "right",
+        f"{where} The slider moves all joints of one type. Meshes are simplified; pale: reference part.",
     )
-    states = section(
-        "Joint state",
-        '<div class="states"></div>',
-        "states",
-        {"sources": told},
-        note=f"{counted} Curves that leave the scale run along its edge.",
+    html, data = shown.states
+    states = Section(
+        "Joint state", html, "curves", data, "left", f"{signs} Curves beyond the scale run along its edge."
     )
-    if hidden and len(shown.absent) == len(entrants):
-        return video + section("Parts and joint in 3D", _absent_list(shown, entrants, "meshes"))
-    return f'<div class="pair">{video}{scene}</div>{states}'
+    return [video, states, scene]
 
 
-def _told(shown: Shown, entrants: Sequence[Entrant], hidden: bool) -> list[dict[str, Any]]:
-    """The sources with what the scripts say where one shows nothing."""
-    told = sources(entrants, hidden)
-    told[0]["first"] = True
-    for k, (source, entrant) in enumerate(zip(told[not hidden :], entrants, strict=True)):
-        lacks, absent = entrant.method.lacks, shown.absent.get(entrant.file)
-        source["first"] = k == 0
-        source["why"] = _brief(absent) if absent else WORDS["masks"] if "masks" in lacks else ""
-        source["noStates"] = (
-            _brief(absent) if absent else WORDS["states"] if "states" in lacks else "another joint type"
-        )
-    return told
-
-
-def _brief(text: str) -> str:
-    return text if len(text) <= 60 else f"{text[:57]}…"
-
-
-def _absent_list(shown: Shown, entrants: Sequence[Entrant], piece: str) -> str:
-    """A line for each method that shows no surface: why."""
+def _without_meshes(shown: Shown, entrants: Sequence[Entrant]) -> str:
+    """A line for each method without a surface: why."""
     lines = []
     for entrant in entrants:
-        why = shown.absent.get(entrant.file) or (WORDS["meshes"] if piece in entrant.method.lacks else "")
+        why = shown.absent.get(entrant.file) or (LACKS["meshes"] if "meshes" in entrant.method.lacks else "")
         if why:
             lines.append(f"<li>{method_link(entrant, True)} <span>{escape(why)}</span></li>")
     return f'<ul class="absent">{"".join(lines)}</ul>' if lines else ""
 
 
-def _numbers(protocol: str, shown: Shown, entrants: Sequence[Entrant]) -> str:
-    """Every number of every method by one protocol, in one table."""
+def _numbers_section(protocol: str, shown: Shown, entrants: Sequence[Entrant]) -> Section:
+    """Every number of every method by one protocol."""
     rules, kind = protocol_named(protocol), shown.facts["joint_type"]
     rows: list[Row | None] = [entrant.row(protocol, shown.name) for entrant in entrants]
-    head = '<th scope="col">number</th>' + "".join(
-        f'<th scope="col" class="number">{method_link(e, True)}</th>' for e in entrants
-    )
-    lines = []
+    lines, css = [], []
     for metric in rules.metrics:
         unit = metric.unit(kind)
         if unit is None:
@@ -174,58 +130,58 @@ def _numbers(protocol: str, shown: Shown, entrants: Sequence[Entrant]) -> str:
         for row, value in zip(rows, values, strict=True):
             more = ""
             if row is not None and value is not None and row.status != "ok":
-                more = f'<small class="failed">{escape(row.status)}: price</small>'
+                more = f'<small class="failed">{escape(row.status)}: penalty</small>'
             elif row is not None and value is not None and metric.id in row.values_cm:
-                more = f"<small>{number(row.values_cm[metric.id], 'cm', True)}</small>"
-            cells.append(number_cell(number(value, unit, True), best is not None and value == best, more=more))
-        lines.append(metric_row(rules, metric, "".join(cells)))
-    note = (
-        f"{NONE}: not made by the method, or not there for this joint. Small numbers stand beside the ranking ones and "
-        "do not rank."
-    )
+                more = f"<small>{number_text(row.values_cm[metric.id], 'cm', True)}</small>"
+            cells.append(number_cell(number_text(value, unit, True), best is not None and value == best, more=more))
+        lines.append([metric_row_head(rules, metric), *cells])
+        css.append("beside" if metric.supplements else "")
+    note = f"{NONE}: not made by the method, or not defined for this joint. Small grey numbers do not rank."
     if any(hidden_metrics(entrant, rules) for entrant in entrants):
-        note += " Numbers whose price is the hidden truth's stand in the means alone."
-    numbers = table(f"numbers by {protocol}", "numbers", head, "".join(lines))
-    return section(f"Numbers by {protocol}", numbers, id=f"numbers-{protocol}", note=note)
+        note += " Numbers with a penalty that depends on the hidden truth are shown in means only."
+    html = table(lines, ["number", *method_heads(entrants, True)], "numbers", f"numbers by {protocol}", css)
+    return Section(f"Numbers by {protocol}", html, place="full", note=note, id=f"numbers-{protocol}")
 
 
-def _said(shown: Shown, entrants: Sequence[Entrant], protocols: Sequence[str]) -> str:
-    """What scoring says of each method's row: reasons and notes, in its words."""
+def _notes_section(shown: Shown, board: Board) -> Section:
+    """Reasons and notes of scoring on each method's result."""
     blocks = []
-    for entrant in entrants:
-        lines: dict[str, None] = {}
-        hashes: dict[str, None] = {}
-        for protocol in protocols:
+    for entrant in board.entrants:
+        lines: list[str] = []
+        hashes: list[str] = []
+        for protocol in board.protocols:
             row = entrant.row(protocol, shown.name)
             if row is None:
                 continue
-            lines[f"{row.status}: {row.reason}" if row.reason else f"Measured from {MEASURED[row.measured_from]}."] = (
-                None
+            lines.append(
+                f"{row.status}: {row.reason}" if row.reason else f"Measured from {MEASURED[row.measured_from]}."
             )
             if row.swapped:
-                lines["Its parts go by each other's names; they are shown and scored under the truth's."] = None
-            lines.update(dict.fromkeys(row.notes))
+                lines.append("Its part names were exchanged to match the ground truth.")
+            lines += row.notes
             if row.seconds is not None:
-                lines[f"It took {row.seconds:.0f} s, by its own word."] = None
+                lines.append(f"It took {row.seconds:.0f} s, as stated by the method.")
             if row.result_sha256:
-                hashes[row.result_sha256] = None
-        for piece in entrant.method.lacks:
-            lines[f"{WORDS[piece].capitalize()}: such numbers are left out, never priced."] = None
-        if shown.absent.get(entrant.file) and not any(line in shown.absent[entrant.file] for line in lines):
-            lines[shown.absent[entrant.file]] = None
-        items = "".join(f"<li>{escape(line)}</li>" for line in lines)
-        items += "".join(f'<li>Its files, SHA-256 <code class="hash">{escape(digest)}</code></li>' for digest in hashes)
+                hashes.append(row.result_sha256)
+        lines += [f"{LACKS[p].capitalize()}: numbers that need them are left out." for p in entrant.method.lacks]
+        absent = shown.absent.get(entrant.file)
+        if absent and not any(line in absent for line in lines):
+            lines.append(absent)
+        items = "".join(f"<li>{escape(line)}</li>" for line in dict.fromkeys(lines))
+        items += "".join(f"<li>SHA-256 of its files {hash_text(digest)}</li>" for digest in dict.fromkeys(hashes))
         blocks.append(f"<div><h3>{method_link(entrant, True)}</h3><ul>{items}</ul></div>")
-    return section("What scoring says", f'<div class="said">{"".join(blocks)}</div>')
+    place: Literal["right", "full"] = "right" if shown.script else "full"
+    return Section("Notes of scoring", f'<div class="said">{"".join(blocks)}</div>', place=place)
 
 
-def _source(f: dict[str, Any], row: Row | None) -> str:
-    source = f["source"]
+def _source_section(f: dict[str, Any], row: Row | None) -> list[Section]:
     rows = [
-        (key.replace("_", " "), escape(value)) for key, value in source.items() if isinstance(value, str | int | float)
+        (key.replace("_", " "), escape(value))
+        for key, value in f["source"].items()
+        if isinstance(value, str | int | float)
     ]
     if f.get("licence"):
         rows.append(("licence", escape(f["licence"])))
     if row is not None and row.truth_sha256:
-        rows.append(("truth, SHA-256", f'<code class="hash">{escape(row.truth_sha256)}</code>'))
-    return section("Where the sequence came from", facts(rows)) if rows else ""
+        rows.append(("ground truth, SHA-256", hash_text(row.truth_sha256)))
+    return [Section("Source of the sequence", facts(rows), place="full")] if rows else []

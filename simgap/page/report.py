@@ -11,8 +11,8 @@ import numpy as np
 from freeart21.effects.base import Effect
 from freeart21.joint import JointType
 from freeart21.measured import Measured
-from freeart21.view.curves import Curve
 from freeart21.view.document import Section, document, escape
+from freeart21.view.plots import Curve
 from freeart21.view.tables import Markup, bar, table_section, two_lines
 from simgap.geometry.finding import KinematicsFinding
 from simgap.geometry.track_geometry import TrackGeometry

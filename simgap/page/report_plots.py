@@ -9,9 +9,8 @@ import numpy as np
 
 from freeart21.joint import JointType
 from freeart21.se3 import Array
-from freeart21.view.curves import Curve, curves_data, line_figure
 from freeart21.view.document import MOVING, REFERENCE, escape
-from freeart21.view.plot import Axes, display_unit, ticks
+from freeart21.view.plots import Axes, Curve, curves_data, display_unit, line_figure, tick_values
 from simgap.models.localise import ResidualMap
 from simgap.prove.comparison import ReplayGap
 from simgap.verdict import Quantity, unit_of
@@ -77,7 +76,7 @@ def run_drawings(
         chart(x, position, by.capitalize(), unit),
         chart(x, difference, "Difference", f"{unit}; grey: noise, ± 2 floors", band=2 * factor * run.floor, height=150),
     ]
-    return figures, curves_data(run_axes(x, position, 0.0, 190), x, (position, difference), [unit, unit])
+    return figures, curves_data(run_axes(x, position, 0.0, 190), x, (position, difference))
 
 
 def force_map(m: ResidualMap, kind: JointType) -> str:
@@ -120,7 +119,7 @@ def map_drawing(m: ResidualMap, title: str, what: str, factor: float, unit: str,
         middles, every = 0.5 * (ends[1:] + ends[:-1]), -(-len(m.labels) // 4)
         named = [(x, str(label)[:14]) for x, label in zip(middles, m.labels, strict=True)][::every]
     else:
-        at = ticks(edges[0], edges[-1], 5)
+        at = tick_values(edges[0], edges[-1], 5)
         sign = unit if unit == "°" else f" {unit}"
         named = [(float(axes.across(t)), f"{t:g}{sign if t == at[-1] else ''}"[:14]) for t in at]
     parts += [

@@ -119,7 +119,7 @@ FreeArt.renderer = (canvas, data) => {
     return result;
   };
   const surfaces = data.surfaces.map((surface) => {
-    const vertices = FreeArt.array(surface.vertices), faces = FreeArt.array(surface.faces);
+    const mesh = surface.mesh ?? surface, vertices = FreeArt.array(mesh.vertices), faces = FreeArt.array(mesh.faces);
     const { positions, normals } = FreeArt.corners(vertices, faces);
     const array = gl.createVertexArray();
     gl.bindVertexArray(array);
@@ -127,7 +127,7 @@ FreeArt.renderer = (canvas, data) => {
     attribute("normal", normals, 3);
     if (surface.colours) attribute("colour", gathered(FreeArt.array(surface.colours), faces, 3), 3, gl.UNSIGNED_BYTE, true);
     if (surface.uv) attribute("uv", gathered(FreeArt.array(surface.uv), faces, 2), 2);
-    return { ...surface, array, count: faces.length, painted: surface.colours !== null, vertices: null, faces: null };
+    return { ...surface, array, count: faces.length, painted: Boolean(surface.colours), mesh: null, vertices: null, faces: null };
   });
   let changed = () => {};
   const textures = data.textures.map((url) => {
@@ -207,7 +207,7 @@ FreeArt.renderer = (canvas, data) => {
   return { draw, onChange(listener) { changed = listener; } };
 };
 
-/** An eye that circles round a point: left drag or one finger turns, right drag or two fingers shift, wheel or pinch zooms. */
+/** A viewpoint that orbits a target: left drag or one finger turns, right drag or two fingers shift, wheel or pinch zooms. */
 FreeArt.orbit = (canvas, data, changed) => {
   const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
@@ -288,7 +288,7 @@ FreeArt.orbit = (canvas, data, changed) => {
     eye.yaw = yaw;
     eye.pitch = FreeArt.clamp(pitch, -1.55, 1.55);
   };
-  /* Arrows turn, with shift they move, + and - zoom, Home resets; what else is pressed is the page's. */
+  /* Arrows turn, with shift they move, + and - zoom, Home resets. */
   canvas.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
@@ -329,7 +329,7 @@ FreeArt.kinds.scene = (section, data, bus) => {
     redraw();
   });
 
-  const camera = () => {                                   // of the video, from the world, in the frame that is shown
+  const camera = () => {                                   // camera of the video from the world, in the current frame
     const poses = data.camera_poses;
     return poses && [...poses[FreeArt.clamp(bus.frame, 0, poses.length - 1)].flat(), 0, 0, 0, 1];
   };
@@ -350,17 +350,17 @@ FreeArt.kinds.scene = (section, data, bus) => {
     name(frame.poses);
   };
 
-  /* Names under what stands side by side, where the view is that of the orbit. */
-  const names = (data.labels ?? []).map(({ text, link, at }) => ({ link, at, node: element("span", { class: "named" }, text) }));
+  /* Names under objects that are side by side. */
+  const names = (data.labels ?? []).map((label) => ({ ...label, node: element("span", { class: "tag" }, label.text) }));
   frameBox.append(...names.map(({ node }) => node));
   const name = (poses) => {
     const T = Kinematics.multiply(orbit.projection(canvas.clientWidth / canvas.clientHeight), orbit.view());
-    names.forEach(({ link, at, node }, k) => {
-      node.hidden = through || !apart || !shown[2 * k];
+    for (const { layer, link, at, node } of names) {
+      node.hidden = through || !apart || !shown[layer];
       const p = Kinematics.multiply(Kinematics.multiply(T, poses[link]), [at[0], 0, 0, 0, at[1], 0, 0, 0, at[2], 0, 0, 0, 1, 0, 0, 0]);
       node.style.left = `${50 * (p[0] / p[12] + 1)}%`;
       node.style.top = `${50 * (1 - p[4] / p[12])}%`;
-    });
+    }
   };
   const redraw = () => {
     if (!waiting) requestAnimationFrame(draw);
@@ -369,21 +369,15 @@ FreeArt.kinds.scene = (section, data, bus) => {
   renderer.onChange(redraw);
 
   /* Buttons in the corner of the view. */
-  const toggle = (text, title, pressed, set) => {
-    const button = element("button", { type: "button", title, "aria-pressed": pressed }, text);
-    button.addEventListener("click", () => {
-      const next = button.getAttribute("aria-pressed") !== "true";
-      button.setAttribute("aria-pressed", next);
-      set(next);
-      redraw();
-    });
-    return button;
-  };
-  const throughButton = toggle("Video camera", "look through the camera of the video", false, (on) => { through = on; });
+  const toggle = (text, title, pressed, set) => FreeArt.toggle({ title }, pressed, (on) => {
+    set(on);
+    redraw();
+  }, text);
+  const throughButton = toggle("Video camera", "view from the camera of the video", false, (on) => { through = on; });
   const two = data.gaussians && data.gaussians.layers[0] !== data.gaussians.layers[1];
   const painted = two || data.surfaces.some((surface) => surface.colours && data.layers[surface.layer].style === "solid");
   frameBox.append(element("div", { class: "corner" },
-    ...(painted ? [toggle("Part colours", "colour every part by what it is", false, (on) => { partColours = on; })] : []),
+    ...(painted ? [toggle("Part colours", "one colour for each part", false, (on) => { partColours = on; })] : []),
     ...(data.camera ? [throughButton] : []),
     element("button", { type: "button", title: "back to the first view", onclick: () => {
       if (through) throughButton.click();
@@ -391,11 +385,11 @@ FreeArt.kinds.scene = (section, data, bus) => {
       redraw();
     } }, "Reset")));
 
-  /* Ways to arrange several objects: beside each other, or in one place. */
+  /* Arrangements of several objects: side by side, or overlaid. */
   let apart = false;
   const arrange = (way) => {
     apart = !way.ghost;
-    way.shifts.forEach((shift, k) => shift.forEach((x, i) => { data.links[way.roots[k]].T[i][3] = x; }));
+    way.shifts.forEach((shift, k) => shift.forEach((x, i) => { data.links[data.roots[k]].T[i][3] = x; }));
     data.layers[0].style = way.ghost ? "ghost" : "solid";
     data.radius = way.radius;
     orbit.home();
@@ -406,7 +400,7 @@ FreeArt.kinds.scene = (section, data, bus) => {
     legend.before(FreeArt.choice("arrangement", ways.map(({ name }) => [name, name]), ways[0].name,
       (chosen) => arrange(ways.find(({ name }) => name === chosen))));
 
-  /* Parts as Gaussians, or as the surfaces that they stand for. */
+  /* Parts as Gaussians or as surfaces. */
   const both = data.gaussians && data.surfaces.some((surface) => data.gaussians.layers.includes(surface.layer));
   const lookChoice = both && FreeArt.choice("how the parts are shown",
     [["gaussians", "Gaussians"], ["surfaces", "Surfaces"]], "gaussians", (chosen) => {
@@ -415,7 +409,7 @@ FreeArt.kinds.scene = (section, data, bus) => {
     });
   if (lookChoice) legend.before(lookChoice);
 
-  /* The legend, whose entries show and hide; a layer that follows another has no entry of its own. */
+  /* The legend, whose entries show and hide layers; a layer that `follows` another has no entry of its own. */
   data.layers.forEach((layer, i) => {
     const own = (k) => k === i || data.layers[k].follows === i;
     const filled = data.surfaces.some((surface) => own(surface.layer)) || data.gaussians?.layers.includes(i);

@@ -67,7 +67,7 @@ void main() {
   float middle = (xx + yy) / 2.0, apart = length(vec2((xx - yy) / 2.0, xy));
   float large = middle + apart, small = max(middle - apart, 0.05);
   vec2 along = apart < 1e-6 * middle ? vec2(1.0, 0.0) : normalize(xx > yy ? vec2(large - yy, xy) : vec2(xy, large - xx));
-  float reach = sqrt(2.0 * log(opacity / faintest));   // beyond it, it is fainter than that
+  float reach = sqrt(2.0 * log(opacity / faintest));   // fainter beyond it
   vec2 corners[3] = vec2[3](vec2(0.0, 2.0), vec2(-1.7320508, -1.0), vec2(1.7320508, -1.0)); // a triangle around a circle
   v_at = corners[gl_VertexID % 3] * reach;
   vec2 pixels = v_at.x * sqrt(large) * along + v_at.y * sqrt(small) * vec2(-along.y, along.x);
@@ -91,7 +91,7 @@ void main() {
 }`;
 
 const Splats = {
-  /** Means, covariances and colours as the shader wants them; {count, shapes, colours, copies}. */
+  /** {count, shapes, colours, copies}: means, covariances, normals and colours as textures of the shader. */
   unpack(data, array) {
     const means = array(data.means), scales = array(data.scales), quaternions = array(data.quaternions);
     const colours = array(data.colours), opacities = array(data.opacities), weights = array(data.part_weights);
@@ -130,7 +130,7 @@ const Splats = {
     return { count, shapes, colours: packed, copies: copies.slice(0, n) };
   },
 
-  /** Puts the copies that are shown into `order`, farthest first; `views` are row-major eye from link. Their number. */
+  /** Puts the copies that are shown into `order`, farthest first; `views` are row-major viewer from link. Returns their number. */
   sort(splats, views, shown, order, room) {
     const { shapes, copies } = splats, { depths, counts } = room;
     let least = Infinity, most = -Infinity, n = 0;
@@ -151,7 +151,7 @@ const Splats = {
     return n;
   },
 
-  /** What draws the Gaussians `data` with the WebGL 2 context `gl`. */
+  /** Draws the Gaussians `data` with the WebGL 2 context `gl`. */
   renderer(gl, data, program, tints) {
     const splats = Splats.unpack(data, FreeArt.array);
     const uniform = Object.fromEntries(
@@ -172,7 +172,7 @@ const Splats = {
     gl.activeTexture(gl.TEXTURE0);
     const order = new Uint32Array(width * rows(n));
     const room = { depths: new Float32Array(n), kept: new Uint32Array(n), counts: new Uint32Array((1 << 16) + 1) };
-    const vertices = gl.createVertexArray();               // empty: one triangle each, all from textures, is the fastest
+    const vertices = gl.createVertexArray();               // empty: one triangle each from textures is the fastest
     let last = "", count = 0;
 
     const paint = (faintest) => {
@@ -180,7 +180,7 @@ const Splats = {
       gl.bindVertexArray(vertices);
       gl.drawArrays(gl.TRIANGLES, 0, 3 * count);
     };
-    /** Among what is there, without a depth of their own. */
+    /** Draws them behind and in front of what is there; the depth buffer stays as it is. */
     const draw = (frame, across, down) => {
       const views = data.links.map((link) => Kinematics.multiply(frame.view, frame.poses[link]));
       const shown = data.layers.map((layer) => frame.shown[layer]);
@@ -203,7 +203,7 @@ const Splats = {
       gl.uniform3fv(uniform["tints[0]"], tints.flat());
       gl.uniform1f(uniform.tinted, frame.partColours ? 1 : 0);
       gl.uniform1i(uniform.terms, data.light ? data.light.length : 0);
-      if (data.light) {                                    // without a video the eye is its camera
+      if (data.light) {                                    // without a video the viewer is its camera
         const camera = frame.camera ?? frame.view.map((x, k) => (k >= 4 && k < 12 ? -x : x));
         const cameras = data.links.map((link) => Kinematics.multiply(camera, frame.poses[link]));
         gl.uniformMatrix4fv(uniform["cameras[0]"], true, cameras.flat());
@@ -215,7 +215,7 @@ const Splats = {
       gl.depthFunc(gl.LEQUAL);
       paint(1 / 255);
     };
-    /** The depth of what is dense, of what was drawn last, for what is drawn later. */
+    /** Writes the depth of their opaque parts, as drawn last, for what is drawn later. */
     const drawDepth = () => {
       gl.useProgram(program);
       gl.colorMask(false, false, false, false);

@@ -1,22 +1,27 @@
-/* The ranking: sorted by any column, filtered by joint type and category, each column explained; and every sequence. */
+/* The ranking: sorted by any column, filtered by joint type and category, every column explained; and every sequence.
+ * The page is written with all numbers; here they are computed again for the filtered sequences and put in their cells. */
 
-FreeArt.numberText = (value, unit, signed = false) => {
+/** As `number_text` of freeart21/view/tables.py. */
+FreeArt.numberText = (value, unit, withUnit = false) => {
   if (value === null || value === undefined || unit === null) return "–";
-  const size = Math.abs(value), plain = size < 10 || unit === "dB" || unit === "fraction";
-  const digits = plain ? { deg: 2, "%": 2, cm: 2, dB: 1, fraction: 3, m: 4, rad: 3, 1: 3, "100 m²": 4 }[unit] ?? 2 : size < 99.95 ? 1 : 0;
-  return value.toFixed(digits) + (signed ? { deg: "°", "%": " %", dB: " dB", cm: " cm", m: " m", rad: " rad" }[unit] ?? "" : "");
+  const size = Math.abs(value), small = size < 10 || unit === "dB" || unit === "fraction";
+  const digits = small ? { deg: 2, "%": 2, cm: 2, dB: 1, fraction: 3, m: 4, rad: 3, 1: 3, "dm²": 4 }[unit] ?? 2 : size < 99.95 ? 1 : 0;
+  return value.toFixed(digits) + (withUnit ? { deg: "°", "%": " %", dB: " dB", cm: " cm", m: " m", rad: " rad" }[unit] ?? "" : "");
 };
 
 FreeArt.kinds.ranking = (section, data) => {
   const { element } = FreeArt;
   const state = { type: "all", category: "all", sort: "rank", down: false, metric: data.first };
-  const table = section.querySelector("table.ranking"), body = table.querySelector("tbody");
-  const heads = [...table.querySelectorAll("thead th")];
+  const table = section.querySelector("table.ranking"), body = table.tBodies[0], heads = [...table.tHead.rows[0].cells];
+  const keys = ["rank", "name", "measured", ...data.columns.map((_, k) => String(k))];
+  const lines = data.methods.map(({ href }) => [...body.rows].find((row) => row.querySelector("a").getAttribute("href") === href));
   const explain = section.querySelector(".explain");
+  const mean = (values) => values.reduce((a, b) => a + b, 0) / values.length;
+  const bestOf = (values, up) => (new Set(values).size > 1 ? Math[up ? "max" : "min"](...values) : null);
   const kept = () => data.sequences.map((s) => (state.type === "all" || s.type === state.type)
     && (state.category === "all" || s.category === state.category));
 
-  /* A number of a hidden truth comes as a mean over all rows of its group, or not at all. */
+  /* A number that would reveal a hidden truth comes as a mean over all rows of its group, or not at all. */
   const statistics = (method, column, keep, order) => {
     if (column.cells) {
       const cell = state.type === "all" || column.group === state.type ? column.cells[order] : null;
@@ -27,174 +32,130 @@ FreeArt.kinds.ranking = (section, data) => {
       return keep[i] && value !== null && (column.group === "all" || column.group === s.type) ? [value] : [];
     });
     if (!values.length) return null;
-    const mean = values.reduce((a, b) => a + b, 0) / values.length;
-    const std = values.length > 1 ? Math.sqrt(values.reduce((a, b) => a + (b - mean) ** 2, 0) / (values.length - 1)) : null;
-    return { mean, std };
+    const centre = mean(values), squares = values.map((x) => (x - centre) ** 2);
+    return { mean: centre, std: values.length > 1 ? Math.sqrt((mean(squares) * values.length) / (values.length - 1)) : null };
   };
-  const lines = () => {
-    const keep = kept();
-    const rows = data.methods.map((method, order) => ({ method, order,
+  const summarise = (keep) => {
+    const rows = data.methods.map((method, order) => ({ order, name: method.name.toLowerCase(),
       cells: data.columns.map((column) => statistics(method, column, keep, order)),
-      measured: keep.filter((on, i) => on && method.status[i] === "ok").length, of: keep.filter(Boolean).length }));
-    const there = data.columns.map((_, k) => rows.some((row) => row.cells[k]));
+      measured: keep.filter((on, i) => on && method.status[i] === "ok").length }));
+    const means = data.columns.map((_, k) => rows.flatMap((row) => (row.cells[k] ? [row.cells[k].mean] : [])));
     for (const row of rows) {
       const places = data.columns.flatMap((column, k) => {
-        if (!there[k]) return [];
-        const own = row.cells[k]?.mean;
-        if (own === undefined) return [NaN];
-        const others = rows.flatMap((other) => (other.cells[k] ? [other.cells[k].mean] : []));
-        const better = others.filter((mean) => (column.up ? mean > own : mean < own)).length;
-        return [1 + better + 0.5 * (others.filter((mean) => mean === own).length - 1)];
+        if (!means[k].length) return [];
+        const own = row.cells[k]?.mean, better = means[k].filter((other) => (column.up ? other > own : other < own)).length;
+        return [own === undefined ? NaN : 1 + better + 0.5 * (means[k].filter((other) => other === own).length - 1)];
       });
-      const mean = places.length ? places.reduce((a, b) => a + b, 0) / places.length : NaN;
-      row.rank = Number.isNaN(mean) ? null : mean;
+      const rank = places.length ? mean(places) : NaN;
+      row.rank = Number.isNaN(rank) ? null : rank;
     }
-    const best = data.columns.map((column, k) => {
-      const means = rows.flatMap((row) => (row.cells[k] ? [row.cells[k].mean] : []));
-      return new Set(means).size > 1 ? (column.up ? Math.max(...means) : Math.min(...means)) : null;
-    });
-    return { rows, best, there };
-  };
-  const link = (method) => {
-    const a = element("a", { class: "method", href: method.href }, FreeArt.mark(method), element("span", {}, method.name));
-    return a;
-  };
-  const label = (title) => {
-    const span = element("span", {});
-    span.innerHTML = title; /* escaped when the page was written */
-    return span.childNodes;
+    return { rows, means, best: data.columns.map((column, k) => bestOf(means[k], column.up)) };
   };
 
-  const key = (row) => {
-    if (state.sort === "rank") return row.rank;
-    if (state.sort === "name") return row.method.name.toLowerCase();
-    if (state.sort === "measured") return row.measured;
-    return row.cells[state.sort]?.mean ?? null;
-  };
   const render = () => {
-    const { rows, best, there } = lines();
-    const first = [...rows].sort((a, b) => (a.rank === null) - (b.rank === null) || a.rank - b.rank || a.order - b.order);
-    const turn = state.down ? -1 : 1;
-    const sorted = [...first].sort((a, b) => {
-      const [x, y] = [key(a), key(b)];
-      if (x === null || y === null) return (x === null) - (y === null);
-      return (x < y ? -1 : x > y ? 1 : 0) * turn;
-    });
-    heads.slice(3).forEach((head, k) => { head.hidden = !there[k]; });
-    heads.forEach((head) => {
-      const column = head.querySelector("button").dataset.column;
-      if (String(state.sort) === column) head.setAttribute("aria-sort", state.down ? "descending" : "ascending");
+    const keep = kept(), { rows, means, best } = summarise(keep);
+    const key = (row) => (state.sort in row ? row[state.sort] : row.cells[state.sort]?.mean ?? null);
+    const compare = (x, y) => (x === null || y === null ? (x === null) - (y === null) : (x < y ? -1 : x > y ? 1 : 0));
+    const ranked = [...rows].sort((a, b) => compare(a.rank, b.rank) || a.order - b.order);
+    const sorted = [...ranked].sort((a, b) => compare(key(a), key(b)) * (state.down && key(a) !== null && key(b) !== null ? -1 : 1));
+    heads.forEach((head, i) => {
+      if (state.sort === keys[i]) head.setAttribute("aria-sort", state.down ? "descending" : "ascending");
       else head.removeAttribute("aria-sort");
+      if (i > 2) head.hidden = !means[i - 3].length;
     });
-    body.replaceChildren(...sorted.map((row) => {
-      const line = element("tr", {});
-      line.append(element("td", { class: "place" }, row.rank === null ? "–" : String(first.indexOf(row) + 1)),
-        element("th", { scope: "row" }, link(row.method)),
-        element("td", { class: "number measured" }, element("span", { class: "what" }, "measured"), element("span", {}, `${row.measured} of ${row.of}`)));
-      row.cells.forEach((cell, k) => {
-        if (!there[k]) return;
-        const column = data.columns[k];
-        const td = element("td", { class: `number${cell && cell.mean === best[k] ? " best" : ""}` },
-          element("button", { type: "button", class: "what", "data-column": k }, ...label(column.title)),
-          element("span", {}, cell ? FreeArt.numberText(cell.mean, column.unit) : "–"));
-        if (cell && cell.std !== null) td.append(element("small", {}, `± ${FreeArt.numberText(cell.std, column.unit)}`));
-        line.append(td);
+    for (const row of rows) {
+      const [place, , measured, ...cells] = lines[row.order].cells;
+      place.textContent = row.rank === null ? "–" : String(ranked.indexOf(row) + 1);
+      measured.lastElementChild.textContent = `${row.measured} of ${keep.filter(Boolean).length}`;
+      cells.forEach((td, k) => {
+        const cell = row.cells[k], { unit } = data.columns[k];
+        td.hidden = !means[k].length;
+        td.classList.toggle("best", cell !== null && cell.mean === best[k]);
+        td.querySelector("span").textContent = FreeArt.numberText(cell?.mean, unit);
+        td.querySelector(":scope > small").textContent = cell && cell.std !== null ? `± ${FreeArt.numberText(cell.std, unit)}` : "";
       });
-      return line;
-    }));
-    matrix();
+    }
+    body.append(...sorted.map((row) => lines[row.order]));
+    showSequences(keep);
   };
 
   /* What a column means: on pointing, on focus, on a tap. */
   const fixed = {
-    rank: "Place by mean rank: a method's place by each column, averaged over all columns. Only methods with every number have one.",
-    name: "The method's name; its page tells settings, code and machine.",
-    measured: "Sequences that were measured; the others failed, were missing or could not be read, and stand at their price in every mean.",
+    rank: "Place by mean rank: a method's place in each column, averaged over all columns. Only methods with every number have one.",
+    name: "The method's name; its page has settings, code and machine.",
+    measured: "Sequences that could be measured; the others failed, were missing or could not be read, and count with their penalty in every mean.",
   };
   const tell = (column) => {
     const metric = data.metrics[data.columns[column]?.metric];
     explain.replaceChildren(...(metric
       ? [element("b", {}, metric.label), " ", metric.explain, " ", element("a", { href: `definitions.html#${data.protocol}.${metric.id}` }, "More")]
       : [fixed[column] ?? ""]));
-    explain.classList.add("told");
+    explain.classList.add("given");
   };
   for (const event of ["pointerover", "focusin", "click"])
     table.addEventListener(event, ({ target }) => {
-      const button = target.closest?.("button[data-column]");
-      if (button) tell(button.dataset.column);
+      const cell = target.closest?.("button")?.closest("th, td");
+      if (cell) tell(keys[cell.cellIndex]);
     });
   const sortBy = (column) => {
-    const chosen = /^\d+$/.test(column) ? Number(column) : column;
-    const up = typeof chosen === "number" ? data.columns[chosen].up : chosen === "measured";
-    state.down = state.sort === chosen ? !state.down : up;
-    state.sort = chosen;
+    const larger = column === "measured" || data.columns[column]?.up;
+    state.down = state.sort === column ? !state.down : Boolean(larger);
+    state.sort = column;
     select.value = column;
     render();
   };
-  for (const head of heads) head.querySelector("button").addEventListener("click", (event) => sortBy(event.currentTarget.dataset.column));
+  heads.forEach((head, i) => head.querySelector("button").addEventListener("click", () => sortBy(keys[i])));
 
   /* Filters. */
-  const text = (title) => {
-    const span = element("span", {});
-    span.innerHTML = title;
-    return span.textContent;
+  const chooser = (label, options, change) => {
+    const node = element("select", { "aria-label": label, onchange: () => change(node.value) },
+      ...options.map(([value, text]) => element("option", { value }, text)));
+    return node;
   };
-  const select = element("select", { "aria-label": "sort by" },
-    ...[["rank", "mean rank"], ["name", "method"], ["measured", "measured"], ...data.columns.map(({ title }, k) => [String(k), text(title)])]
-      .map(([value, name]) => element("option", { value }, name)));
-  select.addEventListener("change", () => {
+  const names = ["mean rank", "method", "measured", ...heads.slice(3).map((head) => head.textContent)];
+  const select = chooser("sort by", keys.map((value, i) => [value, names[i]]), (value) => {
     state.sort = null;
-    sortBy(select.value);
-    tell(select.value);
+    sortBy(value);
+    tell(value);
   });
+  const filter = (name) => (value) => {
+    state[name] = value;
+    render();
+  };
   const types = [...new Set(data.sequences.map(({ type }) => type))].sort().reverse();
   const categories = [...new Set(data.sequences.map(({ category }) => category))].sort();
-  const options = (all, values) => [element("option", { value: "all" }, all), ...values.map((value) => element("option", { value }, value))];
-  const pick = element("select", { "aria-label": "category" }, ...options("all categories", categories));
-  pick.addEventListener("change", () => {
-    state.category = pick.value;
-    render();
-  });
   const filters = section.querySelector(".filters");
   if (types.length > 1)
-    filters.append(FreeArt.choice("joint type", [["all", "All"], ...types.map((type) => [type, type])], "all", (value) => {
-      state.type = value;
-      render();
-    }));
-  if (categories.length > 1) filters.append(pick);
+    filters.append(FreeArt.choice("joint type", [["all", "All"], ...types.map((type) => [type, type])], "all", filter("type")));
+  if (categories.length > 1)
+    filters.append(chooser("category", [["all", "all categories"], ...categories.map((name) => [name, name])], filter("category")));
   filters.append(element("label", { class: "sorting" }, "Sort by ", select));
 
   /* Every sequence by one number. */
-  const host = section.querySelector(".matrix"), grid = host.querySelector("table"), lines_ = grid.querySelector("tbody");
-  const note = host.querySelector(".metric");
-  const metricPick = element("select", { "aria-label": "number shown" },
-    ...data.metrics.map(({ label: name }, k) => element("option", { value: k }, name)));
-  metricPick.value = state.metric;
-  metricPick.addEventListener("change", () => {
-    state.metric = Number(metricPick.value);
+  const grid = section.querySelector("table.every"), sequences = [...grid.tBodies[0].rows];
+  const pick = chooser("number shown", data.metrics.map(({ label }, k) => [k, label]), (value) => {
+    state.metric = Number(value);
     render();
   });
-  note.replaceWith(element("div", { class: "filters" }, element("label", {}, "Number ", metricPick)));
-  const original = [...lines_.children];
-  const matrix = () => {
-    const keep = kept(), metric = data.metrics[state.metric];
-    original.forEach((line, i) => {
+  pick.value = state.metric;
+  section.querySelector(".metric").replaceWith(element("div", { class: "filters" }, element("label", {}, "Number ", pick)));
+  const showSequences = (keep) => {
+    const metric = data.metrics[state.metric];
+    sequences.forEach((line, i) => {
       line.hidden = !keep[i];
-      const unit = metric.units[data.sequences[i].type];
       const values = data.methods.map((method) => method.values[i][state.metric]);
-      const known = values.filter((value) => value !== null);
-      const best = new Set(known).size > 1 ? (metric.up ? Math.max(...known) : Math.min(...known)) : null;
-      data.methods.forEach((method, m) => {
-        const cell = line.children[3 + m];
-        cell.querySelector("span").textContent = FreeArt.numberText(values[m], unit, true);
-        cell.classList.toggle("best", best !== null && values[m] === best);
+      const best = bestOf(values.filter((value) => value !== null), metric.up);
+      values.forEach((value, m) => {
+        const cell = line.cells[3 + m];
+        cell.querySelector("span").textContent = FreeArt.numberText(value, metric.units[data.sequences[i].type], true);
+        cell.classList.toggle("best", best !== null && value === best);
       });
     });
   };
   render();
 };
 
-/* The chooser of protocols: one table at a time, never two in one. */
+/* The choice of the protocol: one table at a time. */
 (() => {
   const host = document.querySelector("[data-protocols]");
   if (!host) return;
