@@ -43,7 +43,7 @@ EXEMPT = {
         "simgap/workflow.py:read_bytes"
     ),
     "a file of the package": (
-        "freeart21/view/document.py:read_text generator/teleop/server.py:read_text leaderboard/site/html.py:read_text "
+        "freeart21/view/document.py:read_text generator/teleop/server.py:read_text "
         "export/loaders/__init__.py:read_bytes"
     ),
     "the answer of a process of our own": (
