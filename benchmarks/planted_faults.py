@@ -221,8 +221,8 @@ FAULTS = (
     Fault(
         "query-turn-degrees",
         "generator/queries.py",
-        "np.radians(settings.turn_degrees)",
-        "settings.turn_degrees",
+        "np.radians(TURN_DEGREES)",
+        "TURN_DEGREES",
         "unit: held-out cameras turn by degrees taken as radians",
         "motion",
     ),

@@ -108,7 +108,7 @@ def test_the_floor_of_an_encoder_of_a_tenth_of_a_degree_is_its_steps_and_noise(r
         true = np.radians(np.hypot(step / np.sqrt(12), noise))
         floor = estimate_noise([(times, read)])
         assert 0.8 * true < floor.sigma_at_rest < 1.6 * true
-        assert floor.stamp_s < 5e-3
+        assert floor.time_jitter_s < 5e-3
 
 
 def test_commands_of_ten_thousand_rows_a_second_are_taken_together_as_they_move_the_part(tmp_path: Path):
