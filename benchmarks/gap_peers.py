@@ -236,13 +236,12 @@ def open_library(asset: Asset, measured: Measured, untouched: list[str]) -> Simp
     from simgap.fit.search import list_candidates
     from simgap.measure.data import make_fit_runs
     from simgap.models.surrogate import is_local, make_plant
-    from simgap.settings import GapSettings
 
     plant = make_plant(asset, measured)
     every, floor = make_fit_runs(measured, plant)
     runs = tuple(run for run in every if run.name not in untouched)
     judged = tuple(run for run in every if run.name in untouched)
-    problem = make_problem(plant, measured, runs, floor, GapSettings())
+    problem = make_problem(plant, measured, runs, floor)
 
     def fit(names: tuple[str, ...], parent: Fit, iterations: int, stretches: bool = True) -> Fit:
         """From a parent; what it has not begins where it does nothing, on short stretches of the runs first."""

@@ -107,7 +107,7 @@ def _analyse(asset: Asset, measured: Measured, settings: GapSettings) -> Draft:
             floor=noise.sigma_at_rest,
             certain=select_certain(motion, geometry),
         )
-    problem = make_problem(plant, measured, runs, noise, settings)
+    problem = make_problem(plant, measured, runs, noise)
     prescribed = make_force_runs(positions, plant)
     if prescribed is not None and has_enough_readings(prescribed[0], settings.judgement):
         runs, noise, problem = prescribed[0], prescribed[1], make_force_problem(problem, prescribed[0])
@@ -147,10 +147,10 @@ def make_search(problem: Problem, split: Split, measured: Measured, settings: Ga
     """The search over sets of effects, on positions or on the force of prescribed motion."""
     if problem.inverse_dynamics:
         names = force_candidates(problem, split.train_runs, settings.without)
-        return ForceSearch(problem, split.train_runs, settings.search, names)
+        return ForceSearch(problem, split.train_runs, names)
     encoder = any(run.poses is None for run in measured.runs)
     names = list_candidates(problem, split.train_runs, encoder, settings.without)
-    return Search(problem, split.train_runs, settings.search, names, settings.seconds)
+    return Search(problem, split.train_runs, names, settings.seconds)
 
 
 def add_confounded_sets(choice: Choice, search: ForceSearch, split: Split) -> Choice:

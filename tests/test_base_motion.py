@@ -22,7 +22,6 @@ from simgap.measure.data import make_fit_runs
 from simgap.measure.inputs import base_force_of, make_inputs
 from simgap.models.equation_error import estimate_missing_force
 from simgap.models.surrogate import Nuisance, make_plant, simulate
-from simgap.settings import GapSettings
 
 ROTARY = Path(__file__).resolve().parents[1].parent / "shared" / "measured" / "rotary_and_cart"
 RATE, SECONDS = 500, 2.0
@@ -246,7 +245,7 @@ def test_a_real_pendulum_on_an_arm_moves_as_its_arm_has_it(tmp_path: Path):
     for told in (measured, still):
         plant = make_plant(asset, told)
         seen, floor = make_fit_runs(told, plant)
-        problem = make_problem(plant, told, seen, floor, GapSettings())
+        problem = make_problem(plant, told, seen, floor)
         fit = fit_model(Model(problem, ("coulomb_friction", "viscous_damping")), seen[:1])
         both = refit_starts(fit, seen)
         left.append([np.sqrt(np.mean((predict_readings(both, run) - run.q) ** 2)) for run in seen])

@@ -29,7 +29,6 @@ from simgap.measure.inputs import make_inputs
 from simgap.models.equation_error import estimate_missing_force
 from simgap.models.surrogate import make_plant, simulate
 from simgap.prove.writeback import write_repaired
-from simgap.settings import GapSettings
 
 RATE, SECONDS = 1000, 2.0
 TIMES = np.arange(round(RATE * SECONDS)) / RATE
@@ -174,7 +173,7 @@ def test_an_offset_is_looked_for_only_where_efforts_are_told(tmp_path: Path):
         measured = measured_of(name)
         plant = make_plant(asset, measured)
         runs, floor = make_fit_runs(measured, plant)
-        problem = make_problem(plant, measured, runs, floor, GapSettings())
+        problem = make_problem(plant, measured, runs, floor)
         assert ("actuator_offset" in list_candidates(problem, runs)) is told
 
 
@@ -197,7 +196,7 @@ def test_a_current_limit_is_a_limit_of_force_and_what_is_not_known_may_be_null()
     law = actuator_from_json({"type": "effort", "torque_constant": 0.5, "max_current": 4.0, "max_effort": None}, "x")
     assert law.max_effort == 2.0 and actuator_to_json(law, False) == {"type": "effort", "max_effort": 2.0}
     motor = actuator_from_json({"type": "dc_motor", "torque_constant": 0.5, "resistance": 2.0, "max_current": 4.0}, "x")
-    assert motor.law.most == 2.0 and motor.law.back_emf == 0.125 and np.isinf(motor.law.max_commanded)
+    assert motor.law.max_force == 2.0 and motor.law.back_emf == 0.125 and np.isinf(motor.law.max_commanded)
 
 
 BAD = [

@@ -392,16 +392,16 @@ def test_a_rotor_behind_a_shaft_throws_its_links_back(tmp_path: Path):
         return shaft([0.0, 0.0, y[0], y[1]]) + 1e-12
 
     leaves.terminal, leaves.direction = True, 1
-    hold_series = solve_ivp(  # the links stand at the stop, which is below them, the rotor goes on
+    at_stop = solve_ivp(  # the links stand at the stop, which is below them, the rotor goes on
         lambda t, y: (y[1], -shaft([0.0, 0.0, y[0], y[1]]) / J), (0, 1), [0.0, -speed], events=leaves, rtol=1e-10
     )
-    y0 = [0.0, 0.0, hold_series.y[0, -1], hold_series.y[1, -1]]
+    y0 = [0.0, 0.0, at_stop.y[0, -1], at_stop.y[1, -1]]
     free = solve_ivp(lambda t, y: (y[1], shaft(y) / m, y[3], -shaft(y) / J), (0, 0.5), y0, rtol=1e-10)
     back = (m * free.y[1, -1] + J * free.y[3, -1]) / (m + J)
     lasting = float(np.exp(-2 * z * np.arccos(z) / np.sqrt(1 - z * z)))
     share = J / (m + J) * lasting
     assert back / speed == pytest.approx(share, rel=1e-3)
-    behind = float(m * free.y[0, -1] + J * free.y[2, -1]) / (m + J) - back * (hold_series.t[-1] + free.t[-1])
+    behind = float(m * free.y[0, -1] + J * free.y[2, -1]) / (m + J) - back * (at_stop.t[-1] + free.t[-1])
     assert behind < -5e-4
     for swing in (0.0, float(np.sqrt(J / k))):
         asset = asset_with(tmp_path, "prismatic", Armature(J, lasting, swing), axis="0 0 1", limit=limits(0, 9))

@@ -206,7 +206,7 @@ def test_a_camera_with_faults_does_what_its_numbers_say(film):
     grey = np.full((4, 4, 3), 128, np.uint8)
     brighter = CameraFaults(exposure=(0.0, 1.0)).colour(grey, 1.0)
     assert int(brighter[0, 0, 0]) == pytest.approx(175, abs=2)  # twice the light of sRGB 128
-    assert CameraFaults().none and not CameraFaults(holes=0.1).none
+    assert CameraFaults().is_ideal and not CameraFaults(holes=0.1).is_ideal
     assert CameraFaults(focal=0.1, centre_u=2).actual_camera(camera).K[0, 0] == pytest.approx(1.1 * camera.K[0, 0])
 
 

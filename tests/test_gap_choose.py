@@ -26,7 +26,7 @@ from simgap.select.choose import select_presliding
 from simgap.select.hypotheses import Hypothesis, evaluate_set
 from simgap.select.predictive import Score
 from simgap.select.split import Fold, split_runs
-from simgap.settings import GapSettings, SearchSettings
+from simgap.settings import GapSettings
 from simgap.verdict import Verdict
 from simgap.workflow import find_gap
 
@@ -45,7 +45,7 @@ def search_on(folder: Path, measured: Measured, upper: float = 3.0) -> Search:
     """Over no effects, on the first three runs."""
     plant = make_plant(read_asset(asset_of(folder, upper=upper), "j"), measured)
     runs, floor = make_fit_runs(measured, plant)
-    return Search(make_problem(plant, measured, runs, floor, GapSettings()), runs[:3], SearchSettings(), ())
+    return Search(make_problem(plant, measured, runs, floor), runs[:3], ())
 
 
 def names(found: Verdict) -> set[str]:
@@ -118,12 +118,12 @@ def test_friction_that_is_there_at_once_is_fitted_so(tmp_path: Path):
     measured = measured_of(8, dry=4.0, servo=True, exact=True, lean=0.0, runs=3)
     plant = make_plant(read_asset(asset_of(tmp_path), "j"), measured)
     runs, floor = make_fit_runs(measured, plant)
-    problem = make_problem(plant, measured, runs, floor, GapSettings())
+    problem = make_problem(plant, measured, runs, floor)
     model = Model(problem, ("coulomb_friction",))
     built = fit_model(model, runs, at(model, level=4.0, travel_root=0.1))
     assert (
         select_presliding(built, runs).model.instant_friction
-        and select_presliding(built, runs).level < 0.9 * built.level
+        and select_presliding(built, runs).rms < 0.9 * built.rms
     )
     nearer = replace(built, cost=0.0)
     assert select_presliding(nearer, runs) is nearer
@@ -199,7 +199,7 @@ def test_effects_depart_from_their_formulas_by_what_they_say(tmp_path: Path):
     departing = replace(model, model_error=(("return_spring", plain.effects[0].values()[0]),))
     theta, starts = fit_stretches(departing, search.train, np.append(plain.theta, [0.0, 0.0]), 5.0, 8)
     fit = fit_model(departing, search.train, theta, starts)
-    assert plain.level > 2 and fit.level < 1.1
+    assert plain.rms > 2 and fit.rms < 1.1
     assert 0.01 < fit.values["return_spring form", "bend"] < 0.1
     ways = {
         (r.owner, r.name): r.upper
@@ -214,7 +214,7 @@ def test_a_force_that_first_guesses_miss_is_fitted_all_the_same(tmp_path: Path):
     cut, at, found = search._guesses()
     search._first = cut, at, [guess for guess in found if guess.name == "detent"]
     best = search.fit_singles()[0]
-    assert best.model.names == ("gravity_offset",) and best.level < 1.2
+    assert best.model.names == ("gravity_offset",) and best.rms < 1.2
 
 
 def test_an_effect_that_is_left_out_of_the_library_is_not_named(tmp_path: Path):
@@ -266,7 +266,7 @@ def test_a_catch_that_was_looked_for_beside_its_place_is_found(tmp_path: Path, s
     off = at(model, **(real | {"hold": 0.7, "position": 0.24, "travel": 0.16, "capture": 0.3}))
     hold_difference = fit_model(model, search.train, off, truth.starts, iterations=0)
     found = search._finished(hold_difference)
-    assert fit_model(model, search.train, off, truth.starts).level > 3 and found.level < 1.1
+    assert fit_model(model, search.train, off, truth.starts).rms > 3 and found.rms < 1.1
     assert found.values["latch", "position"] == pytest.approx(0.2, abs=0.01)
 
 

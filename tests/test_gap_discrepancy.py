@@ -17,7 +17,6 @@ from simgap.models.surrogate import make_plant
 from simgap.select.discrepancy import Discrepancy, _fit_ridge, find_discrepancies
 from simgap.select.hypotheses import evaluate_set
 from simgap.select.split import split_runs
-from simgap.settings import GapSettings
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +25,7 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> tuple[Fit, tuple[FitRun, 
     measured = measured_of(5, marked=False, exact=True)
     plant = make_plant(read_asset(asset_of(tmp_path_factory.mktemp("asset")), "j"), measured)
     runs, floor = make_fit_runs(measured, plant)
-    return fit_model(Model(make_problem(plant, measured, runs, floor, GapSettings()), ()), runs), runs
+    return fit_model(Model(make_problem(plant, measured, runs, floor), ()), runs), runs
 
 
 def found(fit: Fit, runs: tuple[FitRun, ...]) -> dict[str, Discrepancy]:

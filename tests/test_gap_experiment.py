@@ -15,7 +15,6 @@ from simgap.fit.problem import Problem, make_problem, without_asset_error
 from simgap.measure.data import make_fit_runs
 from simgap.models.surrogate import make_plant
 from simgap.select.experiment import NO_EXPERIMENT, next_experiment
-from simgap.settings import GapSettings
 
 
 @pytest.fixture
@@ -23,7 +22,7 @@ def problem(tmp_path: Path) -> Problem:
     """A pendulum that swings free, nothing of its asset in doubt."""
     measured = measured_of(3, runs=2)
     plant = make_plant(read_asset(asset_of(tmp_path)), measured)
-    return without_asset_error(make_problem(plant, measured, *make_fit_runs(measured, plant), GapSettings()))
+    return without_asset_error(make_problem(plant, measured, *make_fit_runs(measured, plant)))
 
 
 def fit(problem: Problem, name: str, *values: float) -> Fit:

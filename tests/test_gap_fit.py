@@ -31,15 +31,12 @@ from simgap.measure.data import make_fit_runs
 from simgap.measure.noise import estimate_noise
 from simgap.models.surrogate import make_plant, simulate
 from simgap.select.split import split_runs
-from simgap.settings import GapSettings
-
-SETTINGS = GapSettings()
 
 
 def problem(folder: Path, measured: Measured) -> tuple[Problem, tuple]:
     plant = make_plant(read_asset(asset_of(folder), "j"), measured)
     runs, floor = make_fit_runs(measured, plant)
-    return make_problem(plant, measured, runs, floor, SETTINGS), runs
+    return make_problem(plant, measured, runs, floor), runs
 
 
 def test_what_is_hidden_is_found_again_with_free_starts(tmp_path: Path):
@@ -104,7 +101,7 @@ def test_what_is_faster_than_all_motion_is_not_looked_for(tmp_path: Path):
 def test_a_larger_set_fits_no_worse_than_a_smaller_one(tmp_path: Path):
     setup, runs = problem(tmp_path, measured_of(5, dry=0.1, drag=0.05))
     train = split_runs(runs).folds[0].train
-    search = Search(setup, train, SETTINGS.search, list_candidates(setup, train))
+    search = Search(setup, train, list_candidates(setup, train))
     level = search.fit_singles()
     pairs = search.fit_larger(level[:3])
     assert {"coulomb_friction", "quadratic_drag"} in [set(fit.model.names) for fit in pairs]

@@ -15,7 +15,6 @@ from simgap.fit.parts import drop_poor_fits, extend_to_all, select_parts
 from simgap.fit.problem import make_problem
 from simgap.measure.data import FitRun, make_fit_runs
 from simgap.models.surrogate import make_plant
-from simgap.settings import GapSettings
 
 
 def case(folder: Path, seconds: float) -> tuple[Problem, tuple[FitRun, ...]]:
@@ -23,7 +22,7 @@ def case(folder: Path, seconds: float) -> tuple[Problem, tuple[FitRun, ...]]:
     measured = measured_of(3, runs=8, seconds=seconds, marked=False, viscous=0.06)
     plant = make_plant(read_asset(asset_of(folder), "j"), measured)
     runs, floor = make_fit_runs(measured, plant)
-    return make_problem(plant, measured, runs, floor, GapSettings()), runs
+    return make_problem(plant, measured, runs, floor), runs
 
 
 def test_short_runs_are_looked_at_whole(tmp_path: Path):
@@ -42,7 +41,7 @@ def test_what_parts_of_long_runs_tell_holds_to_their_ends(tmp_path: Path):
         begin = int(part.name.split("#")[1])
         np.testing.assert_array_equal(part.q, run.q[begin : begin + len(part.q)])
     fit = extend_to_all(fit_from_small_effects(Model(problem, ("viscous_damping",)), parts), runs)
-    assert set(fit.residuals) == {run.name for run in runs} and fit.level < 1.2
+    assert set(fit.residuals) == {run.name for run in runs} and fit.rms < 1.2
     assert all(len(fit.residuals[run.name]) == len(run.q) for run in runs)
     inertia = fit.values["asset", "inertia"]
     assert fit.values["viscous_damping", "coefficient"] / inertia == pytest.approx(0.06, rel=0.12)

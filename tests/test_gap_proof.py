@@ -26,7 +26,7 @@ from simgap.prove.body import find_correction
 from simgap.prove.replay import AssetOnDisk, replay
 from simgap.prove.writeback import set_joint_words, write_repaired
 from simgap.select.decide import _confirm
-from simgap.settings import GapSettings, JudgementSettings
+from simgap.settings import JudgementSettings
 from simgap.verdict import NamedEffect, RunGap, Use, Verdict
 from simgap.workflow import find_gap, gap_folder
 
@@ -179,7 +179,7 @@ def rows(*sizes: tuple[Use, float, float]) -> tuple[RunGap, ...]:
 def test_runs_that_are_kept_to_confirm_decide(gaps: tuple[RunGap, ...], answer: str, tmp_path: Path):
     asset, measured = read_asset(asset_of(tmp_path)), measured_of(0, runs=2)
     plant = make_plant(asset, measured)
-    problem = make_problem(plant, measured, *make_fit_runs(measured, plant), GapSettings())
+    problem = make_problem(plant, measured, *make_fit_runs(measured, plant))
     oil = NamedEffect(ViscousDamping(0.1), {"coefficient": 0.09}, {"coefficient": 0.11})
     found = _confirm(Verdict("named", (oil,), (), gaps, (), None, "Oil."), problem, JudgementSettings())
     assert (found.verdict, len(found.effects)) == (answer, answer == "named")

@@ -25,7 +25,6 @@ from simgap.measure.stiction import find_stiction_bound
 from simgap.models.equation_error import smooth_run
 from simgap.models.surrogate import make_plant
 from simgap.select.split import split_runs
-from simgap.settings import GapSettings
 from simgap.workflow import find_gap, gap_folder, make_force_problem
 
 REAL = [name for name in ("directdrive_steady", "directdrive_slow", "directdrive_breakaway") if name in recordings()]
@@ -69,8 +68,8 @@ def test_a_force_of_position_is_told_only_where_places_are_passed_both_ways(asse
         plant = make_plant(asset, measured)
         seen = make_force_runs(measured, plant)
         assert seen is not None
-        problem = make_problem(plant, measured, *make_fit_runs(measured, plant), GapSettings())
-        return set(list_candidates(make_force_problem(problem, seen[0]), split_runs(seen[0]).fitted))
+        problem = make_problem(plant, measured, *make_fit_runs(measured, plant))
+        return set(list_candidates(make_force_problem(problem, seen[0]), split_runs(seen[0]).train_runs))
 
     of_place = {"detent", "return_spring", "gravity_offset", "actuator_gain"}
     both, one = names(steady_of(0, dry=0.6)), names(steady_of(0, dry=0.6, one_way=True))

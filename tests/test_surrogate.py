@@ -20,6 +20,7 @@ from simgap.models.surrogate import (
     Batch,
     Inputs,
     Nuisance,
+    StepSettings,
     effect_terms,
     make_plant,
     make_vector,
@@ -27,7 +28,6 @@ from simgap.models.surrogate import (
     sweep,
     time_steps,
 )
-from simgap.settings import SurrogateSettings
 
 MASS, ARM, G = 1.6, 0.5, 9.81
 GRAVITY = np.array([0.0, 0.0, -G])
@@ -130,7 +130,7 @@ def test_an_impact_that_begins_and_ends_within_a_step_is_one(tmp_path: Path, dee
     times = np.arange(601) / 100
     coarse = simulate(plant, effects, times, 1.2)
     assert coarse.min() == pytest.approx(-1.2 + deep, abs=1e-4) and coarse.min() >= plant.lower
-    fine = SurrogateSettings(phase_per_step=0.01, max_step_s=5e-4)
+    fine = StepSettings(phase_per_step=0.01, max_step_s=5e-4)
     np.testing.assert_allclose(coarse, simulate(plant, effects, times, 1.2, settings=fine), atol=5e-4)
     theirs = roll_out(asset, 1.2, duration_s=6, timestep_s=4e-3)
     assert theirs.q.min() >= plant.lower - 1e-12
@@ -240,13 +240,11 @@ def test_nuisance_is_another_asset(tmp_path: Path):
 
 
 def test_steps_make_no_difference(tmp_path: Path):
-    from simgap.settings import SurrogateSettings
-
     asset = asset_at(tmp_path, "revolute", lower=-0.5, upper=2)
     plant = make_plant(asset, measured_of("revolute"))
     effects = (made("coulomb_friction", level=0.2), made("end_stop_bounce", restitution=0.5))
     times = np.arange(500) * 0.01
-    fine = simulate(plant, effects, times, 1.5, settings=SurrogateSettings(0.01, 1e-3))
+    fine = simulate(plant, effects, times, 1.5, settings=StepSettings(0.01, 1e-3))
     assert np.abs(simulate(plant, effects, times, 1.5) - fine).max() < 1e-5
 
 

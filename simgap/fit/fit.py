@@ -26,6 +26,7 @@ from simgap.measure.data import FitRun
 from simgap.models import kernel
 from simgap.models.surrogate import Batch, apply_sensing, effect_terms, limit_creep_steps, sweep, time_steps
 
+_MAX_ITERATIONS = 15
 _PROBE = 1e-4
 """Finite-difference step, as a share of a parameter's size."""
 _SEEN_S = 0.3
@@ -77,11 +78,6 @@ class Fit:
         return float(sum((r * r).sum() for r in self.residuals.values()))
 
     @property
-    def robust_residuals(self) -> dict[str, Array]:
-        """Residuals, those of runs that are missed by far made less: their squares are what they cost."""
-        return robust_residuals(self.residuals)
-
-    @property
     def rms(self) -> float:
         """Normalised RMS of all residuals."""
         return float(np.sqrt(self.rss / sum(len(r) for r in self.residuals.values())))
@@ -102,9 +98,9 @@ class _PositionPredictor:
         self.lengths = np.diff(self.batch.begins)
         self._vector_cache: tuple[bytes, Array, tuple[Effect, ...]] | None = None
         self._rows_cache: tuple[bytes, NDArray[np.int64]] | None = None
-        effects, settings = self.vector(at)[1], model.problem.surrogate
+        effects = self.vector(at)[1]
         self.terms = effect_terms(effects)
-        self.step = {held: time_steps(self.problem.plant, effects, settings, held) for held in (True, False)}
+        self.step = {held: time_steps(self.problem.plant, effects, held) for held in (True, False)}
 
     def vector(self, theta: Array) -> tuple[Array, tuple[Effect, ...]]:
         """Kernel vector and effects at parameters (p,); the last ones are cached."""
@@ -115,8 +111,8 @@ class _PositionPredictor:
 
     def steps(self, effects: tuple[Effect, ...]) -> Array:
         """(r, 2) time steps, s; the same for all parameters except strong damping."""
-        plant, settings = self.problem.plant, self.problem.surrogate
-        held, loose = (limit_creep_steps(plant, effects, self.step[it], settings) for it in (True, False))
+        plant = self.problem.plant
+        held, loose = (limit_creep_steps(plant, effects, self.step[it]) for it in (True, False))
         return np.where(self.batch.held[:, None], held, loose)
 
     def evaluate(self, which: NDArray[np.int64], starts: Array, theta: Array) -> list[Array]:
@@ -191,7 +187,7 @@ def fit_model(
     runs: tuple[FitRun, ...],
     theta: Array | None = None,
     starts: Starts | None = None,
-    iterations: int | None = None,
+    iterations: int = _MAX_ITERATIONS,
     free: bool = True,
 ) -> Fit:
     """The model fitted to the runs within its bounds.
@@ -201,7 +197,7 @@ def fit_model(
         runs: to these.
         theta: (p,) initial guess; the neutral point when None.
         starts: initial start states; searched where missing.
-        iterations: at most; as in the settings when None.
+        iterations: at most.
         free: whether the parameters move; else only start states do.
     """
     ranges, plant = model.ranges(), model.problem.plant
@@ -211,9 +207,10 @@ def fit_model(
     at = np.clip(model.neutral() if theta is None else theta, low, high)
     predictor, begin = _make_predictor(model, runs, at, starts or {})
     begin[:, 0] = np.clip(begin[:, 0], plant.lower, plant.upper)
-    most = model.problem.fit.max_iterations if iterations is None else iterations
     prior = Prior(low, high, neutral, weight)
-    state = solve(at, begin, predictor.evaluate, predictor.differentiate, prior, plant.lower, plant.upper, most, free)
+    state = solve(
+        at, begin, predictor.evaluate, predictor.differentiate, prior, plant.lower, plant.upper, iterations, free
+    )
     return Fit(
         model,
         state.theta,
@@ -399,7 +396,7 @@ def predict_readings(fit: Fit, run: FitRun, times_s: Array | None = None) -> Arr
     numbers, effects = mapping.vector(fit.theta)
     numbers[kernel.Q0], numbers[kernel.QD0] = fit.starts[run.name]
     times = run.times_s if times_s is None else times_s
-    step = time_steps(fit.model.problem.plant, effects, fit.model.problem.surrogate, run.inputs.has_position_law)
+    step = time_steps(fit.model.problem.plant, effects, run.inputs.has_position_law)
     return apply_sensing(effects, sweep(numbers[None], effect_terms(effects), times, run.inputs, step)[0])
 
 

@@ -12,9 +12,9 @@ from freeart21.effects import EFFECTS, Effect
 from simgap.fit.fit import Fit, Model, Problem, bic_penalty, fit_model, initial_theta, residual_dispersion
 from simgap.fit.force_predictor import require_force_runs
 from simgap.fit.guess import first_guesses, neutral_point
+from simgap.fit.search import CONTENDERS, EXPLAINED, MAX_EFFECTS
 from simgap.measure.data import FitRun
 from simgap.measure.prescribed import ForceRun
-from simgap.settings import SearchSettings
 
 _ACTS = ("force", "drive", "inertia", "command")
 """Actions that forces show; sensors and stops show in positions alone."""
@@ -75,7 +75,6 @@ class ForceSearch:
 
     problem: Problem
     train: tuple[FitRun, ...]
-    settings: SearchSettings
     names: tuple[str, ...]
     fits: dict[tuple[str, ...], Fit] = field(default_factory=dict)
     is_overtime: ClassVar[bool] = False
@@ -101,14 +100,14 @@ class ForceSearch:
     def explore(self) -> list[Fit]:
         """The best sets of every size, until nothing is left to explain."""
         best: list[Fit] = []
-        for size in range(1, self.settings.max_effects + 1):
+        for size in range(1, MAX_EFFECTS + 1):
             known = {fit.model.names for fit in best if len(fit.model.names) == size - 1}
             sets = [names for names in combinations(sorted(self.names), size)
                     if size < 3 or any(set(smaller) < set(names) for smaller in known)]  # fmt: skip
             level = sorted((self.fit_set(names) for names in sets), key=lambda fit: fit.cost)
-            best += level[: self.settings.contenders]
+            best += level[:CONTENDERS]
             best += [fit for fit in level if all(EFFECTS[n].dissipates for n in fit.model.names) and fit not in best]
-            if min(fit.rms for fit in self.fits.values()) < self.settings.all_told:
+            if min(fit.rms for fit in self.fits.values()) < EXPLAINED:
                 break
         return best
 

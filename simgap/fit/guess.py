@@ -130,10 +130,10 @@ class Linearisation:
         """(m, N) response of the readings to forces (m, N), N*m or N, given at their times; starts free."""
         mapping, done, parts = ParameterMap(self.fit.model), 0, []
         numbers, effects = mapping.vector(self.fit.theta)
-        terms, settings = effect_terms(effects), self.problem.surrogate
+        terms = effect_terms(effects)
         for i, run in enumerate(self.runs):
             numbers[kernel.Q0], numbers[kernel.QD0] = self.fit.starts[run.name]
-            step = time_steps(self.problem.plant, effects, settings, run.inputs.has_position_law)
+            step = time_steps(self.problem.plant, effects, run.inputs.has_position_law)
             inputs = run.inputs.with_rows(run.times_s)
             rows = []
             for force in (np.zeros(len(run.q)), *forces[:, done : done + len(run.q)]):
@@ -242,9 +242,7 @@ class Linearisation:
         mapping = ParameterMap(model)
         made = [mapping.vector(initial_theta(model, self.fit, {name: point})) for point in points]
         table = np.array([numbers for numbers, _ in made])
-        steps = {
-            held: time_steps(self.problem.plant, made[0][1], self.problem.surrogate, held) for held in (True, False)
-        }
+        steps = {held: time_steps(self.problem.plant, made[0][1], held) for held in (True, False)}
         terms, parts = effect_terms(made[0][1]), []
         for i, run in enumerate(self.runs):
             table[:, kernel.Q0], table[:, kernel.QD0] = self.fit.starts[run.name]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,6 @@ from freeart21.effects import EFFECTS, Effect
 from freeart21.se3 import Array
 from simgap.models import kernel, laws
 from simgap.models.surrogate import Nuisance, Plant, effect_terms, make_vector
-from simgap.settings import FitSettings, SurrogateSettings
 
 _FRICTION = "friction form"
 """Owner of the presliding parameters, shared by all missing dry friction."""
@@ -19,6 +18,16 @@ SHAFT = "shaft form"
 """Owner of the parameters of the drive's shaft: how its inertia rebounds when the part stops dead."""
 _FORM = " form"
 """Suffix of the owner of an effect's model error."""
+TILT_RAD = 7e-3
+"""Prior standard deviation of the base's tilt; a usual mounting is 0.3 degrees off."""
+_SHAFT_DAMPING = 0.35
+"""Minimum damping ratio of a drive's inertia against the part on the shaft between them. Less damping is an elastic
+drive, not an armature."""
+_MAX_SWING = 0.02
+"""Maximum time of one radian of that oscillation, as a share of the time to cross the range at top speed. A slower one
+is an elastic drive."""
+_MAX_PRESLIDING = 1e-2
+"""Maximum presliding travel of dry friction after a reversal, as a share of the range. Filmed pendula had 8e-3."""
 HOLDING = "holding"
 """Asset parameter: interpolation of the inputs between their rows. A delay of half a row is no effect."""
 
@@ -61,8 +70,8 @@ class Problem:
     unknown_inputs: bool = False
     """Whether the interpolation of commands and efforts between rows is unknown. It is then fitted, between smooth and
     zero-order hold, with a uniform prior."""
-    fit: FitSettings = field(default_factory=FitSettings)
-    surrogate: SurrogateSettings = field(default_factory=SurrogateSettings)
+    tilt_rad: float = TILT_RAD
+    """Prior standard deviation of the base's tilt in the plane of motion; 0 for none."""
     inverse_dynamics: bool = False
     """Whether motion is prescribed and the force is read (`simgap.measure.prescribed`): residuals are then of force."""
 
@@ -135,7 +144,7 @@ class Model:
         size = float(np.linalg.norm(terms[0]))
         for i in (1, 2):
             column = float(np.linalg.norm(terms[i]))
-            lean = problem.fit.tilt_rad
+            lean = problem.tilt_rad
             if i == 1 and problem.plant.joint_type == "revolute" and column > 0:
                 lean += (
                     problem.gravity_relative * size / column
@@ -267,14 +276,14 @@ class ParameterMap:
     def rebound_ratio(self, theta: Array, share: float) -> float:
         """Rebound speed ratio of a drive with this `share` of all inertia. A damping ratio z of both bodies together is
         z * sqrt(1 - share) of the drive alone; see `events.drive_rebound`."""
-        z = self.model.problem.fit.shaft_damping * np.sqrt(1 - share)
+        z = _SHAFT_DAMPING * np.sqrt(1 - share)
         most = np.exp(-2 * z * np.arccos(z) / np.sqrt(1 - z * z))
         return float(theta[self.owners.index(SHAFT)] * most)
 
     def swing_time(self, theta: Array, share: float) -> float:
         """Time, s, in which the drive alone oscillates by one radian on its shaft."""
         found = [x for r, x in zip(self.ranges, theta, strict=True) if (r.owner, r.name) == (SHAFT, "swing")]
-        most = self.model.problem.fit.swing_tolerance * self.model.problem.crossing_s
+        most = _MAX_SWING * self.model.problem.crossing_s
         return float(found[0] * most / np.sqrt(1 - share)) if found else 0.0
 
     def drive_share(self, theta: Array, added: Sequence[Effect]) -> float:
@@ -301,7 +310,7 @@ class ParameterMap:
         numbers = make_vector(problem.plant, effects, self.nuisance(theta))
         if _FRICTION in self.owners:
             root, gripping = theta[(at := self.owners.index(_FRICTION)) : at + 2]
-            numbers[kernel.TRAVEL] = problem.fit.travel_tolerance * (problem.q_high - problem.q_low) * root**2
+            numbers[kernel.TRAVEL] = _MAX_PRESLIDING * (problem.q_high - problem.q_low) * root**2
             numbers[kernel.GRIPPING] = gripping
         if self.model.model_error:
             self._set_model_error(numbers, effects, theta)

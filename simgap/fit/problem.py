@@ -11,12 +11,9 @@ from simgap.fit.model import Problem
 from simgap.measure.data import FitRun
 from simgap.measure.noise import SensorNoise
 from simgap.models.surrogate import Plant
-from simgap.settings import GapSettings
 
 
-def make_problem(
-    plant: Plant, measured: Measured, runs: tuple[FitRun, ...], noise: SensorNoise, settings: GapSettings
-) -> Problem:
+def make_problem(plant: Plant, measured: Measured, runs: tuple[FitRun, ...], noise: SensorNoise) -> Problem:
     """The problem of some runs."""
     motion = np.concatenate([run.q for run in runs])
     speed = np.concatenate([run.speed for run in runs])
@@ -36,8 +33,6 @@ def make_problem(
         float(np.sqrt(np.mean(load**2))),
         float(np.sqrt(force**2 + 4 * np.mean(weight**2))),  # a drive moves the part and carries its weight
         driven and measured.interpolation == "unknown",
-        settings.fit,
-        settings.surrogate,
     )
 
 
@@ -49,6 +44,5 @@ def rms_inertial_force(plant: Plant, runs: tuple[FitRun, ...]) -> float:
 
 def without_asset_error(problem: Problem, plant: Plant | None = None) -> Problem:
     """The problem with inertia, weight and tilt fixed as in the files; `plant` is that of other files."""
-    fit = replace(problem.fit, tilt_rad=0.0)
     plant = problem.plant if plant is None else plant
-    return replace(problem, plant=plant, inertia_relative=0.0, gravity_relative=0.0, fit=fit)
+    return replace(problem, plant=plant, inertia_relative=0.0, gravity_relative=0.0, tilt_rad=0.0)

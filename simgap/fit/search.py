@@ -33,8 +33,17 @@ from simgap.fit.model import SHAFT
 from simgap.fit.parts import drop_poor_fits, extend_to_all, select_parts
 from simgap.measure.data import FitRun
 from simgap.models.surrogate import is_local
-from simgap.settings import SearchSettings
 
+MAX_EFFECTS = 3
+CONTENDERS = 8
+"""Sets of each size that are evaluated on test runs."""
+EXPLAINED = 1.1
+"""Normalised RMS of a fit below which no larger set is tried."""
+_UNEXPLAINED = 1.35
+"""Normalised RMS of the best single effect above which effects without a first guess are fitted, too."""
+_SINGLES, _SHORTLIST, _PARENTS, _STARTS = 7, 5, 3, 3
+"""Effects fitted alone; sets with one more effect fitted to convergence; sets that larger ones start from; initial
+guesses of an effect with a place, width or speed."""
 _CROSSINGS = (0.25, 0.8, 2.5, 6.0)
 """Lengths of stretches, in crossings of the range at top speed."""
 _USUAL = 2
@@ -108,7 +117,6 @@ class Search:
 
     problem: Problem
     train: tuple[FitRun, ...]
-    settings: SearchSettings
     names: tuple[str, ...]
     """Candidate effects; free shapes (`Effect.complexity` > 1) are fitted separately since they would lead every set.
     """
@@ -161,12 +169,12 @@ class Search:
         parts = select_parts(self.problem, self.train)
         if parts is self.train or self.base().rms <= _FAR:
             return self._explore_sizes()
-        short = Search(self.problem, parts, self.settings, self.names + self.shapes, 0.5 * self.seconds)
+        short = Search(self.problem, parts, self.names + self.shapes, 0.5 * self.seconds)
         near = sorted(drop_poor_fits(short._explore_sizes(), _HOPEFUL), key=lambda fit: len(fit.model.names))
         self.stopped = short.stopped
         found = [self.keep(extend_to_all(fit, self.train)) for fit in near]
-        for size in range(1, self.settings.max_effects + 1):
-            for fit in self._of_size(size)[: self.settings.parents]:
+        for size in range(1, MAX_EFFECTS + 1):
+            for fit in self._of_size(size)[:_PARENTS]:
                 # only one of two confounded effects may have found the better optimum
                 for at in alternatives.find_confounded(self.problem, fit, self.names):
                     found.append(self.keep(fit_model(at.model, self.train, at.theta, at.starts)))
@@ -188,21 +196,21 @@ class Search:
         """The best sets of every size, until nothing is left to explain; started from smaller sets, from small effects,
         and from alternatives."""
         level = self.fit_singles()
-        for size in range(1, self.settings.max_effects + 1):
+        for size in range(1, MAX_EFFECTS + 1):
             if size > 1:
-                level = self.fit_larger(level[: self.settings.parents if size == 2 else self.settings.parents - 1])
+                level = self.fit_larger(level[: _PARENTS if size == 2 else _PARENTS - 1])
             self._fit_swaps(size)
             level = self._of_size(size)
             if self._is_explained() or self.is_out_of_time:
                 break
         every = [] if self._is_explained() else [fit for fit in self.fit_losses() if self.base().rms > _FAR]
-        best = [fit for k in range(1, size + 1) for fit in self._of_size(k)[: self.settings.contenders]]
+        best = [fit for k in range(1, size + 1) for fit in self._of_size(k)[:CONTENDERS]]
         names = {fit.model.names for fit in best}
         return best + [fit for fit in every if fit.model.names not in names]
 
     def _is_explained(self) -> bool:
         """Whether a set leaves hardly more than noise."""
-        return min(self.fits.values(), key=lambda fit: fit.cost).rms < self.settings.all_told
+        return min(self.fits.values(), key=lambda fit: fit.cost).rms < EXPLAINED
 
     def _of_size(self, size: int) -> list[Fit]:
         """All fits of sets of this size, best first."""
@@ -211,7 +219,7 @@ class Search:
     def _fit_swaps(self, size: int) -> None:
         """Fits of the best sets with an effect replaced by an alternative, reduced, or removed; of the very best only
         when time is over."""
-        for fit in self._of_size(size)[: 1 if self.is_out_of_time else self.settings.parents]:
+        for fit in self._of_size(size)[: 1 if self.is_out_of_time else _PARENTS]:
             for at in alternatives.find_alternatives(self.problem, fit, self.names):
                 if EFFECTS[at.new].reduces_to != at.old.name:  # that one is started from its reduced form
                     self.keep(fit_model(at.model, self.train, at.theta, at.starts))
@@ -266,11 +274,11 @@ class Search:
         """Every effect alone, best first."""
         cut, at, found = self._look_first()
         rough = []
-        for name in list(dict.fromkeys(guess.name for guess in found))[: self.settings.singles]:
+        for name in list(dict.fromkeys(guess.name for guess in found))[:_SINGLES]:
             points = [guess.point for guess in self._select_distinct([guess for guess in found if guess.name == name])]
             rough.append(self._best_start(name, points, cut, at))
         rough = self._refine_sudden(rough, cut, at)
-        most = self.settings.contenders + 1
+        most = CONTENDERS + 1
         for fewer, runs in enumerate(self._longer_stretches(cut)):
             rough = [self._fit_stretched(fit, runs) for fit in _drop_poor(rough)[: most - fewer]]
         for fit in _drop_poor(rough)[:most]:
@@ -291,7 +299,7 @@ class Search:
     def _fit_remaining(self) -> list[str]:
         """Where no effect alone explains the runs: fits of those that first guesses do not reach (stops, strong
         damping, stiction). Returns those that act everywhere and are worse than all others."""
-        if min((fit.rms for fit in self.fits.values()), default=np.inf) <= self.settings.lost:
+        if min((fit.rms for fit in self.fits.values()), default=np.inf) <= _UNEXPLAINED:
             return []
         for name in self.names if not self.is_out_of_time else ():
             if EFFECTS[name].acts == "stop":
@@ -317,9 +325,7 @@ class Search:
         """The best guesses of one effect that are not neighbours on the grid."""
         distinct: list[Guess] = []
         for guess in own:
-            if len(distinct) < self.problem.fit.starts and not any(
-                self._is_similar(guess, other) for other in distinct
-            ):
+            if len(distinct) < _STARTS and not any(self._is_similar(guess, other) for other in distinct):
                 distinct.append(guess)
         return distinct
 
@@ -424,7 +430,7 @@ class Search:
                     rough[names] = (cost, parent, guess, at, cut)
         order = sorted(rough.values(), key=lambda entry: entry[0])
         firsts = [next(e for e in order if e[1] is parent) for parent in parents if any(e[1] is parent for e in order)]
-        best = (firsts + [e for e in order if not any(e is f for f in firsts)])[: self.settings.shortlist]
+        best = (firsts + [e for e in order if not any(e is f for f in firsts)])[:_SHORTLIST]
         for entry in tuple(best):
             reduced = EFFECTS[entry[2].name].reduces_to
             other = rough.get(tuple(sorted((*entry[1].model.names, reduced)))) if reduced else None
@@ -440,7 +446,7 @@ class Search:
     def _refit_level(self, level: list[Fit]) -> list[Fit]:
         """The sets sorted, the best with a new search of start states."""
         level = sorted(level, key=lambda fit: fit.cost)
-        for fit in level[: self.settings.parents]:
+        for fit in level[:_PARENTS]:
             self.fits[fit.model.names] = refit_missed_starts(fit, self.train)
         return sorted((self.fits[fit.model.names] for fit in level), key=lambda fit: fit.cost)
 

@@ -27,13 +27,28 @@ from freeart21.se3 import Array
 from generator.simulate import load
 from simgap.geometry.placing import place
 from simgap.models import kernel, laws
-from simgap.settings import SurrogateSettings
 
 _THREADING_SIZE = 20_000
 """Readings and inputs above which rows are distributed to threads. On two free cores 8,000 took .35 ms with one thread
 and .45 with two, 24,000 1.0 and .66, 135,000 9.3 and 5.1."""
 Steps = tuple[float, float]
 """Time steps, s: away from local effects, and near them."""
+
+
+@dataclass(frozen=True)
+class StepSettings:
+    """Time steps of the simulation."""
+
+    phase_per_step: float = 0.15
+    """rad of the fastest oscillation per step; the RK4 step is then off by 4e-6 of the motion."""
+    local_phase_per_step: float = 0.4
+    """The same for effects that are stiff at one place only; a run spends little time there."""
+    max_step_s: float = 0.02
+    min_step_s: float = 5e-4
+    """Oscillations for which this is too coarse are not resolved by readings at usual rates."""
+
+
+STEPS = StepSettings()
 
 
 @dataclass(frozen=True)
@@ -274,12 +289,7 @@ def _load_terms(mechanics: JointMechanics) -> tuple[float, float, float, float]:
     return float(across @ across), float(weight @ weight), float(across @ weight), float(turned @ weight)
 
 
-def time_steps(
-    plant: Plant,
-    effects: tuple[Effect, ...],
-    settings: SurrogateSettings = SurrogateSettings(),  # noqa: B008 (frozen)
-    held: bool = True,
-) -> Steps:
+def time_steps(plant: Plant, effects: tuple[Effect, ...], held: bool = True, settings: StepSettings = STEPS) -> Steps:
     """Longest steps, s, that resolve the fastest oscillation and are stable, away from local effects and near them;
     without the position law unless `held`."""
     gain = float(np.prod([effect.gain() for effect in effects]))
@@ -302,7 +312,9 @@ def time_steps(
     return limit_creep_steps(plant, effects, (longest(away), longest(near)), settings)
 
 
-def limit_creep_steps(plant: Plant, effects: tuple[Effect, ...], steps_s: Steps, settings: SurrogateSettings) -> Steps:
+def limit_creep_steps(
+    plant: Plant, effects: tuple[Effect, ...], steps_s: Steps, settings: StepSettings = STEPS
+) -> Steps:
     """The steps, s, or shorter ones that are stable under strong damping."""
     damping = sum(effect.damping() for effect in effects)
     most = plant.mechanics.inertia / max(damping, 1e-12)
@@ -408,11 +420,11 @@ def simulate(
     qd0: float = 0.0,
     inputs: Inputs = Inputs(),
     nuisance: Nuisance = Nuisance(),
-    settings: SurrogateSettings = SurrogateSettings(),  # noqa: B008 (frozen)
+    settings: StepSettings = STEPS,
 ) -> Array:
     """(n,) readings at `times_s` (n,), rising; (q0, qd0) is the state at the first reading."""
     numbers = make_vector(plant, effects, nuisance)
     numbers[kernel.Q0], numbers[kernel.QD0] = q0, qd0
     times = np.ascontiguousarray(times_s, float)
-    q = sweep(numbers[None], effect_terms(effects), times, inputs, time_steps(plant, effects, settings))[0]
+    q = sweep(numbers[None], effect_terms(effects), times, inputs, time_steps(plant, effects, settings=settings))[0]
     return apply_sensing(effects, q)

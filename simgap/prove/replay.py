@@ -31,7 +31,6 @@ from simgap.fit.problem import make_problem, without_asset_error
 from simgap.measure.data import make_fit_runs
 from simgap.models.surrogate import make_plant
 from simgap.prove.replay_process import AssetOnDisk, Engine, Job, PosesToReplay, Starts, State
-from simgap.settings import GapSettings
 from simgap.verdict import root_mean_square
 
 ENGINES: tuple[str, ...] = get_args(Engine)
@@ -165,7 +164,7 @@ def fit_start_states(
         return Starts({}, {})
     plant = make_plant(asset, measured)
     runs, noise = make_fit_runs(measured, plant)
-    problem = without_asset_error(make_problem(plant, measured, runs, noise, GapSettings()))
+    problem = without_asset_error(make_problem(plant, measured, runs, noise))
     speed, high = max(problem.speed, _MIN_SCALE), max(problem.q_high, problem.q_low + _MIN_SCALE)
     model = Model(replace(problem, speed=speed, q_high=high), (), instant_friction=True)
     theta = np.full(len(model.ranges()), holding)

@@ -28,7 +28,7 @@ from simgap.fit.fit import (
     residual_dispersion,
     robust_residuals,
 )
-from simgap.fit.model import HOLDING, ParameterMap, Problem
+from simgap.fit.model import HOLDING, TILT_RAD, ParameterMap, Problem
 from simgap.fit.problem import without_asset_error
 from simgap.measure.data import FitRun
 from simgap.models.surrogate import make_plant
@@ -38,7 +38,6 @@ from simgap.select.hypotheses import Hypothesis, evaluate_set
 from simgap.select.intervals import NORMAL_90, covariance
 from simgap.select.predictive import Score, score_difference
 from simgap.select.split import Fold
-from simgap.settings import FitSettings
 from simgap.verdict import GAP_THRESHOLD, Correction, NamedEffect
 
 ASSET = "asset"
@@ -170,7 +169,7 @@ def _fit_lean_alternatives(fit: Fit, runs: tuple[FitRun, ...], names: Collection
     """Fits with another effect, of `names`, in place of a tilt of the weight beyond a usual mounting. They start
     without tilt, at which its prior holds it."""
     problem, nuisance = fit.model.problem, ParameterMap(fit.model).nuisance(fit.theta)
-    if problem.inverse_dynamics or abs(nuisance.lean[0]) <= FitSettings.tilt_rad:
+    if problem.inverse_dynamics or abs(nuisance.lean[0]) <= TILT_RAD:
         return []
     terms = problem.plant.gravity_terms
     pull = nuisance.gravity * (terms[0] + nuisance.lean[0] * terms[1] + nuisance.lean[1] * terms[2])
@@ -208,8 +207,8 @@ def _correction_variants(problem: Problem, names: tuple[str, ...]) -> list[Probl
     variants = [
         bare,
         replace(bare, inertia_relative=problem.inertia_relative),
-        replace(bare, fit=problem.fit),
-        replace(bare, fit=problem.fit, inertia_relative=problem.inertia_relative),
+        replace(bare, tilt_rad=problem.tilt_rad),
+        replace(bare, tilt_rad=problem.tilt_rad, inertia_relative=problem.inertia_relative),
         replace(bare, gravity_relative=problem.gravity_relative),
         problem,
     ]
