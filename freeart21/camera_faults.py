@@ -129,7 +129,7 @@ class CameraFaults:
         out = np.where(seen, np.maximum(out, 0), 0)
         return self._shift_depth(out.astype(np.float32), camera)
 
-    def hole_probability(self, brightness: NDArray, cosine: NDArray) -> Array:
+    def hole_probability(self, brightness: NDArray[Any], cosine: NDArray[Any]) -> Array:
         """Probability that a pixel has no depth."""
         kept = np.full(np.shape(brightness), 1 - self.holes)
         if self.dark_share:
@@ -139,7 +139,7 @@ class CameraFaults:
             kept = kept * (1 - self.grazing_share * logistic((angle - self.grazing_angle) / SOFT_RAD))
         return np.asarray(1 - kept)
 
-    def depth_noise(self, z: NDArray, cosine: NDArray) -> Array:
+    def depth_noise(self, z: NDArray[Any], cosine: NDArray[Any]) -> Array:
         """Standard deviation of the depth, metres."""
         grown = (np.maximum(z, 1e-6) / self.noise_at) ** self.noise_growth
         return np.asarray(self.noise * grown / np.maximum(cosine, 0.05) ** self.noise_grazing)
@@ -179,7 +179,7 @@ FAULTS: dict[str, Fault] = {each.name: each.metadata["fault"] for each in fields
 """Field to its meaning."""
 
 
-def logistic(x: NDArray) -> Array:
+def logistic(x: NDArray[Any]) -> Array:
     """The logistic function, without overflow."""
     return np.asarray(0.5 * (1 + np.tanh(0.5 * np.asarray(x, float))))
 
@@ -189,19 +189,19 @@ def drift_at(knots: tuple[float, ...], share: float) -> float:
     return float(np.interp(share, np.linspace(0, 1, len(knots)), knots)) if knots else 0.0
 
 
-def srgb_encode(linear: NDArray) -> Array:
+def srgb_encode(linear: NDArray[Any]) -> Array:
     """sRGB, 0 to 1, of linear light (IEC 61966-2-1)."""
     x = np.clip(linear, 0, 1)
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
 
-def srgb_decode(colours: NDArray) -> Array:
+def srgb_decode(colours: NDArray[Any]) -> Array:
     """Linear light of sRGB, both 0 to 1."""
     x = np.clip(colours, 0, 1)
     return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
 
 
-def incidence_cosine(depth: NDArray, camera: Camera) -> Map:
+def incidence_cosine(depth: NDArray[Any], camera: Camera) -> Map:
     """Cosine (height, width) of the angle of incidence from the depth picture alone; 1 where nothing is drawn.
 
     On a plane the inverse depth is linear in the picture; each slope is the smaller of both sides'.
@@ -221,7 +221,7 @@ def incidence_cosine(depth: NDArray, camera: Camera) -> Map:
     return np.where(depth > 0, np.nan_to_num(w) / np.maximum(length, 1e-12), 1.0).astype(np.float32)
 
 
-def find_depth_edges(z: NDArray) -> tuple[Array, Array]:
+def find_depth_edges(z: NDArray[Any]) -> tuple[Array, Array]:
     """Depth behind the nearest depth edge, metres, and the distance to that edge, pixels; inf far from any.
 
     An edge is where the depth in a 3 x 3 window changes by a twentieth or more, or where the object ends: there the

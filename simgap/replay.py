@@ -27,7 +27,8 @@ from freeart21.joint import JointType
 from freeart21.measured import Run
 from simgap.page.replay_page import HEAD, Row, replay_page
 from simgap.prove.asset_files import file_hashes
-from simgap.prove.replay import SECONDS, AssetOnDisk, Engine, Progress, replay
+from simgap.prove.replay import SECONDS, Progress, replay
+from simgap.prove.replay_process import AssetOnDisk, Engine
 from simgap.verdict import SCHEMA as VERDICT
 from simgap.verdict import Use, unit_of
 

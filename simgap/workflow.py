@@ -22,15 +22,15 @@ from simgap.fit.force_search import ForceSearch
 from simgap.fit.force_search import list_candidates as force_candidates
 from simgap.fit.problem import make_problem, without_asset_error
 from simgap.fit.search import Search, list_candidates
-from simgap.geometry.finding import KinematicsFinding
-from simgap.geometry.kinematics import KinematicsSettings, find_geometry
+from simgap.geometry.finding import KinematicsFinding, KinematicsSettings
+from simgap.geometry.kinematics import find_geometry
 from simgap.measure.data import FitRun, make_fit_runs, thinning_notes
 from simgap.measure.noise import SensorNoise
 from simgap.measure.prescribed import ForceRun, make_force_runs
 from simgap.measure.stiction import find_stiction_bound
 from simgap.models.surrogate import make_plant
-from simgap.page.publish import Draft, Paths, answer_folder, publish, replace_poses
-from simgap.page.report import Ranked
+from simgap.page.publish import Paths, answer_folder, publish, replace_poses
+from simgap.page.report import Draft, Ranked
 from simgap.prove.body import NO_CORRECTION
 from simgap.prove.comparison import ReplayGap, compare_curves
 from simgap.prove.replay import SECONDS, Progress

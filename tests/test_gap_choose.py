@@ -122,8 +122,7 @@ def test_friction_that_is_there_at_once_is_fitted_so(tmp_path: Path):
     model = Model(problem, ("coulomb_friction",))
     built = fit_model(model, runs, at(model, level=4.0, travel_root=0.1))
     assert (
-        select_presliding(built, runs).model.instant_friction
-        and select_presliding(built, runs).rms < 0.9 * built.rms
+        select_presliding(built, runs).model.instant_friction and select_presliding(built, runs).rms < 0.9 * built.rms
     )
     nearer = replace(built, cost=0.0)
     assert select_presliding(nearer, runs) is nearer

@@ -6,6 +6,7 @@ A hand comes and goes; a part is there whenever its place is visible.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,7 +101,9 @@ def _persistent_cells(
     return np.asarray(cells[times / (times + empty) >= MIN_PRESENCE])
 
 
-def _is_empty(camera: Camera, depth: NDArray, mask: NDArray[np.bool_], points: Array, cell: float) -> NDArray[np.bool_]:
+def _is_empty(
+    camera: Camera, depth: NDArray[Any], mask: NDArray[np.bool_], points: Array, cell: float
+) -> NDArray[np.bool_]:
     """Whether the picture shows something behind each point, or nothing of the object there."""
     at = np.floor(camera.project(points)).astype(int)
     inside = (at[:, 0] >= 0) & (at[:, 1] >= 0) & (at[:, 0] < camera.width) & (at[:, 1] < camera.height)

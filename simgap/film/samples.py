@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -47,7 +48,7 @@ class FrameRows:
     frame: int
     share: float
     """Time in the film, 0 to 1."""
-    fields: dict[str, NDArray]
+    fields: dict[str, NDArray[Any]]
     """As `Rows` has them."""
     pixels: int
     """Of the simulated object."""
@@ -78,9 +79,9 @@ class Rows:
 
     def __init__(self, frames: tuple[FrameRows, ...]) -> None:
         self.frames = frames
-        self._joined: dict[str, NDArray] = {}
+        self._joined: dict[str, NDArray[Any]] = {}
 
-    def __getitem__(self, name: str) -> NDArray:
+    def __getitem__(self, name: str) -> NDArray[Any]:
         if name not in self._joined:
             self._joined[name] = np.concatenate([frame.fields[name] for frame in self.frames])
         return self._joined[name]
@@ -145,7 +146,7 @@ def _frame_rows(recording: Recording, scene: FilmScene, i: int, faults: CameraFa
     return FrameRows(i, i / max(len(recording) - 1, 1), rows, pixels, *_find_excess(now, frame, camera, rng))
 
 
-def depth_edges(depth: NDArray) -> tuple[NDArray[np.bool_], NDArray]:
+def depth_edges(depth: NDArray[Any]) -> tuple[NDArray[np.bool_], NDArray[Any]]:
     """Pixels on the nearer surface at a depth edge, and the distance of all pixels to any edge, px."""
     filled = np.where(depth > 0, depth, 1e3).astype(np.float32)
     kernel = np.ones((3, 3), np.uint8)
@@ -161,7 +162,7 @@ def _draw_pixels(mask: NDArray[np.bool_], most: int, rng: np.random.Generator) -
 
 def _sample_inner(
     now: Simulated, before: Simulated, frame: Frame, principal: Array, fps: float, rng: np.random.Generator
-) -> dict[str, NDArray]:
+) -> dict[str, NDArray[Any]]:
     z = now.depth.depth.astype(float)
     inside = cv2.distanceTransform(frame.mask.astype(np.uint8), cv2.DIST_L2, 3) > INNER_PX
     ok = (depth_edges(z)[1] >= INNER_PX) & inside
@@ -203,10 +204,10 @@ def _sample_inner(
 
 def _sample_outlines(
     now: Simulated, before: Simulated, frame: Frame, principal: Array, fps: float, rng: np.random.Generator
-) -> dict[str, NDArray]:
+) -> dict[str, NDArray[Any]]:
     """Points on the simulated outline of the whole object, and distances of both measured outlines along their
     normals."""
-    found: list[dict[str, NDArray]] = []
+    found: list[dict[str, NDArray[Any]]] = []
     for picture in (now.colour, now.depth)[: 1 if now.depth is now.colour else 2]:
         on = picture.part > 0
         soft = cv2.GaussianBlur(on.astype(np.float32), (0, 0), 1.5)
@@ -231,13 +232,13 @@ def _sample_outlines(
     return {name: np.concatenate([rows[name] for rows in found]) for name in found[0]}
 
 
-def _extend_depth(depth: NDArray) -> NDArray:
+def _extend_depth(depth: NDArray[Any]) -> NDArray[Any]:
     """The depth picture with empty pixels near the object filled by the depth there (15-pixel window)."""
     filled = np.where(depth > 0, depth, 0).astype(np.float32)
     return np.where(depth > 0, depth, cv2.dilate(filled, np.ones((15, 15), np.uint8)))
 
 
-def _find_crossing(on: NDArray[np.bool_], u: NDArray, v: NDArray, n: Array) -> Array:
+def _find_crossing(on: NDArray[np.bool_], u: NDArray[Any], v: NDArray[Any], n: Array) -> Array:
     """(k,) position along the normal where `on` ends, by the best split; NaN where there is none."""
     steps = np.arange(-REACH_PX, REACH_PX + STEP_PX / 2, STEP_PX)
     columns, rows = u[:, None] + n[:, :1] * steps, v[:, None] + n[:, 1:] * steps
@@ -252,7 +253,7 @@ def _find_crossing(on: NDArray[np.bool_], u: NDArray, v: NDArray, n: Array) -> A
     return np.where(usable, steps[k] + STEP_PX * part, np.nan)
 
 
-def _sample_edges(depth: RenderedFrame, frame: Frame, rng: np.random.Generator) -> dict[str, NDArray]:
+def _sample_edges(depth: RenderedFrame, frame: Frame, rng: np.random.Generator) -> dict[str, NDArray[Any]]:
     """Pixels near a depth edge: distance to it, simulated depth and angle, measured depth, isolation."""
     z = depth.depth
     distance = cv2.distanceTransform((~depth_edges(z)[0]).astype(np.uint8), cv2.DIST_L2, 3) + 1.0

@@ -35,17 +35,8 @@ from simgap.models.surrogate import Nuisance, Plant, make_plant
 from simgap.page.report import Draft, Gap, page
 from simgap.prove.body import NO_CORRECTION, BodyCorrection, corrected_gravity
 from simgap.prove.comparison import ReplayComparison, closed_part, compare_replays, is_improved
-from simgap.prove.replay import (
-    SECONDS,
-    AssetOnDisk,
-    CannotReplay,
-    PosesToReplay,
-    Progress,
-    Replay,
-    Starts,
-    asset_address,
-    replay,
-)
+from simgap.prove.replay import SECONDS, CannotReplay, Progress, Replay, asset_address, replay
+from simgap.prove.replay_process import AssetOnDisk, PosesToReplay, Starts
 from simgap.prove.writeback import write_repaired
 from simgap.select.experiment import DISCREPANCY_EXPERIMENTS
 from simgap.select.words import effect_label, replace_amounts, replace_closed_part, runs_text
