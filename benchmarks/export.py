@@ -28,8 +28,8 @@ from benchmarks.common import RESULTS, ROOT, commit, machine
 from benchmarks.solve import console_of
 from export.check.checking import check
 from export.exporter import ExportSettings, export_result
-from export.fidelity import measured
-from export.outside import outside_of
+from export.fidelity import measure_fidelity
+from export.outer_surface import sample_outer_surface
 from export.penetration import Overlap
 from freeart21 import catalog
 from freeart21.articulation import Articulation
@@ -214,7 +214,7 @@ def figures(
         **_standing(asset, parts, result, truth, swapped),
         **_limits(asset, link.lower, link.upper, result, truth),
         "deep_mm": 1e3 * float(asset.source["penetration"]["deepest_m"]),
-        "deep_visual_mm": 1e3 * float(Overlap(parts).deepest(np.linspace(link.lower, link.upper, STATES)).max()),
+        "deep_visual_mm": 1e3 * float(Overlap(parts).max_depths(np.linspace(link.lower, link.upper, STATES)).max()),
         **_solids(asset, shown, volumes[::-1] if volumes and swapped else volumes),
         **_shapes(asset, shown, visual),
         "undamped": float(not (link.damping > 0 or link.friction > 0)),
@@ -277,7 +277,7 @@ def _solids(asset: Asset, shown: ShownUrdf, volumes: tuple[float, float] | None)
 def _shapes(asset: Asset, shown: ShownUrdf, visual: list[Mesh]) -> dict[str, float | None]:
     names = (asset.reference_link, asset.moving_link)
     true = [
-        measured(outside_of(mesh), [piece.mesh for piece in shown.collisions[name]])
+        measure_fidelity(sample_outer_surface(mesh), [piece.mesh for piece in shown.collisions[name]])
         for name, mesh in zip(names, visual, strict=True)
     ]
     solids = [trimesh.Trimesh(mesh.vertices, mesh.faces, process=False) for mesh in visual]

@@ -1,5 +1,4 @@
-"""A part's surface unfolded onto a picture, by xatlas: charts with gutters between them, one vertex on each side of a
-seam sharing its place in space."""
+"""Texture atlases: a part's surface unwrapped onto an image by xatlas."""
 
 from __future__ import annotations
 
@@ -14,39 +13,40 @@ from freeart21.errors import FreeArtError
 from freeart21.mesh import Mesh, bounding_diagonal
 
 MAX_SIDE = 4096
-"""Pixels along a texture at most: what every engine takes."""
+"""Most pixels along a texture: every engine takes that many."""
 _GUTTER = 4
-"""Empty pixels round a chart: two for each of two mipmap levels."""
+"""Empty pixels around a chart: two per mipmap level, for two levels."""
 _FILLED = 0.7
-"""Part of a texture that xatlas fills at least (0.72 to 0.85 on two parts)."""
+"""Fraction of a texture that xatlas fills at least (0.72 to 0.85 on two parts)."""
 _COARSEST = 1 / 64
-"""Texel size over the part's diagonal at most: a part whose frames were all far away still has some texels."""
+"""Largest texel size over the part's diagonal, for parts that were far away in all frames."""
 
 
 @dataclass(frozen=True)
 class Atlas:
-    """Where every corner of every triangle lies on a texture."""
+    """Texture coordinates of every corner of every triangle. Vertices at a seam share a position, not a texture
+    coordinate."""
 
-    places: NDArray[np.float64]
-    """(n, 2) pixels, column and row from the upper left; the first pixel's centre is (0.5, 0.5)."""
+    pixels: NDArray[np.float64]
+    """(n, 2) column and row from the upper left; the first pixel's centre is (0.5, 0.5)."""
     corners: NDArray[np.int64]
-    """(F, 3) rows of `places`."""
+    """(F, 3) rows of `pixels`."""
     width: int
     """Columns."""
     height: int
     """Rows."""
     texel_m: float
-    """Side of a texel on the surface, metres."""
+    """Side of a texel on the surface, m."""
 
     @property
     def uv(self) -> NDArray[np.float64]:
-        """(n, 2) texture coordinates, origin at the picture's lower left, as OBJ wants."""
-        return self.places / [self.width, -self.height] + [0, 1]
+        """(n, 2) texture coordinates with the origin at the lower left, as in OBJ."""
+        return self.pixels / [self.width, -self.height] + [0, 1]
 
 
 @dataclass(frozen=True)
-class Skin:
-    """What a part wears."""
+class Texture:
+    """An atlas and its image."""
 
     atlas: Atlas
     image: NDArray[np.uint8]
@@ -55,7 +55,7 @@ class Skin:
 
 @dataclass(frozen=True)
 class Texels:
-    """The texels that lie on triangles, n of them."""
+    """n texels that lie on triangles."""
 
     row: NDArray[np.int64]
     """(n,)."""
@@ -64,16 +64,16 @@ class Texels:
     face: NDArray[np.int64]
     """(n,) triangle."""
     weights: NDArray[np.float32]
-    """(n, 3) barycentric coordinates of the texel's centre in it."""
+    """(n, 3) barycentric coordinates of the texel's centre."""
 
-    def of_corners(self, mesh: Mesh, values: NDArray[np.float64]) -> NDArray[np.float32]:
-        """(n, 3) values at the texels of what `values` (V, 3) has at vertices, in single precision."""
+    def interpolate(self, mesh: Mesh, values: NDArray[np.float64]) -> NDArray[np.float32]:
+        """(n, 3) `values` (V, 3) of the vertices, interpolated at the texels, in single precision."""
         corners = values.astype(np.float32)[mesh.faces[self.face]]
         return np.einsum("nk,nki->ni", self.weights, corners)
 
 
-def unfolded(mesh: Mesh, texel_m: float) -> Atlas:
-    """The atlas of a mesh with texels of about `texel_m`; larger ones where the texture would pass `MAX_SIDE`."""
+def unwrap(mesh: Mesh, texel_m: float) -> Atlas:
+    """The atlas of a mesh with texels of about `texel_m`, or larger where the texture would exceed `MAX_SIDE`."""
     import xatlas
 
     size = bounding_diagonal(mesh)
@@ -81,7 +81,7 @@ def unfolded(mesh: Mesh, texel_m: float) -> Atlas:
     texel_m = min(max(texel_m, least), _COARSEST * size)
     for _ in range(8):
         atlas = xatlas.Atlas()
-        middle = mesh.vertices.mean(0)  # single precision: about the middle, in units of the size
+        middle = mesh.vertices.mean(0)  # xatlas takes single precision: centre and scale first
         atlas.add_mesh(((mesh.vertices - middle) / size).astype(np.float32), mesh.faces.astype(np.uint32))
         options = xatlas.PackOptions()
         options.padding, options.texels_per_unit, options.create_image = _GUTTER, size / texel_m, False
@@ -97,13 +97,13 @@ def unfolded(mesh: Mesh, texel_m: float) -> Atlas:
     return Atlas(places, corners.astype(np.int64), int(atlas.width), int(atlas.height), texel_m)
 
 
-def texels_of(atlas: Atlas) -> Texels:
+def find_texels(atlas: Atlas) -> Texels:
     """The texels whose centres lie on a triangle, row by row."""
     owner = np.full((atlas.height, atlas.width), -1, np.int64)
-    _mark(owner, atlas.places, atlas.corners)
+    _mark_triangles(owner, atlas.pixels, atlas.corners)
     row, column = np.nonzero(owner >= 0)
     face = owner[row, column]
-    a, b, c = (atlas.places[atlas.corners[face, k]] for k in range(3))
+    a, b, c = (atlas.pixels[atlas.corners[face, k]] for k in range(3))
     p = np.stack([column + 0.5, row + 0.5], -1)
     whole = _cross(b - a, c - a)
     whole = np.where(whole == 0, 1.0, whole)
@@ -112,8 +112,9 @@ def texels_of(atlas: Atlas) -> Texels:
     return Texels(row, column, face, (weights / weights.sum(1, keepdims=True)).astype(np.float32))
 
 
-def painted(atlas: Atlas, texels: Texels, colours: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """(height, width, 3) picture with `colours` (n, 3), 0 to 255, of the texels; all others have the nearest one's."""
+def paint_texture(atlas: Atlas, texels: Texels, colours: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """(height, width, 3) image with `colours` (n, 3), 0 to 255, at the texels; other pixels take the nearest
+    texel's."""
     image = np.zeros((atlas.height, atlas.width, 3), np.uint8)
     image[texels.row, texels.column] = np.clip(np.rint(colours), 0, 255)
     empty = np.ones((atlas.height, atlas.width), bool)
@@ -129,8 +130,8 @@ def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64
 
 
 @njit(cache=True)
-def _mark(owner, places, corners):
-    """Write into `owner` (height, width) the triangle on which each pixel's centre lies."""
+def _mark_triangles(owner, places, corners):
+    """Write into `owner` (height, width) the triangle that contains each pixel's centre."""
     height, width = owner.shape
     for f in range(len(corners)):
         a, b, c = places[corners[f, 0]], places[corners[f, 1]], places[corners[f, 2]]

@@ -1,4 +1,4 @@
-"""What one part sweeps is cut out of the other, so that they are nowhere in each other: a difference of solids."""
+"""Carving: the volume that one part sweeps is subtracted from the other, so that they do not overlap."""
 
 from __future__ import annotations
 
@@ -20,151 +20,157 @@ from freeart21.se3 import Array
 
 Faces = NDArray[np.int64]
 
-COARSE = 9
-"""States at which it is looked where the parts are in each other."""
-ROUGHLY = 5
-"""Doublings of the states of a turn by which it is told which part loses less. Not measured."""
-MOST = 8
-"""Doublings of what turns at most: 256 copies."""
-FINE = 0.1
-"""Part of the tolerance by which solids may be simplified before and after each doubling: at .4 a drawer stayed 1.7 mm
-in its cabinet, at .2 .4. Sheets thinner than that go: on one in its doorway a cabinet seemed 23 mm in its drawer."""
-MOST_TRIANGLES = 500_000
-"""Of what a turning part sweeps: beyond, its copies are cut out one by one. Parts of six objects had 30,000 to 260,000
-after all doublings. Those of a cabinet of loose boards (PartNet-Mobility 45940) doubled each time, to eight million."""
-FORESEEN = 0.1
-"""Part of these from which on their number after all doublings is predicted, each growing as the last did: below, a
-doubling takes less than a second. Of the same six objects the predictions were 272,000 at most, of the cabinet's at its
-second doubling 1.2 million."""
+OVERLAP_STATES = 9
+"""States at which the overlap is measured."""
+COARSE_DOUBLINGS = 5
+"""Doublings of a turning part's copies, to find which part loses less. Not measured."""
+MAX_DOUBLINGS = 8
+"""Most doublings: 256 copies."""
+SIMPLIFY_SHARE = 0.1
+"""Tolerance of simplifying solids, before and after each doubling, over the overlap tolerance. At .4 a drawer stayed
+1.7 mm in its cabinet, at .2 .4 mm. It also removes thinner sheets: with one in its doorway a cabinet seemed 23 mm in
+its drawer."""
+MAX_TRIANGLES = 500_000
+"""Most triangles of a swept volume; beyond, copies are subtracted one by one. Six objects had 30,000 to 260,000 after
+all doublings. A cabinet of loose boards (PartNet-Mobility 45940) doubled each time, to eight million."""
+PREDICT_SHARE = 0.1
+"""Share of these from which the final number is predicted by the growth of the last doubling; below, a doubling takes
+less than a second. Predictions of the same six objects were 272,000 at most, the cabinet's 1.2 million at its second
+doubling."""
 COPIES = 32
-"""Cut out one by one. Of that cabinet they leave parts that were 7.4 mm in each other 0.1 mm deep, in 14 s; eight
+"""Copies subtracted one by one. They leave parts of that cabinet that overlapped by 7.4 mm 0.1 mm deep, in 14 s; eight
 doublings left 0.34 mm in 178 s."""
-BETWEEN = 8
-"""Copies between which what is left is made plainer."""
-CRUMB = 0.01
-"""Part of a solid below which a loose piece of it is dropped, as `MeshSettings.min_component`."""
-LARGEST = 0.8
-"""Part of a part's volume that may be cut away: what loses more is not the same thing any more. Where nobody looked in
-between, closed halves of a phone each fill the other's place, too: at .5 a phone and a USB stick were refused."""
+SIMPLIFY_EVERY = 8
+"""Copies after which the rest is simplified."""
+MIN_PIECE = 0.01
+"""Fraction of a solid's volume below which a loose piece is dropped, as `meshes.MIN_COMPONENT`."""
+MAX_CUT_SHARE = 0.8
+"""Largest fraction of a part's volume that may be cut away. Closed halves of a phone each fill the other's place where
+nobody looked between them: at .5 a phone and a USB stick were refused."""
 
 
 @dataclass(frozen=True)
-class Carved:
-    """What is left of a part."""
+class CarvedPart:
+    """The rest of the carved part."""
 
     name: str
     """'reference' or 'moving'."""
     mesh: Mesh
     other: Mesh
-    """The other part, without its sheets that have no thickness: they are no matter, and swept nothing."""
+    """The other part without sheets of no thickness, which sweep nothing."""
     volume: float
-    """m^3 that was cut away."""
+    """m^3 cut away."""
 
 
-def carved(parts: Articulation, low: float, high: float, tolerance: float, overlap: Overlap) -> Carved | str:
-    """One of two closed parts without what the other sweeps over the states [low, high]; why not, when it cannot be.
+def carve_overlap(parts: Articulation, low: float, high: float, tolerance: float, overlap: Overlap) -> CarvedPart | str:
+    """One of two closed parts without the volume that the other sweeps over the states [low, high]; or why that fails.
 
-    Cut is the part that loses less volume. What slides sweeps is made as it is; what turns is copied so close that what
-    the copies leave standing between them is no higher than `tolerance`, metres: a corner between copies a step apart
-    leaves at most half of the step. Where their union only grows, there are `COPIES`.
+    The part that loses less volume is carved. The volume swept by a sliding part is exact. A turning part is copied so
+    densely that ridges between copies stay below `tolerance`: between two copies a step apart a ridge is at most half a
+    step high.
 
     Args:
-        parts: in any frame, metres; meshes face outwards.
+        parts: in any frame, m; meshes face outwards.
         low: rad or m.
         high: rad or m.
-        tolerance: metres.
+        tolerance: m.
         overlap: of these parts.
     """
     solids = {}
     for name in PARTS:
-        solid = solid_of(parts.part(name))
+        solid = make_solid(parts.part(name))
         if solid is None:
             return f"the {name} part is not closed"
-        solids[name] = solid.simplify(FINE * tolerance)
+        solids[name] = solid.simplify(SIMPLIFY_SHARE * tolerance)
     back = replace(parts.joint, axis=-parts.joint.axis)
-    ways = {"reference": parts.joint, "moving": back}  # of the other part, as each part has it at each state
+    joints = {"reference": parts.joint, "moving": back}  # motion of the other part in each part's frame
     others = {"reference": "moving", "moving": "reference"}
-    coarse = np.linspace(low, high, COARSE)
+    coarse = np.linspace(low, high, OVERLAP_STATES)
     inside = np.max([overlap.depths(float(state)) for state in coarse], axis=0) > 0
     travel = (high - low) * float(overlap.speeds[inside].max(initial=0.0))
-    doublings = int(np.clip(np.ceil(np.log2(travel / (2 * tolerance) + 1)), ROUGHLY, MOST))
+    doublings = int(np.clip(np.ceil(np.log2(travel / (2 * tolerance) + 1)), COARSE_DOUBLINGS, MAX_DOUBLINGS))
 
     one_by_one = set()
 
-    def left(name: str, doublings: int) -> Manifold:
-        way, tool, smooth = ways[name], solids[others[name]], FINE * tolerance
-        if way.type == "prismatic":
-            swept = _slid(tool.transform(way.transform(low)[:3]), (high - low) * way.axis).simplify(smooth)
+    def subtract(name: str, doublings: int) -> Manifold:
+        joint, tool, smooth = joints[name], solids[others[name]], SIMPLIFY_SHARE * tolerance
+        swept: Manifold | None
+        if joint.type == "prismatic":
+            start = tool.transform(joint.transform(low)[:3])
+            swept = _sweep_translation(start, (high - low) * joint.axis).simplify(smooth)
         else:
-            swept = _swept(tool, way, low, high, doublings, smooth)
+            swept = _sweep_joint(tool, joint, low, high, doublings, smooth)
         if swept is None:
             one_by_one.add(name)
-        rest = _without_copies(solids[name], tool, way, low, high, smooth) if swept is None else solids[name] - swept
-        return _without_crumbs(rest.as_original().simplify(smooth))
+            rest = _subtract_copies(solids[name], tool, joint, low, high, smooth)
+        else:
+            rest = solids[name] - swept
+        return _drop_small_pieces(rest.as_original().simplify(smooth))
 
-    roughly = {name: left(name, ROUGHLY) for name in PARTS}
-    for name in sorted(PARTS, key=lambda name: solids[name].volume() - roughly[name].volume()):
+    coarse_rest = {name: subtract(name, COARSE_DOUBLINGS) for name in PARTS}
+    for name in sorted(PARTS, key=lambda name: solids[name].volume() - coarse_rest[name].volume()):
         final = parts.joint.type == "prismatic" or name in one_by_one
-        rest = roughly[name] if final else left(name, doublings)
-        if sound(rest) and rest.volume() >= (1 - LARGEST) * solids[name].volume():
+        rest = coarse_rest[name] if final else subtract(name, doublings)
+        if is_valid(rest) and rest.volume() >= (1 - MAX_CUT_SHARE) * solids[name].volume():
             other = solids[others[name]]
-            return Carved(name, _mesh(rest), _mesh(other), float(solids[name].volume() - rest.volume()))
-    return f"more than {100 * LARGEST:g} % of either part would be cut away"
+            return CarvedPart(name, _to_mesh(rest), _to_mesh(other), float(solids[name].volume() - rest.volume()))
+    return f"more than {100 * MAX_CUT_SHARE:g} % of either part would be cut away"
 
 
-def sound(solid: Manifold) -> bool:
-    """Whether a solid came out of its making as one, and not empty."""
+def is_valid(solid: Manifold) -> bool:
+    """Whether a solid is valid and not empty."""
     return solid.status() == Error.NoError and solid.volume() > 0
 
 
-def solid_of(mesh: Mesh) -> Manifold | None:
-    """The closed solid of a mesh; None when the mesh is not closed."""
+def make_solid(mesh: Mesh) -> Manifold | None:
+    """The solid of a closed mesh; None when the mesh is not closed."""
     if mesh.empty:
         return None
     points, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
     faces = place.reshape(-1)[mesh.faces].astype(np.uint64)
     solid = Manifold(Mesh64(np.ascontiguousarray(points), np.ascontiguousarray(faces)))
-    return solid if sound(solid) else None
+    return solid if is_valid(solid) else None
 
 
-def _mesh(solid: Manifold) -> Mesh:
+def _to_mesh(solid: Manifold) -> Mesh:
     found = solid.to_mesh64()
     return Mesh(np.asarray(found.vert_properties)[:, :3], np.asarray(found.tri_verts).astype(np.int64))
 
 
-def _without_crumbs(solid: Manifold) -> Manifold:
-    """The solid without loose pieces of less than `CRUMB` of it: films that stood between two copies. Hollows stay."""
+def _drop_small_pieces(solid: Manifold) -> Manifold:
+    """The solid without loose pieces of less than `MIN_PIECE` of it: films between copies. Hollows stay."""
     found = [(piece, piece.volume()) for piece in solid.decompose()]  # a hollow is a piece of negative volume
-    crumbs = [piece for piece, volume in found if 0 <= volume < CRUMB * solid.volume()]
-    return solid - Manifold.batch_boolean(crumbs, OpType.Add) if crumbs else solid  # composing would fill hollows
+    small = [piece for piece, volume in found if 0 <= volume < MIN_PIECE * solid.volume()]
+    return solid - Manifold.batch_boolean(small, OpType.Add) if small else solid  # composing would fill hollows
 
 
-_ACROSS = 1e-6
-"""Of a face's slope to a way, below which the face lies along it and sweeps nothing. Not measured."""
-_FOLDED = 1e-3
-"""Part of a patch's area that may lie above the rest of it, seen along a way: rounding of the projection. With it a
-coil sweeps what its copies do (tests/test_carving.py)."""
+_PARALLEL = 1e-6
+"""Sine of a face's angle to the direction of motion below which it sweeps nothing. Not measured."""
+_OVERLAP_SHARE = 1e-3
+"""Fraction of a patch's projected area that may overlap: rounding of the projection. With it a coil sweeps the volume
+that its copies do (tests/test_carving.py)."""
 
 
-def _slid(tool: Manifold, way: Array) -> Manifold:
-    """What `tool` sweeps along `way` (3,), m: it, and the patches of its surface that face along the way, drawn out.
+def _sweep_translation(tool: Manifold, way: Array) -> Manifold:
+    """The volume that `tool` sweeps along `way` (3,), m: `tool`, united with the extrusions of its patches that face
+    that way.
 
-    Copies leave steps: a cabinet's carcass had 215,000 triangles after 256 of them, cut so it has 32,000. A prism on
-    each triangle is as exact, but the union of those on a phone's rounded edges had not ended after 17 minutes; of
-    patches it takes five seconds.
+    Copies would leave steps: a cabinet's carcass had 215,000 triangles after 256 of them, and has 32,000 this way. A
+    prism per triangle is as exact, but the union of those of a phone's rounded edges took over 17 minutes; with patches
+    it takes five seconds.
     """
     mesh = tool.to_mesh64()
     points, faces = np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts).astype(np.int64)
     corners = points[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    facing = faces[normals @ way > _ACROSS * np.linalg.norm(normals, axis=1) * np.linalg.norm(way)]
-    drawn = (_drawn(points, patch, way) for patch in _unfolded(points, facing, way))
-    return Manifold.batch_boolean([tool, *filter(sound, drawn)], OpType.Add).as_original()
+    facing = faces[normals @ way > _PARALLEL * np.linalg.norm(normals, axis=1) * np.linalg.norm(way)]
+    extruded = (_extrude_patch(points, patch, way) for patch in _split_patches(points, facing, way))
+    return Manifold.batch_boolean([tool, *filter(is_valid, extruded)], OpType.Add).as_original()
 
 
-def _drawn(points: Array, patch: Faces, way: Array) -> Manifold:
-    """The solid between a patch (t, 3) of a surface and itself moved on by `way`."""
-    corners, _ = _connected(patch)  # where two corners of it touch in a point only, that is two
+def _extrude_patch(points: Array, patch: Faces, way: Array) -> Manifold:
+    """The solid between a patch (t, 3) of a surface and its copy moved by `way`."""
+    corners, _ = _connect_triangles(patch)  # a vertex where the patch touches itself in a point counts twice
     own, first, faces = np.unique(corners, return_index=True, return_inverse=True)
     below, faces, count = points[patch.ravel()[first]], faces.reshape(-1, 3), len(own)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
@@ -175,36 +181,39 @@ def _drawn(points: Array, patch: Faces, way: Array) -> Manifold:
     return Manifold(Mesh64(np.concatenate([below, below + way]), np.ascontiguousarray(closed)))
 
 
-def _unfolded(points: Array, faces: Faces, way: Array) -> Iterator[Faces]:
-    """Connected patches of faces (t, 3), none of which lies above itself as seen along `way`: one that does is cut in
-    two at half its depth."""
-    todo = [faces]
-    while todo:
-        faces = todo.pop()
-        _, piece = _connected(faces)
+def _split_patches(points: Array, faces: Faces, way: Array) -> Iterator[Faces]:
+    """Connected patches of faces (t, 3) that do not overlap in projection along `way`: one that does is halved by
+    depth."""
+    pending = [faces]
+    while pending:
+        faces = pending.pop()
+        _, piece = _connect_triangles(faces)
         for k in range(int(piece.max(initial=-1)) + 1):
             patch = faces[piece == k]
-            if len(patch) == 1 or not _folds(points[patch], way):
+            if len(patch) == 1 or not _overlaps_itself(points[patch], way):
                 yield patch
                 continue
             depth = points[patch].mean(1) @ way
             order = np.argsort(depth, kind="stable")
-            todo += [patch[order[: len(order) // 2]], patch[order[len(order) // 2 :]]]
+            pending += [patch[order[: len(order) // 2]], patch[order[len(order) // 2 :]]]
 
 
-def _folds(triangles: Array, way: Array) -> bool:
-    """Whether triangles (t, 3, 3) lie above each other as seen along `way`."""
+def _overlaps_itself(triangles: Array, way: Array) -> bool:
+    """Whether triangles (t, 3, 3) overlap in projection along `way`."""
     flat = triangles @ np.stack(perpendiculars(way / np.linalg.norm(way)), -1)
-    flat = flat / np.ptp(flat, axis=(0, 1)).max()  # the areas of a unit square: the library counts in small steps
+    flat = flat / np.ptp(flat, axis=(0, 1)).max()  # in the unit square: the library has a fixed resolution
     a, b = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
     area = 0.5 * float(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
     covered = CrossSection([np.ascontiguousarray(t) for t in flat], FillRule.NonZero).area()
-    return area - covered > _FOLDED * area
+    return area - covered > _OVERLAP_SHARE * area
 
 
-def _connected(faces: Faces) -> tuple[Faces, Faces]:
-    """(t, 3) the number of the corner that each corner of these triangles (t, 3) is one with, and (t,) that of the
-    patch that each is of; they hang together by edges."""
+def _connect_triangles(faces: Faces) -> tuple[Faces, Faces]:
+    """For triangles (t, 3): (t, 3) an index per corner, equal for corners joined by an edge, and (t,) an index of the
+    patch.
+
+    Only triangles that share an edge are connected.
+    """
     count = len(faces)
     corner = np.arange(3 * count).reshape(-1, 3)
     ways = ([0, 1], [1, 2], [2, 0])
@@ -215,37 +224,42 @@ def _connected(faces: Faces) -> tuple[Faces, Faces]:
     edges, ends = edges[order], ends[order]
     at = np.flatnonzero((edges[1:] == edges[:-1]).all(1))
 
-    def joined(a: Faces, b: Faces, size: int) -> Faces:
+    def components(a: Faces, b: Faces, size: int) -> Faces:
         return np.asarray(connected_components(coo_array((np.ones(len(a)), (a, b)), (size, size)), False)[1], np.int64)
 
-    corners = joined(ends[at].ravel(), ends[at + 1].ravel(), 3 * count).reshape(-1, 3)
-    return corners, joined(ends[at, 0] // 3, ends[at + 1, 0] // 3, count)
+    corners = components(ends[at].ravel(), ends[at + 1].ravel(), 3 * count).reshape(-1, 3)
+    return corners, components(ends[at, 0] // 3, ends[at + 1, 0] // 3, count)
 
 
-def _swept(tool: Manifold, joint: Joint, low: float, high: float, doublings: int, smooth: float) -> Manifold | None:
-    """The union of `tool` at 2**doublings states of `joint` from `low` to `high`, made plainer by `smooth`, m,
-    after each doubling; None when it has, or is going to have, more than `MOST_TRIANGLES`.
+def _sweep_joint(
+    tool: Manifold, joint: Joint, low: float, high: float, doublings: int, smooth: float
+) -> Manifold | None:
+    """The union of `tool` at 2**doublings states of `joint` from `low` to `high`, simplified by `smooth`, m, after each
+    doubling; None when it has, or is predicted to have, more than `MAX_TRIANGLES`.
 
-    A joint's motions by a and by b are one by a + b: so each union with its own copy, moved on, doubles the states.
+    A joint's motions by a and b compose to that by a + b, so the union with its own moved copy doubles the states.
     """
     step = (high - low) / (2**doublings - 1)
     swept = tool.transform(joint.transform(low)[:3])
     for k in range(doublings):
         before = swept.num_tri()
         swept = swept + swept.transform(joint.transform(2**k * step)[:3])
-        swept = swept.as_original().simplify(smooth)  # as of one solid: where two meet is else kept for ever
+        swept = swept.as_original().simplify(smooth)  # as one solid: edges between two are never simplified
         now = swept.num_tri()
-        left = doublings - 1 - k if now > FORESEEN * MOST_TRIANGLES else 0
-        if now * (now / before) ** left > MOST_TRIANGLES:
+        remaining = doublings - 1 - k if now > PREDICT_SHARE * MAX_TRIANGLES else 0
+        if now * (now / before) ** remaining > MAX_TRIANGLES:
             return None
     return swept
 
 
-def _without_copies(solid: Manifold, tool: Manifold, joint: Joint, low: float, high: float, smooth: float) -> Manifold:
-    """The solid without `tool` at `COPIES` states of `joint` from `low` to `high`, one after the other: it gets the
-    triangles of what they cut alone, where their union has those of all; made plainer by `smooth`, m."""
+def _subtract_copies(solid: Manifold, tool: Manifold, joint: Joint, low: float, high: float, smooth: float) -> Manifold:
+    """The solid without `tool` at `COPIES` states of `joint` from `low` to `high`, one after the other, simplified by
+    `smooth`, m.
+
+    It gets only triangles where copies cut it, while their union has those of all copies.
+    """
     for k, state in enumerate(np.linspace(low, high, COPIES)):
         solid = solid - tool.transform(joint.transform(float(state))[:3])
-        if k % BETWEEN == BETWEEN - 1:
+        if k % SIMPLIFY_EVERY == SIMPLIFY_EVERY - 1:
             solid = solid.as_original().simplify(smooth)
     return solid

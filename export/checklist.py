@@ -1,4 +1,4 @@
-"""What an asset must be before it is shipped, as code: one finding for each thing that is wrong."""
+"""Checks an asset before it is shipped: one finding for each fault."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 
 from export.check.rules import MAX_HULLS
-from export.inertia import Inertial, unphysical
+from export.inertia import find_unphysical
 from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
@@ -22,6 +22,7 @@ from freeart21.files import checked
 from freeart21.files.asset import read_asset
 from freeart21.files.urdf import (
     LARGEST_LIMIT,
+    UrdfInertial,
     link_poses,
     parse_numbers,
     parse_origin,
@@ -36,27 +37,27 @@ from freeart21.view.simplify import joined
 from generator.simulate import joint_motion
 
 MAX_MESH_BYTES = 256 << 20
-"""Bytes of a mesh or material file that is looked through."""
+"""Largest mesh or material file that is read."""
 Files = Callable[[str], Path]
-"""Where the file is that a URDF names."""
+"""Maps a file name in the URDF to a path."""
 FK_TOLERANCE = 1e-6
-"""Rotation entries and metres by which two simulators may disagree on where a link is."""
+"""Rotation entries and metres by which two simulators may differ in a link's pose."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong with an asset."""
+    """One fault of an asset."""
 
     rule: str
     """The rule that it breaks, such as 'limits.zero-within'."""
     detail: str
     """What is wrong, got and expected."""
     broken: bool = False
-    """Whether the asset is no body at all (a mass or inertia that none has), rather than a poor one."""
+    """Whether no body can have these numbers (mass or inertia), rather than unlikely ones."""
 
     @property
     def item(self) -> str:
-        """The point of the checklist that the rule belongs to, such as 'limits'."""
+        """Group of the rule, such as 'limits'."""
         return self.rule.partition(".")[0]
 
     def __str__(self) -> str:
@@ -64,10 +65,10 @@ class Finding:
 
 
 def check_asset(folder: Path) -> list[Finding]:
-    """Everything that is wrong with the asset in `folder`; empty when it may be shipped.
+    """All faults of the asset in `folder`; empty when it may be shipped.
 
-    Reads the URDF as text, looks at every file that it names, reloads it in SAPIEN (and its MJCF in MuJoCo when that is
-    installed) and compares where the moving link goes. A folder that is no asset at all is one finding.
+    Reads the URDF as text and every file that it names, reloads it in SAPIEN (and its MJCF in MuJoCo when installed),
+    and compares the moving link's poses. A folder that is no asset gives one finding.
     """
     folder = Path(folder)
     try:
@@ -75,42 +76,42 @@ def check_asset(folder: Path) -> list[Finding]:
         robot = parse_urdf(asset.urdf)
     except (FreeArtError, ValueError, OverflowError, RecursionError) as error:
         return [Finding("asset", str(error))]
-    findings = urdf_findings(robot, asset.urdf, asset.urdf.parent)
+    findings = check_urdf(robot, asset.urdf, asset.urdf.parent)
     if findings:
         return findings
     try:
-        return list(_reload(asset, robot))
+        return list(_check_reload(asset, robot))
     except Exception as error:  # hostile numbers reach parsers and geometry of many libraries
-        return [Finding("numbers and meshes", _said(error))]
+        return [Finding("numbers and meshes", _first_line(error))]
 
 
-def urdf_findings(robot: ET.Element, urdf: Path, folder: Path) -> list[Finding]:
-    """What is wrong with the URDF's text, and with the files that it names in `folder`; nothing is simulated."""
-    masses = [finding for link in robot.findall("link") for finding in _masses(link, robot)]
-    findings = [*_tree(robot), *_names(robot), *_paths(robot, urdf, folder)]
-    if any(f.item == "tree" or f.rule == "paths.exist" for f in findings):  # the rest needs a tree with all its files
+def check_urdf(robot: ET.Element, urdf: Path, folder: Path) -> list[Finding]:
+    """Faults of the URDF's text and of the files that it names in `folder`, without simulation."""
+    masses = [finding for link in robot.findall("link") for finding in _check_masses(link, robot)]
+    findings = [*_check_tree(robot), *_check_names(robot), *_check_paths(robot, urdf, folder)]
+    if any(f.item == "tree" or f.rule == "paths.exist" for f in findings):  # the rest needs a valid tree and all files
         return [*findings, *masses]
     findings += masses
     files = partial(resolve_file, urdf, root=folder)
     try:
         for link in robot.findall("link"):
             if not any(finding.broken for finding in masses):
-                findings += _mass_centre(link, files)
-            findings += _collisions(link, files)
-            findings += _textures(link, files, folder)
+                findings += _check_mass_centre(link, files)
+            findings += _check_collisions(link, files)
+            findings += _check_textures(link, files, folder)
         for joint in robot.findall("joint"):
-            findings += [*_axis(joint), *_limits(joint)]
+            findings += [*_check_axis(joint), *_check_limits(joint)]
     except Exception as error:  # hostile numbers reach parsers and geometry of many libraries
-        findings.append(Finding("numbers and meshes", _said(error)))
+        findings.append(Finding("numbers and meshes", _first_line(error)))
     return findings
 
 
-def _said(error: Exception) -> str:
+def _first_line(error: Exception) -> str:
     lines = str(error).splitlines() or [""]
     return lines[0] if isinstance(error, FreeArtError) else f"{type(error).__name__}: {lines[0]}"
 
 
-def _tree(robot: ET.Element) -> Iterator[Finding]:
+def _check_tree(robot: ET.Element) -> Iterator[Finding]:
     links = [link.get("name", "") for link in robot.findall("link")]
     ends = [(read_attribute(j, "parent", "link"), read_attribute(j, "child", "link")) for j in robot.findall("joint")]
     for end in {e for pair in ends for e in pair}:
@@ -120,16 +121,17 @@ def _tree(robot: ET.Element) -> Iterator[Finding]:
     roots = [link for link in links if link not in children]
     if len(roots) != 1:
         yield Finding("tree.one-root", f"roots are {', '.join(roots) or 'none'}, expected one")
-    hung = set(roots)
-    while grown := {child for parent, child in ends if parent in hung} - hung:
-        hung |= grown
-    if roots and set(links) - hung:
-        yield Finding("tree.one-root", f"links {', '.join(sorted(set(links) - hung))} do not hang on the root")
+    connected = set(roots)
+    while new := {child for parent, child in ends if parent in connected} - connected:
+        connected |= new
+    if roots and set(links) - connected:
+        unconnected = ", ".join(sorted(set(links) - connected))
+        yield Finding("tree.one-root", f"links {unconnected} are not connected to the root")
     for child in sorted({c for c in children if children.count(c) > 1}):
         yield Finding("tree.one-parent", f"link '{child}' is the child of {children.count(child)} joints, expected one")
 
 
-def _names(robot: ET.Element) -> Iterator[Finding]:
+def _check_names(robot: ET.Element) -> Iterator[Finding]:
     groups = {
         "link": robot.findall("link"),
         "joint": robot.findall("joint"),
@@ -144,7 +146,7 @@ def _names(robot: ET.Element) -> Iterator[Finding]:
             )
 
 
-def _paths(robot: ET.Element, urdf: Path, folder: Path) -> Iterator[Finding]:
+def _check_paths(robot: ET.Element, urdf: Path, folder: Path) -> Iterator[Finding]:
     for element in [*robot.iter("mesh"), *robot.iter("texture")]:
         name = element.get("filename", "")
         if not name or Path(name).is_absolute() or "://" in name or " " in name:
@@ -157,8 +159,8 @@ def _paths(robot: ET.Element, urdf: Path, folder: Path) -> Iterator[Finding]:
             yield Finding("paths.exist", str(error))
 
 
-def _masses(link: ET.Element, robot: ET.Element) -> Iterator[Finding]:
-    """Mass and inertia as numbers alone: what no body can have is broken."""
+def _check_masses(link: ET.Element, robot: ET.Element) -> Iterator[Finding]:
+    """Mass and inertia that no body can have."""
     name = link.get("name")
     if link.find("inertial") is None:
         if any(read_attribute(j, "child", "link") == name for j in robot.findall("joint") if j.get("type") != "fixed"):
@@ -166,38 +168,42 @@ def _masses(link: ET.Element, robot: ET.Element) -> Iterator[Finding]:
         return
     rows = ("ixx ixy ixz", "ixy iyy iyz", "ixz iyz izz")
     try:
-        inertia = np.array([[_number(link, "inertial/inertia", key, "0") for key in row.split()] for row in rows])
-        wrong = unphysical(Inertial(_number(link, "inertial/mass", "value", "0"), _mass_place(link), inertia))
+        inertia = np.array([[_read_number(link, "inertial/inertia", key, "0") for key in row.split()] for row in rows])
+        wrong = find_unphysical(
+            UrdfInertial(_read_number(link, "inertial/mass", "value", "0"), _read_mass_centre(link), inertia)
+        )
     except (FreeArtError, np.linalg.LinAlgError) as error:
         wrong = f"mass, centre or inertia cannot be read: {error}"
     if wrong:
         yield Finding("inertia.physical", f"link '{name}': {wrong}", broken=True)
 
 
-def _mass_centre(link: ET.Element, files: Files) -> Iterator[Finding]:
-    """The centre of mass, which lies among the link's collision geometry."""
-    points = [se3.transform(T, mesh.vertices) for T, mesh in shapes_of(link, "collision", files)]
+def _check_mass_centre(link: ET.Element, files: Files) -> Iterator[Finding]:
+    """A centre of mass outside the link's collision geometry."""
+    points = [se3.transform(T, mesh.vertices) for T, mesh in load_shapes(link, "collision", files)]
     if points and link.find("inertial") is not None:
-        box, centre = np.concatenate(points), _mass_place(link)
+        box, centre = np.concatenate(points), _read_mass_centre(link)
         if (centre < box.min(0) - 1e-6).any() or (centre > box.max(0) + 1e-6).any():
-            off = "has its centre of mass outside of its collision box"
-            yield Finding("inertia.centre-inside", f"link '{link.get('name')}' {off}")
+            yield Finding(
+                "inertia.centre-inside",
+                f"link '{link.get('name')}' has its centre of mass outside of its collision box",
+            )
 
 
-def _mass_place(link: ET.Element) -> Array:
+def _read_mass_centre(link: ET.Element) -> Array:
     return parse_numbers(
         read_attribute(link, "inertial/origin", "xyz", "0 0 0"), 3, f"link '{link.get('name')}' has xyz"
     )
 
 
-def _collisions(link: ET.Element, files: Files) -> Iterator[Finding]:
+def _check_collisions(link: ET.Element, files: Files) -> Iterator[Finding]:
     name = link.get("name")
     if link.find("visual") is not None and link.find("collision") is None:
-        yield Finding("collision.present", f"link '{name}' can be seen but not touched: it has no collision geometry")
+        yield Finding("collision.present", f"link '{name}' has a visual but no collision geometry")
     n = len(link.findall("collision"))
     if n > MAX_HULLS:
         yield Finding("collision.few", f"link '{name}' has {n} collision geometries, expected at most {MAX_HULLS}")
-    for k, (_, mesh) in enumerate(shapes_of(link, "collision", files)):
+    for k, (_, mesh) in enumerate(load_shapes(link, "collision", files)):
         convex = mesh.convex_hull.volume if len(mesh.faces) else 0.0
         if not mesh.is_watertight or not mesh.volume > 0:
             yield Finding(
@@ -208,22 +214,22 @@ def _collisions(link: ET.Element, files: Files) -> Iterator[Finding]:
             yield Finding("collision.convex", f"mesh {k} of link '{name}' is not convex: {filled}")
 
 
-def _textures(link: ET.Element, files: Files, folder: Path) -> Iterator[Finding]:
+def _check_textures(link: ET.Element, files: Files, folder: Path) -> Iterator[Finding]:
     for mesh in link.findall("visual/geometry/mesh"):
         path = files(mesh.get("filename", ""))
         if path.suffix.lower() != ".obj":
             continue
-        for library in _words(path, "mtllib"):
+        for library in _values_after(path, "mtllib"):
             material = checked.inside(folder, str((path.parent / library).resolve()))
             if not material.is_file():
                 yield Finding("textures.exist", f"{path.name} names {library}, which does not exist")
                 continue
-            for image in _words(material, "map_Kd"):
+            for image in _values_after(material, "map_Kd"):
                 if not (material.parent / image).is_file():
                     yield Finding("textures.exist", f"{material.name} names {image}, which does not exist")
 
 
-def _axis(joint: ET.Element) -> Iterator[Finding]:
+def _check_axis(joint: ET.Element) -> Iterator[Finding]:
     if joint.get("type") == "fixed":
         return
     name = joint.get("name")
@@ -234,50 +240,50 @@ def _axis(joint: ET.Element) -> Iterator[Finding]:
         yield Finding("axis.unit", f"joint '{name}' has an axis of length {length:.6g}, expected 1")
 
 
-def _limits(joint: ET.Element) -> Iterator[Finding]:
+def _check_limits(joint: ET.Element) -> Iterator[Finding]:
     name = joint.get("name")
     if joint.get("type") not in ("revolute", "prismatic"):
         return
     if joint.find("limit") is None:
         yield Finding("limits.present", f"joint '{name}' has no <limit>")
         return
-    lower, upper = (_number(joint, "limit", key, "0", finite=False) for key in ("lower", "upper"))
+    lower, upper = (_read_number(joint, "limit", key, "0", finite=False) for key in ("lower", "upper"))
     if max(abs(lower), abs(upper)) > LARGEST_LIMIT:
-        said = f"joint '{name}' has limits {lower:g} to {upper:g}"
-        yield Finding("limits.present", f"{said}, expected within {LARGEST_LIMIT:g} rad or m, or type 'continuous'")
+        limits = f"joint '{name}' has limits {lower:g} to {upper:g}"
+        yield Finding("limits.present", f"{limits}, expected within {LARGEST_LIMIT:g} rad or m, or type 'continuous'")
     if not lower < upper:
         yield Finding("limits.ordered", f"joint '{name}' has limits {lower:g} to {upper:g}, expected lower < upper")
     elif not lower <= 0 <= upper:
         yield Finding("limits.zero-within", f"joint '{name}' has limits {lower:g} to {upper:g}, expected zero within")
     for key in ("effort", "velocity"):
-        value = _number(joint, "limit", key, "0", finite=False)
+        value = _read_number(joint, "limit", key, "0", finite=False)
         if not value > 0:
             yield Finding(f"limits.{key}", f"joint '{name}' has {key} {value:g}, expected more than 0")
 
 
-def _reload(asset: Asset, robot: ET.Element) -> Iterator[Finding]:
-    """The moving link's way as the URDF's numbers say it, against SAPIEN and MuJoCo."""
+def _check_reload(asset: Asset, robot: ET.Element) -> Iterator[Finding]:
+    """Poses of the moving link by the URDF's numbers against SAPIEN and MuJoCo."""
     joint = next(j for j in robot.findall("joint") if j.get("name") == asset.joint)
-    lower, upper = (_number(joint, "limit", key, default) for key, default in (("lower", "-1"), ("upper", "1")))
+    lower, upper = (_read_number(joint, "limit", key, default) for key, default in (("lower", "-1"), ("upper", "1")))
     positions = np.linspace(lower, upper, 7)
-    said = np.stack([_T_reference_moving(asset, q) for q in positions])
+    poses = np.stack([_T_reference_moving(asset, q) for q in positions])
     zero = _T_reference_moving(asset, asset.state_zero)
     C = asset.T_canonical_reference
-    expected = C @ said @ se3.inverse(zero) @ se3.inverse(C)
+    expected = C @ poses @ se3.inverse(zero) @ se3.inverse(C)
     try:
-        plain = replace(asset, effects={})  # kinematic effects go beyond the URDF
+        plain = replace(asset, effects={})  # kinematic effects are beyond URDF
         off = float(np.abs(joint_motion(plain, positions - asset.state_zero) - expected).max())
     except FreeArtError as fault:
         yield Finding("reload", str(fault))
         return
     if off > FK_TOLERANCE:
-        yield Finding("reload", f"SAPIEN moves '{asset.moving_link}' to {off:.2g} from where the URDF says")
+        yield Finding("reload", f"SAPIEN moves '{asset.moving_link}' to {off:.2g} from its pose in the URDF")
     mjcf = asset.urdf.with_suffix(".xml")
     if mjcf.is_file() and importlib.util.find_spec("mujoco"):
-        yield from _reload_mujoco(asset, mjcf, positions, said)
+        yield from _check_mujoco(asset, mjcf, positions, poses)
 
 
-def _reload_mujoco(asset: Asset, mjcf: Path, positions: Array, said: Array) -> Iterator[Finding]:
+def _check_mujoco(asset: Asset, mjcf: Path, positions: Array, poses: Array) -> Iterator[Finding]:
     import mujoco
 
     try:
@@ -291,38 +297,38 @@ def _reload_mujoco(asset: Asset, mjcf: Path, positions: Array, said: Array) -> I
         return se3.pose(data.body(body).xmat.reshape(3, 3), data.body(body).xpos)
 
     worst = 0.0
-    for q, T in zip(positions, said, strict=True):
+    for q, T in zip(positions, poses, strict=True):
         data.joint(asset.joint).qpos[0] = q
         mujoco.mj_kinematics(model, data)
         off = np.abs(se3.inverse(pose(asset.reference_link)) @ pose(asset.moving_link) - T).max()
         worst = max(worst, float(off))
     if worst > FK_TOLERANCE:
-        yield Finding("mujoco", f"MuJoCo puts '{asset.moving_link}' {worst:.2g} from where the URDF says")
+        yield Finding("mujoco", f"MuJoCo puts '{asset.moving_link}' {worst:.2g} from its pose in the URDF")
 
 
 def _T_reference_moving(asset: Asset, q: float) -> Array:
-    """Forward kinematics from the URDF's numbers alone, other joints as held."""
+    """Forward kinematics from the URDF's numbers alone, with other joints held."""
     Ts = link_poses(read_urdf_joints(asset.urdf), {**asset.held, asset.joint: q})
     return se3.inverse(Ts[asset.reference_link]) @ Ts[asset.moving_link]
 
 
-def shapes_of(link: ET.Element, tag: str, files: Files) -> list[tuple[Array, trimesh.Trimesh]]:
-    """Pose in the link and mesh of every visual or collision (`tag`) of a link that has a shape, scaled.
+def load_shapes(link: ET.Element, tag: str, files: Files) -> list[tuple[Array, trimesh.Trimesh]]:
+    """Pose in the link, and scaled mesh, of every visual or collision element (`tag`) of a link that has a geometry.
 
-    Raises FreeArtError when a mesh cannot be read or a size is none.
+    Raises FreeArtError when a mesh cannot be read or a size is invalid.
     """
     found = []
     where = f"link '{link.get('name')}'"
     for element in link.findall(tag):
         shape = element.find("geometry/*")
-        solid = None if shape is None else _solid(shape, files, where)
+        solid = None if shape is None else _load_geometry(shape, files, where)
         if solid is not None:
             found.append((parse_origin(element, where), solid))
     return found
 
 
-def _solid(shape: ET.Element, files: Files, where: str) -> trimesh.Trimesh | None:
-    """The mesh of a geometry in its own frame; None for a kind that URDF does not know."""
+def _load_geometry(shape: ET.Element, files: Files, where: str) -> trimesh.Trimesh | None:
+    """The mesh of a geometry in its own frame; None for a kind that URDF does not have."""
 
     def size(attribute: str, count: int = 1, default: str | None = None) -> Array:
         return parse_numbers(shape.get(attribute, default), count, f"{where} has {attribute}")
@@ -344,7 +350,7 @@ def _solid(shape: ET.Element, files: Files, where: str) -> trimesh.Trimesh | Non
 
 
 def read_solid(path: Path) -> trimesh.Trimesh:
-    """The triangles of a mesh file, equal corners joined unless it is an OBJ, which says itself which are one."""
+    """The triangles of a mesh file. Equal corners are merged, except in an OBJ, which has shared vertices."""
     if path.suffix.lower() != ".obj":
         mesh = joined(*(piece.mesh for piece in read_pieces(path, path.parent)))
         solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
@@ -357,12 +363,12 @@ def read_solid(path: Path) -> trimesh.Trimesh:
         raise FreeArtError(f"{path} is not a readable mesh: {error}") from error
 
 
-def _words(path: Path, key: str) -> list[str]:
-    """What follows `key` on the lines of an OBJ or MTL file that begin with it."""
+def _values_after(path: Path, key: str) -> list[str]:
+    """The rest of each line of an OBJ or MTL file that begins with `key`."""
     lines = checked.read_text(path, MAX_MESH_BYTES, errors="replace").split("\n")
     return [line[len(key) :].strip() for line in lines if line.startswith(key + " ")]
 
 
-def _number(element: ET.Element, path: str, attribute: str, default: str, finite: bool = True) -> float:
+def _read_number(element: ET.Element, path: str, attribute: str, default: str, finite: bool = True) -> float:
     what = f"{element.tag} '{element.get('name')}' has {attribute}"
     return float(parse_numbers(read_attribute(element, path, attribute, default), 1, what, finite)[0])

@@ -1,9 +1,9 @@
-"""A part as convex pieces none of which stands out of it by more than a tolerance: split small, then merge.
+"""Convex decomposition of a part with a bound, in metres, on how far hulls extend beyond it.
 
-The outside is cut into patches that face one way, each with the matter behind it, until the hull of none stands out too
-far; then neighbours are joined, the best first, for as long as the hull of both does not either. So a thin wall becomes
-one plate of its two sides, a solid one piece, and an opening stays one: whatever would fill it stands out. Bottom-up
-joining of hulls is that of HACD (Mamou and Ghorbel, ICIP 2009); its cost there is relative, here it is in metres.
+The outer surface is split into patches of one orientation, each with depth behind it, until the hull of each stays
+within the bound. Neighbouring hulls are then merged, the best first, while their common hull does, too. A thin wall
+becomes one plate, a solid one hull, and openings stay open: a hull across one would exceed the bound. Bottom-up merging
+follows HACD (Mamou and Ghorbel, ICIP 2009), whose cost is relative instead of metric.
 """
 
 from __future__ import annotations
@@ -16,244 +16,253 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from export.outside import Outside, even_directions
+from export.outer_surface import OuterSurface, even_directions
 from freeart21.se3 import Array
 
 _FACING = 0.6
-"""Cosine to its mean normal that every point of a patch has: walls and floors do not share one."""
+"""Cosine to the mean normal within which a point faces the same way: walls and floors are separate patches."""
 _SAME_FACE = 0.8
-"""Cosine between the normals of neighbouring points of one face."""
-_MOST = 0.85
-"""Part of a patch's points that face so."""
-_TINY = 3.0
-"""A patch of less than so many tolerances may face anywhere."""
-_FIRST_LOOK = 40
-"""Points that are looked at first: most hulls that are refused are refused by these."""
-_LAST_LOOK = 2500
-"""Points that are looked at before a hull is taken."""
-_PREFERS_SMALL = 0.002
-"""m that a metre of a joined piece's length counts as standing out: of equals the smaller are joined first."""
+"""Cosine between the normals of neighbouring points on one face."""
+_FACING_SHARE = 0.85
+"""Fraction of a patch's points that must face the same way."""
+_SMALL_PATCH = 3.0
+"""Patches smaller than this many tolerances may face any way."""
+_QUICK_SAMPLES = 40
+"""Points of the first test: it rejects most hulls that are rejected."""
+_FULL_SAMPLES = 2500
+"""Points tested before a hull is accepted."""
+_LENGTH_COST = 0.002
+"""Excess, m, that a metre of a merged hull's diagonal counts as: of equal merges the smaller come first."""
+
+
+MAX_VERTICES = 48
+"""Of a hull. PhysX takes at most 255; MuJoCo is faster with few."""
+MIN_THICKNESS_M = 1e-3
+"""m: thinner hulls are thickened, as simulators reject flat solids."""
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How far convex pieces may be from a part."""
+    """Bounds of a decomposition."""
 
-    worst_m: float
-    """m by which a piece may stand out of the part."""
-    simple_m: float
-    """m by which corners of a piece may be left out, so that it has few."""
-    least_m: float
-    """m: pieces are made this thick where the part's other side is not known."""
-    patches: int
-    """Patches at most."""
-    pairs: int
-    """Pairs of pieces at most that are thought of."""
-    max_vertices: int
-    """Of a piece."""
+    max_excess_m: float
+    """m that a hull may extend beyond the part."""
+    simplify_m: float
+    """m by which corners may be omitted from a hull."""
+
+    max_patches: int
+    """Most patches."""
+    max_pairs: int
+    """Most pairs of hulls tested for merging; bounds the time."""
 
 
 @dataclass
-class _Piece:
-    """A convex piece on its way."""
+class _Hull:
+    """A convex hull during decomposition."""
 
     corners: Array
-    """(k, 3) of its hull, m."""
+    """(k, 3) vertices, m."""
     members: NDArray[np.int64]
-    """Points of the outside that it is there for."""
+    """Points of the outer surface that it covers."""
     worst: float
-    """m by which it stands out, as far as it was looked at."""
+    """Excess, m, at the points tested."""
 
 
-def convex_pieces(outside: Outside, tolerance: Tolerance, most: int) -> list[Array]:
-    """Corners (k, 3) of at most `most` convex pieces; beyond the tolerance where there would be more of them.
+def decompose(part: OuterSurface, tolerance: Tolerance, max_hulls: int) -> list[Array]:
+    """Corners (k, 3) of at most `max_hulls` convex hulls; the bound is widened where more would be needed.
 
-    A part that is convex as it stands is one piece with all its corners, however many.
+    A part that is convex itself gives one hull with all its corners.
     """
-    looks = _Looks(outside, tolerance)
-    everything = np.arange(len(outside.points))
-    filled = with_matter(outside, everything, tolerance, rim=False)
-    whole = looks.piece(filled, everything, tolerance.worst_m, _LAST_LOOK)
+    tests = _HullTests(part, tolerance)
+    everything = np.arange(len(part.points))
+    filled = add_depth(part, everything, tolerance, rim=False)
+    whole = tests.make_hull(filled, everything, tolerance.max_excess_m, _FULL_SAMPLES)
     if whole is not None:
         return [whole.corners]
-    pieces = needed(outside, _joined(looks, _patches(looks, everything), tolerance.worst_m, 0), tolerance)
-    bare = _bare(outside, pieces, tolerance.worst_m)
-    pieces += _joined(looks, _patches(looks, bare, last=True), tolerance.worst_m, 0)
-    limit = tolerance.worst_m
-    while len(pieces) > most and limit < outside.size:
+    hulls = drop_redundant(
+        part, _merge_hulls(tests, _split_into_patches(tests, everything), tolerance.max_excess_m, 0), tolerance
+    )
+    uncovered = _find_uncovered(part, hulls, tolerance.max_excess_m)
+    hulls += _merge_hulls(tests, _split_into_patches(tests, uncovered, last=True), tolerance.max_excess_m, 0)
+    limit = tolerance.max_excess_m
+    while len(hulls) > max_hulls and limit < part.size:
         limit *= 2
-        looks.pairs = 0
-        pieces = _joined(looks, pieces, limit, most)
-    return [piece.corners for piece in pieces]
+        tests.pairs = 0
+        hulls = _merge_hulls(tests, hulls, limit, max_hulls)
+    return [hull.corners for hull in hulls]
 
 
-class _Looks:
-    """Hulls of points, and how far they stand out."""
+class _HullTests:
+    """Tests of how far hulls extend beyond the part."""
 
-    def __init__(self, outside: Outside, tolerance: Tolerance) -> None:
-        self.outside, self.tolerance = outside, tolerance
-        self.count = self.pairs = 0
+    def __init__(self, part: OuterSurface, tolerance: Tolerance) -> None:
+        self.part, self.tolerance = part, tolerance
+        self.pairs = 0
         rng = np.random.default_rng(0)
-        self._weights = rng.dirichlet([1, 1, 1], _LAST_LOOK)
-        self._picks = rng.integers(0, 1 << 20, (2, _FIRST_LOOK))
-        self._step = float(np.clip(outside.size / 100, 0.7e-3, 3e-3))
+        self._weights = rng.dirichlet([1, 1, 1], _FULL_SAMPLES)
+        self._picks = rng.integers(0, 1 << 20, (2, _QUICK_SAMPLES))
+        self._step = float(np.clip(part.size / 100, 0.7e-3, 3e-3))
 
-    def between(self, piece: Array, others: list[Array]) -> Array:
-        """(n,) m by which some points between corners of `piece` (k, 3) and each of `others` stand out."""
+    def between(self, hull: Array, others: list[Array]) -> Array:
+        """(n,) excess, m, at some points between corners of `hull` (k, 3) and of each of `others`."""
         a, b = self._picks
-        t = np.linspace(0.2, 0.8, _FIRST_LOOK)[:, None]
-        start = (1 - t) * piece[a % len(piece)]
+        t = np.linspace(0.2, 0.8, _QUICK_SAMPLES)[:, None]
+        start = (1 - t) * hull[a % len(hull)]
         points = np.concatenate([start + t * other[b % len(other)] for other in others])
         self.pairs += len(others)
-        return self.outside.excess(points).reshape(len(others), -1).max(1)
+        return self.part.excess(points).reshape(len(others), -1).max(1)
 
-    def piece(self, points: Array, members: NDArray[np.int64], limit: float, most: int = 200) -> _Piece | None:
-        """The hull of points as a piece; None when it stands out by more than `limit` at one of `most` points."""
-        self.count += 1
-        hull = hull_of(points)
-        worst = self.stands_out(hull, limit, most)
-        return None if worst > limit else _Piece(hull.points[hull.vertices], members, worst)
+    def make_hull(self, points: Array, members: NDArray[np.int64], limit: float, most: int = 200) -> _Hull | None:
+        """The hull of points; None when its excess is above `limit` at one of `most` sampled points."""
+        qhull = robust_hull(points)
+        worst = self.stands_out(qhull, limit, most)
+        return None if worst > limit else _Hull(qhull.points[qhull.vertices], members, worst)
 
-    def patch(self, members: NDArray[np.int64]) -> _Piece | None:
-        """A patch with the matter behind it, and its rim if that does not stand out; None when even without it does."""
-        limit = self.tolerance.worst_m / 2
+    def fit_patch(self, members: NDArray[np.int64]) -> _Hull | None:
+        """The hull of a patch with depth, and with its rim if that fits; None when it exceeds the bound."""
+        limit = self.tolerance.max_excess_m / 2
         for rim in (True, False):
-            points = with_matter(self.outside, members, self.tolerance, rim)
+            points = add_depth(self.part, members, self.tolerance, rim)
             if self.between(points, [points])[0] <= limit:
-                few = simplified(points, self.tolerance, limit)
-                piece = None if few is None else self.piece(few, members, limit, _LAST_LOOK)
-                if piece is not None:
-                    return piece
+                few = simplify_points(points, self.tolerance, limit)
+                hull = None if few is None else self.make_hull(few, members, limit, _FULL_SAMPLES)
+                if hull is not None:
+                    return hull
         return None
 
-    def stands_out(self, hull: ConvexHull, limit: float, most: int) -> float:
-        """m by which a hull stands out; less than the true number when that is beyond `limit`."""
-        corners = hull.points[hull.simplices]
+    def stands_out(self, qhull: ConvexHull, limit: float, most: int) -> float:
+        """Excess of a hull, m; a lower bound when it is above `limit`."""
+        corners = qhull.points[qhull.simplices]
         area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        n = int(np.clip(area.sum() / self._step**2, 2 * _FIRST_LOOK, most))
+        n = int(np.clip(area.sum() / self._step**2, 2 * _QUICK_SAMPLES, most))
         worst = 0.0
-        for count in (_FIRST_LOOK, n):
+        for count in (_QUICK_SAMPLES, n):
             at = (np.arange(count) + 0.5) / count
             face = np.searchsorted(np.cumsum(area) / area.sum(), at).clip(max=len(area) - 1)
             x = np.einsum("ij,ijk->ik", self._weights[:count], corners[face])
-            worst = max(worst, float(self.outside.excess(x).max()))
+            worst = max(worst, float(self.part.excess(x).max()))
             if worst > limit:
                 break
         return worst
 
 
-def simplified(points: Array, tolerance: Tolerance, left_out: float) -> Array | None:
-    """Few of the points (n, 3): no other stands out of their hull by more than `simple_m`, or where `max_vertices` are
-    reached by `left_out`, m; None when that cannot be. Flat ones are made `least_m` thick."""
-    points = thickened(points, tolerance.least_m)
+def simplify_points(points: Array, tolerance: Tolerance, max_omission: float) -> Array | None:
+    """Few of the points (n, 3), thickened to `MIN_THICKNESS_M`; None when that fails.
+
+    Omitted points are at most `simplify_m` outside their hull or, once there are `MAX_VERTICES`, at most
+    `max_omission`, m.
+    """
+    points = thicken(points, MIN_THICKNESS_M)
     if len(points) <= 12:
         return points
-    kept = np.unique(np.argmax(points @ _DIRECTIONS.T, axis=0))
-    if len(kept) < 4:
+    chosen = np.unique(np.argmax(points @ _DIRECTIONS.T, axis=0))
+    if len(chosen) < 4:
         return points
     while True:
-        hull = hull_of(points[kept])
-        beyond = points @ hull.equations[:, :3].T + hull.equations[:, 3]
+        qhull = robust_hull(points[chosen])
+        beyond = points @ qhull.equations[:, :3].T + qhull.equations[:, 3]
         out = beyond.max(0)
-        if out.max() <= tolerance.simple_m:
-            return points[kept]
-        room = tolerance.max_vertices - len(kept)
+        if out.max() <= tolerance.simplify_m:
+            return points[chosen]
+        room = MAX_VERTICES - len(chosen)
         if room <= 0:
-            return points[kept] if out.max() <= left_out else None
+            return points[chosen] if out.max() <= max_omission else None
         furthest = np.argmax(beyond, axis=0)[np.argsort(-out)]
-        new = [k for k in dict.fromkeys(furthest.tolist()) if k not in set(kept.tolist())][: min(room, 8)]
+        new = [k for k in dict.fromkeys(furthest.tolist()) if k not in set(chosen.tolist())][: min(room, 8)]
         if not new:
-            return points[kept]
-        kept = np.concatenate([kept, new])
+            return points[chosen]
+        chosen = np.concatenate([chosen, new])
 
 
 _DIRECTIONS = even_directions(26)
 
 
-def hull_of(points: Array) -> ConvexHull:
-    """The hull of points (n, 3); of what lies in a plane, of the points jogged a little."""
+def robust_hull(points: Array) -> ConvexHull:
+    """The convex hull of points (n, 3); coplanar points are joggled."""
     try:
         return ConvexHull(points)
     except QhullError:
         return ConvexHull(points, qhull_options="QJ Pp")
 
 
-def thickened(points: Array, least_m: float) -> Array:
-    """The points, with more beside them along every principal axis along which they are less than `least_m` wide."""
+def thicken(points: Array, min_thickness_m: float) -> Array:
+    """The points, with copies on both sides along every principal axis along which they are less than `min_thickness_m`
+    wide."""
     centre = points.mean(0)
     axes = np.linalg.eigh(np.cov((points - centre).T) if len(points) > 1 else np.zeros((3, 3)))[1].T
     for axis in axes:
-        lack = least_m - np.ptp(points @ axis)
+        lack = min_thickness_m - np.ptp(points @ axis)
         if lack > 0:
             points = np.concatenate([points + 0.5 * lack * axis, points - 0.5 * lack * axis])
     return points
 
 
-def _bare(outside: Outside, pieces: list[_Piece], limit: float) -> NDArray[np.int64]:
-    """The points of the outside that are beyond a plane of every piece by more than `limit`, m."""
-    bare = np.arange(len(outside.points))
-    for piece in pieces:
-        planes = hull_of(piece.corners).equations
-        beyond = outside.points[bare] @ planes[:, :3].T + planes[:, 3]
+def _find_uncovered(part: OuterSurface, hulls: list[_Hull], limit: float) -> NDArray[np.int64]:
+    """Points of the outer surface that are more than `limit`, m, outside every hull."""
+    bare = np.arange(len(part.points))
+    for hull in hulls:
+        planes = robust_hull(hull.corners).equations
+        beyond = part.points[bare] @ planes[:, :3].T + planes[:, 3]
         bare = bare[beyond.max(1) > limit]
     return bare
 
 
-def _patches(looks: _Looks, members: NDArray[np.int64], last: bool = False) -> list[_Piece]:
-    """Pieces that face one way and do not stand out: the largest is split for as long as there may be more.
+def _split_into_patches(tests: _HullTests, members: NDArray[np.int64], last: bool = False) -> list[_Hull]:
+    """Hulls of patches that face one way and stay within the bound; the largest patch is split while more are allowed.
 
-    A few points of no shape are left to what covers their neighbours; the `last` time each becomes a small cube.
+    A few points without a shape are skipped, as neighbours usually cover them; the `last` time each becomes a small
+    cube.
     """
-    outside, tolerance = looks.outside, looks.tolerance
-    waiting: list[tuple[float, int, NDArray[np.int64]]] = [(-outside.size, 0, members)] if len(members) else []
-    done: list[_Piece] = []
+    part, tolerance = tests.part, tests.tolerance
+    pending: list[tuple[float, int, NDArray[np.int64]]] = [(-part.size, 0, members)] if len(members) else []
+    done: list[_Hull] = []
     serial = 0
-    while waiting:
-        extent, _, members = heapq.heappop(waiting)
+    while pending:
+        extent, _, members = heapq.heappop(pending)
         small = len(members) < (2 if last else 4)
-        full = len(done) + len(waiting) + 1 >= tolerance.patches
-        piece = None
-        if small or full or -extent < _TINY * tolerance.worst_m or _coherent(outside.normals[members]):
-            piece = looks.patch(members)
-        if piece is None and (last if small else full):
-            piece = looks.piece(thickened(outside.points[members], tolerance.least_m / 2), members, np.inf)
-        if piece is not None:
-            done.append(piece)
-        if piece is not None or small:
+        full = len(done) + len(pending) + 1 >= tolerance.max_patches
+        hull = None
+        if small or full or -extent < _SMALL_PATCH * tolerance.max_excess_m or _face_one_way(part.normals[members]):
+            hull = tests.fit_patch(members)
+        if hull is None and (last if small else full):
+            hull = tests.make_hull(thicken(part.points[members], MIN_THICKNESS_M / 2), members, np.inf)
+        if hull is not None:
+            done.append(hull)
+        if hull is not None or small:
             continue
-        for half in _halves(outside, members):
+        for half in _split_patch(part, members):
             serial += 1
-            length = float(np.linalg.norm(np.ptp(outside.points[half], axis=0)))
-            heapq.heappush(waiting, (-length, serial, half))
+            length = float(np.linalg.norm(np.ptp(part.points[half], axis=0)))
+            heapq.heappush(pending, (-length, serial, half))
     return done
 
 
-def _coherent(normals: Array) -> bool:
+def _face_one_way(normals: Array) -> bool:
     mean = normals.mean(0)
     length = float(np.linalg.norm(mean))
-    return length > 0.1 and float((normals @ mean / length > _FACING).mean()) > _MOST
+    return length > 0.1 and float((normals @ mean / length > _FACING).mean()) > _FACING_SHARE
 
 
-def with_matter(outside: Outside, members: NDArray[np.int64], tolerance: Tolerance, rim: bool) -> Array:
-    """Points of a patch, with `rim` those of its face next to it, so that neighbours overlap, and points behind the
-    patch, halfway through the part."""
-    depth = 0.5 * float(outside.depth[members].min())
-    length = float(np.linalg.norm(np.ptp(outside.points[members], axis=0)))
-    behind = min(depth, max(length, tolerance.least_m)) if np.isfinite(depth) else tolerance.least_m
-    points, normals = outside.points[members], outside.normals[members]
+def add_depth(part: OuterSurface, members: NDArray[np.int64], tolerance: Tolerance, rim: bool) -> Array:
+    """Points of a patch, with points halfway through the part behind them; with `rim` also neighbouring points of its
+    face, so that neighbouring hulls overlap."""
+    depth = 0.5 * float(part.depth[members].min())
+    length = float(np.linalg.norm(np.ptp(part.points[members], axis=0)))
+    behind = min(depth, max(length, MIN_THICKNESS_M)) if np.isfinite(depth) else MIN_THICKNESS_M
+    points, normals = part.points[members], part.normals[members]
     out = [points, points - behind * normals]
     if rim:
-        around = outside.around[members]
-        away = outside.points[around] - points[:, None]
+        around = part.around[members]
+        away = part.points[around] - points[:, None]
         ahead = np.abs(np.einsum("ijk,ik->ij", away, normals))
-        alike = np.einsum("ijk,ik->ij", outside.normals[around], normals) > _SAME_FACE
-        out.append(outside.points[np.unique(around[alike & (ahead < 0.25 * np.linalg.norm(away, axis=-1))])])
+        same_face = np.einsum("ijk,ik->ij", part.normals[around], normals) > _SAME_FACE
+        out.append(part.points[np.unique(around[same_face & (ahead < 0.25 * np.linalg.norm(away, axis=-1))])])
     return np.concatenate(out)
 
 
-def _halves(outside: Outside, members: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Two halves of a patch, by place and by facing (two means)."""
-    points, normals = outside.points[members], outside.normals[members]
+def _split_patch(part: OuterSurface, members: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Two halves of a patch by position and normal (2-means)."""
+    points, normals = part.points[members], part.normals[members]
     spread = float(np.sqrt(((points - points.mean(0)) ** 2).sum(1).mean())) or 1.0
     x = np.hstack([points / spread, 1.5 * normals])
     a = x[np.argmax(((x - x.mean(0)) ** 2).sum(1))]
@@ -268,20 +277,21 @@ def _halves(outside: Outside, members: NDArray[np.int64]) -> list[NDArray[np.int
     return [members[first], members[~first]]
 
 
-def _joined(looks: _Looks, pieces: list[_Piece], limit: float, least: int) -> list[_Piece]:
-    """Neighbours joined, the best first, while the hull of both stands out by no more than `limit`."""
-    alive: dict[int, _Piece] = dict(enumerate(pieces))
-    near = _neighbours(looks.outside, pieces)
-    heap: list[tuple[float, int, int, _Piece | None]] = []
+def _merge_hulls(tests: _HullTests, hulls: list[_Hull], limit: float, least: int) -> list[_Hull]:
+    """Neighbours merged, the best first, while the excess of their common hull is at most `limit` and more than `least`
+    remain."""
+    alive: dict[int, _Hull] = dict(enumerate(hulls))
+    near = _find_neighbours(tests.part, hulls)
+    heap: list[tuple[float, int, int, _Hull | None]] = []
 
     def cost(worst: float, low: Array, high: Array) -> float:
-        return worst + _PREFERS_SMALL * float(np.linalg.norm(high - low))
+        return worst + _LENGTH_COST * float(np.linalg.norm(high - low))
 
     def consider(a: int, others: list[int]) -> None:
-        if not others or looks.pairs >= looks.tolerance.pairs:
+        if not others or tests.pairs >= tests.tolerance.max_pairs:
             return
         first = alive[a].corners
-        for b, worst in zip(others, looks.between(first, [alive[b].corners for b in others]).tolist(), strict=True):
+        for b, worst in zip(others, tests.between(first, [alive[b].corners for b in others]).tolist(), strict=True):
             if worst <= limit:
                 other = alive[b].corners
                 low, high = np.minimum(first.min(0), other.min(0)), np.maximum(first.max(0), other.max(0))
@@ -289,27 +299,27 @@ def _joined(looks: _Looks, pieces: list[_Piece], limit: float, least: int) -> li
 
     for a in sorted(near):
         consider(a, [b for b in sorted(near[a]) if a < b])
-    serial = len(pieces)
+    serial = len(hulls)
     while heap and len(alive) > least:
-        _, a, b, both = heapq.heappop(heap)
+        _, a, b, merged = heapq.heappop(heap)
         if a not in alive or b not in alive:
             continue
-        if both is None:  # how far it stands out is not known yet
+        if merged is None:  # its excess is unknown so far
             first, second = alive[a], alive[b]
             points = np.concatenate([first.corners, second.corners])
-            both = looks.piece(points, np.concatenate([first.members, second.members]), limit)
-            if both is None:
+            merged = tests.make_hull(points, np.concatenate([first.members, second.members]), limit)
+            if merged is None:
                 continue
-            true = cost(both.worst, both.corners.min(0), both.corners.max(0))
+            true = cost(merged.worst, merged.corners.min(0), merged.corners.max(0))
             if heap and true > heap[0][0]:
-                heapq.heappush(heap, (true, a, b, both))
+                heapq.heappush(heap, (true, a, b, merged))
                 continue
-        few = simplified(both.corners, looks.tolerance, limit / 2)
-        both = None if few is None else looks.piece(few, both.members, limit, _LAST_LOOK)
-        if both is None:
+        few = simplify_points(merged.corners, tests.tolerance, limit / 2)
+        merged = None if few is None else tests.make_hull(few, merged.members, limit, _FULL_SAMPLES)
+        if merged is None:
             continue
         del alive[a], alive[b]
-        alive[serial] = both
+        alive[serial] = merged
         near[serial] = ((near.pop(a) | near.pop(b)) - {a, b}) & set(alive)
         for c in near[serial]:
             near[c] = (near[c] - {a, b}) | {serial}
@@ -318,38 +328,38 @@ def _joined(looks: _Looks, pieces: list[_Piece], limit: float, least: int) -> li
     return list(alive.values())
 
 
-def needed(outside: Outside, pieces: list[_Piece], tolerance: Tolerance) -> list[_Piece]:
-    """The pieces without those, the smallest first, whose part of the surface others cover as well."""
-    covers = np.zeros((len(pieces), len(outside.points)), bool)
-    volume = np.zeros(len(pieces))
-    for k, piece in enumerate(pieces):
-        hull = hull_of(piece.corners)
-        low, high = piece.corners.min(0) - tolerance.simple_m, piece.corners.max(0) + tolerance.simple_m
-        near = np.flatnonzero(((outside.points >= low) & (outside.points <= high)).all(1))
-        beyond = outside.points[near] @ hull.equations[:, :3].T + hull.equations[:, 3]
-        covers[k, near] = (beyond <= tolerance.simple_m).all(1)
-        volume[k] = hull.volume
+def drop_redundant(part: OuterSurface, hulls: list[_Hull], tolerance: Tolerance) -> list[_Hull]:
+    """The hulls without those, smallest first, whose surface others cover as well."""
+    covers = np.zeros((len(hulls), len(part.points)), bool)
+    volume = np.zeros(len(hulls))
+    for k, hull in enumerate(hulls):
+        qhull = robust_hull(hull.corners)
+        low, high = hull.corners.min(0) - tolerance.simplify_m, hull.corners.max(0) + tolerance.simplify_m
+        near = np.flatnonzero(((part.points >= low) & (part.points <= high)).all(1))
+        beyond = part.points[near] @ qhull.equations[:, :3].T + qhull.equations[:, 3]
+        covers[k, near] = (beyond <= tolerance.simplify_m).all(1)
+        volume[k] = qhull.volume
     times = covers.sum(0)
-    kept = []
+    chosen = []
     for k in np.argsort(volume):
         if (times[covers[k]] > 1).all():
             times -= covers[k]
         else:
-            kept.append(int(k))
-    return [pieces[k] for k in sorted(kept)]
+            chosen.append(int(k))
+    return [hulls[k] for k in sorted(chosen)]
 
 
-def _neighbours(outside: Outside, pieces: Iterable[_Piece]) -> dict[int, set[int]]:
-    """Pieces of which points are next to each other, or on the two sides of a wall."""
-    label = np.full(len(outside.points), -1)
+def _find_neighbours(part: OuterSurface, hulls: Iterable[_Hull]) -> dict[int, set[int]]:
+    """Hulls whose points are adjacent, or on opposite sides of a wall."""
+    label = np.full(len(part.points), -1)
     near: dict[int, set[int]] = {}
-    for k, piece in enumerate(pieces):
-        label[piece.members] = k
+    for k, hull in enumerate(hulls):
+        label[hull.members] = k
         near[k] = set()
-    next_to = outside.around
-    own = np.repeat(np.arange(len(outside.points)), next_to.shape[1])
-    through = np.flatnonzero(outside.opposite >= 0)
-    pairs = np.concatenate([np.stack([own, next_to.ravel()], -1), np.stack([through, outside.opposite[through]], -1)])
+    next_to = part.around
+    own = np.repeat(np.arange(len(part.points)), next_to.shape[1])
+    through = np.flatnonzero(part.opposite >= 0)
+    pairs = np.concatenate([np.stack([own, next_to.ravel()], -1), np.stack([through, part.opposite[through]], -1)])
     pairs = np.unique(np.sort(label[pairs], axis=1), axis=0)
     for a, b in pairs.tolist():
         if a != b and a >= 0:

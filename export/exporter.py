@@ -1,4 +1,5 @@
-"""A reconstruction becomes an asset: URDF and MJCF, meshes, hulls, inertia, asset.json, effects.json; then a check."""
+"""Exports a reconstruction as an asset: URDF, MJCF, USD, meshes, collision shapes, inertia, asset.json,
+effects.json."""
 
 from __future__ import annotations
 
@@ -12,21 +13,21 @@ from typing import Any
 import numpy as np
 
 import freeart21
-from export.beside import USD, write_beside
 from export.checklist import FK_TOLERANCE, check_asset
-from export.collision import Collision, CollisionSettings, convex_parts, kept_apart
-from export.delivered import contact_depth, contact_fidelity, delivered_shapes
-from export.guessed_dynamics import DYNAMICS, Dynamics, guessed_effects
-from export.inertia import inertial_of
+from export.collision import Collision, CollisionSettings, make_collision, separate_collisions
+from export.companion_files import USD, write_companion_files
+from export.contact import measure_contact_depth, measure_contact_fidelity, read_link_shapes
+from export.guessed_dynamics import DYNAMICS, Dynamics, guess_effects
+from export.inertia import compute_inertial
 from export.joint_range import STATES
 from export.materials import DEFAULT, DENSITIES, MATERIALS, Material
-from export.meshes import MeshSettings, without_crumbs, write_hull, write_visual
-from export.mjcf import mjcf_text
+from export.meshes import MeshSettings, drop_small_components, write_hull, write_visual
+from export.mjcf import format_mjcf
 from export.model import BASES, AssetModel, Base, LinkModel
-from export.parts import Part, closed_parts
-from export.placement import Placement, PlacementSettings, placed
-from export.urdf import urdf_text
-from export.usd_reload import usd_findings
+from export.parts import Part, close_parts
+from export.placement import Placement, PlacementSettings, place_parts
+from export.urdf import format_urdf
+from export.usd_reload import check_usd
 from freeart21.articulation import PARTS
 from freeart21.asset import Asset
 from freeart21.effects.base import Effect
@@ -45,58 +46,54 @@ URDF, MJCF, MESHES = "object.urdf", "object.xml", "meshes"
 
 
 DENSITY = DENSITIES[DEFAULT]
-"""kg/m^3 when nobody says, as of plastic: video tells no mass."""
+"""kg/m^3 by default, that of plastic: video does not show mass."""
 _DENSITIES = (1e-3, 1e5)
-"""kg/m^3 of matter on earth, with room."""
+"""kg/m^3: bounds of matter on earth, with room."""
 _MASSES = (1e-6, 1e6)
-"""kg that single precision and the engines bear."""
+"""kg: bounds that engines and single precision can handle."""
 _WALLS = (1e-5, 1.0)
 """m, from foil to masonry."""
 _SCALES = (1e-4, 1e4)
 _LENGTHS = (1e-3, 10.0)
-"""m of a part, of the way to its axis and of its travel. Less than the collision shapes' least thickness has no shape;
-beyond 8.4 m single precision misses the poses of other engines by `checklist.FK_TOLERANCE`."""
+"""m: bounds of a part's size, its distance from the axis, and its travel. Below 1 mm, collision shapes cannot be made
+(`decomposition.MIN_THICKNESS_M`); beyond 8.4 m, poses in single precision are off by more than
+`checklist.FK_TOLERANCE`."""
 
 
 @dataclass(frozen=True)
 class ExportSettings:
-    """How a reconstruction is written as an asset."""
+    """Settings of `export_result`."""
 
     density: float | None = None
-    """kg/m^3 of both parts; None is that of `material`, unless `mass` is given."""
+    """kg/m^3 of both parts; None: that of `material`, unless `mass` is given."""
     material: Material | None = None
-    """What both parts are made of, one of `export.materials.MATERIALS`; None is a guess, `DEFAULT`."""
+    """What both parts are made of, one of `export.materials.MATERIALS`; None: `DEFAULT`, marked as a guess."""
     wall: float | None = None
-    """m: both parts are hollow, with walls this thick along their surface; None takes the solids that meshes bound."""
+    """m: both parts are shells of this wall thickness; None: solids."""
     mass: float | None = None
-    """kg of the whole object, which the parts share by the volumes of their solids or walls; not together with
-    `density`."""
+    """kg of the whole object, divided between the parts by volume; not together with `density`."""
     dynamics: Dynamics = "guessed"
-    """Whether a joint without effects gets a little damping and friction, marked as guessed."""
+    """'guessed': a joint without effects gets a little damping and friction, marked as guessed."""
     scale: float = 1.0
-    """Lengths of the asset (meshes, pivot, travel, T_canonical_reference) over those of the video."""
+    """Lengths of the asset over those of the video."""
     placement: PlacementSettings = field(default_factory=PlacementSettings)
-    """Which way is up, where the joint is at zero, and where it ends."""
-    min_range_rad: float = 1e-3
-    """A revolute joint that was seen to move less has no limits to export."""
-    min_range_m: float = 1e-4
-    """The same for a prismatic joint."""
+    """Which way is up, where the joint is at zero and where it ends."""
+
     effort: float = 100.0
-    """URDF effort limit, N*m or N: video tells none."""
+    """URDF effort limit, N m or N. A default: video does not show it."""
     velocity: float = 10.0
-    """URDF velocity limit, rad/s or m/s: video tells none."""
+    """URDF velocity limit, rad/s or m/s. A default: video does not show it."""
     base: Base = "free"
-    """Whether the part that carries moves freely, as a thing in the hand, or stands fixed in the world: a free one can
-    be fixed by whoever loads it."""
+    """Whether the root link moves freely or is fixed to the world. A loader can still fix a free base."""
     usd: bool | None = None
-    """Whether a USD is written; None where usd-core is installed."""
+    """Whether to write USD; None: only where usd-core is installed."""
     meshes: MeshSettings = field(default_factory=MeshSettings)
-    """Part meshes and their textures."""
+    """Visual meshes and textures."""
     collision: CollisionSettings = field(default_factory=CollisionSettings)
-    """Collision hulls."""
+    """Collision shapes."""
 
     def check(self) -> None:
-        """FreeArtError when a number cannot be."""
+        """Raise FreeArtError when a setting is invalid."""
         if self.base not in BASES:
             raise FreeArtError(f"base is '{self.base}', expected {' or '.join(BASES)}")
         if self.density is not None and self.mass is not None:
@@ -124,55 +121,52 @@ def export_result(
     effects: tuple[Effect, ...] = (),
     video: Path | None = None,
 ) -> Asset:
-    """Write a result as an asset folder, reload and check it, and give it back as read from disk.
+    """Write a result as an asset folder, reload and check it, and return it as read from disk.
 
     Args:
         result: a result folder, or a reconstruction.
-        out: the folder to make; it appears whole or not at all, and replaces an older asset.
+        out: the folder to make. It appears whole or not at all, and replaces an older asset.
         settings: None takes the defaults.
-        effects: what was measured to act on the joint; without any it gets guessed ones, or none, as settings say.
-        video: the sequence folder that was reconstructed: textures come from its sharpest frames. Without it they hold
-            the colours of the part meshes' vertices.
+        effects: measured effects of the joint; without any, guessed ones as the settings say.
+        video: the sequence folder that was reconstructed, for textures; without it, textures hold the vertex colours.
 
-    Raises FreeArtError on a setting that cannot be, a failed result, a part that is empty, smaller than 1 mm or larger
-    than 10 m or as far from its axis, a joint that was not seen to move,
-    an `out` that is anything but an older asset, and when the asset does not pass its own check.
+    Raises FreeArtError on an invalid setting, a failed result, an empty part, lengths out of `_LENGTHS`, a joint that
+    does not move, an `out` that is no older asset, and when the asset fails its own check.
     """
-    given = () if isinstance(result, Reconstruction) else (Path(result),)
-    own = (folder for folder in given if (folder / "asset").resolve() == Path(out).resolve())
-    check_place(out, ASSET, given, into=next(own, None))
+    inputs = () if isinstance(result, Reconstruction) else (Path(result),)
+    own = (folder for folder in inputs if (folder / "asset").resolve() == Path(out).resolve())
+    check_place(out, ASSET, inputs, into=next(own, None))
     settings = settings or ExportSettings()
     settings.check()
-    reconstruction, source = _reconstruction(result)
+    reconstruction, source = _read_reconstruction(result)
     _check_lengths(reconstruction, settings)
     recording = None if video is None else read_sequence(video)
-    reconstruction, parts = closed_parts(reconstruction, recording, settings.meshes)
-    placement = placed(
-        scaled(reconstruction, settings.scale),
+    reconstruction, parts = close_parts(reconstruction, recording, settings.meshes)
+    placement = place_parts(
+        scale_reconstruction(reconstruction, settings.scale),
         settings.placement,
-        {"revolute": settings.min_range_rad, "prismatic": settings.min_range_m * settings.scale},
         settings.scale,
         {name: part.surface.observed for name, part in parts.items()},
         [name for name, part in parts.items() if not part.surface.is_solid],
     )
     with only_writer(out), atomic.new_folder(out, ASSET) as aside:
-        with ThreadPoolExecutor() as pool:  # most of it looks up nearest points, which threads do at once
-            tasks = {name: pool.submit(_shape, name, part, placement, settings) for name, part in parts.items()}
+        with ThreadPoolExecutor() as pool:  # most of the time goes into nearest-point queries, which release the GIL
+            tasks = {name: pool.submit(_make_shape, name, part, placement, settings) for name, part in parts.items()}
         shapes = {name: task.result() for name, task in tasks.items()}
-        shapes, said_apart = _apart(shapes, placement, settings)
+        shapes, shape_counts = _separate_contact(shapes, placement, settings)
         density = DENSITIES[settings.material or DEFAULT] if settings.density is None else settings.density
         if settings.mass is not None:
             density = settings.mass / sum(
-                inertial_of(shape.solid, 1.0, settings.wall).mass for shape in shapes.values()
+                compute_inertial(shape.solid, 1.0, settings.wall).mass for shape in shapes.values()
             )
         written = {name: _write_link(aside, name, shape, density, settings) for name, shape in shapes.items()}
         root, child = (written[name][0] for name in sorted(PARTS, key=lambda name: name != placement.root))
-        joint = replace(placement.joint, name=_word(placement.joint.name, "joint"))
+        joint = replace(placement.joint, name=_identifier(placement.joint.name, "joint"))
         guessed = not effects and settings.dynamics == "guessed"
-        if guessed:  # the child link's frame stands at the pivot
-            effects = guessed_effects(replace(joint, pivot=np.zeros(3)), child.inertial)
+        if guessed:  # the origin of the child link is the pivot
+            effects = guess_effects(replace(joint, pivot=np.zeros(3)), child.inertial)
         model = AssetModel(
-            _word(str(source.get("sequence") or "object"), "object"),
+            _identifier(str(source.get("sequence") or "object"), "object"),
             root,
             child,
             joint,
@@ -182,66 +176,67 @@ def export_result(
             settings.base,
             reconstruction.trust,
         )
-        atomic.write_bytes(aside / URDF, urdf_text(model))
-        atomic.write_bytes(aside / MJCF, mjcf_text(model))
-        seen, touched = delivered_shapes(aside / URDF)
-        fidelity = contact_fidelity(seen, touched)
-        depth = contact_depth(aside / URDF, joint.name, touched, STATES)
+        atomic.write_bytes(aside / URDF, format_urdf(model))
+        atomic.write_bytes(aside / MJCF, format_mjcf(model))
+        visuals, collisions = read_link_shapes(aside / URDF)
+        fidelity = measure_contact_fidelity(visuals, collisions)
+        depth = measure_contact_depth(aside / URDF, joint.name, collisions, STATES)
         source |= {
-            "parts": {name: said | {"collision": fidelity[name].said()} for name, (_, said) in written.items()},
-            **placement.said,
-            "penetration": placement.said["penetration"] | {"deepest_m": depth} | said_apart,
-            "mass": _said_of_mass(settings, density, placement.said["penetration"]["carved"]),
+            "parts": {name: part | {"collision": fidelity[name].to_json()} for name, (_, part) in written.items()},
+            **placement.report,
+            "penetration": placement.report["penetration"] | {"deepest_m": depth} | shape_counts,
+            "mass": _describe_mass(settings, density, placement.report["penetration"]["carved"]),
             "dynamics": {"guessed": guessed},
             "length_unit": "m",
             "exporter": f"freeart21 {freeart21.__version__}",
             "settings": dataclasses.asdict(settings),
         }
-        write_asset_json(aside, _asset(aside, model, placement, source, settings.scale))
-        write_beside(aside, read_asset(aside), settings.usd)
+        write_asset_json(aside, _make_asset(aside, model, placement, source, settings.scale))
+        write_companion_files(aside, read_asset(aside), settings.usd)
         findings = check_asset(aside)
         if (aside / USD).is_file():
-            findings += usd_findings(aside / USD, read_asset(aside))
+            findings += check_usd(aside / USD, read_asset(aside))
         if findings:
             raise FreeArtError(f"the asset for {out} does not pass its own check: {findings[0]}")
-        _check_motion(read_asset(aside), scaled(reconstruction, settings.scale), out)
+        _check_motion(read_asset(aside), scale_reconstruction(reconstruction, settings.scale), out)
     return read_asset(out)
 
 
 def _check_motion(asset: Asset, reconstruction: Reconstruction, out: Path) -> None:
-    """FreeArtError when the reloaded asset does not move in the canonical frame as the reconstruction's joint does."""
+    """Raise FreeArtError when the reloaded asset's joint moves otherwise than the reconstruction's, in the canonical
+    frame."""
     states, joint = reconstruction.states, reconstruction.articulation.joint
-    asked = np.linspace(states.min(), states.max(), 7)
-    moved = joint_motion(replace(asset, effects={}), asked)  # kinematic effects go beyond the reconstruction
-    off = float(np.abs(moved - joint.transform(asked)).max())
-    if off > 2 * FK_TOLERANCE:
+    sampled = np.linspace(states.min(), states.max(), 7)
+    motion = joint_motion(replace(asset, effects={}), sampled)  # kinematic effects change the motion
+    error = float(np.abs(motion - joint.transform(sampled)).max())
+    if error > 2 * FK_TOLERANCE:
         raise FreeArtError(
-            f"the asset for {out} does not pass its own check: its joint is {off:.2g} from the reconstruction's, "
+            f"the asset for {out} does not pass its own check: its joint is {error:.2g} from the reconstruction's, "
             f"expected at most {2 * FK_TOLERANCE:g}"
         )
 
 
-def _reconstruction(result: Path | Reconstruction) -> tuple[Reconstruction, dict[str, Any]]:
-    """The reconstruction, and where it came from."""
+def _read_reconstruction(result: Path | Reconstruction) -> tuple[Reconstruction, dict[str, Any]]:
+    """The reconstruction, and its method and sequence for asset.json."""
     if isinstance(result, Reconstruction):
         return result, {}
     folder = Path(result)
-    read = read_result(folder, appearance=False)
-    if isinstance(read, Failure):
-        raise FreeArtError(f"{folder} is a failure, nothing to export: {read.stage}: {read.reason}")
-    place = folder.resolve()
-    return read, {"method": read_method(place.parent).name, "sequence": place.name}
+    answer = read_result(folder, appearance=False)
+    if isinstance(answer, Failure):
+        raise FreeArtError(f"{folder} is a failure, nothing to export: {answer.stage}: {answer.reason}")
+    path = folder.resolve()
+    return answer, {"method": read_method(path.parent).name, "sequence": path.name}
 
 
 def _check_lengths(reconstruction: Reconstruction, settings: ExportSettings) -> None:
-    """FreeArtError when a part, the way from it to the joint's axis, or its travel is of no length of `_LENGTHS`."""
+    """Raise FreeArtError when a part's size, its distance from the axis or its travel is not within `_LENGTHS`."""
     whole, joint = reconstruction.articulation, reconstruction.articulation.joint
     low, high = _LENGTHS
     expected = f"expected {1000 * low:g} mm to {high:g} m: surfaces, depth or scale are wrong"
     for name in PARTS:
-        part = without_crumbs(whole.part(name), settings.meshes.min_component)
+        part = drop_small_components(whole.part(name))
         if not part.areas().sum() > 0:
-            continue  # nothing to export, which is said elsewhere
+            continue  # reported by `close_parts`
         size = settings.scale * bounding_diagonal(part)
         if not low <= size <= high:
             raise FreeArtError(f"{name} part is {size:.3g} m large, {expected}")
@@ -253,10 +248,10 @@ def _check_lengths(reconstruction: Reconstruction, settings: ExportSettings) -> 
         raise FreeArtError(f"joint '{joint.name}' travels {travel:.3g} m, {expected}")
 
 
-def scaled(reconstruction: Reconstruction, scale: float) -> Reconstruction:
-    """The reconstruction with the lengths of its parts and joint, and travel of a prismatic one, times `scale`.
+def scale_reconstruction(reconstruction: Reconstruction, scale: float) -> Reconstruction:
+    """The reconstruction with all lengths of parts and joint, and the travel of a prismatic joint, times `scale`.
 
-    What was seen in the camera stays: its poses are then of another object, and no longer fit.
+    Camera poses stay as they are, so they no longer fit the scaled object.
     """
     if scale == 1.0:
         return reconstruction
@@ -276,61 +271,64 @@ def scaled(reconstruction: Reconstruction, scale: float) -> Reconstruction:
 
 @dataclass(frozen=True)
 class _Shape:
-    """A part for the eye and for contact."""
+    """One part: its visual mesh and its collision shapes."""
 
     part: Part
     visual: Mesh
     solid: Mesh
-    """The visual mesh without what would be in the other part."""
+    """The visual mesh, without what was carved from it."""
     collision: Collision
 
 
-def _shape(name: str, part: Part, placement: Placement, settings: ExportSettings) -> _Shape:
+def _make_shape(name: str, part: Part, placement: Placement, settings: ExportSettings) -> _Shape:
     visual, solid = getattr(placement, name), placement.solids[name]
     ground = 0.0 if name == placement.root else -float(placement.joint.pivot[2])  # in its link's frame
     try:
-        collision = convex_parts(solid, settings.collision, ground, whole=not part.surface.is_solid)
+        collision = make_collision(solid, settings.collision, ground, single=not part.surface.is_solid)
         shape = _Shape(part, visual, solid, collision)
-        inertial_of(solid, 1.0, settings.wall)  # there is a volume
+        compute_inertial(solid, 1.0, settings.wall)  # raises without a volume
     except FreeArtError as error:
         raise FreeArtError(f"{name} part: {error}") from error
     return shape
 
 
-def _apart(
+def _separate_contact(
     shapes: dict[str, _Shape], placement: Placement, settings: ExportSettings
 ) -> tuple[dict[str, _Shape], dict[str, Any]]:
-    """The shapes with pieces that are no deeper in each other than the parts may be, where the parts are clear of each
-    other themselves; for asset.json, how many pieces that took."""
-    tolerance, said = settings.placement.tolerance_m * settings.scale, placement.said["penetration"]
-    if not settings.placement.carve or (said["deepest_m"] > tolerance and said["carved"] is None):
+    """The shapes, their collision shapes cut where they overlap more than the tolerance; for asset.json, the counts of
+    cuts.
+
+    Nothing is cut when the parts themselves overlap.
+    """
+    tolerance, penetration = settings.placement.tolerance_m * settings.scale, placement.report["penetration"]
+    if not settings.placement.carve or (penetration["deepest_m"] > tolerance and penetration["carved"] is None):
         return shapes, {}
     collisions = {name: shape.collision for name, shape in shapes.items()}
-    found, counts = kept_apart(collisions, placement.joint, placement.root, tolerance, settings.collision)
-    return {name: replace(shapes[name], collision=found[name]) for name in shapes}, {"pieces": counts}
+    separated, counts = separate_collisions(collisions, placement.joint, placement.root, tolerance)
+    return {name: replace(shapes[name], collision=separated[name]) for name in shapes}, {"pieces": counts}
 
 
 def _write_link(
     folder: Path, name: str, shape: _Shape, density: float, settings: ExportSettings
 ) -> tuple[LinkModel, dict[str, Any]]:
-    """Write the meshes of one link; also what asset.json says about them."""
+    """Write the meshes of one link; also returns its entry in asset.json."""
     visual, collision = shape.visual, shape.collision
-    texture = write_visual(folder / MESHES, name, visual, shape.part.skin)
+    texture = write_visual(folder / MESHES, name, visual, shape.part.texture)
     hulls = tuple(f"{MESHES}/{name}_hull_{k:02d}.obj" for k in range(len(collision.hulls)))
     for file, hull in zip(hulls, collision.hulls, strict=True):
         write_hull(folder / file, hull)
-    said = {
-        **shape.part.said(settings.scale),
+    report = {
+        **shape.part.to_json(settings.scale),
         "hulls": len(hulls),
         "primitives": len(collision.primitives),
     }
-    inertial = inertial_of(shape.solid, density, settings.wall)
+    inertial = compute_inertial(shape.solid, density, settings.wall)
     visual_file, picture = f"{MESHES}/{name}.obj", texture and f"{MESHES}/{texture}"
-    return LinkModel(name, visual_file, picture, hulls, inertial, collision.primitives), said
+    return LinkModel(name, visual_file, picture, hulls, inertial, collision.primitives), report
 
 
-def _said_of_mass(settings: ExportSettings, density: float, carved: str | None) -> dict[str, Any]:
-    """How masses came about: who gave what, and what is a guess."""
+def _describe_mass(settings: ExportSettings, density: float, carved: str | None) -> dict[str, Any]:
+    """For asset.json: where the masses come from, and whether they are guessed."""
     given = settings.mass is not None or settings.density is not None
     less = "" if carved is None else f", less what was carved of the {carved} part"
     return {
@@ -343,7 +341,7 @@ def _said_of_mass(settings: ExportSettings, density: float, carved: str | None) 
     }
 
 
-def _asset(folder: Path, model: AssetModel, placement: Placement, source: dict[str, Any], scale: float) -> Asset:
+def _make_asset(folder: Path, model: AssetModel, placement: Placement, source: dict[str, Any], scale: float) -> Asset:
     return Asset(
         folder / URDF,
         model.joint.name,
@@ -359,6 +357,6 @@ def _asset(folder: Path, model: AssetModel, placement: Placement, source: dict[s
     )
 
 
-def _word(text: str, fallback: str) -> str:
-    """`text` as a name that every format takes: letters, digits, underscores."""
+def _identifier(text: str, fallback: str) -> str:
+    """`text` as a name of letters, digits and underscores, valid in every format."""
     return re.sub(r"[^0-9A-Za-z_]+", "_", text).strip("_") or fallback

@@ -1,4 +1,4 @@
-"""How true collision shapes are to a part: measured between its surface and the outside of their union."""
+"""Distances between a part's surface and the outer surface of its collision shapes."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import trimesh
 from numba import njit
 from scipy.spatial import cKDTree
 
-from export.outside import Outside, even_points
+from export.outer_surface import OuterSurface, sample_evenly
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 
 PER_SHAPES = 60_000
-"""Points on the surfaces of all shapes."""
+"""Points on all shapes together."""
 _CHECKED = 6_000
-"""Points of the part's surface that are held against them."""
+"""Points of the part's surface that are compared."""
 _WITHIN = 1e-6
-"""m that a point is inside of a shape before it counts as such."""
+"""m that a point must be inside a shape to count as inside."""
 
 
 @dataclass(frozen=True)
@@ -27,43 +27,46 @@ class Fidelity:
     """Distances, m, between the reachable surface of a part and the outer surface of its collision shapes."""
 
     median: float
-    """Of the distances from the part's surface to that of the shapes."""
+    """Of the distances from the part's surface to the shapes'."""
     worst_of_95: float
-    """The 95th percentile of them."""
+    """Their 95th percentile."""
     worst: float
-    """The largest of them."""
+    """Their maximum."""
     outward_95: float
-    """The 95th percentile of how far the shapes' outer surface stands out of the part; within it counts as 0."""
+    """95th percentile of how far the shapes' outer surface extends beyond the part; 0 within it."""
     outward: float
-    """The largest of those."""
+    """Maximum of these."""
     uncovered: float
-    """The largest distance by which a point of the part's surface lies outside of all shapes."""
+    """Largest distance of a point of the part's surface that lies outside all shapes."""
     size: float
-    """Diagonal of the part's box."""
+    """Diagonal of the part's bounding box."""
 
-    def said(self) -> dict[str, float]:
-        """For asset.json, to the micrometre."""
+    def to_json(self) -> dict[str, float]:
+        """For asset.json, rounded to micrometres."""
         return {f"{name}_m": round(value, 6) for name, value in asdict(self).items()}
 
 
-def measured(outside: Outside, shapes: Sequence[Mesh], seed: int = 0, count: int = PER_SHAPES) -> Fidelity:
-    """Hold the union of convex `shapes`, closed meshes in the part's frame, against the part; `count` points on them.
+def measure_fidelity(part: OuterSurface, shapes: Sequence[Mesh], seed: int = 0, count: int = PER_SHAPES) -> Fidelity:
+    """Compare the union of convex `shapes`, closed meshes in the part's frame, with the part; `count` points on the
+    shapes.
 
-    Distances are those to the planes of sampled points, so that their spacing does not count.
+    Distances are measured to the planes of sampled points, so the sampling's spacing does not matter.
     """
     solids = [trimesh.Trimesh(shape.vertices, shape.faces, process=False) for shape in shapes]
-    planes, first, boxes = half_spaces(solids)
-    surface, normals, own, spacing = _sampled(solids, count)
-    free = depth_within(surface, own, planes, first, boxes) <= _WITHIN
+    planes, first, boxes = shape_planes(solids)
+    surface, normals, own, spacing = _sample_shapes(solids, count)
+    free = depth_in_shapes(surface, own, planes, first, boxes) <= _WITHIN
     surface, normals = surface[free], normals[free]
-    excess = outside.excess(surface)
-    outer = (excess > 0) | (outside.tree.query(surface)[0] < 2 * outside.spacing)  # not the bounds of hollows within
-    chosen = np.random.default_rng(seed).permutation(len(outside.dense))[:_CHECKED]
-    points = outside.dense[chosen]
-    covered = depth_within(points, np.full(len(points), -1), planes, first, boxes) >= 0
+    excess = part.excess(surface)
+    outer = (excess > 0) | (part.tree.query(surface)[0] < 2 * part.spacing)  # not the bounds of hollows within
+    chosen = np.random.default_rng(seed).permutation(len(part.dense))[:_CHECKED]
+    points = part.dense[chosen]
+    covered = depth_in_shapes(points, np.full(len(points), -1), planes, first, boxes) >= 0
     distance = np.empty(len(points))
-    for these, kept in ((covered, outer), (~covered, np.ones(len(surface), bool))):
-        distance[these] = _to_planes(points[these], surface[kept], normals[kept], spacing) if kept.any() else np.inf
+    for these, use in ((covered, outer), (~covered, np.ones(len(surface), bool))):
+        distance[these] = (
+            _distance_to_discs(points[these], surface[use], normals[use], spacing) if use.any() else np.inf
+        )
     return Fidelity(
         float(np.median(distance)),
         float(np.percentile(distance, 95)),
@@ -71,12 +74,12 @@ def measured(outside: Outside, shapes: Sequence[Mesh], seed: int = 0, count: int
         float(np.percentile(excess, 95)),
         float(excess.max()),
         float(distance[~covered].max(initial=0.0)),
-        outside.size,
+        part.size,
     )
 
 
-def _to_planes(x: Array, surface: Array, normals: Array, spacing: float) -> Array:
-    """(k,) m from points `x` (k, 3) to a surface of sampled points, each of which is a small disc."""
+def _distance_to_discs(x: Array, surface: Array, normals: Array, spacing: float) -> Array:
+    """(k,) m from points `x` (k, 3) to a surface of sampled points, each a small disc."""
     k = min(6, len(surface))
     nearest = cKDTree(surface).query(x, k=k)[1].reshape(len(x), k)
     away = x[:, None] - surface[nearest]
@@ -85,20 +88,20 @@ def _to_planes(x: Array, surface: Array, normals: Array, spacing: float) -> Arra
     return np.asarray(np.hypot(ahead, np.maximum(aside - spacing, 0.0)).min(1))
 
 
-def _sampled(solids: Sequence[trimesh.Trimesh], count: int) -> tuple[Array, Array, Array, float]:
-    """Points on all shapes, their corners, too: (n, 3), their normals, whose they are, and m between them."""
+def _sample_shapes(solids: Sequence[trimesh.Trimesh], count: int) -> tuple[Array, Array, Array, float]:
+    """Points on all shapes and their corners: (n, 3), normals, index of the shape, and the spacing, m."""
     each = float(sum(solid.area for solid in solids)) / count
     points, normals, own = [], [], []
     for k, solid in enumerate(solids):
-        between, faces = even_points(solid, each)
+        between, faces = sample_evenly(solid, each)
         points += [between, solid.triangles.reshape(-1, 3)]
         normals += [solid.face_normals[faces], np.repeat(solid.face_normals, 3, axis=0)]
         own.append(np.full(len(between) + 3 * len(solid.faces), k))
     return np.concatenate(points), np.concatenate(normals), np.concatenate(own), float(np.sqrt(each))
 
 
-def half_spaces(solids: Sequence[trimesh.Trimesh]) -> tuple[Array, Array, Array]:
-    """Planes (m, 4) of all shapes, outwards, where those of each begin (s + 1,), and their boxes (s, 6)."""
+def shape_planes(solids: Sequence[trimesh.Trimesh]) -> tuple[Array, Array, Array]:
+    """Planes (m, 4) of all shapes, outwards; index (s + 1,) of each shape's first plane; and bounding boxes (s, 6)."""
     planes = [
         np.hstack([s.face_normals, -np.einsum("ij,ij->i", s.face_normals, s.triangles[:, 0])[:, None]]) for s in solids
     ]
@@ -108,8 +111,8 @@ def half_spaces(solids: Sequence[trimesh.Trimesh]) -> tuple[Array, Array, Array]
 
 
 @njit(cache=True, nogil=True)
-def depth_within(x: Array, own: Array, planes: Array, first: Array, boxes: Array) -> Array:
-    """(k,) m by which points `x` (k, 3) are inside of a shape that is not their `own` (k,); -1 where of none."""
+def depth_in_shapes(x: Array, own: Array, planes: Array, first: Array, boxes: Array) -> Array:
+    """(k,) m by which points `x` (k, 3) are inside a shape other than their `own` (k,); -1 outside all."""
     out = np.full(len(x), -1.0)
     for i in range(len(x)):
         for s in range(len(boxes)):

@@ -1,8 +1,7 @@
-"""What slows a joint of which nothing is known: a guess, marked as one, so that no door swings for ever.
+"""Damping and friction of a joint for which nothing was measured.
 
-A joint loses its speed with a time constant of `SETTLE_S`, by viscous damping inertia / SETTLE_S, and dry friction
-holds it against a hundredth part, `HOLD`, of what the moving part's weight does at most. Both are guesses: what `gap`
-finds of the real joint takes their place.
+Viscous damping inertia / SETTLE_S gives the joint a time constant of `SETTLE_S`. Coulomb friction is `FRICTION_SHARE`
+of the largest force or torque of the moving part's weight. Both are guesses, to be replaced by what `gap` identifies.
 """
 
 from __future__ import annotations
@@ -11,25 +10,25 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from export.inertia import Inertial
 from freeart21.effects import Effect, effects_from_urdf_dynamics
+from freeart21.files.urdf import UrdfInertial
 from freeart21.joint import Joint
 
 Dynamics = Literal["guessed", "none"]
 DYNAMICS: tuple[str, ...] = get_args(Dynamics)
 SETTLE_S = 1.0
-"""Seconds in which speed falls to 37 %. A guess: lids and drawers of a room come to rest in about a second or two."""
-HOLD = 0.01
-"""Friction as a part of the weight's greatest torque, or force. A guess."""
+"""s in which speed falls to 37 %. A guess: lids and drawers come to rest within a second or two."""
+FRICTION_SHARE = 0.01
+"""Friction over the largest torque or force of the weight. A guess."""
 GRAVITY = 9.81
 
 
-def guessed_effects(joint: Joint, child: Inertial) -> tuple[Effect, ...]:
-    """Viscous damping and Coulomb friction of a joint, by inertia and weight of the part that hangs on it.
+def guess_effects(joint: Joint, child: UrdfInertial) -> tuple[Effect, ...]:
+    """Viscous damping and Coulomb friction of a joint.
 
     Args:
-        joint: in the frame of `child`, its link at joint position zero.
-        child: mass properties of that part.
+        joint: in the frame of the child link, at joint position zero.
+        child: mass properties of the child link.
     """
     if joint.type == "prismatic":
         inertia, weight = child.mass, child.mass * GRAVITY
@@ -39,4 +38,4 @@ def guessed_effects(joint: Joint, child: Inertial) -> tuple[Effect, ...]:
         arm = arm - axis * (axis @ arm)
         inertia = float(axis @ child.inertia @ axis) + child.mass * float(arm @ arm)
         weight = child.mass * GRAVITY * float(np.linalg.norm(arm))
-    return effects_from_urdf_dynamics(inertia / SETTLE_S, HOLD * weight)
+    return effects_from_urdf_dynamics(inertia / SETTLE_S, FRICTION_SHARE * weight)

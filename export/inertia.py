@@ -1,47 +1,34 @@
-"""Mass and inertia of a part, from the solid that its mesh bounds or from a wall along it."""
+"""Mass and inertia of a part, as a solid or as a shell."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from freeart21.errors import FreeArtError
+from freeart21.files.urdf import UrdfInertial
 from freeart21.mesh import Mesh
 
 
-@dataclass(frozen=True)
-class Inertial:
-    """Rigid-body mass properties in the axes of a link."""
+def compute_inertial(mesh: Mesh, density: float, wall: float | None = None) -> UrdfInertial:
+    """Mass properties of a mesh of `density`, kg/m^3: of the solid inside, or with `wall`, m, of a shell along the
+    mesh.
 
-    mass: float
-    """kg."""
-    centre: NDArray[np.float64]
-    """(3,) centre of mass, m."""
-    inertia: NDArray[np.float64]
-    """(3, 3) about the centre of mass, kg m^2."""
-
-
-def inertial_of(mesh: Mesh, density: float, wall: float | None = None) -> Inertial:
-    """Mass properties of a part of `density`, kg/m^3: of the solid that a closed mesh bounds, or of a wall along it.
-
-    With `wall`, metres, the part is a shell: its mass is area x wall x density, spread over the mesh, open or closed.
-    Raises FreeArtError when there is no volume, or no area.
+    A shell may be open; its mass is area x wall x density. Raises FreeArtError when there is no volume or no area.
     """
     if wall is not None:
-        return _shell(mesh, density * wall)
+        return _shell_inertial(mesh, density * wall)
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     volume = float(solid.volume)
     if not (volume > 0 and solid.is_watertight):
         raise FreeArtError(f"mesh bounds no volume ({volume:.3g} m^3), expected a closed one, faces outwards")
     mass = solid.mass_properties
-    return Inertial(density * volume, np.asarray(mass.center_mass), density * np.asarray(mass.inertia))
+    return UrdfInertial(density * volume, np.asarray(mass.center_mass), density * np.asarray(mass.inertia))
 
 
-def _shell(mesh: Mesh, density: float) -> Inertial:
-    """Of thin triangles of `density`, kg/m^2: the integral of x x^T over one is area / 12 (sum of v v^T + 9 c c^T)."""
+def _shell_inertial(mesh: Mesh, density: float) -> UrdfInertial:
+    """Mass properties of triangles of `density`, kg/m^2. The integral of x x^T over a triangle with corners v and
+    centroid c is area / 12 (sum of v v^T + 9 c c^T)."""
     area = mesh.areas()
     if not area.sum() > 0:
         raise FreeArtError("mesh has no area, expected triangles")
@@ -52,11 +39,11 @@ def _shell(mesh: Mesh, density: float) -> Inertial:
     second = np.einsum("f,fki,fkj->ij", area / 12, corners, corners) + np.einsum(
         "f,fi,fj->ij", 9 * area / 12, middle, middle
     )
-    return Inertial(density * float(area.sum()), centre, density * (np.trace(second) * np.eye(3) - second))
+    return UrdfInertial(density * float(area.sum()), centre, density * (np.trace(second) * np.eye(3) - second))
 
 
-def unphysical(inertial: Inertial) -> str | None:
-    """What keeps these numbers from being those of a body, or None: mass > 0, moments > 0, A + B >= C."""
+def find_unphysical(inertial: UrdfInertial) -> str | None:
+    """Why no rigid body has these mass properties, or None: needs mass > 0, moments > 0 and A + B >= C."""
     if not (np.isfinite(inertial.mass) and inertial.mass > 0):
         return f"mass is {inertial.mass:g} kg, expected more than 0"
     if not np.isfinite(inertial.inertia).all():

@@ -1,11 +1,11 @@
-"""An asset of one joint from a few numbers, for those who have a recording of a joint and no URDF of it.
+"""A URDF of one joint from a few numbers, for recordings of a joint without a model.
 
     pendulum   about the y axis of its base, hanging down at 0
-    door       about z, upright; its centre of mass along x at 0. Without a length a rotor
+    door       about z, upright; its centre of mass along x at 0. Without a length it is a rotor
     drawer     along x, level
 
-The moving part weighs what it weighs in a small ball at its centre of mass; inertia that it has beyond that of its mass
-there is the ball's own, the same about every axis.
+The moving part is a small ball at its centre of mass; inertia beyond that of the mass there is the ball's own, the same
+about every axis.
 """
 
 from __future__ import annotations
@@ -24,46 +24,45 @@ from freeart21.files.places import JOINT_ASSET, check_place
 Kind = Literal["pendulum", "door", "drawer"]
 KINDS: tuple[str, ...] = get_args(Kind)
 G = 9.81
-"""m/s^2, where a period tells an inertia: what `freeart21 measure` takes when nobody says another."""
+"""m/s^2, for inertia from a period; also the default of `freeart21 measure`."""
 BALL = 4e-5
-"""Of mass times length squared: the least inertia about its own centre, that of a ball of a hundredth of the length
-(2/5 r^2). Engines take no point masses; a period is 2e-5 longer for it."""
+"""Inertia about the ball's own centre over mass times length squared: a ball of a hundredth of the length (2/5 r^2).
+Engines take no point masses; it lengthens a period by 2e-5."""
 _SMALL = 1e-3
-"""m: radius of the ball of a part that has no length. Not measured; engines need some inertia,
-and what only slides does not feel it."""
+"""m: radius of the ball of a drawer. Not measured: engines need some inertia, and sliding does not depend on it."""
 
 
 @dataclass(frozen=True)
 class JointNumbers:
-    """What is known of a joint and its moving part; None is not known."""
+    """Known numbers of a joint and its moving part; None is unknown."""
 
     kind: Kind
     mass: float
     """kg, of the moving part."""
     length: float | None = None
-    """m from the joint's axis to the centre of mass; of a drawer none."""
+    """m from the joint's axis to the centre of mass; not of a drawer."""
     inertia: float | None = None
-    """kg*m^2 about the joint's axis; that of the mass at its distance when None."""
+    """kg m^2 about the joint's axis; None: that of a point mass at `length`."""
     period: float | None = None
-    """s of a small free swing of a pendulum, there and back: tells the length, or beside a length the inertia."""
+    """s of a small free swing of a pendulum: gives the length or, together with a length, the inertia."""
     lower: float | None = None
-    """rad or m; None is no limit."""
+    """rad or m; None is unlimited."""
     upper: float | None = None
     name: str = "hinge"
     """Of the joint."""
 
 
 def write_joint_asset(out: Path, numbers: JointNumbers) -> None:
-    """Write a URDF of that joint; FreeArtError, in one line, when the numbers contradict each other."""
+    """Write a URDF of that joint; FreeArtError when the numbers contradict each other."""
     if Path(out).suffix != ".urdf":
         raise FreeArtError(f"{out}: expected the name of a URDF file to write, such as {numbers.kind}.urdf")
-    text = urdf_of(numbers)
+    text = format_joint_urdf(numbers)
     check_place(out, JOINT_ASSET)
     atomic.write_bytes(out, text)
 
 
-def urdf_of(numbers: JointNumbers) -> bytes:
-    """The URDF as text."""
+def format_joint_urdf(numbers: JointNumbers) -> bytes:
+    """The URDF file."""
     length, own = _mass_properties(numbers)
     centre = {"pendulum": (0.0, 0.0, -length), "door": (length, 0.0, 0.0), "drawer": (0.0, 0.0, 0.0)}[numbers.kind]
     axis = {"pendulum": (0, 1, 0), "door": (0, 0, 1), "drawer": (1, 0, 0)}[numbers.kind]
@@ -90,20 +89,20 @@ def urdf_of(numbers: JointNumbers) -> bytes:
     ET.SubElement(joint, "child", link="part")
     ET.SubElement(joint, "axis", xyz=number_text(*axis))
     if not free:
-        assert high is not None  # _mass_properties has seen to it
+        assert high is not None  # checked by `_check`
         ET.SubElement(joint, "limit", lower=repr(float(low)), upper=repr(float(high)), effort="0", velocity="0")
     ET.indent(robot)
     return ET.tostring(robot, encoding="utf-8", xml_declaration=True) + b"\n"
 
 
 def _mass_properties(numbers: JointNumbers) -> tuple[float, float]:
-    """Distance of the centre of mass from the axis, m, and the part's inertia about its own centre, kg*m^2."""
+    """Distance of the centre of mass from the axis, m, and the part's inertia about its own centre, kg m^2."""
     _check(numbers)
     mass, length, inertia = numbers.mass, numbers.length, numbers.inertia
     if numbers.kind == "drawer":
         return 0.0, 0.4 * mass * _SMALL**2
     if numbers.period is not None:
-        swung = G * (numbers.period / (2 * math.pi)) ** 2  # of the simple pendulum of that period: I / (m l)
+        swung = G * (numbers.period / (2 * math.pi)) ** 2  # length of the simple pendulum of that period, I / (m l)
         if length is None:
             length = swung / (1 + BALL)
         else:
@@ -127,7 +126,7 @@ def _mass_properties(numbers: JointNumbers) -> tuple[float, float]:
 
 
 def _check(numbers: JointNumbers) -> None:
-    """FreeArtError when a number cannot be one, or is of another kind of joint."""
+    """Raise FreeArtError when a number is invalid, or belongs to another kind of joint."""
     if numbers.kind not in KINDS:
         raise FreeArtError(f"there is no kind '{numbers.kind}' of joint; kinds: {', '.join(KINDS)}")
     for name in ("mass", "length", "inertia", "period", "lower", "upper"):

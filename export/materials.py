@@ -1,4 +1,4 @@
-"""What parts may be made of, and how heavy that is: video tells no material."""
+"""Materials and their densities."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ DENSITIES: dict[str, float] = {
     "rubber": 1200.0,
     "cardboard": 700.0,
 }
-"""kg/m^3, round figures of their kind, from memory and without a source: ABS and polystyrene, beech and birch ply,
-carbon steel, pure aluminium, soda-lime glass, filled rubber, solid board (corrugated is a third of it)."""
+"""kg/m^3. Round figures without a source: ABS and polystyrene, beech and birch plywood, carbon steel, pure aluminium,
+soda-lime glass, filled rubber, solid board (corrugated board is a third of it)."""
 DEFAULT: Material = "plastic"
-"""What people hold in their hands is most often moulded."""
+"""Assumed when nothing is given: most hand-held objects are moulded plastic."""

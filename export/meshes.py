@@ -1,4 +1,4 @@
-"""Part meshes cleaned and written as OBJ, with the texture that they wear."""
+"""Cleaning of part meshes, and OBJ files with materials and textures."""
 
 from __future__ import annotations
 
@@ -9,33 +9,30 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from export.atlas import Skin
+from export.atlas import Texture
 from freeart21.files import atomic, checked
 from freeart21.mesh import Mesh, bounding_diagonal
 
 _RAYS = 2000
-"""Places of a surface that are asked which side is outside."""
+"""Surface points from which rays are cast to find the outside."""
 _GREY = (0.7, 0.7, 0.7)  # of a part without colours
+MIN_COMPONENT = 0.01
+"""Fraction of a part's area or volume below which a connected component is dropped; the largest always stays."""
 
 
 @dataclass(frozen=True)
 class MeshSettings:
-    """How part meshes are cleaned and written."""
+    """Sizes of part meshes."""
 
     max_faces: int = 20_000
-    """Faces a part may keep; more are reduced (`export.surface`)."""
-    min_component: float = 0.01
-    """Connected pieces of less than this fraction of the part's area are dropped; the largest always stays."""
+    """Most faces of a part; more are decimated (`export.surface`)."""
+
     points: int = 25_000
-    """Points of a part's surface, about, that its closing is computed with; a cut through 60 000 took a minute."""
-    sheet_m: float = 0.001
-    """Metres of thickness that a part gets of which only a flat sheet was seen."""
-    video_frames: int = 120
-    """Frames of a video that a texture is made of, evenly spread over those that show the object."""
+    """Approximate number of surface points with which a part is closed; a cut through 60 000 took a minute."""
 
 
-def deduplicated(mesh: Mesh) -> Mesh:
-    """Vertices of equal position and colour merged; triangles without area or said twice removed."""
+def merge_duplicates(mesh: Mesh) -> Mesh:
+    """The mesh with vertices of equal position and colour merged, without degenerate and repeated triangles."""
     colours = np.zeros((len(mesh.vertices), 0)) if mesh.colours is None else mesh.colours.astype(float)
     rows = np.hstack([mesh.vertices, colours])
     _, first, back = np.unique(rows, axis=0, return_index=True, return_inverse=True)
@@ -43,14 +40,14 @@ def deduplicated(mesh: Mesh) -> Mesh:
     merged = Mesh(mesh.vertices[first], faces, None if mesh.colours is None else mesh.colours[first])
     area = merged.areas()
     faces = faces[area > 1e-12 * max(area.max(initial=0.0), 1e-300)]
-    _, kept = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-    return _compact(merged, faces[np.sort(kept)])
+    _, unique = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    return _keep_faces(merged, faces[np.sort(unique)])
 
 
-def inside_out(mesh: Mesh) -> bool:
-    """Whether the surface faces inwards: straight from behind it one gets away more often than from before it.
+def is_inside_out(mesh: Mesh) -> bool:
+    """Whether the surface faces inwards: rays that start behind it escape more often than rays that start in front.
 
-    Holes do not matter, as they do for the volume: a tray whose underside nobody saw encloses a negative one.
+    Unlike the sign of the volume this holds for meshes with holes: a tray without an underside has a negative volume.
     """
     area = mesh.areas()
     picked = np.searchsorted(np.cumsum(area), area.sum() * (np.arange(_RAYS) + 0.5) / _RAYS).clip(max=len(area) - 1)
@@ -63,13 +60,13 @@ def inside_out(mesh: Mesh) -> bool:
     return bool(before > behind)
 
 
-def turned(mesh: Mesh) -> Mesh:
-    """The mesh with every triangle facing the other way."""
+def flip_faces(mesh: Mesh) -> Mesh:
+    """The mesh with the opposite orientation of every triangle."""
     return Mesh(mesh.vertices, mesh.faces[:, ::-1], mesh.colours)
 
 
-def without_crumbs(mesh: Mesh, fraction: float) -> Mesh:
-    """The mesh without connected pieces of less than `fraction` of its area; the largest always stays."""
+def drop_small_components(mesh: Mesh, fraction: float = MIN_COMPONENT) -> Mesh:
+    """The mesh without connected components of less than `fraction` of its area; the largest always stays."""
     if mesh.empty:
         return mesh
     _, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
@@ -78,32 +75,32 @@ def without_crumbs(mesh: Mesh, fraction: float) -> Mesh:
     label = trimesh.graph.connected_component_labels(edges, node_count=int(place.max()) + 1)[corners[:, 0]]
     area = np.bincount(label, mesh.areas())
     large = area >= min(fraction * area.sum(), area.max())
-    return _compact(mesh, mesh.faces[large[label]])
+    return _keep_faces(mesh, mesh.faces[large[label]])
 
 
-def write_visual(folder: Path, name: str, mesh: Mesh, skin: Skin | None) -> str | None:
-    """Write NAME.obj and NAME.mtl, and NAME.png when the mesh has a skin; returns the texture's file name or None."""
-    texture = None
+def write_visual(folder: Path, name: str, mesh: Mesh, texture: Texture | None) -> str | None:
+    """Write NAME.obj and NAME.mtl, and NAME.png for a texture; returns the texture's file name or None."""
+    file = None
     material = f"newmtl {name}\nKa 0 0 0\nKs 0 0 0\nd 1\nillum 1\n"
-    if skin is None:
+    if texture is None:
         material += "Kd {:g} {:g} {:g}\n".format(*_GREY)
     else:
-        texture = f"{name}.png"
-        material += f"Kd 1 1 1\nmap_Kd {texture}\n"
-        atomic.write_bytes(folder / texture, checked.encode_png(skin.image))
+        file = f"{name}.png"
+        material += f"Kd 1 1 1\nmap_Kd {file}\n"
+        atomic.write_bytes(folder / file, checked.encode_png(texture.image))
     atomic.write_bytes(folder / f"{name}.mtl", material.encode())
-    atomic.write_bytes(folder / f"{name}.obj", _visual_obj(mesh, name, skin).encode())
-    return texture
+    atomic.write_bytes(folder / f"{name}.obj", _format_visual_obj(mesh, name, texture).encode())
+    return file
 
 
 def write_hull(path: Path, hull: Mesh) -> None:
-    """Write a bare mesh as OBJ, for collision."""
-    lines = [_rows("v", hull.vertices, "%.9g"), _rows("f", hull.faces + 1, "%d")]
+    """Write a mesh without material as OBJ."""
+    lines = [_format_rows("v", hull.vertices, "%.9g"), _format_rows("f", hull.faces + 1, "%d")]
     atomic.write_bytes(path, "".join(lines).encode())
 
 
-def smooth_normals(mesh: Mesh) -> NDArray[np.float64]:
-    """(V, 3) unit normals, area-weighted over the triangles round each position."""
+def vertex_normals(mesh: Mesh) -> NDArray[np.float64]:
+    """(V, 3) unit normals, area-weighted over the triangles around each position."""
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     _, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
@@ -116,35 +113,35 @@ def smooth_normals(mesh: Mesh) -> NDArray[np.float64]:
     return unit[place]
 
 
-def _visual_obj(mesh: Mesh, name: str, skin: Skin | None) -> str:
+def _format_visual_obj(mesh: Mesh, name: str, texture: Texture | None) -> str:
     corner = mesh.faces + 1
-    if skin is not None:
-        columns = np.stack([corner, skin.atlas.corners + 1, corner], -1).reshape(-1, 9)
-        faces = _rows("f", columns, "%d/%d/%d %d/%d/%d %d/%d/%d")
+    if texture is not None:
+        columns = np.stack([corner, texture.atlas.corners + 1, corner], -1).reshape(-1, 9)
+        faces = _format_rows("f", columns, "%d/%d/%d %d/%d/%d %d/%d/%d")
     else:
-        faces = _rows("f", np.stack([corner, corner], -1).reshape(-1, 6), "%d//%d %d//%d %d//%d")
+        faces = _format_rows("f", np.stack([corner, corner], -1).reshape(-1, 6), "%d//%d %d//%d %d//%d")
     return "".join(
         [
             f"mtllib {name}.mtl\no {name}\n",
-            _rows("v", mesh.vertices, "%.9g %.9g %.9g"),
-            "" if skin is None else _rows("vt", skin.atlas.uv, "%.7f %.7f"),
-            _rows("vn", smooth_normals(mesh), "%.4f %.4f %.4f"),
+            _format_rows("v", mesh.vertices, "%.9g %.9g %.9g"),
+            "" if texture is None else _format_rows("vt", texture.atlas.uv, "%.7f %.7f"),
+            _format_rows("vn", vertex_normals(mesh), "%.4f %.4f %.4f"),
             f"usemtl {name}\n",
             faces,
         ]
     )
 
 
-def _rows(word: str, rows: NDArray, pattern: str) -> str:
-    """One line a row, beginning with `word`; `pattern` formats one number, or the whole row."""
+def _format_rows(word: str, rows: NDArray, pattern: str) -> str:
+    """One line per row, beginning with `word`; `pattern` formats one number or the whole row."""
     if pattern.count("%") == 1:
         pattern = " ".join([pattern] * rows.shape[1])
     line = f"{word} {pattern}\n"
     return "".join([line % tuple(row) for row in rows.tolist()])
 
 
-def _compact(mesh: Mesh, faces: NDArray[np.int64]) -> Mesh:
-    """The mesh of these faces, without vertices that none of them uses."""
+def _keep_faces(mesh: Mesh, faces: NDArray[np.int64]) -> Mesh:
+    """The mesh of these faces, without unused vertices."""
     used, back = np.unique(faces, return_inverse=True)
     colours = None if mesh.colours is None else mesh.colours[used]
     return Mesh(mesh.vertices[used], back.reshape(-1, 3), colours)

@@ -1,4 +1,4 @@
-"""An asset as MJCF, written directly: MuJoCo's own reading of URDF drops folders, visuals and velocity limits."""
+"""Writes MJCF directly: MuJoCo's own URDF import drops paths, visual meshes and velocity limits."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError
 
 STIFF_FRICTION = {"solreffriction": "0.002 1", "solimpfriction": "0.999 0.999 0.001"}
-"""Friction is a soft constraint to MuJoCo, and by its defaults a joint that friction holds creeps: a pendulum was .9 %
-of its swing off after 3 s, with these .2 %, at steps of 1 ms."""
+"""MuJoCo's friction is a soft constraint, and with its defaults a joint held by friction creeps: a pendulum was .9 % of
+its swing off after 3 s, with these .2 %, at steps of 1 ms."""
 STIFF_LIMIT = "0.004 1"
-"""A limit is a soft constraint to MuJoCo, too: a lighter's lid hung .4 degrees beyond it by the default of 0.02 s. This
-is twice MuJoCo's own time step, the least that it takes."""
-_ADDITIVE = ("damping", "frictionloss", "armature")  # words that two effects may both say
+"""Limits are soft, too: a lighter's lid was .4 degrees beyond one with the default of 0.02 s. This is twice MuJoCo's
+default time step, the minimum."""
+_ADDITIVE = ("damping", "frictionloss", "armature")  # attributes that add up over effects
 
 
-def mjcf_text(model: AssetModel) -> bytes:
-    """The MJCF file: the root body is free or stands in the world, the other one hangs on the joint."""
+def format_mjcf(model: AssetModel) -> bytes:
+    """The MJCF file: the root body is free or fixed to the world; the child body moves on the joint."""
     root = ET.Element("mujoco", model=model.name)
     root.append(ET.Comment(trust_comment(model.trust)))
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
@@ -76,7 +76,7 @@ def _body(parent: ET.Element, link: LinkModel, assets: ET.Element) -> ET.Element
 
 
 def _primitive(shape: Primitive) -> dict[str, str]:
-    """Type, size and place of a `<geom>`; MJCF counts half sizes."""
+    """Type, size and pose of a `<geom>`; MJCF takes half sizes."""
     match shape:
         case Box():
             kind, size = "box", number_text(*(0.5 * shape.size))
@@ -99,19 +99,22 @@ def _joint(model: AssetModel) -> ET.Element:
         solreflimit=STIFF_LIMIT,
         actuatorfrcrange=number_text(-model.effort, model.effort),
     )
-    for word, said in joint_words(model.effects, joint.name).items():
-        element.set(word, said)
+    for key, text in joint_attributes(model.effects, joint.name).items():
+        element.set(key, text)
     return element
 
 
-def joint_words(effects: tuple[Effect, ...], joint: str) -> dict[str, str]:
-    """The attributes of `<joint>` that say these effects; FreeArtError when two say what can be said only once."""
-    words: dict[str, tuple[float, ...]] = {}
+def joint_attributes(effects: tuple[Effect, ...], joint: str) -> dict[str, str]:
+    """The attributes of `<joint>` that express these effects.
+
+    Raises FreeArtError when two effects need the same attribute and it does not add up.
+    """
+    totals: dict[str, tuple[float, ...]] = {}
     for effect in effects:
-        for word, value in effect.mjcf_joint().items():
-            if word in words and word not in _ADDITIVE:
-                raise FreeArtError(f"joint '{joint}': two effects say MJCF's '{word}', which a joint holds once")
-            said = value if isinstance(value, tuple) else (value,)
-            words[word] = tuple(a + b for a, b in zip_longest(words.get(word, ()), said, fillvalue=0.0))
-    texts = {word: number_text(*values) for word, values in words.items()}
-    return texts | (STIFF_FRICTION if any(words.get("frictionloss", ())) else {})
+        for key, value in effect.mjcf_joint().items():
+            if key in totals and key not in _ADDITIVE:
+                raise FreeArtError(f"joint '{joint}': two effects need MJCF's '{key}', which a joint has once")
+            values = value if isinstance(value, tuple) else (value,)
+            totals[key] = tuple(a + b for a, b in zip_longest(totals.get(key, ()), values, fillvalue=0.0))
+    texts = {key: number_text(*values) for key, values in totals.items()}
+    return texts | (STIFF_FRICTION if any(totals.get("frictionloss", ())) else {})

@@ -1,62 +1,61 @@
-"""What a URDF or MJCF file is written from: two links, one joint, in metres, seconds, kilograms."""
+"""The data that URDF and MJCF files are written from: two links and a joint, SI units."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from export.inertia import Inertial
 from export.primitives import Primitive
 from freeart21.effects.base import Effect
+from freeart21.files.urdf import UrdfInertial
 from freeart21.joint import Joint
 from freeart21.reconstruction import Trust
 
 Base = Literal["free", "fixed"]
 BASES = get_args(Base)
 WORLD = "world"
-"""The link that a fixed base hangs on: MuJoCo, Drake and PyBullet take a root link of this name for the world
-itself."""
+"""Name of the root link of a fixed base. MuJoCo, Drake and PyBullet take a root link of this name for the world."""
 
 
 @dataclass(frozen=True)
 class LinkModel:
-    """One rigid part: its files, relative to the asset folder, are in the frame of its link."""
+    """One rigid part. File names are relative to the asset folder; meshes are in the link's frame."""
 
     name: str
     visual: str
-    """OBJ file to look at."""
+    """OBJ file of the visual mesh."""
     texture: str | None
-    """PNG file that the visual mesh wears, or None when it has no colours."""
+    """PNG file of the visual mesh's texture; None without colours."""
     hulls: tuple[str, ...]
-    """OBJ files to collide with, each convex."""
-    inertial: Inertial
+    """OBJ files of convex collision meshes."""
+    inertial: UrdfInertial
     primitives: tuple[Primitive, ...] = ()
-    """Shapes to collide with beside the hulls."""
+    """Collision shapes in addition to the hulls."""
 
 
 @dataclass(frozen=True)
 class AssetModel:
-    """The whole asset, a tree of two links."""
+    """An asset: a tree of two links."""
 
     name: str
     root: LinkModel
-    """Stands on the ground, or is nailed to the world."""
+    """The link that stands on the ground, or is fixed to the world."""
     child: LinkModel
-    """Its frame stands at the pivot."""
+    """The moving link; its origin is the joint's pivot."""
     joint: Joint
     """In the root link's frame, with finite limits."""
     effort: float
-    """Largest actuator force, N*m or N."""
+    """Largest actuator force, N m or N."""
     velocity: float
     """Largest speed, rad/s or m/s."""
     effects: tuple[Effect, ...] = ()
-    """What acts on the joint; URDF and MJCF say as much of it as they can."""
+    """Effects of the joint; URDF and MJCF hold those that they can express."""
     base: Base = "free"
-    """Whether the root link moves freely or stands still in the world."""
+    """Whether the root link moves freely or is fixed to the world."""
     trust: Trust | None = None
-    """Whether the reconstruction trusts itself; None when that is not stated."""
+    """Trust in the reconstruction; None when not stated."""
 
 
 def number_text(*values: float) -> str:
-    """Numbers with spaces between, each with the fewest digits that give it back exactly."""
+    """Numbers separated by spaces, each with the fewest digits that give it back exactly."""
     return " ".join(repr(float(value) + 0.0) for value in values)

@@ -1,4 +1,4 @@
-"""Where the links of an asset stand: from a reconstruction's canonical frame to link frames that people can use."""
+"""Link frames of an asset: upright on the ground, with limits and zero of the joint."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from export.carving import carved
-from export.joint_range import STATES, TOLERANCE, ZEROS, JointRange, Zero, joint_range, zero_state
+from export.carving import carve_overlap
+from export.joint_range import STATES, TOLERANCE, ZEROS, JointRange, Zero, choose_zero, estimate_joint_range
 from export.penetration import Overlap
-from export.resting import FLAT, TOUCHING, carrier_of, resting_poses, settled, upright
+from export.resting_pose import FACET_ANGLE, GROUND_SHARE, choose_upright, find_support, resting_poses, settle
 from freeart21 import se3
 from freeart21.articulation import PARTS, Articulation
 from freeart21.errors import FreeArtError
@@ -21,36 +21,38 @@ from freeart21.mesh import Mesh, bounding_diagonal, box_centre
 from freeart21.reconstruction import Reconstruction
 from freeart21.se3 import Array
 
-STILL = 0.02
-"""Part of the object's diagonal by which no point of a part that stands still moves before the camera: what poses of
-reconstructions are off by at most."""
+MAX_STILL_SHARE = 0.02
+"""Fraction of the object's diagonal by which points of a still part may move in the camera frame: poses of
+reconstructions are off by at most this."""
 
+MIN_RANGE = {"revolute": 1e-3, "prismatic": 1e-4}
+"""rad or m: a joint that was observed to move less has no limits to export."""
 Direction = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class PlacementSettings:
-    """Where an asset stands and where its joint begins and ends."""
+    """Up direction, joint zero, and tolerance of overlap."""
 
     up: Direction | None = None
-    """Direction in the canonical frame that becomes z of the links; None is a resting pose's, or gravity's."""
+    """Direction in the canonical frame that becomes z; None: that of gravity or of the likeliest resting pose."""
     gravity: Direction | None = None
-    """Which way gravity pulls, in the camera's axes (right, down, forward) of the first frame; any length. Only when
-    the reference part stood still before the camera; not together with `up`."""
+    """Direction of gravity in the first frame's camera axes (right, down, forward), of any length. Only when the
+    reference part stood still in the camera; not together with `up`."""
     zero: Zero = "closed"
-    """Where the URDF joint is at zero: 'first' frame, 'closed' (the end where both parts fill the least space),
+    """Where the URDF joint is at zero: at the 'first' frame's state, 'closed' (the end with the smaller convex hull),
     'lower', 'upper'."""
     tolerance_m: float = TOLERANCE
-    """Metres by which the parts may be in each other, in the asset's own lengths when it is scaled."""
+    """m that the parts may overlap, in the asset's own lengths when it is scaled."""
     carve: bool = True
-    """Whether what one part sweeps is cut out of what the other collides with, where both are closed."""
+    """Whether the volume swept by one part is subtracted from the other's collision shapes, where both are closed."""
 
     def check(self) -> None:
-        """FreeArtError when a setting cannot be."""
+        """Raise FreeArtError when a setting is invalid."""
         for name in ("up", "gravity"):
             value = getattr(self, name)
             if value is not None:
-                _unit(value, name)
+                _normalise(value, name)
         if self.up is not None and self.gravity is not None:
             raise FreeArtError("up and gravity are both given: give one of them")
         if self.zero not in ZEROS:
@@ -63,32 +65,31 @@ class PlacementSettings:
 class Placement:
     """The two link frames of an asset and the joint between them.
 
-    At joint position zero the object stands on z = 0, z up; the root link's origin is under the middle of what it
-    stands on. The other link's axes are parallel to it there, its origin at the pivot.
+    At joint position zero the object stands on z = 0 with z up. The root link's origin is below the middle of its
+    support. The child link is parallel to it there, its origin at the pivot.
     """
 
     T_canonical_reference: Array
-    """(4, 4) canonical frame from the reference link's frame."""
+    """(4, 4) the reference link's frame in the canonical frame."""
     root: str
-    """The part that carries the object, 'reference' or 'moving': its link is the root of the tree."""
+    """The part whose link is the root of the tree, 'reference' or 'moving': the one that stands on the ground."""
     joint: Joint
-    """In the root link's frame, of the other link against it; its limits are those of the URDF joint."""
+    """Motion of the child link in the root link's frame, with the limits of the URDF joint."""
     state_zero: float
-    """URDF joint position at canonical state zero, rad or m."""
+    """URDF joint position, rad or m, at canonical state zero."""
     reference: Mesh
     """Reference part in its link's frame."""
     moving: Mesh
     """Moving part in its link's frame."""
     solids: dict[str, Mesh]
-    """What each part collides with, in its link's frame: its mesh, less what was carved."""
-    said: dict[str, Any]
+    """Mesh by part that collision shapes are made of, in its link's frame: the visual mesh, less what was carved."""
+    report: dict[str, Any]
     """For asset.json: `up`, `limits`, `zero`, `penetration`."""
 
 
-def placed(
+def place_parts(
     reconstruction: Reconstruction,
     settings: PlacementSettings,
-    min_range: dict[str, float],
     scale: float = 1.0,
     observed: dict[str, NDArray[np.bool_]] | None = None,
     not_solid: Sequence[str] = (),
@@ -97,16 +98,14 @@ def placed(
 
     Args:
         reconstruction: two parts and their joint.
-        settings: which way is up, where zero is.
-        min_range: joint type to the smallest range, rad or m, that counts as motion.
-        scale: the reconstruction's lengths over those of its video: tolerances grow with them.
-        observed: (F,) of each part, which of its triangles were seen; None is all. Others do not end the joint's range.
-        not_solid: parts that are no solids: nothing is carved.
+        settings: up direction and zero.
+        scale: the reconstruction's lengths over those of its video; tolerances are scaled, too.
+        observed: (F,) per part, which triangles were observed; None is all. Others do not limit the joint.
+        not_solid: parts that are no solids; then nothing is carved.
 
-    The URDF joint has the range of `joint_range` and its zero at the end, or state, that `zero_state` chooses. Parts
-    that are in each other by more than the tolerance within the range are carved where both are closed: what collides,
-    not what is looked at. Raises FreeArtError on an empty part, when the joint was not seen to move, or on `gravity` of
-    a reference part that did not stand still.
+    Limits come from `estimate_joint_range`, zero from `choose_zero`. Where the parts overlap by more than the tolerance
+    and both are closed, the collision meshes are carved, not the visual ones. Raises FreeArtError on an empty part, a
+    joint that does not move, or `gravity` with a reference part that did not stand still.
     """
     articulation = reconstruction.articulation
     joint = articulation.joint
@@ -117,24 +116,25 @@ def placed(
     tolerance = settings.tolerance_m * scale
     overlap = Overlap(articulation)
     touching = overlap if observed is None else Overlap(articulation, observed)
-    found = joint_range(reconstruction, touching, tolerance)
-    if found.high - found.low < min_range[joint.type]:
+    found = estimate_joint_range(reconstruction, touching, tolerance)
+    min_range = MIN_RANGE[joint.type] * (scale if joint.type == "prismatic" else 1.0)
+    if found.high - found.low < min_range:
         raise FreeArtError(
             f"joint '{joint.name}' was seen to move by {found.high - found.low:.3g} {joint.state_unit}, expected at "
-            f"least {min_range[joint.type]:g}: its limits cannot be told"
+            f"least {min_range:g}: its limits are unknown"
         )
-    zero, said_zero = zero_state(articulation, found, settings.zero)
-    apart, said_penetration = _apart(articulation, found, overlap, tolerance, settings.carve, not_solid)
-    up, carrier, said_up = _up(reconstruction, settings, found, zero)
-    root = "moving" if carrier == "moving" else "reference"
-    T_canonical_root = _standing(articulation, carrier, up, zero)
+    zero, zero_name = choose_zero(articulation, found, settings.zero)
+    carved, penetration = _carve(articulation, found, overlap, tolerance, settings.carve, not_solid)
+    up, support, up_report = _choose_up(reconstruction, settings, found, zero)
+    root = "moving" if support == "moving" else "reference"
+    T_canonical_root = _root_pose(articulation, support, up, zero)
     T_root_canonical = se3.inverse(T_canonical_root)
     Ts = {"reference": T_root_canonical, "moving": T_root_canonical @ joint.transform(zero)}  # at joint position zero
     parts = {name: articulation.part(name).moved(Ts[name]) for name in PARTS}
     child = "reference" if root == "moving" else "moving"
     in_root = joint.moved(T_root_canonical)
     pivot = box_centre(parts[child])
-    if joint.type == "revolute":  # the point of the axis nearest to the part: a reconstructed pivot may be far away
+    if joint.type == "revolute":  # the point of the axis nearest to the part: the reconstructed pivot can be far away
         pivot = in_root.pivot + in_root.axis * (in_root.axis @ (pivot - in_root.pivot))
     to_child = se3.pose(np.eye(3), -pivot)
     frames = {root: np.eye(4), child: to_child}
@@ -146,116 +146,114 @@ def placed(
         0.0 - zero,
         parts["reference"].moved(frames["reference"]),
         parts["moving"].moved(frames["moving"]),
-        {name: apart.part(name).moved(frames[name] @ Ts[name]) for name in PARTS},
+        {name: carved.part(name).moved(frames[name] @ Ts[name]) for name in PARTS},
         {
-            "up": said_up,
+            "up": up_report,
             "limits": {"lower": found.low_by, "upper": found.high_by},
-            "zero": {"asked": settings.zero, "end": said_zero},
-            "penetration": said_penetration,
+            "zero": {"asked": settings.zero, "end": zero_name},
+            "penetration": penetration,
         },
     )
 
 
-def _apart(
+def _carve(
     parts: Articulation, found: JointRange, overlap: Overlap, tolerance: float, carve: bool, not_solid: Sequence[str]
 ) -> tuple[Articulation, dict[str, Any]]:
-    """What collides: the parts no deeper in each other than `tolerance` in the range, where that can be; what was done.
-
-    The meshes that are looked at stay: their triangles wear a texture, and what they hide in each other is not seen.
-    """
+    """The parts, carved so that they overlap by at most `tolerance` in the range where possible; and a report."""
     states = np.linspace(found.low, found.high, STATES)
-    before = float(overlap.deepest(states).max())
-    said: dict[str, Any] = {"deepest_m": before, "deepest_visual_m": before, "tolerance_m": tolerance, "carved": None}
+    before = float(overlap.max_depths(states).max())
+    report: dict[str, Any] = {"deepest_m": before, "deepest_visual_m": before, "tolerance_m": tolerance, "carved": None}
     if before <= tolerance or not carve:
-        return parts, said
+        return parts, report
     if not_solid:
-        return parts, said | {"not_carved_because": f"the {not_solid[0]} part is no solid"}
-    cut = carved(parts, found.low, found.high, tolerance, overlap)
+        return parts, report | {"not_carved_because": f"the {not_solid[0]} part is no solid"}
+    cut = carve_overlap(parts, found.low, found.high, tolerance, overlap)
     if isinstance(cut, str):
-        return parts, said | {"not_carved_because": cut}
+        return parts, report | {"not_carved_because": cut}
     reference, moving = (cut.mesh, cut.other) if cut.name == "reference" else (cut.other, cut.mesh)
     parts = replace(parts, reference=reference, moving=moving)
-    after = float(Overlap(parts).deepest(states).max())
-    return parts, said | {"deepest_m": after, "carved": cut.name, "carved_m3": cut.volume}
+    after = float(Overlap(parts).max_depths(states).max())
+    return parts, report | {"deepest_m": after, "carved": cut.name, "carved_m3": cut.volume}
 
 
-def _up(
+def _choose_up(
     answer: Reconstruction, settings: PlacementSettings, found: JointRange, zero: float
 ) -> tuple[NDArray[np.float64], str, dict[str, Any]]:
-    """(3,) up in the canonical frame, the part that then carries, and how up was found."""
+    """(3,) up in the canonical frame, the part that then supports the object, and a report."""
     parts = answer.articulation
     if settings.up is not None:
-        up = _unit(settings.up, "up")
-        return up, carrier_of(parts, zero, up), _said("given", up)
-    first = _first(answer)
+        up = _normalise(settings.up, "up")
+        return up, find_support(parts, zero, up), _describe_up("given", up)
+    first = _first_frame(answer)
     R_canonical_camera = answer.Ts_camera_reference[first, :3, :3].T
     if settings.gravity is not None:
-        _check_still(answer)
-        up = -R_canonical_camera @ _unit(settings.gravity, "gravity")
-        return up, carrier_of(parts, zero, up), _said("gravity", up)
+        _check_reference_still(answer)
+        up = -R_canonical_camera @ _normalise(settings.gravity, "gravity")
+        return up, find_support(parts, zero, up), _describe_up("gravity", up)
     camera_up = R_canonical_camera @ np.array([0.0, -1.0, 0.0])
     poses = resting_poses(parts, found.low, found.high, zero)
-    best = upright(poses, camera_up)
+    best = choose_upright(poses, camera_up)
     if best is None:
-        rest = settled(parts, zero, camera_up)  # it lies as it falls, though the joint may then not be free
+        rest = settle(parts, zero, camera_up)  # in this pose the joint need not be free
         up, how = (camera_up, "first frame's camera") if rest is None else (rest, "rest from the first frame's camera")
-        return up, carrier_of(parts, zero, up), _said(how, up)
+        return up, find_support(parts, zero, up), _describe_up(how, up)
     pose, share = best
-    rest = settled(parts, zero, pose.up)
-    up = pose.up if rest is None or rest @ pose.up < np.cos(FLAT) else rest
+    rest = settle(parts, zero, pose.up)
+    up = pose.up if rest is None or rest @ pose.up < np.cos(FACET_ANGLE) else rest
     return (
         up,
-        pose.carrier,
-        _said("resting pose", up)
+        pose.support,
+        _describe_up("resting pose", up)
         | {
             "share": share,
             "tipping_rad": pose.tipping,
             "tipping_worst_rad": pose.worst,
-            "carried_by": pose.carrier,
+            "carried_by": pose.support,
         },
     )
 
 
-def _said(how: str, up: NDArray[np.float64]) -> dict[str, Any]:
+def _describe_up(how: str, up: NDArray[np.float64]) -> dict[str, Any]:
     return {"axis": "z", "how": how, "direction_canonical": [float(x) for x in up]}
 
 
-def _first(answer: Reconstruction) -> int:
-    """The frame by whose camera directions are told: the anchor, or the first in which the reference part was seen."""
+def _first_frame(answer: Reconstruction) -> int:
+    """The frame that defines camera directions: the anchor, or the first in which the reference part was seen."""
     seen = answer.seen[:, 0]
     return answer.anchor if answer.anchor or seen[0] or not seen.any() else int(np.argmax(seen))
 
 
-def _check_still(answer: Reconstruction) -> None:
-    """FreeArtError when the reference part moved before the camera by more than `STILL`."""
+def _check_reference_still(answer: Reconstruction) -> None:
+    """Raise FreeArtError when the reference part moved in the camera frame by more than `MAX_STILL_SHARE`."""
     corners = answer.articulation.reference.vertices
     box = np.stack(np.meshgrid(*np.stack([corners.min(0), corners.max(0)], -1), indexing="ij"), -1).reshape(-1, 3)
     Ts = answer.Ts_camera_reference[answer.seen[:, 0]] if answer.seen[:, 0].any() else answer.Ts_camera_reference
     there = se3.transform(Ts, np.broadcast_to(box, (len(Ts), 8, 3)))
     moved = float(np.linalg.norm(there - there[:1], axis=-1).max())
-    most = STILL * bounding_diagonal(answer.articulation.reference, answer.articulation.moving)
+    most = MAX_STILL_SHARE * bounding_diagonal(answer.articulation.reference, answer.articulation.moving)
     if moved > most:
         raise FreeArtError(
             f"gravity: the reference part moved before the camera by {1000 * moved:.3g} mm, expected that it stood "
-            f"still (at most {1000 * most:.3g} mm); give up instead"
+            f"still (at most {1000 * most:.3g} mm); give --up instead"
         )
 
 
-def _standing(parts: Articulation, carrier: str, up: NDArray[np.float64], zero: float) -> Array:
-    """(4, 4) canonical from root link: z up, at state `zero` on z = 0 and above it the middle of what it stands on."""
+def _root_pose(parts: Articulation, support: str, up: NDArray[np.float64], zero: float) -> Array:
+    """(4, 4) root link in the canonical frame: z up, origin on the ground below the middle of the support at state
+    `zero`."""
     R = _rotation_with_z(up)
     posed = dict(zip(PARTS, parts.posed(np.eye(4), zero), strict=True))
     corners = {name: mesh.vertices[np.unique(mesh.faces)] @ R for name, mesh in posed.items()}
     level = min(points[:, 2].min() for points in corners.values())
-    near = level + TOUCHING * bounding_diagonal(parts.reference, parts.moving)
-    standing = np.concatenate([points for name, points in corners.items() if carrier in (name, "both")])
+    near = level + GROUND_SHARE * bounding_diagonal(parts.reference, parts.moving)
+    standing = np.concatenate([points for name, points in corners.items() if support in (name, "both")])
     base = standing[standing[:, 2] < near]
     base = base if len(base) else standing
     x, y, _ = 0.5 * (base.min(0) + base.max(0))
     return se3.pose(R, R @ np.array([x, y, level]))
 
 
-def _unit(direction: Direction, name: str) -> NDArray[np.float64]:
+def _normalise(direction: Direction, name: str) -> NDArray[np.float64]:
     """(3,) of length one."""
     d = np.asarray(direction, float)
     if d.shape != (3,) or not np.isfinite(d).all() or not np.linalg.norm(d) > 0:
@@ -264,7 +262,7 @@ def _unit(direction: Direction, name: str) -> NDArray[np.float64]:
 
 
 def _rotation_with_z(z: NDArray[np.float64]) -> Array:
-    """(3, 3) with columns x, y, z, z the unit vector given and x as near to the canonical x axis as it can be."""
+    """(3, 3) columns x, y, z: z the given unit vector, x as near to the canonical x axis as possible."""
     first = np.eye(3)[0] if abs(z[0]) < 0.9 else np.eye(3)[2]
     x = first - z * (z @ first)
     x /= np.linalg.norm(x)

@@ -1,7 +1,4 @@
-"""A picture of an asset, made from its own files: closed on the left, open on the right, on the ground, in plain light.
-
-Drawn by a small rasteriser of our own, so that every machine can, with a graphics driver or without.
-"""
+"""preview.png of an asset, drawn from its own files on the CPU: closed on the left, open on the right."""
 
 from __future__ import annotations
 
@@ -22,33 +19,32 @@ from freeart21.view.link_shapes import ShownUrdf, read_shown
 
 FILE = "preview.png"
 SIDE = 512
-"""Pixels of each of the two pictures, each way."""
-_FINER = 2
-"""Pixels, each way, that one of the picture is the mean of."""
-_FROM = (-1.0, -1.4, 0.9)
-"""Where the camera stands from the object, if all sides show as much of it."""
-_SIDES = 24
-"""Directions round the object that are tried."""
-_HABIT = 0.05
-"""Part of the picture that the opposite side has to show more to be taken instead: so much less is
-not seen by eye."""
+"""Pixels along each side of the two images."""
+_SUPERSAMPLING = 2
+"""Samples per pixel and axis."""
+_VIEWPOINT = (-1.0, -1.4, 0.9)
+"""Preferred direction of the camera from the object."""
+_DIRECTIONS = 24
+"""Directions around the object that are tried."""
+_MIN_GAIN = 0.05
+"""Fraction by which the opposite side must cover more of the image to be preferred: less is not visible."""
 _LIGHT = (-0.35, -0.5, 0.8)
 _AMBIENT = 0.55
-"""Share of the light that comes from everywhere."""
+"""Share of ambient light."""
 _GROUND = (236, 238, 241)
 _FILL = 0.86
-"""Share of the picture's side that both states together take."""
+"""Fraction of the image's side that the object takes."""
 
 
 def write_preview(folder: Path, asset: Asset) -> None:
-    """Write preview.png (`SIDE`, 2 `SIDE`) of the asset that stands finished in `folder`, in parallel projection.
+    """Write preview.png (`SIDE`, 2 `SIDE`), in parallel projection, of the finished asset in `folder`.
 
-    The left picture has the joint at the limit nearest to zero, the right one at the other.
+    On the left the joint is at the limit nearest to zero, on the right at the other one.
     """
-    atomic.write_bytes(folder / FILE, checked.encode_png(picture_of(asset)))
+    atomic.write_bytes(folder / FILE, checked.encode_png(render_preview(asset)))
 
 
-def picture_of(asset: Asset) -> NDArray[np.uint8]:
+def render_preview(asset: Asset) -> NDArray[np.uint8]:
     """(`SIDE`, 2 `SIDE`, 3) RGB of the asset at both ends of its joint, at one scale."""
     shown = read_shown(asset.urdf)
     joint = shown.urdf.joints[asset.joint]
@@ -60,37 +56,37 @@ def picture_of(asset: Asset) -> NDArray[np.uint8]:
         for link in shown.visuals
         for piece in shown.visuals[link]
     ]
-    R = _towards(_best_eye(np.concatenate(every)))
+    R = _view_rotation(_choose_viewpoint(np.concatenate(every)))
     boxes, drawn = [], []
     for Ts in poses:
-        points = [p for link in shown.visuals for p in _seen(shown, link, Ts[link], R)]
+        points = [p for link in shown.visuals for p in _project_link(shown, link, Ts[link], R)]
         drawn.append(points)
         boxes += [piece[0] for piece in points]
     low, high = np.concatenate(boxes).min(0), np.concatenate(boxes).max(0)
-    scale = _FILL * SIDE * _FINER / max(float((high - low)[:2].max()), 1e-9)
-    shift = 0.5 * SIDE * _FINER - scale * 0.5 * (low + high)[:2]
-    return np.hstack([_drawn(pieces, scale, shift, R) for pieces in drawn])
+    scale = _FILL * SIDE * _SUPERSAMPLING / max(float((high - low)[:2].max()), 1e-9)
+    shift = 0.5 * SIDE * _SUPERSAMPLING - scale * 0.5 * (low + high)[:2]
+    return np.hstack([_rasterise(pieces, scale, shift, R) for pieces in drawn])
 
 
-def _best_eye(points: Array) -> Array:
-    """(3,) where to stand: the side from which points (n, 3), of both states, cover most of the picture."""
-    turns = 2 * np.pi * np.arange(_SIDES) / _SIDES
-    eyes = se3.exp_so3(turns[:, None] * np.array([0.0, 0.0, 1.0])) @ np.array(_FROM)
-    covers = [ConvexHull(points @ _towards(eye)[:2].T, qhull_options="QJ").volume for eye in eyes]
-    habit = 1 - _HABIT * np.abs(np.remainder(turns + np.pi, 2 * np.pi) - np.pi) / np.pi
+def _choose_viewpoint(points: Array) -> Array:
+    """(3,) direction from which points (n, 3) of both states cover most of the image."""
+    turns = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+    eyes = se3.exp_so3(turns[:, None] * np.array([0.0, 0.0, 1.0])) @ np.array(_VIEWPOINT)
+    covers = [ConvexHull(points @ _view_rotation(eye)[:2].T, qhull_options="QJ").volume for eye in eyes]
+    habit = 1 - _MIN_GAIN * np.abs(np.remainder(turns + np.pi, 2 * np.pi) - np.pi) / np.pi
     return np.asarray(eyes[int(np.argmax(covers * habit))])
 
 
-def _towards(eye: Array) -> Array:
-    """(3, 3) rows: right, down and away from an eye that looks at the origin, z up."""
+def _view_rotation(eye: Array) -> Array:
+    """(3, 3) rows: right, down and away, for an eye that looks at the origin with z up."""
     away = -eye / np.linalg.norm(eye)
     right = np.cross(away, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     return np.stack([right, np.cross(away, right), away])
 
 
-def _seen(shown: ShownUrdf, link: str, T: Array, R: Array) -> list[tuple[Array, NDArray, Array, NDArray]]:
-    """Of every visual: corners (V, 3) right, down and away; triangles; texture coordinates or colours; the texture."""
+def _project_link(shown: ShownUrdf, link: str, T: Array, R: Array) -> list[tuple[Array, NDArray, Array, NDArray]]:
+    """Per visual: vertices (V, 3) right, down and away; triangles; texture coordinates or colours; texture."""
     pieces = []
     for piece in shown.visuals[link]:
         points = se3.transform(T, piece.mesh.vertices) @ R.T
@@ -106,8 +102,8 @@ def _seen(shown: ShownUrdf, link: str, T: Array, R: Array) -> list[tuple[Array, 
     return pieces
 
 
-def _drawn(pieces: list[tuple[Array, NDArray, Array, NDArray]], scale: float, shift: Array, R: Array) -> NDArray:
-    side = SIDE * _FINER
+def _rasterise(pieces: list[tuple[Array, NDArray, Array, NDArray]], scale: float, shift: Array, R: Array) -> NDArray:
+    side = SIDE * _SUPERSAMPLING
     colour = np.empty((side, side, 3))
     colour[:] = _GROUND
     depth = np.full((side, side), np.inf)

@@ -1,40 +1,43 @@
-"""Boxes, cylinders and balls in the place of convex pieces that are as good as such."""
+"""Replaces convex hulls by boxes, cylinders and spheres that fit as well."""
 
 from __future__ import annotations
 
 import numpy as np
 import trimesh
 
-from export.decomposition import hull_of
-from export.outside import Outside, even_points
+from export.decomposition import robust_hull
+from export.outer_surface import OuterSurface, sample_evenly
 from export.primitives import Box, Cylinder, Primitive, Sphere
 from freeart21 import se3
 from freeart21.se3 import Array
 
-_LOOKS = 1500
-"""Points on a shape that are looked at."""
-_LIKE = 0.999
-"""Cosine between normals that face one way, 2.6 degrees: corners that are left out tilt faces. Not measured."""
-_ASIDE = 0.9
-"""Sine of the angle to the first axis, 64 degrees, from which on a face counts for the second. Not measured."""
+_SAMPLES = 1500
+"""Points on a shape that are tested."""
+_SAME_DIRECTION = 0.999
+"""Cosine between normals of one direction, 2.6 degrees: omitted corners tilt faces. Not measured."""
+_MIN_SINE = 0.9
+"""Sine of the angle to the first axis, 64 degrees, from which a face counts for the second. Not measured."""
 
 
-def primitive_of(corners: Array, outside: Outside, worst_m: float) -> Primitive | None:
-    """The shape round a convex piece of corners (k, 3), if it stands out of the part by no more than `worst_m`, of
-    several that of least volume, None of none: beyond the piece, but within the part, does no harm."""
-    found: list[tuple[float, Primitive]] = []
-    for shape in shapes_round(corners):
+def fit_primitive(corners: Array, part: OuterSurface, max_excess_m: float) -> Primitive | None:
+    """The smallest primitive around a convex hull of corners (k, 3) that extends beyond the part by at most
+    `max_excess_m`, or None.
+
+    It may extend beyond the hull within the part.
+    """
+    fitted: list[tuple[float, Primitive]] = []
+    for shape in enclosing_primitives(corners):
         mesh = shape.mesh()
         solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-        points = even_points(solid, solid.area / _LOOKS)[0]
-        if outside.excess(points).max() <= worst_m:
-            found.append((float(np.linalg.det(solid.triangles).sum()), shape))  # six times its volume
-    return min(found, key=lambda each: each[0])[1] if found else None
+        points = sample_evenly(solid, solid.area / _SAMPLES)[0]
+        if part.excess(points).max() <= max_excess_m:
+            fitted.append((float(np.linalg.det(solid.triangles).sum()), shape))  # six times its volume
+    return min(fitted, key=lambda each: each[0])[1] if fitted else None
 
 
-def shapes_round(points: Array) -> list[Primitive]:
-    """Box, cylinders and ball round points (k, 3), all about the middle and along `axes_of` their hull."""
-    R_axes = axes_of(points)
+def enclosing_primitives(points: Array) -> list[Primitive]:
+    """Box, cylinders and sphere around points (k, 3), centred, along the `dominant_axes` of their hull."""
+    R_axes = dominant_axes(points)
     local = points @ R_axes
     low, high = local.min(0), local.max(0)
     T = se3.pose(R_axes, R_axes @ (0.5 * (low + high)))
@@ -48,31 +51,32 @@ def shapes_round(points: Array) -> list[Primitive]:
     return shapes
 
 
-def axes_of(points: Array) -> Array:
-    """(3, 3) whose columns are the way most of the hull's area faces, that most of what faces aside does, and a third.
+def dominant_axes(points: Array) -> Array:
+    """(3, 3) columns: the direction most of the hull's area faces, that most of the area across it faces, and their
+    cross product.
 
-    The caps of a cylinder and the sides of a box face so, whatever corners are cut off.
+    The caps of a cylinder and the sides of a box face these directions even when corners are cut off.
     """
-    hull = hull_of(points)
+    hull = robust_hull(points)
     normals = hull.equations[:, :3]
     corners = points[hull.simplices]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    first = _most(normals, areas)
+    first = _dominant_direction(normals, areas)
     aside = normals - (normals @ first)[:, None] * first
     length = np.linalg.norm(aside, axis=1)
-    flank = length > _ASIDE
-    if not flank.any():  # a plate of sharp rims
+    flank = length > _MIN_SINE
+    if not flank.any():  # a plate with sharp rims
         flank = length >= length.max()
-    second = _most(aside[flank] / length[flank, None], areas[flank])
+    second = _dominant_direction(aside[flank] / length[flank, None], areas[flank])
     second -= first * (first @ second)
     second /= np.linalg.norm(second)
     return np.stack([first, second, np.cross(first, second)], -1)
 
 
-def _most(normals: Array, areas: Array) -> Array:
-    """(3,) the mean of the normals (n, 3) about the one round which, on either side, most area faces."""
+def _dominant_direction(normals: Array, areas: Array) -> Array:
+    """(3,) mean of the normals (n, 3) around the one near which, on either side, most area faces."""
     cosine = normals @ normals.T
-    like = np.abs(cosine) > _LIKE
+    like = np.abs(cosine) > _SAME_DIRECTION
     best = int(np.argmax(like @ areas))
     turned = np.sign(cosine[best])[:, None] * normals
     mean = (turned * (areas * like[best])[:, None]).sum(0)

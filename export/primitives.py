@@ -1,4 +1,4 @@
-"""Collision shapes that engines know by name: cheaper and rounder than hulls."""
+"""Primitive collision shapes: faster and rounder than hulls."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 
 _SIDES = 48
-"""Of the prism that stands for a cylinder where only meshes are taken: 0.2 % of the radius inside it."""
+"""Sides of the prism that approximates a cylinder where only meshes are taken: 0.2 % of the radius inside it."""
 
 
 @dataclass(frozen=True)
 class Box:
-    """A box with its middle at its own frame's origin."""
+    """A box centred at its frame's origin."""
 
     size: NDArray[np.float64]
-    """(3,) full sides, m."""
+    """(3,) side lengths, m."""
     T_link_shape: Array
-    """(4, 4) the box's frame in its link's."""
+    """(4, 4) the box's frame in the link's."""
 
     def mesh(self) -> Mesh:
         """Its surface in the link's frame."""
@@ -31,31 +31,31 @@ class Box:
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A cylinder along z of its own frame, its middle at the origin."""
+    """A cylinder along z, centred at its frame's origin."""
 
     radius: float
     """m."""
     length: float
     """m."""
     T_link_shape: Array
-    """(4, 4) the cylinder's frame in its link's."""
+    """(4, 4) the cylinder's frame in the link's."""
 
     def mesh(self) -> Mesh:
-        """Its surface in the link's frame, a prism of many sides."""
+        """A prism in the link's frame."""
         return _mesh(trimesh.creation.cylinder(self.radius, self.length, _SIDES, transform=self.T_link_shape))
 
 
 @dataclass(frozen=True)
 class Sphere:
-    """A ball."""
+    """A sphere centred at its frame's origin."""
 
     radius: float
     """m."""
     T_link_shape: Array
-    """(4, 4) the ball's frame in its link's."""
+    """(4, 4) the sphere's frame in the link's."""
 
     def mesh(self) -> Mesh:
-        """Its surface in the link's frame, of 1,280 triangles."""
+        """1,280 triangles in the link's frame."""
         ball = trimesh.creation.icosphere(3, self.radius)
         return _mesh(ball.apply_transform(self.T_link_shape))
 

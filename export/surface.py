@@ -1,15 +1,14 @@
-"""A part's surface as the closed boundary of a solid: what was seen stays where it is, what was not gets a patch.
+"""Closes a part's surface into the boundary of a solid: observed surface stays in place, holes get patches.
 
-A reconstruction has triangles only where a frame looked. Its vertices cut space into Delaunay tetrahedra, and the solid
-is the set of tetrahedra whose boundary S is least in
+A reconstruction has triangles only where a frame saw the part. Its vertices are triangulated into Delaunay tetrahedra.
+The solid is the set of tetrahedra whose boundary S minimises
 
-    area(S) + FAITH * (area of the observed triangles that do not have the solid behind and air in front of them)
+    area(S) + OBSERVED_WEIGHT * (area of observed triangles without solid behind and air in front)
 
-found as a minimum cut (Labatut, Pons, Keriven: Efficient multi-view reconstruction of large-scale scenes using interest
-points, Delaunay triangulation and graph cuts, ICCV 2007). Where the surface at all four corners of a tetrahedron faces
-it, or turns its back to it, that is settled beforehand. So a hole is closed by the least area that its rim allows, a
-thin thing seen from both sides becomes two sheets with a rim, and an opening whose inside was seen stays open. The
-boundary of a solid is closed and consistently oriented, and its vertices were observed; decimation then thins them.
+found as a minimum cut (Labatut, Pons, Keriven, ICCV 2007). Tetrahedra on which the normals at all four corners agree
+are fixed beforehand. Thus holes are closed by the smallest area, a thin plate seen from both sides becomes two sheets
+with a rim, and openings whose inside was seen stay open. The boundary is closed and consistently oriented; it is
+decimated at last.
 """
 
 from __future__ import annotations
@@ -26,68 +25,79 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components, maximum_flow
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
-from export.meshes import MeshSettings, deduplicated, inside_out, turned, without_crumbs
+from export.meshes import (
+    MIN_COMPONENT,
+    MeshSettings,
+    drop_small_components,
+    flip_faces,
+    is_inside_out,
+    merge_duplicates,
+)
 from freeart21.errors import FreeArtError
 from freeart21.mesh import Mesh, bounding_diagonal
 
 MAX_FACES = 4_000_000
-"""Triangles of a part that are looked at, ten times those of our largest reconstruction."""
+"""Most triangles of a part, ten times those of our largest reconstruction."""
 MAX_LAYERS = 4.0
-"""Times the area of the solid's boundary that a part's triangles may have. Of 18 parts of nine true objects they have
-0.3 to 1.0, of a cabinet of loose boards (PartNet-Mobility 45940) 1.8, of 5,000 random triangles 20."""
-FAITH = 8.0
-"""How much more an observed area weighs than an equal area of the boundary: at 1 holes would eat the surface."""
-_SIDE = 0.25
-"""Spacings before and behind an observed triangle at which there is air and solid: a wall may be half of one thick."""
-_NEAR = 1.0
-"""Spacings within which a boundary triangle counts as observed; further from all that was seen it is a patch."""
-_ACROSS = 150.0
-"""Spacings along a part's diagonal at least: what a wall between two large triangles needs to be told from a hollow."""
-_CLEAR = 0.2
-"""Cosine beyond which a surface faces a place, or turns its back to it."""
-_STEPS = 1000
-"""Tetrahedra that a walk may pass."""
-_PINCHES = 20
+"""Largest area of a part's triangles over the area of the solid's boundary. 18 parts of nine true objects have 0.3 to
+1.0, a cabinet of loose boards (PartNet-Mobility 45940) 1.8, 5,000 random triangles 20."""
+OBSERVED_WEIGHT = 8.0
+"""Weight of an observed area against the same area of boundary. At 1 holes would consume the surface."""
+_PROBE_OFFSET = 0.25
+"""Spacings in front of and behind an observed triangle where air and solid are expected: a wall can be half a spacing
+thick."""
+_OBSERVED_DISTANCE = 1.0
+"""Spacings from observed triangles within which a boundary triangle counts as observed."""
+_MIN_SPACINGS = 150.0
+"""Least number of spacings along a part's diagonal, so that a wall between two large triangles differs from a
+hollow."""
+_FACING_COSINE = 0.2
+"""Cosine beyond which a surface faces a point, or faces away from it."""
+_WALK_STEPS = 1000
+"""Most tetrahedra on a walk."""
+_PINCH_ROUNDS = 20
 """Rounds of filling edges at which the solid touches itself."""
-_ROUNDS = 100
-"""Rounds of taking plain tetrahedra out of the cut; later ones take few."""
+_PRESOLVE_ROUNDS = 100
+"""Rounds of fixing tetrahedra before the cut; late rounds fix few."""
 _NEIGHBOURS = 4
-"""Observed triangles that a place on the boundary is held against."""
-_SAMPLES = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4]]) / 6
-"""Places on a triangle, as weights of its corners, that are asked whether they were seen."""
+"""Observed triangles that a point on the boundary is compared with."""
+_SAMPLE_WEIGHTS = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4]]) / 6
+"""Points on a triangle, as weights of its corners, that are tested for being observed."""
 _AGGRESSION = 3.0
-"""Of quadric decimation: with less it stops before its aim, with more it moves a monitor's surface by a third more."""
+"""Of quadric decimation: less stops above the target, more moves a monitor's surface by a third more."""
 _DECIMATIONS = 3
-"""Tries of quadric decimation, which may stop a little above its aim."""
-_UNITS = 200.0
-"""Integer capacity of a triangle of mean area in the cut."""
-_APART = 1e-6
-"""m that vertices of one place are moved: more than OBJ's digits, less than anything that is measured."""
+"""Tries of quadric decimation, which can stop a little above the target."""
+_CAPACITY_UNITS = 200.0
+"""Integer capacity in the cut of a triangle of mean area."""
+_VERTEX_SHIFT = 1e-6
+"""m that coincident vertices are moved: above the digits of the OBJ, below any accuracy."""
 _FIRST_TOLERANCE = 1 / 20
 """Spacings by which simplifying may move the surface at first; doubled until there are few enough triangles."""
+_SHEET_M = 0.001
+"""m: thickness given to a part that was only seen as a flat sheet."""
 
 
 @dataclass(frozen=True)
 class Surface:
-    """The closed surface of one part. Its first triangles are observed, its last ones the patch."""
+    """The closed surface of one part. Observed triangles come first, the patch last."""
 
     mesh: Mesh
-    """Watertight, oriented outwards, of positive volume; vertices shared."""
+    """Watertight, oriented outwards, of positive volume; vertices are shared."""
     patch_first: int
-    """First triangle that closes what nobody saw; all after it do, too."""
-    turned: bool = False
-    """Whether the part's triangles faced inwards and were turned."""
+    """Index of the first triangle of the patch."""
+    flipped: bool = False
+    """Whether the input's triangles faced inwards and were flipped."""
     layers: float = 1.0
-    """Area that was given, crumbs too, over the area of the mesh, which is the boundary of the solid."""
+    """Area of the input over the area of the mesh."""
 
     @property
     def is_solid(self) -> bool:
-        """Whether what was given is the surface of a solid for the most part, and does not cross it everywhere."""
+        """Whether the input is mostly the surface of a solid, not a heap of crossing triangles."""
         return self.layers <= MAX_LAYERS
 
     @property
     def observed(self) -> NDArray[np.bool_]:
-        """(F,) which triangles were seen."""
+        """(F,) which triangles were observed."""
         return np.arange(len(self.mesh.faces)) < self.patch_first
 
     @property
@@ -102,71 +112,81 @@ class Surface:
         return float(area[self.patch_first :].sum() / area.sum())
 
 
-def closed(part: Mesh, settings: MeshSettings, elsewhere: NDArray[np.float64] | None = None) -> Surface:
+def close_surface(part: Mesh, settings: MeshSettings, elsewhere: NDArray[np.float64] | None = None) -> Surface:
     """The closed surface of a part, of about `max_faces` triangles at most.
 
-    `elsewhere` (n, 3) are places in the part's frame where it is not: where the other part was seen to go. A patch
-    keeps out of their way.
+    Args:
+        part: triangles, m.
+        settings: limits of size.
+        elsewhere: (n, 3) points where the other part was, in the part's frame; a patch avoids them.
 
-    Raises FreeArtError when there is no triangle of any area, or more than `MAX_FACES`.
+    Raises FreeArtError when no triangle has an area, or there are more than `MAX_FACES`.
     """
     if len(part.faces) > MAX_FACES:
         raise FreeArtError(f"mesh has {len(part.faces)} triangles, expected at most {MAX_FACES}")
-    given = deduplicated(Mesh(part.vertices, part.faces))
-    seen = without_crumbs(given, settings.min_component)
+    given = merge_duplicates(Mesh(part.vertices, part.faces))
+    seen = drop_small_components(given)
     if seen.empty:
         raise FreeArtError("mesh has no triangle of any area")
-    wrong_way = inside_out(seen)
-    seen = turned(seen) if wrong_way else seen
+    wrong_way = is_inside_out(seen)
+    seen = flip_faces(seen) if wrong_way else seen
     own = float(np.sqrt(4 / np.sqrt(3) * seen.areas().mean()))
-    spacing = _spacing(seen, own, settings.points)
-    solid = _solid(seen.vertices, seen.faces)
+    spacing = _point_spacing(seen, own, settings.points)
+    solid = _make_solid(seen.vertices, seen.faces)
     whole = solid is not None
     if solid is None:
-        sheet = _thickened(seen, settings.sheet_m)
-        solid = _solid(sheet.vertices, sheet.faces) if sheet is not None else _cut(seen, spacing, elsewhere, settings)
+        sheet = _thicken_sheet(seen, _SHEET_M)
+        solid = (
+            _make_solid(sheet.vertices, sheet.faces)
+            if sheet is not None
+            else _extract_solid(seen, spacing, elsewhere, settings)
+        )
     if solid is None:
         raise FreeArtError("mesh cannot be closed: it has no inside")
     if not whole or solid.num_tri() > settings.max_faces:
-        solid = _simplified(solid, _FIRST_TOLERANCE * min(own, spacing), settings.max_faces)
-    vertices, faces = _arrays(solid)
-    vertices = _apart(vertices, faces)
-    observed = np.ones(len(faces), bool) if whole else _observed(vertices, faces, seen, spacing)
+        solid = _simplify(solid, _FIRST_TOLERANCE * min(own, spacing), settings.max_faces)
+    vertices, faces = _to_arrays(solid)
+    vertices = _separate_vertices(vertices, faces)
+    observed = np.ones(len(faces), bool) if whole else _find_observed(vertices, faces, seen, spacing)
     faces = faces[np.argsort(~observed, kind="stable")]
-    mesh = _coloured(Mesh(vertices, faces), part)
+    mesh = _transfer_colours(Mesh(vertices, faces), part)
     return Surface(mesh, int(observed.sum()), wrong_way, float(given.areas().sum() / mesh.areas().sum()))
 
 
-def _apart(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Vertices (n, 3), those that share a place moved a micrometre inwards: two sheets that touch in an edge are closed
-    each, but whoever merges equal places makes one edge of four triangles of them."""
+def _separate_vertices(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Vertices (n, 3), coincident ones moved inwards by a micrometre.
+
+    Two closed sheets that touch in an edge are valid, but merging equal positions would give that edge four triangles.
+    """
     _, place, count = np.unique(vertices, axis=0, return_inverse=True, return_counts=True)
     twice = count[place.reshape(-1)] > 1
     corners = vertices[faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.stack([np.bincount(faces.ravel(), np.repeat(across[:, k], 3), len(vertices)) for k in range(3)], -1)
     length = np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    return np.where(twice[:, None], vertices - _APART * normals / length, vertices)
+    return np.where(twice[:, None], vertices - _VERTEX_SHIFT * normals / length, vertices)
 
 
-def _spacing(seen: Mesh, own: float, points: int) -> float:
-    """How far apart points on the surface are to stand, metres: as they do, but not too far, and not too many."""
-    most = bounding_diagonal(seen) / _ACROSS
+def _point_spacing(seen: Mesh, own: float, points: int) -> float:
+    """Target spacing of points on the surface, m: that of the input, bounded by the part's size and by the number of
+    points."""
+    most = bounding_diagonal(seen) / _MIN_SPACINGS
     least = float(np.sqrt(2 / np.sqrt(3) * seen.areas().sum() / points))  # equilateral triangles
     return max(min(own, most), least)
 
 
-def _cut(
+def _extract_solid(
     seen: Mesh, spacing: float, elsewhere: NDArray[np.float64] | None, settings: MeshSettings
 ) -> manifold3d.Manifold | None:
-    """The solid of the module's formula.
+    """The solid of the module's formula; None when there is none.
 
-    Where the other part was (`elsewhere`), solid costs a cell face a cell: thick regions are cleared, films stay.
+    Where the other part was (`elsewhere`), a cell of solid costs a cell face: thick regions are cleared, thin films
+    stay.
     """
     vertices, faces = trimesh.remesh.subdivide_to_size(seen.vertices, seen.faces, 1.5 * spacing, max_iter=30)
-    own = points = vertices[_thinned(vertices, 0.5 * spacing)]
+    own = points = vertices[_pick_one_per_cell(vertices, 0.5 * spacing)]
     if elsewhere is not None:
-        free, size = _clear_of(own, elsewhere, spacing, settings.points // 4)
+        free, size = _sample_free_space(own, elsewhere, spacing, settings.points // 4)
         points = np.concatenate([own, free])
     corners = vertices[faces]
     across = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -176,33 +196,33 @@ def _cut(
     except QhullError:
         return None
     nearest = cKDTree(own).query(centre)[1]
-    step = _SIDE * spacing * across / np.maximum(area, 1e-300)[:, None]
+    step = _PROBE_OFFSET * spacing * across / np.maximum(area, 1e-300)[:, None]
     start = tetrahedra.vertex_to_simplex[nearest]
     evidence = np.zeros(len(tetrahedra.simplices))
     for sign in (-1.0, 1.0):
-        place = _located(points, tetrahedra.simplices, tetrahedra.neighbors, start, centre + sign * step)
-        np.subtract.at(evidence, place[place >= 0], sign * FAITH * area[place >= 0])
+        place = _locate_tetrahedra(points, tetrahedra.simplices, tetrahedra.neighbors, start, centre + sign * step)
+        np.subtract.at(evidence, place[place >= 0], sign * OBSERVED_WEIGHT * area[place >= 0])
     if elsewhere is not None and len(free):
         corners = points[tetrahedra.simplices]
         volume = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6
-        evidence -= volume / size * _same_cell(corners.mean(1), free, size)
+        evidence -= volume / size * _shares_cell(corners.mean(1), free, size)
     normal = np.stack([np.bincount(nearest, across[:, k], len(points)) for k in range(3)], -1).astype(float)
-    inside = _least_boundary(tetrahedra, evidence, _unanimous(tetrahedra, normal), np.sqrt(3) / 4 * spacing**2)
-    inside = _without_specks(tetrahedra, inside, settings.min_component)
-    boundary = _boundary(tetrahedra, _without_pinches(tetrahedra, inside))
-    return _solid(points, boundary) if len(boundary) else None
+    inside = _minimum_cut(tetrahedra, evidence, _classify_by_normals(tetrahedra, normal), np.sqrt(3) / 4 * spacing**2)
+    inside = _drop_small_components(tetrahedra, inside)
+    boundary = _boundary_triangles(tetrahedra, _fill_pinched_edges(tetrahedra, inside))
+    return _make_solid(points, boundary) if len(boundary) else None
 
 
 @njit(cache=True)
-def _located(points, simplices, neighbours, start, targets):
-    """(n,) the tetrahedron in which each of `targets` (n, 3) lies, -1 outside of the hull or where none is found.
+def _locate_tetrahedra(points, simplices, neighbours, start, targets):
+    """(n,) the tetrahedron that contains each of `targets` (n, 3); -1 outside the hull or when not found.
 
-    A walk from tetrahedron `start` (n,), through every facet that has the target beyond it (Devillers et al. 2002).
+    A walk from tetrahedron `start` (n,) through facets that have the target beyond them (Devillers et al. 2002).
     """
     found = np.full(len(targets), -1)
     for i in range(len(targets)):
         t = start[i]
-        for _ in range(_STEPS):
+        for _ in range(_WALK_STEPS):
             if t < 0:
                 break
             beyond = -1
@@ -222,30 +242,31 @@ def _located(points, simplices, neighbours, start, targets):
     return found
 
 
-def _unanimous(tetrahedra: Delaunay, normal: NDArray[np.floating]) -> NDArray[np.int8]:
-    """(T,) 1 where the observed surface at all four corners, of `normal` (n, 3), turns its back to a tetrahedron's
-    middle, -1 where its face, 0 where they do not say the same."""
+def _classify_by_normals(tetrahedra: Delaunay, normal: NDArray[np.floating]) -> NDArray[np.int8]:
+    """(T,) 1 where the observed surface at all four corners, with `normal` (n, 3), faces away from the tetrahedron's
+    centre, -1 where it faces it, 0 otherwise."""
     corners = tetrahedra.points[tetrahedra.simplices]
     ahead = corners.mean(1)[:, None] - corners
     n = normal[tetrahedra.simplices]
     size = np.linalg.norm(ahead, axis=-1) * np.linalg.norm(n, axis=-1)
     cosine = np.einsum("tki,tki->tk", ahead, n) / np.maximum(size, 1e-300)
-    return (cosine < -_CLEAR).all(1).astype(np.int8) - (cosine > _CLEAR).all(1).astype(np.int8)
+    return (cosine < -_FACING_COSINE).all(1).astype(np.int8) - (cosine > _FACING_COSINE).all(1).astype(np.int8)
 
 
-def _clear_of(
+def _sample_free_space(
     own: NDArray[np.float64], elsewhere: NDArray[np.float64], spacing: float, most: int
 ) -> tuple[NDArray[np.float64], float]:
-    """Of the places `elsewhere` in the box of `own` one a cell, `most` at most, 2 spacings off; the cells' side."""
+    """One of the points `elsewhere` per cubic cell, `most` at most, inside the box of `own` and 2 spacings off; the
+    cell size."""
     inside = ((elsewhere > own.min(0)) & (elsewhere < own.max(0))).all(1)
     size, free = spacing, elsewhere[inside]
-    while len(free := free[_thinned(free, size)]) > most:
+    while len(free := free[_pick_one_per_cell(free, size)]) > most:
         size *= 1.25
     return free[cKDTree(own).query(free)[0] > 2 * spacing] if len(free) else free, size
 
 
-def _same_cell(places: NDArray[np.float64], marked: NDArray[np.float64], size: float) -> NDArray[np.bool_]:
-    """(n,) whether a cubic cell of side `size` holds both one of the places (n, 3) and one of those `marked`."""
+def _shares_cell(places: NDArray[np.float64], marked: NDArray[np.float64], size: float) -> NDArray[np.bool_]:
+    """(n,) whether the cubic cell of side `size` of each point (n, 3) holds one of the `marked` points."""
     low = marked.min(0)
     shape = np.floor((marked.max(0) - low) / size).astype(np.int64) + 1
     cells = np.floor((places - low) / size).astype(np.int64)
@@ -255,8 +276,8 @@ def _same_cell(places: NDArray[np.float64], marked: NDArray[np.float64], size: f
     return within & np.isin(flat, known)
 
 
-def _thinned(points: NDArray[np.float64], size: float) -> NDArray[np.int64]:
-    """Indices of one point in each cubic cell of side `size`: the first."""
+def _pick_one_per_cell(points: NDArray[np.float64], size: float) -> NDArray[np.int64]:
+    """Indices of the first point in each cubic cell of side `size`."""
     if len(points) == 0:
         return np.zeros(0, np.int64)
     cells = np.floor((points - points.min(0)) / size).astype(np.int64)
@@ -264,20 +285,23 @@ def _thinned(points: NDArray[np.float64], size: float) -> NDArray[np.int64]:
 
 
 _FACETS = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
-"""Facet k of a tetrahedron is across from its corner k."""
+"""Facet k of a tetrahedron is opposite its corner k."""
 
 
-def _least_boundary(
+def _minimum_cut(
     tetrahedra: Delaunay, evidence: NDArray[np.float64], known: NDArray[np.int8], unit_area: float
 ) -> NDArray[np.bool_]:
-    """(T,) which tetrahedra are solid: the minimum cut.
+    """(T,) which tetrahedra are solid.
 
-    `evidence` (T,) is the area, m^2, that a tetrahedron costs as air (above 0) or as solid (below); those `known` (T,)
-    to be solid (1) or air (-1) are so, and outside of the hull is air.
+    Args:
+        tetrahedra: Delaunay tetrahedra; outside the hull is air.
+        evidence: (T,) m^2 that a tetrahedron costs as air (above 0) or as solid (below).
+        known: (T,) 1 fixed as solid, -1 fixed as air, 0 open.
+        unit_area: m^2 of a mean triangle, for integer capacities.
     """
     facets = tetrahedra.points[tetrahedra.simplices[:, _FACETS]]
     area = 0.5 * np.linalg.norm(np.cross(facets[:, :, 1] - facets[:, :, 0], facets[:, :, 2] - facets[:, :, 0]), axis=-1)
-    sure = _plain(tetrahedra.neighbors, area, evidence, known)
+    sure = _presolve(tetrahedra.neighbors, area, evidence, known)
     open_ = np.flatnonzero(sure == 0)
     n, solid, air = len(open_), len(open_), len(open_) + 1
     node = np.where(sure > 0, solid, air)
@@ -288,30 +312,30 @@ def _least_boundary(
     rows = np.concatenate([np.where(towards_solid, solid, starts).ravel(), np.full(n, solid), np.arange(n)])
     columns = np.concatenate([np.where(towards_solid, starts, ends).ravel(), np.arange(n), np.full(n, air)])
     areas = np.concatenate([weight.ravel(), np.maximum(evidence[open_], 0), np.maximum(-evidence[open_], 0)])
-    capacity = np.minimum(np.rint(areas * (_UNITS / unit_area)), 2**30).astype(np.int32)
-    graph = coo_matrix((capacity, (rows, columns)), shape=(n + 2, n + 2)).tocsr()  # what says the same is summed
-    left = graph - maximum_flow(graph, solid, air).flow
-    left.data = np.maximum(left.data, 0)
-    left.eliminate_zeros()
+    capacity = np.minimum(np.rint(areas * (_CAPACITY_UNITS / unit_area)), 2**30).astype(np.int32)
+    graph = coo_matrix((capacity, (rows, columns)), shape=(n + 2, n + 2)).tocsr()  # duplicate entries are summed
+    residual = graph - maximum_flow(graph, solid, air).flow
+    residual.data = np.maximum(residual.data, 0)
+    residual.eliminate_zeros()
     inside = np.zeros(n + 2, bool)
-    inside[breadth_first_order(left, solid, return_predecessors=False)] = True
+    inside[breadth_first_order(residual, solid, return_predecessors=False)] = True
     return inside[node]
 
 
-def _plain(
+def _presolve(
     neighbours: NDArray[np.int32], area: NDArray[np.float64], evidence: NDArray[np.float64], known: NDArray[np.int8]
 ) -> NDArray[np.int8]:
     """(T,) 1 or -1 where a tetrahedron is solid or air in some minimum cut whatever its open neighbours are, else 0.
 
-    What pulls it to one side is then at least all that could pull it to the other. Taking these out first leaves the
-    minimum as it is, and a small part of the graph.
+    Its pull to one side is then at least everything that could pull it to the other. The minimum stays the same, and
+    little of the graph is left.
     """
-    sure = np.append(known, np.int8(-1))  # neighbour -1: outside of the hull
+    sure = np.append(known, np.int8(-1))  # neighbour -1: outside the hull
     open_ = np.flatnonzero(known == 0)
-    for _ in range(_ROUNDS):
-        beside, facets = sure[neighbours[open_]], area[open_]
-        pull = evidence[open_] + (beside * facets).sum(1)
-        doubt = np.where(beside == 0, facets, 0.0).sum(1)
+    for _ in range(_PRESOLVE_ROUNDS):
+        adjacent, facets = sure[neighbours[open_]], area[open_]
+        pull = evidence[open_] + (adjacent * facets).sum(1)
+        doubt = np.where(adjacent == 0, facets, 0.0).sum(1)
         decided = np.abs(pull) >= doubt
         sure[open_[decided]] = np.sign(pull[decided])
         if decided.sum() <= len(open_) // 1000:
@@ -320,31 +344,31 @@ def _plain(
     return sure[:-1]
 
 
-def _without_specks(tetrahedra: Delaunay, inside: NDArray[np.bool_], fraction: float) -> NDArray[np.bool_]:
-    """The solid without loose pieces, and without hollows, of less than `fraction` of its volume."""
+def _drop_small_components(tetrahedra: Delaunay, inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The solid without components, and without hollows, of less than `MIN_COMPONENT` of its volume."""
     corners = tetrahedra.points[tetrahedra.simplices]
     volume = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6
     n = len(inside)
     for kind in (True, False):
-        alike = (
+        same = (
             (tetrahedra.neighbors >= 0) & (inside[tetrahedra.neighbors] == inside[:, None]) & (inside == kind)[:, None]
         )
-        first, k = np.nonzero(alike)
+        first, k = np.nonzero(same)
         links = coo_matrix((np.ones(len(first), bool), (first, tetrahedra.neighbors[first, k])), shape=(n, n))
         _, label = connected_components(links, directed=False)
         size = np.bincount(label, volume)
-        small = size < min(fraction * volume[inside].sum(), size[label[inside]].max(initial=0.0))
+        small = size < min(MIN_COMPONENT * volume[inside].sum(), size[label[inside]].max(initial=0.0))
         if not kind:  # air that reaches the hull is no hollow
             small[label[(tetrahedra.neighbors < 0).any(1)]] = False
         inside = np.where((inside == kind) & small[label], not kind, inside)
     return inside
 
 
-def _without_pinches(tetrahedra: Delaunay, inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The solid with edges at which its boundary touches itself filled all round: no two triangles share them then."""
+def _fill_pinched_edges(tetrahedra: Delaunay, inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The solid with edges at which it touches itself filled all round, so that no edge has more than two triangles."""
     inside = inside.copy()
-    for _ in range(_PINCHES):
-        faces = _boundary(tetrahedra, inside)
+    for _ in range(_PINCH_ROUNDS):
+        faces = _boundary_triangles(tetrahedra, inside)
         edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
         edges, count = np.unique(edges, axis=0, return_counts=True)
         pinched = edges[count > 2]
@@ -359,12 +383,12 @@ def _without_pinches(tetrahedra: Delaunay, inside: NDArray[np.bool_]) -> NDArray
     return inside
 
 
-def _boundary(tetrahedra: Delaunay, inside: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _boundary_triangles(tetrahedra: Delaunay, inside: NDArray[np.bool_]) -> NDArray[np.int64]:
     """(F, 3) triangles between solid and air, counter-clockwise seen from the air."""
     beyond = (tetrahedra.neighbors >= 0) & inside[tetrahedra.neighbors]
     of, k = np.nonzero(inside[:, None] & ~beyond)
     facets = np.take_along_axis(tetrahedra.simplices[of], _FACETS[k], axis=1).astype(np.int64)
-    hands = _hands(tetrahedra.simplices, tetrahedra.neighbors, _FACETS)
+    hands = _orientations(tetrahedra.simplices, tetrahedra.neighbors, _FACETS)
     corners = tetrahedra.points[tetrahedra.simplices]
     volume = np.linalg.det(corners[:, 1:] - corners[:, :1])
     largest = np.abs(volume).argmax()
@@ -374,10 +398,10 @@ def _boundary(tetrahedra: Delaunay, inside: NDArray[np.bool_]) -> NDArray[np.int
 
 
 @njit(cache=True)
-def _hands(simplices, neighbours, order):
-    """(T,) 1 for tetrahedra whose corners are ordered as those of the first are, -1 for the mirrored.
+def _orientations(simplices, neighbours, order):
+    """(T,) 1 for tetrahedra with the corner order of the first one, -1 for mirrored ones.
 
-    From neighbour to neighbour: the volume's sign is noise where a tetrahedron is flat.
+    Propagated between neighbours: the sign of the volume is noise for flat tetrahedra.
     """
     hands = np.zeros(len(simplices), np.int64)
     hands[0] = 1
@@ -401,10 +425,12 @@ def _hands(simplices, neighbours, order):
     return hands
 
 
-def _observed(vertices: NDArray[np.float64], faces: NDArray[np.int64], seen: Mesh, spacing: float) -> NDArray[np.bool_]:
-    """(F,) which triangles lie on observed ones that face the same way, at most of their points.
+def _find_observed(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], seen: Mesh, spacing: float
+) -> NDArray[np.bool_]:
+    """(F,) which triangles lie on observed ones of the same orientation, at most of their sample points.
 
-    Patches of less than the square of four spacings are within what the sampling tells: they count as observed.
+    Patches smaller than the square of four spacings are below the sampling's resolution and count as observed.
     """
     points, triangles = trimesh.remesh.subdivide_to_size(seen.vertices, seen.faces, 1.5 * spacing, max_iter=30)
     corners = points[triangles]
@@ -414,13 +440,13 @@ def _observed(vertices: NDArray[np.float64], faces: NDArray[np.int64], seen: Mes
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     votes = np.zeros(len(faces), int)
     k = min(_NEIGHBOURS, len(centre))
-    for weights in _SAMPLES:
+    for weights in _SAMPLE_WEIGHTS:
         place = np.einsum("k,fki->fi", weights, corners)
         distance, nearest = tree.query(place, k=k)
         distance, nearest = distance.reshape(len(faces), k), nearest.reshape(len(faces), k)
-        alike = np.einsum("fi,fki->fk", normal, across[nearest]) > 0
-        votes += ((distance < _NEAR * spacing) & alike).any(1)
-    observed = 2 * votes > len(_SAMPLES)
+        same_side = np.einsum("fi,fki->fk", normal, across[nearest]) > 0
+        votes += ((distance < _OBSERVED_DISTANCE * spacing) & same_side).any(1)
+    observed = 2 * votes > len(_SAMPLE_WEIGHTS)
     pairs = trimesh.graph.face_adjacency(faces)
     pairs = pairs[~observed[pairs].any(1)]
     label = trimesh.graph.connected_component_labels(pairs, node_count=len(faces))
@@ -428,8 +454,8 @@ def _observed(vertices: NDArray[np.float64], faces: NDArray[np.int64], seen: Mes
     return observed | (area[label] < (4 * spacing) ** 2)
 
 
-def _thickened(seen: Mesh, thickness: float) -> Mesh | None:
-    """A flat sheet with its copy `thickness` behind it and a rim between; None when it is not flat."""
+def _thicken_sheet(seen: Mesh, thickness: float) -> Mesh | None:
+    """A flat sheet with its copy `thickness` behind it and a rim; None when it is not flat."""
     used = seen.vertices
     _, extent, _ = np.linalg.svd(used - used.mean(0), full_matrices=False)
     if len(extent) == 3 and extent[2] > 1e-4 * extent[0]:
@@ -449,10 +475,10 @@ def _thickened(seen: Mesh, thickness: float) -> Mesh | None:
     )
 
 
-def _solid(points: NDArray[np.float64], faces: NDArray[np.int64]) -> manifold3d.Manifold | None:
-    """The solid inside of these triangles; None when they enclose none.
+def _make_solid(points: NDArray[np.float64], faces: NDArray[np.int64]) -> manifold3d.Manifold | None:
+    """The solid inside these triangles; None when they enclose none.
 
-    Where the surface touches itself in an edge or a point, manifold3d doubles it; pieces that overlap are united.
+    manifold3d splits the surface where it touches itself in an edge or a point; overlapping pieces are united.
     """
     mesh = manifold3d.Mesh64(np.array(points, order="C"), np.array(faces, np.uint64, order="C"))
     solid = manifold3d.Manifold(mesh)
@@ -464,21 +490,21 @@ def _solid(points: NDArray[np.float64], faces: NDArray[np.int64]) -> manifold3d.
     return solid if solid.volume() > 0 else None
 
 
-def _simplified(solid: manifold3d.Manifold, tolerance: float, max_faces: int) -> manifold3d.Manifold:
+def _simplify(solid: manifold3d.Manifold, tolerance: float, max_faces: int) -> manifold3d.Manifold:
     """The solid with about `max_faces` triangles at most, by quadric decimation (Garland and Heckbert 1997).
 
-    First goes what moves the surface by less than the tolerance. Where decimation folds the surface beyond repair,
-    manifold3d's own simplification has the last word: it moves twice as much, but keeps every solid one.
+    First, vertices that move the surface by less than the tolerance go. Where decimation breaks the surface,
+    manifold3d's own simplification is used: it moves the surface twice as much, but always gives a solid.
     """
     simple = solid.simplify(tolerance)
     for _ in range(_DECIMATIONS):
         if simple.num_tri() <= max_faces:
             return simple
-        points, faces = _arrays(simple)
+        points, faces = _to_arrays(simple)
         points, faces = fast_simplification.simplify(
             points.astype(np.float32), faces.astype(np.int32), target_count=int(0.98 * max_faces), agg=_AGGRESSION
         )
-        decimated = _solid(points.astype(float), faces.astype(np.int64))
+        decimated = _make_solid(points.astype(float), faces.astype(np.int64))
         if decimated is None or decimated.num_tri() >= simple.num_tri():
             break
         simple = decimated
@@ -488,12 +514,12 @@ def _simplified(solid: manifold3d.Manifold, tolerance: float, max_faces: int) ->
     return simple
 
 
-def _arrays(solid: manifold3d.Manifold) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _to_arrays(solid: manifold3d.Manifold) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     mesh = solid.to_mesh64()
     return np.asarray(mesh.vert_properties)[:, :3].astype(float), np.asarray(mesh.tri_verts).astype(np.int64)
 
 
-def _coloured(mesh: Mesh, part: Mesh) -> Mesh:
+def _transfer_colours(mesh: Mesh, part: Mesh) -> Mesh:
     """The mesh with the colours of the part's nearest vertices."""
     if part.colours is None:
         return mesh

@@ -1,4 +1,4 @@
-"""An asset as URDF: relative paths, unique names, full limits, inertia, and what URDF can say of the effects."""
+"""Writes URDF: relative paths, unique names, full limits, inertia, and the effects that URDF can express."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from export.primitives import Box, Cylinder, Primitive, Sphere
 from export.stated_trust import trust_comment
 
 
-def urdf_text(model: AssetModel) -> bytes:
-    """The URDF file. Metres, radians, kilograms; the reference link is the root, or hangs fixed on a link `world`.
+def format_urdf(model: AssetModel) -> bytes:
+    """The URDF file. The root link is free, or fixed to a link `world`.
 
-    What `<mujoco>` says keeps MuJoCo from dropping visual meshes and folders and from melting the reference link into
-    the world; others pass it by.
+    The `<mujoco>` element keeps MuJoCo from dropping visual meshes and paths and from merging the root link into the
+    world.
     """
     robot = ET.Element("robot", name=model.name)
     robot.append(ET.Comment(trust_comment(model.trust)))
@@ -26,9 +26,9 @@ def urdf_text(model: AssetModel) -> bytes:
     ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler", compiler)
     if model.base == "fixed":
         ET.SubElement(robot, "link", name=WORLD)
-        nailed = ET.SubElement(robot, "joint", name=f"{WORLD}_to_{model.root.name}", type="fixed")
-        ET.SubElement(nailed, "parent", link=WORLD)
-        ET.SubElement(nailed, "child", link=model.root.name)
+        mount = ET.SubElement(robot, "joint", name=f"{WORLD}_to_{model.root.name}", type="fixed")
+        ET.SubElement(mount, "parent", link=WORLD)
+        ET.SubElement(mount, "child", link=model.root.name)
     for link in (model.root, model.child):
         robot.append(_link(link))
     robot.append(_joint(model))
@@ -71,7 +71,7 @@ def _primitive(element: ET.Element, shape: Primitive) -> None:
 
 def origin_element(T: NDArray[np.float64]) -> ET.Element:
     """The <origin> of a pose (4, 4)."""
-    with warnings.catch_warnings():  # of gimbal lock: one of its many answers will do
+    with warnings.catch_warnings():  # in gimbal lock any solution will do
         warnings.simplefilter("ignore", UserWarning)
         rpy = Rotation.from_matrix(T[:3, :3]).as_euler("xyz")  # about fixed axes, as URDF's roll, pitch and yaw
     return ET.Element("origin", xyz=number_text(*T[:3, 3]), rpy=number_text(*rpy))
@@ -92,7 +92,7 @@ def _joint(model: AssetModel) -> ET.Element:
         effort=number_text(model.effort),
         velocity=number_text(model.velocity),
     )
-    said = [effect.urdf_dynamics() for effect in model.effects]
-    dynamics = {word: float(np.sum([words.get(word, 0.0) for words in said])) for word in ("damping", "friction")}
-    ET.SubElement(element, "dynamics", {word: number_text(value) for word, value in dynamics.items()})
+    terms = [effect.urdf_dynamics() for effect in model.effects]
+    dynamics = {key: float(np.sum([term.get(key, 0.0) for term in terms])) for key in ("damping", "friction")}
+    ET.SubElement(element, "dynamics", {key: number_text(value) for key, value in dynamics.items()})
     return element

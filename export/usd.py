@@ -1,9 +1,9 @@
-"""An asset as USD, written from its URDF: UsdGeom meshes, UsdPhysics bodies and joints, metres, kilograms, z up.
+"""Writes an asset as USD from its URDF: UsdGeom meshes, UsdPhysics bodies and joints; metres, kilograms, z up.
 
-What UsdPhysics cannot say of a joint is written in the names of two engines: Coulomb friction as `staticFrictionEffort`
-and `dynamicFrictionEffort` of NVIDIA's PhysxJointAxisAPI (PhysX 5.6, Isaac Sim 5; N*m or N) and as `newton:friction`.
-PhysX's older `physxJoint:jointFriction` is a coefficient of the joint's load, another law, and is not written. Both
-schemas are not part of usd-core: their names stand as plain tokens, and readers that do not know them pass them by.
+UsdPhysics has no joint friction. Coulomb friction is written for two engines: as `staticFrictionEffort` and
+`dynamicFrictionEffort` of NVIDIA's PhysxJointAxisAPI (PhysX 5.6, Isaac Sim 5; N m or N), and as `newton:friction`.
+PhysX's older `physxJoint:jointFriction` is a coefficient of the joint's load, a different law, and is not written.
+Neither schema is part of usd-core; their names are plain tokens that other readers ignore.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ from freeart21.se3 import Array
 MAX_MESH_BYTES = 256 << 20
 
 
-def available() -> bool:
+def is_available() -> bool:
     """Whether usd-core is installed."""
     return importlib.util.find_spec("pxr") is not None
 
 
 def write_usd(path: Path, asset: Asset) -> None:
-    """Write the asset as a USD layer, beside its URDF, whose meshes' pictures it names; binary when `path` is .usdc.
+    """Write the asset as a USD layer beside its URDF, binary when `path` ends in .usdc. Textures stay in their files.
 
     Raises FreeArtError when usd-core is not installed.
     """
-    if not available():
+    if not is_available():
         raise FreeArtError("usd-core is not installed, which writes USD: pip install 'freeart21[usd]'")
     from pxr import Kind, Sdf, Usd, UsdGeom, UsdPhysics
 
@@ -53,44 +53,44 @@ def write_usd(path: Path, asset: Asset) -> None:
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
-    root = UsdGeom.Xform.Define(stage, f"/{_word(urdf.name or 'object')}")
+    root = UsdGeom.Xform.Define(stage, f"/{_identifier(urdf.name or 'object')}")
     stage.SetDefaultPrim(root.GetPrim())
     Usd.ModelAPI(root.GetPrim()).SetKind(Kind.Tokens.component)
     poses = urdf.link_poses(asset.held)
     bodies: dict[str, Any] = {}
     for name, link in urdf.links.items():
         if not (name == WORLD == urdf.root):
-            bodies[name] = _body(stage, root.GetPath(), link, poses[name], asset.urdf)
+            bodies[name] = _add_body(stage, root.GetPath(), link, poses[name], asset.urdf)
     for joint in urdf.joints.values():
-        _joint(stage, root.GetPath(), joint, bodies, asset)
+        _add_joint(stage, root.GetPath(), joint, bodies, asset)
     if urdf.root in bodies:
         UsdPhysics.ArticulationRootAPI.Apply(bodies[urdf.root].GetPrim())
     with tempfile.TemporaryDirectory() as folder:
-        made = Path(folder) / path.name
-        layer.Export(str(made))
-        atomic.write_bytes(path, made.read_bytes())
+        exported = Path(folder) / path.name
+        layer.Export(str(exported))
+        atomic.write_bytes(path, exported.read_bytes())
 
 
-def _word(name: str) -> str:
+def _identifier(name: str) -> str:
     from pxr import Tf
 
     return str(Tf.MakeValidIdentifier(name))
 
 
-def _body(stage: Any, root: Any, link: UrdfLink, T_root_link: Array, urdf: Path) -> Any:
-    """A rigid body with what it looks like and what it collides with."""
+def _add_body(stage: Any, root: Any, link: UrdfLink, T_root_link: Array, urdf: Path) -> Any:
+    """A rigid body with its visual and collision shapes."""
     from pxr import UsdGeom, UsdPhysics
 
-    body = UsdGeom.Xform.Define(stage, root.AppendChild(_word(link.name)))
-    _place(body, T_root_link)
+    body = UsdGeom.Xform.Define(stage, root.AppendChild(_identifier(link.name)))
+    _set_pose(body, T_root_link)
     UsdPhysics.RigidBodyAPI.Apply(body.GetPrim())
     if link.inertial is not None:
-        _mass(body, link.inertial)
+        _add_mass(body, link.inertial)
     for k, shape in enumerate(link.visuals):
-        geom = _shape(stage, body.GetPath().AppendChild(f"visual_{k:02d}"), shape, urdf)
-        _look(stage, root, f"{link.name}_{k:02d}", geom, shape, urdf)
+        geom = _add_shape(stage, body.GetPath().AppendChild(f"visual_{k:02d}"), shape, urdf)
+        _add_material(stage, root, f"{link.name}_{k:02d}", geom, shape, urdf)
     for k, shape in enumerate(link.collisions):
-        geom = _shape(stage, body.GetPath().AppendChild(f"collision_{k:02d}"), shape, urdf)
+        geom = _add_shape(stage, body.GetPath().AppendChild(f"collision_{k:02d}"), shape, urdf)
         geom.CreatePurposeAttr(UsdGeom.Tokens.guide)
         UsdPhysics.CollisionAPI.Apply(geom.GetPrim())
         if shape.kind == "mesh":
@@ -99,12 +99,12 @@ def _body(stage: Any, root: Any, link: UrdfLink, T_root_link: Array, urdf: Path)
     return body
 
 
-def _mass(body: Any, of: UrdfInertial) -> None:
+def _add_mass(body: Any, of: UrdfInertial) -> None:
     """Mass, and inertia as moments about principal axes."""
     from pxr import Gf, UsdPhysics
 
     moments, axes = np.linalg.eigh(of.inertia)
-    axes = axes * np.where(axes[np.abs(axes).argmax(0), range(3)] < 0, -1.0, 1.0)  # one of several same answers
+    axes = axes * np.where(axes[np.abs(axes).argmax(0), range(3)] < 0, -1.0, 1.0)  # fix the sign of each axis
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
     mass = UsdPhysics.MassAPI.Apply(body.GetPrim())
     mass.CreateMassAttr(of.mass)
@@ -113,51 +113,51 @@ def _mass(body: Any, of: UrdfInertial) -> None:
     mass.CreatePrincipalAxesAttr(_quaternion(se3.pose(axes, np.zeros(3))))
 
 
-def _joint(stage: Any, root: Any, joint: UrdfJoint, bodies: dict[str, Any], asset: Asset) -> None:
-    """The joint between two bodies, or between the world and the body that is nailed to it."""
+def _add_joint(stage: Any, root: Any, joint: UrdfJoint, bodies: dict[str, Any], asset: Asset) -> None:
+    """The joint between two bodies, or between the world and a fixed base."""
     from pxr import Gf, UsdPhysics
 
     kinds = {"revolute": UsdPhysics.RevoluteJoint, "prismatic": UsdPhysics.PrismaticJoint, None: UsdPhysics.FixedJoint}
-    made = kinds[joint.joint_type].Define(stage, root.AppendChild(_word(joint.name)))
-    along_x = _rotation_of_x(joint.axis) if joint.joint_type else np.eye(4)
+    schema = kinds[joint.joint_type].Define(stage, root.AppendChild(_identifier(joint.name)))
+    along_x = _rotation_from_x(joint.axis) if joint.joint_type else np.eye(4)
     if joint.parent in bodies:
-        made.CreateBody0Rel().SetTargets([bodies[joint.parent].GetPath()])
+        schema.CreateBody0Rel().SetTargets([bodies[joint.parent].GetPath()])
     else:
-        UsdPhysics.ArticulationRootAPI.Apply(made.GetPrim())
-    made.CreateBody1Rel().SetTargets([bodies[joint.child].GetPath()])
-    made.CreateLocalPos0Attr(Gf.Vec3f(*joint.T_parent_joint[:3, 3].tolist()))
-    made.CreateLocalRot0Attr(_quaternion(joint.T_parent_joint @ along_x))
-    made.CreateLocalPos1Attr(Gf.Vec3f(0.0))
-    made.CreateLocalRot1Attr(_quaternion(along_x))
+        UsdPhysics.ArticulationRootAPI.Apply(schema.GetPrim())
+    schema.CreateBody1Rel().SetTargets([bodies[joint.child].GetPath()])
+    schema.CreateLocalPos0Attr(Gf.Vec3f(*joint.T_parent_joint[:3, 3].tolist()))
+    schema.CreateLocalRot0Attr(_quaternion(joint.T_parent_joint @ along_x))
+    schema.CreateLocalPos1Attr(Gf.Vec3f(0.0))
+    schema.CreateLocalRot1Attr(_quaternion(along_x))
     if joint.joint_type is None:
         return
     per_unit = float(np.degrees(1.0)) if joint.joint_type == "revolute" else 1.0  # UsdPhysics counts degrees
-    made.CreateAxisAttr(UsdPhysics.Tokens.x)
+    schema.CreateAxisAttr(UsdPhysics.Tokens.x)
     if np.isfinite([joint.lower, joint.upper]).all():
-        made.CreateLowerLimitAttr(per_unit * joint.lower)
-        made.CreateUpperLimitAttr(per_unit * joint.upper)
+        schema.CreateLowerLimitAttr(per_unit * joint.lower)
+        schema.CreateUpperLimitAttr(per_unit * joint.upper)
     if joint.name == asset.joint:
-        _dynamics(made.GetPrim(), joint, joint_numbers(asset), per_unit)
+        _add_dynamics(schema.GetPrim(), joint, joint_numbers(asset), per_unit)
 
 
-def _dynamics(prim: Any, joint: UrdfJoint, said: dict[str, Any], per_unit: float) -> None:
-    """Damping and spring as a drive, in force per degree; friction, armature and speed limit in the engines' names."""
+def _add_dynamics(prim: Any, joint: UrdfJoint, numbers: dict[str, Any], per_unit: float) -> None:
+    """Damping and spring as a drive, per degree; friction, armature and speed limit as attributes of the engines."""
     from pxr import Sdf, UsdPhysics
 
-    axis = {"revolute": "angular", "prismatic": "linear"}[said["type"]]
+    axis = {"revolute": "angular", "prismatic": "linear"}[numbers["type"]]
     drive = UsdPhysics.DriveAPI.Apply(prim, axis)
     drive.CreateTypeAttr("force")
-    drive.CreateDampingAttr(said["damping"] / per_unit)
-    drive.CreateStiffnessAttr(said["stiffness"] / per_unit)
-    drive.CreateTargetPositionAttr(said["rest"] * per_unit)
+    drive.CreateDampingAttr(numbers["damping"] / per_unit)
+    drive.CreateStiffnessAttr(numbers["stiffness"] / per_unit)
+    drive.CreateTargetPositionAttr(numbers["rest"] * per_unit)
     if joint.effort is not None:
         drive.CreateMaxForceAttr(joint.effort)
     values = {
-        f"physxJointAxis:{axis}:staticFrictionEffort": said["friction"],
-        f"physxJointAxis:{axis}:dynamicFrictionEffort": said["friction"],
-        f"physxJointAxis:{axis}:armature": said["armature"],
-        "newton:friction": said["friction"],
-        "newton:armature": said["armature"],
+        f"physxJointAxis:{axis}:staticFrictionEffort": numbers["friction"],
+        f"physxJointAxis:{axis}:dynamicFrictionEffort": numbers["friction"],
+        f"physxJointAxis:{axis}:armature": numbers["armature"],
+        "newton:friction": numbers["friction"],
+        "newton:armature": numbers["armature"],
     }
     if joint.velocity is not None:
         values[f"physxJointAxis:{axis}:maxJointVelocity"] = joint.velocity * per_unit
@@ -168,20 +168,20 @@ def _dynamics(prim: Any, joint: UrdfJoint, said: dict[str, Any], per_unit: float
         prim.CreateAttribute(name, Sdf.ValueTypeNames.Float, False).Set(float(value))
 
 
-def _shape(stage: Any, path: Any, shape: UrdfShape, urdf: Path) -> Any:
-    """The shape at its place in its link."""
+def _add_shape(stage: Any, path: Any, shape: UrdfShape, urdf: Path) -> Any:
+    """The shape at its pose in its link."""
     from pxr import Gf, UsdGeom
 
     match shape.kind:
         case "mesh":
-            geom = _mesh(UsdGeom.Mesh.Define(stage, path), shape, urdf)
-            _place(geom, shape.T_link_shape)
+            geom = _fill_mesh(UsdGeom.Mesh.Define(stage, path), shape, urdf)
+            _set_pose(geom, shape.T_link_shape)
             return geom
         case "box":
             geom = UsdGeom.Cube.Define(stage, path)
             geom.CreateSizeAttr(1.0)
             geom.CreateExtentAttr([Gf.Vec3f(-0.5), Gf.Vec3f(0.5)])
-            _place(geom, shape.T_link_shape)
+            _set_pose(geom, shape.T_link_shape)
             geom.AddScaleOp().Set(Gf.Vec3f(*shape.size.tolist()))
             return geom
         case "sphere":
@@ -196,11 +196,11 @@ def _shape(stage: Any, path: Any, shape: UrdfShape, urdf: Path) -> Any:
             raise FreeArtError(f"{urdf} has a shape '{shape.kind}', expected mesh, box, sphere or cylinder")
     half = np.array([shape.size[0], shape.size[0], 0.5 * shape.size[1] if len(shape.size) > 1 else shape.size[0]])
     geom.CreateExtentAttr([Gf.Vec3f(*(-half).tolist()), Gf.Vec3f(*half.tolist())])
-    _place(geom, shape.T_link_shape)
+    _set_pose(geom, shape.T_link_shape)
     return geom
 
 
-def _mesh(geom: Any, shape: UrdfShape, urdf: Path) -> Any:
+def _fill_mesh(geom: Any, shape: UrdfShape, urdf: Path) -> Any:
     from pxr import Sdf, UsdGeom, Vt
 
     path = resolve_file(urdf, shape.filename)
@@ -213,23 +213,23 @@ def _mesh(geom: Any, shape: UrdfShape, urdf: Path) -> Any:
     geom.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     uv = getattr(mesh.visual, "uv", None)
     if uv is not None and len(uv) == len(points):
-        told = UsdGeom.PrimvarsAPI(geom).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
-        told.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(uv, np.float32)))
+        st = UsdGeom.PrimvarsAPI(geom).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
+        st.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(uv, np.float32)))
         normals = np.ascontiguousarray(mesh.vertex_normals, np.float32)
         geom.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(normals))
         geom.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     return geom
 
 
-def _look(stage: Any, root: Any, name: str, geom: Any, shape: UrdfShape, urdf: Path) -> None:
-    """UsdPreviewSurface of the mesh's first material: its picture, or its colour."""
+def _add_material(stage: Any, root: Any, name: str, geom: Any, shape: UrdfShape, urdf: Path) -> None:
+    """UsdPreviewSurface with the texture or colour of the mesh's first material."""
     from pxr import Gf, Sdf, UsdShade
 
-    picture, colour = _material(resolve_file(urdf, shape.filename)) if shape.kind == "mesh" else (None, None)
+    picture, colour = _read_material(resolve_file(urdf, shape.filename)) if shape.kind == "mesh" else (None, None)
     if colour is None:
         colour = (0.7, 0.7, 0.7) if shape.rgba is None else tuple(shape.rgba[:3].tolist())
     stage.DefinePrim(root.AppendChild("Looks"), "Scope")
-    path = root.AppendChild("Looks").AppendChild(_word(name))
+    path = root.AppendChild("Looks").AppendChild(_identifier(name))
     material = UsdShade.Material.Define(stage, path)
     surface = UsdShade.Shader.Define(stage, path.AppendChild("surface"))
     surface.CreateIdAttr("UsdPreviewSurface")
@@ -254,24 +254,24 @@ def _look(stage: Any, root: Any, name: str, geom: Any, shape: UrdfShape, urdf: P
     UsdShade.MaterialBindingAPI.Apply(geom.GetPrim()).Bind(material)
 
 
-def _material(obj: Path) -> tuple[Path | None, tuple[float, ...] | None]:
-    """Picture and colour of the first material of an OBJ file; None for what it does not say."""
-    library = _first(obj, "mtllib") if obj.suffix.lower() == ".obj" else None
+def _read_material(obj: Path) -> tuple[Path | None, tuple[float, ...] | None]:
+    """Texture and colour of the first material of an OBJ file; None where missing."""
+    library = _first_value(obj, "mtllib") if obj.suffix.lower() == ".obj" else None
     mtl = obj.parent / library if library else None
     if mtl is None or not mtl.is_file():
         return None, None
-    picture, colour = _first(mtl, "map_Kd"), _first(mtl, "Kd")
+    picture, colour = _first_value(mtl, "map_Kd"), _first_value(mtl, "Kd")
     found = checked.inside(obj.parent, picture) if picture else None
     return found, tuple(float(word) for word in colour.split()) if colour else None
 
 
-def _first(path: Path, key: str) -> str | None:
-    """What follows `key` on the first line that begins with it."""
+def _first_value(path: Path, key: str) -> str | None:
+    """The text after `key` on the first line that begins with it."""
     lines = checked.read_text(path, MAX_MESH_BYTES, errors="replace").split("\n")
     return next((line[len(key) :].strip() for line in lines if line.startswith(key + " ")), None)
 
 
-def _place(geom: Any, T: Array) -> None:
+def _set_pose(geom: Any, T: Array) -> None:
     from pxr import Gf, UsdGeom
 
     geom.AddTranslateOp().Set(Gf.Vec3d(*T[:3, 3].tolist()))
@@ -284,8 +284,8 @@ def _quaternion(T: Array) -> Any:
     return Gf.Quatf(*np.asarray(se3.wxyz(T), float).tolist())
 
 
-def _rotation_of_x(axis: Array) -> Array:
-    """(4, 4) the shortest rotation that brings x to the unit vector `axis`."""
+def _rotation_from_x(axis: Array) -> Array:
+    """(4, 4) the shortest rotation from x to the unit vector `axis`."""
     x = np.eye(3)[0]
     across = np.cross(x, axis)
     sine, cosine = float(np.linalg.norm(across)), float(axis @ x)

@@ -1,4 +1,4 @@
-"""Whether the USD layer of an asset says what its URDF says: read back by usd-core and compared number by number."""
+"""Checks an asset's USD layer against its URDF: read back by usd-core and compared number by number."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from freeart21.se3 import Array
 
 RULE = "usd.same"
 MAX_USD_BYTES = 512 << 20
-"""Of a layer that is read: two meshes of the largest size (`checklist.MAX_MESH_BYTES`)."""
+"""Of a layer: two meshes of the largest size (`checklist.MAX_MESH_BYTES`)."""
 _SINGLE = 1e-5
-"""Relative difference of masses, moments and limits. USD holds them in single precision (6e-8), moments about principal
-axes: of 5,000 drawn tensors all came back within 2e-7. A wrong unit or axis is off by far more."""
+"""Relative difference of masses, moments and limits. USD stores them in single precision (6e-8), moments about
+principal axes: 5,000 random tensors came back within 2e-7. A wrong unit or axis differs by far more."""
 
 
-def usd_findings(path: Path, asset: Asset) -> Iterator[Finding]:
-    """What the USD layer at `path` says of bodies, masses and joints otherwise than the asset's URDF.
+def check_usd(path: Path, asset: Asset) -> Iterator[Finding]:
+    """Differences between the USD layer at `path` and the asset's URDF in bodies, masses and joints.
 
-    Needs usd-core. A layer that names others is not read: nothing outside of the file is opened.
+    Needs usd-core. A layer that references other layers is refused: no other file is opened.
     """
     from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics
 
@@ -46,8 +46,8 @@ def usd_findings(path: Path, asset: Asset) -> Iterator[Finding]:
     units = (UsdGeom.GetStageMetersPerUnit(stage), UsdPhysics.GetStageKilogramsPerUnit(stage))
     up = str(UsdGeom.GetStageUpAxis(stage))
     if units != (1.0, 1.0) or up != "Z":
-        said = f"{path.name} counts in {units[0]:g} m and {units[1]:g} kg with {up} up"
-        yield Finding(RULE, f"{said}, expected 1 m, 1 kg and Z")
+        found_units = f"{path.name} counts in {units[0]:g} m and {units[1]:g} kg with {up} up"
+        yield Finding(RULE, f"{found_units}, expected 1 m, 1 kg and Z")
         return
     urdf = read_urdf(asset.urdf)
     prims = {str(prim.GetName()): prim for prim in stage.Traverse()}
@@ -64,19 +64,19 @@ def usd_findings(path: Path, asset: Asset) -> Iterator[Finding]:
         if found != set(names):
             return
     poses = urdf.link_poses(asset.held)
-    for word, name in links.items():
-        yield from _body(path, prims[word], name, poses[name], urdf.links[name].inertial)
-    for word, name in joints.items():
-        yield from _joint(path, prims[word], urdf.joints[name], urdf)
+    for prim_name, name in links.items():
+        yield from _check_body(path, prims[prim_name], name, poses[name], urdf.links[name].inertial)
+    for prim_name, name in joints.items():
+        yield from _check_joint(path, prims[prim_name], urdf.joints[name], urdf)
 
 
-def _body(path: Path, prim: Any, name: str, T: Array, inertial: UrdfInertial | None) -> Iterator[Finding]:
+def _check_body(path: Path, prim: Any, name: str, T: Array, inertial: UrdfInertial | None) -> Iterator[Finding]:
     from pxr import UsdGeom, UsdPhysics
 
-    there = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(0)).T
-    off = float(np.abs(there - T).max())
+    T_usd = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(0)).T
+    off = float(np.abs(T_usd - T).max())
     if not off <= FK_TOLERANCE:
-        yield Finding(RULE, f"{path.name} puts '{name}' {off:.2g} from where the URDF says")
+        yield Finding(RULE, f"{path.name} puts '{name}' {off:.2g} from its pose in the URDF")
     if inertial is None:
         return
     mass = UsdPhysics.MassAPI(prim)
@@ -90,7 +90,7 @@ def _body(path: Path, prim: Any, name: str, T: Array, inertial: UrdfInertial | N
             yield Finding(RULE, f"{path.name} gives '{name}' the {what} {_text(found)}, the URDF {_text(expected)}")
 
 
-def _joint(path: Path, prim: Any, joint: UrdfJoint, urdf: Urdf) -> Iterator[Finding]:
+def _check_joint(path: Path, prim: Any, joint: UrdfJoint, urdf: Urdf) -> Iterator[Finding]:
     from pxr import Tf, UsdPhysics
 
     kinds = {"revolute": UsdPhysics.RevoluteJoint, "prismatic": UsdPhysics.PrismaticJoint, None: UsdPhysics.FixedJoint}
@@ -128,7 +128,7 @@ def _joint(path: Path, prim: Any, joint: UrdfJoint, urdf: Urdf) -> Iterator[Find
     moved = np.stack([frames[0] @ se3.exp_se3(q * screw) @ se3.inverse(frames[1]) for q in positions])
     off_by = float(np.abs(moved - np.stack([joint.transform(float(q)) for q in positions])).max())
     if not off_by <= FK_TOLERANCE * max(1.0, float(np.abs(moved).max())):
-        yield Finding(RULE, f"{path.name} moves joint '{joint.name}' to {off_by:.2g} from where the URDF says")
+        yield Finding(RULE, f"{path.name} moves joint '{joint.name}' to {off_by:.2g} from its pose in the URDF")
 
 
 def _rotation(quaternion: Any) -> Array:

@@ -463,11 +463,11 @@ def export(
         base: Whether the reference part moves freely or is fixed in the world (in URDF to a link named world).
         usd: Write object.usdc too; auto: if usd-core is installed.
     """
-    from export.check.contact_rule import contact_row
+    from export.check.contact_rule import judge_contact
     from export.checklist import check_asset
-    from export.delivered import delivered_shapes
+    from export.contact import read_link_shapes
     from export.exporter import ExportSettings, export_result
-    from export.losses import given_up
+    from export.losses import describe_limitations
     from export.placement import PlacementSettings
     from freeart21.reconstruction import describe_trust
 
@@ -487,9 +487,9 @@ def export(
     findings = check_asset(out)
     for finding in findings:
         print(f"  {finding}", file=sys.stderr)
-    for line in given_up(asset):
+    for line in describe_limitations(asset):
         print(line, file=sys.stderr)
-    contact = contact_row(*delivered_shapes(asset.urdf), asset.urdf.parent)
+    contact = judge_contact(*read_link_shapes(asset.urdf), asset.urdf.parent)
     if contact.verdict == "fail":
         print(f"{contact.rule} fails: {contact.reason}", file=sys.stderr)
     print(describe_trust(asset.trust))

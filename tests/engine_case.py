@@ -13,13 +13,13 @@ import numpy as np
 import trimesh
 from scipy.integrate import solve_ivp
 
-from export.beside import write_beside
-from export.inertia import inertial_of
+from export.companion_files import write_companion_files
+from export.inertia import compute_inertial
 from export.meshes import write_hull, write_visual
-from export.mjcf import mjcf_text
+from export.mjcf import format_mjcf
 from export.model import AssetModel, Base, LinkModel
-from export.texture import vertex_skin
-from export.urdf import urdf_text
+from export.texture import texture_from_vertices
+from export.urdf import format_urdf
 from freeart21.asset import Asset
 from freeart21.effects.base import Effect
 from freeart21.effects.coulomb_friction import CoulombFriction
@@ -54,18 +54,18 @@ def write_case(
         solid = trimesh.creation.box(size, trimesh.transformations.translation_matrix(centre))
         mesh = Mesh(solid.vertices, solid.faces, np.tile(np.array([200, 30, 20], np.uint8), (len(solid.vertices), 1)))
         (folder / "meshes").mkdir(parents=True, exist_ok=True)
-        texture = write_visual(folder / "meshes", name, mesh, vertex_skin(mesh, mesh))
+        texture = write_visual(folder / "meshes", name, mesh, texture_from_vertices(mesh, mesh))
         write_hull(folder / f"meshes/{name}_hull.obj", mesh)
         hulls = (f"meshes/{name}_hull.obj",)
-        links.append(LinkModel(name, f"meshes/{name}.obj", f"meshes/{texture}", hulls, inertial_of(mesh, 900.0)))
+        links.append(LinkModel(name, f"meshes/{name}.obj", f"meshes/{texture}", hulls, compute_inertial(mesh, 900.0)))
     joint = Joint("hinge", kind, AXES[kind], pivot, *LIMITS[kind])
     effects = EFFECTS[kind] if effects is None else effects
     model = AssetModel("bob", *links, joint, 100.0, velocity, effects, base=base)
-    (folder / "object.urdf").write_bytes(urdf_text(model))
-    (folder / "object.xml").write_bytes(mjcf_text(model))
+    (folder / "object.urdf").write_bytes(format_urdf(model))
+    (folder / "object.xml").write_bytes(format_mjcf(model))
     write_asset_json(folder, Asset(folder / "object.urdf", "hinge", "reference", "moving", effects={"hinge": effects}))
     asset = read_asset(folder)
-    write_beside(folder, asset)
+    write_companion_files(folder, asset)
     return asset
 
 

@@ -16,7 +16,7 @@ from test_export import reconstruction
 from export import usd
 from export.exporter import export_result
 from export.maniskill.assets import find_asset
-from export.stated_trust import stated_trust
+from export.stated_trust import read_stated_trust
 from freeart21 import cli
 from freeart21.effects.armature import Armature
 from freeart21.errors import FreeArtError
@@ -53,7 +53,7 @@ def test_every_file_of_a_doubtful_asset_says_so(doubtful: Path):
         assert "freeart21 trust: doubtful: the axis is known to 12° only - - - a test" in (doubtful / name).read_text()
     assert f"**doubtful: {REASON}; and another**" in (doubtful / "LOSSES.md").read_text()
     assert json.loads((doubtful / "loaders/joint.json").read_text())["trust"].startswith("doubtful: the axis")
-    if usd.available():
+    if usd.is_available():
         from pxr import Sdf
 
         layer = Sdf.Layer.FindOrOpen(str(doubtful / "object.usdc"))
@@ -67,7 +67,7 @@ def test_check_asset_fails_a_doubtful_asset_from_any_one_of_its_files(doubtful: 
     for name in ("object.urdf", "object.xml"):  # carried off without asset.json, by somebody else's program
         alone = tmp_path / name
         alone.write_bytes((doubtful / name).read_bytes())
-        trust = stated_trust(alone, None)
+        trust = read_stated_trust(alone, None)
         assert trust is not None and trust.verdict == "doubtful" and "known to 12°" in trust.reasons[0]
 
 

@@ -9,7 +9,7 @@ import pytest
 from manifold3d import Manifold, OpType
 
 from export import carving
-from export.carving import _slid, _swept, sound
+from export.carving import _sweep_joint, _sweep_translation, is_valid
 from freeart21.joint import Joint
 
 WAY = np.array([0.0, 0.0, 0.03])
@@ -44,11 +44,11 @@ def touching() -> Manifold:
 def test_what_slides_sweeps_as_many_copies_of_it_do(made, turned):
     way = TURN @ WAY if turned else WAY
     tool = made().transform(np.column_stack([TURN, np.zeros(3)])) if turned else made()
-    swept = _slid(tool, way)
+    swept = _sweep_translation(tool, way)
     copies, doublings = tool, 8
     for k in range(doublings):
         copies = (copies + copies.translate(way * 2**k / (2**doublings - 1))).as_original().simplify(1e-6)
-    assert sound(swept)
+    assert is_valid(swept)
     assert swept.volume() == pytest.approx(copies.volume(), rel=2e-3)
     assert swept.volume() > 1.2 * tool.volume()
     outside = copies - swept
@@ -68,9 +68,9 @@ def test_a_union_that_only_grows_is_given_up_at_its_second_doubling(monkeypatch)
             return super().transform(q)
 
     joint = Counted("hinge", "revolute", np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0, 2.0)
-    monkeypatch.setattr(carving, "MOST_TRIANGLES", 20 * brush.num_tri())
-    assert _swept(brush, joint, 0.0, 2.0, 8, 1e-6) is None
+    monkeypatch.setattr(carving, "MAX_TRIANGLES", 20 * brush.num_tri())
+    assert _sweep_joint(brush, joint, 0.0, 2.0, 8, 1e-6) is None
     assert len(states) <= 3
     plate = Manifold.cube([0.1, 0.1, 0.002], True)
-    monkeypatch.setattr(carving, "MOST_TRIANGLES", 1000 * plate.num_tri())
-    assert sound(_swept(plate, joint, 0.0, 2.0, 8, 1e-6))
+    monkeypatch.setattr(carving, "MAX_TRIANGLES", 1000 * plate.num_tri())
+    assert is_valid(_sweep_joint(plate, joint, 0.0, 2.0, 8, 1e-6))

@@ -18,13 +18,13 @@ from little_asset import numbers, write_little
 from export.check import checking, trial_process
 from export.check.checking import ENGINES, check
 from export.check.engines.base import MODULES, Setting, load_world
-from export.check.file_rules import file_rows
+from export.check.file_rules import judge_files
 from export.check.report import CheckReport, Row
 from export.check.rules import ENGINE_RULES, FILE_RULES, MAX_HULLS
 from export.check.subject import find_subject
-from export.check.tree import tree_of_urdf
+from export.check.tree import build_tree
 from export.check.trial import Trial
-from export.check.trial_process import ask
+from export.check.trial_process import run_stage
 from freeart21 import cli, se3
 from freeart21.errors import FreeArtError
 from freeart21.files.urdf import read_urdf
@@ -36,18 +36,18 @@ mujoco_only = pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, rea
 def files_of(path: Path, facts: dict | None = None) -> list[Row]:
     subject = find_subject(path)
     return list(
-        file_rows(subject.urdf, subject.mjcf, subject.folder, {} if facts is None else facts, lambda rule: None)
+        judge_files(subject.urdf, subject.mjcf, subject.folder, {} if facts is None else facts, lambda rule: None)
     )
 
 
 def trial_of(path: Path) -> list[Row]:
     """The rows of a trial in MuJoCo, in this process."""
     subject, facts = find_subject(path), {}
-    list(file_rows(subject.urdf, subject.mjcf, subject.folder, facts, lambda rule: None))
-    from export.check.trial_process import _tree
+    list(judge_files(subject.urdf, subject.mjcf, subject.folder, facts, lambda rule: None))
+    from export.check.trial_process import _read_tree
 
     load = partial(load_world, "mujoco", subject.mjcf or subject.urdf, subject.folder)
-    return list(Trial("mujoco", _tree(subject.urdf, subject.mjcf), facts["lowest"], load).rows(lambda rule: None))
+    return list(Trial("mujoco", _read_tree(subject.urdf, subject.mjcf), facts["lowest"], load).rows(lambda rule: None))
 
 
 def failed(rows: list[Row]) -> list[str]:
@@ -360,7 +360,7 @@ def test_an_engine_that_crashes_fails_one_that_needs_longer_is_unknown(
     urdf = write_little(tmp_path / "lid")
     monkeypatch.syspath_prepend(place)
     monkeypatch.setattr(trial_process, "WALL", 1.5 if "sleep" in body else 60)
-    answer = ask({"engine": "sapien", "folder": str(urdf.parent), "urdf": str(urdf), "lowest": 0.0}, 2.0)
+    answer = run_stage({"engine": "sapien", "folder": str(urdf.parent), "urdf": str(urdf), "lowest": 0.0}, 2.0)
     first, *others = answer.rows
     assert (first.rule, first.verdict) == ("engine.loads", verdict) and said in first.reason
     assert {row.rule for row in others} == set(ENGINE_RULES) - {"engine.loads"}
@@ -537,7 +537,7 @@ def test_a_real_partnet_object_fails_what_it_lacks():
     assert {"inertia.present", "limits.effort", "dynamics.damped", "stands.on-ground"} <= set(failed(rows))
     assert not {"tree.one-root", "paths.exist", "axis.unit", "numbers and meshes"} & set(failed(rows))
     urdf = read_urdf(REAL / "partnet_mobility" / "45940" / "mobility.urdf")
-    tree = tree_of_urdf(urdf)
+    tree = build_tree(urdf)
     q = {joint.name: 0.3 for joint in tree.movable}
     for name, T in urdf.link_poses(q).items():
         np.testing.assert_allclose(tree.link_poses(q)[name], T, atol=1e-12)

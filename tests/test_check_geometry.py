@@ -9,8 +9,8 @@ import pytest
 import trimesh
 
 from export.check import rules
-from export.check.file_rules import file_rows
-from export.check.solids import body_of
+from export.check.file_rules import judge_files
+from export.check.solids import make_body
 from export.check.subject import find_subject
 from freeart21 import se3
 
@@ -41,7 +41,7 @@ def failed(folder: Path, text: str) -> dict[str, str]:
     file = folder / "cabinet.urdf"
     file.write_text(text)
     subject = find_subject(file)
-    rows = file_rows(subject.urdf, subject.mjcf, subject.folder, {}, lambda rule: None)
+    rows = judge_files(subject.urdf, subject.mjcf, subject.folder, {}, lambda rule: None)
     return {row.rule: row.reason for row in rows if row.verdict == "fail"}
 
 
@@ -192,8 +192,8 @@ def test_boards_drawn_from_both_sides_have_an_inside_and_open_shells_have_none()
     """As the meshes of PartNet-Mobility: each triangle twice, so that nothing winds round anything."""
     box = trimesh.creation.box((0.4, 0.3, 0.02))
     doubled = trimesh.Trimesh(box.vertices, np.concatenate([box.faces, box.faces[:, ::-1]]), process=False)
-    board = body_of([(np.eye(4), doubled)], 100)
-    shell = body_of([(np.eye(4), trimesh.Trimesh(box.vertices * (1, 1, 10), box.faces[2:], process=False))], 100)
+    board = make_body([(np.eye(4), doubled)], 100)
+    shell = make_body([(np.eye(4), trimesh.Trimesh(box.vertices * (1, 1, 10), box.faces[2:], process=False))], 100)
     point, far = np.array([[0.1, 0.1, 0.004]]), np.array([[0.1, 0.1, 1.0]])
     assert board is not None and shell is not None and not shell.solids
     assert board.depth(point) == pytest.approx(0.006) and board.depth(far) == 0
@@ -201,7 +201,7 @@ def test_boards_drawn_from_both_sides_have_an_inside_and_open_shells_have_none()
 
 
 def test_depth_between_is_that_of_the_middle_of_the_way_through():
-    ball = body_of([(se3.pose(np.eye(3), (1, 0, 0)), trimesh.creation.icosphere(4, 0.1))], 10)
+    ball = make_body([(se3.pose(np.eye(3), (1, 0, 0)), trimesh.creation.icosphere(4, 0.1))], 10)
     assert ball is not None
     for y in (0.0, 0.05):
         found = ball.depth_between(np.array([[-5.0, y, 0.0]]), np.array([[5.0, y, 0.0]]))
@@ -240,5 +240,5 @@ PARTNET = sorted((REAL / "partnet_mobility").glob("*/mobility.urdf"))
 @pytest.mark.parametrize("path", PARTNET, ids=lambda path: path.parent.name)
 def test_real_objects_break_no_rule_of_shapes(path: Path):
     subject = find_subject(path)
-    rows = file_rows(subject.urdf, subject.mjcf, subject.folder, {}, lambda rule: None)
+    rows = judge_files(subject.urdf, subject.mjcf, subject.folder, {}, lambda rule: None)
     assert [row.reason for row in rows if row.rule in (MATCHES, CLEAR, FITS) and row.verdict == "fail"] == []

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from export.carving import Carved, carved
-from export.clearance import cleared
-from export.collision import CollisionSettings, convex_parts, kept_apart
-from export.fidelity import depth_within, half_spaces
-from export.outside import even_points
+from export.carving import CarvedPart, carve_overlap
+from export.clearance import separate_shapes
+from export.collision import CollisionSettings, make_collision, separate_collisions
+from export.fidelity import depth_in_shapes, shape_planes
+from export.outer_surface import sample_evenly
 from export.penetration import Overlap
 from freeart21 import se3
 from freeart21.articulation import Articulation
@@ -53,24 +53,26 @@ def deepest(pieces: dict[str, list[np.ndarray]], joint: Joint, fixed: str, state
     """m by which points all over the pieces of either part are in a piece of the other."""
     other = next(name for name in pieces if name != fixed)
     solids = {name: [trimesh.convex.convex_hull(p) for p in found] for name, found in pieces.items()}
-    spread = {name: np.concatenate([even_points(solid, 4e-5)[0] for solid in found]) for name, found in solids.items()}
+    spread = {
+        name: np.concatenate([sample_evenly(solid, 4e-5)[0] for solid in found]) for name, found in solids.items()
+    }
     spread = {name: np.concatenate([points, *pieces[name]]) for name, points in spread.items()}
     worst = 0.0
     for state in np.linspace(joint.lower, joint.upper, states):
         T = joint.transform(state)
         for name, points in ((fixed, se3.transform(se3.inverse(T), spread[fixed])), (other, None)):
             points = se3.transform(T, spread[other]) if points is None else points
-            into = half_spaces(solids[other if name == fixed else fixed])
-            worst = max(worst, float(depth_within(points, np.full(len(points), -1), *into).max()))
+            into = shape_planes(solids[other if name == fixed else fixed])
+            worst = max(worst, float(depth_in_shapes(points, np.full(len(points), -1), *into).max()))
     return worst
 
 
 def parted(pieces, parts, joint=SLIDE, fixed="reference"):
     surfaces = {}
     for name, solid in parts.items():
-        points = even_points(solid, 1e-5)[0]
+        points = sample_evenly(solid, 1e-5)[0]
         surfaces[name] = (points, solid.area / len(points))
-    return cleared(pieces, surfaces, joint, fixed, TOLERANCE, 1e-3)
+    return separate_shapes(pieces, surfaces, joint, fixed, TOLERANCE, 1e-3)
 
 
 @pytest.mark.parametrize("fixed", ["reference", "moving"])
@@ -85,10 +87,10 @@ def test_pieces_that_stand_out_of_a_drawer_and_its_carcass_are_cut_back_to_them(
     left = {name: [p for p in found[name] if p is not None] for name in ways}
     assert deepest(left, joint, fixed) <= TOLERANCE + 1e-6
     for name, solid in parts.items():
-        surface, faces = even_points(solid, 1e-5)
+        surface, faces = sample_evenly(solid, 1e-5)
         surface = surface - 2e-4 * solid.face_normals[faces]
-        planes = half_spaces([trimesh.convex.convex_hull(p) for p in left[name]])
-        assert (depth_within(surface, np.full(len(surface), -1), *planes) >= 0).mean() > 0.98
+        planes = shape_planes([trimesh.convex.convex_hull(p) for p in left[name]])
+        assert (depth_in_shapes(surface, np.full(len(surface), -1), *planes) >= 0).mean() > 0.98
 
 
 def thicker(points: np.ndarray, by: float) -> np.ndarray:
@@ -111,19 +113,20 @@ def test_what_turns_is_clear_between_the_states_that_were_looked_at():
     found = {name: [p for p in left if p is not None] for name, left in parted(pieces, parts, hinge).items()}
     assert trimesh.convex.convex_hull(found["moving"][0]).volume > 0.999 * parts["moving"].volume
     assert deepest(found, hinge, "reference", 157) <= TOLERANCE + 5e-5  # and what an arc bulges out
-    kept = half_spaces([trimesh.convex.convex_hull(found["reference"][0])])
+    kept = shape_planes([trimesh.convex.convex_hull(found["reference"][0])])
     post = parts["reference"].vertices
-    assert (depth_within(post, np.full(len(post), -1), *kept) >= 0).all()
+    assert (depth_in_shapes(post, np.full(len(post), -1), *kept) >= 0).all()
 
 
 def test_a_part_all_of_whose_pieces_are_in_the_other_keeps_them():
     inner, outer = block((0.02, 0.02, 0.02), (0, 0, 0)), block((0.4, 0.4, 0.4), (0, 0, 0))
     settings = CollisionSettings()
     collisions = {
-        name: convex_parts(Mesh(s.vertices, s.faces), settings) for name, s in (("reference", outer), ("moving", inner))
+        name: make_collision(Mesh(s.vertices, s.faces), settings)
+        for name, s in (("reference", outer), ("moving", inner))
     }
     joint = replace(SLIDE, lower=-0.1, upper=0.1)
-    found, counts = kept_apart(collisions, joint, "reference", TOLERANCE, settings)
+    found, counts = separate_collisions(collisions, joint, "reference", TOLERANCE)
     assert all(found[name].shapes for name in found) and set(counts) == {"cut", "dropped"}
 
 
@@ -137,11 +140,11 @@ def test_what_slides_is_carved_as_it_is_and_leaves_flat_walls(larger: str):
     solid = block((0.8, 0.2, 0.2), (0.1 * way, 0, 0))
     meshes = {"reference": WEDGE, "moving": WEDGE} | {larger: solid}
     parts = Articulation(SLIDE, *(Mesh(meshes[name].vertices, meshes[name].faces) for name in ("reference", "moving")))
-    cut = carved(parts, 0.0, 0.25, TOLERANCE, Overlap(parts))
-    assert isinstance(cut, Carved) and cut.name == larger and len(cut.mesh.faces) < 60
+    cut = carve_overlap(parts, 0.0, 0.25, TOLERANCE, Overlap(parts))
+    assert isinstance(cut, CarvedPart) and cut.name == larger and len(cut.mesh.faces) < 60
     assert cut.volume == pytest.approx(WEDGE.volume + 0.25 * 0.5 * 0.04 * 0.05, rel=0.01)
     apart = replace(parts, reference=cut.mesh) if larger == "reference" else replace(parts, moving=cut.mesh)
-    assert Overlap(apart).deepest(np.linspace(0, 0.25, 9)).max() <= TOLERANCE
+    assert Overlap(apart).max_depths(np.linspace(0, 0.25, 9)).max() <= TOLERANCE
 
 
 def test_what_turns_is_carved_the_way_it_turns_out_of_either_part():
@@ -150,9 +153,9 @@ def test_what_turns_is_carved_the_way_it_turns_out_of_either_part():
     pin, plate = block((0.01, 0.01, 0.02), (0.1, 0, 0.001)), block((0.4, 0.4, 0.02), (0, 0, 0))
     meshes = (Mesh(solid.vertices, solid.faces) for solid in (pin, plate))
     parts = Articulation(hinge, *meshes)
-    cut = carved(parts, 0.0, 0.8, TOLERANCE, Overlap(parts))
-    assert isinstance(cut, Carved) and cut.name == "moving"
-    assert Overlap(replace(parts, moving=cut.mesh)).deepest(np.linspace(0, 0.8, 9)).max() <= TOLERANCE
+    cut = carve_overlap(parts, 0.0, 0.8, TOLERANCE, Overlap(parts))
+    assert isinstance(cut, CarvedPart) and cut.name == "moving"
+    assert Overlap(replace(parts, moving=cut.mesh)).max_depths(np.linspace(0, 0.8, 9)).max() <= TOLERANCE
 
 
 def test_a_sheet_without_thickness_stops_nothing():
@@ -163,11 +166,11 @@ def test_a_sheet_without_thickness_stops_nothing():
     sunk = WEDGE.copy()
     sunk.apply_translation((0, 0, -0.022))  # so that there is something to carve
     parts = Articulation(SLIDE, mesh, Mesh(sunk.vertices, sunk.faces))
-    cut = carved(parts, 0.0, 0.25, TOLERANCE, Overlap(parts))
-    assert isinstance(cut, Carved)
+    cut = carve_overlap(parts, 0.0, 0.25, TOLERANCE, Overlap(parts))
+    assert isinstance(cut, CarvedPart)
     left = {cut.name: cut.mesh} | {("moving" if cut.name == "reference" else "reference"): cut.other}
     apart = replace(parts, reference=left["reference"], moving=left["moving"])
-    assert Overlap(apart).deepest(np.linspace(0, 0.25, 9)).max() <= TOLERANCE
+    assert Overlap(apart).max_depths(np.linspace(0, 0.25, 9)).max() <= TOLERANCE
 
 
 TWO_SIDES = np.array([[0, 1, 2], [0, 2, 1]])

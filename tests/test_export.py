@@ -13,13 +13,13 @@ import trimesh
 from scipy.spatial.distance import cdist
 
 from export.checklist import check_asset
-from export.collision import CollisionSettings, convex_hull, convex_parts
+from export.collision import CollisionSettings, convex_hull, make_collision
 from export.exporter import ExportSettings, export_result
-from export.fidelity import measured
-from export.inertia import Inertial, inertial_of, unphysical
-from export.meshes import deduplicated, inside_out, turned, without_crumbs, write_visual
+from export.fidelity import measure_fidelity
+from export.inertia import compute_inertial, find_unphysical
+from export.meshes import drop_small_components, flip_faces, is_inside_out, merge_duplicates, write_visual
 from export.placement import PlacementSettings
-from export.texture import vertex_skin
+from export.texture import texture_from_vertices
 from freeart21 import doctor, se3
 from freeart21.articulation import Articulation
 from freeart21.effects.armature import Armature
@@ -31,6 +31,7 @@ from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.files.result import write_result
+from freeart21.files.urdf import UrdfInertial
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh, box_centre
 from freeart21.reconstruction import Failure, Reconstruction
@@ -371,7 +372,7 @@ def test_effects_are_said_in_every_file_and_act(exported: Path):
 
 
 def test_two_springs_are_more_than_a_joint_of_mjcf_can_say(tmp_path: Path):
-    with pytest.raises(FreeArtError, match="two effects say MJCF's 'stiffness'"):
+    with pytest.raises(FreeArtError, match="two effects need MJCF's 'stiffness'"):
         export_result(reconstruction(), tmp_path / "a", effects=(ReturnSpring(1, 0), ReturnSpring(2, 0)))
 
 
@@ -441,18 +442,18 @@ def test_cleaning_merges_drops_crumbs_and_keeps_colours():
         np.concatenate([np.arange(36).reshape(-1, 3), np.arange(36).reshape(-1, 3)[:2], [[0, 0, 1]], crumb.faces + 36]),
         np.concatenate([np.tile(np.uint8(RED), (36, 1)), crumb.colours]),
     )
-    whole = deduplicated(doubled)
-    clean = without_crumbs(whole, 0.01)
+    whole = merge_duplicates(doubled)
+    clean = drop_small_components(whole, 0.01)
     assert (len(clean.vertices), len(clean.faces)) == (8, 12)
     assert (clean.colours == RED).all()
     assert trimesh.Trimesh(clean.vertices, clean.faces).volume == pytest.approx(1)
-    assert len(without_crumbs(whole, 0.0).faces) == 24
+    assert len(drop_small_components(whole, 0.0).faces) == 24
 
 
 def test_faces_that_look_inwards_are_found_and_turned_and_said(tmp_path: Path):
     solid = box((1, 2, 3), (5, 5, 5))
-    assert not inside_out(solid) and inside_out(turned(solid))
-    wrong = reconstruction(moving=turned(box((0.2, 0.15, 0.03), (0, 0, 0.04))))
+    assert not is_inside_out(solid) and is_inside_out(flip_faces(solid))
+    wrong = reconstruction(moving=flip_faces(box((0.2, 0.15, 0.03), (0, 0, 0.04))))
     asset = export_result(wrong, tmp_path / "a")
     assert asset.source["parts"]["moving"]["faces_turned_outwards"] is True
     assert asset.source["parts"]["reference"]["faces_turned_outwards"] is False
@@ -461,7 +462,7 @@ def test_faces_that_look_inwards_are_found_and_turned_and_said(tmp_path: Path):
 
 def test_visual_obj_wears_its_texture_and_a_grey_part_has_none(tmp_path: Path):
     red = box((1, 1, 1), colour=RED)
-    assert write_visual(tmp_path, "lid", red, vertex_skin(red, red)) == "lid.png"
+    assert write_visual(tmp_path, "lid", red, texture_from_vertices(red, red)) == "lid.png"
     read = trimesh.load_mesh(tmp_path / "lid.obj", process=False)
     assert read.volume == pytest.approx(1)
     assert (read.visual.to_color().vertex_colors[:, :3] == RED).all()
@@ -485,9 +486,9 @@ def l_shape() -> Mesh:
 
 def test_concave_part_becomes_several_convex_pieces():
     part = l_shape()
-    cut = convex_parts(part, CollisionSettings())
+    cut = make_collision(part, CollisionSettings())
     assert 2 <= len(cut.shapes) <= 8
-    fidelity = measured(cut.outside, cut.shapes)
+    fidelity = measure_fidelity(cut.surface, cut.shapes)
     assert fidelity.median < 1e-4 and fidelity.worst < 2e-3
     volume = sum(trimesh.Trimesh(h.vertices, h.faces).volume for h in cut.shapes)
     true = trimesh.Trimesh(part.vertices, part.faces)
@@ -499,7 +500,7 @@ def test_a_tray_stays_open_and_its_walls_thin():
     wall, size = 0.002, np.array([0.2, 0.15, 0.08])
     hollow = trimesh.creation.box(size - [2 * wall, 2 * wall, 0], se3.pose(np.eye(3), (0, 0, wall)))
     tray = trimesh.boolean.difference([trimesh.creation.box(size), hollow])
-    cut = convex_parts(Mesh(tray.vertices, tray.faces), CollisionSettings())
+    cut = make_collision(Mesh(tray.vertices, tray.faces), CollisionSettings())
     solids = [trimesh.Trimesh(hull.vertices, hull.faces) for hull in cut.shapes]
     ball = trimesh.creation.icosphere(2, 0.03).vertices
     for height in (0.1, 0.05, 0.0):  # it falls in, and lies on the floor at last
@@ -507,13 +508,13 @@ def test_a_tray_stays_open_and_its_walls_thin():
         assert not any(inside), height
     assert any(solid.contains([[0.02, -0.03, -0.04 + wall / 2]])[0] for solid in solids)
     assert sum(solid.volume for solid in solids) < 1.3 * tray.volume
-    fidelity = measured(cut.outside, cut.shapes)
+    fidelity = measure_fidelity(cut.surface, cut.shapes)
     assert fidelity.median < 5e-4 and fidelity.worst < 2.5e-3
 
 
 def test_a_ball_is_cut_to_few_vertices_each():
     ball = trimesh.creation.icosphere(4, 0.05)
-    cut = convex_parts(Mesh(ball.vertices, ball.faces), CollisionSettings(max_hulls=6))
+    cut = make_collision(Mesh(ball.vertices, ball.faces), CollisionSettings(max_hulls=6))
     assert len(cut.hulls) <= 6 and all(len(hull.vertices) <= 48 for hull in cut.hulls)
 
 
@@ -533,7 +534,7 @@ def test_flat_points_get_a_hull_of_the_least_thickness(points):
     assert solid.is_watertight and solid.volume > 0
     _, _, axes = np.linalg.svd(hull.vertices - hull.vertices.mean(0))
     assert np.ptp(hull.vertices @ axes.T, axis=0).min() >= 0.0019
-    assert unphysical(inertial_of(hull, 600)) is None
+    assert find_unphysical(compute_inertial(hull, 600)) is None
 
 
 def test_hulls_have_few_vertices_and_stay_inside():
@@ -546,34 +547,34 @@ def test_hulls_have_few_vertices_and_stay_inside():
 
 def test_inertia_of_boxes_is_the_closed_form():
     a, b, c, density = 0.2, 0.3, 0.5, 600.0
-    one = inertial_of(box((a, b, c), (1, 2, 3)), density)
+    one = compute_inertial(box((a, b, c), (1, 2, 3)), density)
     mass = density * a * b * c
     assert one.mass == pytest.approx(mass)
     np.testing.assert_allclose(one.centre, [1, 2, 3])
     closed = mass / 12 * np.diag([b * b + c * c, a * a + c * c, a * a + b * b])
     np.testing.assert_allclose(one.inertia, closed, atol=1e-12)
-    thin = inertial_of(box((a, b, c), (1, 2, 3)), density, 1e-6)  # a shell is what a larger box has more
+    thin = compute_inertial(box((a, b, c), (1, 2, 3)), density, 1e-6)  # a shell is what a larger box has more
     more = 2e-6
-    outer = inertial_of(box((a + more, b + more, c + more), (1, 2, 3)), density)
+    outer = compute_inertial(box((a + more, b + more, c + more), (1, 2, 3)), density)
     assert thin.mass == pytest.approx(outer.mass - one.mass, rel=1e-4)
     np.testing.assert_allclose(thin.centre, [1, 2, 3])
     np.testing.assert_allclose(thin.inertia, outer.inertia - one.inertia, rtol=1e-4, atol=1e-12)
-    assert unphysical(one) is None
+    assert find_unphysical(one) is None
 
 
 def test_unphysical_numbers_are_named():
     def body(mass, *moments):
-        return Inertial(mass, np.zeros(3), np.diag(moments))
+        return UrdfInertial(mass, np.zeros(3), np.diag(moments))
 
-    assert "mass is 0 kg" in str(unphysical(body(0.0, 1, 1, 1)))
-    assert "mass is nan" in str(unphysical(body(np.nan, 1, 1, 1)))
-    assert "all above 0" in str(unphysical(body(1.0, 0, 1, 1)))
-    assert "triangle inequality" in str(unphysical(body(1.0, 1, 1, 2.01)))
-    assert unphysical(body(1.0, 1, 1, 2)) is None
-    assert "not finite" in str(unphysical(body(1.0, 1, 1, np.nan)))
+    assert "mass is 0 kg" in str(find_unphysical(body(0.0, 1, 1, 1)))
+    assert "mass is nan" in str(find_unphysical(body(np.nan, 1, 1, 1)))
+    assert "all above 0" in str(find_unphysical(body(1.0, 0, 1, 1)))
+    assert "triangle inequality" in str(find_unphysical(body(1.0, 1, 1, 2.01)))
+    assert find_unphysical(body(1.0, 1, 1, 2)) is None
+    assert "not finite" in str(find_unphysical(body(1.0, 1, 1, np.nan)))
     open_box = box((1, 1, 1))
     with pytest.raises(FreeArtError, match="volume"):
-        inertial_of(Mesh(open_box.vertices, open_box.faces[1:]), 600.0)
+        compute_inertial(Mesh(open_box.vertices, open_box.faces[1:]), 600.0)
 
 
 # --- checklist
@@ -585,7 +586,7 @@ def concave(folder: Path) -> None:
 
 
 BREAKS = {
-    "tree: links moving do not hang on the root": ('<parent link="reference" />', '<parent link="moving" />'),
+    "tree: links moving are not connected to the root": ('<parent link="reference" />', '<parent link="moving" />'),
     "tree: a joint names link 'lid'": ('<child link="moving" />', '<child link="lid" />'),
     "names: collision name": ('name="moving_collision_00"', 'name="reference_collision_00"'),
     "paths: file 'meshes/no.obj', which does not exist": ("meshes/moving.obj", "meshes/no.obj"),
@@ -606,7 +607,7 @@ BREAKS = {
         '<inertial>\n      <origin xyz="',
         '<inertial>\n      <origin xyz="9 9 9" was="',
     ),
-    "collision: link 'reference' can be seen but not touched": ("<collision ", "<not_collision "),
+    "collision: link 'reference' has a visual but no collision geometry": ("<collision ", "<not_collision "),
 }
 
 

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from export.atlas import texels_of, unfolded
+from export.atlas import find_texels, unwrap
 from export.exporter import ExportSettings, export_result
 from export.meshes import MeshSettings
-from export.surface import Surface, closed
-from export.texture import vertex_skin, video_skins
+from export.surface import Surface, close_surface
+from export.texture import texture_from_vertices, textures_from_video
 from freeart21 import se3
 from freeart21.articulation import Articulation
 from freeart21.camera import Camera
@@ -54,7 +54,7 @@ def tray(wall: float) -> trimesh.Trimesh:
 
 def test_a_box_nobody_saw_from_below_is_closed_by_a_flat_patch():
     seen = without(fine(trimesh.creation.box((0.1, 0.06, 0.03))), lambda p: p[:, 2] < -0.0149)
-    surface = closed(seen, FEW)
+    surface = close_surface(seen, FEW)
     solid = solid_of(surface)
     assert solid.volume == pytest.approx(0.1 * 0.06 * 0.03, rel=0.01)
     below = np.arange(len(solid.faces)) >= surface.patch_first
@@ -65,7 +65,7 @@ def test_a_box_nobody_saw_from_below_is_closed_by_a_flat_patch():
 
 def test_what_was_seen_stays_where_it_was():
     seen = without(fine(trimesh.creation.icosphere(4, 0.05)), lambda p: p[:, 2] < -0.03)
-    solid = solid_of(closed(seen, replace(FEW, points=8_000, max_faces=10**6)))
+    solid = solid_of(close_surface(seen, replace(FEW, points=8_000, max_faces=10**6)))
     observed = trimesh.Trimesh(seen.vertices, seen.faces, process=False)
     assert trimesh.proximity.closest_point(observed, solid.vertices[::9])[1].max() < 1e-9
     assert np.median(trimesh.proximity.closest_point(solid, seen.vertices[::5])[1]) < 2e-4
@@ -74,7 +74,7 @@ def test_what_was_seen_stays_where_it_was():
 @pytest.mark.parametrize("wall", [0.002, 0.004])
 def test_an_opening_that_was_seen_stays_open(wall: float):
     seen = without(fine(tray(wall), 0.006), lambda p: p[:, 2] < -0.0199)  # all but the underside
-    solid = solid_of(closed(seen, replace(FEW, points=12_000)))
+    solid = solid_of(close_surface(seen, replace(FEW, points=12_000)))
     assert solid.volume == pytest.approx(tray(wall).volume, rel=0.05)
     assert not solid.contains([[0, 0, 0]]).any()
 
@@ -82,7 +82,7 @@ def test_an_opening_that_was_seen_stays_open(wall: float):
 def test_two_sheets_of_a_thin_thing_become_one_plate():
     plate = fine(trimesh.creation.box((0.08, 0.06, 0.001)), 0.002)
     seen = without(plate, lambda p: np.abs(p[:, 2]) < 0.00049)  # both faces, no rim
-    solid = solid_of(closed(seen, replace(FEW, points=8_000)))
+    solid = solid_of(close_surface(seen, replace(FEW, points=8_000)))
     assert solid.body_count == 1
     assert solid.volume == pytest.approx(0.08 * 0.06 * 0.001, rel=0.08)
 
@@ -98,17 +98,17 @@ def test_ragged_holes_and_crumbs_are_gone():
         np.concatenate([seen.vertices, crumb.vertices + 0.08]),
         np.concatenate([seen.faces, crumb.faces + len(seen.vertices)]),
     )
-    solid = solid_of(closed(both, FEW))
+    solid = solid_of(close_surface(both, FEW))
     assert solid.body_count == 1
     assert solid.volume == pytest.approx(4 / 3 * np.pi * 0.05**3, rel=0.03)
 
 
 def test_a_closed_part_keeps_its_triangles_and_has_no_patch():
     box = trimesh.creation.box((0.1, 0.1, 0.1))
-    surface = closed(Mesh(box.vertices, box.faces), FEW)
+    surface = close_surface(Mesh(box.vertices, box.faces), FEW)
     assert (len(surface.mesh.vertices), len(surface.mesh.faces), surface.patch_count) == (8, 12, 0)
-    inside_out = closed(Mesh(box.vertices, box.faces[:, ::-1]), FEW)
-    assert inside_out.turned and not surface.turned and solid_of(inside_out).volume == pytest.approx(1e-3)
+    inside_out = close_surface(Mesh(box.vertices, box.faces[:, ::-1]), FEW)
+    assert inside_out.flipped and not surface.flipped and solid_of(inside_out).volume == pytest.approx(1e-3)
 
 
 def test_overlapping_pieces_count_once():
@@ -117,12 +117,12 @@ def test_overlapping_pieces_count_once():
         trimesh.creation.box((0.1, 0.1, 0.1), se3.pose(np.eye(3), (0.05, 0, 0))),
     )
     both = trimesh.util.concatenate([one, two])
-    assert solid_of(closed(Mesh(both.vertices, both.faces), FEW)).volume == pytest.approx(0.15 * 0.01)
+    assert solid_of(close_surface(Mesh(both.vertices, both.faces), FEW)).volume == pytest.approx(0.15 * 0.01)
 
 
 def test_many_triangles_are_reduced_and_stay_a_solid():
     ball = trimesh.creation.icosphere(6, 0.05)
-    surface = closed(Mesh(ball.vertices, ball.faces), replace(FEW, max_faces=3_000))
+    surface = close_surface(Mesh(ball.vertices, ball.faces), replace(FEW, max_faces=3_000))
     assert len(surface.mesh.faces) <= 3_000
     assert solid_of(surface).volume == pytest.approx(ball.volume, rel=0.005)
 
@@ -132,7 +132,7 @@ def test_a_patch_keeps_out_of_the_other_parts_way():
         fine(trimesh.creation.box((0.06, 0.06, 0.06))), lambda p: p[:, 2] > 0.0299
     )  # open above, inside unseen
     grid = np.stack(np.meshgrid(*[np.linspace(-0.02, 0.02, 41)] * 2, np.linspace(-0.01, 0.04, 51)), -1).reshape(-1, 3)
-    plain, kept_out = (solid_of(closed(cup, FEW, where)) for where in (None, grid))
+    plain, kept_out = (solid_of(close_surface(cup, FEW, where)) for where in (None, grid))
     assert plain.volume == pytest.approx(0.06**3, rel=0.02)
     assert plain.contains([[0, 0, 0.01]]).all() and not kept_out.contains([[0, 0, 0.01]]).any()
     assert kept_out.volume == pytest.approx(0.06**3 - 0.04**2 * 0.04, rel=0.1)
@@ -152,17 +152,17 @@ HOSTILE = {
 def test_hostile_meshes_are_solids_or_one_line(name: str):
     mesh, said = HOSTILE[name]
     if said is None:
-        assert solid_of(closed(mesh, FEW)).volume > 0
+        assert solid_of(close_surface(mesh, FEW)).volume > 0
         return
     with pytest.raises(FreeArtError, match=said):
-        closed(mesh, FEW)
+        close_surface(mesh, FEW)
 
 
 def test_triangles_in_a_heap_are_a_solid_or_one_line():
     rng = np.random.default_rng(0)
     heap = Mesh(rng.normal(size=(600, 3)), np.arange(600).reshape(-1, 3))
     try:
-        solid_of(closed(heap, FEW))
+        solid_of(close_surface(heap, FEW))
     except FreeArtError as error:
         assert "cannot be closed" in str(error)
 
@@ -173,19 +173,19 @@ def test_triangles_in_a_heap_are_a_solid_or_one_line():
 def test_every_triangle_has_its_own_place_on_the_atlas():
     ball = trimesh.creation.icosphere(3, 0.05)
     mesh = Mesh(ball.vertices, ball.faces)
-    atlas = unfolded(mesh, 0.0005)
+    atlas = unwrap(mesh, 0.0005)
     assert atlas.corners.shape == mesh.faces.shape and max(atlas.width, atlas.height) <= 4096
-    a, b, c = (atlas.places[atlas.corners[:, k]] for k in range(3))
+    a, b, c = (atlas.pixels[atlas.corners[:, k]] for k in range(3))
     flat = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) * atlas.texel_m**2
     assert flat.sum() == pytest.approx(ball.area, rel=0.1)
-    texels = texels_of(atlas)
+    texels = find_texels(atlas)
     assert len(texels.row) * atlas.texel_m**2 == pytest.approx(ball.area, rel=0.1)
-    assert np.linalg.norm(texels.of_corners(mesh, mesh.vertices), axis=1) == pytest.approx(0.05, rel=0.01)
+    assert np.linalg.norm(texels.interpolate(mesh, mesh.vertices), axis=1) == pytest.approx(0.05, rel=0.01)
 
 
 def test_a_huge_surface_gets_larger_texels_not_a_larger_picture():
     ball = trimesh.creation.icosphere(2, 1.0)
-    atlas = unfolded(Mesh(ball.vertices, ball.faces), 1e-5)
+    atlas = unwrap(Mesh(ball.vertices, ball.faces), 1e-5)
     assert max(atlas.width, atlas.height) <= 4096 and atlas.texel_m > 1e-5
 
 
@@ -193,11 +193,11 @@ def test_vertex_colours_are_on_the_skin():
     ball = fine(trimesh.creation.icosphere(3, 0.05))
     colours = np.where(ball.vertices[:, :1] > 0, np.uint8([200, 30, 20]), np.uint8([20, 40, 220])).astype(np.uint8)
     part = replace(ball, colours=colours)
-    surface = closed(part, MeshSettings(max_faces=800))
-    skin = vertex_skin(surface.mesh, part)
+    surface = close_surface(part, MeshSettings(max_faces=800))
+    skin = texture_from_vertices(surface.mesh, part)
     assert skin is not None
-    texels = texels_of(skin.atlas)
-    x = texels.of_corners(surface.mesh, surface.mesh.vertices)[:, 0]
+    texels = find_texels(skin.atlas)
+    x = texels.interpolate(surface.mesh, surface.mesh.vertices)[:, 0]
     shown = skin.image[texels.row, texels.column]
     assert (shown[x > 0.005] == [200, 30, 20]).all() and (shown[x < -0.005] == [20, 40, 220]).all()
 
@@ -251,9 +251,9 @@ def filmed(lamp: float = 0.0) -> tuple[Reconstruction, Recording]:
 def test_print_is_read_from_the_video_whatever_the_lamp_does(lamp: float):
     answer, recording = filmed(lamp)
     whole = answer.articulation
-    card, lid = video_skins(answer, (whole.reference, whole.moving), recording, 120)
-    texels = texels_of(card.atlas)
-    place = texels.of_corners(whole.reference, whole.reference.vertices).astype(float)
+    card, lid = textures_from_video(answer, (whole.reference, whole.moving), recording)
+    texels = find_texels(card.atlas)
+    place = texels.interpolate(whole.reference, whole.reference.vertices).astype(float)
     front = (place[:, 2] < -0.00499) & (np.abs(place[:, 0]) < 0.035) & (np.abs(place[:, 1]) < 0.025)
     under = (place[:, 0] > -0.012) & (place[:, 0] < 0.033) & (place[:, 1] > 0.001)  # behind the lid, in some frame
     middle = np.abs((place[:, 0] / 0.002) % 1 - 0.5) < 0.2  # of a stripe
@@ -262,7 +262,7 @@ def test_print_is_read_from_the_video_whatever_the_lamp_does(lamp: float):
     light = print_colour(place[sure])[:, 0] > 100
     assert sure.sum() > 1000
     assert shown[light].min() - shown[~light].max() > 60
-    green = lid.image[tuple(np.stack([texels_of(lid.atlas).row, texels_of(lid.atlas).column]))]
+    green = lid.image[tuple(np.stack([find_texels(lid.atlas).row, find_texels(lid.atlas).column]))]
     assert (green[:, 1] > green[:, 0] + 40).all()  # nothing of the card's stripes, and what nobody saw is green, too
 
 
@@ -278,13 +278,13 @@ def test_a_recording_of_something_else_is_refused():
         seen=answer.seen[:5],
     )
     with pytest.raises(FreeArtError, match="card has 8 frames of 320 x 240, expected 5 frames"):
-        video_skins(shorter, (whole.reference, whole.moving), recording, 120)
+        textures_from_video(shorter, (whole.reference, whole.moving), recording)
 
 
 def test_an_asset_from_a_video_wears_it_and_says_so(tmp_path: Path):
     answer, recording = filmed()
     write_sequence(tmp_path / "card", recording, 1e-4)
-    settings = ExportSettings(min_range_m=1e-3)
+    settings = ExportSettings()
     for name in ("a", "b"):
         asset = export_result(answer, tmp_path / name, settings, video=tmp_path / "card")
     said = json.loads((tmp_path / "a/asset.json").read_text())["source"]["parts"]["reference"]

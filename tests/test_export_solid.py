@@ -11,24 +11,23 @@ import pytest
 import trimesh
 from test_export import reconstruction
 
-from export.check.contact_rule import contact_row
-from export.collision import CollisionSettings, convex_hull, convex_parts
-from export.decomposition import Tolerance, convex_pieces
-from export.delivered import delivered_shapes
+from export.check.contact_rule import judge_contact
+from export.collision import CollisionSettings, convex_hull, make_collision
+from export.contact import read_link_shapes
+from export.decomposition import Tolerance, decompose
 from export.exporter import ExportSettings, export_result
-from export.fidelity import measured
-from export.inertia import Inertial
-from export.losses import given_up
+from export.fidelity import measure_fidelity
+from export.losses import describe_limitations
 from export.meshes import MeshSettings
-from export.mjcf import mjcf_text
+from export.mjcf import format_mjcf
 from export.model import AssetModel, LinkModel
-from export.outside import even_points, outside_of
-from export.primitive_fit import primitive_of, shapes_round
+from export.outer_surface import sample_evenly, sample_outer_surface
+from export.primitive_fit import enclosing_primitives, fit_primitive
 from export.primitives import Box, Cylinder, Sphere
-from export.surface import closed
-from export.urdf import urdf_text
+from export.surface import close_surface
+from export.urdf import format_urdf
 from freeart21 import se3
-from freeart21.files.urdf import read_urdf
+from freeart21.files.urdf import UrdfInertial, read_urdf
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 
@@ -49,13 +48,13 @@ def test_primitives_stand_in_urdf_and_mjcf_where_the_model_has_them(tmp_path: Pa
     mujoco = pytest.importorskip("mujoco")
     ball = trimesh.creation.icosphere(1, 0.1)
     ball.export(tmp_path / "ball.obj")
-    body = Inertial(1.0, np.zeros(3), 0.01 * np.eye(3))
+    body = UrdfInertial(1.0, np.zeros(3), 0.01 * np.eye(3))
     reference = LinkModel("reference", "ball.obj", None, ("ball.obj",), body, SHAPES)
     moving = LinkModel("moving", "ball.obj", None, (), body, SHAPES[:1])
     joint = Joint("hinge", "revolute", np.array([0, 0, 1.0]), np.zeros(3), -1.0, 1.0)
     model = AssetModel("object", reference, moving, joint, 1.0, 1.0)
-    (tmp_path / "a.urdf").write_bytes(urdf_text(model))
-    (tmp_path / "a.xml").write_bytes(mjcf_text(model))
+    (tmp_path / "a.urdf").write_bytes(format_urdf(model))
+    (tmp_path / "a.xml").write_bytes(format_mjcf(model))
     read = read_urdf(tmp_path / "a.urdf").links["reference"].collisions
     loaded = mujoco.MjModel.from_xml_path(str(tmp_path / "a.xml"))
     data = mujoco.MjData(loaded)
@@ -73,7 +72,7 @@ def test_primitives_stand_in_urdf_and_mjcf_where_the_model_has_them(tmp_path: Pa
     assert len(set(names)) == len(names) == 5
 
 
-TOLERANCE = Tolerance(1.2e-3, 1e-4, 1e-3, 2500, 60_000, 48)
+TOLERANCE = Tolerance(1.2e-3, 1e-4, 2500, 60_000)
 
 
 def as_mesh(solid: trimesh.Trimesh) -> Mesh:
@@ -82,23 +81,23 @@ def as_mesh(solid: trimesh.Trimesh) -> Mesh:
 
 @pytest.mark.parametrize("shape", SHAPES, ids=["box", "cylinder", "sphere"])
 def test_a_part_that_is_a_primitive_is_found_to_be_that_one(shape):
-    outside = outside_of(shape.mesh())
-    (piece,) = convex_pieces(outside, TOLERANCE, 16)
-    found = primitive_of(piece, outside, 1.2e-3)
+    outside = sample_outer_surface(shape.mesh())
+    (piece,) = decompose(outside, TOLERANCE, 16)
+    found = fit_primitive(piece, outside, 1.2e-3)
     assert type(found) is type(shape)
     np.testing.assert_allclose(found.T_link_shape[:3, 3], shape.T_link_shape[:3, 3], atol=1e-4)
     assert trimesh.Trimesh(found.mesh().vertices, found.mesh().faces).volume == pytest.approx(
         trimesh.Trimesh(shape.mesh().vertices, shape.mesh().faces).volume, rel=0.01
     )
-    fidelity = measured(outside, [found.mesh()])
+    fidelity = measure_fidelity(outside, [found.mesh()])
     assert fidelity.median < 3e-4 and fidelity.worst < 1e-3
 
 
 def test_a_wedge_is_no_primitive():
     wedge = trimesh.convex.convex_hull([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1], [0.1, 0, 0.02]])
-    outside = outside_of(as_mesh(wedge))
-    (piece,) = convex_pieces(outside, TOLERANCE, 16)
-    assert primitive_of(piece, outside, 1.2e-3) is None
+    outside = sample_outer_surface(as_mesh(wedge))
+    (piece,) = decompose(outside, TOLERANCE, 16)
+    assert fit_primitive(piece, outside, 1.2e-3) is None
 
 
 def test_a_part_of_boxes_is_boxes():
@@ -107,12 +106,12 @@ def test_a_part_of_boxes_is_boxes():
         trimesh.creation.box(size, se3.pose(np.eye(3), at))
         for size, at in (((0.2, 0.1, 0.01), (0, 0, 0)), ((0.05, 0.1, 0.05), (0.05, 0, 0.03)))
     )
-    cut = convex_parts(as_mesh(trimesh.boolean.union([slab, block])), CollisionSettings())
+    cut = make_collision(as_mesh(trimesh.boolean.union([slab, block])), CollisionSettings())
     assert len(cut.primitives) >= 2 and len(cut.hulls) + len(cut.primitives) <= 4
     assert all(isinstance(shape, Box) for shape in cut.primitives)
-    fidelity = measured(cut.outside, cut.shapes)
+    fidelity = measure_fidelity(cut.surface, cut.shapes)
     assert fidelity.median < 2e-4 and fidelity.outward < 2e-3
-    assert convex_parts(as_mesh(slab), CollisionSettings(primitives=False)).primitives == ()
+    assert make_collision(as_mesh(slab), CollisionSettings(primitives=False)).primitives == ()
 
 
 def tray(wall: float = 0.002) -> trimesh.Trimesh:
@@ -122,28 +121,28 @@ def tray(wall: float = 0.002) -> trimesh.Trimesh:
 
 
 def test_a_thin_walled_tray_is_five_plates():
-    outside = outside_of(as_mesh(tray()))
-    pieces = convex_pieces(outside, TOLERANCE, 64)
+    outside = sample_outer_surface(as_mesh(tray()))
+    pieces = decompose(outside, TOLERANCE, 64)
     assert len(pieces) <= 8
-    fidelity = measured(outside, [as_mesh(trimesh.convex.convex_hull(piece)) for piece in pieces])
+    fidelity = measure_fidelity(outside, [as_mesh(trimesh.convex.convex_hull(piece)) for piece in pieces])
     assert fidelity.median < 1e-4 and fidelity.outward < 2e-3 and fidelity.uncovered < 1e-3
 
 
 def test_too_few_pieces_follow_as_well_as_they_can():
-    outside = outside_of(as_mesh(tray()))
-    pieces = convex_pieces(outside, replace(TOLERANCE, pairs=1500), 3)
+    outside = sample_outer_surface(as_mesh(tray()))
+    pieces = decompose(outside, replace(TOLERANCE, max_pairs=1500), 3)
     assert len(pieces) <= 3
-    assert measured(outside, [as_mesh(trimesh.convex.convex_hull(piece)) for piece in pieces]).outward > 2e-3
+    assert measure_fidelity(outside, [as_mesh(trimesh.convex.convex_hull(piece)) for piece in pieces]).outward > 2e-3
 
 
 def test_fidelity_of_known_shapes():
     """A box of 100 mm under one that is 1 mm larger all round, and under one that lacks its upper 10 mm."""
-    outside = outside_of(as_mesh(trimesh.creation.box((0.1, 0.1, 0.1))))
-    larger = measured(outside, [as_mesh(trimesh.creation.box((0.102, 0.102, 0.102)))])
+    outside = sample_outer_surface(as_mesh(trimesh.creation.box((0.1, 0.1, 0.1))))
+    larger = measure_fidelity(outside, [as_mesh(trimesh.creation.box((0.102, 0.102, 0.102)))])
     assert larger.median == pytest.approx(1e-3, abs=1e-5) and larger.uncovered == 0
     assert 1e-3 <= larger.outward <= np.sqrt(3) * 1e-3  # corners, less what lies between points
     short = trimesh.creation.box((0.1, 0.1, 0.09), se3.pose(np.eye(3), (0, 0, -0.005)))
-    lacking = measured(outside, [as_mesh(short)])
+    lacking = measure_fidelity(outside, [as_mesh(short)])
     assert lacking.median == pytest.approx(0, abs=1e-6) and lacking.outward == pytest.approx(0, abs=1e-6)
     assert lacking.uncovered == pytest.approx(0.01, rel=0.01)
 
@@ -153,14 +152,16 @@ def test_what_nothing_gets_into_is_inside():
     hollow = trimesh.creation.box((0.06, 0.06, 0.06))
     hollow.invert()
     block = trimesh.util.concatenate([trimesh.creation.box((0.1, 0.1, 0.1)), hollow])
-    outside = outside_of(as_mesh(block))
+    outside = sample_outer_surface(as_mesh(block))
     assert np.abs(outside.points).max(1).min() > 0.049
-    assert len(convex_pieces(outside, TOLERANCE, 16)) == 1
+    assert len(decompose(outside, TOLERANCE, 16)) == 1
 
 
 def test_an_open_sheet_is_a_plate_behind_it():
-    outside = outside_of(Mesh(np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0.0]]), [[0, 1, 2], [0, 2, 3]]))
-    (piece,) = convex_pieces(outside, TOLERANCE, 16)
+    outside = sample_outer_surface(
+        Mesh(np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0.0]]), [[0, 1, 2], [0, 2, 3]])
+    )
+    (piece,) = decompose(outside, TOLERANCE, 16)
     np.testing.assert_allclose(np.ptp(piece, axis=0), [0.1, 0.1, 0.001], atol=1e-6)
     assert outside.excess(np.array([[0.05, 0.05, 0.003], [0.05, 0.05, -0.003]])).tolist() == pytest.approx([0.003, 0])
 
@@ -176,7 +177,7 @@ def test_corners_of_a_piece_are_no_micrometres_apart():
 
 def test_even_points_leave_no_gaps():
     box = trimesh.creation.box((0.1, 0.1, 0.1))
-    points, faces = even_points(box, box.area / 6000)
+    points, faces = sample_evenly(box, box.area / 6000)
     assert len(points) == pytest.approx(6000, rel=0.01)
     top = points[box.face_normals[faces][:, 2] > 0.5][:, :2]
     asked = np.random.default_rng(0).uniform(-0.05, 0.05, (1000, 2))
@@ -189,13 +190,13 @@ def test_pieces_end_at_the_ground_whatever_they_stand_out_by():
     under = solid.vertices[:, 2] < -0.0099
     solid.vertices[under, 2] += np.random.default_rng(0).uniform(0, 5e-4, under.sum())
     ground = float(solid.vertices[:, 2].min())
-    cut = convex_parts(as_mesh(solid), CollisionSettings(), ground)
+    cut = make_collision(as_mesh(solid), CollisionSettings(), ground)
     heights = np.concatenate([shape.vertices[:, 2] for shape in cut.shapes]) - ground
     assert heights.min() == pytest.approx(0, abs=5e-5)
     assert not ((heights > 5e-5) & (heights < 1e-3)).any()
     standing = np.concatenate([shape.vertices for shape in cut.shapes])[heights < 5e-5]
     np.testing.assert_allclose(np.ptp(standing[:, :2], axis=0), [0.2, 0.1], atol=2e-3)
-    fidelity = measured(cut.outside, cut.shapes)
+    fidelity = measure_fidelity(cut.surface, cut.shapes)
     assert fidelity.median < 5e-4 and fidelity.outward < 2e-3
 
 
@@ -215,7 +216,7 @@ def test_a_rounded_body_with_more_corners_than_a_piece_may_have_stands_as_wide_a
 def test_what_is_flat_at_the_ground_is_made_thick_upwards():
     """A slab thinner than pieces may be, a little above the ground, comes down to it and does not go below."""
     slab = trimesh.creation.box((0.05, 0.03, 1.05e-3), se3.pose(np.eye(3), (0, 0, 0.61e-3)))
-    cut = convex_parts(as_mesh(slab), CollisionSettings(), 0.0)
+    cut = make_collision(as_mesh(slab), CollisionSettings(), 0.0)
     heights = np.concatenate([shape.vertices[:, 2] for shape in cut.shapes])
     assert heights.min() == pytest.approx(0, abs=1e-9) and np.ptp(heights) > 0.9e-3
 
@@ -229,7 +230,7 @@ def test_inside_of_a_hollow_corner_is_inside():
             ((0.05, 0.1, 0.05), (0.05, 0, 0.03)),
         )
     ]
-    outside = outside_of(as_mesh(trimesh.boolean.union(parts)))
+    outside = sample_outer_surface(as_mesh(trimesh.boolean.union(parts)))
     x = np.linspace(0.027, 0.05, 200)
     inside = np.stack([x, np.linspace(-0.04, 0.04, 200), np.full(200, 0.0052)], -1)
     assert outside.excess(inside).max() == 0
@@ -239,14 +240,14 @@ def test_inside_of_a_hollow_corner_is_inside():
 
 def test_a_piece_without_thickness_has_shapes_round_it():
     flat = np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.05, 0], [0, 0.05, 0], [0.05, 0.02, 0.0]])
-    box = next(shape for shape in shapes_round(flat) if isinstance(shape, Box))
+    box = next(shape for shape in enclosing_primitives(flat) if isinstance(shape, Box))
     inside = se3.transform(se3.inverse(box.T_link_shape), flat)
     assert (np.abs(inside) <= 0.5 * box.size + 1e-9).all() and box.size.min() < 1e-6 and box.size.max() < 0.12
 
 
 def test_loose_triangles_of_which_all_but_one_are_crumbs_are_no_solid():
     corners = 0.05 * np.random.default_rng(0).normal(size=(6000, 3))
-    assert not closed(Mesh(corners, np.arange(6000).reshape(-1, 3)), MeshSettings(points=1000)).is_solid
+    assert not close_surface(Mesh(corners, np.arange(6000).reshape(-1, 3)), MeshSettings(points=1000)).is_solid
 
 
 def test_triangles_that_bound_no_solid_get_a_hull_and_are_told_so(tmp_path: Path, monkeypatch):
@@ -257,10 +258,10 @@ def test_triangles_that_bound_no_solid_get_a_hull_and_are_told_so(tmp_path: Path
 
     def pieces(outside, tolerance, most):
         worked_on.append(len(outside.points))
-        return convex_pieces(outside, tolerance, most)
+        return decompose(outside, tolerance, most)
 
-    monkeypatch.setattr("export.collision.convex_pieces", pieces)
-    monkeypatch.setattr("export.placement.carved", lambda *_: pytest.fail("carved"))
+    monkeypatch.setattr("export.collision.decompose", pieces)
+    monkeypatch.setattr("export.placement.carve_overlap", lambda *_: pytest.fail("carved"))
     coarse = ExportSettings(usd=False, meshes=MeshSettings(points=1000, max_faces=1000))
     asset = export_result(reconstruction(moving=soup), tmp_path / "a", coarse)
     assert len(worked_on) == 1  # the slab alone
@@ -270,5 +271,5 @@ def test_triangles_that_bound_no_solid_get_a_hull_and_are_told_so(tmp_path: Path
     assert asset.source["penetration"]["not_carved_because"] == "the moving part is no solid"
     text = (tmp_path / "a/LOSSES.md").read_text()
     assert "`moving` is no solid" in text and "one convex hull" in text
-    assert given_up(asset)[0] in text
-    assert contact_row(*delivered_shapes(asset.urdf), asset.urdf.parent).verdict == "fail"
+    assert describe_limitations(asset)[0] in text
+    assert judge_contact(*read_link_shapes(asset.urdf), asset.urdf.parent).verdict == "fail"

@@ -14,7 +14,7 @@ from test_export import reconstruction
 from export import losses, usd
 from export.checklist import check_asset
 from export.exporter import ExportSettings, export_result
-from export.losses import ENGINES, FORMATS, losses_text, subjects_of, told
+from export.losses import ENGINES, FORMATS, format_losses, list_subjects, outcome
 from freeart21.effects import EFFECTS as EVERY
 from freeart21.effects.armature import Armature
 from freeart21.effects.coulomb_friction import CoulombFriction
@@ -44,17 +44,17 @@ def test_losses_tell_of_this_assets_effects_and_of_no_others(tmp_path: Path):
         losses.LOST not in cells(text, "viscous damping") and "coulomb" not in text.split("\n\n", 3)[3].split("##")[1]
     )
     assert "a base that moves freely" in text and "a base that stands fixed" not in text
-    assert text == losses_text(asset, True, ALL if usd.available() else ALL - {"object.usdc"})
-    assert "textures" not in losses_text(asset, False, ALL)
-    bare = losses_text(asset, True, ALL - {"object.usdc"})
+    assert text == format_losses(asset, True, ALL if usd.is_available() else ALL - {"object.usdc"})
+    assert "textures" not in format_losses(asset, False, ALL)
+    bare = format_losses(asset, True, ALL - {"object.usdc"})
     assert "There is no USD" in bare and "Isaac" not in bare
 
 
 def test_every_effect_is_lost_or_told_in_every_column(tmp_path: Path):
     for column in (*FORMATS, *ENGINES):
-        assert set(column.says) <= set(losses.SUBJECTS) | set(EVERY), column.name
+        assert set(column.outcomes) <= set(losses.SUBJECTS) | set(EVERY), column.name
     for name, kind in EVERY.items():
-        urdf, mjcf, _ = (told(column, name) for column in FORMATS)
+        urdf, mjcf, _ = (outcome(column, name) for column in FORMATS)
         numbers = [spec.scale if spec.scale >= spec.lower else spec.lower for spec in kind.parameters().values()]
         effect = kind(*numbers)
         assert (urdf == losses.KEPT) == bool(effect.urdf_dynamics()) and (mjcf == losses.KEPT) == bool(
@@ -64,15 +64,15 @@ def test_every_effect_is_lost_or_told_in_every_column(tmp_path: Path):
 
 def test_parts_that_stayed_in_each_other_are_said(tmp_path: Path):
     asset = write_case(tmp_path, "revolute")
-    assert "in each other" not in losses_text(asset, False, frozenset({"object.urdf"}))
+    assert "overlap" not in format_losses(asset, False, frozenset({"object.urdf"}))
     stated = {"penetration": {"deepest_m": 0.0123, "not_carved_because": "the moving part is not closed"}}
-    text = losses_text(replace(asset, source=stated), False, frozenset({"object.urdf"}))
-    assert "up to 12.3 mm in each other, and was not carved: the moving part is not closed." in text
+    text = format_losses(replace(asset, source=stated), False, frozenset({"object.urdf"}))
+    assert "overlap by up to 12.3 mm: not carved, the moving part is not closed." in text
 
 
 def test_sizes_of_zero_are_nothing_to_lose(tmp_path: Path):
     asset = write_case(tmp_path, "revolute", (ViscousDamping(0.0), CoulombFriction(0.1)))
-    assert subjects_of(asset, True)[0] == "coulomb_friction"
+    assert list_subjects(asset, True)[0] == "coulomb_friction"
 
 
 @pytest.mark.parametrize("base", ["free", "fixed"])
@@ -117,7 +117,7 @@ def test_mujoco_keeps_links_and_visuals_of_the_urdf_and_loses_what_losses_md_say
         mujoco.mj_forward(model, data)
         touching.append(data.ncon)
     column = next(c for c in ENGINES if c.name.startswith("MuJoCo") and c.reads == "object.urdf")
-    assert touching[1] == 0 and (touching[0] == 0) == (told(column, "parts") == losses.KEPT)
+    assert touching[1] == 0 and (touching[0] == 0) == (outcome(column, "parts") == losses.KEPT)
 
 
 @pytest.mark.parametrize("base", ["free", "fixed"])
@@ -138,7 +138,7 @@ def test_a_repaired_asset_tells_of_what_was_added(tmp_path: Path):
     text = (tmp_path / "b/LOSSES.md").read_text()
     assert cells(text, "coulomb friction") and not cells((tmp_path / "a/LOSSES.md").read_text(), "coulomb friction")
     assert '"friction": 0.2' in (tmp_path / "b/loaders/joint.json").read_text()
-    assert (tmp_path / "b/object.usdc").is_file() == usd.available()
+    assert (tmp_path / "b/object.usdc").is_file() == usd.is_available()
     assert read_asset(tmp_path / "b").effects == again.effects
     bare = write_repaired(read_asset(asset.urdf), (CoulombFriction(0.2),), tmp_path / "c")
     assert (bare.urdf.parent / "LOSSES.md").is_file()

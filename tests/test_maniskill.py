@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from export.maniskill import ENVIRONMENTS, register
-from export.maniskill.assets import find_asset, loadable
-from export.maniskill.motion import CarriedMotion, drawn_motion
+from export.maniskill.assets import find_asset, prepare_asset
+from export.maniskill.motion import CarriedMotion, draw_motion
 from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import write_effects
@@ -87,7 +87,7 @@ def test_what_is_no_object_is_told(tmp_path):
 def test_an_object_at_another_scale_has_its_lengths_masses_and_swing(chest):
     free = chest / "chest.urdf"
     free.write_text(LID.replace('<dynamics damping="0.01" friction="0.02"/>', ""))
-    with loadable(find_asset(chest), 4.0) as large:
+    with prepare_asset(find_asset(chest), 4.0) as large:
         joint = read_urdf_joints(large.urdf)["hinge"]
         np.testing.assert_allclose(joint.T_parent_joint[:3, 3], [-0.4, 0, 0.2])
         big, small = load(large), load(find_asset(chest))
@@ -99,13 +99,13 @@ def test_an_object_at_another_scale_has_its_lengths_masses_and_swing(chest):
 
 
 def test_effects_hold_for_one_size_only(chest):
-    with pytest.raises(FreeArtError, match="expected scale 1"), loadable(find_asset(chest), 2.0):
+    with pytest.raises(FreeArtError, match="expected scale 1"), prepare_asset(find_asset(chest), 2.0):
         pass
 
 
 def test_a_drawn_motion_begins_where_it_is_told_and_its_speed_is_its_slope():
     start = se3.exp_se3(np.array([0.1, 0, 0.2, 0.3, 0, 0]))
-    motion = drawn_motion(np.random.RandomState(1), start, [0, 0, 0.1], 0.2, 5.0)
+    motion = draw_motion(np.random.RandomState(1), start, [0, 0, 0.1], 0.2, 5.0)
     np.testing.assert_allclose(motion.at(0.0)[0], start)
     t, h = 2.2, 1e-5
     pose, linear, angular = motion.at(t)
@@ -114,7 +114,7 @@ def test_a_drawn_motion_begins_where_it_is_told_and_its_speed_is_its_slope():
     turn = (after - before)[:3, :3] / (2 * h) @ pose[:3, :3].T
     np.testing.assert_allclose(angular, [turn[2, 1], turn[0, 2], turn[1, 0]], atol=1e-6)
     assert np.linalg.norm(angular) > 0.01 and not motion.at(100.0)[1].any()
-    again = drawn_motion(np.random.RandomState(1), start, [0, 0, 0.1], 0.2, 5.0)
+    again = draw_motion(np.random.RandomState(1), start, [0, 0, 0.1], 0.2, 5.0)
     np.testing.assert_array_equal(motion.poses, again.poses)
 
 

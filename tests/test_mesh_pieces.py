@@ -12,7 +12,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from export.check.engines.plain_urdf import plain_urdf
+from export.check.engines.plain_urdf import write_plain_urdf
 from export.checklist import read_solid
 from freeart21.errors import FreeArtError
 from freeart21.view.link_shapes import read_shown
@@ -61,7 +61,7 @@ def test_every_kind_is_read_alike_by_record_and_check_asset_and_view(ending: str
         np.testing.assert_allclose(np.ptp(seen, axis=0), wide, atol=1e-6)
     solid = read_solid(tmp_path / f"x/meshes/a part{ending}")
     assert solid.is_watertight and solid.volume == pytest.approx(np.prod(SIZE), rel=1e-5)
-    given = plain_urdf(urdf, tmp_path / "x").read_text()
+    given = write_plain_urdf(urdf, tmp_path / "x").read_text()
     assert given.count(".obj" if ending.lower() not in (".obj", ".stl") else ending) == 2
 
 

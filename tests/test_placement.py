@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from export.carving import carved, solid_of
+from export.carving import carve_overlap, make_solid
 from export.exporter import ExportSettings, export_result
-from export.joint_range import TOLERANCE, joint_range, seen_end, zero_state
+from export.joint_range import TOLERANCE, choose_zero, estimate_joint_range, robust_maximum
 from export.penetration import Overlap
-from export.placement import Placement, PlacementSettings, placed
-from export.resting import carrier_of, centres_of_mass, resting_poses, settled
-from export.winding import Winding
+from export.placement import Placement, PlacementSettings, place_parts
+from export.resting_pose import centres_of_mass, find_support, resting_poses, settle
+from export.winding_number import Winding
 from freeart21 import se3
 from freeart21.articulation import Articulation
 from freeart21.errors import FreeArtError
@@ -25,7 +25,6 @@ from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction
 
-LEAST = {"revolute": 1e-3, "prismatic": 1e-4}
 CAMERA_UP = np.array([0.0, -1.0, 0.0])
 
 
@@ -67,7 +66,7 @@ def seen_as(
 
 
 def stands(answer: Reconstruction, **settings) -> Placement:
-    return placed(answer, PlacementSettings(**settings), LEAST)
+    return place_parts(answer, PlacementSettings(**settings))
 
 
 def test_a_box_with_a_lid_stands_on_its_base_closed_at_zero():
@@ -75,7 +74,7 @@ def test_a_box_with_a_lid_stands_on_its_base_closed_at_zero():
     placement = stands(answer)
     base = placement.reference.vertices
     np.testing.assert_allclose([base.min(0), base.max(0)], [[-0.1, -0.075, 0], [0.1, 0.075, 0.1]], atol=1e-9)
-    assert placement.said["up"]["how"] == "resting pose" and placement.said["up"]["carried_by"] == "reference"
+    assert placement.report["up"]["how"] == "resting pose" and placement.report["up"]["carried_by"] == "reference"
     # an axis's line, its sign, and the frame: the lid opens upwards by positive states
     assert placement.joint.lower == 0 and placement.joint.upper == pytest.approx(0.6)
     assert placement.state_zero == pytest.approx(0.25)
@@ -101,7 +100,7 @@ def test_up_that_is_given_wins_and_gravity_is_told_in_the_cameras_axes():
     down = 9.81 * np.array([0.0, np.cos(0.4), np.sin(0.4)])
     pulled = stands(answer, gravity=tuple(down))
     np.testing.assert_allclose(pulled.T_canonical_reference[:3, 2], -down / 9.81, atol=1e-12)
-    assert (up.said["up"]["how"], pulled.said["up"]["how"]) == ("given", "gravity")
+    assert (up.report["up"]["how"], pulled.report["up"]["how"]) == ("given", "gravity")
 
 
 def test_gravity_of_a_reference_part_that_moved_is_refused():
@@ -110,7 +109,7 @@ def test_gravity_of_a_reference_part_that_moved_is_refused():
     answer = seen_as(lidded(), np.linspace(0, 1.2, 9), Ts_camera_reference=moved)
     with pytest.raises(FreeArtError, match=r"gravity: the reference part moved before the camera by 50 mm"):
         stands(answer, gravity=(0.0, 9.81, 0.0))
-    assert stands(answer).said["up"]["how"] == "resting pose"
+    assert stands(answer).report["up"]["how"] == "resting pose"
 
 
 @pytest.mark.parametrize(
@@ -131,11 +130,11 @@ def test_settings_that_cannot_be_are_refused(settings, said):
 def test_a_pose_in_which_the_lid_would_meet_the_ground_is_none_to_stand_in():
     poses = resting_poses(lidded(), 0.0, 2.5, 0.0)
     on_base = [pose for pose in poses if pose.up @ [0, 0, 1] > 0.999]
-    assert len(on_base) == 1 and on_base[0].carrier == "reference"
+    assert len(on_base) == 1 and on_base[0].support == "reference"
     # the centre of mass is 0.0525 up, 0.075 from the long edges; both parts are solid
     assert on_base[0].tipping == pytest.approx(np.arctan2(0.075, 0.055), abs=0.01)
     # it does not stand on the side to which the lid opens: the lid sweeps below it
-    assert not [pose for pose in poses if pose.up @ [1, 0, 0] > 0.999 and pose.carrier == "reference"]
+    assert not [pose for pose in poses if pose.up @ [1, 0, 0] > 0.999 and pose.support == "reference"]
 
 
 def test_an_object_without_a_resting_pose_lies_as_it_falls():
@@ -145,7 +144,7 @@ def test_an_object_without_a_resting_pose_lies_as_it_falls():
         Articulation(stick, Mesh(ball.vertices, ball.faces), box((0.01,) * 3, (0, 0, 0.1))), [0, 0.02, 0.03]
     )
     placement = stands(answer)
-    assert placement.said["up"]["how"] in ("resting pose", "rest from the first frame's camera")
+    assert placement.report["up"]["how"] in ("resting pose", "rest from the first frame's camera")
     assert min(placement.reference.vertices[:, 2].min(), 0) == pytest.approx(0, abs=1e-9)
 
 
@@ -162,22 +161,22 @@ def test_a_lid_that_closes_by_positive_states_has_its_zero_at_the_upper_end():
     parts = replace(parts, joint=replace(parts.joint, axis=-parts.joint.axis))
     placement = stands(seen_as(parts, np.linspace(0, 0.9, 9)))
     assert (placement.joint.lower, placement.joint.upper) == pytest.approx((-0.9, 0.0))
-    assert placement.said["zero"] == {"asked": "closed", "end": "upper"}
+    assert placement.report["zero"] == {"asked": "closed", "end": "upper"}
 
 
 def test_ends_alike_leave_zero_at_the_one_nearer_to_the_first_frame():
     wheel = Joint("wheel", "revolute", np.array([0.0, 0, 1]), np.zeros(3), -np.inf, np.inf)
     parts = Articulation(wheel, box((0.1, 0.1, 0.02)), box((0.3, 0.02, 0.01), (0, 0, 0.02)))
-    found = joint_range(seen_as(parts, np.linspace(-3, 0.1, 9)), None)
-    assert zero_state(parts, replace(found, low=-np.pi, high=0.0), "closed")[0] == 0.0
+    found = estimate_joint_range(seen_as(parts, np.linspace(-3, 0.1, 9)), None)
+    assert choose_zero(parts, replace(found, low=-np.pi, high=0.0), "closed")[0] == 0.0
 
 
 def test_a_wild_frame_in_doubt_does_not_widen_the_range_and_believed_ones_are_inside():
     states = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.5, -0.9])
     std = np.array([0.002, 0.002, 0.002, 0.002, 0.002, 0.6, 0.6])
-    found = joint_range(seen_as(lidded(0.2), states, std), None)
+    found = estimate_joint_range(seen_as(lidded(0.2), states, std), None)
     assert (found.low, found.high) == pytest.approx((0.0, 0.8))
-    assert seen_end(states, std)[0] == 0.8
+    assert robust_maximum(states, std)[0] == 0.8
     assert ((states - 2 * std <= found.high) & (states + 2 * std >= found.low)).all()
 
 
@@ -186,7 +185,7 @@ def test_hidden_frames_count_as_predicted():
     seen[-2:, 1] = False
     states = np.linspace(0, 0.8, 9)
     std = np.where(seen.all(1), 0.001, np.nan)
-    found = joint_range(seen_as(lidded(0.1), states, std, seen=seen), None)
+    found = estimate_joint_range(seen_as(lidded(0.1), states, std, seen=seen), None)
     assert (found.high, found.high_by, found.low_by) == (0.8, "hidden", "seen")
 
 
@@ -194,7 +193,7 @@ def test_an_end_within_its_doubt_of_contact_is_the_contact():
     """Seen were -0.49 to 0.3 with doubts of 0.01: the lid, open by 0.5 at state zero, touches at -0.5."""
     states = np.linspace(-0.51, 0.3, 9)
     answer = seen_as(lidded(0.5), states, np.full(9, 0.02))
-    found = joint_range(answer, Overlap(answer.articulation))
+    found = estimate_joint_range(answer, Overlap(answer.articulation))
     assert (found.low_by, found.high_by) == ("contact", "seen")
     assert found.low == pytest.approx(-0.5, abs=1.2 * TOLERANCE / 0.2)  # the lid's rim is 0.2 from its hinge
 
@@ -204,7 +203,7 @@ def test_a_hidden_end_stops_where_the_parts_touch():
     seen[:2, 1] = False
     states = np.append([-0.7, -0.6], np.linspace(-0.3, 0.4, 7))
     answer = seen_as(lidded(0.5), states, np.where(seen.all(1), 0.001, np.nan), seen=seen)
-    found = joint_range(answer, Overlap(answer.articulation))
+    found = estimate_joint_range(answer, Overlap(answer.articulation))
     assert found.low_by == "contact" and found.low == pytest.approx(-0.5, abs=0.005)
 
 
@@ -217,17 +216,17 @@ def test_a_guessed_surface_ends_no_range(patched):
     answer = seen_as(lidded(0.5), states, np.where(seen.all(1), 0.001, np.nan), seen=seen)
     parts = answer.articulation
     observed = {name: np.full(len(parts.part(name).faces), name != patched) for name in ("reference", "moving")}
-    found = joint_range(answer, Overlap(parts, observed))
+    found = estimate_joint_range(answer, Overlap(parts, observed))
     assert (found.low, found.low_by) == (-0.7, "hidden")
-    assert Overlap(parts, observed).deepest(np.array([-0.7])) == 0
-    assert Overlap(parts).deepest(np.array([-0.7])) > 0.01
+    assert Overlap(parts, observed).max_depths(np.array([-0.7])) == 0
+    assert Overlap(parts).max_depths(np.array([-0.7])) > 0.01
 
 
 def test_depth_of_a_box_in_a_box():
     slide = Joint("slide", "prismatic", np.array([1.0, 0, 0]), np.zeros(3), -np.inf, np.inf)
     overlap = Overlap(Articulation(slide, box((0.1, 0.1, 0.1)), box((0.04, 0.04, 0.04), (0.075, 0, 0))))
-    assert overlap.deepest(np.array([0.0, -0.003, -0.005, -0.012])) == pytest.approx([0, 0, 0, 0.007], abs=3e-4)
-    assert overlap.deepest(np.array([-0.012, 0.0])) == pytest.approx([0.007, 0], abs=3e-4)  # in any order
+    assert overlap.max_depths(np.array([0.0, -0.003, -0.005, -0.012])) == pytest.approx([0, 0, 0, 0.007], abs=3e-4)
+    assert overlap.max_depths(np.array([-0.012, 0.0])) == pytest.approx([0.007, 0], abs=3e-4)  # in any order
 
 
 def test_inside_of_an_open_box_is_what_it_encloses_for_the_most_part():
@@ -246,7 +245,7 @@ def test_parts_in_each_other_are_carved_to_half_a_millimetre_and_say_so(tmp_path
     parts = lidded(0.3, gap=-0.004)
     answer = seen_as(parts, np.linspace(-0.3, 0.5, 9))
     placement = stands(answer)
-    said = placement.said["penetration"]
+    said = placement.report["penetration"]
     assert said["deepest_visual_m"] > 0.003 and said["deepest_m"] <= TOLERANCE and said["carved"] is not None
     joint = placement.joint
     apart = Articulation(
@@ -254,23 +253,23 @@ def test_parts_in_each_other_are_carved_to_half_a_millimetre_and_say_so(tmp_path
         placement.solids["reference"],
         placement.solids["moving"].moved(se3.pose(np.eye(3), joint.pivot)),
     )
-    assert Overlap(apart).deepest(np.linspace(joint.lower, joint.upper, 47)).max() <= 1.1 * TOLERANCE
+    assert Overlap(apart).max_depths(np.linspace(joint.lower, joint.upper, 47)).max() <= 1.1 * TOLERANCE
     for mesh in placement.solids.values():
-        assert solid_of(mesh) is not None
-    assert stands(answer, carve=False).said["penetration"]["deepest_m"] == said["deepest_visual_m"]
+        assert make_solid(mesh) is not None
+    assert stands(answer, carve=False).report["penetration"]["deepest_m"] == said["deepest_visual_m"]
 
 
 def test_open_parts_are_not_carved_and_say_why():
     parts = lidded(0.3, gap=-0.004)
     parts = replace(parts, moving=parts.moving.with_faces(np.arange(12) > 1))
-    said = stands(seen_as(parts, np.linspace(-0.3, 0.5, 9))).said["penetration"]
+    said = stands(seen_as(parts, np.linspace(-0.3, 0.5, 9))).report["penetration"]
     assert said["carved"] is None and said["not_carved_because"] == "the moving part is not closed"
 
 
 def test_copies_are_cut_out_one_by_one_where_their_union_only_grows(monkeypatch):
     answer = seen_as(lidded(0.3, gap=-0.004), np.linspace(-0.3, 0.5, 9))
-    monkeypatch.setattr("export.carving.MOST_TRIANGLES", 20)
-    said = stands(answer).said["penetration"]
+    monkeypatch.setattr("export.carving.MAX_TRIANGLES", 20)
+    said = stands(answer).report["penetration"]
     assert said["carved"] is not None and said["deepest_m"] <= 1.1 * TOLERANCE < said["deepest_visual_m"]
 
 
@@ -284,10 +283,10 @@ def test_a_thin_drawer_leaves_nothing_standing_in_its_way():
         ]
     )
     parts = Articulation(slide, box((0.3, 0.2, 0.1), (-0.05, 0, 0)), Mesh(tray.vertices, tray.faces))
-    cut = carved(parts, 0.0, 0.2, TOLERANCE, Overlap(parts))
+    cut = carve_overlap(parts, 0.0, 0.2, TOLERANCE, Overlap(parts))
     assert cut.name == "reference"
     apart = replace(parts, reference=cut.mesh)
-    assert Overlap(apart).deepest(np.linspace(0, 0.2, 37)).max() <= TOLERANCE
+    assert Overlap(apart).max_depths(np.linspace(0, 0.2, 37)).max() <= TOLERANCE
     assert cut.volume == pytest.approx(0.2 * 0.1 * 0.05, rel=0.02)  # what the front wall sweeps, and the floor
 
 
@@ -300,7 +299,7 @@ def test_what_lies_down_comes_to_rest_on_three_corners_about_its_centre():
     bent = base.vertices - np.where(under[:, None], [0, 0, 1], 0) * rng.uniform(0, 0.004, (8, 1))
     parts = replace(parts, reference=Mesh(bent, base.faces))
     askew = np.array([0.05, -0.04, 1.0]) / np.linalg.norm([0.05, -0.04, 1.0])
-    up = settled(parts, 0.0, askew)
+    up = settle(parts, 0.0, askew)
     points = np.concatenate([mesh.vertices for mesh in parts.posed(np.eye(4), 0.0)])
     heights = points @ up
     feet = points[heights < heights.min() + 1e-9]
@@ -310,19 +309,19 @@ def test_what_lies_down_comes_to_rest_on_three_corners_about_its_centre():
         np.vstack([(feet - np.outer(feet @ up, up)).T + up[:, None], np.ones(3)])[:3], centre - (centre @ up) * up + up
     )
     assert (weights > 0).all() and weights.sum() == pytest.approx(1)
-    assert carrier_of(parts, 0.0, up) == "reference" and carrier_of(parts, 0.0, -up) == "moving"
+    assert find_support(parts, 0.0, up) == "reference" and find_support(parts, 0.0, -up) == "moving"
 
 
 def test_what_would_lose_most_of_itself_is_not_carved():
     slide = Joint("slide", "prismatic", np.array([1.0, 0, 0]), np.zeros(3), -np.inf, np.inf)
     parts = Articulation(slide, box((0.1, 0.1, 0.1)), box((0.097, 0.097, 0.097)))
-    assert "would be cut away" in carved(parts, 0.0, 0.02, TOLERANCE, Overlap(parts))
+    assert "would be cut away" in carve_overlap(parts, 0.0, 0.02, TOLERANCE, Overlap(parts))
 
 
 def test_tolerances_grow_with_the_scale():
     parts = lidded(0.3, gap=-0.004)
     answer = seen_as(parts, np.linspace(-0.3, 0.5, 9))
-    said = placed(answer, PlacementSettings(), LEAST, scale=10.0).said["penetration"]
+    said = place_parts(answer, PlacementSettings(), scale=10.0).report["penetration"]
     assert said["tolerance_m"] == pytest.approx(10 * TOLERANCE) and said["carved"] is None
 
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from engine_case import write_case
 
-from export.preview import _FROM, FILE, SIDE, _best_eye, picture_of
+from export.preview import _VIEWPOINT, FILE, SIDE, _choose_viewpoint, render_preview
 from freeart21.files import checked
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 def test_both_ends_of_the_joint_are_shown_whole_in_the_assets_colour(tmp_path: Path, kind) -> None:
     asset = write_case(tmp_path, kind)
-    picture = picture_of(asset)
+    picture = render_preview(asset)
     assert picture.shape == (SIDE, 2 * SIDE, 3)
     np.testing.assert_array_equal(picture, checked.read_rgb(tmp_path / FILE))
     ground = picture[0, 0].astype(int)
@@ -31,7 +31,7 @@ def test_a_long_object_is_seen_from_its_side() -> None:
     rng = np.random.default_rng(0)
     for axis in (0, 1):
         points = rng.uniform(-1, 1, (500, 3)) * np.where(np.arange(3) == axis, 1.0, 0.15)
-        eye = _best_eye(points)
+        eye = _choose_viewpoint(points)
         assert abs(eye[axis]) < 0.6 * np.hypot(*eye[:2])
     ball = rng.normal(size=(5000, 3))
-    np.testing.assert_allclose(_best_eye(ball / np.linalg.norm(ball, axis=1, keepdims=True)), _FROM)
+    np.testing.assert_allclose(_choose_viewpoint(ball / np.linalg.norm(ball, axis=1, keepdims=True)), _VIEWPOINT)

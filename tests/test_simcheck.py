@@ -12,8 +12,8 @@ from little_asset import write_little
 
 from export.check import checking
 from export.check.report import CheckReport, Row
-from export.check.simcheck_rules import simcheck_rows
-from export.check.trial_process import Answer
+from export.check.simcheck_rules import run_simcheck
+from export.check.trial_process import StageResult
 from freeart21.files.asset import read_asset
 
 
@@ -48,7 +48,7 @@ def test_errors_fail_what_was_not_finished_is_unknown_and_warnings_are_told(monk
             result("e", "warn", finding("did not finish", incomplete=True), engine="mujoco"),
         ],
     )
-    assert list(simcheck_rows(Path("a.urdf"), 100.0)) == [
+    assert list(run_simcheck(Path("a.urdf"), 100.0)) == [
         Row("simcheck.a", "simcheck", "pass", ""),
         Row("simcheck.b", "simcheck", "pass", "warn: thin"),
         Row("simcheck.c", "simcheck", "fail", "no mass; no shape"),
@@ -60,7 +60,9 @@ def test_errors_fail_what_was_not_finished_is_unknown_and_warnings_are_told(monk
 
 def test_it_has_more_time_than_its_own_engines_ask_for(tmp_path, monkeypatch):
     asked = []
-    monkeypatch.setattr(checking, "ask", lambda request, limit_s: asked.append((request, limit_s)) or Answer((), {}, 0))
+    monkeypatch.setattr(
+        checking, "run_stage", lambda request, limit_s: asked.append((request, limit_s)) or StageResult((), {}, 0)
+    )
     monkeypatch.setattr(checking.importlib.util, "find_spec", lambda name: object())
     checking.check(write_little(tmp_path / "lid"), [], simcheck=True)
     request, limit_s = asked[-1]

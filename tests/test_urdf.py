@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from test_export import reconstruction
 
-from export.check.tree import hold_followers, tree_of_urdf
+from export.check.tree import build_tree, freeze_mimics
 from export.exporter import export_result
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import check_no_mimics, find_movable_joint, held_positions, read_asset
@@ -233,7 +233,7 @@ def test_followers_stand_where_their_leader_puts_them(odd: Path) -> None:
         find_movable_joint(odd, "b")
     with pytest.raises(FreeArtError, match=r"'b' follows 'a' \(mimic\), but gap moves one part alone"):
         check_no_mimics(odd, "a", "gap")
-    held = hold_followers(tree_of_urdf(read_urdf(odd)))
+    held = freeze_mimics(build_tree(read_urdf(odd)))
     assert [j.name for j in held.movable] == ["a"]
     np.testing.assert_allclose(held.link_poses({})["c"], link_poses(joints, {"c": 0.5 * (-2 * 0.5 + 0.25) + 1})["c"])
     for second, said in (("c", "mimics itself by way of 'c'"), ("d", "mimics 'd', which is no joint")):

@@ -12,9 +12,9 @@ import trimesh
 from engine_case import write_case
 
 from export import usd
-from export.check.file_rules import file_rows
+from export.check.file_rules import judge_files
 from export.usd import write_usd
-from export.usd_reload import usd_findings
+from export.usd_reload import check_usd
 from freeart21 import se3
 from freeart21.effects.armature import Armature
 from freeart21.effects.coulomb_friction import CoulombFriction
@@ -204,7 +204,7 @@ def test_the_same_asset_is_the_same_bytes(tmp_path: Path):
 
 def test_without_usd_core_one_line_says_what_to_install(tmp_path: Path, monkeypatch):
     asset = write_case(tmp_path, "revolute")
-    monkeypatch.setattr(usd, "available", lambda: False)
+    monkeypatch.setattr(usd, "is_available", lambda: False)
     with pytest.raises(FreeArtError, match=r"usd-core is not installed, .*pip install 'freeart21\[usd\]'"):
         write_usd(tmp_path / "b.usdc", asset)
     assert not (tmp_path / "b.usdc").exists()
@@ -277,7 +277,7 @@ EDITS = {
 
 def said_of_usd(folder: Path) -> tuple[str, str]:
     """Verdict and reason of check-asset's rule."""
-    rows = file_rows(folder / "object.urdf", folder / "object.xml", folder, {}, lambda rule: None)
+    rows = judge_files(folder / "object.urdf", folder / "object.xml", folder, {}, lambda rule: None)
     (row,) = (row for row in rows if row.rule == "usd.same")
     return row.verdict, row.reason
 
@@ -287,7 +287,7 @@ def said_of_usd(folder: Path) -> tuple[str, str]:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_layer_read_back_says_what_the_urdf_says(tmp_path: Path, kind, base):
     asset = write_case(tmp_path, kind, EFFECTS, base)
-    assert list(usd_findings(tmp_path / "object.usdc", asset)) == []
+    assert list(check_usd(tmp_path / "object.usdc", asset)) == []
     assert said_of_usd(tmp_path) == ("pass", "")
 
 

@@ -1,1 +1,1 @@
-"""What a robot simulator wants of any URDF or MJCF: rules on its files, and trials in every installed engine."""
+"""Checks of any URDF or MJCF for use in simulators: rules on its files, and trials in every installed engine."""

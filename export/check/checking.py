@@ -1,4 +1,4 @@
-"""The door: one asset, the rules of its files, and its trial in every installed engine."""
+"""Entry point of `check-asset`: the rules on an asset's files, and its trial in every installed engine."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from export.check.engines.plain_urdf import READ_BY_ENGINES
 from export.check.report import CheckReport, Row
 from export.check.rules import ENGINE_RULES, UNREAD
 from export.check.subject import find_subject
-from export.check.trial_process import ask
+from export.check.trial_process import run_stage
 from freeart21.errors import FreeArtError
 from freeart21.files.urdf import parse_urdf, read_urdf_joints
 from freeart21.files.urdf_files import file_names
 
 ENGINES = tuple(MODULES)
 TIME_LIMIT_S = 60.0
-"""Seconds of processor time for the files, or for one engine: three times what the heaviest known asset needs."""
+"""s of processor time for the files, or for one engine: three times what the heaviest known asset needs."""
 SIMCHECK_LIMIT_S = 900.0
-"""The same of simcheck, which asks 240 points of each contact mesh how deep they are in each of the link's pieces: with
-the square of the pieces. Measured with MuJoCo on an idle machine: 6 s of 58 pieces, 43 s of 226; of 429, 160 s of
-processor time; an asset of ours has 512 at most. Its own limit is 240 s an engine."""
+"""The same for simcheck, which tests 240 points of each contact mesh against each shape of the link: quadratic in the
+shapes. Measured with MuJoCo on an idle machine: 6 s for 58 shapes, 43 s for 226, 160 s of processor time for 429;
+our assets have 512 at most. Its own limit is 240 s per engine."""
 
 
 def check(
@@ -35,18 +35,17 @@ def check(
     root: Path | None = None,
     limit_s: float = TIME_LIMIT_S,
 ) -> CheckReport:
-    """What every rule says of the asset at `path`: an asset folder, a folder with one URDF or MJCF, or such a file.
+    """Judge the asset at `path` by every rule: an asset folder, a folder with one URDF or MJCF, or such a file.
 
     Args:
-        path: the asset; nothing in it is trusted.
-        root: folder outside of which no file is opened; None is the asset's own or, of a URDF, that of its package.
-        engines: names of `ENGINES` to try it in; None is all of them, those that are not installed are skipped.
-        simcheck: run the public checker of that name, too, if it is installed.
-        limit_s: seconds of processor time that the look through the files, and each engine, may take; simcheck at least
-            900.
+        path: the asset, untrusted.
+        engines: names in `ENGINES`; None is all of them. Those not installed are skipped.
+        simcheck: also run the public checker of that name.
+        root: folder outside of which no file is opened; None: the asset's own or, for a URDF, its package's.
+        limit_s: s of processor time for the files, and for each engine; simcheck gets at least 900.
 
     Each engine runs in a process of its own, one after the other. Raises FreeArtError when there is no asset at `path`,
-    a file is named that lies outside of the root, an engine is not known, or the limit is no time.
+    a file lies outside the root, an engine is unknown, or the limit is no time.
     """
     if not 0 < limit_s < math.inf:
         raise FreeArtError(f"--limit-s is {limit_s:g}, expected seconds, more than 0")
@@ -57,13 +56,13 @@ def check(
     if simcheck and importlib.util.find_spec("simcheck") is None:
         raise FreeArtError("simcheck is not installed: pip install 'freeart21[simcheck]'")
     subject = find_subject(path, root)
-    notes, unknown = _notes(subject.urdf)
+    notes, unknown = _collect_notes(subject.urdf)
     request: dict[str, Any] = {
         "folder": str(subject.folder.absolute()),
         "urdf": subject.urdf and str(subject.urdf.absolute()),
         "mjcf": subject.mjcf and str(subject.mjcf.absolute()),
     }
-    answer = ask({**request, "engine": "file"}, limit_s)
+    answer = run_stage({**request, "engine": "file"}, limit_s)
     rows, versions, seconds, settings = list(answer.rows), {}, {"file": answer.seconds}, {}
     request["lowest"] = answer.facts.get("lowest")
     blocked = answer.facts.get("blocked", UNREAD) or unknown
@@ -74,14 +73,14 @@ def check(
         elif blocked:
             rows += [Row(rule, engine, "skip", blocked) for rule in ENGINE_RULES]
         else:
-            answer = ask({**request, "engine": engine}, limit_s)
+            answer = run_stage({**request, "engine": engine}, limit_s)
             rows += answer.rows
             versions[engine] = str(answer.facts.get("version", ""))
             settings[engine] = SETTINGS[engine]
             seconds[engine] = answer.seconds
     if simcheck:
         most = max(limit_s, SIMCHECK_LIMIT_S)
-        answer = ask({**request, "engine": "simcheck", "limit_s": most}, most)
+        answer = run_stage({**request, "engine": "simcheck", "limit_s": most}, most)
         rows += answer.rows
         versions["simcheck"] = str(answer.facts.get("version", ""))
         seconds["simcheck"] = answer.seconds
@@ -93,14 +92,14 @@ def _collision_files(urdf: Path | None) -> list[str]:
     return [name for link in links for shape in link.findall("collision") for name in file_names(shape)]
 
 
-def _notes(urdf: Path | None) -> tuple[tuple[str, ...], str]:
-    """What the trials make of a URDF, and why they cannot be held if so; nothing of a file that is none."""
+def _collect_notes(urdf: Path | None) -> tuple[tuple[str, ...], str]:
+    """Changes made to a URDF for the trials, and why no trial is possible if so."""
     try:
         joints = {} if urdf is None else read_urdf_joints(urdf)
-    except FreeArtError:  # the files' rules say it
+    except FreeArtError:  # reported by the rules on files
         return (), ""
     held = (f"joint '{j.name}' follows '{j.mimic[0]}' (mimic): trials hold it" for j in joints.values() if j.mimic)
     free = [f"joint '{j.name}' is {j.type}" for j in joints.values() if j.joint_type is None and j.type != "fixed"]
     others = {name for name in _collision_files(urdf) if Path(name).suffix.lower() not in READ_BY_ENGINES}
-    turned = (f"collision mesh {name} is given to the engines as an OBJ" for name in sorted(others))
-    return (*held, *turned), f"{free[0]}, and only hinges and sliders are tried" if free else ""
+    converted = (f"collision mesh {name} is given to the engines as an OBJ" for name in sorted(others))
+    return (*held, *converted), f"{free[0]}, and only hinges and sliders are tried" if free else ""

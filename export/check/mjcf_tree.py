@@ -1,8 +1,8 @@
-"""An MJCF file read without MuJoCo: its bodies and joints as a tree, and the files that it names.
+"""Reads an MJCF without MuJoCo: bodies and joints as a tree, and the files that it names.
 
-Reads bodies with at most one hinge or slide each (and a free joint at the top), classes of defaults, degrees, and all
-ways to write an orientation. What it does not read (`<include>`, `<replicate>`, `<frame>`, ball joints, ...) is said as
-NotRead; then MuJoCo's own reading stands alone.
+Supports bodies with at most one hinge or slide each (and a free joint at the top), default classes, degrees, and all
+notations of orientation. Everything else (`<include>`, `<replicate>`, `<frame>`, ball joints, ...) raises
+UnsupportedMjcf; then only MuJoCo's own reading is used.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from freeart21.joint import JointType
 from freeart21.se3 import Array
 
 _KINDS: dict[str, JointType] = {"hinge": "revolute", "slide": "prismatic"}
-_STRANGE = ("include", "replicate", "frame", "attach", "composite", "flexcomp", "plugin")
+_UNSUPPORTED = ("include", "replicate", "frame", "attach", "composite", "flexcomp", "plugin")
 
 
-class NotRead(Exception):
-    """The file says something that this reader does not know."""
+class UnsupportedMjcf(Exception):
+    """The file uses a feature that this reader does not support."""
 
 
-def named_files(mjcf: Path, folder: Path) -> Iterator[Path]:
-    """The files that an MJCF names; FreeArtError when one of them leads out of `folder`, or includes another file."""
+def list_files(mjcf: Path, folder: Path) -> Iterator[Path]:
+    """The files that an MJCF names; FreeArtError when one lies outside `folder`, or another file is included."""
     root = read_xml(mjcf)
     folders = {kind: "" for kind in ("mesh", "texture")}
     for compiler in root.iter("compiler"):
@@ -44,19 +44,19 @@ def named_files(mjcf: Path, folder: Path) -> Iterator[Path]:
             yield checked.inside(folder, str(mjcf.parent.resolve() / below / name))
 
 
-def tree_of_mjcf(mjcf: Path) -> Tree:
-    """The bodies below the world's only child, as a tree.
+def read_mjcf_tree(mjcf: Path) -> Tree:
+    """The tree of bodies below the world's only child.
 
-    Raises NotRead for what this reader does not know, FreeArtError for what is no MJCF or no number.
+    Raises UnsupportedMjcf, or FreeArtError for what is no MJCF or no number.
     """
     root = read_xml(mjcf)
-    for tag in _STRANGE:
+    for tag in _UNSUPPORTED:
         if root.find(f".//{tag}") is not None:
-            raise NotRead(f"it has <{tag}>")
+            raise UnsupportedMjcf(f"it has <{tag}>")
     world = root.findall("worldbody")
     bodies = [body for part in world for body in part.findall("body")]
     if len(bodies) != 1:
-        raise NotRead(f"its world has {len(bodies)} bodies")
+        raise UnsupportedMjcf(f"its world has {len(bodies)} bodies")
     reader = _Reader(root, mjcf)
     reader.body(bodies[0], None, "main")
     return Tree(bodies[0].get("name", ""), tuple(reader.links), reader.joints, reader.inertials)
@@ -68,14 +68,14 @@ class _Reader:
         self.links: list[str] = []
         self.joints: dict[str, TreeJoint] = {}
         self.inertials: dict[str, UrdfInertial] = {}
-        said: dict[str, str] = {}
+        options: dict[str, str] = {}
         for compiler in root.iter("compiler"):
-            said |= compiler.attrib
-        if said.get("coordinate", "local") != "local":
-            raise NotRead("its coordinates are global")
-        self.unit = 1.0 if said.get("angle", "degree") == "radian" else np.pi / 180
-        self.sequence = said.get("eulerseq", "xyz")
-        self.autolimits = said.get("autolimits", "true") == "true"
+            options |= compiler.attrib
+        if options.get("coordinate", "local") != "local":
+            raise UnsupportedMjcf("its coordinates are global")
+        self.unit = 1.0 if options.get("angle", "degree") == "radian" else np.pi / 180
+        self.sequence = options.get("eulerseq", "xyz")
+        self.autolimits = options.get("autolimits", "true") == "true"
         self.classes: dict[str, dict[str, str]] = {"main": {}}
         for default in root.findall("default"):
             self._class(default, default.get("class", "main"), {})
@@ -89,7 +89,7 @@ class _Reader:
     def body(self, element: ET.Element, parent: str | None, inherited: str) -> None:
         name, inherited = element.get("name", ""), element.get("childclass", inherited)
         if not name:
-            raise NotRead("a body has no name")
+            raise UnsupportedMjcf("a body has no name")
         self.links.append(name)
         inertial = element.find("inertial")
         if inertial is not None:
@@ -97,38 +97,38 @@ class _Reader:
         found = element.findall("joint")
         free = [*element.findall("freejoint"), *(j for j in found if j.get("type") == "free")]
         if (free and parent is not None) or len(found) > 1:
-            raise NotRead(f"body '{name}' has {len(found) + len(free)} joints")
+            raise UnsupportedMjcf(f"body '{name}' has {len(found) + len(free)} joints")
         if parent is not None:
-            self._hang(element, name, parent, found[0] if found else None, inherited)
+            self._add_joint(element, name, parent, found[0] if found else None, inherited)
         elif [j for j in found if j not in free]:
-            raise NotRead(f"body '{name}' hangs on the world by a joint")
+            raise UnsupportedMjcf(f"body '{name}' is attached to the world by a joint")
         for child in element.findall("body"):
             self.body(child, name, inherited)
 
-    def _hang(self, body: ET.Element, name: str, parent: str, joint: ET.Element | None, inherited: str) -> None:
+    def _add_joint(self, body: ET.Element, name: str, parent: str, joint: ET.Element | None, inherited: str) -> None:
         T = se3.pose(self._rotation(body, name), self._numbers(body, "pos", "0 0 0", 3, name))
         if joint is None:
-            title, kind, said = f"{name} (welded)", None, {}
+            title, kind, attributes = f"{name} (welded)", None, {}
         else:
-            said = self.classes.get(joint.get("class", inherited), {}) | joint.attrib
-            title, word = said.get("name", f"{name} (joint)"), said.get("type", "hinge")
-            if word not in _KINDS:
-                raise NotRead(f"joint '{title}' is of type {word}")
-            kind = _KINDS[word]
-        element = ET.Element("joint", said)
+            attributes = self.classes.get(joint.get("class", inherited), {}) | joint.attrib
+            title, mjcf_type = attributes.get("name", f"{name} (joint)"), attributes.get("type", "hinge")
+            if mjcf_type not in _KINDS:
+                raise UnsupportedMjcf(f"joint '{title}' is of type {mjcf_type}")
+            kind = _KINDS[mjcf_type]
+        element = ET.Element("joint", attributes)
         axis = self._numbers(element, "axis", "0 0 1", 3, title)
         length = float(np.linalg.norm(axis))
         if length < 1e-9:
             raise FreeArtError(f"{self.path}: joint '{title}' has axis {axis.tolist()}, expected a direction")
         unit = self.unit if kind == "revolute" else 1.0
-        limited = said.get("limited", "auto")
-        if limited == "true" or (limited == "auto" and self.autolimits and "range" in said):
+        limited = attributes.get("limited", "auto")
+        if limited == "true" or (limited == "auto" and self.autolimits and "range" in attributes):
             lower, upper = unit * self._numbers(element, "range", "0 0", 2, title)
         else:
             lower, upper = -np.inf, np.inf
-        one = {key: self._numbers(element, key, "0", None, title)[0] for key in ("damping", "frictionloss", "ref")}
-        if one["ref"]:
-            raise NotRead(f"joint '{title}' has a ref")
+        first = {key: self._numbers(element, key, "0", None, title)[0] for key in ("damping", "frictionloss", "ref")}
+        if first["ref"]:
+            raise UnsupportedMjcf(f"joint '{title}' has a ref")
         self.joints[title] = TreeJoint(
             title,
             kind,
@@ -139,8 +139,8 @@ class _Reader:
             self._numbers(element, "pos", "0 0 0", 3, title),
             float(lower),
             float(upper),
-            float(one["damping"]),
-            float(one["frictionloss"]),
+            float(first["damping"]),
+            float(first["frictionloss"]),
         )
 
     def _inertial(self, element: ET.Element, name: str) -> UrdfInertial:
@@ -158,8 +158,8 @@ class _Reader:
         if "quat" in element.attrib:
             return se3.pose_from_wxyz(np.zeros(3), self._numbers(element, "quat", "", 4, name))[:3, :3]
         if "axisangle" in element.attrib:
-            said = self._numbers(element, "axisangle", "", 4, name)
-            return se3.exp_so3(self.unit * said[3] * said[:3] / np.linalg.norm(said[:3]))
+            axisangle = self._numbers(element, "axisangle", "", 4, name)
+            return se3.exp_so3(self.unit * axisangle[3] * axisangle[:3] / np.linalg.norm(axisangle[:3]))
         if "euler" in element.attrib:
             R = np.eye(3)
             for letter, angle in zip(self.sequence, self._numbers(element, "euler", "", 3, name), strict=True):
@@ -183,6 +183,6 @@ class _Reader:
 
     def _numbers(self, element: ET.Element, key: str, default: str, count: int | None, name: str) -> Array:
         text = element.get(key, default)
-        if count is None:  # MuJoCo 4 takes several where there was one
+        if count is None:  # MuJoCo 4 allows several
             count = max(1, len(text.split()))
         return parse_numbers(text, count, f"{self.path}: '{name}' has {key}")

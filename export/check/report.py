@@ -1,4 +1,4 @@
-"""What came of a check: a row for every rule and where it was judged."""
+"""The report of a check: a row for every rule and place where it was judged."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from export.check.rules import RULES
 
 SCHEMA = "freeart21/check/1"
 Verdict = Literal["pass", "fail", "unknown", "skip"]
-"""'unknown': judging it took more time than allowed. 'skip': it does not apply, or cannot be judged."""
+"""'unknown': judging took longer than allowed. 'skip': not applicable, or not judgeable."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One rule, judged once."""
+    """One verdict."""
 
     rule: str
-    """Stable id, a key of `rules.RULES`; the rules of simcheck are `simcheck.` and its own id."""
+    """Stable id, a key of `rules.RULES`; rules of simcheck are `simcheck.` and its own id."""
     engine: str
-    """'file' for what is read from the files alone, else the engine or checker."""
+    """'file' for rules on files, else the engine or checker."""
     verdict: Verdict
     reason: str = ""
-    """What is wrong or why it was skipped; of a pass, what was measured, if anything."""
+    """What is wrong, why it was skipped, or what was measured."""
     value: float | None = None
-    """The measured number that was held against the rule's bar, in `unit`."""
+    """The number that was compared with the rule's limit, in `unit`."""
     unit: str = ""
 
 
@@ -36,16 +36,16 @@ class CheckReport:
     """All rows of one asset."""
 
     path: str
-    """As it was named."""
+    """As given by the user."""
     rows: tuple[Row, ...]
     engines: dict[str, str] = field(default_factory=dict)
     """Engine to version, or why it was not used."""
     settings: dict[str, str] = field(default_factory=dict)
-    """Engine to the time step and contact settings that it ran with."""
+    """Engine to its time step and contact settings."""
     seconds: dict[str, float] = field(default_factory=dict)
-    """Engine to wall time, its start included."""
+    """Engine to wall time, with its start."""
     notes: tuple[str, ...] = ()
-    """What was made of the asset before it was judged, a line each."""
+    """Changes made to the asset before it was judged."""
 
     @property
     def failed(self) -> tuple[Row, ...]:
@@ -54,17 +54,17 @@ class CheckReport:
 
     @property
     def not_passed(self) -> tuple[Row, ...]:
-        """The rules that fail, and those that could not be judged in time."""
+        """The rows that fail or were not judged in time."""
         return tuple(row for row in self.rows if row.verdict in ("fail", "unknown"))
 
     @property
     def verdict(self) -> Verdict:
-        """'fail' when a rule fails, else 'unknown' when one could not be judged in time or none was, else 'pass'."""
+        """'fail' when a row fails, else 'unknown' when one was not judged in time or none was judged, else 'pass'."""
         verdicts = {row.verdict for row in self.rows}
         return next((v for v in ("fail", "unknown", "pass") if v in verdicts), "unknown")
 
     def to_json(self) -> dict[str, Any]:
-        """For a file: everything, and what each rule that appears is good for."""
+        """The report for a file, with the texts of its rules."""
         named = {row.rule: asdict(RULES[row.rule]) for row in self.rows if row.rule in RULES}
         return {
             "schema": SCHEMA,
@@ -82,7 +82,7 @@ class CheckReport:
 
 
 def print_report(report: CheckReport) -> None:
-    """A table of the rules against where they were judged, then every failure and every skip in a line of its own."""
+    """Print a table of rules by engine, then a line for every failure and group of skips."""
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
@@ -126,7 +126,7 @@ def print_report(report: CheckReport) -> None:
 
 
 def write_report(path: Path, report: CheckReport) -> None:
-    """The report as a JSON file."""
+    """Write the report as JSON."""
     from freeart21.files import atomic
 
     atomic.write_bytes(path, (json.dumps(report.to_json(), indent=1) + "\n").encode())

@@ -1,4 +1,4 @@
-"""The bodies of an asset as solids: what one joint moves as a whole, and how deep points are inside of it."""
+"""Bodies of an asset as solids: everything that one joint moves, and how deep points are inside."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull, QhullError
 
-from export.winding import Winding
+from export.winding_number import Winding
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 
 HULL_GAP = 0.02
-"""Part of its diagonal by which an open mesh may miss its convex hull and still count as the solid of that hull."""
+"""Distance of an open mesh from its convex hull, over its diagonal, below which it counts as that hull."""
 _HULL_POINTS = 200
-"""Points of the hull's surface from which the mesh is looked for."""
+"""Points on the hull from which the distance is measured."""
 
 
 @dataclass(frozen=True)
@@ -28,11 +28,12 @@ class Convex:
     """(2, 3) lowest and highest corner."""
 
     def depth(self, points: Array) -> Array:
-        """(n,) metres that each of points (n, 3) is inside, 0 outside."""
+        """(n,) m that each of points (n, 3) is inside, 0 outside."""
         return np.maximum(-(points @ self.planes[:, :3].T + self.planes[:, 3]).max(1), 0.0)
 
     def depth_between(self, starts: Array, ends: Array) -> Array:
-        """(n,) depth in the middle of what lies inside of each segment from starts to ends (n, 3), 0 when none does."""
+        """(n,) depth at the middle of the part of each segment from starts to ends (n, 3) that is inside; 0 without
+        one."""
         a, b = (points @ self.planes[:, :3].T + self.planes[:, 3] for points in (starts, ends))
         with np.errstate(divide="ignore", invalid="ignore"):
             t = a / (a - b)
@@ -53,11 +54,11 @@ class Closed:
     """(2, 3) lowest and highest corner."""
 
     def depth(self, points: Array) -> Array:
-        """(n,) metres that each of points (n, 3) is inside, 0 outside."""
+        """(n,) m that each of points (n, 3) is inside, 0 outside."""
         return np.where(self.winding.number(points) > 0.5, self.winding.distance(points), 0.0)
 
     def depth_between(self, starts: Array, ends: Array) -> Array:
-        """(n,) depth in the middle of each segment from starts to ends (n, 3)."""
+        """(n,) depth at the middle of each segment from starts to ends (n, 3)."""
         return self.depth(0.5 * (starts + ends))
 
 
@@ -69,12 +70,12 @@ class Body:
     points: Array
     """(n, 3) spread evenly over the surface of all shapes, m."""
     middle: Array
-    """(3,) m, of the box around it."""
+    """(3,) m, centre of the bounding box."""
     size: float
-    """Diagonal of that box, m."""
+    """Its diagonal, m."""
 
     def depth(self, points: Array) -> Array:
-        """(n,) metres by which each of points (n, 3) is inside of the solid that it is deepest in, 0 outside of all."""
+        """(n,) m that each of points (n, 3) is inside the solid in which it is deepest, 0 outside all."""
         depth = np.zeros(len(points))
         for solid in self.solids:
             near = np.flatnonzero(((points > solid.box[0]) & (points < solid.box[1])).all(1))
@@ -83,7 +84,7 @@ class Body:
         return depth
 
     def depth_between(self, starts: Array, ends: Array) -> Array:
-        """(n,) the same on the way from starts to ends (n, 3), where it is in the middle of a solid."""
+        """(n,) the same along segments from starts to ends (n, 3)."""
         depth = np.zeros(len(starts))
         low, high = np.minimum(starts, ends), np.maximum(starts, ends)
         for solid in self.solids:
@@ -93,18 +94,18 @@ class Body:
         return depth
 
 
-def body_of(shapes: list[tuple[Array, trimesh.Trimesh]], count: int, seed: int = 0) -> Body | None:
-    """The body of shapes, (pose (4, 4), mesh) each, with `count` points on its surface; None without a surface.
+def make_body(shapes: list[tuple[Array, trimesh.Trimesh]], count: int, seed: int = 0) -> Body | None:
+    """The body of shapes, each (pose (4, 4), mesh), with `count` points on its surface; None without a surface.
 
-    A closed mesh is its own inside. An open one whose surface is nearly that of its convex hull (boards drawn from both
-    sides, boxes without a lid's edge) is that hull, as engines take it; any other open mesh has no inside.
+    A closed mesh is its own inside. An open one close to its convex hull (boards with double faces, boxes without an
+    edge) counts as that hull, as in engines. Any other open mesh has no inside.
     """
     solids, meshes = [], []
     for T, mesh in shapes:
         if len(mesh.faces) and np.isfinite(mesh.vertices).all() and mesh.area > 0:
             moved = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).apply_transform(T)
             meshes.append(moved)
-            solid = _solid_of(moved)
+            solid = _make_solid(moved)
             if solid is not None:
                 solids.append(solid)
     if not meshes:
@@ -116,7 +117,7 @@ def body_of(shapes: list[tuple[Array, trimesh.Trimesh]], count: int, seed: int =
     return Body(tuple(solids), np.asarray(points, float), 0.5 * (low + high), float(np.linalg.norm(high - low)))
 
 
-def _solid_of(mesh: trimesh.Trimesh) -> Convex | Closed | None:
+def _make_solid(mesh: trimesh.Trimesh) -> Convex | Closed | None:
     used = mesh.vertices[np.unique(mesh.faces)]
     try:
         hull = ConvexHull(used)

@@ -1,4 +1,4 @@
-"""What is checked: an asset folder of ours, a folder with one URDF or MJCF, or such a file. Nothing is trusted."""
+"""Finds the asset to check: an asset folder, a folder with one URDF or MJCF, or such a file. Input is untrusted."""
 
 from __future__ import annotations
 
@@ -13,43 +13,43 @@ from freeart21.files.urdf import parse_urdf, read_xml
 from freeart21.files.urdf_files import file_names, find_root, resolve_file
 
 MAX_FILE_BYTES = 256 << 20
-"""Bytes of one file that is named."""
+"""Largest file."""
 MAX_BYTES = 1 << 30
-"""Bytes of all of them."""
+"""All files together."""
 _LOOKED_AT = 100
-"""Files of a folder of which it is asked whether they are a URDF or MJCF."""
+"""Most files of a folder that are tested for being a URDF or MJCF."""
 
 
 @dataclass(frozen=True)
 class Subject:
-    """The files of one asset; at least one of URDF and MJCF."""
+    """The files of one asset; at least a URDF or an MJCF."""
 
     folder: Path
-    """No file outside of it is opened."""
+    """No file outside it is opened."""
     urdf: Path | None
     mjcf: Path | None
 
 
 def find_subject(path: Path, root: Path | None = None) -> Subject:
-    """The asset at `path`, its files inside `root`; when that is not given, inside the folder or the URDF's package.
+    """The asset at `path`; its files must be inside `root` or, without one, inside the folder or the URDF's package.
 
-    Raises FreeArtError when there is none or it is not clear which, when a file declares a document type (so entities),
-    names a file outside of the folder, or is too large.
+    Raises FreeArtError when there is none or several, a file declares a document type (and so entities), names a file
+    outside the folder, or is too large.
     """
     path = Path(path)
     if not path.exists():
         raise FreeArtError(f"{path} does not exist")
     if path.is_file():
-        kind = _kind(path)
+        kind = _file_kind(path)
         if kind is None:
             raise FreeArtError(f"{path} is no asset: expected a folder, a URDF (<robot>) or an MJCF (<mujoco>)")
         subject = Subject(path.parent, path if kind == "robot" else None, path if kind == "mujoco" else None)
     elif checked.is_there(path / "asset.json"):
         urdf = read_asset(path).urdf
-        beside = urdf.with_suffix(".xml")
-        subject = Subject(path.resolve(), urdf, beside if _kind(beside) == "mujoco" else None)  # as the URDF's is
+        mjcf = urdf.with_suffix(".xml")
+        subject = Subject(path.resolve(), urdf, mjcf if _file_kind(mjcf) == "mujoco" else None)
     else:
-        subject = _in_folder(path)
+        subject = _find_in_folder(path)
     if root is not None:
         subject = replace(subject, folder=find_root(path, root=root))
     elif subject.urdf is not None and not (path / "asset.json").is_file():
@@ -60,27 +60,27 @@ def find_subject(path: Path, root: Path | None = None) -> Subject:
     return subject
 
 
-def _in_folder(folder: Path) -> Subject:
-    """The only URDF or MJCF of a folder or, where it holds none itself, of the folders below."""
-    for pattern in ("*", "*/*", "*/*/*"):  # PACKAGE/urdf/a.urdf beside others
+def _find_in_folder(folder: Path) -> Subject:
+    """The only URDF or MJCF of a folder or, if it holds none itself, of its subfolders."""
+    for pattern in ("*", "*/*", "*/*/*"):  # such as PACKAGE/urdf/a.urdf
         files = sorted(islice((f for f in folder.glob(pattern) if f.suffix in (".urdf", ".xml")), _LOOKED_AT))
-        kinds = {file: _kind(file) for file in files}
+        kinds = {file: _file_kind(file) for file in files}
         urdfs = [file for file, kind in kinds.items() if kind == "robot"]
         mjcfs = [file for file, kind in kinds.items() if kind == "mujoco"]
         if len(urdfs) == 1:
-            beside = urdfs[0].with_suffix(".xml")
-            return Subject(folder, urdfs[0], beside if beside in mjcfs else None)
+            mjcf = urdfs[0].with_suffix(".xml")
+            return Subject(folder, urdfs[0], mjcf if mjcf in mjcfs else None)
         if not urdfs and len(mjcfs) == 1:
             return Subject(folder, None, mjcfs[0])
         if urdfs or mjcfs:
             names = ", ".join(file.relative_to(folder).as_posix() for file in [*urdfs, *mjcfs])
             raise FreeArtError(f"{folder} holds several URDF or MJCF files; name one of {names}")
     for file in sorted(folder.glob("**/*.xacro"))[:1]:
-        _kind(file)
+        _file_kind(file)
     raise FreeArtError(f"{folder} is no asset: it holds neither asset.json nor a URDF or MJCF file")
 
 
-def _kind(path: Path) -> str | None:
+def _file_kind(path: Path) -> str | None:
     """'robot' or 'mujoco', from the root element; None for other files."""
     if path.suffix.lower() not in (".urdf", ".xml", ".xacro") or not path.is_file():
         return None
@@ -93,9 +93,9 @@ def _check_files(subject: Subject) -> None:
     if subject.urdf is not None:
         files |= {resolve_file(subject.urdf, name, subject.folder) for name in file_names(parse_urdf(subject.urdf))}
     if subject.mjcf is not None:
-        from export.check.mjcf_tree import named_files
+        from export.check.mjcf_tree import list_files
 
-        files |= set(named_files(subject.mjcf, subject.folder))
+        files |= set(list_files(subject.mjcf, subject.folder))
     sizes = {file: file.stat().st_size for file in files if file.is_file()}
     for file, size in sizes.items():
         if size > MAX_FILE_BYTES:

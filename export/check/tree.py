@@ -1,4 +1,4 @@
-"""Links and joints as plain numbers, whichever format they were written in, and what follows from them."""
+"""Links and joints as numbers, independent of the file format; kinematics and dynamics."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ class TreeJoint:
     """(3,) a point of the axis in the child's frame, m."""
     lower: float
     upper: float
-    """rad or m, infinite where the file gives no limit."""
+    """rad or m, infinite without a limit."""
     damping: float = 0.0
     friction: float = 0.0
     mimic: tuple[str, float, float] | None = None
-    """The joint that it follows, multiplier and offset."""
+    """The joint that it mimics, multiplier and offset."""
     stated: bool = True
-    """Whether the file says how far it goes, be it without end."""
+    """Whether the file states its range, be it endless."""
 
     def transform(self, q: float | Array) -> Array:
         """(..., 4, 4) the child's frame in the parent's at position(s) `q` (...)."""
@@ -47,12 +47,12 @@ class TreeJoint:
 
     @property
     def ordered(self) -> bool:
-        """Whether the file leaves it a range."""
+        """Whether the stated range is not empty."""
         return self.stated and self.lower < self.upper
 
     @property
     def sweep(self) -> tuple[float, float]:
-        """The limits or, where it has none, a turn to and fro or half a metre; twice zero where nothing is left."""
+        """The limits, or a turn either way or half a metre where there is none; twice zero for an empty range."""
         if not self.ordered:
             return 0.0, 0.0
         end = np.pi if self.kind == "revolute" else 0.5
@@ -63,24 +63,24 @@ class TreeJoint:
 
     @property
     def loaded(self) -> float:
-        """The position at which a simulator should load it: zero, or the limit nearest to it."""
+        """Position at which a simulator should load it: zero, or the limit nearest to zero."""
         return float(np.clip(0.0, self.lower, self.upper)) if self.ordered else 0.0
 
 
 @dataclass(frozen=True)
 class Tree:
-    """Links that hang on one root."""
+    """Links below one root."""
 
     root: str
     links: tuple[str, ...]
     joints: dict[str, TreeJoint]
-    """Name to joint, parents before children."""
+    """Name to joint, parents first."""
     inertials: dict[str, UrdfInertial]
-    """Of the links of which the file gives them."""
+    """Of the links for which the file has them."""
 
     @property
-    def nailed(self) -> bool:
-        """Whether the root is the world itself, as URDFs say a base that does not move."""
+    def fixed_base(self) -> bool:
+        """Whether the root is the world itself, as in URDFs with a fixed base."""
         return self.root == "world"
 
     @property
@@ -98,20 +98,20 @@ class Tree:
         return groups
 
     def complete(self, q: Mapping[str, float]) -> dict[str, float]:
-        """Positions of all joints that move: `q`, and what follows it."""
+        """Positions of all joints that move: `q`, and its mimics."""
         return resolve_mimics(self.joints, q)
 
     def link_poses(self, q: Mapping[str, float | Array]) -> dict[str, Array]:
-        """Link name to T_root_link (..., 4, 4) at joint positions `q`, rad or m, each a number or an array (...) of one
-        shape; joints that are not named stand at zero. A link that only numbers place has one pose (4, 4)."""
+        """Link name to T_root_link (..., 4, 4) at joint positions `q`, rad or m, numbers or arrays (...) of one shape;
+        joints missing in `q` are at zero. Links placed by numbers only have one pose (4, 4)."""
         Ts = {self.root: np.eye(4)}
         for joint in self.joints.values():
             Ts[joint.child] = Ts[joint.parent] @ joint.transform(q.get(joint.name, 0.0))
         return Ts
 
     def jacobians(self, q: Mapping[str, float], inertials: Mapping[str, UrdfInertial]) -> dict[str, NDArray]:
-        """Link name to (6, n): velocity of its centre of mass and angular velocity, in the root's frame, per velocity
-        of each of the n `movable` joints."""
+        """Link name to (6, n): velocity of its centre of mass and angular velocity, root's frame, per velocity of the
+        `movable` joints."""
         Ts, names = self.link_poses(q), [joint.name for joint in self.movable]
         columns: dict[str, NDArray] = {self.root: np.zeros((6, len(names)))}  # of the link's origin
         for joint in self.joints.values():
@@ -133,7 +133,7 @@ class Tree:
         return out
 
     def mass_matrix(self, q: Mapping[str, float], inertials: Mapping[str, UrdfInertial]) -> NDArray:
-        """(n, n) of the movable joints, the root nailed down."""
+        """(n, n) of the movable joints, with the root fixed."""
         Ts, total = self.link_poses(q), np.zeros((len(self.movable),) * 2)
         for name, J in self.jacobians(q, inertials).items():
             if name in inertials:
@@ -142,13 +142,13 @@ class Tree:
         return total
 
     def height_energy(self, q: Mapping[str, float], inertials: Mapping[str, UrdfInertial], gravity: float) -> float:
-        """Potential energy, J, with the root's z upwards."""
+        """Potential energy, J, with the root's z up."""
         Ts = self.link_poses(q)
         return float(sum(gravity * b.mass * (Ts[n] @ [*b.centre, 1.0])[2] for n, b in inertials.items() if n in Ts))
 
 
-def hold_followers(tree: Tree) -> Tree:
-    """The tree with joints that mimic others held where these ask, all as loaded: not every engine obeys a mimic."""
+def freeze_mimics(tree: Tree) -> Tree:
+    """The tree with mimic joints fixed at their position as loaded: not every engine supports mimics."""
     full = tree.complete({joint.name: joint.loaded for joint in tree.movable})
     joints = {
         name: joint if joint.mimic is None else replace(joint, kind=None, T_parent_child=joint.transform(full[name]))
@@ -157,7 +157,7 @@ def hold_followers(tree: Tree) -> Tree:
     return replace(tree, joints={name: replace(joint, mimic=None) for name, joint in joints.items()})
 
 
-def tree_of_urdf(urdf: Urdf) -> Tree:
+def build_tree(urdf: Urdf) -> Tree:
     """The tree of a URDF; FreeArtError when it has several roots."""
     place = {name: i for i, name in enumerate(urdf.parents_first)}
     joints = {
@@ -181,7 +181,7 @@ def tree_of_urdf(urdf: Urdf) -> Tree:
     low = resolve_mimics(joints, {j.name: j.lower for j in joints.values()})
     high = resolve_mimics(joints, {j.name: j.upper for j in joints.values()})
     for name, joint in joints.items():
-        if joint.mimic is not None:  # it goes as far as its leader takes it
+        if joint.mimic is not None:  # its range follows from its leader's
             joints[name] = replace(joint, lower=min(low[name], high[name]), upper=max(low[name], high[name]))
     inertials = {name: link.inertial for name, link in urdf.links.items() if link.inertial is not None}
     return Tree(urdf.root, tuple(urdf.links), joints, inertials)

@@ -1,4 +1,4 @@
-"""An asset tried in one engine, rule by rule. What is held against the engine are the file's own numbers."""
+"""The trial of an asset in one engine, rule by rule, against the file's own numbers."""
 
 from __future__ import annotations
 
@@ -29,41 +29,41 @@ from freeart21.se3 import Array
 LIMIT_TOLERANCE = 1e-6
 """rad or m, relative beyond 1: engines keep limits in single precision."""
 DRIVEN_JOINTS = 8
-"""So many of an asset's joints are pushed, the first of the file."""
+"""Number of joints that are pushed, the first ones of the file."""
 PUSH_S = 1.5
-"""Twice what the force of `push_of` needs for the whole range, so that the joint also rests at its limit."""
+"""Twice what `push_force` needs for the whole range, so that the joint also rests at its limit."""
 REACH = 0.02
-"""Fraction of the range by which a joint may miss a limit, or be beyond it once it rests there. MuJoCo's limits are
-springs of 0.02 s: pushed on as `push_of` does, they give way by 0.1 % of the range."""
+"""Fraction of the range by which a joint may miss a limit, or rest beyond it. MuJoCo's limits are springs of 0.02 s:
+under `push_force` they yield by 0.1 % of the range."""
 BOUNCE = 0.1
-"""Fraction of the range by which it may shoot beyond a limit: at the speed of arrival MuJoCo's give way by 3 %."""
+"""Fraction of the range by which it may overshoot a limit: at the speed of arrival MuJoCo's yield by 3 %."""
 FREE_S = 2.0
 SETTLE_S, SAMPLE_S = 0.5, 0.01
 SWING = 0.1
-"""Part of the allowed drift by which a body has to swing back for its velocity to count as turned, .1 mm or .001 rad:
-PyBullet lets a lighter's lid hop by .0005 rad for ever on the limit that gravity holds it at."""
+"""Fraction of the allowed drift that a body must swing back to count as a reversal, .1 mm or .001 rad: in PyBullet a
+lighter's lid hops by .0005 rad for ever on the limit at which gravity holds it."""
 STATED = ("engine.tree", "engine.limits", "engine.masses", "engine.poses")
 MOVED = ("joint.moves", "joint.stops", "energy.falls", "rest.drift", "rest.oscillation")
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What is tried where."""
+    """One asset in one engine."""
 
     engine: str
     tree: Tree | None
-    """As the file says; None where it was not read apart from the engine."""
+    """From the file; None where only the engine can read it."""
     lowest: float | None
     """Height, m, of the lowest collision point in the root's frame, joints as loaded."""
     load: Callable[[Setting], World]
 
     def rows(self, say: Callable[[str], None]) -> Iterator[Row]:
-        """Every rule, in order; `say` hears the rule that is tried next, before it is."""
+        """Every rule, in order. `say` is called with each rule before it is tried."""
         say("engine.loads")
         try:
             world = self.load(Setting(fixed=True, gravity=False, floor=False))
         except Exception as error:  # the engine's own faults, of any type
-            yield self._row("engine.loads", "fail", _line(error))
+            yield self._row("engine.loads", "fail", _first_line(error))
             for rule in (*STATED, *MOVED):
                 yield self._row(rule, "skip", "it does not load")
             return
@@ -94,21 +94,21 @@ class Trial:
             return tried()
         except Exception as error:
             left = [self._row(other, "skip", f"see {rule}") for other in others]
-            return [self._row(rule, "fail", _line(error)), *left]
+            return [self._row(rule, "fail", _first_line(error)), *left]
 
     def _row(self, rule: str, verdict: Any, reason: str = "", value: float | None = None, unit: str = "") -> Row:
         return Row(rule, self.engine, verdict, reason, value, unit)
 
-    def _held(self, rule: str, value: float, bar: float, unit: str, what: str) -> Row:
-        """A number held against its bar."""
-        told = f"{what}: {value:.3g}{f' {unit}' if unit else ''}, expected at most {bar:g}"
-        return self._row(rule, "pass" if value <= bar else "fail", told, float(value), unit)
+    def _bounded_row(self, rule: str, value: float, bar: float, unit: str, what: str) -> Row:
+        """A row for a number with an upper bound."""
+        reason = f"{what}: {value:.3g}{f' {unit}' if unit else ''}, expected at most {bar:g}"
+        return self._row(rule, "pass" if value <= bar else "fail", reason, float(value), unit)
 
-    # ---- what it says
+    # ---- the engine's numbers
 
     def _same_tree(self, world: World, tree: Tree) -> Row:
         expected: dict[str, str | None] = {tree.root: None} | {j.child: j.parent for j in tree.joints.values()}
-        if tree.nailed:  # engines take a link of that name for their own world, or for a link like any other
+        if tree.fixed_base:  # some engines take a link of that name for their world, some for an ordinary link
             expected.pop(tree.root)
             found = {k: None if v == tree.root else v for k, v in world.parents.items() if k != tree.root}
             expected = {k: None if v == tree.root else v for k, v in expected.items()}
@@ -120,8 +120,8 @@ class Trial:
             if link not in expected:
                 return self._row("engine.tree", "fail", f"link '{link}' is not the file's")
             if expected[link] != found[link]:
-                hangs = f"hangs on '{found[link]}', expected '{expected[link]}'"
-                return self._row("engine.tree", "fail", f"link '{link}' {hangs}")
+                parents = f"has parent '{found[link]}', expected '{expected[link]}'"
+                return self._row("engine.tree", "fail", f"link '{link}' {parents}")
         names = {j.name for j in world.joints}
         wanted = {j.name for j in tree.movable}
         if not wanted <= names:
@@ -133,13 +133,13 @@ class Trial:
         judged = [j for j in tree.movable if j.ordered and j.name in found]
         for joint in judged:
             for mine, its in ((joint.lower, found[joint.name].lower), (joint.upper, found[joint.name].upper)):
-                if _without_end(mine) and _without_end(its):
+                if _is_unlimited(mine) and _is_unlimited(its):
                     continue
                 off = abs(mine - its) / max(1.0, abs(mine)) if np.isfinite(mine) else np.inf
                 worst = max(worst, off)
                 if off > LIMIT_TOLERANCE:
-                    said = f"joint '{joint.name}' has the limit {its:g}, expected {mine:g}"
-                    return self._row("engine.limits", "fail", said, float(worst), "rad or m")
+                    reason = f"joint '{joint.name}' has the limit {its:g}, expected {mine:g}"
+                    return self._row("engine.limits", "fail", reason, float(worst), "rad or m")
         if not judged:
             return self._row("engine.limits", "skip", "no joint has a range")
         return self._row("engine.limits", "pass", "", worst, "rad or m")
@@ -158,7 +158,7 @@ class Trial:
                 worst, which = off, name
         if not tree.inertials:
             return self._row("engine.masses", "skip", "the file gives none")
-        return self._held("engine.masses", worst, MASS_TOLERANCE, "", f"link '{which}' is off by the fraction")
+        return self._bounded_row("engine.masses", worst, MASS_TOLERANCE, "", f"link '{which}' is off by the fraction")
 
     def _poses(self, world: World, tree: Tree) -> Row:
         rng, worst, which = np.random.default_rng(0), 0.0, tree.root
@@ -174,7 +174,7 @@ class Trial:
                     if off > worst:
                         worst, which = off, name
         world.put({})
-        return self._held("engine.poses", worst, POSE_TOLERANCE, "", f"link '{which}' is off by")
+        return self._bounded_row("engine.poses", worst, POSE_TOLERANCE, "", f"link '{which}' is off by")
 
     # ---- what it does
 
@@ -191,7 +191,7 @@ class Trial:
                 continue
             judged += 1
             ends, low, high = self._pushed(world, joint, float(inertia), start)
-            span = _span(joint)
+            span = _joint_range(joint)
             limited = np.isfinite([joint.lower, joint.upper]).all()
             if limited:
                 miss = max(joint.upper - ends[1], ends[0] - joint.lower, 0.0) / span
@@ -206,17 +206,19 @@ class Trial:
         if not judged:
             why = "no joint with a range moves any mass"
             return [self._row(rule, "skip", why) for rule in MOVED[:2]]
-        moves = self._held("joint.moves", short[1], REACH, "of its range", f"{short[0] or 'all joints'}, short by")
+        moves = self._bounded_row(
+            "joint.moves", short[1], REACH, "of its range", f"{short[0] or 'all joints'}, short by"
+        )
         if moves.verdict == "fail":
             return [moves, self._row("joint.stops", "skip", "it does not reach them")]
         what = f"joint '{beyond[0]}' is beyond a limit, over what is allowed" if beyond[0] else "beyond a limit"
-        return [moves, self._held("joint.stops", beyond[1], 1.0, "", what)]
+        return [moves, self._bounded_row("joint.stops", beyond[1], 1.0, "", what)]
 
     def _pushed(
         self, world: World, joint: TreeJoint, inertia: float, start: Mapping[str, float]
     ) -> tuple[tuple[float, float], float, float]:
-        """Where `joint` rests when pushed down and when pushed up, and the least and greatest position on the way."""
-        force, endless = push_of(joint, inertia), not np.isfinite(joint.upper - joint.lower)
+        """Where `joint` rests when pushed down and when pushed up, and its least and greatest position on the way."""
+        force, endless = push_force(joint, inertia), not np.isfinite(joint.upper - joint.lower)
         world.put(start)
         seen, ends = [], []
         for push in (force, -force):
@@ -228,7 +230,7 @@ class Trial:
                 way.append(world.state()[0][joint.name])
                 if endless and joint.kind == "revolute":
                     way[-1] = float(np.unwrap(way[-2:])[-1])  # SAPIEN tells an endless turn within one
-                if endless and abs(way[-1] - way[0]) > _span(joint):
+                if endless and abs(way[-1] - way[0]) > _joint_range(joint):
                     break
             seen += way
             ends.append(way[-1])
@@ -241,12 +243,11 @@ class Trial:
         bodies = world.inertials()
         start, speed = {}, {}
         for joint in world.joints:
-            told = None if self.tree is None else self.tree.joints.get(joint.name)
-            known = told if told is not None and told.mimic is None else None
-            if known is not None and known.ordered:
+            known = None if self.tree is None else self.tree.joints.get(joint.name)
+            if known is not None and known.mimic is None and known.ordered:
                 low, high = known.sweep
                 start[joint.name] = 0.5 * (low + high) if np.isfinite(known.lower) else 0.0
-                speed[joint.name] = 0.5 * _span(known)
+                speed[joint.name] = 0.5 * _joint_range(known)
         if not start:
             return [self._row("energy.falls", "skip", "no joint has a range that is known")]
         world.put(start, speed)
@@ -261,7 +262,11 @@ class Trial:
         if not kinetic[0] > 0:
             return [self._row("energy.falls", "skip", "nothing of it that moves has mass")]
         rise = float((E - E[0]).max() / kinetic.max())
-        return [self._held("energy.falls", rise, ENERGY_RISE, "of its greatest kinetic energy", "its energy rises by")]
+        return [
+            self._bounded_row(
+                "energy.falls", rise, ENERGY_RISE, "of its greatest kinetic energy", "its energy rises by"
+            )
+        ]
 
     def _kinetic(self, q: Mapping[str, float], qd: Mapping[str, float], bodies: Mapping[str, UrdfInertial]) -> float:
         if self.tree is None:
@@ -270,47 +275,47 @@ class Trial:
         return float(0.5 * v @ self.tree.mass_matrix(self.tree.complete(q), bodies) @ v)
 
     def _joules(self, world: World, bodies: Mapping[str, UrdfInertial]) -> float:
-        said = world.energy()
-        if said is not None:
-            return said
+        energy = world.energy()
+        if energy is not None:
+            return energy
         assert self.tree is not None
         q, qd = world.state()
         return self._kinetic(q, qd, bodies) + self.tree.height_energy(self.tree.complete(q), bodies, GRAVITY)
 
     def _rest(self) -> list[Row]:
-        if self.tree is not None and self.tree.nailed:
+        if self.tree is not None and self.tree.fixed_base:
             return [self._row(rule, "skip", "the file nails it to the world") for rule in MOVED[3:]]
         world = self.load(Setting(fixed=False, gravity=True, floor=True))
         start = {}
         if self.tree is not None:
             start = self.tree.complete({joint.name: joint.loaded for joint in self.tree.movable})
             world.put(start)
-        if world.nailed:
-            why = "the engine holds its root: it has no mass, or hangs on the world by a joint"
+        if world.root_held:
+            why = "the engine holds its root: it has no mass, or is attached to the world by a joint"
             return [self._row(rule, "skip", why) for rule in MOVED[3:]]
-        said = world.lowest()
-        if said is None and self.lowest is None:
-            return [self._row(rule, "skip", "nothing of it can touch a plane") for rule in MOVED[3:]]
+        lowest = world.lowest()
+        if lowest is None and self.lowest is None:
+            return [self._row(rule, "skip", "it has no collision shapes") for rule in MOVED[3:]]
         root = next(name for name, parent in world.parents.items() if parent is None)
         T = world.poses()[root].copy()
         if self.lowest is not None:
             T[2, 3] = -self.lowest
             world.place(T)
-            said = world.lowest()
-        if said is not None:  # with the engine's own margins
-            T[2, 3] -= said
+            lowest = world.lowest()
+        if lowest is not None:  # with the engine's own margins
+            T[2, 3] -= lowest
             world.place(T)
         bodies = world.inertials()
         names = [name for name in world.parents if name in bodies]
         centres = np.array([bodies[name].centre for name in names])
-        frames = [_stack(world.poses(), names)]
+        frames = [_stack_poses(world.poses(), names)]
         for _ in range(round(REST_S / SAMPLE_S)):
             world.advance(SAMPLE_S)
-            frames.append(_stack(world.poses(), names))
+            frames.append(_stack_poses(world.poses(), names))
         return self._rested(np.stack(frames), names, centres)
 
     def _rested(self, Ts: Array, names: list[str], centres: Array) -> list[Row]:
-        """Rows of link poses (frames, links, 4, 4)."""
+        """Rows from link poses (frames, links, 4, 4)."""
         if not np.isfinite(Ts).all():
             return [
                 self._row("rest.drift", "fail", "its state is no number any more"),
@@ -321,42 +326,42 @@ class Trial:
         turned = se3.rotation_angle(Ts[..., :3, :3] @ np.swapaxes(Ts[0, :, :3, :3], -1, -2))
         off = np.maximum(moved / DRIFT_M, turned / DRIFT_RAD).max(0)
         k = int(off.argmax())
-        said = f"link '{names[k]}' moves by {1e3 * moved[:, k].max():.3g} mm and {turned[:, k].max():.3g} rad"
+        reason = f"link '{names[k]}' moves by {1e3 * moved[:, k].max():.3g} mm and {turned[:, k].max():.3g} rad"
         if k and off[0] <= 1:
-            said += f", its root by {1e3 * moved[:, 0].max():.3g} mm"
-        drift = self._row("rest.drift", "pass" if off[k] <= 1 else "fail", said, float(off[k]), "of the bar")
+            reason += f", its root by {1e3 * moved[:, 0].max():.3g} mm"
+        drift = self._row("rest.drift", "pass" if off[k] <= 1 else "fail", reason, float(off[k]), "of the bar")
         if drift.verdict == "fail":
             return [drift, self._row("rest.oscillation", "skip", "it did not stay")]
         settled = round(SETTLE_S / SAMPLE_S)
         R = Ts[settled:, :, :3, :3]
         spun = se3.log_so3(R @ np.swapaxes(R[:1], -1, -2))
-        turns = max(_reversals(at[settled:], SWING * DRIFT_M), _reversals(spun, SWING * DRIFT_RAD))
+        turns = max(_count_reversals(at[settled:], SWING * DRIFT_M), _count_reversals(spun, SWING * DRIFT_RAD))
         what = "changes of a velocity's sign"
-        return [drift, self._held("rest.oscillation", turns, TURNS - 1, "", what)]
+        return [drift, self._bounded_row("rest.oscillation", turns, TURNS - 1, "", what)]
 
 
-def push_of(joint: TreeJoint, inertia: float) -> float:
-    """A force, N m or N, that takes the joint over its whole range in `PUSH_S` / 2 seconds, without gravity: what its
-    inertia (kg m^2 or kg) needs, and what the file's damping and friction swallow."""
-    seconds, span = 0.5 * PUSH_S, _span(joint)
+def push_force(joint: TreeJoint, inertia: float) -> float:
+    """Force, N m or N, that moves the joint over its range in `PUSH_S` / 2 s without gravity: for its inertia (kg m^2
+    or kg) and the file's damping and friction."""
+    seconds, span = 0.5 * PUSH_S, _joint_range(joint)
     return 2 * inertia * span / seconds**2 + 2 * joint.damping * span / seconds + 1.5 * joint.friction
 
 
-def _span(joint: TreeJoint) -> float:
+def _joint_range(joint: TreeJoint) -> float:
     low, high = joint.sweep
     return high - low
 
 
-def _without_end(limit: float) -> bool:
+def _is_unlimited(limit: float) -> bool:
     return not np.isfinite(limit) or abs(limit) > LARGEST_LIMIT
 
 
-def _stack(poses: Mapping[str, Array], names: list[str]) -> Array:
+def _stack_poses(poses: Mapping[str, Array], names: list[str]) -> Array:
     return np.stack([poses[name] for name in names])
 
 
-def _reversals(path: NDArray[np.float64], swing: float) -> int:
-    """How often one component of a path (n, ...) turns round, at most; by less than `swing` it has not turned."""
+def _count_reversals(path: NDArray[np.float64], swing: float) -> int:
+    """Largest number of reversals of a component of a path (n, ...); reversals by less than `swing` do not count."""
     most = 0
     for component in path.reshape(len(path), -1).T:
         low = high = component[0]
@@ -373,6 +378,6 @@ def _reversals(path: NDArray[np.float64], swing: float) -> int:
     return most
 
 
-def _line(error: BaseException) -> str:
+def _first_line(error: BaseException) -> str:
     text = str(error).strip().splitlines()
     return text[0][:300] if text else type(error).__name__

@@ -1,7 +1,7 @@
-"""Loaders that an asset carries: each puts back what one engine drops of its joint.
+"""Loaders shipped with an asset: each restores what one engine drops of its joint.
 
-The files `load_*.py` here are copied into assets as they are. They import nothing of this package: what they need to
-know of their asset stands beside them, in `joint.json`.
+The files `load_*.py` are copied into assets as they are. They import nothing of this package; the asset's numbers are
+in `joint.json` beside them.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ FOLDER = "loaders"
 SCHEMA = "freeart21/loaders/2"
 ENGINES = ("sapien", "mujoco", "pybullet", "drake")
 WORDS = ("damping", "friction", "armature", "stiffness")
-"""Numbers of a joint that effects say (`Effect.joint_word`)."""
+"""Joint parameters that effects can be (`Effect.joint_word`)."""
 
 
 def write_loaders(folder: Path, asset: Asset) -> None:
-    """Write `loaders/` into an asset's folder, whose URDF and effects are in their final form."""
+    """Write `loaders/` into an asset's folder, whose URDF and effects are final."""
     (folder / FOLDER).mkdir(exist_ok=True)
     for engine in ENGINES:
         name = f"load_{engine}.py"
@@ -31,18 +31,18 @@ def write_loaders(folder: Path, asset: Asset) -> None:
 
 
 def joint_numbers(asset: Asset) -> dict[str, object]:
-    """What a loader needs to know of the asset's joint: SI units, what acts on it added up by kind."""
+    """Numbers of the asset's joint for a loader, SI; effects are added up by kind."""
     urdf = read_urdf(asset.urdf)
     joint = urdf.joints[asset.joint]
     effects = asset.effects.get(asset.joint, ())
-    said = [(effect.joint_word, effect.values()) for effect in effects]
-    sizes = {word: sum(values[0] for own, values in said if own == word) for word in WORDS}
-    pull = sum(values[0] * values[1] for own, values in said if own == "stiffness")
+    terms = [(effect.joint_word, effect.values()) for effect in effects]
+    sizes = {word: sum(values[0] for own, values in terms if own == word) for word in WORDS}
+    pull = sum(values[0] * values[1] for own, values in terms if own == "stiffness")
     return {
         "schema": SCHEMA,
         "urdf": asset.urdf.name,
         "mjcf": asset.urdf.with_suffix(".xml").name,
-        "base": base_of(asset),
+        "base": find_base(asset),
         "base_link": joint.parent,
         "joint": asset.joint,
         "type": joint.joint_type,
@@ -54,6 +54,6 @@ def joint_numbers(asset: Asset) -> dict[str, object]:
     }
 
 
-def base_of(asset: Asset) -> str:
-    """Whether the asset's base is "free" or "fixed", as its URDF says by the name of its root."""
+def find_base(asset: Asset) -> str:
+    """ "free" or "fixed": the URDF of a fixed base has the root link `world`."""
     return "fixed" if read_urdf(asset.urdf).root == WORLD else "free"

@@ -1,8 +1,7 @@
-"""This asset in MuJoCo, from its MJCF, which says more than its URDF does. Measured with MuJoCo 4.0.0.
+"""Loads this asset into MuJoCo from its MJCF. Tested with MuJoCo 4.0.0.
 
-MuJoCo knows no velocity limit. The MJCF holds everything else that MuJoCo can say of the joint; what is put back here
-is only the choice of the base, and a place in a scene. MuJoCo's own reading of the URDF always nails the base, drops
-textures, and lets the two parts collide.
+The MJCF holds everything that MuJoCo can express of the joint; there is no velocity limit. This loader only chooses the
+base and a place in a scene. MuJoCo's own URDF import fixes the base, drops textures, and lets the two parts collide.
 """
 
 from __future__ import annotations
@@ -30,19 +29,19 @@ def load(
     import mujoco
 
     here = Path(__file__).resolve().parent
-    said = json.loads((here / "joint.json").read_text())
-    if said["base"] == "fixed" and fixed is False:
-        raise ValueError(f"{said['mjcf']} was exported with a fixed base and cannot move freely")
-    if said["trust"].startswith("doubtful"):
-        warnings.warn(f"{said['mjcf']} was made of a reconstruction that is {said['trust']}", stacklevel=2)
-    if left := [name for name, word in said["effects"].items() if word not in PLAYED]:
-        warnings.warn(f"MuJoCo plays {said['mjcf']} without {', '.join(left)}", stacklevel=2)
+    info = json.loads((here / "joint.json").read_text())
+    if info["base"] == "fixed" and fixed is False:
+        raise ValueError(f"{info['mjcf']} was exported with a fixed base and cannot move freely")
+    if info["trust"].startswith("doubtful"):
+        warnings.warn(f"{info['mjcf']} was made of a reconstruction that is {info['trust']}", stacklevel=2)
+    if ignored := [name for name, word in info["effects"].items() if word not in PLAYED]:
+        warnings.warn(f"MuJoCo plays {info['mjcf']} without {', '.join(ignored)}", stacklevel=2)
 
-    spec = mujoco.MjSpec.from_file(str(here.parent / said["mjcf"]))
-    if fixed and said["base"] == "free":
+    spec = mujoco.MjSpec.from_file(str(here.parent / info["mjcf"]))
+    if fixed and info["base"] == "free":
         spec.delete(next(j for j in spec.joints if j.type == mujoco.mjtJoint.mjJNT_FREE))
     if scene is None:
-        body = spec.body(said["base_link"])
+        body = spec.body(info["base_link"])
         body.pos, body.quat = position, quaternion
         return spec
     scene.attach(spec, prefix=prefix, frame=scene.worldbody.add_frame(pos=position, quat=quaternion))

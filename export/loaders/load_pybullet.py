@@ -1,9 +1,8 @@
-"""This asset in PyBullet, with what PyBullet drops or adds put right. Measured with PyBullet 3.2.7.
+"""Loads this asset into PyBullet and corrects what PyBullet drops or adds. Tested with PyBullet 3.2.7.
 
-PyBullet reads a URDF's friction and velocity limit and ignores both, holds every joint with a motor of its own until
-told otherwise, and slows every link by 4 % a second. Here that motor becomes the joint's Coulomb friction (speed 0, at
-most the friction's force), the speed is limited, and the links' own damping is gone. The motor is not free for anything
-else then.
+PyBullet ignores a URDF's friction and velocity limit, holds every joint with a default motor, and damps every link by 4
+% a second. Here that motor becomes the joint's Coulomb friction (target speed 0, at most the friction's force), so it
+cannot serve as a drive; the speed is limited, and the links' damping is removed.
 """
 
 from __future__ import annotations
@@ -29,19 +28,19 @@ def load(
     import pybullet
 
     here = Path(__file__).resolve().parent
-    said = json.loads((here / "joint.json").read_text())
-    if said["base"] == "fixed" and fixed is False:
-        raise ValueError(f"{said['urdf']} was exported with a fixed base and cannot move freely")
-    if said["trust"].startswith("doubtful"):
-        warnings.warn(f"{said['urdf']} was made of a reconstruction that is {said['trust']}", stacklevel=2)
-    if left := [name for name, word in said["effects"].items() if word not in PLAYED]:
-        warnings.warn(f"PyBullet plays {said['urdf']} without {', '.join(left)}", stacklevel=2)
+    info = json.loads((here / "joint.json").read_text())
+    if info["base"] == "fixed" and fixed is False:
+        raise ValueError(f"{info['urdf']} was exported with a fixed base and cannot move freely")
+    if info["trust"].startswith("doubtful"):
+        warnings.warn(f"{info['urdf']} was made of a reconstruction that is {info['trust']}", stacklevel=2)
+    if ignored := [name for name, word in info["effects"].items() if word not in PLAYED]:
+        warnings.warn(f"PyBullet plays {info['urdf']} without {', '.join(ignored)}", stacklevel=2)
 
     body = pybullet.loadURDF(
-        str(here.parent / said["urdf"]),
+        str(here.parent / info["urdf"]),
         position,
         quaternion,
-        useFixedBase=said["base"] == "fixed" if fixed is None else fixed,
+        useFixedBase=info["base"] == "fixed" if fixed is None else fixed,
         flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
         physicsClientId=client,
     )
@@ -50,9 +49,9 @@ def load(
     ]
     for index in range(-1, len(names)):
         pybullet.changeDynamics(body, index, linearDamping=0, angularDamping=0, physicsClientId=client)
-    joint = names.index(said["joint"].encode())
-    if said["velocity"]:
-        pybullet.changeDynamics(body, joint, maxJointVelocity=said["velocity"], physicsClientId=client)
-    friction = {"targetVelocity": 0, "force": said["friction"], "physicsClientId": client}
+    joint = names.index(info["joint"].encode())
+    if info["velocity"]:
+        pybullet.changeDynamics(body, joint, maxJointVelocity=info["velocity"], physicsClientId=client)
+    friction = {"targetVelocity": 0, "force": info["friction"], "physicsClientId": client}
     pybullet.setJointMotorControl2(body, joint, pybullet.VELOCITY_CONTROL, **friction)
     return int(body)

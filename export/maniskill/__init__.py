@@ -1,7 +1,7 @@
 """Articulated objects as ManiSkill environments: `import export.maniskill`, then `gym.make("FreeArt21-Open-v1")`.
 
-Needs the extra `freeart21[maniskill]`; without it nothing is registered, and `register` says what to install. Modules
-whose names begin with an underscore hold classes of ManiSkill's own kind, and import it.
+Needs the extra `freeart21[maniskill]`; without it nothing is registered, and `register` names what to install. Modules
+with an underscore define subclasses of ManiSkill's classes, and import it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ ENVIRONMENTS = ("FreeArt21-Open-v1", "FreeArt21-FreeMoving-v1")
 
 
 def register() -> tuple[str, ...]:
-    """Make the environments known to gymnasium and ManiSkill; gives their names.
+    """Register the environments with gymnasium and ManiSkill; returns their names.
 
     Raises FreeArtError when ManiSkill is not installed.
     """

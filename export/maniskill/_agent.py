@@ -1,4 +1,4 @@
-"""The object itself as ManiSkill's agent: a motor in its joint, and a hand that carries its base, or nothing at all."""
+"""The object as ManiSkill's agent: a motor in its joint and, optionally, a hand that moves its base."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from freeart21 import se3
 from freeart21.mechanics import Actuator
 
 OBJECT = "freeart21_object"
-"""robot_uids of the agent that is the object."""
+"""robot_uids of this agent."""
 _MOTOR_HZ = 5.0
-"""Undamped frequency of the motor's position law on the moving part's inertia: it settles within 0.2 s."""
+"""Undamped frequency of the motor's position control on the moving part's inertia: it settles within 0.2 s."""
 _DELTA = 0.1
-"""Largest change a control step in mode pd_joint_delta_pos, as a share of the joint's span."""
+"""Largest change per control step in mode pd_joint_delta_pos, over the joint's span."""
 _HAND_STEP = 0.02, 0.1
-"""m and rad that the hand may go in one control step."""
+"""m and rad that the hand may move per control step."""
 
 
 class ObjectAgent(BaseAgent):
-    """An articulated object whose joint is driven: `pd_joint_pos`, `pd_joint_delta_pos`, `passive`.
+    """An articulated object with a driven joint: `pd_joint_pos`, `pd_joint_delta_pos`, `passive`.
 
-    Where a hand holds the base, also `pd_joint_pos_base_delta_pose`. The motor acts through the asset's effects; its
-    own law is critically damped and bears the moving part's weight, as ManiSkill's robots bear theirs.
+    Where a hand holds the base, also `pd_joint_pos_base_delta_pose`. The motor acts through the asset's effects. Its
+    control is critically damped and compensates the moving part's weight, as for ManiSkill's robots.
     """
 
     uid = OBJECT
@@ -54,7 +54,7 @@ class ObjectAgent(BaseAgent):
         modes: dict[str, Any] = {
             "pd_joint_pos": {"joint": absolute, **own_weight},
             "pd_joint_delta_pos": {"joint": delta, **own_weight},
-            "passive": {"joint": NothingConfig(joint, body=body), **own_weight},
+            "passive": {"joint": PassiveConfig(joint, body=body), **own_weight},
         }
         if self._hand is not None:
             modes["pd_joint_pos_base_delta_pose"] = {
@@ -65,8 +65,8 @@ class ObjectAgent(BaseAgent):
         return modes
 
     def get_proprioception(self) -> dict[str, torch.Tensor]:
-        """qpos as the asset's sensor reads it, qvel, and the controller's state, each with ManiSkill's batch."""
-        obs: dict[str, Any] = {"qpos": _row([self.body.q_measured]), "qvel": _row([self.body.qd])}
+        """qpos as read by the asset's sensor, qvel, and the controller's state, each with ManiSkill's batch."""
+        obs: dict[str, Any] = {"qpos": _to_tensor([self.body.q_measured]), "qvel": _to_tensor([self.body.qd])}
         state = self.controller.get_state()
         if state:
             obs["controller"] = state
@@ -74,7 +74,7 @@ class ObjectAgent(BaseAgent):
 
 
 class Commands:
-    """What was commanded, and when; before the first command and after the last one it is held."""
+    """Commanded values over time; held between commands, before the first and after the last."""
 
     def __init__(self) -> None:
         self._times: list[float] = []
@@ -90,8 +90,8 @@ class Commands:
 
 
 class MotorController(PDJointPosController):
-    """ManiSkill's position controller, whose targets go to `generator.simulate`'s actuator instead of the engine's
-    drive: that belongs to Coulomb friction."""
+    """ManiSkill's position controller, but targets go to the actuator of `generator.simulate`: the engine's drive is
+    taken by Coulomb friction."""
 
     config: MotorConfig
 
@@ -100,10 +100,10 @@ class MotorController(PDJointPosController):
 
     @property
     def qpos(self) -> torch.Tensor:
-        return _row([self.config.body.q])
+        return _to_tensor([self.config.body.q])
 
     def set_drive_property(self) -> None:
-        """Nothing of the engine's."""
+        """The engine's drive is not used."""
 
     def reset(self) -> None:
         super().reset()
@@ -122,7 +122,7 @@ class MotorController(PDJointPosController):
     def set_drive_targets(self, targets: torch.Tensor) -> None:
         body = self.config.body
         target = float(np.clip(float(targets[0, 0]), body.lower, body.upper))
-        self._target_qpos = _row([target])
+        self._target_qpos = _to_tensor([target])
         self._commands.add(body.simulated.time_s, target)
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -139,8 +139,8 @@ class MotorConfig(PDJointPosControllerConfig):
     controller_cls = MotorController
 
 
-class NothingController(BaseController):
-    """No motor: the joint is let go. An action is empty."""
+class PassiveController(BaseController):
+    """No motor: the joint is free. Actions are empty."""
 
     sets_target_qpos = sets_target_qvel = False
 
@@ -148,7 +148,7 @@ class NothingController(BaseController):
         self.single_action_space = spaces.Box(np.empty(0, np.float32), np.empty(0, np.float32), dtype=np.float32)
 
     def set_drive_property(self) -> None:
-        """Nothing of the engine's."""
+        """The engine's drive is not used."""
 
     def reset(self) -> None:
         self.config.body.simulated.set_actuator(None)
@@ -158,15 +158,15 @@ class NothingController(BaseController):
 
 
 @dataclass
-class NothingConfig(ControllerConfig):
-    """Nothing drives the joint of `body`."""
+class PassiveConfig(ControllerConfig):
+    """The joint of `body` without a motor."""
 
     body: Any = None
-    controller_cls = NothingController
+    controller_cls = PassiveController
 
 
 class HandController(BaseController):
-    """The hand goes by a twist each control step: shift and rotation vector, world axes, about the root's origin."""
+    """Moves the hand by a twist per control step: shift and rotation vector, world axes, about the root's origin."""
 
     sets_target_qpos = sets_target_qvel = False
 
@@ -178,13 +178,13 @@ class HandController(BaseController):
         self.single_action_space = spaces.Box(-np.ones(6, np.float32), np.ones(6, np.float32), dtype=np.float32)
 
     def set_drive_property(self) -> None:
-        """Nothing of the engine's."""
+        """The engine's drive is not used."""
 
     def reset(self) -> None:
         self.config.hand.lead()
 
     def set_action(self, action: torch.Tensor) -> None:
-        """Six numbers within -1 and 1, of the largest step."""
+        """Six numbers within -1 and 1, as fractions of the largest step."""
         step = np.clip(np.asarray(action, float).reshape(6), -1, 1) * np.repeat(_HAND_STEP, 3)
         self.config.hand.go(step[:3], se3.exp_so3(step[3:]))
 
@@ -197,6 +197,6 @@ class HandConfig(ControllerConfig):
     controller_cls = HandController
 
 
-def _row(values: Any) -> torch.Tensor:
-    """(1, n) as ManiSkill has it."""
+def _to_tensor(values: Any) -> torch.Tensor:
+    """(1, n) with ManiSkill's batch."""
     return torch.tensor([values], dtype=torch.float32)

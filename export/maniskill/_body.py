@@ -11,7 +11,7 @@ import torch
 from mani_skill.utils.logging_utils import logger
 from mani_skill.utils.structs import Articulation, Pose
 
-from export.maniskill.assets import loadable, span
+from export.maniskill.assets import joint_span, prepare_asset
 from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.effects.base import readings
@@ -20,16 +20,16 @@ from freeart21.se3 import Array
 from generator import simulate
 
 NAME = "object"
-"""Of the articulation in ManiSkill's scene, its states and its files."""
+"""Of the articulation in ManiSkill's scene."""
 
 
 class Body:
-    """One articulated object in a ManiSkill scene of the CPU, one joint of which moves under its effects."""
+    """An articulated object in a CPU scene of ManiSkill; one joint moves under its effects."""
 
     def __init__(self, scene: Any, asset: Asset, scale: float, timestep_s: float, fixed_base: bool):
         self._scene, self._timestep = scene, timestep_s
         sub_scene = scene.sub_scenes[0]
-        with loadable(asset, scale) as readable:
+        with prepare_asset(asset, scale) as readable:
             self.simulated = simulate.load(
                 readable,
                 timestep_s=timestep_s,
@@ -38,7 +38,7 @@ class Body:
                 visuals=scene.can_render(),
                 settable_limits=True,
             )
-            _fetch(self.simulated.articulation)
+            _load_textures(self.simulated.articulation)
         simulated = self.simulated
         if simulated.joint_inertia <= 0:
             raise FreeArtError(f"{asset.urdf} joint '{asset.joint}' moves nothing of mass")
@@ -47,12 +47,12 @@ class Body:
             logger.warning(f"{asset.urdf}: ManiSkill does not show what {', '.join(unseen)} would do")
         self._fixed = fixed_base
         self._joint = next(j for j in simulated.articulation.active_joints if j.name == asset.joint)
-        self._held_limits = False
+        self._limited = False
         self.links = {link.name: link for link in simulated.articulation.links}
-        """Name in the URDF to the engine's link."""
-        self.lower, self.upper = span(simulated.lower, simulated.upper, simulated.world_joint.type == "prismatic")
-        """Where the joint is asked to go, rad or m."""
-        self.articulation = _managed(simulated.articulation, scene)
+        """URDF link name to the engine's link."""
+        self.lower, self.upper = joint_span(simulated.lower, simulated.upper, simulated.world_joint.type == "prismatic")
+        """Range of the joint's targets, rad or m."""
+        self.articulation = _register_articulation(simulated.articulation, scene)
         self.moving = [link for name, link in self.links.items() if name in simulated.moving_links]
         self._senses = any(effect.kind == "sensing" for effect in simulated.effects)
         late = sum(e.delay() for e in simulated.effects if e.kind == "sensing")
@@ -63,7 +63,7 @@ class Body:
     # state
 
     def put(self, q: float, T_world_root: Array | None = None) -> None:
-        """The joint at `q`, at rest, the effects without memory, the clock at 0; the root, if given, at its pose."""
+        """Put the joint at `q`, at rest, and the root at its pose if given; reset the clock and effects with memory."""
         if T_world_root is not None:
             self.simulated.set_base_pose(T_world_root)
         self.simulated.time_s = 0.0
@@ -72,7 +72,7 @@ class Body:
         self._note()
 
     def fetch(self) -> None:
-        """Take the state that somebody else has given the engine."""
+        """Read the state that was set in the engine."""
         articulation = self.simulated.articulation
         self.simulated.set_state(float(articulation.qpos[0]), float(articulation.qvel[0]))
         self.simulated.update_gravity()
@@ -91,7 +91,7 @@ class Body:
 
     @property
     def q_measured(self) -> float:
-        """What a sensor with the asset's sensing effects reads now."""
+        """Reading of a sensor with the asset's sensing effects."""
         if not self._senses:
             return self.q
         times, q = np.array(self._history).T
@@ -104,7 +104,7 @@ class Body:
         return se3.pose_from_wxyz(pose.p.astype(float), pose.q.astype(float))
 
     def bounds(self) -> Array:
-        """(2, 3) smallest and largest corner of the collision shapes as they stand, world frame; m."""
+        """(2, 3) smallest and largest corner of the collision shapes, world frame, m."""
         mesh = self.articulation.get_first_collision_mesh(to_world_frame=True)
         if mesh is None or not len(mesh.vertices):
             raise FreeArtError(f"{self.simulated.asset.urdf} has no collision shapes, expected some")
@@ -117,7 +117,7 @@ class Body:
         return np.asarray(masses @ centres / masses.sum())
 
     def part_ids(self) -> np.ndarray:
-        """(n, 2) int16: id of each link in segmentation pictures, and 1 for the parent's side, 2 for the moving one."""
+        """(n, 2) int16 per link: id in segmentation images, and 1 for the parent's side or 2 for the moving side."""
         return np.array(
             [
                 (link.entity.per_scene_id, 2 if name in self.simulated.moving_links else 1)
@@ -129,7 +129,7 @@ class Body:
     # stepping
 
     def before_step(self) -> None:
-        """What acts in ManiSkill's next step of the engine; further steps that stiff effects need are made here."""
+        """Apply effects before ManiSkill's next engine step; substeps needed by stiff effects are made here."""
         simulated, px = self.simulated, self._scene.px
         if not self._fixed:
             simulated.update_gravity()
@@ -142,13 +142,13 @@ class Body:
         self._begin()
 
     def after_step(self) -> None:
-        """Take what the engine's step has made."""
+        """Read the result of the engine's step."""
         self.simulated.after_engine(self._h)
         self._scene.px.timestep = self._timestep
         self._note()
 
     def settle(self) -> None:
-        """Let the engine stand where the joint is; within a step its position runs half a step ahead."""
+        """Align the engine's link poses with the joint: within a step its position is half a step ahead."""
         self.simulated.link_pose(self.simulated.asset.reference_link)
 
     def _begin(self) -> None:
@@ -157,25 +157,24 @@ class Body:
             self._keep_limits(resting)
         self.simulated.before_engine(self._h)
 
-    def _keep_limits(self, kept: bool) -> None:
-        """Whether the engine knows the joint's limits.
+    def _keep_limits(self, enabled: bool) -> None:
+        """Enable or disable the engine's joint limits.
 
-        `generator.simulate` times impacts at limits and lets the part bounce, for which the engine must not. But what
-        pushes a part that rests at a limit has to feel it, and a base that is free takes the impulse: there the limits
-        are the engine's, and impacts are inelastic.
+        `generator.simulate` computes impacts and bounces at limits, so the engine's limits must be off. A part that
+        rests at a limit needs them for contact forces, and a free base for the reaction: there impacts are inelastic.
         """
-        if kept != self._held_limits:
+        if enabled != self._limited:
             own, wide = (self.simulated.lower, self.simulated.upper), (-simulate.UNREACHED, simulate.UNREACHED)
-            self._joint.set_limits(np.array([np.clip(own, *wide) if kept else wide], np.float32))
-            self._held_limits = kept
+            self._joint.set_limits(np.array([np.clip(own, *wide) if enabled else wide], np.float32))
+            self._limited = enabled
 
     def _note(self) -> None:
         if self._senses:
             self._history.append((self.simulated.time_s, self.q))
 
 
-def _managed(articulation: Any, scene: Any) -> Articulation:
-    """ManiSkill's view of an articulation of SAPIEN, which it names and registers as its builder does."""
+def _register_articulation(articulation: Any, scene: Any) -> Articulation:
+    """ManiSkill's view of a SAPIEN articulation, named and registered as by its builder."""
     for link in articulation.links:
         link.name = f"scene-0-{NAME}_{link.name}"
         link.joint.name = f"scene-0-{NAME}_{link.joint.name}"
@@ -187,8 +186,8 @@ def _managed(articulation: Any, scene: Any) -> Articulation:
     return managed
 
 
-def _fetch(articulation: Any) -> None:
-    """Let SAPIEN read meshes and pictures now: it puts that off, and their files may be temporary."""
+def _load_textures(articulation: Any) -> None:
+    """Make SAPIEN read meshes and textures now rather than lazily: their files can be temporary."""
     for link in articulation.links:
         body = link.entity.find_component_by_type(sapien.render.RenderBodyComponent)
         for shape in body.render_shapes if body is not None else ():

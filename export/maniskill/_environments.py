@@ -1,5 +1,5 @@
-"""FreeArt21-Open-v1: the joint of an object that stands there is to be brought to a state. FreeArt21-FreeMoving-v1: the
-same while the object is carried about. By a robot, or by a motor in the joint itself."""
+"""FreeArt21-Open-v1: bring the joint of a standing object to a target state, with a robot or a motor in the joint.
+FreeArt21-FreeMoving-v1: the same while the object is carried."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from mani_skill.utils.structs.types import SceneConfig, SimConfig
 
 from export.maniskill._agent import OBJECT, ObjectAgent
 from export.maniskill._body import Body
-from export.maniskill._gymnasium import registered, render_modes
+from export.maniskill._gymnasium import register_environment, render_modes
 from export.maniskill._hand import Hand
 from export.maniskill.assets import find_asset
-from export.maniskill.motion import CarriedMotion, drawn_motion
+from export.maniskill.motion import CarriedMotion, draw_motion
 from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.se3 import Array
 
 TOLERANCE = 0.02
-"""Of the joint's span: so near its target the joint has to come to rest."""
+"""Distance from the target, over the joint's span, at which the joint must come to rest."""
 AT_REST = 0.1
-"""Spans a second: slower than this is at rest."""
+"""Spans per second below which the joint is at rest."""
 OPENED = 0.9
-"""Of the way from the start to the farther end of the span is the target, as in ManiSkill's cabinets."""
+"""Default target: this far from the start to the farther end of the span, as in ManiSkill's cabinets."""
 _SIM_HZ, _CONTROL_HZ = 500, 20  # against 1 kHz, a released joint is off by less than 0.1 %: see docs/maniskill.md
 _BEFORE_ROBOT = 0.12  # m from ManiSkill's place for a panda's hand at rest to the object's near side
 _SECONDS = 10  # of an episode
@@ -40,17 +40,17 @@ _TURN, _SHIFT = 0.1, 0.01  # rad and m by which a standing object is displaced a
 
 
 class ObjectEnvironment(BaseEnv):
-    """What both environments share: one object, one joint, a target, reward and success.
+    """Base of both environments: one object, one joint, a target, reward and success.
 
     Args:
-        asset: what `assets.find_asset` takes.
+        asset: as for `assets.find_asset`.
         joint: the joint that moves; None takes the asset's.
         object_seed: sizes and colours of a procedural object.
-        scale: lengths of the object over those of its files; for PartNet-Mobility, which is not metric.
-        target: share of the joint's span, from its lower end, that is the target; None is `OPENED` of the way.
-        start: the same for where the joint begins; None is the position nearest to zero.
-        tolerance: share of the joint's span.
-        robot_uids: a robot, or `freeart21_object` (also "none"): no robot, the joint's own motor is the agent.
+        scale: lengths of the object over those of its files; PartNet-Mobility is not metric.
+        target: fraction of the joint's span, from its lower end; None is `OPENED`.
+        start: the same for the initial state; None is the position nearest to zero.
+        tolerance: fraction of the joint's span.
+        robot_uids: a robot, or `freeart21_object` (also "none") for the motor in the joint.
     """
 
     SUPPORTED_ROBOTS: ClassVar[Any] = ["panda", OBJECT]
@@ -100,7 +100,7 @@ class ObjectEnvironment(BaseEnv):
         low, high = self.body.bounds()
         self._size = float(np.linalg.norm(high - low))
         self._centre_root = 0.5 * (low + high)
-        """Of the object in its root's frame, as it began."""
+        """Of the object in its root's frame, initially."""
         self.hand = Hand(self.scene, self.body) if self._held else None
         if self.robot_uids == OBJECT:
             self.agent = ObjectAgent(self.scene, self._control_freq, self._control_mode, self.body, self.hand)
@@ -108,7 +108,7 @@ class ObjectEnvironment(BaseEnv):
             super()._load_agent(options, sapien.Pose(p=[-0.615, 0, 0]))
 
     def _standing(self) -> Array:
-        """(4, 4) of the root: upright, on z = 0; its middle above the origin, or its near side before the robot."""
+        """(4, 4) of the root: upright on z = 0; centred at the origin, or its near side in front of the robot."""
         low, high = self.body.bounds()
         T = np.eye(4)
         near = -0.5 * (high[0] - low[0]) if self.robot_uids == OBJECT else _BEFORE_ROBOT
@@ -130,7 +130,7 @@ class ObjectEnvironment(BaseEnv):
         return self._camera("render_camera", 512)
 
     def reset(self, seed: Any = None, options: dict[str, Any] | None = None) -> Any:
-        """As ManiSkill's, which leaves out that gymnasium's own generator is seeded; its checker asks for it."""
+        """ManiSkill's, which does not seed gymnasium's own generator, as gymnasium's checker requires."""
         if seed is not None:
             gymnasium.Env.reset(self, seed=int(np.ravel(seed)[0]))
         return super().reset(seed=seed, options=options)
@@ -138,7 +138,7 @@ class ObjectEnvironment(BaseEnv):
     # joint
 
     def _position(self, share: float | None, otherwise: float | None) -> float:
-        """The position, rad or m, of a share of the span; None: `otherwise`, or the one nearest to zero."""
+        """The position, rad or m, of a fraction of the span; None: `otherwise`, or the one nearest to zero."""
         low, high = self.body.lower, self.body.upper
         if share is not None:
             return low + share * (high - low)
@@ -162,11 +162,11 @@ class ObjectEnvironment(BaseEnv):
     # state
 
     def get_state_dict(self) -> dict[str, Any]:
-        """ManiSkill's states, and the target."""
+        """ManiSkill's state and the target."""
         return {**super().get_state_dict(), "target": self._tensor([self._target])}
 
     def set_state_dict(self, state: dict[str, Any], env_idx: Any = None) -> None:
-        """Put everything where `state` has it. Effects with memory forget it."""
+        """Restore a state. Effects with memory are reset."""
         super().set_state_dict(state, env_idx)
         self.body.fetch()
         if "target" in state:
@@ -175,7 +175,7 @@ class ObjectEnvironment(BaseEnv):
     # observations and rewards
 
     def evaluate(self) -> dict[str, torch.Tensor]:
-        """`success`: within the tolerance of the target, and at rest; and how far away, in spans of the joint."""
+        """`success`: at rest within the tolerance of the target; `joint_error`: distance in spans of the joint."""
         span = self.body.upper - self.body.lower
         away = abs(self.body.q - self._target) / span
         success = away <= self._tolerance and abs(self.body.qd) <= AT_REST * span
@@ -196,7 +196,7 @@ class ObjectEnvironment(BaseEnv):
         return obs
 
     def get_sensor_params(self) -> dict[str, dict[str, torch.Tensor]]:
-        """As ManiSkill's, but tensors of their own in every observation."""
+        """ManiSkill's, but with new tensors in every observation."""
         return {
             uid: {name: value.clone() for name, value in params.items()}
             for uid, params in super().get_sensor_params().items()
@@ -206,7 +206,7 @@ class ObjectEnvironment(BaseEnv):
         return torch.tensor(np.array([values], np.float32), device=self.device)
 
     def compute_dense_reward(self, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
-        """Up to 1 for the joint near its target, and 1 for the robot's hand near the moving part; 3 on success."""
+        """Up to 1 for the joint near its target, plus 1 for the robot's hand near the moving part; 3 on success."""
         reward = 1 - torch.tanh(5 * info["joint_error"])
         if hasattr(self.agent, "tcp"):
             away = self._tensor(self.body.moving_centre()) - self.agent.tcp.pose.p
@@ -218,12 +218,12 @@ class ObjectEnvironment(BaseEnv):
         return self.compute_dense_reward(obs, action, info) / 3
 
 
-@registered("FreeArt21-Open-v1", _SECONDS * _CONTROL_HZ)
+@register_environment("FreeArt21-Open-v1", _SECONDS * _CONTROL_HZ)
 class OpenEnvironment(ObjectEnvironment):
-    """An object stands on a table or on the ground; its joint is to come to rest at the target.
+    """An object stands on a table or the ground; its joint must come to rest at the target.
 
     Args:
-        base: "fixed" nails the object down, "free" lets it slide and topple.
+        base: "fixed" fixes the object to the world, "free" lets it slide and topple.
     """
 
     def __init__(self, *args: Any, base: str = "fixed", robot_uids: Any = "panda", **kwargs: Any):
@@ -253,13 +253,13 @@ class OpenEnvironment(ObjectEnvironment):
         self._begin(start, target, moved @ self._T_root_rest)
 
 
-@registered("FreeArt21-FreeMoving-v1", _SECONDS * _CONTROL_HZ)
+@register_environment("FreeArt21-FreeMoving-v1", _SECONDS * _CONTROL_HZ)
 class FreeMovingEnvironment(ObjectEnvironment):
-    """An object is carried through the air by a hand that is not seen; its joint is to come to rest at the target.
+    """An object is carried by an invisible hand; its joint must come to rest at the target.
 
-    The hand goes a way that is drawn from the seed, or that `options` of `reset` give: `base_times` (n,) s and
-    `base_poses` (n, 7), position and quaternion w, x, y, z of the root link, with `start` and `target` of the joint,
-    rad or m. In the control mode `pd_joint_pos_base_delta_pose` the action leads it.
+    The hand's motion is random from the seed, or given by `options` of `reset`: `base_times` (n,) s and `base_poses`
+    (n, 7), position and quaternion w, x, y, z of the root link, with `start` and `target` of the joint, rad or m. In
+    control mode `pd_joint_pos_base_delta_pose` the action moves it.
     """
 
     SUPPORTED_ROBOTS: ClassVar[Any] = [OBJECT]
@@ -278,7 +278,7 @@ class FreeMovingEnvironment(ObjectEnvironment):
         begins = se3.exp_se3(np.concatenate([np.zeros(3), rng.uniform(-1, 1, 3)]))
         centre = se3.transform(self._T_root_rest, self._centre_root)
         begins[:3, 3] = centre - begins[:3, :3] @ self._centre_root
-        motion = drawn_motion(rng, begins, centre, self._size, _SECONDS)
+        motion = draw_motion(rng, begins, centre, self._size, _SECONDS)
         if "base_poses" in options:
             rows = np.asarray(options["base_poses"], float)
             motion = CarriedMotion(np.asarray(options["base_times"]), se3.pose_from_wxyz(rows[:, :3], rows[:, 3:]))
@@ -287,7 +287,7 @@ class FreeMovingEnvironment(ObjectEnvironment):
         self.hand.follow(motion)
 
     def set_state_dict(self, state: dict[str, Any], env_idx: Any = None) -> None:
-        """Put everything where `state` has it; the hand goes on along its way from there."""
+        """Restore a state; the hand continues from there."""
         super().set_state_dict(state, env_idx)
         assert self.hand is not None
         self.hand.catch()

@@ -1,5 +1,4 @@
-"""What gymnasium asks of an environment and ManiSkill's wrappers leave out: to be made again by its `spec`, and data
-that are not batched."""
+"""Parts of gymnasium's interface that ManiSkill's wrappers lack: recreation from `spec`, and data without a batch."""
 
 from __future__ import annotations
 
@@ -18,10 +17,10 @@ from mani_skill.utils.wrappers.gymnasium import CPUGymWrapper
 
 
 class StepLimit(gymnasium.Wrapper, RecordConstructorArgs):
-    """Takes the place of gymnasium's `TimeLimit`, with ManiSkill's truncation, a tensor of (1,).
+    """Replaces gymnasium's `TimeLimit`, with ManiSkill's truncation, a tensor of (1,).
 
-    ManiSkill's own wrapper does so by looking at who calls it, and cannot be made again. This one has no arguments: its
-    limit is that of the `TimeLimit` that `gymnasium.make` put there, or none.
+    ManiSkill's own wrapper inspects its caller and cannot be recreated. This one has no arguments: it takes the limit
+    of the `TimeLimit` that `gymnasium.make` added, or none.
     """
 
     def __init__(self, env: Any):
@@ -32,7 +31,7 @@ class StepLimit(gymnasium.Wrapper, RecordConstructorArgs):
 
     @property
     def spec(self) -> EnvSpec | None:
-        """As any wrapper's, with the limit."""
+        """The wrapper's spec, with the limit."""
         found = super().spec
         if found is not None and found.max_episode_steps != self._max_episode_steps:
             found = deepcopy(found)
@@ -40,7 +39,7 @@ class StepLimit(gymnasium.Wrapper, RecordConstructorArgs):
         return found
 
     def step(self, action: Any) -> Any:
-        """The step, truncated once its number reaches the limit."""
+        """One step, truncated once the number of steps reaches the limit."""
         obs, reward, terminated, _, info = self.env.step(action)
         steps = self.unwrapped.elapsed_steps
         if self._max_episode_steps is None:
@@ -49,16 +48,16 @@ class StepLimit(gymnasium.Wrapper, RecordConstructorArgs):
 
 
 class GymnasiumWrapper(CPUGymWrapper, RecordConstructorArgs):
-    """ManiSkill's `CPUGymWrapper`, numpy arrays without a batch, which `gymnasium.make(env.spec)` can make again."""
+    """ManiSkill's `CPUGymWrapper` (numpy arrays without a batch), which `gymnasium.make(env.spec)` can recreate."""
 
     def __init__(self, env: Any, ignore_terminations: bool = False, record_metrics: bool = False):
-        told = {"ignore_terminations": ignore_terminations, "record_metrics": record_metrics}
-        RecordConstructorArgs.__init__(self, **told)
-        CPUGymWrapper.__init__(self, env, **told)
+        options = {"ignore_terminations": ignore_terminations, "record_metrics": record_metrics}
+        RecordConstructorArgs.__init__(self, **options)
+        CPUGymWrapper.__init__(self, env, **options)
 
 
-def registered(uid: str, max_episode_steps: int) -> Callable[[type], type]:
-    """ManiSkill's registration of an environment, with `StepLimit` for its wrapper."""
+def register_environment(uid: str, max_episode_steps: int) -> Callable[[type], type]:
+    """Class decorator: ManiSkill's registration of an environment, with `StepLimit` as its wrapper."""
 
     def register(cls: type) -> type:
         cls = register_env(uid, max_episode_steps=max_episode_steps)(cls)
@@ -70,6 +69,6 @@ def registered(uid: str, max_episode_steps: int) -> Callable[[type], type]:
 
 
 def render_modes(modes: tuple[str, ...], can_render: bool) -> list[str]:
-    """Those of `modes` that work here: none without a renderer, and no window where there is no screen."""
+    """Those of `modes` that work here: none without a renderer, no window without a screen."""
     screen = sys.platform in ("darwin", "win32") or any(os.environ.get(k) for k in ("DISPLAY", "WAYLAND_DISPLAY"))
     return [mode for mode in modes if can_render and (mode != "human" or screen)]

@@ -1,4 +1,4 @@
-"""A hand that is not seen: it carries the object's root link along a motion, or as it is led."""
+"""An invisible hand that moves the object's root link along a motion or on command."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from freeart21 import se3
 from freeart21.se3 import Array
 
 _RATE = 2 * np.pi * 40.0
-"""rad/s: the grip is a critically damped drive of 40 Hz on the root link's mass; carried objects were within 1.1 mm and
-6 mrad of where they should be."""
+"""rad/s: the grip is a critically damped drive of 40 Hz on the root link's mass; objects stayed within 1.1 mm and 6
+mrad of the target."""
 
 
 class Hand:
-    """A drive between world and root link, with free limits; it has the target's speed, so it does not lag behind."""
+    """A drive between world and root link. It also tracks the target's velocity, so it does not lag."""
 
     def __init__(self, scene: Any, body: Body):
         self._body = body
@@ -31,11 +31,11 @@ class Hand:
         self._target = np.eye(4)
 
     def follow(self, motion: CarriedMotion) -> None:
-        """Go along `motion` from now on; its times are the body's clock."""
+        """Follow `motion` from now on; its times are the body's clock."""
         self._motion = motion
 
     def lead(self) -> None:
-        """Go nowhere but where `go` says."""
+        """Stop following; move only by `go`."""
         self._motion, self._target = None, self._body.root_pose
 
     def go(self, shift: Array, turn: Array) -> None:
@@ -43,12 +43,12 @@ class Hand:
         self._target = se3.pose(turn @ self._target[:3, :3], self._target[:3, 3] + shift)
 
     def catch(self) -> None:
-        """The object was put elsewhere: hold it there, where the hand is led."""
+        """Hold the object where it is now, unless the hand follows a motion."""
         if self._motion is None:
             self._target = self._body.root_pose
 
     def move(self, time_s: float, dt: float) -> None:
-        """Where the hand is at the end of a step of `dt` s that begins at `time_s`."""
+        """Set the target for the end of a step of `dt` s that begins at `time_s`."""
         still = np.zeros(3)
         pose, linear, angular = (self._target, still, still) if self._motion is None else self._motion.at(time_s + dt)
         self._drive.set_drive_target(sapien.Pose(pose.astype(np.float32)))

@@ -1,4 +1,4 @@
-"""What an environment may be given as its object: a name of the catalog, a folder, a URDF; at any size."""
+"""Objects for the environments: a name in the catalog, a folder, or a URDF, at any scale."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def find_asset(asset: str | Path, joint: str | None = None, object_seed: int = 0
     """The asset that `asset` names.
 
     Args:
-        asset: an asset folder (asset.json), a PartNet-Mobility folder (mobility.urdf), a URDF, a folder that holds one,
-            or a procedural object of the catalog, which is made of `object_seed` in `objects_place()`.
-        joint: the joint that moves; None takes what the folder says, or the only movable one.
+        asset: an asset folder (asset.json), a PartNet-Mobility folder (mobility.urdf), a URDF, a folder with one, or a
+            procedural object of the catalog, made from `object_seed` in `objects_place()`.
+        joint: the joint that moves; None takes the folder's choice, or the only movable one.
         object_seed: sizes and colours of a procedural object.
 
-    Warns of an asset whose reconstruction is doubtful. Raises FreeArtError when there is none, or its joint is not
-    clear.
+    Warns about an asset whose reconstruction is doubtful. Raises FreeArtError when there is none, or its joint is
+    unclear.
     """
     path = Path(asset)
     if not path.exists():
@@ -48,27 +48,27 @@ def find_asset(asset: str | Path, joint: str | None = None, object_seed: int = 0
             )
         path = object_folder(str(asset), object_seed, objects_place())
     if (path / PARTNET).is_file() and not (path / "asset.json").is_file():
-        return read_asset(path / PARTNET, joint or _scored(path))
+        return read_asset(path / PARTNET, joint or _find_scored_joint(path))
     found = read_asset(path, joint)
     if found.trust is not None and found.trust.verdict == "doubtful":
         warnings.warn(f"{path} was made of a reconstruction that is {describe_trust(found.trust)}", stacklevel=2)
     return found
 
 
-def _scored(folder: Path) -> str | None:
-    """The joint that one of our PartNet-Mobility folders calls the scored one, or the catalog of a real one."""
+def _find_scored_joint(folder: Path) -> str | None:
+    """The scored joint of a PartNet-Mobility folder, from our meta.json or the catalog."""
     meta = folder / "meta.json"
-    said = checked.read_json(meta).get("scored_joint") if meta.is_file() else None
+    scored = checked.read_json(meta).get("scored_joint") if meta.is_file() else None
     known = next((entry.joint for entry in catalog.CATALOG if entry.name == folder.resolve().name), None)
-    return said if isinstance(said, str) else known
+    return scored if isinstance(scored, str) else known
 
 
 @contextlib.contextmanager
-def loadable(asset: Asset, scale: float) -> Iterator[Asset]:
-    """`asset` as SAPIEN can load it with its pictures, at `scale` times its lengths; valid inside the `with`.
+def prepare_asset(asset: Asset, scale: float) -> Iterator[Asset]:
+    """`asset` in a form that SAPIEN loads with textures, at `scale` times its lengths; valid inside the `with`.
 
-    Masses grow with scale^3 and moments of inertia with scale^5. Raises FreeArtError for an asset with effects at
-    another scale than 1: they were measured on a thing of its size.
+    Masses scale with scale^3, moments of inertia with scale^5. Raises FreeArtError for an asset with effects at another
+    scale than 1: they were measured at its own size.
     """
     if not _SCALES[0] <= scale <= _SCALES[1]:
         raise FreeArtError(f"scale is {scale:g}, expected {_SCALES[0]:g} to {_SCALES[1]:g}")
@@ -81,7 +81,7 @@ def loadable(asset: Asset, scale: float) -> Iterator[Asset]:
             yield replace(asset, urdf=readable, root=Path(readable.anchor))
             return
         urdf = Path(place) / asset.urdf.name
-        ET.ElementTree(_scaled(readable, scale)).write(urdf, encoding="utf-8")
+        ET.ElementTree(_scale_urdf(readable, scale)).write(urdf, encoding="utf-8")
         T = asset.T_canonical_reference.copy()
         T[:3, 3] *= scale
         travel = _travel(readable, scale)
@@ -91,11 +91,11 @@ def loadable(asset: Asset, scale: float) -> Iterator[Asset]:
 
 
 def _travel(urdf: Path, scale: float) -> dict[str, float]:
-    """Joint name to `scale`, for the joints whose positions are lengths."""
+    """Joint name to `scale`, for prismatic joints."""
     return {j.get("name", ""): scale for j in parse_urdf(urdf).findall("joint") if j.get("type") == "prismatic"}
 
 
-def _scaled(urdf: Path, scale: float) -> ET.Element:
+def _scale_urdf(urdf: Path, scale: float) -> ET.Element:
     root = parse_urdf(urdf)
 
     def times(element: ET.Element, name: str, factor: float, default: str | None = None) -> None:
@@ -123,7 +123,7 @@ def _scaled(urdf: Path, scale: float) -> ET.Element:
     return root
 
 
-def span(lower: float, upper: float, prismatic: bool) -> tuple[float, float]:
-    """Where a joint is asked to go: its limits, or half a turn, or 0.1 m, either way where it has none."""
+def joint_span(lower: float, upper: float, prismatic: bool) -> tuple[float, float]:
+    """Range of a joint's targets: its limits; half a turn or 0.1 m either way where it has none."""
     free = 0.1 if prismatic else float(np.pi)
     return (lower if np.isfinite(lower) else -free), (upper if np.isfinite(upper) else free)

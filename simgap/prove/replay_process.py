@@ -289,11 +289,11 @@ class _AssetInMujoco(_AssetInEngine):
 
 def _convert_to_mjcf(asset: Asset, folder: Path) -> Path:
     """The asset's URDF as MJCF, in a folder with its files."""
-    from export.mjcf_of_urdf import mjcf_of_urdf  # rarely needed, and takes half a second to import
+    from export.urdf_to_mjcf import urdf_to_mjcf  # rarely needed, and takes half a second to import
 
     urdf = folder / asset.urdf.name
     write_xml(urdf, copy_asset_files(asset.urdf, folder, asset.root)[urdf.name])
-    atomic.write_bytes(mjcf_path(urdf), mjcf_of_urdf(replace(asset, urdf=urdf, root=folder)))
+    atomic.write_bytes(mjcf_path(urdf), urdf_to_mjcf(replace(asset, urdf=urdf, root=folder)))
     return mjcf_path(urdf)
 
 

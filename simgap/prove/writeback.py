@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from export.beside import write_beside
+from export.companion_files import write_companion_files
 from export.loaders import FOLDER as LOADERS
-from export.mjcf import STIFF_FRICTION, joint_words
-from export.mjcf_of_urdf import mjcf_of_urdf
+from export.mjcf import STIFF_FRICTION, joint_attributes
+from export.urdf_to_mjcf import urdf_to_mjcf
 from freeart21.asset import Asset
 from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError
@@ -59,10 +59,10 @@ def write_repaired(
     source_json |= {"repair": source} if source else {}
     repaired = replace(asset, urdf=urdf, effects=merged, source=source_json, root=folder)
     if not keeps_mjcf:
-        atomic.write_bytes(folder / mjcf.name, mjcf_of_urdf(repaired))
+        atomic.write_bytes(folder / mjcf.name, urdf_to_mjcf(repaired))
     write_asset_json(folder, repaired)
     if (asset.urdf.parent / LOADERS).is_dir():  # our exporter's assets contain effects in more files
-        write_beside(folder, repaired)
+        write_companion_files(folder, repaired)
     read = _check_reloaded(asset, merged, folder)
     if body != NO_CORRECTION:
         check_body(asset, read, body, folder)
@@ -104,7 +104,7 @@ def set_joint_words(root: ET.Element, joint: str, effects: dict[str, tuple[Effec
         raise FreeArtError(f"{where} has no joint '{joint}'; joints: {names or 'none'}")
     for word in ("damping", "frictionloss", *STIFF_FRICTION, "armature", "stiffness", "springref"):
         element.attrib.pop(word, None)
-    for word, said in joint_words(effects.get(joint, ()), joint).items():
+    for word, said in joint_attributes(effects.get(joint, ()), joint).items():
         element.set(word, said)
 
 

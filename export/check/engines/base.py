@@ -1,4 +1,4 @@
-"""What a trial needs of an engine."""
+"""Interface of an engine for trials."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class EngineJoint:
-    """A movable joint as an engine has it."""
+    """A movable joint as the engine has it."""
 
     name: str
     parent: str
@@ -32,7 +32,7 @@ class Setting:
     """The scene that an asset is loaded into."""
 
     fixed: bool
-    """Whether the root link is nailed down at the world's origin."""
+    """Whether the root link is fixed at the world's origin."""
     gravity: bool
     floor: bool
     """Whether there is a plane at z = 0."""
@@ -42,23 +42,23 @@ class World(ABC):
     """An asset in a scene of one engine."""
 
     joints: tuple[EngineJoint, ...]
-    """Those that move."""
+    """The movable joints."""
     parents: dict[str, str | None]
-    """Link to the link that it hangs on; of all links."""
-    nailed: bool = False
+    """Link name to its parent's, for all links."""
+    root_held: bool = False
     """Whether the engine holds the root although it was not asked to."""
 
     @abstractmethod
     def inertials(self) -> dict[str, UrdfInertial]:
-        """Link to mass properties, as the engine has them."""
+        """Link name to mass properties in the engine."""
 
     @abstractmethod
     def put(self, q: Mapping[str, float], qd: Mapping[str, float] | None = None) -> None:
-        """Put the joints at positions `q` with velocities `qd` (zero when not given), rad or m."""
+        """Set joint positions `q` and velocities `qd` (default zero), rad or m."""
 
     @abstractmethod
     def place(self, T_world_root: Array) -> None:
-        """Put the root link's frame at (4, 4), at rest; only where it is not fixed."""
+        """Set the root link's pose (4, 4), at rest; only where it is not fixed."""
 
     @abstractmethod
     def state(self) -> tuple[dict[str, float], dict[str, float]]:
@@ -66,23 +66,23 @@ class World(ABC):
 
     @abstractmethod
     def poses(self) -> dict[str, Array]:
-        """Link to T_world_link (4, 4), in the state of now."""
+        """Link name to T_world_link (4, 4) in the current state."""
 
     @abstractmethod
     def advance(self, seconds: float, push: Mapping[str, float] | None = None) -> None:
         """Simulate with constant forces `push`, N m or N, on the joints."""
 
     def energy(self) -> float | None:
-        """J, where the engine says it; else it is computed from what else it says."""
+        """Total energy, J, where the engine has it; otherwise the caller computes it."""
         return None
 
     def lowest(self) -> float | None:
-        """Height, m, of the lowest point that collides, where the engine can say it."""
+        """Height, m, of the lowest colliding point, where the engine has it."""
         return None
 
 
 MODULES = {"sapien": "sapien", "mujoco": "mujoco", "pybullet": "pybullet", "drake": "pydrake"}
-"""Engine to the package whose import says whether it is installed."""
+"""Engine to the package that must be installed."""
 SETTINGS = {
     "sapien": "step 2 ms, 25 position iterations, contact offset 2 mm, friction 0.5, no sleeping, no damping of links, "
     "joint friction as the URDF's (by a saturated damper)",
@@ -93,11 +93,11 @@ SETTINGS = {
     "drake": "discrete step 2 ms, hydroelastic contact (compliant, default modulus), friction 0.5, joint friction as "
     "the URDF's (by a damper with a limit)",
 }
-"""What a reader of the numbers has to know."""
+"""Settings for readers of the report."""
 
 
 def load_world(engine: str, file: Path, folder: Path, setting: Setting) -> World:
-    """The asset of a URDF (or, in MuJoCo, an MJCF) in a fresh scene of the engine; raises what the engine raises."""
+    """The asset of a URDF (for MuJoCo also an MJCF) in a new scene; raises whatever the engine raises."""
     module = importlib.import_module(f"export.check.engines.{engine}_world")
     world: World = module.load(file, folder, setting)
     return world

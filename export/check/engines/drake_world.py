@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from export.check.engines.base import GRAVITY, EngineJoint, Setting, World
-from export.check.engines.plain_urdf import plain_urdf
+from export.check.engines.plain_urdf import write_plain_urdf
 from freeart21.files.urdf import UrdfInertial, read_urdf_joints
 from freeart21.se3 import Array
 
 _STEP_S, _FRICTION = 0.002, 0.5
 _CREEP = 1e-6
-"""rad/s or m/s at which the damper that is Coulomb friction is cut off, as in the asset's own loader, where it was
+"""rad/s or m/s at which the damper that models Coulomb friction saturates, as in the asset's own loader, where it was
 measured (`tests/test_loaders.py`)."""
 
 
@@ -37,12 +37,12 @@ def load(file: Path, folder: Path, setting: Setting) -> DrakeWorld:
 
     builder = DiagramBuilder()
     plant, geometry = AddMultibodyPlantSceneGraph(builder, time_step=_STEP_S)
-    # a box on a plane has but one contact point where nothing is hydroelastic, and sinks in within seconds
-    said = DefaultProximityProperties(
+    # without hydroelastic contact a box on a plane has one contact point and sinks in within seconds
+    properties = DefaultProximityProperties(
         compliance_type="compliant", dynamic_friction=_FRICTION, static_friction=_FRICTION
     )
-    geometry.set_config(SceneGraphConfig(default_proximity_properties=said))
-    (model,) = Parser(plant).AddModels(plain_urdf(file, folder))
+    geometry.set_config(SceneGraphConfig(default_proximity_properties=properties))
+    (model,) = Parser(plant).AddModels(write_plain_urdf(file, folder))
     plant.mutable_gravity_field().set_gravity_vector([0, 0, -GRAVITY if setting.gravity else 0.0])
     if setting.floor:
         hard = ProximityProperties()
@@ -50,27 +50,27 @@ def load(file: Path, folder: Path, setting: Setting) -> DrakeWorld:
         AddRigidHydroelasticProperties(hard)
         plant.RegisterCollisionGeometry(plant.world_body(), RigidTransform(), HalfSpace(), "floor", hard)
     bodies = [plant.get_body(k) for k in plant.GetBodyIndices(model)]
-    hung = {plant.get_joint(k).child_body().name() for k in plant.GetJointIndices(model)}
-    root = next((body for body in bodies if body.name() not in hung), None)
+    children = {plant.get_joint(k).child_body().name() for k in plant.GetJointIndices(model)}
+    root = next((body for body in bodies if body.name() not in children), None)
     if root is not None and setting.fixed:
         plant.WeldFrames(plant.world_frame(), root.body_frame())
-    rubs = _rubbing(plant, model, {j.name: j.friction for j in read_urdf_joints(file).values()})
+    has_friction = _add_friction(plant, model, {j.name: j.friction for j in read_urdf_joints(file).values()})
     plant.Finalize()
-    if rubs:
+    if has_friction:
         still = builder.AddSystem(ConstantVectorSource(np.zeros(2 * plant.num_actuators(model))))
         builder.Connect(still.get_output_port(), plant.get_desired_state_input_port(model))
     return DrakeWorld(builder.Build(), plant, model, bodies, root)
 
 
-def _rubbing(plant: Any, model: Any, friction: Mapping[str, float]) -> bool:
-    """Put the joints' friction, which Drake drops of a URDF, back; whether there is any.
+def _add_friction(plant: Any, model: Any, friction: Mapping[str, float]) -> bool:
+    """Add the friction that Drake drops from a URDF; returns whether there is any.
 
-    An actuator that is nothing but a damper towards speed 0, cut off at the friction: a discrete plant solves it
-    together with the contacts.
+    An actuator that is only a damper towards speed 0, limited to the friction: a discrete plant solves it together with
+    the contacts.
     """
     from pydrake.multibody.tree import PdControllerGains
 
-    for k in plant.GetJointActuatorIndices(model):  # of the file's transmissions: nothing drives them here
+    for k in plant.GetJointActuatorIndices(model):  # from the file's transmissions, which are not driven here
         plant.RemoveJointActuator(plant.get_joint_actuator(k))
     joints = [plant.get_joint(k) for k in plant.GetJointIndices(model)]
     rubs = [joint for joint in joints if joint.num_velocities() == 1 and friction.get(joint.name(), 0.0) > 0]
@@ -108,7 +108,6 @@ class DrakeWorld(World):
         )
 
     def inertials(self) -> dict[str, UrdfInertial]:
-        """See `World`."""
         found = {}
         for name, body in self.bodies.items():
             M = body.CalcSpatialInertiaInBodyFrame(self.context)
@@ -120,7 +119,6 @@ class DrakeWorld(World):
         return found
 
     def put(self, q: Mapping[str, float], qd: Mapping[str, float] | None = None) -> None:
-        """See `World`."""
         at, speed = self.plant.GetPositions(self.context).copy(), self.plant.GetVelocities(self.context).copy()
         for name, joint in self.drake_joints.items():
             at[joint.position_start()] = q.get(name, 0.0)
@@ -130,7 +128,6 @@ class DrakeWorld(World):
         self.simulator.Initialize()
 
     def place(self, T_world_root: Array) -> None:
-        """See `World`."""
         from pydrake.math import RigidTransform
 
         T: Any = np.array(T_world_root, float)
@@ -138,18 +135,15 @@ class DrakeWorld(World):
         self.simulator.Initialize()
 
     def state(self) -> tuple[dict[str, float], dict[str, float]]:
-        """See `World`."""
         at, speed = self.plant.GetPositions(self.context), self.plant.GetVelocities(self.context)
         q = {name: float(at[joint.position_start()]) for name, joint in self.drake_joints.items()}
         return q, {name: float(speed[joint.velocity_start()]) for name, joint in self.drake_joints.items()}
 
     def poses(self) -> dict[str, Array]:
-        """See `World`."""
         found = {name: body.EvalPoseInWorld(self.context) for name, body in self.bodies.items()}
         return {name: np.asarray(T.GetAsMatrix4(), float) for name, T in found.items()}
 
     def advance(self, seconds: float, push: Mapping[str, float] | None = None) -> None:
-        """See `World`."""
         forces = np.zeros(self.plant.num_velocities())
         for name, force in (push or {}).items():
             forces[self.drake_joints[name].velocity_start()] = force

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from export.check.engines.base import GRAVITY, EngineJoint, Setting, World
-from export.check.engines.plain_urdf import plain_urdf
+from export.check.engines.plain_urdf import write_plain_urdf
 from freeart21 import se3
 from freeart21.files.urdf import UrdfInertial, read_xml
 from freeart21.se3 import Array
@@ -24,28 +24,28 @@ def load(file: Path, folder: Path, setting: Setting) -> MujocoWorld:
 
     xml = read_xml(file)
     urdf = xml.tag == "robot"
-    on_world = urdf and xml.find("link[@name='world']") is not None  # MuJoCo takes that link for its own world
+    on_world = urdf and xml.find("link[@name='world']") is not None  # MuJoCo takes that link for its world
     if urdf:
         words = ET.Element("mujoco")
         ET.SubElement(words, "compiler", fusestatic="false", strippath="false", discardvisual="true")
-        file = plain_urdf(file, folder, words)
+        file = write_plain_urdf(file, folder, words)
     spec = mujoco.MjSpec.from_file(str(file))
     tops = list(spec.worldbody.bodies)
     if len(tops) != 1:
         raise ValueError(f"its world has {len(tops)} bodies, expected one")
     root = tops[0]
     free = [joint for joint in root.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
-    hung = len(root.joints) > len(free)
-    for key in list(spec.keys):  # states of other joints than those that are left here
+    jointed = len(root.joints) > len(free)
+    for key in list(spec.keys):  # their size no longer fits
         spec.delete(key)
     if setting.fixed:
         for joint in free:
             spec.delete(joint)
-        if urdf or free:  # in a fixed base MuJoCo lets neighbours collide that nobody else lets collide
-            _part_neighbours(spec, root)
+        if urdf or free:  # unlike other engines, MuJoCo lets a fixed base collide with its neighbours
+            _exclude_neighbours(spec, root)
         if not on_world:
             root.pos, root.quat = [0, 0, 0], [1, 0, 0, 0]
-    elif not free and not hung:
+    elif not free and not jointed:
         root.add_freejoint()
     if setting.floor:
         spec.worldbody.add_geom(
@@ -56,13 +56,15 @@ def load(file: Path, folder: Path, setting: Setting) -> MujocoWorld:
                 geom.contype |= 1
     spec.option.gravity = [0, 0, -GRAVITY if setting.gravity else 0.0]
     spec.option.timestep = min(spec.option.timestep, _LARGEST_STEP_S)
-    for joint in spec.joints if urdf else ():  # a URDF's limits are hard; MuJoCo's own (20 ms) yield to light links
+    for joint in (
+        spec.joints if urdf else ()
+    ):  # a URDF's limits are hard; MuJoCo's default (20 ms) yields to light links
         joint.solref_limit = [2 * spec.option.timestep, 1]
     spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
-    return MujocoWorld(spec.compile(), root.name, hung)
+    return MujocoWorld(spec.compile(), root.name, jointed)
 
 
-def _part_neighbours(spec: Any, root: Any) -> None:
+def _exclude_neighbours(spec: Any, root: Any) -> None:
     waiting = [root]
     while waiting:
         body = waiting.pop()
@@ -74,12 +76,12 @@ def _part_neighbours(spec: Any, root: Any) -> None:
 class MujocoWorld(World):
     """See `World`."""
 
-    def __init__(self, model: Any, root: str, nailed: bool):
+    def __init__(self, model: Any, root: str, root_held: bool):
         import mujoco
 
         self.model, self.data = model, mujoco.MjData(model)
         names = [model.body(b).name for b in range(model.nbody)]
-        self.root, self.nailed = root, nailed
+        self.root, self.root_held = root, root_held
         self.parents = {
             names[b]: None if names[b] == root else names[model.body_parentid[b]] for b in range(1, model.nbody)
         }
@@ -95,7 +97,6 @@ class MujocoWorld(World):
         )
 
     def inertials(self) -> dict[str, UrdfInertial]:
-        """See `World`."""
         found = {}
         for b in range(1, self.model.nbody):
             R = se3.pose_from_wxyz(np.zeros(3), self.model.body_iquat[b])[:3, :3]
@@ -106,7 +107,6 @@ class MujocoWorld(World):
         return found
 
     def put(self, q: Mapping[str, float], qd: Mapping[str, float] | None = None) -> None:
-        """See `World`."""
         import mujoco
 
         for joint in self.joints:
@@ -115,7 +115,6 @@ class MujocoWorld(World):
         mujoco.mj_forward(self.model, self.data)
 
     def place(self, T_world_root: Array) -> None:
-        """See `World`."""
         import mujoco
 
         at = self.model.body(self.root).jntadr[0]
@@ -124,19 +123,16 @@ class MujocoWorld(World):
         mujoco.mj_forward(self.model, self.data)
 
     def state(self) -> tuple[dict[str, float], dict[str, float]]:
-        """See `World`."""
         q = {j.name: float(self.data.joint(j.name).qpos[0]) for j in self.joints}
         return q, {j.name: float(self.data.joint(j.name).qvel[0]) for j in self.joints}
 
     def poses(self) -> dict[str, Array]:
-        """See `World`."""
         import mujoco
 
         mujoco.mj_kinematics(self.model, self.data)
         return {n: se3.pose(self.data.body(n).xmat.reshape(3, 3), self.data.body(n).xpos) for n in self.parents}
 
     def advance(self, seconds: float, push: Mapping[str, float] | None = None) -> None:
-        """See `World`."""
         import mujoco
 
         for joint in self.joints:
@@ -145,14 +141,13 @@ class MujocoWorld(World):
         mujoco.mj_step(self.model, self.data, max(1, round(seconds / self.model.opt.timestep)))
 
     def energy(self) -> float | None:
-        """See `World`: potential energy of gravity and springs, and kinetic energy."""
+        """Potential energy of gravity and springs, and kinetic energy."""
         import mujoco
 
         mujoco.mj_forward(self.model, self.data)
         return float(self.data.energy.sum())
 
     def lowest(self) -> float | None:
-        """See `World`."""
         heights = [
             self._lowest(g)
             for g in range(self.model.ngeom)

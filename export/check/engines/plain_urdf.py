@@ -1,5 +1,4 @@
-"""A URDF as engines are given it: as written, but with absolute file names, without what is only looked at, and with
-joints that mimic others held (`export.check.tree.hold_followers`)."""
+"""Prepares a URDF for engines: absolute file names, no visuals, and mimic joints fixed (`tree.freeze_mimics`)."""
 
 from __future__ import annotations
 
@@ -7,14 +6,14 @@ import tempfile
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-from export.check.tree import hold_followers, tree_of_urdf
+from export.check.tree import build_tree, freeze_mimics
 from export.checklist import read_solid
 from export.urdf import origin_element
 from freeart21.files.urdf import parse_urdf, read_urdf
 from freeart21.files.urdf_files import resolve_file
 
 READ_BY_ENGINES = (".obj", ".stl", ".msh", ".vtk")
-"""Endings of collision meshes that engines are given as they are; they get an OBJ of others."""
+"""Collision mesh formats that engines read; others are converted to OBJ."""
 
 
 def _as_obj(path: Path, copy: Path) -> Path:
@@ -22,9 +21,11 @@ def _as_obj(path: Path, copy: Path) -> Path:
     return copy
 
 
-def plain_urdf(urdf: Path, folder: Path, extra: ET.Element | None = None) -> Path:
-    """A copy in a temporary folder that lives as long as the process; `extra` is added at its beginning, and
-    goes before what the file says in an element of the same name."""
+def write_plain_urdf(urdf: Path, folder: Path, extra: ET.Element | None = None) -> Path:
+    """A copy in a temporary folder, which lives as long as the process.
+
+    `extra` is inserted at the top; its attributes override those of an element of the same name in the file.
+    """
     robot, place = parse_urdf(urdf), Path(tempfile.mkdtemp())
     for link in robot.findall("link"):
         for visual in link.findall("visual"):
@@ -35,7 +36,7 @@ def plain_urdf(urdf: Path, folder: Path, extra: ET.Element | None = None) -> Pat
             if path.suffix.lower() not in READ_BY_ENGINES and path.is_file():
                 path = _as_obj(path, place / f"{len([*place.iterdir()])}.obj")
             element.set("filename", str(path))
-    held = hold_followers(tree_of_urdf(read_urdf(urdf))).joints
+    held = freeze_mimics(build_tree(read_urdf(urdf))).joints
     for joint in robot.findall("joint"):
         for mimic in joint.findall("mimic"):
             joint.remove(mimic)

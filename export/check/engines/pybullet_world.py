@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from export.check.engines.base import GRAVITY, EngineJoint, Setting, World
-from export.check.engines.plain_urdf import plain_urdf
+from export.check.engines.plain_urdf import write_plain_urdf
 from freeart21 import se3
 from freeart21.files.urdf import UrdfInertial, read_urdf_joints
 from freeart21.se3 import Array
 
 _STEP_S, _FRICTION = 0.002, 0.5
 _NEAR_M = 0.01
-"""Where the floor is looked for below an asset that was put on it."""
+"""Distance below an asset on the floor that is searched for the floor."""
 
 
 def load(file: Path, folder: Path, setting: Setting) -> PybulletWorld:
@@ -36,13 +36,13 @@ def load(file: Path, folder: Path, setting: Setting) -> PybulletWorld:
         | pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
     )
     body = pybullet.loadURDF(
-        str(plain_urdf(file, folder)), useFixedBase=setting.fixed, flags=flags, physicsClientId=client
+        str(write_plain_urdf(file, folder)), useFixedBase=setting.fixed, flags=flags, physicsClientId=client
     )
     return PybulletWorld(client, body, floor, setting, {j.name: j.friction for j in read_urdf_joints(file).values()})
 
 
 class PybulletWorld(World):
-    """See `World`. A link has the index of the joint that it hangs on; the root has -1."""
+    """See `World`. A link's index is that of its parent joint; the root has -1."""
 
     def __init__(self, client: int, body: int, floor: int | None, setting: Setting, friction: Mapping[str, float]):
         import pybullet
@@ -52,7 +52,7 @@ class PybulletWorld(World):
         names = {-1: pybullet.getBodyInfo(body, client)[0].decode(), **{i[0]: i[12].decode() for i in infos}}
         self.index = {name: k for k, name in names.items()}
         self.root = names[-1]
-        self.nailed = not setting.fixed and pybullet.getDynamicsInfo(body, -1, client)[0] == 0
+        self.root_held = not setting.fixed and pybullet.getDynamicsInfo(body, -1, client)[0] == 0
         self.parents = {self.root: None} | {names[info[0]]: names[info[16]] for info in infos}
         moving = [i for i in infos if i[2] in (pybullet.JOINT_REVOLUTE, pybullet.JOINT_PRISMATIC)]
         self.number = {info[1].decode(): info[0] for info in moving}
@@ -76,27 +76,25 @@ class PybulletWorld(World):
             )
 
     def inertials(self) -> dict[str, UrdfInertial]:
-        """See `World`. Of a root that is nailed down PyBullet says that it has no mass."""
+        """PyBullet reports no mass for a fixed root, which is left out."""
         import pybullet
 
         found = {}
         for name, k in self.index.items():
             if k == -1 and self.fixed:
                 continue
-            said = pybullet.getDynamicsInfo(self.body, k, self.client)
-            T = _pose(said[3], said[4])
-            found[name] = UrdfInertial(float(said[0]), T[:3, 3], T[:3, :3] @ np.diag(said[2]) @ T[:3, :3].T)
+            info = pybullet.getDynamicsInfo(self.body, k, self.client)
+            T = _pose(info[3], info[4])
+            found[name] = UrdfInertial(float(info[0]), T[:3, 3], T[:3, :3] @ np.diag(info[2]) @ T[:3, :3].T)
         return found
 
     def put(self, q: Mapping[str, float], qd: Mapping[str, float] | None = None) -> None:
-        """See `World`."""
         import pybullet
 
         for name, k in self.number.items():
             pybullet.resetJointState(self.body, k, q.get(name, 0.0), (qd or {}).get(name, 0.0), self.client)
 
     def place(self, T_world_root: Array) -> None:
-        """See `World`."""
         import pybullet
 
         T = T_world_root @ self._T_root_centre()
@@ -105,14 +103,12 @@ class PybulletWorld(World):
         pybullet.resetBaseVelocity(self.body, [0, 0, 0], [0, 0, 0], self.client)
 
     def state(self) -> tuple[dict[str, float], dict[str, float]]:
-        """See `World`."""
         import pybullet
 
         at = {name: pybullet.getJointState(self.body, k, self.client)[:2] for name, k in self.number.items()}
         return {name: s[0] for name, s in at.items()}, {name: s[1] for name, s in at.items()}
 
     def poses(self) -> dict[str, Array]:
-        """See `World`."""
         import pybullet
 
         base = _pose(*pybullet.getBasePositionAndOrientation(self.body, self.client))
@@ -124,7 +120,6 @@ class PybulletWorld(World):
         return found
 
     def advance(self, seconds: float, push: Mapping[str, float] | None = None) -> None:
-        """See `World`."""
         import pybullet
 
         for _ in range(max(1, round(seconds / _STEP_S))):
@@ -135,7 +130,7 @@ class PybulletWorld(World):
             pybullet.stepSimulation(self.client)
 
     def lowest(self) -> float | None:
-        """See `World`: PyBullet wraps every mesh in a skin of 1 mm."""
+        """PyBullet wraps every mesh in a margin of 1 mm."""
         import pybullet
 
         if self.floor is None:
@@ -144,11 +139,11 @@ class PybulletWorld(World):
         return min((float(point[8]) for point in near), default=None)
 
     def _T_root_centre(self) -> Array:
-        """(4, 4) where PyBullet has the root's pose: its centre of mass, along its principal axes."""
+        """(4, 4) frame that PyBullet uses as the root's pose: its centre of mass and principal axes."""
         import pybullet
 
-        said = pybullet.getDynamicsInfo(self.body, -1, self.client)
-        return _pose(said[3], said[4])
+        info = pybullet.getDynamicsInfo(self.body, -1, self.client)
+        return _pose(info[3], info[4])
 
 
 def _pose(position: tuple[float, ...], xyzw: tuple[float, ...]) -> Array:

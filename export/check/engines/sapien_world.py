@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from export.check.engines.base import GRAVITY, EngineJoint, Setting, World
-from export.check.engines.plain_urdf import plain_urdf
+from export.check.engines.plain_urdf import write_plain_urdf
 from freeart21 import se3
 from freeart21.files.urdf import UrdfInertial, read_urdf_joints
 from freeart21.se3 import Array
 
 _STEP_S, _FRICTION = 0.002, 0.5
 _STIFF = 1e4
-"""Damping over force limit, s/rad, of the saturated damper that is Coulomb friction (facts of SAPIEN 3.0.3)."""
+"""Damping over force limit, s/rad, of the saturated damper that models Coulomb friction (for SAPIEN 3.0.3)."""
 
 
 def load(file: Path, folder: Path, setting: Setting) -> SapienWorld:
@@ -39,7 +39,7 @@ def load(file: Path, folder: Path, setting: Setting) -> SapienWorld:
         scene.add_ground(0.0, render=False)
     loader = scene.create_urdf_loader()
     loader.fix_root_link = setting.fixed
-    loaded = loader.load(str(plain_urdf(file, folder)))
+    loaded = loader.load(str(write_plain_urdf(file, folder)))
     if loaded is None or not hasattr(loaded, "active_joints"):
         raise ValueError("SAPIEN made no articulation of it")
     return SapienWorld(scene, loaded, {j.name: j.friction for j in read_urdf_joints(file).values()})
@@ -70,7 +70,6 @@ class SapienWorld(World):
         return EngineJoint(joint.name, joint.parent_link.name, joint.child_link.name, lower, upper)
 
     def inertials(self) -> dict[str, UrdfInertial]:
-        """See `World`."""
         found = {}
         for name, link in self.links.items():
             pose = link.cmass_local_pose
@@ -80,12 +79,10 @@ class SapienWorld(World):
         return found
 
     def put(self, q: Mapping[str, float], qd: Mapping[str, float] | None = None) -> None:
-        """See `World`."""
         self.articulation.set_qpos(np.array([q.get(j.name, 0.0) for j in self.joints], np.float32))
         self.articulation.set_qvel(np.array([(qd or {}).get(j.name, 0.0) for j in self.joints], np.float32))
 
     def place(self, T_world_root: Array) -> None:
-        """See `World`."""
         import sapien
 
         self.articulation.set_root_pose(sapien.Pose(np.asarray(T_world_root, np.float32)))
@@ -93,18 +90,15 @@ class SapienWorld(World):
         self.articulation.set_root_angular_velocity(np.zeros(3, np.float32))
 
     def state(self) -> tuple[dict[str, float], dict[str, float]]:
-        """See `World`."""
         names = [joint.name for joint in self.joints]
         q, qd = (np.asarray(v, float).tolist() for v in (self.articulation.qpos, self.articulation.qvel))
         return dict(zip(names, q, strict=True)), dict(zip(names, qd, strict=True))
 
     def poses(self) -> dict[str, Array]:
-        """See `World`."""
         at = {name: link.entity_pose for name, link in self.links.items()}
         return {n: se3.pose_from_wxyz(np.asarray(p.p, float), np.asarray(p.q, float)) for n, p in at.items()}
 
     def advance(self, seconds: float, push: Mapping[str, float] | None = None) -> None:
-        """See `World`."""
         forces = np.array([(push or {}).get(j.name, 0.0) for j in self.joints], np.float32)
         for _ in range(max(1, round(seconds / _STEP_S))):
             self.articulation.set_qf(forces)

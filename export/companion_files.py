@@ -1,4 +1,4 @@
-"""What an asset carries beside URDF and MJCF, made from these and asset.json: USD, loaders, LOSSES.md, a picture."""
+"""Files derived from URDF, MJCF and asset.json: USD, loaders, LOSSES.md, preview.png."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from freeart21.asset import Asset
 USD = "object.usdc"
 
 
-def write_beside(folder: Path, asset: Asset, with_usd: bool | None = None) -> None:
-    """Write them into `folder`, where `asset` stands finished.
+def write_companion_files(folder: Path, asset: Asset, with_usd: bool | None = None) -> None:
+    """Write them into `folder`, which holds the finished `asset`.
 
     `with_usd` None writes USD where usd-core is installed; True raises FreeArtError where it is not.
     """
-    if usd.available() if with_usd is None else with_usd:
+    if usd.is_available() if with_usd is None else with_usd:
         usd.write_usd(folder / USD, asset)
     write_loaders(folder, asset)
     write_losses(folder, asset)

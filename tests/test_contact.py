@@ -13,8 +13,8 @@ from little_asset import write_little
 from test_check_asset import files_of
 from test_export import box, reconstruction
 
-from export import delivered
-from export.delivered import contact_depth, contact_fidelity, delivered_shapes
+from export import contact
+from export.contact import measure_contact_depth, measure_contact_fidelity, read_link_shapes
 from export.exporter import ExportSettings, export_result
 from export.placement import PlacementSettings
 from freeart21 import se3
@@ -44,35 +44,35 @@ def open_tray() -> tuple[trimesh.Trimesh, list[trimesh.Trimesh]]:
 
 def test_both_ways_are_measured():
     tray, plates = open_tray()
-    true = contact_fidelity({"a": shapes(tray)}, {"a": shapes(*plates)})["a"]
+    true = measure_contact_fidelity({"a": shapes(tray)}, {"a": shapes(*plates)})["a"]
     assert true.worst < 2e-3 and true.outward < 2e-3
-    block = contact_fidelity({"a": shapes(tray)}, {"a": shapes(trimesh.creation.box((0.2, 0.15, 0.08)))})["a"]
+    block = measure_contact_fidelity({"a": shapes(tray)}, {"a": shapes(trimesh.creation.box((0.2, 0.15, 0.08)))})["a"]
     assert block.uncovered < 5e-4 and block.outward_95 > 0.04
     assert block.outward == pytest.approx(0.074, abs=3e-3)  # the middle of the top is as far from the nearest wall
-    bottom = contact_fidelity({"a": shapes(tray)}, {"a": shapes(plates[0])})["a"]
+    bottom = measure_contact_fidelity({"a": shapes(tray)}, {"a": shapes(plates[0])})["a"]
     assert bottom.uncovered == pytest.approx(0.078, abs=2e-3) and bottom.outward < 2e-3
 
 
 def test_a_collision_mesh_counts_as_its_hull_as_engines_take_it():
     tray, _ = open_tray()
-    hull = contact_fidelity({"a": shapes(tray)}, {"a": shapes(tray)})["a"]
+    hull = measure_contact_fidelity({"a": shapes(tray)}, {"a": shapes(tray)})["a"]
     assert hull.outward > 0.07
 
 
 def test_a_sheet_can_be_touched():
     """A door of PartNet-Mobility is two triangles, for the eye and for contact."""
     sheet = trimesh.Trimesh([[0, 0, 0], [0.3, 0, 0], [0.3, 0.5, 0], [0, 0.5, 0.0]], [[0, 1, 2], [0, 2, 3]])
-    found = contact_fidelity({"a": shapes(sheet)}, {"a": shapes(sheet)})["a"]
+    found = measure_contact_fidelity({"a": shapes(sheet)}, {"a": shapes(sheet)})["a"]
     assert found.worst < 1e-3 and found.outward < 1e-3
 
 
 def test_many_links_take_fewer_points_each(monkeypatch):
     asked = []
-    measure = delivered.outside_of
-    monkeypatch.setattr(delivered, "outside_of", lambda mesh, count: asked.append(count) or measure(mesh, 200))
+    measure = contact.sample_outer_surface
+    monkeypatch.setattr(contact, "sample_outer_surface", lambda mesh, count: asked.append(count) or measure(mesh, 200))
     links = {str(k): shapes(trimesh.creation.box((0.1, 0.1, 0.1))) for k in range(40)}
-    assert len(contact_fidelity(links, links)) == 40
-    assert set(asked) == {delivered._LEAST_POINTS}
+    assert len(measure_contact_fidelity(links, links)) == 40
+    assert set(asked) == {contact._MIN_POINTS}
 
 
 @pytest.mark.parametrize(
@@ -103,9 +103,9 @@ def carved(tmp_path_factory) -> Path:
 
 def test_asset_json_states_what_its_files_have_not_what_was_carved(carved: Path):
     source = json.loads((carved / "asset.json").read_text())["source"]
-    seen, touched = delivered_shapes(carved / "object.urdf")
+    seen, touched = read_link_shapes(carved / "object.urdf")
     assert {name: part["collision"] for name, part in source["parts"].items()} == {
-        name: fidelity.said() for name, fidelity in contact_fidelity(seen, touched).items()
+        name: fidelity.to_json() for name, fidelity in measure_contact_fidelity(seen, touched).items()
     }
     assert source["penetration"]["carved"] in ("reference", "moving")
     assert source["parts"][source["penetration"]["carved"]]["collision"]["uncovered_m"] > 0.008
@@ -115,16 +115,16 @@ def test_asset_json_states_what_its_files_have_not_what_was_carved(carved: Path)
 
 def test_the_depth_in_asset_json_is_that_of_the_contact_shapes(carved: Path):
     source = json.loads((carved / "asset.json").read_text())["source"]["penetration"]
-    _, touched = delivered_shapes(carved / "object.urdf")
-    assert source["deepest_m"] == contact_depth(carved / "object.urdf", "lid_joint", touched, 31)
+    _, touched = read_link_shapes(carved / "object.urdf")
+    assert source["deepest_m"] == measure_contact_depth(carved / "object.urdf", "lid_joint", touched, 31)
     assert source["deepest_m"] < 1e-3 < source["deepest_visual_m"]
 
 
 def test_known_boxes_are_as_deep_in_each_other_as_they_are(tmp_path: Path):
     file = write_little(tmp_path / "lid")
     file.write_text(file.read_text().replace('<origin xyz="-0.1 0 0.04"/><axis', '<origin xyz="-0.1 0 0.037"/><axis'))
-    _, touched = delivered_shapes(file)
-    assert contact_depth(file, "hinge", touched, 5) == pytest.approx(0.003, abs=1e-6)
+    _, touched = read_link_shapes(file)
+    assert measure_contact_depth(file, "hinge", touched, 5) == pytest.approx(0.003, abs=1e-6)
 
 
 def test_numbers_in_asset_json_that_its_files_do_not_have_fail(carved: Path, tmp_path: Path):
@@ -152,4 +152,4 @@ def test_an_open_visual_is_not_judged(tmp_path: Path):
 
 
 def test_a_part_without_contact_shapes_is_not_judged():
-    assert contact_fidelity({"a": shapes(trimesh.creation.icosphere(1, 0.1))}, {"a": []}) == {}
+    assert measure_contact_fidelity({"a": shapes(trimesh.creation.icosphere(1, 0.1))}, {"a": []}) == {}

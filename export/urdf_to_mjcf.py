@@ -1,6 +1,6 @@
-"""Any asset's URDF as MJCF: one joint moves, others are held, links do not touch each other, as in simulate.
+"""Converts any asset's URDF to MJCF: one joint moves, others are held, links do not collide, as in `simulate`.
 
-The assets of `exporter` have a MJCF of their own, with colours; this one is for the URDFs of others.
+Exported assets have an MJCF of their own, with textures; this is for third-party URDFs.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 
-from export.mjcf import joint_words
+from export.mjcf import joint_attributes
 from export.model import WORLD, Base, number_text
 from freeart21 import se3
 from freeart21.asset import Asset
@@ -18,16 +18,15 @@ from freeart21.files.urdf import UrdfInertial, UrdfJoint, UrdfLink, UrdfShape, c
 from freeart21.se3 import Array
 
 _MESHES = (".obj", ".stl", ".msh")
-"""Endings of meshes that MuJoCo reads; shapes of others are left out, and inertia is the URDF's anyway."""
+"""Mesh formats that MuJoCo reads. Shapes in others are left out; inertia comes from the URDF."""
 
 
-def mjcf_of_urdf(asset: Asset, base: Base = "fixed") -> bytes:
-    """The MJCF file, to lie beside the URDF: its mesh files are named as the URDF names them.
+def urdf_to_mjcf(asset: Asset, base: Base = "fixed") -> bytes:
+    """The MJCF file, to be saved beside the URDF: mesh files keep their names. Textures are dropped, as MuJoCo reads no
+    MTL.
 
-    A root link `world` is MuJoCo's world, and what hangs on it stands still whatever `base` says. Visual meshes come
-    without the pictures that their materials name: MuJoCo reads no MTL.
-
-    Raises FreeArtError when the URDF is not one tree or holds what is no number, or a mesh is not named by a path.
+    A root link `world` is MuJoCo's world; with it the asset is fixed whatever `base` is. Raises FreeArtError when the
+    URDF is not one tree, a number is invalid, or a mesh is named by an address.
     """
     urdf = read_urdf(asset.urdf)
     model = ET.Element("mujoco", model=urdf.name or "object")
@@ -36,24 +35,24 @@ def mjcf_of_urdf(asset: Asset, base: Base = "fixed") -> bytes:
     assets = ET.SubElement(model, "asset")
     world = ET.SubElement(model, "worldbody")
     below = child_joints(urdf.joints.values())
-    waiting: list[tuple[ET.Element, str, UrdfJoint | None]] = [(world, urdf.root, None)]
-    while waiting:
-        parent, name, joint = waiting.pop(0)
+    pending: list[tuple[ET.Element, str, UrdfJoint | None]] = [(world, urdf.root, None)]
+    while pending:
+        parent, name, joint = pending.pop(0)
         body = parent if name == WORLD and joint is None else ET.SubElement(parent, "body", name=name)
         if joint is None and base == "free" and body is not parent:
             ET.SubElement(body, "freejoint", name=f"{name}_free")
         if joint is not None:
-            _place(body, joint.transform(_held(asset, joint)))
+            _place(body, joint.transform(_held_position(asset, joint)))
             if joint.name == asset.joint:
                 body.append(_joint(asset, joint))
         _fill(body, urdf.links[name], assets)
-        waiting += [(body, j.child, j) for j in below.get(name, ())]
+        pending += [(body, j.child, j) for j in below.get(name, ())]
     ET.indent(model)
     return ET.tostring(model, encoding="utf-8") + b"\n"
 
 
-def _held(asset: Asset, joint: UrdfJoint) -> float:
-    """The position at which a body is placed: zero of the asset's joint, and where others are held."""
+def _held_position(asset: Asset, joint: UrdfJoint) -> float:
+    """Position at which a joint's child is placed: zero for the asset's joint, else the held position."""
     return 0.0 if joint.name == asset.joint else asset.held.get(joint.name, float(np.clip(0, joint.lower, joint.upper)))
 
 
@@ -62,7 +61,7 @@ def _joint(asset: Asset, joint: UrdfJoint) -> ET.Element:
     out = ET.Element("joint", name=joint.name, type=kind, axis=number_text(*joint.axis))
     if np.isfinite([joint.lower, joint.upper]).all():
         out.set("range", number_text(joint.lower, joint.upper))
-    for word, value in joint_words(asset.effects.get(joint.name, ()), joint.name).items():
+    for word, value in joint_attributes(asset.effects.get(joint.name, ()), joint.name).items():
         out.set(word, value)
     return out
 
@@ -78,7 +77,7 @@ def _fill(body: ET.Element, link: UrdfLink, assets: ET.Element) -> None:
         body.append(_inertial(link.inertial))
     for shapes, words in (
         (link.visuals, {"group": "2", "contype": "0", "conaffinity": "0", "mass": "0"}),
-        (link.collisions, {"group": "3", "contype": "1", "conaffinity": "0"}),  # touches what is not of this asset
+        (link.collisions, {"group": "3", "contype": "1", "conaffinity": "0"}),  # collides with other objects only
     ):
         for shape in shapes:
             geom = _geom(shape, assets)

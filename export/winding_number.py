@@ -1,4 +1,4 @@
-"""Inside of a surface that may be open (generalised winding number, Jacobson et al. 2013), and distance to it."""
+"""Generalised winding number (Jacobson et al. 2013) of a surface that may be open, and distance to it."""
 
 from __future__ import annotations
 
@@ -13,58 +13,61 @@ from numpy.typing import NDArray
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 
-LEAF = 8
-"""Triangles that a leaf of the tree may hold."""
-MANY = 2_000
-"""Points from which on threads are worth their start."""
-FAR = 2.0
-"""Radii of a node from its middle beyond which all its triangles are one dipole (Barill et al. 2018, who take 2)."""
+LEAF_TRIANGLES = 8
+"""Most triangles in a leaf of the tree."""
+THREADED_POINTS = 2_000
+"""Points from which on threads are used."""
+FAR_RADII = 2.0
+"""Radii from a node's centre beyond which its triangles are approximated by one dipole (Barill et al. 2018, who take
+2)."""
 
 
 class Winding:
-    """How often the triangles of a mesh wind round a point: 1 inside a closed surface, 0 outside, between when open."""
+    """Winding number of a mesh at points: 1 inside a closed surface, 0 outside, in between when the surface is open."""
 
     def __init__(self, mesh: Mesh) -> None:
         """`mesh` in any frame; its triangles face outwards."""
         corners = mesh.vertices[mesh.faces]
-        order, self._first, self._count, self._right = _tree(np.ascontiguousarray(corners.mean(1)), LEAF)
+        order, self._first, self._count, self._right = _build_tree(
+            np.ascontiguousarray(corners.mean(1)), LEAF_TRIANGLES
+        )
         self._order = order
         self._corners = np.ascontiguousarray(corners[order])
         a, b, c = np.moveaxis(self._corners, 1, 0)
-        self._nodes = _dipoles(self._corners, 0.5 * np.cross(b - a, c - a), self._first, self._count)
+        self._nodes = _node_dipoles(self._corners, 0.5 * np.cross(b - a, c - a), self._first, self._count)
 
     def number(self, points: Array) -> Array:
-        """(n,) winding number at points (n, 3)."""
-        return self._each(_number, points, FAR)
+        """(n,) winding numbers at points (n, 3)."""
+        return self._each(_winding_numbers, points, FAR_RADII)
 
     def distance(self, points: Array) -> Array:
-        """(n,) to the nearest triangle from points (n, 3)."""
+        """(n,) distances from points (n, 3) to the nearest triangle."""
         return self.nearest(points)[0]
 
     def nearest(self, points: Array) -> tuple[Array, NDArray[np.int64]]:
-        """(n,) distance from points (n, 3) to the nearest triangle, and (n,) which of the mesh's it is."""
-        found = self._each(_distance, points)
+        """(n,) distances from points (n, 3) to the nearest triangle, and (n,) its index in the mesh."""
+        found = self._each(_nearest_triangles, points)
         return found[:, 0], self._order[found[:, 1].astype(np.int64)]
 
     def _each(self, kernel: Callable[..., Array], points: Array, *more: float) -> Array:
-        """(n, ...) what a kernel says of points (n, 3), on all cores when there are many."""
+        """(n, ...) a kernel's values at points (n, 3), on all cores when there are many."""
         points = np.ascontiguousarray(points, float)
 
         def of(some: Array) -> Array:
             return kernel(some, self._corners, self._nodes, self._first, self._count, self._right, *more)
 
-        if len(points) < MANY:
+        if len(points) < THREADED_POINTS:
             return of(points)
         with ThreadPoolExecutor() as pool:
             return np.concatenate(list(pool.map(of, np.array_split(points, os.cpu_count() or 1))))
 
 
-def _tree(
+def _build_tree(
     middles: Array, leaf: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Order of the triangles; of each node its first triangle, their count, and its right child (0 in a leaf).
+    """Order of the triangles; per node its first triangle, their count, and its right child (0 in a leaf).
 
-    Nodes stand in preorder, so that the left child follows its parent; each is cut at the median of its longest side.
+    Nodes are in preorder, so a left child follows its parent. A node is split at the median of its longest side.
     """
     order = np.arange(len(middles))
     first: list[int] = []
@@ -88,8 +91,8 @@ def _tree(
     return order, np.array(first), np.array(count), np.array(right)
 
 
-def _dipoles(corners: Array, normals: Array, first: NDArray[np.int64], count: NDArray[np.int64]) -> Array:
-    """(N, 7) of each node: its area's middle, its radius, and the sum of its triangles' area vectors."""
+def _node_dipoles(corners: Array, normals: Array, first: NDArray[np.int64], count: NDArray[np.int64]) -> Array:
+    """(N, 7) per node: area centroid, radius, and sum of the triangles' area vectors."""
     nodes = np.zeros((len(first), 7))
     areas = np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
     middles = corners.mean(1)
@@ -102,7 +105,7 @@ def _dipoles(corners: Array, normals: Array, first: NDArray[np.int64], count: ND
 
 
 @njit(cache=True, nogil=True)
-def _number(points, corners, nodes, first, count, right, far):
+def _winding_numbers(points, corners, nodes, first, count, right, far):
     found = np.zeros(len(points))
     stack = np.empty(128, np.int64)
     for i in range(len(points)):
@@ -127,8 +130,8 @@ def _number(points, corners, nodes, first, count, right, far):
 
 
 @njit(cache=True, nogil=True)
-def _distance(points, corners, nodes, first, count, right):
-    """(n, 2) distance and place in `corners` of the nearest triangle."""
+def _nearest_triangles(points, corners, nodes, first, count, right):
+    """(n, 2) distance and index in `corners` of the nearest triangle."""
     found = np.empty((len(points), 2))
     stack = np.empty(128, np.int64)
     for i in range(len(points)):
@@ -137,17 +140,17 @@ def _distance(points, corners, nodes, first, count, right):
         while top > 0:
             top -= 1
             k = stack[top]
-            if _clear(nodes[k], points[i]) >= best:
+            if _lower_bound(nodes[k], points[i]) >= best:
                 continue
             if right[k] > 0:
                 near, far = k + 1, right[k]
-                if _clear(nodes[far], points[i]) < _clear(nodes[near], points[i]):
+                if _lower_bound(nodes[far], points[i]) < _lower_bound(nodes[near], points[i]):
                     near, far = far, near
                 stack[top], stack[top + 1] = far, near
                 top += 2
             else:
                 for f in range(first[k], first[k] + count[k]):
-                    away = _to_triangle(points[i], corners[f])
+                    away = _triangle_distance(points[i], corners[f])
                     if away < best:
                         best, which = away, f
         found[i, 0], found[i, 1] = best, which
@@ -155,15 +158,15 @@ def _distance(points, corners, nodes, first, count, right):
 
 
 @njit(cache=True, nogil=True)
-def _clear(node, p):
-    """Distance from p that no triangle of a node can be below."""
+def _lower_bound(node, p):
+    """Lower bound of the distance from p to the triangles of a node."""
     x, y, z = node[0] - p[0], node[1] - p[1], node[2] - p[2]
     return np.sqrt(x * x + y * y + z * z) - node[3]
 
 
 @njit(cache=True, nogil=True)
-def _to_triangle(p, triangle):
-    s, t = _nearest(p, triangle)
+def _triangle_distance(p, triangle):
+    s, t = _closest_barycentric(p, triangle)
     x = p[0] - (1 - s - t) * triangle[0, 0] - s * triangle[1, 0] - t * triangle[2, 0]
     y = p[1] - (1 - s - t) * triangle[0, 1] - s * triangle[1, 1] - t * triangle[2, 1]
     z = p[2] - (1 - s - t) * triangle[0, 2] - s * triangle[1, 2] - t * triangle[2, 2]
@@ -176,8 +179,8 @@ def _dot(ax, ay, az, bx, by, bz):
 
 
 @njit(cache=True, nogil=True)
-def _nearest(p, triangle):
-    """Barycentric coordinates (second, third corner) of a triangle's point nearest to p (Ericson 2005, 5.1.5)."""
+def _closest_barycentric(p, triangle):
+    """Barycentric coordinates (second, third corner) of the point of a triangle nearest to p (Ericson 2005, 5.1.5)."""
     ux, uy, uz = triangle[1, 0] - triangle[0, 0], triangle[1, 1] - triangle[0, 1], triangle[1, 2] - triangle[0, 2]
     vx, vy, vz = triangle[2, 0] - triangle[0, 0], triangle[2, 1] - triangle[0, 1], triangle[2, 2] - triangle[0, 2]
     x, y, z = p[0] - triangle[0, 0], p[1] - triangle[0, 1], p[2] - triangle[0, 2]
@@ -206,7 +209,7 @@ def _nearest(p, triangle):
 
 @njit(cache=True, nogil=True)
 def _solid_angle(triangle, x, y, z):
-    """Of a triangle (3, 3) seen from a point (van Oosterom and Strackee 1983)."""
+    """Solid angle of a triangle (3, 3) from a point (van Oosterom and Strackee 1983)."""
     ax, ay, az = triangle[0, 0] - x, triangle[0, 1] - y, triangle[0, 2] - z
     bx, by, bz = triangle[1, 0] - x, triangle[1, 1] - y, triangle[1, 2] - z
     cx, cy, cz = triangle[2, 0] - x, triangle[2, 1] - y, triangle[2, 2] - z

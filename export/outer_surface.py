@@ -1,4 +1,4 @@
-"""What of a part can be touched: its reachable surface, and how far any point stands out of it."""
+"""The surface of a part that can be touched, and how far points extend beyond it."""
 
 from __future__ import annotations
 
@@ -10,48 +10,47 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from export.winding import Winding
+from export.winding_number import Winding
 from freeart21.errors import FreeArtError
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 
 DENSE = 60_000
-"""Points on the surface for distances."""
+"""Surface points for distances."""
 CELLS = 70
-"""Of these and the corners, one for each way to face is worked with in each of the cells of a grid of so many along the
-part, or in each millimetre."""
+"""Cells along the part, of at least a millimetre: one point per cell and normal direction is used in the
+decomposition."""
 NEIGHBOURS = 8
 RAYS = 48
-"""Directions over the half space before a point in which it is looked for a way out."""
+"""Directions in the half space in front of a point that are searched for a way out."""
 
 
 @dataclass(frozen=True)
-class Outside:
-    """The outside of a part, closed or open, as points with normals that point outwards.
+class OuterSurface:
+    """The outer surface of a part, closed or open, as points with outward normals.
 
-    Inside is what lies behind the nearest point of the reachable surface: so rooms that nothing gets into are inside,
-    and so is what is behind an open sheet.
+    Inside is whatever lies behind the nearest reachable point: unreachable cavities, and what is behind an open sheet.
     """
 
     points: Array
-    """(n, 3) m: corners of the mesh, and points between, of the reachable surface."""
+    """(n, 3) m: reachable corners of the mesh and points between them."""
     normals: Array
     """(n, 3)."""
     depth: Array
-    """(n,) m from the point through the part to its other side; infinite where there is none."""
+    """(n,) m from the point through the part to its other side; infinite without one."""
     opposite: NDArray[np.int64]
     """(n,) the point nearest to that other side, or -1."""
     around: NDArray[np.int64]
-    """(n, 8) the points nearest to each."""
+    """(n, 8) the nearest points."""
     dense: Array
-    """(m, 3) m: many more points of it."""
+    """(m, 3) m: more points."""
     dense_normals: Array
     spacing: float
     """m between dense points."""
     size: float
-    """m: diagonal of the part's box."""
+    """m: diagonal of the bounding box."""
     tree: Any
-    """Of the dense points."""
+    """k-d tree of the dense points."""
     winding: Winding
     """Of the whole mesh."""
 
@@ -61,10 +60,10 @@ class Outside:
         return len(self.dense) * self.spacing**2
 
     def excess(self, x: Array) -> Array:
-        """(k,) m by which points `x` (k, 3) stand out of the part; 0 within.
+        """(k,) m by which points `x` (k, 3) are outside the part; 0 inside.
 
-        Outside is what lies before its nearest point. An edge or corner is as near as several faces that need not
-        agree: there it is also asked whether the surface winds round the point.
+        Outside is in front of the nearest point. At edges and corners, where adjacent faces can disagree, the winding
+        number decides.
         """
         distance, nearest = self.tree.query(x)
         away = x - self.dense[nearest]
@@ -78,50 +77,50 @@ class Outside:
         return np.where(out, np.hypot(ahead, beyond), 0.0)
 
 
-def outside_of(mesh: Mesh, count: int = DENSE) -> Outside:
-    """The outside of a mesh, by about `count` points on its surface; FreeArtError when it has no area."""
+def sample_outer_surface(mesh: Mesh, count: int = DENSE) -> OuterSurface:
+    """The outer surface of a mesh, with about `count` points; FreeArtError when it has no area."""
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     area = float(mesh.areas().sum())
     if not area > 0:
         raise FreeArtError("mesh has no triangle of any area")
     size = float(np.linalg.norm(np.ptp(mesh.vertices[np.unique(mesh.faces)], axis=0)))
-    dense, faces = even_points(solid, area / count)
+    dense, faces = sample_evenly(solid, area / count)
     dense_normals = solid.face_normals[faces]
-    points, normals = _thinned(solid, dense, dense_normals, max(size / CELLS, 1e-3))
-    dense, dense_normals = np.concatenate([dense, points]), np.concatenate([dense_normals, normals])  # corners, too
-    rays = _rays(solid)
+    points, normals = _select_points(solid, dense, dense_normals, max(size / CELLS, 1e-3))
+    dense, dense_normals = np.concatenate([dense, points]), np.concatenate([dense_normals, normals])
+    rays = _ray_intersector(solid)
     step = 1e-5 * size
-    seen = _reachable(rays, points, normals, step, size)
+    seen = _find_reachable(rays, points, normals, step, size)
     if not seen.any():
-        seen[:] = True  # inside out: nothing better is known
+        seen[:] = True  # inside out
     scale = 0.02 * size
     near = cKDTree(np.hstack([points, scale * normals]))
     k = min(4, len(points))
     votes = seen[near.query(np.hstack([dense, scale * dense_normals]), k=k)[1].reshape(len(dense), k)].mean(1)
-    kept = votes == 1
+    reachable = votes == 1
     torn = np.flatnonzero((votes > 0) & (votes < 1))
-    kept[torn] = _reachable(rays, dense[torn], dense_normals[torn], step, size)
-    if not kept.any():
-        kept[:] = True
-    dense, dense_normals = dense[kept], dense_normals[kept]
+    reachable[torn] = _find_reachable(rays, dense[torn], dense_normals[torn], step, size)
+    if not reachable.any():
+        reachable[:] = True
+    dense, dense_normals = dense[reachable], dense_normals[reachable]
     points, normals = points[seen], normals[seen]
     spacing = float(np.sqrt(area / count))
     own = cKDTree(points)
     winding = Winding(Mesh(mesh.vertices, mesh.faces[mesh.areas() > 0]))
     k = min(NEIGHBOURS + 1, len(points))
     around = own.query(points, k=k)[1].reshape(len(points), k)[:, 1:]
-    depth, there = _depth(rays, points, normals, step)
+    depth, there = _measure_depth(rays, points, normals, step)
     opposite = np.full(len(points), -1)
     hit = np.isfinite(depth)
     if hit.any():
         opposite[hit] = own.query(there[hit])[1]
-    return Outside(
+    return OuterSurface(
         points, normals, depth, opposite, around, dense, dense_normals, spacing, size, cKDTree(dense), winding
     )
 
 
-def _thinned(solid: trimesh.Trimesh, dense: Array, dense_normals: Array, cell: float) -> tuple[Array, Array]:
-    """Corners of the mesh and dense points, of each cell and direction one: the sharpest corner, if there is any."""
+def _select_points(solid: trimesh.Trimesh, dense: Array, dense_normals: Array, cell: float) -> tuple[Array, Array]:
+    """Of the mesh's corners and dense points one per cell and direction: the sharpest corner, if there is one."""
     turn = np.where(np.isfinite(solid.face_angles), solid.face_angles, 0.0).ravel()
     points = np.concatenate([solid.vertices[solid.faces.ravel()], dense])
     normals = np.concatenate([np.repeat(solid.face_normals, 3, axis=0), dense_normals])
@@ -135,14 +134,14 @@ def _thinned(solid: trimesh.Trimesh, dense: Array, dense_normals: Array, cell: f
     return points[chosen], normals[chosen]
 
 
-def _rays(solid: trimesh.Trimesh) -> Any:
+def _ray_intersector(solid: trimesh.Trimesh) -> Any:
     from trimesh.ray.ray_pyembree import RayMeshIntersector
 
     return RayMeshIntersector(solid)
 
 
-def _reachable(rays: Any, points: Array, normals: Array, step: float, size: float) -> NDArray[np.bool_]:
-    """(n,) whether a straight line leads from the point to far away."""
+def _find_reachable(rays: Any, points: Array, normals: Array, step: float, size: float) -> NDArray[np.bool_]:
+    """(n,) whether a ray from the point escapes."""
     found = np.zeros(len(points), bool)
     start = points + step * normals
     for direction in even_directions(2 * RAYS):
@@ -154,8 +153,8 @@ def _reachable(rays: Any, points: Array, normals: Array, step: float, size: floa
     return found
 
 
-def _depth(rays: Any, points: Array, normals: Array, step: float) -> tuple[Array, Array]:
-    """(n,) m inwards to the other side, inf without one, and (n, 3) where that is."""
+def _measure_depth(rays: Any, points: Array, normals: Array, step: float) -> tuple[Array, Array]:
+    """(n,) m inwards to the other side, inf without one, and (n, 3) that place."""
     start = points - step * normals
     depth, there = np.full(len(points), np.inf), points.copy()
     where, ray, _ = rays.intersects_location(start, -normals, multiple_hits=False)
@@ -164,10 +163,10 @@ def _depth(rays: Any, points: Array, normals: Array, step: float) -> tuple[Array
     return depth, there
 
 
-def even_points(solid: trimesh.Trimesh, area: float) -> tuple[Array, NDArray[np.int64]]:
-    """(n, 3) points on the surface, at least one on each triangle and one for each `area`, m^2, and their triangles.
+def sample_evenly(solid: trimesh.Trimesh, area: float) -> tuple[Array, NDArray[np.int64]]:
+    """(n, 3) points on the surface, at least one per triangle and one per `area`, m^2; and their triangles.
 
-    They lie evenly: the R2 sequence (Roberts 2018) folded into the triangle leaves no gaps as drawn points do.
+    The R2 sequence (Roberts 2018), folded into the triangle, leaves no gaps as random points do.
     """
     counts = np.maximum(1, np.ceil(solid.area_faces / area - 0.5)).astype(int)
     faces = np.repeat(np.arange(len(counts)), counts)
@@ -180,7 +179,7 @@ def even_points(solid: trimesh.Trimesh, area: float) -> tuple[Array, NDArray[np.
 
 
 def even_directions(n: int) -> Array:
-    """(n, 3) unit vectors spread evenly: the Fibonacci sphere."""
+    """(n, 3) unit vectors on the Fibonacci sphere."""
     z = 1 - (2 * np.arange(n) + 1) / n
     angle = np.pi * (3 - np.sqrt(5)) * np.arange(n)
     return np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], -1)
