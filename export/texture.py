@@ -23,7 +23,7 @@ from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction
 from freeart21.recording import Recording
 from freeart21.se3 import Array
-from freeart21.z_buffer import BEHIND, enter
+from freeart21.z_buffer import BEHIND, draw_triangles
 
 TEXELS_PER_PIXEL = 2.0
 """Texels along a pixel of the nearest frames: two, so that resampling loses little."""
@@ -165,7 +165,7 @@ def _render_parts(
     z = corners[:, 2]
     pixels = lens[:2] * corners[:, :2] / np.where(z > BEHIND, z, 1.0)[:, None] + lens[2:]
     depth, face = np.full(shape, np.inf), np.full(shape, -1)
-    enter(pixels, z, faces, depth, face, np.zeros((*shape, 3)))
+    draw_triangles(pixels, z, faces, depth, face, np.zeros((*shape, 3)))
     label = np.where(face < 0, 0, np.where(face < len(parts[0].mesh.faces), 1, 2))
     return depth.astype(np.float32), label.astype(np.uint8)
 
