@@ -41,7 +41,7 @@ def check(
         path: the asset, untrusted.
         engines: names in `ENGINES`; None is all of them. Those not installed are skipped.
         simcheck: also run the public checker of that name.
-        root: folder outside of which no file is opened; None: the asset's own or, for a URDF, its package's.
+        root: folder that bounds all files; None: the asset's own or, for a URDF, its package's.
         limit_s: s of processor time for the files, and for each engine; simcheck gets at least 900.
 
     Each engine runs in a process of its own, one after the other. Raises FreeArtError when there is no asset at `path`,
