@@ -114,6 +114,14 @@ def test_nothing_is_written_over_around_or_into_what_is_read(home: Path, command
     assert bytes_of(home) == before
 
 
+def test_nothing_is_written_into_a_folder_that_is_read_whatever_it_holds(tmp_path: Path) -> None:
+    places.check_place(tmp_path / "out", None, [tmp_path / "in"])
+    (tmp_path / "in").mkdir()
+    with pytest.raises(FreeArtError, match="lies in .*in, which would be read"):
+        places.check_place(tmp_path / "in" / "sub" / "out", None, [tmp_path / "in"])
+    places.check_place(tmp_path / "in" / "sub" / "out", None, [tmp_path / "in"], into=tmp_path / "in")
+
+
 def test_a_folder_that_may_not_be_written_is_one_line(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shut = home / "shut"
     shut.mkdir()
