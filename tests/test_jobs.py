@@ -108,6 +108,14 @@ def test_a_changed_job_and_what_hangs_on_it_are_done_anew(tmp_path):
     assert run_jobs(tmp_path, [other, *jobs[1:]]).finished == ("write/2",)
 
 
+def test_what_needs_a_changed_job_is_done_anew_also_by_a_later_call(tmp_path):
+    jobs = [writing(0, 0), writing(1, 0, ("write/0",))]
+    run_jobs(tmp_path, jobs)
+    other = Job(**{**vars(jobs[0]), "key": "another input"})
+    assert run_jobs(tmp_path, [other]).finished == ("write/0",)
+    assert run_jobs(tmp_path, [other, jobs[1]]).finished == ("write/1",)
+
+
 def test_what_a_job_did_not_make_is_never_replaced(tmp_path):
     (tmp_path / "results" / "0").mkdir(parents=True)
     (tmp_path / "results" / "0" / "mine.txt").write_text("mine")

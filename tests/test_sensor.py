@@ -90,6 +90,14 @@ def test_a_frame_is_the_same_in_any_order_and_frames_differ(
         assert np.array_equal(a.mask, a.side > 0)
 
 
+def test_every_frame_has_noise_of_its_own(scene: Scene, loaded: partnet.PartNetObject) -> None:
+    clean, noisy = (_sensor(name, scene, loaded) for name in ("clean", "noise2"))
+    depths = [(clean.shoot(i).depth, noisy.shoot(i).depth) for i in (40, 41)]
+    both = np.all([true > 0 for true, _ in depths], axis=0)
+    one, other = ((seen[both] / true[both] - 1) / NOISE2_SHARE for true, seen in depths)
+    assert both.sum() > 1000 and abs(np.mean(one * other)) < 0.2
+
+
 def test_unknown_names_get_one_line(scene: Scene, loaded: partnet.PartNetObject) -> None:
     for name, message in (
         ("fog", "unknown sensor 'fog'; sensors: blur, clean, hand, noise2, tof"),
