@@ -73,7 +73,7 @@ def cast_findings(name: str, recording: Recording, truth: Truth, frames: int) ->
             yield f"{name}: in frame {i} {100 * share:.1f} % of the pixels show another part than rays meet"
         if "clean" not in sensors:
             continue
-        flat = inside(part_mask) & inside(labels) & (labels == part_mask) & frame.mask
+        flat = interior_pixels(part_mask) & interior_pixels(labels) & (labels == part_mask) & frame.mask
         error = np.abs(hits.distance.reshape(part_mask.shape)[flat] - frame.depth[flat])
         odd = float(np.mean(error > DEPTH_SHARE * truth.diagonal)) if flat.any() else 0.0
         if odd > ODD_PIXELS:
@@ -125,7 +125,7 @@ def psnr(rgb: NDArray[np.uint8], expected: NDArray[np.uint8], mask: NDArray[np.b
     return float(np.inf) if mean == 0 else float(10 * np.log10(255**2 / mean))
 
 
-def inside(labels: NDArray[Any]) -> NDArray[np.bool_]:
+def interior_pixels(labels: NDArray[Any]) -> NDArray[np.bool_]:
     """(h, w) pixels whose eight neighbours have the same label."""
     same = np.ones(labels.shape, bool)
     for dv in (-1, 0, 1):

@@ -31,7 +31,7 @@ _BUTTONS = [
     {"id": "thumbstick", "type": "binary"},
 ]
 _AXES = [None, None, {"id": "thumbstick", "type": "x-axis"}, {"id": "thumbstick", "type": "y-axis"}]
-GRIP = {  # where the hand is in the frame that iwer is told, (4, 4): made up, and not the same for both hands
+GRIP = {  # where the hand is in the frame of iwer, (4, 4): made up, and not the same for both hands
     side: se3.pose(se3.exp_so3([-0.7, 0.1 * k, 0]), [0.004 * k, -0.015, 0.045])
     for side, k in (("left", -1), ("right", 1))
 }
@@ -140,7 +140,7 @@ class Rig:
             self.frames(1)
 
     def pose(self, side: str, T: np.ndarray) -> None:
-        """`T` (4, 4) of a controller in the room, as iwer is told."""
+        """`T` (4, 4) of a controller in the room, as iwer takes it."""
         self.page.run(f"rig.pose('{side}', {T[:3, 3].tolist()}, {se3.wxyz(T).tolist()})")
 
     def head(self, T: np.ndarray) -> None:
@@ -152,7 +152,7 @@ class Rig:
     def stick(self, side: str, x: float, y: float) -> None:
         self.page.run(f"rig.stick('{side}', {x}, {y})")
 
-    def seen(self, side: str, seen: bool) -> None:
+    def set_visible(self, side: str, seen: bool) -> None:
         self.page.run(f"rig.seen('{side}', {json.dumps(seen)})")
 
     def object(self) -> tuple[np.ndarray, float]:
@@ -160,7 +160,7 @@ class Rig:
         said = self.page.run("({p: hand.position, q: hand.quaternion, s: hand.state})")
         return se3.pose_from_wxyz(said["p"], said["q"]), float(said["s"])
 
-    def said(self) -> list[str]:
+    def take_messages(self) -> list[str]:
         """What was asked of the server since the last time."""
         return self.page.run("said.splice(0)")
 

@@ -17,7 +17,7 @@ from generator.shapes import box, triangles
 NAMES, TILE = ("drawer_unit", "stapler"), 72
 
 
-def _shown(tile: np.ndarray) -> np.ndarray:
+def _drawn_pixels(tile: np.ndarray) -> np.ndarray:
     """(h, w) pixels that are not white."""
     return (tile < 245).any(-1)
 
@@ -31,7 +31,7 @@ def test_every_tile_shows_its_object_whole_and_large(pictures: dict[str, list[np
     for name in NAMES:
         assert len(pictures[name]) == 3
         for tile in pictures[name]:
-            shown = _shown(tile)
+            shown = _drawn_pixels(tile)
             assert shown.shape == (TILE, TILE)
             assert not (shown[0].any() or shown[-1].any() or shown[:, 0].any() or shown[:, -1].any())
             rows, columns = np.flatnonzero(shown.any(1)), np.flatnonzero(shown.any(0))
@@ -73,10 +73,10 @@ def test_the_sheet_holds_a_card_an_object(
     assert sheet.shape == (2 * high + 30, 2 * wide + 30, 3)
     for k, name in enumerate((*NAMES, NAMES[0])):
         y, x = 10 + k // 2 * (high + 10), 10 + k % 2 * (wide + 10)
-        assert _shown(sheet[y + 2 : y + 28, x + 2 : x + wide - 2]).any(), "no caption"
+        assert _drawn_pixels(sheet[y + 2 : y + 28, x + 2 : x + wide - 2]).any(), "no caption"
         card = sheet[y + 29 : y + high - 1, x + 1 : x + wide - 1]
         assert np.abs(card.astype(int) - np.hstack(pictures[name])).mean() < 4
-    assert not _shown(sheet[10 + high + 10 :, 10 + wide + 10 :]).any()
+    assert not _drawn_pixels(sheet[10 + high + 10 :, 10 + wide + 10 :]).any()
 
 
 def test_unknown_and_no_objects_are_refused(tmp_path: Path) -> None:

@@ -106,7 +106,7 @@ def test_frames_that_were_kept_are_not_drawn_again(
     assert hashes(data) == hashes(whole)
 
 
-def test_a_kill_between_the_two_renames_is_mended(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_kill_between_the_renames_is_repaired(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     jobs, data = plan_jobs(["stapler", "flip_lighter"], SETTINGS), tmp_path / "data"
     rename = Path.replace
 
@@ -124,7 +124,7 @@ def test_a_kill_between_the_two_renames_is_mended(whole: Path, tmp_path: Path, m
 
 
 @pytest.mark.parametrize("file", ["job.json", "benchmark.json"])
-def test_a_kill_while_a_file_of_the_whole_is_written_is_mended(
+def test_a_kill_while_a_file_of_the_data_set_is_written_is_repaired(
     whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str
 ) -> None:
     jobs, data = plan_jobs(["stapler", "flip_lighter"], SETTINGS), tmp_path / "data"
@@ -146,7 +146,7 @@ def test_a_kill_while_a_file_of_the_whole_is_written_is_mended(
     assert hashes(data) == hashes(whole)
 
 
-def test_a_kill_during_the_last_clearing_away_is_mended(whole: Path, tmp_path: Path) -> None:
+def test_a_kill_during_the_final_clean_up_is_repaired(whole: Path, tmp_path: Path) -> None:
     jobs, data = plan_jobs(["stapler"], SETTINGS), tmp_path / "data"
     record_jobs(data, jobs)
     left = data / dataset.WORK / "stapler-s0" / "side"

@@ -1,4 +1,4 @@
-"""The style `human`: strokes and rests as they were measured, whatever is chosen among candidates."""
+"""The style `human`: submovements and rests as measured, whichever candidate is chosen."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_people_hold_sweep_and_grasp_anew() -> None:
     medians = np.array([np.median(m.degrees) for m in moves])
     assert 0.5 < np.median(medians) < 2.0 and np.ptp(medians) > 0.8  # people differ
     assert max(m.degrees.max() for m in moves) > 10
-    assert all(m.degrees.max() < 1.6 * human_hand.FASTEST for m in moves)  # strokes that overlap add
+    assert all(m.degrees.max() < 1.6 * human_hand.FASTEST for m in moves)  # overlapping submovements add
     assert all(m.degrees.max() > 4 * np.median(m.degrees) for m in moves)
     assert 0.1 < np.median([np.mean(~m.pose_moves) for m in moves]) < 0.5
     assert np.median([m.regrasps_a_minute for m in moves]) >= 6
@@ -193,22 +193,22 @@ def _two(value: float) -> str:
     return f"{value:.2f}"
 
 
-# --- strokes ----------------------------------------------------------------------------------------------------------
+# --- submovements -----------------------------------------------------------------------------------------------------
 
 
-def test_strokes_are_cut_at_dips_and_end_at_rest() -> None:
+def test_submovements_are_cut_at_minima_and_end_at_rest() -> None:
     t = np.arange(60)
     bump = lambda middle, height: height * np.exp(-0.5 * ((t - middle) / 3.0) ** 2)  # noqa: E731
     apart, near = bump(15, 2.0) + bump(45, 1.0), bump(20, 2.0) + bump(30, 2.0)
     assert [tuple(s) for s in find_submovements(apart, 0.1)] == [(8, 23), (39, 52)]
     cut = find_submovements(near, 0.1)
     assert len(cut) == 2 and cut[0][1] == cut[1][0] == 25
-    assert len(find_submovements(bump(20, 2.0) + bump(25, 2.0), 0.1)) == 1  # one stroke with a broad peak
+    assert len(find_submovements(bump(20, 2.0) + bump(25, 2.0), 0.1)) == 1  # one with a broad peak
     assert find_submovements(np.zeros(60), 0.1).shape == (0, 2)
     assert spans_of(np.array([True, False, True, True])).tolist() == [[0, 1], [2, 4]]
 
 
-def test_a_known_course_has_its_strokes_rests_and_ways() -> None:
+def test_a_known_course_has_its_submovements_and_rests() -> None:
     """Turns of 3 degrees in frames 0 to 20 and 30 to 50, a third of a second apart; the joint to and fro."""
     turns = np.zeros((90, 3))
     turns[:20, 1] = turns[30:50, 1] = 3.0
@@ -223,11 +223,11 @@ def test_a_known_course_has_its_strokes_rests_and_ways() -> None:
     assert m.together == pytest.approx((30 / 70) / (40 / 90), rel=1e-6)
 
 
-def test_smoothness_tells_one_stroke_from_many() -> None:
+def test_smoothness_separates_one_submovement_from_many() -> None:
     t = np.linspace(0, 1, 60)
     one = 30 * t**2 * (1 - t) ** 2
     many = one * (1 + 0.9 * np.sin(2 * np.pi * 6 * t))
     smooth, rough = (
         Movement(np.stack([s, 0 * s, 0 * s], 1), 0 * t, np.zeros(61), 60.0).smoothness for s in (one, many)
     )
-    assert rough < smooth - 0.3 and -2 < smooth < -1.2  # a minimum-jerk stroke alone: -1.4 to -1.6
+    assert rough < smooth - 0.3 and -2 < smooth < -1.2  # one of minimum jerk: -1.4 to -1.6

@@ -224,7 +224,7 @@ def _scene(loaded: partnet.PartNetObject) -> Scene:
 
 
 def _poses_agree(loaded: partnet.PartNetObject, seed: int) -> None:
-    """SAPIEN and our own reading place every link alike, all joints somewhere within their limits."""
+    """SAPIEN and our reader give every link the same pose, at random states within the limits."""
     scene, rng = _scene(loaded), np.random.default_rng(seed)
     joints = read_urdf_joints(loaded.asset.urdf)
     for _ in range(4):
@@ -645,10 +645,10 @@ def test_quirk_14_other_urdfs_of_the_folder_are_not_looked_at(tmp_path: Path) ->
     assert loaded.asset.urdf.name == "mobility.urdf" and len(loaded.child_side.surface.faces) == 12
 
 
-def test_meshes_scaled_without_their_joints_are_told(tmp_path: Path) -> None:
+def test_meshes_scaled_without_their_joints_are_noted(tmp_path: Path) -> None:
     """As bounding_box.json has it: a lid whose hinge stays where it was before the meshes were scaled."""
     link = '<visual><origin xyz="0 {y} 0"/><geometry><mesh filename="textured_objs/{m}.obj" scale="{s} {s} {s}"/>'
-    for scale, hinge, told in ((1, 0.5, False), (0.1, 0.5, True), (0.1, 0.05, False), (0.1, 0.06, False)):
+    for scale, hinge, noted in ((1, 0.5, False), (0.1, 0.5, True), (0.1, 0.05, False), (0.1, 0.06, False)):
         lid, body = (link.format(y=y, m=m, s=scale) + "</geometry></visual>" for y, m in ((-hinge, "b"), (0, "a")))
         joint = (
             f'<joint name="j" type="revolute"><origin xyz="0 {hinge} 0"/><axis xyz="1 0 0"/><child link="link_0"/>'
@@ -663,8 +663,8 @@ def test_meshes_scaled_without_their_joints_are_told(tmp_path: Path) -> None:
         box = {"min": vertices.min(0).tolist(), "max": vertices.max(0).tolist()}
         (folder / "bounding_box.json").write_text(json.dumps(box))
         notes = partnet.load(folder).notes
-        assert len(notes) == told, (scale, hinge, notes)
-        if told:
+        assert len(notes) == noted, (scale, hinge, notes)
+        if noted:
             assert notes[0].startswith("the assembly disagrees with bounding_box.json: meshes have 0.1 of its size")
 
 
@@ -673,8 +673,8 @@ def test_of_the_real_objects_one_disagrees_with_its_bounding_box() -> None:
     for folder in sorted(place for place in REAL.iterdir() if place.is_dir()):
         joints = read_urdf_joints(folder / "mobility.urdf").values()
         name = next(joint.name for joint in joints if joint.joint_type)
-        told = [n for n in partnet.load(folder, name).notes if "disagrees with bounding_box.json" in n]
-        assert len(told) == (folder.name == "448"), folder
+        noted = [n for n in partnet.load(folder, name).notes if "disagrees with bounding_box.json" in n]
+        assert len(noted) == (folder.name == "448"), folder
 
 
 @pytest.mark.parametrize(
@@ -702,7 +702,7 @@ def test_a_slider_without_end_goes_as_far_as_the_object_is_large(
 # --- faults -----------------------------------------------------------------------------------------------------------
 
 
-def test_the_choice_of_joints_is_told_with_type_range_and_part(tmp_path: Path) -> None:
+def test_the_choice_of_joints_is_listed_with_type_range_and_part(tmp_path: Path) -> None:
     folder = _typed(tmp_path, _CHAIN + _BODY)
     (folder / "semantics.txt").write_text("link_0 hinge door\nlink_1 slider drawer\n")
     listed = (

@@ -1,4 +1,4 @@
-"""Sensors: what each adds is what it says, it is the same in any order, and the truth beside it stays true."""
+"""Sensors: each adds the stated errors, independently of the order of frames, and the truth stays true."""
 
 from __future__ import annotations
 
@@ -201,20 +201,20 @@ def test_tof_sees_the_angle_of_planes() -> None:
         assert np.abs(cosine - np.abs(rays @ n)).max() < 2e-3
 
 
-def _kept(depth: np.ndarray, albedo: float, gloss: float = 0.0) -> float:
+def _valid_share(depth: np.ndarray, albedo: float, gloss: float = 0.0) -> float:
     inner = slice(8, -8)
     return float((_measured(NARROW, depth, albedo, gloss)[inner, inner] > 0).mean())
 
 
 def test_tof_loses_grazing_dark_and_glossy_surfaces() -> None:
-    grazing = [_kept(_tilted(NARROW, degrees, 0.5), 0.5) for degrees in (0, 60, 75, 82, 88)]
+    grazing = [_valid_share(_tilted(NARROW, degrees, 0.5), 0.5) for degrees in (0, 60, 75, 82, 88)]
     assert grazing[:2] == [1, 1] and grazing[2] > 0.98 and 0.2 < grazing[3] < 0.8 and grazing[4] < 0.05
     wall = np.full((120, 160), 3.6)
-    dark = [_kept(wall, albedo) for albedo in (0.5, 0.1, 0.045, 0.02)]
+    dark = [_valid_share(wall, albedo) for albedo in (0.5, 0.1, 0.045, 0.02)]
     assert dark[0] == 1 and dark == sorted(dark, reverse=True) and dark[-1] == 0 and dark[0] > dark[2]
-    assert _kept(np.full((120, 160), 0.3), 0.03) == 1  # near enough, the dark is seen
-    facing, turned = (_kept(_tilted(NARROW, degrees, 0.3), 0.3, 0.55) for degrees in (0, 30))
-    assert facing < 0.1 and turned == 1 and _kept(np.full((120, 160), 0.3), 0.3) == 1
+    assert _valid_share(np.full((120, 160), 0.3), 0.03) == 1  # near enough, the dark is seen
+    facing, turned = (_valid_share(_tilted(NARROW, degrees, 0.3), 0.3, 0.55) for degrees in (0, 30))
+    assert facing < 0.1 and turned == 1 and _valid_share(np.full((120, 160), 0.3), 0.3) == 1
 
 
 def test_tof_noise_grows_with_angle_and_darkness() -> None:

@@ -282,7 +282,7 @@ def content(driving: Driving) -> list[str]:
 
 
 def test_the_file_of_a_take_is_the_take_at_every_moment(tmp_path: Path) -> None:
-    """Whatever is recorded, cut, undone, saved or thrown away between two writes."""
+    """Whatever is recorded, cut, undone, saved or discarded between two writes."""
     rng = np.random.default_rng(0)
     takes, driving, time_s = Takes(tmp_path / "take.jsonl", "revolute"), Driving(START), 10.0
     unsaved, saved = tmp_path / "take-unsaved.jsonl", 0

@@ -26,7 +26,7 @@ def page() -> Iterator[Browser]:
         yield shown
 
 
-def said(T: np.ndarray) -> str:
+def as_json(T: np.ndarray) -> str:
     return json.dumps({"position": T[:3, 3].tolist(), "quaternion": se3.wxyz(T).tolist()})
 
 
@@ -52,8 +52,8 @@ def carried(page: Browser, grasps: list[np.ndarray], T_object: np.ndarray, pivot
     """The object's poses (4, 4) while each row of `grasps` (n, 4, 4), a controller's way, is one grasp."""
     script = (
         f"(() => {{ const clutch = new m.Clutch({pivot}); const turn = {se3.wxyz(R).tolist()}; const out = [];"
-        f"let object = {said(T_object)};"
-        f"for (const way of [{','.join('[' + ','.join(map(said, way)) + ']' for way in grasps)}]) {{"
+        f"let object = {as_json(T_object)};"
+        f"for (const way of [{','.join('[' + ','.join(map(as_json, way)) + ']' for way in grasps)}]) {{"
         "  clutch.grasp(object, way[0], turn);"
         "  for (const one of way) { object = clutch.carried(one); out.push(object); }"
         "  clutch.release(); }"

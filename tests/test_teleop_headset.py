@@ -169,7 +169,7 @@ def test_from_hand_to_hand_nothing_jumps(rig: Rig) -> None:
 
 
 def _out_of_sight(rig: Rig) -> None:
-    rig.seen("right", False)
+    rig.set_visible("right", False)
     rig.frames()
 
 
@@ -188,7 +188,7 @@ def test_a_controller_that_is_lost_lets_go_and_has_to_squeeze_again(rig: Rig, lo
     T, state = rig.object()
     lose(rig)
     at = moved(rig, "right", at, [0.3, 0.3, 0, 0, 2, 0])
-    rig.seen("right", True)
+    rig.set_visible("right", True)
     rig.page.run(back)
     at = moved(rig, "right", at, [0.1, 0, 0, 0, 0, 0])
     np.testing.assert_allclose(rig.object()[0], T, atol=1e-12)
@@ -210,7 +210,7 @@ def test_a_headset_whose_positions_are_always_guesses_is_believed(rig: Rig) -> N
 
 
 def test_one_controller_alone_does_both(rig: Rig) -> None:
-    rig.seen("left", False)
+    rig.set_visible("left", False)
     rig.press("right", "squeeze", 1)
     rig.frames()
     state = rig.object()[1]
@@ -250,7 +250,7 @@ def test_buttons_of_either_hand_record_pause_undo_and_save(rig: Rig, side: str) 
         rig.frames(frames)
         rig.press(side, button, 0)
         rig.frames(2)
-        return rig.said()
+        return rig.take_messages()
 
     assert press(record) == ["record"]
     rig.page.run("link.status.recording = true")
@@ -261,10 +261,10 @@ def test_buttons_of_either_hand_record_pause_undo_and_save(rig: Rig, side: str) 
         rig.press(side, record, 1)
         rig.page.run("new Promise((done) => setTimeout(done, 1050))")
         rig.frames(3)
-        assert rig.said() == wanted
+        assert rig.take_messages() == wanted
         rig.press(side, record, 0)
         rig.frames()
-        assert rig.said() == []
+        assert rig.take_messages() == []
 
 
 @pytest.mark.parametrize("state", ["hidden", "visible-blurred"])
@@ -275,7 +275,7 @@ def test_the_headset_s_menu_pauses_and_lets_go(rig: Rig, state: str) -> None:
     T, _ = rig.object()
     rig.page.run(f"device.updateVisibilityState('{state}')")
     rig.page.run("new Promise((done) => setTimeout(done, 200))")
-    assert rig.said() == ["pause"]
+    assert rig.take_messages() == ["pause"]
     rig.page.run("link.status.recording = false")
     rig.pose("right", se3.pose(np.eye(3), [0.6, 1.5, -0.7]))
     rig.page.run("new Promise((done) => setTimeout(done, 100))")
@@ -292,7 +292,7 @@ def test_a_session_that_ends_pauses_and_another_can_begin(rig: Rig) -> None:
     assert rig.page.run("link.immersive")
     rig.page.run("headset().session.end()")
     assert not rig.page.run("link.immersive")
-    assert rig.said() == ["pause"]
+    assert rig.take_messages() == ["pause"]
     assert words == "Leave headset"
     assert rig.page.run("viewed") == [[1280, 720], [300, 200]]
     assert rig.page.run("[now.session, document.querySelector('#headset').textContent]") == [None, "Enter headset"]
@@ -315,7 +315,7 @@ def test_who_only_watches_moves_nothing_and_a_line_that_breaks_lets_go(rig: Rig)
     rig.frames()
     rig.press("right", "a-button", 0)
     at = moved(rig, "right", REST["right"], [0.05, 0, 0, 0, 0, 0])
-    assert rig.said() == [] and rig.page.run("sent.length") == 0
+    assert rig.take_messages() == [] and rig.page.run("sent.length") == 0
     rig.page.run("link.drives = true")
     moved(rig, "right", at, [0.05, 0, 0, 0, 0, 0])
     np.testing.assert_array_equal(rig.object()[0], T)

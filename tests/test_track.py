@@ -99,7 +99,7 @@ def test_fewer_frames_are_those_over_which_the_joint_moves_most(tmp_path: Path) 
         track.resample_take(read_take(tmp_path / "a.txt"), 30.0, 62)
 
 
-def test_a_track_of_arctic_is_told_by_its_content_and_seen_by_a_level_camera(tmp_path: Path) -> None:
+def test_a_track_of_arctic_is_recognised_by_content_and_seen_by_a_level_camera(tmp_path: Path) -> None:
     take = read_track(arctic(tmp_path / "a.npy", np.linspace(0, 1, 31), turn=0.02))
     assert (take.form, take.poses, take.times[-1]) == ("ARCTIC object track", "first", 1.0)
     (tmp_path / "a.npy").rename(tmp_path / "a.jsonl")
@@ -118,7 +118,7 @@ def _changed(**changes: object) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("lines", "said"),
+    ("lines", "expected"),
     [
         ([], "is no take"),
         (["a,b", "1,2"], "is no take"),
@@ -144,9 +144,9 @@ def _changed(**changes: object) -> list[str]:
         (_changed(quaternion=None), "line 3: 'quaternion' is None"),
     ],
 )
-def test_a_take_that_is_none_is_refused_in_a_line(tmp_path: Path, lines: list[str], said: str) -> None:
+def test_a_take_that_is_none_is_refused_in_a_line(tmp_path: Path, lines: list[str], expected: str) -> None:
     (tmp_path / "a.txt").write_text("\n".join(lines))
-    with pytest.raises(FreeArtError, match=said) as caught:
+    with pytest.raises(FreeArtError, match=expected) as caught:
         read_track(tmp_path / "a.txt")
     assert "a.txt" in str(caught.value) and "\n" not in str(caught.value)
 
@@ -186,14 +186,14 @@ def _body(joint_type: str = "revolute", upper: float = 1.0) -> Body:
 
 def test_states_in_reach_stay_as_they_are_and_others_are_scaled(tmp_path: Path) -> None:
     take = read_take(taken(tmp_path / "a.txt"))  # 0.1 to 0.5 rad
-    states, told = track.fit_states(take.states, take, _body(upper=0.5))
-    assert np.array_equal(states, take.states) and told == {"states": "as taken"}
-    states, told = track.fit_states(take.states, take, _body(upper=0.4))
+    states, changes = track.fit_states(take.states, take, _body(upper=0.5))
+    assert np.array_equal(states, take.states) and changes == {"states": "as taken"}
+    states, changes = track.fit_states(take.states, take, _body(upper=0.4))
     assert states.min() == 0 and states.max() == 0.4
     np.testing.assert_allclose(states, (take.states - 0.1) / 0.4 * 0.4, atol=1e-12)
-    assert told["states"] == "scaled" and told["from"][0] == "revolute" and told["to"] == ["revolute", 0.0, 0.4]
-    states, told = track.fit_states(take.states, take, _body("prismatic", 0.02))
-    assert states.max() == pytest.approx(0.02) and told["to"] == ["prismatic", 0.0, 0.02]
+    assert (changes["states"], changes["from"][0], changes["to"]) == ("scaled", "revolute", ["revolute", 0.0, 0.4])
+    states, changes = track.fit_states(take.states, take, _body("prismatic", 0.02))
+    assert states.max() == pytest.approx(0.02) and changes["to"] == ["prismatic", 0.0, 0.02]
     still = dataclasses.replace(take, states=np.full(201, 0.3))
     assert track.fit_states(still.states, still, _body())[1] == {"states": "as taken"}
     with pytest.raises(FreeArtError, match="stands still at 0.3, where joint 'lid' cannot be: revolute, 0 to 0.2"):
@@ -235,20 +235,20 @@ def test_a_carry_that_is_none_is_refused_in_a_line(tmp_path: Path, carry: float,
         dataclasses.replace(SMALL, motion=motion, track=take, carry=carry).check()
 
 
-def test_what_was_done_to_a_take_is_told_and_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_changes_of_a_take_are_reported_and_stored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = np.zeros((12, 7), np.float32)
     rows[:, 0], rows[:, 4] = np.linspace(0, 1, 12), 20 * np.arange(12)  # 22 cm to the side
     np.save(tmp_path / "a.npy", rows)
     small = {"width": 96, "height": 64, "shader": "trivial", "queries": 0}
     cli.record(("flip_cap_usb",), tmp_path / "data", motion=f"track:{tmp_path / 'a.npy'}", **small)  # type: ignore[arg-type]
     truth = read_truth(tmp_path / "data" / "truth" / "flip_cap_usb-s0")
-    said = truth.source["track"]
-    assert said["carry"] == pytest.approx(said["size"] / said["taken_with"]) and said["carry"] < 0.5
+    expected = truth.source["track"]
+    assert expected["carry"] == pytest.approx(expected["size"] / expected["taken_with"]) and expected["carry"] < 0.5
     Ts = truth.Ts_camera_reference if "link_0" not in truth.source["reference_links"] else truth.Ts_camera_moving
-    assert np.linalg.norm(Ts[-1, :3, 3] - Ts[0, :3, 3]) == pytest.approx(0.22 * said["carry"], rel=1e-4)
+    assert np.linalg.norm(Ts[-1, :3, 3] - Ts[0, :3, 3]) == pytest.approx(0.22 * expected["carry"], rel=1e-4)
     out, err = capsys.readouterr()
     assert out.strip().endswith("flip_cap_usb-s0")
-    assert f"a.npy: its translation scaled by {said['carry']:.2g} (an object of" in err and err.count("\n") == 1
+    assert f"a.npy: its translation scaled by {expected['carry']:.2g} (an object of" in err and err.count("\n") == 1
     with pytest.raises(FreeArtError, match="exists with carry None, not 1"):
         cli.record(("flip_cap_usb",), tmp_path / "data", motion=f"track:{tmp_path / 'a.npy'}", carry=1.0, **small)  # type: ignore[arg-type]
 
@@ -291,9 +291,9 @@ def test_the_truth_moves_as_the_take_does(tmp_path: Path, poses: str) -> None:
         np.testing.assert_allclose(turns, want[:, :3, :3] @ want[0, :3, :3].T, atol=1e-6)
         np.testing.assert_allclose(got[:, :3, 3] - got[0, :3, 3], want[:, :3, 3] - want[0, :3, 3], atol=1e-6)
     np.testing.assert_allclose(truth.states, bent(begins + np.arange(5) / 30), atol=1e-6)
-    said = truth.source["track"]
-    assert said["name"] == "a.txt" and said["sha256"] == file_sha256(take) and said["begins_s"] == begins
-    assert truth.source["settings"]["track"] == {"name": "a.txt", "sha256": said["sha256"]}
+    expected = truth.source["track"]
+    assert expected["name"] == "a.txt" and expected["sha256"] == file_sha256(take) and expected["begins_s"] == begins
+    assert truth.source["settings"]["track"] == {"name": "a.txt", "sha256": expected["sha256"]}
     assert str(tmp_path) not in (data / "truth" / sequence / "truth.json").read_text(), "no places of this machine"
     recording = read_sequence(data / "sequences" / sequence)
     assert all(recording.frame(i).mask.any() for i in range(5))
@@ -304,25 +304,25 @@ def test_the_truth_moves_as_the_take_does(tmp_path: Path, poses: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("shift", "said"),
+    ("shift", "expected"),
     [
         ([0.5, 0, 0], r"a\.txt: the object leaves the picture in frame 0 \(0.00 s\), by \d+ pixels"),
         ([0, 0, -0.6], r"a\.txt: the object is -?[\d.]+ m before the camera in frame 0"),
     ],
 )
 def test_what_leaves_the_picture_or_comes_too_near_is_refused_in_a_line(
-    tmp_path: Path, shift: list[float], said: str
+    tmp_path: Path, shift: list[float], expected: str
 ) -> None:
     times = np.arange(30) / 30
     Ts = moved(times)
     Ts[:, :3, 3] += shift
     write_take(tmp_path / "a.txt", "a test", "camera", "revolute", zip(times, Ts, bent(times), strict=True))
-    with pytest.raises(FreeArtError, match=said) as caught:
+    with pytest.raises(FreeArtError, match=expected) as caught:
         record("flip_lighter", tmp_path / "data", dataclasses.replace(SMALL, motion="track", track=tmp_path / "a.txt"))
     assert "\n" not in str(caught.value) and not (tmp_path / "data").exists()
 
 
-def test_a_take_of_one_object_is_replayed_on_all_others_and_fills_the_picture_alike(tmp_path: Path) -> None:
+def test_a_take_of_one_object_is_replayed_on_all_others_and_fills_the_picture(tmp_path: Path) -> None:
     """Of the size that it tells: it stands as it is on that one, and as much nearer as others are smaller."""
     times, camera = np.arange(31) / 30, Camera.from_fov(320, 180, 0.7)
     settings = dataclasses.replace(SMALL, motion="track", track=tmp_path / "a.txt", frames=31, width=320, height=180)
@@ -378,7 +378,7 @@ def test_a_size_that_is_none_is_refused_in_a_line(tmp_path: Path, size: str) -> 
     assert "\n" not in str(caught.value)
 
 
-def test_the_command_takes_the_take_s_length_unless_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_takes_the_take_s_length_by_default(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[RecordSettings] = []
     monkeypatch.setattr("generator.dataset.record_jobs", lambda out, jobs, *_: asked.extend(j.settings for j in jobs))
     take = taken(tmp_path / "a.txt")
@@ -387,12 +387,12 @@ def test_the_command_takes_the_take_s_length_unless_told(tmp_path: Path, monkeyp
     assert [(s.frames, s.motion, s.track) for s in asked] == [(n, "track", take) for n in (61, 40, 61)]
     cli.record(("stapler",), tmp_path / "data")
     assert (asked[-1].frames, asked[-1].motion, asked[-1].track) == (300, "tumble", None)
-    for motion, said in (
+    for motion, expected in (
         ("track", "needs the file"),
         ("track:", "needs the file"),
         (f"track:{tmp_path / 'b'}", "b is missing"),
     ):
-        with pytest.raises(FreeArtError, match=said):
+        with pytest.raises(FreeArtError, match=expected):
             cli.record(("stapler",), tmp_path / "data", motion=motion)
 
 
@@ -476,7 +476,7 @@ def _without(text: str, what: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("change", "joint", "said"),
+    ("change", "joint", "expected"),
     [
         (lambda t: t, "lid", r"no movable joint 'lid'; movable joints: hinge \(revolute 0..85.9 deg\)"),
         (lambda t: t.replace('"revolute"', '"fixed"'), None, "has no movable joint"),
@@ -495,9 +495,9 @@ def _without(text: str, what: str) -> str:
         (lambda t: t.replace('"revolute"', '"floating"'), None, "no movable joint"),
     ],
 )
-def test_what_is_wrong_with_a_urdf_is_said_in_a_line(case: Path, change, joint: str | None, said: str) -> None:
+def test_what_is_wrong_with_a_urdf_is_said_in_a_line(case: Path, change, joint: str | None, expected: str) -> None:
     case.write_text(change(URDF))
-    with pytest.raises(FreeArtError, match=said) as caught:
+    with pytest.raises(FreeArtError, match=expected) as caught:
         plan_jobs([str(case)], dataclasses.replace(SMALL, joint=joint))
     assert str(case.parent) in str(caught.value) and "freeart21-" not in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -531,11 +531,11 @@ def test_a_wheel_without_limits_takes_any_state(case: Path, tmp_path: Path) -> N
     loaded = load_urdf(case, tmp_path / "made")
     body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
     take = read_track(arctic(tmp_path / "a.npy", np.linspace(0, 7, 12)))
-    states, told = track.fit_states(take.states, take, body)
-    assert states[-1] == 7 and told == {"states": "as taken"}
+    states, changes = track.fit_states(take.states, take, body)
+    assert states[-1] == 7 and changes == {"states": "as taken"}
 
 
-def test_what_follows_and_what_is_free_is_held_and_told(case: Path, tmp_path: Path) -> None:
+def test_mimic_and_floating_joints_are_held_and_noted(case: Path, tmp_path: Path) -> None:
     more = """<link name="flap"><visual><geometry><mesh filename="box.obj"/></geometry></visual></link>
         <joint name="turns" type="continuous"><parent link="box"/><child link="flap"/><axis xyz="0 0 1"/>
         <mimic joint="hinge" multiplier="-2" offset="0.5"/></joint><link name="world"/>
