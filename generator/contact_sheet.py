@@ -1,8 +1,12 @@
-"""A picture of many objects, each closed, half open and open, seen from the most informative directions."""
+"""A picture of many objects, each closed, half open and open, seen from the most informative directions.
+
+    python -m generator.contact_sheet docs/objects.png        # all objects of the catalog
+"""
 
 from __future__ import annotations
 
 import io
+import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -186,3 +190,7 @@ def _pose(points: Array, yaw: float, pitch: float, camera: Camera) -> Array:
         middle[:2] += (low + high) / 2 * distance
         distance *= float((high - low).max()) / 2 / half
     return se3.pose(R, np.array([0, 0, distance]) - middle)
+
+
+if __name__ == "__main__":
+    contact_sheet(catalog.built_in_names(), Path(sys.argv[1]))
