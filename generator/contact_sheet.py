@@ -1,6 +1,6 @@
 """A picture of many objects, each closed, half open and open, seen from the most informative directions.
 
-    python -m generator.contact_sheet docs/objects.png        # all objects of the catalog
+python -m generator.contact_sheet docs/objects.png        # all objects of the catalog
 """
 
 from __future__ import annotations

@@ -511,7 +511,7 @@ def _skin(solid: Manifold, picture: NDArray[np.uint8], scale: float, roughness: 
 
 
 def _tint(picture: NDArray[np.uint8], factors: tuple[float, float, float]) -> NDArray[np.uint8]:
-    return np.clip(picture.astype(float) * np.array(factors) * 1.06, 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(picture.astype(float) * np.array(factors) * 1.06, 0, 255).astype(np.uint8))
 
 
 def _skin_picture(colour: Array, rng: np.random.Generator) -> NDArray[np.uint8]:
@@ -524,7 +524,7 @@ def _skin_picture(colour: Array, rng: np.random.Generator) -> NDArray[np.uint8]:
     red = 1 + 0.03 * blotch / blotch.std()
     picture = colour * shade[..., None]
     picture[..., 0] *= red
-    return np.clip(picture, 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(picture, 0, 255).astype(np.uint8))
 
 
 def _cloth_picture(colour: Array, rng: np.random.Generator) -> NDArray[np.uint8]:
@@ -532,4 +532,4 @@ def _cloth_picture(colour: Array, rng: np.random.Generator) -> NDArray[np.uint8]
     v, u = np.mgrid[0:256, 0:256] / 256
     rib = 0.88 + 0.12 * np.cos(2 * np.pi * 24 * u) * (0.6 + 0.4 * np.cos(2 * np.pi * 40 * v))
     grain = 1 + 0.05 * rng.normal(size=(256, 256))
-    return np.clip(colour * (rib * grain)[..., None], 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(colour * (rib * grain)[..., None], 0, 255).astype(np.uint8))

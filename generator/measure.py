@@ -57,7 +57,7 @@ class TrackerNoise:
         out = white.copy()
         for i in range(1, n):
             out[i] = self.memory * out[i - 1] + np.sqrt(1 - self.memory**2) * white[i]
-        return out
+        return np.asarray(out)
 
 
 def measure_truths(

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -245,7 +246,7 @@ def _line_crosses_box(point: Array, direction: Array, low: Array, high: Array) -
     return bool(near.max() <= far.min())
 
 
-def _meta_notes(meta: dict, folder: Path) -> list[str]:
+def _meta_notes(meta: dict[str, Any], folder: Path) -> list[str]:
     said = str(meta.get("anno_id", folder.name))
     ours = "scored_joint" in meta
     return [] if ours or said == folder.name else [f"meta.json calls the object {said}; the folder's name is kept"]
@@ -277,7 +278,7 @@ def read_tree(urdf: Path) -> Urdf:
     return read
 
 
-def _meta(folder: Path) -> dict:
+def _meta(folder: Path) -> dict[str, Any]:
     path = folder / "meta.json"
     meta = checked.read_json(path) if path.is_file() else {}
     if not isinstance(meta.get("scored_joint", ""), str):

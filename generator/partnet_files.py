@@ -19,6 +19,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,7 +139,7 @@ def read_obj(path: Path, folder: Path, gaps: Gaps) -> Surface:
     return surface
 
 
-def _piece(geometry: dict, materials: dict[str, Material]) -> Surface:
+def _piece(geometry: dict[str, Any], materials: dict[str, Material]) -> Surface:
     visual, vertices = geometry.get("visual"), np.asarray(geometry["vertices"], float)
     faces = triangulate_quads(geometry["faces"]).reshape(-1, 3)  # and polygons: fans
     if len(faces) and (vertices.shape[1:] != (3,) or faces.min() < 0 or faces.max() >= len(vertices)):

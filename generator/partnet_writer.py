@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from manifold3d import Manifold
@@ -150,7 +151,7 @@ def crease_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
     near = np.einsum("ij,ij->i", unit[mine // 3], unit[other // 3]) >= _CREASE
     total = np.zeros((faces.size, 3))
     np.add.at(total, mine[near], area_normal[other[near] // 3])
-    return (total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)).reshape(-1, 3, 3)
+    return np.asarray((total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)).reshape(-1, 3, 3))
 
 
 def _urdf(model: ObjectModel, names: list[list[tuple[str, str]]]) -> bytes:
@@ -190,7 +191,7 @@ def _origin(model: ObjectModel, link: str) -> Array:
     return np.zeros(3) if hinge is None else np.array(hinge.pivot, float) @ R_ROOT_MESH
 
 
-def _mobility(model: ObjectModel) -> list[dict]:
+def _mobility(model: ObjectModel) -> list[dict[str, Any]]:
     entries, part = [], 0
     for k, link in enumerate(model.links):
         parts = [{"id": part + i + 1, "name": piece.name, "children": []} for i, piece in enumerate(link.pieces)]

@@ -181,7 +181,7 @@ def interpolate_pose(Ts: Array, t: float) -> Array:
     """The pose (4, 4) at time `t`, in frames, of poses (n, 4, 4): constant twist between frames and beyond the ends."""
     k = int(np.clip(np.floor(t), 0, max(len(Ts) - 2, 0)))
     if t == k or len(Ts) == 1:
-        return Ts[k]
+        return np.asarray(Ts[k])
     if t == k + 1:
-        return Ts[k + 1]
-    return Ts[k] @ se3.exp_se3((t - k) * se3.log_se3(se3.inverse(Ts[k]) @ Ts[k + 1]))
+        return np.asarray(Ts[k + 1])
+    return np.asarray(Ts[k] @ se3.exp_se3((t - k) * se3.log_se3(se3.inverse(Ts[k]) @ Ts[k + 1])))

@@ -249,7 +249,7 @@ class SimulatedAsset:
         q, qd = np.asarray(q, float), np.asarray(qd, float)
         at_zero = np.append(self._moment_at_zero, self.moving_mass)
         moment = (self.world_joint.transform(q) @ at_zero)[..., :3]
-        return 0.5 * self._inertia * qd**2 - (moment - self._moment_at_zero) @ self.gravity
+        return np.asarray(0.5 * self._inertia * qd**2 - (moment - self._moment_at_zero) @ self.gravity)
 
     def _engine_pose(self, name: str) -> Array:
         pose = self._links[name].entity_pose
@@ -423,7 +423,8 @@ class SimulatedAsset:
 
     def _effect_force(self, q: float, qd: float) -> float:
         """Sum of the effects that act as "force", N*m or N."""
-        return sum(law(q, qd, 0.0, m, *v) for (law, v), m in zip(self._force_laws, self._memories, strict=True))
+        laws = zip(self._force_laws, self._memories, strict=True)
+        return float(sum(law(q, qd, 0.0, m, *v) for (law, v), m in laws))
 
     def _actuator_force(self, q: float, qd: float, t: float) -> float:
         """The actuator's force at position `q` of its side, from the delayed command."""

@@ -30,7 +30,7 @@ class Paint:
         h, w = self.picture.shape[:2]
         column = np.floor((uv[:, 0] % 1.0) * w).astype(int).clip(0, w - 1)
         row = np.floor((1.0 - uv[:, 1] % 1.0) * h).astype(int).clip(0, h - 1)
-        return np.rint(self.picture[row, column] * (self.colour / 255.0)).astype(np.uint8)
+        return np.asarray(np.rint(self.picture[row, column] * (self.colour / 255.0)).astype(np.uint8))
 
 
 @dataclass(frozen=True)
@@ -114,4 +114,4 @@ def srgb_bytes(linear: Array) -> NDArray[np.uint8]:
     """sRGB bytes of linear light, 0 to 1, such as an MTL file's Kd (IEC 61966-2-1)."""
     linear = np.clip(linear, 0, 1)
     encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return np.rint(255 * encoded).astype(np.uint8)
+    return np.asarray(np.rint(255 * encoded).astype(np.uint8))

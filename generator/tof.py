@@ -47,6 +47,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numba
 import numpy as np
@@ -125,7 +126,7 @@ class TimeOfFlight:
         """(height, width, 3) directions of the pixels, z = 1."""
         return self.camera.rays()
 
-    def systematic_error(self, z: NDArray) -> NDArray:
+    def systematic_error(self, z: NDArray[Any]) -> NDArray[Any]:
         """Systematic error, metres, at depth `z`."""
         rng = np.random.default_rng([self.seed, 5])
         error = rng.uniform(-SCALE_ERROR, SCALE_ERROR) * z
@@ -146,14 +147,14 @@ class TimeOfFlight:
 
 def infrared_albedo(linear_rgb: NDArray[np.float32]) -> Map:
     """Infrared albedo (height, width) from linear base colours (height, width, 3)."""
-    return np.maximum(linear_rgb.mean(-1), np.float32(DARKEST))
+    return np.asarray(np.maximum(linear_rgb.mean(-1), np.float32(DARKEST)))
 
 
-def noise_m(signal: NDArray) -> NDArray:
+def noise_m(signal: NDArray[Any]) -> NDArray[Any]:
     """Standard deviation of the random error, metres, as a function of the signal."""
     a, b, c = NOISE_MM2
     signal = np.maximum(signal, 1e-6)
-    return 1e-3 * np.sqrt(a + (b + c / signal) / signal)
+    return np.asarray(1e-3 * np.sqrt(a + (b + c / signal) / signal))
 
 
 def incidence_cosine(depth: Map, rays: Array) -> Map:
@@ -170,7 +171,7 @@ def returned_signal(depth: Map, albedo: Map, gloss: Map, cosine: Map, rays: Arra
     return _returned_signal(depth, albedo, gloss, cosine, rays)
 
 
-def _ramp(x: NDArray, low: float, high: float) -> NDArray:
+def _ramp(x: NDArray[Any], low: float, high: float) -> NDArray[Any]:
     return np.clip((x - low) / (high - low), 0, 1)
 
 

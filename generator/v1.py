@@ -91,7 +91,8 @@ def check_own_sequences(out: Path, jobs: Sequence[Job], label: Label | None) -> 
 
 def read_frozen() -> dict[str, dict[str, str]]:
     """Sequence name to the frozen fingerprints of its shape and motion, both splits."""
-    return checked.read_json(_FROZEN)["sequences"]
+    sequences: dict[str, dict[str, str]] = checked.read_json(_FROZEN)["sequences"]
+    return sequences
 
 
 def shape_fingerprint(entry: Entry) -> str:

@@ -57,7 +57,7 @@ class Body:
     def centres(self, states: Array) -> Array:
         """(n, 3) centre of the box round the object at `states` (n,)."""
         points = self.points(states)
-        return (points.min(1) + points.max(1)) / 2
+        return np.asarray((points.min(1) + points.max(1)) / 2)
 
     def state(self, share: Array | float) -> Array:
         """The state at a share, 0 to 1, of the range."""
@@ -77,6 +77,6 @@ def hull_points(mesh: Mesh) -> Array:
     """Vertices of the convex hull of a mesh; they bound it in every view."""
     points = mesh.vertices[np.unique(mesh.faces)]
     try:
-        return points[ConvexHull(points).vertices]
+        return np.asarray(points[ConvexHull(points).vertices])
     except QhullError:  # a flat part has no hull of its own
         return points

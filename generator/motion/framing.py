@@ -45,7 +45,7 @@ def place_object(
     def distances(wanted: Array) -> Array:
         least = np.maximum(nearest, wanted)
         envelope = np.where(window <= 1, least, 0.0).max(1)
-        return weights @ envelope
+        return np.asarray(weights @ envelope)
 
     if preset.distance_m is not None:
         far = distances(preset.distance_m * (1 + offsets[:, 2]) * np.ones(len(states)))
@@ -97,7 +97,7 @@ def _nearest_distances(points: Array, offsets: Array, camera: Camera) -> Array:
         for sign, room in ((1, size - strip - c), (-1, c - strip)):
             slope = np.maximum(room - sign * f * offsets[:, axis], 0.05 * room)
             need = np.maximum(need, ((sign * f * points[..., axis] - room * points[..., 2]) / slope[:, None]).max(1))
-    return need
+    return np.asarray(need)
 
 
 def _distances_for_fill(

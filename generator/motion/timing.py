@@ -125,7 +125,7 @@ def wander(t: Array, rng: np.random.Generator, hz: float, parts: int = 3) -> Arr
 def tremor(frames: int, fps: float, rng: np.random.Generator) -> Array:
     """(frames, 3) tremor of a hand at rest, radians (or metres per metre): a tenth of a degree."""
     t = np.arange(frames) / fps
-    return np.radians(0.1) * np.stack([wander(t, rng, 1.2) for _ in range(3)], -1)
+    return np.asarray(np.radians(0.1) * np.stack([wander(t, rng, 1.2) for _ in range(3)], -1))
 
 
 def _window(t: Array, start: float, stop: float, ramp: float) -> Array:

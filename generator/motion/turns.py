@@ -93,7 +93,7 @@ def spline(Rs: Array, u: Array) -> Array:
     steps = se3.log_so3(np.swapaxes(controls[:-1], 1, 2) @ controls[1:])
     k = np.clip(np.floor(u).astype(int), 0, len(Rs) - 2)
     f = np.clip(u - k, 0, 1)[:, None]
-    return (
+    return np.asarray(
         controls[k]
         @ se3.exp_so3((5 + 3 * f - 3 * f**2 + f**3) / 6 * steps[k])
         @ se3.exp_so3((1 + 3 * f + 3 * f**2 - 2 * f**3) / 6 * steps[k + 1])
@@ -107,4 +107,4 @@ def steps_degrees(Rs: Array) -> Array:
 
 
 def _unit(v: Array) -> Array:
-    return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-12)
+    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-12))

@@ -43,7 +43,7 @@ class Atlas:
         """(D,) share of the smaller side at a state."""
         x = (q - self.states[0]) / max(self.states[-1] - self.states[0], 1e-12) * (len(self.states) - 1)
         k = int(np.clip(np.floor(x), 0, len(self.states) - 2))
-        return self.share[:, k] + np.clip(x - k, 0, 1) * (self.share[:, k + 1] - self.share[:, k])
+        return np.asarray(self.share[:, k] + np.clip(x - k, 0, 1) * (self.share[:, k + 1] - self.share[:, k]))
 
     def shares(self, views: Array, states: Array) -> Array:
         """(n,) share of the smaller side from unit vectors `views` (n, 3) at `states` (n,), interpolated."""
@@ -53,7 +53,7 @@ class Atlas:
         x = (states - self.states[0]) / max(self.states[-1] - self.states[0], 1e-12) * (len(self.states) - 1)
         k = np.clip(np.floor(x).astype(int), 0, len(self.states) - 2)
         rows, f = np.arange(len(states)), np.clip(x - k, 0, 1)
-        return (1 - f) * by_state[rows, k] + f * by_state[rows, k + 1]
+        return np.asarray((1 - f) * by_state[rows, k] + f * by_state[rows, k + 1])
 
     def count_shares(self, Ts_camera_object: Array, states: Array) -> Array:
         """(n,) share of the smaller side in poses (n, 4, 4) at `states` (n,), from rays for each pose."""
@@ -89,4 +89,4 @@ class Atlas:
 
 
 def _share(counts: NDArray[np.int64], small: int) -> Array:
-    return counts[..., small] / np.maximum(counts.sum(-1), 1)
+    return np.asarray(counts[..., small] / np.maximum(counts.sum(-1), 1))

@@ -28,4 +28,5 @@ def build(name: str, seed: int) -> ObjectModel:
     entry = catalog.find(name)
     if entry.source != "procedural":
         raise FreeArtError(f"'{name}' is not procedural; procedural objects: {', '.join(catalog.built_in_names())}")
-    return getattr(importlib.import_module(f"generator.objects.{MODULES[entry.category]}"), name)(seed)
+    model: ObjectModel = getattr(importlib.import_module(f"generator.objects.{MODULES[entry.category]}"), name)(seed)
+    return model

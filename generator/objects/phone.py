@@ -355,7 +355,7 @@ def _bar(
 
     def reshape(points: NDArray[np.float64]) -> NDArray[np.float64]:
         above = np.maximum(points[:, 1] - split, 0)
-        return np.c_[points[:, :2], points[:, 2] + bend * above**2]
+        return np.asarray(np.c_[points[:, :2], points[:, 2] + bend * above**2])
 
     bent = [replace(piece, solid=piece.solid.refine_to_length(0.007).warp_batch(reshape)) for piece in upper]
     return [bent[0], keys, *bent[1:]]

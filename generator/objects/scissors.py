@@ -275,7 +275,7 @@ def _swelling(bow: Manifold, flat: float, full: float) -> Manifold:
         share = share**2 * (3 - 2 * share)
         low = (1 - share) * (_GAP + 0.0002) - share * full / 2
         high = (1 - share) * (_GAP + flat + 0.0012) + share * full / 2
-        return np.c_[points[:, :2], low + (points[:, 2] / 0.010 + 0.5) * (high - low)]
+        return np.asarray(np.c_[points[:, :2], low + (points[:, 2] / 0.010 + 0.5) * (high - low)])
 
     return bow.refine_to_length(0.006).warp_batch(reshape)
 

@@ -76,7 +76,7 @@ def _extreme_points(points: Array) -> Array:
     z, turn = 1 - 2 * k / _DIRECTIONS, np.pi * (1 + np.sqrt(5)) * k
     across = np.sqrt(1 - z**2)
     directions = np.stack([across * np.cos(turn), across * np.sin(turn), z], 1)
-    return points[np.unique((points @ directions.T).argmax(0))]
+    return np.asarray(points[np.unique((points @ directions.T).argmax(0))])
 
 
 def _centring_shift(points: Array, depth: float, camera: Camera) -> Array:

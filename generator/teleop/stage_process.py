@@ -111,7 +111,7 @@ def background(width: int, height: int) -> NDArray[np.uint8]:
     share = np.clip(1 - np.hypot(x[None], y[:, None]), 0, 1)
     share = share * share * (3 - 2 * share)
     colours = np.array(EDGE) + share[..., None] * (np.array(MIDDLE, float) - EDGE)
-    return np.floor(colours + np.random.default_rng(0).random((height, width, 1))).astype(np.uint8)
+    return np.asarray(np.floor(colours + np.random.default_rng(0).random((height, width, 1))).astype(np.uint8))
 
 
 @numba.njit(cache=True)
