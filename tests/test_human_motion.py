@@ -69,7 +69,7 @@ def test_the_joint_is_worked_as_it_was_measured_and_rests_when_asked_to() -> Non
     courses = [human_hand.draw_joint_course(6000, 30.0, np.random.default_rng(seed)) for seed in range(20)]
     shares = [c.shares for c in courses]
     moved = [Movement(np.zeros((5999, 3)), np.zeros(5999), s, 30.0) for s in shares]
-    begins, ends = (np.concatenate([m.opening[m.joint_strokes[:, k]] for m in moved]) for k in (0, 1))
+    begins, ends = (np.concatenate([m.opening[m.joint_submovements[:, k]] for m in moved]) for k in (0, 1))
     room, left = (np.where(ends > begins, 1 - at, at) for at in (begins, ends))
     for far, share in zip((room >= 0.8, room < 0.8), human_hand.TO_END, strict=True):
         assert np.mean(left[far] < 0.1) == pytest.approx(share, abs=0.08)  # some that end partway end there, too
