@@ -1,4 +1,4 @@
-"""A joint whose base is moved: a cart, a rotary arm, anything; against the motion of its bits of mass in the world."""
+"""A joint on a moving base (cart, rotary arm, any), against the motion of point masses in the world."""
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ AXIS, POINT = np.array([2.0, -1.0, 2.0]) / 3, np.array([-0.1, 0.2, 0.05])
 
 
 def swung(t):
-    """rad by which the base is turned."""
+    """Rotation of the base (rad)."""
     return 0.6 * np.sin(3.0 * t) + 0.3 * t
 
 
 def shifted(t):
-    """(..., 3) m by which it is moved."""
+    """(..., 3) translation of the base (m)."""
     return np.stack([0.2 * np.sin(4 * t), 0.1 * np.cos(3 * t), 0.05 * np.sin(6 * t)], -1)
 
 
 def write_crooked(folder: Path, kind: str) -> Path:
-    """The URDF of BITS on a joint that stands askew."""
+    """URDF of BITS on a tilted joint."""
     centre = MASSES @ BITS / MASSES.sum()
     arms = BITS - centre
     tensor = sum(m * ((a @ a) * np.eye(3) - np.outer(a, a)) for m, a in zip(MASSES, arms, strict=True))
@@ -63,7 +63,7 @@ def write_crooked(folder: Path, kind: str) -> Path:
 
 
 def places(q: float, t: float, kind: str) -> np.ndarray:
-    """(6, 3) where the bits are in the world."""
+    """(6, 3) positions of the point masses in the world."""
     if kind == "revolute":
         on_part = BITS @ Rotation.from_rotvec(q * JOINT_AXIS).as_matrix().T
     else:
@@ -73,7 +73,7 @@ def places(q: float, t: float, kind: str) -> np.ndarray:
 
 
 def world_course(kind: str, spring: float) -> np.ndarray:
-    """(n,) positions of the joint, by d'Alembert's principle on the bits; derivatives by differences."""
+    """(n,) joint positions by d'Alembert's principle on the point masses; derivatives by differences."""
     h = 2e-4
 
     def slope(t, y):
@@ -103,7 +103,7 @@ def simulated(folder: Path, measured: Measured, path: Path, effects=()) -> np.nd
 
 
 @TYPES
-def test_a_crooked_joint_on_a_base_that_turns_and_is_pushed_moves_as_its_bits_of_mass(kind: str, tmp_path: Path):
+def test_a_moving_base_matches_point_masses(kind: str, tmp_path: Path):
     from freeart21.effects.return_spring import ReturnSpring
 
     spring = 6.0
@@ -134,7 +134,7 @@ def cart(t):
 
 
 @pytest.mark.parametrize("told", ["position", "acceleration"])
-def test_a_pendulum_on_a_cart_is_the_textbooks(told: str, tmp_path: Path):
+def test_cart_pendulum_matches_the_textbook(told: str, tmp_path: Path):
     """I q'' = m l x'' cos q - m g l sin q, for a bob that hangs at -z and turns about y."""
     pull = -0.15 * (2 * np.pi * 0.9) ** 2
 
@@ -150,7 +150,7 @@ def test_a_pendulum_on_a_cart_is_the_textbooks(told: str, tmp_path: Path):
     assert np.abs(simulated(tmp_path, measured, asset_of(tmp_path)) - q).max() < 1e-3 * np.ptp(q)
 
 
-def test_a_rotary_pendulum_is_the_textbooks_though_its_arm_is_read_in_steps(tmp_path: Path):
+def test_furuta_pendulum_with_a_quantised_arm(tmp_path: Path):
     """A point of mass m at l on the end of an arm of .3 m along y that turns about z (Furuta), its encoder of 2,000
     steps a turn: l q'' = r a cos q + l w^2 sin q cos q - g sin q, up to the sign of the arm's turn."""
     r = 0.3  # the bob's own inertia, a sphere's, does not care about turns of the arm
@@ -174,8 +174,8 @@ def test_a_rotary_pendulum_is_the_textbooks_though_its_arm_is_read_in_steps(tmp_
     assert np.abs(simulated(tmp_path, backwards, path) - q).max() > 0.3 * np.ptp(q)
 
 
-def test_a_part_that_is_heavier_feels_more_of_its_base(tmp_path: Path):
-    """Its moment with its weight, its inertia with itself: both twice is the same motion."""
+def test_base_forces_scale_with_mass(tmp_path: Path):
+    """Doubling both moment and inertia leaves the motion unchanged."""
     base = BaseSeries(shifted(TIMES), None, swung(TIMES))
     measured = measured_of("revolute", 0 * TIMES + 0.2, base, BaseAxis(AXIS, POINT))
     plant = make_plant(read_asset(write_crooked(tmp_path, "revolute")), measured)
@@ -187,7 +187,7 @@ def test_a_part_that_is_heavier_feels_more_of_its_base(tmp_path: Path):
     assert np.abs(more - one).max() > 0.1
 
 
-def test_a_base_is_read_as_it_was_written_and_its_faults_cost_one_line(tmp_path: Path):
+def test_bases_round_trip_and_bad_ones_are_refused(tmp_path: Path):
     base = BaseSeries(shifted(TIMES), None, swung(TIMES))
     measured = measured_of("revolute", 0.1 * np.sin(TIMES), base, BaseAxis(AXIS, POINT))
     write_measured(tmp_path / "a", measured)
@@ -215,7 +215,7 @@ def test_a_base_is_read_as_it_was_written_and_its_faults_cost_one_line(tmp_path:
         read_measured(tmp_path / "a")
 
 
-def test_the_part_that_is_on_the_joints_parent_side_is_refused(tmp_path: Path):
+def test_a_base_on_the_moving_side_is_refused(tmp_path: Path):
     measured = measured_of("revolute", 0 * TIMES, BaseSeries(shifted(TIMES)), None)
     plant = replace(make_plant(read_asset(asset_of(tmp_path)), measured), base_is_parent=False)
     with pytest.raises(FreeArtError, match="the base of joint 'j' moves, but it is on the joint's child side"):
@@ -223,7 +223,7 @@ def test_the_part_that_is_on_the_joints_parent_side_is_refused(tmp_path: Path):
 
 
 @pytest.mark.skipif(not ROTARY.is_dir(), reason="the recordings are not here")
-def test_a_real_pendulum_on_an_arm_moves_as_its_arm_has_it(tmp_path: Path):
+def test_a_real_pendulum_follows_its_arm(tmp_path: Path):
     """An arm that stands up turns by a radian in the pendulum's own plane, whose angle is read against the vertical.
 
     How far its pivot is from the arm's axis is read off the first tenth of a second, when the bob stays behind: .229 m.

@@ -44,7 +44,7 @@ def clipped(x, most):
 
 
 def servo(e, v, u, on):
-    """A servo of 60 and 4 N m that sees no error below .05 rad and gives 4 N m at most."""
+    """A servo (60 N m/rad, 4 N m s/rad) with a dead band of 0.05 rad and at most 4 N m."""
     e = e - 0.05 if e > 0.05 else e + 0.05 if e < -0.05 else 0.0
     return clipped(60 * e - 4 * v, 4.0)
 
@@ -55,17 +55,17 @@ def limited(e, v, u, on):
 
 
 def offset(e, v, u, on):
-    """A drive that is switched off for a while, and pushes by BIAS while it is on."""
+    """A drive that is switched off for a while and has an offset BIAS while on."""
     return u + BIAS if on else 0.0
 
 
 def motor(e, v, u, on):
-    """Of 1.2 N m/A and 2 ohm under u volts; a coasting one is an open circuit."""
+    """A motor of 1.2 N m/A and 2 ohm under u volts; open circuit while off."""
     return 1.2 * (u - 1.2 * v) / 2.0 if on else 0.0
 
 
 def motor_servo(e, v, u, on):
-    """The same, that turns an error into 40 V/rad, but 9 V at most, and 2.4 A."""
+    """The same motor as a servo of 40 V/rad, at most 9 V and 2.4 A."""
     return 1.2 * clipped((clipped(40 * e - 1.0 * v, 9.0) - 1.2 * v) / 2.0, 2.4) if on else 0.0
 
 
@@ -80,7 +80,7 @@ NAMES = pytest.mark.parametrize("name", DRIVES)
 
 
 def course(give, series: dict) -> np.ndarray:
-    """(n, 2) positions and speeds of the pendulum from .3 rad, every command held from row to row."""
+    """(n, 2) positions and speeds of the pendulum from 0.3 rad, commands held between rows."""
     out, y = [], [0.3, 0.0]
     told = {key: series.get(key, np.zeros(len(TIMES))) for key in ("q_command", "effort", "voltage")}
     on = series.get("enabled", np.ones(len(TIMES)))
@@ -110,7 +110,7 @@ def effects_of(name: str):
 
 
 @NAMES
-def test_the_fast_simulation_is_the_equation(name: str, tmp_path: Path):
+def test_fast_simulation_matches_the_equation(name: str, tmp_path: Path):
     measured = measured_of(name)
     plant = make_plant(read_asset(asset_of(tmp_path)), measured)
     for longest, within in ((np.inf, 2e-5), (0.01, 5e-5)):  # as it was logged, and taken together
@@ -119,8 +119,8 @@ def test_the_fast_simulation_is_the_equation(name: str, tmp_path: Path):
 
 
 @NAMES
-def test_a_replay_in_sapien_is_the_equation(name: str, tmp_path: Path):
-    """Through a job's files and a process of its own; without what is told the motion is another."""
+def test_sapien_replay_matches_the_equation(name: str, tmp_path: Path):
+    """Through job files and a separate process; without the drive's parameters the motion differs."""
     measured, asset = measured_of(name), read_asset(asset_of(tmp_path))
     right = write_repaired(asset, effects_of(name), tmp_path / "right")
     run, start = measured.runs[0], (0.3, 0.0)
@@ -136,7 +136,7 @@ def test_a_replay_in_sapien_is_the_equation(name: str, tmp_path: Path):
 
 
 @NAMES
-def test_nothing_is_missing_where_all_is_told(name: str, tmp_path: Path):
+def test_a_known_drive_leaves_no_gap(name: str, tmp_path: Path):
     measured = measured_of(name)
     plant = make_plant(read_asset(asset_of(tmp_path)), measured)
     found = estimate_missing_force(measured, plant.mechanics, -3.0, 3.0, effects_of(name))
@@ -145,8 +145,8 @@ def test_nothing_is_missing_where_all_is_told(name: str, tmp_path: Path):
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
-def test_an_offset_passes_no_gain_and_acts_while_the_drive_is_on(kind: str, tmp_path: Path):
-    """In SAPIEN, without weight: speed is the impulse over the inertia."""
+def test_an_offset_bypasses_the_gain_while_the_drive_is_on(kind: str, tmp_path: Path):
+    """In SAPIEN without gravity: speed is impulse over inertia."""
     path = asset_of(tmp_path)
     path.write_text(path.read_text().replace("revolute", kind))
     asset = replace(read_asset(path), effects={"j": (ActuatorGain(0.5), ActuatorOffset(0.3))})
@@ -158,8 +158,8 @@ def test_an_offset_passes_no_gain_and_acts_while_the_drive_is_on(kind: str, tmp_
     assert pushed.qd == pytest.approx(1.0 / inertia * pushed.times_s, abs=1e-3)
 
 
-def test_a_motor_under_a_voltage_comes_to_its_speed_as_its_back_emf_has_it(tmp_path: Path):
-    """Closed form: V / k (1 - exp(-k^2 / (R I) t)); and a coasting one loses nothing."""
+def test_a_motor_reaches_its_back_emf_speed(tmp_path: Path):
+    """Closed form V / k (1 - exp(-k^2 / (R I) t)); a coasting motor loses no speed."""
     asset = read_asset(asset_of(tmp_path, -300, 300))
     law = Actuator(effort=lambda t: MOTOR.per_volt * 6.0, motor=DcMotor(1.2, 2.0), enabled=lambda t: float(t < 1.0))
     run = roll_out(asset, 0.0, duration_s=2.0, gravity=(0, 0, 0), actuator=law)
@@ -167,7 +167,7 @@ def test_a_motor_under_a_voltage_comes_to_its_speed_as_its_back_emf_has_it(tmp_p
     assert run.qd == pytest.approx(6.0 / 1.2 * (1 - np.exp(-rate * at)), abs=5e-3)
 
 
-def test_an_offset_is_looked_for_only_where_efforts_are_told(tmp_path: Path):
+def test_an_offset_needs_commanded_efforts(tmp_path: Path):
     asset = read_asset(asset_of(tmp_path))
     for name, told in (("offset", True), ("motor", True), ("servo", False)):
         measured = measured_of(name)
@@ -178,7 +178,7 @@ def test_an_offset_is_looked_for_only_where_efforts_are_told(tmp_path: Path):
 
 
 @NAMES
-def test_a_drive_is_read_as_it_was_written(name: str, tmp_path: Path):
+def test_drives_round_trip(name: str, tmp_path: Path):
     measured = measured_of(name)
     write_measured(tmp_path / "set", measured)
     read = read_measured(tmp_path / "set")
@@ -192,7 +192,7 @@ def test_a_drive_is_read_as_it_was_written(name: str, tmp_path: Path):
             np.testing.assert_array_equal(ours, theirs)
 
 
-def test_a_current_limit_is_a_limit_of_force_and_what_is_not_known_may_be_null():
+def test_a_current_limit_is_a_force_limit():
     law = actuator_from_json({"type": "effort", "torque_constant": 0.5, "max_current": 4.0, "max_effort": None}, "x")
     assert law.max_effort == 2.0 and actuator_to_json(law, False) == {"type": "effort", "max_effort": 2.0}
     motor = actuator_from_json({"type": "dc_motor", "torque_constant": 0.5, "resistance": 2.0, "max_current": 4.0}, "x")
@@ -213,13 +213,13 @@ BAD = [
 
 
 @pytest.mark.parametrize("said, fault", BAD)
-def test_a_bad_actuator_costs_one_line(said: dict, fault: str):
+def test_a_bad_actuator_is_a_one_line_error(said: dict, fault: str):
     with pytest.raises(FreeArtError) as caught:
         actuator_from_json(said, "here")
     assert fault in str(caught.value) and str(caught.value).startswith("here: ") and "\n" not in str(caught.value)
 
 
-def test_columns_without_what_they_are_for_are_refused(tmp_path: Path):
+def test_drive_columns_without_an_actuator_are_refused(tmp_path: Path):
     def reread(name: str, change) -> None:
         write_measured(tmp_path / name, measured_of(name))
         path = tmp_path / name / "measured.json"

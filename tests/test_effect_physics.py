@@ -1,4 +1,4 @@
-"""Every effect, as an asset in SAPIEN feels it, against closed forms and event-driven equations solved here.
+"""Every effect in SAPIEN, against closed forms and independent event-driven solutions.
 
 The equations (scipy, double precision, events for sticking, impacts, catches and contacts) take nothing from the
 product but the effects' parameters.
@@ -75,7 +75,7 @@ def solved(acceleration, q0: float, qd0: float, times) -> np.ndarray:
 
 
 def with_friction(drive, level, q0: float, qd0: float, end: float, step: float = 1e-3) -> np.ndarray:
-    """(n,) positions under accelerations drive(q, qd) and friction level(q, qd, qdd) that sticks: event-driven."""
+    """(n,) positions under accelerations drive(q, qd) with sticking friction level(q, qd, qdd), event-driven."""
     times = np.arange(round(end / step) + 1) * step
     q = np.full(len(times), np.nan)
     now, state = 0.0, [q0, qd0]
@@ -119,7 +119,7 @@ def error(run, q: np.ndarray) -> float:
 
 
 @TYPES
-def test_stribeck_friction_slows_as_its_equation_says(tmp_path: Path, kind: str):
+def test_stribeck_deceleration(tmp_path: Path, kind: str):
     level, rise, speed = 0.7 * INERTIA[kind], 1.2 * INERTIA[kind], 0.4
     asset = asset_with(tmp_path, kind, StribeckFriction(level, rise, speed))
     run = roll_out(asset, 0.1, 2.0, duration_s=3.5, gravity=WEIGHTLESS)
@@ -133,7 +133,7 @@ def test_stribeck_friction_slows_as_its_equation_says(tmp_path: Path, kind: str)
 
 
 @TYPES
-def test_stribeck_friction_breaks_away_at_its_larger_level(tmp_path: Path, kind: str):
+def test_stribeck_breakaway(tmp_path: Path, kind: str):
     asset = asset_with(tmp_path, kind, StribeckFriction(0.3, 0.5, 0.4))
     at_rest = roll_out(asset, 0.0, duration_s=1, gravity=WEIGHTLESS, force=lambda t: 0.79)
     assert np.abs(at_rest.q).max() < 1e-5
@@ -142,14 +142,14 @@ def test_stribeck_friction_breaks_away_at_its_larger_level(tmp_path: Path, kind:
 
 
 @TYPES
-def test_quadratic_drag_slows_as_one_over_time(tmp_path: Path, kind: str):
+def test_quadratic_drag_closed_form(tmp_path: Path, kind: str):
     run = roll_out(asset_with(tmp_path, kind, QuadraticDrag(0.7)), 0.0, 3.0, duration_s=4, gravity=WEIGHTLESS)
     k = 0.7 / INERTIA[kind]
     assert run.qd == pytest.approx(3.0 / (1 + k * 3.0 * run.times_s), rel=1e-3)
     assert run.q[-1] == pytest.approx(np.log1p(k * 3.0 * 4) / k, rel=1e-3)
 
 
-def test_load_friction_of_a_slider_is_its_weight_across_the_rail(tmp_path: Path):
+def test_load_friction_of_a_slider(tmp_path: Path):
     asset = asset_with(tmp_path, "prismatic", LoadFriction(0.2), axis="0 0.6 0.8")
     run = roll_out(asset, 0.0, 8.0, duration_s=1.5)
     up, down = G * (0.8 + 0.2 * 0.6), G * (0.8 - 0.2 * 0.6)
@@ -164,8 +164,8 @@ def test_load_friction_of_a_slider_is_its_weight_across_the_rail(tmp_path: Path)
 
 
 @pytest.mark.parametrize(("asked", "slides"), [(1.15, 0), (1.30, 1), (0.78, -1), (0.85, 0), (-0.5, -1), (0.0, -1)])
-def test_gear_friction_of_a_slider_is_of_what_its_drive_gives_and_bears(tmp_path: Path, asked: float, slides: int):
-    """A drive that gives `asked` of the weight along a rail: up it must give (1 + c) / (1 - c) of that, and lets it
+def test_gear_friction_of_a_slider(tmp_path: Path, asked: float, slides: int):
+    """A drive with force `asked` times the weight along a rail: upwards it needs (1 + c) / (1 - c) of it, and lets it
     down below (1 - c) / (1 + c)."""
     c, weight = 0.1, MASS * G * 0.6
     asset = asset_with(tmp_path, "prismatic", GearFriction(c), axis="0 0.8 0.6")
@@ -176,7 +176,7 @@ def test_gear_friction_of_a_slider_is_of_what_its_drive_gives_and_bears(tmp_path
 
 
 @pytest.mark.parametrize("qd0", [0.0, 4.0])
-def test_load_friction_of_a_pendulum_follows_the_force_in_its_bearing(tmp_path: Path, qd0: float):
+def test_load_friction_of_a_pendulum(tmp_path: Path, qd0: float):
     radius = 0.01
     run = roll_out(asset_with(tmp_path, "revolute", LoadFriction(radius)), 1.2, qd0, duration_s=4)
     I = INERTIA["revolute"]  # noqa: E741
@@ -201,7 +201,7 @@ def test_load_friction_of_a_pendulum_follows_the_force_in_its_bearing(tmp_path: 
 # forces of position
 
 
-def test_gravity_offset_turns_the_rest_angle_and_the_frequency(tmp_path: Path):
+def test_gravity_offset_changes_rest_angle_and_frequency(tmp_path: Path):
     weight = MASS * G * ARM
     added = GravityOffset(cosine=0.1 * weight, sine=-0.2 * weight)
     angle = np.arctan2(0.1, 1.2)  # 0.1 cos q = 1.2 sin q
@@ -213,8 +213,8 @@ def test_gravity_offset_turns_the_rest_angle_and_the_frequency(tmp_path: Path):
     assert swing.q - angle == pytest.approx(0.02 * np.cos(rate * swing.times_s), abs=1e-4)
 
 
-def test_gravity_offset_is_a_tilt_of_the_base(tmp_path: Path):
-    """Gravity leant by 0.1 in the plane of the swing, m 10 % up: the same motion as the plain asset with an offset."""
+def test_gravity_offset_equals_a_tilted_base(tmp_path: Path):
+    """Gravity tilted by 0.1 rad in the swing plane, m 10 % larger: the same motion as the asset with an offset."""
     tilt = 0.1
     leant = roll_out(
         asset_with(tmp_path, "revolute"), 0.5, duration_s=2, gravity=(G * np.sin(tilt), 0, -G * np.cos(tilt))
@@ -230,7 +230,7 @@ def test_gravity_offset_is_a_tilt_of_the_base(tmp_path: Path):
 
 
 @TYPES
-def test_detent_holds_as_a_spring_near_and_lets_go_above_its_peak(tmp_path: Path, kind: str):
+def test_detent_stiffness_and_peak(tmp_path: Path, kind: str):
     peak, centre, width = 0.8, 0.3, 0.05
     asset = asset_with(tmp_path, kind, Detent(peak, centre, width))
     small = roll_out(asset, centre + 0.002, duration_s=3, gravity=WEIGHTLESS)
@@ -260,7 +260,7 @@ def test_detent_holds_as_a_spring_near_and_lets_go_above_its_peak(tmp_path: Path
 
 
 @TYPES
-def test_latch_lets_go_at_its_hold_and_then_holds_nothing(tmp_path: Path, kind: str):
+def test_latch_releases_at_its_hold(tmp_path: Path, kind: str):
     hold, position, travel = 2.0, 0.1, 0.02
     effects = (Latch(hold, position, travel, 0.5), ViscousDamping(5.0))
     for pull, goes in ((0.9, False), (1.1, True)):
@@ -281,7 +281,7 @@ def test_latch_lets_go_at_its_hold_and_then_holds_nothing(tmp_path: Path, kind: 
 @TYPES
 @pytest.mark.parametrize("speed", [0.15, 0.8])
 def test_latch_catches_a_slow_part_and_lets_a_fast_one_pass(tmp_path: Path, kind: str, speed: float):
-    """Coming in it gives k reach^2 / 2, going out it takes k travel^2 / 2: caught when that stops it."""
+    """Entering gains k reach^2 / 2, leaving costs k travel^2 / 2: caught when that stops it."""
     hold, position, travel, capture = 4.0, 0.2, 0.03, 0.4
     run = roll_out(
         asset_with(tmp_path, kind, Latch(hold, position, travel, capture)), 0.1, speed, duration_s=2, gravity=WEIGHTLESS
@@ -301,7 +301,7 @@ def test_latch_catches_a_slow_part_and_lets_a_fast_one_pass(tmp_path: Path, kind
 
 
 @TYPES
-def test_armature_slows_but_has_no_weight(tmp_path: Path, kind: str):
+def test_armature_has_inertia_but_no_weight(tmp_path: Path, kind: str):
     I = INERTIA[kind]  # noqa: E741
     asset = asset_with(tmp_path, kind, Armature(0.7 * I), ViscousDamping(0.5))
     run = roll_out(asset, 0.0, duration_s=2, gravity=WEIGHTLESS, force=lambda t: 2.0)
@@ -320,7 +320,7 @@ def test_armature_slows_but_has_no_weight(tmp_path: Path, kind: str):
 @pytest.mark.parametrize("speed", [0.05, 0.5, 3.0])
 @pytest.mark.parametrize("press", [-20.0, -3.0, 5.0])
 @pytest.mark.parametrize("push", [0.0, -2.0])
-def test_what_a_rotor_does_at_a_limit_is_a_spring_and_a_dashpots(speed: float, press: float, push: float):
+def test_rotor_at_a_limit_is_a_spring_damper(speed: float, press: float, push: float):
     """Part and rotor in steps of 2 microseconds, for 60 ms after the part stopped dead."""
     part, drive, rate, ratio = 1.0, 0.3, 2 * np.pi * 50, 0.5
     light = part * drive / (part + drive)
@@ -377,7 +377,7 @@ def test_bounces_rise_to_e_squared_each(tmp_path: Path, e: float, timestep_s: fl
         assert np.ptp(run.energy_j) < 1e-3 * MASS * G
 
 
-def test_a_rotor_behind_a_shaft_throws_its_links_back(tmp_path: Path):
+def test_a_rotor_behind_a_shaft_rebounds(tmp_path: Path):
     """Links of mass m and a rotor of mass J on a shaft of damping ratio z, by a stiff solver: what comes back from a
     stop that gives nothing back itself is the rotor's share of all inertia, times what such a shaft gives back."""
     from scipy.integrate import solve_ivp
@@ -429,7 +429,7 @@ def servo(times, I, gain, delay, stiffness, damping, command):  # noqa: E741
 
 
 @TYPES
-def test_a_servo_with_delay_and_gain_follows_its_equation(tmp_path: Path, kind: str):
+def test_servo_with_delay_and_gain(tmp_path: Path, kind: str):
     def command(t):
         return 0.3 * np.sin(5 * t) * (t > 0)
 
@@ -447,7 +447,7 @@ def test_a_servo_with_delay_and_gain_follows_its_equation(tmp_path: Path, kind: 
 
 
 @TYPES
-def test_commanded_effort_passes_the_actuator_and_a_push_does_not(tmp_path: Path, kind: str):
+def test_gain_scales_efforts_but_not_pushes(tmp_path: Path, kind: str):
     I = INERTIA[kind]  # noqa: E741
     asset = asset_with(tmp_path, kind, ActuatorDelay(0.1), ActuatorGain(0.5))
     effort = Actuator(effort=hold_series([0.0, 0.2, 0.4], [0.0, 2.0, 0.0]))
@@ -537,7 +537,7 @@ def test_backlash_has_a_dead_band_and_carries_armature(tmp_path: Path):
 
 
 @TYPES
-def test_a_resting_part_is_pulled_by_gravity_as_its_mechanics_say(tmp_path: Path, kind: str):
+def test_gravity_on_a_resting_part(tmp_path: Path, kind: str):
     rng = np.random.default_rng(5)
     axis = rng.normal(size=3)
     axis /= np.linalg.norm(axis)
@@ -554,8 +554,8 @@ def test_a_resting_part_is_pulled_by_gravity_as_its_mechanics_say(tmp_path: Path
             assert simulated.state()[1] / 1e-3 == pytest.approx(pull / inertia, rel=1e-4, abs=1e-4)
 
 
-def test_load_friction_of_a_part_that_rests_on_its_limit(tmp_path: Path):
-    """A lid of 90 degrees lying on its stop: its hinge carries the weight, and more than that is needed to lift it."""
+def test_load_friction_at_a_limit(tmp_path: Path):
+    """A lid resting on its stop at 90 degrees: its hinge carries the weight, and lifting needs more."""
     asset = asset_with(tmp_path, "revolute", LoadFriction(0.05), limit=limits(np.pi / 2, 3))
     to_lift = MASS * G * (ARM + 0.05)
     for push, lifts in ((0.98, False), (1.02, True)):
@@ -563,8 +563,8 @@ def test_load_friction_of_a_part_that_rests_on_its_limit(tmp_path: Path):
         assert (run.q[-1] > np.pi / 2 + 1e-3) == lifts
 
 
-def test_the_drive_side_leaves_a_part_that_rests_on_its_limit(tmp_path: Path):
-    """A slider on its lower stop: touched from below, left for 0.3 s, then met again and lifted."""
+def test_drive_side_separates_at_a_limit(tmp_path: Path):
+    """A slider on its lower stop: touched from below, released for 0.3 s, then lifted."""
     J, width = 0.4, 0.2
     asset = asset_with(tmp_path, "prismatic", Backlash(width, J), axis="0 0 1", limit=limits(0, 9))
     efforts = Actuator(effort=hold_series([0.0, 0.6, 0.9], [2.0, -0.5, 20.0]))
@@ -585,7 +585,7 @@ def test_the_drive_side_leaves_a_part_that_rests_on_its_limit(tmp_path: Path):
 
 
 @TYPES
-def test_joint_motion_has_the_kinematic_effects(tmp_path: Path, kind: str):
+def test_joint_motion_includes_kinematic_effects(tmp_path: Path, kind: str):
     asset = asset_with(tmp_path, kind, axis="0 0.6 0.8", limit=limits(0.1, 2))
     C = se3.exp_se3([0.1, -0.2, 0.3, 0.4, 0.5, -0.6])
     asset = replace(asset, T_canonical_reference=C, state_zero=0.2)
@@ -642,7 +642,7 @@ def test_joint_motion_has_the_kinematic_effects(tmp_path: Path, kind: str):
         assert np.abs(got - plain).max() > 1e-3, effect.name
 
 
-def test_kinematic_effects_multiply_and_do_not_touch_the_dynamics(tmp_path: Path):
+def test_kinematic_effects_compose_without_changing_dynamics(tmp_path: Path):
     tilt, pitch = AxisTilt(0.1, 0.0), ScrewPitch(0.3)
     asset = asset_with(tmp_path, "revolute", tilt, pitch)
     simulated = load(asset)
@@ -655,7 +655,7 @@ def test_kinematic_effects_multiply_and_do_not_touch_the_dynamics(tmp_path: Path
     np.testing.assert_array_equal(runs[0].q, runs[1].q)
 
 
-def test_a_reading_is_late_and_scaled_and_the_truth_is_kept(tmp_path: Path):
+def test_readings_are_delayed_and_scaled_but_truth_is_not(tmp_path: Path):
     sensing = (EncoderOffset(0.05), EncoderScale(0.9), TimeOffset(0.02))
     asset = asset_with(tmp_path, "revolute", *sensing)
     run, plain = roll_out(asset, 0.5, duration_s=2), roll_out(replace(asset, effects={}), 0.5, duration_s=2)
@@ -667,7 +667,7 @@ def test_a_reading_is_late_and_scaled_and_the_truth_is_kept(tmp_path: Path):
 # together
 
 
-def test_many_effects_at_once_are_one_equation(tmp_path: Path):
+def test_many_effects_combine(tmp_path: Path):
     I = INERTIA["revolute"]  # noqa: E741
     effects = (
         ViscousDamping(0.05),
@@ -692,7 +692,7 @@ def test_many_effects_at_once_are_one_equation(tmp_path: Path):
     assert error(run, expected) < 1.5e-3
 
 
-def test_a_loaded_asset_forgets_between_runs(tmp_path: Path):
+def test_a_loaded_asset_keeps_no_state_between_runs(tmp_path: Path):
     effects = (Latch(2.0, 0.1, 0.02, 0.5), Backlash(0.1, 0.2), LoadFriction(0.01), EndStopBounce(0.5))
     asset = asset_with(tmp_path, "revolute", *effects, limit=limits(-0.5, 0.5))
     simulated, law = load(asset), Actuator(lambda t: 0.4 * np.sin(4 * t), 50.0, 1.0)
@@ -704,7 +704,7 @@ def test_a_loaded_asset_forgets_between_runs(tmp_path: Path):
     assert np.abs(free[0].q - runs[0].q).max() > 0.01
 
 
-def test_what_a_joint_cannot_have_costs_one_line(tmp_path: Path):
+def test_effects_unfit_for_a_joint_are_a_one_line_error(tmp_path: Path):
     for effects, said in (
         ((PivotOffset(0.1, 0.0),), "effect 'pivot_offset' on a prismatic joint, expected revolute"),
         ((Backlash(0.1, 0.1), Backlash(0.2, 0.1)), "2 effects 'backlash', expected at most one"),
@@ -724,7 +724,7 @@ def test_what_a_joint_cannot_have_costs_one_line(tmp_path: Path):
     [ViscousDamping(0.3), QuadraticDrag(0.2), CoulombFriction(0.5), ReturnSpring(6.0, -0.2), Armature(0.4)],
     ids=lambda e: e.name,
 )
-def test_mujoco_takes_its_words_as_sapien_takes_the_effect(tmp_path: Path, kind: str, effect):
+def test_mujoco_and_sapien_agree_on_an_effect(tmp_path: Path, kind: str, effect):
     mujoco = pytest.importorskip("mujoco")
     joint = "hinge" if kind == "revolute" else "slide"
     words = {word: np.atleast_1d(value) for word, value in effect.mjcf_joint().items()}

@@ -1,4 +1,4 @@
-"""Effects: bounds and units hold, formulas are what they say, files round-trip, contradictions are refused."""
+"""Effects: bounds, units, formulas, file round trips, refused contradictions."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_round_trip_through_json_text(effect, kind):
         assert 0 < spec.scale <= spec.upper - spec.lower
 
 
-def test_what_a_joint_type_cannot_have_is_refused():
+def test_effects_unfit_for_a_joint_type_are_refused():
     for data in (PivotOffset(0.1, 0.0).to_json("revolute"), Eccentricity(0.1, 0.0).to_json("revolute")):
         with pytest.raises(FreeArtError, match=r"here: effect '.*' on a prismatic joint, expected revolute"):
             effect_from_json(data, "prismatic", "here")
@@ -124,7 +124,7 @@ def test_what_a_joint_type_cannot_have_is_refused():
 
 
 @pytest.mark.parametrize("cls", EFFECTS.values(), ids=lambda c: c.name)
-def test_bounds_are_closed_and_a_hair_beyond_is_refused(cls):
+def test_bounds_are_closed(cls):
     specs = cls.parameters()
     for bound in ("lower", "upper"):
         good = {name: getattr(spec, bound) for name, spec in specs.items()}
@@ -154,7 +154,7 @@ def test_unknown_effect_lists_the_known_ones():
         assert "\n" not in str(caught.value)
 
 
-def test_forces_and_limits_are_what_their_formulas_say():
+def test_forces_and_limits_match_their_formulas():
     damping, friction, spring = EXAMPLES
     assert damping.force(0.7, -2.0, 0.0) == 0.6
     assert spring.force(0.4, 9.0, 0.0) == pytest.approx(-2.0)
@@ -208,7 +208,7 @@ def test_laws_compile_and_take_arrays(effect, kind):
 
 
 @pytest.mark.parametrize("effect, kind", ON_BOTH_TYPES)
-def test_no_force_is_steeper_than_it_says(effect, kind):
+def test_forces_obey_their_slope_bound(effect, kind):
     q = np.linspace(-1, 1, 200_001)
     force = effect.force(q, 0.0 * q, 0.0, 1.0) + 0.0 * q
     steepest = np.max(-np.diff(force) / np.diff(q))
@@ -217,20 +217,20 @@ def test_no_force_is_steeper_than_it_says(effect, kind):
 
 
 @pytest.mark.parametrize("effect, kind", [param for param in ON_BOTH_TYPES if param.values[0].acts == "force"])
-def test_a_force_changes_with_speed_if_it_says_so(effect, kind):
+def test_speed_dependence_is_declared(effect, kind):
     q = np.linspace(-1, 1, 101)
     slow, fast = (effect.force(q, qd, 0.0, 1.0) + 0.0 * q for qd in (0.3, 2.0))
     assert effect.speed_dependent == (not np.array_equal(slow, fast))
 
 
 def hinge(kind: JointType, mass: float = 2.0) -> JointMechanics:
-    """A part of 2 kg, its centre at (0.5, 0, 0.1), on an upright axis through (0.1, 0.2, 0)."""
+    """A part of 2 kg, its centre at (0.5, 0, 0.1), on a vertical axis through (0.1, 0.2, 0)."""
     joint = Joint("j", kind, np.array([0.0, 0, 1]), np.array([0.1, 0.2, 0.0]), -9, 9)
     return JointMechanics(joint, mass, 1.0, mass * np.array([0.5, 0, 0.1]), np.array([0.0, 0, -10.0]))
 
 
 def moved_point(effect, kind: JointType, q: float, point, t: float = 0.0) -> np.ndarray:
-    """Where the effect has a point of the moving part (given at q = 0), parent's frame."""
+    """Position of a point of the moving part (given at q = 0) under the effect, parent frame."""
     mechanics = hinge(kind)
     T = effect.displacement(q, t, mechanics) @ mechanics.joint.transform(q)
     return se3.transform(T, np.asarray(point, float))
@@ -283,7 +283,7 @@ def test_kinematic_effects_move_points_as_by_hand():
         np.testing.assert_allclose(shift, 0.01 * np.array([np.sin(2 * q), -np.cos(2 * q), 0]), atol=1e-12)
 
 
-def test_sag_of_a_lying_slider_grows_as_it_is_pulled_out():
+def test_sag_of_a_horizontal_slider_grows_with_extension():
     mechanics = replace(
         hinge("prismatic"),
         joint=Joint("j", "prismatic", np.array([1.0, 0, 0]), np.zeros(3), 0, 1),
@@ -309,7 +309,7 @@ def test_displacements_are_vectorised_poses(effect, kind):
     assert np.abs(T[2] - np.eye(4)).max() > 1e-4
 
 
-def test_readings_are_late_scaled_and_shifted():
+def test_readings_are_delayed_scaled_and_offset():
     t = np.arange(200) * 0.01
     q = 3.0 * t
     assert readings((), t, q) == pytest.approx(q)
@@ -345,7 +345,7 @@ def test_a_recorded_series_is_held():
     assert [mean(t) for t in (-1, 0.05, 0.1, 0.2, 0.325, 9)] == pytest.approx([5, 5, 5.5, 6, 6.75, 7])
 
 
-def test_words_of_urdf_and_mjcf():
+def test_urdf_and_mjcf_attributes():
     assert [e.urdf_dynamics() for e in EXAMPLES] == [{"damping": 0.3}, {"friction": 0.2}, {}]
     assert [e.mjcf_joint() for e in EXAMPLES] == [
         {"damping": 0.3},
@@ -389,7 +389,7 @@ def test_effects_json_holds_the_whole_library(tmp_path: Path, kind: JointType):
         assert "\n" not in str(e.value)
 
 
-def test_a_file_may_leave_out_what_has_a_usual_value():
+def test_parameters_with_defaults_may_be_omitted():
     said = {"effect": "end_stop_bounce", "parameters": {"restitution": {"value": 0.4, "unit": "1"}}}
     assert effect_from_json(said, "prismatic", "here") == EndStopBounce(0.4)
     lacking = {"effect": "gravity_offset", "parameters": {"cosine": {"value": 0.4, "unit": "N*m"}}}
@@ -434,7 +434,7 @@ def test_effects_json_of_unknown_joint_or_shape_is_refused(tmp_path: Path):
             read_asset(tmp_path)
 
 
-def test_without_effects_json_the_urdf_speaks(tmp_path: Path):
+def test_without_effects_json_the_urdf_is_read(tmp_path: Path):
     assert read_effects(write_urdf(tmp_path)) == {}
     assert read_effects(write_urdf(tmp_path, '<dynamics damping="0.3"/>')) == {"j": EXAMPLES[:1]}
     with pytest.raises(FreeArtError, match="damping 'much', expected a finite number"):
@@ -443,7 +443,7 @@ def test_without_effects_json_the_urdf_speaks(tmp_path: Path):
         read_effects(write_urdf(tmp_path, '<dynamics damping="-1"/>'))
 
 
-def test_alternatives_do_what_they_stand_for():
+def test_alternatives_are_equivalent():
     among = OperatingPoint("revolute", speed=6.0, span=2.0, load=5.0, inertia=0.5, gravity=(0.3, -2.0, 0.0))
 
     def others(effect: Effect) -> dict[str, Effect]:
@@ -492,7 +492,7 @@ def test_alternatives_do_what_they_stand_for():
     assert not EncoderOffset(0.2).alternatives(replace(among, joint_type="prismatic"))
 
 
-def test_two_of_one_kind_are_one_where_that_can_be():
+def test_equal_effects_merge():
     assert CoulombFriction(0.2).merge(CoulombFriction(0.3)) == CoulombFriction(0.5)
     assert Armature(0.25, 0.2, 0.01).merge(Armature(0.5, 0.1, 0.02)) == Armature(0.75, 0.2, 0.02)
     both, q = ReturnSpring(3.0, 0.4).merge(ReturnSpring(1.0, -0.4)), np.linspace(-1, 1, 5)
@@ -503,6 +503,6 @@ def test_two_of_one_kind_are_one_where_that_can_be():
         Backlash(0.02, 0.1).merge(Backlash(0.02, 0.1))
 
 
-def test_every_effect_says_what_a_mechanic_would_call_it():
+def test_every_effect_has_a_mechanics_term():
     words = [cls.label for cls in EFFECTS.values()]
     assert all(words) and len({*words}) == len(words)

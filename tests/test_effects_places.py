@@ -1,4 +1,4 @@
-"""An effect is one file: no other code of the product knows a single effect by its name or its class."""
+"""An effect is one file: no other product code refers to one by name or class."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ WORDS = {
     "simgap/prove/writeback.py": {"armature"},
     "generator/objects": {"latch"},
 }
-"""Words of file formats and engines, and names of parts of objects, that effects have as well."""
+"""Terms of file formats, engines and object parts that are also effect names."""
 
 
 def mentions(source: str, allowed: frozenset[str] = frozenset()) -> list[tuple[int, str]]:
-    """(line, name) of every effect that a module names: in a text that is no docstring, by its class, by its module."""
+    """(line, name) of every effect that a module refers to: in a string (not a docstring), by class, by module."""
     found, tree = [], ast.parse(source)
     prose = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
     for node in ast.walk(tree):
@@ -45,13 +45,13 @@ def mentions(source: str, allowed: frozenset[str] = frozenset()) -> list[tuple[i
 
 
 def named_in(path: Path) -> list[str]:
-    """file:line: name of every mention in a file of the product."""
+    """file:line: name of every mention in a product file."""
     name = path.relative_to(ROOT).as_posix()
     allowed = frozenset(word for place, words in WORDS.items() if name.startswith(place) for word in words)
     return [f"{name}:{line}: {what}" for line, what in mentions(path.read_text(), allowed)]
 
 
-def test_no_single_effect_is_known_outside_its_file():
+def test_effects_are_not_named_outside_their_file():
     paths = [p for package in PACKAGES for p in (ROOT / package).rglob("*.py")]
     own = ROOT / "freeart21" / "effects"
     found = {p.relative_to(ROOT).as_posix(): named_in(p) for p in sorted(paths) if own not in p.parents}

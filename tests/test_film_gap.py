@@ -1,4 +1,4 @@
-"""The gap between two films: what cameras do to clean films is named, alone and in pairs, and nothing else is."""
+"""The gap between two films: camera faults are named alone and in pairs, and nothing else is."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from simgap.film.workflow import film_gap_folder, find_film_gap, is_sequence, re
 
 @pytest.fixture(scope="module", autouse=True)
 def fewer_rows():
-    """A third of the rows: the pictures are small, and the tests many."""
+    """Use a third of the pixels to keep the tests short."""
     with pytest.MonkeyPatch.context() as patch:
         for name, most in (("MOST_INNER", 500), ("MOST_EDGE", 150), ("MOST_BAND", 200)):
             patch.setattr(samples, name, most)
@@ -56,7 +56,7 @@ def size(verdict, parameter):
     return next(getattr(n.effect, parameter) for n in verdict.effects if parameter in n.effect.parameters())
 
 
-def test_nothing_is_named_in_a_clean_film(film):
+def test_a_clean_film_has_no_gap(film):
     verdict = named(film, lambda f: f)
     assert verdict.verdict == "no_gap" and not verdict.effects and not verdict.left and verdict.camera.is_ideal
     assert verdict.next_experiment is None
@@ -79,7 +79,7 @@ def test_nothing_is_named_in_a_clean_film(film):
     ],
     ids=["scale", "offset", "curve", "noise", "dark", "grazing", "flying", "slip", "focal", "centre", "delay"],
 )
-def test_one_fault_is_named_alone_and_measured(film, change, name, parameter, value, tolerance):
+def test_one_camera_fault_is_named_and_measured(film, change, name, parameter, value, tolerance):
     verdict = named(film, change)
     assert names(verdict) - {"noise_growth", "noise_grazing"} == {name}, verdict.sentence
     assert size(verdict, parameter) == pytest.approx(value, abs=tolerance)
@@ -87,12 +87,12 @@ def test_one_fault_is_named_alone_and_measured(film, change, name, parameter, va
     assert getattr(verdict.camera, parameter) == size(verdict, parameter)
 
 
-def test_drifts_of_exposure_and_tone_are_told_from_each_other(film):
+def test_exposure_drift_and_tone_drift_are_distinguished(film):
     assert names(named(film, lambda f: sensors.brightens(f, 1.0))) == {"exposure_drift"}
     assert names(named(film, lambda f: sensors.steepens(f, 0.25))) <= {"gamma_drift"}
 
 
-def test_pairs_are_both_named(film):
+def test_both_faults_of_a_pair_are_named(film):
     verdict = named(film, lambda f: sensors.rustles(sensors.reads_long(f, 0.02), 0.004, 0.0))
     assert names(verdict) == {"depth_scale", "axial_noise"}
     verdict = named(film, lambda f: sensors.blind_to_dark(sensors.lags(f, 1), 0.3))
@@ -108,13 +108,13 @@ def test_pairs_are_both_named(film):
     ],
     ids=["vignette", "bounce", "breathing"],
 )
-def test_what_no_library_has_gets_no_name(film, change):
+def test_an_unknown_camera_fault_is_not_named(film, change):
     verdict = named(film, change)
     assert not verdict.effects and verdict.verdict == "unexplained" and verdict.left
     assert verdict.next_experiment and "board" in verdict.next_experiment
 
 
-def test_a_part_that_the_asset_lacks_is_found_on_its_part(scene, film, tmp_path):
+def test_missing_geometry_is_found_on_its_part(scene, film, tmp_path):
     _, sequence = scene
     poorer = film_with_truth(tmp_path, knob=False, only_asset=True)[0]
     lacking = replace(film, scene=read_scene(poorer, sequence))
@@ -125,7 +125,7 @@ def test_a_part_that_the_asset_lacks_is_found_on_its_part(scene, film, tmp_path)
     assert verdict.verdict == "named" and "lacks" in verdict.sentence
 
 
-def test_the_answer_is_written_whole_and_read_by_the_recorder(scene, tmp_path):
+def test_the_answer_is_atomic_and_read_by_the_recorder(scene, tmp_path):
     asset, sequence = scene
     far = tmp_path / "data" / "sequences" / "far"
     write_sequence(far, sensors.reads_long(read_sequence(sequence), 0.02), 1e-4)
@@ -155,7 +155,7 @@ def test_the_answer_is_written_whole_and_read_by_the_recorder(scene, tmp_path):
     assert again.to_json("revolute") == verdict.to_json("revolute")
 
 
-def test_bad_input_is_one_clear_line(scene, tmp_path):
+def test_bad_film_input_is_a_one_line_error(scene, tmp_path):
     asset, sequence = scene
     with pytest.raises(FreeArtError, match="--poses goes with a video"):
         cli.gap(asset, tmp_path, tmp_path / "out", poses=sequence)
@@ -171,7 +171,7 @@ def test_bad_input_is_one_clear_line(scene, tmp_path):
         find_film_gap(short)
 
 
-def test_camera_faults_are_files_that_say_only_what_departs(tmp_path):
+def test_camera_fault_files_hold_only_the_differences(tmp_path):
     faults = CameraFaults(depth_scale=0.01, exposure=(0.0, 0.5, -0.5), noise=1e-3, noise_at=0.5)
     write_camera_faults(tmp_path / "camera.json", faults)
     assert read_camera_faults(tmp_path / "camera.json") == faults
@@ -189,7 +189,7 @@ def test_camera_faults_are_files_that_say_only_what_departs(tmp_path):
             read_camera_faults(tmp_path / "bad.json")
 
 
-def test_a_camera_with_faults_does_what_its_numbers_say(film):
+def test_camera_faults_act_by_their_parameters(film):
     camera = film.recording.camera
     depth = film.recording.frame(0).depth
     on = depth > 0
@@ -210,7 +210,7 @@ def test_a_camera_with_faults_does_what_its_numbers_say(film):
     assert CameraFaults(focal=0.1, centre_u=2).actual_camera(camera).K[0, 0] == pytest.approx(1.1 * camera.K[0, 0])
 
 
-def test_poses_go_between_frames_and_beyond():
+def test_poses_are_interpolated_and_extrapolated():
     from simgap.film.drawing import interpolate_pose
 
     Ts = np.stack([se3.pose(np.eye(3), [0.0, 0, k]) for k in (1.0, 2.0, 4.0)])
@@ -220,8 +220,8 @@ def test_poses_go_between_frames_and_beyond():
     assert interpolate_pose(Ts, 2.5)[2, 3] == pytest.approx(5.0)
 
 
-def test_a_delay_is_told_where_poses_were_estimated(film):
-    """As a reconstruction has them: every part stands a little off in every frame, and nobody knows by how much."""
+def test_a_delay_is_found_from_estimated_poses(film):
+    """Estimated poses: every part has an unknown small error in every frame."""
     rng, placed = np.random.default_rng(3), film.scene.placed
     off = [[se3.pose(se3.exp_so3(rng.normal(size=3) * 4e-3), rng.normal(size=3) * 6e-4) for _ in T] for T in placed.Ts]
     Ts = tuple(np.array(o) @ T for o, T in zip(off, placed.Ts, strict=True))

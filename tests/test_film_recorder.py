@@ -1,4 +1,4 @@
-"""What `gap` finds of a camera is what the recorder films with: faults are recorded, and found again."""
+"""Camera faults recorded by the recorder are recovered by `gap`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def answer(data, name):
     return find_film_gap(read_film(data / "truth" / name / "object", data / "sequences" / name))[0]
 
 
-def test_faults_that_were_recorded_are_found_again(tmp_path):
+def test_recorded_faults_are_recovered(tmp_path):
     faults = CameraFaults(
         depth_scale=0.03, noise=5e-4, noise_at=0.3, dark_share=0.9, dark_level=0.35, exposure=(0.0, 1.0)
     )
@@ -39,14 +39,14 @@ def test_faults_that_were_recorded_are_found_again(tmp_path):
     assert verdict.camera.noise == pytest.approx(5e-4, rel=0.25)
 
 
-def test_geometry_and_time_that_were_recorded_are_found_again(tmp_path):
+def test_recorded_geometry_and_timing_faults_are_recovered(tmp_path):
     verdict = answer(*filmed(tmp_path / "late", CameraFaults(depth_delay=0.02, focal=0.03)))
     assert {named.effect.name for named in verdict.effects} == {"depth_delay", "focal_length"}, verdict.sentence
     assert verdict.camera.depth_delay == pytest.approx(0.02, abs=2e-3)
     assert verdict.camera.focal == pytest.approx(0.03, abs=3e-3)
 
 
-def test_a_broken_file_is_refused_before_anything_is_filmed(tmp_path):
+def test_a_broken_fault_file_is_refused_before_recording(tmp_path):
     (tmp_path / "bad.json").write_text('{"schema": "freeart21/camera-faults/1", "depth_scale": "long"}')
     with pytest.raises(FreeArtError, match="depth_scale is 'long'"):
         replace(SETTINGS, camera=tmp_path / "bad.json").check()

@@ -1,4 +1,4 @@
-"""What is named, what is left open, and what is refused: on motions from equations that the product does not have."""
+"""Verdicts on motions integrated by equations independent of the product: named, inconclusive, refused."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ def verdict(folder: Path, measured: Measured, lower: float = -3.0, upper: float 
 
 @pytest.fixture(scope="module")
 def damped(tmp_path_factory: pytest.TempPathFactory) -> Verdict:
-    """On runs with a loss that goes almost with speed."""
+    """Verdict on runs with a nearly viscous loss."""
     return verdict(tmp_path_factory.mktemp("damped"), measured_of(11, viscous=0.12, power=0.98))
 
 
 def search_on(folder: Path, measured: Measured, upper: float = 3.0) -> Search:
-    """Over no effects, on the first three runs."""
+    """A search without effects on the first three runs."""
     plant = make_plant(read_asset(asset_of(folder, upper=upper), "j"), measured)
     runs, floor = make_fit_runs(measured, plant)
     return Search(make_problem(plant, measured, runs, floor), runs[:3], ())
@@ -53,7 +53,7 @@ def names(found: Verdict) -> set[str]:
 
 
 @pytest.mark.parametrize("seed, servo", [(0, False), (1, True)])
-def test_nothing_is_found_where_nothing_is_missing(tmp_path: Path, seed: int, servo: bool):
+def test_a_complete_asset_has_no_gap(tmp_path: Path, seed: int, servo: bool):
     found = verdict(tmp_path, measured_of(seed, servo=servo))
     assert found.verdict == "no_gap" and not found.effects and not found.rivals
     assert found.corrections and max(gap.before / gap.floor for gap in found.gaps) > 2  # its inertia and base are off
@@ -74,7 +74,7 @@ def test_a_clear_effect_is_named(tmp_path: Path, hidden: dict[str, float], expec
     agrees(verdict(tmp_path, measured_of(11, **hidden)), expected)
 
 
-def test_a_loss_is_named_and_written_as_it_stands(damped: Verdict, tmp_path: Path):
+def test_a_named_loss_is_written_to_the_asset(damped: Verdict, tmp_path: Path):
     agrees(damped, "viscous_damping")
     damped.write(tmp_path / "verdict.json", "revolute")
     said = json.loads((tmp_path / "verdict.json").read_text())
@@ -92,28 +92,28 @@ def agrees(found: Verdict, expected: str) -> None:
     assert all(low[k] <= getattr(found.effects[0].effect, k) <= high[k] for k in low)
 
 
-def test_bouncing_off_a_stop_is_named(tmp_path: Path):
+def test_restitution_is_named(tmp_path: Path):
     measured = measured_of(12, lower=-0.5, upper=1.6, bounce=0.6)
     found = verdict(tmp_path, measured, -0.5, 1.6)
     assert (found.verdict, names(found)) == ("named", {"end_stop_bounce"})
     assert found.effects[0].effect.restitution == pytest.approx(0.6, abs=0.03)
 
 
-def test_a_pair_is_named_that_no_single_effect_is_part_of(tmp_path: Path):
-    """Dry friction with drag looks like oil on the whole: one step at a time would name that."""
+def test_a_pair_is_named_that_single_steps_miss(tmp_path: Path):
+    """Coulomb friction with quadratic drag resembles viscous damping, which a stepwise search would name."""
     found = verdict(tmp_path, measured_of(13, dry=0.1, drag=0.05, seconds=4.0))
     assert (found.verdict, names(found)) == ("named", {"coulomb_friction", "quadratic_drag"})
 
 
 @pytest.mark.parametrize("seed", [23, 24])
-def test_friction_with_oil_is_no_friction_under_load(tmp_path: Path, seed: int):
-    """Load goes with speed squared on a swing, and leaves hardly more than noise; the pair is far more probable."""
+def test_friction_with_damping_is_not_load_friction(tmp_path: Path, seed: int):
+    """On a swing, load friction varies with speed squared and hardly more than noise remains; the pair is more probable."""
     found = verdict(tmp_path, measured_of(seed, dry=0.5, viscous=0.1))
     assert (found.verdict, names(found)) == ("named", {"coulomb_friction", "viscous_damping"})
 
 
-def test_friction_that_is_there_at_once_is_fitted_so(tmp_path: Path):
-    """A joint that sticks under a command that changes bends by nothing: the least way of building up leaves most of
+def test_friction_without_presliding_is_fitted(tmp_path: Path):
+    """A sticking joint under a varying command does not deflect: even the smallest presliding travel leaves most of
     what is left, which other effects would take."""
     measured = measured_of(8, dry=4.0, servo=True, exact=True, lean=0.0, runs=3)
     plant = make_plant(read_asset(asset_of(tmp_path), "j"), measured)
@@ -129,16 +129,16 @@ def test_friction_that_is_there_at_once_is_fitted_so(tmp_path: Path):
 
 
 @pytest.mark.parametrize("servo", [False, True])
-def test_a_notch_of_another_form_is_one_notch(tmp_path: Path, servo: bool):
-    """Two lobes that end, which no Gaussian does: what that leaves is no catch beside it."""
+def test_a_notch_of_another_shape_is_one_notch(tmp_path: Path, servo: bool):
+    """Two lobes of bounded support, unlike a Gaussian: the remainder is not a second detent."""
     found = verdict(tmp_path, measured_of(6, groove=0.6, centre=-0.2, width=0.1, servo=servo))
     assert (found.verdict, names(found), found.in_part) == ("named", {"detent"}, False)
     (notch,) = found.effects
     assert notch.effect.peak == pytest.approx(0.6, rel=0.15) and notch.effect.tail < 0.4
 
 
-def test_runs_that_hang_on_a_hair_do_not_decide(tmp_path: Path):
-    """One run to fit and one held out go another way from the middle on, as if someone had bumped the table."""
+def test_chaotic_runs_do_not_decide(tmp_path: Path):
+    """One fitted and one held-out run diverge from the middle on, as if someone had bumped the table."""
     measured = measured_of(25, runs=9, viscous=0.12)
     bumped = []
     for i, run in enumerate(measured.runs):
@@ -150,26 +150,26 @@ def test_runs_that_hang_on_a_hair_do_not_decide(tmp_path: Path):
     assert found.effects[0].effect.coefficient == pytest.approx(0.12, rel=0.1)
 
 
-def test_a_zero_that_is_off_may_be_a_leaning_base(tmp_path: Path):
+def test_zero_offset_and_tilted_base_are_rivals(tmp_path: Path):
     found = verdict(tmp_path, measured_of(14, offset=0.15))
     assert found.verdict == "ambiguous"
     assert {("encoder_offset",), ("gravity_offset",)} <= set(found.rivals)
     assert found.next_experiment and "the explanations then differ by" in found.next_experiment
 
 
-def test_a_heavier_drive_may_be_a_weaker_pull(tmp_path: Path):
-    """Half as much inertia again swings as under two thirds of the weight, where no other force is known."""
+def test_armature_and_weaker_gravity_are_rivals(tmp_path: Path):
+    """Without a known force, 1.5 times the inertia swings as 2/3 of the weight does."""
     found = verdict(tmp_path, measured_of(27, inertia=1.5 * INERTIA))
     assert found.verdict == "ambiguous" and {("armature",), ("gravity_offset",)} <= set(found.rivals)
 
 
-def test_a_late_drive_may_be_a_late_clock(tmp_path: Path):
+def test_drive_delay_and_clock_delay_are_rivals(tmp_path: Path):
     found = verdict(tmp_path, measured_of(15, servo=True, delay=0.03))
     assert found.verdict == "ambiguous" and {("actuator_delay",), ("time_offset",)} <= set(found.rivals)
 
 
 @pytest.mark.parametrize("beside", [{}, {"gain": 1.3, "dry": 0.5}])
-def test_the_gears_of_a_servo_have_their_name(tmp_path: Path, hold_difference: dict[str, float]):
+def test_backlash_of_a_servo_is_named(tmp_path: Path, hold_difference: dict[str, float]):
     found = verdict(tmp_path, measured_of(31, servo=True, gears=0.15, **hold_difference))
     also = {"actuator_gain", "coulomb_friction"} if hold_difference else set()
     assert found.verdict == "named" and names(found) == {"gear_friction", *also}, found
@@ -179,19 +179,19 @@ def test_the_gears_of_a_servo_have_their_name(tmp_path: Path, hold_difference: d
 
 
 @pytest.mark.parametrize("strange", [{"cog": 0.4, "count": 7.0}])
-def test_what_is_in_no_library_has_no_name(tmp_path: Path, strange: dict[str, float]):
+def test_a_force_outside_the_library_is_not_named(tmp_path: Path, strange: dict[str, float]):
     found = verdict(tmp_path, measured_of(16, **strange))
     assert found.verdict == "unexplained" and not found.effects
 
 
-def test_a_spring_that_hardens_is_nothing_but_a_spring(tmp_path: Path):
-    """It leaves far more than noise by its formula, which a second effect would take."""
+def test_a_hardening_spring_is_named_a_spring_alone(tmp_path: Path):
+    """A linear spring leaves far more than noise, which a second effect could absorb."""
     found = verdict(tmp_path, measured_of(11, spring=8.0, rest=0.3, hardens=0.05))
     assert names(found) <= {"return_spring"}, found
 
 
-def test_effects_depart_from_their_formulas_by_what_they_say(tmp_path: Path):
-    """A departing fit of a spring finds the bend of one that hardens; friction departs by no more than a tenth."""
+def test_model_error_of_effects_is_within_their_bound(tmp_path: Path):
+    """A fit with model error recovers a hardening spring; the model error of friction is at most a tenth."""
     search = search_on(tmp_path, measured_of(11, spring=8.0, rest=0.0, hardens=0.05, exact=True))
     model = Model(search.problem, ("return_spring",))
     plain = fit_model(model, search.train, at(model, stiffness=8.0))
@@ -207,8 +207,8 @@ def test_effects_depart_from_their_formulas_by_what_they_say(tmp_path: Path):
     assert ways["coulomb_friction form", "over speed"] == EFFECTS["coulomb_friction"].model_error[0]
 
 
-def test_a_force_that_first_guesses_miss_is_fitted_all_the_same(tmp_path: Path):
-    """A door that friction holds for most of the time tells nothing, to first order, of what would have moved it."""
+def test_a_force_invisible_to_first_order_is_fitted(tmp_path: Path):
+    """A door held by friction for most of the time has no first-order sensitivity to small forces."""
     search = replace(search_on(tmp_path, measured_of(11, lean=0.3)), names=("detent", "gravity_offset"))
     cut, at, found = search._guesses()
     search._first = cut, at, [guess for guess in found if guess.name == "detent"]
@@ -216,7 +216,7 @@ def test_a_force_that_first_guesses_miss_is_fitted_all_the_same(tmp_path: Path):
     assert best.model.names == ("gravity_offset",) and best.rms < 1.2
 
 
-def test_an_effect_that_is_left_out_of_the_library_is_not_named(tmp_path: Path):
+def test_an_effect_removed_from_the_library_is_not_named(tmp_path: Path):
     asset, measured = read_asset(asset_of(tmp_path), "j"), measured_of(11, spring=2.0, rest=0.3)
     found = find_gap(asset, measured, GapSettings(without=("return_spring",)))
     assert found.verdict != "no_gap"
@@ -227,8 +227,8 @@ def _run_by_run(**floors: float) -> dict[str, np.ndarray]:
     return {run: np.full(50, level) for run, level in floors.items()}
 
 
-def test_a_drive_is_tried_with_other_parts_of_the_same_inertia(tmp_path: Path):
-    """Else a fit stays where the part is too heavy, its drive too light, and nothing that comes back is right."""
+def test_armature_is_tried_with_the_total_inertia_unchanged(tmp_path: Path):
+    """Otherwise a fit stays at a part too heavy and an armature too small."""
     search = search_on(tmp_path, measured_of(12, servo=True), 0.3)
     model = Model(search.problem, ("armature",))
     own, at = search.problem.plant.mechanics.inertia, {r.name: i for i, r in enumerate(model.ranges())}
@@ -243,12 +243,12 @@ def test_a_drive_is_tried_with_other_parts_of_the_same_inertia(tmp_path: Path):
 
 
 def at(model: Model, **real: float) -> np.ndarray:
-    """The neutral point, but for these parameters."""
+    """Neutral values except for these parameters."""
     return np.array([real.get(r.name, x) for r, x in zip(model.ranges(), model.neutral(), strict=True)])
 
 
 def told_by(truth: Fit, runs: tuple[FitRun, ...]) -> tuple[FitRun, ...]:
-    """The runs with readings that a fit's own motion makes."""
+    """The runs with readings simulated from a fit."""
     rng = np.random.default_rng(0)
     return tuple(
         replace(run, q=run.q - run.sigma * (truth.residuals[run.name] - rng.normal(size=len(run.q)))) for run in runs
@@ -256,8 +256,8 @@ def told_by(truth: Fit, runs: tuple[FitRun, ...]) -> tuple[FitRun, ...]:
 
 
 @pytest.mark.parametrize("seed", [15, 18])
-def test_a_catch_that_was_looked_for_beside_its_place_is_found(tmp_path: Path, seed: int):
-    """Where it holds shows in when it lets go alone: no slope leads there."""
+def test_a_catch_is_found_from_a_wrong_position(tmp_path: Path, seed: int):
+    """Only the release times show where it holds: no gradient leads there."""
     search = search_on(tmp_path, measured_of(seed, seconds=4.0))
     model, real = Model(search.problem, ("latch",)), {"hold": 0.6, "position": 0.2, "travel": 0.12, "capture": 0.5}
     truth = fit_model(model, search.train, at(model, **real), iterations=0)
@@ -269,8 +269,8 @@ def test_a_catch_that_was_looked_for_beside_its_place_is_found(tmp_path: Path, s
     assert found.values["latch", "position"] == pytest.approx(0.2, abs=0.01)
 
 
-def test_of_rivals_in_part_what_all_have_is_named_where_it_may_dominate():
-    """Dry frictions are one: rivals that differ by their law alone stay rivals."""
+def test_what_all_partial_rivals_share_is_named_if_it_may_dominate():
+    """All dry frictions count as one; rivals that differ only in their law stay rivals."""
 
     def case(*names: str) -> SimpleNamespace:
         return SimpleNamespace(names=names, score=Score(names, np.zeros(8)))
@@ -287,12 +287,12 @@ def test_of_rivals_in_part_what_all_have_is_named_where_it_may_dominate():
     assert choose._common_part([], [pair]) == []
 
 
-def test_a_joint_that_hardly_moves_says_nothing(tmp_path: Path):
+def test_a_joint_that_hardly_moves_is_refused(tmp_path: Path):
     found = verdict(tmp_path, measured_of(17, largest=4e-3, dry=0.0, viscous=0.3, seconds=4.0))
     assert found.verdict == "not_excited" and found.next_experiment
 
 
-def test_without_marks_every_run_is_held_out_in_turn(tmp_path: Path):
+def test_without_marks_runs_are_cross_validated(tmp_path: Path):
     measured = measured_of(18, marked=False, viscous=0.1, runs=3, seconds=3.0)
     found = verdict(tmp_path, measured)
     assert (found.verdict, names(found)) == ("named", {"viscous_damping"})
@@ -302,12 +302,12 @@ def test_without_marks_every_run_is_held_out_in_turn(tmp_path: Path):
     assert all(not {r.name for r in fold.train} & {r.name for r in fold.test} for fold in folds)
 
 
-def test_a_single_run_is_cut(tmp_path: Path):
+def test_a_single_run_is_split(tmp_path: Path):
     found = verdict(tmp_path, measured_of(19, marked=False, runs=1, seconds=9.0, viscous=0.1, largest=1.5))
     assert (found.verdict, names(found)) == ("named", {"viscous_damping"})
 
 
-def test_runs_that_choose_do_not_confirm():
+def test_selection_and_confirmation_runs_are_disjoint():
     runs = tuple(SimpleNamespace(name=f"r{i}", held_out=i > 3, regime="free", speed=np.full(9, i)) for i in range(8))
     split = split_runs(runs)
     uses = {run.name: split.use(run.name) for run in runs}
@@ -319,8 +319,8 @@ def test_runs_that_choose_do_not_confirm():
     assert not split_runs(unmarked[:4]).confirming
 
 
-def test_a_correction_that_runs_need_is_delivered_however_unsure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Where no score tells the asset as it is from the one that leaves noise, the smaller correction would say that a
+def test_a_needed_correction_is_delivered_even_if_uncertain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Where no score separates the unchanged asset from one that leaves noise, the smaller correction would say that a
     gap of many floors is none."""
 
     def evaluate_without_decision(fit: Fit, folds: tuple[Fold, ...]) -> Hypothesis:
@@ -333,7 +333,7 @@ def test_a_correction_that_runs_need_is_delivered_however_unsure(tmp_path: Path,
     assert max(gap.before / gap.floor for gap in found.gaps) > 2 > max(gap.after / gap.floor for gap in found.gaps)
 
 
-def test_the_wrong_joint_costs_one_line(tmp_path: Path):
+def test_the_wrong_joint_is_a_one_line_error(tmp_path: Path):
     asset = read_asset(asset_of(tmp_path), "j")
     for wrong, said in (({"joint": "k"}, "it has no movable joint 'k'"), ({"joint_type": "prismatic"}, "is revolute")):
         with pytest.raises(FreeArtError, match=said) as caught:

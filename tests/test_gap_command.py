@@ -1,4 +1,4 @@
-"""`freeart21 gap` as a user meets it: whatever is odd costs one line and exit code 1, and leaves nothing behind."""
+"""`freeart21 gap` on bad input: one line, exit code 1, no output left behind."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def swing(amplitude: float = 0.5) -> np.ndarray:
 
 
 def poses(folder: Path, q, axis=(0, 1, 0)) -> None:
-    """The pendulum's bob, which turns by `q` (n,) about `axis` through the joint's origin, with noise."""
+    """Noisy poses of the pendulum's bob turned by `q` (n,) about `axis` through the joint's origin."""
     folder.mkdir(parents=True)
     pivot = se3.pose(np.eye(3), [0, 0, 1])
     turned = pivot @ se3.exp_se3(np.outer(q, [0, 0, 0, *axis])) @ se3.inverse(pivot)
@@ -37,7 +37,7 @@ def poses(folder: Path, q, axis=(0, 1, 0)) -> None:
 
 
 def gap(folder: Path, monkeypatch, capsys) -> tuple[int | str | None, str]:
-    """Exit code (0 for none) and the last line said."""
+    """Exit code (0 for none) and the last line of output."""
     monkeypatch.setattr(
         sys, "argv", ["freeart21", "gap", *(str(folder / n) for n in ("a", "m")), "--out", str(folder / "out")]
     )
@@ -73,7 +73,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("changes", "csv", "said"), BAD, ids=range(len(BAD)))
-def test_what_is_odd_costs_one_line_and_leaves_nothing(tmp_path: Path, monkeypatch, capsys, changes, csv, said):
+def test_bad_input_is_a_one_line_error_without_output(tmp_path: Path, monkeypatch, capsys, changes, csv, said):
     asset_of(tmp_path / "a")
     write(tmp_path / "m", changes, csv=csv)
     poses(tmp_path / "m/p", swing())
@@ -82,7 +82,7 @@ def test_what_is_odd_costs_one_line_and_leaves_nothing(tmp_path: Path, monkeypat
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a", "m"]
 
 
-def test_one_short_sweep_of_poses_is_answered(tmp_path: Path, monkeypatch, capsys):
+def test_one_short_sweep_of_poses_is_accepted(tmp_path: Path, monkeypatch, capsys):
     asset_of(tmp_path / "a")
     write(tmp_path / "m", POSES)
     poses(tmp_path / "m/p", np.linspace(0, 1, 20))
@@ -91,7 +91,7 @@ def test_one_short_sweep_of_poses_is_answered(tmp_path: Path, monkeypatch, capsy
     assert (tmp_path / "out/verdict.json").is_file() and (tmp_path / "out/index.html").is_file()
 
 
-def test_a_part_that_turns_about_another_axis_is_not_said_to_stand_still(tmp_path: Path, monkeypatch, capsys):
+def test_a_part_turning_about_another_axis_is_not_called_still(tmp_path: Path, monkeypatch, capsys):
     asset_of(tmp_path / "a")
     write(tmp_path / "m", POSES)
     poses(tmp_path / "m/p", swing(), axis=(1, 0, 0))
@@ -103,7 +103,7 @@ def test_a_part_that_turns_about_another_axis_is_not_said_to_stand_still(tmp_pat
     assert "the joint that was moved" in verdict["next_experiment"]
 
 
-def test_an_asset_that_weighs_nothing_is_refused_in_one_line(tmp_path: Path, monkeypatch, capsys):
+def test_a_massless_asset_is_a_one_line_error(tmp_path: Path, monkeypatch, capsys):
     asset_of(tmp_path / "a")
     (urdf,) = (tmp_path / "a").glob("*.urdf")
     text = urdf.read_text()

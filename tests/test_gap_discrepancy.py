@@ -1,4 +1,4 @@
-"""Forces without a name: each is seen where it acts, and by its own kind."""
+"""Nonparametric discrepancies: each is found where it acts, as its own kind."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from simgap.select.split import split_runs
 
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory: pytest.TempPathFactory) -> tuple[Fit, tuple[FitRun, ...]]:
-    """The asset as it is, and runs that it explains, none of them marked."""
+    """The unchanged asset and runs that it explains, none marked held out."""
     measured = measured_of(5, marked=False, exact=True)
     plant = make_plant(read_asset(asset_of(tmp_path_factory.mktemp("asset")), "j"), measured)
     runs, floor = make_fit_runs(measured, plant)
@@ -39,7 +39,7 @@ def read(run: FitRun, q: np.ndarray, seed: int) -> FitRun:
     return replace(run, q=q + run.sigma * np.random.default_rng(seed).normal(size=len(q)))
 
 
-def test_a_force_of_the_time_since_a_run_began(alone: tuple[Fit, tuple[FitRun, ...]]):
+def test_a_force_over_time_is_found(alone: tuple[Fit, tuple[FitRun, ...]]):
     fit, runs = alone
     made = []
     for i, run in enumerate(runs):
@@ -51,7 +51,7 @@ def test_a_force_of_the_time_since_a_run_began(alone: tuple[Fit, tuple[FitRun, .
     assert all(rivals["time"].gain > rival.gain for kind, rival in rivals.items() if kind != "time")
 
 
-def test_parts_that_flex_between_sensor_and_load(alone: tuple[Fit, tuple[FitRun, ...]]):
+def test_compliance_between_sensor_and_load_is_found(alone: tuple[Fit, tuple[FitRun, ...]]):
     fit, runs = alone
     made = []
     for i, run in enumerate(runs):
@@ -63,14 +63,14 @@ def test_parts_that_flex_between_sensor_and_load(alone: tuple[Fit, tuple[FitRun,
     assert all(rivals["flexing"].gain >= rival.gain for rival in rivals.values())
 
 
-def test_noise_alone_needs_none(alone: tuple[Fit, tuple[FitRun, ...]]):
+def test_noise_needs_no_discrepancy(alone: tuple[Fit, tuple[FitRun, ...]]):
     fit, runs = alone
     made = tuple(read(run, predict_readings(fit, run), i) for i, run in enumerate(runs))
     assert all(rival.gain < rival.error for rival in found(fit, made).values())
 
 
-def test_columns_that_one_run_alone_reads_and_columns_alike_are_told():
-    """Left out, that run leaves its column without any reading: the normal matrix is singular to the last digit."""
+def test_degenerate_columns_are_reported():
+    """Leaving that run out leaves its column without readings: the normal matrix is exactly singular."""
     rng = np.random.default_rng(0)
     one, both = np.zeros(60), rng.normal(size=60)
     one[30:] = rng.normal(size=30)
@@ -80,8 +80,8 @@ def test_columns_that_one_run_alone_reads_and_columns_alike_are_told():
     assert np.allclose(sizes @ columns, 1e9 * (2 * one + 3 * both), rtol=1e-3, atol=1e6)
 
 
-def test_an_effect_does_nothing_by_what_it_does_to_readings_not_by_its_size(alone: tuple[Fit, tuple[FitRun, ...]]):
-    """A damping of a ten thousandth of the usual size stops what is light, and may be all that it lacks."""
+def test_an_effect_is_neutral_by_its_influence_not_its_size(alone: tuple[Fit, tuple[FitRun, ...]]):
+    """Damping of 1e-4 of the usual size stops a light part and may be its whole gap."""
     fit, runs = alone
     there = fit_model(Model(fit.model.problem, ("viscous_damping",)), runs, iterations=0)
     at = [r.owner for r in there.model.ranges()].index("viscous_damping")

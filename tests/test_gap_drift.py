@@ -1,4 +1,4 @@
-"""What changes over the session is no constant of the joint, and has no name."""
+"""A change over the session is not a constant of the joint and is not named."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ RUNS = 8
 
 
 def oiled(last: float, seed: int = 31):
-    """Runs of one session in which the loss to oil goes evenly from 0.2 to `last` N m s/rad."""
+    """Runs of one session in which viscous damping changes linearly from 0.2 to `last` N m s/rad."""
     sessions = [measured_of(seed, runs=RUNS, viscous=b) for b in np.linspace(0.2, last, RUNS)]
     return replace(sessions[0], runs=tuple(session.runs[i] for i, session in enumerate(sessions)))
 
 
-def test_oil_that_warms_up_is_told_and_not_named(tmp_path: Path):
+def test_warming_damping_is_reported_but_not_named(tmp_path: Path):
     found = find_gap(read_asset(asset_of(tmp_path), "j"), oiled(0.11))
     assert found.verdict == "unexplained" and not found.effects
     assert "a size that changes over the session" in found.sentence
@@ -30,6 +30,6 @@ def test_oil_that_warms_up_is_told_and_not_named(tmp_path: Path):
     assert found.next_experiment is not None and "last ones first" in found.next_experiment
 
 
-def test_oil_that_stays_as_it_is_is_named(tmp_path: Path):
+def test_constant_damping_is_named(tmp_path: Path):
     found = find_gap(read_asset(asset_of(tmp_path), "j"), oiled(0.2))
     assert found.verdict == "named" and [named.effect.name for named in found.effects] == ["viscous_damping"]

@@ -1,4 +1,4 @@
-"""The next experiment, by the predictions of those that it has to part."""
+"""Experiment design from the predictions of the rivals."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from simgap.select.experiment import NO_EXPERIMENT, next_experiment
 
 @pytest.fixture
 def problem(tmp_path: Path) -> Problem:
-    """A pendulum that swings free, nothing of its asset in doubt."""
+    """A free pendulum without asset uncertainty."""
     measured = measured_of(3, runs=2)
     plant = make_plant(read_asset(asset_of(tmp_path)), measured)
     return without_asset_error(make_problem(plant, measured, *make_fit_runs(measured, plant)))
 
 
 def fit(problem: Problem, name: str, *values: float) -> Fit:
-    """One effect of known numbers."""
+    """A fit of one effect with known parameters."""
     model = Model(problem, (name,))
     count = len(model.ranges())
     assert count == len(values)
     return Fit(model, np.array(values), {}, {}, 0.0, np.eye(count))
 
 
-def test_an_experiment_parts_all_rivals(problem: Problem):
-    """A tenth of inertia more swings as a weaker pull; a known push tells them apart, and both from oil."""
+def test_an_experiment_separates_all_rivals(problem: Problem):
+    """10 % more inertia swings as weaker gravity; a known push separates them, and both from damping."""
     heavier = fit(problem, "armature", 0.1 * INERTIA)
     weaker = fit(problem, "gravity_offset", 0.0, MASS * G * ARM / 11)
     oil = fit(problem, "viscous_damping", 0.06)
@@ -42,7 +42,7 @@ def test_an_experiment_parts_all_rivals(problem: Problem):
     assert "the explanations then differ by at least" in next_experiment([heavier, weaker, oil])
 
 
-def test_what_no_experiment_parts_is_said(problem: Problem):
+def test_rivals_that_no_experiment_separates_are_reported(problem: Problem):
     oil, more = fit(problem, "viscous_damping", 0.06), fit(problem, "viscous_damping", 0.2)
     assert next_experiment([oil, oil]) == NO_EXPERIMENT
     assert "the first two explanations then differ by" in next_experiment([oil, more, oil])

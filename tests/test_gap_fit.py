@@ -1,4 +1,4 @@
-"""Output-error fits: what is hidden is found again, the starts are free, and a larger set fits no worse."""
+"""Output-error fits: parameters are recovered with free initial states, and a superset fits no worse."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def problem(folder: Path, measured: Measured) -> tuple[Problem, tuple]:
     return make_problem(plant, measured, runs, floor), runs
 
 
-def test_what_is_hidden_is_found_again_with_free_starts(tmp_path: Path):
+def test_hidden_parameters_are_recovered_with_free_initial_states(tmp_path: Path):
     measured = measured_of(1, viscous=0.12, exact=True)
     setup, runs = problem(tmp_path, measured)
     fit = fit_model(Model(setup, ("viscous_damping",)), runs, np.array([0.0, 0.05]))
@@ -51,7 +51,7 @@ def test_what_is_hidden_is_found_again_with_free_starts(tmp_path: Path):
     assert min(wrong.rms(run.name) for run in runs) > 10
 
 
-def test_the_assets_own_doubts_are_fitted_within_their_bounds(tmp_path: Path):
+def test_asset_uncertainty_is_fitted_within_bounds(tmp_path: Path):
     measured = measured_of(2, inertia=1.3 * INERTIA, seconds=4.0)
     setup, runs = problem(tmp_path, measured)
     fit = fit_model(Model(setup, ()), runs)
@@ -63,7 +63,7 @@ def test_the_assets_own_doubts_are_fitted_within_their_bounds(tmp_path: Path):
     assert max(armed.rms(run.name) for run in runs) < 1.1
 
 
-def test_a_held_out_run_only_gets_a_start(tmp_path: Path):
+def test_a_held_out_run_fits_only_its_initial_state(tmp_path: Path):
     setup, runs = problem(tmp_path, measured_of(3, viscous=0.12))
     fit = fit_model(Model(setup, ("viscous_damping",)), runs[:3])
     there = refit_starts(fit, runs[3:])
@@ -74,7 +74,7 @@ def test_a_held_out_run_only_gets_a_start(tmp_path: Path):
     )
 
 
-def test_slopes_are_what_small_changes_do(tmp_path: Path):
+def test_slopes_match_finite_differences(tmp_path: Path):
     setup, runs = problem(tmp_path, measured_of(4, viscous=0.12, dry=0.05))
     model = Model(setup, ("coulomb_friction", "viscous_damping"), instant_friction=True)
     fit = fit_model(model, runs[:1], np.array([1.0, 1.0, 0.0, 0.05, 0.1]))
@@ -89,8 +89,8 @@ def test_slopes_are_what_small_changes_do(tmp_path: Path):
     assert starts[0].shape == (2, len(run.q))
 
 
-def test_what_is_faster_than_all_motion_is_not_looked_for(tmp_path: Path):
-    """A part that creeps tells nothing of how friction falls with speed, and costs no error."""
+def test_parameters_outside_the_speed_range_are_not_fitted(tmp_path: Path):
+    """A creeping part does not show how friction falls with speed; the fit still succeeds."""
     setup, runs = problem(tmp_path, measured_of(5, dry=0.1))
     assert "stribeck_friction" in list_candidates(setup, runs)
     assert "stribeck_friction" not in list_candidates(replace(setup, speed=5e-5), runs)
@@ -98,7 +98,7 @@ def test_what_is_faster_than_all_motion_is_not_looked_for(tmp_path: Path):
     assert all(slow.lower <= value <= slow.upper for value in _trial_values(slow, setup))
 
 
-def test_a_larger_set_fits_no_worse_than_a_smaller_one(tmp_path: Path):
+def test_a_superset_of_effects_fits_no_worse(tmp_path: Path):
     setup, runs = problem(tmp_path, measured_of(5, dry=0.1, drag=0.05))
     train = split_runs(runs).folds[0].train
     search = Search(setup, train, list_candidates(setup, train))
@@ -112,15 +112,15 @@ def test_a_larger_set_fits_no_worse_than_a_smaller_one(tmp_path: Path):
             assert smaller is None or fit.cost <= smaller.cost * (1 + 1e-6) + 1e-2, names
 
 
-def test_what_a_geared_drive_has_is_tried_together_wherever_one_drives_the_joint():
-    """Under a commanded effort, too: gear friction with oil was found by no single effect of the two."""
+def test_geared_drive_effects_are_tried_together():
+    """Also under a commanded effort: gear friction with damping is found by neither effect alone."""
     free, driven = ("coulomb_friction", "viscous_damping"), ("coulomb_friction", "gear_friction", "viscous_damping")
     assert ("gear_friction", "viscous_damping") in loss_sets(driven)
     assert loss_sets(free) == [("coulomb_friction",), ("viscous_damping",), free]
     assert len(set(loss_sets(driven))) == len(loss_sets(driven)) == 7
 
 
-def test_the_floor_is_the_sensors(tmp_path: Path):
+def test_noise_floor_is_the_sensors(tmp_path: Path):
     rng = np.random.default_rng(0)
     times = np.cumsum(rng.uniform(0.004, 0.006, 4000))
     true, speed = np.sin(3 * times), 3 * np.cos(3 * times)
@@ -135,7 +135,7 @@ def test_the_floor_is_the_sensors(tmp_path: Path):
 
 
 @pytest.mark.parametrize("largest, said", [(57.3, "are its units degrees?"), (0.9, None)])
-def test_degrees_are_not_taken_for_radians(tmp_path: Path, largest: float, said: str | None):
+def test_degrees_are_not_read_as_radians(tmp_path: Path, largest: float, said: str | None):
     from dataclasses import replace
 
     measured = measured_of(6, largest=0.9)
@@ -149,7 +149,7 @@ def test_degrees_are_not_taken_for_radians(tmp_path: Path, largest: float, said:
         assert "\n" not in str(caught.value)
 
 
-def test_a_sensor_that_rests_within_a_step_does_not_hide_its_noise():
+def test_a_quantised_rest_does_not_hide_the_noise():
     rng = np.random.default_rng(1)
     times = np.arange(3000) / 100
     true = np.where(times < 12, 0.5 * np.sin(3 * times), 0.5 * np.sin(36) + 0.0002)
@@ -159,7 +159,7 @@ def test_a_sensor_that_rests_within_a_step_does_not_hide_its_noise():
     )
 
 
-def test_one_stretch_that_cannot_be_met_holds_up_nothing_else(tmp_path: Path):
+def test_one_unreachable_segment_does_not_block_the_fit(tmp_path: Path):
     setup, runs = problem(tmp_path, measured_of(3, viscous=0.12))
     broken = replace(runs[0], name="broken", q=runs[0].q + np.where(runs[0].times_s > 1.0, 0.8, 0.0))
     model = Model(setup, ("viscous_damping",))
@@ -168,8 +168,8 @@ def test_one_stretch_that_cannot_be_met_holds_up_nothing_else(tmp_path: Path):
     assert fit.effects[0].coefficient == pytest.approx(0.12, rel=0.15)
 
 
-def test_a_start_that_oversteps_goes_on_beside_one_that_is_there():
-    """The first run's start is where it should be after one step; the second one's full step makes its run worse."""
+def test_an_overstepping_initial_state_is_damped_alone():
+    """The first run's initial state converges in one step; the second one's full step raises its cost."""
 
     def evaluate(which: np.ndarray, starts: np.ndarray, theta: np.ndarray) -> list[np.ndarray]:
         off = starts[:, 0] - 1.0
@@ -184,7 +184,7 @@ def test_a_start_that_oversteps_goes_on_beside_one_that_is_there():
     assert np.allclose(found.starts, [[1.0, 0.0], [1.0, 0.0]], atol=1e-3)
 
 
-def test_where_nothing_is_to_be_gained_nothing_is_tried():
+def test_no_step_is_tried_at_the_optimum():
     asked = []
 
     def evaluate(which, starts, theta):
@@ -201,8 +201,8 @@ def test_where_nothing_is_to_be_gained_nothing_is_tried():
         assert np.allclose(found.starts, [[3.0, 0.0]], atol=2e-3) and len(asked) == calls
 
 
-def test_the_missing_force_tells_where_a_catch_is(tmp_path: Path):
-    """Runs that stay in it: a simulation without it swings away, so no small change of that one tells anything."""
+def test_missing_force_locates_a_catch(tmp_path: Path):
+    """Runs that stay inside it: a simulation without it leaves, so its gradient is uninformative."""
     setup, runs = problem(tmp_path, measured_of(6, exact=True, seconds=4.0))
     catch, rng = Latch(9.0, 0.3, 0.12, 0.5), np.random.default_rng(6)
     starts = ((0.27, 0.3), (1.1, 0.0), (0.33, -0.2), (-0.9, 0.0), (0.34, 0.1))
@@ -220,7 +220,7 @@ def test_the_missing_force_tells_where_a_catch_is(tmp_path: Path):
     assert guess_places(setup, sample_missing_force(setup, caught), "viscous_damping", 2) == []
 
 
-def test_a_start_that_presses_into_a_dead_stop_rests_there(tmp_path: Path):
+def test_a_start_pressed_into_a_rigid_stop_rests(tmp_path: Path):
     setup, runs = problem(tmp_path, measured_of(8))
     plant = replace(setup.plant, upper=float(max(run.q.max() for run in runs)))
     fit = refit_starts(fit_model(Model(replace(setup, plant=plant), ()), runs[:2], iterations=2), runs[:2])
@@ -229,8 +229,8 @@ def test_a_start_that_presses_into_a_dead_stop_rests_there(tmp_path: Path):
     assert clamp_starts(pressed).starts == {first: (plant.upper, 0.0), second: (0.1, 0.7)}
 
 
-def test_what_a_run_costs_is_a_likelihood_of_its_own_error():
-    """Squares up to some times the usual error, their logarithm beyond; a fit's weights are the slope."""
+def test_run_cost_is_a_robust_likelihood():
+    """Quadratic up to a multiple of the usual error, logarithmic beyond; the weights are its slope."""
     powers = np.array([0.5, 0.7, 0.8, 1.0, 8.99, 9.01, 100.0])
     for i in range(len(powers)):
         moved = powers * (1 + 1e-4 * (np.arange(len(powers)) == i))
@@ -243,7 +243,7 @@ def test_what_a_run_costs_is_a_likelihood_of_its_own_error():
     assert robust_loss(together).tolist() == together.tolist() and robust_weight(together).tolist() == [1.0] * 4
 
 
-def test_one_run_that_goes_another_way_moves_no_parameter(tmp_path: Path):
+def test_one_diverging_run_moves_no_parameter(tmp_path: Path):
     setup, runs = problem(tmp_path, measured_of(26, viscous=0.12, seconds=4.0))
     model = Model(setup, ("viscous_damping",))
     astray = (replace(runs[0], q=runs[0].q + 0.4 * (runs[0].times_s > 2)), *runs[1:])

@@ -1,4 +1,4 @@
-"""Long runs are searched on parts of them, and what is found there holds on all of them; some 5 s."""
+"""Long runs are searched on segments, and the result holds on the whole runs; about 5 s."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from simgap.models.surrogate import make_plant
 
 
 def case(folder: Path, seconds: float) -> tuple[Problem, tuple[FitRun, ...]]:
-    """Eight runs of a pendulum with oil."""
+    """Eight runs of a pendulum with viscous damping."""
     measured = measured_of(3, runs=8, seconds=seconds, marked=False, viscous=0.06)
     plant = make_plant(read_asset(asset_of(folder), "j"), measured)
     runs, floor = make_fit_runs(measured, plant)
     return make_problem(plant, measured, runs, floor), runs
 
 
-def test_short_runs_are_looked_at_whole(tmp_path: Path):
+def test_short_runs_are_searched_whole(tmp_path: Path):
     problem, runs = case(tmp_path, 4.0)
     assert select_parts(problem, runs) is runs
 
 
-def test_what_parts_of_long_runs_tell_holds_to_their_ends(tmp_path: Path):
+def test_a_search_on_segments_holds_on_whole_runs(tmp_path: Path):
     problem, runs = case(tmp_path, 60.0)
     parts = select_parts(problem, runs)
     duration = sum(float(part.times_s[-1] - part.times_s[0]) for part in parts)
@@ -47,7 +47,7 @@ def test_what_parts_of_long_runs_tell_holds_to_their_ends(tmp_path: Path):
     assert fit.values["viscous_damping", "coefficient"] / inertia == pytest.approx(0.06, rel=0.12)
 
 
-def test_parts_of_what_is_near_are_near():
+def test_components_of_near_fits_are_near():
     def fit(cost: float, *names: str) -> SimpleNamespace:
         return SimpleNamespace(cost=cost, model=SimpleNamespace(names=names))
 

@@ -1,4 +1,4 @@
-"""What `gap` is compared with: which runs nobody may fit, the library's fits, MuJoCo's, and the ratios."""
+"""The peers of `gap`: held-back runs, the library's fits, MuJoCo's fit, and the ratios."""
 
 import json
 import math
@@ -15,7 +15,7 @@ from freeart21.files.measured import read_measured
 
 
 @pytest.mark.parametrize(("marked", "gone"), [((1, 3), [3]), ((1,), [1]), ((0, 2, 3, 4), [2, 4]), ((), [2])])
-def test_runs_are_taken_away_by_one_rule(tmp_path: Path, marked: tuple[int, ...], gone: list[int]):
+def test_held_back_runs_follow_one_rule(tmp_path: Path, marked: tuple[int, ...], gone: list[int]):
     folder = tmp_path / "measured"
     folder.mkdir()
     runs = [{"file": f"r{i}.csv", **({"held_out": True} if i in marked else {})} for i in range(5)]
@@ -31,7 +31,7 @@ def test_runs_are_taken_away_by_one_rule(tmp_path: Path, marked: tuple[int, ...]
     assert [run.name for run in left.runs] == [run.name for run in every.runs if run.name not in names]
 
 
-def test_ratios_are_geometric_and_what_was_not_delivered_is_nothing():
+def test_ratios_are_geometric_means_over_delivered_answers():
     errors = {"a": {"nothing": 4.0, "gap": 1.0, "sysid": 2.0}, "b": {"nothing": 2.0, "gap": 1.0, "sysid": None}}
     errors["c"] = {"nothing": 1.0, "gap": 1.0, "sysid": 0.5}
     rows = [{"case": c, "way": w, "error": e} for c, of in errors.items() for w, e in of.items()]
@@ -45,12 +45,12 @@ def test_ratios_are_geometric_and_what_was_not_delivered_is_nothing():
 
 @pytest.fixture(scope="module")
 def pendulum(tmp_path_factory):
-    """A pendulum whose asset lacks dry friction and oil, five runs, and the names of those that nobody may fit."""
+    """A pendulum whose asset lacks dry friction and damping, five runs, and the names of the held-back ones."""
     measured = long_runs(3.0)
     return asset_in(tmp_path_factory.mktemp("asset")), replace(measured, runs=measured.runs[:5]), ["run4"]
 
 
-def test_a_fit_of_all_effects_follows_a_run_that_it_has_not_seen(pendulum):
+def test_a_fit_of_all_effects_predicts_an_unseen_run(pendulum):
     urdf, measured, untouched = pendulum
     library = open_library(read_asset(urdf), measured, untouched)
     (before,) = library.errors(library.as_delivered())

@@ -1,4 +1,4 @@
-"""How probable a theory makes runs it never saw, and what is named in part by that; some 40 s."""
+"""Predictive density of held-out runs, and effects named in part by it; about 40 s."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from simgap.verdict import Verdict
 from simgap.workflow import find_gap
 
 
-def test_the_density_is_that_of_a_student_t_with_the_dense_covariance():
+def test_predictive_density_is_a_student_t():
     rng = np.random.default_rng(0)
     times, left = np.cumsum(rng.uniform(0.002, 0.03, 60)), rng.normal(0, 3, 60)
     K = np.eye(60) + 2.5**2 * np.exp(-np.abs(times[:, None] - times) / 0.2)
@@ -39,8 +39,8 @@ def test_the_density_is_that_of_a_student_t_with_the_dense_covariance():
 
 
 @pytest.mark.parametrize("known", [0.0, 4.0])
-def test_the_likeliest_error_is_that_of_the_whole_grid(known: float):
-    """By the density of each of its points."""
+def test_most_likely_model_error_matches_a_grid_search(known: float):
+    """Against the density at every grid point."""
     rng = np.random.default_rng(1)
     runs, left = [], {}
     for name, lasts in (("a", 90), ("b", 60)):
@@ -58,7 +58,7 @@ def test_the_likeliest_error_is_that_of_the_whole_grid(known: float):
     assert likely(error.share, error.seconds) == pytest.approx(best, abs=1e-9)
 
 
-def test_the_smallest_within_one_standard_error_stands_and_its_like_are_rivals():
+def test_smallest_model_within_one_standard_error_is_chosen():
     even = np.array([3.0, -3.0, 3.0, -3.0, 3.0, -3.0, 3.0, -3.0])
     best = Score(("a", "b"), np.full(8, 10.0) + even)
     pair = Score(("a", "c"), np.full(8, 9.9) - even)
@@ -73,7 +73,7 @@ def verdict(folder: Path, seed: int, **hidden: float) -> Verdict:
     return find_gap(read_asset(asset_of(folder), "j"), measured_of(seed, **hidden))
 
 
-def test_what_dominates_is_named_in_part_where_a_remainder_has_no_name(tmp_path: Path):
+def test_a_dominant_effect_is_named_in_part(tmp_path: Path):
     found = verdict(tmp_path, 4, dry=0.12, drag=0.06, cog=0.1, count=9.0, seconds=4.0)  # cogging is in no library
     assert found.verdict in ("named", "ambiguous") and found.in_part, found
     dry = {"coulomb_friction", "load_friction", "stribeck_friction"}
@@ -85,8 +85,8 @@ def test_what_dominates_is_named_in_part_where_a_remainder_has_no_name(tmp_path:
     assert found.to_json("revolute")["in_part"] is True
 
 
-def test_friction_of_two_levels_is_dry_friction_and_no_spring(tmp_path: Path):
-    """0.2 N m more one way: no effect of the library, but most of it is dry friction, of .25 N m."""
+def test_asymmetric_friction_is_dry_friction_and_no_spring(tmp_path: Path):
+    """0.2 N m more in one direction: not in the library, but mostly dry friction of 0.25 N m."""
     found = verdict(tmp_path, 5, dry=0.25, spring=0.02, rest=10.0, hardens=0.0, runs=6, seconds=6.0)
     names = {name for names in found.rivals or [[n.effect.name for n in found.effects]] for name in names}
     assert names <= {"coulomb_friction", "load_friction", "stribeck_friction"}, found

@@ -1,4 +1,4 @@
-"""What `gap` claims is true of the files that it delivers: on motions from equations that the product does not have."""
+"""Claims of `gap` hold for the delivered files, on motions integrated by independent equations."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def slider(folder: Path, mass: float) -> Path:
 
 
 def tree(folder: Path, kind: str, axis: str) -> Path:
-    """The URDF of two links beyond a joint, of a third before it, all frames turned."""
+    """URDF of two links after a joint and a third before it, all frames rotated."""
     folder.mkdir(parents=True, exist_ok=True)
     inertial = """<inertial><origin xyz="{}" rpy="0.3 0.2 0.1"/><mass value="{}"/>
         <inertia ixx="0.01" iyy="0.02" izz="0.025" ixy="0.001" ixz="0" iyz="0.002"/></inertial>"""
@@ -58,7 +58,7 @@ def tree(folder: Path, kind: str, axis: str) -> Path:
 
 
 def free(kind: JointType, *runs: Run, doubt: tuple[float, float] = (0.1, 0.05), gravity: float = G) -> Measured:
-    """A measured set of these runs that nothing drives."""
+    """A measured set of these undriven runs."""
     down = np.array([0.0, 0.0, -gravity])
     return Measured("j", kind, down, RATE, "recorded", None, None, *doubt, runs, "unknown")
 
@@ -67,7 +67,7 @@ def free(kind: JointType, *runs: Run, doubt: tuple[float, float] = (0.1, 0.05), 
     ("kind", "axis"), [("revolute", "0.2 2 0.4"), ("revolute", "0.3 0 1"), ("prismatic", "0.2 0.1 1")]
 )
 @pytest.mark.parametrize("nuisance", [Nuisance(1.09), Nuisance(0.92, 0.97), Nuisance(1.05, 1.03, (0.02, -0.01))])
-def test_a_corrected_body_moves_by_itself_as_the_fit_had_it(kind: JointType, axis: str, nuisance: Nuisance, tmp_path):
+def test_a_corrected_body_moves_as_fitted(kind: JointType, axis: str, nuisance: Nuisance, tmp_path):
     asset = read_asset(tree(tmp_path / "a", kind, axis))
     plant = make_plant(asset, free(kind))
     own = plant.gravity_terms
@@ -85,7 +85,7 @@ def test_a_corrected_body_moves_by_itself_as_the_fit_had_it(kind: JointType, axi
 
 
 def swings(folder: Path, inertia: float, oil: float, count: int = 6) -> tuple[Path, Path]:
-    """A pendulum's URDF and its measured set; its inertia is this many times what the URDF says."""
+    """A pendulum's URDF and its measured set with `inertia` times the URDF's inertia."""
     rng, runs = np.random.default_rng(1), []
     for i in range(count):
         t = np.arange(200) / RATE
@@ -101,14 +101,14 @@ def swings(folder: Path, inertia: float, oil: float, count: int = 6) -> tuple[Pa
 
 
 def replayed(asset: Path, measured: Path, names: Sequence[str]) -> dict[str, float]:
-    """Run name to the error of the asset on disk, rad: by a program that knows nothing but the files."""
+    """Error (rad) by run of the asset on disk, computed from the files alone."""
     (found,) = replay([AssetOnDisk(asset)], read_measured(measured), names)
     return {run.run: run.error for run in found.runs}
 
 
 @pytest.mark.parametrize(("inertia", "oil"), [(0.93, 0.0), (1.09, 0.06), (1.0, 0.06)])
-def test_the_delivered_files_give_the_verdicts_own_numbers(inertia: float, oil: float, tmp_path: Path):
-    """Also on a swing that no fit, choice or check has seen."""
+def test_delivered_files_reproduce_the_verdicts_numbers(inertia: float, oil: float, tmp_path: Path):
+    """Also on a run used in no fit, selection or confirmation."""
     urdf, measured = swings(tmp_path, inertia, oil)
     verdict = gap_folder(urdf, measured, tmp_path / "gap")
     assert [named.effect.name for named in verdict.effects] == (["viscous_damping"] if oil else [])
@@ -123,8 +123,8 @@ def test_the_delivered_files_give_the_verdicts_own_numbers(inertia: float, oil: 
     assert replayed(tmp_path / "gap/asset", mine, ["run_6"])["run_6"] < 1.3e-3
 
 
-def test_what_free_swings_cannot_tell_of_the_asset_ends_with_what_would(tmp_path: Path):
-    """A heavier part swings as one of less inertia: either may be written, and a known push tells them apart."""
+def test_confounded_asset_parameters_get_an_experiment(tmp_path: Path):
+    """A heavier part swings as one of less inertia: either may be written; a known push separates them."""
     asset, measured = swings(tmp_path, 1.03, 0.0)
     found = find_gap(read_asset(asset), read_measured(measured))
     (inertia,) = (c for c in found.corrections if c.name == "inertia")
@@ -133,8 +133,8 @@ def test_what_free_swings_cannot_tell_of_the_asset_ends_with_what_would(tmp_path
     assert found.next_experiment and "known" in found.next_experiment and "then differ by" in found.next_experiment
 
 
-def test_a_pull_from_elsewhere_may_be_a_sensors_zero(tmp_path: Path):
-    """Both within what the asset may be off by: a swinging joint shows their sum alone."""
+def test_gravity_direction_and_zero_offset_are_confounded(tmp_path: Path):
+    """Both within the asset's uncertainty: a swinging joint shows only their sum."""
     measured = measured_of(30, runs=6, offset=0.04)
     found = find_gap(read_asset(asset_of(tmp_path)), replace(measured, gravity_relative=0.1))
     assert found.verdict == "no_gap" and any(c.name == "lean" for c in found.corrections)
@@ -144,20 +144,20 @@ def test_a_pull_from_elsewhere_may_be_a_sensors_zero(tmp_path: Path):
     assert "zero" not in bare.sentence  # a usual mounting is no question
 
 
-def test_an_answer_that_nothing_confirms_asks_for_more_runs(tmp_path: Path):
+def test_an_unconfirmed_answer_asks_for_more_runs(tmp_path: Path):
     asset, measured = swings(tmp_path, 1.0, 0.06, count=4)
     found = find_gap(read_asset(asset), read_measured(measured))
     assert found.verdict == "named" and "not confirmed" in found.sentence
     assert found.next_experiment and "Record more runs" in found.next_experiment
 
 
-def test_a_repaired_mjcf_says_the_effects_and_no_older_numbers():
+def test_a_repaired_mjcf_has_no_old_parameters():
     root = ET.fromstring('<mujoco><joint name="j" stiffness="3" springref="0.2" armature="0.1" damping="9"/></mujoco>')
     set_joint_words(root, "j", {"j": (ViscousDamping(0.25),)}, Path("pendulum.xml"))
     assert root[0].attrib == {"name": "j", "damping": "0.25"}
 
 
-def test_what_no_replay_confirms_ends_with_an_experiment():
+def test_an_unconfirmed_replay_gets_an_experiment():
     oil = NamedEffect(ViscousDamping(0.1), {"coefficient": 0.09}, {"coefficient": 0.11})
     assert _make_rolled_back(Verdict("named", (oil,), (), (), (), None, "Oil."), (oil,), (oil,)).next_experiment
 
@@ -176,7 +176,7 @@ def rows(*sizes: tuple[Use, float, float]) -> tuple[RunGap, ...]:
         (rows(("fitted", 9.0, 1.0), ("fitted", 9.0, 1.0)), "named"),
     ],
 )
-def test_runs_that_are_kept_to_confirm_decide(gaps: tuple[RunGap, ...], answer: str, tmp_path: Path):
+def test_confirmation_runs_decide(gaps: tuple[RunGap, ...], answer: str, tmp_path: Path):
     asset, measured = read_asset(asset_of(tmp_path)), measured_of(0, runs=2)
     plant = make_plant(asset, measured)
     problem = make_problem(plant, measured, *make_fit_runs(measured, plant))
@@ -186,8 +186,8 @@ def test_runs_that_are_kept_to_confirm_decide(gaps: tuple[RunGap, ...], answer: 
     assert (found.next_experiment is not None) == (answer == "unexplained")
 
 
-def test_half_a_row_of_lateness_that_no_confirming_run_shows_is_no_gap(tmp_path: Path):
-    """Runs that were pushed a little, linearly, called held: two are late by less than their noise shows elsewhere."""
+def test_an_unconfirmed_delay_is_no_gap(tmp_path: Path):
+    """Linearly varying small pushes declared as held: two runs lag by less than their noise."""
     asset, t = read_asset(asset_of(tmp_path)), np.arange(300) / RATE
     rng, runs = np.random.default_rng(3), []
     for i in range(10):
@@ -204,8 +204,8 @@ def test_half_a_row_of_lateness_that_no_confirming_run_shows_is_no_gap(tmp_path:
     assert found.verdict == "no_gap" and "kept to confirm" in found.sentence
 
 
-def test_a_ball_that_falls_along_a_slider_has_drag_and_no_load(tmp_path: Path):
-    """Gravity along the slider: nothing presses on its bearing."""
+def test_a_falling_slider_has_drag_and_no_load_friction(tmp_path: Path):
+    """Gravity along the slider: no load on its bearing."""
     rng, mass, drag, runs = np.random.default_rng(0), 0.03, 0.001, []
     rate, end = np.sqrt(G * drag / mass), np.sqrt(mass * G / drag)
     for i, seconds in enumerate((2.0, 3.0, 3.5)):

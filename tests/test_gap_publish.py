@@ -1,4 +1,4 @@
-"""What goes into the asset and what is said: only what is certain, each part by itself, and honestly when late."""
+"""What is written into the asset and reported: only certain effects, geometry and dynamics separately, timeouts."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ CROOKED = (("axis_tilt",), ("pivot_offset",))
         (said("named", ViscousDamping(1.0)), found("no_gap"), "named", 1, 1, 0),
     ],
 )
-def test_geometry_and_motion_are_said_together(motion, geometry, answer, told, certain, rivals):
+def test_geometry_and_dynamics_are_reported_together(motion, geometry, answer, told, certain, rivals):
     verdict = join_geometry(motion, geometry, "revolute")
     assert (verdict.verdict, len(verdict.effects), len(verdict.rivals)) == (answer, told, rivals)
     assert len(select_certain(motion, geometry)) == certain
@@ -85,7 +85,7 @@ def test_geometry_and_motion_are_said_together(motion, geometry, answer, told, c
 
 
 @pytest.mark.parametrize("answer", ["ambiguous", "not_excited"])
-def test_what_is_not_certain_is_not_written(tmp_path: Path, answer: str):
+def test_uncertain_effects_are_not_written(tmp_path: Path, answer: str):
     asset, measured = bob(tmp_path / "a", '<dynamics damping="0.01"/>'), held_out(pendulum(STARTS, damped), 1)
     told = draft(measured, STARTS, ViscousDamping(0.02), answer=answer)
     verdict = publish(asset, measured, told, tmp_path / "out", "bob")
@@ -98,7 +98,7 @@ def test_what_is_not_certain_is_not_written(tmp_path: Path, answer: str):
     assert "not written" in page and "What was written" not in page
 
 
-def test_geometry_stays_when_only_the_motions_repair_hurts(tmp_path: Path):
+def test_geometry_repair_survives_a_harmful_dynamics_repair(tmp_path: Path):
     asset = bob(tmp_path / "a")
     measured, true = filmed(replace(asset, effects={"j": (TILT, PivotOffset(0.01, 0.006), ViscousDamping(0.03))}))
     geometry = find_geometry(asset, measured)
@@ -118,7 +118,7 @@ def test_geometry_stays_when_only_the_motions_repair_hurts(tmp_path: Path):
     )
 
 
-def test_a_replay_that_takes_too_long_keeps_the_answer_and_says_so(tmp_path: Path):
+def test_a_replay_timeout_is_reported(tmp_path: Path):
     asset, measured = bob(tmp_path / "a"), held_out(pendulum(STARTS, damped), 1, 2)
     told = draft(measured, STARTS, ViscousDamping(0.03))
     verdict = publish(asset, measured, told, tmp_path / "out", "late", replay_seconds=0.1)
@@ -132,7 +132,7 @@ def test_a_replay_that_takes_too_long_keeps_the_answer_and_says_so(tmp_path: Pat
     assert told_of[0] == (0, 4) and (4, 4) in told_of
 
 
-def test_what_sapien_cannot_step_is_not_written(tmp_path: Path, monkeypatch):
+def test_effects_that_sapien_cannot_step_are_not_written(tmp_path: Path, monkeypatch):
     def stiff(*_, **__):
         raise CannotReplay("shorten timestep_s")
 
@@ -156,11 +156,11 @@ class _Stage:
 
 
 def run_of(off: float, seconds: float = 2.0) -> Run:
-    """A run that is off by so much of a simulation at zero."""
+    """A run with this constant error against a simulation at zero."""
     return Run("run", np.linspace(0, seconds, 20), np.full(20, off))
 
 
-def test_every_run_is_replayed_at_the_time_step_that_it_needs():
+def test_replay_time_step_is_chosen_per_run():
     def needed(stiff: float, run: Run | None = None) -> tuple[float, float]:
         run = run or run_of(0.0)
         q, h, numerics = replay_process._replay_converged(_Stage(stiff), run, (0.0, 0.0), 1e-3, 2e-3)
@@ -186,7 +186,7 @@ class _StiffStage(_Stage):
         return np.zeros(20)
 
 
-def test_what_is_too_stiff_for_a_step_is_stepped_finer():
+def test_stiff_effects_get_a_smaller_time_step():
     run = run_of(0.0)
     assert replay_process._replay_converged(_StiffStage(1.5e-3), run, (0.0, 0.0), 1e-3, 4e-3)[1] == 5e-4
     with pytest.raises(FreeArtError, match="shorten"):
@@ -194,8 +194,8 @@ def test_what_is_too_stiff_for_a_step_is_stepped_finer():
 
 
 @pytest.mark.parametrize("change, told", [(0.9, ["run_0", "run_1"]), (40.0, ["run_0"]), (None, ["run_1"])])
-def test_a_run_that_hangs_on_a_hair_tells_nothing(change: float | None, told: list[str]):
-    """Its gap is 100 floors after, and halving the time step changes that by `change`; None: the other one's, too."""
+def test_a_run_sensitive_to_the_time_step_does_not_count(change: float | None, told: list[str]):
+    """The repaired gap is 100 times the noise; halving the time step changes it by `change` (None: both change)."""
 
     def made(name: str, off: float, change: float) -> RunReplay:
         return RunReplay(name, np.arange(20.0), np.zeros(20), np.full(20, off), 1e-3, (0.0, 0.0), 1e-3, change)
@@ -208,13 +208,13 @@ def test_a_run_that_hangs_on_a_hair_tells_nothing(change: float | None, told: li
     assert sorted([*told, *(run.run for run in seen.inconclusive)]) == ["run_0", "run_1"] and seen.numerics < 1
 
 
-def test_a_sets_of_coulomb_and_oil_are_two_effects():
+def test_coulomb_and_viscous_friction_are_two_effects():
     verdict = join_geometry(said("named", ViscousDamping(1.0), CoulombFriction(0.1)), found("named", TILT), "revolute")
     assert names(verdict.effects) == ["axis_tilt", "viscous_damping", "coulomb_friction"]
 
 
-def test_what_the_asset_is_off_by_is_no_place_of_a_gap(tmp_path: Path):
-    """A leaning base, more inertia, less weight: the maps know them as the fit does."""
+def test_asset_errors_do_not_localise_a_gap(tmp_path: Path):
+    """Base tilt, inertia and weight errors are part of the maps as of the fit."""
     weight = MASS * G * ARM
     starts = ((1.2, 0.0), (0.6, 0.5), (-1.5, 0.0), (0.9, 1.0))
 

@@ -1,4 +1,4 @@
-"""Friction that gives before it slides, and forces and frictions of any shape over position."""
+"""Presliding friction, and forces and frictions of any shape over position."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ HIDDEN = {
 }
 
 
-def test_friction_that_gives_takes_what_slides_of_a_cycle():
-    """4 * level * (amplitude - travel) a cycle, and nothing within its travel: Dupont et al. (2002)."""
+def test_presliding_friction_dissipates_only_sliding():
+    """Loss per cycle is 4 * level * (amplitude - travel), zero within the travel (Dupont et al. 2002)."""
     law, remember, level, travel = *(getattr(EFFECTS["presliding_friction"], k) for k in ("law", "remember")), 0.3, 0.02
     for amplitude, expected in ((0.1, 4 * 0.3 * 0.08), (0.019, 0.0)):
         q = amplitude * np.sin(np.linspace(0, 4 * np.pi, 40_001))
@@ -41,8 +41,8 @@ def test_friction_that_gives_takes_what_slides_of_a_cycle():
 
 
 @pytest.mark.parametrize(("name", "said"), list(zip(HIDDEN, [*list(HIDDEN)[:2], "coulomb_friction"], strict=True)))
-def test_it_is_named_where_it_is_all_that_is_missing(tmp_path: Path, name: str, said: str):
-    """What every machine has comes first: friction that differs from place to place is dry friction, in part."""
+def test_a_shape_over_position_is_named(tmp_path: Path, name: str, said: str):
+    """Common effects come first: friction that varies with position is dry friction, in part."""
     measured, settings = measured_of(5, exact=True, marked=False), GapSettings()
     plant = make_plant(read_asset(asset_of(tmp_path), "j"), measured)
     runs, floor = make_fit_runs(measured, plant)
@@ -58,7 +58,7 @@ def test_it_is_named_where_it_is_all_that_is_missing(tmp_path: Path, name: str, 
     assert choice.accepted and choice.accepted[0].names == (said,) and choice.in_part == (said != name), choice
 
 
-def test_a_wheel_that_turns_on_and_on_has_no_shape_over_position(tmp_path: Path):
+def test_a_continuous_joint_has_no_shape_over_position(tmp_path: Path):
     measured = measured_of(5, exact=True)
     plant = make_plant(read_asset(asset_of(tmp_path), "j"), measured)
     runs, floor = make_fit_runs(measured, plant)

@@ -1,4 +1,4 @@
-"""Effects written into an asset, and the gap that a fresh process then finds in SAPIEN; the loop on our own data."""
+"""Effects written into an asset, its gap in a separate SAPIEN process, and the loop on our own data."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def bob(folder: Path, more: str = "", limits: str = '<limit lower="-3" upper="3"
 
 
 def pendulum(starts, torque, seconds=3.0, inertia=INERTIA, gravity=1.0, seed=0, noise=1e-3, **channels):
-    """Runs (measured set) and their true start states, by an equation of our own."""
+    """A measured set and its true initial states, by an independent equation."""
     rng = np.random.default_rng(seed)
     runs = []
     for i, (q0, qd0) in enumerate(starts):
@@ -89,7 +89,7 @@ def damped(s, q, qd):
 # ---------------------------------------------------------------- into the asset
 
 
-def test_urdf_says_what_it_can_and_effects_json_says_all(tmp_path: Path):
+def test_urdf_has_its_share_and_effects_json_has_all(tmp_path: Path):
     asset = bob(tmp_path / "a", '<dynamics damping="0.01"/>')
     new = (ViscousDamping(0.02), CoulombFriction(0.05), Detent(0.3, 0.2, 0.05), AxisTilt(0.01, 0.0))
     again = write_repaired(asset, new, tmp_path / "b", {"by": "test"})
@@ -106,7 +106,7 @@ def test_urdf_says_what_it_can_and_effects_json_says_all(tmp_path: Path):
     np.testing.assert_array_equal(run.q, told.q)
 
 
-def test_two_armatures_are_one_that_throws_back_as_the_springier_does(tmp_path: Path):
+def test_two_armatures_merge_with_the_larger_restitution(tmp_path: Path):
     had = write_repaired(bob(tmp_path / "a"), (Armature(0.002, 0.2),), tmp_path / "b")
     for more, share in ((Armature(0.003), 0.2), (Armature(0.003, 0.3), 0.3)):
         again = write_repaired(had, (more,), tmp_path / f"c{share}")
@@ -114,7 +114,7 @@ def test_two_armatures_are_one_that_throws_back_as_the_springier_does(tmp_path: 
         assert read_asset(tmp_path / f"c{share}").effects["j"] == again.effects["j"]
 
 
-def test_mjcf_beside_the_urdf_says_it_too(tmp_path: Path):
+def test_mjcf_next_to_the_urdf_is_updated(tmp_path: Path):
     mujoco = pytest.importorskip("mujoco")
     asset = bob(tmp_path / "a")
     (tmp_path / "a/bob.xml").write_text("""<mujoco><worldbody><body name="base"><body name="bob" pos="0 0 1">
@@ -132,8 +132,8 @@ def test_mjcf_beside_the_urdf_says_it_too(tmp_path: Path):
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
-def test_a_urdf_without_mjcf_gets_one_that_moves_the_same(tmp_path: Path, kind: str):
-    """Turned origins, a held joint between, a turned inertia, shapes: MuJoCo swings it as SAPIEN does."""
+def test_an_equivalent_mjcf_is_written(tmp_path: Path, kind: str):
+    """Rotated origins, a fixed joint between, a rotated inertia, shapes: MuJoCo and SAPIEN agree."""
     mujoco = pytest.importorskip("mujoco")
     (tmp_path / "a").mkdir()
     (tmp_path / "a/tree.urdf").write_text(f"""<robot name="tree"><link name="root"><collision><geometry>
@@ -161,7 +161,7 @@ def test_a_urdf_without_mjcf_gets_one_that_moves_the_same(tmp_path: Path, kind: 
     assert np.ptp(run.q) > 0.1
 
 
-def test_meshes_go_along(tmp_path: Path):
+def test_meshes_are_copied(tmp_path: Path):
     asset = bob(tmp_path / "a")
     (tmp_path / "a/meshes").mkdir()
     (tmp_path / "a/meshes/box.mtl").write_text("newmtl m\nmap_Kd box.png\n")
@@ -179,8 +179,8 @@ def test_meshes_go_along(tmp_path: Path):
 
 
 @pytest.mark.parametrize("named_as", ["{out}/box.obj", "package://robot/shapes/box.obj", "../robot/shapes/box.obj"])
-def test_meshes_from_elsewhere_come_into_the_copy(tmp_path: Path, named_as: str):
-    """Absolute, package:// and parent paths: the copy stands alone, and nothing is written beside it."""
+def test_external_meshes_are_copied(tmp_path: Path, named_as: str):
+    """Absolute, package:// and parent paths: the copy is self-contained and nothing is written outside it."""
     mujoco = pytest.importorskip("mujoco")
     out = tmp_path / "robot/shapes"
     out.mkdir(parents=True)
@@ -214,7 +214,7 @@ def test_meshes_from_elsewhere_come_into_the_copy(tmp_path: Path, named_as: str)
         ("big.obj", "at most"),
     ],
 )
-def test_not_everything_that_a_urdf_names_is_copied(tmp_path: Path, name: str, said: str, monkeypatch):
+def test_unsafe_urdf_references_are_not_copied(tmp_path: Path, name: str, said: str, monkeypatch):
     asset = bob(tmp_path / "a")
     monkeypatch.setattr("simgap.prove.asset_files.MAX_BYTES", 1000)
     (tmp_path / "a/big.obj").write_bytes(b"#" * 1001)
@@ -226,7 +226,7 @@ def test_not_everything_that_a_urdf_names_is_copied(tmp_path: Path, name: str, s
     assert "\n" not in str(caught.value)
 
 
-def test_an_mjcf_with_folders_of_its_own_comes_along(tmp_path: Path):
+def test_an_mjcf_with_own_folders_is_copied(tmp_path: Path):
     mujoco = pytest.importorskip("mujoco")
     asset = bob(tmp_path / "a")
     (tmp_path / "shapes").mkdir()
@@ -241,7 +241,7 @@ def test_an_mjcf_with_folders_of_its_own_comes_along(tmp_path: Path):
     assert model.dof_damping[0] == pytest.approx(0.02)
 
 
-def test_two_springs_are_one(tmp_path: Path):
+def test_two_springs_merge(tmp_path: Path):
     asset = replace(bob(tmp_path / "a"), effects={"j": (ReturnSpring(1.0, 0.2),)})
     again = write_repaired(asset, (ReturnSpring(3.0, -0.2),), tmp_path / "b")
     assert again.effects["j"][0].values() == pytest.approx((4.0, -0.1)) and len(again.effects["j"]) == 1
@@ -256,7 +256,7 @@ def test_a_joint_has_one_backlash(tmp_path: Path):
 # ---------------------------------------------------------------- and shown
 
 
-def test_a_right_repair_closes_the_gap_in_a_fresh_process(tmp_path: Path):
+def test_a_correct_repair_closes_the_gap_in_replay(tmp_path: Path):
     asset, measured = bob(tmp_path / "a"), pendulum(STARTS, damped)
     again = write_repaired(asset, (ViscousDamping(0.03),), tmp_path / "b")
     there = shown(asset, again, measured, STARTS, regimes=["fast", "slow", "fast"])
@@ -271,7 +271,7 @@ def test_a_right_repair_closes_the_gap_in_a_fresh_process(tmp_path: Path):
     assert all((closed_part(runs) or 0.0) > 0.97 for runs in (there.runs, near)) and closed_part([]) is None
 
 
-def test_a_wrong_repair_is_no_help(tmp_path: Path):
+def test_a_wrong_repair_is_no_improvement(tmp_path: Path):
     asset, measured = bob(tmp_path / "a"), pendulum(STARTS[:2], damped)
     again = write_repaired(asset, (ReturnSpring(1.0, 0.0),), tmp_path / "b")
     assert not is_improved(shown(asset, again, measured, STARTS[:2]).runs)
@@ -292,7 +292,7 @@ def test_a_wrong_repair_is_no_help(tmp_path: Path):
         assert is_improved((most, one)) == fine
 
 
-def test_what_the_asset_is_off_by_is_replayed_only_as_its_files_say(tmp_path: Path):
+def test_replay_uses_only_what_the_files_contain(tmp_path: Path):
     asset = bob(tmp_path / "a")
     measured = pendulum(STARTS[:1], damped, inertia=1.08 * INERTIA, gravity=0.97)
     oil, body = (ViscousDamping(0.03),), find_correction(make_plant(asset, measured), Nuisance(1.08, 0.97))
@@ -304,7 +304,7 @@ def test_what_the_asset_is_off_by_is_replayed_only_as_its_files_say(tmp_path: Pa
 
 
 @pytest.mark.parametrize("late", [0.04, -0.04])
-def test_a_sensor_that_is_late_is_replayed_from_the_state_it_read_first(tmp_path: Path, late: float):
+def test_a_late_sensor_is_replayed_from_its_first_reading(tmp_path: Path, late: float):
     asset, true = bob(tmp_path / "a"), roll_out(bob(tmp_path / "t"), 0.6, 0.5, duration_s=3.0)
     times = 0.2 + 0.01 * np.arange(200)
     run = Run("run_00", times, np.interp(times - late, true.times_s, true.q))
@@ -314,7 +314,7 @@ def test_a_sensor_that_is_late_is_replayed_from_the_state_it_read_first(tmp_path
     assert shown(asset, again, measured, (start,)).runs[0].after < 1e-4
 
 
-def test_servo_efforts_and_the_sensor_are_replayed(tmp_path: Path):
+def test_servo_effort_and_sensor_are_replayed(tmp_path: Path):
     def command(s):
         return 0.6 * np.sin(2 * s)
 
@@ -337,7 +337,7 @@ def test_servo_efforts_and_the_sensor_are_replayed(tmp_path: Path):
     assert run.after < 4e-3  # commands are held from reading to reading
 
 
-def test_a_replay_that_cannot_run_says_why_in_one_line(tmp_path: Path):
+def test_a_failed_replay_is_a_one_line_error(tmp_path: Path):
     asset, measured = bob(tmp_path / "a"), pendulum(STARTS[:1], damped, seconds=1.0)
     again = write_repaired(asset, (ViscousDamping(0.03),), tmp_path / "b")
     (tmp_path / "b/effects.json").unlink()
@@ -380,7 +380,7 @@ def held_out(measured, *which):
     return replace(measured, runs=tuple(replace(r, held_out=i in which) for i, r in enumerate(measured.runs)))
 
 
-def test_a_verdict_is_published_with_the_gaps_that_sapien_measured(tmp_path: Path):
+def test_a_verdict_is_published_with_sapiens_gaps(tmp_path: Path):
     asset, measured = bob(tmp_path / "a"), held_out(pendulum(STARTS, damped), 1, 2)
     out = tmp_path / "out"
     out.mkdir()
@@ -415,25 +415,25 @@ def test_a_verdict_is_published_with_the_gaps_that_sapien_measured(tmp_path: Pat
         (("fitted",), True, "1 run, its stretches held out in turn"),
     ],
 )
-def test_runs_are_called_what_they_are(uses: tuple[Use, ...], in_turn: bool, said: str):
+def test_runs_are_labelled_by_their_use(uses: tuple[Use, ...], in_turn: bool, said: str):
     assert runs_text(uses, in_turn) == said
 
 
-def test_a_closed_part_is_told_with_the_runs_that_it_is_of():
+def test_a_closed_share_names_its_runs():
     told = f"Oil. {closed_text(0.9, '2 runs, each held out in turn')}. More."
     again = replace_closed_part(told, 0.812, "1 run that chose it, replayed in SAPIEN,")
     assert again == "Oil. With it 81% of the gap on 1 run that chose it, replayed in SAPIEN, is gone. More."
 
 
 def _page_of(folder: Path, which: tuple[int, ...]) -> str:
-    """The page of oil that is missing, of three runs of which some are kept to confirm it."""
+    """The page for missing damping, from three runs of which some are kept for confirmation."""
     asset, measured = bob(folder / "a"), held_out(pendulum(STARTS, damped), *which)
     (folder / "out").mkdir()
     publish(asset, measured, draft(measured, STARTS, ViscousDamping(0.03)), folder / "out", "oil")
     return (folder / "out/index.html").read_text()
 
 
-def test_every_figure_says_what_its_runs_were_used_for(tmp_path: Path):
+def test_figures_state_the_use_of_their_runs(tmp_path: Path):
     page = _page_of(tmp_path, (1, 2))
     for said in (
         "3 runs: 1 fitted, 2 confirming",
@@ -447,7 +447,7 @@ def test_every_figure_says_what_its_runs_were_used_for(tmp_path: Path):
         assert said in page, said
 
 
-def test_nothing_is_said_of_runs_kept_back_where_all_were_fitted(tmp_path: Path):
+def test_fitted_runs_are_not_called_held_back(tmp_path: Path):
     page = _page_of(tmp_path, ())
     for said in (
         "gap before and after, in SAPIEN, on 3 runs that it was fitted to",
@@ -460,7 +460,7 @@ def test_nothing_is_said_of_runs_kept_back_where_all_were_fitted(tmp_path: Path)
     assert "kept to confirm" not in page and "that chose it" not in page
 
 
-def test_what_does_not_help_is_rolled_back(tmp_path: Path):
+def test_a_useless_repair_is_rolled_back(tmp_path: Path):
     asset, measured = bob(tmp_path / "a", '<dynamics damping="0.01"/>'), held_out(pendulum(STARTS, damped), 1)
     out = tmp_path / "out"
     out.mkdir()
@@ -474,7 +474,7 @@ def test_what_does_not_help_is_rolled_back(tmp_path: Path):
     assert "rolled back: replayed in SAPIEN it did not help on 1 run kept to confirm it, or" in page
 
 
-def test_without_a_gap_the_asset_stays_as_it_is(tmp_path: Path):
+def test_without_a_gap_the_asset_is_unchanged(tmp_path: Path):
     asset, measured = bob(tmp_path / "a"), pendulum(STARTS, lambda s, q, qd: 0.0)
     out = tmp_path / "out"
     out.mkdir()
@@ -484,7 +484,7 @@ def test_without_a_gap_the_asset_stays_as_it_is(tmp_path: Path):
     assert "No gap" in (out / "index.html").read_text()
 
 
-def test_what_a_fit_says_that_the_asset_is_off_by_goes_with_inertia_and_gravity(tmp_path: Path):
+def test_asset_corrections_include_inertia_and_gravity(tmp_path: Path):
     plant = make_plant(bob(tmp_path / "a"), pendulum(STARTS[:1], damped, seconds=0.2))
     more = corrected_gravity(plant, Nuisance(1.1, 0.9, (0.01, 0.0))) - plant.gravity_terms[0]
     weight = MASS * G * ARM
@@ -493,7 +493,7 @@ def test_what_a_fit_says_that_the_asset_is_off_by_goes_with_inertia_and_gravity(
 
 
 def filmed(asset: Asset, seed: int = 0, runs: int = 4, fps: float = 30.0, gravity: tuple[float, ...] = (0, 0, -G)):
-    """Our own loop: SAPIEN lets the joint go, a tracker follows the part, its errors last from frame to frame."""
+    """Our own loop: a joint released in SAPIEN, tracked with errors correlated between frames."""
     rng, made, true = np.random.default_rng(seed), [], []
     for r in range(runs):
         rolled = roll_out(asset, rng.uniform(0.8, 1.4), 0.0, duration_s=4.0, timestep_s=1 / 300, gravity=gravity)
@@ -511,8 +511,8 @@ def filmed(asset: Asset, seed: int = 0, runs: int = 4, fps: float = 30.0, gravit
     return Measured("j", "revolute", np.array(gravity, float), fps, "recorded", runs=tuple(made)), true
 
 
-def test_our_own_release_is_understood_from_part_poses(tmp_path: Path):
-    """Geometry and dynamics in one film: a crooked axis and oil, told apart, written, and shown in SAPIEN."""
+def test_a_filmed_release_is_explained_from_part_poses(tmp_path: Path):
+    """Geometry and dynamics in one film: a tilted axis and damping are separated, written and replayed in SAPIEN."""
     asset = bob(tmp_path / "a")
     crooked = (AxisTilt(0.02, -0.015), PivotOffset(0.01, 0.006))
     measured, true = filmed(replace(asset, effects={"j": (*crooked, ViscousDamping(0.03))}))
@@ -539,7 +539,7 @@ def test_our_own_release_is_understood_from_part_poses(tmp_path: Path):
 
 
 def mended(asset: Asset, measured: Measured, name: str, out: Path) -> None:
-    """Only this effect of the geometry is found, written, and shown to bring the part back onto its joint."""
+    """Check that only this geometry effect is found and written, and that it closes the gap."""
     geometry = find_geometry(asset, measured)
     assert geometry is not None and [e.name for e in geometry.effects] == [name]
     out.mkdir()
@@ -550,21 +550,21 @@ def mended(asset: Asset, measured: Measured, name: str, out: Path) -> None:
     assert gap.before > 1.8 * gap.floor and gap.after < 1.25 * gap.floor
 
 
-def test_rocking_is_shown_with_each_runs_own_phase(tmp_path: Path):
+def test_wobble_is_replayed_with_each_runs_phase(tmp_path: Path):
     asset = bob(tmp_path / "a")
     measured, _ = filmed(replace(asset, effects={"j": (Wobble(0.012, 2.3, 0.4, 0.9),)}))
     late = tuple(replace(run, times_s=run.times_s + 0.11 * i) for i, run in enumerate(measured.runs))
     mended(asset, replace(measured, runs=late), "wobble", tmp_path / "out")
 
 
-def test_sagging_follows_the_gravity_that_was_measured(tmp_path: Path):
-    """Its weight pulls as the measured set says, not down the asset's own z."""
+def test_sag_follows_the_measured_gravity(tmp_path: Path):
+    """Gravity is the measured set's, not the asset's -z."""
     asset = bob(tmp_path / "a")
     measured, _ = filmed(replace(asset, effects={"j": (Sag(0.02),)}), gravity=(0, 0.8 * G, 0.6 * G))
     mended(asset, measured, "sag", tmp_path / "out")
 
 
-def test_only_an_older_answer_is_replaced(tmp_path: Path):
+def test_only_an_earlier_answer_is_overwritten(tmp_path: Path):
     asset, measured, out = tmp_path / "asset", tmp_path / "measured", tmp_path / "out"
     for folder in (asset, measured, out):
         folder.mkdir()

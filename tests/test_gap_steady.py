@@ -1,4 +1,4 @@
-"""Motion that a drive prescribes is judged by the force that it took; and a stiction bound is reported. 45 s."""
+"""Prescribed motion is judged by its drive force; stiction bounds are reported. 45 s."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def asset(tmp_path_factory) -> Asset:
     return read_asset(asset_of(tmp_path_factory.mktemp("asset")))
 
 
-def test_a_stribeck_curve_is_found_with_its_numbers_in_the_torque_of_steady_turns(asset: Asset):
+def test_stribeck_friction_is_found_from_steady_torque(asset: Asset):
     found = find_gap(asset, steady_of(1, dry=0.8, rise=0.5, curve=0.03))
     assert (found.verdict, found.by, found.in_part) == ("named", "force", False)
     (friction,) = found.effects
@@ -50,20 +50,20 @@ def test_a_stribeck_curve_is_found_with_its_numbers_in_the_torque_of_steady_turn
 
 
 @pytest.mark.parametrize("rate, seconds", [(10, 8.0), (100, 4.0), (1000, 4.0)])
-def test_nothing_is_found_where_nothing_is_missing(asset: Asset, rate: int, seconds: float):
+def test_a_complete_asset_has_no_gap(asset: Asset, rate: int, seconds: float):
     slow = (0.003, 0.006, 0.01, 0.02, 0.03, 0.05, 0.08, 0.13, 0.2, 0.3)
     speeds = slow if rate == 10 else SPEEDS
     found = find_gap(asset, steady_of(0, rate, seconds, speeds=speeds))
     assert (found.verdict, found.by) == ("no_gap", "force")
 
 
-def test_dry_friction_is_not_told_by_the_load_where_the_load_stays_as_it_is(asset: Asset):
+def test_constant_load_confounds_dry_and_load_friction(asset: Asset):
     found = find_gap(asset, steady_of(0, dry=0.6, speeds=(0.02, 0.05, 0.1, 0.2, 0.4, 0.8)))
     assert found.verdict == "ambiguous"
     assert set(found.rivals) == {("coulomb_friction",), ("load_friction",)}
 
 
-def test_a_force_of_position_is_told_only_where_places_are_passed_both_ways(asset: Asset):
+def test_position_forces_need_both_directions(asset: Asset):
     def names(measured: Measured) -> set[str]:
         plant = make_plant(asset, measured)
         seen = make_force_runs(measured, plant)
@@ -78,7 +78,7 @@ def test_a_force_of_position_is_told_only_where_places_are_passed_both_ways(asse
     assert not both & {"load_friction", "encoder_scale", "actuator_delay", "latch", "end_stop_bounce"}
 
 
-def test_what_swings_is_not_prescribed_and_what_is_said_counts(asset: Asset):
+def test_free_motion_is_not_prescribed_unless_declared(asset: Asset):
     swings = measured_of(0)
     pushed = replace(
         swings, effort_kind="external", runs=tuple(replace(r, effort=0.1 * np.sin(r.times_s)) for r in swings.runs)
@@ -95,7 +95,7 @@ def test_what_swings_is_not_prescribed_and_what_is_said_counts(asset: Asset):
     assert sum("not prescribed" in note for note in told[2]) == len(others)
 
 
-def test_answer_page_and_asset_say_by_what_it_was_judged(asset: Asset, tmp_path: Path):
+def test_the_answer_states_its_evidence(asset: Asset, tmp_path: Path):
     write_measured(tmp_path / "set", steady_of(0, viscous=0.5, prescribed=True, speeds=(0.05, 0.1, 0.2, 0.4, 0.7, 1.0)))
     assert all(run.prescribed for run in read_measured(tmp_path / "set").runs)
     gap_folder(asset.urdf, tmp_path / "set", tmp_path / "gap")
@@ -109,7 +109,7 @@ def test_answer_page_and_asset_say_by_what_it_was_judged(asset: Asset, tmp_path:
 
 
 def held_of(begin: float, efforts: list[np.ndarray], away: float = 0.0) -> Measured:
-    """A joint that stands at `begin`, or goes `away` at last, while it is pushed."""
+    """A pushed joint that stays at `begin`, or moves `away` at the end."""
     rng, times = np.random.default_rng(0), np.arange(800) / 100
     moved = away * np.clip(times - 7, 0, 1)
     runs = tuple(
@@ -120,7 +120,7 @@ def held_of(begin: float, efforts: list[np.ndarray], away: float = 0.0) -> Measu
     return Measured("j", "revolute", gravity, 100.0, "recorded", "external", None, 0.05, 0.03, runs, "linear")
 
 
-def test_what_holds_a_joint_is_at_least_what_it_withstood(asset: Asset):
+def test_stiction_bound_is_the_largest_held_effort(asset: Asset):
     times, weight = np.arange(800) / 100, MASS * G * ARM * np.sin(0.7)
     pushed = find_gap(asset, held_of(0.0, [0.5 * times, -0.4 * times]))
     assert pushed.verdict == "not_excited" and "held against 3.8 N m" in pushed.sentence
@@ -135,8 +135,8 @@ def test_what_holds_a_joint_is_at_least_what_it_withstood(asset: Asset):
     assert find_stiction_bound(at_last, plant, make_fit_runs(at_last, plant)[1]) is None
 
 
-def test_a_long_run_that_never_turns_back_keeps_its_acceleration():
-    """The widest window's polynomials have all their digits; and what forces are seen through is a mean."""
+def test_a_long_monotonic_run_keeps_its_acceleration():
+    """The widest window's polynomials are well conditioned, and its force filter is a mean."""
     times = np.arange(20_000) / 1000
     smooth = smooth_run(Run("r", times, 3.0 * times**2 + 100.0))
     assert smooth is not None
@@ -147,8 +147,8 @@ def test_a_long_run_that_never_turns_back_keeps_its_acceleration():
 
 @pytest.mark.skipif(not REAL, reason="the recordings are not here")
 @pytest.mark.parametrize("name", REAL)
-def test_a_real_direct_drive_has_the_dry_friction_that_its_authors_found(name: str, tmp_path: Path):
-    """11 to 14 N m at all steady speeds; it breaks away at 10.75 and -12.0 N m, another time not by 10."""
+def test_a_real_direct_drive_has_its_published_friction(name: str, tmp_path: Path):
+    """11 to 14 N m at all steady speeds; breakaway at 10.75 and -12.0 N m, and none at 10 in another run."""
     recordings()[name](tmp_path)
     measured = read_measured(tmp_path / "measured")
     found = find_gap(read_asset(tmp_path / "asset.urdf", guesses=False), measured)

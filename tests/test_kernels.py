@@ -1,4 +1,4 @@
-"""What single pixels say of a motion, and which neighbours look alike."""
+"""Evidence of single pixels for a motion, and similarity of neighbours."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ SIGMA = 0.001
 
 
 def cost_before_a_wall(normal, distance):
-    """What a point with this normal costs that stands `distance` (m) before a wall, which fills the other frame."""
+    """Cost of a point with this normal, `distance` (m) in front of a wall that fills the other frame."""
     h = w = 9
     pixels = np.zeros((2, h, w, 12), np.float32)
     y, x = np.mgrid[:h, :w]
@@ -29,17 +29,17 @@ def cost_before_a_wall(normal, distance):
     ("normal", "cost"),
     [((0, 0, -1), 3.6), ((0, 1, 0), 0.5), ((0, 1, 0.05), 0.5), ((0, 1, -0.05), 0.5), ((0, 1, 0.5), 6.0)],
 )
-def test_before_a_surface_there_is_no_object_but_for_one_edge_on(normal, cost):
+def test_a_point_in_front_of_a_surface_is_contradicted(normal, cost):
     assert cost_before_a_wall(normal, 20 * SIGMA) == pytest.approx(cost)
 
 
-def test_behind_a_surface_all_is_hidden():
+def test_a_point_behind_a_surface_is_occluded():
     assert cost_before_a_wall((0, 0, -1), -20 * SIGMA) == pytest.approx(kernels.HIDDEN)
     assert cost_before_a_wall((0, 1, 0.5), -20 * SIGMA) == pytest.approx(0.5)
 
 
 def held_across(ramp):
-    """Least weight of the edges between next neighbours along a row that is dark, then a `ramp`, then bright."""
+    """Smallest edge weight between neighbours along a row that is dark, then a `ramp`, then bright."""
     row = np.concatenate([np.zeros(8), ramp, np.full(8, 24.0)])
     h, w = 1, len(row)
     points = np.stack([np.arange(w) / 1000.0, np.zeros(w), np.ones(w)], -1)[None].astype(np.float32)
@@ -49,7 +49,7 @@ def held_across(ramp):
     return min(weights[starts[i] : starts[i + 1]][ends[starts[i] : starts[i + 1]] == i + 1].sum() for i in range(w - 1))
 
 
-def test_an_edge_of_the_picture_parts_neighbours_however_soft_it_is():
+def test_an_image_edge_separates_neighbours():
     assert held_across(np.full(3, 0.0)) == 0, "no ramp: a step"
     assert held_across(np.array([8.0, 16.0])) < 0.02, "next pixels differ by a third of it"
     assert held_across(np.linspace(0, 24, 40)) > 0.9, "shading is no edge"

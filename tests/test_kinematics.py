@@ -1,4 +1,4 @@
-"""Geometry found in part poses made here, by formulas that are not the library's, under noise like a tracker's."""
+"""Geometry effects found in synthetic part poses by independent formulas, under correlated tracker noise."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Shape = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def turn(axis, angle):
-    """(n, 3, 3) by Rodrigues, written out."""
+    """(n, 3, 3) rotations by Rodrigues' formula."""
     axis = np.asarray(axis, float) / np.linalg.norm(axis)
     K = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
     a = np.asarray(angle, float)[..., None, None]
@@ -36,7 +36,7 @@ def turn(axis, angle):
 
 
 def about(point, R):
-    """(n, 4, 4) turning by R about a point."""
+    """(n, 4, 4) rotation by R about a point."""
     T = np.tile(np.eye(4), (len(R), 1, 1))
     T[:, :3, :3] = R
     T[:, :3, 3] = np.asarray(point, float) - np.einsum("nij,...j->ni", R, np.asarray(point, float))
@@ -80,7 +80,7 @@ def measured(
     seconds: float = 5.0,
     held_out: int = 1,
 ) -> tuple[Measured, list[np.ndarray]]:
-    """Swings of the part, 30 poses a second, by a tracker whose errors last; and the true joint positions."""
+    """Tracked swings of the part at 30 poses/s with correlated errors, and the true joint positions."""
     rng = np.random.default_rng(seed)
     made, true = [], []
     for r in range(runs):
@@ -165,7 +165,7 @@ def rocking(kind):
         ("wobble", rocking),
     ],
 )
-def test_every_effect_is_named(tmp_path: Path, kind: str, name: str, shape):
+def test_every_geometry_effect_is_named(tmp_path: Path, kind: str, name: str, shape):
     if kind == "prismatic" and name in ("pivot_offset", "eccentricity"):
         pytest.skip("a slider has no pivot")
     found = found_in(tmp_path, kind, shape(kind))
@@ -177,7 +177,7 @@ def test_every_effect_is_named(tmp_path: Path, kind: str, name: str, shape):
 
 
 @pytest.mark.parametrize("mass", [1.5, 0.015])
-def test_a_slider_that_sags_is_named_be_it_heavy_or_light(tmp_path: Path, mass: float):
+def test_sag_of_a_slider_is_named_at_any_mass(tmp_path: Path, mass: float):
     compliance = 0.03 / mass
     found = found_in(tmp_path, "prismatic", sagging("prismatic", compliance, mass), mass)
     assert (found.verdict, [e.name for e in found.effects]) == ("named", ["sag"]), found.ranking[:4]
@@ -185,14 +185,14 @@ def test_a_slider_that_sags_is_named_be_it_heavy_or_light(tmp_path: Path, mass: 
 
 
 @TYPES
-def test_nothing_is_named_where_nothing_is(tmp_path: Path, kind: str):
+def test_ideal_geometry_has_no_gap(tmp_path: Path, kind: str):
     for seed in range(3):
         found = found_in(tmp_path, kind, ideal(kind), seed=seed, rho=[0.2, 0.8, 0.97][seed], runs=3 + seed)
         assert (found.verdict, found.effects, found.rivals) == ("no_gap", (), ())
         assert np.mean([t.gap_after / t.floor for t in found.tracks]) == pytest.approx(1.0, abs=0.25)
 
 
-def test_parameters_lie_in_their_intervals(tmp_path: Path):
+def test_parameters_lie_in_their_confidence_intervals(tmp_path: Path):
     inside, tests = 0, 0
     for seed in range(3):
         found = found_in(tmp_path, "revolute", moved_pivot("revolute"), seed=20 + seed)
@@ -205,7 +205,7 @@ def test_parameters_lie_in_their_intervals(tmp_path: Path):
     assert inside >= 0.6 * tests
 
 
-def test_two_at_once(tmp_path: Path):
+def test_two_geometry_effects_are_named(tmp_path: Path):
     def motion(q, t):
         return rocking("revolute")(q, t) @ np.linalg.inv(ideal("revolute")(q, t)) @ moved_pivot("revolute")(q, t)
 
@@ -214,7 +214,7 @@ def test_two_at_once(tmp_path: Path):
     assert {e.name for e in found.effects} == {"pivot_offset", "wobble"}
 
 
-def test_the_position_is_free_of_the_geometry(tmp_path: Path):
+def test_joint_positions_are_free_of_geometry_effects(tmp_path: Path):
     data, true = measured("revolute", tilted("revolute"), noise=0.3)
     found = find_geometry(asset(tmp_path, "revolute"), data)
     assert found is not None
@@ -224,8 +224,8 @@ def test_the_position_is_free_of_the_geometry(tmp_path: Path):
         assert abs(np.polyfit(q, error, 1)[0]) < 1e-3
 
 
-def test_a_door_that_hangs_is_not_told_from_the_trackers_own_zero(tmp_path: Path):
-    """About a vertical axis the moment turns with the door: on the door it is a constant."""
+def test_sag_of_a_door_is_confounded_with_the_trackers_zero(tmp_path: Path):
+    """About a vertical axis the moment turns with the door, so the sag is constant in the door's frame."""
     door = asset(tmp_path, "revolute", axis="0 0 1")
 
     def motion(q, t):
@@ -238,8 +238,8 @@ def test_a_door_that_hangs_is_not_told_from_the_trackers_own_zero(tmp_path: Path
 
 
 @pytest.mark.parametrize("size, verdict", [(0.02, "unexplained"), (0.002, "no_gap")])
-def test_what_the_library_does_not_have_is_not_named(tmp_path: Path, size: float, verdict: str):
-    """And is no gap where it is no larger than a tracker's own errors may be."""
+def test_unknown_geometry_is_not_named(tmp_path: Path, size: float, verdict: str):
+    """It is no gap where it is within the tracker's errors."""
 
     def cam(q, t):  # three lobes: shift and turn with 3 q
         shift = size * np.stack([np.cos(6 * q), 0.7 * np.sin(3 * q), -np.sin(6 * q)], 1)
@@ -251,14 +251,14 @@ def test_what_the_library_does_not_have_is_not_named(tmp_path: Path, size: float
     assert (found.next_experiment is not None) == (verdict == "unexplained")
 
 
-def test_little_motion_says_nothing(tmp_path: Path):
+def test_little_motion_is_inconclusive(tmp_path: Path):
     found = found_in(tmp_path, "revolute", tilted("revolute"), span=0.005)
     assert found.verdict == "not_excited" and not found.effects
     assert found.next_experiment
 
 
 def test_a_small_arc_leaves_rivals(tmp_path: Path):
-    """Over few degrees a pin out of round moves as a misplaced axis does."""
+    """Over a few degrees an eccentric pin moves as a misplaced axis does."""
     found = found_in(tmp_path, "revolute", out_of_round("revolute", 0.0025), span=0.12, seed=3, noise=0.1)
     assert found.verdict == "ambiguous", found.ranking[:5]
     assert {n for names in found.rivals for n in names} >= {"eccentricity", "pivot_offset"}
@@ -266,8 +266,8 @@ def test_a_small_arc_leaves_rivals(tmp_path: Path):
     assert found.next_experiment
 
 
-def test_a_large_effect_of_another_form_is_not_two(tmp_path: Path):
-    """What is left of it, as its form is not the library's, is clear of the noise and has no name."""
+def test_a_large_unmodelled_effect_is_not_named_as_two(tmp_path: Path):
+    """Its remainder, not of the library's form, is above the noise and unnamed."""
 
     def pin(q, t):
         shift = 0.02 * np.stack([np.cos(2 * q + 0.7) + 0.08 * np.cos(3 * q), 0 * q, -np.sin(2 * q + 0.7)], 1)
@@ -278,8 +278,8 @@ def test_a_large_effect_of_another_form_is_not_two(tmp_path: Path):
     assert found.unexplained_rms > 0.1
 
 
-def test_the_other_side_may_be_the_moving_one(tmp_path: Path):
-    """The reference part hangs on the joint, and the part that the URDF calls base is the one that is seen to move."""
+def test_parent_and_child_may_be_swapped(tmp_path: Path):
+    """The reference part is the joint's child, and the URDF's base is the part observed to move."""
     turned_round = replace(asset(tmp_path, "revolute"), reference_link="part", moving_link="base")
     at_zero = np.eye(4)
     at_zero[:3, 3] = PIVOT
@@ -292,8 +292,8 @@ def test_the_other_side_may_be_the_moving_one(tmp_path: Path):
     assert np.abs(found.tracks[0].q - true[0]).max() < 0.02
 
 
-def test_a_part_that_tumbles_costs_one_line(tmp_path: Path):
-    """A part that turns as no joint of the kind lets it: the wrong joint, or frames that do not agree."""
+def test_a_tumbling_part_is_a_one_line_error(tmp_path: Path):
+    """A part that rotates as no joint of this type can: the wrong joint, or inconsistent frames."""
 
     def tumbles(q, t):
         T = ideal("prismatic")(q, t)
@@ -306,8 +306,8 @@ def test_a_part_that_tumbles_costs_one_line(tmp_path: Path):
         find_geometry(asset(tmp_path, "prismatic"), data)
 
 
-def test_a_position_is_not_moved_to_where_more_is_left(tmp_path: Path):
-    """Far from the model a step along the joint may lead anywhere."""
+def test_position_steps_never_raise_the_residual(tmp_path: Path):
+    """Far from the model a Gauss-Newton step along the joint may raise the residual."""
     rng = np.random.default_rng(4)
     motions = se3.exp_se3(np.concatenate([rng.normal(size=(200, 3)), 2.5 * rng.normal(size=(200, 3))], -1))
     placed = place(asset(tmp_path, "prismatic"), (0.0, 0.0, -9.81))
@@ -317,7 +317,7 @@ def test_a_position_is_not_moved_to_where_more_is_left(tmp_path: Path):
     assert (after <= before).all() and (after < before).any()
 
 
-def test_too_few_poses_cost_one_line(tmp_path: Path):
+def test_too_few_poses_are_a_one_line_error(tmp_path: Path):
     data, _ = measured("revolute", ideal("revolute"))
     blind = replace(data.runs[1], seen=np.arange(len(data.runs[1].times_s)) < 5)
     with pytest.raises(FreeArtError, match="run 'r1' has 5 poses, expected 10 or more"):

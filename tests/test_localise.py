@@ -1,4 +1,4 @@
-"""Where the missing force is, on motions integrated here; and that pure noise flags no more than it may."""
+"""Localisation of a missing force on independent motions, and the false positive rate on noise."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def notch(t, q, qd):
     return -0.15 * x * np.exp(0.5 - 0.5 * x * x) - 0.004 * qd
 
 
-def test_nothing_missing_flags_little():
+def test_false_positive_rate_without_a_gap():
     flagged = 0
     for seed in range(12):
         maps, places, _ = maps_of(swings(lambda t, q, qd: 0.0, seed))
@@ -85,7 +85,7 @@ def test_sign_flips_are_calibrated_under_correlation():
     assert 0.35 < np.mean(np.array(p) < 0.5) < 0.65
 
 
-def test_friction_shows_by_direction_and_goes_once_it_is_in_the_model():
+def test_friction_map_vanishes_once_modelled():
     maps, places, _ = maps_of(swings(friction))
     assert maps["direction"].adjusted < 0.01
     backwards, forwards = maps["direction"].mean
@@ -96,7 +96,7 @@ def test_friction_shows_by_direction_and_goes_once_it_is_in_the_model():
     assert maps["direction"].p_value > LEVEL
 
 
-def test_a_notch_is_found_at_its_place_and_nowhere_else():
+def test_a_notch_is_localised():
     maps, places, _ = maps_of(swings(notch, runs=8))
     local = maps["position, by itself"]
     assert local.adjusted < 0.01
@@ -116,7 +116,7 @@ def test_a_spring_shows_over_position():
     assert not maps["position, by itself"].flagged.any()
 
 
-def test_a_stop_that_throws_back_is_seen():
+def test_restitution_is_seen_at_the_stop():
     data = swings(lambda t, q, qd: -0.004 * qd, restitution=0.6, stop=0.3, starts=[-1.0, -0.8, -0.7, -0.9, -1.1, -0.6])
     _, places, found = maps_of(data, upper=0.3)
     assert len(found.impacts) > 8
@@ -127,7 +127,7 @@ def test_a_stop_that_throws_back_is_seen():
     assert not [w for w in places if "stop" in w.text and "comes back" in w.text]
 
 
-def test_a_brake_that_wears_in_shows_over_time_and_run():
+def test_warming_friction_shows_over_time_and_run():
     def warming(t, q, qd):
         return -0.03 * qd * (t > 3)
 
@@ -149,7 +149,7 @@ def test_asset_uncertainty_is_not_a_gap():
     assert right["direction"].adjusted < 0.01
 
 
-def test_the_servo_and_pushes_are_part_of_the_equation():
+def test_servo_and_pushes_are_modelled():
     def command(t):
         return 0.5 * np.sin(3 * t)
 
@@ -180,6 +180,6 @@ def test_benjamini_hochberg():
     assert benjamini_hochberg(np.array([0.01, 0.04, 0.03, 0.5])) == pytest.approx([0.04, 0.16 / 3, 0.16 / 3, 0.5])
 
 
-def test_too_little_is_no_map():
+def test_too_little_data_gives_no_map():
     data = swings(friction, runs=1, seconds=0.2)
     assert make_residual_maps(estimate_missing_force(data, MECHANICS, -9, 9)) == ()

@@ -1,4 +1,4 @@
-"""Logs as they are: angles within a turn, degrees, encoders of a tenth of a degree, ten thousand rows a second."""
+"""Raw logs: wrapped angles, degrees, encoders of 0.1 degree, 10,000 rows/s."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from simgap.models.surrogate import make_plant, simulate
 
 TIMES = np.arange(400) / 100
 ROUND = 3.0 + 2.5 * TIMES + np.sin(3 * TIMES)
-"""rad of a joint that goes round, a turn and a half."""
+"""Positions (rad) of a continuous joint over one and a half turns."""
 
 
 def within(q: np.ndarray) -> np.ndarray:
-    """As a sensor has it that counts from -180 to 180 degrees."""
+    """Wrapped to -180 to 180 degrees."""
     return (q + np.pi) % (2 * np.pi) - np.pi
 
 
@@ -39,7 +39,7 @@ def measured_of(q: np.ndarray, **more) -> Measured:
 
 
 def said(folder: Path, measured: Measured, **words) -> Measured:
-    """The set as it is read when measured.json says these words besides."""
+    """The set read back with these additional keys in measured.json."""
     write_measured(folder, measured)
     path = folder / "measured.json"
     data = json.loads(path.read_text())
@@ -49,7 +49,7 @@ def said(folder: Path, measured: Measured, **words) -> Measured:
     return read_measured(folder)
 
 
-def test_angles_within_a_turn_are_made_whole_where_told_or_clear_and_that_is_said(tmp_path: Path):
+def test_wrapped_angles_are_unwrapped_and_reported(tmp_path: Path):
     wrapped = measured_of(within(ROUND))
     for name, words in (("told", {"wrapped": True}), ("clear", {})):
         read = said(tmp_path / name, wrapped, **words)
@@ -62,7 +62,7 @@ def test_angles_within_a_turn_are_made_whole_where_told_or_clear_and_that_is_sai
     assert raw.notes == ()
 
 
-def test_a_command_stays_with_its_position_and_gaps_stay_gaps(tmp_path: Path):
+def test_commands_follow_positions_and_gaps_remain(tmp_path: Path):
     q = within(ROUND)
     q[100:103] = np.nan
     read = said(tmp_path / "a", measured_of(q, q_command=within(ROUND + 0.2)), wrapped=True)
@@ -76,11 +76,11 @@ def test_a_command_stays_with_its_position_and_gaps_stay_gaps(tmp_path: Path):
     np.where(TIMES < 2, -3.0, 3.0) + 0.5 * np.sin(9 * TIMES),
     3 * np.sign(np.sin(40 * TIMES)),
 ])  # fmt: skip
-def test_what_is_not_clearly_wrapped_is_left_alone(q: np.ndarray):
+def test_ambiguous_wraps_are_left_alone(q: np.ndarray):
     assert not is_wrapped(q) and is_wrapped(within(ROUND))
 
 
-def test_degrees_that_are_told_are_degrees_in_every_column(tmp_path: Path):
+def test_declared_degrees_apply_to_every_column(tmp_path: Path):
     axis = BaseAxis(np.array([0, 0, 1.0]), np.zeros(3))
     base, rates = BaseSeries(angle=0.2 * np.sin(TIMES)), 0.3 * np.cos(3 * TIMES)
     measured = replace(measured_of(0.1 * np.sin(3 * TIMES), q_command=0.2 * TIMES, base=base, qd=rates), base_axis=axis)
@@ -98,8 +98,8 @@ def test_degrees_that_are_told_are_degrees_in_every_column(tmp_path: Path):
 
 @pytest.mark.parametrize("rate", [10, 100, 1000, 10_000])
 @pytest.mark.parametrize("noise", [0.0, 0.02])
-def test_the_floor_of_an_encoder_of_a_tenth_of_a_degree_is_its_steps_and_noise(rate: int, noise: float):
-    """Degrees; a swing that dies down, and one that is fast."""
+def test_noise_floor_of_a_coarse_encoder(rate: int, noise: float):
+    """In degrees; a decaying swing and a fast one."""
     rng, step = np.random.default_rng(rate), 0.1
     times = np.arange(20 * rate) / rate
     for size, freq in ((30.0, 0.7), (4.0, 0.3)):
@@ -111,7 +111,7 @@ def test_the_floor_of_an_encoder_of_a_tenth_of_a_degree_is_its_steps_and_noise(r
         assert floor.time_jitter_s < 5e-3
 
 
-def test_commands_of_ten_thousand_rows_a_second_are_taken_together_as_they_move_the_part(tmp_path: Path):
+def test_10_khz_commands_are_averaged(tmp_path: Path):
     rate = 10_000
     times = np.arange(3 * rate) / rate
     effort = 3 * np.sin(5 * times) + 2 * np.sign(np.sin(23 * times)) + 2 * np.sin(900 * times)
@@ -126,8 +126,8 @@ def test_commands_of_ten_thousand_rows_a_second_are_taken_together_as_they_move_
     assert np.abs(simulate(plant, (), times[::50], 0.2) - ways[0]).max() > 0.1
 
 
-def test_a_minute_of_ten_thousand_rows_a_second_takes_seconds_and_less_than_a_gigabyte(tmp_path: Path):
-    """Memory, which is counted; time is said in the docs."""
+def test_a_minute_at_10_khz_fits_in_a_gigabyte(tmp_path: Path):
+    """Checks memory; time is documented."""
     rate = 10_000
     times = np.arange(60 * rate) / rate
     q = np.radians(0.1) * np.round(0.5 * np.sin(3 * times) / np.radians(0.1))

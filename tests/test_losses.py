@@ -1,4 +1,4 @@
-"""LOSSES.md and the base of an asset: what formats and engines keep of it, as these engines show."""
+"""LOSSES.md and the asset's base: what formats and engines keep, checked in the engines."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def cells(text: str, row: str) -> list[str]:
     ]
 
 
-def test_losses_tell_of_this_assets_effects_and_of_no_others(tmp_path: Path):
+def test_losses_list_only_this_assets_effects(tmp_path: Path):
     asset = write_case(tmp_path, "revolute", (ViscousDamping(0.1), Latch(0.2, 0.1, 0.05, 0.5)))
     text = (tmp_path / "LOSSES.md").read_text()
     assert set(cells(text, "latch")) == {losses.LOST}
@@ -50,7 +50,7 @@ def test_losses_tell_of_this_assets_effects_and_of_no_others(tmp_path: Path):
     assert "There is no USD" in bare and "Isaac" not in bare
 
 
-def test_every_effect_is_lost_or_told_in_every_column(tmp_path: Path):
+def test_every_effect_has_an_entry_in_every_column(tmp_path: Path):
     for column in (*FORMATS, *ENGINES):
         assert set(column.outcomes) <= set(losses.SUBJECTS) | set(EVERY), column.name
     for name, kind in EVERY.items():
@@ -62,7 +62,7 @@ def test_every_effect_is_lost_or_told_in_every_column(tmp_path: Path):
         )
 
 
-def test_parts_that_stayed_in_each_other_are_said(tmp_path: Path):
+def test_remaining_penetration_is_reported(tmp_path: Path):
     asset = write_case(tmp_path, "revolute")
     assert "overlap" not in format_losses(asset, False, frozenset({"object.urdf"}))
     stated = {"penetration": {"deepest_m": 0.0123, "not_carved_because": "the moving part is not closed"}}
@@ -70,13 +70,13 @@ def test_parts_that_stayed_in_each_other_are_said(tmp_path: Path):
     assert "overlap by up to 12.3 mm: not carved, the moving part is not closed." in text
 
 
-def test_sizes_of_zero_are_nothing_to_lose(tmp_path: Path):
+def test_zero_effects_are_not_listed(tmp_path: Path):
     asset = write_case(tmp_path, "revolute", (ViscousDamping(0.0), CoulombFriction(0.1)))
     assert list_subjects(asset, True)[0] == "coulomb_friction"
 
 
 @pytest.mark.parametrize("base", ["free", "fixed"])
-def test_an_asset_of_either_base_is_the_same_asset(tmp_path: Path, base):
+def test_either_base_gives_the_same_asset(tmp_path: Path, base):
     answer = reconstruction(frame=3)
     asset = export_result(answer, tmp_path / "a", ExportSettings(base=base))
     assert asset.reference_link == "reference" and check_asset(tmp_path / "a") == []
@@ -91,14 +91,14 @@ def test_an_asset_of_either_base_is_the_same_asset(tmp_path: Path, base):
     assert (free is not None) == (base == "free")
 
 
-def test_another_base_costs_one_line(tmp_path: Path):
+def test_an_unknown_base_is_a_one_line_error(tmp_path: Path):
     with pytest.raises(FreeArtError, match="base is 'floating', expected free or fixed"):
         export_result(reconstruction(), tmp_path / "a", ExportSettings(base="floating"))
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("base", ["free", "fixed"])
-def test_mujoco_keeps_links_and_visuals_of_the_urdf_and_loses_what_losses_md_says(tmp_path: Path, base):
+def test_mujoco_keeps_and_loses_what_losses_md_says(tmp_path: Path, base):
     mujoco = pytest.importorskip("mujoco")
     write_case(tmp_path, "revolute", base=base, pivot=np.array([0.02, 0.0, 0.05]))
     of_urdf, of_mjcf = (mujoco.MjModel.from_xml_path(str(tmp_path / f"object.{end}")) for end in ("urdf", "xml"))
@@ -132,7 +132,7 @@ def test_yourdfpy_reads_either_base(tmp_path: Path, base):
     )
 
 
-def test_a_repaired_asset_tells_of_what_was_added(tmp_path: Path):
+def test_a_repaired_asset_lists_the_added_effects(tmp_path: Path):
     asset = write_case(tmp_path / "a", "revolute", (ViscousDamping(0.01),))
     again = write_repaired(asset, (CoulombFriction(0.2), Armature(0.003)), tmp_path / "b")
     text = (tmp_path / "b/LOSSES.md").read_text()

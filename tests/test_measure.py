@@ -1,4 +1,4 @@
-"""From recordings of a joint that was let go to a measured set: frames, gravity, masses, and a tracker's errors."""
+"""From recordings of a released joint to a measured set: frames, gravity, masses, tracker errors."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def settings(folder: Path, *effects, **more) -> RecordSettings:
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory) -> Path:
-    """The truth of a stapler whose arm was let go at nine tenths of its range, with oil in its hinge."""
+    """Ground truth of a stapler with a damped hinge, its arm released at 0.9 of its range."""
     folder = tmp_path_factory.mktemp("film")
     name = record("stapler", folder / "data", settings(folder, OIL, let_go=0.9))
     return folder / "data/truth" / name
@@ -54,7 +54,7 @@ def film(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def lid_film(tmp_path_factory) -> Path:
-    """The truth of a stapler of which the part that swings is the larger one, and so the reference."""
+    """Ground truth of a stapler whose moving part is the larger one, and so the reference."""
     folder = tmp_path_factory.mktemp("lid")
     name = record("stapler", folder / "data", settings(folder, OIL, let_go=0.9, seed=83))
     assert "link_1" in read_truth(folder / "data/truth" / name).source["reference_links"]
@@ -62,7 +62,7 @@ def lid_film(tmp_path_factory) -> Path:
 
 
 @pytest.mark.parametrize("of", ["film", "lid_film"])
-def test_the_measured_set_is_the_film_and_its_asset_moves_as_the_film_does(tmp_path: Path, of: str, request):
+def test_a_measured_set_reproduces_the_film(tmp_path: Path, of: str, request):
     film = request.getfixturevalue(of)
     truth = read_truth(film)
     measure_truths([film, film], tmp_path / "out", TrackerNoise(seed=1))
@@ -93,7 +93,7 @@ def test_of_three_takes_one_is_held_out(tmp_path: Path, film: Path):
     assert [run.held_out for run in read_measured(tmp_path / "out/measured").runs] == [False, False, True]
 
 
-def test_takes_of_other_motions_or_objects_cost_one_line(tmp_path: Path, film: Path):
+def test_takes_of_another_object_are_a_one_line_error(tmp_path: Path, film: Path):
     other = tmp_path / "other"
     shutil.copytree(film, other)
     data = json.loads((film / "truth.json").read_text())
@@ -109,7 +109,7 @@ def test_takes_of_other_motions_or_objects_cost_one_line(tmp_path: Path, film: P
     assert not (tmp_path / "out").exists()
 
 
-def test_a_film_of_a_urdf_is_measured_with_that_urdf_alone(tmp_path: Path):
+def test_a_film_of_a_urdf_needs_that_urdf(tmp_path: Path):
     folder = tmp_path / "case"
     folder.mkdir()
     trimesh.creation.box((100, 100, 20)).export(folder / "lid.stl")
@@ -141,7 +141,7 @@ def test_a_film_of_a_urdf_is_measured_with_that_urdf_alone(tmp_path: Path):
         measure_truths([film], tmp_path / "other", urdf=folder / "case.urdf")
 
 
-def test_a_urdf_goes_with_a_film_of_one(tmp_path: Path, film: Path):
+def test_an_asset_is_only_taken_with_a_film_of_a_urdf(tmp_path: Path, film: Path):
     with pytest.raises(FreeArtError, match="is of stapler, which was not recorded from a URDF"):
         measure_truths([film], tmp_path / "out", urdf=tmp_path / "a.urdf")
 
@@ -185,7 +185,7 @@ def test_a_result_becomes_one_run(tmp_path: Path, film: Path):
     np.testing.assert_allclose(twice.poses[:, :3, :3], run.poses[:, :3, :3], atol=1e-9)
 
 
-def test_a_result_whose_reference_part_swung_costs_one_line(tmp_path: Path, film: Path):
+def test_a_moving_reference_part_is_a_one_line_error(tmp_path: Path, film: Path):
     from freeart21.files.result import write_result
     from freeart21.reconstruction import Reconstruction
 

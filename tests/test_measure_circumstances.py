@@ -1,4 +1,4 @@
-"""What a measured set can hold of its circumstances, `measure` takes from a file of them. 2 s."""
+"""`measure` reads the circumstances of a measured set from a file. 2 s."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MOTOR = {"type": "dc_motor", "torque_constant": 0.3, "resistance": 3.0, "max_vol
 
 
 def set_of(folder: Path, said: dict, wanted: dict[str, str], **told):
-    """The measured set of these columns, under these circumstances, and the lines that were said."""
+    """The measured set of these columns under these circumstances, and the printed lines."""
     folder.mkdir(parents=True, exist_ok=True)
     asset = asset_of(folder / "asset")
     names = ["time", "angle", *wanted.values()]
@@ -38,7 +38,7 @@ def set_of(folder: Path, said: dict, wanted: dict[str, str], **told):
     return read_measured(folder / "out" / "measured"), "\n".join(notes)
 
 
-def test_a_motor_under_a_voltage_and_a_measured_velocity(tmp_path: Path):
+def test_motor_voltage_and_measured_velocity(tmp_path: Path):
     said = {"actuator": MOTOR, "units": {"qd": "deg/s"}}
     got, notes = set_of(tmp_path, said, {"voltage": "volts", "qd": "rate"}, reverse=True)
     (run,) = got.runs
@@ -50,14 +50,14 @@ def test_a_motor_under_a_voltage_and_a_measured_velocity(tmp_path: Path):
     assert "voltage: held until the next row or going on smoothly" in notes
 
 
-def test_a_drive_with_limits_and_a_dead_band(tmp_path: Path):
+def test_drive_limits_and_dead_band(tmp_path: Path):
     law = {"type": "position", "stiffness": 5.0, "damping": 0.5, "dead_band": 0.01, "max_effort": 2.0}
     got, _ = set_of(tmp_path, {"actuator": law}, {"q_command": "goal"})
     assert got.actuator is not None
     assert (got.actuator.stiffness, got.actuator.dead_band, got.actuator.max_effort) == (5.0, 0.01, 2.0)
 
 
-def test_a_base_on_a_cart_and_one_that_turns(tmp_path: Path):
+def test_moving_bases(tmp_path: Path):
     cart, _ = set_of(tmp_path / "cart", {"units": {"base_x": "mm"}}, {"base_x": "cart"})
     assert cart.runs[0].base is not None and cart.runs[0].base.position is not None
     np.testing.assert_allclose(cart.runs[0].base.position[:, 0], 0.04 * np.sin(2 * T), atol=1e-9)
@@ -68,7 +68,7 @@ def test_a_base_on_a_cart_and_one_that_turns(tmp_path: Path):
     np.testing.assert_allclose(arm.runs[0].base.angle, np.radians(TABLE["arm"]), atol=1e-9)
 
 
-def test_motion_that_is_prescribed_and_angles_that_are_not_within_a_turn(tmp_path: Path):
+def test_prescribed_motion_and_unwrapped_angles(tmp_path: Path):
     for k, said in enumerate((True, ["run"])):
         got, _ = set_of(tmp_path / str(k), {"prescribed": said}, {"effort": "torque"}, effort="commanded")
         assert got.runs[0].prescribed is True
@@ -89,14 +89,14 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_what_cannot_be_costs_one_line_and_leaves_nothing(tmp_path: Path, case: str):
+def test_bad_circumstances_are_a_one_line_error_without_output(tmp_path: Path, case: str):
     said, wanted, why = BAD[case]
     with pytest.raises(FreeArtError, match=re.escape(why)) as error:
         set_of(tmp_path, said, wanted)
     assert "\n" not in str(error.value) and not (tmp_path / "out").exists()
 
 
-def test_the_command_takes_the_file(tmp_path: Path):
+def test_the_command_line_takes_circumstances(tmp_path: Path):
     set_of(tmp_path, {"prescribed": True}, {"effort": "torque"}, effort="commanded")
     command = [sys.executable, "-m", "freeart21", "measure"]
     told = ["--effort", "commanded", "--circumstances", str(tmp_path / "told.json")]

@@ -1,4 +1,4 @@
-"""Recordings as people have them become a measured set: what is guessed is right and told, what cannot be is asked."""
+"""Recordings in common formats become a measured set: guesses are right and reported, the rest is asked for."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def text(rows: np.ndarray, header: str = "", separator: str = ",", decimal: str 
 
 
 def imported(folder: Path, asset: Path, content: str | bytes, name: str = "run.csv", **told):
-    """The one measured set of one file, and the lines that were said."""
+    """The measured set of one file, and the printed lines."""
     path = folder / name
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     joint, out = told.pop("joint", None), folder / told.pop("out", "out")
@@ -71,7 +71,7 @@ FORMS = {
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_one_swing_is_the_same_whatever_the_form_of_its_text(form: str, tmp_path: Path, asset: Path):
+def test_text_formats_are_equivalent(form: str, tmp_path: Path, asset: Path):
     measured, said = imported(tmp_path, asset, FORMS[form])
     (run,) = measured.runs
     np.testing.assert_allclose(run.times_s, T, atol=2e-7)
@@ -104,7 +104,7 @@ def test_one_swing_is_the_same_whatever_the_form_of_its_text(form: str, tmp_path
         {"log": {"data": [{"t": t, "q": [q, 0.0]} for t, q in TABLE.tolist()]}},
     ],
 )
-def test_json_has_its_table_anywhere(data, tmp_path: Path, asset: Path):
+def test_json_tables_are_found_at_any_depth(data, tmp_path: Path, asset: Path):
     told = {"columns": {"q": "q:1"}} if isinstance(data, dict) and "log" in data else {}
     measured, _ = imported(tmp_path, asset, json.dumps(data), "log.json", **told)
     np.testing.assert_allclose(measured.runs[0].q, Q, rtol=1e-15)
@@ -115,7 +115,7 @@ def mat(folder: Path, **variables) -> bytes:
     return (folder / "made.mat").read_bytes()
 
 
-def test_mat_columns_are_vectors_matrices_and_fields(tmp_path: Path, asset: Path):
+def test_mat_columns_come_from_vectors_matrices_and_fields(tmp_path: Path, asset: Path):
     row = np.stack([Q, np.gradient(Q, T)])
     content = mat(tmp_path, t=T[:, None], log={"theta": Q}, both=row, J=0.1)
     assert set(read_series(tmp_path / "made.mat").columns) == {"t", "log.theta", "both:1", "both:2"}
@@ -126,7 +126,7 @@ def test_mat_columns_are_vectors_matrices_and_fields(tmp_path: Path, asset: Path
         np.testing.assert_array_equal(measured.runs[0].q, Q)
 
 
-def test_a_cell_array_is_a_run_a_cell_and_further_ones_follow(tmp_path: Path, asset: Path):
+def test_a_cell_array_is_one_run_per_cell(tmp_path: Path, asset: Path):
     cells, more = np.empty((2, 1), object), np.empty((1, 1), object)
     times, later = np.empty((2, 1), object), np.empty((1, 1), object)
     for k, (a, b) in enumerate(((cells, times), (cells, times), (more, later))):
@@ -140,19 +140,19 @@ def test_a_cell_array_is_a_run_a_cell_and_further_ones_follow(tmp_path: Path, as
         np.testing.assert_allclose(run.times_s, T, atol=1e-12)
 
 
-def test_the_zero_and_the_sense_of_a_recording_are_those_told(tmp_path: Path, asset: Path):
+def test_zero_and_sign_are_applied(tmp_path: Path, asset: Path):
     table = np.column_stack([T, 90 - np.degrees(Q)])
     measured, _ = imported(tmp_path, asset, text(table, "time,angle"), zero=90.0, reverse=True, unit_q="deg")
     np.testing.assert_allclose(measured.runs[0].q, Q, atol=2e-9)
 
 
-def test_rows_without_times_have_the_rate_that_is_told(tmp_path: Path, asset: Path):
+def test_rows_without_times_use_the_given_rate(tmp_path: Path, asset: Path):
     measured, said = imported(tmp_path, asset, text(Q[:, None], "angle"), rate_hz=100.0)
     np.testing.assert_allclose(measured.runs[0].times_s, T, atol=1e-12)
     assert measured.rate_hz == 100 and "rows come 100 times a second" in said
 
 
-def test_a_turn_that_a_sensor_leaps_over_is_undone(tmp_path: Path):
+def test_sensor_wraps_are_undone(tmp_path: Path):
     urdf = asset_of(tmp_path / "asset")
     urdf.write_text(urdf.read_text().replace('type="revolute"', 'type="continuous"'))
     wound = 12 * T
@@ -162,7 +162,7 @@ def test_a_turn_that_a_sensor_leaps_over_is_undone(tmp_path: Path):
     assert "positions are in deg, by its leaps" in said and "2 jumps of the position by a whole turn" in said
 
 
-def test_rows_that_say_nothing_are_left_out_and_told(tmp_path: Path, asset: Path):
+def test_empty_rows_are_dropped_and_reported(tmp_path: Path, asset: Path):
     lines = text(TABLE, "time,angle").splitlines()
     lines[10:10] = [lines[9]]  # a reading sent twice
     lines[30] = lines[30].split(",")[0] + ","  # a reading lost
@@ -174,7 +174,7 @@ def test_rows_that_say_nothing_are_left_out_and_told(tmp_path: Path, asset: Path
     assert "1 rows with another number of cells than 2" in said
 
 
-def test_gravity_is_told_in_the_frame_of_the_reference_link(tmp_path: Path, asset: Path):
+def test_gravity_is_in_the_reference_links_frame(tmp_path: Path, asset: Path):
     plain = read_asset(asset)
     turned = np.array([[1.0, 0, 0, 0.3], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
     write_asset_json(asset.parent, replace(plain, T_canonical_reference=turned))
@@ -185,7 +185,7 @@ def test_gravity_is_told_in_the_frame_of_the_reference_link(tmp_path: Path, asse
 DRIVEN = np.column_stack([T, Q, np.degrees(np.sin(T)), np.sin(3 * T), (T < 0.4).astype(float)])
 
 
-def test_commands_come_with_their_law_and_stop_where_the_drive_is_off(tmp_path: Path, asset: Path):
+def test_commands_have_a_law_and_end_where_the_drive_is_off(tmp_path: Path, asset: Path):
     rows = DRIVEN[:, [0, 1, 2, 4]].copy()
     rows[:, 1] = np.degrees(rows[:, 1])
     content = text(rows, "timestamp,position,goal_position,torque_enable")
@@ -198,7 +198,7 @@ def test_commands_come_with_their_law_and_stop_where_the_drive_is_off(tmp_path: 
     assert measured.interpolation == "unknown" and "runs are cut there" in said
 
 
-def test_efforts_say_how_they_act_and_in_what_unit(tmp_path: Path, asset: Path):
+def test_efforts_state_hold_and_unit(tmp_path: Path, asset: Path):
     content = text(DRIVEN[:, [0, 1, 3]], "time,position,torque")
     told = {"effort": "external", "unit_effort": "mN*m", "reverse": True, "interpolation": "held"}
     measured, said = imported(tmp_path, asset, content, **told)
@@ -208,7 +208,7 @@ def test_efforts_say_how_they_act_and_in_what_unit(tmp_path: Path, asset: Path):
     assert measured.interpolation == "held"
 
 
-def test_an_empty_cell_of_a_drive_is_no_row_of_it(tmp_path: Path, asset: Path):
+def test_empty_drive_cells_are_skipped(tmp_path: Path, asset: Path):
     lines = text(DRIVEN[:, [0, 1, 3]], "time,position,torque").splitlines()
     lines[6] = lines[6].rsplit(",", 1)[0] + ","
     measured, said = imported(tmp_path, asset, "\n".join(lines), effort="commanded")
@@ -224,7 +224,7 @@ def test_an_empty_cell_of_a_drive_is_no_row_of_it(tmp_path: Path, asset: Path):
         imported(tmp_path, asset, "\n".join(lines), name="silent.csv", out="silent", **told)
 
 
-def test_rows_that_a_network_swapped_are_put_in_order_and_a_second_recording_is_refused(tmp_path: Path, asset: Path):
+def test_swapped_rows_are_sorted_and_a_second_recording_is_refused(tmp_path: Path, asset: Path):
     lines = text(TABLE, "time,angle").splitlines()
     lines[20], lines[21] = lines[21], lines[20]
     measured, said = imported(tmp_path, asset, "\n".join(lines))
@@ -234,7 +234,7 @@ def test_rows_that_a_network_swapped_are_put_in_order_and_a_second_recording_is_
         imported(tmp_path, asset, text(np.vstack([TABLE, TABLE]), "time,angle"), name="twice.csv", out="twice")
 
 
-def test_a_command_that_leaps_by_a_turn_stays_with_its_position(tmp_path: Path):
+def test_a_wrapped_command_follows_its_position(tmp_path: Path):
     urdf = asset_of(tmp_path / "asset")
     urdf.write_text(urdf.read_text().replace('type="revolute"', 'type="continuous"'))
     wound = 12 * T + 2.5
@@ -247,7 +247,7 @@ def test_a_command_that_leaps_by_a_turn_stays_with_its_position(tmp_path: Path):
     assert "jumps of the command by a whole turn were undone" in said
 
 
-def test_a_recording_that_was_given_twice_is_one(tmp_path: Path, asset: Path):
+def test_a_duplicate_recording_is_dropped(tmp_path: Path, asset: Path):
     for name in ("a.csv", "b.csv"):
         (tmp_path / name).write_text(text(TABLE, "time,angle"))
     (tmp_path / "c.csv").write_text(text(np.column_stack([T, 0.9 * Q]), "time,angle"))
@@ -257,7 +257,7 @@ def test_a_recording_that_was_given_twice_is_one(tmp_path: Path, asset: Path):
     assert "run 'a' is run 'b' again, reading by reading: it was left out" in notes
 
 
-def test_a_column_that_is_said_to_drive_nothing_is_left_out_aloud(tmp_path: Path, asset: Path):
+def test_an_ignored_drive_column_is_reported(tmp_path: Path, asset: Path):
     content = text(DRIVEN[:, [0, 1, 3]], "time,position,torque")
     measured, said = imported(tmp_path, asset, content, columns={"t": "time", "q": "position"})
     assert measured.runs[0].effort is None and "column 'torque' is left out" in said
@@ -333,7 +333,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("what", REFUSED)
-def test_what_cannot_be_read_or_guessed_costs_one_line_and_writes_nothing(what: str, tmp_path: Path, asset: Path):
+def test_unreadable_input_is_a_one_line_error_without_output(what: str, tmp_path: Path, asset: Path):
     content, told, said = REFUSED[what]
     with pytest.raises(FreeArtError, match=said) as told_line:
         imported(tmp_path, asset, content, **told)
@@ -353,14 +353,14 @@ def test_what_cannot_be_read_or_guessed_costs_one_line_and_writes_nothing(what: 
         ("a.npz", b"PK", "is a .npz file, expected text"),
     ],
 )
-def test_files_of_strangers_cost_one_line(name: str, content: bytes, said: str, tmp_path: Path, asset: Path):
+def test_hostile_files_are_a_one_line_error(name: str, content: bytes, said: str, tmp_path: Path, asset: Path):
     with pytest.raises(FreeArtError, match=said) as told:
         imported(tmp_path, asset, content, name)
     assert "\n" not in str(told.value)
 
 
-def test_a_mat_file_that_ends_its_reader_costs_one_line(tmp_path: Path, monkeypatch):
-    """SciPy's reader falls (SIGSEGV) on some broken files; here any does it."""
+def test_a_mat_file_that_crashes_scipy_is_a_one_line_error(tmp_path: Path, monkeypatch):
+    """SciPy's reader crashes (SIGSEGV) on some broken files; here every file does."""
     content = mat(tmp_path, t=T, q=Q)
     monkeypatch.setattr("freeart21.formats.mat_file.sys.executable", str(tmp_path / "python"))
     (tmp_path / "python").write_text("#!/bin/sh\nkill -SEGV $$\n")
@@ -370,7 +370,7 @@ def test_a_mat_file_that_ends_its_reader_costs_one_line(tmp_path: Path, monkeypa
         read_series(tmp_path / "a.mat")
 
 
-def test_what_lies_beside_a_mat_file_is_not_run(tmp_path: Path, monkeypatch):
+def test_python_files_next_to_a_mat_file_are_not_run(tmp_path: Path, monkeypatch):
     content = mat(tmp_path, t=T, q=Q)
     (tmp_path / "numpy.py").write_text("raise SystemExit('imported')")
     (tmp_path / "a.mat").write_bytes(content)
@@ -378,7 +378,7 @@ def test_what_lies_beside_a_mat_file_is_not_run(tmp_path: Path, monkeypatch):
     assert set(read_series(Path("a.mat")).columns) == {"t", "q"}
 
 
-def test_a_mat_file_that_swells_is_not_unpacked(tmp_path: Path, monkeypatch):
+def test_a_decompression_bomb_is_not_unpacked(tmp_path: Path, monkeypatch):
     monkeypatch.setattr("freeart21.formats.mat_file.MAX_BYTES", 1 << 20)
     packed = zlib.compress(bytes(2 << 20))
     header = b"MATLAB 5.0".ljust(124) + b"\0\1IM"
@@ -387,7 +387,7 @@ def test_a_mat_file_that_swells_is_not_unpacked(tmp_path: Path, monkeypatch):
         read_series(tmp_path / "bomb.mat")
 
 
-def test_columns_are_told_by_words_or_by_a_file(tmp_path: Path):
+def test_columns_come_from_options_or_a_file(tmp_path: Path):
     (tmp_path / "map.json").write_text('{"t": "time", "q": "angle"}')
     assert (
         columns_from(("t=time", "q=angle"))
@@ -402,7 +402,7 @@ def test_columns_are_told_by_words_or_by_a_file(tmp_path: Path):
             columns_from(words)
 
 
-def test_files_of_one_joint_are_runs_of_their_own_names(tmp_path: Path, asset: Path):
+def test_each_file_is_a_run_with_its_name(tmp_path: Path, asset: Path):
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "run 1.csv").write_text(text(np.column_stack([T, Q + 0.01 * (folder == "b")]), "t,q"))
@@ -411,7 +411,7 @@ def test_files_of_one_joint_are_runs_of_their_own_names(tmp_path: Path, asset: P
     assert [run.name for run in read_measured(tmp_path / "out/measured").runs] == ["run_1", "run_1_2"]
 
 
-def test_files_in_different_units_are_not_one_set(tmp_path: Path, asset: Path):
+def test_files_in_different_units_are_refused(tmp_path: Path, asset: Path):
     for name, unit in (("a", "deg"), ("b", "rad")):
         (tmp_path / f"{name}.csv").write_text(text(TABLE, f"time,angle [{unit}]"))
     with pytest.raises(FreeArtError, match=r"b.csv: q is in rad, but in deg in a.csv; expected one for all"):
@@ -427,7 +427,7 @@ def command(monkeypatch, *words: object) -> object:
     return 0
 
 
-def test_the_command_line_goes_by_what_its_sources_are(tmp_path: Path, asset: Path, monkeypatch, capsys):
+def test_the_command_line_follows_its_sources(tmp_path: Path, asset: Path, monkeypatch, capsys):
     run = tmp_path / "run.csv"
     run.write_text(text(TABLE, "time,angle"))
     assert command(monkeypatch, "measure", run, "--asset", asset, "--joint", "j", "--gravity", 0, 0, -1.62, "--out",
@@ -450,8 +450,8 @@ def test_the_command_line_goes_by_what_its_sources_are(tmp_path: Path, asset: Pa
         assert not (tmp_path / "no").exists()
 
 
-def test_gap_takes_the_set_as_it_is(tmp_path: Path, asset: Path):
-    """A bench with oil in its hinge, logged in degrees by somebody: measure, then gap, as a user would."""
+def test_gap_accepts_the_measured_set(tmp_path: Path, asset: Path):
+    """A damped hinge logged in degrees: `measure`, then `gap`, as a user would."""
     for run in measured_of(3, runs=3, viscous=0.12, seconds=1.5).runs:
         (tmp_path / f"{run.name}.csv").write_text(
             text(np.column_stack([run.times_s, np.degrees(run.q)]), "time;angle_deg", ";")

@@ -1,4 +1,4 @@
-"""A measured set is read as it stands, and whatever is wrong with one costs one clear line."""
+"""A measured set is read unchanged; a bad one is a one-line error."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TIMES = np.arange(60) * 0.01
 
 
 def write(folder: Path, changes: dict | None = None, csv: str | None = None, **columns) -> Path:
-    """A well-formed set of two runs, changed as asked for."""
+    """A well-formed set of two runs with the given changes."""
     folder.mkdir(parents=True, exist_ok=True)
     table = {"t_s": TIMES, "q": 0.3 * np.cos(8 * TIMES), **columns}
     text = (
@@ -45,7 +45,7 @@ def write(folder: Path, changes: dict | None = None, csv: str | None = None, **c
     return folder
 
 
-def test_a_set_is_read_as_it_stands(tmp_path: Path):
+def test_a_set_is_read_unchanged(tmp_path: Path):
     units = {"t_s": "s", "q": "rad", "effort": "N*m", "q_command": "rad"}
     actuator = {"type": "position", "stiffness": 5.0, "damping": 0.5}
     changes = {"units": units, "effort": "commanded", "actuator": actuator}
@@ -63,7 +63,7 @@ def test_a_set_is_read_as_it_stands(tmp_path: Path):
 
 
 @pytest.mark.parametrize("how", ["held", "linear", "unknown"])
-def test_what_efforts_do_between_their_rows_is_read_and_written(how: str, tmp_path: Path):
+def test_effort_interpolation_round_trips(how: str, tmp_path: Path):
     units = {"t_s": "s", "q": "rad", "effort": "N*m"}
     changes = {"units": units, "effort": "commanded", "interpolation": how}
     measured = read_measured(write(tmp_path / "a", changes, effort=np.sin(TIMES)))
@@ -74,7 +74,7 @@ def test_what_efforts_do_between_their_rows_is_read_and_written(how: str, tmp_pa
     assert plain.interpolation == "unknown"
 
 
-def test_what_may_be_left_out_is_exact_free_and_unmarked(tmp_path: Path):
+def test_optional_fields_have_their_defaults(tmp_path: Path):
     plain = {"asset_uncertainty": ..., "runs": [{"file": "run_0.csv"}], "base": ...}
     measured = read_measured(write(tmp_path, plain))
     assert (measured.inertia_relative, measured.gravity_relative) == (0.0, 0.0)
@@ -88,7 +88,7 @@ def test_a_missing_reading_is_nan(tmp_path: Path):
     assert np.flatnonzero(np.isnan(measured.runs[0].q)).tolist() == [7]
 
 
-def test_poses_are_of_the_moving_part_in_the_reference_parts_frame(tmp_path: Path):
+def test_poses_are_in_the_reference_parts_frame(tmp_path: Path):
     from freeart21 import se3
 
     camera = se3.exp_se3([0.1, 0.2, 1.0, 0.3, -0.2, 0.5])
@@ -132,7 +132,7 @@ BAD_FILES = {
 
 
 @pytest.mark.parametrize("csv", BAD_FILES, ids=range(len(BAD_FILES)))
-def test_a_bad_run_costs_one_line(tmp_path: Path, csv: str):
+def test_a_bad_run_is_a_one_line_error(tmp_path: Path, csv: str):
     with pytest.raises(FreeArtError) as caught:
         read_measured(write(tmp_path, csv=csv))
     assert BAD_FILES[csv] in str(caught.value) and "\n" not in str(caught.value)
@@ -178,14 +178,14 @@ BAD_HEADERS = [
 
 
 @pytest.mark.parametrize("changes, said", BAD_HEADERS)
-def test_a_bad_header_costs_one_line(tmp_path: Path, changes: dict, said: str):
+def test_a_bad_header_is_a_one_line_error(tmp_path: Path, changes: dict, said: str):
     with pytest.raises(FreeArtError) as caught:
         read_measured(write(tmp_path, changes))
     assert said in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_a_copy_of_a_run_is_left_out_and_said_so(tmp_path: Path):
-    """What was fitted cannot confirm: of a fitted run and its copy the one that is held out goes."""
+def test_a_copied_run_is_dropped_and_reported(tmp_path: Path):
+    """A fitted run cannot confirm: of a fitted run and its copy the held-out one is dropped."""
     for k, flags in enumerate(((None, True), (True, False), (False, False))):
         runs = [{"file": f"run_{i}.csv", "held_out": out} for i, out in enumerate(flags)]
         measured = read_measured(write(tmp_path / str(k), {"runs": runs}))
@@ -195,14 +195,14 @@ def test_a_copy_of_a_run_is_left_out_and_said_so(tmp_path: Path):
     assert not read_measured(write(tmp_path / "other")).notes
 
 
-def test_two_rests_under_other_pushes_are_no_copies():
+def test_rests_under_different_pushes_are_not_copies():
     still = np.zeros(60)
     runs = tuple(Run(f"r{k}", TIMES + k, still, k * np.ones(60)) for k in range(3))
     assert drop_duplicate_runs(runs) == (runs, ())
     assert len(drop_duplicate_runs((*runs, replace(runs[1], name="again")))[0]) == 3
 
 
-def test_a_cell_of_a_drive_may_be_empty_but_for_the_first(tmp_path: Path):
+def test_drive_cells_may_be_empty_except_the_first(tmp_path: Path):
     changes = {"units": {"t_s": "s", "q": "rad", "effort": "N*m"}, "effort": "commanded"}
     rows = [f"{t:.3f},{0.1 * i},{'' if i % 3 else i}" for i, t in enumerate(TIMES)]
     folder = write(tmp_path / "a", changes, csv="t_s,q,effort\n" + "\n".join(rows))
@@ -221,7 +221,7 @@ def test_efforts_and_commands_need_to_be_explained(tmp_path: Path):
         read_measured(write(tmp_path, {"units": units}, q_command=TIMES))
 
 
-def test_no_set_at_all_costs_one_line(tmp_path: Path):
+def test_a_missing_set_is_a_one_line_error(tmp_path: Path):
     with pytest.raises(FreeArtError, match="is not a measured set: expected a folder with measured.json"):
         read_measured(tmp_path / "nothing")
 
@@ -239,7 +239,7 @@ def test_no_set_at_all_costs_one_line(tmp_path: Path):
         ({"T_camera_moving": ...}, "has no T_camera_moving; it has"),
     ],
 )
-def test_bad_poses_cost_one_line(tmp_path: Path, changes: dict, said: str):
+def test_bad_poses_are_a_one_line_error(tmp_path: Path, changes: dict, said: str):
     folder = write(tmp_path, {"runs": [{"file": "run_p", "kind": "poses"}]})
     (folder / "run_p").mkdir()
     eye = np.tile(np.eye(4), (30, 1, 1))
@@ -250,14 +250,14 @@ def test_bad_poses_cost_one_line(tmp_path: Path, changes: dict, said: str):
     assert said in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_too_much_is_not_read(tmp_path: Path, monkeypatch):
+def test_oversized_input_is_refused(tmp_path: Path, monkeypatch):
     folder = write(tmp_path)
     monkeypatch.setattr("freeart21.files.measured.MAX_BYTES", 1000)
     with pytest.raises(FreeArtError, match="bytes together, at most 1000 are read"):
         read_measured(folder)
 
 
-def test_a_run_says_that_its_motion_is_prescribed_and_then_has_the_force_that_it_took(tmp_path: Path):
+def test_a_prescribed_run_has_its_measured_effort(tmp_path: Path):
     units = {"t_s": "s", "q": "rad", "effort": "N*m"}
     runs = [{"file": "run_0.csv", "prescribed": True}, {"file": "run_1.csv", "prescribed": False, "held_out": True}]
     changes = {"units": units, "effort": "commanded", "runs": runs}

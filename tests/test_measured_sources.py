@@ -1,4 +1,4 @@
-"""Recordings of real pendula come through the reader as they are; skipped where they are not at hand."""
+"""Recordings of real pendula are read unchanged; skipped where they are not available."""
 
 from pathlib import Path
 
@@ -25,7 +25,7 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("name", SOURCES)
-def test_every_recording_is_read_with_its_asset(name: str, sets: Path):
+def test_real_recordings_are_read_with_their_asset(name: str, sets: Path):
     measured = read_measured(sets / name / "measured")
     asset = read_asset(sets / name / "asset.urdf", measured.joint)
     assert asset.joint == measured.joint == "hinge"
@@ -34,7 +34,7 @@ def test_every_recording_is_read_with_its_asset(name: str, sets: Path):
     assert (measured.actuator is not None) == name.startswith("bam")
 
 
-def test_the_free_arm_swings_at_the_rate_of_its_asset(sets: Path):
+def test_the_free_arm_swings_at_its_assets_frequency(sets: Path):
     run = read_measured(sets / "multiarm" / "measured").runs[0]
     asset = read_asset(sets / "multiarm" / "asset.urdf")
     turns = np.flatnonzero(np.diff(np.sign(run.q)) > 0)
@@ -45,7 +45,7 @@ def test_the_free_arm_swings_at_the_rate_of_its_asset(sets: Path):
     assert float(np.diff(alone.times_s[crossings])[0]) == pytest.approx(period, rel=0.03)
 
 
-def test_a_servo_that_was_switched_off_makes_a_run_without_commands(sets: Path):
+def test_a_disabled_servo_has_no_commands(sets: Path):
     measured = read_measured(sets / "bam_kp100" / "measured")
     free = [run for run in measured.runs if run.q_command is None]
     assert len(free) == 1 and len(measured.runs) == 5
@@ -80,7 +80,7 @@ COMMANDS = {  # files, what must be told, runs, rows a second
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_each_recording_comes_in_with_one_command(name: str, sets: Path, tmp_path: Path):
+def test_each_recording_imports_with_one_command(name: str, sets: Path, tmp_path: Path):
     words, told, count, rate_hz = COMMANDS[name]
     files = [SHARED / word for word in words.split()]
     if not all(file.is_file() for file in files):

@@ -1,4 +1,4 @@
-"""`freeart21 replay`: files in, errors out; the numbers of `gap` to their last digit, and odd files in one line."""
+"""`freeart21 replay`: files in, errors out, equal to `gap`'s to the last digit; bad files are one-line errors."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ STARTS = (1.2, -0.7, 0.5, -1.0, 0.9, -0.4)
 
 
 def pendulum(count: int = 6, oil: float = OIL, seconds: float = 3.0, noise: float = 1e-3) -> tuple[Run, ...]:
-    """Swings of the pendulum on the bench, by an equation that is none of the product's."""
+    """Swings of a pendulum by an independent equation."""
     rng, runs, t = np.random.default_rng(2), [], np.arange(round(seconds * RATE)) / RATE
     for i, q0 in enumerate(STARTS[:count]):
 
@@ -59,7 +59,7 @@ def oiled(folder: Path, *effects) -> Path:
 
 
 def run(*words: object) -> int | str | None:
-    """Exit code of a command line, or its one line of fault."""
+    """Exit code of a command line, or its error line."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", ["freeart21", *map(str, words)])
         try:
@@ -69,8 +69,8 @@ def run(*words: object) -> int | str | None:
     return 0
 
 
-def test_gap_tells_what_replay_says_of_the_files_to_the_last_digit(tmp_path: Path, monkeypatch, capsys):
-    """Before, after and MuJoCo's word; by the very command lines that the verdict has."""
+def test_gap_and_replay_agree_to_the_last_digit(tmp_path: Path, monkeypatch, capsys):
+    """Before, after and in MuJoCo, by the verdict's own command lines."""
     monkeypatch.chdir(tmp_path)
     asset_of(Path("a")), write_set(Path("m"), pendulum())
     assert not run("gap", "a", "m", "--out", "gap")
@@ -99,7 +99,7 @@ def test_gap_tells_what_replay_says_of_the_files_to_the_last_digit(tmp_path: Pat
             assert uses == (said["uses"] if what == "after" else dict.fromkeys(uses, "unknown"))
 
 
-def test_a_replay_is_written_whole_and_never_over_another(tmp_path: Path):
+def test_a_replay_is_written_atomically_and_never_overwrites(tmp_path: Path):
     asset, runs = oiled(tmp_path), write_set(tmp_path / "m", pendulum(2))
     out = tmp_path / "out"
     result = replay_folder(asset, [runs / "swing_1.csv"], out)
@@ -119,13 +119,13 @@ def test_a_replay_is_written_whole_and_never_over_another(tmp_path: Path):
     assert not (tmp_path / "late").exists()
 
 
-def test_a_run_hangs_on_no_other_run_that_is_asked_for(tmp_path: Path):
+def test_runs_are_replayed_independently(tmp_path: Path):
     asset, runs = oiled(tmp_path), write_set(tmp_path / "m", pendulum(3))
     every, one = (replay_folder(asset, [path]).rows for path in (runs, runs / "swing_2.csv"))
     assert one[0].replay.error == every[2].replay.error and one[0].replay.start == every[2].replay.start
 
 
-def test_the_engines_witness_each_other_or_say_why_not(tmp_path: Path):
+def test_engines_are_compared_or_the_reason_is_given(tmp_path: Path):
     pytest.importorskip("mujoco")
     runs = write_set(tmp_path / "m", pendulum(1))
     for asset in (oiled(tmp_path / "with"), tmp_path / "with/plain"):  # with an MJCF, and a URDF alone
@@ -146,14 +146,14 @@ def test_gravity_is_measured_in_the_canonical_frame_whichever_engine_replays(tmp
         assert replay_folder(folder, [runs], engine=engine).rows[0].replay.error < 0.01
 
 
-def test_without_mujoco_one_line_says_so(tmp_path: Path, monkeypatch):
+def test_missing_mujoco_is_a_one_line_message(tmp_path: Path, monkeypatch):
     own = importlib.util.find_spec
     monkeypatch.setattr("importlib.util.find_spec", lambda name, *more: None if name == "mujoco" else own(name, *more))
     with pytest.raises(FreeArtError, match="MuJoCo is not installed: pip install"):
         replay_folder(oiled(tmp_path), [write_set(tmp_path / "m", pendulum(1))], engine="mujoco")
 
 
-def test_what_the_files_guess_acts_unless_it_is_left_out(tmp_path: Path):
+def test_guessed_effects_act_unless_excluded(tmp_path: Path):
     asset, runs = read_asset(oiled(tmp_path)), write_set(tmp_path / "m", pendulum(1))
     write_asset_json(asset.urdf.parent, replace(asset, source={"dynamics": {"guessed": True}}))
     acting, without = (replay_folder(asset.urdf.parent, [runs], guesses=g).rows[0].replay.error for g in (True, False))
@@ -178,14 +178,14 @@ def two(folder: Path, more: str = "") -> Path:
 
 
 def slid(mm: bool = False) -> tuple[Run, ...]:
-    """A drawer pushed once that dry friction of 1 N stops, by hand."""
+    """A drawer pushed once and stopped by dry friction of 1 N, in closed form."""
     t = np.arange(300) / RATE
     q = np.where(t < 2.0, 0.5 + 1.0 * t - 0.25 * t**2, 1.5)
     return (Run("pushed", t, q + np.random.default_rng(0).normal(0, 1e-3, len(t))),)
 
 
-def test_of_two_joints_each_is_replayed_by_its_own_runs(tmp_path: Path):
-    """A hinge and a slider of one asset, millimetres in one file, and gaps in the other."""
+def test_each_joint_is_replayed_by_its_runs(tmp_path: Path):
+    """A hinge and a slider of one asset, with millimetres in one file and missing rows in the other."""
     path = two(tmp_path / "a", '<dynamics friction="1.0"/>')
     (swing,) = pendulum(1, oil=0.0)
     seen = swing.q.copy()
@@ -207,7 +207,7 @@ def test_of_two_joints_each_is_replayed_by_its_own_runs(tmp_path: Path):
     assert len(list((tmp_path / "out/curves").iterdir())) == 2
 
 
-def test_odd_files_cost_one_line(tmp_path: Path):
+def test_bad_replay_files_are_a_one_line_error(tmp_path: Path):
     runs, path = write_set(tmp_path / "m", pendulum(2)), two(tmp_path / "a")
     loose = tmp_path / "loose.csv"
     loose.write_text((runs / "swing_0.csv").read_text())
@@ -237,7 +237,7 @@ def test_odd_files_cost_one_line(tmp_path: Path):
         assert not (tmp_path / "out").exists()
 
 
-def test_part_poses_are_replayed_as_the_positions_that_gap_made_of_them(tmp_path: Path, monkeypatch):
+def test_part_poses_are_replayed_as_gaps_positions(tmp_path: Path, monkeypatch):
     """runs/ of the answer is a measured set, which repeats the numbers."""
     from test_gap_command import poses
 
@@ -260,8 +260,8 @@ def test_part_poses_are_replayed_as_the_positions_that_gap_made_of_them(tmp_path
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-3])
-def test_dry_friction_that_holds_is_replayed(tmp_path: Path, noise: float, recwarn):
-    """What stands still is met to its noise, also where no reading differs from another, and its start is told."""
+def test_sticking_friction_is_replayed(tmp_path: Path, noise: float, recwarn):
+    """A resting joint is matched to its noise, also where all readings are equal."""
     t = np.arange(200) / RATE
     still = Run("still", t, np.random.default_rng(1).normal(0, noise, len(t)))
     asset = oiled(tmp_path, CoulombFriction(MASS * G * ARM))

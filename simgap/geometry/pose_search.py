@@ -104,8 +104,8 @@ def held_out_losses(
                 residual = _remove_rocking(residual, lin.rocks[here], lin.times_s[here], frequency)
             out[s] += np.bincount(units[here], (residual**2).sum(-1), len(count))
     ceiling = _ceiling_losses(lin, prior[k:], folds, units)
-    kept = count > 0
-    return Losses(subsets, out[:, kept] / count[kept], ceiling[kept] / count[kept], count[kept].astype(float))
+    scored = count > 0
+    return Losses(subsets, out[:, scored] / count[scored], ceiling[scored] / count[scored], count[scored].astype(float))
 
 
 def free_columns(lin: Linear, degree: int = 5) -> Array:

@@ -86,8 +86,8 @@ def set_dynamics(root: ET.Element, effects: dict[str, tuple[Effect, ...]]) -> No
     """Set `<dynamics>` of every joint of a URDF from its effects; the rest is unchanged."""
     for joint in root.findall("joint"):
         acting = effects.get(joint.get("name", ""), ())
-        said = [effect.urdf_dynamics() for effect in acting]
-        sums = {word: float(np.sum([s.get(word, 0.0) for s in said])) for word in ("damping", "friction")}
+        terms = [effect.urdf_dynamics() for effect in acting]
+        sums = {word: float(np.sum([t.get(word, 0.0) for t in terms])) for word in ("damping", "friction")}
         element = joint.find("dynamics")
         if element is None and not any(sums.values()):
             continue
@@ -104,14 +104,14 @@ def set_joint_words(root: ET.Element, joint: str, effects: dict[str, tuple[Effec
         raise FreeArtError(f"{where} has no joint '{joint}'; joints: {names or 'none'}")
     for word in ("damping", "frictionloss", *STIFF_FRICTION, "armature", "stiffness", "springref"):
         element.attrib.pop(word, None)
-    for word, said in joint_attributes(effects.get(joint, ()), joint).items():
-        element.set(word, said)
+    for word, value in joint_attributes(effects.get(joint, ()), joint).items():
+        element.set(word, value)
 
 
 def _check_reloaded(asset: Asset, effects: dict[str, tuple[Effect, ...]], folder: Path) -> Asset:
     """The asset as read from `folder`, after checking its effects and its joint."""
     read = read_asset(folder)
-    if read.effects != {name: said for name, said in effects.items() if said}:
+    if read.effects != {name: acting for name, acting in effects.items() if acting}:
         raise FreeArtError(f"{folder} has effects {read.effects} once reloaded, expected {effects}")
     states = np.array([-0.3, 0.0, 0.4])
     plain = (replace(a, effects={}) for a in (asset, read))

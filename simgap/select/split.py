@@ -72,8 +72,8 @@ def split_runs(runs: tuple[FitRun, ...]) -> Split:
         runs = tuple(_cut_run(runs[0], int(a), int(b)) for a, b in pairwise(bounds))
     order = sorted(runs, key=_motion_key)
     confirming = tuple(order[_CONFIRM_EVERY // 2 :: _CONFIRM_EVERY]) if len(order) >= _CONFIRM_EVERY else ()
-    kept = [run for run in order if run not in confirming]
-    groups = [[kept[i] for i in g] for g in np.array_split(np.arange(len(kept)), min(len(kept), _GROUPS))]
+    fitted = [run for run in order if run not in confirming]
+    groups = [[fitted[i] for i in g] for g in np.array_split(np.arange(len(fitted)), min(len(fitted), _GROUPS))]
     return Split(
         tuple(Fold(tuple(r for other in groups if other is not g for r in other), tuple(g)) for g in groups),
         confirming,
