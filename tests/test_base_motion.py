@@ -244,8 +244,8 @@ def test_a_real_pendulum_follows_its_arm(tmp_path: Path):
     left = []
     for told in (measured, still):
         plant = make_plant(asset, told)
-        seen, floor = make_fit_runs(told, plant)
-        problem = make_problem(plant, told, seen, floor)
+        seen, noise = make_fit_runs(told, plant)
+        problem = make_problem(plant, told, seen, noise)
         fit = fit_model(Model(problem, ("coulomb_friction", "viscous_damping")), seen[:1])
         both = refit_starts(fit, seen)
         left.append([np.sqrt(np.mean((predict_readings(both, run) - run.q) ** 2)) for run in seen])

@@ -172,8 +172,8 @@ def test_an_offset_needs_commanded_efforts(tmp_path: Path):
     for name, told in (("offset", True), ("motor", True), ("servo", False)):
         measured = measured_of(name)
         plant = make_plant(asset, measured)
-        runs, floor = make_fit_runs(measured, plant)
-        problem = make_problem(plant, measured, runs, floor)
+        runs, noise = make_fit_runs(measured, plant)
+        problem = make_problem(plant, measured, runs, noise)
         assert ("actuator_offset" in list_candidates(problem, runs)) is told
 
 

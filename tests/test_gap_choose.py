@@ -44,8 +44,8 @@ def damped(tmp_path_factory: pytest.TempPathFactory) -> Verdict:
 def search_on(folder: Path, measured: Measured, upper: float = 3.0) -> Search:
     """A search without effects on the first three runs."""
     plant = make_plant(read_asset(asset_of(folder, upper=upper), "j"), measured)
-    runs, floor = make_fit_runs(measured, plant)
-    return Search(make_problem(plant, measured, runs, floor), runs[:3], ())
+    runs, noise = make_fit_runs(measured, plant)
+    return Search(make_problem(plant, measured, runs, noise), runs[:3], ())
 
 
 def names(found: Verdict) -> set[str]:
@@ -107,7 +107,7 @@ def test_a_pair_is_named_that_single_steps_miss(tmp_path: Path):
 
 @pytest.mark.parametrize("seed", [23, 24])
 def test_friction_with_damping_is_not_load_friction(tmp_path: Path, seed: int):
-    """On a swing, load friction varies with speed squared and hardly more than noise remains; the pair is more probable."""
+    """On a swing, load friction varies with speed squared leaving hardly more than noise; the pair is more probable."""
     found = verdict(tmp_path, measured_of(seed, dry=0.5, viscous=0.1))
     assert (found.verdict, names(found)) == ("named", {"coulomb_friction", "viscous_damping"})
 
@@ -117,8 +117,8 @@ def test_friction_without_presliding_is_fitted(tmp_path: Path):
     what is left, which other effects would take."""
     measured = measured_of(8, dry=4.0, servo=True, exact=True, lean=0.0, runs=3)
     plant = make_plant(read_asset(asset_of(tmp_path), "j"), measured)
-    runs, floor = make_fit_runs(measured, plant)
-    problem = make_problem(plant, measured, runs, floor)
+    runs, noise = make_fit_runs(measured, plant)
+    problem = make_problem(plant, measured, runs, noise)
     model = Model(problem, ("coulomb_friction",))
     built = fit_model(model, runs, at(model, level=4.0, travel_root=0.1))
     assert (
@@ -168,7 +168,7 @@ def test_drive_delay_and_clock_delay_are_rivals(tmp_path: Path):
     assert found.verdict == "ambiguous" and {("actuator_delay",), ("time_offset",)} <= set(found.rivals)
 
 
-@pytest.mark.parametrize("beside", [{}, {"gain": 1.3, "dry": 0.5}])
+@pytest.mark.parametrize("hold_difference", [{}, {"gain": 1.3, "dry": 0.5}])
 def test_backlash_of_a_servo_is_named(tmp_path: Path, hold_difference: dict[str, float]):
     found = verdict(tmp_path, measured_of(31, servo=True, gears=0.15, **hold_difference))
     also = {"actuator_gain", "coulomb_friction"} if hold_difference else set()

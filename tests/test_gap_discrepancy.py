@@ -24,8 +24,8 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> tuple[Fit, tuple[FitRun, 
     """The unchanged asset and runs that it explains, none marked held out."""
     measured = measured_of(5, marked=False, exact=True)
     plant = make_plant(read_asset(asset_of(tmp_path_factory.mktemp("asset")), "j"), measured)
-    runs, floor = make_fit_runs(measured, plant)
-    return fit_model(Model(make_problem(plant, measured, runs, floor), ()), runs), runs
+    runs, noise = make_fit_runs(measured, plant)
+    return fit_model(Model(make_problem(plant, measured, runs, noise), ()), runs), runs
 
 
 def found(fit: Fit, runs: tuple[FitRun, ...]) -> dict[str, Discrepancy]:

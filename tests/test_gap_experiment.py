@@ -37,12 +37,12 @@ def test_an_experiment_separates_all_rivals(problem: Problem):
     """10 % more inertia swings as weaker gravity; a known push separates them, and both from damping."""
     heavier = fit(problem, "armature", 0.1 * INERTIA)
     weaker = fit(problem, "gravity_offset", 0.0, MASS * G * ARM / 11)
-    oil = fit(problem, "viscous_damping", 0.06)
+    damped = fit(problem, "viscous_damping", 0.06)
     assert next_experiment([heavier, weaker]).startswith("Push it to and fro with a known")
-    assert "the explanations then differ by at least" in next_experiment([heavier, weaker, oil])
+    assert "the explanations then differ by at least" in next_experiment([heavier, weaker, damped])
 
 
 def test_rivals_that_no_experiment_separates_are_reported(problem: Problem):
-    oil, more = fit(problem, "viscous_damping", 0.06), fit(problem, "viscous_damping", 0.2)
-    assert next_experiment([oil, oil]) == NO_EXPERIMENT
-    assert "the first two explanations then differ by" in next_experiment([oil, more, oil])
+    damped, more = fit(problem, "viscous_damping", 0.06), fit(problem, "viscous_damping", 0.2)
+    assert next_experiment([damped, damped]) == NO_EXPERIMENT
+    assert "the first two explanations then differ by" in next_experiment([damped, more, damped])

@@ -35,8 +35,8 @@ from simgap.select.split import split_runs
 
 def problem(folder: Path, measured: Measured) -> tuple[Problem, tuple]:
     plant = make_plant(read_asset(asset_of(folder), "j"), measured)
-    runs, floor = make_fit_runs(measured, plant)
-    return make_problem(plant, measured, runs, floor), runs
+    runs, noise = make_fit_runs(measured, plant)
+    return make_problem(plant, measured, runs, noise), runs
 
 
 def test_hidden_parameters_are_recovered_with_free_initial_states(tmp_path: Path):
@@ -130,8 +130,8 @@ def test_noise_floor_is_the_sensors(tmp_path: Path):
     )
     steps = 0.01 * np.round(np.interp(times, [0, 10, 20], [0, 0.5, 0]) / 0.01)  # long at rest on each step
     assert estimate_noise([(times, steps)]).sigma_at_rest >= 0.99 * 0.01 / np.sqrt(12)
-    floor = estimate_noise([(times, true + rng.normal(0, 2e-3, 4000) + speed * rng.normal(0, 2e-3, 4000))])
-    assert floor.time_jitter_s == pytest.approx(2e-3, rel=0.25) and floor.sigma_at_rest == pytest.approx(2e-3, rel=0.4)
+    noise = estimate_noise([(times, true + rng.normal(0, 2e-3, 4000) + speed * rng.normal(0, 2e-3, 4000))])
+    assert noise.time_jitter_s == pytest.approx(2e-3, rel=0.25) and noise.sigma_at_rest == pytest.approx(2e-3, rel=0.4)
 
 
 @pytest.mark.parametrize("largest, said", [(57.3, "are its units degrees?"), (0.9, None)])

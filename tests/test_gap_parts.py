@@ -21,8 +21,8 @@ def case(folder: Path, seconds: float) -> tuple[Problem, tuple[FitRun, ...]]:
     """Eight runs of a pendulum with viscous damping."""
     measured = measured_of(3, runs=8, seconds=seconds, marked=False, viscous=0.06)
     plant = make_plant(read_asset(asset_of(folder), "j"), measured)
-    runs, floor = make_fit_runs(measured, plant)
-    return make_problem(plant, measured, runs, floor), runs
+    runs, noise = make_fit_runs(measured, plant)
+    return make_problem(plant, measured, runs, noise), runs
 
 
 def test_short_runs_are_searched_whole(tmp_path: Path):

@@ -45,8 +45,8 @@ def test_a_shape_over_position_is_named(tmp_path: Path, name: str, said: str):
     """Common effects come first: friction that varies with position is dry friction, in part."""
     measured, settings = measured_of(5, exact=True, marked=False), GapSettings()
     plant = make_plant(read_asset(asset_of(tmp_path), "j"), measured)
-    runs, floor = make_fit_runs(measured, plant)
-    problem = make_problem(plant, measured, runs, floor)
+    runs, noise = make_fit_runs(measured, plant)
+    problem = make_problem(plant, measured, runs, noise)
     model = Model(problem, (name,), instant_friction=True)
     theta = np.array([HIDDEN[name].get(r.name, x) for r, x in zip(model.ranges(), model.neutral(), strict=True)])
     true = fit_model(model, runs, theta, iterations=0)
@@ -61,6 +61,6 @@ def test_a_shape_over_position_is_named(tmp_path: Path, name: str, said: str):
 def test_a_continuous_joint_has_no_shape_over_position(tmp_path: Path):
     measured = measured_of(5, exact=True)
     plant = make_plant(read_asset(asset_of(tmp_path), "j"), measured)
-    runs, floor = make_fit_runs(measured, plant)
-    problem = replace(make_problem(plant, measured, runs, floor), q_high=3300.0)
+    runs, noise = make_fit_runs(measured, plant)
+    problem = replace(make_problem(plant, measured, runs, noise), q_high=3300.0)
     assert not {"force_over_position", "friction_over_position"} & set(list_candidates(problem, runs))

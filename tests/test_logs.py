@@ -106,9 +106,9 @@ def test_noise_floor_of_a_coarse_encoder(rate: int, noise: float):
         q = size * np.exp(-0.1 * times) * np.sin(2 * np.pi * freq * times)
         read = np.radians(step * np.round((q + noise * rng.normal(size=len(q))) / step))
         true = np.radians(np.hypot(step / np.sqrt(12), noise))
-        floor = estimate_noise([(times, read)])
-        assert 0.8 * true < floor.sigma_at_rest < 1.6 * true
-        assert floor.time_jitter_s < 5e-3
+        estimate = estimate_noise([(times, read)])
+        assert 0.8 * true < estimate.sigma_at_rest < 1.6 * true
+        assert estimate.time_jitter_s < 5e-3
 
 
 def test_10_khz_commands_are_averaged(tmp_path: Path):
