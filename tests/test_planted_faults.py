@@ -57,6 +57,10 @@ def test_a_fault_counts_as_found_when_a_test_fails_with_it_alone(tmp_path: Path)
     )
     assert (found["status"], found["test"]) == ("found", "tests/test_a.py::test_x")
     assert (missed["status"], missed["test"]) == ("missed", None)
+    again = planted_faults._row(replace(fault, tests="b"), tree, tmp_path, "", 60.0, "tests/test_a.py::test_x")
+    assert again["test"] == "tests/test_a.py::test_x", "a test that found it before is run first"
+    gone = planted_faults._row(replace(fault, tests="b"), tree, tmp_path, "1", 60.0, "tests/test_a.py::test_x[old]")
+    assert gone["status"] == "missed"
     assert run_tests(["tests/test_a.py"], tree, tmp_path, "kernels", 60.0) == (None, ""), "the source is restored"
     with pytest.raises(FreeArtError, match="ended with 4"):
         run_tests(["tests/test_none.py"], tree, tmp_path, "kernels", 60.0)
