@@ -168,10 +168,10 @@ def test_drive_delay_and_clock_delay_are_rivals(tmp_path: Path):
     assert found.verdict == "ambiguous" and {("actuator_delay",), ("time_offset",)} <= set(found.rivals)
 
 
-@pytest.mark.parametrize("hold_difference", [{}, {"gain": 1.3, "dry": 0.5}])
-def test_backlash_of_a_servo_is_named(tmp_path: Path, hold_difference: dict[str, float]):
-    found = verdict(tmp_path, measured_of(31, servo=True, gears=0.15, **hold_difference))
-    also = {"actuator_gain", "coulomb_friction"} if hold_difference else set()
+@pytest.mark.parametrize("more", [{}, {"gain": 1.3, "dry": 0.5}])
+def test_backlash_of_a_servo_is_named(tmp_path: Path, more: dict[str, float]):
+    found = verdict(tmp_path, measured_of(31, servo=True, gears=0.15, **more))
+    also = {"actuator_gain", "coulomb_friction"} if more else set()
     assert found.verdict == "named" and names(found) == {"gear_friction", *also}, found
     gears = next(named for named in found.effects if named.effect.name == "gear_friction")
     assert gears.low["coefficient"] < 0.15 < gears.high["coefficient"]
@@ -210,8 +210,8 @@ def test_model_error_of_effects_is_within_their_bound(tmp_path: Path):
 def test_a_force_invisible_to_first_order_is_fitted(tmp_path: Path):
     """A door held by friction for most of the time has no first-order sensitivity to small forces."""
     search = replace(search_on(tmp_path, measured_of(11, lean=0.3)), names=("detent", "gravity_offset"))
-    cut, at, found = search._guesses()
-    search._first = cut, at, [guess for guess in found if guess.name == "detent"]
+    cut, at, found = search._look_first()
+    search._first_look = cut, at, [guess for guess in found if guess.name == "detent"]
     best = search.fit_singles()[0]
     assert best.model.names == ("gravity_offset",) and best.rms < 1.2
 
@@ -263,8 +263,8 @@ def test_a_catch_is_found_from_a_wrong_position(tmp_path: Path, seed: int):
     truth = fit_model(model, search.train, at(model, **real), iterations=0)
     search.train = told_by(truth, search.train)
     off = at(model, **(real | {"hold": 0.7, "position": 0.24, "travel": 0.16, "capture": 0.3}))
-    hold_difference = fit_model(model, search.train, off, truth.starts, iterations=0)
-    found = search._finished(hold_difference)
+    start = fit_model(model, search.train, off, truth.starts, iterations=0)
+    found = search._finish(start)
     assert fit_model(model, search.train, off, truth.starts).rms > 3 and found.rms < 1.1
     assert found.values["latch", "position"] == pytest.approx(0.2, abs=0.01)
 

@@ -215,8 +215,8 @@ def test_missing_force_locates_a_catch(tmp_path: Path):
     assert found[0]["position"] == pytest.approx(0.3, abs=0.03)
     assert found[0]["travel"] == pytest.approx(0.12, rel=0.25)
     assert found[0]["hold"] / found[0]["travel"] == pytest.approx(9.0 / 0.12, rel=0.15)
-    hold_difference = guess_places(setup, sample_missing_force(setup, caught, (catch,)), "latch", 1)
-    assert not hold_difference or hold_difference[0]["hold"] < 0.2 * 9.0  # nothing is missing with it
+    places = guess_places(setup, sample_missing_force(setup, caught, (catch,)), "latch", 1)
+    assert not places or places[0]["hold"] < 0.2 * 9.0  # nothing is missing with it
     assert guess_places(setup, sample_missing_force(setup, caught), "viscous_damping", 2) == []
 
 
