@@ -17,7 +17,7 @@ def _exit_at_once(number: int, frame: Any) -> None:
 
 
 if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-    signal.signal(signal.SIGINT, _exit_at_once)  # no work has begun yet; `listen` replaces it
+    signal.signal(signal.SIGINT, _exit_at_once)  # no work is in progress yet; `listen` replaces it
 
 from freeart21 import stopping  # noqa: E402
 

@@ -33,7 +33,7 @@ def set_of(folder: Path, said: dict, wanted: dict[str, str], **told):
     (folder / "run.csv").write_text("\n".join(rows) + "\n")
     (folder / "told.json").write_text(json.dumps(said))
     columns = {"t": "time", "q": "angle", **wanted}
-    settings = SeriesSettings(columns, told=read_circumstances(folder / "told.json"), **told)
+    settings = SeriesSettings(columns, circumstances=read_circumstances(folder / "told.json"), **told)
     notes = measure_series([folder / "run.csv"], folder / "out", asset, None, settings)
     return read_measured(folder / "out" / "measured"), "\n".join(notes)
 
@@ -47,7 +47,7 @@ def test_motor_voltage_and_measured_velocity(tmp_path: Path):
     assert run.voltage is not None and run.qd is not None
     np.testing.assert_allclose(run.voltage, -TABLE["volts"], atol=1e-8)
     np.testing.assert_allclose(run.qd, 5.6 * np.sin(7 * T), atol=1e-6)
-    assert "voltage: held until the next row or going on smoothly" in notes
+    assert "voltage: held or smooth between rows" in notes
 
 
 def test_drive_limits_and_dead_band(tmp_path: Path):
@@ -72,7 +72,7 @@ def test_prescribed_motion_and_unwrapped_angles(tmp_path: Path):
     for k, said in enumerate((True, ["run"])):
         got, _ = set_of(tmp_path / str(k), {"prescribed": said}, {"effort": "torque"}, effort="commanded")
         assert got.runs[0].prescribed is True
-    assert Circumstances().marks("run") is None
+    assert Circumstances().is_prescribed("run") is None
 
 
 BAD = {

@@ -86,7 +86,7 @@ def test_text_formats_are_equivalent(form: str, tmp_path: Path, asset: Path):
         "times are in",
         "positions are in",
         "gravity 0 0 -9.81",
-        "by 10% and its weight by 5%",
+        "by 10%, its weight by 5%",
     ):
         assert word in said
     assert ("times are in ms" in said) == form.startswith("milli") and ("in deg" in said) == form.startswith("degrees")
@@ -149,7 +149,7 @@ def test_zero_and_sign_are_applied(tmp_path: Path, asset: Path):
 def test_rows_without_times_use_the_given_rate(tmp_path: Path, asset: Path):
     measured, said = imported(tmp_path, asset, text(Q[:, None], "angle"), rate_hz=100.0)
     np.testing.assert_allclose(measured.runs[0].times_s, T, atol=1e-12)
-    assert measured.rate_hz == 100 and "rows come 100 times a second" in said
+    assert measured.rate_hz == 100 and "100 rows a second" in said
 
 
 def test_sensor_wraps_are_undone(tmp_path: Path):
@@ -159,7 +159,7 @@ def test_sensor_wraps_are_undone(tmp_path: Path):
     wrapped = np.degrees((wound + np.pi) % (2 * np.pi) - np.pi)
     measured, said = imported(tmp_path, urdf, text(np.column_stack([T, wrapped]), "time,angle"))
     np.testing.assert_allclose(measured.runs[0].q, wound, atol=1e-6)
-    assert "positions are in deg, by its leaps" in said and "2 jumps of the position by a whole turn" in said
+    assert "positions are in deg, by its jumps" in said and "2 jumps of the position by a whole turn" in said
 
 
 def test_empty_rows_are_dropped_and_reported(tmp_path: Path, asset: Path):
@@ -170,7 +170,7 @@ def test_empty_rows_are_dropped_and_reported(tmp_path: Path, asset: Path):
     measured, said = imported(tmp_path, asset, "\n".join(lines))
     (run,) = measured.runs
     assert len(run.q) == len(Q) and np.isnan(run.q).sum() == 1
-    assert "1 rows whose time is missing or not a new one" in said
+    assert "1 rows without a new time" in said
     assert "1 rows with another number of cells than 2" in said
 
 
@@ -194,7 +194,7 @@ def test_commands_have_a_law_and_end_where_the_drive_is_off(tmp_path: Path, asse
     assert (on.name, off.name) == ("run_on_1", "run_off_2") and off.q_command is None
     np.testing.assert_allclose(on.q_command, np.sin(T[:40]), atol=1e-8)
     assert measured.actuator is not None and (measured.actuator.stiffness, measured.actuator.damping) == (60, 4)
-    assert "q_command: held until the next row or going on smoothly, nobody knows" in said
+    assert "q_command: held or smooth between rows is unknown" in said
     assert measured.interpolation == "unknown" and "runs are cut there" in said
 
 
@@ -204,7 +204,7 @@ def test_efforts_state_hold_and_unit(tmp_path: Path, asset: Path):
     measured, said = imported(tmp_path, asset, content, **told)
     np.testing.assert_allclose(measured.runs[0].effort, -1e-3 * np.sin(3 * T), atol=1e-9)
     np.testing.assert_allclose(measured.runs[0].q, -Q, atol=1e-7)
-    assert measured.effort_kind == "external" and "effort: every value is held" in said
+    assert measured.effort_kind == "external" and "effort: each value holds" in said
     assert measured.interpolation == "held"
 
 
@@ -213,7 +213,7 @@ def test_empty_drive_cells_are_skipped(tmp_path: Path, asset: Path):
     lines[6] = lines[6].rsplit(",", 1)[0] + ","
     measured, said = imported(tmp_path, asset, "\n".join(lines), effort="commanded")
     (run,) = measured.runs
-    assert np.flatnonzero(np.isnan(run.effort)).tolist() == [5] and "1 empty cells of drives are no rows" in said
+    assert np.flatnonzero(np.isnan(run.effort)).tolist() == [5] and "1 empty cells of drives count as no value" in said
     lines[1:4] = [line.rsplit(",", 1)[0] + "," for line in lines[1:4]]  # the drive's topic began later
     told = {"effort": "commanded", "columns": {"effort": "torque"}}
     later, said = imported(tmp_path, asset, "\n".join(lines), name="later.csv", out="later", **told)
@@ -229,7 +229,7 @@ def test_swapped_rows_are_sorted_and_a_second_recording_is_refused(tmp_path: Pat
     lines[20], lines[21] = lines[21], lines[20]
     measured, said = imported(tmp_path, asset, "\n".join(lines))
     np.testing.assert_allclose(measured.runs[0].q, Q, atol=2e-7)
-    assert "1 rows came after later ones, and were put in order" in said
+    assert "1 rows came late, and were sorted" in said
     with pytest.raises(FreeArtError, match="time goes back .* a second recording"):
         imported(tmp_path, asset, text(np.vstack([TABLE, TABLE]), "time,angle"), name="twice.csv", out="twice")
 
@@ -244,7 +244,7 @@ def test_a_wrapped_command_follows_its_position(tmp_path: Path):
     measured, said = imported(tmp_path, urdf, content, actuator=(5.0, 0.1), unit_q="deg")
     np.testing.assert_allclose(measured.runs[0].q, wound, atol=1e-6)
     np.testing.assert_allclose(measured.runs[0].q_command, wound + 0.2, atol=1e-6)
-    assert "jumps of the command by a whole turn were undone" in said
+    assert "jumps of the command by a whole turn were removed" in said
 
 
 def test_a_duplicate_recording_is_dropped(tmp_path: Path, asset: Path):
@@ -268,12 +268,12 @@ REFUSED = {
     "a drive": (
         text(DRIVEN[:, [0, 1, 3]], "time,position,torque"),
         {},
-        "column 'torque' looks like an effort: say --effort",
+        "column 'torque' looks like an effort: expected --effort",
     ),
     "a command": (
         text(DRIVEN[:, [0, 1, 2]], "time,pos,setpoint"),
         {},
-        "column 'setpoint' looks like a command: say --act",
+        "column 'setpoint' looks like a command: expected --act",
     ),
     "no time": (
         text(np.column_stack([Q, -Q]), "a,b"),
@@ -414,7 +414,7 @@ def test_each_file_is_a_run_with_its_name(tmp_path: Path, asset: Path):
 def test_files_in_different_units_are_refused(tmp_path: Path, asset: Path):
     for name, unit in (("a", "deg"), ("b", "rad")):
         (tmp_path / f"{name}.csv").write_text(text(TABLE, f"time,angle [{unit}]"))
-    with pytest.raises(FreeArtError, match=r"b.csv: q is in rad, but in deg in a.csv; expected one for all"):
+    with pytest.raises(FreeArtError, match=r"b.csv: q is in rad, but in deg in a.csv; expected the same for all"):
         measure_series([tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "out", asset, None, SeriesSettings())
 
 

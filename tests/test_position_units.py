@@ -1,4 +1,4 @@
-"""Units of positions that nobody told: what the joint's limits and its motion tell, and what has to be asked."""
+"""Units of positions that nobody told: what the joint's limits and its motion show it, and what has to be asked."""
 
 from __future__ import annotations
 
@@ -94,11 +94,11 @@ def test_a_known_push_tells_the_unit_of_a_slider(unit: str, tmp_path: Path):
 
 
 REFUSED = {
-    "a small swing": (swing(0.1), "angle", "", "Neither the joint's limits nor its motion tell"),
-    "a rotor that runs down": (5 - 5 * np.exp(-T), "angle", "", "Neither the joint's limits nor its motion tell"),
-    "counts": (np.round(2048 + 650 * swing(1.0)), "counts", LIMITS, "Its name says counts"),
+    "a small swing": (swing(0.1), "angle", "", "Neither the joint's limits nor its motion show it"),
+    "a rotor that runs down": (5 - 5 * np.exp(-T), "angle", "", "Neither the joint's limits nor its motion show it"),
+    "counts": (np.round(2048 + 650 * swing(1.0)), "counts", LIMITS, "It seems to be sensor counts"),
     "counts under another name": (np.round(2048 + 650 * swing(1.0)), "angle", LIMITS, "Neither rad nor deg is within"),
-    "raw": (swing(1.0), "raw", "", "Its name says counts"),
+    "raw": (swing(1.0), "raw", "", "It seems to be sensor counts"),
 }
 
 

@@ -1,4 +1,4 @@
-"""Layouts of other people's data: `freeart21_official`, `video2articulation`, and `convert` between them and ours.
+"""Third-party layouts of recordings and motion, and `convert` between them and ours.
 
-What such a folder knows of the truth comes with it (`foreign.Known`), so no method may import this package.
+Recordings come with what their folders know of the truth (`third_party.KnownTruth`): methods must not import this.
 """

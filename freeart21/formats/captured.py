@@ -1,7 +1,7 @@
-"""Motion captured by others as a take: told by its content, whatever its name.
+"""Reads takes, ours or third-party motion capture; the layout is recognised by content.
 
-ARCTIC's object tracks (Fan et al., CVPR 2023) are arrays (n, 7) at 30 Hz: the joint (rad), the object's turn in the
-world (axis times angle, rad), its place (mm). The world's z points up; it is taken to be seen by a level camera.
+ARCTIC's object tracks (Fan et al., CVPR 2023) are arrays (n, 7) at 30 Hz: the joint state (rad), the object's
+rotation vector in the world (rad), its position (mm). The world's z points up; a level camera is assumed.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from freeart21.files.take import MAX_SAMPLES, MAX_TAKE_BYTES, Take, read_take
 ARCTIC_HZ = 30.0
 ARCTIC_FORM = "ARCTIC object track"
 ARCTIC_SIZES_M = (0.24, 0.39)
-"""Diagonals of the boxes round the objects that were moved: ketchup bottle .24, mixer .32, laptop .39. A track does not
-say which object it is of. Of the other eight objects no mesh was at hand."""
+"""Range of bounding box diagonals of the objects: ketchup bottle .24, mixer .32, laptop .39; the other eight are
+unknown. A track does not name its object."""
 _NUMPY = b"\x93NUMPY"
 _LEVEL = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
-"""Axes of a level camera that looks along the world's x, from the world's."""
+"""Rotation from the world to a level camera that looks along the world's x."""
 
 
 def read_track(path: Path) -> Take:
     """The take in `path`: ours (`freeart21.files.take`), or a track of ARCTIC. Raises FreeArtError in one line."""
-    begins = checked.read_head(path, 1 << 10, checked.ANYWHERE)
-    if begins.startswith(_NUMPY):
+    head = checked.read_head(path, 1 << 10, checked.ANYWHERE)
+    if head.startswith(_NUMPY):
         return _arctic(path)
-    if begins.lstrip()[:1] != b"{":
+    if head.lstrip()[:1] != b"{":
         raise FreeArtError(f"{path} is no take: expected lines of JSON (freeart21/take/1) or a NumPy array of ARCTIC")
     return read_take(path)
 

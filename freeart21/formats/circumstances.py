@@ -1,5 +1,4 @@
-"""What a recording's files do not say and `freeart21 measure` has no option for: a JSON file of it, in the words of
-measured.json."""
+"""A JSON file with the facts about recordings that `freeart21 measure` has no options for, as in measured.json."""
 
 from __future__ import annotations
 
@@ -15,56 +14,56 @@ from freeart21.joint import JointType
 from freeart21.measured import BaseAxis
 from freeart21.mechanics import Actuator
 
-WORDS = ("actuator", "base", "prescribed", "units", "wrapped")
+KEYS = ("actuator", "base", "prescribed", "units", "wrapped")
 COLUMNS = ("qd", "voltage", *base_json.COLUMNS)
-"""Roles of columns that only such a file gives other units."""
+"""Roles of columns whose units only this file can set."""
 
 
 @dataclass(frozen=True)
 class Circumstances:
-    """What is told; None is not."""
+    """The contents of the file; None where it says nothing."""
 
     actuator: Actuator | None = None
     base: Any = None
-    """As measured.json has it: "moving", or an object with axis and point."""
+    """`base` of measured.json: "moving", or an object with axis and point."""
     prescribed: bool | tuple[str, ...] = ()
-    """All runs, or those of these names, of which something else than the efforts prescribed the motion."""
+    """All runs, or the names of runs, whose motion was prescribed by something else than the efforts."""
     units: dict[str, str] = field(default_factory=dict)
-    """Role of a column to its unit."""
+    """Role to unit."""
     wrapped: bool | None = None
-    """Whether angles are within one turn; leaps of one are undone when None."""
+    """Whether angles are within one turn. With None, jumps of a turn are removed."""
     where: Path = Path("measure")
 
     def scale(self, role: str, kind: JointType) -> float:
-        """What one of a column's unit is in SI; FreeArtError when a joint of this kind has no such unit."""
+        """Size of a column's unit in SI; FreeArtError when a joint of this kind has no such unit."""
         own = UNITS[kind][role]
-        said = self.units.get(role, own)
+        unit = self.units.get(role, own)
         known = {own: 1.0, **OTHER_UNITS.get(own, {})}
-        if said not in known:
-            raise FreeArtError(f"{self.where}: '{role}' is in {said!r}, expected {' or '.join(map(repr, known))}")
-        return known[said]
+        if unit not in known:
+            raise FreeArtError(f"{self.where}: '{role}' is in {unit!r}, expected {' or '.join(map(repr, known))}")
+        return known[unit]
 
     def base_axis(self, roles: set[str]) -> BaseAxis | None:
-        """What the base turns about, with columns of these roles; FreeArtError when it does not go with them."""
+        """The rotation axis of the base; FreeArtError when it does not fit the columns of these roles."""
         moved = bool(roles & set(base_json.COLUMNS))
-        said = self.base if self.base is not None else ("moving" if moved else "fixed")
-        return base_json.base_axis_of(said, moved, base_json.ANGLE in roles, self.where)
+        base = self.base if self.base is not None else ("moving" if moved else "fixed")
+        return base_json.base_axis_of(base, moved, base_json.ANGLE in roles, self.where)
 
-    def marks(self, run: str) -> bool | None:
-        """What is told of a run's motion."""
-        told = self.prescribed
-        return (True if told else None) if isinstance(told, bool) else (True if run in told else None)
+    def is_prescribed(self, run: str) -> bool | None:
+        """Whether a run's motion was prescribed; None when unknown."""
+        found = self.prescribed if isinstance(self.prescribed, bool) else run in self.prescribed
+        return True if found else None
 
 
 def read_circumstances(path: Path) -> Circumstances:
-    """The file; FreeArtError, in one line, when it says what nobody knows."""
+    """The circumstances in a file; FreeArtError on an unknown key or a wrong value."""
     data = checked.read_json(path, root=checked.ANYWHERE)
-    unknown = [word for word in data if word not in WORDS]
+    unknown = [key for key in data if key not in KEYS]
     if unknown:
-        raise FreeArtError(f"{path}: there is no '{unknown[0]}'; there are {', '.join(WORDS)}")
-    for word in ("actuator", "units"):
-        if data.get(word) is not None and not isinstance(data[word], dict):
-            raise FreeArtError(f"{path}: '{word}' is {data[word]!r}, expected an object")
+        raise FreeArtError(f"{path}: there is no '{unknown[0]}'; there are {', '.join(KEYS)}")
+    for key in ("actuator", "units"):
+        if data.get(key) is not None and not isinstance(data[key], dict):
+            raise FreeArtError(f"{path}: '{key}' is {data[key]!r}, expected an object")
     if data.get("wrapped") not in (None, True, False):
         raise FreeArtError(f"{path}: 'wrapped' is {data['wrapped']!r}, expected true or false")
     prescribed = data.get("prescribed", ())

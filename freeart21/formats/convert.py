@@ -1,4 +1,4 @@
-"""From one layout of recordings to another, each sequence written whole or not at all."""
+"""Converts recordings between layouts. Each sequence is written whole or not at all."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from freeart21.truth import Truth
 Layout = Literal["native", "rgbd", "official", "video2articulation", "maniskill"]
 Target = Literal["official", "native", "maniskill"]
 TruthMaker = Callable[[ThirdPartyRecording, Path], Truth]
-"""The whole truth of a foreign recording, from a folder of PartNet-Mobility objects; FreeArtError says what lacks."""
+"""Makes the truth of a third-party recording from a folder of PartNet-Mobility objects; FreeArtError when it cannot."""
 
-_RIM = 0.9  # of the picture's rim: what the mask covers there is no object in the picture, but all around it
-_FARTHER = 10.0  # depth beyond this many times the object's farthest point is given up for a finer scale
+_RIM = 0.9  # a mask that covers this share of the picture's border is inverted
+_FARTHER = 10.0  # depth beyond this multiple of the object's farthest point can be lost to a finer depth scale
 
 
 @dataclass(frozen=True)
@@ -36,16 +36,16 @@ class Converted:
     """One sequence that was written."""
 
     name: str
-    """Of the source."""
+    """Name of the source."""
     folder: Path
     """The sequence or example folder."""
     with_truth: bool
     notes: tuple[str, ...]
-    """What the user should know, a line each: what is missing, what was odd."""
+    """Notes for the user, one line each."""
 
 
 def find_sources(source: Path, layout: Layout | None = None) -> list[tuple[Layout, Path]]:
-    """The recordings in `source`: itself, or those that it holds, of one layout; the first that fits, or `layout`.
+    """The recordings in `source` (itself, or in it), all of one layout: `layout`, or the first that fits.
 
     native: a sequence folder, or a data folder with sequences/. rgbd: a plain folder of pictures, or a folder of such.
     official: an example, or a folder of examples, or one that holds examples/. video2articulation: a view folder, or
@@ -103,21 +103,21 @@ def convert(
     fps: float | None = None,
     progress: Callable[[str, int, int], None] = lambda name, done, total: None,
 ) -> Iterator[Converted]:
-    """Convert every recording in `source`, one after the other.
+    """Convert every recording in `source`, in sequence.
 
-    to="native" writes out/sequences/SEQ and, when `truth_of` can make it, out/truth/SEQ: both, or the sequence alone.
-    Objects are looked for in `partnet_root`, or, for an official example, where the official code keeps them: in
-    data/partnet-mobility-v0/dataset beside examples/. Renews out/benchmark.json when every sequence has its truth.
+    to="native" writes out/sequences/SEQ and, when `truth_of` can make it, out/truth/SEQ. Objects are searched in
+    `partnet_root` or, for an official example, in data/partnet-mobility-v0/dataset next to examples/.
+    out/benchmark.json is updated when every sequence has its truth.
 
-    to="official" writes out/examples/NAME and, when the object's files are at hand (the truth's own, or
-    partnet_root/ID), out/data/partnet-mobility-v0/dataset/NAME. `hold_out` makes the official split of 5 %.
+    to="official" writes out/examples/NAME and, with the object's files (of the truth, or partnet_root/ID),
+    out/data/partnet-mobility-v0/dataset/NAME. `hold_out` makes the official split of 5 %.
 
-    to="maniskill" writes out/NAME.h5 and out/NAME.json, a trajectory that FreeArt21-FreeMoving-v1 replays: of
-    recordings whose truth is known, and whose object's files are at hand.
+    to="maniskill" writes out/NAME.h5 and out/NAME.json, a trajectory that FreeArt21-FreeMoving-v1 replays. It
+    needs the truth and the object's files.
 
-    `meta` is Video2Articulation's meta file; `depth_unit` (metres) and `fps` (None: by time stamps in the names, else
-    30) are of plain folders. `progress` is called with a sequence's name, the frames done, their total.
-    Raises FreeArtError, in one line; what was written before stays, and is whole.
+    `meta` is Video2Articulation's meta file; `depth_unit` (metres) and `fps` (None: from time stamps in the names,
+    else 30) are for picture folders. `progress` is called with a sequence's name, the frames done, their total.
+    Raises FreeArtError; recordings converted before remain.
     """
     out = Path(out)
     check_append(out, (source,))
@@ -131,11 +131,11 @@ def convert(
         else:
             recording = _read(kind, folder, meta, partnet_root)
         tick = functools.partial(progress, recording.name)
-        with _tidy(out):
+        with _remove_empty_folders(out):
             if to == "maniskill":
                 yield _write_maniskill(out, recording, _object_folder(kind, folder, recording, partnet_root))
             elif to == "native":
-                yield _write_native(out, recording, truth_of, partnet_root or _root_beside(kind, folder), tick)
+                yield _write_native(out, recording, truth_of, partnet_root or _default_root(kind, folder), tick)
             else:
                 files = _object_folder(kind, folder, recording, partnet_root)
                 yield _write_official(out, recording, files, hold_out, tick)
@@ -144,7 +144,7 @@ def convert(
 
 
 def _label(out: Path) -> tuple[str, str, str]:
-    """Name, version and split of the data folder: as it has them, if it is one already."""
+    """Name, version and split of the data folder: from its benchmark.json, else defaults."""
     if is_unfinished(out):
         raise unfinished_error(out)
     if not (out / "benchmark.json").exists():
@@ -178,17 +178,19 @@ def _truth_folder(sequence: Path) -> Path:
 def _object_folder(
     kind: Layout, folder: Path, recording: ThirdPartyRecording, partnet_root: Path | None
 ) -> Path | None:
-    """The object's PartNet-Mobility folder, when it is at hand."""
-    beside = _truth_folder(folder) / "object" if kind == "native" else None
+    """The object's PartNet-Mobility folder, if it exists."""
+    own = _truth_folder(folder) / "object" if kind == "native" else None
     name = safe_name(recording.object_id)
-    mine = (None, None) if partnet_root is None else (partnet_root / name, partnet_root / "dataset" / name)
-    return next((place for place in (beside, *mine) if place is not None and (place / "mobility.urdf").is_file()), None)
+    candidates = (None, None) if partnet_root is None else (partnet_root / name, partnet_root / "dataset" / name)
+    return next(
+        (place for place in (own, *candidates) if place is not None and (place / "mobility.urdf").is_file()), None
+    )
 
 
-def _root_beside(kind: Layout, folder: Path) -> Path | None:
-    """Where the official code keeps its objects, beside examples/, and where an environment had its own."""
+def _default_root(kind: Layout, folder: Path) -> Path | None:
+    """The folder of objects of an official data set, or of the environment of a trajectory."""
     if kind == "maniskill":
-        return maniskill.objects_beside(folder)
+        return maniskill.objects_of(folder)
     root = folder.resolve().parent.parent / freeart21_official.OBJECTS
     return root if kind == "official" and root.is_dir() else None
 
@@ -207,7 +209,7 @@ def _write_native(
         for i, frame in enumerate(recording.frames()):
             write_frame(aside, i, frame, scale)
             tick(n + i + 1, 2 * n)
-        write_queries(aside, ())  # held-out views need pictures, which no foreign layout has
+        write_queries(aside, ())  # held-out views need pictures, which third-party layouts do not have
         write_header(aside, recording.camera, scale, recording.times_s, recording.licence)
         if truth is not None:
             write_truth(truth_folder, truth, 0)
@@ -219,7 +221,7 @@ def _truth(read: ThirdPartyRecording, truth_of: TruthMaker | None, root: Path | 
     if read.known is None:
         return None, read.lacks
     if truth_of is None or root is None:
-        return None, f"the object's meshes are needed: name the folder that holds {read.object_id} by --partnet-root"
+        return None, f"it needs the object's meshes: --partnet-root, a folder with {read.object_id}"
     try:
         return truth_of(read, root), ""
     except FreeArtError as error:
@@ -229,8 +231,8 @@ def _truth(read: ThirdPartyRecording, truth_of: TruthMaker | None, root: Path | 
 def _depth_scale(recording: Recording, tick: Callable[[int], None]) -> float:
     """Metres per unit: 1, 2 or 5 times a power of ten, the finest that holds the scene in 16 bits.
 
-    What lies beyond ten times the object's farthest point may be lost. Raises FreeArtError when there is no depth, or
-    when masks say nothing: most are empty, or cover the picture's rim, as inverted ones do.
+    Depth beyond _FARTHER times the object's farthest point can be lost. Raises FreeArtError when there is no depth, or
+    when most masks are empty or cover the picture's border, as inverted ones do.
     """
     farthest = on_object = 0.0
     empty = around = 0
@@ -262,7 +264,7 @@ def _write_official(
         notes.append(f"pictures only: {read.lacks}")
     elif object_folder is None:
         notes.append(
-            f"without the object's files, which their evaluator needs: {read.object_id} is not at hand (--partnet-root)"
+            f"without the object's files, which their evaluator needs: {read.object_id} was not found (--partnet-root)"
         )
     return Converted(read.name, folder, read.known is not None, tuple(notes))
 
@@ -271,7 +273,7 @@ def _write_maniskill(out: Path, read: ThirdPartyRecording, object_folder: Path |
     if (out / f"{read.name}.h5").exists():
         raise FreeArtError(f"{out / read.name}.h5 exists; choose another place or remove it first")
     if read.known is None or object_folder is None:
-        lacks = read.lacks or f"{read.object_id} is not at hand (--partnet-root)"
+        lacks = read.lacks or f"{read.object_id} was not found (--partnet-root)"
         raise FreeArtError(f"{read.name} gives no motion to replay: {lacks}")
     known, recording = read.known, read.recording
     poses = third_party.T_SAPIEN_CV @ known.Ts_camera_object
@@ -287,8 +289,8 @@ def _all_have_truth(out: Path) -> bool:
 
 
 @contextlib.contextmanager
-def _tidy(out: Path) -> Iterator[None]:
-    """When the block fails, folders that it made and left empty go, too."""
+def _remove_empty_folders(out: Path) -> Iterator[None]:
+    """When the block fails, remove empty folders that it made."""
     new = not out.exists()
     try:
         yield

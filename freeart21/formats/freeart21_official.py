@@ -1,10 +1,10 @@
-"""The official FreeArt-21 release: one folder an object, `examples/<id>/`.
+"""The official FreeArt-21 release: one folder per object, `examples/<id>/`.
 
     rgb/NNNNN.png   depth/NNNNN.npz ('depth', float32 z-depth, metres, 0 is none)   masks/NNNNN.png   vis/NNNNN.png
     rendered_masks/mask_0|mask_1/NNNN.png   parent and child side of the scored joint; 4 or 5 digits
     object_poses.json    [{position, quaternion wxyz}]   the URDF's root link in the world
     joint_states.json    [[q, ...]]                      or dicts with one of several keys
-    camera_params.json   [{model_matrix}]                world from OpenGL camera, 4x4; the camera stands still
+    camera_params.json   [{model_matrix}]                world from OpenGL camera, 4x4; the camera is fixed
     cam_K.txt            3x3
     eval/                after the split: the held-out frames in the same layout, and split_info.json
 
@@ -43,12 +43,12 @@ LICENCE = (
     "FreeArt-21 as released by its authors; objects under the PartNet-Mobility terms of use; not to be redistributed"
 )
 SIDECAR = "freeart21.json"
-"""What the layout has no place for (times, licence, the joint's name); their code leaves it alone."""
+"""Our file for times, licence and the joint's name; their code ignores it."""
 SIDECAR_SCHEMA = "freeart21/official/1"
 EVAL_SHARE = 0.05
 EVAL_SEED = 0
 OBJECTS = Path("data/partnet-mobility-v0/dataset")
-"""Where their evaluator looks for <id>/mobility.urdf, beside examples/."""
+"""Where their evaluator finds <id>/mobility.urdf, next to examples/."""
 
 _LARGEST_STATE = 1e6
 _STATE_KEYS = ("angle_rad", "angle", "value", "qpos", "state", "theta", "translation")
@@ -63,9 +63,8 @@ def is_example(folder: Path) -> bool:
 def read_example(folder: Path) -> ThirdPartyRecording:
     """The official example in `folder`; frames load lazily.
 
-    After the official split, the video is what the split left in the folder and its times tell the gaps; the held-out
-    frames are not part of it. Raises FreeArtError, in one line, when a frame is missing, numbers of frames differ, or a
-    file is not what it should be.
+    After the official split the video has only the training frames, with gaps in its times. Raises FreeArtError when a
+    frame is missing, numbers of frames differ, or a file is invalid.
     """
     folder = Path(folder)
     if not is_example(folder):
@@ -106,10 +105,10 @@ def read_example(folder: Path) -> ThirdPartyRecording:
 
 
 def read_states(path: Path) -> Array:
-    """(n,) joint states, rad or m, of a joint_states.json in any of the forms that the official evaluator takes.
+    """(n,) joint states, rad or m, from joint_states.json in any form that the official evaluator reads.
 
-    Where an entry is a list (qpos of several joints), the first counts, as there; but when the first never moves and
-    just one other does, that one. Unlike there, an entry without a known number is an error and not zero.
+    Of a list (qpos of several joints) the first is used, as there; but when the first never moves and exactly one other
+    does, that one. Unlike there, an entry without a known number is an error, not zero.
     """
     data = checked.read_any_json(path)
     if isinstance(data, dict):
@@ -128,7 +127,7 @@ def read_states(path: Path) -> Array:
 
 
 def read_object_poses(folder: Path) -> Array:
-    """(n, 4, 4) camera from the object's root link, of the object_poses.json and camera_params.json in `folder`."""
+    """(n, 4, 4) camera from the object's root link, from object_poses.json and camera_params.json in `folder`."""
     Ts_world_object = _object_poses(folder / "object_poses.json")
     Ts_world_gl = _cameras(folder / "camera_params.json")
     if len(Ts_world_gl) > 1:
@@ -155,9 +154,9 @@ def write_example(
 ) -> Path:
     """Write `root/examples/name`, and the object to `root/data/partnet-mobility-v0/dataset/name` when it is given.
 
-    Both or neither. Their scripts take an object's id up to the first '_' of the name, so '_' becomes '-'. The camera
-    is written at rest at the world's origin and all motion given to the object. Without `known` there are pictures and
-    cam_K.txt only. `hold_out` splits as their split_eval_subset.py would, into the folder and its eval/.
+    Both or neither. Their scripts cut an object's id at the first '_' of the name, so '_' becomes '-'. The camera is
+    fixed at the world's origin, and the object has all motion. Without `known`, only pictures and cam_K.txt are
+    written. `hold_out` splits like their split_eval_subset.py, into the folder and its eval/.
     """
     name = third_party.safe_name(name).replace("_", "-")
     folder, copied = root / "examples" / name, root / OBJECTS / name
@@ -195,10 +194,10 @@ def write_example(
 
 
 def known_of_truth(truth: Truth, object_folder: Path | None) -> KnownTruth:
-    """What an official example tells of a native truth: the root link's poses, and the sides of the joint.
+    """A native truth as an official example states it: the root link's poses, and the sides of the joint.
 
-    Which side became the reference part is told by the URDF in `object_folder` and the links that the truth's source
-    names; without them the reference part is taken for the parent side.
+    The URDF in `object_folder` and the links in the truth's source show which side is the reference part; without them
+    the reference part is taken as the parent side.
     """
     turned = _child_is_reference(truth, object_folder)
     label = np.array([0, 2, 1] if turned else [0, 1, 2], np.uint8)
@@ -247,7 +246,7 @@ def _known(
 
 
 def _side_reader(folder: Path, n: int, train: list[int], size: tuple[int, int]) -> Callable[[int], Image]:
-    """Frame index to sides. The official split leaves 4-digit part masks alone, so they may go by the old numbers."""
+    """Frame index to sides. The official split does not renumber 4-digit part masks, so they can have old numbers."""
     sides = [third_party.numbered(folder / "rendered_masks" / f"mask_{k}", (".png",)) for k in (0, 1)]
     third_party.same_count(folder / "rendered_masks", {"mask_0": len(sides[0]), "mask_1": len(sides[1])})
     numbers = list(range(n)) if len(sides[0]) == n else train
@@ -269,7 +268,7 @@ def _side_reader(folder: Path, n: int, train: list[int], size: tuple[int, int]) 
 
 
 def _train_indices(folder: Path, n: int) -> list[int]:
-    """Original number of each frame: after the official split, what split_info.json says."""
+    """Original number of each frame, after the official split from split_info.json."""
     path = folder / "eval" / "split_info.json"
     if not path.is_file():
         return list(range(n))

@@ -1,4 +1,4 @@
-"""ManiSkill's trajectories, NAME.h5 with NAME.json as `RecordEpisode` writes them, of the FreeArt21 environments.
+"""ManiSkill trajectories of the FreeArt21 environments: NAME.h5 with NAME.json, as `RecordEpisode` writes them.
 
     env_info.env_kwargs     asset, scale, sim_config.control_freq (JSON)
     traj_K/obs/sensor_data/CAMERA/rgb, depth (int16, millimetres), segmentation        (T + 1, h, w, 1 or 3)
@@ -29,22 +29,22 @@ from freeart21.recording import Frame, Recording
 from freeart21.se3 import Array
 
 FREE_MOVING = "export.maniskill:FreeArt21-FreeMoving-v1"
-"""As gymnasium makes it without the module being imported before."""
+"""Environment id that makes gymnasium import the module."""
 CONTROL_HZ = 20
-"""Of the environments, unless told otherwise."""
+"""Default of the environments."""
 MAX_FILE_BYTES = 1 << 40
-"""Of an HDF5 file, which is read by rows."""
+"""Size limit of an HDF5 file, which is read by rows."""
 _MILLIMETRE = np.float32(0.001)
 _SIM_HZ = 500
 
 
 def objects_place() -> Path:
-    """Where procedural objects are written once: $XDG_CACHE_HOME/freeart21/objects, or ~/.cache/freeart21/objects."""
+    """Cache folder of procedural objects: $XDG_CACHE_HOME/freeart21/objects, or ~/.cache/freeart21/objects."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "freeart21" / "objects"
 
 
 def object_folder_of(env_kwargs: dict[str, Any]) -> Path:
-    """The folder of the object of an environment that was made with `env_kwargs`, which may be gone."""
+    """The object folder of an environment made with `env_kwargs`; it need not exist."""
     asset = Path(str(env_kwargs.get("asset", "drawer_unit")))
     return asset if asset.exists() else objects_place() / f"{asset}-s{env_kwargs.get('object_seed', 0)}"
 
@@ -53,18 +53,18 @@ def episodes(folder: Path) -> Iterator[Path]:
     """FOLDER/NAME.h5/traj_K for every episode of the FreeArt21 environments in `folder`."""
     for file in sorted(folder.glob("*.h5")):
         if file.with_suffix(".json").is_file():
-            told = checked.read_any_json(file.with_suffix(".json"))
-            if "FreeArt21-" in str(_env_info(told).get("env_id")):
-                for episode in told.get("episodes") or ():
+            data = checked.read_any_json(file.with_suffix(".json"))
+            if "FreeArt21-" in str(_env_info(data).get("env_id")):
+                for episode in data.get("episodes") or ():
                     number = episode.get("episode_id") if isinstance(episode, dict) else None
                     if not isinstance(number, int):
                         raise FreeArtError(f"{file.with_suffix('.json')}: an episode's episode_id is {number!r}")
                     yield file / f"traj_{number}"
 
 
-def _env_info(told: Any) -> dict[str, Any]:
-    """env_info of a trajectory's JSON, with env_kwargs a dictionary; empty where it is none."""
-    info = told.get("env_info") if isinstance(told, dict) else None
+def _env_info(data: Any) -> dict[str, Any]:
+    """env_info of a trajectory's JSON, with env_kwargs as a dictionary; empty when missing."""
+    info = data.get("env_info") if isinstance(data, dict) else None
     info = info if isinstance(info, dict) else {}
     kwargs = info.get("env_kwargs")
     return {**info, "env_kwargs": kwargs if isinstance(kwargs, dict) else {}}
@@ -73,7 +73,7 @@ def _env_info(told: Any) -> dict[str, Any]:
 def read_episode(episode: Path) -> ThirdPartyRecording:
     """The recording of an episode as `episodes` names it; pictures load lazily.
 
-    Raises FreeArtError, in one line, when h5py is missing, or the episode has no colours, depth and segmentation.
+    Raises FreeArtError when h5py is missing, or the episode lacks colours, depth or segmentation.
     """
     file, traj = episode.parent, episode.name
     info = _env_info(checked.read_any_json(file.with_suffix(".json")))
@@ -124,8 +124,8 @@ def read_episode(episode: Path) -> ThirdPartyRecording:
     return ThirdPartyRecording(name, folder.resolve().name, recording, None if lacks else known, lacks, notes)
 
 
-def objects_beside(episode: Path) -> Path | None:
-    """The folder that holds the object of an episode, when it is there."""
+def objects_of(episode: Path) -> Path | None:
+    """The folder with the object folder of an episode, if it exists."""
     info = _env_info(checked.read_any_json(episode.parent.with_suffix(".json")))
     folder = object_folder_of(info["env_kwargs"]).resolve()
     return folder.parent if folder.is_dir() else None
@@ -146,13 +146,13 @@ def write_trajectory(
     world's origin, z up.
 
     Args:
-        folder: where to.
-        name: of the files.
-        asset: what the environment is given.
-        times_s: (n,) instants, taken as evenly spaced.
+        folder: output folder.
+        name: stem of both files.
+        asset: `asset` of the environment.
+        times_s: (n,) s, taken as evenly spaced.
         states: (n,) positions of the URDF's joint, rad or m.
-        Ts_world_root: (n, 4, 4) of the URDF's root link.
-        camera: of the replay's pictures; None for the environment's.
+        Ts_world_root: (n, 4, 4) poses of the URDF's root link.
+        camera: camera of the replay; None for the environment's.
     """
     h5py = _h5py()
     times, states = np.asarray(times_s, float), np.asarray(states, float)
@@ -205,8 +205,8 @@ def write_trajectory(
             "success": False,
         }
         info = {"env_id": FREE_MOVING, "env_kwargs": kwargs, "max_episode_steps": n}
-        told = {"env_info": info, "commit_info": None, "source_type": "freeart21", "episodes": [episode]}
-        (aside / f"{name}.json").write_text(json.dumps(told))
+        header = {"env_info": info, "commit_info": None, "source_type": "freeart21", "episodes": [episode]}
+        (aside / f"{name}.json").write_text(json.dumps(header))
     for end in (".json", ".h5"):
         (folder / f".{name}" / f"{name}{end}").replace(folder / f"{name}{end}")
     (folder / f".{name}").rmdir()
@@ -214,7 +214,7 @@ def write_trajectory(
 
 
 def _sides(part_ids: Array) -> Image:
-    """Id in a segmentation to 0 no part, 1 the parent's side, 2 the child's; the last is for all beyond."""
+    """Segmentation id to 0 no part, 1 parent side, 2 child side; the last entry is for all larger ids."""
     pairs = np.asarray(part_ids, int).reshape(-1, 2)
     if not len(pairs) or pairs.min() < 0 or pairs[:, 1].max() > 2 or pairs.max() > 1 << 15:
         raise FreeArtError(f"part_ids are {pairs.tolist()}, expected pairs of an id and 1 or 2")
@@ -237,7 +237,7 @@ def _names(file: Path, place: str) -> list[str]:
 
 
 def _read(file: Path, place: str, index: int | None = None) -> Any:
-    """A data set of an HDF5 file, or one row of it; none that lies in another file, as links and storage may say."""
+    """A data set of an HDF5 file, or one row of it. Links and storage in other files are refused."""
     h5py = _h5py()
     try:
         with h5py.File(checked.require_file(file, MAX_FILE_BYTES), "r") as opened:

@@ -1,6 +1,6 @@
-"""Columns of numbers in a MATLAB file, of version 5 to 7 (or 4).
+"""Columns of numbers in a MATLAB file of version 4 to 7.
 
-SciPy's reader ends the process on some broken files: it has one of its own.
+SciPy's reader crashes on some broken files, so it runs in a process of its own.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from freeart21.files.run_table import MAX_CSV_BYTES
 from freeart21.se3 import Array
 
 MAX_MATRIX_COLUMNS = 64
-"""A matrix with more is no table of columns."""
+"""A matrix with more columns is not read."""
 MAX_CELLS = 1000
-"""A cell a run: the recordings that were met have six at most."""
+"""Most cells, a run each: known recordings have at most six."""
 TIME_LIMIT_S = 120.0
-"""64 MB, the most that is read, take some 2 s."""
+"""The largest file, 64 MB, takes some 2 s."""
 
 
 def read_mat(path: Path) -> dict[str, tuple[Array, ...]]:
-    """Name of a column to its (n,) numbers in each run, as `time_series` says; FreeArtError in one line."""
+    """Column name to (n,) numbers per run, named as in `time_series`. Raises FreeArtError."""
     data = checked.read_bytes(path, MAX_CSV_BYTES, checked.ANYWHERE)
     if data[:8] == b"\x89HDF\r\n\x1a\n" or data[:10] == b"MATLAB 7.3":
         raise FreeArtError(f"{path} is a MAT file of version 7.3 (HDF5): save it by save(..., '-v7')")
@@ -51,8 +51,8 @@ def read_mat(path: Path) -> dict[str, tuple[Array, ...]]:
         except subprocess.TimeoutExpired as error:
             raise FreeArtError(f"{path} was not read within {TIME_LIMIT_S:g} s") from error
         if done.returncode or not out.is_file():
-            said = done.stderr.decode(errors="replace").strip().splitlines()
-            reason = " ".join(said[-1].split())[:120] if done.returncode == 1 and said else "the reader crashed on it"
+            lines = done.stderr.decode(errors="replace").strip().splitlines()
+            reason = " ".join(lines[-1].split())[:120] if done.returncode == 1 and lines else "the reader crashed on it"
             raise FreeArtError(f"{path} is not a readable MAT file: {reason}")
         names: dict[str, int] = json.loads(done.stdout)
         runs = checked.read_npz(out, tuple(f"{k}_{i}" for k, n in enumerate(names.values()) for i in range(n)))
@@ -60,7 +60,8 @@ def read_mat(path: Path) -> dict[str, tuple[Array, ...]]:
 
 
 def main() -> None:
-    """MAT bytes from standard input: runs of all columns to the .npz that is named, how many to standard output."""
+    """Read MAT bytes on standard input; write the runs of all columns to an .npz, and their numbers to standard
+    output."""
     from scipy.io import loadmat
 
     columns: dict[str, tuple[Array, ...]] = {}
@@ -103,7 +104,7 @@ def _flat(name: str, value: Any, depth: int) -> dict[str, tuple[Array, ...]]:
 def _check_unpacked(path: Path, data: bytes) -> None:
     """FreeArtError when a MAT file of version 5 unpacks to more than a measured set may hold."""
     if len(data) < 128 or data[126:128] not in (b"IM", b"MI"):
-        return  # version 4 packs nothing
+        return  # version 4 is not compressed
     order = "<" if data[126:128] == b"IM" else ">"
     place, unpacked = 128, 0
     while place + 8 <= len(data):
@@ -115,5 +116,5 @@ def _check_unpacked(path: Path, data: bytes) -> None:
             except zlib.error as error:
                 raise FreeArtError(f"{path} is not a readable MAT file: {error}") from error
         if unpacked > MAX_BYTES:
-            raise FreeArtError(f"{path} unpacks to more than {MAX_BYTES} bytes, which are not read")
+            raise FreeArtError(f"{path} unpacks to more than {MAX_BYTES} bytes, the most that are read")
         place += 8 + size

@@ -1,9 +1,9 @@
-"""Which unit positions are in that nobody told: by the joint's limits, and by the asset's equation of motion.
+"""The unit of recorded positions, from the asset's equation of motion.
 
-A unit that is wrong by a factor of 57 (degrees) or 1000 (mm) makes the inertia wrong by it, where known efforts
-moved the joint, and bends the pull of gravity, where a pendulum swings far. Both are looked at in weak form: for smooth
-windows w(t) that vanish with their slopes at their ends, the integral of inertia * qdd * w is that of inertia * q *
-w'', so that no noise is differentiated.
+A unit wrong by a factor of 57 (degrees) or 1000 (mm) makes the inertia wrong by the same factor where known efforts
+move the joint, and distorts gravity's torque where a pendulum swings far. The equation is tested in weak form: for
+smooth windows w(t) that vanish with their slopes at their ends, the integral of inertia * qdd * w equals that of
+inertia * q * w'', so that no noise is differentiated.
 """
 
 from __future__ import annotations
@@ -20,40 +20,40 @@ from freeart21.joint import Joint
 from freeart21.mechanics import JointMechanics, joint_inertia
 from freeart21.se3 import Array
 
-LIKE = 3.0
-"""Factor by which the inertia that a motion shows may differ from the asset's, losses beside it having been fitted,
-for the unit to be right: what people guess masses and sizes to. Units differ by 57 at least."""
-SURE = 0.3
-"""Part of itself that this inertia may be uncertain by."""
+INERTIA_FACTOR = 3.0
+"""Largest factor between the fitted inertia and the asset's in the right unit: the error of guessed masses and sizes.
+Units differ by at least 57."""
+MAX_RELATIVE_ERROR = 0.3
+"""Largest relative standard error of the fitted inertia."""
 BETTER = 4.0
-"""Times the sum of squares that is left by one of two units with a likely inertia, for the other to be right. Not
-measured: errors of windows last, so that twice may be chance."""
+"""Least ratio of residual sums of squares between two units with a plausible inertia. Not measured: errors of windows
+are correlated, so that a ratio of 2 can be chance."""
 LEAST_WINDOWS = 12
-"""Fewer say nothing."""
+"""Fewest windows for an answer."""
 _MOST_WINDOWS = 400
 _SAMPLES = 16
-"""Of a window at least."""
+"""Least samples of a window."""
 _PARTS = 8
-"""Of a run, at least, that windows last for: motion that drifts to one side does not swing."""
+"""Windows last at most a run over this number, also where the motion drifts instead of swinging."""
 
 
 @dataclass(frozen=True)
 class RawMotion:
-    """One run as it was recorded."""
+    """One run, with positions in an unknown unit."""
 
     times_s: Array
-    """(n,) s, rising."""
+    """(n,) s, increasing."""
     q: Array
-    """(n,) position from the joint's zero, in the unit that is asked for; NaN where there is none."""
+    """(n,) position from the joint's zero, in the unknown unit; NaN where there is none."""
     effort: Array | None
     """(n,) N*m or N on the joint; None for none."""
 
 
 def joint_mechanics(asset: Asset, gravity: Array) -> JointMechanics | None:
-    """What the asset's joint carries, from its URDF alone, in the root link's frame.
+    """Inertia and mass that the asset's joint moves, from its URDF, in the root link's frame.
 
-    `gravity` is (3,), m/s^2, in the reference link's frame. None where the URDF does not say, or the joint moves the
-    reference link.
+    `gravity` is (3,), m/s^2, in the reference link's frame. None when the URDF lacks them, or the joint
+    moves the reference link.
     """
     urdf = read_urdf(asset.urdf)
     scored = urdf.joints[asset.joint]
@@ -77,7 +77,7 @@ def joint_mechanics(asset: Asset, gravity: Array) -> JointMechanics | None:
 
 
 def unit_by_motion(mechanics: JointMechanics, runs: Sequence[RawMotion], scales: dict[str, float]) -> str | None:
-    """The one of the units with which the asset's equation of motion holds; None where none, or more than one, does.
+    """The unit in which the asset's equation of motion holds; None when none does, or several do.
 
     `scales` maps units to rad or m.
     """
@@ -87,9 +87,9 @@ def unit_by_motion(mechanics: JointMechanics, runs: Sequence[RawMotion], scales:
         return None
     likely = {}
     for unit, scale in scales.items():
-        ratio, error, left = _inertia_shown(mechanics, windows, scale)
-        if 1 / LIKE < ratio < LIKE and error < SURE * ratio:
-            likely[unit] = left
+        ratio, error, residual = _fit_inertia(mechanics, windows, scale)
+        if 1 / INERTIA_FACTOR < ratio < INERTIA_FACTOR and error < MAX_RELATIVE_ERROR * ratio:
+            likely[unit] = residual
     order = sorted(likely, key=lambda unit: likely[unit])
     if len(order) > 1 and likely[order[1]] < BETTER * likely[order[0]]:
         return None
@@ -97,7 +97,7 @@ def unit_by_motion(mechanics: JointMechanics, runs: Sequence[RawMotion], scales:
 
 
 def _windows(run: RawMotion) -> list[RawMotion]:
-    """Stretches of a run that each last for half a swing at most, every one half over the next."""
+    """Stretches of a run of at most half a swing each, overlapping by half."""
     good = np.isfinite(run.q) if run.effort is None else np.isfinite(run.q) & np.isfinite(run.effort)
     t, q = run.times_s[good], run.q[good]
     effort = None if run.effort is None else run.effort[good]
@@ -114,13 +114,15 @@ def _windows(run: RawMotion) -> list[RawMotion]:
 
 
 def _smooth(q: Array, width: int = 5) -> Array:
-    """(n,) means of neighbours."""
+    """(n,) moving average."""
     return np.convolve(np.pad(q, width // 2, mode="edge"), np.full(width, 1 / width), "valid")
 
 
-def _inertia_shown(mechanics: JointMechanics, windows: list[RawMotion], scale: float) -> tuple[float, float, float]:
-    """The inertia with which known forces drive the motion, over the asset's; its standard error; the sum of squares
-    that is left, over that of the forces. Oil and dry friction are free beside it, and none of them may push."""
+def _fit_inertia(mechanics: JointMechanics, windows: list[RawMotion], scale: float) -> tuple[float, float, float]:
+    """The fitted inertia over the asset's, its standard error, and the residual sum of squares over that of the forces.
+
+    Viscous and dry friction are fitted, too, and must be dissipative.
+    """
     rows, forces = [], []
     for run in windows:
         span = run.times_s[-1] - run.times_s[0]
@@ -146,7 +148,7 @@ def _inertia_shown(mechanics: JointMechanics, windows: list[RawMotion], scale: f
         if not pushing:
             break
         kept.remove(pushing[0])
-    left = float(((y - X @ found) ** 2).sum())
-    spread = np.sqrt(left / max(len(y) - len(kept), 1) * np.linalg.pinv(X.T @ X)[0, 0])
+    residual = float(((y - X @ found) ** 2).sum())
+    spread = np.sqrt(residual / max(len(y) - len(kept), 1) * np.linalg.pinv(X.T @ X)[0, 0])
     size = max(float(np.linalg.norm(columns[:, 0])), 1e-300)
-    return float(found[0]) / size, float(spread) / size, left / float(y @ y)
+    return float(found[0]) / size, float(spread) / size, residual / float(y @ y)

@@ -1,17 +1,17 @@
-"""A plain folder of pictures from a depth camera, as one's own recordings come.
+"""A plain folder of pictures from a depth camera.
 
     rgb/ or color/            NAME.png or .jpg
-    depth/                    NAME.png, 16 bits, millimetres unless told otherwise; aligned to the colours; 0 is none,
-                              and so is the largest of 16 bits or whatever the camera writes in its place
+    depth/                    NAME.png, 16 bits, millimetres by default; aligned to the colours; 0 is no depth, and so
+                              is 65535, or the value that the camera writes in its place
     masks/ or mask/           NAME.png or .jpg: the object, with hands cut out; white (or any label) on black
     cam_K.txt                 3x3 intrinsic matrix of the colours, as BundleSDF and FoundationPose have it; or
     camera_intrinsic.json     or intrinsic.json: {width, height, intrinsic_matrix}, nine numbers column by column, as
                               Open3D's recorders write it
 
 NAME is the same in all three folders, or ends in the same number, or is a time stamp: seconds with a fraction (as the
-TUM RGB-D sets have them), or Unix time in s, ms, us or ns. Times are those of the stamps; else frames come in the order
-of the last number in their names, `fps` of them a second. The lens's distortion is taken to be gone. These matrices put
-pixel centres at whole numbers, as OpenCV does; ours stand at +0.5.
+TUM RGB-D sets have them), or Unix time in s, ms, us or ns. Without time stamps, frames are in the
+order of the last number in their names, `fps` a second. Pictures must be undistorted. Pixel centres of these matrices
+are at whole numbers, as in OpenCV; ours are at +0.5.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ from freeart21.se3 import Array
 
 MILLIMETRE = 0.001
 FPS = 30.0
-APART_NS = 20_000_000
-"""Time stamps of one frame differ by less, as in the TUM RGB-D sets' own associate.py (0.02 s)."""
+MAX_DIFFERENCE_NS = 20_000_000
+"""Largest difference between time stamps of one frame, as in associate.py of the TUM RGB-D sets (0.02 s)."""
 
 _COLOUR, _DEPTH, _MASK = ("rgb", "color", "colour", "images"), ("depth",), ("masks", "mask")
 _OPEN3D = ("camera_intrinsic.json", "intrinsic.json")
-_UNIX_S = (1_000_000_000, 4_200_000_000)  # 2001 to 2103: dates such as 20240131123000 are in no unit of it
-_TOP_SHARE, _TOP_FRAMES = 0.01, 8  # of the pixels, in that many frames, for a value to be what stands for none
+_UNIX_S = (1_000_000_000, 4_200_000_000)  # 2001 to 2103: excludes dates such as 20240131123000
+_TOP_SHARE, _TOP_FRAMES = 0.01, 8  # least share of pixels, over so many frames, of the value for no depth
 
 
 def is_rgbd_folder(folder: Path) -> bool:
-    """Whether `folder` looks like one: colours, intrinsics, and depth in pictures (an official example has .npz)."""
+    """Whether `folder` has colours, intrinsics, and depth as pictures (an official example has .npz)."""
     depth = folder / "depth"
     return (
         _place(folder, _COLOUR) is not None
@@ -56,8 +56,8 @@ def is_rgbd_folder(folder: Path) -> bool:
 def read_rgbd_folder(folder: Path, depth_unit: float = MILLIMETRE, fps: float | None = None) -> ThirdPartyRecording:
     """The recording in `folder`; frames load lazily. `depth_unit` is in metres, `fps` in frames a second.
 
-    `fps` None takes times from the names where these are time stamps, else FPS. Raises FreeArtError, in one line, when
-    masks are missing, frames do not go together, or sizes differ.
+    With `fps` None, times come from time stamps in the names, else from FPS. Raises FreeArtError when masks are
+    missing, frames do not match, or sizes differ.
     """
     folder = Path(folder)
     if not 0 < depth_unit < 1:
@@ -80,7 +80,7 @@ def read_rgbd_folder(folder: Path, depth_unit: float = MILLIMETRE, fps: float | 
         raise FreeArtError(f"{folder} has {len(frames)} frames, expected 1 to {third_party.MAX_FRAMES}")
     height, width = checked.read_rgb(frames[0][0]).shape[:2]
     camera = _camera(folder, width, height)
-    none = _first_invalid_depth([depth for _, depth, _ in frames])
+    invalid = _first_invalid_depth([depth for _, depth, _ in frames])
     lost: dict[int, int] = {}
 
     def load(index: int) -> Frame:
@@ -92,25 +92,26 @@ def read_rgbd_folder(folder: Path, depth_unit: float = MILLIMETRE, fps: float | 
                     f"{path} is {size[1]} x {size[0]}, expected {width} x {height} as the first colours: "
                     "align depth to the colour camera, and masks with it"
                 )
-        lost[index] = int(np.count_nonzero(raw >= none))
-        depth = np.where(raw < none, raw, 0).astype(np.float32) * np.float32(depth_unit)
+        lost[index] = int(np.count_nonzero(raw >= invalid))
+        depth = np.where(raw < invalid, raw, 0).astype(np.float32) * np.float32(depth_unit)
         return Frame(colours, depth, shown)
 
     def observe() -> tuple[str, ...]:
         pixels, some = sum(lost.values()), sum(map(bool, lost.values()))
-        text = f"depth {none} is taken as none: {pixels} pixels ({pixels / (width * height * len(lost) or 1):.1%}) of "
-        return (f"{text}{some} frames",) if pixels else ()
+        share = pixels / (width * height * len(lost) or 1)
+        text = f"depth {invalid} is taken as none: {pixels} pixels ({share:.1%}) of {some} frames"
+        return (text,) if pixels else ()
 
     name = third_party.safe_name(folder.resolve().name)
     recording = Recording(camera, times, load, (), None, name)
-    return ThirdPartyRecording(name, name, recording, None, "a video alone has none", notes, observe)
+    return ThirdPartyRecording(name, name, recording, None, "a video alone has no truth", notes, observe)
 
 
 def _first_invalid_depth(depth: list[Path]) -> int:
-    """The depth value from which on there is none.
+    """The smallest depth value that means no depth.
 
-    That is the largest of 16 bits; or the largest of the recording where it is many pixels' and stands alone: half of
-    it and more is no other pixel's (2047 and 10000 are such values of cameras; surfaces have depths in between).
+    That is 65535; or the largest value of the recording, when many pixels have it and no other pixel has half of it or
+    more. Cameras write 2047 or 10000, for example, while depths of surfaces have values in between.
     """
     chosen = np.unique(np.linspace(0, len(depth) - 1, _TOP_FRAMES).round().astype(int))
     counts = sum(np.bincount(checked.read_uint16(depth[i]).ravel(), minlength=1 << 16) for i in chosen)
@@ -130,7 +131,7 @@ def _has_intrinsics(folder: Path) -> bool:
 
 
 def _pictures(folder: Path, names: tuple[str, ...]) -> dict[str, Path]:
-    """Name without suffix to file; links may not lead out of the folder."""
+    """Stem to file; FreeArtError for links that lead out of the folder."""
     place = _place(folder, names)
     assert place is not None
     suffixes = (".png",) if names == _DEPTH else (".png", ".jpg", ".jpeg")
@@ -154,7 +155,7 @@ _Frame = tuple[Path, Path, Path]
 def _frames(
     folder: Path, rgb: _Files, depth: _Files, mask: _Files, fps: float | None
 ) -> tuple[list[_Frame], Array, tuple[str, ...]]:
-    """Colours, depth and mask of every frame in time, (n,) seconds from the first one on, and lines on both."""
+    """Colours, depth and mask of every frame, (n,) seconds from the first frame, and notes."""
     stamps = [_stamps(list(files)) for files in (rgb, depth, mask)]
     colour, deep, masked = stamps
     notes: list[str] = []
@@ -165,10 +166,12 @@ def _frames(
         if len(chosen) < len(found):
             notes.append(
                 f"{len(found) - len(chosen)} of {len(found)} colours have no depth and mask within "
-                f"{APART_NS / 1e6:g} ms by their time stamps, and are left out"
+                f"{MAX_DIFFERENCE_NS / 1e6:g} ms by their time stamps, and are left out"
             )
         if not chosen:
-            raise FreeArtError(f"{folder}: no colours have depth and a mask within {APART_NS / 1e6:g} ms by name")
+            raise FreeArtError(
+                f"{folder}: no colours have depth and a mask within {MAX_DIFFERENCE_NS / 1e6:g} ms by name"
+            )
         for (t, (one, *_)), (later, (other, *_)) in itertools.pairwise(chosen):
             if t == later:
                 raise FreeArtError(f"{folder}: {one.name} and {other.name} have one time stamp")
@@ -189,23 +192,23 @@ def _frames(
 
 
 def _same_frames(folder: Path, rgb: _Files, depth: _Files, mask: _Files) -> list[_Frame]:
-    """Frames of files with one name, or, where names differ, with one number in them; in the order of the numbers."""
+    """Frames of files with the same name or, where names differ, the same number; sorted by number."""
     if not set(rgb) == set(depth) == set(mask):
         named = [{_number(name): path for name, path in files.items()} for files in (rgb, depth, mask)]
         if set(named[0]) == set(named[1]) == set(named[2]) and len(named[0]) == len(rgb):
             return [(named[0][k], named[1][k], named[2][k]) for k in sorted(named[0])]
     for sub, files in (("depth", depth), ("masks", mask)):
-        unmatched = sorted(set(rgb) ^ set(files), key=_in_time)
+        unmatched = sorted(set(rgb) ^ set(files), key=_frame_order)
         if unmatched:
             where, lacks = ("the colours", sub) if unmatched[0] in rgb else (sub, "the colours")
             raise FreeArtError(
                 f"{folder}: frame '{unmatched[0]}' is among {where}, but not among {lacks}; {len(unmatched)} differ"
             )
-    return [(rgb[name], depth[name], mask[name]) for name in sorted(rgb, key=_in_time)]
+    return [(rgb[name], depth[name], mask[name]) for name in sorted(rgb, key=_frame_order)]
 
 
-def _in_time(name: str) -> tuple[int, str]:
-    """Sorts frames by the last number in their names, as frame_9 before frame_10."""
+def _frame_order(name: str) -> tuple[int, str]:
+    """Sort key: the last number in a name, so that frame_9 is before frame_10."""
     return (_number(name), name)
 
 
@@ -218,8 +221,8 @@ def _number(name: str) -> int:
 def _stamps(names: list[str]) -> dict[str, int] | None:
     """Name to its time stamp, ns; None unless all names have one.
 
-    Stamps are Unix times in s, ms, us or ns, or seconds with a fraction: names that are numbers and nothing else, or
-    end in numbers with equally many decimals (v1.9 and v1.10 have not).
+    Time stamps are Unix times in s, ms, us or ns, or seconds with a fraction. Seconds are whole names, or end in
+    numbers with equally many decimals (unlike v1.9 and v1.10).
     """
     found = [re.search(r"([0-9]{1,20})(?:\.([0-9]{1,18}))?$", name) for name in names]
     parts = [(m[1], m[2] or "", m[0] == name) for m, name in zip(found, names, strict=True) if m is not None]
@@ -239,19 +242,19 @@ def _stamps(names: list[str]) -> dict[str, int] | None:
 
 
 def _nearest(stamps: list[tuple[int, str]], t: int) -> str | None:
-    """The name of the stamp nearest to `t`, ns, of sorted ones; None when it is APART_NS off or more."""
+    """Name of the nearest of sorted time stamps to `t`, ns; None when it differs by MAX_DIFFERENCE_NS or more."""
     at = bisect(stamps, (t,))
-    apart, name = min((abs(stamp - t), name) for stamp, name in stamps[max(at - 1, 0) : at + 1])
-    return name if apart < APART_NS else None
+    difference, name = min((abs(stamp - t), name) for stamp, name in stamps[max(at - 1, 0) : at + 1])
+    return name if difference < MAX_DIFFERENCE_NS else None
 
 
 def _describe_times(times: Array) -> str:
-    """A line on times that come from names: how long, how even, and the longest gap."""
+    """A note on times from names: duration, median step, and the longest gap."""
     if len(times) < 2:
-        return "times are the names' time stamps: one frame"
+        return "times are from the names: one frame"
     steps = np.diff(times)
     median, longest = float(np.median(steps)), int(np.argmax(steps))
-    text = f"times are the names' time stamps: {len(times)} frames in {times[-1]:.6g} s, {1e3 * median:.4g} ms apart"
+    text = f"times are from the names: {len(times)} frames in {times[-1]:.6g} s, {1e3 * median:.4g} ms apart"
     gaps = int(np.count_nonzero(steps > 1.5 * median))
     if not gaps:
         return text
@@ -259,7 +262,7 @@ def _describe_times(times: Array) -> str:
 
 
 def _camera(folder: Path, width: int, height: int) -> Camera:
-    """The camera, with pixel centres at +0.5."""
+    """The camera; its pixel centres are at +0.5."""
     if (folder / "cam_K.txt").is_file():
         path = folder / "cam_K.txt"
         K = third_party.read_matrix(path)

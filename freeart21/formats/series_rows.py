@@ -1,4 +1,4 @@
-"""Rows of a recording as people have them, put in order: what came late, what is missing, what was leapt over."""
+"""Cleans the rows of a recording: sorts late rows, drops rows without a new time or before the first drive value."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from freeart21.files.measured import MIN_SAMPLES
 from freeart21.se3 import Array
 
 _SWAPPED, _SWAPPED_STEPS = 0.05, 10
-"""Share of rows that may come after later ones, and by how many steps at most, before it is another recording. Not
-measured: a network swaps neighbours, a second recording begins anew."""
+"""Largest share of late rows, and by how many steps, in one recording: networks swap neighbours, while a second
+recording starts again. Not measured."""
 
 
 @dataclass(frozen=True)
-class Raw:
+class RawRun:
     """One run in the units of its file."""
 
     name: str
@@ -24,9 +24,9 @@ class Raw:
     """Role to (n,) numbers."""
 
 
-def rising(run: Raw, notes: list[str]) -> Raw:
-    """A run without rows whose time is missing or that of the row before."""
-    run = _in_order(run, notes)
+def remove_bad_times(run: RawRun, notes: list[str]) -> RawRun:
+    """The run without rows whose time is missing or repeated. FreeArtError when time goes back."""
+    run = _sort_rows(run, notes)
     t = run.values["t"]
     kept = np.isfinite(t)
     kept[np.flatnonzero(kept)[1:]] = np.diff(t[kept]) != 0
@@ -37,15 +37,15 @@ def rising(run: Raw, notes: list[str]) -> Raw:
         row = rows[int(np.argmax(back)) + 1]
         raise FreeArtError(
             f"run '{run.name}': time goes back from {t[kept][int(np.argmax(back))]:g} to {t[row]:g} in row {row + 1}, "
-            "expected rising times: a second recording? Give each a file of its own"
+            "expected increasing times. Is it a second recording? Give each its own file"
         )
     if not kept.all():
-        notes.append(f"{run.name}: {int((~kept).sum())} rows whose time is missing or not a new one were left out")
+        notes.append(f"{run.name}: {int((~kept).sum())} rows without a new time were left out")
     return replace(run, values={role: v[kept] for role, v in run.values.items()})
 
 
-def _in_order(run: Raw, notes: list[str]) -> Raw:
-    """A run whose rows came a little out of order, as they do over a network, in the order of their times."""
+def _sort_rows(run: RawRun, notes: list[str]) -> RawRun:
+    """The run with its rows sorted by time, if they are only slightly out of order, as after a network."""
     t = run.values["t"]
     known = np.flatnonzero(np.isfinite(t))
     steps = np.diff(t[known])
@@ -55,17 +55,17 @@ def _in_order(run: Raw, notes: list[str]) -> Raw:
     if (np.maximum.accumulate(t[known]) - t[known]).max() > _SWAPPED_STEPS * np.median(np.abs(steps)):
         return run
     order = known[np.argsort(t[known], kind="stable")]
-    notes.append(f"{run.name}: {int(back.sum())} rows came after later ones, and were put in order")
+    notes.append(f"{run.name}: {int(back.sum())} rows came late, and were sorted")
     return replace(run, values={role: values[order] for role, values in run.values.items()})
 
 
-def trim_start(run: Raw, notes: list[str]) -> Raw:
-    """A run from the first row on in which every drive has a value: what drove it before is not known."""
+def trim_start(run: RawRun, notes: list[str]) -> RawRun:
+    """The run from the first row where every drive has a value: the drive before is unknown."""
     drives = [role for role in ("effort", "q_command", "voltage") if role in run.values]
     known = [np.isfinite(run.values[role]) for role in drives]
     for role, there in zip(drives, known, strict=True):
         if not there.any():
-            raise FreeArtError(f"run '{run.name}': {role} has no value at all; leave it out, or the run")
+            raise FreeArtError(f"run '{run.name}': {role} has no value; leave out the column or the run")
     first = max((int(np.argmax(there)) for there in known), default=0)
     if first == 0:
         return run
@@ -74,5 +74,5 @@ def trim_start(run: Raw, notes: list[str]) -> Raw:
             f"run '{run.name}': {' and '.join(drives)} begin in row {first + 1} of {len(run.values['t'])}, expected "
             f"{MIN_SAMPLES} rows or more from there on"
         )
-    notes.append(f"{run.name}: the first {first} rows were left out: no value of {' and '.join(drives)} is known there")
+    notes.append(f"{run.name}: the first {first} rows were left out: they have no {' and '.join(drives)}")
     return replace(run, values={role: values[first:] for role, values in run.values.items()})

@@ -1,4 +1,4 @@
-"""What all foreign layouts share: camera axes, depth units, numbered files, and what such a folder knows."""
+"""Shared by all third-party layouts: camera axes, depth units, numbered files, and what a folder knows of the truth."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from freeart21.se3 import Array
 
 Image = NDArray[np.uint8]
 Progress = Callable[[int, int], None]
-"""Called with the number of frames done and their total."""
+"""Called with the number of finished frames and their total."""
 
 T_GL_CV: Array = np.diag([1.0, -1.0, -1.0, 1.0])
 """OpenGL camera (x right, y up, z backward) from ours (x right, y down, z forward)."""
@@ -31,22 +31,22 @@ T_SAPIEN_CV: Array = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0
 """SAPIEN camera (x forward, y left, z up) from ours."""
 
 FARTHEST_M = 100.0
-"""The far plane of both data sets: a larger depth is not in metres."""
+"""The far plane of both data sets: larger depths are in millimetres."""
 MAX_FRAMES = 100_000
 
-_LEAST_MM = 20  # whole numbers that stay below it are no millimetres: nothing is filmed from two centimetres
-_UNIT_NORM = 0.05  # how far a stored quaternion's norm may be from one
+_LEAST_MM = 20  # integer depth always below this is not in millimetres: no camera films from two centimetres
+_UNIT_NORM = 0.05  # largest deviation of a stored quaternion's norm from one
 _PNG = b"\x89PNG\r\n\x1a\n"
-_MOST_VALUES = 32  # of a label map; black and white enlarged 2, 3, 4 times (bilinear) has 10, 10, 25; soft masks 256
-_MOST_LABELS = 16  # two parts, a hand and a few more; what has more flat values is a soft mask of low resolution
+_MOST_VALUES = 32  # in a label map; black and white enlarged 2, 3, 4 times (bilinear) has 10, 10, 25; soft masks 256
+_MOST_LABELS = 16  # two parts, a hand and a few more; a soft mask of low resolution has more flat values
 
 
 @dataclass(frozen=True)
 class KnownTruth:
-    """What a foreign folder knows of the truth.
+    """What a third-party folder knows of the truth, for n frames.
 
-    The object's frame is that of its URDF's root link (z up). The sides are those of the scored joint: the root link's
-    (parent) and the other (child).
+    The object's frame is that of its URDF's root link (z up). The sides are those of the scored joint: parent (with the
+    root link) and child.
     """
 
     states: Array
@@ -56,13 +56,13 @@ class KnownTruth:
     side: Callable[[int], Image]
     """Frame index to (height, width): 0 neither, 1 parent side, 2 child side."""
     joint_name: str | None = None
-    """Of the scored joint in the object's URDF; None when the layout does not say."""
+    """Name of the scored joint in the object's URDF; None when the layout does not have it."""
     joint: Joint | None = None
-    """Motion of the child against the parent side in the object's frame; None when only the URDF can tell."""
+    """Motion of the child relative to the parent side, object's frame; None when only the URDF has it."""
     held: dict[str, float] = field(default_factory=dict)
-    """Where the other joints stood, rad or m, as far as the layout tells."""
+    """States of other joints, rad or m, if the layout has them."""
     source: dict[str, Any] = field(default_factory=dict)
-    """Where it came from."""
+    """Its origin."""
 
     def __post_init__(self) -> None:
         states = np.asarray(self.states, float)
@@ -82,7 +82,7 @@ class KnownTruth:
 
 @dataclass(frozen=True)
 class Parts:
-    """Which side became the reference part, and what follows from it."""
+    """Reference and moving part, chosen from the two sides."""
 
     order: tuple[int, int]
     """Side (0 parent, 1 child) of the reference and of the moving part."""
@@ -119,27 +119,26 @@ def assign_parts(
 
 @dataclass(frozen=True)
 class ThirdPartyRecording:
-    """A foreign folder, read."""
+    """A third-party folder, read."""
 
     name: str
-    """A name for the sequence that it becomes: letters, digits, '.', '-' and '_'."""
+    """Name for a sequence: letters, digits, '.', '-' and '_'."""
     object_id: str
-    """The object's PartNet-Mobility id, as the folder has it."""
+    """The object's PartNet-Mobility id."""
     recording: Recording
     known: KnownTruth | None
-    """None when too little of the truth is there; `lacks` says what."""
+    """None when the truth is incomplete; `lacks` is the reason."""
     lacks: str = ""
     notes: tuple[str, ...] = ()
-    """What the user should know, a line each."""
+    """Notes for the user, one line each."""
     observe: Callable[[], tuple[str, ...]] = tuple
-    """More such lines, of the frames that were loaded so far."""
+    """Gives further notes about the frames loaded so far."""
 
 
 def numbered(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
-    """Frame number to file, of the files in `folder` whose whole name is a number, of any count of digits.
+    """Frame number to file, for files in `folder` whose stem is a number of any length. Links count by their names.
 
-    Symbolic links count by their name. Raises FreeArtError when the folder is missing, or two files have one number
-    (0001.png and 00001.png).
+    Raises FreeArtError when the folder is missing, or two files have the same number (0001.png and 00001.png).
     """
     if not folder.is_dir():
         raise FreeArtError(f"{folder} is missing")
@@ -162,17 +161,17 @@ def safe_name(name: str) -> str:
 
 
 def within(folder: Path, path: Path) -> Path:
-    """`path`, which lies in `folder` also when links are followed; FreeArtError otherwise."""
+    """`path` in `folder` with links resolved; FreeArtError when it is outside."""
     return checked.inside(folder, str(path.relative_to(folder)))
 
 
 def depth_metres(raw: NDArray[Any], where: Path) -> NDArray[np.float32]:
-    """(height, width) z-depth in metres, 0 where there is none, of one file's array.
+    """(height, width) z-depth, metres, 0 where there is none, from one file's array.
 
-    The type decides first: whole numbers are millimetres, floating point is metres. Then the range: floats beyond the
-    far plane (median above 100) are millimetres all the same, and whole numbers that never reach 20 are refused.
-    Not finite and negative values are none, and so is the largest of a type: that of whole numbers, and floats from
-    that of half precision on (Blender writes 1e10). Files of one data set differ, so each is judged alone.
+    Integers are millimetres, floats are metres. Exceptions: floats with a median above the far plane (100) are
+    millimetres, and integers that never reach 20 are refused. Not finite and negative values are no depth, and so are
+    the largest integer of the type, and floats from the largest of half precision on (Blender writes 1e10). Files of
+    one data set differ, so each is judged alone.
     """
     raw = raw[..., 0] if raw.ndim == 3 and raw.shape[2] == 1 else raw
     if raw.ndim != 2 or raw.dtype.kind not in "fiu":
@@ -202,7 +201,7 @@ def read_npy(path: Path, shape: tuple[int | None, ...]) -> Array:
 
 
 def read_matrix(path: Path) -> Array:
-    """The rows of numbers, parted by blanks or commas, of a text file; FreeArtError where a word is no number."""
+    """The rows of numbers, separated by blanks or commas, of a text file. Raises FreeArtError."""
     text = checked.read_text(path, 1 << 16, errors="replace").replace(",", " ")
     try:
         return np.array([[float(word) for word in line.split()] for line in text.splitlines() if line.strip()])
@@ -211,11 +210,11 @@ def read_matrix(path: Path) -> Array:
 
 
 def read_foreground(path: Path) -> NDArray[np.bool_]:
-    """(height, width) foreground of a mask picture: all that is not black, from half of the least label on.
+    """(height, width) foreground of a mask picture: values above half of the smallest label.
 
-    Takes black and white of 1, 8 or 16 bits, label maps (every label), colours (the brightest channel), palettes (by
-    index, where index 0 is black), and cut-outs (alpha, where it varies). A label is a value that fills squares of
-    3 x 3 pixels: soft edges do not. Soft masks and JPEG have many values: there the darkest sixteenth is background.
+    Reads black and white of 1, 8 or 16 bits, label maps (all labels), colours (the brightest channel), palettes (the
+    index, where index 0 is black), and cut-outs (alpha, where it varies). A label is a value that fills squares of 3 x
+    3 pixels, unlike soft edges. In soft masks and JPEG, with many values, the darkest sixteenth is background.
     """
     data = checked.read_bytes(path, checked.MAX_IMAGE_BYTES)
     image = checked.decode_image(_palette_as_grey(data), path, cv2.IMREAD_UNCHANGED)
@@ -233,9 +232,9 @@ def read_foreground(path: Path) -> NDArray[np.bool_]:
 
 
 def _palette_as_grey(data: bytes) -> bytes:
-    """A PNG of a palette that begins with black as the PNG of its indices; all other bytes as they are.
+    """A palette PNG that begins with black as a PNG of its indices; other data unchanged.
 
-    Two labels may have one colour (palettes are padded with black), so colours would lose some.
+    Two labels can have the same colour (palettes are padded with black), so colours would lose labels.
     """
     if not data.startswith(_PNG) or data[25:26] != b"\x03":  # the colour type in IHDR (PNG specification, 11.2.1)
         return data
@@ -254,7 +253,7 @@ def _palette_as_grey(data: bytes) -> bytes:
 
 
 def poses_from_rows(rows: ArrayLike, where: str) -> Array:
-    """(n, 4, 4) poses of rows (n, 7): position, then quaternion w, x, y, z of about unit length."""
+    """(n, 4, 4) poses from rows (n, 7): position, then a quaternion w, x, y, z of about unit length."""
     rows = np.asarray(rows, float)
     norms = np.linalg.norm(rows[:, 3:], axis=1)
     bad = np.flatnonzero(~(np.abs(norms - 1) <= _UNIT_NORM))
@@ -265,7 +264,7 @@ def poses_from_rows(rows: ArrayLike, where: str) -> Array:
 
 
 def same_count(folder: Path, counts: dict[str, int]) -> None:
-    """FreeArtError when the counts (file name to number of entries) differ."""
+    """FreeArtError when `counts` (file name to number of entries) differ."""
     if len(set(counts.values())) > 1:
-        told = ", ".join(f"{name} {count}" for name, count in counts.items())
-        raise FreeArtError(f"{folder}: the numbers of frames differ: {told}")
+        text = ", ".join(f"{name} {count}" for name, count in counts.items())
+        raise FreeArtError(f"{folder}: the numbers of frames differ: {text}")

@@ -1,13 +1,13 @@
-"""Recordings against time as people have them: text (CSV and its kin), JSON, MATLAB files. Columns and their names.
+"""Reads time series from text (CSV and the like), JSON and MATLAB files: columns of numbers and their names.
 
-    text   any of comma, semicolon, tab and spaces; decimal point or comma; with a header, one in a comment, or none; a
+    text   comma, semicolon, tab or spaces; decimal point or comma; the header in a line or a comment, or none; optional
            line of units after it; comments after # or %. Without a header the columns are called 1, 2, ...
-    JSON   a list of objects (a row each), an object of lists (a column each), or a list of rows, at the top or within;
-           of several the longest. Numbers in a list within a row are called NAME:1, NAME:2, ...
-    MAT    of version 5 to 7. Vectors are columns; of a matrix NAME:1, NAME:2, ... run along its longer side; fields of
-           a structure are NAME.FIELD. A cell array (or an array of structures) holds a run in each cell.
+    JSON   a list of objects (rows), an object of lists (columns), or a list of rows, at the top level or nested; of
+           several the longest. Numbers of a list within a row are called NAME:1, NAME:2, ...
+    MAT    version 5 to 7. Vectors are columns; columns of a matrix, along its longer side, are NAME:1, NAME:2, ...;
+           fields of a structure are NAME.FIELD. A cell array (or an array of structures) has a run per cell.
 
-Nothing of a file is ever executed, and sizes are bounded.
+Nothing in a file is executed, and sizes are bounded.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ import numpy as np
 
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.run_table import MAX_CSV_BYTES, MAX_SAMPLES
+from freeart21.files.run_table import MAX_CSV_BYTES, MAX_SAMPLES, shorten_line
 from freeart21.formats.mat_file import MAX_MATRIX_COLUMNS, read_mat
 from freeart21.se3 import Array
 
 MAX_COLUMNS = 1000
 _SAMPLE = 200
-"""Lines at the end of a text by which its separator is told."""
+"""Lines at the end of a text that determine its separator."""
 _MOST_ODD = 0.01
-"""Share of lines with another number of cells beyond which a text is no table."""
-_NAMED_MOST = 30
-"""Columns that an error lists."""
+"""Largest share of lines with another number of cells in a table."""
+_MAX_NAMES = 30
+"""Most names in a message."""
 
 
 @dataclass(frozen=True)
@@ -45,32 +45,32 @@ class Series:
 
     path: Path
     columns: dict[str, tuple[Array, ...]]
-    """Name to (n,) numbers for each run in the file; NaN where there is none."""
+    """Name to (n,) numbers per run in the file; NaN for an empty cell."""
     units: dict[str, str]
-    """Name to the unit that the file itself says."""
+    """Name to the unit written in the file."""
     notes: tuple[str, ...]
-    """How the file was read: a line each."""
+    """How the file was read, one line each."""
 
     def column(self, name: str) -> tuple[Array, ...]:
-        """The runs of a column; those of several, joined by '+', one after the other."""
-        return tuple(run for part in name.split("+") for run in self.columns[self.found(part.strip())])
+        """The runs of a column, or of several columns whose names are joined by '+'."""
+        return tuple(run for part in name.split("+") for run in self.columns[self.find_column(part.strip())])
 
-    def found(self, name: str) -> str:
-        """`name` as the file writes it; FreeArtError lists what exists."""
+    def find_column(self, name: str) -> str:
+        """The column `name` as the file spells it, whatever the case; FreeArtError lists all columns."""
         for known in self.columns:
             if known == name or known.casefold() == name.casefold():
                 return known
-        raise FreeArtError(f"{self.path} has no column '{name}'; columns: {listed(list(self.columns))}")
+        raise FreeArtError(f"{self.path} has no column '{name}'; columns: {join_names(list(self.columns))}")
 
 
-def listed(names: list[str]) -> str:
-    """Names for a line of text, and not too many."""
-    more = f" and {len(names) - _NAMED_MOST} more" if len(names) > _NAMED_MOST else ""
-    return (", ".join(names[:_NAMED_MOST]) or "none") + more
+def join_names(names: list[str]) -> str:
+    """At most _MAX_NAMES names, joined by commas."""
+    more = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
+    return (", ".join(names[:_MAX_NAMES]) or "none") + more
 
 
 def read_series(path: Path) -> Series:
-    """All columns of numbers in a text, JSON or MATLAB file; FreeArtError says in one line what is wrong with it."""
+    """All columns of numbers in a text, JSON or MATLAB file. Raises FreeArtError."""
     path = Path(path)
     if path.suffix.lower() in (".xls", ".xlsx", ".ods", ".npz", ".npy", ".pkl", ".bag", ".h5", ".hdf5", ".parquet"):
         raise FreeArtError(f"{path} is a {path.suffix} file, expected text (CSV), JSON or MAT: save it as CSV")
@@ -86,8 +86,8 @@ def read_series(path: Path) -> Series:
     return series
 
 
-def number(cell: str) -> float | None:
-    """What a cell says: a number, NaN when it is empty, None when it is another thing."""
+def parse_number(cell: str) -> float | None:
+    """The number in a cell: NaN when it is empty, None when it is something else."""
     cell = cell.strip()
     if not cell or cell.casefold() in ("nan", "na", "null", "none", "-"):
         return np.nan
@@ -105,7 +105,7 @@ def number(cell: str) -> float | None:
 @dataclass(frozen=True)
 class _Dialect:
     delimiter: str | None
-    """None for any white space."""
+    """None for white space."""
     decimal: str
 
     def rows(self, lines: list[str]) -> list[list[str]]:
@@ -141,13 +141,13 @@ def _read_text(path: Path) -> Series:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("latin-1")
-    written = [line for line in text.splitlines() if line.strip()]
-    comments = [line.lstrip("#% \t") for line in takewhile(lambda line: line.lstrip()[:1] in ("#", "%"), written)]
-    lines = [line for line in written if line.lstrip()[:1] not in ("#", "%")]
+    filled = [line for line in text.splitlines() if line.strip()]
+    comments = [line.lstrip("#% \t") for line in takewhile(lambda line: line.lstrip()[:1] in ("#", "%"), filled)]
+    lines = [line for line in filled if line.lstrip()[:1] not in ("#", "%")]
     if not lines:
         raise FreeArtError(f"{path} has no rows")
     try:
-        dialect = max(_DIALECTS, key=lambda d: _fits(d.rows(lines[-_SAMPLE:])))
+        dialect = max(_DIALECTS, key=lambda d: _fit_score(d.rows(lines[-_SAMPLE:])))
         rows = dialect.rows(lines)
         header = dialect.rows(comments[-1:])
     except csv.Error as error:
@@ -157,7 +157,7 @@ def _read_text(path: Path) -> Series:
     stamps = [k for k in range(width) if k not in numeric and _is_stamp(rows[-1], k)]
     first = next((i for i, row in enumerate(rows) if _is_data(row, numeric, width)), len(rows))
     if not numeric or first == len(rows):
-        raise FreeArtError(f"{path} has no rows of numbers; it begins with '{_short(lines[0])}'")
+        raise FreeArtError(f"{path} has no rows of numbers; it begins with '{shorten_line(lines[0], 60)}'")
     above = [row for row in [*header, *rows[:first]] if len(row) == width]
     units_row = len(above) > 1 and all(_is_unit(cell) for cell in above[-1])
     named = above[-2 if units_row else -1] if above else []
@@ -170,34 +170,34 @@ def _read_text(path: Path) -> Series:
     strange = 0
     for k in range(width):
         if k in numeric:
-            said = [number(row[k]) for row in good]
-            strange += sum(value is None for value in said)
-            columns[names[k]] = (np.array([np.nan if value is None else value for value in said]),)
+            values = [parse_number(row[k]) for row in good]
+            strange += sum(value is None for value in values)
+            columns[names[k]] = (np.array([np.nan if value is None else value for value in values]),)
         elif k in stamps:
             columns[names[k]], units[names[k]] = (_stamps([row[k] for row in good]),), "s"
-    called = f"header {listed(names)}" if named else "no header: columns are called " + listed(names)
-    notes = [f"{len(good)} rows, cells apart by {dialect}; {called}"]
+    called = f"header {join_names(names)}" if named else "no header: columns are called " + join_names(names)
+    notes = [f"{len(good)} rows, separated by {dialect}; {called}"]
     notes += [f"{odd} rows with another number of cells than {width} were left out"] if odd else []
-    notes += [f"{strange} cells that are no numbers were taken as empty"] if strange else []
+    notes += [f"{strange} cells without a number were taken as empty"] if strange else []
     return Series(path, columns, units, tuple(notes))
 
 
-def _fits(rows: list[list[str]]) -> tuple[float, int]:
-    """How well a separator fits: the share of cells that are numbers, then how many stand in a row."""
+def _fit_score(rows: list[list[str]]) -> tuple[float, int]:
+    """Score of a separator: the share of numeric cells, then the number of cells per row."""
     width = Counter(len(row) for row in rows).most_common(1)[0][0]
     same = [cell for row in rows if len(row) == width for cell in row]
-    numbers = sum(number(cell) is not None for cell in same)
+    numbers = sum(parse_number(cell) is not None for cell in same)
     return numbers / max(1, sum(map(len, rows))), width
 
 
 def _is_number(rows: list[list[str]], k: int, width: int) -> bool:
-    said = [number(row[k]) for row in rows if len(row) == width]
-    return 2 * sum(value is not None for value in said) > len(said)
+    values = [parse_number(row[k]) for row in rows if len(row) == width]
+    return 2 * sum(value is not None for value in values) > len(values)
 
 
 def _is_data(row: list[str], numeric: list[int], width: int) -> bool:
-    said = [number(row[k]) for k in numeric] if len(row) == width else []
-    return bool(said) and None not in said and not all(np.isnan(value or 0.0) for value in said)
+    values = [parse_number(row[k]) for k in numeric] if len(row) == width else []
+    return bool(values) and None not in values and not all(np.isnan(value or 0.0) for value in values)
 
 
 def _stamp(cell: str) -> datetime | None:
@@ -212,24 +212,24 @@ def _is_stamp(row: list[str], k: int) -> bool:
 
 
 def _stamps(cells: list[str]) -> Array:
-    """Dates and times of day as seconds from the first."""
-    said = [_stamp(cell) for cell in cells]
-    first = next(stamp for stamp in said if stamp is not None)
-    return np.array([np.nan if stamp is None else (stamp - first).total_seconds() for stamp in said])
+    """ISO dates and times as seconds from the first."""
+    stamps = [_stamp(cell) for cell in cells]
+    first = next(stamp for stamp in stamps if stamp is not None)
+    return np.array([np.nan if stamp is None else (stamp - first).total_seconds() for stamp in stamps])
 
 
 _UNIT = re.compile(r"[\[(]([^\])]*)[\])]\s*$")
 _MORE_UNITS = "rad radians deg degrees ° turns m mm cm n*m n.m nm mnm n rad/s deg/s °/s m/s mm/s rpm v a ma -"
-_SAID_UNITS = frozenset(["s", "sec", "seconds", "ms", "us", "ns", *_MORE_UNITS.split()])
+_UNITS = frozenset(["s", "sec", "seconds", "ms", "us", "ns", *_MORE_UNITS.split()])
 
 
 def _is_unit(cell: str) -> bool:
     bare = cell.strip().strip("[]()").casefold()
-    return bare in _SAID_UNITS or not bare
+    return bare in _UNITS or not bare
 
 
 def _names(header: list[str], units_row: list[str] | None, width: int) -> tuple[list[str], dict[str, str]]:
-    """Names of the columns, each another, and the units that stand beside them in brackets or below them."""
+    """Unique names of the columns, and their units, written in brackets after them or in a row below."""
     names, units = [], {}
     for k in range(width):
         cell = header[k] if header else ""
@@ -245,11 +245,6 @@ def _names(header: list[str], units_row: list[str] | None, width: int) -> tuple[
     return names, units
 
 
-def _short(text: str, most: int = 60) -> str:
-    text = " ".join(text.split())
-    return text if len(text) <= most else text[:most] + "..."
-
-
 # JSON
 
 
@@ -262,12 +257,12 @@ def _read_json(path: Path) -> Series:
     if not tables:
         raise FreeArtError(f"{path} has no table: expected a list of objects, an object of lists, or a list of rows")
     where, rows, columns = tables[0]
-    note = f"{rows} rows{f' of {where!r}' if where else ''}; columns {listed(list(columns))}"
+    note = f"{rows} rows{f' of {where!r}' if where else ''}; columns {join_names(list(columns))}"
     return Series(path, columns, {}, (note,))
 
 
 def _tables(data: Any, where: str, depth: int) -> list[tuple[str, int, dict[str, tuple[Array, ...]]]]:
-    """Where a table stands, how many rows it has, and its columns."""
+    """All tables in a JSON value: path, number of rows, columns."""
     found: list[tuple[str, int, dict[str, tuple[Array, ...]]]] = []
     if isinstance(data, list) and len(data) > 1 and all(isinstance(row, dict | list) for row in data):
         cells = [_cells(row) for row in data]
@@ -310,7 +305,7 @@ def _is_json_number(value: Any) -> bool:
 def _read_mat(path: Path) -> Series:
     columns = read_mat(path)
     sizes = [f"{name} ({_size(runs)})" for name, runs in columns.items()]
-    return Series(path, columns, {}, (f"MAT file; columns {listed(sizes)}",))
+    return Series(path, columns, {}, (f"MAT file; columns {join_names(sizes)}",))
 
 
 def _size(runs: tuple[Array, ...]) -> str:

@@ -1,7 +1,7 @@
-"""Reads numbers out of a pickle from anywhere, without running anything that it names.
+"""Reads numbers from an untrusted pickle without running anything that it names.
 
-Unpickling calls what the file names with arguments that the file holds. Here a file may name only NumPy's own way of
-storing arrays, and even that is answered by the small classes below, so that no code of NumPy sees the file's state.
+Unpickling calls functions that the file names, with arguments from the file. Here only NumPy's array storage is
+accepted, and the classes below replace even that, so that no code of NumPy sees the file's state.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ _PLAIN = (str, int, float, bool, type(None))
 
 
 class _Refused(Exception):
-    """The file names or holds something else than numbers."""
+    """The file names or holds something other than numbers."""
 
 
 class _Type:
-    """Stands for numpy.dtype: numbers only."""
+    """Replaces numpy.dtype, for numbers only."""
 
     def __init__(self, code: str) -> None:
         if code not in _CODES:
             raise _Refused(f"an array of type {code!r}")
         self._code, self._order = code, "<"
 
-    def __setstate__(self, state: tuple) -> None:
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
         if len(state) < 5 or state[1] not in ("<", ">", "|", "=") or any(s is not None for s in state[2:5]):
             raise _Refused("a structured array")
         self._order = state[1]
@@ -51,12 +51,12 @@ class _Type:
 
 
 class _Array:
-    """Stands for numpy.ndarray."""
+    """Replaces numpy.ndarray."""
 
     def __init__(self) -> None:
         self.value: NDArray[Any] | None = None
 
-    def __setstate__(self, state: tuple) -> None:
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
         shape, kind, by_columns, raw = state[-4:]
         self.value = _shaped(raw, kind, shape, bool(by_columns))
 
@@ -112,22 +112,22 @@ class _Unpickler(pickle.Unpickler):
 def read_pickle(path: Path) -> Any:
     """The dicts, lists, tuples, texts, numbers and NumPy arrays of numbers in a pickle of at most 64 MB.
 
-    Raises FreeArtError, in one line, when the file holds or names anything else; nothing that it names is imported.
+    Raises FreeArtError when the file holds or names anything else; nothing that it names is imported.
     """
     data = checked.read_bytes(path, MAX_BYTES)
     try:
         for count, (opcode, argument, _) in enumerate(pickletools.genops(data)):
             if count > MAX_OPCODES or (opcode.name.endswith("PUT") and int(argument or 0) > len(data)):
-                raise _Refused("more than it could use")  # a memo of 2**32 places takes all memory
+                raise _Refused("more than it could use")  # a memo of 2**32 entries takes all memory
         return _plain(_Unpickler(io.BytesIO(data)).load(), 4, itertools.count())
     except _Refused as refused:
         raise FreeArtError(f"{path} is refused: it holds {refused}, expected only numbers and NumPy arrays") from None
-    except Exception as error:  # whatever a file made to break the unpickler raises
+    except Exception as error:  # a file made to break the unpickler can raise anything
         raise FreeArtError(f"{path} is not a readable pickle: {type(error).__name__}") from None
 
 
 def _plain(value: Any, depth: int, visited: Iterator[int]) -> Any:
-    """`value` of plain types only; lists that hold one another many times over are cut off by the count of visits."""
+    """`value` as plain types; the count of visits stops lists that contain one another many times."""
     if next(visited) > MAX_OPCODES:
         raise _Refused("more than it could use")
     if isinstance(value, _Array):

@@ -1,4 +1,4 @@
-"""Video2Articulation-S (iTACO): a static object, a moving camera, one joint that moves.
+"""Video2Articulation-S (iTACO): a static object, a moving camera, one moving joint.
 
     partnet_mobility/<Category>/<id>/joint_<k>_bg/
       actor_pose.pkl         {"actor_<n>": [T x 7]} position, quaternion wxyz, in the world; a pickle, read as untrusted
@@ -11,11 +11,11 @@
 Seen in 3dlg-hcvc/video2articulation@74903b4: all names, keys and orders (data.py, render_interaction_sim.py), the
 camera's axes (utils.py, precompute_camera2label), uint16 is millimetres (utils.py, depth2xyz), the foreground is what
 the actors of actor_pose.pkl cover (data.py, load_obj_mask), the root link is actor_6 (data.py), frames are those that
-sample_rgb names (data.py). Room and floor are other actors and are no foreground; their depth stays in the picture.
-15 frames a second are assumed, as its video.mp4 is written.
+sample_rgb names (data.py). Room and floor are other actors, not foreground; their depth stays in the picture.
+15 frames a second are assumed, as in its video.mp4.
 
-Otherwise than there: the joint's number may have several digits; a part counts as moving by its angle and shift, not by
-the difference of stored numbers (q and -q are one rotation); links that move with the moving part belong to it.
+Differences: the joint's number can have several digits; a part counts as moving by its angle and shift, not by the
+difference of stored numbers (q and -q are the same rotation); links that move with the moving part belong to it.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ LICENCE = (
 R_OBJECT_LABEL: Array = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """The object's frame (z up) from the mesh or label frame (y up), in which the data set's meta file gives axes."""
 ROOT_ACTOR = 6
-"""Of the root link, after floor and four walls."""
+"""Actor of the root link, after floor and four walls."""
 
 _TYPES: dict[str, JointType] = {"hinge": "revolute", "slider": "prismatic"}
-_LABELS = 256  # segment is uint8, so that higher actor ids wrap round
-_MOVED = 1e-3  # rad plus m: less is no motion
-_AGREES = 0.02  # rad or m between the stated joint value and the actors' poses
+_LABELS = 256  # segment is uint8: higher actor ids wrap around
+_MOVED = 1e-3  # rad plus m: smallest motion
+_AGREES = 0.02  # rad or m: tolerance between the stated joint value and the actors' poses
 
 
 def is_view(folder: Path) -> bool:
@@ -62,9 +62,9 @@ def is_view(folder: Path) -> bool:
 def read_view(folder: Path, meta: Path | None = None) -> ThirdPartyRecording:
     """The recording of one view folder, with the poses of both parts; frames load lazily.
 
-    `meta` is the data set's new_partnet_mobility_dataset_correct_intr_meta.json; its limits are used, and its axis and
-    type are compared with what the poses say, which is what counts. Raises FreeArtError, in one line, when a file is
-    missing or not what it should be, numbers of frames differ, or the pickle holds more than numbers.
+    `meta` is the data set's new_partnet_mobility_dataset_correct_intr_meta.json. Its limits are used; its axis and type
+    are only compared with those from the poses. Raises FreeArtError when a file is missing or invalid, numbers of
+    frames differ, or the pickle holds more than numbers.
     """
     folder = Path(folder)
     if not is_view(folder):
@@ -138,7 +138,7 @@ def read_view(folder: Path, meta: Path | None = None) -> ThirdPartyRecording:
 
 @dataclass(frozen=True)
 class _Cast:
-    """Who is who among the actors."""
+    """Roles of the actors."""
 
     root: int
     moving: int
@@ -148,7 +148,7 @@ class _Cast:
 
 
 def _frames(folder: Path, T: int) -> list[int]:
-    """Frames that count. The files of sample_rgb, which may be links to nowhere, count by their names alone."""
+    """Frames of the recording: the names in sample_rgb, whose files can be broken links, or all."""
     sample = folder / "sample_rgb"
     if not sample.is_dir():
         return list(range(T))
@@ -199,7 +199,7 @@ def _difference(Ts: Array, U: Array) -> Array:
 
 
 def _slip(Ts: Array, carriers: Array) -> float:
-    """How far something moves against its carrier."""
+    """Largest motion relative to a carrier, rad plus m."""
     relative = se3.inverse(carriers) @ Ts
     return float(_difference(relative, relative[0]).max())
 
@@ -218,7 +218,7 @@ def _side_labels(cast: _Cast, home: Path) -> NDArray[np.uint8]:
 
 
 def _states(home: Path, number: int, T: int, notes: list[str]) -> tuple[Array, dict[str, float]]:
-    """(T,) joint values, and where the other joints stand, as far as qpos.npy and joint_id_list.txt tell."""
+    """(T,) joint values, and the other joints' states if qpos.npy and joint_id_list.txt have them."""
     names = _joint_names(home / "joint_id_list.txt")
     columns: dict[str, Array] = {}
     if (home / "qpos.npy").is_file() and names:
@@ -249,7 +249,7 @@ def _joint_names(path: Path) -> list[str]:
 
 @dataclass(frozen=True)
 class _Stated:
-    """A joint as the data set's meta file states it, turned to the object's frame, rad and m."""
+    """A joint of the data set's meta file, in the object's frame, rad and m."""
 
     type: JointType
     axis: Array
@@ -288,13 +288,13 @@ def _joint(
     stated: _Stated | None,
     notes: list[str],
 ) -> tuple[Joint | None, str]:
-    """The joint that carries the root link's frame to the moving actor's poses at the stated joint values."""
+    """The joint that maps the stated joint values to the moving actor's poses in the root link's frame."""
     moved = se3.inverse(actors[cast.root]) @ actors[cast.moving]
     steps, q = moved @ se3.inverse(moved[0]), states - states[0]
     span = float(np.abs(q).max())
     usable = np.flatnonzero((np.abs(q) > 0.3 * span) & (se3.rotation_angle(steps[:, :3, :3]) < 3.0))
     if span <= _MOVED or not len(usable):
-        return None, f"{home.name}: the joint value does not change, so that the joint cannot be told from the motion"
+        return None, f"{home.name}: the joint value does not change, so the motion does not show the joint"
     twist = np.mean(se3.log_se3(steps[usable]) / q[usable, None], axis=0)
     v, w = twist[:3], twist[3:]
     kind: JointType = "revolute" if np.linalg.norm(w) * span > _MOVED else "prismatic"
@@ -312,7 +312,7 @@ def _joint(
 def _limits(
     path: Path, axis: Array, kind: JointType, stated: _Stated | None, states: Array, notes: list[str]
 ) -> tuple[float, float]:
-    """Limits from the data set's meta file, else from the folder's meta.json, widened to what the states reach."""
+    """Limits from the data set's meta file, else from the folder's meta.json, widened to the range of the states."""
     low, high = float(states.min()), float(states.max())
     if stated is not None:
         if stated.type != kind:

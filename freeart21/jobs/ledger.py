@@ -21,7 +21,7 @@ class Ledger:
         self.place = self.folder / PLACE
 
     def path(self, what: str, name: str, ending: str = ".json") -> Path:
-        """The file of a job; `what` is one of the folders `begun`, logs, statistics, running, done."""
+        """The file of a job in the folder `what` of `.jobs`, such as 'done'."""
         return self.place / what / f"{name}{ending}"
 
     def finished(self, job: Job, digest: str) -> bool:
