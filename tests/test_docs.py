@@ -22,7 +22,7 @@ from freeart21.files.benchmark import file_sha256, read_benchmark, write_benchma
 from freeart21.files.checked import read_json
 from freeart21.files.diagnostics import read_confidence, read_diagnostics
 from freeart21.files.measured import read_measured
-from freeart21.files.result import read_method, read_render, read_result
+from freeart21.files.result import read_method, read_result
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
 from freeart21.files.verify import verify
@@ -89,7 +89,7 @@ def test_the_example_of_a_result_is_read(written: Path) -> None:
     moved = answer.Ts_camera_reference @ joint.transform(answer.states)
     assert np.allclose(moved, answer.Ts_camera_moving), "the joint's frame, or its sense, is not as the page says"
     assert answer.state_std is not None and np.isnan(answer.state_std[2]) and not answer.seen[2, 1]
-    assert read_render(folder, 0) is not None and (folder / "renders_other" / "00000.png").is_file()
+    assert (folder / "renders" / "00000.png").is_file() and (folder / "renders_other" / "00000.png").is_file()
     assert read_method(folder.parent).name == "mine"
     diagnostics = read_diagnostics(folder, 3)
     confidence = read_confidence(folder, 0, (6, 8))

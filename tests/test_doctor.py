@@ -26,7 +26,7 @@ def test_this_machine_can_render():
     doctor.require_rendering()
 
 
-def test_an_absent_driver_is_told_by_a_real_probe():
+def test_a_real_probe_finds_that_a_driver_is_missing():
     code = (
         "from freeart21 import doctor\nfrom freeart21.errors import FreeArtError\n"
         "try: doctor.require_rendering()\nexcept FreeArtError as error: print(error)"
@@ -44,7 +44,7 @@ def test_an_absent_driver_is_told_by_a_real_probe():
     assert "bookworm-backports mesa-vulkan-drivers" in done.stdout and done.stdout.count("\n") == 1
 
 
-def test_a_driver_that_is_too_old_is_told_from_none(says):
+def test_a_driver_that_is_too_old_is_named(says):
     says[doctor._PROBE_SAPIEN] = (0, '{"error": "failed to find a rendering device"}')
     says[doctor._PROBE_VULKAN] = (0, '{"devices": ["llvmpipe (LLVM 15.0.6, 256 bits)"]}')
     with pytest.raises(FreeArtError, match="the driver of llvmpipe .* is too old or unfit.*Fix: .*bookworm-backports"):
@@ -91,13 +91,13 @@ def test_a_wrong_package_version_is_named(monkeypatch):
     assert finding.status == "missing" and finding.detail == "sapien is 2.2.2, expected >=3.0.3"
 
 
-def test_what_draws_gaussians_is_said(says):
+def test_the_gaussian_rasteriser_is_named(says):
     says[doctor._PROBE_GAUSSIANS] = (0, 'a warning\n{"backend": "numba", "why": "on the processor: no GPU"}')
     assert doctor._gaussians() == doctor.Finding("Gaussians", "ok", "numba: on the processor: no GPU")
     says[doctor._PROBE_GAUSSIANS] = (-11, "", "")
     assert doctor._gaussians().status == "missing" and "exit code -11" in doctor._gaussians().detail
 
 
-def test_what_draws_gaussians_is_told_by_a_real_probe():
+def test_a_real_probe_names_the_gaussian_rasteriser():
     finding = doctor._gaussians()
     assert finding.status == "ok" and finding.detail.startswith(("numba: on the processor: ", "gsplat: "))

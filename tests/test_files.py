@@ -1,4 +1,4 @@
-"""Files round trip, appear whole or not at all, and say in one line what is wrong with them."""
+"""Files round trip, are written whole or not at all, and a broken one is one clear line."""
 
 import json
 from dataclasses import replace
@@ -18,8 +18,8 @@ from freeart21.files import atomic, checked, places
 from freeart21.files.asset import find_movable_joint, read_asset, write_asset_json
 from freeart21.files.benchmark import read_benchmark, write_benchmark
 from freeart21.files.mesh_file import read_ply, write_ply
-from freeart21.files.result import Method, read_method, read_render, read_result, write_method, write_result
-from freeart21.files.sequence import read_sequence, write_sequence
+from freeart21.files.result import Method, read_method, read_result, write_method, write_result
+from freeart21.files.sequence import encode_depth, read_sequence, write_sequence
 from freeart21.files.truth import read_truth, write_truth
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
@@ -96,65 +96,56 @@ def result(tmp_path):
     return tmp_path / "ours" / "seq"
 
 
+def render(result: Path, folder: str = "renders") -> np.ndarray:
+    return checked.read_rgb(result / folder / "00000.png")
+
+
 def edit(path: Path, **changes) -> None:
     data = json.loads(path.read_text())
     data.update(changes)
     path.write_text(json.dumps(data))
 
 
-def test_a_sequence_round_trips(sequence):
-    recording = read_sequence(sequence)
-    np.testing.assert_array_equal(recording.camera.K, CAMERA.K)
-    assert len(recording) == N and recording.licence == "CC-BY-4.0" and recording.queries[0].state_of_frame == 2
-    np.testing.assert_allclose(recording.queries[0].T_newcam_cam, POSES[1], atol=1e-12)
-
-
-def test_pixels_round_trip_to_half_a_depth_unit(tmp_path):
+def test_a_sequence_round_trips_to_half_a_depth_unit_and_has_no_other_files(tmp_path):
     before = make_recording()
     write_sequence(tmp_path / "seq", before, SCALE)
-    for a, b in zip(before.frames(), read_sequence(tmp_path / "seq").frames(), strict=True):
+    after = read_sequence(tmp_path / "seq")
+    np.testing.assert_array_equal(after.camera.K, CAMERA.K)
+    assert len(after) == N and after.licence == "CC-BY-4.0" and after.queries[0].state_of_frame == 2
+    np.testing.assert_allclose(after.queries[0].T_newcam_cam, POSES[1], atol=1e-12)
+    for a, b in zip(before.frames(), after.frames(), strict=True):
         np.testing.assert_array_equal(a.rgb, b.rgb)
         np.testing.assert_array_equal(a.mask, b.mask)
         np.testing.assert_allclose(a.depth, b.depth, atol=0.51 * SCALE)
         np.testing.assert_array_equal(a.depth == 0, b.depth == 0)
+    header = json.loads((tmp_path / "seq" / "sequence.json").read_text())
+    assert set(header) == {"schema", "camera", "depth_scale", "times_s", "licence"}
+    entries = {p.name for p in (tmp_path / "seq").iterdir()}
+    assert entries == {"sequence.json", "queries.json", "rgb", "depth", "mask"}
 
 
-def test_depth_out_of_range_becomes_none():
-    from freeart21.files.sequence import encode_depth
-
-    np.testing.assert_array_equal(
-        encode_depth(np.array([[0.0, 1e-9, 0.5, 6.5534, 6.5535, 7.0]]), SCALE), [[0, 0, 5000, 65534, 0, 0]]
-    )
-
-
-def test_a_sequence_tells_nothing_of_its_origin(sequence):
-    assert set(json.loads((sequence / "sequence.json").read_text())) == {
-        "schema",
-        "camera",
-        "depth_scale",
-        "times_s",
-        "licence",
-    }
-    assert {p.name for p in sequence.iterdir()} == {"sequence.json", "queries.json", "rgb", "depth", "mask"}
+def test_depth_out_of_range_is_no_depth(sequence):
+    depth = np.array([[0.0, 1e-9, 0.5, 6.5534, 6.5535, 7.0]])
+    np.testing.assert_array_equal(encode_depth(depth, SCALE), [[0, 0, 5000, 65534, 0, 0]])
+    path = sequence / "depth" / "00000.png"
+    units = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    units[:2], units[2:4] = 65535, 65534
+    cv2.imwrite(str(path), units)
+    read = read_sequence(sequence).frame(0).depth
+    assert (read[:2] == 0).all() and read[2:4] == pytest.approx(6.5534)
 
 
-def test_a_folder_that_is_not_a_sequence(tmp_path):
+def test_a_folder_that_is_not_a_sequence_and_wrong_frames_are_named(sequence, tmp_path):
     with pytest.raises(FreeArtError, match="is not a sequence: it has no sequence.json"):
         read_sequence(tmp_path)
     with pytest.raises(FreeArtError, match="is not a folder"):
         read_sequence(tmp_path / "nothing")
-
-
-def test_a_missing_frame_is_named(sequence):
-    (sequence / "depth" / "00002.png").unlink()
-    with pytest.raises(FreeArtError, match="frame 2 is missing: no depth/00002.png, expected 4 frames"):
-        read_sequence(sequence)
-
-
-def test_depth_of_another_size_is_named(sequence):
     cv2.imwrite(str(sequence / "depth" / "00001.png"), np.ones((HEIGHT, WIDTH + 2), np.uint16))
     with pytest.raises(FreeArtError, match="frame 1: depth is 34 x 24, expected 32 x 24"):
         read_sequence(sequence).frame(1)
+    (sequence / "depth" / "00002.png").unlink()
+    with pytest.raises(FreeArtError, match="frame 2 is missing: no depth/00002.png, expected 4 frames"):
+        read_sequence(sequence)
 
 
 @pytest.mark.parametrize(
@@ -215,14 +206,13 @@ def test_a_result_round_trips(result):
     np.testing.assert_allclose(after.Ts_camera_reference, POSES, atol=1e-15)
     np.testing.assert_array_equal(after.articulation.moving.vertices, TRIANGLES.vertices)
     assert np.isnan(after.state_std[1]) and after.state_std[3] == 0.3
-    np.testing.assert_array_equal(read_render(result, 0), np.full((HEIGHT, WIDTH, 3), 9))
-    assert read_render(result, 1) is None
+    np.testing.assert_array_equal(render(result), np.full((HEIGHT, WIDTH, 3), 9))
 
 
 def test_what_a_result_says_of_itself_round_trips(result):
     before = read_result(result)
     assert before.trust is None and before.axis_std is None and before.pivot_std is None, "methods need not say"
-    assert read_render(result, 0, other=True) is None
+    assert not (result / "renders_other").exists()
     trust = Trust("doubtful", ("it jumps", "it \u2013 hides"))
     said = replace(before, trust=trust, axis_std=0.01)
     views = [np.full((HEIGHT, WIDTH, 3), k, np.uint8) for k in (1, 2)]
@@ -232,7 +222,7 @@ def test_what_a_result_says_of_itself_round_trips(result):
     written = json.loads((result / "prediction.json").read_text())
     assert written["trust"] == {"verdict": "doubtful", "reasons": list(trust.reasons)}
     assert written["joint_std"] == {"axis_rad": 0.01, "pivot_m": None}
-    assert read_render(result, 0).max() == 1 and read_render(result, 0, other=True).max() == 2
+    assert render(result).max() == 1 and render(result, "renders_other").max() == 2
 
 
 def test_an_answer_cannot_be_sound_for_reasons_of_doubt():
@@ -278,24 +268,22 @@ def test_a_bad_prediction_is_one_clear_line(result, change, message):
         read_result(result)
 
 
-def test_no_pickle_is_ever_opened(result):
-    np.savez(result / "poses.npz", T_camera_reference=np.array([{"a": 1}]), T_camera_moving=POSES)
-    with pytest.raises(FreeArtError, match="without pickled objects"):
-        read_result(result)
+MIRRORED = POSES * np.where(np.arange(4) == 0, -1, 1)
 
 
-def test_a_zip_bomb_is_refused(result, monkeypatch):
-    monkeypatch.setattr(checked, "MAX_ARRAY_BYTES", 1000)
-    np.savez_compressed(result / "poses.npz", T_camera_reference=np.zeros(4000), T_camera_moving=POSES)
-    with pytest.raises(FreeArtError, match="bytes, at most 1000 are read"):
-        read_result(result)
-
-
-def test_mirrored_poses_are_refused(result):
-    bad = POSES.copy()
-    bad[1, :3, 0] *= -1
-    np.savez(result / "poses.npz", T_camera_reference=POSES, T_camera_moving=bad)
-    with pytest.raises(FreeArtError, match=r"Ts_camera_moving\[1\] is not a rigid pose"):
+@pytest.mark.parametrize(
+    "reference, moving, message",
+    [
+        (np.array([{"a": 1}]), POSES, "without pickled objects"),
+        (np.zeros(4000), POSES, "bytes, at most 3000 are read"),
+        (POSES, MIRRORED, r"Ts_camera_moving\[0\] is not a rigid pose"),
+    ],
+    ids=["pickle", "zip bomb", "mirrored"],
+)
+def test_bad_poses_are_refused(result, monkeypatch, reference, moving, message):
+    monkeypatch.setattr(checked, "MAX_ARRAY_BYTES", 3000)
+    np.savez_compressed(result / "poses.npz", T_camera_reference=reference, T_camera_moving=moving)
+    with pytest.raises(FreeArtError, match=message):
         read_result(result)
 
 
@@ -370,16 +358,8 @@ def test_a_benchmark_lists_every_file_with_its_hash(sequence, tmp_path):
 
 
 def test_a_benchmark_cannot_name_a_path_outside(tmp_path):
-    atomic.write_json(
-        tmp_path / "benchmark.json",
-        {
-            "schema": "freeart21/benchmark/1",
-            "name": "a",
-            "version": "1",
-            "split": "public",
-            "sequences": ["../../secret"],
-        },
-    )
+    header = {"schema": "freeart21/benchmark/1", "name": "a", "version": "1", "split": "public"}
+    atomic.write_json(tmp_path / "benchmark.json", {**header, "sequences": ["../../secret"]})
     with pytest.raises(FreeArtError, match="not a list of folder names"):
         read_benchmark(tmp_path)
 
@@ -420,13 +400,10 @@ def test_an_asset_round_trips_with_effects_that_urdf_cannot_say(urdf):
     np.testing.assert_allclose(after.T_canonical_reference, POSES[0], atol=1e-12)
 
 
-def test_effects_that_contradict_the_urdf_are_refused(urdf):
+def test_effects_that_contradict_the_urdf_or_are_of_another_one_are_refused(urdf):
     write_asset_json(urdf.parent, Asset(urdf, "hinge", "base", "lid", effects={"hinge": (CoulombFriction(0.5),)}))
     with pytest.raises(FreeArtError, match="joint 'hinge' has damping 0, but box.urdf has 0.03"):
         read_asset(urdf.parent)
-
-
-def test_effects_of_another_urdf_are_refused(urdf):
     effects = {"hinge": (ViscousDamping(0.03), CoulombFriction(0.2))}
     write_asset_json(urdf.parent, Asset(urdf, "hinge", "base", "lid", effects=effects))
     urdf.write_text(URDF.replace("1.5", "1.6"))
@@ -434,17 +411,18 @@ def test_effects_of_another_urdf_are_refused(urdf):
         read_asset(urdf.parent)
 
 
-def test_a_urdf_without_a_movable_joint(tmp_path):
-    path = tmp_path / "a.urdf"
-    path.write_text('<robot name="a"><link name="base"/></robot>')
-    with pytest.raises(FreeArtError, match="has no movable joint"):
-        find_movable_joint(path)
-    path.write_text("<sdf/>")
-    with pytest.raises(FreeArtError, match="is not a URDF: its root is <sdf>"):
-        find_movable_joint(path)
-    path.write_text("<robot")
-    with pytest.raises(FreeArtError, match="is not XML"):
-        find_movable_joint(path)
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ('<robot name="a"><link name="base"/></robot>', "has no movable joint"),
+        ("<sdf/>", "is not a URDF: its root is <sdf>"),
+        ("<robot", "is not XML"),
+    ],
+)
+def test_a_urdf_without_a_movable_joint(tmp_path, text, message):
+    (tmp_path / "a.urdf").write_text(text)
+    with pytest.raises(FreeArtError, match=message):
+        find_movable_joint(tmp_path / "a.urdf")
 
 
 def test_an_unclear_choice_of_joint_lists_them(urdf):
@@ -468,14 +446,3 @@ def test_a_folder_that_is_no_asset(tmp_path):
         read_asset(tmp_path)
     with pytest.raises(FreeArtError, match="does not exist"):
         read_asset(tmp_path / "nothing")
-
-
-def test_the_largest_depth_unit_is_no_depth(tmp_path):
-    recording = make_recording()
-    write_sequence(tmp_path / "s", recording, 1e-4)
-    path = tmp_path / "s" / "depth" / "00000.png"
-    units = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    units[:2], units[2:4] = 65535, 65534
-    cv2.imwrite(str(path), units)
-    depth = read_sequence(tmp_path / "s").frame(0).depth
-    assert (depth[:2] == 0).all() and depth[2:4] == pytest.approx(6.5534)

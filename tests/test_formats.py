@@ -369,7 +369,7 @@ def test_the_joint_comes_from_the_poses(one_view: Path) -> None:
     assert turn[2][:2, 0] == pytest.approx([math.cos(1.0), math.sin(1.0)])
 
 
-def test_a_slider_is_told_from_a_hinge(one_view: Path) -> None:
+def test_poses_show_a_slider(one_view: Path) -> None:
     actors = ACTORS | {"actor_7": [turned_z(1 + 0.2 * q, 0.7, 0.5, math.pi / 2) for q in VALUES]}
     (one_view.parent / "actor_pose.pkl").write_bytes(pickle.dumps(actors))
     for name in ("gt_joint_value", "qpos"):
@@ -783,7 +783,7 @@ def test_truth_is_written_with_its_sequence_or_not_at_all(
     assert not (tmp_path / "data/truth").exists()
 
 
-def test_progress_is_told(native: Path, tmp_path: Path) -> None:
+def test_progress_is_reported(native: Path, tmp_path: Path) -> None:
     told: list[tuple[str, int, int]] = []
     list(convert(native, tmp_path / "out", "official", progress=lambda *now: told.append(now)))
     assert told == [("7777", i + 1, 7) for i in range(7)]

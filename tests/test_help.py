@@ -20,7 +20,7 @@ SCREEN = 50
 """Lines."""
 
 
-def told(*arguments: str) -> tuple[str, list[str]]:
+def run_help(*arguments: str) -> tuple[str, list[str]]:
     """What the command line prints, and the heavy packages that it loaded for it."""
     code = (
         f"import sys; sys.argv = ['freeart21', *{arguments!r}]\n"
@@ -36,14 +36,14 @@ def told(*arguments: str) -> tuple[str, list[str]]:
 
 
 def names() -> list[str]:
-    return [line.split()[0] for line in told("--help")[0].splitlines() if line.startswith("  ")]
+    return [line.split()[0] for line in run_help("--help")[0].splitlines() if line.startswith("  ")]
 
 
 COMMANDS = names()
 
 
 def test_the_programs_help_names_every_command_in_one_line_each():
-    text, loaded = told("--help")
+    text, loaded = run_help("--help")
     assert {"doctor", "demo", "record", "reconstruct", "export", "score", "measure", "gap", "view"} <= set(COMMANDS)
     assert COMMANDS.index("record") < COMMANDS.index("reconstruct") < COMMANDS.index("export") < COMMANDS.index("score")
     assert len(text.splitlines()) <= SCREEN and max(map(len, text.splitlines())) <= 100
@@ -52,7 +52,7 @@ def test_the_programs_help_names_every_command_in_one_line_each():
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_the_help_of_a_command_fits_a_screen_and_tells_every_option(name: str):
-    text, loaded = told(name, "--help")
+    text, loaded = run_help(name, "--help")
     assert len(text.splitlines()) <= SCREEN and max(map(len, text.splitlines())) <= 100
     assert not loaded
     assert text.startswith(f"usage: freeart21 {name} ")
@@ -105,13 +105,13 @@ def test_what_the_help_lists_is_what_there_is():
 def test_the_version_is_the_packages():
     import freeart21
 
-    text, loaded = told("--version")
+    text, loaded = run_help("--version")
     assert text.strip() == f"freeart21 {freeart21.__version__}" and not loaded
 
 
 def test_all_solver_settings_are_behind_a_word_of_their_own():
-    assert "--settings.joint.type-rule" in told("reconstruct", "--settings.help")[0]
-    assert "--settings.tracks.tau-c" not in told("reconstruct", "--help")[0]
+    assert "--settings.joint.type-rule" in run_help("reconstruct", "--settings.help")[0]
+    assert "--settings.tracks.tau-c" not in run_help("reconstruct", "--help")[0]
 
 
 def test_settings_of_a_file_are_those_of_a_result_that_was_made_with_them(tmp_path: Path):
@@ -147,9 +147,9 @@ def test_settings_of_a_saved_result_that_no_longer_exist_are_ignored_with_a_note
 def test_a_setting_that_does_not_exist_costs_one_line(tmp_path: Path, data: dict, said: str):
     path = tmp_path / "s.json"
     path.write_text(json.dumps(data))
-    with pytest.raises(FreeArtError) as told:
+    with pytest.raises(FreeArtError) as error:
         read_settings(path)
-    assert said in str(told.value) and "\n" not in str(told.value)
+    assert said in str(error.value) and "\n" not in str(error.value)
 
 
 def test_options_of_the_command_line_come_after_those_of_the_file(tmp_path: Path, monkeypatch):

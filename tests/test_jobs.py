@@ -31,7 +31,7 @@ WRITE = (  # a folder of two files, the second a while after the first; every be
 
 
 def writing(k: int, wait: float = 0.1, needs: tuple[str, ...] = ()) -> Job:
-    command = ("{python}", "-c", WRITE, "{out}", f"text {k}", str(wait), "{folder}/begun.txt")
+    command = ("{python}", "-c", WRITE, "{out}", f"text {k}", str(wait), "{folder}/started_jobs.txt")
     return Job(f"write/{k}", command, out=f"results/{k}", needs=needs, seconds=wait)
 
 
@@ -64,7 +64,7 @@ def test_jobs_are_done_once_and_skipped_afterwards(tmp_path, whole):
         assert all(report.finished.index(need) < report.finished.index(job.name) for need in job.needs)
     assert results(tmp_path) == whole and len(whole) == 24
     assert run_jobs(tmp_path, jobs).skipped == tuple(job.name for job in jobs)
-    assert len((tmp_path / "begun.txt").read_text().split()) == 16  # 'text k', once each
+    assert len((tmp_path / "started_jobs.txt").read_text().split()) == 16  # 'text k', once each
     assert read_jobs(tmp_path / "jobs.json") == jobs
 
 
@@ -216,7 +216,7 @@ def processes(mark: str) -> list[int]:
     return found
 
 
-def begun(folder: Path) -> int:
+def started_jobs(folder: Path) -> int:
     place = folder / ".jobs" / "begun"
     return len(list(place.rglob("*.json"))) if place.exists() else 0
 
@@ -237,7 +237,7 @@ def test_a_run_that_is_killed_again_and_again_goes_on_to_the_same_bytes(tmp_path
     assert results(tmp_path) == whole
 
 
-def test_jobs_whose_processes_are_killed_are_begun_again(tmp_path, whole):
+def test_jobs_whose_processes_are_killed_start_again(tmp_path, whole):
     """Each as often as `attempts` says, and no more."""
     draw, killed = random.Random(1), set[int]()
     over = threading.Event()
@@ -245,7 +245,7 @@ def test_jobs_whose_processes_are_killed_are_begun_again(tmp_path, whole):
     def kill() -> None:
         while not over.is_set() and len(killed) < 5:
             alive = [pid for pid in processes(str(tmp_path / "results")) if pid not in killed]
-            if alive and begun(tmp_path) > 1:
+            if alive and started_jobs(tmp_path) > 1:
                 pid = draw.choice(alive)
                 with contextlib.suppress(ProcessLookupError):
                     os.killpg(os.getpgid(pid), signal.SIGKILL)
@@ -323,7 +323,7 @@ def test_the_same_job_done_by_two_at_a_time_is_done_once(tmp_path):
         thread.start()
     for thread in both:
         thread.join()
-    assert (tmp_path / "begun.txt").read_text() == "text 0 "
+    assert (tmp_path / "started_jobs.txt").read_text() == "text 0 "
 
 
 # --- elsewhere --------------------------------------------------------------------------------------------------------
@@ -346,7 +346,7 @@ def test_rays_workers_killed_at_random_lose_nothing_and_do_nothing_twice(tmp_pat
         while not over.is_set() and len(killed) < 4:
             time.sleep(draw.uniform(0.2, 0.6))
             workers = [pid for pid in processes("ray::run_in_process") if pid not in killed]
-            if workers and begun(tmp_path) > 1:
+            if workers and started_jobs(tmp_path) > 1:
                 killed.append(draw.choice(workers))
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(killed[-1], signal.SIGKILL)

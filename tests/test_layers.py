@@ -1,4 +1,4 @@
-"""Imports point down, and no method can see the answer."""
+"""Imports point down, and no method can import a truth."""
 
 import ast
 import subprocess
@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = ("generator", "reconstruct", "export", "leaderboard", "simgap")
+PACKAGES = ("generator", "reconstruct", "export", "leaderboard", "simgap")
 HEAVY = {"sapien", "torch", "mani_skill", "open3d", "mujoco", "coacd", "trimesh", "scipy", "plotly", "skimage", "numba"}
-ALLOWED = {  # what a room may import from other rooms
+ALLOWED = {  # what a package may import from other packages
     "generator": set(),
     "reconstruct": set(),
     "export": {"generator.simulate", "generator.object_folder"},  # the latter makes the catalog's objects for ManiSkill
@@ -44,37 +44,37 @@ def imports(source: str) -> list[tuple[str, bool]]:
     return found
 
 
-def _on_one_path(module: str, door: str) -> bool:
-    """True for the door itself, what lies behind it, and the packages on the way to it."""
-    return f"{module}.".startswith(f"{door}.") or f"{door}.".startswith(f"{module}.")
+def _on_one_path(module: str, entry: str) -> bool:
+    """Whether `module` is `entry`, in it, or a package on the way to it."""
+    return f"{module}.".startswith(f"{entry}.") or f"{entry}.".startswith(f"{module}.")
 
 
-def faults(room: str, source: str, behind_a_door: bool = False) -> list[str]:
-    """Imports that `room` may not make; `behind_a_door`: of a module whose classes are a heavy library's own."""
+def faults(package: str, source: str, wraps_library: bool = False) -> list[str]:
+    """Forbidden imports of a package; `wraps_library`: for a module that subclasses a heavy library."""
     wrong = []
     for module, at_top in imports(source):
         head = module.split(".")[0]
-        if head in ROOMS and head != room and not any(_on_one_path(module, door) for door in ALLOWED[room]):
-            wrong.append(f"{room} imports {module}")
-        if room == "reconstruct" and any(module == t or module.startswith(t + ".") for t in TRUTH_HOLDERS):
+        if head in PACKAGES and head != package and not any(_on_one_path(module, entry) for entry in ALLOWED[package]):
+            wrong.append(f"{package} imports {module}")
+        if package == "reconstruct" and any(module == t or module.startswith(t + ".") for t in TRUTH_HOLDERS):
             wrong.append(f"reconstruct imports {module}, which holds a truth")
-        if room == "freeart21" and head in HEAVY and at_top:
+        if package == "freeart21" and head in HEAVY and at_top:
             wrong.append(f"freeart21 imports {head} at the top of a module")
-        if head in ("sapien", "torch", "mani_skill", "open3d") and at_top and not behind_a_door:
-            wrong.append(f"{room} imports {head} at the top of a module")
+        if head in ("sapien", "torch", "mani_skill", "open3d") and at_top and not wraps_library:
+            wrong.append(f"{package} imports {head} at the top of a module")
     return wrong
 
 
-@pytest.mark.parametrize("room", [*ROOMS, "freeart21"])
-def test_imports_point_down(room):
-    for path in (ROOT / room).rglob("*.py"):
+@pytest.mark.parametrize("package", [*PACKAGES, "freeart21"])
+def test_imports_point_down(package):
+    for path in (ROOT / package).rglob("*.py"):
         if path != ROOT / "freeart21" / "cli.py":
             behind = path.parent == ROOT / "export" / "maniskill" and path.name.startswith("_")
-            assert not faults(room, path.read_text(), behind and path.name != "__init__.py"), path
+            assert not faults(package, path.read_text(), behind and path.name != "__init__.py"), path
 
 
 @pytest.mark.parametrize(
-    "room, planted",
+    "package, planted",
     [
         ("reconstruct", "from freeart21.truth import Truth"),
         ("reconstruct", "def f():\n    from freeart21.files import truth"),
@@ -89,8 +89,8 @@ def test_imports_point_down(room):
         ("freeart21", "def f():\n    import generator"),
     ],
 )
-def test_a_planted_import_is_found(room, planted):
-    assert faults(room, planted)
+def test_a_planted_import_is_found(package, planted):
+    assert faults(package, planted)
 
 
 def test_the_checklist_is_asked_only_where_assets_are_loaded_in_a_process_of_their_own():

@@ -38,7 +38,7 @@ def measured_of(q: np.ndarray, **more) -> Measured:
     return Measured("j", "revolute", np.array([0, 0, -G]), 100.0, "recorded", None, law, runs=(run,))
 
 
-def said(folder: Path, measured: Measured, **words) -> Measured:
+def write_and_read(folder: Path, measured: Measured, **words) -> Measured:
     """The set read back with these additional keys in measured.json."""
     write_measured(folder, measured)
     path = folder / "measured.json"
@@ -52,12 +52,12 @@ def said(folder: Path, measured: Measured, **words) -> Measured:
 def test_wrapped_angles_are_unwrapped_and_reported(tmp_path: Path):
     wrapped = measured_of(within(ROUND))
     for name, words in (("told", {"wrapped": True}), ("clear", {})):
-        read = said(tmp_path / name, wrapped, **words)
+        read = write_and_read(tmp_path / name, wrapped, **words)
         np.testing.assert_allclose(read.runs[0].q - read.runs[0].q[0], ROUND - ROUND[0], atol=1e-9)
         (note,) = read.notes
         assert note.startswith("run 'r': angles were within one turn and have been unwrapped, 2 jumps")
         assert ('"wrapped": false' in note) is (name == "clear")
-    raw = said(tmp_path / "no", wrapped, wrapped=False)
+    raw = write_and_read(tmp_path / "no", wrapped, wrapped=False)
     np.testing.assert_array_equal(raw.runs[0].q, within(ROUND))
     assert raw.notes == ()
 
@@ -65,7 +65,7 @@ def test_wrapped_angles_are_unwrapped_and_reported(tmp_path: Path):
 def test_commands_follow_positions_and_gaps_remain(tmp_path: Path):
     q = within(ROUND)
     q[100:103] = np.nan
-    read = said(tmp_path / "a", measured_of(q, q_command=within(ROUND + 0.2)), wrapped=True)
+    read = write_and_read(tmp_path / "a", measured_of(q, q_command=within(ROUND + 0.2)), wrapped=True)
     run = read.runs[0]
     assert run.q_command is not None and np.isnan(run.q[100:103]).all()
     np.testing.assert_allclose((run.q_command - run.q)[103:], 0.2, atol=1e-9)
@@ -85,15 +85,15 @@ def test_declared_degrees_apply_to_every_column(tmp_path: Path):
     base, rates = BaseSeries(angle=0.2 * np.sin(TIMES)), 0.3 * np.cos(3 * TIMES)
     measured = replace(measured_of(0.1 * np.sin(3 * TIMES), q_command=0.2 * TIMES, base=base, qd=rates), base_axis=axis)
     units = {"q": "deg", "q_command": "deg", "base_angle": "deg", "qd": "deg/s"}
-    read = said(tmp_path / "a", measured, units=units).runs[0]
-    plain = said(tmp_path / "b", measured).runs[0]
+    read = write_and_read(tmp_path / "a", measured, units=units).runs[0]
+    plain = write_and_read(tmp_path / "b", measured).runs[0]
     assert read.base is not None and plain.base is not None
     for ours, theirs in ((read.q, plain.q), (read.q_command, plain.q_command), (read.qd, plain.qd),
                          (read.base.angle, plain.base.angle)):  # fmt: skip
         np.testing.assert_allclose(ours, np.radians(theirs), rtol=1e-12)
     np.testing.assert_array_equal(plain.qd, rates)
     slide = replace(measured_of(TIMES), joint_type="prismatic")
-    np.testing.assert_allclose(said(tmp_path / "c", slide, units={"q": "mm"}).runs[0].q, TIMES / 1000)
+    np.testing.assert_allclose(write_and_read(tmp_path / "c", slide, units={"q": "mm"}).runs[0].q, TIMES / 1000)
 
 
 @pytest.mark.parametrize("rate", [10, 100, 1000, 10_000])

@@ -195,7 +195,7 @@ def test_commands_have_a_law_and_end_where_the_drive_is_off(tmp_path: Path, asse
     np.testing.assert_allclose(on.q_command, np.sin(T[:40]), atol=1e-8)
     assert measured.actuator is not None and (measured.actuator.stiffness, measured.actuator.damping) == (60, 4)
     assert "q_command: held or smooth between rows is unknown" in said
-    assert measured.interpolation == "unknown" and "runs are cut there" in said
+    assert measured.interpolation == "unknown" and "runs are split there" in said
 
 
 def test_efforts_state_hold_and_unit(tmp_path: Path, asset: Path):
@@ -218,7 +218,7 @@ def test_empty_drive_cells_are_skipped(tmp_path: Path, asset: Path):
     told = {"effort": "commanded", "columns": {"effort": "torque"}}
     later, said = imported(tmp_path, asset, "\n".join(lines), name="later.csv", out="later", **told)
     np.testing.assert_allclose(later.runs[0].times_s, run.times_s[3:] - run.times_s[3], atol=1e-9)
-    assert later.runs[0].effort[0] == run.effort[3] and "the first 3 rows were left out: no value of effort" in said
+    assert later.runs[0].effort[0] == run.effort[3] and "the first 3 rows were left out: they have no effort" in said
     lines[1:76] = [line.rsplit(",", 1)[0] + "," for line in lines[1:76]]
     with pytest.raises(FreeArtError, match="effort begin in row 76 of 80, expected 20 rows or more from there on"):
         imported(tmp_path, asset, "\n".join(lines), name="silent.csv", out="silent", **told)

@@ -53,7 +53,7 @@ def test_a_disabled_servo_has_no_commands(sets: Path):
     assert measured.actuator is not None and 0.1 < measured.actuator.stiffness < 0.3
 
 
-COMMANDS = {  # files, what must be told, runs, rows a second
+COMMANDS = {  # files, required options, runs, rows a second
     "two headers": ("phy180_pendulum/data31.csv phy180_pendulum/data2_14.csv", {"unit_q": "rad"}, 2, 230),
     "its torque": ("dfki_pendulum/sysid_measured.csv", {"effort": "commanded", "unit_q": "rad"}, 1, 300),
     "JSON logs": (

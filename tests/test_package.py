@@ -20,7 +20,7 @@ SETUPTOOLS = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setup
 def is_shipped(file: Path) -> bool:
     """Whether setuptools puts this file of a package, such as freeart21/py.typed, into a wheel.
 
-    Folders without __init__.py are packages, too: `packages.find` looks for namespaces unless told otherwise.
+    Folders without __init__.py are packages, too: `packages.find` looks for namespaces by default.
     """
     found = SETUPTOOLS["packages"]["find"]
     package = ".".join(file.parent.parts)

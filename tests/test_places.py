@@ -414,7 +414,7 @@ def test_output_that_cannot_be_written_is_said() -> None:
     assert done.stderr.endswith("No space left on device\n")
 
 
-# --- told to stop -----------------------------------------------------------------------------------------------------
+# --- stop signals -----------------------------------------------------------------------------------------------------
 
 HIDDEN = """
 import os, signal, sys, time
@@ -462,7 +462,7 @@ def test_an_interrupt_arrives_whatever_became_of_it(tmp_path: Path, code: str) -
     assert time.monotonic() - began < 4
 
 
-def test_commands_told_to_stop_leave_nothing_half_done_and_go_on(tmp_path: Path) -> None:
+def test_stopped_commands_leave_nothing_unfinished_and_resume(tmp_path: Path) -> None:
     commands = ["record", "convert"]
     script = ROOT / "tests" / "stopped_commands.py"
     done = run_python(script, tmp_path, "--moments", "2", "--commands", *commands)

@@ -1,4 +1,4 @@
-"""Units of positions that nobody told: what the joint's limits and its motion show it, and what has to be asked."""
+"""The unit of positions: from the joint's limits, from its motion, or asked for."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_a_unit_that_nothing_tells_is_asked_for(what: str, tmp_path: Path):
     assert not (tmp_path / "out").exists()
 
 
-def test_counts_are_told_by_how_many_make_a_turn(tmp_path: Path):
+def test_counts_have_a_number_per_turn(tmp_path: Path):
     q = swing(1.0)
     counts = np.round(2048 + 4096 / (2 * np.pi) * q)
     urdf = asset(tmp_path, "revolute", limits=LIMITS)

@@ -1,4 +1,4 @@
-"""docs/scale.md says what the measured rates say, and a data folder that cannot be read is not begun."""
+"""docs/scale.md has the measured rates, and an unreadable data folder is not started."""
 
 import json
 from pathlib import Path

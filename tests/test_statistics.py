@@ -167,7 +167,7 @@ def test_figures_of_a_source_are_those_of_its_motion() -> None:
     assert "median 2.50°, largest 2.5°" in text and "object at rest  44%" in text and "joint at rest  41%" in text
 
 
-def test_a_folder_without_truths_is_told_in_one_line(tmp_path: Path) -> None:
+def test_a_folder_without_truths_is_one_line(tmp_path: Path) -> None:
     folder = _folder(tmp_path / "toys", ("a",))
     for file in sorted((folder / "truth").rglob("*"), reverse=True):
         file.unlink() if file.is_file() else file.rmdir()

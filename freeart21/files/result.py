@@ -216,15 +216,6 @@ def read_appearance(folder: Path) -> Gaussians | None:
     return read_gaussians(path, parted=True, root=folder) if checked.is_there(path) else None
 
 
-def read_render(folder: Path, index: int, other: bool = False) -> NDArray[np.uint8] | None:
-    """The rendered held-out view `index`, (height, width, 3), or None without one.
-
-    With `other`, the view that was rendered with both parts' roles exchanged.
-    """
-    path = folder / RENDERS[other] / f"{index:05d}.png"
-    return checked.read_rgb(path, folder) if path.is_file() else None
-
-
 def _read_anchor(data: dict[str, Any], n: int, path: Path) -> int:
     """The optional 'anchor' of prediction.json; raises FreeArtError naming `path`."""
     anchor = data.get("anchor", 0)
