@@ -62,4 +62,4 @@ class Camera:
         depth = np.asarray(depth, float)
         if depth.shape != (self.height, self.width):
             raise FreeArtError(f"depth has shape {depth.shape}, expected {(self.height, self.width)}")
-        return self.rays() * depth[..., None]
+        return np.asarray(self.rays() * depth[..., None])

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import json
 import math
 import os
 import platform
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import wraps
+from functools import partial, wraps
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -700,29 +701,20 @@ def gap(
             the sequence, when not given.
         root: Folder with all files of a URDF; its own, or its package's, when not given.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    if not (measured / "sequence.json").is_file() and poses is not None:
+    is_video = (measured / "sequence.json").is_file()
+    if not is_video and poses is not None:
         raise FreeArtError(f"gap: --poses goes with a video; {measured} has no sequence.json")
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     verdict: Any
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
-        task = bars.add_task("Searching for missing effects", total=None)
-
-        def progress(text: str) -> Callable[[int, int], None]:
-            return lambda done, total: bars.update(task, description=text, completed=done, total=total)
-
-        if (measured / "sequence.json").is_file():
+    with _progress_bar("Searching for missing effects") as show:
+        if is_video:
             from simgap.film.workflow import film_gap_folder
 
-            verdict = film_gap_folder(asset, measured, out, poses, progress("Comparing the videos"), root)
+            verdict = film_gap_folder(asset, measured, out, poses, partial(show, "Comparing the videos"), root)
         else:
             from simgap.settings import GapSettings
             from simgap.workflow import gap_folder
 
-            settings, replaying = GapSettings(seconds=seconds), progress("Replaying in SAPIEN")
+            settings, replaying = GapSettings(seconds=seconds), partial(show, "Replaying in SAPIEN")
             verdict = gap_folder(asset, measured, out, settings, replay_seconds, replaying, root)
     for note in verdict.notes:
         print(f"- {note}", file=sys.stderr)
@@ -757,23 +749,14 @@ def replay(
         seconds: Limit of the whole replay, s; runs beyond it are left out.
         root: Folder with all files of a URDF; its own, or its package's, when not given.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
     from simgap.replay import format_table, replay_folder
 
     if not seconds > 0 or not (holding is None or 0 <= holding <= 1):
         raise FreeArtError(
             f"replay: --seconds is {seconds:g}, expected above 0, and --holding {holding}, expected 0 to 1"
         )
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
-        task = bars.add_task(f"Replaying in {engine}", total=None)
-
-        def progress(done: int, total: int) -> None:
-            bars.update(task, completed=done, total=total)
-
+    with _progress_bar(f"Replaying in {engine}", counted=True) as show:
+        progress = partial(show, f"Replaying in {engine}")
         done = replay_folder(asset, runs, out, engine, holding, not without_guesses, seconds, progress, root)
     for note in done.notes:
         print(f"- {note}", file=sys.stderr)
@@ -790,7 +773,9 @@ def view(
     sequence: Path | None = None,
     root: Path | None = None,
 ) -> None:
-    """Write a self-contained page of a sequence, a result, an asset, a file of Gaussians or a data folder.
+    """Write a page of a sequence, result, asset, Gaussians file or data folder.
+
+    The page is one file that needs no network.
 
     Args:
         path: A sequence, result, truth, asset or data folder, a URDF, or a PLY of Gaussians.
@@ -836,8 +821,6 @@ def convert(
         depth_unit: Metres per depth unit of a picture folder (rgb/, depth/, masks/, cam_K.txt).
         fps: Frames per second of such a folder; from time stamps in its names, or 30, when not given.
     """
-    from functools import partial
-
     from freeart21.formats import convert as formats
     from generator.progress import progress_board
     from generator.third_party import complete_truth
@@ -894,6 +877,20 @@ def main() -> None:
             _with_settings_file(commands, sys.argv), prog="freeart21", description=DESCRIPTION
         )
     sys.exit(code or 0)
+
+
+@contextlib.contextmanager
+def _progress_bar(text: str, counted: bool = False) -> Iterator[Callable[[str, int, int], None]]:
+    """A progress bar on a terminal; gives a function that updates it: text, number done, total."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    numbers = (MofNCompleteColumn(),) if counted else ()
+    columns = (TextColumn("{task.description}"), BarColumn(), *numbers, TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
+        task = bars.add_task(text, total=None)
+        yield lambda now, done, total: bars.update(task, description=now, completed=done, total=total)
 
 
 def _check_options(kind: str, given: dict[str, Any]) -> None:

@@ -58,7 +58,7 @@ class Mesh:
     def areas(self) -> NDArray[np.float64]:
         """(F,) triangle areas, m^2."""
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
-        return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
 
 
 def bounding_diagonal(*meshes: Mesh) -> float:
@@ -83,4 +83,4 @@ def box_centre(mesh: Mesh) -> NDArray[np.float64]:
     if mesh.empty:
         return np.zeros(3)
     used = mesh.vertices[np.unique(mesh.faces)]
-    return (used.min(0) + used.max(0)) / 2
+    return np.asarray((used.min(0) + used.max(0)) / 2)

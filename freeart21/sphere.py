@@ -23,7 +23,7 @@ def fibonacci_sphere(n: int) -> Array:
 
 def covered_cells(views: Array) -> NDArray[np.bool_]:
     """(..., CELLS) which cells each of the unit vectors `views` (..., 3) covers."""
-    return views @ fibonacci_sphere(CELLS).T >= np.cos(np.radians(REACH_DEGREES))
+    return np.asarray(views @ fibonacci_sphere(CELLS).T >= np.cos(np.radians(REACH_DEGREES)))
 
 
 def coverage(views: Array) -> float:
@@ -35,4 +35,4 @@ def view_directions(Ts_camera_object: Array, centre: Array) -> Array:
     """(n, 3) unit vectors, object frame, from its point `centre` (3,) to the camera, in poses (n, 4, 4)."""
     R, t = Ts_camera_object[:, :3, :3], Ts_camera_object[:, :3, 3]
     towards = -np.einsum("nji,nj->ni", R, t) - centre
-    return towards / np.linalg.norm(towards, axis=1, keepdims=True)
+    return np.asarray(towards / np.linalg.norm(towards, axis=1, keepdims=True))

@@ -1,7 +1,9 @@
-"""Bad input gives one clear line and exit code 1; nothing is half-written."""
+"""Bad input gives one clear line and exit code 1; nothing is written."""
 
+import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -17,58 +19,38 @@ def fails(*arguments: object) -> str:
     return lines[0]
 
 
-def test_an_unknown_object_lists_the_known(tmp_path):
-    line = fails("record", "teapot", "--out", tmp_path / "data")
-    assert "teapot" in line and all(name in line for name in ("stapler", "drawer_unit", "flip_lighter"))
-    assert not (tmp_path / "data").exists()
+OUT = ("--out", "{tmp}/out")
+BAD = {
+    "an unknown object": (("record", "teapot", *OUT), ("teapot", "stapler", "drawer_unit", "flip_lighter")),
+    "no object": (("record", *OUT), ("stapler",)),
+    "no sequence": (("reconstruct", "{tmp}/in", *OUT), ("is not a sequence",)),
+    "no result": (("export", "{tmp}/in", *OUT), ("is not a result",)),
+    "no benchmark": (("score", "{tmp}", "--data", "{tmp}"), ("is not a benchmark",)),
+    "an unknown protocol": (("score", "{tmp}", "--data", "{tmp}", "--protocol", "loose-9"), ("strict-1",)),
+    "nothing to view": (("view", "{tmp}/in/nothing", *OUT), ()),
+    "an empty folder to view": (("view", "{tmp}/in", *OUT), ()),
+    "no movable joint": (("view", "{tmp}/urdf", *OUT), ("no movable joint",)),
+}
 
 
-def test_no_object_lists_the_known(tmp_path):
-    assert "stapler" in fails("record", "--out", tmp_path / "data")
-
-
-def test_a_folder_that_is_no_sequence(tmp_path):
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_line_and_writes_nothing(tmp_path: Path, case: str) -> None:
+    arguments, words = BAD[case]
     (tmp_path / "in").mkdir()
-    assert "is not a sequence" in fails("reconstruct", tmp_path / "in", "--out", tmp_path / "out")
+    (tmp_path / "urdf").mkdir()
+    (tmp_path / "urdf" / "a.urdf").write_text('<robot name="a"><link name="base"/></robot>')
+    line = fails(*(str(argument).replace("{tmp}", str(tmp_path)) for argument in arguments))
+    assert all(word in line for word in words), line
     assert not (tmp_path / "out").exists()
 
 
-def test_a_folder_that_is_no_result(tmp_path):
-    (tmp_path / "in").mkdir()
-    assert "is not a result" in fails("export", tmp_path / "in", "--out", tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
-def test_data_that_is_no_benchmark(tmp_path):
-    assert "is not a benchmark" in fails("score", tmp_path, "--data", tmp_path)
-
-
-def test_an_unknown_protocol_lists_the_known(tmp_path):
-    assert "strict-1" in fails("score", tmp_path, "--data", tmp_path, "--protocol", "loose-9")
-
-
-@pytest.mark.parametrize("name", ["nothing", "."])
-def test_a_thing_that_cannot_be_viewed(tmp_path, name):
-    (tmp_path / "in").mkdir()
-    fails("view", tmp_path / "in" / name, "--out", tmp_path / "page.html")
-    assert not (tmp_path / "page.html").exists()
-
-
-def test_a_urdf_without_a_movable_joint_cannot_be_viewed_as_an_asset(tmp_path):
-    (tmp_path / "in").mkdir()
-    (tmp_path / "in" / "a.urdf").write_text('<robot name="a"><link name="base"/></robot>')
-    assert "no movable joint" in fails("view", tmp_path / "in", "--out", tmp_path / "page.html")
-
-
-def test_without_a_vulkan_device_the_recorder_says_so_in_one_line(tmp_path, monkeypatch):
+def test_recording_without_a_vulkan_device_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("VK_ICD_FILENAMES", "/nonexistent.json")
     assert "no Vulkan driver is installed" in fails("record", "stapler", "--out", tmp_path / "data", "--frames", "2")
     assert not (tmp_path / "data").exists()
 
 
-def test_objects_are_listed_as_json():
-    import json
-
+def test_objects_are_listed_as_json() -> None:
     done = subprocess.run([*RUN, "objects", "--json"], capture_output=True, text=True, check=True)
     entries = json.loads(done.stdout)
     assert {"stapler", "drawer_unit", "flip_lighter"} <= {e["name"] for e in entries if e["source"] == "procedural"}

@@ -44,33 +44,25 @@ def test_a_real_probe_finds_that_a_driver_is_missing():
     assert "bookworm-backports mesa-vulkan-drivers" in done.stdout and done.stdout.count("\n") == 1
 
 
-def test_a_driver_that_is_too_old_is_named(says):
-    says[doctor._PROBE_SAPIEN] = (0, '{"error": "failed to find a rendering device"}')
-    says[doctor._PROBE_VULKAN] = (0, '{"devices": ["llvmpipe (LLVM 15.0.6, 256 bits)"]}')
-    with pytest.raises(FreeArtError, match="the driver of llvmpipe .* is too old or unfit.*Fix: .*bookworm-backports"):
-        doctor.require_rendering()
+NO_DEVICE = (0, '{"error": "failed to find a rendering device"}')
+OLD_DRIVER = (0, '{"devices": ["llvmpipe (LLVM 15.0.6, 256 bits)"]}')
+NO_X11 = (0, '{"import": "libX11.so.6: cannot open shared object file"}')
 
 
-def test_an_nvidia_gpu_without_its_vulkan_driver(says, monkeypatch):
-    monkeypatch.setattr(doctor, "_nvidia", lambda: ["NVIDIA H200"])
-    says[doctor._PROBE_SAPIEN] = (0, '{"error": "failed to find a rendering device"}')
-    says[doctor._PROBE_VULKAN] = (0, '{"devices": []}')
-    with pytest.raises(FreeArtError, match="NVIDIA_DRIVER_CAPABILITIES"):
-        doctor.require_rendering()
-
-
-def test_a_probe_that_crashes_is_no_crash_of_ours(says):
-    says[doctor._PROBE_SAPIEN] = (-6, "terminate called")
-    says[doctor._PROBE_VULKAN] = (-11, "")
-    with pytest.raises(
-        FreeArtError, match="no Vulkan driver is installed; SAPIEN says: SAPIEN ended with exit code -6"
-    ):
-        doctor.require_rendering()
-
-
-def test_sapien_without_x11(says):
-    says[doctor._PROBE_SAPIEN] = (0, '{"import": "libX11.so.6: cannot open shared object file"}')
-    with pytest.raises(FreeArtError, match="Fix: sudo apt-get install -y libx11-6"):
+@pytest.mark.parametrize(
+    "sapien, vulkan, gpus, message",
+    [
+        (NO_DEVICE, OLD_DRIVER, [], "the driver of llvmpipe .* is too old or unfit.*Fix: .*bookworm-backports"),
+        (NO_DEVICE, (0, '{"devices": []}'), ["NVIDIA H200"], "NVIDIA_DRIVER_CAPABILITIES"),
+        ((-6, "terminate called"), (-11, ""), [], "no Vulkan driver .*; SAPIEN says: SAPIEN ended with exit code -6"),
+        (NO_X11, (0, ""), [], "Fix: sudo apt-get install -y libx11-6"),
+    ],
+    ids=["an old driver", "an NVIDIA GPU without its driver", "a probe that crashes", "no X11"],
+)
+def test_each_reason_for_no_rendering_has_its_fix(says, monkeypatch, sapien, vulkan, gpus, message):
+    monkeypatch.setattr(doctor, "_nvidia", lambda: gpus)
+    says[doctor._PROBE_SAPIEN], says[doctor._PROBE_VULKAN] = sapien, vulkan
+    with pytest.raises(FreeArtError, match=message):
         doctor.require_rendering()
 
 

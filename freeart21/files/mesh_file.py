@@ -1,9 +1,10 @@
-"""Part meshes as binary PLY, with vertex colours and per-face flags."""
+"""Reads and writes part meshes as PLY, with vertex colours and per-face flags."""
 
 from __future__ import annotations
 
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,11 @@ PLY_TYPES = {
     "double": "f8",
     "float64": "f8",
 }
+
+
+_Element = tuple[str, int, list[list[str]]]
+"""Name, number of entries, and the words of each property."""
+_Tables = dict[str, NDArray[Any]]
 
 
 def write_ply(path: Path, mesh: Mesh, flags: dict[str, NDArray[np.bool_]] | None = None) -> None:
@@ -84,7 +90,7 @@ def _parse(data: bytes) -> tuple[Mesh, dict[str, NDArray[np.bool_]]]:
     if not lines or lines[0].strip() != "ply":
         raise ValueError("it does not begin with 'ply'")
     encoding = next(line.split()[1] for line in lines if line.startswith("format"))
-    elements: list[tuple[str, int, list[list[str]]]] = []
+    elements: list[_Element] = []
     for line in lines:
         words = line.split()
         if words[:1] == ["element"]:
@@ -111,8 +117,8 @@ def _parse(data: bytes) -> tuple[Mesh, dict[str, NDArray[np.bool_]]]:
     return Mesh(points, face["i"].astype(np.int64), colours), flags
 
 
-def _dtype(properties: list[list[str]], order: str) -> np.dtype:
-    fields: list[tuple] = []
+def _dtype(properties: list[list[str]], order: str) -> np.dtype[np.void]:
+    fields: list[tuple[Any, ...]] = []
     for words in properties:
         if words[0] == "list":
             if words[3] not in ("vertex_indices", "vertex_index"):
@@ -123,7 +129,7 @@ def _dtype(properties: list[list[str]], order: str) -> np.dtype:
     return np.dtype(fields)
 
 
-def _binary_tables(body: bytes, elements: list[tuple[str, int, list[list[str]]]], encoding: str) -> dict[str, NDArray]:
+def _binary_tables(body: bytes, elements: list[_Element], encoding: str) -> _Tables:
     order = {"binary_little_endian": "<", "binary_big_endian": ">"}[encoding]
     tables, at = {}, 0
     for name, count, properties in elements:
@@ -135,12 +141,12 @@ def _binary_tables(body: bytes, elements: list[tuple[str, int, list[list[str]]]]
     return tables
 
 
-def _ascii_tables(body: bytes, elements: list[tuple[str, int, list[list[str]]]], encoding: str) -> dict[str, NDArray]:
+def _ascii_tables(body: bytes, elements: list[_Element], encoding: str) -> _Tables:
     lines = io.StringIO(body.decode("ascii"))
     tables = {}
     for name, count, properties in elements:
         dtype = _dtype(properties, "<")
-        if 2 * count * len(properties) > len(body) + 1:  # a digit and a blank each
+        if 2 * count * len(properties) > len(body) + 1:  # each entry has a digit and a blank
             raise ValueError(f"it ends before its {count} {name} entries")
         rows = np.loadtxt(lines, max_rows=count, ndmin=2) if count else np.zeros((0, 0))
         if len(rows) != count:

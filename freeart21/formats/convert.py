@@ -71,7 +71,7 @@ def _of_layout(source: Path, layout: Layout) -> Iterator[Path]:
     if layout == "maniskill":
         yield from maniskill.episodes(source)
         return
-    fits, patterns = {
+    layouts: dict[str, tuple[Callable[[Path], bool], tuple[str, ...]]] = {
         "native": (lambda folder: checked.is_there(folder / "sequence.json"), ("sequences/*", "*")),
         "rgbd": (rgbd_folder.is_rgbd_folder, ("*",)),
         "official": (freeart21_official.is_example, ("examples/*", "*")),
@@ -79,7 +79,8 @@ def _of_layout(source: Path, layout: Layout) -> Iterator[Path]:
             video2articulation.is_view,
             ("view_*", "joint_*/view_*", "*/joint_*/view_*", "*/*/joint_*/view_*", "*/*/*/joint_*/view_*"),
         ),
-    }[layout]
+    }
+    fits, patterns = layouts[layout]
     if fits(source):
         yield source
         return
