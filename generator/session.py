@@ -17,8 +17,8 @@ from freeart21.effects import Effect, effect_from_json
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.asset import EFFECTS_SCHEMA
-from freeart21.files.benchmark import file_sha256
 from freeart21.files.camera_faults import read_camera_faults
+from freeart21.files.hashes import file_sha256
 from freeart21.files.sequence import MAX_SIDE, encode_depth, write_header, write_queries
 from freeart21.files.take import MAX_TAKE_BYTES
 from freeart21.files.truth import write_truth

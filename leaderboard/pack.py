@@ -23,7 +23,8 @@ import numpy as np
 from freeart21 import stopping
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
-from freeart21.files.benchmark import MAX_HASHED_BYTES, SCHEMA, Benchmark, file_sha256, read_benchmark
+from freeart21.files.benchmark import SCHEMA, Benchmark, read_benchmark
+from freeart21.files.hashes import MAX_HASHED_BYTES, file_sha256
 from freeart21.files.hidden import MARKER, PICTURES, hidden_digest
 from freeart21.files.hidden import SCHEMA as HIDDEN_SCHEMA
 from freeart21.files.places import Output, require_replaceable

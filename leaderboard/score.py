@@ -12,7 +12,8 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from freeart21.errors import FreeArtError
-from freeart21.files.benchmark import Benchmark, file_sha256, read_benchmark
+from freeart21.files.benchmark import Benchmark, read_benchmark
+from freeart21.files.hashes import file_sha256
 from freeart21.reconstruction import Piece
 from leaderboard.parallel_rows import FOLDERS, score_rows_as_jobs, score_rows_locally
 from leaderboard.protocol import Group, Protocol

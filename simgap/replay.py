@@ -18,7 +18,7 @@ from typing import Any, get_args
 from freeart21 import __version__
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
-from freeart21.files.benchmark import file_sha256
+from freeart21.files.hashes import file_sha256
 from freeart21.files.lock import only_writer
 from freeart21.files.measured import OTHER_UNITS, read_measured, run_files
 from freeart21.files.places import check_place

@@ -23,7 +23,8 @@ from freeart21 import catalog
 from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
-from freeart21.files.benchmark import file_sha256, read_benchmark
+from freeart21.files.benchmark import read_benchmark
+from freeart21.files.hashes import file_sha256
 from freeart21.files.lock import acquire
 from freeart21.files.truth import read_truth
 from freeart21.files.verify import verify

@@ -18,9 +18,10 @@ from freeart21 import cli
 from freeart21.effects import ViscousDamping, effect_from_json
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
-from freeart21.files.benchmark import file_sha256, read_benchmark, write_benchmark
+from freeart21.files.benchmark import read_benchmark, write_benchmark
 from freeart21.files.checked import read_json
 from freeart21.files.diagnostics import read_confidence, read_diagnostics
+from freeart21.files.hashes import file_sha256
 from freeart21.files.measured import read_measured
 from freeart21.files.result import read_method, read_result
 from freeart21.files.sequence import read_sequence

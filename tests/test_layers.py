@@ -1,6 +1,7 @@
 """Imports point down, and no method can import a truth."""
 
 import ast
+import graphlib
 import subprocess
 import sys
 from pathlib import Path
@@ -114,3 +115,26 @@ def test_help_needs_nothing_heavy():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
     assert done.stdout.strip().endswith("[]"), done.stdout[-300:]
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    files = {p: p.relative_to(ROOT).with_suffix("").as_posix() for r in ALLOWED for p in (ROOT / r).rglob("*.py")}
+    names = {name.removesuffix("/__init__").replace("/", "."): path for path, name in files.items()}
+    graph = {}
+    for name, path in names.items():
+        tree = ast.parse(path.read_text())
+        typing_only = {
+            id(child)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+            for child in node.body
+        }
+        found = set()
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and node.module and id(node) not in typing_only:
+                members = (f"{node.module}.{alias.name}" for alias in node.names)
+                found |= {member if member in names else node.module for member in members}
+            elif isinstance(node, ast.Import):
+                found |= {alias.name for alias in node.names}
+        graph[name] = {module for module in found if module in names and module != name}
+    graphlib.TopologicalSorter(graph).prepare()  # CycleError names the circle

@@ -16,7 +16,8 @@ from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
-from freeart21.files.benchmark import file_sha256, read_benchmark
+from freeart21.files.benchmark import read_benchmark
+from freeart21.files.hashes import file_sha256
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
 from freeart21.joint import Joint

@@ -15,7 +15,7 @@ from another_python import ROOT, run_python
 from freeart21 import cli, se3
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
-from freeart21.files.benchmark import file_sha256
+from freeart21.files.hashes import file_sha256
 from freeart21.files.sequence import read_sequence
 from freeart21.files.take import header_line, read_take, sample_line, write_take
 from freeart21.files.truth import read_truth

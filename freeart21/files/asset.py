@@ -13,7 +13,7 @@ from freeart21.asset import Asset
 from freeart21.effects import Effect, effect_from_json, effects_from_urdf_dynamics
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
-from freeart21.files.benchmark import file_sha256
+from freeart21.files.hashes import file_sha256
 from freeart21.files.trust_json import trust_from_json, trust_to_json
 from freeart21.files.urdf import MAX_URDF_BYTES, UrdfJoint, read_urdf_joints, resolve_mimics
 from freeart21.joint import JointType

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
+from freeart21.files.hashes import file_sha256
+from freeart21.files.hidden import read_hidden
 
 SCHEMA = "freeart21/benchmark/1"
 WORK = ".recording"
 """Folder of unfinished work in a data folder that is being recorded."""
-MAX_HASHED_BYTES = checked.MAX_ARRAY_BYTES
-"""The largest file that any reader accepts."""
 JOB_SCHEMA = "freeart21/recording-job/1"
 """Schema of job.json there, the full plan of a recording."""
 
@@ -59,16 +58,6 @@ class Benchmark:
                 known = ", ".join(self.sequences[:30]) + (", ..." if len(self.sequences) > 30 else "")
                 raise FreeArtError(f"{self.folder} has no sequence '{name}'; it has {known}")
         return tuple(name for name in self.sequences if name in names)
-
-
-def file_sha256(path: Path, root: Path | None = None) -> str:
-    """Hexadecimal SHA-256 of a file's bytes; raises FreeArtError as `checked.open_file`, `root` as there."""
-    with checked.open_file(path, MAX_HASHED_BYTES, root) as file:
-        return (
-            hashlib.file_digest(file, "sha256").hexdigest()
-            if hasattr(hashlib, "file_digest")
-            else hashlib.sha256(file.read()).hexdigest()
-        )
 
 
 def write_benchmark(folder: Path, name: str, version: str, split: str) -> Benchmark:
@@ -135,8 +124,6 @@ def read_benchmark(folder: Path, truth: Path | None = None) -> Benchmark:
     )
     if truth is None:
         return benchmark
-    from freeart21.files.hidden import read_hidden  # which reads benchmarks
-
     if not benchmark.hidden:
         raise FreeArtError(f"{folder} holds its truth itself: {truth} is not needed")
     found = read_hidden(truth)

@@ -17,7 +17,7 @@ from typing import Any
 
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
-from freeart21.files.benchmark import file_sha256
+from freeart21.files.hashes import file_sha256
 from freeart21.files.sequence import header_json, queries_json, read_sequence
 
 SCHEMA = "freeart21/hidden-truth/1"

@@ -12,7 +12,7 @@ from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files import base_json, checked
 from freeart21.files.actuator_json import actuator_from_json
-from freeart21.files.benchmark import file_sha256
+from freeart21.files.hashes import file_sha256
 from freeart21.files.run_table import MAX_SAMPLES, read_table
 from freeart21.joint import JOINT_TYPES, JointType
 from freeart21.measured import (

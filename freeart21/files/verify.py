@@ -12,7 +12,8 @@ import numpy as np
 
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.benchmark import Benchmark, file_sha256, is_unfinished, read_benchmark, unfinished_error
+from freeart21.files.benchmark import Benchmark, is_unfinished, read_benchmark, unfinished_error
+from freeart21.files.hashes import file_sha256
 from freeart21.files.hidden import find_traces
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth

@@ -13,7 +13,7 @@ import numpy as np
 from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.benchmark import file_sha256
+from freeart21.files.hashes import file_sha256
 from freeart21.files.take import MAX_SAMPLES, MAX_TAKE_BYTES, Take, read_take
 
 ARCTIC_HZ = 30.0

@@ -15,7 +15,8 @@ from typing import Any
 import freeart21
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.benchmark import Benchmark, file_sha256
+from freeart21.files.benchmark import Benchmark
+from freeart21.files.hashes import file_sha256
 from freeart21.files.sequence import read_sequence
 from freeart21.jobs import Job
 from leaderboard.suite.rates import Rate

@@ -11,7 +11,8 @@ from typing import Any
 import freeart21
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
-from freeart21.files.benchmark import file_sha256, read_benchmark
+from freeart21.files.benchmark import read_benchmark
+from freeart21.files.hashes import file_sha256
 from freeart21.files.places import SUITE, check_place
 from freeart21.jobs import ATTEMPTS, Failed, Job, run_jobs
 from freeart21.jobs.ledger import Ledger

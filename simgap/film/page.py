@@ -14,8 +14,8 @@ from freeart21.view.document import Section, data_url, document, escape
 from freeart21.view.tables import table_section
 from simgap.film.answer import FilmVerdict, size_text
 from simgap.film.maps import FilmMap
+from simgap.film.result import FilmResult
 from simgap.film.samples import simulate_frame
-from simgap.film.workflow import FilmResult
 from simgap.page.replay_page import repeat_section
 from simgap.page.report import (
     Ranked,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,18 +14,19 @@ from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.camera_faults import write_camera_faults
 from freeart21.files.sequence import read_sequence
-from freeart21.recording import Recording
 from simgap.film import pixel_faults
 from simgap.film.answer import FilmVerdict, QuantityGap, confirm, verdict_of
 from simgap.film.choose import Chosen, Frames, choose
 from simgap.film.colour import colour_design, colour_kind
 from simgap.film.effects import camera_of, parameters_of
 from simgap.film.geometry import PICTURE, Design, depth_floor, geometry_kind, make_design
-from simgap.film.maps import FilmMap, film_maps
+from simgap.film.maps import film_maps
 from simgap.film.missing import find_missing_part
+from simgap.film.page import page
 from simgap.film.proof import UNITS, floors, measure_gaps
+from simgap.film.result import Film, FilmResult
 from simgap.film.samples import Rows, sample_rows
-from simgap.film.scene import FilmScene, read_scene
+from simgap.film.scene import read_scene
 from simgap.verdict import root_mean_square
 
 MOST_FRAMES = 90
@@ -40,27 +40,6 @@ ABSORBED = frozenset({"depth_scale", "depth_offset", "depth_curve", "focal_lengt
 """Faults that an asset reconstructed from the same video has absorbed."""
 
 Progress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True)
-class Film:
-    """Two films to compare."""
-
-    recording: Recording
-    scene: FilmScene
-    depth_unit: float
-    """Metres: quantisation of the measured depth."""
-
-
-@dataclass(frozen=True)
-class FilmResult:
-    """Results for the page beyond the verdict."""
-
-    film: Film
-    kinds: tuple[Chosen, ...]
-    maps: tuple[FilmMap, ...]
-    rows: Rows
-    """For the asset's film as it is."""
 
 
 def find_film_gap(film: Film, progress: Progress | None = None) -> tuple[FilmVerdict, FilmResult]:
@@ -205,7 +184,6 @@ def film_gap_folder(
     root: Path | None = None,
 ) -> FilmVerdict:
     """`find_film_gap` from folders to a folder with verdict.json, camera.json and a page, whole or not at all."""
-    from simgap.film.page import page
     from simgap.page.publish import answer_folder, write_answer
 
     inputs = [asset, sequence] if poses is None else [asset, sequence, poses]

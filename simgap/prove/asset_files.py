@@ -14,7 +14,7 @@ from pathlib import Path
 
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
-from freeart21.files.benchmark import file_sha256
+from freeart21.files.hashes import file_sha256
 from freeart21.files.urdf import read_xml
 from freeart21.files.urdf_files import find_file, resolve_file
 
