@@ -48,7 +48,8 @@ def test_primitives_stand_in_urdf_and_mjcf_where_the_model_has_them(tmp_path: Pa
     mujoco = pytest.importorskip("mujoco")
     ball = trimesh.creation.icosphere(1, 0.1)
     ball.export(tmp_path / "ball.obj")
-    body = UrdfInertial(1.0, np.zeros(3), 0.01 * np.eye(3))
+    tensor = 1e-3 * np.array([[20, 1, 2], [1, 25, 3], [2, 3, 30]])
+    body = UrdfInertial(1.0, np.array([0.01, 0.02, 0.03]), tensor)
     reference = LinkModel("reference", "ball.obj", None, ("ball.obj",), body, SHAPES)
     moving = LinkModel("moving", "ball.obj", None, (), body, SHAPES[:1])
     joint = Joint("hinge", "revolute", np.array([0, 0, 1.0]), np.zeros(3), -1.0, 1.0)
@@ -65,6 +66,11 @@ def test_primitives_stand_in_urdf_and_mjcf_where_the_model_has_them(tmp_path: Pa
         geom = data.geom(f"reference_collision_{k:02d}")
         np.testing.assert_allclose(geom.xpos, shape.T_link_shape[:3, 3], atol=1e-12)
         np.testing.assert_allclose(geom.xmat.reshape(3, 3), shape.T_link_shape[:3, :3], atol=1e-12)
+    inertial = read_urdf(tmp_path / "a.urdf").links["reference"].inertial
+    axes = se3.pose_from_wxyz(np.zeros(3), loaded.body("reference").iquat)[:3, :3]
+    np.testing.assert_allclose(inertial.inertia, tensor)
+    np.testing.assert_allclose(axes * loaded.body("reference").inertia @ axes.T, tensor, atol=1e-9)
+    np.testing.assert_allclose([inertial.centre, loaded.body("reference").ipos], [body.centre] * 2)
     half = loaded.geom("reference_collision_01").size
     np.testing.assert_allclose([*half, *read[1].size], [0.05, 0.1, 0.15, 0.1, 0.2, 0.3])
     np.testing.assert_allclose(loaded.geom("reference_collision_02").size[:2], [0.05, 0.2])
