@@ -414,7 +414,7 @@ FAULTS = (
         "scale * np.cross(w, v)",
         "np.cross(w, v)",
         "unit: the axis of an imported ScrewSplat result is not scaled to metres",
-        "adapters_states",
+        "adapters",
     ),
     # --- simgap
     Fault(

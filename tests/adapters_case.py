@@ -1,7 +1,6 @@
 """Other projects' files of a made-up truth, typed here as those projects write them.
 
-Frames and units are worked out with plain matrices and SciPy, by no code of the adapters, so that a known point (the
-truth) proves the adapter's own.
+Frames and units are computed with plain matrices and SciPy, without the adapters' code.
 """
 
 from __future__ import annotations
@@ -11,16 +10,19 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from plyfile_like import write_cloud
+from plyfile_like import write_cloud, write_mesh, write_obj
 from scipy.spatial.transform import Rotation
-from score_files import few_samples, truths, write_data
+from score_files import truths
 
 from freeart21.files.result import read_method
 from leaderboard.adapters.importer import import_results
 from leaderboard.adapters.layout import Options
 from leaderboard.sequence_score import score_sequence
 
-__all__ = ["few_samples", "write_data"]
+ANCHOR = 4
+"""Frame of the video that shows the first state of methods without a video."""
+SCALE = 2.5
+"""nerfstudio's units per metre."""
 GL = np.diag([1.0, -1.0, -1.0, 1.0])
 """OpenGL's camera from OpenCV's, and back."""
 
@@ -129,3 +131,267 @@ def lacks(out) -> tuple[str, ...]:
 
 def truth_of(name="a"):
     return truths()[name]
+
+
+ZUP = world_of(R_ZUP_LABEL @ R_LABEL_LINK)
+"""PARIS's world from the object's frame."""
+
+
+def freeartgs(folder, name="a", *, with_training=True, frames=None, wrong=None):
+    """`outputs/<id>` as FreeArtGS leaves it, trained with the clouds at joint state 0.2 of the truth's."""
+    truth = truth_of(name)
+    joint, n, world = truth.articulation.joint, len(truth), rigid(1)
+    home = folder / "evaluation_data"
+    trained = truth.states - 0.2
+    quaternion = (lambda R: Rotation.from_matrix(R).as_quat()) if wrong == "xyzw" else None
+    more = {"wxyz_of": quaternion} if quaternion else {}
+    kind = evaluation_data(home, truth, world=world, stand=0.2, sign=1, axes="opencv", zoom=2, **more)
+    values = trained - trained[0]
+    np.save(kind / "joint_value.npy", np.degrees(values) if wrong == "degrees" else values)
+    if wrong != "xyzw":
+        cameras = [world @ np.linalg.inv(T) for T in truth.Ts_camera_reference]
+        named = [{"file_path": f"images/{i:05d}.png", "transform_matrix": T.tolist()} for i, T in enumerate(cameras)]
+        write_json(kind / "camera_poses.json", named)
+        if frames is not None:
+            write_json(kind / "camera_poses.json", [named[i] for i in frames])
+            np.save(kind / "joint_value.npy", values[frames])
+            maps = np.load(kind / "moving_map.npz")["a"]
+            np.savez_compressed(kind / "moving_map.npz", a=maps[frames])
+    (kind / "best_loss.txt").write_text("0.001\n")
+    manifest = {"joint_type": joint.type, "exported_joint_types": [joint.type], "motion_part": 1}
+    write_json(home / "export_manifest.json", manifest | {"weight_threshold": 0.5, "part_weight_margin": 0.3})
+    if with_training:
+        key = "angle_rad" if joint.type == "revolute" else "distance"
+        art = {"joint_type": joint.type, "joint_axis_world": [0, 0, 1], "joint_origin_world": [0, 0, 0]}
+        art["frames"] = [
+            {key: float(q), "frame_index": i} for i, q in enumerate(trained[range(n) if frames is None else frames])
+        ]
+        write_json(folder / "splatfacto-art" / "articulation.json", art)
+    return folder
+
+
+def itaco(folder, name="a", *, losses=(0.01, 0.5), sign=-1, axes="opengl", right=None):
+    """Refined joints as iTACO saves them: both hypotheses, the right one of the first loss."""
+    truth = truth_of(name)
+    right = right or truth.articulation.joint.type
+    other = {"revolute": "prismatic", "prismatic": "revolute"}[right]
+    stand = truth.states[0]
+    for kind, loss in zip((right, other), losses, strict=True):
+        noise = 0 if kind == right else np.linspace(0, 0.5, len(truth))
+        home = evaluation_data(
+            folder, truth, world=rigid(2), stand=stand, sign=sign, axes=axes, soft=True, kind=kind, noise=noise
+        )
+        if loss is not None:
+            (home / "best_loss.txt").write_text(str(loss))
+    return folder
+
+
+def parts_at(truth, state, world):
+    """Reference and moving part of the truth at a joint state, in `world` (from the object's frame)."""
+    joint = truth.articulation.joint
+    reference, moving = truth.articulation.reference, truth.articulation.moving
+    return (
+        (apply(world, reference.vertices), reference.faces),
+        (apply(world @ moved(joint, state), moving.vertices), moving.faces),
+    )
+
+
+def paris(folder, name="a", *, world=ZUP, end=1.0, start_mesh=True, old=True):
+    """The save folder of an experiment from the state of frame ANCHOR to `end` rad (or m/5 further)."""
+    truth = truth_of(name)
+    joint, first = truth.articulation.joint, truth.states[ANCHOR]
+    turns = joint.type == "revolute"
+    amount = (end if turns else end / 5) - first
+    axis, pivot = world[:3, :3] @ joint.axis, apply(world, joint.pivot)
+    motion = {"type": "rotate" if turns else "translate", "axis_o": pivot.tolist(), "axis_d": axis.tolist()}
+    if turns:
+        motion |= {"rot_angle": [np.degrees(amount)], "R": np.eye(3).tolist()}
+    else:
+        motion |= {"dist": amount}
+    if old:
+        write_json(folder / "save" / "it5000_val_motion.json", motion | {"axis_d": [1, 0, 0]})
+    write_json(folder / "save" / "it20000_test_motion.json", motion)
+    static, moving = parts_at(truth, first, world)
+    half = parts_at(truth, first + amount / 2, world)[1]
+    write_mesh(folder / "save" / "it20000_static_256_thre5.0.ply", *static)
+    write_mesh(folder / "save" / "it20000_dynamic_256_thre5.0.ply", *half)
+    if start_mesh:
+        write_mesh(folder / "save" / "it20000_dyn_t0_256_thre5.0.ply", *moving)
+    return amount
+
+
+def digitaltwinart(folder, name="a", *, known=True, second=1.0, step="step_0004000"):
+    truth = truth_of(name)
+    joint, first = truth.articulation.joint, truth.states[ANCHOR]
+    turns = joint.type == "revolute"
+    axis, pivot = ZUP[:3, :3] @ joint.axis, apply(ZUP, joint.pivot)
+    amount = (second if turns else second / 5) - first
+    T = turned(axis, pivot, amount) if turns else np.eye(4)
+    if not turns:
+        T[:3, 3] = axis * amount
+    on_axis = pivot - axis * (axis @ pivot)
+    hinge = {"axis_position": on_axis.tolist(), "axis_direction": (axis * np.sign(amount)).tolist()}
+    hinge |= {"theta": float(np.degrees(abs(amount)))}
+    shift = T[:3, 3]
+    slide = {"axis_direction": (shift / np.linalg.norm(shift)).tolist(), "axis_position": [0.0, 0.0, 0.0]}
+    slide |= {"theta": float(np.linalg.norm(shift))}
+    both = {"rotation": T[:3, :3].tolist(), "translation": shift.tolist()}
+    home = folder / "results" / step
+    if known:
+        write_json(home / "init_motion.json", [(hinge if turns else slide) | both])
+    else:
+        write_json(home / "init_revolute_motion.json", [hinge | both])
+        write_json(home / "init_prismatic_motion.json", [slide | both])
+    for k, (vertices, faces) in enumerate(parts_at(truth, first, ZUP)):
+        write_obj(home / f"init_part_{k}.obj", vertices, faces)
+    return home
+
+
+def artgs(folder, name="a", *, extra=False, iteration=20000):
+    truth = truth_of(name)
+    joint, first = truth.articulation.joint, truth.states[ANCHOR]
+    home = folder / "train" / f"ours_{iteration}"
+    axis, pivot = ZUP[:3, :3] @ joint.axis, apply(ZUP, joint.pivot)
+    kind = "hinge" if joint.type == "revolute" else "slider"
+    entries = [
+        {"id": 0, "parent": -1, "name": "root", "joint": "heavy", "jointData": {}, "visuals": ["meshes/start_0.ply"]}
+    ]
+    entry = {"id": 1, "parent": 0, "name": "joint_1", "joint": kind, "visuals": ["meshes/start_1.ply"]}
+    entry["jointData"] = {"axis": {"origin": pivot.tolist(), "direction": axis.tolist()}, "limit": {}}
+    entries.append(entry)
+    for k, (vertices, faces) in enumerate(parts_at(truth, first, ZUP)):
+        if extra and k == 0:  # half of the body hangs on another joint
+            write_mesh(home / "meshes" / "start_2.ply", vertices, faces[::2])
+            faces = faces[1::2]
+        write_mesh(home / "meshes" / f"start_{k}.ply", vertices, faces)
+    if extra:
+        entries.append(entry | {"id": 2, "name": "joint_2", "visuals": ["meshes/start_2.ply"]})
+    write_json(home / "joint_info.json", entries)
+    return home
+
+
+def articulate_anything(folder, name="a", *, lower=0.0, upper=1.2):
+    """The URDF of the truth with its base turned as PartNet-Mobility's: meshes in the label frame."""
+    truth = truth_of(name)
+    joint, label = truth.articulation.joint, world_of(R_LABEL_LINK)
+    axis, pivot = label[:3, :3] @ joint.axis, apply(label, joint.pivot)
+    state = truth.states[ANCHOR]  # position zero is what the anchor frame shows
+    body, lid = parts_at(truth, state, label)
+    write_obj(folder / "textured_objs" / "body.obj", *body)
+    write_obj(folder / "textured_objs" / "lid.obj", *lid)
+    xyz = "{:.12g} {:.12g} {:.12g}".format
+    visual = '<visual><origin xyz="{}"/><geometry><mesh filename="textured_objs/{}.obj"/></geometry></visual>'.format
+    (folder / "mobility.urdf").write_text(
+        '<?xml version="1.0"?><robot name="made"><link name="base"/>'
+        f'<link name="body">{visual("0 0 0", "body")}</link><link name="lid">{visual(xyz(*-pivot), "lid")}</link>'
+        '<joint name="base_to_body" type="fixed"><parent link="base"/><child link="body"/>'
+        '<origin xyz="0 0 0" rpy="1.570796326794897 0 -1.570796326794897"/></joint>'
+        f'<joint name="body_to_lid" type="{joint.type}"><parent link="body"/><child link="lid"/>'
+        f'<origin xyz="{xyz(*pivot)}" rpy="0 0 0"/><axis xyz="{xyz(*axis)}"/>'
+        f'<limit lower="{lower}" upper="{upper}"/></joint></robot>'
+    )
+    return folder
+
+
+def screwsplat(folder, name="a", *, order="wv", shown=2, unit=1.0):
+    """Arrays by the conventions of ScrewSplat in the camera's frame of the anchor, lengths in `unit`s, metres.
+
+    The second screw is the joint."""
+    truth = truth_of(name)
+    joint, first, world = truth.articulation.joint, truth.states[ANCHOR], truth.Ts_camera_reference[ANCHOR]
+    axis, pivot = world[:3, :3] @ joint.axis, apply(world, joint.pivot)
+    turns = joint.type == "revolute"
+    w, v = (axis, -np.cross(axis, pivot) / unit) if turns else (np.zeros(3), axis)
+    folder.mkdir(parents=True)
+    np.save(folder / "screws.npy", np.array([[0, 0, 1, 0, 0, 0], [*w, *v] if order == "wv" else [*v, *w]]))
+    np.save(folder / "screw_confs.npy", np.array([0.05, 0.97]))
+    thetas = truth.states - first if shown is None else np.linspace(0, 0.5, shown)
+    thetas = thetas / (1.0 if turns else unit)
+    np.save(folder / "theta.npy", np.stack([np.zeros(len(thetas)), thetas], 1))
+    for label, mesh, T in (
+        ("static", truth.articulation.reference, world),
+        ("movable_2", truth.articulation.moving, world @ moved(joint, first)),
+    ):
+        np.save(folder / f"point_cloud_{label}.npy", apply(T, surface_points(mesh, 3000)) / unit)
+    return folder
+
+
+def rsrd(folder, name="a", *, order="wxyz", scale_file=True, camera=GL):
+    """keyframes.txt of the truth, scanned at its joint state zero in a world of its own, in units of 1/SCALE m."""
+    truth, world = truth_of(name), rigid(3)
+    parts = (truth.articulation.reference, truth.articulation.moving)
+    clouds = [surface_points(part, count, k) for k, (part, count) in enumerate(zip(parts, (4000, 3000), strict=True))]
+    clouds = [(SCALE * apply(world, cloud)).astype(np.float32).astype(float) for cloud in clouds]
+    mean_all = np.concatenate(clouds).mean(0)
+    means = [cloud.mean(0) for cloud in clouds]
+
+    def carried(T_camera_part):
+        """Scanned points x in nerfstudio's units to the camera's: SCALE * camera T world^-1 (x / SCALE)."""
+        T = camera @ T_camera_part @ np.linalg.inv(world)
+        T[:3, 3] *= SCALE
+        return T
+
+    def shift(t):
+        T = np.eye(4)
+        T[:3, 3] = t
+        return T
+
+    def row(T):
+        q = wxyz(T[:3, :3])
+        return [*(q if order == "wxyz" else np.roll(q, -1)), *T[:3, 3]]
+
+    Ts = (truth.Ts_camera_reference, truth.Ts_camera_moving)
+    to_object = shift(mean_all)
+    start = np.linalg.inv(to_object) @ carried(Ts[0][0]) @ to_object
+    deltas = []
+    for i in range(len(truth)):
+        both = []
+        for k in (0, 1):
+            to_part = shift(means[k] - mean_all)
+            moved = carried(Ts[k][i])
+            both.append(row(np.linalg.inv(to_object @ start @ to_part) @ moved @ to_object @ to_part))
+        deltas.append(both)
+    write_json(folder / "keyframes.txt", {"part_deltas": deltas, "T_objreg_objinit": [row(start)], "hands": {}})
+    for k, cloud in enumerate(clouds):
+        write_cloud(folder / f"part_{k}.ply", cloud)
+    if scale_file:
+        transform = np.eye(4)[:3].tolist()
+        write_json(folder / "dataparser_transforms.json", {"transform": transform, "scale": SCALE})
+    return folder
+
+
+def tracked(run, Ts, mesh, seed, *, names=None, obj="textured_mesh.obj", savetxt=False):
+    """One run on one part: its own frame, the poses of that frame in the camera, and the part in it."""
+    own = rigid(seed)
+    write_obj(run / obj, apply(own, mesh.vertices), mesh.faces)
+    (run / "ob_in_cam").mkdir(parents=True)
+    for i, T in enumerate(Ts @ np.linalg.inv(own)):
+        path = run / "ob_in_cam" / f"{names[i] if names else f'{i:04d}'}.txt"
+        if savetxt:
+            np.savetxt(path, T)
+        else:
+            path.write_text("\n".join(" ".join(f"{x: .10g}" for x in row) for row in T) + "\n")
+    return run
+
+
+def runs_of(folder, name="a", of=lambda T: T, **options):
+    truth = truth_of(name)
+    parts = truth.articulation
+    tracked(folder / "reference", of(truth.Ts_camera_reference), parts.reference, 4, **options)
+    tracked(folder / "moving", of(truth.Ts_camera_moving), parts.moving, 5, **options)
+    return folder
+
+
+WRITERS = {
+    "freeartgs": freeartgs,
+    "itaco": itaco,
+    "rsrd": rsrd,
+    "paris": paris,
+    "digitaltwinart": digitaltwinart,
+    "artgs": artgs,
+    "articulate-anything": articulate_anything,
+    "bundlesdf": runs_of,
+    "foundationpose": lambda folder, name="a", **options: runs_of(folder, name, **{"obj": "mesh.obj"} | options),
+    "screwsplat": screwsplat,
+}
+"""Layout to a function of folder and sequence that writes its files."""

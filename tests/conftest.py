@@ -52,3 +52,19 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if file(item) in QUICK:
             item.add_marker(pytest.mark.quick)
+
+
+@pytest.fixture(scope="session")
+def data(tmp_path_factory):
+    """A data folder of made-up sequences: `a` and `c` revolute, `b` prismatic. Tests leave it as it is."""
+    from score_files import write_data
+
+    return write_data(tmp_path_factory.mktemp("made-up") / "data")
+
+
+@pytest.fixture
+def few_samples(monkeypatch):
+    """strict-1 and strict-2 with few samples, in this process."""
+    from score_files import few_samples as use_few_samples
+
+    use_few_samples(monkeypatch)

@@ -20,7 +20,7 @@ from freeart21.joint import Joint
 from leaderboard.protocols import PROTOCOLS, strict1, strict2
 from leaderboard.protocols.strict1 import STRICT_1, Strict1
 from leaderboard.protocols.strict2 import STRICT_2
-from leaderboard.score import score_results as score_results_apart
+from leaderboard.score import score_results as score_in_processes
 from leaderboard.sequence_score import score_sequence
 
 
@@ -44,7 +44,7 @@ def truths():
     return {"a": make_truth("revolute", 0), "b": make_truth("prismatic", 1), "c": make_truth("revolute", 2)}
 
 
-score_results = functools.partial(score_results_apart, limit_s=None)  # in this process, where `quick` holds
+score_results = functools.partial(score_in_processes, limit_s=None)  # in this process, where `few_samples` holds
 
 
 def score_one(data, folder, name="a"):

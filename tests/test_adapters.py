@@ -1,37 +1,62 @@
-"""Results of other projects: their frames and units proved by a known point, and their faults told in one line."""
+"""Results of other projects: files of a made-up truth score perfectly, files written otherwise score badly."""
+
+import json
 
 import numpy as np
 import pytest
 from adapters_case import (
-    evaluation_data,
-    few_samples,
+    ANCHOR,
+    GL,
+    R_LABEL_LINK,
+    R_ZUP_LABEL,
+    SCALE,
+    WRITERS,
+    artgs,
+    digitaltwinart,
+    freeartgs,
     imported,
+    itaco,
     lacks,
+    official_example,
+    paris,
     rigid,
+    rsrd,
+    runs_of,
+    screwsplat,
+    tracked,
     truth_of,
-    write_data,
     write_json,
 )
-from scipy.spatial.transform import Rotation
-from score_files import score_one
 
+from freeart21 import se3
+from freeart21.errors import FreeArtError
 from freeart21.files.result import read_method, read_result
+from freeart21.joint import Joint
 from freeart21.reconstruction import Failure
+from leaderboard.adapters.fitting import fit_joint
 from leaderboard.adapters.importer import import_results
+from leaderboard.adapters.layout import IN_OBJECT
+from leaderboard.adapters.readers import number_frames
+from leaderboard.adapters.registry import layouts
+from leaderboard.protocols.strict2 import STRICT_2
 from leaderboard.sequence_score import score_sequence
 
 CLOUD = 1.0
-"""% of the diagonal: what a cloud of a few thousand points leaves of Chamfer distance on the made-up object."""
+"""% of the diagonal: Chamfer distance of a cloud of a few thousand points on the made-up object."""
+WRITTEN = 0.01
+"""% of the diagonal: Chamfer distance of meshes written with eight digits."""
+VIDEO, TRACKED = ("renders",), ("masks", "renders")
+TWO_STATES = ("states", "poses", "masks", "renders")
+LACKS = {
+    **dict.fromkeys(("freeartgs", "itaco"), VIDEO),
+    **dict.fromkeys(("rsrd", "bundlesdf", "foundationpose"), TRACKED),
+    **dict.fromkeys(("paris", "digitaltwinart", "artgs", "articulate-anything", "screwsplat"), TWO_STATES),
+}
+CLOUDS = ("freeartgs", "itaco", "rsrd", "screwsplat")
+"""Layouts whose parts are point clouds."""
+STAMPS = [str(1581120424100262102 + 33333333 * i) for i in range(16)]
 
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory):
-    return write_data(tmp_path_factory.mktemp("data"))
-
-
-@pytest.fixture(autouse=True)
-def quick(monkeypatch):
-    few_samples(monkeypatch)
+pytestmark = pytest.mark.usefixtures("few_samples")
 
 
 @pytest.fixture
@@ -39,137 +64,175 @@ def src(tmp_path):
     return tmp_path / "theirs"
 
 
-def assert_perfect(row, *, position=True, state=True, poses=True, masks=True, chamfer=CLOUD):
-    v = row.values
-    assert row.status == "ok" and v["joint_type"] == 1
-    assert v["axis"] < 0.01
-    if position:
-        assert v["position"] < 0.01
-    if state:
-        assert v["state"] < 0.01 and v["state_all"] < 0.01
-    if poses:
-        for id in ("pose_rotation", "pose_translation", "pose_moving_rotation", "pose_moving_translation"):
-            assert v[id] < 0.01, id
-    if masks:
-        assert v["miou"] == 1
-    if chamfer is not None:
-        for id in ("chamfer_w", "chamfer_m", "chamfer_s"):
-            assert v[id] < chamfer, id
+@pytest.fixture
+def run(data, tmp_path, src):
+    """Imports what was written to `src` and returns the row of sequence `name`; options as the layout needs them."""
+    examples = tmp_path / "official"
+    for name in "abc":
+        official_example(examples / "examples" / name, truth_of(name))
+
+    def run(layout, name="a", **options):
+        frame = layouts()[layout].frame
+        defaults = {"anchor": ANCHOR} if frame is not None else {}
+        if frame in ("zup", "link") and options.get("frame") != "camera":
+            defaults["object_poses"] = examples
+        return imported(data, src, tmp_path / "r", layout, name=name, **{**defaults, **options})
+
+    return run
 
 
-# FreeArtGS
+def notes_of(folder, name="a") -> str:
+    return " ".join(read_method(folder).settings["notes"].get(name, ()))
 
 
-def freeartgs(folder, name="a", *, with_training=True, frames=None, wrong=None):
-    """`outputs/<id>` as FreeArtGS leaves it, trained with the clouds at joint state 0.2 of the truth's."""
-    truth = truth_of(name)
-    joint, n, world = truth.articulation.joint, len(truth), rigid(1)
-    home = folder / "evaluation_data"
-    trained = truth.states - 0.2
-    quaternion = (lambda R: Rotation.from_matrix(R).as_quat()) if wrong == "xyzw" else None
-    more = {"wxyz_of": quaternion} if quaternion else {}
-    kind = evaluation_data(home, truth, world=world, stand=0.2, sign=1, axes="opencv", zoom=2, **more)
-    values = trained - trained[0]
-    np.save(kind / "joint_value.npy", np.degrees(values) if wrong == "degrees" else values)
-    if wrong != "xyzw":
-        cameras = [world @ np.linalg.inv(T) for T in truth.Ts_camera_reference]
-        named = [{"file_path": f"images/{i:05d}.png", "transform_matrix": T.tolist()} for i, T in enumerate(cameras)]
-        write_json(kind / "camera_poses.json", named)
-        if frames is not None:
-            write_json(kind / "camera_poses.json", [named[i] for i in frames])
-            np.save(kind / "joint_value.npy", values[frames])
-            maps = np.load(kind / "moving_map.npz")["a"]
-            np.savez_compressed(kind / "moving_map.npz", a=maps[frames])
-    (kind / "best_loss.txt").write_text("0.001\n")
-    manifest = {"joint_type": joint.type, "exported_joint_types": [joint.type], "motion_part": 1}
-    write_json(home / "export_manifest.json", manifest | {"weight_threshold": 0.5, "part_weight_margin": 0.3})
-    if with_training:
-        key = "angle_rad" if joint.type == "revolute" else "distance"
-        art = {"joint_type": joint.type, "joint_axis_world": [0, 0, 1], "joint_origin_world": [0, 0, 0]}
-        art["frames"] = [
-            {key: float(q), "frame_index": i} for i, q in enumerate(trained[range(n) if frames is None else frames])
-        ]
-        write_json(folder / "splatfacto-art" / "articulation.json", art)
-    return folder
+def assert_perfect(row, lacks, chamfer):
+    """Every metric that the layout has the pieces for is perfect, and no other has a value."""
+    assert row.status == "ok"
+    for metric in STRICT_2.metrics:
+        value = row.values[metric.id]
+        if metric.unit(row.joint_type) is None or {*lacks} & {*metric.needs}:
+            assert value is None, metric.id
+        elif metric.id.startswith("chamfer"):
+            assert value < chamfer, metric.id
+        elif metric.id in ("joint_type", "miou"):
+            assert value == 1, metric.id
+        elif metric.direction == "down":
+            assert value < 0.01, metric.id
 
 
-@pytest.mark.parametrize("name", ["a", "b"])
-def test_freeartgs(data, tmp_path, name):
-    freeartgs(tmp_path / "outputs" / name, name)
-    row = imported(data, tmp_path / "outputs", tmp_path / "r", "freeartgs", name=name)
-    assert_perfect(row, position=name == "a")
-    assert lacks(tmp_path / "r") == ("renders",)
+def test_frames_fixed_to_the_object():
+    assert IN_OBJECT["label"][:3, :3] == pytest.approx(R_LABEL_LINK.T)
+    assert IN_OBJECT["zup"][:3, :3] == pytest.approx((R_ZUP_LABEL @ R_LABEL_LINK).T)
 
 
-@pytest.mark.parametrize("wrong, id, least", [("xyzw", "pose_rotation", 20), ("degrees", "state", 60)])
-def test_freeartgs_written_otherwise_scores_badly(data, tmp_path, wrong, id, least, src):
-    freeartgs(src / "a", wrong=wrong)
-    assert imported(data, src, tmp_path / "r", "freeartgs").values[id] > least
+# ---- perfect and bad
 
 
-def test_freeartgs_without_named_frames_has_one_a_frame_of_the_video(data, tmp_path, src):
+@pytest.mark.parametrize("name", "ab")
+@pytest.mark.parametrize("layout", LACKS)
+def test_files_of_the_truth_score_perfectly(tmp_path, src, run, layout, name):
+    WRITERS[layout](src / name, name)
+    assert_perfect(run(layout, name), LACKS[layout], CLOUD if layout in CLOUDS else WRITTEN)
+    assert lacks(tmp_path / "r") == LACKS[layout]
+
+
+@pytest.mark.parametrize(
+    "layout, folder, written, options, lacking",
+    [
+        ("itaco", "a/chamfer/0", {}, {}, VIDEO),
+        ("paris", "a", {"start_mesh": False}, {}, TWO_STATES),
+        ("paris", "a", {"world": truth_of().Ts_camera_reference[ANCHOR]}, {"frame": "camera"}, TWO_STATES),
+        ("digitaltwinart", "a", {"known": False}, {}, TWO_STATES),
+        ("artgs", "a", {"extra": True}, {"joint": "joint_1"}, TWO_STATES),
+        ("artgs", "a", {"extra": True}, {"joint": "0"}, TWO_STATES),
+        ("articulate-anything", "a/joint_actor/iter_0/seed_1", {}, {}, TWO_STATES),
+        ("screwsplat", "a", {"unit": 0.4}, {"scale": 0.4}, TWO_STATES),
+        ("screwsplat", "a", {"shown": None}, {}, TWO_STATES[1:]),
+        ("rsrd", "a", {"scale_file": False}, {"scale": 1 / SCALE}, TRACKED),
+        ("foundationpose", "a", {"names": STAMPS, "savetxt": True}, {}, TRACKED),
+        ("bundlesdf", "a", {"obj": "mesh_cleaned.obj"}, {}, ("masks", "meshes", "renders")),  # it is normalised
+    ],
+)
+def test_variants_score_perfectly(tmp_path, src, run, layout, folder, written, options, lacking):
+    WRITERS[layout](src / folder, **written)
+    assert_perfect(run(layout, **options), lacking, CLOUD if layout in CLOUDS else WRITTEN)
+    assert lacks(tmp_path / "r") == lacking
+    if "names" in written:
+        assert "in their order" in notes_of(tmp_path / "r")
+
+
+PLACE = ("axis", "position", "chamfer_w")
+
+
+@pytest.mark.parametrize(
+    "layout, written, options, ids, least",
+    [
+        ("freeartgs", {"wrong": "xyzw"}, {}, ["pose_rotation"], 20),
+        ("freeartgs", {"wrong": "degrees"}, {}, ["state"], 60),
+        ("freeartgs", {}, {"axes": "opengl"}, ["pose_rotation"], 20),
+        ("itaco", {"sign": 1}, {}, ["state"], 20),
+        ("itaco", {}, {"axes": "opencv"}, ["pose_rotation"], 20),
+        ("paris", {}, {"frame": "label"}, PLACE, 10),
+        ("paris", {}, {"frame": "link"}, PLACE, 10),
+        ("paris", {}, {"anchor": 9}, ["chamfer_m"], 1),
+        ("paris", {}, {"scale": 2.0}, ["chamfer_w"], 5),
+        ("articulate-anything", {}, {"frame": "label"}, ["chamfer_w"], 5),
+        ("rsrd", {"order": "xyzw"}, {}, ["pose_rotation"], 5),
+        ("rsrd", {"scale_file": False}, {}, ["pose_translation"], 10),
+        ("rsrd", {"camera": np.eye(4)}, {}, ["pose_rotation"], 5),
+        ("bundlesdf", {"of": lambda Ts: GL @ Ts}, {}, ["pose_rotation"], 5),
+        ("bundlesdf", {"of": np.linalg.inv}, {}, ["pose_rotation"], 5),
+    ],
+)
+def test_files_of_another_convention_score_badly(src, run, layout, written, options, ids, least):
+    WRITERS[layout](src / "a", **written)
+    row = run(layout, **options)
+    assert max(row.values[id] for id in ids) > least
+
+
+def test_screwsplat_with_v_before_w_has_another_joint_type(src, run):
+    screwsplat(src / "b", "b", order="vw")
+    assert run("screwsplat", "b").values["joint_type"] == 0
+
+
+@pytest.mark.parametrize(
+    "layout, end",
+    [("paris", 1.0), ("digitaltwinart", 1.0), ("articulate-anything", None), ("artgs", np.inf)],
+)
+@pytest.mark.parametrize("name", "ab")
+def test_limits(tmp_path, src, run, layout, end, name):
+    """From the first state to `end` rad (or end/5 m); ArtGS has no limits, Articulate-Anything those of its URDF."""
+    WRITERS[layout](src / name, name)
+    run(layout, name)
+    joint = read_result(tmp_path / "r" / name).articulation.joint
+    if end is None:
+        assert (joint.lower, joint.upper) == (0.0, 1.2)
+    elif np.isinf(end):
+        assert np.isinf([joint.lower, joint.upper]).all()
+    else:
+        amount = abs((end if name == "a" else end / 5) - truth_of(name).states[ANCHOR])
+        assert joint.upper - joint.lower == pytest.approx(amount)
+    assert read_result(tmp_path / "r" / name).anchor == ANCHOR
+
+
+def test_lengths_are_scaled(tmp_path, src, run):
+    paris(src / "b", "b")
+    run("paris", "b", scale=2.0)
+    joint = read_result(tmp_path / "r" / "b").articulation.joint
+    assert joint.upper - joint.lower == pytest.approx(2 * (0.2 - truth_of("b").states[ANCHOR]))
+
+
+# ---- FreeArtGS and iTACO
+
+
+def test_freeartgs_without_camera_names_has_one_frame_per_frame_of_the_video(src, run):
     freeartgs(src / "a")
     (src / "a" / "evaluation_data" / "revolute" / "camera_poses.json").unlink()
-    assert_perfect(imported(data, src, tmp_path / "r", "freeartgs"))
+    assert_perfect(run("freeartgs"), VIDEO, CLOUD)
 
 
-def test_freeartgs_with_cameras_of_opengl_scores_badly(data, tmp_path, src):
-    freeartgs(src / "a")
-    row = imported(data, src, tmp_path / "r", "freeartgs", axes="opengl")
-    assert row.values["pose_rotation"] > 20 and row.values["chamfer_s"] > 10
-
-
-def test_freeartgs_clouds_stand_where_the_trained_value_is_zero_and_that_is_said_when_unknown(data, tmp_path, src):
+def test_freeartgs_clouds_are_at_the_trained_value_zero_and_a_note_says_when_it_is_unknown(tmp_path, src, run):
     freeartgs(src / "a", with_training=False)
-    row = imported(data, src, tmp_path / "r", "freeartgs")
+    row = run("freeartgs")
     assert row.values["chamfer_m"] > CLOUD and row.values["state"] < 0.01  # 0.2 rad off, an offset of the states
-    assert any("articulation.json" in line for line in read_method(tmp_path / "r").settings["notes"]["a"])
+    assert "articulation.json" in notes_of(tmp_path / "r")
 
 
-def test_freeartgs_frames_go_by_their_names_and_the_others_by_the_nearest(data, tmp_path, src):
+def test_freeartgs_frames_go_by_their_names_and_others_by_the_nearest(tmp_path, src, run):
     frames = [0, 1, 2, 4, 5, 7, 9, 11, 13, 15]
     freeartgs(src / "a", frames=frames)
-    imported(data, src, tmp_path / "r", "freeartgs")
+    run("freeartgs")
     answer, truth = read_result(tmp_path / "r" / "a"), truth_of()
     assert list(np.flatnonzero(answer.seen.all(1))) == frames
     assert np.ptp((answer.states - truth.states)[frames]) < 1e-9  # one offset: no frame is another's
     assert not answer.part_masks[3].any() and answer.part_masks[4].any()
-    assert any("6 of 16 frames" in line for line in read_method(tmp_path / "r").settings["notes"]["a"])
-
-
-# iTACO
-
-
-def itaco(folder, name="a", *, losses=(0.01, 0.5), sign=-1, axes="opengl", right=None):
-    """Refined joints as iTACO saves them: both hypotheses, the right one of the first loss."""
-    truth = truth_of(name)
-    right = right or truth.articulation.joint.type
-    other = {"revolute": "prismatic", "prismatic": "revolute"}[right]
-    stand = truth.states[0]
-    for kind, loss in zip((right, other), losses, strict=True):
-        noise = 0 if kind == right else np.linspace(0, 0.5, len(truth))
-        home = evaluation_data(
-            folder, truth, world=rigid(2), stand=stand, sign=sign, axes=axes, soft=True, kind=kind, noise=noise
-        )
-        if loss is not None:
-            (home / "best_loss.txt").write_text(str(loss))
-    return folder
-
-
-@pytest.mark.parametrize("name", ["a", "b"])
-def test_itaco(data, tmp_path, name):
-    itaco(tmp_path / "results" / name / "chamfer" / "0", name)
-    report = import_results("itaco", tmp_path / "results" / name / "chamfer" / "0", data, tmp_path / "r", sequence=name)
-    assert report.sequences == (name,) and set(report.missing) == {"a", "b", "c"} - {name}
-    row = score_one(data, tmp_path / "r" / name, name)
-    assert_perfect(row, position=name == "a")
-    assert lacks(tmp_path / "r") == ("renders",)
+    assert "6 of 16 frames" in notes_of(tmp_path / "r")
 
 
 @pytest.mark.parametrize("layout", ["itaco", "freeartgs"])
-@pytest.mark.parametrize("name", ["a", "b"])
+@pytest.mark.parametrize("name", "ab")
 def test_itacos_own_protocol_which_removes_no_offset_of_the_states(data, tmp_path, src, name, layout):
-    {"itaco": itaco, "freeartgs": freeartgs}[layout](src / name, name)
+    WRITERS[layout](src / name, name)
     import_results(layout, src, data, tmp_path / "r")
     where = tmp_path / "r" / name, data / "sequences" / name, data / "truth" / name
     values = score_sequence(*where, "itaco-1", lacks(tmp_path / "r")).values
@@ -178,36 +241,197 @@ def test_itacos_own_protocol_which_removes_no_offset_of_the_states(data, tmp_pat
         assert values[id] < 1e-6, id
 
 
-def test_itaco_turns_the_seen_part_back_to_the_surface(data, tmp_path, src):
-    itaco(src / "a", sign=1)  # as FreeArtGS counts
-    assert imported(data, src, tmp_path / "r", "itaco").values["state"] > 20
-
-
-@pytest.mark.parametrize("axes, least", [("opengl", 0), ("opencv", 20)])
-def test_itaco_has_cameras_of_opengl_unless_told(data, tmp_path, axes, least, src):
-    itaco(src / "a", axes="opengl")
-    row = imported(data, src, tmp_path / "r", "itaco", axes=axes)
-    assert row.values["pose_rotation"] >= least and (row.values["pose_rotation"] < 0.01) == (least == 0)
-
-
 @pytest.mark.parametrize(
-    "losses, kind", [((0.01, 0.5), "revolute"), ((0.5, 0.01), "prismatic"), ((0.5, None), "revolute")]
+    "losses, shift, joint_type",
+    [
+        ((0.01, 0.5), 0, "revolute"),
+        ((0.5, 0.01), 0, "prismatic"),
+        ((0.5, None), 0, "revolute"),
+        ((0.01, 0.5), 5, "prismatic"),  # a hinge far from the surface is a slider
+    ],
 )
-def test_itaco_chooses_the_type_by_the_smaller_loss(data, tmp_path, losses, kind, src):
+def test_itaco_chooses_the_type(tmp_path, src, data, losses, shift, joint_type):
     itaco(src / "a", losses=losses)
+    path = src / "a" / "revolute" / "joint_pos.npy"
+    np.save(path, np.load(path) + shift)
     import_results("itaco", src, data, tmp_path / "r")
-    assert read_result(tmp_path / "r" / "a").articulation.joint.type == kind
-
-
-def test_itaco_calls_a_hinge_far_from_the_surface_a_slider(data, tmp_path, src):
-    itaco(src / "a")
-    position = np.load(src / "a" / "revolute" / "joint_pos.npy")
-    np.save(src / "a" / "revolute" / "joint_pos.npy", position + 5)
-    import_results("itaco", src, data, tmp_path / "r")
-    assert read_result(tmp_path / "r" / "a").articulation.joint.type == "prismatic"
+    assert read_result(tmp_path / "r" / "a").articulation.joint.type == joint_type
 
 
 def test_itaco_without_a_loss_is_a_declared_failure(data, tmp_path, src):
     itaco(src / "a", losses=(None, None))
     report = import_results("itaco", src, data, tmp_path / "r")
     assert report.failures == ("a",) and isinstance(read_result(tmp_path / "r" / "a"), Failure)
+
+
+# ---- methods of two states
+
+
+def test_paris_without_the_objects_pose_is_refused(data, tmp_path, src):
+    paris(src / "a")
+    with pytest.raises(FreeArtError, match=r"stands in the object's frame \(zup\).*--object-poses.*--frame camera"):
+        import_results("paris", src, data, tmp_path / "r")
+    assert not (tmp_path / "r").exists()
+
+
+@pytest.mark.parametrize("known, note", [(True, "joint type is an input"), (False, "the import chose")])
+@pytest.mark.parametrize("name", "ab")
+def test_digitaltwinart_notes_who_chose_the_type_and_takes_the_last_step(tmp_path, src, run, name, known, note):
+    digitaltwinart(src / name, name, known=known)
+    write_json(src / name / "results" / "step_0000500" / "init_motion.json", [])
+    assert run("digitaltwinart", name).values["axis"] < 0.01
+    assert note in notes_of(tmp_path / "r", name)
+
+
+def test_artgs_with_two_joints_needs_a_choice(src, run):
+    artgs(src / "a", extra=True)
+    with pytest.raises(FreeArtError, match="joints joint_1, joint_2; expected one, or --joint"):
+        run("artgs")
+
+
+def test_artgs_meshes_stay_in_the_folder(src, run):
+    path = artgs(src / "a") / "joint_info.json"
+    path.write_text(path.read_text().replace("meshes/start_1.ply", "../../../../secret.ply"))
+    with pytest.raises(FreeArtError, match="leads out of the folder"):
+        run("artgs")
+
+
+def test_screwsplats_own_pickles_are_not_read(src, run):
+    screwsplat(src / "a")
+    np.save(src / "a" / "screws.npy", {"joint_0": {"screw": [0.0] * 6}}, allow_pickle=True)
+    with pytest.raises(FreeArtError, match="without pickled objects"):
+        run("screwsplat")
+
+
+# ---- methods that track parts
+
+
+def test_a_fitted_joint_is_noted(tmp_path, src, run):
+    rsrd(src / "a")
+    run("rsrd")
+    assert "fitted" in notes_of(tmp_path / "r")
+
+
+def test_rsrd_needs_the_parts_gaussians(tmp_path, src, run):
+    rsrd(src / "a")
+    (src / "a" / "part_1.ply").unlink()
+    with pytest.raises(FreeArtError, match=r"part_1.ply is missing: .* export the Gaussians"):
+        run("rsrd")
+    assert not (tmp_path / "r").exists()
+
+
+def test_one_run_gives_the_reference_parts_poses_and_no_joint(tmp_path, src, run):
+    truth = truth_of()
+    tracked(src / "a", truth.Ts_camera_reference, truth.articulation.reference, 4)
+    row = run("bundlesdf")
+    assert row.values["pose_rotation"] < 0.01 and row.values["pose_translation"] < 0.01
+    assert lacks(tmp_path / "r") == ("joint", "states", "masks", "meshes", "renders")
+    assert row.values["axis"] is None and row.values["joint_type"] is None
+    assert "no joint" in notes_of(tmp_path / "r")
+
+
+def test_runs_without_a_common_frame_and_too_many_runs(src, run):
+    truth = truth_of()
+    tracked(src / "a" / "x", truth.Ts_camera_reference[:4], truth.articulation.reference, 4)
+    tracked(src / "a" / "y", truth.Ts_camera_moving[:4], truth.articulation.moving, 4)
+    for path in (src / "a" / "y" / "ob_in_cam").iterdir():
+        path.rename(path.with_stem(f"{int(path.stem) + 8:04d}"))
+    with pytest.raises(FreeArtError, match="no frame in common"):
+        run("bundlesdf")
+    tracked(src / "a" / "z", truth.Ts_camera_moving, truth.articulation.moving, 4)
+    with pytest.raises(FreeArtError, match="3 runs"):
+        run("bundlesdf")
+
+
+def test_a_rotation_that_is_none_is_refused(src, run):
+    runs_of(src / "a", of=lambda Ts: 2 * Ts)
+    with pytest.raises(FreeArtError, match="not a rigid pose"):
+        run("bundlesdf")
+
+
+def test_a_third_part_joins_the_one_that_it_does_not_move_against(tmp_path, src, run):
+    rsrd(src / "a")
+    path = src / "a" / "keyframes.txt"
+    tracks = json.loads(path.read_text())
+    for row in tracks["part_deltas"]:
+        row.append(row[1])
+    path.write_text(json.dumps(tracks))
+    (src / "a" / "part_2.ply").write_bytes((src / "a" / "part_1.ply").read_bytes())
+    run("rsrd")
+    parts = read_result(tmp_path / "r" / "a").articulation
+    assert len(parts.moving.faces) == 6000 and len(parts.reference.faces) == 4000
+
+
+@pytest.mark.parametrize(
+    "stems, expected",
+    [
+        (["0000", "0001", "0002"], [0, 1, 2]),
+        (["00000", "00002"], [0, 2]),
+        (["1", "2", "3"], [0, 1, 2]),
+        (["10", "9", "200"], [1, 0, 2]),
+        (["b", "a", "c"], [1, 0, 2]),
+        (["0", "7"], None),
+        (["00", "0"], None),
+        ([], None),
+        (["x"], None),
+    ],
+)
+def test_names_of_frames(stems, expected):
+    if expected is None:
+        with pytest.raises(FreeArtError, match="here"):
+            number_frames(stems, 3, "here")
+    else:
+        assert number_frames(stems, 3, "here")[0].tolist() == expected
+
+
+# ---- the fitted joint
+
+
+def measured(kind, rng, *, span, noise_m=0.0, noise_deg=0.0, wild=0.0, n=60):
+    """Poses of a part 0.2 m across against another, by a joint 0.15 m from its middle, and what is true of it."""
+    axis, centre = rng.normal(size=3), rng.normal(size=3) * 0.1
+    axis /= np.linalg.norm(axis)
+    home = se3.exp_se3(rng.normal(size=6))
+    away = np.cross(axis, rng.normal(size=3))
+    joint = Joint("j", kind, axis, se3.transform(home, centre) + 0.15 * away / np.linalg.norm(away), -9, 9)
+    states = span * (0.5 - 0.5 * np.cos(np.linspace(0, 0.9 * np.pi, n)))
+    middle = se3.pose(np.eye(3), centre)
+    noise = rng.normal(size=(n, 6)) * ([noise_m] * 3 + [np.radians(noise_deg)] * 3)
+    motion = joint.transform(states) @ home @ middle @ se3.exp_se3(noise) @ se3.inverse(middle)
+    lost = rng.random(n) < wild
+    motion[lost] = motion[lost] @ se3.exp_se3(rng.normal(size=(int(lost.sum()), 6)) * [0.2, 0.2, 0.2, 0.5, 0.5, 0.5])
+    return joint, states, motion, centre
+
+
+@pytest.mark.parametrize("kind, span", [("revolute", 1.2), ("revolute", 0.3), ("prismatic", 0.3), ("prismatic", 0.05)])
+def test_a_joint_of_exact_poses_is_exact(kind, span):
+    joint, states, motion, centre = measured(kind, np.random.default_rng(1), span=span)
+    fit = fit_joint("j", motion, centre, 0.2)
+    assert fit.joint.type == kind and fit.residual < 1e-6 and fit.other_residual > 100 * max(fit.residual, 1e-6)
+    assert fit.joint.axis == pytest.approx(joint.axis, abs=1e-5)  # states rise, as the true ones do
+    assert fit.states - fit.states[0] == pytest.approx(states - states[0], abs=1e-5)
+    if kind == "revolute":
+        assert np.linalg.norm(np.cross(fit.joint.pivot - joint.pivot, joint.axis)) < 1e-5
+    carried = fit.joint.transform(fit.states) @ fit.T_reference_moving
+    assert carried == pytest.approx(motion, abs=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("kind, span, degrees", [("revolute", 1.2, 2), ("revolute", 0.4, 5), ("prismatic", 0.3, 1.5)])
+def test_a_joint_of_noisy_poses_with_some_of_them_lost(kind, span, degrees, seed):
+    joint, states, motion, centre = measured(
+        kind, np.random.default_rng(seed), span=span, noise_m=0.003, noise_deg=1, wild=0.05
+    )
+    fit = fit_joint("j", motion, centre, 0.2)
+    assert fit.joint.type == kind
+    assert np.degrees(np.arccos(min(1, fit.joint.axis @ joint.axis))) < degrees
+    off = fit.states - states
+    assert np.median(np.abs(off - np.median(off))) < (0.02 if kind == "revolute" else 0.004)
+    if kind == "revolute":
+        assert np.linalg.norm(np.cross(fit.joint.pivot - joint.pivot, joint.axis)) < 0.015
+
+
+def test_parts_that_do_not_move_have_no_joint():
+    still = np.repeat(rigid(0)[None], 10, 0)
+    with pytest.raises(FreeArtError, match="does not move"):
+        fit_joint("j", still, np.zeros(3), 0.2)

@@ -9,12 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from adapters_case import few_samples, official_example, truth_of, write_data, write_json
-from score_files import score_results
+from adapters_case import WRITERS, freeartgs, itaco, official_example, paris, rsrd, truth_of, write_json
+from score_files import score_results, write_data
 from synthetic_case import FRAMES
-from test_adapters import freeartgs, itaco
-from test_adapters_followed import rsrd, runs_of
-from test_adapters_states import artgs, articulate_anything, digitaltwinart, paris, screwsplat
 
 from freeart21.errors import FreeArtError
 from freeart21.files.result import read_method, read_result
@@ -25,23 +22,6 @@ from leaderboard.adapters.registry import layouts
 from leaderboard.validate import validate_results
 
 ROOT = Path(__file__).resolve().parents[1]
-WRITERS = {
-    "freeartgs": freeartgs,
-    "itaco": itaco,
-    "rsrd": rsrd,
-    "paris": paris,
-    "digitaltwinart": digitaltwinart,
-    "artgs": artgs,
-    "articulate-anything": articulate_anything,
-    "bundlesdf": runs_of,
-    "foundationpose": lambda folder, name="a": runs_of(folder, name, obj="mesh.obj"),
-    "screwsplat": screwsplat,
-}
-
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory):
-    return write_data(tmp_path_factory.mktemp("data"))
 
 
 @pytest.fixture
@@ -80,8 +60,7 @@ def test_an_import_is_valid_and_needs_no_truth(data, tmp_path, src, official, la
     assert "renders" in method.lacks
 
 
-def test_missing_sequences_are_priced_and_lacking_numbers_are_not(data, tmp_path, src, official, monkeypatch):
-    few_samples(monkeypatch)
+def test_missing_sequences_are_priced_and_lacking_numbers_are_not(data, tmp_path, src, official, few_samples):
     paris(src / "a")
     import_results("paris", src, data, tmp_path / "r", Options(object_poses=official, anchor=4))
     rows = {row.sequence: row for row in score_results(tmp_path / "r", data).rows}
@@ -89,8 +68,7 @@ def test_missing_sequences_are_priced_and_lacking_numbers_are_not(data, tmp_path
     assert rows["c"].values["axis"] == 90 and rows["c"].values["state"] is None and rows["c"].values["miou"] is None
 
 
-def test_a_row_says_what_the_import_did(data, tmp_path, src, monkeypatch):
-    few_samples(monkeypatch)
+def test_a_row_says_what_the_import_did(data, tmp_path, src, few_samples):
     rsrd(src / "a")
     import_results("rsrd", src, data, tmp_path / "r")
     assert any(

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from score_files import few_samples, score_results, submit, truths, write_data
+from score_files import score_results, submit, truths
 
 from freeart21.code import code_digest
 from freeart21.errors import FreeArtError
@@ -22,14 +22,7 @@ from leaderboard.scores_file import read_scores, write_scores
 ROOT = Path(__file__).resolve().parents[1]
 
 
-@pytest.fixture(autouse=True)
-def quick(monkeypatch):
-    few_samples(monkeypatch)
-
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory):
-    return write_data(tmp_path_factory.mktemp("data"))
+pytestmark = pytest.mark.usefixtures("few_samples")
 
 
 @pytest.fixture

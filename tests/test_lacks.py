@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from perturbed import KINDS, make_truth, tilted, with_parts
 from rich.console import Console
-from score_files import few_samples, score_results, submit, truths, write_data
-from score_files import score_results_apart as score_apart
+from score_files import score_in_processes, score_results, submit, truths
 from synthetic_case import (
     in_frame,
     make_recording,
@@ -199,13 +198,7 @@ def test_states_pose_the_surfaces_where_there_are_no_poses():
 # ---- from files
 
 
-@pytest.fixture(scope="module")
-def data(tmp_path_factory):
-    return write_data(tmp_path_factory.mktemp("data"))
-
-
-def test_a_method_says_it_once_for_all_sequences(data, tmp_path, monkeypatch):
-    few_samples(monkeypatch)
+def test_a_method_says_it_once_for_all_sequences(data, tmp_path, few_samples):
     lacks = ("masks", "renders")
     write_method(tmp_path, Method("blind", lacks=lacks))
     for name in "ab":
@@ -221,8 +214,7 @@ def test_a_method_says_it_once_for_all_sequences(data, tmp_path, monkeypatch):
     assert np.isnan(scores.frame()["miou"]).all()
 
 
-def test_one_answer_cannot_say_it_for_itself(data, tmp_path, monkeypatch):
-    few_samples(monkeypatch)
+def test_one_answer_cannot_say_it_for_itself(data, tmp_path, few_samples):
     truth = truths()["a"]
     submit(tmp_path / "a", truth, without(truth_as_answer(truth), ("masks",)), renders=False)
     path = tmp_path / "a" / "prediction.json"
@@ -236,7 +228,7 @@ def test_what_a_method_lacks_is_known_in_a_process_of_its_own(data, tmp_path):
     write_method(tmp_path, Method("blind", lacks=("masks", "poses")))
     for name in "abc":
         write_result(tmp_path / name, Failure("tracks", "declared"))
-    here, apart = score_results(tmp_path, data), score_apart(tmp_path, data)
+    here, apart = score_results(tmp_path, data), score_in_processes(tmp_path, data)
     assert here.rows == apart.rows and here.notes == apart.notes
     assert apart.rows[0].values["miou"] is None and apart.rows[0].values["pose_rotation"] is None
 

@@ -9,13 +9,11 @@ import pytest
 from rich.console import Console
 from score_files import (
     assert_priced,
-    few_samples,
     score_one,
     score_results,
     submit,
     truths,
     write_asset,
-    write_data,
 )
 from synthetic_case import (
     HEIGHT,
@@ -45,21 +43,14 @@ KINDS = ("revolute", "prismatic")
 
 
 @pytest.fixture(autouse=True)
-def quick(request, monkeypatch):
-    """Few samples, but where a test asks for the protocol as it is."""
+def _few_samples_unless_whole_protocol(request):
     if "whole_protocol" not in request.fixturenames:
-        few_samples(monkeypatch)
+        request.getfixturevalue("few_samples")
 
 
 @pytest.fixture
 def whole_protocol():
     return STRICT_2
-
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory):
-    """Two revolute sequences and one prismatic, on disk."""
-    return write_data(tmp_path_factory.mktemp("data"))
 
 
 # ---- whole tables
@@ -202,97 +193,60 @@ def test_a_wrong_joint_type_prices_the_joint_and_measures_the_rest(data, tmp_pat
 # ---- untrusted submissions
 
 
-def breaks(name):
-    def add(function):
-        BREAKS[name] = function
-        return function
+def put_header(**changes):
+    """Changes fields of prediction.json."""
 
-    return add
+    def change(folder):
+        header = json.loads((folder / "prediction.json").read_text())
+        (folder / "prediction.json").write_text(json.dumps(header | {k: f(header[k]) for k, f in changes.items()}))
 
-
-BREAKS: dict = {}
-
-
-@breaks("has 15 states, expected 16")
-def _frames(folder):
-    header = json.loads((folder / "prediction.json").read_text())
-    header["states"].pop()
-    (folder / "prediction.json").write_text(json.dumps(header))
+    return change
 
 
-@breaks("part_mask/00003.png is 3 x 2, expected 40 x 32")
-def _mask_size(folder):
-    (folder / "part_mask" / "00003.png").write_bytes(checked.encode_png(np.zeros((2, 3), np.uint8)))
+def put_bytes(path, content):
+    return lambda folder: (folder / path).write_bytes(content)
 
 
-@breaks("part_mask/00005.png is missing")
-def _mask_missing(folder):
-    (folder / "part_mask" / "00005.png").unlink()
+def put_poses(Ts):
+    return lambda folder: np.savez(folder / "poses.npz", T_camera_reference=Ts, T_camera_moving=Ts)
 
 
-@breaks("is not a PNG image")
-def _mask_text(folder):
-    (folder / "part_mask" / "00000.png").write_text("x")
+def put_mask(index, shape, value=0):
+    return put_bytes(f"part_mask/{index:05d}.png", checked.encode_png(np.full(shape, value, np.uint8)))
 
 
-@breaks("labels up to 7")
-def _labels(folder):
-    (folder / "part_mask" / "00001.png").write_bytes(checked.encode_png(np.full((HEIGHT, WIDTH), 7, np.uint8)))
-
-
-@breaks("without pickled objects")
-def _pickle(folder):
-    bad = np.array([{"a": 1}], dtype=object)
-    np.savez(folder / "poses.npz", T_camera_reference=bad, T_camera_moving=bad)
-
-
-@breaks("not a rigid pose")
-def _scaled(folder):
-    Ts = 2 * np.repeat(np.eye(4)[None], 16, 0)
-    np.savez(folder / "poses.npz", T_camera_reference=Ts, T_camera_moving=Ts)
-
-
-@breaks("expected metres or radians below")
-def _huge(folder):
-    Ts = np.repeat(np.eye(4)[None], 16, 0)
-    Ts[3, 0, 3] = 1e200
-    np.savez(folder / "poses.npz", T_camera_reference=Ts, T_camera_moving=Ts)
-
-
-@breaks("is not JSON")
-def _json(folder):
-    (folder / "prediction.json").write_text("{")
-
-
-@breaks("is not JSON of at most 64 levels")
-def _deep(folder):
-    (folder / "prediction.json").write_text("[" * 100_000)
-
-
-@breaks("has no prediction.json")
-def _nothing(folder):
-    (folder / "prediction.json").unlink()
-
-
-@breaks("entries that are not finite")
-def _nan(folder):
-    header = json.loads((folder / "prediction.json").read_text())
-    header["states"][2] = float("nan")
-    (folder / "prediction.json").write_text(json.dumps(header))
-
-
-@breaks("not a readable PLY")
-def _ply(folder):
-    (folder / "parts" / "moving.ply").write_bytes(
-        b"ply\nformat binary_little_endian 1.0\nelement vertex 9999999\n"
-        b"property float x\nproperty float y\nproperty float z\nend_header\n"
-    )
-
-
-@breaks("leads out of the folder")
-def _link(folder):
+def link_mask(folder):
     (folder / "part_mask" / "00000.png").unlink()
     (folder / "part_mask" / "00000.png").symlink_to("/etc/hostname")
+
+
+FAR = np.repeat(np.eye(4)[None], 16, 0)
+FAR[3, 0, 3] = 1e200
+HUGE_PLY = b"""ply
+format binary_little_endian 1.0
+element vertex 9999999
+property float x
+property float y
+property float z
+end_header
+"""
+BREAKS = {
+    "has 15 states, expected 16": put_header(states=lambda states: states[:-1]),
+    "entries that are not finite": put_header(states=lambda states: [*states[:2], float("nan"), *states[3:]]),
+    "part_mask/00003.png is 3 x 2, expected 40 x 32": put_mask(3, (2, 3)),
+    "part_mask/00005.png is missing": lambda folder: (folder / "part_mask" / "00005.png").unlink(),
+    "is not a PNG image": put_bytes("part_mask/00000.png", b"x"),
+    "labels up to 7": put_mask(1, (HEIGHT, WIDTH), 7),
+    "without pickled objects": put_poses(np.array([{"a": 1}], dtype=object)),
+    "not a rigid pose": put_poses(2 * np.repeat(np.eye(4)[None], 16, 0)),
+    "expected metres or radians below": put_poses(FAR),
+    "is not JSON": put_bytes("prediction.json", b"{"),
+    "is not JSON of at most 64 levels": put_bytes("prediction.json", b"[" * 100_000),
+    "has no prediction.json": lambda folder: (folder / "prediction.json").unlink(),
+    "not a readable PLY": put_bytes("parts/moving.ply", HUGE_PLY),
+    "leads out of the folder": link_mask,
+}
+"""Reason to what breaks a submission."""
 
 
 @pytest.mark.parametrize("reason", BREAKS)

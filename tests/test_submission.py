@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from score_files import assert_priced, few_samples, score_one, score_results, submit, truths, write_asset, write_data
+from score_files import assert_priced, score_one, score_results, submit, truths, write_asset
 from synthetic_case import (
     HEIGHT,
     WIDTH,
@@ -32,22 +32,14 @@ from freeart21.files.mesh_file import write_ply
 from freeart21.files.result import Method, write_method, write_result
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure
-from leaderboard.score import score_results as score_results_apart
+from leaderboard.score import score_results as score_in_processes
 from leaderboard.scores_file import write_scores
 from leaderboard.skeleton import write_skeleton
 from leaderboard.submission import UNREADABLE
 from leaderboard.tables import print_scores
 from leaderboard.validate import validate_results
 
-
-@pytest.fixture(autouse=True)
-def quick(monkeypatch):
-    few_samples(monkeypatch)
-
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory):
-    return write_data(tmp_path_factory.mktemp("data"))
+pytestmark = pytest.mark.usefixtures("few_samples")
 
 
 # ---- assets that are none
@@ -55,26 +47,18 @@ def data(tmp_path_factory):
 ZERO = 'scale="0 0 0"'
 
 
-def _empty(folder):
-    (folder / "meshes" / "lid.ply").write_bytes(b"")
+def _bytes(content):
+    return lambda folder: (folder / "meshes" / "lid.ply").write_bytes(content)
 
 
 def _no_faces(folder):
     write_ply(folder / "meshes" / "base.ply", Mesh(np.zeros((0, 3)), np.zeros((0, 3), int)))
 
 
-def _garbage(folder):
-    (folder / "meshes" / "lid.ply").write_bytes(os.urandom(5000))
-
-
 def _nan(folder):
     path = folder / "meshes" / "lid.ply"
     head, _, body = path.read_bytes().partition(b"end_header\n")
     path.write_bytes(head + b"end_header\n" + np.full(3, np.nan).tobytes() + body[24:])
-
-
-def _gone(folder):
-    (folder / "meshes" / "lid.ply").unlink()
 
 
 def _text(old, new):
@@ -89,11 +73,11 @@ def _text(old, new):
 
 LID = 'filename="meshes/lid.ply"'
 BROKEN_ASSETS = {
-    "an empty file": (_empty, "lid.ply"),
+    "an empty file": (_bytes(b""), "lid.ply"),
     "a mesh without faces": (_no_faces, "base.ply is not a readable .ply file: it has no faces"),
-    "garbage": (_garbage, "lid.ply"),
+    "garbage": (_bytes(np.random.default_rng(0).bytes(5000)), "lid.ply"),
     "vertices that are NaN": (_nan, "finite"),
-    "a mesh that is not there": (_gone, "does not exist"),
+    "a mesh that is not there": (lambda folder: (folder / "meshes" / "lid.ply").unlink(), "does not exist"),
     "scale 0": (_text(LID, f"{LID} {ZERO}"), "no surface"),
     "scale 1e300": (_text(LID, f'{LID} scale="1e300 1e300 1e300"'), "m"),
     "nothing to see": (_text("visual>", "sight>"), "no link on the side"),
@@ -333,7 +317,7 @@ def test_a_row_without_end_and_one_that_crashes_cost_only_themselves(data, tmp_p
     for name in "abc":
         write_result(tmp_path / name, Failure("tracks", f"declared by {name}"))
     begun = time.monotonic()
-    rows = score_results_apart(tmp_path, data, limit_s=8.0).rows
+    rows = score_in_processes(tmp_path, data, limit_s=8.0).rows
     assert time.monotonic() - begun < 60
     assert [row.status for row in rows] == ["failed"] * 3
     assert rows[0].reason == "tracks: declared by a"
@@ -344,7 +328,7 @@ def test_a_row_without_end_and_one_that_crashes_cost_only_themselves(data, tmp_p
 
 def test_a_row_scored_apart_is_the_row_scored_here(data, tmp_path):
     write_result(tmp_path / "a", Failure("tracks", "declared", {"tracks": 2.5}))
-    assert score_results_apart(tmp_path, data).rows == score_results(tmp_path, data).rows
+    assert score_in_processes(tmp_path, data).rows == score_results(tmp_path, data).rows
 
 
 def test_a_fault_of_the_truth_is_said_and_not_priced(data, tmp_path):
@@ -352,7 +336,7 @@ def test_a_fault_of_the_truth_is_said_and_not_priced(data, tmp_path):
     (tmp_path / "data" / "truth" / "b" / "truth.json").unlink()
     submit(tmp_path / "results" / "a", truths()["a"])
     with pytest.raises(FreeArtError, match="truth.json"):
-        score_results_apart(tmp_path / "results", tmp_path / "data")
+        score_in_processes(tmp_path / "results", tmp_path / "data")
 
 
 def test_workers_die_with_their_parent(data, tmp_path, impatient):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from score_files import few_samples, score_results, submit, truths, write_data
+from score_files import score_results, submit, truths, write_data
 
 from freeart21.errors import FreeArtError
 from freeart21.files.result import read_result, write_result
@@ -19,7 +19,7 @@ from freeart21.jobs import EXECUTORS
 from freeart21.jobs.executors import Local
 from freeart21.reconstruction import Failure
 from leaderboard.reference import KINDS, static_answer, write_reference
-from leaderboard.score import score_results as score_results_apart
+from leaderboard.score import score_results as score_in_processes
 from leaderboard.suite import steps
 from leaderboard.suite.rates import MEASURED, read_rates, update_rates
 from leaderboard.suite.rows import GROUPS, ROWS, choose_rows
@@ -29,11 +29,6 @@ from reconstruct.settings import ReconstructSettings, read_settings
 ROOT = Path(__file__).resolve().parents[1]
 ROWS_RUN = ("truth", "random")
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
-
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory) -> Path:
-    return write_data(tmp_path_factory.mktemp("data") / "made")
 
 
 @pytest.fixture(scope="module")
@@ -52,8 +47,7 @@ def files(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_the_truth_scores_perfect_and_what_knows_nothing_badly(data, tmp_path, monkeypatch):
-    few_samples(monkeypatch)
+def test_the_truth_scores_perfect_and_what_knows_nothing_badly(data, tmp_path, few_samples):
     tables = {}
     for kind in KINDS:
         write_reference(kind, data, tmp_path / kind)
@@ -171,8 +165,7 @@ def test_nothing_moves_in_the_static_row():
     assert np.ptp(answer.Ts_camera_reference, axis=0).max() == 0 and set(np.unique(answer.part_masks)) == {0, 1}
 
 
-def test_a_truth_that_is_a_little_off_is_objected_to(data, tmp_path, monkeypatch):
-    few_samples(monkeypatch)
+def test_a_truth_that_is_a_little_off_is_objected_to(data, tmp_path, few_samples):
     write_reference("truth", data, tmp_path / "truth")
     scores = score_results(tmp_path / "truth", data, "strict-1")
     assert steps.list_imperfect(scores) == []
@@ -281,29 +274,29 @@ def few(data, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def one_by_one(data, few):
-    return score_results_apart(few, data, "strict-1")
+    return score_in_processes(few, data, "strict-1")
 
 
 def test_rows_scored_side_by_side_are_the_same_rows_in_the_same_order(data, few, one_by_one):
     heard = []
-    two = score_results_apart(few, data, "strict-1", lambda row, of: heard.append((row.sequence, of)), workers=2)
+    two = score_in_processes(few, data, "strict-1", lambda row, of: heard.append((row.sequence, of)), workers=2)
     assert one_by_one.rows == two.rows and one_by_one.summaries == two.summaries
     assert [row.status for row in two.rows] == ["failed", "ok", "missing"]
     assert sorted(heard) == [("a", 3), ("b", 3), ("c", 3)]
     with pytest.raises(FreeArtError, match="0 workers"):
-        score_results_apart(few, data, workers=0)
+        score_in_processes(few, data, workers=0)
 
 
 def test_a_row_as_a_job_is_the_same_row(data, few, one_by_one, tmp_path, monkeypatch):
     monkeypatch.setitem(EXECUTORS, "elsewhere", Local)
     where = few, data, "strict-1"
-    rows = score_results_apart(*where, executor="elsewhere", workers=2, work=tmp_path / "work", sequences=["b", "a"])
+    rows = score_in_processes(*where, executor="elsewhere", workers=2, work=tmp_path / "work", sequences=["b", "a"])
     assert rows.rows == one_by_one.rows[:2]
     with pytest.raises(FreeArtError, match="needs a folder"):
-        score_results_apart(*where, executor="elsewhere")
+        score_in_processes(*where, executor="elsewhere")
 
 
 def test_rows_that_take_too_long_are_priced_also_beside_others(data, few):
-    scores = score_results_apart(few, data, "strict-1", limit_s=0.01, workers=2)
+    scores = score_in_processes(few, data, "strict-1", limit_s=0.01, workers=2)
     assert [row.status for row in scores.rows] == ["failed"] * 3
     assert all("more than 0.01 s" in row.reason for row in scores.rows)
