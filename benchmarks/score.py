@@ -55,12 +55,12 @@ WAVE_M, WAVES_PER_M = 0.0005, 400.0
 STAGES = {
     "read_sequence": "list the sequence",
     "read_truth": "read the truth",
-    "read_submission_with_notes": "read and check the answer",
+    "read_submission": "read and check the answer",
     "apply_asset": "load, drive and check the asset",
     "match": "match parts by their masks",
     "surface_values": "surface distances",
     "picture_values": "held-out views",
-    "_renders": "read held-out views",
+    "_read_renders": "read held-out views",
 }
 """Function of the scorer to what it does; none of them calls another."""
 SAMPLE_S = 0.05

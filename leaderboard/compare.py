@@ -12,20 +12,24 @@ from typing import Literal, get_args
 import numpy as np
 import pandas as pd
 
+from freeart21.catalog import CATALOG
 from freeart21.errors import FreeArtError
+from freeart21.files import checked
 from freeart21.files.benchmark import read_benchmark
 from freeart21.joint import JointType
 from leaderboard.archive import open_results
 from leaderboard.bootstrap import Interval, bootstrap_intervals
 from leaderboard.cached import cached_scores
-from leaderboard.categories import UNKNOWN, read_category
 from leaderboard.protocol import Metric, Protocol
 from leaderboard.protocols import DEFAULT, protocol_named
 from leaderboard.rows import Row, Scores, Statistic
 from leaderboard.score import benchmark_facts, statistic
 from leaderboard.scores_file import read_scores
+from leaderboard.submission import shorten
 
 By = Literal["type", "category", "sequence"]
+UNKNOWN = "unknown"
+"""Category of an object whose truth names none."""
 
 
 @dataclass(frozen=True)
@@ -211,6 +215,20 @@ def compare_results(
     known = not benchmark.hidden or benchmark.hidden_truth is not None  # comparing tables needs no truth
     categories = {name: read_category(benchmark.truth(name)) if known else UNKNOWN for name in benchmark.sequences}
     return Comparison(rules, facts, _entrants(found), categories, notes)
+
+
+def read_category(truth_folder: Path) -> str:
+    """The `category` in the `source` of truth.json, else that of the catalog object named there, else UNKNOWN."""
+    try:
+        source = checked.read_json(Path(truth_folder) / "truth.json").get("source")
+    except FreeArtError:
+        return UNKNOWN
+    if not isinstance(source, dict):
+        return UNKNOWN
+    category = source.get("category")
+    if isinstance(category, str) and category.strip():
+        return shorten(category)
+    return next((entry.category for entry in CATALOG if entry.name == source.get("object")), UNKNOWN)
 
 
 def check_tables(

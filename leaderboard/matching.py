@@ -57,7 +57,7 @@ def match(
 ) -> Matched:
     """`answer` with its parts matched to the truth's and its canonical frame aligned by the reference part's poses.
 
-    `lacks` names pieces of which the answer has only fillers. Without poses, the frames are aligned in the answer's
+    `lacks` names pieces that are only fillers. Without poses, the frames are aligned in the answer's
     anchor frame alone, and the aligned answer gets the truth's poses of the reference part. `rename=False` keeps the
     part names as given. `align(Ts_true, Ts_predicted, centre)` returns T_truth_pred from the poses (n, 4, 4) of the
     reference part and the true part's centre (3,), as `metrics.align` does.

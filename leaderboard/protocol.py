@@ -118,11 +118,6 @@ class Shape:
         return Shape(self.parts[::-1], se3.inverse(self.motions))
 
 
-def no_penalties(truth: Truth) -> dict[str, float | None]:
-    """No penalty depends on the sequence."""
-    return {}
-
-
 @dataclass(frozen=True)
 class Protocol:
     """A named, versioned set of metrics."""
@@ -141,7 +136,7 @@ class Protocol:
     """Whether the penalty caps the value, so that no answer costs more than a declared failure."""
     ranking: bool = False
     """Whether methods are ranked by it."""
-    sequence_penalties: Callable[[Truth], dict[str, float | None]] = no_penalties
+    sequence_penalties: Callable[[Truth], dict[str, float | None]] = lambda truth: {}
     """Metric id to penalty for metrics whose penalty depends on the sequence; None where there is no value."""
     published: tuple[PublishedRow, ...] = ()
     """Values published by others for other objects by these definitions: shown for comparison, never ranked."""

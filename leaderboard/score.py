@@ -66,7 +66,11 @@ def score_results(
         }
         for name in chosen
     ]
-    report = (lambda row: progress(row, len(chosen))) if progress else (lambda row: None)
+
+    def report(row: Row) -> None:
+        if progress is not None:
+            progress(row, len(chosen))
+
     if limit_s is None:
         rows = []
         for request in requests:

@@ -21,7 +21,7 @@ from leaderboard.submission import (
     escape_unprintable,
     read_import_notes,
     read_render,
-    read_submission_with_notes,
+    read_submission,
     shorten,
 )
 
@@ -45,7 +45,7 @@ def score_sequence(
     if not folder.is_dir() and not folder.is_symlink():
         return scorer.penalised_row("missing", f"there is no {folder.name} among the results")
     try:
-        answer, notes = read_submission_with_notes(folder, len(scorer.recording), camera.height, camera.width)
+        answer, notes = read_submission(folder, len(scorer.recording), camera.height, camera.width)
     except FreeArtError as error:
         return scorer.penalised_row("unreadable", str(error))
     if isinstance(answer, Failure):

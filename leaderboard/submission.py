@@ -80,19 +80,14 @@ def shorten(text: str, longest: int = LONGEST_TEXT) -> str:
     return escape_unprintable(" ".join(text[: 20 * longest].split()))[:longest]
 
 
-def read_submission(folder: Path, frames: int, height: int, width: int) -> Reconstruction | Failure:
-    """The answer in `folder` to a sequence of `frames` pictures of `width` x `height`, checked before it is unpacked.
-
-    Raises FreeArtError for unreadable files, links, another number of frames, masks of another size, and numbers that
-    are not in SI units.
-    """
-    return read_submission_with_notes(folder, frames, height, width)[0]
-
-
-def read_submission_with_notes(
+def read_submission(
     folder: Path, frames: int, height: int, width: int
 ) -> tuple[Reconstruction | Failure, tuple[str, ...]]:
-    """As `read_submission`, and one line for each fault that is not fatal."""
+    """The answer in `folder` to a sequence of `frames` pictures of `width` x `height`, and a note per harmless fault.
+
+    Files are checked before they are unpacked. Raises FreeArtError for unreadable files, links, another number of
+    frames, masks of another size, and numbers that are not in SI units.
+    """
     faults = find_faults(Path(folder), frames, height, width)
     notes: list[str] = []
     while True:

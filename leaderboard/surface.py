@@ -22,7 +22,8 @@ SMALLEST = 1e-60
 SLACK = 1e-12
 """Metres added to search bounds, so that rounding cannot exclude the nearest triangle."""
 _CHUNK = 16_384
-_Tree = tuple[Array, Array, Array, NDArray[np.int64], NDArray[np.int64]]
+Indices = NDArray[np.int64]
+_Tree = tuple[Array, Array, Array, Indices, Indices]
 """Corners (F, 9) and planes (F, 8) of the triangles in leaf order; boxes (N, 6), `first` and `count` of the nodes."""
 _DEPTH = 64  # of the stack: enough for 2^64 triangles
 
@@ -54,7 +55,8 @@ class Surface:
     @property
     def centre(self) -> Array:
         """(3,) area-weighted centroid."""
-        return np.average(self.corners.mean(1), axis=0, weights=self.areas)
+        centre: Array = np.average(self.corners.mean(1), axis=0, weights=self.areas)
+        return centre
 
     def sample(self, count: int, seed: tuple[int, ...]) -> Array:
         """(count, 3) independent points, uniform over the area, determined by `seed`; (0, 3) from an empty surface.
@@ -68,7 +70,8 @@ class Surface:
         chosen = np.searchsorted(cumulative, u[:, 0] * cumulative[-1], side="right")
         a, b, c = np.moveaxis(self.corners[np.minimum(chosen, len(self.corners) - 1)], 1, 0)
         root, share = np.sqrt(u[:, 1:2]), u[:, 2:]
-        return (1 - root) * a + root * (1 - share) * b + root * share * c
+        points: Array = (1 - root) * a + root * (1 - share) * b + root * share * c
+        return points
 
     def distance(self, points: ArrayLike, at_most: ArrayLike | None = None) -> Array:
         """Distance (n,), metres, from `points` (n, 3) to the nearest point of the surface; inf when it is empty.
@@ -102,13 +105,15 @@ class Surface:
         return corners, _planes(corners), np.hstack([lower, upper]), first, count
 
 
-def _along_curve(points: Array) -> NDArray[np.int64]:
+def _along_curve(points: Array) -> Indices:
     """Order of `points` (n, 3) along a Z-order curve of 1024 cells a side (Morton 1966); stable within a cell."""
-    return _curve_order(points, points.min(0), max(float(np.ptp(points, axis=0).max()), SMALLEST))
+    extent = max(float(np.ptp(points, axis=0).max()), SMALLEST)
+    order: Indices = _curve_order(points, points.min(0), extent)
+    return order
 
 
 @njit(cache=True, nogil=True)
-def _curve_order(points, low, extent):
+def _curve_order(points: Array, low: Array, extent: float) -> Indices:
     """Radix sort by the 30 bits of each cell, ten at a time; points that are not finite get some cell."""
     n = len(points)
     keys, order, other = np.empty(n, np.int64), np.arange(n), np.empty(n, np.int64)
@@ -137,7 +142,7 @@ def _curve_order(points, low, extent):
 
 
 @njit(cache=True, nogil=True)
-def _build(corners, leaf_size):
+def _build(corners: Array, leaf_size: int) -> tuple[Indices, Array, Array, Indices, Indices]:
     """A tree of bounding boxes, each node split at the median triangle centre along its longest side.
 
     Node i is a leaf with `count[i]` triangles, from index `first[i]` of the returned order, or (count 0) an inner node
@@ -177,7 +182,7 @@ def _build(corners, leaf_size):
 
 
 @njit(cache=True, nogil=True)
-def _planes(corners):
+def _planes(corners: Array) -> Array:
     """Plane (n, 8) of each triangle (n, 9): a corner, the normal of length twice the area, its square, and 0.
 
     Padded to eight numbers, a cache line.
@@ -195,7 +200,9 @@ def _planes(corners):
 
 
 @njit(cache=True, nogil=True)
-def _nearest(points, limits, corners, planes, boxes, first, count):
+def _nearest(
+    points: Array, limits: Array, corners: Array, planes: Array, boxes: Array, first: Indices, count: Indices
+) -> Array:
     """Distance from each point (n, 3) to the triangles, or its limit (n,) when that is smaller; nearer boxes first.
 
     The distance to the previous point's nearest triangle, plus SLACK, bounds the search without changing its result.
@@ -241,7 +248,7 @@ def _nearest(points, limits, corners, planes, boxes, first, count):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _to_box(x, y, z, boxes, i):
+def _to_box(x: float, y: float, z: float, boxes: Array, i: int) -> float:
     """Squared distance from a point to box `i` of (n, 6), its lowest corner and its highest; 0 inside."""
     dx = max(boxes[i, 0] - x, 0.0, x - boxes[i, 3])
     dy = max(boxes[i, 1] - y, 0.0, y - boxes[i, 4])
@@ -250,7 +257,7 @@ def _to_box(x, y, z, boxes, i):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _to_triangle(x, y, z, corners, planes, i, best):
+def _to_triangle(x: float, y: float, z: float, corners: Array, planes: Array, i: int, best: float) -> float:
     """Squared distance from a point to triangle `i`, or `best` when that is smaller."""
     apx, apy, apz = x - planes[i, 0], y - planes[i, 1], z - planes[i, 2]
     nx, ny, nz = planes[i, 3], planes[i, 4], planes[i, 5]
@@ -288,7 +295,7 @@ def _within_reach(x, y, z, t, apx, apy, apz, nx, ny, nz, height, square, best):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _to_edge(ex, ey, ez, px, py, pz):
+def _to_edge(ex: float, ey: float, ez: float, px: float, py: float, pz: float) -> float:
     """Squared distance from a point to the edge e, both seen from the edge's start."""
     s = min(max((ex * px + ey * py + ez * pz) / (ex * ex + ey * ey + ez * ez), 0.0), 1.0)
     dx, dy, dz = px - s * ex, py - s * ey, pz - s * ez

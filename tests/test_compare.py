@@ -17,8 +17,7 @@ from freeart21.files.benchmark import read_benchmark
 from freeart21.files.result import Method
 from leaderboard import commands, compare
 from leaderboard.bootstrap import bootstrap_intervals, min_sequences
-from leaderboard.categories import read_category
-from leaderboard.compare import compare_results
+from leaderboard.compare import compare_results, read_category
 from leaderboard.compare_files import COMPARISONS, write_comparison
 from leaderboard.compare_tables import latex, legend, make_grids, markdown, print_comparison, split_columns
 from leaderboard.protocols import PROTOCOLS, protocol_named

@@ -230,7 +230,7 @@ def test_no_scorer_minds_diagnostics(tmp_path):
         write_result(tmp_path / name, view.perfect_result(truth), diagnostics=own)
         if text:
             (tmp_path / name / FILE).write_text(text)
-        assert len(read_submission(tmp_path / name, view.N, view.HEIGHT, view.WIDTH)) == view.N
+        assert len(read_submission(tmp_path / name, view.N, view.HEIGHT, view.WIDTH)[0]) == view.N
 
 
 def test_confidence_maps_stand_beside_the_masks_and_in_the_page(tmp_path):

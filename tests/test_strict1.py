@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from perturbed import other_type, shifted, tilted, with_parts, with_poses, with_states
 from synthetic_case import (
     in_frame,
     make_truth,
@@ -19,7 +20,7 @@ from synthetic_case import (
 
 from freeart21 import se3
 from freeart21.articulation import Articulation
-from freeart21.mesh import Mesh
+from freeart21.mesh import Mesh, join_meshes
 from leaderboard.protocols.strict1 import Strict1, both_seen, measure, spread_frames
 
 KINDS = ("revolute", "prismatic")
@@ -145,7 +146,7 @@ def test_a_state_offset_alone_changes_no_joint_figure():
 @pytest.mark.parametrize("kind", KINDS)
 def test_reversing_the_motion_costs_exactly_that(kind):
     truth = make_truth(kind)
-    values = scored(truth, replace(truth_as_answer(truth), states=-truth.states))
+    values = scored(truth, with_states(truth, -truth.states))
     difference = 2 * truth.states
     expected = np.abs(difference - np.median(difference)).mean()
     unit = np.rad2deg(1) if kind == "revolute" else 100 / truth.diagonal
@@ -157,31 +158,23 @@ def test_reversing_the_motion_costs_exactly_that(kind):
 @pytest.mark.parametrize("degrees", [1e-4, 1.0, 5.0, 60.0, 90.0, 120.0])
 def test_tilting_the_axis_costs_exactly_that(kind, degrees):
     truth = make_truth(kind)
-    joint = truth.articulation.joint
-    lid = truth.articulation.moving
-    centre = np.average(lid.vertices[lid.faces].mean(1), axis=0, weights=lid.areas())
-    nearest = joint.pivot + ((centre - joint.pivot) @ joint.axis) * joint.axis
-    tilted = replace(joint, axis=se3.exp_so3([np.deg2rad(degrees), 0, 0]) @ joint.axis, pivot=nearest)
-    values = scored(truth, with_joint(truth_as_answer(truth), tilted))
+    answer = tilted(truth, degrees)
+    values = scored(truth, answer)
     assert values["axis"] == pytest.approx(min(degrees, 180 - degrees), abs=1e-6)
     if kind == "revolute":
         assert values["position"] == pytest.approx(0, abs=1e-6)
-    if degrees != 90:
-        turned = 1 if degrees < 90 else -1
-        reverse = scored(truth, replace(truth_as_answer(truth), states=-truth.states))["state"]
-        assert values["state"] == pytest.approx(0 if turned > 0 else reverse, abs=1e-6)
-    else:
-        assert values["state"] == pytest.approx(0, abs=1e-6)  # an axis across the true one has no sign: the better one
-        reversed_axis = with_joint(truth_as_answer(truth), replace(tilted, axis=-tilted.axis))
-        assert scored(truth, reversed_axis)["state"] == pytest.approx(0, abs=1e-6)
+    reverse = scored(truth, with_states(truth, -truth.states))["state"] if degrees > 90 else 0
+    assert values["state"] == pytest.approx(reverse, abs=1e-6)
+    if degrees == 90:  # an axis across the true one has no sign: the better one counts
+        joint = answer.articulation.joint
+        opposite = with_joint(answer, replace(joint, axis=-joint.axis))
+        assert scored(truth, opposite)["state"] == pytest.approx(0, abs=1e-6)
 
 
 @pytest.mark.parametrize("shift", [1e-5, 0.01, 0.5])
 def test_shifting_the_axis_costs_exactly_that(shift):
     truth = make_truth()
-    joint = truth.articulation.joint
-    across = np.array([np.cos(0.4), 0, np.sin(0.4)])
-    values = scored(truth, with_joint(truth_as_answer(truth), replace(joint, pivot=joint.pivot + shift * across)))
+    values = scored(truth, shifted(truth, across=shift))
     for id in ("position", "position_line"):
         assert values[id] == pytest.approx(100 * shift / truth.diagonal, abs=1e-6), id
     assert values["axis"] < 1e-6 and values["state"] < 1e-6
@@ -199,8 +192,7 @@ def test_a_pivot_error_at_the_part_is_seen_where_crossing_lines_hide_it():
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_wrong_joint_type_leaves_the_joint_figures_to_the_protocol_and_the_rest_measured(kind):
     truth = make_truth(kind)
-    other = KINDS[1 - KINDS.index(kind)]
-    values = scored(truth, with_joint(truth_as_answer(truth), replace(truth.articulation.joint, type=other)))
+    values = scored(truth, other_type(truth))
     assert values["joint_type"] == 0
     assert not {"axis", "position", "state", "state_all"} & values.keys()
     assert values["miou"] == 1 and values["pose_rotation"] < 1e-6 and values["chamfer_s"] < 1e-6
@@ -249,12 +241,8 @@ def test_the_five_poses_span_the_joint_range():
 def test_chamfer_uses_the_answers_own_poses_in_the_camera_frame(kind):
     """A shift of all poses along the object's own z: alignment hides it from joint and pose, not from chamfer."""
     truth = make_truth(kind)
-    answer = truth_as_answer(truth)
     T = np.stack([se3.pose(np.eye(3), -0.05 * T[:3, 2]) for T in truth.Ts_camera_reference])  # 5 cm along the body's -z
-    moved = replace(
-        answer, Ts_camera_reference=T @ answer.Ts_camera_reference, Ts_camera_moving=T @ answer.Ts_camera_moving
-    )
-    values = scored(truth, moved)
+    values = scored(truth, with_poses(truth, lambda Ts: T @ Ts))
     assert values["pose_translation"] < 1e-6 and values["axis"] < 1e-6
     assert 0.1 < values["chamfer_s"] / (100 * 0.05 / truth.diagonal) < 1
 
@@ -263,10 +251,7 @@ def test_hidden_surface_is_neither_demanded_nor_forbidden():
     truth = make_truth()
     inner = Mesh(truth.articulation.reference.vertices * 0.5, truth.articulation.reference.faces)
     whole = truth.articulation.reference
-    both = Mesh(
-        np.concatenate([whole.vertices, inner.vertices]),
-        np.concatenate([whole.faces, inner.faces + len(whole.vertices)]),
-    )
+    both = join_meshes([whole, inner])
     n = len(whole.faces)
     bottom = whole.vertices[whole.faces].mean(1)[:, 2] < -0.049
     outer = np.concatenate([np.ones(n, bool), np.zeros(n, bool)])
@@ -280,9 +265,7 @@ def test_hidden_surface_is_neither_demanded_nor_forbidden():
     answer = truth_as_answer(truth)
 
     def chamfer(reference):
-        parts = answer.articulation
-        given = replace(answer, articulation=Articulation(parts.joint, reference, parts.moving))
-        return scored(hiding, given)["chamfer_s"]
+        return scored(hiding, with_parts(answer, reference))["chamfer_s"]
 
     assert chamfer(whole) < 1e-6
     assert chamfer(Mesh(whole.vertices, whole.faces[~bottom])) < 1e-6  # what the video never shows need not be there
@@ -295,15 +278,10 @@ def test_an_answer_without_a_part_is_measured_where_it_can_be():
     empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
     flat = Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]]))
     for nothing in (empty, flat):
-        values = scored(
-            truth,
-            replace(
-                answer, articulation=Articulation(answer.articulation.joint, answer.articulation.reference, nothing)
-            ),
-        )
+        values = scored(truth, with_parts(answer, moving=nothing))
         assert "chamfer_m" not in values
         assert values["chamfer_s"] < 1e-6 and values["chamfer_w"] > 0.1 and 0 < values["fscore"] < 1
-    neither = scored(truth, replace(answer, articulation=Articulation(answer.articulation.joint, empty, empty)))
+    neither = scored(truth, with_parts(answer, empty, empty))
     assert not {"chamfer_w", "chamfer_m", "chamfer_s", "fscore"} & neither.keys()
 
 

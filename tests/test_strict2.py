@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from perturbed import in_millimetres, opengl, quaternions_confused, with_poses
+from perturbed import in_millimetres, lid_centre, opengl, quaternions_confused, with_poses
 from synthetic_case import (
     in_frame,
     make_recording,
@@ -98,7 +98,7 @@ def test_strict_1_caps_nothing():
     assert row.values["chamfer_s"] > 1000
 
 
-# ---- a price is a cap
+# ---- a penalty is a cap
 
 
 def far_off(truth):
@@ -116,9 +116,9 @@ def test_no_answer_costs_more_than_a_declared_failure(kind, monkeypatch):
     for answer in answers + [random_answer(truth, seed) for seed in range(3)]:
         row = case.measure_row(answer, Path("none"), "files")
         for metric in rules.metrics:
-            value, price = row.values[metric.id], failed.values[metric.id]
-            if price is not None:
-                assert value <= price if metric.direction == "down" else value >= price, metric.id
+            value, penalty = row.values[metric.id], failed.values[metric.id]
+            if penalty is not None:
+                assert value <= penalty if metric.direction == "down" else value >= penalty, metric.id
     assert case.measure_row(answers[0], Path("none"), "files").values["chamfer_s"] == 100
 
 
@@ -180,8 +180,7 @@ def test_the_moving_parts_pose_costs_what_it_is_off_by():
     assert values["pose_moving_translation"] == pytest.approx(100 * x / truth.diagonal, rel=0.02)
     assert values["pose_moving_rotation"] < 1e-6 and values["pose_translation"] < 1e-6
     turns = np.deg2rad(np.where(np.arange(n) % 2, 3.0, -3.0))[:, None] * np.array([0.0, 0, 1])
-    lid = truth.articulation.moving
-    centre = np.average(lid.vertices[lid.faces].mean(1), axis=0, weights=lid.areas())
+    centre = lid_centre(truth)
     R = se3.exp_so3(turns)
     turned = truth.Ts_camera_moving @ se3.pose(R, centre - R @ centre)
     values = scored(truth, replace(truth_as_answer(truth), Ts_camera_moving=turned))

@@ -109,7 +109,7 @@ BARE = [
 
 
 def _files() -> list[Path]:
-    places = [ROOT / name for name in CLEAN]
+    places = [path for name in CLEAN for path in ROOT.glob(name)]
     return sorted(f for p in places for f in ([p] if p.is_file() else p.rglob("*.py")))
 
 

@@ -7,7 +7,8 @@ methods get its frame; our answers have a frame of their own, which is aligned w
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from freeart21.truth import Truth
 from leaderboard import metrics
 from leaderboard.matching import Matched, match
 from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, to_floats
-from leaderboard.protocols.paper1 import SURFACES, posed_surfaces
+from leaderboard.protocols.paper1 import PAPER_1, SURFACES, posed_surfaces
 from leaderboard.published import PUBLISHED
 
 MOVING = 2
@@ -69,7 +70,8 @@ def measure(
 
 def first_alignment(Ts_camera_truth: Array, Ts_camera_predicted: Array, centre_truth: Array) -> Array:
     """T_truth_pred (4, 4) of the first of the frames (n, 4, 4); `centre_truth` is not used."""
-    return se3.inverse(Ts_camera_truth[0]) @ Ts_camera_predicted[0]
+    T: Array = se3.inverse(Ts_camera_truth[0]) @ Ts_camera_predicted[0]
+    return T
 
 
 def state_error(states_truth: Array, states: Array) -> float:
@@ -104,21 +106,17 @@ def _surface_values(truth: Truth, matched: Matched, c: Itaco1) -> dict[str, floa
     return {id: 100 * metrics.squared_chamfer(*pair) for id, pair in points.items()}
 
 
-def _surface(id: str, name: str, what: str) -> Metric:
-    return Metric(
+def _as_paper(id: str, definition: str, **changes: Any) -> Metric:
+    """The metric of paper-1 with another definition, and other `changes`."""
+    return replace(PAPER_1.metric(id), definition=definition, **changes)
+
+
+def _surface(id: str, what: str) -> Metric:
+    return _as_paper(
         id,
-        "dm²",
-        "dm²",
-        "down",
-        100.0,
-        (
-            f"{what}: 100 times squared metres (theirs prints m^2): mean squared distance of 10,000 points of the "
-            "prediction to the nearest of 10,000 of the truth (all faces of the mesh), plus that of the truth's to the "
-            "prediction's, in the first frame, nothing registered"
-        ),
-        label=f'{name} (printed as "cm")',
-        column=name,
-        needs=("meshes",) if id.endswith("_s") else ("joint", "meshes"),  # the moving part is posed by the joint
+        f"{what}: 100 times squared metres (theirs prints m^2): mean squared distance of 10,000 points of the "
+        "prediction to the nearest of 10,000 of the truth (all faces of the mesh), plus that of the truth's to the "
+        "prediction's, in the first frame, nothing registered",
     )
 
 
@@ -133,87 +131,27 @@ ITACO_1 = Protocol(
     "1. A failure costs what theirs gives one (90 deg, 1 m, no overlap), its surfaces what theirs gives a missing part "
     "(1 m^2, printed 100). Means and sample standard deviations (ddof 1) are over all sequences of a joint type.",
     (
-        Metric(
-            "joint_type",
-            "fraction",
-            "fraction",
-            "up",
-            0.0,
-            "1 when the joint's type is right, else 0; no other number minds it",
-            label="joint type",
-            needs=("joint",),
+        PAPER_1.metric("joint_type"),
+        PAPER_1.metric("axis"),
+        _as_paper(
+            "position", "distance between the two axes as lines; point to line when they are parallel within 1e-6"
         ),
-        Metric(
-            "axis",
-            "deg",
-            "deg",
-            "down",
-            90.0,
-            "angle between the axes, whatever their signs",
-            label="axis",
-            column="axis",
-            needs=("joint",),
-        ),
-        Metric(
-            "position",
-            "cm",
-            None,
-            "down",
-            100.0,
-            "distance between the two axes as lines; point to line when they are parallel within 1e-6",
-            label="position",
-            column="position",
-            needs=("joint",),
-        ),
-        Metric(
+        _as_paper(
             "state",
-            "deg",
-            "cm",
-            "down",
-            90.0,
             "mean over all frames of | |truth| - |prediction| |: the sign is not seen, an offset is paid for, and the "
             "number says little where states cross 0",
-            label="state",
-            column="state",
-            needs=("joint", "states"),
-            prismatic_penalty=100.0,
         ),
-        _surface("cd_w", "CD-w", "whole object"),
-        _surface("cd_m", "CD-m", "moving part"),
-        _surface("cd_s", "CD-s", "reference part"),
-        Metric(
+        _surface("cd_w", "whole object"),
+        _surface("cd_m", "moving part"),
+        _surface("cd_s", "reference part"),
+        _as_paper(
             "miou",
-            "fraction",
-            "fraction",
-            "up",
-            0.0,
             "intersection over union of the moving part, mean over the frames in which truth or prediction has any",
             label="moving map (mIoU)",
             column="map",
-            needs=("masks",),
         ),
-        Metric(
-            "camera_rotation",
-            "deg",
-            "deg",
-            "down",
-            90.0,
-            "mean angle of the camera, seen from the reference part",
-            label="camera rotation",
-            column="cam.\nrot.",
-            needs=("poses",),
-        ),
-        Metric(
-            "camera_position",
-            "cm",
-            "cm",
-            "down",
-            100.0,
-            "mean distance of the camera, seen from the reference part",
-            label="camera position",
-            column="cam.\npos.",
-            needs=("poses",),
-        ),
+        _as_paper("camera_rotation", "mean angle of the camera, seen from the reference part", column="cam.\nrot."),
+        _as_paper("camera_position", "mean distance of the camera, seen from the reference part", column="cam.\npos."),
     ),
     measure,
     asset="none",

@@ -10,9 +10,9 @@ from rich.console import Console
 from rich.table import Table
 
 from leaderboard.protocols import Group, protocol_named
+from leaderboard.tables import decimals
 
 WIDTH = 120
-_DIGITS = {"deg": 2, "%": 2, "cm": 2, "dB": 1, "fraction": 3}
 
 
 def print_table(protocol: str, tables: Mapping[str, Sequence[Mapping[str, Any]]], console: Console) -> None:
@@ -43,6 +43,6 @@ def _table(protocol: str, group: Group, lines: Mapping[str, Mapping[str, Any]]) 
         for metric in metrics:
             statistic = line["statistics"].get(metric.id)
             unit = metric.unit(group) or ""
-            cells.append("-" if statistic is None else f"{statistic['mean']:.{_DIGITS.get(unit, 2)}f}")
+            cells.append("-" if statistic is None else f"{statistic['mean']:.{decimals(unit)}f}")
         table.add_row(row, str(line["failures"]), *cells)
     return table
