@@ -13,6 +13,10 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 CLEAN: tuple[str, ...] = (
     "generator",
+    "leaderboard/*.py",
+    "leaderboard/adapters",
+    "leaderboard/protocols",
+    "leaderboard/suite",
     "simgap",
     "freeart21/effects",
     "freeart21/base_motion.py",
@@ -52,6 +56,8 @@ CLEAN: tuple[str, ...] = (
     "freeart21/turns.py",
 )
 """Packages and modules that are held to it: all but those that nobody has rewritten yet."""
+FROZEN = ("leaderboard/protocols/itaco1.py",)
+"""The text of a protocol never changes."""
 NOWHERE = [
     "foretold",
     "foretelling",
@@ -110,7 +116,8 @@ BARE = [
 
 def _files() -> list[Path]:
     places = [path for name in CLEAN for path in ROOT.glob(name)]
-    return sorted(f for p in places for f in ([p] if p.is_file() else p.rglob("*.py")))
+    files = {f for p in places for f in ([p] if p.is_file() else p.rglob("*.py"))}
+    return sorted(files - {ROOT / name for name in FROZEN})
 
 
 def _texts(source: str) -> list[tuple[int, str]]:
