@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from synthetic_case import make_truth, pictures, truth_as_answer, with_joint
+from synthetic_case import pictures, truth_as_answer, with_joint
 
 from freeart21 import se3
 from freeart21.articulation import Articulation
@@ -103,22 +103,3 @@ def moving_part_off_by(truth, metres):
 
 def values_of(protocol, truth, answer, renders=None, **more):
     return protocol.measure(truth, answer, pictures(truth) if renders is None else renders, **more).values
-
-
-__all__ = [
-    "KINDS",
-    "in_millimetres",
-    "lid_centre",
-    "make_truth",
-    "moving_part_off_by",
-    "opengl",
-    "other_type",
-    "quaternions_confused",
-    "reversed_axis",
-    "shifted",
-    "tilted",
-    "values_of",
-    "with_parts",
-    "with_poses",
-    "with_states",
-]

@@ -56,7 +56,14 @@ def submit(folder, truth, answer=None, renders=True):
     return folder
 
 
-def assert_priced(row, truth):
+def submit_with_asset(folder, truth, *asset, **options):
+    """The truth as an answer, with `write_asset`'s asset: by default that of the true joint."""
+    submit(folder, truth)
+    write_asset(folder / "asset", *(asset or (truth.articulation.joint,)), **options)
+    return folder
+
+
+def assert_penalised(row, truth):
     revolute = truth.articulation.joint.type == "revolute"
     motion = np.ptp(truth.states) * (np.rad2deg(1) if revolute else 100 / truth.diagonal)
     expected = {

@@ -11,7 +11,6 @@ from perturbed import (
     KINDS,
     in_millimetres,
     lid_centre,
-    make_truth,
     opengl,
     other_type,
     quaternions_confused,
@@ -26,6 +25,7 @@ from score_files import write_asset
 from synthetic_case import (
     in_frame,
     make_recording,
+    make_truth,
     noisy_answer,
     random_pose,
     truth_as_answer,

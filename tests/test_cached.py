@@ -1,4 +1,4 @@
-"""Tables of scores as files: the same bytes every time, read with suspicion, kept while nothing has changed."""
+"""Tables of scores as files: the same bytes every time, checked when read, cached while nothing has changed."""
 
 import json
 import os
@@ -136,10 +136,10 @@ def test_a_fingerprint_changes_with_what_code_does_and_not_with_what_is_said_of_
     assert base != fingerprint("def f(x):\n    return x + 2\n")
 
 
-# ---- kept
+# ---- cached
 
 
-def test_a_table_is_kept_and_read_again(data, results, counted, tmp_path):
+def test_a_table_is_cached_and_read_again(data, results, counted, tmp_path):
     first = cached_scores(results, data, "strict-2", tmp_path / "keep")
     again = cached_scores(results, data, "strict-2", tmp_path / "keep")
     assert counted == ["mine"] and again == replace(first, seconds=None)
@@ -148,62 +148,39 @@ def test_a_table_is_kept_and_read_again(data, results, counted, tmp_path):
     assert counted == ["mine"] * 2 and (tmp_path / "keep" / "mine.strict-1.json").is_file()
 
 
-def test_without_a_place_nothing_is_kept(data, results, counted, tmp_path):
+def test_without_a_folder_nothing_is_cached(data, results, counted, tmp_path):
     before = sorted(tmp_path.rglob("*"))
     for _ in range(2):
         cached_scores(results, data, "strict-2", None)
     assert counted == ["mine"] * 2 and sorted(tmp_path.rglob("*")) == before
 
 
-def _a_byte_of_a_result(results, data, patch):
-    (results / "a" / "poses.npz").write_bytes((results / "a" / "poses.npz").read_bytes() + b" ")
-
-
-def _a_result_that_was_missing(results, data, patch):
-    write_result(results / "c", Failure("tracking", "too dark"))
-
-
-def _the_name_of_the_method(results, data, patch):
-    write_method(results, Method("other"))
-
-
-def _a_byte_of_the_truth(results, data, patch):
-    path = data / "truth" / "a" / "part_mask" / "00000.png"
+def _append(path):
     path.write_bytes(path.read_bytes() + b" ")
 
 
-def _the_list_of_the_benchmark(results, data, patch):
-    listed = json.loads((data / "benchmark.json").read_text())
-    (data / "benchmark.json").write_text(json.dumps(listed | {"version": "2"}))
+def _replace(path, old, new):
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
 
 
-def _the_code(results, data, patch):
-    patch.setattr(provenance, "scoring_code", lambda: "1" * 64)
+CHANGES = {
+    "a byte of a result": lambda results, data, patch: _append(results / "a" / "poses.npz"),
+    "a result that was missing": lambda results, data, patch: write_result(results / "c", Failure("tracking", "dark")),
+    "the name of the method": lambda results, data, patch: write_method(results, Method("other")),
+    "a byte of the truth": lambda results, data, patch: _append(data / "truth" / "a" / "part_mask" / "00000.png"),
+    "the benchmark": lambda results, data, patch: _replace(data / "benchmark.json", '"version": "1"', '"version": "2"'),
+    "the code": lambda results, data, patch: patch.setattr(provenance, "scoring_code", lambda: "1" * 64),
+    "a library": lambda results, data, patch: patch.setattr(provenance, "_version", lambda name: "0.0"),
+    "the table itself": lambda results, data, patch: _replace(
+        results.parent / "keep" / "mine.strict-2.json", '"axis": ', '"axle": '
+    ),
+}
 
 
-def _a_library(results, data, patch):
-    patch.setattr(provenance, "_version", lambda name: "0.0")
-
-
-def _the_table_itself(results, data, patch):
-    path = results.parent / "keep" / "mine.strict-2.json"
-    path.write_text(path.read_text().replace('"axis": ', '"axle": '))
-
-
-CHANGES = [
-    _a_byte_of_a_result,
-    _a_result_that_was_missing,
-    _the_name_of_the_method,
-    _a_byte_of_the_truth,
-    _the_list_of_the_benchmark,
-    _the_code,
-    _a_library,
-    _the_table_itself,
-]
-
-
-@pytest.mark.parametrize("change", CHANGES, ids=[change.__name__.strip("_") for change in CHANGES])
-def test_what_has_changed_is_scored_anew(change, data, results, counted, tmp_path, monkeypatch):
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_a_change_is_scored_again(change, data, results, counted, tmp_path, monkeypatch):
     mine = shutil.copytree(data, tmp_path / "data")
     cached_scores(results, mine, "strict-2", tmp_path / "keep")
     change(results, mine, monkeypatch)
@@ -220,7 +197,7 @@ def test_the_machine_and_the_commit_change_no_number(data, results, counted, tmp
     assert counted == ["mine"]
 
 
-def test_results_that_change_while_they_are_scored_are_not_kept(data, results, tmp_path, monkeypatch):
+def test_results_that_change_while_they_are_scored_are_not_cached(data, results, tmp_path, monkeypatch):
     def score(results, *arguments, **named):
         scores = score_results(results, *arguments, **named)
         return replace(scores, rows=(replace(scores.rows[0], result_sha256="0" * 64), *scores.rows[1:]))
@@ -242,7 +219,7 @@ def test_what_is_no_table_is_never_replaced(data, results, counted, tmp_path):
         cached_scores(results, data, "strict-2", data / "keep")
 
 
-def test_a_kept_table_is_named_in_letters_that_every_disk_takes(tmp_path):
+def test_a_cached_table_is_named_in_letters_that_every_disk_takes(tmp_path):
     for folder, name in (("mine", "mine.p.json"), ("a b/ü", "results.p.json"), ("x y:z", "x-y-z.p.json")):
         assert cached.cache_path(tmp_path / folder, "p", tmp_path).name == name
 

@@ -9,7 +9,6 @@ import pytest
 from perturbed import (
     KINDS,
     in_millimetres,
-    make_truth,
     moving_part_off_by,
     opengl,
     other_type,
@@ -25,6 +24,7 @@ from perturbed import (
 from synthetic_case import (
     in_frame,
     make_recording,
+    make_truth,
     noisy_answer,
     pictures,
     random_pose,

@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from perturbed import KINDS, make_truth, tilted, with_parts
+from perturbed import KINDS, tilted, with_parts
 from rich.console import Console
 from score_files import score_in_processes, score_results, submit, truths
 from synthetic_case import (
     in_frame,
     make_recording,
+    make_truth,
     noisy_answer,
     random_pose,
     truth_as_answer,

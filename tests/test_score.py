@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 from score_files import (
-    assert_priced,
+    assert_penalised,
     score_one,
     score_results,
     submit,
+    submit_with_asset,
     truths,
     write_asset,
 )
@@ -86,7 +87,7 @@ def test_failures_and_missing_sequences_are_priced_and_stay_in_every_mean(data, 
     assert (rows["b"].status, rows["c"].status) == ("failed", "missing")
     assert "segmentation: one motion only" in rows["b"].reason and rows["b"].seconds == 2.0
     for name in "bc":
-        assert_priced(rows[name], truths()[name])
+        assert_penalised(rows[name], truths()[name])
     by_group = {s.group: s for s in scores.summaries}
     assert [by_group[g].sequences for g in ("revolute", "prismatic", "all")] == [2, 1, 3]
     assert [by_group[g].failures for g in ("revolute", "prismatic", "all")] == [1, 1, 2]
@@ -256,7 +257,7 @@ def test_a_broken_submission_is_priced_with_its_reason(data, tmp_path, reason):
     BREAKS[reason](folder)
     row = score_one(data, folder)
     assert row.status == "unreadable" and reason in row.reason and "\n" not in row.reason
-    assert_priced(row, truth)
+    assert_penalised(row, truth)
 
 
 def test_one_broken_picture_costs_that_picture(data, tmp_path):
@@ -279,9 +280,8 @@ def test_seconds_that_are_no_number_are_unknown(data, tmp_path):
 @pytest.mark.parametrize("name", ["a", "b"])
 def test_the_true_joint_as_an_asset_scores_perfect(data, tmp_path, name):
     truth = truths()[name]
-    folder = submit(tmp_path / name, truth)
     T = random_pose(np.random.default_rng(4))
-    write_asset(folder / "asset", truth.articulation.joint, T, state_zero=0.25)
+    folder = submit_with_asset(tmp_path / name, truth, truth.articulation.joint, T, state_zero=0.25)
     row = score_one(data, folder, name)
     assert row.measured_from == "asset" and row.status == "ok", row.reason
     for id in ("axis", "state", "state_all", "chamfer_m", *(["position"] if name == "a" else [])):
@@ -292,9 +292,10 @@ def test_the_true_joint_as_an_asset_scores_perfect(data, tmp_path, name):
 @pytest.mark.parametrize("degrees", [0.5, 5.0])
 def test_tilting_the_urdfs_axis_moves_axis_by_as_much(data, tmp_path, name, degrees):
     truth = truths()[name]
-    folder = submit(tmp_path / name, truth)
     joint = truth.articulation.joint
-    write_asset(folder / "asset", replace(joint, axis=se3.exp_so3([np.deg2rad(degrees), 0, 0]) @ joint.axis))
+    folder = submit_with_asset(
+        tmp_path / name, truth, replace(joint, axis=se3.exp_so3([np.deg2rad(degrees), 0, 0]) @ joint.axis)
+    )
     row = score_one(data, folder, name)
     assert row.measured_from == "asset"
     assert row.values["axis"] == pytest.approx(degrees, abs=1e-3)
@@ -303,9 +304,8 @@ def test_tilting_the_urdfs_axis_moves_axis_by_as_much(data, tmp_path, name, degr
 
 def test_shifting_the_urdfs_joint_moves_position_by_as_much(data, tmp_path):
     truth = truths()["a"]
-    folder = submit(tmp_path / "a", truth)
     joint = truth.articulation.joint
-    write_asset(folder / "asset", replace(joint, pivot=joint.pivot + np.array([0.03, 0, 0.04])))
+    folder = submit_with_asset(tmp_path / "a", truth, replace(joint, pivot=joint.pivot + np.array([0.03, 0, 0.04])))
     assert score_one(data, folder).values["position"] == pytest.approx(100 * 0.05 / truth.diagonal, abs=1e-3)
 
 
@@ -323,16 +323,14 @@ def test_an_asset_that_turns_the_wrong_way_costs_the_reversed_motion(data, tmp_p
 
 def test_an_asset_of_another_type_is_what_counts(data, tmp_path):
     truth = truths()["a"]
-    folder = submit(tmp_path / "a", truth)
-    write_asset(folder / "asset", replace(truth.articulation.joint, type="prismatic"))
+    folder = submit_with_asset(tmp_path / "a", truth, replace(truth.articulation.joint, type="prismatic"))
     row = score_one(data, folder)
     assert row.values["joint_type"] == 0 and row.values["axis"] == 90 and row.measured_from == "asset"
 
 
 def test_states_beyond_the_assets_limits_stop_at_the_limit(data, tmp_path):
     truth = truths()["a"]
-    folder = submit(tmp_path / "a", truth)
-    write_asset(folder / "asset", truth.articulation.joint, state_zero=0.25, limits=(0.15, 0.75))
+    folder = submit_with_asset(tmp_path / "a", truth, truth.articulation.joint, state_zero=0.25, limits=(0.15, 0.75))
     clipped = replace(truth_as_answer(truth), states=np.minimum(truth.states, 0.5))
     expected = submit(tmp_path / "x" / "a", truth, clipped)
     row = score_one(data, folder)
@@ -386,7 +384,7 @@ def test_an_asset_that_does_not_load_fails_and_nothing_steps_in_for_it(data, tmp
     row = score_one(data, folder)
     assert row.status == "failed" and row.reason.startswith("asset: ") and reason in row.reason
     assert row.measured_from == "nothing"
-    assert_priced(row, truth)
+    assert_penalised(row, truth)
 
 
 def test_an_asset_that_ends_the_simulator_ends_only_itself(data, tmp_path, monkeypatch):
@@ -395,8 +393,7 @@ def test_an_asset_that_ends_the_simulator_ends_only_itself(data, tmp_path, monke
     (crash / "sapien.py").write_text("import os; os.abort()")
     monkeypatch.syspath_prepend(str(crash))
     truth = truths()["a"]
-    folder = submit(tmp_path / "a", truth)
-    write_asset(folder / "asset", truth.articulation.joint)
+    folder = submit_with_asset(tmp_path / "a", truth)
     row = score_one(data, folder)
     assert row.status == "failed" and "ended the simulator" in row.reason
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from score_files import assert_priced, score_one, score_results, submit, truths, write_asset
+from score_files import assert_penalised, score_one, score_results, submit, submit_with_asset, truths, write_asset
 from synthetic_case import (
     HEIGHT,
     WIDTH,
@@ -92,13 +92,12 @@ BROKEN_ASSETS = {
 @pytest.mark.parametrize("name", BROKEN_ASSETS)
 def test_a_broken_mesh_or_mass_is_a_failed_row(data, tmp_path, name):
     truth = truths()["a"]
-    folder = submit(tmp_path / "a", truth)
-    write_asset(folder / "asset", truth.articulation.joint)
+    folder = submit_with_asset(tmp_path / "a", truth)
     spoil, said = BROKEN_ASSETS[name]
     spoil(folder / "asset")
     row = score_one(data, folder)
     assert row.status == "failed" and row.reason.startswith("asset: ") and said in row.reason, row.reason
-    assert_priced(row, truth)
+    assert_penalised(row, truth)
 
 
 def test_cubes_for_every_part_score_badly_and_are_not_refused(data, tmp_path):
@@ -141,16 +140,18 @@ def _normals(mesh):
 
 def test_what_the_checks_find_is_a_note(data, tmp_path):
     truth = truths()["a"]
-    folder = submit(tmp_path / "a", truth)
-    write_asset(folder / "asset", truth.articulation.joint, urdf=lambda text: text.replace('effort="1"', 'effort="0"'))
+    folder = submit_with_asset(
+        tmp_path / "a", truth, truth.articulation.joint, urdf=lambda text: text.replace('effort="1"', 'effort="0"')
+    )
     row = score_one(data, folder)
     assert row.status == "ok" and any("asset: limits: joint 'lid' has effort 0" in note for note in row.notes)
 
 
 def test_a_material_outside_the_asset_is_not_opened(data, tmp_path):
     truth = truths()["a"]
-    folder = submit(tmp_path / "a", truth)
-    write_asset(folder / "asset", truth.articulation.joint, urdf=lambda text: text.replace("base.ply", "base.obj"))
+    folder = submit_with_asset(
+        tmp_path / "a", truth, truth.articulation.joint, urdf=lambda text: text.replace("base.ply", "base.obj")
+    )
     mesh = truth.articulation.reference
     lines = [f"v {x} {y} {z}" for x, y, z in mesh.vertices] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in mesh.faces]
     (tmp_path / "secret.mtl").write_text("newmtl x\nmap_Kd the_secret\n")
@@ -165,8 +166,7 @@ def test_modules_among_the_results_are_not_imported(data, tmp_path, monkeypatch)
         (tmp_path / f"{name}.py").write_text("raise SystemExit('taken from the results')")
     monkeypatch.chdir(tmp_path)
     truth = truths()["a"]
-    folder = submit(tmp_path / "a", truth)
-    write_asset(folder / "asset", truth.articulation.joint)
+    folder = submit_with_asset(tmp_path / "a", truth)
     assert score_one(data, folder).status == "ok"
     assert subprocess.run(child.command("leaderboard.worker"), input="", text=True, timeout=60).returncode == 1
 
@@ -323,7 +323,7 @@ def test_a_row_without_end_and_one_that_crashes_cost_only_themselves(data, tmp_p
     assert rows[0].reason == "tracks: declared by a"
     assert rows[1].reason == "scoring took more than 8 s"
     assert rows[2].reason == f"scoring ended with exit code {-signal.SIGABRT}"
-    assert_priced(rows[1], truths()["b"])
+    assert_penalised(rows[1], truths()["b"])
 
 
 def test_a_row_scored_apart_is_the_row_scored_here(data, tmp_path):
@@ -455,8 +455,7 @@ def test_millimetres_are_doubted(data, tmp_path):
 
 def test_validate_tells_what_is_wrong_with_an_asset(data, tmp_path):
     truth = truths()["a"]
-    folder = submit(tmp_path / "a", truth)
-    write_asset(folder / "asset", truth.articulation.joint)
+    folder = submit_with_asset(tmp_path / "a", truth)
     BROKEN_ASSETS["mass NaN"][0](folder / "asset")
     (fault,) = [f for f in validate_results(tmp_path, data).faults if f.file.startswith("a/")]
     assert fault.file == "a/asset" and "inertia: link 'base'" in fault.found
@@ -473,7 +472,7 @@ def test_a_skeleton_is_valid_and_priced_and_its_examples_are_answers(data, tmp_p
     scores = score_results(out, data)
     assert {row.status for row in scores.rows} == {"failed"} and scores.measured == 0 and scores.method.name == "mine"
     for name, truth in truths().items():
-        assert_priced(scores.rows["abc".index(name)], truth)
+        assert_penalised(scores.rows["abc".index(name)], truth)
         (out / name / "prediction.example.json").replace(out / name / "prediction.json")
     report = validate_results(out, data)
     assert report.faults == () and report.answers == 3

@@ -10,7 +10,6 @@ import pytest
 from perturbed import (
     KINDS,
     in_millimetres,
-    make_truth,
     opengl,
     other_type,
     quaternions_confused,
@@ -19,7 +18,16 @@ from perturbed import (
     tilted,
     with_poses,
 )
-from synthetic_case import HEIGHT, WIDTH, in_frame, noisy_answer, random_pose, static_answer, truth_as_answer
+from synthetic_case import (
+    HEIGHT,
+    WIDTH,
+    in_frame,
+    make_truth,
+    noisy_answer,
+    random_pose,
+    static_answer,
+    truth_as_answer,
+)
 
 from freeart21 import se3
 from freeart21.articulation import Articulation
