@@ -416,7 +416,7 @@ def test_the_command_takes_one_half_at_a_time(data, tmp_path, capsys):
         with pytest.raises(FreeArtError, match="name one half"):
             commands.pack(data, tmp_path / "out", **given)
     commands.pack(data, tmp_path / "out", public=True)
-    assert "data.key: the key of both halves" in capsys.readouterr().out
+    assert "data.key: the secret key of both halves" in capsys.readouterr().out
     commands.pack(data, tmp_path / "truth", truth=True)
     assert "key" not in capsys.readouterr().out
     with pytest.raises(FreeArtError, match="would be read"):

@@ -1,4 +1,4 @@
-"""Scoring from files: prices, coverage, untrusted submissions, and the joint read from the reloaded asset."""
+"""Scoring from files: penalties, coverage, untrusted submissions, and the joint read from the reloaded asset."""
 
 import io
 import json

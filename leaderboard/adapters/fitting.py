@@ -154,13 +154,13 @@ def _best_states(kind: JointType, axis: Array, pivot: Array, home: Array, motion
         return np.asarray((carried - placed).mean(1) @ axis)
     a, b = placed - pivot, carried - pivot
     a, b = a - (a @ axis)[:, None] * axis, b - (b @ axis)[..., None] * axis
-    return np.arctan2((np.cross(a[None], b) @ axis).sum(1), (a[None] * b).sum((1, 2)))
+    return np.asarray(np.arctan2((np.cross(a[None], b) @ axis).sum(1), (a[None] * b).sum((1, 2))))
 
 
 def _outlier_weights(spread: Array) -> Array:
     """(n,) weights against outliers: 1 up to three median lengths, then inversely proportional."""
     lengths = np.linalg.norm(spread, axis=1)
-    return np.minimum(1.0, 3 * max(float(np.median(lengths)), 1e-12) / np.maximum(lengths, 1e-12))
+    return np.asarray(np.minimum(1.0, 3 * max(float(np.median(lengths)), 1e-12) / np.maximum(lengths, 1e-12)))
 
 
 def _guess_hinge_axis(motion: Array) -> Array:

@@ -185,7 +185,7 @@ def read_vector(path: Path) -> Array:
     try:
         return read_npy(path, (3,))
     except FreeArtError:
-        return read_npy(path, (1, 3))[0]
+        return np.asarray(read_npy(path, (1, 3))[0])
 
 
 def choose_joint(names: Sequence[str], wanted: str | None, where: str) -> int:
