@@ -154,7 +154,7 @@ def test_a_map_that_is_wrong(data, tmp_path, src, official, told, said):
 @pytest.mark.parametrize(
     "layout, options, sequence, said",
     [
-        ("nerf", Options(), None, "unknown layout 'nerf'; known: freeartgs, itaco"),
+        ("nerf", Options(), None, "unknown layout 'nerf'; known: artgs, articulate-anything"),
         ("freeartgs", Options(frame="camera"), None, "no use for --frame"),
         ("freeartgs", Options(anchor=3), None, "no use for --anchor"),
         ("freeartgs", Options(joint="1"), None, "no use for --joint"),
