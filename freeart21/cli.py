@@ -341,7 +341,7 @@ def verify(data: Annotated[Path, Positional], deep: bool = False, truth: Path | 
     if deep and not report.findings:
         from generator.golden import verify_deep
 
-        report.findings.extend(verify_deep(data, apart=truth))
+        report.findings.extend(verify_deep(data, hidden_truth=truth))
     for finding in report.findings:
         print(finding)
     if report.findings:

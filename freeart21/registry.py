@@ -1,6 +1,6 @@
-"""Members of a kind, one module each: in a folder of ours, or in an installed package that names it as an entry point.
+"""Finds extension modules: in a folder of this project, or in an installed package with an entry point.
 
-A package of somebody else adds, say, an effect by two lines of its pyproject.toml and a module like one of ours:
+A third-party package adds an effect, for example, by two lines of its pyproject.toml and a module like those here:
 
     [project.entry-points."freeart21.effects"]
     squeak = "their_package.squeak"
@@ -21,15 +21,15 @@ T = TypeVar("T")
 
 
 def find_instances(package: str, kind: type[T]) -> dict[str, T]:
-    """The instance of `kind` that each member module of `package` defines, by its `name`, sorted.
+    """Name to the instance of `kind` in each module of `package`, sorted by name.
 
-    Raises FreeArtError when two members have one name, or an entry point's module can't be imported or defines none.
+    Raises FreeArtError on a duplicate name, or when the module of an entry point cannot be imported or has no instance.
     """
     return _by_name(package, kind, lambda value, module: isinstance(value, kind))
 
 
 def find_classes(package: str, kind: type[T]) -> dict[str, type[T]]:
-    """The subclass of `kind` with a `name` that each member module of `package` defines, by that name, sorted.
+    """Name to the subclass of `kind` with a `name` in each module of `package`, sorted by name.
 
     Raises FreeArtError as `find_instances` does.
     """
@@ -40,7 +40,7 @@ def find_classes(package: str, kind: type[T]) -> dict[str, type[T]]:
     return _by_name(package, kind, defines)
 
 
-def _by_name(package: str, kind: type, is_member: Any) -> dict[str, Any]:
+def _by_name(package: str, kind: type[Any], is_member: Any) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for module, where in _modules(package):
         own = [value for value in vars(module).values() if is_member(value, module) and hasattr(value, "name")]
@@ -53,7 +53,7 @@ def _by_name(package: str, kind: type, is_member: Any) -> dict[str, Any]:
 
 
 def _modules(package: str) -> Iterator[tuple[ModuleType, str]]:
-    """Modules of the folder, then those that entry points of the group `package` name, with the place to blame."""
+    """Modules of the folder, then those of entry points of the group `package`, each with its place for messages."""
     for info in pkgutil.iter_modules(importlib.import_module(package).__path__):
         yield importlib.import_module(f"{package}.{info.name}"), ""
     from importlib.metadata import entry_points  # 20 ms

@@ -14,7 +14,7 @@ _MODULES = {
     "leaderboard": "score",
     "simgap": "workflow",
 }
-"""The packages beside this one, each with a module that it is recognised by: others use such names, too."""
+"""Our other top-level packages, each with a module that identifies it: other projects use such names, too."""
 
 
 def search_path() -> list[str]:
@@ -37,7 +37,7 @@ def search_path() -> list[str]:
 
 
 def replaced_package() -> str | None:
-    """One line about a package beside this one that another project has replaced; None when all are ours."""
+    """One line about a top-level package of ours that another project has replaced; None when there is none."""
     for package, module in _MODULES.items():
         if not os.path.isfile(os.path.join(_ROOT, package, f"{module}.py")):
             folder = os.path.join(_ROOT, package)

@@ -36,14 +36,14 @@ LEAST_PSNR = 35.0
 """Least PSNR of a held-out view that is rendered again, dB, inside its mask."""
 
 
-def verify_deep(data: Path, frames: int = 5, views: int = 5, apart: Path | None = None) -> list[str]:
+def verify_deep(data: Path, frames: int = 5, views: int = 5, hidden_truth: Path | None = None) -> list[str]:
     """Findings on the data folder `data`, one line each, from `frames` frames and `views` views of every sequence.
 
     Depth is compared where the sensor was clean. Views are rendered again where the truth holds the object's files,
-    which it does not for PartNet-Mobility. `apart` is the truth of a packed folder. What cannot be read, or rendered on
-    this machine, is a finding, too. Raises FreeArtError when there is no readable benchmark.json.
+    which it does not for PartNet-Mobility. `hidden_truth` is that of a packed folder. What cannot be read, or rendered
+    on this machine, is a finding, too. Raises FreeArtError when there is no readable benchmark.json.
     """
-    benchmark = read_benchmark(Path(data), apart)
+    benchmark = read_benchmark(Path(data), hidden_truth)
     findings: list[str] = []
     for name in benchmark.sequences:
         findings += collect_findings(partial(_deep_findings, benchmark, name, frames, views))

@@ -65,7 +65,7 @@ def write_table(
 def test_gaussians_round_trip(tmp_path, light):
     given = make_gaussians(light=light)
     write_gaussians(tmp_path / "a.ply", given)
-    back = read_gaussians(tmp_path / "a.ply", parted=True)
+    back = read_gaussians(tmp_path / "a.ply", needs_parts=True)
     for name in ("means", "quaternions", "normals", "part_weights", "colours", "opacities"):
         assert np.abs(getattr(back, name) - getattr(given, name)).max() < 3e-7, name
     assert np.array_equal(back.means, given.means) and np.array_equal(back.part_weights, given.part_weights)
@@ -104,7 +104,7 @@ def test_the_file_is_what_viewers_expect(tmp_path):
 def test_no_gaussians_at_all_round_trip(tmp_path):
     none = Gaussians(*(np.zeros((0, k)[: 1 + (k > 0)], np.float32) for k in (3, 4, 3, 0, 3, 0, 3)))
     write_gaussians(tmp_path / "a.ply", none)
-    assert len(read_gaussians(tmp_path / "a.ply", parted=True)) == 0
+    assert len(read_gaussians(tmp_path / "a.ply", needs_parts=True)) == 0
 
 
 @pytest.mark.parametrize("kind", ["float", "double"])
@@ -128,7 +128,7 @@ def test_a_plain_3dgs_file_in_any_order_is_one_still_part(tmp_path, kind, end):
     assert np.abs((thinnest * back.normals).sum(1)) == pytest.approx(np.ones(50), abs=1e-6)
     assert ((back.means - np.median(back.means, 0)) * back.normals).sum(1).min() >= -1e-6, "normals point outwards"
     with pytest.raises(FreeArtError, match=r"b\.ply .*no part_weight .*which part moves is not known"):
-        read_gaussians(tmp_path / "b.ply", parted=True)
+        read_gaussians(tmp_path / "b.ply", needs_parts=True)
 
 
 HEAD = b"ply\nformat binary_little_endian 1.0\n"

@@ -381,7 +381,7 @@ def decode_image(data: bytes, path: Path, flags: int) -> NDArray[Any]:
     except (ValueError, struct.error) as error:
         raise FreeArtError(f"{path} is not a readable image: {error}") from error
     if width * height > MAX_PIXELS:
-        raise FreeArtError(f"{path} says that it is {width} x {height}, at most {MAX_PIXELS} pixels are read")
+        raise FreeArtError(f"{path} claims {width} x {height} pixels, at most {MAX_PIXELS} pixels are read")
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:

@@ -71,20 +71,20 @@ def write_gaussians(path: Path, gaussians: Gaussians) -> None:
     atomic.write_bytes(path, "\n".join(header).encode() + table.tobytes())
 
 
-def read_gaussians(path: Path, parted: bool = False, root: Path | None = None) -> Gaussians:
+def read_gaussians(path: Path, needs_parts: bool = False, root: Path | None = None) -> Gaussians:
     """The Gaussians in `path`, from any 3DGS writer: bounded, checked, nothing executed.
 
     Properties can be in any order; unknown ones (`f_rest_*`, which depend on the view) are ignored; colours are clipped
     to 0..1. Without normals, or where they are zero, a Gaussian's thinnest axis is its normal, pointing away from the
     median of all. Without part_weight all belong to the reference part.
 
-    Raises FreeArtError on any other file, and with `parted` when part_weight is missing.
+    Raises FreeArtError on any other file, and with `needs_parts` when part_weight is missing.
     """
     try:
         with checked.open_file(path, MAX_PLY_BYTES, root) as file:
             table, light = _table(file)
         with np.errstate(over="ignore"):  # numbers beyond 32-bit floats become infinite, and are refused
-            return _gaussians(table, light, parted)
+            return _gaussians(table, light, needs_parts)
     except (ValueError, OverflowError, OSError, FreeArtError) as error:
         raise FreeArtError(f"{path} is not a readable PLY file of Gaussians: {error}") from error
 
@@ -141,7 +141,7 @@ def _light(lines: list[str]) -> Floats | None:
     return light
 
 
-def _gaussians(table: NDArray[np.void], light: Floats | None, parted: bool) -> Gaussians:
+def _gaussians(table: NDArray[np.void], light: Floats | None, needs_parts: bool) -> Gaussians:
     names = table.dtype.names or ()
 
     def columns(*wanted: str) -> Array:
@@ -167,7 +167,7 @@ def _gaussians(table: NDArray[np.void], light: Floats | None, parted: bool) -> G
         if weights.min(initial=0) < 0 or weights.max(initial=0) > 1:
             worst = float(weights[np.abs(weights - 0.5).argmax()])
             raise ValueError(f"a part_weight is {worst:.6g}, expected 0 (moving part) to 1 (reference part)")
-    elif parted:
+    elif needs_parts:
         raise ValueError("it has no part_weight (1 reference part, 0 moving part), so which part moves is not known")
     given = columns("nx", "ny", "nz") if {"nx", "ny", "nz"} <= set(names) else np.zeros_like(means)
     colours = np.clip(0.5 + SH_0 * columns("f_dc_0", "f_dc_1", "f_dc_2"), 0, 1)

@@ -213,7 +213,7 @@ def read_result(
 def read_appearance(folder: Path) -> Gaussians | None:
     """The Gaussians of a result folder, or None without gaussians.ply; raises FreeArtError."""
     path = folder / GAUSSIANS
-    return read_gaussians(path, parted=True, root=folder) if checked.is_there(path) else None
+    return read_gaussians(path, needs_parts=True, root=folder) if checked.is_there(path) else None
 
 
 def _read_anchor(data: dict[str, Any], n: int, path: Path) -> int:

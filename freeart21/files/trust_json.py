@@ -1,4 +1,4 @@
-"""What a method says of its own answer, as JSON: the same words in prediction.json and asset.json."""
+"""A method's trust in its own result as JSON, as in prediction.json and asset.json."""
 
 from __future__ import annotations
 

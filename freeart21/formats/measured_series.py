@@ -601,12 +601,12 @@ def _mark_held_out(runs: list[Run], files: list[Path], named: tuple[str, ...]) -
     names = [run.name for run in runs]
     for given in named:
         stems = [_stem(file) for file in files if given in (file.name, file.stem, str(file))]
-        mine = {name for name in names if name == given or any(f"{name}_".startswith(f"{stem}_") for stem in stems)}
-        if not mine and given.isdigit() and 1 <= int(given) <= len(names):
-            mine = {names[int(given) - 1]}
-        if not mine:
+        matches = {name for name in names if name == given or any(f"{name}_".startswith(f"{stem}_") for stem in stems)}
+        if not matches and given.isdigit() and 1 <= int(given) <= len(names):
+            matches = {names[int(given) - 1]}
+        if not matches:
             raise FreeArtError(f"--held-out: there is no run '{given}'; runs: {join_names(names)}")
-        wanted |= mine
+        wanted |= matches
     return tuple(replace(run, held_out=run.name in wanted) for run in runs)
 
 

@@ -140,15 +140,15 @@ def _fit_inertia(mechanics: JointMechanics, windows: list[RawMotion], scale: flo
     columns, y = np.array(rows), np.array(forces)
     if not np.any(y):
         return 0.0, np.inf, np.inf
-    kept = [0, 1, 2]
+    active = [0, 1, 2]
     while True:
-        X = columns[:, kept] / np.maximum(np.linalg.norm(columns[:, kept], axis=0), 1e-300)
+        X = columns[:, active] / np.maximum(np.linalg.norm(columns[:, active], axis=0), 1e-300)
         found, *_ = np.linalg.lstsq(X, y, rcond=1e-10)
-        pushing = [k for k, value in zip(kept, found, strict=True) if k and value < 0]
+        pushing = [k for k, value in zip(active, found, strict=True) if k and value < 0]
         if not pushing:
             break
-        kept.remove(pushing[0])
+        active.remove(pushing[0])
     residual = float(((y - X @ found) ** 2).sum())
-    spread = np.sqrt(residual / max(len(y) - len(kept), 1) * np.linalg.pinv(X.T @ X)[0, 0])
+    spread = np.sqrt(residual / max(len(y) - len(active), 1) * np.linalg.pinv(X.T @ X)[0, 0])
     size = max(float(np.linalg.norm(columns[:, 0])), 1e-300)
     return float(found[0]) / size, float(spread) / size, residual / float(y @ y)

@@ -69,12 +69,12 @@ def read_view(folder: Path, meta: Path | None = None) -> ThirdPartyRecording:
     folder = Path(folder)
     if not is_view(folder):
         raise FreeArtError(
-            f"{folder} is not a Video2Articulation-S view: expected camera_pose.npy and intrinsics.npy beside rgb/"
+            f"{folder} is not a Video2Articulation-S view: expected camera_pose.npy and intrinsics.npy next to rgb/"
         )
     home = folder.resolve().parent
     named = re.fullmatch(r"joint_([0-9]{1,4})(?:_bg)?", home.name)
     if named is None:
-        raise FreeArtError(f"{folder} lies in {home.name}, expected a folder named like joint_0_bg")
+        raise FreeArtError(f"{folder} is in {home.name}, expected a folder named like joint_0_bg")
     number, object_id, category = int(named[1]), home.parent.name, home.parent.parent.name
     cameras = third_party.poses_from_rows(
         third_party.read_npy(folder / "camera_pose.npy", (None, 7)), f"{folder}/camera_pose.npy"
@@ -316,7 +316,7 @@ def _limits(
     low, high = float(states.min()), float(states.max())
     if stated is not None:
         if stated.type != kind:
-            notes.append(f"the meta file says {stated.type}, the poses say {kind}; the poses are taken")
+            notes.append(f"the meta file has {stated.type}, the poses show {kind}; the poses are used")
             return low, high
         cosine = float(stated.axis @ axis)
         if abs(cosine) < np.cos(np.radians(1)):
