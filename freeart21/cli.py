@@ -362,7 +362,7 @@ def reconstruct(
     """Reconstruct one sequence from the video alone: two parts, their poses, their joint, and meshes.
 
     Can be stopped at any moment: the same command resumes after the last finished stage, with the same result. An older
-    result at --out is replaced with its asset; anything else there is an error. The last line says whether to trust the
+    result at --out, with its asset, is replaced; anything else there is an error. The last line says whether to trust the
     result: `sound`, or `doubtful` with exit code 3.
 
     Args:
@@ -370,7 +370,7 @@ def reconstruct(
         out: Result folder, such as results/ours/SEQ.
         keep_work: Keep the stages' files after the result is written, for calls with other settings.
         segmentation: Short for --settings.segmentation: ours, or the paper's with hand-crafted features.
-        settings_file: Settings file: a method.json, or JSON as its `settings`. Others keep their defaults.
+        settings_file: JSON of settings: a method.json, or its `settings` alone. What it lacks keeps its default.
         settings: One setting, such as --settings.joint.type-rule paper; --settings.help lists them all.
     """
     from freeart21.files.lock import only_writer
