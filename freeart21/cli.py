@@ -362,8 +362,8 @@ def reconstruct(
     """Reconstruct one sequence from the video alone: two parts, their poses, their joint, and meshes.
 
     Can be stopped at any moment: the same command resumes after the last finished stage, with the same result. An older
-    result at --out, with its asset, is replaced; anything else there is an error. The last line says whether to trust the
-    result: `sound`, or `doubtful` with exit code 3.
+    result at --out, with its asset, is replaced; anything else there is an error. The last line says whether to trust
+    the result: `sound`, or `doubtful` with exit code 3.
 
     Args:
         sequence: A sequence folder (with sequence.json).
