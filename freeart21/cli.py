@@ -795,9 +795,7 @@ def convert(
     source: Annotated[Path, Positional],
     out: Path,
     to: Literal["official", "native", "maniskill"],
-    layout: Annotated[
-        Literal["native", "rgbd", "official", "video2articulation", "maniskill"] | None, tyro.conf.arg(name="from")
-    ] = None,
+    layout: Annotated[str | None, tyro.conf.arg(name="from")] = None,
     partnet_root: Path | None = None,
     joint: str | None = None,
     meta: Path | None = None,
@@ -812,7 +810,7 @@ def convert(
         source: A recording, or a folder of recordings.
         out: Folder to add to: a data folder (native), or one for examples/ and data/ (official), or for .h5 files.
         to: Layout to write.
-        layout: Layout of the source; recognised by its files when not given.
+        layout: native, rgbd, official, video2articulation or maniskill; recognised by its files when not given.
         partnet_root: Folder of PartNet-Mobility objects, as ROOT/41083/mobility.urdf: a truth needs their meshes.
         joint: Moving joint, where neither the layout nor the catalog names it.
         meta: Video2Articulation's new_partnet_mobility_dataset_correct_intr_meta.json, for the joint's limits.

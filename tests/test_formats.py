@@ -753,9 +753,13 @@ TOY_HELD_JOINT = """
 
 
 def test_layouts_are_recognised(example: Path, one_view: Path, tmp_path: Path, native: Path) -> None:
-    assert find_sources(example) == find_sources(example.parent) == [("official", example)]
-    assert find_sources(one_view) == find_sources(one_view.parent) == [("video2articulation", one_view)]
-    assert find_sources(native) == [("native", native / "sequences/7777")]
+    def found(source: Path) -> list[tuple[str, Path]]:
+        return [(layout.name, folder) for layout, folder in find_sources(source)]
+
+    assert found(example) == found(example.parent) == [("official", example)]
+    assert found(one_view) == found(one_view.parent) == [("video2articulation", one_view)]
+    assert found(native) == [("native", native / "sequences/7777")]
+    refused(lambda: find_sources(example, "scans"), "unknown layout 'scans'; layouts: native, rgbd, official")
     refused(lambda: find_sources(example, "native"), "holds no recording of the layout native")
     (tmp_path / "empty").mkdir()
     refused(lambda: find_sources(tmp_path / "empty"), "sequence.json", "cam_K.txt", "camera_pose.npy")

@@ -87,12 +87,14 @@ def test_an_option_that_has_no_text_would_be_seen():
 def test_what_the_help_lists_is_what_there_is():
     from export.exporter import DENSITY
     from export.materials import MATERIALS
+    from freeart21.formats.convert import recording_layouts
     from freeart21.formats.measured_series import ANGLES, EFFORTS, LENGTHS, ROLES, TIME_UNITS, UNSURE
     from generator.motion import PRESETS, STYLES
     from generator.sensors import SENSORS
     from generator.session import SHADERS
 
     lists = {
+        "convert": [*recording_layouts()],
         "record": [*STYLES, *PRESETS, *SENSORS, *SHADERS],
         "measure": [*ROLES, *ANGLES, *LENGTHS, *EFFORTS, *TIME_UNITS, f"{UNSURE[0]:g} when", f"{UNSURE[1]:g} when"],
         "export": [*MATERIALS, f"plastic ({DENSITY:g}"],

@@ -9,6 +9,8 @@ import pytest
 
 from freeart21.effects import EFFECTS, Effect
 from freeart21.errors import FreeArtError
+from freeart21.formats.convert import recording_layouts
+from freeart21.formats.third_party import RecordingLayout
 from freeart21.registry import find_classes, find_instances
 from generator.motion.style import Style
 from generator.motion.styles import STYLES
@@ -61,6 +63,12 @@ from reconstruct.features.hand_made import HandMade
 class Grey(HandMade):
     name = "grey"
 """
+RECORDINGS = """
+from dataclasses import replace
+from freeart21.formats import rgbd_folder
+
+LAYOUT = replace(rgbd_folder.LAYOUT, name="scans", rank=9)
+"""
 LAYOUT = """
 from dataclasses import replace
 from leaderboard.adapters import paris
@@ -105,6 +113,7 @@ def test_a_class_of_a_stranger(stranger: Path, group: str, text: str, kind: type
     [
         ("leaderboard.protocols", PROTOCOL, Protocol, PROTOCOLS, "own-1"),
         ("generator.motion.styles", STYLE, Style, STYLES, "shake"),
+        ("freeart21.formats", RECORDINGS, RecordingLayout, recording_layouts(), "scans"),
         ("leaderboard.adapters", LAYOUT, Layout, layouts(), "own"),
     ],
 )

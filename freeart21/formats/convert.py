@@ -7,7 +7,7 @@ import functools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
@@ -15,14 +15,20 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import is_unfinished, read_benchmark, unfinished_error, write_benchmark
 from freeart21.files.places import check_append
-from freeart21.files.sequence import read_sequence, write_frame, write_header, write_queries
-from freeart21.files.truth import read_truth, write_truth
-from freeart21.formats import freeart21_official, maniskill, rgbd_folder, third_party, video2articulation
-from freeart21.formats.third_party import Progress, ThirdPartyRecording, safe_name
+from freeart21.files.sequence import write_frame, write_header, write_queries
+from freeart21.files.truth import write_truth
+from freeart21.formats import freeart21_official, maniskill, third_party
+from freeart21.formats.third_party import (
+    Progress,
+    ReadOptions,
+    RecordingLayout,
+    ThirdPartyRecording,
+    find_object_folder,
+)
 from freeart21.recording import Recording
+from freeart21.registry import find_instances
 from freeart21.truth import Truth
 
-Layout = Literal["native", "rgbd", "official", "video2articulation", "maniskill"]
 Target = Literal["official", "native", "maniskill"]
 TruthMaker = Callable[[ThirdPartyRecording, Path], Truth]
 """Makes the truth of a third-party recording from a folder of PartNet-Mobility objects; FreeArtError when it cannot."""
@@ -44,63 +50,40 @@ class Converted:
     """Notes for the user, one line each."""
 
 
-def find_sources(source: Path, layout: Layout | None = None) -> list[tuple[Layout, Path]]:
-    """The recordings in `source` (itself, or in it), all of one layout: `layout`, or the first that fits.
+@functools.cache
+def recording_layouts() -> dict[str, RecordingLayout]:
+    """By name, in the order in which they are tried: the modules of this folder, and entry points of others
+    (`freeart21.registry`)."""
+    found = find_instances("freeart21.formats", RecordingLayout)
+    return dict(sorted(found.items(), key=lambda item: (item[1].rank, item[0])))
 
-    native: a sequence folder, or a data folder with sequences/. rgbd: a plain folder of pictures, or a folder of such.
-    official: an example, or a folder of examples, or one that holds examples/. video2articulation: a view folder, or
-    any folder above. maniskill: a folder with trajectories, NAME.h5 and NAME.json, each episode a recording.
-    """
-    source = Path(source)
+
+def find_sources(source: Path, layout: str | None = None) -> list[tuple[RecordingLayout, Path]]:
+    """The recordings in `source` (itself, or in it), all of one layout: `layout`, or the first that fits."""
+    source, known = Path(source), recording_layouts()
+    if layout is not None and layout not in known:
+        raise FreeArtError(f"unknown layout '{layout}'; layouts: {', '.join(known)}")
     if not source.is_dir():
         raise FreeArtError(f"{source} is not a folder")
-    for kind in get_args(Layout) if layout is None else (layout,):
-        found = list(_of_layout(source, kind))
+    for kind in known.values() if layout is None else (known[layout],):
+        found = list(kind.find(source))
         if found:
             return [(kind, folder) for folder in found]
     wanted = "of a known layout" if layout is None else f"of the layout {layout}"
-    raise FreeArtError(
-        f"{source} holds no recording {wanted}: a native one has sequence.json, a plain one rgb/ or color/, "
-        "depth/*.png, masks/ and cam_K.txt or camera_intrinsic.json, an official example rgb/, depth/*.npz and "
-        "cam_K.txt, a Video2Articulation-S view camera_pose.npy and intrinsics.npy, "
-        "ManiSkill's trajectories of FreeArt21 environments NAME.h5 and NAME.json"
-    )
-
-
-def _of_layout(source: Path, layout: Layout) -> Iterator[Path]:
-    if layout == "maniskill":
-        yield from maniskill.episodes(source)
-        return
-    layouts: dict[str, tuple[Callable[[Path], bool], tuple[str, ...]]] = {
-        "native": (lambda folder: checked.is_there(folder / "sequence.json"), ("sequences/*", "*")),
-        "rgbd": (rgbd_folder.is_rgbd_folder, ("*",)),
-        "official": (freeart21_official.is_example, ("examples/*", "*")),
-        "video2articulation": (
-            video2articulation.is_view,
-            ("view_*", "joint_*/view_*", "*/joint_*/view_*", "*/*/joint_*/view_*", "*/*/*/joint_*/view_*"),
-        ),
-    }
-    fits, patterns = layouts[layout]
-    if fits(source):
-        yield source
-        return
-    for pattern in patterns:
-        found = [folder for folder in sorted(source.glob(pattern)) if fits(folder)]
-        if found:
-            yield from found
-            return
+    files = "; ".join(f"{kind.name}: {kind.files}" for kind in known.values())
+    raise FreeArtError(f"{source} holds no recording {wanted}; {files}")
 
 
 def convert(
     source: Path,
     out: Path,
     to: Target,
-    layout: Layout | None = None,
+    layout: str | None = None,
     truth_of: TruthMaker | None = None,
     partnet_root: Path | None = None,
     meta: Path | None = None,
     hold_out: bool = False,
-    depth_unit: float = rgbd_folder.MILLIMETRE,
+    depth_unit: float = 1e-3,
     fps: float | None = None,
     progress: Callable[[str, int, int], None] = lambda name, done, total: None,
 ) -> Iterator[Converted]:
@@ -125,20 +108,18 @@ def convert(
     label = _label(out) if to == "native" else None
     for kind, folder in find_sources(source, layout):
         checked.require_inside(Path(source), folder)
-        if kind == to:
+        if kind.name == to:
             raise FreeArtError(f"{folder} is of the layout {to} already")
-        if kind == "rgbd":
-            recording = rgbd_folder.read_rgbd_folder(folder, depth_unit, fps)
-        else:
-            recording = _read(kind, folder, meta, partnet_root)
+        recording = kind.read(folder, ReadOptions(depth_unit, fps, meta, partnet_root))
         tick = functools.partial(progress, recording.name)
         with _remove_empty_folders(out):
+            if to == "native":
+                yield _write_native(out, recording, truth_of, partnet_root or kind.objects(folder), tick)
+                continue
+            files = find_object_folder(kind.object_folder(folder), recording.object_id, partnet_root)
             if to == "maniskill":
-                yield _write_maniskill(out, recording, _object_folder(kind, folder, recording, partnet_root))
-            elif to == "native":
-                yield _write_native(out, recording, truth_of, partnet_root or _default_root(kind, folder), tick)
+                yield _write_maniskill(out, recording, files)
             else:
-                files = _object_folder(kind, folder, recording, partnet_root)
                 yield _write_official(out, recording, files, hold_out, tick)
     if label is not None and _all_have_truth(out):
         write_benchmark(out, *label)
@@ -152,48 +133,6 @@ def _label(out: Path) -> tuple[str, str, str]:
         return out.resolve().name, "1", "public"
     known = read_benchmark(out)
     return known.name, known.version, known.split
-
-
-def _read(kind: Layout, folder: Path, meta: Path | None, partnet_root: Path | None) -> ThirdPartyRecording:
-    if kind == "official":
-        return freeart21_official.read_example(folder)
-    if kind == "video2articulation":
-        return video2articulation.read_view(folder, meta)
-    if kind == "maniskill":
-        return maniskill.read_episode(folder)
-    recording, name = read_sequence(folder), folder.resolve().name
-    truth_folder = _truth_folder(folder)
-    if not truth_folder.is_dir():
-        return ThirdPartyRecording(name, name, recording, None, f"there is no {truth_folder}")
-    truth = read_truth(truth_folder)
-    object_id = str(truth.source.get("object") or name)
-    read = ThirdPartyRecording(name, object_id, recording, None)
-    known = freeart21_official.known_of_truth(truth, _object_folder("native", folder, read, partnet_root))
-    return ThirdPartyRecording(name, object_id, recording, known)
-
-
-def _truth_folder(sequence: Path) -> Path:
-    return sequence.resolve().parent.parent / "truth" / sequence.resolve().name
-
-
-def _object_folder(
-    kind: Layout, folder: Path, recording: ThirdPartyRecording, partnet_root: Path | None
-) -> Path | None:
-    """The object's PartNet-Mobility folder, if it exists."""
-    own = _truth_folder(folder) / "object" if kind == "native" else None
-    name = safe_name(recording.object_id)
-    candidates = (None, None) if partnet_root is None else (partnet_root / name, partnet_root / "dataset" / name)
-    return next(
-        (place for place in (own, *candidates) if place is not None and (place / "mobility.urdf").is_file()), None
-    )
-
-
-def _default_root(kind: Layout, folder: Path) -> Path | None:
-    """The folder of objects of an official data set, or of the environment of a trajectory."""
-    if kind == "maniskill":
-        return maniskill.objects_of(folder)
-    root = folder.resolve().parent.parent / freeart21_official.OBJECTS
-    return root if kind == "official" and root.is_dir() else None
 
 
 def _write_native(

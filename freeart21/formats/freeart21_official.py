@@ -33,7 +33,14 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.urdf import read_urdf_joints
 from freeart21.formats import third_party
-from freeart21.formats.third_party import Image, KnownTruth, Progress, ThirdPartyRecording
+from freeart21.formats.third_party import (
+    Image,
+    KnownTruth,
+    Progress,
+    RecordingLayout,
+    ThirdPartyRecording,
+    find_recordings,
+)
 from freeart21.recording import Frame, Recording
 from freeart21.se3 import Array
 from freeart21.truth import Truth
@@ -369,3 +376,18 @@ def _write_lists(folder: Path, Ts_camera_object: Array, states: Array) -> None:
 def _write_sidecar(path: Path, recording: Recording, known: KnownTruth | None) -> None:
     facts = {"times_s": recording.times_s, "licence": recording.licence}
     atomic.write_json(path, {"schema": SIDECAR_SCHEMA, **facts, "joint": None if known is None else known.joint_name})
+
+
+def _objects(example: Path) -> Path | None:
+    root = example.resolve().parent.parent / OBJECTS
+    return root if root.is_dir() else None
+
+
+LAYOUT = RecordingLayout(
+    "official",
+    2,
+    "rgb/, depth/*.npz and cam_K.txt",
+    lambda source: find_recordings(source, is_example, ("examples/*", "*")),
+    lambda folder, options: read_example(folder),
+    _objects,
+)

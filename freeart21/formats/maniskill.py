@@ -24,7 +24,7 @@ from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.formats import third_party
-from freeart21.formats.third_party import Image, KnownTruth, ThirdPartyRecording
+from freeart21.formats.third_party import Image, KnownTruth, RecordingLayout, ThirdPartyRecording
 from freeart21.recording import Frame, Recording
 from freeart21.se3 import Array
 
@@ -256,3 +256,13 @@ def _read(file: Path, place: str, index: int | None = None) -> Any:
             return np.asarray(here[...] if index is None else here[index])
     except OSError as error:
         raise FreeArtError(f"{file} is not a readable HDF5 file: {error}") from error
+
+
+LAYOUT = RecordingLayout(
+    "maniskill",
+    4,
+    "NAME.h5 and NAME.json, trajectories of FreeArt21 environments",
+    episodes,
+    lambda episode, options: read_episode(episode),
+    objects_of,
+)

@@ -27,7 +27,7 @@ from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.formats import third_party
-from freeart21.formats.third_party import ThirdPartyRecording
+from freeart21.formats.third_party import RecordingLayout, ThirdPartyRecording, find_recordings
 from freeart21.recording import Frame, Recording
 from freeart21.se3 import Array
 
@@ -284,3 +284,12 @@ def _centred(K: Array, path: Path) -> Array:
     K = K.copy()
     K[:2, 2] += 0.5
     return K
+
+
+LAYOUT = RecordingLayout(
+    "rgbd",
+    1,
+    "rgb/ or color/, depth/*.png, masks/ and cam_K.txt or camera_intrinsic.json",
+    lambda source: find_recordings(source, is_rgbd_folder, ("*",)),
+    lambda folder, options: read_rgbd_folder(folder, options.depth_unit, options.fps),
+)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -133,6 +133,56 @@ class ThirdPartyRecording:
     """Notes for the user, one line each."""
     observe: Callable[[], tuple[str, ...]] = tuple
     """Gives further notes about the frames loaded so far."""
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """What a user says of the recordings that are read."""
+
+    depth_unit: float = 1e-3
+    """Metres per depth unit of picture folders."""
+    fps: float | None = None
+    """Frames a second of picture folders; None: from time stamps in the names, else 30."""
+    meta: Path | None = None
+    """Video2Articulation's meta file."""
+    partnet_root: Path | None = None
+    """Folder of PartNet-Mobility objects."""
+
+
+@dataclass(frozen=True)
+class RecordingLayout:
+    """A layout of recordings that `convert` reads: one module of `freeart21.formats` each."""
+
+    name: str
+    rank: int
+    """A folder is taken for the first layout by rank of which it holds a recording."""
+    files: str
+    """The files that a recording is recognised by, for messages."""
+    find: Callable[[Path], Iterable[Path]]
+    """The recordings in a folder: itself, or those in it."""
+    read: Callable[[Path, ReadOptions], ThirdPartyRecording]
+    objects: Callable[[Path], Path | None] = lambda recording: None
+    """The folder of PartNet-Mobility objects that belongs to a recording, if it exists."""
+    object_folder: Callable[[Path], Path | None] = lambda recording: None
+    """The folder of the recorded object itself, where a recording has one."""
+
+
+def find_recordings(source: Path, fits: Callable[[Path], bool], patterns: tuple[str, ...]) -> list[Path]:
+    """`source` if it `fits`, else the folders in it that do, by the first of `patterns` that gives any."""
+    if fits(source):
+        return [source]
+    for pattern in patterns:
+        found = [folder for folder in sorted(source.glob(pattern)) if fits(folder)]
+        if found:
+            return found
+    return []
+
+
+def find_object_folder(own: Path | None, object_id: str, partnet_root: Path | None) -> Path | None:
+    """The object's PartNet-Mobility folder, if it exists: its `own`, or by its id in `partnet_root`."""
+    name = safe_name(object_id)
+    candidates = (None, None) if partnet_root is None else (partnet_root / name, partnet_root / "dataset" / name)
+    return next((p for p in (own, *candidates) if p is not None and (p / "mobility.urdf").is_file()), None)
 
 
 def numbered(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:

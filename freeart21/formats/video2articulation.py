@@ -33,7 +33,7 @@ from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.formats import third_party
-from freeart21.formats.third_party import Image, KnownTruth, ThirdPartyRecording
+from freeart21.formats.third_party import Image, KnownTruth, RecordingLayout, ThirdPartyRecording, find_recordings
 from freeart21.formats.untrusted_pickle import read_pickle
 from freeart21.joint import Joint, JointType
 from freeart21.recording import Frame, Recording
@@ -328,3 +328,13 @@ def _limits(
     data = checked.read_json(path) if path.is_file() else {}
     ends = [x for x in (data.get("init"), data.get("target")) if isinstance(x, int | float) and np.isfinite(x)]
     return min([low, *ends]), max([high, *ends])
+
+
+_PATTERNS = ("view_*", "joint_*/view_*", "*/joint_*/view_*", "*/*/joint_*/view_*", "*/*/*/joint_*/view_*")
+LAYOUT = RecordingLayout(
+    "video2articulation",
+    3,
+    "camera_pose.npy and intrinsics.npy",
+    lambda source: find_recordings(source, is_view, _PATTERNS),
+    lambda folder, options: read_view(folder, options.meta),
+)
