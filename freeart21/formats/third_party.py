@@ -155,7 +155,7 @@ class RecordingLayout:
 
     name: str
     rank: int
-    """A folder is taken for the first layout by rank of which it holds a recording."""
+    """Layouts are tried in this order; the first one with a recording in the folder is taken."""
     files: str
     """The files that a recording is recognised by, for messages."""
     find: Callable[[Path], Iterable[Path]]
