@@ -594,7 +594,6 @@ async def test_a_lost_connection_pauses_and_a_new_one_goes_on_without_gap_or_jum
             await two.until(lambda: two.epoch == epoch + 1, "placed")
             assert two.last("place")["state"] == pytest.approx(0.5)
             two.n = 19
-            two.at = hello
             await two.say(a_move(30, 0.5) | {"epoch": two.epoch, "position": hello["position"]})
             await two.say(a_move(31, 0.5) | {"epoch": two.epoch, "position": hello["position"]})
             await two.status(samples=22)
