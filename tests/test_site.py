@@ -10,6 +10,7 @@ from urllib.parse import unquote, urldefrag
 import numpy as np
 import pytest
 from browser import CHROMIUM, browser
+from page_data import read_script, read_varints
 from score_files import few_samples, submit, truths, write_data
 from synthetic_case import noisy_answer, static_answer, truth_as_answer, with_names_exchanged
 
@@ -27,7 +28,7 @@ from leaderboard.site.answers import read_answer
 from leaderboard.site.entrant import entrants
 from leaderboard.site.index_page import ranked
 from leaderboard.site.names import file_names
-from leaderboard.site.packed import Packed, read_script, read_varints, varints
+from leaderboard.site.packed import Packed, varints
 from leaderboard.submission import read_submitted_method
 
 BOARD = "#protocol-strict-2"

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import CHROMIUM, browser
+from page_data import read_script, read_varints
 from score_files import few_samples, submit, truths, write_data
 from synthetic_case import noisy_answer
 
@@ -26,7 +27,6 @@ from leaderboard.score import benchmark_facts, summarise
 from leaderboard.scores_file import read_scores, write_scores
 from leaderboard.sequence_score import score_sequence
 from leaderboard.site import build
-from leaderboard.site.packed import read_script, read_varints
 from leaderboard.submission import read_submitted_method
 
 needs_chromium = pytest.mark.skipif(not CHROMIUM, reason="there is no Chromium")

@@ -7,13 +7,13 @@ import re
 import shutil
 import subprocess
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from browser import CHROMIUM, browser
+from page_data import Parsed, extract_array
 
 from freeart21 import se3
 from freeart21.articulation import Articulation
@@ -32,7 +32,7 @@ from freeart21.recording import Frame, Recording
 from freeart21.truth import Truth
 from freeart21.view import page, write_page
 from freeart21.view.asset_scene import asset_scene
-from freeart21.view.document import Section, document, embed_array, embed_json, embed_points, extract_array
+from freeart21.view.document import Section, document, embed_array, embed_json, embed_points
 from freeart21.view.link_shapes import read_shown
 from freeart21.view.obj import read_obj
 from freeart21.view.parts import align, articulation_scene, exchanged, matched, with_truth
@@ -47,44 +47,6 @@ STATIC = Path(__file__).resolve().parents[1] / "freeart21" / "view" / "static"
 CSS = (STATIC / "page.css").read_text()
 PARTNET = Path(__file__).resolve().parents[2] / "shared" / "partnet_mobility" / "41083"
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\"'&\u2028"
-VOID = {"meta", "link", "img", "br", "input", "hr"}
-
-
-class Parsed(HTMLParser):
-    """The elements of a page, its attributes, its scripts; fails on elements that are not closed in order."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.tags: list[str] = []
-        self.attributes: list[tuple[str, str]] = []
-        self.open: list[str] = []
-        self.scripts: list[tuple[bool, str]] = []
-        self.feed(text)
-        self.close()
-        assert not self.open
-
-    def handle_starttag(self, tag: str, attrs: list) -> None:
-        self.tags.append(tag)
-        self.attributes += [(name, value or "") for name, value in attrs]
-        if tag not in VOID:
-            self.open.append(tag)
-        if tag == "script":
-            self.scripts.append((dict(attrs).get("type") == "application/json", ""))
-
-    def handle_startendtag(self, tag: str, attrs: list) -> None:
-        self.tags.append(tag)
-        self.attributes += [(name, value or "") for name, value in attrs]
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if self.open and self.open[-1] == "script":
-            self.scripts[-1] = (self.scripts[-1][0], self.scripts[-1][1] + data)
-
-    @property
-    def data(self) -> list[dict]:
-        return [json.loads(text) for is_data, text in self.scripts if is_data]
 
 
 def coloured(mesh: Mesh, seed: int) -> Mesh:

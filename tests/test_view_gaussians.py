@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from browser import CHROMIUM, Browser, browser
+from page_data import extract_array
 
 from freeart21 import se3
 from freeart21.articulation import Articulation
@@ -22,7 +23,7 @@ from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction
 from freeart21.view import page
-from freeart21.view.document import document, embed_json, extract_array
+from freeart21.view.document import document, embed_json
 from freeart21.view.pages import write_page
 from freeart21.view.parts import articulation_scene, exchanged
 from freeart21.view.scene import Scene, scene_section

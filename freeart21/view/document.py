@@ -13,7 +13,7 @@ from importlib import resources
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from freeart21 import __version__
 
@@ -95,12 +95,6 @@ def embed_points(points: ArrayLike) -> dict[str, Any]:
     return {**embed_array(np.rint((points - low) / np.where(steps > 0, steps, 1)), "u16"), "low": low, "steps": steps}
 
 
-def extract_array(data: dict[str, Any]) -> NDArray[Any]:
-    """The array behind the output of `embed_array` or `embed_points`."""
-    array = np.frombuffer(base64.b64decode(data["base64"]), _DTYPES[data["dtype"]]).reshape(data["shape"])
-    return data["low"] + array * np.asarray(data["steps"]) if "low" in data else array
-
-
 def data_url(mime: str, content: bytes) -> str:
     """`content` as a data: address."""
     return f"data:{mime};base64,{base64.b64encode(content).decode('ascii')}"
@@ -133,90 +127,75 @@ def document(
         icon: A mark in front of the title, already escaped.
         site: What the page has around its content when it is one of a site.
     """
-    above = kind if site else f"FreeArt-21{f' · {kind}' if kind else ''}"
-    marks = "".join(f"<li>{escape(chip)}</li>" for chip in chips)
-    lines = [
-        *_head(title, site),
-        "<body>",
-        *(_navigation(site) if site else ()),
-        "<header>",
-        f'<p class="kind">{escape(above)}</p>' if above else "",
-        f"<h1>{icon}{escape(title)}</h1>",
-        f'<ul class="chips">{marks}</ul>' if marks else "",
-        f'<div class="lead">{lead}</div>' if lead else "",
-        "</header>",
-        *(f'<p class="notice" role="note">{escape(notice)}</p>' for notice in notices),
-        '<noscript><p class="notice">Video, 3D view and sorting need JavaScript; all numbers are here.</p></noscript>',
-        '<main id="main">',
-        *_columns([section for section in sections if section.place in ("left", "right")]),
-        '<div class="below">',
-        *(_section(section) for section in sections if section.place in ("full", "small")),
-        "</div>",
-        "</main>",
-        *(_footer(site) if site else (f"<script>{static_text(*SCRIPTS)}</script>",)),
-        "</body>",
-        "</html>",
-        "",
-    ]
-    return "\n".join(lines)
-
-
-def _head(title: str, site: Site | None) -> list[str]:
+    script = static_text(*SCRIPTS)
     if site is None:
-        digest = base64.b64encode(hashlib.sha256(static_text(*SCRIPTS).encode()).digest()).decode("ascii")
+        digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
         policy = f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
-        style = f"<style>{static_text('page.css')}</style>"
+        style, scripts = f"<style>{static_text('page.css')}</style>", f"<script>{script}</script>"
+        above, window = f"FreeArt-21{f' · {kind}' if kind else ''}", f"{title} · FreeArt-21"
     else:
         policy, style = SITE_POLICY, f'<link rel="stylesheet" href="{site.root}static/site.css">'
-    of = "FreeArt-21" if site is None else site.title
-    return [
-        "<!DOCTYPE html>",
-        '<html lang="en">',
-        "<head>",
-        '<meta charset="utf-8">',
-        f'<meta http-equiv="Content-Security-Policy" content="{escape(policy)}">',
-        '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        '<meta name="color-scheme" content="light dark">',
-        '<meta name="referrer" content="no-referrer">',
-        f'<meta name="generator" content="freeart21 {__version__}">',  # `files.places` recognises our pages by it
-        f"<title>{escape(title)}{f' · {escape(of)}' if of != title else ''}</title>",
-        '<link rel="icon" href="data:,">',
-        style,
-        "</head>",
-    ]
+        addresses = [*site.data, f"{site.root}static/site.js"]
+        scripts = "".join(f'<script src="{escape(address)}"></script>' for address in addresses)
+        above, window = kind, f"{title} · {site.title}" if title != site.title else title
+    top = [section for section in sections if section.place in ("left", "right")]
+    below = "".join(_section_html(section) for section in sections if section.place in ("full", "small"))
+    marks = "".join(f"<li>{escape(chip)}</li>" for chip in chips)
+    warnings = "".join(f'<p class="notice" role="note">{escape(notice)}</p>' for notice in notices)
+    footer = (
+        f"<footer><p>Made by <code>freeart21 site</code> {__version__}. Nothing is loaded from elsewhere.</p></footer>"
+    )
+    # `files.places` recognises our pages by their generator
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="{escape(policy)}">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="color-scheme" content="light dark">
+<meta name="referrer" content="no-referrer">
+<meta name="generator" content="freeart21 {__version__}">
+<title>{escape(window)}</title>
+<link rel="icon" href="data:,">
+{style}
+</head>
+<body>
+{_navigation(site) if site else ""}
+<header>
+{f'<p class="kind">{escape(above)}</p>' if above else ""}
+<h1>{icon}{escape(title)}</h1>
+{f'<ul class="chips">{marks}</ul>' if marks else ""}
+{f'<div class="lead">{lead}</div>' if lead else ""}
+</header>
+{warnings}
+<noscript><p class="notice">Video, 3D view and sorting need JavaScript; all numbers are here.</p></noscript>
+<main id="main">
+{_columns_html(top) if top else ""}
+<div class="below">{below}</div>
+</main>
+{footer if site else ""}
+{scripts}
+</body>
+</html>
+"""
 
 
-def _navigation(site: Site) -> list[str]:
+def _navigation(site: Site) -> str:
     entries = "".join(
         f'<li><a href="{site.root}{address}"{" aria-current=page" * (address == site.here)}>{escape(text)}</a></li>'
         for address, text in site.menu
     )
-    return [
-        '<a class="skip" href="#main">Skip to the content</a>',
-        f'<nav class="top" aria-label="site"><a class="brand" href="{site.root}index.html">{escape(site.title)}</a>',
-        f"<ul>{entries}</ul></nav>",
-    ]
+    home = f'<a class="brand" href="{site.root}index.html">{escape(site.title)}</a>'
+    skip = '<a class="skip" href="#main">Skip to the content</a>'
+    return f'{skip}<nav class="top" aria-label="site">{home}<ul>{entries}</ul></nav>'
 
 
-def _footer(site: Site) -> list[str]:
-    return [
-        f"<footer><p>Made by <code>freeart21 site</code> {escape(__version__)}. Nothing is loaded from elsewhere.</p>",
-        "</footer>",
-        *(f'<script src="{escape(address)}"></script>' for address in site.data),
-        f'<script src="{site.root}static/site.js"></script>',
-    ]
+def _columns_html(sections: list[Section]) -> str:
+    columns = ("".join(_section_html(s) for s in sections if s.place == place) for place in ("left", "right"))
+    return f'<div class="columns">{"".join(f"<div class=column>{column}</div>" for column in columns if column)}</div>'
 
 
-def _columns(sections: list[Section]) -> list[str]:
-    if not sections:
-        return []
-    columns = (
-        "".join(_section(section) for section in sections if section.place == place) for place in ("left", "right")
-    )
-    return ['<div class="columns">', *(f'<div class="column">{column}</div>' for column in columns if column), "</div>"]
-
-
-def _section(section: Section) -> str:
+def _section_html(section: Section) -> str:
     data = f'<script type="application/json">{embed_json(section.data)}</script>' if section.data else ""
     target = f' id="{escape(section.id)}"' if section.id else ""
     kind = f' data-kind="{section.kind}"' if section.kind != "still" else ""

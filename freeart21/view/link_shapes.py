@@ -1,4 +1,4 @@
-"""The shapes of a URDF's links as they are drawn: meshes of its folder, boxes, spheres and cylinders."""
+"""The shapes of a URDF's links as meshes: mesh files, boxes, spheres, cylinders and capsules."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from freeart21.view.simplify import box, capsule, cylinder, sphere
 
 @dataclass(frozen=True)
 class ShownUrdf:
-    """A URDF and what its links look like, each in its own frame."""
+    """A URDF with the shapes of its links, each in its link's frame."""
 
     urdf: Urdf
     visuals: dict[str, tuple[Piece, ...]]
     """By link, parents before their children."""
     collisions: dict[str, tuple[Piece, ...]]
     missing: tuple[str, ...]
-    """Mesh files that the URDF names and the folder lacks."""
+    """Mesh files that the URDF names and that do not exist."""
 
 
 def read_shown(path: Path, root: Path | None = None) -> ShownUrdf:
-    """The URDF with all meshes it names: OBJ and PLY here, other formats through trimesh.
+    """The URDF with all meshes that it names.
 
     Meshes are looked for inside `root` only, as `urdf_files.resolve_file` does. Raises FreeArtError when the URDF
     cannot be read, a geometry is unknown, or a mesh is there and cannot be read.
@@ -75,7 +75,7 @@ def _geometry(shape: UrdfShape, where: str, path: Path, root: Path | None, missi
 def primitive(shape: UrdfShape, where: str) -> Mesh:
     """The surface of a box, sphere, cylinder or capsule in its own frame, m.
 
-    Raises FreeArtError, which begins with `where`, of another kind and of sizes that are not above zero.
+    Raises FreeArtError, beginning with `where`, for another kind and for sizes that are not positive.
     """
     if not (shape.size > 0).all():
         raise FreeArtError(f"{where} has a {shape.kind} of size {shape.size.tolist()}, expected more than zero")

@@ -1,8 +1,8 @@
-"""Mesh files of any kind that URDFs name, as pieces of one material: the one loader of them all.
+"""The loader of all mesh files that URDFs name; a piece has one material.
 
-OBJ and PLY are read here, other formats by trimesh (COLLADA by pycollada). Lengths of COLLADA files are turned to
-metres by their <unit>. Their <up_axis> is not heeded, as in RViz and MoveIt, nor is glTF's: a URDF places the mesh as
-it is written. What a file names itself is read inside the root alone.
+OBJ and PLY are read here, other formats by trimesh (COLLADA by pycollada). COLLADA lengths are converted to metres by
+their <unit>. <up_axis> of COLLADA and glTF is ignored, as in RViz and MoveIt: a URDF places the mesh as it is written.
+Files that a mesh file names are read inside the root only.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from freeart21.view.obj import MAX_OBJ_BYTES, Piece, read_obj
 
 _SCENES = (".dae", ".glb", ".gltf")
 ENDINGS = (".obj", ".stl", ".ply", ".off", *_SCENES)
-"""Of the files that are read, in lower case."""
+"""Endings of readable files, in lower case."""
 _MOST_VERTICES = 1 << 24
-"""Of all copies of all meshes of a scene: 4 GB with all that is made of them."""
+"""Most vertices in all copies of all meshes of a scene: 4 GB with everything computed from them."""
 
 
 def read_pieces(file: Path, root: Path) -> list[Piece]:
-    """The pieces of a mesh file, m, without vertex colours where it says none.
+    """The pieces of a mesh file, m, with vertex colours if the file has any.
 
     Raises FreeArtError, in one line, when its format is none of `ENDINGS`, it cannot be read, or has no faces.
     """
@@ -54,7 +54,7 @@ def read_pieces(file: Path, root: Path) -> list[Piece]:
 
 
 def up_axis(file: Path, root: Path) -> str:
-    """What a COLLADA file says of its axes: X_UP, Y_UP, Z_UP, or nothing."""
+    """The <up_axis> of a COLLADA file: X_UP, Y_UP, Z_UP, or empty."""
     asset = parse_xml(checked.read_bytes(file, MAX_OBJ_BYTES, root), file).find("{*}asset/{*}up_axis")
     return "" if asset is None else (asset.text or "").strip()
 
@@ -99,14 +99,14 @@ def _scene_pieces(file: Path, root: Path, data: bytes) -> list[Piece]:
 
 
 def _check_accessors(header: Any) -> None:
-    """ValueError when accessors without a buffer, which trimesh fills with zeros, count too many entries."""
+    """ValueError when accessors without a buffer, which trimesh fills with zeros, have too many entries."""
     count = sum(accessor["count"] for accessor in header.get("accessors", ()) if "bufferView" not in accessor)
     if count > _MOST_VERTICES:
-        raise ValueError(f"its accessors count {count} entries that it has not, at most {_MOST_VERTICES} are read")
+        raise ValueError(f"its accessors have {count} entries without data, at most {_MOST_VERTICES} are read")
 
 
 def _unit(file: Path, data: bytes) -> float:
-    """Metres a unit of a COLLADA file. Its XML is looked at before another parser gets it."""
+    """Metres per unit of a COLLADA file; its XML is checked before another parser reads it."""
     unit = parse_xml(data, file).find("{*}asset/{*}unit")
     metres = float("1" if unit is None else unit.get("meter", "1"))
     if not 0 < metres < np.inf:
@@ -115,7 +115,7 @@ def _unit(file: Path, data: bytes) -> float:
 
 
 def _look(mesh: Any, linear: bool) -> tuple[NDArray[np.uint8] | None, NDArray[np.float64] | None, Any]:
-    """Vertex colours (V, 3), texture coordinates and the picture (h, w, 3) of a trimesh; None where it has none."""
+    """Vertex colours (V, 3), texture coordinates (V, 2) and texture (h, w, 3) of a trimesh; None for each it lacks."""
     visual = mesh.visual
     if visual.kind in ("vertex", "face"):
         return np.asarray(visual.vertex_colors)[:, :3].astype(np.uint8), None, None
@@ -139,13 +139,13 @@ def _look(mesh: Any, linear: bool) -> tuple[NDArray[np.uint8] | None, NDArray[np
 
 
 class _Neighbours:
-    """The files that a mesh file names, as trimesh asks for them: inside the root, of bounded size."""
+    """Resolver for trimesh of the files that a mesh file names: inside the root, of bounded size."""
 
     def __init__(self, file: Path, root: Path):
         self._file, self._root = file, root
 
     def get(self, name: str) -> bytes:
-        """The bytes of the file that is called so, as seen from the mesh file."""
+        """The bytes of a file, by its path from the mesh file."""
         names = dict.fromkeys((name, unquote(name), unquote(name).removeprefix("file://").replace("\\", "/")))
         paths = [self._file.parent / each for each in names]
         path = next((each for each in paths if each.is_file()), paths[0])

@@ -1,4 +1,4 @@
-"""Wavefront OBJ as it is found in assets: triangles by material, with colours and one texture each."""
+"""Wavefront OBJ files: triangles by material, each with colours and at most one texture."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from freeart21.mesh import Mesh
 
 MAX_OBJ_BYTES = 256 << 20
 PLAIN = (190, 190, 190)
-"""Colour of a surface of which nothing is said."""
+"""Colour of a surface without a given one."""
 
 
 @dataclass(frozen=True)
@@ -24,10 +24,10 @@ class Piece:
     mesh: Mesh
     """With vertex colours."""
     uv: NDArray[np.float64] | None = None
-    """(V, 2) texture coordinates, (0, 0) the lower left corner; None without a texture."""
+    """(V, 2) texture coordinates, (0, 0) at the lower left corner; None without a texture."""
     texture: Path | None = None
     picture: NDArray[np.uint8] | None = None
-    """(h, w, 3) RGB of a texture that lies in the mesh file itself; the vertex colours are sampled from it."""
+    """(h, w, 3) RGB of a texture inside the mesh file; the vertex colours are sampled from it."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +37,9 @@ class _Material:
 
 
 def read_obj(path: Path, root: Path) -> list[Piece]:
-    """The pieces of an OBJ file, one for each of its materials; polygons are cut into fans.
+    """The pieces of an OBJ file, one per material; polygons become triangle fans.
 
-    Material files and textures are followed only inside `root`; one that is missing leaves the piece plain. Raises
+    Material files and textures are read inside `root` only; without them a piece has a plain colour. Raises
     FreeArtError when the file cannot be read as OBJ.
     """
     lines = checked.read_text(path, MAX_OBJ_BYTES, root, errors="replace").splitlines()

@@ -28,7 +28,7 @@ from leaderboard.site.html import Board, script, style
 from leaderboard.site.index_page import index_page
 from leaderboard.site.method_page import method_page
 from leaderboard.site.names import file_names
-from leaderboard.site.sequence_data import Shown, show_sequence, show_table
+from leaderboard.site.sequence_data import SequenceContent, show_sequence, show_table
 from leaderboard.site.sequence_page import sequence_page
 
 SCHEMA = "freeart21/site/1"
@@ -196,9 +196,9 @@ def _pack_sequences(
     types: Mapping[str, JointType],
     files: dict[str, str],
     progress: Progress | None,
-) -> list[Shown]:
+) -> list[SequenceContent]:
     """Pack every sequence and write its data and images."""
-    shown: list[Shown] = []
+    shown: list[SequenceContent] = []
     with ThreadPoolExecutor(WORKERS) as pool:
         jobs = [
             pool.submit(show_sequence, benchmark, name, board_entrants, protocol, types[name])
@@ -234,7 +234,7 @@ def _write_pages(new: Path, board: Board) -> None:
             tables[f"{name}.csv"] = scores_csv(entrant.scores[protocol])
             _write(new / "scores" / f"{name}.csv", tables[f"{name}.csv"])
         _write(new / "methods" / f"{entrant.file}.html", method_page(board, entrant))
-    for k, one in enumerate(board.shown):
+    for k, one in enumerate(board.sequences):
         _write(new / "sequences" / f"{board.files[one.name]}.html", sequence_page(board, k))
     _write(new / "index.html", index_page(board))
     _write(new / "failures.html", failures_page(board))

@@ -23,7 +23,7 @@ def failures_page(board: Board) -> bytes:
     lost = [(e, row) for e, row in rows if row.status != "ok"]
     measured = [(e, row) for e, row in rows if row.status == "ok"]
     wrong = [(e, row) for e, row in measured if row.values.get("joint_type") == 0]
-    thumbs = {s.name for s in board.shown if s.thumb}
+    thumbs = {s.name for s in board.sequences if s.thumb}
 
     def card(entrant: Entrant, row: Row, head: str, text: str = "") -> str:
         return _card(entrant, row, board.files[row.sequence], row.sequence in thumbs, head, text)

@@ -9,7 +9,7 @@ from freeart21.view.document import SCRIPTS, Section, Site, document, escape, st
 from freeart21.view.tables import ARROWS, NONE, Markup, column_head, number_text, row_head
 from leaderboard.protocols import Group, Metric, Protocol
 from leaderboard.site.entrant import Entrant, svg_mark
-from leaderboard.site.sequence_data import Shown
+from leaderboard.site.sequence_data import SequenceContent
 
 OWN_SCRIPTS = ("packed.js", "overlays.js", "ranking.js")
 MENU = (
@@ -28,7 +28,7 @@ class Board:
     title: str
     entrants: Sequence[Entrant]
     protocols: Sequence[str]
-    shown: Sequence[Shown]
+    sequences: Sequence[SequenceContent]
     files: dict[str, str]
     """Sequence to its file name, without ending."""
     benchmark: dict[str, str]
@@ -82,7 +82,7 @@ def method_heads(entrants: Sequence[Entrant], deep: bool) -> list[Markup]:
     return [column_head(method_link(entrant, deep), number=True) for entrant in entrants]
 
 
-def sequence_link(shown: Shown, board: Board, deep: bool = False) -> str:
+def sequence_link(shown: SequenceContent, board: Board, deep: bool = False) -> str:
     """A sequence's thumbnail and name as a link to its page."""
     up, file = "../" if deep else "", board.files[shown.name]
     image = f'<img src="{up}thumbs/{file}.jpg" alt="" width="88" height="50" loading="lazy">' if shown.thumb else ""

@@ -55,8 +55,8 @@ class Place:
 
 def index_page(board: Board) -> bytes:
     """The front page."""
-    n, m, benchmark = len(board.entrants), len(board.shown), board.benchmark
-    frames = sum(s.facts.get("frames", 0) for s in board.shown)
+    n, m, benchmark = len(board.entrants), len(board.sequences), board.benchmark
+    frames = sum(s.facts.get("frames", 0) for s in board.sequences)
     truth = f'<code title="{escape(benchmark["sha256"])}">{escape(benchmark["sha256"][:12])}</code>'
     rows = [
         ("benchmark", escape(f"{benchmark['name']}, version {benchmark['version']}")),
@@ -179,7 +179,7 @@ def _sequences(board: Board, rules: Protocol) -> str:
     """Every sequence with one number of every method; the scripts offer the other numbers."""
     metric = _first_metric(rules)
     rows = []
-    for s in board.shown:
+    for s in board.sequences:
         cells = []
         for entrant in board.entrants:
             row = entrant.row(rules.name, s.name)
@@ -193,7 +193,7 @@ def _sequences(board: Board, rules: Protocol) -> str:
 
 def _data(board: Board, rules: Protocol) -> dict[str, Any]:
     """Input of `static/ranking.js`."""
-    entrants, shown = board.entrants, board.shown
+    entrants, shown = board.entrants, board.sequences
     metrics = [m for m in rules.metrics if any(e.row(rules.name, s.name) for e in entrants for s in shown)]
     at = {metric.id: k for k, metric in enumerate(metrics)}
     methods = []

@@ -112,7 +112,7 @@ def _sequences(board: Board, entrant: Entrant, rules: Protocol) -> str:
         head.append(column_head(escape(metric.column.replace("\n", " ")), True, True, unit))
     head.append(column_head("s", True, True))
     rows = []
-    for s in board.shown:
+    for s in board.sequences:
         row = entrant.row(rules.name, s.name)
         if row is not None:
             rows.append(_line(row, metrics, sequence_link(s, board, True)))

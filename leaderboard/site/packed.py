@@ -42,18 +42,6 @@ def varints(values: ArrayLike) -> bytes:
     return table[used].tobytes()
 
 
-def read_varints(data: bytes) -> NDArray[np.int64]:
-    """The integers (n,) behind the output of `varints`."""
-    found, value, shift = [], 0, 0
-    for byte in data:
-        value |= (byte & 127) << shift
-        shift += 7
-        if byte < 128:
-            found.append((value >> 1) ^ -(value & 1))
-            value = shift = 0
-    return np.array(found, np.int64)
-
-
 class Packed:
     """The arrays of one page. A packed array is a dictionary with its kind under '$', which the scripts replace."""
 
@@ -130,13 +118,6 @@ class Packed:
         text = json.dumps(header, allow_nan=False, separators=(",", ":"), sort_keys=True).encode()
         body = zlib.compress(len(text).to_bytes(4, "little") + text + bytes(self._data), 9)
         return f'var FreeArtPacked="{base64.b64encode(body).decode("ascii")}";\n'
-
-
-def read_script(script: str) -> tuple[dict[str, Any], bytes]:
-    """Header and bytes behind the output of `Packed.script`."""
-    body = zlib.decompress(base64.b64decode(script.split('"')[1]))
-    length = int.from_bytes(body[:4], "little")
-    return json.loads(body[4 : 4 + length]), body[4 + length :]
 
 
 def _rounded(value: float) -> float:

@@ -85,7 +85,7 @@ LACKS = {
 
 
 @dataclass(frozen=True)
-class Shown:
+class SequenceContent:
     """One sequence, ready to be written."""
 
     name: str
@@ -143,15 +143,15 @@ class Source:
     lacks: tuple[str, ...] = ()
 
 
-def show_table(name: str, joint_type: JointType, entrants: Sequence[Entrant]) -> Shown:
+def show_table(name: str, joint_type: JointType, entrants: Sequence[Entrant]) -> SequenceContent:
     """What is shown of a sequence without its data folder: numbers alone."""
     absent = dict.fromkeys((e.file for e in entrants), "only its table of scores was given")
-    return Shown(name, {"joint_type": joint_type, "category": NONE, "source": {}}, absent=absent)
+    return SequenceContent(name, {"joint_type": joint_type, "category": NONE, "source": {}}, absent=absent)
 
 
 def show_sequence(
     benchmark: Benchmark, name: str, entrants: Sequence[Entrant], protocol: str, joint_type: JointType
-) -> Shown:
+) -> SequenceContent:
     """Read one sequence, its truth and every method's result, and pack them.
 
     Nothing of a hidden truth is read: results are shown as they are, with the foreground masks that methods see.
@@ -204,7 +204,9 @@ def show_sequence(
         category = str(truth.source.get("category") or "unknown")
         facts |= {"category": category, "diagonal_cm": 100 * truth.diagonal, "range": float(np.ptp(truth.states))}
         facts["source"] = truth.source
-    return Shown(name, facts, packed.script(header), _sheets(images), _thumbnail(images, masks), absent, states)
+    return SequenceContent(
+        name, facts, packed.script(header), _sheets(images), _thumbnail(images, masks), absent, states
+    )
 
 
 def _read_answer(

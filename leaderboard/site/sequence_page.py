@@ -22,7 +22,7 @@ from leaderboard.site.html import (
     page,
 )
 from leaderboard.site.index_page import hidden_metrics
-from leaderboard.site.sequence_data import LACKS, Shown
+from leaderboard.site.sequence_data import LACKS, SequenceContent
 
 MEASURED = {
     "asset": "the asset, loaded and moved in the simulator",
@@ -33,7 +33,7 @@ MEASURED = {
 
 def sequence_page(board: Board, k: int) -> bytes:
     """The page of the k-th sequence."""
-    shown, f = board.shown[k], board.shown[k].facts
+    shown, f = board.sequences[k], board.sequences[k].facts
     lines = [("joint", escape(f["joint_type"]))]
     if "range" in f:
         unit, factor = display_unit(f["joint_type"])
@@ -42,7 +42,7 @@ def sequence_page(board: Board, k: int) -> bytes:
         lines.append(("diagonal", f"{f['diagonal_cm']:.1f} cm"))
     if "frames" in f:
         lines.append(("video", f"{f['frames']} frames, {f['seconds']:.1f} s, {escape(f['size'])}"))
-    steps = [(board.shown[i].name if 0 <= i < len(board.shown) else None) for i in (k - 1, k + 1)]
+    steps = [(board.sequences[i].name if 0 <= i < len(board.sequences) else None) for i in (k - 1, k + 1)]
     links = "".join(
         f'<a rel="{rel}" href="{escape(board.files[name])}.html">{arrow.format(escape(name))}</a>'
         if name is not None
@@ -60,7 +60,7 @@ def sequence_page(board: Board, k: int) -> bytes:
     return page(board, shown.name, sections, deep=True, lead=lead, kind="Sequence", data=data)
 
 
-def _visual_sections(shown: Shown, board: Board) -> list[Section]:
+def _visual_sections(shown: SequenceContent, board: Board) -> list[Section]:
     """Video, 3D view and joint states, as far as there are any."""
     if not shown.script:
         return [Section("Video and parts", f'<p class="note">{TABLES_ONLY}</p>', place="full")]
@@ -104,7 +104,7 @@ def _visual_sections(shown: Shown, board: Board) -> list[Section]:
     return [video, states, scene]
 
 
-def _without_meshes(shown: Shown, entrants: Sequence[Entrant]) -> str:
+def _without_meshes(shown: SequenceContent, entrants: Sequence[Entrant]) -> str:
     """A line for each method without a surface: why."""
     lines = []
     for entrant in entrants:
@@ -114,7 +114,7 @@ def _without_meshes(shown: Shown, entrants: Sequence[Entrant]) -> str:
     return f'<ul class="absent">{"".join(lines)}</ul>' if lines else ""
 
 
-def _numbers_section(protocol: str, shown: Shown, entrants: Sequence[Entrant]) -> Section:
+def _numbers_section(protocol: str, shown: SequenceContent, entrants: Sequence[Entrant]) -> Section:
     """Every number of every method by one protocol."""
     rules, kind = protocol_named(protocol), shown.facts["joint_type"]
     rows: list[Row | None] = [entrant.row(protocol, shown.name) for entrant in entrants]
@@ -143,7 +143,7 @@ def _numbers_section(protocol: str, shown: Shown, entrants: Sequence[Entrant]) -
     return Section(f"Numbers by {protocol}", html, place="full", note=note, id=f"numbers-{protocol}")
 
 
-def _notes_section(shown: Shown, board: Board) -> Section:
+def _notes_section(shown: SequenceContent, board: Board) -> Section:
     """Reasons and notes of scoring on each method's result."""
     blocks = []
     for entrant in board.entrants:
