@@ -711,6 +711,8 @@ def test_page_comes_to_life_in_a_browser(tmp_path: Path, folders: dict[str, Path
     write_page(folders["result"], tmp_path / "page.html", folders["truth"], folders["seq"])
     with browser() as chrome:
         chrome.open((tmp_path / "page.html").as_uri() + "#frame=4&state=-0.5&parts=beside")
+        chrome.run("document.querySelector('.view canvas').focus()")
+        chrome.press("ArrowRight")  # turns the 3D view, not the video
         texts = chrome.run("[...document.querySelectorAll('output')].map((o) => o.textContent)")
         legends = chrome.run("[...document.querySelectorAll('.legend li')].map((li) => li.textContent)")
         assert not chrome.errors

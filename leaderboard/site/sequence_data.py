@@ -135,9 +135,9 @@ class Source:
     colour: str
     shape: str
     """SVG path of its mark."""
-    dash: str = ""
-    answer: Answer | None = None
-    """None for the ground truth, and for a method whose result cannot be shown."""
+    dash: str
+    answer: Answer | None
+    """None when it cannot be shown."""
     absent: str = ""
     """Why it cannot."""
     lacks: tuple[str, ...] = ()
@@ -179,17 +179,19 @@ def show_sequence(
         Source(e.file, e.name, e.colour, e.shape, e.dash, answers.get(e.file), absent.get(e.file, ""), e.method.lacks)
         for e in entrants
     ]
-    if truth is not None:
-        sources = [Source("truth", "ground truth", TRUTH, TRUTH_SHAPE), *sources]
     masks = np.stack(
         [truth.part_mask(i) if truth else recording.frame(i).mask.astype(np.uint8) for i in frames.tolist()]
     )
+    if truth is not None:
+        own = _truth_as_answer(truth, masks)
+        sources = [Source("truth", "ground truth", TRUTH, TRUTH_SHAPE, "", own), *sources]
     packed = Packed()
-    header = {"overlays": _overlays(packed, recording, common, truth, frames, sources, masks)}
+    header = {"overlays": _overlays(packed, recording, common, truth is None, frames, sources)}
     states = None
     if common.joint is not None:
-        header["scene"] = _scene(packed, recording, common, truth, [s for s in sources if not s.absent])
-        states = _states(recording, common, truth, sources)
+        header["scene"] = _scene(packed, recording, common, sources)
+        seen = None if truth is None else truth.seen[:, 1] > 0
+        states = _states(recording, common.joint, seen, sources)
     images = [checked.read_rgb(benchmark.sequence(name) / "rgb" / f"{i:05d}.png") for i in frames.tolist()]
     facts: dict[str, Any] = {
         "joint_type": joint_type,
@@ -224,6 +226,13 @@ def _read_answer(
     except Exception as error:  # hostile files reach parsers of many libraries; each has exceptions of its own
         reason = str(error) if isinstance(error, FreeArtError) else type(error).__name__
         return f"its files cannot be shown: {reason}"
+
+
+def _truth_as_answer(truth: Truth, masks: NDArray[np.uint8]) -> Answer:
+    """The truth as a perfect result, with its outer surfaces."""
+    outer = [truth.articulation.part(n).with_faces(f) for n, f in zip(PARTS, truth.outer, strict=True)]
+    parts = Articulation(truth.articulation.joint, outer[0], outer[1])
+    return Answer(parts, truth.states, 1.0, 0.0, True, None, truth.Ts_camera_reference, masks, ())
 
 
 def _common_of_truth(truth: Truth) -> Common:
@@ -277,29 +286,25 @@ def _overlays(
     packed: Packed,
     recording: Recording,
     common: Common,
-    truth: Truth | None,
+    hidden: bool,
     frames: NDArray[np.int64],
     sources: Sequence[Source],
-    masks: NDArray[np.uint8],
 ) -> dict[str, Any]:
-    """Input of the player: masks and axes of every source; `masks` (k, height, width) are the true ones."""
+    """Input of the player: masks and axes of every source; with a `hidden` truth, axes by each result's own poses."""
     entries = []
     for k, source in enumerate(sources):
-        answer, own, axis = source.answer, None, None
+        masks, axis, answer = None, None, source.answer
         if answer is not None:
-            own = _masks(packed, answer.masks) if len(answer.masks) else None
-            Ts = common.Ts_camera if truth is not None else answer.Ts_camera_articulation
-            axis = _axis(packed, answer.articulation.joint, common, Ts, frames, recording) if len(Ts) else None
-        elif truth is not None and source.id == "truth":
-            own = _masks(packed, masks)
-            axis = _axis(packed, truth.articulation.joint, common, common.Ts_camera, frames, recording)
-        why = source.absent or (LACKS["masks"] if "masks" in source.lacks else "")
+            Ts = answer.Ts_camera_articulation if hidden else common.Ts_camera
+            joint, place = answer.articulation.joint, (common.near, common.size)
+            axis = packed.lines(axis_in_images(joint, *place, Ts[frames], recording.camera)) if len(Ts) else None
+            masks = _masks(packed, answer.masks) if len(answer.masks) else None
         entries.append(
             {
                 **{key: getattr(source, key) for key in ("id", "name", "colour", "shape")},
-                "first": k <= (truth is not None),  # the truth and the first method are shown at first
-                "why": _brief(why),
-                "masks": own,
+                "first": k < (1 if hidden else 2),  # the truth and the first method are shown at first
+                "why": _brief(source.absent or (LACKS["masks"] if "masks" in source.lacks else "")),
+                "masks": masks,
                 "axis": axis,
             }
         )
@@ -312,12 +317,6 @@ def _overlays(
         "down": DOWN,
         "sources": entries,
     }
-
-
-def _axis(
-    packed: Packed, joint: Joint, common: Common, Ts: Array, frames: NDArray[np.int64], recording: Recording
-) -> dict[str, Any]:
-    return packed.lines(axis_in_images(joint, common.near, common.size, Ts[frames], recording.camera))
 
 
 def _masks(packed: Packed, masks: NDArray[np.uint8]) -> dict[str, Any]:
@@ -378,75 +377,64 @@ def _thumbnail(images: list[NDArray[np.uint8]], masks: NDArray[np.uint8]) -> byt
 # --- 3D view ----------------------------------------------------------------------------------------------------------
 
 
-def _scene(
-    packed: Packed, recording: Recording, common: Common, truth: Truth | None, sources: Sequence[Source]
-) -> dict[str, Any]:
-    """The 3D view: truth (unless hidden) and results, moved by one slider where their joints are of one type.
+def _scene(packed: Packed, recording: Recording, common: Common, sources: Sequence[Source]) -> dict[str, Any]:
+    """The 3D view of all sources with a result, moved by one slider where their joints are of one type.
 
     A source has three links (reference part, moving part, axis) and two layers (parts, axis).
     """
-    first, states, size = common.joint, common.states, common.size
+    first, size = common.joint, common.size
     assert first is not None
-    sliders = [Slider(f"{first.type} joint", first.type, *slider_range(first, states, size), float(states[0]), states)]
+    ends = slider_range(first, common.states, size)
+    sliders = [Slider(f"{first.type} joint", first.type, *ends, float(common.states[0]), common.states)]
     links: list[Link] = []
     layers: list[Layer] = []
     surfaces: list[dict[str, Any]] = []
-    bounds: list[Surface] = [] if truth is not None else [Surface(common.bounds, 0, 0)]
-    for source in sources:
-        parts, moving = _parts(truth, source, first, sliders, size)
-        root, layer = len(links), len(layers)
+    bounds = [] if common.bounds.empty else [Surface(common.bounds, 0, 0)]
+    answers = [(source, source.answer) for source in sources if source.answer is not None]
+    for source, answer in answers:
+        parts, root, layer = answer.articulation, len(links), len(layers)
+        if not bounds:  # the truth, which is the first one
+            bounds = [Surface(parts.reference, 0, 0), Surface(parts.moving, 1, 0)]
         T_arrow = axis_pose(parts.joint, common.near)
         T_arrow[:3, :3] *= size
-        links += [Link(-1), replace(moving, parent=root), Link(root, T_arrow)]
+        links += [Link(-1), _moving_link(source.name, answer, root, sliders, size), Link(root, T_arrow)]
         layers += [Layer(source.name, source.colour), Layer("axis", source.colour, "axis")]
         for k, mesh in enumerate((parts.reference, parts.moving)):
-            colour = source.colour if k else _pale(source.colour)
-            near = mesh if source.answer is None else _without_far_vertices(mesh, size)
+            near = _without_far_vertices(mesh, size)
             if not near.empty:
+                colour = source.colour if k else _pale(source.colour)
                 body = packed.mesh(simplified(near, FACES))
                 surfaces.append({"link": root + k, "layer": layer, "mesh": body, "colour": colour})
-            if source.answer is None:
-                bounds.append(Surface(mesh, root + k, layer))
         surfaces.append({"link": root + 2, "layer": layer + 1, "mesh": _packed_arrow(packed, parts.joint.type)})
-    camera = recording.camera
-    up, towards = common.up, common.towards_viewer
-    data = scene_data(
-        Scene(tuple(links), tuple(sliders), tuple(layers), tuple(bounds), up, towards, camera)
-    )  # its centre and radius are those of `bounds`
+    views, camera = (common.up, common.towards_viewer), recording.camera
+    data = scene_data(Scene(tuple(links), tuple(sliders), tuple(layers), tuple(bounds), *views, camera))
     roots = list(range(0, len(links), 3))
-    for k, source in enumerate(sources):
+    below = data["centre"] - 0.66 * data["radius"] * common.up
+    for k, (source, _) in enumerate(answers):
         data["layers"][2 * k]["shape"] = source.shape
         data["layers"][2 * k + 1]["follows"] = 2 * k
-    below = data["centre"] - 0.66 * data["radius"] * up
     data |= {
         "surfaces": surfaces,
         "roots": roots,
         "labels": [
-            {"text": s.name, "link": root, "layer": 2 * k, "at": below}
-            for k, (s, root) in enumerate(zip(sources, roots, strict=True))
+            {"text": source.name, "link": root, "layer": 2 * k, "at": below}
+            for k, ((source, _), root) in enumerate(zip(answers, roots, strict=True))
         ],
-        "arrangements": _arrangements(data, len(sources), camera.width / camera.height),
+        "arrangements": _arrangements(data, len(answers), camera.width / camera.height),
     }
     for slider in data["sliders"]:
         slider["states"] = packed.states(slider["states"])
     return {**_rounded(data), "camera_poses": packed.poses(common.Ts_camera)}
 
 
-def _parts(
-    truth: Truth | None, source: Source, first: Joint, sliders: list[Slider], size: float
-) -> tuple[Articulation, Link]:
-    """The articulation of a source, and the link of its moving part; a joint of another type gets a slider."""
-    if source.answer is None:
-        assert truth is not None
-        outer = [truth.articulation.part(n).with_faces(f) for n, f in zip(PARTS, truth.outer, strict=True)]
-        return Articulation(first, *outer), Link(-1, joint=first, slider=0)
-    answer, joint = source.answer, source.answer.articulation.joint
+def _moving_link(name: str, answer: Answer, root: int, sliders: list[Slider], size: float) -> Link:
+    """The link of a result's moving part; a joint of another type than the common one gets a slider of its own."""
+    joint = answer.articulation.joint
     if answer.comparable:
-        return answer.articulation, Link(-1, joint=joint, slider=0, scale=answer.sign, offset=answer.offset)
+        return Link(root, joint=joint, slider=0, scale=answer.sign, offset=answer.offset)
     ends = slider_range(joint, answer.states, size)
-    name = f"{source.name}: {joint.type}"
-    sliders.append(Slider(name, joint.type, *ends, float(answer.states[0]), answer.states))
-    return answer.articulation, Link(-1, joint=joint, slider=len(sliders) - 1)
+    sliders.append(Slider(f"{name}: {joint.type}", joint.type, *ends, float(answer.states[0]), answer.states))
+    return Link(root, joint=joint, slider=len(sliders) - 1)
 
 
 def _packed_arrow(packed: Packed, joint_type: str) -> dict[str, Any]:
@@ -500,34 +488,34 @@ def _rounded(value: Any) -> Any:
 
 
 def _states(
-    recording: Recording, common: Common, truth: Truth | None, sources: Sequence[Source]
+    recording: Recording, joint: Joint, seen: NDArray[np.bool_] | None, sources: Sequence[Source]
 ) -> tuple[str, dict[str, Any]]:
-    """The plot of joint states, with a button to hide each curve, and the methods without a curve below it."""
-    assert common.joint is not None
+    """The plot of joint states, with a button to hide each curve, and the methods without a curve below it.
+
+    `seen` (n,) is False in frames without a pixel of the moving part; None when the truth is hidden.
+    """
     frames = shown_frames(len(recording), STATE_SAMPLES)
     x = recording.times_s[frames] - recording.times_s[0]
-    unit, factor = display_unit(common.joint.type)
+    unit, factor = display_unit(joint.type)
     curves, without = [], ""
     for source in sources:
         answer = source.answer
-        if truth is not None and source.id == "truth":
-            values, style = truth.states, "wide"
-        elif answer is not None and answer.comparable and "states" not in answer.lacks:
-            values, style = answer.states_as_true, ""
+        if answer is not None and answer.comparable and "states" not in answer.lacks:
+            values = factor * answer.states_as_true[frames]
+            style = "wide" if source.id == "truth" else ""
+            curves.append(Curve(source.name, source.colour, values, style, None, source.dash))
         else:
             why = source.absent or (LACKS["states"] if "states" in source.lacks else "another joint type")
             name = f'<span class="who">{escape(source.name)}</span><small>{escape(_brief(why))}</small>'
             without += f'<span class="chip absent">{svg_mark(source.shape, source.colour)}{name}</span>'
-            continue
-        curves.append(Curve(source.name, source.colour, factor * values[frames], style, None, source.dash))
     first = curves[0].values if curves else np.zeros(1)
+    every = np.concatenate([first, *(curve.values for curve in curves)])
     span = float(np.ptp(first)) or 1.0
-    every = np.concatenate([curve.values for curve in curves]) if curves else first
     low = max(first.min() - 0.75 * span, every.min() - 0.05 * span)
     high = min(first.max() + 0.75 * span, every.max() + 0.05 * span)
     curves = [replace(curve, values=np.clip(curve.values, low, high)) for curve in curves]
     axes = Axes(*STATE_SIZE, STATE_MARGINS, x_range(x), (low, high))
-    under = unseen_boxes(axes, x, truth.seen[frames, 1] > 0) if truth is not None else []
+    under = unseen_boxes(axes, x, seen[frames]) if seen is not None else []
     entry = '<li><button type="button" class="chip" aria-pressed="true">{}</button></li>'
     html = line_figure(axes, x, curves, "", f"joint state, {unit}", " s", (6, 5), under, entry=entry)
     html = f'<div class="charts wide">{html}</div>' + (f'<div class="sources">{without}</div>' if without else "")
