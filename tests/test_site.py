@@ -428,4 +428,7 @@ def test_a_sequence_plays_and_every_source_can_be_shown(chrome, site):
     assert chrome.run("(({ width, height }) => width > 100 && height > 50)(document.querySelector('.stage canvas'))")
     assert chrome.run("document.querySelectorAll('.view canvas').length") == 1
     assert chrome.run("document.querySelectorAll('section[data-kind=curves] figure > svg path').length") >= 3
+    curves = "section[data-kind=curves]"
+    chrome.run(f"document.querySelector('{curves} .legend button').click()")
+    assert chrome.run(f"document.querySelectorAll('{curves} g.hidden').length") == 1
     assert not chrome.errors

@@ -95,7 +95,11 @@ def _corner(word: str, n_points: int, n_coordinates: int) -> tuple[int, int]:
 
 
 def _piece(
-    fan: NDArray[np.int64], vertices: NDArray, coordinates: NDArray, colours: NDArray | None, material: _Material
+    fan: NDArray[np.int64],
+    vertices: NDArray[np.float64],
+    coordinates: NDArray[np.float64],
+    colours: NDArray[np.float64] | None,
+    material: _Material,
 ) -> Piece:
     if fan[:, 0].min() < 0 or fan[:, 0].max() >= len(vertices) or fan[:, 1].max() >= len(coordinates):
         raise ValueError(f"a face names a vertex that does not exist; there are {len(vertices)}")

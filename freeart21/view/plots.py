@@ -236,7 +236,7 @@ def tick_values(low: float, high: float, about: int) -> Array:
     raw = (high - low) / about
     power = 10.0 ** np.floor(np.log10(raw))
     step = power * min((m for m in (1, 2, 5, 10) if m * power >= raw), default=10)
-    return np.round(np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step, 10) + 0.0
+    return np.asarray(np.round(np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step, 10) + 0.0)
 
 
 def true_runs(flags: NDArray[np.bool_], bridge: int = 1) -> list[NDArray[np.int64]]:

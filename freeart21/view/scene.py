@@ -159,7 +159,7 @@ def without_outliers(points: ArrayLike) -> Array:
     """(m, 3) of points (n, 3), without the 1 % farthest from their median."""
     points = np.asarray(points, float)
     distances = np.linalg.norm(points - np.median(points, 0), axis=1)
-    return points[distances <= np.quantile(distances, 0.99, method="higher")]
+    return np.asarray(points[distances <= np.quantile(distances, 0.99, method="higher")])
 
 
 def scene_section(
@@ -229,7 +229,8 @@ def _sampled(texture: Path, uv: NDArray[np.float64]) -> NDArray[np.uint8]:
     """(V, 3) colours of a repeating texture at (V, 2) coordinates."""
     image = checked.read_rgb(texture)
     height, width = image.shape[:2]
-    return image[((1 - uv[:, 1] % 1) * height).astype(int) % height, (uv[:, 0] % 1 * width).astype(int) % width]
+    row, column = (1 - uv[:, 1] % 1) * height, uv[:, 0] % 1 * width
+    return np.asarray(image[row.astype(int) % height, column.astype(int) % width])
 
 
 def _texture_url(path: Path) -> str:
