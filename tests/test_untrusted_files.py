@@ -52,7 +52,6 @@ EXEMPT = {
         "leaderboard/asset_process.py:json.loads leaderboard/asset_process.py:fdopen leaderboard/worker.py:json.loads "
         "leaderboard/worker.py:fdopen"
     ),
-    "bytes of a page that this process has just made": "leaderboard/site/packed.py:json.loads",
     "a message of the page, of bounded length": "generator/teleop/wire.py:json.loads",
     "bytes that `checked` has read": (
         "freeart21/formats/mat_file.py:loadmat freeart21/files/mesh_file.py:loadtxt export/checklist.py:load_mesh "
