@@ -28,7 +28,7 @@ class Failure:
 
 Piece = Literal["joint", "states", "poses", "masks", "meshes", "renders"]
 PIECES: tuple[Piece, ...] = get_args(Piece)
-"""What a method may not make at all, and say so in its method.json (`freeart21.files.result.Method.lacks`)."""
+"""Parts of a result that a method can declare as lacking in its method.json (`freeart21.files.result.Method.lacks`)."""
 Verdict = Literal["sound", "doubtful"]
 VERDICTS: tuple[str, ...] = get_args(Verdict)
 NOT_STATED = "not stated"

@@ -1,6 +1,6 @@
-"""Hot loops: registration of pixels between frames, what a pixel says about a motion, relaxation of labels.
+"""Compiled loops: registration of pixels between frames, costs of pixels under motions, smoothing of labels.
 
-All work on the arrays of a `Scene` and poses `T` that take camera-frame points of a source frame to a target frame.
+All use the arrays of a `Scene`, and poses `T` that take camera-frame points of a source frame to a target frame.
 """
 
 from __future__ import annotations
@@ -18,14 +18,15 @@ from numba import njit
 T = TypeVar("T")
 
 NEAR = 1e-6
+"""Metres: points nearer to the camera are skipped."""
 
 POINT, DEPTH, NORMAL, FEATURE, OUTSIDE = 0, 2, 3, 6, 9
-"""Where the fields of a pixel's record begin: see `Scene.pixels`. A point's depth is its third coordinate."""
+"""Offsets of a pixel record's fields; see `Scene.pixels`. A point's depth is its third coordinate."""
 
 EDGE_ON = 0.1
-"""Cosine between normal and view of a surface that is neither turned to the camera nor away from it."""
+"""Cosine between normal and view below which a surface counts as seen edge-on."""
 HIDDEN = 0.8
-"""Cost of a pixel that is hidden: see `pixel_costs`."""
+"""Cost of a hidden pixel; see `pixel_costs`."""
 
 _NO_ROWS = (0.0,) * 9
 
@@ -36,7 +37,7 @@ _POOL, _FRAMES_POOL = ThreadPoolExecutor(_THREADS), ThreadPoolExecutor(_THREADS)
 def run_in_threads(work: Callable[[int, int], object], n: int, worth: int) -> None:
     """Call `work(begin, end)` on pieces of range(n), in threads when n is at least `worth`.
 
-    Pieces write to places of their own, so the outcome does not depend on the number of threads. Kernels release the
+    Pieces write to separate places, so the result does not depend on the number of threads. Kernels release the
     interpreter lock; small work stays in this thread, where it is faster.
     """
     if n < worth or _THREADS == 1:
@@ -48,7 +49,7 @@ def run_in_threads(work: Callable[[int, int], object], n: int, worth: int) -> No
 
 
 def map_in_threads(work: Callable[[int], T], n: int) -> list[T]:
-    """`work(i)` for all i in range(n), in threads; it may itself call `run_in_threads`, but not this."""
+    """`work(i)` for all i in range(n), in threads; it may call `run_in_threads`, but not this."""
     return list(_FRAMES_POOL.map(work, range(n)))
 
 
@@ -81,11 +82,11 @@ def register_pairs(  # pragma: no cover
 ):
     """Gauss-Newton terms of the frame pairs begin to end for the left twist (v, w) of T[p] = T_target_source.
 
-    `samples[offsets[i]:offsets[i + 1]]` are the records of pixels of frame i. With `part` > 0 a sample does not meet
-    target pixels labelled as the other part (label 0 is either's). Terms per sample: point-to-plane by projective
-    association with Tukey's weight, colour along its gradient, and the distance to the mask where it falls outside of
-    it and is not hidden by what was measured there.
-    Fills H (p, 6, 6), g (p, 6) and stats (p, 4): inliers, projected, cost, outside.
+    `samples[offsets[i]:offsets[i + 1]]` are the records of pixels of frame i. With `part` > 0 a sample is not matched
+    to target pixels labelled as the other part (label 0 matches either). Terms per sample: point-to-plane by projective
+    association with Tukey's weight; colour along its gradient; and the distance to the mask for samples outside it that
+    are not hidden by anything measured there. Fills H (p, 6, 6), g (p, 6) and stats (p, 4): inliers, projected, cost,
+    outside.
     """
     for p in range(begin, end):
         i, j = source[p], target[p]
@@ -192,8 +193,10 @@ def _add_row(N, n0, n1, n2, r, weight):  # pragma: no cover
 
 @njit(inline="always")
 def _add_point(A, b, N, Y0, Y1, Y2):  # pragma: no cover
-    """All rows n of one point Y: by the left twist (v, w) a row is (n, Y x n), and so with K = hat(Y) their sum
-    is [[N, N K^T], [K N, K N K^T]]."""
+    """Add all rows n of one point Y to A and b.
+
+    By the left twist (v, w) a row is (n, Y x n), so with K = hat(Y) their sum is [[N, N K^T], [K N, K N K^T]].
+    """
     n00, n01, n02, n11, n12, n22, m0, m1, m2 = N
     A[0, 0] += n00
     A[0, 1] += n01
@@ -249,13 +252,16 @@ def pixel_costs(  # pragma: no cover
     cap,
     costs,
 ):
-    """What `places` begin to end (p, 2: row, column) of `frame` cost under motions T (s, k, 4, 4) to `others`.
+    """Costs of the pixels `places` begin to end (p, 2: row, column) of `frame` under motions T (s, k, 4, 4) to
+    `others`.
 
-    Outside the mask: the distance to it. In front of the surface there: a violation of free space, but for a surface
-    turned edge-on, whose depth there a hair's breadth decides. Behind it, or behind what is not the object: hidden, a
-    constant. On it: point-to-plane, normal and colour differences, and
-    `label_weight` times the disagreement of the hypothesis k (0 reference, 1 moving) with the other frame's `logodds`
-    (> 0: moving). Fills costs (p, s, k).
+    - Outside the mask: the distance to it.
+    - In front of the surface there: violated free space; except for a surface seen edge-on, whose depth is uncertain.
+    - Behind the surface, or behind something else: hidden, a constant.
+    - On the surface: point-to-plane, normal and colour differences, and `label_weight` times the disagreement of the
+      motion k (0 reference, 1 moving) with the other frame's `logodds` (> 0: moving).
+
+    Fills costs (p, s, k).
     """
     for p in range(begin, end):
         here = (frame * h + places[p, 0]) * w + places[p, 1]
@@ -305,19 +311,19 @@ def pixel_costs(  # pragma: no cover
                 if label_weight > 0 and shape < 2.0:
                     against = -logodds[at] if k == 1 else logodds[at]
                     cost += label_weight * min(max(against, 0.0), 3.0)
-                if z + 1.2 * sigma < Y2 and r < -0.8 * sigma:  # perhaps hidden, by what stands off but a little
+                if z + 1.2 * sigma < Y2 and r < -0.8 * sigma:  # possibly hidden by a surface just in front
                     cost = min(cost, HIDDEN)
                 costs[p, s, k] = cost
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def neighbours(valid, points, normals, features, reach, flatness):  # pragma: no cover
-    """The graph of like neighbours of one frame, as compressed rows over the valid pixels in reading order.
+    """Graph of similar neighbours in one frame, as compressed rows over the valid pixels in reading order.
 
-    Neighbours stand 1, 3 and 6 steps up, down, right and left. An edge's weight in [0, 1] falls with distance (over
-    `reach`), bend, distance from the common plane (over `flatness`) and colour, and halves with each longer step. The
-    colours of next neighbours are compared one pixel further out, for an edge in a picture is some pixels wide.
-    Returns starts (p + 1,), ends and weights of the edges worth keeping.
+    Neighbours stand 1, 3 and 6 steps up, down, right and left. An edge's weight in [0, 1] falls with distance (relative
+    to `reach`), bend, distance from the common plane (relative to `flatness`) and colour difference, and halves with
+    each longer step. Colours of direct neighbours are compared one pixel further out, since image edges are some pixels
+    wide. Returns starts (p + 1,), ends and weights of the edges above a threshold.
     """
     h, w = valid.shape
     number = np.full((h, w), -1, np.int32)
@@ -371,12 +377,12 @@ def neighbours(valid, points, normals, features, reach, flatness):  # pragma: no
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def relax(unary, starts, ends, weights, smoothness, rounds):  # pragma: no cover
-    """Mean-field log-odds (p,): unary plus `smoothness` times the beliefs of the neighbours, `rounds` times."""
+    """Mean-field log-odds (p,): unary plus `smoothness` times the beliefs of the neighbours, `rounds` iterations."""
     current = unary.copy()
     belief = np.zeros(len(unary))
     for _ in range(rounds):
         for p in range(len(unary)):
-            belief[p] = 1 - 2 / (1 + math.exp(current[p]))  # tanh of half of it
+            belief[p] = 1 - 2 / (1 + math.exp(current[p]))  # tanh(current / 2)
         for p in range(len(unary)):
             pull = 0.0
             for e in range(starts[p], starts[p + 1]):

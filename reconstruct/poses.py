@@ -40,7 +40,7 @@ benchmarks/trust.py erred by up to 1.8 deviations without it, 13 with Gaussians 
 _SINGULAR = 1e-12
 """Eigenvalues below this share of the largest count as zero."""
 SYSTEMATIC = 1 / 3
-"""Systematic error of a part's pose, in units of `Evidence.unit`: rims, creases and labels err alike in all frames.
+"""Systematic error of a part's pose, in units of `Evidence.unit`: rims, creases and labels err equally in all frames.
 Eight right answers of benchmarks/trust.py had errors of 4 (median) to 9 deviations of the noise alone: 0.1 to 1.3
 degrees where the noise explains 0.05 to 0.3. With this they have about 1. States of noisy sensors were off by 3 to 9
 deviations of the noise alone, with Gaussians by 2.6 to 5; of four of six clean recordings by less than one already, so

@@ -9,7 +9,7 @@ from freeart21.se3 import Array
 
 
 def rigid_fit(source: Array, target: Array, weights: Array | None = None) -> Array:
-    """T (..., 4, 4) that takes points `source` (..., m, 3) nearest to `target`, least squares (Arun et al. 1987)."""
+    """T (..., 4, 4) that takes points `source` (..., m, 3) to `target`, least squares (Arun et al. 1987)."""
     w = np.ones(source.shape[:-1]) if weights is None else weights
     source, target = np.broadcast_to(source, (*w.shape, 3)), np.broadcast_to(target, (*w.shape, 3))
     w = w / np.maximum(w.sum(-1, keepdims=True), 1e-300)
@@ -25,7 +25,7 @@ def distances(T: Array, source: Array, target: Array) -> Array:
 
 
 def tukey_weights(residuals: Array, cutoff: float) -> Array:
-    """(1 - (r / cutoff)^2)^2 within the cut-off, 0 beyond: the weights of Tukey's loss."""
+    """Weights of Tukey's loss: (1 - (r / cutoff)^2)^2 within the cut-off, 0 beyond."""
     r = residuals / cutoff
     return np.where(r < 1, (1 - r**2) ** 2, 0.0)
 
@@ -43,7 +43,8 @@ def tukey_fit(T: Array, source: Array, target: Array, scale: float, rounds: int 
 def ransac_fit(
     source: Array, target: Array, scale: float, rng: np.random.Generator, tries: int = 150, sample: int = 6
 ) -> Array | None:
-    """The transform most tracks agree with to `scale`, metres, refined under Tukey's weight; None for too few."""
+    """The transform that most tracks agree with to `scale`, metres, refined under Tukey's weight; None for too few
+    tracks."""
     if len(source) < sample:
         return None
     picks = rng.integers(0, len(source), (tries, sample))
@@ -56,6 +57,6 @@ def ransac_fit(
 def view_angle(Rs: Array, R: Array) -> Array:
     """Radians (...) between the directions from which a part is seen under rotations Rs (..., 3, 3) and R (3, 3).
 
-    A roll about the optical axis changes no view: the same surfaces are seen.
+    A roll about the optical axis changes no view: the same surfaces are visible.
     """
     return np.arccos(np.clip(Rs[..., 2, :] @ R[2], -1, 1))

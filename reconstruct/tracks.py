@@ -1,4 +1,4 @@
-"""Pixels followed over short windows and lifted to 3D, behind one interface, and the supplement's filters.
+"""Pixel tracks over short windows, lifted to 3D, behind one interface, with the supplement's filters.
 
 `reconstruct.trackers` has the trackers.
 """
@@ -21,7 +21,7 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Flow:
-    """Displacements between neighbouring crops, pixels (column, row): half floats, good to a hundredth of a pixel."""
+    """Displacements between neighbouring crops, pixels (column, row); half floats, exact to 0.01 pixels."""
 
     forward: NDArray[np.float16]
     """(n, h, w, 2) from frame i to i + 1; the last frame has zeros."""
@@ -29,7 +29,7 @@ class Flow:
     """(n, h, w, 2) from frame i to i - 1; the first frame has zeros."""
 
     def step(self, frame: int, direction: int) -> Floats:
-        """The field (h, w, 2) that leaves `frame` in time direction +1 or -1."""
+        """The field (h, w, 2) from `frame` in time direction +1 or -1."""
         return (self.forward if direction > 0 else self.backward)[frame].astype(np.float32)
 
 
@@ -38,19 +38,19 @@ class Tracks:
     """Pixels of one frame followed over a window: p tracks, s steps."""
 
     frames: NDArray[np.int64]
-    """(s + 1,) frame indices; the first is where the tracks start."""
+    """(s + 1,) frame indices; tracks start in the first."""
     pixels: NDArray[np.float64]
     """(p, s + 1, 2) column and row in the crop of each frame."""
     visible: NDArray[np.bool_]
-    """(p, s + 1) true up to the first step at which a filter drops the track."""
+    """(p, s + 1) true until a filter drops the track."""
     points: NDArray[np.float64]
-    """(p, s + 1, 3) metres, camera frame; only meaningful where visible."""
+    """(p, s + 1, 3) metres, camera frame; only valid where visible."""
     confidence: NDArray[np.float64]
-    """(p, s + 1) the tracker's own trust, 0 to 1, that the pixel is where it says: c_{t,p} of the supplement."""
+    """(p, s + 1) the tracker's confidence, 0 to 1, in each position: c_{t,p} of the supplement."""
 
 
 class Tracker:
-    """What the solver asks of tracks; one file of `reconstruct.trackers` each. Pixels are of the scene's crops."""
+    """Interface of a tracker; one file of `reconstruct.trackers` each. Pixels are of the scene's crops."""
 
     name: ClassVar[str]
 
@@ -64,7 +64,7 @@ class Tracker:
     def follow(
         self, start: int, steps: int, direction: int = 1, pixels: NDArray[np.integer[Any]] | None = None
     ) -> Tracks:
-        """Tracks from `start` over at most `steps` frames in time `direction`, filtered.
+        """Filtered tracks from `start` over at most `steps` frames in time `direction`.
 
         `pixels` (p, 2) are rows and columns to follow; the tracker's own choice when not given.
         """
@@ -72,7 +72,7 @@ class Tracker:
 
 
 def optical_flow(scene: Scene) -> Flow:
-    """DIS optical flow (Kroeger et al. 2016) both ways between all neighbours, background greyed out."""
+    """DIS optical flow (Kroeger et al. 2016) both ways between all neighbouring frames, with a black background."""
     dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     grey = [
         np.where(m, 40 + 0.84 * cv2.cvtColor(c, cv2.COLOR_RGB2GRAY), 0).astype(np.uint8)
@@ -90,11 +90,11 @@ def optical_flow(scene: Scene) -> Flow:
 
 
 def crop_shift(scene: Scene, i: int, j: int) -> NDArray[np.float64]:
-    """(2,) crop displacement, column and row, of a point that stands still in the full picture from frame i to j."""
+    """(2,) crop displacement, column and row, from frame i to j of a point that is fixed in the full image."""
     return (scene.origin[i] - scene.origin[j]) / scene.factor
 
 
-def lift(scene: Scene, frame: int, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+def lift_to_3d(scene: Scene, frame: int, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
     """Camera-frame points (p, 3) where the rays of sub-pixel crop positions (p, 2) meet the nearest pixel's plane."""
     x = np.clip(np.rint(pixels[:, 0]).astype(int), 0, scene.mask.shape[2] - 1)
     y = np.clip(np.rint(pixels[:, 1]).astype(int), 0, scene.mask.shape[1] - 1)
@@ -122,11 +122,11 @@ def follow(
     direction: int = 1,
     pixels: NDArray[np.integer[Any]] | None = None,
 ) -> Tracks:
-    """Tracks from `start` over `steps` frames in time `direction`, kept where visible and steady.
+    """Tracks from `start` over `steps` frames in time `direction`, filtered.
 
     `pixels` (p, 2) are rows and columns to follow; all valid ones on a grid of `settings.stride` when not given. The
-    confidence is 1 / (1 + (r / max_round_trip)^2), r the pixels by which forward and backward flow disagree, at its
-    worst so far: 0.5, the paper's threshold, where r is `max_round_trip`.
+    confidence is 1 / (1 + (r / max_round_trip)^2), with the forward-backward disagreement r in pixels, at its worst so
+    far: 0.5, the paper's threshold, where r is `max_round_trip`.
     """
     if pixels is None:
         grid = scene.valid[start] & ~scene.edge[start]
@@ -148,38 +148,38 @@ def follow(
         path.append(there)
         at = there
     stack, confidence = np.stack(path, 1), np.stack(trust, 1)
-    points = np.stack([lift(scene, int(f), stack[:, s]) for s, f in enumerate(frames)], 1)
-    visible = filtered(points, confidence, np.stack(on_object, 1), settings)
+    points = np.stack([lift_to_3d(scene, int(f), stack[:, s]) for s, f in enumerate(frames)], 1)
+    visible = filter_tracks(points, confidence, np.stack(on_object, 1), settings)
     return Tracks(frames, stack, visible, points, confidence)
 
 
-def filtered(
+def filter_tracks(
     points: NDArray[np.float64],
     confidence: NDArray[np.float64],
     on_object: NDArray[np.bool_],
     settings: TrackSettings,
 ) -> NDArray[np.bool_]:
-    """(p, s + 1) what the supplement's Trajectory Filtering keeps of tracks, each filter by its switch.
+    """(p, s + 1) visible steps of tracks by the supplement's Trajectory Filtering, each filter with its switch.
 
-    `on_object` (p, s + 1) is no switch: off the foreground mask, or without depth, there is no point to speak of.
+    `on_object` (p, s + 1) has no switch: off the foreground mask, or without depth, there is no point.
     """
-    kept = np.logical_and.accumulate(on_object, axis=1)
+    visible = np.logical_and.accumulate(on_object, axis=1)
     if settings.visibility_filter:
-        kept &= trusted(confidence, settings.tau_c)
+        visible &= filter_by_confidence(confidence, settings.tau_c)
     if settings.displacement_filter:
-        kept &= steady(points, kept, settings.tau_v)
-    return kept
+        visible &= filter_by_displacement(points, visible, settings.tau_v)
+    return visible
 
 
-def trusted(confidence: NDArray[np.float64], tau_c: float) -> NDArray[np.bool_]:
+def filter_by_confidence(confidence: NDArray[np.float64], tau_c: float) -> NDArray[np.bool_]:
     """(p, s + 1) S_vis of the supplement: false from the first step on whose confidence is not above `tau_c`."""
     return np.logical_and.accumulate(confidence > tau_c, axis=1)
 
 
-def steady(points: NDArray[np.float64], visible: NDArray[np.bool_], tau_v: float) -> NDArray[np.bool_]:
+def filter_by_displacement(points: NDArray[np.float64], visible: NDArray[np.bool_], tau_v: float) -> NDArray[np.bool_]:
     """(p, s + 1) S_final of the supplement: false from the first step on that is longer than mu_v + tau_v sigma_v.
 
-    Mean and standard deviation are those of the 3D displacements between neighbours of what is `visible`.
+    Mean and standard deviation are those of the 3D displacements between visible neighbours.
     """
     length = np.linalg.norm(np.diff(points, axis=1), axis=2)
     used = visible[:, 1:] & visible[:, :-1]
@@ -190,7 +190,7 @@ def steady(points: NDArray[np.float64], visible: NDArray[np.bool_], tau_v: float
 
 
 def bilinear(field: Floats, at: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Values (p, c) of a field (h, w, c) at positions (p, 2) in columns and rows, clamped to the picture."""
+    """Values (p, c) of a field (h, w, c) at positions (p, 2) in columns and rows, clamped to the image."""
     h, w = field.shape[:2]
     x, y = np.clip(at[:, 0], 0, w - 1.001), np.clip(at[:, 1], 0, h - 1.001)
     x0, y0 = x.astype(int), y.astype(int)

@@ -123,7 +123,7 @@ def test_frames_that_show_nothing_have_no_window():
     frame = a_frame()
     hidden = Frame(frame.rgb, frame.depth, np.zeros_like(frame.mask))
     found = windows([frame, hidden, frame], 1)
-    np.testing.assert_array_equal(found.shown, [True, False, True])
+    np.testing.assert_array_equal(found.nonempty, [True, False, True])
     assert found.frames[1] is None
     with pytest.raises(AssertionError):
         found[1]

@@ -27,7 +27,7 @@ from reconstruct.rigid import tukey_weights
 from reconstruct.scene import prepare_scene
 from reconstruct.settings import GaussianSettings, PaperSegmentationSettings, ReconstructSettings, TrackSettings
 from reconstruct.trackers.dis import Dis
-from reconstruct.tracks import filtered
+from reconstruct.tracks import filter_tracks
 
 PAPER = PaperSegmentationSettings()
 AHEAD = np.array([0, 0, 1.5])
@@ -186,14 +186,14 @@ def test_each_track_filter_has_its_switch():
     points[3, 3, 1] = 1.0
     confidence, on_object = np.ones((40, 4)), np.ones((40, 4), bool)
     confidence[1, 2], on_object[2, 2] = 0.6, False
-    kept = filtered(points, confidence, on_object, TrackSettings())
+    kept = filter_tracks(points, confidence, on_object, TrackSettings())
     assert kept[[0, 1]].all()
     assert kept[2].tolist() == [True, True, False, False] and kept[3].tolist() == [True, True, True, False]
-    strict = filtered(points, confidence, on_object, TrackSettings(tau_c=0.7))
+    strict = filter_tracks(points, confidence, on_object, TrackSettings(tau_c=0.7))
     assert strict[1].tolist() == [True, True, False, False]
-    blind = filtered(points, confidence, on_object, TrackSettings(tau_c=0.7, visibility_filter=False))
+    blind = filter_tracks(points, confidence, on_object, TrackSettings(tau_c=0.7, visibility_filter=False))
     assert blind[1].all() and not blind[2, 2]
-    assert filtered(points, confidence, on_object, TrackSettings(displacement_filter=False))[3].all()
+    assert filter_tracks(points, confidence, on_object, TrackSettings(displacement_filter=False))[3].all()
 
 
 # --- the solver -------------------------------------------------------------------------------------------------------

@@ -28,7 +28,7 @@ from reconstruct.propagation import PartEstimate
 from reconstruct.renders import render
 from reconstruct.scene import prepare_scene
 from reconstruct.settings import GaussianSettings, ReconstructSettings, SceneSettings, TrackSettings
-from reconstruct.tracks import follow, lift, optical_flow
+from reconstruct.tracks import follow, lift_to_3d, optical_flow
 
 ROOT = Path(__file__).resolve().parents[1]
 QUIET = ReconstructSettings(progress=False, gaussians=GaussianSettings(refine=False))  # what geometry finds alone
@@ -352,7 +352,7 @@ def test_tracks_follow_a_sliding_plane_in_3d():
 def test_lift_meets_the_plane_between_pixels():
     scene = prepare_scene(sliding_plane(), SceneSettings(min_frames=3))
     at = np.array([[40.3, 50.7], [60.5, 30.2]])
-    points = lift(scene, 0, at)
+    points = lift_to_3d(scene, 0, at)
     rows = (points[:, 1] / points[:, 2]) * scene.fy + scene.cy[0]
     assert np.allclose(rows, at[:, 1], atol=1e-6)
     full_row = at[:, 1] + scene.origin[0, 1] + 0.5

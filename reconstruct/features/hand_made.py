@@ -12,10 +12,10 @@ from reconstruct.features.base import Descriptors, Features
 
 
 class HandMade(Features):
-    """Colour, gradients, place, normal and curvature, each in units of what tells two surfaces apart.
+    """Colour, gradients, place, normal and curvature, each scaled by its typical difference between two surfaces.
 
-    Place is the camera-frame point against the object's middle, in object diagonals: the frame's own, since nobody
-    knows yet how the object turns. So descriptors of one frame compare, those of distant frames do not.
+    Place is the camera-frame point relative to the object's middle in that frame, in object diagonals, since the
+    object's motion is not known yet. So descriptors compare within a frame, not between distant frames.
     """
 
     name = "hand_made"
@@ -36,11 +36,11 @@ class HandMade(Features):
         return np.concatenate([cue[at].astype(float) / scale for cue, scale in cues if scale > 0], 1)
 
     def similarity(self, squared_distance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """A Gaussian of the distance: the cosine of the (infinitely long) feature vectors of that kernel."""
+        """A Gaussian of the distance: the cosine in the feature space of that kernel."""
         return np.exp(-0.5 * squared_distance)
 
     def _gradients(self, frame: int) -> NDArray[np.float32]:
-        """(h, w, 2) square roots of the structure tensor's eigenvalues, grey levels a pixel: edges, then corners."""
+        """(h, w, 2) square roots of the structure tensor's eigenvalues, grey levels per pixel: edges, then corners."""
         grey = cv2.cvtColor(self.scene.rgb[frame], cv2.COLOR_RGB2GRAY).astype(np.float32)
         inner = cv2.erode(self.scene.mask[frame].astype(np.uint8), np.ones((3, 3), np.uint8))
         gx, gy = (cv2.Sobel(grey, cv2.CV_32F, *d, scale=0.125) * inner for d in ((1, 0), (0, 1)))

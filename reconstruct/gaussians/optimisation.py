@@ -67,9 +67,9 @@ FARTHEST = 20
 """Largest shift of a patch per step, footprints."""
 MAX_DISAGREEMENT = 1.5
 """Largest ratio, after to before the refinement, of the depth images' squared disagreement. For the true motion it is
-1.03 to 1.12 in seven recordings of a clean and a noisy sensor, and more where a sensor errs alike in many frames (2.7
-and 4.8, time of flight). Refined motions that were two to six times as good had 1.07 to 1.26. The clean torch_lighter's
-had 1.7 to 1.9: its states were right to 0.03 degrees and drifted by 0.15 along the video, while held-out images were
+1.03 to 1.12 in seven recordings of a clean and a noisy sensor, and more for a sensor with systematic errors (2.7 and
+4.8, time of flight). Refined motions that were two to six times as good had 1.07 to 1.26. The clean torch_lighter's had
+1.7 to 1.9: its states were right to 0.03 degrees and drifted by 0.15 along the video, while held-out images were
 explained better."""
 SURELY = 2.0
 """Standard errors by which the held-out frames must be explained better."""
@@ -140,8 +140,8 @@ def optimise(
     """
     s = settings.gaussians
     windows = make_windows(recording, scene, s.most_pixels)
-    held_out = _choose_held_out(windows.shown, s.held_back)
-    train = windows.shown & ~held_out
+    held_out = _choose_held_out(windows.nonempty, s.held_back)
+    train = windows.nonempty & ~held_out
     seed = int(rng.integers(2**32))
 
     def surfaces(poses: JointedPoses) -> list[Mesh]:
@@ -339,7 +339,7 @@ class Fit:
         gaussians = self.parameters.gaussians(self.settings.blended)
         coarseness = FREE_COARSE
         pixels = (self.cell / self.windows.footprint) ** 2
-        for i in np.flatnonzero(self.windows.shown & seen.any(1)):
+        for i in np.flatnonzero(self.windows.nonempty & seen.any(1)):
             window = self.windows[int(i)]
             for k in range(FREE_STEPS + 1):
                 both = np.stack([Ts[0][i], Ts[1][i]])
@@ -373,7 +373,7 @@ class Fit:
     def moving_shares(self, scene: Scene) -> NDArray[np.float32]:
         """See `OptimisedModel.shares`."""
         found = np.full(scene.mask.shape, np.nan, np.float32)
-        for i in np.flatnonzero(self.windows.shown):
+        for i in np.flatnonzero(self.windows.nonempty):
             picture = self.render(int(i))[1]
             share = np.where(picture.alpha > COVERED, picture.moving / np.maximum(picture.alpha, COVERED), np.nan)
             found[i] = self.windows.in_crop(int(i), share.astype(np.float32), scene)
@@ -409,7 +409,7 @@ def _explains_better(before: Fit, after: Fit, held_out: Flags) -> bool:
 
 def _with_std(fit: Fit, clouds: list[Array], seen: Flags) -> JointedPoses:
     """The poses with standard deviations of states, axis and pivot; `clouds` are points of the parts."""
-    fit.terms |= {int(i): fit.frame_terms(int(i)) for i in np.flatnonzero(fit.windows.shown)}
+    fit.terms |= {int(i): fit.frame_terms(int(i)) for i in np.flatnonzero(fit.windows.nonempty)}
     n = len(seen)
     A = eliminate_patches(fit.terms, n).A
     M, _ = joint_jacobian(fit.poses)

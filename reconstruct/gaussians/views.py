@@ -26,13 +26,13 @@ from reconstruct.gaussians.model import make_splats
 from reconstruct.gaussians.numba_backend import rasterise
 from reconstruct.gaussians.rasteriser import Floats, Lens, Picture
 from reconstruct.kernels import run_in_threads
-from reconstruct.lumigraph import view_similarity_weight
+from reconstruct.lumigraph import choose_frames, object_box, query_poses, view_similarity_weight
 
 Image = NDArray[np.uint8]
 
 FRAMES, PIXELS = 300, 20_000_000
 """Frames, evenly spaced, whose residuals are used, and the limit of their pixels together."""
-ALIKE, SPREAD = 48, 24
+SIMILAR, EVENLY = 48, 24
 """Of these, the frames for one part of one view: those with the most similar orientation, and evenly spaced ones."""
 REACH = 0.2
 """Standard deviation, pixels, of the spatial weight of a frame's pixels. Half a pixel, or bilinear weights alone,
@@ -44,27 +44,20 @@ TOLERANCE = 3.0
 """Footprints by which a frame's depth may differ from the view's."""
 
 
-def posed(result: Reconstruction, query: Query, other: bool) -> tuple[Array, Array]:
-    """Poses (4, 4) of both parts before the new camera: the state's frame b, the pose of one of them in frame a.
-
-    That one is the result's reference part, or with `other` its moving part.
-    """
-    J = result.articulation.joint.transform(float(result.states[query.state_of_frame]))
-    if other:
-        T = query.T_newcam_cam @ result.Ts_camera_moving[query.pose_of_frame]
-        return T @ se3.inverse(J), T
-    T = query.T_newcam_cam @ result.Ts_camera_reference[query.pose_of_frame]
-    return T, T @ J
-
-
 def render_views(result: Reconstruction, recording: Recording, with_video: bool) -> tuple[list[Image], list[Image]]:
-    """One image (height, width, 3) for each query, white where there is nothing: posed by the reference part, and by
-    the moving part. `with_video` adds what the frames show beyond the Gaussians."""
+    """Images (height, width, 3), white where there is nothing, one per query: posed by the reference part, and by the
+    moving one.
+
+    `with_video` adds what the frames show beyond the Gaussians.
+    """
     assert result.appearance is not None
-    film = _Film.of(result, recording) if with_video else None
+    video = _VideoFrames.of(result, recording) if with_video else None
     first, second = (
-        [_view(result.appearance, posed(result, q, other), film, recording.camera, q) for q in recording.queries]
-        for other in (False, True)
+        [
+            _render_view(result.appearance, query_poses(result, q, by_moving_part), video, recording.camera, q)
+            for q in recording.queries
+        ]
+        for by_moving_part in (False, True)
     )
     return first, second
 
@@ -74,25 +67,25 @@ def _lens(camera: Camera) -> Lens:
     return Lens(K[0, 0], K[1, 1], K[0, 2], K[1, 2], camera.width, camera.height)
 
 
-def _drawn(gaussians: Gaussians, Ts: Array, lens: Lens, lit: Array) -> tuple[Picture, Floats]:
-    """The picture, and colours (h, w, 3) 0 to 255 of what it shows."""
+def _render_colours(gaussians: Gaussians, Ts: Array, lens: Lens, lit: Array) -> tuple[Picture, Floats]:
+    """The rendered image, and its colours (h, w, 3) from 0 to 255, opacity divided out."""
     picture, _ = rasterise(make_splats(gaussians, Ts, lit)[0], Ts, lens)
     over = 255 / np.maximum(picture.alpha, 1e-3)[..., None]
     return picture, np.clip(picture.colour * over, 0, 255).astype(np.float32)
 
 
-def _depth(picture: Picture) -> Floats:
+def _alpha_depth(picture: Picture) -> Floats:
     return np.where(picture.alpha > RIM, picture.depth / np.maximum(picture.alpha, RIM), 0).astype(np.float32)
 
 
 @dataclass(frozen=True)
-class _Film:
-    """What frames of the video show beyond the Gaussians, cropped to where the object ever is."""
+class _VideoFrames:
+    """Residuals of video frames against the Gaussians, cropped to the object's box over all frames."""
 
     residuals: Floats
     """(n, h, w, 3) grey levels."""
     depth: Floats
-    """(n, h, w) metres, of the Gaussians; 0 where they or the object are not."""
+    """(n, h, w) metres, of the Gaussians; 0 off them or off the object."""
     part: Image
     """(n, h, w) 1 where the reference part shows, 2 where the moving part does."""
     Ts: Array
@@ -102,13 +95,11 @@ class _Film:
     lens: Lens
 
     @classmethod
-    def of(cls, result: Reconstruction, recording: Recording) -> _Film:
-        ever: NDArray[np.bool_] = result.part_masks.max(0) > 0
-        rows, columns = np.flatnonzero(ever.any(1)), np.flatnonzero(ever.any(0))
-        box = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)) if len(rows) else (slice(1), slice(1))
-        h, w = ever[box].shape
+    def of(cls, result: Reconstruction, recording: Recording) -> _VideoFrames:
+        box = object_box(result)
+        h, w = (side.stop - side.start for side in box)
         whole = _lens(recording.camera)
-        lens = replace(whole, cx=whole.cx - (box[1].start or 0), cy=whole.cy - (box[0].start or 0), width=w, height=h)
+        lens = replace(whole, cx=whole.cx - box[1].start, cy=whole.cy - box[0].start, width=w, height=h)
         most = int(np.clip(PIXELS // (h * w), 1, min(FRAMES, len(recording))))
         frames = np.linspace(0, len(recording) - 1, most).round().astype(int)
         Ts = np.stack([result.Ts_camera_reference[frames], result.Ts_camera_moving[frames]])
@@ -117,42 +108,35 @@ class _Film:
         assert result.appearance is not None
         for k, i in enumerate(frames):
             frame = recording.frame(int(i))
-            picture, colours = _drawn(result.appearance, Ts[:, k], lens, Ts[:, k])
+            picture, colours = _render_colours(result.appearance, Ts[:, k], lens, Ts[:, k])
             on = frame.mask[box] & (picture.alpha > COVERED)
             residuals[k] = np.where(on[..., None], frame.rgb[box] - colours, 0)
-            depth[k] = np.where(on, _depth(picture), 0)
+            depth[k] = np.where(on, _alpha_depth(picture), 0)
             part[k] = np.where(on, 1 + (picture.moving > 0.5 * picture.alpha), 0)
         return cls(residuals, depth, part, Ts, result.seen[frames], lens)
 
-    def frames_like(self, part: int, T_camera_part: Array) -> NDArray[np.int64]:
-        """Frames in which the part was seen: those that have it turned most alike, and some from all round."""
-        seen = np.flatnonzero(self.seen[:, part])
-        if len(seen) <= ALIKE + SPREAD:
-            return seen
-        turn = se3.rotation_angle(self.Ts[part, seen, :3, :3] @ T_camera_part[:3, :3].T)
-        alike = seen[np.argsort(turn, kind="stable")[:ALIKE]]
-        return np.union1d(alike, seen[np.linspace(0, len(seen) - 1, SPREAD).round().astype(int)])
 
-
-def _view(gaussians: Gaussians, poses: tuple[Array, Array], film: _Film | None, camera: Camera, query: Query) -> Image:
+def _render_view(
+    gaussians: Gaussians, poses: tuple[Array, Array], video: _VideoFrames | None, camera: Camera, query: Query
+) -> Image:
     Ts, back = np.stack(poses), se3.inverse(query.T_newcam_cam)
     lens = _lens(camera)
-    picture, colours = _drawn(gaussians, Ts, lens, back @ Ts)
+    picture, colours = _render_colours(gaussians, Ts, lens, back @ Ts)
     covered = (picture.alpha > COVERED).astype(np.uint8)
     shown = (picture.alpha > RIM) & (cv2.dilate(covered, np.ones((3, 3))) > 0)
     image = np.where(shown[..., None], colours, 255)
-    if film is not None:
+    if video is not None:
         normals = _normals(gaussians, Ts, lens)
-        points = camera.rays() * _depth(picture)[..., None]
+        points = camera.rays() * _alpha_depth(picture)[..., None]
         for part in range(2):
             on = shown & ((picture.moving > 0.5 * picture.alpha) == bool(part))
             if on.any():
-                image[on] += _residuals(film, part, Ts[part], back, points[on], normals[on])
+                image[on] += _residuals(video, part, Ts[part], back, points[on], normals[on])
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
 def _normals(gaussians: Gaussians, Ts: Array, lens: Lens) -> Array:
-    """(h, w, 3) unit normals in the camera's frame, drawn as colours are."""
+    """(h, w, 3) unit normals in the camera's frame, rendered like colours."""
     unlit = replace(gaussians, colours=gaussians.normals, light=None)
     splats, _ = make_splats(unlit, Ts)
     R = np.ascontiguousarray(Ts[splats.motion][:, :3, :3], np.float32)
@@ -161,8 +145,8 @@ def _normals(gaussians: Gaussians, Ts: Array, lens: Lens) -> Array:
     return np.asarray(total / np.maximum(np.linalg.norm(total, axis=2, keepdims=True), 1e-9), float)
 
 
-def _residuals(film: _Film, part: int, T: Array, back: Array, points: Array, normals: Array) -> Array:
-    """(n, 3) grey levels that the frames show beyond the Gaussians at a part's points (n, 3), camera frame of a view.
+def _residuals(video: _VideoFrames, part: int, T: Array, back: Array, points: Array, normals: Array) -> Array:
+    """(n, 3) grey levels that the video shows beyond the Gaussians at a part's points (n, 3), camera frame of a view.
 
     T (4, 4) is the part's pose there, `back` takes the view's camera to the recording one.
     """
@@ -170,10 +154,11 @@ def _residuals(film: _Film, part: int, T: Array, back: Array, points: Array, nor
     own = se3.transform(inverse, points)
     views = inverse[:3, 3] - own
     views /= np.linalg.norm(views, axis=1, keepdims=True)
-    tolerance = TOLERANCE * float(np.median(points[:, 2])) / film.lens.fx
+    tolerance = TOLERANCE * float(np.median(points[:, 2])) / video.lens.fx
     found = np.zeros((len(points), 3))
-    lens = (film.lens.fx, film.lens.fy, film.lens.cx - 0.5, film.lens.cy - 0.5)
-    pictures = (film.Ts[part], film.frames_like(part, back @ T), film.residuals, film.depth, film.part, part + 1)
+    frames = choose_frames(video.Ts[part], video.seen[:, part], back @ T, SIMILAR, EVENLY)
+    lens = (video.lens.fx, video.lens.fy, video.lens.cx - 0.5, video.lens.cy - 0.5)
+    pictures = (video.Ts[part], frames, video.residuals, video.depth, video.part, part + 1)
     arguments = (own, normals @ T[:3, :3], normals @ back[:3, :3].T, views, *pictures, *lens, tolerance, found)
     run_in_threads(lambda a, b: _blend(a, b, *arguments), len(points), 200)
     return found
@@ -187,7 +172,7 @@ def _blend(
     """Weighted means of the residuals of the pixels nearest to `points`, part frame.
 
     Normals and directions to the new camera are in the part's frame, too; `lit` are the normals in the recording
-    camera's, with which the lamps stand.
+    camera's frame, in which the lamps stand.
     """
     h, w = parts.shape[1:]
     total = np.zeros(3)

@@ -64,7 +64,7 @@ class Windows:
     """Recorded pixels per window pixel, each way."""
 
     @property
-    def shown(self) -> NDArray[np.bool_]:
+    def nonempty(self) -> NDArray[np.bool_]:
         """(n,) frames that show the object."""
         return np.array([window is not None for window in self.frames])
 
@@ -147,5 +147,5 @@ def _at_centres(depth: Floats, factor: int) -> Floats:
     """
     middle = ((factor - 1) // 2, factor // 2)
     four = np.stack([depth[i::factor, j::factor] for i in middle for j in middle])
-    alike = (four > 0).all(0) | (four < 0).all(0)
-    return np.where(alike, four.mean(0), 0).astype(np.float32)
+    same_sign = (four > 0).all(0) | (four < 0).all(0)
+    return np.where(same_sign, four.mean(0), 0).astype(np.float32)
