@@ -39,7 +39,7 @@ from freeart21.files.truth import read_truth
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure, Reconstruction, describe_trust
-from freeart21.trust import judge, size_of
+from freeart21.trust import judge, object_size
 from generator import sensor, session
 from generator.motion import Plan
 from generator.recorder import record
@@ -313,7 +313,7 @@ def _judge_spoilt(video: Video, sequence: Path, result: Path) -> dict[str, str]:
     scene, parts, found = prepare_scene(read_sequence(sequence), SceneSettings()), answer.articulation, dict[str, str]()
     for part in PARTS:
         for name, spoil in FAULTS.items():
-            mesh = spoil(parts.part(part), size_of(answer), parts.joint)
+            mesh = spoil(parts.part(part), object_size(answer), parts.joint)
             wrong = replace(answer, articulation=replace(parts, **{part: mesh}))
             trust = judge(wrong, replace(diagnostics, **check_surfaces(scene, wrong)))
             found[f"{video.name}, {part}, {name}"] = describe_trust(trust)

@@ -1,4 +1,4 @@
-"""An articulated object as 3D Gaussians: both parts in one canonical frame, each Gaussian with a weight of its part."""
+"""An articulated object as 3D Gaussians: both parts in one canonical frame, each Gaussian with a part weight."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from freeart21.errors import FreeArtError
 Floats = NDArray[np.float32]
 
 LIGHT_TERMS = (1, 4, 9, 16, 25)
-"""Numbers of spherical harmonics up to the degrees 0 to 4."""
+"""Numbers of spherical harmonics up to degrees 0 to 4."""
 FAINT_COPY = 0.02
-"""Opacity up to which a Gaussian's copy under the other part's motion is left out of pictures: five grey levels, and
-twice the splats if all had one."""
+"""Opacity up to which a Gaussian's copy under the other part's motion is not drawn: five grey levels. Drawing all would
+double the splats."""
 TURNED_AWAY = -0.1
-"""Cosine of the angle between normal and view from which on a disc shows its back, and is left out."""
+"""Cosine of the angle between normal and view from which a disc shows its back, and is not drawn."""
 
 _WIDTHS = {"means": 3, "quaternions": 4, "scales": 3, "opacities": 0, "colours": 3, "part_weights": 0, "normals": 3}
 
@@ -27,9 +27,9 @@ _WIDTHS = {"means": 3, "quaternions": 4, "scales": 3, "opacities": 0, "colours":
 class Gaussians:
     """N Gaussians in the canonical frame of an `Articulation`, joint state zero; arrays are float32.
 
-    In a frame with joint motion J, a Gaussian is drawn where it is with its opacity times w, and moved by J with its
-    opacity times 1 - w, w its part weight (paper, Blended Rendering). With `light` it is a disc that shows its outer
-    face alone; others' Gaussians, which know no light, show from all sides.
+    In a frame with joint motion J, a Gaussian of part weight w is drawn in place with its opacity times w, and moved by
+    J with its opacity times 1 - w (paper, Blended Rendering). With `light` it is a disc that shows its outer face only;
+    Gaussians without light, from other methods, are visible from all sides.
     """
 
     means: Floats
@@ -43,13 +43,13 @@ class Gaussians:
     colours: Floats
     """(N, 3) sRGB, 0 to 1, in mean light."""
     part_weights: Floats
-    """(N,) 0 to 1: 1 is the reference part's, 0 the moving part's."""
+    """(N,) 0 to 1: 1 for the reference part, 0 for the moving part."""
     normals: Floats
     """(N, 3) unit, outward."""
     light: Floats | None = None
-    """(L, 3) how light depends on where a normal points in the recording camera's frame, whose lamps do not turn with
-    the object: coefficients of `spherical_harmonics`, of mean 1 over the video. A picture shows colours times light.
-    None is the same light from everywhere."""
+    """(L, 3) light by the direction of a normal in the recording camera's frame, in which the lamps are fixed:
+    coefficients of `spherical_harmonics`, of mean 1 over the video. An image shows colours times light. None for
+    uniform light."""
 
     def __post_init__(self) -> None:
         n = len(self.means)
@@ -85,7 +85,7 @@ class Gaussians:
 
 
 def multiply(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
-    """Quaternion product (..., 4), wxyz: the rotation b, then a."""
+    """Quaternion product (..., 4), wxyz: rotation b, then a."""
     aw, ax, ay, az = np.moveaxis(np.asarray(a, float), -1, 0)
     bw, bx, by, bz = np.moveaxis(np.asarray(b, float), -1, 0)
     return np.stack(

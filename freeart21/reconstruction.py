@@ -16,12 +16,12 @@ from freeart21.se3 import Array, check_poses
 
 @dataclass(frozen=True)
 class Failure:
-    """No answer, and why: priced by the protocol, never dropped."""
+    """No answer, and why. Protocols penalise it; it is never dropped."""
 
     stage: str
     """The stage that gave up, such as 'segmentation'."""
     reason: str
-    """One line a person understands."""
+    """One readable line."""
     seconds: dict[str, float] = field(default_factory=dict)
     """Seconds per stage until then."""
 
@@ -32,12 +32,12 @@ PIECES: tuple[Piece, ...] = get_args(Piece)
 Verdict = Literal["sound", "doubtful"]
 VERDICTS: tuple[str, ...] = get_args(Verdict)
 NOT_STATED = "not stated"
-"""In place of a verdict, of an answer whose method gives none."""
+"""Replaces the verdict of a result whose method gives none."""
 
 
 @dataclass(frozen=True)
 class Trust:
-    """What a method says of its own answer without knowing the truth."""
+    """A method's own judgement of its result, without ground truth."""
 
     verdict: Verdict
     reasons: tuple[str, ...] = ()
@@ -61,10 +61,10 @@ def describe_trust(trust: Trust | None) -> str:
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """Two parts, their joint, and where both were in every frame.
+    """Two parts, their joint, and the poses of both in every frame.
 
-    The canonical frame is the method's own affair (ours: the camera frame with the object as in frame 0); both meshes
-    stand in it at state zero. The part poses are measured, NOT derived from the joint.
+    The canonical frame is the method's choice (ours: the camera frame with the object as in frame 0); both meshes stand
+    in it at state zero. The part poses are measured, not derived from the joint.
     """
 
     articulation: Articulation
@@ -79,24 +79,24 @@ class Reconstruction:
     seen: NDArray[np.bool_]
     """(n, 2) whether the reference and the moving part were seen well enough to be measured."""
     state_std: NDArray[np.float64] | None = None
-    """(n,) standard deviation of each state, rad or m; NaN where unknown; None when not estimated at all."""
+    """(n,) standard deviation of each state, rad or m; NaN where unknown; None when not estimated."""
     covariances: Array | None = None
     """(n, 2, 6, 6) of the left twist (v, w) of each part pose, reference then moving; None when not estimated."""
     seconds: dict[str, float] = field(default_factory=dict)
     """Seconds per stage."""
     trust: Trust | None = None
-    """None when the method does not say."""
+    """None when the method gives none."""
     axis_std: float | None = None
-    """Standard deviation of the axis's direction, rad: root mean square of its two tilts; None when not estimated."""
+    """Standard deviation of the axis direction, rad: rms of its two tilts; None when not estimated."""
     pivot_std: float | None = None
-    """Standard deviation, metres, of the axis line across itself at the point nearest the moving part's centre: root
-    mean square of both ways; None when not estimated, and for a prismatic joint."""
+    """Standard deviation, metres, of the axis line's position at the point nearest the moving part's centre: rms of the
+    two directions across it; None when not estimated, and for a prismatic joint."""
 
     anchor: int = 0
-    """The one frame whose poses are meant, when the method makes no poses of the other frames (it lacks 'poses')."""
+    """The one frame with poses, for a method that makes none of the other frames (it lacks 'poses')."""
 
     appearance: Gaussians | None = None
-    """What it looks like, as Gaussians in the canonical frame; None when the method does not make them."""
+    """Gaussians in the canonical frame; None when the method makes none."""
 
     def __post_init__(self) -> None:
         n = len(self.states)

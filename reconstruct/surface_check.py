@@ -18,7 +18,7 @@ from freeart21.joint import Joint
 from freeart21.mesh import Mesh, bounding_diagonal
 from freeart21.reconstruction import Reconstruction
 from freeart21.se3 import Array
-from freeart21.trust import size_of
+from freeart21.trust import object_size
 from freeart21.z_buffer import BEHIND, draw_triangles
 from reconstruct.evidence import sample_evenly
 from reconstruct.scene import LIGHTNESS, Scene
@@ -41,7 +41,7 @@ LEAST = 20
 
 def check_surfaces(scene: Scene, answer: Reconstruction) -> dict[str, Any]:
     """How well the result's surfaces match the video, by the names of `Diagnostics`' fields."""
-    size = size_of(answer)
+    size = object_size(answer)
     tolerance = max(OFF_SHARE * size, OFF_NOISE * float(np.hypot(scene.footprint, scene.noise)))
     meshes = [answer.articulation.part(name) for name in PARTS]
     by_frame = {

@@ -25,7 +25,7 @@ from freeart21.files.result import read_result, write_result
 from freeart21.joint import Joint
 from freeart21.mesh import box_centre
 from freeart21.recording import Frame, Recording
-from freeart21.trust import motion_of
+from freeart21.trust import measure_motion
 from freeart21.view import page
 from freeart21.view.diagnosis import diagnosis_section, warnings, warnings_section
 from freeart21.view.parts import axis_in_images, axis_place
@@ -298,7 +298,7 @@ def seen_all(result):
 
 def test_gap_and_steps_in_closed_form():
     result = seen_all(view.perfect_result(view.make_truth()))
-    motion = motion_of(result)
+    motion = measure_motion(result)
     assert motion.gap_angle == pytest.approx(np.zeros(view.N), abs=1e-6)
     assert motion.gap_distance == pytest.approx(np.zeros(view.N), abs=1e-9)
     centre = box_centre(result.articulation.moving)
@@ -306,12 +306,12 @@ def test_gap_and_steps_in_closed_form():
     off[:3, 3] = centre - off[:3, :3] @ centre + [0.003, 0, 0]  # turned about its middle, then shifted
     moving = result.Ts_camera_moving.copy()
     moving[3] = moving[3] @ off
-    motion = motion_of(replace(result, Ts_camera_moving=moving))
+    motion = measure_motion(replace(result, Ts_camera_moving=moving))
     assert motion.gap_angle[3] == pytest.approx(0.02) and motion.gap_distance[3] == pytest.approx(0.003)
     assert np.delete(motion.gap_angle, 3) == pytest.approx(np.zeros(view.N - 1), abs=1e-6)
     T = se3.pose(se3.exp_so3(np.arange(view.N)[:, None] * [0, 0.1, 0]), np.zeros((view.N, 3)))
     reference = box_centre(result.articulation.reference)
-    steps = motion_of(replace(result, Ts_camera_reference=T))
+    steps = measure_motion(replace(result, Ts_camera_reference=T))
     assert np.isnan(steps.step_angle[0, 0]) and steps.step_angle[1:, 0] == pytest.approx(np.full(view.N - 1, 0.1))
     radius = np.hypot(reference[0], reference[2])
     assert steps.step_distance[1:, 0] == pytest.approx(np.full(view.N - 1, 2 * radius * np.sin(0.05)))

@@ -18,7 +18,7 @@ from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction, Trust
 from freeart21.recording import Frame, Recording
-from freeart21.trust import _surface_elsewhere, judge, motion_of, size_of
+from freeart21.trust import _surface_off_video, judge, measure_motion, object_size
 from freeart21.view.diagnosis import warnings
 from generator import session
 from generator.motion import Plan
@@ -76,7 +76,7 @@ def test_a_perfect_answer_is_sound_with_and_without_diagnostics(kind):
     [
         ({"unexplained": np.where(np.arange(N) < 10, 0.03, 0.0)}, "3.0 % of the object's pixels follow neither"),
         ({"other_motion_cost": np.tile([0.3, 2.0], (N, 1))}, "reference part's pixels follow the other part's motion"),
-        ({"type_residuals_m": np.array([0.001, 0.0012])}, "revolute or prismatic cannot be told"),
+        ({"type_residuals_m": np.array([0.001, 0.0012])}, "revolute or prismatic is undecided"),
         ({"rival_distance": np.where(np.arange(N) % 3 == 0, 0.1, np.nan)}, "a state 6° away explains 100 %"),
         (
             {"uncovered": np.where(np.arange(N) < N / 5, 0.08, 0.0)[:, None] * [1.0, 0.0]},
@@ -133,7 +133,7 @@ def test_a_jump_of_the_state(degrees, doubted):
 @pytest.mark.parametrize("share, doubted", [(0.2, True), (0.05, False)])
 def test_a_jump_of_a_slider_is_measured_by_the_size_of_the_object(share, doubted):
     states = np.linspace(0, 0.01, N)
-    states[40:] += share * size_of(with_states(states, "prismatic"))
+    states[40:] += share * object_size(with_states(states, "prismatic"))
     found = [text for text in reasons(with_states(states, "prismatic")) if "jumps by up to" in text]
     assert bool(found) == doubted and all("(40)" in text for text in found)
 
@@ -162,7 +162,7 @@ def test_poses_off_the_joint_count_by_what_they_shift():
     gap = se3.pose(turn, used.mean(0) - turn @ used.mean(0))
     turned = replace(result, Ts_camera_moving=result.Ts_camera_moving @ gap)
     off = np.sqrt(((se3.transform(gap, used) - used) ** 2).sum(-1).mean())
-    assert motion_of(turned).gap_surface == pytest.approx(off)
+    assert measure_motion(turned).gap_surface == pytest.approx(off)
     (found,) = reasons(turned)
     assert "measured poses lie off the joint" in found
     thin = replace(moving, vertices=used.mean(0) + 0.01 * (moving.vertices - used.mean(0)))
@@ -433,7 +433,7 @@ def drawn():
 
 def surface_reasons(scene, answer):
     d = replace(sample_diagnostics(len(answer)), **check_surfaces(scene, answer))
-    return {part: " ".join(_surface_elsewhere(d, k)) for k, part in enumerate(PARTS)}
+    return {part: " ".join(_surface_off_video(d, k)) for k, part in enumerate(PARTS)}
 
 
 def test_true_surfaces_lie_where_the_video_shows_them(drawn):
@@ -460,7 +460,7 @@ def test_a_surface_that_is_elsewhere_is_doubted(drawn, k, fault, words):
     scene, answer = drawn
     parts = answer.articulation
     mesh = parts.part(PARTS[k])
-    wrong = replace(mesh, vertices=fault(mesh.vertices, size_of(answer)))
+    wrong = replace(mesh, vertices=fault(mesh.vertices, object_size(answer)))
     answer = replace(answer, articulation=replace(parts, **{PARTS[k]: wrong}))
     assert words in surface_reasons(scene, answer)[PARTS[k]]
 
@@ -477,7 +477,7 @@ def test_a_surface_of_which_pieces_are_missing_is_doubted(drawn, k):
     scene, answer = drawn
     parts = answer.articulation
     for fault in ("the half far from the joint is missing", "all but 30 % is missing"):
-        less = bench.FAULTS[fault](parts.part(PARTS[k]), size_of(answer), parts.joint)
+        less = bench.FAULTS[fault](parts.part(PARTS[k]), object_size(answer), parts.joint)
         found = surface_reasons(scene, replace(answer, articulation=replace(parts, **{PARTS[k]: less})))
         assert "lie on neither surface" in found[PARTS[k]], fault
 
@@ -533,7 +533,7 @@ def test_a_wrong_joint_moves_the_surface_off_the_video(drawn):
 
 def test_the_benchmark_counts_spoilt_surfaces_that_are_doubted(drawn):
     _, answer = drawn
-    size, mesh = size_of(answer), answer.articulation.moving
+    size, mesh = object_size(answer), answer.articulation.moving
     joint = answer.articulation.joint
     spoilt = {name: spoil(mesh, size, joint) for name, spoil in bench.FAULTS.items()}
     assert np.ptp(spoilt["a vertex at 65.5 m"].vertices[:, 2]) > 60

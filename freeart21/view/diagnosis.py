@@ -14,7 +14,7 @@ from freeart21.articulation import PARTS
 from freeart21.files.diagnostics import Diagnostics
 from freeart21.reconstruction import Reconstruction
 from freeart21.se3 import Array
-from freeart21.trust import JUMP, Motion, judge, median, motion_of, outstanding, size_of
+from freeart21.trust import JUMP, Motion, find_jumps, judge, measure_motion, median, object_size
 from freeart21.view.document import MOVING, REFERENCE, Section, escape
 from freeart21.view.plots import Chart, Curve, curves_section, display_unit, true_runs
 
@@ -56,7 +56,7 @@ def diagnosis_section(
 
     Those that need the method's own `diagnostics` are left out without them.
     """
-    motion = motion_of(result)
+    motion = measure_motion(result)
     note = "Grey: a part was not seen. No ground truth is used."
     if diagnostics is None:
         note += " The method wrote no diagnostics: residuals and confidence are unknown."
@@ -159,9 +159,9 @@ def warnings_section(result: Reconstruction, diagnostics: Diagnostics | None) ->
 
 def warnings(result: Reconstruction, diagnostics: Diagnostics | None = None) -> list[Finding]:
     """Reasons to doubt the result: of the whole (its own `trust`, else judged here), then frame by frame."""
-    motion = motion_of(result)
+    motion = measure_motion(result)
     trust = result.trust or judge(result, diagnostics)
-    size, joint_type = size_of(result), result.articulation.joint.type
+    size, joint_type = object_size(result), result.articulation.joint.type
     unit, factor = display_unit(joint_type)
     found = [*map(Finding, trust.reasons), *_unseen(result)]
     for k, part in enumerate(PARTS):
@@ -239,7 +239,7 @@ def _jumps(values: Array, least: float, unit: str, what: str) -> list[Finding]:
     """A warning for every frame with a step far larger than its neighbours' and than `least`."""
     return [
         Finding(f"{what} {values[i]:.3g}{_spaced(unit)} in one frame, far more than in its neighbours", (i, i))
-        for i in map(int, outstanding(values, least, JUMP))
+        for i in map(int, find_jumps(values, least, JUMP))
     ]
 
 
