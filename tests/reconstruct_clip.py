@@ -63,7 +63,7 @@ OBJECTS = {
 def make_clip(name="hinge", frames=24, size=(240, 180), seed=0, scale=1.0, spin=1.2, queries=(), sweep=None):
     """A clip of an object tumbling `spin` radians or so while its joint sweeps its range; `scale` makes all larger.
 
-    `sweep` (frames,) says how far into its range the joint is, from 0 to 1.
+    `sweep` (frames,) is the position in the range of the joint, from 0 to 1.
     """
     first, second, joint, (low, high) = OBJECTS[name]
     first, second = trimesh.util.concatenate(first), trimesh.util.concatenate(second)

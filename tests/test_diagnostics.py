@@ -253,7 +253,7 @@ def test_confidence_maps_stand_beside_the_masks_and_in_the_page(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "change, told",
+    "change, message",
     [
         ({"schema": "freeart21/diagnostics/9"}, "schema 'freeart21/diagnostics/9'"),
         ({"residual_m": [[0.0, 0.0, 0.0]] * view.N}, "'residual_m' has shape"),
@@ -267,13 +267,13 @@ def test_confidence_maps_stand_beside_the_masks_and_in_the_page(tmp_path):
         ({"outside": None}, "'outside'"),
     ],
 )
-def test_bad_files_are_told_in_one_line_and_the_page_goes_on(tmp_path, change, told):
+def test_bad_files_are_reported_in_one_line_and_the_page_goes_on(tmp_path, change, message):
     write_result(tmp_path / "r", view.perfect_result(view.make_truth()), diagnostics=sample_diagnostics())
     path = tmp_path / "r" / FILE
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
     with pytest.raises(FreeArtError) as caught:
         read_diagnostics(tmp_path / "r", view.N)
-    assert told in str(caught.value) and str(path) in str(caught.value) and "\n" not in str(caught.value)
+    assert message in str(caught.value) and str(path) in str(caught.value) and "\n" not in str(caught.value)
     assert "The diagnostics cannot be shown" in page(tmp_path / "r")
 
 
@@ -339,26 +339,26 @@ def long_result(n=60, hidden=(), joint_type="revolute"):
     )
 
 
-def told(result, diagnostics=None):
+def warnings_of(result, diagnostics=None):
     return [(remark.where, remark.text) for remark in warnings(result, diagnostics)]
 
 
 def test_nothing_is_said_of_a_good_result():
-    assert told(long_result(), sample_diagnostics(60)) == []
+    assert warnings_of(long_result(), sample_diagnostics(60)) == []
     assert "No warnings" in warnings_section(long_result(), None).html
 
 
-def test_hidden_parts_are_told():
-    assert told(long_result(hidden=range(20, 31))) == [
+def test_hidden_parts_are_reported():
+    assert warnings_of(long_result(hidden=range(20, 31))) == [
         ("frames 20-30", "the moving part was not seen; its states are interpolated")
     ]
-    assert told(long_result(hidden=[59])) == [("frame 59", "the moving part was not seen; its states are not measured")]
+    assert warnings_of(long_result(hidden=[59])) == [("frame 59", "the moving part was not seen; its states are not measured")]
 
 
-def test_a_bad_frame_is_told_by_its_residual():
+def test_a_bad_frame_is_reported_by_its_residual():
     found = sample_diagnostics(60)
     found.residual_m[88 - 60, 1] = 4 * np.nanmedian(found.residual_m[:, 1])
-    ((where, text),) = told(long_result(), found)
+    ((where, text),) = warnings_of(long_result(), found)
     assert where == "frame 28" and text.startswith("the residual of the moving part is 2.") and "4 times" in text
 
 
@@ -375,46 +375,46 @@ def test_a_bad_frame_is_told_by_its_residual():
         (lambda d: d.jointed_residual_m.__setitem__((slice(None), 1), 0.002), "", "the joint does not explain"),
     ],
 )
-def test_other_faults_are_told(change, where, words):
+def test_other_faults_are_reported(change, where, words):
     found = sample_diagnostics(60)
     change(found)
-    ((at, text),) = told(long_result(), found)
+    ((at, text),) = warnings_of(long_result(), found)
     assert at == where and words in text
 
 
-def test_a_jump_and_a_pose_off_the_joint_are_told():
+def test_a_jump_and_a_pose_off_the_joint_are_reported():
     result = long_result()
     moving = result.Ts_camera_moving.copy()
     moving[40] = moving[40] @ se3.exp_se3([0, 0, 0, 0.3, 0, 0])
-    found = told(replace(result, Ts_camera_moving=moving))
+    found = warnings_of(replace(result, Ts_camera_moving=moving))
     assert {where for where, _ in found} == {"frame 40", "frame 41"}, found
     assert any("pose deviates from the joint by 17.2° and" in text for _, text in found)
     assert any("the moving part turns by" in text for _, text in found)
     both = replace(result, Ts_camera_reference=result.Ts_camera_reference.copy(), Ts_camera_moving=moving)
     both.seen[40, 1] = False
-    assert all("not seen" in text for _, text in told(both)), "what was not seen is not judged"
+    assert all("not seen" in text for _, text in warnings_of(both)), "what was not seen is not judged"
 
 
-def test_a_result_that_is_wrong_all_along_is_told_once():
+def test_a_result_that_is_wrong_throughout_is_reported_once():
     result = long_result()
     joint = result.articulation.joint
     tilted = replace(joint, axis=se3.exp_so3([0, 0.3, 0]) @ joint.axis)
-    found = told(replace(result, articulation=replace(result.articulation, joint=tilted)))
+    found = warnings_of(replace(result, articulation=replace(result.articulation, joint=tilted)))
     assert [where for where, _ in found] == [""] and "poses lie off the joint by" in found[0][1]
     diagnostics = sample_diagnostics(60)
     diagnostics.residual_m[:, 0], diagnostics.inliers[:, 1], diagnostics.confidence[:, 1] = 0.002, 0.7, 0.78
-    found = told(long_result(), diagnostics)
+    found = warnings_of(long_result(), diagnostics)
     assert [where for where, _ in found] == [""] * 3, found
     assert ["residual is 2 mm" in found[0][1], "only 70 %" in found[1][1], "only 78 % sure" in found[2][1]] == [
         True
     ] * 3
 
 
-def test_a_joint_that_hardly_moves_is_told():
+def test_a_joint_that_hardly_moves_is_reported():
     result = long_result()
     Ts, joint = result.Ts_camera_reference, result.articulation.joint
     small = replace(result, states=0.05 * result.states, Ts_camera_moving=Ts @ joint.transform(0.05 * result.states))
-    assert [text for _, text in told(small)] == ["the joint moves by only 3°, which says little of its axis"]
+    assert [text for _, text in warnings_of(small)] == ["the joint moves by only 3°, which says little of its axis"]
 
 
 # ---------------------------------------------------------------- the page

@@ -42,7 +42,7 @@ def model():
     return place_discs(meshes, 0.004, GaussianSettings(), np.random.default_rng(0)).gaussians(blended=False)
 
 
-def shown(model, poses):
+def render(model, poses):
     splats, _ = make_splats(model, poses)
     return numba_backend.rasterise(splats, poses, LENS)[0]
 
@@ -63,7 +63,7 @@ def off_by(poses, twist, part):
 
 def step(model, target, poses):
     """The poses after one Gauss-Newton step of both parts, the model as it is."""
-    terms = alignment_terms(shown(model, poses), target, LENS, poses, SCALES, CELL)
+    terms = alignment_terms(render(model, poses), target, LENS, poses, SCALES, CELL)
     twists = np.stack([-np.linalg.solve(terms.H[k], terms.g[k]) for k in range(2)])
     return se3.exp_se3(twists) @ poses
 
@@ -91,7 +91,7 @@ SMALL = ("right", "down", "away", "in the picture")  # 20 pixels wide, half befo
 
 @pytest.mark.parametrize("name, part", [*((name, 0) for name in TWISTS), *((name, 1) for name in SMALL)])
 def test_steps_bring_a_part_back(model, name, part):
-    target = target_of(shown(model, Ts))
+    target = target_of(render(model, Ts))
     poses = off_by(Ts, TWISTS[name], part)
     begin = away(poses)
     assert begin[part] > 0.0025 and begin[1 - part] == 0
@@ -104,15 +104,15 @@ def test_steps_bring_a_part_back(model, name, part):
 def test_at_the_truth_hardly_anything_pulls(model):
     """A silhouette pulls the small part by up to a pixel, 6 mm here: blending has a longer tail outside than inside. A
     model that has learned its masks has made up for that."""
-    target = target_of(shown(model, Ts))
-    terms = alignment_terms(shown(model, Ts), target, LENS, Ts, SCALES, CELL)
+    target = target_of(render(model, Ts))
+    terms = alignment_terms(render(model, Ts), target, LENS, Ts, SCALES, CELL)
     assert away(step(model, target, Ts))[0] < 1e-4 and away(step(model, target, Ts))[1] < 0.006
     assert terms.count > 3000 and terms.spread[0] < 1e-3 and terms.spread[1] < 1e-5
-    off = alignment_terms(shown(model, off_by(Ts, TWISTS["all"], 0)), target, LENS, Ts, SCALES, CELL)
+    off = alignment_terms(render(model, off_by(Ts, TWISTS["all"], 0)), target, LENS, Ts, SCALES, CELL)
     assert off.cost > 5 * terms.cost
 
 
-def said(frames=7, patches=40, seed=0):
+def made_up_terms(frames=7, patches=40, seed=0):
     """Made-up terms of some frames whose patches are seen by several of them, and all their rows one by one."""
     rng = np.random.default_rng(seed)
     terms, rows = {}, []
@@ -133,7 +133,7 @@ def said(frames=7, patches=40, seed=0):
 @pytest.mark.parametrize("part", [0, 1])
 def test_eliminating_the_patches_solves_the_whole_system(part):
     n = 7
-    terms, rows = said(n)
+    terms, rows = made_up_terms(n)
     cells = np.unique([cell for _, cell, *_ in rows if cell // CELLS == part])
     whole, right = np.zeros((6 * n + 3 * len(cells),) * 2), np.zeros(6 * n + 3 * len(cells))
     for i, cell, J, S, r in rows:
@@ -157,7 +157,7 @@ def test_eliminating_the_patches_solves_the_whole_system(part):
 
 
 def test_a_frame_before_a_fixed_model_does_not_move_the_surface():
-    terms, _ = said()
+    terms, _ = made_up_terms()
     alone = {i: t.before_a_fixed_model() for i, t in terms.items()}
     found = eliminate_patches(alone, 7)
     assert not found.shifts((np.ones(42), np.ones(42))).any()
@@ -167,10 +167,10 @@ def test_a_frame_before_a_fixed_model_does_not_move_the_surface():
 
 def test_coarse_pixels_see_farther(model):
     """Six pixels away at full resolution the gradient's word is wrong; blocks of four still show the way."""
-    target, far = target_of(shown(model, Ts)), off_by(Ts, [0.03, 0.02, 0, 0, 0, 0], 0)
+    target, far = target_of(render(model, Ts)), off_by(Ts, [0.03, 0.02, 0, 0, 0, 0], 0)
     left = {}
     for coarseness in (1, 4):
-        terms = alignment_terms(shown(model, far), target, LENS, far, SCALES, CELL, coarseness)
+        terms = alignment_terms(render(model, far), target, LENS, far, SCALES, CELL, coarseness)
         twists = np.stack([-np.linalg.solve(terms.H[k], terms.g[k]) for k in range(2)])
         moved = se3.exp_se3(twists) @ far
         left[coarseness] = away(moved)[0] / away(far)[0]

@@ -130,7 +130,7 @@ def test_a_model_before_which_something_stands_is_free_there():
     behind = replace(target, around=np.where(target.around > 0, 3, 0).astype(np.float32))
     pulled = loss(picture, behind, BACKGROUND, UNIT, SETTINGS)
     assert (pulled.d_alpha[hidden] != 0).all() and pulled.mask > found.mask
-    # whatever it shows there costs nothing, but what is beside it
+    # hidden pixels cost nothing; their neighbours do, through SSIM
     other = replace(picture, colour=np.where(hidden[..., None], picture.colour * 0.5, picture.colour))
     assert loss(other, target, BACKGROUND, UNIT, replace(SETTINGS, ssim=0.0)).rgb == pytest.approx(
         loss(picture, target, BACKGROUND, UNIT, replace(SETTINGS, ssim=0.0)).rgb, abs=1e-7

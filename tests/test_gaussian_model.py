@@ -90,7 +90,7 @@ def test_discs_that_are_turned_away_are_left_out():
     np.testing.assert_array_equal(make_splats(some, turned)[0].opacities, some.opacities[2:])
 
 
-def test_light_stands_where_it_is_told_to():
+def test_light_is_fixed_in_the_frame_it_is_given():
     some = gaussians()
     elsewhere = se3.pose(se3.exp_so3([0.0, 0.2, 0.0]), np.zeros(3)) @ POSES
     here, _ = make_splats(some, elsewhere, POSES)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from reconstruct_clip import make_clip
-from test_reconstruct import true_growth
+from test_reconstruct import true_estimate
 
 from freeart21 import se3
 from freeart21.errors import FreeArtError
@@ -25,7 +25,7 @@ def clip():
 
 def spoilt(clip, seed=0):
     """The truth with states that are 3 % off in scale, an axis 1 degree off, and poses that drift."""
-    evidence, estimate = true_growth(clip, np.zeros(0, int), 1)
+    evidence, estimate = true_estimate(clip, np.zeros(0, int), 1)
     rng = np.random.default_rng(seed)
     n = len(estimate.labels)
     drift = np.cumsum(rng.normal(0, [5e-4] * 3 + [2e-3] * 3, (n, 6)), 0)
@@ -58,7 +58,7 @@ def run(scene, estimate, clip, **changes):
     return optimise(clip.recording, scene, estimate, settings, np.random.default_rng(0))
 
 
-def test_a_spoilt_motion_is_mended_and_kept(clip):
+def test_a_perturbed_motion_is_refined(clip):
     scene, estimate = spoilt(clip)
     before = errors(estimate.poses, clip)
     found = run(scene, estimate, clip)
@@ -80,7 +80,7 @@ def test_a_spoilt_motion_is_mended_and_kept(clip):
 
 def test_a_right_motion_is_not_spoilt(clip):
     """Kept or not: the bound is a fifth of what `spoilt` does to poses, and less of states and axis."""
-    evidence, estimate = true_growth(clip, np.zeros(0, int), 1)
+    evidence, estimate = true_estimate(clip, np.zeros(0, int), 1)
     found = run(evidence.scene, estimate, clip, rounds=6)
     states, turns = errors(found.poses, clip)
     assert states < 0.12 and turns < 0.12 and axis_error(found.poses, clip) < 0.3
@@ -123,7 +123,7 @@ def test_nothing_to_begin_with_is_no_model(clip):
 
 @pytest.mark.parametrize("most_pixels", [10**9, 2000])
 def test_windows_show_what_the_recording_does(clip, most_pixels):
-    evidence, _ = true_growth(clip, np.zeros(0, int), 1)
+    evidence, _ = true_estimate(clip, np.zeros(0, int), 1)
     windows = make_windows(clip.recording, evidence.scene, most_pixels)
     assert windows.factor == (1 if most_pixels == 10**9 else 2)
     window, frame = windows[7], clip.recording.frame(7)

@@ -96,7 +96,7 @@ def test_a_window_ends_where_the_picture_does():
     assert (window.lens.cx, window.lens.cy) == (CAMERA.K[0, 2], CAMERA.K[1, 2])
 
 
-def test_what_is_not_the_object_is_told_apart_by_its_sign():
+def test_depth_off_the_object_is_negative():
     target = windows([a_frame()] * 3, 1)[0].target()
     assert (target.depth[~target.mask] == 0).all() and (target.around[target.mask] == 0).all()
     assert (target.around[~target.mask] > 1.2).all()

@@ -21,9 +21,9 @@ from reconstruct.surfaces import fuse
 WALL = 3.0
 
 
-def held(frame, before, told=True):
-    """`frame` with a hand in the pixels `before` (h, w), 2 cm nearer than the object; its depth may be untold."""
-    depth = np.where(before, frame.depth[frame.mask].min() - 0.02 if told else 0, frame.depth).astype(np.float32)
+def hold(frame, before, known_depth=True):
+    """`frame` with a hand in the pixels `before` (h, w), 2 cm nearer than the object; with or without a known depth."""
+    depth = np.where(before, frame.depth[frame.mask].min() - 0.02 if known_depth else 0, frame.depth).astype(np.float32)
     return Frame(np.where(before[..., None], np.uint8(190), frame.rgb), depth, frame.mask & ~before)
 
 
@@ -48,15 +48,15 @@ def clip():
     return make_clip("hinge", 24, size=(160, 120), spin=GENTLE)
 
 
-def asked(clip, frames):
+def evidence_of(clip, frames):
     return Evidence(prepare_scene(filmed(frames, clip.recording), SceneSettings()), QUIET.evidence, QUIET.labels)
 
 
-def over_the_hand(clip, told):
+def over_the_hand(clip, known_depth):
     """Evidence, the reference part's pixels of frame 0, and its motion to frame 1, in which a hand is before it."""
     frames = list(clip.recording.frames())
-    frames[1] = held(frames[1], lower_right(frames[1]), told)
-    evidence = asked(clip, frames)
+    frames[1] = hold(frames[1], lower_right(frames[1]), known_depth)
+    evidence = evidence_of(clip, frames)
     x, y = evidence.scene.origin[0]
     h, w = evidence.scene.mask.shape[1:]
     mine = evidence.scene.valid[0] & (clip.part_masks[0][y : y + h, x : x + w] == 1)
@@ -64,8 +64,8 @@ def over_the_hand(clip, told):
 
 
 def test_a_pixel_behind_a_hand_says_nothing_against_a_motion(clip):
-    evidence, pixels, T = over_the_hand(clip, told=True)
-    blind, _, _ = over_the_hand(clip, told=False)
+    evidence, pixels, T = over_the_hand(clip, known_depth=True)
+    blind, _, _ = over_the_hand(clip, known_depth=False)
     costs, untold = (e.costs(0, np.array([1]), T[None, None], pixels)[:, 0, 0] for e in (evidence, blind))
     covered = untold > 2 * HIDDEN
     assert covered.mean() > 0.1, "else the hand covers nothing"
@@ -74,7 +74,7 @@ def test_a_pixel_behind_a_hand_says_nothing_against_a_motion(clip):
 
 
 def test_before_a_hand_there_is_no_object(clip):
-    evidence, pixels, T = over_the_hand(clip, told=True)
+    evidence, pixels, T = over_the_hand(clip, known_depth=True)
     nearer = T.copy()
     nearer[2, 3] -= 0.6 * evidence.scene.points[0][evidence.scene.valid[0]][:, 2].min()
     assert evidence.costs(0, np.array([1]), nearer[None, None], pixels).mean() > 2 * HIDDEN
@@ -82,8 +82,8 @@ def test_before_a_hand_there_is_no_object(clip):
 
 def test_a_hand_does_not_draw_the_pose(clip):
     offs = []
-    for told in (True, False):
-        evidence, pixels, T = over_the_hand(clip, told)
+    for known_depth in (True, False):
+        evidence, pixels, T = over_the_hand(clip, known_depth)
         mask = np.zeros(evidence.scene.mask.shape[1:], bool)
         mask[tuple(pixels.T)] = True
         samples = {0: sample_pixels(evidence.usable_pixels(0, mask), 600, np.random.default_rng(0))}
@@ -95,28 +95,28 @@ def test_a_hand_does_not_draw_the_pose(clip):
 
 def test_a_wall_behind_changes_nothing(clip):
     frames = list(clip.recording.frames())
-    free, walled = asked(clip, frames), asked(clip, [before_wall(f) for f in frames])
+    free, walled = evidence_of(clip, frames), evidence_of(clip, [before_wall(f) for f in frames])
     assert np.array_equal(free.scene.valid, walled.scene.valid) and (walled.scene.points[..., 2] < -2).any()
     pixels, others = np.argwhere(free.scene.valid[0]), np.arange(1, 6)
     T = (clip.Ts[others] @ se3.inverse(clip.Ts[0]))[:, None]
     assert np.array_equal(free.costs(0, others, T, pixels), walled.costs(0, others, T, pixels))
 
 
-@pytest.mark.parametrize("told", [True, False])
-def test_a_hand_carves_nothing_off_a_mesh(told):
+@pytest.mark.parametrize("known_depth", [True, False])
+def test_a_hand_carves_nothing_off_a_mesh(known_depth):
     size = np.array([0.12, 0.09, 0.06])
-    frames = [held(f, lower_right(f, 0.3), told) for f in (shoot(size, T) for T in ROUND)]
+    frames = [hold(f, lower_right(f, 0.3), known_depth) for f in (shoot(size, T) for T in ROUND)]
     scene = prepare_scene(Recording(CAMERA, np.arange(len(ROUND)) / 30, lambda i: frames[i]), SceneSettings())
     mesh = fuse(scene, scene.mask.astype(np.uint8), 1, ROUND, np.ones(len(ROUND), bool), SurfaceSettings())
     off = np.abs(trimesh.proximity.signed_distance(trimesh.creation.box(size), mesh.vertices))
     off = np.percentile(off, 99) / scene.footprint
-    assert off < 0.5 if told else off > 1.5, off
-    assert not told or mesh.areas().sum() > 0.94 * trimesh.creation.box(size).area
+    assert off < 0.5 if known_depth else off > 1.5, off
+    assert not known_depth or mesh.areas().sum() > 0.94 * trimesh.creation.box(size).area
 
 
 def test_a_clip_in_a_moving_hand_is_solved(clip):
     """The hand goes once round the object's middle, over one part and the other."""
-    frames = [held(f, round_hand(f, 2 * np.pi * i / 24)) for i, f in enumerate(clip.recording.frames())]
+    frames = [hold(f, round_hand(f, 2 * np.pi * i / 24)) for i, f in enumerate(clip.recording.frames())]
     masks = np.stack([np.where(f.mask, m, 0) for f, m in zip(frames, clip.part_masks, strict=True)])
     recording = filmed(frames, clip.recording)
     found = measure(replace(clip, part_masks=masks), reconstruct(recording, QUIET))

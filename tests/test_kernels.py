@@ -1,4 +1,4 @@
-"""Evidence of single pixels for a motion, and similarity of neighbours."""
+"""Costs of single pixels under motions, and the graph of similar neighbours."""
 
 import numpy as np
 import pytest

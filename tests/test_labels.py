@@ -27,7 +27,7 @@ def clip():
     return make_clip("hinge", FRAMES, spin=0.35)
 
 
-def asked(recording, scene_settings=SETTINGS.scene):
+def evidence_of(recording, scene_settings=SETTINGS.scene):
     scene = prepare_scene(recording, scene_settings)
     return Evidence(scene, SETTINGS.evidence, SETTINGS.labels)
 
@@ -62,20 +62,20 @@ def shared(found, truth):
 
 
 def test_true_poses_give_true_labels(clip):
-    evidence = asked(clip.recording)
+    evidence = evidence_of(clip.recording)
     logodds = labelled(clip, evidence, clip.states)
     found = uncrop_labels(evidence.scene, np.where(logodds > 0, 2, 1).astype(np.uint8), logodds, clip.recording)
     assert shared(found, clip.part_masks) > 0.95
 
 
 def test_a_joint_that_never_moves_leaves_doubt(clip):
-    evidence = asked(clip.recording)
+    evidence = evidence_of(clip.recording)
     logodds = labelled(clip, evidence, np.zeros(FRAMES))
     assert np.abs(logodds).max() == 0
 
 
 def test_a_smaller_crop_keeps_the_outline(clip):
-    evidence = asked(clip.recording, SceneSettings(max_crop_pixels=3000))
+    evidence = evidence_of(clip.recording, SceneSettings(max_crop_pixels=3000))
     assert evidence.scene.factor > 1
     logodds = labelled(clip, evidence, clip.states)
     found = uncrop_labels(evidence.scene, np.where(logodds > 0, 2, 1).astype(np.uint8), logodds, clip.recording)
@@ -95,7 +95,7 @@ def test_pixels_without_depth_go_with_their_part(clip):
 
     r = clip.recording
     recording = Recording(r.camera, r.times_s, frame, r.queries)
-    evidence = asked(recording)
+    evidence = evidence_of(recording)
     logodds = labelled(clip, evidence, clip.states)
     found = np.where(logodds > 0, 2, 1) * evidence.scene.mask
     truth = cropped(clip.part_masks, evidence.scene)
@@ -107,7 +107,7 @@ def test_pixels_without_depth_go_with_their_part(clip):
 def test_telling_frames_are_those_in_which_the_joint_stood_elsewhere(clip):
     Ts = poses_of(clip, np.where(np.arange(FRAMES) < 10, 0.0, 0.5))
     body = clip.joint.pivot + np.array([[0.1, 0, 0], [0, 0, 0.1], [-0.1, 0, 0.1]])
-    evidence, everywhere, rng = asked(clip.recording), np.ones(FRAMES, bool), np.random.default_rng(0)
+    evidence, everywhere, rng = evidence_of(clip.recording), np.ones(FRAMES, bool), np.random.default_rng(0)
     told = labels.discriminative_frames(evidence, 3, Ts, body, everywhere, rng)
     assert len(told) and told.min() >= 10
     Ts[:, 10:] = se3.pose(se3.exp_so3(np.array([0.0, 2, 0])), np.zeros(3)) @ Ts[:, 10:]  # other surfaces are seen there

@@ -259,7 +259,7 @@ def crop_truth(clip, scene):
 
 
 def ious(weights, truth):
-    """(n,) mean IoU of the parts of each frame; names exchanged, if at all, in all frames alike."""
+    """(n,) mean IoU of the parts of each frame; parts swapped in all frames or in none."""
     found = np.where(truth > 0, np.where(weights > 0.5, 2, 1), 0)
     either = []
     for names in ((1, 2), (2, 1)):

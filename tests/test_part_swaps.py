@@ -1,25 +1,25 @@
-"""Parts that were taken for each other in a stretch of a clip, exchanged by hand here, are turned back."""
+"""Part swaps in a stretch of a clip, made by hand here, are undone."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from reconstruct_clip import make_clip
-from test_reconstruct import GENTLE, QUIET, true_growth
+from test_reconstruct import GENTLE, QUIET, true_estimate
 
 from freeart21 import se3
 from reconstruct import part_swaps
 from reconstruct.part_swaps import undo_part_swaps
 
 FRAMES = 48
-SWEEP = 0.5 - 0.5 * np.cos(3 * np.pi * np.arange(FRAMES) / FRAMES)  # alike before and after the frames 16 and 32
+SWEEP = 0.5 - 0.5 * np.cos(3 * np.pi * np.arange(FRAMES) / FRAMES)  # symmetric about frames 16 and 32
 REST = slice(18, 30)
 
 
 def truth_of(name, sweep):
     """The scene of a small clip and its true answer, sure of its labels."""
     clip = make_clip(name, FRAMES, size=(160, 120), spin=GENTLE, sweep=sweep)
-    evidence, estimate = true_growth(clip, slice(0, 0), 1)
+    evidence, estimate = true_estimate(clip, slice(0, 0), 1)
     joint = replace(estimate.poses.joint, lower=clip.states.min(), upper=clip.states.max())
     return evidence, replace(estimate, logodds=4 * estimate.logodds, poses=replace(estimate.poses, joint=joint))
 

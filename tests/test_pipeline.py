@@ -49,7 +49,7 @@ def sequence(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def finished(sequence, tmp_path_factory):
-    """The result of one uninterrupted run, with its stages beside it."""
+    """The result of one uninterrupted run, with its stages cached."""
     out = tmp_path_factory.mktemp("whole") / "out"
     assert isinstance(reconstruct_folder(sequence, out, QUIET, keep_work=True), Reconstruction)
     return out
@@ -170,7 +170,7 @@ def _up_to_joint(finished, out):
 
 @pytest.fixture(scope="module")
 def coloured(sequence, finished, tmp_path_factory):
-    """The result of an uninterrupted run with `_coloured`, with its stages beside it."""
+    """The result of an uninterrupted run with `_coloured`, with its stages cached."""
     out = tmp_path_factory.mktemp("coloured") / "out"
     _up_to_joint(finished, out)
     with pytest.MonkeyPatch.context() as patch:
@@ -180,7 +180,7 @@ def coloured(sequence, finished, tmp_path_factory):
 
 
 def _run_until_killed(sequence, out, stage):
-    """As `reconstruct_folder` with `_coloured`, but it hangs in a stage, of which the file `in_STAGE` tells."""
+    """As `reconstruct_folder` with `_coloured`, but it hangs in a stage and then writes the file `in_STAGE`."""
 
     def hangs(*_):
         (out.parent / f"in_{stage}").touch()
@@ -224,8 +224,8 @@ def test_the_answers_gaussians_stand_where_those_of_the_stage_did(sequence, colo
     scene = prepare_scene(recording, QUIET.scene)
     answer = pipeline._to_canonical_frame(articulation, replace(known, estimate=estimate), scene, recording)
     for q, state in zip(poses.states, answer.states, strict=True):
-        expected = drawn(known.appearance, poses.joint.transform(q), known.free_poses[0].Ts[0])
-        found = drawn(answer.appearance, answer.articulation.joint.transform(state), np.eye(4))
+        expected = render_picture(known.appearance, poses.joint.transform(q), known.free_poses[0].Ts[0])
+        found = render_picture(answer.appearance, answer.articulation.joint.transform(state), np.eye(4))
         assert expected.shape == found.shape and np.allclose(found, expected, atol=1e-5)
 
 
@@ -235,13 +235,13 @@ def test_gaussians_draw_the_same_in_every_state_with_another_state_zero():
     parted = pipeline._split_shared_gaussians(gaussians, joint.transform(q0))
     assert set(parted.part_weights) == {0, 1}
     for q in (0.0, q0, -0.4):
-        before = drawn(gaussians, joint.transform(q), np.eye(4))
-        after = drawn(parted, joint.transform(q) @ se3.inverse(joint.transform(q0)), np.eye(4))
+        before = render_picture(gaussians, joint.transform(q), np.eye(4))
+        after = render_picture(parted, joint.transform(q) @ se3.inverse(joint.transform(q0)), np.eye(4))
         assert before.shape == after.shape and np.allclose(before, after, atol=1e-5)
     assert np.array_equal(parted.light, gaussians.light)
 
 
-def drawn(gaussians, motion, T):
+def render_picture(gaussians, motion, T):
     """(M, 17) what a rasteriser draws under a motion of the joint, then `T`; what is too faint for it left out."""
     found = []
     for weights, moved in (

@@ -211,7 +211,7 @@ def _without_mask(frame):
 # ---- gaps ----------------------------------------------------------------------------------------------------------
 
 
-def true_growth(clip, hidden, part):
+def true_estimate(clip, hidden, part):
     """The scene of a clip and its true answer, `part` unseen in the frames `hidden`."""
     scene = prepare_scene(clip.recording, SceneSettings())
     size = scene.mask.shape[1:]
@@ -242,7 +242,7 @@ def assert_stays(found, true, part):
 @pytest.mark.parametrize("name", ["hinge", "slide"])
 def test_a_slip_behind_a_gap_is_found_and_the_gap_interpolated(name, part, hinge, slide):
     clip = {"hinge": hinge, "slide": slide}[name]
-    evidence, estimate = true_growth(clip, slice(12, 15), part)
+    evidence, estimate = true_estimate(clip, slice(12, 15), part)
     found = bridge_gaps(evidence, slipped(clip, estimate, part, 0.4), QUIET.gaps, np.random.default_rng(0)).poses
     off = found.states - clip.states
     assert np.abs(off[:12] - off[0]).max() < 1e-12 and np.abs(off[15:] - off[15]).max() < 1e-12
@@ -256,7 +256,7 @@ def test_a_slip_behind_a_gap_is_found_and_the_gap_interpolated(name, part, hinge
 @pytest.mark.parametrize("name", ["hinge", "slide"])
 def test_a_jump_of_a_part_that_was_not_hidden_is_undone(name, part, unseen, hinge, slide):
     clip = {"hinge": hinge, "slide": slide}[name]
-    evidence, estimate = true_growth(clip, unseen, part)
+    evidence, estimate = true_estimate(clip, unseen, part)
     found = bridge_gaps(evidence, slipped(clip, estimate, part, 0.7), QUIET.gaps, np.random.default_rng(0)).poses
     off = found.states - clip.states
     assert np.abs(off - off[0]).max() < 0.05 * np.ptp(clip.states)
@@ -270,7 +270,7 @@ def test_in_a_gap_a_part_stands_where_it_would_not_be_seen(kind, part):
         [np.linspace(0, 0.5, 8), np.linspace(0.6, 1, 4), np.linspace(1, 0.6, 4), np.linspace(0.5, 0, 8)]
     )
     clip = make_clip(kind, len(sweep), spin=GENTLE, sweep=sweep)
-    evidence, estimate = true_growth(clip, slice(8, 16), part)
+    evidence, estimate = true_estimate(clip, slice(8, 16), part)
     evenly = replace(estimate.poses, states=np.interp(np.arange(24), [0, 7, 16, 23], clip.states[[0, 7, 16, 23]]))
     Ts = clip.Ts if part == 1 else estimate.poses.Ts_moving @ clip.joint.transform(-evenly.states)
     found = fill_gaps(
@@ -294,7 +294,7 @@ def test_a_hidden_path_goes_round_what_is_exposed_and_back():
 
 def test_a_state_that_was_not_measured_leaves_the_others_as_sure(hinge):
     def median_std(hidden):
-        evidence, estimate = true_growth(hinge, hidden, 1)
+        evidence, estimate = true_estimate(hinge, hidden, 1)
         poses = joint_adjustment(
             evidence, estimate.labels, estimate.poses, estimate.seen, QUIET.poses, np.random.default_rng(0)
         )
@@ -305,7 +305,7 @@ def test_a_state_that_was_not_measured_leaves_the_others_as_sure(hinge):
 
 
 def test_where_nothing_slipped_nothing_is_shifted(hinge):
-    evidence, estimate = true_growth(hinge, slice(12, 15), 1)
+    evidence, estimate = true_estimate(hinge, slice(12, 15), 1)
     states = bridge_gaps(evidence, estimate, QUIET.gaps, np.random.default_rng(0)).poses.states
     seen = estimate.seen.all(1)
     assert np.array_equal(states[seen], hinge.states[seen])

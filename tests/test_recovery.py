@@ -1,14 +1,14 @@
-"""Clips in which the joint rests, nothing is seen for a while, or a part appears late."""
+"""Clips in which the joint rests, the object is hidden for a while, or a part appears late."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from reconstruct_clip import make_clip
-from test_reconstruct import GENTLE, QUIET, true_growth
+from test_reconstruct import GENTLE, QUIET, true_estimate
 
 from freeart21 import se3
-from freeart21.reconstruction import Failure, Reconstruction
+from freeart21.reconstruction import Reconstruction
 from freeart21.recording import Frame, Recording
 from reconstruct import recovery, seeds, segmentation
 from reconstruct.paper_segmentation import PartWeights, part_poses
@@ -28,9 +28,9 @@ RNG = np.random.default_rng
 
 @pytest.fixture(scope="module")
 def resting():
-    """A clip whose joint rests for nineteen frames, its scene, its true answer, sure of its labels, and its tracker."""
+    """A clip whose joint rests for 19 frames, its evidence, its true estimate with certain labels, its tracker."""
     clip = make_clip("hinge", len(SWEEP), size=(200, 150), spin=GENTLE, sweep=SWEEP)
-    evidence, true = true_growth(clip, slice(0, 0), 1)
+    evidence, true = true_estimate(clip, slice(0, 0), 1)
     return clip, evidence, replace(true, logodds=4 * true.logodds), Dis(evidence.scene, QUIET.tracks)
 
 
@@ -46,20 +46,20 @@ def without(clip, frames, part=None):
 
 
 def state_errors(states, clip):
-    """(n,) what the states are off, from their middle, as a share of the clip's range; either sign of them is right."""
+    """(n,) state errors relative to their median, as a share of the clip's range, up to the sign of the states."""
     sign = np.sign(np.corrcoef(states, clip.states)[0, 1])
     off = sign * states - clip.states
     return (off - np.median(off)) / np.ptp(clip.states)
 
 
 def right_labels(found, truth):
-    """Shares of right labels in the frames that show the object, whichever part is called the first."""
+    """Share of correct labels in each frame that shows the object, with the parts in either order."""
     found = found if (found == truth)[truth > 0].mean() > 0.5 else np.array([0, 2, 1], np.uint8)[found]
     return np.array([(f == t)[t > 0].mean() for f, t in zip(found, truth, strict=True) if t.any()])
 
 
-def half_grown(done, resting, settings):
-    """A growth that has found the first `done` frames to be what they truly are."""
+def partial_propagation(done, resting, settings):
+    """A propagation whose first `done` frames are the true ones."""
     clip, evidence, true, tracker = resting
     nothing = Seed(0, np.zeros(0, np.int64), np.zeros((0, 2, 4, 4)), true.logodds[0], gain=0.0)
     propagation = Propagation(evidence, tracker, nothing, settings, RNG(0))
@@ -75,9 +75,9 @@ def half_grown(done, resting, settings):
 # ---- a rest --------------------------------------------------------------------------------------------------------
 
 
-def test_growth_holds_a_resting_joint_still_and_lets_it_go_on(resting):
+def test_propagation_keeps_a_resting_joint_still_and_follows_it_afterwards(resting):
     clip = resting[0]
-    propagation = half_grown(done=20, resting=resting, settings=QUIET)
+    propagation = partial_propagation(done=20, resting=resting, settings=QUIET)
     add_frames(propagation, len(SWEEP) - 20)
     steps = np.diff(propagation.states)
     assert (steps[19 : REST.stop - 1] == 0).mean() > 0.5, "not only nearly"
@@ -96,9 +96,9 @@ def test_a_joint_that_rests_and_goes_on_is_followed(resting):
     assert right_labels(estimate.labels, true.labels).min() > 0.93
 
 
-def test_the_way_back_that_leads_nowhere_changes_nothing(resting, monkeypatch):
+def test_redoing_frames_without_agreement_restores_them(resting, monkeypatch):
     monkeypatch.setattr(segmentation, "AGREEMENT", -1.0)
-    propagation = half_grown(done=14, resting=resting, settings=QUIET)
+    propagation = partial_propagation(done=14, resting=resting, settings=QUIET)
     kept = ("Ts", "states", "labels", "logodds", "seen", "ambiguous", "costs", "done")
     before = {name: getattr(propagation, name).copy() for name in kept}
     assert not redo_lost_frames(propagation, 12, 11)
@@ -106,16 +106,16 @@ def test_the_way_back_that_leads_nowhere_changes_nothing(resting, monkeypatch):
         assert np.array_equal(getattr(propagation, name), before[name], equal_nan=name == "costs"), name
 
 
-def test_the_way_back_may_lead_over_all_that_was_found(resting, monkeypatch):
+def test_all_frames_may_be_redone(resting, monkeypatch):
     monkeypatch.setattr(recovery, "SOUND_SHARE", 0.49)  # no frame is reliable
-    propagation = half_grown(done=12, resting=resting, settings=QUIET)
+    propagation = partial_propagation(done=12, resting=resting, settings=QUIET)
     redo_lost_frames(propagation, 11, 10)
     assert propagation.done[:12].all() and np.isfinite(propagation.Ts).all()
 
 
-def test_the_way_back_mends_what_was_lost(resting):
+def test_redoing_lost_frames_corrects_them(resting):
     clip, _, true, _ = resting
-    propagation = half_grown(done=30, resting=resting, settings=QUIET)
+    propagation = partial_propagation(done=30, resting=resting, settings=QUIET)
     lost = np.arange(15, 24)
     propagation.states[lost] += 0.5 * np.ptp(clip.states)
     propagation.Ts[1, lost] = propagation.Ts[0, lost] @ propagation.joint.transform(propagation.states[lost])
@@ -125,7 +125,7 @@ def test_the_way_back_mends_what_was_lost(resting):
     assert np.abs(propagation.states[:30] - clip.states[:30]).max() < 0.02 * np.ptp(clip.states)
 
 
-# ---- nothing to see ------------------------------------------------------------------------------------------------
+# ---- hidden frames ------------------------------------------------------------------------------------------------
 
 
 def test_both_sides_of_blank_frames_are_solved_as_one():
@@ -142,24 +142,17 @@ def test_both_sides_of_blank_frames_are_solved_as_one():
     assert len(share) == shown.sum() and share.min() > 0.91
     swapped = (result.part_masks == clip.part_masks)[clip.part_masks > 0].mean() < 0.5
     T = se3.inverse(clip.Ts) @ (result.Ts_camera_moving if swapped else result.Ts_camera_reference)
-    astray = se3.log_se3(se3.inverse(se3.mean_pose(T[shown])) @ T[shown])
-    assert np.linalg.norm(astray[:, 3:], axis=1).max() < 0.038, "no turn of the reference part behind the blank frames"
+    drift = se3.log_se3(se3.inverse(se3.mean_pose(T[shown])) @ T[shown])
+    assert np.linalg.norm(drift[:, 3:], axis=1).max() < 0.038, "no turn of the reference part behind the blank frames"
 
 
 # ---- a part that appears late, under the paper's segmentation ------------------------------------------------------
 
 
-def test_papers_segmentation_bears_a_part_that_appears_late():
-    clip = without(make_clip("hinge", 12, size=SIZE, spin=GENTLE), slice(0, 1), part=2)
-    fast = replace(QUIET, segmentation="paper", paper=replace(QUIET.paper, iterations=20))
-    result = reconstruct(clip.recording, fast)
-    assert isinstance(result, Reconstruction | Failure)
-
-
-def test_papers_poses_bear_a_part_that_appears_late():
+def test_poses_under_the_papers_labels_when_a_part_appears_late():
     late = 3
     clip = without(make_clip("hinge", 12, size=SIZE, spin=GENTLE), slice(0, late), part=2)
-    evidence, true = true_growth(clip, slice(0, 0), 1)
+    evidence, true = true_estimate(clip, slice(0, 0), 1)
     given = PartWeights((true.labels == 2).astype(np.float32), np.tile(np.eye(4), (12, 2, 1, 1)))
     estimate = part_poses(evidence, Dis(evidence.scene, QUIET.tracks), given, QUIET, RNG(0))
     assert estimate.seen[:, 0].all() and np.array_equal(estimate.seen[:, 1], np.arange(12) >= late)
@@ -167,15 +160,15 @@ def test_papers_poses_bear_a_part_that_appears_late():
     assert np.abs(state_errors(estimate.poses.states, clip)[late:]).max() < 0.016
 
 
-# ---- what is found anew ----------------------------------------------------------------------------------------------
+# ---- recovery ----------------------------------------------------------------------------------------------
 
 
 class Noisy(_UnlabelledFrame):
-    """Two parts on the left and right half of a picture; costs come with noise, of motions with what they lack."""
+    """Two parts on the left and right half of an image, with noisy costs that rise with the error of the state."""
 
     def costs(self, Ts, states):
         noise = RNG(0).normal(0, 0.05, (len(self.pixels), len(Ts), 2))
-        noise[:, 0, 1] = noise[:, 0, 0]  # at rest both parts move alike
+        noise[:, 0, 1] = noise[:, 0, 0]  # at rest both parts move together
         right = self.pixels[:, 1] >= 50
         costs = np.stack([np.ones((len(right), 2)), np.stack([right, ~right], 1)], 1)
         return 0.2 + noise + costs * states[:, None]
@@ -183,32 +176,32 @@ class Noisy(_UnlabelledFrame):
 
 def test_noise_is_not_taken_for_a_motion_but_a_motion_is():
     grid = np.stack(np.meshgrid(np.arange(0, 100, 4), np.arange(0, 100, 4), indexing="ij"), -1).reshape(-1, 2)
-    look = Noisy(None, 0, np.zeros(0, np.int64), grid, _assign_patches(grid, 100 * 100))
-    assert 60 < look.patches.max() < 100
+    view = Noisy(None, 0, np.zeros(0, np.int64), grid, _assign_patches(grid, 100 * 100))
+    assert 60 < view.patches.max() < 100
     twice = np.broadcast_to(np.eye(4), (2, 4, 4))
-    pixelwise = look.costs(twice, np.zeros(2)).min(2).mean(0)
+    pixelwise = view.costs(twice, np.zeros(2)).min(2).mean(0)
     assert pixelwise[1] < 0.9 * pixelwise[0], "pixel by pixel the noise would be explained"
-    rest, moved = look.patch_costs(twice, np.zeros(2))
+    rest, moved = view.patch_costs(twice, np.zeros(2))
     assert rest < recovery.REST_COST_UNLABELLED * moved
-    rest, moved = look.patch_costs(twice, np.array([0.05, 0.3]))
+    rest, moved = view.patch_costs(twice, np.array([0.05, 0.3]))
     assert rest > recovery.REST_COST_UNLABELLED * moved
 
 
-def test_without_labels_the_joint_goes_back_where_it_was_and_not_beyond(resting):
+def test_without_labels_the_joint_returns_to_a_known_state(resting):
     evidence = resting[1]
-    propagation = half_grown(done=20, resting=resting, settings=QUIET)
+    propagation = partial_propagation(done=20, resting=resting, settings=QUIET)
     rest, pixels = 19, np.argwhere(evidence.scene.valid[19])[::20].astype(np.int32)
     others = np.arange(8, 19, 2)  # all of them at rest
-    look = _UnlabelledFrame(propagation, rest, others, pixels, _assign_patches(pixels, 20 * len(pixels)))
+    view = _UnlabelledFrame(propagation, rest, others, pixels, _assign_patches(pixels, 20 * len(pixels)))
     T, q, top = propagation.Ts[0, rest], propagation.states[rest], propagation.states[:20].max()
     assert q == pytest.approx(top)
-    within = look.prefer_known_state(T, q + 0.02, q, np.inf)
+    within = view.prefer_known_state(T, q + 0.02, q, np.inf)
     assert within[1] < q, "the parts are exchanged, and the state goes back"
-    assert look.prefer_known_state(T, q + 0.02, q, 0.0)[1] == q + 0.02, "not when that explains less"
-    assert look.prefer_known_state(T, q - 0.02, q, np.inf)[1] == q - 0.02
+    assert view.prefer_known_state(T, q + 0.02, q, 0.0)[1] == q + 0.02, "not when that explains less"
+    assert view.prefer_known_state(T, q - 0.02, q, np.inf)[1] == q - 0.02
 
 
-def test_all_pixels_choose_the_windows_whatever_the_tracks_noise_says(resting, monkeypatch):
+def test_dense_costs_choose_the_windows_despite_noisy_tracks(resting, monkeypatch):
     _, evidence, _, tracker = resting
     found = seeds.find_candidates(evidence, tracker, RNG(0))
     at_rest = [c for c in found if REST.start <= c.frame and c.frame + c.gap < REST.stop]
@@ -220,7 +213,7 @@ def test_all_pixels_choose_the_windows_whatever_the_tracks_noise_says(resting, m
     assert not any(REST.start <= s.frame and s.others[-1] < REST.stop for s in find_seeds(evidence, tracker, RNG(0)))
 
 
-def test_of_several_beginnings_the_one_that_explains_its_frames_is_taken(resting, monkeypatch):
+def test_the_seed_whose_joint_explains_its_frames_best_is_taken(resting, monkeypatch):
     _, evidence, true, tracker = resting
     good = find_seeds(evidence, tracker, RNG(0))
     at = 9  # the joint rests: halves of the picture are taken for parts
@@ -230,14 +223,14 @@ def test_of_several_beginnings_the_one_that_explains_its_frames_is_taken(resting
     bad = Seed(at, others, np.stack([Ts, Ts], 1), np.where(true.labels[at] > 0, halves, 0).astype(np.float32), 1.0)
     monkeypatch.setattr(segmentation, "SEED_DISTANCE", 1)
 
-    def begun(*seeds):
+    def start_from(*seeds):
         return _initial_propagation(evidence, tracker, seeds, QUIET, RNG(0))[0]
 
     def right(propagation):
         return right_labels(propagation.labels[propagation.done], true.labels[propagation.done]).mean()
 
-    assert right(begun(bad)) < 0.8 < 0.93 < right(begun(bad, *good))
-    assert right(begun(good[0], bad)) > 0.93
+    assert right(start_from(bad)) < 0.8 < 0.93 < right(start_from(bad, *good))
+    assert right(start_from(good[0], bad)) > 0.93
 
 
 @pytest.mark.parametrize(
@@ -249,7 +242,7 @@ def test_of_several_beginnings_the_one_that_explains_its_frames_is_taken(resting
         (0.3, 0.02, ["by 0.02, at least 0.03 is needed"], ["shows on", "for a part"]),
     ],
 )
-def test_a_refusal_names_the_test_that_failed_and_no_other(share, drop, shown, left_out):
+def test_a_rejection_names_the_failed_tests_only(share, drop, shown, left_out):
     def window(frame, share, drop):
         nothing = np.zeros((0, 2, 4, 4))
         return Seed(frame, np.zeros(0, int), nothing, np.zeros((1, 1), np.float32), 0.0, drop, share)
@@ -267,7 +260,7 @@ def test_a_refusal_names_the_test_that_failed_and_no_other(share, drop, shown, l
         ("FRAME_GAPS", (1000,), "hold no pair 1000 apart"),
     ],
 )
-def test_a_refusal_by_the_tracks_names_the_test_that_failed(resting, monkeypatch, name, value, words):
+def test_a_rejection_by_the_tracks_names_the_failed_test(resting, monkeypatch, name, value, words):
     _, evidence, _, tracker = resting
     monkeypatch.setattr(seeds, name, value)
     with pytest.raises(UnsolvableError, match=words):

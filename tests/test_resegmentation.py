@@ -1,9 +1,9 @@
-"""A stretch in which growth was lost is grown anew from a seed of its own, and joined under the right names."""
+"""A stretch in which tracking was lost is segmented anew from its own seed, with consistent part names."""
 
 import numpy as np
 import pytest
 from reconstruct_clip import make_clip
-from test_reconstruct import GENTLE, QUIET, true_growth
+from test_reconstruct import GENTLE, QUIET, true_estimate
 from test_recovery import RNG, right_labels
 
 from reconstruct.propagation import Propagation
@@ -24,12 +24,12 @@ def films():
 
 
 def filmed(clip):
-    evidence, true = true_growth(clip, slice(0, 0), 1)
+    evidence, true = true_estimate(clip, slice(0, 0), 1)
     return clip, evidence, true, Dis(evidence.scene, QUIET.tracks)
 
 
-def grown_but_lost(film, turn, shift, swap):
-    """A growth that holds the truth in all frames but those of STRETCH: there all is turned, shifted or misnamed."""
+def lost_propagation(film, turn, shift, swap):
+    """The true propagation, except for STRETCH: there poses are turned, states shifted or parts swapped."""
     clip, evidence, true, tracker = film
     nothing = Seed(0, np.zeros(0, np.int64), np.zeros((0, 2, 4, 4)), 4 * true.logodds[0], gain=0.0)
     propagation = Propagation(evidence, tracker, nothing, QUIET, RNG(0))
@@ -55,31 +55,31 @@ def quarter_turn():
     "name, turn, shift, swap",
     [("hinge", np.eye(3), 0.6, False), ("slide", np.eye(3), -0.5, True), ("hinge", quarter_turn(), 0, True)],
 )
-def test_a_lost_stretch_is_found_and_mended(name, turn, shift, swap, films):
+def test_a_lost_stretch_is_found_and_replaced(name, turn, shift, swap, films):
     clip, _, true, _ = films[name]
-    propagation = grown_but_lost(films[name], turn, shift, swap)
+    propagation = lost_propagation(films[name], turn, shift, swap)
     (stretch,) = find_lost_stretches(propagation)
     assert np.array_equal(stretch, STRETCH)
     assert _resegment(propagation, stretch, RNG(0))
     off = np.abs(propagation.states - clip.states) / np.ptp(clip.states)
-    assert np.median(off) < 0.01 and off.max() < 0.08, "it was off by half, or misnamed"
+    assert np.median(off) < 0.01 and off.max() < 0.08
     assert right_labels(propagation.labels, true.labels).min() > 0.85
     named = (propagation.labels == true.labels)[true.labels > 0].mean()
-    assert named > 0.95, "and by the names of the rest"
+    assert named > 0.95, "with the part names of the rest"
 
 
-def test_what_is_sound_is_left_as_it_is(films):
-    propagation = grown_but_lost(films["slide"], np.eye(3), 0.0, False)
+def test_reliable_frames_are_not_replaced(films):
+    propagation = lost_propagation(films["slide"], np.eye(3), 0.0, False)
     Ts, labels = propagation.Ts.copy(), propagation.labels.copy()
     propagation.costs[:] = 0.1
     assert find_lost_stretches(propagation) == []
-    propagation.costs[STRETCH] = 2.0  # it seems lost, and yet no piece fits better
+    propagation.costs[STRETCH] = 2.0  # seems lost, yet no new segmentation fits better
     assert not _resegment(propagation, STRETCH, RNG(0))
     assert np.array_equal(propagation.Ts, Ts) and np.array_equal(propagation.labels, labels)
 
 
 def test_a_few_costly_frames_are_no_stretch(films):
-    propagation = grown_but_lost(films["hinge"], np.eye(3), 0.0, False)
+    propagation = lost_propagation(films["hinge"], np.eye(3), 0.0, False)
     propagation.costs[:] = 0.1
     propagation.costs[3:9] = 5.0
     assert find_lost_stretches(propagation) == []

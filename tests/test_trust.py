@@ -341,14 +341,16 @@ def test_a_rival_lies_beyond_a_barrier():
     own = np.minimum(20 * states**2, 2.0)
     assert _nearest_rival_distance(own, states) == 0.0
     assert _nearest_rival_distance(np.where(np.abs(states - 0.7) < 0.05, 0.2, own), states) == pytest.approx(0.7)
-    assert _nearest_rival_distance(np.full(21, 0.3), states) == 0.0, "where all states are alike, evenness decides"
+    assert _nearest_rival_distance(np.full(21, 0.3), states) == 0.0, (
+        "where all states cost the same, smoothness decides"
+    )
 
 
 @pytest.mark.parametrize(
-    "kind, share, told",
+    "kind, share, decided",
     [("revolute", 1.0, True), ("prismatic", 1.0, True), ("revolute", 0.005, False), ("prismatic", 0.04, False)],
 )
-def test_a_joint_that_hardly_moves_could_be_of_either_type(kind, share, told):
+def test_a_joint_that_hardly_moves_could_be_of_either_type(kind, share, decided):
     """Of poses that are 0.5 mm and 0.2 degrees off; a part of 12 cm on a hinge by 60 degrees, or out by 15 cm."""
     rng, n = np.random.default_rng(3), 40
     joint = Joint("j", kind, np.array([0.0, 0.6, 0.8]), np.array([0.1, 0.0, 0.0]), -1, 1)
@@ -356,7 +358,7 @@ def test_a_joint_that_hardly_moves_could_be_of_either_type(kind, share, told):
     noise = se3.exp_se3(rng.normal(size=(n, 6)) * np.repeat([5e-4, np.radians(0.2)], 3))
     body = np.array([0.02, 0.1, 0]) + 0.06 * np.concatenate([np.eye(3), -np.eye(3)])
     own, other = type_residuals(joint.transform(states) @ noise, joint, body, 0.6, JointSettings())
-    assert (other > 1.5 * own) == told
+    assert (other > 1.5 * own) == decided
 
 
 # ---------------------------------------------------------------- the benchmark
@@ -389,8 +391,8 @@ def test_the_benchmark_counts_wrong_and_doubted_answers():
         ]
     ]
     seen = bench.summary(rows)["seen"]
-    told = [seen[k] for k in ("wrong_doubted", "wrong_unnoticed", "right_doubted", "right_sound", "refused")]
-    assert told == [1, 1, 1, 1, 1]
+    counts = [seen[k] for k in ("wrong_doubted", "wrong_unnoticed", "right_doubted", "right_sound", "refused")]
+    assert counts == [1, 1, 1, 1, 1]
     assert seen["axis_error_over_std"] == {"answers": 2, "median": 1.5, "most": 2.0}, "of right answers"
     assert bench.summary(rows)["held_out"]["right_sound"] == 1
 
@@ -417,7 +419,7 @@ def test_a_staged_recording_moves_as_it_says():
 
 
 @pytest.fixture(scope="module")
-def drawn():
+def box_video():
     """The scene of a box that slides in and out of a frame, and its true answer."""
     clip = make_clip("slide", 16, spin=0.5)
     meshes = []
@@ -436,8 +438,8 @@ def surface_reasons(scene, answer):
     return {part: " ".join(_surface_off_video(d, k)) for k, part in enumerate(PARTS)}
 
 
-def test_true_surfaces_lie_where_the_video_shows_them(drawn):
-    scene, answer = drawn
+def test_true_surfaces_lie_where_the_video_shows_them(box_video):
+    scene, answer = box_video
     found = check_surfaces(scene, answer)
     assert np.isfinite(found["uncovered"]).any() and np.nanmax(found["uncovered"]) < 0.005
     assert np.nanmedian(found["spilled"]) == 0 and np.nanmax(np.nanmedian(found["off_surface"], 0)) < 0.01
@@ -456,8 +458,8 @@ def test_true_surfaces_lie_where_the_video_shows_them(drawn):
     ],
 )
 @pytest.mark.parametrize("k", [0, 1])
-def test_a_surface_that_is_elsewhere_is_doubted(drawn, k, fault, words):
-    scene, answer = drawn
+def test_a_surface_that_is_elsewhere_is_doubted(box_video, k, fault, words):
+    scene, answer = box_video
     parts = answer.articulation
     mesh = parts.part(PARTS[k])
     wrong = replace(mesh, vertices=fault(mesh.vertices, object_size(answer)))
@@ -465,16 +467,16 @@ def test_a_surface_that_is_elsewhere_is_doubted(drawn, k, fault, words):
     assert words in surface_reasons(scene, answer)[PARTS[k]]
 
 
-def test_a_part_without_surface_is_doubted(drawn):
-    scene, answer = drawn
+def test_a_part_without_surface_is_doubted(box_video):
+    scene, answer = box_video
     nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
     found = surface_reasons(scene, replace(answer, articulation=replace(answer.articulation, moving=nothing)))
     assert "of the moving part's pixels lie on neither surface" in found["moving"]
 
 
 @pytest.mark.parametrize("k", [0, 1])
-def test_a_surface_of_which_pieces_are_missing_is_doubted(drawn, k):
-    scene, answer = drawn
+def test_a_surface_of_which_pieces_are_missing_is_doubted(box_video, k):
+    scene, answer = box_video
     parts = answer.articulation
     for fault in ("the half far from the joint is missing", "all but 30 % is missing"):
         less = bench.FAULTS[fault](parts.part(PARTS[k]), object_size(answer), parts.joint)
@@ -482,9 +484,9 @@ def test_a_surface_of_which_pieces_are_missing_is_doubted(drawn, k):
         assert "lie on neither surface" in found[PARTS[k]], fault
 
 
-def test_a_part_that_shows_where_it_was_not_recognised_is_doubted(drawn):
+def test_a_part_that_shows_where_it_was_not_recognised_is_doubted(box_video):
     """Its pixels are labelled as the other part's, its state is a guess: only where both were seen all is well."""
-    scene, answer = drawn
+    scene, answer = box_video
     lost = np.arange(len(answer)) > 10
     seen, masks, states = answer.seen.copy(), np.array(answer.part_masks), answer.states.copy()
     assert states[lost].min() > 0.04, "else the guess, that it is in, is right"
@@ -521,8 +523,8 @@ def test_a_detached_piece_that_was_seen_at_one_state_is_not_known_to_be_its_own(
     assert np.isnan(_seen_share(Mesh(np.zeros((0, 3)), np.zeros((0, 3), int)), joint, np.zeros((2, 0)), 0.005))
 
 
-def test_a_wrong_joint_moves_the_surface_off_the_video(drawn):
-    scene, answer = drawn
+def test_a_wrong_joint_moves_the_surface_off_the_video(box_video):
+    scene, answer = box_video
     joint = answer.articulation.joint
     tilted = replace(joint, axis=se3.exp_so3([0, 0.2, 0.2]) @ joint.axis)
     wrong = replace(answer, articulation=replace(answer.articulation, joint=tilted))
@@ -531,8 +533,8 @@ def test_a_wrong_joint_moves_the_surface_off_the_video(drawn):
     assert "off its surface" in surface_reasons(scene, still)["moving"]
 
 
-def test_the_benchmark_counts_spoilt_surfaces_that_are_doubted(drawn):
-    _, answer = drawn
+def test_the_benchmark_counts_spoilt_surfaces_that_are_doubted(box_video):
+    _, answer = box_video
     size, mesh = object_size(answer), answer.articulation.moving
     joint = answer.articulation.joint
     spoilt = {name: spoil(mesh, size, joint) for name, spoil in bench.FAULTS.items()}
