@@ -79,31 +79,20 @@ class Evidence:
         scene = self.scene
         records = samples if isinstance(samples, Records) else self.records(samples)
         H, g, stats = np.zeros((len(source), 6, 6)), np.zeros((len(source), 6)), np.zeros((len(source), 4))
-        arguments = (
-            np.asarray(source, np.int64),
-            np.asarray(target, np.int64),
-            np.ascontiguousarray(T, float),
-            records.pixels,
-            records.offsets,
-            scene.pixels.reshape(-1, scene.pixels.shape[-1]),
-            *scene.mask.shape[1:],
-            _NO_LABELS if labels is None else labels.reshape(-1),
-            0 if labels is None else part,
-            scene.fx,
-            scene.fy,
-            scene.cx,
-            scene.cy,
-            gate * self.unit,
-            self.sigma,
-            SIGMA_COLOUR,
-            self.settings.colour_weight,
-            SIGMA_SILHOUETTE,
-            H,
-            g,
-            stats,
-        )
+        pairs = (np.asarray(source, np.int64), np.asarray(target, np.int64), np.ascontiguousarray(T, float))
+        own = (_NO_LABELS, 0) if labels is None else (labels.reshape(-1), part)
+        colour = (SIGMA_COLOUR, self.settings.colour_weight)
+        scales = (gate * self.unit, self.sigma, *colour, SIGMA_SILHOUETTE)
+        samples_read = (records.pixels, records.offsets, *self._pixels)
+        arguments = (*pairs, *samples_read, *own, *scene.lens, *scales, H, g, stats)
         kernels.run_in_threads(lambda begin, end: kernels.register_pairs(begin, end, *arguments), len(source), 50)
         return H, g, stats
+
+    @property
+    def _pixels(self) -> tuple[NDArray[np.float32], int, int]:
+        """The scene's pixel records (n h w, 10) with h and w, as kernels read them."""
+        scene = self.scene
+        return scene.pixels.reshape(-1, scene.pixels.shape[-1]), scene.mask.shape[1], scene.mask.shape[2]
 
     def records(self, samples: Samples) -> Records:
         """The records of the samples' pixels, as `register` reads them."""
@@ -127,26 +116,12 @@ class Evidence:
         label_weight: float = 0.0,
     ) -> Array:
         """(p, s, k) costs of `pixels` (p, 2: row, column) of `frame` under motions T (s, k, 4, 4) to `others` (s,)."""
-        scene = self.scene
         costs = np.zeros((len(pixels), len(others), T.shape[1]))
-        arguments = (
-            frame,
-            np.asarray(others, np.int64),
-            np.ascontiguousarray(T, float),
-            np.ascontiguousarray(pixels, np.int64),
-            scene.pixels.reshape(-1, scene.pixels.shape[-1]),
-            *scene.mask.shape[1:],
-            _NO_ODDS if logodds is None else logodds.reshape(-1),
-            0.0 if logodds is None else label_weight,
-            scene.fx,
-            scene.fy,
-            scene.cx,
-            scene.cy,
-            1.5 * self.sigma,
-            2 * SIGMA_COLOUR,
-            MAX_COST,
-            costs,
-        )
+        motions = (frame, np.asarray(others, np.int64), np.ascontiguousarray(T, float))
+        places = np.ascontiguousarray(pixels, np.int64)
+        beliefs = (_NO_ODDS, 0.0) if logodds is None else (logodds.reshape(-1), label_weight)
+        scales = (1.5 * self.sigma, 2 * SIGMA_COLOUR, MAX_COST)
+        arguments = (*motions, places, *self._pixels, *beliefs, *self.scene.lens, *scales, costs)
         kernels.run_in_threads(lambda begin, end: kernels.pixel_costs(begin, end, *arguments), len(pixels), 2000)
         return costs
 

@@ -54,32 +54,10 @@ def map_in_threads(work: Callable[[int], T], n: int) -> list[T]:
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
-def register_pairs(  # pragma: no cover
-    begin,
-    end,
-    source,
-    target,
-    T,
-    samples,
-    offsets,
-    pixels,
-    h,
-    w,
-    labels,
-    part,
-    fx,
-    fy,
-    cx,
-    cy,
-    gate,
-    sigma,
-    sigma_colour,
-    colour_weight,
-    sigma_silhouette,
-    H,
-    g,
-    stats,
-):
+def register_pairs(
+    begin, end, source, target, T, samples, offsets, pixels, h, w, labels, part, fx, fy, cx, cy, gate, sigma,
+    sigma_colour, colour_weight, sigma_silhouette, H, g, stats,
+):  # pragma: no cover  # fmt: skip
     """Gauss-Newton terms of the frame pairs begin to end for the left twist (v, w) of T[p] = T_target_source.
 
     `samples[offsets[i]:offsets[i + 1]]` are the records of pixels of frame i. With `part` > 0 a sample is not matched
@@ -231,27 +209,10 @@ def _add_point(A, b, N, Y0, Y1, Y2):  # pragma: no cover
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
-def pixel_costs(  # pragma: no cover
-    begin,
-    end,
-    frame,
-    others,
-    T,
-    places,
-    pixels,
-    h,
-    w,
-    logodds,
-    label_weight,
-    fx,
-    fy,
-    cx,
-    cy,
-    sigma,
-    sigma_colour,
-    cap,
-    costs,
-):
+def pixel_costs(
+    begin, end, frame, others, T, places, pixels, h, w, logodds, label_weight, fx, fy, cx, cy, sigma, sigma_colour,
+    cap, costs,
+):  # pragma: no cover  # fmt: skip
     """Costs of the pixels `places` begin to end (p, 2: row, column) of `frame` under motions T (s, k, 4, 4) to
     `others`.
 

@@ -137,7 +137,7 @@ def neighbour_beliefs(
         return mean, strength
     pixels, T = np.argwhere(measured), np.ascontiguousarray(part_motions(Ts, frame, others))
     belief_sums, weight_sums = np.zeros(len(pixels)), np.zeros(len(pixels))
-    surfaces = (scene.points, scene.normals, logodds, scene.fx, scene.fy, scene.cx, scene.cy)
+    surfaces = (scene.points, scene.normals, logodds, *scene.lens)
     arguments = (frame, others, T, pixels, *surfaces, 3 * evidence.unit, belief_sums, weight_sums)
     kernels.run_in_threads(lambda begin, end: _sum_neighbour_beliefs(begin, end, *arguments), len(pixels), 2000)
     mean[measured] = belief_sums / np.maximum(weight_sums, 1e-6)

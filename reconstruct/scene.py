@@ -79,6 +79,11 @@ class Scene:
         return len(self.mask)
 
     @property
+    def lens(self) -> tuple[float, float, NDArray[np.float64], NDArray[np.float64]]:
+        """fx, fy, cx (n,), cy (n,)."""
+        return self.fx, self.fy, self.cx, self.cy
+
+    @property
     def points(self) -> Floats:
         """(n, h, w, 3) plane-fitted points of the object; z is 0 where there is none.
 

@@ -50,7 +50,7 @@ def check_surfaces(scene: Scene, answer: Reconstruction) -> dict[str, Any]:
     states = [np.tile([[np.inf], [-np.inf]], len(mesh.vertices)) for mesh in meshes]
     widths = np.zeros(2)
     for i in map(int, sample_evenly(np.arange(len(answer)), MOST_DRAWN)):
-        posed = _pose_meshes(answer, i)
+        posed = answer.articulation.posed(answer.Ts_camera_reference[i], float(answer.states[i]))
         rendered, labels = _render_meshes(scene, i, posed), _crop_labels(scene, answer, i)
         distance = _surface_distance(scene, i, rendered)
         by_frame["uncovered"][i] = _uncovered_shares(scene, i, distance > tolerance, labels)
@@ -87,13 +87,7 @@ class _RenderedMeshes:
     """(h, w, 3) interpolated vertex colours, RGB 0 to 255; NaN where a mesh has none."""
 
 
-def _pose_meshes(answer: Reconstruction, frame: int) -> list[Mesh]:
-    """Both meshes in the camera's frame."""
-    a, T = answer.articulation, answer.Ts_camera_reference[frame]
-    return [a.reference.moved(T), a.moving.moved(T @ a.joint.transform(float(answer.states[frame])))]
-
-
-def _render_meshes(scene: Scene, frame: int, meshes: list[Mesh]) -> _RenderedMeshes:
+def _render_meshes(scene: Scene, frame: int, meshes: tuple[Mesh, Mesh]) -> _RenderedMeshes:
     shape = scene.mask.shape[1:]
     depth, part = np.full(shape, np.inf), np.zeros(shape, np.uint8)
     colours = np.full((*shape, 3), np.nan, np.float32)
@@ -101,9 +95,8 @@ def _render_meshes(scene: Scene, frame: int, meshes: list[Mesh]) -> _RenderedMes
         if mesh.empty:
             continue
         face, weights = np.full(shape, -1), np.zeros((*shape, 3))
-        draw_triangles(
-            _project_to_crop(scene, frame, mesh.vertices), mesh.vertices[:, 2].copy(), mesh.faces, depth, face, weights
-        )
+        at = _project_to_crop(scene, frame, mesh.vertices)
+        draw_triangles(at, mesh.vertices[:, 2].copy(), mesh.faces, depth, face, weights)
         on = face >= 0
         part[on] = k + 1
         corners = mesh.faces[face[on]]

@@ -63,10 +63,9 @@ def fuse(
     near = _blocks_near_points(se3.transform(se3.inverse(T_part_grid), points), voxel, shape, reach)
     field, weight = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     pictures = (scene.points, scene.normals, scene.mask, labels, _rim_distances(scene, labels, part, frames))
-    lens = (scene.fx, scene.fy, scene.cx, scene.cy)
     distances = (reach, BEHIND * voxel + 2 * scene.noise, 0.5 * voxel + scene.noise)
     blocks = np.argwhere(near)
-    arguments = (field, weight, blocks, voxel, Ts_grid, frames, *pictures, part, *lens, *distances)
+    arguments = (field, weight, blocks, voxel, Ts_grid, frames, *pictures, part, *scene.lens, *distances)
     run_in_threads(lambda begin, end: _integrate(begin, end, *arguments), len(blocks), 100)
     known = weight > 0
     if not (field[known] < 0).any():
@@ -203,9 +202,8 @@ def _colour_vertices(
     normals = vertex_normals(vertices, faces)
     colours, weight = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
     owners = np.zeros((len(vertices), 2), np.int32)
-    lens = (scene.fx, scene.fy, scene.cx, scene.cy)
     pictures = (scene.rgb, scene.points, scene.edge, labels)
-    arguments = (vertices, normals, Ts, frames, *pictures, part, *lens, tolerance, colours, weight, owners)
+    arguments = (vertices, normals, Ts, frames, *pictures, part, *scene.lens, tolerance, colours, weight, owners)
     run_in_threads(lambda begin, end: _sample_colours(begin, end, *arguments), len(vertices), 1000)
     seen = weight > 0
     if seen.any() and not seen.all():
