@@ -79,7 +79,7 @@ class Calls:
 
     def __init__(self, monkeypatch, stop=None):
         self.solved, self.stop = [], stop
-        for name in ("find_seeds", "bridge_gaps", "better_type", "free_adjustment", "optimise", "fuse"):
+        for name in ("find_seeds", "bridge_gaps", "choose_joint_type", "free_adjustment", "optimise", "fuse"):
             monkeypatch.setattr(pipeline, name, self._counted(name, getattr(pipeline, name)))
 
     def _counted(self, name, function):
@@ -98,7 +98,7 @@ class Calls:
 @pytest.mark.parametrize(
     "stop, left",
     [
-        ("bridge_gaps", ["bridge_gaps", *FREE, "better_type", "bridge_gaps", "optimise", *FREE, "fuse", "fuse"]),
+        ("bridge_gaps", ["bridge_gaps", *FREE, "choose_joint_type", "bridge_gaps", "optimise", *FREE, "fuse", "fuse"]),
         ("optimise", ["optimise", *FREE, "fuse", "fuse"]),
         ("fuse", ["fuse", "fuse"]),
     ],
@@ -125,7 +125,7 @@ def test_a_result_that_cannot_be_written_costs_no_stage(sequence, whole, tmp_pat
     with monkeypatch.context() as patch, pytest.raises(OSError, match="No space"):
         patch.setattr(pipeline, "write_result", full)
         reconstruct_folder(sequence, out, QUIET)
-    monkeypatch.setattr(pipeline, "prepare", full)  # the video is not even looked at
+    monkeypatch.setattr(pipeline, "prepare_scene", full)  # the video is not even looked at
     reconstruct_folder(sequence, out, QUIET)
     assert contents(out) == whole
 
