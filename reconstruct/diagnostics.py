@@ -9,6 +9,7 @@ from __future__ import annotations
 import resource
 import sys
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,7 +101,7 @@ def measure_agreement(
     part: int,
     Ts: Array,
     samples: Samples,
-    pairs: tuple[NDArray, NDArray],
+    pairs: tuple[NDArray[Any], NDArray[Any]],
     gate: float,
 ) -> Array:
     """(n, 3) for every frame: share of inliers, share outside the mask, rms of the inliers' residuals, metres.

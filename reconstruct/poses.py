@@ -6,6 +6,7 @@ Unknowns are left twists (v, w) of T_camera_part; the stack `Ts` (n, 4, 4) holds
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,7 +92,7 @@ def part_samples(
     }
 
 
-def choose_pairs(Ts: Array, seen: NDArray[np.bool_], settings: PoseSettings) -> tuple[NDArray, NDArray]:
+def choose_pairs(Ts: Array, seen: NDArray[np.bool_], settings: PoseSettings) -> tuple[NDArray[Any], NDArray[Any]]:
     """Directed pairs (source, target) of frames: neighbours in time, and distant frames of a similar view."""
     frames = np.flatnonzero(seen)
     found = {(int(i), int(i) + d) for i in frames for d in OFFSETS if i + d < len(Ts) and seen[i + d]}
@@ -207,8 +208,8 @@ def _normal_equations(
     part: int,
     Ts: Array,
     samples: Records,
-    source: NDArray,
-    target: NDArray,
+    source: NDArray[Any],
+    target: NDArray[Any],
     gate: float,
 ) -> tuple[sparse.csr_array, Array, Array]:
     """A (6n, 6n), b (6n,) over all frames, and summed statistics (4,): inliers, projected, cost, outside.
@@ -234,12 +235,12 @@ def _normal_equations(
     return A, b.ravel(), stats.sum(0)
 
 
-def _summation_matrix(frames: NDArray, n: int) -> sparse.csr_array:
+def _summation_matrix(frames: NDArray[Any], n: int) -> sparse.csr_array:
     """(n, p) matrix that sums values of pairs over the pairs of each frame."""
     return sparse.csr_array((np.ones(len(frames)), (frames, np.arange(len(frames)))), (n, len(frames)))
 
 
-def _from_blocks(rows: NDArray, columns: NDArray, blocks: Array, n: int) -> sparse.csr_array:
+def _from_blocks(rows: NDArray[Any], columns: NDArray[Any], blocks: Array, n: int) -> sparse.csr_array:
     """(6n, 6n) matrix of blocks (k, 6, 6) at block rows and columns (k,); blocks at the same place add up."""
     order = np.argsort(rows, kind="stable")
     starts = np.searchsorted(rows[order], np.arange(n + 1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -153,7 +154,7 @@ class Propagation:
         return H.sum(0), g.sum(0), stats.sum(0)
 
     def register_part(
-        self, k: int, frame: int, T: Array, references: NDArray, gates: tuple[float, ...]
+        self, k: int, frame: int, T: Array, references: NDArray[Any], gates: tuple[float, ...]
     ) -> tuple[Array, float]:
         """Part k's pose after Gauss-Newton through the gates, and inliers per reference."""
         stats = np.zeros(4)

@@ -8,6 +8,7 @@ pairings of parts, on either side of the stretch, are tried; the dense cost deci
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -196,7 +197,7 @@ def _best_explained_cost(propagation: Propagation, tested: Frames, Ts: Array, st
 
 
 def _pixel_costs(
-    propagation: Propagation, part: int, frame: int, Ts: Array, pixels: NDArray, reliable: Frames
+    propagation: Propagation, part: int, frame: int, Ts: Array, pixels: NDArray[Any], reliable: Frames
 ) -> Array:
     """(p, s) costs of pixels of `frame` with `part` at `Ts` (s, 4, 4), in three `reliable` frames of the most similar
     view.

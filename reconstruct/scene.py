@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -136,7 +137,7 @@ def prepare_scene(recording: Recording, settings: SceneSettings) -> Scene:
     factor = max(1, math.ceil(math.sqrt(size[0] * size[1] / settings.max_crop_pixels)))
     offset = factor // 2
 
-    def windows(images: list[NDArray]) -> Iterator[NDArray]:
+    def windows(images: list[NDArray[Any]]) -> Iterator[NDArray[Any]]:
         """The window of each frame, zero outside its crop, cut to a multiple of `factor`."""
         for image, crop, (x, y) in zip(images, crops, origin, strict=True):
             window = np.zeros((size[1], size[0], *image.shape[2:]), image.dtype)

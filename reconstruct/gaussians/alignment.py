@@ -185,7 +185,7 @@ HOLD = 1e-3
 """Damping of a patch's normal matrix, relative to its trace."""
 
 
-def patch_numbers(points: NDArray, moving: NDArray[np.bool_], cell: float) -> NDArray[np.int64]:
+def patch_numbers(points: NDArray[Any], moving: NDArray[np.bool_], cell: float) -> NDArray[np.int64]:
     """(N,) patches of points (N, 3) of the canonical frame, of the moving part where `moving` (N,)."""
     i, j, k = np.floor(np.asarray(points, float) / cell).astype(np.int64).T
     return (((i * 73856093) ^ (j * 19349663) ^ (k * 83492791)) & (CELLS - 1)) + moving * CELLS
