@@ -1,9 +1,9 @@
-"""What all frames believe of a surface: a wrong frame is outvoted, an unseen part has no say."""
+"""Beliefs of all frames about each surface: wrong frames are outvoted, and frames without a vote do not count."""
 
 import numpy as np
 import pytest
 from reconstruct_clip import make_clip
-from test_labels import asked, cropped, poses_of
+from test_labels import evidence_of, cropped, poses_of
 
 from reconstruct.labels import SURE, label_frames
 from reconstruct.propagation import body_points
@@ -15,7 +15,7 @@ FRAMES = 20
 @pytest.fixture(scope="module")
 def case():
     clip = make_clip("hinge", FRAMES, spin=0.35)
-    evidence = asked(clip.recording)
+    evidence = evidence_of(clip.recording)
     truth = cropped(clip.part_masks, evidence.scene)
     logodds = np.where(truth == 2, SURE, np.where(truth == 1, -SURE, 0)).astype(np.float32)
     return clip, evidence, poses_of(clip, clip.states), truth, logodds
@@ -35,7 +35,7 @@ def test_a_wrong_frame_is_outvoted(case):
     assert right(found, truth[7], evidence.scene.valid[7]) > 0.9  # its own wrong voice counts too
 
 
-def test_a_blank_frame_hears_of_both_parts(case):
+def test_a_blank_frame_gets_beliefs_about_both_parts(case):
     _, evidence, Ts, truth, logodds = case
     blank = logodds.copy()
     blank[7] = 0
@@ -45,7 +45,7 @@ def test_a_blank_frame_hears_of_both_parts(case):
     assert {1, 2} <= set(np.unique(truth[7][np.abs(found) > 0.5]))
 
 
-def test_frames_without_a_vote_have_no_say(case):
+def test_frames_without_a_vote_do_not_count(case):
     _, evidence, Ts, truth, logodds = case
     wrong, voting = logodds.copy(), np.ones((FRAMES, 2), bool)
     wrong[:12] *= -1
@@ -57,7 +57,7 @@ def test_frames_without_a_vote_have_no_say(case):
     assert right(few.frame_beliefs(few.surface_beliefs(wrong, SURE), 15), truth[15], valid) > 0.95
 
 
-def test_who_is_surer_is_louder(case):
+def test_votes_are_weighted_by_certainty(case):
     _, evidence, Ts, truth, logodds = case
     mixed = logodds.copy()
     mixed[:15] *= -0.2  # most frames are wrong, and hardly sure
