@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from reconstruct_clip import make_clip
-from test_labels import evidence_of, cropped, poses_of
+from test_labels import cropped, evidence_of, poses_of
 
 from reconstruct.labels import SURE, label_frames
 from reconstruct.propagation import body_points
