@@ -352,7 +352,9 @@ def test_hidden_parts_are_reported():
     assert warnings_of(long_result(hidden=range(20, 31))) == [
         ("frames 20-30", "the moving part was not seen; its states are interpolated")
     ]
-    assert warnings_of(long_result(hidden=[59])) == [("frame 59", "the moving part was not seen; its states are not measured")]
+    assert warnings_of(long_result(hidden=[59])) == [
+        ("frame 59", "the moving part was not seen; its states are not measured")
+    ]
 
 
 def test_a_bad_frame_is_reported_by_its_residual():
