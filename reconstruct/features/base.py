@@ -1,4 +1,4 @@
-"""What the segmentation asks of features of pixels."""
+"""Interface of pixel features."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Descriptors = NDArray[np.float64]
 
 
 class Features:
-    """Descriptors of pixels; their Euclidean distance says how unlike pixels are. The paper's are DINO's."""
+    """Descriptors of pixels; their Euclidean distance measures dissimilarity. The paper uses DINO's."""
 
     name: ClassVar[str]
 
@@ -28,6 +28,6 @@ class Features:
     def similarity(self, squared_distance: NDArray[np.float64]) -> NDArray[np.float64]:
         """s_t(u, p) of the supplement, 0 to 1, from squared distances of descriptors of one frame.
 
-        Of unit descriptors the cosine is 1 - squared_distance / 2.
+        For unit descriptors the cosine is 1 - squared_distance / 2.
         """
         raise NotImplementedError

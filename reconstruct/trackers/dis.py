@@ -13,7 +13,7 @@ from reconstruct.tracks import Floats, Tracker, Tracks, follow, optical_flow
 
 
 class Dis(Tracker):
-    """The default: DIS flow between all neighbours, chained; trusted where forward and backward flow agree."""
+    """The default: chained DIS flow between neighbouring frames, with confidence from forward-backward consistency."""
 
     name = "dis"
 
