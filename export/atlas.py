@@ -69,7 +69,7 @@ class Texels:
     def interpolate(self, mesh: Mesh, values: NDArray[np.float64]) -> NDArray[np.float32]:
         """(n, 3) `values` (V, 3) of the vertices, interpolated at the texels, in single precision."""
         corners = values.astype(np.float32)[mesh.faces[self.face]]
-        return np.einsum("nk,nki->ni", self.weights, corners)
+        return np.asarray(np.einsum("nk,nki->ni", self.weights, corners))
 
 
 def unwrap(mesh: Mesh, texel_m: float) -> Atlas:
@@ -122,7 +122,7 @@ def paint_texture(atlas: Atlas, texels: Texels, colours: NDArray[np.floating]) -
     if empty.all():
         return image
     rows, columns = distance_transform_edt(empty, return_distances=False, return_indices=True)
-    return image[rows, columns]
+    return np.asarray(image[rows, columns])
 
 
 def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -130,7 +130,7 @@ def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64
 
 
 @njit(cache=True)
-def _mark_triangles(owner, places, corners):
+def _mark_triangles(owner: NDArray[np.int64], places: NDArray[np.float64], corners: NDArray[np.int64]) -> None:
     """Write into `owner` (height, width) the triangle that contains each pixel's centre."""
     height, width = owner.shape
     for f in range(len(corners)):

@@ -119,7 +119,7 @@ def carve_overlap(parts: Articulation, low: float, high: float, tolerance: float
 
 def is_valid(solid: Manifold) -> bool:
     """Whether a solid is valid and not empty."""
-    return solid.status() == Error.NoError and solid.volume() > 0
+    return bool(solid.status() == Error.NoError and solid.volume() > 0)
 
 
 def make_solid(mesh: Mesh) -> Manifold | None:
@@ -205,7 +205,7 @@ def _overlaps_itself(triangles: Array, way: Array) -> bool:
     a, b = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
     area = 0.5 * float(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
     covered = CrossSection([np.ascontiguousarray(t) for t in flat], FillRule.NonZero).area()
-    return area - covered > _OVERLAP_SHARE * area
+    return bool(area - covered > _OVERLAP_SHARE * area)
 
 
 def _connect_triangles(faces: Faces) -> tuple[Faces, Faces]:

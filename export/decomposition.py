@@ -110,7 +110,7 @@ class _HullTests:
         start = (1 - t) * hull[a % len(hull)]
         points = np.concatenate([start + t * other[b % len(other)] for other in others])
         self.pairs += len(others)
-        return self.part.excess(points).reshape(len(others), -1).max(1)
+        return np.asarray(self.part.excess(points).reshape(len(others), -1).max(1))
 
     def make_hull(self, points: Array, members: NDArray[np.int64], limit: float, most: int = 200) -> _Hull | None:
         """The hull of points; None when its excess is above `limit` at one of `most` sampled points."""
@@ -163,14 +163,14 @@ def simplify_points(points: Array, tolerance: Tolerance, max_omission: float) ->
         beyond = points @ qhull.equations[:, :3].T + qhull.equations[:, 3]
         out = beyond.max(0)
         if out.max() <= tolerance.simplify_m:
-            return points[chosen]
+            return np.asarray(points[chosen])
         room = MAX_VERTICES - len(chosen)
         if room <= 0:
-            return points[chosen] if out.max() <= max_omission else None
+            return np.asarray(points[chosen]) if out.max() <= max_omission else None
         furthest = np.argmax(beyond, axis=0)[np.argsort(-out)]
         new = [k for k in dict.fromkeys(furthest.tolist()) if k not in set(chosen.tolist())][: min(room, 8)]
         if not new:
-            return points[chosen]
+            return np.asarray(points[chosen])
         chosen = np.concatenate([chosen, new])
 
 

@@ -92,7 +92,7 @@ def format_joint_urdf(numbers: JointNumbers) -> bytes:
         assert high is not None  # checked by `_check`
         ET.SubElement(joint, "limit", lower=repr(float(low)), upper=repr(float(high)), effort="0", velocity="0")
     ET.indent(robot)
-    return ET.tostring(robot, encoding="utf-8", xml_declaration=True) + b"\n"
+    return bytes(ET.tostring(robot, encoding="utf-8", xml_declaration=True)) + b"\n"
 
 
 def _mass_properties(numbers: JointNumbers) -> tuple[float, float]:

@@ -132,7 +132,7 @@ def _format_visual_obj(mesh: Mesh, name: str, texture: Texture | None) -> str:
     )
 
 
-def _format_rows(word: str, rows: NDArray, pattern: str) -> str:
+def _format_rows(word: str, rows: NDArray[np.generic], pattern: str) -> str:
     """One line per row, beginning with `word`; `pattern` formats one number or the whole row."""
     if pattern.count("%") == 1:
         pattern = " ".join([pattern] * rows.shape[1])

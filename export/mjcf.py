@@ -37,7 +37,7 @@ def format_mjcf(model: AssetModel) -> bytes:
     contact = ET.SubElement(root, "contact")
     ET.SubElement(contact, "exclude", body1=model.root.name, body2=model.child.name)
     ET.indent(root)
-    return ET.tostring(root, encoding="utf-8") + b"\n"
+    return bytes(ET.tostring(root, encoding="utf-8")) + b"\n"
 
 
 def _body(parent: ET.Element, link: LinkModel, assets: ET.Element) -> ET.Element:

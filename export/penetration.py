@@ -77,7 +77,7 @@ def _point_speeds(joint: Joint, points: Array) -> Array:
     """(n,) m that each point (n, 3) moves per unit of state."""
     if joint.type == "prismatic":
         return np.ones(len(points))
-    return np.linalg.norm(np.cross(joint.axis, points - joint.pivot), axis=1)
+    return np.asarray(np.linalg.norm(np.cross(joint.axis, points - joint.pivot), axis=1))
 
 
 def _sample_surface(mesh: Mesh, count: int, seed: int) -> Array:

@@ -258,7 +258,7 @@ def _normalise(direction: Direction, name: str) -> NDArray[np.float64]:
     d = np.asarray(direction, float)
     if d.shape != (3,) or not np.isfinite(d).all() or not np.linalg.norm(d) > 0:
         raise FreeArtError(f"{name} is {direction}, expected three finite numbers that are not all zero")
-    return d / np.linalg.norm(d)
+    return np.asarray(d / np.linalg.norm(d))
 
 
 def _rotation_with_z(z: NDArray[np.float64]) -> Array:

@@ -35,6 +35,8 @@ _GROUND = (236, 238, 241)
 _FILL = 0.86
 """Fraction of the image's side that the object takes."""
 
+_Piece = tuple[Array, NDArray[np.integer], Array, NDArray[np.uint8]]
+
 
 def write_preview(folder: Path, asset: Asset) -> None:
     """Write preview.png (`SIDE`, 2 `SIDE`), in parallel projection, of the finished asset in `folder`.
@@ -85,9 +87,9 @@ def _view_rotation(eye: Array) -> Array:
     return np.stack([right, np.cross(away, right), away])
 
 
-def _project_link(shown: ShownUrdf, link: str, T: Array, R: Array) -> list[tuple[Array, NDArray, Array, NDArray]]:
+def _project_link(shown: ShownUrdf, link: str, T: Array, R: Array) -> list[_Piece]:
     """Per visual: vertices (V, 3) right, down and away; triangles; texture coordinates or colours; texture."""
-    pieces = []
+    pieces: list[_Piece] = []
     for piece in shown.visuals[link]:
         points = se3.transform(T, piece.mesh.vertices) @ R.T
         if piece.texture is not None and piece.uv is not None and piece.texture.is_file():
@@ -102,7 +104,7 @@ def _project_link(shown: ShownUrdf, link: str, T: Array, R: Array) -> list[tuple
     return pieces
 
 
-def _rasterise(pieces: list[tuple[Array, NDArray, Array, NDArray]], scale: float, shift: Array, R: Array) -> NDArray:
+def _rasterise(pieces: list[_Piece], scale: float, shift: Array, R: Array) -> NDArray[np.uint8]:
     side = SIDE * _SUPERSAMPLING
     colour = np.empty((side, side, 3))
     colour[:] = _GROUND
@@ -116,7 +118,15 @@ def _rasterise(pieces: list[tuple[Array, NDArray, Array, NDArray]], scale: float
 
 
 @njit(cache=True)
-def _draw(colour, depth, points, faces, marks, image, light):
+def _draw(
+    colour: Array,
+    depth: Array,
+    points: Array,
+    faces: NDArray[np.integer],
+    marks: Array,
+    image: NDArray[np.uint8],
+    light: Array,
+) -> None:
     """Draw triangles, `points` (V, 3) in pixels right, down and away, where they are nearer than `depth`."""
     height, width = depth.shape
     for f in range(len(faces)):

@@ -161,7 +161,7 @@ def _distance_beyond_edge(
 def _hull_corners(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """The points (n, 3) that are vertices of their convex hull; all when they are coplanar."""
     try:
-        return points[ConvexHull(points).vertices]
+        return np.asarray(points[ConvexHull(points).vertices])
     except (QhullError, ValueError):
         return points
 

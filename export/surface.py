@@ -214,7 +214,13 @@ def _extract_solid(
 
 
 @njit(cache=True)
-def _locate_tetrahedra(points, simplices, neighbours, start, targets):
+def _locate_tetrahedra(
+    points: NDArray[np.float64],
+    simplices: NDArray[np.int32],
+    neighbours: NDArray[np.int32],
+    start: NDArray[np.int32],
+    targets: NDArray[np.float64],
+) -> NDArray[np.int64]:
     """(n,) the tetrahedron that contains each of `targets` (n, 3); -1 outside the hull or when not found.
 
     A walk from tetrahedron `start` (n,) through facets that have the target beyond them (Devillers et al. 2002).
@@ -250,7 +256,8 @@ def _classify_by_normals(tetrahedra: Delaunay, normal: NDArray[np.floating]) -> 
     n = normal[tetrahedra.simplices]
     size = np.linalg.norm(ahead, axis=-1) * np.linalg.norm(n, axis=-1)
     cosine = np.einsum("tki,tki->tk", ahead, n) / np.maximum(size, 1e-300)
-    return (cosine < -_FACING_COSINE).all(1).astype(np.int8) - (cosine > _FACING_COSINE).all(1).astype(np.int8)
+    away, facing = (cosine < -_FACING_COSINE).all(1), (cosine > _FACING_COSINE).all(1)
+    return np.asarray(away.astype(np.int8) - facing.astype(np.int8))
 
 
 def _sample_free_space(
@@ -273,7 +280,7 @@ def _shares_cell(places: NDArray[np.float64], marked: NDArray[np.float64], size:
     within = ((cells >= 0) & (cells < shape)).all(1)
     flat = np.ravel_multi_index(np.where(within[:, None], cells, 0).T, shape)
     known = np.unique(np.ravel_multi_index(np.floor((marked - low) / size).astype(np.int64).T, shape))
-    return within & np.isin(flat, known)
+    return np.asarray(within & np.isin(flat, known))
 
 
 def _pick_one_per_cell(points: NDArray[np.float64], size: float) -> NDArray[np.int64]:
@@ -398,7 +405,9 @@ def _boundary_triangles(tetrahedra: Delaunay, inside: NDArray[np.bool_]) -> NDAr
 
 
 @njit(cache=True)
-def _orientations(simplices, neighbours, order):
+def _orientations(
+    simplices: NDArray[np.int32], neighbours: NDArray[np.int32], order: NDArray[np.int64]
+) -> NDArray[np.int64]:
     """(T,) 1 for tetrahedra with the corner order of the first one, -1 for mirrored ones.
 
     Propagated between neighbours: the sign of the volume is noise for flat tetrahedra.
@@ -451,7 +460,7 @@ def _find_observed(
     pairs = pairs[~observed[pairs].any(1)]
     label = trimesh.graph.connected_component_labels(pairs, node_count=len(faces))
     area = np.bincount(label, 0.5 * np.linalg.norm(normal, axis=1))
-    return observed | (area[label] < (4 * spacing) ** 2)
+    return np.asarray(observed | (area[label] < (4 * spacing) ** 2))
 
 
 def _thicken_sheet(seen: Mesh, thickness: float) -> Mesh | None:

@@ -122,7 +122,7 @@ def _fill_from_nearest(
     means = [np.bincount(cell.ravel(), values[:, k]) / count for values in (points, colours) for k in range(3)]
     _, first, back = np.unique(np.floor(targets / size), axis=0, return_index=True, return_inverse=True)
     nearest = cKDTree(np.stack(means[:3], -1)).query(targets[first])[1]
-    return np.stack(means[3:], -1).astype(np.float32)[nearest[back.ravel()]]
+    return np.asarray(np.stack(means[3:], -1).astype(np.float32)[nearest[back.ravel()]])
 
 
 def _accumulate_frame(
@@ -150,8 +150,18 @@ def _accumulate_frame(
         bands = _split_bands(rgb[window].astype(np.float32), own[window].astype(np.float32), blur)
         motion = np.stack([part.Ts[before], part.Ts[i], part.Ts[after]])[:, :3]
         _accumulate_texels(
-            *(part.points, part.normals, motion, lens, walls[(slice(None), *window)], own[window], bands),
-            *(np.array([left, top]), part.near, max(after - before, 1), part.bands, part.weights),
+            part.points,
+            part.normals,
+            motion,
+            lens,
+            walls[(slice(None), *window)],
+            own[window],
+            bands,
+            np.array([left, top]),
+            part.near,
+            max(after - before, 1),
+            part.bands,
+            part.weights,
         )
 
 
@@ -179,7 +189,7 @@ def _split_bands(rgb: NDArray[np.float32], own: NDArray[np.float32], blur: float
 
 
 @njit(cache=True)
-def _transform_point(T, p):
+def _transform_point(T: Array, p: NDArray[np.float32]) -> tuple[float, float, float]:
     """-"""
     x = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
     y = T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]
@@ -188,7 +198,20 @@ def _transform_point(T, p):
 
 
 @njit(cache=True)
-def _accumulate_texels(points, normals, Ts, lens, walls, own, bands, corner, near, frames_apart, sums, weights):
+def _accumulate_texels(
+    points: NDArray[np.float32],
+    normals: NDArray[np.float32],
+    Ts: Array,
+    lens: Array,
+    walls: NDArray[np.generic],
+    own: NDArray[np.generic],
+    bands: NDArray[np.float32],
+    corner: NDArray[np.int64],
+    near: float,
+    frames_apart: int,
+    sums: NDArray[np.float32],
+    weights: NDArray[np.float32],
+) -> None:
     """Add to `sums` (2, n, 3) and `weights` (2, n) the two `bands` (2, height, width, 3) of a frame at the texels.
 
     `Ts` (3, 3, 4) are the part's poses one frame before, now and one after; the first and last are `frames_apart`

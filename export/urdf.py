@@ -33,7 +33,7 @@ def format_urdf(model: AssetModel) -> bytes:
         robot.append(_link(link))
     robot.append(_joint(model))
     ET.indent(robot)
-    return ET.tostring(robot, encoding="utf-8", xml_declaration=True) + b"\n"
+    return bytes(ET.tostring(robot, encoding="utf-8", xml_declaration=True)) + b"\n"
 
 
 def _link(link: LinkModel) -> ET.Element:

@@ -48,7 +48,7 @@ def urdf_to_mjcf(asset: Asset, base: Base = "fixed") -> bytes:
         _fill(body, urdf.links[name], assets)
         pending += [(body, j.child, j) for j in below.get(name, ())]
     ET.indent(model)
-    return ET.tostring(model, encoding="utf-8") + b"\n"
+    return bytes(ET.tostring(model, encoding="utf-8")) + b"\n"
 
 
 def _held_position(asset: Asset, joint: UrdfJoint) -> float:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 
+Ints = NDArray[np.int64]
 LEAF_TRIANGLES = 8
 """Most triangles in a leaf of the tree."""
 THREADED_POINTS = 2_000
@@ -62,9 +63,7 @@ class Winding:
             return np.concatenate(list(pool.map(of, np.array_split(points, os.cpu_count() or 1))))
 
 
-def _build_tree(
-    middles: Array, leaf: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def _build_tree(middles: Array, leaf: int) -> tuple[Ints, Ints, Ints, Ints]:
     """Order of the triangles; per node its first triangle, their count, and its right child (0 in a leaf).
 
     Nodes are in preorder, so a left child follows its parent. A node is split at the median of its longest side.
@@ -91,7 +90,7 @@ def _build_tree(
     return order, np.array(first), np.array(count), np.array(right)
 
 
-def _node_dipoles(corners: Array, normals: Array, first: NDArray[np.int64], count: NDArray[np.int64]) -> Array:
+def _node_dipoles(corners: Array, normals: Array, first: Ints, count: Ints) -> Array:
     """(N, 7) per node: area centroid, radius, and sum of the triangles' area vectors."""
     nodes = np.zeros((len(first), 7))
     areas = np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
@@ -105,7 +104,9 @@ def _node_dipoles(corners: Array, normals: Array, first: NDArray[np.int64], coun
 
 
 @njit(cache=True, nogil=True)
-def _winding_numbers(points, corners, nodes, first, count, right, far):
+def _winding_numbers(
+    points: Array, corners: Array, nodes: Array, first: Ints, count: Ints, right: Ints, far: float
+) -> Array:
     found = np.zeros(len(points))
     stack = np.empty(128, np.int64)
     for i in range(len(points)):
@@ -130,7 +131,7 @@ def _winding_numbers(points, corners, nodes, first, count, right, far):
 
 
 @njit(cache=True, nogil=True)
-def _nearest_triangles(points, corners, nodes, first, count, right):
+def _nearest_triangles(points: Array, corners: Array, nodes: Array, first: Ints, count: Ints, right: Ints) -> Array:
     """(n, 2) distance and index in `corners` of the nearest triangle."""
     found = np.empty((len(points), 2))
     stack = np.empty(128, np.int64)
@@ -158,14 +159,14 @@ def _nearest_triangles(points, corners, nodes, first, count, right):
 
 
 @njit(cache=True, nogil=True)
-def _lower_bound(node, p):
+def _lower_bound(node: Array, p: Array) -> float:
     """Lower bound of the distance from p to the triangles of a node."""
     x, y, z = node[0] - p[0], node[1] - p[1], node[2] - p[2]
     return np.sqrt(x * x + y * y + z * z) - node[3]
 
 
 @njit(cache=True, nogil=True)
-def _triangle_distance(p, triangle):
+def _triangle_distance(p: Array, triangle: Array) -> float:
     s, t = _closest_barycentric(p, triangle)
     x = p[0] - (1 - s - t) * triangle[0, 0] - s * triangle[1, 0] - t * triangle[2, 0]
     y = p[1] - (1 - s - t) * triangle[0, 1] - s * triangle[1, 1] - t * triangle[2, 1]
@@ -174,12 +175,12 @@ def _triangle_distance(p, triangle):
 
 
 @njit(cache=True, nogil=True)
-def _dot(ax, ay, az, bx, by, bz):
+def _dot(ax: float, ay: float, az: float, bx: float, by: float, bz: float) -> float:
     return ax * bx + ay * by + az * bz
 
 
 @njit(cache=True, nogil=True)
-def _closest_barycentric(p, triangle):
+def _closest_barycentric(p: Array, triangle: Array) -> tuple[float, float]:
     """Barycentric coordinates (second, third corner) of the point of a triangle nearest to p (Ericson 2005, 5.1.5)."""
     ux, uy, uz = triangle[1, 0] - triangle[0, 0], triangle[1, 1] - triangle[0, 1], triangle[1, 2] - triangle[0, 2]
     vx, vy, vz = triangle[2, 0] - triangle[0, 0], triangle[2, 1] - triangle[0, 1], triangle[2, 2] - triangle[0, 2]
@@ -208,7 +209,7 @@ def _closest_barycentric(p, triangle):
 
 
 @njit(cache=True, nogil=True)
-def _solid_angle(triangle, x, y, z):
+def _solid_angle(triangle: Array, x: float, y: float, z: float) -> float:
     """Solid angle of a triangle (3, 3) from a point (van Oosterom and Strackee 1983)."""
     ax, ay, az = triangle[0, 0] - x, triangle[0, 1] - y, triangle[0, 2] - z
     bx, by, bz = triangle[1, 0] - x, triangle[1, 1] - y, triangle[1, 2] - z

@@ -152,6 +152,22 @@ def test_each_break_of_the_text_fails_its_rule_and_no_other(tmp_path: Path, rule
     assert failed(files_of(broken(tmp_path, rule))) == [rule]
 
 
+MORE_BREAKS = [
+    ("tree.one-root", '<parent link="box"/>', '<parent link="lid"/>'),  # it hangs on itself
+    ("inertia.physical", ' ixx="', ' ixx="10" was="'),  # a triangle that cannot close
+    ("inertia.physical", ' ixx="', ' ixx="many" was="'),
+]
+
+
+@pytest.mark.parametrize("rule, old, new", MORE_BREAKS)
+def test_more_breaks_of_a_rule_are_found(tmp_path: Path, rule: str, old: str, new: str):
+    file = write_little(tmp_path)
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new, 1))
+    assert rule in failed(files_of(file))
+
+
 @mujoco_only
 @pytest.mark.parametrize("rule", HARMLESS)
 def test_what_is_wrong_with_the_file_alone_is_no_fault_of_the_trial(tmp_path: Path, rule: str):
@@ -219,6 +235,13 @@ def test_each_break_of_a_file_fails_its_rule_and_no_other(tmp_path: Path, rule: 
     with_meshes(tmp_path)
     FILE_BREAKS[rule](tmp_path)
     assert failed(files_of(tmp_path)) == [rule]
+
+
+def test_a_file_name_with_a_space_is_found(tmp_path: Path):
+    file = with_meshes(tmp_path)
+    (tmp_path / "seen.obj").rename(tmp_path / "a seen.obj")
+    file.write_text(file.read_text().replace('"seen.obj"', '"a seen.obj"'))
+    assert failed(files_of(file)) == ["paths.relative"]
 
 
 def test_a_bent_collision_mesh_is_not_convex(tmp_path: Path):

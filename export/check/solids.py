@@ -29,7 +29,7 @@ class Convex:
 
     def depth(self, points: Array) -> Array:
         """(n,) m that each of points (n, 3) is inside, 0 outside."""
-        return np.maximum(-(points @ self.planes[:, :3].T + self.planes[:, 3]).max(1), 0.0)
+        return np.asarray(np.maximum(-(points @ self.planes[:, :3].T + self.planes[:, 3]).max(1), 0.0))
 
     def depth_between(self, starts: Array, ends: Array) -> Array:
         """(n,) depth at the middle of the part of each segment from starts to ends (n, 3) that is inside; 0 without

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from freeart21.files.urdf import Urdf, UrdfInertial, resolve_mimics
 from freeart21.joint import Joint, JointType
@@ -109,11 +108,11 @@ class Tree:
             Ts[joint.child] = Ts[joint.parent] @ joint.transform(q.get(joint.name, 0.0))
         return Ts
 
-    def jacobians(self, q: Mapping[str, float], inertials: Mapping[str, UrdfInertial]) -> dict[str, NDArray]:
+    def jacobians(self, q: Mapping[str, float], inertials: Mapping[str, UrdfInertial]) -> dict[str, Array]:
         """Link name to (6, n): velocity of its centre of mass and angular velocity, root's frame, per velocity of the
         `movable` joints."""
         Ts, names = self.link_poses(q), [joint.name for joint in self.movable]
-        columns: dict[str, NDArray] = {self.root: np.zeros((6, len(names)))}  # of the link's origin
+        columns: dict[str, Array] = {self.root: np.zeros((6, len(names)))}  # of the link's origin
         for joint in self.joints.values():
             T, J = Ts[joint.child], columns[joint.parent].copy()
             J[:3] += np.cross(J[3:], T[:3, 3] - Ts[joint.parent][:3, 3], axis=0) if len(names) else 0.0
@@ -132,7 +131,7 @@ class Tree:
             out[name] = np.concatenate([J[:3] + np.cross(J[3:].T, arm).T, J[3:]])
         return out
 
-    def mass_matrix(self, q: Mapping[str, float], inertials: Mapping[str, UrdfInertial]) -> NDArray:
+    def mass_matrix(self, q: Mapping[str, float], inertials: Mapping[str, UrdfInertial]) -> Array:
         """(n, n) of the movable joints, with the root fixed."""
         Ts, total = self.link_poses(q), np.zeros((len(self.movable),) * 2)
         for name, J in self.jacobians(q, inertials).items():
