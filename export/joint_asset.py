@@ -143,7 +143,7 @@ def _check(numbers: JointNumbers) -> None:
     if numbers.kind == "drawer" and alien:
         raise FreeArtError(f"--{alien[0]}: a drawer has a mass alone")
     if numbers.kind == "door" and numbers.period is not None:
-        raise FreeArtError("--period: nothing pulls an upright door back; expected --inertia")
+        raise FreeArtError("--period: gravity does not swing an upright door; expected --inertia")
     if None not in (numbers.period, numbers.inertia):
         raise FreeArtError("--period and --inertia: a period tells an inertia; expected one of them")
     if (numbers.lower is None) != (numbers.upper is None):

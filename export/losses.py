@@ -178,7 +178,7 @@ def format_losses(asset: Asset, textured: bool, files: frozenset[str]) -> str:
     properties = [row for row in rows if row not in ("own", "canonical")]
     parts = [
         "# What formats and engines lose of this asset",
-        f"Joint `{asset.joint}`; `effects.json`, or else the URDF's `<dynamics>`, is the whole list of what acts on it."
+        f"Joint `{asset.joint}`; `effects.json`, or else the URDF's `<dynamics>`, lists all effects on it."
         " `loaders/load_ENGINE.py` holds a function `load` that puts back what can be put back.",
         f"Trust in the reconstruction that it was made of: **{describe_trust(asset.trust)}**",
         *_describe_contact(asset),

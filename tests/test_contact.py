@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 import trimesh
 from little_asset import write_little
+from solid_case import box, tray
 from test_check_asset import files_of
-from test_export import box, reconstruction
+from test_export import reconstruction
 
 from export import contact
 from export.contact import measure_contact_depth, measure_contact_fidelity, read_link_shapes
@@ -33,13 +34,12 @@ def shapes(*solids: trimesh.Trimesh):
 
 def open_tray() -> tuple[trimesh.Trimesh, list[trimesh.Trimesh]]:
     """A tray of 200 x 150 x 80 mm with walls of 2 mm, and its five plates."""
-    size, wall = np.array([0.2, 0.15, 0.08]), 0.002
-    hollow = trimesh.creation.box(size - [2 * wall, 2 * wall, 0], se3.pose(np.eye(3), (0, 0, wall)))
+    wall = 0.002
     plates = [trimesh.creation.box((0.2, 0.15, wall), se3.pose(np.eye(3), (0, 0, -0.039)))]
     for side in (-1, 1):
         plates.append(trimesh.creation.box((wall, 0.15, 0.08), se3.pose(np.eye(3), (side * 0.099, 0, 0))))
         plates.append(trimesh.creation.box((0.2, wall, 0.08), se3.pose(np.eye(3), (0, side * 0.074, 0))))
-    return trimesh.boolean.difference([trimesh.creation.box(size), hollow]), plates
+    return tray(wall), plates
 
 
 def test_both_ways_are_measured():

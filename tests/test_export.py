@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.distance import cdist
+from solid_case import box
 
 from export.checklist import check_asset
 from export.collision import CollisionSettings, convex_hull, make_collision
@@ -39,12 +40,6 @@ from generator.simulate import joint_motion, load, roll_out
 from leaderboard.asset_measurement import measure_joint
 
 RED, BLUE = (200, 30, 20), (20, 40, 220)
-
-
-def box(size, centre=(0.0, 0.0, 0.0), colour=None) -> Mesh:
-    solid = trimesh.creation.box(size, se3.pose(np.eye(3), centre))
-    colours = None if colour is None else np.tile(np.array(colour, np.uint8), (len(solid.vertices), 1))
-    return Mesh(solid.vertices, solid.faces, colours)
 
 
 def reconstruction(

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from solid_case import tray
 
 from export.atlas import find_texels, unwrap
 from export.exporter import ExportSettings, export_result
@@ -27,6 +28,7 @@ from freeart21.reconstruction import Reconstruction
 from freeart21.recording import Frame, Recording
 
 FEW = MeshSettings(points=4_000)
+CARD_BOX = (0.1, 0.08, 0.04)
 
 
 def fine(solid: trimesh.Trimesh, edge: float = 0.004) -> Mesh:
@@ -44,12 +46,6 @@ def solid_of(surface: Surface) -> trimesh.Trimesh:
     solid = trimesh.Trimesh(surface.mesh.vertices, surface.mesh.faces, process=False)
     assert solid.is_watertight and solid.is_winding_consistent and solid.volume > 0
     return solid
-
-
-def tray(wall: float) -> trimesh.Trimesh:
-    outer = trimesh.creation.box((0.1, 0.08, 0.04))
-    inner = trimesh.creation.box((0.1 - 2 * wall, 0.08 - 2 * wall, 0.04), se3.pose(np.eye(3), (0, 0, wall)))
-    return trimesh.boolean.difference([outer, inner])
 
 
 def test_a_box_nobody_saw_from_below_is_closed_by_a_flat_patch():
@@ -73,9 +69,9 @@ def test_what_was_seen_stays_where_it_was():
 
 @pytest.mark.parametrize("wall", [0.002, 0.004])
 def test_an_opening_that_was_seen_stays_open(wall: float):
-    seen = without(fine(tray(wall), 0.006), lambda p: p[:, 2] < -0.0199)  # all but the underside
+    seen = without(fine(tray(wall, CARD_BOX), 0.006), lambda p: p[:, 2] < -0.0199)  # all but the underside
     solid = solid_of(close_surface(seen, replace(FEW, points=12_000)))
-    assert solid.volume == pytest.approx(tray(wall).volume, rel=0.05)
+    assert solid.volume == pytest.approx(tray(wall, CARD_BOX).volume, rel=0.05)
     assert not solid.contains([[0, 0, 0]]).any()
 
 

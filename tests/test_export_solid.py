@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from solid_case import as_mesh, tray
 from test_export import reconstruction
 
 from export.check.contact_rule import judge_contact
@@ -81,10 +82,6 @@ def test_primitives_stand_in_urdf_and_mjcf_where_the_model_has_them(tmp_path: Pa
 TOLERANCE = Tolerance(1.2e-3, 1e-4, 2500, 60_000)
 
 
-def as_mesh(solid: trimesh.Trimesh) -> Mesh:
-    return Mesh(solid.vertices, solid.faces)
-
-
 @pytest.mark.parametrize("shape", SHAPES, ids=["box", "cylinder", "sphere"])
 def test_a_part_that_is_a_primitive_is_found_to_be_that_one(shape):
     outside = sample_outer_surface(shape.mesh())
@@ -120,14 +117,8 @@ def test_a_part_of_boxes_is_boxes():
     assert make_collision(as_mesh(slab), CollisionSettings(primitives=False)).primitives == ()
 
 
-def tray(wall: float = 0.002) -> trimesh.Trimesh:
-    size = np.array([0.2, 0.15, 0.08])
-    hollow = trimesh.creation.box(size - [2 * wall, 2 * wall, 0], se3.pose(np.eye(3), (0, 0, wall)))
-    return trimesh.boolean.difference([trimesh.creation.box(size), hollow])
-
-
 def test_a_thin_walled_tray_is_five_plates():
-    outside = sample_outer_surface(as_mesh(tray()))
+    outside = sample_outer_surface(as_mesh(tray(0.002)))
     pieces = decompose(outside, TOLERANCE, 64)
     assert len(pieces) <= 8
     fidelity = measure_fidelity(outside, [as_mesh(trimesh.convex.convex_hull(piece)) for piece in pieces])
@@ -135,7 +126,7 @@ def test_a_thin_walled_tray_is_five_plates():
 
 
 def test_too_few_pieces_follow_as_well_as_they_can():
-    outside = sample_outer_surface(as_mesh(tray()))
+    outside = sample_outer_surface(as_mesh(tray(0.002)))
     pieces = decompose(outside, replace(TOLERANCE, max_pairs=1500), 3)
     assert len(pieces) <= 3
     assert measure_fidelity(outside, [as_mesh(trimesh.convex.convex_hull(piece)) for piece in pieces]).outward > 2e-3

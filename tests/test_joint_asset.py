@@ -81,7 +81,7 @@ WRONG = {
     "expected a finite number": {"mass": math.nan, "length": 0.5},
     "a pendulum's centre of mass is off its axis": {"mass": 1.0, "length": 0.0},
     "a drawer has a mass alone": {"kind": "drawer", "mass": 1.0, "length": 0.2},
-    "nothing pulls an upright door back": {"kind": "door", "mass": 1.0, "length": 0.2, "period": 1.0},
+    "gravity does not swing an upright door": {"kind": "door", "mass": 1.0, "length": 0.2, "period": 1.0},
     "needs --inertia": {"kind": "door", "mass": 1.0, "length": 0.0},
     "a period tells an inertia": {"mass": 1.0, "length": 0.2, "period": 1.0, "inertia": 1.0},
     "expected both limits": {"mass": 1.0, "length": 0.2, "lower": 0.0},

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from solid_case import box
 
 from export.carving import carve_overlap, make_solid
 from export.exporter import ExportSettings, export_result
@@ -26,11 +27,6 @@ from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction
 
 CAMERA_UP = np.array([0.0, -1.0, 0.0])
-
-
-def box(size, centre=(0.0, 0.0, 0.0)) -> Mesh:
-    solid = trimesh.creation.box(size, se3.pose(np.eye(3), centre))
-    return Mesh(solid.vertices, solid.faces)
 
 
 def lidded(opened: float = 0.0, gap: float = 0.0) -> Articulation:

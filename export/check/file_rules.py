@@ -120,7 +120,7 @@ def _judge_trust(urdf: Path | None, mjcf: Path | None) -> Row:
     except FreeArtError as error:
         return Row(TRUST, "file", "fail", str(error))
     if trust is None:
-        return Row(TRUST, "file", "skip", "the asset does not say whether to trust what it was made of")
+        return Row(TRUST, "file", "skip", "the asset states no trust in its reconstruction")
     return Row(TRUST, "file", "pass" if trust.verdict == "sound" else "fail", describe_trust(trust))
 
 

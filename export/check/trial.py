@@ -176,7 +176,7 @@ class Trial:
         world.put({})
         return self._bounded_row("engine.poses", worst, POSE_TOLERANCE, "", f"link '{which}' is off by")
 
-    # ---- what it does
+    # ---- motion
 
     def _driven(self, world: World) -> list[Row]:
         if self.tree is None:
@@ -211,7 +211,7 @@ class Trial:
         )
         if moves.verdict == "fail":
             return [moves, self._row("joint.stops", "skip", "it does not reach them")]
-        what = f"joint '{beyond[0]}' is beyond a limit, over what is allowed" if beyond[0] else "beyond a limit"
+        what = f"joint '{beyond[0]}' is beyond a limit, relative to the tolerance" if beyond[0] else "beyond a limit"
         return [moves, self._bounded_row("joint.stops", beyond[1], 1.0, "", what)]
 
     def _pushed(
@@ -229,7 +229,7 @@ class Trial:
                 world.advance(SAMPLE_S, {joint.name: push})
                 way.append(world.state()[0][joint.name])
                 if endless and joint.kind == "revolute":
-                    way[-1] = float(np.unwrap(way[-2:])[-1])  # SAPIEN tells an endless turn within one
+                    way[-1] = float(np.unwrap(way[-2:])[-1])  # SAPIEN wraps the angle of an endless joint
                 if endless and abs(way[-1] - way[0]) > _joint_range(joint):
                     break
             seen += way

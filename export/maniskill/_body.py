@@ -41,10 +41,10 @@ class Body:
             _load_textures(self.simulated.articulation)
         simulated = self.simulated
         if simulated.joint_inertia <= 0:
-            raise FreeArtError(f"{asset.urdf} joint '{asset.joint}' moves nothing of mass")
+            raise FreeArtError(f"{asset.urdf} joint '{asset.joint}' moves no mass")
         unseen = [effect.name for effect in simulated.effects if effect.kind == "kinematics"]
         if unseen:
-            logger.warning(f"{asset.urdf}: ManiSkill does not show what {', '.join(unseen)} would do")
+            logger.warning(f"{asset.urdf}: ManiSkill does not render the effects {', '.join(unseen)}")
         self._fixed = fixed_base
         self._joint = next(j for j in simulated.articulation.active_joints if j.name == asset.joint)
         self._limited = False
