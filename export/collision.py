@@ -38,7 +38,6 @@ class CollisionSettings:
     spacing of surface points, 1.5 mm for a cabinet of 65 cm."""
     max_hulls: int = 256
     """Most hulls per part; beyond, the tolerance is widened. A stapler's base takes 62."""
-
     primitives: bool = True
     """Whether boxes, cylinders and spheres replace hulls where they fit as well."""
     patches: int = 2500

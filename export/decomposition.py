@@ -33,8 +33,6 @@ _FULL_SAMPLES = 2500
 """Points tested before a hull is accepted."""
 _LENGTH_COST = 0.002
 """Excess, m, that a metre of a merged hull's diagonal counts as: of equal merges the smaller come first."""
-
-
 MAX_VERTICES = 48
 """Of a hull. PhysX takes at most 255; MuJoCo is faster with few."""
 MIN_THICKNESS_M = 1e-3
@@ -49,7 +47,6 @@ class Tolerance:
     """m that a hull may extend beyond the part."""
     simplify_m: float
     """m by which corners may be omitted from a hull."""
-
     max_patches: int
     """Most patches."""
     max_pairs: int

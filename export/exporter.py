@@ -78,7 +78,6 @@ class ExportSettings:
     """Lengths of the asset over those of the video."""
     placement: PlacementSettings = field(default_factory=PlacementSettings)
     """Which way is up, where the joint is at zero and where it ends."""
-
     effort: float = 100.0
     """URDF effort limit, N m or N. A default: video does not show it."""
     velocity: float = 10.0

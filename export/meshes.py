@@ -26,7 +26,6 @@ class MeshSettings:
 
     max_faces: int = 20_000
     """Most faces of a part; more are decimated (`export.surface`)."""
-
     points: int = 25_000
     """Approximate number of surface points with which a part is closed; a cut through 60 000 took a minute."""
 

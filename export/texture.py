@@ -142,9 +142,8 @@ def _accumulate_frame(
         own = cv2.erode(own, np.ones((2 * _EDGE_PIXELS - 1, 2 * _EDGE_PIXELS - 1), np.uint8))
         if not reconstruction.seen[i, k] or not own.any():
             continue
-        blur = (
-            _BAND_SIGMA * part.near / max(float(np.median(depth[own > 0])), 1e-6)
-        )  # as wide on the surface in every frame
+        # the same width on the surface in every frame
+        blur = _BAND_SIGMA * part.near / max(float(np.median(depth[own > 0])), 1e-6)
         left, top, columns, rows = cv2.boundingRect(own)
         window = np.s_[top : top + rows, left : left + columns]
         bands = _split_bands(rgb[window].astype(np.float32), own[window].astype(np.float32), blur)
