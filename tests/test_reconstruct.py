@@ -282,14 +282,15 @@ def test_in_a_gap_a_part_stands_where_it_would_not_be_seen(kind, part):
     assert_stays(found, estimate.poses, part)
 
 
-def test_a_hidden_path_goes_round_what_is_exposed_and_back():
+def test_a_hidden_path_goes_round_what_is_exposed_and_back(monkeypatch):
+    monkeypatch.setattr("reconstruct.gaps.EVENNESS", 1.0)
     grid, even = np.linspace(0, 1, 11), np.full(9, 0.5)
-    assert np.allclose(_find_hidden_path(np.zeros((9, 11)), even, grid, (True, True), 1.0), 0.5)
+    assert np.allclose(_find_hidden_path(np.zeros((9, 11)), even, grid, (True, True)), 0.5)
     exposed = np.zeros((9, 11))
     exposed[4, :9] = 5.0
-    found = _find_hidden_path(exposed, even, grid, (True, True), 1.0)
+    found = _find_hidden_path(exposed, even, grid, (True, True))
     assert found[4] == pytest.approx(0.9) and found[0] < 0.7 and found[8] < 0.7
-    assert _find_hidden_path(exposed, even, grid, (True, False), 1.0)[8] == pytest.approx(0.9)
+    assert _find_hidden_path(exposed, even, grid, (True, False))[8] == pytest.approx(0.9)
 
 
 def test_a_state_that_was_not_measured_leaves_the_others_as_sure(hinge):
