@@ -25,7 +25,7 @@ def test_warming_damping_is_reported_but_not_named(tmp_path: Path):
     found = find_gap(read_asset(asset_of(tmp_path), "j"), oiled(0.11))
     assert found.verdict == "unexplained" and not found.effects
     assert "a size that changes over the session" in found.sentence
-    told = re.search(r"damping as by oil changes by (-\d+)%", found.sentence)
+    told = re.search(r"viscous damping changes by (-\d+)%", found.sentence)
     assert told is not None and -70 < float(told[1]) < -40, found.sentence  # of .155 in the middle .09 less
     assert found.next_experiment is not None and "last ones first" in found.next_experiment
 

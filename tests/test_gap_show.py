@@ -395,7 +395,7 @@ def test_a_verdict_is_published_with_sapiens_gaps(tmp_path: Path):
     assert read_asset(out / "asset").effects == {"j": (ViscousDamping(0.03),)}
     page = (out / "index.html").read_text()
     assert "A &lt;bob&gt;" in page and "<bob>" not in page
-    for said in ("Oil is missing.", "Damping as by oil", "Run run_1, confirming, slow", "other motion: slow"):
+    for said in ("Oil is missing.", "Viscous damping", "Run run_1, confirming, slow", "other motion: slow"):
         assert said in page, said
     assert "http://" not in page.replace("http://www.w3.org", "") and "src=" not in page
 

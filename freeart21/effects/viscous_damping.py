@@ -12,7 +12,7 @@ class ViscousDamping(Effect):
 
     name: ClassVar[str] = "viscous_damping"
     acts: ClassVar[Acts] = "force"
-    label: ClassVar[str] = "damping as by oil"
+    label: ClassVar[str] = "viscous damping"
     drivetrain: ClassVar[bool] = True
     joint_word: ClassVar[str | None] = "damping"
     dissipates: ClassVar[bool] = True

@@ -325,7 +325,7 @@ def _judge(
     if np.isfinite(comparison.numerics) and comparison.numerics > 0.25:
         notes.append(
             f"Halving SAPIEN's time step down to {1e3 * comparison.timestep_s:g} ms still changed a run by "
-            f"{comparison.numerics:.2g} floors: gaps are no surer than that."
+            f"{comparison.numerics:.2g} noise sigmas: gaps are no more certain than that."
         )
     return verdict, certain, notes
 

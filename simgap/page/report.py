@@ -364,9 +364,9 @@ def _geometry(gap: Gap) -> list[Section]:
         f"Explanations of the geometry, by poses of {runs_text([track_use(t) for t in g.tracks if not t.held_out])}, "
         "left out in turn",
         rows,
-        ("", "", "error, in floors", "p of no gain", ""),
+        ("", "", "error / noise sigma", "p of no gain", ""),
         "full",
-        f"{g.unexplained_rms:.1f} floors of displacement go with the position and have no name.",
+        f"{g.unexplained_rms:.1f} sigmas of displacement depend on the position and have no name.",
     )
     drawing = Section(
         f"Off its joint: {what}, {1e3 * track.gap_before:.2g} mm → {1e3 * track.gap_after:.2g} mm "
@@ -406,7 +406,7 @@ def ranking_section(ranking: Sequence[Ranked], of: str) -> list[Section]:
             spread = "" if r.spread is None else f"{r.spread[0]:.2f} to {r.spread[1]:.2f}"
             cells += [bar(np.log10(max(r.rms, 1.0)) / worst), f"{r.rms:.2f}", spread]
         rows.append(cells)
-    heads = ("", "log probability", *("error (log)", "floors", "run by run") * bool(worst))
+    heads = ("", "log probability", *("error (log)", "error / noise", "run by run") * bool(worst))
     return [table_section(f"Explanations, judged on {of}", rows, heads, "full", kind="ranked")] if ranking else []
 
 
@@ -436,7 +436,7 @@ def _gaps(gap: Gap) -> list[Section]:
         note = (
             "Replayed by the files in a fresh process in SAPIEN, each run at the time step that it needs, "
             f"{1e3 * gap.comparison.timestep_s:g} ms at the finest; the last halving changed a run, before or after, "
-            f"by no more than {gap.comparison.numerics:.2g} floors."
+            f"by no more than {gap.comparison.numerics:.2g} sigmas."
         )
     note += f" {still} more runs were not replayed." if still else ""
     return [table_section("Runs", rows, head, "full", note)]

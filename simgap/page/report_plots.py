@@ -74,7 +74,7 @@ def run_drawings(
             difference.append(Curve(f"{name}, less measured", colour, simulated - measured, style))
     figures = [
         chart(x, position, by.capitalize(), unit),
-        chart(x, difference, "Difference", f"{unit}; grey: noise, ± 2 floors", band=2 * factor * run.floor, height=150),
+        chart(x, difference, "Difference", f"{unit}; grey: noise, ± 2 sigma", band=2 * factor * run.floor, height=150),
     ]
     return figures, curves_data(run_axes(x, position, 0.0, 190), x, (position, difference))
 
