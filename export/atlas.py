@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,6 +82,8 @@ def unwrap(mesh: Mesh, texel_m: float) -> Atlas:
     texel_m = min(max(texel_m, least), _COARSEST * size)
     for _ in range(8):
         atlas = xatlas.Atlas()
+        # never freed: its destructor joins its threads, and was seen to wait for one of them for ever
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(atlas))
         middle = mesh.vertices.mean(0)  # xatlas takes single precision: centre and scale first
         atlas.add_mesh(((mesh.vertices - middle) / size).astype(np.float32), mesh.faces.astype(np.uint32))
         options = xatlas.PackOptions()
