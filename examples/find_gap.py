@@ -1,6 +1,6 @@
 """Find what a simulation lacks: `python examples/find_gap.py OUT`, after export_and_step.py with the same OUT.
 
-The runs are made here, by the asset itself with a damping that `find_gap` is not told of.
+The runs are made here, by the asset itself with a damping that `find_gap` does not know.
 """
 
 import sys
