@@ -44,11 +44,11 @@ def test_hidden_parameters_are_recovered_with_free_initial_states(tmp_path: Path
     setup, runs = problem(tmp_path, measured)
     fit = fit_model(Model(setup, ("viscous_damping",)), runs, np.array([0.0, 0.05]))
     assert fit.effects[0].coefficient == pytest.approx(0.12, rel=0.01)
-    assert max(fit.rms(run.name) for run in runs) < 1.1
+    assert max(fit.run_rms(run.name) for run in runs) < 1.1
     spread = np.sqrt(np.linalg.inv(fit.normal)[-1, -1])
     assert abs(fit.theta[-1] - 0.12) < 4 * spread and spread < 0.01 * 0.12
     wrong = fit_model(Model(setup, ()), runs)
-    assert min(wrong.rms(run.name) for run in runs) > 10
+    assert min(wrong.run_rms(run.name) for run in runs) > 10
 
 
 def test_asset_uncertainty_is_fitted_within_bounds(tmp_path: Path):
@@ -58,9 +58,9 @@ def test_asset_uncertainty_is_fitted_within_bounds(tmp_path: Path):
     names = [r.name for r in fit.model.ranges()]
     assert names == ["inertia", "gravity", "lean_1"]
     assert all(r.lower <= x <= r.upper for r, x in zip(fit.model.ranges(), fit.theta, strict=True))
-    assert fit.theta[0] == pytest.approx(1.1) and min(fit.rms(run.name) for run in runs) > 5
+    assert fit.theta[0] == pytest.approx(1.1) and min(fit.run_rms(run.name) for run in runs) > 5
     armed = fit_model(Model(setup, ("armature",)), runs, np.array([1.1, 1.0, 0.0, 0.05]))
-    assert max(armed.rms(run.name) for run in runs) < 1.1
+    assert max(armed.run_rms(run.name) for run in runs) < 1.1
 
 
 def test_a_held_out_run_fits_only_its_initial_state(tmp_path: Path):
@@ -68,7 +68,7 @@ def test_a_held_out_run_fits_only_its_initial_state(tmp_path: Path):
     fit = fit_model(Model(setup, ("viscous_damping",)), runs[:3])
     there = refit_starts(fit, runs[3:])
     np.testing.assert_array_equal(there.theta, fit.theta)
-    assert max(there.rms(run.name) for run in runs[3:]) < 1.3
+    assert max(there.run_rms(run.name) for run in runs[3:]) < 1.3
     np.testing.assert_allclose(
         (runs[4].q - predict_readings(there, runs[4])) / runs[4].sigma, there.residuals[runs[4].name], atol=1e-9
     )
@@ -250,4 +250,4 @@ def test_one_diverging_run_moves_no_parameter(tmp_path: Path):
     right, held = fit_model(model, runs), fit_model(model, astray)
     spread = np.sqrt(np.diag(np.linalg.inv(right.normal)))
     assert np.abs((held.theta - right.theta) / spread).max() < 4
-    assert held.rms(runs[0].name) > 50
+    assert held.run_rms(runs[0].name) > 50

@@ -148,7 +148,7 @@ def test_an_asset_is_only_taken_with_a_film_of_a_urdf(tmp_path: Path, film: Path
 
 def test_a_released_joint_has_effects_of_motion_only(tmp_path: Path):
     for effects, said in (
-        ((OIL, AxisTilt(0.01, 0.0)), "gives joint 'joint_1' axis_tilt: a joint that is let go"),
+        ((OIL, AxisTilt(0.01, 0.0)), "gives joint 'joint_1' axis_tilt: a released joint takes"),
         ((EncoderOffset(0.1),), "gives joint 'joint_1' encoder_offset"),
     ):
         with pytest.raises(FreeArtError, match=said):

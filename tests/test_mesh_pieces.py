@@ -164,7 +164,7 @@ def test_a_mesh_names_files_of_the_root_alone(tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("count, said", [(10**10, "entries that it has not"), (-3, r"a\.glb is not a readable .glb")])
+@pytest.mark.parametrize("count, said", [(10**10, "entries without data"), (-3, r"a\.glb is not a readable .glb")])
 def test_accessors_without_data_take_no_memory(tmp_path: Path, count: int, said: str) -> None:
     data = bytearray(_write(tmp_path / "a.glb").read_bytes())
     size = int.from_bytes(data[12:16], "little")

@@ -890,6 +890,6 @@ def test_record_takes_teleop_for_track_and_says_what_it_leaves_out(
     write_take(tmp_path / "t.jsonl", "mouse", "camera", "revolute", zip(times, Ts, times / 4, strict=True))
     motion = f"teleop:{tmp_path / 't.jsonl'}"
     cli.record(("mini_stapler",), tmp_path / "data", 4, motion=motion, width=96, height=64, queries=0, shader="trivial")
-    assert "lasts 60 frames; the 4 over which its joint moves most are recorded" in capsys.readouterr().out
+    assert "lasts 60 frames; the 4 with most joint" in capsys.readouterr().out
     truth = json.loads((tmp_path / "data" / "truth" / "mini_stapler-s0" / "truth.json").read_text())
     assert (truth["source"]["motion"], truth["source"]["track"]["name"]) == ("track", "t.jsonl")

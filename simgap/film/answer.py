@@ -21,7 +21,13 @@ from simgap.film.samples import Rows
 from simgap.film.scene import FilmScene
 from simgap.models.localise import LEVEL, benjamini_hochberg
 from simgap.select.words import amount, capitalise, effect_label, effect_words
+from simgap.verdict import Answer as Answer  # annotations of the base classes, which pdoc resolves here
+from simgap.verdict import Correction as Correction
 from simgap.verdict import NamedEffect, RunGap, Verdict
+from simgap.verdict import Proof as Proof
+from simgap.verdict import Quantity as Quantity
+from simgap.verdict import Region as Region
+from simgap.verdict import Use as Use
 
 MIN_SHARE = 0.1
 """Share of a gap that may remain without mention, and that a named effect must close. Not measured."""
