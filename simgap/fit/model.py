@@ -190,6 +190,9 @@ class Model:
         elif unit in ("rad", "m") and spec.lower < 0:
             reach = 0.1 * span if local else 3 * span
             low, high, size = problem.q_low - reach, problem.q_high + reach, 0.1 * span
+        elif cls.reduces_to and EFFECTS[cls.reduces_to].acts == "drive" and unit in ("rad", "m"):
+            # less travel has every bearing: it is part of all dry friction
+            low, high, size = _MAX_PRESLIDING * span, 0.35 * span, 0.05 * span
         elif unit in ("rad", "m") and cls.acts != "drive":
             # wider than a third of the range it is not local, and looks like a spring
             low, high, size = max(2 * problem.sigma, 1e-3 * span), 0.35 * span, 0.05 * span
