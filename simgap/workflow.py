@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +48,7 @@ from simgap.select.hypotheses import FORM_ERROR, Hypothesis, evaluate_set
 from simgap.select.predictive import DECISIVE_LOG_ODDS, DEGREES_OF_FREEDOM, score_difference
 from simgap.select.split import Split, split_runs
 from simgap.select.words import amount, effect_label, effect_words
-from simgap.settings import GapSettings
+from simgap.settings import GapSettings, JudgementSettings
 from simgap.verdict import GAP_THRESHOLD, NamedEffect, Verdict, root_mean_square
 
 DEFAULTS = GapSettings()
@@ -107,39 +107,82 @@ def _analyse(asset: Asset, measured: Measured, settings: GapSettings) -> Draft:
             floor=noise.sigma_at_rest,
             certain=select_certain(motion, geometry),
         )
+    return judge(prepare(asset, measured, positions, runs, noise, geometry, settings), settings.judgement)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What the choice of effects starts from."""
+
+    asset: Asset
+    measured: Measured
+    geometry: KinematicsFinding | None
+    runs: tuple[FitRun, ...]
+    noise: SensorNoise
+    problem: Problem
+    split: Split
+    search: Search | ForceSearch
+    notes: tuple[str, ...] = ()
+    """What was left out where motion is prescribed."""
+
+
+def prepare(
+    asset: Asset,
+    measured: Measured,
+    positions: Measured,
+    runs: tuple[FitRun, ...],
+    noise: SensorNoise,
+    geometry: KinematicsFinding | None,
+    settings: GapSettings,
+) -> Prepared:
+    """The fitted quantity, position or the force of prescribed motion, the use of each run, and the search.
+
+    Args:
+        positions: the measurement, with positions in place of part poses.
+        runs: of `positions`.
+        noise: of `runs`.
+        geometry: what part poses say about the joint.
+    """
+    plant = make_plant(asset, measured)
     problem = make_problem(plant, measured, runs, noise)
+    notes: tuple[str, ...] = ()
     prescribed = make_force_runs(positions, plant)
     if prescribed is not None and has_enough_readings(prescribed[0], settings.judgement):
-        runs, noise, problem = prescribed[0], prescribed[1], make_force_problem(problem, prescribed[0])
+        runs, noise, notes = prescribed
+        problem = make_force_problem(problem, prescribed[0])
     split = split_runs(runs)
     search = make_search(problem, split, measured, settings)
-    choice = choose_hypotheses(search, split.folds, settings.judgement)
+    return Prepared(asset, measured, geometry, runs, noise, problem, split, search, notes)
+
+
+def judge(prepared: Prepared, settings: JudgementSettings) -> Draft:
+    """The choice of effects, what files can express of it, and the verdict."""
+    problem, split, search, runs = prepared.problem, prepared.split, prepared.search, prepared.runs
+    choice = choose_hypotheses(search, split.folds, settings)
     if isinstance(search, ForceSearch):
         choice = add_confounded_sets(choice, search, split)
     best = choice.accepted[0] if choice.accepted else choice.base
-    delivery = deliver(best, search.train, split.folds, asset, measured, search.names)
+    delivery = deliver(best, search.train, split.folds, prepared.asset, prepared.measured, search.names)
     as_is = Model(without_asset_error(problem), (), instant_friction=True)
     before = fit_starts(as_is, np.full(len(as_is.ranges()), delivery.holding), runs)
     delivered = DeliveredFits(delivery, before, refit_starts(delivery.fit, runs))
-    motion = make_verdict(choice, split, delivered, runs, noise, problem, settings.judgement)
+    motion = make_verdict(choice, split, delivered, runs, prepared.noise, problem, settings)
     if isinstance(search, Search) and search.stopped:
-        motion = replace(motion, notes=(*motion.notes, STOPPED.format(settings.seconds)))
-    motion = (
-        replace(motion, notes=(*prescribed[2], NOT_REPLAYED))
-        if prescribed is not None and problem.inverse_dynamics
-        else motion
-    )
+        motion = replace(motion, notes=(*motion.notes, STOPPED.format(search.seconds)))
+    if problem.inverse_dynamics:
+        motion = replace(motion, notes=(*prepared.notes, NOT_REPLAYED))
+    geometry = prepared.geometry
     return Draft(
-        join_geometry(motion, geometry, measured.joint_type),
+        join_geometry(motion, geometry, prepared.measured.joint_type),
         ParameterMap(choice.base.fit.model).nuisance(choice.base.fit.theta),
         rank_hypotheses(choice),
         geometry,
-        noise.sigma_at_rest,
+        prepared.noise.sigma_at_rest,
         motion.verdict != "no_gap",
         select_certain(motion, geometry),
         make_force_curves(choice, split, delivered, runs) if problem.inverse_dynamics else (),
         delivery.body if motion.corrections or motion.verdict == "ambiguous" else NO_CORRECTION,
-        settings.judgement.dominant,
+        settings.dominant,
     )
 
 

@@ -12,10 +12,12 @@ from gap_case import asset_of, measured_of
 
 from freeart21.effects import EFFECTS
 from freeart21.files.asset import read_asset
-from simgap.fit.fit import Model, fit_model, predict_readings
+from simgap.fit.fit import Model, ParameterMap, fit_model, predict_readings
+from simgap.fit.model import repeats_family
 from simgap.fit.problem import make_problem
 from simgap.fit.search import Search, list_candidates
 from simgap.measure.data import make_fit_runs
+from simgap.models import kernel
 from simgap.models.surrogate import make_plant
 from simgap.select.choose import choose_hypotheses
 from simgap.select.split import split_runs
@@ -56,11 +58,22 @@ def test_a_shape_over_position_is_named(tmp_path: Path, name: str, said: str):
     search = Search(problem, split.train_runs, list_candidates(problem, split.train_runs))
     choice = choose_hypotheses(search, split.folds, settings.judgement)
     assert choice.accepted and choice.accepted[0].names == (said,) and choice.in_part == (said != name), choice
+    assert not any(repeats_family(names) for names in search.fits)
 
 
-def test_a_continuous_joint_has_no_shape_over_position(tmp_path: Path):
-    measured = measured_of(5, exact=True)
+def test_presliding_friction_starts_where_that_of_bearings_ends(tmp_path: Path):
+    """The effect's own travel starts where that of all dry friction ends."""
+    measured = measured_of(5, exact=True, marked=False)
     plant = make_plant(read_asset(asset_of(tmp_path), "j"), measured)
     runs, noise = make_fit_runs(measured, plant)
-    problem = replace(make_problem(plant, measured, runs, noise), q_high=3300.0)
-    assert not {"force_over_position", "friction_over_position"} & set(list_candidates(problem, runs))
+    model = Model(make_problem(plant, measured, runs, noise), ("coulomb_friction",))
+    theta = np.array([r.upper if r.name == "travel_root" else r.neutral for r in model.ranges()])
+    own = Model(model.problem, ("presliding_friction",)).ranges()
+    least = next(r.lower for r in own if (r.owner, r.name) == ("presliding_friction", "travel"))
+    assert least == pytest.approx(ParameterMap(model).vector(theta)[0][kernel.TRAVEL])
+
+
+def test_a_set_has_one_effect_of_a_family():
+    assert repeats_family(("coulomb_friction", "presliding_friction"))
+    assert repeats_family(("presliding_friction", "stribeck_friction", "viscous_damping"))
+    assert not repeats_family(("load_friction", "presliding_friction"))

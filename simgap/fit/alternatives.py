@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from freeart21.effects.base import Alternative, Effect, OperatingPoint
 from freeart21.se3 import Array
 from simgap.fit.fit import Fit, Model, ParameterMap, Problem, Starts, initial_theta
+from simgap.fit.model import repeats_family
 from simgap.models import kernel
 
 
@@ -36,12 +37,13 @@ def find_alternatives(problem: Problem, fit: Fit, names: tuple[str, ...]) -> lis
         (cosine, sine, constant),
     )
     others = {*names} - {*fit.model.names}
-    return [
+    found = [
         _swap_effect(problem, fit, effect, other)
         for effect in fit.effects
         for other in effect.alternatives(operating_point)
         if other.name in others
     ]
+    return [at for at in found if not repeats_family(at.model.names)]
 
 
 def find_confounded(problem: Problem, fit: Fit, names: tuple[str, ...]) -> list[AlternativeStart]:

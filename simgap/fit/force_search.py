@@ -12,7 +12,8 @@ from freeart21.effects import EFFECTS, Effect
 from simgap.fit.fit import Fit, Model, Problem, bic_penalty, fit_model, initial_theta, residual_dispersion
 from simgap.fit.force_predictor import require_force_runs
 from simgap.fit.guess import first_guesses, neutral_point
-from simgap.fit.search import CONTENDERS, EXPLAINED, MAX_EFFECTS, has_special_case
+from simgap.fit.model import repeats_family
+from simgap.fit.search import CONTENDERS, EXPLAINED, MAX_EFFECTS
 from simgap.measure.data import FitRun
 from simgap.measure.prescribed import ForceRun
 
@@ -102,7 +103,7 @@ class ForceSearch:
         best: list[Fit] = []
         for size in range(1, MAX_EFFECTS + 1):
             known = {fit.model.names for fit in best if len(fit.model.names) == size - 1}
-            sets = [names for names in combinations(sorted(self.names), size) if not has_special_case(names)]
+            sets = [names for names in combinations(sorted(self.names), size) if not repeats_family(names)]
             if size == 3:
                 sets = [names for names in sets if any(set(smaller) < set(names) for smaller in known)]
             level = sorted((self.fit_set(names) for names in sets), key=lambda fit: fit.cost)

@@ -240,6 +240,12 @@ def model_error_terms(cls: type[Effect]) -> dict[str, float]:
     return {way: most for way, most in ways.items() if most > 0}
 
 
+def repeats_family(names: tuple[str, ...]) -> bool:
+    """Whether two effects of a set are one effect in a special case (`Effect.reduces_to`): one of them does as much."""
+    families = [EFFECTS[name].reduces_to or name for name in names]
+    return len({*families}) < len(families)
+
+
 class ParameterMap:
     """Maps parameters (p,) to effects and to the kernel's vectors."""
 

@@ -29,7 +29,7 @@ from simgap.fit.fit import (
 )
 from simgap.fit.force_guess import MissingForceSamples, guess_places, sample_missing_force
 from simgap.fit.guess import Guess, first_guesses, neutral_point
-from simgap.fit.model import SHAFT
+from simgap.fit.model import SHAFT, repeats_family
 from simgap.fit.parts import drop_poor_fits, extend_to_all, select_parts
 from simgap.measure.data import FitRun
 from simgap.models.surrogate import is_local
@@ -239,7 +239,7 @@ class Search:
         return [
             self.keep(fit_from_small_effects(Model(self.problem, names), self.train))
             for names in sets
-            if not (has_special_case(names) or self.is_out_of_time)
+            if not (repeats_family(names) or self.is_out_of_time)
         ]
 
     def fit_losses(self) -> list[Fit]:
@@ -423,7 +423,7 @@ class Search:
             scale = parent.cost / max(at.rss, 1e-9)  # cost of whole runs per cost of stretches
             for guess in first_guesses(at, cut, self.names):
                 names = tuple(sorted((*parent.model.names, guess.name)))
-                if has_special_case(names):
+                if repeats_family(names):
                     continue
                 cost = guess.cost * scale
                 if is_sudden(EFFECTS[guess.name]) and not self._is_paid(parent, guess, parent.cost - cost):
@@ -592,11 +592,6 @@ def loss_sets(names: tuple[str, ...]) -> list[tuple[str, ...]]:
 def _hides_damping(fit: Fit) -> bool:
     """Whether the set has a rotor or slack; until these fit, damping looks like a delay."""
     return any(cls.rotor_fields for cls in fit.model.classes)
-
-
-def has_special_case(names: tuple[str, ...]) -> bool:
-    """Whether a set has an effect beside one that it reduces to: the general effect alone can do as much."""
-    return any(EFFECTS[name].reduces_to in names for name in names)
 
 
 def is_sudden(cls: type[Effect]) -> bool:
