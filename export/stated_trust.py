@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from freeart21.files import checked
@@ -45,5 +44,5 @@ def read_stated_trust(urdf: Path | None, mjcf: Path | None) -> Trust | None:
 def _read_comment(file: Path) -> str | None:
     """The text after `MARK` in the first comment that begins with it."""
     root = read_xml(file, comments=True)
-    texts = ((element.text or "").strip() for element in root.iter() if element.tag is ET.Comment)
+    texts = ((element.text or "").strip() for element in root.iter() if not isinstance(element.tag, str))
     return next((text.removeprefix(MARK) for text in texts if text.startswith(MARK)), None)

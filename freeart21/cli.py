@@ -29,7 +29,7 @@ from reconstruct.stages import STAGES, CachedStageName
 if TYPE_CHECKING:
     from freeart21.reconstruction import Reconstruction
 
-Positional = tyro.conf.Positional
+Positional: Any = tyro.conf.Positional
 DESCRIPTION = "FreeArt-21: from RGB-D videos of articulated objects to simulation-ready assets, and their score."
 DOUBTFUL = 3
 """Exit code of a result with a warning: `reconstruct` does not trust it, `export` made an asset from such a result or

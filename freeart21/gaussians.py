@@ -9,8 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from freeart21 import se3
 from freeart21.errors import FreeArtError
-
-Floats = NDArray[np.float32]
+from freeart21.se3 import Floats
 
 LIGHT_TERMS = (1, 4, 9, 16, 25)
 """Numbers of spherical harmonics up to degrees 0 to 4."""

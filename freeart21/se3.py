@@ -11,6 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from freeart21.errors import FreeArtError
 
 Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 _SMALL_ANGLE = 1e-4  # rad: below it closed forms lose digits and Taylor series are exact to 1e-16
 

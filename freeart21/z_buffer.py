@@ -6,6 +6,8 @@ import math
 from functools import cache
 from typing import Any
 
+from freeart21.se3 import Array, Ints
+
 BEHIND = 1e-6
 """Depth, m, up to which a corner counts as behind the camera. Not measured."""
 
@@ -27,7 +29,9 @@ def _compiled() -> Any:
     return njit(nogil=True, cache=True)(_draw_triangles)
 
 
-def _draw_triangles(at, depth, faces, nearest, face, weights):  # pragma: no cover
+def _draw_triangles(
+    at: Array, depth: Array, faces: Ints, nearest: Array, face: Ints, weights: Array
+) -> None:  # pragma: no cover
     h, w = nearest.shape
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]

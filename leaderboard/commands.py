@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-Positional = tyro.conf.Positional
+Positional: Any = tyro.conf.Positional
 ExecutorName = Literal["local", "ray", "slurm"]
 
 

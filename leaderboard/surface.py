@@ -269,7 +269,10 @@ def _to_triangle(x: float, y: float, z: float, corners: Array, planes: Array, i:
 
 
 @njit(cache=True, nogil=True)
-def _within_reach(x, y, z, t, apx, apy, apz, nx, ny, nz, height, square, best):
+def _within_reach(
+    x: float, y: float, z: float, t: Array, apx: float, apy: float, apz: float, nx: float, ny: float, nz: float,
+    height: float, square: float, best: float,
+) -> float:  # fmt: skip
     """Squared distance from a point to the triangle `t` (9,), or `best` when that is smaller.
 
     To its plane when the point lies over its inside (the same side of all three edges), else to the nearest edge.

@@ -14,6 +14,9 @@ from typing import TypeVar
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+from freeart21.se3 import Array, Bools, Floats, Ints
 
 T = TypeVar("T")
 
@@ -55,9 +58,10 @@ def map_in_threads(work: Callable[[int], T], n: int) -> list[T]:
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def register_pairs(
-    begin, end, source, target, T, samples, offsets, pixels, h, w, labels, part, fx, fy, cx, cy, gate, sigma,
-    sigma_colour, colour_weight, sigma_silhouette, H, g, stats,
-):  # pragma: no cover  # fmt: skip
+    begin: int, end: int, source: Ints, target: Ints, T: Array, samples: Floats, offsets: Ints, pixels: Floats, h: int,
+    w: int, labels: NDArray[np.uint8], part: int, fx: float, fy: float, cx: Array, cy: Array, gate: float, sigma: float,
+    sigma_colour: float, colour_weight: float, sigma_silhouette: float, H: Array, g: Array, stats: Array,
+) -> None:  # pragma: no cover  # fmt: skip
     """Gauss-Newton terms of the frame pairs begin to end for the left twist (v, w) of T[p] = T_target_source.
 
     `samples[offsets[i]:offsets[i + 1]]` are the records of pixels of frame i. With `part` > 0 a sample is not matched
@@ -153,7 +157,9 @@ def register_pairs(
 
 
 @njit(inline="always")
-def _add_row(N, n0, n1, n2, r, weight):  # pragma: no cover
+def _add_row(
+    N: tuple[float, ...], n0: float, n1: float, n2: float, r: float, weight: float,
+) -> tuple[float, ...]:  # pragma: no cover  # fmt: skip
     """The sums N = weight n n^T (upper triangle) and weight r n of rows n, as one tuple of nine."""
     w0, w1, w2 = weight * n0, weight * n1, weight * n2
     return (
@@ -170,7 +176,7 @@ def _add_row(N, n0, n1, n2, r, weight):  # pragma: no cover
 
 
 @njit(inline="always")
-def _add_point(A, b, N, Y0, Y1, Y2):  # pragma: no cover
+def _add_point(A: Array, b: Array, N: tuple[float, ...], Y0: float, Y1: float, Y2: float) -> None:  # pragma: no cover
     """Add all rows n of one point Y to A and b.
 
     By the left twist (v, w) a row is (n, Y x n), so with K = hat(Y) their sum is [[N, N K^T], [K N, K N K^T]].
@@ -210,9 +216,10 @@ def _add_point(A, b, N, Y0, Y1, Y2):  # pragma: no cover
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def pixel_costs(
-    begin, end, frame, others, T, places, pixels, h, w, logodds, label_weight, fx, fy, cx, cy, sigma, sigma_colour,
-    cap, costs,
-):  # pragma: no cover  # fmt: skip
+    begin: int, end: int, frame: int, others: Ints, T: Array, places: Ints, pixels: Floats, h: int, w: int,
+    logodds: Floats, label_weight: float, fx: float, fy: float, cx: Array, cy: Array, sigma: float, sigma_colour: float,
+    cap: float, costs: Array,
+) -> None:  # pragma: no cover  # fmt: skip
     """Costs of the pixels `places` begin to end (p, 2: row, column) of `frame` under motions T (s, k, 4, 4) to
     `others`.
 
@@ -278,7 +285,9 @@ def pixel_costs(
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
-def neighbours(valid, points, normals, features, reach, flatness):  # pragma: no cover
+def neighbours(
+    valid: Bools, points: Floats, normals: Floats, features: Floats, reach: float, flatness: float,
+) -> tuple[Ints, NDArray[np.int32], Floats]:  # pragma: no cover  # fmt: skip
     """Graph of similar neighbours in one frame, as compressed rows over the valid pixels in reading order.
 
     Neighbours stand 1, 3 and 6 steps up, down, right and left. An edge's weight in [0, 1] falls with distance (relative
@@ -337,7 +346,9 @@ def neighbours(valid, points, normals, features, reach, flatness):  # pragma: no
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
-def relax(unary, starts, ends, weights, smoothness, rounds):  # pragma: no cover
+def relax(
+    unary: Array, starts: Ints, ends: Ints, weights: Array, smoothness: float, rounds: int,
+) -> Array:  # pragma: no cover  # fmt: skip
     """Mean-field log-odds (p,): unary plus `smoothness` times the beliefs of the neighbours, `rounds` iterations."""
     current = unary.copy()
     belief = np.zeros(len(unary))

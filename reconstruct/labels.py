@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from freeart21 import se3
-from freeart21.se3 import Array
+from freeart21.se3 import Array, Floats, Ints
 from reconstruct import kernels
 from reconstruct.evidence import Evidence, fill_between
 from reconstruct.rigid import view_angle
 from reconstruct.votes import SurfaceVotes
 
 Frames = NDArray[np.int64]
-Floats = NDArray[np.float32]
 
 SURE = 3.0
 """Log-odds of a pixel whose part is certain."""
@@ -216,7 +215,10 @@ def random_walk_logodds(
 
 
 @njit(nogil=True, cache=True)
-def _random_walk(strength, target, first, starts, ends, weights, tolerance, rounds):  # pragma: no cover
+def _random_walk(
+    strength: Array, target: Array, first: Array, starts: Ints, ends: Ints, weights: Array, tolerance: float,
+    rounds: int,
+) -> Array:  # pragma: no cover  # fmt: skip
     """x (p,) that minimises sum strength (x - target)^2 + sum over edges weights (x_p - x_q)^2.
 
     Conjugate gradients with Jacobi preconditioning from `first` (p,), until the residual is `tolerance` of the
@@ -252,7 +254,9 @@ def _random_walk(strength, target, first, starts, ends, weights, tolerance, roun
 
 
 @njit(nogil=True, cache=True)
-def _residual(x, strength, target, diagonal, starts, ends, weights, r):  # pragma: no cover
+def _residual(
+    x: Array, strength: Array, target: Array, diagonal: Array, starts: Ints, ends: Ints, weights: Array, r: Array,
+) -> None:  # pragma: no cover  # fmt: skip
     """Fill r (p,), minus half of the gradient at x (p,); see `_random_walk`."""
     for p in range(len(x)):
         r[p] = strength[p] * target[p] - diagonal[p] * x[p]
@@ -262,8 +266,9 @@ def _residual(x, strength, target, diagonal, starts, ends, weights, r):  # pragm
 
 @njit(nogil=True, cache=True)
 def _sum_neighbour_beliefs(
-    begin, end, frame, others, T, pixels, points, normals, logodds, fx, fy, cx, cy, gate, belief_sums, weight_sums
-):  # pragma: no cover  # fmt: skip
+    begin: int, end: int, frame: int, others: Frames, T: Array, pixels: Ints, points: Floats, normals: Floats,
+    logodds: Floats, fx: float, fy: float, cx: Array, cy: Array, gate: float, belief_sums: Array, weight_sums: Array,
+) -> None:  # pragma: no cover  # fmt: skip
     """Sum the beliefs of the frames `others` (s,) about the pixels begin to end, under both motions T (s, 2, 4, 4).
 
     A pixel that the first motion takes onto the second part counts for the second part, and vice versa. A frame's

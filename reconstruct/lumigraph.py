@@ -58,7 +58,9 @@ def choose_frames(
 
 
 @njit(nogil=True, cache=True)
-def view_similarity_weight(T, point, normal, lit, view, fx, fy, cx, cy):  # pragma: no cover
+def view_similarity_weight(
+    T: Array, point: Array, normal: Array, lit: Array, view: Array, fx: float, fy: float, cx: float, cy: float,
+) -> tuple[float, float, float, float, float]:  # pragma: no cover  # fmt: skip
     """Weight, column, row and depth, metres, of a place in a frame, and the change of depth from pixel to pixel.
 
     T (4, 4) is the camera from its part. The weight is 0 where the place faces away or lies behind the camera. `point`,

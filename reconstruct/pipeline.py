@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +62,7 @@ def reconstruct(recording: Recording, settings: ReconstructSettings | None = Non
     covers enough pixels.
     """
     settings = settings or ReconstructSettings()
-    with _StageClock(settings.progress) as clock:
+    with _one_blas_thread(), _StageClock(settings.progress) as clock:
         result, _ = _solve(recording, settings, clock)
     assert result is not None
     return result
@@ -81,7 +82,8 @@ def reconstruct_folder(
     recording, out = read_sequence(Path(sequence)), Path(out)
     cache = StageCache(Path(sequence), out, settings)
     with _StageClock(settings.progress) as clock:
-        result, diagnostics = _solve(recording, settings, clock, cache)
+        with _one_blas_thread():
+            result, diagnostics = _solve(recording, settings, clock, cache)
         assert result is not None
         renders: tuple[list[NDArray[np.uint8]], list[NDArray[np.uint8]]] = [], []
         if isinstance(result, Reconstruction):
@@ -107,12 +109,16 @@ def reconstruct_until(
     require_cached(stage)
     settings = settings or ReconstructSettings()
     recording, cache = read_sequence(Path(sequence)), StageCache(Path(sequence), Path(out), settings)
-    with _StageClock(settings.progress) as clock:
+    with _one_blas_thread(), _StageClock(settings.progress) as clock:
         result, _ = _solve(recording, settings, clock, cache, stage)
     return result if isinstance(result, Failure) else cache.path(stage)
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")  # more threads are slower, and change the last bits
+def _one_blas_thread() -> AbstractContextManager[Any]:
+    """More threads are slower, and change the last bits."""
+    return threadpool_limits(limits=1, user_api="blas")
+
+
 def _solve(
     recording: Recording,
     settings: ReconstructSettings,

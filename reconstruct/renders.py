@@ -20,7 +20,7 @@ from freeart21.camera import Camera
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction
 from freeart21.recording import Query, Recording
-from freeart21.se3 import Array
+from freeart21.se3 import Array, Floats, Ints
 from freeart21.z_buffer import draw_triangles
 from reconstruct.gaussians.views import render_views
 from reconstruct.kernels import run_in_threads
@@ -238,9 +238,10 @@ def _blend_frames(
 
 @njit(nogil=True, cache=True)
 def _blend(
-    begin, end, points, normals, lit, views, Ts, frames, rgb, depth, labels, part, fx, fy, cx, cy, tolerance, colours,
-    agreed,
-):  # pragma: no cover  # fmt: skip
+    begin: int, end: int, points: Array, normals: Array, lit: Array, views: Array, Ts: Array, frames: Ints,
+    rgb: NDArray[np.uint8], depth: Floats, labels: NDArray[np.uint8], part: int, fx: float, fy: float, cx: float,
+    cy: float, tolerance: float, colours: Array, agreed: Array,
+) -> None:  # pragma: no cover  # fmt: skip
     """Weighted means of bilinear samples of the frames at `points`, part frame.
 
     `agreed` is the share, by weight, of the frames looking there that see the part and not what lies behind; 0 if none

@@ -14,10 +14,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from freeart21.recording import Frame, Recording
+from freeart21.se3 import Array, Bools, Floats
 from reconstruct.kernels import FEATURE, NORMAL, OUTSIDE, POINT, run_in_threads
 from reconstruct.settings import SceneSettings
-
-Floats = NDArray[np.float32]
 
 CROP_MARGIN = 12
 """Pixels kept round the object's box."""
@@ -301,7 +300,10 @@ def _compute_features(begin: int, end: int, rgb: NDArray[np.uint8], mask: NDArra
 
 
 @njit(nogil=True, cache=True)
-def _fit_planes(begin, end, depth, fx, fy, cx, cy, radius, jump, points, normals, edge):  # pragma: no cover
+def _fit_planes(
+    begin: int, end: int, depth: Floats, fx: float, fy: float, cx: Array, cy: Array, radius: int, jump: float,
+    points: Floats, normals: Floats, edge: Bools,
+) -> None:  # pragma: no cover  # fmt: skip
     """Least-squares plane through each pixel's neighbourhood: inverse depth is affine in the image."""
     h, w = depth.shape[1:]
     for i in range(begin, end):

@@ -16,10 +16,10 @@ from skimage.measure import marching_cubes
 
 from freeart21 import se3
 from freeart21.mesh import Mesh
-from freeart21.se3 import Array
+from freeart21.se3 import Array, Bools, Floats, Ints
 from reconstruct.evidence import sample_evenly
 from reconstruct.kernels import run_in_threads
-from reconstruct.scene import Floats, Scene
+from reconstruct.scene import Scene
 from reconstruct.settings import SurfaceSettings
 
 Labels = NDArray[np.uint8]
@@ -214,9 +214,10 @@ def _colour_vertices(
 
 @njit(nogil=True, cache=True)
 def _sample_colours(
-    begin, end, vertices, normals, Ts, frames, rgb, points, edge, labels, part, fx, fy, cx, cy, tolerance, colours,
-    weights, owners,
-):  # pragma: no cover  # fmt: skip
+    begin: int, end: int, vertices: Array, normals: Array, Ts: Array, frames: Ints, rgb: NDArray[np.uint8],
+    points: Floats, edge: Bools, labels: NDArray[np.uint8], part: int, fx: float, fy: float, cx: Array, cy: Array,
+    tolerance: float, colours: Array, weights: Array, owners: NDArray[np.int32],
+) -> None:  # pragma: no cover  # fmt: skip
     """Mean of bilinear samples, weighted by (cosine of the view angle over depth) to the power SHARPNESS.
 
     `owners` (V, 2) counts the frames whose nearest pixel lies on the vertex: of this part, and of the other.
@@ -274,7 +275,7 @@ def _sample_colours(
 
 
 @njit(nogil=True, cache=True, inline="always")
-def _interpolate(image, u, v):  # pragma: no cover
+def _interpolate(image: Floats, u: float, v: float) -> float:  # pragma: no cover
     """Bilinear value of `image` (h, w) at column u and row v."""
     x0, y0 = math.floor(u), math.floor(v)
     p, q = u - x0, v - y0
@@ -285,8 +286,9 @@ def _interpolate(image, u, v):  # pragma: no cover
 
 @njit(nogil=True, cache=True)
 def _observe(
-    px, py, pz, xi, yi, points, normals, mask, labels, part, reach, behind, sure
-):  # pragma: no cover  # fmt: skip
+    px: float, py: float, pz: float, xi: int, yi: int, points: Floats, normals: Floats, mask: Bools,
+    labels: NDArray[np.uint8], part: int, reach: float, behind: float, sure: float,
+) -> tuple[float, float]:  # pragma: no cover  # fmt: skip
     """Distance, in units of `reach`, and weight of the voxel at (px, py, pz), camera frame, from the pixel (xi, yi).
 
     Weight 0 without evidence.
@@ -317,9 +319,10 @@ def _observe(
 
 @njit(nogil=True, cache=True)
 def _integrate(
-    begin, end, field, weight, blocks, voxel, Ts, frames, points, normals, mask, labels, rim_distance, part, fx, fy, cx,
-    cy, reach, behind, sure,
-):  # pragma: no cover  # fmt: skip
+    begin: int, end: int, field: Floats, weight: Floats, blocks: Ints, voxel: float, Ts: Array, frames: Ints,
+    points: Floats, normals: Floats, mask: Bools, labels: NDArray[np.uint8], rim_distance: Floats, part: int, fx: float,
+    fy: float, cx: Array, cy: Array, reach: float, behind: float, sure: float,
+) -> None:  # pragma: no cover  # fmt: skip
     """Average, over frames, of the distance in units of `reach`, in [-1, 1]; > 0 is free. Blocks begin to end.
 
     A pixel of the part is a piece of plane. In front of it the distance has full weight; behind it, where the far side

@@ -13,10 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from freeart21.se3 import Floats
 from reconstruct.scene import Scene
 from reconstruct.settings import TrackSettings
-
-Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21 import se3
-from freeart21.se3 import Array
+from freeart21.se3 import Array, Floats
 from reconstruct.evidence import Evidence, fill_between
-
-Floats = NDArray[np.float32]
 
 CELL = 3.0
 """Edge of a surface cell, in units of `Evidence.unit`."""

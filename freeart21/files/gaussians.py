@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.mesh_file import MAX_PLY_BYTES, PLY_TYPES
-from freeart21.gaussians import LIGHT_TERMS, Floats, Gaussians, rotations
-from freeart21.se3 import Array
+from freeart21.gaussians import LIGHT_TERMS, Gaussians, rotations
+from freeart21.se3 import Array, Floats
 
 GAUSSIANS = "gaussians.ply"
 """The file in a result folder."""

@@ -10,8 +10,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from freeart21.se3 import Bools, Floats, Ints
 from reconstruct.gaussians.model import Parameters
-from reconstruct.gaussians.rasteriser import Floats
 from reconstruct.kernels import run_in_threads
 
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15
@@ -59,7 +59,10 @@ def _step_some(arguments: tuple[Any, ...], begin: int, end: int) -> None:
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
-def _step(begin, end, values, gradient, first, second, shown, steps, rate):  # pragma: no cover
+def _step(
+    begin: int, end: int, values: Floats, gradient: Floats, first: Floats, second: Floats, shown: Bools, steps: Ints,
+    rate: Floats,
+) -> None:  # pragma: no cover  # fmt: skip
     one, beta1, beta2 = np.float32(1), np.float32(BETA1), np.float32(BETA2)
     for n in range(begin, end):
         if not shown[n]:

@@ -17,9 +17,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from freeart21.se3 import Array
+from freeart21.se3 import Array, Bools, Floats, Ints
 from reconstruct.gaussians.losses import COVERED, Target
-from reconstruct.gaussians.rasteriser import Floats, Lens, Picture
+from reconstruct.gaussians.rasteriser import Lens, Picture
 
 
 @dataclass(frozen=True)
@@ -193,9 +193,10 @@ def patch_numbers(points: NDArray[Any], moving: NDArray[np.bool_], cell: float) 
 
 @njit(nogil=True, cache=True)
 def _accumulate(
-    colour, depth, alpha, moving, seen, measured, mask, around, fx, fy, cx, cy, s_colour, s_depth, s_mask, H, g, sums,
-    kinds, back, per_cell, table, touched,
-):  # pragma: no cover  # fmt: skip
+    colour: Floats, depth: Floats, alpha: Floats, moving: Floats, seen: Floats, measured: Floats, mask: Bools,
+    around: Floats, fx: float, fy: float, cx: float, cy: float, s_colour: float, s_depth: float, s_mask: float,
+    H: Array, g: Array, sums: Array, kinds: Floats, back: Array, per_cell: int, table: Array, touched: Ints,
+) -> int:  # pragma: no cover  # fmt: skip
     """Sums over pixels; `kinds` (h, w, 3) gets absolute residuals of colour, depth and mask."""
     h, w = alpha.shape
     au, av, az, J = np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(6)
@@ -270,7 +271,9 @@ def _accumulate(
 
 
 @njit(nogil=True, cache=True)
-def _add(H, g, patch, T, J, r, sigma, sums):  # pragma: no cover
+def _add(
+    H: Array, g: Array, patch: Array, T: Array, J: Array, r: float, sigma: float, sums: Array,
+) -> None:  # pragma: no cover  # fmt: skip
     """Add one residual with Cauchy's weight.
 
     T takes the camera to the canonical frame, so a patch's shift there is one of the camera's by T's transposed

@@ -15,13 +15,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from freeart21 import se3
-from freeart21.se3 import Array
+from freeart21.se3 import Array, Floats
 from reconstruct.gaussians.rasteriser import (
     DILATION,
     NEAR,
     THIN,
     Backward,
-    Floats,
     Lens,
     Picture,
     SplatGradients,

@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruct.gaussians.rasteriser import Floats, Picture
+from freeart21.se3 import Floats
+from reconstruct.gaussians.rasteriser import Picture
 from reconstruct.settings import GaussianSettings
 
 C1, C2 = 0.01**2, 0.03**2

@@ -16,8 +16,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from freeart21.gaussians import FAINT_COPY, TURNED_AWAY, Gaussians
-from freeart21.se3 import Array
-from reconstruct.gaussians.rasteriser import Floats, SplatGradients, Splats
+from freeart21.se3 import Array, Floats, Ints
+from reconstruct.gaussians.rasteriser import SplatGradients, Splats
 from reconstruct.kernels import run_in_threads
 
 _F = np.float32
@@ -141,7 +141,9 @@ def make_splats(gaussians: Gaussians, Ts: Array, lit: Array | None = None) -> tu
 
 
 @njit(nogil=True, cache=True)
-def _select(means, normals, opacities, weights, poses):  # pragma: no cover
+def _select(
+    means: Floats, normals: Floats, opacities: Floats, weights: Floats, poses: Floats,
+) -> tuple[Ints, NDArray[np.uint8]]:  # pragma: no cover  # fmt: skip
     """(m,) indices of the Gaussians to draw, and (m,) their motions; those under motion 0 first."""
     index, motion = np.empty(2 * len(means), np.int64), np.empty(2 * len(means), np.uint8)
     m = 0
@@ -164,14 +166,14 @@ def _select(means, normals, opacities, weights, poses):  # pragma: no cover
 
 
 @njit(nogil=True, cache=True)
-def _sum_copies(index, values, total):  # pragma: no cover
+def _sum_copies(index: Ints, values: Floats, total: Floats) -> None:  # pragma: no cover
     for e in range(index.shape[0]):
         for d in range(values.shape[1]):
             total[index[e], d] += values[e, d]
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
-def _harmonics(x, y, z, found):  # pragma: no cover
+def _harmonics(x: float, y: float, z: float, found: Floats) -> None:  # pragma: no cover
     """As `freeart21.gaussians.spherical_harmonics`, of one direction, as many as `found` has room for."""
     terms = found.shape[0]
     found[0] = _F(0.28209479)
@@ -202,7 +204,10 @@ def _harmonics(x, y, z, found):  # pragma: no cover
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
-def _light(begin, end, index, motion, normals, colours, poses, light, harmonics, shades, lit):  # pragma: no cover
+def _light(
+    begin: int, end: int, index: Ints, motion: NDArray[np.uint8], normals: Floats, colours: Floats, poses: Floats,
+    light: Floats, harmonics: Floats, shades: Floats, lit: Floats,
+) -> None:  # pragma: no cover  # fmt: skip
     """Spherical harmonics of the normals in the camera's frame, the light there, and the lit colours."""
     for k in range(begin, end):
         g, M = index[k], poses[motion[k]]

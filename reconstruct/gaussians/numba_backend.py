@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from freeart21.se3 import Array
+from freeart21.se3 import Array, Floats, Ints
 from reconstruct.gaussians.rasteriser import (
     DENSEST,
     DILATION,
@@ -22,7 +22,6 @@ from reconstruct.gaussians.rasteriser import (
     OPAQUE,
     THIN,
     Backward,
-    Floats,
     Lens,
     Picture,
     SplatGradients,
@@ -72,7 +71,7 @@ def rasterise(splats: Splats, Ts: Array, lens: Lens) -> tuple[Picture, Backward]
     def pull(d_colour: Floats, d_depth: Floats, d_alpha: Floats) -> SplatGradients:
         given = [np.ascontiguousarray(d, np.float32) for d in (d_colour, d_depth, d_alpha)]
         buffer = np.zeros((len(entries), _SUMS), np.float32)
-        arguments = (starts, entries, records, boxes, colour, depth, left, *given, buffer)
+        arguments = (starts, entries, records, boxes, colour, depth, left, given[0], given[1], given[2], buffer)
         run_in_threads(lambda a, b: _blend_back(tiles[a:b], across, *arguments), len(tiles), 2)
         flat = np.zeros((len(order), _SUMS), np.float32)
         _gather(entries, buffer, flat)
@@ -102,7 +101,7 @@ def _by_depth(numbers: NDArray[np.int64], depths: Floats) -> NDArray[np.int64]:
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
-def _matrix(q, R):  # pragma: no cover
+def _matrix(q: Floats, R: Floats) -> np.float32:  # pragma: no cover
     """Fill R with the rotation of a quaternion, wxyz, of any length; returns one over its length."""
     n = _F(1) / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     w, x, y, z = q[0] * n, q[1] * n, q[2] * n, q[3] * n
@@ -115,9 +114,10 @@ def _matrix(q, R):  # pragma: no cover
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def _project(
-    begin, end, means, quaternions, scales, opacities, colours, motion, poses, fx, fy, cx, cy, width, height, records,
-    boxes,
-):  # pragma: no cover  # fmt: skip
+    begin: int, end: int, means: Floats, quaternions: Floats, scales: Floats, opacities: Floats, colours: Floats,
+    motion: NDArray[np.uint8], poses: Floats, fx: np.float32, fy: np.float32, cx: np.float32, cy: np.float32, width: int, height: int,
+    records: Floats, boxes: NDArray[np.int32],
+) -> None:  # pragma: no cover  # fmt: skip
     """Records of the Gaussians begin to end, and the bounding boxes (x0, x1, y0, y1; ends excluded) of their ellipses.
 
     The image covariance is that of the projection linearised at the mean (EWA: Zwicker et al. 2001).
@@ -174,7 +174,7 @@ def _project(
 
 
 @njit(nogil=True, cache=True)
-def _bin(boxes, across, down):  # pragma: no cover
+def _bin(boxes: NDArray[np.int32], across: int, down: int) -> tuple[Ints, Ints]:  # pragma: no cover
     """(tiles + 1,) start of each tile's entries, and (entries,) record numbers, front to back."""
     counts = np.zeros(across * down + 1, np.int64)
     for g in range(boxes.shape[0]):
@@ -194,7 +194,7 @@ def _bin(boxes, across, down):  # pragma: no cover
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True, inline="always")
-def _exp(x):  # pragma: no cover
+def _exp(x: np.float32) -> np.float32:  # pragma: no cover
     """exp(x) for x from -5.6 to 0, with relative error 2e-6; math.exp prevents vectorisation."""
     t = x * _F(0.125) + _F(0.35)
     p = _F(0.00590244011) * t + _F(0.0295423057)
@@ -208,7 +208,7 @@ def _exp(x):  # pragma: no cover
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True, inline="always")
-def _span(r, y, left, right):  # pragma: no cover
+def _span(r: Floats, y: int, left: int, right: int) -> tuple[int, int, float]:  # pragma: no cover
     """The pixels (begin, end) of row y within [left, right) in a record's ellipse, and the row's distance from its
     centre."""
     dy = _F(y) + _F(0.5) - r[_Y]
@@ -226,7 +226,10 @@ _T, _R, _G, _B, _D, _M, _BEHIND = 0, 1, 2, 3, 4, 5, 5
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
-def _blend(tiles, across, starts, entries, records, boxes, colour, depth, left, moving):  # pragma: no cover
+def _blend(
+    tiles: Ints, across: int, starts: Ints, entries: Ints, records: Floats, boxes: NDArray[np.int32], colour: Floats, depth: Floats,
+    left: Floats, moving: Floats,
+) -> None:  # pragma: no cover  # fmt: skip
     """Draw some tiles into the images, which are initially black and transparent."""
     height, width = left.shape
     S = np.empty((TILE, 6, TILE), np.float32)
@@ -278,7 +281,7 @@ def _blend(tiles, across, starts, entries, records, boxes, colour, depth, left, 
 
 
 @njit(nogil=True, cache=True)
-def _closed(S):  # pragma: no cover
+def _closed(S: Floats) -> bool:  # pragma: no cover
     """Whether all pixels of a tile are opaque."""
     for y in range(TILE):
         for x in range(TILE):
@@ -289,8 +292,9 @@ def _closed(S):  # pragma: no cover
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def _blend_back(
-    tiles, across, starts, entries, records, boxes, colour, depth, left, d_colour, d_depth, d_alpha, buffer
-):  # pragma: no cover
+    tiles: Ints, across: int, starts: Ints, entries: Ints, records: Floats, boxes: NDArray[np.int32], colour: Floats, depth: Floats,
+    left: Floats, d_colour: Floats, d_depth: Floats, d_alpha: Floats, buffer: Floats,
+) -> None:  # pragma: no cover  # fmt: skip
     """Derivatives (`_SUMS`) of some tiles, one entry per row.
 
     Front to back again: what lies behind a Gaussian is the total minus what is in front of it and itself.
@@ -377,7 +381,7 @@ def _blend_back(
 
 
 @njit(nogil=True, cache=True)
-def _gather(entries, buffer, flat):  # pragma: no cover
+def _gather(entries: Ints, buffer: Floats, flat: Floats) -> None:  # pragma: no cover
     """Sums of the entries of each record."""
     for number in range(entries.shape[0]):
         for k in range(_SUMS):
@@ -386,9 +390,10 @@ def _gather(entries, buffer, flat):  # pragma: no cover
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def _project_back(
-    begin, end, order, records, flat, means, quaternions, scales, motion, poses, fx, fy, cx, cy, d_means, d_quaternions,
-    d_scales, twists,
-):  # pragma: no cover  # fmt: skip
+    begin: int, end: int, order: Ints, records: Floats, flat: Floats, means: Floats, quaternions: Floats,
+    scales: Floats, motion: NDArray[np.uint8], poses: Floats, fx: np.float32, fy: np.float32, cx: np.float32, cy: np.float32,
+    d_means: Floats, d_quaternions: Floats, d_scales: Floats, twists: Array,
+) -> None:  # pragma: no cover  # fmt: skip
     """Derivatives of the records begin to end, propagated back through the projection."""
     R, D, Q = np.empty((3, 3), np.float32), np.empty((3, 3), np.float32), np.empty(4, np.float32)
     e = np.empty(3, np.float32)

@@ -12,9 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21.se3 import Array
-
-Floats = NDArray[np.float32]
+from freeart21.se3 import Array, Floats
 
 DILATION = 0.3
 """Square pixels added to every projected covariance (gsplat's eps2d)."""

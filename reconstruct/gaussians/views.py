@@ -20,11 +20,11 @@ from freeart21.camera import Camera
 from freeart21.gaussians import Gaussians
 from freeart21.reconstruction import Reconstruction
 from freeart21.recording import Query, Recording
-from freeart21.se3 import Array
+from freeart21.se3 import Array, Floats, Ints
 from reconstruct.gaussians.losses import COVERED
 from reconstruct.gaussians.model import make_splats
 from reconstruct.gaussians.numba_backend import rasterise
-from reconstruct.gaussians.rasteriser import Floats, Lens, Picture
+from reconstruct.gaussians.rasteriser import Lens, Picture
 from reconstruct.kernels import run_in_threads
 from reconstruct.lumigraph import choose_frames, object_box, query_poses, view_similarity_weight
 
@@ -166,9 +166,10 @@ def _residuals(video: _VideoFrames, part: int, T: Array, back: Array, points: Ar
 
 @njit(nogil=True, cache=True)
 def _blend(
-    begin, end, points, normals, lit, views, Ts, frames, residuals, depth, parts, part, fx, fy, cx, cy, tolerance,
-    found,
-):  # pragma: no cover  # fmt: skip
+    begin: int, end: int, points: Array, normals: Array, lit: Array, views: Array, Ts: Array, frames: Ints,
+    residuals: Floats, depth: Floats, parts: NDArray[np.uint8], part: int, fx: float, fy: float, cx: float, cy: float,
+    tolerance: float, found: Array,
+) -> None:  # pragma: no cover  # fmt: skip
     """Weighted means of the residuals of the pixels nearest to `points`, part frame.
 
     Normals and directions to the new camera are in the part's frame, too; `lit` are the normals in the recording

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21.recording import Frame, Recording
+from freeart21.se3 import Floats
 from reconstruct.gaussians.losses import Target
-from reconstruct.gaussians.rasteriser import Floats, Lens
+from reconstruct.gaussians.rasteriser import Lens
 from reconstruct.kernels import map_in_threads
 from reconstruct.scene import Scene, estimate_depth_noise
 

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from freeart21.se3 import Floats
 from reconstruct.scene import Scene
 from reconstruct.settings import TrackSettings
-from reconstruct.tracks import Floats, Tracker, Tracks, follow, optical_flow
+from reconstruct.tracks import Tracker, Tracks, follow, optical_flow
 
 
 class Dis(Tracker):

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from freeart21.se3 import Array, Ints
 from simgap.models.laws import (
     DRIVE,
     FORCE,
@@ -72,8 +73,12 @@ _PLACE_REACH = 2.0
 _STOPPED, _LIMIT, _MEMORY, _MET, _PARTED, _LOCATED = 1, 2, 4, 8, 16, 32
 
 
+State = tuple[float, float, float, float]
+"""Position and speed of the part, then of the drive side."""
+
+
 @inlined
-def error_factor(p, at, q, v):  # pragma: no cover
+def error_factor(p: Array, at: int, q: float, v: float) -> float:  # pragma: no cover
     """Factor of an effect's formula with model error: a slope over the logarithm of speed, so that another exponent
     deviates evenly, and a slope and a bend over position."""
     fast = 1.0 - 2.0 * math.log(max(min(abs(v) / p[MODEL_ERROR_SPEED], 1.0), _MIN_SPEED_SHARE)) / math.log(
@@ -84,7 +89,7 @@ def error_factor(p, at, q, v):  # pragma: no cover
 
 
 @njit(cache=True)
-def error_factors(p, at, q, v):  # pragma: no cover
+def error_factors(p: Array, at: int, q: Array, v: Array) -> Array:  # pragma: no cover
     """(n,) the same along a motion; 1 without model error."""
     found = np.ones(len(q))
     if p[MODEL_ERROR_SPEED] > 0.0:
@@ -94,7 +99,9 @@ def error_factors(p, at, q, v):  # pragma: no cover
 
 
 @inlined
-def _sum(acts, terms, p, memory, q, v, load, carried):  # pragma: no cover
+def _sum(
+    acts: int, terms: Ints, p: Array, memory: Array, q: float, v: float, load: float, carried: float,
+) -> float:  # pragma: no cover  # fmt: skip
     """Sum of all forces, or of all friction levels, under the bearing's and the gears' load."""
     total = 0.0
     for k in range(len(terms)):
@@ -106,7 +113,7 @@ def _sum(acts, terms, p, memory, q, v, load, carried):  # pragma: no cover
 
 
 @inlined
-def _actuator(p, q, v, position, effort):  # pragma: no cover
+def _actuator(p: Array, q: float, v: float, position: float, effort: float) -> float:  # pragma: no cover
     """Force of the actuator at the position and speed that it sees; `position` is NaN without a position law. GAIN and
     OFFSET are 0 while it is off."""
     commanded = commanded_force(q, v, position, effort, p[STIFFNESS], p[DAMPING], p[DEAD_BAND])
@@ -114,7 +121,7 @@ def _actuator(p, q, v, position, effort):  # pragma: no cover
 
 
 @inlined
-def _base_force(p, q):  # pragma: no cover
+def _base_force(p: Array, q: float) -> float:  # pragma: no cover
     """Force of a moving base (`base_motion.base_motion_force`)."""
     c, s = math.cos(q), math.sin(q)
     F = p[BASE_CONST] + p[BASE_LINEAR] * q + p[BASE_COS] * c + p[BASE_SIN] * s
@@ -122,7 +129,9 @@ def _base_force(p, q):  # pragma: no cover
 
 
 @inlined
-def _total_force(terms, p, memory, q, v, side, push, position, effort):  # pragma: no cover
+def _total_force(
+    terms: Ints, p: Array, memory: Array, q: float, v: float, side: int, push: float, position: float, effort: float,
+) -> float:  # pragma: no cover  # fmt: skip
     """All forces on the part but friction."""
     F = p[GRAVITY_CONST] + push
     if p[GRAVITY_COS] != 0.0:
@@ -134,7 +143,7 @@ def _total_force(terms, p, memory, q, v, side, push, position, effort):  # pragm
 
 
 @inlined
-def _drive_force(p, q, v, side, position, effort):  # pragma: no cover
+def _drive_force(p: Array, q: float, v: float, side: int, position: float, effort: float) -> float:  # pragma: no cover
     """Force of the actuator on the part, 0 within a slack."""
     if p[SLACK_WIDTH] == 0.0:
         return _actuator(p, q, v, position, effort)
@@ -144,7 +153,9 @@ def _drive_force(p, q, v, side, position, effort):  # pragma: no cover
 
 
 @inlined
-def _gear_load(p, q, v, side, position, effort, F):  # pragma: no cover
+def _gear_load(
+    p: Array, q: float, v: float, side: int, position: float, effort: float, F: float,
+) -> float:  # pragma: no cover  # fmt: skip
     """Load of the gears under all forces `F` but friction; 0 where none have friction."""
     if p[GEARED] == 0.0:
         return 0.0
@@ -152,7 +163,7 @@ def _gear_load(p, q, v, side, position, effort, F):  # pragma: no cover
 
 
 @inlined
-def _bearing_load(p, q, v):  # pragma: no cover
+def _bearing_load(p: Array, q: float, v: float) -> tuple[float, float]:  # pragma: no cover
     """Square of the bearing load without acceleration, and its derivative by the acceleration; 0 where no friction
     depends on it."""
     if p[LOAD_WEIGHT2] == 0.0 and p[LOAD_ARM2] == 0.0:
@@ -163,7 +174,9 @@ def _bearing_load(p, q, v):  # pragma: no cover
 
 
 @inlined
-def _level_of(terms, p, memory, q, v, qdd, bearing, carried):  # pragma: no cover
+def _level_of(
+    terms: Ints, p: Array, memory: Array, q: float, v: float, qdd: float, bearing: tuple[float, float], carried: float,
+) -> float:  # pragma: no cover  # fmt: skip
     """Friction level at this acceleration, for the loads of `_bearing_load` and `_gear_load`."""
     load2 = bearing[0] + qdd * (bearing[1] + qdd * p[LOAD_ARM2])
     load = math.sqrt(load2) if load2 > 0.0 else 0.0  # avoids a square root, which costs as much as a formula
@@ -171,13 +184,13 @@ def _level_of(terms, p, memory, q, v, qdd, bearing, carried):  # pragma: no cove
 
 
 @inlined
-def _level(terms, p, memory, q, carried):  # pragma: no cover
+def _level(terms: Ints, p: Array, memory: Array, q: float, carried: float) -> float:  # pragma: no cover
     """Friction level at rest."""
     return _level_of(terms, p, memory, q, 0.0, 0.0, _bearing_load(p, q, 0.0), carried)
 
 
 @inlined
-def _bristle(p, slide, grip, q):  # pragma: no cover
+def _bristle(p: Array, slide: float, grip: tuple[float, float], q: float) -> float:  # pragma: no cover
     """Presliding state at `q`, -1 to 1: `grip` is the state where a motion in direction `slide` began, and that
     position."""
     if p[TRAVEL] == 0.0 or grip[0] == slide:
@@ -189,7 +202,10 @@ def _bristle(p, slide, grip, q):  # pragma: no cover
 
 
 @inlined
-def _acceleration(terms, p, memory, q, v, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
+def _acceleration(
+    terms: Ints, p: Array, memory: Array, q: float, v: float, slide: float, grip: tuple[float, float], side: int,
+    push: float, position: float, effort: float, loaded: bool,
+) -> float:  # pragma: no cover  # fmt: skip
     """Of a moving part; `slide` is the direction in which it slides against friction, 0 without friction."""
     share = 1.0 / (p[INERTIA] + (p[SLACK_INERTIA] if side != 0 else 0.0))
     F = _total_force(terms, p, memory, q, v, side, push, position, effort)
@@ -211,7 +227,10 @@ def _acceleration(terms, p, memory, q, v, slide, grip, side, push, position, eff
 
 
 @inlined
-def _slopes(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
+def _slopes(
+    y: State, terms: Ints, p: Array, memory: Array, frozen: bool, slide: float, grip: tuple[float, float], side: int,
+    push: float, position: float, effort: float, loaded: bool,
+) -> tuple[float, float]:  # pragma: no cover  # fmt: skip
     """Accelerations of part and drive side at y = (q, v, x, w)."""
     a = 0.0
     if not frozen:
@@ -223,7 +242,10 @@ def _slopes(y, terms, p, memory, frozen, slide, grip, side, push, position, effo
 
 
 @jit
-def _rk4_step(y, h, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
+def _rk4_step(
+    y: State, h: float, terms: Ints, p: Array, memory: Array, frozen: bool, slide: float, grip: tuple[float, float],
+    side: int, push: float, position: float, effort: float, loaded: bool,
+) -> State:  # pragma: no cover  # fmt: skip
     """State after `h` by one RK4 step under constant conditions."""
     q, v, x, w = y
     q1, v1, x1, w1, there = q, v, x, w, y
@@ -239,14 +261,20 @@ def _rk4_step(y, h, terms, p, memory, frozen, slide, grip, side, push, position,
 
 
 @jit
-def _contact(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
+def _contact(
+    y: State, terms: Ints, p: Array, memory: Array, frozen: bool, slide: float, grip: tuple[float, float], side: int,
+    push: float, position: float, effort: float, loaded: bool,
+) -> float:  # pragma: no cover  # fmt: skip
     """Force of the drive side on the part in contact."""
     a, _ = _slopes(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
     return _actuator(p, y[2], y[3], position, effort) - p[SLACK_INERTIA] * a
 
 
 @jit
-def _events(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
+def _events(
+    y: State, terms: Ints, p: Array, memory: Array, frozen: bool, slide: float, grip: tuple[float, float], side: int,
+    push: float, position: float, effort: float, loaded: bool,
+) -> int:  # pragma: no cover  # fmt: skip
     """Events that have happened by the state `y`, as bits."""
     found = 0
     q, v, x, w = y
@@ -270,8 +298,9 @@ def _events(y, terms, p, memory, frozen, slide, grip, side, push, position, effo
 
 @jit
 def _event_function(
-    what, y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded
-):  # pragma: no cover
+    what: int, y: State, terms: Ints, p: Array, memory: Array, frozen: bool, slide: float, grip: tuple[float, float],
+    side: int, push: float, position: float, effort: float, loaded: bool,
+) -> float:  # pragma: no cover  # fmt: skip
     """Zero at the event: distance of the sides of a slack before contact, force between them before separation."""
     if what == _MET:
         return 0.5 * p[SLACK_WIDTH] - abs(y[2] - y[0])
@@ -279,7 +308,7 @@ def _event_function(
 
 
 @jit
-def _passes_place(terms, p, a, b):  # pragma: no cover
+def _passes_place(terms: Ints, p: Array, a: float, b: float) -> bool:  # pragma: no cover
     """Whether a motion from a to b comes near the place of an effect."""
     for k in range(len(terms)):
         if terms[k, 3]:
@@ -291,7 +320,9 @@ def _passes_place(terms, p, a, b):  # pragma: no cover
 
 
 @jit
-def _rest_position(y, p, load, part, side):  # pragma: no cover
+def _rest_position(
+    y: State, p: Array, load: float, part: float, side: int,
+) -> tuple[State, tuple[float, float]]:  # pragma: no cover  # fmt: skip
     """State and grip of a part at rest that deflects under a `load` (relative to the friction level) to equilibrium."""
     load = min(max(load, -_MAX_REST_LOAD), _MAX_REST_LOAD)
     if abs(load - part) < 1e-9:
@@ -303,7 +334,7 @@ def _rest_position(y, p, load, part, side):  # pragma: no cover
 
 
 @jit
-def _rebound(terms, p, v):  # pragma: no cover
+def _rebound(terms: Ints, p: Array, v: float) -> float:  # pragma: no cover
     """Speed after an impact with speed `v`."""
     after = 0.0
     for k in range(len(terms)):
@@ -315,7 +346,10 @@ def _rebound(terms, p, v):  # pragma: no cover
 
 
 @jit
-def _rebound_from_drive(terms, p, memory, limit, towards, v, side, push, position, effort):  # pragma: no cover
+def _rebound_from_drive(
+    terms: Ints, p: Array, memory: Array, limit: float, towards: float, v: float, side: int, push: float,
+    position: float, effort: float,
+) -> tuple[float, float]:  # pragma: no cover  # fmt: skip
     """Time at a limit, s, and speed after it, of a part that hits it with `v` and is taken back by its drive."""
     drive, press, others = 0.0, 0.0, p[INERTIA] - p[SHAFT_INERTIA]
     if p[SHAFT_SWING] > 0.0:
@@ -329,8 +363,9 @@ def _rebound_from_drive(terms, p, memory, limit, towards, v, side, push, positio
 
 @jit
 def _roll(
-    p, terms, memory, times, t_in, command, effort, pushes, hold_difference, base_motion, coarse, fine, out
-):  # pragma: no cover
+    p: Array, terms: Ints, memory: Array, times: Array, t_in: Array, command: Array, effort: Array, pushes: Array,
+    hold_difference: Array, base_motion: Array, coarse: float, fine: float, out: Array,
+) -> None:  # pragma: no cover  # fmt: skip
     """Positions `out` (n,) as read at `times` (n,), for one vector; steps are `coarse`, `fine` near the place of an
     effect."""
     n, inputs = len(times), len(t_in)
@@ -562,21 +597,10 @@ def _compile_sweep(stamp: int) -> Any:
 
     @njit(cache=True, nogil=True, error_model="numpy")
     def sweep(
-        numbers,
-        terms,
-        which,
-        times,
-        begins,
-        t_in,
-        command,
-        effort,
-        pushes,
-        hold_difference,
-        base_motion,
-        enters,
-        steps,
-        out,
-    ):  # pragma: no cover
+        numbers: Array, terms: Ints, which: Ints, times: Array, begins: Ints, t_in: Array, command: Array,
+        effort: Array, pushes: Array, hold_difference: Array, base_motion: Array, enters: Ints, steps: Array,
+        out: Array,
+    ) -> None:  # pragma: no cover  # fmt: skip
         if stamp < 0:
             return
         memory, done, p = np.zeros(len(terms)), 0, np.empty(numbers.shape[1])

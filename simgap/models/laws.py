@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, cast
 
 from numba import njit
 
 from freeart21 import events, mechanics
 from freeart21.effects import EFFECTS, Effect
+from freeart21.se3 import Array
 
 FORCE, DRIVE, STOP = 0, 1, 2
 ACTS = {"force": FORCE, "drive": DRIVE, "stop": STOP}
@@ -21,9 +23,19 @@ NAMES = tuple(LAWS)
 """Effect of each number."""
 
 
-jit = njit(error_model="numpy", fastmath={"contract"}, _nrt=False)  # type: ignore[call-overload]  # no arrays are made
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "_nrt": False}  # no arrays are made
 
-inlined = njit(error_model="numpy", fastmath={"contract"}, _nrt=False, forceinline=True)  # type: ignore[call-overload]
+
+def jit(function: _Function) -> _Function:
+    """The compiled function."""
+    return cast(_Function, njit(**_OPTIONS)(function))
+
+
+def inlined(function: _Function) -> _Function:
+    """The function, compiled into its callers."""
+    return cast(_Function, njit(**_OPTIONS, forceinline=True)(function))
+
 
 _READ_PARAMETERS = {  # slicing costs more than the formula
     1: jit(lambda p, at: (p[at],)),
@@ -44,7 +56,9 @@ def _law_among(names: list[str]) -> Any:
     others = _law_among(names[1:]) if len(names) > 1 else jit(lambda which, q, qd, load, memory, p, at: 0.0)
 
     @inlined
-    def choose(which, q, qd, load, memory, p, at):  # pragma: no cover
+    def choose(
+        which: int, q: float, qd: float, load: float, memory: float, p: Array, at: int
+    ) -> float:  # pragma: no cover
         if which == number:
             return 1.0 * formula(q, qd, load, memory, *taken(p, at))
         return others(which, q, qd, load, memory, p, at)
@@ -60,7 +74,7 @@ def _memory_among(names: list[str]) -> Any:
     others = _memory_among(names[1:])
 
     @inlined
-    def choose(which, q, memory, p, at):  # pragma: no cover
+    def choose(which: int, q: float, memory: float, p: Array, at: int) -> float:  # pragma: no cover
         if which == number:
             return 1.0 * formula(q, memory, *taken(p, at))
         return others(which, q, memory, p, at)

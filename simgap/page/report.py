@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 
@@ -212,7 +212,7 @@ def parameters_section(verdict: Verdict, kind: JointType, note: str, file_of: Ca
 
     def row(
         head: tuple[str, str], name: str, meaning: str, sizes: tuple[float, float, float], texts: list[str]
-    ) -> tuple:
+    ) -> tuple[Any, ...]:
         known = np.isfinite(sizes[1:]).any()
         span, drawing = (f"{texts[1]} to {texts[2]}", interval_drawing(*sizes)) if known else ("", "")
         size = two_lines(texts[0], span, bold=True)
