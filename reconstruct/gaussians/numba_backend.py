@@ -115,8 +115,8 @@ def _matrix(q: Floats, R: Floats) -> np.float32:  # pragma: no cover
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def _project(
     begin: int, end: int, means: Floats, quaternions: Floats, scales: Floats, opacities: Floats, colours: Floats,
-    motion: NDArray[np.uint8], poses: Floats, fx: np.float32, fy: np.float32, cx: np.float32, cy: np.float32, width: int, height: int,
-    records: Floats, boxes: NDArray[np.int32],
+    motion: NDArray[np.uint8], poses: Floats, fx: np.float32, fy: np.float32, cx: np.float32, cy: np.float32, width: int,
+    height: int, records: Floats, boxes: NDArray[np.int32],
 ) -> None:  # pragma: no cover  # fmt: skip
     """Records of the Gaussians begin to end, and the bounding boxes (x0, x1, y0, y1; ends excluded) of their ellipses.
 
@@ -227,8 +227,8 @@ _T, _R, _G, _B, _D, _M, _BEHIND = 0, 1, 2, 3, 4, 5, 5
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def _blend(
-    tiles: Ints, across: int, starts: Ints, entries: Ints, records: Floats, boxes: NDArray[np.int32], colour: Floats, depth: Floats,
-    left: Floats, moving: Floats,
+    tiles: Ints, across: int, starts: Ints, entries: Ints, records: Floats, boxes: NDArray[np.int32],
+    colour: Floats, depth: Floats, left: Floats, moving: Floats,
 ) -> None:  # pragma: no cover  # fmt: skip
     """Draw some tiles into the images, which are initially black and transparent."""
     height, width = left.shape
@@ -292,8 +292,8 @@ def _closed(S: Floats) -> bool:  # pragma: no cover
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def _blend_back(
-    tiles: Ints, across: int, starts: Ints, entries: Ints, records: Floats, boxes: NDArray[np.int32], colour: Floats, depth: Floats,
-    left: Floats, d_colour: Floats, d_depth: Floats, d_alpha: Floats, buffer: Floats,
+    tiles: Ints, across: int, starts: Ints, entries: Ints, records: Floats, boxes: NDArray[np.int32],
+    colour: Floats, depth: Floats, left: Floats, d_colour: Floats, d_depth: Floats, d_alpha: Floats, buffer: Floats,
 ) -> None:  # pragma: no cover  # fmt: skip
     """Derivatives (`_SUMS`) of some tiles, one entry per row.
 
@@ -391,8 +391,8 @@ def _gather(entries: Ints, buffer: Floats, flat: Floats) -> None:  # pragma: no 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def _project_back(
     begin: int, end: int, order: Ints, records: Floats, flat: Floats, means: Floats, quaternions: Floats,
-    scales: Floats, motion: NDArray[np.uint8], poses: Floats, fx: np.float32, fy: np.float32, cx: np.float32, cy: np.float32,
-    d_means: Floats, d_quaternions: Floats, d_scales: Floats, twists: Array,
+    scales: Floats, motion: NDArray[np.uint8], poses: Floats, fx: np.float32, fy: np.float32, cx: np.float32,
+    cy: np.float32, d_means: Floats, d_quaternions: Floats, d_scales: Floats, twists: Array,
 ) -> None:  # pragma: no cover  # fmt: skip
     """Derivatives of the records begin to end, propagated back through the projection."""
     R, D, Q = np.empty((3, 3), np.float32), np.empty((3, 3), np.float32), np.empty(4, np.float32)
