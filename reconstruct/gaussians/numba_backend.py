@@ -115,8 +115,8 @@ def _matrix(q: Floats, R: Floats) -> np.float32:  # pragma: no cover
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def _project(
     begin: int, end: int, means: Floats, quaternions: Floats, scales: Floats, opacities: Floats, colours: Floats,
-    motion: NDArray[np.uint8], poses: Floats, fx: np.float32, fy: np.float32, cx: np.float32, cy: np.float32, width: int,
-    height: int, records: Floats, boxes: NDArray[np.int32],
+    motion: NDArray[np.uint8], poses: Floats, fx: np.float32, fy: np.float32, cx: np.float32, cy: np.float32,
+    width: int, height: int, records: Floats, boxes: NDArray[np.int32],
 ) -> None:  # pragma: no cover  # fmt: skip
     """Records of the Gaussians begin to end, and the bounding boxes (x0, x1, y0, y1; ends excluded) of their ellipses.
 
