@@ -1,7 +1,6 @@
 """gsplat's `rasterization` without a GPU: the arguments and results that we use, in plain torch, for small scenes.
 
-Written from its documentation and from what its kernels do (1.5.3). Where gsplat is installed, `kernels` lets its own
-Python run, its torch code in the place of its kernels.
+Written from its documentation and from what its kernels do (1.5.3).
 """
 
 import torch
@@ -35,15 +34,14 @@ def rasterization(
     means2d = means2d[None]  # what stands in meta is what the picture depends on, as there
     order = torch.nonzero((radii > 0).all(-1))[:, 0]
     order = order[torch.argsort(depths[order], stable=True)]
-    pictures = blend(*(x[order] for x in (means2d[0], conics, colors, opacities)), (0, width, 0, height))
+    pictures = blend(*(x[order] for x in (means2d[0], conics, colors, opacities)), width, height)
     meta = {"means2d": means2d, "radii": radii[None], "depths": depths[None], "conics": conics[None]}
     return *(picture[None] for picture in pictures), meta
 
 
-def blend(means2d, conics, values, opacities, box):
-    """Front to back: values (h, w, D) and opacity (h, w, 1) of the pixels x0, x1, y0, y1."""
-    x0, x1, y0, y1 = box
-    ys, xs = torch.meshgrid(torch.arange(y0, y1) + 0.5, torch.arange(x0, x1) + 0.5, indexing="ij")
+def blend(means2d, conics, values, opacities, width, height):
+    """Front to back: values (h, w, D) and opacity (h, w, 1)."""
+    ys, xs = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
     dx, dy = xs.reshape(1, -1) - means2d[:, :1], ys.reshape(1, -1) - means2d[:, 1:]
     a, b, c = (x[:, None] for x in conics.unbind(-1))
     sigma = 0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy
@@ -52,7 +50,7 @@ def blend(means2d, conics, values, opacities, box):
     after = torch.cumprod(1 - alphas, 0)
     before = torch.cat([torch.ones_like(after[:1]), after[:-1]])
     weights = torch.where(after > 1e-4, alphas * before, torch.zeros_like(after))
-    shape = (y1 - y0, x1 - x0, -1)
+    shape = (height, width, -1)
     return (weights.T @ values).reshape(shape), weights.sum(0).reshape(shape)
 
 
@@ -90,42 +88,3 @@ def project(means, quats, scales, opacities, viewmat, K, width, height, near_pla
         good = inside & (pz >= near_plane) & (pz <= far_plane) & (opacities >= 1 / 255) & (determinant > 0)
         radii = torch.where(good[:, None], radii, torch.zeros_like(radii)).to(torch.int32)
     return radii, means2d, pz, conics
-
-
-def kernels(theirs):
-    """What gsplat's `rasterization` calls on a GPU, by name, out of its own torch code `theirs` and `blend`."""
-
-    def fully_fused_projection(means, covars, quats, scales, viewmats, Ks, width, height, opacities, **options):
-        assert covars is None and not (
-            options.pop("packed") or options.pop("sparse_grad") or options.pop("radius_clip")
-        )
-        covars, _ = theirs._quat_scale_to_covar_preci(quats, scales, compute_preci=False)
-        radii, *others = theirs._fully_fused_projection(means, covars, viewmats, Ks, width, height, **options)
-        return radii * (opacities >= 1 / 255)[None, :, None], *others
-
-    def isect_tiles(means2d, radii, depths, tile_size, tile_width, tile_height, **_):
-        return theirs._isect_tiles(means2d, radii, depths, tile_size, tile_width, tile_height)
-
-    def rasterize_to_pixels(
-        means2d, conics, colors, opacities, width, height, tile_size, isect_offsets, flatten_ids, **options
-    ):
-        assert options == {"backgrounds": None, "packed": False, "absgrad": False}
-        starts = [*isect_offsets.flatten().tolist(), len(flatten_ids)]
-        columns, rows = isect_offsets.shape[-1], []
-        for top in range(isect_offsets.shape[-2]):
-            tiles = []
-            for k in range(columns):
-                ids = flatten_ids[starts[top * columns + k] : starts[top * columns + k + 1]].long()
-                x, y = k * tile_size, top * tile_size
-                box = (x, min(x + tile_size, width), y, min(y + tile_size, height))
-                tiles.append(blend(*(each[0][ids] for each in (means2d, conics, colors, opacities)), box))
-            rows.append([torch.cat(pictures, 1) for pictures in zip(*tiles, strict=True)])
-        return [torch.cat(pictures, 0)[None] for pictures in zip(*rows, strict=True)]
-
-    mine = (fully_fused_projection, isect_tiles, rasterize_to_pixels)
-    return {f.__name__: f for f in mine} | {"isect_offset_encode": theirs._isect_offset_encode}
-
-
-def broken(*_args, **_kwargs):
-    """What compiling without a fitting toolkit does."""
-    raise RuntimeError("Error building extension 'gsplat_cuda'\nninja: build stopped")

@@ -38,6 +38,7 @@ TOKEN = "the-token-of-a-test"
 BOUNDS = wire.Bounds(0.0, 1.0, 5.0)
 START = Placement(se3.pose(np.eye(3), [0.0, 0.0, 1.0]), 0.0)
 FACTS = {"object": "thing", "joint": "hinge", "joint_type": "revolute"}
+SMALL = ("--width", "160", "--height", "90")
 JPEG = cv2.imencode(".jpg", np.full((360, 640, 3), 60, np.uint8))[1].tobytes()
 
 
@@ -240,9 +241,9 @@ class Started:
 
 @contextlib.contextmanager
 def started(out: Path, *more: str, name: str = "stapler") -> Iterator[Started]:
-    """`freeart21 teleop NAME --out OUT --port 0`, until the block ends."""
+    """`freeart21 teleop NAME --out OUT --port 0` with small pictures, until the block ends."""
     environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
-    command = [sys.executable, "-m", "freeart21", "teleop", name, "--out", str(out), "--port", "0", *more]
+    command = [sys.executable, "-m", "freeart21", "teleop", name, "--out", str(out), "--port", "0", *SMALL, *more]
     process = subprocess.Popen(
         command,
         stdout=subprocess.PIPE,

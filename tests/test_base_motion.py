@@ -21,7 +21,7 @@ from simgap.fit.problem import make_problem
 from simgap.measure.data import make_fit_runs
 from simgap.measure.inputs import base_force_of, make_inputs
 from simgap.models.equation_error import estimate_missing_force
-from simgap.models.surrogate import Nuisance, make_plant, simulate
+from simgap.models.surrogate import make_plant, simulate
 
 ROTARY = Path(__file__).resolve().parents[1].parent / "shared" / "measured" / "rotary_and_cart"
 RATE, SECONDS = 500, 2.0
@@ -172,19 +172,6 @@ def test_furuta_pendulum_with_a_quantised_arm(tmp_path: Path):
     assert np.abs(ours - q).max() < 3e-3 * np.ptp(q)
     backwards = measured_of("revolute", q, BaseSeries(angle=-base.angle), measured.base_axis)
     assert np.abs(simulated(tmp_path, backwards, path) - q).max() > 0.3 * np.ptp(q)
-
-
-def test_base_forces_scale_with_mass(tmp_path: Path):
-    """Doubling both moment and inertia leaves the motion unchanged."""
-    base = BaseSeries(shifted(TIMES), None, swung(TIMES))
-    measured = measured_of("revolute", 0 * TIMES + 0.2, base, BaseAxis(AXIS, POINT))
-    plant = make_plant(read_asset(write_crooked(tmp_path, "revolute")), measured)
-    inputs = make_inputs(measured.runs[0], measured, 0.01, plant)
-    one, two, more = (
-        simulate(plant, (), TIMES, 0.2, 0.0, inputs, Nuisance(*factors)) for factors in ((1, 1), (2, 2), (1, 2))
-    )
-    np.testing.assert_allclose(one, two, atol=1e-9)
-    assert np.abs(more - one).max() > 0.1
 
 
 def test_bases_round_trip_and_bad_ones_are_refused(tmp_path: Path):

@@ -10,7 +10,6 @@ import pytest
 import test_view as view
 
 from freeart21 import se3
-from freeart21.articulation import Articulation
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files.diagnostics import (
@@ -31,8 +30,7 @@ from freeart21.view.diagnosis import diagnosis_section, warnings, warnings_secti
 from freeart21.view.parts import axis_in_images, axis_place
 from freeart21.view.plots import Chart, Curve, curves_section
 from leaderboard.submission import read_submission
-from reconstruct.cache import CachedStage, SolverState, _pack_stage, _read_stage
-from reconstruct.diagnostics import _means, diagnose, label_probability, measure_agreement
+from reconstruct.diagnostics import diagnose, measure_agreement
 from reconstruct.evidence import Evidence
 from reconstruct.poses import GATE, FreePoses, JointedPoses, part_samples
 from reconstruct.propagation import PartEstimate
@@ -86,14 +84,6 @@ def test_perfect_frames_agree_perfectly(part):
     assert measured(evidence, labels, still(), part) == pytest.approx(np.tile([1.0, 0.0, 0.0], (N, 1)), abs=1e-6)
 
 
-def test_frames_that_move_agree_by_their_poses():
-    Ts = np.tile(np.eye(4), (N, 1, 1))
-    Ts[:, 2, 3] = 0.02 * np.arange(N)
-    evidence, labels = walls(recede=0.02)
-    assert measured(evidence, labels, Ts) == pytest.approx(np.tile([1.0, 0.0, 0.0], (N, 1)), abs=1e-6)
-    assert (measured(evidence, labels, still())[:, 0] < 1).all(), "unmoved they do not"
-
-
 def test_a_pose_too_near_shows_as_that_distance():
     """Frame 2 is posed 3 mm off: all its pairs miss by that, and one in five of each other frame's."""
     evidence, labels = walls()
@@ -128,15 +118,6 @@ def test_points_on_the_other_part_do_not_count():
     assert inliers == pytest.approx(np.ones(N)), "where the other part stands, this one may be hidden"
     inliers, _, _ = measured(evidence, np.where(np.arange(N)[:, None, None] == 2, labels, 3 - labels), still()).T
     assert np.isnan(inliers[2]), "frame 2 meets its part nowhere"
-
-
-def test_confidence_is_the_probability_of_the_label_given():
-    logodds = np.full((2, 4, 4), np.log(9.0), np.float32)  # 0.9 for the second part
-    labels = np.full((2, 4, 4), 2, np.uint8)
-    labels[1, :2] = 1
-    found = _means(labels, label_probability(labels, logodds))
-    assert np.isnan(found[0, 0])
-    assert found[[0, 1, 1], [1, 0, 1]] == pytest.approx([0.9, 0.1, 0.9], abs=1e-6)
 
 
 def grown_of(labels, joint_off=0.0, hidden=None):
@@ -177,17 +158,6 @@ def test_parts_never_seen_have_no_numbers():
     found = diagnose(evidence, grown_of(np.minimum(labels, 1), hidden=slice(None)), free, *SETTINGS)
     assert np.isnan(found.residual_m[:, 1]).all() and np.isnan(found.confidence[:, 1]).all()
     assert not found.pixels[:, 1].any()
-
-
-def test_kept_with_the_last_stage(tmp_path):
-    found = replace(sample_diagnostics(), confidence_maps=np.arange(24, dtype=np.uint8).reshape(6, 2, 2))
-    path = tmp_path / "surfaces.npz"
-    path.write_bytes(
-        _pack_stage(CachedStage("surfaces", SolverState(diagnostics=found), np.random.default_rng(0)), "key")
-    )
-    kept = _read_stage(path, "surfaces", "key")
-    assert diagnostics_to_json(kept.state.diagnostics) == diagnostics_to_json(found)
-    assert (kept.state.diagnostics.confidence_maps == found.confidence_maps).all()
 
 
 # ---------------------------------------------------------------- the file
@@ -457,16 +427,6 @@ def test_axis_in_pictures_is_the_projected_axis():
         assert (c - a) @ line > 0, "the positive end is the last"
 
 
-def test_axis_that_passes_the_camera_is_cut_and_one_behind_it_left_out():
-    truth, camera = view.make_truth(), view.make_recording().camera
-    along = Joint("j", "revolute", np.array([0.0, 0, 1]), np.zeros(3), 0, 1)
-    parts = Articulation(along, truth.articulation.reference, truth.articulation.moving)
-    T = np.tile(np.eye(4), (2, 1, 1))
-    T[:, 0, 3], T[0, 2, 3], T[1, 2, 3] = 0.01, 0.05, -5.0
-    ends = axis_in_images(along, *axis_place(parts, np.zeros(2)), T, camera)
-    assert np.isfinite(ends[0]).all() and np.isnan(ends[1]).all()
-
-
 def test_page_of_a_result_tells_what_it_should(tmp_path, monkeypatch):
     truth = view.make_truth()
     write_result(tmp_path / "r", view.perfect_result(truth), diagnostics=sample_diagnostics())
@@ -508,9 +468,3 @@ def test_the_page_shows_what_the_surfaces_look_like_in_the_video():
         "90 and 20 % of them were seen",
     ):
         assert words in section.html + section.note and words not in plain.html + plain.note
-
-
-def test_exchanged_parts_take_their_diagnostics_along():
-    found = sample_diagnostics()
-    turned = found.exchanged()
-    assert turned.pixels == pytest.approx(found.pixels[:, ::-1]) and turned.gate_m == found.gate_m

@@ -3,6 +3,7 @@ pushes without a command. The fast simulation, SAPIEN and a replay, against equa
 
 from __future__ import annotations
 
+import functools
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -79,8 +80,10 @@ DRIVES = {
 NAMES = pytest.mark.parametrize("name", DRIVES)
 
 
-def course(give, series: dict) -> np.ndarray:
+@functools.cache
+def course(name: str) -> np.ndarray:
     """(n, 2) positions and speeds of the pendulum from 0.3 rad, commands held between rows."""
+    give, _, series = DRIVES[name]
     out, y = [], [0.3, 0.0]
     told = {key: series.get(key, np.zeros(len(TIMES))) for key in ("q_command", "effort", "voltage")}
     on = series.get("enabled", np.ones(len(TIMES)))
@@ -95,12 +98,9 @@ def course(give, series: dict) -> np.ndarray:
     return np.array(out)
 
 
-TRUE = {name: course(give, series) for name, (give, _, series) in DRIVES.items()}
-
-
-def measured_of(name: str, q: np.ndarray | None = None) -> Measured:
+def measured_of(name: str) -> Measured:
     _, actuator, series = DRIVES[name]
-    run = Run("r", TIMES, TRUE[name][:, 0] if q is None else q, **series)
+    run = Run("r", TIMES, course(name)[:, 0], **series)
     kind = "commanded" if "effort" in series else None
     return Measured("j", "revolute", np.array([0, 0, -G]), RATE, "recorded", kind, actuator, runs=(run,))  # type: ignore[arg-type]
 
@@ -115,7 +115,7 @@ def test_fast_simulation_matches_the_equation(name: str, tmp_path: Path):
     plant = make_plant(read_asset(asset_of(tmp_path)), measured)
     for longest, within in ((np.inf, 2e-5), (0.01, 5e-5)):  # as it was logged, and taken together
         ours = simulate(plant, effects_of(name), TIMES, 0.3, 0.0, make_inputs(measured.runs[0], measured, longest))
-        assert np.abs(ours - TRUE[name][:, 0]).max() < within
+        assert np.abs(ours - course(name)[:, 0]).max() < within
 
 
 @NAMES
@@ -140,7 +140,7 @@ def test_a_known_drive_leaves_no_gap(name: str, tmp_path: Path):
     measured = measured_of(name)
     plant = make_plant(read_asset(asset_of(tmp_path)), measured)
     found = estimate_missing_force(measured, plant.mechanics, -3.0, 3.0, effects_of(name))
-    size = float(np.std(np.gradient(TRUE[name][:, 1], TIMES))) * INERTIA
+    size = float(np.std(np.gradient(course(name)[:, 1], TIMES))) * INERTIA
     assert np.sqrt(np.mean(found.force**2)) < 0.05 * size
 
 

@@ -210,16 +210,6 @@ def test_camera_faults_act_by_their_parameters(film):
     assert CameraFaults(focal=0.1, centre_u=2).actual_camera(camera).K[0, 0] == pytest.approx(1.1 * camera.K[0, 0])
 
 
-def test_poses_are_interpolated_and_extrapolated():
-    from simgap.film.drawing import interpolate_pose
-
-    Ts = np.stack([se3.pose(np.eye(3), [0.0, 0, k]) for k in (1.0, 2.0, 4.0)])
-    assert interpolate_pose(Ts, 0.5)[2, 3] == pytest.approx(1.5) and interpolate_pose(Ts, -0.5)[2, 3] == pytest.approx(
-        0.5
-    )
-    assert interpolate_pose(Ts, 2.5)[2, 3] == pytest.approx(5.0)
-
-
 def test_a_delay_is_found_from_estimated_poses(film):
     """Estimated poses: every part has an unknown small error in every frame."""
     rng, placed = np.random.default_rng(3), film.scene.placed

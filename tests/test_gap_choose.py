@@ -11,21 +11,16 @@ import numpy as np
 import pytest
 from gap_case import INERTIA, asset_of, measured_of
 
-from freeart21.effects import EFFECTS
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
-from simgap.fit import search as search_module
-from simgap.fit.fit import Fit, Model, fit_model, fit_stretches
+from simgap.fit.fit import Fit, Model, fit_model
 from simgap.fit.problem import make_problem
 from simgap.fit.search import Search
 from simgap.measure.data import FitRun, make_fit_runs
 from simgap.models.surrogate import make_plant
-from simgap.select import choose, delivery
 from simgap.select.choose import select_presliding
-from simgap.select.hypotheses import Hypothesis, evaluate_set
-from simgap.select.predictive import Score
-from simgap.select.split import Fold, split_runs
+from simgap.select.split import split_runs
 from simgap.settings import GapSettings
 from simgap.verdict import Verdict
 from simgap.workflow import find_gap
@@ -66,8 +61,7 @@ def test_a_complete_asset_has_no_gap(tmp_path: Path, seed: int, servo: bool):
         ({"dry": 0.15}, "coulomb_friction"),
         ({"drag": 0.06}, "quadratic_drag"),
         ({"spring": 2.0, "rest": 0.3, "seconds": 4.0}, "return_spring"),
-        ({"viscous": 10.0}, "viscous_damping"),  # its speed is gone in a 24th of a second, and it creeps
-        ({"viscous": 100.0}, "viscous_damping"),  # and in a 240th
+        ({"viscous": 100.0}, "viscous_damping"),  # its speed is gone in a 240th of a second, and it creeps
     ],
 )
 def test_a_clear_effect_is_named(tmp_path: Path, hidden: dict[str, float], expected: str):
@@ -105,10 +99,9 @@ def test_a_pair_is_named_that_single_steps_miss(tmp_path: Path):
     assert (found.verdict, names(found)) == ("named", {"coulomb_friction", "quadratic_drag"})
 
 
-@pytest.mark.parametrize("seed", [23, 24])
-def test_friction_with_damping_is_not_load_friction(tmp_path: Path, seed: int):
+def test_friction_with_damping_is_not_load_friction(tmp_path: Path):
     """On a swing, load friction varies with speed squared leaving hardly more than noise; the pair is more probable."""
-    found = verdict(tmp_path, measured_of(seed, dry=0.5, viscous=0.1))
+    found = verdict(tmp_path, measured_of(23, dry=0.5, viscous=0.1))
     assert (found.verdict, names(found)) == ("named", {"coulomb_friction", "viscous_damping"})
 
 
@@ -178,9 +171,8 @@ def test_backlash_of_a_servo_is_named(tmp_path: Path, more: dict[str, float]):
     assert gears.effect.values()[0] == pytest.approx(0.15, rel=0.2)
 
 
-@pytest.mark.parametrize("strange", [{"cog": 0.4, "count": 7.0}])
-def test_a_force_outside_the_library_is_not_named(tmp_path: Path, strange: dict[str, float]):
-    found = verdict(tmp_path, measured_of(16, **strange))
+def test_a_force_outside_the_library_is_not_named(tmp_path: Path):
+    found = verdict(tmp_path, measured_of(16, cog=0.4, count=7.0))
     assert found.verdict == "unexplained" and not found.effects
 
 
@@ -190,56 +182,11 @@ def test_a_hardening_spring_is_named_a_spring_alone(tmp_path: Path):
     assert names(found) <= {"return_spring"}, found
 
 
-def test_model_error_of_effects_is_within_their_bound(tmp_path: Path):
-    """A fit with model error recovers a hardening spring; the model error of friction is at most a tenth."""
-    search = search_on(tmp_path, measured_of(11, spring=8.0, rest=0.0, hardens=0.05, exact=True))
-    model = Model(search.problem, ("return_spring",))
-    plain = fit_model(model, search.train, at(model, stiffness=8.0))
-    departing = replace(model, model_error=(("return_spring", plain.effects[0].values()[0]),))
-    theta, starts = fit_stretches(departing, search.train, np.append(plain.theta, [0.0, 0.0]), 5.0, 8)
-    fit = fit_model(departing, search.train, theta, starts)
-    assert plain.rms > 2 and fit.rms < 1.1
-    assert 0.01 < fit.values["return_spring form", "bend"] < 0.1
-    ways = {
-        (r.owner, r.name): r.upper
-        for r in Model(search.problem, ("coulomb_friction",), False, (("coulomb_friction", 1.0),)).ranges()
-    }
-    assert ways["coulomb_friction form", "over speed"] == EFFECTS["coulomb_friction"].model_error[0]
-
-
-def test_a_force_invisible_to_first_order_is_fitted(tmp_path: Path):
-    """A door held by friction for most of the time has no first-order sensitivity to small forces."""
-    search = replace(search_on(tmp_path, measured_of(11, lean=0.3)), names=("detent", "gravity_offset"))
-    cut, at, found = search._look_first()
-    search._first_look = cut, at, [guess for guess in found if guess.name == "detent"]
-    best = search.fit_singles()[0]
-    assert best.model.names == ("gravity_offset",) and best.rms < 1.2
-
-
 def test_an_effect_removed_from_the_library_is_not_named(tmp_path: Path):
     asset, measured = read_asset(asset_of(tmp_path), "j"), measured_of(11, spring=2.0, rest=0.3)
     found = find_gap(asset, measured, GapSettings(without=("return_spring",)))
     assert found.verdict != "no_gap"
     assert "return_spring" not in names(found) | {name for names in found.rivals for name in names}
-
-
-def _run_by_run(**floors: float) -> dict[str, np.ndarray]:
-    return {run: np.full(50, level) for run, level in floors.items()}
-
-
-def test_armature_is_tried_with_the_total_inertia_unchanged(tmp_path: Path):
-    """Otherwise a fit stays at a part too heavy and an armature too small."""
-    search = search_on(tmp_path, measured_of(12, servo=True), 0.3)
-    model = Model(search.problem, ("armature",))
-    own, at = search.problem.plant.mechanics.inertia, {r.name: i for i, r in enumerate(model.ranges())}
-    theta = model.neutral()
-    theta[at["inertia"]] = 1.02
-    fit = replace(search.base(), model=model, theta=theta)
-    points = np.array(search_module._shaft_points(fit))
-    whole = points[:, at["inertia"]] * own + points[:, at["value"]]
-    np.testing.assert_allclose(whole, fit.theta[at["inertia"]] * own + fit.theta[at["value"]])
-    assert len(np.unique(points[:, at["inertia"]])) == 4 and len(np.unique(points[:, at["swing"]])) == 3
-    assert search_module._shaft_points(search.base()) == []
 
 
 def at(model: Model, **real: float) -> np.ndarray:
@@ -255,10 +202,9 @@ def told_by(truth: Fit, runs: tuple[FitRun, ...]) -> tuple[FitRun, ...]:
     )
 
 
-@pytest.mark.parametrize("seed", [15, 18])
-def test_a_catch_is_found_from_a_wrong_position(tmp_path: Path, seed: int):
+def test_a_catch_is_found_from_a_wrong_position(tmp_path: Path):
     """Only the release times show where it holds: no gradient leads there."""
-    search = search_on(tmp_path, measured_of(seed, seconds=4.0))
+    search = search_on(tmp_path, measured_of(15, seconds=4.0))
     model, real = Model(search.problem, ("latch",)), {"hold": 0.6, "position": 0.2, "travel": 0.12, "capture": 0.5}
     truth = fit_model(model, search.train, at(model, **real), iterations=0)
     search.train = told_by(truth, search.train)
@@ -267,24 +213,6 @@ def test_a_catch_is_found_from_a_wrong_position(tmp_path: Path, seed: int):
     found = search._finish(start)
     assert fit_model(model, search.train, off, truth.starts).rms > 3 and found.rms < 1.1
     assert found.values["latch", "position"] == pytest.approx(0.2, abs=0.01)
-
-
-def test_what_all_partial_rivals_share_is_named_if_it_may_dominate():
-    """All dry frictions count as one; rivals that differ only in their law stay rivals."""
-
-    def case(*names: str) -> SimpleNamespace:
-        return SimpleNamespace(names=names, score=Score(names, np.zeros(8)))
-
-    pair, dry, load, rotor = (
-        case("gear_friction", "viscous_damping"),
-        case("coulomb_friction", "gear_friction", "viscous_damping"),
-        case("gear_friction", "load_friction", "viscous_damping"),
-        case("armature", "gear_friction", "viscous_damping"),
-    )
-    assert choose._common_part([dry, load, rotor], [pair, dry, load, rotor]) == [pair]
-    assert choose._common_part([dry, rotor], [dry, rotor]) == []
-    assert choose._common_part([dry, load], [pair, dry, load]) == []
-    assert choose._common_part([], [pair]) == []
 
 
 def test_a_joint_that_hardly_moves_is_refused(tmp_path: Path):
@@ -317,20 +245,6 @@ def test_selection_and_confirmation_runs_are_disjoint():
     assert [run.name for run in split.confirming] == ["r2", "r7"]
     assert not {run.name for fold in split.folds for run in (*fold.train, *fold.test)} & {"r2", "r7"}
     assert not split_runs(unmarked[:4]).confirming
-
-
-def test_a_needed_correction_is_delivered_even_if_uncertain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Where no score separates the unchanged asset from one that leaves noise, the smaller correction would say that a
-    gap of many floors is none."""
-
-    def evaluate_without_decision(fit: Fit, folds: tuple[Fold, ...]) -> Hypothesis:
-        seen = evaluate_set(fit, folds)
-        return replace(seen, score=Score((), np.zeros(8)))
-
-    monkeypatch.setattr(delivery, "evaluate_set", evaluate_without_decision)
-    found = verdict(tmp_path, measured_of(0))
-    assert found.verdict == "no_gap" and found.corrections
-    assert max(gap.before / gap.floor for gap in found.gaps) > 2 > max(gap.after / gap.floor for gap in found.gaps)
 
 
 def test_the_wrong_joint_is_a_one_line_error(tmp_path: Path):

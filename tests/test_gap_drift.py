@@ -28,8 +28,3 @@ def test_warming_damping_is_reported_but_not_named(tmp_path: Path):
     told = re.search(r"viscous damping changes by (-\d+)%", found.sentence)
     assert told is not None and -70 < float(told[1]) < -40, found.sentence  # of .155 in the middle .09 less
     assert found.next_experiment is not None and "last ones first" in found.next_experiment
-
-
-def test_constant_damping_is_named(tmp_path: Path):
-    found = find_gap(read_asset(asset_of(tmp_path), "j"), oiled(0.2))
-    assert found.verdict == "named" and [named.effect.name for named in found.effects] == ["viscous_damping"]

@@ -10,7 +10,6 @@ import pytest
 from gap_case import INERTIA, asset_of, measured_of
 
 from freeart21.effects.latch import Latch
-from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
 from simgap.fit.fit import (
@@ -23,10 +22,9 @@ from simgap.fit.fit import (
     refit_starts,
 )
 from simgap.fit.force_guess import guess_places, sample_missing_force
-from simgap.fit.guess import _trial_values
-from simgap.fit.least_squares import Prior, robust_loss, robust_weight, solve
+from simgap.fit.least_squares import robust_loss, robust_weight
 from simgap.fit.problem import make_problem
-from simgap.fit.search import Search, clamp_starts, list_candidates, loss_sets
+from simgap.fit.search import Search, list_candidates
 from simgap.measure.data import make_fit_runs
 from simgap.measure.noise import estimate_noise
 from simgap.models.surrogate import make_plant, simulate
@@ -89,15 +87,6 @@ def test_slopes_match_finite_differences(tmp_path: Path):
     assert starts[0].shape == (2, len(run.q))
 
 
-def test_parameters_outside_the_speed_range_are_not_fitted(tmp_path: Path):
-    """A creeping part does not show how friction falls with speed; the fit still succeeds."""
-    setup, runs = problem(tmp_path, measured_of(5, dry=0.1))
-    assert "stribeck_friction" in list_candidates(setup, runs)
-    assert "stribeck_friction" not in list_candidates(replace(setup, speed=5e-5), runs)
-    slow = next(r for r in Model(replace(setup, speed=6e-4), ("stribeck_friction",)).ranges() if r.name == "speed")
-    assert all(slow.lower <= value <= slow.upper for value in _trial_values(slow, setup))
-
-
 def test_a_superset_of_effects_fits_no_worse(tmp_path: Path):
     setup, runs = problem(tmp_path, measured_of(5, dry=0.1, drag=0.05))
     train = split_runs(runs).folds[0].train
@@ -112,14 +101,6 @@ def test_a_superset_of_effects_fits_no_worse(tmp_path: Path):
             assert smaller is None or fit.cost <= smaller.cost * (1 + 1e-6) + 1e-2, names
 
 
-def test_geared_drive_effects_are_tried_together():
-    """Also under a commanded effort: gear friction with damping is found by neither effect alone."""
-    free, driven = ("coulomb_friction", "viscous_damping"), ("coulomb_friction", "gear_friction", "viscous_damping")
-    assert ("gear_friction", "viscous_damping") in loss_sets(driven)
-    assert loss_sets(free) == [("coulomb_friction",), ("viscous_damping",), free]
-    assert len(set(loss_sets(driven))) == len(loss_sets(driven)) == 7
-
-
 def test_noise_floor_is_the_sensors(tmp_path: Path):
     rng = np.random.default_rng(0)
     times = np.cumsum(rng.uniform(0.004, 0.006, 4000))
@@ -132,21 +113,6 @@ def test_noise_floor_is_the_sensors(tmp_path: Path):
     assert estimate_noise([(times, steps)]).sigma_at_rest >= 0.99 * 0.01 / np.sqrt(12)
     noise = estimate_noise([(times, true + rng.normal(0, 2e-3, 4000) + speed * rng.normal(0, 2e-3, 4000))])
     assert noise.time_jitter_s == pytest.approx(2e-3, rel=0.25) and noise.sigma_at_rest == pytest.approx(2e-3, rel=0.4)
-
-
-@pytest.mark.parametrize("largest, said", [(57.3, "are its units degrees?"), (0.9, None)])
-def test_degrees_are_not_read_as_radians(tmp_path: Path, largest: float, said: str | None):
-    from dataclasses import replace
-
-    measured = measured_of(6, largest=0.9)
-    runs = tuple(replace(run, q=run.q * (57.3 if said else 1.0)) for run in measured.runs)
-    setup = replace(measured, runs=runs)
-    if said is None:
-        assert problem(tmp_path, setup)
-    else:
-        with pytest.raises(FreeArtError, match="units degrees") as caught:
-            problem(tmp_path, setup)
-        assert "\n" not in str(caught.value)
 
 
 def test_a_quantised_rest_does_not_hide_the_noise():
@@ -168,39 +134,6 @@ def test_one_unreachable_segment_does_not_block_the_fit(tmp_path: Path):
     assert fit.effects[0].coefficient == pytest.approx(0.12, rel=0.15)
 
 
-def test_an_overstepping_initial_state_is_damped_alone():
-    """The first run's initial state converges in one step; the second one's full step raises its cost."""
-
-    def evaluate(which: np.ndarray, starts: np.ndarray, theta: np.ndarray) -> list[np.ndarray]:
-        off = starts[:, 0] - 1.0
-        return list(np.stack([np.where(which, -9 * np.arctan(3 * off), -off), -starts[:, 1]], 1))
-
-    def slopes(starts, theta, parts, free):
-        steep = [1.0, 27 / (1 + 9 * (starts[1, 0] - 1.0) ** 2)]
-        return [np.diag([s, 1.0]) for s in steep]
-
-    prior, begin = Prior(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 0))), np.array([[2.0, 0.1], [3.0, 0.1]])
-    found = solve(np.zeros(0), begin, evaluate, slopes, prior, -np.inf, np.inf, 12, free=False)
-    assert np.allclose(found.starts, [[1.0, 0.0], [1.0, 0.0]], atol=1e-3)
-
-
-def test_no_step_is_tried_at_the_optimum():
-    asked = []
-
-    def evaluate(which, starts, theta):
-        asked.append(len(which))
-        return [np.array([3.0, 0.0, 1.0]) - np.array([*starts[i], 0.0]) for i in range(len(which))]
-
-    def slopes(starts, theta, parts, free):
-        return [np.eye(2, 3) for _ in starts]
-
-    prior = Prior(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 0)))
-    for begin, calls in (([3.0, 0.0], 1), ([2.0, 0.5], 2)):
-        asked.clear()
-        found = solve(np.zeros(0), np.array([begin]), evaluate, slopes, prior, -np.inf, np.inf, 12, free=False)
-        assert np.allclose(found.starts, [[3.0, 0.0]], atol=2e-3) and len(asked) == calls
-
-
 def test_missing_force_locates_a_catch(tmp_path: Path):
     """Runs that stay inside it: a simulation without it leaves, so its gradient is uninformative."""
     setup, runs = problem(tmp_path, measured_of(6, exact=True, seconds=4.0))
@@ -218,15 +151,6 @@ def test_missing_force_locates_a_catch(tmp_path: Path):
     places = guess_places(setup, sample_missing_force(setup, caught, (catch,)), "latch", 1)
     assert not places or places[0]["hold"] < 0.2 * 9.0  # nothing is missing with it
     assert guess_places(setup, sample_missing_force(setup, caught), "viscous_damping", 2) == []
-
-
-def test_a_start_pressed_into_a_rigid_stop_rests(tmp_path: Path):
-    setup, runs = problem(tmp_path, measured_of(8))
-    plant = replace(setup.plant, upper=float(max(run.q.max() for run in runs)))
-    fit = refit_starts(fit_model(Model(replace(setup, plant=plant), ()), runs[:2], iterations=2), runs[:2])
-    first, second = (run.name for run in runs[:2])
-    pressed = replace(fit, starts={first: (plant.upper, 0.7), second: (0.1, 0.7)})
-    assert clamp_starts(pressed).starts == {first: (plant.upper, 0.0), second: (0.1, 0.7)}
 
 
 def test_run_cost_is_a_robust_likelihood():

@@ -11,12 +11,10 @@ import pytest
 from test_gap_show import ARM, INERTIA, MASS, STARTS, G, bob, damped, draft, filmed, held_out, named, pendulum
 
 from freeart21.effects.axis_tilt import AxisTilt
-from freeart21.effects.coulomb_friction import CoulombFriction
 from freeart21.effects.detent import Detent
 from freeart21.effects.pivot_offset import PivotOffset
 from freeart21.effects.return_spring import ReturnSpring
 from freeart21.effects.viscous_damping import ViscousDamping
-from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Run
 from simgap.geometry.finding import KinematicsFinding
@@ -176,23 +174,6 @@ def test_replay_time_step_is_chosen_per_run():
     assert needed(1e9, run_of(0.0, seconds=long))[0] == 1e-3
 
 
-class _StiffStage(_Stage):
-    def load(self, h: float) -> float:
-        if h > self.stiff:
-            raise FreeArtError("shorten timestep_s")
-        return h
-
-    def replay(self, loaded, h, run, start):
-        return np.zeros(20)
-
-
-def test_stiff_effects_get_a_smaller_time_step():
-    run = run_of(0.0)
-    assert replay_process._replay_converged(_StiffStage(1.5e-3), run, (0.0, 0.0), 1e-3, 4e-3)[1] == 5e-4
-    with pytest.raises(FreeArtError, match="shorten"):
-        replay_process._replay_converged(_StiffStage(1e-4), run, (0.0, 0.0), 1e-3, 4e-3)
-
-
 @pytest.mark.parametrize("change, told", [(0.9, ["run_0", "run_1"]), (40.0, ["run_0"]), (None, ["run_1"])])
 def test_a_run_sensitive_to_the_time_step_does_not_count(change: float | None, told: list[str]):
     """The repaired gap is 100 times the noise; halving the time step changes it by `change` (None: both change)."""
@@ -206,11 +187,6 @@ def test_a_run_sensitive_to_the_time_step_does_not_count(change: float | None, t
     seen = compare_replays(Replay("sapien", "3", first), Replay("sapien", "3", second), 1e-3, gaps)
     assert [run.run for run in seen.runs] == told
     assert sorted([*told, *(run.run for run in seen.inconclusive)]) == ["run_0", "run_1"] and seen.numerics < 1
-
-
-def test_coulomb_and_viscous_friction_are_two_effects():
-    verdict = join_geometry(said("named", ViscousDamping(1.0), CoulombFriction(0.1)), found("named", TILT), "revolute")
-    assert names(verdict.effects) == ["axis_tilt", "viscous_damping", "coulomb_friction"]
 
 
 def test_asset_errors_do_not_localise_a_gap(tmp_path: Path):

@@ -40,12 +40,12 @@ from simgap.models.localise import make_residual_maps
 from simgap.models.surrogate import Nuisance, make_plant
 from simgap.page.publish import Draft, publish, replace_poses
 from simgap.page.report import Ranked
-from simgap.prove.body import NO_CORRECTION, corrected_gravity, find_correction
+from simgap.prove.body import NO_CORRECTION, find_correction
 from simgap.prove.comparison import closed_part, is_improved
 from simgap.prove.replay import replay
 from simgap.prove.writeback import write_repaired
-from simgap.select.words import closed_text, replace_closed_part, runs_text
-from simgap.verdict import GEOMETRY, NamedEffect, RunGap, Use, Verdict
+from simgap.select.words import closed_text, replace_closed_part
+from simgap.verdict import GEOMETRY, NamedEffect, RunGap, Verdict
 
 MASS, ARM, G = 1.2, 0.3, 9.81
 INERTIA = 0.01 + MASS * ARM**2
@@ -400,25 +400,6 @@ def test_a_verdict_is_published_with_sapiens_gaps(tmp_path: Path):
     assert "http://" not in page.replace("http://www.w3.org", "") and "src=" not in page
 
 
-@pytest.mark.parametrize(
-    ("uses", "in_turn", "said"),
-    [
-        (("confirming", "confirming"), False, "2 runs kept to confirm it"),
-        (("choosing",), False, "1 run that chose it"),
-        (("fitted",), False, "1 run that it was fitted to"),
-        (
-            ("fitted", "fitted", "confirming"),
-            False,
-            "2 runs that it was fitted to and 1 run kept to confirm it",
-        ),
-        (("fitted", "fitted", "fitted"), True, "3 runs, each held out in turn"),
-        (("fitted",), True, "1 run, its stretches held out in turn"),
-    ],
-)
-def test_runs_are_labelled_by_their_use(uses: tuple[Use, ...], in_turn: bool, said: str):
-    assert runs_text(uses, in_turn) == said
-
-
 def test_a_closed_share_names_its_runs():
     told = f"Oil. {closed_text(0.9, '2 runs, each held out in turn')}. More."
     again = replace_closed_part(told, 0.812, "1 run that chose it, replayed in SAPIEN,")
@@ -482,14 +463,6 @@ def test_without_a_gap_the_asset_is_unchanged(tmp_path: Path):
     assert (verdict.verdict, verdict.where) == ("no_gap", ())
     assert read_asset(out / "asset").effects == {}
     assert "No gap" in (out / "index.html").read_text()
-
-
-def test_asset_corrections_include_inertia_and_gravity(tmp_path: Path):
-    plant = make_plant(bob(tmp_path / "a"), pendulum(STARTS[:1], damped, seconds=0.2))
-    more = corrected_gravity(plant, Nuisance(1.1, 0.9, (0.01, 0.0))) - plant.gravity_terms[0]
-    weight = MASS * G * ARM
-    assert more[1] == pytest.approx(0.1 * weight, rel=1e-6)  # less of -m g l sin q
-    assert abs(more[0]) == pytest.approx(0.9 * 0.01 * weight, rel=1e-6)
 
 
 def filmed(asset: Asset, seed: int = 0, runs: int = 4, fps: float = 30.0, gravity: tuple[float, ...] = (0, 0, -G)):

@@ -22,7 +22,6 @@ from simgap.fit.problem import make_problem
 from simgap.measure.data import make_fit_runs
 from simgap.measure.prescribed import make_force_runs
 from simgap.measure.stiction import find_stiction_bound
-from simgap.models.equation_error import smooth_run
 from simgap.models.surrogate import make_plant
 from simgap.select.split import split_runs
 from simgap.workflow import find_gap, gap_folder, make_force_problem
@@ -133,16 +132,6 @@ def test_stiction_bound_is_the_largest_held_effort(asset: Asset):
     at_last = held_of(0.0, [0.5 * times], away=0.3)
     plant = make_plant(asset, at_last)
     assert find_stiction_bound(at_last, plant, make_fit_runs(at_last, plant)[1]) is None
-
-
-def test_a_long_monotonic_run_keeps_its_acceleration():
-    """The widest window's polynomials are well conditioned, and its force filter is a mean."""
-    times = np.arange(20_000) / 1000
-    smooth = smooth_run(Run("r", times, 3.0 * times**2 + 100.0))
-    assert smooth is not None
-    _, _, _, _, qdd, kernel = smooth
-    np.testing.assert_allclose(qdd, 6.0, rtol=1e-6)
-    assert kernel.sum() == pytest.approx(1.0, rel=2e-3)
 
 
 @pytest.mark.skipif(not REAL, reason="the recordings are not here")

@@ -1,6 +1,6 @@
 """The articulated model: what is drawn of it and the way back, its steps, its growth, and what it begins with."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -100,19 +100,6 @@ def test_light_is_fixed_in_the_frame_it_is_given():
     assert np.abs(make_splats(some, elsewhere)[0].colours - splats.colours).max() > 0.01
 
 
-def test_no_light_leaves_colours_as_they_are():
-    splats, _ = make_splats(replace(gaussians(), light=None, part_weights=np.ones(40)), POSES)
-    np.testing.assert_allclose(splats.colours, gaussians().colours, rtol=1e-5)
-
-
-def test_in_the_dark_a_little_is_seen_and_light_is_not_pulled():
-    dark = np.zeros((4, 3), np.float32)
-    some = replace(gaussians(), light=dark)
-    splats, back = make_splats(some, POSES)
-    assert (splats.colours > 0).all() and splats.colours.max() <= model.DARKEST
-    assert not back(pulls(splats))["light"].any()
-
-
 def pulls(splats, seed=3):
     """Derivatives by what was drawn, from a hat."""
     rng, m = np.random.default_rng(seed), len(splats)
@@ -153,18 +140,6 @@ def test_the_way_back_is_the_difference(name):
     assert np.abs(found - expected).max() < 1e-3 * np.abs(expected).max()
 
 
-def test_a_gaussian_s_copies_are_summed():
-    some = gaussians()
-    splats, back = make_splats(some, POSES)
-    d = pulls(splats)
-    found = back(d)
-    index = np.concatenate([np.flatnonzero(some.part_weights > 0), np.flatnonzero(some.part_weights < 1)])
-    for name in ("screen", "drawn"):
-        expected = np.zeros(len(some))
-        np.add.at(expected, index, getattr(d, name).astype(float))
-        np.testing.assert_allclose(found[name], expected, rtol=1e-6)
-
-
 def test_a_frame_that_shows_none_of_them_has_a_way_back():
     some = gaussians()
     splats, back = make_splats(replace(some, normals=-some.normals), POSES)
@@ -198,17 +173,6 @@ def test_what_parameters_stand_for():
     np.testing.assert_array_equal(hard.part_weights, some.weight_logits > 0)
     splats, _ = make_splats(hard, POSES)
     assert 0 < len(splats) <= 30 and np.isin(splats.opacities, hard.opacities).all()
-
-
-@pytest.mark.parametrize("which", [np.arange(30) % 3 == 0, np.array([4, 4, 0])])
-def test_some_parameters_are_kept(which):
-    some = parameters()
-    kept = some.select(which)
-    for field in fields(Parameters):
-        old, new = getattr(some, field.name), getattr(kept, field.name)
-        np.testing.assert_array_equal(new, old if field.name == "light" else old[which])
-    kept.means[:] = 0
-    assert some.means.any(), "the same memory"
 
 
 # --- Adam -------------------------------------------------------------------------------------------------------------
@@ -368,11 +332,3 @@ def test_a_part_that_was_never_seen_has_no_discs():
     assert len(found) == round(BOXES[0].areas().sum() / 0.01**2) and (found.weight_logits > 0).all()
     found = place_discs((nothing, BOXES[1]), 0.01, GaussianSettings(), np.random.default_rng(0))
     assert len(found) == round(BOXES[1].areas().sum() / 0.01**2) and (found.weight_logits < 0).all()
-
-
-def test_where_no_part_was_seen_there_are_none():
-    nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
-    found = place_discs((nothing, nothing), 0.01, GaussianSettings(), np.random.default_rng(0))
-    assert len(found) == 0 and found.means.shape == (0, 3) and found.quaternions.shape == (0, 4)
-    splats, back = make_splats(found.gaussians(), POSES)
-    assert len(splats) == 0 and back(pulls(splats))["means"].shape == (0, 3)

@@ -15,7 +15,7 @@ from freeart21.camera import Camera
 from freeart21.formats.captured import read_track
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
-from freeart21.submovements import Movement, find_submovements, spans_of
+from freeart21.submovements import Movement
 from generator.motion import Plan, human_hand, plan_motion
 from generator.motion.body import Body
 from generator.motion.framing import MARGIN, image_extent
@@ -196,18 +196,6 @@ def _two(value: float) -> str:
 # --- submovements -----------------------------------------------------------------------------------------------------
 
 
-def test_submovements_are_cut_at_minima_and_end_at_rest() -> None:
-    t = np.arange(60)
-    bump = lambda middle, height: height * np.exp(-0.5 * ((t - middle) / 3.0) ** 2)  # noqa: E731
-    apart, near = bump(15, 2.0) + bump(45, 1.0), bump(20, 2.0) + bump(30, 2.0)
-    assert [tuple(s) for s in find_submovements(apart, 0.1)] == [(8, 23), (39, 52)]
-    cut = find_submovements(near, 0.1)
-    assert len(cut) == 2 and cut[0][1] == cut[1][0] == 25
-    assert len(find_submovements(bump(20, 2.0) + bump(25, 2.0), 0.1)) == 1  # one with a broad peak
-    assert find_submovements(np.zeros(60), 0.1).shape == (0, 2)
-    assert spans_of(np.array([True, False, True, True])).tolist() == [[0, 1], [2, 4]]
-
-
 def test_a_known_course_has_its_submovements_and_rests() -> None:
     """Turns of 3 degrees in frames 0 to 20 and 30 to 50, a third of a second apart; the joint to and fro."""
     turns = np.zeros((90, 3))
@@ -221,13 +209,3 @@ def test_a_known_course_has_its_submovements_and_rests() -> None:
     np.testing.assert_allclose(m.joint_holds_s, [20 / 30])
     assert m.reversals_a_minute == pytest.approx(20)
     assert m.together == pytest.approx((30 / 70) / (40 / 90), rel=1e-6)
-
-
-def test_smoothness_separates_one_submovement_from_many() -> None:
-    t = np.linspace(0, 1, 60)
-    one = 30 * t**2 * (1 - t) ** 2
-    many = one * (1 + 0.9 * np.sin(2 * np.pi * 6 * t))
-    smooth, rough = (
-        Movement(np.stack([s, 0 * s, 0 * s], 1), 0 * t, np.zeros(61), 60.0).smoothness for s in (one, many)
-    )
-    assert rough < smooth - 0.3 and -2 < smooth < -1.2  # one of minimum jerk: -1.4 to -1.6

@@ -7,12 +7,9 @@ import pytest
 from reconstruct_clip import make_clip
 
 from freeart21 import se3
-from freeart21.joint import Joint
 from freeart21.recording import Recording
 from reconstruct import labels
 from reconstruct.evidence import Evidence
-from reconstruct.joint_type import _revolute_wins
-from reconstruct.poses import JointedPoses
 from reconstruct.propagation import body_points
 from reconstruct.rigid import view_angle
 from reconstruct.scene import prepare_scene, uncrop_labels
@@ -127,31 +124,8 @@ def test_random_walk_solves_its_equations():
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
-def test_where_nobody_knows_a_wrong_start_is_forgotten():
-    rng = np.random.default_rng(0)
-    for n in range(2, 40):
-        starts = np.concatenate([[0], 2 * np.arange(1, n) - 1, [2 * n - 2]])  # a chain
-        ends = np.array([e for p in range(n) for e in (p - 1, p + 1) if 0 <= e < n], np.int32)
-        weights = rng.random(len(ends)).astype(np.float32) * 8
-        forth = ends > np.repeat(np.arange(n), np.diff(starts))
-        weights[~forth] = weights[forth]
-        nothing = np.zeros(n)
-        found = labels._random_walk(nothing + 0.03, nothing, rng.uniform(-1, 1, n), starts, ends, weights, 3e-3, 300)
-        np.testing.assert_allclose(found, 0, atol=1e-3)
-
-
 def test_a_roll_changes_no_view():
     R = se3.exp_so3(np.array([0.3, -0.2, 0.5]))
     rolled = se3.exp_so3(np.array([0, 0, 1.3])) @ R
     turned = se3.exp_so3(np.array([0.4, 0, 0])) @ R
     np.testing.assert_allclose(view_angle(np.stack([rolled, turned]), R), [0, 0.4], atol=1e-6)
-
-
-@pytest.mark.parametrize("cost, pivot, hinged", [(0.8, 0.5, True), (0.95, 0.5, False), (0.8, 5.0, False)])
-def test_a_hinge_is_believed_when_clearly_cheaper_and_near(cost, pivot, hinged):
-    def jointed(kind, cost):
-        joint = Joint("j", kind, np.array([0.0, 0, 1]), np.array([pivot, 0, 0]), 0.0, 1.0)
-        return JointedPoses(joint, np.zeros(2), np.tile(np.eye(4), (2, 1, 1)), np.zeros(2), cost)
-
-    found = {"revolute": jointed("revolute", cost), "prismatic": jointed("prismatic", 1.0)}
-    assert _revolute_wins(found, np.zeros(3), 1.0) is hinged

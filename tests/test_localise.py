@@ -10,7 +10,6 @@ from freeart21.effects.coulomb_friction import CoulombFriction
 from freeart21.joint import Joint
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import Actuator, JointMechanics
-from simgap.measure.swings import half_swings, reversals
 from simgap.models.equation_error import estimate_missing_force
 from simgap.models.localise import LEVEL, benjamini_hochberg, flagged_regions, make_residual_maps, sign_flip_test
 
@@ -164,16 +163,6 @@ def test_servo_and_pushes_are_modelled():
     bare = estimate_missing_force(data, MECHANICS, -9, 9)
     assert np.sqrt(np.mean(found.force**2)) < 0.1 * np.sqrt(np.mean(bare.force**2))
     assert "command" in {m.quantity for m in make_residual_maps(found)}
-
-
-def test_half_swings():
-    t = np.linspace(0, 4 * np.pi, 400)
-    q = np.cos(t) + 0.004 * np.cos(90 * t)
-    turns = reversals(q, 0.05)
-    assert np.allclose(t[turns], np.pi * np.arange(1, 4), atol=0.15)
-    numbers = half_swings(q, 0.05)
-    assert numbers.max() == 3 and (np.diff(numbers) >= 0).all()
-    assert half_swings(q, 0.05, longest=60).max() == 7
 
 
 def test_benjamini_hochberg():

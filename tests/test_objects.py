@@ -11,10 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from manifold3d import Manifold
-from seen_colours import main_share, seen_colours
 
 from freeart21 import catalog
-from freeart21.errors import FreeArtError
 from freeart21.joint import Joint
 from generator import objects
 from generator.model import Link, ObjectModel
@@ -136,15 +134,6 @@ def _floating(link: Link, near: float) -> list[str]:
     return sorted({bodies[j][0] for j in far})
 
 
-def test_a_floating_piece_is_found() -> None:
-    model = build("drawer_unit", 0)
-    drawer = model.links[0]
-    knob = next(p for p in drawer.pieces if p.name == "handle")
-    lifted = type(knob)("lifted", knob.solid.translate((-0.05, 0, 0)), knob.material)
-    assert _floating(drawer, 0.004) == []
-    assert _floating(Link(drawer.semantic, (*drawer.pieces, lifted), drawer.hinge), 0.004) == ["lifted"]
-
-
 def _fingerprint(model: ObjectModel) -> str:
     """A hash of all that is written of a model."""
     digest = hashlib.sha256()
@@ -179,25 +168,6 @@ def test_several_materials_and_both_textured_and_plain_areas(name: str) -> None:
     assert len(materials) >= 6
     assert any(m.texture is not None for m in materials.values())
     assert any(m.texture is None for m in materials.values())
-
-
-def test_at_least_ten_objects_are_near_monochrome() -> None:
-    shares = {name: [main_share(seen_colours(build(name, seed))) for seed in SEEDS] for name in NAMES}
-    assert sum(min(of_seeds) >= 0.8 for of_seeds in shares.values()) >= 10, shares
-
-
-def test_the_share_of_the_main_colour_is_that_of_the_seen_area() -> None:
-    model = build("drawer_unit", 0)
-    piece = model.links[0].pieces[0]
-
-    def block(at: float, colour: tuple[float, float, float]) -> Link:
-        material = type(piece.material)(f"m{at}", colour, "plastic", 1000.0)
-        return Link("slider block", (type(piece)("b", box((1, 1, 1), (at, 0, 0)), material),), model.links[0].hinge)
-
-    red, grey, near = (0.8, 0.1, 0.1), (0.50, 0.50, 0.50), (0.54, 0.54, 0.54)
-    for other, share in ((red, 0.5), (near, 1.0)):
-        colours = seen_colours(ObjectModel("m", "c", (block(0, other), block(4, grey)), 0, 0))
-        assert main_share(np.concatenate([colours, np.full((40, 3), 128, np.uint8)])) == pytest.approx(share, abs=0.03)
 
 
 def test_shapes_have_the_volumes_of_their_closed_forms() -> None:
@@ -268,13 +238,3 @@ def test_normals_stay_sharp_at_edges_and_smooth_on_curves() -> None:
     assert np.allclose(crease_normals(vertices, faces), flat[:, None])
     vertices, faces = triangles(Manifold.sphere(2.0, 64))
     assert (np.einsum("fkc,fkc->fk", crease_normals(vertices, faces), vertices[faces]) / 2 > 0.999).all()
-
-
-def test_an_unknown_object_lists_the_known() -> None:
-    with pytest.raises(
-        FreeArtError, match="unknown object 'teapot'; objects: swivel_usb, flip_cap_usb, .*filing_cabinet"
-    ):
-        catalog.find("teapot")
-    with pytest.raises(FreeArtError, match="unknown object '41083'"):
-        catalog.find("41083")
-    assert catalog.find("41083", partnet=True).source == "partnet"

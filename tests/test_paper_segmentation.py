@@ -14,9 +14,7 @@ from reconstruct.features.hand_made import HandMade
 from reconstruct.paper_segmentation import (
     Graph,
     Pair,
-    _scaled,
     dense_weights,
-    feature_clusters,
     initial_transforms,
     neighbour_graph,
     objective,
@@ -128,43 +126,6 @@ def test_two_planted_motions_are_found_among_outliers(seed):
     assert (second == (part == 1))[part < 2].mean() > 0.97
 
 
-def test_useless_clusters_still_lead_to_two_motions():
-    rng = np.random.default_rng(3)
-    X, Y, Ts, _ = planted(rng)
-    blind = rng.random(len(X)) < 0.5  # both halves hold mostly part 0: RANSAC finds that motion twice
-    found, _ = initial_transforms(X, Y, blind, 0.03, rng)
-
-    def distance(pair):
-        return np.linalg.norm(se3.log_se3(pair[0] @ se3.inverse(pair[1])))
-
-    assert distance(found) == pytest.approx(distance(Ts), rel=0.05)
-
-
-def test_clusters_are_seeded_and_part_what_is_apart():
-    rng = np.random.default_rng(0)
-    d = np.concatenate([rng.normal(size=(80, 4)), rng.normal(size=(120, 4)) + 8])
-    a, b = (feature_clusters(d, np.random.default_rng(5)) for _ in range(2))
-    assert np.array_equal(a, b) and len(set(a[:80])) == 1 and len(set(a[80:])) == 1 and a[0] != a[-1]
-
-
-def test_neighbours_are_within_the_radius_and_weights_of_one_point_add_up_to_one():
-    d = np.array([[0.0], [0.5], [1.2], [9.0]])
-    graph = neighbour_graph(d, Gaussian(), 1.0, 5)
-    assert {tuple(e) for e in graph.edges} == {(0, 1), (1, 0), (1, 2), (2, 1)}
-    assert np.allclose(np.bincount(graph.edges[:, 0], graph.alpha), [1, 1, 1])
-    pulls = {tuple(e): a for e, a in zip(graph.edges, graph.alpha, strict=True)}
-    assert pulls[1, 0] > pulls[1, 2]
-
-
-def test_transforms_read_the_same_in_other_units():
-    rng = np.random.default_rng(2)
-    X, T = rng.normal(size=(9, 3)), se3.exp_se3(rng.normal(size=6))
-    middle = np.array([0.3, -0.2, 1.1])
-    scaled = _scaled(T, middle, 0.25)
-    assert np.allclose(se3.transform(scaled, (X - middle) / 0.25), (se3.transform(T, X) - middle) / 0.25)
-    assert np.allclose(_scaled(scaled, -middle / 0.25, 1 / 0.25), T)
-
-
 @pytest.mark.parametrize("most", [4, 3])
 def test_fill_keeps_tracks_and_gives_the_rest_to_whom_they_resemble(most):
     features = Gaussian([0, 0.2, 0.3, 5, 5.2, 5.3, 5.4])
@@ -227,17 +188,6 @@ def test_the_objective_corrects_wrong_labels_and_each_switch_has_its_effect(monk
     assert np.abs(wrong_after(pair, Ts, part, entropy)[2] - 0.5).min() > 0.49
     monkeypatch.setitem(paper_segmentation.LAMBDAS, "entropy", -1.0)
     assert np.abs(wrong_after(pair, Ts, part, entropy)[2] - 0.5).max() < 0.1
-
-
-def test_adam_moves_the_transforms_towards_the_tracks():
-    rng = np.random.default_rng(4)
-    X, Y, Ts, part = planted(rng, 300, outliers=0.0, noise=0.0)
-    Ts = _scaled(Ts, AHEAD, 1.0)
-    off = se3.exp_se3(np.full((2, 6), 0.006)) @ Ts
-    solved, _ = solve_pair(pair_of(X - AHEAD, Y - AHEAD, part, rng), off, PAPER)
-    places = [np.einsum("kij,pj->kpi", T[:, :3, :3], X - AHEAD) + T[:, None, :3, 3] for T in (Ts, off, solved)]
-    before, after = (np.linalg.norm(other - places[0], axis=2)[part, np.arange(len(X))].mean() for other in places[1:])
-    assert after < 0.5 * before
 
 
 # --- whole clips ------------------------------------------------------------------------------------------------------

@@ -25,22 +25,6 @@ class Springs:
         return rows.transpose(0, 2, 1) @ rows, rows.sum(1), np.ones((len(source), 4))
 
 
-def test_pairs_are_the_nearest_views_far_apart_in_time():
-    Ts, seen, settings = turning(), np.ones(40, bool), PoseSettings()
-    seen[5] = False
-    expected = {(i, i + d) for i in range(40) for d in poses.OFFSETS if i + d < 40 and seen[i] and seen[i + d]}
-    for i in np.flatnonzero(seen):
-        turn = np.arccos(np.clip(Ts[:, 2, :3] @ Ts[i, 2, :3], -1, 1))
-        chosen = []
-        for j in np.argsort(turn, kind="stable"):
-            if len(chosen) < settings.loops and turn[j] <= 0.9 and seen[j] and abs(j - i) > 8:
-                chosen += [j] if all(abs(j - other) > 3 for other in chosen) else []
-        expected |= {(min(i, j), max(i, j)) for j in chosen}
-    source, target = poses.choose_pairs(Ts, seen, settings)
-    assert set(zip(source, target, strict=True)) == expected | {(j, i) for i, j in expected}
-    assert len(source) == 2 * len(expected)
-
-
 def equations(Ts, seen, part):
     pairs = poses.choose_pairs(Ts, seen, PoseSettings())
     return pairs, poses._normal_equations(Springs(), None, part, Ts, {}, *pairs, 4.0)
@@ -140,19 +124,3 @@ def test_deviations_of_the_joint_are_those_of_random_solutions_in_the_frame_of_a
     line -= np.outer(line @ now.joint.axis, now.joint.axis)
     assert found[part, 1] == pytest.approx(np.sqrt((line**2).sum(1).mean() / 2), rel=0.05)
     assert poses._joint_std(A, now, seen, centre, 9.0) == pytest.approx(3 * found)
-
-
-def test_the_axis_deviation_carries_its_factor_and_the_lines_does_not():
-    A, now, seen, _, _ = jointed_equations()
-    clouds = [np.random.default_rng(k).normal(size=(50, 3)) for k in range(2)]
-    found = poses.add_standard_deviations(now, A, seen, clouds, 1.0, 0.01).joint_std
-    plain = np.hypot(poses._joint_std(A.copy(), now, seen, clouds[1].mean(0), 1.0), poses._systematic_std(clouds, 0.01))
-    assert found == pytest.approx(plain * [poses.AXIS_FACTOR, 1.0])
-
-
-def test_a_pose_errs_systematically_by_its_size():
-    ends = np.array([[0.05, 0, 0], [-0.05, 0, 0]])
-    tilt, shift = poses._systematic_std([ends, ends], 0.003)
-    assert shift == pytest.approx(np.sqrt(2) * 0.001) and tilt == pytest.approx(np.sqrt(2) * 0.001 / 0.1)
-    assert poses._systematic_std([ends, ends / 2], 0.003)[0] == pytest.approx(np.hypot(0.01, 0.02))
-    assert np.isfinite(poses._systematic_std([np.zeros((1, 3))] * 2, 0.003)).all()

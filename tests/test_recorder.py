@@ -29,7 +29,7 @@ from generator.golden import LEAST_PSNR, interior_pixels, render_again, verify_d
 from generator.model import Hinge, Link, Material, ObjectModel, Piece
 from generator.partnet_writer import write_partnet
 from generator.rays import Caster
-from generator.recorder import RecordSettings, nice_scale, record
+from generator.recorder import RecordSettings, record
 from generator.scene import Scene
 from generator.shapes import box, triangles
 from generator.surface import Paint, Surface
@@ -39,7 +39,7 @@ REAL = Path(__file__).resolve().parents[2] / "shared" / "partnet_mobility"
 SETTINGS = RecordSettings(
     frames=10, seed=3, width=320, height=180, shader="trivial", queries=4, visible_every=1, edge=0.04
 )
-CASES = ["stapler", "flip_cap_usb", "drawer_unit", "small_root", *(["41083"] if (REAL / "41083").is_dir() else [])]
+CASES = ["stapler", "drawer_unit", "small_root", *(["41083"] if (REAL / "41083").is_dir() else [])]
 
 
 def _small_root(folder: Path) -> Path:
@@ -148,7 +148,8 @@ def test_held_out_views_show_pose_a_and_state_b_from_the_moved_camera(case: Case
 
 
 def test_lit_by_lamps_that_stand_in_the_world_the_views_render_again_too(tmp_path: Path) -> None:
-    settings = dataclasses.replace(SETTINGS, shader="default", motion="static_base", frames=4, queries=3, edge=0.5)
+    lit = {"shader": "default", "width": 160, "height": 90}
+    settings = dataclasses.replace(SETTINGS, motion="static_base", frames=4, queries=3, edge=0.5, **lit)
     sequence = record("flip_cap_usb", tmp_path, settings)
     recording, folder = read_sequence(tmp_path / "sequences" / sequence), tmp_path / "truth" / sequence
     again = [psnr for _, psnr in render_again(recording, read_truth(folder), folder, 3)]
@@ -268,15 +269,6 @@ def test_same_seed_same_bytes(tmp_path: Path) -> None:
     assert hashes[0] == hashes[1] and len(hashes[0]) > 20
 
 
-def test_another_seed_is_another_video(tmp_path: Path) -> None:
-    settings = dataclasses.replace(SETTINGS, frames=2, queries=0, edge=0.5)
-    truths = [
-        read_truth(tmp_path / "truth" / record("stapler", tmp_path, dataclasses.replace(settings, seed=seed)))
-        for seed in (1, 2)
-    ]
-    assert np.abs(truths[0].Ts_camera_reference - truths[1].Ts_camera_reference).max() > 0.01
-
-
 # --- truth meshes -----------------------------------------------------------------------------------------------------
 
 
@@ -324,11 +316,6 @@ def test_paint_reads_pictures_with_v_upwards_and_repeats_them() -> None:
     paint = Paint(np.full(3, 255, np.uint8), picture)
     uv = np.array([[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [1.75, -0.25]])
     assert paint.at(uv)[:, 0].tolist() == [30, 40, 10, 20]
-
-
-@pytest.mark.parametrize(("least", "scale"), [(1e-5, 1e-5), (1.01e-5, 2e-5), (4.9e-3, 5e-3), (0.06, 0.1)])
-def test_depth_scales_are_round(least: float, scale: float) -> None:
-    assert nice_scale(least) == scale
 
 
 # --- faults -----------------------------------------------------------------------------------------------------------
@@ -396,26 +383,6 @@ def test_a_real_object_is_found_as_the_data_set_unpacks_with_its_notes(tmp_path:
     assert job.sequence == "90210077-joint_0-s3"
     assert job.notes == ("joint 'joint_0' never stands at 0: its limits are [-0.9, -0.1]",)
     assert "notes" not in job.to_json()  # they decide no byte
-
-
-@pytest.mark.parametrize(
-    ("spoil", "message"),
-    [
-        (lambda folder: (folder / "textured_objs" / "original-1.obj").unlink(), "original-1.obj"),
-        (lambda folder: (folder / "images" / "texture_1.png").write_bytes(b"no picture"), "texture_1.png"),
-        (
-            lambda folder: (folder / "mobility.urdf").write_text(
-                (folder / "mobility.urdf").read_text().replace('lower="-0.9"', 'lower="0.4"')
-            ),
-            "joint 'joint_0' cannot move: its limits are",
-        ),
-    ],
-    ids=["missing mesh", "unreadable texture", "zero-range joint"],
-)
-def test_an_unfit_object_gets_one_line_and_leaves_nothing(tmp_path: Path, spoil: object, message: str) -> None:
-    spoil(_small_root(tmp_path / "own" / "90210077"))  # type: ignore[operator]
-    _fails(message, "90210077", tmp_path / "data", partnet_root=tmp_path / "own")
-    assert [p.name for p in tmp_path.iterdir()] == ["own"]
 
 
 def test_without_a_vulkan_device_the_recorder_says_so_in_one_line_and_python_lives(tmp_path: Path) -> None:

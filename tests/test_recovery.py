@@ -10,11 +10,10 @@ from test_reconstruct import GENTLE, QUIET, true_estimate
 from freeart21 import se3
 from freeart21.reconstruction import Reconstruction
 from freeart21.recording import Frame, Recording
-from reconstruct import recovery, seeds, segmentation
+from reconstruct import seeds, segmentation
 from reconstruct.paper_segmentation import PartWeights, part_poses
 from reconstruct.pipeline import reconstruct
 from reconstruct.propagation import Propagation
-from reconstruct.recovery import _assign_patches, _UnlabelledFrame
 from reconstruct.scene import UnsolvableError
 from reconstruct.seeds import Seed, find_seeds
 from reconstruct.segmentation import _initial_propagation, add_frames, propagate_from_seeds, redo_lost_frames
@@ -96,23 +95,6 @@ def test_a_joint_that_rests_and_goes_on_is_followed(resting):
     assert right_labels(estimate.labels, true.labels).min() > 0.93
 
 
-def test_redoing_frames_without_agreement_restores_them(resting, monkeypatch):
-    monkeypatch.setattr(segmentation, "AGREEMENT", -1.0)
-    propagation = partial_propagation(done=14, resting=resting, settings=QUIET)
-    kept = ("Ts", "states", "labels", "logodds", "seen", "ambiguous", "costs", "done")
-    before = {name: getattr(propagation, name).copy() for name in kept}
-    assert not redo_lost_frames(propagation, 12, 11)
-    for name in kept:
-        assert np.array_equal(getattr(propagation, name), before[name], equal_nan=name == "costs"), name
-
-
-def test_all_frames_may_be_redone(resting, monkeypatch):
-    monkeypatch.setattr(recovery, "SOUND_SHARE", 0.49)  # no frame is reliable
-    propagation = partial_propagation(done=12, resting=resting, settings=QUIET)
-    redo_lost_frames(propagation, 11, 10)
-    assert propagation.done[:12].all() and np.isfinite(propagation.Ts).all()
-
-
 def test_redoing_lost_frames_corrects_them(resting):
     clip, _, true, _ = resting
     propagation = partial_propagation(done=30, resting=resting, settings=QUIET)
@@ -161,56 +143,6 @@ def test_poses_under_the_papers_labels_when_a_part_appears_late():
 
 
 # ---- recovery ----------------------------------------------------------------------------------------------
-
-
-class Noisy(_UnlabelledFrame):
-    """Two parts on the left and right half of an image, with noisy costs that rise with the error of the state."""
-
-    def costs(self, Ts, states):
-        noise = RNG(0).normal(0, 0.05, (len(self.pixels), len(Ts), 2))
-        noise[:, 0, 1] = noise[:, 0, 0]  # at rest both parts move together
-        right = self.pixels[:, 1] >= 50
-        costs = np.stack([np.ones((len(right), 2)), np.stack([right, ~right], 1)], 1)
-        return 0.2 + noise + costs * states[:, None]
-
-
-def test_noise_is_not_taken_for_a_motion_but_a_motion_is():
-    grid = np.stack(np.meshgrid(np.arange(0, 100, 4), np.arange(0, 100, 4), indexing="ij"), -1).reshape(-1, 2)
-    view = Noisy(None, 0, np.zeros(0, np.int64), grid, _assign_patches(grid, 100 * 100))
-    assert 60 < view.patches.max() < 100
-    twice = np.broadcast_to(np.eye(4), (2, 4, 4))
-    pixelwise = view.costs(twice, np.zeros(2)).min(2).mean(0)
-    assert pixelwise[1] < 0.9 * pixelwise[0], "pixel by pixel the noise would be explained"
-    rest, moved = view.patch_costs(twice, np.zeros(2))
-    assert rest < recovery.REST_COST_UNLABELLED * moved
-    rest, moved = view.patch_costs(twice, np.array([0.05, 0.3]))
-    assert rest > recovery.REST_COST_UNLABELLED * moved
-
-
-def test_without_labels_the_joint_returns_to_a_known_state(resting):
-    evidence = resting[1]
-    propagation = partial_propagation(done=20, resting=resting, settings=QUIET)
-    rest, pixels = 19, np.argwhere(evidence.scene.valid[19])[::20].astype(np.int32)
-    others = np.arange(8, 19, 2)  # all of them at rest
-    view = _UnlabelledFrame(propagation, rest, others, pixels, _assign_patches(pixels, 20 * len(pixels)))
-    T, q, top = propagation.Ts[0, rest], propagation.states[rest], propagation.states[:20].max()
-    assert q == pytest.approx(top)
-    within = view.prefer_known_state(T, q + 0.02, q, np.inf)
-    assert within[1] < q, "the parts are exchanged, and the state goes back"
-    assert view.prefer_known_state(T, q + 0.02, q, 0.0)[1] == q + 0.02, "not when that explains less"
-    assert view.prefer_known_state(T, q - 0.02, q, np.inf)[1] == q - 0.02
-
-
-def test_dense_costs_choose_the_windows_despite_noisy_tracks(resting, monkeypatch):
-    _, evidence, _, tracker = resting
-    found = seeds.find_candidates(evidence, tracker, RNG(0))
-    at_rest = [c for c in found if REST.start <= c.frame and c.frame + c.gap < REST.stop]
-    noisy = [replace(c, gain=c.gain + 100) if c in at_rest else c for c in found]
-    monkeypatch.setattr(seeds, "find_candidates", lambda *_: sorted(noisy, key=lambda c: -c.gain))
-    monkeypatch.setattr(seeds, "MAX_REFINED", 2)
-    monkeypatch.setattr(seeds, "STRETCH", 6)
-    assert len(at_rest) >= 2 and len(noisy) > len(at_rest)
-    assert not any(REST.start <= s.frame and s.others[-1] < REST.stop for s in find_seeds(evidence, tracker, RNG(0)))
 
 
 def test_the_seed_whose_joint_explains_its_frames_best_is_taken(resting, monkeypatch):

@@ -13,8 +13,8 @@ from generator import hand, partnet, tof
 from generator.model import Hinge, Link, Material, ObjectModel, Piece
 from generator.motion import Plan
 from generator.partnet_writer import write_partnet
-from generator.scene import _T_SAPIEN_CAMERA, Scene, decode_srgb, encode_srgb
-from generator.sensor import Sensor, interpolate_pose, make_sensor
+from generator.scene import Scene, decode_srgb, encode_srgb
+from generator.sensor import Sensor, make_sensor
 from generator.sensors import SENSORS
 from generator.sensors.blur import Blur
 from generator.sensors.noise2 import NOISE2_SHARE, Noise2
@@ -111,22 +111,6 @@ def test_unknown_names_get_one_line(scene: Scene, loaded: partnet.PartNetObject)
         assert "\n" not in str(caught.value)
 
 
-def test_lamps_stand_still_in_the_world(scene: Scene) -> None:
-    first = se3.pose(se3.exp_so3([0.3, -0.2, 1.0]), [1.0, 2, 3])
-    scene.fix_lamps(first)
-
-    def directions(T_camera_world: np.ndarray | None) -> np.ndarray:
-        scene.shoot(TURN.Ts_camera_object[0], {}, T_camera_world)
-        ways = [lamp.pose.to_transformation_matrix()[:3, 0] for lamp in scene._lamps]
-        return np.array(ways) @ _T_SAPIEN_CAMERA[:3, :3]
-
-    at_rest = directions(first)
-    moved = se3.pose(se3.exp_so3([-0.5, 0.9, 0.1]), [0, 0, 0]) @ first
-    assert np.allclose(directions(moved) @ moved[:3, :3], at_rest @ first[:3, :3], atol=1e-6)
-    assert np.abs(directions(moved) - at_rest).max() > 0.3
-    assert np.allclose(directions(None), at_rest, atol=1e-6)
-
-
 def test_light_and_srgb() -> None:
     levels = np.arange(256, dtype=np.uint8)
     assert np.array_equal(encode_srgb(decode_srgb(levels.astype(np.float32) / 255)), levels)
@@ -192,15 +176,6 @@ def test_tof_depth_comes_in_steps_of_a_millimetre() -> None:
     assert np.abs(millimetres - np.rint(millimetres)).max() < 1e-3 and len(np.unique(depth)) > 20
 
 
-def test_tof_sees_the_angle_of_planes() -> None:
-    for degrees in (0, 30, 60, 80):
-        camera = Camera.from_fov(160, 120, np.radians(10))
-        cosine = tof.incidence_cosine(_tilted(camera, degrees, 1.0).astype(np.float32), camera.rays())
-        n = np.array([np.sin(np.radians(degrees)), 0, np.cos(np.radians(degrees))])
-        rays = camera.rays() / np.linalg.norm(camera.rays(), axis=-1, keepdims=True)
-        assert np.abs(cosine - np.abs(rays @ n)).max() < 2e-3
-
-
 def _valid_share(depth: np.ndarray, albedo: float, gloss: float = 0.0) -> float:
     inner = slice(8, -8)
     return float((_measured(NARROW, depth, albedo, gloss)[inner, inner] > 0).mean())
@@ -215,17 +190,6 @@ def test_tof_loses_grazing_dark_and_glossy_surfaces() -> None:
     assert _valid_share(np.full((120, 160), 0.3), 0.03) == 1  # near enough, the dark is seen
     facing, turned = (_valid_share(_tilted(NARROW, degrees, 0.3), 0.3, 0.55) for degrees in (0, 30))
     assert facing < 0.1 and turned == 1 and _valid_share(np.full((120, 160), 0.3), 0.3) == 1
-
-
-def test_tof_noise_grows_with_angle_and_darkness() -> None:
-    def noise(depth: np.ndarray, albedo: float) -> float:
-        measured = _measured(NARROW, depth, albedo)
-        error = (measured - depth)[measured > 0]
-        return float(1.4826 * np.median(np.abs(error - np.median(error))))
-
-    wall = np.full((120, 160), 2.0)
-    assert noise(wall, 0.05) > 2 * noise(wall, 0.8)
-    assert noise(_tilted(NARROW, 70, 2.0), 0.5) > 1.2 * noise(_tilted(NARROW, 0, 2.0), 0.5)
 
 
 def test_tof_pixels_fly_backwards_and_only_at_edges() -> None:
@@ -287,20 +251,6 @@ def test_blur_widens_edges_by_the_motion_and_keeps_the_light(scene: Scene, loade
 def test_sub_frames_are_odd_and_a_pixel_apart() -> None:
     counts = [Blur(None).sub_frames(x) for x in (0.0, 0.5, 0.6, 2.4, 2.6, 4.0, 100.0)]
     assert counts == [1, 1, 3, 3, 5, 5, 9]
-
-
-def test_poses_between_frames_run_at_constant_twist() -> None:
-    Ts = TURN.Ts_camera_object
-    assert np.array_equal(interpolate_pose(Ts, 5), Ts[5])
-    half = interpolate_pose(Ts, 5.5)
-    assert np.allclose(half @ se3.inverse(Ts[5]), Ts[6] @ se3.inverse(half), atol=1e-12)
-    assert np.allclose(
-        interpolate_pose(Ts, -0.25) @ se3.inverse(interpolate_pose(Ts, 0)),
-        interpolate_pose(Ts, 0) @ se3.inverse(interpolate_pose(Ts, 0.25)),
-    )
-    assert np.allclose(
-        interpolate_pose(Ts, len(Ts) - 0.75), Ts[-1] @ se3.inverse(interpolate_pose(Ts, len(Ts) - 1.25)) @ Ts[-1]
-    )
 
 
 # --- hand -------------------------------------------------------------------------------------------------------------

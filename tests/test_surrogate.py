@@ -239,15 +239,6 @@ def test_nuisance_is_another_asset(tmp_path: Path):
     np.testing.assert_allclose(ours, simulate(leant, (), times, 0.5), atol=1e-5)  # SAPIEN's gravity is single precision
 
 
-def test_steps_make_no_difference(tmp_path: Path):
-    asset = asset_at(tmp_path, "revolute", lower=-0.5, upper=2)
-    plant = make_plant(asset, measured_of("revolute"))
-    effects = (made("coulomb_friction", level=0.2), made("end_stop_bounce", restitution=0.5))
-    times = np.arange(500) * 0.01
-    fine = simulate(plant, effects, times, 1.5, settings=StepSettings(0.01, 1e-3))
-    assert np.abs(simulate(plant, effects, times, 1.5) - fine).max() < 1e-5
-
-
 def test_friction_that_builds_up_is_lugres(tmp_path: Path):
     """Small swings of a pendulum whose friction bends bristles first: against a stiff solver on the textbook's form."""
     from scipy.integrate import solve_ivp
@@ -305,20 +296,6 @@ def test_a_drive_side_goes_on_when_its_part_stops_dead(tmp_path: Path, back: flo
     assert np.abs(theirs.q - np.interp(theirs.times_s, times, ours)).max() < 1e-3
 
 
-def test_a_narrow_place_is_stepped_finely_only_there(tmp_path: Path):
-    """As by fine steps throughout, where coarse ones throughout are as wrong as none of it."""
-    plant = make_plant(asset_at(tmp_path, "revolute"), measured_of("revolute"))
-    effects, times = (made("detent", peak=20.0, centre=0.2, width=0.01),), np.arange(200) / 100
-    coarse, fine = time_steps(plant, effects)
-    numbers = make_vector(plant, effects)
-    for numbers[kernel.Q0], numbers[kernel.QD0] in ((-0.6, 0.0), (-0.6, 3.0)):
-        ours, throughout, coarsely = (
-            sweep(numbers[None], effect_terms(effects), times, Inputs(), steps)[0]
-            for steps in ((coarse, fine), (fine, fine), (coarse, coarse))
-        )
-        assert np.abs(ours - throughout).max() < 0.03 * np.abs(coarsely - throughout).max()
-
-
 @pytest.mark.parametrize("threads", [1, 3])
 def test_runs_side_by_side_are_as_each_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: int):
     if threads > 1:
@@ -337,11 +314,3 @@ def test_runs_side_by_side_are_as_each_alone(tmp_path: Path, monkeypatch: pytest
     assert np.array_equal(together, np.concatenate(alone))
     assert np.ptp(alone[3]) > 0.1 and abs(alone[0] - alone[3]).max() > 0.1
     assert len(kernel.sweep.signatures) == 1  # what a thread gets of an array is laid out as all of it
-
-
-def test_inputs_have_one_layout_and_the_kernel_one_version():
-    """Two versions of the compiled kernel from numba's cache mix up their formulas."""
-    times = np.linspace(0, 1, 50)
-    told = Inputs(times, np.zeros(50), np.zeros(50), np.zeros(50), np.asfortranarray(np.zeros((3, 50))))
-    for inputs in (told, told.with_rows(times + 0.01)):
-        assert all(series.flags.c_contiguous for series in Batch.of([(times, inputs)]).series)

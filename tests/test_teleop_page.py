@@ -22,7 +22,7 @@ from freeart21.files.take import Take, read_take
 from freeart21.files.truth import read_truth
 from generator.motion.body import Body
 from generator.motion.plan import Plan
-from generator.motion.track import check_in_view, resample_take
+from generator.motion.track import check_in_view
 from generator.session import RecordSettings, catalog_entry, load_object
 from generator.teleop import wire
 from generator.teleop.driving import Placement
@@ -299,40 +299,6 @@ def test_a_slider_moves_the_joint(desk: Desk) -> None:
 # --- takes ------------------------------------------------------------------------------------------------------------
 
 
-def test_a_take_holds_what_the_page_sent(desk: Desk, tmp_path: Path) -> None:
-    desk.drag([60, 20])
-    desk.click("record")
-    desk.until("teleop.link.status.recording && teleop.link.status.samples > 0")
-    for _ in range(3):
-        desk.drag([90, 30], steps=12)
-        desk.wheel(-100)
-        desk.drag([-30, 25], "right", steps=12)
-    desk.key("BracketRight", "]", 0.2)
-    desk.settle()
-    desk.click("record")
-    desk.until("teleop.link.status.paused")
-    take = saved(desk)
-    sent = desk.run("sent")
-    assert take.device == "mouse, keys" and len(take.times) >= 15
-    # which of those that were sent came first into the take: all from there on are in it
-    first = next(
-        i for i, m in enumerate(sent) if np.allclose([*m["position"], m["state"]], [*take.Ts[0, :3, 3], take.states[0]])
-        and len(sent) - i >= len(take.times) and all(
-            abs(sent[i + k]["state"] - take.states[k]) < 1e-9 for k in range(len(take.times)))
-    )  # fmt: skip
-    within = sent[first : first + len(take.times)]
-    Ts = se3.pose_from_wxyz([m["position"] for m in within], [m["quaternion"] for m in within])
-    np.testing.assert_allclose(take.Ts, Ts, atol=1e-9)
-    times = np.array([m["time"] for m in within]) / 1e3
-    np.testing.assert_allclose(take.times, times - times[0], atol=2e-3)
-    # and what the recorder makes of it, at the times of samples
-    at = np.linspace(0, take.times[-1], 50)
-    stretch = resample_take(take, 49 / take.times[-1], 50)
-    k = np.clip(np.searchsorted(take.times, at, side="right") - 1, 0, len(at) - 2)
-    near = np.abs(take.times[k] - at) < 1e-9
-    np.testing.assert_allclose(stretch.Ts[near], Ts[k[near]], atol=1e-4)
-
-
 def test_whatever_is_done_to_it_a_take_stays_in_the_recorder_s_picture(
     desk: Desk, thing: tuple[Body, Workspace, dict[str, Any]]
 ) -> None:
@@ -399,20 +365,6 @@ def test_a_lost_connection_is_said_and_comes_back_by_itself(desk: Desk) -> None:
     assert np.diff(take.times).max() < 1.01
 
 
-def test_a_save_that_fails_is_shown_and_can_be_pressed_again(desk: Desk, tmp_path: Path) -> None:
-    desk.click("record")
-    desk.until("teleop.link.status.samples > 5")
-    takes = desk.at.server._takes
-    right, takes._out = takes._out, tmp_path / "file" / "take.jsonl"
-    (tmp_path / "file").write_text("no folder")
-    desk.click("save")
-    desk.until("document.getElementById('notice').classList.contains('alarm')")
-    assert "not saved" in desk.run("document.getElementById('notice').textContent").lower()
-    takes._out = right
-    assert len(saved(desk).times) > 5
-    desk.until("!document.getElementById('notice').classList.contains('alarm')")
-
-
 def test_a_take_is_not_dropped_by_one_press(desk: Desk) -> None:
     desk.click("record")
     desk.until("teleop.link.status.samples > 5")
@@ -463,42 +415,6 @@ def test_a_reload_goes_on_with_the_take_by_the_tab_s_own_token(desk: Desk) -> No
     desk.until("!window.teleop && document.body && document.body.textContent.includes('the terminal printed')")
     assert desk.run("location.search") == "?token=of-an-older-server" and len(desk.browser.errors) > 0
     desk.browser.errors.clear()
-
-
-def test_a_page_beside_the_driver_s_only_watches(chromium: Browser, at: Served) -> None:
-    first = Desk(chromium, at)
-    first.drag([30, 0])
-    other = chromium.ask("Target.createTarget", url=at.url)["targetId"]
-    first.until("teleop.link.status.watchers === 1")
-    assert first.run("document.getElementById('watchers').textContent") == "1 watching"
-    session, chromium._session = chromium._session, ""
-    chromium._session = chromium.ask("Target.attachToTarget", targetId=other, flatten=True)["sessionId"]
-    try:
-        watcher = object.__new__(Desk)
-        watcher.browser, watcher.at, watcher.width, watcher.height = chromium, at, 800, 600
-        watcher.until("window.teleop && teleop.link.status && teleop.link.hello")
-        before = at.server.driving.place
-        watcher.drag([50, 0])
-        watcher.key("KeyR", "r")
-        watcher.run("new Promise((done) => setTimeout(done, 150))")
-        assert at.server.driving.place is before and at.server.driving.phase == "idle"
-        assert watcher.run("document.body.classList.contains('watching') && document.getElementById('drive').hidden")
-        chromium._session, mine = session, chromium._session
-        chromium.run("void (location.href = 'about:blank')")
-        chromium._session = mine
-        watcher.until("!document.getElementById('drive').hidden")
-        watcher.click("drive")
-        watcher.until("teleop.link.drives")
-        watcher.drag([50, 0])
-        end = time.monotonic() + PATIENCE_S
-        while at.server.driving.place.is_close(before):
-            assert time.monotonic() < end
-            time.sleep(0.01)
-    finally:
-        chromium._session = ""
-        chromium.ask("Target.closeTarget", targetId=other)
-        chromium._session = session
-    assert not chromium.errors
 
 
 @pytest.mark.parametrize("width, height", [(1440, 900), (390, 844), (844, 390), (1280, 640)])

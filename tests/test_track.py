@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from another_python import ROOT, run_python
+from another_python import ROOT
 
 from freeart21 import cli, se3
 from freeart21.camera import Camera
@@ -37,7 +37,6 @@ SHARED = ROOT.parent / "shared"
 SMALL = RecordSettings(frames=5, width=96, height=64, shader="trivial", queries=1, edge=0.5)
 AXIS = np.array([0.6, 0.0, 0.8])
 
-needs_tracks = pytest.mark.skipif(not (SHARED / "mocap").is_dir(), reason="captured motion is not on this machine")
 needs_objects = pytest.mark.skipif(not (SHARED / "urdf_objects").is_dir(), reason="the URDFs are not on this machine")
 
 
@@ -327,7 +326,7 @@ def test_a_take_of_one_object_is_replayed_on_all_others_and_fills_the_picture(tm
     times, camera = np.arange(31) / 30, Camera.from_fov(320, 180, 0.7)
     settings = dataclasses.replace(SMALL, motion="track", track=tmp_path / "a.txt", frames=31, width=320, height=180)
     fills, ways = {}, {}
-    for k, name in enumerate(("stapler", "flip_cap_usb", "filing_cabinet", "office_scissors", "cover_phone")):
+    for k, name in enumerate(("stapler", "filing_cabinet", "cover_phone")):
         loaded = load_object(catalog_entry(name, settings), settings, tmp_path / name)
         meshes = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
         if k == 0:
@@ -394,21 +393,6 @@ def test_the_command_takes_the_take_s_length_by_default(tmp_path: Path, monkeypa
     ):
         with pytest.raises(FreeArtError, match=expected):
             cli.record(("stapler",), tmp_path / "data", motion=motion)
-
-
-@needs_tracks
-def test_every_captured_track_stays_in_the_picture() -> None:
-    body, camera = _body(), Camera.from_fov(640, 360, 0.7)
-    for path in sorted((SHARED / "mocap").glob("*.npy")):
-        take = read_track(path)
-        count = track.count_frames(take, 30.0)
-        assert count == len(take.times), "30 Hz: a frame a sample"
-        stretch = track.resample_take(take, 30.0, count)
-        np.testing.assert_allclose(stretch.Ts, take.Ts, atol=1e-9)
-        states, _ = track.fit_states(stretch.states, take, body)
-        Ts = track.object_poses(body, stretch, states, take, UPRIGHT, camera, PRESETS["handheld"])
-        low, high = image_extent(Ts, states, body, camera)
-        assert low.min() > 0 and (high < [camera.width, camera.height]).all()
 
 
 # --- any object -------------------------------------------------------------------------------------------------------
@@ -559,19 +543,3 @@ def test_real_urdfs_are_loaded(name: str, tmp_path: Path) -> None:
     size = np.ptp(np.concatenate([side.surface.vertices for side in loaded.sides]), axis=0)
     assert loaded.joint.type == "revolute" and 0.1 < np.linalg.norm(size) < 0.6
     assert all(len(side.surface.faces) > 100 for side in loaded.sides)
-
-
-# --- kill -9 ----------------------------------------------------------------------------------------------------------
-
-
-def test_killed_the_recording_of_a_take_goes_on_to_the_same_bytes(case: Path, tmp_path: Path) -> None:
-    take = arctic(tmp_path / "a.npy", np.linspace(0, 2, 8), turn=0.03)
-    words = ["--kills", "2", "--kills-a-folder", "2", "--frames", "8", "--objects", str(case), "--track", str(take)]
-    done = run_python(ROOT / "tests" / "killed_recorder.py", tmp_path / "out", *words)
-    assert done.returncode == 0, done.stderr
-
-    def hashes(data: Path) -> dict[str, str]:
-        return {str(p.relative_to(data)): file_sha256(p) for p in sorted(data.rglob("*")) if not p.is_dir()}
-
-    whole = hashes(tmp_path / "out" / "whole" / "data")
-    assert len(whole) > 30 and hashes(tmp_path / "out" / "killed_0" / "data") == whole

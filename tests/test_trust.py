@@ -20,10 +20,7 @@ from freeart21.reconstruction import Reconstruction, Trust
 from freeart21.recording import Frame, Recording
 from freeart21.trust import _surface_off_video, judge, measure_motion, object_size
 from freeart21.view.diagnosis import warnings
-from generator import session
-from generator.motion import Plan
 from reconstruct.diagnostics import (
-    _nearest_rival_distance,
     other_motion_cost,
     rival_distance,
     type_residuals,
@@ -296,15 +293,6 @@ def test_a_third_motion_is_left_unexplained():
     assert shares[False] < 0.004 and shares[True] > 0.012, shares
 
 
-def test_each_part_follows_its_own_motion_only():
-    first, second, joint, (low, high) = OBJECTS["hinge"]
-    states = low + (high - low) * (0.5 - 0.5 * np.cos(np.linspace(0, 5, 20)))
-    evidence, estimate = film(first, second, joint, states)
-    Ts, rng = both_poses(estimate), np.random.default_rng(0)
-    body = body_points(evidence, estimate.labels, Ts[1], estimate.seen[:, 1])
-    assert (np.nanmedian(other_motion_cost(evidence, estimate, Ts, body, rng), 0) > 1).all()
-
-
 def test_a_round_part_follows_the_other_one_as_well():
     """A ball in a fork: how it turns itself cannot be seen, but for its paint; here it has none."""
     ball = trimesh.creation.icosphere(4, 0.08)
@@ -334,16 +322,6 @@ def test_a_fan_may_stand_a_wing_further_and_a_lid_may_not():
     evidence, estimate = filmed(pictures, clip.Ts, clip.states, clip.joint)
     lid = rival_distance(evidence, estimate, np.random.default_rng(0))
     assert np.mean(lid[np.isfinite(lid)] > 0) < 0.25
-
-
-def test_a_rival_lies_beyond_a_barrier():
-    states = np.linspace(-1, 1, 21)
-    own = np.minimum(20 * states**2, 2.0)
-    assert _nearest_rival_distance(own, states) == 0.0
-    assert _nearest_rival_distance(np.where(np.abs(states - 0.7) < 0.05, 0.2, own), states) == pytest.approx(0.7)
-    assert _nearest_rival_distance(np.full(21, 0.3), states) == 0.0, (
-        "where all states cost the same, smoothness decides"
-    )
 
 
 @pytest.mark.parametrize(
@@ -395,24 +373,6 @@ def test_the_benchmark_counts_wrong_and_doubted_answers():
     assert counts == [1, 1, 1, 1, 1]
     assert seen["axis_error_over_std"] == {"answers": 2, "median": 1.5, "most": 2.0}, "of right answers"
     assert bench.summary(rows)["held_out"]["right_sound"] == 1
-
-
-def test_a_staged_recording_moves_as_it_says():
-    plan = Plan(np.tile(np.eye(4), (40, 1, 1)), np.linspace(0, 1, 40), np.tile(np.eye(4), (40, 1, 1)))
-    tested = []
-
-    def plan_recording(loaded, settings, model=None):
-        tested.append(settings.frames)
-        return "camera", plan
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(session, "plan_recording", plan_recording)
-        video = bench.Video("v", "stapler", 1, frames=10, share=0.04, every=4)
-        with bench._staged(video):
-            _, changed = session.plan_recording(None, bench.RecordSettings(frames=10))
-        assert session.plan_recording is plan_recording, "and afterwards nothing is staged"
-    assert tested == [40] and len(changed.states) == 10
-    assert np.ptp(changed.states) == pytest.approx(0.04 * np.ptp(plan.states[::4]))
 
 
 # ---------------------------------------------------------------- the surfaces, drawn over the video
@@ -531,16 +491,3 @@ def test_a_wrong_joint_moves_the_surface_off_the_video(box_video):
     assert "off its surface" in surface_reasons(scene, wrong)["moving"]
     still = replace(answer, states=np.zeros(len(answer)))
     assert "off its surface" in surface_reasons(scene, still)["moving"]
-
-
-def test_the_benchmark_counts_spoilt_surfaces_that_are_doubted(box_video):
-    _, answer = box_video
-    size, mesh = object_size(answer), answer.articulation.moving
-    joint = answer.articulation.joint
-    spoilt = {name: spoil(mesh, size, joint) for name, spoil in bench.FAULTS.items()}
-    assert np.ptp(spoilt["a vertex at 65.5 m"].vertices[:, 2]) > 60
-    for name, share in [("half is missing", 0.6), ("all but 30 % is missing", 0.3), ("a tenth is missing", 0.9)]:
-        assert 0 < spoilt[name].areas().sum() <= share * mesh.areas().sum()
-    verdicts = {"a": "doubtful: why", "b": "sound", "c": "doubtful: why"}
-    counted = bench.counted_faults({f"{video}, moving, larger by 15 %": said for video, said in verdicts.items()})
-    assert counted["larger by 15 %"] == "2 of 3" and counted["half is missing"] == "0 of 0"
