@@ -17,11 +17,14 @@ from freeart21.files.result import write_result
 from freeart21.files.sequence import write_sequence
 from freeart21.files.truth import write_truth
 from freeart21.joint import Joint
-from leaderboard.protocols import PROTOCOLS, strict1, strict2
+from leaderboard.protocols import PROTOCOLS, protocol_named, strict1, strict2
 from leaderboard.protocols.strict1 import STRICT_1, Strict1
 from leaderboard.protocols.strict2 import STRICT_2
+from leaderboard.rows import Scores
 from leaderboard.score import score_results as score_in_processes
+from leaderboard.score import summarise
 from leaderboard.sequence_score import score_sequence
+from leaderboard.submission import read_submitted_method
 
 
 def few_samples(monkeypatch) -> None:
@@ -49,6 +52,15 @@ score_results = functools.partial(score_in_processes, limit_s=None)  # in this p
 
 def score_one(data, folder, name="a"):
     return score_sequence(folder, data / "sequences" / name, data / "truth" / name)
+
+
+def table_of(folder: Path, data: Path, protocol: str, facts: dict) -> Scores:
+    """The table of a method's results, scored in this process, of a benchmark of these facts."""
+    method, _ = read_submitted_method(folder)
+    places = [(folder / name, data / "sequences" / name, data / "truth" / name) for name in "abc"]
+    rows = tuple(score_sequence(*place, protocol, lacks=method.lacks) for place in places)
+    made_with = {"scoring": "1" * 64, "commit": "abc", "machine": {"system": "x"}, "libraries": {}}
+    return Scores(protocol, method, facts, rows, summarise(rows, protocol_named(protocol)), None, (), made_with)
 
 
 def submit(folder, truth, answer=None, renders=True):

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from engine_case import loader
+from refusal import assert_refused
 from test_check_asset import files_of
 from test_export import reconstruction
 
@@ -19,7 +20,6 @@ from export.maniskill.assets import find_asset
 from export.stated_trust import read_stated_trust
 from freeart21 import cli
 from freeart21.effects.armature import Armature
-from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.files.result import write_result
 from freeart21.reconstruction import Trust
@@ -68,7 +68,7 @@ def test_check_asset_fails_a_doubtful_asset_from_any_one_of_its_files(doubtful: 
         alone = tmp_path / name
         alone.write_bytes((doubtful / name).read_bytes())
         trust = read_stated_trust(alone, None)
-        assert trust is not None and trust.verdict == "doubtful" and "known to 12°" in trust.reasons[0]
+        assert trust.verdict == "doubtful" and "known to 12°" in trust.reasons[0]
 
 
 def test_a_repaired_asset_carries_the_doubt_on(doubtful: Path, tmp_path: Path):
@@ -115,8 +115,7 @@ def test_trust_that_is_no_verdict_is_refused_in_one_line(sound: Path, tmp_path: 
     ):
         (tmp_path / "asset.json").write_text(json.dumps(said | {"trust": wrong}))
         (tmp_path / "object.urdf").write_bytes((sound / "object.urdf").read_bytes())
-        with pytest.raises(FreeArtError, match=r"asset.json: .*trust"):
-            read_asset(tmp_path)
+        assert_refused(r"asset.json: .*trust", read_asset, tmp_path)
 
 
 def test_an_environment_warns_of_a_doubtful_asset(doubtful: Path, sound: Path):

@@ -6,10 +6,10 @@ import shutil
 from dataclasses import replace
 
 import pytest
+from refusal import assert_refused
 from score_files import score_results, submit, truths
 
 from freeart21.code import code_digest
-from freeart21.errors import FreeArtError
 from freeart21.files.result import Method, write_method, write_result
 from freeart21.reconstruction import Failure
 from leaderboard import cached, provenance
@@ -108,10 +108,8 @@ def test_a_folder_is_hashed_without_following_links_or_waiting_for_pipes(tmp_pat
     assert folder_sha256(folder) == before
     monkeypatch.setattr(provenance, "MAX_BYTES", 9)
     (folder / "large").write_text("0123456789")
-    with pytest.raises(FreeArtError, match="more than 9 bytes"):
-        folder_sha256(folder)
-    with pytest.raises(FreeArtError, match="is not a folder"):
-        folder_sha256(folder / "link")
+    assert_refused("more than 9 bytes", folder_sha256, folder)
+    assert_refused("is not a folder", folder_sha256, folder / "link")
 
 
 def test_the_fingerprint_of_the_scoring_code_is_of_what_scoring_uses():
@@ -188,8 +186,7 @@ def test_results_that_change_while_they_are_scored_are_not_cached(data, results,
         return replace(scores, rows=(replace(scores.rows[0], result_sha256="0" * 64), *scores.rows[1:]))
 
     monkeypatch.setattr(cached, "score_results", score)
-    with pytest.raises(FreeArtError, match="changed while it was scored"):
-        cached_scores(results, data, "strict-2", tmp_path / "keep")
+    assert_refused("changed while it was scored", cached_scores, results, data, "strict-2", tmp_path / "keep")
     assert not (tmp_path / "keep").exists()
 
 
@@ -197,11 +194,9 @@ def test_what_is_no_table_is_never_replaced(data, results, counted, tmp_path):
     path = tmp_path / "keep" / "mine.strict-2.json"
     path.parent.mkdir()
     path.write_text("{}")
-    with pytest.raises(FreeArtError, match="is no older table of scores"):
-        cached_scores(results, data, "strict-2", tmp_path / "keep")
+    assert_refused("is no older table of scores", cached_scores, results, data, "strict-2", tmp_path / "keep")
     assert path.read_text() == "{}" and counted == []
-    with pytest.raises(FreeArtError, match="lies in"):
-        cached_scores(results, data, "strict-2", data / "keep")
+    assert_refused("lies in", cached_scores, results, data, "strict-2", data / "keep")
 
 
 def test_a_cached_table_is_named_in_letters_that_every_disk_takes(tmp_path):
@@ -284,10 +279,8 @@ def _put(*place):
 )
 def test_a_table_that_is_wrong_is_refused_in_one_line(change, said, table):
     path, changed = table
-    with pytest.raises(FreeArtError) as refused:
-        read_scores(changed(change))
-    assert (said in str(refused.value) and str(path) in str(refused.value)) or said.startswith("unknown")
-    assert len(str(refused.value).splitlines()) == 1
+    line = assert_refused("", read_scores, changed(change))
+    assert (said in line and str(path) in line) or said.startswith("unknown")
 
 
 def test_a_table_of_hostile_bytes_is_refused_in_one_line(table):
@@ -304,11 +297,9 @@ def test_a_table_of_hostile_bytes_is_refused_in_one_line(table):
         whole.replace(b'"diagonal_m": ', b'"diagonal_m": 1' + b"0" * 400, 1),
     ):
         path.write_bytes(text)
-        with pytest.raises(FreeArtError) as refused:
-            read_scores(path)
-        assert len(str(refused.value)) < 1000 and str(refused.value).isprintable()
-    with pytest.raises(FreeArtError, match="is missing"):
-        read_scores(path.parent / "none.json")
+        line = assert_refused("", read_scores, path)
+        assert len(line) < 1000 and line.isprintable()
+    assert_refused("is missing", read_scores, path.parent / "none.json")
 
 
 def test_words_of_a_table_are_made_printable_and_short(table):

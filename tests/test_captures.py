@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
+from refusal import assert_refused
 
 from freeart21.errors import FreeArtError
 from freeart21.formats import third_party
@@ -156,8 +157,7 @@ def test_depth_has_stamps_of_its_own_as_in_tum(tmp_path: Path) -> None:
 def test_two_frames_of_one_time_are_refused(tmp_path: Path) -> None:
     for name in ("1.5", "1.50", "1.6"):
         write_frame(tmp_path / "lid", name)
-    with pytest.raises(FreeArtError, match=r"1\.5\.png and 1\.50\.png have one time stamp"):
-        read_rgbd_folder(tmp_path / "lid")
+    assert_refused(r"1\.5\.png and 1\.50\.png have one time stamp", read_rgbd_folder, tmp_path / "lid")
 
 
 def test_frames_with_other_names_go_by_their_numbers(tmp_path: Path) -> None:

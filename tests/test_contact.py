@@ -14,7 +14,6 @@ from solid_case import box, tray
 from test_check_asset import files_of
 from test_export import reconstruction
 
-from export import contact
 from export.contact import measure_contact_depth, measure_contact_fidelity, read_link_shapes
 from export.exporter import ExportSettings, export_result
 from export.placement import PlacementSettings
@@ -64,15 +63,6 @@ def test_a_sheet_can_be_touched():
     sheet = trimesh.Trimesh([[0, 0, 0], [0.3, 0, 0], [0.3, 0.5, 0], [0, 0.5, 0.0]], [[0, 1, 2], [0, 2, 3]])
     found = measure_contact_fidelity({"a": shapes(sheet)}, {"a": shapes(sheet)})["a"]
     assert found.worst < 1e-3 and found.outward < 1e-3
-
-
-def test_many_links_take_fewer_points_each(monkeypatch):
-    asked = []
-    measure = contact.sample_outer_surface
-    monkeypatch.setattr(contact, "sample_outer_surface", lambda mesh, count: asked.append(count) or measure(mesh, 200))
-    links = {str(k): shapes(trimesh.creation.box((0.1, 0.1, 0.1))) for k in range(40)}
-    assert len(measure_contact_fidelity(links, links)) == 40
-    assert set(asked) == {contact._MIN_POINTS}
 
 
 @pytest.mark.parametrize(

@@ -4,9 +4,9 @@ import subprocess
 import sys
 
 import pytest
+from refusal import assert_refused
 
 from freeart21 import doctor
-from freeart21.errors import FreeArtError
 
 
 @pytest.fixture
@@ -62,8 +62,7 @@ NO_X11 = (0, '{"import": "libX11.so.6: cannot open shared object file"}')
 def test_each_reason_for_no_rendering_has_its_fix(says, monkeypatch, sapien, vulkan, gpus, message):
     monkeypatch.setattr(doctor, "_nvidia", lambda: gpus)
     says[doctor._PROBE_SAPIEN], says[doctor._PROBE_VULKAN] = sapien, vulkan
-    with pytest.raises(FreeArtError, match=message):
-        doctor.require_rendering()
+    assert_refused(message, doctor.require_rendering)
 
 
 def test_opencv_with_windows_on_a_machine_without_screen(says, monkeypatch):

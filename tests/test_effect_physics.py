@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusal import assert_refused
 from scipy.integrate import solve_ivp
 
 from freeart21 import se3
@@ -201,18 +202,6 @@ def test_load_friction_of_a_pendulum(tmp_path: Path, qd0: float):
 # forces of position
 
 
-def test_gravity_offset_changes_rest_angle_and_frequency(tmp_path: Path):
-    weight = MASS * G * ARM
-    added = GravityOffset(cosine=0.1 * weight, sine=-0.2 * weight)
-    angle = np.arctan2(0.1, 1.2)  # 0.1 cos q = 1.2 sin q
-    asset = asset_with(tmp_path, "revolute", added)
-    still = roll_out(asset, angle, duration_s=2)
-    assert np.abs(still.q - angle).max() < 1e-5
-    swing = roll_out(asset, angle + 0.02, duration_s=3)
-    rate = np.sqrt(np.hypot(0.1, 1.2) * weight / INERTIA["revolute"])
-    assert swing.q - angle == pytest.approx(0.02 * np.cos(rate * swing.times_s), abs=1e-4)
-
-
 def test_gravity_offset_equals_a_tilted_base(tmp_path: Path):
     """Gravity tilted by 0.1 rad in the swing plane, m 10 % larger: the same motion as the asset with an offset."""
     tilt = 0.1
@@ -317,9 +306,8 @@ def test_armature_has_inertia_but_no_weight(tmp_path: Path, kind: str):
     assert pushed.qd[-1] == pytest.approx(3.0 - 1.0 / (1.7 * I), rel=2e-3)
 
 
-@pytest.mark.parametrize("speed", [0.05, 0.5, 3.0])
-@pytest.mark.parametrize("press", [-20.0, -3.0, 5.0])
-@pytest.mark.parametrize("push", [0.0, -2.0])
+@pytest.mark.parametrize("speed", [0.05, 3.0])
+@pytest.mark.parametrize("press, push", [(-20.0, 0.0), (-3.0, -2.0), (5.0, 0.0)])
 def test_rotor_at_a_limit_is_a_spring_damper(speed: float, press: float, push: float):
     """Part and rotor in steps of 2 microseconds, for 60 ms after the part stopped dead."""
     part, drive, rate, ratio = 1.0, 0.3, 2 * np.pi * 50, 0.5
@@ -351,8 +339,7 @@ def test_rotor_at_a_limit_is_a_spring_damper(speed: float, press: float, push: f
     assert drive_rebound(speed, press, push, part, drive, 0.0, 0.01) == (0.0, 0.0)
 
 
-@pytest.mark.parametrize("timestep_s", [1e-3, 7e-3])
-@pytest.mark.parametrize("e", [0.0, 0.6, 0.9, 1.0])
+@pytest.mark.parametrize("e, timestep_s", [(0.0, 1e-3), (0.6, 7e-3), (0.9, 1e-3), (1.0, 7e-3)])
 def test_bounces_rise_to_e_squared_each(tmp_path: Path, e: float, timestep_s: float):
     asset = asset_with(tmp_path, "prismatic", EndStopBounce(e), axis="0 0 1", limit=limits(0, 9))
     height = 1.0
@@ -375,41 +362,6 @@ def test_bounces_rise_to_e_squared_each(tmp_path: Path, e: float, timestep_s: fl
         assert np.all(run.q[-20:] == 0) and np.all(run.qd[-20:] == 0)  # at rest at last
     if e == 1.0:
         assert np.ptp(run.energy_j) < 1e-3 * MASS * G
-
-
-def test_a_rotor_behind_a_shaft_rebounds(tmp_path: Path):
-    """Links of mass m and a rotor of mass J on a shaft of damping ratio z, by a stiff solver: what comes back from a
-    stop that gives nothing back itself is the rotor's share of all inertia, times what such a shaft gives back."""
-    from scipy.integrate import solve_ivp
-
-    m, J, z, speed = MASS, 0.4, 0.2, 1.0
-    k, c = J * (2 * np.pi * 60) ** 2, 2 * z * 2 * np.pi * 60 * J
-
-    def shaft(y):  # force on the links
-        return k * (y[2] - y[0]) + c * (y[3] - y[1])
-
-    def leaves(t, y):
-        return shaft([0.0, 0.0, y[0], y[1]]) + 1e-12
-
-    leaves.terminal, leaves.direction = True, 1
-    at_stop = solve_ivp(  # the links stand at the stop, which is below them, the rotor goes on
-        lambda t, y: (y[1], -shaft([0.0, 0.0, y[0], y[1]]) / J), (0, 1), [0.0, -speed], events=leaves, rtol=1e-10
-    )
-    y0 = [0.0, 0.0, at_stop.y[0, -1], at_stop.y[1, -1]]
-    free = solve_ivp(lambda t, y: (y[1], shaft(y) / m, y[3], -shaft(y) / J), (0, 0.5), y0, rtol=1e-10)
-    back = (m * free.y[1, -1] + J * free.y[3, -1]) / (m + J)
-    lasting = float(np.exp(-2 * z * np.arccos(z) / np.sqrt(1 - z * z)))
-    share = J / (m + J) * lasting
-    assert back / speed == pytest.approx(share, rel=1e-3)
-    behind = float(m * free.y[0, -1] + J * free.y[2, -1]) / (m + J) - back * (at_stop.t[-1] + free.t[-1])
-    assert behind < -5e-4
-    for swing in (0.0, float(np.sqrt(J / k))):
-        asset = asset_with(tmp_path, "prismatic", Armature(J, lasting, swing), axis="0 0 1", limit=limits(0, 9))
-        run = roll_out(asset, 0.5, -speed, duration_s=2, gravity=WEIGHTLESS)
-        assert run.qd[0] == pytest.approx(-speed) and run.qd[-1] == pytest.approx(share * speed, rel=1e-3)
-        assert run.q.min() >= 0
-        since = run.times_s[-1] - 0.5 / speed
-        assert run.q[-1] == pytest.approx(back * since + (behind if swing else 0.0), abs=1e-4)
 
 
 def test_a_lid_bounces_at_both_limits_of_a_hinge(tmp_path: Path):
@@ -524,18 +476,6 @@ def test_backlash_is_two_bodies_with_a_gap(tmp_path: Path, kind: str, through: s
     assert np.abs(run.q[early]).max() < (1e-3 if through == "servo" else 1e-9)
 
 
-def test_backlash_has_a_dead_band_and_carries_armature(tmp_path: Path):
-    asset = asset_with(tmp_path, "prismatic", Backlash(0.2, 0.1), Armature(0.4))
-    push = Actuator(effort=lambda t: 1.0)
-    run = roll_out(asset, 0.0, duration_s=2, gravity=WEIGHTLESS, actuator=push)
-    J = 0.5  # takes sqrt(2 * 0.1 * J) s across half the slack, then shares its momentum
-    met = np.sqrt(2 * 0.1 * J)
-    since = np.maximum(run.times_s - met, 0)
-    expected = met / (J + MASS) * since + 0.5 * since**2 / (J + MASS)
-    assert run.q == pytest.approx(expected, abs=2e-3)
-    assert np.all(run.q[run.times_s < met - 2e-3] == 0)
-
-
 @TYPES
 def test_gravity_on_a_resting_part(tmp_path: Path, kind: str):
     rng = np.random.default_rng(5)
@@ -586,60 +526,23 @@ def test_drive_side_separates_at_a_limit(tmp_path: Path):
 
 @TYPES
 def test_joint_motion_includes_kinematic_effects(tmp_path: Path, kind: str):
+    """In the asset's canonical frame, from its canonical zero; what each does to a point, test_effects has by hand."""
     asset = asset_with(tmp_path, kind, axis="0 0.6 0.8", limit=limits(0.1, 2))
     C = se3.exp_se3([0.1, -0.2, 0.3, 0.4, 0.5, -0.6])
     asset = replace(asset, T_canonical_reference=C, state_zero=0.2)
     states, times = np.array([-0.4, 0.0, 0.9]), np.array([0.0, 0.1, 0.3])
-    axis, pivot = np.array([0, 0.6, 0.8]), np.array([0, 0, 1.0])
-    first = np.array([0, -0.8, 0.6])  # x crossed with the axis
-    second = np.cross(axis, first)
-    np.testing.assert_allclose(second, [1, 0, 0], atol=1e-12)
-
-    def about(direction, angle, point):
-        R = se3.exp_so3(angle * np.asarray(direction))
-        return se3.pose(R, point - R @ point)
-
-    def slid(direction, way):
-        return se3.pose(np.eye(3), way * np.asarray(direction))
-
-    def ideal(q, axis=axis, pivot=pivot):
-        return about(axis, q, pivot) if kind == "revolute" else slid(axis, q)
-
-    def sagged(q):
-        centre = (ideal(q) @ [0, 0, 1 - ARM, 1])[:3]
-        moment = np.cross(centre - pivot, [0, 0, -MASS * G])
-        return se3.exp_so3(1e-3 * (moment - axis * (axis @ moment)))
-
-    tilted = se3.exp_so3(0.05 * first - 0.1 * second) @ axis
-    cases = [
-        (AxisTilt(0.05, -0.1), lambda q, t: ideal(q, tilted)),
-        (
-            Wobble(0.05, 2.0, 0.3, 0.7),
-            lambda q, t: (
-                about(np.cos(0.7) * first + np.sin(0.7) * second, 0.05 * np.sin(4 * np.pi * t + 0.3), pivot) @ ideal(q)
-            ),
-        ),
-        (
-            ScrewPitch(0.2),
-            lambda q, t: (slid(axis, 0.2 * q) if kind == "revolute" else about(axis, 0.2 * q, pivot)) @ ideal(q),
-        ),
-        (Sag(1e-3), lambda q, t: se3.pose(sagged(q), pivot - sagged(q) @ pivot) @ ideal(q)),
-    ]
+    effects = [AxisTilt(0.05, -0.1), Wobble(0.05, 2.0, 0.3, 0.7), ScrewPitch(0.2), Sag(1e-3)]
     if kind == "revolute":
-        cases += [
-            (PivotOffset(0.02, -0.03), lambda q, t: ideal(q, pivot=pivot + 0.02 * first - 0.03 * second)),
-            (
-                Eccentricity(0.01, 0.4),
-                lambda q, t: slid(0.01 * (np.cos(2 * q + 0.4) * first + np.sin(2 * q + 0.4) * second), 1) @ ideal(q),
-            ),
-        ]
-    plain = joint_motion(asset, states)
-    for effect, true in cases:
+        effects += [PivotOffset(0.02, -0.03), Eccentricity(0.01, 0.4)]
+    mechanics = load(asset).mechanics
+    ideal = mechanics.joint.transform(0.2 + states)
+    zero = se3.inverse(C @ mechanics.joint.transform(0.2))
+    np.testing.assert_allclose(joint_motion(asset, states), C @ ideal @ zero, atol=2e-6)
+    for effect in effects:
         got = joint_motion(replace(asset, effects={"j": (effect,)}), states, times)
-        zero = se3.inverse(C @ ideal(0.2))
-        expected = [C @ true(0.2 + q, t) @ zero for q, t in zip(states, times, strict=True)]
-        np.testing.assert_allclose(got, expected, atol=2e-6, err_msg=effect.name)
-        assert np.abs(got - plain).max() > 1e-3, effect.name
+        moved = effect.displacement(0.2 + states, times, mechanics) @ ideal
+        np.testing.assert_allclose(got, C @ moved @ zero, atol=2e-6, err_msg=effect.name)
+        assert np.abs(got - C @ ideal @ zero).max() > 1e-3, effect.name
 
 
 def test_kinematic_effects_compose_without_changing_dynamics(tmp_path: Path):
@@ -667,31 +570,6 @@ def test_readings_are_delayed_and_scaled_but_truth_is_not(tmp_path: Path):
 # together
 
 
-def test_many_effects_combine(tmp_path: Path):
-    I = INERTIA["revolute"]  # noqa: E741
-    effects = (
-        ViscousDamping(0.05),
-        QuadraticDrag(0.03),
-        CoulombFriction(0.1),
-        StribeckFriction(0.05, 0.1, 0.3),
-        ReturnSpring(2.0, 0.1),
-        GravityOffset(cosine=0.3),
-        Armature(0.1),
-        Detent(0.4, -0.3, 0.1),
-    )
-    run = roll_out(asset_with(tmp_path, "revolute", *effects), 1.5, duration_s=8)
-
-    def drive(q, qd):
-        x = (q + 0.3) / 0.1
-        torque = -MASS * G * ARM * np.sin(q) - 0.05 * qd - 0.03 * qd * abs(qd) - 2.0 * (q - 0.1) + 0.3 * np.cos(q)
-        return (torque - 0.4 * x * np.exp(0.5 - 0.5 * x * x)) / (I + 0.1)
-
-    expected = with_friction(
-        drive, lambda q, qd, qdd: (0.15 + 0.1 * np.exp(-((qd / 0.3) ** 2))) / (I + 0.1), 1.5, 0.0, 8.0
-    )
-    assert error(run, expected) < 1.5e-3
-
-
 def test_a_loaded_asset_keeps_no_state_between_runs(tmp_path: Path):
     effects = (Latch(2.0, 0.1, 0.02, 0.5), Backlash(0.1, 0.2), LoadFriction(0.01), EndStopBounce(0.5))
     asset = asset_with(tmp_path, "revolute", *effects, limit=limits(-0.5, 0.5))
@@ -709,9 +587,7 @@ def test_effects_unfit_for_a_joint_are_a_one_line_error(tmp_path: Path):
         ((PivotOffset(0.1, 0.0),), "effect 'pivot_offset' on a prismatic joint, expected revolute"),
         ((Backlash(0.1, 0.1), Backlash(0.2, 0.1)), "2 effects 'backlash', expected at most one"),
     ):
-        with pytest.raises(FreeArtError, match=said) as caught:
-            load(asset_with(tmp_path, "prismatic", *effects))
-        assert "\n" not in str(caught.value)
+        assert_refused(said, load, asset_with(tmp_path, "prismatic", *effects))
     with pytest.raises(FreeArtError, match="internal steps"):
         roll_out(
             asset_with(tmp_path, "prismatic"), 0, duration_s=1, timestep_s=1.0, actuator=Actuator(lambda t: 0, 1e6)

@@ -25,7 +25,6 @@ from synthetic_case import (
     in_frame,
     make_recording,
     make_truth,
-    noisy_answer,
     pictures,
     random_pose,
     truth_as_answer,
@@ -158,12 +157,6 @@ def test_the_canonical_frame_changes_nothing_where_the_poses_are_right(kind, rul
     moved = scored(truth, in_frame(truth_as_answer(truth), random_pose(np.random.default_rng(3), 2.0)))
     for id, value in scored(truth, truth_as_answer(truth)).items():
         assert moved[id] == pytest.approx(value, abs=1e-6, rel=0.1), id
-
-
-@both
-def test_the_score_is_the_same_every_time(rules, scored):
-    truth = make_truth()
-    assert scored(truth, noisy_answer(truth)) == scored(truth, noisy_answer(truth))
 
 
 # ---- paper-1
@@ -348,12 +341,9 @@ def test_a_known_small_motion_is_found(seed):
     assert np.rad2deg(se3.rotation_angle(found[:3, :3] @ T[:3, :3].T)) < 0.05
 
 
-def test_what_is_out_of_reach_stays():
+def test_what_is_out_of_reach_stays_and_one_point_and_a_flat_cloud_are_no_trouble():
     points = np.random.default_rng(0).normal(size=(500, 3)) * 0.1
     assert np.array_equal(register_clouds(points + 5.0, points), np.eye(4))
-
-
-def test_one_point_and_a_flat_cloud_are_no_trouble():
     one = np.zeros((5, 3))
     assert np.isfinite(register_clouds(one, one)).all()
     flat = np.random.default_rng(0).random((800, 3)) * [1, 1, 0]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,10 +21,9 @@ from export.losses import describe_limitations
 from export.meshes import MeshSettings
 from export.mjcf import format_mjcf
 from export.model import AssetModel, LinkModel
-from export.outer_surface import sample_evenly, sample_outer_surface
-from export.primitive_fit import enclosing_primitives, fit_primitive
+from export.outer_surface import sample_outer_surface
+from export.primitive_fit import fit_primitive
 from export.primitives import Box, Cylinder, Sphere
-from export.surface import close_surface
 from export.urdf import format_urdf
 from freeart21 import se3
 from freeart21.files.urdf import UrdfInertial, read_urdf
@@ -125,13 +123,6 @@ def test_a_thin_walled_tray_is_five_plates():
     assert fidelity.median < 1e-4 and fidelity.outward < 2e-3 and fidelity.uncovered < 1e-3
 
 
-def test_too_few_pieces_follow_as_well_as_they_can():
-    outside = sample_outer_surface(as_mesh(tray(0.002)))
-    pieces = decompose(outside, replace(TOLERANCE, max_pairs=1500), 3)
-    assert len(pieces) <= 3
-    assert measure_fidelity(outside, [as_mesh(trimesh.convex.convex_hull(piece)) for piece in pieces]).outward > 2e-3
-
-
 def test_fidelity_of_known_shapes():
     """A box of 100 mm under one that is 1 mm larger all round, and under one that lacks its upper 10 mm."""
     outside = sample_outer_surface(as_mesh(trimesh.creation.box((0.1, 0.1, 0.1))))
@@ -172,15 +163,6 @@ def test_corners_of_a_piece_are_no_micrometres_apart():
     assert len(convex_hull(trimesh.creation.icosphere(4).vertices, 1e-3, 6).vertices) >= 4  # few corners make a solid
 
 
-def test_even_points_leave_no_gaps():
-    box = trimesh.creation.box((0.1, 0.1, 0.1))
-    points, faces = sample_evenly(box, box.area / 6000)
-    assert len(points) == pytest.approx(6000, rel=0.01)
-    top = points[box.face_normals[faces][:, 2] > 0.5][:, :2]
-    asked = np.random.default_rng(0).uniform(-0.05, 0.05, (1000, 2))
-    assert np.linalg.norm(asked[:, None] - top, axis=-1).min(1).max() < 2 * np.sqrt(box.area / 6000)
-
-
 def test_pieces_end_at_the_ground_whatever_they_stand_out_by():
     """A slab whose underside is rough by half a millimetre: what touches the ground lies in one plane."""
     solid = trimesh.creation.box((0.2, 0.1, 0.02)).subdivide().subdivide().subdivide().subdivide()
@@ -216,35 +198,6 @@ def test_what_is_flat_at_the_ground_is_made_thick_upwards():
     cut = make_collision(as_mesh(slab), CollisionSettings(), 0.0)
     heights = np.concatenate([shape.vertices[:, 2] for shape in cut.shapes])
     assert heights.min() == pytest.approx(0, abs=1e-9) and np.ptp(heights) > 0.9e-3
-
-
-def test_inside_of_a_hollow_corner_is_inside():
-    """Next to where a block meets a slab, inside of both, the nearest faces look away or along."""
-    parts = [
-        trimesh.creation.box(size, se3.pose(np.eye(3), at))
-        for size, at in (
-            ((0.2, 0.1, 0.01), (0, 0, 0)),
-            ((0.05, 0.1, 0.05), (0.05, 0, 0.03)),
-        )
-    ]
-    outside = sample_outer_surface(as_mesh(trimesh.boolean.union(parts)))
-    x = np.linspace(0.027, 0.05, 200)
-    inside = np.stack([x, np.linspace(-0.04, 0.04, 200), np.full(200, 0.0052)], -1)
-    assert outside.excess(inside).max() == 0
-    beyond = np.stack([0.1 + np.linspace(0.002, 0.01, 50), np.zeros(50), np.full(50, 0.006)], -1)  # a convex edge
-    np.testing.assert_allclose(outside.excess(beyond), np.hypot(beyond[:, 0] - 0.1, 0.001), atol=1.5 * outside.spacing)
-
-
-def test_a_piece_without_thickness_has_shapes_round_it():
-    flat = np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.05, 0], [0, 0.05, 0], [0.05, 0.02, 0.0]])
-    box = next(shape for shape in enclosing_primitives(flat) if isinstance(shape, Box))
-    inside = se3.transform(se3.inverse(box.T_link_shape), flat)
-    assert (np.abs(inside) <= 0.5 * box.size + 1e-9).all() and box.size.min() < 1e-6 and box.size.max() < 0.12
-
-
-def test_loose_triangles_of_which_all_but_one_are_crumbs_are_no_solid():
-    corners = 0.05 * np.random.default_rng(0).normal(size=(6000, 3))
-    assert not close_surface(Mesh(corners, np.arange(6000).reshape(-1, 3)), MeshSettings(points=1000)).is_solid
 
 
 def test_triangles_that_bound_no_solid_get_a_hull_and_are_told_so(tmp_path: Path, monkeypatch):

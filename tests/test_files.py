@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from refusal import assert_refused
 
 from freeart21 import se3
 from freeart21.articulation import Articulation
@@ -136,16 +137,12 @@ def test_depth_out_of_range_is_no_depth(sequence):
 
 
 def test_a_folder_that_is_not_a_sequence_and_wrong_frames_are_named(sequence, tmp_path):
-    with pytest.raises(FreeArtError, match="is not a sequence: it has no sequence.json"):
-        read_sequence(tmp_path)
-    with pytest.raises(FreeArtError, match="is not a folder"):
-        read_sequence(tmp_path / "nothing")
+    assert_refused("is not a sequence: it has no sequence.json", read_sequence, tmp_path)
+    assert_refused("is not a folder", read_sequence, tmp_path / "nothing")
     cv2.imwrite(str(sequence / "depth" / "00001.png"), np.ones((HEIGHT, WIDTH + 2), np.uint16))
-    with pytest.raises(FreeArtError, match="frame 1: depth is 34 x 24, expected 32 x 24"):
-        read_sequence(sequence).frame(1)
+    assert_refused("frame 1: depth is 34 x 24, expected 32 x 24", lambda: read_sequence(sequence).frame(1))
     (sequence / "depth" / "00002.png").unlink()
-    with pytest.raises(FreeArtError, match="frame 2 is missing: no depth/00002.png, expected 4 frames"):
-        read_sequence(sequence)
+    assert_refused("frame 2 is missing: no depth/00002.png, expected 4 frames", read_sequence, sequence)
 
 
 @pytest.mark.parametrize(
@@ -162,27 +159,15 @@ def test_a_folder_that_is_not_a_sequence_and_wrong_frames_are_named(sequence, tm
 )
 def test_a_bad_header_is_one_clear_line(sequence, change, message):
     edit(sequence / "sequence.json", **change)
-    with pytest.raises(FreeArtError, match=message) as error:
-        read_sequence(sequence)
-    assert "\n" not in str(error.value)
+    assert_refused(message, read_sequence, sequence)
 
 
-def test_broken_files_are_one_clear_line(sequence, result):
-    (sequence / "rgb" / "00000.png").write_bytes(b"no picture")
-    with pytest.raises(FreeArtError, match="00000.png is not a readable image"):
-        read_sequence(sequence).frame(0)
-    (sequence / "sequence.json").write_text("{")
-    with pytest.raises(FreeArtError, match="is not JSON"):
-        read_sequence(sequence)
-    (result / "poses.npz").write_bytes(b"PK no archive")
-    with pytest.raises(FreeArtError, match="poses.npz is not a readable .npz"):
-        read_result(result)
+def test_an_error_of_zlib_is_one_clear_line(result):
     np.savez_compressed(result / "poses.npz", T_camera_reference=np.arange(4000.0), T_camera_moving=POSES)
     garbled = bytearray((result / "poses.npz").read_bytes())
-    garbled[80:120] = b"\xff" * 40  # within the deflate stream: zlib's own error
+    garbled[80:120] = b"\xff" * 40  # within the deflate stream
     (result / "poses.npz").write_bytes(garbled)
-    with pytest.raises(FreeArtError, match="poses.npz is not a readable .npz"):
-        read_result(result)
+    assert_refused("poses.npz is not a readable .npz", read_result, result)
 
 
 def test_a_truth_round_trips(tmp_path):
@@ -226,10 +211,8 @@ def test_what_a_result_says_of_itself_round_trips(result):
 
 
 def test_an_answer_cannot_be_sound_for_reasons_of_doubt():
-    with pytest.raises(FreeArtError, match="'sound' with 1 reasons"):
-        Trust("sound", ("why",))
-    with pytest.raises(FreeArtError, match="expected sound or doubtful"):
-        Trust("certain")
+    assert_refused("'sound' with 1 reasons", Trust, "sound", ("why",))
+    assert_refused("expected sound or doubtful", Trust, "certain")
 
 
 def test_a_failure_round_trips_and_replaces_an_older_result(result):
@@ -264,27 +247,13 @@ def test_a_failure_round_trips_and_replaces_an_older_result(result):
 )
 def test_a_bad_prediction_is_one_clear_line(result, change, message):
     edit(result / "prediction.json", **change)
-    with pytest.raises(FreeArtError, match=message):
-        read_result(result)
+    assert_refused(message, read_result, result)
 
 
-MIRRORED = POSES * np.where(np.arange(4) == 0, -1, 1)
-
-
-@pytest.mark.parametrize(
-    "reference, moving, message",
-    [
-        (np.array([{"a": 1}]), POSES, "without pickled objects"),
-        (np.zeros(4000), POSES, "bytes, at most 3000 are read"),
-        (POSES, MIRRORED, r"Ts_camera_moving\[0\] is not a rigid pose"),
-    ],
-    ids=["pickle", "zip bomb", "mirrored"],
-)
-def test_bad_poses_are_refused(result, monkeypatch, reference, moving, message):
-    monkeypatch.setattr(checked, "MAX_ARRAY_BYTES", 3000)
-    np.savez_compressed(result / "poses.npz", T_camera_reference=reference, T_camera_moving=moving)
-    with pytest.raises(FreeArtError, match=message):
-        read_result(result)
+def test_a_mirrored_pose_is_refused(result):
+    mirrored = POSES * np.where(np.arange(4) == 0, -1, 1)
+    np.savez_compressed(result / "poses.npz", T_camera_reference=POSES, T_camera_moving=mirrored)
+    assert_refused(r"Ts_camera_moving\[0\] is not a rigid pose", read_result, result)
 
 
 def test_a_ply_round_trips_with_flags_and_without_colours(tmp_path):
@@ -306,19 +275,8 @@ def test_a_ply_of_another_program_is_read(tmp_path, encoding):
     assert mesh.areas().sum() == pytest.approx(6)
 
 
-@pytest.mark.parametrize(
-    "spoil", [lambda d: d[:-4], lambda d: b"obj" + d, lambda d: d.replace(b"face 3", b"face 3000000")]
-)
-def test_a_spoilt_ply_is_one_clear_line(tmp_path, spoil):
-    write_ply(tmp_path / "a.ply", TRIANGLES)
-    (tmp_path / "a.ply").write_bytes(spoil((tmp_path / "a.ply").read_bytes()))
-    with pytest.raises(FreeArtError, match="is not a readable PLY"):
-        read_ply(tmp_path / "a.ply")
-
-
 def test_faces_that_name_no_vertex_are_refused():
-    with pytest.raises(FreeArtError, match="name vertex 9, expected 0 to 2"):
-        Mesh(np.zeros((3, 3)), [[0, 1, 9]])
+    assert_refused("name vertex 9, expected 0 to 2", Mesh, np.zeros((3, 3)), [[0, 1, 9]])
 
 
 def test_a_folder_appears_whole_or_not_at_all(tmp_path):
@@ -339,8 +297,7 @@ def test_an_old_folder_survives_a_failed_replacement(tmp_path):
 
 
 def test_infinity_is_never_written_as_json(tmp_path):
-    with pytest.raises(FreeArtError, match="cannot write inf"):
-        atomic.write_json(tmp_path / "a.json", {"x": np.inf})
+    assert_refused("cannot write inf", atomic.write_json, tmp_path / "a.json", {"x": np.inf})
     assert not list(tmp_path.iterdir())
 
 
@@ -360,8 +317,7 @@ def test_a_benchmark_lists_every_file_with_its_hash(sequence, tmp_path):
 def test_a_benchmark_cannot_name_a_path_outside(tmp_path):
     header = {"schema": "freeart21/benchmark/1", "name": "a", "version": "1", "split": "public"}
     atomic.write_json(tmp_path / "benchmark.json", {**header, "sequences": ["../../secret"]})
-    with pytest.raises(FreeArtError, match="not a list of folder names"):
-        read_benchmark(tmp_path)
+    assert_refused("not a list of folder names", read_benchmark, tmp_path)
 
 
 def test_a_method_round_trips_and_has_a_name_without_a_file(tmp_path):
@@ -400,17 +356,6 @@ def test_an_asset_round_trips_with_effects_that_urdf_cannot_say(urdf):
     np.testing.assert_allclose(after.T_canonical_reference, POSES[0], atol=1e-12)
 
 
-def test_effects_that_contradict_the_urdf_or_are_of_another_one_are_refused(urdf):
-    write_asset_json(urdf.parent, Asset(urdf, "hinge", "base", "lid", effects={"hinge": (CoulombFriction(0.5),)}))
-    with pytest.raises(FreeArtError, match="joint 'hinge' has damping 0, but box.urdf has 0.03"):
-        read_asset(urdf.parent)
-    effects = {"hinge": (ViscousDamping(0.03), CoulombFriction(0.2))}
-    write_asset_json(urdf.parent, Asset(urdf, "hinge", "base", "lid", effects=effects))
-    urdf.write_text(URDF.replace("1.5", "1.6"))
-    with pytest.raises(FreeArtError, match="was written for another box.urdf"):
-        read_asset(urdf.parent)
-
-
 @pytest.mark.parametrize(
     "text, message",
     [
@@ -421,28 +366,20 @@ def test_effects_that_contradict_the_urdf_or_are_of_another_one_are_refused(urdf
 )
 def test_a_urdf_without_a_movable_joint(tmp_path, text, message):
     (tmp_path / "a.urdf").write_text(text)
-    with pytest.raises(FreeArtError, match=message):
-        find_movable_joint(tmp_path / "a.urdf")
+    assert_refused(message, find_movable_joint, tmp_path / "a.urdf")
 
 
 def test_an_unclear_choice_of_joint_lists_them(urdf):
-    with pytest.raises(
-        FreeArtError, match=r"no joint was named; movable joints: hinge \(revolute .* deg\), slide \(pris"
-    ):
-        read_asset(urdf)
-    with pytest.raises(FreeArtError, match=r"no movable joint 'lid'; movable joints: hinge \(.*\), slide \("):
-        read_asset(urdf, "lid")
+    assert_refused(r"no joint was named; movable joints: hinge \(revolute .* deg\), slide \(pris", read_asset, urdf)
+    assert_refused(r"no movable joint 'lid'; movable joints: hinge \(.*\), slide \(", read_asset, urdf, "lid")
 
 
 def test_an_asset_cannot_point_out_of_its_folder(urdf):
     write_asset_json(urdf.parent, Asset(urdf, "hinge", "base", "lid", effects=read_asset(urdf, "hinge").effects))
     edit(urdf.parent / "asset.json", urdf="../../etc/passwd")
-    with pytest.raises(FreeArtError, match="leads out of the folder"):
-        read_asset(urdf.parent)
+    assert_refused("leads out of the folder", read_asset, urdf.parent)
 
 
 def test_a_folder_that_is_no_asset(tmp_path):
-    with pytest.raises(FreeArtError, match="is not an asset"):
-        read_asset(tmp_path)
-    with pytest.raises(FreeArtError, match="does not exist"):
-        read_asset(tmp_path / "nothing")
+    assert_refused("is not an asset", read_asset, tmp_path)
+    assert_refused("does not exist", read_asset, tmp_path / "nothing")

@@ -13,8 +13,8 @@ import time
 from pathlib import Path
 
 import pytest
+from refusal import assert_refused
 
-from freeart21.errors import FreeArtError
 from freeart21.jobs import Job, read_jobs, run_jobs
 from freeart21.jobs.executors import Slurm
 from freeart21.jobs.ledger import Ledger
@@ -153,8 +153,7 @@ def test_a_call_returns_what_is_kept_and_what_it_raises_is_its_last_line(tmp_pat
     ],
 )
 def test_a_list_that_is_no_list_of_jobs_is_refused_before_anything_runs(tmp_path, jobs, said):
-    with pytest.raises(FreeArtError, match=said.replace("'", ".")):
-        run_jobs(tmp_path / "jobs", jobs)
+    assert_refused(said.replace("'", "."), run_jobs, tmp_path / "jobs", jobs)
     assert not (tmp_path / "jobs").exists()
 
 
@@ -162,26 +161,21 @@ def test_a_list_that_is_no_list_of_jobs_is_refused_before_anything_runs(tmp_path
 def test_a_file_of_jobs_is_checked(tmp_path, entry):
     path = tmp_path / "jobs.json"
     path.write_text(json.dumps({"schema": "freeart21/jobs/1", "jobs": [entry]}))
-    with pytest.raises(FreeArtError, match="job 0"):
-        read_jobs(path)
+    assert_refused("job 0", read_jobs, path)
 
 
 def test_an_unknown_executor_lists_the_known_and_slurm_says_what_it_lacks(tmp_path, monkeypatch):
-    with pytest.raises(FreeArtError, match="local, ray, slurm"):
-        run_jobs(tmp_path, [writing(0)], executor="cloud")
-    with pytest.raises(FreeArtError, match="0 workers"):
-        run_jobs(tmp_path, [writing(0)], 0)
+    assert_refused("local, ray, slurm", run_jobs, tmp_path, [writing(0)], executor="cloud")
+    assert_refused("0 workers", run_jobs, tmp_path, [writing(0)], 0)
     pytest.importorskip("submitit")
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(FreeArtError, match="no command sbatch"):
-        run_jobs(tmp_path, [writing(0)], executor="slurm")
+    assert_refused("no command sbatch", run_jobs, tmp_path, [writing(0)], executor="slurm")
 
 
 def test_two_runs_at_a_time_are_refused(tmp_path):
     with subprocess.Popen([sys.executable, "-c", RUN, str(tmp_path), "1", "local", "5"], env=ENVIRONMENT) as other:
         until(lambda: (tmp_path / ".jobs" / "begun" / "write" / "0.json").exists())
-        with pytest.raises(FreeArtError, match="another process runs jobs"):
-            run_jobs(tmp_path, chain(2))
+        assert_refused("another process runs jobs", run_jobs, tmp_path, chain(2))
         other.kill()
 
 

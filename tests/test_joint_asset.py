@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusal import assert_refused
 
 from export.joint_asset import JointNumbers, write_joint_asset
 from freeart21 import cli
@@ -103,8 +104,6 @@ def test_only_an_older_asset_of_a_few_numbers_is_replaced(tmp_path: Path, capsys
     assert "-0.2" in out.read_text() and capsys.readouterr().out.split() == [str(out), str(out)]
     mine = '<robot name="mine"/>'
     out.write_text(mine)
-    with pytest.raises(FreeArtError, match="lacks our mark"):
-        cli.joint_asset(out, 0.3, length=0.1)
+    assert_refused("lacks our mark", cli.joint_asset, out, 0.3, length=0.1)
     assert out.read_text() == mine
-    with pytest.raises(FreeArtError, match="expected the name of a URDF file"):
-        cli.joint_asset(tmp_path / "lid", 0.3, length=0.1)
+    assert_refused("expected the name of a URDF file", cli.joint_asset, tmp_path / "lid", 0.3, length=0.1)

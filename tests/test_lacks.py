@@ -56,10 +56,7 @@ SOME = [
     ("masks",),
     ("meshes",),
     ("renders",),
-    ("masks", "poses"),
-    ("states", "poses"),
     ("states", "poses", "masks", "renders"),
-    ("poses", "masks", "meshes", "renders"),
     PIECES,
 ]
 TOLD_APART = [lacks for lacks in SOME if not {"poses", "masks", "meshes"} <= {*lacks}]

@@ -120,18 +120,6 @@ def test_mujoco_keeps_and_loses_what_losses_md_says(tmp_path: Path, base):
     assert touching[1] == 0 and (touching[0] == 0) == (outcome(column, "parts") == losses.KEPT)
 
 
-@pytest.mark.parametrize("base", ["free", "fixed"])
-def test_yourdfpy_reads_either_base(tmp_path: Path, base):
-    yourdfpy = pytest.importorskip("yourdfpy")
-    write_case(tmp_path, "revolute", base=base)
-    urdf = yourdfpy.URDF.load(str(tmp_path / "object.urdf"))
-    assert (
-        urdf.validate()
-        and urdf.num_actuated_joints == 1
-        and urdf.base_link == ("world" if base == "fixed" else "reference")
-    )
-
-
 def test_a_repaired_asset_lists_the_added_effects(tmp_path: Path):
     asset = write_case(tmp_path / "a", "revolute", (ViscousDamping(0.01),))
     again = write_repaired(asset, (CoulombFriction(0.2), Armature(0.003)), tmp_path / "b")

@@ -9,7 +9,6 @@ from benchmarks.real_recordings import SHARED, recordings
 from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured
 from freeart21.formats.measured_series import SeriesSettings, measure_series
-from generator.simulate import roll_out
 
 SOURCES = {name: make for name, make in recordings().items() if name in ("multiarm", "bam_kp100", "bam_kp400", "dfki")}
 pytestmark = pytest.mark.skipif(not SOURCES, reason="recordings of others are not at hand")
@@ -32,25 +31,6 @@ def test_real_recordings_are_read_with_their_asset(name: str, sets: Path):
     assert any(run.held_out for run in measured.runs) and not all(run.held_out for run in measured.runs)
     assert all(np.isfinite(run.q).all() and len(run.q) > 100 for run in measured.runs)
     assert (measured.actuator is not None) == name.startswith("bam")
-
-
-def test_the_free_arm_swings_at_its_assets_frequency(sets: Path):
-    run = read_measured(sets / "multiarm" / "measured").runs[0]
-    asset = read_asset(sets / "multiarm" / "asset.urdf")
-    turns = np.flatnonzero(np.diff(np.sign(run.q)) > 0)
-    period = float(np.diff(run.times_s[turns])[-3:].mean())
-    amplitude = float(np.abs(run.q[turns[-2] : turns[-1]]).max())
-    alone = roll_out(asset, amplitude, duration_s=2.0)
-    crossings = np.flatnonzero(np.diff(np.sign(alone.q)) > 0)
-    assert float(np.diff(alone.times_s[crossings])[0]) == pytest.approx(period, rel=0.03)
-
-
-def test_a_disabled_servo_has_no_commands(sets: Path):
-    measured = read_measured(sets / "bam_kp100" / "measured")
-    free = [run for run in measured.runs if run.q_command is None]
-    assert len(free) == 1 and len(measured.runs) == 5
-    assert free[0].times_s[-1] - free[0].times_s[0] == pytest.approx(4.0, abs=0.5)  # let go for four seconds
-    assert measured.actuator is not None and 0.1 < measured.actuator.stiffness < 0.3
 
 
 COMMANDS = {  # files, required options, runs, rows a second

@@ -184,14 +184,6 @@ def test_distance_is_exact(faces):
     assert np.allclose(Surface(mesh).distance(points), slow_distance(points, corners), atol=1e-12)
 
 
-def test_distance_agrees_with_trimesh_on_a_closed_surface():
-    rng = np.random.default_rng(0)
-    made = trimesh.creation.torus(1.0, 0.3, major_sections=24, minor_sections=12)
-    points = rng.normal(size=(400, 3))
-    _, expected, _ = trimesh.proximity.closest_point_naive(made, points)
-    assert np.allclose(Surface(Mesh(made.vertices, made.faces)).distance(points), expected, atol=1e-9)
-
-
 def test_distance_keeps_its_digits_on_thin_triangles():
     thin = np.array([[[0, 0, 0], [1, 0, 0], [0.5, 1e-8, 0.0]], [[0, 0, 0], [1, 0, 0], [0.3, 0, -1e-10]]])
     mesh = Mesh(thin.reshape(-1, 3), np.arange(6).reshape(-1, 3))
@@ -205,13 +197,6 @@ def test_distance_at_most_is_the_smaller_of_the_two():
     surface = Surface(Mesh(ball.vertices, ball.faces))
     points, limit = rng.normal(size=(300, 3)) * 2, rng.random(300)
     assert np.array_equal(surface.distance(points, limit), np.minimum(surface.distance(points), limit))
-
-
-def test_many_points_are_measured_as_few_are():
-    ball = trimesh.creation.icosphere(subdivisions=2)
-    surface = Surface(Mesh(ball.vertices, ball.faces))
-    points = np.random.default_rng(0).normal(size=(40_000, 3))
-    assert np.array_equal(surface.distance(points)[::977], surface.distance(points[::977]))
 
 
 def test_samples_lie_on_the_surface_in_proportion_to_area():

@@ -15,6 +15,8 @@ from pathlib import Path
 
 import pytest
 from another_python import ROOT, run_python
+from refusal import assert_refused
+from stopped_commands import start, stop
 from synthetic_case import make_recording, make_truth, truth_as_answer
 
 from freeart21 import cli
@@ -27,7 +29,6 @@ from freeart21.files.sequence import write_sequence
 from freeart21.files.truth import write_truth
 from freeart21.files.verify import verify
 from freeart21.reconstruction import Failure
-from freeart21.view import write_page
 from generator import dataset
 from leaderboard import commands
 from reconstruct.settings import ReconstructSettings
@@ -44,20 +45,30 @@ def bytes_of(folder: Path) -> dict[str, bytes]:
     }
 
 
-@pytest.fixture
-def home(tmp_path: Path) -> Path:
+def write_home(folder: Path) -> Path:
     """A data folder of one sequence, the results of a method for it, and somebody's thesis."""
     truth = make_truth()
-    write_sequence(tmp_path / "data" / "sequences" / "a", make_recording(truth, "a"), 1e-4)
-    write_truth(tmp_path / "data" / "truth" / "a", truth, 2)
-    write_benchmark(tmp_path / "data", "d", "1", "public")
-    write_result(tmp_path / "results" / "ours" / "a", truth_as_answer(truth))
-    (tmp_path / "thesis").mkdir()
-    (tmp_path / "thesis" / "chapter1.tex").write_text("years of work")
-    (tmp_path / "thesis.pdf").write_bytes(b"%PDF years of work")
-    (tmp_path / "link").symlink_to(tmp_path / "thesis")
-    (tmp_path / "shortcut").symlink_to(tmp_path / "thesis.pdf")
-    return tmp_path
+    write_sequence(folder / "data" / "sequences" / "a", make_recording(truth, "a"), 1e-4)
+    write_truth(folder / "data" / "truth" / "a", truth, 2)
+    write_benchmark(folder / "data", "d", "1", "public")
+    write_result(folder / "results" / "ours" / "a", truth_as_answer(truth))
+    (folder / "thesis").mkdir()
+    (folder / "thesis" / "chapter1.tex").write_text("years of work")
+    (folder / "thesis.pdf").write_bytes(b"%PDF years of work")
+    (folder / "link").symlink_to(folder / "thesis")
+    (folder / "shortcut").symlink_to(folder / "thesis.pdf")
+    return folder
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Path:
+    return write_home(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def untouched(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same for tests that compare it before and after."""
+    return write_home(tmp_path_factory.mktemp("home"))
 
 
 COMMANDS: dict[str, Callable[[Path, Path], object]] = {
@@ -80,12 +91,12 @@ FILES = ("view", "score")
     "out",
     ["thesis", "thesis.pdf", "thesis.pdf/below", "link", "shortcut", "data/sequences/a", "data/sequences/new", "."],
 )
-def test_what_is_no_older_output_is_refused_and_left_as_it_is(home: Path, command: str, out: str) -> None:
-    before = bytes_of(home)
+def test_what_is_no_older_output_is_refused_and_left_as_it_is(untouched: Path, command: str, out: str) -> None:
+    before = bytes_of(untouched)
     with pytest.raises(FreeArtError) as caught:
-        COMMANDS[command](home, home / out)
-    assert "\n" not in str(caught.value) and str(home / out) in str(caught.value)
-    assert bytes_of(home) == before
+        COMMANDS[command](untouched, untouched / out)
+    assert "\n" not in str(caught.value) and str(untouched / out) in str(caught.value)
+    assert bytes_of(untouched) == before
 
 
 @pytest.mark.parametrize(
@@ -107,11 +118,11 @@ def test_what_is_no_older_output_is_refused_and_left_as_it_is(home: Path, comman
         ("score", "data/benchmark.json"),
     ],
 )
-def test_nothing_is_written_over_around_or_into_what_is_read(home: Path, command: str, out: str) -> None:
-    before = bytes_of(home)
+def test_nothing_is_written_over_around_or_into_what_is_read(untouched: Path, command: str, out: str) -> None:
+    before = bytes_of(untouched)
     with pytest.raises(FreeArtError):
-        COMMANDS[command](home, home / out)
-    assert bytes_of(home) == before
+        COMMANDS[command](untouched, untouched / out)
+    assert bytes_of(untouched) == before
 
 
 def test_nothing_is_written_into_a_folder_that_is_read_whatever_it_holds(tmp_path: Path) -> None:
@@ -128,8 +139,7 @@ def test_a_folder_that_may_not_be_written_is_one_line(home: Path, monkeypatch: p
     own = os.access
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != shut and own(path, mode))  # root may write all
     for name, command in COMMANDS.items():
-        with pytest.raises(FreeArtError, match="no permission to write"):
-            command(home, shut / "out" / ("x.json" if name in FILES else "x"))
+        assert_refused("no permission to write", command, home, shut / "out" / ("x.json" if name in FILES else "x"))
     assert not list(shut.iterdir())
 
 
@@ -154,13 +164,6 @@ def test_an_older_result_that_holds_something_of_the_users_is_kept(home: Path, n
     assert bytes_of(home) == before
 
 
-def test_a_link_in_an_older_result_is_something_of_the_users(home: Path) -> None:
-    result = home / "results" / "ours" / "a"
-    (result / "renders").symlink_to(home / "thesis")
-    with pytest.raises(FreeArtError, match="renders in it would be lost"):
-        write_result(result, Failure("tracks", "too dark"))
-
-
 def test_a_demo_is_known_file_by_file(tmp_path: Path) -> None:
     demo = tmp_path / "demo"
     (demo / "data").mkdir(parents=True)
@@ -168,27 +171,20 @@ def test_a_demo_is_known_file_by_file(tmp_path: Path) -> None:
     atomic.write_json(demo / "demo.json", {"schema": "freeart21/demo/1", "files": ["data/x.png"]})
     places.check_place(demo, places.DEMO)
     (demo / "data" / "y.png").write_text("added later")
-    with pytest.raises(FreeArtError, match=r"data/y\.png in it would be lost"):
-        places.check_place(demo, places.DEMO)
+    assert_refused(r"data/y\.png in it would be lost", places.check_place, demo, places.DEMO)
 
 
 def test_pages_and_tables_replace_only_their_like(home: Path) -> None:
+    write_result(home / "results/ours/a", Failure("tracks", "too dark"))
     page, table = home / "page.html", home / "scores.json"
     for _ in range(2):
-        write_page(home / "results/ours/a", page)
-    for _ in range(2):
-        commands.score(home / "results/ours", home / "data", out=table)
+        COMMANDS["view"](home, page)
+        COMMANDS["score"](home, table)
     assert json.loads(table.read_text())["schema"] == "freeart21/scores/2"
-    for one, other in ((page, table), (table, page)):
-        kept = one.read_bytes()
-        shutil.copy(one, other)
-        with pytest.raises(FreeArtError, match="exists and is no older"):
-            COMMANDS["score" if one is page else "view"](home, other)
-        assert other.read_bytes() == kept
-        write_page(home / "results/ours/a", home / "fresh.html")
-        shutil.copy(home / "fresh.html", page)
-        table.unlink()
-        commands.score(home / "results/ours", home / "data", out=table)
+    for command, like, other in (("score", table, page), ("view", page, table)):
+        copy = Path(shutil.copy(other, home / f"copy{like.suffix}"))
+        assert_refused("exists and is no older", COMMANDS[command], home, copy)
+        assert copy.read_bytes() == other.read_bytes()
 
 
 def test_what_changed_while_a_command_ran_is_seen_at_its_end(tmp_path: Path) -> None:
@@ -243,10 +239,9 @@ def test_a_second_writer_of_one_folder_is_refused_and_a_killed_one_leaves_no_loc
     first = subprocess.Popen(
         [sys.executable, "-c", HOLD, home / out], env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE
     )
-    assert first.stdout is not None and first.stdout.readline() == b"held\n"
+    assert first.stdout.readline() == b"held\n"
     try:
-        with pytest.raises(FreeArtError, match=f"another process is writing .*{out}; wait for it"):
-            COMMANDS[command](home, home / out)
+        assert_refused(f"another process is writing .*{out}; wait for it", COMMANDS[command], home, home / out)
     finally:
         first.send_signal(signal.SIGKILL)
         first.wait()
@@ -344,8 +339,7 @@ def test_settings_beyond_all_bounds_are_one_line(tmp_path: Path, changes: dict[s
 
 
 def test_a_demo_that_cannot_be_recorded_says_nothing_else(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(FreeArtError, match="cannot record 0 frames"):
-        cli.demo(out=tmp_path / "demo", frames=0)
+    assert_refused("cannot record 0 frames", cli.demo, out=tmp_path / "demo", frames=0)
     assert capsys.readouterr().out == "" and not list(tmp_path.iterdir())
 
 
@@ -462,11 +456,20 @@ def test_an_interrupt_arrives_whatever_became_of_it(tmp_path: Path, code: str) -
     assert time.monotonic() - began < 4
 
 
-def test_stopped_commands_leave_nothing_unfinished_and_resume(tmp_path: Path) -> None:
-    commands = ["record", "convert"]
-    script = ROOT / "tests" / "stopped_commands.py"
-    done = run_python(script, tmp_path, "--moments", "2", "--commands", *commands)
-    assert done.returncode == 0, done.stdout + done.stderr
-    moments = json.loads(done.stdout.splitlines()[-1])
-    assert [moment["wrong"] for moment in moments] == [[]] * (3 * len(commands)), moments
-    assert sum(moment.get("code") == 130 for moment in moments) >= 2
+SMALL = ["--width", "160", "--height", "120", "--queries", "2", "--shader", "trivial"]
+STOPPED = {  # seconds that it takes at most, arguments
+    "record": (9.0, ["record", "stapler", "--frames", "20", *SMALL, "--out", "data"]),
+    "convert": (2.5, ["convert", "../data/sequences/a", "--to", "official", "--out", "official"]),
+}
+
+
+@pytest.mark.parametrize("command", STOPPED)
+def test_a_stopped_command_leaves_nothing_unfinished_and_goes_on(home: Path, command: str) -> None:
+    longest, arguments = STOPPED[command]
+    stopped = []
+    for k, share in enumerate((0.2, 0.5)):
+        out = home / f"out{k}"
+        code, wrong = stop(arguments, out, share * longest, to_all=bool(k), twice=bool(k))
+        assert not wrong
+        stopped += [out] if code == 130 else []
+    assert stopped and start(arguments, stopped[-1]).wait() == 0

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusal import assert_refused
 from scipy.integrate import solve_ivp
 
 from freeart21.errors import FreeArtError
@@ -106,9 +107,8 @@ REFUSED = {
 def test_a_unit_that_nothing_tells_is_asked_for(what: str, tmp_path: Path):
     q, name, limits, why = REFUSED[what]
     urdf = asset(tmp_path, "revolute" if limits else "continuous", limits=limits)
-    with pytest.raises(FreeArtError, match=why) as refused:
-        measured(tmp_path, urdf, f"time,{name}", q, columns={"q": name})
-    assert f"column '{name}'" in str(refused.value) and "expected --unit-q rad or --unit-q deg" in str(refused.value)
+    line = assert_refused(why, measured, tmp_path, urdf, f"time,{name}", q, columns={"q": name})
+    assert f"column '{name}'" in line and "expected --unit-q rad or --unit-q deg" in line
     assert not (tmp_path / "out").exists()
 
 

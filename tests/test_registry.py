@@ -6,9 +6,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from refusal import assert_refused
 
 from freeart21.effects import EFFECTS, Effect
-from freeart21.errors import FreeArtError
 from freeart21.formats.convert import recording_layouts
 from freeart21.formats.third_party import RecordingLayout
 from freeart21.registry import find_classes, find_instances
@@ -133,6 +133,5 @@ def test_an_instance_of_a_stranger(stranger: Path, group: str, text: str, kind: 
 )
 def test_a_member_that_cannot_be_one_is_named(stranger: Path, text: str, message: str):
     install(stranger, "freeart21.effects", text)
-    with pytest.raises(FreeArtError, match="entry point freeart21.effects: own = stranger") as fault:
-        find_classes("freeart21.effects", Effect)
-    assert message in str(fault.value)
+    line = assert_refused("entry point freeart21.effects: own = stranger", find_classes, "freeart21.effects", Effect)
+    assert message in line

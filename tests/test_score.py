@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusal import assert_refused
 from rich.console import Console
 from score_files import (
     assert_penalised,
@@ -43,21 +44,13 @@ from leaderboard.tables import page_entries, print_scores, score_note
 KINDS = ("revolute", "prismatic")
 
 
-@pytest.fixture(autouse=True)
-def _few_samples_unless_whole_protocol(request):
-    if "whole_protocol" not in request.fixturenames:
-        request.getfixturevalue("few_samples")
-
-
-@pytest.fixture
-def whole_protocol():
-    return STRICT_2
+pytestmark = pytest.mark.usefixtures("few_samples")
 
 
 # ---- whole tables
 
 
-def test_the_truth_handed_in_is_perfect_and_the_table_complete(data, tmp_path, whole_protocol):
+def test_the_truth_handed_in_is_perfect_and_the_table_complete(data, tmp_path):
     for name, truth in truths().items():
         submit(tmp_path / name, truth)
     write_method(tmp_path, Method("oracle"))
@@ -67,7 +60,7 @@ def test_the_truth_handed_in_is_perfect_and_the_table_complete(data, tmp_path, w
     assert told == [replace(row, result_sha256=None, truth_sha256=None) for row in scores.rows]  # hashed at the end
     for row in scores.rows:
         assert row.status == "ok" and row.measured_from == "files" and row.notes == () and not row.swapped
-        for metric in whole_protocol.metrics:
+        for metric in STRICT_2.metrics:
             value = row.values[metric.id]
             if metric.id.startswith("position") and row.joint_type == "prismatic":
                 assert value is None
@@ -157,12 +150,9 @@ def test_tables_show_every_metric_and_flag_failures(data, tmp_path):
 def test_unknown_protocols_and_folders_are_one_clear_line(data, tmp_path):
     with pytest.raises(FreeArtError, match="'paper-9'; protocols: arena-1, itaco-1, paper-1, strict-1, strict-2"):
         score_results(tmp_path, data, "paper-9")
-    with pytest.raises(FreeArtError, match="not a folder of results"):
-        score_results(tmp_path / "nowhere", data)
-    with pytest.raises(FreeArtError, match="is not a benchmark"):
-        score_results(tmp_path, tmp_path)
-    with pytest.raises(FreeArtError, match="the result of one sequence"):
-        score_results(submit(tmp_path / "a", truths()["a"]), data)
+    assert_refused("not a folder of results", score_results, tmp_path / "nowhere", data)
+    assert_refused("is not a benchmark", score_results, tmp_path, tmp_path)
+    assert_refused("the result of one sequence", score_results, submit(tmp_path / "a", truths()["a"]), data)
     with pytest.raises(FreeArtError, match="unknown metric 'axis_err'; metrics of strict-1: joint_type, axis"):
         protocol_named("strict-1").metric("axis_err")
 
@@ -234,6 +224,7 @@ end_header
 BREAKS = {
     "has 15 states, expected 16": put_header(states=lambda states: states[:-1]),
     "entries that are not finite": put_header(states=lambda states: [*states[:2], float("nan"), *states[3:]]),
+    "seconds has a number beyond all floats": put_header(seconds=lambda seconds: {"x": 10**400}),
     "part_mask/00003.png is 3 x 2, expected 40 x 32": put_mask(3, (2, 3)),
     "part_mask/00005.png is missing": lambda folder: (folder / "part_mask" / "00005.png").unlink(),
     "is not a PNG image": put_bytes("part_mask/00000.png", b"x"),
@@ -266,12 +257,6 @@ def test_one_broken_picture_costs_that_picture(data, tmp_path):
     (folder / "renders" / "00001.png").write_bytes(checked.encode_png(np.zeros((4, 4, 3), np.uint8)))
     row = score_one(data, folder)
     assert row.status == "ok" and row.values["psnr"] == 50 and "4 x 4, expected 40 x 32" in row.notes[0]
-
-
-def test_seconds_that_are_no_number_are_unknown(data, tmp_path):
-    truth = truths()["a"]
-    answer = replace(truth_as_answer(truth), seconds={"tracks": float("nan")})
-    assert score_one(data, submit(tmp_path / "a", truth, answer)).seconds is None
 
 
 # ---- the joint, measured from the asset
@@ -351,36 +336,24 @@ def test_the_asset_keeps_up_with_exchanged_names_and_moved_frames(data, tmp_path
     assert a.values == pytest.approx(b.values, abs=1e-3)
 
 
-@pytest.mark.parametrize(
-    "broken, reason",
-    [
-        ("<robot", "is not XML"),
-        ("", "is not an asset"),
-        (
-            '<robot name="x"><link name="a"/><link name="b"/><joint name="j" type="fixed"><parent link="a"/>'
-            '<child link="b"/></joint></robot>',
-            "no movable joint",
-        ),
-        (
-            '<robot name="x"><link name="a"><visual><geometry><mesh filename="../../../secret.obj"/></geometry>'
-            '</visual></link><link name="b"/><joint name="j" type="revolute"><parent link="a"/><child link="b"/>'
-            '<axis xyz="0 0 1"/>'
-            '<limit lower="0" upper="1"/></joint></robot>',
-            "leads out of the folder",
-        ),
-        (
-            '<robot name="x"><link name="a"/><link name="b"/><joint name="j" type="revolute"><parent link="a"/>'
-            '<child link="b"/><axis xyz="0 0 1"/><limit lower="0" upper="0"/></joint></robot>',
-            "",
-        ),
-    ],
-)
-def test_an_asset_that_does_not_load_fails_and_nothing_steps_in_for_it(data, tmp_path, broken, reason):
+NO_ASSETS = {
+    "is not XML": lambda text: "<robot",
+    "no movable joint": lambda text: text.replace('type="revolute"', 'type="fixed"'),
+    "leads out of the folder": lambda text: text.replace("meshes/lid.ply", "../../../secret.ply"),
+    "": lambda text: text.replace('lower="-2.0" upper="2.0"', 'lower="0" upper="0"'),
+    "is not an asset": None,
+}
+"""Reason to what becomes of the URDF's text."""
+
+
+@pytest.mark.parametrize("reason", NO_ASSETS)
+def test_an_asset_that_does_not_load_fails_and_nothing_steps_in_for_it(data, tmp_path, reason):
     truth = truths()["a"]
-    folder = submit(tmp_path / "a", truth)
-    (folder / "asset").mkdir()
-    if broken:
-        (folder / "asset" / "made.urdf").write_text(broken)
+    folder = submit_with_asset(tmp_path / "a", truth)
+    urdf, change = folder / "asset" / "made.urdf", NO_ASSETS[reason]
+    for name in ("asset.json", "effects.json"):
+        (folder / "asset" / name).unlink(missing_ok=True)
+    urdf.write_text(change(urdf.read_text())) if change else urdf.unlink()
     row = score_one(data, folder)
     assert row.status == "failed" and row.reason.startswith("asset: ") and reason in row.reason
     assert row.measured_from == "nothing"
@@ -424,7 +397,5 @@ def test_a_motion_that_is_no_joint_is_refused():
     states = np.linspace(0, 1, 33)
     helix = Joint("j", "revolute", [0, 0, 1.0], np.zeros(3), 0, 1).transform(states)
     helix[:, 2, 3] += states
-    with pytest.raises(FreeArtError, match="neither hinge nor slider"):
-        fit_joint_to_motion("j", states, helix)
-    with pytest.raises(FreeArtError, match="does not move"):
-        fit_joint_to_motion("j", states, np.repeat(np.eye(4)[None], 33, 0))
+    assert_refused("neither hinge nor slider", fit_joint_to_motion, "j", states, helix)
+    assert_refused("does not move", fit_joint_to_motion, "j", states, np.repeat(np.eye(4)[None], 33, 0))

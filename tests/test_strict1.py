@@ -12,7 +12,6 @@ from synthetic_case import (
     pictures,
     random_answer,
     random_pose,
-    static_answer,
     truth_as_answer,
     with_joint,
     with_names_exchanged,
@@ -57,32 +56,6 @@ def test_the_truth_scores_perfect(kind):
     for id in UP:
         assert values[id] == pytest.approx(BEST[id], abs=1e-9), id
     assert ("position" in values) == (kind == "revolute")
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_static_answer_scores_badly(kind):
-    values = scored(make_truth(kind), static_answer(make_truth(kind)), [None, None])
-    assert values["axis"] > 30
-    assert values["miou"] < 0.5
-    assert values["pose_rotation"] > 20
-    assert values["state"] > (15 if kind == "revolute" else 10)
-    assert values["chamfer_w"] > 5
-    assert values["fscore"] < 0.5
-    assert values["psnr"] == 0
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("seed", range(4))
-def test_a_random_answer_scores_badly(kind, seed):
-    truth = make_truth(kind)
-    values = scored(truth, random_answer(truth, seed), [np.zeros_like(p) for p in pictures(truth)])
-    assert values["miou"] < 0.35
-    assert values["pose_rotation"] > 45
-    assert values["pose_translation"] > 50
-    assert values["state"] > (15 if kind == "revolute" else 50)
-    assert values["chamfer_w"] > 20
-    assert values["fscore"] < 0.1
-    assert values["psnr"] < 10
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -133,14 +106,6 @@ def test_another_state_zero_changes_nothing(kind, offset):
     )
     same(scored(truth, answer), scored(truth, shifted))
     same(scored(truth, answer), scored(truth, with_names_exchanged(shifted)))
-
-
-def test_a_state_offset_alone_changes_no_joint_figure():
-    truth = make_truth()
-    answer = noisy_answer(truth, 5)
-    a, b = scored(truth, answer), scored(truth, replace(answer, states=answer.states + np.pi))
-    for id in ("axis", "position", "state", "state_all", "pose_rotation", "miou"):
-        assert a[id] == pytest.approx(b[id], abs=1e-6), id
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -283,11 +248,6 @@ def test_an_answer_without_a_part_is_measured_where_it_can_be():
         assert values["chamfer_s"] < 1e-6 and values["chamfer_w"] > 0.1 and 0 < values["fscore"] < 1
     neither = scored(truth, with_parts(answer, empty, empty))
     assert not {"chamfer_w", "chamfer_m", "chamfer_s", "fscore"} & neither.keys()
-
-
-def test_the_score_does_not_depend_on_chance():
-    truth = make_truth()
-    assert scored(truth, noisy_answer(truth)) == scored(truth, noisy_answer(truth))
 
 
 def test_pictures_are_compared_inside_the_mask_only():

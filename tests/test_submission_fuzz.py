@@ -8,7 +8,6 @@ import zipfile
 import numpy as np
 import pytest
 
-from benchmarks import submission_fuzz
 from benchmarks.submission_fuzz import Fuzz
 from freeart21.errors import FreeArtError
 from leaderboard import archive
@@ -26,18 +25,6 @@ def test_forty_spoiled_submissions_are_refused_or_priced(fuzz):
     outcomes = [fuzz.run(i) for i in range(40)]
     assert not [o for o in outcomes if o.faults]
     assert len({o.mutation for o in outcomes}) > 20 and {o.status for o in outcomes} >= {"ok", "unreadable", "failed"}
-
-
-def test_a_scorer_that_is_fooled_is_found_out(fuzz, monkeypatch):
-    """What the forty are asked is no formality: a scorer without prices, or with an error, breaks its word."""
-    honest = fuzz.honest[True, False]
-    better = {id: value if value is None else value - 1 for id, value in honest.values.items()}
-    assert any(
-        fault.startswith("better: axis")
-        for fault in fuzz._better(submission_fuzz.replace(honest, values=better), honest)
-    )
-    monkeypatch.setattr(submission_fuzz, "score_results", lambda *_, **__: 1 / 0)
-    assert "ZeroDivisionError" in fuzz.run(0).faults[0]
 
 
 @pytest.mark.parametrize("path", ["part_mask/00006.png", "parts", "prediction.json", "renders"])

@@ -6,7 +6,7 @@ import trimesh
 
 from freeart21 import se3
 from freeart21.mesh import Mesh
-from leaderboard.surface import SMALLEST, Surface, _along_curve
+from leaderboard.surface import Surface
 
 
 def _rough(rng):
@@ -32,17 +32,3 @@ def test_a_point_among_others_gets_the_digits_that_it_gets_alone(make, limited):
     limits = rng.random(len(points)) * 0.01 if limited else np.full(len(points), np.inf)
     alone = [surface.distance(point[None], limit[None])[0] for point, limit in zip(points, limits, strict=True)]
     assert np.array_equal(surface.distance(points, limits), alone)
-
-
-@pytest.mark.parametrize("spoilt", [None, np.nan, np.inf, 1e300])
-def test_points_are_looked_at_along_the_curve_whatever_they_are(spoilt):
-    rng = np.random.default_rng(2)
-    points = rng.normal(size=(5000, 3)) * [1, 0.2, 3]
-    points[100:200] = points[0]  # of one cell: they keep their order
-    if spoilt is not None:
-        points[7, 1] = spoilt
-        assert sorted(_along_curve(points)) == list(range(len(points)))
-        return
-    cells = ((points - points.min(0)) / max(float(np.ptp(points, axis=0).max()), SMALLEST) * 1023).astype(int)
-    keys = [int("".join(f"{x:010b}"[k] + f"{y:010b}"[k] + f"{z:010b}"[k] for k in range(10)), 2) for x, y, z in cells]
-    assert np.array_equal(_along_curve(points), np.argsort(keys, kind="stable"))

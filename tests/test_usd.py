@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -187,68 +188,34 @@ def test_without_usd_core_one_line_says_what_to_install(tmp_path: Path, monkeypa
     assert not (tmp_path / "b.usdc").exists()
 
 
-def _edit_limit(stage):
-    stage.GetPrimAtPath("/bob/hinge").GetAttribute("physics:upperLimit").Set(2.5)  # rad where USD counts degrees
+def _set(prim: str, name: str, value: object) -> Callable:
+    return lambda stage: stage.GetPrimAtPath(f"/bob/{prim}").GetAttribute(name).Set(value)
 
 
-def _edit_axis(stage):
-    stage.GetPrimAtPath("/bob/hinge").GetAttribute("physics:axis").Set("Y")
-
-
-def _edit_pivot(stage):
-    stage.GetPrimAtPath("/bob/hinge").GetAttribute("physics:localPos0").Set((0.15, 0.02, 0.11))
-
-
-def _edit_mass(stage):
-    mass = stage.GetPrimAtPath("/bob/moving").GetAttribute("physics:mass")
-    mass.Set(1000 * mass.Get())
-
-
-def _edit_inertia(stage):
-    stage.GetPrimAtPath("/bob/moving").GetAttribute("physics:principalAxes").Set(_turned())
-
-
-def _turned():
+def _turn_inertia(stage) -> None:
     from pxr import Gf
 
-    return Gf.Quatf(float(np.sqrt(0.5)), float(np.sqrt(0.5)), 0.0, 0.0)
+    turned = Gf.Quatf(float(np.sqrt(0.5)), float(np.sqrt(0.5)), 0.0, 0.0)
+    stage.GetPrimAtPath("/bob/moving").GetAttribute("physics:principalAxes").Set(turned)
 
 
-def _edit_place(stage):
-    stage.GetPrimAtPath("/bob/moving").GetAttribute("xformOp:translate").Set((0.0, 0.0, 0.0))
-
-
-def _edit_sides(stage):
-    from pxr import UsdPhysics
-
-    UsdPhysics.Joint(stage.GetPrimAtPath("/bob/hinge")).GetBody1Rel().SetTargets(["/bob/reference"])
-
-
-def _edit_units(stage):
-    from pxr import UsdGeom
-
-    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
-
-
-def _remove_joint(stage):
-    stage.RemovePrim("/bob/hinge")
-
-
-def _name_another_layer(stage):
-    stage.GetRootLayer().subLayerPaths.append("/etc/passwd")
-
-
-EDITS = {
-    _edit_limit: "limits joint 'hinge'",
-    _edit_axis: "moves joint 'hinge'",
-    _edit_pivot: "moves joint 'hinge'",
-    _edit_mass: "gives 'moving' the mass",
-    _edit_inertia: "gives 'moving' the inertia",
-    _edit_place: "puts 'moving'",
-    _edit_sides: "has joint 'hinge' on ['reference']",
-    _edit_units: "counts in 0.01 m",
-    _remove_joint: "has no joint 'hinge'",
-    _name_another_layer: "names /etc/passwd",
+EDITS: dict[str, tuple[Callable, str]] = {
+    "rad where USD counts degrees": (_set("hinge", "physics:upperLimit", 2.5), "limits joint 'hinge'"),
+    "axis": (_set("hinge", "physics:axis", "Y"), "moves joint 'hinge'"),
+    "pivot": (_set("hinge", "physics:localPos0", (0.15, 0.02, 0.11)), "moves joint 'hinge'"),
+    "mass": (_set("moving", "physics:mass", 500.0), "gives 'moving' the mass"),
+    "inertia": (_turn_inertia, "gives 'moving' the inertia"),
+    "place": (_set("moving", "xformOp:translate", (0.0, 0.0, 0.0)), "puts 'moving'"),
+    "sides": (
+        lambda stage: stage.GetPrimAtPath("/bob/hinge").GetRelationship("physics:body1").SetTargets(["/bob/reference"]),
+        "has joint 'hinge' on ['reference']",
+    ),
+    "units": (lambda stage: stage.SetMetadata("metersPerUnit", 0.01), "counts in 0.01 m"),
+    "no joint": (lambda stage: stage.RemovePrim("/bob/hinge"), "has no joint 'hinge'"),
+    "another layer": (
+        lambda stage: stage.GetRootLayer().subLayerPaths.append("/etc/passwd"),
+        "names /etc/passwd",
+    ),
 }
 
 
@@ -273,10 +240,11 @@ def test_a_layer_read_back_says_what_the_urdf_says(tmp_path: Path, kind, base):
 def test_a_layer_that_says_another_thing_fails(tmp_path: Path, edit):
     write_case(tmp_path, "revolute")
     stage = opened(tmp_path)
-    edit(stage)
+    change, said = EDITS[edit]
+    change(stage)
     stage.GetRootLayer().Save()
     verdict, reason = said_of_usd(tmp_path)
-    assert verdict == "fail" and EDITS[edit] in reason
+    assert verdict == "fail" and said in reason
 
 
 @needs_usd

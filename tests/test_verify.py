@@ -5,17 +5,16 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from command_line import run_command
+from refusal import assert_refused
 
 from freeart21 import se3
-from freeart21.errors import FreeArtError
 from freeart21.files.benchmark import write_benchmark
 from freeart21.files.verify import verify
 from generator.dataset import plan_jobs, record_jobs
@@ -110,11 +109,9 @@ def test_a_link_in_place_of_a_file_is_found(data: Path, tmp_path: Path) -> None:
 
 
 def test_a_folder_without_or_with_a_broken_list_is_one_line(data: Path, tmp_path: Path) -> None:
-    with pytest.raises(FreeArtError, match="is not a benchmark"):
-        verify(tmp_path)
+    assert_refused("is not a benchmark", verify, tmp_path)
     change_json(data / "benchmark.json", lambda c: c.update(sha256=[]))
-    with pytest.raises(FreeArtError, match="'sha256' is list"):
-        verify(data)
+    assert_refused("'sha256' is list", verify, data)
 
 
 # --- what they say ----------------------------------------------------------------------------------------------------
@@ -211,18 +208,12 @@ def test_contents_that_do_not_fit_together_are_found(data: Path, fault: str) -> 
 # --- the command, and the deep look -----------------------------------------------------------------------------------
 
 
-def test_the_command_prints_a_line_a_finding_and_ends_with_1(data: Path) -> None:
-    def run() -> subprocess.CompletedProcess[str]:
-        code = "from freeart21.cli import main; main()"
-        return subprocess.run(
-            [sys.executable, "-c", code, "verify", str(data)], capture_output=True, text=True, check=False
-        )
-
-    done = run()
-    assert done.returncode == 0 and "1 sequences: all well" in done.stdout, done.stderr
+def test_the_command_prints_a_line_a_finding_and_ends_with_1(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run_command(capsys, "verify", data)
+    assert code == 0 and "1 sequences: all well" in out
     (data / SEQUENCE / "rgb" / "00000.png").unlink()
-    done = run()
-    assert done.returncode == 1 and "00000.png is missing" in done.stdout and "all well" not in done.stdout
+    code, out, _ = run_command(capsys, "verify", data)
+    assert code == 1 and "00000.png is missing" in out and "all well" not in out
 
 
 def _shift_all(arrays: dict[str, np.ndarray]) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from browser import CHROMIUM, Browser, browser
 from page_data import extract_array
+from refusal import assert_refused
 
 from freeart21 import se3
 from freeart21.articulation import Articulation
@@ -130,7 +131,7 @@ def test_a_page_holds_the_gaussians_of_a_result(tmp_path):
     spoilt = page(tmp_path / "result")
     assert "The Gaussians cannot be shown: " in spoilt and '"gaussians":null' in spoilt
     other = exchanged(result).appearance
-    assert other is not None and np.array_equal(other.part_weights, 1 - given.part_weights)
+    assert np.array_equal(other.part_weights, 1 - given.part_weights)
 
 
 def test_a_page_of_very_many_gaussians_keeps_those_that_cover_most():
@@ -222,7 +223,7 @@ def show(chrome: Browser, path: Path, scene: Scene, link: str) -> None:
 
 
 @needs_browser
-@pytest.mark.parametrize("terms", [None, 1, 4, 9, 16, 25])
+@pytest.mark.parametrize("terms", [None, 1, 25])
 def test_pixels_are_those_of_the_formulas(chrome, tmp_path, terms):
     """Through the video's camera in frame 2, at a state of the slider that is not that frame's."""
     given, state = made(150, light=terms), -0.35
@@ -331,11 +332,9 @@ def test_a_file_of_gaussians_is_a_page_of_its_own(tmp_path):
     with pytest.raises(FreeArtError, match="without a truth"):
         write_page(tmp_path / "chair.ply", tmp_path / "no.html", truth=tmp_path / "truth")
     write_gaussians(tmp_path / "none.ply", made(0, light=None))
-    with pytest.raises(FreeArtError, match="has no Gaussians"):
-        write_page(tmp_path / "none.ply", tmp_path / "no.html")
+    assert_refused("has no Gaussians", write_page, tmp_path / "none.ply", tmp_path / "no.html")
     (tmp_path / "mesh.ply").write_text("ply\nformat ascii 1.0\nend_header\n")
-    with pytest.raises(FreeArtError, match="mesh.ply"):
-        write_page(tmp_path / "mesh.ply", tmp_path / "no.html")
+    assert_refused("mesh.ply", write_page, tmp_path / "mesh.ply", tmp_path / "no.html")
     assert not (tmp_path / "no.html").exists()
 
 
@@ -344,11 +343,3 @@ def test_strays_do_not_coarsen_the_places_of_the_others():
     given = replace(given, means=np.concatenate([np.full((1, 3), 1e4, np.float32), given.means[1:]]))
     data = splat_data(SplatLayers(given, (0, 0), (0, 0)))
     assert data["means"]["dtype"] == "f32"
-
-
-@needs_browser
-def test_gaussians_alone_are_drawn(chrome, tmp_path):
-    write_gaussians(tmp_path / "gaussians.ply", made(80, light=9))
-    write_page(tmp_path / "gaussians.ply", tmp_path / "a.html")
-    chrome.open(f"{(tmp_path / 'a.html').resolve().as_uri()}", ready=SHOWN)
-    assert (shot(chrome).max(-1) > 40).mean() > 0.02 and not chrome.errors

@@ -2,9 +2,8 @@
 
 from pathlib import Path
 
-import pytest
+from refusal import assert_refused
 
-from freeart21.errors import FreeArtError
 from freeart21.view.losses import FILE, MAX_BYTES, losses_sections
 
 TEXT = """# What formats and engines lose of this asset
@@ -33,5 +32,4 @@ def test_each_table_is_a_section_and_the_rest_are_notes(tmp_path: Path) -> None:
 def test_without_the_file_there_is_nothing_and_a_huge_one_is_refused(tmp_path: Path) -> None:
     assert losses_sections(tmp_path) == []
     (tmp_path / FILE).write_text("x" * (MAX_BYTES + 1))
-    with pytest.raises(FreeArtError, match=FILE):
-        losses_sections(tmp_path)
+    assert_refused(FILE, losses_sections, tmp_path)
