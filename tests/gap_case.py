@@ -10,8 +10,12 @@ import numpy as np
 from numba import njit
 
 from freeart21.asset import Asset
+from freeart21.files.asset import read_asset
 from freeart21.measured import Interpolation, Measured, Run
 from freeart21.mechanics import Actuator
+from simgap.fit.problem import Problem, make_problem
+from simgap.measure.data import FitRun, make_fit_runs
+from simgap.models.surrogate import make_plant
 from simgap.prove.comparison import ReplayComparison, compare_replays
 from simgap.prove.replay import AssetOnDisk, Starts, asset_address, replay
 from simgap.verdict import RunGap
@@ -112,6 +116,13 @@ def measured_of(
     return Measured(
         "j", "revolute", np.array([0.0, 0.0, -G]), RATE, "recorded", None, actuator, *unsure, tuple(made), between
     )
+
+
+def problem_of(folder: Path, measured: Measured) -> tuple[Problem, tuple[FitRun, ...]]:
+    """What is fitted of the pendulum's asset to a measured set, and the runs."""
+    plant = make_plant(read_asset(asset_of(folder)), measured)
+    runs, noise = make_fit_runs(measured, plant)
+    return make_problem(plant, measured, runs, noise), runs
 
 
 def shown(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import errno
 import functools
@@ -10,12 +11,14 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from another_python import ROOT, run_python
+from test_jobs import processes
 
 from freeart21 import catalog
 from freeart21.effects.viscous_damping import ViscousDamping
@@ -26,6 +29,8 @@ from freeart21.files.hashes import file_sha256
 from freeart21.files.lock import acquire
 from freeart21.files.truth import read_truth
 from freeart21.files.verify import verify
+from freeart21.jobs import EXECUTORS
+from freeart21.jobs.executors import Local
 from generator import dataset, objects, session
 from generator.dataset import Job, official_names, plan_jobs, procedural_jobs, record_jobs
 from generator.session import RecordSettings
@@ -193,6 +198,53 @@ def test_a_fault_in_a_worker_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(FreeArtError, match="b: .*no movable joint 'lid'") as caught:
         record_jobs(tmp_path / "data", jobs, workers=2)
     assert "\n" not in str(caught.value) and not (tmp_path / "data" / dataset.WORK).exists()
+
+
+@pytest.fixture
+def elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(EXECUTORS, "elsewhere", Local)
+
+
+def test_jobs_of_an_executor_give_the_same_bytes_also_when_their_processes_are_killed(
+    whole: Path, tmp_path: Path, elsewhere: None
+) -> None:
+    jobs, data, heard = plan_jobs(["stapler", "flip_lighter"], SETTINGS), tmp_path / "data", []
+    over, killed = threading.Event(), []
+
+    def kill() -> None:
+        """Two of the jobs' processes, in the midst of their work."""
+        while not over.is_set() and len(killed) < 2:
+            work = data / ".recording"
+            for pid in processes("freeart21.jobs.worker"):
+                if pid not in killed and len(killed) < 2 and len(list(work.glob("*/side/*.png"))) > 2 * len(killed):
+                    killed.append(pid)
+                    with contextlib.suppress(ProcessLookupError):
+                        os.killpg(pid, signal.SIGKILL)
+            time.sleep(0.01)
+
+    thread = threading.Thread(target=kill)
+    thread.start()
+    try:
+        made = record_jobs(data, jobs, 2, on_done=heard.append, executor="elsewhere")
+    finally:
+        over.set()
+        thread.join()
+    assert killed and sorted(made) == sorted(heard) == ["flip_lighter-s0", "stapler-s0"]
+    assert hashes(data) == hashes(whole)
+    assert sorted(path.name for path in data.iterdir()) == ["benchmark.json", "sequences", "truth"]
+
+
+def test_what_a_job_cannot_do_is_one_line_and_nothing_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, elsewhere: None
+) -> None:
+    (job,) = plan_jobs(["stapler"], SETTINGS)
+    with pytest.raises(FreeArtError, match="unknown executor 'cloud'; executors: local, ray, slurm"):
+        record_jobs(tmp_path / "data", [job], executor="cloud")
+    monkeypatch.setenv("VK_ICD_FILENAMES", "/nonexistent.json")
+    monkeypatch.setattr("generator.dataset.require_rendering", lambda: None)  # here it would do; there it does not
+    with pytest.raises(FreeArtError):
+        record_jobs(tmp_path / "data", [job], executor="elsewhere")
+    assert not (tmp_path / "data").exists()
 
 
 # --- one writer, one plan ---------------------------------------------------------------------------------------------

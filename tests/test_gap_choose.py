@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from gap_case import INERTIA, asset_of, measured_of
+from gap_case import ARM, INERTIA, MASS, G, asset_of, measured_of, problem_of
 
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
 from simgap.fit.fit import Fit, Model, fit_model
-from simgap.fit.problem import make_problem
+from simgap.fit.problem import Problem, without_asset_error
 from simgap.fit.search import Search
-from simgap.measure.data import FitRun, make_fit_runs
-from simgap.models.surrogate import make_plant
+from simgap.measure.data import FitRun
 from simgap.select.choose import select_presliding
+from simgap.select.experiment import NO_EXPERIMENT, next_experiment
 from simgap.select.split import split_runs
 from simgap.settings import GapSettings
 from simgap.verdict import Verdict
@@ -36,11 +37,10 @@ def damped(tmp_path_factory: pytest.TempPathFactory) -> Verdict:
     return verdict(tmp_path_factory.mktemp("damped"), measured_of(11, viscous=0.12, power=0.98))
 
 
-def search_on(folder: Path, measured: Measured, upper: float = 3.0) -> Search:
+def search_on(folder: Path, measured: Measured) -> Search:
     """A search without effects on the first three runs."""
-    plant = make_plant(read_asset(asset_of(folder, upper=upper), "j"), measured)
-    runs, noise = make_fit_runs(measured, plant)
-    return Search(make_problem(plant, measured, runs, noise), runs[:3], ())
+    problem, runs = problem_of(folder, measured)
+    return Search(problem, runs[:3], ())
 
 
 def names(found: Verdict) -> set[str]:
@@ -109,9 +109,7 @@ def test_friction_without_presliding_is_fitted(tmp_path: Path):
     """A sticking joint under a varying command does not deflect: even the smallest presliding travel leaves most of
     what is left, which other effects would take."""
     measured = measured_of(8, dry=4.0, servo=True, exact=True, lean=0.0, runs=3)
-    plant = make_plant(read_asset(asset_of(tmp_path), "j"), measured)
-    runs, noise = make_fit_runs(measured, plant)
-    problem = make_problem(plant, measured, runs, noise)
+    problem, runs = problem_of(tmp_path, measured)
     model = Model(problem, ("coulomb_friction",))
     built = fit_model(model, runs, at(model, level=4.0, travel_root=0.1))
     assert (
@@ -121,10 +119,9 @@ def test_friction_without_presliding_is_fitted(tmp_path: Path):
     assert select_presliding(nearer, runs) is nearer
 
 
-@pytest.mark.parametrize("servo", [False, True])
-def test_a_notch_of_another_shape_is_one_notch(tmp_path: Path, servo: bool):
+def test_a_notch_of_another_shape_is_one_notch(tmp_path: Path):
     """Two lobes of bounded support, unlike a Gaussian: the remainder is not a second detent."""
-    found = verdict(tmp_path, measured_of(6, groove=0.6, centre=-0.2, width=0.1, servo=servo))
+    found = verdict(tmp_path, measured_of(6, groove=0.6, centre=-0.2, width=0.1, servo=True))
     assert (found.verdict, names(found), found.in_part) == ("named", {"detent"}, False)
     (notch,) = found.effects
     assert notch.effect.peak == pytest.approx(0.6, rel=0.15) and notch.effect.tail < 0.4
@@ -161,11 +158,9 @@ def test_drive_delay_and_clock_delay_are_rivals(tmp_path: Path):
     assert found.verdict == "ambiguous" and {("actuator_delay",), ("time_offset",)} <= set(found.rivals)
 
 
-@pytest.mark.parametrize("more", [{}, {"gain": 1.3, "dry": 0.5}])
-def test_backlash_of_a_servo_is_named(tmp_path: Path, more: dict[str, float]):
-    found = verdict(tmp_path, measured_of(31, servo=True, gears=0.15, **more))
-    also = {"actuator_gain", "coulomb_friction"} if more else set()
-    assert found.verdict == "named" and names(found) == {"gear_friction", *also}, found
+def test_friction_of_gears_is_named_beside_a_servo_s_gain_and_dry_friction(tmp_path: Path):
+    found = verdict(tmp_path, measured_of(31, servo=True, gears=0.15, gain=1.3, dry=0.5))
+    assert found.verdict == "named" and names(found) == {"gear_friction", "actuator_gain", "coulomb_friction"}, found
     gears = next(named for named in found.effects if named.effect.name == "gear_friction")
     assert gears.low["coefficient"] < 0.15 < gears.high["coefficient"]
     assert gears.effect.values()[0] == pytest.approx(0.15, rel=0.2)
@@ -224,7 +219,7 @@ def test_without_marks_runs_are_cross_validated(tmp_path: Path):
     measured = measured_of(18, marked=False, viscous=0.1, runs=3, seconds=3.0)
     found = verdict(tmp_path, measured)
     assert (found.verdict, names(found)) == ("named", {"viscous_damping"})
-    runs, _ = make_fit_runs(measured, make_plant(read_asset(asset_of(tmp_path), "j"), measured))
+    _, runs = problem_of(tmp_path, measured)
     folds = split_runs(runs).folds
     assert sorted(run.name for fold in folds for run in fold.test) == sorted(run.name for run in runs)
     assert all(not {r.name for r in fold.train} & {r.name for r in fold.test} for fold in folds)
@@ -253,3 +248,46 @@ def test_the_wrong_joint_is_a_one_line_error(tmp_path: Path):
         with pytest.raises(FreeArtError, match=said) as caught:
             find_gap(asset, replace(measured_of(0), **wrong))
         assert "\n" not in str(caught.value)
+
+
+def test_warming_damping_is_reported_but_not_named(tmp_path: Path):
+    """Runs of one session in which viscous damping falls from 0.2 to 0.11 N m s/rad."""
+    sessions = [measured_of(31, runs=8, viscous=b) for b in np.linspace(0.2, 0.11, 8)]
+    found = verdict(tmp_path, replace(sessions[0], runs=tuple(s.runs[i] for i, s in enumerate(sessions))))
+    assert found.verdict == "unexplained" and not found.effects
+    assert "a size that changes over the session" in found.sentence
+    told = re.search(r"viscous damping changes by (-\d+)%", found.sentence)
+    assert told is not None and -70 < float(told[1]) < -40, found.sentence  # of .155 in the middle .09 less
+    assert found.next_experiment is not None and "last ones first" in found.next_experiment
+
+
+# --- experiments, designed from what the rivals predict ---------------------------------------------------------------
+
+
+@pytest.fixture
+def problem(tmp_path: Path) -> Problem:
+    """A free pendulum without asset uncertainty."""
+    return without_asset_error(problem_of(tmp_path, measured_of(3, runs=2))[0])
+
+
+def fit(problem: Problem, name: str, *values: float) -> Fit:
+    """A fit of one effect with known parameters."""
+    model = Model(problem, (name,))
+    count = len(model.ranges())
+    assert count == len(values)
+    return Fit(model, np.array(values), {}, {}, 0.0, np.eye(count))
+
+
+def test_an_experiment_separates_all_rivals(problem: Problem):
+    """10 % more inertia swings as weaker gravity; a known push separates them, and both from damping."""
+    heavier = fit(problem, "armature", 0.1 * INERTIA)
+    weaker = fit(problem, "gravity_offset", 0.0, MASS * G * ARM / 11)
+    damped = fit(problem, "viscous_damping", 0.06)
+    assert next_experiment([heavier, weaker]).startswith("Push it to and fro with a known")
+    assert "the explanations then differ by at least" in next_experiment([heavier, weaker, damped])
+
+
+def test_rivals_that_no_experiment_separates_are_reported(problem: Problem):
+    damped, more = fit(problem, "viscous_damping", 0.06), fit(problem, "viscous_damping", 0.2)
+    assert next_experiment([damped, damped]) == NO_EXPERIMENT
+    assert "the first two explanations then differ by" in next_experiment([damped, more, damped])

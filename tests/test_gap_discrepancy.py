@@ -6,14 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gap_case import asset_of, measured_of
+from gap_case import measured_of, problem_of
 
-from freeart21.files.asset import read_asset
 from simgap.fit.fit import Fit, Model, fit_model, predict_readings, residuals_at
 from simgap.fit.guess import has_inactive_effect
-from simgap.fit.problem import make_problem
-from simgap.measure.data import FitRun, make_fit_runs
-from simgap.models.surrogate import make_plant
+from simgap.measure.data import FitRun
 from simgap.select.discrepancy import Discrepancy, _fit_ridge, find_discrepancies
 from simgap.select.hypotheses import evaluate_set
 from simgap.select.split import split_runs
@@ -22,10 +19,8 @@ from simgap.select.split import split_runs
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory: pytest.TempPathFactory) -> tuple[Fit, tuple[FitRun, ...]]:
     """The unchanged asset and runs that it explains, none marked held out."""
-    measured = measured_of(5, marked=False, exact=True)
-    plant = make_plant(read_asset(asset_of(tmp_path_factory.mktemp("asset")), "j"), measured)
-    runs, noise = make_fit_runs(measured, plant)
-    return fit_model(Model(make_problem(plant, measured, runs, noise), ()), runs), runs
+    problem, runs = problem_of(tmp_path_factory.mktemp("asset"), measured_of(5, marked=False, exact=True))
+    return fit_model(Model(problem, ()), runs), runs
 
 
 def found(fit: Fit, runs: tuple[FitRun, ...]) -> dict[str, Discrepancy]:

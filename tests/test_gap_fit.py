@@ -1,21 +1,24 @@
-"""Output-error fits: parameters are recovered with free initial states, and a superset fits no worse."""
+"""Output-error fits: parameters are recovered with free initial states, a superset fits no worse, shapes are found."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from gap_case import INERTIA, asset_of, measured_of
+from gap_case import INERTIA, measured_of, problem_of
 
+from freeart21.effects import EFFECTS
 from freeart21.effects.latch import Latch
-from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
 from simgap.fit.fit import (
     Model,
-    Problem,
+    ParameterMap,
     cut_stretches,
+    fit_from_small_effects,
     fit_model,
     linearise_runs,
     predict_readings,
@@ -23,23 +26,20 @@ from simgap.fit.fit import (
 )
 from simgap.fit.force_guess import guess_places, sample_missing_force
 from simgap.fit.least_squares import robust_loss, robust_weight
-from simgap.fit.problem import make_problem
+from simgap.fit.model import repeats_family
+from simgap.fit.parts import drop_poor_fits, extend_to_all, select_parts
 from simgap.fit.search import Search, list_candidates
-from simgap.measure.data import make_fit_runs
 from simgap.measure.noise import estimate_noise
-from simgap.models.surrogate import make_plant, simulate
+from simgap.models import kernel
+from simgap.models.surrogate import simulate
+from simgap.select.choose import choose_hypotheses
 from simgap.select.split import split_runs
-
-
-def problem(folder: Path, measured: Measured) -> tuple[Problem, tuple]:
-    plant = make_plant(read_asset(asset_of(folder), "j"), measured)
-    runs, noise = make_fit_runs(measured, plant)
-    return make_problem(plant, measured, runs, noise), runs
+from simgap.settings import GapSettings
 
 
 def test_hidden_parameters_are_recovered_with_free_initial_states(tmp_path: Path):
     measured = measured_of(1, viscous=0.12, exact=True)
-    setup, runs = problem(tmp_path, measured)
+    setup, runs = problem_of(tmp_path, measured)
     fit = fit_model(Model(setup, ("viscous_damping",)), runs, np.array([0.0, 0.05]))
     assert fit.effects[0].coefficient == pytest.approx(0.12, rel=0.01)
     assert max(fit.run_rms(run.name) for run in runs) < 1.1
@@ -51,7 +51,7 @@ def test_hidden_parameters_are_recovered_with_free_initial_states(tmp_path: Path
 
 def test_asset_uncertainty_is_fitted_within_bounds(tmp_path: Path):
     measured = measured_of(2, inertia=1.3 * INERTIA, seconds=4.0)
-    setup, runs = problem(tmp_path, measured)
+    setup, runs = problem_of(tmp_path, measured)
     fit = fit_model(Model(setup, ()), runs)
     names = [r.name for r in fit.model.ranges()]
     assert names == ["inertia", "gravity", "lean_1"]
@@ -62,7 +62,7 @@ def test_asset_uncertainty_is_fitted_within_bounds(tmp_path: Path):
 
 
 def test_a_held_out_run_fits_only_its_initial_state(tmp_path: Path):
-    setup, runs = problem(tmp_path, measured_of(3, viscous=0.12))
+    setup, runs = problem_of(tmp_path, measured_of(3, viscous=0.12))
     fit = fit_model(Model(setup, ("viscous_damping",)), runs[:3])
     there = refit_starts(fit, runs[3:])
     np.testing.assert_array_equal(there.theta, fit.theta)
@@ -73,7 +73,7 @@ def test_a_held_out_run_fits_only_its_initial_state(tmp_path: Path):
 
 
 def test_slopes_match_finite_differences(tmp_path: Path):
-    setup, runs = problem(tmp_path, measured_of(4, viscous=0.12, dry=0.05))
+    setup, runs = problem_of(tmp_path, measured_of(4, viscous=0.12, dry=0.05))
     model = Model(setup, ("coulomb_friction", "viscous_damping"), instant_friction=True)
     fit = fit_model(model, runs[:1], np.array([1.0, 1.0, 0.0, 0.05, 0.1]))
     _, starts, parameters = linearise_runs(fit, runs[:1])
@@ -88,7 +88,7 @@ def test_slopes_match_finite_differences(tmp_path: Path):
 
 
 def test_a_superset_of_effects_fits_no_worse(tmp_path: Path):
-    setup, runs = problem(tmp_path, measured_of(5, dry=0.1, drag=0.05))
+    setup, runs = problem_of(tmp_path, measured_of(5, dry=0.1, drag=0.05))
     train = split_runs(runs).folds[0].train
     search = Search(setup, train, list_candidates(setup, train))
     level = search.fit_singles()
@@ -126,7 +126,7 @@ def test_a_quantised_rest_does_not_hide_the_noise():
 
 
 def test_one_unreachable_segment_does_not_block_the_fit(tmp_path: Path):
-    setup, runs = problem(tmp_path, measured_of(3, viscous=0.12))
+    setup, runs = problem_of(tmp_path, measured_of(3, viscous=0.12))
     broken = replace(runs[0], name="broken", q=runs[0].q + np.where(runs[0].times_s > 1.0, 0.8, 0.0))
     model = Model(setup, ("viscous_damping",))
     cut = cut_stretches((*runs, broken), 1.5)
@@ -136,7 +136,7 @@ def test_one_unreachable_segment_does_not_block_the_fit(tmp_path: Path):
 
 def test_missing_force_locates_a_catch(tmp_path: Path):
     """Runs that stay inside it: a simulation without it leaves, so its gradient is uninformative."""
-    setup, runs = problem(tmp_path, measured_of(6, exact=True, seconds=4.0))
+    setup, runs = problem_of(tmp_path, measured_of(6, exact=True, seconds=4.0))
     catch, rng = Latch(9.0, 0.3, 0.12, 0.5), np.random.default_rng(6)
     starts = ((0.27, 0.3), (1.1, 0.0), (0.33, -0.2), (-0.9, 0.0), (0.34, 0.1))
     caught = tuple(
@@ -168,10 +168,101 @@ def test_run_cost_is_a_robust_likelihood():
 
 
 def test_one_diverging_run_moves_no_parameter(tmp_path: Path):
-    setup, runs = problem(tmp_path, measured_of(26, viscous=0.12, seconds=4.0))
+    setup, runs = problem_of(tmp_path, measured_of(26, viscous=0.12, seconds=4.0))
     model = Model(setup, ("viscous_damping",))
     astray = (replace(runs[0], q=runs[0].q + 0.4 * (runs[0].times_s > 2)), *runs[1:])
     right, held = fit_model(model, runs), fit_model(model, astray)
     spread = np.sqrt(np.diag(np.linalg.inv(right.normal)))
     assert np.abs((held.theta - right.theta) / spread).max() < 4
     assert held.run_rms(runs[0].name) > 50
+
+
+# --- long runs, searched on segments ----------------------------------------------------------------------------------
+
+
+def long_runs(seconds: float) -> Measured:
+    """Eight runs of a pendulum with viscous damping."""
+    return measured_of(3, runs=8, seconds=seconds, marked=False, viscous=0.06)
+
+
+def test_short_runs_are_searched_whole(tmp_path: Path):
+    problem, runs = problem_of(tmp_path, long_runs(4.0))
+    assert select_parts(problem, runs) is runs
+
+
+def test_a_search_on_segments_holds_on_whole_runs(tmp_path: Path):
+    problem, runs = problem_of(tmp_path, long_runs(60.0))
+    parts = select_parts(problem, runs)
+    duration = sum(float(part.times_s[-1] - part.times_s[0]) for part in parts)
+    assert duration == pytest.approx(100 * problem.crossing_s, rel=0.15)
+    assert duration < 0.5 * sum(float(run.times_s[-1] - run.times_s[0]) for run in runs)
+    for part in parts:
+        run = next(run for run in runs if part.name.split("#")[0] == run.name)
+        begin = int(part.name.split("#")[1])
+        np.testing.assert_array_equal(part.q, run.q[begin : begin + len(part.q)])
+    fit = extend_to_all(fit_from_small_effects(Model(problem, ("viscous_damping",)), parts), runs)
+    assert set(fit.residuals) == {run.name for run in runs} and fit.rms < 1.2
+    assert all(len(fit.residuals[run.name]) == len(run.q) for run in runs)
+    inertia = fit.values["asset", "inertia"]
+    assert fit.values["viscous_damping", "coefficient"] / inertia == pytest.approx(0.06, rel=0.12)
+
+
+def test_components_of_near_fits_are_near():
+    def fit(cost: float, *names: str) -> SimpleNamespace:
+        return SimpleNamespace(cost=cost, model=SimpleNamespace(names=names))
+
+    best, part, far, near = fit(10.0, "a", "b"), fit(900.0, "a"), fit(61.0, "c"), fit(59.0, "d")
+    assert drop_poor_fits([best, part, far, near], 6.0) == [best, part, near]
+
+
+# --- presliding friction, and forces and frictions of any shape over position -----------------------------------------
+
+HIDDEN = {
+    "presliding_friction": {"level": 0.15, "travel": 0.08},
+    "force_over_position": {f"force_{k + 1}": x for k, x in enumerate((-0.3, 0.1, 0.4, 0.5, 0.2, 0.3, 0.6, 0.1))},
+    "friction_over_position": {f"level_{k + 1}": 0.02 + 0.3 * (k in (2, 5)) for k in range(8)},
+}
+
+
+def test_presliding_friction_dissipates_only_sliding():
+    """Loss per cycle is 4 * level * (amplitude - travel), zero within the travel (Dupont et al. 2002)."""
+    law, remember, level, travel = *(getattr(EFFECTS["presliding_friction"], k) for k in ("law", "remember")), 0.3, 0.02
+    for amplitude, expected in ((0.1, 4 * 0.3 * 0.08), (0.019, 0.0)):
+        q = amplitude * np.sin(np.linspace(0, 4 * np.pi, 40_001))
+        anchor, work = remember(0.0, 0.0, level, travel), []
+        for a, b in pairwise(q):
+            work.append(-law(0.5 * (a + b), 0.0, 0.0, anchor, level, travel) * (b - a))
+            anchor = remember(b, anchor, level, travel)
+        assert sum(work[20_000:]) == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize(("name", "said"), list(zip(HIDDEN, [*list(HIDDEN)[:2], "coulomb_friction"], strict=True)))
+def test_a_shape_over_position_is_named(tmp_path: Path, name: str, said: str):
+    """Common effects come first: friction that varies with position is dry friction, in part."""
+    problem, runs = problem_of(tmp_path, measured_of(5, exact=True, marked=False))
+    model = Model(problem, (name,), instant_friction=True)
+    theta = np.array([HIDDEN[name].get(r.name, x) for r, x in zip(model.ranges(), model.neutral(), strict=True)])
+    true = fit_model(model, runs, theta, iterations=0)
+    rng = np.random.default_rng(0)
+    runs = tuple(replace(run, q=predict_readings(true, run) + run.sigma * rng.normal(size=len(run.q))) for run in runs)
+    split = split_runs(runs)
+    search = Search(problem, split.train_runs, list_candidates(problem, split.train_runs))
+    choice = choose_hypotheses(search, split.folds, GapSettings().judgement)
+    assert choice.accepted and choice.accepted[0].names == (said,) and choice.in_part == (said != name), choice
+    assert not any(repeats_family(names) for names in search.fits)
+
+
+def test_presliding_friction_starts_where_that_of_bearings_ends(tmp_path: Path):
+    """The effect's own travel starts where that of all dry friction ends."""
+    problem, _ = problem_of(tmp_path, measured_of(5, exact=True, marked=False))
+    model = Model(problem, ("coulomb_friction",))
+    theta = np.array([r.upper if r.name == "travel_root" else r.neutral for r in model.ranges()])
+    own = Model(model.problem, ("presliding_friction",)).ranges()
+    least = next(r.lower for r in own if (r.owner, r.name) == ("presliding_friction", "travel"))
+    assert least == pytest.approx(ParameterMap(model).vector(theta)[0][kernel.TRAVEL])
+
+
+def test_a_set_has_one_effect_of_a_family():
+    assert repeats_family(("coulomb_friction", "presliding_friction"))
+    assert repeats_family(("presliding_friction", "stribeck_friction", "viscous_damping"))
+    assert not repeats_family(("load_friction", "presliding_friction"))

@@ -83,12 +83,3 @@ def test_a_dominant_effect_is_named_in_part(tmp_path: Path):
     assert sizes["quadratic_drag"].values()[0] == pytest.approx(0.06, rel=0.2)
     assert "has no name" in found.sentence
     assert found.to_json("revolute")["in_part"] is True
-
-
-def test_asymmetric_friction_is_dry_friction_and_no_spring(tmp_path: Path):
-    """0.2 N m more in one direction: not in the library, but mostly dry friction of 0.25 N m."""
-    found = verdict(tmp_path, 5, dry=0.25, spring=0.02, rest=10.0, hardens=0.0, runs=6, seconds=6.0)
-    names = {name for names in found.rivals or [[n.effect.name for n in found.effects]] for name in names}
-    assert names <= {"coulomb_friction", "load_friction", "stribeck_friction"}, found
-    level = next(n.effect for n in found.effects).values()[0]
-    assert level == pytest.approx(0.25, rel=0.15) and "has no name" in found.sentence

@@ -26,7 +26,7 @@ from simgap.models.surrogate import make_plant
 from simgap.select.split import split_runs
 from simgap.workflow import find_gap, gap_folder, make_force_problem
 
-REAL = [name for name in ("directdrive_steady", "directdrive_slow", "directdrive_breakaway") if name in recordings()]
+REAL = [name for name in ("directdrive_steady", "directdrive_breakaway") if name in recordings()]
 
 
 @pytest.fixture(scope="module")
