@@ -1,6 +1,6 @@
 """Loads a PartNet-Mobility folder, real or written by `generator.partnet_writer`.
 
-Properties of such folders (each has a test, `test_quirk_NN_...`):
+Properties of such folders (`tests/test_partnet.py` loads folders with each of them):
 
 - Only mobility.urdf is read for geometry and joints: mobility_v2.json reverses some axes and uses degrees, and names
   and ids in semantics.txt and meta.json may differ. Other URDFs in the folder (ManiSkill's mobility_cvx,

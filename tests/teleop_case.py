@@ -240,7 +240,7 @@ class Started:
 
 
 @contextlib.contextmanager
-def started(out: Path, *more: str, name: str = "stapler") -> Iterator[Started]:
+def started(out: Path, *more: str, name: str = "flip_lighter") -> Iterator[Started]:
     """`freeart21 teleop NAME --out OUT --port 0` with small pictures, until the block ends."""
     environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
     command = [sys.executable, "-m", "freeart21", "teleop", name, "--out", str(out), "--port", "0", *SMALL, *more]

@@ -67,9 +67,9 @@ def one(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("at", [0, 4])
 def test_frames_that_were_kept_are_not_drawn_again(
-    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int
+    one: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int
 ) -> None:
-    jobs, data = plan_jobs(["stapler", "flip_lighter"], SETTINGS), tmp_path / "data"
+    jobs, data = plan_jobs(["flip_lighter"], SETTINGS), tmp_path / "data"
     drawn = []
     own = session.Session.film
 
@@ -87,37 +87,37 @@ def test_frames_that_were_kept_are_not_drawn_again(
     monkeypatch.setattr(session.Session, "film", stopping)
     with pytest.raises(KeyboardInterrupt):
         record_jobs(data, jobs)
-    kept = {p.name: p.stat().st_ino for p in data.glob(".recording/stapler-s0/sequence/depth/*.png")}
+    kept = {p.name: p.stat().st_ino for p in data.glob(".recording/flip_lighter-s0/sequence/depth/*.png")}
     assert set(kept) <= {f"{i:05d}.png" for i in range(at)} and len(kept) >= at - 1
     assert not (data / "benchmark.json").exists() and not (data / "sequences").exists()
     drawn.append(at)
-    assert record_jobs(data, jobs) == ["stapler-s0", "flip_lighter-s0"]
-    assert {n: (data / "sequences" / "stapler-s0" / "depth" / n).stat().st_ino for n in kept} == kept
-    assert hashes(data) == hashes(whole)
+    assert record_jobs(data, jobs) == ["flip_lighter-s0"]
+    assert {n: (data / "sequences" / "flip_lighter-s0" / "depth" / n).stat().st_ino for n in kept} == kept
+    assert hashes(data) == hashes(one)
 
 
-def test_a_kill_between_the_renames_is_repaired(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    jobs, data = plan_jobs(["stapler", "flip_lighter"], SETTINGS), tmp_path / "data"
+def test_a_kill_between_the_renames_is_repaired(one: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    jobs, data = plan_jobs(["flip_lighter"], SETTINGS), tmp_path / "data"
     rename = Path.replace
 
     def stopping(self: Path, target: Path) -> Path:
-        if Path(target) == data / "sequences" / "stapler-s0":
+        if Path(target) == data / "sequences" / "flip_lighter-s0":
             raise KeyboardInterrupt
         return rename(self, target)
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(Path, "replace", stopping)
         record_jobs(data, jobs)
-    assert (data / "truth" / "stapler-s0").is_dir() and not (data / "sequences" / "stapler-s0").exists()
+    assert (data / "truth" / "flip_lighter-s0").is_dir() and not (data / "sequences" / "flip_lighter-s0").exists()
     record_jobs(data, jobs)
-    assert hashes(data) == hashes(whole)
+    assert hashes(data) == hashes(one)
 
 
 @pytest.mark.parametrize("file", ["job.json", "benchmark.json"])
 def test_a_kill_while_a_file_of_the_data_set_is_written_is_repaired(
-    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str
+    one: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str
 ) -> None:
-    jobs, data = plan_jobs(["stapler", "flip_lighter"], SETTINGS), tmp_path / "data"
+    jobs, data = plan_jobs(["flip_lighter"], SETTINGS), tmp_path / "data"
     rename, unlink = Path.replace, Path.unlink
 
     def killed(self: Path, target: Path) -> Path:
@@ -133,7 +133,7 @@ def test_a_kill_while_a_file_of_the_data_set_is_written_is_repaired(
     monkeypatch.setattr(Path, "unlink", unlink)
     assert len(list(data.rglob(f".{file}.*"))) == 1
     record_jobs(data, jobs)
-    assert hashes(data) == hashes(whole)
+    assert hashes(data) == hashes(one)
 
 
 def test_a_kill_during_the_final_clean_up_is_repaired(whole: Path, tmp_path: Path) -> None:

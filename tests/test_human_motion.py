@@ -31,7 +31,7 @@ CAMERA = Camera.from_fov(640, 360, np.radians(40))
 MESHES = Mesh(*triangles(box((1, 1, 1)))), Mesh(*triangles(box((1, 1, 0.2), (0, 0, 0.62))))
 LID = Joint("lid", "revolute", np.array([0.0, 1, 0]), np.array([0.5, 0, 0.5]), 0.0, 1.4)
 BODY = Body.of(MESHES, LID)
-SEEDS = range(12)
+SEEDS = range(8)
 
 needs_tracks = pytest.mark.skipif(not (SHARED / "mocap").is_dir(), reason="captured motion is not on this machine")
 

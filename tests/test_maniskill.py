@@ -233,6 +233,25 @@ def test_an_episode_ends_when_it_was_told_to_or_never(chest):
 
 
 @needs_maniskill
+def test_the_checker_refuses_maniskills_own_environments_and_wrappers():
+    """Why it is given `GymnasiumWrapper`: when this fails, ManiSkill's own do."""
+    import gymnasium
+    from gymnasium.utils.env_checker import check_env
+    from mani_skill.utils.wrappers.gymnasium import CPUGymWrapper
+
+    env = gymnasium.make("PickCube-v1", obs_mode="state", sim_backend="cpu", render_backend="none")
+    for spec in env.spec, CPUGymWrapper(env).spec:
+        with pytest.raises(ValueError, match="cannot be recreated"):
+            gymnasium.make(spec)
+    with pytest.raises(AssertionError, match="reset function does not call"):
+        check_env(env.unwrapped, skip_render_check=True, skip_close_check=True)
+    gymnasium.Env.reset(env.unwrapped, seed=0)  # with a generator it is refused for its tensors of one environment
+    with pytest.raises((AssertionError, RuntimeError), match="ambiguous"):
+        check_env(env.unwrapped, skip_render_check=True, skip_close_check=True)
+    env.close()
+
+
+@needs_maniskill
 @pytest.mark.parametrize(
     "backend, screen, modes",
     [

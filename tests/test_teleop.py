@@ -28,13 +28,14 @@ from freeart21.camera import Camera
 from freeart21.catalog import built_in_names
 from freeart21.errors import FreeArtError
 from freeart21.files.take import read_take, sample_line, write_take
-from generator.motion.body import Body
+from generator.motion.body import UPRIGHT, Body
+from generator.scene import Scene
 from generator.session import RecordSettings, catalog_entry, load_object
-from generator.teleop import connections, gate, server, wire
+from generator.teleop import connections, gate, server, stage_process, wire
 from generator.teleop.clock import Clock
-from generator.teleop.driving import GAP_S, STEP_S, UNDO_S, Driving
+from generator.teleop.driving import GAP_S, STEP_S, UNDO_S, Driving, Placement
 from generator.teleop.limits import FILL, Workspace
-from generator.teleop.stage import Stage
+from generator.teleop.stage import Mark, Stage
 from generator.teleop.takes import Takes, write_new
 
 
@@ -353,6 +354,35 @@ def test_an_object_begins_in_the_middle_and_large(name: str, tmp_path: Path) -> 
     assert np.ptp(uv[:, 1]) / 360 == pytest.approx(FILL, abs=0.06) or np.ptp(uv[:, 0]) > 0.9 * 640
     depth = se3.transform(room.T_start, room.centre[None])[0, 2]
     assert room.nearest <= depth <= room.farthest and np.linalg.norm(room.T_start[:3, 3]) < room.reach
+
+
+def test_the_live_shader_shows_the_recorder_s_colours(tmp_path: Path) -> None:
+    loaded = load_object(catalog_entry("stapler", RecordSettings()), RecordSettings(), tmp_path)
+    camera = Camera.from_fov(96, 54, np.radians(40))
+    groups = [side.links for side in loaded.sides]
+    T = se3.pose(se3.exp_so3([0.4, 0.5, -0.2]) @ UPRIGHT, [0.0, 0.0, 0.3])
+    pictures = []
+    for shader in ("default", stage_process.SHADER):
+        scene = Scene(loaded.asset.urdf, groups, camera, 0.01, 3.0, shader)
+        scene.set_camera(Camera.from_fov(192, 108, np.radians(40)))
+        scene.shoot(T, {loaded.joint.name: 0.3})
+        assert scene.colour_and_cover().shape == (108, 192, 4)
+        scene.set_camera(camera)
+        scene.shoot(T, {loaded.joint.name: 0.3})
+        pictures.append(scene.colour_and_cover())
+    covered = pictures[0][..., 3] > 0
+    assert covered.sum() > 300 and (covered == (pictures[1][..., 3] > 0)).all()
+    assert np.abs(pictures[0] - pictures[1])[covered][:, :3].max() < 0.5 / 255
+
+
+def test_the_picture_s_border_has_the_page_s_colour() -> None:
+    for width, height in ((640, 360), (300, 640)):
+        background = stage_process.background(width, height)
+        for border in (background[0], background[-1], background[:, 0], background[:, -1]):
+            assert (np.abs(border.astype(int) - stage_process.EDGE) <= 1).all()
+    blue, green, red = stage_process.EDGE
+    style = (Path(stage_process.__file__).parent / "static" / "style.css").read_text()
+    assert f"--ground: #{red:02x}{green:02x}{blue:02x};" in style
 
 
 # --- who gets in ------------------------------------------------------------------------------------------------------
@@ -766,27 +796,25 @@ async def test_a_simulator_that_compiles_is_not_waited_for(monkeypatch: pytest.M
     assert stage.process.returncode == -signal.SIGKILL
 
 
-def test_a_simulator_that_dies_is_started_again_and_the_take_is_kept(tmp_path: Path) -> None:
-    async def drive(at: Any) -> None:
-        async with page(at.address, at.token) as one:
-            await one.status(ready=True)
-            await one.do("record")
-            await a_stretch(one, np.linspace(0, 0.4, 10))
-            await one.status(samples=10)
-            for child in Path(f"/proc/{at.process.pid}/task/{at.process.pid}/children").read_text().split():
-                os.kill(int(child), signal.SIGKILL)
-            await one.status(ready=False)
-            seen = len(one.pictures)
-            await one.status(ready=True)
-            await one.until(lambda: len(one.pictures) > seen, "pictures again")
-            await one.do("save")
-            await one.until(lambda: (tmp_path / "take.jsonl").exists(), "the take")
-
-    with started(tmp_path / "take.jsonl") as at:
-        run(drive(at))
-        code, said = at.stop()
-    assert code == 143 and "it is started again" in said
-    assert len(read_take(tmp_path / "take.jsonl").times) >= 10
+@in_a_loop
+async def test_a_simulator_that_dies_is_started_again_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = "struct.pack('<Id', 3, 0.0) + b'jpg'"
+    obedient = f"import struct, sys\nfor _ in sys.stdin: sys.stdout.buffer.write({answers}); sys.stdout.flush()"
+    monkeypatch.setattr("freeart21.child.command", lambda module: child.python(obedient))
+    stage, log = Stage({}, (64, 36), START), []
+    drawing = asyncio.create_task(stage.run(log.append))
+    for start in range(3):
+        while not (stage.ready and stage.last):
+            await asyncio.sleep(0.005)
+        assert stage.last.jpeg == b"jpg" and log == ["the simulator's process died; it is started again"] * start
+        stage.process.kill()
+        await stage.process.wait()
+        stage.last = None
+        stage.request(Placement(START.T, 0.1 * (start + 1)), Mark())
+        while stage.ready:
+            await asyncio.sleep(0.005)
+    with pytest.raises(FreeArtError, match="died 3 times"):
+        await drawing
 
 
 # --- replayed ---------------------------------------------------------------------------------------------------------

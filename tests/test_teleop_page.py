@@ -439,7 +439,7 @@ def test_it_fits_the_screen(chromium: Browser, at: Served, width: int, height: i
 
 
 def test_the_real_thing_is_driven_seen_and_recorded(chromium: Browser, tmp_path: Path) -> None:
-    with started(tmp_path / "take.jsonl") as real:
+    with started(tmp_path / "take.jsonl", name="stapler") as real:
         chromium.errors.clear()
         desk = Desk(chromium, real)
         colours = (
