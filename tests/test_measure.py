@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from synthetic_case import truth_as_answer
 from test_track import URDF
 
 from freeart21 import se3
@@ -18,6 +20,7 @@ from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured
+from freeart21.files.result import write_result
 from freeart21.files.truth import read_truth
 from generator.measure import TrackerNoise, measure_truths
 from generator.recorder import RecordSettings, record
@@ -158,16 +161,10 @@ def test_a_released_joint_has_effects_of_motion_only(tmp_path: Path):
 
 
 def test_a_result_becomes_one_run(tmp_path: Path, film: Path):
-    from freeart21.files.result import write_result
-    from freeart21.reconstruction import Reconstruction
-
-    truth, n = read_truth(film), 45
-    seen = np.ones((n, 2), bool)
-    seen[7] = False
-    masks = np.stack([truth.part_mask(i) for i in range(n)])
-    poses = truth.Ts_camera_reference, truth.Ts_camera_moving
-    result = tmp_path / "ours/seq"
-    write_result(result, Reconstruction(truth.articulation, truth.states, *poses, masks, seen))
+    truth = read_truth(film)
+    answer, result = truth_as_answer(truth), tmp_path / "ours/seq"
+    answer.seen[7] = False
+    write_result(result, answer)
     with pytest.raises(FreeArtError, match="has no asset; make one by `freeart21 export"):
         measure_result(result, tmp_path / "out", (0, 9.81, 0), 30.0)
     measure_truths([film], tmp_path / "truths")
@@ -186,15 +183,9 @@ def test_a_result_becomes_one_run(tmp_path: Path, film: Path):
 
 
 def test_a_moving_reference_part_is_a_one_line_error(tmp_path: Path, film: Path):
-    from freeart21.files.result import write_result
-    from freeart21.reconstruction import Reconstruction
-
-    truth, n = read_truth(film), 45
-    masks = np.stack([truth.part_mask(i) for i in range(n)])
-    poses = truth.Ts_camera_moving, truth.Ts_camera_reference
-    write_result(
-        tmp_path / "seq", Reconstruction(truth.articulation, truth.states, *poses, masks, np.ones((n, 2), bool))
-    )
+    answer = truth_as_answer(read_truth(film))
+    poses = {"Ts_camera_reference": answer.Ts_camera_moving, "Ts_camera_moving": answer.Ts_camera_reference}
+    write_result(tmp_path / "seq", replace(answer, **poses))
     measure_truths([film], tmp_path / "truths")
     shutil.copytree(tmp_path / "truths/asset", tmp_path / "seq/asset")
     with pytest.raises(FreeArtError, match="the one that stood still before the camera, expected that the reference"):

@@ -619,34 +619,12 @@ def test_the_choice_of_joints_is_listed_with_type_range_and_part(tmp_path: Path)
     [
         (_LID + _SLIDE.replace("0.5", "0.0") + _BODY, r"'joint_0' cannot move: its limits are \[0, 0\]"),
         (_LID + _SLIDE.replace("0.5", "-1") + _BODY, r"'joint_0' has limits \[0, -1\], expected lower <= upper"),
-        (_LID + _SLIDE.replace("0.5", "nan") + _BODY, "'joint_0' has upper 'nan', expected a finite number"),
-        (_LID + _SLIDE.replace("0 1 0", "0 nan 0") + _BODY, "has axis '0 nan 0', expected 3 finite numbers"),
-        (
-            _link("link_0", "textured_objs/b.obj", origin="0 0") + _SLIDE + _BODY,
-            "has xyz '0 0', expected 3 finite numbers",
-        ),
         (
             _link("link_0", "textured_objs/b.obj", scale=' scale="1 0 1"') + _SLIDE + _BODY,
             "scale .* expected none to be zero",
         ),
         (_link("link_0") + _SLIDE + _BODY, "no surface on the side of links link_0$"),
-        (_LID + _LID + _SLIDE + _BODY, "has link 'link_0' 2 times"),
-        (_SLIDE + _BODY, "joint 'joint_0' names link 'link_0'; links: base, link_9"),
         (_LID + _SLIDE + _BODY + _link("lost"), "has the root links base, lost, expected one"),
-        (
-            _LID + _SLIDE + _BODY + _joint("j", "fixed", "link_0", "base"),
-            "'link_0' is the child of both joints 'joint_0' and 'j'",
-        ),
-        (
-            _LID
-            + _SLIDE
-            + _BODY
-            + _link("x")
-            + _link("y")
-            + _joint("j", "fixed", "x", "y")
-            + _joint("k", "fixed", "y", "x"),
-            "form a loop at link 'x'",
-        ),
         (_link("link_0", "../../etc/b.obj") + _SLIDE + _BODY, "'../../etc/b.obj', which leads out of the folder"),
         (_link("link_0", "/etc/b.obj") + _SLIDE + _BODY, "the mesh '/etc/b.obj', expected a path inside"),
         (_link("link_0", "package://toy/b.obj") + _SLIDE + _BODY, "'package://toy/b.obj', expected a path inside"),
@@ -656,7 +634,6 @@ def test_the_choice_of_joints_is_listed_with_type_range_and_part(tmp_path: Path)
             _LID.replace('mesh filename="textured_objs/b.obj"', 'box size="1 1 1"') + _SLIDE + _BODY,
             "a visual that is not a mesh",
         ),
-        ("<link", "is not XML"),
     ],
 )
 def test_a_broken_urdf_is_refused_in_one_line(urdf: str, message: str, tmp_path: Path) -> None:

@@ -121,6 +121,8 @@ FAULTS = {
     r"joint 'hinge' has axis \[0.0, 0.0, 0.0\], expected a direction": ("0 3 4", "0 0 0"),
     "joint 'slide' has effort 'nan', expected a finite number": ('effort="7"', 'effort="nan"'),
     "link 'lid': a visual has size '1 2', expected 3": ('1 2 3"/></geom', '1 2"/></geom'),
+    "joint 'slide' names link 'lip'; links: lid, base, tip": ('<child link="tip"/>', '<child link="lip"/>'),
+    "its joints form a loop at link 'lid'": ('<parent link="base"/>', '<parent link="tip"/>'),
     "link 'tip' is the child of both joints": (
         "</robot>",
         '<joint name="again" type="fixed"><parent link="base"/><child link="tip"/></joint></robot>',

@@ -1,7 +1,9 @@
 """The rooms together: what is recorded, handed in, exported, reloaded and scored."""
 
-import numpy as np
+from dataclasses import replace
+
 import pytest
+from synthetic_case import truth_as_answer
 
 from export.collision import CollisionSettings
 from export.exporter import ExportSettings, export_result
@@ -9,7 +11,6 @@ from export.meshes import MeshSettings
 from freeart21.files.result import write_result
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
-from freeart21.reconstruction import Reconstruction
 from generator.recorder import RecordSettings, record
 from leaderboard.score import score_results
 
@@ -30,14 +31,7 @@ def test_a_recorded_truth_handed_in_and_reloaded_scores_perfect(name, tmp_path):
     data, results = tmp_path / "data", tmp_path / "results"
     sequence = record(name, data, SETTINGS)
     truth, recording = read_truth(data / "truth" / sequence), read_sequence(data / "sequences" / sequence)
-    answer = Reconstruction(
-        truth.articulation,
-        truth.states,
-        truth.Ts_camera_reference,
-        truth.Ts_camera_moving,
-        np.stack([truth.part_mask(i) for i in range(len(truth))]),
-        truth.seen > 0,
-    )
+    answer = replace(truth_as_answer(truth), seen=truth.seen > 0)
     write_result(results / sequence, answer, renders=[truth.query_rgb(i) for i in range(len(recording.queries))])
     export_result(results / sequence, results / sequence / "asset", ExportSettings(meshes=COARSE, collision=ROUGH))
     (row,) = score_results(results, data).rows
