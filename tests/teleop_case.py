@@ -230,6 +230,10 @@ class Started:
         return self.url.partition("/?")[0]
 
     @property
+    def port(self) -> int:
+        return int(self.address.rpartition(":")[2])
+
+    @property
     def token(self) -> str:
         return self.url.partition("token=")[2]
 

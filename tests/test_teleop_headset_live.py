@@ -5,15 +5,11 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import http.client
-import os
 import socket
 import ssl
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from urllib.parse import urlsplit
 
 import headset_rig
 import numpy as np
@@ -27,85 +23,54 @@ from freeart21.files.truth import read_truth
 from freeart21.one_euro import PoseFilter, headset_filter
 from generator.recorder import RecordSettings, record
 
-for _needed in ("aiohttp", "cryptography", "qrcode"):
-    pytest.importorskip(_needed, reason="the extra teleop is not installed")
+pytest.importorskip("aiohttp", reason="the extra teleop is not installed")
+pytest.importorskip("cryptography", reason="the extra teleop is not installed")
+pytest.importorskip("qrcode", reason="the extra teleop is not installed")
+
+from teleop_case import PATIENCE_S, Started, started
+
 needs_headset = pytest.mark.skipif(not headset_rig.HAS_IWER, reason="needs Chromium and iwer, see CONTRIBUTING.md")
-PATIENCE_S = 600.0
 HEADSET = headset_filter("revolute")
 
 
-@dataclasses.dataclass
-class Served:
-    """A server of ours."""
-
-    address: str
-    port: int
-    token: str
-    out: Path
-    state: Path
-    log: Path
-
-    def client(self) -> ssl.SSLContext:
-        """What believes this server's certificate alone."""
-        text = (self.state / "freeart21" / "teleop" / "key-and-certificate.pem").read_text()
-        return ssl.create_default_context(cadata=text[text.index("-----BEGIN CERTIFICATE") :])
-
-    def status(self, path: str, name: str = "127.0.0.1") -> int:
-        """What a request for `path` gets, TLS checked."""
-        connection = http.client.HTTPSConnection(name, self.port, context=self.client(), timeout=PATIENCE_S)
-        connection.request("GET", path)
-        return connection.getresponse().status
+@pytest.fixture
+def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Started]:
+    """The real command for other machines, its takes in tmp_path/takes."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    with started(tmp_path / "takes" / "take.jsonl", "--host", "0.0.0.0", name="stapler") as at:
+        assert at.url.startswith("https://")
+        yield at
 
 
-@pytest.fixture(scope="module")
-def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    folder = tmp_path_factory.mktemp("teleop")
-    state, out, log = folder / "state", folder / "takes" / "take.jsonl", folder / "log"
-    command = [sys.executable, "-m", "freeart21", "teleop", "stapler", "--out", str(out)]
-    with log.open("w") as to:
-        process = subprocess.Popen(
-            [*command, "--host", "0.0.0.0", "--port", "0", "--width", "320", "--height", "180"],
-            stdout=subprocess.PIPE,
-            stderr=to,
-            text=True,
-            cwd=headset_rig.ROOT,
-            env={**os.environ, "XDG_STATE_HOME": str(state)},
-        )
-    try:
-        assert process.stdout is not None
-        address = process.stdout.readline().strip()
-        assert address.startswith("https://"), log.read_text()
-        parts = urlsplit(address)
-        assert parts.port is not None
-        yield Served(address, parts.port, parts.query.removeprefix("token="), out, state, log)
-    finally:
-        process.terminate()
-        process.wait(PATIENCE_S)
-
-
-def test_beyond_this_machine_it_is_https_with_its_own_names_and_the_printed_fingerprint(served: Served) -> None:
+def test_beyond_this_machine_it_is_https_with_its_own_names_and_the_printed_fingerprint(
+    server: Started, tmp_path: Path
+) -> None:
+    stored = (tmp_path / "state" / "freeart21" / "teleop" / "key-and-certificate.pem").read_text()
+    client = ssl.create_default_context(cadata=stored[stored.index("-----BEGIN CERTIFICATE") :])  # trusts it alone
     with (
-        socket.create_connection(("127.0.0.1", served.port), 20) as raw,
-        served.client().wrap_socket(raw, server_hostname="localhost") as secure,
+        socket.create_connection(("127.0.0.1", server.port), 20) as raw,
+        client.wrap_socket(raw, server_hostname="localhost") as secure,
     ):
         digest = hashlib.sha256(secure.getpeercert(binary_form=True) or b"").digest()
-    assert ":".join(f"{byte:02X}" for byte in digest) in served.log.read_text()
     for name in ("127.0.0.1", "localhost", socket.gethostname()):
-        assert served.status(f"/?token={served.token}", name) == 200
-    plain = http.client.HTTPConnection("127.0.0.1", served.port, timeout=PATIENCE_S)
+        connection = http.client.HTTPSConnection(name, server.port, context=client, timeout=PATIENCE_S)
+        connection.request("GET", f"/?token={server.token}")
+        assert connection.getresponse().status == 200
+    plain = http.client.HTTPConnection("127.0.0.1", server.port, timeout=PATIENCE_S)
     with pytest.raises((OSError, http.client.HTTPException)):
-        plain.request("GET", f"/?token={served.token}")
+        plain.request("GET", f"/?token={server.token}")
         plain.getresponse()
+    _, said = server.stop()
+    assert ":".join(f"{byte:02X}" for byte in digest) in said
 
 
 @pytest.fixture
-def rig(served: Served) -> Iterator[Rig]:
+def rig(server: Started) -> Iterator[Rig]:
     with browser() as page:
         headset_rig.emulate(page, "quest")
-        page.ask(
-            "Security.setIgnoreCertificateErrors", ignore=True
-        )  # as a person does who has compared the fingerprint
-        page.open(f"https://127.0.0.1:{served.port}/?token={served.token}", 480, 270)
+        # as a person does who has compared the fingerprint
+        page.ask("Security.setIgnoreCertificateErrors", ignore=True)
+        page.open(f"https://127.0.0.1:{server.port}/?token={server.token}", 480, 270)
         page.run(
             "(async () => { window.now = await teleop.headset; window.hand = teleop.hand; window.sent = [];"
             "teleop.link.tap = (move) => sent.push(move); })()"
@@ -170,13 +135,14 @@ def wanted(moves: list[dict], times: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 @needs_headset
 def test_a_take_of_two_controllers_holds_what_was_sent_and_replays_it_through_the_filter(
-    rig: Rig, served: Served, tmp_path: Path
+    rig: Rig, tmp_path: Path
 ) -> None:
     carried_about(rig)
     rig.press("right", "a-button", 1)  # held: saved
     until(rig.page, "!s.recording && s.notice.startsWith('saved')")
     rig.press("right", "a-button", 0)
-    take = read_take(served.out)
+    saved = tmp_path / "takes" / "take.jsonl"
+    take = read_take(saved)
     assert take.filter == HEADSET and take.device == "headset" and take.poses == "camera"
     sent, n = rig.page.run("sent"), len(take.times)
     rows = np.array([[*m["position"], *np.ravel(_turn(m)), m["state"]] for m in sent])
@@ -193,7 +159,7 @@ def test_a_take_of_two_controllers_holds_what_was_sent_and_replays_it_through_th
     assert np.linalg.norm(np.diff(take.Ts[:, :3, 3], axis=0), axis=1).max() < 0.02  # nothing jumps
 
     settings = RecordSettings(
-        frames=20, width=96, height=54, shader="trivial", queries=1, edge=0.5, motion="track", track=served.out
+        frames=20, width=96, height=54, shader="trivial", queries=1, edge=0.5, motion="track", track=saved
     )
     sequence = record("stapler", tmp_path / "data", settings)
     truth = read_truth(tmp_path / "data" / "truth" / sequence)
