@@ -3,12 +3,14 @@
 import sys
 from pathlib import Path
 
+from export.collision import CollisionSettings
 from export.exporter import ExportSettings, export_result
 from export.meshes import MeshSettings
 from generator.simulate import load
 
-QUICK = ExportSettings(meshes=MeshSettings(points=6_000))
-"""Parts are closed with a quarter of the points, for a quick look."""
+ROUGH = CollisionSettings(tolerance_m=0.02, patches=200, pairs=4_000)
+QUICK = ExportSettings(collision=ROUGH, meshes=MeshSettings(points=6_000))
+"""Rough contact, and parts closed with a quarter of the points, for a quick look."""
 
 
 def main(out: Path) -> list[float]:

@@ -95,7 +95,7 @@ def official_example(folder: Path, truth, world_seed=6) -> Path:
 
 
 def evaluation_data(
-    folder: Path, truth, *, world, stand, sign, axes, soft=False, wxyz_of=wxyz, unit=1.0, kind=None, zoom=1, noise=0.0
+    folder: Path, truth, *, world, stand, sign, axes, soft=False, wxyz_of=wxyz, kind=None, zoom=1, noise=0.0
 ) -> Path:
     """A hypothesis folder of the truth: the static part stands in `world`, the clouds at the joint state `stand`."""
     joint, n = truth.articulation.joint, len(truth)
@@ -104,7 +104,7 @@ def evaluation_data(
     cameras = [world @ np.linalg.inv(T) @ (GL if axes == "opengl" else np.eye(4)) for T in truth.Ts_camera_reference]
     np.save(home / "joint_axis.npy", world[:3, :3] @ joint.axis * (1.7 if soft else 1.0))  # iTACO's is not normalised
     np.save(home / "joint_pos.npy", apply(world, joint.pivot))
-    np.save(home / "joint_value.npy", sign * (truth.states - stand) * unit + noise)
+    np.save(home / "joint_value.npy", sign * (truth.states - stand) + noise)
     np.save(home / "camera_poses.npy", np.array([[*wxyz_of(T[:3, :3]), *T[:3, 3]] for T in cameras]))
     maps = np.stack([truth.part_mask(i) == 2 for i in range(n)]).astype(float)
     maps = np.where(maps > 0, 0.8, 0.3) if soft else maps
@@ -170,16 +170,16 @@ def freeartgs(folder, name="a", *, with_training=True, frames=None, wrong=None):
     return folder
 
 
-def itaco(folder, name="a", *, losses=(0.01, 0.5), sign=-1, axes="opengl", right=None):
+def itaco(folder, name="a", *, losses=(0.01, 0.5), sign=-1):
     """Refined joints as iTACO saves them: both hypotheses, the right one of the first loss."""
     truth = truth_of(name)
-    right = right or truth.articulation.joint.type
+    right = truth.articulation.joint.type
     other = {"revolute": "prismatic", "prismatic": "revolute"}[right]
     stand = truth.states[0]
     for kind, loss in zip((right, other), losses, strict=True):
         noise = 0 if kind == right else np.linspace(0, 0.5, len(truth))
         home = evaluation_data(
-            folder, truth, world=rigid(2), stand=stand, sign=sign, axes=axes, soft=True, kind=kind, noise=noise
+            folder, truth, world=rigid(2), stand=stand, sign=sign, axes="opengl", soft=True, kind=kind, noise=noise
         )
         if loss is not None:
             (home / "best_loss.txt").write_text(str(loss))
@@ -196,20 +196,19 @@ def parts_at(truth, state, world):
     )
 
 
-def paris(folder, name="a", *, world=ZUP, end=1.0, start_mesh=True, old=True):
-    """The save folder of an experiment from the state of frame ANCHOR to `end` rad (or m/5 further)."""
+def paris(folder, name="a", *, world=ZUP, start_mesh=True):
+    """The save folder of an experiment from the state of frame ANCHOR to 1 rad (or 0.2 m)."""
     truth = truth_of(name)
     joint, first = truth.articulation.joint, truth.states[ANCHOR]
     turns = joint.type == "revolute"
-    amount = (end if turns else end / 5) - first
+    amount = (1.0 if turns else 0.2) - first
     axis, pivot = world[:3, :3] @ joint.axis, apply(world, joint.pivot)
     motion = {"type": "rotate" if turns else "translate", "axis_o": pivot.tolist(), "axis_d": axis.tolist()}
     if turns:
         motion |= {"rot_angle": [np.degrees(amount)], "R": np.eye(3).tolist()}
     else:
         motion |= {"dist": amount}
-    if old:
-        write_json(folder / "save" / "it5000_val_motion.json", motion | {"axis_d": [1, 0, 0]})
+    write_json(folder / "save" / "it5000_val_motion.json", motion | {"axis_d": [1, 0, 0]})  # an older one
     write_json(folder / "save" / "it20000_test_motion.json", motion)
     static, moving = parts_at(truth, first, world)
     half = parts_at(truth, first + amount / 2, world)[1]
@@ -220,12 +219,12 @@ def paris(folder, name="a", *, world=ZUP, end=1.0, start_mesh=True, old=True):
     return amount
 
 
-def digitaltwinart(folder, name="a", *, known=True, second=1.0, step="step_0004000"):
+def digitaltwinart(folder, name="a", *, known=True):
     truth = truth_of(name)
     joint, first = truth.articulation.joint, truth.states[ANCHOR]
     turns = joint.type == "revolute"
     axis, pivot = ZUP[:3, :3] @ joint.axis, apply(ZUP, joint.pivot)
-    amount = (second if turns else second / 5) - first
+    amount = (1.0 if turns else 0.2) - first
     T = turned(axis, pivot, amount) if turns else np.eye(4)
     if not turns:
         T[:3, 3] = axis * amount
@@ -236,7 +235,7 @@ def digitaltwinart(folder, name="a", *, known=True, second=1.0, step="step_00040
     slide = {"axis_direction": (shift / np.linalg.norm(shift)).tolist(), "axis_position": [0.0, 0.0, 0.0]}
     slide |= {"theta": float(np.linalg.norm(shift))}
     both = {"rotation": T[:3, :3].tolist(), "translation": shift.tolist()}
-    home = folder / "results" / step
+    home = folder / "results" / "step_0004000"
     if known:
         write_json(home / "init_motion.json", [(hinge if turns else slide) | both])
     else:
@@ -247,10 +246,10 @@ def digitaltwinart(folder, name="a", *, known=True, second=1.0, step="step_00040
     return home
 
 
-def artgs(folder, name="a", *, extra=False, iteration=20000):
+def artgs(folder, name="a", *, extra=False):
     truth = truth_of(name)
     joint, first = truth.articulation.joint, truth.states[ANCHOR]
-    home = folder / "train" / f"ours_{iteration}"
+    home = folder / "train" / "ours_20000"
     axis, pivot = ZUP[:3, :3] @ joint.axis, apply(ZUP, joint.pivot)
     kind = "hinge" if joint.type == "revolute" else "slider"
     entries = [
@@ -270,7 +269,7 @@ def artgs(folder, name="a", *, extra=False, iteration=20000):
     return home
 
 
-def articulate_anything(folder, name="a", *, lower=0.0, upper=1.2):
+def articulate_anything(folder, name="a"):
     """The URDF of the truth with its base turned as PartNet-Mobility's: meshes in the label frame."""
     truth = truth_of(name)
     joint, label = truth.articulation.joint, world_of(R_LABEL_LINK)
@@ -288,7 +287,7 @@ def articulate_anything(folder, name="a", *, lower=0.0, upper=1.2):
         '<origin xyz="0 0 0" rpy="1.570796326794897 0 -1.570796326794897"/></joint>'
         f'<joint name="body_to_lid" type="{joint.type}"><parent link="body"/><child link="lid"/>'
         f'<origin xyz="{xyz(*pivot)}" rpy="0 0 0"/><axis xyz="{xyz(*axis)}"/>'
-        f'<limit lower="{lower}" upper="{upper}"/></joint></robot>'
+        '<limit lower="0.0" upper="1.2"/></joint></robot>'
     )
     return folder
 

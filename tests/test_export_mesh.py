@@ -271,8 +271,7 @@ def test_an_asset_from_a_video_wears_it_and_says_so(tmp_path: Path):
     answer, recording = filmed()
     write_sequence(tmp_path / "card", recording, 1e-4)
     settings = ExportSettings()
-    for name in ("a", "b"):
-        asset = export_result(answer, tmp_path / name, settings, video=tmp_path / "card")
+    asset = export_result(answer, tmp_path / "a", settings, video=tmp_path / "card")
     said = json.loads((tmp_path / "a/asset.json").read_text())["source"]["parts"]["reference"]
     assert said["texture"] == "video" and said["texel_m"] == pytest.approx(0.2 / CAMERA.K[0, 0] / 2, rel=0.1)
     assert said["patch"] == {"first_face": said["faces"], "faces": 0, "area_fraction": 0}
@@ -282,8 +281,6 @@ def test_an_asset_from_a_video_wears_it_and_says_so(tmp_path: Path):
     assert len(loaded.faces) == said["faces"]
     text = (tmp_path / "a/meshes/reference.obj").read_text()
     assert text.count("\nv ") < 0.6 * said["faces"]
-    for file in ("reference.obj", "reference.png", "moving.obj", "moving.png"):
-        assert (tmp_path / "a/meshes" / file).read_bytes() == (tmp_path / "b/meshes" / file).read_bytes()
     assert asset.scale == 1.0
     assert_refused("is not a folder", export_result, answer, tmp_path / "c", settings, video=tmp_path / "none")
     assert not (tmp_path / "c").exists()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from engine_case import write_case
 
-from export.preview import _VIEWPOINT, FILE, SIDE, _choose_viewpoint, render_preview
+from export.preview import FILE, SIDE, render_preview
 from freeart21.files import checked
 
 
@@ -25,13 +25,3 @@ def test_both_ends_of_the_joint_are_shown_whole_in_the_assets_colour(tmp_path: P
     red = picture[drawn & ~np.roll(~drawn, 3, 0) & ~np.roll(~drawn, -3, 0)].astype(float)
     hue = red.mean(0) / red.mean(0).max()
     np.testing.assert_allclose(hue, np.array([200, 30, 20]) / 200, atol=0.1)
-
-
-def test_a_long_object_is_seen_from_its_side() -> None:
-    rng = np.random.default_rng(0)
-    for axis in (0, 1):
-        points = rng.uniform(-1, 1, (500, 3)) * np.where(np.arange(3) == axis, 1.0, 0.15)
-        eye = _choose_viewpoint(points)
-        assert abs(eye[axis]) < 0.6 * np.hypot(*eye[:2])
-    ball = rng.normal(size=(5000, 3))
-    np.testing.assert_allclose(_choose_viewpoint(ball / np.linalg.norm(ball, axis=1, keepdims=True)), _VIEWPOINT)
