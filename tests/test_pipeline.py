@@ -112,8 +112,9 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(stop, left, sequence, whole, tm
     assert [path.name for path in tmp_path.iterdir()] == ["out"], "what was kept goes when the result is there"
 
 
-def test_a_result_that_cannot_be_written_costs_no_stage(sequence, whole, tmp_path, monkeypatch):
+def test_a_result_that_cannot_be_written_costs_no_stage(sequence, finished, whole, tmp_path, monkeypatch):
     out = tmp_path / "out"
+    shutil.copytree(cache.work_folder(finished), cache.work_folder(out))
 
     def full(*_):
         raise OSError(28, "No space left on device")
