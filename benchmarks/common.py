@@ -1,7 +1,8 @@
-"""What all benchmarks say of themselves: from which commit, on which machine. And how they run what may not end."""
+"""Shared by all benchmarks: command line, report files, tables, keys of cached rows, commands within limits."""
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 import platform
@@ -10,15 +11,74 @@ import signal
 import subprocess
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
 PATIENCE = 8.0
 """Times its limit that a command may take by the clock: a busy machine gives it a part of a processor."""
+
+
+def run_cli(main: Callable[..., int | None]) -> None:
+    """Run the benchmark `main` with the options of the command line, and exit; errors are one line."""
+    try:
+        raise SystemExit(tyro.cli(main))
+    except FreeArtError as error:
+        raise SystemExit(f"{Path(main.__code__.co_filename).stem}: {error}") from error
+    except KeyboardInterrupt:
+        raise SystemExit(130) from None
+
+
+def write_report(path: Path, settings: dict[str, Any], **body: Any) -> None:
+    """Write the JSON file of a benchmark: `body`, `settings`, the commit and the machine. Prints its path."""
+    atomic.write_json(path, {**body, "commit": commit(), "machine": machine(), "settings": settings})
+    print(path)
+
+
+def wide_console(width: int = 170) -> Console:
+    """Standard output, wide enough for the tables."""
+    console = Console()
+    if not console.is_terminal:
+        console.width = width
+    return console
+
+
+def make_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]], texts: Sequence[str] = ()) -> Table:
+    """A table without styles. The first column and those named in `texts` are left-aligned, all others right."""
+    table = Table(title=title or None)
+    for k, name in enumerate(head):
+        table.add_column(name, justify="left" if k == 0 or name in texts else "right")
+    for row in rows:
+        table.add_row(*map(str, row))
+    return table
+
+
+def format_number(value: float | int | None, digits: int = 3) -> str:
+    """A number with so many decimals; '-' for None."""
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def digest_of(*facts: object, files: Iterable[Path] = ()) -> str:
+    """SHA-256, hexadecimal, of facts and of the names and bytes of files: the key of a cached row."""
+    digest = hashlib.sha256(repr(facts).encode())
+    for file in files:
+        digest.update(file.name.encode() + file.read_bytes())
+    return digest.hexdigest()
+
+
+def code_of(*places: str) -> list[Path]:
+    """The Python files of folders or files of the repository."""
+    return [path for place in places for path in sorted((ROOT / place).rglob("*.py")) or [ROOT / place]]
 
 
 def commit() -> str:

@@ -12,7 +12,6 @@ goes on.
 
 from __future__ import annotations
 
-import hashlib
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,12 +19,9 @@ from typing import Any
 
 import numpy as np
 import trimesh
-import tyro
 from rich.console import Console
-from rich.table import Table
 
-from benchmarks.common import RESULTS, ROOT, commit, machine
-from benchmarks.solve import console_of
+from benchmarks.common import RESULTS, ROOT, code_of, digest_of, make_table, run_cli, wide_console, write_report
 from export.check.checking import check
 from export.exporter import ExportSettings, export_result
 from export.fidelity import measure_fidelity
@@ -104,7 +100,7 @@ def main(
         out: The JSON file. When not given: benchmarks/results/export.json, and only when no sequences are named.
     """
     benchmark = read_benchmark(data)
-    console = console_of()
+    console = wide_console()
     tables: dict[str, list[dict[str, Any]]] = {}
     for source in ("truth", "reconstruction") if results else ("truth",):
         rows = []
@@ -118,16 +114,12 @@ def main(
         _print(console, source, rows)
     if out is None and sequences:
         return
-    body = {
-        "summary": {source: _reached(rows) for source, rows in tables.items()},
-        "rows": [row for rows in tables.values() for row in rows],
-        "commit": commit(),
-        "settings": {"density": DENSITY, "states": STATES, "video": video, "engines": list(engines)},
-        "machine": machine(),
-    }
-    path = out or RESULTS / "export.json"
-    atomic.write_json(path, body)
-    console.print(str(path))
+    write_report(
+        out or RESULTS / "export.json",
+        {"density": DENSITY, "states": STATES, "video": video, "engines": list(engines)},
+        summary={source: _reached(rows) for source, rows in tables.items()},
+        rows=[row for rows in tables.values() for row in rows],
+    )
 
 
 def _row(
@@ -142,7 +134,9 @@ def _row(
     """Export and measure one, unless its row is known."""
     answer = benchmark.truth(name) if results is None or source == "truth" else results / name
     kept, asset_folder = work / source / f"{name}.json", work / source / name
-    key = _key(answer, engines, video)
+    parts = sorted(path for path in (answer / "parts").rglob("*") if path.is_file())
+    code = [*code_of("export"), Path(__file__)]
+    key = digest_of(engines, video, DENSITY, STATES, files=[*code, *parts])
     if kept.is_file() and (known := checked.read_json(kept, SCHEMA)).get("key") == key:
         return dict(known["row"])
     row: dict[str, Any] = {"source": source, "object": name}
@@ -176,15 +170,6 @@ def _read(folder: Path) -> Reconstruction:
     if isinstance(read, Failure):
         raise FreeArtError(f"a failure, nothing to export: {read.stage}: {read.reason}")
     return read
-
-
-def _key(answer: Path, engines: tuple[str, ...], video: bool) -> str:
-    """All that decides a row."""
-    said = hashlib.sha256(repr((engines, video, DENSITY, STATES)).encode())
-    code = [*sorted((ROOT / "export").rglob("*.py")), Path(__file__)]
-    for file in [*code, *sorted(path for path in (answer / "parts").rglob("*") if path.is_file())]:
-        said.update(file.name.encode() + file.read_bytes())
-    return said.hexdigest()
 
 
 # --- numbers ----------------------------------------------------------------------------------------------------------
@@ -346,14 +331,12 @@ def _missed(row: dict[str, Any]) -> int:
 
 def _print(console: Console, source: str, rows: list[dict[str, Any]]) -> None:
     columns = [goal.column for goal in GOALS] + ["deep_visual_mm", "shapes", "pieces", "vertices_a_face"]
-    table = Table(title=f"of {source}: worst first", box=None)
-    table.add_column("object")
-    for column in columns:
-        table.add_column(column.replace("_", " "), justify="right")
-    for row in sorted(rows, key=_missed, reverse=True):
-        cells = ["-" if row.get(column) is None else f"{row[column]:.3g}" for column in columns]
-        table.add_row(row["object"], *cells)
-    console.print(table)
+    cells = [
+        [row["object"], *("-" if row.get(column) is None else f"{row[column]:.3g}" for column in columns)]
+        for row in sorted(rows, key=_missed, reverse=True)
+    ]
+    head = ["object", *(column.replace("_", " ") for column in columns)]
+    console.print(make_table(f"of {source}: worst first", head, cells))
     for row in rows:
         if row["status"] != "ok":
             console.print(f"{row['object']}: {row['status']}", highlight=False)
@@ -370,4 +353,4 @@ def _print(console: Console, source: str, rows: list[dict[str, Any]]) -> None:
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    run_cli(main)

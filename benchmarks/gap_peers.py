@@ -21,7 +21,6 @@ benchmarks/results/gap_peers.json. Recordings that are not at hand, and sets who
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import os
@@ -34,11 +33,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import tyro
 from rich.console import Console
-from rich.table import Table
 
-from benchmarks.common import RESULTS, ROOT, commit, machine, run_within
+from benchmarks.common import RESULTS, ROOT, code_of, digest_of, make_table, run_cli, run_within, write_report
 from benchmarks.hidden_gap import draw
 from benchmarks.real_recordings import recordings
 from benchmarks.world.draw import draw_specs
@@ -84,7 +81,6 @@ def main(
     here = recordings()
     if here and set(names) - set(here):
         raise SystemExit(f"no recording {', '.join(sorted(set(names) - set(here)))}; there are {', '.join(here)}")
-    about = {"commit": commit(), "machine": machine()}
     settings = {"seconds": seconds, "recordings": list(names), "drawn": drawn, "seed": SEED}
     rows: list[dict[str, Any]] = []
     work = work.resolve()
@@ -94,9 +90,8 @@ def main(
         for way in ways:
             rows.append(_ask(case, way, work, seconds, untouched))
             print({k: rows[-1][k] for k in ("case", "way", "error", "names", "seconds")}, flush=True)
-        atomic.write_json(out, {**about, "settings": settings, "ratios": _compare_ours(rows, ways), "rows": rows})
+        write_report(out, settings, ratios=_compare_ours(rows, ways), rows=rows)
     _print(rows, _compare_ours(rows, ways), ways)
-    print(out)
 
 
 def _draw_cases(count: int, work: Path) -> list[str]:
@@ -142,12 +137,10 @@ def take_away(measured: Path, fitted: Path) -> list[str]:
 def _ask(case: str, way: str, work: Path, seconds: float, untouched: list[str]) -> dict[str, Any]:
     """The row of one way on one case, cached."""
     folder = work / "answers" / case / way
-    key = hashlib.sha256(f"{case} {way} {seconds:g}".encode())
-    for room in ("simgap", "freeart21", "benchmarks/mujoco_sysid.py", "benchmarks/gap_peers.py", "benchmarks/world"):
-        for path in sorted((ROOT / room).rglob("*.py")) or [ROOT / room]:
-            key.update(path.read_bytes())
+    code = ("simgap", "freeart21", "benchmarks/mujoco_sysid.py", "benchmarks/gap_peers.py", "benchmarks/world")
+    key = digest_of(case, way, seconds, files=code_of(*code))
     row = checked.read_json(folder / "row.json") if (folder / "row.json").is_file() else {}
-    if row.get("key") == key.hexdigest():
+    if row.get("key") == key:
         return row
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -160,7 +153,7 @@ def _ask(case: str, way: str, work: Path, seconds: float, untouched: list[str]) 
     ended = run_within(_HARD * seconds, (sys.executable, "-c", code), folder)
     done = checked.read_json(folder / "done.json") if (folder / "done.json").is_file() else {}
     row = {
-        "key": key.hexdigest(),
+        "key": key,
         "case": case,
         "way": way,
         "untouched": untouched,
@@ -345,8 +338,8 @@ def _compare_ours(rows: list[dict[str, Any]], ways: tuple[str, ...]) -> dict[str
 
 
 def _print(rows: list[dict[str, Any]], ratios: dict[str, dict[str, Any]], ways: tuple[str, ...]) -> None:
-    table = Table("case", *ways, title="error on untouched runs, mrad or mm (processor s); names")
     of = {(row["case"], row["way"]): row for row in rows}
+    lines = []
     for case in dict.fromkeys(row["case"] for row in rows):
         cells = []
         for way in ways:
@@ -354,9 +347,10 @@ def _print(rows: list[dict[str, Any]], ratios: dict[str, dict[str, Any]], ways: 
             error = "-" if row["error"] is None else f"{1e3 * row['error']:.3g}"
             mark = "" if row["status"] == "finished" else " !"
             cells.append(f"{error}{mark} ({row['seconds']:.0f})\n{' '.join(row['names'])}")
-        table.add_row(case, *cells)
+        lines.append((case, *cells))
     console = Console(width=200)
-    console.print(table)
+    title = "error on untouched runs, mrad or mm (processor s); names"
+    console.print(make_table(title, ("case", *ways), lines, texts=ways))
     for ours, way, figure in ((ours, way, figure) for ours, of in ratios.items() for way, figure in of.items()):
         spread = figure["standard_error_of_log"]
         factor = "" if spread is None else f", times or over {math.exp(spread):.2f} (one standard error)"
@@ -366,4 +360,4 @@ def _print(rows: list[dict[str, Any]], ratios: dict[str, dict[str, Any]], ways: 
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    run_cli(main)

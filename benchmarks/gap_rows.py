@@ -15,14 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 from numba import njit
 from rich.console import Console
-from rich.table import Table
 
-from benchmarks.common import RESULTS, commit, machine
+from benchmarks.common import RESULTS, make_table, run_cli, write_report
 from export.joint_asset import JointNumbers, write_joint_asset
-from freeart21.files import atomic
 from freeart21.files.asset import read_asset
 from freeart21.measured import Interpolation, Measured, Run
 from freeart21.mechanics import Actuator
@@ -59,13 +56,18 @@ def main(seeds: int = 12, out: Path = RESULTS / "gap_rows.json") -> None:
             said = Counter(" ".join((v.verdict, *(n.effect.name for n in v.effects))) for v in verdicts)
             rows.append({"rate_hz": rate, "smooth": smooth, "told": told, "cases": seeds, "said": dict(said)})
             print(rows[-1], flush=True)
-    table = Table("rows a second", "command between them", "told", "said")
-    for row in rows:
-        said_ = ", ".join(f"{count} {what}" for what, count in row["said"].items())
-        table.add_row(str(row["rate_hz"]), "smooth" if row["smooth"] else "held", row["told"], said_)
-    Console(width=120).print(table)
-    atomic.write_json(out, {"commit": commit(), "machine": machine(), "rows": rows})
-    print(out)
+    head = ("rows a second", "command between them", "told", "said")
+    cells = [
+        (
+            row["rate_hz"],
+            "smooth" if row["smooth"] else "held",
+            row["told"],
+            ", ".join(f"{count} {what}" for what, count in row["said"].items()),
+        )
+        for row in rows
+    ]
+    Console(width=120).print(make_table("", head, cells, texts=head[1:]))
+    write_report(out, {"seeds": seeds}, rows=rows)
 
 
 def measured(seed: int, rate: int, smooth: bool, told: Interpolation) -> Measured:
@@ -102,4 +104,4 @@ def _moved(q: float, command: Array, inertia: float, weight: float) -> Array:  #
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    run_cli(main)

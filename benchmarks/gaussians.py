@@ -31,14 +31,11 @@ from typing import Any
 
 import numpy as np
 import trimesh
-import tyro
 from rich.console import Console
-from rich.table import Table
 
-from benchmarks.common import RESULTS, commit, machine
+from benchmarks.common import RESULTS, make_table, run_cli, write_report
 from freeart21 import se3
 from freeart21.errors import FreeArtError
-from freeart21.files.atomic import write_json
 from freeart21.gaussians import multiply, rotations
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
@@ -110,29 +107,24 @@ def main(
     bandwidth, taken = _measure(rasterise, scenes, focal, repeats)
     rows = [_row(name, n, window, scene, taken[n, window], bandwidth) for (n, window), scene in scenes.items()]
     _print(rows, bandwidth, name)
-    write_json(
+    write_report(
         out,
         {
-            "summary": {
-                "copy_gb_per_s": bandwidth / 1e9,
-                "lowest_share": min(row["share"] for row in rows),
-                "highest_share": max(row["share"] for row in rows),
-            },
-            "rows": rows,
-            "commit": commit(),
-            "machine": machine(),
-            "settings": {
-                "counts": counts,
-                "windows": windows,
-                "backend": name,
-                "focal": focal,
-                "repeats": repeats,
-                "seed": seed,
-                "bytes": {"read": READ, "written": WRITTEN, "drawn": DRAWN, "pulled": PULLED},
-            },
+            "counts": counts,
+            "windows": windows,
+            "backend": name,
+            "focal": focal,
+            "repeats": repeats,
+            "seed": seed,
+            "bytes": {"read": READ, "written": WRITTEN, "drawn": DRAWN, "pulled": PULLED},
         },
+        summary={
+            "copy_gb_per_s": bandwidth / 1e9,
+            "lowest_share": min(row["share"] for row in rows),
+            "highest_share": max(row["share"] for row in rows),
+        },
+        rows=rows,
     )
-    print(out)
 
 
 def _size(window: str) -> tuple[int, int]:
@@ -274,26 +266,16 @@ def _row(backend: str, n: int, window: str, scene: Scene, taken: Taken, bandwidt
 
 
 def _print(rows: list[dict[str, Any]], bandwidth: float, backend: str) -> None:
-    table = Table(
-        *("window", "count", "forward", "back", "both", "step", "px", "ns", "limit", "share"),
-        title=f"{backend}: milliseconds; px: pairs a pixel; ns: a pair; copying reaches {bandwidth / 1e9:.1f} GB/s",
-    )
+    title = f"{backend}: milliseconds; px: pairs a pixel; ns: a pair; copying reaches {bandwidth / 1e9:.1f} GB/s"
+    cells = []
     for row in rows:
         width, height = _size(row["window"])
-        table.add_row(
-            row["window"],
-            str(row["gaussians"]),
-            *(f"{row[name]:.1f}" for name in ("forward_ms", "backward_ms", "iteration_ms", "step_ms")),
-            f"{row['pairs'] / (width * height):.0f}",
-            f"{row['ns_per_pair']:.2f}",
-            f"{row['limit_ms']:.2f}",
-            f"{row['share']:.3f}",
-        )
-    Console().print(table)
+        times = (f"{row[name]:.1f}" for name in ("forward_ms", "backward_ms", "iteration_ms", "step_ms"))
+        pairs = f"{row['pairs'] / (width * height):.0f}", f"{row['ns_per_pair']:.2f}"
+        cells.append((row["window"], row["gaussians"], *times, *pairs, f"{row['limit_ms']:.2f}", f"{row['share']:.3f}"))
+    head = ("window", "count", "forward", "back", "both", "step", "px", "ns", "limit", "share")
+    Console().print(make_table(title, head, cells))
 
 
 if __name__ == "__main__":
-    try:
-        tyro.cli(main)
-    except FreeArtError as error:
-        raise SystemExit(f"gaussians: {error}") from error
+    run_cli(main)

@@ -14,12 +14,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import tyro
 from rich.console import Console
-from rich.table import Table
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
+from benchmarks.common import make_table, run_cli
 from freeart21 import se3
 from freeart21.formats.captured import read_track
 from freeart21.one_euro import Band, OneEuro, filter_motion, headset_filter
@@ -39,30 +38,18 @@ def main(mocap: Path) -> None:
     still = np.arange(0, 20, 1 / HZ)
     held = _noisy(still, np.random.default_rng(0))
     before = _spread(held)
-    table = Table(title=f"noise before: {before[0]:.2f} mm, {before[1]:.2f} degrees; {len(takes)} takes")
-    for name in (
-        "min cutoff Hz",
-        "beta 1/m, 1/rad",
-        "held: mm",
-        "degrees",
-        "lag of places ms: fast",
-        "else",
-        "of turns ms: fast",
-        "else",
-    ):
-        table.add_column(name, justify="right")
+    rows = []
     for settings in TRIED:
         assert settings.position is not None and settings.rotation is not None
         after = _spread(filter_motion(settings, still, held, np.zeros(len(still)))[0][int(HZ) :])
         lags = np.array([_lags(settings, *take) for take in takes])
         mark = " *" if settings is TRIED[0] else ""
-        table.add_row(
-            f"{settings.position.min_cutoff_hz:g}{mark}",
-            f"{settings.position.beta:g}, {settings.rotation.beta:g}",
-            *(f"{a:.3f} (/{b / a:.1f})" for a, b in zip(after, before, strict=True)),
-            *(f"{ms:.0f}" for ms in np.median(lags, 0)),
-        )
-    Console(width=140).print(table)
+        cutoff, betas = settings.position.min_cutoff_hz, f"{settings.position.beta:g}, {settings.rotation.beta:g}"
+        noise = (f"{a:.3f} (/{b / a:.1f})" for a, b in zip(after, before, strict=True))
+        rows.append((f"{cutoff:g}{mark}", betas, *noise, *(f"{ms:.0f}" for ms in np.median(lags, 0))))
+    title = f"noise before: {before[0]:.2f} mm, {before[1]:.2f} degrees; {len(takes)} takes"
+    head = ("min cutoff Hz", "beta 1/m, 1/rad", "held: mm", "degrees", "lag of places ms: fast", "else")
+    Console(width=140).print(make_table(title, (*head, "of turns ms: fast", "else"), rows))
 
 
 def _at_headset_rate(path: Path) -> tuple[Array, Array, Array]:
@@ -106,4 +93,4 @@ def _lags(settings: OneEuro, times: Array, Ts: Array, states: Array) -> tuple[fl
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    run_cli(main)

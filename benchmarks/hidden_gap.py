@@ -19,9 +19,8 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
-import tyro
 
-from benchmarks.common import RESULTS, commit, machine, run_within
+from benchmarks.common import RESULTS, run_cli, run_within, write_report
 from benchmarks.world import grade, sensor
 from benchmarks.world.draw import Spec, TooFaint, draw_case, draw_specs
 from benchmarks.world.effects import hide
@@ -100,17 +99,15 @@ def main(
     rows = [{"case": name, **grade.grade(*pair)} for name, pair in pairs.items()]
     print("\n".join(grade.table_lines(rows)))
     seconds = sorted(row["seconds"] for row in rows)
-    doc = {
-        "commit": commit(),
-        "machine": machine(),
-        "settings": settings | {"limit_s": limit, "cases": len(names), "jobs": jobs, "release": release},
-        "cases_sha256": hash_files(out / "cases"),
-        "figures": grade.count_figures(rows),
-        "seconds": {"median": float(np.median(seconds)), "most": max(seconds)},
-        "rows": rows,
-    }
-    write_json(RESULTS / ("hidden_gap.json" if release else "hidden_gap-dev.json"), doc)
+    write_report(
+        RESULTS / ("hidden_gap.json" if release else "hidden_gap-dev.json"),
+        settings | {"limit_s": limit, "cases": len(names), "jobs": jobs, "release": release},
+        cases_sha256=hash_files(out / "cases"),
+        figures=grade.count_figures(rows),
+        seconds={"median": float(np.median(seconds)), "most": max(seconds)},
+        rows=rows,
+    )
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    run_cli(main)

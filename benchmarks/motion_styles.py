@@ -17,14 +17,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import tyro
 from rich.console import Console
-from rich.table import Table
 
-from benchmarks.common import RESULTS, ROOT, commit, machine
+from benchmarks.common import RESULTS, ROOT, make_table, run_cli, write_report
 from freeart21 import catalog, sphere
 from freeart21.errors import FreeArtError
-from freeart21.files import atomic
 from freeart21.files.take import Take
 from freeart21.formats.captured import read_track
 from freeart21.se3 import Array
@@ -114,22 +111,17 @@ def main(
     tables = {name: {key: spread(values) for key, values in columns(group).items()} for name, group in groups.items()}
     inside = {key: within(tables["human"][key], tables["held out"][key]) for key in FIGURES}
     _print(tables, inside, {name: len(group) for name, group in groups.items()})
-    atomic.write_json(
+    write_report(
         out,
-        {
-            "schema": SCHEMA,
-            "commit": commit(),
-            "machine": machine(),
-            "settings": {"frames": FRAMES, "seeds": seeds, "drawn_from": DRAWN_FROM, "worked": WORKED},
-            "takes": {name: sorted({s.source for s in groups[name]}) for name in ("drawn from", "held out")},
-            "stretches": {name: len(group) for name, group in groups.items()},
-            "figures": FIGURES,
-            "spread": tables,
-            "human_median_within_held_out": inside,
-            "human_within_held_out": share_within(groups["human"], groups["held out"]),
-        },
+        {"frames": FRAMES, "seeds": seeds, "drawn_from": DRAWN_FROM, "worked": WORKED},
+        schema=SCHEMA,
+        takes={name: sorted({s.source for s in groups[name]}) for name in ("drawn from", "held out")},
+        stretches={name: len(group) for name, group in groups.items()},
+        figures=FIGURES,
+        spread=tables,
+        human_median_within_held_out=inside,
+        human_within_held_out=share_within(groups["human"], groups["held out"]),
     )
-    print(out)
 
 
 # --- takes and plans --------------------------------------------------------------------------------------------------
@@ -313,11 +305,12 @@ def _log(values: Array) -> str:
 
 
 def _print(tables: dict[str, dict[str, list[float] | None]], inside: dict[str, bool | None], n: dict[str, int]) -> None:
-    table = Table("median (5 to 95 %)", *(f"{name}, {n[name]}" for name in tables), "human in held out")
+    head = ["median (5 to 95 %)", *(f"{name}, {n[name]}" for name in tables), "human in held out"]
+    rows = []
     for key, label in FIGURES.items():
         cells = [_cell(row[key], name not in STYLES or name == "human") for name, row in tables.items()]
-        table.add_row(label, *cells, {True: "yes", False: "NO", None: "-"}[inside[key]])
-    Console(width=220).print(table)
+        rows.append([label, *cells, {True: "yes", False: "NO", None: "-"}[inside[key]]])
+    Console(width=220).print(make_table("", head, rows, texts=head[1:]))
 
 
 def _cell(values: list[float] | None, wide: bool) -> str:
@@ -328,7 +321,4 @@ def _cell(values: list[float] | None, wide: bool) -> str:
 
 
 if __name__ == "__main__":
-    try:
-        tyro.cli(main)
-    except FreeArtError as error:
-        raise SystemExit(f"motion_styles: {error}") from error
+    run_cli(main)

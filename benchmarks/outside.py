@@ -20,23 +20,19 @@ run that was stopped goes on from there. Nothing of the data enters the reposito
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import shutil
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import tyro
-from rich.table import Table
 
-from benchmarks.common import RESULTS, ROOT, commit, machine
+from benchmarks.common import RESULTS, ROOT, digest_of, format_number, make_table, run_cli, wide_console, write_report
 from benchmarks.solve import (
     OURS,
     PROTOCOL,
     Aim,
     Outcome,
     Place,
-    console_of,
     figures,
     from_geometry,
     key_of,
@@ -185,8 +181,7 @@ def main(
     }
     body = {**figures(of[OURS]), "beside": {BESIDE: figures(of[BESIDE])}, "without_truth": [asdict(t) for t in told]}
     path = out or RESULTS / "outside.json"
-    atomic.write_json(path, {**body, "commit": commit(), "settings": facts, "machine": machine()})
-    say(f"{path}")
+    write_report(path, facts, **body)
 
 
 # --- recordings -------------------------------------------------------------------------------------------------------
@@ -246,10 +241,6 @@ def _geometry(work: Path) -> Path:
     return work / "results" / "geometry"
 
 
-def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
 # --- a video without a truth ------------------------------------------------------------------------------------------
 
 
@@ -264,8 +255,7 @@ def _converted(source: Path, data: Path) -> Path:
 def _told(variant: str, settings: ReconstructSettings, sequence: Path, work: Path, place: Place, fresh: bool) -> Told:
     """What a variant finds in a video; solved unless it is known."""
     name, kept = sequence.name, place.kept / f"{sequence.name}.json"
-    bytes_of = [_digest(path) for path in sorted(sequence.rglob("*")) if path.is_file()]
-    key = key_of(settings, bytes_of)
+    key = key_of(settings, digest_of(files=[path for path in sorted(sequence.rglob("*")) if path.is_file()]))
     if kept.is_file() and not fresh and (known := checked.read_json(kept, SCHEMA)).get("key") == key:
         return Told(**{field: known[field] for field in Told.__dataclass_fields__})
     result = place.work / name
@@ -302,28 +292,23 @@ def tell(result: Path, variant: str) -> Told:
 
 
 def _print(of: dict[str, list[Outcome]], told: list[Told], left_out: dict[str, str]) -> None:
-    console = console_of()
+    console = wide_console()
     if of[OURS]:
         print_outcomes(of[OURS], Aim(), "data of others")
         print_beside(of[OURS], {BESIDE: of[BESIDE]}, Aim())
     if told:
-        table = Table("video", "variant", "", "joint", "axis, camera", "± deg", "range", "trust", "s", title="no truth")
-        for t in told:
-            axis = "-" if t.axis is None else ", ".join(f"{x:.3f}" for x in t.axis)
-            spread = "-" if t.axis_std_deg is None else f"{t.axis_std_deg:.2f}"
-            unit = "deg" if t.joint_type == "revolute" else "mm"
-            span = "-" if t.range is None else f"{t.range:.1f} {unit}"
-            cells = t.status, t.joint_type or "-", axis, spread, span, t.trust or "-", f"{t.seconds:.0f}"
-            table.add_row(t.clip, t.variant, *cells)
-        console.print(table)
+        head = ("video", "variant", "", "joint", "axis, camera", "± deg", "range", "trust", "s")
+        console.print(make_table("no truth", head, map(_cells, told), texts=head[1:]))
     for name, why in left_out.items():
         console.print(f"  left out: {name}: {why}", markup=False, highlight=False)
 
 
+def _cells(t: Told) -> tuple[str, ...]:
+    axis = "-" if t.axis is None else ", ".join(f"{x:.3f}" for x in t.axis)
+    span = "-" if t.range is None else f"{t.range:.1f} {'deg' if t.joint_type == 'revolute' else 'mm'}"
+    std = format_number(t.axis_std_deg, 2)
+    return t.clip, t.variant, t.status, t.joint_type or "-", axis, std, span, t.trust or "-", f"{t.seconds:.0f}"
+
+
 if __name__ == "__main__":
-    try:
-        tyro.cli(main)
-    except FreeArtError as error:
-        raise SystemExit(f"outside: {error}") from error
-    except KeyboardInterrupt:
-        raise SystemExit(130) from None
+    run_cli(main)

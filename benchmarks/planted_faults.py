@@ -27,10 +27,7 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any, TypeGuard
 
-import tyro
-from rich.table import Table
-
-from benchmarks.common import RESULTS, ROOT, commit, machine
+from benchmarks.common import RESULTS, ROOT, commit, machine, make_table, run_cli, wide_console
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 
@@ -498,13 +495,11 @@ def main(
         work: Where the copy of the source, compiled kernels and finished rows are kept.
         out: The JSON file. When not given: benchmarks/results/planted_faults.json, and only when no names are given.
     """
-    from benchmarks.solve import console_of
-
     known = {fault.name: fault for fault in FAULTS}
     for name in names:
         if name not in known:
             raise FreeArtError(f"there is no fault '{name}'; faults: {', '.join(known)}")
-    console, source = console_of(), tracked_files()
+    console, source = wide_console(), tracked_files()
     digest = _digest_of(source)
     tree = copy_source(source, work / "tree")
     path = out or (None if names else RESULTS / "planted_faults.json")
@@ -515,7 +510,10 @@ def main(
     for fault in [known[name] for name in names] or FAULTS:
         rows.append(_row(fault, tree, work, digest, limit_s, finders.get(fault.name)))
         console.print(f"{fault.name}: {_outcome(rows[-1])}", highlight=False)
-    console.print(_table(rows))
+    missed_first = sorted(rows, key=lambda row: row["status"] == "found")
+    cells = [(r["name"], r["package"], r["status"], r["test"] or "", f"{r['seconds']:.0f}") for r in missed_first]
+    head = ("fault", "package", "status", "test", "s")
+    console.print(make_table("planted faults", head, cells, texts=("package", "status", "test")))
     console.print(_counts(rows))
     if path is None:
         return
@@ -677,15 +675,5 @@ def _counts(rows: list[dict[str, Any]]) -> str:
     return f"{summary['found']} of {summary['faults']} faults found{missed}"
 
 
-def _table(rows: list[dict[str, Any]]) -> Table:
-    table = Table(title="planted faults", box=None)
-    for column in ("fault", "package", "status", "test", "s"):
-        table.add_column(column, justify="right" if column == "s" else "left")
-    for row in sorted(rows, key=lambda row: row["status"] == "found"):
-        cells = (row["name"], row["package"], row["status"], row["test"] or "", f"{row['seconds']:.0f}")
-        table.add_row(*cells)
-    return table
-
-
 if __name__ == "__main__":
-    tyro.cli(main)
+    run_cli(main)

@@ -11,25 +11,22 @@ hand are left out.
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 import sys
 from pathlib import Path
 from typing import Any
 
-import tyro
 from rich.console import Console
-from rich.table import Table
 
-from benchmarks.common import RESULTS, ROOT, commit, machine, run_within
+from benchmarks.common import RESULTS, ROOT, code_of, digest_of, make_table, run_cli, run_within, write_report
 from benchmarks.real_grade import closed, graded, overclaims, summary
 from benchmarks.real_recordings import SHARED, recordings
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 
 EXPECTED = ROOT / "benchmarks" / "real_expected.json"
-_CODE = ("simgap", "freeart21", "generator", "export")
-"""Rooms whose code an answer depends on."""
+_CODE = ("simgap", "freeart21", "generator", "export", "benchmarks/real_recordings.py")
+"""Folders and files whose code an answer depends on."""
 _NO_TIME = {"seconds": 0.0, "wall seconds": 0.0}
 _COMMAND = ("-m", "freeart21", "gap", "asset.urdf", "measured", "--out", "answer")
 
@@ -60,7 +57,7 @@ def main(
     rows = []
     for k, name in enumerate(chosen, 1):
         kept = work / name / "row.json"
-        key = _key(name, limit)
+        key = digest_of(name, limit, files=code_of(*_CODE))
         row = checked.read_json(kept) if kept.is_file() else {}
         if row.get("key") != key:
             row = {"key": key, **_asked(name, work / name, limit)}
@@ -71,19 +68,7 @@ def main(
     if out is None and len(chosen) == len(known["recordings"]):
         out = RESULTS / "real_gap.json"
     if out is not None:
-        about = {"commit": commit(), "machine": machine(), "settings": {"limit": limit}}
-        atomic.write_json(out, {**about, "summary": summary(rows), "rows": rows})
-        print(out)
-
-
-def _key(name: str, limit: float) -> str:
-    """Of all that decides an answer."""
-    files = sorted(path for room in _CODE for path in (ROOT / room).rglob("*.py"))
-    files += [Path(__file__).with_name("real_recordings.py")]
-    digest = hashlib.sha256(f"{name} {limit:g}".encode())
-    for path in files:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
+        write_report(out, {"limit": limit}, summary=summary(rows), rows=rows)
 
 
 def _asked(name: str, folder: Path, limit: float) -> dict[str, Any]:
@@ -127,18 +112,19 @@ def _graded(row: dict[str, Any], known: dict[str, Any]) -> dict[str, Any]:
 
 
 def _print(rows: list[dict[str, Any]]) -> None:
-    table = Table("recording", "grade", "verdict", "names", "gap closed", "floors left", "s", "why")
+    head = ("recording", "grade", "verdict", "names", "gap closed", "floors left", "s", "why")
+    cells = []
     for row in rows:
         done = row["closed"]
         share = ("-" if done["share"] is None else f"{done['share']:.0%}") + " !" * row["overclaims"]
         left = "-" if done["after"] is None else f"{done['after']:.3g}"
         said, names = row["verdict"] or row["status"], ", ".join(row["effects"]) or "-"
         why = "; ".join(row["reasons"])
-        table.add_row(row["name"], row["grade"], said, names, share, left, f"{row['seconds']:.0f}", why)
+        cells.append((row["name"], row["grade"], said, names, share, left, f"{row['seconds']:.0f}", why))
     console = Console(width=200)
-    console.print(table)
+    console.print(make_table("", head, cells, texts=head[1:]))
     console.print(summary(rows))
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    run_cli(main)

@@ -1,4 +1,4 @@
-"""How fast the recorder is: frames a second beside a bare SAPIEN loop, shaders, workers, and room on disk.
+"""How fast the recorder is: frames a second beside a bare SAPIEN loop, workers, and room on disk.
 
     .venv/bin/python -m benchmarks.record [--objects ...] [--frames 40] [--blocks 6]
 
@@ -8,17 +8,13 @@ prints tables and writes benchmarks/results/record.json (commit, machine, settin
   Segmentation), and throws them away; the recorder's film also turns them into RGB, depth and masks, encodes and writes
   them. Same scene, same shader, same size, one process, in turns of `frames` frames; the first frame of each is left
   out of the time. `share` is the recorder's rate over the bare loop's. Objects are those of most triangles.
-- *shader*: milliseconds a frame of the bare loop, and whether the depth is good.
 - *whole*: seconds of a whole small data set with 1 worker and with 2, truth and views included, and MB a sequence.
 """
 
 from __future__ import annotations
 
-import os
-import platform
 import shutil
 import statistics
-import subprocess
 import tempfile
 import time
 from pathlib import Path
@@ -26,19 +22,14 @@ from typing import Any
 
 import numpy as np
 import sapien
-import tyro
 from rich.console import Console
-from rich.table import Table
 
+from benchmarks.common import RESULTS, make_table, run_cli, write_report
 from freeart21 import catalog, se3
-from freeart21.errors import FreeArtError
-from freeart21.files.atomic import write_json
 from generator.dataset import plan_jobs, record_jobs
-from generator.scene import Scene, simulator
+from generator.scene import simulator
 from generator.session import RecordSettings, Session, load_object
 
-ROOT = Path(__file__).resolve().parents[1]
-SHADERS = ("default", "minimal", "trivial")
 _AXES = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # SAPIEN's camera axes from ours
 
 
@@ -49,7 +40,7 @@ def main(
     blocks: int = 6,
     whole: tuple[str, ...] = ("stapler", "flip_lighter"),
     whole_frames: int = 60,
-    out: Path = ROOT / "benchmarks" / "results" / "record.json",
+    out: Path = RESULTS / "record.json",
 ) -> None:
     """Measure the recorder.
 
@@ -72,34 +63,20 @@ def main(
         chosen = objects or tuple(sorted(triangles, key=triangles.__getitem__)[-most:])
         for name in chosen:
             rows.append(_film(name, triangles[name], settings, place / "film" / name, blocks))
-        for shader in SHADERS:
-            rows.append(_shader(chosen[-1], shader, settings, place / "shader" / shader))
         if whole:
             rows += [_whole(whole, n, RecordSettings(frames=whole_frames), place / f"whole{n}") for n in (1, 2)]
         _print(rows)
-    commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True
-    )
     films, wholes = ([row for row in rows if row["kind"] == kind] for kind in ("film", "whole"))
-    write_json(
+    write_report(
         out,
-        {
-            "summary": {
-                "share_of_bare_loop": min(row["share"] for row in films),
-                "frames_per_s": min(row["frames_per_s"] for row in films),
-                "two_workers_speedup": wholes[0]["seconds"] / wholes[1]["seconds"] if wholes else None,
-                "mb_per_300_frames": max(row["mb_per_300_frames"] for row in films),
-            },
-            "rows": rows,
-            "commit": commit.stdout.strip(),
-            "machine": {
-                "processor": platform.machine(),
-                "cores": os.cpu_count(),
-                "python": platform.python_version(),
-                **simulator(),
-            },
-            "settings": {"frames": frames, "blocks": blocks, "whole": whole, "whole_frames": whole_frames},
+        {"frames": frames, "blocks": blocks, "whole": whole, "whole_frames": whole_frames, **simulator()},
+        summary={
+            "share_of_bare_loop": min(row["share"] for row in films),
+            "frames_per_s": min(row["frames_per_s"] for row in films),
+            "two_workers_speedup": wholes[0]["seconds"] / wholes[1]["seconds"] if wholes else None,
+            "mb_per_300_frames": max(row["mb_per_300_frames"] for row in films),
         },
+        rows=rows,
     )
 
 
@@ -180,40 +157,6 @@ def _bare(session: Session) -> float:
     return time.perf_counter() - began
 
 
-def _shader(name: str, shader: str, settings: RecordSettings, work: Path) -> dict[str, Any]:
-    """Milliseconds a frame of a shader, with the pictures that it has."""
-    loaded = load_object(catalog.find(name), settings, work / "object")
-    session = Session(loaded, RecordSettings(frames=20), work, lambda done, total: None)
-    scene = Scene(loaded.asset.urdf, [s.links for s in loaded.sides], session.camera, 0.01, 10.0, shader)
-    wanted = [p for p in ("Color", "Position", "Segmentation", "PositionSegmentation") if _has(scene, p)]
-    began = 0.0
-    for i in range(20):
-        T = _AXES @ session.plan.Ts_camera_object[i]
-        scene._object.set_root_pose(sapien.Pose(T[:3, 3].astype(np.float32), se3.wxyz(T).astype(np.float32)))
-        scene._scene.update_render()
-        scene._view.take_picture()
-        kinds = [f"{picture} {scene._view.get_picture(picture).dtype}" for picture in wanted]
-        if i == 0:
-            began = time.perf_counter()
-    return {
-        "kind": "shader",
-        "object": name,
-        "shader": shader,
-        "ms_per_frame": 1000 * (time.perf_counter() - began) / 19,
-        "pictures": ", ".join(kinds),
-    }
-
-
-def _has(scene: Scene, picture: str) -> bool:
-    scene._scene.update_render()
-    scene._view.take_picture()
-    try:
-        scene._view.get_picture(picture)
-    except (RuntimeError, IndexError):
-        return False
-    return True
-
-
 def _whole(names: tuple[str, ...], workers: int, settings: RecordSettings, data: Path) -> dict[str, Any]:
     """Seconds and room of a whole data set; every worker has to start and to compile the shaders, too."""
     jobs = plan_jobs(names, settings)
@@ -232,17 +175,12 @@ def _whole(names: tuple[str, ...], workers: int, settings: RecordSettings, data:
 
 def _print(rows: list[dict[str, Any]]) -> None:
     console = Console()
-    for kind in ("film", "shader", "whole"):
+    for kind in ("film", "whole"):
         here = [{k: v for k, v in row.items() if k != "kind"} for row in rows if row["kind"] == kind]
         if here:
-            table = Table(*here[0], title=kind)
-            for row in here:
-                table.add_row(*(f"{v:.3g}" if isinstance(v, float) else str(v) for v in row.values()))
-            console.print(table)
+            cells = [[f"{v:.3g}" if isinstance(v, float) else v for v in row.values()] for row in here]
+            console.print(make_table(kind, list(here[0]), cells))
 
 
 if __name__ == "__main__":
-    try:
-        tyro.cli(main)
-    except FreeArtError as error:
-        raise SystemExit(f"record: {error}") from error
+    run_cli(main)

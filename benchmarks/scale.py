@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import tyro
-
+from benchmarks.common import run_cli
 from freeart21.files.checked import MAX_JSON_BYTES
 from leaderboard.suite.rates import Rate, read_rates
 
@@ -76,4 +75,4 @@ def main(sequences: int = 100_000, frames: int = 300, price: float = 0.04, stora
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    run_cli(main)

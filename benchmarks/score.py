@@ -29,16 +29,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the processes that s
 
 import numpy as np
 import trimesh
-import tyro
 from rich.console import Console
 from rich.progress import track
 
-from benchmarks.common import RESULTS, ROOT, commit, machine
+from benchmarks.common import RESULTS, ROOT, run_cli, write_report
 from export.exporter import export_result
 from freeart21 import se3
 from freeart21.articulation import Articulation
-from freeart21.errors import FreeArtError
-from freeart21.files.atomic import write_json
 from freeart21.files.benchmark import Benchmark, read_benchmark
 from freeart21.files.result import Method, write_method, write_result
 from freeart21.files.truth import read_truth
@@ -106,8 +103,16 @@ def main(
         rows = score_results(results, benchmark.folder, protocol, workers=workers).rows
     whole = used()
     stages = _stages(results, benchmark, protocol, profiled)
-    body = {
-        "summary": {
+    write_report(
+        out,
+        {
+            "protocol": protocol,
+            "workers": workers,
+            "results": "made" if made else results.name,
+            "faces": faces if made else None,
+            "benchmark": benchmark.name,
+        },
+        summary={
             "sequences": len(rows),
             "measured": sum(row.status == "ok" for row in rows),
             "wall_s": whole.wall_s,
@@ -116,19 +121,9 @@ def main(
             "peak_bytes": whole.peak_bytes,
             "load_before": os.getloadavg()[0],
         },
-        "stages": stages,
-        "rows": [{"sequence": r.sequence, "status": r.status, "measured_from": r.measured_from} for r in rows],
-        "commit": commit(),
-        "machine": machine(),
-        "settings": {
-            "protocol": protocol,
-            "workers": workers,
-            "results": "made" if made else results.name,
-            "faces": faces if made else None,
-            "benchmark": benchmark.name,
-        },
-    }
-    write_json(out, body)
+        stages=stages,
+        rows=[{"sequence": r.sequence, "status": r.status, "measured_from": r.measured_from} for r in rows],
+    )
     console.print(
         f"{len(rows)} sequences: {whole.wall_s:.1f} s, {whole.cpu_s:.1f} processor seconds, "
         f"{whole.peak_bytes / 1e9:.2f} GB"
@@ -270,7 +265,4 @@ def _memory(pid: int) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        tyro.cli(main)
-    except FreeArtError as error:
-        raise SystemExit(f"score: {error}") from error
+    run_cli(main)

@@ -10,17 +10,13 @@ the checker's code and the asset: a run that was stopped goes on.
 
 from __future__ import annotations
 
-import hashlib
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import tyro
 from rich.console import Console
-from rich.table import Table
 
-from benchmarks.common import RESULTS, ROOT, commit, machine
-from benchmarks.solve import console_of
+from benchmarks.common import RESULTS, ROOT, code_of, digest_of, make_table, run_cli, wide_console, write_report
 from export.check.checking import check
 from export.exporter import ExportSettings, export_result
 from freeart21.errors import FreeArtError
@@ -56,7 +52,7 @@ def main(
         work: Where assets and rows are kept.
         out: The JSON file. When not given: benchmarks/results/simcheck.json, and only when no sequences are named.
     """
-    benchmark, console = read_benchmark(data), console_of()
+    benchmark, console = read_benchmark(data), wide_console()
     rows = []
     for name in benchmark.select_sequences(sequences or None):
         rows.append(_row(name, benchmark, engines, work, limit_s))
@@ -64,27 +60,23 @@ def main(
     _print(console, rows)
     if out is None and sequences:
         return
-    body = {
-        "summary": {
-            "objects": len(rows),
-            "exported": sum(row["status"] == "ok" for row in rows),
-            "without_error": sum(row["status"] == "ok" and not row["failed"] for row in rows),
-            "without_warning": sum(row["status"] == "ok" and not (row["failed"] or row["warned"]) for row in rows),
-        },
-        "rows": rows,
-        "commit": commit(),
-        "settings": {
+    write_report(
+        out or RESULTS / "simcheck.json",
+        {
             "density": DENSITY,
             "video": False,
             "engines": list(engines),
             "limit_s": limit_s,
             "versions": _versions(),
         },
-        "machine": machine(),
-    }
-    path = out or RESULTS / "simcheck.json"
-    atomic.write_json(path, body)
-    console.print(str(path))
+        summary={
+            "objects": len(rows),
+            "exported": sum(row["status"] == "ok" for row in rows),
+            "without_error": sum(row["status"] == "ok" and not row["failed"] for row in rows),
+            "without_warning": sum(row["status"] == "ok" and not (row["failed"] or row["warned"]) for row in rows),
+        },
+        rows=rows,
+    )
 
 
 def _row(name: str, benchmark: Benchmark, engines: tuple[str, ...], work: Path, limit_s: float) -> dict[str, Any]:
@@ -95,7 +87,7 @@ def _row(name: str, benchmark: Benchmark, engines: tuple[str, ...], work: Path, 
     except FreeArtError as error:
         return row | {"status": str(error).replace(str(work), "WORK")}
     kept = work / f"{name}.row.json"
-    key = _hash(engines, _versions(), files=[*_code(ROOT / "export" / "check"), *_files(asset)])
+    key = digest_of(engines, _versions(), files=[*code_of("export/check"), *_files(asset)])
     if kept.is_file() and (known := checked.read_json(kept, SCHEMA)).get("key") == key:
         return row | dict(known["row"])
     report = check(asset, engines, simcheck=True, limit_s=limit_s)
@@ -116,8 +108,8 @@ def _row(name: str, benchmark: Benchmark, engines: tuple[str, ...], work: Path, 
 
 def _export(truth: Path, asset: Path, kept: Path) -> None:
     """The asset, unless that is there."""
-    code = [f for f in _code(ROOT / "export") if f.relative_to(ROOT / "export").parts[0] not in ASIDE]
-    key = _hash(DENSITY, files=[*code, *_files(truth / "parts"), *_files(truth, "*.json")])
+    code = [f for f in code_of("export") if f.relative_to(ROOT / "export").parts[0] not in ASIDE]
+    key = digest_of(DENSITY, files=[*code, *_files(truth / "parts"), *_files(truth, "*.json")])
     if kept.is_file() and checked.read_json(kept, SCHEMA).get("key") == key and asset.is_dir():
         return
     kept.unlink(missing_ok=True)
@@ -125,19 +117,8 @@ def _export(truth: Path, asset: Path, kept: Path) -> None:
     atomic.write_json(kept, {"schema": SCHEMA, "key": key})
 
 
-def _code(folder: Path) -> list[Path]:
-    return sorted(folder.rglob("*.py"))
-
-
 def _files(folder: Path, pattern: str = "**/*") -> list[Path]:
     return sorted(path for path in folder.glob(pattern) if path.is_file())
-
-
-def _hash(*said: object, files: list[Path]) -> str:
-    digest = hashlib.sha256(repr(said).encode())
-    for file in files:
-        digest.update(file.name.encode() + file.read_bytes())
-    return digest.hexdigest()
 
 
 def _versions() -> dict[str, str]:
@@ -160,20 +141,19 @@ def _told(row: dict[str, Any]) -> str:
 
 
 def _print(console: Console, rows: list[dict[str, Any]]) -> None:
-    table = Table(title="simcheck, worst first", box=None)
     columns = ("passed", "skipped", "failed", "warned", "pieces", "seconds")
-    for column in ("object", *columns):
-        table.add_column(column.replace("_", " "), justify="left" if column == "object" else "right")
     good = [row for row in rows if row["status"] == "ok"]
-    for row in sorted(good, key=lambda row: (-len(row["failed"]), -len(row["warned"]), -row["seconds"])):
-        cells = [row[column] for column in columns]
-        told = [str(len(c)) if isinstance(c, list) else f"{c:.0f}" if isinstance(c, float) else str(c) for c in cells]
-        table.add_row(row["object"], *told)
-    console.print(table)
+    good.sort(key=lambda row: (-len(row["failed"]), -len(row["warned"]), -row["seconds"]))
+    cells = [[row["object"], *(_figure(row[column]) for column in columns)] for row in good]
+    console.print(make_table("simcheck, worst first", ("object", *columns), cells))
     for row in rows:
         for reason in [row["status"]] if row["status"] != "ok" else row["failed"]:
             console.print(f"{row['object']}: {reason}", highlight=False)
 
 
+def _figure(value: list[str] | float) -> str:
+    return str(len(value)) if isinstance(value, list) else f"{value:.0f}"
+
+
 if __name__ == "__main__":
-    tyro.cli(main)
+    run_cli(main)

@@ -32,11 +32,19 @@ from pathlib import Path
 from threading import Event, Thread
 from typing import Any, Literal
 
-import tyro
-from rich.console import Console
 from rich.table import Table
 
-from benchmarks.common import RESULTS, ROOT, commit, machine
+from benchmarks.common import (
+    RESULTS,
+    ROOT,
+    commit,
+    format_number,
+    machine,
+    make_table,
+    run_cli,
+    wide_console,
+    write_report,
+)
 from freeart21 import catalog
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
@@ -273,8 +281,7 @@ def main(
     body = figures(outcomes)
     if beside:
         body["beside"] = {name: {"variant": names[name], **figures(its)} for name, its in of.items()}
-    atomic.write_json(path, {**body, "commit": commit(), "settings": facts, "machine": machine()})
-    say(f"{path}")
+    write_report(path, facts, **body)
 
 
 # --- what is to be done -----------------------------------------------------------------------------------------------
@@ -675,17 +682,9 @@ def _line(outcome: Outcome) -> dict[str, Any]:
 # --- tables -----------------------------------------------------------------------------------------------------------
 
 
-def console_of() -> Console:
-    """Standard output, wide enough for the tables."""
-    console = Console()
-    if not console.is_terminal:
-        console.width = 170
-    return console
-
-
 def print_outcomes(outcomes: list[Outcome], aim: Aim, title: str) -> None:
     """Every object, worst first, and what all of them reach."""
-    console = console_of()
+    console = wide_console()
     console.print(_object_table(outcomes, title))
     for outcome in outcomes:
         for text in filter(None, (outcome.row.reason, *outcome.row.notes)):
@@ -699,17 +698,19 @@ def print_outcomes(outcomes: list[Outcome], aim: Aim, title: str) -> None:
 
 
 def _object_table(outcomes: list[Outcome], title: str) -> Table:
-    table = Table(title=f"{PROTOCOL}, {title}: worst first")
-    for head in ("sequence", "motion", "", *SHOWN, "worst", "s", "GB"):
-        table.add_column(head, justify="left" if head in ("sequence", "motion", "", "worst") else "right")
+    table = make_table(
+        f"{PROTOCOL}, {title}: worst first",
+        ("sequence", "motion", "", *SHOWN, "worst", "s", "GB"),
+        (),
+        texts=("motion", "", "worst"),
+    )
     for o in outcomes:
         row, style = o.row, "red" if failed(o.row) else None
         status = "FAILED" if failed(row) else row.joint_type
-        cells = [_number(row.values.get(id)) for id in SHOWN]
-        total = _number(sum(o.seconds.values()), 0) if o.seconds else "-"
-        table.add_row(
-            row.sequence, o.motion, status, *cells, badness(row)[1], total, _number(o.peak_gb, 2), style=style
-        )
+        cells = [format_number(row.values.get(id)) for id in SHOWN]
+        total = format_number(sum(o.seconds.values()), 0) if o.seconds else "-"
+        ends = badness(row)[1], total, format_number(o.peak_gb, 2)
+        table.add_row(row.sequence, o.motion, status, *cells, *ends, style=style)
     return table
 
 
@@ -730,8 +731,8 @@ def _goal_table(outcomes: list[Outcome], aim: Aim) -> Table:
             metric if unit == "fraction" else f"{metric}, {unit}",
             group,
             f"{value['mean']:.3f}{std}",
-            _number(value["median"]),
-            _number(value["worst"]),
+            format_number(value["median"]),
+            format_number(value["worst"]),
             "; ".join(reach) or "-",
             at["mean"].paper if "mean" in at else "-",
         )
@@ -744,11 +745,11 @@ def _goal_table(outcomes: list[Outcome], aim: Aim) -> Table:
         ("seconds without gaussians", others, aim.seconds, said),
         ("seconds of gaussians", fitting, aim.gaussian_seconds, "-"),
     ):
-        worst_s = _number(max(took, default=None), 0)
-        table.add_row(name, "all", _number(_mean(took), 0), "", worst_s, _reach(_mean(took), reach_s), paper)
-    peaks = [o.peak_gb for o in outcomes if o.peak_gb is not None]
-    most = means["peak_gb"]
-    table.add_row("peak, GB", "all", _number(_mean(peaks), 2), "", _number(most, 2), _reach(most, aim.peak_gb), "-")
+        worst_s = format_number(max(took, default=None), 0)
+        table.add_row(name, "all", format_number(_mean(took), 0), "", worst_s, _reach(_mean(took), reach_s), paper)
+    mean_gb, most = _mean([o.peak_gb for o in outcomes if o.peak_gb is not None]), means["peak_gb"]
+    gigabytes = format_number(mean_gb, 2), "", format_number(most, 2)
+    table.add_row("peak, GB", "all", *gigabytes, _reach(most, aim.peak_gb), "-")
     return table
 
 
@@ -768,7 +769,7 @@ def print_beside(outcomes: Sequence[Outcome], beside: dict[str, list[Outcome]], 
     """Each variant before > after our own outcomes, object by object; then the means of all."""
     if not beside:
         return
-    console = console_of()
+    console = wide_console()
     for name, its in beside.items():
         console.print(beside_table(pairs(its, outcomes), f"{name} > {OURS}: worst first"))
     console.print(_means_table({OURS: list(outcomes), **beside}))
@@ -785,9 +786,7 @@ def no_worse_line(both: Sequence[tuple[Outcome, Outcome]]) -> str:
 
 def beside_table(both: Sequence[tuple[Outcome, Outcome]], title: str) -> Table:
     """A row an object: every figure before > after."""
-    table = Table(title=title)
-    for head in ("sequence", *SHOWN, "s", "GB", "worse"):
-        table.add_column(head, justify="left" if head in ("sequence", "worse") else "right")
+    table = make_table(title, ("sequence", *SHOWN, "s", "GB", "worse"), (), texts=("worse",))
     for was, now in both:
         cells = [_change(was.row.values.get(id), now.row.values.get(id), DIGITS[id]) for id in SHOWN]
         before_s, after_s = (sum(o.seconds.values()) if o.seconds else None for o in (was, now))
@@ -805,15 +804,15 @@ def _means_table(variants: dict[str, list[Outcome]]) -> Table:
     for name, outcomes in variants.items():
         for group, found in by_type(outcomes).items():
             its = [o for o in outcomes if group in ("all", o.row.joint_type)]
-            cells = [_number(found[id]["mean"], DIGITS[id]) if id in found else "-" for id in SHOWN]
+            cells = [format_number(found[id]["mean"], DIGITS[id]) if id in found else "-" for id in SHOWN]
             totals = [sum(o.seconds.values()) for o in its if o.seconds]
             lost = str(sum(failed(o.row) for o in its))
-            table.add_row(name, group, str(found["n"]), *cells, lost, _number(_mean(totals), 0))
+            table.add_row(name, group, str(found["n"]), *cells, lost, format_number(_mean(totals), 0))
     return table
 
 
 def _change(before: float | None, after: float | None, digits: int) -> str:
-    return f"{_number(before, digits)} > {_number(after, digits)}"
+    return f"{format_number(before, digits)} > {format_number(after, digits)}"
 
 
 def _stage_table(outcomes: list[Outcome]) -> Table:
@@ -827,13 +826,9 @@ def _stage_table(outcomes: list[Outcome]) -> Table:
 
 def _one_line(outcome: Outcome) -> str:
     row = outcome.row
-    figures = ", ".join(f"{id} {_number(row.values.get(id))}" for id in ("axis", "state", "miou", "chamfer_m"))
-    mark = " FAILED" if failed(row) else ""
-    return f"{row.sequence}{mark}: {figures}; {sum(outcome.seconds.values()):.0f} s, {_number(outcome.peak_gb, 2)} GB"
-
-
-def _number(value: float | int | None, digits: int = 3) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
+    figures = ", ".join(f"{id} {format_number(row.values.get(id))}" for id in ("axis", "state", "miou", "chamfer_m"))
+    mark, gigabytes = " FAILED" if failed(row) else "", format_number(outcome.peak_gb, 2)
+    return f"{row.sequence}{mark}: {figures}; {sum(outcome.seconds.values()):.0f} s, {gigabytes} GB"
 
 
 def say(line: str) -> None:
@@ -842,9 +837,4 @@ def say(line: str) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        tyro.cli(main)
-    except FreeArtError as error:
-        raise SystemExit(f"reconstruct: {error}") from error
-    except KeyboardInterrupt:
-        raise SystemExit(130) from None
+    run_cli(main)

@@ -29,18 +29,17 @@ import traceback
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 from rich.console import Console
 from rich.progress import track
 
-from benchmarks.common import RESULTS, ROOT, commit, machine
+from benchmarks.common import RESULTS, ROOT, run_cli, write_report
 from freeart21.errors import FreeArtError
 from freeart21.files.atomic import write_json
 from freeart21.files.result import Method, write_method, write_result
@@ -110,26 +109,23 @@ def main(count: int = 1000, seed: int = 0, out: Path = RESULTS / "submission_fuz
         fuzz = Fuzz(Path(place), seed)
         outcomes = [fuzz.run(i) for i in track(range(count), "Spoiling", console=console)]
     wrong = [o for o in outcomes if o.faults]
-    write_json(
+    broken = Counter(kind for o in wrong for kind in {fault.split(":")[0] for fault in o.faults})
+    write_report(
         out,
-        {
-            "summary": {
-                "submissions": count,
-                "kinds": len(MUTATIONS),
-                "tracebacks": sum(any(f.startswith("traceback") for f in o.faults) for o in wrong),
-                "hangs": sum(any(f.startswith("hang") for f in o.faults) for o in wrong),
-                "better_than_honest": sum(any(f.startswith("better") for f in o.faults) for o in wrong),
-                "disagreements": sum(any(f.startswith("disagree") for f in o.faults) for o in wrong),
-                "status": dict(sorted(Counter(o.status for o in outcomes).items())),
-                "slowest_s": max(o.seconds for o in outcomes),
-                "seconds": time.perf_counter() - began,
-            },
-            "wrong": [asdict(o) for o in wrong],
-            "by_mutation": _by_mutation(outcomes),
-            "commit": commit(),
-            "machine": machine(),
-            "settings": {"seed": seed, "samples": SAMPLES, "limit_s": LIMIT_S},
+        {"seed": seed, "samples": SAMPLES, "limit_s": LIMIT_S},
+        summary={
+            "submissions": count,
+            "kinds": len(MUTATIONS),
+            "tracebacks": broken["traceback"],
+            "hangs": broken["hang"],
+            "better_than_honest": broken["better"],
+            "disagreements": broken["disagree"],
+            "status": dict(sorted(Counter(o.status for o in outcomes).items())),
+            "slowest_s": max(o.seconds for o in outcomes),
+            "seconds": time.perf_counter() - began,
         },
+        wrong=[asdict(o) for o in wrong],
+        by_mutation=_by_mutation(outcomes),
     )
     for outcome in wrong:
         console.print(f"{outcome.index} {outcome.mutation}: {'; '.join(outcome.faults)}", markup=False, soft_wrap=True)
@@ -294,36 +290,30 @@ def _files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
 
 
-def _flip(rng: np.random.Generator, folder: Path) -> None:
-    path = _one(rng, _files(folder))
-    data = bytearray(path.read_bytes())
+Change = Callable[[np.random.Generator, bytearray], bytes | bytearray]
+"""Spoils the bytes of a file."""
+
+
+def _bytes(change: Change) -> Spoil:
+    """Change the bytes of one of the files; of an archive its own."""
+
+    def spoil(rng: np.random.Generator, folder: Path) -> None:
+        path = _one(rng, _files(folder)) if folder.is_dir() else folder
+        path.write_bytes(change(rng, bytearray(path.read_bytes())))
+
+    return spoil
+
+
+def _flip(rng: np.random.Generator, data: bytearray) -> bytearray:
     for _ in range(int(rng.integers(1, 9)) if data else 0):
         data[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
-    path.write_bytes(data)
+    return data
 
 
-def _flip_head(rng: np.random.Generator, folder: Path) -> None:
-    path = _one(rng, _files(folder))
-    data = bytearray(path.read_bytes())
-    for _ in range(4):
-        if data:
-            data[int(rng.integers(min(len(data), 64)))] = int(rng.integers(256))
-    path.write_bytes(data)
-
-
-def _truncate(rng: np.random.Generator, folder: Path) -> None:
-    path = _one(rng, _files(folder))
-    data = path.read_bytes()
-    path.write_bytes(data[: int(rng.integers(len(data) + 1))])
-
-
-def _garbage(rng: np.random.Generator, folder: Path) -> None:
-    _one(rng, _files(folder)).write_bytes(rng.bytes(int(rng.integers(0, 5000))))
-
-
-def _append(rng: np.random.Generator, folder: Path) -> None:
-    with _one(rng, _files(folder)).open("ab") as file:
-        file.write(rng.bytes(int(rng.integers(1, 2000))))
+def _flip_head(rng: np.random.Generator, data: bytearray) -> bytearray:
+    for _ in range(4 if data else 0):
+        data[int(rng.integers(min(len(data), 64)))] = int(rng.integers(256))
+    return data
 
 
 def _delete(rng: np.random.Generator, folder: Path) -> None:
@@ -361,99 +351,79 @@ HOSTILE = (
 TOKENS = ("NaN", "Infinity", "-Infinity", "1e400", "1E+999999999", "-0", "[" * 3000 + "]" * 3000, "9" * 6000, "{")
 
 
-def _json(rng: np.random.Generator, path: Path) -> None:
-    body = json.loads(path.read_text())
-    node: Any = body
-    key: Any = _one(rng, node)
-    while isinstance(node[key], dict | list) and len(node[key]) and rng.random() < 0.6:
-        node = node[key]
-        key = _one(rng, node) if isinstance(node, dict) else int(rng.integers(len(node)))
-    way = int(rng.integers(4))
-    if way == 0:
-        del node[key]
-    elif way == 1:
-        node[key] = "TOKEN"
-    elif way == 2 and isinstance(node, dict):
-        node[_one(rng, ("x", "lacks", "anchor", "trust", "joint_std", "seen", "schema", "\ud800", "a" * 5000))] = _one(
-            rng, HOSTILE
-        )
-    else:
-        node[key] = _one(rng, HOSTILE)
-    path.write_text(json.dumps(body).replace('"TOKEN"', _one(rng, TOKENS)))
+def _json(file: str) -> Spoil:
+    """Remove or replace one value anywhere in a JSON file, or add one."""
+    names = ("x", "lacks", "anchor", "trust", "joint_std", "seen", "schema", "\ud800", "a" * 5000)
 
-
-def _header(rng: np.random.Generator, folder: Path) -> None:
-    _json(rng, folder / SEQUENCE / "prediction.json")
-
-
-def _field(name: str, *values: Any) -> Spoil:
     def spoil(rng: np.random.Generator, folder: Path) -> None:
-        path = folder / SEQUENCE / "prediction.json"
+        path = folder / file
         body = json.loads(path.read_text())
-        body[name] = _one(rng, values)
+        node: Any = body
+        key: Any = _one(rng, node)
+        while isinstance(node[key], dict | list) and len(node[key]) and rng.random() < 0.6:
+            node = node[key]
+            key = _one(rng, node) if isinstance(node, dict) else int(rng.integers(len(node)))
+        way = int(rng.integers(4))
+        if way == 0:
+            del node[key]
+        elif way == 1:
+            node[key] = "TOKEN"
+        else:
+            node[_one(rng, names) if way == 2 and isinstance(node, dict) else key] = _one(rng, HOSTILE)
+        path.write_text(json.dumps(body).replace('"TOKEN"', _one(rng, TOKENS)))
+
+    return spoil
+
+
+def _field(file: str, *choices: tuple[str, Iterable[Any]], within: str | None = None) -> Spoil:
+    """Give a field of a JSON file, or of the object `within` it, one of the values that belong to it."""
+    pairs = [(name, value) for name, values in choices for value in values]
+
+    def spoil(rng: np.random.Generator, folder: Path) -> None:
+        path = folder / file
+        body = json.loads(path.read_text())
+        name, value = _one(rng, pairs)
+        (body[within] if within else body)[name] = value
         path.write_text(json.dumps(body))
 
     return spoil
 
 
-def _joint(rng: np.random.Generator, folder: Path) -> None:
-    path = folder / SEQUENCE / "prediction.json"
-    body = json.loads(path.read_text())
-    key = _one(rng, ("type", "axis", "pivot", "limits", "name", "lower", "upper"))
-    ways = ("screw", [0, 0, 0], [1, 1, 1], [1e200] * 3, [1, 0], None, "revolute", [[1, 0, 0]], [None] * 3, 7, ["a"] * 3)
-    body["joint"][key] = _one(rng, ways)
-    path.write_text(json.dumps(body))
+PREDICTION, METHOD, ASSET = f"{SEQUENCE}/prediction.json", "method.json", f"{SEQUENCE}/asset/asset.json"
+ANSWER_FIELDS: dict[str, tuple[Any, ...]] = {
+    "states": ([0] * 15, [0] * 17, [[0]] * 16, ["0"] * 16, [1e300] * 16, [2e6] * 16),
+    "seen": ([[True, 2]] * 16, [[0, 0]] * 16, [[1e308, -1]] * 16),
+    "state_std": ([None] * 16, [-1] * 16, [[1]] * 16),
+    "anchor": (15, 16, -16, 1.5, "3", 10**30),
+    "trust": ({"verdict": "sound", "reasons": ["x"]}, {"verdict": "doubtful", "reasons": ["a\x1b"]}),
+    "joint_std": ({"axis_rad": -1}, {"axis_rad": "x"}, {"pivot_m": 1e400}),
+    "seconds": ({"a": True}, {"a": 10**400}, {"a": -1e308}, {"\x1b": 1}),
+}
+"""Fields of prediction.json to values that each of them gets beside HOSTILE."""
+JOINT_VALUES = ("screw", [0, 0, 0], [1, 1, 1], [1e200] * 3, [1, 0], None, "revolute", [[1, 0, 0]], [None] * 3, 7)
+METHOD_VALUES = (
+    *("[bold]x", "[link=file:///etc]x[/link]", "<script>alert(1)</script>", "\x00\x07\x08", "{0}%s", "😀" * 400),
+    *(["poses"], ["states", "poses", "masks", "meshes", "renders"], ["nothing"], "poses", [["poses"]], {"poses": 1}),
+)
+NO_JSON = (
+    *(b"[]", b"null", b"7", b'"x"', b"\xff\xfe{\x00}\x00", b"{" * 100_000, b"[" * 100_000, b"\x00" * 100, b"{}"),
+    *(b'{"a":' * 50_000, b'{"schema": "freeart21/prediction/1"}', b'{"schema": 1}', b"\xef\xbb\xbf{}"),
+)
+_TURNED = [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+ASSET_FIELDS: dict[str, tuple[Any, ...]] = {
+    "urdf": ("../prediction.json", "/etc/passwd", "none.urdf", "", ".", "meshes", 5),
+    "joint": ("none", "", None, "base", ["lid"]),
+    "reference_link": ("lid", "none", None),
+    "moving_link": ("base", "none", ""),
+    "T_canonical_reference": (_TURNED, [[1]], np.zeros((4, 4)).tolist(), [[1e300] * 4] * 4, None),
+    "state_zero": (1e300, "0", None, 3.0, -1e6),
+    "held": ({"lid": 1.0}, {"none": 1}, [1], {"lid": "x"}),
+    "scale": (2.0, 0, -1, 1e300, "1", 1e-9),
+}
 
 
 def _not_json(rng: np.random.Generator, folder: Path) -> None:
-    path = _one(rng, (folder / SEQUENCE / "prediction.json", folder / "method.json"))
-    path.write_bytes(
-        _one(
-            rng,
-            (
-                *(b"[]", b"null", b"7", b'"x"', b"\xff\xfe{\x00}\x00", b"{" * 100_000, b"[" * 100_000, b"\x00" * 100),
-                *(
-                    b'{"a":' * 50_000,
-                    b'{"schema": "freeart21/prediction/1"}',
-                    b'{"schema": 1}',
-                    b"{}",
-                    b"\xef\xbb\xbf{}",
-                ),
-            ),
-        )
-    )
-
-
-def _method(rng: np.random.Generator, folder: Path) -> None:
-    _json(rng, folder / "method.json")
-
-
-def _method_words(rng: np.random.Generator, folder: Path) -> None:
-    path = folder / "method.json"
-    body = json.loads(path.read_text())
-    body[_one(rng, ("name", "code", "hardware", "settings", "lacks", "schema"))] = _one(
-        rng,
-        (
-            *HOSTILE,
-            *(
-                "[bold]x",
-                "[link=file:///etc]x[/link]",
-                "<script>alert(1)</script>",
-                "\x00\x07\x08",
-                "{0}%s",
-                "😀" * 400,
-            ),
-            *(
-                ["poses"],
-                ["states", "poses", "masks", "meshes", "renders"],
-                ["nothing"],
-                "poses",
-                [["poses"]],
-                {"poses": 1},
-            ),
-        ),
-    )
-    path.write_text(json.dumps(body))
+    (folder / _one(rng, (PREDICTION, METHOD))).write_bytes(_one(rng, NO_JSON))
 
 
 def _npz(rng: np.random.Generator, folder: Path) -> None:
@@ -697,34 +667,6 @@ def _urdf(rng: np.random.Generator, folder: Path) -> None:
     path.write_text(text.replace(old, new))
 
 
-def _asset_json(rng: np.random.Generator, folder: Path) -> None:
-    _json(rng, folder / SEQUENCE / "asset" / "asset.json")
-
-
-def _asset_field(rng: np.random.Generator, folder: Path) -> None:
-    path = folder / SEQUENCE / "asset" / "asset.json"
-    body = json.loads(path.read_text())
-    turned = [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
-    name, value = _one(
-        rng,
-        (
-            *(("urdf", v) for v in ("../prediction.json", "/etc/passwd", "none.urdf", "", ".", "meshes", 5)),
-            *(("joint", v) for v in ("none", "", None, "base", ["lid"])),
-            *(("reference_link", v) for v in ("lid", "none", None)),
-            *(("moving_link", v) for v in ("base", "none", "")),
-            *(
-                ("T_canonical_reference", v)
-                for v in (turned, [[1]], np.zeros((4, 4)).tolist(), [[1e300] * 4] * 4, None)
-            ),
-            *(("state_zero", v) for v in (1e300, "0", None, 3.0, -1e6)),
-            *(("held", v) for v in ({"lid": 1.0}, {"none": 1}, [1], {"lid": "x"})),
-            *(("scale", v) for v in (2.0, 0, -1, 1e300, "1", 1e-9)),
-        ),
-    )
-    body[name] = value
-    path.write_text(json.dumps(body))
-
-
 def _asset_mesh(rng: np.random.Generator, folder: Path) -> None:
     asset = folder / SEQUENCE / "asset"
     name = _one(rng, ("obj", "stl", "glb", "dae", "off", "3mf", "xyz", "ply"))
@@ -794,32 +736,22 @@ def _asset_folder(rng: np.random.Generator, folder: Path) -> None:
 # of the archive
 
 
+ENTRIES = (
+    *("../../outside", "/tmp/outside", "spoiled/../../x", "spoiled\\..\\x", "C:\\x", "C:x", "", ".", "a/" * 50 + "x"),
+    *(
+        "x" * 300,
+        "b\nc",
+        "\x1b[2J",
+        "spoiled/a/prediction.json",
+        "spoiled/a/prediction.json/",
+        "__MACOSX/._x",
+        "é" * 150,
+    ),
+)
+
+
 def _zip_entry(rng: np.random.Generator, path: Path) -> None:
-    name = _one(
-        rng,
-        (
-            *(
-                "../../outside",
-                "/tmp/outside",
-                "spoiled/../../x",
-                "spoiled\\..\\x",
-                "C:\\x",
-                "C:x",
-                "",
-                ".",
-                "a/" * 50 + "x",
-            ),
-            *(
-                "x" * 300,
-                "b\nc",
-                "\x1b[2J",
-                "spoiled/a/prediction.json",
-                "spoiled/a/prediction.json/",
-                "__MACOSX/._x",
-                "é" * 150,
-            ),
-        ),
-    )
+    name = _one(rng, ENTRIES)
     with zipfile.ZipFile(path, "a") as archive:
         info = zipfile.ZipInfo(name)
         info.external_attr = int(_one(rng, (0o100644, 0o120777, 0o10644, 0o20666, 0o40755, 0))) << 16
@@ -838,75 +770,70 @@ def _zip_bomb(rng: np.random.Generator, path: Path) -> None:
     path.write_bytes(data)
 
 
-def _zip_bytes(rng: np.random.Generator, path: Path) -> None:
-    data = bytearray(path.read_bytes())
+def _zip_bytes(rng: np.random.Generator, data: bytearray) -> bytearray:
     begin = data.find(b"PK\1\2") if rng.random() < 0.7 else 0
     for _ in range(int(rng.integers(1, 12))):
         data[int(rng.integers(begin, len(data)))] = int(rng.integers(256))
-    path.write_bytes(data)
+    return data
 
 
-def _zip_cut(rng: np.random.Generator, path: Path) -> None:
-    data = path.read_bytes()
-    way = int(rng.integers(5))
+def _zip_cut(rng: np.random.Generator, data: bytearray) -> bytes | bytearray:
     cut = int(rng.integers(len(data)))
     empty = base64.b64decode("UEsFBgAAAAAAAAAAAAAAAAAAAAAAAA==")
-    path.write_bytes((data[:cut], data[cut:], b"", empty, rng.bytes(2000))[way])
+    return _one(rng, (data[:cut], data[cut:], b"", empty, rng.bytes(2000)))
 
 
-def _zip_many(rng: np.random.Generator, path: Path) -> None:
-    data = bytearray(path.read_bytes())
-    end = data.rfind(b"PK\5\6")
-    field, value = _one(
-        rng, ((8, b"\xff\xff\xff\xff"), (12, b"\xff\xff\xff\xff"), (12, b"\0\0\0\x7f"), (16, b"\xff" * 4))
-    )
-    data[end + field : end + field + 4] = value
-    path.write_bytes(data)
+def _zip_record(mark: bytes, *fields: tuple[int, bytes]) -> Spoil:
+    """Overwrite a field, at its offset, of the last record that begins with `mark`."""
+
+    def change(rng: np.random.Generator, data: bytearray) -> bytearray:
+        field, value = _one(rng, fields)
+        at = data.rfind(mark) + field
+        data[at : at + len(value)] = value
+        return data
+
+    return _bytes(change)
 
 
-def _zip_method(rng: np.random.Generator, path: Path) -> None:
-    data = bytearray(path.read_bytes())
-    at = data.find(b"PK\1\2")
-    field, value = _one(rng, ((10, 99), (10, 12), (10, 14), (8, 1), (8, 64), (10, 0), (24, 5), (20, 7), (42, 9)))
-    data[at + field : at + field + 2] = struct.pack("<H", value)
-    path.write_bytes(data)
-
-
+_ALL_ONES = b"\xff" * 4
+_METHODS = ((10, 99), (10, 12), (10, 14), (8, 1), (8, 64), (10, 0), (24, 5), (20, 7), (42, 9))
+"""Offset in an entry of the directory, and a number: packed by another method, encrypted, of another size."""
 MUTATIONS = (
     *(
-        Mutation(f"{n} {w}", s, a, True)
-        for n, s in (("flipped bits", _flip), ("changed head", _flip_head))
+        Mutation(f"{n} {w}", _bytes(change), a, True)
+        for n, change in (("flipped bits", _flip), ("changed head", _flip_head))
         for w, a in (("files", False), ("asset", True))
     ),
-    Mutation("truncated", _truncate, lucky=True),
-    Mutation("truncated with asset", _truncate, True, True),
-    Mutation("garbage", _garbage, True),
-    Mutation("appended bytes", _append, lucky=True),
+    Mutation("truncated", _bytes(lambda rng, data: data[: int(rng.integers(len(data) + 1))]), lucky=True),
+    Mutation("truncated with asset", _bytes(lambda rng, data: data[: int(rng.integers(len(data) + 1))]), True, True),
+    Mutation("garbage", _bytes(lambda rng, _: rng.bytes(int(rng.integers(0, 5000)))), True),
+    Mutation("appended bytes", _bytes(lambda rng, data: data + rng.bytes(int(rng.integers(1, 2000)))), lucky=True),
     Mutation("missing file", _delete, True),
     Mutation("another file's bytes", _other_file, True, True),
     Mutation("folder for a file", _folder_for_file, True),
     Mutation("file for a folder", _file_for_folder, True),
     Mutation("huge file", _huge),
-    Mutation("prediction.json", _header, lucky=True),
+    Mutation("prediction.json", _json(PREDICTION), lucky=True),
+    *(Mutation(n, _field(PREDICTION, (n, (*HOSTILE, *values)))) for n, values in ANSWER_FIELDS.items()),
     Mutation(
-        "states", _field("states", *HOSTILE, [0] * 15, [0] * 17, [[0]] * 16, ["0"] * 16, [1e300] * 16, [2e6] * 16)
-    ),
-    Mutation("seen", _field("seen", *HOSTILE, [[True, 2]] * 16, [[0, 0]] * 16, [[1e308, -1]] * 16)),
-    Mutation("state_std", _field("state_std", *HOSTILE, [None] * 16, [-1] * 16, [[1]] * 16)),
-    Mutation("anchor", _field("anchor", *HOSTILE, 15, 16, -16, 1.5, "3", 10**30)),
-    Mutation(
-        "trust",
+        "joint",
         _field(
-            "trust", *HOSTILE, {"verdict": "sound", "reasons": ["x"]}, {"verdict": "doubtful", "reasons": ["a\x1b"]}
+            PREDICTION,
+            *((n, JOINT_VALUES) for n in ("type", "axis", "pivot", "limits", "name", "lower", "upper")),
+            within="joint",
         ),
+        lucky=True,
     ),
-    Mutation("joint_std", _field("joint_std", *HOSTILE, {"axis_rad": -1}, {"axis_rad": "x"}, {"pivot_m": 1e400})),
-    Mutation("seconds", _field("seconds", *HOSTILE, {"a": True}, {"a": 10**400}, {"a": -1e308}, {"\x1b": 1})),
-    Mutation("joint", _joint, lucky=True),
     Mutation("declared failure", _declared),
     Mutation("not JSON", _not_json),
-    Mutation("method.json", _method),
-    Mutation("words of the method", _method_words),
+    Mutation("method.json", _json(METHOD)),
+    Mutation(
+        "words of the method",
+        _field(
+            METHOD,
+            *((n, (*HOSTILE, *METHOD_VALUES)) for n in ("name", "code", "hardware", "settings", "lacks", "schema")),
+        ),
+    ),
     Mutation("poses.npz", _npz, lucky=True),
     Mutation("poses.npz, raw", _npz_raw, lucky=True),
     Mutation("picture", _mask, lucky=True),
@@ -918,21 +845,23 @@ MUTATIONS = (
     Mutation("pipe", _fifo),
     Mutation("more in the folder", _more_files),
     Mutation("URDF", _urdf, True, True),
-    Mutation("URDF ", _urdf, True, True),
-    Mutation("asset.json", _asset_json, True, True),
-    Mutation("asset.json's fields", _asset_field, True, True),
+    Mutation("asset.json", _json(ASSET), True, True),
+    Mutation("asset.json's fields", _field(ASSET, *ASSET_FIELDS.items()), True, True),
     Mutation("mesh of the asset", _asset_mesh, True, True),
     Mutation("effects.json", _asset_effects, True),
     Mutation("asset folder", _asset_folder, True),
     Mutation("zip: entry", _zip_entry),
     Mutation("zip: bomb", _zip_bomb),
-    Mutation("zip: bytes", _zip_bytes, lucky=True),
-    Mutation("zip: cut", _zip_cut),
-    Mutation("zip: directory", _zip_many),
-    Mutation("zip: method", _zip_method),
+    Mutation("zip: bytes", _bytes(_zip_bytes), lucky=True),
+    Mutation("zip: cut", _bytes(_zip_cut)),
+    Mutation(
+        "zip: directory",
+        _zip_record(b"PK\5\6", (8, _ALL_ONES), (12, _ALL_ONES), (12, b"\0\0\0\x7f"), (16, _ALL_ONES)),
+    ),
+    Mutation("zip: method", _zip_record(b"PK\1\2", *((at, struct.pack("<H", value)) for at, value in _METHODS))),
 )
 """Each is as likely as any other."""
 
 
 if __name__ == "__main__":
-    raise SystemExit(tyro.cli(main))
+    run_cli(main)

@@ -18,9 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 
-from benchmarks.common import ROOT
+from benchmarks.common import ROOT, run_cli
 from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files.take import read_take
@@ -241,4 +240,4 @@ def _teleop(thing: str, out: Path, *options: str) -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    run_cli(main)

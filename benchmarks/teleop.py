@@ -31,13 +31,10 @@ from typing import Any
 
 import aiohttp
 import numpy as np
-import tyro
 from rich.console import Console
-from rich.table import Table
 
-from benchmarks.common import RESULTS, ROOT, commit, machine
+from benchmarks.common import RESULTS, ROOT, make_table, run_cli, write_report
 from freeart21 import se3
-from freeart21.files.atomic import write_json
 from generator.teleop import wire
 
 GOAL_FPS, GOAL_ADDED_MS = 20, 50
@@ -100,14 +97,10 @@ def main(
             server.send_signal(signal.SIGTERM)
             server.wait(60)
         drawn = {int(n): float(s) for n, s in (line.split() for line in notes.read_text().splitlines())}
-    body = _summary(drive, drawn, seconds) | {
-        "load": [round(begun_load, 2), round(os.getloadavg()[0], 2)],
-        "commit": commit(),
-        "machine": machine(),
-        "settings": {"seconds": seconds, "object": object, "width": width, "height": height, "moves_a_second": HZ},
-    }
+    body = _summary(drive, drawn, seconds) | {"load": [round(begun_load, 2), round(os.getloadavg()[0], 2)]}
     _print(body)
-    write_json(out, body)
+    settings = {"seconds": seconds, "object": object, "width": width, "height": height, "moves_a_second": HZ}
+    write_report(out, settings, **body)
 
 
 async def _driven(url: str, seconds: float, pid: int) -> dict[str, Any]:
@@ -198,15 +191,13 @@ def _resident_mb(pid: int) -> float:
 
 
 def _print(body: dict[str, Any]) -> None:
-    table = Table("", "median", "95 %", title="freeart21 teleop")
-    for name in ("added_ms", "latency_ms", "drawing_ms"):
-        table.add_row(name, str(body[name]["median"]), str(body[name]["p95"]))
+    times = [(name, body[name]["median"], body[name]["p95"]) for name in ("added_ms", "latency_ms", "drawing_ms")]
     console = Console()
-    console.print(table)
+    console.print(make_table("freeart21 teleop", ("", "median", "95 %"), times))
     memory = body["memory_mb"]
     console.print(f"{body['fps']} pictures a second; load {body['load']}")
     console.print(f"memory {memory['settled']} MB, in the end {memory['end']} MB")
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    run_cli(main)

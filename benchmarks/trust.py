@@ -24,14 +24,11 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
-import tyro
 from rich.console import Console
-from rich.table import Table
 
-from benchmarks.common import RESULTS, ROOT, commit, machine
+from benchmarks.common import RESULTS, ROOT, format_number, make_table, run_cli, write_report
 from freeart21.articulation import PARTS
 from freeart21.errors import FreeArtError
-from freeart21.files import atomic
 from freeart21.files.diagnostics import read_diagnostics
 from freeart21.files.result import read_result
 from freeart21.files.sequence import read_sequence
@@ -223,16 +220,14 @@ def main(
     Console().print_json(data=counted_faults(faults))
     if out is None and len(chosen) < len(VIDEOS):
         return
-    content = {
-        "summary": summary(judged),
-        "faults_doubted_of": counted_faults(faults),
-        "rows": [asdict(one) for one in judged],
-        "faults": faults,
-        "commit": commit(),
-        "settings": {"solver": VERSION, "protocol": "strict-1", "refine": refine, "videos": [v.name for v in chosen]},
-        "machine": machine(),
-    }
-    atomic.write_json(out or RESULTS / "trust.json", content)
+    write_report(
+        out or RESULTS / "trust.json",
+        {"solver": VERSION, "protocol": "strict-1", "refine": refine, "videos": [v.name for v in chosen]},
+        summary=summary(judged),
+        faults_doubted_of=counted_faults(faults),
+        rows=[asdict(one) for one in judged],
+        faults=faults,
+    )
 
 
 # ---------------------------------------------------------------- videos
@@ -390,16 +385,16 @@ def _say(one: Judged) -> None:
 
 
 def _print(judged: list[Judged]) -> None:
-    table = Table("video", "by the truth", "by itself", "axis", "state", "reasons", title="trust")
+    head = ("video", "by the truth", "by itself", "axis", "state", "reasons")
+    cells = []
     for one in judged:
         truth = "refused" if one.status != "ok" else "wrong" if one.wrong else "right"
-        axis, state = one.values.get("axis"), one.values.get("state")
-        figures = ["-" if v is None else f"{v:.2g}" for v in (axis, state)]
-        table.add_row(one.video, truth, "doubtful" if one.doubtful else "sound", *figures, "; ".join(one.reasons))
+        errors = (format_number(one.values.get(name)) for name in ("axis", "state"))
+        cells.append((one.video, truth, "doubtful" if one.doubtful else "sound", *errors, "; ".join(one.reasons)))
     console = Console()
-    console.print(table)
+    console.print(make_table("trust", head, cells, texts=head[1:]))
     console.print_json(data=summary(judged))
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    run_cli(main)

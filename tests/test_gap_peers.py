@@ -2,14 +2,13 @@
 
 import json
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from gap_case import asset_of, measured_of
 
 from benchmarks.gap_peers import compare, fit_all, open_library, take_away
-from benchmarks.gap_speed import asset_in, long_runs
 from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured
 
@@ -46,8 +45,8 @@ def test_ratios_are_geometric_means_over_delivered_answers():
 @pytest.fixture(scope="module")
 def pendulum(tmp_path_factory):
     """A pendulum whose asset lacks dry friction and damping, five runs, and the names of the held-back ones."""
-    measured = long_runs(3.0)
-    return asset_in(tmp_path_factory.mktemp("asset")), replace(measured, runs=measured.runs[:5]), ["run4"]
+    measured = measured_of(5, dry=0.06, viscous=0.05, marked=False)
+    return asset_of(tmp_path_factory.mktemp("asset")), measured, ["run_4"]
 
 
 def test_a_fit_of_all_effects_predicts_an_unseen_run(pendulum):
