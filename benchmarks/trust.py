@@ -42,6 +42,7 @@ from generator.motion import Plan
 from generator.recorder import record
 from generator.sensor import Sensor
 from generator.session import RecordSettings
+from leaderboard.protocol import Case
 from leaderboard.protocols.strict1 import Strict1, measure
 from reconstruct import VERSION
 from reconstruct.pipeline import reconstruct_folder
@@ -291,7 +292,7 @@ def _judged(video: Video, data: Path, results: Path, sequence: str) -> Judged:
     trust = judge(
         answer, read_diagnostics(results / sequence, len(answer))
     )  # as the solver asks them, by today's signs
-    values = measure(truth, answer, [], constants=Strict1(samples=2000)).values
+    values = measure(Case(truth, answer, []), Strict1(samples=2000)).values
     values = {name: values.get(name) for name in VALUES}
     wrong = video.second_joint is not None or is_wrong(values, span)
     ratios = _over_std(answer, values, truth.diagonal)

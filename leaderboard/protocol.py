@@ -5,9 +5,9 @@ Each protocol is a file of `leaderboard.protocols`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.joint import JointType
 from freeart21.mesh import Mesh
-from freeart21.reconstruction import Piece
+from freeart21.reconstruction import Piece, Reconstruction
 from freeart21.se3 import Array
 from freeart21.truth import Truth
 from leaderboard.published import PublishedRow
@@ -24,6 +24,21 @@ from leaderboard.published import PublishedRow
 Group = Literal["revolute", "prismatic", "all"]
 Render = NDArray[np.uint8] | None
 """The answer's render (height, width, 3) of one held-out query; None where it has none."""
+
+
+class Scale(NamedTuple):
+    """What metrics of one kind share: their units, direction and penalty, as in `Metric`."""
+
+    revolute_unit: str | None
+    prismatic_unit: str | None
+    direction: Literal["up", "down"]
+    penalty: float | None
+
+
+FRACTION = Scale("fraction", "fraction", "up", 0.0)
+DECIBELS = Scale("dB", "dB", "up", 0.0)
+ANGLE = Scale("deg", "deg", "down", 90.0)
+"""Of directions whatever their signs."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +134,23 @@ class Shape:
 
 
 @dataclass(frozen=True)
+class Case:
+    """An answer to one sequence, and the truth that it is measured against. A protocol reads what it needs."""
+
+    truth: Truth
+    answer: Reconstruction
+    """With as many frames as the truth, and masks of its size."""
+    renders: Sequence[Render]
+    """One for each held-out query."""
+    asset: Shape | None = None
+    """The shape of its asset in the answer's canonical frame; None without an asset."""
+    renders_other: Sequence[Render] | None = None
+    """The renders for the other choice of reference part; None when there are none at all."""
+    lacks: tuple[Piece, ...] = ()
+    """Pieces that the method never makes: metrics that need one get meaningless values."""
+
+
+@dataclass(frozen=True)
 class Protocol:
     """A named, versioned set of metrics."""
 
@@ -126,9 +158,8 @@ class Protocol:
     preamble: str
     """How parts are matched, poses aligned, lengths scaled, failures counted."""
     metrics: tuple[Metric, ...]
-    measure: Callable[..., Measured]
-    """`measure(truth, answer, renders, asset=None, renders_other=None, constants=None, lacks=())`, see
-    `leaderboard.protocols.strict2.measure`: values in the units of the metrics."""
+    measure: Callable[[Case], Measured]
+    """The values in the units of the metrics."""
     asset: Literal["none", "joint", "whole"]
     """What is measured of an answer's asset: nothing, its joint, or its meshes and masses, too (and then also renders
     for both choices of the reference part)."""

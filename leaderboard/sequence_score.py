@@ -14,7 +14,7 @@ from freeart21.reconstruction import Failure, Piece, Reconstruction
 from freeart21.recording import Recording
 from freeart21.truth import Truth
 from leaderboard.asset_measurement import measure_asset, measure_joint
-from leaderboard.protocol import Protocol, Render, Shape
+from leaderboard.protocol import Case, Protocol, Render, Shape
 from leaderboard.protocols import DEFAULT, protocol_named
 from leaderboard.rows import Row, Source, Status
 from leaderboard.submission import (
@@ -126,7 +126,7 @@ class SequenceScorer:
         others, other_faults = None, faults
         if self.rules.asset == "whole" and (folder / "renders_other").is_dir():
             others, other_faults = self._read_renders(folder, "renders_other")
-        found = self.rules.measure(self.truth, answer, renders, asset=asset, renders_other=others, lacks=self.lacks)
+        found = self.rules.measure(Case(self.truth, answer, renders, asset, others, self.lacks))
         if found.other_views:
             faults = other_faults
         elif self.rules.asset == "whole" and found.swapped and any(render is not None for render in renders):

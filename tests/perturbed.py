@@ -11,6 +11,7 @@ from synthetic_case import pictures, truth_as_answer, with_joint
 from freeart21 import se3
 from freeart21.articulation import Articulation
 from freeart21.mesh import Mesh
+from leaderboard.protocol import Case
 
 KINDS = ("revolute", "prismatic")
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -102,4 +103,4 @@ def moving_part_off_by(truth, metres):
 
 
 def values_of(protocol, truth, answer, renders=None, **more):
-    return protocol.measure(truth, answer, pictures(truth) if renders is None else renders, **more).values
+    return protocol.measure(Case(truth, answer, pictures(truth) if renders is None else renders), **more).values

@@ -34,7 +34,8 @@ from synthetic_case import (
 from freeart21 import se3
 from freeart21.articulation import Articulation
 from freeart21.mesh import Mesh
-from leaderboard.protocols.itaco1 import ITACO_1, Itaco1
+from leaderboard.protocol import Case
+from leaderboard.protocols.itaco1 import ITACO_1
 from leaderboard.protocols.paper1 import PAPER_1, Paper1, average_alignment, measure, state_error
 from leaderboard.protocols.strict1 import Strict1
 from leaderboard.protocols.strict2 import STRICT_2
@@ -42,7 +43,7 @@ from leaderboard.registration import register_clouds
 from leaderboard.sequence_score import SequenceScorer
 
 paper = functools.partial(values_of, PAPER_1, constants=Paper1(samples=1500))
-itaco = functools.partial(values_of, ITACO_1, constants=Itaco1(samples=1500))
+itaco = functools.partial(values_of, ITACO_1, constants=Paper1(samples=1500))
 strict = functools.partial(values_of, STRICT_2, constants=Strict1(samples=1500))
 SURFACES = ("cd_w", "cd_m", "cd_s")
 FLOOR = 0.05
@@ -164,7 +165,7 @@ def test_the_canonical_frame_changes_nothing_where_the_poses_are_right(kind, rul
 
 def test_a_value_near_the_sampling_floor_is_noted():
     truth = make_truth()
-    found = measure(truth, truth_as_answer(truth), pictures(truth), constants=Paper1(samples=1500))
+    found = measure(Case(truth, truth_as_answer(truth), pictures(truth)), Paper1(samples=1500))
     assert all(f"{id} " in found.notes[0] for id in SURFACES)
 
 

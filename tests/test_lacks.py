@@ -28,7 +28,7 @@ from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import PIECES, Failure
 from leaderboard.protocols.arena1 import ARENA_1
-from leaderboard.protocols.itaco1 import ITACO_1, Itaco1
+from leaderboard.protocols.itaco1 import ITACO_1
 from leaderboard.protocols.paper1 import PAPER_1, Paper1
 from leaderboard.protocols.strict1 import STRICT_1, Strict1
 from leaderboard.protocols.strict2 import STRICT_2
@@ -37,14 +37,14 @@ from leaderboard.tables import NOTHING, format_cell, print_scores
 from leaderboard.validate import validate_results
 
 QUICK = {
-    "strict-1": Strict1(samples=1500),
-    "strict-2": Strict1(samples=1500),
-    "paper-1": Paper1(samples=1500),
-    "itaco-1": Itaco1(samples=1500),
-    "arena-1": None,
+    "strict-1": {"constants": Strict1(samples=1500)},
+    "strict-2": {"constants": Strict1(samples=1500)},
+    "paper-1": {"constants": Paper1(samples=1500)},
+    "itaco-1": {"constants": Paper1(samples=1500)},
+    "arena-1": {},
 }
 PROTOCOLS = [
-    replace(rules, measure=functools.partial(rules.measure, constants=QUICK[rules.name]))
+    replace(rules, measure=functools.partial(rules.measure, **QUICK[rules.name]))
     for rules in (STRICT_1, STRICT_2, PAPER_1, ITACO_1, ARENA_1)
 ]
 by_protocol = pytest.mark.parametrize("rules", PROTOCOLS, ids=lambda rules: rules.name)

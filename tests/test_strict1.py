@@ -20,6 +20,7 @@ from synthetic_case import (
 from freeart21 import se3
 from freeart21.articulation import Articulation
 from freeart21.mesh import Mesh, join_meshes
+from leaderboard.protocol import Case
 from leaderboard.protocols.strict1 import Strict1, both_seen, measure, spread_frames
 
 KINDS = ("revolute", "prismatic")
@@ -39,7 +40,7 @@ LENGTHS_AND_ANGLES = (
 
 
 def scored(truth, answer, renders=None):
-    return measure(truth, answer, pictures(truth) if renders is None else renders, constants=QUICK).values
+    return measure(Case(truth, answer, pictures(truth) if renders is None else renders), QUICK).values
 
 
 def same(a, b, tolerance=1e-6):
@@ -165,7 +166,7 @@ def test_a_wrong_joint_type_leaves_the_joint_figures_to_the_protocol_and_the_res
 
 def test_parts_are_matched_by_masks_even_when_the_other_naming_is_given():
     truth = make_truth()
-    found = measure(truth, with_names_exchanged(truth_as_answer(truth)), pictures(truth), constants=QUICK)
+    found = measure(Case(truth, with_names_exchanged(truth_as_answer(truth)), pictures(truth)), QUICK)
     assert found.swapped
     assert found.values["miou"] == 1 and found.values["chamfer_m"] < 1e-6 and found.values["state"] < 1e-6
 

@@ -22,7 +22,7 @@ from synthetic_case import (
 
 from freeart21 import se3
 from freeart21.mesh import Mesh
-from leaderboard.protocol import Shape
+from leaderboard.protocol import Case, Shape
 from leaderboard.protocols import DEFAULT, PROTOCOLS, strict1, strict2
 from leaderboard.protocols.strict1 import STRICT_1, Strict1
 from leaderboard.protocols.strict2 import STRICT_2
@@ -33,7 +33,7 @@ QUICK = Strict1(samples=3000)
 
 
 def scored(truth, answer, asset=None, other=None):
-    return strict2.measure(truth, answer, pictures(truth), asset, other, QUICK).values
+    return strict2.measure(Case(truth, answer, pictures(truth), asset, other), QUICK).values
 
 
 def shape_of(answer, motions=None) -> Shape:
@@ -87,7 +87,7 @@ def test_strict_1_gives_the_numbers_that_it_gave_before_there_was_strict_2(kind)
     answer = noisy_answer(truth, 3)
     if kind == "prismatic":
         answer = with_names_exchanged(answer)
-    values = strict1.measure(truth, answer, [pictures(truth)[0] // 2 + 30, None], constants=QUICK).values
+    values = strict1.measure(Case(truth, answer, [pictures(truth)[0] // 2 + 30, None]), QUICK).values
     assert values == pytest.approx(FROZEN[kind], rel=1e-9)
 
 
@@ -142,7 +142,7 @@ def test_the_truth_is_perfect_from_files_and_from_an_asset(kind):
 def test_numbers_that_strict_1_has_stay_as_they_were_where_the_definition_did(kind):
     truth = make_truth(kind)
     answer = noisy_answer(truth, 3)
-    before = strict1.measure(truth, answer, pictures(truth), constants=QUICK).values
+    before = strict1.measure(Case(truth, answer, pictures(truth)), QUICK).values
     after = scored(truth, answer)
     assert {id: after[id] for id in before} == before
     for id in ("chamfer_w", "chamfer_m", "chamfer_s", "fscore"):
@@ -261,7 +261,7 @@ def test_pictures_are_those_of_the_choice_that_the_matching_made():
         (turned, good, None, 100, False),
         (turned, good, bad, None, True),
     ):
-        found = strict2.measure(truth, answer, renders, None, other, QUICK)
+        found = strict2.measure(Case(truth, answer, renders, None, other), QUICK)
         assert found.other_views == taken
         assert found.values["psnr"] == 100 if expected else found.values["psnr"] < 20
 

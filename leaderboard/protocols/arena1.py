@@ -7,7 +7,7 @@ under the kinetic-energy norm of the true moving part, in metres. Our own implem
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -24,8 +24,9 @@ from freeart21.se3 import Array
 from freeart21.truth import Truth
 from leaderboard import metrics
 from leaderboard.matching import match
-from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, to_floats
+from leaderboard.protocol import FRACTION, Case, Measured, Metric, Protocol, Scale, to_floats
 
+TWIST, COMPACT_TWIST = Scale("m", "m", "down", None), Scale("1", "1", "down", None)
 KAPPA = np.pi
 """Metres, the scale of the compact metric, as in their benchmark."""
 LEAST_VOLUME = 1e-12
@@ -52,21 +53,10 @@ class Solid:
         return float(w @ self.inertia @ w / self.mass + at_centre @ at_centre)
 
 
-def measure(
-    truth: Truth,
-    answer: Reconstruction,
-    renders: Sequence[Render],
-    asset: Shape | None = None,
-    renders_other: Sequence[Render] | None = None,
-    constants: None = None,
-    lacks: tuple[Piece, ...] = (),
-) -> Measured:
-    """The metrics of arena-1 for an answer with as many frames as the truth.
-
-    `renders`, `asset`, `renders_other` and `constants` are not used. Metrics that need a piece in `lacks` get
-    meaningless values.
-    """
-    matched = match(truth, answer, lacks)
+def measure(case: Case) -> Measured:
+    """The metrics of arena-1; renders and asset are not used."""
+    truth, lacks = case.truth, case.lacks
+    matched = match(truth, case.answer, lacks)
     true, aligned = truth.articulation.joint, matched.answer
     states, joint = count_from_true_zero(truth, aligned, lacks)
     solid = solid_from_mesh(truth.articulation.moving)
@@ -234,20 +224,14 @@ ARENA_1 = Protocol(
     (
         Metric(
             "joint_type",
-            "fraction",
-            "fraction",
-            "up",
-            0.0,
+            *FRACTION,
             "1 when the joint's type is right, else 0; the metric itself knows no types",
             label="joint type",
             needs=("joint",),
         ),
         Metric(
             "twist",
-            "m",
-            "m",
-            "down",
-            None,
+            *TWIST,
             f"{_METRIC}(its convex hull where the mesh is not closed), at state zero; none where the true joint has no "
             "limits",
             label="joint as a motion (E)",
@@ -257,10 +241,7 @@ ARENA_1 = Protocol(
         ),
         Metric(
             "twist_shown",
-            "m",
-            "m",
-            "down",
-            None,
+            *TWIST,
             "the same with the smallest and largest state in the video as the limits of both: what the joint is, "
             "whatever its stated limits",
             label="joint as a motion, over the states of the video",
@@ -270,10 +251,7 @@ ARENA_1 = Protocol(
         ),
         Metric(
             "twist_compact",
-            "1",
-            "1",
-            "down",
-            None,
+            *COMPACT_TWIST,
             "the same as twist with each end u replaced by tanh(|u| / pi m) u / |u|, which joints without limits have, "
             "too",
             label="joint as a motion, compact (E phi)",

@@ -6,51 +6,29 @@ methods get its frame; our answers have a frame of their own, which is aligned w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from freeart21 import se3
-from freeart21.reconstruction import Piece, Reconstruction
+from freeart21.reconstruction import Reconstruction
 from freeart21.se3 import Array
 from freeart21.truth import Truth
 from leaderboard import metrics
 from leaderboard.matching import Matched, match
-from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, to_floats
-from leaderboard.protocols.paper1 import PAPER_1, SURFACES, posed_surfaces
+from leaderboard.protocol import Case, Measured, Metric, Protocol, Shape, to_floats
+from leaderboard.protocols.paper1 import PAPER_1, STANDARD, SURFACES, Paper1, posed_surfaces
 from leaderboard.published import PUBLISHED
 
 MOVING = 2
 """The moving part's value in part masks."""
 
 
-@dataclass(frozen=True)
-class Itaco1:
-    """The constants of the protocol: other values are another protocol."""
-
-    samples: int = 10_000
-    """Points per surface."""
-    seed: int = 0
-    """Seed of the samples; the original evaluator has none."""
-
-
-def measure(
-    truth: Truth,
-    answer: Reconstruction,
-    renders: Sequence[Render],
-    asset: Shape | None = None,
-    renders_other: Sequence[Render] | None = None,
-    constants: Itaco1 | None = None,
-    lacks: tuple[Piece, ...] = (),
-) -> Measured:
-    """The metrics of itaco-1 for an answer with as many frames as the truth and masks of its size.
-
-    `renders`, `asset` and `renders_other` are not used. Metrics that need a piece in `lacks` get meaningless values.
-    """
-    c = constants or Itaco1()
-    matched = match(truth, answer, lacks, rename=False, align=first_alignment)
+def measure(case: Case, constants: Paper1 = STANDARD) -> Measured:
+    """The metrics of itaco-1; renders and asset are not used."""
+    truth, answer = case.truth, case.answer
+    matched = match(truth, answer, case.lacks, rename=False, align=first_alignment)
     aligned, true = matched.answer, truth.articulation.joint
     joint, revolute = aligned.articulation.joint, true.type == "revolute"
     angle, shift = metrics.camera_error(truth.Ts_camera_reference, aligned.Ts_camera_reference)
@@ -61,7 +39,7 @@ def measure(
         "miou": moving_map_iou(truth, answer),
         "camera_rotation": np.rad2deg(angle),
         "camera_position": 100 * shift,
-        **_surface_values(truth, matched, c),
+        **_surface_values(truth, matched, constants),
     }
     if revolute:
         values["position"] = 100 * metrics.line_to_line(true.axis, true.pivot, joint.axis, joint.pivot)
@@ -92,7 +70,7 @@ def moving_map_iou(truth: Truth, answer: Reconstruction) -> float:
     return float(np.mean(ratios)) if ratios else 1.0
 
 
-def _surface_values(truth: Truth, matched: Matched, c: Itaco1) -> dict[str, float | None]:
+def _surface_values(truth: Truth, matched: Matched, c: Paper1) -> dict[str, float | None]:
     """Chamfer distances in the first frame, without registration; no entry where the answer has no surface."""
     frame = matched.answer.anchor if "states" in matched.lacks else 0
     motions = truth.articulation.joint.transform(truth.states)

@@ -15,12 +15,23 @@ from scipy.spatial.transform import Rotation
 from freeart21 import se3
 from freeart21.joint import Joint
 from freeart21.mesh import join_meshes
-from freeart21.reconstruction import Piece, Reconstruction
 from freeart21.se3 import Array
 from freeart21.truth import Truth
 from leaderboard import metrics
 from leaderboard.matching import Matched, match
-from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, to_floats
+from leaderboard.protocol import (
+    ANGLE,
+    DECIBELS,
+    FRACTION,
+    Case,
+    Measured,
+    Metric,
+    Protocol,
+    Render,
+    Scale,
+    Shape,
+    to_floats,
+)
 from leaderboard.published import PUBLISHED
 from leaderboard.registration import register_clouds
 from leaderboard.surface import Surface
@@ -42,29 +53,24 @@ class Paper1:
     """Seed of the samples; the original evaluator has none."""
 
 
-def measure(
-    truth: Truth,
-    answer: Reconstruction,
-    renders: Sequence[Render],
-    asset: Shape | None = None,
-    renders_other: Sequence[Render] | None = None,
-    constants: Paper1 | None = None,
-    lacks: tuple[Piece, ...] = (),
-) -> Measured:
-    """The metrics of paper-1 for an answer with as many frames as the truth and masks of its size.
+STANDARD = Paper1()
+LENGTH = Scale("cm", "cm", "down", 100.0)
+AXIS_PLACE = Scale("cm", None, "down", 100.0)
+STATE = Scale("deg", "cm", "down", 90.0)
+SQUARED = Scale("dm²", "dm²", "down", 100.0)
 
-    `renders` has the answer's render of each held-out query, or None; `asset` and `renders_other` are not used. Metrics
-    that need a piece in `lacks` get meaningless values.
-    """
-    c = constants or Paper1()
-    matched = match(truth, answer, lacks, rename=False, align=average_alignment)
+
+def measure(case: Case, constants: Paper1 = STANDARD) -> Measured:
+    """The metrics of paper-1; the asset is not used."""
+    truth = case.truth
+    matched = match(truth, case.answer, case.lacks, rename=False, align=average_alignment)
     aligned, true = matched.answer, truth.articulation.joint
     revolute = true.type == "revolute"
     states = aligned.states
     if aligned.articulation.joint.type == "revolute":  # as the original does; matters when the true joint is prismatic
         states = np.mod(states, 2 * np.pi)
     angle, shift = metrics.camera_error(truth.Ts_camera_reference, aligned.Ts_camera_reference)
-    surfaces, notes = surface_values(truth, matched, c)
+    surfaces, notes = surface_values(truth, matched, constants)
     values: dict[str, float | None] = {
         "joint_type": float(aligned.articulation.joint.type == true.type),
         "axis": np.rad2deg(metrics.axis_error(true.axis, aligned.articulation.joint.axis)),
@@ -72,7 +78,7 @@ def measure(
         "camera_rotation": np.rad2deg(angle),
         "camera_position": 100 * shift,
         "miou": matched.miou,
-        "psnr": picture_value(truth, renders),
+        "psnr": picture_value(truth, case.renders),
         **surfaces,
     }
     if revolute:
@@ -163,10 +169,7 @@ def picture_value(truth: Truth, renders: Sequence[Render]) -> float | None:
 def _surface(id: str, name: str, what: str) -> Metric:
     return Metric(
         id,
-        "dm²",
-        "dm²",
-        "down",
-        100.0,
+        *SQUARED,
         (
             f"{what}: printed as cm, but it is 100 times squared metres: mean squared distance of 10,000 points of "
             "the prediction to the nearest of 10,000 of the truth (all faces of the mesh, inner ones too), plus that "
@@ -192,20 +195,14 @@ PAPER_1 = Protocol(
     (
         Metric(
             "joint_type",
-            "fraction",
-            "fraction",
-            "up",
-            0.0,
+            *FRACTION,
             "1 when the joint's type is right, else 0; no other number minds it",
             label="joint type",
             needs=("joint",),
         ),
         Metric(
             "axis",
-            "deg",
-            "deg",
-            "down",
-            90.0,
+            *ANGLE,
             "angle between the axes, whatever their signs",
             label="axis",
             column="axis",
@@ -213,10 +210,7 @@ PAPER_1 = Protocol(
         ),
         Metric(
             "position",
-            "cm",
-            None,
-            "down",
-            100.0,
+            *AXIS_PLACE,
             "distance between the two axes as lines; 0 when they are parallel (|a x b| up to 1e-6), however far apart",
             label="position",
             column="position",
@@ -224,10 +218,7 @@ PAPER_1 = Protocol(
         ),
         Metric(
             "state",
-            "deg",
-            "cm",
-            "down",
-            90.0,
+            *STATE,
             "mean absolute difference over all frames for the better of the two signs, whatever the axis, the median "
             "difference taken off; revolute differences wrapped",
             label="state",
@@ -240,10 +231,7 @@ PAPER_1 = Protocol(
         _surface("cd_s", "CD-s", "reference part"),
         Metric(
             "psnr",
-            "dB",
-            "dB",
-            "up",
-            0.0,
+            *DECIBELS,
             "held-out queries, uint8, over the pixels of the truth's mask, mean over queries; 99 for equal pictures; a "
             "missing picture counts 0 (theirs leaves it out)",
             label="PSNR",
@@ -252,10 +240,7 @@ PAPER_1 = Protocol(
         ),
         Metric(
             "miou",
-            "fraction",
-            "fraction",
-            "up",
-            0.0,
+            *FRACTION,
             "intersection over union, mean over all frames and both parts, for the better of the two labelings; a part "
             "absent in both counts 1",
             label="mIoU",
@@ -264,20 +249,14 @@ PAPER_1 = Protocol(
         ),
         Metric(
             "camera_rotation",
-            "deg",
-            "deg",
-            "down",
-            90.0,
+            *ANGLE,
             "mean angle of the camera, seen from the reference part, after the alignment",
             label="camera rotation",
             needs=("poses",),
         ),
         Metric(
             "camera_position",
-            "cm",
-            "cm",
-            "down",
-            100.0,
+            *LENGTH,
             "mean distance of the camera, seen from the reference part, after the alignment",
             label="camera position",
             needs=("poses",),

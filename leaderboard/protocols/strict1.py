@@ -10,14 +10,30 @@ from numpy.typing import NDArray
 
 from freeart21 import se3
 from freeart21.articulation import PARTS
-from freeart21.reconstruction import Piece, Reconstruction
+from freeart21.reconstruction import Reconstruction
 from freeart21.se3 import Array
 from freeart21.truth import Truth
 from leaderboard import metrics
 from leaderboard.matching import Matched, match
-from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, to_floats
+from leaderboard.protocol import (
+    ANGLE,
+    DECIBELS,
+    FRACTION,
+    Case,
+    Measured,
+    Metric,
+    Protocol,
+    Render,
+    Scale,
+    Shape,
+    to_floats,
+)
 from leaderboard.surface import Surface
 
+PERCENT = Scale("%", "%", "down", 100.0)
+ROTATION = Scale("deg", "deg", "down", 180.0)
+AXIS_PLACE = Scale("%", None, "down", 100.0)
+STATE = Scale("deg", "%", "down", None)
 Pair = tuple[Array, Array]
 """Arrays of the reference and the moving part."""
 
@@ -40,26 +56,16 @@ class Strict1:
     """Cosine of the angle between the axes below which the sign of the predicted axis is undetermined."""
 
 
-def measure(
-    truth: Truth,
-    answer: Reconstruction,
-    renders: Sequence[Render],
-    asset: Shape | None = None,
-    renders_other: Sequence[Render] | None = None,
-    constants: Strict1 | None = None,
-    lacks: tuple[Piece, ...] = (),
-) -> Measured:
-    """The metrics of strict-1 for an answer with as many frames as the truth and masks of its size.
+STANDARD = Strict1()
 
-    `renders` has the answer's render of each held-out query, or None; `asset` and `renders_other` are not used. Metrics
-    that need a piece in `lacks` get meaningless values.
-    """
-    c = constants or Strict1()
-    matched = match(truth, answer, lacks)
+
+def measure(case: Case, constants: Strict1 = STANDARD) -> Measured:
+    """The metrics of strict-1; asset and renders of the other choice are not used."""
+    matched = match(case.truth, case.answer, case.lacks)
     values = {
-        **answer_values(truth, matched, c),
-        **surface_values(truth, matched, matched.shape, c),
-        **picture_values(truth, renders),
+        **answer_values(case.truth, matched, constants),
+        **surface_values(case.truth, matched, matched.shape, constants),
+        **picture_values(case.truth, case.renders),
     }
     return Measured(to_floats(values), matched.swapped)
 
@@ -196,10 +202,7 @@ def penalties(truth: Truth) -> dict[str, float | None]:
 def _surface(id: str, what: str, column: str) -> Metric:
     return Metric(
         id,
-        "%",
-        "%",
-        "down",
-        100.0,
+        *PERCENT,
         (
             f"{what}: mean of the two directed mean distances, point to triangle, 100k seeded samples; truth to "
             "prediction samples the truth's visible surface, prediction to truth measures to the whole outer surface; "
@@ -234,20 +237,14 @@ STRICT_1 = Protocol(
     (
         Metric(
             "joint_type",
-            "fraction",
-            "fraction",
-            "up",
-            0.0,
+            *FRACTION,
             "1 when the joint's type is right, else 0",
             label="joint type",
             needs=("joint",),
         ),
         Metric(
             "axis",
-            "deg",
-            "deg",
-            "down",
-            90.0,
+            *ANGLE,
             "arccos of the clipped absolute dot product of the axes",
             label="axis direction",
             column="axis",
@@ -255,10 +252,7 @@ STRICT_1 = Protocol(
         ),
         Metric(
             "position",
-            "%",
-            None,
-            "down",
-            100.0,
+            *AXIS_PLACE,
             "distance from the point of the true axis nearest the moving part's centre to the predicted line",
             label="place of the axis",
             column="place",
@@ -266,10 +260,7 @@ STRICT_1 = Protocol(
         ),
         Metric(
             "position_line",
-            "%",
-            None,
-            "down",
-            100.0,
+            *AXIS_PLACE,
             "distance between the two axes as lines; point to line when they are parallel within 1e-6",
             "position",
             label="place of the axis, line to line",
@@ -277,10 +268,7 @@ STRICT_1 = Protocol(
         ),
         Metric(
             "state",
-            "deg",
-            "%",
-            "down",
-            None,
+            *STATE,
             _STATE.format(frames=_BOTH),
             label="joint state",
             column="state",
@@ -288,20 +276,14 @@ STRICT_1 = Protocol(
         ),
         Metric(
             "state_all",
-            "deg",
-            "%",
-            "down",
-            None,
+            *STATE,
             _STATE.format(frames="all frames"),
             label="joint state, all frames",
             needs=("joint", "states"),
         ),
         Metric(
             "miou",
-            "fraction",
-            "fraction",
-            "up",
-            0.0,
+            *FRACTION,
             "intersection over union, mean over frames and both parts; a part absent in both counts 1",
             label="part masks (mIoU)",
             column="mIoU",
@@ -309,10 +291,7 @@ STRICT_1 = Protocol(
         ),
         Metric(
             "pose_rotation",
-            "deg",
-            "deg",
-            "down",
-            180.0,
+            *ROTATION,
             "mean geodesic error of the reference part over all frames after alignment",
             label="rotation of the reference part",
             column="ref.\npart",
@@ -320,10 +299,7 @@ STRICT_1 = Protocol(
         ),
         Metric(
             "pose_translation",
-            "%",
-            "%",
-            "down",
-            100.0,
+            *PERCENT,
             "mean distance of the reference part's centre over all frames after alignment",
             label="place of the reference part",
             needs=("poses",),
@@ -333,20 +309,14 @@ STRICT_1 = Protocol(
         _surface("chamfer_s", "reference part", "cham.\nref."),
         Metric(
             "fscore",
-            "fraction",
-            "fraction",
-            "up",
-            0.0,
+            *FRACTION,
             "whole object: harmonic mean of precision and recall of the same samples within 1 % of the diagonal",
             label="F-score, whole object",
             needs=("joint", "meshes"),
         ),
         Metric(
             "psnr",
-            "dB",
-            "dB",
-            "up",
-            0.0,
+            *DECIBELS,
             "held-out queries, uint8, over the pixels of the truth's mask, white elsewhere, mean over queries; at "
             "most 100; no search at test time; a missing render counts 0",
             label="held-out views (PSNR)",
@@ -355,10 +325,7 @@ STRICT_1 = Protocol(
         ),
         Metric(
             "ssim",
-            "fraction",
-            "fraction",
-            "up",
-            0.0,
+            *FRACTION,
             "structural similarity (Gaussian window, sigma 1.5) of the same pictures, mean over the mask's pixels",
             "psnr",
             label="held-out views (SSIM)",

@@ -6,50 +6,44 @@ lists all differences to strict-1.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from freeart21 import se3
-from freeart21.reconstruction import Piece, Reconstruction
 from freeart21.truth import Truth
 from leaderboard import metrics
 from leaderboard.matching import Matched, match
-from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, to_floats
-from leaderboard.protocols.strict1 import STRICT_1, Strict1, answer_values, penalties, picture_values, surface_values
+from leaderboard.protocol import Case, Measured, Metric, Protocol, to_floats
+from leaderboard.protocols.strict1 import (
+    PERCENT,
+    ROTATION,
+    STANDARD,
+    STRICT_1,
+    Strict1,
+    answer_values,
+    penalties,
+    picture_values,
+    surface_values,
+)
 
 
-def measure(
-    truth: Truth,
-    answer: Reconstruction,
-    renders: Sequence[Render],
-    asset: Shape | None = None,
-    renders_other: Sequence[Render] | None = None,
-    constants: Strict1 | None = None,
-    lacks: tuple[Piece, ...] = (),
-) -> Measured:
-    """The metrics of strict-2 for an answer with as many frames as the truth and masks of its size.
-
-    `asset` is the asset's shape in the answer's canonical frame; None without an asset, when the part files replace it.
-    `renders` has the answer's render of each held-out query, or None; `renders_other` the same for the other choice of
-    reference part, or None as a whole. Metrics that need a piece in `lacks` get meaningless values.
-    """
-    c = constants or Strict1()
-    matched = match(truth, answer, lacks)
-    parts = surface_values(truth, matched, matched.shape, c)
-    if asset is None:
+def measure(case: Case, constants: Strict1 = STANDARD) -> Measured:
+    """The metrics of strict-2; the part files replace an asset that there is not."""
+    truth, matched = case.truth, match(case.truth, case.answer, case.lacks)
+    parts = surface_values(truth, matched, matched.shape, constants)
+    if case.asset is None:
         surfaces = parts
     else:
-        named = asset.swapped() if matched.swapped else asset
-        surfaces = surface_values(truth, matched, named.moved(matched.T_truth_pred), c)
-    other_views = matched.swapped and renders_other is not None
+        named = case.asset.swapped() if matched.swapped else case.asset
+        surfaces = surface_values(truth, matched, named.moved(matched.T_truth_pred), constants)
+    other_views = matched.swapped and case.renders_other is not None
     values = {
-        **answer_values(truth, matched, c),
+        **answer_values(truth, matched, constants),
         **moving_pose_values(truth, matched),
         **surfaces,
         **{f"{id}_parts": value for id, value in parts.items()},
-        **picture_values(truth, renders_other if other_views and renders_other is not None else renders),
+        **picture_values(truth, case.renders_other if other_views and case.renders_other is not None else case.renders),
     }
     return Measured(to_floats(values), matched.swapped, other_views)
 
@@ -92,10 +86,7 @@ def _strict_2_metrics() -> tuple[Metric, ...]:
             metrics += [
                 Metric(
                     "pose_moving_rotation",
-                    "deg",
-                    "deg",
-                    "down",
-                    180.0,
+                    *ROTATION,
                     f"mean geodesic error of the moving part {_OWN_ALIGNMENT}",
                     label="rotation of the moving part",
                     column="moving\npart",
@@ -103,10 +94,7 @@ def _strict_2_metrics() -> tuple[Metric, ...]:
                 ),
                 Metric(
                     "pose_moving_translation",
-                    "%",
-                    "%",
-                    "down",
-                    100.0,
+                    *PERCENT,
                     f"mean distance of the moving part's centre {_OWN_ALIGNMENT}",
                     label="place of the moving part",
                     needs=("poses",),
