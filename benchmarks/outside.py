@@ -20,9 +20,9 @@ run that was stopped goes on from there. Nothing of the data enters the reposito
 from __future__ import annotations
 
 import contextlib
-import shutil
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -32,21 +32,19 @@ from benchmarks.solve import (
     PROTOCOL,
     Aim,
     Outcome,
-    Place,
+    case_of,
     figures,
     from_geometry,
     key_of,
-    known_outcomes,
     print_beside,
     print_outcomes,
-    say,
-    solve_all,
-    tasks_of,
+    run_calls,
+    solve_cases,
     without,
     worst_first,
 )
+from freeart21 import jobs
 from freeart21.errors import FreeArtError
-from freeart21.files import atomic, checked
 from freeart21.files.result import read_result
 from freeart21.files.urdf import read_urdf_joints
 from freeart21.formats import rgbd_folder
@@ -55,12 +53,11 @@ from freeart21.reconstruction import Failure
 from generator.dataset import Job, plan_jobs, record_jobs
 from generator.session import TRACK, RecordSettings
 from reconstruct import VERSION
-from reconstruct.cache import code_digest, work_folder
+from reconstruct.cache import code_digest
 from reconstruct.pipeline import reconstruct_folder
-from reconstruct.settings import ReconstructSettings
+from reconstruct.settings import ReconstructSettings, read_settings
 
 BESIDE = "no-gaussians"
-SCHEMA = "freeart21/benchmark-outside/1"
 SENSORS = ("noise2", "tof")
 SEED = 7
 SHARED = ROOT.parent / "shared"
@@ -125,7 +122,6 @@ def main(
     """
     settings = replace(settings, progress=False)
     variants = {OURS: settings, BESIDE: without(settings, BESIDE)}
-    places = {name: Place(work / "results" / name, work / "outcomes" / name) for name in variants}
     chosen, left_out = clips_of(partnet, mocap, urdfs, frames)
     real = sorted(path for path in videos.glob("*") if rgbd_folder.is_rgbd_folder(path))
     if not real:
@@ -135,30 +131,17 @@ def main(
     if unknown:
         raise FreeArtError(f"there is no clip '{unknown[0]}'; there are {', '.join(named) or 'none'}")
     wanted = [clip for clip in chosen if not clips or clip.name in clips]
-    found: dict[tuple[str, str], Outcome] = {}
+    cases = []
     for clip in wanted:
         try:
-            folder, job = _recorded(clip, work / f"{frames}frames")
+            folder, recording = _recorded(clip, work / f"{frames}frames")
         except FreeArtError as error:
             left_out[clip.name] = str(error)
             continue
-        keys = {name: key_of(its, job.to_json()) for name, its in variants.items()}
-        here = {} if fresh else known_outcomes({job.sequence: keys}, places, folder)
-        tasks = tasks_of(job, keys, folder, places, variants, _geometry(work), here)
-        if clip.settings.track is not None:
-            tasks = [replace(task, motion="captured") for task in tasks]
-        found |= here | (solve_all([tasks], 1, 0) if tasks else {})
-    told: list[Told] = []
-    for source in real:
-        if clips and source.name not in clips:
-            continue
-        try:
-            sequence = _converted(source, work / "videos")
-        except FreeArtError as error:
-            left_out[source.name] = str(error)
-            continue
-        told += [_told(name, its, sequence, work, places[name], fresh) for name, its in variants.items()]
-        shutil.rmtree(work_folder(_geometry(work) / sequence.name), ignore_errors=True)
+        case = case_of(recording, folder)
+        cases.append(case if clip.settings.track is None else replace(case, motion="captured"))
+    found = solve_cases(cases, variants, work / "solved", fresh=fresh)
+    told = _solve_videos([path for path in real if not clips or path.name in clips], variants, work, fresh, left_out)
     roots = {str(partnet): "PARTNET", str(mocap): "MOCAP", str(urdfs): "URDFS", str(videos): "VIDEOS"}
     for root, word in roots.items():
         left_out = {name: why.replace(root, word) for name, why in left_out.items()}
@@ -236,11 +219,6 @@ def _recorded(clip: Clip, data: Path) -> tuple[Path, Job]:
     return folder, job
 
 
-def _geometry(work: Path) -> Path:
-    """Where the stages that the variants share are kept."""
-    return work / "results" / "geometry"
-
-
 # --- a video without a truth ------------------------------------------------------------------------------------------
 
 
@@ -252,19 +230,45 @@ def _converted(source: Path, data: Path) -> Path:
     return sequence
 
 
-def _told(variant: str, settings: ReconstructSettings, sequence: Path, work: Path, place: Place, fresh: bool) -> Told:
-    """What a variant finds in a video; solved unless it is known."""
-    name, kept = sequence.name, place.kept / f"{sequence.name}.json"
-    key = key_of(settings, digest_of(files=[path for path in sorted(sequence.rglob("*")) if path.is_file()]))
-    if kept.is_file() and not fresh and (known := checked.read_json(kept, SCHEMA)).get("key") == key:
-        return Told(**{field: known[field] for field in Told.__dataclass_fields__})
-    result = place.work / name
-    from_geometry(sequence, result, _geometry(work) / name, settings)
-    reconstruct_folder(sequence, result, settings)
-    told = tell(result, variant)
-    atomic.write_json(kept, {"schema": SCHEMA, "key": key, **asdict(told)})
-    say(f"{variant}: {name}: {told.status}")
+def _solve_videos(
+    sources: list[Path], variants: dict[str, ReconstructSettings], work: Path, fresh: bool, left_out: dict[str, str]
+) -> list[Told]:
+    """What each variant finds in each video; those that cannot be converted, or solved, are added to `left_out`."""
+    todo: list[jobs.Job] = []
+    for source in sources:
+        try:
+            sequence = _converted(source, work / "videos")
+        except FreeArtError as error:
+            left_out[source.name] = str(error)
+            continue
+        files = digest_of(files=[path for path in sorted(sequence.rglob("*")) if path.is_file()])
+        needs: tuple[str, ...] = ()
+        for variant, settings in variants.items():
+            name = f"{variant}/{source.name}"
+            arguments = {
+                "sequence": str(sequence.resolve()),
+                "result": f"{{folder}}/results/{name}",
+                "geometry": f"{{folder}}/geometry/{source.name}",
+                "settings": f"{{folder}}/settings/{variant}.json",
+            }
+            call, key = "benchmarks.outside:solve_video", key_of(settings, files)
+            todo.append(jobs.Job(name, call=call, arguments=arguments, needs=needs, key=key))
+            needs = (name,)
+    told = []
+    for name, answer in run_calls(work / "solved-videos", todo, variants, fresh=fresh).items():
+        if "crash" in answer:
+            left_out[name] = answer["crash"]
+        else:
+            told.append(Told(**answer))
     return told
+
+
+def solve_video(sequence: str, result: str, geometry: str, settings: str) -> dict[str, Any]:
+    """Solve a video, in a process of its own; what was found, as JSON."""
+    own = replace(read_settings(Path(settings)), progress=False)
+    from_geometry(Path(sequence), Path(result), Path(geometry), own)
+    reconstruct_folder(Path(sequence), Path(result), own)
+    return asdict(tell(Path(result), Path(settings).stem))
 
 
 def tell(result: Path, variant: str) -> Told:

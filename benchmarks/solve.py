@@ -9,27 +9,20 @@ machine). Another sensor, motion, split or setting is another variant, with its 
 rows of the suite that differ from the stage `gaussians` on, are solved from the same geometry and compared with it,
 object by object.
 
-An object's outcome is kept in benchmarks/results/reconstruct/VARIANT/SEQUENCE.json and taken from there as long as its
-key holds: the solver's version and code, its settings, how the sequence is recorded, and, where the sequence is here,
-its bytes and its truth's. A run that was stopped goes on from there, within an object from its last finished stage.
-Crashes are priced, and tried again.
+Each object is a job (`freeart21.jobs`) in --work/VARIANT, which is not run again as long as its key holds: the solver's
+version and code, its settings, how the sequence is recorded, its bytes and its truth's. A run that was stopped goes on
+from there, within an object from its last finished stage. Crashes are priced, and tried again.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
-import os
 import resource
-import shutil
 import sys
-from collections.abc import Container, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from multiprocessing.connection import Connection
 from pathlib import Path
-from threading import Event, Thread
 from typing import Any, Literal
 
 from rich.table import Table
@@ -45,12 +38,14 @@ from benchmarks.common import (
     wide_console,
     write_report,
 )
-from freeart21 import catalog
+from freeart21 import catalog, jobs
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import read_benchmark
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
+from freeart21.jobs.job import job_digests
+from freeart21.jobs.ledger import Ledger
 from generator import v1
 from generator.dataset import Job, Label, record_jobs
 from generator.session import RecordSettings
@@ -61,11 +56,10 @@ from leaderboard.sequence_score import SequenceScorer, score_sequence
 from leaderboard.suite.rows import ROWS
 from reconstruct import VERSION
 from reconstruct.cache import code_digest, work_folder
-from reconstruct.settings import ReconstructSettings
+from reconstruct.settings import ReconstructSettings, read_settings
 from reconstruct.stages import settings_used_by
 
 PROTOCOL = "strict-2"
-SCHEMA = "freeart21/benchmark-reconstruct/1"
 
 
 @dataclass(frozen=True)
@@ -139,36 +133,15 @@ SHOWN = tuple(DIGITS)
 
 
 @dataclass(frozen=True)
-class Task:
-    """One object to be solved and scored."""
+class Case:
+    """One recording to be solved and scored."""
 
     object: str
     motion: str
     sequence: Path
     truth: Path
-    result: Path
-    settings: ReconstructSettings
-    key: str
-    """Under which its outcome is kept."""
-    data: str
-    """Hash over the files of its sequence and truth."""
-    variant: str
-    """OURS, or the name of the row beside it."""
-    kept: Path
-    """The file of its outcome."""
-    geometry: Path | None
-    """Result folder, never written, beside which the stages before `gaussians` are kept for all variants; None when
-    there is but one."""
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where a variant's files are, an object each."""
-
-    work: Path
-    """Result folders."""
-    kept: Path
-    """Outcomes."""
+    recording: Any
+    """All that decides its bytes, as JSON."""
 
 
 @dataclass(frozen=True)
@@ -183,13 +156,8 @@ class Outcome:
     """Per stage of the solver."""
     peak_gb: float | None
     """Of the solver's process, before export and score; None when it crashed."""
-    solver: str
     commit: str
     machine: dict[str, Any]
-    workers: int
-    """Objects that were solved side by side."""
-    data: str
-    """Hash over the files of the sequence and its truth."""
 
 
 def main(
@@ -206,7 +174,6 @@ def main(
     fresh: bool = False,
     beside: tuple[str, ...] = (),
     work: Path = ROOT / "out" / "reconstruct",
-    kept: Path = RESULTS / "reconstruct",
     out: Path | None = None,
     settings: ReconstructSettings = ReconstructSettings(),  # noqa: B008 (frozen)
 ) -> None:
@@ -227,8 +194,7 @@ def main(
         fresh: Solve all anew, whatever is known.
         beside: Variants that are solved from the same geometry and compared: no-gaussians, no-end-to-end,
             no-blended-rendering.
-        work: Where results are kept, to look at.
-        kept: Where outcomes are kept, an object a file, to be taken from there by later runs.
+        work: Where results are kept, to look at, and what is known of them.
         out: The JSON file. When not given: benchmarks/results/reconstruct.json, or reconstruct-VARIANT.json there, and
             only when a whole tier is known.
         settings: Of the solver.
@@ -242,19 +208,11 @@ def main(
     variant = names[OURS]
     folder = data.with_name(f"{data.name}-{recorded}") if recorded else data
     chosen = _objects(tier, objects)
-    jobs = _jobs(chosen, split, sensor, motion, preset, frames)
-    keys = {job.sequence: {name: _key(job, its) for name, its in variants.items()} for job in jobs}
-    places = {name: Place(work / names[name], kept / names[name]) for name in variants}
-    known = {} if fresh else known_outcomes(keys, places, folder)
-    lacking = [(name, job) for job in jobs for name in variants if (name, job.sequence) not in known]
-    if lacking and known_only:
-        say(f"not known: {', '.join(f'{job.sequence} ({name})' for name, job in lacking)}")
-    elif lacking:
-        todo = list({job.sequence: job for _, job in lacking}.values())
-        _record(folder, todo, split, recorded)
-        geometry = work / f"{variant}-geometry" if beside else None
-        tasks = [tasks_of(job, keys[job.sequence], folder, places, variants, geometry, known) for job in todo]
-        known |= solve_all(tasks, workers, len(known))
+    recordings = _recordings(chosen, split, sensor, motion, preset, frames)
+    if not known_only:
+        _record(folder, recordings, split, recorded)
+    cases = [case_of(recording, folder) for recording in recordings]
+    known = solve_cases(cases, variants, work / variant, workers, fresh, known_only)
     of = {name: worst_first([o for (n, _), o in known.items() if n == name]) for name in variants}
     outcomes = of.pop(OURS)
     if not outcomes:
@@ -276,6 +234,7 @@ def main(
         "solver": VERSION,
         "code": code_digest(),
         "solver_settings": settings.to_json(),
+        "workers": workers,
         "objects": chosen,
     }
     body = figures(outcomes)
@@ -343,7 +302,7 @@ def _objects(tier: str, named: Sequence[str] = ()) -> list[str]:
     return list(first.values())
 
 
-def _jobs(
+def _recordings(
     objects: Sequence[str],
     split: Literal["public", "test"],
     sensor: str,
@@ -352,36 +311,16 @@ def _jobs(
     frames: int,
 ) -> list[Job]:
     """The benchmark's own recordings of `objects`, but for what is asked otherwise."""
-    jobs = v1.jobs(split, RecordSettings(sensor=sensor, preset=preset, frames=frames))
+    found = v1.jobs(split, RecordSettings(sensor=sensor, preset=preset, frames=frames))
     if motion is not None:
-        jobs = [replace(job, settings=replace(job.settings, motion=motion)) for job in jobs]
-    return [job for job in jobs if job.name in objects]
-
-
-def _key(job: Job, settings: ReconstructSettings) -> str:
-    return key_of(settings, job.to_json(), v1.read_frozen()[job.sequence])
+        found = [replace(job, settings=replace(job.settings, motion=motion)) for job in found]
+    return [job for job in found if job.name in objects]
 
 
 def key_of(settings: ReconstructSettings, *recording: Any) -> str:
-    """SHA-256, hexadecimal, of what an outcome depends on, as far as it is known without the data.
-
-    `recording` is what decides the sequence's bytes, as JSON.
-    """
+    """SHA-256, hexadecimal, of what an outcome depends on; `recording` decides the bytes of the sequence, as JSON."""
     facts = [PROTOCOL, VERSION, code_digest(), settings.to_json(), *recording]
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
-
-
-def known_outcomes(
-    keys: dict[str, dict[str, str]], places: dict[str, Place], folder: Path
-) -> dict[tuple[str, str], Outcome]:
-    """What is kept, by variant and sequence, of the same `keys` (by sequence and variant) and the data in `folder`."""
-    known = {}
-    for sequence, its in keys.items():
-        for variant, key in its.items():
-            outcome = read_outcome(places[variant].kept / f"{sequence}.json", key)
-            if outcome is not None and outcome.data == (_bytes_of(folder, sequence) or outcome.data):
-                known[variant, sequence] = outcome
-    return known
 
 
 def _bytes_of(folder: Path, sequence: str) -> str | None:
@@ -393,144 +332,126 @@ def _bytes_of(folder: Path, sequence: str) -> str | None:
     return hashlib.sha256(json.dumps(mine, sort_keys=True).encode()).hexdigest() if mine else None
 
 
-def _record(folder: Path, jobs: Sequence[Job], split: Literal["public", "test"], recorded: str) -> None:
-    """Record what is missing of `jobs`; what is there is held to their settings."""
+def _record(folder: Path, recordings: Sequence[Job], split: Literal["public", "test"], recorded: str) -> None:
+    """Record what is missing; what is there is held to the settings of `recordings`."""
     if (folder / "benchmark.json").is_file() and (there := read_benchmark(folder).split) != split:
         raise FreeArtError(f"{folder} is the split '{there}', expected '{split}': name another folder by --data")
-    record_jobs(folder, jobs, label=Label("-".join(filter(None, [v1.NAME, recorded])), v1.VERSION, split))
+    record_jobs(folder, recordings, label=Label("-".join(filter(None, [v1.NAME, recorded])), v1.VERSION, split))
 
 
-def tasks_of(
-    job: Job,
-    keys: dict[str, str],
-    folder: Path,
-    places: dict[str, Place],
-    variants: dict[str, ReconstructSettings],
-    geometry: Path | None,
-    known: Container[tuple[str, str]] = (),
-) -> list[Task]:
-    """The variants of a recording in the data folder `folder` that are not known, to be solved one after the other."""
-    name, data = job.sequence, _bytes_of(folder, job.sequence)
+def case_of(recording: Job, folder: Path) -> Case:
+    """The case of a recording in the data folder `folder`."""
+    name, data = recording.sequence, _bytes_of(folder, recording.sequence)
     if data is None:
         raise FreeArtError(f"{folder} has no sequence {name} in its benchmark.json")
-    return [
-        Task(
-            object=job.name,
-            motion=job.settings.motion,
-            sequence=folder / "sequences" / name,
-            truth=folder / "truth" / name,
-            result=places[variant].work / name,
-            settings=settings,
-            key=keys[variant],
-            data=data,
-            variant=variant,
-            kept=places[variant].kept / f"{name}.json",
-            geometry=None if geometry is None else geometry / name,
-        )
-        for variant, settings in variants.items()
-        if (variant, name) not in known
-    ]
-
-
-def read_outcome(path: Path, key: str) -> Outcome | None:
-    """The outcome kept in `path`; None when there is none, or it is of another solver, setting or sequence."""
-    if not path.is_file():
-        return None
-    data = checked.read_json(path, SCHEMA)
-    if data.get("key") != key:
-        return None
-    facts = {name: data[name] for name in Outcome.__dataclass_fields__ if name != "row"}
-    return Outcome(row=Row(**{**data["row"], "notes": tuple(data["row"]["notes"])}), **facts)
-
-
-def write_outcome(path: Path, key: str, outcome: Outcome) -> None:
-    """Keep `outcome` under `key`."""
-    atomic.write_json(path, {"schema": SCHEMA, "key": key, **asdict(outcome)})
+    facts = [recording.to_json(), data]
+    return Case(recording.name, recording.settings.motion, folder / "sequences" / name, folder / "truth" / name, facts)
 
 
 # --- doing it ---------------------------------------------------------------------------------------------------------
 
 
-def solve_all(todo: list[list[Task]], workers: int, known: int) -> dict[tuple[str, str], Outcome]:
-    """Outcomes by variant and sequence, each kept as soon as it is there; crashes are not kept.
-
-    `todo` lists the variants of each object: objects are solved side by side, variants of one one after the other.
-    """
-    found: dict[tuple[str, str], Outcome] = {}
-    total, stopped = known + sum(map(len, todo)), Event()
-
-    def solve(tasks: list[Task]) -> None:
-        for task in tasks:
-            if stopped.is_set():
-                return
-            outcome, crashed = _in_a_process(task, workers)
-            found[task.variant, task.sequence.name] = outcome
-            if not crashed:
-                write_outcome(task.kept, task.key, outcome)
-            say(f"{known + len(found)}/{total} {task.variant}: {_one_line(outcome)}")
-        if tasks[0].geometry is not None:
-            shutil.rmtree(work_folder(tasks[0].geometry), ignore_errors=True)
-
-    pool = ThreadPoolExecutor(workers)
-    futures = [pool.submit(solve, tasks) for tasks in todo]
-    try:
-        for future in as_completed(futures):
-            future.result()
-    finally:
-        stopped.set()
-        pool.shutdown(wait=True, cancel_futures=True)
+def solve_cases(
+    cases: Sequence[Case],
+    variants: Mapping[str, ReconstructSettings],
+    folder: Path,
+    workers: int = 1,
+    fresh: bool = False,
+    known_only: bool = False,
+) -> dict[tuple[str, str], Outcome]:
+    """Outcomes by variant and sequence; without `known_only` of all `cases`, by jobs in `folder`."""
+    todo = [job for case in cases for job in solving_jobs(case, variants)]
+    returned = run_calls(folder, todo, variants, workers, fresh, known_only)
+    found = {}
+    for case in cases:
+        for variant in variants:
+            answer = returned.get(f"{variant}/{case.sequence.name}")
+            if answer is not None:
+                found[variant, case.sequence.name] = _outcome(case, answer)
     return found
 
 
-def _in_a_process(task: Task, workers: int) -> tuple[Outcome, bool]:
-    """Solve in a fresh process, whose memory is its own and whose crash costs its own row; whether it crashed."""
-    context = multiprocessing.get_context("spawn")
-    ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(task, theirs), daemon=True)
-    process.start()
-    theirs.close()
-    try:
-        answer: dict[str, Any] = ours.recv()
-        process.join()
-    except EOFError:
-        process.join()
-        answer = {"crash": f"crashed: the process ended with code {process.exitcode}"}
-    if "broken" in answer:
-        raise FreeArtError(answer["broken"])
-    row, seconds, peak = answer.get("row"), answer.get("seconds", {}), answer.get("peak_gb")
-    if row is None:
-        case = SequenceScorer(protocol_named(PROTOCOL), read_sequence(task.sequence), read_truth(task.truth))
-        row = case.penalised_row("failed", answer["crash"])
-    outcome = Outcome(task.object, task.motion, row, seconds, peak, VERSION, commit(), machine(), workers, task.data)
-    return outcome, "crash" in answer
+def solving_jobs(case: Case, variants: Mapping[str, ReconstructSettings]) -> list[jobs.Job]:
+    """A job for each variant of a case, one after the other: the first solves the geometry that they share."""
+    made: list[jobs.Job] = []
+    for variant, settings in variants.items():
+        name = f"{variant}/{case.sequence.name}"
+        arguments = {
+            "sequence": str(case.sequence.resolve()),
+            "truth": str(case.truth.resolve()),
+            "result": f"{{folder}}/results/{name}",
+            "geometry": f"{{folder}}/geometry/{case.sequence.name}" if len(variants) > 1 else None,
+            "settings": f"{{folder}}/settings/{variant}.json",
+        }
+        needs, key = tuple(job.name for job in made[-1:]), key_of(settings, case.recording)
+        made.append(jobs.Job(name, call="benchmarks.solve:solve", arguments=arguments, needs=needs, key=key))
+    return made
 
 
-def _work(task: Task, to: Connection) -> None:
+def run_calls(
+    folder: Path,
+    todo: Sequence[jobs.Job],
+    variants: Mapping[str, ReconstructSettings],
+    workers: int = 1,
+    fresh: bool = False,
+    known_only: bool = False,
+) -> dict[str, Any]:
+    """Job name to what its call returned, of all finished ones; to {"crash": reason} of those that failed now.
+
+    The settings of each variant are written to `folder`/settings, where the calls read them.
+    """
+    ledger, digests = Ledger(folder), job_digests(todo)
+    failed: dict[str, str] = {}
+    if not known_only:
+        for job in todo if fresh else ():
+            ledger.forget(job)
+        for variant, settings in variants.items():
+            atomic.write_json(folder / "settings" / f"{variant}.json", settings.to_json())
+        report = jobs.run_jobs(folder, todo, workers, attempts=1, listener=_say_progress)
+        failed = {one.name: one.reason for one in report.failed}
+    found: dict[str, Any] = {}
+    for job in todo:
+        if ledger.finished(job, digests[job.name]):
+            found[job.name] = ledger.read_statistics(job, digests[job.name])["returned"]
+        elif job.name in failed:
+            found[job.name] = {"crash": f"crashed: {failed[job.name]}"}
+        else:
+            say(f"not known: {job.name}")
+    return found
+
+
+def _say_progress(event: str, job: jobs.Job, facts: dict[str, object]) -> None:
+    if event != "begins":
+        say(f"{job.name}: {event}, {facts.get('line') or ''} {facts.get('seconds', 0):.0f} s")
+
+
+def _outcome(case: Case, answer: dict[str, Any]) -> Outcome:
+    """The outcome of what `solve` returned; a crash costs the penalty."""
+    if "crash" not in answer:
+        return Outcome(case.object, case.motion, **{**answer, "row": Row.from_json(answer["row"])})
+    scorer = SequenceScorer(protocol_named(PROTOCOL), read_sequence(case.sequence), read_truth(case.truth))
+    row = scorer.penalised_row("failed", answer["crash"])
+    return Outcome(case.object, case.motion, row, {}, None, commit(), machine())
+
+
+def solve(sequence: str, truth: str, result: str, geometry: str | None, settings: str) -> dict[str, Any]:
+    """Solve, export and score a recording, in a process of its own; the fields of `Outcome` that are not the case's."""
     from export.exporter import export_result
     from freeart21.reconstruction import Failure
     from reconstruct.pipeline import reconstruct_folder
 
-    Thread(target=_end_with_the_parent, daemon=True).start()
-    try:
-        before_gb = from_geometry(task.sequence, task.result, task.geometry, task.settings)
-        result = reconstruct_folder(task.sequence, task.result, task.settings)
-        peak_gb = max(before_gb, _peak_gb())
-    except Exception as error:
-        to.send({"crash": f"crashed: {type(error).__name__}: {error}"})
-        raise
-    lacks = None
-    if not isinstance(result, Failure):
+    own, place = replace(read_settings(Path(settings)), progress=False), Path(result)
+    before_gb = from_geometry(Path(sequence), place, None if geometry is None else Path(geometry), own)
+    found = reconstruct_folder(Path(sequence), place, own)
+    peak_gb, lacks = max(before_gb, _peak_gb()), ()
+    if not isinstance(found, Failure):
         try:
-            export_result(task.result, task.result / "asset")
+            export_result(place, place / "asset")
         except FreeArtError as error:  # scored from the files then, and marked so
-            lacks = f"no asset: {error}"
-    try:
-        row = score_sequence(task.result, task.sequence, task.truth, PROTOCOL)
-    except FreeArtError as error:
-        to.send({"broken": str(error)})
-        return
-    row = row if lacks is None else replace(row, notes=(*row.notes, lacks))
-    to.send({"row": row, "seconds": result.seconds, "peak_gb": peak_gb})
+            lacks = (f"no asset: {error}",)
+    row = score_sequence(place, Path(sequence), Path(truth), PROTOCOL)
+    body = {"row": asdict(replace(row, notes=(*row.notes, *lacks))), "seconds": found.seconds, "peak_gb": peak_gb}
+    return {**body, "commit": commit(), "machine": machine()}
 
 
 def from_geometry(sequence: Path, result: Path, geometry: Path | None, settings: ReconstructSettings) -> float:
@@ -556,14 +477,6 @@ def from_geometry(sequence: Path, result: Path, geometry: Path | None, settings:
 def _peak_gb() -> float:
     """Of this process so far."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
-
-
-def _end_with_the_parent() -> None:
-    """A killed benchmark leaves no solver behind."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 # --- what it means ----------------------------------------------------------------------------------------------------
@@ -672,10 +585,8 @@ def _line(outcome: Outcome) -> dict[str, Any]:
         "seconds": outcome.seconds,
         "seconds_total": sum(outcome.seconds.values()) if outcome.seconds else None,
         "peak_gb": outcome.peak_gb,
-        "solver": outcome.solver,
         "commit": outcome.commit,
         "machine": outcome.machine,
-        "workers": outcome.workers,
     }
 
 
@@ -692,9 +603,9 @@ def print_outcomes(outcomes: list[Outcome], aim: Aim, title: str) -> None:
     console.print(_goal_table(outcomes, aim))
     console.print(_stage_table(outcomes))
     here = machine()
-    elsewhere = [o.row.sequence for o in outcomes if o.machine != here or o.workers > 1]
+    elsewhere = [o.row.sequence for o in outcomes if o.machine != here]
     if elsewhere:
-        console.print(f"  seconds of another machine, or of several side by side: {', '.join(elsewhere)}")
+        console.print(f"  seconds of another machine: {', '.join(elsewhere)}")
 
 
 def _object_table(outcomes: list[Outcome], title: str) -> Table:
@@ -822,13 +733,6 @@ def _stage_table(outcomes: list[Outcome]) -> Table:
         longest = max(took)
         table.add_row(stage, f"{sum(t for t, _ in took) / len(took):.1f}", f"{longest[0]:.1f}", longest[1])
     return table
-
-
-def _one_line(outcome: Outcome) -> str:
-    row = outcome.row
-    figures = ", ".join(f"{id} {format_number(row.values.get(id))}" for id in ("axis", "state", "miou", "chamfer_m"))
-    mark, gigabytes = " FAILED" if failed(row) else "", format_number(outcome.peak_gb, 2)
-    return f"{row.sequence}{mark}: {figures}; {sum(outcome.seconds.values()):.0f} s, {gigabytes} GB"
 
 
 def say(line: str) -> None:

@@ -67,10 +67,10 @@ def read_scores(path: Path) -> Scores:
 def _read_scores(data: dict[str, Any], path: Path) -> Scores:
     from leaderboard.score import summarise
 
-    protocol = _read_object(data, "protocol", path)
+    protocol = checked.json_object(data, "protocol", path)
     rules = protocol_named(checked.text(protocol, "name", path))
     _check_terms(protocol, rules, path)
-    facts = _read_object(data, "benchmark", path)
+    facts = checked.json_object(data, "benchmark", path)
     benchmark = {key: _read_line(facts, key, path) for key in (*_BENCHMARK, *({"hidden"} & set(facts)))}
     listed = data.get("rows")
     if not isinstance(listed, list) or not 0 < len(listed) <= MAX_ROWS:
@@ -81,10 +81,10 @@ def _read_scores(data: dict[str, Any], path: Path) -> Scores:
         raise FreeArtError(f"{path} has a sequence more than once: {name}")
     summaries = summarise(rows, rules)
     _check_summaries(data.get("summaries"), summaries, path)
-    made_with = plain_json(_read_object(data, "made_with", path))
+    made_with = plain_json(checked.json_object(data, "made_with", path))
     return Scores(
         rules.name,
-        _read_method(_read_object(data, "method", path), path),
+        _read_method(checked.json_object(data, "method", path), path),
         benchmark,
         rows,
         summaries,
@@ -210,13 +210,6 @@ def _find_difference(given: Mapping[str, Any], ours: Mapping[str, Any]) -> str:
     return ""
 
 
-def _read_object(data: dict[str, Any], key: str, path: Path) -> dict[str, Any]:
-    value = data.get(key)
-    if not isinstance(value, dict):
-        raise FreeArtError(f"{path}: '{key}' is {_quote(value)}, expected an object")
-    return value
-
-
 def _read_line(data: dict[str, Any], key: str, path: Path) -> str:
     """The text `data[key]`, one printable line."""
     value = data.get(key)
@@ -232,20 +225,13 @@ def _read_notes(value: Any, where: str) -> tuple[str, ...]:
 
 
 def _read_numbers(data: dict[str, Any], key: str, where: str) -> dict[str, float | None]:
-    value = data[key]
-    if not isinstance(value, dict):
-        raise FreeArtError(f"{where}: '{key}' is {_quote(value)}, expected an object")
+    value = checked.json_object(data, key, where)
     return {id: _read_number(value, id, f"{where} {key}") for id in value}
 
 
 def _read_number(data: dict[str, Any], key: str, where: str) -> float | None:
     """The finite number `data[key]`, or None for null."""
-    value = data[key]
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
-        raise FreeArtError(f"{where}: '{shorten(key)}' is {_quote(value)}, expected a finite number or null")
-    return float(value)
+    return None if data[key] is None else checked.number(data, key, where, -LARGEST, LARGEST)
 
 
 def _read_sha256(data: dict[str, Any], key: str, where: str) -> str | None:

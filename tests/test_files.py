@@ -241,8 +241,8 @@ def test_a_failure_round_trips_and_replaces_an_older_result(result):
         ({"trust": {"verdict": "doubtful", "reasons": ["x" * 5000]}}, "of at most 1000 characters"),
         ({"trust": {"verdict": "sound", "reasons": ["why"]}}, "sound with 1 reasons for doubt, expected none"),
         ({"joint_std": [1, 2]}, "expected axis_rad and pivot_m"),
-        ({"joint_std": {"axis_rad": -1}}, "joint_std 'axis_rad' is -1, expected 0 or more"),
-        ({"joint_std": {"pivot_m": "wide"}}, "joint_std 'pivot_m' is 'wide'"),
+        ({"joint_std": {"axis_rad": -1}}, "joint_std: 'axis_rad' is -1, expected 0 or more"),
+        ({"joint_std": {"pivot_m": "wide"}}, "joint_std: 'pivot_m' is 'wide'"),
     ],
 )
 def test_a_bad_prediction_is_one_clear_line(result, change, message):

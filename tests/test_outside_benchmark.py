@@ -1,11 +1,14 @@
 """Data of others: which clips there are, how a captured motion is cut, and that variants share one geometry."""
 
+from dataclasses import replace
+
 import numpy as np
 import trimesh
 from refusal import assert_refused
 from test_track import URDF as CASE
 
-from benchmarks import outside
+from benchmarks import outside, solve
+from reconstruct.settings import ReconstructSettings
 
 URDF = """<robot name="box"><link name="base"/><link name="lid"/><link name="drawer"/>
 <joint name="glue" type="fixed"><parent link="base"/><child link="drawer"/></joint>
@@ -64,3 +67,33 @@ def test_captured_motion_is_of_the_object_itself_where_it_can_be_recorded(tmp_pa
     (folder / "case.urdf").write_text("no urdf")
     assert outside.own_urdf(folder) == folder / "a.urdf"
     assert outside.own_urdf(tmp_path / "none") is None
+
+
+def test_variants_of_a_recording_are_jobs_one_after_the_other(tmp_path, monkeypatch):
+    """Each is run again when its settings or the data change; what is solved is known to the next run."""
+    own = ReconstructSettings(progress=False)
+    variants = {"ours": own, "beside": replace(own, seed=1)}
+    case = solve.Case("stapler", "wave", tmp_path / "sequences" / "a", tmp_path / "truth" / "a", ["d4"])
+    first, second = solve.solving_jobs(case, variants)
+    assert second.needs == (first.name,) == ("ours/a",) and first.arguments["geometry"] == "{folder}/geometry/a"
+    (alone,) = solve.solving_jobs(case, {"ours": own})
+    assert alone.arguments["geometry"] is None and alone.key == first.key != second.key
+    assert solve.solving_jobs(replace(case, recording=["d5"]), variants)[0].key != first.key
+
+    values = dict.fromkeys((m.id for m in solve.protocol_named(solve.PROTOCOL).metrics), 0.0)
+    row = solve.asdict(solve.Row("a", "revolute", "ok", "", "asset", False, 0.5, values, {}))
+    answer = {"row": row, "seconds": {"joint": 1.0}, "peak_gb": 1.0, "commit": "abc", "machine": {}}
+    monkeypatch.setattr(solve, "run_calls", lambda *given: {"ours/a": answer})
+    found = solve.solve_cases([case], variants, tmp_path)
+    assert list(found) == [("ours", "a")] and found["ours", "a"].row == solve.Row.from_json(row)
+
+
+def test_calls_are_run_once_and_a_failed_one_is_told(tmp_path):
+    call = "reconstruct.cache:work_folder"
+    todo = [solve.jobs.Job("good/a", call="json:loads", arguments={"s": '{"x": 1}'})]
+    todo.append(solve.jobs.Job("bad/a", call=call, arguments={"nothing": 1}))
+    own = {"ours": ReconstructSettings()}
+    assert solve.run_calls(tmp_path, todo, own, known_only=True) == {}
+    found = solve.run_calls(tmp_path, todo, own)
+    assert found["good/a"] == {"x": 1} and "TypeError" in found["bad/a"]["crash"]
+    assert solve.run_calls(tmp_path, todo, own, known_only=True) == {"good/a": {"x": 1}}

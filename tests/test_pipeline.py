@@ -422,7 +422,7 @@ def outcome(name, kind, seconds, peak, status="ok", **values):
     if kind == "prismatic":
         every["position"] = None
     row = Row(name, kind, status, "", "asset", False, 0.5, every, {}, ("a note",))
-    return bench.Outcome("stapler", "wave", row, {"tracks": 1.0, "joint": seconds - 1.0}, peak, "1", "abc", {}, 1, "d4")
+    return bench.Outcome("stapler", "wave", row, {"tracks": 1.0, "joint": seconds - 1.0}, peak, "abc", {})
 
 
 def test_summary_counts_means_and_failures():

@@ -201,7 +201,7 @@ def _read_asset_json(folder: Path, data: dict[str, Any], header: Path, joint: st
     if not isinstance(held, dict) or not all(isinstance(v, int | float) for v in [state_zero, *held.values()]):
         raise FreeArtError(f"{header}: state_zero is {state_zero!r} and held is {held!r}, expected numbers")
     scale = data.get("scale", 1.0)
-    if isinstance(scale, bool) or not isinstance(scale, int | float) or not 0 < scale < np.inf:
+    if not checked.is_number(scale) or not scale > 0:
         raise FreeArtError(f"{header}: scale is {scale!r}, expected a number above 0")
     return Asset(
         urdf,

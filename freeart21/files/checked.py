@@ -19,6 +19,7 @@ import stat
 import struct
 import zipfile
 import zlib
+from collections.abc import Sequence
 from io import BufferedReader
 from pathlib import Path
 from typing import IO, Any, cast
@@ -44,6 +45,8 @@ _MAX_SEGMENTS = 1 << 16
 """JPEG segments before the picture, and fill bytes: cameras write tens."""
 ANYWHERE = Path(os.sep)
 """The root of a file that the user named directly."""
+ABOVE_ZERO = math.ulp(0.0)
+"""The smallest number above zero."""
 _NO_LIMIT = 1 << 62
 _SPECIAL = {
     stat.S_IFDIR: "a folder",
@@ -255,6 +258,42 @@ def text(data: dict[str, Any], key: str, path: Path) -> str:
     return value
 
 
+def is_number(value: Any) -> bool:
+    """Whether a JSON value is a finite number."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def number(
+    data: dict[str, Any],
+    key: str,
+    where: Path | str,
+    low: float = -math.inf,
+    high: float = math.inf,
+    expected: str = "a finite number",
+) -> float:
+    """The finite number `data[key]`, from `low` to `high`; `expected` says so in the error."""
+    value = data.get(key)
+    if not is_number(value) or not low <= value <= high:
+        raise FreeArtError(f"{where}: '{key}' is {shorten(value)}, expected {expected}")
+    return float(value)
+
+
+def one_of(data: dict[str, Any], key: str, choices: Sequence[str], where: Path | str) -> str:
+    """The text `data[key]`, one of `choices`."""
+    value = data.get(key)
+    if value not in choices:
+        raise FreeArtError(f"{where}: '{key}' is {shorten(value)}, expected {' or '.join(choices)}")
+    return str(value)
+
+
+def json_object(data: dict[str, Any], key: str, where: Path | str) -> dict[str, Any]:
+    """The JSON object `data[key]`."""
+    value = data.get(key)
+    if not isinstance(value, dict):
+        raise FreeArtError(f"{where}: '{key}' is {shorten(value)}, expected an object")
+    return value
+
+
 def shorten(value: Any) -> str:
     """At most sixty characters of the repr of an untrusted value."""
     text = repr(value)
@@ -438,17 +477,18 @@ def read_rgb(path: Path, root: Path | None = None) -> NDArray[np.uint8]:
 
 def read_labels(path: Path, root: Path | None = None) -> NDArray[np.uint8]:
     """(height, width) uint8 labels of a single-channel image."""
-    image = read_image(path, cv2.IMREAD_UNCHANGED, root)
-    if image.ndim != 2 or image.dtype != np.uint8:
-        raise FreeArtError(f"{path} has shape {image.shape} {image.dtype}, expected one channel of uint8")
-    return image
+    return _read_channel(path, np.uint8, root)
 
 
 def read_uint16(path: Path, root: Path | None = None) -> NDArray[np.uint16]:
     """(height, width) uint16 of a single-channel image."""
+    return _read_channel(path, np.uint16, root)
+
+
+def _read_channel(path: Path, kind: type[Any], root: Path | None) -> NDArray[Any]:
     image = read_image(path, cv2.IMREAD_UNCHANGED, root)
-    if image.ndim != 2 or image.dtype != np.uint16:
-        raise FreeArtError(f"{path} has shape {image.shape} {image.dtype}, expected one channel of uint16")
+    if image.ndim != 2 or image.dtype != kind:
+        raise FreeArtError(f"{path} has shape {image.shape} {image.dtype}, expected one channel of {kind.__name__}")
     return image
 
 

@@ -159,13 +159,10 @@ def diagnostics_from_json(data: dict[str, Any], path: Path) -> Diagnostics:
         most = 1.0 if name in _SHARES else np.inf
         if low < 0 or high > most or not np.isfinite(high):
             raise FreeArtError(f"{path}: '{name}' reaches from {low:g} to {high:g}, expected 0 to {most:g}")
-    for name in _LENGTHS:
-        if not _is_number(data.get(name)) or not 0 <= data[name] < np.inf:
-            raise FreeArtError(f"{path}: '{name}' is {data.get(name)!r}, expected metres, not negative")
+    lengths = {name: checked.number(data, name, path, 0.0, expected="metres, not negative") for name in _LENGTHS}
     peak = data.get("peak_bytes")
     if peak is not None and (not isinstance(peak, int) or isinstance(peak, bool) or peak < 0):
         raise FreeArtError(f"{path}: 'peak_bytes' is {peak!r}, expected a whole number or null")
-    lengths = {name: float(data[name]) for name in _LENGTHS}
     return Diagnostics(**arrays, **lengths, peak_bytes=peak)  # type: ignore[arg-type]
 
 
@@ -208,7 +205,3 @@ def read_confidence(folder: Path, index: int, shape: tuple[int, int]) -> NDArray
 
 def _six_digits(value: float) -> float | None:
     return float(f"{value:.6g}") if np.isfinite(value) else None
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -69,16 +70,18 @@ def read_measured(folder: Path) -> Measured:
     data = checked.read_json(path)
     if data.get("version") != VERSION:
         raise FreeArtError(f"{path} has version {data.get('version')!r}, expected {VERSION}")
-    kind = cast(JointType, _one_of(data, "joint_type", JOINT_TYPES, path))
-    sampling = _object(data, "sampling", path)
-    rate = _positive(sampling, "rate_hz", path)
+    kind = cast(JointType, checked.one_of(data, "joint_type", JOINT_TYPES, path))
+    sampling = checked.json_object(data, "sampling", path)
+    rate = checked.number(sampling, "rate_hz", path, checked.ABOVE_ZERO, expected="a number above 0")
     if rate > MAX_RATE_HZ:
         raise FreeArtError(f"{path}: 'rate_hz' is {rate:g}, expected at most {MAX_RATE_HZ:g} readings a second")
-    timestamps = cast(Timestamps, _one_of(sampling, "timestamps", TIMESTAMPS, path))
-    efforts = cast(EffortKind, _one_of(data, "effort", EFFORT_KINDS, path)) if data.get("effort") is not None else None
-    between = _one_of(data, "interpolation", INTERPOLATIONS, path) if "interpolation" in data else "unknown"
+    timestamps = cast(Timestamps, checked.one_of(sampling, "timestamps", TIMESTAMPS, path))
+    stated = data.get("effort") is not None
+    efforts = cast(EffortKind, checked.one_of(data, "effort", EFFORT_KINDS, path)) if stated else None
+    between = checked.one_of(data, "interpolation", INTERPOLATIONS, path) if "interpolation" in data else "unknown"
     actuator = _actuator(data, path)
-    uncertainty = _object(data, "asset_uncertainty", path) if data.get("asset_uncertainty") is not None else {}
+    uncertain = data.get("asset_uncertainty") is not None
+    uncertainty = checked.json_object(data, "asset_uncertainty", path) if uncertain else {}
     listed = _listed_runs(data, path)
     files = _run_files(folder, listed, path)
     units = _units(data, kind, path)
@@ -259,7 +262,7 @@ def _check_rate(runs: tuple[Run, ...], rate_hz: float, path: Path) -> None:
 
 
 def _units(data: dict[str, Any], kind: JointType, path: Path) -> dict[str, str]:
-    units = _object(data, "units", path)
+    units = checked.json_object(data, "units", path)
     for column, unit in units.items():
         if column not in COLUMNS:
             raise FreeArtError(f"{path}: units of '{column}', expected {', '.join(COLUMNS)}")
@@ -339,39 +342,11 @@ def _check_channels(
 
 
 def _actuator(data: dict[str, Any], path: Path) -> Actuator | None:
-    return actuator_from_json(_object(data, "actuator", path), path) if data.get("actuator") is not None else None
-
-
-def _object(data: dict[str, Any], key: str, path: Path) -> dict[str, Any]:
-    value = data.get(key)
-    if not isinstance(value, dict):
-        raise FreeArtError(f"{path}: '{key}' is {value!r}, expected an object")
-    return value
-
-
-def _one_of(data: dict[str, Any], key: str, choices: tuple[str, ...], path: Path) -> str:
-    value = data.get(key)
-    if value not in choices:
-        raise FreeArtError(f"{path}: '{key}' is {value!r}, expected {' or '.join(choices)}")
-    return str(value)
-
-
-def _number(data: dict[str, Any], key: str, path: Path) -> float:
-    value = data.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise FreeArtError(f"{path}: '{key}' is {value!r}, expected a finite number")
-    return float(value)
-
-
-def _positive(data: dict[str, Any], key: str, path: Path) -> float:
-    value = _number(data, key, path)
-    if value <= 0:
-        raise FreeArtError(f"{path}: '{key}' is {value:g}, expected a number above 0")
-    return value
+    given = data.get("actuator") is not None
+    return actuator_from_json(checked.json_object(data, "actuator", path), path) if given else None
 
 
 def _relative(data: dict[str, Any], key: str, path: Path) -> float:
-    value = _number(data, key, path) if key in data else 0.0
-    if not 0 <= value < 1:
-        raise FreeArtError(f"{path}: '{key}' is {value:g}, expected 0 (exact) to below 1")
-    return value
+    if key not in data:
+        return 0.0
+    return checked.number(data, key, path, 0.0, math.nextafter(1.0, 0.0), "0 (exact) to below 1")

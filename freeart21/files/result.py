@@ -231,14 +231,13 @@ def _read_joint_std(data: dict[str, Any], path: Path) -> tuple[float | None, flo
         return None, None
     if not isinstance(given, dict):
         raise FreeArtError(f"{path}: 'joint_std' is {checked.shorten(given)}, expected axis_rad and pivot_m")
-    found = []
-    for name in ("axis_rad", "pivot_m"):
-        value = given.get(name)
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        if value is not None and not (number and 0 <= value < np.inf):
-            raise FreeArtError(f"{path}: joint_std '{name}' is {checked.shorten(value)}, expected 0 or more, or null")
-        found.append(None if value is None else float(value))
-    return found[0], found[1]
+    axis, pivot = (
+        None
+        if given.get(name) is None
+        else checked.number(given, name, f"{path}: joint_std", 0.0, expected="0 or more, or null")
+        for name in ("axis_rad", "pivot_m")
+    )
+    return axis, pivot
 
 
 def _read_masks(folder: Path, n: int) -> NDArray[np.uint8]:

@@ -122,8 +122,8 @@ def read_take(path: Path) -> Take:
     head = _object(lines[0] if lines else b"", f"{path} line 1")
     if head.get("schema") != TAKE_SCHEMA:
         raise FreeArtError(f"{path} has schema {head.get('schema')!r}, expected '{TAKE_SCHEMA}'")
-    joint_type = _one_of(head, "joint_type", get_args(JointType), path)
-    poses = _one_of(head, "poses", get_args(Meaning), path)
+    joint_type = checked.one_of(head, "joint_type", get_args(JointType), path)
+    poses = checked.one_of(head, "poses", get_args(Meaning), path)
     units = {"time": "s", "position": "m", "state": _UNIT[joint_type]}
     if head.get("units") != units:
         raise FreeArtError(f"{path}: 'units' is {head.get('units')!r}, expected {units}")
@@ -159,12 +159,6 @@ def _object(line: bytes, where: str) -> dict[str, Any]:
     return data
 
 
-def _one_of(head: dict[str, Any], key: str, known: tuple[str, ...], path: Path) -> str:
-    if head.get(key) not in known:
-        raise FreeArtError(f"{path}: '{key}' is {head.get(key)!r}, expected {' or '.join(known)}")
-    return str(head[key])
-
-
 def _filter(given: object, path: Path) -> OneEuro | None:
     """`filter` of the first line; FreeArtError when it is invalid."""
     if given is None:
@@ -192,7 +186,7 @@ def _keys(given: object, what: str, keys: set[str], path: Path) -> dict[str, Any
 
 
 def _bounded(value: Any, what: str, least: float) -> float:
-    if not _is_number(value) or not least <= value <= _MOST_IN_FILTER:
+    if not checked.is_number(value) or not least <= value <= _MOST_IN_FILTER:
         raise FreeArtError(f"{what} is {str(value)[:60]}, expected {least:g} to {_MOST_IN_FILTER:g}")
     return float(value)
 
@@ -204,14 +198,10 @@ def _sample(line: bytes, where: str) -> list[float]:
     for key, count in (("time", 1), ("position", 3), ("quaternion", 4), ("state", 1)):
         given = data.get(key)
         values: list[Any] = given if isinstance(given, list) else [given]
-        if len(values) != count or isinstance(given, list) == (count == 1) or not all(map(_is_number, values)):
+        if len(values) != count or isinstance(given, list) == (count == 1) or not all(map(checked.is_number, values)):
             noun = "a finite number" if count == 1 else f"{count} finite numbers"
             raise FreeArtError(f"{where}: '{key}' is {str(given)[:60]}, expected {noun}")
         row += [float(v) for v in values]
     if abs(np.linalg.norm(row[4:8]) - 1) > 1e-3:
         raise FreeArtError(f"{where}: 'quaternion' has length {np.linalg.norm(row[4:8]):.4g}, expected 1")
     return row
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e15

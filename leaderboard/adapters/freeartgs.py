@@ -67,10 +67,9 @@ def _read_first_value(path: Path, joint_type: JointType) -> tuple[float, tuple[s
         return 0.0, ("no splatfacto-art/articulation.json: the clouds are assumed to be at the first frame's state",)
     frames, key = checked.read_json(path).get("frames"), _VALUE_KEYS[joint_type]
     first = frames[0] if isinstance(frames, list) and frames else None
-    value = first.get(key, 0.0) if isinstance(first, dict) else None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e6:
-        raise FreeArtError(f"{path}: the first of 'frames' has {key} {value!r}, expected a number"[:300])
-    return float(value), ()
+    if not isinstance(first, dict):
+        raise FreeArtError(f"{path}: 'frames' is {checked.shorten(frames)}, expected a list that begins with an object")
+    return checked.number({key: 0.0, **first}, key, f"{path}: the first of 'frames'", -1e6, 1e6, "a number"), ()
 
 
 LAYOUT = Layout(

@@ -83,10 +83,7 @@ def _read_scale(folder: Path, request: Request) -> tuple[float, tuple[str, ...]]
         return request.options.scale, ()
     if not path.is_file():
         return 1.0, ("no dataparser_transforms.json: one unit of its world is assumed to be a metre",)
-    value = checked.read_json(path).get("scale")
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 1e-6 < value < 1e6:
-        raise FreeArtError(f"{path}: 'scale' is {value!r}, expected units in a metre"[:300])
-    return 1 / float(value), ()
+    return 1 / checked.number(checked.read_json(path), "scale", path, 1e-6, 1e6, "units in a metre"), ()
 
 
 LAYOUT = Layout(
