@@ -71,10 +71,10 @@ def base_motion_terms(mechanics: JointMechanics, motion: FrameMotion) -> Array:
     ])  # fmt: skip
 
 
-def base_motion_force(terms: Array, q: ArrayLike, moment: float = 1.0, mass: float = 1.0) -> Array:
-    """(n,) N*m or N at positions `q` (n,); `moment` and `mass` are factors of the asset's."""
+def base_motion_force(terms: Array, q: ArrayLike) -> Array:
+    """(n,) N*m or N at positions `q` (n,)."""
     q = np.asarray(q, float)
     cosine, sine, constant, cos1, sin1, cos2, sin2, linear = terms
     c, s = np.cos(q), np.sin(q)
     own = constant + cos1 * c + sin1 * s + cos2 * np.cos(2 * q) + sin2 * np.sin(2 * q) + linear * q
-    return np.asarray(moment * (cosine * c + sine * s) + mass * own)
+    return np.asarray(cosine * c + sine * s + own)

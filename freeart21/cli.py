@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import inspect
 import json
 import math
 import os
 import platform
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial, wraps
 from itertools import pairwise
@@ -713,7 +712,7 @@ def gap(
     if not is_video and poses is not None:
         raise FreeArtError(f"gap: --poses goes with a video; {measured} has no sequence.json")
     verdict: Any
-    with _progress_bar("Searching for missing effects") as show:
+    with board.progress_bar("Searching for missing effects") as show:
         if is_video:
             from simgap.film.workflow import film_gap_folder
 
@@ -763,7 +762,7 @@ def replay(
         raise FreeArtError(
             f"replay: --seconds is {seconds:g}, expected above 0, and --holding {holding}, expected 0 to 1"
         )
-    with _progress_bar(f"Replaying in {engine}", counted=True) as show:
+    with board.progress_bar(f"Replaying in {engine}", counted=True) as show:
         progress = partial(show, f"Replaying in {engine}")
         done = replay_folder(asset, runs, out, engine, holding, not without_guesses, seconds, progress, root)
     for note in done.notes:
@@ -883,20 +882,6 @@ def main() -> None:
             _with_settings_file(commands, sys.argv), prog="freeart21", description=DESCRIPTION
         )
     sys.exit(code or 0)
-
-
-@contextlib.contextmanager
-def _progress_bar(text: str, counted: bool = False) -> Iterator[Callable[[str, int, int], None]]:
-    """A progress bar on a terminal; gives a function that updates it: text, number done, total."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    console = Console(stderr=True)
-    numbers = (MofNCompleteColumn(),) if counted else ()
-    columns = (TextColumn("{task.description}"), BarColumn(), *numbers, TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
-        task = bars.add_task(text, total=None)
-        yield lambda now, done, total: bars.update(task, description=now, completed=done, total=total)
 
 
 def _check_options(kind: str, given: dict[str, Any]) -> None:

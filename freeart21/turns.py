@@ -20,9 +20,9 @@ def unwrap_angles(q: Array, jump: float = _JUMP) -> tuple[Array, int]:
     return straight, int((np.abs(np.diff(straight[known] - q[known])) > 1.0).sum())
 
 
-def unwrap_command(command: Array, q: Array, jump: float = _JUMP) -> tuple[Array, int]:
+def unwrap_command(command: Array, q: Array) -> tuple[Array, int]:
     """(n,) commands, rad, without jumps, on the turn of the positions `q` (n,); and the number of turns removed."""
-    straight, jumps = unwrap_angles(command, jump)
+    straight, jumps = unwrap_angles(command, _JUMP)
     offset = float(np.nanmedian(q - straight))
     turns = round(offset / (2 * np.pi)) if np.isfinite(offset) else 0
     return straight + 2 * np.pi * turns, jumps + abs(turns)

@@ -16,6 +16,8 @@ from leaderboard.score import benchmark_facts, check_results_folder, score_resul
 from leaderboard.scores_file import read_scores, write_scores
 from leaderboard.submission import read_submitted_method
 
+WORKERS = 2
+"""Rows scored side by side."""
 _RELEVANT = ("freeart21", "scoring", "python", "libraries")
 """Entries of the environment that the numbers depend on; commit and machine do not change them."""
 
@@ -26,7 +28,6 @@ def cached_scores(
     protocol: str,
     cache: Path | None,
     progress: Callable[[Row, int], None] | None = None,
-    workers: int = 2,
     truth: Path | None = None,
 ) -> Scores:
     """The scores of a method's results folder, from the table in the folder `cache` when that is current.
@@ -47,7 +48,7 @@ def cached_scores(
         if found is not None and is_current(found, results, benchmark):
             return found
     before = _hash_folders(results, benchmark)
-    scores = score_results(results, data, rules.name, progress, workers=workers, truth=truth)
+    scores = score_results(results, data, rules.name, progress, workers=WORKERS, truth=truth)
     if before != {row.sequence: (row.result_sha256, row.truth_sha256) for row in scores.rows}:
         raise FreeArtError(f"{results} changed while it was scored: score it again")
     if path is not None:

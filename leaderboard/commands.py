@@ -6,10 +6,12 @@ Heavy imports are inside the functions, so that `freeart21 --help` is fast.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -18,15 +20,17 @@ ExecutorName = Literal["local", "ray", "slurm"]
 
 
 @contextlib.contextmanager
-def _progress_bar(description: str) -> Iterator[Callable[..., Any]]:
-    """A progress bar on standard error; yields rich's `update(description=..., completed=..., total=...)`."""
+def progress_bar(text: str, counted: bool = False) -> Iterator[Callable[[str, int, int], None]]:
+    """A progress bar on a terminal; gives a function that updates it: text, number done, total."""
     from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
-        task = bars.add_task(description, total=None)
-        yield lambda **changes: bars.update(task, **changes)
+    numbers = (MofNCompleteColumn(),) if counted else ()
+    columns = (TextColumn("{task.description}"), BarColumn(), *numbers, TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
+        task = bars.add_task(text, total=None)
+        yield lambda now, done, total: bars.update(task, description=now, completed=done, total=total)
 
 
 def score(
@@ -79,10 +83,11 @@ def score(
         out.parent.mkdir(parents=True, exist_ok=True)
         work = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}.", suffix=atomic.PART_SUFFIX))
     try:
-        with open_results(results) as folder, _progress_bar("Scoring") as update:
+        with open_results(results) as folder, progress_bar("Scoring") as show:
+            count = itertools.count(1)
 
             def report(row: Row, of: int) -> None:
-                update(description=f"Scored {row.sequence}", advance=1, total=of)
+                show(f"Scored {row.sequence}", next(count), of)
 
             jobs = None if work is None else work / "jobs"
             scores = score_results(
@@ -128,12 +133,12 @@ def compare(
 
     if out is not None:
         check_place(out, kind_of(out), (data, *results))
-    with _progress_bar("Scoring") as update:
+    with progress_bar("Scoring") as show:
         finished: dict[Path, int] = {}
 
         def report(place: Path, row: Row, of: int) -> None:
             finished[place] = finished.get(place, 0) + 1
-            update(description=f"Scored {place.name} {row.sequence}", completed=finished[place], total=of)
+            show(f"Scored {place.name} {row.sequence}", finished[place], of)
 
         comparison = compare_results(results, data, protocol, scores, report, truth)
     print_comparison(comparison, by)
@@ -212,13 +217,9 @@ def site(
     """
     from leaderboard.site.build import write_site
 
-    with _progress_bar("Reading") as update:
-
-        def report(description: str, completed: int, of: int) -> None:
-            update(description=description, completed=completed, total=of)
-
+    with progress_bar("Reading") as show:
         command = ["freeart21", *sys.argv[1:]]
-        index = write_site(results, data, out, protocol, scores, title, command, report, truth)
+        index = write_site(results, data, out, protocol, scores, title, command, show, truth)
     print(f"{out}: open {index}")
 
 
@@ -263,12 +264,8 @@ def import_(
     from leaderboard.adapters.layout import Options
 
     options = Options(frame, axes, anchor, scale, joint, object_poses)  # type: ignore[arg-type]  # checked there
-    with _progress_bar("Importing") as update:
-
-        def report(sequence: str, completed: int, of: int) -> None:
-            update(description=f"Importing {sequence}", completed=completed, total=of)
-
-        imported = import_results(layout, source, data, out, options, sequence, map, name, report)
+    with progress_bar("Importing") as show:
+        imported = import_results(layout, source, data, out, options, sequence, map, name, show)
     for key, lines in imported.notes.items():
         for line in lines:
             print(f"{key}: {line}")
@@ -387,12 +384,8 @@ def pack(
     key = key or default_key_path(data)
     is_new = not key.exists()
     check_place(out, None if out.suffix == ".zip" else PUBLIC if public else TRUTH, (data, key))
-    with _progress_bar("Packing") as update:
-
-        def report(completed: int, of: int) -> None:
-            update(completed=completed, total=of)
-
-        (pack_public if public else pack_truth)(data, out, key, keep_names, report)
+    with progress_bar("Packing") as show:
+        (pack_public if public else pack_truth)(data, out, key, keep_names, partial(show, "Packing"))
     print(out)
     if is_new and key.exists():
         print(f"{key}: the secret key of both halves; keep it")

@@ -172,8 +172,8 @@ def test_hostile_texts_change_no_element_of_the_page(tmp_path: Path) -> None:
         write_sequence(folder / "seq", replace(make_recording(), licence=text), 1e-4)
         write_truth(folder / "truth", replace(truth, source={text: text}), 0)
         scores = {text: {"value": text, "unit": text, "better": "up", "beside": text}}
-        asset = write_urdf(folder / "a", link=text)
-        return page(folder / "result", folder / "truth", folder / "seq", scores, asset, title=text)
+        write_urdf(folder / "result" / "asset", link=text)
+        return page(folder / "result", folder / "truth", folder / "seq", scores)
 
     tame, hostile = build("tame", tmp_path / "1"), build(HOSTILE, tmp_path / "2")
     assert Parsed(hostile).tags == Parsed(tame).tags

@@ -22,7 +22,7 @@ import zlib
 from collections.abc import Sequence
 from io import BufferedReader
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Any, TypeGuard, cast
 
 import cv2
 import numpy as np
@@ -258,7 +258,7 @@ def text(data: dict[str, Any], key: str, path: Path) -> str:
     return value
 
 
-def is_number(value: Any) -> bool:
+def is_number(value: Any) -> TypeGuard[float]:
     """Whether a JSON value is a finite number."""
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 

@@ -144,10 +144,10 @@ def read_object_poses(folder: Path) -> Array:
     return np.asarray(se3.inverse(Ts_world_gl @ third_party.T_GL_CV) @ Ts_world_object)
 
 
-def eval_indices(frames: int, share: float = EVAL_SHARE, seed: int = EVAL_SEED) -> list[int]:
+def eval_indices(frames: int) -> list[int]:
     """Frames that the official split holds out: `random.Random(seed).sample`, sorted."""
-    count = max(1, round(frames * share))
-    return list(range(frames)) if count >= frames else sorted(random.Random(seed).sample(range(frames), count))
+    count = max(1, round(frames * EVAL_SHARE))
+    return list(range(frames)) if count >= frames else sorted(random.Random(EVAL_SEED).sample(range(frames), count))
 
 
 def write_example(

@@ -77,8 +77,6 @@ def page(
     truth: Path | None = None,
     sequence: Path | None = None,
     scores: Mapping[str, Any] | None = None,
-    asset: Path | None = None,
-    title: str | None = None,
     score_note: str = "",
     root: Path | None = None,
 ) -> str:
@@ -89,8 +87,6 @@ def page(
         truth: Truth folder of a sequence or a result.
         sequence: Sequence folder of a result or a truth, for its images.
         scores: As for `score_section`.
-        asset: Asset of a result; its own folder asset/ when not given.
-        title: Heading; the folder's name when not given.
         score_note: A sentence under the scores.
         root: Folder that bounds what a URDF refers to.
 
@@ -98,11 +94,11 @@ def page(
     """
     path = Path(path)
     kind = recognised(path)
-    name = title or _default_title(path.resolve())
+    name = _title_of(path.resolve())
     if kind == "data":
         return data_page(path, name)
     if kind == "gaussians":
-        for what, other in (("truth", truth), ("sequence", sequence), ("asset", asset)):
+        for what, other in (("truth", truth), ("sequence", sequence)):
             if other is not None:
                 raise FreeArtError(f"{path} is a file of Gaussians, shown without a {what} (given: {other})")
         return _gaussians_page(name, path)
@@ -118,7 +114,7 @@ def page(
     answer = read_result(path, appearance=False)
     if isinstance(answer, Failure):
         return _failure_page(name, answer, true, recording, extra)
-    return _result_page(name, path, answer, true, recording, asset, extra)
+    return _result_page(name, path, answer, true, recording, extra)
 
 
 def write_page(
@@ -127,15 +123,13 @@ def write_page(
     truth: Path | None = None,
     sequence: Path | None = None,
     scores: Mapping[str, Any] | None = None,
-    asset: Path | None = None,
-    title: str | None = None,
     score_note: str = "",
     root: Path | None = None,
 ) -> None:
     """Write `page(...)` to the file `out`, completely or not at all; FreeArtError if another file is there."""
-    inputs = [given for given in (path, truth, sequence, asset) if given is not None]
+    inputs = [given for given in (path, truth, sequence) if given is not None]
     check_place(out, PAGE, inputs)
-    atomic.write_bytes(Path(out), page(path, truth, sequence, scores, asset, title, score_note, root).encode())
+    atomic.write_bytes(Path(out), page(path, truth, sequence, scores, score_note, root).encode())
 
 
 def recognised(path: Path) -> str:
@@ -168,7 +162,7 @@ def recognised(path: Path) -> str:
     )
 
 
-def _default_title(path: Path) -> str:
+def _title_of(path: Path) -> str:
     """A folder's name, or a file's stem; of asset/ and gaussians.ply the name of the folder around them."""
     if path.is_file() and path.name != GAUSSIANS:
         return path.stem
@@ -228,7 +222,6 @@ def _result_page(
     result: Reconstruction,
     true: Truth | None,
     recording: Recording | None,
-    asset: Path | None,
     extra: list[Section],
 ) -> str:
     """The page of a reconstruction, with its diagnostics and asset."""
@@ -284,11 +277,9 @@ def _result_page(
         sections.append(seconds_section(result.seconds, diagnostics.peak_bytes if diagnostics else None))
     if recording is not None:
         sections.append(table_section("Recording", recording_rows(recording)))
-    inside = path / "asset"
-    asset = asset or (inside if inside.is_dir() else None)
-    if asset is not None:
+    if (path / "asset").is_dir():
         try:
-            more, _, warnings = _asset_sections(asset, Ts[0])
+            more, _, warnings = _asset_sections(path / "asset", Ts[0])
             sections, notices = sections + more, [*notices, *warnings]
         except FreeArtError as error:
             notices.append(f"The asset cannot be shown: {error}")

@@ -102,7 +102,7 @@ def import_results(
     notes: dict[str, tuple[str, ...]] = {}
     with atomic.new_folder(out, kind) as staging:
         for done, (key, place) in enumerate(sources.items()):
-            progress(key, done, len(sources))
+            progress(f"Importing {key}", done, len(sources))
             recording = read_sequence(benchmark.sequence(key))
             try:
                 result, notes[key] = _write_answer(rules, place, source, recording, staging / key)

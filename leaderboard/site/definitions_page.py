@@ -32,7 +32,7 @@ def _protocol_section(rules: Protocol) -> Section:
     paragraphs = "".join(f"<p class=text>{escape(part)}</p>" for part in rules.preamble.split("\n\n"))
     entries = []
     for metric in rules.metrics:
-        beside = f" SequenceContent with {metric.supplements}; not part of the ranking." if metric.supplements else ""
+        beside = f" Shown with {metric.supplements}; not part of the ranking." if metric.supplements else ""
         entries.append(
             f'<div id="{escape(rules.name)}.{escape(metric.id)}"><dt>{escape(metric_name(metric))} '
             f"<code>{escape(metric.id)}</code></dt>"

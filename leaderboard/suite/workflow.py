@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from freeart21.files import atomic, checked
 from freeart21.files.benchmark import read_benchmark
 from freeart21.files.hashes import file_sha256
 from freeart21.files.places import SUITE, check_place
-from freeart21.jobs import ATTEMPTS, Failed, Job, run_jobs
+from freeart21.jobs import Failed, Job, run_jobs
 from freeart21.jobs.ledger import Ledger
 from freeart21.jobs.run import Listener, unfinished_jobs
 from leaderboard.protocols import DEFAULT, protocol_named
@@ -96,7 +96,6 @@ def run_suite(
     suite: Suite,
     workers: int = 1,
     executor: str = "local",
-    attempts: int = ATTEMPTS,
     listener: Listener | None = None,
 ) -> Outcome:
     """Run the open jobs of `suite`. A call that was killed can be repeated: finished jobs are not run again.
@@ -113,7 +112,7 @@ def run_suite(
     for row in plan.rows:
         if row.settings:
             atomic.write_json(out / "settings" / f"{row.name}.json", row.settings)
-    report = run_jobs(out, plan.jobs, workers, executor, attempts, listener)
+    report = run_jobs(out, plan.jobs, workers, executor, listener=listener)
     failed = {f.name for f in report.failed}
     ledger = Ledger(out)
     paths = {job.name: ledger.path("statistics", job.name) for job in plan.jobs}
@@ -158,7 +157,7 @@ def _describe_data(data: Path) -> dict[str, Any]:
     }
 
 
-def print_rows(rows: Sequence[SuiteRow], say: Callable[[str], None] = print) -> None:
+def print_rows(rows: Sequence[SuiteRow]) -> None:
     """Print a line per row."""
     for row in rows:
-        say(f"{row.name:28} {row.group:13} {row.what}")
+        print(f"{row.name:28} {row.group:13} {row.what}")
