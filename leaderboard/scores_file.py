@@ -6,18 +6,18 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
+from freeart21.files.json_record import read_record
 from freeart21.files.places import SCORES, require_replaceable
 from freeart21.files.result import Method, read_lacks
-from freeart21.joint import JointType
 from leaderboard.protocol import Metric, Protocol
 from leaderboard.protocols import protocol_named
-from leaderboard.rows import Row, Scores, Source, Status, Summary
+from leaderboard.rows import Row, Scores, Summary
 from leaderboard.submission import LONGEST_TEXT, escape_unprintable, plain_json, shorten
 
 SCHEMA = "freeart21/scores/2"
@@ -131,52 +131,34 @@ def _read_method(data: dict[str, Any], path: Path) -> Method:
 
 def _read_row(data: Any, where: str, rules: Protocol) -> Row:
     """The row in `data`; error messages begin with `where`."""
-    known = [field.name for field in fields(Row)]
-    if not isinstance(data, dict) or sorted(data) != sorted(known):
-        got = ", ".join(shorten(str(key)) for key in sorted(data)) if isinstance(data, dict) else _quote(data)
-        raise FreeArtError(f"{where} has {got[:LONGEST_TEXT]}, expected {', '.join(known)}")
-    sequence = data["sequence"]
-    if not _is_name(sequence):
-        raise FreeArtError(f"{where}: 'sequence' is {_quote(sequence)}, expected the name of a folder")
-    where = f"{where} ({sequence})"
-    for key, choices in (("joint_type", JointType), ("status", Status), ("measured_from", Source)):
-        if data[key] not in get_args(choices):
-            raise FreeArtError(f"{where}: '{key}' is {_quote(data[key])}, expected {', '.join(get_args(choices))}")
-    if (data["status"] == "ok") != (data["measured_from"] != "nothing"):
-        raise FreeArtError(f"{where} is {data['status']} and measured from {data['measured_from']}")
-    if not isinstance(data["swapped"], bool):
-        raise FreeArtError(f"{where}: 'swapped' is {_quote(data['swapped'])}, expected true or false")
-    if not isinstance(data["reason"], str):
-        raise FreeArtError(f"{where}: 'reason' is {_quote(data['reason'])}, expected text")
-    diagonal = _read_number(data, "diagonal_m", where)
-    if diagonal is None or diagonal <= 0:
-        raise FreeArtError(f"{where}: 'diagonal_m' is {_quote(diagonal)}, expected more than 0")
-    values = _read_numbers(data, "values", where)
+    row = read_record(Row, data, where, whole=True)
+    if not _is_name(row.sequence):
+        raise FreeArtError(f"{where}: 'sequence' is {_quote(row.sequence)}, expected the name of a folder")
+    where = f"{where} ({row.sequence})"
+    if (row.status == "ok") != (row.measured_from != "nothing"):
+        raise FreeArtError(f"{where} is {row.status} and measured from {row.measured_from}")
+    if row.diagonal_m <= 0:
+        raise FreeArtError(f"{where}: 'diagonal_m' is {row.diagonal_m:g}, expected more than 0")
     expected = [metric.id for metric in rules.metrics]
-    if sorted(values) != sorted(expected):
-        id = sorted(set(values) ^ set(expected))[0]
+    if sorted(row.values) != sorted(expected):
+        id = sorted(set(row.values) ^ set(expected))[0]
         verb = "lacks" if id in expected else "has"
         raise FreeArtError(f"{where}: its values {verb} '{shorten(id)}', expected the numbers of {rules.name}")
-    centimetres = _read_numbers(data, "values_cm", where)
-    if not set(centimetres) <= set(expected):
+    if not set(row.values_cm) <= set(expected):
         raise FreeArtError(f"{where}: 'values_cm' has numbers that {rules.name} does not know")
-    seconds = _read_number(data, "seconds", where)
-    if seconds is not None and seconds < 0:
-        raise FreeArtError(f"{where}: 'seconds' is {seconds:g}, expected 0 or more, or null")
-    return Row(
-        sequence,
-        data["joint_type"],
-        data["status"],
-        shorten(data["reason"]),
-        data["measured_from"],
-        data["swapped"],
-        diagonal,
-        {id: values[id] for id in expected},
-        {id: value for id, value in centimetres.items() if value is not None},
-        _read_notes(data["notes"], where),
-        seconds,
-        _read_sha256(data, "result_sha256", where),
-        _read_sha256(data, "truth_sha256", where),
+    numbers = (row.diagonal_m, row.seconds or 0.0, *row.values_cm.values(), *(v or 0.0 for v in row.values.values()))
+    if max(map(abs, numbers)) > LARGEST:
+        raise FreeArtError(f"{where} has a number beyond {LARGEST:g}")
+    if row.seconds is not None and row.seconds < 0:
+        raise FreeArtError(f"{where}: 'seconds' is {row.seconds:g}, expected 0 or more, or null")
+    for key, digest in (("result_sha256", row.result_sha256), ("truth_sha256", row.truth_sha256)):
+        if digest is not None and not _SHA256.fullmatch(digest):
+            raise FreeArtError(f"{where}: '{key}' is {_quote(digest)}, expected 64 hexadecimal digits or null")
+    return replace(
+        row,
+        reason=shorten(row.reason),
+        values={id: row.values[id] for id in expected},
+        notes=_read_notes(list(row.notes), where),
     )
 
 
@@ -222,23 +204,6 @@ def _read_notes(value: Any, where: str) -> tuple[str, ...]:
     if not isinstance(value, list) or len(value) > MAX_NOTES or not all(isinstance(note, str) for note in value):
         raise FreeArtError(f"{where}: 'notes' is {_quote(value)}, expected a list of at most {MAX_NOTES} lines")
     return tuple(escape_unprintable(note) for note in value)
-
-
-def _read_numbers(data: dict[str, Any], key: str, where: str) -> dict[str, float | None]:
-    value = checked.json_object(data, key, where)
-    return {id: _read_number(value, id, f"{where} {key}") for id in value}
-
-
-def _read_number(data: dict[str, Any], key: str, where: str) -> float | None:
-    """The finite number `data[key]`, or None for null."""
-    return None if data[key] is None else checked.number(data, key, where, -LARGEST, LARGEST)
-
-
-def _read_sha256(data: dict[str, Any], key: str, where: str) -> str | None:
-    value = data[key]
-    if value is not None and not (isinstance(value, str) and _SHA256.fullmatch(value)):
-        raise FreeArtError(f"{where}: '{key}' is {_quote(value)}, expected 64 hexadecimal digits or null")
-    return value
 
 
 def _is_name(value: Any) -> bool:

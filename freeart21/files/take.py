@@ -15,7 +15,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, cast, get_args
 
@@ -24,6 +24,7 @@ import numpy as np
 from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
+from freeart21.files.json_record import read_record
 from freeart21.joint import JointType
 from freeart21.one_euro import Band, OneEuro
 from freeart21.se3 import Array
@@ -159,36 +160,28 @@ def _object(line: bytes, where: str) -> dict[str, Any]:
     return data
 
 
+@dataclass(frozen=True)
+class _Filters:
+    """`filter` of the first line."""
+
+    one_euro: OneEuro
+
+
 def _filter(given: object, path: Path) -> OneEuro | None:
     """`filter` of the first line; FreeArtError when it is invalid."""
     if given is None:
         return None
-    inner = _keys(given, "'filter'", {"one_euro"}, path)["one_euro"]
-    settings = _keys(inner, "'filter.one_euro'", {field.name for field in fields(OneEuro)}, path)
-    bands: dict[str, Band | None] = {}
+    where = f"{path}: 'filter'"
+    found = read_record(_Filters, given, where, whole=True).one_euro
+    numbers = {"speed_cutoff_hz": (found.speed_cutoff_hz, 1e-3)}
     for name in ("position", "rotation", "state"):
-        bands[name] = None
-        if settings[name] is not None:
-            band = _keys(settings[name], f"'filter.one_euro.{name}'", {field.name for field in fields(Band)}, path)
-            where = f"{path}: 'filter.one_euro.{name}"
-            bands[name] = Band(
-                _bounded(band["min_cutoff_hz"], f"{where}.min_cutoff_hz'", 1e-3),
-                _bounded(band["beta"], f"{where}.beta'", 0.0),
-            )
-    speed = _bounded(settings["speed_cutoff_hz"], f"{path}: 'filter.one_euro.speed_cutoff_hz'", 1e-3)
-    return OneEuro(bands["position"], bands["rotation"], bands["state"], speed)
-
-
-def _keys(given: object, what: str, keys: set[str], path: Path) -> dict[str, Any]:
-    if not isinstance(given, dict) or set(given) != keys:
-        raise FreeArtError(f"{path}: {what} is {str(given)[:60]}, expected an object of {', '.join(sorted(keys))}")
-    return given
-
-
-def _bounded(value: Any, what: str, least: float) -> float:
-    if not checked.is_number(value) or not least <= value <= _MOST_IN_FILTER:
-        raise FreeArtError(f"{what} is {str(value)[:60]}, expected {least:g} to {_MOST_IN_FILTER:g}")
-    return float(value)
+        band: Band | None = getattr(found, name)
+        if band is not None:
+            numbers |= {f"{name}.min_cutoff_hz": (band.min_cutoff_hz, 1e-3), f"{name}.beta": (band.beta, 0.0)}
+    for name, (value, least) in numbers.items():
+        if not least <= value <= _MOST_IN_FILTER:
+            raise FreeArtError(f"{where}: '{name}' is {value:g}, expected {least:g} to {_MOST_IN_FILTER:g}")
+    return found
 
 
 def _sample(line: bytes, where: str) -> list[float]:

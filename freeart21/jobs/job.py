@@ -5,12 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
+from freeart21.files.json_record import read_record
 
 SCHEMA = "freeart21/jobs/1"
 
@@ -66,37 +67,9 @@ def read_jobs(path: Path) -> list[Job]:
     listed = checked.read_json(Path(path), SCHEMA, checked.ANYWHERE).get("jobs")
     if not isinstance(listed, list):
         raise FreeArtError(f"{path}: 'jobs' is {str(listed)[:60]}, expected a list")
-    jobs = [job_from_json(data, f"{path}: job {k}") for k, data in enumerate(listed)]
+    jobs = [read_record(Job, data, f"{path}: job {k}") for k, data in enumerate(listed)]
     job_digests(jobs)
     return jobs
-
-
-_KINDS: dict[str, tuple[type, ...]] = {
-    **dict.fromkeys(("name", "call", "key"), (str,)),
-    "out": (str, type(None)),
-    **dict.fromkeys(("command", "needs", "codes"), (list, tuple)),
-    "arguments": (dict,),
-    "seconds": (int, float),
-    "resumes": (bool,),
-}
-
-
-def job_from_json(data: Any, what: str = "job") -> Job:
-    """The job in the JSON value `data`; FreeArtError, beginning with `what`, when it is invalid."""
-    if not isinstance(data, dict):
-        raise FreeArtError(f"{what} is {str(data)[:60]}, expected an object")
-    known = [f.name for f in fields(Job)]
-    for name, value in data.items():
-        if name not in known:
-            raise FreeArtError(f"{what} has '{name}'; expected {', '.join(known)}")
-        if not isinstance(value, _KINDS[name]):
-            expected = " or ".join(kind.__name__ for kind in _KINDS[name])
-            raise FreeArtError(f"{what}: '{name}' is {str(value)[:60]!r}, expected {expected}")
-    for name, kind in (("command", str), ("needs", str), ("codes", int)):
-        if not all(isinstance(value, kind) for value in data.get(name, ())):
-            raise FreeArtError(f"{what}: '{name}' is {str(data[name])[:60]}, expected a list of {kind.__name__}")
-    lists = {name: tuple(data[name]) for name in ("command", "needs", "codes") if name in data}
-    return Job(**{"name": "", **data, **lists})
 
 
 def job_digests(jobs: Sequence[Job]) -> dict[str, str]:

@@ -25,8 +25,9 @@ from freeart21 import child, stopping
 from freeart21.ending import os_error_text
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
+from freeart21.files.json_record import read_record
 from freeart21.files.lock import hold_lock
-from freeart21.jobs.job import Job, job_from_json
+from freeart21.jobs.job import Job
 from freeart21.jobs.ledger import Ledger
 
 PATIENCE_S = 15.0
@@ -114,7 +115,7 @@ def main() -> None:
         else:
             os.environ[name] = value
     try:
-        run_job(Path(request["folder"]), job_from_json(request["job"]), request["digest"])
+        run_job(Path(request["folder"]), read_record(Job, request["job"], "job"), request["digest"])
         stopping.raise_if_stopped()
     except KeyboardInterrupt:
         sys.exit(128 + (stopping.stop_signal() or signal.SIGINT))
