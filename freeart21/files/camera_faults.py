@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from freeart21.camera_faults import CameraFaults
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
+from freeart21.files.json_record import read_record
 
 SCHEMA = "freeart21/camera-faults/1"
 
@@ -27,18 +28,8 @@ def write_camera_faults(path: Path, faults: CameraFaults) -> None:
 def read_camera_faults(path: Path) -> CameraFaults:
     """The faults in a file; FreeArtError names a field that is unknown, no number or out of bounds."""
     data = checked.read_json(path, SCHEMA, checked.ANYWHERE)
-    known = [field.name for field in fields(CameraFaults)]
-    values: dict[str, Any] = {}
-    for name, value in data.items():
-        if name == "schema":
-            continue
-        if name not in known:
-            raise FreeArtError(f"{path}: unknown camera fault '{name}'; known: {', '.join(known)}")
-        if name in ("exposure", "gamma"):
-            values[name] = tuple(checked.numbers(data, name, (None,), path))
-        else:
-            values[name] = value
+    del data["schema"]
     try:
-        return CameraFaults(**values)
+        return read_record(CameraFaults, data, "camera faults")
     except FreeArtError as error:
         raise FreeArtError(f"{path}: {error}") from error

@@ -13,6 +13,7 @@ from freeart21 import child
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import Benchmark, read_benchmark
+from freeart21.files.json_record import read_record
 from freeart21.files.places import check_place, import_of
 from freeart21.files.result import Method, write_method, write_result
 from freeart21.files.sequence import read_sequence
@@ -34,14 +35,23 @@ from leaderboard.video_fit import describe_misfit
 
 MOST_FAULTS = 20
 """Most faults in one error message."""
-_MAP_KINDS: dict[str, tuple[type, ...]] = {
-    "frame": (str,),
-    "axes": (str,),
-    "anchor": (int,),
-    "scale": (int, float),
-    "joint": (str, int),
-}
-"""Options of a sequence in a map file, and their JSON types."""
+
+
+@dataclass(frozen=True)
+class _MapEntry:
+    """An entry of a map file: the folder of a sequence's result, and options of its own."""
+
+    folder: str
+    frame: str | None = None
+    axes: str | None = None
+    anchor: int | None = None
+    scale: float | None = None
+    joint: Any = None
+
+    def options(self, common: Options) -> Options:
+        """The options `common`, with those of the entry."""
+        own = {name: value for name, value in vars(self).items() if name != "folder" and value is not None}
+        return replace(common, **({**own, "joint": str(own["joint"])} if "joint" in own else own))
 
 
 @dataclass(frozen=True)
@@ -239,16 +249,15 @@ def _read_map(path: Path, source: Path, benchmark: Benchmark, rules: Layout, opt
     for name, entry in data.items():
         _check_sequence(benchmark, name, f"{path}: ")
         given = {"folder": entry} if isinstance(entry, str) else entry
-        if not isinstance(given, dict) or not isinstance(given.get("folder"), str):
-            raise FreeArtError(f"{path}: '{name}' is {entry!r}, expected a folder, or an object with one"[:300])
-        if unknown := set(given) - {"folder", *_MAP_KINDS}:
+        if not isinstance(given, dict):
             raise FreeArtError(
-                f"{path}: '{name}' has '{min(unknown)}', expected folder, frame, axes, anchor, scale or joint"
+                f"{path}: '{name}' is {checked.shorten(entry)}, expected a folder, or an object with one"
             )
-        folder = checked.inside(source, given["folder"])
+        found = read_record(_MapEntry, given, f"{path}: '{name}'")
+        folder = checked.inside(source, found.folder)
         if not folder.is_dir():
-            raise FreeArtError(f"{path}: '{name}' is in {given['folder']}, which is not a folder of {source}")
-        own = _merge_options(path, name, given, options)
+            raise FreeArtError(f"{path}: '{name}' is in {found.folder}, which is not a folder of {source}")
+        own = found.options(options)
         _check_options(rules, own)
         home = _find_home(rules, folder)
         if home is None:
@@ -257,17 +266,6 @@ def _read_map(path: Path, source: Path, benchmark: Benchmark, rules: Layout, opt
     if not sources:
         raise FreeArtError(f"{path} names no sequence")
     return {name: sources[name] for name in benchmark.sequences if name in sources}
-
-
-def _merge_options(path: Path, name: str, given: dict[str, Any], options: Options) -> Options:
-    """`options` with those of one sequence in a map file."""
-    for key, types in _MAP_KINDS.items():
-        if key in given and (isinstance(given[key], bool) or not isinstance(given[key], types)):
-            raise FreeArtError(f"{path}: '{key}' of '{name}' is {given[key]!r}, expected {types[0].__name__}"[:300])
-    own = {key: given[key] for key in _MAP_KINDS if key in given}
-    if "joint" in own:
-        own["joint"] = str(own["joint"])
-    return replace(options, **own)
 
 
 def _check_options(rules: Layout, options: Options) -> None:
