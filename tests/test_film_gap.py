@@ -180,10 +180,10 @@ def test_camera_fault_files_hold_only_the_differences(tmp_path):
         "schema", "depth_scale", "exposure", "noise", "noise_at",
     }  # fmt: skip
     for text, match in (
-        ('"depth_scale": 9', "depth_scale is 9, expected -0.5 to 1"),
-        ('"depth_size": 1', "unknown camera fault 'depth_size'"),
+        ('"depth_scale": 9', "depth_scale is 9.0, expected -0.5 to 1"),
+        ('"depth_size": 1', "camera faults has 'depth_size', expected depth_scale"),
         ('"gamma": [0, -2]', "expected numbers above -1"),
-        ('"noise": "loud"', "noise is 'loud'"),
+        ('"noise": "loud"', "'noise' is 'loud', expected a finite number"),
     ):
         (tmp_path / "bad.json").write_text('{"schema": "freeart21/camera-faults/1", ' + text + "}")
         with pytest.raises(FreeArtError, match=match):

@@ -249,10 +249,6 @@ def _read_map(path: Path, source: Path, benchmark: Benchmark, rules: Layout, opt
     for name, entry in data.items():
         _check_sequence(benchmark, name, f"{path}: ")
         given = {"folder": entry} if isinstance(entry, str) else entry
-        if not isinstance(given, dict):
-            raise FreeArtError(
-                f"{path}: '{name}' is {checked.shorten(entry)}, expected a folder, or an object with one"
-            )
         found = read_record(_MapEntry, given, f"{path}: '{name}'")
         folder = checked.inside(source, found.folder)
         if not folder.is_dir():
