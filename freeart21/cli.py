@@ -9,7 +9,7 @@ import os
 import platform
 import sys
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial, wraps
 from itertools import pairwise
 from pathlib import Path
@@ -225,7 +225,7 @@ def record(
     from generator.motion.track import count_frames, describe_changes
     from generator.recorder import RecordSettings, built_in_names
 
-    track = None
+    given, track = dict(locals()), None
     if motion is not None and motion.startswith(("track:", "teleop:")):
         file = motion.partition(":")[2]
         motion, track = "track", Path(file) if file else None
@@ -234,26 +234,8 @@ def record(
         if frames is not None and frames < lasts:
             print(f"{track} lasts {lasts} frames; the {frames} with most joint motion are recorded")
         frames = lasts if frames is None else min(frames, lasts)
-    settings = RecordSettings(
-        frames=300 if frames is None else frames,
-        seed=seed or 0,
-        width=width,
-        height=height,
-        queries=queries,
-        motion=motion or "tumble",
-        track=track,
-        carry=carry,
-        preset=preset,
-        sensor=sensor,
-        camera=camera,
-        effects=effects,
-        let_go=let_go,
-        partnet_root=partnet_root,
-        joint=joint,
-        skip_missing=skip_missing,
-        root=root,
-        shader=shader,
-    )
+    filled = {"frames": 300 if frames is None else frames, "seed": seed or 0, "motion": motion or "tumble"}
+    settings = RecordSettings(**{**_options_of(RecordSettings, given), **filled, "track": track})
     if procedural is not None and names:
         raise FreeArtError(f"record: name objects or a category, not both; got {', '.join(names)} and {procedural}")
     frozen = names == ("all",) and partnet_root is None and seed is None and motion is None
@@ -471,6 +453,7 @@ def export(
         base: Whether the reference part moves freely or is fixed in the world (in URDF to a link named world).
         usd: Write object.usdc too; auto: if usd-core is installed.
     """
+    given = dict(locals())
     from export.check.contact_rule import judge_contact
     from export.checklist import check_asset
     from export.contact import read_link_shapes
@@ -479,17 +462,8 @@ def export(
     from export.placement import PlacementSettings
     from freeart21.reconstruction import describe_trust
 
-    settings = ExportSettings(
-        density=density,
-        mass=mass,
-        material=material,
-        wall=wall,
-        dynamics=dynamics,
-        scale=scale,
-        placement=PlacementSettings(up, gravity, zero),
-        base=base,
-        usd={"auto": None, "yes": True, "no": False}[usd],
-    )
+    changed = {"placement": PlacementSettings(up, gravity, zero), "usd": {"auto": None, "yes": True, "no": False}[usd]}
+    settings = ExportSettings(**{**_options_of(ExportSettings, given), **changed})
     asset = export_result(result, out, settings, video=video)
     print(asset.urdf)
     findings = check_asset(out)
@@ -647,23 +621,9 @@ def measure(
 
         if asset is None:
             raise FreeArtError("measure: files need --asset FOLDER or URDF, the object whose joint was measured")
-        series = SeriesSettings(
-            columns_from(columns),
-            unit_t,
-            unit_q,
-            unit_effort,
-            zero,
-            reverse,
-            rate_hz,
-            gravity,
-            effort,
-            actuator,
-            interpolation,
-            inertia_relative,
-            gravity_relative,
-            held_out,
-            Circumstances() if circumstances is None else read_circumstances(circumstances),
-        )
+        known = Circumstances() if circumstances is None else read_circumstances(circumstances)
+        changed = {"columns": columns_from(columns), "circumstances": known}
+        series = SeriesSettings(**{**_options_of(SeriesSettings, given), **changed})
         for note in measure_series(files, out, asset, joint, series):
             print(f"- {note}")
         _print_next_step(asset, out)
@@ -882,6 +842,11 @@ def main() -> None:
             _with_settings_file(commands, sys.argv), prog="freeart21", description=DESCRIPTION
         )
     sys.exit(code or 0)
+
+
+def _options_of(settings: type[Any], given: dict[str, Any]) -> dict[str, Any]:
+    """Those of a command's options that are fields of the dataclass `settings`."""
+    return {field.name: given[field.name] for field in fields(settings) if field.name in given}
 
 
 def _check_options(kind: str, given: dict[str, Any]) -> None:
