@@ -36,7 +36,7 @@ from rich.console import Console
 from benchmarks.common import RESULTS, make_table, run_cli, write_report
 from freeart21 import se3
 from freeart21.errors import FreeArtError
-from freeart21.gaussians import multiply, rotations
+from freeart21.gaussians import multiply
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from reconstruct.gaussians import backends
@@ -177,7 +177,7 @@ def _pairs(scene: Scene) -> float:
     x, y, z = np.moveaxis((T[:, :3, :3] @ s.means[:, :, None])[:, :, 0] + T[:, :3, 3], 1, 0)
     zero = np.zeros_like(z)
     J = np.stack([lens.fx / z, zero, -lens.fx * x / z**2, zero, lens.fy / z, -lens.fy * y / z**2], 1).reshape(-1, 2, 3)
-    M = J @ T[:, :3, :3] @ (rotations(s.quaternions) * s.scales[:, None, :])
+    M = J @ T[:, :3, :3] @ (se3.rotation_from_wxyz(s.quaternions) * s.scales[:, None, :])
     covariances = M @ np.swapaxes(M, 1, 2) + DILATION * np.eye(2)
     return float((2 * np.pi * np.log(s.opacities / FAINTEST) * np.sqrt(np.linalg.det(covariances))).sum())
 

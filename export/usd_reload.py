@@ -132,8 +132,7 @@ def _check_joint(path: Path, prim: Any, joint: UrdfJoint, urdf: Urdf) -> Iterato
 
 
 def _rotation(quaternion: Any) -> Array:
-    q = np.array([quaternion.GetReal(), *quaternion.GetImaginary()], float)
-    return se3.pose_from_wxyz(np.zeros(3), q / np.linalg.norm(q))[:3, :3]
+    return se3.rotation_from_wxyz([quaternion.GetReal(), *quaternion.GetImaginary()])
 
 
 def _text(values: Any) -> str:

@@ -47,8 +47,8 @@ class Gaussians:
     """(N, 3) unit, outward."""
     light: Floats | None = None
     """(L, 3) light by the direction of a normal in the recording camera's frame, in which the lamps are fixed:
-    coefficients of `spherical_harmonics`, of mean 1 over the video. An image shows colours times light. None for
-    uniform light."""
+    coefficients of real spherical harmonics, orthonormal, by degree l and order -l to l, of mean 1 over the video. An
+    image shows colours times light. None for uniform light."""
 
     def __post_init__(self) -> None:
         n = len(self.means)
@@ -96,52 +96,3 @@ def multiply(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
         ],
         -1,
     )
-
-
-def rotations(quaternions: ArrayLike) -> NDArray[np.float64]:
-    """(..., 3, 3) of quaternions (..., 4), wxyz, of any length."""
-    q = np.asarray(quaternions, float)
-    w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, -1) for row in rows], -2)
-
-
-def spherical_harmonics(directions: ArrayLike, terms: int) -> NDArray[np.float64]:
-    """(..., terms) real spherical harmonics of unit vectors (..., 3), orthonormal, by degree l and order -l to l.
-
-    `terms` is one of LIGHT_TERMS.
-    """
-    x, y, z = np.moveaxis(np.asarray(directions, float), -1, 0)
-    xx, yy, zz = x * x, y * y, z * z
-    found = [
-        np.full_like(x, 0.28209479177387814),
-        0.4886025119029199 * y,
-        0.4886025119029199 * z,
-        0.4886025119029199 * x,
-        1.0925484305920792 * x * y,
-        1.0925484305920792 * y * z,
-        0.31539156525252005 * (3 * zz - 1),
-        1.0925484305920792 * x * z,
-        0.5462742152960396 * (xx - yy),
-        0.5900435899266435 * y * (3 * xx - yy),
-        2.890611442640554 * x * y * z,
-        0.4570457994644658 * y * (5 * zz - 1),
-        0.3731763325901154 * z * (5 * zz - 3),
-        0.4570457994644658 * x * (5 * zz - 1),
-        1.445305721320277 * z * (xx - yy),
-        0.5900435899266435 * x * (xx - 3 * yy),
-        2.5033429417967046 * x * y * (xx - yy),
-        1.7701307697799304 * y * z * (3 * xx - yy),
-        0.9461746957575601 * x * y * (7 * zz - 1),
-        0.6690465435572892 * y * z * (7 * zz - 3),
-        0.10578554691520431 * (zz * (35 * zz - 30) + 3),
-        0.6690465435572892 * x * z * (7 * zz - 3),
-        0.47308734787878004 * (xx - yy) * (7 * zz - 1),
-        1.7701307697799304 * x * z * (xx - 3 * yy),
-        0.6258357354491761 * (xx * (xx - 3 * yy) - yy * (3 * xx - yy)),
-    ]
-    return np.stack(found[:terms], -1)

@@ -164,8 +164,8 @@ def mean_pose(Ts: ArrayLike, sigma: float | None = 2.0) -> Array:
     return mean
 
 
-def pose_from_wxyz(position: ArrayLike, wxyz: ArrayLike) -> Array:
-    """The pose (..., 4, 4) of a position (..., 3) and a quaternion (..., 4) in w, x, y, z order, of any length."""
+def rotation_from_wxyz(wxyz: ArrayLike) -> Array:
+    """The rotation (..., 3, 3) of a quaternion (..., 4) in w, x, y, z order, of any length."""
     q = np.asarray(wxyz, float)
     w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
     rows = [
@@ -173,7 +173,12 @@ def pose_from_wxyz(position: ArrayLike, wxyz: ArrayLike) -> Array:
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
-    return pose(np.stack([np.stack(row, -1) for row in rows], -2), position)
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def pose_from_wxyz(position: ArrayLike, wxyz: ArrayLike) -> Array:
+    """The pose (..., 4, 4) of a position (..., 3) and a quaternion (..., 4) in w, x, y, z order, of any length."""
+    return pose(rotation_from_wxyz(wxyz), position)
 
 
 def wxyz(T: ArrayLike) -> Array:

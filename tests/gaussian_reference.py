@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.special import lpmv
 
 from freeart21 import se3
 from reconstruct.gaussians.rasteriser import DENSEST, DILATION, FAINTEST, NEAR, OPAQUE, THIN, Picture
@@ -61,6 +62,19 @@ def draw(splats, poses, lens, nudges=None, clamp=False):
                 T *= 1 - thick
                 blended.append((y, x, g))
     return Drawing(Picture(colour, depth, alpha, moving), tuple(blended), margin)
+
+
+def spherical_harmonics(directions, terms):
+    """(n, terms) real ones of unit vectors (n, 3), orthonormal, by degree l and order -l to l."""
+    x, y, z = np.asarray(directions, float).T
+    longitude, found = np.arctan2(y, x), []
+    for degree in range(math.isqrt(terms)):
+        for order in range(-degree, degree + 1):
+            m = abs(order)
+            size = (2 * degree + 1) / (4 * np.pi) * math.factorial(degree - m) / math.factorial(degree + m)
+            turned = np.cos(m * longitude) if order >= 0 else np.sin(m * longitude)
+            found.append(np.sqrt((2 if m else 1) * size) * (-1) ** m * lpmv(m, degree, z) * turned)
+    return np.stack(found, -1)
 
 
 def _project(g, splats, poses, lens, clamp):

@@ -11,10 +11,11 @@ from refusal import assert_refused
 from score_files import truths, write_data
 from synthetic_case import truth_as_answer
 
+from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files.gaussians import MAX_GAUSSIANS, MAX_HEADER_BYTES, SH_0, read_gaussians, write_gaussians
 from freeart21.files.result import read_result, write_result
-from freeart21.gaussians import LIGHT_TERMS, Gaussians, rotations
+from freeart21.gaussians import LIGHT_TERMS, Gaussians
 from freeart21.reconstruction import Reconstruction
 from leaderboard.validate import validate_results
 
@@ -125,7 +126,7 @@ def test_a_plain_3dgs_file_in_any_order_is_one_still_part(tmp_path, kind, end):
     back = read_gaussians(tmp_path / "b.ply")
     assert (back.part_weights == 1).all() and (back.colours[:, 0] == 1).all() and back.light is None
     assert back.means == pytest.approx(given.means) and back.quaternions == pytest.approx(given.quaternions, abs=1e-6)
-    thinnest = rotations(given.quaternions)[np.arange(50), :, given.scales.argmin(1)]
+    thinnest = se3.rotation_from_wxyz(given.quaternions)[np.arange(50), :, given.scales.argmin(1)]
     assert np.abs((thinnest * back.normals).sum(1)) == pytest.approx(np.ones(50), abs=1e-6)
     assert ((back.means - np.median(back.means, 0)) * back.normals).sum(1).min() >= -1e-6, "normals point outwards"
     with pytest.raises(FreeArtError, match=r"b\.ply .*no part_weight .*which part moves is not known"):

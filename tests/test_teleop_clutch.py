@@ -45,7 +45,7 @@ def head(yaw: float, pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:
 
 def to_camera(page: Browser, R_head: np.ndarray) -> np.ndarray:
     q = page.run(f"m.roomToCamera(m.heading({se3.wxyz(R_head).tolist()}))")
-    return se3.pose_from_wxyz([0, 0, 0], q)[:3, :3]
+    return se3.rotation_from_wxyz(q)
 
 
 def carried(page: Browser, grasps: list[np.ndarray], T_object: np.ndarray, pivot: list[float], R: np.ndarray) -> list:

@@ -172,4 +172,4 @@ def test_a_take_of_two_controllers_holds_what_was_sent_and_replays_it_through_th
 
 
 def _turn(move: dict) -> np.ndarray:
-    return se3.pose_from_wxyz([0, 0, 0], move["quaternion"])[:3, :3]
+    return se3.rotation_from_wxyz(move["quaternion"])

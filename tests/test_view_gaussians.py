@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from browser import CHROMIUM, Browser, browser
+from gaussian_reference import spherical_harmonics
 from page_data import extract_array
 from refusal import assert_refused
 
@@ -19,7 +20,7 @@ from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files.gaussians import write_gaussians
 from freeart21.files.result import write_result
-from freeart21.gaussians import FAINT_COPY, TURNED_AWAY, Gaussians, rotations, spherical_harmonics
+from freeart21.gaussians import FAINT_COPY, TURNED_AWAY, Gaussians
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction
@@ -73,7 +74,7 @@ def drawn(gaussians: Gaussians, Ts_camera_part: list[np.ndarray], camera: Camera
     copies = []
     for moved, T in enumerate(Ts_camera_part):
         R = T[:3, :3]
-        means, turns = se3.transform(T, gaussians.means), R @ rotations(gaussians.quaternions)
+        means, turns = se3.transform(T, gaussians.means), R @ se3.rotation_from_wxyz(gaussians.quaternions)
         covariances = turns @ (gaussians.scales.astype(float)[..., None] ** 2 * np.swapaxes(turns, 1, 2))
         colours = gaussians.colours.astype(float)
         if gaussians.light is not None:
@@ -181,7 +182,7 @@ def test_the_script_sorts_from_the_farthest_and_keeps_copies_apart():
     assert sorted(said["moved"]) == sorted(copy for copy in expected if copy % 2)
     depths = np.stack([se3.transform(view, given.means)[:, 2] for view in views], -1).ravel()[order]
     assert (np.diff(depths) > -2e-4).all(), "an eye looks along -z: the farthest comes first"
-    turns = rotations(given.quaternions)
+    turns = se3.rotation_from_wxyz(given.quaternions)
     covariances = turns @ (given.scales[..., None] ** 2 * np.swapaxes(turns, 1, 2))
     upper = covariances[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
     assert np.abs(shapes[:, 4:10] - upper).max() < 0.03 * upper.max()

@@ -156,7 +156,7 @@ class _Reader:
     def _rotation(self, element: ET.Element, name: str) -> Array:
         """(3, 3) from quat, axisangle, euler, xyaxes or zaxis."""
         if "quat" in element.attrib:
-            return se3.pose_from_wxyz(np.zeros(3), self._numbers(element, "quat", "", 4, name))[:3, :3]
+            return se3.rotation_from_wxyz(self._numbers(element, "quat", "", 4, name))
         if "axisangle" in element.attrib:
             axisangle = self._numbers(element, "axisangle", "", 4, name)
             return se3.exp_so3(self.unit * axisangle[3] * axisangle[:3] / np.linalg.norm(axisangle[:3]))

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.mesh_file import MAX_PLY_BYTES, PLY_TYPES
-from freeart21.gaussians import LIGHT_TERMS, Gaussians, rotations
-from freeart21.se3 import Array, Floats
+from freeart21.gaussians import LIGHT_TERMS, Gaussians
+from freeart21.se3 import Array, Floats, rotation_from_wxyz
 
 GAUSSIANS = "gaussians.ply"
 """The file in a result folder."""
@@ -187,7 +187,7 @@ def _normals(
     lost = lengths == 0
     normals = given / np.where(lost, 1, lengths)[:, None]
     if lost.any():
-        R = rotations(quaternions[lost])
+        R = rotation_from_wxyz(quaternions[lost])
         thin = np.take_along_axis(R, scales[lost].argmin(1)[:, None, None], 2)[..., 0]
         inward = np.einsum("ni,ni->n", thin, means[lost] - np.median(means, 0)) < 0
         normals[lost] = np.where(inward[:, None], -thin, thin)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21.gaussians import rotations
-from freeart21.se3 import Array
+from freeart21.se3 import Array, rotation_from_wxyz
 from reconstruct.gaussians.model import Parameters, sigmoid
 
 FAINT = 0.05
@@ -38,7 +37,7 @@ def densify_and_prune(
     fresh = halves[which]
     # along the longest axis, half a standard deviation each way
     longest = np.argmax(new.log_scales[fresh], 1)
-    axes = np.take_along_axis(rotations(new.quaternions[fresh]), longest[:, None, None], 2)[..., 0]
+    axes = np.take_along_axis(rotation_from_wxyz(new.quaternions[fresh]), longest[:, None, None], 2)[..., 0]
     length = np.exp(np.take_along_axis(new.log_scales[fresh], longest[:, None], 1))
     side = np.where(np.arange(len(which)) < int(visible.sum()), -0.5, 0.5)[fresh]
     new.means[fresh] += (side[:, None] * length * axes).astype(np.float32)

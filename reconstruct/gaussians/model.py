@@ -174,7 +174,7 @@ def _sum_copies(index: Ints, values: Floats, total: Floats) -> None:  # pragma: 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def _harmonics(x: float, y: float, z: float, found: Floats) -> None:  # pragma: no cover
-    """As `freeart21.gaussians.spherical_harmonics`, of one direction, as many as `found` has room for."""
+    """Real spherical harmonics of one direction by degree l and order -l to l, as many as `found` has room for."""
     terms = found.shape[0]
     found[0] = _F(0.28209479)
     if terms > 1:

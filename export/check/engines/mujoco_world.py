@@ -99,7 +99,7 @@ class MujocoWorld(World):
     def inertials(self) -> dict[str, UrdfInertial]:
         found = {}
         for b in range(1, self.model.nbody):
-            R = se3.pose_from_wxyz(np.zeros(3), self.model.body_iquat[b])[:3, :3]
+            R = se3.rotation_from_wxyz(self.model.body_iquat[b])
             tensor = R @ np.diag(self.model.body_inertia[b]) @ R.T
             found[self.model.body(b).name] = UrdfInertial(
                 float(self.model.body_mass[b]), self.model.body_ipos[b].copy(), tensor
