@@ -223,22 +223,14 @@ class Actuator:
         )
 
 
-def hold_series(times_s: ArrayLike, values: ArrayLike, over_s: float = 0.0) -> Callable[[float], float]:
-    """A recorded series (n,), times rising, as a function of time, by zero-order hold.
-
-    With `over_s` its mean over a window of so many seconds, centred: what a simulator with one force per step needs for
-    the right impulse.
-    """
-    return interpolate_series(times_s, values, "held", over_s)
-
-
 def interpolate_series(
     times_s: ArrayLike, values: ArrayLike, how: str, over_s: float = 0.0, holding: float = 0.5
 ) -> Callable[[float], float]:
-    """A recorded series (n,) as a function of time, by `interpolation_terms`; `over_s` as in `hold_series`.
+    """A recorded series (n,) as a function of time, by `interpolation_terms`.
 
-    NaN values were not logged. With "unknown" interpolation `holding` is the share of zero-order hold, the rest is
-    smooth.
+    With `over_s` its mean over a window of so many seconds, centred: what a simulator with one force per step needs for
+    the right impulse. NaN values were not logged. With "unknown" interpolation `holding` is the share of zero-order
+    hold, the rest is smooth.
     """
     known = np.isfinite(np.asarray(values, float))
     times = [float(t) for t in np.asarray(times_s)[known]]

@@ -44,7 +44,7 @@ from freeart21.effects.wobble import Wobble
 from freeart21.errors import FreeArtError
 from freeart21.events import drive_rebound
 from freeart21.files.asset import read_asset
-from freeart21.mechanics import Actuator, hold_series
+from freeart21.mechanics import Actuator, interpolate_series
 from generator.simulate import joint_motion, load, roll_out
 
 MASS, ARM, G = 1.6, 0.5, 9.81
@@ -402,7 +402,7 @@ def test_servo_with_delay_and_gain(tmp_path: Path, kind: str):
 def test_gain_scales_efforts_but_not_pushes(tmp_path: Path, kind: str):
     I = INERTIA[kind]  # noqa: E741
     asset = asset_with(tmp_path, kind, ActuatorDelay(0.1), ActuatorGain(0.5))
-    effort = Actuator(effort=hold_series([0.0, 0.2, 0.4], [0.0, 2.0, 0.0]))
+    effort = Actuator(effort=interpolate_series([0.0, 0.2, 0.4], [0.0, 2.0, 0.0], "held"))
     run = roll_out(asset, 0.0, duration_s=1, gravity=WEIGHTLESS, actuator=effort)
     assert run.qd == pytest.approx(0.5 * 2.0 / I * np.clip(run.times_s - 0.3, 0, 0.2), abs=2e-3)
     pushed = roll_out(asset, 0.0, duration_s=1, gravity=WEIGHTLESS, force=lambda t: 2.0)
@@ -507,7 +507,7 @@ def test_drive_side_separates_at_a_limit(tmp_path: Path):
     """A slider on its lower stop: touched from below, released for 0.3 s, then lifted."""
     J, width = 0.4, 0.2
     asset = asset_with(tmp_path, "prismatic", Backlash(width, J), axis="0 0 1", limit=limits(0, 9))
-    efforts = Actuator(effort=hold_series([0.0, 0.6, 0.9], [2.0, -0.5, 20.0]))
+    efforts = Actuator(effort=interpolate_series([0.0, 0.6, 0.9], [2.0, -0.5, 20.0], "held"))
     run = roll_out(asset, 0.0, duration_s=1.5, actuator=efforts)
     assert np.all(run.q[(run.times_s > 0.5) & (run.times_s < 0.9)] == 0)
     x, v = 0.1 - 0.5 * 0.5 / J * 0.3**2, -0.5 / J * 0.3

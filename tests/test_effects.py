@@ -44,7 +44,7 @@ from freeart21.effects.wobble import Wobble
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset, read_effects, write_asset_json
 from freeart21.joint import Joint, JointType
-from freeart21.mechanics import Actuator, JointMechanics, hold_series
+from freeart21.mechanics import Actuator, JointMechanics, interpolate_series
 
 EXAMPLES = (ViscousDamping(0.3), CoulombFriction(0.2), ReturnSpring(4.0, -0.1))
 MORE = (
@@ -168,11 +168,11 @@ def test_formulas_by_hand():
         assert force[35000] == np.abs(force).max() == pytest.approx(0.5, rel=1e-6)
         assert np.abs(np.diff(force)).max() / 1e-5 == pytest.approx(notch.steepness(), rel=0.03)
     latch = Latch(2.0, 0.1, 0.02, 0.5)
-    course, memory, hold_series = np.array([0.13, 0.115, 0.109, 0.119, 0.0801, 0.121, 0.115]), 0.0, []
+    course, memory, forces = np.array([0.13, 0.115, 0.109, 0.119, 0.0801, 0.121, 0.115]), 0.0, []
     for q in course:
         memory = latch.remember(q, memory, *latch.values())
-        hold_series.append(float(latch.force(q, 0.0, 0.0, memory)))
-    assert hold_series == pytest.approx([0, 0, -0.9, -1.9, 1.99, 0, 0])
+        forces.append(float(latch.force(q, 0.0, 0.0, memory)))
+    assert forces == pytest.approx([0, 0, -0.9, -1.9, 1.99, 0, 0])
     assert EndStopBounce(0.5).rebound(-3.0) == 1.5
     assert EndStopBounce(0.5, 2.0).rebound(-0.5) == pytest.approx(0.125)  # half of it at 1 / fading
     assert (ActuatorDelay(0.02).delay(), ActuatorGain(0.8).gain(), Armature(0.05).inertia()) == (0.02, 0.8, 0.05)
@@ -326,12 +326,12 @@ def test_joint_mechanics_of_a_pendulum():
 
 
 def test_a_recorded_series_is_held():
-    series = hold_series([0.0, 0.1, 0.3], [5.0, 6.0, 7.0])
+    series = interpolate_series([0.0, 0.1, 0.3], [5.0, 6.0, 7.0], "held")
     assert [series(t) for t in (-1, 0.0, 0.09, 0.1, 0.29, 0.3, 9)] == [5, 5, 5, 6, 6, 7, 7]
     actuator = Actuator(series, 10.0, 2.0, lambda t: 0.5)
     assert actuator.force(1.0, 3.0, 0.2) == pytest.approx(10 * (6 - 1) - 2 * 3 + 0.5)
     assert Actuator(effort=series).force(1.0, 3.0, 0.2) == 6.0
-    mean = hold_series([0.0, 0.1, 0.3], [5.0, 6.0, 7.0], 0.1)
+    mean = interpolate_series([0.0, 0.1, 0.3], [5.0, 6.0, 7.0], "held", 0.1)
     assert [mean(t) for t in (-1, 0.05, 0.1, 0.2, 0.325, 9)] == pytest.approx([5, 5, 5.5, 6, 6.75, 7])
 
 

@@ -15,7 +15,7 @@ from freeart21 import cli
 from freeart21.files.asset import read_asset
 from freeart21.files.measured_writer import write_measured
 from freeart21.measured import Measured, Run
-from freeart21.mechanics import Actuator, hold_series, interpolate_series, interpolation_terms
+from freeart21.mechanics import Actuator, interpolate_series, interpolation_terms
 from generator.simulate import roll_out
 from simgap.measure.data import thinning_notes, thinning_stride
 from simgap.measure.inputs import logged_at, make_inputs
@@ -49,7 +49,7 @@ def test_a_straight_line_goes_from_row_to_row_and_a_smooth_one_through_them():
     parabola = interpolate_series(TIMES, 3 * TIMES**2 - TIMES, "unknown", holding=0.0)
     assert [parabola(t) for t in at[10:70]] == pytest.approx(3 * at[10:70] ** 2 - at[10:70])
     half = interpolate_series(TIMES, VALUES, "unknown", holding=0.5)
-    assert half(0.2) == pytest.approx(0.5 * (hold_series(TIMES, VALUES)(0.2) + smooth(0.2)))
+    assert half(0.2) == pytest.approx(0.5 * (interpolate_series(TIMES, VALUES, "held")(0.2) + smooth(0.2)))
     assert interpolate_series(TIMES, VALUES, "unknown", holding=1.0)(0.2) == 1.0
 
 

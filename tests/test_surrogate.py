@@ -13,7 +13,7 @@ import pytest
 from freeart21.effects import EFFECTS
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
-from freeart21.mechanics import Actuator, hold_series
+from freeart21.mechanics import Actuator, interpolate_series
 from generator.simulate import roll_out
 from simgap.models import kernel, laws
 from simgap.models.surrogate import (
@@ -197,7 +197,7 @@ def test_a_servo_is_sapiens(tmp_path: Path, names: tuple[str, ...]):
     times = np.arange(3001) * 1e-3
     ticks = times[::10]
     command = 0.4 * np.sin(4 * ticks)
-    law = Actuator(hold_series(ticks, command), 40.0, 3.0)
+    law = Actuator(interpolate_series(ticks, command, "held"), 40.0, 3.0)
     theirs = roll_out(asset, 0.0, duration_s=3, actuator=law)
     plant = make_plant(asset, measured_of("revolute", Actuator(None, 40.0, 3.0)))
     inputs = Inputs(ticks, command, np.zeros(len(ticks)), np.zeros(len(ticks)))
