@@ -14,10 +14,10 @@ _WORDS = {str: "text", bool: "true or false", int: "a whole number", float: "a f
 
 
 def read_record(kind: type[_T], data: Any, where: str, whole: bool = False) -> _T:
-    """The dataclass `kind` in the JSON value `data`; fields that it lacks keep their defaults unless all are asked.
+    """The dataclass `kind` in the JSON value `data`; fields that it lacks keep their defaults, but not if `whole`.
 
     A field is text, a flag, a number, a literal, null, a list, a tuple of equal entries, a dictionary with text as
-    keys, or another dataclass, of which all fields are asked. Raises FreeArtError, which begins with `where`.
+    keys, or another dataclass with all its fields. Raises FreeArtError, which begins with `where`.
     """
     assert is_dataclass(kind)
     known = {field.name: field for field in fields(kind)}
