@@ -485,7 +485,7 @@ BREAKS = {
         (folder / "object.xml").read_text().replace("meshes/moving.obj", "meshes/no.obj")
     ),
 }
-"""How a finding begins to what causes it. Faults of the URDF's text are found by the same code as in test_check_asset."""
+"""How a finding begins to what causes it. Faults of the URDF's text are in test_check_asset."""
 
 
 @pytest.mark.parametrize("said", BREAKS)
