@@ -148,7 +148,7 @@ _PARALLEL = 1e-6
 """Sine of a face's angle to the direction of motion below which it sweeps nothing. Not measured."""
 _OVERLAP_SHARE = 1e-3
 """Fraction of a patch's projected area that may overlap: rounding of the projection. With it a coil sweeps the volume
-that its copies do (tests/test_carving.py)."""
+that its copies do."""
 
 
 def _sweep_translation(tool: Manifold, way: Array) -> Manifold:
