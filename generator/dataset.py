@@ -12,22 +12,17 @@ import fcntl
 import os
 import shutil
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from importlib import metadata
-from multiprocessing import get_context
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from freeart21 import catalog, child, stopping
+from freeart21 import catalog
 from freeart21 import jobs as jobs_anywhere
 from freeart21.doctor import require_rendering
 from freeart21.errors import FreeArtError
@@ -362,7 +357,7 @@ def _finish(out: Path, label: Label) -> None:
 
 @contextlib.contextmanager
 def _writer_lock(out: Path) -> Iterator[None]:
-    """Hold the lock of the data folder `out`; this recorder's workers share it (`_start_worker`)."""
+    """Hold the lock of the data folder `out`; this recorder's jobs share it (`record_one`)."""
     made = [folder for folder in (out, *out.parents) if not folder.exists()]
     lock = out / WORK / "lock"
     deadline = time.monotonic() + _PATIENCE_S
@@ -385,17 +380,18 @@ def _writer_lock(out: Path) -> Iterator[None]:
 
 
 def _run(out: Path, jobs: list[Job], workers: int, on_done: Callable[[str], None], executor: str) -> None:
+    """Record one sequence after the other in this process, or each as a job of `executor`."""
     pictures = sum(job.settings.frames + job.settings.queries for job in jobs)
     with progress_board(len(jobs), pictures) as board:
-        if executor != "local":
-            _run_on_executor(out, jobs, workers, executor, board, on_done)
-        elif workers == 1 or len(jobs) < 2:
+        if executor == "local" and (workers == 1 or len(jobs) < 2):
             for job in jobs:
                 _record_sequence(out, job, partial(board.update, job.sequence))
                 board.finished(job.sequence)
                 on_done(job.sequence)
         else:
-            _run_workers(out, jobs, min(workers, len(jobs)), board, on_done)
+            workers = min(workers, len(jobs))
+            with _renderer_threads(workers) if executor == "local" else contextlib.nullcontext():
+                _run_as_jobs(out, jobs, workers, executor, board, on_done)
 
 
 def _record_sequence(out: Path, job: Job, progress: Callable[[int, int], None]) -> None:
@@ -420,72 +416,7 @@ def _record_sequence(out: Path, job: Job, progress: Callable[[int, int], None]) 
     shutil.rmtree(work, ignore_errors=True)
 
 
-_reports: Any = None
-"""In a worker: the queue that takes progress reports."""
-
-
-def _start_worker(folder: Path, lock: Path, life: Connection, reports: Any) -> None:
-    """Set a worker up: change to the recorder's folder, share its lock, and end when the recorder ends.
-
-    The worker ends when the recorder's side of the pipe `life` closes.
-    """
-    global _reports
-    os.chdir(folder)
-
-    def end_with_the_recorder() -> None:
-        with contextlib.suppress(EOFError, OSError):
-            life.recv()
-        os._exit(1)
-
-    threading.Thread(target=end_with_the_recorder, daemon=True).start()
-    fcntl.flock(os.open(lock, os.O_RDWR), fcntl.LOCK_SH)  # closed by the process's end
-    _reports = reports
-
-
-def _record_in_worker(out: Path, job: Job) -> str:
-    """In a worker: record one sequence and report progress a few times a second."""
-    last = 0.0
-
-    def progress(done: int, total: int) -> None:
-        nonlocal last
-        if done == total or time.monotonic() - last > 0.25:
-            last = time.monotonic()
-            _reports.put((job.sequence, done, total))
-
-    _record_sequence(out, job, progress)
-    return job.sequence
-
-
-def _run_workers(out: Path, jobs: list[Job], workers: int, board: Board, on_done: Callable[[str], None]) -> None:
-    """Record jobs in worker processes: threads would not do, as the simulator holds Python's lock while it draws."""
-    context = get_context("spawn")
-    theirs, ours = context.Pipe(duplex=False)
-    with _renderer_threads(workers), tempfile.TemporaryDirectory(prefix="freeart21-") as empty:
-        with child.spawn_in(Path(empty)):
-            reports = context.SimpleQueue()
-        listener = threading.Thread(target=_forward_reports, args=(reports, board), daemon=True)
-        listener.start()
-        worker_setup = Path.cwd(), out / WORK / "lock", theirs, reports
-        pool = ProcessPoolExecutor(workers, context, _start_worker, worker_setup)
-        try:
-            with (
-                stopping.block_signals(),
-                child.spawn_in(Path(empty)),
-            ):  # workers ignore signals: the recorder stops them
-                futures: list[Future[str]] = [pool.submit(_record_in_worker, out, job) for job in jobs]
-            for future in as_completed(futures):
-                board.finished(future.result())
-                on_done(future.result())
-        except BrokenProcessPool as error:
-            raise atomic.CannotWrite("a worker of the recorder was killed, perhaps for lack of memory") from error
-        finally:
-            ours.close()  # ends the workers
-            pool.shutdown(wait=True, cancel_futures=True)
-            reports.put(None)
-            listener.join(1)
-
-
-def _run_on_executor(
+def _run_as_jobs(
     out: Path, jobs: list[Job], workers: int, executor: str, board: Board, on_done: Callable[[str], None]
 ) -> None:
     """Record each sequence as a job of `executor`. A job whose machine failed continues from its finished frames."""
@@ -537,11 +468,6 @@ def record_one(out: str, name: str, sequence: str, settings: dict[str, Any]) -> 
 def _settings_to_json(settings: RecordSettings) -> dict[str, Any]:
     """All fields as JSON, with absolute paths."""
     return {key: str(value.resolve()) if isinstance(value, Path) else value for key, value in asdict(settings).items()}
-
-
-def _forward_reports(reports: Any, board: Board) -> None:
-    while (report := reports.get()) is not None:
-        board.update(*report)
 
 
 @contextlib.contextmanager

@@ -79,6 +79,19 @@ def repeated(solid: Manifold, step: ArrayLike, count: int) -> Manifold:
     return union(solid.translate(tuple((k - (count - 1) / 2) * step)) for k in range(count))
 
 
+def pair(solid: Manifold, axis: Axis, offset: float) -> Manifold:
+    """Two copies of a solid, moved by `offset` against and along `axis`."""
+    way = np.array(["x", "y", "z"]) == axis
+    return union(solid.translate(tuple(sign * offset * way)) for sign in (-1, 1))
+
+
+def corners(solid: Manifold, axes: Literal["xy", "xz", "yz"], first: float, second: float) -> Manifold:
+    """Four copies of a solid, moved by `first` and `second` against and along the two `axes`."""
+    ways = [np.array(["x", "y", "z"]) == axis for axis in axes]
+    signs = [(a, b) for a in (-1, 1) for b in (-1, 1)]
+    return union(solid.translate(tuple(a * first * ways[0] + b * second * ways[1])) for a, b in signs)
+
+
 def tapered(low: CrossSection, high: CrossSection, length: float, axis: Axis, at: float = 0.0) -> Manifold:
     """A solid from the convex outline `low` at `at` on `axis` to the convex outline `high`, `length` further on.
 

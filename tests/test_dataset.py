@@ -273,7 +273,7 @@ def test_a_worker_holds_the_lock_after_its_recorder_was_killed(tmp_path: Path, m
     import fcntl
 
     worker = os.open(lock, os.O_RDWR)
-    fcntl.flock(worker, fcntl.LOCK_SH | fcntl.LOCK_NB)  # as `_start_worker` does
+    fcntl.flock(worker, fcntl.LOCK_SH | fcntl.LOCK_NB)  # as `record_one` does
     os.close(first)
     assert acquire(lock) is None
     os.close(worker)

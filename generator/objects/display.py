@@ -13,6 +13,7 @@ from generator.model import Hinge, Link, Material, ObjectModel, Piece, Pieces, P
 from generator.shapes import (
     box,
     moulded,
+    pair,
     plate,
     repeated,
     rod,
@@ -79,10 +80,11 @@ def tilt_monitor(seed: int) -> ObjectModel:
     m = _monitor(rng, width, height, 0.128 * rng.uniform(0.95, 1.08) + height / 2, 0.012, colour, colour)
     hinge_at = (m.thick + 0.048, 0.0, m.middle - 0.03)
     stand = Link("heavy display_base", _neck_and_foot(m, hinge_at, rng))
+    hinge = Hinge("revolute", "link_1", (0, 1, 0), hinge_at, -0.09, 0.45)
     screen = Link(
         "hinge display_screen",
         (*_panel(m, 0.011, 0.022, _night_screen(rng, colour), 0.030), *_tilt_head(m, hinge_at), *_back(m, 0.030, rng)),
-        Hinge("revolute", "link_1", (0, 1, 0), hinge_at, -0.09, 0.45),
+        hinge,
     )
     return ObjectModel("tilt_monitor", "Display", (screen, stand), 0, seed)
 
@@ -99,10 +101,11 @@ def pivot_monitor(seed: int) -> ObjectModel:
     middle = np.hypot(width, height) / 2 + 0.014 + rng.uniform(0.030, 0.055)
     m = _monitor(rng, width, height, float(middle), 0.010, colour, trim)
     stand = Link("heavy display_base", _column_and_foot(m, rng))
+    hinge = Hinge("revolute", "link_1", (1, 0, 0), (0.0, 0.0, m.middle), 0.0, np.pi / 2)
     screen = Link(
         "hinge display_screen",
         (*_panel(m, 0.008, 0.014, _desktop(rng), 0.018), *_pivot_head(m), *_back(m, 0.018, rng)),
-        Hinge("revolute", "link_1", (1, 0, 0), (0.0, 0.0, m.middle), 0.0, np.pi / 2),
+        hinge,
     )
     return ObjectModel("pivot_monitor", "Display", (screen, stand), 0, seed)
 
@@ -227,7 +230,7 @@ def _tilt_head(m: _Monitor, hinge_at: Point) -> Pieces:
         ).hull()
         for k in (-1, 1)
     )
-    heads = union(rod(0.006, 0.003, "y", (x, k * 0.0330, z), 0.0008, 24) for k in (-1, 1))
+    heads = pair(rod(0.006, 0.003, "y", (x, 0, z), 0.0008, 24), "y", 0.0330)
     screws = union(
         screw(0.004, "x", (face + 0.005, y * 0.043, z + k * 0.043), segments=16) for y in (-1, 1) for k in (-1, 1)
     )
@@ -314,9 +317,7 @@ def _column_and_foot(m: _Monitor, rng: Rng) -> Pieces:
         True,
     )
     scale = printed("scale", _scale(m.stand.colour, m.print))
-    strips = union(
-        box((0.012, 0.0004, top - m.middle - 0.062), (x, k * 0.032, (top + m.middle + 0.05) / 2)) for k in (-1, 1)
-    )
+    strips = pair(box((0.012, 0.0004, top - m.middle - 0.062), (x, 0, (top + m.middle + 0.05) / 2)), "y", 0.032)
     metal = Material("foot_metal", m.stand.colour, "metal", 3000.0)
     middle = x - 0.055
     foot = moulded(rounded_outline(0.220, 0.270, 0.024), 0.012, "z", 0.009, 0.003).translate((middle, 0, 0))
@@ -445,16 +446,15 @@ def _tablet_back(p: _Portable, rng: Rng) -> Pieces:
         for y in (side * p.pocket[0] * 0.32 - 0.0220, side * p.pocket[0] * 0.32 + 0.0220)
     )
     middle = p.top - p.pocket[1] / 2
-    magnets = union(
-        rod(0.005, 0.0006, "x", (floor + 0.0001, k * p.pocket[0] * 0.40, middle - p.pocket[1] * 0.30), 0, 24)
-        for k in (-1, 1)
+    magnets = pair(
+        rod(0.005, 0.0006, "x", (floor + 0.0001, 0, middle - p.pocket[1] * 0.30), 0, 24), "y", p.pocket[0] * 0.40
     )
     text = [f"EP-{int(rng.integers(130, 170))} PORTABLE DISPLAY", "5 V = 2.0 A", "MADE OF CODE"]
     rating = printed("rating_plate", textures.label(text, textures.shade(p.colour, 1.12, 0.02), p.ink, 2.4, rng))
     sticker = box((0.0003, p.pocket[0] * 0.44, p.pocket[0] * 0.44 / 2.4), (floor + 0.0001, 0, middle))
     corners = [(sy * (p.width / 2 - 0.011), sz * (p.height / 2 - 0.011)) for sy in (-1, 1) for sz in (-1, 1)]
     screws = union(screw(0.0026, "x", (p.thick / 2 - 0.0008, y, zz), segments=16) for y, zz in corners)
-    feet = union(round_box((0.006, 0.040, 0.003), 0.0012, (0, k * p.width * 0.33, -p.height / 2), 12) for k in (-1, 1))
+    feet = pair(round_box((0.006, 0.040, 0.003), 0.0012, (0, 0, -p.height / 2), 12), "y", p.width * 0.33)
     return (
         Piece("fixed_knuckles", knuckles, p.steel),
         Piece("magnets", magnets, p.dark),
@@ -478,20 +478,9 @@ def _kickstand(p: _Portable, rng: Rng) -> Pieces:
         for k in (-1, 1)
     )
     edge = box((0.0044, wide * 0.55, 0.0044), (x, 0, long + 0.0019), 0.0003)
-    words = textured(
-        "stand_print",
-        "plastic",
-        _ABS,
-        textures.label(
-            [str(rng.choice(["FOLD  0 - 125", "OPEN TO STAND", "STAND SIDE"]))],
-            p.colour,
-            textures.shade(p.colour, 0.55),
-            7.0,
-            None,
-            False,
-            96,
-        ),
-    )
+    text = str(rng.choice(["FOLD  0 - 125", "OPEN TO STAND", "STAND SIDE"]))
+    picture = textures.label([text], p.colour, textures.shade(p.colour, 0.55), 7.0, None, False, 96)
+    words = textured("stand_print", "plastic", _ABS, picture)
     line = box((0.0003, wide * 0.42, wide * 0.06), (x + 0.0020, 0, long + high * 0.70))
     thread = rod(0.0032, 0.0044, "x", (x, wide * 0.40, long + high * 0.5), 0.0, 24)
     bush = rod(0.0055, 0.0044, "x", (x, wide * 0.40, long + high * 0.5), 0.0002, 24) - thread

@@ -11,6 +11,7 @@ from generator.shapes import (
     box,
     lathe,
     moulded,
+    pair,
     plate,
     polygon,
     rod,
@@ -50,38 +51,21 @@ def flip_lighter(seed: int) -> ObjectModel:
     ink = textures.shade(colour, 0.25)
     hinge_at = (width / 2 + 0.0006, 0.0, seam)
     body = Link("heavy lighter_body", _body(width, depth, seam, case, colour, ink, rng))
-    lid = Link(
-        "hinge lid",
-        _lid(width, depth, seam, height, case, colour, ink, rng),
-        Hinge("revolute", "link_1", (0, 1, 0), hinge_at, 0.0, 2.2),
-    )
+    hinge = Hinge("revolute", "link_1", (0, 1, 0), hinge_at, 0.0, 2.2)
+    lid = Link("hinge lid", _lid(width, depth, seam, height, case, colour, ink, rng), hinge)
     return ObjectModel("flip_lighter", "Lighter", (lid, body), 0, seed)
 
 
 def _body(width: float, depth: float, seam: float, case: Material, colour: Colour, ink: Colour, rng: Rng) -> Pieces:
     shell = round_box((width, depth, seam + 0.006), 0.0022, (0, 0, (seam + 0.006) / 2)).trim_by_plane((0, 0, -1), -seam)
     shell -= box((width - 0.0016, depth - 0.0016, seam), (0, 0, seam / 2 + 0.002))
-    emblem = textured(
-        "emblem",
-        "metal",
-        _BRASS,
-        textures.emblem(rng, textures.brushed_metal(rng, colour), ink, str(rng.choice(["STORM", "ASTRA", "NOMAD"]))),
-    )
+    ground, word = textures.brushed_metal(rng, colour), str(rng.choice(["STORM", "ASTRA", "NOMAD"]))
+    emblem = textured("emblem", "metal", _BRASS, textures.emblem(rng, ground, ink, word))
     size = min(width * 0.78, seam * 0.86)
     front = box((size, 0.0004, size), (0, -depth / 2, seam * 0.5))
-    words = textured(
-        "inscription",
-        "metal",
-        _BRASS,
-        textures.label(
-            ["FREEART 21", "WINDPROOF", f"No {int(rng.integers(1000, 9999))}"],
-            textures.brushed_metal(rng, colour),
-            ink,
-            1.3,
-            rng,
-            False,
-        ),
-    )
+    lines = ["FREEART 21", "WINDPROOF", f"No {int(rng.integers(1000, 9999))}"]
+    ground = textures.brushed_metal(rng, colour)
+    words = textured("inscription", "metal", _BRASS, textures.label(lines, ground, ink, 1.3, rng, False))
     rear = box((width * 0.74, 0.0004, width * 0.57), (0, depth / 2, seam * 0.5))
     stamp = textured("stamp", "metal", _BRASS, textures.label(["FA-21", "BRADFORD"], colour, ink, 2.6, None, False))
     sole = box((width * 0.74, depth * 0.62, 0.0004), (0, 0, 0))
@@ -118,9 +102,7 @@ def _insert(width: float, depth: float, seam: float, rng: Rng) -> Pieces:
     wheel_at = (width / 2 - 0.0105, 0.0, seam + 0.0088)
     teeth = textured("wheel", "metal", _STEEL, textures.knurl((0.52, 0.50, 0.48), 5), 0.006)
     wheel = rod(0.0036, 0.0048, "y", wheel_at, 0.0004)
-    yoke = union(
-        box((0.0075, 0.0008, 0.0085), (wheel_at[0] + 0.0012, s * 0.0032, seam + 0.0065), 0.0003) for s in (-1, 1)
-    )
+    yoke = pair(box((0.0075, 0.0008, 0.0085), (wheel_at[0] + 0.0012, 0, seam + 0.0065), 0.0003), "y", 0.0032)
     cam = box((0.0030, 0.0052, 0.0080), (width / 2 - 0.0040, 0, seam + 0.0060), 0.0008)
     wick = Material("wick", (0.90, 0.87, 0.78), "rubber", 400.0)
     thread = rod(0.0014, tall * 0.85, "z", (centre[0], 0, centre[2] - tall * 0.08), segments=16)
@@ -142,21 +124,10 @@ def _lid(
     full = round_box((width, depth, height - seam + 0.010), 0.0030, (0, 0, (height + seam - 0.010) / 2))
     shell = full.trim_by_plane((0, 0, 1), seam + gap)
     shell -= round_box((width - 0.0016, depth - 0.0016, height - seam), 0.0016, (0, 0, (height + seam) / 2 - 0.0012))
-    crest = textured(
-        "crest",
-        "metal",
-        _BRASS,
-        textures.label(
-            [str(rng.choice(["* 1932 *", "- XXI -", "SINCE 21"]))],
-            textures.brushed_metal(rng, colour),
-            ink,
-            2.6,
-            None,
-            True,
-        ),
-    )
+    text, ground = str(rng.choice(["* 1932 *", "- XXI -", "SINCE 21"])), textures.brushed_metal(rng, colour)
+    crest = textured("crest", "metal", _BRASS, textures.label([text], ground, ink, 2.6))
     tall = (height - seam) * 0.50
-    prints = union(box((tall * 2.4, 0.0004, tall), (0, s * depth / 2, seam + (height - seam) * 0.48)) for s in (-1, 1))
+    prints = pair(box((tall * 2.4, 0.0004, tall), (0, 0, seam + (height - seam) * 0.48)), "y", depth / 2)
     barrel = rod(0.0013, depth * 0.25, "y", (width / 2 + 0.0006, 0, seam))
     hinge = Material("lid_hinge_metal", (0.50, 0.50, 0.53), "metal", _STEEL)
     leaf = box((0.0005, depth * 0.24, (height - seam) * 0.5), (width / 2 + 0.0003, 0, seam + (height - seam) * 0.25))
@@ -180,11 +151,8 @@ def torch_lighter(seed: int) -> ObjectModel:
     split, pivot = width * 0.20, (width * 0.165, 0.0, seam + 0.0125)
     outline = _torch_outline(width, seam, int(rng.integers(2, 5)))
     body = Link("heavy lighter_body", _torch_body(width, depth, seam, split, pivot, outline, paint, colour, rng))
-    cover = Link(
-        "hinge lid",
-        _torch_cover(width, depth, seam, split, pivot, outline, paint, colour, rng),
-        Hinge("revolute", "link_1", (0, 1, 0), pivot, 0.0, 1.9),
-    )
+    hinge = Hinge("revolute", "link_1", (0, 1, 0), pivot, 0.0, 1.9)
+    cover = Link("hinge lid", _torch_cover(width, depth, seam, split, pivot, outline, paint, colour, rng), hinge)
     return ObjectModel("torch_lighter", "Lighter", (cover, body), 0, seed)
 
 
@@ -237,9 +205,9 @@ def _torch_body(
         bar = rounded_outline(width * (0.62 - 0.035 * k), 0.0012, 0.00055, 12).translate(
             (width * 0.06, 0.0065 + 0.0024 * k)
         )
-        solid -= union(plate(bar, 0.0010, "y", s * depth / 2) for s in (-1, 1))
+        solid -= pair(plate(bar, 0.0010, "y"), "y", depth / 2)
     window = rounded_outline(0.0042, 0.0150, 0.0020).translate((width * 0.30, seam * 0.66))
-    solid -= union(plate(window, 0.0016, "y", s * depth / 2) for s in (-1, 1))
+    solid -= pair(plate(window, 0.0016, "y"), "y", depth / 2)
     badge = rounded_outline(width * 0.46, 0.0090, 0.0024).translate((-width * 0.12, seam * 0.74))
     raised = moulded(badge, 0.0010, "y", -depth / 2, 0.0003)
     name = text_outline(str(rng.choice(["JET 21", "TURBO", "TORCH", "BLAZE"])), 0.0050, width * 0.38)
@@ -268,7 +236,7 @@ def _torch_body(
         Piece("body", solid - slot, paint),
         Piece("badge", raised, paint),
         Piece("trigger", button, trim),
-        Piece("window", union(plate(window, 0.0012, "y", s * (depth / 2 - 0.0010)) for s in (-1, 1)), smoke),
+        Piece("window", pair(plate(window, 0.0012, "y"), "y", depth / 2 - 0.0010), smoke),
         Piece("notice", note, notice),
         *_torch_base(depth, colour),
         *_burner(width, depth, seam, split, rng),
@@ -362,11 +330,8 @@ def folding_lighter(seed: int) -> ObjectModel:
     neck, thick = 0.092 * rng.uniform(0.94, 1.06), 0.0205 * rng.uniform(0.95, 1.05)
     colour, accent = _HANDLES[int(rng.integers(len(_HANDLES)))]
     handle = Link("heavy lighter_body", _handle(neck, thick, colour, accent, rng))
-    barrel = Link(
-        "hinge lighter_neck",
-        _neck(neck, accent, rng),
-        Hinge("revolute", "link_1", (0, -1, 0), (0, 0, 0), 0.0, float(np.pi)),
-    )
+    hinge = Hinge("revolute", "link_1", (0, -1, 0), (0, 0, 0), 0.0, float(np.pi))
+    barrel = Link("hinge lighter_neck", _neck(neck, accent, rng), hinge)
     return ObjectModel("folding_lighter", "Lighter", (barrel, handle), 0, seed)
 
 
@@ -439,6 +404,8 @@ def _handle(neck: float, thick: float, colour: Colour, accent: Colour, rng: Rng)
     dark = Material("trigger", accent, "plastic", 1050.0)
     smoke = Material("window", (0.42, 0.50, 0.52), "plastic", 1180.0)
     pin = rod(0.0034, thick + 0.0006, "y", (0, 0, 0), 0.0006, 32)
+    for s in (1, -1):
+        pin -= rod(0.0018, 0.1, "y", (0, s * (0.05 + thick / 2 - 0.001), 0), 0, 6)
     steel = Material("bolt", (0.60, 0.60, 0.63), "metal", _STEEL)
     heads = union(
         screw(0.0021, "y", (at, -thick / 2 + 0.0002, up), -1)
@@ -456,13 +423,7 @@ def _handle(neck: float, thick: float, colour: Colour, accent: Colour, rng: Rng)
         Piece("window", plate(glass, thick - 0.0016, "y"), smoke),
         Piece("grips", grips, rubber),
         Piece("safety", slide, red),
-        Piece(
-            "pin",
-            pin
-            - rod(0.0018, 0.1, "y", (0, 0.05 + thick / 2 - 0.001, 0), 0, 6)
-            - rod(0.0018, 0.1, "y", (0, -0.05 - thick / 2 + 0.001, 0), 0, 6),
-            steel,
-        ),
+        Piece("pin", pin, steel),
         Piece("screws", heads, steel),
         Piece("brand", words, dark),
         Piece("sticker", tail, paper),

@@ -19,6 +19,7 @@ from generator.shapes import (
     box,
     lathe,
     moulded,
+    pair,
     plate,
     repeated,
     rod,
@@ -118,7 +119,7 @@ def _slider_screen(
 
     back = rounded_outline(width - 0.0110, height - 0.0160, 0.0040, 24)
     cut_back, slide = _recess(back, _SLIT, -1, 0.0009, 0.00020)
-    rails = union(box((0.0014, height - 0.0240, 0.0010), (s * width * 0.28, 0, 0.0006)) for s in (-1, 1))
+    rails = pair(box((0.0014, height - 0.0240, 0.0010), (0, 0, 0.0006)), "x", width * 0.28)
     steel = textured("slide_steel", "metal", _STEEL, textures.brushed_metal(rng, (0.62, 0.63, 0.66)), 0.02)
     note = textures.label([brand, "TYPE FA-21"], (0.90, 0.90, 0.88), (0.1, 0.1, 0.1), 2.4, rng)
     sticker = box((width * 0.42, width * 0.175, 0.0001), (0, travel * 0.5 + height * 0.13, _SLIT + 0.00017))
@@ -205,7 +206,7 @@ def _keyboard_screen(width: float, height: float, colour: Colour, brand: str, rn
         _printed(brand, 0.0030, height * 0.30).rotate((0, 0, 90)).translate((-width / 2 + 0.0078, -height * 0.08, face))
     )
     cut_back, slide = _recess(rounded_outline(width - 0.0200, height - 0.0160, 0.0030, 20), _SLIT, -1, 0.0008, 0.0002)
-    rails = union(box((0.0012, height - 0.0220, 0.0008), (s * width * 0.30, 0, 0.0005)) for s in (-1, 1))
+    rails = pair(box((0.0012, height - 0.0220, 0.0008), (0, 0, 0.0005)), "x", width * 0.30)
     steel = textures.brushed_metal(rng, textures.shade(colour, 1.3, 0.05))
     return [
         Piece("upper_case", case - union((cut_window, cut_panel, cut_holes, cut_back)), shell),

@@ -64,15 +64,12 @@ def office_scissors(seed: int) -> ObjectModel:
         shank = stroke(size * np.array([(-0.0065, -0.0165), (-0.0095, -0.030), (-0.0165, -0.048)]), 0.0065 * size)
         grip = _handle_outline(shank, loop, 0.0052, 0.012)
         ring = loop.offset(-0.0049) - loop.offset(-0.0072)
-        ridges = union(
-            moulded(
-                stroke(size * np.array([(-0.0128 - 0.0018 * k, y), (-0.0052 - 0.0018 * k, y)]), 0.0006), 0.0110, "z"
-            )
-            for k, y in enumerate((-0.030, -0.0335, -0.037))
-        )
-        logo = plate(text_outline(str(rng.choice(["FA21", "KORA", "SNIP"])), 0.0034), 0.0020, "z", 0.0045).rotate(
-            (0, 0, 75)
-        )
+        lines = [
+            [(-0.0128 - 0.0018 * k, y), (-0.0052 - 0.0018 * k, y)] for k, y in enumerate((-0.030, -0.0335, -0.037))
+        ]
+        ridges = union(moulded(stroke(size * np.array(line), 0.0006), 0.0110, "z") for line in lines)
+        word = text_outline(str(rng.choice(["FA21", "KORA", "SNIP"])), 0.0034)
+        logo = plate(word, 0.0020, "z", 0.0045).rotate((0, 0, 75))
         body, edge = _ground(blade, (-0.0068, 0.013), (-0.0006, reach), 0.0034, 0.0017)
         halves.append(
             [

@@ -11,7 +11,9 @@ from generator.model import Hinge, Link, Material, ObjectModel, Piece, Pieces, P
 from generator.shapes import (
     box,
     coil,
+    corners,
     moulded,
+    pair,
     plate,
     polygon,
     rod,
@@ -42,18 +44,21 @@ def stapler(seed: int) -> ObjectModel:
     dark = Material("dark_steel", (0.20, 0.20, 0.22), "metal", _STEEL)
     shell = Material("shell", body, "plastic", _ABS)
     hinge_at = (length * 0.40, 0.0, 0.024)
-    base = Link("heavy stapler_base", _base(length, width, hinge_at, body, steel, dark, rng))
-    magazine = Link(
-        "hinge stapler_magazine",
-        _magazine(length, hinge_at, steel, rng),
-        Hinge("revolute", "link_2", (0, 1, 0), hinge_at, 0.0, 0.05),
-    )
-    lid = Link(
-        "hinge stapler_lid",
-        _lid(length, width, hinge_at, shell, body, dark, rng),
-        Hinge("revolute", "link_2", (0, 1, 0), hinge_at, 0.0, 1.2),
-    )
-    return ObjectModel("stapler", "Stapler", (magazine, lid, base), 1, seed)
+    base = _base(length, width, hinge_at, body, steel, dark, rng)
+    magazine = _magazine(length, hinge_at, steel, rng)
+    lid = _lid(length, width, hinge_at, shell, body, dark, rng)
+    return _assembled("stapler", seed, hinge_at, base, (magazine, 0.05), (lid, 1.2))
+
+
+def _assembled(
+    name: str, seed: int, hinge_at: Point, base: Pieces, magazine: tuple[Pieces, float], lid: tuple[Pieces, float]
+) -> ObjectModel:
+    """The stapler of its pieces: magazine and lid turn on one pin, each up to its upper limit, rad."""
+    links = [
+        Link(f"hinge stapler_{part}", pieces, Hinge("revolute", "link_2", (0, 1, 0), hinge_at, 0.0, upper))
+        for part, (pieces, upper) in (("magazine", magazine), ("lid", lid))
+    ]
+    return ObjectModel(name, "Stapler", (*links, Link("heavy stapler_base", base)), 1, seed)
 
 
 def _base(
@@ -68,7 +73,7 @@ def _base(
     grooves = union(box((0.002, 0.012, 0.002), (anvil_at + dx, 0, 0.0105)) for dx in (-0.003, 0.003))
     x, _, z = hinge_at
     profile = polygon([[x - 0.022, 0.008], [x + 0.012, 0.008], [x + 0.009, z + 0.006], [x - 0.008, z + 0.006]])
-    cheeks = union(plate(profile, 0.0016, "y", side * (width * 0.39 + 0.0012)) for side in (-1, 1))
+    cheeks = pair(plate(profile, 0.0016, "y"), "y", width * 0.39 + 0.0012)
     pin = rod(0.0028, width * 0.86, "y", hinge_at, 0.0006)
     ruler = printed("ruler", _ruler())
     return (
@@ -89,20 +94,14 @@ def _magazine(length: float, hinge_at: Point, steel: Material, rng: Rng) -> Piec
     channel = box((reach, width, height), (middle, 0, z - 0.002), 0.0004)
     channel -= box((reach - 0.002, width - 0.0020, height), (middle, 0, z - 0.002 + 0.0010))
     channel -= box((0.004, width * 0.8, height), (front, 0, z - 0.002 + 0.001))
-    staples = textured(
-        "staples",
-        "metal",
-        _STEEL * 0.5,
-        textures.stripes(((0.80, 0.80, 0.82), (0.62, 0.62, 0.66), (0.86, 0.80, 0.70)), 30),
-        0.020,
-    )
+    tints = ((0.80, 0.80, 0.82), (0.62, 0.62, 0.66), (0.86, 0.80, 0.70))
+    staples = textured("staples", "metal", _STEEL * 0.5, textures.stripes(tints, 30), 0.020)
     strip = box((reach * 0.55, width - 0.0032, height * 0.72), (front + reach * 0.29, 0, z - 0.0012), 0.0006)
     pusher = box((0.010, width - 0.0028, height * 0.9), (front + reach * 0.60, 0, z - 0.0005), 0.001)
     red = Material("pusher", (0.85, 0.12, 0.10), "plastic", 1050.0)
     spring = rod(0.0022, reach * 0.30, "x", (front + reach * 0.78, 0, z + 0.0002))
-    coil = textured(
-        "spring", "metal", _STEEL * 0.3, textures.stripes(((0.25, 0.25, 0.27), (0.75, 0.75, 0.78)), 12), 0.02
-    )
+    windings = textures.stripes(((0.25, 0.25, 0.27), (0.75, 0.75, 0.78)), 12)
+    coil = textured("spring", "metal", _STEEL * 0.3, windings, 0.02)
     lean = 0.085  # the magazine's mouth stands a little above the anvil
     return tuple(
         Piece(name, tilted(solid, "y", lean, hinge_at), material)
@@ -148,13 +147,9 @@ def _lid(
     top = tilted(box((length * 0.30, width * 0.42, 0.0006)), "y", -slope, (0, 0, 0)).translate(
         (middle[0], 0, middle[1] + 0.0001)
     )
-    side = printed(
-        "side_print",
-        textures.label(["STAPLER  " + str(int(rng.integers(100, 999)))], body, (0.97, 0.97, 0.97), 5.0, None, False),
-    )
-    prints = union(
-        box((length * 0.36, 0.0006, 0.0100), (length * 0.02, s * (width * 0.39 - 0.0001), z + 0.0085)) for s in (-1, 1)
-    )
+    words = [f"STAPLER  {int(rng.integers(100, 999))}"]
+    side = printed("side_print", textures.label(words, body, (0.97, 0.97, 0.97), 5.0, None, False))
+    prints = pair(box((length * 0.36, 0.0006, 0.0100), (length * 0.02, 0, z + 0.0085)), "y", width * 0.39 - 0.0001)
     inside = Material("lid_spring", (0.75, 0.75, 0.78), "metal", _STEEL)
     leaf = box((length * 0.5, 0.008, 0.001), (length * 0.02, 0, z + 0.0140))
     pieces = [
@@ -189,18 +184,10 @@ def mini_stapler(seed: int) -> ObjectModel:
     r, g, b = (0.55 * grey + 0.45 * c for c in colour)  # coated to go with the shell
     steel = textured("steel", "metal", _STEEL, textures.brushed_metal(rng, (r, g, b)), 0.03)
     hinge_at = (length * 0.355, 0.0, 0.0155)
-    base = Link("heavy stapler_base", _mini_base(length, width, hinge_at, colour, shell, steel, rng))
-    magazine = Link(
-        "hinge stapler_magazine",
-        _mini_magazine(length, hinge_at, colour, steel, rng),
-        Hinge("revolute", "link_2", (0, 1, 0), hinge_at, 0.0, 0.04),
-    )
-    lid = Link(
-        "hinge stapler_lid",
-        _mini_lid(length, width, hinge_at, colour, shell, steel, rng),
-        Hinge("revolute", "link_2", (0, 1, 0), hinge_at, 0.0, 1.25),
-    )
-    return ObjectModel("mini_stapler", "Stapler", (magazine, lid, base), 1, seed)
+    base = _mini_base(length, width, hinge_at, colour, shell, steel, rng)
+    magazine = _mini_magazine(length, hinge_at, colour, steel, rng)
+    lid = _mini_lid(length, width, hinge_at, colour, shell, steel, rng)
+    return _assembled("mini_stapler", seed, hinge_at, base, (magazine, 0.04), (lid, 1.25))
 
 
 def _mini_base(
@@ -221,7 +208,7 @@ def _mini_base(
         ]
     )
     thick = 0.0022
-    floor += union(moulded(ear, thick, "y", s * (width / 2 - thick / 2 - 0.0004), 0.0008, 3) for s in (-1, 1))
+    floor += pair(moulded(ear, thick, "y", 0, 0.0008, 3), "y", width / 2 - thick / 2 - 0.0004)
     anvil_at = -length * 0.385
     anvil = moulded(rounded_outline(0.0100, width * 0.50, 0.0014), 0.0014, "z", 0.0068, 0.0003).translate(
         (anvil_at, 0, 0)
@@ -230,13 +217,13 @@ def _mini_base(
     dents = int(rng.integers(3, 6))
     for k in range(dents):  # to hold on to, along both sides
         at = -length * 0.10 + 0.0042 * (k - dents / 2)
-        floor -= union(rod(0.0010, 0.02, "z", (at, s * (width * 0.475), 0), 0, 12) for s in (-1, 1))
+        floor -= pair(rod(0.0010, 0.02, "z", (at, 0, 0), 0, 12), "y", width * 0.475)
     claw = polygon([[0, -0.0046], [0.0070, -0.0024], [0.0070, 0.0024], [0, 0.0046]]) - polygon(
         [[0.0030, 0], [0.0071, -0.0007], [0.0071, 0.0007]]
     )
     remover = plate(claw, 0.0010, "z", 0.0052).translate((length / 2 - 0.0020, 0, 0))
     pin = rod(0.0016, width - 0.0010, "y", hinge_at, 0.0003, 32)
-    caps = union(rod(0.0030, 0.0010, "y", (x, s * (width / 2 - 0.0004), z), 0.0003, 32) for s in (-1, 1))
+    caps = pair(rod(0.0030, 0.0010, "y", (x, 0, z), 0.0003, 32), "y", width / 2 - 0.0004)
     sole = moulded(plan.offset(-0.0030, JoinType.Round), 0.0010, "z", 0.0, 0.0003, 1)
     foot = Material("sole", textures.shade(colour, 0.86), "rubber", 1200.0)
     spring = coil(0.0024, 0.0003, 0.0042, 4, "z", (0.004, 0, 0.0086))
@@ -350,18 +337,10 @@ def long_arm_stapler(seed: int) -> ObjectModel:
     steel = textured("steel", "metal", _STEEL, textures.brushed_metal(rng, textures.shade(colour, 1.08)), 0.04)
     paint = textured("hammer_paint", "metal", _STEEL, textures.speckle(rng, colour, 0.07), 0.03)
     hinge_at = (length / 2 - 0.021, 0.0, 0.0345)
-    base = Link("heavy stapler_base", _long_base(length, width, hinge_at, colour, paint, steel, rng))
-    magazine = Link(
-        "hinge stapler_magazine",
-        _long_magazine(length, hinge_at, colour, steel),
-        Hinge("revolute", "link_2", (0, 1, 0), hinge_at, 0.0, 0.02),
-    )
-    arm = Link(
-        "hinge stapler_lid",
-        _long_arm(length, width, hinge_at, colour, paint, steel, rng),
-        Hinge("revolute", "link_2", (0, 1, 0), hinge_at, 0.0, 1.0),
-    )
-    return ObjectModel("long_arm_stapler", "Stapler", (magazine, arm, base), 1, seed)
+    base = _long_base(length, width, hinge_at, colour, paint, steel, rng)
+    magazine = _long_magazine(length, hinge_at, colour, steel)
+    arm = _long_arm(length, width, hinge_at, colour, paint, steel, rng)
+    return _assembled("long_arm_stapler", seed, hinge_at, base, (magazine, 0.02), (arm, 1.0))
 
 
 def _long_base(
@@ -386,11 +365,7 @@ def _long_base(
     body -= plate(plan.offset(-sheet, JoinType.Round), deep, "z", deep / 2 + 0.002 - sheet)
     top = deep + 0.002
     holes = union(rod(0.0034, 0.1, "z", (length * (0.02 + 0.09 * k), 0, 0), 0, 24) for k in range(3))
-    feet = union(
-        rod(0.0050, 0.0060, "z", (sx * length * 0.46, sy * width * 0.72, 0.0030), 0.0008, 28)
-        for sx in (-1, 1)
-        for sy in (-1, 1)
-    )
+    feet = corners(rod(0.0050, 0.0060, "z", (0, 0, 0.0030), 0.0008, 28), "xy", length * 0.46, width * 0.72)
     anvil_at = -length * 0.462
     anvil = moulded(rounded_outline(0.0180, width * 0.86, 0.0020), 0.0022, "z", top + 0.0006, 0.0005).translate(
         (anvil_at, 0, 0)
@@ -402,7 +377,7 @@ def _long_base(
             CrossSection.square((0.036, 0.002)).translate((x - 0.021, top - 0.003)),
         ]
     ) - CrossSection.circle(0.0040, 24).translate((x - 0.003, top + 0.0080))
-    post = union(moulded(cheek, 0.0018, "y", s * (width / 2 + 0.0017), 0.0005) for s in (-1, 1))
+    post = pair(moulded(cheek, 0.0018, "y", 0, 0.0005), "y", width / 2 + 0.0017)
     post += box((0.0340, width + 0.0030, 0.0016), (x - 0.003, 0, top + 0.0002), 0.0004)
     bolts = union(screw(0.0036, "y", (x, s * (width / 2 + 0.0028), z), s) for s in (-1, 1))
     bolts += union(
@@ -417,9 +392,8 @@ def _long_base(
         (0, 0, top + 0.0064)
     )
     saddle = box((0.0200, width * 1.30 + 0.0060, 0.0016), (stop_at + 0.0100, 0, top + 0.0014), 0.0004)
-    saddle += union(
-        box((0.0200, 0.0016, 0.0110), (stop_at + 0.0100, s * (width * 0.65 + 0.0022), top - 0.0030), 0.0004)
-        for s in (-1, 1)
+    saddle += pair(
+        box((0.0200, 0.0016, 0.0110), (stop_at + 0.0100, 0, top - 0.0030), 0.0004), "y", width * 0.65 + 0.0022
     )
     knob = rod(0.0052, 0.0060, "y", (stop_at + 0.0100, -(width * 0.65 + 0.0062), top - 0.0040), 0.0008, 28)
     cuts = [
@@ -461,9 +435,8 @@ def _long_magazine(length: float, hinge_at: Point, colour: Colour, steel: Materi
     )
     rail = plate(strap, 0.0080, "y") - rod(0.0028, 0.1, "y", hinge_at, 0, 28)
     bright = textures.shade(colour, 1.12)
-    staples = textured(
-        "staples", "metal", _STEEL * 0.5, textures.stripes((bright, textures.shade(bright, 0.86)), 40), 0.02
-    )
+    tints = textures.stripes((bright, textures.shade(bright, 0.86)), 40)
+    staples = textured("staples", "metal", _STEEL * 0.5, tints, 0.02)
     strip = box((reach * 0.55, width - 0.0032, height * 0.76), (front + reach * 0.29, 0, level + 0.0008), 0.0006)
     pusher = box((0.0100, width - 0.0028, height * 0.9), (front + reach * 0.62, 0, level + 0.0012), 0.001)
     spring = coil(0.0026, 0.0004, reach * 0.28, 12, "x", (front + reach * 0.79, 0, level + 0.0018))

@@ -11,8 +11,10 @@ from generator import textures
 from generator.model import Hinge, Link, Material, ObjectModel, Piece, Pieces, Point, Rng, printed, textured
 from generator.shapes import (
     box,
+    corners,
     lathe,
     moulded,
+    pair,
     plate,
     repeated,
     rod,
@@ -58,17 +60,15 @@ def drawer_unit(seed: int) -> ObjectModel:
     carcass = textured("carcass_wood", "wood", _PINE, textures.wood(rng, light, dark), 0.22)
     split = height * rng.uniform(0.50, 0.58)
     root = Link("heavy furniture_body", _carcass(width, depth, height, split, carcass, rng))
-    drawers = []
+    slide, drawers = Hinge("prismatic", "link_2", (-1, 0, 0), (0, 0, 0), 0.0, depth * 0.72), []
     for k, (bottom, top) in enumerate(((split, height - _BOARD), (_BOARD, split))):
         pieces = _drawer(width - 2 * _BOARD, depth, bottom, top, paint, str(k + 1), rng)
-        drawers.append(
-            Link("slider drawer", pieces, Hinge("prismatic", "link_2", (-1, 0, 0), (0, 0, 0), 0.0, depth * 0.72))
-        )
+        drawers.append(Link("slider drawer", pieces, slide))
     return ObjectModel("drawer_unit", "StorageFurniture", (*drawers, root), 0, seed)
 
 
 def _carcass(width: float, depth: float, height: float, split: float, wood: Material, rng: Rng) -> Pieces:
-    side = union(box((depth, _BOARD, height), (0, s * (width - _BOARD) / 2, height / 2), 0.0015) for s in (-1, 1))
+    side = pair(box((depth, _BOARD, height), (0, 0, height / 2), 0.0015), "y", (width - _BOARD) / 2)
     inner = width - 2 * _BOARD
     top = box((depth, inner, _BOARD), (0, 0, height - _BOARD / 2), 0.001)
     bottom = box((depth, inner, _BOARD), (0, 0, _BOARD / 2), 0.001)
@@ -76,27 +76,16 @@ def _carcass(width: float, depth: float, height: float, split: float, wood: Mate
     ply = textured("plywood", "wood", 600.0, textures.wood(rng, (0.78, 0.70, 0.55), (0.66, 0.56, 0.42)), 0.15)
     back = box((0.005, inner, height - 2 * _BOARD), (depth / 2 - 0.0025, 0, height / 2))
     rubber = Material("feet", (0.08, 0.08, 0.09), "rubber", 1100.0)
-    feet = union(
-        rod(0.009, 0.006, "z", (sx * (depth / 2 - 0.02), sy * (width / 2 - 0.02), -0.003), 0.001)
-        for sx in (-1, 1)
-        for sy in (-1, 1)
-    )
-    sticker = printed(
-        "back_label",
-        textures.label(["FREEART-21", "DRAWER UNIT", "MADE OF CODE"], (0.97, 0.97, 0.95), (0.1, 0.1, 0.12), 1.6, rng),
-    )
+    feet = corners(rod(0.009, 0.006, "z", (0, 0, -0.003), 0.001), "xy", depth / 2 - 0.02, width / 2 - 0.02)
+    lines = ["FREEART-21", "DRAWER UNIT", "MADE OF CODE"]
+    sticker = printed("back_label", textures.label(lines, (0.97, 0.97, 0.95), (0.1, 0.1, 0.12), 1.6, rng))
     note = box((0.0006, inner * 0.50, inner * 0.31), (depth / 2 + 0.0002, 0, height * 0.55))
-    badge = printed(
-        "top_badge", textures.label(["TOOLS & PARTS", "A4 / A5"], (0.95, 0.82, 0.25), (0.15, 0.12, 0.05), 2.2, None)
-    )
+    lines = ["TOOLS & PARTS", "A4 / A5"]
+    badge = printed("top_badge", textures.label(lines, (0.95, 0.82, 0.25), (0.15, 0.12, 0.05), 2.2))
     plate = box((depth * 0.40, depth * 0.18, 0.0006), (-depth * 0.12, width * 0.12, height + 0.0002))
-    side_card = printed(
-        "side_card", textures.emblem(rng, np.full((320, 320, 3), 244, np.uint8), (0.16, 0.22, 0.45), "ARCHIVE")
-    )
-    cards = union(
-        box((height * 0.42, 0.0006, height * 0.42), (depth * 0.05, s * (width / 2 + 0.0002), height * 0.52))
-        for s in (-1, 1)
-    )
+    white = np.full((320, 320, 3), 244, np.uint8)
+    side_card = printed("side_card", textures.emblem(rng, white, (0.16, 0.22, 0.45), "ARCHIVE"))
+    cards = pair(box((height * 0.42, 0.0006, height * 0.42), (depth * 0.05, 0, height * 0.52)), "y", width / 2 + 0.0002)
     return (
         Piece("side_panel", side, wood),
         Piece("top_panel", top, wood),
@@ -120,26 +109,19 @@ def _drawer(inner: float, depth: float, bottom: float, top: float, paint: Colour
     front = box((0.012, wide, tall), (front_x + 0.006, 0, middle), 0.0018)
     long, low = depth - 0.030, middle - tall / 2 + 0.004
     wall_h = tall * 0.72
-    sides = union(
-        box((long, 0.006, wall_h), (front_x + 0.012 + long / 2, s * (wide / 2 - 0.006), low + wall_h / 2))
-        for s in (-1, 1)
-    )
+    sides = pair(box((long, 0.006, wall_h), (front_x + 0.012 + long / 2, 0, low + wall_h / 2)), "y", wide / 2 - 0.006)
     rear = box((0.006, wide - 0.018, wall_h), (front_x + 0.009 + long, 0, low + wall_h / 2))
     floor = box((long, wide - 0.014, 0.004), (front_x + 0.012 + long / 2, 0, low + 0.004))
-    felt = textured(
-        "felt", "rubber", 300.0, textures.stripes(((0.20, 0.34, 0.24), (0.24, 0.40, 0.29), (0.86, 0.80, 0.55)), 4), 0.09
-    )
+    tints = ((0.20, 0.34, 0.24), (0.24, 0.40, 0.29), (0.86, 0.80, 0.55))
+    felt = textured("felt", "rubber", 300.0, textures.stripes(tints, 4), 0.09)
     lining = box((long - 0.004, wide - 0.020, 0.001), (front_x + 0.012 + long / 2, 0, low + 0.0065))
     divider = box((0.004, wide - 0.020, wall_h * 0.7), (front_x + long * 0.55, 0, low + 0.006 + wall_h * 0.35))
     bar_z, reach = middle + tall * 0.16, 0.022
     bar = rod(0.0045, wide * 0.42, "y", (front_x - reach, 0, bar_z), 0.001)
-    posts = union(
-        rod(0.0035, reach + 0.004, "x", (front_x - reach / 2 + 0.002, s * wide * 0.16, bar_z)) for s in (-1, 1)
-    )
+    posts = pair(rod(0.0035, reach + 0.004, "x", (front_x - reach / 2 + 0.002, 0, bar_z)), "y", wide * 0.16)
     text = str(rng.choice(["SCREWS M3", "CABLES", "PENCILS", "RECEIPTS", "BATTERIES"]))
-    card = printed(
-        f"card_{number}", textures.label([f"{number}  {text}"], (0.97, 0.96, 0.90), (0.12, 0.12, 0.18), 3.4, None)
-    )
+    words = textures.label([f"{number}  {text}"], (0.97, 0.96, 0.90), (0.12, 0.12, 0.18), 3.4)
+    card = printed(f"card_{number}", words)
     card_h = min(0.026, tall * 0.28)
     card_at = (front_x, 0, middle - tall * 0.24)
     frame = box((0.0024, card_h * 3.4 + 0.006, card_h + 0.006), card_at, 0.0006)
@@ -197,11 +179,8 @@ def nightstand(seed: int) -> ObjectModel:
         (0.15, 0.14, 0.14) if sum(paint) > 1.5 else (0.85, 0.83, 0.78),
     )
     root = Link("heavy furniture_body", (*_bedside_box(stand), *_bedside_legs(stand), *_bedside_niche(stand, rng)))
-    drawer = Link(
-        "slider drawer",
-        (*_bedside_drawer(stand, rng), *_bedside_contents(stand, rng)),
-        Hinge("prismatic", "link_1", (-1, 0, 0), (0, 0, 0), 0.0, stand.depth * 0.70),
-    )
+    hinge = Hinge("prismatic", "link_1", (-1, 0, 0), (0, 0, 0), 0.0, stand.depth * 0.70)
+    drawer = Link("slider drawer", (*_bedside_drawer(stand, rng), *_bedside_contents(stand, rng)), hinge)
     return ObjectModel("nightstand", "StorageFurniture", (drawer, root), 0, seed)
 
 
@@ -210,10 +189,7 @@ def _bedside_box(s: _Bedside) -> Pieces:
     board, inner = _PANEL, s.width - 2 * _PANEL
     under = s.height - 0.022
     top = moulded(rounded_outline(s.depth + 0.016, s.width + 0.024, 0.014), 0.022, "z", s.height - 0.011, 0.006, 4)
-    sides = union(
-        box((s.depth, board, under - s.leg), (0, k * (s.width - board) / 2, (under + s.leg) / 2), 0.002)
-        for k in (-1, 1)
-    )
+    sides = pair(box((s.depth, board, under - s.leg), (0, 0, (under + s.leg) / 2), 0.002), "y", (s.width - board) / 2)
     across = [
         box((s.depth - 0.001, inner + 0.002, board), (0.0005, 0, z), 0.0015) for z in (s.leg + board / 2, s.shelf)
     ]
@@ -222,19 +198,14 @@ def _bedside_box(s: _Bedside) -> Pieces:
     ring = rod(0.026, 0.009, "x", (s.depth / 2 - 0.012, inner * 0.28, s.leg + (s.shelf - s.leg) * 0.62), 0.002) - hole
     grommet = Material("grommet", textures.shade(s.lacquer.colour, 0.75), "plastic", 1000.0)
     steel = Material("steel", (0.62, 0.63, 0.65), "metal", 7850.0)
-    rails = union(
-        box((s.depth * 0.80, 0.005, 0.012), (-s.depth * 0.02, k * (inner / 2 - 0.0025), _runner(s)), 0.001)
-        for k in (-1, 1)
-    )
+    rails = pair(box((s.depth * 0.80, 0.005, 0.012), (-s.depth * 0.02, 0, _runner(s)), 0.001), "y", inner / 2 - 0.0025)
     screws = union(
         screw(0.0045, "x", (s.depth / 2 - 0.0095, y * inner * 0.46, z))
         for y in (-1, 0, 1)
         for z in (s.leg + board * 1.8, under - 0.02)
     )
-    note = printed(
-        "maker_label",
-        textures.label(["FREEART HOME", "NIGHTSTAND", "MAX 20 KG"], (0.95, 0.95, 0.93), (0.15, 0.15, 0.16), 1.7, None),
-    )
+    lines = ["FREEART HOME", "NIGHTSTAND", "MAX 20 KG"]
+    note = printed("maker_label", textures.label(lines, (0.95, 0.95, 0.93), (0.15, 0.15, 0.16), 1.7))
     return (
         Piece("top_panel", top, s.lacquer),
         Piece("side_panel", sides, s.lacquer),
@@ -359,16 +330,9 @@ def _drawer_box(s: _Bedside, wide: float, tall: float, x: float, low: float) -> 
     shell = box((long, out, high), (x + long / 2, 0, z + high / 2), 0.0015)
     shell -= box((long - 2 * wall, out - 2 * wall, high), (x + long / 2, 0, z + high / 2 + 0.007))
     steel = Material("drawer_steel", (0.70, 0.71, 0.73), "metal", 7850.0)
-    rails = union(
-        box((long * 0.95, 0.004, 0.008), (x + long * 0.48, k * (out / 2 + 0.002), _runner(s)), 0.0008) for k in (-1, 1)
-    )
-    sheet = textured(
-        "lining",
-        "paper",
-        800.0,
-        textures.stripes((textures.shade(s.lacquer.colour, 0.9), textures.shade(s.lacquer.colour, 0.78, 0.05)), 6),
-        0.12,
-    )
+    rails = pair(box((long * 0.95, 0.004, 0.008), (x + long * 0.48, 0, _runner(s)), 0.0008), "y", out / 2 + 0.002)
+    tints = textures.shade(s.lacquer.colour, 0.9), textures.shade(s.lacquer.colour, 0.78, 0.05)
+    sheet = textured("lining", "paper", 800.0, textures.stripes(tints, 6), 0.12)
     floor = box((long - 2 * wall - 0.002, out - 2 * wall - 0.002, 0.0008), (x + long / 2, 0, z + 0.0074))
     return Piece("drawer_box", shell, s.wood), Piece("drawer_runner", rails, steel), Piece("lining", floor, sheet)
 
@@ -442,18 +406,10 @@ def filing_cabinet(seed: int) -> ObjectModel:
     )
     subjects = rng.choice([["A - H", "I - Q", "R - Z"], ["2019", "2020", "2021"], ["INVOICES", "STAFF", "PLANS"]])
     root = Link("heavy furniture_body", (*_cabinet_carcass(c), *_cabinet_front(c, paint, rng), *_cabinet_rear(c, rng)))
-    drawers = [
-        Link(
-            "slider drawer",
-            (
-                *_file_front(c, 2 - k, str(subjects[k]), rng),
-                *_file_box(c, 2 - k),
-                *(_hanging_files(c, 2 - k, rng) if k == 0 else ()),
-            ),
-            Hinge("prismatic", "link_3", (-1, 0, 0), (0, 0, 0), 0.0, depth * 0.70),
-        )
-        for k in range(3)
-    ]
+    slide, drawers = Hinge("prismatic", "link_3", (-1, 0, 0), (0, 0, 0), 0.0, depth * 0.70), []
+    for k in range(3):
+        pieces = (*_file_front(c, 2 - k, str(subjects[k]), rng), *_file_box(c, 2 - k))
+        drawers.append(Link("slider drawer", pieces + (_hanging_files(c, 2, rng) if k == 0 else ()), slide))
     return ObjectModel("filing_cabinet", "StorageFurniture", (*drawers, root), 0, seed)
 
 
@@ -507,20 +463,9 @@ def _cabinet_front(c: _Cabinet, paint: Colour, rng: Rng) -> Pieces:
     ring = rod(0.0145, 0.0020, "x", (face - 0.0002, y, z), 0.0006, 32)
     blade = box((0.026, 0.0015, 0.0075), (face - 0.011, y, z), 0.0003)
     bow = plate(rounded_outline(0.024, 0.023, 0.009), 0.0024, "y", 0.0, 0.0006) - rod(0.004, 0.01, "y", (-0.005, 0, 0))
-    badge = textured(
-        "maker_plate",
-        "metal",
-        2700.0,
-        textures.label(
-            [str(rng.choice(["ARCHIVO", "FREEART 21", "KARTEI & CO"]))],
-            textures.shade(paint, 0.92),
-            textures.shade(paint, 0.25),
-            4.6,
-            None,
-            True,
-            128,
-        ),
-    )
+    maker, ground = str(rng.choice(["ARCHIVO", "FREEART 21", "KARTEI & CO"])), textures.shade(paint, 0.92)
+    words = textures.label([maker], ground, textures.shade(paint, 0.25), 4.6, height=128)
+    badge = textured("maker_plate", "metal", 2700.0, words)
     high = tall * 0.52
     return (
         Piece("header", strip, c.sheet),
@@ -559,9 +504,8 @@ def _file_front(c: _Cabinet, n: int, subject: str, rng: Rng) -> Pieces:
     card_z, high = z + tall * 0.34, 0.034
     frame = box((0.0030, high * 2.6 + 0.010, high + 0.010), (face - 0.0010, 0, card_z), 0.0008)
     opening = box((0.02, high * 2.6 - 0.004, high - 0.004), (face, 0, card_z + 0.002))
-    card = printed(
-        f"card_{n}", textures.label([subject], (0.95, 0.94, 0.89), (0.12, 0.12, 0.16), 2.6, None, False, 128)
-    )
+    words = textures.label([subject], (0.95, 0.94, 0.89), (0.12, 0.12, 0.16), 2.6, None, False, 128)
+    card = printed(f"card_{n}", words)
     paper = box((0.0010, high * 2.6 - 0.004, high - 0.004), (face - 0.0005, 0, card_z + 0.002))
     rivets = union(screw(0.0028, "x", (face - 0.0024, k * (high * 1.3 + 0.0025), card_z), -1, 12) for k in (-1, 1))
     return (
@@ -586,14 +530,8 @@ def _file_box(c: _Cabinet, n: int) -> Pieces:
     )
     holes = repeated(rod(0.016, 1.0, "y", (middle[0], 0, z0 + high * 0.80), segments=24), (0.11, 0, 0), 4)
     runner_z = _file_runner(c, n)
-    rails = union(
-        box((x1 - x0 - 0.01, 0.0125, 0.016), (middle[0] - 0.005, k * (wide / 2 + 0.0062), runner_z), 0.001)
-        for k in (-1, 1)
-    )
-    bars = union(
-        box((x1 - x0 - 0.004, 0.004, 0.012), (middle[0], k * (wide / 2 - 0.010), z0 + high + 0.004), 0.0006)
-        for k in (-1, 1)
-    )
+    rails = pair(box((x1 - x0 - 0.01, 0.0125, 0.016), (middle[0] - 0.005, 0, runner_z), 0.001), "y", wide / 2 + 0.0062)
+    bars = pair(box((x1 - x0 - 0.004, 0.004, 0.012), (middle[0], 0, z0 + high + 0.004), 0.0006), "y", wide / 2 - 0.010)
     posts = union(
         box((0.010, 0.004, 0.020), (x, k * (wide / 2 - 0.010), z0 + high - 0.004))
         + box((0.010, 0.012, 0.004), (x, k * (wide / 2 - 0.006), z0 + high - 0.012))

@@ -7,7 +7,7 @@ from manifold3d import CrossSection
 
 from generator import textures
 from generator.model import Hinge, Link, Material, ObjectModel, Piece, Pieces, Rng, printed, textured
-from generator.shapes import box, moulded, plate, rod, rounded_outline, smooth_outline, text_outline, tube, union
+from generator.shapes import box, moulded, pair, plate, rod, rounded_outline, smooth_outline, text_outline, tube, union
 from generator.textures import Colour
 
 _ABS = 1050.0
@@ -35,11 +35,8 @@ def swivel_usb(seed: int) -> ObjectModel:
     front, width, thick = np.array([0.0265, 0.0185, 0.0086]) * rng.uniform(0.94, 1.06, 3)
     colour = _STICKS[int(rng.integers(len(_STICKS)))]
     sleeve = Link("heavy usb_cover", _sleeve(front + _PLUG_LONG, width, thick, rng))
-    stick = Link(
-        "hinge usb_rotation",
-        _stick(front, width, thick, colour, rng),
-        Hinge("revolute", "link_1", (0, 0, -1), (0, 0, 0), 0.0, float(np.pi)),
-    )
+    hinge = Hinge("revolute", "link_1", (0, 0, -1), (0, 0, 0), 0.0, float(np.pi))
+    stick = Link("hinge usb_rotation", _stick(front, width, thick, colour, rng), hinge)
     return ObjectModel("swivel_usb", "USB", (stick, sleeve), 0, seed)
 
 
@@ -54,7 +51,7 @@ def _stick(front: float, width: float, thick: float, colour: Colour, rng: Rng) -
     grooves = int(rng.integers(4, 8))
     for k in range(grooves):
         x = -front + 0.0070 + k * 0.0019
-        solid -= union(rod(0.0006, thick * 2, "z", (x, s * (width / 2 + 0.0001), 0), segments=12) for s in (-1, 1))
+        solid -= pair(rod(0.0006, thick * 2, "z", (x, 0, 0), segments=12), "y", width / 2 + 0.0001)
     solid -= rod(0.0024, thick * 2, "z", segments=32)
     size = str(rng.choice(["16 GB", "32 GB", "64 GB", "128 GB"]))
     words = printed("capacity", textures.label([size], colour, _ink_on(colour), 2.2, None, False))
@@ -87,14 +84,13 @@ def _sleeve(reach: float, width: float, thick: float, rng: Rng) -> Pieces:
     strip -= plate(letters, 0.0005, "z", top)
     slot = rounded_outline(0.0022, width * 0.45, 0.0010).translate((nose + 0.0052, 0))
     strip -= plate(slot, 0.004, "z", top)  # for a lanyard
-    prints = textures.label(
-        ["CE  FC", "MADE OF CODE"], textures.brushed_metal(rng, _SILVER), (0.25, 0.25, 0.27), 2.2, rng, False
-    )
+    ground = textures.brushed_metal(rng, _SILVER)
+    prints = textures.label(["CE  FC", "MADE OF CODE"], ground, (0.25, 0.25, 0.27), 2.2, rng, False)
     etched = textured("etching", "metal", _STEEL, prints)
     below = box((width * 1.05, width * 0.48, 0.0002), (middle, 0, -top))
     shaft = rod(0.0020, inner + 2 * sheet + 0.0012, "z", segments=32)
-    heads = union(rod(0.0034, 0.0014, "z", (0, 0, s * (top + 0.0001)), 0.0004, 40) for s in (-1, 1))
-    drive = union(rod(0.0014, 0.0010, "z", (0, 0, s * (top + 0.0008)), segments=6) for s in (-1, 1))
+    heads = pair(rod(0.0034, 0.0014, "z", (0, 0, 0), 0.0004, 40), "z", top + 0.0001)
+    drive = pair(rod(0.0014, 0.0010, "z", (0, 0, 0), segments=6), "z", top + 0.0008)
     rivet = Material("rivet", (0.58, 0.58, 0.60), "metal", _STEEL)
     return (
         Piece("sleeve", strip, steel),
@@ -128,7 +124,7 @@ def _grip(long: float, width: float, thick: float, coat: Material, ring: Materia
     waves = int(rng.integers(5, 9))
     for k in range(waves):
         x = long * 0.38 + k * 0.0022
-        solid -= union(rod(0.0009, thick * 2, "z", (x, s * (width / 2 + 0.0003), 0), segments=16) for s in (-1, 1))
+        solid -= pair(rod(0.0009, thick * 2, "z", (x, 0, 0), segments=16), "y", width / 2 + 0.0003)
     solid -= rod(0.0016, 0.0050, "y", (0, 0, thick / 2 + 0.0004), segments=24)
     hole = rounded_outline(0.0026, width * 0.42, 0.0012).translate((long - 0.0032, 0))
     solid -= plate(hole, thick * 2, "z")
@@ -137,26 +133,19 @@ def _grip(long: float, width: float, thick: float, coat: Material, ring: Materia
     solid -= rod(0.0008, width, "y", (0.0, 0, thick / 2 + 0.0004), segments=16)
     size = str(rng.choice(["8 GB", "32 GB", "64 GB", "256 GB"]))
     sticker = textures.label([size, "USB 3.1"], (0.95, 0.95, 0.93), textures.shade(rubber, 0.45), 1.7)
-    back = textures.label(
-        ["FREEART 21", "FLASH DRIVE", f"P/N {int(rng.integers(1000, 9999))}"], rubber, _ink_on(rubber), 1.9, rng, False
-    )
+    lines = ["FREEART 21", "FLASH DRIVE", f"P/N {int(rng.integers(1000, 9999))}"]
+    back = textures.label(lines, rubber, _ink_on(rubber), 1.9, rng, False)
     paper = printed("sticker", sticker)
     print_ = printed("back_print", back)
-    window = Material(
-        "window", tuple(rng.choice([(0.35, 0.75, 0.95), (0.95, 0.35, 0.25), (0.45, 0.9, 0.5)])), "plastic", _ABS
-    )
+    glow = tuple(rng.choice([(0.35, 0.75, 0.95), (0.95, 0.35, 0.25), (0.45, 0.9, 0.5)]))
+    window = Material("window", glow, "plastic", _ABS)
+    pane = moulded(rounded_outline(0.0022, width * 0.34, 0.0010), 0.0012, "z", thick / 2, 0.0004)
     return (
         Piece("grip", solid, coat),
         Piece("grip_band", band - rod(0.0016, 0.0050, "y", (0, 0, thick / 2 + 0.0004)), ring),
         Piece("sticker", box((width * 0.92, width * 0.54, 0.0004), (long * 0.55, 0, thick / 2)), paper),
         Piece("back_print", box((long * 0.55, long * 0.29, 0.0004), (long * 0.48, 0, -thick / 2)), print_),
-        Piece(
-            "window",
-            moulded(rounded_outline(0.0022, width * 0.34, 0.0010), 0.0012, "z", thick / 2, 0.0004).translate(
-                (long * 0.83, 0, 0)
-            ),
-            window,
-        ),
+        Piece("window", pane.translate((long * 0.83, 0, 0)), window),
         *_plug(_SILVER, 0.0, rng),
     )
 
@@ -170,7 +159,7 @@ def _cap(width: float, thick: float, coat: Material, ring: Material, rng: Rng) -
     room = 0.0067
     solid -= box((0.0115, 2 * room, thick), (-0.0056, 0, -0.0018))
     solid -= box((0.0130, 2 * room, thick - 0.0032), (-0.0065, 0, -0.0002))
-    solid -= union(rod(0.0016, 0.0044, "y", (0, s * 0.0047, thick / 2 + 0.0004), segments=24) for s in (-1, 1))
+    solid -= pair(rod(0.0016, 0.0044, "y", (0, 0, thick / 2 + 0.0004), segments=24), "y", 0.0047)
     lift = rounded_outline(0.0024, width * 0.5, 0.0010).translate((nose + 0.0001, 0))
     solid += moulded(lift, 0.0030, "z", -thick * 0.08, 0.0008)
     solid += rod(0.0013, 0.0046, "y", (0, 0, thick / 2 + 0.0004), 0.0002, 24)
@@ -193,11 +182,8 @@ def folding_usb(seed: int) -> ObjectModel:
     steel = textured("scale_steel", "metal", _STEEL, textures.brushed_metal(rng, colour), 0.02)
     screw = Material("screws", textures.shade(colour, 0.86), "metal", _STEEL)
     handle = Link("heavy usb_body", _handle(tip, width, colour, steel, screw, rng))
-    blade = Link(
-        "hinge usb_rotation",
-        _blade(tip, width, colour, rng),
-        Hinge("revolute", "link_1", (0, 0, -1), (0, 0, 0), 0.0, np.pi),
-    )
+    hinge = Hinge("revolute", "link_1", (0, 0, -1), (0, 0, 0), 0.0, np.pi)
+    blade = Link("hinge usb_rotation", _blade(tip, width, colour, rng), hinge)
     return ObjectModel("folding_usb", "USB", (blade, handle), 0, seed)
 
 
@@ -238,14 +224,8 @@ def _handle(tip: float, width: float, colour: Colour, steel: Material, screw: Ma
             size = 0.0030 if x == 0 else 0.0015
             disc = rod(size, 0.0014, "z", (x, y, s * out), 0.0003, 28)
             discs.append(disc - rod(size * 0.5, 0.0010, "z", (x, y, s * (out + 0.0007)), segments=6))
-    etching = textures.label(
-        [f"{2 ** int(rng.integers(4, 8))} GB", "STAINLESS"],
-        textures.brushed_metal(rng, colour),
-        textures.shade(colour, 0.45, 0.03),
-        2.0,
-        None,
-        False,
-    )
+    lines, ground = [f"{2 ** int(rng.integers(4, 8))} GB", "STAINLESS"], textures.brushed_metal(rng, colour)
+    etching = textures.label(lines, ground, textures.shade(colour, 0.45, 0.03), 2.0, None, False)
     etched = textured("etching", "metal", _STEEL, etching)
     texts = box((tip * 0.26, tip * 0.13, 0.0002), (tip * 0.80, half * 0.20, out))
     turn = np.linspace(0, 2 * np.pi, 40, endpoint=False)
@@ -271,7 +251,7 @@ def _blade(tip: float, width: float, colour: Colour, rng: Rng) -> Pieces:
     )
     solid = moulded(shape - CrossSection.circle(0.0021, 24), 0.0050, "z", 0, 0.0004, 2)
     nick = rounded_outline(0.0060, 0.0011, 0.0005, 12).translate((base * 0.62, -half * 0.62))
-    solid -= union(plate(nick, 0.0010, "z", s * 0.0025) for s in (-1, 1))
+    solid -= pair(plate(nick, 0.0010, "z"), "z", 0.0025)
     for k in range(3):
         solid -= box((0.0007, 0.0008, 0.01), (base - 0.003 - 0.0016 * k, -half, 0))
     carrier = Material("carrier", textures.shade(colour, 0.92), "metal", 2700.0)
