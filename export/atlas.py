@@ -6,12 +6,12 @@ import ctypes
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from freeart21.errors import FreeArtError
 from freeart21.mesh import Mesh, bounding_diagonal
+from freeart21.z_buffer import draw_triangles
 
 MAX_SIDE = 4096
 """Most pixels along a texture: every engine takes that many."""
@@ -102,17 +102,15 @@ def unwrap(mesh: Mesh, texel_m: float) -> Atlas:
 
 def find_texels(atlas: Atlas) -> Texels:
     """The texels whose centres lie on a triangle, row by row."""
-    owner = np.full((atlas.height, atlas.width), -1, np.int64)
-    _mark_triangles(owner, atlas.pixels, atlas.corners)
-    row, column = np.nonzero(owner >= 0)
-    face = owner[row, column]
-    a, b, c = (atlas.pixels[atlas.corners[face, k]] for k in range(3))
-    p = np.stack([column + 0.5, row + 0.5], -1)
-    whole = _cross(b - a, c - a)
-    whole = np.where(whole == 0, 1.0, whole)
-    weights = np.stack([_cross(b - p, c - p), _cross(c - p, a - p), _cross(a - p, b - p)], -1) / whole[:, None]
-    weights = np.clip(weights, 0, 1)
-    return Texels(row, column, face, (weights / weights.sum(1, keepdims=True)).astype(np.float32))
+    # a pixel that several triangles share belongs to the last one; the z-buffer gives it to the first
+    size, last = (atlas.height, atlas.width), len(atlas.corners) - 1
+    face, weights = np.full(size, -1), np.zeros((*size, 3))
+    flat = np.ones(len(atlas.pixels))
+    draw_triangles(atlas.pixels, flat, atlas.corners[::-1], np.full(size, np.inf), face, weights)
+    row, column = np.nonzero(face >= 0)
+    inside = np.clip(weights[row, column], 0, 1)
+    inside /= inside.sum(1, keepdims=True)
+    return Texels(row, column, last - face[row, column], inside.astype(np.float32))
 
 
 def paint_texture(atlas: Atlas, texels: Texels, colours: NDArray[np.floating]) -> NDArray[np.uint8]:
@@ -126,27 +124,3 @@ def paint_texture(atlas: Atlas, texels: Texels, colours: NDArray[np.floating]) -
         return image
     rows, columns = distance_transform_edt(empty, return_distances=False, return_indices=True)
     return np.asarray(image[rows, columns])
-
-
-def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-
-
-@njit(cache=True)
-def _mark_triangles(owner: NDArray[np.int64], places: NDArray[np.float64], corners: NDArray[np.int64]) -> None:
-    """Write into `owner` (height, width) the triangle that contains each pixel's centre."""
-    height, width = owner.shape
-    for f in range(len(corners)):
-        a, b, c = places[corners[f, 0]], places[corners[f, 1]], places[corners[f, 2]]
-        whole = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        if whole == 0:
-            continue
-        left, right = min(a[0], b[0], c[0]), max(a[0], b[0], c[0])
-        top, bottom = min(a[1], b[1], c[1]), max(a[1], b[1], c[1])
-        for y in range(max(0, int(np.ceil(top - 0.5))), min(height - 1, int(np.floor(bottom - 0.5))) + 1):
-            for x in range(max(0, int(np.ceil(left - 0.5))), min(width - 1, int(np.floor(right - 0.5))) + 1):
-                px, py = x + 0.5, y + 0.5
-                u = ((b[0] - px) * (c[1] - py) - (b[1] - py) * (c[0] - px)) / whole
-                v = ((c[0] - px) * (a[1] - py) - (c[1] - py) * (a[0] - px)) / whole
-                if u >= -1e-9 and v >= -1e-9 and u + v <= 1 + 1e-9:
-                    owner[y, x] = f

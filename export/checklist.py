@@ -219,12 +219,12 @@ def _check_textures(link: ET.Element, files: Files, folder: Path) -> Iterator[Fi
         path = files(mesh.get("filename", ""))
         if path.suffix.lower() != ".obj":
             continue
-        for library in _values_after(path, "mtllib"):
+        for library in values_after(path, "mtllib"):
             material = checked.inside(folder, str((path.parent / library).resolve()))
             if not material.is_file():
                 yield Finding("textures.exist", f"{path.name} names {library}, which does not exist")
                 continue
-            for image in _values_after(material, "map_Kd"):
+            for image in values_after(material, "map_Kd"):
                 if not (material.parent / image).is_file():
                     yield Finding("textures.exist", f"{material.name} names {image}, which does not exist")
 
@@ -363,7 +363,7 @@ def read_solid(path: Path) -> trimesh.Trimesh:
         raise FreeArtError(f"{path} is not a readable mesh: {error}") from error
 
 
-def _values_after(path: Path, key: str) -> list[str]:
+def values_after(path: Path, key: str) -> list[str]:
     """The rest of each line of an OBJ or MTL file that begins with `key`."""
     lines = checked.read_text(path, MAX_MESH_BYTES, errors="replace").split("\n")
     return [line[len(key) :].strip() for line in lines if line.startswith(key + " ")]

@@ -19,7 +19,7 @@ from export.outer_surface import DENSE, sample_evenly, sample_outer_surface
 from freeart21 import se3
 from freeart21.files.urdf import parse_urdf, read_urdf
 from freeart21.files.urdf_files import resolve_file
-from freeart21.mesh import Mesh
+from freeart21.mesh import Mesh, join_meshes
 from freeart21.se3 import Array
 
 Shapes = list[tuple[Array, trimesh.Trimesh]]
@@ -48,7 +48,10 @@ def measure_contact_fidelity(seen: Mapping[str, Shapes], touched: Mapping[str, S
 
     A collision mesh counts as its convex hull, as in engines.
     """
-    visuals = {name: _join_shapes(shapes) for name, shapes in seen.items()}
+    visuals = {
+        name: join_meshes([Mesh(se3.transform(T, np.asarray(mesh.vertices, float)), mesh.faces) for T, mesh in shapes])
+        for name, shapes in seen.items()
+    }
     names = [name for name, mesh in visuals.items() if mesh.areas().sum() > 0 and convex_shapes(touched.get(name, []))]
     part = max(len(names), 1)
     return {
@@ -110,11 +113,3 @@ def is_closed(mesh: trimesh.Trimesh) -> bool:
 def _surface_points(solid: trimesh.Trimesh, all_of_them: list[trimesh.Trimesh]) -> Array:
     points, _ = sample_evenly(solid, sum(other.area for other in all_of_them) / _DEPTH_POINTS)
     return np.concatenate([np.asarray(solid.vertices, float), points])
-
-
-def _join_shapes(shapes: Shapes) -> Mesh:
-    """All shapes as one mesh in the link's frame."""
-    first = np.cumsum([0, *(len(mesh.vertices) for _, mesh in shapes)])
-    vertices = [se3.transform(T, np.asarray(mesh.vertices, float)) for T, mesh in shapes]
-    faces = [np.asarray(mesh.faces) + k for (_, mesh), k in zip(shapes, first, strict=False)]
-    return Mesh(np.concatenate([np.zeros((0, 3)), *vertices]), np.concatenate([np.zeros((0, 3), int), *faces]))

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
@@ -16,6 +15,7 @@ from freeart21.files import atomic, checked
 from freeart21.files.urdf import link_poses
 from freeart21.se3 import Array
 from freeart21.view.link_shapes import ShownUrdf, read_shown
+from freeart21.z_buffer import draw_triangles
 
 FILE = "preview.png"
 SIDE = 512
@@ -32,6 +32,8 @@ _LIGHT = (-0.35, -0.5, 0.8)
 _AMBIENT = 0.55
 """Share of ambient light."""
 _GROUND = (236, 238, 241)
+_FAR = 1e4
+"""Distance of the camera, in images' sides: parallel projection but for a ten thousandth."""
 _FILL = 0.86
 """Fraction of the image's side that the object takes."""
 
@@ -108,61 +110,21 @@ def _rasterise(pieces: list[_Piece], scale: float, shift: Array, R: Array) -> ND
     side = SIDE * _SUPERSAMPLING
     colour = np.empty((side, side, 3))
     colour[:] = _GROUND
-    depth = np.full((side, side), np.inf)
+    nearest = np.full((side, side), np.inf)
     light = R @ (np.array(_LIGHT) / np.linalg.norm(_LIGHT))
     for points, faces, marks, image in pieces:
-        placed = np.column_stack([scale * points[:, :2] + shift, points[:, 2] * scale])
-        _draw(colour, depth, placed, faces, marks, image, light)
+        face, weights = np.full((side, side), -1), np.zeros((side, side, 3))
+        draw_triangles(scale * points[:, :2] + shift, scale * points[:, 2] + _FAR * side, faces, nearest, face, weights)
+        drawn = face >= 0
+        corners = points[faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        facing = normals @ light / np.maximum(np.linalg.norm(normals, axis=1), 1e-30)
+        facing = np.where(normals[:, 2] > 0, -facing, facing)  # seen from behind
+        shade = (_AMBIENT + (1 - _AMBIENT) * np.maximum(facing, 0.0))[face[drawn]]
+        values = np.einsum("nk,nki->ni", weights[drawn], marks[faces[face[drawn]]])
+        if image.size:
+            column, row = np.clip(np.rint(values).astype(int), 0, np.array(image.shape[1::-1]) - 1).T
+            values = image[row, column].astype(float)
+        colour[drawn] = shade[:, None] * values
     small = cv2.resize(colour.astype(np.float32), (SIDE, SIDE), interpolation=cv2.INTER_AREA)
     return np.clip(np.rint(small), 0, 255).astype(np.uint8)
-
-
-@njit(cache=True)
-def _draw(
-    colour: Array,
-    depth: Array,
-    points: Array,
-    faces: NDArray[np.integer],
-    marks: Array,
-    image: NDArray[np.uint8],
-    light: Array,
-) -> None:
-    """Draw triangles, `points` (V, 3) in pixels right, down and away, where they are nearer than `depth`."""
-    height, width = depth.shape
-    for f in range(len(faces)):
-        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-        a, b, c = points[i], points[j], points[k]
-        whole = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        if whole == 0:
-            continue
-        normal = np.cross(b - a, c - a)
-        facing = (normal @ light) / max(np.sqrt(normal @ normal), 1e-30)
-        if normal[2] > 0:  # seen from behind
-            facing = -facing
-        shade = _AMBIENT + (1 - _AMBIENT) * max(facing, 0.0)
-        left, right = max(min(a[0], b[0], c[0]), 0.0), min(max(a[0], b[0], c[0]), float(width))
-        top, bottom = max(min(a[1], b[1], c[1]), 0.0), min(max(a[1], b[1], c[1]), float(height))
-        for y in range(int(np.ceil(top - 0.5)), int(np.floor(bottom - 0.5)) + 1):
-            for x in range(int(np.ceil(left - 0.5)), int(np.floor(right - 0.5)) + 1):
-                if x >= width or y >= height:
-                    continue
-                px, py = x + 0.5, y + 0.5
-                u = ((b[0] - px) * (c[1] - py) - (b[1] - py) * (c[0] - px)) / whole
-                v = ((c[0] - px) * (a[1] - py) - (c[1] - py) * (a[0] - px)) / whole
-                w = 1 - u - v
-                if u < 0 or v < 0 or w < 0:
-                    continue
-                z = u * a[2] + v * b[2] + w * c[2]
-                if z >= depth[y, x]:
-                    continue
-                depth[y, x] = z
-                if marks.shape[1] == 2:
-                    s = u * marks[i, 0] + v * marks[j, 0] + w * marks[k, 0]
-                    t = u * marks[i, 1] + v * marks[j, 1] + w * marks[k, 1]
-                    column = min(max(int(np.rint(s)), 0), image.shape[1] - 1)
-                    row = min(max(int(np.rint(t)), 0), image.shape[0] - 1)
-                    for m in range(3):
-                        colour[y, x, m] = shade * image[row, column, m]
-                else:
-                    for m in range(3):
-                        colour[y, x, m] = shade * (u * marks[i, m] + v * marks[j, m] + w * marks[k, m])

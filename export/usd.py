@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from export.checklist import MAX_MESH_BYTES, values_after
 from export.loaders import joint_numbers
 from export.model import WORLD
 from export.stated_trust import MARK
@@ -27,8 +28,6 @@ from freeart21.files.urdf import UrdfInertial, UrdfJoint, UrdfLink, UrdfShape, r
 from freeart21.files.urdf_files import resolve_file
 from freeart21.reconstruction import describe_trust
 from freeart21.se3 import Array
-
-MAX_MESH_BYTES = 256 << 20
 
 
 def is_available() -> bool:
@@ -256,19 +255,13 @@ def _add_material(stage: Any, root: Any, name: str, geom: Any, shape: UrdfShape,
 
 def _read_material(obj: Path) -> tuple[Path | None, tuple[float, ...] | None]:
     """Texture and colour of the first material of an OBJ file; None where missing."""
-    library = _first_value(obj, "mtllib") if obj.suffix.lower() == ".obj" else None
-    mtl = obj.parent / library if library else None
+    libraries = values_after(obj, "mtllib") if obj.suffix.lower() == ".obj" else []
+    mtl = obj.parent / libraries[0] if libraries else None
     if mtl is None or not mtl.is_file():
         return None, None
-    picture, colour = _first_value(mtl, "map_Kd"), _first_value(mtl, "Kd")
-    found = checked.inside(obj.parent, picture) if picture else None
-    return found, tuple(float(word) for word in colour.split()) if colour else None
-
-
-def _first_value(path: Path, key: str) -> str | None:
-    """The text after `key` on the first line that begins with it."""
-    lines = checked.read_text(path, MAX_MESH_BYTES, errors="replace").split("\n")
-    return next((line[len(key) :].strip() for line in lines if line.startswith(key + " ")), None)
+    pictures, colours = values_after(mtl, "map_Kd"), values_after(mtl, "Kd")
+    found = checked.inside(obj.parent, pictures[0]) if pictures else None
+    return found, tuple(float(word) for word in colours[0].split()) if colours else None
 
 
 def _set_pose(geom: Any, T: Array) -> None:

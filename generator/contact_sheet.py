@@ -1,4 +1,4 @@
-"""A picture of many objects, each closed, half open and open, seen from the most informative directions.
+"""A picture of the procedural objects, each closed, half open and open.
 
 python -m generator.contact_sheet docs/objects.png        # all objects of the catalog
 """
@@ -22,33 +22,47 @@ from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.places import SHEET, check_place
-from freeart21.joint import Joint
-from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 from generator import objects, partnet
 from generator.motion import hull_points, motion_range
 from generator.motion.body import UPRIGHT
 from generator.partnet_writer import write_partnet
-from generator.rays import Caster
 from generator.scene import Scene
 
 _SHARES = (0.0, 0.5, 1.0)
 """Joint states of the three tiles, as shares of the range."""
 
+VIEWS: dict[str, tuple[tuple[int, int], ...]] = {
+    "swivel_usb": ((-35, 35), (145, 52), (85, 52)),
+    "flip_cap_usb": ((-60, 35), (25, 20), (85, 52)),
+    "folding_usb": ((-60, 35), (115, 52), (25, 52)),
+    "flip_lighter": ((-60, 20), (55, 20), (175, 52)),
+    "torch_lighter": ((-35, 20), (55, 20), (-125, 20)),
+    "folding_lighter": ((-60, 20), (-155, 20), (55, 52)),
+    "stapler": ((-60, 20), (85, 35), (25, 35)),
+    "mini_stapler": ((-60, 20), (85, 35), (25, 35)),
+    "long_arm_stapler": ((-60, 20), (115, 52), (25, 20)),
+    "slider_phone": ((-35, 20), (175, 20), (25, 20)),
+    "keyboard_phone": ((-35, 20), (175, 20), (25, 20)),
+    "cover_phone": ((-35, 20), (25, 20), (175, 20)),
+    "office_scissors": ((-35, 20), (175, 20), (25, 20)),
+    "tailor_shears": ((-35, 20), (175, 20), (25, 20)),
+    "craft_scissors": ((-35, 20), (175, 20), (25, 20)),
+    "drawer_unit": ((-35, 20), (85, 52), (-95, 52)),
+    "nightstand": ((-35, 20), (55, 52), (-95, 52)),
+    "filing_cabinet": ((-35, 20), (55, 35), (-95, 52)),
+    "tilt_monitor": ((-35, 20), (175, 35), (25, 35)),
+    "pivot_monitor": ((-35, 20), (175, 20), (25, 20)),
+    "folding_display": ((-35, 20), (175, 20), (-125, 20)),
+}
+"""Yaw and pitch, degrees, of the camera for each tile of an object: the open ones show what was hidden, 60 degrees or
+more from each other."""
+
 _FOV = np.radians(20.0)
-_FIRST_YAWS, _PITCHES = (-35.0, -60.0), (20.0, 35.0, 52.0)
-_YAWS = tuple(range(-155, 205, 30))
 _FILL = 0.90
 """Share of a tile that its object fills."""
-
-_APART = 60.0
-"""Least difference in yaw between the views of the three tiles, degrees."""
-
 _MARGIN, _CAPTION = 10, 28
 _PAPER, _FRAME, _INK, _PALE = (255, 255, 255), (222, 222, 226), (45, 45, 50), (140, 140, 148)
-
-View = tuple[float, float]
-"""Yaw and pitch, degrees."""
 
 
 def contact_sheet(
@@ -102,74 +116,14 @@ def tiles(name: str, seed: int, tile: int, shader: str = "default") -> list[NDAr
         size = max(float(np.linalg.norm(np.ptp(hull, axis=0))) for hull in hulls)
         camera = Camera.from_fov(2 * tile, 2 * tile, _FOV)  # twice as fine, then halved: smooth edges
         scene = Scene(loaded.asset.urdf, [side.links for side in loaded.sides], camera, 0.01 * size, 60 * size, shader)
-        first, second = (side.surface.mesh() for side in loaded.sides)
         states = [lower + share * (upper - lower) for share in _SHARES]
         pictures = []
-        for q, (yaw, pitch) in zip(states, choose_views((first, second), loaded.joint, states), strict=True):
+        for q, (yaw, pitch) in zip(states, VIEWS[name], strict=True):
             points = np.concatenate([hulls[0], se3.transform(loaded.joint.transform(q), hulls[1])])
             picture = scene.render(_pose(points, yaw, pitch, camera), {**loaded.asset.held, loaded.joint.name: q})
             rgb = np.where((picture.side > 0)[..., None], picture.rgb, 255).astype(np.uint8)
             pictures.append(np.asarray(cv2.resize(rgb, (tile, tile), interpolation=cv2.INTER_AREA), np.uint8))
     return pictures
-
-
-def choose_views(meshes: tuple[Mesh, Mesh], joint: Joint, states: Sequence[float]) -> list[View]:
-    """The view (yaw, pitch) for each of the joint's `states`; the first state is the closed one.
-
-    The first view is a three-quarter view from the front, from higher up for flat objects. Each other view is the best
-    of 36 by a score: new surface that is hidden while the object is closed, visibility of the smaller part, size of the
-    object, and the distance from the views before, which is at least 60 degrees.
-    """
-    look = _Look(meshes, joint, states)
-    around = [(float(yaw), pitch) for yaw in _YAWS for pitch in _PITCHES]
-    shut = [look.patches(states[0], view) for view in (*around, *((yaw, -_PITCHES[1]) for yaw, _ in around[::3]))]
-    known = np.unique(np.concatenate([patches for _, patches in shut]))
-    ahead = [(yaw, pitch) for pitch in _PITCHES for yaw in _FIRST_YAWS]
-    areas = [len(look.patches(states[0], view)[0]) for view in ahead]
-    views = [next(view for view, area in zip(ahead, areas, strict=True) if area >= 0.87 * max(areas))]
-    for q in states[1:]:
-        shown = [look.patches(q, view) for view in around]
-        most = max(len(sides) for sides, _ in shown)
-        best, best_score = views[0], -np.inf
-        for view, (sides, patches) in zip(around, shown, strict=True):
-            apart = min(abs((view[0] - other + 180) % 360 - 180) for other, _ in views)
-            if apart < _APART or len(sides) == 0:
-                continue
-            new = float((~np.isin(patches, known)).mean())
-            smaller = min(float((sides == 0).mean()), float((sides == 1).mean()))
-            score = new + min(smaller, 0.2) + 0.4 * len(sides) / most + 0.1 * apart / 180
-            if score > best_score:
-                best, best_score = view, score
-        views.append(best)
-    return views
-
-
-class _Look:
-    """Coarse views of an object as lists of the surface patches that they show."""
-
-    def __init__(self, meshes: tuple[Mesh, Mesh], joint: Joint, states: Sequence[float]) -> None:
-        swept = [se3.transform(joint.transform(q), meshes[1].vertices) for q in states]
-        corners = np.concatenate([meshes[0].vertices, *swept])
-        self._middle = (corners.min(0) + corners.max(0)) / 2
-        self._radius = float(np.linalg.norm(corners - self._middle, axis=1).max())
-        self._camera = Camera.from_fov(80, 80, _FOV)
-        self._caster, self._joint, self._first = Caster(meshes), joint, len(meshes[0].faces)
-
-    def patches(self, q: float, view: View) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Side and patch number of each pixel on the object.
-
-        A patch is the part of a face within a cell of the size of a 16th of the object's radius.
-        """
-        R = _rotation(*view)
-        T = se3.pose(R, np.array([0, 0, 1.05 * self._radius / np.sin(_FOV / 2)]) - R @ self._middle)
-        Ts = T, T @ self._joint.transform(q)
-        hits = self._caster.look(self._camera, Ts)
-        on = hits.side >= 0
-        points = (self._camera.rays().reshape(-1, 3) * np.where(on, hits.distance, 0)[:, None])[on]
-        side, face = hits.side[on], hits.face[on]
-        at_rest = np.where(side[:, None] == 0, *(se3.transform(se3.inverse(T), points) for T in Ts))
-        cell = np.floor((at_rest - self._middle) / (self._radius / 16)).astype(np.int64) + 32
-        return side, ((face + side * self._first) << 18) + (cell << np.array([12, 6, 0])).sum(1)
 
 
 def _rotation(yaw: float, pitch: float) -> Array:

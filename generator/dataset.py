@@ -30,10 +30,17 @@ from freeart21.files import atomic, checked
 from freeart21.files.benchmark import JOB_SCHEMA, WORK, is_unfinished, read_benchmark, write_benchmark
 from freeart21.files.lock import acquire, release
 from freeart21.files.places import check_append
-from freeart21.files.urdf import MAX_URDF_BYTES
-from generator import partnet, urdf_folder
+from generator import partnet
 from generator.progress import Board, progress_board
-from generator.session import ACCESS, RecordSettings, catalog_entry, find_partnet_folder, load_object, record_object
+from generator.session import (
+    ACCESS,
+    RecordSettings,
+    catalog_entry,
+    find_partnet_folder,
+    load_object,
+    record_object,
+    resolve_name,
+)
 
 __all__ = ["WORK", "Job", "Label", "is_unfinished", "official_names", "plan_jobs", "procedural_jobs", "record_jobs"]
 
@@ -93,11 +100,8 @@ def plan_jobs(names: Sequence[str], settings: RecordSettings) -> list[Job]:
     """
     settings.check()
     given, jobs = settings, []
-    for name in dict.fromkeys(names):
-        settings = given
-        if name.lower().endswith(urdf_folder.URDF_ENDINGS):
-            settings = replace(given, urdf=checked.require_file(Path(name), MAX_URDF_BYTES, checked.ANYWHERE))
-            name = urdf_folder.object_name(Path(name))
+    for each in dict.fromkeys(names):
+        name, settings = resolve_name(each, given)
         entry = catalog_entry(name, settings)
         joint, notes = settings.joint or entry.joint, tuple[str, ...]()
         if entry.source == "partnet":

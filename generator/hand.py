@@ -26,7 +26,7 @@ from scipy.spatial.distance import cdist
 from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.joint import Joint
-from freeart21.mesh import Mesh, bounding_diagonal
+from freeart21.mesh import Mesh, bounding_diagonal, join_meshes
 from freeart21.se3 import Array
 from generator.motion import Plan
 from generator.rays import Caster
@@ -175,7 +175,7 @@ class Hand:
 
     def outlines(self) -> list[Mesh]:
         """Coarse meshes of all pieces, in the order of `poses`."""
-        return [_join_meshes([(look.vertices, look.faces) for look in looks]) for looks in self.pieces(10)]
+        return [join_meshes([Mesh(look.vertices, look.faces) for look in looks]) for looks in self.pieces(10)]
 
 
 def make_hand(diagonal: float, rng: np.random.Generator) -> Hand:
@@ -386,10 +386,8 @@ class _Planner:
         """Cost of a grip: hidden shares, collisions, bend of the wrist, direction of the arm."""
         eye = np.eye(4)
         Ts = self._hand.poses(eye, grasp.tips, eye)[:-1]
-        pieces = [
-            (se3.transform(T, mesh.vertices), mesh.faces) for T, mesh in zip(Ts, self._outlines[:-1], strict=True)
-        ]
-        caster = Caster((_join_meshes(pieces), self._outlines[-1]))
+        pieces = [mesh.moved(T) for T, mesh in zip(Ts, self._outlines[:-1], strict=True)]
+        caster = Caster((join_meshes(pieces), self._outlines[-1]))
         shares, moving, bends, above, lows = [], [], [], [], []
         for i, (depth, side) in looks.items():
             T_camera_hand = self._Ts(i)[self.held] @ grasp.T_side_hand
@@ -490,12 +488,6 @@ def _nail(digit: int, scale: float, segments: int) -> Manifold:
     radius, length = RADII[digit, 3] * scale, LENGTHS[digit, 2] * scale
     nail = Manifold.sphere(1.0, segments).scale([0.22 * radius, 0.72 * radius, 1.0 * radius])
     return nail.translate([0.93 * radius, 0, length])
-
-
-def _join_meshes(pieces: list[tuple[Array, NDArray[np.int64]]]) -> Mesh:
-    first = np.cumsum([0, *(len(v) for v, _ in pieces)])
-    vertices = np.concatenate([v for v, _ in pieces])
-    return Mesh(vertices, np.concatenate([f + first[k] for k, (_, f) in enumerate(pieces)]))
 
 
 def _skin(solid: Manifold, picture: NDArray[np.uint8], scale: float, roughness: float = 0.55) -> Skin:

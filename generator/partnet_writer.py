@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from freeart21.files import atomic, checked
 from freeart21.se3 import Array
 from generator import textures
-from generator.model import SHINE, Link, Material, ObjectModel, Piece
+from generator.model import SHINE, Finish, Link, Material, ObjectModel, Piece
 from generator.shapes import triangles
 
 R_ROOT_MESH: Array = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -66,7 +66,8 @@ def _write_meshes(model: ObjectModel, folder: Path) -> list[list[tuple[str, str]
                 count += 1
                 stem = f"original-{count}"
                 atomic.write_bytes(folder / "textured_objs" / f"{stem}.obj", _obj(body, piece, stem))
-                atomic.write_bytes(folder / "textured_objs" / f"{stem}.mtl", _mtl(piece.material, part))
+                lines = material_lines(piece.material.name, piece.material.finish, f"texture_{part}.png")
+                atomic.write_bytes(folder / "textured_objs" / f"{stem}.mtl", ("\n".join(lines) + "\n").encode())
                 names[-1].append((f"{piece.name}-{part}", f"textured_objs/{stem}.obj"))
             atomic.write_bytes(folder / "images" / f"texture_{part}.png", checked.encode_png(_picture(piece.material)))
     return names
@@ -93,18 +94,18 @@ def _row(values: Array, digits: int) -> str:
     return " ".join(f"{v:.{digits}g}" for v in values)
 
 
-def _mtl(material: Material, part: int) -> bytes:
-    strength, exponent = SHINE[material.finish]
-    lines = [
-        f"newmtl {material.name}",
+def material_lines(name: str, finish: Finish, picture: str) -> list[str]:
+    """Lines of an MTL file: a material whose colours are those of images/`picture`."""
+    strength, exponent = SHINE[finish]
+    return [
+        f"newmtl {name}",
         "illum 2",
         "d 1",
         f"Ns {exponent:g}",
         "Kd 1 1 1",
         f"Ks {strength:g} {strength:g} {strength:g}",
-        f"map_Kd ../images/texture_{part}.png",
+        f"map_Kd ../images/{picture}",
     ]
-    return ("\n".join(lines) + "\n").encode()
 
 
 def _picture(material: Material) -> NDArray[np.uint8]:

@@ -14,13 +14,12 @@ from freeart21.mesh import Mesh
 from freeart21.recording import Query
 from freeart21.se3 import Array
 from generator.motion import hull_points
+from generator.motion.framing import MARGIN
 
 TURN_DEGREES = 15.0
 """Largest rotation of the camera of a held-out view about the object."""
 SHIFT = 0.04
 """Largest additional translation, as a share of the distance to the object."""
-MARGIN = 0.02
-"""Strip along the picture's border, as a share of its height, that the object never enters."""
 
 
 @dataclass(frozen=True)

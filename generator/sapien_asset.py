@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21 import se3
+from freeart21 import child, se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
-from freeart21.files.urdf import UrdfJoint, parse_urdf, subtree_links
+from freeart21.files.urdf import Urdf, UrdfJoint, parse_urdf, subtree_links
 from freeart21.files.urdf_files import find_file
 
 UNREACHED = 1e4
@@ -42,7 +42,7 @@ def physics_scene(gravity: NDArray[np.float32]) -> Any:
 
 def build_articulation(
     asset: Asset,
-    joints: dict[str, UrdfJoint],
+    urdf: Urdf,
     joint: UrdfJoint,
     scene: Any,
     *,
@@ -55,7 +55,7 @@ def build_articulation(
 
     Args:
         asset: its `held` says where the other joints are frozen; else at the position nearest to zero in their limits.
-        joints: all joints of the URDF, by name.
+        urdf: the asset's, read.
         joint: the one that moves.
         scene: a `sapien.Scene`.
         fixed_base: fix the root link to the world.
@@ -65,8 +65,9 @@ def build_articulation(
 
     Raises FreeArtError when the URDF is not one tree with the asset's links, or SAPIEN cannot read a file.
     """
-    robot = _urdf_for_sapien(asset, joints, visuals, collisions)
-    _check_sides(asset, joints, joint)
+    _check_tree(asset, urdf)
+    _check_sides(asset, urdf.joints, joint)
+    robot, joints = _urdf_for_sapien(asset, urdf.joints, visuals, collisions), urdf.joints
     builder = _articulation_builder(asset.urdf, robot, scene)
     for link in builder.link_builders:
         link.collision_groups = _COLLISION_GROUPS
@@ -81,8 +82,20 @@ def build_articulation(
         articulation = builder.build(fix_root_link=fixed_base)
     except Exception as error:  # SAPIEN raises Exception itself
         raise _cannot_load(asset.urdf, error) from error
+    if visuals:
+        read_files_now(articulation)
     _remove_losses(articulation)
     return articulation
+
+
+def read_files_now(articulation: Any) -> None:
+    """Let SAPIEN read mesh files and pictures now, not at the first view: the files may be temporary."""
+    import sapien
+
+    for link in articulation.links:
+        body = link.entity.find_component_by_type(sapien.render.RenderBodyComponent)
+        for shape in body.render_shapes if body is not None else ():
+            _ = getattr(shape, "parts", None)
 
 
 def links_from(articulation: Any, first: str) -> list[Any]:
@@ -122,8 +135,7 @@ def _articulation_builder(urdf: Path, robot: ET.Element, scene: Any) -> Any:
 
 
 def _cannot_load(urdf: Path, error: Exception) -> FreeArtError:
-    lines = str(error).strip().splitlines() or [type(error).__name__]
-    return FreeArtError(f"{urdf} cannot be loaded by SAPIEN: {lines[0]}")
+    return FreeArtError(f"{urdf} cannot be loaded by SAPIEN: {child.one_line(error)}")
 
 
 def _remove_losses(articulation: Any) -> None:
@@ -159,47 +171,32 @@ def _urdf_for_sapien(asset: Asset, joints: dict[str, UrdfJoint], visuals: bool, 
     for element in list(root):
         if element.tag not in ("link", "joint", "material"):
             root.remove(element)
-    _check_tree(asset, joints, [link.get("name", "") for link in root.findall("link")])
     for file in [*root.iter("mesh"), *root.iter("texture")]:
         file.set("filename", str(find_file(asset.urdf, file.get("filename", ""), asset.root)))
     for link in root.findall("link"):
         mass = link.find("inertial/mass")
         has_mass = mass is not None and float(mass.get("value", "0")) > 0
-        for child in list(link):
-            unused_shape = child.tag == "collision" and has_mass and not collisions
-            if unused_shape or (child.tag == "visual" and not visuals):
-                link.remove(child)
+        for shape in list(link):
+            unused = shape.tag == "collision" and has_mass and not collisions
+            if unused or (shape.tag == "visual" and not visuals):
+                link.remove(shape)
     for element in root.findall("joint"):
-        for child in [c for c in element if c.tag in ("mimic", "dynamics", "limit")]:
-            element.remove(child)
+        for part in [p for p in element if p.tag in ("mimic", "dynamics", "limit")]:
+            element.remove(part)
         joint = joints[element.get("name", "")]
         if joint.type in ("revolute", "prismatic"):
             ET.SubElement(element, "limit", {"lower": repr(joint.lower), "upper": repr(joint.upper)})
     return root
 
 
-def _check_tree(asset: Asset, joints: dict[str, UrdfJoint], links: list[str]) -> None:
-    """FreeArtError unless the URDF is one tree of unique links, with the asset's links and known joint types."""
-    urdf, names = asset.urdf, ", ".join(links)
-    if len(set(links)) != len(links):
-        twice = next(name for name in links if links.count(name) > 1)
-        raise FreeArtError(f"{urdf} has link '{twice}' {links.count(twice)} times, expected unique names")
-    for joint in joints.values():
-        for link in (joint.parent, joint.child):
-            if link not in links:
-                raise FreeArtError(f"{urdf}: joint '{joint.name}' names link '{link}'; links: {names}")
+def _check_tree(asset: Asset, urdf: Urdf) -> None:
+    """FreeArtError unless the URDF has one root, the asset's links and joints of known types."""
+    for joint in urdf.joints.values():
         if joint.joint_type is None and joint.type != "fixed":
             raise FreeArtError(
-                f"{urdf}: joint '{joint.name}' has type '{joint.type}', expected fixed, revolute, continuous or "
+                f"{urdf.path}: joint '{joint.name}' has type '{joint.type}', expected fixed, revolute, continuous or "
                 "prismatic"
             )
-    children = [joint.child for joint in joints.values()]
-    roots = [link for link in links if link not in children]
-    if len(roots) != 1 or len(set(children)) != len(children):
-        raise FreeArtError(
-            f"{urdf} is not one tree: its roots are {', '.join(roots) or 'none'}, expected one, and every other link "
-            "the child of one joint"
-        )
-    for link in (asset.reference_link, asset.moving_link):
-        if link not in links:
-            raise FreeArtError(f"{urdf} has no link '{link}'; links: {names}")
+    for link in (urdf.root, asset.reference_link, asset.moving_link):  # `root` raises unless there is one
+        if link not in urdf.links:
+            raise FreeArtError(f"{urdf.path} has no link '{link}'; links: {', '.join(urdf.links)}")

@@ -19,6 +19,7 @@ from freeart21.doctor import require_rendering
 from freeart21.errors import FreeArtError
 from freeart21.se3 import Array
 from generator.partnet_files import sapien_urdf
+from generator.sapien_asset import read_files_now
 from generator.surface import srgb_bytes
 
 _T_SAPIEN_CAMERA = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
@@ -323,21 +324,11 @@ def _load(scene: Any, urdf: Path) -> Any:
             for link in builders[0].link_builders:
                 link.collision_records = []
             articulation = builders[0].build(fix_root_link=False)
-            _read_files_now(articulation)
+            read_files_now(articulation)
         except Exception as error:  # the loader raises Exception itself
             said = str(error).replace(str(readable.parent), str(urdf.parent)).strip().splitlines()
             raise FreeArtError(f"SAPIEN cannot load {urdf}: {said[0] if said else type(error).__name__}") from error
     return articulation
-
-
-def _read_files_now(articulation: Any) -> None:
-    """Let SAPIEN read mesh files and pictures now, not at the first view."""
-    import sapien
-
-    for link in articulation.links:
-        body = link.entity.find_component_by_type(sapien.render.RenderBodyComponent)
-        for shape in body.render_shapes if body is not None else ():
-            _ = getattr(shape, "parts", None)
 
 
 def _specular_strengths(scene: Any, known: dict[int, list[float]]) -> NDArray[np.float32]:

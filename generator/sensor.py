@@ -41,7 +41,7 @@ class Shot:
 
 
 class Sensor:
-    """Films one planned motion. Made by `make_sensor`."""
+    """Films one planned motion."""
 
     def __init__(
         self,
@@ -54,6 +54,20 @@ class Sensor:
         fps: float,
         faults: CameraFaults | None = None,
     ) -> None:
+        """The sensor `name` before `scene`, filming `plan`.
+
+        Args:
+            name: one of `generator.sensors.SENSORS`, or several joined by '+', such as 'tof+blur'.
+            scene: holds `loaded`.
+            plan: the motion; the lamps are fixed in the world by its first camera pose.
+            loaded: the object.
+            meshes: parent side and child side in the object's frame at joint state zero.
+            seed: of all random numbers.
+            fps: frames per second.
+            faults: faults of a real camera, applied last; a delayed depth picture has no other errors.
+
+        Raises FreeArtError when a name is unknown or the names cannot be combined.
+        """
         self.name = name
         self._faults, self._fps, self._nominal_camera = faults, fps, scene.camera
         if faults is not None:
@@ -148,33 +162,6 @@ class Sensor:
             points = np.concatenate([points, self._piece_poses(t, T, state)[:, :3, 3]])
             ends.append(self._scene.camera.project(points))
         return float(np.nanmax(np.linalg.norm(ends[1] - ends[0], axis=1), initial=0.0))
-
-
-def make_sensor(
-    name: str,
-    scene: Scene,
-    plan: Plan,
-    loaded: PartNetObject,
-    meshes: tuple[Mesh, Mesh],
-    seed: int,
-    fps: float,
-    faults: CameraFaults | None = None,
-) -> Sensor:
-    """The sensor `name` before `scene`, filming `plan`.
-
-    Args:
-        name: one of `generator.sensors.SENSORS`, or several joined by '+', such as 'tof+blur'.
-        scene: holds `loaded`.
-        plan: the motion; the lamps are fixed in the world by its first camera pose.
-        loaded: the object.
-        meshes: parent side and child side in the object's frame at joint state zero.
-        seed: of all random numbers.
-        fps: frames per second.
-        faults: faults of a real camera, applied last; a delayed depth picture has no other errors.
-
-    Raises FreeArtError when a name is unknown or the names cannot be combined.
-    """
-    return Sensor(name, scene, plan, loaded, meshes, seed, fps, faults)
 
 
 def interpolate_pose(Ts: Array, t: float) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from freeart21.files.hashes import file_sha256
 from freeart21.files.sequence import MAX_SIDE, encode_depth, write_header, write_queries
 from freeart21.files.take import MAX_TAKE_BYTES
 from freeart21.files.truth import write_truth
+from freeart21.files.urdf import MAX_URDF_BYTES
 from freeart21.formats.captured import read_track
 from freeart21.formats.third_party import Parts, assign_parts
 from freeart21.joint import Joint
@@ -40,7 +41,7 @@ from generator.progress import Progress
 from generator.queries import PlannedQuery, plan_queries
 from generator.release import roll_out_release
 from generator.scene import Picture, Scene, simulator
-from generator.sensor import make_sensor
+from generator.sensor import Sensor
 from generator.sensors import check_sensor
 from generator.truth_mesh import build_truth
 
@@ -228,6 +229,14 @@ def record_object(name: str, settings: RecordSettings, work: Path, progress: Pro
         raise atomic.cannot_write(work / "truth", error) from error
 
 
+def resolve_name(name: str, settings: RecordSettings) -> tuple[str, RecordSettings]:
+    """The object's name, and the settings with its URDF when `name` is the path of one."""
+    if not name.lower().endswith(urdf_folder.URDF_ENDINGS):
+        return name, settings
+    urdf = checked.require_file(Path(name), MAX_URDF_BYTES, checked.ANYWHERE)
+    return urdf_folder.object_name(Path(name)), replace(settings, urdf=urdf)
+
+
 def catalog_entry(name: str, settings: RecordSettings) -> catalog.CatalogEntry:
     """The catalog's entry of `name`, or a new one for the settings' URDF or a PartNet-Mobility id."""
     if settings.urdf is not None:
@@ -381,7 +390,7 @@ class Session:
         groups = [side.links for side in loaded.sides]
         faults = None if settings.camera is None else read_camera_faults(settings.camera)
         self.scene = Scene(loaded.asset.urdf, groups, self.camera, near, far, settings.shader)
-        self.sensor = make_sensor(
+        self.sensor = Sensor(
             settings.sensor, self.scene, self.plan, loaded, coarse, settings.seed, settings.fps, faults
         )
         self._may_hide = any(model.occludes for model in self.sensor.models)

@@ -31,7 +31,7 @@ from freeart21.effects.base import Effect, readings, strongest_rotor
 from freeart21.errors import FreeArtError
 from freeart21.events import drive_rebound, meet_part, part_at_limit, touching_side
 from freeart21.files.asset import find_movable_joint
-from freeart21.files.urdf import UrdfJoint, read_urdf_joints
+from freeart21.files.urdf import UrdfJoint, read_urdf
 from freeart21.joint import Joint, JointType
 from freeart21.mechanics import Actuator, Body, JointMechanics, joint_inertia
 from freeart21.se3 import Array
@@ -549,13 +549,13 @@ def load(
         raise FreeArtError(f"timestep_s is {timestep_s}, expected seconds above 0")
     if visuals and scene is None:
         raise FreeArtError("visuals were asked for without a scene that can render them")
-    joints = read_urdf_joints(asset.urdf)
+    urdf = read_urdf(asset.urdf)
     joint = find_movable_joint(asset.urdf, asset.joint)
     collisions = scene is not None
     scene = physics_scene(np.asarray(gravity, np.float32)) if scene is None else scene
     articulation = build_articulation(
         asset,
-        joints,
+        urdf,
         joint,
         scene,
         fixed_base=fixed_base,

@@ -157,26 +157,17 @@ def noise_m(signal: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(1e-3 * np.sqrt(a + (b + c / signal) / signal))
 
 
+def _ramp(x: NDArray[Any], low: float, high: float) -> NDArray[Any]:
+    return np.clip((x - low) / (high - low), 0, 1)
+
+
+@numba.njit(cache=True)
 def incidence_cosine(depth: Map, rays: Array) -> Map:
     """Cosine (height, width) of the angle between surface normal and ray; 1 for background.
 
     On a plane the inverse depth is linear in the picture. Each slope is the smaller of the two one-sided differences,
     so that normals at edges stay those of the surface. `rays` (height, width, 3) have z = 1.
     """
-    return _incidence_cosine(depth, rays)
-
-
-def returned_signal(depth: Map, albedo: Map, gloss: Map, cosine: Map, rays: Array) -> Map:
-    """Returned signal (height, width); 0 for background."""
-    return _returned_signal(depth, albedo, gloss, cosine, rays)
-
-
-def _ramp(x: NDArray[Any], low: float, high: float) -> NDArray[Any]:
-    return np.clip((x - low) / (high - low), 0, 1)
-
-
-@numba.njit(cache=True)
-def _incidence_cosine(depth: Map, rays: Array) -> Map:
     height, width = depth.shape
     cosine = np.ones((height, width), np.float32)
     for v in range(height):
@@ -206,7 +197,8 @@ def _incidence_cosine(depth: Map, rays: Array) -> Map:
 
 
 @numba.njit(cache=True)
-def _returned_signal(depth: Map, albedo: Map, gloss: Map, cosine: Map, rays: Array) -> Map:
+def returned_signal(depth: Map, albedo: Map, gloss: Map, cosine: Map, rays: Array) -> Map:
+    """Returned signal (height, width); 0 for background."""
     height, width = depth.shape
     signal = np.zeros((height, width), np.float32)
     for v in range(height):

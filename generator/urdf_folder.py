@@ -26,8 +26,8 @@ from freeart21.view.link_shapes import primitive
 from freeart21.view.mesh_pieces import ENDINGS, read_pieces, up_axis
 from freeart21.view.obj import Piece
 from generator import partnet, textures
-from generator.model import SHINE
 from generator.partnet_files import MAX_OBJ_BYTES, Gaps, read_obj
+from generator.partnet_writer import material_lines
 from generator.surface import Paint, Surface
 
 _NOTES = "notes.json"
@@ -179,8 +179,7 @@ def _both_sides(surface: Surface) -> Surface:
 
 def _write(surface: Surface, folder: Path, stem: str) -> str:
     """Write a surface as textured_objs/STEM.obj, with materials and pictures; returns the file's name."""
-    strength, exponent = SHINE["plastic"]
-    lines, materials = [f"mtllib {stem}.mtl"], []
+    lines, materials = [f"mtllib {stem}.mtl"], list[str]()
     lines += [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in surface.vertices.tolist()]
     lines += [f"vt {u:.6g} {v:.6g}" for u, v in surface.uv.tolist()]
     of_face = surface.paint[surface.faces[:, 0]]
@@ -193,15 +192,7 @@ def _write(surface: Surface, folder: Path, stem: str) -> str:
         picture = textures.plain(tuple((paint.colour / 255.0).tolist())) if paint.picture is None else paint.picture
         atomic.write_bytes(folder / "images" / f"{stem}-{k}.png", checked.encode_png(picture))
         # plain colours are pictures, too, because SAPIEN takes Kd as linear
-        materials += [
-            f"newmtl paint-{k}",
-            "illum 2",
-            "d 1",
-            f"Ns {exponent:g}",
-            "Kd 1 1 1",
-            f"Ks {strength:g} {strength:g} {strength:g}",
-            f"map_Kd ../images/{stem}-{k}.png",
-        ]
+        materials += material_lines(f"paint-{k}", "plastic", f"{stem}-{k}.png")
     atomic.write_bytes(folder / "textured_objs" / f"{stem}.obj", ("\n".join(lines) + "\n").encode())
     atomic.write_bytes(folder / "textured_objs" / f"{stem}.mtl", ("\n".join(materials) + "\n").encode())
     return f"{stem}.obj"

@@ -8,11 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
+from freeart21 import catalog
 from freeart21.errors import FreeArtError
-from freeart21.joint import Joint
-from freeart21.mesh import Mesh
 from generator import contact_sheet
-from generator.shapes import box, triangles
 
 NAMES, TILE = ("drawer_unit", "stapler"), 72
 
@@ -41,26 +39,10 @@ def test_every_tile_shows_its_object_whole_and_large(pictures: dict[str, list[np
 
 
 def test_the_poses_differ_even_from_one_side(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(contact_sheet, "choose_views", lambda *_: [(-35.0, 20.0)] * 3)
+    monkeypatch.setitem(contact_sheet.VIEWS, "drawer_unit", ((-35, 20),) * 3)
     tiles = contact_sheet.tiles("drawer_unit", 2, TILE, "trivial")
     for a, b in ((0, 1), (1, 2)):
         assert (np.abs(tiles[a].astype(int) - tiles[b]).max(-1) > 30).mean() > 0.1
-
-
-def test_open_poses_are_seen_from_where_the_inside_shows() -> None:
-    """A box that is open towards -x only, before which a lid slides away to -y: its inside is plainly seen."""
-    hollow = box((1, 1, 1)) - box((1, 0.9, 0.9), (-0.1, 0, 0))
-    meshes = []
-    for solid in (hollow, box((0.05, 1, 1), (-0.53, 0, 0))):
-        vertices, faces = triangles(solid)
-        meshes.append(Mesh(vertices, faces, np.zeros((len(vertices), 3), np.uint8)))
-    joint = Joint("j", "prismatic", np.array([0, -1.0, 0]), np.zeros(3), 0.0, 1.05)
-    views = contact_sheet.choose_views((meshes[0], meshes[1]), joint, [0.0, 0.5, 1.05])
-    directions = np.array([[np.cos(np.radians(yaw)), np.sin(np.radians(yaw))] for yaw, _ in views])
-    # the box's open side is met squarely by looks along +x, the lid's inner side by looks along -x
-    assert np.abs(directions[1:, 0]).min() > 0.8
-    cosines = directions @ directions.T - 2 * np.eye(3)
-    assert cosines.max() <= np.cos(np.radians(59.9)) and views[0] == (-35.0, 20.0)
 
 
 def test_the_sheet_holds_a_card_an_object(
@@ -77,6 +59,10 @@ def test_the_sheet_holds_a_card_an_object(
         card = sheet[y + 29 : y + high - 1, x + 1 : x + wide - 1]
         assert np.abs(card.astype(int) - np.hstack(pictures[name])).mean() < 4
     assert not _drawn_pixels(sheet[10 + high + 10 :, 10 + wide + 10 :]).any()
+
+
+def test_every_object_of_the_catalog_has_its_views() -> None:
+    assert tuple(contact_sheet.VIEWS) == catalog.built_in_names()
 
 
 def test_unknown_and_no_objects_are_refused(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from generator.model import Hinge, Link, Material, ObjectModel, Piece
 from generator.motion import Plan
 from generator.partnet_writer import write_partnet
 from generator.scene import Scene, decode_srgb, encode_srgb
-from generator.sensor import Sensor, make_sensor
+from generator.sensor import Sensor
 from generator.sensors import SENSORS
 from generator.sensors.blur import Blur
 from generator.sensors.noise2 import NOISE2_SHARE, Noise2
@@ -61,7 +61,7 @@ def scene(loaded: partnet.PartNetObject) -> Scene:
 
 def _sensor(name: str, scene: Scene, loaded: partnet.PartNetObject, plan: Plan = TURN, seed: int = 0) -> Sensor:
     meshes = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
-    return make_sensor(name, scene, plan, loaded, meshes, seed, 30.0)
+    return Sensor(name, scene, plan, loaded, meshes, seed, 30.0)
 
 
 # --- all of them ------------------------------------------------------------------------------------------------------

@@ -285,7 +285,7 @@ def test_faults_cost_one_clear_line(tmp_path: Path):
     twice = '<link name="bob"/>'
     for more, said in (
         (mesh, "mesh 'no.obj', which does not exist"),
-        (loose, "not one tree: its roots are base, x"),
+        (loose, "has the root links base, x, expected one"),
         (floating, "type 'floating'"),
         (twice, "link 'bob' 2 times"),
     ):

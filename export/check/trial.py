@@ -22,7 +22,7 @@ from export.check.rules import (
     TURNS,
 )
 from export.check.tree import Tree, TreeJoint
-from freeart21 import se3
+from freeart21 import child, se3
 from freeart21.files.urdf import LARGEST_LIMIT, UrdfInertial
 from freeart21.se3 import Array
 
@@ -63,7 +63,7 @@ class Trial:
         try:
             world = self.load(Setting(fixed=True, gravity=False, floor=False))
         except Exception as error:  # the engine's own faults, of any type
-            yield self._row("engine.loads", "fail", _first_line(error))
+            yield self._row("engine.loads", "fail", child.one_line(error)[:300])
             for rule in (*STATED, *MOVED):
                 yield self._row(rule, "skip", "it does not load")
             return
@@ -94,7 +94,7 @@ class Trial:
             return tried()
         except Exception as error:
             left = [self._row(other, "skip", f"see {rule}") for other in others]
-            return [self._row(rule, "fail", _first_line(error)), *left]
+            return [self._row(rule, "fail", child.one_line(error)[:300]), *left]
 
     def _row(self, rule: str, verdict: Any, reason: str = "", value: float | None = None, unit: str = "") -> Row:
         return Row(rule, self.engine, verdict, reason, value, unit)
@@ -376,8 +376,3 @@ def _count_reversals(path: NDArray[np.float64], swing: float) -> int:
                 way, high = 1, value
         most = max(most, count)
     return most
-
-
-def _first_line(error: BaseException) -> str:
-    text = str(error).strip().splitlines()
-    return text[0][:300] if text else type(error).__name__

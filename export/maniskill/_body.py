@@ -38,7 +38,6 @@ class Body:
                 visuals=scene.can_render(),
                 settable_limits=True,
             )
-            _load_textures(self.simulated.articulation)
         simulated = self.simulated
         if simulated.joint_inertia <= 0:
             raise FreeArtError(f"{asset.urdf} joint '{asset.joint}' moves no mass")
@@ -184,11 +183,3 @@ def _register_articulation(articulation: Any, scene: Any) -> Articulation:
     scene.articulations[NAME] = managed
     scene.add_to_state_dict_registry(managed)
     return managed
-
-
-def _load_textures(articulation: Any) -> None:
-    """Make SAPIEN read meshes and textures now rather than lazily: their files can be temporary."""
-    for link in articulation.links:
-        body = link.entity.find_component_by_type(sapien.render.RenderBodyComponent)
-        for shape in body.render_shapes if body is not None else ():
-            _ = getattr(shape, "parts", None)

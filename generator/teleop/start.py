@@ -11,7 +11,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Coroutine, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -21,13 +21,11 @@ import numpy as np
 from freeart21 import stopping
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
-from freeart21.files import checked
-from freeart21.files.urdf import MAX_URDF_BYTES
 from freeart21.mesh import bounding_diagonal
-from generator import partnet, urdf_folder
+from generator import partnet
 from generator.motion.body import Body
 from generator.motion.plan import PRESETS
-from generator.session import RecordSettings, catalog_entry, load_object
+from generator.session import RecordSettings, catalog_entry, load_object, resolve_name
 from generator.teleop.address import addresses, is_loopback, qr_code
 from generator.teleop.certificate import Certificate, load_certificate, normalise_host
 from generator.teleop.driving import Driving, Placement
@@ -90,9 +88,7 @@ def serve(name: str, out: Path, settings: TeleopSettings, record: RecordSettings
 
 def _load_object(name: str, record: RecordSettings, place: Path) -> tuple[str, partnet.PartNetObject, tuple[Path, ...]]:
     """The object's name, the loaded object, and the user's folders, which are never written to."""
-    if name.lower().endswith(urdf_folder.URDF_ENDINGS):
-        record = replace(record, urdf=checked.require_file(Path(name), MAX_URDF_BYTES, checked.ANYWHERE))
-        name = urdf_folder.object_name(Path(name))
+    name, record = resolve_name(name, record)
     loaded = load_object(catalog_entry(name, record), record, place)
     folder = loaded.asset.urdf.parent
     return name, loaded, () if folder.is_relative_to(place) else (folder,)
