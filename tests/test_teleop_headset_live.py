@@ -152,8 +152,7 @@ def test_a_take_of_two_controllers_holds_what_was_sent_and_replays_it_through_th
     at = 1e-3 * np.array([move["time"] for move in sent])
     first = min(fits, key=lambda k: np.abs(np.diff(at[k : k + n]) - np.diff(take.times)).max())
     moves, page_s = sent[first : first + n], at[first : first + n]
-    # the server's clock may learn while it listens; it never learns more than a packet was late
-    np.testing.assert_allclose(take.times - take.times[0], page_s - page_s[0], atol=0.02)
+    np.testing.assert_allclose(take.times - take.times[0], page_s - page_s[0], atol=1e-3)
     path, turns = np.ptp(take.Ts[:, :3, 3], axis=0), se3.rotation_angle(take.Ts[:, :3, :3] @ take.Ts[0, :3, :3].T)
     assert np.linalg.norm(path) > 0.03 and turns.max() > 1.2 and np.ptp(take.states) > 0.2
     assert np.linalg.norm(np.diff(take.Ts[:, :3, 3], axis=0), axis=1).max() < 0.02  # nothing jumps

@@ -11,7 +11,6 @@ from typing import Any
 from aiohttp import web
 
 from generator.teleop import wire
-from generator.teleop.clock import Clock
 from generator.teleop.gate import Allowance
 from generator.teleop.stage import LivePicture, Stage
 
@@ -26,7 +25,7 @@ class Client:
 
     def __init__(self, socket: web.WebSocketResponse, name: str, stage: Stage) -> None:
         self.socket, self.name, self._stage = socket, name, stage
-        self.clock, self.allowance = Clock(), Allowance()
+        self.allowance = Allowance()
         self.n = -1
         """Number of the newest move."""
         self.heard_at = time.monotonic()

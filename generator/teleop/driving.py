@@ -62,7 +62,7 @@ class Track:
         self.unchanged = 0
         """Number of first samples that have not changed since a writer set this."""
         self._shift: float | None = None
-        """Track time minus server time, s; None after a cut."""
+        """Track time minus the page's time, s; None after a cut."""
 
     def __len__(self) -> int:
         return len(self.times)
@@ -73,7 +73,7 @@ class Track:
         return self.times[-1] if self.times else 0.0
 
     def add(self, time_s: float, place: Placement) -> bool:
-        """Add a sample at `time_s` of the server's clock; False when it is not later than the last one."""
+        """Add a sample at `time_s` of the page's clock; False when it is not later than the last one."""
         if self._shift is None:
             self._shift = (self.times[-1] + STEP_S if self.times else 0.0) - time_s
         time = time_s + self._shift
@@ -146,7 +146,7 @@ class Driving:
         return len(self.take) >= 2
 
     def move(self, move: Move, time_s: float) -> bool:
-        """Move the object at `time_s` of the server's clock; False for a move of an older epoch, which is dropped."""
+        """Move the object at `time_s` of the page's clock; False for a move of an older epoch, which is dropped."""
         if move.epoch != self.epoch:
             return False
         place = Placement(move.T, move.state)
@@ -214,6 +214,10 @@ class Driving:
         """Place the object and start a new epoch: moves that pages sent before are dropped."""
         self.place = place
         self.epoch += 1
+        self.cut()
+
+    def cut(self) -> None:
+        """Let the next move follow after `STEP_S`, whatever its time."""
         self.take.cut()
         self._trail.cut()
 

@@ -216,7 +216,6 @@ class Server:
         if isinstance(message, wire.Acknowledgement):
             client.acknowledge(message.count)
         elif isinstance(message, wire.Ping):
-            client.clock.observe(1e-3 * message.time_ms, now)
             client.heard_at = now
             if client is self._driver and message.latency_ms is not None:
                 self.latency_ms = message.latency_ms
@@ -246,12 +245,11 @@ class Server:
 
     def _move(self, client: Client, move: wire.Move, now: float) -> None:
         client.heard_at = now
-        client.clock.observe(1e-3 * move.time_ms, now)
         if move.n <= client.n:
             client.late += 1
             return
         client.n = move.n
-        if self.driving.move(move, client.clock.server_time(1e-3 * move.time_ms)):
+        if self.driving.move(move, 1e-3 * move.time_ms):
             self._stage.request(self.driving.place, Mark(client, move.n, move.time_ms))
         if self.driving.is_full and self.driving.pause():
             self._notify("paused: a take cannot be longer; save it")
@@ -275,8 +273,6 @@ class Server:
         if self._saving is not None:
             self._notify("the take is being saved")
         elif what == "record":
-            if self._driver is not None:
-                self._driver.clock.stop_jumping()
             self._notify("recording continues from the end of the take" if driving.record() else "recording")
         elif what == "pause" and driving.pause():
             self._notify("paused: move freely; to continue, the object returns to its present place")
@@ -320,6 +316,7 @@ class Server:
 
     def _drive(self, client: Client) -> None:
         self._driver, client.n = client, -1
+        self.driving.cut()  # its page has a clock of its own
         client.heard_at = time.monotonic()
         self._log(f"{client.name} drives")
         client.queue(self._hello(client))
