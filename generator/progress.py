@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from functools import partial
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, ProgressColumn, Task, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bars
 from rich.text import Text
 
@@ -22,45 +22,30 @@ class _Rate(ProgressColumn):
 
 
 class Board:
-    """Progress bars on standard error: one for each running sequence, and one for all when there are several.
-
-    Without a terminal, and with several sequences, a line for every finished sequence instead.
-    """
+    """A progress bar on standard error; without a terminal a line for every finished sequence when there are several."""
 
     def __init__(self, bars: Bars, console: Console, sequences: int, pictures: int) -> None:
-        """`sequences` are recorded, with `pictures` in all."""
-        self._bars, self._console, self._sequences = bars, console, sequences
-        self._running: dict[str, TaskID] = {}
-        self._shares: dict[str, int] = {}
-        self._finished, self._drawn, self._started = 0, 0, time.monotonic()
-        self._all = bars.add_task(self._title(), total=pictures) if sequences > 1 else None
-        self._pictures = pictures
+        """`sequences` are recorded, with `pictures` in all; with 0, not known, the bar shows the present sequence alone."""
+        self._bars, self._console, self._sequences, self._pictures = bars, console, sequences, pictures
+        self._bar = bars.add_task("", total=pictures)
+        self._drawn: dict[str, int] = {}
+        self._finished, self._started = 0, time.monotonic()
 
     def update(self, sequence: str, done: int, total: int) -> None:
         """Report that `done` of `total` pictures of a sequence exist."""
-        if sequence not in self._running:
-            self._running[sequence] = self._bars.add_task(sequence, total=total)
-        self._drawn += done - self._shares.get(sequence, 0)
-        self._shares[sequence] = done
-        self._bars.update(self._running[sequence], completed=done, total=total)
-        if self._all is not None:
-            self._bars.update(self._all, completed=self._drawn)
+        self._drawn[sequence] = done
+        title = sequence if self._sequences == 1 else f"{self._finished}/{self._sequences} sequences"
+        drawn = sum(self._drawn.values()) if self._pictures else done
+        self._bars.update(self._bar, description=title, completed=drawn, total=self._pictures or total)
 
     def finished(self, sequence: str) -> None:
         """Report a finished sequence."""
         self._finished += 1
-        if sequence in self._running:
-            self._bars.remove_task(self._running.pop(sequence))
-        if self._all is None:
-            return
-        self._bars.update(self._all, description=self._title())
-        if not self._console.is_terminal:
-            rate = self._drawn / max(time.monotonic() - self._started, 1e-9)
-            left = (self._pictures - self._drawn) / max(rate, 1e-9)
+        if self._sequences > 1 and not self._console.is_terminal:
+            drawn = sum(self._drawn.values())
+            rate = drawn / max(time.monotonic() - self._started, 1e-9)
+            left = (self._pictures - drawn) / max(rate, 1e-9)
             print_line(f"{self._finished}/{self._sequences} {sequence}: {rate:.1f} pictures/s, {_span(left)} left")
-
-    def _title(self) -> str:
-        return f"{self._finished}/{self._sequences} sequences"
 
 
 @contextmanager
