@@ -22,10 +22,10 @@ class _Rate(ProgressColumn):
 
 
 class Board:
-    """A progress bar on standard error; without a terminal a line for every finished sequence when there are several."""
+    """A progress bar on standard error; without a terminal a line for every finished one of several sequences."""
 
     def __init__(self, bars: Bars, console: Console, sequences: int, pictures: int) -> None:
-        """`sequences` are recorded, with `pictures` in all; with 0, not known, the bar shows the present sequence alone."""
+        """`sequences` are recorded, with `pictures` in all; with 0 the bar shows the present sequence alone."""
         self._bars, self._console, self._sequences, self._pictures = bars, console, sequences, pictures
         self._bar = bars.add_task("", total=pictures)
         self._drawn: dict[str, int] = {}

@@ -36,6 +36,8 @@ _FILLED = 1350.0
 _ABS = 1050.0
 _GLASS = 2500.0
 _STEEL = 7850.0
+_GLOSS = Material("black_glass", (0.035, 0.037, 0.042), "metal", _GLASS)
+_HOLES = Material("dark_holes", (0.03, 0.03, 0.035), "rubber", _ABS)
 _SLIT = 0.0001
 """Half the slit between two halves."""
 _MAT = 0.0055
@@ -88,7 +90,6 @@ def _slider_screen(
     skin = textures.brushed_metal(rng, colour) if finish == "metal" else textures.speckle(rng, colour, 0.03)
     shell = textured("upper_shell", finish, _FILLED, skin, 0.03)
     chrome = Material("chrome", (0.80, 0.81, 0.83), "metal", _STEEL)
-    dark = Material("dark_holes", (0.03, 0.03, 0.035), "rubber", _ABS)
 
     keys_high, top = height * 0.28, height / 2
     glass_at, glass = top - 0.0105 - height * 0.255, (width - 0.0070, height * 0.51)
@@ -126,12 +127,12 @@ def _slider_screen(
     return [
         Piece("upper_case", case - union((cut_window, cut_pad, cut_holes, cut_back)), shell),
         Piece("upper_band", band - plate(back, 0.02, "z"), chrome),
-        Piece("screen_glass", pane, _gloss()),
+        Piece("screen_glass", pane, _GLOSS),
         Piece("screen", display, textured("screen", "metal", _GLASS, _screen_off(rng))),
         keys,
         Piece("arrow_ring", arrows, chrome),
         Piece("select_key", press, Material("select_key", textures.shade(other, 0.8, 0.05), "plastic", _ABS)),
-        Piece("earpiece", holes, dark),
+        Piece("earpiece", holes, _HOLES),
         Piece("brand", name, chrome),
         Piece("slide_plate", slide - rails, steel),
         Piece("slide_sticker", sticker, printed("slide_sticker", note)),
@@ -148,8 +149,7 @@ def _slider_base(
     shell = textured("lower_shell", "plastic", _FILLED, textures.speckle(rng, colour, 0.06), 0.02)
     size = (width - 0.0060, travel - 0.0065)
     at = (0.0, -height / 2 + 0.0038 + size[1] / 2)
-    tray = rounded_outline(size[0] + 0.0004, size[1] + 0.0004, 0.0030, 24).translate(at)
-    cut_tray, _ = _recess(tray, face, 1, _MAT + 0.0002, 0.0)
+    cut_tray = _tray(size, at, face, 0.0030, 24)
     keys = _keypad("digits", size, at, face - 0.00015, _digit_cells(size), textures.shade(other, 0.95, 0.02))
     pieces, cuts = _back(width, height, back, colour, brand, (0.0, height * 0.345), rng)
     sides, gaps = _sides(width, height, (face + back) / 2, other, rng)
@@ -175,7 +175,6 @@ def _keyboard_screen(width: float, height: float, colour: Colour, brand: str, rn
     case = moulded(rounded_outline(width, height, 0.0100, 40), face - _SLIT, "z", (face + _SLIT) / 2, 0.0018, 3)
     shell = textured("upper_shell", "plastic", _FILLED, textures.speckle(rng, colour, 0.05), 0.02)
     trim = Material("trim", textures.shade(colour, 1.25, 0.03), "metal", _STEEL)
-    dark = Material("dark_holes", (0.03, 0.03, 0.035), "rubber", _ABS)
     glass, glass_x = (width * 0.665, height - 0.0090), -width * 0.035
     cut_window, pane = _recess(rounded_outline(*glass, 0.0020, 20).translate((glass_x, 0)), face, 1, 0.0012, 0.00008)
     display = box((glass[0] - 0.0060, glass[1] - 0.0060, 0.0002), (glass_x, 0, face - 0.00002))
@@ -210,13 +209,13 @@ def _keyboard_screen(width: float, height: float, colour: Colour, brand: str, rn
     steel = textures.brushed_metal(rng, textures.shade(colour, 1.3, 0.05))
     return [
         Piece("upper_case", case - union((cut_window, cut_panel, cut_holes, cut_back)), shell),
-        Piece("screen_glass", pane, _gloss()),
+        Piece("screen_glass", pane, _GLOSS),
         Piece("screen", display, textured("screen", "metal", _GLASS, _screen_off(rng))),
         Piece("screen_bezel", bezel, trim),
         keys,
         Piece("trackball", ball, Material("trackball", textures.shade(colour, 1.6, 0.10), "plastic", _ABS)),
         Piece("trackball_socket", socket, trim),
-        Piece("earpiece", holes, dark),
+        Piece("earpiece", holes, _HOLES),
         Piece("brand", name, Material("brand_print", (0.62, 0.63, 0.65), "metal", _ABS)),
         Piece("slide_plate", slide - rails, textured("slide_steel", "metal", _STEEL, steel, 0.02)),
     ]
@@ -229,8 +228,7 @@ def _keyboard_base(width: float, height: float, travel: float, colour: Colour, b
     shell = textured("lower_shell", "plastic", _FILLED, textures.speckle(rng, colour, 0.10), 0.02)
     size = (width - 0.0110, travel - 0.0060)
     at = (0.0, -height / 2 + 0.0034 + size[1] / 2)
-    tray = rounded_outline(size[0] + 0.0004, size[1] + 0.0004, 0.0020, 20).translate(at)
-    cut_tray, _ = _recess(tray, face, 1, _MAT + 0.0002, 0.0)
+    cut_tray = _tray(size, at, face, 0.0020, 20)
     wide, tall = 0.91 * size[0] / 11, size[1] / 4
     cells: list[Cell] = []
     for r, row in enumerate(_ROWS):
@@ -289,7 +287,7 @@ def _cover(
     return [
         Piece("cover_shell", shell - cut, paint),
         Piece("cover_ridges", ridges, relief),
-        Piece("microphone", holes, Material("dark_holes", (0.03, 0.03, 0.035), "rubber", _ABS)),
+        Piece("microphone", holes, _HOLES),
         Piece("cover_brand", name, relief),
         Piece("cover_seal", seal, textured("cover_seal", "plastic", _ABS, star)),
         Piece("cover_lining", lining, Material("cover_lining", textures.shade(colour, 0.85), "rubber", _ABS)),
@@ -303,13 +301,11 @@ def _bar(
     face, bed, back = 0.0110, 0.0075, -0.0110
     paint = textured("body_paint", "plastic", _FILLED, textures.speckle(rng, colour, 0.05), 0.02)
     relief = Material("relief", textures.shade(colour, 0.72), "plastic", _ABS)
-    dark = Material("dark_holes", (0.03, 0.03, 0.035), "rubber", _ABS)
     room = box((1, 1, 1), (0, split - 0.5, 0.5 + 0.0019)) - box((width - 0.0032, 1.2, 1), (0, split - 0.5, bed - 0.5))
     case = envelope - room
     size = (width - 0.0075, height * 0.43 - 0.0150)
     at = (0.0, split - 0.0028 - size[1] / 2)
-    tray = rounded_outline(size[0] + 0.0004, size[1] + 0.0004, 0.0030, 24).translate(at)
-    cut_tray, _ = _recess(tray, bed, 1, _MAT + 0.0002, 0.0)
+    cut_tray = _tray(size, at, bed, 0.0030, 24)
     keys = _keypad("digits", size, at, bed - 0.00015, _digit_cells(size), colour)
 
     top = height / 2
@@ -343,11 +339,11 @@ def _bar(
     sides, gaps = _sides(width, height, -0.0050, textures.shade(colour, 0.92), rng)
     upper = [
         Piece("body", case - union((cut_tray, cut_window, cut_pad, cut_ear, *cuts, *gaps)), paint),
-        Piece("screen_glass", pane, _gloss()),
+        Piece("screen_glass", pane, _GLOSS),
         Piece("screen", display, textured("screen", "metal", _GLASS, _screen_off(rng))),
         functions,
         Piece("roller", roller, relief),
-        Piece("earpiece", ear, dark),
+        Piece("earpiece", ear, _HOLES),
         Piece("brand", name, relief),
         Piece("aerial", aerial, Material("aerial_rubber", textures.shade(colour, 0.90), "rubber", 1200.0)),
         *pieces,
@@ -409,7 +405,7 @@ def _back(
     dark = Material("seam", textures.shade(colour, 0.35), "rubber", _ABS)
     pieces = [
         Piece("camera_ring", ring.rotate((180, 0, 0)).translate(here), chrome),
-        Piece("camera_lens", lens.rotate((180, 0, 0)).translate(here), _gloss()),
+        Piece("camera_lens", lens.rotate((180, 0, 0)).translate(here), _GLOSS),
         Piece(
             "flash",
             flash.translate((x + away[0], y + away[1], back)),
@@ -455,6 +451,12 @@ def _recess(outline: CrossSection, face: float, up: int, depth: float, sink: flo
     return cut, _prism(outline, depth - sink, face - up * (depth + sink) / 2)
 
 
+def _tray(size: tuple[float, float], at: tuple[float, float], face: float, radius: float, segments: int) -> Manifold:
+    """What to cut from a face at z = `face` for a mat of keys of `size` about `at`."""
+    outline = rounded_outline(size[0] + 0.0004, size[1] + 0.0004, radius, segments).translate(at)
+    return _recess(outline, face, 1, _MAT + 0.0002, 0.0)[0]
+
+
 def _prism(outline: CrossSection, thickness: float, at: float) -> Manifold:
     return Manifold.extrude(outline, thickness).translate((0, 0, at - thickness / 2))
 
@@ -471,10 +473,6 @@ def _slots(width: float, length: float, step: float, count: int) -> CrossSection
 def _printed(text: str, high: float, wide: float) -> Manifold:
     """Raised letters about z = 0, no wider than `wide`."""
     return _prism(text_outline(text, high, wide), 0.0003, 0.0)
-
-
-def _gloss() -> Material:
-    return Material("black_glass", (0.035, 0.037, 0.042), "metal", _GLASS)
 
 
 def _screen_off(rng: Rng) -> NDArray[np.uint8]:

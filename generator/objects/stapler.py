@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from manifold3d import CrossSection, JoinType, OpType
@@ -103,15 +105,19 @@ def _magazine(length: float, hinge_at: Point, steel: Material, rng: Rng) -> Piec
     windings = textures.stripes(((0.25, 0.25, 0.27), (0.75, 0.75, 0.78)), 12)
     coil = textured("spring", "metal", _STEEL * 0.3, windings, 0.02)
     lean = 0.085  # the magazine's mouth stands a little above the anvil
-    return tuple(
-        Piece(name, tilted(solid, "y", lean, hinge_at), material)
-        for name, solid, material in (
-            ("magazine_channel", channel, steel),
-            ("magazine_staples", strip, staples),
-            ("magazine_pusher", pusher, red),
-            ("magazine_spring", spring, coil),
-        )
+    return _leaning(
+        lean,
+        hinge_at,
+        Piece("magazine_channel", channel, steel),
+        Piece("magazine_staples", strip, staples),
+        Piece("magazine_pusher", pusher, red),
+        Piece("magazine_spring", spring, coil),
     )
+
+
+def _leaning(lean: float, hinge_at: Point, *pieces: Piece) -> Pieces:
+    """The pieces turned about the hinge by `lean`, rad."""
+    return tuple(replace(piece, solid=tilted(piece.solid, "y", lean, hinge_at)) for piece in pieces)
 
 
 def _lid(
@@ -152,15 +158,16 @@ def _lid(
     prints = pair(box((length * 0.36, 0.0006, 0.0100), (length * 0.02, 0, z + 0.0085)), "y", width * 0.39 - 0.0001)
     inside = Material("lid_spring", (0.75, 0.75, 0.78), "metal", _STEEL)
     leaf = box((length * 0.5, 0.008, 0.001), (length * 0.02, 0, z + 0.0140))
-    pieces = [
-        ("lid_shell", shelled, shell),
-        ("lid_nose", nose, dark),
-        ("lid_driver", driver, inside),
-        ("lid_label", top, sticker),
-        ("lid_print", prints, side),
-        ("lid_leaf", leaf, inside),
-    ]
-    return tuple(Piece(name, tilted(solid, "y", lean * 0.6, hinge_at), material) for name, solid, material in pieces)
+    return _leaning(
+        lean * 0.6,
+        hinge_at,
+        Piece("lid_shell", shelled, shell),
+        Piece("lid_nose", nose, dark),
+        Piece("lid_driver", driver, inside),
+        Piece("lid_label", top, sticker),
+        Piece("lid_print", prints, side),
+        Piece("lid_leaf", leaf, inside),
+    )
 
 
 def _ruler() -> np.ndarray:
@@ -257,14 +264,13 @@ def _mini_magazine(length: float, hinge_at: Point, colour: Colour, steel: Materi
     spring = coil(0.0015, 0.00025, reach * 0.26, 9, "x", (front + reach * 0.72, 0, level + 0.0012))
     dark = Material("pusher", textures.shade(colour, 0.80), "plastic", _ABS)
     lean = 0.10 + 0.02 * rng.uniform()  # the magazine's mouth stands a little above the anvil
-    return tuple(
-        Piece(name, tilted(solid, "y", lean * 0.4, hinge_at), material)
-        for name, solid, material in (
-            ("magazine_channel", channel - slots, steel),
-            ("magazine_staples", strip, staples),
-            ("magazine_pusher", pusher, dark),
-            ("magazine_spring", spring, steel),
-        )
+    return _leaning(
+        lean * 0.4,
+        hinge_at,
+        Piece("magazine_channel", channel - slots, steel),
+        Piece("magazine_staples", strip, staples),
+        Piece("magazine_pusher", pusher, dark),
+        Piece("magazine_spring", spring, steel),
     )
 
 
@@ -317,15 +323,13 @@ def _mini_lid(
     print_ = textures.label(text, colour, textures.shade(colour, 0.50, 0.10), 1.6, None)
     label_ = printed("label", print_)
     sticker = box((0.0108, 0.0068, 0.0012), (x - 0.0042, 0, top - 0.0003)) ^ outer.translate((0, 0, 0.0001))
-    lean = -0.02
-    return tuple(
-        Piece(name, tilted(solid, "y", lean, hinge_at), material)
-        for name, solid, material in (
-            ("lid_shell", solid, shell),
-            ("lid_driver", driver, steel),
-            ("lid_leaf", leaf, steel),
-            ("lid_label", sticker, label_),
-        )
+    return _leaning(
+        -0.02,
+        hinge_at,
+        Piece("lid_shell", solid, shell),
+        Piece("lid_driver", driver, steel),
+        Piece("lid_leaf", leaf, steel),
+        Piece("lid_label", sticker, label_),
     )
 
 
