@@ -59,7 +59,11 @@ def plate(outline: CrossSection, thickness: float, axis: Axis, at: float = 0.0, 
         inner = Manifold.extrude(outline.offset(-bevel, JoinType.Miter), thickness).translate((0, 0, -thickness / 2))
         outer = Manifold.extrude(outline, thickness - 2 * bevel).translate((0, 0, -thickness / 2 + bevel))
         solid = Manifold.batch_hull([inner, outer])
-    return turned(solid, axis).translate(tuple(at * (np.array(["x", "y", "z"]) == axis)))
+    return turned(solid, axis).translate(_along(axis, at))
+
+
+def _along(axis: str, distance: float) -> tuple[float, ...]:
+    return tuple(distance * (np.array(["x", "y", "z"]) == axis))
 
 
 def turned(solid: Manifold, axis: Axis) -> Manifold:
@@ -81,15 +85,14 @@ def repeated(solid: Manifold, step: ArrayLike, count: int) -> Manifold:
 
 def pair(solid: Manifold, axis: Axis, offset: float) -> Manifold:
     """Two copies of a solid, moved by `offset` against and along `axis`."""
-    way = np.array(["x", "y", "z"]) == axis
-    return union(solid.translate(tuple(sign * offset * way)) for sign in (-1, 1))
+    return union(solid.translate(_along(axis, sign * offset)) for sign in (-1, 1))
 
 
 def corners(solid: Manifold, axes: Literal["xy", "xz", "yz"], first: float, second: float) -> Manifold:
     """Four copies of a solid, moved by `first` and `second` against and along the two `axes`."""
-    ways = [np.array(["x", "y", "z"]) == axis for axis in axes]
-    signs = [(a, b) for a in (-1, 1) for b in (-1, 1)]
-    return union(solid.translate(tuple(a * first * ways[0] + b * second * ways[1])) for a, b in signs)
+    one, other = axes
+    moved = [solid.translate(_along(one, sign * first)) for sign in (-1, 1)]
+    return union(copy.translate(_along(other, sign * second)) for copy in moved for sign in (-1, 1))
 
 
 def tapered(low: CrossSection, high: CrossSection, length: float, axis: Axis, at: float = 0.0) -> Manifold:
@@ -100,7 +103,7 @@ def tapered(low: CrossSection, high: CrossSection, length: float, axis: Axis, at
     thin = 1e-5
     ends = [Manifold.extrude(low, thin), Manifold.extrude(high, thin).translate((0, 0, length - thin))]
     solid = turned(Manifold.batch_hull(ends), axis)
-    return solid.translate(tuple(at * (np.array(["x", "y", "z"]) == axis)))
+    return solid.translate(_along(axis, at))
 
 
 def screw(radius: float, axis: Axis, at: ArrayLike, sign: int = 1, segments: int = 20) -> Manifold:
@@ -131,8 +134,8 @@ def union(solids: Iterable[Manifold]) -> Manifold:
 def tilted(solid: Manifold, axis: Axis, angle: float, about: ArrayLike) -> Manifold:
     """The solid turned by `angle` radians about `axis` through the point `about` (3,)."""
     at = np.asarray(about, float)
-    degrees = np.degrees(angle) * (np.array(["x", "y", "z"]) == axis)
-    return solid.translate(tuple(-at)).rotate(tuple(degrees)).translate(tuple(at))
+    degrees = _along(axis, float(np.degrees(angle)))
+    return solid.translate(tuple(-at)).rotate(degrees).translate(tuple(at))
 
 
 def smooth_outline(points: ArrayLike, radius: float, hollow: float = 0.0, segments: int = 24) -> CrossSection:
@@ -174,9 +177,7 @@ def moulded(
     steps = np.concatenate([np.full(len(c), (len(rise) - 1) * len(c)) for c in contours])
     cap = np.asarray(triangulate(inner), np.int64)
     faces += [ends[cap][:, ::-1], (ends + steps)[cap]]
-    return turned(_solid(np.concatenate(vertices), np.concatenate(faces)), axis).translate(
-        tuple(at * (np.array(["x", "y", "z"]) == axis))
-    )
+    return turned(_solid(np.concatenate(vertices), np.concatenate(faces)), axis).translate(_along(axis, at))
 
 
 def loft(rings: ArrayLike) -> Manifold:
