@@ -15,7 +15,7 @@ from export.penetration import Overlap
 from freeart21.articulation import PARTS, Articulation
 from freeart21.effects import perpendiculars
 from freeart21.joint import Joint
-from freeart21.mesh import Mesh
+from freeart21.mesh import Mesh, triangle_normals
 from freeart21.se3 import Array
 
 Faces = NDArray[np.int64]
@@ -161,8 +161,7 @@ def _sweep_translation(tool: Manifold, way: Array) -> Manifold:
     """
     mesh = tool.to_mesh64()
     points, faces = np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts).astype(np.int64)
-    corners = points[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = triangle_normals(points, faces)
     facing = faces[normals @ way > _PARALLEL * np.linalg.norm(normals, axis=1) * np.linalg.norm(way)]
     extruded = (_extrude_patch(points, patch, way) for patch in _split_patches(points, facing, way))
     return Manifold.batch_boolean([tool, *filter(is_valid, extruded)], OpType.Add).as_original()

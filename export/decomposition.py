@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from export.outer_surface import OuterSurface, even_directions
+from freeart21.mesh import triangle_normals
 from freeart21.se3 import Array
 
 _FACING = 0.6
@@ -130,7 +131,7 @@ class _HullTests:
     def stands_out(self, qhull: ConvexHull, limit: float, most: int) -> float:
         """Excess of a hull, m; a lower bound when it is above `limit`."""
         corners = qhull.points[qhull.simplices]
-        area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        area = 0.5 * np.linalg.norm(triangle_normals(qhull.points, qhull.simplices), axis=1)
         n = int(np.clip(area.sum() / self._step**2, 2 * _QUICK_SAMPLES, most))
         worst = 0.0
         for count in (_QUICK_SAMPLES, n):

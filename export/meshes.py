@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from export.atlas import Texture
 from freeart21.files import atomic, checked
-from freeart21.mesh import Mesh, bounding_diagonal
+from freeart21.mesh import Mesh, bounding_diagonal, triangle_normals
 
 _RAYS = 2000
 """Surface points from which rays are cast to find the outside."""
@@ -51,7 +51,7 @@ def is_inside_out(mesh: Mesh) -> bool:
     area = mesh.areas()
     picked = np.searchsorted(np.cumsum(area), area.sum() * (np.arange(_RAYS) + 0.5) / _RAYS).clip(max=len(area) - 1)
     corners = mesh.vertices[mesh.faces[picked]]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = triangle_normals(mesh.vertices, mesh.faces[picked])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     off = 1e-5 * bounding_diagonal(mesh) * normal
     rays = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).ray
@@ -100,8 +100,7 @@ def write_hull(path: Path, hull: Mesh) -> None:
 
 def vertex_normals(mesh: Mesh) -> NDArray[np.float64]:
     """(V, 3) unit normals, area-weighted over the triangles around each position."""
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
+    normal = triangle_normals(mesh.vertices, mesh.faces)
     _, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
     place = place.reshape(-1)
     total = np.zeros((int(place.max()) + 1, 3))

@@ -13,6 +13,7 @@ from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.files import atomic, checked
 from freeart21.files.urdf import link_poses
+from freeart21.mesh import triangle_normals
 from freeart21.se3 import Array
 from freeart21.view.link_shapes import ShownUrdf, read_shown
 from freeart21.z_buffer import draw_triangles
@@ -116,8 +117,7 @@ def _rasterise(pieces: list[_Piece], scale: float, shift: Array, R: Array) -> ND
         face, weights = np.full((side, side), -1), np.zeros((side, side, 3))
         draw_triangles(scale * points[:, :2] + shift, scale * points[:, 2] + _FAR * side, faces, nearest, face, weights)
         drawn = face >= 0
-        corners = points[faces]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals = triangle_normals(points, faces)
         facing = normals @ light / np.maximum(np.linalg.norm(normals, axis=1), 1e-30)
         facing = np.where(normals[:, 2] > 0, -facing, facing)  # seen from behind
         shade = (_AMBIENT + (1 - _AMBIENT) * np.maximum(facing, 0.0))[face[drawn]]

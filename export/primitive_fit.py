@@ -9,6 +9,7 @@ from export.decomposition import robust_hull
 from export.outer_surface import OuterSurface, sample_evenly
 from export.primitives import Box, Cylinder, Primitive, Sphere
 from freeart21 import se3
+from freeart21.mesh import triangle_normals
 from freeart21.se3 import Array
 
 _SAMPLES = 1500
@@ -59,8 +60,7 @@ def dominant_axes(points: Array) -> Array:
     """
     hull = robust_hull(points)
     normals = hull.equations[:, :3]
-    corners = points[hull.simplices]
-    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    areas = np.linalg.norm(triangle_normals(points, hull.simplices), axis=1)
     first = _dominant_direction(normals, areas)
     aside = normals - (normals @ first)[:, None] * first
     length = np.linalg.norm(aside, axis=1)

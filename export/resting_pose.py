@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from freeart21 import se3
 from freeart21.articulation import PARTS, Articulation
-from freeart21.mesh import Mesh, bounding_diagonal
+from freeart21.mesh import Mesh, bounding_diagonal, triangle_normals
 
 STATES = 17
 """Joint states per range. Between two of them a point of a half turn deviates by 0.5 % of its arm."""
@@ -172,8 +172,7 @@ def _support_planes(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
         hull = ConvexHull(points)
     except (QhullError, ValueError):
         return []
-    a, b, c = (points[hull.simplices[:, k]] for k in range(3))
-    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    area = 0.5 * np.linalg.norm(triangle_normals(points, hull.simplices), axis=1)
     outward = hull.equations[:, :3]
     unused, planes = area > 0, []
     while unused.any():

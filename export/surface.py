@@ -34,7 +34,7 @@ from export.meshes import (
     merge_duplicates,
 )
 from freeart21.errors import FreeArtError
-from freeart21.mesh import Mesh, bounding_diagonal
+from freeart21.mesh import Mesh, bounding_diagonal, triangle_normals
 
 MAX_FACES = 4_000_000
 """Most triangles of a part, ten times those of our largest reconstruction."""
@@ -160,8 +160,7 @@ def _separate_vertices(vertices: NDArray[np.float64], faces: NDArray[np.int64]) 
     """
     _, place, count = np.unique(vertices, axis=0, return_inverse=True, return_counts=True)
     twice = count[place.reshape(-1)] > 1
-    corners = vertices[faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    across = triangle_normals(vertices, faces)
     normals = np.stack([np.bincount(faces.ravel(), np.repeat(across[:, k], 3), len(vertices)) for k in range(3)], -1)
     length = np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     return np.where(twice[:, None], vertices - _VERTEX_SHIFT * normals / length, vertices)
@@ -188,9 +187,8 @@ def _extract_solid(
     if elsewhere is not None:
         free, size = _sample_free_space(own, elsewhere, spacing, settings.points // 4)
         points = np.concatenate([own, free])
-    corners = vertices[faces]
-    across = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    centre, area = corners.mean(1), np.linalg.norm(across, axis=1)
+    across = 0.5 * triangle_normals(vertices, faces)
+    centre, area = vertices[faces].mean(1), np.linalg.norm(across, axis=1)
     try:
         tetrahedra = Delaunay(points)
     except QhullError:
@@ -306,8 +304,7 @@ def _minimum_cut(
         known: (T,) 1 fixed as solid, -1 fixed as air, 0 open.
         unit_area: m^2 of a mean triangle, for integer capacities.
     """
-    facets = tetrahedra.points[tetrahedra.simplices[:, _FACETS]]
-    area = 0.5 * np.linalg.norm(np.cross(facets[:, :, 1] - facets[:, :, 0], facets[:, :, 2] - facets[:, :, 0]), axis=-1)
+    area = 0.5 * np.linalg.norm(triangle_normals(tetrahedra.points, tetrahedra.simplices[:, _FACETS]), axis=-1)
     sure = _presolve(tetrahedra.neighbors, area, evidence, known)
     open_ = np.flatnonzero(sure == 0)
     n, solid, air = len(open_), len(open_), len(open_) + 1
@@ -442,11 +439,10 @@ def _find_observed(
     Patches smaller than the square of four spacings are below the sampling's resolution and count as observed.
     """
     points, triangles = trimesh.remesh.subdivide_to_size(seen.vertices, seen.faces, 1.5 * spacing, max_iter=30)
-    corners = points[triangles]
-    centre, across = corners.mean(1), np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    centre, across = points[triangles].mean(1), triangle_normals(points, triangles)
     tree = cKDTree(centre)
     corners = vertices[faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = triangle_normals(vertices, faces)
     votes = np.zeros(len(faces), int)
     k = min(_NEIGHBOURS, len(centre))
     for weights in _SAMPLE_WEIGHTS:
@@ -469,8 +465,7 @@ def _thicken_sheet(seen: Mesh, thickness: float) -> Mesh | None:
     _, extent, _ = np.linalg.svd(used - used.mean(0), full_matrices=False)
     if len(extent) == 3 and extent[2] > 1e-4 * extent[0]:
         return None
-    a, b, c = (used[seen.faces[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a).sum(0)
+    normal = triangle_normals(used, seen.faces).sum(0)
     if not np.linalg.norm(normal) > 0:
         return None
     normal /= np.linalg.norm(normal)

@@ -57,8 +57,13 @@ class Mesh:
 
     def areas(self) -> NDArray[np.float64]:
         """(F,) triangle areas, m^2."""
-        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
-        return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
+        return np.asarray(0.5 * np.linalg.norm(triangle_normals(self.vertices, self.faces), axis=1))
+
+
+def triangle_normals(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> NDArray[np.float64]:
+    """(..., 3) normals of triangles `faces` (..., 3) of vertices (V, 3), as long as twice the triangles' areas."""
+    a, b, c = (vertices[faces[..., k]] for k in range(3))
+    return np.asarray(np.cross(b - a, c - a))
 
 
 def bounding_diagonal(*meshes: Mesh) -> float:

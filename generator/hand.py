@@ -26,7 +26,7 @@ from scipy.spatial.distance import cdist
 from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.joint import Joint
-from freeart21.mesh import Mesh, bounding_diagonal, join_meshes
+from freeart21.mesh import Mesh, bounding_diagonal, join_meshes, triangle_normals
 from freeart21.se3 import Array
 from generator.motion import Plan
 from generator.rays import Caster
@@ -493,10 +493,8 @@ def _nail(digit: int, scale: float, segments: int) -> Manifold:
 def _skin(solid: Manifold, picture: NDArray[np.uint8], scale: float, roughness: float = 0.55) -> Skin:
     """A smooth surface with a texture along z, repeated every 8 cm."""
     vertices, faces = triangles(solid)
-    corners = vertices[faces]
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(vertices)
-    np.add.at(normals, faces, area[:, None])
+    np.add.at(normals, faces, triangle_normals(vertices, faces)[:, None])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     uv = np.stack([vertices[:, 1] + 0.31 * vertices[:, 0], vertices[:, 2] + 0.47 * vertices[:, 0]], 1) / (0.08 * scale)
     return Skin(vertices, faces, normals, uv, picture, roughness)

@@ -12,6 +12,7 @@ from manifold3d import Manifold
 from numpy.typing import NDArray
 
 from freeart21.files import atomic, checked
+from freeart21.mesh import triangle_normals
 from freeart21.se3 import Array
 from generator import textures
 from generator.model import SHINE, Finish, Link, Material, ObjectModel, Piece
@@ -118,8 +119,7 @@ def box_uv(vertices: Array, faces: NDArray[np.int64], tile_m: float | None) -> A
 
     `tile_m` is the length, metres, of one repeat; None fits one picture to the bounding box of the vertices (V, 3).
     """
-    corners = vertices[faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    corners, normal = vertices[faces], triangle_normals(vertices, faces)
     axis = np.abs(normal).argmax(1)
     positive = np.take_along_axis(normal, axis[:, None], 1)[:, 0] > 0
     across = np.where(axis == 0, 1, 0)  # u runs along y on x faces, along x on y and z faces
@@ -138,8 +138,7 @@ def box_uv(vertices: Array, faces: NDArray[np.int64], tile_m: float | None) -> A
 
 def crease_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
     """Corner normals (F, 3, 3): at each vertex the area-weighted mean over the faces within 40 degrees of this one."""
-    corners = vertices[faces]
-    area_normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area_normal = triangle_normals(vertices, faces)
     unit = area_normal / np.maximum(np.linalg.norm(area_normal, axis=1, keepdims=True), 1e-20)
     order = np.argsort(faces.reshape(-1), kind="stable")
     counts = np.bincount(faces.reshape(-1), minlength=len(vertices))

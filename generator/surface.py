@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from freeart21 import se3
 from freeart21.errors import FreeArtError
-from freeart21.mesh import Mesh
+from freeart21.mesh import Mesh, triangle_normals
 from freeart21.se3 import Array
 
 
@@ -105,8 +105,7 @@ class Surface:
         for k, paint in enumerate(self.paints):
             here = self.paint == k
             colours[here] = paint.at(self.uv[here])
-        corners = self.vertices[self.faces]
-        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        area = np.linalg.norm(triangle_normals(self.vertices, self.faces), axis=1)
         return Mesh(self.vertices, self.faces[area > 0], colours)
 
 

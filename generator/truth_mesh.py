@@ -13,7 +13,7 @@ from freeart21.articulation import Articulation
 from freeart21.camera import Camera
 from freeart21.formats.third_party import Parts
 from freeart21.joint import Joint
-from freeart21.mesh import Mesh
+from freeart21.mesh import Mesh, triangle_normals
 from freeart21.se3 import Array
 from freeart21.sphere import fibonacci_sphere
 from freeart21.truth import Truth
@@ -158,9 +158,8 @@ def _mark_escaping(
     for k, (T, mesh) in enumerate(zip(Ts, meshes, strict=True)):
         rest = np.flatnonzero(~flags[k])
         rest = rest[np.unique(groups[k][rest], return_index=True)[1]]  # one of each pair of faces that lie together
-        corners = se3.transform(T, mesh.vertices)[mesh.faces[rest]]
-        middle = corners.mean(1)
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        vertices, faces = se3.transform(T, mesh.vertices), mesh.faces[rest]
+        middle, normal = vertices[faces].mean(1), triangle_normals(vertices, faces)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
         step = 1e-5 * float(np.ptp(mesh.vertices, axis=0).max()) if len(rest) else 0.0
         for direction in directions:
