@@ -108,9 +108,9 @@ def draw_pace(task: Task, rng: np.random.Generator, slowest: float, fastest: flo
     return float(np.radians(rng.uniform(slowest, fastest)) * 30 / task.fps)
 
 
-def speed_while_hiding(task: Task) -> float:
-    """Factor on the hand's speed while it hides the smaller side."""
-    return 1.0 if task.hardship == "none" else 0.55
+def hand_clock(task: Task, course: JointCourse, rng: np.random.Generator) -> Array:
+    """(frames,) the hand's time: it runs unevenly, with pauses, and slowly while it hides the smaller side."""
+    return timing.clock(timing.pose_rate(task.frames, course, rng, 1.0 if task.hardship == "none" else 0.55))
 
 
 def plan_views(
@@ -168,11 +168,6 @@ def choose_start_view(
     level = np.abs(directions[:, 2]) < 0.75
     good = np.flatnonzero(level & allowed & (first >= np.quantile(first[level & allowed], 0.75)))
     return np.asarray(directions[int(rng.choice(good))])
-
-
-def clip_to_views(Rs: Array, u: Array) -> Array:
-    """Path parameters `u` (n,), clipped to the range of the views `Rs`."""
-    return np.clip(u, 0, len(Rs) - 1)
 
 
 def match_pace(course: Callable[[float], Array], first: float, pace: float) -> Array:

@@ -86,8 +86,10 @@ def rotations_through(views: list[Array], roll: float, rng: np.random.Generator)
 def spline(Rs: Array, u: Array) -> Array:
     """(n, 3, 3) the cumulative cubic B-spline (Kim, Kim and Shin 1995) of `Rs` (k, 3, 3) at `u` (n,), 0 to k - 1.
 
-    It starts at the first and ends at the last of `Rs`, passes near the others, and has two continuous derivatives.
+    It starts at the first and ends at the last of `Rs`, passes near the others, and has two continuous derivatives; `u`
+    beyond the ends is clipped.
     """
+    u = np.clip(u, 0, len(Rs) - 1)
     first, last = Rs[0] @ Rs[1].T @ Rs[0], Rs[-1] @ Rs[-2].T @ Rs[-1]
     controls = np.concatenate([first[None], Rs, last[None]])
     steps = se3.log_so3(np.swapaxes(controls[:-1], 1, 2) @ controls[1:])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from freeart21.se3 import Array
-from generator.motion import timing, turns
-from generator.motion.style import Course, Style, Task, draw_pace, in_hand, match_pace, plan_joint, speed_while_hiding
+from generator.motion import turns
+from generator.motion.style import Course, Style, Task, draw_pace, hand_clock, in_hand, match_pace, plan_joint
 
 
 def propose(task: Task, rng: np.random.Generator) -> Course:
@@ -17,7 +17,7 @@ def propose(task: Task, rng: np.random.Generator) -> Course:
     """
     states, course = plan_joint(task, rng)
     pace = draw_pace(task, rng, 1.1, 1.5)
-    tau = timing.clock(timing.pose_rate(task.frames, course, rng, speed_while_hiding(task)))
+    tau = hand_clock(task, course, rng)
     front, arc, pitch, tilt = rng.uniform(-0.5, 0.5), rng.uniform(1.4, 2.4), rng.uniform(0.4, 0.6), 0.35
     turn, phases = rng.uniform(1.3, 2.2), rng.uniform(0, 2 * np.pi, 2)
 

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from generator.motion import timing, turns
+from generator.motion import turns
 from generator.motion.style import (
     Course,
     Style,
     Task,
-    clip_to_views,
     draw_pace,
+    hand_clock,
     in_hand,
     match_pace,
     plan_joint,
     plan_views,
-    speed_while_hiding,
 )
 
 
@@ -23,10 +22,10 @@ def propose(task: Task, rng: np.random.Generator) -> Course:
     """Turned over and over in the hand, with pauses, while the joint moves."""
     states, course = plan_joint(task, rng)
     pace = draw_pace(task, rng, 2.3, 2.8)
-    tau = timing.clock(timing.pose_rate(task.frames, course, rng, speed_while_hiding(task)))
+    tau = hand_clock(task, course, rng)
     views = plan_views(task, states, course, 1.1 * pace * tau, rng, (0.7, 1.1))
     Rs = turns.rotations_through(views, 0.35, rng)
-    Rs = match_pace(lambda scale: turns.spline(Rs, clip_to_views(Rs, scale * tau)), pace, pace)
+    Rs = match_pace(lambda scale: turns.spline(Rs, scale * tau), pace, pace)
     return in_hand(task, Rs, tau, states, pace, rng, (0.04, 0.02, 0.06))
 
 

@@ -10,13 +10,12 @@ from generator.motion.style import (
     Course,
     Style,
     Task,
-    clip_to_views,
     draw_pace,
+    hand_clock,
     in_hand,
     match_pace,
     plan_joint,
     plan_views,
-    speed_while_hiding,
 )
 
 
@@ -25,11 +24,11 @@ def propose(task: Task, rng: np.random.Generator) -> Course:
     states, course = plan_joint(task, rng)
     pace = draw_pace(task, rng, 2.2, 2.7)
     slow = draw_pace(task, rng, 0.5, 0.8) if task.hardship == "none" else draw_pace(task, rng, 1.2, 1.6)
-    tau = timing.clock(timing.pose_rate(task.frames, course, rng, speed_while_hiding(task)))
+    tau = hand_clock(task, course, rng)
     highest = 0.6 if task.hardship == "none" else 1.0
     views = plan_views(task, states, course, slow * tau, rng, (0.5, 0.9), highest=highest)
     base = turns.rotations_through(views, 0.1, rng)
-    drift = turns.spline(base, clip_to_views(base, slow / 0.6 * tau))
+    drift = turns.spline(base, slow / 0.6 * tau)
     swings = [timing.wander(tau / task.fps, rng, rng.uniform(0.8, 1.2)) for _ in range(6)]
     shake = np.stack(swings[:3], -1) * np.array([0.6, 1.0, 0.5])
     shake -= shake[0]
