@@ -219,6 +219,7 @@ class Server:
             client.heard_at = now
             if client is self._driver and message.latency_ms is not None:
                 self.latency_ms = message.latency_ms
+            client.queue({"type": "pong", "time": message.time_ms})
         elif isinstance(message, wire.Command) and message.what == "drive":
             if self._driver is None:
                 self._drive(client)

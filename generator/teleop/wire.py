@@ -54,7 +54,7 @@ class Move:
 
 @dataclass(frozen=True)
 class Ping:
-    """A sign of life, with the latency that the page measured."""
+    """A request for an answer, with the latency that the page measured."""
 
     time_ms: float
     latency_ms: tuple[float, float] | None
