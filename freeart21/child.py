@@ -6,11 +6,7 @@ them must not be imported.
 
 from __future__ import annotations
 
-import contextlib
-import os
 import sys
-from collections.abc import Iterator
-from pathlib import Path
 
 from freeart21.search_path import search_path
 
@@ -26,23 +22,6 @@ def python(code: str) -> list[str]:
 def command(module: str) -> list[str]:
     """The command line that runs `main()` of `module` as `python` does, and ends by `ending.run_and_exit`."""
     return python(f"from freeart21.ending import run_and_exit\nfrom {module} import main\nrun_and_exit(main)")
-
-
-@contextlib.contextmanager
-def spawn_in(folder: Path) -> Iterator[None]:
-    """Processes that multiprocessing starts in this block begin in `folder`, which is empty and outlives them.
-
-    multiprocessing has its own command lines: its children import from the folder they begin in, then take over this
-    process's search path. A worker that needs another folder changes to it after its start.
-    """
-    here, before = Path.cwd(), sys.path[:]
-    sys.path[:] = search_path()
-    os.chdir(folder)
-    try:
-        yield
-    finally:
-        os.chdir(here)
-        sys.path[:] = before
 
 
 def one_line(error: BaseException) -> str:

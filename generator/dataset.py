@@ -50,8 +50,8 @@ MAX_WORKERS = 64
 _MADE_WITH = ("freeart21", "sapien", "numpy", "opencv-python-headless", "embreex", "manifold3d", "scipy")
 SECONDS_A_PICTURE = 0.25
 """Approximate time for a picture: for the time limits of clusters."""
-_JOBS = ".jobs-elsewhere"
-"""Folder in the work folder for the state of jobs on other machines; no sequence has this name."""
+_JOBS = ".jobs"
+"""Folder in the work folder for the state of jobs; no sequence has this name."""
 _OBJECT_FILES = 107
 """Files of a sequence besides its pictures, those of the object included: the mean of freeart21-v1."""
 _BYTES_OF_LINE = 102
@@ -187,8 +187,7 @@ def record_jobs(
         workers: processes at a time.
         label: of benchmark.json; None keeps the existing one, or takes the folder's name.
         on_done: called with the name of every sequence that is in place.
-        executor: one of `freeart21.jobs.EXECUTORS`. With another one than 'local' every sequence is a job on machines
-            that all see `out`.
+        executor: one of `freeart21.jobs.EXECUTORS`; the machines of another one than 'local' all see `out`.
 
     Raises FreeArtError, in one line, when a job is unfit, a sequence exists with other settings, another process writes
     to `out`, an unfinished recording with another plan is there, or the disk refuses. Finished work is kept then, as
