@@ -28,7 +28,7 @@ from simgap.fit.force_guess import guess_places, sample_missing_force
 from simgap.fit.least_squares import robust_loss, robust_weight
 from simgap.fit.model import repeats_family
 from simgap.fit.parts import drop_poor_fits, extend_to_all, select_parts
-from simgap.fit.search import Search, list_candidates
+from simgap.fit.search import Search, list_candidates, simplify
 from simgap.measure.noise import estimate_noise
 from simgap.models import kernel
 from simgap.models.surrogate import simulate
@@ -99,6 +99,16 @@ def test_a_superset_of_effects_fits_no_worse(tmp_path: Path):
         for name in names:
             smaller = search.fits.get(tuple(n for n in names if n != name))
             assert smaller is None or fit.cost <= smaller.cost * (1 + 1e-6) + 1e-2, names
+
+
+def test_an_effect_that_vanishes_is_removed(tmp_path: Path):
+    setup, runs = problem_of(tmp_path, measured_of(5, dry=0.1))
+    pair = Model(setup, ("coulomb_friction", "viscous_damping"), instant_friction=True)
+    theta = np.array([{"level": 0.1, "coefficient": 0.0}.get(r.name, r.neutral) for r in pair.ranges()])
+    fit = fit_model(pair, runs, theta, iterations=0)
+    assert simplify(fit, runs).model.names == ("coulomb_friction",)
+    small = replace(fit, theta=theta + np.array([r.name == "coefficient" for r in pair.ranges()]) * 1e-3)
+    assert simplify(small, runs).model.names == pair.names
 
 
 def test_noise_floor_is_the_sensors(tmp_path: Path):

@@ -484,8 +484,7 @@ class Search:
 
     def fit_without(self, fit: Fit, name: str) -> Fit:
         """The set of `fit` without one effect, started from `fit`."""
-        model = Model(self.problem, tuple(n for n in fit.model.names if n != name))
-        return self.keep(fit_model(model, self.train, initial_theta(model, fit, {}), fit.starts))
+        return self.keep(remove_effect(fit, name, self.train))
 
     def keep(self, fit: Fit) -> Fit:
         """Store a fit, after making sure that it is no worse than any subset's."""
@@ -636,9 +635,18 @@ def reduce_effect(fit: Fit, name: str, runs: tuple[FitRun, ...]) -> Fit:
 
 
 def simplify(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
-    """The fit, with effects replaced by those that they reduce to where that fits no worse."""
+    """The fit, with effects replaced by those that they reduce to, or removed, where that fits no worse."""
     for name in fit.model.names:
-        if EFFECTS[name].reduces_to and EFFECTS[name].reduces_to not in fit.model.names:
-            less = reduce_effect(fit, name, runs)
-            fit = less if less.cost <= fit.cost + 1e-3 + 1e-6 * fit.cost else fit
+        sizes, less = {e.name: e.values()[0] for e in fit.effects}, []
+        if EFFECTS[name].reduces_to and EFFECTS[name].reduces_to not in sizes:
+            less.append(reduce_effect(fit, name, runs))
+        if len(sizes) > 1 and sizes[name] == EFFECTS[name].neutral:
+            less.append(remove_effect(fit, name, runs))
+        fit = next((f for f in less if f.cost <= fit.cost + 1e-3 + 1e-6 * fit.cost), fit)
     return fit
+
+
+def remove_effect(fit: Fit, name: str, runs: tuple[FitRun, ...]) -> Fit:
+    """The fit without an effect, started from its parameters."""
+    model = replace(fit.model, names=tuple(n for n in fit.model.names if n != name))
+    return fit_model(model, runs, initial_theta(model, fit, {}), fit.starts)
