@@ -130,7 +130,7 @@ def rotary_told(out: Path) -> None:
         files.append(_written(out / "raw" / f"kp{gain}.csv", "time,angle,arm", rows))
     columns = {"t": "time", "q": "angle", "base_angle": "arm"}
     told = Circumstances(base={"axis": [0, 0, 1], "point": [0, ARM, 0]})
-    _brought(out, ADIP, files, columns=columns, told=told, held_out=("kp5",), **_LENGTH_BY_PERIOD)
+    _brought(out, ADIP, files, columns=columns, circumstances=told, held_out=("kp5",), **_LENGTH_BY_PERIOD)
 
 
 def servo(out: Path, gain: int) -> None:

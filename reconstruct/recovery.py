@@ -13,7 +13,6 @@ from freeart21.se3 import Array
 from reconstruct import rigid
 from reconstruct.evidence import Pixels, sample_pixels
 from reconstruct.propagation import MIN_JOINTED_PIXELS, REFERENCES, REST_COST, SAMPLES, UNCERTAIN_SHARE, Propagation
-from reconstruct.seeds import MIN_GAIN
 
 GATES = (12.0, 8.0, 6.0, 5.0)
 """Point-to-plane gates of the registration, coarse to fine."""
@@ -23,6 +22,8 @@ SEARCHED_STATES = 41
 """States tried over the range seen so far."""
 MAX_COST_RATIO = 0.75
 """Cost of a recovered state, relative to that of going on as before, below which it is taken."""
+MIN_GAIN = 0.03
+"""Smallest fall of a frame's mean cost that counts as better. Not measured."""
 LOOK_BACK = 8
 """Frames nearer than this are avoided as references: a joint that starts to move is slow."""
 SOUND_FRAMES, SOUND_SHARE = 8, 0.05

@@ -19,8 +19,8 @@ from reconstruct.evidence import sample_evenly
 from reconstruct.gaps import FRAMES, SAMPLES, STATE_STEPS
 from reconstruct.kernels import HIDDEN
 from reconstruct.propagation import AGREEING_FRAMES, AGREEMENT, MAX_TURN_DEG, Propagation
+from reconstruct.recovery import MIN_GAIN
 from reconstruct.rigid import view_angle
-from reconstruct.seeds import MIN_GAIN
 
 Frames = NDArray[np.int64]
 
