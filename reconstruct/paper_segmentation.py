@@ -433,7 +433,7 @@ class _GivenLabels(Propagation):
         w = np.clip(found.weights, _MIN_WEIGHT, 1 - _MIN_WEIGHT)
         self.given = np.where(evidence.scene.mask, np.log(w / (1 - w)), 0).astype(np.float32)
         self.motions = found.motions
-        start = Seed(0, np.zeros(0, np.int64), np.zeros((0, 2, 4, 4)), self.given[0], 0.0)
+        start = Seed(0, np.zeros(0, np.int64), np.zeros((0, 2, 4, 4)), self.given[0], 0.0, 0)
         super().__init__(evidence, tracker, start, settings, rng)
 
     def label_frame(self, frame: int) -> None:
