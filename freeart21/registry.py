@@ -35,7 +35,8 @@ def find_classes(package: str, kind: type[T]) -> dict[str, type[T]]:
     """
 
     def defines(value: Any, module: ModuleType) -> bool:
-        return inspect.isclass(value) and issubclass(value, kind) and value.__module__ == module.__name__
+        # in Python 3.10 isclass(list[int]) is true, and issubclass refuses it
+        return inspect.isclass(value) and value.__module__ == module.__name__ and issubclass(value, kind)
 
     return _by_name(package, kind, defines)
 
