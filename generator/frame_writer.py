@@ -16,7 +16,7 @@ from freeart21.files import atomic, checked
 
 
 class FrameWriter:
-    """A context manager: `put` pictures into it; all of them are on disk when it ends without an error.
+    """A context manager: `put` pictures into it; all of them are on disk when it ends, unless one could not be written.
 
     The simulator holds Python's global lock while it draws, and a thread that wants the lock waits for a whole picture.
     So a thread only encodes, which needs no lock; `put` returns when the encoding has started; and the caller's thread
@@ -55,7 +55,7 @@ class FrameWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            while kind is None and self._waiting:
+            while self._waiting and not isinstance(error, Exception):  # also when interrupted: what is drawn is kept
                 self._write_oldest()
         finally:
             self._pool.shutdown(cancel_futures=True)

@@ -3,8 +3,6 @@
 Each protocol is a file of `leaderboard.protocols`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -122,13 +120,13 @@ class Shape:
     motions: Array
     """(n, 4, 4) displacement of the moving part from state zero in every frame."""
 
-    def moved(self, T_new_canonical: Array) -> Shape:
+    def moved(self, T_new_canonical: Array) -> "Shape":
         """The same shape in another canonical frame."""
         T = T_new_canonical
         reference, moving = (part.moved(T) for part in self.parts)
         return Shape((reference, moving), T @ self.motions @ se3.inverse(T))
 
-    def swapped(self) -> Shape:
+    def swapped(self) -> "Shape":
         """The same shape with the names of its parts exchanged."""
         return Shape(self.parts[::-1], se3.inverse(self.motions))
 

@@ -260,5 +260,5 @@ def test_recorded_geometry_and_timing_faults_are_recovered(tmp_path):
 
 def test_a_broken_fault_file_is_refused_before_recording(tmp_path):
     (tmp_path / "bad.json").write_text('{"schema": "freeart21/camera-faults/1", "depth_scale": "long"}')
-    with pytest.raises(FreeArtError, match="depth_scale is 'long'"):
+    with pytest.raises(FreeArtError, match="'depth_scale' is 'long'"):
         replace(SETTINGS, camera=tmp_path / "bad.json").check()

@@ -31,7 +31,7 @@ def filmed(clip):
 def lost_propagation(film, turn, shift, swap):
     """The true propagation, except for STRETCH: there poses are turned, states shifted or parts swapped."""
     clip, evidence, true, tracker = film
-    nothing = Seed(0, np.zeros(0, np.int64), np.zeros((0, 2, 4, 4)), 4 * true.logodds[0], gain=0.0)
+    nothing = Seed(0, np.zeros(0, np.int64), np.zeros((0, 2, 4, 4)), 4 * true.logodds[0], 0.0, 0)
     propagation = Propagation(evidence, tracker, nothing, QUIET, RNG(0))
     for i in range(FRAMES):
         wrong = i in STRETCH and swap
