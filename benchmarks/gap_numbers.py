@@ -38,7 +38,7 @@ from simgap.select import choose
 from simgap.settings import GapSettings, JudgementSettings
 
 FACTOR = 1.5
-"""Each number is divided and multiplied by it."""
+"""Each number is divided and multiplied by it. A choice."""
 NUMBERS = tuple(f.name for f in fields(JudgementSettings) if not f.name.startswith("least_") or f.name == "least_gap")
 """Those that decide once there is enough motion."""
 SAME_MACHINE = {"adip": "rotary"}
