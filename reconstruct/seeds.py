@@ -42,11 +42,11 @@ LEAST_EVIDENCE = 0.9
 most 0.64 on eleven videos of still objects (clean, noise2, tof), at least 1.3 on fifteen of moving ones, the smallest
 part a faucet's handle of 147 pixels."""
 LEAST_COST = 0.02
-"""Mean cost of a pixel that counts as noise at least: footprints make SIGMA larger than a clean sensor's residuals, whose
-mean cost was 0.01 to 0.05."""
+"""Mean cost of a pixel that counts as noise at least. A clean sensor's residuals are far below SIGMA: it was 0.01 to
+0.05."""
 UNEXPLAINED = 2.0
-"""Cost of a pixel above which the dominant motion does not explain it. Three clean videos of still objects have no region
-of LEAST_PIXELS above it."""
+"""Cost of a pixel above which the dominant motion does not explain it. Three clean videos of still objects have no
+region of LEAST_PIXELS above it."""
 MAX_COMPONENTS = 3
 """Unexplained regions of a pair of frames for which a motion of their own is sought, the largest. Not measured."""
 LEAST_TRACKS = 0.06
