@@ -228,7 +228,7 @@ def open_library(asset: Asset, measured: Measured, untouched: list[str]) -> Simp
     from simgap.fit.problem import make_problem, without_asset_error
     from simgap.fit.search import list_candidates
     from simgap.measure.data import make_fit_runs
-    from simgap.models.surrogate import is_local, make_plant
+    from simgap.models.surrogate import make_plant
 
     plant = make_plant(asset, measured)
     every, floor = make_fit_runs(measured, plant)
@@ -267,7 +267,7 @@ def open_library(asset: Asset, measured: Measured, untouched: list[str]) -> Simp
     base = fit_multiple_shooting(Model(problem, ()), runs)
     names = list_candidates(problem, runs)
     common = tuple(n for n in names if EFFECTS[n].common)
-    smooth = tuple(n for n in names if EFFECTS[n].acts != "slack" and not is_local(EFFECTS[n]))
+    smooth = tuple(n for n in names if EFFECTS[n].acts != "slack" and not EFFECTS[n].is_local())
     every_one = tuple(n for n in names if EFFECTS[n].acts != "slack")
     return SimpleNamespace(
         stages=(common, smooth, every_one),

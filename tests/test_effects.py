@@ -420,7 +420,17 @@ def test_without_effects_json_the_urdf_is_read(tmp_path: Path):
 
 
 def test_alternatives_are_equivalent():
-    among = OperatingPoint("revolute", speed=6.0, span=2.0, load=5.0, inertia=0.5, gravity=(0.3, -2.0, 0.0))
+    among = OperatingPoint(
+        "revolute",
+        q_low=0.0,
+        q_high=2.0,
+        speed=6.0,
+        noise=1e-3,
+        force=1.0,
+        load=5.0,
+        inertia=0.5,
+        gravity=(0.3, -2.0, 0.0),
+    )
 
     def others(effect: Effect) -> dict[str, Effect]:
         found = effect.alternatives(among)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from freeart21.effects.base import Acts, Effect, parameter
+from freeart21.effects.base import Acts, Effect, FitRange, OperatingPoint, parameter
 
 
 @dataclass(frozen=True)
@@ -23,6 +23,10 @@ class ActuatorOffset(Effect):
     model_error: ClassVar[tuple[float, float]] = (0.05, 0.05)  # a zero that drifts; not measured
 
     bias: float = parameter("N*m", "N", -1e4, 1e4, "force without a command", scale=0.1)
+
+    @classmethod
+    def fit_range(cls, name: str, at: OperatingPoint) -> FitRange:
+        return super().fit_range(name, at)._replace(size=0.1 * at.force)
 
     def bias_force(self) -> float:
         return self.bias

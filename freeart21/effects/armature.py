@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from freeart21.effects.base import Acts, Alternative, Effect, OperatingPoint, parameter
+from freeart21.effects.base import Acts, Alternative, Effect, FitRange, OperatingPoint, parameter
 
 _SLACKS = (0.003, 0.01, 0.03)
 """Initial widths of a slack, as shares of the range of motion."""
@@ -32,6 +32,11 @@ class Armature(Effect):
     value: float = parameter("kg*m^2", "kg", 0.0, 1e4, "added inertia", scale=0.01)
     throw_back: float = parameter("1", "1", 0.0, 1.0, "part of its speed that it comes back with", default=0.0)
     swing: float = parameter("s", "s", 0.0, 1.0, "seconds in which it swings by a radian on its shaft", default=0.0)
+
+    @classmethod
+    def fit_range(cls, name: str, at: OperatingPoint) -> FitRange:
+        size = 0.1 * at.inertia
+        return FitRange(1e-3 * size, 1e3 * size, size) if name == "value" else super().fit_range(name, at)
 
     def alternatives(self, at: OperatingPoint) -> list[Alternative]:
         """Weaker gravity: the same motion where no other force is known. And a drive of this inertia behind a slack so

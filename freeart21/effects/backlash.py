@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from freeart21.effects.base import Acts, Effect, parameter
+from freeart21.effects.base import Acts, Effect, FitRange, OperatingPoint, parameter
 from freeart21.errors import FreeArtError
 
 
@@ -36,6 +36,19 @@ class Backlash(Effect):
     width: float = parameter("rad", "m", 0.0, 10.0, "free travel from one end of the slack to the other", scale=0.02)
     drive_inertia: float = parameter("kg*m^2", "kg", 1e-9, 1e4, "inertia of the drive side", scale=0.01)
     throw_back: float = parameter("1", "1", 0.0, 1.0, "part of its speed that it comes back with", default=0.0)
+
+    @classmethod
+    def fit_range(cls, name: str, at: OperatingPoint) -> FitRange:
+        size = 0.1 * at.inertia  # a drive side lighter than a fifth of it makes no difference
+        return (
+            FitRange(max(0.2 * size, 1e-9), 1e3 * size, size)
+            if name == "drive_inertia"
+            else super().fit_range(name, at)
+        )
+
+    @classmethod
+    def trial_values(cls, name: str, at: OperatingPoint) -> list[float]:
+        return [0.2 * at.inertia] if name == "drive_inertia" else super().trial_values(name, at)
 
     def slack(self) -> float:
         return self.width

@@ -58,21 +58,48 @@ class Rotor(NamedTuple):
     """Time of one radian of its oscillation on the shaft, s."""
 
 
+BEARING_TRAVEL = 1e-2
+"""Maximum presliding travel of any bearing's dry friction, as a share of the range. Filmed pendula had 8e-3."""
+PLACES = 13
+"""Places over the range of motion that fits start from."""
+
+
 @dataclass(frozen=True)
 class OperatingPoint:
     """Typical conditions of some recordings; SI units, a slider's in m and N."""
 
     joint_type: JointType
+    q_low: float
+    q_high: float
+    """Range of motion."""
     speed: float
     """Largest speed."""
-    span: float
-    """Range of motion."""
+    noise: float
+    """Standard deviation of readings at rest."""
+    force: float
+    """RMS inertial force."""
     load: float
     """Typical bearing force, N; 0 for none."""
     inertia: float
     """Of the joint, in all."""
     gravity: tuple[float, float, float]
     """Torque terms of cos q and sin q, and the constant."""
+
+    @property
+    def span(self) -> float:
+        """Width of the range of motion."""
+        return self.q_high - self.q_low
+
+
+class FitRange(NamedTuple):
+    """Bounds of a parameter in a fit to some recordings."""
+
+    lower: float
+    upper: float
+    size: float
+    """Typical size."""
+    prior: float = np.inf
+    """Prior standard deviation about 0."""
 
 
 class Alternative(NamedTuple):
@@ -162,6 +189,8 @@ class Effect(ABC):
     """Whether every geared drive has it; such effects do not show one by one."""
     neutral: ClassVar[float] = 0.0
     """Value of the first parameter at which the effect vanishes."""
+    trial_sizes: ClassVar[tuple[float, ...]] = ()
+    """Values of the first parameter that fits start from, where a small one does not show."""
     polar: ClassVar[bool] = False
     """Whether its two parameters are length and angle of a vector, in whose components it is linear."""
     time_driven: ClassVar[bool] = False
@@ -210,6 +239,49 @@ class Effect(ABC):
     def values(self) -> tuple[float, ...]:
         """All parameters, as `law` takes them."""
         return tuple(getattr(self, name) for name in self.parameters())
+
+    # fits to recordings
+
+    @classmethod
+    def is_local(cls) -> bool:
+        """Whether it is a force with a place and a width beyond which it vanishes."""
+        lengths = [s.lower for s in cls.parameters().values() if s.revolute_unit == "rad"]
+        return cls.acts == "force" and min(lengths, default=0.0) < 0 <= max(lengths, default=0.0)
+
+    @classmethod
+    def fit_range(cls, name: str, at: OperatingPoint) -> FitRange:
+        """Bounds and typical size of a parameter, limited to what recordings of these conditions show."""
+        spec = cls.parameters()[name]
+        low, high, size, unit = spec.lower, spec.upper, spec.scale, spec.unit(at.joint_type)
+        if spec.revolute_unit == "rad" and spec.lower < 0:
+            reach = 0.1 * at.span if cls.is_local() else 3 * at.span
+            low, high, size = at.q_low - reach, at.q_high + reach, 0.1 * at.span
+        elif spec.revolute_unit == "rad":
+            # wider than a third of the range it is not local, and looks like a spring
+            low, high, size = max(2 * at.noise, 1e-3 * at.span), 0.35 * at.span, 0.05 * at.span
+        elif spec.revolute_unit == "rad/s":
+            low, high, size = 0.01 * at.speed, at.speed, 0.1 * at.speed
+        elif unit == "s":
+            low, high = max(spec.lower, -0.5), 0.5
+        elif unit == "1":
+            high = min(spec.upper, 10.0)
+        return FitRange(max(low, spec.lower), min(high, spec.upper), size)
+
+    @classmethod
+    def trial_values(cls, name: str, at: OperatingPoint) -> list[float]:
+        """Values of a place, width, speed or ratio that fits start from."""
+        r, unit = cls.fit_range(name, at), cls.parameters()[name].revolute_unit
+        if unit == "rad" and r.lower < at.q_low and r.upper > at.q_high:
+            return list(np.linspace(at.q_low, at.q_high, PLACES))
+        if unit == "rad":
+            return [float(np.clip(part * at.span, r.lower, r.upper)) for part in (0.02, 0.06, 0.15)]
+        if unit == "rad/s":
+            return [float(np.clip(part * r.upper, r.lower, r.upper)) for part in (0.05, 0.2)]
+        return [0.5 * min(r.upper, 1.0)]
+
+    def restarts(self) -> list[dict[str, float]]:
+        """Parameters near these that no gradient leads to; they may be out of bounds."""
+        return []
 
     # dynamics
 

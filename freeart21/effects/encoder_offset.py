@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from freeart21.effects.base import Acts, Alternative, Effect, Kind, OperatingPoint, parameter
+from freeart21.effects.base import Acts, Alternative, Effect, FitRange, Kind, OperatingPoint, parameter
 
 
 @dataclass(frozen=True)
@@ -20,6 +20,10 @@ class EncoderOffset(Effect):
     common: ClassVar[bool] = True
 
     offset: float = parameter("rad", "m", -100.0, 100.0, "reading at q = 0", scale=0.05)
+
+    @classmethod
+    def fit_range(cls, name: str, at: OperatingPoint) -> FitRange:
+        return FitRange(-0.6 * at.span, 0.6 * at.span, 0.1 * at.span)
 
     def alternatives(self, at: OperatingPoint) -> list[Alternative]:
         """For a hinge, gravity of another direction: the same motion where nothing else depends on position."""

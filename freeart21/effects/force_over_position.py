@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from freeart21.effects.base import Acts, Effect, parameter
+from freeart21.effects.base import Acts, Effect, FitRange, OperatingPoint, parameter
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,12 @@ class ForceOverPosition(Effect):
     force_8: float = parameter("N*m", "N", -1e4, 1e4, "force at the last position", scale=0.1)
     first: float = parameter("rad", "m", -100.0, 100.0, "first position", scale=0.1)
     last: float = parameter("rad", "m", -100.0, 100.0, "last position", scale=0.1)
+
+    @classmethod
+    def fit_range(cls, name: str, at: OperatingPoint) -> FitRange:
+        # the prior holds it where some runs do not come
+        r = super().fit_range(name, at)
+        return r._replace(size=0.1 * at.force, prior=0.3 * at.force)
 
     @staticmethod
     def law(

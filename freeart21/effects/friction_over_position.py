@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from freeart21.effects.base import Acts, Effect, parameter
+from freeart21.effects.base import Acts, Effect, FitRange, OperatingPoint, parameter
 from freeart21.effects.force_over_position import ForceOverPosition
 
 
@@ -35,5 +35,11 @@ class FrictionOverPosition(Effect):
     level_8: float = parameter("N*m", "N", 0.0, 1e4, "level at the last position", scale=0.1)
     first: float = parameter("rad", "m", -100.0, 100.0, "first position", scale=0.1)
     last: float = parameter("rad", "m", -100.0, 100.0, "last position", scale=0.1)
+
+    @classmethod
+    def fit_range(cls, name: str, at: OperatingPoint) -> FitRange:
+        # the prior holds it where some runs do not come
+        r = super().fit_range(name, at)
+        return r._replace(size=0.1 * at.force, prior=0.3 * at.force)
 
     law = staticmethod(ForceOverPosition.law)

@@ -1,12 +1,17 @@
 """Latch: a catch that holds the joint at a position until it is pulled hard enough."""
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, ClassVar
 
 import numpy as np
 
 from freeart21.effects.base import Acts, Alternative, Effect, OperatingPoint, parameter
 from freeart21.effects.detent import CATCH
+
+_SHIFTS, _STIFFER, _TRAVELS, _CAPTURES = (-0.3, 0.0, 0.3), (0.6, 1.0, 1.6), (0.65, 0.8, 1.0, 1.25), (0.3, 0.5, 0.7)
+"""Restarts relative to the travel: shifts of its place, factors of its stiffness, factors of its travel, capture
+ratios."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +41,17 @@ class Latch(Effect):
             Alternative(
                 "detent", {"peak": self.hold, "centre": self.position, "width": self.travel / CATCH, "tail": 0.5}
             )
+        ]
+
+    def restarts(self) -> list[dict[str, float]]:
+        return [
+            {
+                "hold": self.hold * part * stiffer,
+                "position": self.position + shift * self.travel,
+                "travel": self.travel * part,
+                "capture": capture,
+            }
+            for shift, stiffer, part, capture in product(_SHIFTS, _STIFFER, _TRAVELS, _CAPTURES)
         ]
 
     @staticmethod

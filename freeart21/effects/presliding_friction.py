@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from freeart21.effects.base import Acts, Effect, parameter
+from freeart21.effects.base import BEARING_TRAVEL, Acts, Effect, FitRange, OperatingPoint, parameter
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,12 @@ class PreslidingFriction(Effect):
 
     level: float = parameter("N*m", "N", 0.0, 1e4, "size of the friction force once it slides", scale=0.1)
     travel: float = parameter("rad", "m", 1e-5, 10.0, "way over which it gives before it slides", scale=0.02)
+
+    @classmethod
+    def fit_range(cls, name: str, at: OperatingPoint) -> FitRange:
+        r = super().fit_range(name, at)
+        # less travel has every bearing: it is part of all dry friction
+        return r._replace(lower=max(BEARING_TRAVEL * at.span, 1e-5)) if name == "travel" else r
 
     @staticmethod
     def law(q: Any, qd: Any, load: Any, memory: Any, level: Any, travel: Any) -> Any:

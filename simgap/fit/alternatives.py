@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from freeart21.effects.base import Alternative, Effect, OperatingPoint
+from freeart21.effects.base import Alternative, Effect
 from freeart21.se3 import Array
 from simgap.fit.fit import Fit, Model, ParameterMap, Problem, Starts, initial_theta
 from simgap.fit.model import repeats_family
@@ -28,13 +28,8 @@ def find_alternatives(problem: Problem, fit: Fit, names: tuple[str, ...]) -> lis
     """Starts with an effect replaced by one of `names` that does much the same (`Effect.alternatives`)."""
     numbers = ParameterMap(fit.model).vector(fit.theta)[0]
     cosine, sine, constant = map(float, numbers[kernel.GRAVITY_COS : kernel.GRAVITY_CONST + 1])
-    operating_point = OperatingPoint(
-        problem.plant.joint_type,
-        problem.speed,
-        problem.q_high - problem.q_low,
-        problem.load if problem.bearing_loaded else 0.0,
-        float(numbers[kernel.INERTIA]),
-        (cosine, sine, constant),
+    operating_point = replace(
+        problem.operating_point, inertia=float(numbers[kernel.INERTIA]), gravity=(cosine, sine, constant)
     )
     others = {*names} - {*fit.model.names}
     found = [

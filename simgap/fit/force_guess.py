@@ -17,7 +17,7 @@ from freeart21.se3 import Array
 from simgap.fit.model import Model, Problem
 from simgap.measure.data import FitRun
 from simgap.measure.inputs import DEFAULT_HOLDING
-from simgap.models.surrogate import Plant, is_local
+from simgap.models.surrogate import Plant
 
 _READINGS = 7
 """Readings of a window whose parabola gives speed and acceleration."""
@@ -119,7 +119,7 @@ def guess_places(problem: Problem, samples: MissingForceSamples, name: str, most
     cls, kind = EFFECTS[name], problem.plant.joint_type
     specs = cls.parameters(kind)
     size, *others = specs
-    if not is_local(cls):
+    if not cls.is_local():
         return []
     span = problem.q_high - problem.q_low
     grids = []

@@ -12,6 +12,7 @@ from itertools import product
 import numpy as np
 
 from freeart21.effects import EFFECTS
+from freeart21.effects.base import PLACES
 from freeart21.se3 import Array
 from simgap.fit.fit import (
     Fit,
@@ -28,9 +29,6 @@ from simgap.measure.data import FitRun
 from simgap.models import kernel
 from simgap.models.surrogate import apply_sensing, effect_terms, sweep, time_steps
 
-_PLACES = 13
-_REBOUNDS = (0.15, 0.5)
-"""Restitutions that are tried."""
 _NOTHING = 1e-3
 """Largest change of readings, as a share of the gap, by an inactive effect. Not measured."""
 _MILD = 0.05
@@ -155,7 +153,8 @@ class Linearisation:
         model = replace(self.fit.model, names=tuple(sorted((*self.fit.model.names, name))))
         own = [r for r in model.ranges() if r.owner == name]
         sizes = [r for r in own if is_linear_parameter(r, own)]
-        grid = list(product(*[_trial_values(r, self.problem) for r in own if r not in sizes]))
+        at = self.problem.operating_point
+        grid = list(product(*[EFFECTS[name].trial_values(r.name, at) for r in own if r not in sizes]))
         return _Grid(
             model, own, sizes, [r.name for r in own if r not in sizes], grid, neutral_point(self.problem, name)
         )
@@ -190,9 +189,10 @@ class Linearisation:
             }
             taken = self.residual - A @ np.array([values[r.name] - point[r.name] for r in sizes])
             found.append(Guess(name, {**point, **values}, float(taken @ taken)))
-        if EFFECTS[name].acts == "stop":  # a small rebound is swallowed, so the response is not linear
-            found += self._guess_at(model, name, [{**zero, sizes[0].name: value} for value in _REBOUNDS])
-        elif len(own) == 2 and len(sizes) == 1 and len(grid) == _PLACES:
+        if EFFECTS[name].trial_sizes:
+            trials = [{**zero, sizes[0].name: value} for value in EFFECTS[name].trial_sizes]
+            found += self._guess_at(model, name, trials)
+        elif len(own) == 2 and len(sizes) == 1 and len(grid) == PLACES:
             found += self._interpolate_place(name, own, columns[0], columns[-1], float(grid[0][0]), float(grid[-1][0]))
         found.sort(key=lambda guess: guess.cost)
         return [self._nudge(guess, sizes) for guess in found]
@@ -296,20 +296,3 @@ def is_linear_parameter(r: ParameterRange, own: list[ParameterRange]) -> bool:
         return True
     spec = EFFECTS[r.owner].parameters()[r.name]
     return spec.revolute_unit == "N*m" or spec.prismatic_unit == "N"
-
-
-def _trial_values(r: ParameterRange, problem: Problem) -> list[float]:
-    """Grid values of a place, width, speed or ratio."""
-    span = problem.q_high - problem.q_low
-    unit = EFFECTS[r.owner].parameters()[r.name].unit(problem.plant.joint_type)
-    if unit in ("rad", "m") and r.lower < problem.q_low and r.upper > problem.q_high:
-        return list(np.linspace(problem.q_low, problem.q_high, _PLACES))
-    if unit in ("rad", "m"):
-        return [float(np.clip(part * span, r.lower, r.upper)) for part in (0.02, 0.06, 0.15)]
-    if unit in ("rad/s", "m/s"):
-        return [float(np.clip(part * r.upper, r.lower, r.upper)) for part in (0.05, 0.2)]
-    if unit in ("kg*m^2", "kg"):
-        return [0.2 * problem.plant.mechanics.inertia]
-    if unit in ("s/rad", "s/m"):
-        return [r.lower]
-    return [0.5 * min(r.upper, 1.0)]

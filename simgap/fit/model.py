@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
+from freeart21.effects.base import BEARING_TRAVEL, OperatingPoint
 from freeart21.se3 import Array
 from simgap.models import kernel, laws
 from simgap.models.surrogate import Nuisance, Plant, effect_terms, make_vector
@@ -26,8 +28,6 @@ drive, not an armature."""
 _MAX_SWING = 0.02
 """Maximum time of one radian of that oscillation, as a share of the time to cross the range at top speed. A slower one
 is an elastic drive."""
-_MAX_PRESLIDING = 1e-2
-"""Maximum presliding travel of dry friction after a reversal, as a share of the range. Filmed pendula had 8e-3."""
 HOLDING = "holding"
 """Asset parameter: interpolation of the inputs between their rows. A delay of half a row is no effect."""
 
@@ -87,6 +87,22 @@ class Problem:
         """Whether the range of motion is within the bounds of an effect's `range_fields`; a wheel's turns are not."""
         specs = cls.parameters()
         return all(specs[name].lower <= x <= specs[name].upper for name, x in self.range_ends(cls).items())
+
+    @functools.cached_property
+    def operating_point(self) -> OperatingPoint:
+        """Typical conditions, with inertia and gravity of the asset."""
+        mechanics, terms = self.plant.mechanics, self.plant.gravity_terms[0]
+        return OperatingPoint(
+            self.plant.joint_type,
+            self.q_low,
+            self.q_high,
+            self.speed,
+            self.sigma,
+            self.force,
+            self.load if self.bearing_loaded else 0.0,
+            mechanics.inertia,
+            (float(terms[0]), float(terms[1]), float(terms[2])),
+        )
 
     @property
     def reference(self) -> tuple[float, float, float]:
@@ -154,7 +170,10 @@ class Model:
         if problem.unknown_inputs:
             found.append(ParameterRange("asset", HOLDING, 0.0, 1.0, 0.25, 1 / np.sqrt(12), 0.5))
         for cls in self.classes:
-            found += [self._range(cls, name) for name in self.free_parameters(cls)]
+            found += [
+                ParameterRange(cls.name, name, *cls.fit_range(name, problem.operating_point))
+                for name in self.free_parameters(cls)
+            ]
         if not self.instant_friction and any(cls.acts == "drive" for cls in self.classes):
             found.append(ParameterRange(_FRICTION, "travel_root", 0.1, 1.0, 0.3, 0.5, 0.3))
             found.append(ParameterRange(_FRICTION, "gripping", 0.0, 2.0, 0.3, 0.5, 0.5))
@@ -178,44 +197,6 @@ class Model:
         """The fitted parameters of an effect; those of its shaft are fitted as SHAFT's."""
         excluded = (*cls.rotor_fields[1:], *cls.range_fields)
         return [n for n in cls.parameters(self.problem.plant.joint_type) if n not in excluded]
-
-    def _range(self, cls: type[Effect], name: str) -> ParameterRange:
-        """Bounds and size of an effect's parameter, limited to the range of motion."""
-        spec, problem = cls.parameters()[name], self.problem
-        unit, span = spec.unit(problem.plant.joint_type), problem.q_high - problem.q_low
-        low, high, size = spec.lower, spec.upper, spec.scale
-        local = any(s.lower >= 0 and s.revolute_unit == "rad" for s in cls.parameters().values())
-        if unit in ("rad", "m") and cls.acts == "reading":
-            low, high, size = -0.6 * span, 0.6 * span, 0.1 * span
-        elif unit in ("rad", "m") and spec.lower < 0:
-            reach = 0.1 * span if local else 3 * span
-            low, high, size = problem.q_low - reach, problem.q_high + reach, 0.1 * span
-        elif cls.reduces_to and EFFECTS[cls.reduces_to].acts == "drive" and unit in ("rad", "m"):
-            # less travel has every bearing: it is part of all dry friction
-            low, high, size = _MAX_PRESLIDING * span, 0.35 * span, 0.05 * span
-        elif unit in ("rad", "m") and cls.acts != "drive":
-            # wider than a third of the range it is not local, and looks like a spring
-            low, high, size = max(2 * problem.sigma, 1e-3 * span), 0.35 * span, 0.05 * span
-        elif unit in ("N*m", "N") and cls.range_fields:
-            # the prior holds it where a fold's runs do not come
-            return ParameterRange(cls.name, name, low, high, 0.1 * problem.force, 0.3 * problem.force)
-        elif unit in ("N*m", "N") and cls.acts == "command":
-            size = 0.1 * problem.force
-        elif unit in ("rad/s", "m/s"):
-            low, high, size = 0.01 * problem.speed, problem.speed, 0.1 * problem.speed
-        elif unit == "s":
-            low, high = max(spec.lower, -0.5), 0.5
-        elif unit in ("kg*m^2", "kg"):
-            size = 0.1 * problem.plant.mechanics.inertia
-            low = 1e-3 * size if cls.acts == "inertia" else 0.2 * size  # a lighter drive side makes no difference
-            low, high = max(spec.lower, low), 1e3 * size
-        elif unit in ("s/rad", "s/m"):
-            # impacts of one speed do not determine it, so its prior is at 0
-            usual = 1 / problem.speed
-            return ParameterRange(cls.name, name, low, 50 * usual, 0.5 * usual, usual)
-        elif unit == "1":
-            high = min(spec.upper, 10.0)
-        return ParameterRange(cls.name, name, max(low, spec.lower), min(high, spec.upper), size)
 
     def neutral(self) -> Array:
         """(p,) the point where the asset is exact and effects have half their typical size."""
@@ -319,7 +300,7 @@ class ParameterMap:
         numbers = make_vector(problem.plant, effects, self.nuisance(theta))
         if _FRICTION in self.owners:
             root, gripping = theta[(at := self.owners.index(_FRICTION)) : at + 2]
-            numbers[kernel.TRAVEL] = _MAX_PRESLIDING * (problem.q_high - problem.q_low) * root**2
+            numbers[kernel.TRAVEL] = BEARING_TRAVEL * (problem.q_high - problem.q_low) * root**2
             numbers[kernel.GRIPPING] = gripping
         if self.model.model_error:
             self._set_model_error(numbers, effects, theta)

@@ -32,7 +32,6 @@ from simgap.fit.guess import Guess, first_guesses, neutral_point
 from simgap.fit.model import SHAFT, repeats_family
 from simgap.fit.parts import drop_poor_fits, extend_to_all, select_parts
 from simgap.measure.data import FitRun
-from simgap.models.surrogate import is_local
 
 MAX_EFFECTS = 3
 CONTENDERS = 8
@@ -52,18 +51,15 @@ only, where the asset alone is lost; they hardly show what acts all along."""
 _SCREEN = 2
 _PLACES = 2
 """Initial guesses from the missing force, for an effect with a place."""
-_SHIFTS, _STIFFER, _TRAVELS, _CAPTURES = (-0.3, 0.0, 0.3), (0.6, 1.0, 1.6), (0.65, 0.8, 1.0, 1.25), (0.3, 0.5, 0.7)
-"""Multistart grid of a catch, relative to its travel: shifts of its place, factors of its stiffness, factors of its
-travel, capture ratios."""
 _PARTS, _BACK, _SWINGS = (None, -0.5, 0.0, 0.5), (0.3, 0.85), (0.2, 0.5, 0.8)
 """Multistart grid of a drive on its shaft: share of the asset's inertia uncertainty given to the drive (None for
 unchanged), rebound, oscillation time, as shares of their maxima."""
-_CATCHES = 3
+_RESTARTS = 3
 """Points of these grids that are fitted."""
 _ALL_ALONG = tuple(
     name
     for name, cls in EFFECTS.items()
-    if cls.acts in ("force", "drive") and not (is_local(cls) or cls.reduces_to or cls.geared)
+    if cls.acts in ("force", "drive") and not (cls.is_local() or cls.reduces_to or cls.geared)
 )
 """Losses and forces without a place: they act everywhere."""
 LOSSES = tuple(name for name in _ALL_ALONG if EFFECTS[name].dissipates and not EFFECTS[name].needs_load)
@@ -530,34 +526,25 @@ def fit_best_start(
 def refine_multistart(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
     """The fit after trying points that no gradient leads to: place and travel of a catch, and the rebound of a drive at
     a limit."""
-    points = [*_catch_points(fit), *_shaft_points(fit)]
+    points = [*_restart_points(fit), *_shaft_points(fit)]
     if not points:
         return fit
     low, high = (np.array([getattr(r, k) for r in fit.model.ranges()]) for k in ("lower", "upper"))
     tried = [np.clip(theta, low, high) for theta in points]
     order = np.argsort([squared_error(fit.model, runs, theta, fit.starts) for theta in tried], kind="stable")
-    best = [fit.theta, *(tried[i] for i in order[:_CATCHES])]
+    best = [fit.theta, *(tried[i] for i in order[:_RESTARTS])]
     return min(fit, fit_best_start(fit.model, best, runs, fit.starts, _SCREEN), key=lambda f: f.cost)
 
 
-def _catch_points(fit: Fit) -> list[Array]:
-    """(p,) points about a fit with the catch at another place or travel; none without a catch."""
-    ranges, found = fit.model.ranges(), []
-    for cls in fit.model.classes:
-        if cls.remember is Effect.remember or not is_local(cls):
-            continue
-        kind = fit.model.problem.plant.joint_type
-        own = {i: cls.parameters()[r.name] for i, r in enumerate(ranges) if r.owner == cls.name}
-        size = min(own)
-        width = next(i for i, spec in own.items() if spec.unit(kind) in ("rad", "m") and spec.lower >= 0)
-        place = next(i for i, spec in own.items() if spec.unit(kind) in ("rad", "m") and spec.lower < 0)
-        ratio = next(i for i, spec in own.items() if spec.unit(kind) == "1")
-        for shift, stiffer, part, share in product(_SHIFTS, _STIFFER, _TRAVELS, _CAPTURES):
+def _restart_points(fit: Fit) -> list[Array]:
+    """(p,) points about a fit with an effect at another of its `Effect.restarts`."""
+    found = []
+    for effect in fit.effects:
+        for point in effect.restarts():
             theta = fit.theta.copy()
-            theta[place] += shift * theta[width]
-            theta[[size, width]] *= part
-            theta[size] *= stiffer
-            theta[ratio] = share
+            for i, r in enumerate(fit.model.ranges()):
+                if r.owner == effect.name:
+                    theta[i] = point[r.name]
             found.append(theta)
     return found
 
@@ -595,7 +582,7 @@ def _hides_damping(fit: Fit) -> bool:
 
 def is_sudden(cls: type[Effect]) -> bool:
     """Whether an effect changes motion abruptly: a stop or a force at a place."""
-    return cls.acts == "stop" or is_local(cls)
+    return cls.acts == "stop" or cls.is_local()
 
 
 def clamp_starts(fit: Fit) -> Fit:

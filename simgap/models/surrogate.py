@@ -208,7 +208,7 @@ def effect_terms(effects: tuple[Effect, ...] | tuple[type[Effect], ...]) -> NDAr
     rows, at = [], kernel.HEAD
     for effect in effects:
         if effect.name in laws.LAWS:
-            place = is_local(effect if isinstance(effect, type) else type(effect))
+            place = effect.is_local()
             rows.append((laws.LAWS[effect.name], laws.ACTS[effect.acts], at, place, effect.geared))
             at += kernel.TERM_HEAD + len(effect.parameters())
     return np.array(rows, np.int64).reshape(-1, 5)
@@ -305,8 +305,8 @@ def time_steps(plant: Plant, effects: tuple[Effect, ...], held: bool = True, set
         rate = np.sqrt(stiffness / inertia + gain * plant.stiffness / driven) + 0.1 * damping / driven
         return float(np.clip(settings.phase_per_step / max(rate, 1e-9), settings.min_step_s, settings.max_step_s))
 
-    away = weight + sum(effect.steepness() for effect in effects if not is_local(type(effect)))
-    near = away + sum(effect.steepness() * local for effect in effects if is_local(type(effect)))
+    away = weight + sum(effect.steepness() for effect in effects if not effect.is_local())
+    near = away + sum(effect.steepness() * local for effect in effects if effect.is_local())
     if near > away:  # motion after a local effect depends on how it is entered
         away = min(4 * away, near)
     return limit_creep_steps(plant, effects, (longest(away), longest(near)), settings)
@@ -320,12 +320,6 @@ def limit_creep_steps(
     most = plant.mechanics.inertia / max(damping, 1e-12)
     coarse, fine = (max(min(step, most), settings.min_step_s) for step in steps_s)
     return coarse, fine
-
-
-def is_local(cls: type[Effect]) -> bool:
-    """Whether an effect has a place and a width beyond which it vanishes."""
-    lengths = [s.lower for s in cls.parameters().values() if s.revolute_unit == "rad"]
-    return cls.acts == "force" and min(lengths, default=0.0) < 0 <= max(lengths, default=0.0)
 
 
 @dataclass(frozen=True)

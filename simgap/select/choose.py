@@ -19,7 +19,6 @@ from simgap.fit.force_search import ForceSearch
 from simgap.fit.guess import has_inactive_effect
 from simgap.fit.search import Search, drop_presliding, simplify
 from simgap.measure.data import FitRun
-from simgap.models.surrogate import is_local
 from simgap.select.discrepancy import Discrepancy, find_discrepancies
 from simgap.select.hypotheses import Hypothesis, evaluate_set, evaluate_with_model_error, excess
 from simgap.select.predictive import score_difference, select_smallest
@@ -182,7 +181,7 @@ def _repairs_formula(hypothesis: Hypothesis, part: Hypothesis) -> bool:
     """Whether a set adds only local forces to a part of it that has a form error: they correct that formula."""
     more = {*hypothesis.names} - {*part.names}
     off = any(EFFECTS[name].form_error > 0 for name in part.names)
-    return off and bool(more) and {*part.names} < {*hypothesis.names} and all(is_local(EFFECTS[name]) for name in more)
+    return off and bool(more) and {*part.names} < {*hypothesis.names} and all(EFFECTS[name].is_local() for name in more)
 
 
 def _is_contained(hypothesis: Hypothesis, other: Hypothesis) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 
 from freeart21.asset import Asset
 from freeart21.effects import gravity_change
-from freeart21.effects.base import Effect, OperatingPoint
+from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError
 from freeart21.measured import Measured
 from simgap.fit.fit import (
@@ -173,12 +173,9 @@ def _fit_lean_alternatives(fit: Fit, runs: tuple[FitRun, ...], names: Collection
         return []
     terms = problem.plant.gravity_terms
     pull = nuisance.gravity * (terms[0] + nuisance.lean[0] * terms[1] + nuisance.lean[1] * terms[2])
-    own, change = ([float(value) for value in each] for each in (terms[0], pull - terms[0]))
-    plant, span = problem.plant, problem.q_high - problem.q_low
-    inertia = nuisance.inertia * plant.mechanics.inertia
-    operating_point = OperatingPoint(
-        plant.joint_type, problem.speed, span, problem.load, inertia, (own[0], own[1], own[2])
-    )
+    change = [float(value) for value in pull - terms[0]]
+    inertia = nuisance.inertia * problem.plant.mechanics.inertia
+    operating_point = replace(problem.operating_point, inertia=inertia)
     found = []
     for other in gravity_change(*change).alternatives(operating_point):
         if other.name in fit.model.names or other.name not in names:
