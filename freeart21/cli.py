@@ -763,7 +763,7 @@ def view(
 def convert(
     source: Annotated[Path, Positional],
     out: Path,
-    to: Literal["official", "native", "maniskill"],
+    to: Literal["official", "native", "maniskill", "rgbd"],
     layout: Annotated[str | None, tyro.conf.arg(name="from")] = None,
     partnet_root: Path | None = None,
     joint: str | None = None,
@@ -772,14 +772,16 @@ def convert(
     skip_missing: bool = False,
     depth_unit: float = 0.001,
     fps: float | None = None,
+    masks: Path | None = None,
+    longest_side: int = 1280,
 ) -> None:
-    """Convert recordings between layouts: RGB-D picture folders, official, Video2Articulation-S, ManiSkill, native.
+    """Convert recordings of depth cameras, and between layouts: official, Video2Articulation-S, ManiSkill, native.
 
     Args:
         source: A recording, or a folder of recordings.
         out: Folder to add to: a data folder (native), or one for examples/ and data/ (official), or for .h5 files.
         to: Layout to write.
-        layout: native, rgbd, official, video2articulation or maniskill; recognised by its files when not given.
+        layout: native, record3d, rgbd, stray, official, video2articulation or maniskill; else recognised by its files.
         partnet_root: Folder of PartNet-Mobility objects, as ROOT/41083/mobility.urdf: a truth needs their meshes.
         joint: Moving joint, where neither the layout nor the catalog names it.
         meta: Video2Articulation's new_partnet_mobility_dataset_correct_intr_meta.json, for the joint's limits.
@@ -787,6 +789,8 @@ def convert(
         skip_missing: Leave out missing meshes of a PartNet-Mobility object.
         depth_unit: Metres per depth unit of a picture folder (rgb/, depth/, masks/, cam_K.txt).
         fps: Frames per second of such a folder; from time stamps in its names, or 30, when not given.
+        masks: Folder with a mask for each picture that --to rgbd writes of a camera's recording.
+        longest_side: Most pixels of width and height of a camera's pictures; larger ones are made smaller.
     """
     from freeart21.formats import convert as formats
     from generator.progress import progress_board
@@ -795,7 +799,19 @@ def convert(
     maker = partial(complete_truth, joint=joint, skip_missing=skip_missing)
     with progress_board(1, 0) as board:
         for done in formats.convert(
-            source, out, to, layout, maker, partnet_root, meta, hold_out, depth_unit, fps, board.update
+            source,
+            out,
+            to,
+            layout,
+            maker,
+            partnet_root,
+            meta,
+            hold_out,
+            depth_unit,
+            fps,
+            masks,
+            longest_side,
+            board.update,
         ):
             board.finished(done.name)
             print(done.folder)

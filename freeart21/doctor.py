@@ -37,6 +37,7 @@ _OPTIONAL = {
     "mani_skill": "freeart21[maniskill]",
     "mujoco": "freeart21[dev]",
     "aiohttp": "freeart21[teleop]",
+    "av": "freeart21[cameras]",
 }
 
 _PROBE_CV2 = "import cv2; print(cv2.__version__)"

@@ -15,6 +15,7 @@ from freeart21.errors import FreeArtError
 from freeart21.formats import third_party
 from freeart21.formats.convert import convert
 from freeart21.formats.rgbd_folder import read_rgbd_folder
+from freeart21.formats.third_party import ReadOptions
 
 W, H = 24, 16
 OBJECT = np.zeros((H, W), np.uint8)
@@ -128,7 +129,9 @@ def test_times_are_those_of_the_names(tmp_path: Path, kind: str) -> None:
     assert read.recording.times_s == pytest.approx(TIMES, abs=1e-6)
     assert [int(frame.rgb[0, 0, 0]) for frame in read.recording.frames()] == list(range(len(TIMES)))
     assert read.notes[0].endswith("6 frames in 1.1 s, 100 ms apart; gaps are kept (2), the longest 0.5 s after frame 4")
-    assert read_rgbd_folder(tmp_path / "lid", fps=10).recording.times_s == pytest.approx([0, 0.1, 0.2, 0.3, 0.4, 0.5])
+    assert read_rgbd_folder(tmp_path / "lid", ReadOptions(fps=10)).recording.times_s == pytest.approx(
+        [0, 0.1, 0.2, 0.3, 0.4, 0.5]
+    )
 
 
 @pytest.mark.parametrize("names", [("v1.9", "v1.10"), ("20240131125959", "20240131130000"), ("img_2", "img_12")])

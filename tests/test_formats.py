@@ -30,6 +30,7 @@ from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
 from freeart21.formats import freeart21_official, rgbd_folder, third_party, untrusted_pickle, video2articulation
 from freeart21.formats.convert import convert, find_sources
+from freeart21.formats.third_party import ReadOptions
 from freeart21.joint import Joint
 from freeart21.reconstruction import Reconstruction
 from freeart21.truth import Truth
@@ -721,7 +722,7 @@ def test_layouts_are_recognised(example: Path, one_view: Path, tmp_path: Path, n
     assert found(example) == found(example.parent) == [("official", example)]
     assert found(one_view) == found(one_view.parent) == [("video2articulation", one_view)]
     assert found(native) == [("native", native / "sequences/7777")]
-    refused(lambda: find_sources(example, "scans"), "unknown layout 'scans'; layouts: native, rgbd, official")
+    refused(lambda: find_sources(example, "scans"), "unknown layout 'scans'; layouts: native", "rgbd", "official")
     refused(lambda: find_sources(example, "native"), "holds no recording of the layout native")
     (tmp_path / "empty").mkdir()
     refused(lambda: find_sources(tmp_path / "empty"), "sequence.json", "cam_K.txt", "camera_pose.npy")
@@ -795,7 +796,7 @@ def of_larger_pictures(folder: Path) -> None:
 
 
 PICTURE_FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
-    "no masks": (lambda f: shutil.rmtree(f / "masks"), "has no masks/: a picture of every frame is expected"),
+    "no masks": (lambda f: shutil.rmtree(f / "masks"), "has no masks: `--to rgbd` writes its pictures"),
     "a frame without depth": (
         lambda f: (f / "depth/frame_10.png").unlink(),
         "frame 'frame_10' is among the colours, but not among depth; 1 differ",
@@ -826,7 +827,7 @@ def test_broken_pictures_are_one_clear_line(pictures: Path, tmp_path: Path, faul
 
 
 def test_depth_has_the_unit_that_is_given(pictures: Path) -> None:
-    read = rgbd_folder.read_rgbd_folder(pictures, depth_unit=1 / 5000)
+    read = rgbd_folder.read_rgbd_folder(pictures, ReadOptions(depth_unit=1 / 5000))
     assert read.recording.frame(0).depth[2, 5] == pytest.approx(0.1)
-    refused(lambda: rgbd_folder.read_rgbd_folder(pictures, depth_unit=1000), "depth unit is 1000")
-    refused(lambda: rgbd_folder.read_rgbd_folder(pictures, fps=0), "fps is 0")
+    refused(lambda: rgbd_folder.read_rgbd_folder(pictures, ReadOptions(depth_unit=1000)), "depth unit is 1000")
+    refused(lambda: rgbd_folder.read_rgbd_folder(pictures, ReadOptions(fps=0)), "fps is 0")

@@ -100,7 +100,7 @@ _DATA = Output("data folder", _json("benchmark"), "benchmark.json")
 _UNDER_WAY = Output("unfinished recording", _json("recording-job"), ".recording/job.json")
 _CLOSED = (_SEQUENCE, _TRUTH, _DATA, _UNDER_WAY, RESULT, ASSET, ANSWER, SITE)
 """Folders of one command's output, into which no other command writes."""
-_GROWING = ("benchmark.json", ".recording", "sequences", "examples")
+_GROWING = ("benchmark.json", ".recording", "sequences", "examples", "pictures")
 """Entries of a folder to which recordings can be added."""
 
 

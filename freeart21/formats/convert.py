@@ -17,7 +17,7 @@ from freeart21.files.benchmark import is_unfinished, read_benchmark, unfinished_
 from freeart21.files.places import check_append
 from freeart21.files.sequence import write_frame, write_header, write_queries
 from freeart21.files.truth import write_truth
-from freeart21.formats import freeart21_official, maniskill, third_party
+from freeart21.formats import freeart21_official, maniskill, rgbd_folder, third_party
 from freeart21.formats.third_party import (
     Progress,
     ReadOptions,
@@ -29,9 +29,12 @@ from freeart21.recording import Recording
 from freeart21.registry import find_instances
 from freeart21.truth import Truth
 
-Target = Literal["official", "native", "maniskill"]
+Target = Literal["official", "native", "maniskill", "rgbd"]
 TruthMaker = Callable[[ThirdPartyRecording, Path], Truth]
 """Makes the truth of a third-party recording from a folder of PartNet-Mobility objects; FreeArtError when it cannot."""
+
+PICTURES = "pictures"
+"""Subfolder of plain folders of pictures."""
 
 _RIM = 0.9  # a mask that covers this share of the picture's border is inverted
 _FARTHER = 10.0  # depth beyond this multiple of the object's farthest point can be lost to a finer depth scale
@@ -63,8 +66,8 @@ def find_sources(source: Path, layout: str | None = None) -> list[tuple[Recordin
     source, known = Path(source), recording_layouts()
     if layout is not None and layout not in known:
         raise FreeArtError(f"unknown layout '{layout}'; layouts: {', '.join(known)}")
-    if not source.is_dir():
-        raise FreeArtError(f"{source} is not a folder")
+    if not source.exists():
+        raise FreeArtError(f"{source} is missing")
     for kind in known.values() if layout is None else (known[layout],):
         found = list(kind.find(source))
         if found:
@@ -85,6 +88,8 @@ def convert(
     hold_out: bool = False,
     depth_unit: float = 1e-3,
     fps: float | None = None,
+    masks: Path | None = None,
+    longest_side: int = third_party.LONGEST_SIDE,
     progress: Callable[[str, int, int], None] = lambda name, done, total: None,
 ) -> Iterator[Converted]:
     """Convert every recording in `source`, in sequence.
@@ -99,8 +104,11 @@ def convert(
     to="maniskill" writes out/NAME.h5 and out/NAME.json, a trajectory that FreeArt21-FreeMoving-v1 replays. It
     needs the truth and the object's files.
 
+    to="rgbd" writes out/pictures/NAME, upright and undistorted, depth in millimetres, to segment the object in.
+
     `meta` is Video2Articulation's meta file; `depth_unit` (metres) and `fps` (None: from time stamps in the names,
-    else 30) are for picture folders. `progress` is called with a sequence's name, the frames done, their total.
+    else 30) are for picture folders; `masks` (a folder with a mask for each picture of to="rgbd") and `longest_side`
+    (pixels) for all recordings of cameras. `progress` is called with a sequence's name, the frames done, their total.
     Raises FreeArtError; recordings converted before remain.
     """
     out = Path(out)
@@ -110,9 +118,17 @@ def convert(
         checked.require_inside(Path(source), folder)
         if kind.name == to:
             raise FreeArtError(f"{folder} is of the layout {to} already")
-        recording = kind.read(folder, ReadOptions(depth_unit, fps, meta, partnet_root))
+        recording = kind.read(folder, ReadOptions(depth_unit, fps, meta, partnet_root, masks, longest_side))
         tick = functools.partial(progress, recording.name)
         with _remove_empty_folders(out):
+            if to == "rgbd":
+                yield _write_pictures(out, recording, tick)
+                continue
+            if not recording.has_masks:
+                raise FreeArtError(
+                    f"{folder} has no masks: `--to rgbd` writes its pictures; segment the object without the hands in "
+                    "them, one mask a picture, and name their folder by --masks"
+                )
             if to == "native":
                 yield _write_native(out, recording, truth_of, partnet_root or kind.objects(folder), tick)
                 continue
@@ -155,6 +171,19 @@ def _write_native(
             write_truth(truth_folder, truth, 0)
     notes = (*read.notes, *read.observe(), *((f"without truth: {lacks}",) if lacks else ()))
     return Converted(read.name, sequence, truth is not None, notes)
+
+
+def _write_pictures(out: Path, read: ThirdPartyRecording, tick: Progress) -> Converted:
+    folder = out / PICTURES / read.name
+    if folder.exists():
+        raise FreeArtError(f"{folder} exists; choose another place or remove it first")
+    recording = read.recording
+    with atomic.new_folder(folder) as aside:
+        for i, (time, frame) in enumerate(zip(recording.times_s, recording.frames(), strict=True)):
+            rgbd_folder.write_pictures(aside, time, frame, read.has_masks)
+            tick(i + 1, len(recording))
+        rgbd_folder.write_intrinsics(aside, recording.camera)
+    return Converted(read.name, folder, False, (*read.notes, *read.observe()))
 
 
 def _truth(read: ThirdPartyRecording, truth_of: TruthMaker | None, root: Path | None) -> tuple[Truth | None, str]:
@@ -236,7 +265,7 @@ def _remove_empty_folders(out: Path) -> Iterator[None]:
         yield
     except BaseException:
         objects = freeart21_official.OBJECTS
-        made = [Path("sequences"), Path("truth"), Path("examples"), objects, *objects.parents]
+        made = [Path("sequences"), Path(PICTURES), Path("truth"), Path("examples"), objects, *objects.parents]
         for place in made if new else made[:-1]:
             with contextlib.suppress(OSError):
                 (out / place).rmdir()

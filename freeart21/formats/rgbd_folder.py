@@ -9,9 +9,9 @@
                               Open3D's recorders write it
 
 NAME is the same in all three folders, or ends in the same number, or is a time stamp: seconds with a fraction (as the
-TUM RGB-D sets have them), or Unix time in s, ms, us or ns. Without time stamps, frames are in the
-order of the last number in their names, `fps` a second. Pictures must be undistorted. Pixel centres of these matrices
-are at whole numbers, as in OpenCV; ours are at +0.5.
+TUM RGB-D sets have them), or Unix time in s, ms, us or ns. Without time stamps, frames are in the order of the last
+number in their names, `fps` a second. Pictures must be undistorted. Colours that EXIF turns are turned with their
+depth, mask and K. Pixel centres of these matrices are at whole numbers, as in OpenCV; ours are at +0.5.
 """
 
 from __future__ import annotations
@@ -19,16 +19,31 @@ from __future__ import annotations
 import itertools
 import re
 from bisect import bisect
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
-from freeart21.files import checked
+from freeart21.files import atomic, checked
+from freeart21.files.sequence import encode_depth
 from freeart21.formats import third_party
-from freeart21.formats.third_party import RecordingLayout, ThirdPartyRecording, find_recordings
-from freeart21.recording import Frame, Recording
+from freeart21.formats.rgbd_video import (
+    HALF_PIXEL,
+    Lens,
+    Picture,
+    RgbdVideo,
+    align_video,
+    check_intrinsics,
+    read_intrinsics,
+    read_unturned,
+    turn_intrinsics,
+    turn_pixels,
+)
+from freeart21.formats.third_party import DEFAULTS, ReadOptions, RecordingLayout, ThirdPartyRecording, find_recordings
+from freeart21.recording import Frame
 from freeart21.se3 import Array
 
 MILLIMETRE = 0.001
@@ -44,67 +59,108 @@ _TOP_SHARE, _TOP_FRAMES = 0.01, 8  # least share of pixels, over so many frames,
 
 def is_rgbd_folder(folder: Path) -> bool:
     """Whether `folder` has colours, intrinsics, and depth as pictures (an official example has .npz)."""
+    return has_pictures(folder) and _intrinsics_file(folder) is not None
+
+
+def has_pictures(folder: Path) -> bool:
+    """Whether `folder` has colours, and depth as pictures."""
     depth = folder / "depth"
     return (
         _place(folder, _COLOUR) is not None
-        and _has_intrinsics(folder)
         and depth.is_dir()
         and any(path.suffix and path.suffix != ".npz" for path in depth.iterdir())
     )
 
 
-def read_rgbd_folder(folder: Path, depth_unit: float = MILLIMETRE, fps: float | None = None) -> ThirdPartyRecording:
-    """The recording in `folder`; frames load lazily. `depth_unit` is in metres, `fps` in frames a second.
+def read_rgbd_folder(
+    folder: Path, options: ReadOptions = DEFAULTS, lens_of: Callable[[Path, int, int], Lens] | None = None
+) -> ThirdPartyRecording:
+    """The recording in `folder`; frames load lazily.
 
-    With `fps` None, times come from time stamps in the names, else from FPS. Raises FreeArtError when masks are
-    missing, frames do not match, or sizes differ.
+    With `options.fps` None, times come from time stamps in the names, else from FPS. `lens_of` gives the colour camera
+    from the folder, width and height, where no file of the folder has it. Depth of fewer pixels than the colours is
+    brought to them, and turned with them where their EXIF says so. Raises FreeArtError when frames do not match, or
+    the shapes of colours and depth differ.
     """
-    folder = Path(folder)
+    folder, depth_unit, fps = Path(folder), options.depth_unit, options.fps
     if not 0 < depth_unit < 1:
         raise FreeArtError(f"depth unit is {depth_unit!r}, expected metres between 0 and 1, such as 0.001")
     if fps is not None and not 0 < fps < np.inf:
         raise FreeArtError(f"fps is {fps!r}, expected a positive number of frames a second")
-    if not is_rgbd_folder(folder):
+    if not has_pictures(folder) or (lens_of is None and _intrinsics_file(folder) is None):
         raise FreeArtError(
             f"{folder} is not a folder of RGB-D pictures: expected rgb/ or color/, depth/ with 16-bit PNG files, and "
             "cam_K.txt or camera_intrinsic.json"
         )
-    if _place(folder, _MASK) is None:
-        raise FreeArtError(
-            f"{folder} has no masks/: a picture of every frame is expected that is white where the object is, with "
-            "hands cut out"
-        )
-    rgb, deep, mask = (_pictures(folder, names) for names in (_COLOUR, _DEPTH, _MASK))
-    frames, times, notes = _frames(folder, rgb, deep, mask, fps)
+    masked = options.masks is None and _place(folder, _MASK) is not None
+    rgb, deep = (_pictures(folder, names) for names in (_COLOUR, _DEPTH))
+    frames, times, notes = _frames(folder, rgb, deep, _pictures(folder, _MASK) if masked else rgb, fps)
     if len(frames) > third_party.MAX_FRAMES:
         raise FreeArtError(f"{folder} has {len(frames)} frames, expected 1 to {third_party.MAX_FRAMES}")
-    height, width = checked.read_rgb(frames[0][0]).shape[:2]
-    camera = _camera(folder, width, height)
+    first, turns = read_unturned(frames[0][0])
+    height, width = first.shape[:2]
+    lens = _lens(folder, width, height, turns) if lens_of is None else lens_of(folder, width, height)
     invalid = _first_invalid_depth([depth for _, depth, _ in frames])
     lost: dict[int, int] = {}
+    sizes: set[tuple[int, int]] = set()
 
-    def load(index: int) -> Frame:
-        colours, raw = checked.read_rgb(frames[index][0]), checked.read_uint16(frames[index][1])
-        shown = third_party.read_foreground(frames[index][2])
-        for path, size in zip(frames[index], (colours.shape, raw.shape, shown.shape), strict=True):
-            if size[:2] != (height, width):
-                raise FreeArtError(
-                    f"{path} is {size[1]} x {size[0]}, expected {width} x {height} as the first colours: "
-                    "align depth to the colour camera, and masks with it"
-                )
+    def load(index: int) -> Picture:
+        path, depth_path, _ = frames[index]
+        colours, turned = read_unturned(path)
+        if colours.shape[:2] != (height, width) or turned != turns:
+            raise FreeArtError(
+                f"{path} is {colours.shape[1]} x {colours.shape[0]}, {turned} quarter turns by its EXIF, expected "
+                f"{width} x {height}, {turns} as the first colours"
+            )
+        raw = checked.read_uint16(depth_path)
+        if turns % 2 and not _same_shape(raw.shape, height, width) and _same_shape(raw.shape, width, height):
+            raw = turn_pixels(raw, -turns)
+        if not _same_shape(raw.shape, height, width):
+            raise FreeArtError(
+                f"{depth_path} is {raw.shape[1]} x {raw.shape[0]}, expected {width} x {height} as the first colours: "
+                "align depth to the colour camera"
+            )
         lost[index] = int(np.count_nonzero(raw >= invalid))
-        depth = np.where(raw < invalid, raw, 0).astype(np.float32) * np.float32(depth_unit)
-        return Frame(colours, depth, shown)
+        sizes.add((raw.shape[1], raw.shape[0]))
+        return Picture(colours, np.where(raw < invalid, raw, 0).astype(np.float32) * np.float32(depth_unit))
 
     def observe() -> tuple[str, ...]:
         pixels, some = sum(lost.values()), sum(map(bool, lost.values()))
         share = pixels / (width * height * len(lost) or 1)
         text = f"depth {invalid} is taken as none: {pixels} pixels ({share:.1%}) of {some} frames"
-        return (text,) if pixels else ()
+        small = [f"{w} x {h}" for w, h in sorted(sizes) if (w, h) != (width, height)]
+        brought = f"depth of {', '.join(small)} pixels is taken to have the view of the colours, {width} x {height}"
+        return (*((text,) if pixels else ()), *((brought,) if small else ()))
+
+    def mask(index: int) -> NDArray[np.bool_]:
+        return third_party.read_foreground(frames[index][2])
 
     name = third_party.safe_name(folder.resolve().name)
-    recording = Recording(camera, times, load, (), None, name)
-    return ThirdPartyRecording(name, name, recording, None, "a video alone has no truth", notes, observe)
+    video = RgbdVideo(name, times, load, lens, turns=turns, mask=mask if masked else None, notes=notes, observe=observe)
+    return align_video(video, options)
+
+
+def write_pictures(folder: Path, time_s: float, frame: Frame, masked: bool) -> None:
+    """Write rgb/, depth/ (millimetres) and, when `masked`, masks/ of a frame, named by its time, seconds."""
+    name = f"{time_s:013.6f}.png"
+    atomic.write_bytes(folder / "rgb" / name, checked.encode_png(frame.rgb))
+    atomic.write_bytes(folder / "depth" / name, checked.encode_png(encode_depth(frame.depth, MILLIMETRE)))
+    if masked:
+        atomic.write_bytes(folder / "masks" / name, checked.encode_png(255 * frame.mask.astype(np.uint8)))
+
+
+def write_intrinsics(folder: Path, camera: Camera) -> None:
+    """Write cam_K.txt, for pixel centres at whole numbers."""
+    K = camera.K - HALF_PIXEL
+    atomic.write_bytes(folder / "cam_K.txt", "".join(" ".join(f"{x:.9g}" for x in row) + "\n" for row in K).encode())
+
+
+def _same_shape(shape: tuple[int, ...], height: int, width: int) -> bool:
+    """Whether a depth picture can have the view of `width` x `height` colours: its shape, as many pixels or fewer."""
+    rows, columns = shape
+    return (rows, columns) == (height, width) or (
+        rows < height and abs(columns * height - rows * width) <= max(height, width)
+    )
 
 
 def _first_invalid_depth(depth: list[Path]) -> int:
@@ -126,8 +182,8 @@ def _place(folder: Path, names: tuple[str, ...]) -> Path | None:
     return next((folder / name for name in names if (folder / name).is_dir()), None)
 
 
-def _has_intrinsics(folder: Path) -> bool:
-    return any((folder / name).is_file() for name in ("cam_K.txt", *_OPEN3D))
+def _intrinsics_file(folder: Path) -> Path | None:
+    return next((folder / name for name in ("cam_K.txt", *_OPEN3D) if (folder / name).is_file()), None)
 
 
 def _pictures(folder: Path, names: tuple[str, ...]) -> dict[str, Path]:
@@ -261,29 +317,32 @@ def _describe_times(times: Array) -> str:
     return f"{text}; gaps are kept ({gaps}), the longest {steps[longest]:.4g} s after frame {longest}"
 
 
-def _camera(folder: Path, width: int, height: int) -> Camera:
-    """The camera; its pixel centres are at +0.5."""
-    if (folder / "cam_K.txt").is_file():
-        path = folder / "cam_K.txt"
-        K = third_party.read_matrix(path)
-    else:
-        path = next(folder / name for name in _OPEN3D if (folder / name).is_file())
+def _lens(folder: Path, width: int, height: int, turns: int) -> Lens:
+    """The camera of `width` x `height` colours as filmed, which stand upright after `turns` clockwise quarter turns.
+
+    A file that names the upright size, or a principal point that fits it better, is turned back.
+    """
+    path = _intrinsics_file(folder)
+    assert path is not None
+    upright = (height, width) if turns % 2 else (width, height)
+    is_upright = False
+    if path.name in _OPEN3D:
         data = checked.read_json(path)
         K = checked.numbers(data, "intrinsic_matrix", (9,), path).reshape(3, 3).T
+        K = K + HALF_PIXEL
         size = checked.numbers({"size": [data.get("width"), data.get("height")]}, "size", (2,), path)
-        if size.tolist() != [width, height]:
+        if tuple(size) not in ((width, height), upright):
             raise FreeArtError(
                 f"{path} is of pictures {size[0]:g} x {size[1]:g}, but the colours are {width} x {height}"
             )
-    return Camera(_centred(K, path), width, height)
-
-
-def _centred(K: Array, path: Path) -> Array:
-    if K.shape != (3, 3):
-        raise FreeArtError(f"{path} has shape {K.shape}, expected a 3 x 3 matrix")
-    K = K.copy()
-    K[:2, 2] += 0.5
-    return K
+        is_upright = tuple(size) != (width, height)
+    else:
+        K = read_intrinsics(path)
+        is_upright = np.abs(K[:2, 2] / upright - 0.5).sum() < np.abs(K[:2, 2] / (width, height) - 0.5).sum()
+    if is_upright:
+        K = turn_intrinsics(K, *upright, -turns)
+    check_intrinsics(K, width, height, str(path))
+    return Lens(K, width, height)
 
 
 LAYOUT = RecordingLayout(
@@ -291,5 +350,5 @@ LAYOUT = RecordingLayout(
     1,
     "rgb/ or color/, depth/*.png, masks/ and cam_K.txt or camera_intrinsic.json",
     lambda source: find_recordings(source, is_rgbd_folder, ("*",)),
-    lambda folder, options: read_rgbd_folder(folder, options.depth_unit, options.fps),
+    read_rgbd_folder,
 )

@@ -33,6 +33,8 @@ T_SAPIEN_CV: Array = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0
 FARTHEST_M = 100.0
 """The far plane of both data sets: larger depths are in millimetres."""
 MAX_FRAMES = 100_000
+LONGEST_SIDE = 1280
+"""Default longest side, pixels: phones film 1920 x 1440 with 256 x 192 depth."""
 
 _LEAST_MM = 20  # integer depth always below this is not in millimetres: no camera films from two centimetres
 _UNIT_NORM = 0.05  # largest deviation of a stored quaternion's norm from one
@@ -133,6 +135,8 @@ class ThirdPartyRecording:
     """Notes for the user, one line each."""
     observe: Callable[[], tuple[str, ...]] = tuple
     """Gives further notes about the frames loaded so far."""
+    has_masks: bool = True
+    """False: the mask of every frame is empty, because nobody has segmented the object yet."""
 
 
 @dataclass(frozen=True)
@@ -147,6 +151,13 @@ class ReadOptions:
     """Video2Articulation's meta file."""
     partnet_root: Path | None = None
     """Folder of PartNet-Mobility objects."""
+    masks: Path | None = None
+    """Folder with a mask for each frame of a camera's recording, instead of its own."""
+    longest_side: int = LONGEST_SIDE
+    """Most pixels of width and height of a camera's pictures; larger ones are made smaller."""
+
+
+DEFAULTS = ReadOptions()
 
 
 @dataclass(frozen=True)
@@ -159,7 +170,7 @@ class RecordingLayout:
     files: str
     """The files that a recording is recognised by, for messages."""
     find: Callable[[Path], Iterable[Path]]
-    """The recordings in a folder: itself, or those in it."""
+    """The recordings in a folder (itself, or those in it), or a file that is one."""
     read: Callable[[Path, ReadOptions], ThirdPartyRecording]
     objects: Callable[[Path], Path | None] = lambda recording: None
     """The folder of PartNet-Mobility objects that belongs to a recording, if it exists."""
