@@ -1,5 +1,5 @@
 # Two commands: `make demo` sets up and runs one object all the way; `make test` sets up and passes the tests.
-.PHONY: setup demo demo-data test check docs clean
+.PHONY: setup demo demo-data test check results docs clean
 
 setup:
 	scripts/setup.sh
@@ -29,6 +29,11 @@ check:
 	.venv/bin/ruff format --check --quiet .
 	.venv/bin/mypy
 	.venv/bin/pytest -m quick
+
+# Every table of the solver by this version, and the tables of README and docs/results.md from them. It can be stopped and goes on.
+results:
+	scripts/setup.sh dev
+	.venv/bin/python -m benchmarks.results
 
 # The API's pages, out of the docstrings. Of a package with __all__ pdoc takes that alone: its modules are
 # named beside it, but for view/document.py, by whose name __all__ has a function.

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import freshness
+from benchmarks import freshness, results
 from benchmarks.freshness import DOCUMENTS, LINE, ROOT, is_current, read_stamps
 
 MEASURED = ("README", "adapters", "assets", "maniskill", "recorder", "results", "scale", "simgap", "teleop")
@@ -20,6 +20,13 @@ def test_figures_older_than_their_code_are_marked(document: Path):
     for stamp in read_stamps(document):
         assert stamp.line == stamp.right, "python -m benchmarks.freshness --write"
         assert all((ROOT / name).exists() for name in stamp.code), stamp.line
+
+
+@in_git
+@pytest.mark.parametrize("document", results.DOCUMENTS, ids=lambda path: path.name)
+def test_the_solver_s_tables_are_those_of_the_files(document: Path):
+    assert results.fill(document) == document.read_text("utf-8"), "python -m benchmarks.results --write"
+    assert results.TABLE.search(document.read_text("utf-8"))
 
 
 def numeric_share(section: str) -> float:

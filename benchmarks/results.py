@@ -1,0 +1,299 @@
+"""All tables of the solver: measured by one version with one command, and written into the documents from the files.
+
+    make results                            # solves what is missing, then writes the tables; a day of two cores
+    python -m benchmarks.results --write    # writes the tables from benchmarks/results/*.json
+    python -m benchmarks.results --dry-run  # lists what would be solved
+
+Solves every variant of RUNS (`benchmarks.solve`); a finished object is not solved again, so a run that was stopped goes
+on. A table stands between `<!-- table NAME -->` and `<!-- end -->`; no number in it is typed by hand. A row is marked
+"old" where what the solver does has changed since.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import solve
+from benchmarks.common import RESULTS, ROOT, run_cli, write_report
+from benchmarks.freshness import is_current, read_commit
+from freeart21 import catalog
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic, checked
+from leaderboard.suite.rows import ROWS
+from leaderboard.suite.workflow import prepare, run_suite
+from reconstruct.settings import ReconstructSettings
+
+DOCUMENTS = (ROOT / "README.md", ROOT / "docs" / "results.md")
+TABLE = re.compile(r"(<!-- table (?P<name>[\w-]+) -->\n).*?(<!-- end -->)", re.S)
+PIECES = ("no-gaussians", "no-end-to-end", "no-blended-rendering")
+
+
+@dataclass(frozen=True)
+class Run:
+    """One variant: all 21 objects, or the first of each category."""
+
+    title: str
+    file: str
+    """In benchmarks/results."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """Of `benchmarks.solve.main`."""
+
+
+def _with(changes: dict[str, Any]) -> ReconstructSettings:
+    """The default settings with those of a row of the suite."""
+    base = ReconstructSettings()
+    return replace(base, **{group: replace(getattr(base, group), **values) for group, values in changes.items()})
+
+
+def _paper(title: str, file: str, **paper: bool) -> Run:
+    settings = replace(_with({"paper": paper}), segmentation="paper")
+    return Run(title, file, {"frames": 100, "settings": settings})
+
+
+RUNS = (
+    Run("clean, all 21", "reconstruct.json", {"tier": "full", "beside": ("no-gaussians",)}),
+    Run("2 % of noise on the depth", "reconstruct-public-noise2.json", {"sensor": "noise2", "beside": PIECES}),
+    Run("time of flight", "reconstruct-public-tof.json", {"sensor": "tof"}),
+    Run("motion blur", "reconstruct-public-blur.json", {"sensor": "blur"}),
+    Run("a hand holds it", "reconstruct-public-hand.json", {"sensor": "hand"}),
+    Run("the base stands, the camera moves", "reconstruct-public-static_base.json", {"motion": "static_base"}),
+    _paper("the paper's segmentation", "reconstruct-public-100frames-segmentation=paper.json"),
+    _paper(
+        "w/o Smooth Loss",
+        "reconstruct-public-100frames-segmentation=paper-use_smoothness=False.json",
+        use_smoothness=False,
+    ),
+    _paper("w/o Init Loss", "reconstruct-public-100frames-segmentation=paper-use_init=False.json", use_init=False),
+    *(
+        Run(row.what, f"reconstruct-{row.name}.json", {"settings": _with(row.settings)})
+        for row in ROWS
+        if row.group == "pieces" and row.name.removeprefix("ours-") not in PIECES
+    ),
+)
+REFERENCES = "references.json"
+"""Answers that nobody solved, on all 21: the truth, the truth as an asset, nothing moves, random numbers."""
+METRICS = {
+    "axis": ("axis, deg", 2),
+    "position": ("position, %", 2),
+    "state": ("state, deg or %", 2),
+    "miou": ("mIoU", 3),
+    "chamfer_w": ("Chamfer, whole, %", 2),
+    "chamfer_m": ("Chamfer, moving, %", 2),
+    "psnr": ("PSNR, dB", 1),
+}
+"""Metric to its column and digits; sliders have no position."""
+
+
+def _cell(value: float | None, digits: int, spread: float | None = None) -> str:
+    return "-" if value is None else f"{value:.{digits}f}" + ("" if spread is None else f" ± {spread:.{digits}f}")
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    return "\n".join("| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *rows)) + "\n"
+
+
+def _stamp(file: str, folder: str, code: str = "reconstruct") -> str:
+    """The line under a table that `benchmarks.freshness` reads."""
+    commit = read_commit(RESULTS / file)
+    state = "current" if is_current(commit, (code,)) else "old"
+    return f"*Measured at `{commit}`, of `{code}` ([{file}]({folder}/{file})): {state}.*"
+
+
+def _stamps(files: Sequence[str], folder: str) -> str:
+    return "\n" + "\\\n".join(_stamp(file, folder) for file in files) + "\n"
+
+
+def write_objects(folder: str) -> str:
+    """The 21 objects, worst mIoU first."""
+    report = checked.read_json(RESULTS / RUNS[0].file)
+    rows = [
+        [
+            row["object"],
+            *(_cell(row.get(metric), digits) for metric, (_, digits) in METRICS.items()),
+            _cell(row.get("pose_rotation"), 2),
+            _cell(row.get("pose_moving_rotation"), 2),
+            _cell(row.get("seconds_total"), 0),
+            _cell(row.get("peak_gb"), 1),
+        ]
+        for row in sorted(report["rows"], key=lambda row: row["miou"])
+    ]
+    head = ["object", *(column for column, _ in METRICS.values()), "pose, deg", "pose, moving, deg", "s", "GB"]
+    return _table(head, rows) + _stamps([RUNS[0].file], folder)
+
+
+def write_types(folder: str) -> str:
+    """Every variant by joint type as in the paper: means and standard deviations over objects."""
+    rows, files, missing = [], [], []
+    for run in RUNS:
+        if not (RESULTS / run.file).is_file():
+            missing.append(run.title)
+            continue
+        report = checked.read_json(RESULTS / run.file)
+        files.append(run.file)
+        about = f"{report['settings'].get('solver', '?')}, {report['settings']['protocol']}"
+        beside = {f"{run.title}, {name}": its for name, its in report.get("beside", {}).items()}
+        for title, its in {run.title: report, **beside}.items():
+            for kind in ("revolute", "prismatic"):
+                found = its["by_type"].get(kind, {})
+                cells = [_mean(found.get(m), digits) for m, (_, digits) in METRICS.items()]
+                failures = sum(_has_failed(row) for row in its["rows"] if _is_kind(row, kind))
+                rows.append([title, kind, f"{failures} of {found.get('n', 0)}", *cells, about])
+    if (RESULTS / REFERENCES).is_file():
+        for title, groups in checked.read_json(RESULTS / REFERENCES)["rows"].items():
+            for kind in ("revolute", "prismatic"):
+                cells = [_mean(groups[kind]["statistics"].get(m), digits) for m, (_, digits) in METRICS.items()]
+                failures = f"{groups[kind]['failures']} of {groups[kind]['sequences']}"
+                rows.append([title, kind, failures, *cells, "-, strict-2"])
+    else:
+        missing.append("the truth, nothing moves, random numbers")
+    head = ["video", "joint", "failures", *(column for column, _ in METRICS.values()), "solver, protocol"]
+    gaps = f"\nNot measured yet: {'; '.join(missing)}.\n" if missing else ""
+    return _table(head, rows) + gaps + _stamps(files, folder)
+
+
+def _mean(statistic: dict[str, Any] | None, digits: int) -> str:
+    return "-" if statistic is None else _cell(statistic["mean"], digits, statistic["std"])
+
+
+def _has_failed(row: dict[str, Any]) -> bool:
+    return bool(row.get("failed", row["status"] != "ok"))
+
+
+def _is_kind(row: dict[str, Any], kind: str) -> bool:
+    """Whether a row is of this joint type; sliders have no position."""
+    return (row.get("position") is None) == (kind == "prismatic")
+
+
+def write_categories(folder: str) -> str:
+    """The 21 objects by category."""
+    report = checked.read_json(RESULTS / RUNS[0].file)
+    found: dict[str, list[dict[str, Any]]] = {}
+    for row in report["rows"]:
+        found.setdefault(catalog.find(row["object"]).category, []).append(row)
+    rows = []
+    for name, its in found.items():
+        values = {m: [row[m] for row in its if row.get(m) is not None] for m in METRICS}
+        cells = [
+            _cell(float(np.mean(values[m])), digits, float(np.std(values[m], ddof=1)))
+            if len(values[m]) > 1
+            else _cell(next(iter(values[m]), None), digits)
+            for m, (_, digits) in METRICS.items()
+        ]
+        rows.append([name, str(len(its)), *cells])
+    head = ["category", "objects", *(column for column, _ in METRICS.values())]
+    return _table(head, rows) + _stamps([RUNS[0].file], folder)
+
+
+def write_gaussians(folder: str) -> str:
+    """Every object that was solved without the articulated Gaussians and with them from the same geometry."""
+    rows, files = [], []
+    for run in RUNS:
+        report = checked.read_json(RESULTS / run.file) if (RESULTS / run.file).is_file() else {}
+        before = {row["sequence"]: row for row in report.get("beside", {}).get("no-gaussians", {}).get("rows", ())}
+        files += [run.file] if before else []
+        for row in sorted(report.get("rows", ()), key=lambda row: row.get("psnr") or 0.0):
+            if row["sequence"] in before:
+                was = before[row["sequence"]]
+                cells = [f"{_cell(was.get(m), d)} > {_cell(row.get(m), d)}" for m, (_, d) in METRICS.items()]
+                rows.append([f"{run.title}: {row['object']}", *cells])
+    return _table(["video", *(column for column, _ in METRICS.values())], rows) + _stamps(files, folder)
+
+
+def write_reach(folder: str) -> str:
+    """What is reached, beside the goals (`benchmarks.solve.GOALS`) and the paper; missed goals bold."""
+    report = checked.read_json(RESULTS / RUNS[0].file)
+    rows = []
+    for goal in solve.GOALS:
+        value = report["by_type"][goal.group].get(goal.metric)
+        column, digits = METRICS.get(goal.metric, ("joint types right", 2))
+        if value is not None:
+            reached = value[goal.statistic]
+            met = reached >= goal.reach if goal.metric in solve.MORE_IS_BETTER else reached <= goal.reach
+            title = f"{column}, {goal.group}" + (", worst" if goal.statistic == "worst" else "")
+            rows.append([title, _bold(_cell(reached, digits), met), f"{goal.reach:g}", goal.paper])
+    files = [RUNS[0].file]
+    for run in RUNS[1:]:
+        if "sensor" in run.options and (RESULTS / run.file).is_file():
+            report = checked.read_json(RESULTS / run.file)
+            lost, mean = sum(map(_has_failed, report["rows"])), report["by_type"]["all"]
+            reached = f"{mean['axis']['mean']:.2f}, {mean['miou']['mean']:.3f}, {lost} of {len(report['rows'])}"
+            rows.append([f"{run.title}: axis, deg, mIoU, failures", _bold(reached, not lost), "0 failures", "-"])
+            files.append(run.file)
+    hidden = checked.read_json(RESULTS / "hidden_gap.json")["figures"]
+    for name, figure in hidden.items():
+        if figure["goal"]:
+            goal_text, share = figure["goal"], 100 * figure["hits"] / figure["of"]
+            bound = float(re.sub(r"[^\d.]", "", goal_text))
+            met = share >= bound if goal_text.startswith(">") else share <= bound
+            reached = _bold(f"{figure['hits']} of {figure['of']}", met)
+            rows.append([f"`gap`, a hidden world: {name}", reached, goal_text, "-"])
+    real = checked.read_json(RESULTS / "real_gap.json")["summary"]
+    grades = ", ".join(f"{real[grade]} {grade}" for grade in ("right", "in part", "silent", "wrong"))
+    rows.append([f"`gap`, {real['recordings']} sets of real recordings", _bold(grades, not real["wrong"]), "", "-"])
+    stamps = _stamps(files, folder).rstrip("\n")
+    more = [_stamp(file, folder, "simgap") for file in ("hidden_gap.json", "real_gap.json")]
+    return _table(["", "ours", "goal", "FreeArtGS"], rows) + "\\\n".join([stamps, *more]) + "\n"
+
+
+def _bold(text: str, met: bool) -> str:
+    return text if met else f"**{text}**"
+
+
+TABLES: dict[str, Callable[[str], str]] = {
+    "objects": write_objects,
+    "types": write_types,
+    "categories": write_categories,
+    "gaussians": write_gaussians,
+    "reach": write_reach,
+}
+
+
+def fill(document: Path) -> str:
+    """The text of a document with every table written anew."""
+    folder = os.path.relpath(RESULTS, document.parent)
+    text = document.read_text("utf-8")
+    return TABLE.sub(lambda found: f"{found[1]}{TABLES[found['name']](folder)}{found[3]}", text)
+
+
+def score_references(data: Path, out: Path, workers: int) -> None:
+    """Writes REFERENCES; suite folder in `out`."""
+    outcome = run_suite(prepare(data, out, ("reference",)), workers)
+    for complaint in (*(failed.reason for failed in outcome.failed), *outcome.objections):
+        raise FreeArtError(complaint)
+    rows = {name: {summary["group"]: summary for summary in its} for name, its in outcome.tables["strict-2"].items()}
+    write_report(RESULTS / REFERENCES, {"protocol": "strict-2", "data": data.name}, rows=rows)
+
+
+def main(
+    data: Path = ROOT / "out" / "freeart21-v1", workers: int = 1, write: bool = False, dry_run: bool = False
+) -> None:
+    """Solve all variants, then write the tables.
+
+    Args:
+        data: Data folder of the public split; what it lacks is recorded.
+        workers: Objects that are solved side by side.
+        write: Solve nothing.
+        dry_run: List the variants and exit.
+    """
+    for run in RUNS:
+        if dry_run:
+            print(f"{run.title}: benchmarks/results/{run.file}")
+        elif not write:
+            solve.main(data=data, workers=workers, out=RESULTS / run.file, **run.options)
+    if not (dry_run or write):
+        score_references(data, ROOT / "out" / "references", workers)
+    for document in DOCUMENTS if not dry_run else ():
+        if (filled := fill(document)) != document.read_text("utf-8"):
+            atomic.write_bytes(document, filled.encode())
+            print(document)
+
+
+if __name__ == "__main__":
+    run_cli(main)
