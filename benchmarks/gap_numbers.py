@@ -47,7 +47,7 @@ WEIGHTS = {"right": 1.0, "in part": 1.0, "silent": 0.0, "wrong": -2.0}
 """Worth of a grade where settings are compared: a wrong name costs more than silence."""
 SECONDS = 600.0
 """Limit of a search, s of processor time; the time to search is not what is measured here."""
-_COSTLY = ("evaluate_set", "evaluate_with_model_error", "fit_for_simulator", "select_presliding", "find_discrepancies")
+_COSTLY = ("evaluate_set", "evaluate_with_model_error", "fit_for_simulator", "find_discrepancies")
 
 
 def variants() -> dict[str, JudgementSettings]:

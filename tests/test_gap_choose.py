@@ -19,7 +19,6 @@ from simgap.fit.fit import Fit, Model, fit_model
 from simgap.fit.problem import Problem, without_asset_error
 from simgap.fit.search import Search
 from simgap.measure.data import FitRun
-from simgap.select.choose import select_presliding
 from simgap.select.experiment import NO_EXPERIMENT, next_experiment
 from simgap.select.split import split_runs
 from simgap.settings import GapSettings
@@ -103,20 +102,6 @@ def test_friction_with_damping_is_not_load_friction(tmp_path: Path):
     """On a swing, load friction varies with speed squared leaving hardly more than noise; the pair is more probable."""
     found = verdict(tmp_path, measured_of(23, dry=0.5, viscous=0.1))
     assert (found.verdict, names(found)) == ("named", {"coulomb_friction", "viscous_damping"})
-
-
-def test_friction_without_presliding_is_fitted(tmp_path: Path):
-    """A sticking joint under a varying command does not deflect: even the smallest presliding travel leaves most of
-    what is left, which other effects would take."""
-    measured = measured_of(8, dry=4.0, servo=True, exact=True, lean=0.0, runs=3)
-    problem, runs = problem_of(tmp_path, measured)
-    model = Model(problem, ("coulomb_friction",))
-    built = fit_model(model, runs, at(model, level=4.0, travel_root=0.1))
-    assert (
-        select_presliding(built, runs).model.instant_friction and select_presliding(built, runs).rms < 0.9 * built.rms
-    )
-    nearer = replace(built, cost=0.0)
-    assert select_presliding(nearer, runs) is nearer
 
 
 def test_a_notch_of_another_shape_is_one_notch(tmp_path: Path):

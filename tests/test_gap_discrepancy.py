@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from gap_case import measured_of, problem_of
 
-from simgap.fit.fit import Fit, Model, fit_model, predict_readings, residuals_at
-from simgap.fit.guess import has_inactive_effect
+from simgap.fit.fit import Fit, Model, fit_model, predict_readings
 from simgap.measure.data import FitRun
 from simgap.select.discrepancy import Discrepancy, _fit_ridge, find_discrepancies
 from simgap.select.hypotheses import evaluate_set
@@ -73,17 +72,3 @@ def test_degenerate_columns_are_reported():
     sizes = _fit_ridge(columns, left, [0, 30, 60], np.zeros(3))
     assert np.isfinite(sizes).all()
     assert np.allclose(sizes @ columns, 1e9 * (2 * one + 3 * both), rtol=1e-3, atol=1e6)
-
-
-def test_an_effect_is_neutral_by_its_influence_not_its_size(alone: tuple[Fit, tuple[FitRun, ...]]):
-    """Damping of 1e-4 of the usual size stops a light part and may be its whole gap."""
-    fit, runs = alone
-    there = fit_model(Model(fit.model.problem, ("viscous_damping",)), runs, iterations=0)
-    at = [r.owner for r in there.model.ranges()].index("viscous_damping")
-    told = replace(there, theta=np.where(np.arange(len(there.theta)) == at, 1e-5, there.theta))
-    shows = float(np.sqrt(np.mean(residuals_at(told.model, runs, told.theta, told.starts) ** 2)))
-    assert not has_inactive_effect(told, runs, gap=shows)
-    assert has_inactive_effect(told, runs, gap=1e6 * shows)
-    assert has_inactive_effect(
-        replace(told, theta=np.where(np.arange(len(there.theta)) == at, 0.0, told.theta)), runs, gap=shows
-    )

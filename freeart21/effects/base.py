@@ -176,9 +176,6 @@ class Effect(ABC):
     model_error: ClassVar[tuple[float, float]] = (0.2, 0.2)
     """Largest relative deviation of real ones from the formula: over the range of speeds, and over that of positions
     (once as a slope, once as a bend). A speed or place of the effect's own is its range."""
-    form_error: ClassVar[float] = 0.0
-    """Relative error of the formula, with all parameters fitted, for real ones of other forms. A residual of this size
-    needs no other effect."""
     support_widths: ClassVar[float] = 1.5
     """Distance from the place of a local effect to where it ends, in widths."""
 

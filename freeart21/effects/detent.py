@@ -28,7 +28,6 @@ class Detent(Effect):
     basis_of: ClassVar[tuple[str, ...]] = ("position",)
     speed_dependent: ClassVar[bool] = False
     model_error: ClassVar[tuple[float, float]] = (0.0, 0.4)  # shapes of grooves and catches vary
-    form_error: ClassVar[float] = 0.09
     support_widths: ClassVar[float] = 1.9  # a groove ends, a Gaussian does not
 
     peak: float = parameter("N*m", "N", 0.0, 1e4, "largest holding force", scale=0.1)

@@ -22,15 +22,12 @@ from simgap.fit.fit import (
     Problem,
     initial_theta,
     linearise_runs,
-    residuals_at,
 )
 from simgap.fit.force_predictor import ForcePredictor
 from simgap.measure.data import FitRun
 from simgap.models import kernel
 from simgap.models.surrogate import apply_sensing, effect_terms, sweep, time_steps
 
-_NOTHING = 1e-3
-"""Largest change of readings, as a share of the gap, by an inactive effect. Not measured."""
 _MILD = 0.05
 """Size at which a force is switched on, as a share of the RMS force."""
 
@@ -274,20 +271,6 @@ class ForceLinearisation(Linearisation):
 def linearise(fit: Fit, runs: tuple[FitRun, ...]) -> Linearisation:
     """The linearisation about a fit, of positions or of force."""
     return (ForceLinearisation if fit.model.problem.inverse_dynamics else Linearisation)(fit, runs)
-
-
-def has_inactive_effect(fit: Fit, runs: tuple[FitRun, ...], gap: float) -> bool:
-    """Whether an effect of the set changes nothing. `gap` is the normalised RMS of the asset alone."""
-    model = fit.model
-    now = residuals_at(model, runs, fit.theta, fit.starts)
-    for name in model.names:
-        nothing = neutral_point(model.problem, name)
-        rows = zip(model.ranges(), fit.theta, strict=True)
-        theta = np.array([nothing[r.name] if r.owner == name else x for r, x in rows])
-        change = residuals_at(model, runs, theta, fit.starts) - now
-        if float(np.sqrt(np.mean(change**2))) <= _NOTHING * gap:
-            return True
-    return False
 
 
 def is_linear_parameter(r: ParameterRange, own: list[ParameterRange]) -> bool:
