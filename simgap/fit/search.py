@@ -611,6 +611,13 @@ def drop_presliding(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
     return refit_missed_starts(fit_model(model, runs, initial_theta(model, fit, {}), fit.starts), runs)
 
 
+def drop_least_presliding(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
+    """The fit, or without presliding where that is better and the least travel is still too much: a joint that sticks
+    while it is pushed back and forth shows it."""
+    travel = [r.lower == x for r, x in zip(fit.model.ranges(), fit.theta, strict=True) if r.name == "travel_root"]
+    return min((fit, drop_presliding(fit, runs)), key=lambda f: f.cost) if any(travel) else fit
+
+
 def reduce_effect(fit: Fit, name: str, runs: tuple[FitRun, ...]) -> Fit:
     """The fit with an effect replaced by the one it reduces to, started from the parameters of both."""
     reduced = EFFECTS[name].reduces_to or name

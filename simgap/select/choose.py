@@ -8,7 +8,7 @@ the dominant effects are named in part, of those that every machine has. Otherwi
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 from freeart21.effects import EFFECTS
 from simgap.fit.fit import Fit
 from simgap.fit.force_search import ForceSearch
-from simgap.fit.search import Search, drop_presliding, simplify
+from simgap.fit.search import Search, drop_least_presliding, drop_presliding, simplify
 from simgap.select.discrepancy import Discrepancy, find_discrepancies
 from simgap.select.hypotheses import Hypothesis, evaluate_set, evaluate_with_model_error, excess
 from simgap.select.predictive import score_difference, select_smallest
@@ -55,7 +55,8 @@ def choose_hypotheses(search: Search | ForceSearch, folds: tuple[Fold, ...], set
     if not search.is_promising():
         return Choice(base, base, table=(base,))
     base = evaluate_set(base.fit, folds, base)
-    table = [base, *(evaluate_set(fit, folds, base) for fit in search.explore())]
+    fits = [drop_least_presliding(fit, search.train) for fit in search.explore()]
+    table = [base, *(evaluate_set(fit, folds, base) for fit in fits)]
     best = max(table, key=lambda h: h.score.total)
     if not _has_gap(base, best, settings):
         return Choice(base, best, table=tuple(table))
@@ -113,18 +114,23 @@ def _allow_model_error(
 
 
 def smallest_sets(table: Iterable[Hypothesis]) -> list[Hypothesis]:
-    """The smallest sets within one standard error of the best, the most probable first."""
+    """The smallest sets within one standard error of the best, the most probable first, without those that are another
+    of them in a special case (`Effect.reduces_to`)."""
     of = {h.names: h for h in table}
-    return [of[score.names] for score in select_smallest([h.score for h in of.values()])] if of else []
+    near = [score.names for score in select_smallest([h.score for h in of.values()])] if of else []
+    return [of[names] for names in near if not any(special in near for special in _special_cases(names))]
+
+
+def _special_cases(names: tuple[str, ...]) -> list[tuple[str, ...]]:
+    special = [(name, EFFECTS[name].reduces_to) for name in names]
+    return [tuple(sorted({*names, less} - {name})) for name, less in special if less]
 
 
 def explains_gap(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:
-    """Whether a set leaves almost none of the gap of `base` in most runs that show one."""
+    """Whether a set leaves almost none of the gap of `base`."""
     before, after = base.rms_by_run, hypothesis.rms_by_run
-    shown = [run for run in after if before[run] > GAP_THRESHOLD] or list(after)
-    left = {run: np.hypot(GAP_THRESHOLD, settings.explained_part * excess(before[run])) for run in shown}
-    met = sum(after[run] <= min(left[run], settings.most) for run in shown)
-    return met >= settings.met * len(shown)
+    most = {run: np.hypot(GAP_THRESHOLD, settings.explained_part * excess(before[run])) for run in after}
+    return _in_most_runs(hypothesis, base, settings.met, lambda run: after[run] <= min(most[run], settings.most))
 
 
 def _find_dominant(table: Sequence[Hypothesis], base: Hypothesis, settings: JudgementSettings) -> list[Hypothesis]:
@@ -145,16 +151,23 @@ def _is_ahead(other: Hypothesis, hypothesis: Hypothesis) -> bool:
 
 def may_dominate(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:
     """Whether a set consists of effects that every machine has, a loss among them, of plausible sizes, and halves the
-    gap in most runs that show one."""
+    gap."""
     classes = [EFFECTS[name] for name in hypothesis.names]
     if not any(cls.dissipates for cls in classes) or not all(cls.common for cls in classes):
         return False
     if not all(effect.is_plausible() for effect in hypothesis.fit.effects):
         return False
     after, before = hypothesis.rms_by_run, base.rms_by_run
-    shown = [run for run in after if before[run] > GAP_THRESHOLD]
-    halved = sum(excess(after[run]) < settings.dominant * excess(before[run]) for run in shown)
-    return halved > 0.5 * len(shown)
+    return _in_most_runs(
+        hypothesis, base, 0.5, lambda run: excess(after[run]) < settings.dominant * excess(before[run])
+    )
+
+
+def _in_most_runs(hypothesis: Hypothesis, base: Hypothesis, share: float, holds: Callable[[str], bool]) -> bool:
+    """Whether something holds in this share of the runs that show a gap, and in half of the test runs among these."""
+    shown = [run for run in hypothesis.rms_by_run if base.rms_by_run[run] > GAP_THRESHOLD]
+    tested = [run for run in shown if run in hypothesis.test_residuals]
+    return sum(map(holds, shown)) >= share * len(shown) and sum(map(holds, tested)) >= 0.5 * len(tested)
 
 
 def is_at_bound(fit: Fit) -> bool:
