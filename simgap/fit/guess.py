@@ -110,11 +110,6 @@ class Linearisation:
         """(m, n) changes of run i, its start state projected out."""
         return np.asarray(rows - (rows @ self.start_bases[i]) @ self.start_bases[i].T)
 
-    def count_responses(self, name: str) -> int:
-        """Number of rows of `unit_responses`."""
-        at = self._grid_of(name)
-        return len(at.grid) * len(at.sizes)
-
     def unit_responses(self, name: str) -> Array:
         """(m, N) response of all readings to a unit of the effect's sizes, at all points of its grid."""
         if name not in self._columns:

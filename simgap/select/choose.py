@@ -17,7 +17,7 @@ from freeart21.effects import EFFECTS
 from simgap.fit.fit import Fit
 from simgap.fit.force_search import ForceSearch
 from simgap.fit.search import Search, drop_least_presliding, drop_presliding, simplify
-from simgap.select.discrepancy import Discrepancy, find_discrepancies
+from simgap.select.discrepancy import KINDS, Discrepancy, find_discrepancies
 from simgap.select.hypotheses import Hypothesis, evaluate_set, evaluate_with_model_error, excess
 from simgap.select.predictive import score_difference, select_smallest
 from simgap.select.split import Fold
@@ -69,7 +69,9 @@ def choose_hypotheses(search: Search | ForceSearch, folds: tuple[Fold, ...], set
         evaluated += (shapes := _allow_model_error([h for h in table if _has_shape(h)], search, folds, base))
         whole = smallest_sets(h for h in shapes if explains_gap(h, base, settings))
     accepted = [fit_for_simulator(h, search, folds, base) for h in whole or part]
-    discrepancies = find_discrepancies((whole or part or [best])[0], folds)
+    nearest = (whole or part or [best])[0]
+    kinds = KINDS if nearest.rms > GAP_THRESHOLD else ("session",)  # noise leaves the others nothing
+    discrepancies = find_discrepancies(nearest, folds, kinds)
     if any(_drifts(n, settings) for n in discrepancies):
         accepted = []
     return Choice(

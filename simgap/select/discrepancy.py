@@ -61,18 +61,16 @@ class Discrepancy:
 
 
 def find_discrepancies(
-    hypothesis: Hypothesis, folds: tuple[Fold, ...], most: int | None = None
+    hypothesis: Hypothesis, folds: tuple[Fold, ...], kinds: tuple[str, ...] = KINDS
 ) -> tuple[Discrepancy, ...]:
-    """All discrepancies of a set, or those with at most `most` parameters."""
+    """The discrepancies of a set."""
     linear_folds = [
         _LinearFold(trained, there, fold)
         for trained, there, fold in zip(hypothesis.trained, hypothesis.predicted, folds, strict=True)
     ]
     alone, left = _score_folds([(one.fit.free_residual, one.new.free_residual) for one in linear_folds], folds)
     found = []
-    for kind in KINDS:
-        if most is not None and linear_folds[0].numbers(kind) > most:
-            continue
+    for kind in kinds:
         fits = [one.fit_kind(kind) for one in linear_folds]
         if any(each is None for each in fits):
             continue
@@ -134,13 +132,6 @@ class _LinearFold:
         """Effects that are the basis functions."""
         names = [name for name, cls in EFFECTS.items() if kind in cls.basis_of and name not in self.trained.model.names]
         return [name for name in names if self.fit.problem.plant.joint_type in EFFECTS[name].joint_types]
-
-    def numbers(self, kind: str) -> int:
-        """Number of parameters."""
-        if kind in ("time", "flexing", "session"):
-            return {"time": _MOMENTS, "flexing": 2, "session": len(self._sizes())}[kind]
-        names = self._names(kind)
-        return len(names) if kind == "direction" else sum(self.fit.count_responses(name) for name in names)
 
     def _hat_functions(self, run: FitRun) -> Array:
         """(m, n) hat functions over time since the run began."""
