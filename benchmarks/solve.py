@@ -185,7 +185,7 @@ def main(
         tier: seven: the first object of each category; full: all 21.
         objects: These instead of a tier's.
         split: public, or test (to be scored only, never looked at).
-        sensor: clean, noise2, tof, blur, hand, or several joined by '+'.
+        sensor: clean, noise2, tof, phone, blur, hand, or several joined by '+'.
         motion: One motion for all objects instead of the benchmark's own.
         preset: handheld, or paper.
         frames: Frames a sequence.

@@ -206,7 +206,7 @@ def record(
             (or teleop:FILE).
         carry: Scale of a take's translations; from the objects' sizes when not given.
         preset: handheld (real size, filling the picture) or paper (PartNet scale, 3 m away).
-        sensor: clean, noise2, tof, blur, hand, or several joined by '+'.
+        sensor: clean, noise2, tof, phone, blur, hand, or several joined by '+'.
         camera: camera.json of `gap`: faults of a real camera, added to those of the sensor.
         effects: effects.json of the joint, for the motion release.
         let_go: Where the motion release lets the joint go, 0 to 1 of its range; random when not given.

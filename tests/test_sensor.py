@@ -15,7 +15,7 @@ from generator.motion import Plan
 from generator.partnet_writer import write_partnet
 from generator.scene import Scene, decode_srgb, encode_srgb
 from generator.sensor import Sensor
-from generator.sensors import SENSORS
+from generator.sensors import SENSORS, phone
 from generator.sensors.blur import Blur
 from generator.sensors.noise2 import NOISE2_SHARE, Noise2
 from generator.shapes import box
@@ -100,7 +100,7 @@ def test_every_frame_has_noise_of_its_own(scene: Scene, loaded: partnet.PartNetO
 
 def test_unknown_names_get_one_line(scene: Scene, loaded: partnet.PartNetObject) -> None:
     for name, message in (
-        ("fog", "unknown sensor 'fog'; sensors: blur, clean, hand, noise2, tof"),
+        ("fog", "unknown sensor 'fog'; sensors: blur, clean, hand, noise2, phone, tof"),
         ("tof+fog", "unknown sensor 'fog'"),
         ("clean+blur", "'clean\\+blur' joins"),
         ("noise2+tof", "joins"),
@@ -312,3 +312,47 @@ def test_the_hand_is_of_real_size_unless_the_object_is_of_partnets() -> None:
         straight = made.joints(np.tile([10.0, 0, 0], (5, 1)) + hand.ROOTS * made.mirror)
         length = straight[2, 3, 0] - hand.WRIST[0] * made.scale + hand.RADII[2, 3] * made.scale
         assert least < length < most
+
+
+# --- phone ------------------------------------------------------------------------------------------------------------
+
+
+def _phone_map(depth: np.ndarray, colour: np.ndarray, frame: int) -> np.ndarray:
+    """(192, 256) of a picture twice as large."""
+    measured = phone.measure(depth.astype(np.float32), colour.astype(np.float32), np.random.default_rng([0, 4, frame]))
+    return cv2.resize(measured, (256, 192), interpolation=cv2.INTER_AREA).astype(float)
+
+
+def test_phone_errors_are_as_large_and_as_correlated_as_measured() -> None:
+    camera = Camera.from_fov(512, 384, np.radians(60))
+    wall, grey = _tilted(camera, 20, 0.6), np.full((384, 512, 3), 0.5)
+    y, x = np.indices((24, 24)).reshape(2, -1)
+    A = np.column_stack([np.ones(24 * 24), x, y])
+    rms, lags = [], []
+    for frame in range(3):
+        inverse = 1 / _phone_map(wall, grey, frame)
+        for top, left in np.ndindex(6, 8):
+            window = inverse[24 + 24 * top :, 24 + 24 * left :][:24, :24].ravel()
+            if len(window) == 24 * 24:
+                r = (window - A @ np.linalg.lstsq(A, window)[0]).reshape(24, 24) * 0.6**2
+                rms.append(r.std())
+                lags.append([(r[:, k:] * r[:, :-k]).mean() / r.var() for k in (2, 4, 12)])
+    near, middle, far = np.median(lags, 0)
+    assert 0.6 * 1.7e-3 < np.median(rms) / 0.6 < 1.4 * 1.7e-3
+    assert near > 0.75 and 0.4 < middle < 0.85 and far < 0.15
+
+
+def test_phone_rounds_a_step_unless_colours_show_it() -> None:
+    near = np.arange(512) < 261
+    depth = np.tile(np.where(near, 0.4, 0.8), (384, 1))
+    widths = []
+    for contrast in (0.0, 0.4):
+        colour = np.tile(np.where(near, 0.5, 0.5 - contrast)[:, None], (384, 1, 3))
+        share = (_phone_map(depth, colour, 1) - 0.4)[20:-20, 100:161] / 0.4
+        widths.append(np.median([np.argmax(s > 0.9) - np.argmax(s > 0.1) for s in share]))
+    assert 8 < widths[0] < 24 and widths[1] <= 4
+
+
+def test_phone_is_empty_where_nothing_is_drawn(scene: Scene, loaded: partnet.PartNetObject) -> None:
+    shot = _sensor("phone", scene, loaded).shoot(0)
+    assert (shot.depth[shot.mask] > 0).all() and (shot.depth[~shot.mask] == 0).all()

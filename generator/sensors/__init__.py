@@ -20,6 +20,6 @@ def check_sensor(name: str) -> tuple[type[SensorModel], ...]:
     replaced = [cls.replaces for cls in found if cls.replaces is not None]
     if len({*parts}) < len(parts) or len({*replaced}) < len(replaced) or (len(parts) > 1 and "all" in replaced):
         raise FreeArtError(
-            f"sensor '{name}' joins what does not go together: each name once, clean alone, noise2 or tof but not both"
+            f"sensor '{name}' joins what does not go together: each name once, clean alone, one source of depth"
         )
     return found
