@@ -1,6 +1,7 @@
 """Imports point down, and no method can import a truth."""
 
 import ast
+import functools
 import graphlib
 import subprocess
 import sys
@@ -30,9 +31,12 @@ TRUTH_HOLDERS = {
 }
 
 
+parse = functools.cache(ast.parse)
+
+
 def imports(source: str) -> list[tuple[str, bool]]:
     """(module, at module level) of every import; `from a import b` gives both a and a.b."""
-    tree = ast.parse(source)
+    tree = parse(source)
     top = {id(node) for node in tree.body}
     found = []
     for node in ast.walk(tree):
@@ -122,15 +126,15 @@ def test_no_modules_import_each_other_in_a_circle():
     names = {name.removesuffix("/__init__").replace("/", "."): path for path, name in files.items()}
     graph = {}
     for name, path in names.items():
-        tree = ast.parse(path.read_text())
+        nodes = list(ast.walk(parse(path.read_text())))
         typing_only = {
             id(child)
-            for node in ast.walk(tree)
-            if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+            for node in nodes
+            if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
             for child in node.body
         }
         found = set()
-        for node in ast.walk(tree):
+        for node in nodes:
             if isinstance(node, ast.ImportFrom) and node.module and id(node) not in typing_only:
                 members = (f"{node.module}.{alias.name}" for alias in node.names)
                 found |= {member if member in names else node.module for member in members}
