@@ -61,6 +61,7 @@ RUNS = (
     Run("clean, all 21", "reconstruct.json", {"tier": "full", "beside": ("no-gaussians",)}),
     Run("2 % of noise on the depth", "reconstruct-public-noise2.json", {"sensor": "noise2", "beside": PIECES}),
     Run("time of flight", "reconstruct-public-tof.json", {"sensor": "tof"}),
+    Run("a phone's LiDAR", "reconstruct-public-phone.json", {"sensor": "phone"}),
     Run("motion blur", "reconstruct-public-blur.json", {"sensor": "blur"}),
     Run("a hand holds it", "reconstruct-public-hand.json", {"sensor": "hand"}),
     Run("the base stands, the camera moves", "reconstruct-public-static_base.json", {"motion": "static_base"}),
