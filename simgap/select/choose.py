@@ -62,6 +62,8 @@ def choose_hypotheses(search: Search | ForceSearch, folds: tuple[Fold, ...], set
         return Choice(base, best, table=tuple(table))
     evaluated = _allow_model_error([h for h in table if not _has_shape(h)], search, folds, base)
     whole = smallest_sets(h for h in evaluated if explains_gap(h, base, settings))
+    # a subset that leaves too much, but is about as probable: then passing the threshold is chance
+    whole = [h for h in whole if not any({*o.names} < {*h.names} and not _is_ahead(h, o) for o in evaluated)]
     part = [] if whole else _find_dominant(table, base, settings)
     if not whole and not part:  # free shapes come last
         table += [evaluate_set(fit, folds, base) for fit in search.fit_shapes()]
