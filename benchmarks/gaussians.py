@@ -16,7 +16,7 @@ window).
   reaches with the same threads, measured between the repeats; a copied byte counts twice, read and written. *share* is
   limit over measured: 1 would be a rasteriser that only waits for memory.
 - *step*: a whole step of the optimisation of as many Gaussians: those that face the camera are drawn, held to a picture
-  of others by all losses, and stepped, and the frame's equations for the poses are taken.
+  of others by all losses, and stepped. A round is a step a frame, and 150 at least.
 - *pairs*: pixels in Gaussians' ellipses, hidden ones included: what the work grows with.
 """
 

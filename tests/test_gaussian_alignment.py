@@ -9,7 +9,7 @@ from freeart21 import se3
 from freeart21.mesh import Mesh
 from reconstruct.gaussians import numba_backend
 from reconstruct.gaussians.alignment import CELLS, HOLD, Scales, Terms, alignment_terms, eliminate_patches
-from reconstruct.gaussians.initial import place_discs
+from reconstruct.gaussians.initial import SPACING, place_discs
 from reconstruct.gaussians.losses import Target
 from reconstruct.gaussians.model import make_splats
 from reconstruct.gaussians.rasteriser import Lens
@@ -39,7 +39,7 @@ def textured(extents, centre, seed):
 def model():
     """Discs of one part each."""
     meshes = textured((0.3, 0.2, 0.06), (0, 0, 0), 0), textured((0.12, 0.18, 0.06), (0.0, 0.0, 0.12), 1)
-    return place_discs(meshes, 0.004, GaussianSettings(), np.random.default_rng(0)).gaussians(blended=False)
+    return place_discs(meshes, 0.004 / SPACING, GaussianSettings(), np.random.default_rng(0)).gaussians(blended=False)
 
 
 def render(model, poses):

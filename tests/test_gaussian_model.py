@@ -290,10 +290,10 @@ BOXES = (box((0.4, 0.2, 0.1), (0, 0, 0), (200, 40, 90)), box((0.1, 0.1, 0.02), (
 
 
 def test_discs_lie_on_the_surfaces():
-    settings, footprint = GaussianSettings(), 0.01
-    found = place_discs(BOXES, footprint, settings, np.random.default_rng(9))
+    settings, spacing = GaussianSettings(), 0.01
+    found = place_discs(BOXES, spacing / initial.SPACING, settings, np.random.default_rng(9))
     areas = [mesh.areas().sum() for mesh in BOXES]
-    counts = [round(area / footprint**2) for area in areas]
+    counts = [round(area / spacing**2) for area in areas]
     second = found.weight_logits < 0
     assert [int((~second).sum()), int(second.sum())] == counts
     some = found.gaussians()
@@ -301,7 +301,7 @@ def test_discs_lie_on_the_surfaces():
         some.part_weights, np.where(second, 1 - initial.PART_WEIGHT, initial.PART_WEIGHT), rtol=1e-4
     )
     np.testing.assert_allclose(some.opacities, initial.OPACITY, rtol=1e-5)
-    radius = initial.RADIUS * footprint
+    radius = initial.RADIUS * spacing
     np.testing.assert_allclose(
         some.scales, np.tile([radius, radius, initial.THICKNESS * radius], (len(some), 1)), rtol=1e-5
     )
@@ -314,7 +314,7 @@ def test_discs_lie_on_the_surfaces():
         assert (np.einsum("nd,nd->n", outward, some.normals[mine]) > 0).all()
         np.testing.assert_allclose(some.colours[mine], np.tile(np.float32(colour) / 255, (mine.sum(), 1)), atol=1e-5)
         each = np.bincount(face, minlength=len(mesh.faces))
-        assert np.abs(each - mesh.areas() / footprint**2).max() < 3, "as many on each face as its area asks for"
+        assert np.abs(each - mesh.areas() / spacing**2).max() < 3, "as many on each face as its area asks for"
     assert len(found.light) == settings.light_terms and not found.light[1:].any()
     splats, _ = make_splats(some, np.stack([se3.pose(np.eye(3), [0, 0, 2.0])] * 2))
     np.testing.assert_allclose(splats.colours.max(0), np.float32([200, 140, 250]) / 255, rtol=1e-5)
@@ -329,7 +329,7 @@ def test_there_are_fewer_discs_where_there_would_be_too_many():
 
 def test_a_part_that_was_never_seen_has_no_discs():
     nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
-    found = place_discs((BOXES[0], nothing), 0.01, GaussianSettings(), np.random.default_rng(0))
+    found = place_discs((BOXES[0], nothing), 0.01 / initial.SPACING, GaussianSettings(), np.random.default_rng(0))
     assert len(found) == round(BOXES[0].areas().sum() / 0.01**2) and (found.weight_logits > 0).all()
-    found = place_discs((nothing, BOXES[1]), 0.01, GaussianSettings(), np.random.default_rng(0))
+    found = place_discs((nothing, BOXES[1]), 0.01 / initial.SPACING, GaussianSettings(), np.random.default_rng(0))
     assert len(found) == round(BOXES[1].areas().sum() / 0.01**2) and (found.weight_logits < 0).all()

@@ -16,6 +16,8 @@ THICKNESS = 0.1
 OPACITY = 0.7
 PART_WEIGHT = 0.97
 """Initial part weight of Gaussians on the reference part; one minus it on the moving part."""
+SPACING = 1.25
+"""Smallest mean distance between neighbours, footprints."""
 RADIUS = 0.6
 """Standard deviation of a disc, in mean distances between neighbours."""
 
@@ -23,12 +25,12 @@ RADIUS = 0.6
 def place_discs(
     meshes: tuple[Mesh, Mesh], footprint: float, settings: GaussianSettings, rng: np.random.Generator
 ) -> Parameters:
-    """Gaussians on the meshes of reference and moving part, canonical frame: one per `footprint`, metres, squared.
+    """Gaussians on the meshes of reference and moving part, canonical frame: SPACING times `footprint`, metres, apart.
 
     Fewer where that would be more than `settings.begin`.
     """
     areas = [float(mesh.areas().sum()) for mesh in meshes]
-    spacing = max(footprint, float(np.sqrt(sum(areas) / settings.begin)))
+    spacing = max(SPACING * footprint, float(np.sqrt(sum(areas) / settings.begin)))
     means, normals, colours = ([np.zeros((0, 3))] for _ in range(3))
     weights = [np.zeros(0)]
     for part, (mesh, area) in enumerate(zip(meshes, areas, strict=True)):

@@ -63,25 +63,41 @@ class Parameters:
 
     def gaussians(self, blended: bool = True) -> Gaussians:
         """As `Gaussians`; without `blended` the part weights are rounded to 0 or 1."""
-        q = self.quaternions / np.linalg.norm(self.quaternions, axis=1, keepdims=True)
-        w, x, y, z = q.T
-        normals = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], 1)
-        weights = sigmoid(self.weight_logits)
+        q, scales, colours, normals = (np.empty((len(self), k), np.float32) for k in (4, 3, 3, 3))
+        opacities, weights = np.empty(len(self), np.float32), np.empty(len(self), np.float32)
+        own = (self.quaternions, self.log_scales, self.opacity_logits, self.colours, self.weight_logits)
+        shaped = (*own, q, scales, opacities, colours, weights, normals)
+        run_in_threads(lambda begin, end: _activate(begin, end, *shaped), len(self), 2000)
         return Gaussians(
-            self.means,
-            q,
-            np.exp(self.log_scales),
-            sigmoid(self.opacity_logits),
-            np.clip(self.colours, 0, 1),
-            weights if blended else np.round(weights),
-            normals,
-            self.light,
+            self.means, q, scales, opacities, colours, weights if blended else np.round(weights), normals, self.light
         )
 
 
 def sigmoid(x: Floats) -> Floats:
     """1 / (1 + exp(-x))."""
     return np.asarray(1 / (1 + np.exp(-x)), np.float32)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _activate(
+    begin: int, end: int, quaternions: Floats, log_scales: Floats, opacity_logits: Floats, raw_colours: Floats,
+    weight_logits: Floats, q: Floats, scales: Floats, opacities: Floats, colours: Floats, weights: Floats,
+    normals: Floats,
+) -> None:  # pragma: no cover  # fmt: skip
+    """`Gaussians` from the `Parameters` begin to end."""
+    one, two = _F(1), _F(2)
+    for g in range(begin, end):
+        w, x, y, z = quaternions[g, 0], quaternions[g, 1], quaternions[g, 2], quaternions[g, 3]
+        over = one / math.sqrt(w * w + x * x + y * y + z * z)
+        w, x, y, z = w * over, x * over, y * over, z * over
+        q[g, 0], q[g, 1], q[g, 2], q[g, 3] = w, x, y, z
+        normals[g, 0], normals[g, 1] = two * (x * z + w * y), two * (y * z - w * x)
+        normals[g, 2] = one - two * (x * x + y * y)
+        for k in range(3):
+            scales[g, k] = math.exp(log_scales[g, k])
+            colours[g, k] = min(one, max(_F(0), raw_colours[g, k]))
+        opacities[g] = one / (one + math.exp(-opacity_logits[g]))
+        weights[g] = one / (one + math.exp(-weight_logits[g]))
 
 
 def logit(p: Floats) -> Floats:
@@ -117,24 +133,13 @@ def make_splats(gaussians: Gaussians, Ts: Array, lit: Array | None = None) -> tu
 
     def back(d: SplatGradients) -> dict[str, Floats]:
         n = len(gaussians)
-        by_shade = d.colours * gaussians.colours[index] * (shades > _F(DARKEST))
-        sign = np.where(motion == 0, _F(1), _F(-1))
-        columns = {
-            "means": d.means,
-            "quaternions": d.quaternions,
-            "scales": d.scales,
-            "opacities": d.opacities * share,
-            "colours": d.colours * shades,
-            "part_weights": d.opacities * opacities[index] * sign,
-            "screen": d.screen,
-            "drawn": d.drawn.astype(np.float32),
-        }
-        found = {}
-        for name, values in columns.items():
-            width = math.prod(values.shape[1:])
-            total = np.zeros((n, width), np.float32)
-            _sum_copies(index, values.reshape(m, width), total)
-            found[name] = total.reshape(n, *values.shape[1:])
+        widths = {"means": 3, "quaternions": 4, "scales": 3, "opacities": 0, "colours": 3, "part_weights": 0}
+        widths |= {"screen": 0, "drawn": 0}
+        found = {name: np.zeros((n, width) if width else n, np.float32) for name, width in widths.items()}
+        by_shade = np.empty((m, 3), np.float32)
+        given = (d.means, d.quaternions, d.scales, d.opacities, d.colours, d.screen, d.drawn)
+        own = (gaussians.colours, opacities, weights, shades)
+        _sum_copies(index, motion, *given, *own, by_shade, *found.values())
         return {**found, "light": harmonics.T @ by_shade}
 
     return splats, back
@@ -166,10 +171,30 @@ def _select(
 
 
 @njit(nogil=True, cache=True)
-def _sum_copies(index: Ints, values: Floats, total: Floats) -> None:  # pragma: no cover
+def _sum_copies(
+    index: Ints, motion: NDArray[np.uint8], d_means: Floats, d_quaternions: Floats, d_scales: Floats,
+    d_opacities: Floats, d_colours: Floats, d_screen: Floats, d_drawn: NDArray[np.bool_], colours: Floats,
+    opacities: Floats, weights: Floats, shades: Floats, by_shade: Floats, means: Floats, quaternions: Floats,
+    scales: Floats, by_opacity: Floats, by_colour: Floats, by_weight: Floats, screen: Floats, drawn: Floats,
+) -> None:  # pragma: no cover  # fmt: skip
+    """Derivatives by the Gaussians from those by their copies `index`; and by the copies' light."""
     for e in range(index.shape[0]):
-        for d in range(values.shape[1]):
-            total[index[e], d] += values[e, d]
+        g = index[e]
+        for k in range(3):
+            means[g, k] += d_means[e, k]
+            scales[g, k] += d_scales[e, k]
+            by_colour[g, k] += d_colours[e, k] * shades[e, k]
+            by_shade[e, k] = d_colours[e, k] * colours[g, k] if shades[e, k] > _F(DARKEST) else _F(0)
+        for k in range(4):
+            quaternions[g, k] += d_quaternions[e, k]
+        if motion[e] == 0:
+            by_opacity[g] += d_opacities[e] * weights[g]
+            by_weight[g] += d_opacities[e] * opacities[g]
+        else:
+            by_opacity[g] += d_opacities[e] * (_F(1) - weights[g])
+            by_weight[g] -= d_opacities[e] * opacities[g]
+        screen[g] += d_screen[e]
+        drawn[g] += _F(d_drawn[e])
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)

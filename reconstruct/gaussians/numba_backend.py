@@ -32,8 +32,8 @@ from reconstruct.kernels import run_in_threads
 TILE = 32
 """Pixels, each way: 16 took a third longer, 64 leaves too few tiles for two threads in a small window."""
 _LANES = 8
-"""Pixels processed at a time, masked beyond the ellipse, so that the loop vectorises: most rows are shorter than two
-such stretches."""
+"""Pixels processed at a time, masked beyond the ellipse, so that the loop vectorises: most rows are one such stretch.
+A tile's buffers are longer by one."""
 _PIECES = 16
 """Stride with which tiles are dealt to threads: neighbours, of similar cost, go to different threads."""
 
@@ -232,7 +232,7 @@ def _blend(
 ) -> None:  # pragma: no cover  # fmt: skip
     """Draw some tiles into the images, which are initially black and transparent."""
     height, width = left.shape
-    S = np.empty((TILE, 6, TILE), np.float32)
+    S = np.empty((TILE, 6, TILE + _LANES), np.float32)
     for tile in tiles:
         if starts[tile] == starts[tile + 1]:
             continue
@@ -255,14 +255,13 @@ def _blend(
                 base, slope = _F(-0.5) * q2 * dy * dy, q1 * dy
                 z_row = depth_here + z_down * dy
                 ty, x0, x1 = _U(y - by), x0 - bx, x1 - bx
-                for stretch in range(x0 // _LANES, (x1 - 1) // _LANES + 1):
-                    first = stretch * _LANES
-                    from_mean, begin, end = _F(first) - mx, np.int32(x0 - first), np.int32(x1 - first)
+                for first in range(x0, x1, _LANES):
+                    from_mean, end = _F(first) - mx, np.int32(x1 - first)
                     for lane in range(_U(_LANES)):
                         at, k = _U(first) + lane, np.int32(lane)
                         dx = from_mean + _F(k)
                         al = min(_DENSEST, o * _exp(max(_F(-5.6), min(_F(0), base - (_F(0.5) * q0 * dx + slope) * dx))))
-                        al = al if (k >= begin) & (k < end) else _F(0)
+                        al = al if k < end else _F(0)
                         T = S[ty, _T, at]
                         after = T * (_F(1) - al)
                         live = after > _OPAQUE
@@ -300,7 +299,7 @@ def _blend_back(
     Front to back again: what lies behind a Gaussian is the total minus what is in front of it and itself.
     """
     height, width = left.shape
-    S = np.empty((TILE, 6, TILE), np.float32)
+    S = np.empty((TILE, 6, TILE + _LANES), np.float32)
     for tile in tiles:
         if starts[tile] == starts[tile + 1]:
             continue
@@ -338,14 +337,13 @@ def _blend_back(
                 z_row = depth_here + z_down * dy
                 ty, x0, x1 = _U(y - by), x0 - bx, x1 - bx
                 m0 = m1 = m2 = z0 = z1 = _F(0)
-                for stretch in range(x0 // _LANES, (x1 - 1) // _LANES + 1):
-                    first = stretch * _LANES
-                    from_mean, begin, end = _F(first) - mx, np.int32(x0 - first), np.int32(x1 - first)
+                for first in range(x0, x1, _LANES):
+                    from_mean, end = _F(first) - mx, np.int32(x1 - first)
                     for lane in range(_U(_LANES)):
                         at, k = _U(first) + lane, np.int32(lane)
                         dx = from_mean + _F(k)
                         al = min(_DENSEST, o * _exp(max(_F(-5.6), min(_F(0), base - (_F(0.5) * q0 * dx + slope) * dx))))
-                        al = al if (k >= begin) & (k < end) else _F(0)
+                        al = al if k < end else _F(0)
                         T = S[ty, _T, at]
                         after = T * (_F(1) - al)
                         live = after > _OPAQUE

@@ -1,8 +1,9 @@
 """End-to-end optimisation (paper, End-to-end Optimization): Adam for the Gaussians, Gauss-Newton for the motion.
 
 A round uses every frame once. The Gaussians take a step at every frame; poses, states, axis and pivot take one together
-after the round, from the terms of all frames. Some frames are held out of the training; the refined motion is used only
-if they are explained better than with the motion before.
+after the round, from the terms of all frames. The first rounds see images of half the resolution. Some frames are held
+out of the training; only if these explain them better with the refined motion than with the one before, it is used, and
+refined further by a model of full resolution.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import solve
+from scipy.spatial import cKDTree
 
 from freeart21 import se3
 from freeart21.gaussians import Gaussians
@@ -54,13 +56,18 @@ from reconstruct.surfaces import fuse
 
 Flags = NDArray[np.bool_]
 
-SHORTEST_ROUND = 150
+SHORTEST_ROUND = 100
 """Training steps of a round, at least: short videos are repeated, so that the model keeps up with the motion."""
 DAMPING = 1e-6
 """Of the Gauss-Newton steps: a drift along the video has eigenvalues of 1e-4 of the diagonal."""
-COARSE = ((0.4, 4), (0.7, 2), (1.0, 1))
-"""Pixel block edges up to shares of the rounds. At full resolution the first step goes 16 % of the way, with blocks of
-4 pixels 40 % (noise2 swivel_usb)."""
+FINE = 1 / 3
+"""Share of the rounds at full resolution; the others have half of it, a quarter of the pixels and Gaussians."""
+FEWEST_PIXELS = 4000
+"""Mean pixels of the foreground below which all rounds are at full resolution: a small part would have too few. With
+2,000 and 8 rounds, a test clip's axis went from 1.0 to 1.2 degrees at half resolution, to 0.4 at full."""
+COARSE = ((0.6, 4), (1.0, 2))
+"""Pixel block edges up to shares of the first rounds. At full resolution the first step goes 16 % of the way, with
+blocks of 4 pixels 40 % (noise2 swivel_usb)."""
 FREE_STEPS, FREE_COARSE = 2, 2
 """Gauss-Newton steps of a part's pose without the joint, and their pixel block edge."""
 FARTHEST = 20
@@ -73,6 +80,8 @@ MAX_DISAGREEMENT = 1.5
 explained better."""
 SURELY = 2.0
 """Standard errors by which the held-out frames must be explained better."""
+FACING = 4.0
+"""Pixels of distance that weigh as much as a difference of one between unit normals."""
 SHOWN = 0.02
 """Visible area, pixels, from which an image shows a Gaussian."""
 MOMENTUM = 0.5
@@ -140,43 +149,75 @@ def optimise(
     """
     s = settings.gaussians
     windows = make_windows(recording, scene, s.most_pixels)
+    pixels = np.mean([window.mask.sum() for window in windows.frames if window is not None] or [0])
+    reduction = 2 if pixels >= FEWEST_PIXELS else 1
+    reduced = windows.reduced(reduction)
+    rasterise = choose_backend(s.backend)
     held_out = _choose_held_out(windows.nonempty, s.held_back)
     train = windows.nonempty & ~held_out
     seed = int(rng.integers(2**32))
 
-    def surfaces(poses: JointedPoses) -> list[Mesh]:
+    def surfaces(poses: JointedPoses) -> tuple[Mesh, Mesh]:
         Ts = (poses.Ts, poses.Ts_moving)
-        return [fuse(scene, estimate.labels, k + 1, Ts[k], estimate.seen[:, k], settings.surfaces) for k in range(2)]
+        first, second = (
+            fuse(scene, estimate.labels, k + 1, Ts[k], estimate.seen[:, k], settings.surfaces) for k in range(2)
+        )
+        return first, second
 
-    def warm_up_model(poses: JointedPoses, meshes: list[Mesh]) -> Fit:
-        """A model trained with a fixed motion for the warm-up rounds."""
-        fit = Fit(windows, (meshes[0], meshes[1]), poses, choose_backend(s.backend), s, np.random.default_rng(seed))
-        fit.coarseness = COARSE[0][1]
+    def warm_up_model(poses: JointedPoses, meshes: tuple[Mesh, Mesh]) -> Fit:
+        """A model of the reduced images trained with a fixed motion for the warm-up rounds."""
+        fit = Fit(reduced, meshes, poses, rasterise, s, np.random.default_rng(seed))
+        fit.coarseness = COARSE[0][1] // reduction
         for r in range(s.warm_up):
-            fit.train_round(train, r / s.rounds, (r + 1) / s.rounds)
+            fit.train_round(train, r / s.rounds, (r + 1) / s.rounds, s.end_to_end)
         return fit
 
     meshes = surfaces(estimate.poses)
     if all(mesh.empty for mesh in meshes):
         return None
-    fit = warm_up_model(estimate.poses, meshes)
-    before = fit.copy()
-    for r in range(s.warm_up, s.rounds):
+    coarse = warm_up_model(estimate.poses, meshes)
+    before = coarse.copy()
+    fine_rounds = max(1, round(FINE * s.rounds))
+    first_fine = s.rounds - fine_rounds
+    for r in range(s.warm_up, first_fine):
         progress(r / s.rounds)
-        fit.coarseness = next(c for until, c in COARSE if r < until * s.rounds)
+        coarse.coarseness = next(c for until, c in COARSE if r < until * first_fine) // reduction
         if s.end_to_end:
-            fit.adjust_poses(train, held_out, MOMENTUM if r < 0.7 * s.rounds else MOMENTUM / 2)
-        if r < 0.6 * s.rounds:
-            fit.densify(s.most)
-        fit.train_round(train, r / s.rounds, (r + 1) / s.rounds)
-    refined = s.end_to_end and _explains_better(before, warm_up_model(fit.poses, surfaces(fit.poses)), held_out)
-    refined = refined and depth_disagreement(fit.poses) <= MAX_DISAGREEMENT * depth_disagreement(estimate.poses)
-    if refined:
+            coarse.adjust_poses(train, held_out, MOMENTUM)
+        coarse.densify(s.most)
+        coarse.train_round(train, r / first_fine, (r + 1) / first_fine, s.end_to_end)
+
+    def start_fine(poses: JointedPoses, meshes: tuple[Mesh, Mesh]) -> Fit:
+        """A model of full resolution, not trained yet."""
+        fit = Fit(windows, meshes, poses, rasterise, s, np.random.default_rng(seed))
+        fit.start_from(coarse)
+        return fit
+
+    def train_fine(fit: Fit, refine: bool, first: int = 0) -> None:
+        """Train a model of full resolution from round `first` on, and with `refine` its motion."""
+        for r in range(first, fine_rounds):
+            progress((first_fine + r) / s.rounds)
+            if r > 0 and refine:
+                fit.adjust_poses(train, held_out, MOMENTUM / 2)
+            if 0 < r < fine_rounds - 1:
+                fit.densify(s.most)
+            fit.train_round(train, r / fine_rounds, (r + 1) / fine_rounds, refine)
+
+    fit, refined = None, False
+    if s.end_to_end:
+        new_meshes = surfaces(coarse.poses)
+        if _explains_better(before, warm_up_model(coarse.poses, new_meshes), held_out):
+            fit = start_fine(coarse.poses, new_meshes)
+            train_fine(fit, refine=True)
+            refined = depth_disagreement(fit.poses) <= MAX_DISAGREEMENT * depth_disagreement(estimate.poses)
+    if fit is None:
+        fit = start_fine(estimate.poses, meshes)
+        train_fine(fit, refine=False)
+    elif refined:
         fit.poses = _with_std(fit, [mesh.vertices for mesh in fit.meshes], estimate.seen)
-    elif s.end_to_end:
+    else:
         fit.poses = estimate.poses
-        for r in range(s.rounds // 2, s.rounds):
-            fit.train_round(train, r / s.rounds, (r + 1) / s.rounds)
+        train_fine(fit, refine=False, first=fine_rounds // 2)
     fit.densify(0)
     gaussians, shares = fit.parameters.gaussians(s.blended), fit.moving_shares(scene)
     return OptimisedModel(fit.poses, fit.refine_free_poses(estimate.seen), gaussians, shares, refined)
@@ -217,15 +258,28 @@ class Fit:
         own.rng = copy.deepcopy(self.rng)
         return own
 
-    def train_round(self, train: Flags, begin: float, end: float) -> None:
-        """One step of the Gaussians at every frame of `train`; `begin` and `end` are shares of the whole training."""
+    def train_round(self, train: Flags, begin: float, end: float, align: bool) -> None:
+        """One step of the Gaussians at every frame of `train`, or several of a short video's; `begin` and `end` are
+        shares of the whole training. `align` takes the alignment terms of the last step at each."""
         frames = np.flatnonzero(train)
         times = max(1, -(-SHORTEST_ROUND // max(len(frames), 1)))
         order = np.concatenate([self.rng.permutation(frames) for _ in range(times)]) if len(frames) else frames
         for k, i in enumerate(order):
-            _, self.terms[int(i)] = self.train_step(int(i), begin + (end - begin) * k / len(order))
+            _, picture = self.train_step(int(i), begin + (end - begin) * k / len(order))
+            if align and k >= len(order) - len(frames):
+                self.terms[int(i)] = self._alignment_terms(int(i), picture)
 
-    def train_step(self, i: int, progress: float) -> tuple[Loss, Terms]:
+    def start_from(self, coarse: Fit) -> None:
+        """Take over a coarser model's light, and the part weights of its nearest Gaussians with a similar normal."""
+        own, other = self.parameters, coarse.parameters
+        own.light[:] = other.light
+        if not len(other) or not self.settings.blended:
+            return
+        unit = FACING * coarse.windows.footprint
+        places, others = (np.hstack([g.means, unit * g.normals]) for g in (own.gaussians(), other.gaussians()))
+        own.weight_logits[:] = other.weight_logits[cKDTree(others).query(places)[1]]
+
+    def train_step(self, i: int, progress: float) -> tuple[Loss, Picture]:
         """One step of the Gaussians at frame i; `progress` is 0 at the start of the training and 1 at its end."""
         s = self.settings
         gaussians, picture, pull, backward = self.render(i)
@@ -252,7 +306,7 @@ class Fit:
         if not s.blended:
             rates["weight_logits"] = 0.0
         self.adam.step(self.parameters, gradient, shown, {name: rate * decay for name, rate in rates.items()})
-        return value, self._alignment_terms(i, picture)
+        return value, picture
 
     def render(self, i: int) -> tuple[Gaussians, Picture, Backward, SplatBackward]:
         """The model in frame i."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -43,6 +43,17 @@ class Window:
     corner: tuple[int, int]
     """Column and row of its first pixel in the recording's image."""
 
+    def reduced(self, factor: int) -> Window:
+        """The same sampled down by a whole factor, `corner` unchanged."""
+        h, w = (side // factor * factor for side in self.mask.shape)
+        size = (w // factor, h // factor)
+        rgb = np.asarray(cv2.resize(self.rgb[:h, :w], size, interpolation=cv2.INTER_AREA), np.uint8)
+        mask = cv2.resize(self.mask[:h, :w].astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5
+        depth = _at_centres(self.depth[:h, :w], factor)
+        depth = np.where(mask, np.maximum(depth, 0), np.minimum(depth, 0))
+        fx, fy, cx, cy = (value / factor for value in (self.lens.fx, self.lens.fy, self.lens.cx, self.lens.cy))
+        return Window(Lens(fx, fy, cx, cy, *size), rgb, depth, mask, self.corner)
+
     def target(self) -> Target:
         """The same as numbers."""
         colour = self.rgb.astype(np.float32) / np.float32(255)
@@ -74,6 +85,11 @@ class Windows:
         """Unit of the depth loss, metres: half the object's diagonal (the paper's objects are of about 2 m), or less
         where an exact sensor's depth says more than colour."""
         return min(self.diagonal / 2, math.hypot(self.noise, EXACT * self.footprint) / AS_COLOUR)
+
+    def reduced(self, factor: int) -> Windows:
+        """The same sampled down by a whole factor."""
+        frames = tuple(window and window.reduced(factor) for window in self.frames)
+        return replace(self, frames=frames, footprint=factor * self.footprint, factor=factor * self.factor)
 
     def in_crop(self, i: int, image: Floats, scene: Scene) -> Floats:
         """An image (h, w) of frame i's window resampled to the scene's crop (h, w); NaN outside."""
@@ -123,22 +139,9 @@ def _window(frame: Frame, K: NDArray[np.float64], factor: int, jump: float) -> W
     low = cv2.erode(np.where(near > 0, near, np.float32(np.inf)), np.ones((3, 3)))
     sound = (near > 0) & (cv2.dilate(near, np.ones((3, 3))) - low < jump)
     depth = np.where(mask, np.where(sound, near, 0), -frame.depth[box]).astype(np.float32)
-    rgb = frame.rgb[box]
-    if factor > 1:
-        size = (w // factor, h // factor)
-        rgb = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
-        mask = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5
-        depth = _at_centres(depth, factor)
-        depth = np.where(mask, np.maximum(depth, 0), np.minimum(depth, 0))
-    lens = Lens(
-        K[0, 0] / factor,
-        K[1, 1] / factor,
-        (K[0, 2] - left) / factor,
-        (K[1, 2] - top) / factor,
-        w // factor,
-        h // factor,
-    )
-    return Window(lens, rgb.copy(), depth.copy(), mask.copy(), (left, top))
+    lens = Lens(K[0, 0], K[1, 1], K[0, 2] - left, K[1, 2] - top, w, h)
+    window = Window(lens, frame.rgb[box].copy(), depth, mask.copy(), (left, top))
+    return window.reduced(factor) if factor > 1 else window
 
 
 def _at_centres(depth: Floats, factor: int) -> Floats:
