@@ -4,10 +4,10 @@
 
 records what is missing of the videos, solves each that was not solved, asks the answer's own signs (`freeart21.trust`)
 and the truth (strict-1, from the files), prints the table and writes benchmarks/results/trust.json: how many wrong
-answers are doubted, how many are not, and how many right ones are doubted all the same; and how large the errors of
-axis and pivot are beside the standard deviations that the answers give them. Videos of PartNet-Mobility objects are
-left out without --partnet-root. The surfaces of right answers that are sound are then spoilt, a part and a fault at a
-time (`FAULTS`), and judged again.
+answers are doubted, how many are not, and how many right ones are doubted all the same; and which share of the errors
+of axis, pivot and states is within k of the standard deviations that the right answers give them (`WITHIN`). Videos of
+PartNet-Mobility objects are left out without --partnet-root. The surfaces of right answers that are sound are then
+spoilt, a part and a fault at a time (`FAULTS`), and judged again.
 
 An answer is WRONG when it names the other joint type, when its axis is 5 degrees or its pivot 5 % of the diagonal off,
 when its states are off by a tenth of their range on average, when the Chamfer distance of a part is over 1 % of the
@@ -37,6 +37,7 @@ from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure, Reconstruction, describe_trust
 from freeart21.trust import judge, object_size
+from freeart21.truth import Truth
 from generator import sensor, session
 from generator.motion import Plan
 from generator.recorder import record
@@ -54,6 +55,8 @@ from reconstruct.surfaces import vertex_normals
 WRONG_AXIS_DEG, WRONG_PIVOT_PERCENT, WRONG_STATES, WRONG_SURFACE_PERCENT = 5.0, 5.0, 0.1, 1.0
 """An answer that is farther off is wrong; states by this share of their range, surfaces by the share of the diagonal
 within which strict-1's F-score counts a point as met."""
+WITHIN = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
+"""Standard deviations k of the calibration curve. Normal errors: 38, 68, 87, 95, 99 and 100 % are within."""
 VALUES = ("joint_type", "axis", "position", "state", "miou", "chamfer_s", "chamfer_m")
 """What is asked of strict-1."""
 
@@ -116,6 +119,8 @@ VIDEOS = (
     Video("two_drawers", "41083", 21, joint="joint_2", partnet=True, second_joint=("joint_3", 0.0, 0.5), held_out=True),
     Video("phone-4percent", "slider_phone", 25, share=0.04, held_out=True),
     Video("stapler-fast", "stapler", 26, frames=20, every=8, held_out=True),
+    Video("drawer_unit-phone", "drawer_unit", 27, "phone", held_out=True),
+    Video("slider_phone-phone", "slider_phone", 28, "phone", held_out=True),
 )
 
 
@@ -183,6 +188,8 @@ class Judged:
     axis_over_std: float | None
     """Error of the axis in its standard deviations; None where the type is wrong or none is given."""
     pivot_over_std: float | None
+    states_within: tuple[float, ...] | None
+    """Shares of the states whose error, against the mean error, is within k standard deviations, k of WITHIN."""
     seconds: float
     held_out: bool
 
@@ -287,7 +294,7 @@ def _judged(video: Video, data: Path, results: Path, sequence: str) -> Judged:
     seconds = sum(answer.seconds.values())
     if isinstance(answer, Failure):
         return Judged(
-            video.name, "failed", False, True, (answer.reason,), {}, span, None, None, seconds, video.held_out
+            video.name, "failed", False, True, (answer.reason,), {}, span, None, None, None, seconds, video.held_out
         )
     trust = judge(
         answer, read_diagnostics(results / sequence, len(answer))
@@ -295,7 +302,7 @@ def _judged(video: Video, data: Path, results: Path, sequence: str) -> Judged:
     values = measure(Case(truth, answer, []), Strict1(samples=2000)).values
     values = {name: values.get(name) for name in VALUES}
     wrong = video.second_joint is not None or is_wrong(values, span)
-    ratios = _over_std(answer, values, truth.diagonal)
+    ratios = (*_over_std(answer, values, truth.diagonal), states_within(answer, truth))
     doubtful = trust.verdict == "doubtful"
     return Judged(video.name, "ok", wrong, doubtful, trust.reasons, values, span, *ratios, seconds, video.held_out)
 
@@ -349,6 +356,34 @@ def _over_std(
     )
 
 
+def states_within(answer: Reconstruction, truth: Truth) -> tuple[float, ...] | None:
+    """See `Judged.states_within`; None where the type is wrong or no state has a standard deviation."""
+    joint, std = truth.articulation.joint, answer.state_std
+    if std is None or answer.articulation.joint.type != joint.type:
+        return None
+    known = answer.seen.all(1) & np.isfinite(std)
+    errors = [(sign * answer.states - truth.states)[known] for sign in (1, -1)]
+    errors = [e - (np.angle(np.exp(1j * e).mean()) if joint.type == "revolute" else e.mean()) for e in errors]
+    if joint.type == "revolute":
+        errors = [np.angle(np.exp(1j * e)) for e in errors]
+    error = np.abs(min(errors, key=lambda e: float(np.abs(e).sum())))
+    return tuple(float(np.mean(error <= k * std[known])) for k in WITHIN) if known.any() else None
+
+
+def calibration(right: list[Judged]) -> dict[str, list[float | None]]:
+    """By kind, the share of right answers' errors within each of WITHIN standard deviations; a video counts as one."""
+    axis, pivot = (
+        [[value <= k for k in WITHIN] for j in right if (value := getattr(j, name)) is not None]
+        for name in ("axis_over_std", "pivot_over_std")
+    )
+    states = [j.states_within for j in right if j.states_within is not None]
+    kinds = {"axis": axis, "pivot": pivot, "states": states}
+    return {
+        kind: [round(float(share), 3) for share in np.mean(shares, 0)] if shares else [None] * len(WITHIN)
+        for kind, shares in kinds.items()
+    }
+
+
 def summary(judged: list[Judged]) -> dict[str, Any]:
     """`counted` of the videos by which the signs were made, and of those held out."""
     return {
@@ -358,17 +393,9 @@ def summary(judged: list[Judged]) -> dict[str, Any]:
 
 
 def counted(judged: list[Judged]) -> dict[str, Any]:
-    """The confusion table, and errors in standard deviations over the right answers."""
+    """The confusion table, and the calibration curve of the right answers."""
     answers = [one for one in judged if one.status == "ok"]
     wrong, right = [j for j in answers if j.wrong], [j for j in answers if not j.wrong]
-
-    def ratios(name: str) -> dict[str, float | int | None]:
-        known = [getattr(j, name) for j in right if getattr(j, name) is not None]
-        return {
-            "answers": len(known),
-            "median": float(np.median(known)) if known else None,
-            "most": float(np.max(known)) if known else None,
-        }
 
     return {
         "wrong_doubted": sum(j.doubtful for j in wrong),
@@ -376,8 +403,7 @@ def counted(judged: list[Judged]) -> dict[str, Any]:
         "right_doubted": sum(j.doubtful for j in right),
         "right_sound": sum(not j.doubtful for j in right),
         "refused": len(judged) - len(answers),
-        "axis_error_over_std": ratios("axis_over_std"),
-        "pivot_error_over_std": ratios("pivot_over_std"),
+        "errors_within": {"standard_deviations": list(WITHIN), **calibration(right)},
     }
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from freeart21.articulation import Articulation
 from freeart21.errors import FreeArtError
 from freeart21.gaussians import Gaussians
+from freeart21.joint import Joint
 from freeart21.se3 import Array, check_poses
 
 
@@ -60,6 +61,18 @@ def describe_trust(trust: Trust | None) -> str:
 
 
 @dataclass(frozen=True)
+class Alternative:
+    """A joint of the other type that explains the video nearly as well as the result's."""
+
+    joint: Joint
+    """In the result's canonical frame."""
+    states: NDArray[np.float64]
+    """(n,) rad or m, 0 in frame 0."""
+    cost_difference: float
+    """Mean cost of a pixel (negative log-likelihood) beyond that under the result's joint; negative when lower."""
+
+
+@dataclass(frozen=True)
 class Reconstruction:
     """Two parts, their joint, and the poses of both in every frame.
 
@@ -95,6 +108,9 @@ class Reconstruction:
     anchor: int = 0
     """The one frame with poses, for a method that makes none of the other frames (it lacks 'poses')."""
 
+    alternatives: tuple[Alternative, ...] = ()
+    """Joints between which and this one the video does not decide."""
+
     appearance: Gaussians | None = None
     """Gaussians in the canonical frame; None when the method makes none."""
 
@@ -119,6 +135,8 @@ class Reconstruction:
             value = getattr(self, name)
             if value is not None and not 0 <= value < np.inf:
                 raise FreeArtError(f"reconstruction {name} is {value}, expected a finite number, not negative")
+        if any(len(other.states) != n or not np.isfinite(other.states).all() for other in self.alternatives):
+            raise FreeArtError(f"reconstruction alternatives must have {n} finite states each, as the result")
         if self.part_masks.ndim != 3 or len(self.part_masks) != n or self.part_masks.max(initial=0) > 2:
             raise FreeArtError(
                 f"reconstruction part_masks has shape {self.part_masks.shape}, expected ({n}, height, width) "

@@ -31,6 +31,8 @@ MAX_OFF_JOINT = 0.02
 """Displacement between the moving part's measured poses and the joint, in object sizes: rms over its vertices, median
 over the frames. Right answers: up to 1.4 %, in a hand; two doors fitted by one joint: 4.7 %. Angles would not do for a
 part as thin as a lighter's lever: a right answer turns it by 5 degrees, which displaces it by 0.5 %."""
+SIGMAS_OFF_JOINT = 2.0
+"""Standard deviations of the measured poses that such a displacement is not judged by: 95 % of normal errors."""
 MAX_RESIDUAL, MAX_RESIDUAL_SHARE = 1.5, 0.005
 """Median residual, in footprints or standard deviations of depth, whichever is more, and in object sizes. Right
 answers: up to 0.6 and 0.002; two doors: 1.5 and 0.01."""
@@ -51,8 +53,6 @@ MAX_RIVALS, REACH_OF_RIVAL = 0.25, 1 / 3
 """Share of frames that another state explains as well; and the largest change of the state per frame, relative to the
 distance of that state: above a half, extrapolation leads to the wrong one. Only a fan has such states: its wings are 45
 degrees apart, and it turns by up to 26 per frame."""
-MIN_TYPE_RATIO = 1.5
-"""Ratio of the other joint type's residual to this one's."""
 MAX_AXIS_STD, MAX_PIVOT_STD = np.radians(5.0), 0.05
 """Standard deviations of the axis, and of the pivot in object sizes: the benchmark's limits of a wrong answer. Right
 answers: up to 1.7 degrees, but 5.6 for a monitor that tilts by 31 and 6.4 for a hinge that moves by 3; two doors fitted
@@ -98,13 +98,14 @@ def judge(result: Reconstruction, diagnostics: Diagnostics | None = None) -> Tru
         *_rarely_visible(result),
         *_turns_too_fast(motion),
         *_state_jumps(result, size),
-        *_poses_off_joint(motion, size),
+        *_poses_off_joint(result, motion, size),
         *_joint_uncertain(result, size),
+        *_type_undecided(result),
     ]
     if diagnostics is not None:
         d = diagnostics
         reasons += [*_poor_agreement(d), *_joint_contradicted(d), *_third_motion(d), *_own_motion_unseen(d)]
-        reasons += [*_type_undecided(d, result.articulation.joint), *_rival_states(d, result)]
+        reasons += _rival_states(d, result)
         reasons += [text for k in range(len(PARTS)) for text in _surface_off_video(d, k)]
     return Trust("doubtful" if reasons else "sound", tuple(reasons))
 
@@ -237,14 +238,35 @@ def _state_jumps(result: Reconstruction, size: float) -> list[str]:
     return [f"the state jumps by up to {_format_state(float(steps[found].max()), joint)} in one frame ({frames})"]
 
 
-def _poses_off_joint(motion: Motion, size: float) -> list[str]:
-    off = median(motion.gap_surface)
+def _poses_off_joint(result: Reconstruction, motion: Motion, size: float) -> list[str]:
+    uncertain = SIGMAS_OFF_JOINT * _pose_uncertainty(result)
+    off = median(np.sqrt(np.maximum(motion.gap_surface**2 - uncertain**2, 0)))
     if not off > MAX_OFF_JOINT * size:
         return []
     return [
         f"the moving part's measured poses lie off the joint by {1000 * off:.2g} mm, {100 * off / size:.2g} % of the "
         "object, in the median: joint, labels or poses are wrong"
     ]
+
+
+def _pose_uncertainty(result: Reconstruction) -> Array:
+    """(n,) metres: rms displacement of the moving part's vertices by errors of both parts' measured poses, one standard
+    deviation; 0 where the result gives none.
+
+    A near-symmetric part's own pose is undetermined about its axis.
+    """
+    mesh = result.articulation.moving
+    if result.covariances is None or mesh.empty:
+        return np.zeros(len(result))
+    used, Ts = mesh.vertices[np.unique(mesh.faces)], result.Ts_camera_moving
+    mean = se3.transform(Ts, used.mean(0)[None, None])[:, 0]
+    moments = Ts[:, :3, :3] @ np.cov(used.T, bias=True) @ np.swapaxes(Ts[:, :3, :3], 1, 2)
+    moments = moments + mean[:, :, None] * mean[:, None]
+    C = np.nan_to_num(result.covariances).sum(1)
+    turned = np.trace(moments, axis1=1, axis2=2)[:, None, None] * np.eye(3) - moments
+    of_v, of_both, of_w = C[:, :3, :3], C[:, :3, 3:] * se3.hat(mean), C[:, 3:, 3:] * turned
+    variance = np.trace(of_v, axis1=1, axis2=2) + (of_w - 2 * of_both).sum((1, 2))  # of v + w x X
+    return np.sqrt(np.maximum(variance, 0))
 
 
 def _joint_uncertain(result: Reconstruction, size: float) -> list[str]:
@@ -311,16 +333,13 @@ def _own_motion_unseen(d: Diagnostics) -> list[str]:
     ]
 
 
-def _type_undecided(d: Diagnostics, joint: Joint) -> list[str]:
-    if d.type_residuals_m is None:
-        return []
-    own, other = map(float, d.type_residuals_m)
-    if not other < MIN_TYPE_RATIO * own:
-        return []
-    kind = "prismatic" if joint.type == "revolute" else "revolute"
+def _type_undecided(result: Reconstruction) -> list[str]:
     return [
-        f"revolute or prismatic is undecided: a {kind} joint leaves {1000 * other:.2g} mm where the {joint.type} one "
-        f"leaves {1000 * own:.2g} mm"
+        f"revolute or prismatic is undecided: under a {other.joint.type} joint a pixel costs only "
+        f"{other.cost_difference:.2g} more"
+        if other.cost_difference > 0
+        else f"revolute or prismatic is undecided: under a {other.joint.type} joint a pixel costs no more"
+        for other in result.alternatives
     ]
 
 

@@ -30,7 +30,7 @@ from freeart21.files.diagnostics import Diagnostics, diagnostics_from_json, diag
 from freeart21.gaussians import Gaussians
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
-from freeart21.reconstruction import Reconstruction, Trust
+from freeart21.reconstruction import Alternative, Reconstruction, Trust
 from reconstruct import VERSION
 from reconstruct.gaussians import gsplat_backend
 from reconstruct.poses import FreePoses, JointedPoses
@@ -262,7 +262,13 @@ def _pack_result(answer: Reconstruction, arrays: dict[str, NDArray[Any]]) -> dic
     _pack_appearance("answer_appearance", answer.appearance, arrays)
     trust = None if answer.trust is None else {"verdict": answer.trust.verdict, "reasons": answer.trust.reasons}
     stds = {"axis_std": answer.axis_std, "pivot_std": answer.pivot_std}
-    return {**_pack_joint(answer.articulation.joint, arrays), **stds, "trust": trust}
+    alternatives = []
+    for k, other in enumerate(answer.alternatives):
+        arrays[f"alternative_{k}_states"] = other.states
+        joint = _pack_joint(other.joint, arrays, f"alternative_{k}")
+        alternatives.append({**joint, "cost_difference": other.cost_difference})
+    joint = _pack_joint(answer.articulation.joint, arrays)
+    return {**joint, **stds, "trust": trust, "alternatives": alternatives}
 
 
 def _unpack_result(facts: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Reconstruction:
@@ -272,6 +278,15 @@ def _unpack_result(facts: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Re
     stated = facts["trust"]
     trust = None if stated is None else Trust(stated["verdict"], tuple(stated["reasons"]))
     appearance = _unpack_appearance("answer_appearance", arrays)
+    alternatives = tuple(
+        Alternative(
+            _unpack_joint(other, arrays, f"alternative_{k}"),
+            arrays[f"alternative_{k}_states"],
+            other["cost_difference"],
+        )
+        for k, other in enumerate(facts["alternatives"])
+    )
+    answer = replace(answer, alternatives=alternatives)
     return replace(answer, trust=trust, axis_std=facts["axis_std"], pivot_std=facts["pivot_std"], appearance=appearance)
 
 
@@ -286,13 +301,13 @@ def _unpack_appearance(prefix: str, arrays: dict[str, NDArray[Any]]) -> Gaussian
     return Gaussians(**found) if found else None
 
 
-def _pack_joint(joint: Joint, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    arrays["joint"] = np.array([*joint.axis, *joint.pivot, joint.lower, joint.upper])
+def _pack_joint(joint: Joint, arrays: dict[str, NDArray[Any]], key: str = "joint") -> dict[str, Any]:
+    arrays[key] = np.array([*joint.axis, *joint.pivot, joint.lower, joint.upper])
     return {"name": joint.name, "type": joint.type}
 
 
-def _unpack_joint(facts: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Joint:
-    numbers = arrays["joint"]
+def _unpack_joint(facts: dict[str, Any], arrays: dict[str, NDArray[Any]], key: str = "joint") -> Joint:
+    numbers = arrays[key]
     joint = Joint(facts["name"], facts["type"], numbers[:3], numbers[3:6], float(numbers[6]), float(numbers[7]))
     axis = numbers[:3].copy()
     axis.flags.writeable = False

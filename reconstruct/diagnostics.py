@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import resource
 import sys
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,17 +16,14 @@ from scipy.special import expit
 
 from freeart21 import se3
 from freeart21.files.diagnostics import Diagnostics
-from freeart21.joint import Joint
 from freeart21.se3 import Array
 from reconstruct.evidence import Evidence, Pixels, Samples, sample_evenly, sample_pixels
-from reconstruct.joint import JointFit, estimate_states, fit_joint
-from reconstruct.joint_type import FARTHEST_HINGE
 from reconstruct.labels import discriminative_frames, part_motions
 from reconstruct.poses import GATE, FreePoses, choose_pairs, part_samples
 from reconstruct.propagation import PartEstimate, body_points
 from reconstruct.rigid import view_angle
 from reconstruct.scene import uncrop_masks
-from reconstruct.settings import JointSettings, PoseSettings
+from reconstruct.settings import PoseSettings
 
 SAMPLES = 100
 """Pixels per frame and part."""
@@ -52,7 +48,6 @@ def diagnose(
     estimate: PartEstimate,
     free: tuple[FreePoses, ...],
     settings: PoseSettings,
-    joints: JointSettings,
     seed: int = 0,
     size: tuple[int, int] | None = None,
 ) -> Diagnostics:
@@ -88,7 +83,7 @@ def diagnose(
         peak_bytes(),
         None if size is None else uncrop_masks(scene, maps, *size),
         **(
-            _consistency_figures(evidence, estimate, np.stack([f.Ts for f in free]), joints, rng)
+            _consistency_figures(evidence, estimate, np.stack([f.Ts for f in free]), rng)
             if estimate.seen.all(1).any()
             else {}
         ),
@@ -172,18 +167,14 @@ def _means(labels: NDArray[np.uint8], values: NDArray[np.float32]) -> Array:
 
 
 def _consistency_figures(
-    evidence: Evidence, estimate: PartEstimate, Ts: Array, settings: JointSettings, rng: np.random.Generator
+    evidence: Evidence, estimate: PartEstimate, Ts: Array, rng: np.random.Generator
 ) -> dict[str, Array]:
     """Further fields of `Diagnostics`, by name; `Ts` (2, n, 4, 4) are T_camera_part."""
-    both = estimate.seen.all(1)
     body = body_points(evidence, estimate.labels, Ts[1], estimate.seen[:, 1])
-    reach = FARTHEST_HINGE * evidence.scene.diagonal
-    relative = se3.inverse(Ts[0, both]) @ Ts[1, both]
     return {
         "unexplained": unexplained(evidence, Ts, estimate.seen, rng),
         "other_motion_cost": other_motion_cost(evidence, estimate, Ts, body, rng),
         "rival_distance": rival_distance(evidence, estimate, rng),
-        "type_residuals_m": type_residuals(relative, estimate.poses.joint, body, reach, settings),
     }
 
 
@@ -278,47 +269,3 @@ def _nearest_rival_distance(costs: Array, states: Array) -> float:
             basin = beyond[: int(np.argmax(np.append(np.diff(beyond), 2) > 1)) + 1]
             found.append(int(basin[np.argmin(side[basin])]))
     return min(found) * abs(float(states[own + 1] - states[own])) if found else 0.0
-
-
-def type_residuals(relative: Array, joint: Joint, body: Array, reach: float, settings: JointSettings) -> Array:
-    """(2,) metres: median misfit of poses T_first_second (n, 4, 4) to the best joint of this type, and of the other
-    type.
-
-    `body` (b, 3) are points of the second part in its own frame. A hinge is sought within `reach`, metres, of it; a
-    more distant one describes a slide.
-    """
-    centre = body.mean(0)
-    lever = float(np.linalg.norm(body - centre, axis=1).mean())
-    slide, hinge = (fit_joint(relative, kind, centre, lever, settings) for kind in ("prismatic", "revolute"))
-    near = np.linalg.norm(np.cross(se3.transform(hinge.T_zero, centre) - hinge.pivot, hinge.axis)) < reach
-    hinged = [hinge.residual] if near else []
-    hinged += [
-        _circle_residual(slide, relative, body, direction, reach) for direction in _directions_across(slide.axis)
-    ]
-    found = np.array([min(hinged), slide.residual])
-    return found if joint.type == "revolute" else np.array([slide.residual, min(hinged)])
-
-
-def _circle_residual(slide: JointFit, relative: Array, body: Array, direction: Array, reach: float) -> float:
-    """Median misfit, metres, of a circle of radius `reach` through the slide's middle, with its centre towards
-    `direction`."""
-    middle = slide.T_zero.copy()
-    middle[:3, 3] += np.median(slide.states) * slide.axis
-    pivot = se3.transform(middle, body.mean(0)) + reach * direction
-    axis = np.cross(slide.axis, direction)
-    fit = replace(slide, type="revolute", axis=axis, pivot=pivot, T_zero=middle)
-    placed = np.zeros((len(relative), *body.shape))
-    now = se3.transform(relative, np.broadcast_to(body, placed.shape))
-    for _ in range(4):  # the best states, and the best place at state zero
-        states = estimate_states(fit, relative, body)
-        J = fit.joint().transform(states)
-        fit = replace(fit, T_zero=se3.mean_pose(se3.inverse(J) @ relative))
-        placed = se3.transform(J @ fit.T_zero, np.broadcast_to(body, placed.shape))
-    return float(np.median(np.sqrt(((now - placed) ** 2).sum(2).mean(1))))
-
-
-def _directions_across(axis: Array) -> Array:
-    """(8, 3) unit vectors round an axis."""
-    u, v = np.linalg.svd(axis[None])[2][1:]
-    angles = np.arange(8) * np.pi / 4
-    return np.asarray(np.cos(angles)[:, None] * u + np.sin(angles)[:, None] * v)

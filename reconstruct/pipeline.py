@@ -26,7 +26,7 @@ from freeart21.files.places import RESULT, require_replaceable
 from freeart21.files.result import write_result
 from freeart21.files.sequence import read_sequence
 from freeart21.gaussians import FAINT_COPY, Gaussians
-from freeart21.reconstruction import Failure, Reconstruction
+from freeart21.reconstruction import Alternative, Failure, Reconstruction
 from freeart21.recording import Recording
 from freeart21.se3 import Array
 from freeart21.trust import judge
@@ -37,7 +37,7 @@ from reconstruct.evidence import Evidence
 from reconstruct.features import make_features
 from reconstruct.gaps import bridge_gaps, fill_gaps
 from reconstruct.gaussians.optimisation import optimise
-from reconstruct.joint_type import choose_joint_type
+from reconstruct.joint_type import choose_joint_type, find_rival
 from reconstruct.part_swaps import swap_parts, undo_part_swaps
 from reconstruct.poses import FINAL_GATE, FreePoses, JointedPoses, free_adjustment, joint_adjustment
 from reconstruct.propagation import PartEstimate, body_points
@@ -311,10 +311,27 @@ def _surfaces(
     articulation = Articulation(estimate.poses.joint, meshes[0], meshes[1])
     size = (camera.width, camera.height)
     known = video.evidence, estimate, state.free_poses
-    diagnostics = diagnose(*known, settings.poses, settings.joint, settings.seed, size)
+    diagnostics = diagnose(*known, settings.poses, settings.seed, size)
     result = _to_canonical_frame(articulation, state, video.scene, video.recording)
-    diagnostics = replace(diagnostics, **check_surfaces(video.scene, result))
+    rival, costs = _find_rival(video.evidence, state, settings)
+    if rival is not None:
+        joint = rival.joint.spanning(rival.states - rival.states[0]).moved(state.free_poses[0].Ts[0])
+        alternative = Alternative(joint, rival.states - rival.states[0], float(costs[1] - costs[0]))
+        result = replace(result, alternatives=(alternative,))
+    diagnostics = replace(diagnostics, type_costs=costs, **check_surfaces(video.scene, result))
     return SolverState(result=replace(result, trust=judge(result, diagnostics)), diagnostics=diagnostics)
+
+
+def _find_rival(
+    evidence: Evidence, state: SolverState, settings: ReconstructSettings
+) -> tuple[JointedPoses | None, Array]:
+    """See `find_rival`."""
+    estimate, Ts = state.estimate, np.stack([free.Ts for free in state.free_poses])
+    assert estimate is not None
+    if settings.joint.type_rule == "paper" or not estimate.seen.all(1).any():
+        return None, np.full(2, np.nan)
+    body = body_points(evidence, estimate.labels, Ts[1], estimate.seen[:, 1])
+    return find_rival(evidence, estimate.labels, estimate.poses, Ts, estimate.seen, body, settings)
 
 
 def _put_larger_part_first(estimate: PartEstimate) -> PartEstimate:

@@ -45,7 +45,8 @@ SYSTEMATIC = 1 / 3
 Eight right answers of benchmarks/trust.py had errors of 4 (median) to 9 deviations of the noise alone: 0.1 to 1.3
 degrees where the noise explains 0.05 to 0.3. With this they have about 1. States of noisy sensors were off by 3 to 9
 deviations of the noise alone, with Gaussians by 2.6 to 5; of four of six clean recordings by less than one already, so
-that their deviations are now too large."""
+that their deviations are now too large. Of 21 right answers (clean, tof, noise2, hand, 16 objects, without Gaussians)
+89 % of the states were within two deviations, 93 % but for one mixer whose states are off by 8."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +137,8 @@ def free_adjustment(
         Ts = se3.orthonormalised(se3.exp_se3(limit_rotations(step)) @ Ts)
     drift = se3.mean_pose(se3.inverse(start[seen]) @ Ts[seen])
     Ts = np.where(seen[:, None, None], Ts @ se3.inverse(drift), start)
-    return FreePoses(Ts, _covariances(A, Ts, seen, len(source) / max(seen.sum(), 1)))
+    pairs_per_pixel = len(source) / max(seen.sum(), 1) * _samples_per_independent_pixel(evidence, labels, part, seen)
+    return FreePoses(Ts, _covariances(A, Ts, seen, pairs_per_pixel))
 
 
 def joint_adjustment(
@@ -179,9 +181,16 @@ def joint_adjustment(
             pairs = [choose_pairs(T, usable[:, k], settings) for k, T in enumerate((current.Ts, current.Ts_moving))]
     if final:
         pairs_per_pixel = len(pairs[1][0]) / max(usable[:, 1].sum(), 1)
+        pairs_per_pixel *= _samples_per_independent_pixel(evidence, labels, 2, usable[:, 1])
         clouds = [_sample_points(evidence.scene, pixels[k], T) for k, T in enumerate((current.Ts, current.Ts_moving))]
         current = add_standard_deviations(current, A.toarray(), usable, clouds, pairs_per_pixel, evidence.unit)
     return replace(current, cost=float(cost))
+
+
+def _samples_per_independent_pixel(evidence: Evidence, labels: Labels, part: int, frames: NDArray[np.bool_]) -> float:
+    """Samples of a part in one area of correlated depth, which count as one: at least 1, median of `frames` (n,)."""
+    pixels = float(np.median(np.count_nonzero(labels[frames] == part, axis=(1, 2)))) if frames.any() else 0.0
+    return max(min(SAMPLES, pixels) * evidence.scene.correlation_area / max(pixels, 1.0), 1.0)
 
 
 def add_standard_deviations(
@@ -198,7 +207,8 @@ def add_standard_deviations(
     systematic = _systematic_std(clouds, unit)
     joint_std = np.hypot(noise, systematic) * [AXIS_FACTOR, 1.0]
     by_noise = _state_std(A.copy(), measured, pairs_per_pixel)
-    state_std = np.where(measured, np.hypot(by_noise, systematic[0 if current.joint.type == "revolute" else 1]), np.inf)
+    state_std = np.hypot(by_noise, systematic[0 if current.joint.type == "revolute" else 1])
+    state_std = np.where(measured, state_std, np.inf)
     return replace(current, state_std=state_std, joint_std=joint_std)
 
 

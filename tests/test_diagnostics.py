@@ -35,10 +35,10 @@ from reconstruct.evidence import Evidence
 from reconstruct.poses import GATE, FreePoses, JointedPoses, part_samples
 from reconstruct.propagation import PartEstimate
 from reconstruct.scene import prepare_scene
-from reconstruct.settings import EvidenceSettings, JointSettings, LabelSettings, PoseSettings, SceneSettings
+from reconstruct.settings import EvidenceSettings, LabelSettings, PoseSettings, SceneSettings
 
 N, H, W, DEPTH, FOCAL = 6, 40, 48, 1.0, 100.0
-SETTINGS = PoseSettings(), JointSettings()
+SETTINGS = (PoseSettings(),)
 
 
 def walls(bulge=0.0, hole=False, recede=0.0):
@@ -138,7 +138,6 @@ def test_diagnosis_of_both_parts_by_both_kinds_of_poses():
         grown_of(labels, joint_off=0.002, hidden=4),
         free,
         PoseSettings(),
-        JointSettings(),
         size=(2 * W, 2 * H),
     )
     assert found.confidence_maps.shape == (N, 2 * H, 2 * W) and (found.confidence_maps == 243).all(), "255 / (1 + e^-3)"

@@ -24,7 +24,7 @@ from freeart21.files.sequence import encode_depth, read_sequence, write_sequence
 from freeart21.files.truth import read_truth, write_truth
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
-from freeart21.reconstruction import Failure, Reconstruction, Trust
+from freeart21.reconstruction import Alternative, Failure, Reconstruction, Trust
 from freeart21.recording import Frame, Query, Recording
 from freeart21.truth import Truth
 
@@ -199,15 +199,25 @@ def test_what_a_result_says_of_itself_round_trips(result):
     assert before.trust is None and before.axis_std is None and before.pivot_std is None, "methods need not say"
     assert not (result / "renders_other").exists()
     trust = Trust("doubtful", ("it jumps", "it \u2013 hides"))
-    said = replace(before, trust=trust, axis_std=0.01)
+    slide = Joint("slide", "prismatic", [0, 0, 1], [0, 0.1, 0], 0.0, 0.3)
+    rival = Alternative(slide, np.linspace(0, 0.3, len(before)), 0.02)
+    said = replace(before, trust=trust, axis_std=0.01, alternatives=(rival,))
     views = [np.full((HEIGHT, WIDTH, 3), k, np.uint8) for k in (1, 2)]
     write_result(result, said, renders=views[:1], renders_other=views[1:])
     after = read_result(result)
     assert after.trust == trust and after.axis_std == 0.01 and after.pivot_std is None
+    assert before.alternatives == () and len(after.alternatives) == 1
+    (other,) = after.alternatives
+    assert (other.joint.type, other.joint.upper, other.cost_difference) == ("prismatic", 0.3, 0.02)
+    np.testing.assert_array_equal(other.joint.pivot, slide.pivot)
+    np.testing.assert_array_equal(other.states, rival.states)
     written = json.loads((result / "prediction.json").read_text())
     assert written["trust"] == {"verdict": "doubtful", "reasons": list(trust.reasons)}
     assert written["joint_std"] == {"axis_rad": 0.01, "pivot_m": None}
     assert render(result).max() == 1 and render(result, "renders_other").max() == 2
+
+
+HINGE = {"name": "a", "type": "revolute", "axis": [1, 0, 0], "pivot": [0, 0, 0]}
 
 
 def test_an_answer_cannot_be_sound_for_reasons_of_doubt():
@@ -240,6 +250,14 @@ def test_a_failure_round_trips_and_replaces_an_older_result(result):
         ({"trust": {"verdict": "doubtful", "reasons": ["two\nlines"]}}, "expected at most 100 plain lines"),
         ({"trust": {"verdict": "doubtful", "reasons": ["x" * 5000]}}, "of at most 1000 characters"),
         ({"trust": {"verdict": "sound", "reasons": ["why"]}}, "sound with 1 reasons for doubt, expected none"),
+        ({"alternatives": {}}, "'alternatives' is {}, expected at most 10 objects"),
+        ({"alternatives": [{}] * 11}, "expected at most 10 objects"),
+        ({"alternatives": [{"joint": 1}]}, "'joint' is 1, expected an object"),
+        ({"alternatives": [{"joint": HINGE, "states": [0, 1], "cost_difference": 0}]}, "shape"),
+        (
+            {"alternatives": [{"joint": HINGE, "states": [0] * 4, "cost_difference": "low"}]},
+            "'cost_difference' is 'low'",
+        ),
         ({"joint_std": [1, 2]}, "expected axis_rad and pivot_m"),
         ({"joint_std": {"axis_rad": -1}}, "joint_std: 'axis_rad' is -1, expected 0 or more"),
         ({"joint_std": {"pivot_m": "wide"}}, "joint_std: 'pivot_m' is 'wide'"),

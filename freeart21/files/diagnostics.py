@@ -61,8 +61,9 @@ class Diagnostics:
     standard deviation. If known."""
     rival_distance: Array | None = None
     """(n,) distance, rad or m, to another state that explains the frame equally well; 0 without one. If known."""
-    type_residuals_m: Array | None = None
-    """(2,) metres: median misfit of the measured poses to the best joint of this type, and of the other. If known."""
+    type_costs: Array | None = None
+    """(2,) mean cost of a pixel under the joint, and under the best one of the other type; 0.5 is a misfit of a
+    standard deviation. If known."""
     uncovered: Array | None = None
     """(n, 2) share, 0 to 1, of each part's pixels, off the object's outline and depth steps, where neither part's
     surface lies when joint and states pose them. In frames of any kind; the fields below: in frames that see both
@@ -117,7 +118,7 @@ _OF_PARTS = (
     "extent_ratio",
     "seen_share",
 )
-_OPTIONAL = ("unexplained", "rival_distance", "type_residuals_m", *_OF_PARTS)
+_OPTIONAL = ("unexplained", "rival_distance", "type_costs", *_OF_PARTS)
 _SHARES = ("confidence", "inliers", "outside", "unexplained", "uncovered", "spilled", "off_surface", "seen_share")
 _LENGTHS = ("gate_m", "footprint_m", "noise_m", "diagonal_m")
 
@@ -126,7 +127,7 @@ def _shapes(n: int) -> dict[str, tuple[int, ...]]:
     """Shapes of the optional fields for n frames."""
     shapes: dict[str, tuple[int, ...]] = dict.fromkeys(_OPTIONAL, (n, 2))
     shapes.update(dict.fromkeys(("unexplained", "rival_distance"), (n,)))
-    shapes.update(dict.fromkeys(("type_residuals_m", "extent_ratio", "seen_share"), (2,)))
+    shapes.update(dict.fromkeys(("type_costs", "extent_ratio", "seen_share"), (2,)))
     return shapes
 
 

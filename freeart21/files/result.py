@@ -19,11 +19,11 @@ from freeart21.files.mesh_file import read_ply, write_ply
 from freeart21.files.places import RESULT
 from freeart21.files.trust_json import trust_from_json, trust_to_json
 from freeart21.gaussians import Gaussians
-from freeart21.reconstruction import PIECES, Failure, Piece, Reconstruction
+from freeart21.reconstruction import PIECES, Alternative, Failure, Piece, Reconstruction
 
 SCHEMA = "freeart21/prediction/1"
 METHOD_SCHEMA = "freeart21/method/1"
-MAX_FRAMES = 100_000
+MAX_FRAMES, MAX_ALTERNATIVES = 100_000, 10
 RENDERS = ("renders", "renders_other")
 """Folders of the held-out views: posed by the result's reference part, and by its moving part."""
 
@@ -122,9 +122,11 @@ def write_result(
         n = len(result)
         std = result.state_std if result.state_std is not None else np.full(n, np.nan)
         joint = result.articulation.joint
-        optional = {} if result.trust is None else {"trust": trust_to_json(result.trust)}
+        optional: dict[str, Any] = {} if result.trust is None else {"trust": trust_to_json(result.trust)}
         if result.axis_std is not None or result.pivot_std is not None:
             optional["joint_std"] = {"axis_rad": result.axis_std, "pivot_m": result.pivot_std}
+        if result.alternatives:
+            optional["alternatives"] = [_alternative_to_json(other) for other in result.alternatives]
         atomic.write_json(
             aside / "prediction.json",
             {
@@ -206,6 +208,7 @@ def read_result(
         trust_from_json(data.get("trust"), header),
         *_read_joint_std(data, header),
         anchor=_read_anchor(data, n, header),
+        alternatives=_read_alternatives(data, n, header),
         appearance=read_appearance(folder) if appearance else None,
     )
 
@@ -238,6 +241,27 @@ def _read_joint_std(data: dict[str, Any], path: Path) -> tuple[float | None, flo
         for name in ("axis_rad", "pivot_m")
     )
     return axis, pivot
+
+
+def _alternative_to_json(other: Alternative) -> dict[str, Any]:
+    return {"joint": joint_to_json(other.joint), "states": other.states, "cost_difference": other.cost_difference}
+
+
+def _read_alternatives(data: dict[str, Any], n: int, path: Path) -> tuple[Alternative, ...]:
+    """The optional 'alternatives' of prediction.json, each of `n` states; raises FreeArtError naming `path`."""
+    given = data.get("alternatives", [])
+    if not isinstance(given, list) or len(given) > MAX_ALTERNATIVES or not all(isinstance(a, dict) for a in given):
+        raise FreeArtError(
+            f"{path}: 'alternatives' is {checked.shorten(given)}, expected at most {MAX_ALTERNATIVES} objects"
+        )
+    return tuple(
+        Alternative(
+            joint_from_json(other.get("joint"), path),
+            checked.numbers(other, "states", (n,), path),
+            checked.number(other, "cost_difference", path),
+        )
+        for other in given
+    )
 
 
 def _read_masks(folder: Path, n: int) -> NDArray[np.uint8]:

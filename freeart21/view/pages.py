@@ -45,6 +45,7 @@ from freeart21.view.parts import (
 from freeart21.view.plots import state_section
 from freeart21.view.scene import scene_section, without_outliers
 from freeart21.view.tables import (
+    alternative_rows,
     compared_rows,
     joint_rows,
     joint_section,
@@ -227,6 +228,7 @@ def _result_page(
     """The page of a reconstruction, with its diagnostics and asset."""
     result, diagnostics, confidence, notices = _read_extras(path, result)
     _check_lengths(recording=recording, truth=true, result=result)
+    alternatives = [table_section("Alternative joint", alternative_rows(other)) for other in result.alternatives]
     if true is not None:
         given, result = result, matched(result, true)
         if diagnostics is not None and result is not given:
@@ -271,6 +273,7 @@ def _result_page(
         warnings_section(result, diagnostics),
         *extra,
         facts,
+        *alternatives,
         diagnosis_section(result, diagnostics, abscissa, timed),
     ]
     if result.seconds:

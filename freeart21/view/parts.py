@@ -96,6 +96,7 @@ def exchanged(result: Reconstruction) -> Reconstruction:
         part_masks=np.array([0, 2, 1], np.uint8)[result.part_masks],
         seen=result.seen[:, ::-1],
         covariances=None if result.covariances is None else result.covariances[:, ::-1],
+        alternatives=tuple(replace(o, joint=replace(o.joint, axis=-o.joint.axis)) for o in result.alternatives),
         appearance=look and replace(look, part_weights=1 - look.part_weights),
     )
 
