@@ -781,7 +781,7 @@ def convert(
         source: A recording, or a folder of recordings.
         out: Folder to add to: a data folder (native), or one for examples/ and data/ (official), or for .h5 files.
         to: Layout to write.
-        layout: native, record3d, rgbd, stray, official, video2articulation or maniskill; else recognised by its files.
+        layout: native, tum, articulat3d, azure, record3d, rgbd, ros, stray, official, video2articulation or maniskill.
         partnet_root: Folder of PartNet-Mobility objects, as ROOT/41083/mobility.urdf: a truth needs their meshes.
         joint: Moving joint, where neither the layout nor the catalog names it.
         meta: Video2Articulation's new_partnet_mobility_dataset_correct_intr_meta.json, for the joint's limits.

@@ -16,8 +16,8 @@ _WALL_PLANE = (0.2, 0.1, 1.0), 1.1
 """Normal and offset, m: normal @ point == offset."""
 
 
-def view_scene(rays: np.ndarray, T_scene_camera: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Whether rays (..., 3) with z = 1 hit the board, and the z-depth, metres, in the camera's frame."""
+def view_scene(rays: np.ndarray, T_scene_camera: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
+    """Whether rays (..., 3) with z = 1 hit the board, and the z-depths of the planes of board and wall, metres."""
     T = np.eye(4) if T_scene_camera is None else T_scene_camera
     direction, origin = rays @ T[:3, :3].T, T[:3, 3]
 
@@ -28,7 +28,7 @@ def view_scene(rays: np.ndarray, T_scene_camera: np.ndarray | None = None) -> tu
     near, far = distance(_BOARD_PLANE), distance(_WALL_PLANE)
     hit = origin + direction * near[..., None]
     on_board = (np.abs(hit[..., 0]) < HALF_BOARD[0]) & (np.abs(hit[..., 1]) < HALF_BOARD[1]) & (near > 0)
-    return on_board, np.where(on_board, near, far)
+    return on_board, near, far
 
 
 def distort(at: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
@@ -46,10 +46,11 @@ def film(lens: Lens, T_scene_camera: np.ndarray | None = None) -> tuple[np.ndarr
     u, v = np.meshgrid(np.arange(lens.width) + 0.5, np.arange(lens.height) + 0.5)
     aim = (np.stack([u, v], -1) - lens.K[:2, 2]) / [lens.K[0, 0], lens.K[1, 1]]
     rays = aim.copy()
-    for _ in range(200 * lens.distorts):
-        rays += aim - distort(rays, lens.distortion)
+    while lens.distorts and np.abs(missed := aim - distort(rays, lens.distortion)).max() > 1e-9:
+        rays += missed
     rays = np.concatenate([rays, np.ones((lens.height, lens.width, 1))], -1)
-    board, depth = view_scene(rays, T_scene_camera)
+    board, near, far = view_scene(rays, T_scene_camera)
+    depth = np.where(board, near, far)
     rgb = np.where(board[..., None], BOARD, WALL).astype(np.uint8)
     return rgb, depth, board
 

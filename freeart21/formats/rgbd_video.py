@@ -305,6 +305,30 @@ def unproject_pixels(lens: Lens, pixels: Array) -> Array:
     return np.asarray(at)
 
 
+def fit_forward_distortion(lens: Lens, inverse: Array, where: str) -> Lens:
+    """`lens` with OpenCV's k1, k2, p1, p2, k3, fitted to those of the inverse model, which undistort pixels.
+
+    The model is linear in its coefficients. Raises FreeArtError when the fit misses a pixel by more than a tenth.
+    """
+    u, v = np.meshgrid(np.linspace(0, lens.width, 33), np.linspace(0, lens.height, 25))
+    aim = (np.stack([u.ravel(), v.ravel()], -1) - lens.K[:2, 2]) / [lens.K[0, 0], lens.K[1, 1]]
+    one = np.concatenate([aim, np.ones((len(aim), 1))], 1)[:, None]
+    flat = cv2.projectPoints(one, np.zeros(3), np.zeros(3), np.eye(3), inverse)[0][:, 0]
+    x, y = flat.T
+    r2 = x**2 + y**2
+    columns = [
+        [x * r2, x * r2**2, 2 * x * y, r2 + 2 * x**2, x * r2**3],
+        [y * r2, y * r2**2, r2 + 2 * y**2, 2 * x * y, y * r2**3],
+    ]
+    A = np.concatenate([np.stack(rows, -1) for rows in columns])
+    moved = (aim - flat).T.ravel()
+    coefficients = np.linalg.lstsq(A, moved, rcond=None)[0]
+    missed = float(np.abs(A @ coefficients - moved).max() * lens.K[0, 0])
+    if not missed < _MISSED_PX:
+        raise FreeArtError(f"{where}: its inverse distortion is fitted to {missed:.2g} pixels, expected a tenth")
+    return Lens(lens.K, lens.width, lens.height, coefficients)
+
+
 def _project_rays(lens: Lens, rays: Array) -> NDArray[np.float32]:
     """(height, width, 2) pixels of `lens`, centres at whole numbers, that rays (height, width, 3) with z = 1 hit."""
     K = lens.K - HALF_PIXEL
@@ -392,7 +416,7 @@ def enlarge_depth(depth: Depth, lens: Lens, rgb: Image, flat: Camera) -> Depth:
     own = unproject_pixels(lens, pixels + 0.5) * [flat.K[0, 0], flat.K[1, 1]] + flat.K[:2, 2] - 0.5
     wide = (max(1, flat.width // columns), max(1, flat.height // rows))
     across, down = (np.nan_to_num(own[:, k].reshape(rows, columns), nan=-1).astype(np.float32) for k in (0, 1))
-    low = cv2.remap(cv2.blur(rgb, wide), across, down, cv2.INTER_LINEAR)
+    low = cv2.remap(cv2.blur(rgb, wide), across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     corner = np.floor(at)
     part = at - corner
     where = np.stack([corner + np.array([i, j], np.float32) for j in (0, 1) for i in (0, 1)])
@@ -402,10 +426,12 @@ def enlarge_depth(depth: Depth, lens: Lens, rgb: Image, flat: Camera) -> Depth:
     place = np.stack([np.abs(1 - j - part[..., 1]) * np.abs(1 - i - part[..., 0]) for j in (0, 1) for i in (0, 1)])
     differs = np.stack([cv2.absdiff(low[j, i], rgb) for j, i in zip(y, x, strict=True)]).astype(np.float32)
     likeness = np.exp(-0.5 * (differs**2).sum(-1) / _COLOUR_SIGMA**2)
-    weight = (place + 1e-6) * likeness * inside + 1e-30 * place
+    weight = (place + 1e-6) * likeness * inside + 1e-12 * place
     best = np.take_along_axis(value, weight.argmax(0)[None], 0)[0]
     same = (value > 0) & (np.abs(value - best) < _STEEPEST * best / min(lens.K[0, 0], lens.K[1, 1]))
     smooth = same.all(0)
     weight = np.where(smooth, place, weight) * same
     total = weight.sum(0)
-    return np.where((best > 0) & (total > 0), (weight * value).sum(0) / np.maximum(total, 1e-30), 0).astype(np.float32)
+    return np.where((best > 0) & (total > 0), (weight * value).sum(0) / np.where(total > 0, total, 1), 0).astype(
+        np.float32
+    )
