@@ -454,7 +454,8 @@ def test_summary_counts_means_and_failures():
     assert groups["revolute"]["axis"]["std"] == pytest.approx(11 / np.sqrt(2)), "n - 1 below the line"
     assert groups["prismatic"]["n"] == 2 and "position" not in groups["prismatic"]
     assert [o.row.sequence for o in bench.worst_first(rows)] == ["d", "b", "c", "a"]
-    assert bench.badness(rows[0].row) == (pytest.approx(2.0), "state")
+    reach = next(goal.reach for goal in bench.GOALS if (goal.metric, goal.group) == ("state", "revolute"))
+    assert bench.badness(rows[0].row) == (pytest.approx(1.0 / reach), "state")
 
 
 def test_before_and_after_say_what_became_worse(capsys):

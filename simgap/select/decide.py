@@ -8,6 +8,7 @@ import numpy as np
 
 from freeart21.joint import JointType
 from simgap.fit.fit import Fit, Problem, residual_dispersion, robust_residuals
+from simgap.fit.guess import is_linear_parameter
 from simgap.measure.data import FitRun
 from simgap.measure.noise import SensorNoise
 from simgap.measure.stiction import StictionBound
@@ -315,7 +316,7 @@ def find_unexcited(hypothesis: Hypothesis) -> list[str]:
         inverse = np.linalg.pinv(block / np.outer(scale, scale), rcond=1e-10, hermitian=True) / np.outer(scale, scale)
         spread = NORMAL_90 * np.sqrt(np.diag(inverse))
         sizes = np.array([fit.theta[i] - (about if i == own[0] else 0.0) for i in own])
-        forces = [i == own[0] or ranges[i].name in ("sine",) or bool(effect.range_fields) for i in own]
+        forces = [is_linear_parameter(ranges[i], [ranges[k] for k in own]) for i in own]
         if not any(abs(x) > 0.8 * s for x, s, force in zip(sizes, spread, forces, strict=True) if force):
             found.append(effect.name)
     return found
