@@ -35,14 +35,14 @@ results:
 	scripts/setup.sh dev
 	.venv/bin/python -m benchmarks.results
 
-# The API's pages, out of the docstrings. Of a package with __all__ pdoc takes that alone: its modules are
-# named beside it, but for view/document.py, by whose name __all__ has a function.
+# The API's pages, out of the docstrings, grouped by docs/pdoc/. Of a package with __all__ pdoc takes that alone: its modules
+# are named next to it, but for view/document.py, by whose name __all__ has a function.
 PACKAGES = freeart21 generator reconstruct export leaderboard simgap
 DOCS = out/docs
 PDOC = .venv/bin/python -m pdoc
 WITH_ALL = $(dir $(shell grep -rl --include=__init__.py __all__ $(PACKAGES)))
 docs:
-	@PYTHONPATH=. $(PDOC) --output-directory $(DOCS) $(addprefix ./,$(PACKAGES) $(filter-out %/document.py,$(wildcard $(addsuffix [a-z]*.py,$(WITH_ALL))) $(patsubst %/__init__.py,%,$(wildcard $(addsuffix */__init__.py,$(WITH_ALL))))))
+	@PYTHONPATH=. $(PDOC) --template-directory docs/pdoc --output-directory $(DOCS) $(addprefix ./,$(PACKAGES) $(filter-out %/document.py,$(wildcard $(addsuffix [a-z]*.py,$(WITH_ALL))) $(patsubst %/__init__.py,%,$(wildcard $(addsuffix */__init__.py,$(WITH_ALL))))))
 	@echo "$(DOCS)/index.html"
 
 clean:

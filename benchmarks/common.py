@@ -87,11 +87,11 @@ def commit() -> str:
     'unknown' outside git.
     """
 
-    def said(*command: str) -> str:
+    def run_git(*command: str) -> str:
         return subprocess.run(["git", *command], cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
 
-    name = said("describe", "--always", "--exclude", "*")
-    changed = said("status", "--porcelain", "--untracked-files=no", "--", ".", ":!benchmarks/results")
+    name = run_git("describe", "--always", "--exclude", "*")
+    changed = run_git("status", "--porcelain", "--untracked-files=no", "--", ".", ":!benchmarks/results")
     return f"{name}-dirty" if name and changed else name or "unknown"
 
 

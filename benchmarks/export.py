@@ -117,7 +117,7 @@ def main(
     write_report(
         out or RESULTS / "export.json",
         {"density": DENSITY, "states": STATES, "video": video, "engines": list(engines)},
-        summary={source: _reached(rows) for source, rows in tables.items()},
+        summary={source: _count_reached(rows) for source, rows in tables.items()},
         rows=[row for rows in tables.values() for row in rows],
     )
 
@@ -190,14 +190,16 @@ def figures(
     link = shown.urdf.joints[asset.joint]
     Ts = link_poses(shown.urdf.joints, {**asset.held, asset.joint: 0.0})
     names = (asset.reference_link, asset.moving_link)
-    visual = [_joined(shown, name, "visuals") for name in names]
+    visual = [_join_meshes(shown, name, "visuals") for name in names]
     axis = -link.axis if link.child == asset.reference_link else link.axis
-    joint = Joint(link.name, _typed(link.joint_type), axis, np.zeros(3), link.lower, link.upper).moved(Ts[link.child])
+    joint = Joint(link.name, _joint_type_of(link.joint_type), axis, np.zeros(3), link.lower, link.upper).moved(
+        Ts[link.child]
+    )
     parts = Articulation(joint, *(mesh.moved(Ts[name]) for mesh, name in zip(visual, names, strict=True)))
-    swapped = _swapped(result, truth)
+    swapped = _are_swapped(result, truth)
     return {
-        **_standing(asset, parts, result, truth, swapped),
-        **_limits(asset, link.lower, link.upper, result, truth),
+        **_measure_standing(asset, parts, result, truth, swapped),
+        **_measure_limits(asset, link.lower, link.upper, result, truth),
         "deep_mm": 1e3 * float(asset.source["penetration"]["deepest_m"]),
         "deep_visual_mm": 1e3 * float(Overlap(parts).max_depths(np.linspace(link.lower, link.upper, STATES)).max()),
         **_solids(asset, shown, volumes[::-1] if volumes and swapped else volumes),
@@ -206,7 +208,7 @@ def figures(
     }
 
 
-def _standing(
+def _measure_standing(
     asset: Asset, parts: Articulation, result: Reconstruction, truth: Truth, swapped: bool
 ) -> dict[str, float | None]:
     points = np.concatenate([parts.reference.vertices, parts.moving.vertices])
@@ -223,21 +225,23 @@ def _standing(
     }
 
 
-def _swapped(result: Reconstruction, truth: Truth) -> bool:
+def _are_swapped(result: Reconstruction, truth: Truth) -> bool:
     """Whether the answer's reference part is the truth's moving one, by the masks of a few frames."""
     agree = [0, 0]
     for i in np.linspace(0, len(truth) - 1, 5).round().astype(int):
-        true, said = truth.part_mask(int(i)), result.part_masks[i]
-        agree[0] += int(((true == said) & (true > 0)).sum())
-        agree[1] += int(((true == 3 - said) & (true > 0) & (said > 0)).sum())
+        true, answered = truth.part_mask(int(i)), result.part_masks[i]
+        agree[0] += int(((true == answered) & (true > 0)).sum())
+        agree[1] += int(((true == 3 - answered) & (true > 0) & (answered > 0)).sum())
     return agree[1] > agree[0]
 
 
-def _limits(asset: Asset, lower: float, upper: float, result: Reconstruction, truth: Truth) -> dict[str, float | None]:
+def _measure_limits(
+    asset: Asset, lower: float, upper: float, result: Reconstruction, truth: Truth
+) -> dict[str, float | None]:
     """How far the limits lie beyond the maker's, and short of what the video showed: deg or mm of true states."""
-    true, said = truth.states, result.states
-    sign = 1.0 if np.ptp(said) == 0 or np.corrcoef(true, said)[0, 1] >= 0 else -1.0
-    shift = float(np.median(true - sign * said))
+    true, answered = truth.states, result.states
+    sign = 1.0 if np.ptp(answered) == 0 or np.corrcoef(true, answered)[0, 1] >= 0 else -1.0
+    shift = float(np.median(true - sign * answered))
     ends = sorted(sign * (q - asset.state_zero) + shift for q in (lower, upper))
     joint = truth.articulation.joint
     unit = float(np.degrees(1)) if joint.type == "revolute" else 1e3
@@ -276,7 +280,7 @@ def _shapes(asset: Asset, shown: ShownUrdf, visual: list[Mesh]) -> dict[str, flo
     }
 
 
-def _joined(shown: ShownUrdf, link: str, which: str) -> Mesh:
+def _join_meshes(shown: ShownUrdf, link: str, which: str) -> Mesh:
     """All shapes of a link as one mesh of shared positions."""
     meshes = [piece.mesh for piece in getattr(shown, which)[link]]
     first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
@@ -286,7 +290,7 @@ def _joined(shown: ShownUrdf, link: str, which: str) -> Mesh:
     return Mesh(place, back.reshape(-1)[faces])
 
 
-def _typed(kind: str | None) -> Any:
+def _joint_type_of(kind: str | None) -> Any:
     if kind is None:
         raise FreeArtError("the asset's joint does not move")
     return kind
@@ -310,7 +314,7 @@ def _volumes(truth: Truth) -> tuple[float, float] | None:
 # --- tables -----------------------------------------------------------------------------------------------------------
 
 
-def _reached(rows: list[dict[str, Any]]) -> dict[str, Any]:
+def _count_reached(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """How many rows reach each goal, the median and the worst."""
     found: dict[str, Any] = {"rows": len(rows), "exported": sum(row["status"] == "ok" for row in rows)}
     for goal in GOALS:
@@ -325,7 +329,7 @@ def _reached(rows: list[dict[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _missed(row: dict[str, Any]) -> int:
+def _count_missed(row: dict[str, Any]) -> int:
     return sum(row.get(goal.column) is None or row[goal.column] > goal.most for goal in GOALS)
 
 
@@ -333,7 +337,7 @@ def _print(console: Console, source: str, rows: list[dict[str, Any]]) -> None:
     columns = [goal.column for goal in GOALS] + ["deep_visual_mm", "shapes", "pieces", "vertices_a_face"]
     cells = [
         [row["object"], *("-" if row.get(column) is None else f"{row[column]:.3g}" for column in columns)]
-        for row in sorted(rows, key=_missed, reverse=True)
+        for row in sorted(rows, key=_count_missed, reverse=True)
     ]
     head = ["object", *(column.replace("_", " ") for column in columns)]
     console.print(make_table(f"of {source}: worst first", head, cells))
@@ -342,7 +346,7 @@ def _print(console: Console, source: str, rows: list[dict[str, Any]]) -> None:
             console.print(f"{row['object']}: {row['status']}", highlight=False)
         for failed in row.get("failed", ()):
             console.print(f"{row['object']}: {failed}", highlight=False)
-    reached = _reached(rows)
+    reached = _count_reached(rows)
     for goal in GOALS:
         one = reached[goal.column]
         worst = "-" if one["worst"] is None else f"{one['worst']:.3g}"

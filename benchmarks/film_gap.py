@@ -56,12 +56,12 @@ FAULTS: dict[str, tuple[str, tuple[float, float], tuple[float, float], Draw]] = 
         (2.0, 5.0),
         lambda f, s, r: sensors.slips(f, *(s * w for w in _way(r)), r.uniform(-1, 1)),
     ),
-    "told focal": ("focal_length", (4e-3, 0.01), (0.015, 0.05), lambda f, s, r: sensors.told_focal(f, s * _sign(r))),
-    "told centre": (
+    "focal": ("focal_length", (4e-3, 0.01), (0.015, 0.05), lambda f, s, r: sensors.scale_focal(f, s * _sign(r))),
+    "centre": (
         "principal_point",
         (0.4, 0.9),
         (1.5, 6.0),
-        lambda f, s, r: sensors.told_centre(f, *(s * w for w in _way(r))),
+        lambda f, s, r: sensors.shift_centre(f, *(s * w for w in _way(r))),
     ),
     "lags": ("depth_delay", (1, 1.01), (2, 3.99), lambda f, s, r: sensors.lags(f, int(s))),
     "brightens": ("exposure_drift", (0.2, 0.4), (0.6, 1.5), lambda f, s, r: sensors.brightens(f, s)),
@@ -73,7 +73,7 @@ OUTSIDE: dict[str, Draw] = {
     "second bounce": lambda f, s, r: sensors.second_bounce(f, 0.003 + 0.006 * s),
     "breathes": lambda f, s, r: sensors.breathes(f, 0.002 + 0.003 * s),
 }
-PAIRS = (("reads long", "rustles"), ("slips", "blind to dark"), ("lags", "frays"), ("told focal", "brightens"))
+PAIRS = (("reads long", "rustles"), ("slips", "blind to dark"), ("lags", "frays"), ("focal", "brightens"))
 _SUB = {"noise_growth", "noise_grazing"}
 """Ways of the noise: they go with it."""
 

@@ -27,7 +27,7 @@ from rich.table import Table
 
 from benchmarks.common import RESULTS, ROOT, commit, machine
 from benchmarks.real_gap import EXPECTED
-from benchmarks.real_grade import GRADES, graded
+from benchmarks.real_grade import GRADES, grade_answer
 from benchmarks.real_recordings import recordings
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
@@ -142,7 +142,7 @@ def main(names: tuple[str, ...] = (), work: Path = ROOT / "out" / "gap_numbers",
             atomic.write_json(kept, ask(folder))
         answers = checked.read_json(kept)
         expected = known["recordings"][name]
-        grades[name] = {s: graded(expected, known["groups"], answers.get(s))[0] for s in variants()}
+        grades[name] = {s: grade_answer(expected, known["groups"], answers.get(s))[0] for s in variants()}
         print(f"{len(grades)} of {len(names or here)}: {name}: {grades[name]['default']}", flush=True)
     counts = {s: {g: sum(row[s] == g for row in grades.values()) for g in GRADES} for s in variants()}
     left_out = leave_machines_out(grades)

@@ -47,7 +47,7 @@ from freeart21.measured import Measured
 
 WAYS = ("nothing", "gap", "trial", "sysid", "fit-all", "greedy")
 RECORDINGS = ("bam_free", "dfki", "rotary_settled", "multiarm", "phy180_32", "adip_pend_cut")
-"""The handful that is asked when nothing else is said, of five machines. Of a motor that turns on and on (hsm150) a
+"""The handful that is asked by default, of five machines. Of a motor that turns on and on (hsm150) a
 position is no measure: without friction the asset ends 6,700 rad off."""
 SEED = 44
 """Of the drawn cases."""
@@ -282,7 +282,7 @@ def open_library(asset: Asset, measured: Measured, untouched: list[str]) -> Simp
 
 
 def fit_all(library: SimpleNamespace, seconds: float) -> tuple[Any, list[str], bool]:
-    """Every effect at once, but a slack, which is a body of its own and no parameter. Begun with those that every
+    """Every effect at once, but a slack, which is a body of its own and no parameter. Starts with those that every
     machine has, then all without a place, for all at once are lost from the start."""
     end, fit = time.process_time() + seconds, library.base
     for names in library.stages:

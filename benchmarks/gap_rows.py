@@ -3,8 +3,8 @@
     .venv/bin/python -m benchmarks.gap_rows
 
 moves a pendulum by a position servo, in an integration of its own at a tenth of a millisecond, under commands that are
-smooth or held until their next row; logs both at 20 to 100 Hz; asks `gap`, which is told that the commands are held, or
-nothing. Prints the table and writes benchmarks/results/gap_rows.json. Some minutes.
+smooth or held until their next row; logs both at 20 to 100 Hz; asks `gap`; the set states that
+the commands are held, or nothing. Prints the table and writes benchmarks/results/gap_rows.json. Some minutes.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ CASES: tuple[tuple[int, bool, Interpolation], ...] = (
     *((rate, smooth, "unknown") for rate in (100, 50, 20) for smooth in (True, False)),
     (100, True, "held"),
 )
-"""Rows a second, whether the command is smooth between them, and what is told of it."""
+"""Rows a second, whether the command is smooth between them, and what the measured set states of it."""
 
 
 def main(seeds: int = 12, out: Path = RESULTS / "gap_rows.json") -> None:
@@ -51,18 +51,26 @@ def main(seeds: int = 12, out: Path = RESULTS / "gap_rows.json") -> None:
         urdf = Path(folder) / "pendulum.urdf"
         write_joint_asset(urdf, JointNumbers("pendulum", MASS, LENGTH, INERTIA))
         asset = read_asset(urdf)
-        for rate, smooth, told in CASES:
-            verdicts = [find_gap(asset, measured(seed, rate, smooth, told)) for seed in range(seeds)]
-            said = Counter(" ".join((v.verdict, *(n.effect.name for n in v.effects))) for v in verdicts)
-            rows.append({"rate_hz": rate, "smooth": smooth, "told": told, "cases": seeds, "said": dict(said)})
+        for rate, smooth, interpolation in CASES:
+            verdicts = [find_gap(asset, make_measured(seed, rate, smooth, interpolation)) for seed in range(seeds)]
+            verdict_counts = Counter(" ".join((v.verdict, *(n.effect.name for n in v.effects))) for v in verdicts)
+            rows.append(
+                {
+                    "rate_hz": rate,
+                    "smooth": smooth,
+                    "interpolation": interpolation,
+                    "cases": seeds,
+                    "verdicts": dict(verdict_counts),
+                }
+            )
             print(rows[-1], flush=True)
-    head = ("rows a second", "command between them", "told", "said")
+    head = ("rows a second", "command between them", "given", "verdicts")
     cells = [
         (
             row["rate_hz"],
             "smooth" if row["smooth"] else "held",
-            row["told"],
-            ", ".join(f"{count} {what}" for what, count in row["said"].items()),
+            row["interpolation"],
+            ", ".join(f"{count} {what}" for what, count in row["verdicts"].items()),
         )
         for row in rows
     ]
@@ -70,8 +78,8 @@ def main(seeds: int = 12, out: Path = RESULTS / "gap_rows.json") -> None:
     write_report(out, {"seeds": seeds}, rows=rows)
 
 
-def measured(seed: int, rate: int, smooth: bool, told: Interpolation) -> Measured:
-    """Runs of one draw, the last two held out; the asset is off within what is told, the encoder has 1.5 mrad steps."""
+def make_measured(seed: int, rate: int, smooth: bool, interpolation: Interpolation) -> Measured:
+    """Runs of one draw, the last two held out; the asset is off within tolerance, the encoder has 1.5 mrad steps."""
     rng = np.random.default_rng([seed, rate])
     inertia, weight = INERTIA * rng.uniform(0.9, 1.1), MASS * G * LENGTH * rng.uniform(0.95, 1.05)
     times, every = np.arange(round(SECONDS * rate)) / rate, FINE // rate
@@ -83,16 +91,16 @@ def measured(seed: int, rate: int, smooth: bool, told: Interpolation) -> Measure
             size, hertz, phase = rng.uniform(0.1, 0.4), rng.uniform(0.2, 1.8), rng.uniform(0, 6)
             command += size * np.sin(2 * np.pi * hertz * clock + phase)
         acting = command if smooth else np.repeat(command[::every], every)
-        q = _moved(command[0], acting, inertia, weight)[::every] + rng.normal(0, 5e-4, len(times))
+        q = _integrate(command[0], acting, inertia, weight)[::every] + rng.normal(0, 5e-4, len(times))
         runs.append(
             Run(f"run_{k}", times, 1.5e-3 * np.round(q / 1.5e-3), None, command[::every], held_out=k >= RUNS - 2)
         )
     gravity, law = np.array([0, 0, -G]), Actuator(None, *SERVO)
-    return Measured("hinge", "revolute", gravity, rate, "recorded", None, law, 0.1, 0.05, tuple(runs), told)
+    return Measured("hinge", "revolute", gravity, rate, "recorded", None, law, 0.1, 0.05, tuple(runs), interpolation)
 
 
 @njit(cache=True)
-def _moved(q: float, command: Array, inertia: float, weight: float) -> Array:  # pragma: no cover
+def _integrate(q: float, command: Array, inertia: float, weight: float) -> Array:  # pragma: no cover
     """(n,) positions from rest, by the leapfrog."""
     out, v, h = np.empty(len(command)), 0.0, 1 / FINE
     for i in range(len(command)):

@@ -5,7 +5,7 @@
 prints a table and writes benchmarks/results/gaussians.json (commit, machine, settings, summary, a row a count and
 window).
 
-- *scene*: a box with a lid, each under its own motion, covered by discs of which each has its share of the surface. It
+- *scene*: a box with a lid, each under its own motion, covered by discs, each with its share of the surface. It
   covers 32,000 pixels in every window (with another `--focal` others), as objects do in a video of 640 x 360.
 - *forward* draws, *backward* takes derivatives by colour, depth and alpha back to all parameters and both poses.
   Medians of `repeats`, in turns over all rows, after one that is left out.

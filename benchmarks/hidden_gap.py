@@ -4,8 +4,8 @@
     python -m benchmarks.hidden_gap --release --out DIR          # the release's 112 cases: scored once, tuned on never
 
 A draw that was stopped goes on where it was. DIR/cases/ID has what `gap` sees, DIR/labels what is hidden. `gap` runs
-as a user runs it, on a copy that nothing lies beside. The docstring of `benchmarks/world` says how the world was made,
-and what it may not be changed for. Never use the release's seed for anything else: who looked at a draw may tune on it.
+as a user runs it, on a copy that nothing lies beside. The docstring of `benchmarks/world` has how the world was made,
+and what must never change it. Never use the release's seed for anything else: who looked at a draw may tune on it.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ from generator.session import RecordSettings, load_object, plan_recording
 SCHEMA = "freeart21/benchmark-motion-styles/1"
 SHARED = ROOT.parent / "shared"
 FRAMES = 300
-"""Of a stretch: as many as a sequence has when not told otherwise."""
+"""Of a stretch: as many as a sequence has by default."""
 STYLES = ("tumble", "inspect", "wave", "turntable", "static_base", "human")
 DRAWN_FROM = ("s1", "s4")
 """Subjects whose takes `human` draws from; those of all others are held out."""
@@ -61,7 +61,7 @@ FIGURES = {
     "sweep_degrees": "a sweep, deg: median",
     "p90_sweep_degrees": "90th percentile",
     "sweep_s": "its time, s: median",
-    "joint_strokes": "a minute: strokes of the joint",
+    "joint_strokes": "a minute: submovements of the joint",
     "reversals": "turned round",
     "joint_way": "a joint's stroke, % of the range: median",
     "joint_stroke_s": "its time, s: median",
@@ -101,13 +101,13 @@ def main(
     if not takes:
         raise FreeArtError(f"{mocap} holds no take, expected SUBJECT_OBJECT_use_TAKE.object.npy")
     if fitted:
-        print("\n".join(f"{name} = {value}" for name, value in drawn_from(takes).items()))
+        print("\n".join(f"{name} = {value}" for name, value in fit_draws(takes).items()))
         return
     groups: dict[str, list[Stretch]] = {"drawn from": [], "held out": []}
     for take in takes:
         groups["drawn from" if subject(take) in DRAWN_FROM else "held out"] += stretches(take)
     for style in STYLES:
-        groups[style] = list(scripted(style, range(seeds)))
+        groups[style] = list(record_scripted(style, range(seeds)))
     tables = {name: {key: spread(values) for key, values in columns(group).items()} for name, group in groups.items()}
     inside = {key: within(tables["human"][key], tables["held out"][key]) for key in FIGURES}
     _print(tables, inside, {name: len(group) for name, group in groups.items()})
@@ -150,7 +150,7 @@ def stretches(take: Take) -> Iterator[Stretch]:
         yield Stretch(take.name, Movement.of(take.Ts[part, :3, :3], places, shares, 30.0), -take.Ts[part, 2, :3])
 
 
-def scripted(style: str, seeds: range) -> Iterator[Stretch]:
+def record_scripted(style: str, seeds: range) -> Iterator[Stretch]:
     """The plans of a style for the first object of every category."""
     first = {catalog.find(name).category: name for name in reversed(catalog.built_in_names())}
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
@@ -249,7 +249,7 @@ def law(x: Array, y: Array) -> str:
     return f"Law({at:.2f}, {slope:.2f}, {about:.2f}, {spread:.2f})"
 
 
-def drawn_from(takes: list[Take]) -> dict[str, str]:
+def fit_draws(takes: list[Take]) -> dict[str, str]:
     """The measures that `generator/motion/human_hand.py` holds, of the takes of `DRAWN_FROM`, as it writes them."""
     moves = [of_take(take) for take in takes if subject(take) in DRAWN_FROM]
     sweeps = [np.log(m.sweep_degrees) for m in moves if len(m.sweeps) > 2]

@@ -11,10 +11,10 @@ takes by path what is there of
   the object itself (OBJECT/OBJECT.urdf in the folder of URDFs, or the first other one there that can be recorded), or
   where it is absent on the built-in object of the like joint (`freeart21 record --motion track:FILE`);
 - videos with depth: folders of a camera's pictures (rgb/, depth/, masks/, cam_K.txt). They have no truth: what is found
-  is told;
-what is absent, or cannot be recorded, is left out and said so. All is solved from one geometry with the Gaussians and
-without, scored by strict-2 where a truth exists, printed worst first and written to benchmarks/results/outside.json. A
-run that was stopped goes on from there. Nothing of the data enters the repository.
+  is reported;
+what is absent, or cannot be recorded, is left out with its reason. All is solved from one geometry with the Gaussians
+and without, scored by strict-2 where a truth exists, printed worst first, written to benchmarks/results/outside.json.
+A run that was stopped goes on from there. Nothing of the data enters the repository.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class Clip:
 
 
 @dataclass(frozen=True)
-class Told:
+class VideoAnswer:
     """What was found in a video whose truth nobody knows."""
 
     clip: str
@@ -134,19 +134,19 @@ def main(
     cases = []
     for clip in wanted:
         try:
-            folder, recording = _recorded(clip, work / f"{frames}frames")
+            folder, recording = _record(clip, work / f"{frames}frames")
         except FreeArtError as error:
             left_out[clip.name] = str(error)
             continue
         case = case_of(recording, folder)
         cases.append(case if clip.settings.track is None else replace(case, motion="captured"))
     found = solve_cases(cases, variants, work / "solved", fresh=fresh)
-    told = _solve_videos([path for path in real if not clips or path.name in clips], variants, work, fresh, left_out)
+    answers = _solve_videos([path for path in real if not clips or path.name in clips], variants, work, fresh, left_out)
     roots = {str(partnet): "PARTNET", str(mocap): "MOCAP", str(urdfs): "URDFS", str(videos): "VIDEOS"}
     for root, word in roots.items():
         left_out = {name: why.replace(root, word) for name, why in left_out.items()}
     of = {name: worst_first([o for (n, _), o in found.items() if n == name]) for name in variants}
-    _print(of, told, left_out)
+    _print(of, answers, left_out)
     if out is None and clips:
         return
     facts = {
@@ -162,7 +162,7 @@ def main(
         ],
         "left_out": left_out,
     }
-    body = {**figures(of[OURS]), "beside": {BESIDE: figures(of[BESIDE])}, "without_truth": [asdict(t) for t in told]}
+    body = {**figures(of[OURS]), "beside": {BESIDE: figures(of[BESIDE])}, "without_truth": [asdict(t) for t in answers]}
     path = out or RESULTS / "outside.json"
     write_report(path, facts, **body)
 
@@ -211,7 +211,7 @@ def _settings(frames: int, sensor: str) -> RecordSettings:
     return RecordSettings(frames=frames, seed=SEED, sensor=sensor)
 
 
-def _recorded(clip: Clip, data: Path) -> tuple[Path, Job]:
+def _record(clip: Clip, data: Path) -> tuple[Path, Job]:
     """The data folder that holds the clip, recorded unless it is there, and how it was recorded."""
     folder = data / ("scripted" if clip.settings.track is None else "tracks")
     job = plan_jobs([clip.object], clip.settings)[0]
@@ -222,7 +222,7 @@ def _recorded(clip: Clip, data: Path) -> tuple[Path, Job]:
 # --- a video without a truth ------------------------------------------------------------------------------------------
 
 
-def _converted(source: Path, data: Path) -> Path:
+def _convert(source: Path, data: Path) -> Path:
     """The sequence of a folder of pictures, converted unless it is there."""
     sequence = data / "sequences" / source.name
     if not sequence.is_dir():
@@ -232,12 +232,12 @@ def _converted(source: Path, data: Path) -> Path:
 
 def _solve_videos(
     sources: list[Path], variants: dict[str, ReconstructSettings], work: Path, fresh: bool, left_out: dict[str, str]
-) -> list[Told]:
+) -> list[VideoAnswer]:
     """What each variant finds in each video; those that cannot be converted, or solved, are added to `left_out`."""
     todo: list[jobs.Job] = []
     for source in sources:
         try:
-            sequence = _converted(source, work / "videos")
+            sequence = _convert(source, work / "videos")
         except FreeArtError as error:
             left_out[source.name] = str(error)
             continue
@@ -254,13 +254,13 @@ def _solve_videos(
             call, key = "benchmarks.outside:solve_video", key_of(settings, files)
             todo.append(jobs.Job(name, call=call, arguments=arguments, needs=needs, key=key))
             needs = (name,)
-    told = []
+    answers = []
     for name, answer in run_calls(work / "solved-videos", todo, variants, fresh=fresh).items():
         if "crash" in answer:
             left_out[name] = answer["crash"]
         else:
-            told.append(Told(**answer))
-    return told
+            answers.append(VideoAnswer(**answer))
+    return answers
 
 
 def solve_video(sequence: str, result: str, geometry: str, settings: str) -> dict[str, Any]:
@@ -268,18 +268,18 @@ def solve_video(sequence: str, result: str, geometry: str, settings: str) -> dic
     own = replace(read_settings(Path(settings)), progress=False)
     from_geometry(Path(sequence), Path(result), Path(geometry), own)
     reconstruct_folder(Path(sequence), Path(result), own)
-    return asdict(tell(Path(result), Path(settings).stem))
+    return asdict(describe_answer(Path(result), Path(settings).stem))
 
 
-def tell(result: Path, variant: str) -> Told:
+def describe_answer(result: Path, variant: str) -> VideoAnswer:
     """What a result folder says of its joint."""
     answer = read_result(result)
     seconds = sum(answer.seconds.values())
     if isinstance(answer, Failure):
-        return Told(result.name, variant, f"{answer.stage}: {answer.reason}", seconds=seconds)
+        return VideoAnswer(result.name, variant, f"{answer.stage}: {answer.reason}", seconds=seconds)
     joint = answer.articulation.joint
     unit = 180 / np.pi if joint.type == "revolute" else 1000.0
-    return Told(
+    return VideoAnswer(
         clip=result.name,
         variant=variant,
         status="ok",
@@ -295,19 +295,19 @@ def tell(result: Path, variant: str) -> Told:
 # --- tables -----------------------------------------------------------------------------------------------------------
 
 
-def _print(of: dict[str, list[Outcome]], told: list[Told], left_out: dict[str, str]) -> None:
+def _print(of: dict[str, list[Outcome]], answers: list[VideoAnswer], left_out: dict[str, str]) -> None:
     console = wide_console()
     if of[OURS]:
         print_outcomes(of[OURS], Aim(), "data of others")
         print_beside(of[OURS], {BESIDE: of[BESIDE]}, Aim())
-    if told:
+    if answers:
         head = ("video", "variant", "", "joint", "axis, camera", "± deg", "range", "trust", "s")
-        console.print(make_table("no truth", head, map(_cells, told), texts=head[1:]))
+        console.print(make_table("no truth", head, map(_cells, answers), texts=head[1:]))
     for name, why in left_out.items():
         console.print(f"  left out: {name}: {why}", markup=False, highlight=False)
 
 
-def _cells(t: Told) -> tuple[str, ...]:
+def _cells(t: VideoAnswer) -> tuple[str, ...]:
     axis = "-" if t.axis is None else ", ".join(f"{x:.3f}" for x in t.axis)
     span = "-" if t.range is None else f"{t.range:.1f} {'deg' if t.joint_type == 'revolute' else 'mm'}"
     std = format_number(t.axis_std_deg, 2)

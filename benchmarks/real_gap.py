@@ -19,7 +19,7 @@ from typing import Any
 from rich.console import Console
 
 from benchmarks.common import RESULTS, ROOT, code_of, digest_of, make_table, run_cli, run_within, write_report
-from benchmarks.real_grade import closed, graded, overclaims, summary
+from benchmarks.real_grade import grade_answer, measure_closing, overclaims, summarise
 from benchmarks.real_recordings import SHARED, recordings
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
@@ -60,49 +60,51 @@ def main(
         key = digest_of(name, limit, files=code_of(*_CODE))
         row = checked.read_json(kept) if kept.is_file() else {}
         if row.get("key") != key:
-            row = {"key": key, **_asked(name, work / name, limit)}
+            row = {"key": key, **_ask(name, work / name, limit)}
             atomic.write_json(kept, row)
-        rows.append(_graded(row, known))
+        rows.append(_grade(row, known))
         print(f"{k} of {len(chosen)}: {name}: {rows[-1]['grade']} ({rows[-1]['seconds']:.0f} s)", flush=True)
     _print(rows)
     if out is None and len(chosen) == len(known["recordings"]):
         out = RESULTS / "real_gap.json"
     if out is not None:
-        write_report(out, {"limit": limit}, summary=summary(rows), rows=rows)
+        write_report(out, {"limit": limit}, summary=summarise(rows), rows=rows)
 
 
-def _asked(name: str, folder: Path, limit: float) -> dict[str, Any]:
+def _ask(name: str, folder: Path, limit: float) -> dict[str, Any]:
     """What `gap` says of one recording, and how long it took; nothing where it was killed or refused it."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     try:
         recordings()[name](folder)
     except FreeArtError as error:
-        return {"name": name, "status": "refused", "said": str(error), **_NO_TIME, "answer": None}
+        return {"name": name, "status": "refused", "message": str(error), **_NO_TIME, "answer": None}
     ended = run_within(limit, [sys.executable, *_COMMAND], folder)
-    code, said = ended.code, ended.last
+    code, message = ended.code, ended.last
     row = {"name": name, "seconds": ended.seconds, "wall seconds": ended.wall_seconds}
     verdict = folder / "answer" / "verdict.json"
     if code == 0 and verdict.is_file():
-        return {**row, "status": "answered", "said": "", "answer": checked.read_json(verdict)}
+        return {**row, "status": "answered", "message": "", "answer": checked.read_json(verdict)}
     status = "out of time" if code is None else "refused" if code == 1 else "failed"
-    return {**row, "status": status, "said": "" if code is None else said, "answer": None}
+    return {**row, "status": status, "message": "" if code is None else message, "answer": None}
 
 
-def _graded(row: dict[str, Any], known: dict[str, Any]) -> dict[str, Any]:
+def _grade(row: dict[str, Any], known: dict[str, Any]) -> dict[str, Any]:
     """The row of the results."""
     answer = row["answer"]
-    grade, reasons = graded(known["recordings"][row["name"]], known["groups"], answer)
+    grade, reasons = grade_answer(known["recordings"][row["name"]], known["groups"], answer)
     effects = [] if answer is None else answer["effects"]
     return {
         "name": row["name"],
         "grade": grade,
-        "reasons": reasons if answer is not None else [row["status"] + (f": {row['said']}" if row["said"] else "")],
+        "reasons": reasons
+        if answer is not None
+        else [row["status"] + (f": {row['message']}" if row["message"] else "")],
         "status": row["status"],
         "verdict": None if answer is None else answer["verdict"],
         "effects": {e["name"]: {k: v["value"] for k, v in e["parameters"].items()} for e in effects},
         "rivals": [] if answer is None else answer["rivals"],
-        "closed": closed(answer),
+        "closed": measure_closing(answer),
         "overclaims": answer is not None and overclaims(answer),
         "sentence": None if answer is None else answer["sentence"],
         "next_experiment": None if answer is None else answer["next_experiment"],
@@ -118,12 +120,12 @@ def _print(rows: list[dict[str, Any]]) -> None:
         done = row["closed"]
         share = ("-" if done["share"] is None else f"{done['share']:.0%}") + " !" * row["overclaims"]
         left = "-" if done["after"] is None else f"{done['after']:.3g}"
-        said, names = row["verdict"] or row["status"], ", ".join(row["effects"]) or "-"
+        message, names = row["verdict"] or row["status"], ", ".join(row["effects"]) or "-"
         why = "; ".join(row["reasons"])
-        cells.append((row["name"], row["grade"], said, names, share, left, f"{row['seconds']:.0f}", why))
+        cells.append((row["name"], row["grade"], message, names, share, left, f"{row['seconds']:.0f}", why))
     console = Console(width=200)
     console.print(make_table("", head, cells, texts=head[1:]))
-    console.print(summary(rows))
+    console.print(summarise(rows))
 
 
 if __name__ == "__main__":

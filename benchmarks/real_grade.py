@@ -1,4 +1,4 @@
-"""What an answer of `gap` on a real recording is worth: pure functions from what is known and what was said to a grade.
+"""What an answer of `gap` on a real recording is worth: pure functions from known facts and an answer to a grade.
 
 Nobody knows all that a real machine does, so an answer is graded by physics: by the effects that are known to dominate
 and the sizes that are known of them (`real_expected.json`, whose terms these are).
@@ -7,7 +7,7 @@ and the sizes that are known of them (`real_expected.json`, whose terms these ar
     in part    a dominant effect is named and none that is known not to be there; others, or sizes, are off, or a doubt
                is left in which every rival has a dominant effect, or the answer claims more than it does
     silent     nothing is named: unexplained, not excited, a doubt among others, no answer in time, refused
-    wrong      what is not there is named, or nothing that dominates; nothing is said to be missing where something is
+    wrong      what is not there is named, or nothing that dominates; nothing is reported missing where something is
 
 Where the right answer is that nothing of the library explains it, that or silence is right and any name is wrong.
 """
@@ -24,11 +24,13 @@ CLAIMED, LEFT = 0.9, 10.0
 """A plain name (not one in part) that closes so much of the gap, and leaves so many floors, claims too much."""
 
 
-def graded(known: dict[str, Any], groups: dict[str, list[str]], said: dict[str, Any] | None) -> tuple[str, list[str]]:
+def grade_answer(
+    known: dict[str, Any], groups: dict[str, list[str]], answer: dict[str, Any] | None
+) -> tuple[str, list[str]]:
     """Grade and reasons of an answer, as `verdict.json` has it; None is no answer."""
-    if said is None:
+    if answer is None:
         return "silent", ["no answer"]
-    kind = "named_in_part" if said["verdict"] == "named" and said.get("in_part") else said["verdict"]
+    kind = "named_in_part" if answer["verdict"] == "named" and answer.get("in_part") else answer["verdict"]
     if known["answer"] == "unexplained":
         return ("right", []) if kind in ("unexplained", "not_excited") else ("wrong", [f"{kind}, expected unexplained"])
     if kind == "no_gap":
@@ -37,21 +39,21 @@ def graded(known: dict[str, Any], groups: dict[str, list[str]], said: dict[str, 
         return "silent", [kind]
     dominant = [set(groups.get(name, [name])) for name in known["dominant"]]
     if kind == "ambiguous":
-        return _of_rivals(known, groups, dominant, said)
-    names = {effect["name"] for effect in said["effects"]}
-    grade, reasons = _of_names(known, groups, dominant, names)
-    off, alien = _sizes(known, dominant, said["effects"])
+        return _grade_rivals(known, groups, dominant, answer)
+    names = {effect["name"] for effect in answer["effects"]}
+    grade, reasons = _grade_names(known, groups, dominant, names)
+    off, alien = _find_wrong_sizes(known, dominant, answer["effects"])
     reasons += off + alien
     if alien:
         return "wrong", reasons
-    if grade == "right" and (off or overclaims(said)):
+    if grade == "right" and (off or overclaims(answer)):
         grade = "in part"
-    if overclaims(said):
+    if overclaims(answer):
         reasons.append("claims more than it does")
     return grade, reasons
 
 
-def _of_names(
+def _grade_names(
     known: dict[str, Any], groups: dict[str, list[str]], dominant: list[set[str]], names: set[str]
 ) -> tuple[str, list[str]]:
     """Grade of a set of names, sizes apart."""
@@ -66,14 +68,14 @@ def _of_names(
     return ("right" if all(hit) and not unknown else "in part"), reasons
 
 
-def _of_rivals(
-    known: dict[str, Any], groups: dict[str, list[str]], dominant: list[set[str]], said: dict[str, Any]
+def _grade_rivals(
+    known: dict[str, Any], groups: dict[str, list[str]], dominant: list[set[str]], answer: dict[str, Any]
 ) -> tuple[str, list[str]]:
     """A doubt is right when all its rivals are, as those that are one thing by several names; else it is in part so
     when each has a dominant effect and nothing that is not there."""
-    grades = [_of_names(known, groups, dominant, set(names)) for names in said["rivals"]]
+    grades = [_grade_names(known, groups, dominant, set(names)) for names in answer["rivals"]]
     found = {grade for grade, _ in grades}
-    reasons = list(dict.fromkeys(reason for _, told in grades for reason in told))
+    reasons = list(dict.fromkeys(reason for _, why in grades for reason in why))
     if found == {"right"}:
         return "right", []
     if "wrong" not in found and found:
@@ -81,7 +83,9 @@ def _of_rivals(
     return ("wrong" if found == {"wrong"} else "silent"), reasons
 
 
-def _sizes(known: dict[str, Any], dominant: list[set[str]], effects: Iterable[dict[str, Any]]) -> tuple[list[str], ...]:
+def _find_wrong_sizes(
+    known: dict[str, Any], dominant: list[set[str]], effects: Iterable[dict[str, Any]]
+) -> tuple[list[str], ...]:
     """Sizes that are off, of effects that dominate and of others: of these one that is off is another effect."""
     off: tuple[list[str], list[str]] = ([], [])
     for effect in effects:
@@ -95,10 +99,10 @@ def _sizes(known: dict[str, Any], dominant: list[set[str]], effects: Iterable[di
     return off
 
 
-def closed(said: dict[str, Any] | None) -> dict[str, float | int | None]:
+def measure_closing(answer: dict[str, Any] | None) -> dict[str, float | int | None]:
     """Of the runs that were neither fitted nor used to choose, where an answer tells them apart, else of those held
     out: floors before and after (root mean squares over runs), and the closed share of the gap beyond one floor."""
-    rows = [] if said is None else said["gap"]
+    rows = [] if answer is None else answer["gap"]
     confirming = [row for row in rows if row.get("use") == "confirming"]
     rows = confirming or [row for row in rows if row["held_out"]]
     if not rows:
@@ -110,15 +114,15 @@ def closed(said: dict[str, Any] | None) -> dict[str, float | int | None]:
     return {"runs": len(rows), "before": before, "after": after, "share": share}
 
 
-def overclaims(said: dict[str, Any]) -> bool:
+def overclaims(answer: dict[str, Any]) -> bool:
     """Whether an answer names what is missing, nearly all of it, while many floors of the gap are left."""
-    done = closed(said)
-    if said["verdict"] != "named" or said.get("in_part") or done["share"] is None or done["after"] is None:
+    done = measure_closing(answer)
+    if answer["verdict"] != "named" or answer.get("in_part") or done["share"] is None or done["after"] is None:
         return False
     return done["share"] >= CLAIMED and done["after"] > LEFT
 
 
-def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Counts of grades, of claims that are too large and of answers that did not come; medians."""
     count = {grade: sum(row["grade"] == grade for row in rows) for grade in GRADES}
     seconds = sorted(row["seconds"] for row in rows)

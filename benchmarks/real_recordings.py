@@ -1,7 +1,7 @@
 """Real recordings, by others, as assets and measured sets: through the doors that users have, from few numbers each.
 
 The files stay where they are (`../shared/measured`, which says whose they are); what is known of them beforehand is in
-`real_expected.json`. Masses that nobody told are 1 kg: what is found is then over that mass.
+`real_expected.json`. Masses that nobody gives are 1 kg: what is found is then over that mass.
 """
 
 from __future__ import annotations
@@ -51,14 +51,14 @@ def recordings() -> dict[str, Callable[[Path], None]]:
     made: dict[str, tuple[str, Callable[[Path], None]]] = {
         "multiarm": ("multiarm_pendulum", multiarm),
         "phy180_whole": ("phy180_pendulum", phy180_whole),
-        "phy180_31": ("phy180_pendulum", lambda out: _filmed(out, "data31", PHY180)),
-        "phy180_32": ("phy180_pendulum", lambda out: _filmed(out, "data32", PHY180)),
-        "phy180_slow": ("phy180_pendulum", lambda out: _filmed(out, "data2_14", PHY180_SLOW)),
+        "phy180_31": ("phy180_pendulum", lambda out: _write_filmed(out, "data31", PHY180)),
+        "phy180_32": ("phy180_pendulum", lambda out: _write_filmed(out, "data32", PHY180)),
+        "phy180_slow": ("phy180_pendulum", lambda out: _write_filmed(out, "data2_14", PHY180_SLOW)),
         "adip_pend": ("rotary_and_cart", adip_pend),
         "adip_pend_cut": ("rotary_and_cart", adip_pend_cut),
         "rotary_settled": ("rotary_and_cart", lambda out: rotary(out, settled=True)),
         "rotary_moving": ("rotary_and_cart", lambda out: rotary(out, settled=False)),
-        "rotary_told": ("rotary_and_cart", rotary_told),
+        "rotary_told": ("rotary_and_cart", rotary_with_base),
         "bam_kp100": ("bam_xl330", lambda out: servo(out, 100)),
         "bam_kp400": ("bam_xl330", lambda out: servo(out, 400)),
         "bam_free": ("bam_xl330", servo_off),
@@ -76,36 +76,36 @@ def recordings() -> dict[str, Callable[[Path], None]]:
 def multiarm(out: Path) -> None:
     """Four segments to fit, the authors' two validation segments held out; 0 is hanging."""
     file = SHARED / "multiarm_pendulum" / "SinglePendulumDataForParameterEstimation.mat"
-    told = {"columns": {"t": "Time_id+Time_vad", "q": "Y_id:1+Y_vad:1"}, "zero": np.pi, "held_out": ("5", "6")}
-    _brought(out, MULTIARM, [file], **told, inertia_relative=0.05, gravity_relative=0.05)
+    given = {"columns": {"t": "Time_id+Time_vad", "q": "Y_id:1+Y_vad:1"}, "zero": np.pi, "held_out": ("5", "6")}
+    _write_set(out, MULTIARM, [file], **given, inertia_relative=0.05, gravity_relative=0.05)
 
 
 def phy180_whole(out: Path) -> None:
     """One film fitted, the other held out, as their files are."""
     files = [SHARED / "phy180_pendulum" / f"data{k}.csv" for k in (31, 32)]
-    _brought(out, PHY180, files, held_out=("data32",), **_LENGTH_BY_PERIOD)
+    _write_set(out, PHY180, files, held_out=("data32",), **_LENGTH_BY_PERIOD)
 
 
 _LENGTH_BY_PERIOD = {"inertia_relative": 0.0, "gravity_relative": 0.05}
 """Of a pendulum whose mass is a guess: what its period tells is the weight's moment over the inertia."""
 
 
-def _filmed(out: Path, name: str, body: JointNumbers) -> None:
+def _write_filmed(out: Path, name: str, body: JointNumbers) -> None:
     rows = np.genfromtxt(SHARED / "phy180_pendulum" / f"{name}.csv", delimiter=",", skip_header=1)
-    files = _cut(out, rows)
-    _brought(out, body, files, held_out=("2", "5"), **_LENGTH_BY_PERIOD)
+    files = _cut_in_three(out, rows)
+    _write_set(out, body, files, held_out=("2", "5"), **_LENGTH_BY_PERIOD)
 
 
 def adip_pend(out: Path) -> None:
     """The one file."""
-    _brought(out, ADIP, [SHARED / "rotary_and_cart" / "adip_pend_data.mat"], **_LENGTH_BY_PERIOD)
+    _write_set(out, ADIP, [SHARED / "rotary_and_cart" / "adip_pend_data.mat"], **_LENGTH_BY_PERIOD)
 
 
 def adip_pend_cut(out: Path) -> None:
     """The same in stretches."""
     data = loadmat(SHARED / "rotary_and_cart" / "adip_pend_data.mat")
-    files = _cut(out, np.column_stack([data["t"], data["theta2"]]))
-    _brought(out, ADIP, files, held_out=("2", "5"), **_LENGTH_BY_PERIOD)
+    files = _cut_in_three(out, np.column_stack([data["t"], data["theta2"]]))
+    _write_set(out, ADIP, files, held_out=("2", "5"), **_LENGTH_BY_PERIOD)
 
 
 def rotary(out: Path, settled: bool) -> None:
@@ -115,11 +115,11 @@ def rotary(out: Path, settled: bool) -> None:
         data = loadmat(SHARED / "rotary_and_cart" / f"adip_arm_pcont_data_kP_{gain}_ref_1.mat")
         rows = np.column_stack([data["t"], data["theta2"]])
         rows = rows[rows[:, 0] > (still if settled else 1.0)]
-        files.append(_written(out / "raw" / f"kp{gain}.csv", "time,angle", rows))
-    _brought(out, ADIP, files, held_out=("kp5",), **_LENGTH_BY_PERIOD)
+        files.append(_write_csv(out / "raw" / f"kp{gain}.csv", "time,angle", rows))
+    _write_set(out, ADIP, files, held_out=("kp5",), **_LENGTH_BY_PERIOD)
 
 
-def rotary_told(out: Path) -> None:
+def rotary_with_base(out: Path) -> None:
     """The pendulum and how its arm turns: the arm's axis is upright, ARM from the middle of the pendulum's bearing, on
     the side on which the first swing shows it."""
     files = []
@@ -127,10 +127,10 @@ def rotary_told(out: Path) -> None:
         data = loadmat(SHARED / "rotary_and_cart" / f"adip_arm_pcont_data_kP_{gain}_ref_1.mat")
         rows = np.column_stack([data[name] for name in ("t", "theta2", "theta1")])
         rows = rows[rows[:, 0] > 1.0]
-        files.append(_written(out / "raw" / f"kp{gain}.csv", "time,angle,arm", rows))
+        files.append(_write_csv(out / "raw" / f"kp{gain}.csv", "time,angle,arm", rows))
     columns = {"t": "time", "q": "angle", "base_angle": "arm"}
-    told = Circumstances(base={"axis": [0, 0, 1], "point": [0, ARM, 0]})
-    _brought(out, ADIP, files, columns=columns, circumstances=told, held_out=("kp5",), **_LENGTH_BY_PERIOD)
+    given = Circumstances(base={"axis": [0, 0, 1], "point": [0, ARM, 0]})
+    _write_set(out, ADIP, files, columns=columns, circumstances=given, held_out=("kp5",), **_LENGTH_BY_PERIOD)
 
 
 def servo(out: Path, gain: int) -> None:
@@ -140,7 +140,7 @@ def servo(out: Path, gain: int) -> None:
     per_amp = BAM_MOTOR["kt"] / BAM_MOTOR["R"]
     law = (BAM_MOTOR["error_gain"] * gain * BAM_MOTOR["vin"] * per_amp, BAM_MOTOR["kt"] * per_amp)
     held_out = (f"kp{gain}_sin_time_square",)
-    _brought(out, BAM, files, actuator=law, held_out=held_out, inertia_relative=0.05, gravity_relative=0.05)
+    _write_set(out, BAM, files, actuator=law, held_out=held_out, inertia_relative=0.05, gravity_relative=0.05)
 
 
 def servo_off(out: Path) -> None:
@@ -149,37 +149,39 @@ def servo_off(out: Path) -> None:
     for gain in (100, 400):
         entries = json.loads((SHARED / "bam_xl330" / f"kp{gain}_lift_and_drop.json").read_text())["entries"]
         rows = [(e["timestamp"], e["position"]) for e in entries if not e["torque_enable"]]
-        files.append(_written(out / "raw" / f"drop{gain}.csv", "time,angle", np.array(rows)))
-    _brought(out, BAM, files, held_out=("drop100",), inertia_relative=0.05, gravity_relative=0.05)
+        files.append(_write_csv(out / "raw" / f"drop{gain}.csv", "time,angle", np.array(rows)))
+    _write_set(out, BAM, files, held_out=("drop100",), inertia_relative=0.05, gravity_relative=0.05)
 
 
 def dfki(out: Path) -> None:
     """One recording, cut in two; the last third is held out."""
     rows = np.genfromtxt(SHARED / "dfki_pendulum" / "sysid_measured.csv", delimiter=",", skip_header=1)[:, [0, 1, 3]]
     parts = {"early": rows[: 2 * len(rows) // 3], "late": rows[2 * len(rows) // 3 :]}
-    files = [_written(out / "raw" / f"{name}.csv", "time,position,torque", part) for name, part in parts.items()]
+    files = [_write_csv(out / "raw" / f"{name}.csv", "time,position,torque", part) for name, part in parts.items()]
     unsure = {"inertia_relative": 0.2, "gravity_relative": 0.2}
-    _brought(out, DFKI, files, effort="commanded", held_out=("late",), **unsure)
+    _write_set(out, DFKI, files, effort="commanded", held_out=("late",), **unsure)
 
 
 def directdrive(out: Path, speeds: Sequence[str]) -> None:
     """Turns at steady speeds, both ways, under the torque that they needed; the last speed is held out."""
     names = [sign + speed for speed in speeds for sign in ("", "n")]
-    files = [_joined(out, "test2", "cin", name) for name in names]
+    files = [_join_files(out, "test2", "cin", name) for name in names]
     held_out = tuple(file.stem for file in files[-2:])
-    _torqued(out, DIRECTDRIVE, files, held_out=held_out, inertia_relative=0.05, gravity_relative=0.1)
+    _write_torques(out, DIRECTDRIVE, files, held_out=held_out, inertia_relative=0.05, gravity_relative=0.1)
 
 
 def breakaway(out: Path) -> None:
     """A torque that rises until nearly all the friction is used up."""
-    _torqued(out, DIRECTDRIVE, [_joined(out, "test1", "est", "05")], inertia_relative=0.05, gravity_relative=0.1)
+    _write_torques(
+        out, DIRECTDRIVE, [_join_files(out, "test1", "est", "05")], inertia_relative=0.05, gravity_relative=0.1
+    )
 
 
-def _joined(out: Path, test: str, kind: str, name: str) -> Path:
+def _join_files(out: Path, test: str, kind: str, name: str) -> Path:
     """Position, degrees, and torque of one recording in one file: they stand in two, row by row."""
     folder = SHARED / "directdrive_friction" / test
     pos, tau = (np.loadtxt(folder / f"{kind}_{what}1_{name}_exp_gan.t") for what in ("pos", "tau"))
-    return _written(out / "raw" / f"{kind}_{name}.csv", "time,angle,torque", np.column_stack([pos, tau[:, 1]]))
+    return _write_csv(out / "raw" / f"{kind}_{name}.csv", "time,angle,torque", np.column_stack([pos, tau[:, 1]]))
 
 
 def motor(out: Path, ways: Iterable[str]) -> None:
@@ -187,33 +189,33 @@ def motor(out: Path, ways: Iterable[str]) -> None:
     files = [SHARED / "hsm150_motor" / f"idf_{way}_{k}.mat" for way in ways for k in (1, 2)]
     columns = {"t": "data:1", "q": "data:3", "effort": "data:5"}
     held_out = tuple(file.name for file in files if file.stem.endswith("_2"))
-    _brought(
+    _write_set(
         out, HSM150, files, columns=columns, unit_q="rad", unit_effort="N*m", effort="commanded", held_out=held_out,
         inertia_relative=0.1, gravity_relative=0.0,
     )  # fmt: skip
 
 
-def _torqued(out: Path, body: JointNumbers, files: list[Path], **told: Any) -> None:
-    _brought(out, body, files, effort="commanded", unit_q="deg", unit_effort="N*m", **told)
+def _write_torques(out: Path, body: JointNumbers, files: list[Path], **given: Any) -> None:
+    _write_set(out, body, files, effort="commanded", unit_q="deg", unit_effort="N*m", **given)
 
 
-def _cut(out: Path, rows: Array) -> list[Path]:
+def _cut_in_three(out: Path, rows: Array) -> list[Path]:
     """Files of the stretches of (n, 2) times and angles; rows without a number go."""
     rows = rows[np.isfinite(rows).all(1)]
     edges = np.linspace(0, len(rows), STRETCHES + 1).astype(int)
     parts = [rows[a:b] for a, b in pairwise(edges)]
-    return [_written(out / "raw" / f"part{k + 1}.csv", "time,angle", part) for k, part in enumerate(parts)]
+    return [_write_csv(out / "raw" / f"part{k + 1}.csv", "time,angle", part) for k, part in enumerate(parts)]
 
 
-def _written(path: Path, header: str, rows: Array) -> Path:
+def _write_csv(path: Path, header: str, rows: Array) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     np.savetxt(path, rows, fmt="%.9g", delimiter=",", header=header, comments="")
     return path
 
 
-def _brought(out: Path, body: JointNumbers, files: list[Path], **told: Any) -> None:
-    """out/asset.urdf and out/measured, by the public functions; positions are in rad if nothing else is told."""
+def _write_set(out: Path, body: JointNumbers, files: list[Path], **given: Any) -> None:
+    """out/asset.urdf and out/measured, by the public functions; positions are in rad if nothing else is given."""
     write_joint_asset(out / "asset.urdf", body)
-    measure_series(files, out / "set", out / "asset.urdf", None, SeriesSettings(**{"unit_q": "rad", **told}))
+    measure_series(files, out / "set", out / "asset.urdf", None, SeriesSettings(**{"unit_q": "rad", **given}))
     (out / "set" / "measured").rename(out / "measured")
     (out / "set").rmdir()

@@ -99,7 +99,7 @@ def main(
     console, benchmark = Console(), read_benchmark(data)
     made = results is None
     results = results or make_results(benchmark, work / f"results-{faces}", faces, console)
-    with measured() as used:
+    with measure_use() as used:
         rows = score_results(results, benchmark.folder, protocol, workers=workers).rows
     whole = used()
     stages = _stages(results, benchmark, protocol, profiled)
@@ -140,13 +140,13 @@ def make_results(benchmark: Benchmark, folder: Path, faces: int, console: Consol
     for name in track(todo, "Making answers", console=console, disable=not todo):
         truth = read_truth(benchmark.truth(name))
         queries = len(list((benchmark.truth(name) / "queries" / "rgb").glob("*.png")))
-        views = [_dimmed(truth.query_rgb(i)) for i in range(queries)]
-        write_result(folder / name, made_answer(truth, faces), renders=views)
+        views = [_dim(truth.query_rgb(i)) for i in range(queries)]
+        write_result(folder / name, make_answer(truth, faces), renders=views)
         export_result(folder / name, folder / name / "asset")
     return folder
 
 
-def made_answer(truth: Truth, faces: int, seed: int = 0) -> Reconstruction:
+def make_answer(truth: Truth, faces: int, seed: int = 0) -> Reconstruction:
     """The truth, a little wrong; its parts have `faces` faces or more."""
     rng = np.random.default_rng(seed)
     joint, n = truth.articulation.joint, len(truth)
@@ -157,14 +157,14 @@ def made_answer(truth: Truth, faces: int, seed: int = 0) -> Reconstruction:
     states = truth.states + STATE_OFF * truth.range_of_motion * rng.normal(size=n)
     shake = se3.exp_se3(rng.normal(size=(n, 6)) * [0.001, 0.001, 0.001, 0.002, 0.002, 0.002])
     poses = truth.Ts_camera_reference @ shake
-    parts = (_waved(part, faces) for part in (truth.articulation.reference, truth.articulation.moving))
+    parts = (_wave(part, faces) for part in (truth.articulation.reference, truth.articulation.moving))
     masks = np.stack([np.roll(truth.part_mask(i), 1, axis=1) for i in range(n)])
     return Reconstruction(
         Articulation(joint, *parts), states, poses, poses @ joint.transform(states), masks, np.ones((n, 2), bool)
     )
 
 
-def _waved(part: Mesh, faces: int) -> Mesh:
+def _wave(part: Mesh, faces: int) -> Mesh:
     """`part`, its largest faces cut in four until there are `faces`, with small waves all over it."""
     vertices, triangles = np.array(part.vertices), np.array(part.faces)
     while len(triangles) < faces:
@@ -174,7 +174,7 @@ def _waved(part: Mesh, faces: int) -> Mesh:
     return Mesh(vertices + WAVE_M * np.sin(WAVES_PER_M * vertices[:, [1, 2, 0]]), triangles)
 
 
-def _dimmed(picture: np.ndarray) -> np.ndarray:
+def _dim(picture: np.ndarray) -> np.ndarray:
     return (picture * 0.95).astype(np.uint8)
 
 
@@ -204,7 +204,7 @@ def _stages(results: Path, benchmark: Benchmark, protocol: str, rows: int) -> di
 
 
 @contextmanager
-def measured() -> Iterator[Any]:
+def measure_use() -> Iterator[Any]:
     """A function that says, when the block has ended, what it used, all its processes together."""
     most, stop = 0, threading.Event()
 

@@ -56,7 +56,7 @@ def main(
     rows = []
     for name in benchmark.select_sequences(sequences or None):
         rows.append(_row(name, benchmark, engines, work, limit_s))
-        console.print(f"{name}: {_told(rows[-1])}", highlight=False)
+        console.print(f"{name}: {_describe(rows[-1])}", highlight=False)
     _print(console, rows)
     if out is None and sequences:
         return
@@ -134,7 +134,7 @@ def _versions() -> dict[str, str]:
     return found
 
 
-def _told(row: dict[str, Any]) -> str:
+def _describe(row: dict[str, Any]) -> str:
     if row["status"] != "ok":
         return str(row["status"])
     return f"{len(row['failed'])} failed, {len(row['warned'])} warnings, {row['seconds']:.0f} s"

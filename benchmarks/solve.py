@@ -181,7 +181,7 @@ def main(
 
     Args:
         data: Data folder of the split; sequences that it lacks are recorded. Other sensors, motions, presets and
-            lengths are recorded beside it, in DATA-SENSOR and so on.
+            lengths are recorded next to it, in DATA-SENSOR and so on.
         tier: seven: the first object of each category; full: all 21.
         objects: These instead of a tier's.
         split: public, or test (to be scored only, never looked at).
@@ -201,8 +201,8 @@ def main(
     """
     settings = replace(settings, progress=False)
     variants = {OURS: settings, **{name: without(settings, name) for name in dict.fromkeys(beside)}}
-    recorded = "-".join(_recorded(sensor, motion, preset, frames))
-    names = {name: "-".join([split, *filter(None, [recorded]), *_changed(its)]) for name, its in variants.items()}
+    recorded = "-".join(_name_recording(sensor, motion, preset, frames))
+    names = {name: "-".join([split, *filter(None, [recorded]), *_name_changes(its)]) for name, its in variants.items()}
     if len(set(names.values())) < len(names):
         raise FreeArtError(f"--beside names what --settings says already: {', '.join(names.values())}")
     variant = names[OURS]
@@ -260,7 +260,7 @@ def without(settings: ReconstructSettings, name: str) -> ReconstructSettings:
     return replace(settings, **changed)
 
 
-def _recorded(sensor: str, motion: str | None, preset: str, frames: int) -> list[str]:
+def _name_recording(sensor: str, motion: str | None, preset: str, frames: int) -> list[str]:
     """What of the recording is not the benchmark's own."""
     found = [sensor] if sensor != "clean" else []
     found += [motion] if motion is not None else []
@@ -268,7 +268,7 @@ def _recorded(sensor: str, motion: str | None, preset: str, frames: int) -> list
     return found + ([f"{frames}frames"] if frames != 300 else [])
 
 
-def _changed(settings: ReconstructSettings) -> list[str]:
+def _name_changes(settings: ReconstructSettings) -> list[str]:
     """A name for settings that are not the solver's own: the changed ones, or a digest of many."""
     own, now = _flat(ReconstructSettings(progress=False).to_json()), _flat(settings.to_json())
     changed = [f"{name.rsplit('.', 1)[-1]}={now[name]}" for name in now if now[name] != own[name]]
@@ -401,20 +401,20 @@ def run_calls(
     The settings of each variant are written to `folder`/settings, where the calls read them.
     """
     ledger, digests = Ledger(folder), job_digests(todo)
-    failed: dict[str, str] = {}
+    crashes: dict[str, str] = {}
     if not known_only:
         for job in todo if fresh else ():
             ledger.forget(job)
         for variant, settings in variants.items():
             atomic.write_json(folder / "settings" / f"{variant}.json", settings.to_json())
         report = jobs.run_jobs(folder, todo, workers, attempts=1, listener=_say_progress)
-        failed = {one.name: one.reason for one in report.failed}
+        crashes = {one.name: one.reason for one in report.failed}
     found: dict[str, Any] = {}
     for job in todo:
         if ledger.finished(job, digests[job.name]):
             found[job.name] = ledger.read_statistics(job, digests[job.name])["returned"]
-        elif job.name in failed:
-            found[job.name] = {"crash": f"crashed: {failed[job.name]}"}
+        elif job.name in crashes:
+            found[job.name] = {"crash": f"crashed: {crashes[job.name]}"}
         else:
             say(f"not known: {job.name}")
     return found
@@ -482,7 +482,7 @@ def _peak_gb() -> float:
 # --- what it means ----------------------------------------------------------------------------------------------------
 
 
-def failed(row: Row) -> bool:
+def has_failed(row: Row) -> bool:
     """Whether an object counts as a failure: axis over 10 degrees, wrong joint type, or mIoU under 0.6."""
     axis, kind, miou = (row.values[name] for name in ("axis", "joint_type", "miou"))
     return row.status != "ok" or kind != 1 or axis is None or axis > 10 or miou is None or miou < 0.6
@@ -509,7 +509,7 @@ def badness(row: Row) -> tuple[float, str]:
 
 def worst_first(outcomes: Sequence[Outcome]) -> list[Outcome]:
     """Failures, then by the figure that is furthest from its goal."""
-    return sorted(outcomes, key=lambda o: (not failed(o.row), -badness(o.row)[0], o.row.sequence))
+    return sorted(outcomes, key=lambda o: (not has_failed(o.row), -badness(o.row)[0], o.row.sequence))
 
 
 def summary(outcomes: Sequence[Outcome]) -> dict[str, float | int | None]:
@@ -526,7 +526,7 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, float | int | None]:
     return {
         "n": len(rows),
         "type_right": sum(row.values["joint_type"] == 1 for row in rows),
-        "failures": sum(map(failed, rows)),
+        "failures": sum(map(has_failed, rows)),
         "axis_deg_mean": mean("axis"),
         "axis_deg_worst": max(axes, default=None),
         "position_pct_mean": mean("position", "revolute"),
@@ -578,7 +578,7 @@ def _line(outcome: Outcome) -> dict[str, Any]:
         "motion": outcome.motion,
         "status": row.status,
         "reason": row.reason,
-        "failed": failed(row),
+        "failed": has_failed(row),
         "worst_figure": badness(row)[1],
         **row.values,
         "notes": row.notes,
@@ -616,8 +616,8 @@ def _object_table(outcomes: list[Outcome], title: str) -> Table:
         texts=("motion", "", "worst"),
     )
     for o in outcomes:
-        row, style = o.row, "red" if failed(o.row) else None
-        status = "FAILED" if failed(row) else row.joint_type
+        row, style = o.row, "red" if has_failed(o.row) else None
+        status = "FAILED" if has_failed(row) else row.joint_type
         cells = [format_number(row.values.get(id)) for id in SHOWN]
         total = format_number(sum(o.seconds.values()), 0) if o.seconds else "-"
         ends = badness(row)[1], total, format_number(o.peak_gb, 2)
@@ -651,9 +651,9 @@ def _goal_table(outcomes: list[Outcome], aim: Aim) -> Table:
     table.add_row("failures", "all", count, "", "", _reach(means["failures"], aim.failures), "-")
     fitting = [o.seconds["gaussians"] for o in outcomes if "gaussians" in o.seconds]
     others = [sum(o.seconds.values()) - o.seconds.get("gaussians", 0.0) for o in outcomes if o.seconds]
-    said = "420 for 100 frames, RTX 4090"
+    published = "420 for 100 frames, RTX 4090"
     for name, took, reach_s, paper in (
-        ("seconds without gaussians", others, aim.seconds, said),
+        ("seconds without gaussians", others, aim.seconds, published),
         ("seconds of gaussians", fitting, aim.gaussian_seconds, "-"),
     ):
         worst_s = format_number(max(took, default=None), 0)
@@ -690,7 +690,7 @@ def print_beside(outcomes: Sequence[Outcome], beside: dict[str, list[Outcome]], 
 
 def no_worse_line(both: Sequence[tuple[Outcome, Outcome]]) -> str:
     """Whether the Gaussians made an object worse, and which."""
-    lines = [f"{now.row.sequence} ({', '.join(said)})" for was, now in both if (said := worse(was.row, now.row))]
+    lines = [f"{now.row.sequence} ({', '.join(reasons)})" for was, now in both if (reasons := worse(was.row, now.row))]
     goal = f"no object worse by more than {WORSE_AXIS:g} deg (axis), {WORSE_STATE:g} (state)"
     return f"{goal}: " + (f"missed by {', '.join(lines)}" if lines else f"met by all {len(both)}")
 
@@ -701,9 +701,9 @@ def beside_table(both: Sequence[tuple[Outcome, Outcome]], title: str) -> Table:
     for was, now in both:
         cells = [_change(was.row.values.get(id), now.row.values.get(id), DIGITS[id]) for id in SHOWN]
         before_s, after_s = (sum(o.seconds.values()) if o.seconds else None for o in (was, now))
-        marks = [f"FAILED {when}" for when, o in (("before", was), ("after", now)) if failed(o.row)]
+        marks = [f"FAILED {when}" for when, o in (("before", was), ("after", now)) if has_failed(o.row)]
         marks += worse(was.row, now.row)
-        style = "red" if failed(now.row) else "yellow" if marks else None
+        style = "red" if has_failed(now.row) else "yellow" if marks else None
         ends = _change(before_s, after_s, 0), _change(was.peak_gb, now.peak_gb, 2), ", ".join(marks)
         table.add_row(now.row.sequence, *cells, *ends, style=style)
     return table
@@ -717,7 +717,7 @@ def _means_table(variants: dict[str, list[Outcome]]) -> Table:
             its = [o for o in outcomes if group in ("all", o.row.joint_type)]
             cells = [format_number(found[id]["mean"], DIGITS[id]) if id in found else "-" for id in SHOWN]
             totals = [sum(o.seconds.values()) for o in its if o.seconds]
-            lost = str(sum(failed(o.row) for o in its))
+            lost = str(sum(has_failed(o.row) for o in its))
             table.add_row(name, group, str(found["n"]), *cells, lost, format_number(_mean(totals), 0))
     return table
 

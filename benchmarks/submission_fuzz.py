@@ -5,8 +5,7 @@
 takes an answer to a made-up sequence (with an asset, where the asset is to be spoiled), spoils a copy of it, packs
 every third as a .zip, and runs `validate` and `score` on it as the commands do. Expected, and counted in
 benchmarks/results/submission_fuzz.json: no error but one clear line, none that takes more than `LIMIT_S` seconds, no
-number better than the unspoiled answer's, and no row priced of which `validate` did not say why, nor the other way
-round.
+number better than the unspoiled answer's, no row penalised without a reason from `validate`, and none the other way.
 
 Answers are of two kinds. One is the truth: nothing beats it but a fault of the scorer. The other is somewhat wrong, and
 gets those mutations alone that cannot bring a number nearer to the truth by luck.

@@ -42,10 +42,10 @@ _CONTROLLERS = """
   };
   const stroke = (seconds, dp = [0, 0, 0], dw = [0, 0, 0], trigger = null) => new Promise((done) => {
     const from = { p: [...base.p], w: [...base.w] };
-    let begun = null;
+    let start = null;
     const step = (time) => {
-      begun ??= time;
-      const u = Math.min((time - begun) / 1000 / seconds, 1), t = time / 1000;
+      start ??= time;
+      const u = Math.min((time - start) / 1000 / seconds, 1), t = time / 1000;
       base.p = from.p.map((c, k) => c + smooth(u) * dp[k]);
       base.w = from.w.map((c, k) => c + smooth(u) * dw[k]);
       const p = base.p.map((c, k) => c + 2e-4 * tremor(t, k)), w = base.w.map((c, k) => c + 1.5e-3 * tremor(t, k + 3));
@@ -77,7 +77,7 @@ _CONTROLLERS = """
   await grasp(false);
 })()
 """
-"""Strokes of the right controller, which shakes as hands do, three grasps, and the left one's trigger."""
+"""Movements of the right controller, which shakes as hands do, three grasps, and the left one's trigger."""
 
 
 class Page:
@@ -126,16 +126,16 @@ class Page:
 
 def _ticks(seconds: float) -> Iterator[float]:
     """Shares of a stroke's time, one a sixtieth of a second, as the clock has them."""
-    begun = time.monotonic()
+    start = time.monotonic()
     u = 0.0
     while u < 1:
         time.sleep(1 / HZ)
-        u = min((time.monotonic() - begun) / seconds, 1.0)
+        u = min((time.monotonic() - start) / seconds, 1.0)
         yield u
 
 
 def by_mouse(page: Page) -> None:
-    """Turned in five strokes, moved once, opened and closed by the wheel, with holds between."""
+    """Turned in five movements, moved once, opened and closed by the wheel, with holds between."""
     page.click("record")
     page.until("s.recording")
     page.drag((190, -40), 0.9)

@@ -122,8 +122,8 @@ async def _driven(url: str, seconds: float, pid: int) -> dict[str, Any]:
                     pictures.append((time.perf_counter(), n, sent_ms, len(jpeg)))
                     await page.send_json({"type": "seen", "n": len(pictures)})
                 else:
-                    said = json.loads(message.data)
-                    (hello if said["type"] == "hello" else status).update(said)
+                    message_in = json.loads(message.data)
+                    (hello if message_in["type"] == "hello" else status).update(message_in)
 
         reading = asyncio.create_task(read())
         while not status.get("ready"):

@@ -148,15 +148,15 @@ def _with_far_vertex(mesh: Mesh) -> Mesh:
     return replace(mesh, vertices=vertices)
 
 
-def _scaled(mesh: Mesh, factor: float) -> Mesh:
+def _scale(mesh: Mesh, factor: float) -> Mesh:
     middle = (mesh.vertices.max(0) + mesh.vertices.min(0)) / 2
     return replace(mesh, vertices=middle + factor * (mesh.vertices - middle))
 
 
 FAULTS: dict[str, Callable[[Mesh, float, Joint], Mesh]] = {
     "shifted by 5 %": lambda m, size, _: replace(m, vertices=m.vertices + 0.05 * size * np.array([0.6, 0.48, 0.64])),
-    "larger by 15 %": lambda m, size, _: _scaled(m, 1.15),
-    "smaller by 20 %": lambda m, size, _: _scaled(m, 0.8),
+    "larger by 15 %": lambda m, size, _: _scale(m, 1.15),
+    "smaller by 20 %": lambda m, size, _: _scale(m, 0.8),
     "inflated by 3 %": lambda m, size, _: replace(
         m, vertices=m.vertices + 0.03 * size * vertex_normals(m.vertices, m.faces)
     ),
@@ -216,23 +216,23 @@ def main(
     judged, faults = list[Judged](), dict[str, str]()
     for video in chosen:
         data, results = work / "data" / video.name, work / "results" / video.name
-        sequence = _recorded(video, data, partnet_root)
+        sequence = _record(video, data, partnet_root)
         if not (results / sequence / "prediction.json").is_file():
             settings = ReconstructSettings(progress=False, gaussians=GaussianSettings(refine=refine))
             reconstruct_folder(data / "sequences" / sequence, results / sequence, settings)
-        judged.append(_judged(video, data, results, sequence))
+        judged.append(_judge_video(video, data, results, sequence))
         _say(judged[-1])
         if judged[-1].status == "ok" and not judged[-1].wrong and not judged[-1].doubtful:
             faults |= _judge_spoilt(video, data / "sequences" / sequence, results / sequence)
     _print(judged)
-    Console().print_json(data=counted_faults(faults))
+    Console().print_json(data=count_faults(faults))
     if out is None and len(chosen) < len(VIDEOS):
         return
     write_report(
         out or RESULTS / "trust.json",
         {"solver": VERSION, "protocol": "strict-1", "refine": refine, "videos": [v.name for v in chosen]},
         summary=summary(judged),
-        faults_doubted_of=counted_faults(faults),
+        faults_doubted_of=count_faults(faults),
         rows=[asdict(one) for one in judged],
         faults=faults,
     )
@@ -241,7 +241,7 @@ def main(
 # ---------------------------------------------------------------- videos
 
 
-def _recorded(video: Video, data: Path, partnet_root: Path | None) -> str:
+def _record(video: Video, data: Path, partnet_root: Path | None) -> str:
     settings = RecordSettings(
         frames=video.frames,
         seed=video.seed,
@@ -253,12 +253,12 @@ def _recorded(video: Video, data: Path, partnet_root: Path | None) -> str:
         joint=video.joint,
         skip_missing=video.partnet,
     )
-    with _staged(video):
+    with _stage(video):
         return record(video.object, data, settings)
 
 
 @contextmanager
-def _staged(video: Video) -> Iterator[None]:
+def _stage(video: Video) -> Iterator[None]:
     """Recordings made inside follow the changed plan, and move the second joint."""
     plan_recording, draw = session.plan_recording, Sensor._draw
 
@@ -269,7 +269,7 @@ def _staged(video: Video) -> Iterator[None]:
         states = middle + video.share * (states - middle)
         return camera, Plan(plan.Ts_camera_object[:: video.every], states, plan.Ts_camera_world[:: video.every])
 
-    def drawn(self: Sensor, t: float) -> None:
+    def draw_changed(self: Sensor, t: float) -> None:
         assert video.second_joint is not None
         name, low, high = video.second_joint
         sweep = 0.5 - 0.5 * np.cos(2 * np.pi * 1.5 * t / (video.frames - 1))
@@ -280,14 +280,14 @@ def _staged(video: Video) -> Iterator[None]:
         if video.second_joint is None:
             yield
         else:
-            with mock.patch.object(sensor.Sensor, "_draw", drawn):
+            with mock.patch.object(sensor.Sensor, "_draw", draw_changed):
                 yield
 
 
 # ---------------------------------------------------------------- verdicts
 
 
-def _judged(video: Video, data: Path, results: Path, sequence: str) -> Judged:
+def _judge_video(video: Video, data: Path, results: Path, sequence: str) -> Judged:
     answer, truth = read_result(results / sequence), read_truth(data / "truth" / sequence)
     turns = truth.articulation.joint.type == "revolute"
     span = float(np.ptp(truth.states)) * (180 / np.pi if turns else 100 / truth.diagonal)
@@ -323,11 +323,11 @@ def _judge_spoilt(video: Video, sequence: Path, result: Path) -> dict[str, str]:
     return found
 
 
-def counted_faults(faults: dict[str, str]) -> dict[str, str]:
+def count_faults(faults: dict[str, str]) -> dict[str, str]:
     """Of every fault, how many surfaces were doubted, of how many."""
-    judged = {name: [said for key, said in faults.items() if key.endswith(name)] for name in FAULTS}
+    judged = {name: [judgement for key, judgement in faults.items() if key.endswith(name)] for name in FAULTS}
     return {
-        name: f"{sum(said.startswith('doubtful') for said in of_name)} of {len(of_name)}"
+        name: f"{sum(text.startswith('doubtful') for text in of_name)} of {len(of_name)}"
         for name, of_name in judged.items()
     }
 
@@ -387,12 +387,12 @@ def calibration(right: list[Judged]) -> dict[str, list[float | None]]:
 def summary(judged: list[Judged]) -> dict[str, Any]:
     """`counted` of the videos by which the signs were made, and of those held out."""
     return {
-        name: counted([one for one in judged if one.held_out == held_out])
+        name: count_verdicts([one for one in judged if one.held_out == held_out])
         for name, held_out in (("seen", False), ("held_out", True))
     }
 
 
-def counted(judged: list[Judged]) -> dict[str, Any]:
+def count_verdicts(judged: list[Judged]) -> dict[str, Any]:
     """The confusion table, and the calibration curve of the right answers."""
     answers = [one for one in judged if one.status == "ok"]
     wrong, right = [j for j in answers if j.wrong], [j for j in answers if not j.wrong]

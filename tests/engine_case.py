@@ -80,8 +80,8 @@ def loader(folder: Path, engine: str) -> ModuleType:
 
 @dataclass(frozen=True)
 class Release:
-    """A joint let go at rest at `q0`: inertia qdd = gravity(q) - damping qd - friction sign(qd), and what comes of
-    it."""
+    """A joint let go at rest at `q0`: inertia qdd = gravity(q) - damping qd - friction sign(qd), and the
+    result."""
 
     q0: float
     inertia: float

@@ -113,16 +113,16 @@ def slips(film: Recording, right: float, down: float, degrees: float = 0.0) -> R
     return changed(film, change)
 
 
-def told_focal(film: Recording, share: float) -> Recording:
-    """The lens is longer than told, by a share."""
+def scale_focal(film: Recording, share: float) -> Recording:
+    """The lens is longer than given, by a share."""
     K = np.array(film.camera.K)
     K[0, 0] /= 1 + share
     K[1, 1] /= 1 + share
     return replace(film, camera=Camera(K, film.camera.width, film.camera.height))
 
 
-def told_centre(film: Recording, right: float, down: float) -> Recording:
-    """The lens looks right of, and below, where it is told to."""
+def shift_centre(film: Recording, right: float, down: float) -> Recording:
+    """The lens looks right of, and below, where the file has it."""
     K = np.array(film.camera.K)
     K[0, 2] -= right
     K[1, 2] -= down

@@ -125,7 +125,7 @@ def problem_of(folder: Path, measured: Measured) -> tuple[Problem, tuple[FitRun,
     return make_problem(plant, measured, runs, noise), runs
 
 
-def shown(
+def replay_both(
     before: Asset,
     after: Asset,
     measured: Measured,
@@ -134,7 +134,7 @@ def shown(
     holding: float = 0.0,
     regimes: Sequence[str] = (),
 ) -> ReplayComparison:
-    """What replays by both assets' files show, each run from the state that is told."""
+    """What replays by both assets' files show, each run from the given state."""
     of = dict(zip([run.name for run in measured.runs], starts, strict=True))
     begin = Starts(of, dict.fromkeys(of, noise))
     files = [AssetOnDisk(asset_address(asset)) for asset in (before, after)]

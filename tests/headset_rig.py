@@ -20,7 +20,7 @@ from freeart21 import se3
 ROOT = Path(__file__).resolve().parents[1]
 STATIC = ROOT / "generator" / "teleop" / "static"
 IWER = Path(os.environ.get("FREEART21_IWER") or ROOT / "node_modules" / "iwer" / "build" / "iwer.min.js")
-"""iwer's build (MIT), which is not ours to ship: CONTRIBUTING.md says how to get it."""
+"""iwer's build (MIT), which is not ours to ship: CONTRIBUTING.md has how to get it."""
 HAS_BROWSER = bool(CHROMIUM)
 HAS_IWER = HAS_BROWSER and IWER.is_file()
 
@@ -115,7 +115,7 @@ ALONE = """
 
 
 class Rig:
-    """Both controllers and the head, in a page that has begun."""
+    """Both controllers and the head, in a page that has started."""
 
     def __init__(self, page: Browser) -> None:
         self.page = page

@@ -16,7 +16,7 @@ BRISTLE = 3e-4
 
 
 @njit
-def _held(q, speed, n, every, inertia, weight, dry, rise, curve, viscous, bias):
+def _integrate_held(q, speed, n, every, inertia, weight, dry, rise, curve, viscous, bias):
     """(n,) position and the drive's torque of a joint that is brought to `speed`, rad/s, and held there."""
     at, torque = np.empty(n), np.empty(n)
     v, z, summed, push = 0.0, 0.0, 0.0, 0.0
@@ -51,7 +51,7 @@ def steady_of(
             begin = 0.3 - 0.5 * way * speed * seconds
             world = (INERTIA * off[0], MASS * G * ARM * off[1], dry, rise, curve, viscous, bias)
             n = round(seconds * rate)
-            q, torque = _held(begin, way * speed, n, round(1 / (STEP * rate)), *world)
+            q, torque = _integrate_held(begin, way * speed, n, round(1 / (STEP * rate)), *world)
             q = 1e-5 * np.round(q / 1e-5 + rng.normal(0, 0.5, n))
             name = f"{'up' if way > 0 else 'down'}_{speed:g}"
             held_out = i % 3 == 1 if marked else None

@@ -1,4 +1,4 @@
-"""Long commands that are told to stop (Ctrl-C) at some moment, and what that leaves."""
+"""Long commands that are asked to stop (Ctrl-C) at some moment, and what that leaves."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def left_half_written(out: Path) -> list[str]:
 
 
 def stop(arguments: list[str], out: Path, after_s: float, to_all: bool, twice: bool) -> tuple[int, list[str]]:
-    """Exit code of a command that is told to stop after `after_s` seconds, and what was wrong.
+    """Exit code of a command that is asked to stop after `after_s` seconds, and what was wrong.
 
     `to_all`: the signal goes to all of its processes, as from a terminal, not to the command alone; `twice`: it comes
     again a moment later.
@@ -84,7 +84,7 @@ def stop(arguments: list[str], out: Path, after_s: float, to_all: bool, twice: b
     lines = [line for line in errors.splitlines() if line.strip()]
     if running.returncode == 130 and (len(lines) != 1 or not lines[0].startswith("freeart21: stopped")):
         wrong.append(f"not one line: {errors[-2000:]}")
-    if running.returncode not in ((130, 0) if told else (0,)):  # it may have been done when it was told
+    if running.returncode not in ((130, 0) if told else (0,)):  # it may have been done when it was asked
         wrong.append(f"exit code {running.returncode}: {errors[-2000:]}")
     if left := left_running(running.pid):
         wrong.append(f"left running: {left}")

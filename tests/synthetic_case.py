@@ -29,7 +29,7 @@ def random_pose(rng, reach=1.0):
 
 
 def make_truth(kind="revolute", seed=0) -> Truth:
-    """A body and a lid (or drawer) beside it that tumble before the camera; masks and pictures are blocks of pixels."""
+    """A body and a lid (or drawer) that tumble before the camera; masks and pictures are blocks of pixels."""
     rng = np.random.default_rng(seed)
     axis, pivot = np.array([0.0, 1.0, 0.0]), np.array([-0.2, 0.0, 0.06])
     turns = kind == "revolute"

@@ -79,8 +79,8 @@ def test_a_row_says_what_the_import_did(data, tmp_path, src, few_samples):
     answer = json.loads(path.read_text())
     for notes in (["\x1b[31m" + 5000 * "x", 7, None, {}], "text", {"a": 1}, ["y"] * 1000):
         write_json(path, answer | {"settings": {"import": {"notes": notes}}})
-        said = [note for note in notes_of(data, tmp_path) if note.startswith("import: ")]
-        assert len(said) <= 8 and all(note.isprintable() and len(note) < 400 for note in said)
+        message = [note for note in notes_of(data, tmp_path) if note.startswith("import: ")]
+        assert len(message) <= 8 and all(note.isprintable() and len(note) < 400 for note in message)
     for settings in ([], {"import": 3}, "text"):
         write_json(path, answer | {"settings": settings})
         assert not any(note.startswith("import: ") for note in notes_of(data, tmp_path))
@@ -119,8 +119,8 @@ def test_itacos_own_folders(tmp_path, src):
 def test_a_map_says_which_is_which_with_options_of_its_own(data, tmp_path, src, official):
     for folder, name in (("7128", "a"), ("45135", "b")):
         paris(src / folder, name)
-    told = {"a": {"folder": "7128", "anchor": 4}, "b": "45135"}
-    write_json(tmp_path / "map.json", told)
+    given = {"a": {"folder": "7128", "anchor": 4}, "b": "45135"}
+    write_json(tmp_path / "map.json", given)
     given = Options(object_poses=official, anchor=2)
     report = import_results("paris", src, data, tmp_path / "r", given, map_file=tmp_path / "map.json")
     assert report.sequences == ("a", "b")
@@ -129,7 +129,7 @@ def test_a_map_says_which_is_which_with_options_of_its_own(data, tmp_path, src, 
 
 
 @pytest.mark.parametrize(
-    "told, said",
+    "given, message",
     [
         ({"z": "a"}, "has no sequence 'z'"),
         ({"a": "nowhere"}, "not a folder"),
@@ -142,10 +142,10 @@ def test_a_map_says_which_is_which_with_options_of_its_own(data, tmp_path, src, 
         ({}, "names no sequence"),
     ],
 )
-def test_a_map_that_is_wrong(data, tmp_path, src, official, told, said):
+def test_a_map_that_is_wrong(data, tmp_path, src, official, given, message):
     paris(src / "a")
-    write_json(tmp_path / "map.json", told)
-    with pytest.raises(FreeArtError, match=said) as error:
+    write_json(tmp_path / "map.json", given)
+    with pytest.raises(FreeArtError, match=message) as error:
         import_results(
             "paris", src, data, tmp_path / "r", Options(object_poses=official), map_file=tmp_path / "map.json"
         )
@@ -153,7 +153,7 @@ def test_a_map_that_is_wrong(data, tmp_path, src, official, told, said):
 
 
 @pytest.mark.parametrize(
-    "layout, options, sequence, said",
+    "layout, options, sequence, message",
     [
         ("nerf", Options(), None, "unknown layout 'nerf'; known: artgs, articulate-anything"),
         ("freeartgs", Options(frame="camera"), None, "no use for --frame"),
@@ -167,9 +167,9 @@ def test_a_map_that_is_wrong(data, tmp_path, src, official, told, said):
         ("itaco", Options(), "a", "no result of the layout itaco"),
     ],
 )
-def test_options_that_are_wrong(data, tmp_path, src, layout, options, sequence, said):
+def test_options_that_are_wrong(data, tmp_path, src, layout, options, sequence, message):
     freeartgs(src / "a")
-    with pytest.raises(FreeArtError, match=said) as error:
+    with pytest.raises(FreeArtError, match=message) as error:
         import_results(layout, src, data, tmp_path / "r", options, sequence)
     assert "\n" not in str(error.value) and not (tmp_path / "r").exists()
 
@@ -214,7 +214,7 @@ def test_a_folder_of_results_of_somebody_is_not_replaced(data, tmp_path, src):
     assert_refused("no older import", import_results, "freeartgs", src, data, tmp_path / "r")
 
 
-def test_all_faults_are_told_and_nothing_is_written(data, tmp_path, src):
+def test_all_faults_are_reported_and_nothing_is_written(data, tmp_path, src):
     for name in ("a", "b", "c"):
         freeartgs(src / name, name)
     import_results("freeartgs", src, data, tmp_path / "r")

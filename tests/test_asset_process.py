@@ -26,7 +26,7 @@ def test_each_request_has_a_process_that_knows_nothing_of_the_others(ask, tmp_pa
     "do, said",
     [("abort", "exit code -6: about to break"), ("leave", "exit code 0: no message"), ("raise", "exit code 70: ")],
 )
-def test_a_process_that_ends_without_an_answer_is_told_and_the_next_one_answers(ask, do, said):
+def test_a_process_that_ends_without_an_answer_is_reported_and_the_next_one_answers(ask, do, said):
     waiting = ask("answer") and asset_process._server.process.pid
     with pytest.raises(Crashed, match=said):
         ask(do)

@@ -77,21 +77,21 @@ def test_every_row_says_of_which_bytes_it_is(data, results):
 
 
 def test_the_hash_of_a_folder_is_of_all_names_and_bytes_and_of_nothing_else(tmp_path):
-    def made(name, files):
+    def make_folder(name, files):
         for file, text in files.items():
             (tmp_path / name / file).parent.mkdir(parents=True, exist_ok=True)
             (tmp_path / name / file).write_text(text)
         return folder_sha256(tmp_path / name)
 
-    first = made("one", {"x": "1", "sub/y": "2"})
+    first = make_folder("one", {"x": "1", "sub/y": "2"})
     os.utime(tmp_path / "one" / "x", (1, 1))
-    assert folder_sha256(tmp_path / "one") == first == made("elsewhere", {"sub/y": "2", "x": "1"})
+    assert folder_sha256(tmp_path / "one") == first == make_folder("elsewhere", {"sub/y": "2", "x": "1"})
     others = [
-        made("byte", {"x": "1", "sub/y": "3"}),
-        made("name", {"x": "1", "sub/z": "2"}),
-        made("moved", {"x": "1", "y": "2"}),
-        made("more", {"x": "1", "sub/y": "2", "sub/z": ""}),
-        made("shifted", {"x": "12", "sub/y": ""}),
+        make_folder("byte", {"x": "1", "sub/y": "3"}),
+        make_folder("name", {"x": "1", "sub/z": "2"}),
+        make_folder("moved", {"x": "1", "y": "2"}),
+        make_folder("more", {"x": "1", "sub/y": "2", "sub/z": ""}),
+        make_folder("shifted", {"x": "12", "sub/y": ""}),
     ]
     assert len({first, *others}) == 6
 

@@ -158,7 +158,7 @@ def in_millimetres(depth: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("upright_K", [False, True])
 @pytest.mark.parametrize(("orientation", "turns"), [(1, 0), (3, 2), (6, 1), (8, 3)])
-def test_exif_turns_colours_depth_masks_and_intrinsics_alike(tmp_path, orientation, turns, upright_K):
+def test_exif_turns_colours_depth_masks_and_intrinsics_together(tmp_path, orientation, turns, upright_K):
     rgb, _, board = film(PHONE)
     low = in_millimetres(film(small_lens(PHONE, 4))[1])
     K = turn_intrinsics(PHONE.K, 320, 240, turns) if upright_K and turns != 2 else PHONE.K

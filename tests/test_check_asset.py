@@ -271,8 +271,8 @@ def blocked(folder: Path) -> Path:
     return file
 
 
-def beside(folder: Path, old: str, new: str, flat: bool = False) -> Path:
-    """The URDF with an MJCF beside it that says something else; `flat`: both hinges stand upright."""
+def write_both(folder: Path, old: str, new: str, flat: bool = False) -> Path:
+    """The URDF with an MJCF next to it that says something else; `flat`: both hinges stand upright."""
     urdf, file = write_little(folder), write_little(folder, mjcf=True)
     for one in (urdf, file) if flat else ():
         one.write_text(one.read_text().replace('"0 -1 0"', '"0 0 1"'))
@@ -284,13 +284,13 @@ def beside(folder: Path, old: str, new: str, flat: bool = False) -> Path:
 
 DAMPING = f'damping="{numbers(0.5)["damping"]}"'
 TRIALS: dict[str, Callable[[Path], Path]] = {
-    "engine.tree": partial(beside, old='body name="lid"', new='body name="cover"'),
-    "engine.limits": partial(beside, old='range="0 1.2"', new='range="0 1.19"'),
-    "engine.masses": partial(beside, old=f'mass="{numbers(0.5)["lid"]}"', new='mass="0.11"'),
-    "engine.poses": partial(beside, old='axis="0 -1 0"', new='axis="0 -1 0.001"'),
+    "engine.tree": partial(write_both, old='body name="lid"', new='body name="cover"'),
+    "engine.limits": partial(write_both, old='range="0 1.2"', new='range="0 1.19"'),
+    "engine.masses": partial(write_both, old=f'mass="{numbers(0.5)["lid"]}"', new='mass="0.11"'),
+    "engine.poses": partial(write_both, old='axis="0 -1 0"', new='axis="0 -1 0.001"'),
     "joint.moves": blocked,
-    "joint.stops": partial(beside, old='name="hinge"', new='name="hinge" solreflimit="2 1"', flat=True),
-    "energy.falls": partial(beside, old=DAMPING, new='damping="-0.003"'),
+    "joint.stops": partial(write_both, old='name="hinge"', new='name="hinge" solreflimit="2 1"', flat=True),
+    "energy.falls": partial(write_both, old=DAMPING, new='damping="-0.003"'),
     "rest.drift": tilted,
 }
 

@@ -220,7 +220,7 @@ def test_every_number_in_a_rules_text_is_a_constant_of_the_code():
     judging = "".join(file.read_text() for file in Path(rules.__file__).parent.glob("*.py") if file.name != "rules.py")
     judging += (Path(rules.__file__).parents[1] / "checklist.py").read_text()
     for name in used:
-        assert len(re.findall(rf"\b{name}\b", judging)) >= 2, f"{name} is said and not used"
+        assert len(re.findall(rf"\b{name}\b", judging)) >= 2, f"{name} is named and not used"
         assert not re.search(rf"^{name}\b.* = ", judging, re.MULTILINE), f"{name} is defined twice"
 
 

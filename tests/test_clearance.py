@@ -105,7 +105,7 @@ def test_pieces_that_are_clear_stay_as_they_are():
 
 
 def test_what_turns_is_clear_between_the_states_that_were_looked_at():
-    """A door of which a post stands in the way: cut is the post's false flank, not the door."""
+    """A door with a post in its way: cut is the post's false flank, not the door."""
     hinge = Joint("hinge", "revolute", np.array([0, 0, 1.0]), np.zeros(3), 0.0, 1.5)
     parts = {"reference": block((0.02, 0.02, 0.3), (0.16, 0.16, 0)), "moving": block((0.2, 0.01, 0.3), (0.1, 0, 0))}
     pieces = {"reference": [thicker(parts["reference"].vertices, 0.02)], "moving": [np.array(parts["moving"].vertices)]}

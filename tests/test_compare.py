@@ -45,7 +45,7 @@ def data(tmp_path_factory):
     return folder
 
 
-def made(data, name, numbers=None, protocol="strict-2", lacks=(), failed=(), sequences=None):
+def make_scores(data, name, numbers=None, protocol="strict-2", lacks=(), failed=(), sequences=None):
     """A table in which every number is 1 but for those of `numbers`, metric to sequence to value (or to one value)."""
     rules, rows = protocol_named(protocol), []
     for sequence in sequences or sorted((*REVOLUTE, *PRISMATIC)):
@@ -56,8 +56,8 @@ def made(data, name, numbers=None, protocol="strict-2", lacks=(), failed=(), seq
             value = given.get(sequence, 1.0) if isinstance(given, dict) else given
             values[metric.id] = None if metric.unit(kind) is None else value
         ok = sequence not in failed
-        said = ("ok", "", "files") if ok else ("failed", "too dark", "nothing")
-        rows.append(Row(sequence, kind, said[0], said[1], said[2], False, 0.5, values, {}))
+        answered = ("ok", "", "files") if ok else ("failed", "too dark", "nothing")
+        rows.append(Row(sequence, kind, answered[0], answered[1], answered[2], False, 0.5, values, {}))
     facts = benchmark_facts(read_benchmark(data))
     made_with = {"scoring": "1" * 64, "libraries": {"numpy": "2"}}
     method = Method(name, lacks=lacks)
@@ -90,7 +90,7 @@ def test_means_and_deviations_are_those_of_the_papers_table(data, compared):
     axis = {name: 90.0 * (k < 7) for k, name in enumerate(REVOLUTE)}
     axis |= {name: 90.0 * (k < 3) for k, name in enumerate(PRISMATIC)}
     right = {name: float(value == 0) for name, value in axis.items()}
-    comparison = compared(made(data, "AA", {"axis": axis, "joint_type": right}, failed=REVOLUTE[:2]))
+    comparison = compared(make_scores(data, "AA", {"axis": axis, "joint_type": right}, failed=REVOLUTE[:2]))
     groups, (entrant,) = by_name(comparison), comparison.entrants
     assert list(groups) == ["revolute", "prismatic", "all"]
     revolute, prismatic, every = (comparison.standing(entrant, group) for group in groups.values())
@@ -112,7 +112,7 @@ def test_means_and_deviations_are_those_of_the_papers_table(data, compared):
 
 
 def test_numbers_without_a_common_unit_have_no_common_mean(data, compared):
-    comparison = compared(made(data, "A", {"state": 3.0}))
+    comparison = compared(make_scores(data, "A", {"state": 3.0}))
     groups, (entrant,) = by_name(comparison), comparison.entrants
     assert "state" not in comparison.standing(entrant, groups["all"]).statistics
     assert "position" not in comparison.standing(entrant, groups["prismatic"]).statistics
@@ -123,7 +123,9 @@ def test_numbers_without_a_common_unit_have_no_common_mean(data, compared):
 
 def test_the_worst_and_the_best_follow_the_direction_of_the_metric(data, compared):
     up = {name: 20.0 + k for k, name in enumerate(REVOLUTE)}
-    comparison = compared(made(data, "A", {"psnr": up, "axis": 5.0}), made(data, "B", {"psnr": 10.0, "axis": 2.0}))
+    comparison = compared(
+        make_scores(data, "A", {"psnr": up, "axis": 5.0}), make_scores(data, "B", {"psnr": 10.0, "axis": 2.0})
+    )
     group = by_name(comparison)["revolute"]
     a, b = (comparison.standing(entrant, group) for entrant in comparison.entrants)
     assert (a.statistics["psnr"].worst, b.statistics["psnr"].worst) == (20, 10)
@@ -141,7 +143,7 @@ def test_a_difference_that_is_known_by_construction(data, compared):
     rng = np.random.default_rng(0)
     axis = dict(zip((*REVOLUTE, *PRISMATIC), rng.exponential(20, 21), strict=True))
     comparison = compared(
-        made(data, "A", {"axis": axis}), made(data, "B", {"axis": {k: v + 2 for k, v in axis.items()}})
+        make_scores(data, "A", {"axis": axis}), make_scores(data, "B", {"axis": {k: v + 2 for k, v in axis.items()}})
     )
     for group in comparison.groups("type"):
         (found,) = (d for d in comparison.differences(group) if d.metric == "axis")
@@ -156,7 +158,7 @@ def test_better_is_what_the_metric_calls_better(metric, better, data, compared):
     first = {name: 0.5 for name in (*REVOLUTE, *PRISMATIC)}
     for step, verdict in ((better, "better"), (-better, "worse"), (0.0, "open")):
         then = {name: value + step for name, value in first.items()}
-        comparison = compared(made(data, "A", {metric: first}), made(data, "B", {metric: then}))
+        comparison = compared(make_scores(data, "A", {metric: first}), make_scores(data, "B", {metric: then}))
         found = {d.metric: d for d in comparison.differences(by_name(comparison)["all"])}
         assert found[metric].verdict == verdict and found[metric].interval.mean == pytest.approx(step)
         assert found["ssim"].verdict == "open"
@@ -203,7 +205,7 @@ def test_methods_are_compared_only_on_sequences_that_both_have(data, compared):
     """B lacks three sequences on which A is bad: there A is not charged for them in the difference."""
     axis = {name: 50.0 if name in REVOLUTE[:3] else 1.0 for name in REVOLUTE}
     some = [*REVOLUTE[3:], *PRISMATIC]
-    comparison = compared(made(data, "A", {"axis": axis}), made(data, "B", {"axis": 2.0}, sequences=some))
+    comparison = compared(make_scores(data, "A", {"axis": axis}), make_scores(data, "B", {"axis": 2.0}, sequences=some))
     group = by_name(comparison)["revolute"]
     found = {d.metric: d.interval for d in comparison.differences(group)}["axis"]
     assert (found.mean, found.low, found.high, found.sequences) == (1, 1, 1, 12)
@@ -213,7 +215,7 @@ def test_methods_are_compared_only_on_sequences_that_both_have(data, compared):
 
 def test_a_failure_stays_in_at_its_price(data, compared):
     axis = {name: 90.0 if name in REVOLUTE[:5] else 1.0 for name in REVOLUTE}
-    comparison = compared(made(data, "A"), made(data, "B", {"axis": axis}, failed=REVOLUTE[:5]))
+    comparison = compared(make_scores(data, "A"), make_scores(data, "B", {"axis": axis}, failed=REVOLUTE[:5]))
     group = by_name(comparison)["revolute"]
     found = {d.metric: d.interval for d in comparison.differences(group)}["axis"]
     assert found.sequences == 15 and found.mean == pytest.approx(89 / 3)
@@ -221,7 +223,7 @@ def test_a_failure_stays_in_at_its_price(data, compared):
 
 def test_what_a_method_does_not_make_is_a_dash_and_in_no_difference(data, compared):
     nothing = dict.fromkeys(("pose_rotation", "pose_translation", "state"))
-    comparison = compared(made(data, "A"), made(data, "B", nothing, lacks=("poses", "states")))
+    comparison = compared(make_scores(data, "A"), make_scores(data, "B", nothing, lacks=("poses", "states")))
     first = make_grids(comparison, "type")[0]
     column = [" ".join(head.split()) for head in first.head].index("ref. part deg ↓")
     texts = [[row[column].text for row in rows] for _, rows in first.sections]
@@ -236,19 +238,20 @@ def test_what_a_method_does_not_make_is_a_dash_and_in_no_difference(data, compar
 
 
 def test_categories_are_what_the_truth_says_and_never_guessed(tmp_path):
-    def said(source):
+    def category_in(source):
         write_json(tmp_path / "truth.json", {"schema": "freeart21/truth/1", "source": source})
         return read_category(tmp_path)
 
-    assert said({"category": "Stapler"}) == "Stapler"
-    assert said({"object": "mini_stapler"}) == "Stapler" and said({"object": "4552"}) == "Display"
-    assert said({"object": "my_stapler"}) == said({}) == said(None) == said({"category": 3}) == "unknown"
+    assert category_in({"category": "Stapler"}) == "Stapler"
+    assert category_in({"object": "mini_stapler"}) == "Stapler" and category_in({"object": "4552"}) == "Display"
+    for source in ({"object": "my_stapler"}, {}, None, {"category": 3}):
+        assert category_in(source) == "unknown"
     assert read_category(tmp_path / "none") == "unknown"
-    assert said({"category": "a\x1b[2J\nb"}).isprintable()
+    assert category_in({"category": "a\x1b[2J\nb"}).isprintable()
 
 
 def test_groups_by_category_and_by_sequence(data, compared):
-    comparison = compared(made(data, "A", {"state": 3.0}), made(data, "B"))
+    comparison = compared(make_scores(data, "A", {"state": 3.0}), make_scores(data, "B"))
     groups = by_name(comparison, "category")
     assert {name: len(group.sequences) for name, group in groups.items()} == {
         "Phone": 6,
@@ -270,7 +273,7 @@ def test_groups_by_category_and_by_sequence(data, compared):
 
 
 def test_a_joint_type_that_does_not_occur_has_no_group(data, compared):
-    comparison = compared(made(data, "A", sequences=REVOLUTE))
+    comparison = compared(make_scores(data, "A", sequences=REVOLUTE))
     assert [group.name for group in comparison.groups("type")] == ["revolute"]
 
 
@@ -279,32 +282,34 @@ def test_a_joint_type_that_does_not_occur_has_no_group(data, compared):
 
 def test_protocols_are_never_mixed(data, compared):
     with pytest.raises(FreeArtError, match=r"1\.json is scored by strict-1, expected strict-2: .* protocols"):
-        compared(made(data, "A"), made(data, "B", protocol="strict-1"))
-    assert_refused("scored by strict-2, expected strict-1", compared, made(data, "A"), protocol="strict-1")
-    assert compared(made(data, "A", protocol="strict-1")).rules.name == "strict-1", "that of the tables"
+        compared(make_scores(data, "A"), make_scores(data, "B", protocol="strict-1"))
+    assert_refused("scored by strict-2, expected strict-1", compared, make_scores(data, "A"), protocol="strict-1")
+    assert compared(make_scores(data, "A", protocol="strict-1")).rules.name == "strict-1", "that of the tables"
 
 
 def test_benchmarks_are_never_mixed(data, compared):
-    table = made(data, "B")
+    table = make_scores(data, "B")
     with pytest.raises(FreeArtError, match=r"is scored on other 1 \(000000000000\), expected paper-like 1"):
-        compared(made(data, "A"), replace(table, benchmark={**table.benchmark, "name": "other", "sha256": "0" * 64}))
+        compared(
+            make_scores(data, "A"), replace(table, benchmark={**table.benchmark, "name": "other", "sha256": "0" * 64})
+        )
     with pytest.raises(FreeArtError, match="has a row for x, which is not a sequence of"):
         compared(replace(table, rows=(replace(table.rows[0], sequence="x"), *table.rows[1:])))
 
 
 def test_versions_of_the_scoring_code_and_truths_are_never_mixed(data, compared):
-    table = made(data, "B")
+    table = make_scores(data, "B")
     with pytest.raises(FreeArtError, match="by other code .scoring 222222222222. than .*score it again"):
-        compared(made(data, "A"), replace(table, made_with={"scoring": "2" * 64}))
+        compared(make_scores(data, "A"), replace(table, made_with={"scoring": "2" * 64}))
     other = [replace(table, rows=(replace(table.rows[0], truth_sha256=digit * 64), *table.rows[1:])) for digit in "12"]
     assert_refused("against another truth of p00", compared, *other)
     other = replace(table, made_with={**table.made_with, "libraries": {"numpy": "3"}})
-    assert "other versions of libraries" in compared(made(data, "A"), other).notes[0]
+    assert "other versions of libraries" in compared(make_scores(data, "A"), other).notes[0]
 
 
 def test_bad_input_is_one_line(data, tmp_path):
     assert_refused("nothing to compare", compare_results, [], data)
-    write_scores(tmp_path / "a.json", made(data, "A"))
+    write_scores(tmp_path / "a.json", make_scores(data, "A"))
     with pytest.raises(FreeArtError, match="is named twice"):
         compare_results([tmp_path / "a.json", tmp_path / ".." / tmp_path.name / "a.json"], data)
     (tmp_path / "b.json").write_text("{}")
@@ -315,11 +320,11 @@ def test_bad_input_is_one_line(data, tmp_path):
 def test_results_folders_are_scored_and_kept(data, tmp_path, monkeypatch):
     asked = []
 
-    def kept(place, data, protocol, keep, progress, truth):
+    def score_again(place, data, protocol, keep, progress, truth):
         asked.append((place.name, protocol, keep))
-        return made(data, place.name)
+        return make_scores(data, place.name)
 
-    monkeypatch.setattr(compare, "cached_scores", kept)
+    monkeypatch.setattr(compare, "cached_scores", score_again)
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "method.json").write_text("{}")
@@ -330,8 +335,8 @@ def test_results_folders_are_scored_and_kept(data, tmp_path, monkeypatch):
     assert compare_results([tmp_path / "three.zip"], data).entrants[0].name == "one"
 
 
-def test_methods_of_one_name_are_told_apart(data, compared):
-    comparison = compared(*(made(data, name) for name in ("A", "B", "A", "A (0.json)")))
+def test_methods_of_one_name_are_distinguished(data, compared):
+    comparison = compared(*(make_scores(data, name) for name in ("A", "B", "A", "A (0.json)")))
     names = [entrant.name for entrant in comparison.entrants]
     assert len(set(names)) == 4 and names[1] == "B" and names[2] == "A (2.json)"
 
@@ -344,7 +349,7 @@ NASTY = r"50% | a_b & <c> *d* #1 \emph{x} ~^ [y]"
 @pytest.mark.parametrize("suffix", COMPARISONS)
 @pytest.mark.parametrize("by", ["type", "category", "sequence"])
 def test_every_format_is_written_replaced_and_the_same_every_time(by, suffix, data, compared, tmp_path):
-    comparison = compared(made(data, "A"), made(data, "B", {"axis": 3.0}))
+    comparison = compared(make_scores(data, "A"), make_scores(data, "B", {"axis": 3.0}))
     path = tmp_path / f"out{suffix}"
     write_comparison(path, comparison, by)
     first = path.read_bytes()
@@ -361,7 +366,7 @@ def test_another_ending_is_refused_before_anything_is_scored(data, tmp_path):
 
 def test_csv_has_every_number_and_no_formula(data, compared, tmp_path):
     axis = {name: float(k) for k, name in enumerate(REVOLUTE)}
-    comparison = compared(made(data, "A"), made(data, "=1+1", {"axis": axis}))
+    comparison = compared(make_scores(data, "A"), make_scores(data, "=1+1", {"axis": axis}))
     write_comparison(tmp_path / "t.csv", comparison, "type")
     table = pd.read_csv(tmp_path / "t.csv").set_index(["group", "method"])
     row = table.loc["revolute", "'=1+1"]
@@ -375,7 +380,7 @@ def test_csv_has_every_number_and_no_formula(data, compared, tmp_path):
 
 
 def test_json_has_everything_and_traces_it(data, compared, tmp_path):
-    comparison = compared(made(data, "A"), made(data, "B", {"axis": 3.0}), made(data, "C"))
+    comparison = compared(make_scores(data, "A"), make_scores(data, "B", {"axis": 3.0}), make_scores(data, "C"))
     write_comparison(tmp_path / "c.json", comparison, "type")
     body = json.loads((tmp_path / "c.json").read_text())
     assert body["benchmark"]["sha256"] == benchmark_facts(read_benchmark(data))["sha256"]
@@ -390,7 +395,7 @@ def test_json_has_everything_and_traces_it(data, compared, tmp_path):
 
 
 def test_markdown_is_whole_tables_and_shows_words_as_they_are(data, compared):
-    text = markdown(compared(made(data, "A"), made(data, NASTY)), "type")
+    text = markdown(compared(make_scores(data, "A"), make_scores(data, NASTY)), "type")
     rows = [line for line in text.splitlines() if line.startswith("|")]
     bars = {line.count("|") - line.count(r"\|") for line in rows}
     assert len(rows) > 20 and bars == {15, 6}
@@ -398,10 +403,10 @@ def test_markdown_is_whole_tables_and_shows_words_as_they_are(data, compared):
 
 
 def test_latex_is_balanced_and_shows_words_as_they_are(data, compared):
-    text = latex(compared(made(data, "A", {"axis": 0.5}), made(data, NASTY + " 漢")), "type")
+    text = latex(compared(make_scores(data, "A", {"axis": 0.5}), make_scores(data, NASTY + " 漢")), "type")
     assert r"50\% \textbar{} a\_b \& \textless{}c\textgreater{} *d* \#1 \textbackslash{}emph\{x\}" in text
     assert r"1.00 $\pm$ 0.00" in text and "±" not in text and "–" not in text  # noqa: RUF001
-    assert r"$-$0.50" in latex(compared(made(data, "A"), made(data, "B", {"axis": 0.5})), "type")
+    assert r"$-$0.50" in latex(compared(make_scores(data, "A"), make_scores(data, "B", {"axis": 0.5})), "type")
     bare = re.sub(r"\\.", "", "\n".join(line for line in text.splitlines() if not line.startswith("%")))
     assert bare.count("{") == bare.count("}") and bare.count("$") % 2 == 0 and text.isascii()
     assert "%" not in bare.replace("{%\n", "") and "#" not in bare and "_" not in bare
@@ -416,7 +421,7 @@ def test_latex_is_balanced_and_shows_words_as_they_are(data, compared):
 @pytest.mark.parametrize("by", ["type", "category", "sequence"])
 def test_ten_methods_fit_a_screen_of_100_columns(by, data, compared):
     names = ["a-method-of-a-very-long-name-indeed-yes", *"BCDEFGHIJ"]
-    comparison = compared(*(made(data, name, {"axis": 88.88, "psnr": 100.0}) for name in names))
+    comparison = compared(*(make_scores(data, name, {"axis": 88.88, "psnr": 100.0}) for name in names))
     console = Console(width=100, file=io.StringIO(), color_system=None)
     print_comparison(comparison, by, console)
     lines = console.file.getvalue().splitlines()
@@ -434,7 +439,7 @@ def test_other_protocols_have_tables_too(data, compared, monkeypatch):
     own = tuple(replace(m, column="", supplements=None) for m in rules.metrics if m.id in ("axis", "state"))
     own += (replace(own[0], id="twist", revolute_unit="m", prismatic_unit="m"),)
     monkeypatch.setitem(PROTOCOLS, "own-1", replace(rules, name="own-1", metrics=own))
-    comparison = compared(made(data, "A", protocol="own-1"), made(data, "B", protocol="own-1"))
+    comparison = compared(make_scores(data, "A", protocol="own-1"), make_scores(data, "B", protocol="own-1"))
     head = [" ".join(head.split()) for head in make_grids(comparison, "type")[0].head]
     assert head == ["method", "measured", "axis deg ↓", "state ↓", "twist m ↓"]
     print_comparison(comparison, "type", Console(width=100, file=io.StringIO()))
@@ -442,10 +447,10 @@ def test_other_protocols_have_tables_too(data, compared, monkeypatch):
 
 
 def test_the_command_prints_and_writes(data, tmp_path, capsys):
-    write_scores(tmp_path / "a.json", made(data, "A"))
-    write_scores(tmp_path / "b.json", made(data, "B", {"axis": 3.0}))
+    write_scores(tmp_path / "a.json", make_scores(data, "A"))
+    write_scores(tmp_path / "b.json", make_scores(data, "B", {"axis": 3.0}))
     commands.compare((tmp_path / "a.json", tmp_path / "b.json"), data, out=tmp_path / "c.csv")
-    said = capsys.readouterr().out
-    assert "B less A" in said and "+2.00° [2.00, 2.00] ✗" in said
+    printed = capsys.readouterr().out
+    assert "B less A" in printed and "+2.00° [2.00, 2.00] ✗" in printed
     assert (tmp_path / "c.csv").is_file()
     assert_refused("is no older comparison", commands.compare, (tmp_path / "a.json",), data, out=tmp_path / "a.json")

@@ -190,7 +190,7 @@ def test_the_example_of_a_verdict_is_what_gap_writes(written: Path) -> None:
         proof=Proof(**said["proof"]),
     )
     verdict.write(written / "again" / "verdict.json", "revolute")
-    assert read_json(written / "again" / "verdict.json") == {**said, "files": []}, "nothing lies beside it here"
+    assert read_json(written / "again" / "verdict.json") == {**said, "files": []}, "nothing lies next to it here"
 
 
 def test_the_example_of_scores_is_read_and_has_the_fields_that_score_writes(written: Path, tmp_path: Path) -> None:

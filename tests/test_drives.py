@@ -1,4 +1,4 @@
-"""What drives a joint, as it is told: limits, dead bands, motors under a voltage, what is switched off; a drive that
+"""What drives a joint, as it is stated: limits, dead bands, motors under a voltage, what is switched off; a drive that
 pushes without a command. The fast simulation, SAPIEN and a replay, against equations solved here by scipy."""
 
 from __future__ import annotations

@@ -200,7 +200,7 @@ def test_what_is_flat_at_the_ground_is_made_thick_upwards():
     assert heights.min() == pytest.approx(0, abs=1e-9) and np.ptp(heights) > 0.9e-3
 
 
-def test_triangles_that_bound_no_solid_get_a_hull_and_are_told_so(tmp_path: Path, monkeypatch):
+def test_triangles_that_bound_no_solid_get_a_hull_and_a_note(tmp_path: Path, monkeypatch):
     """A soup: cutting it into convex pieces and carving what it sweeps took eight minutes, for nothing."""
     rng = np.random.default_rng(0)
     soup = Mesh(0.05 * rng.normal(size=(900, 3)), rng.integers(0, 900, (1500, 3)))

@@ -716,12 +716,12 @@ TOY_HELD_JOINT = """
 
 
 def test_layouts_are_recognised(example: Path, one_view: Path, tmp_path: Path, native: Path) -> None:
-    def found(source: Path) -> list[tuple[str, Path]]:
+    def find_names(source: Path) -> list[tuple[str, Path]]:
         return [(layout.name, folder) for layout, folder in find_sources(source)]
 
-    assert found(example) == found(example.parent) == [("official", example)]
-    assert found(one_view) == found(one_view.parent) == [("video2articulation", one_view)]
-    assert found(native) == [("native", native / "sequences/7777")]
+    assert find_names(example) == find_names(example.parent) == [("official", example)]
+    assert find_names(one_view) == find_names(one_view.parent) == [("video2articulation", one_view)]
+    assert find_names(native) == [("native", native / "sequences/7777")]
     refused(lambda: find_sources(example, "scans"), "unknown layout 'scans'; layouts: native", "rgbd", "official")
     refused(lambda: find_sources(example, "native"), "holds no recording of the layout native")
     (tmp_path / "empty").mkdir()

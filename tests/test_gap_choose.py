@@ -174,7 +174,7 @@ def at(model: Model, **real: float) -> np.ndarray:
     return np.array([real.get(r.name, x) for r, x in zip(model.ranges(), model.neutral(), strict=True)])
 
 
-def told_by(truth: Fit, runs: tuple[FitRun, ...]) -> tuple[FitRun, ...]:
+def simulate_readings(truth: Fit, runs: tuple[FitRun, ...]) -> tuple[FitRun, ...]:
     """The runs with readings simulated from a fit."""
     rng = np.random.default_rng(0)
     return tuple(
@@ -187,7 +187,7 @@ def test_a_catch_is_found_from_a_wrong_position(tmp_path: Path):
     search = search_on(tmp_path, measured_of(15, seconds=4.0))
     model, real = Model(search.problem, ("latch",)), {"hold": 0.6, "position": 0.2, "travel": 0.12, "capture": 0.5}
     truth = fit_model(model, search.train, at(model, **real), iterations=0)
-    search.train = told_by(truth, search.train)
+    search.train = simulate_readings(truth, search.train)
     off = at(model, **(real | {"hold": 0.7, "position": 0.24, "travel": 0.16, "capture": 0.3}))
     start = fit_model(model, search.train, off, truth.starts, iterations=0)
     found = search._finish(start)

@@ -22,7 +22,7 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> tuple[Fit, tuple[FitRun, 
     return fit_model(Model(problem, ()), runs), runs
 
 
-def found(fit: Fit, runs: tuple[FitRun, ...]) -> dict[str, Discrepancy]:
+def find_kinds(fit: Fit, runs: tuple[FitRun, ...]) -> dict[str, Discrepancy]:
     folds = split_runs(runs).folds
     kept = tuple(run for fold in folds for run in fold.test)
     hypothesis = evaluate_set(fit_model(fit.model, kept, fit.theta, fit.starts), folds)
@@ -40,7 +40,7 @@ def test_a_force_over_time_is_found(alone: tuple[Fit, tuple[FitRun, ...]]):
         t = run.times_s - run.times_s[0]
         pushed = replace(run, inputs=run.inputs.with_rows(run.times_s).pushed(run.times_s, 0.02 * t / t[-1]))
         made.append(read(run, predict_readings(fit, pushed), i))
-    rivals = found(fit, tuple(made))
+    rivals = find_kinds(fit, tuple(made))
     assert rivals["time"].gain > rivals["time"].error and rivals["time"].rms < 1.1 < rivals["time"].rms_alone
     assert all(rivals["time"].gain > rival.gain for kind, rival in rivals.items() if kind != "time")
 
@@ -52,7 +52,7 @@ def test_compliance_between_sensor_and_load_is_found(alone: tuple[Fit, tuple[Fit
         q = predict_readings(fit, run)
         bent = np.gradient(np.gradient(q, run.times_s), run.times_s)
         made.append(read(run, q + 20 * run.sigma.mean() * bent / np.abs(bent).max(), i))
-    rivals = found(fit, tuple(made))
+    rivals = find_kinds(fit, tuple(made))
     assert rivals["flexing"].gain > rivals["flexing"].error
     assert all(rivals["flexing"].gain >= rival.gain for rival in rivals.values())
 
@@ -60,7 +60,7 @@ def test_compliance_between_sensor_and_load_is_found(alone: tuple[Fit, tuple[Fit
 def test_noise_needs_no_discrepancy(alone: tuple[Fit, tuple[FitRun, ...]]):
     fit, runs = alone
     made = tuple(read(run, predict_readings(fit, run), i) for i, run in enumerate(runs))
-    assert all(rival.gain < rival.error for rival in found(fit, made).values())
+    assert all(rival.gain < rival.error for rival in find_kinds(fit, made).values())
 
 
 def test_degenerate_columns_are_reported():

@@ -173,7 +173,7 @@ def test_run_cost_is_a_robust_likelihood():
     assert robust_loss(powers)[:5].tolist() == powers[:5].tolist()
     far = np.array([1.0, 1.0, 1.0, 9e2]), np.array([1.0, 1.0, 1.0, 9e4])
     assert robust_loss(far[1])[-1] - robust_loss(far[0])[-1] == pytest.approx(9 * np.log(100))
-    together = np.full(4, 1e4)  # where all are missed alike none is held back
+    together = np.full(4, 1e4)  # where all are missed equally none is held back
     assert robust_loss(together).tolist() == together.tolist() and robust_weight(together).tolist() == [1.0] * 4
 
 

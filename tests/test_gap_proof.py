@@ -110,9 +110,9 @@ def test_delivered_files_reproduce_the_verdicts_numbers(inertia: float, oil: flo
     urdf, measured = swings(tmp_path, inertia, oil)
     verdict = gap_folder(urdf, measured, tmp_path / "gap")
     assert [named.effect.name for named in verdict.effects] == (["viscous_damping"] if oil else [])
-    told = {c.name: c.value for c in verdict.corrections}
-    assert told == {"inertia": pytest.approx(inertia, rel=3e-3)}
-    assert f"inertia is {told['inertia']:.4g} times" in verdict.sentence
+    given = {c.name: c.value for c in verdict.corrections}
+    assert given == {"inertia": pytest.approx(inertia, rel=3e-3)}
+    assert f"inertia is {given['inertia']:.4g} times" in verdict.sentence
     kept = {gap.run: gap for gap in verdict.gaps if gap.use == "confirming"}
     after = replayed(tmp_path / "gap/asset", measured, list(kept))
     assert after == {name: gap.after for name, gap in kept.items()}

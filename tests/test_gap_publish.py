@@ -32,12 +32,12 @@ from simgap.workflow import join_geometry, select_certain
 TILT = AxisTilt(0.02, -0.015)
 
 
-def found(answer, *effects, rivals=()):
+def make_finding(answer, *effects, rivals=()):
     more = "Tip the base." if rivals else None
     return KinematicsFinding(answer, named(*effects), rivals, (), (), 0.0, more)
 
 
-def said(answer, *effects, rivals=(), more=None):
+def make_verdict(answer, *effects, rivals=(), more=None):
     return Verdict(answer, named(*effects), (), (), rivals, more, "Oil." if answer != "no_gap" else "They agree.")
 
 
@@ -50,28 +50,35 @@ CROOKED = (("axis_tilt",), ("pivot_offset",))
 
 
 @pytest.mark.parametrize(
-    ("motion", "geometry", "answer", "told", "certain", "rivals"),
+    ("motion", "geometry", "answer", "counted", "certain", "rivals"),
     [
-        (said("named", ViscousDamping(1.0)), found("named", TILT), "named", 2, 2, 0),
-        (said("no_gap"), found("named", TILT), "named", 1, 1, 0),
-        (said("not_excited", ViscousDamping(1.0)), found("named", TILT), "named", 1, 1, 0),
-        (said("ambiguous", ViscousDamping(1.0), rivals=TWO), found("named", TILT), "ambiguous", 2, 1, 2),
-        (said("named", ViscousDamping(1.0)), found("ambiguous", TILT, rivals=CROOKED), "ambiguous", 2, 1, 2),
+        (make_verdict("named", ViscousDamping(1.0)), make_finding("named", TILT), "named", 2, 2, 0),
+        (make_verdict("no_gap"), make_finding("named", TILT), "named", 1, 1, 0),
+        (make_verdict("not_excited", ViscousDamping(1.0)), make_finding("named", TILT), "named", 1, 1, 0),
+        (make_verdict("ambiguous", ViscousDamping(1.0), rivals=TWO), make_finding("named", TILT), "ambiguous", 2, 1, 2),
         (
-            said("ambiguous", ViscousDamping(1.0), rivals=TWO, more="Push."),
-            found("ambiguous", TILT, rivals=CROOKED),
+            make_verdict("named", ViscousDamping(1.0)),
+            make_finding("ambiguous", TILT, rivals=CROOKED),
+            "ambiguous",
+            2,
+            1,
+            2,
+        ),
+        (
+            make_verdict("ambiguous", ViscousDamping(1.0), rivals=TWO, more="Push."),
+            make_finding("ambiguous", TILT, rivals=CROOKED),
             *("ambiguous", 2, 0, 4),
         ),
-        (said("unexplained"), found("named", TILT), "unexplained", 1, 1, 0),
-        (said("named", ViscousDamping(1.0)), found("unexplained", TILT), "unexplained", 1, 1, 0),
-        (said("unexplained"), found("ambiguous", TILT, rivals=CROOKED), "unexplained", 0, 0, 0),
-        (said("ambiguous", ViscousDamping(1.0), rivals=TWO), None, "ambiguous", 1, 0, 2),
-        (said("named", ViscousDamping(1.0)), found("no_gap"), "named", 1, 1, 0),
+        (make_verdict("unexplained"), make_finding("named", TILT), "unexplained", 1, 1, 0),
+        (make_verdict("named", ViscousDamping(1.0)), make_finding("unexplained", TILT), "unexplained", 1, 1, 0),
+        (make_verdict("unexplained"), make_finding("ambiguous", TILT, rivals=CROOKED), "unexplained", 0, 0, 0),
+        (make_verdict("ambiguous", ViscousDamping(1.0), rivals=TWO), None, "ambiguous", 1, 0, 2),
+        (make_verdict("named", ViscousDamping(1.0)), make_finding("no_gap"), "named", 1, 1, 0),
     ],
 )
-def test_geometry_and_dynamics_are_reported_together(motion, geometry, answer, told, certain, rivals):
+def test_geometry_and_dynamics_are_reported_together(motion, geometry, answer, counted, certain, rivals):
     verdict = join_geometry(motion, geometry, "revolute")
-    assert (verdict.verdict, len(verdict.effects), len(verdict.rivals)) == (answer, told, rivals)
+    assert (verdict.verdict, len(verdict.effects), len(verdict.rivals)) == (answer, counted, rivals)
     assert len(select_certain(motion, geometry)) == certain
     assert verdict.sentence.strip() and ": ." not in verdict.sentence and ":  " not in verdict.sentence
     if geometry is not None and geometry.verdict == "named":
@@ -84,8 +91,8 @@ def test_geometry_and_dynamics_are_reported_together(motion, geometry, answer, t
 
 def test_uncertain_effects_are_not_written(tmp_path: Path):
     asset, measured = bob(tmp_path / "a", '<dynamics damping="0.01"/>'), held_out(pendulum(STARTS, damped), 1)
-    told = draft(measured, STARTS, ViscousDamping(0.02), answer="ambiguous")
-    verdict = publish(asset, measured, told, tmp_path / "out", "bob")
+    drafted = draft(measured, STARTS, ViscousDamping(0.02), answer="ambiguous")
+    verdict = publish(asset, measured, drafted, tmp_path / "out", "bob")
     assert (verdict.verdict, verdict.added) == ("ambiguous", ())
     assert names(verdict.effects) == ["viscous_damping"]
     assert read_asset(tmp_path / "out/asset").effects == {"j": (ViscousDamping(0.01),)}
@@ -117,15 +124,15 @@ def test_geometry_repair_survives_a_harmful_dynamics_repair(tmp_path: Path):
 
 def test_a_replay_timeout_is_reported(tmp_path: Path):
     asset, measured = bob(tmp_path / "a"), held_out(pendulum(STARTS, damped), 1, 2)
-    told = draft(measured, STARTS, ViscousDamping(0.03))
-    verdict = publish(asset, measured, told, tmp_path / "out", "late", replay_seconds=0.1)
+    drafted = draft(measured, STARTS, ViscousDamping(0.03))
+    verdict = publish(asset, measured, drafted, tmp_path / "out", "late", replay_seconds=0.1)
     assert (verdict.verdict, verdict.added) == ("named", ("viscous_damping",))
     assert "SAPIEN has not confirmed it" in verdict.sentence
     assert read_asset(tmp_path / "out/asset").effects == {"j": (ViscousDamping(0.03),)}
     page = (tmp_path / "out/index.html").read_text()
     assert "more than 0.1 s and was given up: 0 of 2 runs" in page
     told_of: list[tuple[int, int]] = []
-    publish(asset, measured, told, tmp_path / "in_time", "in time", progress=lambda *of: told_of.append(of))
+    publish(asset, measured, drafted, tmp_path / "in_time", "in time", progress=lambda *of: told_of.append(of))
     assert told_of[0] == (0, 4) and (4, 4) in told_of
 
 
@@ -134,9 +141,9 @@ def test_effects_that_sapien_cannot_step_are_not_written(tmp_path: Path, monkeyp
         raise CannotReplay("shorten timestep_s")
 
     asset, measured = bob(tmp_path / "a"), held_out(pendulum(STARTS[:2], damped, seconds=1.0), 1)
-    told = draft(measured, STARTS[:2], Detent(1e4, 0.3, 1e-5))
+    drafted = draft(measured, STARTS[:2], Detent(1e4, 0.3, 1e-5))
     monkeypatch.setattr("simgap.page.publish.replay", stiff)
-    verdict = publish(asset, measured, told, tmp_path / "out", "stiff")
+    verdict = publish(asset, measured, drafted, tmp_path / "out", "stiff")
     assert (verdict.verdict, verdict.added) == ("unexplained", ())
     assert "shorten timestep_s" in (tmp_path / "out/index.html").read_text()
 
@@ -173,19 +180,19 @@ def test_replay_time_step_is_chosen_per_run():
     assert needed(1e9, run_of(0.0, seconds=long))[0] == 1e-3
 
 
-@pytest.mark.parametrize("change, told", [(0.9, ["run_0", "run_1"]), (40.0, ["run_0"]), (None, ["run_1"])])
-def test_a_run_sensitive_to_the_time_step_does_not_count(change: float | None, told: list[str]):
+@pytest.mark.parametrize("change, counted", [(0.9, ["run_0", "run_1"]), (40.0, ["run_0"]), (None, ["run_1"])])
+def test_a_run_sensitive_to_the_time_step_does_not_count(change: float | None, counted: list[str]):
     """The repaired gap is 100 times the noise; halving the time step changes it by `change` (None: both change)."""
 
-    def made(name: str, off: float, change: float) -> RunReplay:
+    def make_replay(name: str, off: float, change: float) -> RunReplay:
         return RunReplay(name, np.arange(20.0), np.zeros(20), np.full(20, off), 1e-3, (0.0, 0.0), 1e-3, change)
 
-    first = (made("run_0", 0.0, 0.02 if change else 7.0), made("run_1", 0.0, 0.02))
-    second = (made("run_0", 0.0, 0.05), made("run_1", 0.1, change or 0.05))
+    first = (make_replay("run_0", 0.0, 0.02 if change else 7.0), make_replay("run_1", 0.0, 0.02))
+    second = (make_replay("run_0", 0.0, 0.05), make_replay("run_1", 0.1, change or 0.05))
     gaps = [RunGap(f"run_{i}", 0.0, 0.0, 0.0, True, "", "confirming") for i in (0, 1)]
     seen = compare_replays(Replay("sapien", "3", first), Replay("sapien", "3", second), 1e-3, gaps)
-    assert [run.run for run in seen.runs] == told
-    assert sorted([*told, *(run.run for run in seen.inconclusive)]) == ["run_0", "run_1"] and seen.numerics < 1
+    assert [run.run for run in seen.runs] == counted
+    assert sorted([*counted, *(run.run for run in seen.inconclusive)]) == ["run_0", "run_1"] and seen.numerics < 1
 
 
 def test_asset_errors_do_not_localise_a_gap(tmp_path: Path):

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gap_case import shown
+from gap_case import replay_both
 from scipy.integrate import solve_ivp
 
 from freeart21 import se3
@@ -102,8 +102,8 @@ def test_urdf_has_its_share_and_effects_json_has_all(tmp_path: Path):
     assert again.source["repair"] == {"by": "test"}
     assert asset.effects == {"j": (ViscousDamping(0.01),)} == read_asset(asset.urdf).effects  # untouched
     run = roll_out(again, 1.0, duration_s=0.5)
-    told = roll_out(replace(asset, effects={"j": again.effects["j"]}), 1.0, duration_s=0.5)
-    np.testing.assert_array_equal(run.q, told.q)
+    rolled = roll_out(replace(asset, effects={"j": again.effects["j"]}), 1.0, duration_s=0.5)
+    np.testing.assert_array_equal(run.q, rolled.q)
 
 
 def test_two_armatures_merge_with_the_larger_restitution(tmp_path: Path):
@@ -259,7 +259,7 @@ def test_a_joint_has_one_backlash(tmp_path: Path):
 def test_a_correct_repair_closes_the_gap_in_replay(tmp_path: Path):
     asset, measured = bob(tmp_path / "a"), pendulum(STARTS, damped)
     again = write_repaired(asset, (ViscousDamping(0.03),), tmp_path / "b")
-    there = shown(asset, again, measured, STARTS, regimes=["fast", "slow", "fast"])
+    there = replay_both(asset, again, measured, STARTS, regimes=["fast", "slow", "fast"])
     for run in there.runs:
         assert run.before > 30 * run.floor
         assert run.after < 1.5 * run.floor
@@ -274,8 +274,8 @@ def test_a_correct_repair_closes_the_gap_in_replay(tmp_path: Path):
 def test_a_wrong_repair_is_no_improvement(tmp_path: Path):
     asset, measured = bob(tmp_path / "a"), pendulum(STARTS[:2], damped)
     again = write_repaired(asset, (ReturnSpring(1.0, 0.0),), tmp_path / "b")
-    assert not is_improved(shown(asset, again, measured, STARTS[:2]).runs)
-    good = shown(asset, write_repaired(asset, (ViscousDamping(0.03),), tmp_path / "c"), measured, STARTS[:2])
+    assert not is_improved(replay_both(asset, again, measured, STARTS[:2]).runs)
+    good = replay_both(asset, write_repaired(asset, (ViscousDamping(0.03),), tmp_path / "c"), measured, STARTS[:2])
     first, second = good.runs
     for fast, quiet, wider, fine in (  # nor one that harms another regime by a quarter floor
         (20, 10, 0.2, True),
@@ -298,7 +298,7 @@ def test_replay_uses_only_what_the_files_contain(tmp_path: Path):
     oil, body = (ViscousDamping(0.03),), find_correction(make_plant(asset, measured), Nuisance(1.08, 0.97))
     for name, written, most in (("b", NO_CORRECTION, np.inf), ("c", body, 1.5e-3)):
         again = write_repaired(asset, oil, tmp_path / name, body=written)
-        (run,) = shown(asset, again, measured, STARTS[:1]).runs
+        (run,) = replay_both(asset, again, measured, STARTS[:1]).runs
         assert run.after < most and run.before > 30e-3
         assert written == body or run.after > 10e-3
 
@@ -311,7 +311,7 @@ def test_a_late_sensor_is_replayed_from_its_first_reading(tmp_path: Path, late: 
     measured = replace(pendulum(STARTS[:1], damped, seconds=2.0), runs=(run,))
     start = tuple(float(np.interp(times[0] - late, true.times_s, s)) for s in (true.q, true.qd))
     again = write_repaired(asset, (TimeOffset(late),), tmp_path / "b")
-    assert shown(asset, again, measured, (start,)).runs[0].after < 1e-4
+    assert replay_both(asset, again, measured, (start,)).runs[0].after < 1e-4
 
 
 def test_servo_effort_and_sensor_are_replayed(tmp_path: Path):
@@ -332,7 +332,7 @@ def test_servo_effort_and_sensor_are_replayed(tmp_path: Path):
     measured = replace(measured, actuator=law, effort_kind="external")
     measured = replace(measured, runs=tuple(replace(r, q=r.q + 0.05) for r in measured.runs))
     again = write_repaired(asset, (ViscousDamping(0.03), EncoderOffset(0.05)), tmp_path / "b")
-    (run,) = shown(asset, again, measured, ((0.1, 0.0),)).runs
+    (run,) = replay_both(asset, again, measured, ((0.1, 0.0),)).runs
     assert run.before > 0.05
     assert run.after < 4e-3  # commands are held from reading to reading
 
@@ -343,7 +343,7 @@ def test_a_failed_replay_is_a_one_line_error(tmp_path: Path):
     (tmp_path / "b/effects.json").unlink()
     (tmp_path / "b/effects.json").write_text("{}")
     with pytest.raises(FreeArtError, match="effects.json") as caught:
-        shown(asset, again, measured, STARTS[:1])
+        replay_both(asset, again, measured, STARTS[:1])
     assert "\n" not in str(caught.value)
     with pytest.raises(FreeArtError, match="no run to replay"):
         replay((), measured, ())
@@ -411,8 +411,8 @@ def test_a_verdict_is_published_with_sapiens_gaps(tmp_path: Path):
 
 
 def test_a_closed_share_names_its_runs():
-    told = f"Oil. {closed_text(0.9, '2 runs, each held out in turn')}. More."
-    again = replace_closed_part(told, 0.812, "1 run that chose it, replayed in SAPIEN,")
+    sentence = f"Oil. {closed_text(0.9, '2 runs, each held out in turn')}. More."
+    again = replace_closed_part(sentence, 0.812, "1 run that chose it, replayed in SAPIEN,")
     assert again == "Oil. With it 81% of the gap on 1 run that chose it, replayed in SAPIEN, is gone. More."
 
 
@@ -492,8 +492,8 @@ def test_a_filmed_release_is_explained_from_part_poses(tmp_path: Path):
     starts = tuple(start for _, start in true)
     out = tmp_path / "out"
     out.mkdir()
-    told = draft(measured, starts, *geometry.effects, ViscousDamping(0.03), geometry=geometry)
-    verdict = publish(asset, measured, told, out, "our own film")
+    draft_verdict = draft(measured, starts, *geometry.effects, ViscousDamping(0.03), geometry=geometry)
+    verdict = publish(asset, measured, draft_verdict, out, "our own film")
     assert verdict.verdict == "named"
     gaps = {(gap.run, gap.regime): gap for gap in verdict.gaps if gap.held_out}
     off_joint, motion = gaps["take_3", GEOMETRY], gaps["take_3", "fast"]
@@ -502,13 +502,13 @@ def test_a_filmed_release_is_explained_from_part_poses(tmp_path: Path):
     assert "Off its joint: Run take_3" in (out / "index.html").read_text()
 
 
-def mended(asset: Asset, measured: Measured, name: str, out: Path) -> None:
+def check_repair(asset: Asset, measured: Measured, name: str, out: Path) -> None:
     """Check that only this geometry effect is found and written, and that it closes the gap."""
     geometry = find_geometry(asset, measured)
     assert geometry is not None and [e.name for e in geometry.effects] == [name]
     out.mkdir()
-    told = draft(measured, ((1.0, 0.0),) * 4, *geometry.effects, geometry=geometry)
-    verdict = publish(asset, measured, told, out, name)
+    draft_verdict = draft(measured, ((1.0, 0.0),) * 4, *geometry.effects, geometry=geometry)
+    verdict = publish(asset, measured, draft_verdict, out, name)
     gap = next(gap for gap in verdict.gaps if gap.regime == GEOMETRY)
     assert verdict.verdict == "named"
     assert gap.before > 1.8 * gap.floor and gap.after < 1.25 * gap.floor
@@ -518,14 +518,14 @@ def test_wobble_is_replayed_with_each_runs_phase(tmp_path: Path):
     asset = bob(tmp_path / "a")
     measured, _ = filmed(replace(asset, effects={"j": (Wobble(0.012, 2.3, 0.4, 0.9),)}))
     late = tuple(replace(run, times_s=run.times_s + 0.11 * i) for i, run in enumerate(measured.runs))
-    mended(asset, replace(measured, runs=late), "wobble", tmp_path / "out")
+    check_repair(asset, replace(measured, runs=late), "wobble", tmp_path / "out")
 
 
 def test_sag_follows_the_measured_gravity(tmp_path: Path):
     """Gravity is the measured set's, not the asset's -z."""
     asset = bob(tmp_path / "a")
     measured, _ = filmed(replace(asset, effects={"j": (Sag(0.02),)}), gravity=(0, 0.8 * G, 0.6 * G))
-    mended(asset, measured, "sag", tmp_path / "out")
+    check_repair(asset, measured, "sag", tmp_path / "out")
 
 
 def test_only_an_earlier_answer_is_overwritten(tmp_path: Path):

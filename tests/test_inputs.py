@@ -1,4 +1,4 @@
-"""What drives a joint between the rows of its log: followed exactly where it is told, no effect where nobody knows."""
+"""What drives a joint between the rows of its log: followed exactly where it is known, no effect where nobody knows."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def test_a_logged_series_at_any_time_is_the_same_curve(how: str):
 
 
 def test_a_smooth_command_sampled_is_no_time_offset(tmp_path: Path):
-    """Nothing is missing: half a row of lateness is how it was logged. Told to be held it is one, and rightly."""
+    """Nothing is missing: half a row of lateness is how it was logged. Declared held it is one, and rightly."""
     asset = read_asset(asset_of(tmp_path))
     measured = measured_of(0, servo=True, smooth=100, between="unknown")
     assert find_gap(asset, measured).verdict == "no_gap"

@@ -18,10 +18,10 @@ from generator.simulate import load, roll_out
 G = 9.81
 
 
-def made(folder: Path, *arguments, **told):
+def write_and_read(folder: Path, *arguments, **numbers):
     """The asset as it is read back."""
     path = folder / "made.urdf"
-    write_joint_asset(path, JointNumbers(*arguments, **told))
+    write_joint_asset(path, JointNumbers(*arguments, **numbers))
     return read_asset(path)
 
 
@@ -44,35 +44,38 @@ def complete_elliptic(k: float) -> float:
 @pytest.mark.parametrize("amplitude", [0.02, 1.2])
 @pytest.mark.parametrize("inertia", [None, 0.021])
 def test_a_compound_pendulum_has_the_period_of_its_closed_form(amplitude: float, inertia: float | None, tmp_path: Path):
-    asset = made(tmp_path, "pendulum", 0.49, 0.17, inertia)
+    asset = write_and_read(tmp_path, "pendulum", 0.49, 0.17, inertia)
     true = 0.49 * 0.17**2 if inertia is None else inertia
     expected = 4 * math.sqrt(true / (0.49 * G * 0.17)) * complete_elliptic(math.sin(amplitude / 2))
     assert period_of(asset, amplitude) == pytest.approx(expected, rel=5e-5)
 
 
 def test_a_period_tells_the_length_or_the_inertia(tmp_path: Path):
-    for k, told in enumerate(({}, {"length": 0.195})):
+    for k, numbers in enumerate(({}, {"length": 0.195})):
         (tmp_path / str(k)).mkdir()
-        asset = made(tmp_path / str(k), "pendulum", 0.096, period=0.993, **told)
+        asset = write_and_read(tmp_path / str(k), "pendulum", 0.096, period=0.993, **numbers)
         assert period_of(asset, 0.01) == pytest.approx(0.993, rel=5e-5)
     assert load(asset).joint_inertia == pytest.approx(0.096 * G * 0.195 * (0.993 / (2 * math.pi)) ** 2, rel=1e-6)
 
 
 def test_a_door_feels_its_inertia_and_no_gravity_and_a_drawer_its_mass(tmp_path: Path):
     cases = (("door", {"length": 0.4, "inertia": 5.0}, 5.0), ("door", {"length": 0.0, "inertia": 1.2e-4}, 1.2e-4))
-    for k, (kind, told, inertia) in enumerate((*cases, ("drawer", {}, 8.0))):
+    for k, (kind, numbers, inertia) in enumerate((*cases, ("drawer", {}, 8.0))):
         (tmp_path / str(k)).mkdir()
-        asset = made(tmp_path / str(k), kind, 8.0, **told)
+        asset = write_and_read(tmp_path / str(k), kind, 8.0, **numbers)
         pushed = roll_out(asset, 0.0, duration_s=1.0, force=lambda t, inertia=inertia: 0.3 * inertia)
         np.testing.assert_allclose(pushed.q, 0.15 * pushed.times_s**2, atol=2e-6)
 
 
-def test_limits_and_names_are_those_told(tmp_path: Path):
-    asset = made(tmp_path, "drawer", 2.0, lower=0.0, upper=0.4, name="slide")
+def test_limits_and_names_are_those_given(tmp_path: Path):
+    asset = write_and_read(tmp_path, "drawer", 2.0, lower=0.0, upper=0.4, name="slide")
     joint = find_movable_joint(asset.urdf)
     assert (joint.name, joint.type, joint.lower, joint.upper) == ("slide", "prismatic", 0.0, 0.4)
-    assert find_movable_joint(made(tmp_path, "door", 2.0, 0.3).urdf).type == "continuous"
-    assert find_movable_joint(made(tmp_path, "pendulum", 2.0, 0.3, lower=-1.0, upper=1.0).urdf).type == "revolute"
+    assert find_movable_joint(write_and_read(tmp_path, "door", 2.0, 0.3).urdf).type == "continuous"
+    assert (
+        find_movable_joint(write_and_read(tmp_path, "pendulum", 2.0, 0.3, lower=-1.0, upper=1.0).urdf).type
+        == "revolute"
+    )
 
 
 WRONG = {

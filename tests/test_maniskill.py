@@ -77,7 +77,7 @@ def test_two_halves_with_the_engine_between_make_a_step(chest):
     assert halves.substeps == 1 and whole.state() == halves.state() and whole.state()[0] < 0.9
 
 
-def test_what_is_no_object_is_told(tmp_path):
+def test_what_is_no_object_is_reported(tmp_path):
     assert_refused("neither a file or folder nor an object of the catalog", find_asset, "no_such_thing")
     assert_refused("found URDFs: none", find_asset, tmp_path)
 
@@ -101,7 +101,7 @@ def test_effects_hold_for_one_size_only(chest):
         pass
 
 
-def test_a_drawn_motion_begins_where_it_is_told_and_its_speed_is_its_slope():
+def test_a_drawn_motion_begins_where_it_is_asked_and_its_speed_is_its_slope():
     start = se3.exp_se3(np.array([0.1, 0, 0.2, 0.3, 0, 0]))
     motion = draw_motion(np.random.RandomState(1), start, [0, 0, 0.1], 0.2, 5.0)
     np.testing.assert_allclose(motion.at(0.0)[0], start)
@@ -149,7 +149,7 @@ def test_a_link_out_of_a_trajectory_is_not_followed(tmp_path):
 @needs_maniskill
 @pytest.mark.parametrize("base", ["fixed", "free"])
 def test_a_released_lid_falls_as_in_roll_out(chest, base):
-    """Damping and Coulomb friction act. A heavy free chest on the ground stays where it is, and the lid falls alike."""
+    """Damping and Coulomb friction act. A heavy free chest on the ground stays where it is; the lid falls the same."""
     if base == "free":
         text = LID.replace('<mass value="1"/>', '<mass value="100"/>').replace("0.01", "1", 3)
         (chest / "chest.urdf").write_text(text)
@@ -221,7 +221,7 @@ def test_gymnasium_makes_it_again_by_its_spec(chest):
 
 
 @needs_maniskill
-def test_an_episode_ends_when_it_was_told_to_or_never(chest):
+def test_an_episode_ends_at_its_limit_or_never(chest):
     import gymnasium
 
     assert gymnasium.spec(OPEN).max_episode_steps == make(OPEN, chest).spec.max_episode_steps == 200

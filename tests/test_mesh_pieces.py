@@ -47,7 +47,7 @@ def _write(path: Path) -> Path:
 
 
 @pytest.mark.parametrize("ending", [*ENDINGS, *(ending.upper() for ending in ENDINGS)])
-def test_every_kind_is_read_alike_by_record_and_check_asset_and_view(ending: str, tmp_path: Path) -> None:
+def test_every_kind_is_read_the_same_by_record_and_check_asset_and_view(ending: str, tmp_path: Path) -> None:
     _write(tmp_path / f"x/meshes/a part{ending}")
     (tmp_path / "x/urdf").mkdir()
     urdf = tmp_path / "x/urdf/x.urdf"
@@ -70,11 +70,11 @@ def test_collada_is_in_its_unit_and_stands_as_written(tmp_path: Path) -> None:
     path = _write(tmp_path / "a.dae")
     text = re.sub("<unit[^>]*/>|<up_axis>.*</up_axis>", "", path.read_text())
 
-    def told(unit: str, axis: str = "") -> None:
+    def write_unit(unit: str, axis: str = "") -> None:
         path.write_text(text.replace("</asset>", f"{unit}{axis}</asset>"))
 
     for axis in ("X_UP", "Y_UP", "Z_UP", ""):
-        told('<unit name="inch" meter="0.0254"/>', axis and f"<up_axis>{axis}</up_axis>")
+        write_unit('<unit name="inch" meter="0.0254"/>', axis and f"<up_axis>{axis}</up_axis>")
         vertices = np.concatenate([piece.mesh.vertices for piece in read_pieces(path, tmp_path)])
         np.testing.assert_allclose(np.ptp(vertices, axis=0), np.array(SIZE) * 0.0254, atol=1e-7)
         urdf = tmp_path / "x.urdf"
@@ -83,7 +83,7 @@ def test_collada_is_in_its_unit_and_stands_as_written(tmp_path: Path) -> None:
         expected = ["COLLADA's <up_axis> is ignored, as in RViz"] if axis in ("X_UP", "Y_UP") else []
         assert [note.split(":")[0] for note in notes] == expected
     for unit, said in (("0", "its unit is 0 m"), ("x", "could not convert"), ("nan", "its unit is nan m")):
-        told(f'<unit meter="{unit}"/>')
+        write_unit(f'<unit meter="{unit}"/>')
         assert_refused(said, read_pieces, path, tmp_path)
     path.write_text('<!DOCTYPE a [<!ENTITY e "x">]>' + text[text.index("<COLLADA") :])
     assert_refused("document type", read_pieces, path, tmp_path)
@@ -177,7 +177,7 @@ def test_accessors_without_data_take_no_memory(tmp_path: Path, count: int, said:
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
-def test_what_is_no_mesh_is_told_in_a_line(ending: str, tmp_path: Path) -> None:
+def test_what_is_no_mesh_is_reported_in_a_line(ending: str, tmp_path: Path) -> None:
     whole = _write(tmp_path / f"a{ending}").read_bytes()
     for data in (b"", b"\0" * 200, b"{" * 100_000, whole[: len(whole) // 3]):
         (tmp_path / f"b{ending}").write_bytes(data)

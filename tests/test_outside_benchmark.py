@@ -89,7 +89,7 @@ def test_variants_of_a_recording_are_jobs_one_after_the_other(tmp_path, monkeypa
     assert list(found) == [("ours", "a")] and found["ours", "a"].row == solve.Row.from_json(row)
 
 
-def test_calls_are_run_once_and_a_failed_one_is_told(tmp_path):
+def test_calls_are_run_once_and_a_failed_one_is_reported(tmp_path):
     call = "reconstruct.cache:work_folder"
     todo = [solve.jobs.Job("good/a", call="json:loads", arguments={"s": '{"x": 1}'})]
     todo.append(solve.jobs.Job("bad/a", call=call, arguments={"nothing": 1}))

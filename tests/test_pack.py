@@ -44,14 +44,14 @@ SOURCE = {
 @pytest.fixture(scope="module")
 def truths():
     """Name to truth, with all that a recorder says of where it came from."""
-    made = {}
+    packed = {}
     for k, (name, kind) in enumerate(OBJECTS.items()):
-        made[name] = replace(make_truth(kind, k), source={"object": name.partition("-")[0], **SOURCE})
-    return made
+        packed[name] = replace(make_truth(kind, k), source={"object": name.partition("-")[0], **SOURCE})
+    return packed
 
 
 @pytest.fixture(scope="module")
-def made(truths, tmp_path_factory):
+def packed(truths, tmp_path_factory):
     """A folder with a data set, its key and both halves. In the data, whatever careless makers may have left."""
     base = tmp_path_factory.mktemp("made")
     folder = base / "secret" / "data"
@@ -66,14 +66,14 @@ def made(truths, tmp_path_factory):
 
 
 @pytest.fixture
-def data(made, tmp_path):
-    return Path(shutil.copytree(made / "secret" / "data", tmp_path / "secret" / "data"))
+def data(packed, tmp_path):
+    return Path(shutil.copytree(packed / "secret" / "data", tmp_path / "secret" / "data"))
 
 
 @pytest.fixture
-def halves(made, data, tmp_path):
-    shutil.copy(default_key_path(made / "secret" / "data"), default_key_path(data))
-    return tuple(Path(shutil.copytree(made / half, tmp_path / half)) for half in ("public", "truth"))
+def halves(packed, data, tmp_path):
+    shutil.copy(default_key_path(packed / "secret" / "data"), default_key_path(data))
+    return tuple(Path(shutil.copytree(packed / half, tmp_path / half)) for half in ("public", "truth"))
 
 
 def spoil(sequence: Path, truth) -> None:

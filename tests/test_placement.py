@@ -86,7 +86,7 @@ def test_up_does_not_depend_on_how_the_camera_was_held(tilt: float):
     assert placement.reference.vertices[:, 2].max() == pytest.approx(0.1, abs=1e-9)
 
 
-def test_up_that_is_given_wins_and_gravity_is_told_in_the_cameras_axes():
+def test_up_that_is_given_wins_and_gravity_is_given_in_the_cameras_axes():
     answer = seen_as(lidded(), np.linspace(0, 1.2, 9), tilt=0.4)
     up = stands(answer, up=(2.0, 0.0, 0.0))
     np.testing.assert_allclose(up.T_canonical_reference[:3, 2], [1, 0, 0], atol=1e-12)

@@ -83,7 +83,7 @@ def printed() -> dict[tuple[str, str, str, str, str], tuple[float, float | None]
     return found
 
 
-def held() -> dict[tuple[str, str, str, str, str], tuple[float, float | None]]:
+def published_values() -> dict[tuple[str, str, str, str, str], tuple[float, float | None]]:
     return {
         (row.protocol, row.dataset, row.group, row.method, id): value
         for row in PUBLISHED
@@ -93,7 +93,7 @@ def held() -> dict[tuple[str, str, str, str, str], tuple[float, float | None]]:
 
 @pytest.mark.skipif(not PAPER.is_file(), reason="the paper is not at hand")
 def test_every_number_is_the_papers():
-    paper, ours = printed(), held()
+    paper, ours = printed(), published_values()
     masks = {key: value for key, value in ours.items() if key[-1] == "miou"}
     assert len(paper) > 150
     assert {key: value for key, value in ours.items() if key not in masks} == paper

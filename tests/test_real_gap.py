@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from benchmarks import real_gap, real_recordings
-from benchmarks.real_grade import closed, graded, overclaims, summary
+from benchmarks.real_grade import grade_answer, measure_closing, overclaims, summarise
 from freeart21.effects import EFFECTS
 from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured
@@ -25,7 +25,7 @@ PENDULUM: dict[str, Any] = {
 }
 
 
-def said(verdict: str, *effects: str, rivals=(), size: float = 1.5, left: float = 1.5) -> Any:
+def make_answer(verdict: str, *effects: str, rivals=(), size: float = 1.5, left: float = 1.5) -> Any:
     first = {"coulomb_friction": "level", "encoder_offset": "offset"}
     return {
         "verdict": verdict,
@@ -41,30 +41,30 @@ def said(verdict: str, *effects: str, rivals=(), size: float = 1.5, left: float 
 
 BOTH = ("coulomb_friction", "quadratic_drag")
 GRADED = {
-    "all that dominates": (said("named", *BOTH), "right"),
-    "the same by another name": (said("named", "load_friction", "quadratic_drag"), "right"),
-    "part of it": (said("named_in_part", "quadratic_drag"), "in part"),
-    "a size that is off": (said("named", *BOTH, size=3.0), "in part"),
-    "an effect that may be there, far too large": (said("named", *BOTH, "encoder_offset", size=1.5), "wrong"),
-    "one that nobody knows of": (said("named", *BOTH, "wobble"), "in part"),
-    "one that is not there": (said("named", *BOTH, "detent"), "wrong"),
-    "nothing that dominates": (said("named", "viscous_damping"), "wrong"),
-    "nothing missing": (said("no_gap"), "wrong"),
-    "no explanation": (said("unexplained"), "silent"),
+    "all that dominates": (make_answer("named", *BOTH), "right"),
+    "the same by another name": (make_answer("named", "load_friction", "quadratic_drag"), "right"),
+    "part of it": (make_answer("named_in_part", "quadratic_drag"), "in part"),
+    "a size that is off": (make_answer("named", *BOTH, size=3.0), "in part"),
+    "an effect that may be there, far too large": (make_answer("named", *BOTH, "encoder_offset", size=1.5), "wrong"),
+    "one that nobody knows of": (make_answer("named", *BOTH, "wobble"), "in part"),
+    "one that is not there": (make_answer("named", *BOTH, "detent"), "wrong"),
+    "nothing that dominates": (make_answer("named", "viscous_damping"), "wrong"),
+    "nothing missing": (make_answer("no_gap"), "wrong"),
+    "no explanation": (make_answer("unexplained"), "silent"),
     "no answer": (None, "silent"),
-    "two names of one thing": (said("ambiguous", rivals=(BOTH, ("load_friction", "quadratic_drag"))), "right"),
-    "a doubt with a sure member": (said("ambiguous", rivals=(BOTH, ("coulomb_friction",))), "in part"),
-    "a doubt with a stranger": (said("ambiguous", rivals=(BOTH, ("viscous_damping",))), "silent"),
-    "a doubt among strangers": (said("ambiguous", rivals=(("detent",), ("viscous_damping",))), "wrong"),
-    "a large claim that hides what is left": (said("named", *BOTH, left=10.5), "in part"),
-    "the same, told": (said("named_in_part", *BOTH, left=10.5), "right"),
+    "two names of one thing": (make_answer("ambiguous", rivals=(BOTH, ("load_friction", "quadratic_drag"))), "right"),
+    "a doubt with a sure member": (make_answer("ambiguous", rivals=(BOTH, ("coulomb_friction",))), "in part"),
+    "a doubt with a stranger": (make_answer("ambiguous", rivals=(BOTH, ("viscous_damping",))), "silent"),
+    "a doubt among strangers": (make_answer("ambiguous", rivals=(("detent",), ("viscous_damping",))), "wrong"),
+    "a large claim that hides what is left": (make_answer("named", *BOTH, left=10.5), "in part"),
+    "the same, given": (make_answer("named_in_part", *BOTH, left=10.5), "right"),
 }
 
 
 @pytest.mark.parametrize("name", GRADED)
 def test_answers_are_graded_by_physics(name: str):
     answer, expected = GRADED[name]
-    grade, reasons = graded(PENDULUM, GROUPS, answer)
+    grade, reasons = grade_answer(PENDULUM, GROUPS, answer)
     assert grade == expected, reasons
     assert reasons or grade == "right"
 
@@ -72,23 +72,25 @@ def test_answers_are_graded_by_physics(name: str):
 def test_where_nothing_of_the_library_is_missing_silence_is_right_and_a_name_wrong():
     beyond = {**PENDULUM, "answer": "unexplained", "dominant": []}
     for verdict, grade in (("unexplained", "right"), ("not_excited", "right"), ("no_gap", "wrong"), ("named", "wrong")):
-        assert graded(beyond, GROUPS, said(verdict, *BOTH))[0] == grade
+        assert grade_answer(beyond, GROUPS, make_answer(verdict, *BOTH))[0] == grade
 
 
 def test_the_share_that_is_closed_is_of_runs_that_were_not_fitted():
-    assert closed(said("named", left=1.0)) == pytest.approx({"runs": 1, "before": 200.0, "after": 1.0, "share": 1.0})
-    answer = said("named", left=100.5)
-    assert closed(answer)["share"] == pytest.approx(0.5) and not overclaims(answer)
+    assert measure_closing(make_answer("named", left=1.0)) == pytest.approx(
+        {"runs": 1, "before": 200.0, "after": 1.0, "share": 1.0}
+    )
+    answer = make_answer("named", left=100.5)
+    assert measure_closing(answer)["share"] == pytest.approx(0.5) and not overclaims(answer)
     answer["gap"].append({"before": 0.2, "after": 0.2, "floor": 0.001, "held_out": True, "use": "confirming"})
-    assert closed(answer)["share"] == 0.0
+    assert measure_closing(answer)["share"] == 0.0
     answer["gap"] = answer["gap"][:1]
-    assert closed(answer)["share"] is None and closed(None)["share"] is None
+    assert measure_closing(answer)["share"] is None and measure_closing(None)["share"] is None
 
 
 def test_rows_are_counted():
     common = {"closed": {"share": 0.5}, "overclaims": True, "verdict": "named"}
     rows = [{"grade": g, "status": "answered", "seconds": s, **common} for g, s in (("right", 1.0), ("wrong", 9.0))]
-    told = summary([*rows, {**rows[0], "grade": "silent", "status": "out of time", "verdict": None}])
+    told = summarise([*rows, {**rows[0], "grade": "silent", "status": "out of time", "verdict": None}])
     assert (told["right"], told["in part"], told["silent"], told["wrong"]) == (1, 0, 1, 1)
     assert told["right or in part, share"] == pytest.approx(1 / 3) and told["no answer in time"] == 1
     assert told["most seconds"] == 9.0 and told["median share closed where named"] == 0.5
@@ -122,11 +124,11 @@ def test_an_answer_that_does_not_come_in_time_is_none_and_is_not_asked_again(way
     """By the processor's time or the clock; killed with all that it started; the row is kept."""
     asked: list[str] = []
 
-    def made(out: Path) -> None:
+    def write_recording(out: Path) -> None:
         asked.append("made")
         (out / "asset.urdf").write_text("<robot/>")
 
-    monkeypatch.setattr(real_gap, "recordings", lambda: {"dfki": made})
+    monkeypatch.setattr(real_gap, "recordings", lambda: {"dfki": write_recording})
     monkeypatch.setattr(real_gap, "sys", type("sys", (), {"executable": "/bin/sh"}))
     monkeypatch.setattr(real_gap, "_COMMAND", ("-c", ways))
     for _ in range(2):

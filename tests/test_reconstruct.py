@@ -373,7 +373,7 @@ print(json.dumps(sorted(opened)))
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    """A small clip, its sequence's folder with a truth folder beside it, and the folder and answer of its solution."""
+    """A small clip, its sequence's folder with a truth folder next to it, and the folder and answer of its solution."""
     clip = make_clip("hinge", 10, (120, 90), spin=0.2, queries=((3, 8, np.eye(4)),))
     place = tmp_path_factory.mktemp("written")
     home, truth = place / "data" / "sequences" / "hinge-s0", place / "data" / "truth" / "hinge-s0"

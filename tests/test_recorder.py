@@ -162,7 +162,7 @@ def test_lit_by_lamps_that_stand_in_the_world_the_views_render_again_too(tmp_pat
 
 
 def test_verification_by_rays_and_a_second_rendering_finds_nothing(case: Case) -> None:
-    handed_on = (case.folder / "truth" / case.name / "object").exists()  # PartNet-Mobility's objects may not be
+    handed_on = (case.folder / "truth" / case.name / "object").exists()  # PartNet-Mobility's objects are not
     assert handed_on == (case.truth.source["object_source"] != "partnet")
     assert verify_deep(case.folder, frames=3, views=SETTINGS.queries) == []
 

@@ -1,4 +1,4 @@
-"""The public checker's findings as rows: errors fail, what it did not finish is unknown, warnings are told.
+"""The public checker's findings as rows: errors fail, what it did not finish is unknown, warnings are listed.
 
 With a stand-in for it; what needs simcheck itself, an extra, is skipped without it. 8 s with it, else 1 s."""
 
@@ -37,7 +37,7 @@ def finding(message: str, **data) -> SimpleNamespace:
     return SimpleNamespace(message=message, data=data)
 
 
-def test_errors_fail_what_was_not_finished_is_unknown_and_warnings_are_told(monkeypatch):
+def test_errors_fail_what_was_not_finished_is_unknown_and_warnings_are_listed(monkeypatch):
     given = stand_in(
         monkeypatch,
         [

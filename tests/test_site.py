@@ -57,7 +57,7 @@ def world(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def kept(world):
+def score_tables(world):
     """Scores of few samples by two protocols, made once: what they are is other tests' affair."""
     patch = pytest.MonkeyPatch()
     few_samples(patch)
@@ -69,16 +69,16 @@ def kept(world):
 
 
 @pytest.fixture(scope="module")
-def site(world, kept, tmp_path_factory):
+def site(world, score_tables, tmp_path_factory):
     out = tmp_path_factory.mktemp("out") / "site"
-    write(world, kept, out)
+    write(world, score_tables, out)
     return out
 
 
-def write(world, kept, out, **options):
+def write(world, score_tables, out, **options):
     data, results = world
     patch = pytest.MonkeyPatch()
-    patch.setattr(build, "cached_scores", lambda folder, data, protocol, *_, **__: kept[folder, protocol])
+    patch.setattr(build, "cached_scores", lambda folder, data, protocol, *_, **__: score_tables[folder, protocol])
     try:
         options = {"protocols": PROTOCOLS_SHOWN, "command": ["freeart21", "site", HOSTILE], **options}
         return build.write_site(results, data, out, **options)
@@ -159,8 +159,8 @@ def test_words_of_methods_are_words(site):
         assert re.fullmatch(r'var FreeArtPacked="[A-Za-z0-9+/=]*";\n', script.read_text())
 
 
-def test_the_same_results_give_the_same_bytes(world, kept, site, tmp_path):
-    write(world, kept, tmp_path / "again")
+def test_the_same_results_give_the_same_bytes(world, score_tables, site, tmp_path):
+    write(world, score_tables, tmp_path / "again")
     for path in sorted(site.rglob("*")):
         if path.is_file():
             assert path.read_bytes() == (tmp_path / "again" / path.relative_to(site)).read_bytes(), path
@@ -172,23 +172,23 @@ def test_it_is_small(site):
     assert max(size for path, size in sizes.items() if path.parent.name == "data") < 60_000
 
 
-def test_an_older_site_is_replaced_and_nothing_else(world, kept, tmp_path):
+def test_an_older_site_is_replaced_and_nothing_else(world, score_tables, tmp_path):
     out = tmp_path / "site"
-    write(world, kept, out)
-    write(world, kept, out, title="another")
+    write(world, score_tables, out)
+    write(world, score_tables, out, title="another")
     assert "another" in (out / "index.html").read_text() and SITE.stands_at(out)
     (out / "mine.txt").write_text("mine")
-    assert_refused(r"mine.txt in it would be lost", write, world, kept, out)
+    assert_refused(r"mine.txt in it would be lost", write, world, score_tables, out)
     assert (out / "mine.txt").read_text() == "mine"
-    assert_refused("would be read", write, world, kept, world[0] / "site")
+    assert_refused("would be read", write, world, score_tables, world[0] / "site")
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.tex").write_text("x")
-    assert_refused("is no older site", write, world, kept, tmp_path / "other")
+    assert_refused("is no older site", write, world, score_tables, tmp_path / "other")
 
 
-def test_a_broken_call_is_told_in_one_line(world, kept, tmp_path):
+def test_a_broken_call_is_reported_in_one_line(world, score_tables, tmp_path):
     data, results = world
-    assert_refused("unknown protocol 'strict-9'", write, world, kept, tmp_path / "s", protocols=("strict-9",))
+    assert_refused("unknown protocol 'strict-9'", write, world, score_tables, tmp_path / "s", protocols=("strict-9",))
     assert_refused("named twice", build.write_site, [results[0], results[0]], data, tmp_path / "s")
     assert_refused("no results were named", build.write_site, [], data, tmp_path / "s")
     assert not (tmp_path / "s").exists()
@@ -217,8 +217,8 @@ def test_every_number_is_traced(site):
     assert "freeart21 site &#x27;&lt;script&gt;" in (site / "downloads.html").read_text("utf-8")
 
 
-def test_a_method_without_some_numbers_has_no_place_by_mean_rank(world, kept):
-    board = entrants([(folder, {"strict-2": kept[folder, "strict-2"]}) for folder in world[1]])
+def test_a_method_without_some_numbers_has_no_place_by_mean_rank(world, score_tables):
+    board = entrants([(folder, {"strict-2": score_tables[folder, "strict-2"]}) for folder in world[1]])
     places = ranked("strict-2", board)
     assert [place.entrant.name for place in places] == ["good", HOSTILE, "part"]
     assert places[0].rank < places[1].rank and places[2].rank is None
@@ -233,8 +233,8 @@ def test_names_are_safe_as_names_of_files():
     assert file_names(["<b>", "plain"])[0] == file_names(["plain", "<b>"])[1]
 
 
-def test_two_methods_of_one_name_are_told_apart(world, kept):
-    good = kept[world[1][0], "strict-2"]
+def test_two_methods_of_one_name_are_distinguished(world, score_tables):
+    good = score_tables[world[1][0], "strict-2"]
     board = entrants([(Path("x/one"), {"strict-2": good}), (Path("x/two"), {"strict-2": good})])
     assert [entrant.name for entrant in board] == ["good (one)", "good (two)"]
     assert (
@@ -292,7 +292,7 @@ def test_an_answer_is_shown_where_scoring_puts_it(world, kind):
 
 
 def test_an_answer_of_one_frame_is_shown_by_that_frame(world):
-    """Without poses and states: what was told of the anchor frame, and a state zero there."""
+    """Without poses and states: what was given of the anchor frame, and a state zero there."""
     truth, folder = truths()["a"], world[0].parent / "one-frame"
     answer = truth_as_answer(truth)
     still = np.repeat(truth.Ts_camera_reference[4][None], len(truth), 0)

@@ -31,7 +31,7 @@ needs_chromium = pytest.mark.skipif(not CHROMIUM, reason="there is no Chromium")
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory):
-    """The public half of a set, two methods (one fails twice) and their whole tables. The truth is thrown away."""
+    """The public half of a set, two methods (one fails twice) and their whole tables. The truth is deleted."""
     folder = tmp_path_factory.mktemp("hidden")
     data = write_data(folder / "data")
     public = folder / "public"
@@ -148,7 +148,7 @@ def test_the_tables_that_are_handed_out_read_well_and_lack_the_range(site):
         assert all("state" not in summary.statistics for summary in scores.summaries)
 
 
-def test_means_of_joint_states_are_told_where_they_tell_no_single_one(world):
+def test_means_of_joint_states_are_shown_where_they_tell_no_single_one(world):
     """Of two hinges a mean and a deviation tell both ranges; of four they do not."""
     from leaderboard.site.entrant import entrants
     from leaderboard.site.index_page import columns, ranked

@@ -1,4 +1,4 @@
-"""Forty spoiled submissions of `benchmarks.submission_fuzz`, and what an archive of results may not hold."""
+"""Forty spoiled submissions of `benchmarks.submission_fuzz`, and what an archive of results must not hold."""
 
 import shutil
 import stat

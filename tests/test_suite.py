@@ -251,7 +251,7 @@ def test_rates_have_a_source_and_follow_what_is_measured():
 
 @pytest.fixture(scope="module")
 def few(data, tmp_path_factory) -> Path:
-    """Results of which one has to be measured, one is a failure and one is missing."""
+    """Results: one has to be measured, one is a failure and one is missing."""
     folder = tmp_path_factory.mktemp("few") / "few"
     submit(folder / "b", truths()["b"])
     write_result(folder / "a", Failure("none", "not solved"))

@@ -47,26 +47,26 @@ def measured_of(kind: str, actuator: Actuator | None = None, gravity=GRAVITY) ->
     return Measured("j", kind, np.asarray(gravity, float), 1000.0, "recorded", None, actuator)
 
 
-def made(name: str, **values: float):
+def make_effect(name: str, **values: float):
     return EFFECTS[name](**values)
 
 
 FREE = {
-    "viscous_damping": made("viscous_damping", coefficient=0.3),
-    "quadratic_drag": made("quadratic_drag", coefficient=0.1),
-    "coulomb_friction": made("coulomb_friction", level=0.4),
-    "stribeck_friction": made("stribeck_friction", level=0.2, rise=0.3, speed=0.3),
-    "load_friction": made("load_friction", coefficient=0.01),
-    "gear_friction": made("gear_friction", coefficient=0.05),
-    "return_spring": made("return_spring", stiffness=4.0, rest=0.2),
-    "detent": made("detent", peak=1.0, centre=0.3, width=0.08),
-    "latch": made("latch", hold=2.0, position=0.1, travel=0.1, capture=0.4),
-    "presliding_friction": made("presliding_friction", level=0.3, travel=0.05),
+    "viscous_damping": make_effect("viscous_damping", coefficient=0.3),
+    "quadratic_drag": make_effect("quadratic_drag", coefficient=0.1),
+    "coulomb_friction": make_effect("coulomb_friction", level=0.4),
+    "stribeck_friction": make_effect("stribeck_friction", level=0.2, rise=0.3, speed=0.3),
+    "load_friction": make_effect("load_friction", coefficient=0.01),
+    "gear_friction": make_effect("gear_friction", coefficient=0.05),
+    "return_spring": make_effect("return_spring", stiffness=4.0, rest=0.2),
+    "detent": make_effect("detent", peak=1.0, centre=0.3, width=0.08),
+    "latch": make_effect("latch", hold=2.0, position=0.1, travel=0.1, capture=0.4),
+    "presliding_friction": make_effect("presliding_friction", level=0.3, travel=0.05),
     "force_over_position": EFFECTS["force_over_position"](0.4, -0.2, 0.3, 0.0, 0.2, -0.3, 0.0, 0.1, -0.5, 0.7),
     "friction_over_position": EFFECTS["friction_over_position"](0.4, 0.2, 0.3, 0.1, 0.2, 0.3, 0.1, 0.1, -0.5, 0.7),
-    "armature": made("armature", value=0.2),
-    "encoder_offset": made("encoder_offset", offset=0.05),
-    "encoder_scale": made("encoder_scale", factor=1.1),
+    "armature": make_effect("armature", value=0.2),
+    "encoder_offset": make_effect("encoder_offset", offset=0.05),
+    "encoder_scale": make_effect("encoder_scale", factor=1.1),
 }
 
 
@@ -113,7 +113,7 @@ def test_free_motion_is_sapiens(tmp_path: Path, kind: str, name: str):
     ],
 )
 def test_impacts_are_sapiens(tmp_path: Path, bounce: tuple[str, dict[str, float]]):
-    effects = (made(bounce[0], **bounce[1]), made("viscous_damping", coefficient=0.05))
+    effects = (make_effect(bounce[0], **bounce[1]), make_effect("viscous_damping", coefficient=0.05))
     asset = asset_at(tmp_path, "revolute", *effects, lower=-0.4, upper=1.5)
     theirs = roll_out(asset, 1.2, 0.0, duration_s=4)
     ours = simulate(make_plant(asset, measured_of("revolute")), effects, theirs.times_s, 1.2)
@@ -124,7 +124,7 @@ def test_impacts_are_sapiens(tmp_path: Path, bounce: tuple[str, dict[str, float]
 @pytest.mark.parametrize("deep", [2e-3, 2e-2])
 def test_an_impact_that_begins_and_ends_within_a_step_is_one(tmp_path: Path, deep: float):
     """A swing that just reaches its limit: in the kernel's coarse steps, in fine ones, and in SAPIEN."""
-    effects = (made("end_stop_bounce", restitution=0.3),)
+    effects = (make_effect("end_stop_bounce", restitution=0.3),)
     asset = asset_at(tmp_path, "revolute", *effects, lower=-1.2 + deep, upper=2.0)
     plant = make_plant(asset, measured_of("revolute"))
     times = np.arange(601) / 100
@@ -165,7 +165,7 @@ def test_a_rotor_takes_its_part_back_from_a_limit_as_a_shaft_does(tmp_path: Path
     back = float(np.exp(-2 * z * np.arccos(z) / np.sqrt(1 - z * z)))
 
     def off(**shaft: float) -> float:
-        return float(np.abs(simulate(plant, (made("armature", value=rotor, **shaft),), times, 1.1) - true).max())
+        return float(np.abs(simulate(plant, (make_effect("armature", value=rotor, **shaft),), times, 1.1) - true).max())
 
     assert off() > 0.015 and off(throw_back=back) > 0.015
     assert off(throw_back=back, swing=float(np.sqrt(rotor / stiffness))) < 2e-3
@@ -186,11 +186,11 @@ def test_a_rotor_takes_its_part_back_from_a_limit_as_a_shaft_does(tmp_path: Path
 )
 def test_a_servo_is_sapiens(tmp_path: Path, names: tuple[str, ...]):
     library = {
-        "actuator_gain": made("actuator_gain", factor=0.7),
-        "actuator_delay": made("actuator_delay", seconds=0.03),
-        "backlash": made("backlash", width=0.1, drive_inertia=0.1),
-        "coulomb_friction": made("coulomb_friction", level=0.5),
-        "gear_friction": made("gear_friction", coefficient=0.2),
+        "actuator_gain": make_effect("actuator_gain", factor=0.7),
+        "actuator_delay": make_effect("actuator_delay", seconds=0.03),
+        "backlash": make_effect("backlash", width=0.1, drive_inertia=0.1),
+        "coulomb_friction": make_effect("coulomb_friction", level=0.5),
+        "gear_friction": make_effect("gear_friction", coefficient=0.2),
     }
     effects = tuple(library[name] for name in names)
     asset = asset_at(tmp_path, "revolute", *effects)
@@ -206,7 +206,7 @@ def test_a_servo_is_sapiens(tmp_path: Path, names: tuple[str, ...]):
 
 
 def test_a_push_passes_the_actuator_by_and_a_commanded_effort_does_not(tmp_path: Path):
-    effects = (made("actuator_gain", factor=0.5), made("actuator_delay", seconds=0.1))
+    effects = (make_effect("actuator_gain", factor=0.5), make_effect("actuator_delay", seconds=0.1))
     asset = asset_at(tmp_path, "prismatic", *effects)
     plant = make_plant(asset, measured_of("prismatic", gravity=np.zeros(3)))
     times, ticks = np.arange(1001) * 1e-3, np.array([0.0, 0.2, 0.4])
@@ -224,7 +224,7 @@ def test_a_late_clock_reads_what_was(tmp_path: Path):
     plant = make_plant(asset, measured_of("revolute"))
     times = np.arange(500) * 0.01
     now = simulate(plant, (), times, 0.5)
-    late = simulate(plant, (made("time_offset", seconds=0.2),), times, 0.5)
+    late = simulate(plant, (make_effect("time_offset", seconds=0.2),), times, 0.5)
     np.testing.assert_allclose(late, now, atol=1e-9)  # the start is that of the first reading: a free gauge
 
 
@@ -245,7 +245,7 @@ def test_friction_that_builds_up_is_lugres(tmp_path: Path):
 
     plant = make_plant(asset_at(tmp_path, "revolute"), measured_of("revolute"))
     level, travel, inertia, weight = 0.03, 2e-3, plant.mechanics.inertia, MASS * G * ARM
-    effects = (made("coulomb_friction", level=level),)
+    effects = (make_effect("coulomb_friction", level=level),)
     stiff, damp = level / travel, np.sqrt(level * inertia / travel)
 
     def slopes(t, y):
@@ -264,7 +264,7 @@ def test_friction_that_builds_up_is_lugres(tmp_path: Path):
 
 
 def test_a_loose_drive_side_comes_to_rest_with_a_part_that_leans_on_its_stop(tmp_path: Path):
-    effects = (made("backlash", width=0.02, drive_inertia=0.1),)
+    effects = (make_effect("backlash", width=0.02, drive_inertia=0.1),)
     asset = asset_at(tmp_path, "prismatic", *effects, axis="1 0 0", lower=0.0, upper=2.0)
     plant = make_plant(asset, measured_of("prismatic", gravity=[-0.02, 0.0, -G]))
     times = np.arange(500) / 100
@@ -277,7 +277,7 @@ def test_a_drive_side_goes_on_when_its_part_stops_dead(tmp_path: Path, back: flo
     """A drawer that drags its drive along stops; a second later it is pulled off, and the drive, which has come to the
     other end of its slack, or back from there, is felt at once or after the slack; here and in SAPIEN."""
     width, drive, speed, pull = 0.02, 0.4, 0.5, 0.3
-    effects = (made("backlash", width=width, drive_inertia=drive, throw_back=back),)
+    effects = (make_effect("backlash", width=width, drive_inertia=drive, throw_back=back),)
     asset = asset_at(tmp_path, "prismatic", *effects, axis="1 0 0", lower=-2.0, upper=0.3)
     plant = make_plant(asset, measured_of("prismatic", gravity=np.zeros(3)))
     times, ticks = np.arange(2001) * 1e-3, np.array([0.0, 0.1, 1.0])
@@ -301,7 +301,10 @@ def test_runs_side_by_side_are_as_each_alone(tmp_path: Path, monkeypatch: pytest
     if threads > 1:
         monkeypatch.setattr("simgap.models.surrogate._THREADING_SIZE", 0)
         monkeypatch.setattr("os.sched_getaffinity", lambda process: set(range(threads)), raising=False)
-    effects = (made("coulomb_friction", level=0.2), made("latch", hold=2.0, position=0.1, travel=0.1, capture=0.4))
+    effects = (
+        make_effect("coulomb_friction", level=0.2),
+        make_effect("latch", hold=2.0, position=0.1, travel=0.1, capture=0.4),
+    )
     plant = make_plant(asset_at(tmp_path, "revolute"), measured_of("revolute", Actuator(stiffness=60.0, damping=4.0)))
     command = np.full(100, 0.3)
     driven = Inputs(np.arange(100) * 0.02, command, 0.1 * command, -command)

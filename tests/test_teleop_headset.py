@@ -134,11 +134,11 @@ def test_the_other_hand_s_stick_and_trigger_move_the_joint_and_the_carrier_s_do_
         rig.frames()
         states.append(rig.object()[1])
     assert states[1] > max(states[0], states[2])
-    begun = states[2]
+    start_state = states[2]
     rig.press(OTHER[side], "trigger", 1)
     rig.until("Math.min(hand.state - 0.1, 1.3 - hand.state) < 1e-9")
     rig.press(OTHER[side], "trigger", 0)
-    rig.until(f"Math.abs(hand.state - {begun}) < 1e-9")
+    rig.until(f"Math.abs(hand.state - {start_state}) < 1e-9")
     np.testing.assert_allclose(rig.object()[0], T, atol=1e-9)
 
 

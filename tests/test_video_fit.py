@@ -60,7 +60,7 @@ def filmed(truth: Truth, holes: float = 0.0) -> Recording:
 
 
 def in_units(truth: Truth, metres: float) -> Reconstruction:
-    """The truth in lengths of which one is `metres`."""
+    """The truth in units of `metres`."""
     large, k = in_millimetres(truth), 1 / (1000 * metres)
     parts = [Mesh(k * part.vertices, part.faces) for part in (large.articulation.reference, large.articulation.moving)]
     Ts = [se3.pose(T[:, :3, :3], k * T[:, :3, 3]) for T in (large.Ts_camera_reference, large.Ts_camera_moving)]

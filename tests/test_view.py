@@ -360,7 +360,7 @@ def test_a_score_has_its_unit_and_few_digits(entry, text: str) -> None:
     assert f"<th scope=row>Pose error </th><td class=number>{text}</td>" in score_section({"pose_error": entry}).html
 
 
-def test_where_an_asset_came_from_is_told_without_python() -> None:
+def test_where_an_asset_came_from_is_shown_without_python() -> None:
     source = {
         "method": "ours",
         "length_unit": "m",
@@ -473,7 +473,7 @@ def test_urdf_link_moves_about_its_joint(tmp_path: Path) -> None:
     )
 
 
-def test_mimic_joint_follows_its_leader_and_missing_mesh_is_told(tmp_path: Path) -> None:
+def test_mimic_joint_follows_its_leader_and_missing_mesh_is_reported(tmp_path: Path) -> None:
     body = """<link name="tip"><visual><geometry><mesh filename="gone.obj"/></geometry></visual></link>
       <joint name="second" type="prismatic"><parent link="lid"/><child link="tip"/><axis xyz="1 0 0"/>
       <limit lower="0" upper="1"/><mimic joint="hinge" multiplier="-2" offset="0.5"/></joint>"""
@@ -485,7 +485,7 @@ def test_mimic_joint_follows_its_leader_and_missing_mesh_is_told(tmp_path: Path)
     assert "1 mesh files that thing.urdf names are missing: gone.obj" in page(path)
 
 
-def test_urdf_faults_are_told_in_one_line(tmp_path: Path) -> None:
+def test_urdf_faults_are_reported_in_one_line(tmp_path: Path) -> None:
     loop = '<joint name="back" type="fixed"><parent link="lid"/><child link="base"/></joint>'
     cases = {
         loop: "loop",
@@ -570,7 +570,9 @@ def test_large_layers_are_simplified_in_the_page() -> None:
 # ---------------------------------------------------------------- bad input
 
 
-def test_unknown_folder_is_told_what_was_looked_for_and_what_is_there(tmp_path: Path, folders: dict[str, Path]) -> None:
+def test_unknown_folder_is_answered_with_what_was_looked_for_and_what_is_there(
+    tmp_path: Path, folders: dict[str, Path]
+) -> None:
     (tmp_path / "notes.txt").write_text("")
     message = assert_refused("", page, tmp_path)
     for word in ("sequence.json", "prediction.json", "truth.json", "asset.json", ".urdf", "notes.txt", "result, seq"):

@@ -38,7 +38,7 @@ JOINT = Joint("lid", "revolute", [0.0, 0.6, 0.8], [0.01, -0.02, 0.0], -1.0, 1.0)
 STATES = np.array([0.0, 0.4, 0.8])
 
 
-def made(n: int, seed: int = 0, light: int | None = 25) -> Gaussians:
+def make_gaussians(n: int, seed: int = 0, light: int | None = 25) -> Gaussians:
     rng = np.random.default_rng(seed)
     normals, quaternions = rng.normal(size=(n, 3)), rng.normal(size=(n, 4))
     terms = None if light is None else rng.normal(0, 0.4, (light, 3)).astype(np.float32)
@@ -69,7 +69,7 @@ def made_scene(gaussians: Gaussians | None, camera: Camera | None = CAMERA) -> S
     return articulation_scene(parts, STATES, camera_poses(), camera, gaussians)
 
 
-def drawn(gaussians: Gaussians, Ts_camera_part: list[np.ndarray], camera: Camera) -> np.ndarray:
+def draw_slowly(gaussians: Gaussians, Ts_camera_part: list[np.ndarray], camera: Camera) -> np.ndarray:
     """(height, width, 3) 0 to 255, before black: pixel by pixel, as the formulas stand in the papers."""
     copies = []
     for moved, T in enumerate(Ts_camera_part):
@@ -101,7 +101,7 @@ def drawn(gaussians: Gaussians, Ts_camera_part: list[np.ndarray], camera: Camera
 
 
 def test_a_page_holds_the_gaussians_of_a_result(tmp_path):
-    scene, given = made_scene(None), made(300)
+    scene, given = made_scene(None), make_gaussians(300)
     assert scene.splats is None and scene_section(scene).data["gaussians"] is None
     poses = camera_poses()
     result = Reconstruction(
@@ -136,7 +136,7 @@ def test_a_page_holds_the_gaussians_of_a_result(tmp_path):
 
 
 def test_a_page_of_very_many_gaussians_keeps_those_that_cover_most():
-    given = made(MAX_SPLATS + 5000, light=9)
+    given = make_gaussians(MAX_SPLATS + 5000, light=9)
     faint = np.arange(len(given)) % 25 == 3
     given = replace(given, opacities=np.where(faint, 1e-6, given.opacities).astype(np.float32))
     kept = largest_gaussians(given, MAX_SPLATS)
@@ -150,8 +150,8 @@ def test_a_page_of_very_many_gaussians_keeps_those_that_cover_most():
 
 
 def test_one_gaussian_and_gaussians_in_one_place_stand_in_a_page():
-    one = made(1)
-    same = replace(made(4), means=np.ones((4, 3), np.float32), scales=np.ones((4, 3), np.float32))
+    one = make_gaussians(1)
+    same = replace(make_gaussians(4), means=np.ones((4, 3), np.float32), scales=np.ones((4, 3), np.float32))
     for given in (one, same):
         text = embed_json(splat_data(SplatLayers(given, (0, 1), (0, 1))))
         assert "null" not in text
@@ -161,7 +161,7 @@ def test_one_gaussian_and_gaussians_in_one_place_stand_in_a_page():
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
 def test_the_script_sorts_from_the_farthest_and_keeps_copies_apart():
-    given = made(500)
+    given = make_gaussians(500)
     data = splat_data(SplatLayers(given, (0, 1), (0, 1)))
     views = [se3.exp_se3([0.1, 0, 0.3, 0.2, 0.5, 1.0]), se3.exp_se3([0, 0.2, -0.5, 1.2, 0.1, 0.3])]
     code = f"""const S = require({json.dumps(str(STATIC / "splats.js"))}); const d = {embed_json(data)};
@@ -227,10 +227,10 @@ def show(chrome: Browser, path: Path, scene: Scene, link: str) -> None:
 @pytest.mark.parametrize("terms", [None, 1, 25])
 def test_pixels_are_those_of_the_formulas(chrome, tmp_path, terms):
     """Through the video's camera in frame 2, at a state of the slider that is not that frame's."""
-    given, state = made(150, light=terms), -0.35
+    given, state = make_gaussians(150, light=terms), -0.35
     show(chrome, tmp_path / "a.html", made_scene(given), f"frame=2&state={state}&view=video&show=part")
     T = camera_poses()[2]
-    expected = drawn(given, [T, T @ JOINT.transform(state)], CAMERA)
+    expected = draw_slowly(given, [T, T @ JOINT.transform(state)], CAMERA)
     assert expected.max() > 100 and (expected.max(-1) > 20).mean() > 0.1, "there is something to see"
     difference = np.abs(shot(chrome) - expected)
     assert difference.mean() < 0.5 and np.percentile(difference, 99.9) < 8, (difference.mean(), difference.max())
@@ -283,7 +283,7 @@ def test_a_disc_shows_its_outer_face_alone(chrome, tmp_path):
 
 @needs_browser
 def test_the_reader_chooses_between_gaussians_and_surfaces(chrome, tmp_path):
-    given = replace(made(200, light=None), part_weights=(np.arange(200) % 2).astype(np.float32))
+    given = replace(make_gaussians(200, light=None), part_weights=(np.arange(200) % 2).astype(np.float32))
     show(chrome, tmp_path / "a.html", made_scene(given), "state=0.4&view=video&show=part")
     first = shot(chrome)
     press(chrome, "Surfaces")
@@ -295,7 +295,7 @@ def test_the_reader_chooses_between_gaussians_and_surfaces(chrome, tmp_path):
     T = camera_poses()[0]
     still = given.part_weights == 1
     half = replace(given, **{name: getattr(given, name)[still] for name in vars(given) if name != "light"})
-    difference = np.abs(shot(chrome) - drawn(half, [T, T], CAMERA))
+    difference = np.abs(shot(chrome) - draw_slowly(half, [T, T], CAMERA))
     assert difference.mean() < 1 and np.percentile(difference, 99.5) < 8, "the moving part's are hidden"
     press(chrome, "moving part")
     press(chrome, "Part colours")
@@ -311,7 +311,9 @@ def test_the_reader_chooses_between_gaussians_and_surfaces(chrome, tmp_path):
 @needs_browser
 def test_gaussians_are_shown_where_there_are_no_surfaces(chrome, tmp_path):
     nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
-    scene = articulation_scene(Articulation(JOINT, nothing, nothing), STATES, camera_poses(), None, made(60, light=9))
+    scene = articulation_scene(
+        Articulation(JOINT, nothing, nothing), STATES, camera_poses(), None, make_gaussians(60, light=9)
+    )
     show(chrome, tmp_path / "a.html", scene, "")
     assert chrome.run("[...document.querySelectorAll('.layers button')].map((b) => b.textContent)") == [
         "reference part",
@@ -323,16 +325,18 @@ def test_gaussians_are_shown_where_there_are_no_surfaces(chrome, tmp_path):
 
 
 def test_a_file_of_gaussians_is_a_page_of_its_own(tmp_path):
-    write_gaussians(tmp_path / "chair.ply", replace(made(80, light=None), part_weights=np.ones(80, np.float32)))
+    write_gaussians(
+        tmp_path / "chair.ply", replace(make_gaussians(80, light=None), part_weights=np.ones(80, np.float32))
+    )
     write_page(tmp_path / "chair.ply", tmp_path / "chair.html")
     whole = (tmp_path / "chair.html").read_text()
     assert "80 Gaussians" in whole and "Of the moving part" not in whole
-    write_gaussians(tmp_path / "gaussians.ply", made(80, light=9))
+    write_gaussians(tmp_path / "gaussians.ply", make_gaussians(80, light=9))
     write_page(tmp_path / "gaussians.ply", tmp_path / "parted.html")
     assert "Of the moving part" in (tmp_path / "parted.html").read_text()
     with pytest.raises(FreeArtError, match="without a truth"):
         write_page(tmp_path / "chair.ply", tmp_path / "no.html", truth=tmp_path / "truth")
-    write_gaussians(tmp_path / "none.ply", made(0, light=None))
+    write_gaussians(tmp_path / "none.ply", make_gaussians(0, light=None))
     assert_refused("has no Gaussians", write_page, tmp_path / "none.ply", tmp_path / "no.html")
     (tmp_path / "mesh.ply").write_text("ply\nformat ascii 1.0\nend_header\n")
     assert_refused("mesh.ply", write_page, tmp_path / "mesh.ply", tmp_path / "no.html")
@@ -340,7 +344,7 @@ def test_a_file_of_gaussians_is_a_page_of_its_own(tmp_path):
 
 
 def test_strays_do_not_coarsen_the_places_of_the_others():
-    given = made(100, light=None)
+    given = make_gaussians(100, light=None)
     given = replace(given, means=np.concatenate([np.full((1, 3), 1e4, np.float32), given.means[1:]]))
     data = splat_data(SplatLayers(given, (0, 0), (0, 0)))
     assert data["means"]["dtype"] == "f32"

@@ -140,7 +140,7 @@ def test_play_is_a_travel_without_force():
         assert apart.max() == pytest.approx(0.025, abs=1.5e-3)
         speed = states[: np.flatnonzero(apart > 0.0249)[0], 1]
         assert np.ptp(speed) < 1e-9
-        assert 0 > way * states[-1, 1] > -0.05  # thrown back, and slower
+        assert 0 > way * states[-1, 1] > -0.05  # rebounds, and slower
 
 
 REFERENCES = ["stribeck_friction", "load_friction", "detent", "magnet"]

@@ -154,7 +154,7 @@ _FIGURES: tuple[tuple[str, str, str, set[str] | str], ...] = (
     ("weak singles right", "", "weak", RIGHT),
     ("not excited, said so", "", "still", {"right"}),
     ("not excited, named or alarmed", "", "still", {"wrong", "alarm"}),
-    ("gauges told as such", "", "gauge", {"right"}),
+    ("gauges named as such", "", "gauge", {"right"}),
     ("gauges: one of the group alone", "", "gauge", {"committed"}),
     *((f"wrong names, {stratum}", "", stratum, {"wrong"}) for stratum in ("clear", "weak", "pair", "still", "gauge")),
 )

@@ -130,7 +130,7 @@ def truth(machine: Machine, nuisance: Nuisance) -> np.ndarray:
 
 
 def urdf(machine: Machine) -> str:
-    """The machine as told, a base and a box; nothing in it knows of the case."""
+    """The machine as published, a base and a box; nothing in it knows of the case."""
     a, b, c = machine.size
     own = machine.mass / 12 * np.array([b**2 + c**2, a**2 + c**2, a**2 + b**2])
     if not machine.slides:

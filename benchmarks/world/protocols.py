@@ -16,7 +16,7 @@ from benchmarks.world.machines import Machine, Nuisance, truth
 
 LEAD = 0.15  # s that a run goes on before its log begins; more than any lateness drawn
 GRID = 0.002  # s between the corners of a smooth command: 1/20 of the shortest bump
-FAR = 2.5  # rad that a pendulum may not pass, so that none goes over the top
+FAR = 2.5  # rad that a pendulum must not pass, so that none goes over the top
 
 
 @dataclass(frozen=True)
