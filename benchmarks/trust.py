@@ -385,7 +385,7 @@ def calibration(right: list[Judged]) -> dict[str, list[float | None]]:
 
 
 def summary(judged: list[Judged]) -> dict[str, Any]:
-    """`counted` of the videos by which the signs were made, and of those held out."""
+    """`count_verdicts` of the videos by which the signs were made, and of those held out."""
     return {
         name: count_verdicts([one for one in judged if one.held_out == held_out])
         for name, held_out in (("seen", False), ("held_out", True))
