@@ -378,7 +378,7 @@ def with_depth_errors(pictures, sigma, length):
 
 
 @pytest.mark.parametrize("sigma, length", [(0.0, 0), (0.004, 0), (0.004, 5)])
-def test_noise_of_the_depth_is_told_from_what_is_correlated(sigma, length):
+def test_independent_noise_of_the_depth_is_separated_from_correlated(sigma, length):
     """Of a plate that turns slowly; errors blurred with 5 pixels are correlated as exp(-d^2 / (4 5^2))."""
     clip = make_clip("hinge", 24, (320, 240), spin=0.3)
     frames = [clip.recording.frame(i) for i in range(24)]
