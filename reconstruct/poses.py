@@ -398,6 +398,9 @@ def _joint_std(
     the centre.
     """
     n, count = len(current.Ts), len(A) - 7 * len(current.Ts)
+    unknown = 6 * n + np.flatnonzero(~seen.all(1))  # the pose makes up for any such state: the matrix would be singular
+    A = A.copy()
+    A[unknown], A[:, unknown] = 0, 0
     M, _ = joint_jacobian(current)
     scale = np.sqrt(np.where(np.diag(A) > 0, np.diag(A), 1.0))
     normed = A / scale[:, None] / scale[None]

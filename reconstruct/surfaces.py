@@ -41,6 +41,8 @@ SHARPNESS = 6.0
 """Power of a view's quality (frontal, near) in the mean colour: high values let the best views dominate."""
 FOREIGN = 3
 """Frames that must show the other part at a vertex before it is removed from this one."""
+AROUND = 6
+"""Pixels round a block's middle within which its voxels lie, with voxels not much larger than a pixel."""
 EMPTY = 0.5
 """Weight of a background pixel as evidence of free space; a pixel that faces the surface has 1."""
 
@@ -65,7 +67,8 @@ def fuse(
     pictures = (scene.points, scene.normals, scene.mask, labels, _rim_distances(scene, labels, part, frames))
     distances = (reach, BEHIND * voxel + 2 * scene.noise, 0.5 * voxel + scene.noise)
     blocks = np.argwhere(near)
-    arguments = (field, weight, blocks, voxel, Ts_grid, frames, *pictures, part, *scene.lens, *distances)
+    limits = _depth_limits(scene, labels, frames, reach)
+    arguments = (field, weight, blocks, voxel, Ts_grid, frames, *pictures, limits, part, *scene.lens, *distances)
     run_in_threads(lambda begin, end: _integrate(begin, end, *arguments), len(blocks), 100)
     known = weight > 0
     if not (field[known] < 0).any():
@@ -137,6 +140,18 @@ def _rim_distances(scene: Scene, labels: Labels, part: int, frames: NDArray[np.i
         rim = (cv2.dilate(depth, np.ones((3, 3))) > depth + jump) & mine
         distance[k] = _distance_to(rim) * mine - _distance_to(mine)
     return distance
+
+
+def _depth_limits(scene: Scene, labels: Labels, frames: NDArray[np.int64], reach: float) -> Floats:
+    """(frames, h, w) depth, metres, beyond which no pixel within AROUND pixels tells anything; see `_observe`."""
+    limits = np.zeros((len(frames), *scene.mask.shape[1:]), np.float32)
+    window = np.ones((2 * AROUND + 1, 2 * AROUND + 1), np.uint8)
+    for f, i in enumerate(frames):
+        depth, mask = scene.points[i, ..., 2], scene.mask[i]
+        seen = np.where(mask & (labels[i] > 0) & (depth > 0), depth + 2.2 * reach, -np.inf)
+        free = np.where(depth < 0, -depth - reach, np.inf)
+        limits[f] = cv2.dilate(np.where(mask, seen, free).astype(np.float32), window)
+    return limits
 
 
 def _distance_to(places: NDArray[np.bool_]) -> Floats:
@@ -212,7 +227,7 @@ def _colour_vertices(
     return np.clip(np.rint(colours), 0, 255).astype(np.uint8), foreign
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _sample_colours(
     begin: int, end: int, vertices: Array, normals: Array, Ts: Array, frames: Ints, rgb: NDArray[np.uint8],
     points: Floats, edge: Bools, labels: NDArray[np.uint8], part: int, fx: float, fy: float, cx: Array, cy: Array,
@@ -284,7 +299,7 @@ def _interpolate(image: Floats, u: float, v: float) -> float:  # pragma: no cove
     return (1 - q) * above + q * below
 
 
-@njit(nogil=True, cache=True)
+@njit(inline="always")
 def _observe(
     px: float, py: float, pz: float, xi: int, yi: int, points: Floats, normals: Floats, mask: Bools,
     labels: NDArray[np.uint8], part: int, reach: float, behind: float, sure: float,
@@ -317,19 +332,22 @@ def _observe(
     return min(1.0, distance / reach), weight
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _integrate(
     begin: int, end: int, field: Floats, weight: Floats, blocks: Ints, voxel: float, Ts: Array, frames: Ints,
-    points: Floats, normals: Floats, mask: Bools, labels: NDArray[np.uint8], rim_distance: Floats, part: int, fx: float,
-    fy: float, cx: Array, cy: Array, reach: float, behind: float, sure: float,
+    points: Floats, normals: Floats, mask: Bools, labels: NDArray[np.uint8], rim_distance: Floats, limits: Floats,
+    part: int, fx: float, fy: float, cx: Array, cy: Array, reach: float, behind: float, sure: float,
 ) -> None:  # pragma: no cover  # fmt: skip
     """Average, over frames, of the distance in units of `reach`, in [-1, 1]; > 0 is free. Blocks begin to end.
 
     A pixel of the part is a piece of plane. In front of it the distance has full weight; behind it, where the far side
     of a thin sheet may be, the weight falls from `sure` to `behind`. Any other pixel marks the space in front of its
-    surface as free. The distance of free space is at most the one, across the image, to the part's rim.
+    surface as free. The distance of free space is at most the one, across the image, to the part's rim. Blocks that lie
+    beyond the `limits` are passed over.
     """
     h, w = labels.shape[1], labels.shape[2]
+    middle = 0.5 * (BLOCK - 1) * voxel
+    radius = math.sqrt(3.0) * middle
     sums, weights = np.zeros((BLOCK, BLOCK, BLOCK)), np.zeros((BLOCK, BLOCK, BLOCK))
     for block in range(begin, end):
         first = blocks[block] * BLOCK
@@ -337,6 +355,17 @@ def _integrate(
         for f in range(frames.shape[0]):
             i = frames[f]
             T = Ts[i]
+            x, y, z = first[0] * voxel + middle, first[1] * voxel + middle, first[2] * voxel + middle
+            px = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
+            py = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
+            pz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+            nearest = pz - radius
+            if nearest > 0:
+                xi, yi = math.floor(fx * px / pz + cx[i] + 0.5), math.floor(fy * py / pz + cy[i] + 0.5)
+                across = max(fx, fy) * radius / nearest * (1 + max(abs(px), abs(py)) / pz)
+                inside = xi >= 0 and yi >= 0 and xi < w and yi < h
+                if inside and across < AROUND - 1 and nearest > limits[f, yi, xi]:
+                    continue
             frame_points, frame_normals, frame_mask, frame_labels = points[i], normals[i], mask[i], labels[i]
             for a in range(BLOCK):
                 for b in range(BLOCK):
