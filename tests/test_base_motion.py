@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gap_case import ARM, INERTIA, MASS, G, asset_of, shown
+from gap_case import ARM, INERTIA, MASS, G, asset_of, replay_both
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
@@ -120,7 +120,7 @@ def test_a_moving_base_matches_point_masses(kind: str, tmp_path: Path):
 
     asset = write_repaired(read_asset(path), effects, tmp_path / "sprung")
     start = (0.4, 0.0)
-    (there,) = shown(asset, asset, measured, (start,), 1e-4).runs
+    (there,) = replay_both(asset, asset, measured, (start,), 1e-4).runs
     assert there.after < 2e-4 * np.ptp(q)  # in SAPIEN
     plant = make_plant(asset, measured)
     missing = estimate_missing_force(measured, plant.mechanics, -50, 50, effects, plant=plant)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gap_case import ARM, INERTIA, MASS, G, asset_of, shown
+from gap_case import ARM, INERTIA, MASS, G, asset_of, replay_both
 from scipy.integrate import solve_ivp
 
 from freeart21.effects.actuator_gain import ActuatorGain
@@ -126,12 +126,12 @@ def test_sapien_replay_matches_the_equation(name: str, tmp_path: Path):
     run, start = measured.runs[0], (0.3, 0.0)
     before = asset if name == "offset" else right
     plain = replace(measured, runs=(replace(run, enabled=None),))
-    (there,) = shown(before, right, measured, (start,), 1e-4).runs
+    (there,) = replay_both(before, right, measured, (start,), 1e-4).runs
     assert there.after < 1e-5
     if name == "offset":
         assert there.before > 0.05
     elif run.enabled is not None:
-        (on,) = shown(right, right, plain, (start,), 1e-4).runs
+        (on,) = replay_both(right, right, plain, (start,), 1e-4).runs
         assert on.after > 0.05
 
 

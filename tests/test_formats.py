@@ -725,7 +725,8 @@ def test_layouts_are_recognised(example: Path, one_view: Path, tmp_path: Path, n
     refused(lambda: find_sources(example, "scans"), "unknown layout 'scans'; layouts: native", "rgbd", "official")
     refused(lambda: find_sources(example, "native"), "holds no recording of the layout native")
     (tmp_path / "empty").mkdir()
-    refused(lambda: find_sources(tmp_path / "empty"), "sequence.json", "cam_K.txt", "camera_pose.npy")
+    refused(lambda: find_sources(tmp_path / "empty"), "a known layout: native", "rgbd", "--from LAYOUT")
+    refused(lambda: find_sources(tmp_path / "empty", "video2articulation"), "camera_pose.npy")
     refused(lambda: list(convert(native, tmp_path / "x", "native")), "of the layout native already")
 
 

@@ -163,7 +163,7 @@ def test_objects_of_every_category_stay_in_the_picture(tmp_path: Path) -> None:
 @needs_tracks
 def test_what_the_style_draws_from_is_what_the_takes_say() -> None:
     paths = sorted((SHARED / "mocap").glob("*_use_*.object.npy"))
-    measured = motion_styles.drawn_from([read_track(path) for path in paths])
+    measured = motion_styles.fit_draws([read_track(path) for path in paths])
     for name, text in measured.items():
         if name in ("ON, BACK", "HELD_DEGREES", "HELD_SHIFT") or name.islower():
             continue

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gap_case import INERTIA, RATE, SERVO, G, asset_of, measured_of, shown
+from gap_case import INERTIA, RATE, SERVO, G, asset_of, measured_of, replay_both
 
 from freeart21 import cli
 from freeart21.files.asset import read_asset
@@ -156,7 +156,7 @@ def test_a_replay_goes_on_between_rows_as_the_fit_found(share: float, tmp_path: 
     run = measured.runs[0]
     assert run.q_command is not None
     asset, start = read_asset(asset_of(tmp_path)), (float(run.q_command[0]), 0.0)
-    right, wrong = (shown(asset, asset, measured, (start,), holding=s).runs[0] for s in (share, 1 - share))
+    right, wrong = (replay_both(asset, asset, measured, (start,), holding=s).runs[0] for s in (share, 1 - share))
     assert right.after < 1.5e-3 < wrong.after
 
 

@@ -490,4 +490,4 @@ def test_before_and_after_say_what_became_worse(capsys):
     ],
 )
 def test_what_counts_as_a_failure(values, fails):
-    assert bench.failed(outcome("a", "revolute", 2, 1.0, **values).row) is fails
+    assert bench.has_failed(outcome("a", "revolute", 2, 1.0, **values).row) is fails

@@ -72,9 +72,11 @@ def find_sources(source: Path, layout: str | None = None) -> list[tuple[Recordin
         found = list(kind.find(source))
         if found:
             return [(kind, folder) for folder in found]
-    wanted = "of a known layout" if layout is None else f"of the layout {layout}"
-    files = "; ".join(f"{kind.name}: {kind.files}" for kind in known.values())
-    raise FreeArtError(f"{source} holds no recording {wanted}; {files}")
+    if layout is not None:
+        raise FreeArtError(f"{source} holds no recording of the layout {layout}: {known[layout].files}")
+    raise FreeArtError(
+        f"{source} holds no recording of a known layout: {', '.join(known)}; `--from LAYOUT` says which files it needs"
+    )
 
 
 def convert(
