@@ -156,7 +156,7 @@ class SimulatedAsset:
         self._gain = float(np.prod([e.gain() for e in effects]))
         self._delay_s = float(np.sum([e.delay() for e in effects if e.acts == "command"]))
         self._bias_force = float(np.sum([e.bias_force() for e in effects]))
-        added = float(np.sum([e.inertia() for e in effects]))
+        added = float(np.sum([e.added_inertia() for e in effects]))
         self._slack = slacks[0] if slacks else None
         self._inertia = self.joint_inertia + (0.0 if self._slack else added)
         self._rotor = self._slack.rotor() if self._slack else strongest_rotor(effects)

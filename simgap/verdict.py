@@ -37,8 +37,7 @@ class Correction:
     """A parameter of the asset itself that was estimated and written into its files."""
 
     name: str
-    """`inertia` (about a hinge, or a slider's mass) and `weight` as factors of the asset's; `lean`, the angle of the
-    weight in the plane of motion (along a slider); `lean_across`, the angle across it."""
+    """Parameter of an `AssetError` of the library (`freeart21.effects.ASSET_ERRORS`)."""
     unit: str
     """"1" for factors, "rad" for angles."""
     value: float

@@ -11,7 +11,15 @@ import pytest
 from refusal import assert_refused
 
 from freeart21 import se3
-from freeart21.effects import EFFECTS, Effect, effect_from_json, effects_from_urdf_dynamics, perpendiculars, readings
+from freeart21.effects import (
+    ASSET_ERRORS,
+    EFFECTS,
+    Effect,
+    effect_from_json,
+    effects_from_urdf_dynamics,
+    perpendiculars,
+    readings,
+)
 from freeart21.effects.actuator_delay import ActuatorDelay
 from freeart21.effects.actuator_gain import ActuatorGain
 from freeart21.effects.actuator_offset import ActuatorOffset
@@ -98,6 +106,35 @@ def test_every_effect_of_the_library_has_an_example():
     assert all(labels) and len({*labels}) == len(labels)
 
 
+REST = dict(q_low=0.0, q_high=1.0, speed=2.0, noise=1e-3, force=1.0, load=0.0, inertia=0.1)
+UNSURE = dict(inertia_relative=0.1, gravity_relative=0.05, tilt=0.01)
+GRAVITY = {
+    "revolute": ((0.0, -2.0, 0.0), ((2.0, 0.0, 0.0), (0.0, 0.0, 0.0))),
+    "prismatic": ((0.0, 0.0, 0.0), ((0.0, 0.0, 9.0), (0.0, 0.0, 0.0))),
+}
+"""Terms of gravity as they are, and per rad of tilt of the base."""
+
+
+@TYPES
+def test_what_an_asset_may_be_wrong_about_has_priors_units_and_sentences(kind):
+    (gravity, tilted), found = GRAVITY[kind], {}
+    at = OperatingPoint(kind, gravity=gravity, tilted_gravity=tilted, **REST, **UNSURE)
+    for name, cls in ASSET_ERRORS.items():
+        assert cls.name == name and cls.__module__ == f"freeart21.effects.{name}" and name not in EFFECTS
+        assert cls.label and cls.phrases.keys() == cls.parameters().keys()
+        error = cls(**{field: cls.neutral for field in cls.parameters()})
+        assert (error.inertia_factor(), error.weight_factor(), error.tilt()) == (1.0, 1.0, (0.0, 0.0))
+        for field, spec in cls.parameters(kind).items():
+            assert "{}" in cls.phrases[field] and spec.unit(kind) in ("1", "rad")
+            r = cls.fit_range(field, at)
+            assert (r.lower, r.upper, r.size) == (cls.neutral - r.prior, cls.neutral + r.prior, r.prior)
+            found[field] = r.prior
+        assert_refused(f"unknown effect '{name}'", effect_from_json, error.to_json(kind), kind, "here")
+    # a hinge's weight of 2 N m may be off by 5 % in any direction; what has no weight has no doubt of it
+    expected = {"revolute": (0.1, 0.05, 0.06, 0.0), "prismatic": (0.1, 0.0, 0.01, 0.0)}[kind]
+    assert found == pytest.approx(dict(zip(("inertia", "weight", "lean", "lean_across"), expected, strict=True)))
+
+
 @pytest.mark.parametrize("effect, kind", ON_BOTH_TYPES)
 def test_round_trip_through_json_text(effect, kind):
     data = json.loads(json.dumps(effect.to_json(kind)))
@@ -175,7 +212,7 @@ def test_formulas_by_hand():
     assert forces == pytest.approx([0, 0, -0.9, -1.9, 1.99, 0, 0])
     assert EndStopBounce(0.5).rebound(-3.0) == 1.5
     assert EndStopBounce(0.5, 2.0).rebound(-0.5) == pytest.approx(0.125)  # half of it at 1 / fading
-    assert (ActuatorDelay(0.02).delay(), ActuatorGain(0.8).gain(), Armature(0.05).inertia()) == (0.02, 0.8, 0.05)
+    assert (ActuatorDelay(0.02).delay(), ActuatorGain(0.8).gain(), Armature(0.05).added_inertia()) == (0.02, 0.8, 0.05)
 
 
 @pytest.mark.parametrize("effect, kind", ON_BOTH_TYPES)

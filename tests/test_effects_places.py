@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from freeart21.effects import EFFECTS
+from freeart21.effects import ASSET_ERRORS
+from freeart21.effects import EFFECTS as LIBRARY
 
+EFFECTS = LIBRARY | ASSET_ERRORS
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("freeart21", "simgap", "export", "generator", "leaderboard", "reconstruct")
 NAMES = re.compile(rf"(?<![\w.])({'|'.join(EFFECTS)})(?!\w)")

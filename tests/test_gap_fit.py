@@ -54,7 +54,7 @@ def test_asset_uncertainty_is_fitted_within_bounds(tmp_path: Path):
     setup, runs = problem_of(tmp_path, measured)
     fit = fit_model(Model(setup, ()), runs)
     names = [r.name for r in fit.model.ranges()]
-    assert names == ["inertia", "gravity", "lean_1"]
+    assert names == ["inertia", "weight", "lean"]
     assert all(r.lower <= x <= r.upper for r, x in zip(fit.model.ranges(), fit.theta, strict=True))
     assert fit.theta[0] == pytest.approx(1.1) and min(fit.run_rms(run.name) for run in runs) > 5
     armed = fit_model(Model(setup, ("armature",)), runs, np.array([1.1, 1.0, 0.0, 0.05]))

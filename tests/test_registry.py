@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from refusal import assert_refused
 
-from freeart21.effects import EFFECTS, Effect
+from freeart21.effects import ASSET_ERRORS, EFFECTS, Effect
 from freeart21.formats.convert import recording_layouts
 from freeart21.formats.third_party import RecordingLayout
 from freeart21.registry import find_classes, find_instances
@@ -96,7 +96,7 @@ def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 @pytest.mark.parametrize(
     ("group", "text", "kind", "ours", "name"),
     [
-        ("freeart21.effects", EFFECT, Effect, EFFECTS, "squeak"),
+        ("freeart21.effects", EFFECT, Effect, EFFECTS | ASSET_ERRORS, "squeak"),
         ("generator.sensors", SENSOR, SensorModel, SENSORS, "millimetres"),
         ("reconstruct.trackers", TRACKER, Tracker, TRACKERS, "slow"),
         ("reconstruct.features", FEATURES_, Features, FEATURES, "grey"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from freeart21.effects.base import Effect, perpendiculars, readings
+from freeart21.effects.base import AssetError, Effect, perpendiculars, readings
 from freeart21.effects.coulomb_friction import CoulombFriction
 from freeart21.effects.gravity_offset import GravityOffset
 from freeart21.effects.return_spring import ReturnSpring
@@ -14,7 +14,9 @@ from freeart21.joint import JointType
 from freeart21.registry import find_classes
 
 __all__ = [
+    "ASSET_ERRORS",
     "EFFECTS",
+    "AssetError",
     "CoulombFriction",
     "Effect",
     "ReturnSpring",
@@ -27,8 +29,10 @@ __all__ = [
 ]
 
 
-EFFECTS: dict[str, type[Effect]] = find_classes(__name__, Effect)
-"""Name to class: the modules of this folder, and entry points of others (`freeart21.registry`)."""
+ASSET_ERRORS: dict[str, type[AssetError]] = find_classes(__name__, AssetError)
+"""Name to class of what an asset's own files may be wrong about."""
+EFFECTS: dict[str, type[Effect]] = {n: c for n, c in find_classes(__name__, Effect).items() if n not in ASSET_ERRORS}
+"""Name to class of all others: the modules of this folder, and entry points of others (`freeart21.registry`)."""
 
 
 def effect_from_json(data: Any, joint_type: JointType, where: str) -> Effect:

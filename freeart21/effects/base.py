@@ -22,8 +22,8 @@ from freeart21.joint import JOINT_TYPES, JointType
 from freeart21.mechanics import JointMechanics
 from freeart21.se3 import Array
 
-Kind = Literal["dynamics", "kinematics", "sensing"]
-Acts = Literal["force", "drive", "inertia", "stop", "command", "slack", "pose", "reading"]
+Kind = Literal["dynamics", "kinematics", "sensing", "asset"]
+Acts = Literal["force", "drive", "inertia", "stop", "command", "slack", "pose", "reading", "asset"]
 
 
 @dataclass(frozen=True)
@@ -84,6 +84,14 @@ class OperatingPoint:
     """Of the joint, in all."""
     gravity: tuple[float, float, float]
     """Torque terms of cos q and sin q, and the constant."""
+    tilted_gravity: tuple[tuple[float, float, float], ...] = ()
+    """Change of these a rad of tilt of the base, in the plane of motion (along a slider) and across it."""
+    inertia_relative: float = 0.0
+    """Declared standard deviation of the asset's inertia, relative; 0 for exact."""
+    gravity_relative: float = 0.0
+    """The same of its gravity torque or force."""
+    tilt: float = 0.0
+    """The same of the base's tilt, rad."""
 
     @property
     def span(self) -> float:
@@ -150,6 +158,7 @@ class Effect(ABC):
       "slack"    the drive side is a body of its own, with `slack()` between it and the part.
     kinematics, "pose": `displacement` is the transform from the ideal to the true pose of the moving part.
     sensing, "reading": the reading at time t is q(t - delay()) + reading_error(q(t - delay())).
+    asset, "asset": an error of the asset itself (`AssetError`), corrected in its `<inertial>`.
 
     `law(q, qd, load, memory, *parameters)` is a static method of scalars or arrays in plain numpy, so it can be
     compiled (`numba.njit(cls.law)`) or called with arrays of parameters. `load` is the bearing force, N
@@ -301,7 +310,7 @@ class Effect(ABC):
         `geared`."""
         return self.law(q, qd, load, 0.0, *self.values()) if self.acts == "drive" else 0.0
 
-    def inertia(self) -> float:
+    def added_inertia(self) -> float:
         """kg*m^2 or kg that move with the joint."""
         return float(self.law(0.0, 0.0, 0.0, 0.0, *self.values())) if self.acts == "inertia" else 0.0
 
@@ -443,6 +452,41 @@ class Effect(ABC):
         fields = [f for f in dataclasses.fields(cls) if f.default is not dataclasses.MISSING]  # type: ignore[arg-type]
         specs = cls.parameters()
         return {f.name for f in fields if specs[f.name].revolute_unit and specs[f.name].prismatic_unit}
+
+
+class AssetError(Effect):
+    """Base of what the asset's own files may be wrong about, within a declared uncertainty.
+
+    It is fitted beside every set of effects, each parameter with a normal prior about `neutral`. It is no entry of
+    effects.json: its repair is in the URDF's `<inertial>`.
+    """
+
+    kind: ClassVar[Kind] = "asset"
+    acts: ClassVar[Acts] = "asset"
+    phrases: ClassVar[dict[str, str]]
+    """A sentence for users by parameter, with {} for its value."""
+
+    @classmethod
+    def uncertainty(cls, name: str, at: OperatingPoint) -> float:
+        """Prior standard deviation of a parameter; 0 where it is exact or does not change the motion."""
+        raise NotImplementedError
+
+    @classmethod
+    def fit_range(cls, name: str, at: OperatingPoint) -> FitRange:
+        doubt = cls.uncertainty(name, at)
+        return FitRange(cls.neutral - doubt, cls.neutral + doubt, doubt, doubt)
+
+    def inertia_factor(self) -> float:
+        """True inertia over the asset's."""
+        return 1.0
+
+    def weight_factor(self) -> float:
+        """True torque or force of gravity over the asset's."""
+        return 1.0
+
+    def tilt(self) -> tuple[float, float]:
+        """rad of tilt of the base, in the plane of motion (along a slider) and across it."""
+        return 0.0, 0.0
 
 
 def perpendiculars(axis: ArrayLike) -> tuple[Array, Array]:

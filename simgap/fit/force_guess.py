@@ -55,7 +55,7 @@ def sample_missing_force(
     plant = replace(problem.plant, effects=(*problem.plant.effects, *effects))
     parts = [_sample_run(problem, plant, run) for run in runs if len(run.q) >= _READINGS]
     doubts = {r.name: 1 / r.prior for r in Model(problem, ()).ranges()}
-    precision = np.array([doubts.get(name, _SURE) for name in ("inertia", "gravity", "lean_1", "lean_2")] + 4 * [0.0])
+    precision = np.array([doubts.get(name, _SURE) for name in ("inertia", "weight", "lean", "lean_across")] + 4 * [0.0])
     q, qd, force, weight, smooth, first = (np.concatenate(column) for column in zip(*parts, strict=True))
     return MissingForceSamples(q, qd, force, weight, smooth, first, precision)
 

@@ -8,12 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from freeart21.effects import EFFECTS, Effect
+from freeart21.effects import ASSET_ERRORS, EFFECTS, AssetError, Effect
 from freeart21.effects.base import BEARING_TRAVEL, OperatingPoint
 from freeart21.se3 import Array
 from simgap.models import kernel, laws
 from simgap.models.surrogate import Nuisance, Plant, effect_terms, make_vector
 
+ASSET = "asset"
+"""Owner of the parameters of asset errors, and of HOLDING."""
 _FRICTION = "friction form"
 """Owner of the presliding parameters, shared by all missing dry friction."""
 SHAFT = "shaft form"
@@ -91,7 +93,8 @@ class Problem:
     @functools.cached_property
     def operating_point(self) -> OperatingPoint:
         """Typical conditions, with inertia and gravity of the asset."""
-        mechanics, terms = self.plant.mechanics, self.plant.gravity_terms[0]
+        mechanics = self.plant.mechanics
+        nominal, *tilted = ((float(a), float(b), float(c)) for a, b, c in self.plant.gravity_terms)
         return OperatingPoint(
             self.plant.joint_type,
             self.q_low,
@@ -101,7 +104,11 @@ class Problem:
             self.force,
             self.load if self.bearing_loaded else 0.0,
             mechanics.inertia,
-            (float(terms[0]), float(terms[1]), float(terms[2])),
+            nominal,
+            tuple(tilted),
+            self.inertia_relative,
+            self.gravity_relative,
+            self.tilt_rad,
         )
 
     @property
@@ -147,28 +154,25 @@ class Model:
         """Classes of the added effects."""
         return tuple(EFFECTS[name] for name in self.names)
 
+    @property
+    def asset_errors(self) -> tuple[tuple[type[AssetError], tuple[str, ...]], ...]:
+        """Errors of the asset with their uncertain parameters."""
+        at = self.problem.operating_point
+        return tuple(
+            (cls, tuple(name for name in cls.parameters() if cls.uncertainty(name, at) > 0))
+            for cls in ASSET_ERRORS.values()
+        )
+
     def ranges(self) -> tuple[ParameterRange, ...]:
         """All parameters but the start states."""
-        problem, found = self.problem, []
-        if problem.inertia_relative > 0:
-            r = problem.inertia_relative
-            found.append(ParameterRange("asset", "inertia", 1 - r, 1 + r, r, r, 1.0))
-        terms = problem.plant.gravity_terms
-        if problem.gravity_relative > 0 and np.any(terms[0]):
-            r = problem.gravity_relative
-            found.append(ParameterRange("asset", "gravity", 1 - r, 1 + r, r, r, 1.0))
-        size = float(np.linalg.norm(terms[0]))
-        for i in (1, 2):
-            column = float(np.linalg.norm(terms[i]))
-            lean = problem.tilt_rad
-            if i == 1 and problem.plant.joint_type == "revolute" and column > 0:
-                lean += (
-                    problem.gravity_relative * size / column
-                )  # an offset centre of mass turns the weight's torque, too
-            if lean > 0 and column > 1e-6 * np.linalg.norm(terms):
-                found.append(ParameterRange("asset", f"lean_{i}", -lean, lean, lean, lean))
+        problem = self.problem
+        found = [
+            ParameterRange(ASSET, name, *cls.fit_range(name, problem.operating_point), cls.neutral)
+            for cls, names in self.asset_errors
+            for name in names
+        ]
         if problem.unknown_inputs:
-            found.append(ParameterRange("asset", HOLDING, 0.0, 1.0, 0.25, 1 / np.sqrt(12), 0.5))
+            found.append(ParameterRange(ASSET, HOLDING, 0.0, 1.0, 0.25, 1 / np.sqrt(12), 0.5))
         for cls in self.classes:
             found += [
                 ParameterRange(cls.name, name, *cls.fit_range(name, problem.operating_point))
@@ -202,7 +206,7 @@ class Model:
         """(p,) the point where the asset is exact and effects have half their typical size."""
         return np.array(
             [
-                np.clip(r.neutral if r.owner == "asset" or "form" in r.owner else 0.5 * r.size, r.lower, r.upper)
+                np.clip(r.neutral if r.owner == ASSET or "form" in r.owner else 0.5 * r.size, r.lower, r.upper)
                 for r in self.ranges()
             ]
         )
@@ -235,6 +239,7 @@ class ParameterMap:
         self.ranges = model.ranges()
         self.base = model.problem.plant.effects
         self.owners = [r.owner for r in self.ranges]
+        self.asset_errors = model.asset_errors
         self.free_fields = [(cls, model.free_parameters(cls)) for cls in model.classes]
         self.sensing = any(e.kind == "sensing" for e in self.base) or any(c.kind == "sensing" for c in model.classes)
 
@@ -285,14 +290,10 @@ class ParameterMap:
         return float((drive + (taken - 1 + doubt) * own) / (taken * own + drive))
 
     def nuisance(self, theta: Array) -> Nuisance:
-        """Errors of the asset."""
-        asset = {r.name: float(x) for r, x in zip(self.ranges, theta, strict=True) if r.owner == "asset"}
-        return Nuisance(
-            asset.get("inertia", 1.0),
-            asset.get("gravity", 1.0),
-            (asset.get("lean_1", 0.0), asset.get("lean_2", 0.0)),
-            asset.get(HOLDING, 0.0),
-        )
+        """Errors of the asset, and how its inputs are held."""
+        values = {r.name: float(x) for r, x in zip(self.ranges, theta, strict=True) if r.owner == ASSET}
+        errors = [cls(**{name: values[name] for name in names}) for cls, names in self.asset_errors]
+        return Nuisance.of(errors, values.get(HOLDING, 0.0))
 
     def vector(self, theta: Array) -> tuple[Array, tuple[Effect, ...]]:
         """The kernel's vector, start state 0, and all effects."""

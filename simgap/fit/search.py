@@ -29,7 +29,7 @@ from simgap.fit.fit import (
 )
 from simgap.fit.force_guess import MissingForceSamples, guess_places, sample_missing_force
 from simgap.fit.guess import Guess, first_guesses, neutral_point
-from simgap.fit.model import SHAFT, repeats_family
+from simgap.fit.model import ASSET, SHAFT, repeats_family
 from simgap.fit.parts import drop_poor_fits, extend_to_all, select_parts
 from simgap.measure.data import FitRun
 
@@ -312,7 +312,7 @@ class Search:
     def _fit_slack(self, name: str, reduced: Fit) -> None:
         """A slack, started from its drive's inertia without one: with a wrong width all impacts are displaced."""
         begin = alternatives.find_alternatives(self.problem, reduced, (name,))
-        if self.fits[(name,)].cost < reduced.cost or next(iter(reduced.effects)).inertia() <= 0:
+        if self.fits[(name,)].cost < reduced.cost or next(iter(reduced.effects)).added_inertia() <= 0:
             return
         best = fit_best_start(begin[0].model, [at.theta for at in begin], self.train, reduced.starts, _SCREEN)
         self.keep(fit_model(best.model, self.train, best.theta, best.starts))
@@ -556,7 +556,7 @@ def _shaft_points(fit: Fit) -> list[Array]:
         return []
     own = fit.model.problem.plant.mechanics.inertia
     drive = next(at[cls.name, cls.rotor_fields[0]] for cls in fit.model.classes if len(cls.rotor_fields) > 2)
-    part, doubt, found = at.get(("asset", "inertia")), fit.model.problem.inertia_relative, []
+    part, doubt, found = at.get((ASSET, "inertia")), fit.model.problem.inertia_relative, []
     for taken, back, swing in product(_PARTS if part is not None else _PARTS[:1], _BACK, _SWINGS):
         theta = fit.theta.copy()
         theta[[at[SHAFT, "rebound"], at[SHAFT, "swing"]]] = back, swing

@@ -103,7 +103,7 @@ def estimate_missing_force(
         pieces.append(np.stack(columns, -1)[keep])
     rows = np.concatenate(pieces) if pieces else np.zeros((0, 9))
     time, q, qd, qdd, given, gravity, since, command, number = rows.T
-    inertia = mechanics.inertia + float(np.sum([e.inertia() for e in effects]))
+    inertia = mechanics.inertia + float(np.sum([e.added_inertia() for e in effects]))
     a, g = _fit_scales(measured, inertia, q, qd, qdd, given, gravity)
     of_run = np.asarray(number, np.int64)
     unit = unit_numbers(q, of_run, 0.03 * float(np.ptp(q)), max(10, len(q) // 60)) if len(q) else of_run

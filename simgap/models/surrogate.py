@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from freeart21.asset import Asset
 from freeart21.base_motion import N_TERMS
-from freeart21.effects import Effect
+from freeart21.effects import AssetError, Effect
 from freeart21.effects.base import strongest_rotor
 from freeart21.errors import FreeArtError
 from freeart21.joint import JointType
@@ -191,7 +191,7 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Nuisance:
-    """Errors of the asset that are no effect."""
+    """Errors of the asset, all together."""
 
     inertia: float = 1.0
     """True over the asset's inertia."""
@@ -201,6 +201,15 @@ class Nuisance:
     """rad of tilt of the base, see `Plant.gravity_terms`."""
     holding: float = 0.0
     """Interpolation of inputs where it is unknown: 0 smooth, 1 zero-order hold."""
+
+    @classmethod
+    def of(cls, errors: Iterable[AssetError], holding: float = 0.0) -> Nuisance:
+        """Several errors together."""
+        inertia, weight, lean, across = 1.0, 1.0, 0.0, 0.0
+        for error in errors:
+            inertia, weight = inertia * error.inertia_factor(), weight * error.weight_factor()
+            lean, across = lean + error.tilt()[0], across + error.tilt()[1]
+        return cls(inertia, weight, (lean, across), holding)
 
 
 def effect_terms(effects: tuple[Effect, ...] | tuple[type[Effect], ...]) -> NDArray[np.int64]:
@@ -228,7 +237,7 @@ def make_vector(
     """
     mechanics = plant.mechanics
     head = np.zeros(kernel.HEAD)
-    added = sum(effect.inertia() for effect in effects)
+    added = sum(effect.added_inertia() for effect in effects)
     slack = next((effect for effect in effects if effect.acts == "slack"), None)
     head[kernel.INERTIA] = nuisance.inertia * mechanics.inertia + (0.0 if slack else added)
     if slack:

@@ -134,7 +134,7 @@ def explains_gap(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSe
     """Whether a set leaves almost none of the gap of `base`."""
     before, after = base.rms_by_run, hypothesis.rms_by_run
     most = {run: np.hypot(GAP_THRESHOLD, settings.explained_part * excess(before[run])) for run in after}
-    return _in_most_runs(hypothesis, base, settings.met, lambda run: after[run] <= min(most[run], settings.most))
+    return _in_most_runs(hypothesis, base, settings.met, lambda run: after[run] <= most[run])
 
 
 def _find_dominant(table: Sequence[Hypothesis], base: Hypothesis, settings: JudgementSettings) -> list[Hypothesis]:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from freeart21.asset import Asset
-from freeart21.effects import gravity_change
+from freeart21.effects import ASSET_ERRORS, gravity_change
 from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError
 from freeart21.measured import Measured
@@ -28,7 +28,7 @@ from simgap.fit.fit import (
     residual_dispersion,
     robust_residuals,
 )
-from simgap.fit.model import HOLDING, TILT_RAD, ParameterMap, Problem
+from simgap.fit.model import ASSET, HOLDING, TILT_RAD, ParameterMap, Problem
 from simgap.fit.problem import without_asset_error
 from simgap.measure.data import FitRun
 from simgap.models.surrogate import make_plant
@@ -39,17 +39,6 @@ from simgap.select.intervals import NORMAL_90, covariance
 from simgap.select.predictive import Score, score_difference
 from simgap.select.split import Fold
 from simgap.verdict import GAP_THRESHOLD, Correction, NamedEffect
-
-ASSET = "asset"
-"""Owner of the asset's own parameters (`Model.ranges`)."""
-_LEAN = "lean_1"
-_VERDICT_NAMES = {
-    "inertia": ("inertia", "1"),
-    "gravity": ("weight", "1"),
-    _LEAN: ("lean", "rad"),
-    "lean_2": ("lean_across", "rad"),
-}
-"""Parameter to its name in verdict.json, and unit."""
 
 
 @dataclass(frozen=True)
@@ -181,7 +170,7 @@ def _fit_lean_alternatives(fit: Fit, runs: tuple[FitRun, ...], names: Collection
         if other.name in fit.model.names or other.name not in names:
             continue
         model = Model(problem, tuple(sorted((*fit.model.names, other.name))), instant_friction=True)
-        begin = initial_theta(model, fit, {other.name: other.point, ASSET: {_LEAN: 0.0}})
+        begin = initial_theta(model, fit, {other.name: other.point, ASSET: {"lean": 0.0}})
         starts = {run: (q + other.position_shift, speed) for run, (q, speed) in fit.starts.items()}
         found.append(refit_missed_starts(fit_model(model, runs, begin, starts), runs))
     return found
@@ -232,10 +221,12 @@ def _make_corrections(fit: Fit, every: Fit, without: Collection[str] = ()) -> tu
     """The fitted asset parameters but those of `without`, with 90 % intervals from a fit with all of them free."""
     at = _asset_parameters(every)
     spread = NORMAL_90 * np.sqrt(np.diag(covariance(every, residual_dispersion(robust_residuals(every.residuals)))))
+    joint_type = fit.model.problem.plant.joint_type
+    units = {n: spec.unit(joint_type) for cls in ASSET_ERRORS.values() for n, spec in cls.parameters().items()}
     found = []
     for name, i in _asset_parameters(fit).items():
         if name in without:
             continue
         x, free, s = float(fit.theta[i]), float(every.theta[at[name]]), float(spread[at[name]])
-        found.append(Correction(*_VERDICT_NAMES[name], x, min(x, free - s), max(x, free + s)))
+        found.append(Correction(name, units[name], x, min(x, free - s), max(x, free + s)))
     return tuple(found)

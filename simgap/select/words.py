@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from freeart21.effects import EFFECTS
+from freeart21.effects import ASSET_ERRORS, EFFECTS
 from freeart21.effects.base import Effect
 from freeart21.joint import JointType
 from simgap.verdict import Correction, Use
@@ -45,12 +45,7 @@ def effect_words(effect: Effect, joint_type: JointType) -> str:
 
 def correction_words(corrections: Sequence[Correction]) -> str:
     """The asset's corrected parameters."""
-    templates = {
-        "inertia": "its inertia is {} times what the asset says",
-        "weight": "its weight pulls {} times as much as the asset says",
-        "lean": "its weight pulls {} from where the asset says",
-        "lean_across": "its weight pulls {} from across where the asset says",
-    }
+    templates = {name: text for cls in ASSET_ERRORS.values() for name, text in cls.phrases.items()}
     words = []
     for c in corrections:
         value, low, high = (f"{v:.4g}" if c.unit == "1" else amount(v, c.unit) for v in (c.value, c.low, c.high))
