@@ -22,13 +22,13 @@ class JudgementSettings:
     explained_part: float = 0.03
     """Share of a large gap that an explanation may leave, with model error allowed. Strong effects of a second
     simulated world left .002 to .01; a filmed pendulum, whose losses no effect describes, .07."""
+    most: float = 10.0
+    """Normalised RMS that an explanation may leave of a run at most; above it is named in part."""
     met: float = 0.75
-    """Share of the runs that must meet this bound. A run that just passes a notch or grazes a stop is
+    """Share of the runs that must meet these bounds. A run that just passes a notch or grazes a stop is
     ill-conditioned."""
     dominant: float = 0.5
     """Share of a run's gap that dominant effects may leave."""
-    drift: float = 0.2
-    """Relative change of an effect's size over the session above which it is not constant."""
 
 
 @dataclass(frozen=True)

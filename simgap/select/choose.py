@@ -74,7 +74,7 @@ def choose_hypotheses(search: Search | ForceSearch, folds: tuple[Fold, ...], set
     nearest = (whole or part or [best])[0]
     kinds = KINDS if nearest.rms > GAP_THRESHOLD else ("session",)  # noise leaves the others nothing
     discrepancies = find_discrepancies(nearest, folds, kinds)
-    if any(_drifts(n, settings) for n in discrepancies):
+    if any(_drifts(n) for n in discrepancies):
         accepted = []
     return Choice(
         base,
@@ -87,9 +87,10 @@ def choose_hypotheses(search: Search | ForceSearch, folds: tuple[Fold, ...], set
     )
 
 
-def _drifts(rival: Discrepancy, settings: JudgementSettings) -> bool:
-    """Whether the size of an effect changes over the session, significantly and by much."""
-    much = any(abs(change) > settings.drift for change in rival.changes.values())
+def _drifts(rival: Discrepancy) -> bool:
+    """Whether the size of an effect changes over the session, significantly and by more than real ones deviate from
+    its formula."""
+    much = any(abs(change) > max(EFFECTS[name].model_error) for name, change in rival.changes.items())
     return rival.kind == "session" and rival.gain > rival.error and much
 
 
@@ -134,7 +135,7 @@ def explains_gap(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSe
     """Whether a set leaves almost none of the gap of `base`."""
     before, after = base.rms_by_run, hypothesis.rms_by_run
     most = {run: np.hypot(GAP_THRESHOLD, settings.explained_part * excess(before[run])) for run in after}
-    return _in_most_runs(hypothesis, base, settings.met, lambda run: after[run] <= most[run])
+    return _in_most_runs(hypothesis, base, settings.met, lambda run: after[run] <= min(most[run], settings.most))
 
 
 def _find_dominant(table: Sequence[Hypothesis], base: Hypothesis, settings: JudgementSettings) -> list[Hypothesis]:
