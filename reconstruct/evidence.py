@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from freeart21.joint import Joint
 from freeart21.se3 import Array
-from reconstruct import kernels
+from reconstruct import kernels, registration
 from reconstruct.scene import Scene
 from reconstruct.settings import EvidenceSettings, LabelSettings
 
@@ -50,6 +51,17 @@ class Records:
     """(n + 1,) where each frame's records begin."""
 
 
+@dataclass(frozen=True)
+class PartReferences:
+    """What a frame is registered to: frames that show the part, its poses there, and records of its pixels."""
+
+    frames: NDArray[np.int64]
+    """(s,)"""
+    Ts_part: Array
+    """(s, 4, 4) T_part_camera of these frames."""
+    records: Records
+
+
 class Evidence:
     """Costs and registration on one scene. Keeps no results."""
 
@@ -81,12 +93,66 @@ class Evidence:
         H, g, stats = np.zeros((len(source), 6, 6)), np.zeros((len(source), 6)), np.zeros((len(source), 4))
         pairs = (np.asarray(source, np.int64), np.asarray(target, np.int64), np.ascontiguousarray(T, float))
         own = (_NO_LABELS, 0) if labels is None else (labels.reshape(-1), part)
-        colour = (SIGMA_COLOUR, self.settings.colour_weight)
-        scales = (gate * self.unit, self.sigma, *colour, SIGMA_SILHOUETTE)
         samples_read = (records.pixels, records.offsets, *self._pixels)
-        arguments = (*pairs, *samples_read, *own, *scene.lens, *scales, H, g, stats)
+        arguments = (*pairs, *samples_read, *own, *scene.lens, gate * self.unit, *self._sigmas, H, g, stats)
         kernels.run_in_threads(lambda begin, end: kernels.register_pairs(begin, end, *arguments), len(source), 50)
         return H, g, stats
+
+    def register_pose(
+        self,
+        T: Array,
+        frame: int,
+        references: PartReferences,
+        gates: tuple[float, ...],
+        labels: NDArray[np.uint8] | None = None,
+        part: int = 0,
+    ) -> tuple[Array, Array]:
+        """T (4, 4) = T_camera_part in `frame` after one Gauss-Newton step a gate, and the last summed statistics (4,).
+
+        See `register` for gates, `labels`, `part` and statistics.
+        """
+        arguments: tuple[Any, ...] = (
+            *(np.ascontiguousarray(T, float), references.frames, frame, references.Ts_part, np.array(gates, float)),
+            *(references.records.pixels, references.records.offsets, *self._pixels),
+            *((_NO_LABELS, 0) if labels is None else (labels.reshape(-1), part)),
+            *(*self.scene.lens, self.unit, *self._sigmas),
+        )
+        T, statistics = registration.register_pose(*arguments)
+        return T, statistics
+
+    def register_jointed_pose(
+        self,
+        T: Array,
+        q: float,
+        joint: Joint,
+        frame: int,
+        references: tuple[PartReferences, PartReferences],
+        gates: tuple[float, ...],
+        labels: NDArray[np.uint8],
+        prior: tuple[float, float],
+        most: float,
+        at_rest: bool,
+    ) -> tuple[Array, float]:
+        """T (4, 4) = T_camera_reference and state q in `frame` after one Gauss-Newton step a gate.
+
+        `prior` is a weight and the state that it draws to; the state changes by at most `most` a step, or not at all
+        with `at_rest`. See `register` for gates and labels.
+        """
+        first, second = references
+        arguments: tuple[Any, ...] = (
+            *(np.ascontiguousarray(T, float), float(q), joint.screw),
+            *(frame, np.array(gates, float), np.array(prior, float), at_rest, most),
+            *((first.frames, second.frames), (first.Ts_part, second.Ts_part)),
+            *((first.records.pixels, second.records.pixels), (first.records.offsets, second.records.offsets)),
+            *(*self._pixels, labels.reshape(-1), *self.scene.lens, self.unit, *self._sigmas),
+        )
+        T, q = registration.register_jointed_pose(*arguments)
+        return T, q
+
+    @property
+    def _sigmas(self) -> tuple[float, float, float, float]:
+        """Standard deviations of the residuals and the weight of colour, as kernels read them."""
+        return self.sigma, SIGMA_COLOUR, self.settings.colour_weight, SIGMA_SILHOUETTE
 
     @property
     def _pixels(self) -> tuple[NDArray[np.float32], int, int]:
