@@ -27,27 +27,23 @@ from freeart21.files.result import Method, write_method, write_result
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import PIECES, Failure
-from leaderboard.protocols.arena1 import ARENA_1
-from leaderboard.protocols.itaco1 import ITACO_1
-from leaderboard.protocols.paper1 import PAPER_1, Paper1
-from leaderboard.protocols.strict1 import STRICT_1, Strict1
-from leaderboard.protocols.strict2 import STRICT_2
+from leaderboard import protocols
+from leaderboard.protocols.paper1 import Paper1
+from leaderboard.protocols.strict1 import Strict1
 from leaderboard.sequence_score import SequenceScorer
 from leaderboard.tables import NOTHING, format_cell, print_scores
 from leaderboard.validate import validate_results
 
-QUICK = {
-    "strict-1": {"constants": Strict1(samples=1500)},
-    "strict-2": {"constants": Strict1(samples=1500)},
-    "paper-1": {"constants": Paper1(samples=1500)},
-    "itaco-1": {"constants": Paper1(samples=1500)},
-    "arena-1": {},
+FEW = {
+    **dict.fromkeys(("strict-1", "strict-2"), Strict1(samples=1500)),
+    **dict.fromkeys(("paper-1", "itaco-1"), Paper1(samples=1500)),
 }
-PROTOCOLS = [
-    replace(rules, measure=functools.partial(rules.measure, **QUICK[rules.name]))
-    for rules in (STRICT_1, STRICT_2, PAPER_1, ITACO_1, ARENA_1)
-]
-by_protocol = pytest.mark.parametrize("rules", PROTOCOLS, ids=lambda rules: rules.name)
+"""Constants of protocols that take long with their own."""
+PROTOCOLS = {
+    name: replace(rules, measure=functools.partial(rules.measure, constants=FEW[name])) if name in FEW else rules
+    for name, rules in protocols.PROTOCOLS.items()
+}
+by_protocol = pytest.mark.parametrize("rules", PROTOCOLS.values(), ids=PROTOCOLS)
 SOME = [
     ("joint",),
     ("joint", "states", "poses"),
@@ -116,7 +112,7 @@ def test_the_truth_is_perfect_in_all_that_is_left(rules, kind, lacks):
     assert_perfect(rules, row_of(rules, truth, without(truth_as_answer(truth), lacks), lacks), lacks)
 
 
-@pytest.mark.parametrize("rules", [r for r in PROTOCOLS if r.name in ("strict-2", "arena-1")], ids=lambda r: r.name)
+@pytest.mark.parametrize("rules", [PROTOCOLS["strict-2"], PROTOCOLS["arena-1"]], ids=lambda r: r.name)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("lacks", TOLD_APART, ids="-".join)
 def test_parts_that_go_by_each_others_names_are_found_out_by_what_is_there(rules, kind, lacks):
@@ -173,7 +169,7 @@ def test_a_failure_has_no_price_for_what_the_method_does_not_make(rules, lacks):
 
 def test_the_axis_and_its_place_are_measured_in_the_anchor_frame():
     truth, lacks = make_truth(), ("poses", "masks", "states", "renders")
-    rules = PROTOCOLS[1]
+    rules = PROTOCOLS["strict-2"]
     values = row_of(rules, truth, without(tilted(truth, 3.0), lacks), lacks).values
     assert values["axis"] == pytest.approx(3.0) and values["position"] == pytest.approx(0, abs=1e-6)
     answer = without(truth_as_answer(truth), lacks)
@@ -186,7 +182,7 @@ def test_the_axis_and_its_place_are_measured_in_the_anchor_frame():
 
 def test_states_pose_the_surfaces_where_there_are_no_poses():
     truth, lacks = make_truth(), ("poses", "masks")
-    rules = PROTOCOLS[1]
+    rules = PROTOCOLS["strict-2"]
     right = without(truth_as_answer(truth), lacks)
     assert row_of(rules, truth, right, lacks).values["chamfer_m"] < 1e-6
     wrong = replace(right, states=np.where(np.arange(len(truth)) == ANCHOR, truth.states, truth.states[ANCHOR]))

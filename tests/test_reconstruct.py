@@ -28,6 +28,7 @@ from reconstruct.propagation import PartEstimate
 from reconstruct.renders import render
 from reconstruct.scene import prepare_scene
 from reconstruct.settings import GaussianSettings, ReconstructSettings, SceneSettings, TrackSettings
+from reconstruct.trackers import TRACKERS
 from reconstruct.tracks import follow, optical_flow
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -306,10 +307,16 @@ def sliding_plane(frames=6, step=3):
     return Recording(camera, np.arange(frames) / 30, load)
 
 
-def test_tracks_follow_a_sliding_plane_in_3d():
+@pytest.mark.parametrize("name", TRACKERS)
+def test_tracks_follow_a_sliding_plane_in_3d(name):
     scene = prepare_scene(sliding_plane(), SceneSettings(min_frames=3))
-    flow = optical_flow(scene)
-    tracks = follow(scene, flow, 0, 4, TrackSettings())
+    tracker = TRACKERS[name](scene, TrackSettings())
+    for direction in (1, -1):
+        step = tracker.step(2, direction)
+        assert step.shape == (*scene.mask.shape[1:], 2)
+        assert np.abs(np.median(step[scene.valid[2]], axis=0) - [3 * direction, 0]).max() < 0.1
+    tracks = tracker.follow(0, 4)
+    assert tracks.frames.tolist() == [0, 1, 2, 3, 4] and tracks.visible[:, 0].all()
     kept = tracks.visible[:, -1]
     assert kept.mean() > 0.6
     moved = tracks.pixels[kept, -1] - tracks.pixels[kept, 0]
@@ -318,7 +325,9 @@ def test_tracks_follow_a_sliding_plane_in_3d():
     expected = np.stack([12 * z / scene.fx, 0 * z, 0 * z], 1)
     error = np.linalg.norm(tracks.points[kept, -1] - tracks.points[kept, 0] - expected, axis=1)
     assert np.median(error) < 0.3 * scene.footprint
-    back = follow(scene, flow, 4, 4, TrackSettings(), direction=-1)
+    at = np.argwhere(scene.valid[4])[::50]
+    back = tracker.follow(4, 4, direction=-1, pixels=at)
+    assert np.array_equal(back.pixels[:, 0], at[:, ::-1])
     assert np.median(back.pixels[back.visible[:, -1], -1, 0] - back.pixels[back.visible[:, -1], 0, 0]) < -11.5
 
 
