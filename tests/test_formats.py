@@ -738,9 +738,9 @@ def test_a_failed_conversion_leaves_nothing(example: Path, tmp_path: Path, nativ
     (data / "sequences/7777/rgb/00004.png").write_bytes(b"no picture")
     refused(lambda: list(convert(data, tmp_path / "out", "official")), "00004.png is not a readable image")
     assert not (tmp_path / "out").exists()
-    told: list[tuple[str, int, int]] = []
-    list(convert(native, tmp_path / "twice", "official", progress=lambda *now: told.append(now)))
-    assert told == [("7777", i + 1, 7) for i in range(7)]
+    steps: list[tuple[str, int, int]] = []
+    list(convert(native, tmp_path / "twice", "official", progress=lambda *now: steps.append(now)))
+    assert steps == [("7777", i + 1, 7) for i in range(7)]
     refused(lambda: list(convert(native, tmp_path / "twice", "official")), "exists")
 
 
@@ -748,8 +748,8 @@ def test_truth_is_written_with_its_sequence_or_not_at_all(
     example: Path, toy_example: Path, toy_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cli.convert(toy_example, tmp_path / "data", "native", partnet_root=tmp_path)
-    told = capsys.readouterr()
-    assert "without truth: PartNet-Mobility object 7777 is not in" in told.err and "sequences/7777" in told.out
+    output = capsys.readouterr()
+    assert "without truth: PartNet-Mobility object 7777 is not in" in output.err and "sequences/7777" in output.out
     assert not (tmp_path / "data/truth").exists()
 
 

@@ -18,9 +18,9 @@ def cost_before_a_wall(normal, distance):
     pixels[0, 4, 4, kernels.POINT : kernels.POINT + 3] = 0, 0, 1 - distance
     pixels[0, 4, 4, kernels.NORMAL : kernels.NORMAL + 3] = np.divide(normal, np.linalg.norm(normal))
     centre, found = np.full(2, 4.0), np.zeros((1, 1, 1))
-    asked = 0, np.array([1]), np.eye(4)[None, None], np.array([[4, 4]]), pixels.reshape(-1, 12), h, w
+    arguments = 0, np.array([1]), np.eye(4)[None, None], np.array([[4, 4]]), pixels.reshape(-1, 12), h, w
     kernels.pixel_costs(
-        0, 1, *asked, np.zeros(1, np.float32), 0.0, 100.0, 100.0, centre, centre, SIGMA, 3.0, 6.0, found
+        0, 1, *arguments, np.zeros(1, np.float32), 0.0, 100.0, 100.0, centre, centre, SIGMA, 3.0, 6.0, found
     )
     return float(found[0, 0, 0])
 

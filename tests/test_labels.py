@@ -107,8 +107,8 @@ def test_telling_frames_are_those_in_which_the_joint_stood_elsewhere(clip):
     Ts = poses_of(clip, np.where(np.arange(FRAMES) < 10, 0.0, 0.5))
     body = clip.joint.pivot + np.array([[0.1, 0, 0], [0, 0, 0.1], [-0.1, 0, 0.1]])
     evidence, everywhere, rng = evidence_of(clip.recording), np.ones(FRAMES, bool), np.random.default_rng(0)
-    told = labels.discriminative_frames(evidence, 3, Ts, body, everywhere, rng)
-    assert len(told) and told.min() >= 10
+    frames = labels.discriminative_frames(evidence, 3, Ts, body, everywhere, rng)
+    assert len(frames) and frames.min() >= 10
     Ts[:, 10:] = se3.pose(se3.exp_so3(np.array([0.0, 2, 0])), np.zeros(3)) @ Ts[:, 10:]  # other surfaces are seen there
     assert len(labels.discriminative_frames(evidence, 3, Ts, body, everywhere, rng)) == 0
 

@@ -55,7 +55,7 @@ SOME = [
     ("states", "poses", "masks", "renders"),
     PIECES,
 ]
-TOLD_APART = [lacks for lacks in SOME if not {"poses", "masks", "meshes"} <= {*lacks}]
+MATCHABLE = [lacks for lacks in SOME if not {"poses", "masks", "meshes"} <= {*lacks}]
 ANCHOR = 5
 
 
@@ -114,7 +114,7 @@ def test_the_truth_is_perfect_in_all_that_is_left(rules, kind, lacks):
 
 @pytest.mark.parametrize("rules", [PROTOCOLS["strict-2"], PROTOCOLS["arena-1"]], ids=lambda r: r.name)
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("lacks", TOLD_APART, ids="-".join)
+@pytest.mark.parametrize("lacks", MATCHABLE, ids="-".join)
 def test_parts_that_go_by_each_others_names_are_found_out_by_what_is_there(rules, kind, lacks):
     truth = make_truth(kind)
     answer = in_frame(with_names_exchanged(truth_as_answer(truth)), random_pose(np.random.default_rng(4), 2.0))
@@ -229,9 +229,9 @@ def test_what_a_method_lacks_is_known_in_a_process_of_its_own(data, tmp_path):
 
 def test_validate_misses_no_pictures_of_a_method_that_makes_none(data, tmp_path):
     submit(tmp_path / "a", truths()["a"], renders=False)
-    asked = [note for note in validate_results(tmp_path, data).notes if "held-out" in note]
+    lines = [note for note in validate_results(tmp_path, data).notes if "held-out" in note]
     write_method(tmp_path, Method("blind", lacks=("renders",)))
-    assert asked and not [note for note in validate_results(tmp_path, data).notes if "held-out" in note]
+    assert lines and not [note for note in validate_results(tmp_path, data).notes if "held-out" in note]
 
 
 @by_protocol
@@ -241,8 +241,8 @@ def test_tables_show_a_dash_and_say_why(data, tmp_path, rules):
     scores = score_results(tmp_path, data, rules.name)
     console = Console(record=True, width=160, file=io.StringIO())
     print_scores(scores, console, everything=True)
-    said = console.export_text()
-    assert "the method makes no masks, meshes: no" in said
+    output = console.export_text()
+    assert "the method makes no masks, meshes: no" in output
     row = next(row for row in scores.rows if row.sequence == "a")
     for metric in rules.metrics:
         shown = format_cell(row, metric, False)

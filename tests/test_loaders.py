@@ -227,8 +227,8 @@ def test_what_loaders_play_is_what_losses_md_says(tmp_path: Path):
     write_case(tmp_path, "revolute")
     for name, engine in ENGINES.items():
         kept = [n for n in EFFECTS_BY_NAME if losses.outcome(column_of(engine), n) != losses.LOST]
-        said = {EFFECTS_BY_NAME[n].joint_word for n in kept}
-        assert said == loader(tmp_path, name).PLAYED, name
+        words = {EFFECTS_BY_NAME[n].joint_word for n in kept}
+        assert words == loader(tmp_path, name).PLAYED, name
 
 
 @pytest.mark.parametrize("kind", KINDS)

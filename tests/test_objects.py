@@ -90,8 +90,8 @@ def test_every_piece_is_a_solid_and_the_object_has_real_size_and_mass(name: str,
     for link in model.links:
         for piece in link.pieces:
             assert piece.solid.status().name == "NoError" and piece.solid.volume() > 1e-12, piece.name
-    said = catalog.find(name).size_m
-    assert said is not None and 0.8 * said < np.linalg.norm(_extent(list(model.links))) < 1.25 * said
+    size = catalog.find(name).size_m
+    assert size is not None and 0.8 * size < np.linalg.norm(_extent(list(model.links))) < 1.25 * size
     hull = Manifold.batch_hull([piece.solid for link in model.links for piece in link.pieces]).volume()
     assert 80 < sum(link.mass for link in model.links) / hull < 8000  # kg/m^3: neither foam nor all of lead
     assert sum(piece.solid.num_tri() for link in model.links for piece in link.pieces) < 30_000

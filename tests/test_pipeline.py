@@ -474,8 +474,8 @@ def test_before_and_after_say_what_became_worse(capsys):
     assert bench.no_worse_line(both).endswith("missed by b (axis, state)")
     assert bench.no_worse_line(both[1:]).endswith("met by all 1")
     bench.print_beside(after, {"no-gaussians": before}, bench.AIMS[""])
-    said = capsys.readouterr().out
-    assert "0.10 > 0.16" in said and "20.0 > 30.0" in said and "9 > 19" in said
+    output = capsys.readouterr().out
+    assert "0.10 > 0.16" in output and "20.0 > 30.0" in output and "9 > 19" in output
     assert bench.summary(after)["psnr_db_worst"] == 24.0 and bench.summary(after)["psnr_db_mean"] == 27.0
 
 

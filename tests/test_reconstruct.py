@@ -338,8 +338,8 @@ def test_fast_tracks_are_dropped_beyond_two_sigma():
     flow.backward[1] = -np.median(flow.forward[0], axis=(0, 1))
     loose = follow(scene, flow, 0, 1, TrackSettings(max_round_trip=50, tau_v=1e9))
     tight = follow(scene, flow, 0, 1, TrackSettings(max_round_trip=50))
-    thrown = (loose.pixels[:, 0] >= 40).all(1) & (loose.pixels[:, 0] < 44).all(1) & loose.visible[:, 1]
-    assert thrown.any() and not tight.visible[thrown, 1].any()
+    displaced = (loose.pixels[:, 0] >= 40).all(1) & (loose.pixels[:, 0] < 44).all(1) & loose.visible[:, 1]
+    assert displaced.any() and not tight.visible[displaced, 1].any()
     assert tight.visible[:, 1].sum() > 0.8 * loose.visible[:, 1].sum()
 
 

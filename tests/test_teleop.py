@@ -51,11 +51,11 @@ def driven(driving: Driving, times: Any, states: Any = None, epoch: int | None =
 
 
 def test_a_good_message_is_read_as_it_was_meant() -> None:
-    said = a_move(7, 0.25) | {"epoch": 3}
-    move = wire.read(json.dumps(said), BOUNDS)
+    data = a_move(7, 0.25) | {"epoch": 3}
+    move = wire.read(json.dumps(data), BOUNDS)
     assert isinstance(move, wire.Move) and (move.n, move.epoch, move.state, move.device) == (7, 3, 0.25, "mouse")
-    np.testing.assert_allclose(move.T[:3, 3], said["position"])
-    np.testing.assert_allclose(se3.wxyz(move.T), said["quaternion"], atol=1e-12)
+    np.testing.assert_allclose(move.T[:3, 3], data["position"])
+    np.testing.assert_allclose(se3.wxyz(move.T), data["quaternion"], atol=1e-12)
     assert wire.read('{"type":"ping","time":5,"latency":[1,2]}', BOUNDS) == wire.Ping(5.0, (1.0, 2.0))
     assert wire.read('{"type":"do","what":"undo","n":4}', BOUNDS) == wire.Command("undo")
     assert wire.read('{"type":"view","width":390,"height":844}', BOUNDS) == wire.ViewSize(390, 844)
@@ -384,9 +384,9 @@ async def raw(port: int, head: str) -> str:
     """The answer to a request exactly as it is written here."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     writer.write(f"{head}\r\nConnection: close\r\n\r\n".encode())
-    said = await reader.read(1 << 20)
+    output = await reader.read(1 << 20)
     writer.close()
-    return said.decode()
+    return output.decode()
 
 
 @in_a_loop
@@ -405,14 +405,14 @@ async def test_only_the_token_opens_the_page_and_its_files(tmp_path: Path) -> No
             "/%2e%2e/%2e%2e/etc/passwd", "/hand.js/", "/hand.js%00", "/ws/..", "/.git/config", "/hand.js;x",
             "/static/../hand.js", "http://evil.example/hand.js", "/" + "a" * 3000,
         ):  # fmt: skip
-            said = await raw(at.port, f"GET {odd}?token={TOKEN} HTTP/1.1\r\nHost: 127.0.0.1:{at.port}")
-            assert said.split()[1] in ("400", "403", "404"), odd
-            assert len(said) < 1500 and "root:" not in said and "class Hand" not in said
+            output = await raw(at.port, f"GET {odd}?token={TOKEN} HTTP/1.1\r\nHost: 127.0.0.1:{at.port}")
+            assert output.split()[1] in ("400", "403", "404"), odd
+            assert len(output) < 1500 and "root:" not in output and "class Hand" not in output
         for method in ("POST", "PUT", "DELETE", "OPTIONS", "TRACE"):
-            said = await raw(at.port, f"{method} /?token={TOKEN} HTTP/1.1\r\nHost: 127.0.0.1:{at.port}")
-            assert said.split()[1] in ("400", "404", "405")
-        said = await raw(at.port, f"GET /?token={TOKEN} HTTP/1.1\r\nHost: evil.example")
-        assert said.split()[1] == "403"
+            output = await raw(at.port, f"{method} /?token={TOKEN} HTTP/1.1\r\nHost: 127.0.0.1:{at.port}")
+            assert output.split()[1] in ("400", "404", "405")
+        output = await raw(at.port, f"GET /?token={TOKEN} HTTP/1.1\r\nHost: evil.example")
+        assert output.split()[1] == "403"
 
 
 @in_a_loop
@@ -626,10 +626,10 @@ def test_ten_thousand_hostile_messages_do_nothing(tmp_path: Path, monkeypatch: p
 def harmless(text: str) -> str:
     """`text`, unless it is by chance a message that may do something."""
     try:
-        said = wire.read(text, BOUNDS)
+        message = wire.read(text, BOUNDS)
     except wire.BadMessage:
         return text
-    return "{}" if isinstance(said, wire.Move | wire.Command | wire.ViewSize) else text
+    return "{}" if isinstance(message, wire.Move | wire.Command | wire.ViewSize) else text
 
 
 @in_a_loop
@@ -688,11 +688,11 @@ async def test_an_oversized_frame_and_a_dead_page_cost_nothing(tmp_path: Path) -
 @in_a_loop
 async def test_a_flood_is_dropped(tmp_path: Path) -> None:
     async with served(tmp_path / "take.jsonl") as at, page(at.address) as one:
-        begun = time.monotonic()
+        start = time.monotonic()
         for _ in range(900):
             await one.move(0.5)
         await one.say(json.dumps({"type": "ping", "time": 1}))  # dropped, too, or the last that is read
-        most = gate.BURST + gate.PER_SECOND * (time.monotonic() - begun) + 1
+        most = gate.BURST + gate.PER_SECOND * (time.monotonic() - start) + 1
         await one.until(lambda: at.server._driver is None or at.server._driver.bad >= 900 - most, "bad")
         assert at.server._driver is not None and at.server._driver.bad >= 900 - most
         assert any("more messages than" in line for line in at.log)
@@ -704,7 +704,7 @@ async def test_a_flood_is_dropped(tmp_path: Path) -> None:
 def test_what_cannot_be_done_is_said_in_a_line_before_anything_starts(tmp_path: Path) -> None:
     there = tmp_path / "take.jsonl"
     there.write_text("mine")
-    for name, out, more, said in [
+    for name, out, more, message in [
         ("stapler", there, {}, "exists"),
         ("stapler", tmp_path / "t.jsonl", {"port": 99999}, "port"),
         ("stapler", tmp_path / "t.jsonl", {"port": 0, "width": 9}, "64 to 1280"),
@@ -712,7 +712,7 @@ def test_what_cannot_be_done_is_said_in_a_line_before_anything_starts(tmp_path: 
         (str(tmp_path / "absent.urdf"), tmp_path / "t.jsonl", {}, "missing"),
         ("102990", tmp_path / "t.jsonl", {}, "--partnet-root"),
     ]:
-        with pytest.raises(FreeArtError, match=said):
+        with pytest.raises(FreeArtError, match=message):
             cli.teleop(name, out, **more)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
@@ -739,10 +739,10 @@ def test_the_command_keeps_a_take_that_nobody_saved(tmp_path: Path) -> None:
 
     with started(out) as at:
         run(drive(at, 30))
-        code, said = at.stop(signal.SIGINT)
+        code, output = at.stop(signal.SIGINT)
     kept = tmp_path / "take-unsaved.jsonl"
-    assert code == 130 and said.splitlines()[-1] == f"freeart21: stopped; the take that was not saved is in {kept}"
-    assert len(read_take(kept).times) == 30 and at.token not in said
+    assert code == 130 and output.splitlines()[-1] == f"freeart21: stopped; the take that was not saved is in {kept}"
+    assert len(read_take(kept).times) == 30 and at.token not in output
     assert [p.name for p in tmp_path.iterdir()] == [kept.name]
 
 
@@ -764,8 +764,8 @@ def test_a_command_that_is_killed_has_lost_a_second_at_most(tmp_path: Path) -> N
     assert len(read_take(kept).times) == 30
     with started(out) as at:
         assert [p.name for p in tmp_path.iterdir()] == [kept.name]
-        code, said = at.stop()
-    assert code == 143 and f"{kept} is a take of" in said and len(read_take(kept).times) == 30
+        code, output = at.stop()
+    assert code == 143 and f"{kept} is a take of" in output and len(read_take(kept).times) == 30
 
 
 @in_a_loop

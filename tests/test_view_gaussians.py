@@ -174,12 +174,12 @@ def test_the_script_sorts_from_the_farthest_and_keeps_copies_apart():
       const both = sorted([true, true]), moved = sorted([false, true]);
       console.log(JSON.stringify({{ both, moved, shapes: [...s.shapes] }}))"""
     run = subprocess.run(["node", "-e", code], capture_output=True, text=True, timeout=60, check=True)
-    said = json.loads(run.stdout)
-    order, shapes = np.array(said["both"]), np.array(said["shapes"]).reshape(-1, 16)
+    reply = json.loads(run.stdout)
+    order, shapes = np.array(reply["both"]), np.array(reply["shapes"]).reshape(-1, 16)
     expected = [2 * i for i in range(500) if given.part_weights[i] > 0.02]
     expected += [2 * i + 1 for i in range(500) if given.part_weights[i] < 0.98]
     assert sorted(order.tolist()) == sorted(expected)
-    assert sorted(said["moved"]) == sorted(copy for copy in expected if copy % 2)
+    assert sorted(reply["moved"]) == sorted(copy for copy in expected if copy % 2)
     depths = np.stack([se3.transform(view, given.means)[:, 2] for view in views], -1).ravel()[order]
     assert (np.diff(depths) > -2e-4).all(), "an eye looks along -z: the farthest comes first"
     turns = se3.rotation_from_wxyz(given.quaternions)
