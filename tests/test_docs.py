@@ -27,6 +27,8 @@ from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
 from freeart21.files.verify import verify
 from freeart21.reconstruction import Failure, Reconstruction
+from generator.motion.styles import STYLES
+from generator.sensors import SENSORS
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
@@ -243,6 +245,11 @@ def test_the_example_of_a_hidden_truth_has_the_fields_that_pack_writes(written: 
 
 
 # ---------------------------------------------------------------- links
+
+
+def test_the_recorders_page_names_every_sensor_and_motion_style() -> None:
+    page = (ROOT / "docs" / "recorder.md").read_text("utf-8")
+    assert [name for name in (*SENSORS, *STYLES) if f"| `{name}` |" not in page] == []
 
 
 @pytest.mark.parametrize("document", named(DOCUMENTS))

@@ -29,7 +29,7 @@ from freeart21.files.result import Method, write_method, write_result
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
 from freeart21.formats import freeart21_official, rgbd_folder, third_party, untrusted_pickle, video2articulation
-from freeart21.formats.convert import convert, find_sources
+from freeart21.formats.convert import convert, find_sources, recording_layouts
 from freeart21.formats.third_party import ReadOptions
 from freeart21.joint import Joint
 from freeart21.reconstruction import Reconstruction
@@ -722,10 +722,11 @@ def test_layouts_are_recognised(example: Path, one_view: Path, tmp_path: Path, n
     assert find_names(example) == find_names(example.parent) == [("official", example)]
     assert find_names(one_view) == find_names(one_view.parent) == [("video2articulation", one_view)]
     assert find_names(native) == [("native", native / "sequences/7777")]
-    refused(lambda: find_sources(example, "scans"), "unknown layout 'scans'; layouts: native", "rgbd", "official")
+    known = ", ".join(recording_layouts())
+    refused(lambda: find_sources(example, "scans"), f"unknown layout 'scans'; layouts: {known}")
     refused(lambda: find_sources(example, "native"), "holds no recording of the layout native")
     (tmp_path / "empty").mkdir()
-    refused(lambda: find_sources(tmp_path / "empty"), "a known layout: native", "rgbd", "--from LAYOUT")
+    refused(lambda: find_sources(tmp_path / "empty"), f"a known layout: {known}", "--from LAYOUT")
     refused(lambda: find_sources(tmp_path / "empty", "video2articulation"), "camera_pose.npy")
     refused(lambda: list(convert(native, tmp_path / "x", "native")), "of the layout native already")
 
