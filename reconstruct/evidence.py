@@ -193,17 +193,23 @@ class Evidence:
 
     def smooth_logodds(self, frame: int, unary: Array) -> NDArray[np.float32]:
         """Log-odds (h, w) of `frame`: `unary` (h, w) smoothed over similar neighbours."""
-        valid = self.scene.valid[frame]
-        logodds = np.zeros(valid.shape, np.float32)
-        logodds[valid] = kernels.relax(unary[valid], *self.neighbour_graph(frame), SMOOTHNESS, SMOOTHING_ROUNDS)
+        logodds = np.zeros(unary.shape, np.float32)
+        box, weights = self.neighbour_weights(frame)
+        valid = self.scene.valid[frame][box]
+        smooth = kernels.relax(unary[box], valid, weights, SMOOTHNESS, SMOOTHING_ROUNDS)
+        logodds[box] = np.where(valid, smooth, 0)
         return logodds
 
-    def neighbour_graph(self, frame: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """Similar neighbours of the valid pixels of `frame`; see `kernels.neighbours`."""
-        scene = self.scene
-        surface = (scene.valid[frame], scene.points[frame], scene.normals[frame], scene.features[frame])
-        graph: tuple[NDArray[Any], ...] = kernels.neighbours(*surface, NEIGHBOUR_REACH * scene.diagonal, 2 * self.unit)
-        return graph[0], graph[1], graph[2]
+    def neighbour_weights(self, frame: int) -> tuple[tuple[slice, slice], NDArray[np.float32]]:
+        """The box (rows, columns) of the valid pixels of `frame`, and weights (6, h, w) of similar neighbours in it.
+
+        See `kernels.neighbours`.
+        """
+        scene, valid = self.scene, self.scene.valid[frame]
+        rows, columns = (np.flatnonzero(valid.any(axis)) for axis in (1, 0))
+        box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] if len(rows) else np.s_[:0, :0]
+        surface = valid[box], scene.points[frame][box], scene.normals[frame][box], scene.features[frame][box]
+        return box, np.asarray(kernels.neighbours(*surface, NEIGHBOUR_REACH * scene.diagonal, 2 * self.unit))
 
     def pixel_logodds(self, frame: int, others: NDArray[np.int64], T: Array) -> NDArray[np.float32]:
         """Smoothed log-odds (h, w) that pixels of `frame` move by T[:, 1] rather than T[:, 0] to `others`."""

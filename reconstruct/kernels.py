@@ -31,6 +31,11 @@ EDGE_ON = 0.1
 HIDDEN = 0.8
 """Cost of a hidden pixel; see `pixel_costs`."""
 
+STEPS = (1, 3, 6)
+"""Pixels, down and right, to a pixel's neighbours in the graph of similar ones; see `neighbours`."""
+BORDER = STEPS[-1]
+"""Zeros round a padded image, so that every neighbour lies in it."""
+
 _NO_ROWS = (0.0,) * 9
 
 _THREADS = min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
@@ -287,43 +292,31 @@ def pixel_costs(
 @njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def neighbours(
     valid: Bools, points: Floats, normals: Floats, features: Floats, reach: float, flatness: float,
-) -> tuple[Ints, NDArray[np.int32], Floats]:  # pragma: no cover  # fmt: skip
-    """Graph of similar neighbours in one frame, as compressed rows over the valid pixels in reading order.
+) -> Floats:  # pragma: no cover  # fmt: skip
+    """Weights (6, h, w) of the edges from each pixel to similar ones 1 step down and right, then 3, then 6 steps.
 
-    Neighbours stand 1, 3 and 6 steps up, down, right and left. An edge's weight in [0, 1] falls with distance (relative
-    to `reach`), bend, distance from the common plane (relative to `flatness`) and colour difference, and halves with
-    each longer step. Colours of direct neighbours are compared one pixel further out, since image edges are some pixels
-    wide. Returns starts (p + 1,), ends and weights of the edges above a threshold.
+    A weight in [0, 1] falls with distance (relative to `reach`), bend, distance from the common plane (relative to
+    `flatness`) and colour difference, and halves with each longer step. Colours of direct neighbours are compared one
+    pixel further out, since image edges are some pixels wide. 0 where either pixel is not `valid` (h, w) or the weight
+    is below a threshold.
     """
     h, w = valid.shape
-    number = np.full((h, w), -1, np.int32)
-    count = 0
+    weights = np.zeros((6, h, w), np.float32)
     for y in range(h):
         for x in range(w):
-            if valid[y, x]:
-                number[y, x] = count
-                count += 1
-    starts = np.zeros(count + 1, np.int64)
-    ends = np.zeros(12 * count, np.int32)
-    weights = np.zeros(12 * count, np.float32)
-    edges = 0
-    for y in range(h):
-        for x in range(w):
-            if number[y, x] < 0:
+            if not valid[y, x]:
                 continue
-            for q in range(12):
-                step = 1 if q < 4 else (3 if q < 8 else 6)
-                side = q % 4
-                yy = y + (step if side == 0 else (-step if side == 1 else 0))
-                xx = x + (step if side == 2 else (-step if side == 3 else 0))
-                if yy < 0 or xx < 0 or yy >= h or xx >= w or number[yy, xx] < 0:
+            for q in range(6):
+                step = STEPS[q // 2]
+                yy, xx = (y + step, x) if q % 2 == 0 else (y, x + step)
+                if yy >= h or xx >= w or not valid[yy, xx]:
                     continue
                 ya, xa, yb, xb = y, x, yy, xx
                 if step == 1:
                     ya, xa, yb, xb = 2 * y - yy, 2 * x - xx, 2 * yy - y, 2 * xx - x
-                    if ya < 0 or xa < 0 or ya >= h or xa >= w or number[ya, xa] < 0:
+                    if ya < 0 or xa < 0 or not valid[ya, xa]:
                         ya, xa = y, x
-                    if yb < 0 or xb < 0 or yb >= h or xb >= w or number[yb, xb] < 0:
+                    if yb >= h or xb >= w or not valid[yb, xb]:
                         yb, xb = yy, xx
                 distance = bend = colour = 0.0
                 off = off2 = 0.0
@@ -338,26 +331,58 @@ def neighbours(
                 off = max(abs(off), abs(off2)) / flatness
                 exponent = distance / (reach * reach) + (1 - bend) / 0.35 + colour / 120.0 + off * off
                 if exponent < 4.0:
-                    ends[edges] = number[yy, xx]
-                    weights[edges] = math.exp(-exponent) / (1 if q < 4 else (2 if q < 8 else 4))
-                    edges += 1
-            starts[number[y, x] + 1] = edges
-    return starts, ends[:edges], weights[:edges]
+                    weights[q, y, x] = math.exp(-exponent) / (1 << q // 2)
+    return weights
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
-def relax(
-    unary: Array, starts: Ints, ends: Ints, weights: Array, smoothness: float, rounds: int,
-) -> Array:  # pragma: no cover  # fmt: skip
-    """Mean-field log-odds (p,): unary plus `smoothness` times the beliefs of the neighbours, `rounds` iterations."""
-    current = unary.copy()
-    belief = np.zeros(len(unary))
+@njit(nogil=True, cache=True)
+def padded(image: Array) -> Array:  # pragma: no cover
+    """An image (h, w) with BORDER zeros on each side, row after row (m,)."""
+    h, w = image.shape
+    wide = np.zeros((h + 2 * BORDER, w + 2 * BORDER))
+    wide[BORDER : BORDER + h, BORDER : BORDER + w] = image
+    return wide.reshape(-1)
+
+
+@njit(nogil=True, cache=True)
+def padded_weights(weights: Floats) -> Floats:  # pragma: no cover
+    """The weights (6, h, w) of `neighbours` as `add_neighbours` reads them (6, m)."""
+    _, h, w = weights.shape
+    wide = np.zeros((6, h + 2 * BORDER, w + 2 * BORDER), np.float32)
+    wide[:, BORDER : BORDER + h, BORDER : BORDER + w] = weights
+    return wide.reshape(6, -1)
+
+
+@njit(nogil=True, cache=True)
+def add_neighbours(sums: Array, values: Array, weights: Floats, width: int, sign: float) -> None:  # pragma: no cover
+    """Add to `sums` (m,) the sum of each pixel's neighbours' `values` (m,) times `weights` (6, m), times `sign`.
+
+    All are padded images, `width` wide without the padding. One loop over contiguous memory a direction: that of a
+    sparse matrix took ten times as long.
+    """
+    row = width + 2 * BORDER
+    first, count = BORDER * row, len(sums) - 2 * BORDER * row
+    here = sums[first : first + count]
+    for q in range(6):
+        step = STEPS[q // 2] * (row if q % 2 == 0 else 1)
+        ahead, behind = values[first + step : first + step + count], values[first - step : first - step + count]
+        to, back = weights[q, first : first + count], weights[q, first - step : first - step + count]
+        for i in range(count):
+            here[i] = (here[i] + sign * (to[i] * ahead[i])) + sign * (back[i] * behind[i])
+
+
+@njit(nogil=True, cache=True)
+def relax(unary: Array, valid: Bools, weights: Floats, smoothness: float, rounds: int) -> Array:  # pragma: no cover
+    """Mean-field log-odds (h, w) of the `valid` pixels: `unary` (h, w) plus `smoothness` times the beliefs of the
+    neighbours by `weights` (6, h, w), `rounds` iterations."""
+    h, w = unary.shape
+    inside, own, edges = np.flatnonzero(padded(valid.astype(np.float64))), padded(unary), padded_weights(weights)
+    current, belief, pull = own.copy(), np.zeros(len(own)), np.zeros(len(own))
     for _ in range(rounds):
-        for p in range(len(unary)):
+        for p in inside:
             belief[p] = 1 - 2 / (1 + math.exp(current[p]))  # tanh(current / 2)
-        for p in range(len(unary)):
-            pull = 0.0
-            for e in range(starts[p], starts[p + 1]):
-                pull += weights[e] * belief[ends[e]]
-            current[p] = unary[p] + smoothness * pull
-    return current
+        pull[:] = 0
+        add_neighbours(pull, belief, edges, w, 1.0)
+        for p in inside:
+            current[p] = own[p] + smoothness * pull[p]
+    return current.reshape(h + 2 * BORDER, w + 2 * BORDER)[BORDER : BORDER + h, BORDER : BORDER + w]
