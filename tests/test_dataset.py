@@ -87,12 +87,12 @@ def test_frames_that_were_kept_are_not_drawn_again(
     monkeypatch.setattr(session.Session, "film", stopping)
     with pytest.raises(KeyboardInterrupt):
         record_jobs(data, jobs)
-    kept = {p.name: p.stat().st_ino for p in data.glob(".recording/flip_lighter-s0/sequence/depth/*.png")}
-    assert set(kept) == {f"{i:05d}.png" for i in range(at)}
+    inodes = {p.name: p.stat().st_ino for p in data.glob(".recording/flip_lighter-s0/sequence/depth/*.png")}
+    assert set(inodes) == {f"{i:05d}.png" for i in range(at)}
     assert not (data / "benchmark.json").exists() and not (data / "sequences").exists()
     drawn.append(at)
     assert record_jobs(data, jobs) == ["flip_lighter-s0"]
-    assert {n: (data / "sequences" / "flip_lighter-s0" / "depth" / n).stat().st_ino for n in kept} == kept
+    assert {n: (data / "sequences" / "flip_lighter-s0" / "depth" / n).stat().st_ino for n in inodes} == inodes
     assert hashes(data) == hashes(one)
 
 

@@ -659,16 +659,16 @@ def test_held_out_frames_are_the_official_split(native: Path, tmp_path: Path) ->
     cli.convert(native, tmp_path / "out", "official", hold_out=True)
     folder, recording = tmp_path / "out/examples/7777", read_sequence(native / "sequences/7777")
     info = json.loads((folder / "eval/split_info.json").read_text())
-    held, kept = info["eval_original_indices"], info["train_original_indices"]
+    held, train = info["eval_original_indices"], info["train_original_indices"]
     assert freeart21_official.eval_indices(300) == sorted(random.Random(0).sample(range(300), 15))
-    assert held == random.Random(0).sample(range(7), 1) and sorted(held + kept) == list(range(7))
+    assert held == random.Random(0).sample(range(7), 1) and sorted(held + train) == list(range(7))
     rgb = cv2.imread(str(folder / "eval/rgb/00000.png"))[..., ::-1]
     assert np.array_equal(rgb, recording.frame(held[0]).rgb)
     states = [[q] for q in read_truth(native / "truth/7777").states]
     assert json.loads((folder / "eval/joint_states.json").read_text()) == [states[held[0]]]
     again = freeart21_official.read_example(folder)
-    assert len(again.recording) == 6 and np.array_equal(again.recording.times_s, recording.times_s[kept])
-    assert np.array_equal(again.recording.frame(5).rgb, recording.frame(kept[5]).rgb)
+    assert len(again.recording) == 6 and np.array_equal(again.recording.times_s, recording.times_s[train])
+    assert np.array_equal(again.recording.frame(5).rgb, recording.frame(train[5]).rgb)
 
 
 def test_a_view_becomes_a_sequence_with_and_without_its_object(one_view: Path, toy_root: Path, tmp_path: Path) -> None:

@@ -187,9 +187,11 @@ def test_a_copied_run_is_dropped_and_reported(tmp_path: Path):
     for k, flags in enumerate(((None, True), (True, False), (False, False))):
         runs = [{"file": f"run_{i}.csv", "held_out": out} for i, out in enumerate(flags)]
         measured = read_measured(write(tmp_path / str(k), {"runs": runs}))
-        kept, gone = (1, 0) if flags[0] else (0, 1)
-        assert [run.name for run in measured.runs] == [f"run_{kept}"]
-        assert measured.notes == (f"run 'run_{gone}' is run 'run_{kept}' again, reading by reading: it was left out",)
+        remaining, gone = (1, 0) if flags[0] else (0, 1)
+        assert [run.name for run in measured.runs] == [f"run_{remaining}"]
+        assert measured.notes == (
+            f"run 'run_{gone}' is run 'run_{remaining}' again, reading by reading: it was left out",
+        )
     assert not read_measured(write(tmp_path / "other")).notes
 
 

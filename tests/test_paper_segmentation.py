@@ -148,9 +148,9 @@ def test_each_track_filter_has_its_switch():
     points[3, 3, 1] = 1.0
     confidence, on_object = np.ones((40, 4)), np.ones((40, 4), bool)
     confidence[1, 2], on_object[2, 2] = 0.6, False
-    kept = filter_tracks(points, confidence, on_object, TrackSettings())
-    assert kept[[0, 1]].all()
-    assert kept[2].tolist() == [True, True, False, False] and kept[3].tolist() == [True, True, True, False]
+    visible = filter_tracks(points, confidence, on_object, TrackSettings())
+    assert visible[[0, 1]].all()
+    assert visible[2].tolist() == [True, True, False, False] and visible[3].tolist() == [True, True, True, False]
     strict = filter_tracks(points, confidence, on_object, TrackSettings(tau_c=0.7))
     assert strict[1].tolist() == [True, True, False, False]
     blind = filter_tracks(points, confidence, on_object, TrackSettings(tau_c=0.7, visibility_filter=False))

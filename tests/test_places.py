@@ -212,8 +212,8 @@ def test_method_json_is_written_beside_results_alone(home: Path) -> None:
 def test_the_method_json_of_another_method_stays(home: Path) -> None:
     path = home / "results" / "ours" / "method.json"
     atomic.write_json(path, {"schema": "freeart21/method/1", "name": "theirs", "code": "https://example.org 2"})
-    kept = path.read_bytes()
-    assert not write_own_method(path.parent, OURS) and path.read_bytes() == kept
+    before = path.read_bytes()
+    assert not write_own_method(path.parent, OURS) and path.read_bytes() == before
     path.write_text("mine")
     assert not write_own_method(path.parent, OURS) and path.read_text() == "mine"
 

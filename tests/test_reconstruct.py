@@ -218,8 +218,8 @@ def slipped(clip, estimate, part, share):
 
 def assert_stays(found, true, part):
     """The other part is where it was."""
-    kept, there = (found.Ts, true.Ts) if part == 1 else (found.Ts_moving, true.Ts_moving)
-    assert np.allclose(kept, there, atol=1e-9)
+    same_part, there = (found.Ts, true.Ts) if part == 1 else (found.Ts_moving, true.Ts_moving)
+    assert np.allclose(same_part, there, atol=1e-9)
 
 
 @pytest.mark.parametrize("part", [0, 1])
@@ -317,13 +317,13 @@ def test_tracks_follow_a_sliding_plane_in_3d(name):
         assert np.abs(np.median(step[scene.valid[2]], axis=0) - [3 * direction, 0]).max() < 0.1
     tracks = tracker.follow(0, 4)
     assert tracks.frames.tolist() == [0, 1, 2, 3, 4] and tracks.visible[:, 0].all()
-    kept = tracks.visible[:, -1]
-    assert kept.mean() > 0.6
-    moved = tracks.pixels[kept, -1] - tracks.pixels[kept, 0]
+    followed = tracks.visible[:, -1]
+    assert followed.mean() > 0.6
+    moved = tracks.pixels[followed, -1] - tracks.pixels[followed, 0]
     assert np.median(np.abs(moved - [12, 0])) < 0.15
-    z = tracks.points[kept, 0, 2]
+    z = tracks.points[followed, 0, 2]
     expected = np.stack([12 * z / scene.fx, 0 * z, 0 * z], 1)
-    error = np.linalg.norm(tracks.points[kept, -1] - tracks.points[kept, 0] - expected, axis=1)
+    error = np.linalg.norm(tracks.points[followed, -1] - tracks.points[followed, 0] - expected, axis=1)
     assert np.median(error) < 0.3 * scene.footprint
     at = np.argwhere(scene.valid[4])[::50]
     back = tracker.follow(4, 4, direction=-1, pixels=at)

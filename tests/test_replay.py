@@ -190,8 +190,8 @@ def test_each_joint_is_replayed_by_its_runs(tmp_path: Path):
     (swing,) = pendulum(1, oil=0.0)
     seen = swing.q.copy()
     seen[40:90] = np.nan
-    kept = np.r_[0:150, 220:300]
-    hinge = write_set(tmp_path / "h", (replace(swing, times_s=swing.times_s[kept], q=seen[kept]),))
+    samples = np.r_[0:150, 220:300]
+    hinge = write_set(tmp_path / "h", (replace(swing, times_s=swing.times_s[samples], q=seen[samples]),))
     slider = write_set(tmp_path / "s", slid(), "slide", "prismatic")
     text = json.loads((slider / "measured.json").read_text())
     text["units"]["q"] = "mm"

@@ -86,7 +86,7 @@ def test_the_benchmark_counts_what_the_checker_says_and_keeps_what_passed(tmp_pa
     calls, rows = [], [Row("simcheck.a", "simcheck", "pass", "warn: thin"), Row("simcheck.b", "simcheck", "fail", "no")]
     report = CheckReport("lid", rows, seconds={"simcheck": 3.0})
     monkeypatch.setattr(simcheck, "check", lambda *given, **also: calls.append(also) or report)
-    monkeypatch.setattr(simcheck, "_export", lambda truth, asset, kept: None)
+    monkeypatch.setattr(simcheck, "_export", lambda truth, asset, result: None)
     monkeypatch.setattr(simcheck, "_versions", lambda: {"simcheck": "0.2.0"})
     write_little(tmp_path / "lid")
     benchmark = SimpleNamespace(truth=lambda name: tmp_path)

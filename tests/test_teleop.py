@@ -63,9 +63,9 @@ def test_a_good_message_is_read_as_it_was_meant() -> None:
 
 
 def test_a_state_beyond_its_limits_is_brought_back() -> None:
-    for given, kept in ((-0.1, 0.0), (1.5, 1.0), (1 + 1e-15, 1.0)):
+    for given, clipped in ((-0.1, 0.0), (1.5, 1.0), (1 + 1e-15, 1.0)):
         move = wire.read(json.dumps(a_move(1, given)), BOUNDS)
-        assert isinstance(move, wire.Move) and move.state == kept
+        assert isinstance(move, wire.Move) and move.state == clipped
 
 
 BAD: list[Any] = [
@@ -156,8 +156,8 @@ def test_undo_drops_the_last_seconds_and_goes_on_from_there() -> None:
     driven(driving, 10 + np.arange(301) / 60)
     whole = [*driving.take.times]
     assert driving.undo() == pytest.approx(UNDO_S, abs=2 * STEP_S) and driving.phase == "recording"
-    kept = [*driving.take.times]
-    assert kept == whole[: len(kept)] and driving.place.is_close(driving.take.last)
+    take_times = [*driving.take.times]
+    assert take_times == whole[: len(take_times)] and driving.place.is_close(driving.take.last)
     driven(driving, [20.0])
     assert np.diff(driving.take.times)[-1] == pytest.approx(STEP_S)
     while driving.undo():
@@ -283,14 +283,14 @@ def test_a_take_that_an_earlier_run_left_is_said_and_stays(tmp_path: Path) -> No
     first.write(driving)
     second = Takes(tmp_path / "take.jsonl", "revolute")
     assert second.find_unsaved_takes() == []  # it is being made
-    kept = first.rescue(driving)
+    rescued = first.rescue(driving)
     (tmp_path / "take-unsaved-old.jsonl").write_text("mine")
     (tmp_path / "take-unsaved-3.jsonl").mkdir()
     os.mkfifo(tmp_path / "take-unsaved-4.jsonl")
-    assert second.find_unsaved_takes() == [(kept, pytest.approx(1.5))]
-    text = kept.read_text()
+    assert second.find_unsaved_takes() == [(rescued, pytest.approx(1.5))]
+    text = rescued.read_text()
     second.write(a_drive())
-    assert kept.read_text() == text and (tmp_path / "take-unsaved-2.jsonl").exists()
+    assert rescued.read_text() == text and (tmp_path / "take-unsaved-2.jsonl").exists()
 
 
 def test_what_comes_to_stand_in_the_file_s_place_is_left_alone(tmp_path: Path) -> None:
@@ -740,32 +740,35 @@ def test_the_command_keeps_a_take_that_nobody_saved(tmp_path: Path) -> None:
     with started(out) as at:
         run(drive(at, 30))
         code, output = at.stop(signal.SIGINT)
-    kept = tmp_path / "take-unsaved.jsonl"
-    assert code == 130 and output.splitlines()[-1] == f"freeart21: stopped; the take that was not saved is in {kept}"
-    assert len(read_take(kept).times) == 30 and at.token not in output
-    assert [p.name for p in tmp_path.iterdir()] == [kept.name]
+    unsaved_file = tmp_path / "take-unsaved.jsonl"
+    assert (
+        code == 130
+        and output.splitlines()[-1] == f"freeart21: stopped; the take that was not saved is in {unsaved_file}"
+    )
+    assert len(read_take(unsaved_file).times) == 30 and at.token not in output
+    assert [p.name for p in tmp_path.iterdir()] == [unsaved_file.name]
 
 
 def test_a_command_that_is_killed_has_lost_a_second_at_most(tmp_path: Path) -> None:
     """Without a word or a moment to write; and the next start says what is there."""
-    out, kept = tmp_path / "take.jsonl", tmp_path / "take-unsaved.jsonl"
+    out, unsaved_file = tmp_path / "take.jsonl", tmp_path / "take-unsaved.jsonl"
 
     async def drive(at: Any) -> None:
         async with page(at.address, at.token) as one:
             await one.do("record")
             await a_stretch(one, np.linspace(0, 0.4, 30))
             await one.status(samples=30)
-            await one.until(lambda: len(kept.read_text().splitlines()) == 31, "the file")
+            await one.until(lambda: len(unsaved_file.read_text().splitlines()) == 31, "the file")
             at.process.kill()
 
     with started(out) as at:
         run(drive(at))
         at.process.wait()
-    assert len(read_take(kept).times) == 30
+    assert len(read_take(unsaved_file).times) == 30
     with started(out) as at:
-        assert [p.name for p in tmp_path.iterdir()] == [kept.name]
+        assert [p.name for p in tmp_path.iterdir()] == [unsaved_file.name]
         code, output = at.stop()
-    assert code == 143 and f"{kept} is a take of" in output and len(read_take(kept).times) == 30
+    assert code == 143 and f"{unsaved_file} is a take of" in output and len(read_take(unsaved_file).times) == 30
 
 
 @in_a_loop
