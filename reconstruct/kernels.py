@@ -26,6 +26,8 @@ NEAR = 1e-6
 POINT, DEPTH, NORMAL, FEATURE, OUTSIDE = 0, 2, 3, 6, 9
 """Offsets of a pixel record's fields; see `Scene.pixels`. A point's depth is its third coordinate."""
 
+BLOCK = 32
+"""Samples that are projected before any of them is compared, so that memory is fetched for many at once."""
 EDGE_ON = 0.1
 """Cosine between normal and view below which a surface counts as seen edge-on."""
 HIDDEN = 0.8
@@ -75,6 +77,7 @@ def register_pairs(
     are not hidden by anything measured there. Fills H (p, 6, 6), g (p, 6) and stats (p, 4): inliers, projected, cost,
     outside.
     """
+    places, numbers = np.empty((BLOCK, 6)), np.empty((BLOCK, 2), np.int64)
     for p in range(begin, end):
         i, j = source[p], target[p]
         R00, R01, R02, t0 = T[p, 0, 0], T[p, 0, 1], T[p, 0, 2], T[p, 0, 3]
@@ -82,78 +85,92 @@ def register_pairs(
         R20, R21, R22, t2 = T[p, 2, 0], T[p, 2, 1], T[p, 2, 2], T[p, 2, 3]
         A, b = np.zeros((6, 6)), np.zeros(6)
         inliers, projected, out, cost = 0, 0, 0, 0.0
-        for s in range(offsets[i], offsets[i + 1]):
-            a0, a1, a2 = samples[s, POINT], samples[s, POINT + 1], samples[s, POINT + 2]
-            Y0 = R00 * a0 + R01 * a1 + R02 * a2 + t0
-            Y1 = R10 * a0 + R11 * a1 + R12 * a2 + t1
-            Y2 = R20 * a0 + R21 * a1 + R22 * a2 + t2
-            if Y2 < NEAR:
-                continue
-            ex, ey = fx / Y2, fy / Y2  # pixels per metre
-            u, v = ex * Y0 + cx[j], ey * Y1 + cy[j]
-            xi, yi = math.floor(u + 0.5), math.floor(v + 0.5)
-            if xi < 2 or yi < 2 or xi >= w - 2 or yi >= h - 2:
-                continue
-            projected += 1
-            at = (j * h + yi) * w + xi
-            r = pixels[at, OUTSIDE]
-            if r > 0.5:
-                if -pixels[at, DEPTH] - gate < Y2 and pixels[at, DEPTH] < 0:
-                    continue  # behind a hand
-                out += 1
-                weight = 1.0 / (sigma_silhouette * sigma_silhouette)
-                if r > 3.0 * sigma_silhouette:
-                    weight *= 3.0 * sigma_silhouette / r
-                gx = 0.5 * ex * (pixels[at + 1, OUTSIDE] - pixels[at - 1, OUTSIDE])
-                gy = 0.5 * ey * (pixels[at + w, OUTSIDE] - pixels[at - w, OUTSIDE])
-                N = _add_row(_NO_ROWS, gx, gy, -(gx * Y0 + gy * Y1) / Y2, r, weight)
-                _add_point(A, b, N, Y0, Y1, Y2)
-                cost += 0.5 * weight * r * r
-                continue
-            if pixels[at, DEPTH] <= 0 or (part > 0 and labels[at] == 3 - part):
-                continue
-            m0, m1, m2 = samples[s, NORMAL], samples[s, NORMAL + 1], samples[s, NORMAL + 2]
-            M0 = R00 * m0 + R01 * m1 + R02 * m2
-            M1 = R10 * m0 + R11 * m1 + R12 * m2
-            M2 = R20 * m0 + R21 * m1 + R22 * m2
-            facing = -(M0 * Y0 + M1 * Y1 + M2 * Y2)
-            if facing < 0.15 * math.sqrt(Y0 * Y0 + Y1 * Y1 + Y2 * Y2):
-                continue
-            n0, n1, n2 = pixels[at, NORMAL], pixels[at, NORMAL + 1], pixels[at, NORMAL + 2]
-            if n0 * M0 + n1 * M1 + n2 * M2 < 0.7:
-                continue
-            r = n0 * (Y0 - pixels[at, POINT]) + n1 * (Y1 - pixels[at, POINT + 1]) + n2 * (Y2 - pixels[at, DEPTH])
-            if abs(r) > gate:
-                continue
-            tukey = 1 - (r / gate) ** 2
-            weight = tukey * tukey / (sigma * sigma)
-            N = _add_row(_NO_ROWS, n0, n1, n2, r, weight)
-            inliers += 1
-            cost += 0.5 * weight * r * r
-            rim = pixels[at - 1, OUTSIDE] + pixels[at + 1, OUTSIDE]
-            rim += pixels[at - w, OUTSIDE] + pixels[at + w, OUTSIDE]
-            if colour_weight <= 0 or rim > 0:
-                _add_point(A, b, N, Y0, Y1, Y2)
-                continue
-            x0, y0 = math.floor(u), math.floor(v)
-            fu, fv = u - x0, v - y0
-            corner = (j * h + y0) * w + x0
-            for c in range(FEATURE, FEATURE + 3):
-                gx = 0.5 * (pixels[at + 1, c] - pixels[at - 1, c])
-                gy = 0.5 * (pixels[at + w, c] - pixels[at - w, c])
-                if gx * gx + gy * gy < 0.04:
+        for first in range(offsets[i], offsets[i + 1], BLOCK):
+            met = 0
+            for s in range(first, min(first + BLOCK, offsets[i + 1])):
+                a0, a1, a2 = samples[s, POINT], samples[s, POINT + 1], samples[s, POINT + 2]
+                Y0 = R00 * a0 + R01 * a1 + R02 * a2 + t0
+                Y1 = R10 * a0 + R11 * a1 + R12 * a2 + t1
+                Y2 = R20 * a0 + R21 * a1 + R22 * a2 + t2
+                if Y2 < NEAR:
                     continue
-                value = (1 - fv) * ((1 - fu) * pixels[corner, c] + fu * pixels[corner + 1, c])
-                value += fv * ((1 - fu) * pixels[corner + w, c] + fu * pixels[corner + w + 1, c])
-                r = value - samples[s, c]
-                if abs(r) > 4 * sigma_colour:
+                u, v = fx / Y2 * Y0 + cx[j], fy / Y2 * Y1 + cy[j]
+                xi, yi = math.floor(u + 0.5), math.floor(v + 0.5)
+                if xi < 2 or yi < 2 or xi >= w - 2 or yi >= h - 2:
                     continue
-                tukey = 1 - (r / (4 * sigma_colour)) ** 2
-                weight = colour_weight * tukey * tukey / (sigma_colour * sigma_colour)
-                gx, gy = ex * gx, ey * gy
-                N = _add_row(N, gx, gy, -(gx * Y0 + gy * Y1) / Y2, r, weight)
+                at = (j * h + yi) * w + xi
+                rim = pixels[at - 1, OUTSIDE] + pixels[at + 1, OUTSIDE]
+                rim += pixels[at - w, OUTSIDE] + pixels[at + w, OUTSIDE]
+                places[met, 0] = Y0
+                places[met, 1] = Y1
+                places[met, 2] = Y2
+                places[met, 3] = u
+                places[met, 4] = v
+                places[met, 5] = rim
+                numbers[met, 0], numbers[met, 1] = s, at
+                met += 1
+            projected += met
+            for m in range(met):
+                Y0, Y1, Y2 = places[m, 0], places[m, 1], places[m, 2]
+                u, v, rim = places[m, 3], places[m, 4], places[m, 5]
+                s, at = numbers[m, 0], numbers[m, 1]
+                ex, ey = fx / Y2, fy / Y2  # pixels per metre
+                if pixels[at, OUTSIDE] > 0.5:
+                    r = pixels[at, OUTSIDE]
+                    if -pixels[at, DEPTH] - gate < Y2 and pixels[at, DEPTH] < 0:
+                        continue  # behind a hand
+                    out += 1
+                    weight = 1.0 / (sigma_silhouette * sigma_silhouette)
+                    if r > 3.0 * sigma_silhouette:
+                        weight *= 3.0 * sigma_silhouette / r
+                    gx = 0.5 * ex * (pixels[at + 1, OUTSIDE] - pixels[at - 1, OUTSIDE])
+                    gy = 0.5 * ey * (pixels[at + w, OUTSIDE] - pixels[at - w, OUTSIDE])
+                    N = _add_row(_NO_ROWS, gx, gy, -(gx * Y0 + gy * Y1) / Y2, r, weight)
+                    _add_point(A, b, N, Y0, Y1, Y2)
+                    cost += 0.5 * weight * r * r
+                    continue
+                if pixels[at, DEPTH] <= 0 or (part > 0 and labels[at] == 3 - part):
+                    continue
+                m0, m1, m2 = samples[s, NORMAL], samples[s, NORMAL + 1], samples[s, NORMAL + 2]
+                M0 = R00 * m0 + R01 * m1 + R02 * m2
+                M1 = R10 * m0 + R11 * m1 + R12 * m2
+                M2 = R20 * m0 + R21 * m1 + R22 * m2
+                facing = -(M0 * Y0 + M1 * Y1 + M2 * Y2)
+                if facing < 0.15 * math.sqrt(Y0 * Y0 + Y1 * Y1 + Y2 * Y2):
+                    continue
+                n0, n1, n2 = pixels[at, NORMAL], pixels[at, NORMAL + 1], pixels[at, NORMAL + 2]
+                if n0 * M0 + n1 * M1 + n2 * M2 < 0.7:
+                    continue
+                r = n0 * (Y0 - pixels[at, POINT]) + n1 * (Y1 - pixels[at, POINT + 1]) + n2 * (Y2 - pixels[at, DEPTH])
+                if abs(r) > gate:
+                    continue
+                tukey = 1 - (r / gate) ** 2
+                weight = tukey * tukey / (sigma * sigma)
+                N = _add_row(_NO_ROWS, n0, n1, n2, r, weight)
+                inliers += 1
                 cost += 0.5 * weight * r * r
-            _add_point(A, b, N, Y0, Y1, Y2)
+                if colour_weight <= 0 or rim > 0:
+                    _add_point(A, b, N, Y0, Y1, Y2)
+                    continue
+                x0, y0 = math.floor(u), math.floor(v)
+                fu, fv = u - x0, v - y0
+                corner = (j * h + y0) * w + x0
+                for c in range(FEATURE, FEATURE + 3):
+                    gx = 0.5 * (pixels[at + 1, c] - pixels[at - 1, c])
+                    gy = 0.5 * (pixels[at + w, c] - pixels[at - w, c])
+                    if gx * gx + gy * gy < 0.04:
+                        continue
+                    value = (1 - fv) * ((1 - fu) * pixels[corner, c] + fu * pixels[corner + 1, c])
+                    value += fv * ((1 - fu) * pixels[corner + w, c] + fu * pixels[corner + w + 1, c])
+                    r = value - samples[s, c]
+                    if abs(r) > 4 * sigma_colour:
+                        continue
+                    tukey = 1 - (r / (4 * sigma_colour)) ** 2
+                    weight = colour_weight * tukey * tukey / (sigma_colour * sigma_colour)
+                    gx, gy = ex * gx, ey * gy
+                    N = _add_row(N, gx, gy, -(gx * Y0 + gy * Y1) / Y2, r, weight)
+                    cost += 0.5 * weight * r * r
+                _add_point(A, b, N, Y0, Y1, Y2)
         for q in range(6):
             g[p, q] = b[q]
             for q2 in range(6):
@@ -236,14 +253,14 @@ def pixel_costs(
 
     Fills costs (p, s, k).
     """
-    for p in range(begin, end):
-        here = (frame * h + places[p, 0]) * w + places[p, 1]
-        a0, a1, a2 = pixels[here, POINT], pixels[here, POINT + 1], pixels[here, DEPTH]
-        m0, m1, m2 = pixels[here, NORMAL], pixels[here, NORMAL + 1], pixels[here, NORMAL + 2]
-        for s in range(others.shape[0]):
-            j = others[s]
-            for k in range(T.shape[1]):
-                R = T[s, k]
+    for s in range(others.shape[0]):
+        j = others[s]
+        for k in range(T.shape[1]):
+            R = T[s, k]
+            for p in range(begin, end):
+                here = (frame * h + places[p, 0]) * w + places[p, 1]
+                a0, a1, a2 = pixels[here, POINT], pixels[here, POINT + 1], pixels[here, DEPTH]
+                m0, m1, m2 = pixels[here, NORMAL], pixels[here, NORMAL + 1], pixels[here, NORMAL + 2]
                 costs[p, s, k] = cap
                 Y0 = R[0, 0] * a0 + R[0, 1] * a1 + R[0, 2] * a2 + R[0, 3]
                 Y1 = R[1, 0] * a0 + R[1, 1] * a1 + R[1, 2] * a2 + R[1, 3]
