@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -49,6 +50,8 @@ class Records:
     """(m, 10) records of the samples, frame after frame; see `Scene.pixels`."""
     offsets: NDArray[np.int64]
     """(n + 1,) where each frame's records begin."""
+    per_error: float
+    """Records that share one error of the depth, at least 1; see `Scene.correlation_area`."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,8 @@ class Evidence:
 
         `gate` is in units. With `labels` (n, h, w) and `part` 1 or 2, samples are not matched to the other part; label
         0 matches either. The statistics are numbers of inliers, projected and outside samples around the cost: inliers,
-        projected, cost, outside.
+        projected, cost, outside. Depths that share one error weigh as one; colours and silhouettes have errors of their
+        own.
         """
         scene = self.scene
         records = samples if isinstance(samples, Records) else self.records(samples)
@@ -94,7 +98,8 @@ class Evidence:
         pairs = (np.asarray(source, np.int64), np.asarray(target, np.int64), np.ascontiguousarray(T, float))
         own = (_NO_LABELS, 0) if labels is None else (labels.reshape(-1), part)
         samples_read = (records.pixels, records.offsets, *self._pixels)
-        arguments = (*pairs, *samples_read, *own, *scene.lens, gate * self.unit, *self._sigmas, H, g, stats)
+        scales = (gate * self.unit, self._sigma_of(records), *self._sigmas)
+        arguments = (*pairs, *samples_read, *own, *scene.lens, *scales, H, g, stats)
         kernels.run_in_threads(lambda begin, end: kernels.register_pairs(begin, end, *arguments), len(source), 50)
         return H, g, stats
 
@@ -115,7 +120,7 @@ class Evidence:
             *(np.ascontiguousarray(T, float), references.frames, frame, references.Ts_part, np.array(gates, float)),
             *(references.records.pixels, references.records.offsets, *self._pixels),
             *((_NO_LABELS, 0) if labels is None else (labels.reshape(-1), part)),
-            *(*self.scene.lens, self.unit, *self._sigmas),
+            *(*self.scene.lens, self.unit, self._sigma_of(references.records), *self._sigmas),
         )
         T, statistics = registration.register_pose(*arguments)
         return T, statistics
@@ -144,15 +149,20 @@ class Evidence:
             *(frame, np.array(gates, float), np.array(prior, float), at_rest, most),
             *((first.frames, second.frames), (first.Ts_part, second.Ts_part)),
             *((first.records.pixels, second.records.pixels), (first.records.offsets, second.records.offsets)),
-            *(*self._pixels, labels.reshape(-1), *self.scene.lens, self.unit, *self._sigmas),
+            *(*self._pixels, labels.reshape(-1), *self.scene.lens, self.unit),
+            *((self._sigma_of(first.records), self._sigma_of(second.records)), *self._sigmas),
         )
         T, q = registration.register_jointed_pose(*arguments)
         return T, q
 
+    def _sigma_of(self, records: Records) -> float:
+        """Standard deviation of point-to-plane residuals, metres, with which records of one error weigh as one."""
+        return self.sigma * math.sqrt(records.per_error)
+
     @property
-    def _sigmas(self) -> tuple[float, float, float, float]:
-        """Standard deviations of the residuals and the weight of colour, as kernels read them."""
-        return self.sigma, SIGMA_COLOUR, self.settings.colour_weight, SIGMA_SILHOUETTE
+    def _sigmas(self) -> tuple[float, float, float]:
+        """Standard deviations of the other residuals and the weight of colour, as kernels read them."""
+        return SIGMA_COLOUR, self.settings.colour_weight, SIGMA_SILHOUETTE
 
     @property
     def _pixels(self) -> tuple[NDArray[np.float32], int, int]:
@@ -170,7 +180,18 @@ class Evidence:
         places = np.concatenate([np.zeros((0, 2), np.int64), *(samples[frame] for frame in sorted(samples))])
         rows = np.repeat(np.arange(len(scene)) * h, counts[1:]) + places[:, 0]
         found = scene.pixels.reshape(h * w * len(scene), -1).take(rows * w + places[:, 1], axis=0)
-        return Records(found, np.cumsum(counts))
+        return Records(found, np.cumsum(counts), self._records_per_error(np.cumsum(counts), places))
+
+    def _records_per_error(self, offsets: NDArray[np.int64], places: Pixels) -> float:
+        """Pixels `places` (m, 2) per square of the correlation area that holds any of them, in its frame.
+
+        `offsets` (n + 1,) are where each frame's pixels begin.
+        """
+        if self.scene.correlation_area <= 1 or not len(places):
+            return 1.0
+        squares = (places / math.sqrt(self.scene.correlation_area)).astype(np.int64)
+        frames = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
+        return len(places) / len(np.unique(np.column_stack([frames, squares]), axis=0))
 
     def costs(
         self,

@@ -46,14 +46,15 @@ def register_jointed_pose(
     T: Array, q: float, screw: Array, frame: int, gates: Array, prior: Array, at_rest: bool, most: float,
     source: tuple[Ints, Ints], to_part: tuple[Array, Array], samples: tuple[Floats, Floats],
     offsets: tuple[Ints, Ints], pixels: Floats, h: int, w: int, labels: NDArray[np.uint8], fx: float, fy: float,
-    cx: Array, cy: Array, unit: float, sigma: float, sigma_colour: float, colour_weight: float,
+    cx: Array, cy: Array, unit: float, sigma: tuple[float, float], sigma_colour: float, colour_weight: float,
     sigma_silhouette: float,
 ) -> tuple[Array, float]:  # pragma: no cover  # fmt: skip
     """The first part's pose T (4, 4) and the state q in `frame`, the second part at T exp(q screw), after one step a
     gate.
 
     `prior` is a weight and the state that it draws to. `at_rest` holds the state, which otherwise changes by at most
-    `most` a step. `source`, `to_part`, `samples` and `offsets` are those of each part; see `register_pose`.
+    `most` a step. `source`, `to_part`, `samples`, `offsets` and `sigma` are those of each part; see
+    `register_pose`.
     """
     A, b = np.zeros((7, 7)), np.zeros(7)
     H, g, screw_here = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
@@ -65,7 +66,7 @@ def register_jointed_pose(
             T_k = T if k == 0 else _compose(T, _exp_se3(q * screw))
             _add_pairs(
                 H, g, T_k, source[k], frame, to_part[k], samples[k], offsets[k], pixels, h, w, labels, k + 1, fx, fy,
-                cx, cy, gate * unit, sigma, sigma_colour, colour_weight, sigma_silhouette,
+                cx, cy, gate * unit, sigma[k], sigma_colour, colour_weight, sigma_silhouette,
             )  # fmt: skip
             A[:6, :6] += H
             b[:6] += g
