@@ -276,5 +276,7 @@ def sample_evenly(frames: NDArray[np.int64], most: int) -> NDArray[np.int64]:
 
 def sample_pixels(mask: NDArray[np.bool_], most: int, rng: np.random.Generator) -> NDArray[np.int32]:
     """At most `most` random pixels (m, 2: row, column) of a mask (h, w)."""
-    pixels = np.argwhere(mask).astype(np.int32)
-    return pixels if len(pixels) <= most else pixels[np.sort(rng.choice(len(pixels), most, replace=False))]
+    places = np.flatnonzero(mask)  # with the rest a third of the time of np.argwhere
+    if len(places) > most:
+        places = places[np.sort(rng.choice(len(places), most, replace=False))]
+    return np.stack(np.divmod(places, mask.shape[1]), 1).astype(np.int32)
