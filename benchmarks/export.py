@@ -133,11 +133,11 @@ def _row(
 ) -> dict[str, Any]:
     """Export and measure one, unless its row is known."""
     answer = benchmark.truth(name) if results is None or source == "truth" else results / name
-    kept, asset_folder = work / source / f"{name}.json", work / source / name
+    row_file, asset_folder = work / source / f"{name}.json", work / source / name
     parts = sorted(path for path in (answer / "parts").rglob("*") if path.is_file())
     code = [*code_of("export"), Path(__file__)]
     key = digest_of(engines, video, DENSITY, STATES, files=[*code, *parts])
-    if kept.is_file() and (known := checked.read_json(kept, SCHEMA)).get("key") == key:
+    if row_file.is_file() and (known := checked.read_json(row_file, SCHEMA)).get("key") == key:
         return dict(known["row"])
     row: dict[str, Any] = {"source": source, "object": name}
     try:
@@ -161,7 +161,7 @@ def _row(
         }
     except FreeArtError as error:
         row["status"] = str(error).replace(str(work), "WORK")
-    atomic.write_json(kept, {"schema": SCHEMA, "key": key, "row": row})
+    atomic.write_json(row_file, {"schema": SCHEMA, "key": key, "row": row})
     return row
 
 

@@ -134,13 +134,13 @@ def main(names: tuple[str, ...] = (), work: Path = ROOT / "out" / "gap_numbers",
         raise FreeArtError(f"there is no recording {', '.join(unknown)}; there are {', '.join(here)}")
     grades: dict[str, dict[str, str]] = {}
     for name in names or here:
-        kept, folder = work / f"{name}.json", work / name
-        if not kept.is_file():
+        answer_file, folder = work / f"{name}.json", work / name
+        if not answer_file.is_file():
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir(parents=True)
             here[name](folder)
-            atomic.write_json(kept, ask(folder))
-        answers = checked.read_json(kept)
+            atomic.write_json(answer_file, ask(folder))
+        answers = checked.read_json(answer_file)
         expected = known["recordings"][name]
         grades[name] = {s: grade_answer(expected, known["groups"], answers.get(s))[0] for s in variants()}
         print(f"{len(grades)} of {len(names or here)}: {name}: {grades[name]['default']}", flush=True)

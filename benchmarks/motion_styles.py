@@ -174,7 +174,7 @@ def figures(stretch: Stretch) -> dict[str, float]:
     """The `FIGURES` of a stretch; NaN where there is nothing to measure."""
     m = stretch.movement
     joint = np.abs(np.diff(m.opening))
-    sweeps_s, strokes_s = (np.diff(s, axis=1)[:, 0] / m.fps for s in (m.sweeps, m.joint_submovements))
+    sweeps_s, submovements_s = (np.diff(s, axis=1)[:, 0] / m.fps for s in (m.sweeps, m.joint_submovements))
     known = m.degrees.std() > 0 and joint.std() > 0
     return {
         "median_degrees": float(np.median(m.degrees)),
@@ -199,7 +199,7 @@ def figures(stretch: Stretch) -> dict[str, float]:
         "joint_strokes": m.joint_submovements_a_minute,
         "reversals": m.reversals_a_minute,
         "joint_way": 100 * _middle(np.abs(m.joint_ways)),
-        "joint_stroke_s": _middle(strokes_s),
+        "joint_stroke_s": _middle(submovements_s),
         "together": m.together,
         "speed_correlation": float(np.corrcoef(m.degrees, joint)[0, 1]) if known else float("nan"),
         "smoothness": m.smoothness,

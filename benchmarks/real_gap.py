@@ -56,12 +56,12 @@ def main(
     chosen = [name for name in here if not names or name in names]
     rows = []
     for k, name in enumerate(chosen, 1):
-        kept = work / name / "row.json"
+        row_file = work / name / "row.json"
         key = digest_of(name, limit, files=code_of(*_CODE))
-        row = checked.read_json(kept) if kept.is_file() else {}
+        row = checked.read_json(row_file) if row_file.is_file() else {}
         if row.get("key") != key:
             row = {"key": key, **_ask(name, work / name, limit)}
-            atomic.write_json(kept, row)
+            atomic.write_json(row_file, row)
         rows.append(_grade(row, known))
         print(f"{k} of {len(chosen)}: {name}: {rows[-1]['grade']} ({rows[-1]['seconds']:.0f} s)", flush=True)
     _print(rows)

@@ -86,9 +86,9 @@ def _row(name: str, benchmark: Benchmark, engines: tuple[str, ...], work: Path, 
         _export(benchmark.truth(name), asset, work / f"{name}.asset.json")
     except FreeArtError as error:
         return row | {"status": str(error).replace(str(work), "WORK")}
-    kept = work / f"{name}.row.json"
+    row_file = work / f"{name}.row.json"
     key = digest_of(engines, _versions(), files=[*code_of("export/check"), *_files(asset)])
-    if kept.is_file() and (known := checked.read_json(kept, SCHEMA)).get("key") == key:
+    if row_file.is_file() and (known := checked.read_json(row_file, SCHEMA)).get("key") == key:
         return row | dict(known["row"])
     report = check(asset, engines, simcheck=True, limit_s=limit_s)
     public = [r for r in report.rows if r.engine.startswith("simcheck")]
@@ -102,19 +102,19 @@ def _row(name: str, benchmark: Benchmark, engines: tuple[str, ...], work: Path, 
         "own_failed": [f"{r.rule} ({r.engine}): {r.reason}" for r in report.not_passed if r not in public],
     }
     if not found["failed"]:  # what failed, for lack of time perhaps, is asked again
-        atomic.write_json(kept, {"schema": SCHEMA, "key": key, "row": found})
+        atomic.write_json(row_file, {"schema": SCHEMA, "key": key, "row": found})
     return row | found
 
 
-def _export(truth: Path, asset: Path, kept: Path) -> None:
+def _export(truth: Path, asset: Path, export_file: Path) -> None:
     """The asset, unless that is there."""
     code = [f for f in code_of("export") if f.relative_to(ROOT / "export").parts[0] not in ASIDE]
     key = digest_of(DENSITY, files=[*code, *_files(truth / "parts"), *_files(truth, "*.json")])
-    if kept.is_file() and checked.read_json(kept, SCHEMA).get("key") == key and asset.is_dir():
+    if export_file.is_file() and checked.read_json(export_file, SCHEMA).get("key") == key and asset.is_dir():
         return
-    kept.unlink(missing_ok=True)
+    export_file.unlink(missing_ok=True)
     export_result(truth_answer(read_truth(truth)), asset, ExportSettings(density=DENSITY))
-    atomic.write_json(kept, {"schema": SCHEMA, "key": key})
+    atomic.write_json(export_file, {"schema": SCHEMA, "key": key})
 
 
 def _files(folder: Path, pattern: str = "**/*") -> list[Path]:

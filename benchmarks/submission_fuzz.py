@@ -88,7 +88,7 @@ class Outcome:
     packed: bool
     status: str
     """Of the row; 'refused' when the whole submission was."""
-    said: str
+    text: str
     faults: tuple[str, ...]
     """What is wrong with the scorer; empty when it kept its word."""
     seconds: float
@@ -202,7 +202,7 @@ class Fuzz:
 
     def _judge(self, index: int, mutation: Mutation, given: Path, packed: bool) -> Outcome:
         began, faults = time.perf_counter(), []
-        status, said, row = "refused", "", None
+        status, text, row = "refused", "", None
         refusals: list[str] = []
         fatal: list[str] = []
         try:
@@ -216,27 +216,27 @@ class Fuzz:
                 try:
                     with open_results(given) as folder:
                         scores = score_results(folder, self.data, limit_s=None)
-                    row, status, said = scores.rows[0], scores.rows[0].status, scores.rows[0].reason
+                    row, status, text = scores.rows[0], scores.rows[0].status, scores.rows[0].reason
                     print_scores(scores, Console(file=io.StringIO()), everything=True)
                     write_scores(given.parent / "scores.json", scores)
                 except FreeArtError as error:
-                    said = str(error)
-                    refusals.append(said)
+                    text = str(error)
+                    refusals.append(text)
         except _TooLongError:
             faults.append(f"hang: more than {LIMIT_S:g} s")
         except Exception:  # whatever else comes out is what we look for
             faults.append("traceback: " + " | ".join(traceback.format_exc().strip().splitlines()[-3:]))
         else:
-            lines = [line for line in (*refusals, said, *fatal) if "\n" in line or not line.isprintable()]
+            lines = [line for line in (*refusals, text, *fatal) if "\n" in line or not line.isprintable()]
             faults += [f"traceback: not one printable line: {line[:80]!r}" for line in lines]
             declared = row is not None and row.status == "failed" and not row.reason.startswith("asset: ")
             priced = row is not None and row.status != "ok" and not declared
             if len(refusals) == 1 or (row is not None and priced != bool(fatal)):
-                faults.append(f"disagree: score says {status} {said[:80]!r}, validate {fatal[:2] or refusals}")
+                faults.append(f"disagree: score says {status} {text[:80]!r}, validate {fatal[:2] or refusals}")
             if row is not None:
                 faults += self._better(row, self.honest[mutation.lucky, mutation.asset])
         return Outcome(
-            index, mutation.name, packed, status, said[:200], tuple(faults), round(time.perf_counter() - began, 3)
+            index, mutation.name, packed, status, text[:200], tuple(faults), round(time.perf_counter() - began, 3)
         )
 
     def _better(self, row: Row, honest: Row) -> list[str]:

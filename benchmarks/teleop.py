@@ -78,7 +78,7 @@ def main(
         height: Of the live picture, pixels.
         out: The JSON file.
     """
-    begun_load = os.getloadavg()[0]
+    load_before = os.getloadavg()[0]
     with tempfile.TemporaryDirectory(prefix="freeart21-") as folder:
         notes = Path(folder) / "notes"
         arguments = [object, f"{folder}/take.jsonl", str(notes), str(width), str(height)]
@@ -97,7 +97,7 @@ def main(
             server.send_signal(signal.SIGTERM)
             server.wait(60)
         drawn = {int(n): float(s) for n, s in (line.split() for line in notes.read_text().splitlines())}
-    body = _summary(drive, drawn, seconds) | {"load": [round(begun_load, 2), round(os.getloadavg()[0], 2)]}
+    body = _summary(drive, drawn, seconds) | {"load": [round(load_before, 2), round(os.getloadavg()[0], 2)]}
     _print(body)
     settings = {"seconds": seconds, "object": object, "width": width, "height": height, "moves_a_second": HZ}
     write_report(out, settings, **body)

@@ -131,13 +131,13 @@ class CameraFaults:
 
     def hole_probability(self, brightness: NDArray[Any], cosine: NDArray[Any]) -> Array:
         """Probability that a pixel has no depth."""
-        kept = np.full(np.shape(brightness), 1 - self.holes)
+        share = np.full(np.shape(brightness), 1 - self.holes)
         if self.dark_share:
-            kept = kept * (1 - self.dark_share * logistic((self.dark_level - brightness) / SOFT))
+            share = share * (1 - self.dark_share * logistic((self.dark_level - brightness) / SOFT))
         if self.grazing_share:
             angle = np.arccos(np.clip(cosine, 0, 1))
-            kept = kept * (1 - self.grazing_share * logistic((angle - self.grazing_angle) / SOFT_RAD))
-        return np.asarray(1 - kept)
+            share = share * (1 - self.grazing_share * logistic((angle - self.grazing_angle) / SOFT_RAD))
+        return np.asarray(1 - share)
 
     def depth_noise(self, z: NDArray[Any], cosine: NDArray[Any]) -> Array:
         """Standard deviation of the depth, metres."""

@@ -116,13 +116,13 @@ def drop_duplicate_runs(runs: tuple[Run, ...]) -> tuple[tuple[Run, ...], tuple[s
     first: dict[bytes, Run] = {}
     for run in sorted(runs, key=lambda run: bool(run.held_out)):
         first.setdefault(_readings(run), run)
-    kept = {id(run) for run in first.values()}
+    first_ids = {id(run) for run in first.values()}
     notes = [
         f"run '{run.name}' is run '{first[_readings(run)].name}' again, reading by reading: it was left out"
         for run in runs
-        if id(run) not in kept
+        if id(run) not in first_ids
     ]
-    return tuple(run for run in runs if id(run) in kept), tuple(notes)
+    return tuple(run for run in runs if id(run) in first_ids), tuple(notes)
 
 
 def _readings(run: Run) -> bytes:

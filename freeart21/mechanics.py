@@ -121,9 +121,9 @@ def commanded_force(
     return effort
 
 
-def delivered_force(asked: float, qd: float, max_commanded: float, back_emf: float, max_force: float) -> float:
+def delivered_force(commanded: float, qd: float, max_commanded: float, back_emf: float, max_force: float) -> float:
     """Force that the actuator delivers for a commanded one, N*m or N."""
-    return min(max(min(max(asked, -max_commanded), max_commanded) - back_emf * qd, -max_force), max_force)
+    return min(max(min(max(commanded, -max_commanded), max_commanded) - back_emf * qd, -max_force), max_force)
 
 
 @dataclass(frozen=True)
@@ -152,10 +152,10 @@ class DriveLaw:
 
     def damped(self, q: float, qd: float, q_command: float, effort: float) -> float:
         """Decrease of the force per speed; at its limits only by back EMF."""
-        asked = self.commanded(q, qd, q_command, effort)
-        falls = self.back_emf + (self.damping if q_command == q_command and abs(asked) < self.max_commanded else 0.0)
-        asked = min(max(asked, -self.max_commanded), self.max_commanded) - self.back_emf * qd
-        return falls if abs(asked) < self.max_force else 0.0
+        command = self.commanded(q, qd, q_command, effort)
+        falls = self.back_emf + (self.damping if q_command == q_command and abs(command) < self.max_commanded else 0.0)
+        command = min(max(command, -self.max_commanded), self.max_commanded) - self.back_emf * qd
+        return falls if abs(command) < self.max_force else 0.0
 
     def forces(self, q: ArrayLike, qd: ArrayLike, q_command: ArrayLike, effort: ArrayLike) -> Array:
         """(n,) `force` for arrays."""

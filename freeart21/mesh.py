@@ -49,9 +49,9 @@ class Mesh:
         """The mesh with its vertices mapped by `T_new_old` (4, 4)."""
         return replace(self, vertices=se3.transform(T_new_old, self.vertices))
 
-    def with_faces(self, kept: NDArray[np.bool_]) -> Mesh:
-        """The mesh of the faces where `kept` (F,) is true, without unused vertices."""
-        faces = self.faces[kept]
+    def with_faces(self, is_member: NDArray[np.bool_]) -> Mesh:
+        """The mesh of the faces where `is_member` (F,) is true, without unused vertices."""
+        faces = self.faces[is_member]
         used, new = np.unique(faces, return_inverse=True)
         return Mesh(self.vertices[used], new.reshape(-1, 3), None if self.colours is None else self.colours[used])
 

@@ -147,20 +147,20 @@ def mean_pose(Ts: ArrayLike, sigma: float | None = 2.0) -> Array:
     left out, until the set no longer changes. `sigma=None` keeps all.
     """
     Ts = np.asarray(Ts, float)
-    kept = np.ones(len(Ts), bool)
+    inliers = np.ones(len(Ts), bool)
     for _ in range(20):
-        mean = pose(project_so3(Ts[kept, :3, :3].sum(0)), Ts[kept, :3, 3].mean(0))
+        mean = pose(project_so3(Ts[inliers, :3, :3].sum(0)), Ts[inliers, :3, 3].mean(0))
         if sigma is None:
             return mean
         angle = rotation_angle(Ts[:, :3, :3] @ mean[:3, :3].T)
         shift = np.linalg.norm(Ts[:, :3, 3] - mean[:3, 3], axis=-1)
         now = np.ones(len(Ts), bool)
         for distance in (angle, shift):
-            spread = np.sqrt(np.mean(distance[kept] ** 2))
+            spread = np.sqrt(np.mean(distance[inliers] ** 2))
             now &= distance <= sigma * spread + 1e-12
-        if not now.any() or np.array_equal(now, kept):
+        if not now.any() or np.array_equal(now, inliers):
             return mean
-        kept = now
+        inliers = now
     return mean
 
 

@@ -140,11 +140,11 @@ def measure_motion(result: Reconstruction) -> Motion:
     angle = np.full((len(result), 2), np.nan)
     distance = angle.copy()
     for k, centre in enumerate(centres):
-        kept = seen[1:, k] & seen[:-1, k]
+        in_both = seen[1:, k] & seen[:-1, k]
         turn = se3.rotation_angle(Ts[1:, k, :3, :3] @ np.swapaxes(Ts[:-1, k, :3, :3], 1, 2))
         at = se3.transform(Ts[:, k], centre[None, None])[:, 0]
-        angle[1:, k] = np.where(kept, turn, np.nan)
-        distance[1:, k] = np.where(kept, np.linalg.norm(np.diff(at, axis=0), axis=-1), np.nan)
+        angle[1:, k] = np.where(in_both, turn, np.nan)
+        distance[1:, k] = np.where(in_both, np.linalg.norm(np.diff(at, axis=0), axis=-1), np.nan)
     return Motion(
         np.where(both, se3.rotation_angle(gap[:, :3, :3]), np.nan),
         np.where(both, np.linalg.norm(moved - centres[1], axis=-1), np.nan),

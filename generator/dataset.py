@@ -218,8 +218,8 @@ def record_jobs(
                 raise
             _finish(out, label)
         except atomic.CannotWrite as error:
-            kept = f"; finished work is kept in {out / WORK}" if is_unfinished(out) else ""
-            raise atomic.CannotWrite(f"{error}{kept}: make room and run the same command again") from error
+            hint = f"; finished work is kept in {out / WORK}" if is_unfinished(out) else ""
+            raise atomic.CannotWrite(f"{error}{hint}: make room and run the same command again") from error
     return [job.sequence for job in todo]
 
 

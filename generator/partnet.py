@@ -247,9 +247,9 @@ def _line_crosses_box(point: Array, direction: Array, low: Array, high: Array) -
 
 
 def _meta_notes(meta: dict[str, Any], folder: Path) -> list[str]:
-    said = str(meta.get("anno_id", folder.name))
+    stated = str(meta.get("anno_id", folder.name))
     ours = "scored_joint" in meta
-    return [] if ours or said == folder.name else [f"meta.json calls the object {said}; the folder's name is kept"]
+    return [] if ours or stated == folder.name else [f"meta.json calls the object {stated}; the folder's name is kept"]
 
 
 def read_tree(urdf: Path) -> Urdf:

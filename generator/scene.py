@@ -326,8 +326,8 @@ def _load(scene: Any, urdf: Path) -> Any:
             articulation = builders[0].build(fix_root_link=False)
             read_files_now(articulation)
         except Exception as error:  # the loader raises Exception itself
-            said = str(error).replace(str(readable.parent), str(urdf.parent)).strip().splitlines()
-            raise FreeArtError(f"SAPIEN cannot load {urdf}: {said[0] if said else type(error).__name__}") from error
+            lines = str(error).replace(str(readable.parent), str(urdf.parent)).strip().splitlines()
+            raise FreeArtError(f"SAPIEN cannot load {urdf}: {lines[0] if lines else type(error).__name__}") from error
     return articulation
 
 

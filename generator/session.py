@@ -404,14 +404,14 @@ class Session:
         empty although nothing hides the object: a software renderer was seen to fail like this under heavy load.
         """
         n = self.settings.frames
-        kept = [all(_is_complete_png(self._work / sub / f"{i:05d}.png") for sub in _PICTURES) for i in range(n)]
+        is_complete = [all(_is_complete_png(self._work / sub / f"{i:05d}.png") for sub in _PICTURES) for i in range(n)]
         with FrameWriter() as writer:
             for i in range(n):
-                if kept[i]:
+                if is_complete[i]:
                     side = self._side(i)
                 else:
                     shot = self.sensor.shoot(i)
-                    if i + 1 < n and not kept[i + 1]:
+                    if i + 1 < n and not is_complete[i + 1]:
                         self.sensor.start_drawing(i + 1)
                     side = shot.side
                     if not self._may_hide:

@@ -156,9 +156,9 @@ def moulded(
     Raises ValueError where `radius` is more than the outline's own curves allow.
     """
     contours, inner = zip(*(_inset(np.asarray(c, float), radius) for c in outline.to_polygons()), strict=True)
-    kept = CrossSection([1e3 * c for c in inner])  # in millimetres: outlines are rounded to 1e-8 of their unit
+    inner_outline = CrossSection([1e3 * c for c in inner])  # in millimetres: outlines are rounded to 1e-8 of their unit
     signed = sum(float(np.sum(c[:, 0] * np.roll(c[:, 1], -1) - c[:, 1] * np.roll(c[:, 0], -1))) / 2 for c in inner)
-    if abs(kept.area() * 1e-6 - signed) > 1e-5 * signed:
+    if abs(inner_outline.area() * 1e-6 - signed) > 1e-5 * signed:
         raise ValueError(f"rims of radius {radius:g} meet each other: the outline is too narrow somewhere")
     quarter = np.linspace(0, np.pi / 2, segments + 1)
     share = np.concatenate([1 - np.sin(quarter), 1 - np.sin(quarter[::-1])])

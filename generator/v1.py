@@ -36,6 +36,13 @@ SEEDS: dict[Split, int] = {"public": 1, "test": 42}
 """Seed of all sequences of a split: of shapes, motions and views."""
 
 _STYLES = ("tumble", "inspect", "wave")
+_OBJECTS = (
+    *("swivel_usb", "flip_cap_usb", "folding_usb", "flip_lighter", "torch_lighter", "folding_lighter"),
+    *("stapler", "mini_stapler", "long_arm_stapler", "slider_phone", "keyboard_phone", "cover_phone"),
+    *("office_scissors", "tailor_shears", "craft_scissors", "drawer_unit", "nightstand", "filing_cabinet"),
+    *("tilt_monitor", "pivot_monitor", "folding_display"),
+)
+"""Three a category; objects that the catalog gains later are of another version."""
 _FROZEN = Path(__file__).with_name("freeart21_v1.json")
 
 
@@ -54,7 +61,7 @@ class Entry:
 def entries(split: Split) -> tuple[Entry, ...]:
     """The 21 sequences of a split. Every category has one object of each style; the splits assign them differently."""
     found = []
-    for k, name in enumerate(catalog.built_in_names()):
+    for k, name in enumerate(_OBJECTS):
         seed, turn = SEEDS[split], get_args(Split).index(split)
         opaque = hashlib.sha256(f"{NAME} {split} {name} {seed}".encode()).hexdigest()[:8]
         sequence = f"{name}-v{VERSION}" if split == "public" else f"test-{opaque}"

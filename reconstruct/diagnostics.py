@@ -198,8 +198,21 @@ def unexplained(evidence: Evidence, Ts: Array, seen: NDArray[np.bool_], rng: np.
         costs[~_inside(evidence, i, others, T, pixels).all(2)] = np.nan
         costs = costs[np.isfinite(costs).sum(1) >= 2]
         if len(costs) >= LEAST:
-            shares[i] = (np.nanpercentile(costs, 75, axis=1) > MISFIT).mean()
+            shares[i] = (_upper_quartiles(costs) > MISFIT).mean()
     return shares
+
+
+def _upper_quartiles(values: Array) -> Array:
+    """(p,) 75th percentiles of the numbers in each row of `values` (p, s), NaNs left out; each row has a number.
+
+    As `np.nanpercentile`, which takes rows one by one: here all rows with as many numbers are taken together.
+    """
+    counts, quartiles = np.isfinite(values).sum(1), np.empty(len(values))
+    ordered = np.sort(values, axis=1)  # NaNs last
+    for count in np.unique(counts):
+        rows = counts == count
+        quartiles[rows] = np.percentile(ordered[rows, :count], 75, axis=1)
+    return quartiles
 
 
 def _inside(evidence: Evidence, frame: int, others: NDArray[np.int64], T: Array, pixels: Pixels) -> NDArray[np.bool_]:

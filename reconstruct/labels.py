@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from freeart21 import se3
-from freeart21.se3 import Array, Floats, Ints
+from freeart21.se3 import Array, Bools, Floats, Ints
 from reconstruct import kernels
 from reconstruct.evidence import Evidence, fill_between
 from reconstruct.rigid import view_angle
@@ -202,11 +202,11 @@ def random_walk_logodds(
     total = np.abs(own) + weight + PRIOR_WEIGHT
     target = (np.abs(own) * np.clip(own, -1, 1) + weight * belief) / total
     logodds = np.zeros(valid.shape, np.float32)
-    starts, ends, weights = evidence.neighbour_graph(frame)
-    total, target = total[valid].astype(float), target[valid].astype(float)
-    first = target if start is None else start[valid] / SURE
-    x = _random_walk(total, target, first.astype(float), starts, ends, EDGE_WEIGHT * weights, RESIDUAL, 300)
-    logodds[valid] = SURE * np.clip(x, -1, 1)
+    first = target if start is None else start / SURE
+    box, weights = evidence.neighbour_weights(frame)
+    strength, wanted, begin = (values[box].astype(float) for values in (total, target, first))
+    x = _random_walk(strength, wanted, begin, valid[box], EDGE_WEIGHT * weights, RESIDUAL, 300)
+    logodds[box] = np.where(valid[box], SURE * np.clip(x, -1, 1), 0)
     blind = evidence.scene.mask[frame] & ~valid
     if blind.any() and valid.any():  # pixels without depth take the nearest label
         rows, columns = distance_transform_edt(~valid, return_distances=False, return_indices=True)
@@ -216,52 +216,53 @@ def random_walk_logodds(
 
 @njit(nogil=True, cache=True)
 def _random_walk(
-    strength: Array, target: Array, first: Array, starts: Ints, ends: Ints, weights: Array, tolerance: float,
-    rounds: int,
+    strength: Array, target: Array, first: Array, valid: Bools, weights: Floats, tolerance: float, rounds: int,
 ) -> Array:  # pragma: no cover  # fmt: skip
-    """x (p,) that minimises sum strength (x - target)^2 + sum over edges weights (x_p - x_q)^2.
+    """x (h, w) that minimises sum strength (x - target)^2 + sum over edges weights (x_p - x_q)^2 over `valid` pixels.
 
-    Conjugate gradients with Jacobi preconditioning from `first` (p,), until the residual is `tolerance` of the
-    target's.
+    Conjugate gradients with Jacobi preconditioning from `first` (h, w), until the residual is `tolerance` of the
+    target's. `weights` (6, h, w) are those of `kernels.neighbours`.
     """
-    n = len(strength)
-    diagonal = strength.copy()
-    for p in range(n):
-        for e in range(starts[p], starts[p + 1]):
-            diagonal[p] += weights[e]
-    x, d = target.copy(), np.zeros(n)
-    r, product = np.empty(n), np.empty(n)
-    _residual(x, strength, target, diagonal, starts, ends, weights, r)
-    enough = max(tolerance * tolerance * (r * r / diagonal).sum(), 1e-12 * diagonal.sum())
-    x[:] = first
-    _residual(x, strength, target, diagonal, starts, ends, weights, r)
-    gain = (r * r / diagonal).sum()
-    before = np.inf
+    (h, w), border = valid.shape, kernels.BORDER
+    inside = np.flatnonzero(kernels.padded(valid.astype(np.float64)))
+    edges, wanted = kernels.padded_weights(weights), kernels.padded(np.where(valid, strength * target, 0.0))
+    diagonal = kernels.padded(np.where(valid, strength, 0.0))
+    kernels.add_neighbours(diagonal, np.ones(len(diagonal)), edges, w, 1.0)
+    diagonal = np.where(diagonal > 0, diagonal, 1.0)  # where there is no pixel, nothing is divided by 0
+    x, d, product = kernels.padded(np.where(valid, target, 0.0)), np.zeros(len(wanted)), np.zeros(len(wanted))
+    r = wanted - diagonal * x
+    kernels.add_neighbours(r, x, edges, w, 1.0)
+    enough = max(tolerance * tolerance * _squares(r, diagonal, inside), 1e-12 * diagonal[inside].sum())
+    x = kernels.padded(np.where(valid, first, 0.0))
+    r = wanted - diagonal * x
+    kernels.add_neighbours(r, x, edges, w, 1.0)
+    gain, before = _squares(r, diagonal, inside), np.inf
     for _ in range(rounds):
         if not gain > enough:
             break
-        d = r / diagonal + gain / before * d
-        for p in range(n):
-            product[p] = diagonal[p] * d[p]
-            for e in range(starts[p], starts[p + 1]):
-                product[p] -= weights[e] * d[ends[e]]
-        step = gain / (d * product).sum()
-        x += step * d
-        r -= step * product
-        before = gain
-        gain = (r * r / diagonal).sum()
-    return x
+        ratio = gain / before
+        for i in range(len(d)):
+            d[i] = r[i] / diagonal[i] + ratio * d[i]
+            product[i] = diagonal[i] * d[i]
+        kernels.add_neighbours(product, d, edges, w, -1.0)
+        along = 0.0
+        for p in inside:
+            along += d[p] * product[p]
+        step = gain / along
+        for i in range(len(d)):
+            x[i] += step * d[i]
+            r[i] -= step * product[i]
+        before, gain = gain, _squares(r, diagonal, inside)
+    return x.reshape(h + 2 * border, w + 2 * border)[border : border + h, border : border + w]
 
 
 @njit(nogil=True, cache=True)
-def _residual(
-    x: Array, strength: Array, target: Array, diagonal: Array, starts: Ints, ends: Ints, weights: Array, r: Array,
-) -> None:  # pragma: no cover  # fmt: skip
-    """Fill r (p,), minus half of the gradient at x (p,); see `_random_walk`."""
-    for p in range(len(x)):
-        r[p] = strength[p] * target[p] - diagonal[p] * x[p]
-        for e in range(starts[p], starts[p + 1]):
-            r[p] += weights[e] * x[ends[e]]
+def _squares(r: Array, diagonal: Array, inside: Ints) -> float:  # pragma: no cover
+    """Sum of r^2 / diagonal over the pixels `inside`."""
+    total = 0.0
+    for p in inside:
+        total += r[p] * r[p] / diagonal[p]
+    return total
 
 
 @njit(nogil=True, cache=True)

@@ -137,7 +137,7 @@ def free_adjustment(
         Ts = se3.orthonormalised(se3.exp_se3(limit_rotations(step)) @ Ts)
     drift = se3.mean_pose(se3.inverse(start[seen]) @ Ts[seen])
     Ts = np.where(seen[:, None, None], Ts @ se3.inverse(drift), start)
-    pairs_per_pixel = len(source) / max(seen.sum(), 1) * _samples_per_independent_pixel(evidence, labels, part, seen)
+    pairs_per_pixel = len(source) / max(seen.sum(), 1)
     return FreePoses(Ts, _covariances(A, Ts, seen, pairs_per_pixel))
 
 
@@ -181,16 +181,9 @@ def joint_adjustment(
             pairs = [choose_pairs(T, usable[:, k], settings) for k, T in enumerate((current.Ts, current.Ts_moving))]
     if final:
         pairs_per_pixel = len(pairs[1][0]) / max(usable[:, 1].sum(), 1)
-        pairs_per_pixel *= _samples_per_independent_pixel(evidence, labels, 2, usable[:, 1])
         clouds = [_sample_points(evidence.scene, pixels[k], T) for k, T in enumerate((current.Ts, current.Ts_moving))]
         current = add_standard_deviations(current, A.toarray(), usable, clouds, pairs_per_pixel, evidence.unit)
     return replace(current, cost=float(cost))
-
-
-def _samples_per_independent_pixel(evidence: Evidence, labels: Labels, part: int, frames: NDArray[np.bool_]) -> float:
-    """Samples of a part in one area of correlated depth, which count as one: at least 1, median of `frames` (n,)."""
-    pixels = float(np.median(np.count_nonzero(labels[frames] == part, axis=(1, 2)))) if frames.any() else 0.0
-    return max(min(SAMPLES, pixels) * evidence.scene.correlation_area / max(pixels, 1.0), 1.0)
 
 
 def add_standard_deviations(

@@ -12,12 +12,12 @@ from freeart21 import se3
 from freeart21.joint import Joint
 from freeart21.se3 import Array
 from reconstruct import rigid
-from reconstruct.evidence import Evidence, Records, Samples, sample_pixels
+from reconstruct.evidence import Evidence, PartReferences, Records, Samples, sample_pixels
 from reconstruct.joint_type import choose_joint_type
 from reconstruct.labels import SURE, is_ambiguous, label_frame
 from reconstruct.poses import JointedPoses
 from reconstruct.scene import UnsolvableError
-from reconstruct.seeds import Seed, apply_twist_step
+from reconstruct.seeds import Seed
 from reconstruct.settings import ReconstructSettings
 from reconstruct.tracks import Tracker, bilinear
 
@@ -144,23 +144,17 @@ class Propagation:
             self._record_cache[key] = self.evidence.records(self._samples(k, references, frame))
         return self._record_cache[key]
 
-    def _normal_equations(
-        self, k: int, frame: int, T: Array, references: NDArray[np.int64], gate: float
-    ) -> tuple[Array, Array, Array]:
-        """Summed Gauss-Newton terms of the left twist of part k's pose in `frame`, from the references' samples."""
-        relative = T @ se3.inverse(self.Ts[k, references])
-        records, here = self._records(k, references, frame), np.full(len(references), frame)
-        H, g, stats = self.evidence.register(references, here, relative, records, gate, self.labels, k + 1)
-        return H.sum(0), g.sum(0), stats.sum(0)
+    def _part_references(self, k: int, references: NDArray[np.int64], frame: int) -> PartReferences:
+        """What part k of `frame` is registered to."""
+        Ts_part = se3.inverse(self.Ts[k, references])
+        return PartReferences(references, Ts_part, self._records(k, references, frame))
 
     def register_part(
         self, k: int, frame: int, T: Array, references: NDArray[Any], gates: tuple[float, ...]
     ) -> tuple[Array, float]:
         """Part k's pose after Gauss-Newton through the gates, and inliers per reference."""
-        stats = np.zeros(4)
-        for gate in gates:
-            H, g, stats = self._normal_equations(k, frame, T, references, gate)
-            T = apply_twist_step(T, H, g)
+        known = self._part_references(k, references, frame)
+        T, stats = self.evidence.register_pose(T, frame, known, gates, self.labels, k + 1)
         return T, stats[0] / len(references)
 
     def register_with_joint(
@@ -171,32 +165,13 @@ class Propagation:
         assert self.joint is not None
         self.states[frame] = q
         poses = self.part_poses(T, q)
-        references = [self.references(k, poses[k], frame) for k in range(2)]
+        first, second = (self._part_references(k, self.references(k, poses[k], frame), frame) for k in range(2))
         most = self.max_state_step()
-        expected, stray = self._extrapolate_state(frame), STATE_SURPRISE * 10 * most
-        pull = self.settings.growth.surprise_weight / stray**2
-        for gate in gates:
-            A, b = np.zeros((7, 7)), np.zeros(7)
-            A[6, 6], b[6] = pull, pull * (q - expected)
-            for k in range(2):
-                if len(references[k]) == 0:
-                    continue
-                M = np.eye(6, 7)
-                M[:, 6] = se3.adjoint(T) @ self.joint.screw if k else 0
-                H, g, _ = self._normal_equations(k, frame, T @ self.joint.transform(q) if k else T, references[k], gate)
-                A += M.T @ H @ M
-                b += M.T @ g
-            if at_rest:
-                A[6], A[:, 6], b[6] = 0, 0, 0
-            T, q = self.apply_joint_step(T, q, A, b, most)
+        stray = STATE_SURPRISE * 10 * most
+        prior = self.settings.growth.surprise_weight / stray**2, self._extrapolate_state(frame)
+        start, known = (T, q, self.joint, frame), ((first, second), gates, self.labels)
+        T, q = self.evidence.register_jointed_pose(*start, *known, prior, most, at_rest)
         return T, q, self.cost_with_joint(frame, T, q)
-
-    def apply_joint_step(self, T: Array, q: float, A: Array, b: Array, most: float) -> tuple[Array, float]:
-        """Reference pose and state after one damped Gauss-Newton step; the state changes by at most `most`."""
-        diagonal = np.diag(A)
-        x = -np.linalg.solve(A + np.diag(1e-3 * diagonal + 1e-9 * diagonal.max() + 1e-300), b)
-        x[:6] *= min(1.0, 0.1 / max(float(np.linalg.norm(x[3:6])), 1e-12))
-        return se3.orthonormalised(se3.exp_se3(x[:6]) @ T), q + float(np.clip(x[6], -most, most))
 
     def cost_with_joint(self, frame: int, T: Array, q: float) -> float:
         """Mean cost of the parts' samples in `frame`, plus that of the pixels of `frame` under the better motion."""

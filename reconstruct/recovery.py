@@ -13,6 +13,7 @@ from freeart21.se3 import Array
 from reconstruct import rigid
 from reconstruct.evidence import Pixels, sample_pixels
 from reconstruct.propagation import MIN_JOINTED_PIXELS, REFERENCES, REST_COST, SAMPLES, UNCERTAIN_SHARE, Propagation
+from reconstruct.registration import step_with_joint
 
 GATES = (12.0, 8.0, 6.0, 5.0)
 """Point-to-plane gates of the registration, coarse to fine."""
@@ -153,9 +154,7 @@ class _UnlabelledFrame:
                 M = to_source @ M
                 A += np.einsum("pia,pij,pjb->ab", M, H, M)
                 b += np.einsum("pia,pi->a", M, g)
-            if at_rest:
-                A[6], A[:, 6], b[6] = 0, 0, 0
-            T, q = propagation.apply_joint_step(T, q, A, b, most)
+            T, q = step_with_joint(T, q, A, b, most, at_rest)
         return T, q
 
     def prefer_known_state(self, T: Array, q: float, rest: float, cost: float) -> tuple[Array, float]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from freeart21 import se3
 from freeart21.se3 import Array
 from reconstruct import rigid
-from reconstruct.evidence import Evidence, Samples, sample_pixels
+from reconstruct.evidence import Evidence, PartReferences, Samples, sample_pixels
 from reconstruct.scene import UnsolvableError
 from reconstruct.tracks import Tracker, Tracks
 
@@ -391,20 +391,9 @@ def _refine_motion(
     samples: Samples = {frame: sample_pixels(mask, 700, rng)}
     if len(samples[frame]) < 25:
         return T
-    for gate in (10.0, 7.0, 5.0, 4.0, 4.0) if round_ == 0 else (5.0, 4.0, 4.0):
-        H, g, _ = evidence.register(np.array([frame]), np.array([other]), T[None], samples, gate)
-        T = apply_twist_step(T, H[0], g[0])
-    return T
-
-
-def apply_twist_step(T: Array, H: Array, g: Array, most: float = 0.1) -> Array:
-    """`T` after one damped Gauss-Newton step of its left twist, at most `most` radians."""
-    diagonal = np.diag(H)
-    if not diagonal.max() > 0:
-        return T
-    damped = H + np.diag(1e-3 * diagonal + 1e-9 * diagonal.max())
-    x = -np.linalg.solve(damped, g)
-    return se3.orthonormalised(se3.exp_se3(x * min(1.0, most / max(float(np.linalg.norm(x[3:])), 1e-12))) @ T)
+    gates = (10.0, 7.0, 5.0, 4.0, 4.0) if round_ == 0 else (5.0, 4.0, 4.0)
+    still = PartReferences(np.array([frame]), np.eye(4)[None], evidence.records(samples))
+    return evidence.register_pose(T, other, still, gates)[0]
 
 
 def _partial_motions(Ts: Array, a: float) -> Array:

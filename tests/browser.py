@@ -45,12 +45,12 @@ class Browser:
             message["sessionId"] = self._session
         os.write(self._to, json.dumps(message).encode() + b"\0")
         while True:
-            said = self._next()
-            if said.get("id") == own:
-                if "navigated" in said.get("error", {}).get("message", ""):
-                    raise Navigated(said["error"])
-                assert "error" not in said, said["error"]
-                return said["result"]
+            reply = self._next()
+            if reply.get("id") == own:
+                if "navigated" in reply.get("error", {}).get("message", ""):
+                    raise Navigated(reply["error"])
+                assert "error" not in reply, reply["error"]
+                return reply["result"]
 
     def _next(self) -> dict[str, Any]:
         while b"\0" not in self._rest:
@@ -58,21 +58,21 @@ class Browser:
             assert piece, "the browser has ended"
             self._rest += piece
         text, _, self._rest = self._rest.partition(b"\0")
-        said = json.loads(text)
-        method, given = said.get("method"), said.get("params", {})
+        event = json.loads(text)
+        method, given = event.get("method"), event.get("params", {})
         if method == "Runtime.exceptionThrown":
             self.errors.append(json.dumps(given["exceptionDetails"].get("exception", {}).get("description")))
         elif method == "Runtime.consoleAPICalled" and given["type"] in ("error", "assert"):
             self.errors.append(json.dumps([argument.get("value") for argument in given["args"]]))
         elif method == "Log.entryAdded" and given["entry"]["level"] == "error":
             self.errors.append(given["entry"]["text"] + " " + given["entry"].get("url", ""))
-        return said
+        return event
 
     def run(self, script: str) -> Any:
         """The value of an expression in the page; a promise is waited for."""
-        said = self.ask("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
-        assert "exceptionDetails" not in said, said["exceptionDetails"]
-        return said["result"].get("value")
+        reply = self.ask("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
+        assert "exceptionDetails" not in reply, reply["exceptionDetails"]
+        return reply["result"].get("value")
 
     def open(
         self,

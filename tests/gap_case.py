@@ -51,8 +51,10 @@ def _course(q, v, n, command, inertia, weight, lean, viscous, power, dry, drag, 
         force -= viscous * (1 + warming * t) * np.sign(v) * abs(v) ** power + drag * v * abs(v)
         others, drive = force, 0.0
         if len(command) > 0:
-            asked = command[min(max(int((t + 0.5 * STEP - delay) * len(command) / (n / RATE)), 0), len(command) - 1)]
-            drive = gain * (60.0 * (asked - q) - 4.0 * v)
+            commanded = command[
+                min(max(int((t + 0.5 * STEP - delay) * len(command) / (n / RATE)), 0), len(command) - 1)
+            ]
+            drive = gain * (60.0 * (commanded - q) - 4.0 * v)
         v += STEP * (others + drive) / inertia
         rubs = STEP * (dry + gears * abs(drive - others)) / inertia
         v = 0.0 if abs(v) <= rubs else v - np.sign(v) * rubs

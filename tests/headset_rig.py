@@ -157,8 +157,8 @@ class Rig:
 
     def object(self) -> tuple[np.ndarray, float]:
         """The hand's pose (4, 4) and state, now."""
-        said = self.page.run("({p: hand.position, q: hand.quaternion, s: hand.state})")
-        return se3.pose_from_wxyz(said["p"], said["q"]), float(said["s"])
+        answer = self.page.run("({p: hand.position, q: hand.quaternion, s: hand.state})")
+        return se3.pose_from_wxyz(answer["p"], answer["q"]), float(answer["s"])
 
     def take_messages(self) -> list[str]:
         """What was asked of the server since the last time."""

@@ -48,13 +48,13 @@ MJCF = """<mujoco model="lid_box">
 
 def numbers(kg: float) -> dict[str, str]:
     """Masses and moments of the two boxes, the lid a fifth of `kg`, with damping and friction to match."""
-    said: dict[str, float] = {"box": 0.8 * kg, "lid": 0.2 * kg}
+    values: dict[str, float] = {"box": 0.8 * kg, "lid": 0.2 * kg}
     for letter, mass, (x, y, z) in (("b", 0.8 * kg, (0.2, 0.15, 0.04)), ("l", 0.2 * kg, (0.2, 0.15, 0.01))):
-        said[f"{letter}xx"] = mass / 12 * (y * y + z * z)
-        said[f"{letter}yy"] = mass / 12 * (x * x + z * z)
-        said[f"{letter}zz"] = mass / 12 * (x * x + y * y)
-    said |= {"damping": 1e-3 * kg, "friction": 1e-2 * kg}
-    return {key: repr(value) for key, value in said.items()}
+        values[f"{letter}xx"] = mass / 12 * (y * y + z * z)
+        values[f"{letter}yy"] = mass / 12 * (x * x + z * z)
+        values[f"{letter}zz"] = mass / 12 * (x * x + y * y)
+    values |= {"damping": 1e-3 * kg, "friction": 1e-2 * kg}
+    return {key: repr(value) for key, value in values.items()}
 
 
 def write_little(folder: Path, kg: float = 0.5, *, mjcf: bool = False) -> Path:

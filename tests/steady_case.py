@@ -55,8 +55,8 @@ def steady_of(
             q = 1e-5 * np.round(q / 1e-5 + rng.normal(0, 0.5, n))
             name = f"{'up' if way > 0 else 'down'}_{speed:g}"
             held_out = i % 3 == 1 if marked else None
-            told = torque + rng.normal(0, noise, n)
-            runs.append(Run(name, np.arange(n) / rate, q, told, held_out=held_out, prescribed=prescribed))
+            readings = torque + rng.normal(0, noise, n)
+            runs.append(Run(name, np.arange(n) / rate, q, readings, held_out=held_out, prescribed=prescribed))
     unsure = (0.05, 0.03)
     gravity = np.array([0.0, 0.0, -G])
     return Measured("j", "revolute", gravity, rate, "recorded", "commanded", None, *unsure, tuple(runs), "unknown")

@@ -65,12 +65,12 @@ def stop(arguments: list[str], out: Path, after_s: float, to_all: bool, twice: b
     `to_all`: the signal goes to all of its processes, as from a terminal, not to the command alone; `twice`: it comes
     again a moment later.
     """
-    running, wrong, told = start(arguments, out), [], False
+    running, wrong, is_stopped = start(arguments, out), [], False
     tell = os.killpg if to_all else os.kill
     try:
         _, errors = running.communicate(timeout=after_s)
     except subprocess.TimeoutExpired:
-        told = True
+        is_stopped = True
         for _ in range(1 + twice):
             if running.poll() is None:
                 tell(running.pid, signal.SIGINT)
@@ -84,7 +84,7 @@ def stop(arguments: list[str], out: Path, after_s: float, to_all: bool, twice: b
     lines = [line for line in errors.splitlines() if line.strip()]
     if running.returncode == 130 and (len(lines) != 1 or not lines[0].startswith("freeart21: stopped")):
         wrong.append(f"not one line: {errors[-2000:]}")
-    if running.returncode not in ((130, 0) if told else (0,)):  # it may have been done when it was asked
+    if running.returncode not in ((130, 0) if is_stopped else (0,)):  # it may have been done when it was asked
         wrong.append(f"exit code {running.returncode}: {errors[-2000:]}")
     if left := left_running(running.pid):
         wrong.append(f"left running: {left}")

@@ -23,12 +23,12 @@ def test_each_request_has_a_process_that_knows_nothing_of_the_others(ask, tmp_pa
 
 
 @pytest.mark.parametrize(
-    "do, said",
+    "do, line",
     [("abort", "exit code -6: about to break"), ("leave", "exit code 0: no message"), ("raise", "exit code 70: ")],
 )
-def test_a_process_that_ends_without_an_answer_is_reported_and_the_next_one_answers(ask, do, said):
+def test_a_process_that_ends_without_an_answer_is_reported_and_the_next_one_answers(ask, do, line):
     waiting = ask("answer") and asset_process._server.process.pid
-    with pytest.raises(Crashed, match=said):
+    with pytest.raises(Crashed, match=line):
         ask(do)
     assert ask("answer")["asked"] == 1 and asset_process._server.process.pid == waiting
 

@@ -47,8 +47,8 @@ def said_of(path: Path) -> tuple[str, str]:
 
 def test_every_file_of_a_doubtful_asset_says_so(doubtful: Path):
     assert read_asset(doubtful).trust == DOUBTFUL
-    said = json.loads((doubtful / "asset.json").read_text())["trust"]
-    assert said == {"verdict": "doubtful", "reasons": list(DOUBTFUL.reasons)}
+    document = json.loads((doubtful / "asset.json").read_text())["trust"]
+    assert document == {"verdict": "doubtful", "reasons": list(DOUBTFUL.reasons)}
     for name in ("object.urdf", "object.xml"):
         assert "freeart21 trust: doubtful: the axis is known to 12° only - - - a test" in (doubtful / name).read_text()
     assert f"**doubtful: {REASON}; and another**" in (doubtful / "LOSSES.md").read_text()
@@ -99,21 +99,21 @@ def test_a_sound_answer_passes_and_one_without_a_verdict_is_not_stated(sound: Pa
     write_result(tmp_path / "ours" / "s1", reconstruction())
     assert cli.export(tmp_path / "ours" / "s1", tmp_path / "asset") == 0
     assert capsys.readouterr().out.splitlines()[-1].startswith("not stated: ")
-    said = json.loads((tmp_path / "asset/asset.json").read_text())["trust"]
-    assert said == {"verdict": "not stated", "reasons": []} and read_asset(tmp_path / "asset").trust is None
+    document = json.loads((tmp_path / "asset/asset.json").read_text())["trust"]
+    assert document == {"verdict": "not stated", "reasons": []} and read_asset(tmp_path / "asset").trust is None
     assert said_of(tmp_path / "asset")[0] == "skip"
     assert "freeart21 trust: not stated" in (tmp_path / "asset/object.urdf").read_text()
 
 
 def test_trust_that_is_no_verdict_is_refused_in_one_line(sound: Path, tmp_path: Path):
-    said = json.loads((sound / "asset.json").read_text())
+    document = json.loads((sound / "asset.json").read_text())
     for wrong in (
         "yes",
         {"verdict": "fine"},
         {"verdict": "sound", "reasons": ["a doubt"]},
         {"verdict": "doubtful", "reasons": ["a\nb"]},
     ):
-        (tmp_path / "asset.json").write_text(json.dumps(said | {"trust": wrong}))
+        (tmp_path / "asset.json").write_text(json.dumps(document | {"trust": wrong}))
         (tmp_path / "object.urdf").write_bytes((sound / "object.urdf").read_bytes())
         assert_refused(r"asset.json: .*trust", read_asset, tmp_path)
 

@@ -133,8 +133,8 @@ def cart(t):
     return 0.15 * np.sin(2 * np.pi * 0.9 * t)
 
 
-@pytest.mark.parametrize("told", ["position", "acceleration"])
-def test_cart_pendulum_matches_the_textbook(told: str, tmp_path: Path):
+@pytest.mark.parametrize("quantity", ["position", "acceleration"])
+def test_cart_pendulum_matches_the_textbook(quantity: str, tmp_path: Path):
     """I q'' = m l x'' cos q - m g l sin q, for a bob that hangs at -z and turns about y."""
     pull = -0.15 * (2 * np.pi * 0.9) ** 2
 
@@ -144,8 +144,8 @@ def test_cart_pendulum_matches_the_textbook(told: str, tmp_path: Path):
 
     q = solve_ivp(slope, (0, TIMES[-1]), [0.2, 0.0], t_eval=TIMES, rtol=1e-9, atol=1e-10).y[0]
     nothing = 0 * TIMES
-    x = cart(TIMES) if told == "position" else pull * np.sin(2 * np.pi * 0.9 * TIMES)
-    base = BaseSeries(**{told: np.stack([x, nothing, nothing], 1)})
+    x = cart(TIMES) if quantity == "position" else pull * np.sin(2 * np.pi * 0.9 * TIMES)
+    base = BaseSeries(**{quantity: np.stack([x, nothing, nothing], 1)})
     measured = measured_of("revolute", q, base, None)
     assert np.abs(simulated(tmp_path, measured, asset_of(tmp_path)) - q).max() < 1e-3 * np.ptp(q)
 
@@ -186,14 +186,14 @@ def test_bases_round_trip_and_bad_ones_are_refused(tmp_path: Path):
     np.testing.assert_array_equal(read.runs[0].base.angle, base.angle)
     path = tmp_path / "a" / "measured.json"
     good = path.read_text()
-    for change, said in (
+    for change, message in (
         (('"base_x": "m"', '"base_x": "mm"'), "'base_x' of a revolute joint is in 'mm', expected 'm'"),
         (('"base": {', '"base": "moving", "else": {'), "a run has 'base_angle', but base is 'moving'"),
         (('"base": {', '"base": "fixed", "else": {'), "a run has 'base_angle', but base is 'fixed'"),
     ):
         assert change[0] in good
         path.write_text(good.replace(*change))
-        with pytest.raises(FreeArtError, match=said):
+        with pytest.raises(FreeArtError, match=message):
             read_measured(tmp_path / "a")
     path.write_text(good)
     rows = (tmp_path / "a" / "r.csv").read_text()
@@ -229,10 +229,10 @@ def test_a_real_pendulum_follows_its_arm(tmp_path: Path):
     measured = Measured(asset.joint, "revolute", GRAVITY, 1000.0, "recorded", runs=tuple(runs), gravity_relative=0.05)
     still = replace(measured, runs=tuple(replace(run, base=None) for run in runs))
     left = []
-    for told in (measured, still):
-        plant = make_plant(asset, told)
-        seen, noise = make_fit_runs(told, plant)
-        problem = make_problem(plant, told, seen, noise)
+    for series in (measured, still):
+        plant = make_plant(asset, series)
+        seen, noise = make_fit_runs(series, plant)
+        problem = make_problem(plant, series, seen, noise)
         fit = fit_model(Model(problem, ("coulomb_friction", "viscous_damping")), seen[:1])
         both = refit_starts(fit, seen)
         left.append([np.sqrt(np.mean((predict_readings(both, run) - run.q) ** 2)) for run in seen])

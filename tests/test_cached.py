@@ -234,7 +234,7 @@ def _put(*place):
 
 
 @pytest.mark.parametrize(
-    "change, said",
+    "change, message",
     [
         (_put("schema", "freeart21/scores/1"), "schema 'freeart21/scores/1', expected 'freeart21/scores/2'"),
         (_put("protocol", 3), "'protocol' is 3, expected an object"),
@@ -277,10 +277,10 @@ def _put(*place):
         (_put("summaries", 0, "statistics", "axis", "mean", 0.0), "statistics axis mean of its revolute summary"),
     ],
 )
-def test_a_table_that_is_wrong_is_refused_in_one_line(change, said, table):
+def test_a_table_that_is_wrong_is_refused_in_one_line(change, message, table):
     path, changed = table
     line = assert_refused("", read_scores, changed(change))
-    assert (said in line and str(path) in line) or said.startswith("unknown")
+    assert (message in line and str(path) in line) or message.startswith("unknown")
 
 
 def test_a_table_of_hostile_bytes_is_refused_in_one_line(table):

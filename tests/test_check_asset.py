@@ -327,7 +327,7 @@ def test_flat_collision_meshes_do_not_load_in_mujoco_and_the_rest_is_skipped(tmp
 
 
 @pytest.mark.parametrize(
-    "body, verdict, said",
+    "body, verdict, message",
     [
         ("import os; os.abort()", "fail", "signal 6"),
         ("import time; time.sleep(60)", "unknown", "took more than 3 s"),
@@ -335,7 +335,7 @@ def test_flat_collision_meshes_do_not_load_in_mujoco_and_the_rest_is_skipped(tmp
     ],
 )
 def test_an_engine_that_crashes_fails_one_that_needs_longer_is_unknown(
-    tmp_path: Path, body: str, verdict: str, said: str, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, body: str, verdict: str, message: str, monkeypatch: pytest.MonkeyPatch
 ):
     """A stand-in for SAPIEN, found in its place by the process of the trial."""
     place = tmp_path / "site"
@@ -346,7 +346,7 @@ def test_an_engine_that_crashes_fails_one_that_needs_longer_is_unknown(
     monkeypatch.setattr(trial_process, "WALL", 1.5 if "sleep" in body else 60)
     answer = run_stage({"engine": "sapien", "folder": str(urdf.parent), "urdf": str(urdf), "lowest": 0.0}, 2.0)
     first, *others = answer.rows
-    assert (first.rule, first.verdict) == ("engine.loads", verdict) and said in first.reason
+    assert (first.rule, first.verdict) == ("engine.loads", verdict) and message in first.reason
     assert {row.rule for row in others} == set(ENGINE_RULES) - {"engine.loads"}
     assert {row.verdict for row in others} == {"unknown" if verdict == "unknown" else "skip"}
 
@@ -428,12 +428,12 @@ def test_a_light_rocker_with_friction_stops_at_its_limits(tmp_path: Path):
 
 def test_what_is_no_asset_costs_one_line(tmp_path: Path):
     (tmp_path / "notes.txt").write_text("mine")
-    for path, said in (
+    for path, message in (
         (tmp_path, "is no asset"),
         (tmp_path / "notes.txt", "is no asset"),
         (tmp_path / "x", "not exist"),
     ):
-        assert_refused(said, check, path)
+        assert_refused(message, check, path)
     write_little(tmp_path / "a")
     assert_refused("no engine 'gazebo'; engines: sapien, mujoco", check, tmp_path / "a", ["gazebo"])
     (tmp_path / "a" / "second.urdf").write_text('<robot name="b"/>')
@@ -474,9 +474,13 @@ def test_the_command_says_what_failed_and_ends_with_its_code(tmp_path: Path, mon
     monkeypatch.setattr(checking, "ENGINES", ())
     file = write_little(tmp_path / "lid")
     assert run_command(capsys, "check-asset", file.parent, "--json", tmp_path / "said.json")[0] == 0
-    said = json.loads((tmp_path / "said.json").read_text())
-    assert said["schema"] == "freeart21/check/1" and said["verdict"] == "pass" and len(said["rows"]) == len(FILE_RULES)
-    assert said["rules"]["axis.unit"] == {
+    document = json.loads((tmp_path / "said.json").read_text())
+    assert (
+        document["schema"] == "freeart21/check/1"
+        and document["verdict"] == "pass"
+        and len(document["rows"]) == len(FILE_RULES)
+    )
+    assert document["rules"]["axis.unit"] == {
         "asks": "joint axes have unit length",
         "good_for": FILE_RULES["axis.unit"].good_for,
     }

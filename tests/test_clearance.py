@@ -113,9 +113,9 @@ def test_what_turns_is_clear_between_the_states_that_were_looked_at():
     found = {name: [p for p in left if p is not None] for name, left in parted(pieces, parts, hinge).items()}
     assert trimesh.convex.convex_hull(found["moving"][0]).volume > 0.999 * parts["moving"].volume
     assert deepest(found, hinge, "reference", 157) <= TOLERANCE + 5e-5  # and what an arc bulges out
-    kept = shape_planes([trimesh.convex.convex_hull(found["reference"][0])])
+    planes = shape_planes([trimesh.convex.convex_hull(found["reference"][0])])
     post = parts["reference"].vertices
-    assert (depth_in_shapes(post, np.full(len(post), -1), *kept) >= 0).all()
+    assert (depth_in_shapes(post, np.full(len(post), -1), *planes) >= 0).all()
 
 
 def test_a_part_all_of_whose_pieces_are_in_the_other_keeps_them():

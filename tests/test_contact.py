@@ -120,14 +120,14 @@ def test_known_boxes_are_as_deep_in_each_other_as_they_are(tmp_path: Path):
 def test_numbers_in_asset_json_that_its_files_do_not_have_fail(carved: Path, tmp_path: Path):
     again = tmp_path / "asset"
     shutil.copytree(carved, again)
-    said = json.loads((again / "asset.json").read_text())
-    said["source"]["parts"]["moving"]["collision"]["worst_m"] = 0.1
-    (again / "asset.json").write_text(json.dumps(said))
+    document = json.loads((again / "asset.json").read_text())
+    document["source"]["parts"]["moving"]["collision"]["worst_m"] = 0.1
+    (again / "asset.json").write_text(json.dumps(document))
     row = row_of(again)
     assert row.verdict == "fail" and "asset.json states worst_m 100 mm of 'moving'" in row.reason
     for wrong in ([], {"moving": 3}, {"moving": {"collision": "good"}}, {"moving": {"collision": {"worst_m": "1"}}}):
-        said["source"]["parts"] = wrong
-        (again / "asset.json").write_text(json.dumps(said))
+        document["source"]["parts"] = wrong
+        (again / "asset.json").write_text(json.dumps(document))
         assert "asset.json" not in row_of(again).reason
 
 

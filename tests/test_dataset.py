@@ -87,12 +87,12 @@ def test_frames_that_were_kept_are_not_drawn_again(
     monkeypatch.setattr(session.Session, "film", stopping)
     with pytest.raises(KeyboardInterrupt):
         record_jobs(data, jobs)
-    kept = {p.name: p.stat().st_ino for p in data.glob(".recording/flip_lighter-s0/sequence/depth/*.png")}
-    assert set(kept) == {f"{i:05d}.png" for i in range(at)}
+    inodes = {p.name: p.stat().st_ino for p in data.glob(".recording/flip_lighter-s0/sequence/depth/*.png")}
+    assert set(inodes) == {f"{i:05d}.png" for i in range(at)}
     assert not (data / "benchmark.json").exists() and not (data / "sequences").exists()
     drawn.append(at)
     assert record_jobs(data, jobs) == ["flip_lighter-s0"]
-    assert {n: (data / "sequences" / "flip_lighter-s0" / "depth" / n).stat().st_ino for n in kept} == kept
+    assert {n: (data / "sequences" / "flip_lighter-s0" / "depth" / n).stat().st_ino for n in inodes} == inodes
     assert hashes(data) == hashes(one)
 
 
@@ -186,10 +186,10 @@ def test_ctrl_c_says_in_one_line_how_to_go_on(tmp_path: Path) -> None:
 
 
 def test_the_bytes_do_not_depend_on_the_number_of_workers(whole: Path, tmp_path: Path) -> None:
-    told: list[str] = []
+    names: list[str] = []
     data = tmp_path / "data"
-    record_jobs(data, plan_jobs(["stapler", "flip_lighter"], SETTINGS), workers=2, on_done=told.append)
-    assert sorted(told) == ["flip_lighter-s0", "stapler-s0"]
+    record_jobs(data, plan_jobs(["stapler", "flip_lighter"], SETTINGS), workers=2, on_done=names.append)
+    assert sorted(names) == ["flip_lighter-s0", "stapler-s0"]
     assert hashes(data) == hashes(whole)
 
 
@@ -291,12 +291,12 @@ def test_other_settings_on_an_unfinished_folder_are_refused_saying_what_differs(
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(dataset, "record_object", stop)
         record_jobs(data, plan_jobs(["stapler"], SETTINGS))
-    for settings, names, said in (
+    for settings, names, message in (
         (dataclasses.replace(SETTINGS, frames=7), ["stapler"], "frames 6, not 7"),
         (dataclasses.replace(SETTINGS, sensor="noise2"), ["stapler"], "sensor clean, not noise2"),
         (SETTINGS, ["stapler", "flip_lighter"], "1 sequences, not 2"),
     ):
-        with pytest.raises(FreeArtError, match=f"unfinished recording of something else \\({said}\\)") as caught:
+        with pytest.raises(FreeArtError, match=f"unfinished recording of something else \\({message}\\)") as caught:
             record_jobs(data, plan_jobs(names, settings))
         assert "\n" not in str(caught.value)
 
@@ -453,8 +453,8 @@ def test_effects_that_do_not_fit_are_one_line(tmp_path: Path) -> None:
     settings = dataclasses.replace(SETTINGS, effects=effects)
     with pytest.raises(FreeArtError, match="they go with the motion release, not tumble"):
         plan_jobs(["stapler"], settings)
-    for joints, said in (({}, "none"), ({"joint_0": []}, "joint_0")):
+    for joints, message in (({}, "none"), ({"joint_0": []}, "joint_0")):
         atomic.write_json(effects, {"schema": "freeart21/effects/1", "joints": joints})
-        with pytest.raises(FreeArtError, match=f"has no joint 'joint_1'; its joints: {said}"):
+        with pytest.raises(FreeArtError, match=f"has no joint 'joint_1'; its joints: {message}"):
             record_jobs(tmp_path / "data", plan_jobs(["stapler"], dataclasses.replace(settings, motion="release")))
     assert not (tmp_path / "data").exists()

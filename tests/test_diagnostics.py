@@ -30,7 +30,7 @@ from freeart21.view.diagnosis import diagnosis_section, warnings, warnings_secti
 from freeart21.view.parts import axis_in_images, axis_place
 from freeart21.view.plots import Chart, Curve, curves_section
 from leaderboard.submission import read_submission
-from reconstruct.diagnostics import diagnose, measure_agreement
+from reconstruct.diagnostics import _upper_quartiles, diagnose, measure_agreement
 from reconstruct.evidence import Evidence
 from reconstruct.poses import GATE, FreePoses, JointedPoses, part_samples
 from reconstruct.propagation import PartEstimate
@@ -467,3 +467,11 @@ def test_the_page_shows_what_the_surfaces_look_like_in_the_video():
         "90 and 20 % of them were seen",
     ):
         assert words in section.html + section.note and words not in plain.html + plain.note
+
+
+def test_upper_quartiles_are_numpys_row_by_row() -> None:
+    rng = np.random.default_rng(0)
+    values = rng.random((200, 10))
+    values[rng.random(values.shape) < 0.4] = np.nan
+    values = values[np.isfinite(values).any(1)]
+    np.testing.assert_array_equal(_upper_quartiles(values), np.nanpercentile(values, 75, axis=1))

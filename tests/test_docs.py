@@ -27,6 +27,8 @@ from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
 from freeart21.files.verify import verify
 from freeart21.reconstruction import Failure, Reconstruction
+from generator.motion.styles import STYLES
+from generator.sensors import SENSORS
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
@@ -44,7 +46,7 @@ def named(paths: tuple[Path, ...]) -> list[typing.Any]:
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with every example of docs/formats.md, written block by block in its order."""
     folder = tmp_path_factory.mktemp("formats")
-    spoken: dict[str, typing.Any] = {}
+    namespace: dict[str, typing.Any] = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         for language, name, text in _BLOCK.findall((ROOT / "docs" / "formats.md").read_text("utf-8")):
@@ -54,7 +56,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 path.write_text(text, "utf-8")
             else:
                 assert language == "python", f"a block of {language} names no file: {text[:60]}"
-                exec(compile(text, "docs/formats.md", "exec"), spoken)
+                exec(compile(text, "docs/formats.md", "exec"), namespace)
     return folder
 
 
@@ -147,9 +149,9 @@ def test_the_example_of_a_measured_set_is_read(written: Path) -> None:
 def test_the_example_of_a_recording_becomes_a_measured_set(written: Path, tmp_path: Path) -> None:
     from freeart21.formats.measured_series import SeriesSettings, columns_from, measure_series
 
-    told = SeriesSettings(columns_from((str(written / "columns.json"),)))
+    settings = SeriesSettings(columns_from((str(written / "columns.json"),)))
     asset = written / "results" / "mine" / "lid" / "asset"
-    measure_series([written / "swing.csv"], tmp_path / "out", asset, None, told)
+    measure_series([written / "swing.csv"], tmp_path / "out", asset, None, settings)
     measured = read_measured(tmp_path / "out" / "measured")
     (run,) = measured.runs
     assert run.q.shape == (21,) and np.isclose(run.q[0], np.radians(11.46)) and measured.rate_hz == pytest.approx(50)
@@ -159,7 +161,7 @@ def test_the_example_of_a_recording_becomes_a_measured_set(written: Path, tmp_pa
 def test_the_example_of_a_verdict_is_what_gap_writes(written: Path) -> None:
     from simgap.verdict import Correction, NamedEffect, Proof, Region, RunGap, Verdict
 
-    said = read_json(written / "gap" / "lid" / "verdict.json")
+    document = read_json(written / "gap" / "lid" / "verdict.json")
     effects = tuple(
         NamedEffect(
             effect_from_json(
@@ -173,40 +175,40 @@ def test_the_example_of_a_verdict_is_what_gap_writes(written: Path) -> None:
             {k: v["low"] for k, v in one["parameters"].items()},
             {k: v["high"] for k, v in one["parameters"].items()},
         )
-        for one in said["effects"]
+        for one in document["effects"]
     )
     verdict = Verdict(
-        said["verdict"],
+        document["verdict"],
         effects,
-        tuple(Region(**where) for where in said["where"]),
-        tuple(RunGap(**gap) for gap in said["gap"]),
-        tuple(tuple(rival) for rival in said["rivals"]),
-        said["next_experiment"],
-        said["sentence"],
-        tuple(said["added"]),
-        corrections=tuple(Correction(**corrected) for corrected in said["corrections"]),
-        holding=said["holding"],
-        judged_by=said["judged_by"],
-        proof=Proof(**said["proof"]),
+        tuple(Region(**where) for where in document["where"]),
+        tuple(RunGap(**gap) for gap in document["gap"]),
+        tuple(tuple(rival) for rival in document["rivals"]),
+        document["next_experiment"],
+        document["sentence"],
+        tuple(document["added"]),
+        corrections=tuple(Correction(**corrected) for corrected in document["corrections"]),
+        holding=document["holding"],
+        judged_by=document["judged_by"],
+        proof=Proof(**document["proof"]),
     )
     verdict.write(written / "again" / "verdict.json", "revolute")
-    assert read_json(written / "again" / "verdict.json") == {**said, "files": []}, "nothing lies next to it here"
+    assert read_json(written / "again" / "verdict.json") == {**document, "files": []}, "nothing lies next to it here"
 
 
 def test_the_example_of_scores_is_read_and_has_the_fields_that_score_writes(written: Path, tmp_path: Path) -> None:
     from leaderboard.provenance import describe_environment
     from leaderboard.scores_file import read_scores, write_scores
 
-    said, scores = read_json(written / "scores.json"), read_scores(written / "scores.json")
+    document, scores = read_json(written / "scores.json"), read_scores(written / "scores.json")
     write_scores(tmp_path / "scores.json", scores)
     again = read_json(tmp_path / "scores.json")
-    assert again.keys() == said.keys()
-    for key in said.keys() - {"protocol", "summaries"}:
-        assert again[key] == said[key]
-    assert again["protocol"]["metrics"][0].keys() == said["protocol"]["metrics"][0].keys()
-    assert again["summaries"][0]["statistics"]["axis"] == said["summaries"][0]["statistics"]["axis"]
-    assert said["made_with"].keys() == describe_environment().keys()
-    assert said["made_with"]["machine"].keys() == describe_environment()["machine"].keys()
+    assert again.keys() == document.keys()
+    for key in document.keys() - {"protocol", "summaries"}:
+        assert again[key] == document[key]
+    assert again["protocol"]["metrics"][0].keys() == document["protocol"]["metrics"][0].keys()
+    assert again["summaries"][0]["statistics"]["axis"] == document["summaries"][0]["statistics"]["axis"]
+    assert document["made_with"].keys() == describe_environment().keys()
+    assert document["made_with"]["machine"].keys() == describe_environment()["machine"].keys()
 
 
 def test_the_example_of_a_comparison_has_the_fields_that_compare_writes(written: Path, tmp_path: Path) -> None:
@@ -221,18 +223,18 @@ def test_the_example_of_a_comparison_has_the_fields_that_compare_writes(written:
     tables = [tmp_path / "mine.json", tmp_path / "other.json"]
     for path in tables:
         write_scores(path, replace(scores, method=replace(scores.method, name=path.stem), benchmark=facts))
-    said, made = read_json(written / "comparison.json"), to_json(compare_results(tables, written / "data"))
+    document, made = read_json(written / "comparison.json"), to_json(compare_results(tables, written / "data"))
 
-    def same_keys(told: typing.Any, found: typing.Any, place: str) -> None:
-        if isinstance(told, dict):
+    def same_keys(expected: typing.Any, found: typing.Any, place: str) -> None:
+        if isinstance(expected, dict):
             shortened = place.endswith(("statistics", "values", "made_with"))
-            assert told.keys() == found.keys() or (shortened and told.keys() <= found.keys()), place
-            for key in told:
-                same_keys(told[key], found[key], f"{place}.{key}")
-        elif isinstance(told, list) and told and isinstance(told[0], dict):
-            same_keys(told[0], found[0], place)
+            assert expected.keys() == found.keys() or (shortened and expected.keys() <= found.keys()), place
+            for key in expected:
+                same_keys(expected[key], found[key], f"{place}.{key}")
+        elif isinstance(expected, list) and expected and isinstance(expected[0], dict):
+            same_keys(expected[0], found[0], place)
 
-    same_keys(said, made, "comparison")
+    same_keys(document, made, "comparison")
 
 
 def test_the_example_of_a_hidden_truth_has_the_fields_that_pack_writes(written: Path, tmp_path: Path) -> None:
@@ -243,6 +245,11 @@ def test_the_example_of_a_hidden_truth_has_the_fields_that_pack_writes(written: 
 
 
 # ---------------------------------------------------------------- links
+
+
+def test_the_recorders_page_names_every_sensor_and_motion_style() -> None:
+    page = (ROOT / "docs" / "recorder.md").read_text("utf-8")
+    assert [name for name in (*SENSORS, *STYLES) if f"| `{name}` |" not in page] == []
 
 
 @pytest.mark.parametrize("document", named(DOCUMENTS))
@@ -311,13 +318,13 @@ def _options_of(function: FunctionType) -> set[str]:
     hints = typing.get_type_hints(function, include_extras=True)
     found = set()
     for name in inspect.signature(function).parameters:
-        told = getattr(hints[name], "__metadata__", ())
-        if tyro.conf.Positional in told:
+        marks = getattr(hints[name], "__metadata__", ())
+        if tyro.conf.Positional in marks:
             continue
-        names = [one.name for one in told if getattr(one, "name", None)]
+        names = [one.name for one in marks if getattr(one, "name", None)]
         option = f"--{(names[0] if names else name).replace('_', '-')}"
         found.add(option)
-        bare = typing.get_args(hints[name])[0] if told else hints[name]
+        bare = typing.get_args(hints[name])[0] if marks else hints[name]
         if is_dataclass(bare):
             found |= {f"{option}.help", *_nested(typing.cast(type, bare), option)}
     return found

@@ -85,11 +85,11 @@ def course(name: str) -> np.ndarray:
     """(n, 2) positions and speeds of the pendulum from 0.3 rad, commands held between rows."""
     give, _, series = DRIVES[name]
     out, y = [], [0.3, 0.0]
-    told = {key: series.get(key, np.zeros(len(TIMES))) for key in ("q_command", "effort", "voltage")}
+    columns = {key: series.get(key, np.zeros(len(TIMES))) for key in ("q_command", "effort", "voltage")}
     on = series.get("enabled", np.ones(len(TIMES)))
     for i in range(len(TIMES)):
         out.append(y)
-        command, u = told["q_command"][i], told["effort"][i] + told["voltage"][i]
+        command, u = columns["q_command"][i], columns["effort"][i] + columns["voltage"][i]
 
         def slope(t, y, command=command, u=u, on=on[i] > 0):
             return [y[1], (give(command - y[0], y[1], u, on) - MASS * G * ARM * np.sin(y[0])) / INERTIA]
@@ -169,12 +169,12 @@ def test_a_motor_reaches_its_back_emf_speed(tmp_path: Path):
 
 def test_an_offset_needs_commanded_efforts(tmp_path: Path):
     asset = read_asset(asset_of(tmp_path))
-    for name, told in (("offset", True), ("motor", True), ("servo", False)):
+    for name, is_candidate in (("offset", True), ("motor", True), ("servo", False)):
         measured = measured_of(name)
         plant = make_plant(asset, measured)
         runs, noise = make_fit_runs(measured, plant)
         problem = make_problem(plant, measured, runs, noise)
-        assert ("actuator_offset" in list_candidates(problem, runs)) is told
+        assert ("actuator_offset" in list_candidates(problem, runs)) is is_candidate
 
 
 @NAMES
@@ -212,10 +212,10 @@ BAD = [
 ]
 
 
-@pytest.mark.parametrize("said, fault", BAD)
-def test_a_bad_actuator_is_a_one_line_error(said: dict, fault: str):
+@pytest.mark.parametrize("given, fault", BAD)
+def test_a_bad_actuator_is_a_one_line_error(given: dict, fault: str):
     with pytest.raises(FreeArtError) as caught:
-        actuator_from_json(said, "here")
+        actuator_from_json(given, "here")
     assert fault in str(caught.value) and str(caught.value).startswith("here: ") and "\n" not in str(caught.value)
 
 

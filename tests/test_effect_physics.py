@@ -164,14 +164,14 @@ def test_load_friction_of_a_slider(tmp_path: Path):
         assert (abs(still.q[-1]) > 0.05) == slips
 
 
-@pytest.mark.parametrize(("asked", "slides"), [(1.15, 0), (1.30, 1), (0.78, -1), (0.85, 0), (-0.5, -1), (0.0, -1)])
-def test_gear_friction_of_a_slider(tmp_path: Path, asked: float, slides: int):
+@pytest.mark.parametrize(("share", "slides"), [(1.15, 0), (1.30, 1), (0.78, -1), (0.85, 0), (-0.5, -1), (0.0, -1)])
+def test_gear_friction_of_a_slider(tmp_path: Path, share: float, slides: int):
     """A drive with force `asked` times the weight along a rail: upwards it needs (1 + c) / (1 - c) of it, and lets it
     down below (1 - c) / (1 + c)."""
     c, weight = 0.1, MASS * G * 0.6
     asset = asset_with(tmp_path, "prismatic", GearFriction(c), axis="0 0.8 0.6")
-    run = roll_out(asset, 0.0, duration_s=1, actuator=Actuator(effort=lambda t: asked * weight))
-    force = asked * weight - weight - slides * c * abs(asked * weight + weight)
+    run = roll_out(asset, 0.0, duration_s=1, actuator=Actuator(effort=lambda t: share * weight))
+    force = share * weight - weight - slides * c * abs(share * weight + weight)
     expected = force / MASS if slides else 0.0
     assert run.qd[-1] == pytest.approx(expected, abs=2e-3 * G)
 
@@ -583,11 +583,11 @@ def test_a_loaded_asset_keeps_no_state_between_runs(tmp_path: Path):
 
 
 def test_effects_unfit_for_a_joint_are_a_one_line_error(tmp_path: Path):
-    for effects, said in (
+    for effects, message in (
         ((PivotOffset(0.1, 0.0),), "effect 'pivot_offset' on a prismatic joint, expected revolute"),
         ((Backlash(0.1, 0.1), Backlash(0.2, 0.1)), "2 effects 'backlash', expected at most one"),
     ):
-        assert_refused(said, load, asset_with(tmp_path, "prismatic", *effects))
+        assert_refused(message, load, asset_with(tmp_path, "prismatic", *effects))
     with pytest.raises(FreeArtError, match="internal steps"):
         roll_out(
             asset_with(tmp_path, "prismatic"), 0, duration_s=1, timestep_s=1.0, actuator=Actuator(lambda t: 0, 1e6)
@@ -604,10 +604,10 @@ def test_mujoco_and_sapien_agree_on_an_effect(tmp_path: Path, kind: str, effect)
     mujoco = pytest.importorskip("mujoco")
     joint = "hinge" if kind == "revolute" else "slide"
     words = {word: np.atleast_1d(value) for word, value in effect.mjcf_joint().items()}
-    said = " ".join(f'{word}="{" ".join(map(str, values))}"' for word, values in words.items())
+    more = " ".join(f'{word}="{" ".join(map(str, values))}"' for word, values in words.items())
     model = mujoco.MjModel.from_xml_string(f"""<mujoco><compiler angle="radian"/>
         <option timestep="0.0005" integrator="implicitfast"/>
-        <worldbody><body pos="0 0 1"><joint type="{joint}" axis="0 1 0" {said}/><inertial pos="0 0 {-ARM}" mass="{MASS}"
+        <worldbody><body pos="0 0 1"><joint type="{joint}" axis="0 1 0" {more}/><inertial pos="0 0 {-ARM}" mass="{MASS}"
         diaginertia="0.01 0.01 0.01"/></body></worldbody></mujoco>""")
     data = mujoco.MjData(model)
     data.qpos[0], data.qvel[0] = 0.8, 2.0

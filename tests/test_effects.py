@@ -408,8 +408,8 @@ def test_effects_json_holds_the_whole_library(tmp_path: Path, kind: JointType):
 
 
 def test_parameters_with_defaults_may_be_omitted():
-    said = {"effect": "end_stop_bounce", "parameters": {"restitution": {"value": 0.4, "unit": "1"}}}
-    assert effect_from_json(said, "prismatic", "here") == EndStopBounce(0.4)
+    given = {"effect": "end_stop_bounce", "parameters": {"restitution": {"value": 0.4, "unit": "1"}}}
+    assert effect_from_json(given, "prismatic", "here") == EndStopBounce(0.4)
     lacking = {"effect": "gravity_offset", "parameters": {"cosine": {"value": 0.4, "unit": "N*m"}}}
     assert_refused("expected \\['cosine', 'sine'\\]", effect_from_json, lacking, "revolute", "here")
 
@@ -422,30 +422,30 @@ def test_effects_json_of_another_urdf_is_refused(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    "inside, said",
+    "inside, message",
     [
         ("", r"damping 0.3, but lid.urdf has 0"),
         ('<dynamics damping="0.3"/>', r"friction 0.2, but lid.urdf has 0"),
         ('<dynamics damping="0.31" friction="0.2"/>', r"damping 0.3, but lid.urdf has 0.31"),
     ],
 )
-def test_effects_json_that_contradicts_the_urdf_is_refused(tmp_path: Path, inside: str, said: str):
+def test_effects_json_that_contradicts_the_urdf_is_refused(tmp_path: Path, inside: str, message: str):
     described(tmp_path, inside)
-    assert_refused(said, read_asset, tmp_path)
+    assert_refused(message, read_asset, tmp_path)
 
 
 def test_effects_json_of_unknown_joint_or_shape_is_refused(tmp_path: Path):
     described(tmp_path)
     path = tmp_path / "effects.json"
     data = json.loads(path.read_text())
-    for joints, said in (
+    for joints, message in (
         ({"lid": []}, "joint 'lid', which is not a movable joint of the URDF; movable joints: j"),
         ({"j": {}}, "must map joint names to lists"),
         ([], "must map joint names to lists"),
         ({"j": ["spring"]}, "unknown effect"),
     ):
         path.write_text(json.dumps({**data, "joints": joints}))
-        assert_refused(said, read_asset, tmp_path)
+        assert_refused(message, read_asset, tmp_path)
 
 
 def test_without_effects_json_the_urdf_is_read(tmp_path: Path):

@@ -91,8 +91,10 @@ def test_the_reloaded_asset_has_the_joint_and_the_parts_of_the_reconstruction(
 ):
     answer = reconstruction(kind, states, frame=len(kind), slide=slide)
     asset = export_result(answer, tmp_path / "a")
-    asked = np.array([0.0, *states, -0.35, 1.7])
-    np.testing.assert_allclose(joint_motion(asset, asked), answer.articulation.joint.transform(asked), atol=1e-6)
+    states_driven = np.array([0.0, *states, -0.35, 1.7])
+    np.testing.assert_allclose(
+        joint_motion(asset, states_driven), answer.articulation.joint.transform(states_driven), atol=1e-6
+    )
     assert check_asset(tmp_path / "a") == []
     simulated = load(asset)
     for state in states:
@@ -132,10 +134,10 @@ def test_the_part_that_carries_is_the_root_and_moves_the_same_joint(tmp_path: Pa
     limits = [ET.parse(each.urdf).find("joint/limit") for each in (first, asset)]
     assert float(limits[0].get("upper")) == pytest.approx(float(limits[1].get("upper")))
     assert check_asset(tmp_path / "b") == []
-    asked = np.array([0.0, 0.3, 0.8])
-    expected = exchanged.articulation.joint.transform(asked)
-    np.testing.assert_allclose(joint_motion(asset, asked), expected, atol=1e-6)
-    scored, states = measure_joint(tmp_path / "b", asked)
+    angles = np.array([0.0, 0.3, 0.8])
+    expected = exchanged.articulation.joint.transform(angles)
+    np.testing.assert_allclose(joint_motion(asset, angles), expected, atol=1e-6)
+    scored, states = measure_joint(tmp_path / "b", angles)
     np.testing.assert_allclose(scored.transform(states), expected, atol=1e-5)
 
 
@@ -173,10 +175,10 @@ def test_a_scaled_asset_is_the_scaled_object_and_moves_as_it(tmp_path: Path, kin
     assert (plain.scale, small.scale) == (1.0, k)
     assert json.loads((tmp_path / "0.25" / "asset.json").read_text())["scale"] == k
     travel = k if kind == "prismatic" else 1.0
-    asked = np.array([0.0, 0.1, 0.7, 1.2])
-    shrunk = joint_motion(plain, asked)
+    angles = np.array([0.0, 0.1, 0.7, 1.2])
+    shrunk = joint_motion(plain, angles)
     shrunk[:, :3, 3] *= k
-    np.testing.assert_allclose(joint_motion(small, travel * asked), shrunk, atol=1e-6)
+    np.testing.assert_allclose(joint_motion(small, travel * angles), shrunk, atol=1e-6)
     limits = [ET.parse(asset.urdf).find("joint/limit") for asset in (plain, small)]
     for key in ("lower", "upper"):
         assert float(limits[1].get(key)) == pytest.approx(travel * float(limits[0].get(key)))
@@ -194,7 +196,7 @@ def test_a_scaled_asset_is_the_scaled_object_and_moves_as_it(tmp_path: Path, kin
 
 
 @pytest.mark.parametrize(
-    "settings, said",
+    "settings, message",
     [
         ({"density": 0.0}, r"density is 0 kg/m\^3, expected 0.001 to 100000"),
         ({"density": -5.0}, "density is -5"),
@@ -207,8 +209,8 @@ def test_a_scaled_asset_is_the_scaled_object_and_moves_as_it(tmp_path: Path, kin
         ({"scale": np.nan}, "scale is nan"),
     ],
 )
-def test_settings_out_of_bounds_cost_one_line_and_leave_nothing(tmp_path: Path, settings: dict, said: str):
-    assert_refused(said, export_result, reconstruction(), tmp_path / "a", ExportSettings(**settings))
+def test_settings_out_of_bounds_cost_one_line_and_leave_nothing(tmp_path: Path, settings: dict, message: str):
+    assert_refused(message, export_result, reconstruction(), tmp_path / "a", ExportSettings(**settings))
     assert not list(tmp_path.iterdir())
 
 
@@ -240,8 +242,8 @@ def test_what_cannot_be_exported_says_why_and_leaves_nothing(tmp_path: Path):
         (reconstruction(joint=far), r"reference part lies 1e\+06 m from the axis of joint 'lid joint'"),
         (reconstruction("prismatic", states=(0.0, 1e5)), r"joint 'lid joint' travels 1e\+05 m, expected"),
     ]
-    for answer, said in cases:
-        assert_refused(said, export_result, answer, tmp_path / "a")
+    for answer, message in cases:
+        assert_refused(message, export_result, answer, tmp_path / "a")
     with pytest.raises(FreeArtError, match="does not pass its own check: limits: joint 'lid_joint' has effort 0"):
         export_result(reconstruction(), tmp_path / "a", ExportSettings(effort=0))
     assert list(tmp_path.iterdir()) == []
@@ -488,15 +490,15 @@ BREAKS = {
 """How a finding begins to what causes it. Faults of the URDF's text are in test_check_asset."""
 
 
-@pytest.mark.parametrize("said", BREAKS)
-def test_checklist_finds_broken_files(exported: Path, tmp_path: Path, said: str):
-    if said.startswith("mujoco"):
+@pytest.mark.parametrize("message", BREAKS)
+def test_checklist_finds_broken_files(exported: Path, tmp_path: Path, message: str):
+    if message.startswith("mujoco"):
         pytest.importorskip("mujoco")
     folder = Path(shutil.copytree(exported, tmp_path / "a"))
     (folder / "effects.json").unlink()
-    BREAKS[said](folder)
+    BREAKS[message](folder)
     findings = check_asset(folder)
-    assert any(str(f).startswith(said) for f in findings), findings
+    assert any(str(f).startswith(message) for f in findings), findings
 
 
 def test_folder_that_is_no_asset_is_one_finding(tmp_path: Path):

@@ -147,11 +147,11 @@ HOSTILE = {
 
 @pytest.mark.parametrize("name", HOSTILE)
 def test_hostile_meshes_are_solids_or_one_line(name: str):
-    mesh, said = HOSTILE[name]
-    if said is None:
+    mesh, message = HOSTILE[name]
+    if message is None:
         assert solid_of(close_surface(mesh, FEW)).volume > 0
         return
-    assert_refused(said, close_surface, mesh, FEW)
+    assert_refused(message, close_surface, mesh, FEW)
 
 
 # --- atlas and texture
@@ -272,15 +272,15 @@ def test_an_asset_from_a_video_wears_it_and_says_so(tmp_path: Path):
     write_sequence(tmp_path / "card", recording, 1e-4)
     settings = ExportSettings()
     asset = export_result(answer, tmp_path / "a", settings, video=tmp_path / "card")
-    said = json.loads((tmp_path / "a/asset.json").read_text())["source"]["parts"]["reference"]
-    assert said["texture"] == "video" and said["texel_m"] == pytest.approx(0.2 / CAMERA.K[0, 0] / 2, rel=0.1)
-    assert said["patch"] == {"first_face": said["faces"], "faces": 0, "area_fraction": 0}
+    facts = json.loads((tmp_path / "a/asset.json").read_text())["source"]["parts"]["reference"]
+    assert facts["texture"] == "video" and facts["texel_m"] == pytest.approx(0.2 / CAMERA.K[0, 0] / 2, rel=0.1)
+    assert facts["patch"] == {"first_face": facts["faces"], "faces": 0, "area_fraction": 0}
     picture = cv2.imread(str(tmp_path / "a/meshes/reference.png"))
     assert np.ptp(picture) > 100
     loaded = trimesh.load_mesh(tmp_path / "a/meshes/reference.obj", process=False, maintain_order=True)
-    assert len(loaded.faces) == said["faces"]
+    assert len(loaded.faces) == facts["faces"]
     text = (tmp_path / "a/meshes/reference.obj").read_text()
-    assert text.count("\nv ") < 0.6 * said["faces"]
+    assert text.count("\nv ") < 0.6 * facts["faces"]
     assert asset.scale == 1.0
     assert_refused("is not a folder", export_result, answer, tmp_path / "c", settings, video=tmp_path / "none")
     assert not (tmp_path / "c").exists()

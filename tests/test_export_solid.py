@@ -215,9 +215,9 @@ def test_triangles_that_bound_no_solid_get_a_hull_and_a_note(tmp_path: Path, mon
     coarse = ExportSettings(usd=False, meshes=MeshSettings(points=1000, max_faces=1000))
     asset = export_result(reconstruction(moving=soup), tmp_path / "a", coarse)
     assert len(worked_on) == 1  # the slab alone
-    said = asset.source["parts"]
-    assert said["reference"]["solid"] and said["moving"]["solid"] is False and said["moving"]["layers"] > 10
-    assert said["moving"]["hulls"] + said["moving"]["primitives"] == 1
+    facts = asset.source["parts"]
+    assert facts["reference"]["solid"] and facts["moving"]["solid"] is False and facts["moving"]["layers"] > 10
+    assert facts["moving"]["hulls"] + facts["moving"]["primitives"] == 1
     assert asset.source["penetration"]["not_carved_because"] == "the moving part is no solid"
     text = (tmp_path / "a/LOSSES.md").read_text()
     assert "`moving` is no solid" in text and "one convex hull" in text

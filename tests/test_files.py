@@ -201,9 +201,9 @@ def test_what_a_result_says_of_itself_round_trips(result):
     trust = Trust("doubtful", ("it jumps", "it \u2013 hides"))
     slide = Joint("slide", "prismatic", [0, 0, 1], [0, 0.1, 0], 0.0, 0.3)
     rival = Alternative(slide, np.linspace(0, 0.3, len(before)), 0.02)
-    said = replace(before, trust=trust, axis_std=0.01, alternatives=(rival,))
+    answer = replace(before, trust=trust, axis_std=0.01, alternatives=(rival,))
     views = [np.full((HEIGHT, WIDTH, 3), k, np.uint8) for k in (1, 2)]
-    write_result(result, said, renders=views[:1], renders_other=views[1:])
+    write_result(result, answer, renders=views[:1], renders_other=views[1:])
     after = read_result(result)
     assert after.trust == trust and after.axis_std == 0.01 and after.pivot_std is None
     assert before.alternatives == () and len(after.alternatives) == 1

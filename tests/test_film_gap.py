@@ -139,9 +139,9 @@ def test_the_answer_is_atomic_and_read_by_the_recorder(scene, tmp_path):
         poses=sequence.parent.parent / "truth" / sequence.name,
         progress=lambda a, b: seen.append((a, b)),
     )
-    said = json.loads((out / "verdict.json").read_text())
-    assert said["schema"] == "freeart21/verdict/1" and said["verdict"] == "named"
-    assert sorted(said["files"]) == ["camera.json", "index.html"]
+    written = json.loads((out / "verdict.json").read_text())
+    assert written["schema"] == "freeart21/verdict/1" and written["verdict"] == "named"
+    assert sorted(written["files"]) == ["camera.json", "index.html"]
     assert read_camera_faults(out / "camera.json") == verdict.camera
     assert read_camera_faults(out / "camera.json").depth_scale == pytest.approx(0.02, abs=1e-3)
     assert (

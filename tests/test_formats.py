@@ -29,7 +29,7 @@ from freeart21.files.result import Method, write_method, write_result
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
 from freeart21.formats import freeart21_official, rgbd_folder, third_party, untrusted_pickle, video2articulation
-from freeart21.formats.convert import convert, find_sources
+from freeart21.formats.convert import convert, find_sources, recording_layouts
 from freeart21.formats.third_party import ReadOptions
 from freeart21.joint import Joint
 from freeart21.reconstruction import Reconstruction
@@ -659,16 +659,16 @@ def test_held_out_frames_are_the_official_split(native: Path, tmp_path: Path) ->
     cli.convert(native, tmp_path / "out", "official", hold_out=True)
     folder, recording = tmp_path / "out/examples/7777", read_sequence(native / "sequences/7777")
     info = json.loads((folder / "eval/split_info.json").read_text())
-    held, kept = info["eval_original_indices"], info["train_original_indices"]
+    held, train = info["eval_original_indices"], info["train_original_indices"]
     assert freeart21_official.eval_indices(300) == sorted(random.Random(0).sample(range(300), 15))
-    assert held == random.Random(0).sample(range(7), 1) and sorted(held + kept) == list(range(7))
+    assert held == random.Random(0).sample(range(7), 1) and sorted(held + train) == list(range(7))
     rgb = cv2.imread(str(folder / "eval/rgb/00000.png"))[..., ::-1]
     assert np.array_equal(rgb, recording.frame(held[0]).rgb)
     states = [[q] for q in read_truth(native / "truth/7777").states]
     assert json.loads((folder / "eval/joint_states.json").read_text()) == [states[held[0]]]
     again = freeart21_official.read_example(folder)
-    assert len(again.recording) == 6 and np.array_equal(again.recording.times_s, recording.times_s[kept])
-    assert np.array_equal(again.recording.frame(5).rgb, recording.frame(kept[5]).rgb)
+    assert len(again.recording) == 6 and np.array_equal(again.recording.times_s, recording.times_s[train])
+    assert np.array_equal(again.recording.frame(5).rgb, recording.frame(train[5]).rgb)
 
 
 def test_a_view_becomes_a_sequence_with_and_without_its_object(one_view: Path, toy_root: Path, tmp_path: Path) -> None:
@@ -722,10 +722,11 @@ def test_layouts_are_recognised(example: Path, one_view: Path, tmp_path: Path, n
     assert find_names(example) == find_names(example.parent) == [("official", example)]
     assert find_names(one_view) == find_names(one_view.parent) == [("video2articulation", one_view)]
     assert find_names(native) == [("native", native / "sequences/7777")]
-    refused(lambda: find_sources(example, "scans"), "unknown layout 'scans'; layouts: native", "rgbd", "official")
+    known = ", ".join(recording_layouts())
+    refused(lambda: find_sources(example, "scans"), f"unknown layout 'scans'; layouts: {known}")
     refused(lambda: find_sources(example, "native"), "holds no recording of the layout native")
     (tmp_path / "empty").mkdir()
-    refused(lambda: find_sources(tmp_path / "empty"), "a known layout: native", "rgbd", "--from LAYOUT")
+    refused(lambda: find_sources(tmp_path / "empty"), f"a known layout: {known}", "--from LAYOUT")
     refused(lambda: find_sources(tmp_path / "empty", "video2articulation"), "camera_pose.npy")
     refused(lambda: list(convert(native, tmp_path / "x", "native")), "of the layout native already")
 
@@ -738,9 +739,9 @@ def test_a_failed_conversion_leaves_nothing(example: Path, tmp_path: Path, nativ
     (data / "sequences/7777/rgb/00004.png").write_bytes(b"no picture")
     refused(lambda: list(convert(data, tmp_path / "out", "official")), "00004.png is not a readable image")
     assert not (tmp_path / "out").exists()
-    told: list[tuple[str, int, int]] = []
-    list(convert(native, tmp_path / "twice", "official", progress=lambda *now: told.append(now)))
-    assert told == [("7777", i + 1, 7) for i in range(7)]
+    steps: list[tuple[str, int, int]] = []
+    list(convert(native, tmp_path / "twice", "official", progress=lambda *now: steps.append(now)))
+    assert steps == [("7777", i + 1, 7) for i in range(7)]
     refused(lambda: list(convert(native, tmp_path / "twice", "official")), "exists")
 
 
@@ -748,8 +749,8 @@ def test_truth_is_written_with_its_sequence_or_not_at_all(
     example: Path, toy_example: Path, toy_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cli.convert(toy_example, tmp_path / "data", "native", partnet_root=tmp_path)
-    told = capsys.readouterr()
-    assert "without truth: PartNet-Mobility object 7777 is not in" in told.err and "sequences/7777" in told.out
+    output = capsys.readouterr()
+    assert "without truth: PartNet-Mobility object 7777 is not in" in output.err and "sequences/7777" in output.out
     assert not (tmp_path / "data/truth").exists()
 
 

@@ -70,11 +70,11 @@ def test_a_clear_effect_is_named(tmp_path: Path, hidden: dict[str, float], expec
 def test_a_named_loss_is_written_to_the_asset(damped: Verdict, tmp_path: Path):
     agrees(damped, "viscous_damping")
     damped.write(tmp_path / "verdict.json", "revolute")
-    said = json.loads((tmp_path / "verdict.json").read_text())
-    assert said["verdict"] == "named" and said["effects"][0]["name"] == "viscous_damping"
-    coefficient = said["effects"][0]["parameters"]["coefficient"]
+    document = json.loads((tmp_path / "verdict.json").read_text())
+    assert document["verdict"] == "named" and document["effects"][0]["name"] == "viscous_damping"
+    coefficient = document["effects"][0]["parameters"]["coefficient"]
     assert coefficient["unit"] == "N*m*s/rad" and coefficient["low"] < coefficient["value"] < coefficient["high"]
-    assert [gap["held_out"] for gap in said["gap"]] == [False] * 3 + [True] * 2
+    assert [gap["held_out"] for gap in document["gap"]] == [False] * 3 + [True] * 2
 
 
 def agrees(found: Verdict, expected: str) -> None:
@@ -229,8 +229,11 @@ def test_selection_and_confirmation_runs_are_disjoint():
 
 def test_the_wrong_joint_is_a_one_line_error(tmp_path: Path):
     asset = read_asset(asset_of(tmp_path), "j")
-    for wrong, said in (({"joint": "k"}, "it has no movable joint 'k'"), ({"joint_type": "prismatic"}, "is revolute")):
-        with pytest.raises(FreeArtError, match=said) as caught:
+    for wrong, message in (
+        ({"joint": "k"}, "it has no movable joint 'k'"),
+        ({"joint_type": "prismatic"}, "is revolute"),
+    ):
+        with pytest.raises(FreeArtError, match=message) as caught:
             find_gap(asset, replace(measured_of(0), **wrong))
         assert "\n" not in str(caught.value)
 
@@ -241,8 +244,8 @@ def test_warming_damping_is_reported_but_not_named(tmp_path: Path):
     found = verdict(tmp_path, replace(sessions[0], runs=tuple(s.runs[i] for i, s in enumerate(sessions))))
     assert found.verdict == "unexplained" and not found.effects
     assert "a size that changes over the session" in found.sentence
-    told = re.search(r"viscous damping changes by (-\d+)%", found.sentence)
-    assert told is not None and -70 < float(told[1]) < -40, found.sentence  # of .155 in the middle .09 less
+    match = re.search(r"viscous damping changes by (-\d+)%", found.sentence)
+    assert match is not None and -70 < float(match[1]) < -40, found.sentence  # of .155 in the middle .09 less
     assert found.next_experiment is not None and "last ones first" in found.next_experiment
 
 

@@ -68,13 +68,13 @@ BAD = [
 ]
 
 
-@pytest.mark.parametrize(("changes", "csv", "said"), BAD, ids=range(len(BAD)))
-def test_bad_input_is_a_one_line_error_without_output(tmp_path: Path, monkeypatch, capsys, changes, csv, said):
+@pytest.mark.parametrize(("changes", "csv", "message"), BAD, ids=range(len(BAD)))
+def test_bad_input_is_a_one_line_error_without_output(tmp_path: Path, monkeypatch, capsys, changes, csv, message):
     asset_of(tmp_path / "a")
     write(tmp_path / "m", changes, csv=csv)
     poses(tmp_path / "m/p", swing())
     code, _ = gap(tmp_path, monkeypatch, capsys)
-    assert isinstance(code, str) and code.startswith("freeart21: ") and said in code and "\n" not in code
+    assert isinstance(code, str) and code.startswith("freeart21: ") and message in code and "\n" not in code
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a", "m"]
 
 

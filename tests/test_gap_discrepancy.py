@@ -24,8 +24,8 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> tuple[Fit, tuple[FitRun, 
 
 def find_kinds(fit: Fit, runs: tuple[FitRun, ...]) -> dict[str, Discrepancy]:
     folds = split_runs(runs).folds
-    kept = tuple(run for fold in folds for run in fold.test)
-    hypothesis = evaluate_set(fit_model(fit.model, kept, fit.theta, fit.starts), folds)
+    tested = tuple(run for fold in folds for run in fold.test)
+    hypothesis = evaluate_set(fit_model(fit.model, tested, fit.theta, fit.starts), folds)
     return {rival.kind: rival for rival in find_discrepancies(hypothesis, folds)}
 
 

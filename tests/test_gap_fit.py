@@ -246,8 +246,8 @@ def test_presliding_friction_dissipates_only_sliding():
         assert sum(work[20_000:]) == pytest.approx(expected, abs=1e-5)
 
 
-@pytest.mark.parametrize(("name", "said"), list(zip(HIDDEN, [*list(HIDDEN)[:2], "coulomb_friction"], strict=True)))
-def test_a_shape_over_position_is_named(tmp_path: Path, name: str, said: str):
+@pytest.mark.parametrize(("name", "expected"), list(zip(HIDDEN, [*list(HIDDEN)[:2], "coulomb_friction"], strict=True)))
+def test_a_shape_over_position_is_named(tmp_path: Path, name: str, expected: str):
     """Common effects come first: friction that varies with position is dry friction, in part."""
     problem, runs = problem_of(tmp_path, measured_of(5, exact=True, marked=False))
     model = Model(problem, (name,), instant_friction=True)
@@ -258,7 +258,7 @@ def test_a_shape_over_position_is_named(tmp_path: Path, name: str, said: str):
     split = split_runs(runs)
     search = Search(problem, split.train_runs, list_candidates(problem, split.train_runs))
     choice = choose_hypotheses(search, split.folds, GapSettings().judgement)
-    assert choice.accepted and choice.accepted[0].names == (said,) and choice.in_part == (said != name), choice
+    assert choice.accepted and choice.accepted[0].names == (expected,) and choice.in_part == (expected != name), choice
     assert not any(repeats_family(names) for names in search.fits)
 
 

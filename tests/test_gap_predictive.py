@@ -32,10 +32,10 @@ def test_predictive_density_is_a_student_t():
     rng = np.random.default_rng(0)
     times, left = np.cumsum(rng.uniform(0.002, 0.03, 60)), rng.normal(0, 3, 60)
     K = np.eye(60) + 2.5**2 * np.exp(-np.abs(times[:, None] - times) / 0.2)
-    told = log_densities(left, times, 2.5, 0.2)
+    densities = log_densities(left, times, 2.5, 0.2)
     for n in (1, 7, 60):
         dense = multivariate_t(np.zeros(n), K[:n, :n], df=DEGREES_OF_FREEDOM).logpdf(left[:n])
-        assert told[n - 1] == pytest.approx(dense, abs=1e-9)
+        assert densities[n - 1] == pytest.approx(dense, abs=1e-9)
 
 
 @pytest.mark.parametrize("known", [0.0, 4.0])

@@ -106,17 +106,17 @@ def replayed(asset: Path, measured: Path, names: Sequence[str]) -> dict[str, flo
 
 @pytest.mark.parametrize(("inertia", "oil"), [(0.93, 0.0), (1.09, 0.06)])
 def test_delivered_files_reproduce_the_verdicts_numbers(inertia: float, oil: float, tmp_path: Path):
-    """Also on a run used in no fit, selection or confirmation."""
+    """Also on a run used in no fit, by_run or confirmation."""
     urdf, measured = swings(tmp_path, inertia, oil)
     verdict = gap_folder(urdf, measured, tmp_path / "gap")
     assert [named.effect.name for named in verdict.effects] == (["viscous_damping"] if oil else [])
     given = {c.name: c.value for c in verdict.corrections}
     assert given == {"inertia": pytest.approx(inertia, rel=3e-3)}
     assert f"inertia is {given['inertia']:.4g} times" in verdict.sentence
-    kept = {gap.run: gap for gap in verdict.gaps if gap.use == "confirming"}
-    after = replayed(tmp_path / "gap/asset", measured, list(kept))
-    assert after == {name: gap.after for name, gap in kept.items()}
-    assert replayed(urdf, measured, list(kept)) == {name: gap.before for name, gap in kept.items()}
+    by_run = {gap.run: gap for gap in verdict.gaps if gap.use == "confirming"}
+    after = replayed(tmp_path / "gap/asset", measured, list(by_run))
+    assert after == {name: gap.after for name, gap in by_run.items()}
+    assert replayed(urdf, measured, list(by_run)) == {name: gap.before for name, gap in by_run.items()}
     _, mine = swings(tmp_path / "mine", inertia, oil, 7)
     assert replayed(tmp_path / "gap/asset", mine, ["run_6"])["run_6"] < 1.3e-3
 

@@ -131,9 +131,9 @@ def test_a_replay_timeout_is_reported(tmp_path: Path):
     assert read_asset(tmp_path / "out/asset").effects == {"j": (ViscousDamping(0.03),)}
     page = (tmp_path / "out/index.html").read_text()
     assert "more than 0.1 s and was given up: 0 of 2 runs" in page
-    told_of: list[tuple[int, int]] = []
-    publish(asset, measured, drafted, tmp_path / "in_time", "in time", progress=lambda *of: told_of.append(of))
-    assert told_of[0] == (0, 4) and (4, 4) in told_of
+    steps: list[tuple[int, int]] = []
+    publish(asset, measured, drafted, tmp_path / "in_time", "in time", progress=lambda *of: steps.append(of))
+    assert steps[0] == (0, 4) and (4, 4) in steps
 
 
 def test_effects_that_sapien_cannot_step_are_not_written(tmp_path: Path, monkeypatch):

@@ -206,7 +206,7 @@ def test_external_meshes_are_copied(tmp_path: Path, named_as: str):
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [
         ("/etc/hostname", "leads out"),
         ("notes.txt", "expected a mesh or a picture"),
@@ -214,14 +214,14 @@ def test_external_meshes_are_copied(tmp_path: Path, named_as: str):
         ("big.obj", "at most"),
     ],
 )
-def test_unsafe_urdf_references_are_not_copied(tmp_path: Path, name: str, said: str, monkeypatch):
+def test_unsafe_urdf_references_are_not_copied(tmp_path: Path, name: str, message: str, monkeypatch):
     asset = bob(tmp_path / "a")
     monkeypatch.setattr("simgap.prove.asset_files.MAX_BYTES", 1000)
     (tmp_path / "a/big.obj").write_bytes(b"#" * 1001)
     (tmp_path / "a/notes.txt").write_text("")
     visual = f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
     asset.urdf.write_text(asset.urdf.read_text().replace("</inertial>", f"</inertial>{visual}"))
-    with pytest.raises(FreeArtError, match=said) as caught:
+    with pytest.raises(FreeArtError, match=message) as caught:
         write_repaired(read_asset(asset.urdf), (), tmp_path / "b")
     assert "\n" not in str(caught.value)
 
@@ -395,7 +395,7 @@ def test_a_verdict_is_published_with_sapiens_gaps(tmp_path: Path):
     assert read_asset(out / "asset").effects == {"j": (ViscousDamping(0.03),)}
     page = (out / "index.html").read_text()
     assert "A &lt;bob&gt;" in page and "<bob>" not in page
-    for said in (
+    for text in (
         "Oil is missing.",
         "Viscous damping",
         "3 runs: 1 fitted, 2 confirming",
@@ -406,7 +406,7 @@ def test_a_verdict_is_published_with_sapiens_gaps(tmp_path: Path):
         "Where it shows, in 1 run that it was fitted to and 2 runs kept to confirm it",
         "Run run_1, confirming, slow",
     ):
-        assert said in page, said
+        assert text in page, text
     assert "http://" not in page.replace("http://www.w3.org", "") and "src=" not in page
 
 
@@ -421,14 +421,14 @@ def test_fitted_runs_are_not_called_held_back(tmp_path: Path):
     out.mkdir()
     publish(asset, measured, draft(measured, STARTS, ViscousDamping(0.03)), out, "oil")
     page = (out / "index.html").read_text()
-    for said in (
+    for text in (
         "gap before and after, in SAPIEN, on 3 runs that it was fitted to",
         "of the gap closed, on 3 runs that it was fitted to",
         "Explanations, judged on 3 runs, each held out in turn",
         "Fitted to 3 runs: run_0, run_1, run_2.",
         "Run run_0, fitted,",
     ):
-        assert said in page, said
+        assert text in page, text
     assert "kept to confirm" not in page and "that chose it" not in page
 
 

@@ -89,19 +89,19 @@ def test_free_motion_is_not_prescribed_unless_declared(asset: Asset):
     free = replace(steady, runs=tuple(replace(run, prescribed=False) for run in steady.runs))
     assert make_force_runs(free, plant) is None
     first, *others = pushed.runs
-    told = make_force_runs(replace(pushed, runs=(replace(first, prescribed=True), *others)), plant)
-    assert told is not None and [run.name for run in told[0]] == [first.name]
-    assert sum("not prescribed" in note for note in told[2]) == len(others)
+    runs_of_force = make_force_runs(replace(pushed, runs=(replace(first, prescribed=True), *others)), plant)
+    assert runs_of_force is not None and [run.name for run in runs_of_force[0]] == [first.name]
+    assert sum("not prescribed" in note for note in runs_of_force[2]) == len(others)
 
 
 def test_the_answer_states_its_evidence(asset: Asset, tmp_path: Path):
     write_measured(tmp_path / "set", steady_of(0, viscous=0.5, prescribed=True, speeds=(0.05, 0.1, 0.2, 0.4, 0.7, 1.0)))
     assert all(run.prescribed for run in read_measured(tmp_path / "set").runs)
     gap_folder(asset.urdf, tmp_path / "set", tmp_path / "gap")
-    said = json.loads((tmp_path / "gap" / "verdict.json").read_text())
-    assert said["gap_of"] == {"quantity": "force", "unit": "N*m"}
-    assert [effect["name"] for effect in said["effects"]] == ["viscous_damping"] == said["added"]
-    assert said["effects"][0]["parameters"]["coefficient"]["value"] == pytest.approx(0.5, rel=0.05)
+    document = json.loads((tmp_path / "gap" / "verdict.json").read_text())
+    assert document["gap_of"] == {"quantity": "force", "unit": "N*m"}
+    assert [effect["name"] for effect in document["effects"]] == ["viscous_damping"] == document["added"]
+    assert document["effects"][0]["parameters"]["coefficient"]["value"] == pytest.approx(0.5, rel=0.05)
     page = (tmp_path / "gap" / "index.html").read_text()
     assert "SAPIEN has not confirmed it" in page and "mN m" in page and "by inverse dynamics" in page
     assert "<b>Force</b>, N m" in page and "<b>Position</b>" not in page
@@ -127,8 +127,8 @@ def test_stiction_bound_is_the_largest_held_effort(asset: Asset):
     hung = find_gap(asset, held_of(0.7, [0 * times]))
     assert "held against 4.91 N m" in hung.sentence and pytest.approx(0.97 * weight, abs=0.02) == 4.91
     for nothing in (held_of(0.0, [0 * times]), held_of(0.7, [0 * times + weight])):
-        said = find_gap(asset, nothing)
-        assert said.verdict == "not_excited" and "held against" not in said.sentence
+        answer = find_gap(asset, nothing)
+        assert answer.verdict == "not_excited" and "held against" not in answer.sentence
     at_last = held_of(0.0, [0.5 * times], away=0.3)
     plant = make_plant(asset, at_last)
     assert find_stiction_bound(at_last, plant, make_fit_runs(at_last, plant)[1]) is None

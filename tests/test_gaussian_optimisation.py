@@ -113,7 +113,7 @@ def test_nothing_to_begin_with_is_no_model(clip):
 
 
 @pytest.mark.parametrize(
-    "changed, said",
+    "changed, message",
     [
         ({"light_terms": 7}, "light-terms is 7, expected one of 1, 4, 9, 16, 25"),
         ({"rounds": 1, "warm_up": 2}, "warm-up is 2 of 1 rounds"),
@@ -121,6 +121,6 @@ def test_nothing_to_begin_with_is_no_model(clip):
         ({"held_back": 1}, "held-back is 1, expected every 2nd frame or fewer"),
     ],
 )
-def test_settings_that_cannot_be_are_refused(changed, said):
-    with pytest.raises(FreeArtError, match=said):
+def test_settings_that_cannot_be_are_refused(changed, message):
+    with pytest.raises(FreeArtError, match=message):
         GaussianSettings(**changed)

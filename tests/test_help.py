@@ -120,11 +120,11 @@ def test_all_solver_settings_are_behind_a_word_of_their_own():
 
 def test_settings_of_a_file_are_those_of_a_result_that_was_made_with_them(tmp_path: Path):
     path = tmp_path / "s.json"
-    said = ReconstructSettings(seed=3, segmentation="paper").to_json()
-    said["tracks"]["tau_c"] = 0.7
-    for data in (said, {"schema": "freeart21/prediction/1", "settings": {"solver": "2", **said}}):
+    given = ReconstructSettings(seed=3, segmentation="paper").to_json()
+    given["tracks"]["tau_c"] = 0.7
+    for data in (given, {"schema": "freeart21/prediction/1", "settings": {"solver": "2", **given}}):
         path.write_text(json.dumps(data))
-        assert read_settings(path).to_json() == said
+        assert read_settings(path).to_json() == given
     path.write_text(json.dumps({"seed": 5}))
     assert read_settings(path) == ReconstructSettings(seed=5)
 
@@ -138,7 +138,7 @@ def test_settings_of_a_saved_result_that_no_longer_exist_are_ignored_with_a_note
 
 
 @pytest.mark.parametrize(
-    "data, said",
+    "data, message",
     [
         ({"sead": 1}, "there is no setting 'sead'; settings: seed, segmentation"),
         ({"tracks": {"tau": 1}}, "there is no setting 'tracks.tau'; tracks.: tracker, max_round_trip"),
@@ -148,10 +148,10 @@ def test_settings_of_a_saved_result_that_no_longer_exist_are_ignored_with_a_note
         ({"segmentation": "mine"}, "setting 'segmentation' is 'mine', expected ours or paper"),
     ],
 )
-def test_a_setting_that_does_not_exist_costs_one_line(tmp_path: Path, data: dict, said: str):
+def test_a_setting_that_does_not_exist_costs_one_line(tmp_path: Path, data: dict, message: str):
     path = tmp_path / "s.json"
     path.write_text(json.dumps(data))
-    assert_refused(re.escape(said), read_settings, path)
+    assert_refused(re.escape(message), read_settings, path)
 
 
 def test_options_of_the_command_line_come_after_those_of_the_file(tmp_path: Path, monkeypatch):

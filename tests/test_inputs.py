@@ -99,10 +99,12 @@ def test_rows_without_a_command_are_no_rows_of_it(how: str):
     sparse = replace(run, q_command=np.where(np.arange(97) % 4, np.nan, run.q_command))
     own = Run("own", run.times_s[::4], run.q[::4], None, run.q_command[::4])
     for holding in (0.0, 0.4, 1.0):
-        told = make_inputs(sparse, dense, 0.01)
-        command = told.command + (0 if told.hold_difference is None else holding * told.hold_difference[0])
-        passed = np.append(0.0, np.cumsum(np.diff(told.times_s) * command[:-1]))
-        impulse = np.interp(run.times_s[:-4], told.times_s, passed)
+        run_inputs = make_inputs(sparse, dense, 0.01)
+        command = run_inputs.command + (
+            0 if run_inputs.hold_difference is None else holding * run_inputs.hold_difference[0]
+        )
+        passed = np.append(0.0, np.cumsum(np.diff(run_inputs.times_s) * command[:-1]))
+        impulse = np.interp(run.times_s[:-4], run_inputs.times_s, passed)
         mean = interpolate_series(own.times_s, own.q_command, how, 0.025, holding)
         expected = np.append(0.0, np.cumsum([0.025 * mean(t + 0.0125) for t in run.times_s[:-5]]))
         np.testing.assert_allclose(impulse, expected, atol=1e-12)
@@ -112,9 +114,9 @@ def test_rows_without_a_command_are_no_rows_of_it(how: str):
 
 def test_what_is_held_is_as_it_was_and_what_stays_costs_nothing():
     measured = driven(50, 20.0, "held", effort=True)
-    told = make_inputs(measured.runs[0], measured, 1e-3)
-    np.testing.assert_array_equal(told.effort, wave(measured.runs[0].times_s))
-    assert told.hold_difference is None
+    run_inputs = make_inputs(measured.runs[0], measured, 1e-3)
+    np.testing.assert_array_equal(run_inputs.effort, wave(measured.runs[0].times_s))
+    assert run_inputs.hold_difference is None
     still = replace(measured.runs[0], effort=np.repeat([0.0, 1.0], 25))
     assert len(make_inputs(still, replace(measured, interpolation="linear"), 0.01).times_s) < 10
 
@@ -185,5 +187,5 @@ def test_what_was_left_out_stands_in_the_answer_and_on_its_page(tmp_path: Path, 
     notes = json.loads((tmp_path / "out" / "verdict.json").read_text())["notes"]
     assert notes[0] == "run 'again' is run 'still' again, reading by reading: it was left out"
     assert notes[1].startswith("run 'still': one reading of 2 is looked at") and len(notes) == 2
-    page, said = (tmp_path / "out" / "index.html").read_text(), capsys.readouterr().err
-    assert all(note in html.unescape(page) and f"- {note}" in said for note in notes)
+    page, output = (tmp_path / "out" / "index.html").read_text(), capsys.readouterr().err
+    assert all(note in html.unescape(page) and f"- {note}" in output for note in notes)

@@ -79,10 +79,10 @@ def test_a_job_that_fails_stops_those_that_need_it_only_and_is_tried_again(tmp_p
         ("write/1", "needs bad, which failed"),
         ("write/2", "needs write/1, which failed"),
     ]
-    said = json.loads((tmp_path / ".jobs/statistics/bad.json").read_text())
-    assert said["code"] == 4 and said["line"] == "no luck" and not (tmp_path / ".jobs/done/bad.json").exists()
-    mended = [Job("bad", ("{python}", "-c", "pass")), *jobs[1:]]
-    report = run_jobs(tmp_path, mended)
+    facts = json.loads((tmp_path / ".jobs/statistics/bad.json").read_text())
+    assert facts["code"] == 4 and facts["line"] == "no luck" and not (tmp_path / ".jobs/done/bad.json").exists()
+    fixed = [Job("bad", ("{python}", "-c", "pass")), *jobs[1:]]
+    report = run_jobs(tmp_path, fixed)
     assert report.finished == ("bad", "write/1", "write/2") and report.skipped == ("write/3",)
 
 
@@ -139,7 +139,7 @@ def test_a_call_returns_what_is_kept_and_what_it_raises_is_its_last_line(tmp_pat
 
 
 @pytest.mark.parametrize(
-    "jobs, said",
+    "jobs, message",
     [
         ([Job("a", ("x",)), Job("a", ("x",))], "two jobs are called 'a'"),
         ([Job("a", ("x",), needs=("b",))], "needs 'b', which is no job"),
@@ -152,8 +152,8 @@ def test_a_call_returns_what_is_kept_and_what_it_raises_is_its_last_line(tmp_pat
         ([Job("a", ("x",), out="o"), Job("b", ("x",), out="o")], "make the same output"),
     ],
 )
-def test_a_list_that_is_no_list_of_jobs_is_refused_before_anything_runs(tmp_path, jobs, said):
-    assert_refused(said.replace("'", "."), run_jobs, tmp_path / "jobs", jobs)
+def test_a_list_that_is_no_list_of_jobs_is_refused_before_anything_runs(tmp_path, jobs, message):
+    assert_refused(message.replace("'", "."), run_jobs, tmp_path / "jobs", jobs)
     assert not (tmp_path / "jobs").exists()
 
 

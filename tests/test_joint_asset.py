@@ -93,10 +93,10 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("said", WRONG)
-def test_numbers_that_cannot_be_are_refused_in_one_line(said: str, tmp_path: Path):
-    with pytest.raises(FreeArtError, match=said) as caught:
-        write_joint_asset(tmp_path / "made.urdf", JointNumbers(**{"kind": "pendulum", **WRONG[said]}))
+@pytest.mark.parametrize("message", WRONG)
+def test_numbers_that_cannot_be_are_refused_in_one_line(message: str, tmp_path: Path):
+    with pytest.raises(FreeArtError, match=message) as caught:
+        write_joint_asset(tmp_path / "made.urdf", JointNumbers(**{"kind": "pendulum", **WRONG[message]}))
     assert "\n" not in str(caught.value) and not list(tmp_path.iterdir())
 
 

@@ -170,8 +170,8 @@ def test_two_sigma_filter_names_the_jumps():
     joint = Joint("j", "prismatic", np.array([1.0, 0, 0]), np.zeros(3), 0, 1)
     Ts = joint.transform(np.linspace(0, 0.3, 40))
     Ts[17, :3, 3] += (0, 0.5, 0)
-    kept = find_inlier_poses(Ts)
-    assert not kept[17] and kept.sum() == 39
+    inliers = find_inlier_poses(Ts)
+    assert not inliers[17] and inliers.sum() == 39
 
 
 def test_without_noise_resistance_outliers_do_harm():

@@ -277,8 +277,8 @@ def test_a_tumbling_part_is_a_one_line_error(tmp_path: Path):
         return T
 
     data, _ = measured("prismatic", tumbles)
-    said = r"run 'r0' turns the part by \S+ rad across the axis of joint 'j\w*', expected less than 1"
-    with pytest.raises(FreeArtError, match=said):
+    message = r"run 'r0' turns the part by \S+ rad across the axis of joint 'j\w*', expected less than 1"
+    with pytest.raises(FreeArtError, match=message):
         find_geometry(asset(tmp_path, "prismatic"), data)
 
 

@@ -8,7 +8,7 @@ from reconstruct_clip import make_clip
 
 from freeart21 import se3
 from freeart21.recording import Recording
-from reconstruct import labels
+from reconstruct import kernels, labels
 from reconstruct.evidence import Evidence
 from reconstruct.labels import SURE
 from reconstruct.propagation import body_points
@@ -107,23 +107,26 @@ def test_telling_frames_are_those_in_which_the_joint_stood_elsewhere(clip):
     Ts = poses_of(clip, np.where(np.arange(FRAMES) < 10, 0.0, 0.5))
     body = clip.joint.pivot + np.array([[0.1, 0, 0], [0, 0, 0.1], [-0.1, 0, 0.1]])
     evidence, everywhere, rng = evidence_of(clip.recording), np.ones(FRAMES, bool), np.random.default_rng(0)
-    told = labels.discriminative_frames(evidence, 3, Ts, body, everywhere, rng)
-    assert len(told) and told.min() >= 10
+    frames = labels.discriminative_frames(evidence, 3, Ts, body, everywhere, rng)
+    assert len(frames) and frames.min() >= 10
     Ts[:, 10:] = se3.pose(se3.exp_so3(np.array([0.0, 2, 0])), np.zeros(3)) @ Ts[:, 10:]  # other surfaces are seen there
     assert len(labels.discriminative_frames(evidence, 3, Ts, body, everywhere, rng)) == 0
 
 
 def test_random_walk_solves_its_equations():
     rng = np.random.default_rng(0)
-    n = 30
-    W = np.triu(rng.random((n, n)) * (rng.random((n, n)) < 0.2), 1)
-    W += W.T
-    strength, target = rng.random(n) + 0.01, rng.uniform(-1, 1, n)
-    expected = np.linalg.solve(np.diag(strength + W.sum(1)) - W, strength * target)
-    starts = np.concatenate([[0], np.cumsum((W > 0).sum(1))])
-    ends, weights = np.nonzero(W)[1].astype(np.int32), W[W > 0].astype(np.float32)
-    found = labels._random_walk(strength, target, rng.uniform(-1, 1, n), starts, ends, weights, 1e-8, 500)
-    np.testing.assert_allclose(found, expected, atol=1e-5)
+    h, w = shape = 8, 7
+    valid, number = rng.random(shape) < 0.8, np.arange(h * w).reshape(shape)
+    weights, W = np.zeros((6, *shape), np.float32), np.zeros((h * w, h * w))
+    for q, step in enumerate(np.repeat(kernels.STEPS, 2)):
+        to = np.roll(number, -step, q % 2)
+        edge = valid & np.roll(valid, -step, q % 2) & (to > number) & (rng.random(shape) < 0.5)
+        weights[q][edge] = rng.random(edge.sum())
+        W[number[edge], to[edge]] = W[to[edge], number[edge]] = weights[q][edge]
+    strength, target = rng.random(shape) + 0.01, rng.uniform(-1, 1, shape)
+    expected = np.linalg.solve(np.diag(strength.ravel() + W.sum(1)) - W, (strength * target).ravel()).reshape(shape)
+    found = labels._random_walk(strength, target, rng.uniform(-1, 1, shape), valid, weights, 1e-8, 500)
+    np.testing.assert_allclose(found[valid], expected[valid], atol=1e-5)
 
 
 def test_a_roll_changes_no_view():

@@ -100,8 +100,8 @@ def test_a_planted_import_is_found(package, planted):
 
 def test_the_checklist_is_asked_only_where_assets_are_loaded_in_a_process_of_their_own():
     for path in (ROOT / "leaderboard").rglob("*.py"):
-        asked = [at_top for module, at_top in imports(path.read_text()) if module.startswith("export")]
-        assert not any(asked) and bool(asked) == (path.name == "asset_measurement.py"), path
+        at_tops = [at_top for module, at_top in imports(path.read_text()) if module.startswith("export")]
+        assert not any(at_tops) and bool(at_tops) == (path.name == "asset_measurement.py"), path
     source = (ROOT / "leaderboard" / "asset_measurement.py").read_text()
     (function,) = [
         f for f in ast.walk(ast.parse(source)) if isinstance(f, ast.FunctionDef) and f.name == "_examine_asset"

@@ -213,8 +213,8 @@ def test_speed_is_limited_where_a_loader_says_so(tmp_path: Path, engine: type):
     write_case(tmp_path, "prismatic", (ViscousDamping(0.001),), velocity=1.0)
     seen = course(engine(tmp_path), -2.0, 0.4)
     speed = (seen[-1] - seen[-2]) / STEP
-    kept = losses.outcome(column_of(engine), "velocity") == losses.LOADER
-    assert speed == pytest.approx(1.0 if kept else 0.8 * GRAVITY * 0.4, rel=0.01)
+    restored = losses.outcome(column_of(engine), "velocity") == losses.LOADER
+    assert speed == pytest.approx(1.0 if restored else 0.8 * GRAVITY * 0.4, rel=0.01)
 
 
 def column_of(engine: type) -> losses.Column:
@@ -226,9 +226,9 @@ def column_of(engine: type) -> losses.Column:
 def test_what_loaders_play_is_what_losses_md_says(tmp_path: Path):
     write_case(tmp_path, "revolute")
     for name, engine in ENGINES.items():
-        kept = [n for n in EFFECTS_BY_NAME if losses.outcome(column_of(engine), n) != losses.LOST]
-        said = {EFFECTS_BY_NAME[n].joint_word for n in kept}
-        assert said == loader(tmp_path, name).PLAYED, name
+        names = [n for n in EFFECTS_BY_NAME if losses.outcome(column_of(engine), n) != losses.LOST]
+        words = {EFFECTS_BY_NAME[n].joint_word for n in names}
+        assert words == loader(tmp_path, name).PLAYED, name
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -119,8 +119,8 @@ def test_restitution_is_seen_at_the_stop():
     data = swings(lambda t, q, qd: -0.004 * qd, restitution=0.6, stop=0.3, starts=[-1.0, -0.8, -0.7, -0.9, -1.1, -0.6])
     _, places, found = maps_of(data, upper=0.3)
     assert len(found.impacts) > 8
-    said = [w for w in places if "stop" in w.text]
-    assert said and 0.4 < float(said[0].text.split("about ")[1].split("%")[0]) / 100 < 0.75
+    at_stops = [w for w in places if "stop" in w.text]
+    assert at_stops and 0.4 < float(at_stops[0].text.split("about ")[1].split("%")[0]) / 100 < 0.75
     dead = swings(lambda t, q, qd: -0.004 * qd, restitution=0.0, stop=0.3, starts=[-1.0, -0.8, -0.7, -0.9, -1.1, -0.6])
     _, places, _ = maps_of(dead, upper=0.3)
     assert not [w for w in places if "stop" in w.text and "comes back" in w.text]

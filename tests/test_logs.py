@@ -121,7 +121,7 @@ def test_10_khz_commands_are_averaged(tmp_path: Path):
     plant = make_plant(read_asset(asset_of(tmp_path)), measured)
     fine, coarse = make_inputs(run, measured), make_inputs(run, measured, 0.02)
     assert len(coarse.times_s) < 400 and len(fine.times_s) > 10_000
-    ways = [simulate(plant, (), times[::50], 0.2, 0.0, told) for told in (fine, coarse)]
+    ways = [simulate(plant, (), times[::50], 0.2, 0.0, variant) for variant in (fine, coarse)]
     assert np.abs(ways[0] - ways[1]).max() < 2e-3 * np.ptp(ways[0])
     assert np.abs(simulate(plant, (), times[::50], 0.2) - ways[0]).max() > 0.1
 

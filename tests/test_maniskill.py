@@ -181,12 +181,12 @@ def test_it_passes_gymnasiums_checker_whole_and_is_the_same_from_a_seed(chest, e
     shown = {"render_backend": "cpu", "render_mode": "rgb_array", "human_render_camera_configs": small}
     made = GymnasiumWrapper(make(env, chest, reward_mode="dense", **shown, **settings))
     assert {"rgb_array", "sensors", "all"} <= set(made.metadata["render_modes"])
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         check_env(made)
-    told = {str(warning.message) for warning in said if "WARN" in str(warning.message)}
+    lines = {str(warning.message) for warning in caught if "WARN" in str(warning.message)}
     of_spaces = ("unwrapped version", "space minimum value is -inf", "space maximum value is inf", "normalized space")
-    assert not [line for line in told if not any(text in line for text in of_spaces)]
+    assert not [line for line in lines if not any(text in line for text in of_spaces)]
     courses = []
     for _ in range(2):
         made.reset(seed=5)
@@ -360,12 +360,12 @@ def test_an_episode_becomes_a_sequence_with_truth_and_that_a_trajectory_again(tm
     for step in range(1, 5):  # the same motion in another world
         ways = [np.linalg.norm(T[step, :3, 3] - T[0, :3, 3]) for T in turned]
         assert ways[0] == pytest.approx(ways[1], abs=1e-5)
-    told = json.loads(back.folder.with_suffix(".json").read_text())
+    document = json.loads(back.folder.with_suffix(".json").read_text())
     import gymnasium
 
-    kwargs = told["env_info"]["env_kwargs"] | {"obs_mode": "state", "render_backend": "none"}
-    again = gymnasium.make(told["env_info"]["env_id"], **kwargs)
-    again.reset(**told["episodes"][0]["reset_kwargs"])
+    kwargs = document["env_info"]["env_kwargs"] | {"obs_mode": "state", "render_backend": "none"}
+    again = gymnasium.make(document["env_info"]["env_id"], **kwargs)
+    again.reset(**document["episodes"][0]["reset_kwargs"])
     with h5py.File(back.folder) as file:
         for action in file["traj_0/actions"][:]:
             again.step(action)
@@ -401,7 +401,7 @@ def test_it_warns_of_effects_that_do_not_show(chest, monkeypatch):
     tilt = AxisTilt(*[0.01] * len(AxisTilt.parameters()))
     (chest / "chest.urdf").write_text(LID.replace('damping="0.01" friction="0.02"', 'damping="0" friction="0"'))
     write_effects(chest, replace(find_asset(chest), effects={"hinge": (tilt,)}))
-    said = []
-    monkeypatch.setattr(_body.logger, "warning", said.append)
+    lines = []
+    monkeypatch.setattr(_body.logger, "warning", lines.append)
     make(OPEN, chest, robot_uids="none").close()
-    assert any("axis_tilt" in line for line in said)
+    assert any("axis_tilt" in line for line in lines)

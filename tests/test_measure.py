@@ -100,12 +100,12 @@ def test_takes_of_another_object_are_a_one_line_error(tmp_path: Path, film: Path
     other = tmp_path / "other"
     shutil.copytree(film, other)
     data = json.loads((film / "truth.json").read_text())
-    for change, said in (
+    for change, message in (
         ({"motion": "tumble"}, "is of the motion 'tumble', expected release"),
         ({"settings": {**data["source"]["settings"], "seed": 4}}, "has seed 4, .* has 3: expected one object"),
     ):
         (other / "truth.json").write_text(json.dumps({**data, "source": {**data["source"], **change}}))
-        with pytest.raises(FreeArtError, match=said):
+        with pytest.raises(FreeArtError, match=message):
             measure_truths([film, other], tmp_path / "out")
     with pytest.raises(FreeArtError, match="expected 0 or more"):
         measure_truths([film], tmp_path / "out", TrackerNoise(-1.0))
@@ -122,11 +122,11 @@ def test_a_film_of_a_urdf_needs_that_urdf(tmp_path: Path):
     (folder / "case.urdf").write_text(light)  # its <dynamics> lose energy, the film's joint does not
     name = record(str(folder / "case.urdf"), tmp_path / "data", settings(tmp_path, let_go=0.9, effects_joint="hinge"))
     film = tmp_path / "data/truth" / name
-    for urdf, said in (
+    for urdf, message in (
         (None, "is of the URDF case; a truth holds its hash, not its files: give it as --urdf"),
         (tmp_path / "none.urdf", "is missing"),
     ):
-        with pytest.raises(FreeArtError, match=said) as caught:
+        with pytest.raises(FreeArtError, match=message) as caught:
             measure_truths([film], tmp_path / "out", urdf=urdf)
         assert "\n" not in str(caught.value) and not (tmp_path / "out").exists()
     measure_truths([film], tmp_path / "out", urdf=folder / "case.urdf")
@@ -150,11 +150,11 @@ def test_an_asset_is_only_taken_with_a_film_of_a_urdf(tmp_path: Path, film: Path
 
 
 def test_a_released_joint_has_effects_of_motion_only(tmp_path: Path):
-    for effects, said in (
+    for effects, message in (
         ((OIL, AxisTilt(0.01, 0.0)), "gives joint 'joint_1' axis_tilt: a released joint takes"),
         ((EncoderOffset(0.1),), "gives joint 'joint_1' encoder_offset"),
     ):
-        with pytest.raises(FreeArtError, match=said):
+        with pytest.raises(FreeArtError, match=message):
             record("stapler", tmp_path / "data", settings(tmp_path, *effects))
     with pytest.raises(FreeArtError, match="let go at 1.5 of its range in the motion release; expected 0 to 1"):
         settings(tmp_path, OIL, let_go=1.5).check()

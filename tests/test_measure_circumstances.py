@@ -24,23 +24,23 @@ TABLE = {"time": T, "angle": Q, "rate": np.degrees(-5.6 * np.sin(7 * T)), "volts
 MOTOR = {"type": "dc_motor", "torque_constant": 0.3, "resistance": 3.0, "max_voltage": 7.4}
 
 
-def set_of(folder: Path, said: dict, wanted: dict[str, str], **told):
+def set_of(folder: Path, facts: dict, wanted: dict[str, str], **options):
     """The measured set of these columns under these circumstances, and the printed lines."""
     folder.mkdir(parents=True, exist_ok=True)
     asset = asset_of(folder / "asset")
     names = ["time", "angle", *wanted.values()]
     rows = [",".join(names), *(",".join(f"{v:.9g}" for v in row) for row in np.column_stack([TABLE[n] for n in names]))]
     (folder / "run.csv").write_text("\n".join(rows) + "\n")
-    (folder / "told.json").write_text(json.dumps(said))
+    (folder / "told.json").write_text(json.dumps(facts))
     columns = {"t": "time", "q": "angle", **wanted}
-    settings = SeriesSettings(columns, circumstances=read_circumstances(folder / "told.json"), **told)
+    settings = SeriesSettings(columns, circumstances=read_circumstances(folder / "told.json"), **options)
     notes = measure_series([folder / "run.csv"], folder / "out", asset, None, settings)
     return read_measured(folder / "out" / "measured"), "\n".join(notes)
 
 
 def test_motor_voltage_and_measured_velocity(tmp_path: Path):
-    said = {"actuator": MOTOR, "units": {"qd": "deg/s"}}
-    got, notes = set_of(tmp_path, said, {"voltage": "volts", "qd": "rate"}, reverse=True)
+    facts = {"actuator": MOTOR, "units": {"qd": "deg/s"}}
+    got, notes = set_of(tmp_path, facts, {"voltage": "volts", "qd": "rate"}, reverse=True)
     (run,) = got.runs
     assert got.actuator is not None and got.actuator.motor is not None
     assert (got.actuator.motor.resistance, got.actuator.motor.max_voltage) == (3.0, 7.4)
@@ -69,8 +69,8 @@ def test_moving_bases(tmp_path: Path):
 
 
 def test_prescribed_motion_and_unwrapped_angles(tmp_path: Path):
-    for k, said in enumerate((True, ["run"])):
-        got, _ = set_of(tmp_path / str(k), {"prescribed": said}, {"effort": "torque"}, effort="commanded")
+    for k, value in enumerate((True, ["run"])):
+        got, _ = set_of(tmp_path / str(k), {"prescribed": value}, {"effort": "torque"}, effort="commanded")
         assert got.runs[0].prescribed is True
     assert Circumstances().is_prescribed("run") is None
 
@@ -90,18 +90,18 @@ BAD = {
 
 @pytest.mark.parametrize("case", BAD)
 def test_bad_circumstances_are_a_one_line_error_without_output(tmp_path: Path, case: str):
-    said, wanted, why = BAD[case]
+    facts, wanted, why = BAD[case]
     with pytest.raises(FreeArtError, match=re.escape(why)) as error:
-        set_of(tmp_path, said, wanted)
+        set_of(tmp_path, facts, wanted)
     assert "\n" not in str(error.value) and not (tmp_path / "out").exists()
 
 
 def test_the_command_line_takes_circumstances(tmp_path: Path):
     set_of(tmp_path, {"prescribed": True}, {"effort": "torque"}, effort="commanded")
     command = [sys.executable, "-m", "freeart21", "measure"]
-    told = ["--effort", "commanded", "--circumstances", str(tmp_path / "told.json")]
+    document = ["--effort", "commanded", "--circumstances", str(tmp_path / "told.json")]
     asset = next((tmp_path / "asset").glob("*.urdf"))
-    made = [*command, str(tmp_path / "run.csv"), "--out", str(tmp_path / "new"), "--asset", str(asset), *told]
+    made = [*command, str(tmp_path / "run.csv"), "--out", str(tmp_path / "new"), "--asset", str(asset), *document]
     done = subprocess.run([*made, "--unit-q", "rad"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert read_measured(tmp_path / "new" / "measured").runs[0].prescribed is True

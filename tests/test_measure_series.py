@@ -35,12 +35,12 @@ def text(rows: np.ndarray, header: str = "", separator: str = ",", decimal: str 
     return "\n".join([*([header] if header else []), *lines]) + "\n"
 
 
-def imported(folder: Path, asset: Path, content: str | bytes, name: str = "run.csv", **told):
+def imported(folder: Path, asset: Path, content: str | bytes, name: str = "run.csv", **options):
     """The measured set of one file, and the printed lines."""
     path = folder / name
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    joint, out = told.pop("joint", None), folder / told.pop("out", "out")
-    notes = measure_series([path], out, asset, joint, SeriesSettings(**told))
+    joint, out = options.pop("joint", None), folder / options.pop("out", "out")
+    notes = measure_series([path], out, asset, joint, SeriesSettings(**options))
     return read_measured(out / "measured"), "\n".join(notes)
 
 
@@ -71,7 +71,7 @@ FORMS = {
 
 @pytest.mark.parametrize("form", FORMS)
 def test_text_formats_are_equivalent(form: str, tmp_path: Path, asset: Path):
-    measured, said = imported(tmp_path, asset, FORMS[form])
+    measured, output = imported(tmp_path, asset, FORMS[form])
     (run,) = measured.runs
     np.testing.assert_allclose(run.times_s, T, atol=2e-7)
     np.testing.assert_allclose(run.q, Q, atol=2e-7)
@@ -87,8 +87,10 @@ def test_text_formats_are_equivalent(form: str, tmp_path: Path, asset: Path):
         "gravity 0 0 -9.81",
         "by 10%, its weight by 5%",
     ):
-        assert word in said
-    assert ("times are in ms" in said) == form.startswith("milli") and ("in deg" in said) == form.startswith("degrees")
+        assert word in output
+    assert ("times are in ms" in output) == form.startswith("milli") and ("in deg" in output) == form.startswith(
+        "degrees"
+    )
 
 
 @pytest.mark.parametrize(
@@ -104,8 +106,8 @@ def test_text_formats_are_equivalent(form: str, tmp_path: Path, asset: Path):
     ],
 )
 def test_json_tables_are_found_at_any_depth(data, tmp_path: Path, asset: Path):
-    told = {"columns": {"q": "q:1"}} if isinstance(data, dict) and "log" in data else {}
-    measured, _ = imported(tmp_path, asset, json.dumps(data), "log.json", **told)
+    options = {"columns": {"q": "q:1"}} if isinstance(data, dict) and "log" in data else {}
+    measured, _ = imported(tmp_path, asset, json.dumps(data), "log.json", **options)
     np.testing.assert_allclose(measured.runs[0].q, Q, rtol=1e-15)
 
 
@@ -146,9 +148,9 @@ def test_zero_and_sign_are_applied(tmp_path: Path, asset: Path):
 
 
 def test_rows_without_times_use_the_given_rate(tmp_path: Path, asset: Path):
-    measured, said = imported(tmp_path, asset, text(Q[:, None], "angle"), rate_hz=100.0)
+    measured, output = imported(tmp_path, asset, text(Q[:, None], "angle"), rate_hz=100.0)
     np.testing.assert_allclose(measured.runs[0].times_s, T, atol=1e-12)
-    assert measured.rate_hz == 100 and "100 rows a second" in said
+    assert measured.rate_hz == 100 and "100 rows a second" in output
 
 
 def test_sensor_wraps_are_undone(tmp_path: Path):
@@ -156,9 +158,9 @@ def test_sensor_wraps_are_undone(tmp_path: Path):
     urdf.write_text(urdf.read_text().replace('type="revolute"', 'type="continuous"'))
     wound = 12 * T
     wrapped = np.degrees((wound + np.pi) % (2 * np.pi) - np.pi)
-    measured, said = imported(tmp_path, urdf, text(np.column_stack([T, wrapped]), "time,angle"))
+    measured, output = imported(tmp_path, urdf, text(np.column_stack([T, wrapped]), "time,angle"))
     np.testing.assert_allclose(measured.runs[0].q, wound, atol=1e-6)
-    assert "positions are in deg, by its jumps" in said and "2 jumps of the position by a whole turn" in said
+    assert "positions are in deg, by its jumps" in output and "2 jumps of the position by a whole turn" in output
 
 
 def test_empty_rows_are_dropped_and_reported(tmp_path: Path, asset: Path):
@@ -166,11 +168,11 @@ def test_empty_rows_are_dropped_and_reported(tmp_path: Path, asset: Path):
     lines[10:10] = [lines[9]]  # a reading sent twice
     lines[30] = lines[30].split(",")[0] + ","  # a reading lost
     lines.append("0.8")  # cut off
-    measured, said = imported(tmp_path, asset, "\n".join(lines))
+    measured, output = imported(tmp_path, asset, "\n".join(lines))
     (run,) = measured.runs
     assert len(run.q) == len(Q) and np.isnan(run.q).sum() == 1
-    assert "1 rows without a new time" in said
-    assert "1 rows with another number of cells than 2" in said
+    assert "1 rows without a new time" in output
+    assert "1 rows with another number of cells than 2" in output
 
 
 def test_gravity_is_in_the_reference_links_frame(tmp_path: Path, asset: Path):
@@ -188,47 +190,49 @@ def test_commands_have_a_law_and_end_where_the_drive_is_off(tmp_path: Path, asse
     rows = DRIVEN[:, [0, 1, 2, 4]].copy()
     rows[:, 1] = np.degrees(rows[:, 1])
     content = text(rows, "timestamp,position,goal_position,torque_enable")
-    measured, said = imported(tmp_path, asset, content, actuator=(60.0, 4.0))
+    measured, output = imported(tmp_path, asset, content, actuator=(60.0, 4.0))
     on, off = measured.runs
     assert (on.name, off.name) == ("run_on_1", "run_off_2") and off.q_command is None
     np.testing.assert_allclose(on.q_command, np.sin(T[:40]), atol=1e-8)
     assert (measured.actuator.stiffness, measured.actuator.damping) == (60, 4)
-    assert "q_command: held or smooth between rows is unknown" in said
-    assert measured.interpolation == "unknown" and "runs are split there" in said
+    assert "q_command: held or smooth between rows is unknown" in output
+    assert measured.interpolation == "unknown" and "runs are split there" in output
 
 
 def test_efforts_state_hold_and_unit(tmp_path: Path, asset: Path):
     content = text(DRIVEN[:, [0, 1, 3]], "time,position,torque")
-    told = {"effort": "external", "unit_effort": "mN*m", "reverse": True, "interpolation": "held"}
-    measured, said = imported(tmp_path, asset, content, **told)
+    options = {"effort": "external", "unit_effort": "mN*m", "reverse": True, "interpolation": "held"}
+    measured, output = imported(tmp_path, asset, content, **options)
     np.testing.assert_allclose(measured.runs[0].effort, -1e-3 * np.sin(3 * T), atol=1e-9)
     np.testing.assert_allclose(measured.runs[0].q, -Q, atol=1e-7)
-    assert measured.effort_kind == "external" and "effort: each value holds" in said
+    assert measured.effort_kind == "external" and "effort: each value holds" in output
     assert measured.interpolation == "held"
 
 
 def test_empty_drive_cells_are_skipped(tmp_path: Path, asset: Path):
     lines = text(DRIVEN[:, [0, 1, 3]], "time,position,torque").splitlines()
     lines[6] = lines[6].rsplit(",", 1)[0] + ","
-    measured, said = imported(tmp_path, asset, "\n".join(lines), effort="commanded")
+    measured, output = imported(tmp_path, asset, "\n".join(lines), effort="commanded")
     (run,) = measured.runs
-    assert np.flatnonzero(np.isnan(run.effort)).tolist() == [5] and "1 empty cells of drives count as no value" in said
+    assert (
+        np.flatnonzero(np.isnan(run.effort)).tolist() == [5] and "1 empty cells of drives count as no value" in output
+    )
     lines[1:4] = [line.rsplit(",", 1)[0] + "," for line in lines[1:4]]  # the drive's topic began later
-    told = {"effort": "commanded", "columns": {"effort": "torque"}}
-    later, said = imported(tmp_path, asset, "\n".join(lines), name="later.csv", out="later", **told)
+    options = {"effort": "commanded", "columns": {"effort": "torque"}}
+    later, output = imported(tmp_path, asset, "\n".join(lines), name="later.csv", out="later", **options)
     np.testing.assert_allclose(later.runs[0].times_s, run.times_s[3:] - run.times_s[3], atol=1e-9)
-    assert later.runs[0].effort[0] == run.effort[3] and "the first 3 rows were left out: they have no effort" in said
+    assert later.runs[0].effort[0] == run.effort[3] and "the first 3 rows were left out: they have no effort" in output
     lines[1:76] = [line.rsplit(",", 1)[0] + "," for line in lines[1:76]]
     with pytest.raises(FreeArtError, match="effort begin in row 76 of 80, expected 20 rows or more from there on"):
-        imported(tmp_path, asset, "\n".join(lines), name="silent.csv", out="silent", **told)
+        imported(tmp_path, asset, "\n".join(lines), name="silent.csv", out="silent", **options)
 
 
 def test_swapped_rows_are_sorted_and_a_second_recording_is_refused(tmp_path: Path, asset: Path):
     lines = text(TABLE, "time,angle").splitlines()
     lines[20], lines[21] = lines[21], lines[20]
-    measured, said = imported(tmp_path, asset, "\n".join(lines))
+    measured, output = imported(tmp_path, asset, "\n".join(lines))
     np.testing.assert_allclose(measured.runs[0].q, Q, atol=2e-7)
-    assert "1 rows came late, and were sorted" in said
+    assert "1 rows came late, and were sorted" in output
     with pytest.raises(FreeArtError, match="time goes back .* a second recording"):
         imported(tmp_path, asset, text(np.vstack([TABLE, TABLE]), "time,angle"), name="twice.csv", out="twice")
 
@@ -240,10 +244,10 @@ def test_a_wrapped_command_follows_its_position(tmp_path: Path):
     leapt = [(np.degrees(x) + 180) % 360 - 180 for x in (wound, wound + 0.2)]
     leapt[1] += 360  # and is counted from another turn
     content = text(np.column_stack([T, *leapt]), "time,angle,command")
-    measured, said = imported(tmp_path, urdf, content, actuator=(5.0, 0.1), unit_q="deg")
+    measured, output = imported(tmp_path, urdf, content, actuator=(5.0, 0.1), unit_q="deg")
     np.testing.assert_allclose(measured.runs[0].q, wound, atol=1e-6)
     np.testing.assert_allclose(measured.runs[0].q_command, wound + 0.2, atol=1e-6)
-    assert "jumps of the command by a whole turn were removed" in said
+    assert "jumps of the command by a whole turn were removed" in output
 
 
 def test_a_duplicate_recording_is_dropped(tmp_path: Path, asset: Path):
@@ -258,8 +262,8 @@ def test_a_duplicate_recording_is_dropped(tmp_path: Path, asset: Path):
 
 def test_an_ignored_drive_column_is_reported(tmp_path: Path, asset: Path):
     content = text(DRIVEN[:, [0, 1, 3]], "time,position,torque")
-    measured, said = imported(tmp_path, asset, content, columns={"t": "time", "q": "position"})
-    assert measured.runs[0].effort is None and "column 'torque' is left out" in said
+    measured, output = imported(tmp_path, asset, content, columns={"t": "time", "q": "position"})
+    assert measured.runs[0].effort is None and "column 'torque' is left out" in output
 
 
 REFUSED = {
@@ -332,15 +336,15 @@ REFUSED = {
 
 @pytest.mark.parametrize("what", REFUSED)
 def test_unreadable_input_is_a_one_line_error_without_output(what: str, tmp_path: Path, asset: Path):
-    content, told, said = REFUSED[what]
-    with pytest.raises(FreeArtError, match=said) as told_line:
-        imported(tmp_path, asset, content, **told)
-    assert "\n" not in str(told_line.value) and ".part" not in str(told_line.value)
+    content, options, message = REFUSED[what]
+    with pytest.raises(FreeArtError, match=message) as caught:
+        imported(tmp_path, asset, content, **options)
+    assert "\n" not in str(caught.value) and ".part" not in str(caught.value)
     assert {p.name for p in tmp_path.iterdir()} == {"asset", "run.csv"}
 
 
 @pytest.mark.parametrize(
-    "name, content, said",
+    "name, content, message",
     [
         ("a.json", b"[" * 100_000, "is not JSON"),
         ("a.json", b"{}", "has no table: expected a list of objects"),
@@ -351,8 +355,8 @@ def test_unreadable_input_is_a_one_line_error_without_output(what: str, tmp_path
         ("a.npz", b"PK", "is a .npz file, expected text"),
     ],
 )
-def test_hostile_files_are_a_one_line_error(name: str, content: bytes, said: str, tmp_path: Path, asset: Path):
-    assert_refused(said, imported, tmp_path, asset, content, name)
+def test_hostile_files_are_a_one_line_error(name: str, content: bytes, message: str, tmp_path: Path, asset: Path):
+    assert_refused(message, imported, tmp_path, asset, content, name)
 
 
 def test_a_mat_file_that_crashes_scipy_is_a_one_line_error(tmp_path: Path, monkeypatch):
@@ -388,11 +392,11 @@ def test_columns_come_from_options_or_a_file(tmp_path: Path):
         == columns_from((str(tmp_path / "map.json"),))
         == {"t": "time", "q": "angle"}
     )
-    for words, said in (
+    for words, message in (
         (("t=time", "angle"), "angle: expected ROLE=NAME"),
         (("x=time",), "no role 'x'; roles: t, q, eff"),
     ):
-        assert_refused(said, columns_from, words)
+        assert_refused(message, columns_from, words)
 
 
 def test_each_file_is_a_run_with_its_name(tmp_path: Path, asset: Path):
@@ -414,12 +418,12 @@ def test_files_in_different_units_are_refused(tmp_path: Path, asset: Path):
 def test_the_command_line_follows_its_sources(tmp_path: Path, asset: Path, capsys):
     run = tmp_path / "run.csv"
     run.write_text(text(TABLE, "time,angle"))
-    told = ("--asset", asset, "--joint", "j", "--gravity", 0, 0, -1.62, "--out", tmp_path / "lid")
-    code, out, _ = run_command(capsys, "measure", run, *told)
-    said = out.splitlines()
+    options = ("--asset", asset, "--joint", "j", "--gravity", 0, 0, -1.62, "--out", tmp_path / "lid")
+    code, out, _ = run_command(capsys, "measure", run, *options)
+    output = out.splitlines()
     assert code == 0
-    assert said[-1].endswith(f"now `freeart21 gap {asset} {tmp_path / 'lid/measured'} --out GAP`")
-    assert all(line.startswith("- ") for line in said[:-1]) and len(said) > 5
+    assert output[-1].endswith(f"now `freeart21 gap {asset} {tmp_path / 'lid/measured'} --out GAP`")
+    assert all(line.startswith("- ") for line in output[:-1]) and len(output) > 5
     assert read_measured(tmp_path / "lid/measured").gravity[2] == -1.62
     for words, line in (
         ((run,), "files need --asset FOLDER or URDF"),
@@ -429,6 +433,6 @@ def test_the_command_line_follows_its_sources(tmp_path: Path, asset: Path, capsy
         ((run, "--asset", asset, "--noise-mm", 1), "--noise-mm applies to truths, but this was taken for files"),
         ((), "expected files, one result, or truth folders; got nothing"),
     ):
-        code, _, said = run_command(capsys, "measure", *words, "--out", tmp_path / "no")
-        assert code == 1 and said.startswith("freeart21: measure: ") and re.search(line, said), said
+        code, _, output = run_command(capsys, "measure", *words, "--out", tmp_path / "no")
+        assert code == 1 and output.startswith("freeart21: measure: ") and re.search(line, output), output
         assert not (tmp_path / "no").exists()

@@ -177,9 +177,9 @@ BAD_HEADERS = [
 ]
 
 
-@pytest.mark.parametrize("changes, said", BAD_HEADERS)
-def test_a_bad_header_is_a_one_line_error(tmp_path: Path, changes: dict, said: str):
-    assert_refused(re.escape(said), read_measured, write(tmp_path, changes))
+@pytest.mark.parametrize("changes, message", BAD_HEADERS)
+def test_a_bad_header_is_a_one_line_error(tmp_path: Path, changes: dict, message: str):
+    assert_refused(re.escape(message), read_measured, write(tmp_path, changes))
 
 
 def test_a_copied_run_is_dropped_and_reported(tmp_path: Path):
@@ -187,9 +187,11 @@ def test_a_copied_run_is_dropped_and_reported(tmp_path: Path):
     for k, flags in enumerate(((None, True), (True, False), (False, False))):
         runs = [{"file": f"run_{i}.csv", "held_out": out} for i, out in enumerate(flags)]
         measured = read_measured(write(tmp_path / str(k), {"runs": runs}))
-        kept, gone = (1, 0) if flags[0] else (0, 1)
-        assert [run.name for run in measured.runs] == [f"run_{kept}"]
-        assert measured.notes == (f"run 'run_{gone}' is run 'run_{kept}' again, reading by reading: it was left out",)
+        remaining, gone = (1, 0) if flags[0] else (0, 1)
+        assert [run.name for run in measured.runs] == [f"run_{remaining}"]
+        assert measured.notes == (
+            f"run 'run_{gone}' is run 'run_{remaining}' again, reading by reading: it was left out",
+        )
     assert not read_measured(write(tmp_path / "other")).notes
 
 
@@ -224,7 +226,7 @@ def test_a_missing_set_is_a_one_line_error(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"seen": np.zeros((30, 2), bool)}, "has 0 poses in which both parts were seen, expected 20 or more"),
         ({"times_s": np.zeros(30)}, "times must increase, but pose 1 has 0 s after 0 s"),
@@ -236,13 +238,13 @@ def test_a_missing_set_is_a_one_line_error(tmp_path: Path):
         ({"T_camera_moving": ...}, "has no T_camera_moving; it has"),
     ],
 )
-def test_bad_poses_are_a_one_line_error(tmp_path: Path, changes: dict, said: str):
+def test_bad_poses_are_a_one_line_error(tmp_path: Path, changes: dict, message: str):
     folder = write(tmp_path, {"runs": [{"file": "run_p", "kind": "poses"}]})
     (folder / "run_p").mkdir()
     eye = np.tile(np.eye(4), (30, 1, 1))
     data = {"T_camera_reference": eye, "T_camera_moving": eye, **changes}
     np.savez(folder / "run_p/poses.npz", **{k: v for k, v in data.items() if v is not ...})
-    assert_refused(re.escape(said), read_measured, folder)
+    assert_refused(re.escape(message), read_measured, folder)
 
 
 def test_oversized_input_is_refused(tmp_path: Path, monkeypatch):

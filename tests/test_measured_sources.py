@@ -61,12 +61,12 @@ COMMANDS = {  # files, required options, runs, rows a second
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_each_recording_imports_with_one_command(name: str, sets: Path, tmp_path: Path):
-    words, told, count, rate_hz = COMMANDS[name]
+    words, options, count, rate_hz = COMMANDS[name]
     files = [SHARED / word for word in words.split()]
     if not all(file.is_file() for file in files):
         pytest.skip("this recording is not at hand")
     notes = measure_series(
-        files, tmp_path / "out", sets / next(iter(SOURCES)) / "asset.urdf", None, SeriesSettings(**told)
+        files, tmp_path / "out", sets / next(iter(SOURCES)) / "asset.urdf", None, SeriesSettings(**options)
     )
     measured = read_measured(tmp_path / "out" / "measured")
     assert len(measured.runs) == count and measured.rate_hz == pytest.approx(rate_hz, rel=0.1)

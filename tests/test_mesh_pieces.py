@@ -82,9 +82,9 @@ def test_collada_is_in_its_unit_and_stands_as_written(tmp_path: Path) -> None:
         notes = load_urdf(urdf, tmp_path / f"made{axis}").notes
         expected = ["COLLADA's <up_axis> is ignored, as in RViz"] if axis in ("X_UP", "Y_UP") else []
         assert [note.split(":")[0] for note in notes] == expected
-    for unit, said in (("0", "its unit is 0 m"), ("x", "could not convert"), ("nan", "its unit is nan m")):
+    for unit, message in (("0", "its unit is 0 m"), ("x", "could not convert"), ("nan", "its unit is nan m")):
         write_unit(f'<unit meter="{unit}"/>')
-        assert_refused(said, read_pieces, path, tmp_path)
+        assert_refused(message, read_pieces, path, tmp_path)
     path.write_text('<!DOCTYPE a [<!ENTITY e "x">]>' + text[text.index("<COLLADA") :])
     assert_refused("document type", read_pieces, path, tmp_path)
 
@@ -130,7 +130,7 @@ def test_primitives_are_recorded_and_shown(shape: str, size: tuple[float, ...], 
 
 
 @pytest.mark.parametrize(
-    ("shape", "said"),
+    ("shape", "message"),
     [
         ('<mesh filename="a.glb"/>', r"a\.glb is a pipe, expected a file"),
         ('<sphere radius="-1"/>', r"has a sphere of size \[-1\.0\], expected more than zero"),
@@ -138,11 +138,11 @@ def test_primitives_are_recorded_and_shown(shape: str, size: tuple[float, ...], 
         ('<sphere radius="1e300"/>', "has radius '1e300', expected a finite number of at most 1e\\+09"),
     ],
 )
-def test_what_is_no_shape_is_refused_by_record_and_view(shape: str, said: str, tmp_path: Path) -> None:
+def test_what_is_no_shape_is_refused_by_record_and_view(shape: str, message: str, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "a.glb")
     (tmp_path / "x.urdf").write_text(URDF.format(base='<box size="1 1 1"/>', lid=shape))
     for read in (read_shown, lambda urdf: load_urdf(urdf, tmp_path / "made")):
-        assert_refused(said, read, tmp_path / "x.urdf")
+        assert_refused(message, read, tmp_path / "x.urdf")
     assert not (tmp_path / "made").exists()
 
 
@@ -151,17 +151,17 @@ def test_a_mesh_names_files_of_the_root_alone(tmp_path: Path) -> None:
     buffer = next(place for place in path.parent.iterdir() if place.suffix == ".bin")
     names = json.loads(path.read_text())
     buffer.rename(tmp_path / "outside.bin")
-    for uri, said in (
+    for uri, message in (
         ("../../outside.bin", "leads out of"),
         ("gone.bin", "missing"),
         ("/dev/zero", "leads out"),
     ):
         path.write_text(json.dumps(names | {"buffers": [b | {"uri": uri} for b in names["buffers"]]}))
-        assert_refused(said, read_pieces, path, tmp_path / "x")
+        assert_refused(message, read_pieces, path, tmp_path / "x")
 
 
-@pytest.mark.parametrize("count, said", [(10**10, "entries without data"), (-3, r"a\.glb is not a readable .glb")])
-def test_accessors_without_data_take_no_memory(tmp_path: Path, count: int, said: str) -> None:
+@pytest.mark.parametrize("count, message", [(10**10, "entries without data"), (-3, r"a\.glb is not a readable .glb")])
+def test_accessors_without_data_take_no_memory(tmp_path: Path, count: int, message: str) -> None:
     data = bytearray(_write(tmp_path / "a.glb").read_bytes())
     size = int.from_bytes(data[12:16], "little")
     header = json.loads(data[20 : 20 + size])
@@ -173,7 +173,7 @@ def test_accessors_without_data_take_no_memory(tmp_path: Path, count: int, said:
     data[12 : 20 + size] = len(text).to_bytes(4, "little") + data[16:20] + text
     data[8:12] = len(data).to_bytes(4, "little")
     (tmp_path / "a.glb").write_bytes(data)
-    assert_refused(said, read_pieces, tmp_path / "a.glb", tmp_path)
+    assert_refused(message, read_pieces, tmp_path / "a.glb", tmp_path)
 
 
 @pytest.mark.parametrize("ending", ENDINGS)

@@ -170,7 +170,7 @@ GOOD = dataclasses.asdict(HEADSET)
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         (7, "'filter' is 7, expected an object of one_euro"),
         ({}, "'filter' lacks 'one_euro', expected one_euro"),
@@ -190,10 +190,10 @@ GOOD = dataclasses.asdict(HEADSET)
         ({"one_euro": {**GOOD, "state": {"min_cutoff_hz": 1, "beta": 1e300}}}, r"state.beta' is 1e\+300"),
     ],
 )
-def test_a_filter_that_is_none_is_refused_in_a_line(tmp_path: Path, given: object, said: str) -> None:
+def test_a_filter_that_is_none_is_refused_in_a_line(tmp_path: Path, given: object, message: str) -> None:
     head = {**json.loads(header_line("a test", "first", "revolute")), "filter": given}
     samples = [sample_line(k / 10, se3.pose(np.eye(3), [0, 0, 1]), 0.1 * k) for k in range(3)]
     (tmp_path / "a.txt").write_text("\n".join([json.dumps(head), *samples]))
-    with pytest.raises(FreeArtError, match=said) as caught:
+    with pytest.raises(FreeArtError, match=message) as caught:
         read_track(tmp_path / "a.txt")
     assert "a.txt" in str(caught.value) and "\n" not in str(caught.value)

@@ -30,8 +30,8 @@ def test_what_is_absent_is_left_out_and_said_so(tmp_path):
     places = {"partnet": tmp_path / "p", "mocap": tmp_path / "m", "videos": tmp_path / "v", "urdfs": tmp_path / "u"}
     assert_refused("there is no clip 'teapot'", outside.main, **places, clips=("teapot",), work=tmp_path / "work")
     outside.main(**places, work=tmp_path / "work", out=tmp_path / "out.json")
-    said = json.loads((tmp_path / "out.json").read_text())
-    assert said["rows"] == [] and set(said["settings"]["left_out"]) == {"partnet", "videos", *outside.CAPTURED}
+    document = json.loads((tmp_path / "out.json").read_text())
+    assert document["rows"] == [] and set(document["settings"]["left_out"]) == {"partnet", "videos", *outside.CAPTURED}
     assert str(tmp_path) not in (tmp_path / "out.json").read_text(), "no places of this machine"
 
 

@@ -10,6 +10,7 @@ from freeart21 import se3
 from freeart21.reconstruction import Reconstruction
 from reconstruct import paper_segmentation, pipeline
 from reconstruct.evidence import Evidence
+from reconstruct.features import FEATURES
 from reconstruct.features.hand_made import HandMade
 from reconstruct.paper_segmentation import (
     Graph,
@@ -147,9 +148,9 @@ def test_each_track_filter_has_its_switch():
     points[3, 3, 1] = 1.0
     confidence, on_object = np.ones((40, 4)), np.ones((40, 4), bool)
     confidence[1, 2], on_object[2, 2] = 0.6, False
-    kept = filter_tracks(points, confidence, on_object, TrackSettings())
-    assert kept[[0, 1]].all()
-    assert kept[2].tolist() == [True, True, False, False] and kept[3].tolist() == [True, True, True, False]
+    visible = filter_tracks(points, confidence, on_object, TrackSettings())
+    assert visible[[0, 1]].all()
+    assert visible[2].tolist() == [True, True, False, False] and visible[3].tolist() == [True, True, True, False]
     strict = filter_tracks(points, confidence, on_object, TrackSettings(tau_c=0.7))
     assert strict[1].tolist() == [True, True, False, False]
     blind = filter_tracks(points, confidence, on_object, TrackSettings(tau_c=0.7, visibility_filter=False))
@@ -216,6 +217,21 @@ def ious(weights, truth):
         mine = [((found == a) & (truth == b), (found == a) | (truth == b)) for a, b in zip((1, 2), names, strict=True)]
         either.append(np.mean([x.sum((1, 2)) / np.maximum(y.sum((1, 2)), 1) for x, y in mine], 0))
     return max(either, key=lambda iou: iou.mean())
+
+
+@pytest.mark.parametrize("name", FEATURES)
+def test_features_are_more_similar_within_a_part_than_between_two(name, slide):
+    clip, evidence, _, features = slide
+    scene = evidence.scene
+    at = np.argwhere(scene.valid[0] & ~scene.edge[0])[::7]
+    part = crop_truth(clip, scene)[0][tuple(at.T)]
+    model = FEATURES[name](scene, features.settings)
+    found = model.describe(0, at)
+    assert found.ndim == 2 and len(found) == len(at) and np.isfinite(found).all()
+    similarity = model.similarity(((found[:, None] - found[None]) ** 2).sum(-1))
+    assert similarity.min() >= 0 and np.allclose(np.diag(similarity), 1) and similarity.max() <= 1 + 1e-9
+    same = part[:, None] == part[None]
+    assert similarity[same].mean() > 1.5 * similarity[~same].mean()
 
 
 def test_features_are_of_the_surface_and_may_be_left_out(slide):

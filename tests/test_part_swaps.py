@@ -96,11 +96,11 @@ def test_an_exchanged_stretch_is_turned_back(name, first, last, clips):
     assert_same(found, as_named_by(found, true, r))
 
 
-@pytest.mark.parametrize("first, kept", [(24, True), (36, True), (12, False)])
-def test_the_shorter_side_changes_its_names(first, kept, clips):
+@pytest.mark.parametrize("first, stays", [(24, True), (36, True), (12, False)])
+def test_the_shorter_side_changes_its_names(first, stays, clips):
     evidence, true = clips["slide"]
     found = undone(evidence, swap_parts(true, within(first), true.poses.states[first]))
-    assert np.array_equal(found.labels, true.labels) is kept
+    assert np.array_equal(found.labels, true.labels) is stays
 
 
 @pytest.mark.parametrize("part", [0, 1])

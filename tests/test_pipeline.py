@@ -168,9 +168,9 @@ def _run_until_killed(sequence, out, stage):
     reconstruct_folder(sequence, out, QUIET)
 
 
-@pytest.mark.parametrize("stage, kept", [("gaussians", "joint"), ("poses", "gaussians")])
+@pytest.mark.parametrize("stage, cached_stage", [("gaussians", "joint"), ("poses", "gaussians")])
 def test_killed_in_the_gaussians_or_after_them_a_run_goes_on_to_the_same_ones(
-    stage, kept, sequence, finished, coloured, tmp_path, monkeypatch
+    stage, cached_stage, sequence, finished, coloured, tmp_path, monkeypatch
 ):
     out = tmp_path / "out"
     _up_to_joint(finished, out)
@@ -182,7 +182,7 @@ def test_killed_in_the_gaussians_or_after_them_a_run_goes_on_to_the_same_ones(
     os.kill(process.pid, signal.SIGKILL)
     process.join()
     assert process.exitcode == -signal.SIGKILL and not out.exists()
-    assert cache.StageCache(sequence, out, QUIET).load_last()[0].stage == kept
+    assert cache.StageCache(sequence, out, QUIET).load_last()[0].stage == cached_stage
     monkeypatch.setitem(pipeline._SOLVERS, "gaussians", _coloured)
     reconstruct_folder(sequence, out, QUIET, keep_work=True)
     assert contents(out) == contents(coloured) and "gaussians.ply" in contents(out)
@@ -223,13 +223,13 @@ def render_picture(gaussians, motion, T):
 def test_until_stops_keeps_and_goes_on(sequence, whole, tmp_path, monkeypatch, capsys):
     out = tmp_path / "ours" / "hinge-s0"
     assert command(sequence, out, until="joint", settings=QUIET) == 0
-    kept = cache.work_folder(out)
-    assert str(kept / "joint.npz") in capsys.readouterr().out and not out.exists()
+    work = cache.work_folder(out)
+    assert str(work / "joint.npz") in capsys.readouterr().out and not out.exists()
     calls = Calls(monkeypatch)
-    assert reconstruct_until(sequence, out, "segmentation", QUIET) == kept / "segmentation.npz" and not calls.solved
+    assert reconstruct_until(sequence, out, "segmentation", QUIET) == work / "segmentation.npz" and not calls.solved
     assert command(sequence, out, keep_work=True, settings=QUIET) == 0
     assert calls.solved == ["optimise", *FREE, "fuse", "fuse"]
-    assert {path.stem for path in kept.iterdir()} == set(CACHED_STAGES)
+    assert {path.stem for path in work.iterdir()} == set(CACHED_STAGES)
     method = json.loads((out.parent / "method.json").read_text())
     assert VERSION in method["code"] and contents(out)["prediction.json"]["settings"]["solver"] == VERSION
     assert contents(out) == whole
@@ -474,8 +474,8 @@ def test_before_and_after_say_what_became_worse(capsys):
     assert bench.no_worse_line(both).endswith("missed by b (axis, state)")
     assert bench.no_worse_line(both[1:]).endswith("met by all 1")
     bench.print_beside(after, {"no-gaussians": before}, bench.AIMS[""])
-    said = capsys.readouterr().out
-    assert "0.10 > 0.16" in said and "20.0 > 30.0" in said and "9 > 19" in said
+    output = capsys.readouterr().out
+    assert "0.10 > 0.16" in output and "20.0 > 30.0" in output and "9 > 19" in output
     assert bench.summary(after)["psnr_db_worst"] == 24.0 and bench.summary(after)["psnr_db_mean"] == 27.0
 
 

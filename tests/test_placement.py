@@ -107,7 +107,7 @@ def test_gravity_of_a_reference_part_that_moved_is_refused():
 
 
 @pytest.mark.parametrize(
-    "settings, said",
+    "settings, message",
     [
         ({"up": (0.0, 0.0, 0.0)}, "up is"),
         ({"gravity": (0.0, np.nan, 1.0)}, "gravity is"),
@@ -116,8 +116,8 @@ def test_gravity_of_a_reference_part_that_moved_is_refused():
         ({"tolerance_m": 0.0}, "tolerance_m is 0 m"),
     ],
 )
-def test_settings_that_cannot_be_are_refused(settings, said):
-    assert_refused(said, lambda: PlacementSettings(**settings).check())
+def test_settings_that_cannot_be_are_refused(settings, message):
+    assert_refused(message, lambda: PlacementSettings(**settings).check())
 
 
 def test_a_pose_in_which_the_lid_would_meet_the_ground_is_none_to_stand_in():
@@ -209,8 +209,8 @@ def test_parts_in_each_other_are_carved_to_half_a_millimetre_and_say_so(tmp_path
     parts = lidded(0.3, gap=-0.004)
     answer = seen_as(parts, np.linspace(-0.3, 0.5, 9))
     placement = stands(answer)
-    said = placement.report["penetration"]
-    assert said["deepest_visual_m"] > 0.003 and said["deepest_m"] <= TOLERANCE and said["carved"] is not None
+    facts = placement.report["penetration"]
+    assert facts["deepest_visual_m"] > 0.003 and facts["deepest_m"] <= TOLERANCE and facts["carved"] is not None
     joint = placement.joint
     apart = Articulation(
         joint,
@@ -220,21 +220,21 @@ def test_parts_in_each_other_are_carved_to_half_a_millimetre_and_say_so(tmp_path
     assert Overlap(apart).max_depths(np.linspace(joint.lower, joint.upper, 47)).max() <= 1.1 * TOLERANCE
     for mesh in placement.solids.values():
         assert make_solid(mesh) is not None
-    assert stands(answer, carve=False).report["penetration"]["deepest_m"] == said["deepest_visual_m"]
+    assert stands(answer, carve=False).report["penetration"]["deepest_m"] == facts["deepest_visual_m"]
 
 
 def test_open_parts_are_not_carved_and_say_why():
     parts = lidded(0.3, gap=-0.004)
     parts = replace(parts, moving=parts.moving.with_faces(np.arange(12) > 1))
-    said = stands(seen_as(parts, np.linspace(-0.3, 0.5, 9))).report["penetration"]
-    assert said["carved"] is None and said["not_carved_because"] == "the moving part is not closed"
+    facts = stands(seen_as(parts, np.linspace(-0.3, 0.5, 9))).report["penetration"]
+    assert facts["carved"] is None and facts["not_carved_because"] == "the moving part is not closed"
 
 
 def test_copies_are_cut_out_one_by_one_where_their_union_only_grows(monkeypatch):
     answer = seen_as(lidded(0.3, gap=-0.004), np.linspace(-0.3, 0.5, 9))
     monkeypatch.setattr("export.carving.MAX_TRIANGLES", 20)
-    said = stands(answer).report["penetration"]
-    assert said["carved"] is not None and said["deepest_m"] <= 1.1 * TOLERANCE < said["deepest_visual_m"]
+    facts = stands(answer).report["penetration"]
+    assert facts["carved"] is not None and facts["deepest_m"] <= 1.1 * TOLERANCE < facts["deepest_visual_m"]
 
 
 def test_a_thin_drawer_leaves_nothing_standing_in_its_way():
@@ -285,16 +285,16 @@ def test_what_would_lose_most_of_itself_is_not_carved():
 def test_tolerances_grow_with_the_scale():
     parts = lidded(0.3, gap=-0.004)
     answer = seen_as(parts, np.linspace(-0.3, 0.5, 9))
-    said = place_parts(answer, PlacementSettings(), scale=10.0).report["penetration"]
-    assert said["tolerance_m"] == pytest.approx(10 * TOLERANCE) and said["carved"] is None
+    facts = place_parts(answer, PlacementSettings(), scale=10.0).report["penetration"]
+    assert facts["tolerance_m"] == pytest.approx(10 * TOLERANCE) and facts["carved"] is None
 
 
 def test_an_asset_stands_says_so_and_reaches_every_believed_state(tmp_path: Path):
     states = np.linspace(-0.2, 0.6, 9)
     asset = export_result(seen_as(lidded(0.2, gap=0.001), states), tmp_path / "a", ExportSettings(usd=False))
-    said = json.loads((tmp_path / "a" / "asset.json").read_text())["source"]
-    assert said["up"]["how"] == "resting pose" and said["zero"]["end"] == "lower"
-    assert said["penetration"]["deepest_m"] <= said["penetration"]["tolerance_m"]
+    document = json.loads((tmp_path / "a" / "asset.json").read_text())["source"]
+    assert document["up"]["how"] == "resting pose" and document["zero"]["end"] == "lower"
+    assert document["penetration"]["deepest_m"] <= document["penetration"]["tolerance_m"]
     limit = ET.parse(asset.urdf).find("joint/limit")
     lower, upper = float(limit.get("lower")), float(limit.get("upper"))
     assert lower == 0

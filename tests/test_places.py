@@ -210,12 +210,12 @@ def test_method_json_is_written_beside_results_alone(home: Path) -> None:
 
 
 def test_the_method_json_of_another_method_stays(home: Path) -> None:
-    said = home / "results" / "ours" / "method.json"
-    atomic.write_json(said, {"schema": "freeart21/method/1", "name": "theirs", "code": "https://example.org 2"})
-    kept = said.read_bytes()
-    assert not write_own_method(said.parent, OURS) and said.read_bytes() == kept
-    said.write_text("mine")
-    assert not write_own_method(said.parent, OURS) and said.read_text() == "mine"
+    path = home / "results" / "ours" / "method.json"
+    atomic.write_json(path, {"schema": "freeart21/method/1", "name": "theirs", "code": "https://example.org 2"})
+    before = path.read_bytes()
+    assert not write_own_method(path.parent, OURS) and path.read_bytes() == before
+    path.write_text("mine")
+    assert not write_own_method(path.parent, OURS) and path.read_text() == "mine"
 
 
 # --- one writer -------------------------------------------------------------------------------------------------------
@@ -322,7 +322,7 @@ def test_a_fault_of_the_recorders_own_leaves_the_folder_as_it_was(
 
 
 @pytest.mark.parametrize(
-    "changes, said",
+    "changes, message",
     [
         ({"width": 100_000}, "100000 x 360; expected at most 16384 a side"),
         ({"width": 16384, "height": 16384}, "16777216 pixels"),
@@ -332,8 +332,8 @@ def test_a_fault_of_the_recorders_own_leaves_the_folder_as_it_was(
         ({"procedural": "stapler", "names": (), "count": 10**9}, "expected 1 to 1000"),
     ],
 )
-def test_settings_beyond_all_bounds_are_one_line(tmp_path: Path, changes: dict[str, object], said: str) -> None:
-    with pytest.raises(FreeArtError, match=said):
+def test_settings_beyond_all_bounds_are_one_line(tmp_path: Path, changes: dict[str, object], message: str) -> None:
+    with pytest.raises(FreeArtError, match=message):
         cli.record(**{"names": ("stapler",), "out": tmp_path / "data", **changes})  # type: ignore[arg-type]
     assert not (tmp_path / "data").exists()
 
@@ -347,7 +347,7 @@ ENDING = "from freeart21.ending import report_errors\nwith report_errors():\n   
 
 
 @pytest.mark.parametrize(
-    "code, status, said",
+    "code, status, message",
     [
         ("raise TypeError('one\\ntwo')", 70, "freeart21: internal error: TypeError: one two"),
         ("raise MemoryError", 1, "freeart21: out of memory"),
@@ -360,9 +360,9 @@ ENDING = "from freeart21.ending import report_errors\nwith report_errors():\n   
         ("raise KeyboardInterrupt", 130, "freeart21: stopped"),
     ],
 )
-def test_whatever_happens_is_one_line(code: str, status: int, said: str) -> None:
+def test_whatever_happens_is_one_line(code: str, status: int, message: str) -> None:
     done = run_python("-c", ENDING + code)
-    assert done.returncode == status and len(done.stderr.splitlines()) == 1 and done.stderr.startswith(said)
+    assert done.returncode == status and len(done.stderr.splitlines()) == 1 and done.stderr.startswith(message)
     if status == 70:
         assert "Traceback" in run_python("-c", ENDING + code, FREEART21_TRACEBACK="1").stderr
 
@@ -384,7 +384,7 @@ __main__.main()
 
 
 @pytest.mark.parametrize(
-    "code, status, said",
+    "code, status, message",
     [
         ("pass", 0, ""),
         ("sys.exit(3)", 3, ""),
@@ -393,11 +393,11 @@ __main__.main()
         ("os.kill(os.getpid(), signal.SIGTERM); signal.pause()", 143, "freeart21: stopped\n"),
     ],
 )
-def test_a_command_ends_before_native_libraries_are_taken_down(code: str, status: int, said: str) -> None:
+def test_a_command_ends_before_native_libraries_are_taken_down(code: str, status: int, message: str) -> None:
     """The simulator's crash then: after the last word, and in place of the exit code."""
     done = run_python("-c", NATIVE.format(code=code))
     assert done.returncode == status, done.stderr
-    assert done.stderr.startswith(said) and len(done.stderr.splitlines()) == bool(said)
+    assert done.stderr.startswith(message) and len(done.stderr.splitlines()) == bool(message)
     assert done.stdout == "the output\n"
 
 

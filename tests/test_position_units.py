@@ -39,10 +39,10 @@ def moved(q0: float, force, inertia: float, seed: int = 0) -> np.ndarray:
     return done.y[0] + np.random.default_rng(seed).normal(0, 1e-3 * max(np.ptp(done.y[0]), 1e-3), len(T))
 
 
-def measured(folder: Path, urdf: Path, header: str, *columns: np.ndarray, **told):
+def measured(folder: Path, urdf: Path, header: str, *columns: np.ndarray, **options):
     """The measured set of one file, and the lines that were printed."""
     np.savetxt(folder / "run.csv", np.column_stack([T, *columns]), delimiter=",", header=header, comments="")
-    notes = measure_series([folder / "run.csv"], folder / "out", urdf, None, SeriesSettings(**told))
+    notes = measure_series([folder / "run.csv"], folder / "out", urdf, None, SeriesSettings(**options))
     return read_measured(folder / "out" / "measured"), "\n".join(notes)
 
 
@@ -68,8 +68,8 @@ def slid() -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("unit", ["rad", "deg"])
 def test_a_wide_swing_tells_its_unit(unit: str, tmp_path: Path):
     q = swing(1.4)
-    found, said = measured(tmp_path, asset(tmp_path), "time,angle", np.degrees(q) if unit == "deg" else q)
-    assert f"positions are in {unit}, by the asset's inertia" in said
+    found, notes = measured(tmp_path, asset(tmp_path), "time,angle", np.degrees(q) if unit == "deg" else q)
+    assert f"positions are in {unit}, by the asset's inertia" in notes
     np.testing.assert_allclose(found.runs[0].q, q, atol=1e-9)
 
 
@@ -80,9 +80,9 @@ def test_a_known_torque_tells_the_unit_of_many_turns(unit: str, reverse: bool, t
     assert np.ptp(q) > 2 * np.pi  # which a range alone calls degrees
     vertical, sign = asset(tmp_path, axis="1 0 0"), -1 if reverse else 1
     recorded = sign * (np.degrees(q) if unit == "deg" else q)
-    told = {"effort": "commanded", "reverse": reverse}
-    found, said = measured(tmp_path, vertical, "t,q,effort", recorded, sign * torque, **told)
-    assert f"positions are in {unit}, by the asset's inertia" in said
+    options = {"effort": "commanded", "reverse": reverse}
+    found, notes = measured(tmp_path, vertical, "t,q,effort", recorded, sign * torque, **options)
+    assert f"positions are in {unit}, by the asset's inertia" in notes
     np.testing.assert_allclose(found.runs[0].q, q, atol=1e-9)
 
 
@@ -90,8 +90,8 @@ def test_a_known_torque_tells_the_unit_of_many_turns(unit: str, reverse: bool, t
 def test_a_known_push_tells_the_unit_of_a_slider(unit: str, tmp_path: Path):
     q, push = slid()
     urdf = asset(tmp_path, "prismatic", "0 1 0", '<limit lower="-1e4" upper="1e4" effort="9" velocity="9"/>')
-    _, said = measured(tmp_path, urdf, "t,q,effort", q * (1e3 if unit == "mm" else 1), push, effort="external")
-    assert f"positions are in {unit}, by the asset's inertia" in said
+    _, notes = measured(tmp_path, urdf, "t,q,effort", q * (1e3 if unit == "mm" else 1), push, effort="external")
+    assert f"positions are in {unit}, by the asset's inertia" in notes
 
 
 REFUSED = {
@@ -116,16 +116,16 @@ def test_counts_have_a_number_per_turn(tmp_path: Path):
     q = swing(1.0)
     counts = np.round(2048 + 4096 / (2 * np.pi) * q)
     urdf = asset(tmp_path, "revolute", limits=LIMITS)
-    told = {"columns": {"q": "counts"}, "zero": 2048.0}
-    found, _ = measured(tmp_path, urdf, "time,counts", counts, unit_q="counts=4096", **told)
+    options = {"columns": {"q": "counts"}, "zero": 2048.0}
+    found, _ = measured(tmp_path, urdf, "time,counts", counts, unit_q="counts=4096", **options)
     np.testing.assert_allclose(found.runs[0].q, q, atol=1e-3)
     for wrong in ("counts", "counts=", "counts=0", "counts=nan", "counts=many", "steps=4096"):
         with pytest.raises(FreeArtError, match=f"--unit-q {wrong}: .*expected .*counts=N"):
-            measured(tmp_path, urdf, "time,counts", counts, unit_q=wrong, **told)
+            measured(tmp_path, urdf, "time,counts", counts, unit_q=wrong, **options)
 
 
 @pytest.mark.parametrize(("size", "unit"), [(1.0, "rad"), (180 / np.pi, "deg")])
 def test_limits_tell_a_unit_that_motion_does_not(size: float, unit: str, tmp_path: Path):
     urdf = asset(tmp_path, "revolute", "1 0 0", LIMITS)
-    _, said = measured(tmp_path, urdf, "time,angle", size * 0.8 * np.exp(-T))
-    assert f"positions are in {unit}, by the joint's limits" in said
+    _, notes = measured(tmp_path, urdf, "time,angle", size * 0.8 * np.exp(-T))
+    assert f"positions are in {unit}, by the joint's limits" in notes

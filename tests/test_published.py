@@ -99,8 +99,10 @@ def test_every_number_is_the_papers():
     assert {key: value for key, value in ours.items() if key not in masks} == paper
     rows = re.findall(r"([^\\&\n]*)\S* & \D*(\d+\.\d+)\S* & \D*(\d+\.\d+)", PAPER.read_text().split("tab:iou}")[-1])
     for data, column in (("FreeArt-21", 1), ("Video2Articulation-S", 2)):
-        said = {"FreeArtGS" if "Video2" not in row[0] else "Video2Articulation": float(row[column]) for row in rows[:2]}
-        assert said == {key[3]: pytest.approx(100 * value[0]) for key, value in masks.items() if key[1] == data}
+        percents = {
+            "FreeArtGS" if "Video2" not in row[0] else "Video2Articulation": float(row[column]) for row in rows[:2]
+        }
+        assert percents == {key[3]: pytest.approx(100 * value[0]) for key, value in masks.items() if key[1] == data}
 
 
 def test_every_number_is_one_of_its_protocol_and_of_none_that_ranks():

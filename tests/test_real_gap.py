@@ -90,17 +90,17 @@ def test_the_share_that_is_closed_is_of_runs_that_were_not_fitted():
 def test_rows_are_counted():
     common = {"closed": {"share": 0.5}, "overclaims": True, "verdict": "named"}
     rows = [{"grade": g, "status": "answered", "seconds": s, **common} for g, s in (("right", 1.0), ("wrong", 9.0))]
-    told = summarise([*rows, {**rows[0], "grade": "silent", "status": "out of time", "verdict": None}])
-    assert (told["right"], told["in part"], told["silent"], told["wrong"]) == (1, 0, 1, 1)
-    assert told["right or in part, share"] == pytest.approx(1 / 3) and told["no answer in time"] == 1
-    assert told["most seconds"] == 9.0 and told["median share closed where named"] == 0.5
+    summary = summarise([*rows, {**rows[0], "grade": "silent", "status": "out of time", "verdict": None}])
+    assert (summary["right"], summary["in part"], summary["silent"], summary["wrong"]) == (1, 0, 1, 1)
+    assert summary["right or in part, share"] == pytest.approx(1 / 3) and summary["no answer in time"] == 1
+    assert summary["most seconds"] == 9.0 and summary["median share closed where named"] == 0.5
 
 
 @pytest.mark.parametrize("name", KNOWN["recordings"])
 def test_what_is_known_speaks_of_effects_that_there_are(name: str):
     known = KNOWN["recordings"][name]
-    spoken = [*known["dominant"], *known["also"]]
-    names = [n for word in spoken for n in KNOWN["groups"].get(word, [word])] + list(known["never"])
+    named = [*known["dominant"], *known["also"]]
+    names = [n for word in named for n in KNOWN["groups"].get(word, [word])] + list(known["never"])
     assert set(names) <= set(EFFECTS) and known["reason"] and known["source"] and known["what"]
     assert (known["answer"] == "unexplained") == (not known["dominant"])
     for size, (low, high) in known["sizes"].items():
@@ -122,10 +122,10 @@ def test_what_is_at_hand_is_known_and_becomes_sets(tmp_path: Path):
 @pytest.mark.parametrize("ways", ["sleep 60 & wait", "while :; do :; done"])
 def test_an_answer_that_does_not_come_in_time_is_none_and_is_not_asked_again(ways, tmp_path: Path, monkeypatch, capsys):
     """By the processor's time or the clock; killed with all that it started; the row is kept."""
-    asked: list[str] = []
+    calls: list[str] = []
 
     def write_recording(out: Path) -> None:
-        asked.append("made")
+        calls.append("made")
         (out / "asset.urdf").write_text("<robot/>")
 
     monkeypatch.setattr(real_gap, "recordings", lambda: {"dfki": write_recording})
@@ -133,6 +133,10 @@ def test_an_answer_that_does_not_come_in_time_is_none_and_is_not_asked_again(way
     monkeypatch.setattr(real_gap, "_COMMAND", ("-c", ways))
     for _ in range(2):
         real_gap.main(0.2, ("dfki",), tmp_path / "work", tmp_path / "told.json")
-    told = json.loads((tmp_path / "told.json").read_text())
-    assert asked == ["made"] and told["rows"][0]["status"] == "out of time" and told["rows"][0]["grade"] == "silent"
+    document = json.loads((tmp_path / "told.json").read_text())
+    assert (
+        calls == ["made"]
+        and document["rows"][0]["status"] == "out of time"
+        and document["rows"][0]["grade"] == "silent"
+    )
     assert "1 of 1: dfki: silent" in capsys.readouterr().out

@@ -28,6 +28,7 @@ from reconstruct.propagation import PartEstimate
 from reconstruct.renders import render
 from reconstruct.scene import prepare_scene
 from reconstruct.settings import GaussianSettings, ReconstructSettings, SceneSettings, TrackSettings
+from reconstruct.trackers import TRACKERS
 from reconstruct.tracks import follow, optical_flow
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -217,8 +218,8 @@ def slipped(clip, estimate, part, share):
 
 def assert_stays(found, true, part):
     """The other part is where it was."""
-    kept, there = (found.Ts, true.Ts) if part == 1 else (found.Ts_moving, true.Ts_moving)
-    assert np.allclose(kept, there, atol=1e-9)
+    same_part, there = (found.Ts, true.Ts) if part == 1 else (found.Ts_moving, true.Ts_moving)
+    assert np.allclose(same_part, there, atol=1e-9)
 
 
 @pytest.mark.parametrize("part", [0, 1])
@@ -306,19 +307,27 @@ def sliding_plane(frames=6, step=3):
     return Recording(camera, np.arange(frames) / 30, load)
 
 
-def test_tracks_follow_a_sliding_plane_in_3d():
+@pytest.mark.parametrize("name", TRACKERS)
+def test_tracks_follow_a_sliding_plane_in_3d(name):
     scene = prepare_scene(sliding_plane(), SceneSettings(min_frames=3))
-    flow = optical_flow(scene)
-    tracks = follow(scene, flow, 0, 4, TrackSettings())
-    kept = tracks.visible[:, -1]
-    assert kept.mean() > 0.6
-    moved = tracks.pixels[kept, -1] - tracks.pixels[kept, 0]
+    tracker = TRACKERS[name](scene, TrackSettings())
+    for direction in (1, -1):
+        step = tracker.step(2, direction)
+        assert step.shape == (*scene.mask.shape[1:], 2)
+        assert np.abs(np.median(step[scene.valid[2]], axis=0) - [3 * direction, 0]).max() < 0.1
+    tracks = tracker.follow(0, 4)
+    assert tracks.frames.tolist() == [0, 1, 2, 3, 4] and tracks.visible[:, 0].all()
+    followed = tracks.visible[:, -1]
+    assert followed.mean() > 0.6
+    moved = tracks.pixels[followed, -1] - tracks.pixels[followed, 0]
     assert np.median(np.abs(moved - [12, 0])) < 0.15
-    z = tracks.points[kept, 0, 2]
+    z = tracks.points[followed, 0, 2]
     expected = np.stack([12 * z / scene.fx, 0 * z, 0 * z], 1)
-    error = np.linalg.norm(tracks.points[kept, -1] - tracks.points[kept, 0] - expected, axis=1)
+    error = np.linalg.norm(tracks.points[followed, -1] - tracks.points[followed, 0] - expected, axis=1)
     assert np.median(error) < 0.3 * scene.footprint
-    back = follow(scene, flow, 4, 4, TrackSettings(), direction=-1)
+    at = np.argwhere(scene.valid[4])[::50]
+    back = tracker.follow(4, 4, direction=-1, pixels=at)
+    assert np.array_equal(back.pixels[:, 0], at[:, ::-1])
     assert np.median(back.pixels[back.visible[:, -1], -1, 0] - back.pixels[back.visible[:, -1], 0, 0]) < -11.5
 
 
@@ -329,8 +338,8 @@ def test_fast_tracks_are_dropped_beyond_two_sigma():
     flow.backward[1] = -np.median(flow.forward[0], axis=(0, 1))
     loose = follow(scene, flow, 0, 1, TrackSettings(max_round_trip=50, tau_v=1e9))
     tight = follow(scene, flow, 0, 1, TrackSettings(max_round_trip=50))
-    thrown = (loose.pixels[:, 0] >= 40).all(1) & (loose.pixels[:, 0] < 44).all(1) & loose.visible[:, 1]
-    assert thrown.any() and not tight.visible[thrown, 1].any()
+    displaced = (loose.pixels[:, 0] >= 40).all(1) & (loose.pixels[:, 0] < 44).all(1) & loose.visible[:, 1]
+    assert displaced.any() and not tight.visible[displaced, 1].any()
     assert tight.visible[:, 1].sum() > 0.8 * loose.visible[:, 1].sum()
 
 

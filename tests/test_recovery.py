@@ -42,8 +42,8 @@ def without(clip, frames, part=None):
     """`clip` with `part`, or all of the object, cut out of the masks of `frames`."""
     loaded = [clip.recording.frame(i) for i in range(len(clip.states))]
     for i in np.arange(len(loaded))[frames]:
-        kept = loaded[i].mask & (part is not None) & (clip.part_masks[i] != part)
-        loaded[i] = Frame(loaded[i].rgb, loaded[i].depth, kept)
+        mask_left = loaded[i].mask & (part is not None) & (clip.part_masks[i] != part)
+        loaded[i] = Frame(loaded[i].rgb, loaded[i].depth, mask_left)
     masks = clip.part_masks * np.stack([frame.mask for frame in loaded])
     recording = Recording(clip.recording.camera, clip.recording.times_s, loaded.__getitem__)
     return replace(clip, recording=recording, part_masks=masks)

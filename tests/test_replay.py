@@ -74,18 +74,18 @@ def test_gap_and_replay_agree_to_the_last_digit(tmp_path: Path, monkeypatch, cap
     monkeypatch.chdir(tmp_path)
     asset_of(Path("a")), write_set(Path("m"), pendulum())
     assert not run("gap", "a", "m", "--out", "gap")
-    said = json.loads(Path("gap/verdict.json").read_text())
-    assert said["verdict"] == "named" and [e["name"] for e in said["effects"]] == ["viscous_damping"]
-    gap = {row["run"]: row for row in said["gap"]}
+    document = json.loads(Path("gap/verdict.json").read_text())
+    assert document["verdict"] == "named" and [e["name"] for e in document["effects"]] == ["viscous_damping"]
+    gap = {row["run"]: row for row in document["gap"]}
     assert gap and {row["use"] for row in gap.values()} == {"confirming"}
     page = Path("gap/index.html").read_text()
-    witness = {row["run"]: row for row in said["proof"]["witness"].get("gap", ())}
+    witness = {row["run"]: row for row in document["proof"]["witness"].get("gap", ())}
     assert bool(witness) == bool(importlib.util.find_spec("mujoco"))
-    for what, line in said["proof"]["repeat"].items():
+    for what, line in document["proof"]["repeat"].items():
         assert line in page
         for engine, rows in (
             ("sapien", gap),
-            ("mujoco", {r["run"]: r for r in said["proof"]["witness"].get("gap", ())}),
+            ("mujoco", {r["run"]: r for r in document["proof"]["witness"].get("gap", ())}),
         ):
             capsys.readouterr()
             out = f"{what}_{engine}"
@@ -96,7 +96,7 @@ def test_gap_and_replay_agree_to_the_last_digit(tmp_path: Path, monkeypatch, cap
             printed = capsys.readouterr().out
             assert all(f"{row[what]:.6g} rad" in printed for row in rows.values())
             uses = {row["run"]: row["use"] for row in found["runs"]}
-            assert uses == (said["uses"] if what == "after" else dict.fromkeys(uses, "unknown"))
+            assert uses == (document["uses"] if what == "after" else dict.fromkeys(uses, "unknown"))
 
 
 def test_a_replay_is_written_atomically_and_never_overwrites(tmp_path: Path):
@@ -190,8 +190,8 @@ def test_each_joint_is_replayed_by_its_runs(tmp_path: Path):
     (swing,) = pendulum(1, oil=0.0)
     seen = swing.q.copy()
     seen[40:90] = np.nan
-    kept = np.r_[0:150, 220:300]
-    hinge = write_set(tmp_path / "h", (replace(swing, times_s=swing.times_s[kept], q=seen[kept]),))
+    samples = np.r_[0:150, 220:300]
+    hinge = write_set(tmp_path / "h", (replace(swing, times_s=swing.times_s[samples], q=seen[samples]),))
     slider = write_set(tmp_path / "s", slid(), "slide", "prismatic")
     text = json.loads((slider / "measured.json").read_text())
     text["units"]["q"] = "mm"
@@ -220,7 +220,7 @@ def test_bad_replay_files_are_a_one_line_error(tmp_path: Path):
     del text["units"]["q"]
     (unitless / "measured.json").write_text(json.dumps(text))
     (runs / "other.csv").write_text(loose.read_text())
-    for words, said in (
+    for words, message in (
         ((tmp_path / "model.xml", runs), "is of <mujoco>, expected a URDF's <robot>"),
         ((mimic, runs), "joint 'slide' follows 'j' (mimic)"),
         ((path, elsewhere), "no movable joint 'lid'; movable joints: j (revolute"),
@@ -233,7 +233,7 @@ def test_bad_replay_files_are_a_one_line_error(tmp_path: Path):
         ((path,), "no run to replay"),
     ):
         code = run("replay", *words, "--out", tmp_path / "out")
-        assert isinstance(code, str) and said in code and "\n" not in code, (words, code)
+        assert isinstance(code, str) and message in code and "\n" not in code, (words, code)
         assert not (tmp_path / "out").exists()
 
 
@@ -250,11 +250,11 @@ def test_part_poses_are_replayed_as_gaps_positions(tmp_path: Path, monkeypatch):
     Path("m/measured.json").write_text(json.dumps(text))
     assert "in runs/ of its answer" in str(run("replay", "a", "m"))
     assert not run("gap", "a", "m", "--out", "gap")
-    said = json.loads(Path("gap/verdict.json").read_text())
-    rows = [row for row in said["gap"] if row["regime"] != "geometry"]
-    assert len(rows) == 1 and said["proof"]["repeat"]["before"] == "freeart21 replay a gap/runs"
+    document = json.loads(Path("gap/verdict.json").read_text())
+    rows = [row for row in document["gap"] if row["regime"] != "geometry"]
+    assert len(rows) == 1 and document["proof"]["repeat"]["before"] == "freeart21 replay a gap/runs"
     for what in ("before", "after"):
-        assert not run(*said["proof"]["repeat"][what].split()[1:], "--out", what)
+        assert not run(*document["proof"]["repeat"][what].split()[1:], "--out", what)
         (found,) = json.loads(Path(what, "replay.json").read_text())["runs"]
         assert found["error"] == rows[0][what]
 

@@ -31,14 +31,14 @@ def test_the_sums_by_hand():
 
 
 def test_the_rate_of_reconstruct_is_that_of_the_benchmark():
-    kept = json.loads((ROOT / "benchmarks/results/reconstruct.json").read_text())
+    table = json.loads((ROOT / "benchmarks/results/reconstruct.json").read_text())
     assert read_rates()["reconstruct"].seconds_per_frame == pytest.approx(
-        np.mean([row["seconds_total"] for row in kept["rows"]]) / 300, rel=0.01
+        np.mean([row["seconds_total"] for row in table["rows"]]) / 300, rel=0.01
     )
     name = "reconstruct-public-100frames-segmentation=paper.json"
-    kept = json.loads((ROOT / "benchmarks/results" / name).read_text())
+    table = json.loads((ROOT / "benchmarks/results" / name).read_text())
     assert read_rates()["reconstruct-paper"].seconds_per_frame == pytest.approx(
-        kept["summary"]["seconds_mean"] / 100, rel=0.01
+        table["summary"]["seconds_mean"] / 100, rel=0.01
     )
 
 

@@ -100,7 +100,7 @@ def test_every_frame_has_noise_of_its_own(scene: Scene, loaded: partnet.PartNetO
 
 def test_unknown_names_get_one_line(scene: Scene, loaded: partnet.PartNetObject) -> None:
     for name, message in (
-        ("fog", "unknown sensor 'fog'; sensors: blur, clean, hand, noise2, phone, tof"),
+        ("fog", f"unknown sensor 'fog'; sensors: {', '.join(SENSORS)}"),
         ("tof+fog", "unknown sensor 'fog'"),
         ("clean+blur", "'clean\\+blur' joins"),
         ("noise2+tof", "joins"),

@@ -59,13 +59,13 @@ def test_errors_fail_what_was_not_finished_is_unknown_and_warnings_are_listed(mo
 
 
 def test_it_has_more_time_than_its_own_engines_ask_for(tmp_path, monkeypatch):
-    asked = []
+    calls = []
     monkeypatch.setattr(
-        checking, "run_stage", lambda request, limit_s: asked.append((request, limit_s)) or StageResult((), {}, 0)
+        checking, "run_stage", lambda request, limit_s: calls.append((request, limit_s)) or StageResult((), {}, 0)
     )
     monkeypatch.setattr(checking.importlib.util, "find_spec", lambda name: object())
     checking.check(write_little(tmp_path / "lid"), [], simcheck=True)
-    request, limit_s = asked[-1]
+    request, limit_s = calls[-1]
     assert request["engine"] == "simcheck" and request["limit_s"] == limit_s > 2 * 240
 
 
@@ -73,8 +73,8 @@ def test_it_finds_no_error_in_a_sound_asset_and_one_in_a_broken_one(tmp_path):
     pytest.importorskip("simcheck", reason="simcheck is not installed: freeart21[simcheck]")
     urdf = write_little(tmp_path / "lid")
     rows = checking.check(urdf, [], simcheck=True).rows
-    told = [row for row in rows if row.rule.startswith("simcheck.")]
-    assert len(told) > 20 and not [row for row in told if row.verdict == "fail"]
+    own_rows = [row for row in rows if row.rule.startswith("simcheck.")]
+    assert len(own_rows) > 20 and not [row for row in own_rows if row.verdict == "fail"]
     urdf.write_text(urdf.read_text().replace('izz="', 'izz="-'))
     failed = [row.rule for row in checking.check(urdf, [], simcheck=True).failed]
     assert "simcheck.inertia.tensor" in failed
@@ -83,10 +83,10 @@ def test_it_finds_no_error_in_a_sound_asset_and_one_in_a_broken_one(tmp_path):
 def test_the_benchmark_counts_what_the_checker_says_and_keeps_what_passed(tmp_path, monkeypatch):
     from benchmarks import simcheck
 
-    asked, rows = [], [Row("simcheck.a", "simcheck", "pass", "warn: thin"), Row("simcheck.b", "simcheck", "fail", "no")]
+    calls, rows = [], [Row("simcheck.a", "simcheck", "pass", "warn: thin"), Row("simcheck.b", "simcheck", "fail", "no")]
     report = CheckReport("lid", rows, seconds={"simcheck": 3.0})
-    monkeypatch.setattr(simcheck, "check", lambda *given, **also: asked.append(also) or report)
-    monkeypatch.setattr(simcheck, "_export", lambda truth, asset, kept: None)
+    monkeypatch.setattr(simcheck, "check", lambda *given, **also: calls.append(also) or report)
+    monkeypatch.setattr(simcheck, "_export", lambda truth, asset, result: None)
     monkeypatch.setattr(simcheck, "_versions", lambda: {"simcheck": "0.2.0"})
     write_little(tmp_path / "lid")
     benchmark = SimpleNamespace(truth=lambda name: tmp_path)
@@ -98,11 +98,11 @@ def test_the_benchmark_counts_what_the_checker_says_and_keeps_what_passed(tmp_pa
         found = row()
         assert found["failed"] == ["simcheck.b (simcheck): no"] and found["pieces"] == 2 and found["passed"] == 0
         assert found["warned"] == ["simcheck.a (simcheck): warn: thin"] and found["seconds"] == 3.0
-    assert asked == [{"simcheck": True, "limit_s": 900.0}] * 2
+    assert calls == [{"simcheck": True, "limit_s": 900.0}] * 2
     rows.pop()
-    assert row() == row() and len(asked) == 3
+    assert row() == row() and len(calls) == 3
     assert json.loads((tmp_path / "lid.row.json").read_text())["row"]["pieces"] == 2
     urdf = read_asset(tmp_path / "lid").urdf
     urdf.write_text(urdf.read_text() + " ")
     row()
-    assert len(asked) == 4
+    assert len(calls) == 4

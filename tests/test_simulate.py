@@ -135,13 +135,13 @@ def test_strong_damping_leaves_coulomb_friction_its_share(tmp_path: Path, kind: 
     ],
 )
 def test_urdf_dynamics_means_the_same_effects(tmp_path: Path, kind: str, dynamics: str, effects: tuple):
-    said = read_asset(write_urdf(tmp_path, kind, inside=dynamics))
-    assert said.effects == {"j": effects}
+    asset_of_urdf = read_asset(write_urdf(tmp_path, kind, inside=dynamics))
+    assert asset_of_urdf.effects == {"j": effects}
     (tmp_path / "other").mkdir()
     silent = asset_with(tmp_path / "other", kind, *effects)
-    runs = [roll_out(asset, 0.1, 2.0, duration_s=2) for asset in (said, silent)]
+    runs = [roll_out(asset, 0.1, 2.0, duration_s=2) for asset in (asset_of_urdf, silent)]
     np.testing.assert_array_equal(runs[0].q, runs[1].q)
-    free = roll_out(replace(said, effects={}), 0.1, 2.0, duration_s=2)
+    free = roll_out(replace(asset_of_urdf, effects={}), 0.1, 2.0, duration_s=2)
     assert abs(free.q[-1] - runs[0].q[-1]) > 0.01
 
 
@@ -283,23 +283,23 @@ def test_faults_cost_one_clear_line(tmp_path: Path):
     loose = '<link name="x"/>'
     floating = '<link name="x"/><joint name="f" type="floating"><parent link="bob"/><child link="x"/></joint>'
     twice = '<link name="bob"/>'
-    for more, said in (
+    for more, message in (
         (mesh, "mesh 'no.obj', which does not exist"),
         (loose, "has the root links base, x, expected one"),
         (floating, "type 'floating'"),
         (twice, "link 'bob' 2 times"),
     ):
         asset = read_asset(write_urdf(tmp_path, "revolute", more=more))
-        with pytest.raises(FreeArtError, match=said) as caught:
+        with pytest.raises(FreeArtError, match=message) as caught:
             load(asset)
         assert "\n" not in str(caught.value)
     good = asset_with(tmp_path, "revolute")
-    for wrong, said in (
+    for wrong, message in (
         (replace(good, moving_link="lid"), "no link 'lid'; links: base, bob"),
         (replace(good, joint="lid"), "no movable joint 'lid'; movable joints: j"),
         (replace(good, moving_link="base"), "on the same side"),
     ):
-        with pytest.raises(FreeArtError, match=said):
+        with pytest.raises(FreeArtError, match=message):
             load(wrong)
     with pytest.raises(FreeArtError, match="no link 'lid'; links: base, bob"):
         load(good).link_pose("lid")

@@ -298,7 +298,7 @@ def test_an_answer_of_one_frame_is_shown_by_that_frame(world):
     still = np.repeat(truth.Ts_camera_reference[4][None], len(truth), 0)
     lid = truth.articulation.moving.moved(truth.articulation.joint.transform(truth.states[4]))
     parts = replace(answer.articulation, moving=lid)
-    told = replace(
+    one_frame = replace(
         answer,
         articulation=parts,
         states=np.zeros(len(truth)),
@@ -306,7 +306,7 @@ def test_an_answer_of_one_frame_is_shown_by_that_frame(world):
         Ts_camera_moving=still,
         anchor=4,
     )
-    submit(folder, truth, told, renders=False)
+    submit(folder, truth, one_frame, renders=False)
     shown = read_answer(folder, truth, [0], False, ("poses", "states"), truth.part_mask(0).shape)
     assert shown.articulation.reference.vertices == pytest.approx(parts.reference.vertices, abs=1e-6)
     q = float(truth.states[9])

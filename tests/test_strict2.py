@@ -39,8 +39,8 @@ def scored(truth, answer, asset=None, other=None):
 def shape_of(answer, motions=None) -> Shape:
     """The shape that an asset would have that says what the answer's files say."""
     parts = answer.articulation
-    said = np.stack([parts.joint.transform(q) for q in answer.states])
-    return Shape((parts.reference, parts.moving), said if motions is None else motions)
+    motions_of_joint = np.stack([parts.joint.transform(q) for q in answer.states])
+    return Shape((parts.reference, parts.moving), motions_of_joint if motions is None else motions)
 
 
 # ---- strict-1, frozen
@@ -221,15 +221,15 @@ def test_surfaces_are_the_assets_and_those_of_the_files_stand_beside(kind, swap)
     cube = Mesh(
         0.05 * (np.array(list(np.ndindex(2, 2, 2))) - 0.5), np.array([[0, 1, 2], [1, 2, 3], [4, 5, 6], [5, 6, 7]])
     )
-    said = shape_of(answer)
+    shape = shape_of(answer)
     files = scored(truth, answer)
-    same = scored(truth, answer, said)
-    cubes = scored(truth, answer, Shape((cube, cube), said.motions))
+    same = scored(truth, answer, shape)
+    cubes = scored(truth, answer, Shape((cube, cube), shape.motions))
     for part in "wms":
         assert same[f"chamfer_{part}"] == pytest.approx(files[f"chamfer_{part}"], abs=1e-6)
         assert cubes[f"chamfer_{part}_parts"] == files[f"chamfer_{part}"]
         assert cubes[f"chamfer_{part}"] > files[f"chamfer_{part}"] + 10
-    still = Shape(said.parts, np.repeat(said.motions[:1], len(truth), 0))
+    still = Shape(shape.parts, np.repeat(shape.motions[:1], len(truth), 0))
     assert scored(truth, answer, still)["chamfer_m"] > same["chamfer_m"] + 1
 
 

@@ -90,10 +90,10 @@ BROKEN_ASSETS = {
 def test_a_broken_mesh_or_mass_is_a_failed_row(data, tmp_path, name):
     truth = truths()["a"]
     folder = submit_with_asset(tmp_path / "a", truth)
-    spoil, said = BROKEN_ASSETS[name]
+    spoil, message = BROKEN_ASSETS[name]
     spoil(folder / "asset")
     row = score_one(data, folder)
-    assert row.status == "failed" and row.reason.startswith("asset: ") and said in row.reason, row.reason
+    assert row.status == "failed" and row.reason.startswith("asset: ") and message in row.reason, row.reason
     assert_penalised(row, truth)
 
 
@@ -263,9 +263,9 @@ def impatient(monkeypatch):
 def test_a_row_without_end_and_one_that_crashes_cost_only_themselves(data, tmp_path, impatient):
     for name in "abc":
         write_result(tmp_path / name, Failure("tracks", f"declared by {name}"))
-    begun = time.monotonic()
+    start = time.monotonic()
     rows = score_in_processes(tmp_path, data, limit_s=8.0).rows
-    assert time.monotonic() - begun < 60
+    assert time.monotonic() - start < 60
     assert [row.status for row in rows] == ["failed"] * 3
     assert rows[0].reason == "tracks: declared by a"
     assert rows[1].reason == "scoring took more than 8 s"
@@ -361,12 +361,12 @@ def test_validate_tells_every_fault_at_once_and_score_the_first_of_them(data, tm
         ("a/renders/00001.png", "", None),
         ("c", "", None),
     }
-    told = {fault.file + fault.field: str(fault) for fault in report.faults}
-    assert "2 of 16 frames" in told["a/poses.npzT_camera_reference"]
-    assert "1 more of 16 frames" in told["a/part_mask/00007.png"]
+    messages = {fault.file + fault.field: str(fault) for fault in report.faults}
+    assert "2 of 16 frames" in messages["a/poses.npzT_camera_reference"]
+    assert "1 more of 16 frames" in messages["a/part_mask/00007.png"]
     assert (
-        "(15, 4, 4)" in told["a/poses.npzT_camera_moving"]
-        and "expected (16, 4, 4)" in told["a/poses.npzT_camera_moving"]
+        "(15, 4, 4)" in messages["a/poses.npzT_camera_moving"]
+        and "expected (16, 4, 4)" in messages["a/poses.npzT_camera_moving"]
     )
     assert any("extra" in note for note in report.notes) and any("method.json" in note for note in report.notes)
     assert (report.answers, report.failures) == (0, 1)
@@ -415,8 +415,8 @@ def test_a_skeleton_is_valid_and_priced_and_its_examples_are_answers(data, tmp_p
     assert score_results(out, data).measured == 3
     readme = (out / "README.txt").read_text()
     for path in (p for p in (out / "a").rglob("*") if p.is_file() and p.name not in ("00000.png",)):
-        told = path.relative_to(out / "a").as_posix()
-        assert path.parent.name == "part_mask" or f"SEQ/{told}" in readme, told
+        relative = path.relative_to(out / "a").as_posix()
+        assert path.parent.name == "part_mask" or f"SEQ/{relative}" in readme, relative
 
 
 def test_a_skeleton_touches_nothing_that_stands(data, tmp_path):

@@ -85,7 +85,7 @@ def test_one_answer_is_not_taken_for_the_folder_of_all(packed):
 
 
 @pytest.mark.parametrize(
-    "name, said",
+    "name, message",
     [
         ("../x", "leads out"),
         ("/etc/x", "leads out"),
@@ -98,9 +98,9 @@ def test_one_answer_is_not_taken_for_the_folder_of_all(packed):
         (_link("a/link"), "is a link"),
     ],
 )
-def test_entries_that_are_no_results_file_are_refused_before_anything_is_unpacked(packed, monkeypatch, name, said):
+def test_entries_that_are_no_results_file_are_refused_before_anything_is_unpacked(packed, monkeypatch, name, message):
     monkeypatch.setattr(archive, "_write", lambda *_: pytest.fail("unpacked"))
-    with pytest.raises(FreeArtError, match=said) as error, open_results(packed(("a/b", "x"), (name, "x"))):
+    with pytest.raises(FreeArtError, match=message) as error, open_results(packed(("a/b", "x"), (name, "x"))):
         pass
     assert str(error.value).isprintable()
 

@@ -134,9 +134,9 @@ def test_jobs_that_fail_are_listed_and_the_command_ends_with_1(data, tmp_path):
     command = [sys.executable, "-m", "freeart21", "suite", str(data), "--rows", "static", "--out", str(out)]
     done = subprocess.run([*command, "--sequences", "a"], env=ENVIRONMENT, capture_output=True, text=True)
     assert done.returncode == 1
-    said = [line for line in done.stderr.splitlines() if line.startswith("freeart21: ")]
-    assert said[0].startswith("freeart21: reference/static: ") and "was not made by the job" in said[0]
-    assert said[1:] == ["freeart21: score/static/strict-2: needs reference/static, which failed"]
+    output = [line for line in done.stderr.splitlines() if line.startswith("freeart21: ")]
+    assert output[0].startswith("freeart21: reference/static: ") and "was not made by the job" in output[0]
+    assert output[1:] == ["freeart21: score/static/strict-2: needs reference/static, which failed"]
     assert list((out / "results" / "static").iterdir()) == [] and not (out / "scores").exists()
 
 

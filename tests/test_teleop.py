@@ -51,11 +51,11 @@ def driven(driving: Driving, times: Any, states: Any = None, epoch: int | None =
 
 
 def test_a_good_message_is_read_as_it_was_meant() -> None:
-    said = a_move(7, 0.25) | {"epoch": 3}
-    move = wire.read(json.dumps(said), BOUNDS)
+    data = a_move(7, 0.25) | {"epoch": 3}
+    move = wire.read(json.dumps(data), BOUNDS)
     assert isinstance(move, wire.Move) and (move.n, move.epoch, move.state, move.device) == (7, 3, 0.25, "mouse")
-    np.testing.assert_allclose(move.T[:3, 3], said["position"])
-    np.testing.assert_allclose(se3.wxyz(move.T), said["quaternion"], atol=1e-12)
+    np.testing.assert_allclose(move.T[:3, 3], data["position"])
+    np.testing.assert_allclose(se3.wxyz(move.T), data["quaternion"], atol=1e-12)
     assert wire.read('{"type":"ping","time":5,"latency":[1,2]}', BOUNDS) == wire.Ping(5.0, (1.0, 2.0))
     assert wire.read('{"type":"do","what":"undo","n":4}', BOUNDS) == wire.Command("undo")
     assert wire.read('{"type":"view","width":390,"height":844}', BOUNDS) == wire.ViewSize(390, 844)
@@ -63,9 +63,9 @@ def test_a_good_message_is_read_as_it_was_meant() -> None:
 
 
 def test_a_state_beyond_its_limits_is_brought_back() -> None:
-    for given, kept in ((-0.1, 0.0), (1.5, 1.0), (1 + 1e-15, 1.0)):
+    for given, clipped in ((-0.1, 0.0), (1.5, 1.0), (1 + 1e-15, 1.0)):
         move = wire.read(json.dumps(a_move(1, given)), BOUNDS)
-        assert isinstance(move, wire.Move) and move.state == kept
+        assert isinstance(move, wire.Move) and move.state == clipped
 
 
 BAD: list[Any] = [
@@ -156,8 +156,8 @@ def test_undo_drops_the_last_seconds_and_goes_on_from_there() -> None:
     driven(driving, 10 + np.arange(301) / 60)
     whole = [*driving.take.times]
     assert driving.undo() == pytest.approx(UNDO_S, abs=2 * STEP_S) and driving.phase == "recording"
-    kept = [*driving.take.times]
-    assert kept == whole[: len(kept)] and driving.place.is_close(driving.take.last)
+    take_times = [*driving.take.times]
+    assert take_times == whole[: len(take_times)] and driving.place.is_close(driving.take.last)
     driven(driving, [20.0])
     assert np.diff(driving.take.times)[-1] == pytest.approx(STEP_S)
     while driving.undo():
@@ -283,14 +283,14 @@ def test_a_take_that_an_earlier_run_left_is_said_and_stays(tmp_path: Path) -> No
     first.write(driving)
     second = Takes(tmp_path / "take.jsonl", "revolute")
     assert second.find_unsaved_takes() == []  # it is being made
-    kept = first.rescue(driving)
+    rescued = first.rescue(driving)
     (tmp_path / "take-unsaved-old.jsonl").write_text("mine")
     (tmp_path / "take-unsaved-3.jsonl").mkdir()
     os.mkfifo(tmp_path / "take-unsaved-4.jsonl")
-    assert second.find_unsaved_takes() == [(kept, pytest.approx(1.5))]
-    text = kept.read_text()
+    assert second.find_unsaved_takes() == [(rescued, pytest.approx(1.5))]
+    text = rescued.read_text()
     second.write(a_drive())
-    assert kept.read_text() == text and (tmp_path / "take-unsaved-2.jsonl").exists()
+    assert rescued.read_text() == text and (tmp_path / "take-unsaved-2.jsonl").exists()
 
 
 def test_what_comes_to_stand_in_the_file_s_place_is_left_alone(tmp_path: Path) -> None:
@@ -384,9 +384,9 @@ async def raw(port: int, head: str) -> str:
     """The answer to a request exactly as it is written here."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     writer.write(f"{head}\r\nConnection: close\r\n\r\n".encode())
-    said = await reader.read(1 << 20)
+    output = await reader.read(1 << 20)
     writer.close()
-    return said.decode()
+    return output.decode()
 
 
 @in_a_loop
@@ -405,14 +405,14 @@ async def test_only_the_token_opens_the_page_and_its_files(tmp_path: Path) -> No
             "/%2e%2e/%2e%2e/etc/passwd", "/hand.js/", "/hand.js%00", "/ws/..", "/.git/config", "/hand.js;x",
             "/static/../hand.js", "http://evil.example/hand.js", "/" + "a" * 3000,
         ):  # fmt: skip
-            said = await raw(at.port, f"GET {odd}?token={TOKEN} HTTP/1.1\r\nHost: 127.0.0.1:{at.port}")
-            assert said.split()[1] in ("400", "403", "404"), odd
-            assert len(said) < 1500 and "root:" not in said and "class Hand" not in said
+            output = await raw(at.port, f"GET {odd}?token={TOKEN} HTTP/1.1\r\nHost: 127.0.0.1:{at.port}")
+            assert output.split()[1] in ("400", "403", "404"), odd
+            assert len(output) < 1500 and "root:" not in output and "class Hand" not in output
         for method in ("POST", "PUT", "DELETE", "OPTIONS", "TRACE"):
-            said = await raw(at.port, f"{method} /?token={TOKEN} HTTP/1.1\r\nHost: 127.0.0.1:{at.port}")
-            assert said.split()[1] in ("400", "404", "405")
-        said = await raw(at.port, f"GET /?token={TOKEN} HTTP/1.1\r\nHost: evil.example")
-        assert said.split()[1] == "403"
+            output = await raw(at.port, f"{method} /?token={TOKEN} HTTP/1.1\r\nHost: 127.0.0.1:{at.port}")
+            assert output.split()[1] in ("400", "404", "405")
+        output = await raw(at.port, f"GET /?token={TOKEN} HTTP/1.1\r\nHost: evil.example")
+        assert output.split()[1] == "403"
 
 
 @in_a_loop
@@ -626,10 +626,10 @@ def test_ten_thousand_hostile_messages_do_nothing(tmp_path: Path, monkeypatch: p
 def harmless(text: str) -> str:
     """`text`, unless it is by chance a message that may do something."""
     try:
-        said = wire.read(text, BOUNDS)
+        message = wire.read(text, BOUNDS)
     except wire.BadMessage:
         return text
-    return "{}" if isinstance(said, wire.Move | wire.Command | wire.ViewSize) else text
+    return "{}" if isinstance(message, wire.Move | wire.Command | wire.ViewSize) else text
 
 
 @in_a_loop
@@ -688,11 +688,11 @@ async def test_an_oversized_frame_and_a_dead_page_cost_nothing(tmp_path: Path) -
 @in_a_loop
 async def test_a_flood_is_dropped(tmp_path: Path) -> None:
     async with served(tmp_path / "take.jsonl") as at, page(at.address) as one:
-        begun = time.monotonic()
+        start = time.monotonic()
         for _ in range(900):
             await one.move(0.5)
         await one.say(json.dumps({"type": "ping", "time": 1}))  # dropped, too, or the last that is read
-        most = gate.BURST + gate.PER_SECOND * (time.monotonic() - begun) + 1
+        most = gate.BURST + gate.PER_SECOND * (time.monotonic() - start) + 1
         await one.until(lambda: at.server._driver is None or at.server._driver.bad >= 900 - most, "bad")
         assert at.server._driver is not None and at.server._driver.bad >= 900 - most
         assert any("more messages than" in line for line in at.log)
@@ -704,7 +704,7 @@ async def test_a_flood_is_dropped(tmp_path: Path) -> None:
 def test_what_cannot_be_done_is_said_in_a_line_before_anything_starts(tmp_path: Path) -> None:
     there = tmp_path / "take.jsonl"
     there.write_text("mine")
-    for name, out, more, said in [
+    for name, out, more, message in [
         ("stapler", there, {}, "exists"),
         ("stapler", tmp_path / "t.jsonl", {"port": 99999}, "port"),
         ("stapler", tmp_path / "t.jsonl", {"port": 0, "width": 9}, "64 to 1280"),
@@ -712,7 +712,7 @@ def test_what_cannot_be_done_is_said_in_a_line_before_anything_starts(tmp_path: 
         (str(tmp_path / "absent.urdf"), tmp_path / "t.jsonl", {}, "missing"),
         ("102990", tmp_path / "t.jsonl", {}, "--partnet-root"),
     ]:
-        with pytest.raises(FreeArtError, match=said):
+        with pytest.raises(FreeArtError, match=message):
             cli.teleop(name, out, **more)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
@@ -739,33 +739,36 @@ def test_the_command_keeps_a_take_that_nobody_saved(tmp_path: Path) -> None:
 
     with started(out) as at:
         run(drive(at, 30))
-        code, said = at.stop(signal.SIGINT)
-    kept = tmp_path / "take-unsaved.jsonl"
-    assert code == 130 and said.splitlines()[-1] == f"freeart21: stopped; the take that was not saved is in {kept}"
-    assert len(read_take(kept).times) == 30 and at.token not in said
-    assert [p.name for p in tmp_path.iterdir()] == [kept.name]
+        code, output = at.stop(signal.SIGINT)
+    unsaved_file = tmp_path / "take-unsaved.jsonl"
+    assert (
+        code == 130
+        and output.splitlines()[-1] == f"freeart21: stopped; the take that was not saved is in {unsaved_file}"
+    )
+    assert len(read_take(unsaved_file).times) == 30 and at.token not in output
+    assert [p.name for p in tmp_path.iterdir()] == [unsaved_file.name]
 
 
 def test_a_command_that_is_killed_has_lost_a_second_at_most(tmp_path: Path) -> None:
     """Without a word or a moment to write; and the next start says what is there."""
-    out, kept = tmp_path / "take.jsonl", tmp_path / "take-unsaved.jsonl"
+    out, unsaved_file = tmp_path / "take.jsonl", tmp_path / "take-unsaved.jsonl"
 
     async def drive(at: Any) -> None:
         async with page(at.address, at.token) as one:
             await one.do("record")
             await a_stretch(one, np.linspace(0, 0.4, 30))
             await one.status(samples=30)
-            await one.until(lambda: len(kept.read_text().splitlines()) == 31, "the file")
+            await one.until(lambda: len(unsaved_file.read_text().splitlines()) == 31, "the file")
             at.process.kill()
 
     with started(out) as at:
         run(drive(at))
         at.process.wait()
-    assert len(read_take(kept).times) == 30
+    assert len(read_take(unsaved_file).times) == 30
     with started(out) as at:
-        assert [p.name for p in tmp_path.iterdir()] == [kept.name]
-        code, said = at.stop()
-    assert code == 143 and f"{kept} is a take of" in said and len(read_take(kept).times) == 30
+        assert [p.name for p in tmp_path.iterdir()] == [unsaved_file.name]
+        code, output = at.stop()
+    assert code == 143 and f"{unsaved_file} is a take of" in output and len(read_take(unsaved_file).times) == 30
 
 
 @in_a_loop

@@ -291,9 +291,9 @@ def test_who_only_watches_moves_nothing_and_a_line_that_breaks_lets_go(rig: Rig)
     rig.page.run("link.drives = false")
     T, _ = rig.object()
     rig.page.run("headset().room.tell = (facts) => { window.facts = facts; }")
-    for state, said in (("open", "You watch."), ("lost", "It is tried again and again; a recording is paused.")):
+    for state, line in (("open", "You watch."), ("lost", "It is tried again and again; a recording is paused.")):
         rig.page.run(f"link.state = '{state}'")
-        rig.until(f"window.facts?.lines[1] === '{said}'")
+        rig.until(f"window.facts?.lines[1] === '{line}'")
     rig.press("right", "squeeze", 1)
     rig.press("right", "a-button", 1)
     rig.frames()

@@ -60,8 +60,8 @@ def test_beyond_this_machine_it_is_https_with_its_own_names_and_the_printed_fing
     with pytest.raises((OSError, http.client.HTTPException)):
         plain.request("GET", f"/?token={server.token}")
         plain.getresponse()
-    _, said = server.stop()
-    assert ":".join(f"{byte:02X}" for byte in digest) in said
+    _, output = server.stop()
+    assert ":".join(f"{byte:02X}" for byte in digest) in output
 
 
 @pytest.fixture

@@ -460,8 +460,8 @@ def test_the_real_thing_is_driven_seen_and_recorded(chromium: Browser, tmp_path:
         desk.until("(teleop.link.status.notice || '').includes('saved as take.jsonl')")
         sent = desk.run("sent")
         desk.run("void (location.href = 'about:blank')")
-        code, said = real.stop()
-        assert code == 143 and "from a move to its picture" in said and not chromium.errors
+        code, output = real.stop()
+        assert code == 143 and "from a move to its picture" in output and not chromium.errors
     take = read_take(tmp_path / "take.jsonl")
     cli.record(
         ("stapler",), tmp_path / "data", 6, motion=f"teleop:{tmp_path / 'take.jsonl'}", width=96, height=54, queries=0,

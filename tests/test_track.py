@@ -378,14 +378,16 @@ def test_a_size_that_is_none_is_refused_in_a_line(tmp_path: Path, size: str) -> 
 
 
 def test_the_command_takes_the_take_s_length_by_default(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[RecordSettings] = []
-    monkeypatch.setattr("generator.dataset.record_jobs", lambda out, jobs, *_: asked.extend(j.settings for j in jobs))
+    settings: list[RecordSettings] = []
+    monkeypatch.setattr(
+        "generator.dataset.record_jobs", lambda out, jobs, *_: settings.extend(j.settings for j in jobs)
+    )
     take = taken(tmp_path / "a.txt")
     for frames in (None, 40, 500):
         cli.record(("stapler",), tmp_path / "data", frames, motion=f"track:{take}")
-    assert [(s.frames, s.motion, s.track) for s in asked] == [(n, "track", take) for n in (61, 40, 61)]
+    assert [(s.frames, s.motion, s.track) for s in settings] == [(n, "track", take) for n in (61, 40, 61)]
     cli.record(("stapler",), tmp_path / "data")
-    assert (asked[-1].frames, asked[-1].motion, asked[-1].track) == (300, "tumble", None)
+    assert (settings[-1].frames, settings[-1].motion, settings[-1].track) == (300, "tumble", None)
     for motion, expected in (
         ("track", "needs the file"),
         ("track:", "needs the file"),

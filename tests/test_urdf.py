@@ -130,11 +130,11 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("said", FAULTS)
-def test_faults_are_one_line(odd: Path, said: str) -> None:
-    assert URDF.count(FAULTS[said][0]) >= 1
-    odd.write_text(URDF.replace(*FAULTS[said]))
-    with pytest.raises(FreeArtError, match=said) as caught:
+@pytest.mark.parametrize("message", FAULTS)
+def test_faults_are_one_line(odd: Path, message: str) -> None:
+    assert URDF.count(FAULTS[message][0]) >= 1
+    odd.write_text(URDF.replace(*FAULTS[message]))
+    with pytest.raises(FreeArtError, match=message) as caught:
         read_urdf(odd)
     assert "\n" not in str(caught.value) and str(odd) in str(caught.value)
 
@@ -213,10 +213,10 @@ def test_nobodys_home_is_a_package(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         assert_refused(r"--root DIR", find_file, tmp_path / "me/got/a.urdf", name)
 
 
-def _mimics(text: str, told: str) -> str:
+def _mimics(text: str, mimics: str) -> str:
     """A hinge a, and joints that follow, by <mimic> elements of b and c."""
     joint = '<joint name="{0}" type="revolute"><parent link="base"/><child link="{0}"/><limit {2}/>{1}</joint>'.format
-    b, c = told.split("|")
+    b, c = mimics.split("|")
     links = "".join(f'<link name="{name}"/>' for name in ("base", "a", "b", "c"))
     return f'<robot name="x">{links}{joint("a", "", text)}{joint("b", b, text)}{joint("c", c, text)}</robot>'
 
@@ -233,9 +233,9 @@ def test_followers_stand_where_their_leader_puts_them(odd: Path) -> None:
     held = freeze_mimics(build_tree(read_urdf(odd)))
     assert [j.name for j in held.movable] == ["a"]
     np.testing.assert_allclose(held.link_poses({})["c"], link_poses(joints, {"c": 0.5 * (-2 * 0.5 + 0.25) + 1})["c"])
-    for second, said in (("c", "mimics itself by way of 'c'"), ("d", "mimics 'd', which is no joint")):
+    for second, message in (("c", "mimics itself by way of 'c'"), ("d", "mimics 'd', which is no joint")):
         odd.write_text(_mimics("", f"{follows(second, 1, 0)}|{follows('b', 1, 0)}"))
-        assert_refused(said, resolve_mimics, read_urdf_joints(odd), {})
+        assert_refused(message, resolve_mimics, read_urdf_joints(odd), {})
 
 
 @pytest.mark.parametrize("end", ["1e30", "1e16", "1001", "inf", "Infinity"])

@@ -63,7 +63,7 @@ def test_numbers_are_those_of_the_urdf_in_the_units_of_usd(tmp_path: Path, kind)
         np.testing.assert_allclose(inertia, link.inertial.inertia, atol=1e-6 * np.abs(link.inertial.inertia).max())
     prim = stage.GetPrimAtPath("/bob/hinge")
     axis, degree = ("angular", np.pi / 180) if kind == "revolute" else ("linear", 1.0)
-    said = {a.GetName(): a.Get() for a in prim.GetAttributes()}
+    attributes = {a.GetName(): a.Get() for a in prim.GetAttributes()}
     joint = urdf.joints["hinge"]
     expected = {
         "physics:lowerLimit": joint.lower / degree,
@@ -80,7 +80,7 @@ def test_numbers_are_those_of_the_urdf_in_the_units_of_usd(tmp_path: Path, kind)
         "newton:armature": 0.003,
         "newton:velocityLimit": joint.velocity / degree,
     }
-    assert {name: said[name] for name in expected} == pytest.approx(expected, rel=1e-6)
+    assert {name: attributes[name] for name in expected} == pytest.approx(expected, rel=1e-6)
     assert {f"PhysicsDriveAPI:{axis}", f"PhysxJointAxisAPI:{axis}"} <= set(
         prim.GetPrimTypeInfo().GetAppliedAPISchemas()
     )
@@ -148,11 +148,11 @@ def test_primitives_are_primitives(tmp_path: Path):
         '<sphere radius="0.05"/>',
         '<cylinder radius="0.02" length="0.3"/>',
     )
-    said = "".join(
+    inertia = "".join(
         f'<collision><origin xyz="0.1 0 {k}" rpy="0 0.5 0"/><geometry>{shape}</geometry></collision>'
         for k, shape in enumerate(shapes)
     )
-    text = asset.urdf.read_text().replace("</inertial>", f"</inertial>{said}", 1)
+    text = asset.urdf.read_text().replace("</inertial>", f"</inertial>{inertia}", 1)
     asset.urdf.write_text(text)
     (tmp_path / "effects.json").unlink()
     write_usd(tmp_path / "object.usdc", read_asset(asset.urdf))
@@ -240,11 +240,11 @@ def test_a_layer_read_back_says_what_the_urdf_says(tmp_path: Path, kind, base):
 def test_a_layer_that_says_another_thing_fails(tmp_path: Path, edit):
     write_case(tmp_path, "revolute")
     stage = opened(tmp_path)
-    change, said = EDITS[edit]
+    change, message = EDITS[edit]
     change(stage)
     stage.GetRootLayer().Save()
     verdict, reason = said_of_usd(tmp_path)
-    assert verdict == "fail" and said in reason
+    assert verdict == "fail" and message in reason
 
 
 @needs_usd

@@ -18,11 +18,12 @@ from generator.session import RecordSettings
 EVERY = [*v1.entries("public"), *v1.entries("test")]
 
 
-def test_both_splits_have_all_objects_and_every_category_every_style() -> None:
+def test_both_splits_have_the_same_objects_and_every_category_every_style() -> None:
     for split in ("public", "test"):
         entries = v1.entries(split)
-        assert [e.object for e in entries] == list(catalog.built_in_names()) and len(entries) == 21
+        assert {e.object for e in entries} <= set(catalog.built_in_names()) and len(entries) == 21
         assert set(Counter((catalog.find(e.object).category, e.motion) for e in entries).values()) == {1}
+    assert [e.object for e in v1.entries("public")] == [e.object for e in v1.entries("test")]
     styles = [[e.motion for e in v1.entries(split)] for split in ("public", "test")]
     assert all(a != b for a, b in zip(*styles, strict=True))
     assert len({e.sequence for e in EVERY}) == 42

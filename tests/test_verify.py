@@ -92,13 +92,13 @@ def test_files_that_are_missing_or_not_listed_are_found(data: Path) -> None:
     (data / ".recording").mkdir()
     (data / ".recording" / "lock").touch()
     findings = verify(data).findings
-    for said in (
+    for message in (
         "00002.png is missing: benchmark",
         "notes.txt is not listed",
         "lock is not listed",
         "frame 2 is missing",
     ):
-        assert any(said in finding for finding in findings), said
+        assert any(message in finding for finding in findings), message
 
 
 def test_a_link_in_place_of_a_file_is_found(data: Path, tmp_path: Path) -> None:
@@ -198,10 +198,10 @@ FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_contents_that_do_not_fit_together_are_found(data: Path, fault: str) -> None:
-    spoil, said = FAULTS[fault]
+    spoil, message = FAULTS[fault]
     spoil(data)
     findings = verify(rehashed(data)).findings
-    assert any(re.search(said, finding) for finding in findings), findings
+    assert any(re.search(message, finding) for finding in findings), findings
     assert all("\n" not in finding for finding in findings)
 
 

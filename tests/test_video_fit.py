@@ -114,15 +114,15 @@ def test_what_would_put_parts_on_the_object_is_named(name: str, kind: str) -> No
     truth = make_truth(kind)
     make, words = WRONG[name]
     for holes in (0.0, 0.5):
-        said = describe_misfit(make(truth), filmed(truth, holes))
-        assert words in said and "\n" not in said, said
+        sentence = describe_misfit(make(truth), filmed(truth, holes))
+        assert words in sentence and "\n" not in sentence, sentence
 
 
 def test_a_place_that_nothing_explains_is_said_without_a_guess() -> None:
     truth = make_truth()
     aside = se3.pose(np.eye(3), [0.5, 0.3, 0])
-    said = describe_misfit(with_poses(truth, lambda Ts: aside @ Ts), filmed(truth))
-    assert said.endswith("none of the other axes, units and orders of quaternions fits")
+    sentence = describe_misfit(with_poses(truth, lambda Ts: aside @ Ts), filmed(truth))
+    assert sentence.endswith("none of the other axes, units and orders of quaternions fits")
 
 
 def test_what_a_method_lacks_is_not_looked_at() -> None:

@@ -579,12 +579,12 @@ def test_unknown_folder_is_answered_with_what_was_looked_for_and_what_is_there(
         assert word in message
     assert "\n" not in message
     (tmp_path / "empty").mkdir()
-    for path, told in (
+    for path, line in (
         (tmp_path / "empty", "found nothing"),
         (tmp_path / "none", "does not exist"),
         (tmp_path / "notes.txt", "is a file, expected a URDF"),
     ):
-        assert_refused(told, page, path)
+        assert_refused(line, page, path)
 
 
 def test_things_that_do_not_belong_together_are_refused(tmp_path: Path, folders: dict[str, Path]) -> None:

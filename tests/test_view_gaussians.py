@@ -116,18 +116,20 @@ def test_a_page_holds_the_gaussians_of_a_result(tmp_path):
     write_result(tmp_path / "result", result)
     text = page(tmp_path / "result")
     data = json.loads(next(t for t in text.split('<script type="application/json">') if '"sliders"' in t).split("<")[0])
-    kept = data["gaussians"]
-    means = np.array(kept["low"]) + extract_array(kept["means"]) / 65535 * (np.array(kept["high"]) - kept["low"])
+    packed = data["gaussians"]
+    means = np.array(packed["low"]) + extract_array(packed["means"]) / 65535 * (
+        np.array(packed["high"]) - packed["low"]
+    )
     assert np.abs(means - given.means).max() < 1e-6
-    least, most = kept["scales_between"]
-    scales = np.exp(least + (most - least) * extract_array(kept["scales"]) / 255)
+    least, most = packed["scales_between"]
+    scales = np.exp(least + (most - least) * extract_array(packed["scales"]) / 255)
     assert np.abs(scales / given.scales - 1).max() < 0.01
-    turned = extract_array(kept["quaternions"]).astype(float) - 128
+    turned = extract_array(packed["quaternions"]).astype(float) - 128
     turned /= np.linalg.norm(turned, axis=1, keepdims=True)
     assert np.degrees(2 * np.arccos(np.abs((turned * given.quaternions).sum(1)).clip(0, 1))).max() < 1
-    assert np.abs(extract_array(kept["colours"]) / 255 - given.colours).max() < 0.002
-    assert np.abs(extract_array(kept["part_weights"]) / 255 - given.part_weights).max() < 0.002
-    assert np.array(kept["light"]) == pytest.approx(given.light)
+    assert np.abs(extract_array(packed["colours"]) / 255 - given.colours).max() < 0.002
+    assert np.abs(extract_array(packed["part_weights"]) / 255 - given.part_weights).max() < 0.002
+    assert np.array(packed["light"]) == pytest.approx(given.light)
     (tmp_path / "result" / "gaussians.ply").write_bytes(b"ply\n")
     spoilt = page(tmp_path / "result")
     assert "The Gaussians cannot be shown: " in spoilt and '"gaussians":null' in spoilt
@@ -139,13 +141,13 @@ def test_a_page_of_very_many_gaussians_keeps_those_that_cover_most():
     given = make_gaussians(MAX_SPLATS + 5000, light=9)
     faint = np.arange(len(given)) % 25 == 3
     given = replace(given, opacities=np.where(faint, 1e-6, given.opacities).astype(np.float32))
-    kept = largest_gaussians(given, MAX_SPLATS)
-    assert len(kept) == MAX_SPLATS and (kept.opacities < 1e-5).sum() < faint.sum()
-    assert np.abs(np.sort(kept.means[:, 0])[0] - np.sort(given.means[:, 0])[0]) < 1e-2
-    assert largest_gaussians(kept, MAX_SPLATS) is kept
+    chosen = largest_gaussians(given, MAX_SPLATS)
+    assert len(chosen) == MAX_SPLATS and (chosen.opacities < 1e-5).sum() < faint.sum()
+    assert np.abs(np.sort(chosen.means[:, 0])[0] - np.sort(given.means[:, 0])[0]) < 1e-2
+    assert largest_gaussians(chosen, MAX_SPLATS) is chosen
     section = scene_section(made_scene(given))
     assert f"the {MAX_SPLATS:,} largest of {len(given):,} Gaussians" in section.html
-    assert "Gaussians" not in scene_section(made_scene(kept)).html
+    assert "Gaussians" not in scene_section(made_scene(chosen)).html
     assert len(embed_json(splat_data(SplatLayers(given, (0, 1), (0, 1))))) < 2.4e6
 
 
@@ -174,12 +176,12 @@ def test_the_script_sorts_from_the_farthest_and_keeps_copies_apart():
       const both = sorted([true, true]), moved = sorted([false, true]);
       console.log(JSON.stringify({{ both, moved, shapes: [...s.shapes] }}))"""
     run = subprocess.run(["node", "-e", code], capture_output=True, text=True, timeout=60, check=True)
-    said = json.loads(run.stdout)
-    order, shapes = np.array(said["both"]), np.array(said["shapes"]).reshape(-1, 16)
+    reply = json.loads(run.stdout)
+    order, shapes = np.array(reply["both"]), np.array(reply["shapes"]).reshape(-1, 16)
     expected = [2 * i for i in range(500) if given.part_weights[i] > 0.02]
     expected += [2 * i + 1 for i in range(500) if given.part_weights[i] < 0.98]
     assert sorted(order.tolist()) == sorted(expected)
-    assert sorted(said["moved"]) == sorted(copy for copy in expected if copy % 2)
+    assert sorted(reply["moved"]) == sorted(copy for copy in expected if copy % 2)
     depths = np.stack([se3.transform(view, given.means)[:, 2] for view in views], -1).ravel()[order]
     assert (np.diff(depths) > -2e-4).all(), "an eye looks along -z: the farthest comes first"
     turns = se3.rotation_from_wxyz(given.quaternions)

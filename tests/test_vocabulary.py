@@ -75,7 +75,10 @@ BARE = [
     "shown",
 ]
 """No function or class has such a word alone as its name."""
+NO_NAMES = {"said", "asked"}
+"""Nor has anything else these; with NOWHERE they are what no variable, argument, field or attribute contains or is."""
 WORDS = re.compile(rf"\b({'|'.join([*NOWHERE, *PHRASES])})\b", re.IGNORECASE)
+ANYWHERE = re.compile(rf"(?<![a-z])({'|'.join([*NOWHERE, *NO_NAMES])})(?![a-z])", re.IGNORECASE)
 
 
 def _files() -> list[Path]:
@@ -93,6 +96,16 @@ def _texts(source: str) -> list[tuple[int, str]]:
     ]
 
 
+def _names(source: str) -> list[tuple[int, str]]:
+    """(line, name) of every identifier."""
+    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
+    return [(t.start[0], t.string) for t in tokens if t.type == tokenize.NAME]
+
+
+def _is_ours(name: str) -> bool:
+    return name in NO_NAMES or not set(NOWHERE).isdisjoint(name.lower().strip("_").split("_"))
+
+
 def faults(path: Path) -> list[str]:
     """What a file says in words of our own, a line each."""
     source, found = path.read_text(), []
@@ -100,6 +113,8 @@ def faults(path: Path) -> list[str]:
         parts = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower().strip("_").split("_")
         if set(parts) & set(NOWHERE) or (len(parts) == 1 and parts[0] in BARE):
             found.append(f"{path.relative_to(ROOT)}: name {name}")
+    if ANYWHERE.search(source):
+        found += [f"{path.relative_to(ROOT)}:{line}: name {name}" for line, name in _names(source) if _is_ours(name)]
     if WORDS.search(source.replace("\n", " ")):
         for line, text in _texts(source):
             found += [f"{path.relative_to(ROOT)}:{line}: '{word}'" for word in WORDS.findall(text.replace("\n", " "))]

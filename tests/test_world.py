@@ -276,10 +276,10 @@ def test_a_case_on_disk_reads_tells_nothing_and_is_the_same_twice(tmp_path):
 
 def test_a_draw_is_asked_scored_and_goes_on_where_it_was(tmp_path, monkeypatch):
     specs = [draw.Spec("null", (), "arm", "usual"), draw.Spec("null", (), "door", "usual")]
-    asked = []
+    commands = []
 
     def ended(limit, command, folder):
-        asked.append(command)
+        commands.append(command)
         (folder / "answer").mkdir()
         verdict = {"verdict": "no_gap", "effects": [], "rivals": [], "gap": []}
         (folder / "answer" / "verdict.json").write_text(json.dumps(verdict))
@@ -291,7 +291,7 @@ def test_a_draw_is_asked_scored_and_goes_on_where_it_was(tmp_path, monkeypatch):
     for _ in range(2):
         hidden_gap.main(tmp_path / "out")
     found = json.loads((tmp_path / "hidden_gap-dev.json").read_text())
-    assert len(asked) == 2 and [row["outcome"] for row in found["rows"]] == ["right", "right"]
+    assert len(commands) == 2 and [row["outcome"] for row in found["rows"]] == ["right", "right"]
     assert found["seconds"] == {"median": 1.5, "most": 1.5} and len(found["cases_sha256"]) == 64
     with pytest.raises(SystemExit, match="another draw"):
         hidden_gap.main(tmp_path / "out", seed=2)
@@ -397,13 +397,13 @@ HAND = [
 ]
 
 
-@pytest.mark.parametrize(("truth_", "said", "outcome"), HAND, ids=[f"{i}-{row[2]}" for i, row in enumerate(HAND)])
-def test_verdicts_made_by_hand_are_graded_as_they_ought(truth_, said, outcome):
-    assert grade(truth_, said)["outcome"] == outcome
+@pytest.mark.parametrize(("truth_", "given", "outcome"), HAND, ids=[f"{i}-{row[2]}" for i, row in enumerate(HAND)])
+def test_verdicts_made_by_hand_are_graded_as_they_ought(truth_, given, outcome):
+    assert grade(truth_, given)["outcome"] == outcome
 
 
 def test_the_figures_of_graded_rows():
-    rows = [json.loads(json.dumps(grade(truth_, said))) for truth_, said, _ in HAND]
+    rows = [json.loads(json.dumps(grade(truth_, given))) for truth_, given, _ in HAND]
     f = count_figures(rows)
     assert (f["pairs called by one wrong name"]["hits"], f["pairs called by one wrong name"]["of"]) == (1, 3)
     assert (f["false alarms on nulls"]["hits"], f["false alarms on nulls"]["of"]) == (2, 3)

@@ -127,10 +127,10 @@ def grade(label: dict, answer: dict) -> dict:
     outcome, wrong = _grade(verdict, truth, label)
     held_out = [gap for gap in verdict["gap"] if gap["held_out"] and gap["after"] is not None]
     names, alone = _names(verdict), verdict["verdict"] == "named"
-    said = " | ".join("+".join(sorted(rival)) for rival in verdict["rivals"]) or "+".join(sorted(names))
+    names_given = " | ".join("+".join(sorted(rival)) for rival in verdict["rivals"]) or "+".join(sorted(names))
     return row | {
         "outcome": outcome,
-        "said": f"{verdict['verdict']} {said}".strip(),
+        "said": f"{verdict['verdict']} {names_given}".strip(),
         "in_part": bool(verdict.get("in_part")),
         "wrong": sorted(wrong),
         "one_wrong_name": len(truth) == 2 and alone and len(names) == 1 and bool(wrong),

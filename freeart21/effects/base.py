@@ -516,12 +516,12 @@ def readings(effects: tuple[Effect, ...], times_s: ArrayLike, q: ArrayLike) -> A
     sensing = [effect for effect in effects if effect.kind == "sensing"]
     late = float(np.sum([effect.delay() for effect in sensing]))
     if late and len(times) > 1:
-        asked = times - late
-        seen = np.interp(asked, times, true)
+        delayed = times - late
+        seen = np.interp(delayed, times, true)
         for end, inner in ((0, 1), (-1, -2)):
             slope = (true[end] - true[inner]) / (times[end] - times[inner])
-            beyond = asked < times[0] if end == 0 else asked > times[-1]
-            seen[beyond] = true[end] + slope * (asked[beyond] - times[end])
+            beyond = delayed < times[0] if end == 0 else delayed > times[-1]
+            seen[beyond] = true[end] + slope * (delayed[beyond] - times[end])
     else:
         seen = true.copy()
     return np.asarray(seen + sum((effect.reading_error(seen) for effect in sensing), np.zeros(len(seen))))

@@ -28,20 +28,22 @@ def remove_bad_times(run: RawRun, notes: list[str]) -> RawRun:
     """The run without rows whose time is missing or repeated. FreeArtError when time goes back."""
     run = _sort_rows(run, notes)
     t = run.values["t"]
-    kept = np.isfinite(t)
-    kept[np.flatnonzero(kept)[1:]] = np.diff(t[kept]) != 0
-    if kept.sum() < MIN_SAMPLES:
-        raise FreeArtError(f"run '{run.name}' has {kept.sum()} rows of different times, expected {MIN_SAMPLES} or more")
-    rows, back = np.flatnonzero(kept), np.diff(t[kept]) < 0
+    valid = np.isfinite(t)
+    valid[np.flatnonzero(valid)[1:]] = np.diff(t[valid]) != 0
+    if valid.sum() < MIN_SAMPLES:
+        raise FreeArtError(
+            f"run '{run.name}' has {valid.sum()} rows of different times, expected {MIN_SAMPLES} or more"
+        )
+    rows, back = np.flatnonzero(valid), np.diff(t[valid]) < 0
     if back.any():
         row = rows[int(np.argmax(back)) + 1]
         raise FreeArtError(
-            f"run '{run.name}': time goes back from {t[kept][int(np.argmax(back))]:g} to {t[row]:g} in row {row + 1}, "
+            f"run '{run.name}': time goes back from {t[valid][int(np.argmax(back))]:g} to {t[row]:g} in row {row + 1}, "
             "expected increasing times. Is it a second recording? Give each its own file"
         )
-    if not kept.all():
-        notes.append(f"{run.name}: {int((~kept).sum())} rows without a new time were left out")
-    return replace(run, values={role: v[kept] for role, v in run.values.items()})
+    if not valid.all():
+        notes.append(f"{run.name}: {int((~valid).sum())} rows without a new time were left out")
+    return replace(run, values={role: v[valid] for role, v in run.values.items()})
 
 
 def _sort_rows(run: RawRun, notes: list[str]) -> RawRun:

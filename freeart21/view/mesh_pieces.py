@@ -46,8 +46,8 @@ def read_pieces(file: Path, root: Path) -> list[Piece]:
     except Exception as error:  # hostile bytes reach parsers of many formats
         if isinstance(error, FreeArtError) and str(error).startswith(str(file)):
             raise
-        said = " ".join(str(error).split()) or type(error).__name__
-        raise FreeArtError(f"{file} is not a readable {ending} file: {said[:200]}") from error
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise FreeArtError(f"{file} is not a readable {ending} file: {reason[:200]}") from error
     if not any(len(piece.mesh.faces) for piece in pieces):
         raise FreeArtError(f"{file} is not a readable {ending} file: it has no faces")
     return pieces

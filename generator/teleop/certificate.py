@@ -136,8 +136,8 @@ def _interface_addresses() -> list[str]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         for _, name in socket.if_nameindex():
             with contextlib.suppress(OSError):  # it has none
-                asked = name.encode()[:15].ljust(256, b"\0")
-                reply = fcntl.ioctl(any_socket.fileno(), 0x8915, asked)  # SIOCGIFADDR
+                request = name.encode()[:15].ljust(256, b"\0")
+                reply = fcntl.ioctl(any_socket.fileno(), 0x8915, request)  # SIOCGIFADDR
                 found.append(socket.inet_ntoa(reply[20:24]))
     return found
 

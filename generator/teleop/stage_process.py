@@ -63,9 +63,9 @@ def main() -> None:
         return
     _send(answers, 0, 0.0, b"")
     for line in questions:
-        begun = time.perf_counter()
+        start = time.perf_counter()
         jpeg = stage.draw(json.loads(line))
-        _send(answers, len(jpeg), time.perf_counter() - begun, jpeg)
+        _send(answers, len(jpeg), time.perf_counter() - start, jpeg)
 
 
 class Stage:
