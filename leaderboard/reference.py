@@ -29,6 +29,7 @@ from freeart21.truth import Truth
 
 Kind = Literal["truth", "static", "random"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
+_CODE = "reference row made from the truth"
 
 
 def write_reference(kind: Kind, data: Path, out: Path, seed: int = 0, sequences: Sequence[str] | None = None) -> None:
@@ -45,14 +46,24 @@ def write_reference(kind: Kind, data: Path, out: Path, seed: int = 0, sequences:
     benchmark = read_benchmark(data)
     settings = {"kind": kind, **({"seed": seed} if kind == "random" else {})}
     with atomic.new_folder(Path(out)) as staging:
-        code = f"freeart21 {freeart21.__version__}, reference row made from the truth"
+        code = f"freeart21 {freeart21.__version__}, {_CODE}"
         write_method(staging, Method(Path(out).resolve().name, code, settings))
         for name in benchmark.select_sequences(sequences):
             truth = read_truth(benchmark.truth(name))
             rng = np.random.default_rng([seed, *name.encode()])
             answer = {"truth": truth_answer, "static": static_answer, "random": random_answer}[kind](truth, rng)
             views = range(len(read_sequence(benchmark.sequence(name)).queries)) if kind == "truth" else ()
-            write_result(staging / name, answer, settings, [truth.query_rgb(i) for i in views] or None)
+            write_result(staging / name, answer, settings, [_on_white(truth, i) for i in views] or None)
+
+
+def _on_white(truth: Truth, query: int) -> NDArray[np.uint8]:
+    """(height, width, 3) a held-out view of the truth, white around the object."""
+    return np.where(truth.query_mask(query)[..., None], truth.query_rgb(query), np.uint8(255)).astype(np.uint8)
+
+
+def is_reference(method: Method) -> bool:
+    """Whether its answers are made from the truth: it has points, and no place among methods."""
+    return method.code.endswith(_CODE)
 
 
 def truth_answer(truth: Truth, rng: np.random.Generator | None = None) -> Reconstruction:

@@ -20,7 +20,7 @@ from freeart21.view.plots import display_unit
 ARROWS = {"up": ("↑", "larger is better"), "down": ("↓", "smaller is better")}
 NONE = "\N{EN DASH}"
 """Shown where a number is missing."""
-_DIGITS = {"deg": 2, "%": 2, "cm": 2, "dB": 1, "fraction": 3, "m": 4, "rad": 3, "1": 3, "dm²": 4}
+_DIGITS = {"deg": 2, "%": 2, "cm": 2, "dB": 1, "fraction": 3, "m": 4, "rad": 3, "1": 3, "dm²": 4, "points": 1}
 _SIGNS = {"deg": "°", "%": " %", "dB": " dB", "cm": " cm", "m": " m", "rad": " rad"}
 _WORDS = re.compile(r"[^\W\d_]{4,}")
 """A word of four letters or more: a cell with one is text, not numbers with their units."""

@@ -166,14 +166,27 @@ def _distances(
 
     The distance to the whole is the smaller of the distances to its two parts, each computed in that part's frame.
     """
-    own, whole = [], []
+    (first, first_whole), (second, second_whole) = part_distances(points, poses, targets, target_poses, counts)
+    return first, second, np.concatenate([first_whole, second_whole])
+
+
+def part_distances(
+    points: Sequence[Array],
+    poses: Pair,
+    targets: tuple[Surface, Surface],
+    target_poses: Pair,
+    counts: tuple[int | None, int | None] = (None, None),
+) -> list[Pair]:
+    """For each part, distances, metres, from its points to the same part of the target, and from the first `counts` of
+    them, or all, to the nearest part."""
+    found = []
     for part in (0, 1):
         here = se3.inverse(target_poses[part]) @ poses[part]
         there = se3.inverse(target_poses[1 - part]) @ poses[part]
-        own.append(targets[part].distance(se3.transform(here, points[part])))
+        own = targets[part].distance(se3.transform(here, points[part]))
         some = slice(counts[part])
-        whole.append(targets[1 - part].distance(se3.transform(there, points[part][some]), own[part][some]))
-    return own[0], own[1], np.concatenate(whole)
+        found.append((own, targets[1 - part].distance(se3.transform(there, points[part][some]), own[some])))
+    return found
 
 
 def picture_values(truth: Truth, renders: Sequence[Render]) -> dict[str, float | None]:

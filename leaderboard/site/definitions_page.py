@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 from freeart21.view.document import Section, escape
-from freeart21.view.tables import ARROWS
-from leaderboard.protocols import Metric, Protocol, protocol_named
+from freeart21.view.tables import ARROWS, number_text, row_head, table
+from leaderboard.points import FIRST, HALF, HALF_IN_UNITS, PARTS, TRACKS
+from leaderboard.protocols import PROTOCOLS, Metric, Protocol, protocol_named
 from leaderboard.site.html import Board, metric_name, page, penalty_sentence, sentence, unit_text
 
 PENALTY = (
     "A sequence that cannot be measured counts with a fixed penalty in every mean, so that no method gains by leaving "
     "out difficult sequences: a declared failure, a missing or unreadable result, an asset that does not load. With a "
     "wrong joint type, the numbers that then do not exist (axis, position, state) count with their penalty. A number "
-    "that a method states it never makes is shown as a dash, without a penalty; such a method has no mean rank."
+    "that a method states it never makes is shown as a dash, without a penalty; such a method has a place in the "
+    "tracks whose numbers it has."
+)
+POINTS = (
+    "A number earns 1 / (1 + error / half) points: all where nothing is wrong, half of them at the error below. A "
+    "track is the mean over its numbers, times 100; a sequence that failed earns 0. Rows made from the truth have "
+    "points and no place. Scales are fixed: no method changes the points or the order of two others."
 )
 
 
@@ -23,9 +30,22 @@ def definitions_page(board: Board) -> bytes:
     )
     sections = [
         Section("Penalties", f"<p class=text>{PENALTY}</p>", place="full", id="penalty"),
+        Section("Points", f"<p class=text>{POINTS}</p>{_points_table()}", place="full", id="points"),
         *(_protocol_section(protocol_named(name)) for name in board.protocols),
     ]
     return page(board, "Definitions", sections, here="definitions.html", lead=lead)
+
+
+def _points_table() -> str:
+    """The error that earns half the points, by metric."""
+    of = {metric.id: metric for name in sorted(PROTOCOLS) for metric in PROTOCOLS[name].metrics}
+    rows = []
+    for track, groups in TRACKS.items():
+        for id in (i for group in groups for i in group if i in of and (track != FIRST or group is PARTS)):
+            unit = of[id].unit("all") or "deg or %"
+            half = number_text(HALF_IN_UNITS.get(id, HALF[id]), unit, True)
+            rows.append([row_head(escape(metric_name(of[id]))), "parts" if track == FIRST else track, half])
+    return table(rows, ["number", "track", "half the points at"], "points", "points")
 
 
 def _protocol_section(rules: Protocol) -> Section:

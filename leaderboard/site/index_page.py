@@ -9,8 +9,20 @@ from typing import Any
 import numpy as np
 
 from freeart21.view.document import Section, escape
-from freeart21.view.tables import NONE, Markup, column_head, number_cell, number_text, row_head, table, value_cell
+from freeart21.view.tables import (
+    ARROWS,
+    NONE,
+    Markup,
+    column_head,
+    number_cell,
+    number_text,
+    row_head,
+    table,
+    value_cell,
+)
+from leaderboard.points import FIRST, TRACK_TEXTS, TRACKS, Standing, row_points, standings
 from leaderboard.protocols import Group, Metric, Protocol, protocol_named
+from leaderboard.reference import is_reference
 from leaderboard.site.entrant import Entrant
 from leaderboard.site.html import (
     TABLES_ONLY,
@@ -23,12 +35,11 @@ from leaderboard.site.html import (
     metric_head,
     metric_name,
     page,
+    sentence,
     sequence_link,
 )
 from leaderboard.site.published_tables import published_section
 
-RANKING = "strict-2"
-"""The protocol of the ranking; tables by other protocols do not rank."""
 HIDDEN = (
     "The ground truth is hidden: shown are scores and the methods' results as they are. Joint states appear in means "
     "only, because the penalty of a failure is the true range of motion."
@@ -45,12 +56,18 @@ class Place:
     """One line of a ranking."""
 
     entrant: Entrant
-    rank: float | None
-    """Mean of its places over all columns; None when it lacks a number."""
+    standings: dict[str, Standing]
+    """By track (`leaderboard.points`), without those of which it lacks a number."""
     cells: tuple[Cell | None, ...]
     """Of every column; None where it has no number."""
     measured: int
     sequences: int
+
+    @property
+    def text(self) -> str:
+        """Its place in the first track; a dash where it has none."""
+        whole = self.standings.get(FIRST)
+        return NONE if whole is None else "ref." if whole.place is None else str(whole.place)
 
 
 def index_page(board: Board) -> bytes:
@@ -85,44 +102,51 @@ def _ranking_section(board: Board, protocol: str) -> Section:
         column_head("#", sortable=True),
         column_head("method", sortable=True),
         column_head("measured", number=True, sortable=True),
+        *(column_head(_track_head(track), number=True, sortable=True) for track in TRACKS),
         *(column_head(title, number=True, sortable=True) for title in titles),
     ]
     best = _best(places, heads)
-    rows = [_line(place, k, heads, titles, best) for k, place in enumerate(places)]
+    rows = [_line(place, heads, titles, best) for place in places]
     intro = (
-        '<p class="note">Mean ± standard deviation over all sequences, failures with their penalty. Ordered by mean '
-        "rank: a method's place in each column, averaged over all columns; only methods with every number have one. "
-        f'Sort by the number that matters to you. <a href="definitions.html#{protocol}">Definitions</a>.</p>'
+        '<p class="note">Mean ± standard deviation over all sequences, failures with their penalty. Ordered by points: '
+        "each number earns points on a fixed scale, in tracks for joint, geometry, views and the whole, whoever else "
+        "takes part. A place is 1 plus the number of methods that are better beyond doubt (paired intervals over "
+        "sequences; fewer than six tell nobody apart), so methods with one place are tied. "
+        f'<a href="definitions.html#points">Points</a>, <a href="definitions.html#{protocol}">numbers</a>.</p>'
     )
     explain = '<p class="explain" aria-live="polite">Point at, focus or tap a column to read what it means.</p>'
     html = (
         f'<div class="filters"></div>{intro}{table(rows, head, "ranking", "ranking")}{explain}'
         f"<h3>Every sequence</h3>{_sequences(board, rules)}"
     )
-    ranks = getattr(rules, "ranking", protocol == RANKING)
-    title = f"Ranking by {protocol}" if ranks else f"By {protocol}: another protocol, not the ranking"
+    title = f"Ranking by {protocol}" if rules.ranking else f"By {protocol}: another protocol, not the ranking"
     return Section(title, html, "ranking", _data(board, rules), "full", id=f"protocol-{protocol}")
 
 
 def ranked(protocol: str, entrants: Sequence[Entrant]) -> list[Place]:
-    """All methods by their mean rank; those that lack a number after the others, in the order given."""
-    heads = columns(protocol_named(protocol))
-    cells = [tuple(_cell(entrant, protocol, m, g) for m, g in heads) for entrant in entrants]
-    ranks = np.full((len(entrants), len(heads)), np.nan)
-    for k, (metric, _) in enumerate(heads):
-        values = np.array([np.nan if row[k] is None else row[k][0] for row in cells])  # type: ignore[index]
-        if metric.direction == "up":
-            values = -values
-        for i, value in enumerate(values):
-            if np.isfinite(value):
-                ranks[i, k] = 1 + (values < value).sum() + 0.5 * ((values == value).sum() - 1)
-    used = [k for k in range(len(heads)) if any(row[k] is not None for row in cells)]
+    """All methods by their points on the whole; those that lack a number of it after the others, by their other points.
+
+    The order of two methods depends on these two alone.
+    """
+    rules, heads = protocol_named(protocol), columns(protocol_named(protocol))
+    references = frozenset(e.name for e in entrants if is_reference(e.method))
+    tables = {entrant.name: entrant.whole[protocol] for entrant in entrants}
+    found = {track: standings(tables, track, rules, references) for track in TRACKS}
     places = []
-    for entrant, given, own in zip(entrants, cells, ranks[:, used], strict=True):
+    for entrant in entrants:
+        own = {track: of[entrant.name] for track, of in found.items() if entrant.name in of}
+        cells = tuple(_cell(entrant, protocol, metric, group) for metric, group in heads)
         rows = entrant.scores[protocol].rows
-        rank = float(own.mean()) if len(own) and np.isfinite(own).all() else None
-        places.append(Place(entrant, rank, given, sum(row.status == "ok" for row in rows), len(rows)))
-    return sorted(places, key=lambda place: (place.rank is None, place.rank or 0.0))
+        places.append(Place(entrant, own, cells, sum(row.status == "ok" for row in rows), len(rows)))
+
+    def points(place: Place) -> tuple[float, ...]:
+        return tuple(-place.standings[track].points if track in place.standings else 1.0 for track in TRACKS)
+
+    return sorted(places, key=points)
+
+
+def _track_head(track: str) -> str:
+    return f"{track} <small>points {ARROWS['up'][0]}</small>"
 
 
 def hidden_metrics(entrant: Entrant, rules: Protocol) -> tuple[str, ...]:
@@ -148,7 +172,6 @@ def _best(places: Sequence[Place], heads: Sequence[tuple[Metric, Any]]) -> list[
 
 def _line(
     place: Place,
-    k: int,
     heads: Sequence[tuple[Metric, Group]],
     titles: Sequence[str],
     best: Sequence[float | None],
@@ -161,11 +184,18 @@ def _line(
         text = number_text(None if cell is None else cell[0], unit)
         html = f'<button type="button" class="what">{title}</button><span>{text}</span><small>{std}</small>'
         cells.append(value_cell(html, None, True, "number" + " best" * (cell is not None and cell[0] == top)))
+    points = []
+    for track in TRACKS:
+        own = place.standings.get(track)
+        text = number_text(None if own is None else own.points, "points")
+        html = f'<button type="button" class="what">{_track_head(track)}</button><span>{text}</span><small></small>'
+        points.append(value_cell(html, None, True, "number"))
     measured = f'<b class="what">measured</b><span>{place.measured} of {place.sequences}</span>'
     return [
-        value_cell(str(k + 1) if place.rank is not None else NONE, css="place"),
+        value_cell(place.text, css="place"),
         row_head(method_link(place.entrant, False)),
         value_cell(measured, None, True, "number measured"),
+        *points,
         *cells,
     ]
 
@@ -197,12 +227,21 @@ def _data(board: Board, rules: Protocol) -> dict[str, Any]:
     metrics = [m for m in rules.metrics if any(e.row(rules.name, s.name) for e in entrants for s in shown)]
     at = {metric.id: k for k, metric in enumerate(metrics)}
     methods = []
+    of = {place.entrant.name: place for place in ranked(rules.name, entrants)}
+    hidden = any(hidden_metrics(e, rules) for e in entrants)
     for entrant in entrants:
+        place, whole = of[entrant.name], {row.sequence: row for row in entrant.whole[rules.name].rows}
         rows = [entrant.row(rules.name, s.name) for s in shown]
         methods.append(
             {
                 "name": entrant.name,
                 "href": f"methods/{entrant.file}.html",
+                "place": place.text,
+                "points": {
+                    track: [_short(row_points(whole[s.name], track, rules)) if s.name in whole else None for s in shown]
+                    for track in place.standings
+                    if not hidden
+                },
                 "status": [row.status if row else "missing" for row in rows],
                 "values": [[_short(row.values.get(metric.id)) if row else None for metric in metrics] for row in rows],
             }
@@ -210,6 +249,23 @@ def _data(board: Board, rules: Protocol) -> dict[str, Any]:
     return {
         "protocol": rules.name,
         "columns": [
+            {
+                "track": track,
+                "label": f"points, {track}",
+                "explain": f"{sentence(TRACK_TEXTS[track])} 0 to 100, larger is better; a failure counts as 0.",
+                "group": "all",
+                "unit": "points",
+                "up": True,
+                "cells": [
+                    (place.standings[track].points, None) if track in place.standings else None
+                    for place in (of[entrant.name] for entrant in entrants)
+                ]
+                if hidden
+                else None,
+            }
+            for track in TRACKS
+        ]
+        + [
             {
                 "metric": at[m.id],
                 "group": g,

@@ -5,7 +5,7 @@
 FreeArt.numberText = (value, unit, withUnit = false) => {
   if (value === null || value === undefined || unit === null) return "–";
   const size = Math.abs(value), small = size < 10 || unit === "dB" || unit === "fraction";
-  const digits = small ? { deg: 2, "%": 2, cm: 2, dB: 1, fraction: 3, m: 4, rad: 3, 1: 3, "dm²": 4 }[unit] ?? 2 : size < 99.95 ? 1 : 0;
+  const digits = small ? { deg: 2, "%": 2, cm: 2, dB: 1, fraction: 3, m: 4, rad: 3, 1: 3, "dm²": 4, points: 1 }[unit] ?? 2 : size < 99.95 ? 1 : 0;
   return value.toFixed(digits) + (withUnit ? { deg: "°", "%": " %", dB: " dB", cm: " cm", m: " m", rad: " rad" }[unit] ?? "" : "");
 };
 
@@ -28,7 +28,7 @@ FreeArt.kinds.ranking = (section, data) => {
       return cell && { mean: cell[0], std: cell[1] };
     }
     const values = data.sequences.flatMap((s, i) => {
-      const value = method.values[i][column.metric];
+      const value = column.track ? (method.points[column.track]?.[i] ?? null) : method.values[i][column.metric];
       return keep[i] && value !== null && (column.group === "all" || column.group === s.type) ? [value] : [];
     });
     if (!values.length) return null;
@@ -40,15 +40,8 @@ FreeArt.kinds.ranking = (section, data) => {
       cells: data.columns.map((column) => statistics(method, column, keep, order)),
       measured: keep.filter((on, i) => on && method.status[i] === "ok").length }));
     const means = data.columns.map((_, k) => rows.flatMap((row) => (row.cells[k] ? [row.cells[k].mean] : [])));
-    for (const row of rows) {
-      const places = data.columns.flatMap((column, k) => {
-        if (!means[k].length) return [];
-        const own = row.cells[k]?.mean, better = means[k].filter((other) => (column.up ? other > own : other < own)).length;
-        return [own === undefined ? NaN : 1 + better + 0.5 * (means[k].filter((other) => other === own).length - 1)];
-      });
-      const rank = places.length ? mean(places) : NaN;
-      row.rank = Number.isNaN(rank) ? null : rank;
-    }
+    const tracks = data.columns.filter(({ track }) => track).length;
+    for (const row of rows) row.rank = row.cells.slice(0, tracks).map((cell) => (cell ? -cell.mean : 1));
     return { rows, means, best: data.columns.map((column, k) => bestOf(means[k], column.up)) };
   };
 
@@ -56,8 +49,10 @@ FreeArt.kinds.ranking = (section, data) => {
     const keep = kept(), { rows, means, best } = summarise(keep);
     const key = (row) => (state.sort in row ? row[state.sort] : row.cells[state.sort]?.mean ?? null);
     const compare = (x, y) => (x === null || y === null ? (x === null) - (y === null) : (x < y ? -1 : x > y ? 1 : 0));
-    const ranked = [...rows].sort((a, b) => compare(a.rank, b.rank) || a.order - b.order);
-    const sorted = [...ranked].sort((a, b) => compare(key(a), key(b)) * (state.down && key(a) !== null && key(b) !== null ? -1 : 1));
+    const byPoints = (a, b) => a.rank.map((x, k) => x - b.rank[k]).find((d) => d) ?? a.order - b.order;
+    const ranked = [...rows].sort(byPoints), all = keep.every(Boolean);
+    const sorted = state.sort === "rank" ? (state.down ? [...ranked].reverse() : ranked)
+      : [...ranked].sort((a, b) => compare(key(a), key(b)) * (state.down && key(a) !== null && key(b) !== null ? -1 : 1));
     heads.forEach((head, i) => {
       if (state.sort === keys[i]) head.setAttribute("aria-sort", state.down ? "descending" : "ascending");
       else head.removeAttribute("aria-sort");
@@ -65,14 +60,14 @@ FreeArt.kinds.ranking = (section, data) => {
     });
     for (const row of rows) {
       const [place, , measured, ...cells] = lines[row.order].cells;
-      place.textContent = row.rank === null ? "–" : String(ranked.indexOf(row) + 1);
+      place.textContent = all ? data.methods[row.order].place : "–";
       measured.lastElementChild.textContent = `${row.measured} of ${keep.filter(Boolean).length}`;
       cells.forEach((td, k) => {
         const cell = row.cells[k], { unit } = data.columns[k];
         td.hidden = !means[k].length;
         td.classList.toggle("best", cell !== null && cell.mean === best[k]);
         td.querySelector("span").textContent = FreeArt.numberText(cell?.mean, unit);
-        td.querySelector(":scope > small").textContent = cell && cell.std !== null ? `± ${FreeArt.numberText(cell.std, unit)}` : "";
+        td.querySelector(":scope > small").textContent = cell && cell.std !== null && !data.columns[k].track ? `± ${FreeArt.numberText(cell.std, unit)}` : "";
       });
     }
     body.append(...sorted.map((row) => lines[row.order]));
@@ -81,14 +76,14 @@ FreeArt.kinds.ranking = (section, data) => {
 
   /* What a column means: on pointing, on focus, on a tap. */
   const fixed = {
-    rank: "Place by mean rank: a method's place in each column, averaged over all columns. Only methods with every number have one.",
+    rank: "Place on the whole: 1 plus the number of methods that are better beyond doubt (paired intervals over all sequences). Methods with one place are tied.",
     name: "The method's name; its page has settings, code and machine.",
     measured: "Sequences that could be measured; the others failed, were missing or could not be read, and count with their penalty in every mean.",
   };
   const tell = (column) => {
-    const metric = data.metrics[data.columns[column]?.metric];
+    const metric = data.columns[column]?.track ? data.columns[column] : data.metrics[data.columns[column]?.metric];
     explain.replaceChildren(...(metric
-      ? [element("b", {}, metric.label), " ", metric.explain, " ", element("a", { href: `definitions.html#${data.protocol}.${metric.id}` }, "More")]
+      ? [element("b", {}, metric.label), " ", metric.explain, " ", element("a", { href: `definitions.html#${metric.track ? "points" : `${data.protocol}.${metric.id}`}` }, "More")]
       : [fixed[column] ?? ""]));
     explain.classList.add("given");
   };
@@ -112,7 +107,7 @@ FreeArt.kinds.ranking = (section, data) => {
       ...options.map(([value, text]) => element("option", { value }, text)));
     return node;
   };
-  const names = ["mean rank", "method", "measured", ...heads.slice(3).map((head) => head.textContent)];
+  const names = ["place", "method", "measured", ...heads.slice(3).map((head) => head.textContent)];
   const select = chooser("sort by", keys.map((value, i) => [value, names[i]]), (value) => {
     state.sort = null;
     sortBy(value);
