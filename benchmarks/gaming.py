@@ -393,8 +393,8 @@ CHEATS: dict[str, tuple[Callable[[Answer], Answer], str]] = {
 """Name to the cheat and the track that it aims at."""
 
 
-NOTHING = 0.01
-"""Points: a cheat that gains less gains nothing (needles without an area change no more than the samples do)."""
+NOTHING = 0.1
+"""Points: a cheat that gains less gains nothing: other samples of one surface change as much."""
 
 
 def score(answer: Answer, rules: Protocol, track: str) -> float:

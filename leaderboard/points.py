@@ -38,13 +38,12 @@ HALF = {
     "ssim": 0.05,
     "view_iou": 0.05,
 }
-"""Metric to the error that gives half a point, in its unit: deg, % of the diagonal, 1 - fraction, ratio - 1, root mean
+"""Metric to the error that gives half a point, in its unit: deg, % of the diagonal, 1 - fraction, 1, root mean
 square of a picture in whites (30 dB). They are of the size that FreeArtGS reports as means (table 1: axis 1.0 to 1.9
 deg, states 1.4 deg, mIoU .91, 24 dB inside the mask), so that today's methods lie in the middle of the scale."""
 HALF_IN_UNITS = {
     "psnr": 30.0,
     **{id: 1 - HALF[id] for id in ("joint_type", "miou", "silhouette", "ssim", "view_iou")},
-    "area": 2.0,
 }
 """The same as values of the metric, where these are not errors."""
 JOINT = ("joint_type", "axis", "position", "state")
@@ -87,8 +86,6 @@ def metric_points(metric: Metric, value: float) -> float:
         error = 10 ** (-value / 20)
     elif unit == "fraction":
         error = 1 - value
-    elif unit == "1":
-        error = value - 1
     return float(1 / (1 + max(error, 0.0) / HALF[metric.id]))
 
 
