@@ -191,7 +191,7 @@ def straddling(a: Answer) -> Answer:
 
 
 def slivers(a: Answer) -> Answer:
-    """20,000 needles through the surface of each part, beside it."""
+    """20,000 needles through the surface of each part, added to it."""
 
     def change(mesh: Mesh) -> Mesh:
         ends = _sample(mesh, 20_000, a.rng)
@@ -203,7 +203,7 @@ def slivers(a: Answer) -> Answer:
 
 
 def mist(a: Answer) -> Answer:
-    """20,000 specks of a micrometre within 1 % about the surface, beside it."""
+    """20,000 specks of a micrometre within 1 % about the surface, added to it."""
 
     def change(mesh: Mesh) -> Mesh:
         specks = _specks(mesh, 20_000, 1e-6, a.rng)
@@ -243,7 +243,7 @@ def displaced(a: Answer) -> Answer:
 
 
 def curtain(a: Answer) -> Answer:
-    """A plane of ten object sizes through the object's middle, beside the surface."""
+    """A plane of ten object sizes through the object's middle, added to the surface."""
 
     def change(mesh: Mesh) -> Mesh:
         size, centre = 5 * a.truth.diagonal, mesh.vertices.mean(0)

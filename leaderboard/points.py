@@ -74,7 +74,7 @@ class Standing:
     points: float
     """0 to 100: the mean over its sequences."""
     place: int | None
-    """1 plus the number of methods that are better beyond doubt; those with one place cannot be told apart. None for
+    """1 plus the number of methods that are better beyond doubt; those with one place are tied. None for
     reference rows."""
 
 

@@ -57,7 +57,7 @@ class Place:
 
     entrant: Entrant
     standings: dict[str, Standing]
-    """By track (`leaderboard.points`), without those of which it lacks a number."""
+    """By track (`leaderboard.points`), without tracks whose numbers it lacks."""
     cells: tuple[Cell | None, ...]
     """Of every column; None where it has no number."""
     measured: int
