@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -88,9 +89,24 @@ def index_page(board: Board) -> bytes:
     )
     lead += f'<p class="note">{HIDDEN}</p>' * bool(benchmark.get("hidden"))
     lead += f'<p class="note">{TABLES_ONLY}</p>' * (not frames)
+    lead += "".join(f'<p class="note">{escape(text)}</p>' for text in describe_copies(board.entrants))
     lead += '<div class="protocols" data-protocols></div>' * (len(board.protocols) > 1)
     sections = [*(_ranking_section(board, name) for name in board.protocols), published_section()]
     return page(board, board.title, sections, here="index.html", lead=lead)
+
+
+def describe_copies(methods: Sequence[Entrant]) -> list[str]:
+    """A sentence for each pair of methods that hold the same files for some sequences."""
+    of = [
+        {row.sequence: row.result_sha256 for row in next(iter(e.scores.values())).rows if row.status == "ok"}
+        for e in methods
+    ]
+    found = []
+    for (one, own), (other, its) in combinations(zip(methods, of, strict=True), 2):
+        same = sum(digest is not None and its.get(name) == digest for name, digest in own.items())
+        if same:
+            found.append(f"{one.name} and {other.name} hold the same files for {same} of {len(own)} sequences.")
+    return found
 
 
 def _ranking_section(board: Board, protocol: str) -> Section:
