@@ -819,6 +819,30 @@ def convert(
                 print(f"{done.name}: {note}", file=sys.stderr)
 
 
+def look(sequence: Annotated[Path, Positional], out: Path | None = None) -> int:
+    """Look at a video before it is solved: mask, depth, noise, motion, each with a grade and what to do.
+
+    Nothing is solved. The exit code is 3 when something is bad: the video will hardly be solved.
+
+    Args:
+        sequence: A sequence folder (with sequence.json), such as `convert` makes.
+        out: The page with a contact sheet; NAME-look.html in the working folder when not given.
+    """
+    from freeart21.files.places import PAGE, check_place
+    from freeart21.view.look_page import write_look_page
+    from reconstruct.look import look_at, read_for_look
+
+    page = out or Path(f"{sequence.resolve().name}-look.html")
+    check_place(page, PAGE, [sequence])
+    found = look_at(read_for_look(sequence))
+    for finding in found.findings:
+        print(f"{finding.grade:5} {finding.what}: {finding.value}{f'; {finding.advice}' if finding.advice else ''}")
+    rows = [(f.what, f.value, f.grade, f.advice) for f in found.findings]
+    write_look_page(rows, found.sheet, page, sequence.resolve().name)
+    print(page)
+    return DOUBTFUL if found.grade == "bad" else 0
+
+
 def known_commands() -> dict[str, Callable[..., Any]]:
     """Command name to function, in the order of the help text."""
     commands = (
@@ -829,6 +853,7 @@ def known_commands() -> dict[str, Callable[..., Any]]:
         teleop,
         verify,
         convert,
+        look,
         reconstruct,
         export,
         joint_asset,
