@@ -105,7 +105,7 @@ def carve_overlap(parts: Articulation, low: float, high: float, tolerance: float
             rest = _subtract_copies(solids[name], tool, joint, low, high, smooth)
         else:
             rest = solids[name] - swept
-        return _drop_small_pieces(rest.as_original().simplify(smooth))
+        return drop_small_pieces(rest.as_original().simplify(smooth))
 
     coarse_rest = {name: subtract(name, COARSE_DOUBLINGS) for name in PARTS}
     for name in sorted(PARTS, key=lambda name: solids[name].volume() - coarse_rest[name].volume()):
@@ -137,7 +137,7 @@ def _to_mesh(solid: Manifold) -> Mesh:
     return Mesh(np.asarray(found.vert_properties)[:, :3], np.asarray(found.tri_verts).astype(np.int64))
 
 
-def _drop_small_pieces(solid: Manifold) -> Manifold:
+def drop_small_pieces(solid: Manifold) -> Manifold:
     """The solid without loose pieces of less than `MIN_PIECE` of it: films between copies. Hollows stay."""
     found = [(piece, piece.volume()) for piece in solid.decompose()]  # a hollow is a piece of negative volume
     small = [piece for piece, volume in found if 0 <= volume < MIN_PIECE * solid.volume()]

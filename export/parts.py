@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from export.atlas import Texture
+from export.free_space import find_free_space
+from export.hollows import Panels, find_panels
 from export.meshes import MeshSettings, is_inside_out, vertex_normals
-from export.surface import Surface, close_surface
-from export.texture import texture_from_vertices, textures_from_video
+from export.surface import Surface, close_surface, subtract_cavities
+from export.texture import check_recording, texture_from_vertices, textures_from_video
 from freeart21 import se3
 from freeart21.articulation import PARTS
 from freeart21.errors import FreeArtError
@@ -25,6 +27,8 @@ _SWEEP_DEPTH = 200.0
 """Three layers of points, each this fraction (1/N) of the part's diagonal below the previous one."""
 _SWEEP_POINTS = 10_000
 """Most points of the other part's surface per state and layer."""
+_SMOOTH_VOXELS = 0.2
+"""Voxels by which a cavity's walls may move to save triangles: 0.6 mm in a drawer unit."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,8 @@ class Part:
     """'video' or 'vertex colours'; None without a texture."""
     faces_before: int
     """Triangles of the reconstructed mesh."""
+    panels: dict[str, Any]
+    """What was found of panels and hollow cores (`export.hollows`), in lengths of the video."""
 
     def to_json(self, scale: float) -> dict[str, Any]:
         """The part's entry in asset.json; lengths times `scale`."""
@@ -51,8 +57,10 @@ class Part:
             "patch": {
                 "first_face": surface.patch_first,
                 "faces": surface.patch_count,
+                "panel_faces": surface.panel_count,
                 "area_fraction": surface.patch_share,
             },
+            "panels": self.panels,
             "texture": self.texture_source,
             "texel_m": None if self.texture is None else scale * self.texture.atlas.texel_m,
         }
@@ -70,12 +78,21 @@ def close_parts(
     for name in PARTS:
         if whole.part(name).empty:
             raise FreeArtError(f"{name} part of joint '{whole.joint.name}' is an empty mesh: nothing to export")
-    surfaces = []
+    if recording is not None:
+        check_recording(reconstruction, recording)
+    surfaces, panels = [], []
     for name in PARTS:
         try:
-            surfaces.append(close_surface(whole.part(name), settings, _sweep_other_part(reconstruction, name)))
+            closed = close_surface(whole.part(name), settings, _sweep_other_part(reconstruction, name))
         except FreeArtError as error:
             raise FreeArtError(f"{name} part: {error}") from error
+        found = Panels()
+        if closed.patch_count and closed.is_solid:
+            space = find_free_space(reconstruction, name, recording)
+            found = find_panels(closed.mesh, closed.observed, space)
+            closed = subtract_cavities(closed, found.cavities, _SMOOTH_VOXELS * space.voxel, settings)
+        surfaces.append(closed)
+        panels.append(found.report)
     meshes = (surfaces[0].mesh, surfaces[1].mesh)
     if recording is not None:
         textures: tuple[Texture | None, ...] = textures_from_video(reconstruction, meshes, recording)
@@ -85,8 +102,8 @@ def close_parts(
         )
     origin = "vertex colours" if recording is None else "video"
     parts = {
-        name: Part(surface, texture, None if texture is None else origin, len(whole.part(name).faces))
-        for name, surface, texture in zip(PARTS, surfaces, textures, strict=True)
+        name: Part(surface, texture, None if texture is None else origin, len(whole.part(name).faces), report)
+        for name, surface, texture, report in zip(PARTS, surfaces, textures, panels, strict=True)
     }
     articulation = replace(whole, reference=meshes[0], moving=meshes[1])
     return replace(reconstruction, articulation=articulation), parts

@@ -13,6 +13,7 @@ decimated at last.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import fast_simplification
@@ -25,6 +26,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components, maximum_flow
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
+from export.carving import drop_small_pieces
 from export.meshes import (
     MIN_COMPONENT,
     MeshSettings,
@@ -33,6 +35,7 @@ from export.meshes import (
     is_inside_out,
     merge_duplicates,
 )
+from export.winding_number import Winding
 from freeart21.errors import FreeArtError
 from freeart21.mesh import Mesh, bounding_diagonal, triangle_normals
 
@@ -89,6 +92,9 @@ class Surface:
     """Whether the input's triangles faced inwards and were flipped."""
     layers: float = 1.0
     """Area of the input over the area of the mesh."""
+    panel_count: int = 0
+    """Triangles at the end of the patch that are the unseen backs of panels (`export.hollows`); the others close the
+    part by the smallest area."""
 
     @property
     def is_solid(self) -> bool:
@@ -151,6 +157,35 @@ def close_surface(part: Mesh, settings: MeshSettings, elsewhere: NDArray[np.floa
     faces = faces[np.argsort(~observed, kind="stable")]
     mesh = _transfer_colours(Mesh(vertices, faces), part)
     return Surface(mesh, int(observed.sum()), wrong_way, float(given.areas().sum() / mesh.areas().sum()))
+
+
+def subtract_cavities(surface: Surface, cavities: Sequence[Mesh], tolerance: float, settings: MeshSettings) -> Surface:
+    """A closed surface without `cavities`, closed meshes that face outwards; their walls become panels of the patch.
+
+    Loose pieces of less than `MIN_COMPONENT` of the rest go. The cavities' walls move by `tolerance`, m, at most, where
+    that saves triangles.
+    """
+    solid, tools = _make_solid(surface.mesh.vertices, surface.mesh.faces), []
+    for cavity in cavities:
+        tool = _make_solid(cavity.vertices, cavity.faces)
+        if tool is not None:
+            tools.append(tool.simplify(tolerance))
+    if solid is None or not tools:
+        return surface
+    walls = manifold3d.Manifold.batch_boolean(tools, manifold3d.OpType.Add)
+    rest = drop_small_pieces((solid - walls).as_original())
+    if not rest.volume() > 0:
+        return surface
+    rest = _simplify(rest, tolerance, settings.max_faces)
+    vertices, faces = _to_arrays(rest)
+    vertices = _separate_vertices(vertices, faces)
+    seen = surface.mesh.with_faces(surface.observed)
+    observed = _find_observed(vertices, faces, Mesh(seen.vertices, seen.faces), 2 * tolerance)
+    wall = Mesh(*_to_arrays(walls))
+    panel = ~observed & (Winding(wall).distance(vertices[faces].mean(1)) < 2 * tolerance)
+    faces = faces[np.argsort(np.where(observed, 0, 1 + panel), kind="stable")]
+    mesh = _transfer_colours(Mesh(vertices, faces), surface.mesh)
+    return replace(surface, mesh=mesh, patch_first=int(observed.sum()), panel_count=int(panel.sum()))
 
 
 def _separate_vertices(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:

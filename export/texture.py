@@ -59,21 +59,23 @@ def texture_from_vertices(mesh: Mesh, part: Mesh) -> Texture | None:
     )
 
 
-def textures_from_video(
-    reconstruction: Reconstruction, meshes: tuple[Mesh, Mesh], recording: Recording
-) -> tuple[Texture, Texture]:
-    """Textures of both parts, whose surfaces `meshes` are in the canonical frame at state zero.
-
-    Raises FreeArtError when the recording has another length or size than the reconstruction.
-    """
-    camera, n = recording.camera, len(reconstruction)
-    size = (n, camera.height, camera.width)
-    if (len(recording), camera.height, camera.width) != reconstruction.part_masks.shape:
-        masks = reconstruction.part_masks.shape
+def check_recording(reconstruction: Reconstruction, recording: Recording) -> None:
+    """Raise FreeArtError when the recording has another length or size than the reconstruction."""
+    camera, masks = recording.camera, reconstruction.part_masks.shape
+    if (len(recording), camera.height, camera.width) != masks:
         raise FreeArtError(
             f"{recording.name} has {len(recording)} frames of {camera.width} x {camera.height}, expected {masks[0]} "
             f"frames of {masks[2]} x {masks[1]}, as the result has"
         )
+
+
+def textures_from_video(
+    reconstruction: Reconstruction, meshes: tuple[Mesh, Mesh], recording: Recording
+) -> tuple[Texture, Texture]:
+    """Textures of both parts, whose surfaces `meshes` are in the canonical frame at state zero. The recording is the
+    reconstruction's (`check_recording`)."""
+    camera = recording.camera
+    size = (len(reconstruction), camera.height, camera.width)
     poses = (reconstruction.Ts_camera_reference, reconstruction.Ts_camera_moving)
     seen = np.flatnonzero(reconstruction.seen.any(1))
     frames = seen[np.unique(np.linspace(0, len(seen) - 1, MAX_FRAMES).round().astype(int))] if len(seen) else seen

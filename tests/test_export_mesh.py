@@ -16,6 +16,7 @@ from solid_case import tray
 from export.atlas import find_texels, unwrap
 from export.exporter import ExportSettings, export_result
 from export.meshes import MeshSettings
+from export.parts import close_parts
 from export.surface import Surface, close_surface
 from export.texture import texture_from_vertices, textures_from_video
 from freeart21 import se3
@@ -254,7 +255,6 @@ def test_print_is_read_from_the_video_whatever_the_lamp_does(lamp: float):
 
 def test_a_recording_of_something_else_is_refused():
     answer, recording = filmed()
-    whole = answer.articulation
     shorter = replace(
         answer,
         states=answer.states[:5],
@@ -264,7 +264,7 @@ def test_a_recording_of_something_else_is_refused():
         seen=answer.seen[:5],
     )
     with pytest.raises(FreeArtError, match="card has 8 frames of 320 x 240, expected 5 frames"):
-        textures_from_video(shorter, (whole.reference, whole.moving), recording)
+        close_parts(shorter, recording, FEW)
 
 
 def test_an_asset_from_a_video_wears_it_and_says_so(tmp_path: Path):
@@ -274,7 +274,7 @@ def test_an_asset_from_a_video_wears_it_and_says_so(tmp_path: Path):
     asset = export_result(answer, tmp_path / "a", settings, video=tmp_path / "card")
     facts = json.loads((tmp_path / "a/asset.json").read_text())["source"]["parts"]["reference"]
     assert facts["texture"] == "video" and facts["texel_m"] == pytest.approx(0.2 / CAMERA.K[0, 0] / 2, rel=0.1)
-    assert facts["patch"] == {"first_face": facts["faces"], "faces": 0, "area_fraction": 0}
+    assert facts["patch"] == {"first_face": facts["faces"], "faces": 0, "panel_faces": 0, "area_fraction": 0}
     picture = cv2.imread(str(tmp_path / "a/meshes/reference.png"))
     assert np.ptp(picture) > 100
     loaded = trimesh.load_mesh(tmp_path / "a/meshes/reference.obj", process=False, maintain_order=True)

@@ -1,0 +1,158 @@
+"""What stands where nobody saw: parts that are hollow become hollow, parts that are solid stay so."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from export.free_space import SEEN_THROUGH, SWEPT, find_free_space
+from export.meshes import MeshSettings
+from export.parts import close_parts
+from export.planes import fit_planes
+from freeart21 import se3
+from freeart21.articulation import PARTS, Articulation
+from freeart21.camera import Camera
+from freeart21.joint import Joint
+from freeart21.mesh import Mesh
+from freeart21.reconstruction import Reconstruction
+from freeart21.recording import Frame, Recording
+
+CAMERA = Camera(np.array([[150.0, 0, 80], [0, 150, 60], [0, 0, 1]]), 160, 120)
+WALL, SHEET = 0.01, 0.006
+"""m, of the carcass and of the drawer."""
+SIZE = np.array([0.2, 0.16, 0.12])
+FRAMES = 24
+
+
+def block(low, high) -> trimesh.Trimesh:
+    low, high = np.array(low, float), np.array(high, float)
+    return trimesh.creation.box(high - low, se3.pose(np.eye(3), 0.5 * (low + high)))
+
+
+def carcass() -> trimesh.Trimesh:
+    """A box on z = 0 with one compartment that is open at the front, x = -0.1."""
+    x, y, z = 0.5 * SIZE
+    return trimesh.boolean.difference(
+        [block((-x, -y, 0), (x, y, 2 * z)), block((-x - 1, -y + WALL, WALL), (x - WALL, y - WALL, 2 * z - WALL))]
+    )
+
+
+def drawer() -> trimesh.Trimesh:
+    """A tray that fills the compartment with 2 mm to spare, lower than it so that one can look in."""
+    low, high = np.array([-0.098, -0.068, 0.012]), np.array([0.086, 0.068, 0.09])
+    return trimesh.boolean.difference([block(low, high), block(low + SHEET, high + np.array([-SHEET, -SHEET, 1]))])
+
+
+def film(parts: list[trimesh.Trimesh], joint: Joint, states: np.ndarray) -> tuple[Reconstruction, Recording]:
+    """A clean film from the front, left and right, above and below, and an answer of the triangles that it shows."""
+    pieces = [fine(part) for part in parts]
+    rays = CAMERA.rays().reshape(-1, 3)
+    shown = [np.zeros(len(piece.faces), bool) for piece in pieces]
+    Ts, frames = [], []
+    for k, state in enumerate(states):
+        turn = 1.0 * np.sin(2.4 * k)  # about z; 0 looks at the front, the back is never seen
+        rise = 0.9 * np.cos(1.7 * k)
+        ahead = se3.exp_so3([0, 0, turn]) @ se3.exp_so3([0, rise, 0]) @ np.array([1.0, 0, 0])
+        right = np.cross(ahead, [0, 0, 1.0])
+        right /= np.linalg.norm(right)
+        R = np.stack([right, np.cross(ahead, right), ahead])  # camera from world
+        T = se3.pose(R, -R @ (np.array([-0.03, 0, 0.06]) - 0.5 * ahead))
+        posed = [pieces[0].moved(T), pieces[1].moved(T @ joint.transform(float(state)))]
+        count = len(posed[0].faces)
+        whole = trimesh.util.concatenate([trimesh.Trimesh(p.vertices, p.faces, process=False) for p in posed])
+        where, ray, hit = whole.ray.intersects_location(np.zeros_like(rays), rays, multiple_hits=False)
+        depth, label = np.zeros(len(rays), np.float32), np.zeros(len(rays), np.uint8)
+        depth[ray], label[ray] = where[:, 2], 1 + (hit >= count)
+        shown[0][hit[hit < count]] = True
+        shown[1][hit[hit >= count] - count] = True
+        size = (CAMERA.height, CAMERA.width)
+        rgb = np.full((*size, 3), 128, np.uint8)
+        frames.append((Frame(rgb, depth.reshape(size), depth.reshape(size) > 0), label.reshape(size)))
+        Ts.append(T)
+    seen = [piece.with_faces(flags) for piece, flags in zip(pieces, shown, strict=True)]
+    poses = np.stack(Ts)
+    answer = Reconstruction(
+        Articulation(joint, *seen),
+        states,
+        poses,
+        poses @ joint.transform(states),
+        np.stack([label for _, label in frames]),
+        np.ones((len(states), 2), bool),
+    )
+    return answer, Recording(CAMERA, np.arange(len(states)) / 30, lambda i: frames[i][0])
+
+
+def fine(solid: trimesh.Trimesh) -> Mesh:
+    vertices, faces = trimesh.remesh.subdivide_to_size(solid.vertices, solid.faces, 0.006, max_iter=20)
+    return Mesh(vertices, faces)
+
+
+def volume(mesh: Mesh) -> float:
+    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    assert solid.is_watertight and solid.is_winding_consistent
+    return float(solid.volume)
+
+
+SLIDE = Joint("drawer", "prismatic", np.array([-1.0, 0, 0]), np.zeros(3), 0.0, 0.13)
+HINGE = Joint("lid", "revolute", np.array([0.0, 1, 0]), np.array([0.1, 0, 0.12]), 0.0, 1.2)
+SETTINGS = MeshSettings(points=8_000)
+
+
+@pytest.fixture(scope="module")
+def drawer_unit():
+    return film([carcass(), drawer()], SLIDE, 0.065 * (1 - np.cos(0.9 * np.arange(FRAMES))))
+
+
+def test_a_drawer_and_its_carcass_are_hollow(drawer_unit):
+    answer, recording = drawer_unit
+    _, parts = close_parts(answer, recording, SETTINGS)
+    for name, true in zip(PARTS, (carcass(), drawer()), strict=True):
+        surface = parts[name].surface
+        assert volume(surface.mesh) == pytest.approx(true.volume, rel=0.25)
+        centres = surface.mesh.vertices[surface.mesh.faces].mean(1)
+        off = np.abs(trimesh.proximity.signed_distance(true, centres[surface.observed]))
+        assert np.quantile(off, 0.95) < 1e-3  # what was seen stays in place
+    found, surface = parts["reference"].panels, parts["reference"].surface
+    assert found["cores"][0]["hollow"] and found["cores"][0]["hollow_bits"] < found["cores"][0]["solid_bits"]
+    assert found["thickness_by"] == "rims" and found["thickness_m"] == pytest.approx(WALL, abs=1e-3)
+    assert 0 < surface.panel_count <= surface.patch_count
+    solid = trimesh.Trimesh(surface.mesh.vertices, surface.mesh.faces)
+    assert not solid.contains([[0, 0, 0.06], [-0.05, 0.04, 0.03], [0.05, 0, 0.1]]).any()
+    assert solid.contains([[0, 0.075, 0.06], [0, -0.075, 0.06], [0, 0, 0.115]]).all()  # sides and top
+
+
+def test_without_the_video_the_sliding_drawer_alone_empties_its_carcass(drawer_unit):
+    answer, _ = drawer_unit
+    space = find_free_space(answer, "reference", None)
+    assert space.look_up(np.array([[-0.05, 0.0, 0.018], [0.0, 0.0, 0.117]])).tolist() == [SWEPT, 0]
+
+
+def test_a_solid_base_under_a_lid_stays_solid():
+    base, lid = block((-0.1, -0.08, 0), (0.1, 0.08, 0.12)), block((-0.1, -0.08, 0.12), (0.1, 0.08, 0.13))
+    answer, recording = film([base, lid], HINGE, 0.6 * (1 - np.cos(0.9 * np.arange(FRAMES))))
+    _, parts = close_parts(answer, recording, SETTINGS)
+    for name, true in zip(PARTS, (base, lid), strict=True):
+        assert volume(parts[name].surface.mesh) == pytest.approx(true.volume, rel=0.05)
+        assert parts[name].surface.panel_count == 0
+
+
+def test_space_that_the_video_looked_through_is_empty_and_no_other(drawer_unit):
+    answer, recording = drawer_unit
+    space = find_free_space(answer, "moving", recording)
+    assert space.look_up(np.array([[-0.03, 0.0, 0.08]])).tolist() == [SEEN_THROUGH]
+    looked = space.centres(space.state == SEEN_THROUGH)
+    assert not drawer().contains(looked[::7]).any()
+
+
+def test_planes_of_a_box_are_its_faces():
+    points, of = trimesh.sample.sample_surface_even(block((0, 0, 0), (0.2, 0.1, 0.05)), 4000, seed=0)
+    normals = block((0, 0, 0), (0.2, 0.1, 0.05)).face_normals[of]
+    planes = fit_planes(points, normals, 1e-3)
+    assert len(planes) == 6 and (planes.label >= 0).all()
+    faces = sorted(
+        (tuple(np.rint(n).tolist()), round(d, 6)) for n, d in zip(planes.normals, planes.offsets, strict=True)
+    )
+    assert faces == sorted(
+        [((1, 0, 0), 0.2), ((-1, 0, 0), 0), ((0, 1, 0), 0.1), ((0, -1, 0), 0), ((0, 0, 1), 0.05), ((0, 0, -1), 0)]
+    )
