@@ -843,6 +843,83 @@ def look(sequence: Annotated[Path, Positional], out: Path | None = None) -> int:
     return DOUBTFUL if found.grade == "bad" else 0
 
 
+def film(
+    source: Annotated[Path, Positional],
+    out: Path,
+    masks: Path | None = None,
+    mass: float | None = None,
+    gaussians: bool = True,
+    anyway: bool = False,
+) -> int:
+    """From a film of an object to a checked asset: convert, look, reconstruct, export, check-asset, a page.
+
+    The same command goes on where it was stopped; what is finished is kept (remove it to make it anew). A camera's film
+    needs masks: without --masks the first call writes the pictures to segment. Exit code: 0 sound, 3 doubtful or an
+    asset that fails a rule, 1 no asset.
+
+    Args:
+        source: A recording of a camera (Record3D, Stray Scanner, .mkv, .bag, .mcap, pictures), or a sequence folder.
+        out: Folder for all results: data, look.html, result with its asset, index.html.
+        masks: Folder with a mask for each picture of the camera, object without hands.
+        mass: Of the whole object, kg; from a guessed density when not given.
+        gaussians: Refine by Gaussians and render with them; without, it takes a third of the time.
+        anyway: Solve it though a property of the video is bad.
+    """
+    sequence, result = _film_sequence(source, out, masks), out / "result"
+    print(f"look: {out / 'look.html'}", flush=True)
+    if look(sequence, out / "look.html") == DOUBTFUL and not anyway:
+        raise FreeArtError(f"{source}: the video has a bad property (above); film it again, or solve it by --anyway")
+    if not (result / "prediction.json").is_file():
+        print(f"reconstruct: {result}", flush=True)
+        settings = ReconstructSettings()
+        settings = settings if gaussians else replace(settings, gaussians=replace(settings.gaussians, refine=False))
+        if reconstruct(sequence, result, settings=settings) == 1:
+            return 1
+    if not (result / "asset" / "asset.json").is_file():
+        print(f"export: {result / 'asset'}", flush=True)
+        if export(result, result / "asset", mass=mass, video=sequence) == 1:
+            return 1
+    print("check-asset:", flush=True)
+    verdict = check_asset(result / "asset", as_json=out / "check.json")
+    view(result, out / "index.html", sequence=sequence)
+    return max(verdict, _trust_of(result))
+
+
+def _film_sequence(source: Path, out: Path, masks: Path | None) -> Path:
+    """The sequence folder of a film: itself, the one made before, or converted now."""
+    if (source / "sequence.json").is_file():
+        return source
+    made = sorted((out / "data" / "sequences").glob("*/sequence.json"))
+    pictures = source if (source / "cam_K.txt").is_file() else out / "data" / "pictures"
+    if not made:
+        try:
+            convert(source, out / "data", "native", masks=masks)
+        except FreeArtError as error:
+            if "has no masks" not in str(error):
+                raise
+            if not pictures.is_dir():
+                convert(source, out / "data", "rgbd")
+            raise FreeArtError(
+                f"{source} has no masks: segment the object without the hands in the pictures of {pictures}, one mask "
+                "a picture, and name their folder by --masks"
+            ) from error
+        made = sorted((out / "data" / "sequences").glob("*/sequence.json"))
+    if len(made) != 1:
+        names = ", ".join(path.parent.name for path in made)
+        raise FreeArtError(f"{source} has {len(made)} recordings, expected one; film one of them: {names}")
+    return made[0].parent
+
+
+def _trust_of(result: Path) -> int:
+    """0 for a sound result, else DOUBTFUL."""
+    from freeart21.files.result import read_result
+    from freeart21.reconstruction import Reconstruction
+
+    answer = read_result(result)
+    sound = isinstance(answer, Reconstruction) and answer.trust is not None and answer.trust.verdict == "sound"
+    return 0 if sound else DOUBTFUL
+
+
 def known_commands() -> dict[str, Callable[..., Any]]:
     """Command name to function, in the order of the help text."""
     commands = (
@@ -854,6 +931,7 @@ def known_commands() -> dict[str, Callable[..., Any]]:
         verify,
         convert,
         look,
+        film,
         reconstruct,
         export,
         joint_asset,
