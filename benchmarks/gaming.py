@@ -213,6 +213,16 @@ def mist(a: Answer) -> Answer:
     return a.with_parts(change)
 
 
+def decoy(a: Answer) -> Answer:
+    """The mist, and a speck a million sizes away, in case something counts from the smallest corner."""
+
+    def change(mesh: Mesh) -> Mesh:
+        far = _specks(mesh, 1, 1e-6, a.rng)
+        return _joined(mesh, Mesh(far.vertices - 1e6 * a.truth.diagonal, far.faces))
+
+    return mist(a).with_parts(change)
+
+
 def fog(a: Answer) -> Answer:
     """The same of 20,000 specks that are large enough to count."""
 
@@ -382,8 +392,8 @@ def nearest_frame(a: Answer) -> Answer:
 CHEATS: dict[str, tuple[Callable[[Answer], Answer], str]] = {
     f.__name__.strip("_"): (f, track)
     for track, functions in {
-        "geometry": (dust, scales, crowd, shells, doubled, hull, boxes, straddling, slivers, mist, fog, half, displaced,
-                     curtain, exchanged, one_part),
+        "geometry": (dust, scales, crowd, shells, doubled, hull, boxes, straddling, slivers, mist, decoy, fog, half,
+                     displaced, curtain, exchanged, one_part),
         "joint": (wrong_joint, still, far_pivot, two_states),
         "whole": (whole_mask,),
         "views": (noise_around, flooded, grey, blank, mean_colour, smooth, nearest_frame),

@@ -869,13 +869,17 @@ def film(
     print(f"look: {out / 'look.html'}", flush=True)
     if look(sequence, out / "look.html") == DOUBTFUL and not anyway:
         raise FreeArtError(f"{source}: the video has a bad property (above); film it again, or solve it by --anyway")
-    if not (result / "prediction.json").is_file():
+    if (result / "prediction.json").is_file():
+        print(f"reconstruct: {result} is finished; remove it to solve anew", flush=True)
+    else:
         print(f"reconstruct: {result}", flush=True)
         settings = ReconstructSettings()
         settings = settings if gaussians else replace(settings, gaussians=replace(settings.gaussians, refine=False))
         if reconstruct(sequence, result, settings=settings) == 1:
             return 1
-    if not (result / "asset" / "asset.json").is_file():
+    if (result / "asset" / "asset.json").is_file():
+        print(f"export: {result / 'asset'} is finished; remove it to export anew, as with another --mass", flush=True)
+    else:
         print(f"export: {result / 'asset'}", flush=True)
         if export(result, result / "asset", mass=mass, video=sequence) == 1:
             return 1

@@ -66,7 +66,7 @@ def test_a_finished_result_stays_and_its_failure_is_one_line(tmp_path: Path, cap
     write_result(tmp_path / "out" / "result", Failure("segmentation", "nothing moves"))
     before = (tmp_path / "out" / "result" / "prediction.json").read_bytes()
     code, shown, err = run_command(capsys, "film", data / "sequences" / "a", "--out", tmp_path / "out", "--anyway")
-    assert code == 1 and "nothing moves" in err and "reconstruct:" not in shown
+    assert code == 1 and "nothing moves" in err and "is finished; remove it to solve anew" in shown
     assert (tmp_path / "out" / "result" / "prediction.json").read_bytes() == before
 
 

@@ -156,4 +156,4 @@ def test_cheating_does_not_pay(honest, cheat):
     answer = change(answer)
     for name in {track, "whole"}:
         gain = score(answer, RULES, name) - points[name]
-        assert gain < (NOTHING if cheat in ("mist", "doubled", "slivers") else 0), name
+        assert gain < (NOTHING if cheat in ("mist", "decoy", "doubled", "slivers") else 0), name

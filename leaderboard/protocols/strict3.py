@@ -139,11 +139,13 @@ def has_area(mesh: Mesh, side: float, least: float) -> NDArray[np.bool_]:
 
 
 def _cells(points: Array, side: float) -> NDArray[np.int64]:
-    """(n,) number of the cell of each point (n, 3)."""
-    if not len(points):
-        return np.zeros(0, np.int64)
-    cells = np.floor((points - points.min(0)) / side)
-    return np.ravel_multi_index(tuple(np.minimum(cells, 2**20).astype(np.int64).T), (2**20 + 1,) * 3)
+    """(n,) number of the cell of each point (n, 3), wherever the points lie."""
+    number = np.zeros(len(points), np.int64)
+    for column in np.floor(points / side).T:
+        values, at = np.unique(column, return_inverse=True)
+        _, number = np.unique(number * len(values) + at.reshape(-1), return_inverse=True)
+        number = number.reshape(-1)
+    return number
 
 
 def _mean(values: Array, weights: Array) -> float:
