@@ -949,6 +949,8 @@ def known_commands() -> dict[str, Callable[..., Any]]:
         board.site,
         board.suite,
         board.pack,
+        board.tags,
+        board.truth_by_markers,
         measure,
         gap,
         replay,

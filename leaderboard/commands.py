@@ -389,3 +389,91 @@ def pack(
     print(out)
     if is_new and key.exists():
         print(f"{key}: the secret key of both halves; keep it")
+
+
+def tags(out: Path, side_mm: float = 30.0) -> None:
+    """Print sheets of tags to stick on a real object, so that `truth-by-markers` can measure its joint.
+
+    Tags 0 to 24 are for the base, 25 to 49 for the moving part. Several on each part, on all sides that the camera
+    sees, flat, with their white rim; the video must show tags of both parts at once.
+
+    Args:
+        out: The PDF, A4. Print it at 100 % and measure its 100 mm line.
+        side_mm: Side of a tag's black square; at least 30 pixels wide in the video.
+    """
+    from freeart21.errors import FreeArtError
+    from leaderboard.markers import print_tags
+
+    if out.exists():
+        raise FreeArtError(f"{out} exists and is not replaced; name another file by --out")
+    print(f"{out}: {print_tags(out, side_mm / 1000)} pages")
+
+
+def truth_by_markers(
+    sequence: Annotated[Path, Positional],
+    side_mm: float,
+    out: Path | None = None,
+    base: tuple[int, ...] = (),
+    moving: tuple[int, ...] = (),
+    result: Path | None = None,
+) -> int:
+    """Measure the joint of a filmed object from printed tags on both parts, and compare a result with it.
+
+    Reads the colour pictures and the camera's intrinsics alone: no depth, no mask, no solver. Exit code 3 when one
+    joint does not explain the corners.
+
+    Args:
+        sequence: A sequence folder (with sequence.json), such as `convert` makes.
+        side_mm: Side of the tags' black squares as measured on the print.
+        out: Also write the joint, states, poses and deviations to this JSON file.
+        base: Tags on the base; those of 0 to 24 when not given.
+        moving: Tags on the moving part; those of 25 to 49 when not given.
+        result: Result folder of any method for this video, to be compared.
+    """
+    import numpy as np
+
+    from freeart21.errors import FreeArtError
+    from freeart21.files.result import read_result
+    from freeart21.files.sequence import read_sequence
+    from freeart21.reconstruction import Failure
+    from leaderboard import markers
+
+    if out is not None and out.exists():
+        raise FreeArtError(f"{out} exists and is not replaced; name another file by --out")
+    if not 1 <= side_mm <= 1000:
+        raise FreeArtError(f"--side-mm is {side_mm:g}, expected 1 to 1000 millimetres")
+    answer = None if result is None else read_result(result)
+    if isinstance(answer, Failure):
+        raise FreeArtError(f"{result} is a failure, {answer.stage}: {answer.reason}; there is nothing to compare")
+    recording = read_sequence(sequence)
+    with progress_bar("tags") as report:
+        corners = markers.find_corners(recording, lambda done, total: report("tags", done, total))
+    half = markers.TAGS // 2
+    base, moving = base or tuple(range(half)), moving or tuple(range(half, 2 * half))
+    found = markers.measure_joint(corners, recording.camera, side_mm / 1000, base, moving)
+    difference = None if answer is None else markers.compare(found, answer)
+    joint = found.joint
+    turn, unit = (np.degrees, "deg") if joint.type == "revolute" else (lambda metres: 1000 * metres, "mm")
+    frames = f"{len(found.frames)} of {len(recording)} frames show tags of both parts"
+    print(f"{joint.type}, moved by {turn(joint.upper - joint.lower):.2f} {unit}; {frames}")
+    pivot = "" if found.pivot_std is None else f", pivot {1000 * found.pivot_std:.2f} mm"
+    state = f"states {turn(np.median(found.state_std)):.3f} {unit}"
+    print(f"standard deviations: axis {np.degrees(found.axis_std):.3f} deg{pivot}, {state}")
+    errors = f"free parts {found.free_pixel_error:.2f}, the other joint type {found.other_pixel_error:.2f}"
+    print(f"median error of a corner: {found.pixel_error:.2f} pixels; {errors}")
+    if difference is not None:
+        print(f"{result}: {_describe_difference(difference, joint.type, turn, unit)}")
+    if out is not None:
+        markers.write_marker_joint(out, found, side_mm / 1000, difference)
+        print(out)
+    if not found.explains:
+        print("one joint does not explain the corners: a loose hinge, a bent print, or a tag on the wrong part")
+    return 0 if found.explains else 3  # as `reconstruct` of a doubtful answer
+
+
+def _describe_difference(difference: Any, kind: str, turn: Callable[[Any], Any], unit: str) -> str:
+    if not difference.same_type:
+        other = "prismatic" if kind == "revolute" else "revolute"
+        return f"{other}, expected {kind}; its axis is {difference.axis_deg:.2f} deg off"
+    pivot = "" if difference.pivot_m is None else f", pivot {1000 * difference.pivot_m:.1f} mm"
+    return f"axis {difference.axis_deg:.2f} deg off{pivot}, states {turn(difference.state):.2f} {unit}"
