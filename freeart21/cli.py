@@ -951,6 +951,7 @@ def known_commands() -> dict[str, Callable[..., Any]]:
         board.pack,
         board.tags,
         board.truth_by_markers,
+        board.board,
         measure,
         gap,
         replay,

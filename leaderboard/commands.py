@@ -477,3 +477,52 @@ def _describe_difference(difference: Any, kind: str, turn: Callable[[Any], Any],
         return f"{other}, expected {kind}; its axis is {difference.axis_deg:.2f} deg off"
     pivot = "" if difference.pivot_m is None else f", pivot {1000 * difference.pivot_m:.1f} mm"
     return f"axis {difference.axis_deg:.2f} deg off{pivot}, states {turn(difference.state):.2f} {unit}"
+
+
+def board(
+    action: Annotated[Literal["init", "check", "score", "verify"], Positional],
+    folder: Annotated[Path, Positional],
+    data: tuple[str, ...] = (),
+    title: str = "",
+    package: str = "",
+    base: str = "origin/main",
+    out: Path | None = None,
+) -> int:
+    """A leaderboard in a git repository: write it, check a pull request, score and sign what is new, verify all.
+
+    init writes the repository, and next to it the private key that signs. check finds what speaks against merging a
+    branch: exit code 1. score scores new submissions in a container without network, or in a bounded process, and
+    writes tables, the signed ledger and the site. verify checks signature and tables: exit code 1. docs/board.md.
+
+    Args:
+        action: init, check, score or verify.
+        folder: The repository's folder.
+        data: For init: the public half of each phase's data (one: a phase without end; two: development and test), a
+            path relative to the repository or the https address of a ZIP.
+        title: For init: title of the board.
+        package: For init: what pip installs on the runner; by default this version of freeart21.
+        base: For check: the branch to merge into.
+        out: For score: folder of the site, outside of the repository.
+    """
+    from freeart21.errors import FreeArtError
+    from leaderboard.board.ledger import verify_board
+    from leaderboard.board.settings import read_settings
+    from leaderboard.board.workflow import check_pull_request, init_board, score_board
+
+    if action == "init":
+        if not data:
+            raise FreeArtError("board init: got no --data, expected the public half of the data (`freeart21 pack`)")
+        key = init_board(folder, data, title, package)
+        print(f"{folder}: `git init` it, and read its README.md\n{key}: the private key that signs; keep it secret")
+        return 0
+    if action == "score":
+        outcome = score_board(folder, out)
+        print(f"{folder}: {outcome.scored} scored, {outcome.refused} refused, {outcome.waiting} waiting")
+        return 0
+    settings = read_settings(folder)
+    faults = check_pull_request(folder, base) if action == "check" else verify_board(folder, settings)
+    for fault in faults:
+        print(fault)
+    if not faults:
+        print(f"{folder}: all well")
+    return 1 if faults else 0
