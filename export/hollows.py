@@ -11,7 +11,8 @@ The shorter description of each core is taken, in bits:
 
 A number is log2(size / voxel) bits, a yes -log2 of the share of the part's surface that is known to be thin. A plane
 that is seen from both sides is a slab of its own thickness. The surface around a hollow core that nobody saw stays as a
-panel where its area is less than that of the seen panels' backs; where known empty space lies before it, it goes.
+panel where its area is less than that of the seen panels' backs; where known empty space lies before it, and it does
+not bound the whole part, it goes.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, distance_transform_edt, label
 from scipy.spatial import cKDTree
 
+from export.decomposition import robust_hull
 from export.free_space import UNKNOWN, SpaceGrid
 from export.outer_surface import sample_evenly
 from export.planes import PLANE_TOLERANCE, Planes, fit_planes
@@ -87,7 +89,7 @@ def find_panels(closed: Mesh, observed: NDArray[np.bool_], space: SpaceGrid) -> 
         return Panels(report={"panels": 0})
     thickness = max(thickness, h)
     thick = _slabs(seen, planes, split, thickness)
-    inside = _fill_inside(closed, space)
+    inside = fill_inside(closed, space)
     near = binary_dilation(inside, iterations=3)
     room = np.where(near, np.inf, -np.inf)
     for t in np.unique(thick):
@@ -95,7 +97,7 @@ def find_panels(closed: Mesh, observed: NDArray[np.bool_], space: SpaceGrid) -> 
     cores, count = label(inside & (room > 0))
     patch = _measure_points(solid, ~observed, observed, space)
     empty = [space.look_up(patch.at + reach * h * patch.normals) != UNKNOWN for reach in _REACH]
-    blocked = _smooth(patch.at, np.any(empty, axis=0))
+    blocked = _smooth(patch.at, np.any(empty, axis=0)) & ~_bounds(patch.at, seen.at, 2 * h)
     within = _look_up(cores, space, patch.at - _PROBES * h * patch.normals)
     behind = _look_up(cores, space, seen.at - (thick + h)[:, None] * seen.normals)
     volume = np.bincount(cores.ravel(), minlength=count + 1)
@@ -253,6 +255,17 @@ def _distances(
     return found
 
 
+def _bounds(at: Array, seen: Array, near: float) -> NDArray[np.bool_]:
+    """(n,) whether points (n, 3) are within `near`, m, of the convex hull of `seen` points, or outside: what is empty
+    in front of them is outside the part."""
+    planes = robust_hull(seen).equations
+    planes = planes[np.unique(np.round(planes, 6), axis=0, return_index=True)[1]]
+    out = np.full(len(at), -np.inf)
+    for plane in planes:
+        out = np.maximum(out, at @ plane[:3] + plane[3])
+    return out > -near
+
+
 def _smooth(at: Array, flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(n,) flags, each by the majority of its neighbours."""
     if not len(at):
@@ -302,7 +315,7 @@ def _extract(room: Array, chosen: NDArray[np.bool_], space: SpaceGrid) -> list[M
     return meshes
 
 
-def _fill_inside(closed: Mesh, space: SpaceGrid) -> NDArray[np.bool_]:
+def fill_inside(closed: Mesh, space: SpaceGrid) -> NDArray[np.bool_]:
     """(X, Y, Z) whether a voxel's centre lies in a closed mesh."""
     vertices = se3.transform(se3.inverse(space.T_part_grid), closed.vertices) / space.voxel
     inside = np.zeros(space.state.shape, np.bool_)

@@ -5,28 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from export.atlas import Texture
 from export.free_space import find_free_space
 from export.hollows import Panels, find_panels
-from export.meshes import MeshSettings, is_inside_out, vertex_normals
+from export.meshes import MeshSettings
 from export.surface import Surface, close_surface, subtract_cavities
 from export.texture import check_recording, texture_from_vertices, textures_from_video
-from freeart21 import se3
 from freeart21.articulation import PARTS
 from freeart21.errors import FreeArtError
-from freeart21.mesh import bounding_diagonal
 from freeart21.reconstruction import Reconstruction
 from freeart21.recording import Recording
 
-_SWEEP_STATES = 60
-"""Joint states at which the other part is placed."""
-_SWEEP_DEPTH = 200.0
-"""Three layers of points, each this fraction (1/N) of the part's diagonal below the previous one."""
-_SWEEP_POINTS = 10_000
-"""Most points of the other part's surface per state and layer."""
 _SMOOTH_VOXELS = 0.2
 """Voxels by which a cavity's walls may move to save triangles: 0.6 mm in a drawer unit."""
 
@@ -54,6 +43,7 @@ class Part:
             "faces_turned_outwards": surface.flipped,
             "layers": round(surface.layers, 3),
             "solid": surface.is_solid,
+            "supposed_share": round(surface.patch_share, 4),
             "patch": {
                 "first_face": surface.patch_first,
                 "faces": surface.patch_count,
@@ -83,12 +73,12 @@ def close_parts(
     surfaces, panels = [], []
     for name in PARTS:
         try:
-            closed = close_surface(whole.part(name), settings, _sweep_other_part(reconstruction, name))
+            space = find_free_space(reconstruction, name, recording)
+            closed = close_surface(whole.part(name), settings, space)
         except FreeArtError as error:
             raise FreeArtError(f"{name} part: {error}") from error
         found = Panels()
         if closed.patch_count and closed.is_solid:
-            space = find_free_space(reconstruction, name, recording)
             found = find_panels(closed.mesh, closed.observed, space)
             closed = subtract_cavities(closed, found.cavities, _SMOOTH_VOXELS * space.voxel, settings)
         surfaces.append(closed)
@@ -107,20 +97,3 @@ def close_parts(
     }
     articulation = replace(whole, reference=meshes[0], moving=meshes[1])
     return replace(reconstruction, articulation=articulation), parts
-
-
-def _sweep_other_part(reconstruction: Reconstruction, name: str) -> NDArray[np.float64]:
-    """(n, 3) points just below the other part's surface over the whole range of states, in the frame of part `name`.
-
-    The range includes predicted states of frames in which a part was hidden, as the joint's range does.
-    """
-    whole = reconstruction.articulation
-    other = whole.part("moving" if name == "reference" else "reference")
-    few = slice(None, None, len(other.vertices) // _SWEEP_POINTS + 1)
-    depth = bounding_diagonal(whole.part(name)) / _SWEEP_DEPTH * np.arange(3)[:, None, None]
-    depth = -depth if is_inside_out(other) else depth
-    points = (other.vertices[few] - depth * vertex_normals(other)[few]).reshape(-1, 3)
-    states = reconstruction.states
-    Ts = whole.joint.transform(np.linspace(states.min(), states.max(), _SWEEP_STATES))
-    Ts = Ts if name == "reference" else se3.inverse(Ts)
-    return np.concatenate([se3.transform(T, points) for T in Ts])

@@ -1,4 +1,5 @@
-"""Planes in a part's surface: the largest first, each with the points that lie on it."""
+"""Planes in a part's surface, the largest first, each with the points that lie on it; and planes that are supposed
+where nobody saw."""
 
 from __future__ import annotations
 
@@ -8,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from export.outer_surface import even_directions
+from freeart21.effects import perpendiculars
 from freeart21.se3 import Array
 
 PLANE_TOLERANCE = 1 / 250
@@ -21,6 +23,10 @@ _CONE = 0.95
 _MIN_SHARE = 0.015
 """Fraction of all points from which a plane counts."""
 _MAX_PLANES = 40
+_SAME = 0.98
+"""Cosine, 11 degrees, from which two planes that meet the same points count as one."""
+_BOUND = 0.999
+"""Quantile of the points along a direction at which a plane bounds them: few stand out of a rough fused surface."""
 _ROUNDS = 3
 """Of fitting a plane to its points."""
 
@@ -95,3 +101,61 @@ def plane_axes(planes: Planes, points: Array) -> Array:
             return np.stack([x, y, np.cross(x, y)], -1)
     axes = np.linalg.eigh(np.cov(points.T))[1]
     return np.asarray(axes * np.array([1.0, 1.0, np.sign(np.linalg.det(axes))]))
+
+
+def suppose_planes(points: Array, planes: Planes) -> tuple[Array, Array]:
+    """Normals (k, 3), outwards, and offsets (k,), m, of planes on which unseen surface may lie: those that were seen,
+    continued, and where none was seen, those that bound all points (n, 3) of the seen surface.
+
+    Bounds face along and against the normals of seen planes, and along the axes of the part (`plane_axes`).
+    """
+    normals, offsets = list(planes.normals), list(planes.offsets)
+    directions = np.concatenate([-planes.normals, plane_axes(planes, points).T, -plane_axes(planes, points).T])
+    tolerance = PLANE_TOLERANCE * float(np.linalg.norm(np.ptp(points, axis=0)))
+    for n in directions:
+        d = float(np.quantile(points @ n, _BOUND))
+        if not any(m @ n > _SAME and abs(e - d) < 4 * tolerance for m, e in zip(normals, offsets, strict=True)):
+            normals.append(n)
+            offsets.append(d)
+    return np.array(normals).reshape(-1, 3), np.array(offsets)
+
+
+def sample_planes(normals: Array, offsets: Array, points: Array, axes: Array, spacing: float, most: int) -> Array:
+    """(m, 3) points on planes, on the lines where two meet, and where three meet, within the box of points (n, 3) along
+    `axes` (3, 3), columns; `spacing` m apart, or further so that there are about `most`.
+
+    Points on a plane form triangles of equal sides.
+    """
+    along = points @ axes
+    low, high = np.quantile(along, [1 - _BOUND, _BOUND], axis=0)
+    size = float(np.linalg.norm(high - low))
+    slack = PLANE_TOLERANCE * size
+    n, d = normals @ axes, offsets
+
+    def clip(p: Array) -> Array:
+        return p[((p >= low - slack) & (p <= high + slack)).all(1)]
+
+    def lattice(k: int, step: float) -> Array:
+        u, v = perpendiculars(n[k])
+        count = int(np.ceil(size / step))
+        i, j = np.meshgrid(np.arange(-count, count + 1), np.arange(-count, count + 1), indexing="ij")
+        x, y = step * (i + 0.5 * j).ravel(), step * np.sqrt(0.75) * j.ravel()
+        middle = 0.5 * (low + high)
+        return clip(middle + (d[k] - middle @ n[k]) * n[k] + x[:, None] * u + y[:, None] * v)
+
+    step = spacing
+    area = sum(len(lattice(k, size / 50)) for k in range(len(d))) * np.sqrt(0.75) * (size / 50) ** 2
+    step = max(spacing, float(np.sqrt(area / (np.sqrt(0.75) * most))))
+    found = [lattice(k, step) for k in range(len(d))]
+    for a in range(len(d)):
+        for b in range(a):
+            way = np.cross(n[a], n[b])
+            if np.linalg.norm(way) < 0.3:
+                continue
+            foot = np.linalg.lstsq(np.stack([n[a], n[b], way]), np.array([d[a], d[b], way @ (0.5 * (low + high))]))[0]
+            t = np.arange(-size, size, step)[:, None]
+            found.append(clip(foot + t * way / np.linalg.norm(way)))
+            for c in range(b):
+                if abs(way @ n[c]) > 0.3:
+                    found.append(clip(np.linalg.solve(np.stack([n[a], n[b], n[c]]), d[[a, b, c]])[None]))
+    return np.concatenate([np.zeros((0, 3)), *found]) @ axes.T

@@ -3,12 +3,15 @@
 A reconstruction has triangles only where a frame saw the part. Its vertices are triangulated into Delaunay tetrahedra.
 The solid is the set of tetrahedra whose boundary S minimises
 
-    area(S) + OBSERVED_WEIGHT * (area of observed triangles without solid behind and air in front)
+    area(S off the planes) + PLANE_WEIGHT * area(S on a plane)
+        + OBSERVED_WEIGHT * (area of observed triangles without solid behind and air in front)
+        + (volume of solid in known empty space) / voxel
 
-found as a minimum cut (Labatut, Pons, Keriven, ICCV 2007). Tetrahedra on which the normals at all four corners agree
-are fixed beforehand. Thus holes are closed by the smallest area, a thin plate seen from both sides becomes two sheets
-with a rim, and openings whose inside was seen stay open. The boundary is closed and consistently oriented; it is
-decimated at last.
+found as a minimum cut (Labatut, Pons, Keriven, ICCV 2007). The planes are those that were seen, continued, and those
+that bound what was seen (`planes.suppose_planes`): points on them are vertices, too. Tetrahedra on which the normals at
+all four corners agree are fixed beforehand. Thus an unseen back is flat where planes describe it more shortly, other
+holes are closed by the smallest area, a thin plate seen from both sides becomes two sheets with a rim, and openings
+whose inside was seen stay open. The boundary is closed and consistently oriented; it is decimated at last.
 """
 
 from __future__ import annotations
@@ -27,6 +30,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, maxi
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from export.carving import drop_small_pieces
+from export.free_space import UNKNOWN, SpaceGrid
 from export.meshes import (
     MIN_COMPONENT,
     MeshSettings,
@@ -35,6 +39,7 @@ from export.meshes import (
     is_inside_out,
     merge_duplicates,
 )
+from export.planes import PLANE_TOLERANCE, fit_planes, plane_axes, sample_planes, suppose_planes
 from export.winding_number import Winding
 from freeart21.errors import FreeArtError
 from freeart21.mesh import Mesh, bounding_diagonal, triangle_normals
@@ -46,10 +51,15 @@ MAX_LAYERS = 4.0
 1.0, a cabinet of loose boards (PartNet-Mobility 45940) 1.8, 5,000 random triangles 20."""
 OBSERVED_WEIGHT = 8.0
 """Weight of an observed area against the same area of boundary. At 1 holes would consume the surface."""
+PLANE_WEIGHT = 0.5
+"""Weight of area on a plane that is known anyway. At 1 the smallest area wins and backs are bent between ragged edges;
+near 0 planes far from all that was seen cost nothing."""
+_PLANE_SPACINGS = 2.0
+"""Least spacings between points on supposed planes."""
 _PROBE_OFFSET = 0.25
 """Spacings in front of and behind an observed triangle where air and solid are expected: a wall can be half a spacing
 thick."""
-_OBSERVED_DISTANCE = 1.0
+_OBSERVED_DISTANCE = 0.5
 """Spacings from observed triangles within which a boundary triangle counts as observed."""
 _MIN_SPACINGS = 150.0
 """Least number of spacings along a part's diagonal, so that a wall between two large triangles differs from a
@@ -62,8 +72,6 @@ _PINCH_ROUNDS = 20
 """Rounds of filling edges at which the solid touches itself."""
 _PRESOLVE_ROUNDS = 100
 """Rounds of fixing tetrahedra before the cut; late rounds fix few."""
-_NEIGHBOURS = 4
-"""Observed triangles that a point on the boundary is compared with."""
 _SAMPLE_WEIGHTS = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4]]) / 6
 """Points on a triangle, as weights of its corners, that are tested for being observed."""
 _AGGRESSION = 3.0
@@ -118,13 +126,13 @@ class Surface:
         return float(area[self.patch_first :].sum() / area.sum())
 
 
-def close_surface(part: Mesh, settings: MeshSettings, elsewhere: NDArray[np.float64] | None = None) -> Surface:
+def close_surface(part: Mesh, settings: MeshSettings, space: SpaceGrid | None = None) -> Surface:
     """The closed surface of a part, of about `max_faces` triangles at most.
 
     Args:
         part: triangles, m.
         settings: limits of size.
-        elsewhere: (n, 3) points where the other part was, in the part's frame; a patch avoids them.
+        space: where the part is known not to be, in its frame; a patch avoids it.
 
     Raises FreeArtError when no triangle has an area, or there are more than `MAX_FACES`.
     """
@@ -145,7 +153,7 @@ def close_surface(part: Mesh, settings: MeshSettings, elsewhere: NDArray[np.floa
         solid = (
             _make_solid(sheet.vertices, sheet.faces)
             if sheet is not None
-            else _extract_solid(seen, spacing, elsewhere, settings)
+            else _extract_solid(seen, spacing, space, settings)
         )
     if solid is None:
         raise FreeArtError("mesh cannot be closed: it has no inside")
@@ -210,40 +218,61 @@ def _point_spacing(seen: Mesh, own: float, points: int) -> float:
 
 
 def _extract_solid(
-    seen: Mesh, spacing: float, elsewhere: NDArray[np.float64] | None, settings: MeshSettings
+    seen: Mesh, spacing: float, space: SpaceGrid | None, settings: MeshSettings
 ) -> manifold3d.Manifold | None:
-    """The solid of the module's formula; None when there is none.
-
-    Where the other part was (`elsewhere`), a cell of solid costs a cell face: thick regions are cleared, thin films
-    stay.
-    """
+    """The solid of the module's formula; None when there is none."""
     vertices, faces = trimesh.remesh.subdivide_to_size(seen.vertices, seen.faces, 1.5 * spacing, max_iter=30)
     own = points = vertices[_pick_one_per_cell(vertices, 0.5 * spacing)]
-    if elsewhere is not None:
-        free, size = _sample_free_space(own, elsewhere, spacing, settings.points // 4)
-        points = np.concatenate([own, free])
+    tree = cKDTree(own)
     across = 0.5 * triangle_normals(vertices, faces)
     centre, area = vertices[faces].mean(1), np.linalg.norm(across, axis=1)
+    nearest = tree.query(centre)[1]
+    normal = np.stack([np.bincount(nearest, across[:, k], len(own)) for k in range(3)], -1).astype(float)
+    length = np.linalg.norm(normal, axis=1)
+    tolerance = PLANE_TOLERANCE * bounding_diagonal(seen)
+    planes = fit_planes(own[length > 0], normal[length > 0] / length[length > 0, None], tolerance)
+    normals, offsets = suppose_planes(own, planes)
+    few = settings.points // 4
+    more = [sample_planes(normals, offsets, own, plane_axes(planes, own), _PLANE_SPACINGS * spacing, few)]
+    if space is not None:
+        more.append(_sample_free_space(own, space, few))
+    added = np.concatenate(more)
+    points = np.concatenate([own, added[tree.query(added)[0] > spacing]])
     try:
         tetrahedra = Delaunay(points)
     except QhullError:
         return None
-    nearest = cKDTree(own).query(centre)[1]
     step = _PROBE_OFFSET * spacing * across / np.maximum(area, 1e-300)[:, None]
     start = tetrahedra.vertex_to_simplex[nearest]
     evidence = np.zeros(len(tetrahedra.simplices))
     for sign in (-1.0, 1.0):
         place = _locate_tetrahedra(points, tetrahedra.simplices, tetrahedra.neighbors, start, centre + sign * step)
         np.subtract.at(evidence, place[place >= 0], sign * OBSERVED_WEIGHT * area[place >= 0])
-    if elsewhere is not None and len(free):
+    if space is not None:
         corners = points[tetrahedra.simplices]
         volume = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6
-        evidence -= volume / size * _shares_cell(corners.mean(1), free, size)
-    normal = np.stack([np.bincount(nearest, across[:, k], len(points)) for k in range(3)], -1).astype(float)
-    inside = _minimum_cut(tetrahedra, evidence, _classify_by_normals(tetrahedra, normal), np.sqrt(3) / 4 * spacing**2)
+        evidence -= volume / space.voxel * (space.look_up(corners.mean(1)) != UNKNOWN)
+    normal = np.concatenate([normal, np.zeros((len(points) - len(own), 3))])
+    known = _classify_by_normals(tetrahedra, normal)
+    inside = _minimum_cut(
+        tetrahedra, _facet_costs(tetrahedra, normals, offsets, tolerance), evidence, known, np.sqrt(3) / 4 * spacing**2
+    )
     inside = _drop_small_components(tetrahedra, inside)
     boundary = _boundary_triangles(tetrahedra, _fill_pinched_edges(tetrahedra, inside))
     return _make_solid(points, boundary) if len(boundary) else None
+
+
+def _facet_costs(
+    tetrahedra: Delaunay, normals: NDArray[np.float64], offsets: NDArray[np.float64], tolerance: float
+) -> NDArray[np.float64]:
+    """(T, 4) m^2 that each facet costs as a boundary: its area, `PLANE_WEIGHT` of it where all its corners are within
+    `tolerance`, m, of one of the planes."""
+    points, facets = tetrahedra.points, tetrahedra.simplices[:, _FACETS]
+    near = np.abs(points @ normals.T - offsets) < tolerance
+    bits = (near @ (1 << np.arange(len(offsets), dtype=np.uint64)).astype(np.uint64)).astype(np.uint64)
+    on = (bits[facets[..., 0]] & bits[facets[..., 1]] & bits[facets[..., 2]]) != 0
+    area = 0.5 * np.linalg.norm(triangle_normals(points, facets), axis=-1)
+    return np.asarray(np.where(on, PLANE_WEIGHT, 1.0) * area)
 
 
 @njit(cache=True)
@@ -293,27 +322,14 @@ def _classify_by_normals(tetrahedra: Delaunay, normal: NDArray[np.floating]) -> 
     return np.asarray(away.astype(np.int8) - facing.astype(np.int8))
 
 
-def _sample_free_space(
-    own: NDArray[np.float64], elsewhere: NDArray[np.float64], spacing: float, most: int
-) -> tuple[NDArray[np.float64], float]:
-    """One of the points `elsewhere` per cubic cell, `most` at most, inside the box of `own` and 2 spacings off; the
-    cell size."""
-    inside = ((elsewhere > own.min(0)) & (elsewhere < own.max(0))).all(1)
-    size, free = spacing, elsewhere[inside]
-    while len(free := free[_pick_one_per_cell(free, size)]) > most:
-        size *= 1.25
-    return free[cKDTree(own).query(free)[0] > 2 * spacing] if len(free) else free, size
-
-
-def _shares_cell(places: NDArray[np.float64], marked: NDArray[np.float64], size: float) -> NDArray[np.bool_]:
-    """(n,) whether the cubic cell of side `size` of each point (n, 3) holds one of the `marked` points."""
-    low = marked.min(0)
-    shape = np.floor((marked.max(0) - low) / size).astype(np.int64) + 1
-    cells = np.floor((places - low) / size).astype(np.int64)
-    within = ((cells >= 0) & (cells < shape)).all(1)
-    flat = np.ravel_multi_index(np.where(within[:, None], cells, 0).T, shape)
-    known = np.unique(np.ravel_multi_index(np.floor((marked - low) / size).astype(np.int64).T, shape))
-    return np.asarray(within & np.isin(flat, known))
+def _sample_free_space(own: NDArray[np.float64], space: SpaceGrid, most: int) -> NDArray[np.float64]:
+    """At most `most` centres, evenly spread, of the known empty voxels within the box of `own`."""
+    free = space.centres(space.state != UNKNOWN)
+    free = free[((free > own.min(0)) & (free < own.max(0))).all(1)]
+    size = space.voxel
+    while len(free) > most:
+        free, size = free[_pick_one_per_cell(free, size)], 1.25 * size
+    return free
 
 
 def _pick_one_per_cell(points: NDArray[np.float64], size: float) -> NDArray[np.int64]:
@@ -329,17 +345,21 @@ _FACETS = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 
 
 def _minimum_cut(
-    tetrahedra: Delaunay, evidence: NDArray[np.float64], known: NDArray[np.int8], unit_area: float
+    tetrahedra: Delaunay,
+    area: NDArray[np.float64],
+    evidence: NDArray[np.float64],
+    known: NDArray[np.int8],
+    unit_area: float,
 ) -> NDArray[np.bool_]:
     """(T,) which tetrahedra are solid.
 
     Args:
         tetrahedra: Delaunay tetrahedra; outside the hull is air.
+        area: (T, 4) m^2 that a facet costs as a boundary.
         evidence: (T,) m^2 that a tetrahedron costs as air (above 0) or as solid (below).
         known: (T,) 1 fixed as solid, -1 fixed as air, 0 open.
         unit_area: m^2 of a mean triangle, for integer capacities.
     """
-    area = 0.5 * np.linalg.norm(triangle_normals(tetrahedra.points, tetrahedra.simplices[:, _FACETS]), axis=-1)
     sure = _presolve(tetrahedra.neighbors, area, evidence, known)
     open_ = np.flatnonzero(sure == 0)
     n, solid, air = len(open_), len(open_), len(open_) + 1
@@ -473,19 +493,11 @@ def _find_observed(
 
     Patches smaller than the square of four spacings are below the sampling's resolution and count as observed.
     """
-    points, triangles = trimesh.remesh.subdivide_to_size(seen.vertices, seen.faces, 1.5 * spacing, max_iter=30)
-    centre, across = points[triangles].mean(1), triangle_normals(points, triangles)
-    tree = cKDTree(centre)
-    corners = vertices[faces]
+    surface, across = Winding(seen), triangle_normals(seen.vertices, seen.faces)
     normal = triangle_normals(vertices, faces)
-    votes = np.zeros(len(faces), int)
-    k = min(_NEIGHBOURS, len(centre))
-    for weights in _SAMPLE_WEIGHTS:
-        place = np.einsum("k,fki->fi", weights, corners)
-        distance, nearest = tree.query(place, k=k)
-        distance, nearest = distance.reshape(len(faces), k), nearest.reshape(len(faces), k)
-        same_side = np.einsum("fi,fki->fk", normal, across[nearest]) > 0
-        votes += ((distance < _OBSERVED_DISTANCE * spacing) & same_side).any(1)
+    distance, nearest = surface.nearest(np.einsum("sk,fki->sfi", _SAMPLE_WEIGHTS, vertices[faces]).reshape(-1, 3))
+    same_side = np.einsum("sfi,fi->sf", across[nearest].reshape(len(_SAMPLE_WEIGHTS), -1, 3), normal) > 0
+    votes = (same_side & (distance.reshape(same_side.shape) < _OBSERVED_DISTANCE * spacing)).sum(0)
     observed = 2 * votes > len(_SAMPLE_WEIGHTS)
     pairs = trimesh.graph.face_adjacency(faces)
     pairs = pairs[~observed[pairs].any(1)]

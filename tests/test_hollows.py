@@ -112,7 +112,8 @@ def test_a_drawer_and_its_carcass_are_hollow(drawer_unit):
         assert volume(surface.mesh) == pytest.approx(true.volume, rel=0.25)
         centres = surface.mesh.vertices[surface.mesh.faces].mean(1)
         off = np.abs(trimesh.proximity.signed_distance(true, centres[surface.observed]))
-        assert np.quantile(off, 0.95) < 1e-3  # what was seen stays in place
+        area = surface.mesh.areas()[surface.observed]
+        assert area[off > 1e-3].sum() < 0.01 * area.sum()  # what was seen stays in place
     found, surface = parts["reference"].panels, parts["reference"].surface
     assert found["cores"][0]["hollow"] and found["cores"][0]["hollow_bits"] < found["cores"][0]["solid_bits"]
     assert found["thickness_by"] == "rims" and found["thickness_m"] == pytest.approx(WALL, abs=1e-3)
