@@ -36,7 +36,7 @@ def progress_bar(text: str, counted: bool = False) -> Iterator[Callable[[str, in
 def score(
     results: Annotated[Path, Positional],
     data: Path,
-    protocol: str = "strict-2",
+    protocol: str = "strict-3",
     out: Path | None = None,
     everything: Annotated[bool, tyro.conf.arg(name="all")] = False,
     truth: Path | None = None,
@@ -52,8 +52,8 @@ def score(
     Args:
         results: A method's results (RESULTS/SEQ/prediction.json), or a .zip of them.
         data: The data folder of the sequences.
-        protocol: Protocol that defines the metrics: strict-2 (the ranking), strict-1 (joint from the asset, surfaces
-            from parts/), paper-1 (as FreeArtGS's evaluator), itaco-1 (as iTACO's), arena-1 (the joint as a motion,
+        protocol: Protocol that defines the metrics: strict-3 (the ranking), strict-2 (the ranking before it), strict-1
+            (joint from the asset, surfaces from parts/), paper-1 (as FreeArtGS's evaluator), itaco-1 (as iTACO's), arena-1 (the joint as a motion,
             limits included).
         out: Also write every metric to this JSON file.
         everything: Print every metric, not only the ranking ones.
@@ -119,7 +119,7 @@ def compare(
     Args:
         results: Results folders (or .zip files), which are scored, or tables of `score --out`.
         data: The data folder of the sequences.
-        protocol: Protocol; by default that of the tables, else strict-2.
+        protocol: Protocol; by default that of the tables, else strict-3.
         scores: Folder that caches the tables of scored results; they are scored again when something has changed.
         out: Also write the comparison to this file: .csv, .json (everything), .md, or .tex (booktabs).
         by: Group sequences by joint type or category, or list each sequence.
@@ -209,7 +209,7 @@ def site(
         out: Folder of the site.
         data: The data folder of the sequences, with its truth; not needed for tables.
         protocol: Protocols, one table each; the first one orders the site. By default those of the tables, else
-            strict-2.
+            strict-3.
         scores: Folder that caches the tables of scored results.
         title: Title of the site; by default the name of the data.
         truth: The truth of a packed data folder, for scoring. The site has nothing of it: answers are shown as they
@@ -282,7 +282,7 @@ def suite(
     out: Path,
     rows: tuple[str, ...] = (),
     sequences: tuple[str, ...] = (),
-    protocols: tuple[str, ...] = ("strict-2",),
+    protocols: tuple[str, ...] = ("strict-3",),
     workers: int = 1,
     executor: ExecutorName = "local",
     list_rows: Annotated[bool, tyro.conf.arg(name="list")] = False,

@@ -20,8 +20,8 @@ __all__ = [
 
 PROTOCOLS: dict[str, Protocol] = find_instances(__name__, Protocol)
 """Every protocol by its name: the modules of this folder, and entry points of others (`freeart21.registry`)."""
-DEFAULT = "strict-2"
-"""The default protocol."""
+DEFAULT = "strict-3"
+"""The default protocol: the newest that ranks."""
 
 
 def protocol_named(name: str) -> Protocol:
