@@ -53,8 +53,8 @@ def score(
         results: A method's results (RESULTS/SEQ/prediction.json), or a .zip of them.
         data: The data folder of the sequences.
         protocol: Protocol that defines the metrics: strict-3 (the ranking), strict-2 (the ranking before it), strict-1
-            (joint from the asset, surfaces from parts/), paper-1 (as FreeArtGS's evaluator), itaco-1 (as iTACO's), arena-1 (the joint as a motion,
-            limits included).
+            (joint from the asset, surfaces from parts/), paper-1 (as FreeArtGS's evaluator), itaco-1 (as iTACO's),
+            arena-1 (the joint as a motion, limits included).
         out: Also write every metric to this JSON file.
         everything: Print every metric, not only the ranking ones.
         truth: The truth of a packed data folder (`freeart21 pack DATA --truth`).

@@ -127,7 +127,7 @@ def _table(scores: Scores, metrics: list[Metric], whole: bool) -> Table:
     rules = protocol_named(scores.protocol)
     title = f"{scores.method.name} by {rules.name}, sequences of {scores.benchmark['name']}; failures penalised"
     table = Table(title=escape(escape_unprintable(title)), box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    table.add_column("sequence", overflow="fold", min_width=10)
+    table.add_column("sequence", overflow="fold", min_width=len("prismatic mean"))
     table.add_column("", overflow="fold")
     for metric in metrics:
         head = metric.id.replace("_", "\n") if whole else column_head(metric)

@@ -260,7 +260,7 @@ def _put(*place):
         (_put("rows", 0, "values", "axis", float("inf")), "'axis' is inf"),
         (_put("rows", 0, "values", "axis", "0"), "'axis' is '0'"),
         (_put("rows", 0, "values", "axle", 0.0), "its values has 'axle'"),
-        (_put("rows", 0, "values", {}), "its values lacks 'axis'"),
+        (_put("rows", 0, "values", {}), "its values lacks '"),
         (_put("rows", 0, "values_cm", {"axle": 1.0}), "'values_cm' has numbers that"),
         (_put("rows", 0, "seconds", -1), "'seconds' is -1, expected 0 or more"),
         (_put("rows", 0, "notes", "hello"), "'notes' is 'hello'"),

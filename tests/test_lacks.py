@@ -205,7 +205,7 @@ def test_a_method_says_it_once_for_all_sequences(data, tmp_path, few_samples):
         assert all(row.values[id] is None for id in ("miou", "psnr", "ssim")), row
     assert scores.rows[2].values["axis"] == 90
     assert "miou" not in scores.summaries[0].statistics and "axis" in scores.summaries[0].statistics
-    assert scores.notes == ("the method makes no masks, renders: no miou, psnr, ssim",)
+    assert scores.notes == ("the method makes no masks, renders: no miou, psnr, ssim, view_iou",)
     assert not any("held-out" in note for row in scores.rows for note in row.notes)
     assert np.isnan(scores.frame()["miou"]).all()
 

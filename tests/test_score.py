@@ -36,7 +36,7 @@ from freeart21.joint import Joint
 from freeart21.reconstruction import Failure
 from leaderboard.asset_measurement import fit_joint_to_motion, measure_joint
 from leaderboard.protocols import PROTOCOLS, protocol_named
-from leaderboard.protocols.strict2 import STRICT_2
+from leaderboard.protocols.strict3 import STRICT_3
 from leaderboard.score import statistic
 from leaderboard.scores_file import write_scores
 from leaderboard.tables import page_entries, print_scores, score_note
@@ -62,7 +62,7 @@ def test_the_truth_handed_in_is_perfect_and_the_table_complete(data, tmp_path):
     ]  # hashed at the end
     for row in scores.rows:
         assert row.status == "ok" and row.measured_from == "files" and row.notes == () and not row.swapped
-        for metric in STRICT_2.metrics:
+        for metric in STRICT_3.metrics:
             value = row.values[metric.id]
             if metric.id.startswith("position") and row.joint_type == "prismatic":
                 assert value is None
@@ -70,7 +70,7 @@ def test_the_truth_handed_in_is_perfect_and_the_table_complete(data, tmp_path):
                 assert 0 <= value < 1e-6, metric.id
             else:
                 assert value == pytest.approx(100 if metric.id == "psnr" else 1), metric.id
-    assert scores.method.name == "oracle" and scores.protocol == "strict-2"
+    assert scores.method.name == "oracle" and scores.protocol == "strict-3"
     assert all(s.failures == 0 and s.coverage == 1 for s in scores.summaries)
 
 
@@ -138,13 +138,13 @@ def test_tables_show_every_metric_and_flag_failures(data, tmp_path):
         text = console.export_text()
         assert max(len(line) for line in text.splitlines()) <= 100
         words = text.split()
-        for metric in STRICT_2.metrics:
+        for metric in STRICT_3.metrics:
             for word in metric.id.split("_") if everything else metric.column.split():
                 assert word in words, metric.id
         for piece in ("FAILED", "MISSING", "tracks: [red]no[/red] texture", "revolute mean", "1/2 fail", "1 of 3 seq"):
             assert piece in text, piece
-    assert "strict-2" in score_note(scores.rows[0], "strict-2") and "no asset" in score_note(scores.rows[0], "strict-2")
-    entries = page_entries(scores.rows[0], "strict-2")
+    assert "strict-3" in score_note(scores.rows[0], "strict-3") and "no asset" in score_note(scores.rows[0], "strict-3")
+    entries = page_entries(scores.rows[0], "strict-3")
     assert entries["psnr"] == {"label": "held-out views (PSNR)", "value": 100.0, "unit": "dB", "better": "up"}
     assert entries["chamfer_w"]["beside"] == "0.00 cm"
 

@@ -437,7 +437,7 @@ def test_exit_codes_say_whether_anything_was_measured_or_wrong(data, tmp_path, c
     code, shown, _ = run_command(capsys, "score", out, "--data", data, "--out", tmp_path / "scores.json")
     assert code == 1 and "0 of 3 sequences were measured" in shown
     assert max(map(len, shown.splitlines())) <= 100
-    assert json.loads((tmp_path / "scores.json").read_text())["protocol"]["name"] == "strict-2"
+    assert json.loads((tmp_path / "scores.json").read_text())["protocol"]["name"] == "strict-3"
     (out / "a" / "poses.npz").unlink()
     (out / "a" / "prediction.example.json").replace(out / "a" / "prediction.json")
     code, shown, err = run_command(capsys, "validate", out, "--data", data)

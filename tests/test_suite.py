@@ -51,7 +51,7 @@ def test_the_truth_scores_perfect_and_what_knows_nothing_badly(data, tmp_path, f
     tables = {}
     for kind in KINDS:
         write_reference(kind, data, tmp_path / kind)
-        tables[kind] = score_results(tmp_path / kind, data, "strict-2")
+        tables[kind] = score_results(tmp_path / kind, data, "strict-3")
     means = {
         kind: {s.group: {id: v.mean for id, v in s.statistics.items()} for s in scores.summaries}
         for kind, scores in tables.items()
@@ -71,7 +71,7 @@ def test_the_truth_scores_perfect_and_what_knows_nothing_badly(data, tmp_path, f
 
 def test_what_is_done_is_skipped_and_a_new_row_joins(suite, data):
     out, outcome = suite
-    assert not outcome.failed and not outcome.objections and set(outcome.tables["strict-2"]) == set(ROWS_RUN)
+    assert not outcome.failed and not outcome.objections and set(outcome.tables["strict-3"]) == set(ROWS_RUN)
     plan = prepare(data, out, ROWS_RUN, ["a"])
     assert not plan.todo and plan.seconds == 0
     before = tables(out)
@@ -101,8 +101,8 @@ def test_a_suite_that_is_killed_goes_on_to_the_same_tables(suite, data, tmp_path
     done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert "1 rows over 1 sequences: 2 jobs" in done.stdout and "GB free" in done.stdout
-    assert "strict-2, means over 1 revolute" in done.stdout and "random" in done.stdout
-    assert tables(out)["random.strict-2.json"] == tables(whole)["random.strict-2.json"]
+    assert "strict-3, means over 1 revolute" in done.stdout and "random" in done.stdout
+    assert tables(out)["random.strict-3.json"] == tables(whole)["random.strict-3.json"]
     there = files(whole / "results")
     assert files(out / "results") == {path: there[path] for path in files(out / "results")}
 
@@ -113,9 +113,9 @@ def test_a_failure_of_the_solver_is_an_answer_and_is_priced(data, tmp_path):
     outcome = run_suite(prepare(data, out, ["ours"], sequences=["a"]))
     assert not outcome.failed
     assert isinstance(read_result(out / "results" / "ours" / "a"), Failure)
-    (row,) = tables(out)["ours.strict-2.json"]["rows"]
+    (row,) = tables(out)["ours.strict-3.json"]["rows"]
     assert row["status"] == "failed" and row["values"]["axis"] == 90
-    assert "1 of 3 sequences were chosen: a" in tables(out)["ours.strict-2.json"]["notes"]
+    assert "1 of 3 sequences were chosen: a" in tables(out)["ours.strict-3.json"]["notes"]
 
 
 def test_a_place_that_is_no_suite_over_these_data_is_refused(data, tmp_path):
@@ -136,7 +136,7 @@ def test_jobs_that_fail_are_listed_and_the_command_ends_with_1(data, tmp_path):
     assert done.returncode == 1
     output = [line for line in done.stderr.splitlines() if line.startswith("freeart21: ")]
     assert output[0].startswith("freeart21: reference/static: ") and "was not made by the job" in output[0]
-    assert output[1:] == ["freeart21: score/static/strict-2: needs reference/static, which failed"]
+    assert output[1:] == ["freeart21: score/static/strict-3: needs reference/static, which failed"]
     assert list((out / "results" / "static").iterdir()) == [] and not (out / "scores").exists()
 
 
@@ -224,7 +224,7 @@ def test_another_sensor_is_recorded_as_the_sequence_was(data, tmp_path):
     assert [job.name for job in jobs[1:]] == [
         "reconstruct/ours-tof/stapler-s4",
         "export/ours-tof/stapler-s4",
-        "score/ours-tof/strict-2",
+        "score/ours-tof/strict-3",
     ]
     assert "{folder}/data/tof/sequences/stapler-s4" in jobs[1].command
 

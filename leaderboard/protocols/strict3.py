@@ -263,7 +263,6 @@ _NEW = (
         "median difference of the z-depths of first hits, over pixels where the truth's is a face that the video "
         f"shows; {_DRAWN}",
         label="depth from outside, median",
-        column="depth\nmedian",
         needs=("joint", "meshes"),
     ),
     Metric(
@@ -288,7 +287,6 @@ _NEW = (
         "cells of 2 % of the diagonal that hold samples of the answer's surfaces, and of the truth's outer ones, mean "
         "of 8 grids: by what share the larger count is larger",
         label="area of the surfaces",
-        column="area",
         needs=("meshes",),
     ),
 )
@@ -309,14 +307,15 @@ def _strict_3_metrics() -> tuple[Metric, ...]:
             found += _NEW
         if metric.id in _PICTURES:
             metric = replace(metric, definition=_PICTURES[metric.id])
-        found.append(_balanced(metric) if metric.id.startswith("chamfer") else metric)
+        metric = _balanced(metric) if metric.id.startswith("chamfer") else metric
+        short = "" if metric.id in ("chamfer_s", "pose_rotation") else metric.column.replace("moving", "mov.")
+        found.append(replace(metric, column=short))
     silhouette = Metric(
         "view_iou",
         *FRACTION,
         "intersection over union of the truth's mask and the render's pixels that are not white (a channel under 250); "
         "white pixels of the object count in neither; mean over queries",
         label="silhouette of held-out views",
-        column="views\nIoU",
         needs=("renders",),
     )
     return (*found, silhouette)
