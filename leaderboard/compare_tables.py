@@ -306,7 +306,7 @@ def latex(comparison: Comparison, by: By) -> str:
     """All tables as LaTeX for \\input; needs booktabs, graphicx (scales them to the page) and amssymb."""
     parts = [
         f"% freeart21 comparison by {by}; in the preamble: \\usepackage{{booktabs,graphicx,amssymb}}",
-        *(f"% {_to_ascii(line)}" for line in legend(comparison, by)),
+        *(f"% {escape_unprintable(line)}" for line in legend(comparison, by)),
     ]
     for grid in make_grids(comparison, by):
         last = len(grid.head)
@@ -333,12 +333,6 @@ def _escape_markdown(text: str) -> str:
 
 
 def _escape_latex(text: str) -> str:
-    """`text` for pdfLaTeX; characters beyond Latin-1, which its fonts can lack, become '?'."""
-    words = "".join(_LATEX.get(c, c if ord(c) < 0x100 else "?") for c in escape_unprintable(text))
+    """`text` for pdfLaTeX; characters beyond Latin-1, which its fonts can lack, become their number, such as U+6F22."""
+    words = "".join(_LATEX.get(c, c if ord(c) < 0x100 else f"U+{ord(c):04X}") for c in escape_unprintable(text))
     return re.sub(r"(?<![\w-])-(?=\d)", "$-$", words)
-
-
-def _to_ascii(text: str) -> str:
-    """`text` for a LaTeX comment."""
-    words = escape_unprintable(text).replace("✓", "check mark").replace("✗", "cross")
-    return words.encode("ascii", "replace").decode()

@@ -402,13 +402,22 @@ def test_markdown_is_whole_tables_and_shows_words_as_they_are(data, compared):
     assert r"50% \| a\_b &amp; &lt;c&gt; \*d\*" in text and "**" in text
 
 
+def test_a_comment_of_latex_has_whole_names(data, compared):
+    lacking = make_scores(data, "\u03c6 \u03a9mega")
+    lacking = replace(lacking, method=replace(lacking.method, lacks=("renders",)))
+    lines = latex(compared(lacking, make_scores(data, "A")), "type").splitlines()
+    assert any(line == "% \u2013 \u03c6 \u03a9mega makes no renders." for line in lines)
+    assert all("?" not in line for line in lines)
+    assert any(line.startswith("U+03C6 U+03A9mega &") for line in lines)
+
+
 def test_latex_is_balanced_and_shows_words_as_they_are(data, compared):
     text = latex(compared(make_scores(data, "A", {"axis": 0.5}), make_scores(data, NASTY + " 漢")), "type")
     assert r"50\% \textbar{} a\_b \& \textless{}c\textgreater{} *d* \#1 \textbackslash{}emph\{x\}" in text
     assert r"1.00 $\pm$ 0.00" in text and "±" not in text and "–" not in text  # noqa: RUF001
     assert r"$-$0.50" in latex(compared(make_scores(data, "A"), make_scores(data, "B", {"axis": 0.5})), "type")
     bare = re.sub(r"\\.", "", "\n".join(line for line in text.splitlines() if not line.startswith("%")))
-    assert bare.count("{") == bare.count("}") and bare.count("$") % 2 == 0 and text.isascii()
+    assert bare.count("{") == bare.count("}") and bare.count("$") % 2 == 0 and bare.isascii()
     assert "%" not in bare.replace("{%\n", "") and "#" not in bare and "_" not in bare
     for table in re.findall(r"\\begin{tabular}{(\w+)}(.*?)\\end{tabular}", text, re.S):
         columns, body = len(table[0]), table[1]

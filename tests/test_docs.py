@@ -357,3 +357,17 @@ def _code(text: str) -> list[str]:
     text = _without_blocks(text) + "\n".join(body for _, name, body in _BLOCK.findall(text) if not name)
     lines = [re.sub(r"\s#\s.*", "", line).strip() for line in re.findall(r"^    \S.*$", text, re.M)]
     return [*re.findall(r"`([^`\n]+)`", text), *lines]
+
+
+def test_the_folders_of_the_readme_are_there_or_made_by_its_commands():
+    text = (ROOT / "README.md").read_text("utf-8")
+    named, made = text.partition("## The code")[2].split("The folders ")
+    for folder in re.findall(r"`([a-z0-9]+)/`", named):
+        assert (ROOT / folder).is_dir(), folder
+    ours = {p.parent.name for p in ROOT.glob("*/__init__.py")} - {"tests"}
+    assert ours <= set(re.findall(r"`([a-z0-9]+)/`", named))
+    commands = "\n".join(line for line in text.splitlines() if line.startswith("    "))
+    for folder in re.findall(r"`([a-z]+)/`", made.partition("are made")[0]):
+        assert not (ROOT / folder / "__init__.py").exists() and re.search(rf"--out {folder}\b|make demo\b", commands), (
+            folder
+        )

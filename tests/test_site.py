@@ -3,6 +3,7 @@
 import html
 import html.parser
 import json
+import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +28,7 @@ from leaderboard.site.entrant import entrants
 from leaderboard.site.index_page import ranked
 from leaderboard.site.names import file_names
 from leaderboard.site.packed import Packed, varints
+from leaderboard.submission import LONGEST_TEXT
 
 BOARD = "#protocol-strict-2"
 HOSTILE = '<script>alert("x")</script> & <img src=https://evil.example/x onerror=alert(1)>'
@@ -346,6 +348,28 @@ def test_no_page_has_an_error_or_reaches_beyond_the_screen(chrome, site):
             assert reach <= width, (page, width, reach)
         assert not chrome.errors, page
     assert chrome.run("document.title").startswith("Downloads")
+
+
+@needs_chromium
+@pytest.mark.parametrize("letter", ["W", "\u6f22"])
+def test_no_name_is_too_long_for_a_page(chrome, world, score_tables, tmp_path, letter):
+    tables = {}
+    for (folder, name), table in score_tables.items():
+        long = replace(table.method, name=letter * LONGEST_TEXT if folder.name == "good" else table.method.name)
+        tables[folder, name] = replace(table, method=long)
+    write(world, tables, tmp_path / "site", title=letter * LONGEST_TEXT)
+    for page in pages(tmp_path / "site"):
+        for width in (320, 1440):
+            chrome.open(page, width, 800)
+            reach = chrome.run("Math.max(document.documentElement.scrollWidth, innerWidth)")
+            assert reach <= width and not chrome.errors, (page, width, reach)
+            beyond = chrome.run(
+                "[...document.querySelectorAll('a.method')].filter((a) => !a.closest('.table')"
+                " && a.getBoundingClientRect().right > innerWidth).length"
+            )
+            assert not beyond, (page, width)
+            if folder := os.environ.get("FREEART21_PICTURES"):
+                Path(folder, f"long-{ord(letter)}-{page.name[:20]}-{width}.png").write_bytes(chrome.picture(True))
 
 
 @needs_chromium
