@@ -28,6 +28,7 @@ from freeart21.doctor import require_rendering
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import JOB_SCHEMA, WORK, is_unfinished, read_benchmark, write_benchmark
+from freeart21.files.data_card import write_card_of
 from freeart21.files.lock import acquire, release
 from freeart21.files.places import check_append
 from generator import partnet
@@ -351,6 +352,7 @@ def _finish(out: Path, label: Label) -> None:
     work = out / WORK
     if any((out / "sequences").glob("*/sequence.json")):
         write_benchmark(out, label.name, label.version, label.split)
+        write_card_of(out)
     with contextlib.suppress(OSError):  # job.json first: without it the other files mean nothing
         (work / "job.json").unlink(missing_ok=True)
     for left in work.iterdir():

@@ -24,6 +24,7 @@ from freeart21 import stopping
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import SCHEMA, Benchmark, read_benchmark
+from freeart21.files.data_card import CARD_FILES, DataSet, card_files, describe_sequence
 from freeart21.files.hashes import MAX_HASHED_BYTES, file_sha256
 from freeart21.files.hidden import MARKER, PICTURES, hidden_digest
 from freeart21.files.hidden import SCHEMA as HIDDEN_SCHEMA
@@ -39,7 +40,7 @@ PUBLIC = Output(
     b'"schema": "freeart21/benchmark/1",\n "hidden": ',
     "benchmark.json",
     (
-        *("benchmark.json", "sequences/*/sequence.json", "sequences/*/queries.json"),
+        *(*CARD_FILES, "benchmark.json", "sequences/*/sequence.json", "sequences/*/queries.json"),
         *(f"sequences/*/{sub}/{'[0-9]' * 5}.png" for sub in PICTURES),
     ),
 )
@@ -146,6 +147,8 @@ def _public_files(benchmark: Benchmark, names: dict[str, str], hidden: str, prog
                     done += 1
                     progress(done, of)
     facts = {"name": benchmark.name, "version": benchmark.version, "split": benchmark.split}
+    shown = [describe_sequence(name, folder, None, hashes) for name, folder in sorted(recordings.items())]
+    yield from card_files(DataSet(*facts.values(), True, tuple(shown))).items()
     listed = {"sequences": sorted(recordings), "sha256": dict(sorted(hashes.items()))}
     yield "benchmark.json", atomic.json_text({"schema": SCHEMA, "hidden": hidden, **facts, **listed}).encode()
 

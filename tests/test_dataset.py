@@ -25,6 +25,7 @@ from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.benchmark import read_benchmark
+from freeart21.files.data_card import CARD_FILES
 from freeart21.files.hashes import file_sha256
 from freeart21.files.lock import acquire
 from freeart21.files.truth import read_truth
@@ -231,7 +232,7 @@ def test_jobs_of_an_executor_give_the_same_bytes_also_when_their_processes_are_k
         thread.join()
     assert killed and sorted(made) == sorted(heard) == ["flip_lighter-s0", "stapler-s0"]
     assert hashes(data) == hashes(whole)
-    assert sorted(path.name for path in data.iterdir()) == ["benchmark.json", "sequences", "truth"]
+    assert {path.name for path in data.iterdir()} == {"benchmark.json", "sequences", "truth", *CARD_FILES}
 
 
 def test_what_a_job_cannot_do_is_one_line_and_nothing_is_left(

@@ -21,6 +21,7 @@ from synthetic_case import QUERIES, make_recording, make_truth
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.benchmark import read_benchmark, write_benchmark
+from freeart21.files.data_card import CARD_FILES
 from freeart21.files.hidden import hidden_digest, read_hidden
 from freeart21.files.sequence import read_sequence, write_sequence
 from freeart21.files.truth import write_truth
@@ -195,7 +196,7 @@ def test_files_of_the_public_half_say_nothing_by_their_times_modes_or_kinds(halv
             assert stat.S_IMODE(found.st_mode) == (0o755 if path.is_dir() else 0o644) and not path.is_symlink()
     names = {path.name for path in (halves[0] / "sequences").iterdir()}
     assert len(names) == 2 and all(name.startswith("seq-") and len(name) == 16 for name in names)
-    assert {path.name for path in halves[0].iterdir()} == {"benchmark.json", "sequences"}
+    assert {path.name for path in halves[0].iterdir()} == {"benchmark.json", "sequences", *CARD_FILES}
 
 
 def test_what_a_method_may_see_is_all_there(data, halves):

@@ -13,6 +13,7 @@ import numpy as np
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.benchmark import Benchmark, is_unfinished, read_benchmark, unfinished_error
+from freeart21.files.data_card import CARD_FILES
 from freeart21.files.hashes import file_sha256
 from freeart21.files.hidden import find_traces
 from freeart21.files.sequence import read_sequence
@@ -87,8 +88,9 @@ def listed_files(data: Path) -> dict[str, Any]:
 
 def differing_files(data: Path, listed: dict[str, Any]) -> Iterator[str]:
     """A line for every file of the data folder `data` that differs from `listed`: missing, extra, or of other
-    content."""
-    here = {str(path.relative_to(data)) for path in data.rglob("*") if not path.is_dir()} - {"benchmark.json"}
+    content. Its card (`files.data_card`) is no data."""
+    here = {str(path.relative_to(data)) for path in data.rglob("*") if not path.is_dir()}
+    here -= {"benchmark.json", *CARD_FILES}
     for name in sorted(set(listed) | here):
         path = data / name
         if name not in here:

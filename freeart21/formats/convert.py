@@ -14,6 +14,7 @@ import numpy as np
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import is_unfinished, read_benchmark, unfinished_error, write_benchmark
+from freeart21.files.data_card import write_card_of
 from freeart21.files.places import check_append
 from freeart21.files.sequence import write_frame, write_header, write_queries
 from freeart21.files.truth import write_truth
@@ -141,6 +142,7 @@ def convert(
                 yield _write_official(out, recording, files, hold_out, tick)
     if label is not None and _all_have_truth(out):
         write_benchmark(out, *label)
+        write_card_of(out)
 
 
 def _label(out: Path) -> tuple[str, str, str]:
