@@ -148,7 +148,7 @@ def _public_files(benchmark: Benchmark, names: dict[str, str], hidden: str, prog
                     progress(done, of)
     facts = {"name": benchmark.name, "version": benchmark.version, "split": benchmark.split}
     shown = [describe_sequence(name, folder, None, hashes) for name, folder in sorted(recordings.items())]
-    yield from card_files(DataSet(*facts.values(), True, tuple(shown))).items()
+    yield from card_files(DataSet(benchmark.name, benchmark.version, benchmark.split, True, tuple(shown))).items()
     listed = {"sequences": sorted(recordings), "sha256": dict(sorted(hashes.items()))}
     yield "benchmark.json", atomic.json_text({"schema": SCHEMA, "hidden": hidden, **facts, **listed}).encode()
 
