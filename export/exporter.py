@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 
 import freeart21
+from export.certificate import certify, list_reloaded
 from export.checklist import FK_TOLERANCE, check_asset
 from export.collision import Collision, CollisionSettings, make_collision, separate_collisions
 from export.companion_files import USD, write_companion_files
 from export.contact import measure_contact_depth, measure_contact_fidelity, read_link_shapes
 from export.guessed_dynamics import DYNAMICS, Dynamics, guess_effects
-from export.inertia import compute_inertial
+from export.inertia import compute_inertial, fill_range
 from export.joint_range import STATES
 from export.materials import DEFAULT, DENSITIES, MATERIALS, Material
 from export.meshes import MeshSettings, drop_small_components, write_hull, write_visual
@@ -34,6 +35,7 @@ from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.asset import read_asset, write_asset_json
+from freeart21.files.certificate import write_certificate
 from freeart21.files.lock import only_writer
 from freeart21.files.places import ASSET, check_place
 from freeart21.files.result import read_method, read_result
@@ -158,6 +160,7 @@ def export_result(
             density = settings.mass / sum(
                 compute_inertial(shape.solid, 1.0, settings.wall).mass for shape in shapes.values()
             )
+        bounds = _mass_bounds({name: shape.solid for name, shape in shapes.items()}, density, settings)
         written = {name: _write_link(aside, name, shape, density, settings) for name, shape in shapes.items()}
         root, child = (written[name][0] for name in sorted(PARTS, key=lambda name: name != placement.root))
         joint = replace(placement.joint, name=_identifier(placement.joint.name, "joint"))
@@ -181,7 +184,10 @@ def export_result(
         fidelity = measure_contact_fidelity(visuals, collisions)
         depth = measure_contact_depth(aside / URDF, joint.name, collisions, STATES)
         source |= {
-            "parts": {name: part | {"collision": fidelity[name].to_json()} for name, (_, part) in written.items()},
+            "parts": {
+                name: part | {"collision": fidelity[name].to_json(), "mass": {"bounds_kg": bounds[name]}}
+                for name, (_, part) in written.items()
+            },
             **placement.report,
             "penetration": placement.report["penetration"] | {"deepest_m": depth} | shape_counts,
             "mass": _describe_mass(settings, density, placement.report["penetration"]["carved"]),
@@ -192,6 +198,7 @@ def export_result(
         }
         write_asset_json(aside, _make_asset(aside, model, placement, source, settings.scale))
         write_companion_files(aside, read_asset(aside), settings.usd)
+        write_certificate(aside, replace(certify(read_asset(aside), fidelity), engines=list_reloaded()))
         findings = check_asset(aside)
         if (aside / USD).is_file():
             findings += check_usd(aside / USD, read_asset(aside))
@@ -326,12 +333,30 @@ def _write_link(
     return LinkModel(name, visual_file, picture, hulls, inertial, collision.primitives), report
 
 
+def _mass_bounds(solids: dict[str, Mesh], density: float, settings: ExportSettings) -> dict[str, tuple[float, float]]:
+    """Least and most kg of each part, by what is not known of its material and of its inside.
+
+    A mass of the whole leaves the division in doubt: one part as light, the others as heavy as they can be.
+    """
+    guessed = settings.density is None and settings.material is None and settings.mass is None
+    densities = (min(DENSITIES.values()), max(DENSITIES.values())) if guessed else (density, density)
+    fill = {name: fill_range(solid, settings.wall) for name, solid in solids.items()}
+    bounds = {name: (densities[0] * least, densities[1] * most) for name, (least, most) in fill.items()}
+    if settings.mass is None:
+        return bounds
+    total = tuple(sum(bound[k] for bound in bounds.values()) for k in (0, 1))
+    return {
+        name: (settings.mass * low / (low + total[1] - high), settings.mass * high / (high + total[0] - low))
+        for name, (low, high) in bounds.items()
+    }
+
+
 def _describe_mass(settings: ExportSettings, density: float, carved: str | None) -> dict[str, Any]:
     """For asset.json: where the masses come from, and whether they are guessed."""
     given = settings.mass is not None or settings.density is not None
     less = "" if carved is None else f", less what was carved of the {carved} part"
     return {
-        "by": "given mass" if settings.mass is not None else "density",
+        "by": next((name for name in ("mass", "density") if getattr(settings, name) is not None), "material"),
         "density": density,
         "material": None if given else settings.material or DEFAULT,
         "of": f"{'the solid that the mesh bounds' if settings.wall is None else 'a wall along the mesh'}{less}",

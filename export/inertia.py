@@ -9,6 +9,10 @@ from freeart21.errors import FreeArtError
 from freeart21.files.urdf import UrdfInertial
 from freeart21.mesh import Mesh
 
+THINNEST_WALL = 1e-3
+"""m, of a hollow part: moulded housings have walls of 1 to 3 mm, sheet metal of drawers and cans less at a higher
+density."""
+
 
 def compute_inertial(mesh: Mesh, density: float, wall: float | None = None) -> UrdfInertial:
     """Mass properties of a mesh of `density`, kg/m^3: of the solid inside, or with `wall`, m, of a shell along the
@@ -24,6 +28,18 @@ def compute_inertial(mesh: Mesh, density: float, wall: float | None = None) -> U
         raise FreeArtError(f"mesh bounds no volume ({volume:.3g} m^3), expected a closed one, faces outwards")
     mass = solid.mass_properties
     return UrdfInertial(density * volume, np.asarray(mass.center_mass), density * np.asarray(mass.inertia))
+
+
+def fill_range(mesh: Mesh, wall: float | None) -> tuple[float, float]:
+    """Least and most m^3 of material in a closed mesh: a shell of `THINNEST_WALL`, and the whole solid.
+
+    A given `wall`, m, leaves no doubt: both are its volume.
+    """
+    area = float(mesh.areas().sum())
+    if wall is not None:
+        return area * wall, area * wall
+    volume = float(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume)
+    return min(area * THINNEST_WALL, volume), volume
 
 
 def _shell_inertial(mesh: Mesh, density: float) -> UrdfInertial:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 from export.winding_number import Winding
 from freeart21 import se3
 from freeart21.articulation import PARTS, Articulation
+from freeart21.files.urdf import UrdfJoint
 from freeart21.joint import Joint
-from freeart21.mesh import Mesh
+from freeart21.mesh import Mesh, join_meshes
 from freeart21.se3 import Array
 
 SAMPLES = 12_000
@@ -67,6 +71,28 @@ class Overlap:
     def max_depths(self, states: Array) -> Array:
         """(n,) m, the largest depth at each of the joint states (n,)."""
         return np.array([self.depths(float(state)).max(initial=0.0) for state in states])
+
+
+def measure_visual_depth(
+    joint: UrdfJoint, visuals: Mapping[str, Sequence[tuple[Array, trimesh.Trimesh]]], count: int
+) -> float:
+    """m that the visual meshes of a joint's two links are in each other at most, over `count` positions of its range.
+
+    `visuals` are poses (4, 4) in the link, and meshes, by link, as read from an asset's files. 0 where a link has none.
+    """
+    low, high = (float(np.clip(end, -np.pi, np.pi)) for end in (joint.lower, joint.upper))
+    fixed, moving = (
+        join_meshes([Mesh(se3.transform(pose @ T, np.asarray(mesh.vertices, float)), mesh.faces) for T, mesh in shapes])
+        for pose, shapes in (
+            (np.eye(4), visuals.get(joint.parent, ())),
+            (joint.T_parent_joint, visuals.get(joint.child, ())),
+        )
+    )
+    if joint.joint_type is None or not (fixed.areas().sum() > 0 and moving.areas().sum() > 0):
+        return 0.0
+    axis, pivot = joint.T_parent_joint[:3, :3] @ joint.axis, joint.T_parent_joint[:3, 3]
+    parts = Articulation(Joint(joint.name, joint.joint_type, axis, pivot, low, high), fixed, moving)
+    return float(Overlap(parts).max_depths(np.linspace(low, high, count)).max())
 
 
 def _select_faces(mesh: Mesh, faces: NDArray[np.bool_]) -> Mesh:

@@ -520,6 +520,7 @@ def check_asset(
     simcheck: bool = False,
     as_json: Annotated[Path | None, tyro.conf.arg(name="json", metavar="FILE")] = None,
     limit_s: float = 60.0,
+    certify: bool = False,
 ) -> int:
     """Check any URDF or MJCF: named rules on its files, and trials in every installed physics engine.
 
@@ -533,7 +534,9 @@ def check_asset(
         simcheck: Also run the public checker of that name.
         as_json: File for the report: every rule with its verdict, reason, measured number and purpose.
         limit_s: Processor seconds for the files, and for each engine; three times that of wall-clock time.
+        certify: Write the results into the certificate.json of an exported asset.
     """
+    from export.certificate import add_trials
     from export.check.checking import check
     from export.check.report import print_report, write_report
 
@@ -541,6 +544,8 @@ def check_asset(
     print_report(report)
     if as_json is not None:
         write_report(as_json, report)
+    if certify:
+        add_trials(path, report)
     return 0 if report.verdict == "pass" else DOUBTFUL
 
 
@@ -884,7 +889,7 @@ def film(
         if export(result, result / "asset", mass=mass, video=sequence) == 1:
             return 1
     print("check-asset:", flush=True)
-    verdict = check_asset(result / "asset", as_json=out / "check.json")
+    verdict = check_asset(result / "asset", as_json=out / "check.json", certify=True)
     view(result, out / "index.html", sequence=sequence)
     return max(verdict, _trust_of(result))
 

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from export.check.report import Row
 from export.check.rules import CONTACT_PERCENT, CONTACT_SHARE
 from export.contact import Shapes, is_closed, measure_contact_fidelity
 from export.fidelity import Fidelity
+from freeart21.articulation import PARTS
+from freeart21.errors import FreeArtError
 from freeart21.files import checked
+from freeart21.files.certificate import FILE as CERTIFICATE
+from freeart21.files.certificate import read_certificate
 
 RULE = "collision.true-to-visual"
 _STATED_SHARE = 0.01
@@ -34,7 +40,7 @@ def judge_contact(seen: Mapping[str, Shapes], touched: Mapping[str, Shapes], fol
     worst = max(found, key=lambda name: _excess_share(found[name]))
     value = found[worst].size * _excess_share(found[worst])
     wrong = [_describe(name, f) for name, f in found.items() if _excess_share(f) > CONTACT_SHARE]
-    wrong += _find_misstated(found, folder / "asset.json")
+    wrong += _find_misstated(found, folder)
     return Row(
         RULE, "file", "fail" if wrong else "pass", "; ".join(wrong) or _describe(worst, found[worst]), value, "m"
     )
@@ -53,18 +59,33 @@ def _describe(name: str, f: Fidelity) -> str:
     )
 
 
-def _find_misstated(found: Mapping[str, Fidelity], header: Path) -> Iterator[str]:
-    """Numbers on contact in asset.json that differ from its files."""
+def _find_misstated(found: Mapping[str, Fidelity], folder: Path) -> Iterator[str]:
+    """Numbers on contact in asset.json and certificate.json that differ from the files."""
+    for file, stated in _read_stated(folder):
+        for name, f in found.items():
+            for key, value in f.to_json().items():
+                number = stated.get(name, {}).get(key)
+                if isinstance(number, int | float) and not abs(number - value) <= _STATED_SHARE * f.size:
+                    stating = f"{file} states {key} {1000 * number:.3g} mm of '{name}'"
+                    yield f"{stating}, its files have {1000 * value:.3g} mm"
+
+
+def _read_stated(folder: Path) -> Iterator[tuple[str, dict[str, dict[str, Any]]]]:
+    """File name, and what it states on contact by link; an invalid certificate is `certificate.same`'s."""
+    with suppress(FreeArtError):
+        certificate = read_certificate(folder)
+        if certificate is not None:
+            yield CERTIFICATE, {name: dict(link.contact) for name, link in certificate.links.items()}
+    header = folder / "asset.json"
     if not header.is_file():
         return
-    source = checked.read_json(header).get("source")
+    data = checked.read_json(header)
+    source = data.get("source")
     parts = source.get("parts") if isinstance(source, dict) else None
-    for name, f in found.items():
-        part = parts.get(name) if isinstance(parts, dict) else None
-        stated = part.get("collision") if isinstance(part, dict) else None
-        for key, value in f.to_json().items():
-            number = stated.get(key) if isinstance(stated, dict) else None
-            if isinstance(number, int | float) and not abs(number - value) <= _STATED_SHARE * f.size:
-                yield (
-                    f"asset.json states {key} {1000 * number:.3g} mm of '{name}', its files have {1000 * value:.3g} mm"
-                )
+    stated = {}
+    for part in PARTS:
+        facts = parts.get(part) if isinstance(parts, dict) else None
+        contact = facts.get("collision") if isinstance(facts, dict) else None
+        if isinstance(contact, dict):
+            stated[str(data.get(f"{part}_link"))] = contact
+    yield header.name, stated

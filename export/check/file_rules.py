@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from export.check.consistency_rules import RULES as CONSISTENCY_RULES
+from export.check.consistency_rules import judge_consistency
 from export.check.contact_rule import RULE as CONTACT
 from export.check.contact_rule import judge_contact
 from export.check.geometry_rules import check_shapes
@@ -33,7 +35,9 @@ from freeart21.reconstruction import describe_trust
 
 _FATAL = ("paths.exist", "inertia.physical", "limits.ordered", "numbers and meshes")
 """Rules without which a trial is meaningless; for a link without inertia, engines invent one."""
-SHAPE_RULES = ("inertia.fits-shape", "collision.matches-visual", "parts.clear", CONTACT)
+SHAPE_RULES = ("inertia.fits-shape", "mass.possible", "collision.matches-visual", "axis.near", "parts.clear", CONTACT)
+LAST_RULES = (*SHAPE_RULES, *CONSISTENCY_RULES)
+"""Rules that need readable shapes; judged last, as they may take long."""
 TRUST = "trust.sound"
 _MAX_SHOWN = 3
 """Findings of one rule that are listed; of more, only the count."""
@@ -74,7 +78,7 @@ def judge_files(
     except FreeArtError as error:
         findings.append(Finding("numbers and meshes", str(error)))
         facts["blocked"] = "numbers and meshes fails"
-        skipped = dict.fromkeys((*SHAPE_RULES, "dynamics.damped", USD_RULE, "stands.on-ground"), facts["blocked"])
+        skipped = dict.fromkeys((*LAST_RULES, "dynamics.damped", USD_RULE, "stands.on-ground"), facts["blocked"])
         yield from make_rows(findings, skipped, rows)
         return
     findings += _check_damping(tree)
@@ -84,16 +88,18 @@ def judge_files(
     facts["blocked"] = "" if not stop else facts["blocked"]
     say(USD_RULE)
     rows.append(_judge_usd(urdf))
-    yield from (row for row in make_rows(findings, skipped, rows) if row.rule not in SHAPE_RULES)
+    yield from (row for row in make_rows(findings, skipped, rows) if row.rule not in LAST_RULES)
     say("parts.clear")  # may take long
     findings = [f for f in findings if f.rule in ("mesh.readable", "inertia.physical")]
     if findings:
-        skipped = dict.fromkeys(SHAPE_RULES, f"{findings[0].rule} fails")
+        skipped = dict.fromkeys(LAST_RULES, f"{findings[0].rule} fails")
     else:
         findings = list(check_shapes(tree, seen, touched))
         say(CONTACT)
         rows.append(judge_contact(seen, touched, folder))
-    yield from (row for row in make_rows(findings, skipped, rows) if row.rule in SHAPE_RULES)
+        say(CONSISTENCY_RULES[0])
+        rows += judge_consistency(urdf, mjcf, tree, seen)
+    yield from (row for row in make_rows(findings, skipped, rows) if row.rule in LAST_RULES)
 
 
 def make_rows(findings: list[Finding], skipped: dict[str, str], rows: list[Row]) -> Iterator[Row]:

@@ -8,10 +8,14 @@ from itertools import combinations, pairwise
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
 
 from export.check.rules import (
+    AXIS_SHARE,
     BENT_SHARE,
     CUT_SHARE,
+    DENSITY_HIGH,
+    DENSITY_LOW,
     INERTIA_HIGH,
     INERTIA_LOW,
     SHIFT_SHARE,
@@ -58,11 +62,13 @@ def check_shapes(tree: Tree, seen: Mapping[str, Shapes], touched: Mapping[str, S
             for T, mesh in (*seen.get(other, []), *touched.get(other, []))
         ]
         yield from _check_inertia(link, inertial, both)
+        yield from _check_mass(link, inertial.mass, both)
     bodies: dict[str, Shapes] = {}
     for link in tree.links:
         shapes = touched.get(link) or seen.get(link, [])
         bodies.setdefault(groups[link][0], []).extend((groups[link][1] @ T, mesh) for T, mesh in shapes)
     solids = {name: body for name, shapes in bodies.items() if (body := make_body(shapes, POINTS)) is not None}
+    yield from _check_axes(tree, groups, bodies)
     yield from _check_clearance(tree, {joint.child: groups[joint.parent][0] for joint in tree.joints.values()}, solids)
 
 
@@ -120,6 +126,35 @@ def _check_inertia(link: str, inertial: UrdfInertial, shapes: Shapes) -> Iterato
         yield Finding("inertia.fits-shape", f"{found}, at most {INERTIA_HIGH * most:.3g} is possible")
     elif 0 < moment < INERTIA_LOW * most:
         yield Finding("inertia.fits-shape", f"{found}, expected at least {INERTIA_LOW * most:.3g}")
+
+
+def _check_mass(link: str, mass: float, shapes: Shapes) -> Iterator[Finding]:
+    """A body's mass against the volume of its shapes' convex hull; what has no volume is not judged."""
+    points = _shape_corners(shapes)
+    try:
+        volume = float(ConvexHull(points).volume)
+    except (QhullError, ValueError):
+        return
+    low, high = DENSITY_LOW * volume, DENSITY_HIGH * volume
+    if not low <= mass <= high:
+        bounds = f"expected {low:.3g} to {high:.3g} kg for what fills {1e3 * volume:.3g} litres at most"
+        yield Finding("mass.possible", f"link '{link}' has a mass of {mass:.3g} kg, {bounds}")
+
+
+def _check_axes(tree: Tree, groups: Mapping[str, tuple[str, Array]], bodies: Mapping[str, Shapes]) -> Iterator[Finding]:
+    """Hinges whose axis is further from the part that it turns than both parts are large."""
+    for joint in tree.movable:
+        group, T = groups[joint.child]
+        moved = _shape_corners(bodies.get(group, []))
+        borne = _shape_corners(bodies.get(groups[joint.parent][0], []))
+        if joint.kind != "revolute" or not len(moved):
+            continue
+        axis, pivot = T[:3, :3] @ joint.axis, se3.transform(T, joint.pivot[None])[0]
+        distance = float(np.linalg.norm(np.cross(axis, moved - pivot), axis=1).min())
+        size = sum(float(np.linalg.norm(np.ptp(points, axis=0))) for points in (moved, borne) if len(points))
+        if distance > AXIS_SHARE * size:
+            away = f"is {distance:.3g} m from '{joint.child}', which with its neighbour is {size:.3g} m large"
+            yield Finding("axis.near", f"the axis of joint '{joint.name}' {away}")
 
 
 def _check_clearance(tree: Tree, parents: Mapping[str, str], solids: Mapping[str, Body]) -> Iterator[Finding]:

@@ -55,7 +55,16 @@ ASSET = Output(
     _json("asset"),
     "asset.json",
     (
-        *("asset.json", "effects.json", "object.urdf", "object.xml", "object.usdc", "LOSSES.md", "preview.png"),
+        *(
+            "asset.json",
+            "certificate.json",
+            "effects.json",
+            "object.urdf",
+            "object.xml",
+            "object.usdc",
+            "LOSSES.md",
+            "preview.png",
+        ),
         *("loaders/load_*.py", "loaders/joint.json", "loaders/__pycache__/load_*.pyc"),
         *(f"meshes/*.{end}" for end in ("obj", "mtl", "png")),
     ),

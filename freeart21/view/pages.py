@@ -14,6 +14,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.asset import read_asset, read_effects
 from freeart21.files.benchmark import is_unfinished, unfinished_error
+from freeart21.files.certificate import read_certificate
 from freeart21.files.diagnostics import Diagnostics, confidence_file, read_confidence, read_diagnostics
 from freeart21.files.gaussians import GAUSSIANS, read_gaussians
 from freeart21.files.places import PAGE, check_place
@@ -46,6 +47,7 @@ from freeart21.view.plots import state_section
 from freeart21.view.scene import scene_section, without_outliers
 from freeart21.view.tables import (
     alternative_rows,
+    certificate_section,
     compared_rows,
     joint_rows,
     joint_section,
@@ -358,6 +360,9 @@ def _asset_sections(
         joint_section(model, effects),
         link_section(model),
     ]
+    certificate = None if asset is None else read_certificate(urdf.parent)
+    if certificate is not None:
+        sections.insert(1, certificate_section(certificate))
     if asset is not None and asset.source:
         rows = [("trust", describe_trust(asset.trust)), *source_rows(asset.source)]
         sections.append(table_section("Source of the asset", rows))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 
+from freeart21.certificate import Certificate, LinkCertificate
 from freeart21.errors import FreeArtError
 from freeart21.files.urdf import Urdf, UrdfJoint
 from freeart21.joint import Joint
@@ -132,6 +133,47 @@ def source_rows(source: Mapping[str, Any]) -> list[tuple[str, str]]:
         elif value is not None:
             rows.append((name, _plain(value)))
     return rows
+
+
+def certificate_section(certificate: Certificate) -> Section:
+    """How good an asset is, from its certificate: a column a link, then what holds for the whole."""
+    links = certificate.links
+
+    def per_link(text: Callable[[LinkCertificate], str]) -> list[str]:
+        return [text(link) for link in links.values()]
+
+    def distance(link: LinkCertificate, key: str) -> str:
+        return f"{1000 * link.contact[key]:.2g} mm" if key in link.contact else NONE
+
+    def supposed(link: LinkCertificate) -> str:
+        return ", ".join(f"{how} {share:.0%}" for how, share in link.supposed.items()) or "nothing"
+
+    span = [
+        ("Trust", ": ".join(filter(None, [certificate.trust, "; ".join(certificate.reasons)]))),
+        ("Upright by", certificate.upright),
+        ("Mass by", certificate.mass),
+        ("Visual meshes in each other", f"{1000 * certificate.visual_overlap_m:.2g} mm at most"),
+        ("Collision shapes in each other", f"{1000 * certificate.contact_overlap_m:.2g} mm at most"),
+        *(
+            (_tried(engine, of.version), ": ".join(filter(None, [of.verdict, ", ".join(of.failed)])))
+            for engine, of in certificate.engines.items()
+        ),
+    ]
+    rows = [
+        ["Area that was seen", *per_link(lambda link: f"{link.seen_share:.0%}")],
+        ["The rest", *per_link(supposed)],
+        ["Visual to contact, median", *per_link(lambda link: distance(link, "median_m"))],
+        ["Visual to contact, 95 % within", *per_link(lambda link: distance(link, "worst_of_95_m"))],
+        ["Contact beyond visual, 95 % within", *per_link(lambda link: distance(link, "outward_95_m"))],
+        ["Mass", *per_link(lambda link: f"{link.mass_kg:.3g} kg")],
+        ["Mass, bounds", *per_link(lambda link: f"{link.mass_low_kg:.2g} to {link.mass_high_kg:.2g} kg")],
+        ["Material", *per_link(lambda link: link.material)],
+    ]
+    return Section("Certificate", table(span) + table(rows, ["", *links]), place="full")
+
+
+def _tried(engine: str, version: str) -> str:
+    return "Rules on files" if engine == "file" else f"Tried in {engine} {version}".strip()
 
 
 def _plain(value: object) -> str:

@@ -1,0 +1,291 @@
+"""The certificate of an exported asset, and what `check-asset` finds in assets into which a fault was planted."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import run_command
+from refusal import assert_refused
+from solid_case import box
+from test_check_asset import REAL, files_of
+from test_export import reconstruction
+
+from export.check.consistency_rules import RULES as CONSISTENCY_RULES
+from export.check.consistency_rules import judge_consistency
+from export.check.subject import find_subject
+from export.check.tree import build_tree
+from export.contact import read_link_shapes
+from export.exporter import ExportSettings, export_result
+from export.placement import PlacementSettings
+from freeart21.articulation import Articulation
+from freeart21.files.certificate import FILE, read_certificate
+from freeart21.files.hashes import file_sha256
+from freeart21.files.urdf import read_urdf
+from freeart21.joint import Joint
+from freeart21.mesh import Mesh
+from freeart21.reconstruction import Trust
+from freeart21.view import write_page
+
+SETTINGS = ExportSettings(material="wood", placement=PlacementSettings(up=(0.0, 0.0, 1.0)))
+FAILING = REAL / "failing" / "asset"
+
+
+def drawer(depth: float = 0.0):
+    """A base with a drawer that slides along y in front of it, `depth` m into it when closed."""
+    joint = Joint("slide", "prismatic", np.array([0.0, -1.0, 0.0]), np.zeros(3), 0.0, 0.1)
+    base = box((0.2, 0.15, 0.1), (0, 0, 0.05), (150, 90, 40))
+    front = box((0.16, 0.06, 0.06), (0, -0.075 - 0.0305 + depth, 0.05), (20, 40, 220))
+    return reconstruction("prismatic", (0.0, 0.05, 0.1), **vars(Articulation(joint, base, front)))
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("assets") / "drawer"
+    export_result(drawer(), out, SETTINGS)
+    return out
+
+
+@pytest.fixture
+def asset(exported: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(exported, tmp_path / "asset"))
+
+
+def failed(folder: Path) -> dict[str, str]:
+    return {row.rule: row.reason for row in files_of(folder) if row.verdict == "fail"}
+
+
+def test_a_good_asset_passes_and_its_certificate_says_what_its_files_give(exported: Path):
+    assert failed(exported) == {}
+    certificate = read_certificate(exported)
+    base = certificate.links["reference"]
+    assert base.seen_share == 1 and base.supposed == {}
+    assert base.contact["worst_m"] < 1e-3
+    assert certificate.visual_overlap_m == 0 and certificate.contact_overlap_m < 5e-4
+    assert base.mass_kg == pytest.approx(700 * 0.2 * 0.15 * 0.1, rel=1e-3)
+    area = 2 * (0.2 * 0.15 + 0.2 * 0.1 + 0.15 * 0.1)
+    assert base.mass_low_kg == pytest.approx(700 * area * 1e-3, rel=1e-3)
+    assert base.mass_high_kg == pytest.approx(base.mass_kg, rel=1e-3)
+    assert (certificate.mass, base.material, certificate.trust) == ("given material", "wood", "not stated")
+    assert certificate.engines["sapien"].verdict == "reloaded"
+
+
+def test_an_open_part_says_how_much_of_it_was_seen_and_how_the_rest_was_supplied(tmp_path: Path):
+    answer = reconstruction()
+    lid = answer.articulation.moving
+    up = lid.vertices[lid.faces][:, :, 2].min(1) > lid.vertices[:, 2].max() - 1e-9
+    open_lid = Mesh(lid.vertices, lid.faces[~up], lid.colours)
+    export_result(reconstruction(moving=open_lid), tmp_path / "lid")
+    link = read_certificate(tmp_path / "lid").links["moving"]
+    top = 0.2 * 0.15 / (2 * 0.2 * 0.15 + 2 * 0.03 * (0.2 + 0.15))
+    assert link.seen_share == pytest.approx(1 - top, abs=0.02)
+    assert sum(link.supposed.values()) == pytest.approx(top, abs=0.02) and set(link.supposed) == {"smooth closing"}
+
+
+def test_a_doubtful_answer_has_a_doubtful_certificate_with_its_reasons(tmp_path: Path):
+    export_result(replace(drawer(), trust=Trust("doubtful", ("the axis wavers",))), tmp_path / "a")
+    certificate = read_certificate(tmp_path / "a")
+    assert (certificate.trust, certificate.reasons) == ("doubtful", ("the axis wavers",))
+
+
+def test_check_asset_writes_its_trials_into_the_certificate_when_told(asset: Path, capsys):
+    assert run_command(capsys, "check-asset", asset, "--engines", "sapien", "--certify")[0] == 0
+    engines = read_certificate(asset).engines
+    assert set(engines) == {"file", "sapien"} and engines["sapien"].verdict == "pass"
+    assert failed(asset) == {}
+
+
+def test_the_page_shows_the_certificate(asset: Path):
+    write_page(asset, asset.parent / "page.html")
+    text = (asset.parent / "page.html").read_text()
+    assert "Certificate" in text and "Visual meshes in each other" in text and "reloaded" in text
+
+
+def test_a_certificate_that_is_none_costs_one_line(asset: Path):
+    (asset / FILE).write_text('{"schema": "freeart21/certificate/1", "links": 3}')
+    assert "expected" in failed(asset)["certificate.same"]
+    assert_refused("certificate.json", read_certificate, asset)
+
+
+# ---- planted faults
+
+
+def edit(file: str, old: str, new: str, count: int = 1) -> Callable[[Path], None]:
+    """A regular expression replaced in a file of the asset."""
+
+    def plant(folder: Path) -> None:
+        text = (folder / file).read_text()
+        changed = re.sub(old, new, text, count=count)
+        assert changed != text
+        (folder / file).write_text(changed)
+
+    return plant
+
+
+def scaled(file: str, factor: float, offset=(0.0, 0.0, 0.0)) -> Callable[[Path], None]:
+    """The vertices of an OBJ file times `factor`, then moved."""
+
+    def plant(folder: Path) -> None:
+        lines = []
+        for line in (folder / file).read_text().splitlines():
+            if line.startswith("v "):
+                x = factor * np.array(line.split()[1:4], float) + offset
+                line = "v " + " ".join(repr(float(value)) for value in x)
+            lines.append(line)
+        (folder / file).write_text("\n".join(lines) + "\n")
+
+    return plant
+
+
+def certify_as(**changes) -> Callable[[Path], None]:
+    def plant(folder: Path) -> None:
+        data = json.loads((folder / FILE).read_text())
+        data.update(changes)
+        (folder / FILE).write_text(json.dumps(data))
+
+    return plant
+
+
+def link_as(link: str, **changes) -> Callable[[Path], None]:
+    def plant(folder: Path) -> None:
+        data = json.loads((folder / FILE).read_text())
+        data["links"][link].update(changes)
+        (folder / FILE).write_text(json.dumps(data))
+
+    return plant
+
+
+def masses_times(factor: float) -> Callable[[Path], None]:
+    """All masses and moments of the URDF times `factor`, as by a wrong unit."""
+
+    def plant(folder: Path) -> None:
+        def times(match: re.Match) -> str:
+            return f'{match[1]}="{float(match[2]) * factor!r}"'
+
+        text = (folder / "object.urdf").read_text()
+        text = re.sub(r'(<mass value)="([^"]+)"', times, text)
+        text = re.sub(r'\b(i[xyz][xyz])="([^"]+)"', times, text)
+        (folder / "object.urdf").write_text(text)
+
+    return plant
+
+
+def lifted(folder: Path) -> None:
+    """All collision shapes 5 mm up."""
+
+    def up(match: re.Match) -> str:
+        x, y, z = map(float, match[2].split())
+        return f'{match[1]}"{x!r} {y!r} {z + 0.005!r}"'
+
+    text = (folder / "object.urdf").read_text()
+    (folder / "object.urdf").write_text(re.sub(r'(<collision [^>]*>\s*<origin xyz=)"([^"]+)"', up, text))
+
+
+def undamped(folder: Path) -> None:
+    edit("object.urdf", "<dynamics[^>]*/>", "")(folder)
+    (folder / "effects.json").unlink()
+
+
+def seal(folder: Path) -> None:
+    """effects.json of the URDF as it is now."""
+    if (folder / "effects.json").is_file():
+        data = json.loads((folder / "effects.json").read_text())
+        data["urdf_sha256"] = file_sha256(folder / "object.urdf")
+        (folder / "effects.json").write_text(json.dumps(data))
+
+
+PLANTED: dict[str, tuple[str, Callable[[Path], None]]] = {
+    "the drawer's picture stands 20 mm in the base": (
+        "parts.visuals-clear", scaled("meshes/moving.obj", 1, (0, 0.02, 0)),
+    ),
+    "the drawer's picture is 3 mm in the base": ("parts.visuals-clear", scaled("meshes/moving.obj", 1, (0, 0.0035, 0))),
+    "a picture in millimetres": ("collision.true-to-visual", scaled("meshes/moving.obj", 1000)),
+    "a picture a third too large": ("collision.matches-visual", scaled("meshes/moving.obj", 3)),
+    "a picture beside its contact": ("collision.matches-visual", scaled("meshes/reference.obj", 1, (0.04, 0, 0))),
+    "masses in grams": ("mass.possible", masses_times(1e3)),
+    "masses in tonnes": ("mass.possible", masses_times(1e-3)),
+    "a mass in the MJCF alone": ("mjcf.same", edit("object.xml", r'mass="(0|[1-9])\.', r'mass="9\1.')),
+    "an axis turned in the MJCF alone": ("mjcf.same", edit("object.xml", r'axis="[^"]+"', 'axis="1 0 0"')),
+    "limits of the MJCF alone": ("mjcf.same", edit("object.xml", r' range="[^"]+"', ' range="0 0.2"')),
+    "a contact shape lost in the MJCF": ("mjcf.same", edit("object.xml", r'<geom type="box"[^>]*/>', "")),
+    "a body renamed in the MJCF": ("mjcf.same", edit("object.xml", 'body name="moving"', 'body name="front"')),
+    "a joint of another type in the MJCF": ("mjcf.same", edit("object.xml", 'type="slide"', 'type="hinge"')),
+    "the loaders' friction is another": (
+        "loaders.same", edit("loaders/joint.json", r'"friction": [^,]+', '"friction": 5.0'),
+    ),
+    "the loaders' joint is another": ("loaders.same", edit("loaders/joint.json", ': "slide"', ': "hinge"')),
+    "a certificate of less overlap": ("certificate.same", certify_as(visual_overlap_m=0.02)),
+    "a certificate of more trust": ("certificate.same", certify_as(trust="sound")),
+    "a certificate of another mass": ("certificate.same", link_as("reference", mass_kg=1.0)),
+    "a certificate of another doubt": ("certificate.same", link_as("moving", mass_low_kg=0.1)),
+    "a certificate of more seen": ("certificate.same", link_as("moving", seen_share=0.5)),
+    "a certificate of other links": ("certificate.same", edit(FILE, '"moving": {', '"front": {')),
+    "a certificate of better contact": (
+        "collision.true-to-visual", link_as("moving", contact={"worst_m": 0.05, "outward_m": 0.0}),
+    ),
+    "the range opened into the base": ("parts.clear", edit("object.urdf", 'lower="[^"]+"', 'lower="-0.1"')),
+    "an axis that is no unit vector": ("axis.unit", edit("object.urdf", r'<axis xyz="[^"]+"', '<axis xyz="0 -2 0"')),
+    "limits that are turned round": ("limits.ordered", edit("object.urdf", 'upper="[^"]+"', 'upper="-1"')),
+    "no damping": ("dynamics.damped", undamped),
+    "a texture that is gone": ("textures.exist", lambda folder: (folder / "meshes/moving.png").unlink()),
+    "a picture that is gone": ("paths.exist", lambda folder: (folder / "meshes/moving.obj").unlink()),
+    "a hole in a picture": (
+        "mesh.watertight", edit("meshes/moving.obj", r"\nf [^\n]+\n$", "\n"),
+    ),
+    "a centre of mass beside the part": (
+        "inertia.centre-inside", edit("object.urdf", r'<inertial>\s*<origin xyz="', '<inertial><origin xyz="1'),
+    ),
+    "a moment that no body has": ("inertia.physical", edit("object.urdf", 'ixx="[^"]+"', 'ixx="9"')),
+    "two shapes of a name": ("names.unique", edit("object.urdf", 'collision name="[^"]+"', 'collision name="a"', 9)),
+    "it hangs in the air": ("stands.on-ground", lifted),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", PLANTED)
+def test_each_planted_fault_fails_its_rule(asset: Path, fault: str):
+    rule, plant = PLANTED[fault]
+    plant(asset)
+    seal(asset)
+    if rule in CONSISTENCY_RULES:  # the others take seconds
+        subject = find_subject(asset)
+        tree, seen = build_tree(read_urdf(subject.urdf)), read_link_shapes(subject.urdf)[0]
+        rows = judge_consistency(subject.urdf, subject.mjcf, tree, seen)
+        assert rule in [row.rule for row in rows if row.verdict == "fail"]
+    else:
+        assert rule in failed(asset)
+
+
+def test_parts_in_each_other_are_found_in_what_export_writes(tmp_path: Path):
+    """The parts of the answer itself overlap by 3 mm: contact is carved, what is seen is not."""
+    export_result(drawer(0.0035), tmp_path / "asset", SETTINGS)
+    assert "3 mm in each other" in failed(tmp_path / "asset")["parts.visuals-clear"]
+    assert read_certificate(tmp_path / "asset").visual_overlap_m == pytest.approx(0.003, abs=2e-4)
+
+
+HANDED = {
+    "d_good.urdf": None,
+    "faucet_wall.urdf": None,
+    "d_visual_mm.urdf": "collision.matches-visual",
+    "d_col_shift.urdf": "collision.matches-visual",
+    "d_vis_shift.urdf": "collision.matches-visual",
+    "d_into_body.urdf": "parts.clear",
+    "35_mm_inertia": "inertia.fits-shape",
+}
+
+
+@pytest.mark.skipif(not FAILING.is_dir(), reason="shared/failing is not at hand")
+@pytest.mark.parametrize("name", HANDED)
+def test_every_fault_that_was_handed_in_is_found(name: str):
+    found = failed(FAILING / name)
+    assert HANDED[name] in found if HANDED[name] else found == {}
+
+
+@pytest.mark.skipif(not FAILING.is_dir(), reason="shared/failing is not at hand")
+def test_a_template_is_refused():
+    assert_refused("xacro", find_subject, FAILING / "xacro.urdf")
