@@ -77,7 +77,7 @@ def measure_seen_share(visuals: Shapes, patch: Mapping[str, Any]) -> tuple[float
     first = int(patch.get("first_face", len(area)))
     panels = len(area) - int(patch.get("panel_faces", 0))
     total = max(float(area.sum()), 1e-300)
-    parts = {"smooth closing": area[first:panels], "back of a panel": area[max(first, panels) :]}
+    parts = {"closing surface": area[first:panels], "back of a panel": area[max(first, panels) :]}
     return float(area[:first].sum()) / total, {how: float(a.sum()) / total for how, a in parts.items() if len(a)}
 
 

@@ -85,7 +85,7 @@ def test_an_open_part_says_how_much_of_it_was_seen_and_how_the_rest_was_supplied
     link = read_certificate(tmp_path / "lid").links["moving"]
     top = 0.2 * 0.15 / (2 * 0.2 * 0.15 + 2 * 0.03 * (0.2 + 0.15))
     assert link.seen_share == pytest.approx(1 - top, abs=0.02)
-    assert sum(link.supposed.values()) == pytest.approx(top, abs=0.02) and set(link.supposed) == {"smooth closing"}
+    assert sum(link.supposed.values()) == pytest.approx(top, abs=0.02) and set(link.supposed) == {"closing surface"}
 
 
 def test_a_doubtful_answer_has_a_doubtful_certificate_with_its_reasons(tmp_path: Path):
