@@ -94,7 +94,7 @@ def test_a_doubtful_answer_has_a_doubtful_certificate_with_its_reasons(tmp_path:
     assert (certificate.trust, certificate.reasons) == ("doubtful", ("the axis wavers",))
 
 
-def test_check_asset_writes_its_trials_into_the_certificate_when_told(asset: Path, capsys):
+def test_check_asset_writes_its_trials_into_the_certificate(asset: Path, capsys):
     assert run_command(capsys, "check-asset", asset, "--engines", "sapien", "--certify")[0] == 0
     engines = read_certificate(asset).engines
     assert set(engines) == {"file", "sapien"} and engines["sapien"].verdict == "pass"

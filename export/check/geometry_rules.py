@@ -146,12 +146,12 @@ def _check_axes(tree: Tree, groups: Mapping[str, tuple[str, Array]], bodies: Map
     for joint in tree.movable:
         group, T = groups[joint.child]
         moved = _shape_corners(bodies.get(group, []))
-        borne = _shape_corners(bodies.get(groups[joint.parent][0], []))
+        parent = _shape_corners(bodies.get(groups[joint.parent][0], []))
         if joint.kind != "revolute" or not len(moved):
             continue
         axis, pivot = T[:3, :3] @ joint.axis, se3.transform(T, joint.pivot[None])[0]
         distance = float(np.linalg.norm(np.cross(axis, moved - pivot), axis=1).min())
-        size = sum(float(np.linalg.norm(np.ptp(points, axis=0))) for points in (moved, borne) if len(points))
+        size = sum(float(np.linalg.norm(np.ptp(points, axis=0))) for points in (moved, parent) if len(points))
         if distance > AXIS_SHARE * size:
             away = f"is {distance:.3g} m from '{joint.child}', which with its neighbour is {size:.3g} m large"
             yield Finding("axis.near", f"the axis of joint '{joint.name}' {away}")

@@ -92,7 +92,7 @@ FILE_RULES: dict[str, Rule] = {
     ),
     "mass.possible": Rule(
         f"mass over the hull of a body's shapes is {DENSITY_LOW:g} to {DENSITY_HIGH:g} kg/m^3",
-        "dynamics: grams or millimetres gone wrong alike",
+        "dynamics: grams or millimetres gone wrong in all of them",
     ),
     "collision.present": Rule("links with visuals have collision shapes", "grasping"),
     "collision.few": Rule(f"at most {MAX_HULLS} collision shapes a link", "speed"),

@@ -155,7 +155,7 @@ def certificate_section(certificate: Certificate) -> Section:
         ("Visual meshes in each other", f"{1000 * certificate.visual_overlap_m:.2g} mm at most"),
         ("Collision shapes in each other", f"{1000 * certificate.contact_overlap_m:.2g} mm at most"),
         *(
-            (_tried(engine, of.version), ": ".join(filter(None, [of.verdict, ", ".join(of.failed)])))
+            (_engine_title(engine, of.version), ": ".join(filter(None, [of.verdict, ", ".join(of.failed)])))
             for engine, of in certificate.engines.items()
         ),
     ]
@@ -172,7 +172,7 @@ def certificate_section(certificate: Certificate) -> Section:
     return Section("Certificate", table(span) + table(rows, ["", *links]), place="full")
 
 
-def _tried(engine: str, version: str) -> str:
+def _engine_title(engine: str, version: str) -> str:
     return "Rules on files" if engine == "file" else f"Tried in {engine} {version}".strip()
 
 
