@@ -91,7 +91,7 @@ FILE_RULES: dict[str, Rule] = {
         "dynamics: units gone wrong (mm, g) and placeholders",
     ),
     "mass.possible": Rule(
-        f"mass over the hull of a body's shapes is {DENSITY_LOW:g} to {DENSITY_HIGH:g} kg/m^3",
+        f"mass over the hull of a body's shapes is {DENSITY_LOW:g} to {DENSITY_HIGH:g} kg a cubic metre",
         "dynamics: grams or millimetres gone wrong in all of them",
     ),
     "collision.present": Rule("links with visuals have collision shapes", "grasping"),
