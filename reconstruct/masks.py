@@ -1,0 +1,558 @@
+"""Masks of the object without hand work: what is held in front of the static scene, less the hand and the arm.
+
+Evidence of a frame: depth in front of the background that other frames show there (along the camera's motion where it
+moves), the nearest of the moving layers, colours that differ from the background where there is no depth. Hand and arm
+are what has the colours of skin, and regions that enter from the picture's rim; their colours and the object's are
+learned from the whole video. All is carried along the video by optical flow where depths agree. Every frame has a
+doubt.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from freeart21.errors import FreeArtError
+from freeart21.recording import Recording
+
+Bools = NDArray[np.bool_]
+Image = NDArray[np.uint8]
+Values = NDArray[Any]
+"""Single precision, half precision for flows; OpenCV's stubs give no more exact type."""
+
+STILL_PX = 0.3
+"""Flow, pixels a frame, up to which a pixel stands still: three times what DIS gives on static textured scenes."""
+LEAST_GAP = 0.012
+"""Metres that the object is in front of the background at least: two fingers' thickness. Not measured."""
+_SKIN_CR, _SKIN_CB = (133, 173), (77, 127)
+"""Chroma of skin of all tones, 8 bits (Chai and Ngan 1999)."""
+_TEXTURE = 24.0
+"""Sobel's gradient, grey levels, from which on a pixel shows texture: four times that of usual noise."""
+_RIM = 2
+"""Pixels from the picture's border that count as its rim."""
+_SKIN_HUE = (25.0, 68.0)
+"""Its hue in CIELAB, degrees: 40 to 65 on average (Xiao et al. 2017), less in red light; wood and brass have more."""
+_COLOUR_BINS = (12, 32, 32)
+"""Bins of CIELAB lightness, a, b; smoothed by one bin."""
+
+
+@dataclass(frozen=True)
+class MaskSettings:
+    """What `find_masks` may use."""
+
+    longest_side: int = 480
+    """Pixels of the working pictures."""
+    saliency: Path | None = None
+    """u2netp.onnx (input 320 x 320, ImageNet's mean and deviation): cuts where there is no depth."""
+
+
+@dataclass(frozen=True)
+class Masks:
+    """Masks and how far they can be trusted."""
+
+    masks: Bools
+    """(n, height, width), pixels of the recording."""
+    doubt: Values
+    """(n,) 0 to 1; more than 0.5 should be looked at."""
+    reasons: tuple[str, ...]
+    """(n,) the largest cause of each doubt."""
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Video:
+    """Working pictures: (n, h, w, ...)."""
+
+    rgb: Image
+    depth: Values
+    K: Values
+    forward: Values
+    """(n, h, w, 2) flow to the next frame; the last has zeros."""
+    backward: Values
+
+
+def find_masks(
+    recording: Recording,
+    settings: MaskSettings | None = None,
+    progress: Callable[[str, int, int], None] = lambda what, done, total: None,
+) -> Masks:
+    """Masks of the object that is held and moved in front of the camera. Raises FreeArtError when nothing moves.
+
+    The masks of `recording` are not looked at.
+    """
+    settings = settings or MaskSettings()
+    video = _load(recording, settings.longest_side, progress)
+    still, moves = _residual_flow(video)
+    front, notes = _in_front(video, still, moves)
+    front = _nearest_layer(video, front)
+    if settings.saliency is not None:
+        front = _cut_by_saliency(video, front, settings.saliency, progress)
+    solid = front > 0.5
+    moving = (solid & ~still).sum((1, 2)) / np.maximum(solid.sum((1, 2)), 1)
+    if np.median(solid.mean((1, 2))) < 1e-4 or np.percentile(moving, 90) < 0.05:
+        raise FreeArtError(
+            f"{recording.name}: nothing that is held in front of the static scene moves: film an object that is "
+            "moved before the camera, or name a folder of masks"
+        )
+    hand = _hand(video, front, notes)
+    object_ = _carry(video, front * (1 - hand))
+    masks, doubt, reasons = _choose(video, object_, front)
+    return Masks(_enlarge(masks, object_, recording), doubt, reasons, tuple(notes))
+
+
+def _load(recording: Recording, longest_side: int, progress: Callable[[str, int, int], None]) -> _Video:
+    camera = recording.camera
+    scale = min(1.0, longest_side / max(camera.width, camera.height))
+    width, height = round(scale * camera.width), round(scale * camera.height)
+    n = len(recording)
+    rgb, depth = np.zeros((n, height, width, 3), np.uint8), np.zeros((n, height, width), np.float32)
+    for i, frame in enumerate(recording.frames()):
+        rgb[i] = cv2.resize(np.ascontiguousarray(frame.rgb), (width, height), interpolation=cv2.INTER_AREA)
+        depth[i] = cv2.resize(frame.depth, (width, height), interpolation=cv2.INTER_NEAREST)
+        progress("read", i + 1, n)
+    K = np.diag([width / camera.width, height / camera.height, 1.0]) @ camera.K
+    dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
+    grey = [cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in rgb]
+    forward, backward = (np.zeros((n, height, width, 2), np.float16) for _ in range(2))
+    for i in range(n - 1):
+        forward[i] = dis.calc(grey[i], grey[i + 1], np.zeros((height, width, 2), np.float32))
+        backward[i + 1] = dis.calc(grey[i + 1], grey[i], np.zeros((height, width, 2), np.float32))
+        progress("flow", i + 1, n - 1)
+    return _Video(rgb, depth, K.astype(np.float32), forward, backward)
+
+
+def _residual_flow(video: _Video) -> tuple[Bools, list[NDArray[np.float64]] | None]:
+    """Pixels that move with the static scene, and per frame the (4, 4) camera motion to the next one.
+
+    The motion is None where the picture's rim stands still. It is that of most pixels that are not among the nearest
+    third (PnP with RANSAC).
+    """
+    n, h, w = video.depth.shape
+    size = np.linalg.norm(video.forward.astype(np.float32), axis=-1)
+    size[-1] = size[max(n - 2, 0)]
+    band = max(2, round(0.06 * w))
+    rim = np.ones((h, w), bool)
+    rim[band:-band, band:-band] = False
+    rim[-band:] = False  # arms come from below
+    if n < 2:
+        return size < STILL_PX, None
+    at_rim = []
+    for i in range(n - 1):
+        grey = cv2.GaussianBlur(cv2.cvtColor(video.rgb[i], cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 1)
+        textured = rim & (np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) > _TEXTURE)
+        if textured.sum() > 0.1 * rim.sum():
+            at_rim.append(np.median(size[i][textured]))
+    if not at_rim or np.median(at_rim) < STILL_PX:
+        return size < STILL_PX, None
+    motions: list[NDArray[np.float64]] = []
+    still = np.zeros((n, h, w), bool)
+    v, u = (x[::6, ::6].ravel() for x in np.indices((h, w)))
+    grid = np.indices((h, w)).astype(np.float32)
+    fx, fy, cx, cy = video.K[0, 0], video.K[1, 1], video.K[0, 2], video.K[1, 2]
+    rays = np.stack([(u + 0.5 - cx) / fx, (v + 0.5 - cy) / fy, np.ones(len(u))])
+    all_rays = np.stack([(grid[1] + 0.5 - cx) / fx, (grid[0] + 0.5 - cy) / fy, np.ones_like(grid[0])], -1)
+    for i in range(n - 1):
+        z = video.depth[i, v, u]
+        known = z > (np.percentile(z[z > 0], 33) if (z > 0).any() else 0)
+        T = np.eye(4)
+        if np.count_nonzero(known) >= 50:
+            points = (rays * z).T[known].astype(np.float64)
+            to = (np.stack([u, v], -1) + 0.5 + video.forward[i, v, u].astype(np.float32))[known].astype(np.float64)
+            good, turn, shift, _ = cv2.solvePnPRansac(
+                points, to, video.K.astype(np.float64), None, iterationsCount=100, reprojectionError=0.7
+            )
+            if good:
+                T[:3, :3], T[:3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0]
+        motions.append(T)
+        moved = (all_rays * video.depth[i][..., None]) @ T[:3, :3].T.astype(np.float32) + T[:3, 3].astype(np.float32)
+        seen = moved[..., :2] / np.maximum(moved[..., 2:], 1e-6) * video.K[[0, 1], [0, 1]] + video.K[:2, 2]
+        expected = seen - np.stack([grid[1], grid[0]], -1) - 0.5
+        off = np.linalg.norm(video.forward[i].astype(np.float32) - expected, axis=-1)
+        still[i] = (off < 3 * STILL_PX) & (video.depth[i] > 0)
+    still[-1] = still[-2]
+    return still, motions
+
+
+def _gap(depth: Values) -> Values:
+    """Difference of depths, metres, that is no noise: four sigma of a Kinect (Nguyen et al. 2012)."""
+    return np.maximum(LEAST_GAP, 4 * (0.0012 + 0.0019 * (depth - 0.4) ** 2)).astype(np.float32)
+
+
+def _in_front(video: _Video, still: Bools, motions: list[NDArray[np.float64]] | None) -> tuple[Values, list[str]]:
+    """(n, h, w) probability that a pixel is in front of the static scene, and notes."""
+    notes: list[str] = []
+    n = len(video.depth)
+    if motions is None:
+        behind = np.broadcast_to(_static_background(video, still), video.depth.shape)
+    else:
+        notes.append("the camera moves: the static scene is followed by its depth")
+        behind = _moving_background(video, still, motions)
+    front = np.zeros(video.depth.shape, np.float32)
+    colour = _background_colour(video, still, behind) if motions is None else None
+    for i in range(n):
+        z = video.depth[i]
+        gap = _gap(np.minimum(z, 5))
+        p = np.where(z > 0, 1 / (1 + np.exp(-np.clip((behind[i] - z - gap) / (0.25 * gap), -30, 30))), 0)
+        known = z > 0
+        if colour is not None:
+            differs = np.linalg.norm(_lab(video.rgb[i]) - colour, axis=-1)
+            p = np.where(known, p, np.where(differs > 15, 0.7, 0.2))
+            known = known | np.isfinite(differs)
+        front[i] = _fill(p.astype(np.float32), known, video.rgb[i])
+    return front, notes
+
+
+def _static_background(video: _Video, still: Bools) -> Values:
+    """(h, w) depth of the static scene, metres; infinity where nothing was measured.
+
+    A pixel shows it when it never moves, or, while it stands still, is farther than what moves there at other times.
+    Other pixels can have shown the object all the time: they get the depth of the nearest pixel that shows the scene.
+    """
+    chosen = np.unique(np.linspace(0, len(still) - 1, 64).astype(int))
+    depth, calm = video.depth[chosen], still[chosen]
+    times, blank = (calm & (depth > 0)).sum(0), (calm & (depth == 0)).sum(0)
+    if blank.sum() > times.sum():  # the depth behind was not measured, or has been cut off
+        return np.full(times.shape, np.inf, np.float32)
+    seen = np.sort(np.where(calm & (depth > 0), depth, np.inf), axis=0)
+    at = np.clip((0.85 * (times - 1)).round().astype(int), 0, None)
+    behind = np.take_along_axis(seen, at[None], 0)[0].astype(np.float32)
+    moves = (np.linalg.norm(video.forward[chosen].astype(np.float32), axis=-1) > 3 * STILL_PX).mean(0)
+    never = (moves < 0.03) & (calm.mean(0) > 0.6)
+    nearest = np.where(depth > 0, depth, np.inf).min(0)
+    farthest = depth.max(0)
+    behind[times == 0] = 50
+    gap = _gap(np.minimum(behind, 5))
+    layers = (times >= 2) & (behind - nearest > 2 * gap) & (farthest - behind < 2 * gap)
+    empty = (blank > 4 * times) & (blank >= 2)
+    behind[empty] = np.inf
+    known = (never & ~_islands(behind, never, layers | empty)) | layers | empty
+    if not known.any():
+        return np.full(behind.shape, np.inf, np.float32)
+    place = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    return np.asarray(behind[tuple(place)], np.float32)
+
+
+def _islands(behind: Values, never: Bools, others: Bools) -> Bools:
+    """Of the surfaces that never moved those that stand before all around them: the object can have rested there."""
+    jump = np.zeros(never.shape, bool)
+    gap = _gap(np.minimum(behind, 5))
+    for axis in (0, 1):
+        far = np.abs(np.diff(np.minimum(behind, 50), axis=axis)) > (gap[1:] if axis == 0 else gap[:, 1:])
+        jump |= np.insert(far, 0, False, axis)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats((never & ~jump).astype(np.uint8), connectivity=4)
+    at_rim = np.bincount(_rim_of(labels), minlength=len(stats)) > 0.15 * len(_rim_of(labels))  # an arm has less
+    found = np.zeros(never.shape, bool)
+    for k in range(1, len(stats)):
+        x, y, w, h, area = stats[k]
+        if at_rim[k] or area > 0.25 * never.size or area < 20:
+            continue
+        box = (slice(max(y - h, 0), y + 2 * h), slice(max(x - w, 0), x + 2 * w))
+        own = labels[box] == k
+        around = (never | others)[box] & ~(cv2.dilate(own.astype(np.uint8), np.ones((5, 5))) > 0)
+        if not around.any():
+            found[box] |= own
+            continue
+        place = ndimage.distance_transform_edt(~around, return_distances=False, return_indices=True)
+        if np.median((np.minimum(behind[box], 50)[tuple(place)] - behind[box])[own] - 2 * gap[box][own]) > 0:
+            found[box] |= own
+    return cv2.dilate(found.astype(np.uint8), np.ones((5, 5))) > 0
+
+
+def _moving_background(video: _Video, still: Bools, motions: list[NDArray[np.float64]]) -> Values:
+    """(n, h, w) depth of the static scene in every frame: that of still pixels of other frames, seen from this one."""
+    n, h, w = video.depth.shape
+    rows, columns = h // 2, w // 2
+    K = np.diag([columns / w, rows / h, 1.0]) @ video.K
+    v, u = np.indices((rows, columns))
+    rays = np.stack([(u + 0.5 - K[0, 2]) / K[0, 0], (v + 0.5 - K[1, 2]) / K[1, 1], np.ones((rows, columns))], -1)
+    points = []
+    for i in range(n):
+        z = video.depth[i, : 2 * rows : 2, : 2 * columns : 2]
+        calm = still[i, : 2 * rows : 2, : 2 * columns : 2] & (z > 0)
+        points.append((rays * z[..., None])[calm])
+    T_world = [np.eye(4)]
+    for T in motions:
+        T_world.append(T_world[-1] @ np.linalg.inv(T))
+    result = np.full((n, h, w), np.inf, np.float32)
+    for i in range(n):
+        layers = []
+        for k in (-28, -21, -15, -10, -6, -3, 0, 3, 6, 10, 15, 21, 28):
+            if not 0 <= i + k < n:
+                continue
+            T = np.linalg.inv(T_world[i]) @ T_world[i + k]
+            p = points[i + k] @ T[:3, :3].T + T[:3, 3]
+            p = p[p[:, 2] > 0.05]
+            at = (p[:, :2] / p[:, 2:] * K[[0, 1], [0, 1]] + K[:2, 2]).astype(int)
+            inside = (at >= 0).all(1) & (at[:, 0] < columns) & (at[:, 1] < rows)
+            order = np.argsort(-p[inside, 2])
+            layer = np.full((rows, columns), np.nan)
+            layer[at[inside][order, 1], at[inside][order, 0]] = p[inside][order, 2]
+            layers.append(layer)
+        seen = np.sort(np.where(np.isfinite(layers), layers, np.inf), axis=0)
+        times = np.isfinite(seen).sum(0)
+        at_time = np.clip((0.7 * (times - 1)).round().astype(int), 0, None)
+        behind = np.take_along_axis(seen, at_time[None], 0)[0]
+        if (times > 0).any():
+            nearest = ndimage.distance_transform_edt(times == 0, return_distances=False, return_indices=True)
+            behind = behind[tuple(nearest)]
+        result[i] = cv2.resize(behind.astype(np.float32), (w, h), interpolation=cv2.INTER_NEAREST)
+    return result
+
+
+def _lab(rgb: Image) -> Values:
+    """CIELAB, lightness 0 to 100."""
+    return cv2.cvtColor(rgb.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
+
+
+def _background_colour(video: _Video, still: Bools, behind: Values) -> Values:
+    """(h, w, 3) CIELAB of the static scene; NaN where it is never seen."""
+    chosen = np.unique(np.linspace(0, len(video.depth) - 1, 24).astype(int))
+    z = video.depth[chosen]
+    back = still[chosen] & ((z == 0) | (behind[chosen] - z < _gap(np.minimum(z, 5))))
+    colours = np.stack([_lab(video.rgb[i]) for i in chosen])
+    colours[~back] = np.nan
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # pixels without any
+        return np.nanmedian(colours, axis=0).astype(np.float32)
+
+
+def _fill(p: Values, known: Bools, rgb: Image, radius: int = 3) -> Values:
+    """`p` (h, w) where it is known, smoothed along the edges of the picture (guided filter of He et al. 2010)."""
+    size = (2 * radius + 1, 2 * radius + 1)
+    guide = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) / 255
+    weight = known.astype(np.float32) + 1e-3
+
+    def mean(x: Values) -> Values:
+        return cv2.blur(x, size, borderType=cv2.BORDER_REFLECT)
+
+    total = mean(weight)
+    g, q = mean(weight * guide) / total, mean(weight * p) / total
+    slope = (mean(weight * guide * p) / total - g * q) / (mean(weight * guide**2) / total - g * g + 1e-3)
+    offset = q - slope * g
+    return np.clip(mean(slope) * guide + mean(offset), 0, 1)
+
+
+def _nearest_layer(video: _Video, front: Values) -> Values:
+    """`front` of the nearest layer alone: a person who moves behind the object is another one.
+
+    Layers are parted by gaps in the depths of what is in front, of five frames.
+    """
+    result = front.copy()
+    n = len(front)
+    for i in range(n):
+        around = [k for k in range(i - 2, i + 3) if 0 <= k < n]
+        z = np.concatenate([video.depth[k][(front[k] > 0.5) & (video.depth[k] > 0)] for k in around])
+        if len(z) < 200:
+            continue
+        cut = _split(z)
+        if cut is not None:
+            result[i][video.depth[i] >= cut] = 0
+    return result
+
+
+def _split(z: Values) -> float | None:
+    """Depth, metres, in the first gap of 6 cm behind a twentieth of the depths `z`; None where there is none."""
+    counts = np.bincount((z * 100).astype(int))
+    behind = np.cumsum(counts) > 0.05 * len(z)
+    thin = behind & (counts < max(2, 0.001 * len(z)))
+    run = 0
+    for k in range(len(thin)):
+        run = run + 1 if thin[k] else 0
+        if run == 6:
+            return (k - 2.5) / 100
+    return None
+
+
+def _skin(rgb: Image) -> Bools:
+    """Pixels with the chroma of skin."""
+    ycc = cv2.cvtColor(rgb, cv2.COLOR_RGB2YCrCb).astype(int)
+    cr, cb = ycc[..., 1], ycc[..., 2]
+    inside = (cr >= _SKIN_CR[0]) & (cr <= _SKIN_CR[1]) & (cb >= _SKIN_CB[0]) & (cb <= _SKIN_CB[1])
+    lab = _lab(rgb)
+    hue = np.degrees(np.arctan2(lab[..., 2], lab[..., 1]))
+    return np.asarray(inside & (ycc[..., 0] > 25) & (hue > _SKIN_HUE[0]) & (hue < _SKIN_HUE[1]))
+
+
+def _bins(rgb: Image) -> NDArray[np.intp]:
+    lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB).astype(int)
+    a, b, c = _COLOUR_BINS
+    return (lab[..., 0] * a // 256 * b + lab[..., 1] * b // 256) * c + lab[..., 2] * c // 256
+
+
+def _histogram(bins: NDArray[np.intp], weights: Values) -> Values:
+    counts = np.bincount(bins, weights, int(np.prod(_COLOUR_BINS))).reshape(_COLOUR_BINS)
+    smooth = ndimage.gaussian_filter(counts, 0.7)
+    return (smooth / max(smooth.sum(), 1e-9)).ravel().astype(np.float32)
+
+
+def _rim_of(image: NDArray[Any]) -> NDArray[Any]:
+    """The pixels of the rim, in no order that matters; those of corners twice."""
+    return np.concatenate([side.ravel() for side in (image[:_RIM], image[-_RIM:], image[:, :_RIM], image[:, -_RIM:])])
+
+
+def _touches_rim(labels: NDArray[Any]) -> NDArray[np.intp]:
+    """The labels, other than 0, of what touches the rim."""
+    return np.setdiff1d(np.unique(_rim_of(labels)), [0])
+
+
+def _hand(video: _Video, front: Values, notes: list[str]) -> Values:
+    """(n, h, w) probability that a pixel in front is of a hand or an arm, given that it is in front."""
+    n = len(front)
+    arm, thing = np.zeros(front.shape, np.float32), np.zeros(front.shape, np.float32)
+    for i in range(n):
+        solid = front[i] > 0.5
+        skin = cv2.morphologyEx((solid & _skin(video.rgb[i])).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3))) > 0
+        rest = cv2.morphologyEx((solid & ~skin).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3)))
+        _, labels = cv2.connectedComponents(rest)
+        rim = np.isin(labels, _touches_rim(labels)) & (labels > 0)
+        arm[i] = skin | rim
+        thing[i] = (rest > 0) & ~rim
+    if thing.sum() < 0.1 * arm.sum():
+        notes.append("the object has the colour of skin, or leaves the picture: hand and object are hardly told apart")
+        return np.zeros(front.shape, np.float32)
+    bins = [_bins(picture) for picture in video.rgb]
+    for _ in range(2):
+        flat = np.concatenate([b.ravel() for b in bins])
+        h_arm, h_thing = _histogram(flat, arm.ravel()), _histogram(flat, thing.ravel())
+        hand = np.zeros(front.shape, np.float32)
+        for i in range(n):
+            a, t = h_arm[bins[i]], h_thing[bins[i]]
+            solid = front[i] > 0.5
+            hand[i] = _fill((a + 1e-7) / (a + t + 2e-7), solid, video.rgb[i], 2)
+            arm[i], thing[i] = solid & (hand[i] > 0.5), solid & (hand[i] <= 0.5)
+    return hand
+
+
+def _warp(image: Values, flow: Values) -> Values:
+    """`image` (h, w) of the frame to which `flow` (h, w, 2) leads, in the pixels of the frame where it starts."""
+    h, w = image.shape[:2]
+    row, column = np.indices((h, w), np.float32)
+    flow = flow.astype(np.float32)
+    return cv2.remap(
+        image, column + flow[..., 0], row + flow[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+
+
+def _carry(video: _Video, p: Values) -> Values:
+    """`p` (n, h, w) averaged with what neighbours in time have where flow leads and depths agree."""
+    n = len(p)
+    for _ in range(3):
+        before, p = p, p.copy()
+        for i in range(n):
+            total, weight = before[i].copy(), np.ones(p.shape[1:], np.float32)
+            for k, flow in ((i + 1, video.forward[i]), (i - 1, video.backward[i])):
+                if 0 <= k < n:
+                    z, own = _warp(video.depth[k], flow), video.depth[i]
+                    agree = np.where((z > 0) & (own > 0), np.abs(z - own) < 2 * _gap(own), True)
+                    w = 0.5 * agree.astype(np.float32)
+                    total += w * _warp(before[k], flow)
+                    weight += w
+            p[i] = total / weight
+    return p
+
+
+def _choose(video: _Video, p: Values, front: Values) -> tuple[Bools, Values, tuple[str, ...]]:
+    """Masks, doubts and their reasons: of the pieces of each frame those that hang together in time, without specks."""
+    n = len(p)
+    masks = np.zeros(p.shape, bool)
+    for i in range(n):
+        solid = cv2.morphologyEx((p[i] > 0.5).astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2)))
+        count, labels, stats, _ = cv2.connectedComponentsWithStats(solid)
+        if count < 2:
+            continue
+        area = stats[1:, cv2.CC_STAT_AREA].astype(float)
+        rim = np.isin(np.arange(1, count), _touches_rim(labels))
+        value = np.where(rim, 0.3, 1.0) * area
+        keep = np.flatnonzero((value > 0.05 * value.max()) & (~rim | (value == value.max()))) + 1
+        masks[i] = np.isin(labels, keep)
+    area = masks.sum((1, 2)).astype(np.float32)
+    doubt, reasons = np.zeros(n, np.float32), []
+    typical = float(np.median(area[area > 0])) if (area > 0).any() else 1.0
+    for i in range(n):
+        causes = {"": 0.0}
+        if area[i] == 0:
+            causes["no object is found"] = 1.0
+        else:
+            unsure = float(((p[i] > 0.35) & (p[i] < 0.65) & (front[i] > 0.35)).sum()) / area[i]
+            causes["hand and object are hardly told apart"] = min(1.0, unsure / 0.5)
+            others = []
+            for k, flow in ((i + 1, video.forward[i]), (i - 1, video.backward[i])):
+                if 0 <= k < n and area[k]:
+                    other = _warp(masks[k].astype(np.float32), flow) > 0.5
+                    differs = (masks[i] & ~_grow(other)).sum() + (other & ~_grow(masks[i])).sum()
+                    others.append(float(differs / area[i]))
+            if others:
+                causes["it differs from its neighbours in time"] = min(1.0, max(others) / 0.3)
+            causes["its area differs from the others"] = float(min(1, abs(np.log(area[i] / typical)) / np.log(6)))
+            edge = np.concatenate([masks[i][0], masks[i][-1], masks[i][:, 0], masks[i][:, -1]])
+            causes["it leaves the picture"] = 0.6 if edge.sum() > 3 else 0.0
+        worst = max(causes, key=lambda name: causes[name])
+        doubt[i] = causes[worst]
+        reasons.append(worst)
+    return masks, doubt, tuple(reasons)
+
+
+def _grow(mask: Bools) -> Bools:
+    """`mask` with two more pixels all around."""
+    return cv2.dilate(mask.astype(np.uint8), np.ones((5, 5))) > 0
+
+
+def _cut_by_saliency(video: _Video, front: Values, weights: Path, progress: Callable[[str, int, int], None]) -> Values:
+    """`front` by the saliency network u2netp (Qin et al. 2020) where there is no depth, and half by it at its outline.
+
+    The network sees the surroundings of what is in front with all that is behind painted grey: it takes a person who
+    stands there otherwise. Input (1, 3, 320, 320) RGB over the largest value, less ImageNet's mean, by its deviation;
+    the first output is the saliency, stretched to 0 to 1.
+    """
+    try:
+        network = cv2.dnn.readNetFromONNX(str(weights))
+    except cv2.error as error:
+        raise FreeArtError(f"{weights} is no ONNX network that OpenCV reads: u2netp.onnx is expected") from error
+    first = network.getUnconnectedOutLayersNames()[0]
+    result = front.copy()
+    _, h, w = front.shape
+    for i in range(len(front)):
+        solid = front[i] > 0.5
+        if not solid.any():
+            continue
+        row, column = (np.flatnonzero(solid.any(axis)) for axis in (1, 0))
+        pad = round(0.15 * max(np.ptp(row), np.ptp(column))) + 4
+        box = (slice(max(row[0] - pad, 0), row[-1] + pad), slice(max(column[0] - pad, 0), column[-1] + pad))
+        behind = (front[i] < 0.2) & (video.depth[i] > 0)
+        picture = np.where(behind[..., None], 128, video.rgb[i])[box].astype(np.float32)
+        small = cv2.resize(picture, (320, 320), interpolation=cv2.INTER_LINEAR) / max(float(picture.max()), 1.0)
+        normal = (small - np.array([0.485, 0.456, 0.406])) / np.array([0.229, 0.224, 0.225])
+        network.setInput(np.ascontiguousarray(normal.transpose(2, 0, 1)[None], np.float32))
+        seen = np.asarray(network.forward(first))
+        if seen.shape != (1, 1, 320, 320):
+            raise FreeArtError(f"{weights} gives {seen.shape}, expected (1, 1, 320, 320) as u2netp does")
+        seen = (seen[0, 0] - seen.min()) / max(float(np.ptp(seen)), 1e-6)
+        shape = (front[i][box].shape[1], front[i][box].shape[0])
+        saliency = np.zeros((h, w), np.float32)
+        saliency[box] = cv2.resize(seen, shape, interpolation=cv2.INTER_LINEAR)
+        edge = (_grow(solid) != solid) | (_grow(~solid) & solid)
+        blank = (video.depth[i] == 0) & _grow(_grow(solid))
+        result[i] = np.where(blank, saliency, np.where(edge, 0.5 * (front[i] + saliency), front[i]))
+        progress("saliency", i + 1, len(front))
+    return result
+
+
+def _enlarge(masks: Bools, p: Values, recording: Recording) -> Bools:
+    """Masks in the recording's own pixels."""
+    size = (recording.camera.width, recording.camera.height)
+    if masks.shape[2:0:-1] == size:
+        return masks
+    result = np.zeros((len(masks), size[1], size[0]), bool)
+    for i, mask in enumerate(masks):
+        grown = cv2.dilate(mask.astype(np.uint8), np.ones((3, 3)))
+        soft = cv2.resize(np.where(grown > 0, p[i], 0).astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
+        result[i] = soft > 0.5
+    return result

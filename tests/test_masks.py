@@ -1,0 +1,139 @@
+"""`masks`: the object that is held in front, without hand, arm, background, and whoever stands behind."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command_line import run_command
+
+from freeart21.camera import Camera
+from freeart21.errors import FreeArtError
+from freeart21.files.masks import write_masks
+from freeart21.recording import Frame, Recording
+from freeart21.view.masks_page import choose_frames
+from reconstruct.masks import MaskSettings, find_masks
+
+H, W, F = 120, 160, 140.0
+SKIN, SLEEVE, BLUE, GREY = (205, 150, 125), (90, 60, 100), (40, 70, 200), (60, 60, 60)
+RNG = np.random.default_rng(0)
+WALL = cv2.GaussianBlur(RNG.integers(0, 255, (400, 500, 3), np.uint8), (0, 0), 1.5)
+PAINT = cv2.GaussianBlur(RNG.integers(0, 60, (40, 50, 3), np.uint8), (0, 0), 1.0)
+
+
+def film(n: int = 20, shift: float = 0.0, person: bool = False, still: bool = False, moved: float = 3.0) -> Recording:
+    """A blue and grey block in a hand whose arm comes from below, before a wall; `shift`: the camera's, px."""
+
+    def load(i: int) -> Frame:
+        x = round(shift * i)
+        rgb, depth = WALL[100 : 100 + H, 100 + x : 100 + x + W].copy(), np.full((H, W), 1.5, np.float32)
+        if person:
+            at = 50 + round(4 * np.sin(i))
+            rgb[10:, at : at + 60], depth[10:, at : at + 60] = (150, 140, 30), 0.9
+        c = 40 + round(0 if still else 25 * (1 + np.sin(0.12 * moved * i)))
+        mask = np.zeros((H, W), bool)
+        mask[30:62, c : c + 45] = True
+        rgb[30:46, c : c + 45], rgb[46:62, c : c + 45] = BLUE, GREY
+        rgb[26:66, c - 3 : c + 47][mask[26:66, c - 3 : c + 47]] += PAINT[:, :50].reshape(-1, 3)[: 45 * 32]
+        for rows, colour in ((slice(52, 95), SKIN), (slice(95, H), SLEEVE)):
+            rgb[rows, c + 14 : c + 30] = colour
+            mask[rows, c + 14 : c + 30] = False
+        depth[mask] = 0.5
+        depth[52:, c + 14 : c + 30] = 0.48
+        noise = np.random.default_rng(i).normal(0, 0.001, depth.shape)
+        return Frame(rgb, (depth + noise).astype(np.float32), mask)
+
+    return Recording(Camera(np.array([[F, 0, W / 2], [0, F, H / 2], [0, 0, 1]]), W, H), np.arange(n) / 30, load)
+
+
+def iou_of(found: np.ndarray, recording: Recording) -> float:
+    true = np.stack([frame.mask for frame in recording.frames()])
+    return float((true & found).sum() / (true | found).sum())
+
+
+@pytest.mark.parametrize("case", [{}, {"person": True}, {"shift": 1.7}])
+def test_the_object_is_found_without_hand_arm_wall_and_who_stands_behind(case: dict):
+    recording = film(**case)
+    found = find_masks(recording)
+    assert iou_of(found.masks, recording) > (0.7 if "shift" in case else 0.8), case
+    assert np.median(found.doubt) < 0.5
+    hand = np.stack([frame.depth < 0.6 for frame in recording.frames()])
+    hand &= ~np.stack([frame.mask for frame in recording.frames()])
+    assert (found.masks & hand).sum() < 0.1 * hand.sum()
+
+
+def test_a_scene_in_which_nothing_moves_is_refused():
+    with pytest.raises(FreeArtError, match="nothing that is held"):
+        find_masks(film(still=True))
+
+
+def test_an_object_without_any_depth_behind_is_found():
+    recording = film()
+
+    def load(i: int) -> Frame:
+        frame = recording.load(i)
+        return Frame(frame.rgb, np.where(frame.depth < 0.6, frame.depth, 0).astype(np.float32), frame.mask)
+
+    assert iou_of(find_masks(Recording(recording.camera, recording.times_s, load)).masks, recording) > 0.8
+
+
+def test_a_frame_that_lost_the_object_has_the_highest_doubt():
+    recording = film()
+
+    def load(i: int) -> Frame:
+        frame = recording.load(i)
+        if i != 7:
+            return frame
+        return Frame(frame.rgb, np.where(frame.depth < 0.6, 1.5, frame.depth).astype(np.float32), frame.mask)
+
+    found = find_masks(Recording(recording.camera, recording.times_s, load))
+    assert int(np.argmax(found.doubt)) in (6, 7, 8) and found.reasons[7]
+    assert found.doubt[7] > 2 * np.median(found.doubt)
+    assert set(choose_frames(found.doubt)[:2]) & {6, 7, 8}
+
+
+def test_weights_of_something_else_are_one_line(tmp_path: Path):
+    (tmp_path / "u2netp.onnx").write_bytes(b"no network")
+    with pytest.raises(FreeArtError, match="no ONNX network"):
+        find_masks(film(), MaskSettings(saliency=tmp_path / "u2netp.onnx"))
+
+
+def write_film(folder: Path, recording: Recording) -> Path:
+    for sub in ("rgb", "depth"):
+        (folder / sub).mkdir(parents=True)
+    (folder / "cam_K.txt").write_text(f"{F} 0 {W / 2 - 0.5}\n0 {F} {H / 2 - 0.5}\n0 0 1\n")
+    for i, frame in enumerate(recording.frames()):
+        cv2.imwrite(str(folder / "rgb" / f"{i:05d}.png"), frame.rgb[..., ::-1])
+        cv2.imwrite(str(folder / "depth" / f"{i:05d}.png"), (1000 * frame.depth).astype(np.uint16))
+    return folder
+
+
+def test_the_command_writes_what_convert_and_film_take(tmp_path: Path, capsys):
+    recording = film()
+    source, out = write_film(tmp_path / "block", recording), tmp_path / "masks"
+    for _ in range(2):  # its own older output is replaced
+        code, shown, _ = run_command(capsys, "masks", source, "--out", out)
+        assert code == 0 and "of 20 masks are doubtful" in shown
+    assert len(json.loads((out / "masks.json").read_text())["frames"]) == 20
+    page = (out / "index.html").read_text()
+    assert page.count("<figure") >= 12 and "doubt" in page
+    code, _, err = run_command(capsys, "convert", source, "--to", "native", "--out", tmp_path / "data", "--masks", out)
+    assert code == 0, err
+    (out / "mine.txt").write_text("kept")
+    code, _, err = run_command(capsys, "masks", source, "--out", out)
+    assert code == 1 and "mine.txt" in err and (out / "mine.txt").exists()
+
+
+def test_film_makes_its_masks_once(tmp_path: Path, capsys, monkeypatch):
+    source, out = write_film(tmp_path / "block", film(n=9)), tmp_path / "out"
+    code, shown, err = run_command(capsys, "film", source, "--out", out, "--masks", "auto")
+    assert (
+        code == 1 and "masks:" in shown and "bad   frames: 9" in shown and "--anyway" in err
+    )  # too short to be solved
+    assert (out / "masks" / "index.html").is_file()
+    write_masks(out / "masks", np.ones((9, H, W), bool), np.zeros(9), [""] * 9, [])
+    code, shown, _ = run_command(capsys, "film", source, "--out", out, "--masks", "auto")
+    assert "masks are doubtful" not in shown
