@@ -117,9 +117,9 @@ def _draw_plane(rgb: np.ndarray, depth: np.ndarray, d: np.ndarray, o: np.ndarray
 
 def measure_masks(recording: Recording, settings: MaskSettings) -> dict[str, float]:
     """Numbers of one recording whose masks are true."""
-    begun = time.process_time()
+    start = time.process_time()
     found = find_masks(recording, settings)
-    seconds = time.process_time() - begun
+    seconds = time.process_time() - start
     true = np.stack([frame.mask for frame in recording.frames()])
     both, either = (true & found.masks).sum((1, 2)), (true | found.masks).sum((1, 2))
     iou = both / np.maximum(either, 1)

@@ -416,7 +416,7 @@ def _hand(video: _Video, front: Values, notes: list[str]) -> Values:
         arm[i] = skin | rim
         thing[i] = (rest > 0) & ~rim
     if thing.sum() < 0.1 * arm.sum():
-        notes.append("the object has the colour of skin, or leaves the picture: hand and object are hardly told apart")
+        notes.append("the object has the colour of skin, or leaves the picture: hand and object hardly differ")
         return np.zeros(front.shape, np.float32)
     bins = [_bins(picture) for picture in video.rgb]
     for _ in range(2):
@@ -482,7 +482,7 @@ def _choose(video: _Video, p: Values, front: Values) -> tuple[Bools, Values, tup
             causes["no object is found"] = 1.0
         else:
             unsure = float(((p[i] > 0.35) & (p[i] < 0.65) & (front[i] > 0.35)).sum()) / area[i]
-            causes["hand and object are hardly told apart"] = min(1.0, unsure / 0.5)
+            causes["hand and object hardly differ"] = min(1.0, unsure / 0.5)
             others = []
             for k, flow in ((i + 1, video.forward[i]), (i - 1, video.backward[i])):
                 if 0 <= k < n and area[k]:
