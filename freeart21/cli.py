@@ -1010,6 +1010,7 @@ def known_commands() -> dict[str, Callable[..., Any]]:
         board.site,
         board.suite,
         board.pack,
+        board.release,
         board.tags,
         board.truth_by_markers,
         board.board,

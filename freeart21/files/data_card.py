@@ -104,11 +104,17 @@ def describe_sequence(name: str, sequence: Path, truth: Path | None, hashes: Map
     return SequenceFacts(**{**asdict(facts), **more, "few_pixels_share": round(share, 4), "hard": share >= HARD_FRAMES})
 
 
-def card_files(data: DataSet, table: str = TABLE, table_type: str = "application/jsonlines") -> dict[str, bytes]:
-    """Name to content of the card's files. `table` is the file that the hub shows, when it is another one."""
+def card_files(
+    data: DataSet, table: str = TABLE, shards: Mapping[str, tuple[int, str]] | None = None
+) -> dict[str, bytes]:
+    """Name to content of the card's files.
+
+    `table` is the file that the hub shows, when it is another one; `shards` are the tar files of a release with their
+    bytes and SHA-256.
+    """
     lines = "".join(json.dumps(asdict(one)) + "\n" for one in data.sequences).encode()
-    found = {README: readme(data, table).encode(), CROISSANT: croissant(data, lines, table_type).encode()}
-    return {**found, TABLE: lines}
+    text = readme(data, table, bool(shards))
+    return {README: text.encode(), CROISSANT: croissant(data, lines, shards or {}).encode(), TABLE: lines}
 
 
 def write_card(folder: Path, data: DataSet) -> None:
@@ -137,7 +143,7 @@ def describe(folder: Path, doi: str = "") -> DataSet:
     return DataSet(*words, bool(benchmark.hidden), tuple(facts), doi)
 
 
-def readme(data: DataSet, table: str = TABLE) -> str:
+def readme(data: DataSet, table: str = TABLE, sharded: bool = False) -> str:
     """README.md: the hub's YAML header, then text."""
     licences = Counter(one.licence for one in data.sequences)
     known = {_LICENCES.get(licence, "other") for licence in licences}
@@ -158,7 +164,19 @@ def readme(data: DataSet, table: str = TABLE) -> str:
     lines = ["---", *header, "---", MARK, "", f"# {data.name}, version {data.version}", ""]
     lines += [_summary(data), "", "| | |", "| --- | --- |"]
     lines += [f"| {what} | {_cell(value)} |" for what, value in _statistics(data, licences)]
-    lines += ["", "## Files", "", _FILES, *([_HIDDEN] if data.hidden else [_TRUTH]), "", "## Use", "", _USE, ""]
+    lines += [
+        "",
+        "## Files",
+        "",
+        *([_SHARDS, ""] if sharded else []),
+        _FILES,
+        *([_HIDDEN] if data.hidden else [_TRUTH]),
+        "",
+        "## Use",
+        "",
+        _USE,
+        "",
+    ]
     return "\n".join(lines)
 
 
@@ -166,6 +184,8 @@ _FILES = """- `sequences/SEQ`: what a method may see: `rgb/`, `depth/` (16 bit, 
   per unit), `mask/` (object), `sequence.json` (intrinsics, times, licence), `queries.json` (held-out views).
 - `sequences.jsonl`: a line for each sequence.
 - `benchmark.json`: the SHA-256 of every file; `freeart21 verify` checks them."""
+_SHARDS = """`shards/*.tar` each unpack to a whole data folder, which can be verified and scored alone.
+`manifest.parquet` has a line for each sequence: shard and its SHA-256, licence, seed, hardness, preview. In a shard:"""
 _TRUTH = (
     """- `truth/SEQ`: part masks, poses of both parts, joint and states, meshes, held-out views, not for methods."""
 )
@@ -203,8 +223,10 @@ def _statistics(data: DataSet, licences: Mapping[str, int]) -> list[tuple[str, s
     return [*rows, ("DOI", data.doi or "none yet")]
 
 
-def croissant(data: DataSet, table: bytes, table_type: str) -> str:
-    """croissant.json of the table of sequences, a record for each."""
+def croissant(data: DataSet, table: bytes, shards: Mapping[str, tuple[int, str]]) -> str:
+    """croissant.json of the table of sequences, a record for each, and of the shards."""
+    files = {TABLE: ("application/jsonlines", len(table), hashlib.sha256(table).hexdigest())}
+    files |= {name: ("application/x-tar", *facts) for name, facts in shards.items()}
     fields = []
     for name, kind in SequenceFacts.__annotations__.items():
         plain = {"str": str, "int": int, "float": float, "bool": bool}[kind.partition(" ")[0]]
@@ -225,13 +247,14 @@ def croissant(data: DataSet, table: bytes, table_type: str) -> str:
         "distribution": [
             {
                 "@type": "cr:FileObject",
-                "@id": TABLE,
-                "name": TABLE,
-                "contentUrl": TABLE,
-                "contentSize": f"{len(table)} B",
-                "encodingFormat": table_type,
-                "sha256": hashlib.sha256(table).hexdigest(),
+                "@id": name,
+                "name": name,
+                "contentUrl": name,
+                "contentSize": f"{size} B",
+                "encodingFormat": kind,
+                "sha256": digest,
             }
+            for name, (kind, size, digest) in files.items()
         ],
         "recordSet": [{"@type": "cr:RecordSet", "@id": "sequences", "name": "sequences", "field": fields}],
     }
