@@ -37,14 +37,13 @@ def certify(asset: Asset, fidelity: Mapping[str, Fidelity] | None = None) -> Cer
     """
     visuals, collisions = read_link_shapes(asset.urdf)
     fidelity = measure_contact_fidelity(visuals, collisions) if fidelity is None else fidelity
-    urdf, mass, up = read_urdf(asset.urdf), _read_facts(asset.source, "mass"), _read_facts(asset.source, "up")
+    urdf, up = read_urdf(asset.urdf), _read_facts(asset.source, "up")
     trust = trust_to_json(asset.trust)
     links = {"reference": asset.reference_link, "moving": asset.moving_link}
     return Certificate(
         {link: _certify_link(asset, urdf, part, link, visuals[link], fidelity) for part, link in links.items()},
         measure_visual_depth(urdf.joints[asset.joint], visuals, STATES),
         measure_contact_depth(asset.urdf, asset.joint, collisions, STATES),
-        f"{'guessed' if mass.get('guessed') else 'given'} {mass.get('by', UNKNOWN)}",
         str(up.get("how", UNKNOWN)),
         trust["verdict"],
         tuple(trust["reasons"]),
@@ -55,16 +54,16 @@ def _certify_link(
     asset: Asset, urdf: Urdf, part: str, link: str, visuals: Shapes, fidelity: Mapping[str, Fidelity]
 ) -> LinkCertificate:
     facts = _read_facts(_read_facts(asset.source, "parts"), part)
-    mass = _read_facts(asset.source, "mass") | _read_facts(facts, "mass")
+    mass = _read_facts(facts, "mass")
     inertial = urdf.links[link].inertial
     if inertial is None:
         raise FreeArtError(f"{asset.urdf}: link '{link}' has no mass, expected an exported asset")
     seen, supposed = measure_seen_share(visuals, _read_facts(facts, "patch"))
     low, high = mass.get("bounds_kg") or (inertial.mass, inertial.mass)
     contact = fidelity[link].to_json() if link in fidelity else {}
-    return LinkCertificate(
-        part, seen, supposed, contact, str(mass.get("material") or UNKNOWN), inertial.mass, float(low), float(high)
-    )
+    source = f"{'guessed' if mass.get('guessed') else 'given'} {mass.get('by', UNKNOWN)}"
+    material = str(mass.get("material", UNKNOWN))
+    return LinkCertificate(part, seen, supposed, contact, source, material, inertial.mass, float(low), float(high))
 
 
 def measure_seen_share(visuals: Shapes, patch: Mapping[str, Any]) -> tuple[float, dict[str, float]]:
@@ -97,7 +96,7 @@ def find_differences(certificate: Certificate, measured: Certificate, size: floa
     Contact is compared where it is measured (`export.check.contact_rule`).
     """
     found = []
-    for name in ("trust", "mass", "upright"):
+    for name in ("trust", "upright"):
         if getattr(certificate, name) != getattr(measured, name):
             found.append(f"it states {name} '{getattr(certificate, name)}', the files '{getattr(measured, name)}'")
     for name in ("visual_overlap_m", "contact_overlap_m"):
@@ -111,8 +110,10 @@ def find_differences(certificate: Certificate, measured: Certificate, size: floa
             stated, value = getattr(certificate.links[link], name), getattr(true, name)
             if abs(stated - value) > TOLERANCE * max(abs(value), 1e-12 if "kg" in name else 1.0):
                 found.append(f"it states {name} {stated:.4g} of '{link}', the files {value:.4g}")
-        if certificate.links[link].material != true.material:
-            found.append(f"it states material '{certificate.links[link].material}' of '{link}', not '{true.material}'")
+        for name in ("mass", "material"):
+            words = [getattr(of, name) for of in (certificate.links[link], true)]
+            if words[0] != words[1]:
+                found.append(f"it states {name} '{words[0]}' of '{link}', the files '{words[1]}'")
     return found
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,9 +20,10 @@ from export.collision import Collision, CollisionSettings, make_collision, separ
 from export.companion_files import USD, write_companion_files
 from export.contact import measure_contact_depth, measure_contact_fidelity, read_link_shapes
 from export.guessed_dynamics import DYNAMICS, Dynamics, guess_effects
-from export.inertia import compute_inertial, fill_range
+from export.inertia import compute_inertial
 from export.joint_range import STATES
-from export.materials import DEFAULT, DENSITIES, MATERIALS, Material
+from export.masses import PartMass, weigh_parts
+from export.materials import DEFAULT, DENSITIES, MATERIALS, TABLE
 from export.meshes import MeshSettings, drop_small_components, write_hull, write_visual
 from export.mjcf import format_mjcf
 from export.model import BASES, AssetModel, Base, LinkModel
@@ -68,12 +70,14 @@ class ExportSettings:
 
     density: float | None = None
     """kg/m^3 of both parts; None: that of `material`, unless `mass` is given."""
-    material: Material | None = None
-    """What both parts are made of, one of `export.materials.MATERIALS`; None: `DEFAULT`, marked as a guess."""
+    material: str | Mapping[str, str] | None = None
+    """What both parts are made of, or each by the name of its link or part, of `export.materials.MATERIALS`; a part
+    without one is of `DEFAULT`, marked as a guess."""
     wall: float | None = None
     """m: both parts are shells of this wall thickness; None: solids."""
-    mass: float | None = None
-    """kg of the whole object, divided between the parts by volume; not together with `density`."""
+    mass: float | Mapping[str, float] | None = None
+    """kg of the whole object, divided between the parts by volume and density, or of parts by the name of their link or
+    part; not together with `density`."""
     dynamics: Dynamics = "guessed"
     """'guessed': a joint without effects gets a little damping and friction, marked as guessed."""
     scale: float = 1.0
@@ -101,17 +105,25 @@ class ExportSettings:
             raise FreeArtError(f"density {self.density:g} kg/m^3 and mass {self.mass:g} kg: give one of them")
         self.placement.check()
         for name, known in (("material", MATERIALS), ("dynamics", DYNAMICS)):
-            if getattr(self, name) not in (None, *known):
-                raise FreeArtError(f"there is no {name} '{getattr(self, name)}'; there are {', '.join(known)}")
+            for value in _each_value(getattr(self, name)):
+                if value not in known:
+                    raise FreeArtError(f"there is no {name} '{value}'; there are {', '.join(known)}")
         for name, unit, (low, high) in (
             ("density", " kg/m^3", _DENSITIES),
             ("wall", " m", _WALLS),
             ("mass", " kg", _MASSES),
             ("scale", "", _SCALES),
         ):
-            value = getattr(self, name)
-            if value is not None and not low <= value <= high:
-                raise FreeArtError(f"{name} is {value:g}{unit}, expected {low:g} to {high:g}")
+            for value in _each_value(getattr(self, name)):
+                if not low <= value <= high:
+                    raise FreeArtError(f"{name} is {value:g}{unit}, expected {low:g} to {high:g}")
+
+
+def _each_value(given: Any) -> tuple[Any, ...]:
+    """The values of a setting that is one for all parts, one each, or None."""
+    if isinstance(given, Mapping):
+        return tuple(given.values())
+    return () if given is None else (given,)
 
 
 def export_result(
@@ -155,13 +167,10 @@ def export_result(
             tasks = {name: pool.submit(_make_shape, name, part, placement, settings) for name, part in parts.items()}
         shapes = {name: task.result() for name, task in tasks.items()}
         shapes, shape_counts = _separate_contact(shapes, placement, settings)
-        density = DENSITIES[settings.material or DEFAULT] if settings.density is None else settings.density
-        if settings.mass is not None:
-            density = settings.mass / sum(
-                compute_inertial(shape.solid, 1.0, settings.wall).mass for shape in shapes.values()
-            )
-        bounds = _mass_bounds({name: shape.solid for name, shape in shapes.items()}, density, settings)
-        written = {name: _write_link(aside, name, shape, density, settings) for name, shape in shapes.items()}
+        solids = {name: shape.solid for name, shape in shapes.items()}
+        given = {name: getattr(settings, name) for name in ("mass", "density", "material", "wall")}
+        masses = weigh_parts(solids, {name: name for name in PARTS}, **given)
+        written = {name: _write_link(aside, name, shape, masses[name], settings) for name, shape in shapes.items()}
         root, child = (written[name][0] for name in sorted(PARTS, key=lambda name: name != placement.root))
         joint = replace(placement.joint, name=_identifier(placement.joint.name, "joint"))
         guessed = not effects and settings.dynamics == "guessed"
@@ -185,12 +194,12 @@ def export_result(
         depth = measure_contact_depth(aside / URDF, joint.name, collisions, STATES)
         source |= {
             "parts": {
-                name: part | {"collision": fidelity[name].to_json(), "mass": {"bounds_kg": bounds[name]}}
+                name: part | {"collision": fidelity[name].to_json(), **masses[name].to_json()}
                 for name, (_, part) in written.items()
             },
             **placement.report,
             "penetration": placement.report["penetration"] | {"deepest_m": depth} | shape_counts,
-            "mass": _describe_mass(settings, density, placement.report["penetration"]["carved"]),
+            "mass": _describe_mass(settings, placement.report["penetration"]["carved"]),
             "dynamics": {"guessed": guessed},
             "length_unit": "m",
             "exporter": f"freeart21 {freeart21.__version__}",
@@ -315,7 +324,7 @@ def _separate_contact(
 
 
 def _write_link(
-    folder: Path, name: str, shape: _Shape, density: float, settings: ExportSettings
+    folder: Path, name: str, shape: _Shape, mass: PartMass, settings: ExportSettings
 ) -> tuple[LinkModel, dict[str, Any]]:
     """Write the meshes of one link; also returns its entry in asset.json."""
     visual, collision = shape.visual, shape.collision
@@ -328,40 +337,18 @@ def _write_link(
         "hulls": len(hulls),
         "primitives": len(collision.primitives),
     }
-    inertial = compute_inertial(shape.solid, density, settings.wall)
+    inertial = compute_inertial(shape.solid, mass.density, settings.wall)
     visual_file, picture = f"{MESHES}/{name}.obj", texture and f"{MESHES}/{texture}"
-    return LinkModel(name, visual_file, picture, hulls, inertial, collision.primitives), report
+    surface = TABLE[mass.material]
+    return LinkModel(name, visual_file, picture, hulls, inertial, collision.primitives, surface), report
 
 
-def _mass_bounds(solids: dict[str, Mesh], density: float, settings: ExportSettings) -> dict[str, tuple[float, float]]:
-    """Least and most kg of each part, by what is not known of its material and of its inside.
-
-    A mass of the whole leaves the division in doubt: one part as light, the others as heavy as they can be.
-    """
-    guessed = settings.density is None and settings.material is None and settings.mass is None
-    densities = (min(DENSITIES.values()), max(DENSITIES.values())) if guessed else (density, density)
-    fill = {name: fill_range(solid, settings.wall) for name, solid in solids.items()}
-    bounds = {name: (densities[0] * least, densities[1] * most) for name, (least, most) in fill.items()}
-    if settings.mass is None:
-        return bounds
-    total = tuple(sum(bound[k] for bound in bounds.values()) for k in (0, 1))
-    return {
-        name: (settings.mass * low / (low + total[1] - high), settings.mass * high / (high + total[0] - low))
-        for name, (low, high) in bounds.items()
-    }
-
-
-def _describe_mass(settings: ExportSettings, density: float, carved: str | None) -> dict[str, Any]:
-    """For asset.json: where the masses come from, and whether they are guessed."""
-    given = settings.mass is not None or settings.density is not None
+def _describe_mass(settings: ExportSettings, carved: str | None) -> dict[str, Any]:
+    """For asset.json: what the masses were computed of, for both parts."""
     less = "" if carved is None else f", less what was carved of the {carved} part"
     return {
-        "by": next((name for name in ("mass", "density") if getattr(settings, name) is not None), "material"),
-        "density": density,
-        "material": None if given else settings.material or DEFAULT,
         "of": f"{'the solid that the mesh bounds' if settings.wall is None else 'a wall along the mesh'}{less}",
         "wall_m": settings.wall,
-        "guessed": not given and settings.material is None,
     }
 
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from export.loaders import find_base
+from export.loaders import find_base, joint_numbers
 from freeart21.asset import Asset
 from freeart21.effects import EFFECTS
 from freeart21.effects.base import Effect
@@ -28,6 +28,8 @@ SUBJECTS = {
     "velocity": "velocity limit",
     "parts": "the two parts do not collide with each other",
     "texture": "textures",
+    "surface": "friction of the surfaces, by material",
+    "restitution": "restitution of the surfaces, by material",
     "own": "nothing of the engine's own",
     "canonical": "where the video's frame and state zero are",
 }
@@ -69,8 +71,12 @@ _USD_EFFECTS = _effects_by_parameter(
 _SOFT_FRICTION = _effects_by_parameter(friction="kept, softly: a joint that it holds creeps")
 
 FORMATS = (
-    Column("URDF", "object.urdf", _FILES | _URDF_EFFECTS | {"parts": "**lost**: engines decide"}),
-    Column("MJCF", "object.xml", _FILES | _MJCF_EFFECTS | {"velocity": LOST}),
+    Column(
+        "URDF",
+        "object.urdf",
+        _FILES | _URDF_EFFECTS | {"parts": "**lost**: engines decide", "surface": LOST, "restitution": LOST},
+    ),
+    Column("MJCF", "object.xml", _FILES | _MJCF_EFFECTS | {"velocity": LOST, "restitution": LOST}),
     Column(
         "USD (usd-core 26.11)",
         "object.usdc",
@@ -83,6 +89,8 @@ ENGINES = (
         "object.urdf",
         {
             "free": "fixed, unless the loader puts it back",
+            "surface": LOADER,
+            "restitution": LOADER,
             "effort": "**lost**: give it to your drive as force_limit",
             "velocity": LOADER,
             "own": "0.05 1/s of damping a link, friction of 0.05 of the load, sleep; the loader takes them away",
@@ -96,6 +104,7 @@ ENGINES = (
         {
             "limits": "soft: a stop that is met at 2.5 m/s gives by 13 mm",
             "velocity": LOST,
+            "restitution": LOST,
             **_MJCF_EFFECTS,
             **_SOFT_FRICTION,
         },
@@ -106,6 +115,8 @@ ENGINES = (
         {
             "free": "**lost**: a URDF's root is always fixed",
             "velocity": LOST,
+            "surface": LOST,
+            "restitution": LOST,
             "texture": LOST,
             "parts": "**lost**: a part that stands in the world touches the other",
             **_URDF_EFFECTS,
@@ -118,6 +129,8 @@ ENGINES = (
         {
             "effort": "a number that nothing keeps",
             "velocity": LOADER,
+            "surface": LOADER,
+            "restitution": LOADER,
             "own": "0.04 1/s of damping a link, a motor that holds every joint; the loader takes them away",
             **_effects_by_parameter(damping=KEPT, friction=LOADER),
         },
@@ -129,6 +142,8 @@ ENGINES = (
         {
             "effort": "**lost** without a transmission",
             "velocity": "a number that nothing keeps",
+            "surface": LOST,
+            "restitution": LOST,
             **_effects_by_parameter(damping=KEPT, friction=LOADER, armature=LOADER, stiffness=LOADER),
         },
         notes=("Its loader's friction acts in discrete plants only, and takes `connect` after `load`.",),
@@ -161,6 +176,7 @@ def list_subjects(asset: Asset, textured: bool) -> list[str]:
     acting = dict.fromkeys(effect.name for effect in asset.effects.get(asset.joint, ()) if any(effect.values()))
     absent = {"free", "fixed"} - {find_base(asset)}
     absent |= set() if textured else {"texture"}
+    absent |= set() if joint_numbers(asset)["surfaces"] else {"surface", "restitution"}
     absent |= {key for key in ("effort", "velocity") if getattr(joint, key) is None}
     return [*acting, *(key for key in SUBJECTS if key not in absent and key != "canonical"), "canonical"]
 

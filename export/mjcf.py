@@ -18,6 +18,8 @@ its swing off after 3 s, with these .2 %, at steps of 1 ms."""
 STIFF_LIMIT = "0.004 1"
 """Limits are soft, too: a lighter's lid was .4 degrees beyond one with the default of 0.02 s. This is twice MuJoCo's
 default time step, the minimum."""
+ROLLING = (0.005, 0.0001)
+"""m: torsional and rolling friction, MuJoCo's own defaults. It has no restitution."""
 _ADDITIVE = ("damping", "frictionloss", "armature")  # attributes that add up over effects
 
 
@@ -66,12 +68,15 @@ def _body(parent: ET.Element, link: LinkModel, assets: ET.Element) -> ET.Element
         ET.SubElement(assets, "material", name=link.name, texture=link.name)
         visual["material"] = link.name
     ET.SubElement(body, "geom", visual)
+    surface = {} if link.material is None else {"friction": number_text(link.material.friction, *ROLLING)}
     for k, hull in enumerate(link.hulls):
         name = f"{link.name}_collision_{k:02d}"
         ET.SubElement(assets, "mesh", name=name, file=hull)
-        ET.SubElement(body, "geom", type="mesh", name=name, mesh=name, group="3", mass="0")
+        ET.SubElement(body, "geom", surface, type="mesh", name=name, mesh=name, group="3", mass="0")
     for k, shape in enumerate(link.primitives, len(link.hulls)):
-        ET.SubElement(body, "geom", _primitive(shape), name=f"{link.name}_collision_{k:02d}", group="3", mass="0")
+        ET.SubElement(
+            body, "geom", _primitive(shape) | surface, name=f"{link.name}_collision_{k:02d}", group="3", mass="0"
+        )
     return body
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from export.materials import Material
 from export.primitives import Primitive
 from freeart21.effects.base import Effect
 from freeart21.files.urdf import UrdfInertial
@@ -31,6 +32,8 @@ class LinkModel:
     inertial: UrdfInertial
     primitives: tuple[Primitive, ...] = ()
     """Collision shapes in addition to the hulls."""
+    material: Material | None = None
+    """Friction and restitution of its surface; None leaves them to engines."""
 
 
 @dataclass(frozen=True)

@@ -57,9 +57,10 @@ def write_usd(path: Path, asset: Asset) -> None:
     Usd.ModelAPI(root.GetPrim()).SetKind(Kind.Tokens.component)
     poses = urdf.link_poses(asset.held)
     bodies: dict[str, Any] = {}
+    surfaces: Any = joint_numbers(asset)["surfaces"]
     for name, link in urdf.links.items():
         if not (name == WORLD == urdf.root):
-            bodies[name] = _add_body(stage, root.GetPath(), link, poses[name], asset.urdf)
+            bodies[name] = _add_body(stage, root.GetPath(), link, poses[name], asset.urdf, surfaces.get(name))
     for joint in urdf.joints.values():
         _add_joint(stage, root.GetPath(), joint, bodies, asset)
     if urdf.root in bodies:
@@ -76,9 +77,12 @@ def _identifier(name: str) -> str:
     return str(Tf.MakeValidIdentifier(name))
 
 
-def _add_body(stage: Any, root: Any, link: UrdfLink, T_root_link: Array, urdf: Path) -> Any:
-    """A rigid body with its visual and collision shapes."""
-    from pxr import UsdGeom, UsdPhysics
+def _add_body(
+    stage: Any, root: Any, link: UrdfLink, T_root_link: Array, urdf: Path, surface: dict[str, float] | None
+) -> Any:
+    """A rigid body with its visual and collision shapes, these with friction and restitution where `surface` has
+    them."""
+    from pxr import UsdGeom, UsdPhysics, UsdShade
 
     body = UsdGeom.Xform.Define(stage, root.AppendChild(_identifier(link.name)))
     _set_pose(body, T_root_link)
@@ -88,6 +92,15 @@ def _add_body(stage: Any, root: Any, link: UrdfLink, T_root_link: Array, urdf: P
     for k, shape in enumerate(link.visuals):
         geom = _add_shape(stage, body.GetPath().AppendChild(f"visual_{k:02d}"), shape, urdf)
         _add_material(stage, root, f"{link.name}_{k:02d}", geom, shape, urdf)
+    if surface:
+        stage.DefinePrim(root.AppendChild("Looks"), "Scope")
+        contact = UsdShade.Material.Define(
+            stage, root.AppendChild("Looks").AppendChild(_identifier(f"{link.name}_contact"))
+        )
+        physics = UsdPhysics.MaterialAPI.Apply(contact.GetPrim())
+        physics.CreateStaticFrictionAttr(surface["friction"])
+        physics.CreateDynamicFrictionAttr(surface["friction"])
+        physics.CreateRestitutionAttr(surface["restitution"])
     for k, shape in enumerate(link.collisions):
         geom = _add_shape(stage, body.GetPath().AppendChild(f"collision_{k:02d}"), shape, urdf)
         geom.CreatePurposeAttr(UsdGeom.Tokens.guide)
@@ -95,6 +108,8 @@ def _add_body(stage: Any, root: Any, link: UrdfLink, T_root_link: Array, urdf: P
         if shape.kind == "mesh":
             approximation = UsdPhysics.MeshCollisionAPI.Apply(geom.GetPrim())
             approximation.CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
+        if surface:
+            UsdShade.MaterialBindingAPI.Apply(geom.GetPrim()).Bind(contact, materialPurpose="physics")
     return body
 
 

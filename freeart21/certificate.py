@@ -19,8 +19,10 @@ class LinkCertificate:
     """How the rest was supplied, to its share of the area."""
     contact: dict[str, float]
     """m, distances between visual and collision surfaces (`export.fidelity.Fidelity`); empty without both."""
+    mass: str
+    """Source of its mass: 'given mass', 'given density', 'given material' or 'guessed material'."""
     material: str
-    """'not known' where a mass or a density was given."""
+    """Of its mass, unless that was given, and of its friction and restitution."""
     mass_kg: float
     mass_low_kg: float
     mass_high_kg: float
@@ -47,8 +49,6 @@ class Certificate:
     """m, the deepest point of one visual mesh in the other over the joint's range."""
     contact_overlap_m: float
     """m, the same of the collision shapes."""
-    mass: str
-    """Source of the masses: 'given mass', 'given density', 'given material' or 'guessed material'."""
     upright: str
     """Source of the upright pose (`export.placement`)."""
     trust: str = NOT_STATED

@@ -419,8 +419,8 @@ def export(
     result: Annotated[Path, Positional],
     out: Path,
     density: float | None = None,
-    mass: float | None = None,
-    material: Literal["plastic", "wood", "steel", "aluminium", "glass", "rubber", "cardboard"] | None = None,
+    mass: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="KG | NAME=KG...")] = None,
+    material: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="MATERIAL | NAME=MATERIAL...")] = None,
     wall: float | None = None,
     dynamics: Literal["guessed", "none"] = "guessed",
     scale: float = 1.0,
@@ -440,8 +440,11 @@ def export(
         result: A result folder (with prediction.json).
         out: Asset folder to write.
         density: Density of both parts, kg/m^3; that of the material when not given, as video shows no mass.
-        mass: Mass of the whole object instead, kg, split between the parts by volume.
-        material: Material of both parts; plastic (1050 kg/m^3) when not given.
+        mass: Mass of the whole object instead, kg, split between the parts by volume and density, or of parts by their
+            link's name, as base=2.2 drawer=.5.
+        material: Material of both parts, or of each by its link's name, as base=steel drawer=wood, also for friction
+            and restitution: plastic, wood, steel, aluminium, glass, rubber, cardboard; plastic (1050 kg/m^3) when not
+            given.
         wall: Wall thickness of hollow parts, m; solid parts when not given.
         dynamics: Damping and friction of the joint, which the video does not show: small guessed values, or none.
         scale: Factor for all lengths. Assets of another scale than 1 are not scored.
@@ -464,7 +467,11 @@ def export(
     from export.placement import PlacementSettings
     from freeart21.reconstruction import describe_trust
 
-    changed = {"placement": PlacementSettings(up, gravity, zero), "usd": {"auto": None, "yes": True, "no": False}[usd]}
+    changed: dict[str, Any] = {
+        "mass": _read_by_part("mass", mass, _read_kilograms),
+        "material": _read_by_part("material", material, str),
+    }
+    changed |= {"placement": PlacementSettings(up, gravity, zero), "usd": {"auto": None, "yes": True, "no": False}[usd]}
     settings = ExportSettings(**{**_options_of(ExportSettings, given), **changed})
     asset = export_result(result, out, settings, video=video)
     print(asset.urdf)
@@ -481,6 +488,25 @@ def export(
         return 1
     doubtful = asset.trust is not None and asset.trust.verdict == "doubtful"
     return DOUBTFUL if doubtful or contact.verdict == "fail" else 0
+
+
+def _read_by_part(option: str, words: tuple[str, ...] | None, read: Callable[[str], Any]) -> Any:
+    """One value for all parts, or a dictionary of NAME=VALUE; None without words."""
+    if not words:
+        return None
+    if len(words) == 1 and "=" not in words[0]:
+        return read(words[0])
+    pairs = [word.partition("=") for word in words]
+    if wrong := [word for word, (name, _, value) in zip(words, pairs, strict=True) if not (name and value)]:
+        raise FreeArtError(f"--{option} has '{wrong[0]}', expected one value, or NAME=VALUE for each part")
+    return {name: read(value) for name, _, value in pairs}
+
+
+def _read_kilograms(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise FreeArtError(f"--mass has '{text}', expected kg") from error
 
 
 def joint_asset(
@@ -895,7 +921,8 @@ def film(
     source: Annotated[Path, Positional],
     out: Path,
     masks: Path | None = None,
-    mass: float | None = None,
+    mass: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="KG | NAME=KG...")] = None,
+    material: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="MATERIAL | NAME=MATERIAL...")] = None,
     gaussians: bool = True,
     anyway: bool = False,
 ) -> int:
@@ -909,7 +936,8 @@ def film(
         source: A recording of a camera (Record3D, Stray Scanner, .mkv, .bag, .mcap, pictures), or a sequence folder.
         out: Folder for all results: data, look.html, result with its asset, index.html.
         masks: Folder with a mask for each picture of the camera, object without hands; or `auto`.
-        mass: Of the whole object, kg; from a guessed density when not given.
+        mass: Of the whole object, kg, or of parts, as for `export`; from a guessed density when not given.
+        material: Of the whole object or of parts, as for `export`.
         gaussians: Refine by Gaussians and render with them; without, it takes a third of the time.
         anyway: Solve it though a property of the video is bad.
     """
@@ -929,7 +957,7 @@ def film(
         print(f"export: {result / 'asset'} is finished; remove it to export anew, as with another --mass", flush=True)
     else:
         print(f"export: {result / 'asset'}", flush=True)
-        if export(result, result / "asset", mass=mass, video=sequence) == 1:
+        if export(result, result / "asset", mass=mass, material=material, video=sequence) == 1:
             return 1
     print("check-asset:", flush=True)
     verdict = check_asset(result / "asset", as_json=out / "check.json", certify=True)

@@ -72,7 +72,7 @@ def test_a_good_asset_passes_and_its_certificate_says_what_its_files_give(export
     area = 2 * (0.2 * 0.15 + 0.2 * 0.1 + 0.15 * 0.1)
     assert base.mass_low_kg == pytest.approx(700 * area * 1e-3, rel=1e-3)
     assert base.mass_high_kg == pytest.approx(base.mass_kg, rel=1e-3)
-    assert (certificate.mass, base.material, certificate.trust) == ("given material", "wood", "not stated")
+    assert (base.mass, base.material, certificate.trust) == ("given material", "wood", "not stated")
     assert certificate.engines["sapien"].verdict == "reloaded"
 
 

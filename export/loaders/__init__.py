@@ -15,7 +15,7 @@ from freeart21.files.urdf import read_urdf
 from freeart21.reconstruction import describe_trust
 
 FOLDER = "loaders"
-SCHEMA = "freeart21/loaders/2"
+SCHEMA = "freeart21/loaders/3"
 ENGINES = ("sapien", "mujoco", "pybullet", "drake")
 WORDS = ("damping", "friction", "armature", "stiffness")
 """Joint parameters that effects can be (`Effect.joint_word`)."""
@@ -49,9 +49,18 @@ def joint_numbers(asset: Asset) -> dict[str, object]:
         **sizes,
         "rest": pull / sizes["stiffness"] if sizes["stiffness"] else 0.0,
         "velocity": joint.velocity,
+        "surfaces": _read_surfaces(asset),
         "effects": {effect.name: effect.joint_word for effect in sorted(effects, key=lambda effect: effect.name)},
         "trust": describe_trust(asset.trust),
     }
+
+
+def _read_surfaces(asset: Asset) -> dict[str, dict[str, float]]:
+    """Friction and restitution of each link, from asset.json; empty where it states none."""
+    parts = asset.source.get("parts", {})
+    links = {"reference": asset.reference_link, "moving": asset.moving_link}
+    stated = {link: parts[part].get("surface") for part, link in links.items() if part in parts}
+    return {link: dict(surface) for link, surface in stated.items() if surface}
 
 
 def find_base(asset: Asset) -> str:

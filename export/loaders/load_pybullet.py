@@ -49,6 +49,12 @@ def load(
     ]
     for index in range(-1, len(names)):
         pybullet.changeDynamics(body, index, linearDamping=0, angularDamping=0, physicsClientId=client)
+    links = {pybullet.getBodyInfo(body, physicsClientId=client)[0].decode(): -1} | {
+        pybullet.getJointInfo(body, i, physicsClientId=client)[12].decode(): i for i in range(len(names))
+    }
+    for link, surface in info["surfaces"].items():
+        kinds = {"lateralFriction": surface["friction"], "restitution": surface["restitution"]}
+        pybullet.changeDynamics(body, links[link], **kinds, physicsClientId=client)
     joint = names.index(info["joint"].encode())
     if info["velocity"]:
         pybullet.changeDynamics(body, joint, maxJointVelocity=info["velocity"], physicsClientId=client)

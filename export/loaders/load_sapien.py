@@ -42,6 +42,12 @@ def load(scene: Any, pose: Any = None, fixed: bool | None = None) -> Any:
     if pose is not None:
         articulation.set_root_pose(pose)
 
+    for link in articulation.links:
+        if surface := info["surfaces"].get(link.name):
+            friction, restitution = surface["friction"], surface["restitution"]
+            material = sapien.physx.PhysxMaterial(friction, friction, restitution)
+            for shape in link.collision_shapes:
+                shape.set_physical_material(material)
     articulation.set_sleep_threshold(0)
     for link in articulation.links:
         link.set_linear_damping(0)

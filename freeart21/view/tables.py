@@ -151,7 +151,6 @@ def certificate_section(certificate: Certificate) -> Section:
     span = [
         ("Trust", ": ".join(filter(None, [certificate.trust, "; ".join(certificate.reasons)]))),
         ("Upright by", certificate.upright),
-        ("Mass by", certificate.mass),
         ("Visual meshes in each other", f"{1000 * certificate.visual_overlap_m:.2g} mm at most"),
         ("Collision shapes in each other", f"{1000 * certificate.contact_overlap_m:.2g} mm at most"),
         *(
@@ -166,6 +165,7 @@ def certificate_section(certificate: Certificate) -> Section:
         ["Visual to contact, 95 % within", *per_link(lambda link: distance(link, "worst_of_95_m"))],
         ["Contact beyond visual, 95 % within", *per_link(lambda link: distance(link, "outward_95_m"))],
         ["Mass", *per_link(lambda link: f"{link.mass_kg:.3g} kg")],
+        ["Mass by", *per_link(lambda link: link.mass)],
         ["Mass, bounds", *per_link(lambda link: f"{link.mass_low_kg:.2g} to {link.mass_high_kg:.2g} kg")],
         ["Material", *per_link(lambda link: link.material)],
     ]
