@@ -1032,6 +1032,7 @@ def known_commands() -> dict[str, Callable[..., Any]]:
         view,
         board.init_submission,
         board.import_,
+        board.run,
         board.validate,
         board.score,
         board.compare,

@@ -277,6 +277,52 @@ def import_(
     print(f"{out}: {len(imported.sequences)} answers{failed}{lacks}")
 
 
+def run(
+    method: Annotated[str, Positional],
+    data: Annotated[Path, Positional],
+    out: Path,
+    home: Path | None = None,
+    sequences: tuple[str, ...] = (),
+    engine: str = "docker",
+    truth: Path | None = None,
+) -> None:
+    """Run a method over a data folder, within its limits, and measure time and memory: a results folder to score.
+
+    A descriptor (JSON, docs/adapters.md) says which commands, in which container image if any, which inputs, and which
+    layout of results. The same command goes on where a run was stopped. What a method writes is read as a stranger's;
+    where it fails, the failure is declared with its reason. A command without an image runs with your rights: pack the
+    data (`freeart21 pack`) when its truth has to be out of reach. run.json has time, memory and versions.
+
+    Args:
+        method: Descriptor, a .json, or the name of a shipped one (two-motions, rigid-clusters, masked-icp, freeartgs,
+            itaco, bundlesdf, foundationpose, articulate-anything, videoartgs).
+        data: The data folder of the sequences.
+        out: Results folder, such as results/NAME.
+        home: The method's own checkout, if its commands name it.
+        sequences: Some sequences of the data folder; by default all.
+        engine: Program that runs images: docker or podman.
+        truth: The truth of a packed data folder, for methods that are given part masks or meshes of it.
+    """
+    from leaderboard.methods.descriptor import find_descriptor
+    from leaderboard.methods.run import run_method
+
+    with progress_bar("Running", counted=True) as show:
+        report = run_method(
+            find_descriptor(method), data, out, home, sequences, engine, truth,
+            lambda name, done, total: show(f"Running {name}", done, total),
+        )  # fmt: skip
+    for name, entry in report.entries.items():
+        if entry.outcome == "failure":
+            print(f"{name}: {entry.reason}")
+    answers = sum(entry.outcome == "answer" for entry in report.entries.values())
+    slowest = max((entry.seconds for entry in report.entries.values()), default=0.0)
+    largest = max((entry.peak_bytes for entry in report.entries.values()), default=0)
+    print(
+        f"{out}: {answers} answers, {len(report.entries) - answers} declared failures, {len(report.skipped)} of them "
+        f"from before; at most {slowest:.1f} s and {largest / 1e9:.2f} GB a sequence"
+    )
+
+
 def suite(
     data: Annotated[Path, Positional],
     out: Path,

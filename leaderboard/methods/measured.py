@@ -1,0 +1,107 @@
+"""A command within limits of time and memory, and what it took."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+PERIOD_S = 0.2
+"""Between two looks at the memory."""
+MAX_LOG = 1 << 20
+"""Most bytes that are kept of what a command writes."""
+
+
+@dataclass(frozen=True)
+class Usage:
+    """What a command took, and how it ended."""
+
+    code: int | None
+    """Exit code, negative for a signal; None when it was stopped at a limit."""
+    seconds: float
+    """By the clock."""
+    cpu_seconds: float
+    """Of all its processes that it waited for; of a container's client alone."""
+    peak_bytes: int
+    """Largest sum of resident memory of all its processes, looked up every PERIOD_S."""
+    stopped_by: str
+    """The limit, in words; empty when none was met."""
+
+
+def run_measured(
+    words: list[str], folder: Path, log: Path, seconds: float, memory_bytes: float, stop: Callable[[], None]
+) -> Usage:
+    """Run the program words[0] with the arguments words[1:] in `folder`; its output goes to `log`.
+
+    Its session is killed, and `stop` called, at a limit or when this process is interrupted. FileNotFoundError and
+    PermissionError when it cannot be started.
+    """
+    began = time.monotonic()
+    stopped_by, peak = "", 0
+    with log.open("ab") as output:
+        process = subprocess.Popen(
+            words, cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )  # fmt: skip
+        assert process.stdout is not None
+        room = [MAX_LOG]
+
+        def copy() -> None:
+            assert process.stdout is not None
+            while data := process.stdout.read1(1 << 16):  # type: ignore[attr-defined]
+                output.write(data[: room[0]])
+                room[0] -= min(room[0], len(data))
+
+        reader = threading.Thread(target=copy, daemon=True)
+        reader.start()
+        try:
+            while True:
+                ended, status, used = os.wait4(process.pid, os.WNOHANG)
+                if ended:
+                    break
+                peak = max(peak, _resident_bytes(process.pid))
+                if time.monotonic() - began > seconds:
+                    stopped_by = f"it took more than {seconds:g} s"
+                elif peak > memory_bytes:
+                    stopped_by = f"it took more than {memory_bytes / 1e9:g} GB of memory"
+                if stopped_by:
+                    _kill(process.pid)
+                    stop()
+                    _, status, used = os.wait4(process.pid, 0)
+                    break
+                time.sleep(PERIOD_S)
+        except BaseException:
+            _kill(process.pid)
+            stop()
+            os.wait4(process.pid, 0)
+            process.returncode = -signal.SIGKILL
+            raise
+        _kill(process.pid)  # what it left behind in its session
+        process.returncode = os.waitstatus_to_exitcode(status)
+        reader.join(5.0)
+        process.stdout.close()
+    peak = max(peak, used.ru_maxrss * 1024)
+    code = None if stopped_by else process.returncode
+    return Usage(code, time.monotonic() - began, used.ru_utime + used.ru_stime, peak, stopped_by)
+
+
+def _kill(session: int) -> None:
+    with contextlib.suppress(ProcessLookupError, PermissionError):
+        os.killpg(session, signal.SIGKILL)
+
+
+def _resident_bytes(session: int) -> int:
+    """Resident memory of all processes of a session, pages that they share counted in each."""
+    total = 0
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError, ValueError, IndexError):
+            fields = path.read_text(errors="replace").rpartition(")")[2].split()
+            if int(fields[3]) == session:
+                total += int(fields[21]) * os.sysconf("SC_PAGE_SIZE")
+    return total
