@@ -191,7 +191,17 @@ def draw(camera: Camera, mesh: Mesh) -> tuple[Array, Labels]:
 
 def label_frame(camera: Camera, depth: Floats, mask: Bools, meshes: Sequence[Mesh]) -> Labels:
     """0 neither, 1, 2: the part, of two posed `meshes`, that is drawn nearest to the measured depth of each pixel."""
-    drawn = np.stack([draw(camera, mesh)[0] for mesh in meshes])
-    miss = np.where(depth > 0, np.abs(drawn - depth), np.where(np.isfinite(drawn), 0.0, np.inf))
-    label = np.where(np.isfinite(miss).any(0) & mask, 1 + miss.argmin(0), 0).astype(np.uint8)
-    return _fill(label, mask)
+    label = np.zeros(mask.shape, np.uint8)
+    if not mask.any():
+        return label
+    row, column = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
+    window = slice(row[0], row[-1] + 1), slice(column[0], column[-1] + 1)  # nothing else is labelled
+    K = camera.K.copy()
+    K[:2, 2] -= column[0], row[0]
+    height, width = mask[window].shape
+    drawn = np.stack([draw(Camera(K, width, height), mesh)[0] for mesh in meshes])
+    here = depth[window]
+    miss = np.where(here > 0, np.abs(drawn - here), np.where(np.isfinite(drawn), 0.0, np.inf))
+    nearest = np.where(np.isfinite(miss).any(0) & mask[window], 1 + miss.argmin(0), 0).astype(np.uint8)
+    label[window] = _fill(nearest, mask[window])
+    return label

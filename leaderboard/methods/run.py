@@ -121,7 +121,7 @@ def run_method(
     check_name(Method(method.name), "the descriptor")
     digest = hashlib.sha256(atomic.json_text(asdict(method)).encode()).hexdigest()
     before = _read_earlier(out, digest, (data, *([home] if home else [])))
-    options = _read_options(method)
+    options = _read_options(method, home)
     where = {name: benchmark.truth(name) if truth is None else truth / "truth" / name for name in wanted}
     with only_writer(out):
         out.mkdir(parents=True, exist_ok=True)
@@ -322,16 +322,20 @@ def _copy_result(source: Path, target: Path, frames: int) -> None:
                 shutil.copyfile(path, aside / relative)
 
 
-def _read_options(method: Descriptor) -> Options:
+def _read_options(method: Descriptor, home: Path | None) -> Options:
     """The import's options of a descriptor. Raises FreeArtError."""
     given: dict[str, Any] = dict(method.options)
+    if "object_poses" in given:
+        given["object_poses"] = Path(fill_words([given["object_poses"]], {"home": home})[0])
     try:
         for key, kind in (("anchor", int), ("scale", float)):
             if key in given:
                 given[key] = kind(given[key])
         return Options(**given)
     except (TypeError, ValueError) as error:
-        raise FreeArtError(f"{method.name}: options are {given}, expected frame, axes, anchor, scale, joint") from error
+        raise FreeArtError(
+            f"{method.name}: options are {given}, expected frame, axes, anchor, scale, joint, object_poses"
+        ) from error
 
 
 def _read_version(words: Sequence[str], home: Path | None) -> str:
