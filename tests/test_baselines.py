@@ -103,7 +103,7 @@ def test_a_slider_in_closed_form(by_paper):
 
 
 @pytest.mark.parametrize("vote", [groups.vote_by_motions, groups.vote_by_distances])
-def test_tracks_of_two_bodies_are_told_apart(vote):
+def test_tracks_of_two_bodies_are_separated(vote):
     pytest.importorskip("sklearn")
     points = rng().normal(size=(90, 3)) * 0.05
     body = np.stack([se3.exp_se3(k * np.array([0.01, 0, 0, 0.05, 0.02, 0])) for k in range(12)])
