@@ -190,13 +190,13 @@ def figures(
     link = shown.urdf.joints[asset.joint]
     Ts = link_poses(shown.urdf.joints, {**asset.held, asset.joint: 0.0})
     names = (asset.reference_link, asset.moving_link)
-    visual = [_join_meshes(shown, name, "visuals") for name in names]
+    visual = [join_meshes(shown, name, "visuals") for name in names]
     axis = -link.axis if link.child == asset.reference_link else link.axis
     joint = Joint(link.name, _joint_type_of(link.joint_type), axis, np.zeros(3), link.lower, link.upper).moved(
         Ts[link.child]
     )
     parts = Articulation(joint, *(mesh.moved(Ts[name]) for mesh, name in zip(visual, names, strict=True)))
-    swapped = _are_swapped(result, truth)
+    swapped = are_swapped(result, truth)
     return {
         **_measure_standing(asset, parts, result, truth, swapped),
         **_measure_limits(asset, link.lower, link.upper, result, truth),
@@ -225,7 +225,7 @@ def _measure_standing(
     }
 
 
-def _are_swapped(result: Reconstruction, truth: Truth) -> bool:
+def are_swapped(result: Reconstruction, truth: Truth) -> bool:
     """Whether the answer's reference part is the truth's moving one, by the masks of a few frames."""
     agree = [0, 0]
     for i in np.linspace(0, len(truth) - 1, 5).round().astype(int):
@@ -280,7 +280,7 @@ def _shapes(asset: Asset, shown: ShownUrdf, visual: list[Mesh]) -> dict[str, flo
     }
 
 
-def _join_meshes(shown: ShownUrdf, link: str, which: str) -> Mesh:
+def join_meshes(shown: ShownUrdf, link: str, which: str) -> Mesh:
     """All shapes of a link as one mesh of shared positions."""
     meshes = [piece.mesh for piece in getattr(shown, which)[link]]
     first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])

@@ -9,7 +9,7 @@ follows HACD (Mamou and Ghorbel, ICIP 2009), whose cost is relative instead of m
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,6 +40,10 @@ MIN_THICKNESS_M = 1e-3
 """m: thinner hulls are thickened, as simulators reject flat solids."""
 
 
+_ROUGHNESS = 6.0
+"""Tolerances that roughness stands out of what lies below it."""
+
+
 @dataclass(frozen=True)
 class Tolerance:
     """Bounds of a decomposition."""
@@ -66,10 +70,13 @@ class _Hull:
     """Excess, m, at the points tested."""
 
 
-def decompose(part: OuterSurface, tolerance: Tolerance, max_hulls: int) -> list[Array]:
+def decompose(
+    part: OuterSurface, tolerance: Tolerance, max_hulls: int, boxes: Sequence[Array] = (), min_share: float = 0.0
+) -> list[Array]:
     """Corners (k, 3) of at most `max_hulls` convex hulls; the bound is widened where more would be needed.
 
-    A part that is convex itself gives one hull with all its corners.
+    A part that is convex itself gives one hull with all its corners. Else `boxes`, corners (8, 3), come first, and
+    hulls cover the rest of the surface. A hull goes when it alone covers less than `min_share` of the surface's points.
     """
     tests = _HullTests(part, tolerance)
     everything = np.arange(len(part.points))
@@ -77,17 +84,29 @@ def decompose(part: OuterSurface, tolerance: Tolerance, max_hulls: int) -> list[
     whole = tests.make_hull(filled, everything, tolerance.max_excess_m, _FULL_SAMPLES)
     if whole is not None:
         return [whole.corners]
-    hulls = drop_redundant(
-        part, _merge_hulls(tests, _split_into_patches(tests, everything), tolerance.max_excess_m, 0), tolerance
-    )
-    uncovered = _find_uncovered(part, hulls, tolerance.max_excess_m)
-    hulls += _merge_hulls(tests, _split_into_patches(tests, uncovered, last=True), tolerance.max_excess_m, 0)
     limit = tolerance.max_excess_m
-    while len(hulls) > max_hulls and limit < part.size:
+    given = [_Hull(corners, np.zeros(0, np.int64), 0.0) for corners in boxes]
+    bare = _find_uncovered(part, boxes, limit)
+    hulls = _merge_hulls(tests, _split_into_patches(tests, bare), limit, 0)
+    if not boxes:
+        hulls = drop_redundant(part, hulls, tolerance.simplify_m)
+        uncovered = _find_uncovered(part, [hull.corners for hull in hulls], limit)
+        hulls += _merge_hulls(tests, _split_into_patches(tests, uncovered, last=True), limit, 0)
+    if min_share > 0:
+        chosen = drop_redundant(part, given + hulls, limit, min_share)
+        hulls = [hull for hull in chosen if len(hull.members)]
+        given = [hull for hull in chosen if not len(hull.members)]
+    return [hull.corners for hull in given + _widen(tests, hulls, max_hulls - len(given))]
+
+
+def _widen(tests: _HullTests, hulls: list[_Hull], max_hulls: int) -> list[_Hull]:
+    """At most `max_hulls` hulls, merged with bounds that double."""
+    limit = tests.tolerance.max_excess_m
+    while len(hulls) > max_hulls and limit < tests.part.size:
         limit *= 2
         tests.pairs = 0
         hulls = _merge_hulls(tests, hulls, limit, max_hulls)
-    return [hull.corners for hull in hulls]
+    return hulls
 
 
 class _HullTests:
@@ -195,11 +214,11 @@ def thicken(points: Array, min_thickness_m: float) -> Array:
     return points
 
 
-def _find_uncovered(part: OuterSurface, hulls: list[_Hull], limit: float) -> NDArray[np.int64]:
-    """Points of the outer surface that are more than `limit`, m, outside every hull."""
+def _find_uncovered(part: OuterSurface, hulls: Sequence[Array], limit: float) -> NDArray[np.int64]:
+    """Points of the outer surface that are more than `limit`, m, outside every hull, corners (k, 3)."""
     bare = np.arange(len(part.points))
-    for hull in hulls:
-        planes = robust_hull(hull.corners).equations
+    for corners in hulls:
+        planes = robust_hull(corners).equations
         beyond = part.points[bare] @ planes[:, :3].T + planes[:, 3]
         bare = bare[beyond.max(1) > limit]
     return bare
@@ -326,22 +345,24 @@ def _merge_hulls(tests: _HullTests, hulls: list[_Hull], limit: float, least: int
     return list(alive.values())
 
 
-def drop_redundant(part: OuterSurface, hulls: list[_Hull], tolerance: Tolerance) -> list[_Hull]:
-    """The hulls without those, smallest first, whose surface others cover as well."""
-    covers = np.zeros((len(hulls), len(part.points)), bool)
-    volume = np.zeros(len(hulls))
+def drop_redundant(part: OuterSurface, hulls: list[_Hull], near: float, min_share: float = 0.0) -> list[_Hull]:
+    """The hulls without those, smallest first, that alone cover at most `min_share` of the points of the surface, all
+    of them within `_ROUGHNESS` times `near` of another one; a hull covers what is in it or within `near`, m."""
+    covers = np.zeros((2, len(hulls), len(part.points)), bool)
+    volume, far = np.zeros(len(hulls)), _ROUGHNESS * near
     for k, hull in enumerate(hulls):
         qhull = robust_hull(hull.corners)
-        low, high = hull.corners.min(0) - tolerance.simplify_m, hull.corners.max(0) + tolerance.simplify_m
-        near = np.flatnonzero(((part.points >= low) & (part.points <= high)).all(1))
-        beyond = part.points[near] @ qhull.equations[:, :3].T + qhull.equations[:, 3]
-        covers[k, near] = (beyond <= tolerance.simplify_m).all(1)
+        low, high = hull.corners.min(0) - far, hull.corners.max(0) + far
+        at = np.flatnonzero(((part.points >= low) & (part.points <= high)).all(1))
+        beyond = (part.points[at] @ qhull.equations[:, :3].T + qhull.equations[:, 3]).max(1)
+        covers[0, k, at], covers[1, k, at] = beyond <= near, beyond <= far
         volume[k] = qhull.volume
-    times = covers.sum(0)
+    times = covers.sum(1)
     chosen = []
     for k in np.argsort(volume):
-        if (times[covers[k]] > 1).all():
-            times -= covers[k]
+        alone = covers[0, k] & (times[0] <= 1)
+        if alone.sum() <= min_share * len(part.points) and (times[1, alone] > 1).all():
+            times -= covers[:, k]
         else:
             chosen.append(int(k))
     return [hulls[k] for k in sorted(chosen)]

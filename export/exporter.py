@@ -16,7 +16,7 @@ import numpy as np
 import freeart21
 from export.certificate import certify, list_reloaded
 from export.checklist import FK_TOLERANCE, check_asset
-from export.collision import Collision, CollisionSettings, make_collision, separate_collisions
+from export.collision import PRESETS, Collision, CollisionSettings, Contact, make_collision, separate_collisions
 from export.companion_files import USD, write_companion_files
 from export.contact import measure_contact_depth, measure_contact_fidelity, read_link_shapes
 from export.guessed_dynamics import DYNAMICS, Dynamics, guess_effects
@@ -94,8 +94,10 @@ class ExportSettings:
     """Whether to write USD; None: only where usd-core is installed."""
     meshes: MeshSettings = field(default_factory=MeshSettings)
     """Visual meshes and textures."""
-    collision: CollisionSettings = field(default_factory=CollisionSettings)
-    """Collision shapes."""
+    contact: Contact = "fine"
+    """Collision shapes: 'fine' within about a millimetre, 'fast' at most 16 a part."""
+    collision: CollisionSettings | None = None
+    """Collision shapes in detail; None: as `contact` says."""
 
     def check(self) -> None:
         """Raise FreeArtError when a setting is invalid."""
@@ -104,7 +106,7 @@ class ExportSettings:
         if self.density is not None and self.mass is not None:
             raise FreeArtError(f"density {self.density:g} kg/m^3 and mass {self.mass:g} kg: give one of them")
         self.placement.check()
-        for name, known in (("material", MATERIALS), ("dynamics", DYNAMICS)):
+        for name, known in (("material", MATERIALS), ("dynamics", DYNAMICS), ("contact", PRESETS)):
             for value in _each_value(getattr(self, name)):
                 if value not in known:
                     raise FreeArtError(f"there is no {name} '{value}'; there are {', '.join(known)}")
@@ -154,20 +156,27 @@ def export_result(
     reconstruction, source = _read_reconstruction(result)
     _check_lengths(reconstruction, settings)
     recording = None if video is None else read_sequence(video)
-    reconstruction, parts = close_parts(reconstruction, recording, settings.meshes)
+    scaled = scale_reconstruction(reconstruction, settings.scale)
+    tolerance = settings.placement.tolerance_m
+    whole = close_parts(reconstruction, recording, settings.meshes, tolerance, settings.placement.carve)
+    parts, found = whole.parts, whole.found
+    travel = settings.scale if reconstruction.articulation.joint.type == "prismatic" else 1.0
     placement = place_parts(
-        scale_reconstruction(reconstruction, settings.scale),
+        scale_reconstruction(whole.reconstruction, settings.scale),
+        replace(found, low=travel * found.low, high=travel * found.high),
         settings.placement,
         settings.scale,
-        {name: part.surface.observed for name, part in parts.items()},
-        [name for name, part in parts.items() if not part.surface.is_solid],
     )
+    penetration = {
+        key: settings.scale ** {"carved_m3": 3}.get(key, 1) * value if isinstance(value, float) else value
+        for key, value in whole.penetration.items()
+    } | {"tolerance_m": tolerance * settings.scale}
     with only_writer(out), atomic.new_folder(out, ASSET) as aside:
         with ThreadPoolExecutor() as pool:  # most of the time goes into nearest-point queries, which release the GIL
             tasks = {name: pool.submit(_make_shape, name, part, placement, settings) for name, part in parts.items()}
         shapes = {name: task.result() for name, task in tasks.items()}
-        shapes, shape_counts = _separate_contact(shapes, placement, settings)
-        solids = {name: shape.solid for name, shape in shapes.items()}
+        shapes, shape_counts = _separate_contact(shapes, placement, penetration, settings)
+        solids = {name: shape.visual for name, shape in shapes.items()}
         given = {name: getattr(settings, name) for name in ("mass", "density", "material", "wall")}
         masses = weigh_parts(solids, {name: name for name in PARTS}, **given)
         written = {name: _write_link(aside, name, shape, masses[name], settings) for name, shape in shapes.items()}
@@ -198,8 +207,8 @@ def export_result(
                 for name, (_, part) in written.items()
             },
             **placement.report,
-            "penetration": placement.report["penetration"] | {"deepest_m": depth} | shape_counts,
-            "mass": _describe_mass(settings, placement.report["penetration"]["carved"]),
+            "penetration": penetration | {"deepest_m": depth} | shape_counts,
+            "mass": _describe_mass(settings),
             "dynamics": {"guessed": guessed},
             "length_unit": "m",
             "exporter": f"freeart21 {freeart21.__version__}",
@@ -213,7 +222,7 @@ def export_result(
             findings += check_usd(aside / USD, read_asset(aside))
         if findings:
             raise FreeArtError(f"the asset for {out} does not pass its own check: {findings[0]}")
-        _check_motion(read_asset(aside), scale_reconstruction(reconstruction, settings.scale), out)
+        _check_motion(read_asset(aside), scaled, out)
     return read_asset(out)
 
 
@@ -290,32 +299,32 @@ class _Shape:
 
     part: Part
     visual: Mesh
-    solid: Mesh
-    """The visual mesh, without what was carved from it."""
     collision: Collision
 
 
 def _make_shape(name: str, part: Part, placement: Placement, settings: ExportSettings) -> _Shape:
-    visual, solid = getattr(placement, name), placement.solids[name]
+    visual = getattr(placement, name)
     ground = 0.0 if name == placement.root else -float(placement.joint.pivot[2])  # in its link's frame
     try:
-        collision = make_collision(solid, settings.collision, ground, single=not part.surface.is_solid)
-        shape = _Shape(part, visual, solid, collision)
-        compute_inertial(solid, 1.0, settings.wall)  # raises without a volume
+        collision = make_collision(
+            visual, settings.collision or PRESETS[settings.contact], ground, single=not part.surface.is_solid
+        )
+        shape = _Shape(part, visual, collision)
+        compute_inertial(visual, 1.0, settings.wall)  # raises without a volume
     except FreeArtError as error:
         raise FreeArtError(f"{name} part: {error}") from error
     return shape
 
 
 def _separate_contact(
-    shapes: dict[str, _Shape], placement: Placement, settings: ExportSettings
+    shapes: dict[str, _Shape], placement: Placement, penetration: dict[str, Any], settings: ExportSettings
 ) -> tuple[dict[str, _Shape], dict[str, Any]]:
     """The shapes, their collision shapes cut where they overlap more than the tolerance; for asset.json, the counts of
     cuts.
 
     Nothing is cut when the parts themselves overlap.
     """
-    tolerance, penetration = settings.placement.tolerance_m * settings.scale, placement.report["penetration"]
+    tolerance = penetration["tolerance_m"]
     if not settings.placement.carve or (penetration["deepest_m"] > tolerance and penetration["carved"] is None):
         return shapes, {}
     collisions = {name: shape.collision for name, shape in shapes.items()}
@@ -337,17 +346,16 @@ def _write_link(
         "hulls": len(hulls),
         "primitives": len(collision.primitives),
     }
-    inertial = compute_inertial(shape.solid, mass.density, settings.wall)
+    inertial = compute_inertial(shape.visual, mass.density, settings.wall)
     visual_file, picture = f"{MESHES}/{name}.obj", texture and f"{MESHES}/{texture}"
     surface = TABLE[mass.material]
     return LinkModel(name, visual_file, picture, hulls, inertial, collision.primitives, surface), report
 
 
-def _describe_mass(settings: ExportSettings, carved: str | None) -> dict[str, Any]:
+def _describe_mass(settings: ExportSettings) -> dict[str, Any]:
     """For asset.json: what the masses were computed of, for both parts."""
-    less = "" if carved is None else f", less what was carved of the {carved} part"
     return {
-        "of": f"{'the solid that the mesh bounds' if settings.wall is None else 'a wall along the mesh'}{less}",
+        "of": "the solid that the mesh bounds" if settings.wall is None else "a wall along the mesh",
         "wall_m": settings.wall,
     }
 

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from export.atlas import Texture
+from export.carving import carve_overlap
 from export.free_space import find_free_space
 from export.hollows import Panels, find_panels
+from export.joint_range import STATES, TOLERANCE, JointRange, estimate_joint_range
 from export.meshes import MeshSettings
-from export.surface import Surface, close_surface, subtract_cavities
+from export.penetration import Overlap
+from export.surface import Surface, close_surface, replace_mesh, subtract_cavities
 from export.texture import check_recording, texture_from_vertices, textures_from_video
-from freeart21.articulation import PARTS
+from freeart21.articulation import PARTS, Articulation
 from freeart21.errors import FreeArtError
 from freeart21.reconstruction import Reconstruction
 from freeart21.recording import Recording
@@ -56,13 +62,31 @@ class Part:
         }
 
 
-def close_parts(
-    reconstruction: Reconstruction, recording: Recording | None, settings: MeshSettings
-) -> tuple[Reconstruction, dict[str, Part]]:
-    """The reconstruction with closed parts, and the parts by name, textured from the recording or, without one, from
-    vertex colours.
+@dataclass(frozen=True)
+class WholeParts:
+    """Both parts, whole and clear of each other."""
 
-    Raises FreeArtError, which names the part, when one cannot be closed.
+    reconstruction: Reconstruction
+    """With closed parts."""
+    parts: dict[str, Part]
+    found: JointRange
+    """The joint's range, rad or m, in lengths of the video."""
+    penetration: dict[str, Any]
+    """For asset.json, in lengths of the video: how deep the parts are in each other, and what was carved."""
+
+
+def close_parts(
+    reconstruction: Reconstruction,
+    recording: Recording | None,
+    settings: MeshSettings,
+    tolerance: float = TOLERANCE,
+    carve: bool = True,
+) -> WholeParts:
+    """The parts of a reconstruction, closed, hollow where they are, clear of each other over the joint's range, and
+    textured from the recording or, without one, from vertex colours.
+
+    Where they overlap by more than `tolerance`, m, and `carve` is set, one of them loses what the other sweeps. Raises
+    FreeArtError, which names the part, when one cannot be closed.
     """
     whole = reconstruction.articulation
     for name in PARTS:
@@ -70,7 +94,7 @@ def close_parts(
             raise FreeArtError(f"{name} part of joint '{whole.joint.name}' is an empty mesh: nothing to export")
     if recording is not None:
         check_recording(reconstruction, recording)
-    surfaces, panels = [], []
+    surfaces, panels = {}, {}
     for name in PARTS:
         try:
             space = find_free_space(reconstruction, name, recording)
@@ -81,9 +105,9 @@ def close_parts(
         if closed.patch_count and closed.is_solid:
             found = find_panels(closed.mesh, closed.observed, space)
             closed = subtract_cavities(closed, found.cavities, _SMOOTH_VOXELS * space.voxel, settings)
-        surfaces.append(closed)
-        panels.append(found.report)
-    meshes = (surfaces[0].mesh, surfaces[1].mesh)
+        surfaces[name], panels[name] = closed, found.report
+    surfaces, range_, penetration = _clear_parts(reconstruction, surfaces, settings, tolerance, carve)
+    meshes = (surfaces["reference"].mesh, surfaces["moving"].mesh)
     if recording is not None:
         textures: tuple[Texture | None, ...] = textures_from_video(reconstruction, meshes, recording)
     else:
@@ -92,8 +116,63 @@ def close_parts(
         )
     origin = "vertex colours" if recording is None else "video"
     parts = {
-        name: Part(surface, texture, None if texture is None else origin, len(whole.part(name).faces), report)
-        for name, surface, texture, report in zip(PARTS, surfaces, textures, panels, strict=True)
+        name: Part(
+            surfaces[name], texture, None if texture is None else origin, len(whole.part(name).faces), panels[name]
+        )
+        for name, texture in zip(PARTS, textures, strict=True)
     }
     articulation = replace(whole, reference=meshes[0], moving=meshes[1])
-    return replace(reconstruction, articulation=articulation), parts
+    return WholeParts(replace(reconstruction, articulation=articulation), parts, range_, penetration)
+
+
+def _clear_parts(
+    reconstruction: Reconstruction, surfaces: dict[str, Surface], settings: MeshSettings, tolerance: float, carve: bool
+) -> tuple[dict[str, Surface], JointRange, dict[str, Any]]:
+    """The surfaces, one of them carved where they overlap by more than `tolerance`, m, in the joint's range; the range;
+    and a report."""
+    closed = replace(reconstruction.articulation, reference=surfaces["reference"].mesh, moving=surfaces["moving"].mesh)
+    overlap = Overlap(closed)
+    touching = Overlap(closed, {name: surface.observed for name, surface in surfaces.items()})
+    found = estimate_joint_range(replace(reconstruction, articulation=closed), touching, tolerance)
+    not_solid = [name for name, surface in surfaces.items() if not surface.is_solid]
+    cut, report = carve_parts(closed, found, tolerance, carve, not_solid, overlap)
+    if report["carved"] is not None:
+        surfaces = {
+            name: replace_mesh(surface, cut.part(name), tolerance, settings) for name, surface in surfaces.items()
+        }
+        clear = replace(closed, reference=surfaces["reference"].mesh, moving=surfaces["moving"].mesh)
+        after = float(Overlap(clear).max_depths(np.linspace(found.low, found.high, STATES)).max())
+        report |= {"deepest_m": after, "deepest_visual_m": after}
+    return surfaces, found, report
+
+
+def carve_parts(
+    parts: Articulation,
+    found: JointRange,
+    tolerance: float,
+    carve: bool = True,
+    not_solid: Sequence[str] = (),
+    overlap: Overlap | None = None,
+) -> tuple[Articulation, dict[str, Any]]:
+    """The closed parts, one of them carved where they overlap by more than `tolerance`, m, in the range; and a report
+    of the depth before, what was carved, or why nothing was."""
+    overlap = Overlap(parts) if overlap is None else overlap
+    before = float(overlap.max_depths(np.linspace(found.low, found.high, STATES)).max())
+    report: dict[str, Any] = {
+        "deepest_m": before,
+        "deepest_visual_m": before,
+        "before_carving_m": before,
+        "carved": None,
+    }
+    if before <= tolerance or not carve:
+        return parts, report
+    if not_solid:
+        return parts, report | {"not_carved_because": f"the {not_solid[0]} part is no solid"}
+    cut = carve_overlap(parts, found.low, found.high, tolerance, overlap)
+    if isinstance(cut, str):
+        return parts, report | {"not_carved_because": cut}
+    reference, moving = (cut.mesh, cut.other) if cut.name == "reference" else (cut.other, cut.mesh)
+    return replace(parts, reference=reference, moving=moving), report | {
+        "carved": cut.name,
+        "carved_m3": cut.volume,
+    }

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from export.carving import carve_overlap
-from export.joint_range import STATES, TOLERANCE, ZEROS, JointRange, Zero, choose_zero, estimate_joint_range
-from export.penetration import Overlap
+from export.joint_range import TOLERANCE, ZEROS, JointRange, Zero, choose_zero
 from export.resting_pose import FACET_ANGLE, GROUND_SHARE, choose_upright, find_support, resting_poses, settle
 from freeart21 import se3
 from freeart21.articulation import PARTS, Articulation
@@ -45,7 +42,7 @@ class PlacementSettings:
     tolerance_m: float = TOLERANCE
     """m that the parts may overlap, in the asset's own lengths when it is scaled."""
     carve: bool = True
-    """Whether the volume swept by one part is subtracted from the other's collision shapes, where both are closed."""
+    """Whether the volume swept by one part is subtracted from the other, where both are closed."""
 
     def check(self) -> None:
         """Raise FreeArtError when a setting is invalid."""
@@ -81,42 +78,26 @@ class Placement:
     """Reference part in its link's frame."""
     moving: Mesh
     """Moving part in its link's frame."""
-    solids: dict[str, Mesh]
-    """Mesh by part that collision shapes are made of, in its link's frame: the visual mesh, less what was carved."""
     report: dict[str, Any]
-    """For asset.json: `up`, `limits`, `zero`, `penetration`."""
+    """For asset.json: `up`, `limits`, `zero`."""
 
 
 def place_parts(
-    reconstruction: Reconstruction,
-    settings: PlacementSettings,
-    scale: float = 1.0,
-    observed: dict[str, NDArray[np.bool_]] | None = None,
-    not_solid: Sequence[str] = (),
+    reconstruction: Reconstruction, found: JointRange, settings: PlacementSettings, scale: float = 1.0
 ) -> Placement:
     """Link frames for a reconstruction.
 
     Args:
         reconstruction: two parts and their joint.
+        found: the joint's range.
         settings: up direction and zero.
-        scale: the reconstruction's lengths over those of its video; tolerances are scaled, too.
-        observed: (F,) per part, which triangles were observed; None is all. Others do not limit the joint.
-        not_solid: parts that are no solids; then nothing is carved.
+        scale: the reconstruction's lengths over those of its video.
 
-    Limits come from `estimate_joint_range`, zero from `choose_zero`. Where the parts overlap by more than the tolerance
-    and both are closed, the collision meshes are carved, not the visual ones. Raises FreeArtError on an empty part, a
-    joint that does not move, or `gravity` with a reference part that did not stand still.
+    Zero comes from `choose_zero`. Raises FreeArtError on a joint that does not move, or `gravity` with a reference part
+    that did not stand still.
     """
     articulation = reconstruction.articulation
     joint = articulation.joint
-    for name in PARTS:
-        if articulation.part(name).empty or not articulation.part(name).areas().sum() > 0:
-            what = "is an empty mesh" if articulation.part(name).empty else "has no triangle of any area"
-            raise FreeArtError(f"{name} part of joint '{joint.name}' {what}: nothing to export")
-    tolerance = settings.tolerance_m * scale
-    overlap = Overlap(articulation)
-    touching = overlap if observed is None else Overlap(articulation, observed)
-    found = estimate_joint_range(reconstruction, touching, tolerance)
     min_range = MIN_RANGE[joint.type] * (scale if joint.type == "prismatic" else 1.0)
     if found.high - found.low < min_range:
         raise FreeArtError(
@@ -124,7 +105,6 @@ def place_parts(
             f"least {min_range:g}: its limits are unknown"
         )
     zero, zero_name = choose_zero(articulation, found, settings.zero)
-    carved, penetration = _carve(articulation, found, overlap, tolerance, settings.carve, not_solid)
     up, support, up_report = _choose_up(reconstruction, settings, found, zero)
     root = "moving" if support == "moving" else "reference"
     T_canonical_root = _root_pose(articulation, support, up, zero)
@@ -146,34 +126,12 @@ def place_parts(
         0.0 - zero,
         parts["reference"].moved(frames["reference"]),
         parts["moving"].moved(frames["moving"]),
-        {name: carved.part(name).moved(frames[name] @ Ts[name]) for name in PARTS},
         {
             "up": up_report,
             "limits": {"lower": found.low_by, "upper": found.high_by},
             "zero": {"asked": settings.zero, "end": zero_name},
-            "penetration": penetration,
         },
     )
-
-
-def _carve(
-    parts: Articulation, found: JointRange, overlap: Overlap, tolerance: float, carve: bool, not_solid: Sequence[str]
-) -> tuple[Articulation, dict[str, Any]]:
-    """The parts, carved so that they overlap by at most `tolerance` in the range where possible; and a report."""
-    states = np.linspace(found.low, found.high, STATES)
-    before = float(overlap.max_depths(states).max())
-    report: dict[str, Any] = {"deepest_m": before, "deepest_visual_m": before, "tolerance_m": tolerance, "carved": None}
-    if before <= tolerance or not carve:
-        return parts, report
-    if not_solid:
-        return parts, report | {"not_carved_because": f"the {not_solid[0]} part is no solid"}
-    cut = carve_overlap(parts, found.low, found.high, tolerance, overlap)
-    if isinstance(cut, str):
-        return parts, report | {"not_carved_because": cut}
-    reference, moving = (cut.mesh, cut.other) if cut.name == "reference" else (cut.other, cut.mesh)
-    parts = replace(parts, reference=reference, moving=moving)
-    after = float(Overlap(parts).max_depths(states).max())
-    return parts, report | {"deepest_m": after, "carved": cut.name, "carved_m3": cut.volume}
 
 
 def _choose_up(

@@ -184,13 +184,32 @@ def subtract_cavities(surface: Surface, cavities: Sequence[Mesh], tolerance: flo
     rest = drop_small_pieces((solid - walls).as_original())
     if not rest.volume() > 0:
         return surface
-    rest = _simplify(rest, tolerance, settings.max_faces)
+    return _retrace(surface, _simplify(rest, tolerance, settings.max_faces), Mesh(*_to_arrays(walls)), tolerance)
+
+
+def replace_mesh(surface: Surface, mesh: Mesh, tolerance: float, settings: MeshSettings) -> Surface:
+    """A closed surface with another mesh: `mesh`, what is left of the surface's own after a cut.
+
+    What moved by more than `tolerance`, m, belongs to the patch. Unchanged where `mesh` is not closed.
+    """
+    solid = _make_solid(mesh.vertices, mesh.faces)
+    if solid is None:
+        return surface
+    panels = surface.mesh.faces[len(surface.mesh.faces) - surface.panel_count :]
+    solid = _simplify(solid, _FIRST_TOLERANCE * tolerance, settings.max_faces)
+    return _retrace(surface, solid, Mesh(surface.mesh.vertices, panels), tolerance)
+
+
+def _retrace(surface: Surface, rest: manifold3d.Manifold, panels: Mesh, tolerance: float) -> Surface:
+    """The surface of a solid that is cut out of a closed one: observed and coloured as that is within `tolerance`, m,
+    panels where it runs along `panels`."""
     vertices, faces = _to_arrays(rest)
     vertices = _separate_vertices(vertices, faces)
     seen = surface.mesh.with_faces(surface.observed)
     observed = _find_observed(vertices, faces, Mesh(seen.vertices, seen.faces), 2 * tolerance)
-    wall = Mesh(*_to_arrays(walls))
-    panel = ~observed & (Winding(wall).distance(vertices[faces].mean(1)) < 2 * tolerance)
+    panel = np.zeros(len(faces), bool)
+    if not panels.empty:
+        panel = ~observed & (Winding(panels).distance(vertices[faces].mean(1)) < 2 * tolerance)
     faces = faces[np.argsort(np.where(observed, 0, 1 + panel), kind="stable")]
     mesh = _transfer_colours(Mesh(vertices, faces), surface.mesh)
     return replace(surface, mesh=mesh, patch_first=int(observed.sum()), panel_count=int(panel.sum()))

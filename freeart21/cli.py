@@ -423,6 +423,7 @@ def export(
     material: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="MATERIAL | NAME=MATERIAL...")] = None,
     wall: float | None = None,
     dynamics: Literal["guessed", "none"] = "guessed",
+    contact: Literal["fine", "fast"] = "fine",
     scale: float = 1.0,
     up: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")] = None,
     gravity: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")] = None,
@@ -447,6 +448,7 @@ def export(
             given.
         wall: Wall thickness of hollow parts, m; solid parts when not given.
         dynamics: Damping and friction of the joint, which the video does not show: small guessed values, or none.
+        contact: Collision shapes: fine, within about a millimetre; or fast, at most 16 a part.
         scale: Factor for all lengths. Assets of another scale than 1 are not scored.
         up: Direction that becomes z, in the result's canonical frame (ours: the camera's of the first frame, right,
             down, forward); from gravity or the likeliest resting pose when not given.
@@ -480,14 +482,14 @@ def export(
         print(f"  {finding}", file=sys.stderr)
     for line in describe_limitations(asset):
         print(line, file=sys.stderr)
-    contact = judge_contact(*read_link_shapes(asset.urdf), asset.urdf.parent)
-    if contact.verdict == "fail":
-        print(f"{contact.rule} fails: {contact.reason}", file=sys.stderr)
+    judged = judge_contact(*read_link_shapes(asset.urdf), asset.urdf.parent)
+    if judged.verdict == "fail":
+        print(f"{judged.rule} fails: {judged.reason}", file=sys.stderr)
     print(describe_trust(asset.trust))
     if findings:
         return 1
     doubtful = asset.trust is not None and asset.trust.verdict == "doubtful"
-    return DOUBTFUL if doubtful or contact.verdict == "fail" else 0
+    return DOUBTFUL if doubtful or judged.verdict == "fail" else 0
 
 
 def _read_by_part(option: str, words: tuple[str, ...] | None, read: Callable[[str], Any]) -> Any:

@@ -206,12 +206,12 @@ def test_triangles_that_bound_no_solid_get_a_hull_and_a_note(tmp_path: Path, mon
     soup = Mesh(0.05 * rng.normal(size=(900, 3)), rng.integers(0, 900, (1500, 3)))
     worked_on = []
 
-    def pieces(outside, tolerance, most):
+    def pieces(outside, *settings):
         worked_on.append(len(outside.points))
-        return decompose(outside, tolerance, most)
+        return decompose(outside, *settings)
 
     monkeypatch.setattr("export.collision.decompose", pieces)
-    monkeypatch.setattr("export.placement.carve_overlap", lambda *_: pytest.fail("carved"))
+    monkeypatch.setattr("export.parts.carve_overlap", lambda *_: pytest.fail("carved"))
     coarse = ExportSettings(usd=False, meshes=MeshSettings(points=1000, max_faces=1000))
     asset = export_result(reconstruction(moving=soup), tmp_path / "a", coarse)
     assert len(worked_on) == 1  # the slab alone

@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 import trimesh
 
+from export.collision import PRESETS, make_collision
+from export.fidelity import measure_fidelity
 from export.free_space import SEEN_THROUGH, SWEPT, find_free_space
 from export.meshes import MeshSettings
 from export.parts import close_parts
+from export.penetration import Overlap
 from export.planes import fit_planes
+from export.primitives import Box
 from freeart21 import se3
 from freeart21.articulation import PARTS, Articulation
 from freeart21.camera import Camera
@@ -106,7 +110,10 @@ def drawer_unit():
 
 def test_a_drawer_and_its_carcass_are_hollow(drawer_unit):
     answer, recording = drawer_unit
-    _, parts = close_parts(answer, recording, SETTINGS)
+    whole = close_parts(answer, recording, SETTINGS)
+    parts = whole.parts
+    depths = Overlap(whole.reconstruction.articulation).max_depths(np.linspace(whole.found.low, whole.found.high, 7))
+    assert depths.max() < 1e-3
     for name, true in zip(PARTS, (carcass(), drawer()), strict=True):
         surface = parts[name].surface
         assert volume(surface.mesh) == pytest.approx(true.volume, rel=0.25)
@@ -132,7 +139,7 @@ def test_without_the_video_the_sliding_drawer_alone_empties_its_carcass(drawer_u
 def test_a_solid_base_under_a_lid_stays_solid():
     base, lid = block((-0.1, -0.08, 0), (0.1, 0.08, 0.12)), block((-0.1, -0.08, 0.12), (0.1, 0.08, 0.13))
     answer, recording = film([base, lid], HINGE, 0.6 * (1 - np.cos(0.9 * np.arange(FRAMES))))
-    _, parts = close_parts(answer, recording, SETTINGS)
+    parts = close_parts(answer, recording, SETTINGS).parts
     for name, true in zip(PARTS, (base, lid), strict=True):
         assert volume(parts[name].surface.mesh) == pytest.approx(true.volume, rel=0.05)
         assert parts[name].surface.panel_count == 0
@@ -157,3 +164,21 @@ def test_planes_of_a_box_are_its_faces():
     assert faces == sorted(
         [((1, 0, 0), 0.2), ((-1, 0, 0), 0), ((0, 1, 0), 0.1), ((0, -1, 0), 0), ((0, 0, 1), 0.05), ((0, 0, -1), 0)]
     )
+
+
+@pytest.mark.parametrize("preset", ["fine", "fast"])
+def test_a_carcass_and_a_drawer_touch_as_their_boards(preset: str):
+    """Rough by up to .4 mm, as fused surfaces are: roughness costs no shapes."""
+    for true in (carcass(), drawer()):
+        rough = fine(true)
+        bumps = np.random.default_rng(0).uniform(-4e-4, 4e-4, rough.vertices.shape)
+        found = make_collision(Mesh(rough.vertices + bumps, rough.faces), PRESETS[preset])
+        assert len(found.shapes) <= 8 and sum(isinstance(shape, Box) for shape in found.primitives) == 5
+        fidelity = measure_fidelity(found.surface, found.shapes)
+        assert fidelity.worst_of_95 < 1.5e-3 and fidelity.worst < 5e-3
+
+
+def test_fast_contact_has_sixteen_shapes_at_most():
+    rings = [trimesh.creation.torus(0.03, 0.006, transform=se3.pose(np.eye(3), (0.05 * k, 0, 0))) for k in range(4)]
+    chain = trimesh.boolean.union([*rings, trimesh.creation.icosphere(3, 0.02)])
+    assert 2 <= len(make_collision(Mesh(chain.vertices, chain.faces), PRESETS["fast"]).shapes) <= 16

@@ -16,6 +16,7 @@ from solid_case import box
 from export.carving import carve_overlap, make_solid
 from export.exporter import ExportSettings, export_result
 from export.joint_range import TOLERANCE, estimate_joint_range, robust_maximum
+from export.parts import carve_parts
 from export.penetration import Overlap
 from export.placement import Placement, PlacementSettings, place_parts
 from export.resting_pose import centres_of_mass, find_support, resting_poses, settle
@@ -60,7 +61,15 @@ def seen_as(
 
 
 def stands(answer: Reconstruction, **settings) -> Placement:
-    return place_parts(answer, PlacementSettings(**settings))
+    found = estimate_joint_range(answer, Overlap(answer.articulation))
+    return place_parts(answer, found, PlacementSettings(**settings))
+
+
+def carve(answer: Reconstruction, *settings) -> tuple[Articulation, dict, np.ndarray]:
+    """The parts carved, the report, and how deep they are in each other at 47 states of the range."""
+    found = estimate_joint_range(answer, Overlap(answer.articulation))
+    parts, report = carve_parts(answer.articulation, found, TOLERANCE, *settings)
+    return parts, report, Overlap(parts).max_depths(np.linspace(found.low, found.high, 47))
 
 
 def test_a_box_with_a_lid_stands_on_its_base_closed_at_zero():
@@ -208,33 +217,26 @@ def test_parts_in_each_other_are_carved_to_half_a_millimetre_and_say_so(tmp_path
     """A lid that everywhere sinks 4 mm into the box, as in reconstructions that are solid where nobody looked."""
     parts = lidded(0.3, gap=-0.004)
     answer = seen_as(parts, np.linspace(-0.3, 0.5, 9))
-    placement = stands(answer)
-    facts = placement.report["penetration"]
-    assert facts["deepest_visual_m"] > 0.003 and facts["deepest_m"] <= TOLERANCE and facts["carved"] is not None
-    joint = placement.joint
-    apart = Articulation(
-        joint,
-        placement.solids["reference"],
-        placement.solids["moving"].moved(se3.pose(np.eye(3), joint.pivot)),
-    )
-    assert Overlap(apart).max_depths(np.linspace(joint.lower, joint.upper, 47)).max() <= 1.1 * TOLERANCE
-    for mesh in placement.solids.values():
+    apart, facts, depths = carve(answer)
+    assert facts["before_carving_m"] > 0.003 and facts["carved"] is not None
+    assert depths.max() <= 1.1 * TOLERANCE
+    for mesh in (apart.reference, apart.moving):
         assert make_solid(mesh) is not None
-    assert stands(answer, carve=False).report["penetration"]["deepest_m"] == facts["deepest_visual_m"]
+    assert carve(answer, False)[2].max() > 0.003
 
 
 def test_open_parts_are_not_carved_and_say_why():
     parts = lidded(0.3, gap=-0.004)
     parts = replace(parts, moving=parts.moving.with_faces(np.arange(12) > 1))
-    facts = stands(seen_as(parts, np.linspace(-0.3, 0.5, 9))).report["penetration"]
+    _, facts, _ = carve(seen_as(parts, np.linspace(-0.3, 0.5, 9)))
     assert facts["carved"] is None and facts["not_carved_because"] == "the moving part is not closed"
 
 
 def test_copies_are_cut_out_one_by_one_where_their_union_only_grows(monkeypatch):
     answer = seen_as(lidded(0.3, gap=-0.004), np.linspace(-0.3, 0.5, 9))
     monkeypatch.setattr("export.carving.MAX_TRIANGLES", 20)
-    facts = stands(answer).report["penetration"]
-    assert facts["carved"] is not None and facts["deepest_m"] <= 1.1 * TOLERANCE < facts["deepest_visual_m"]
+    _, facts, depths = carve(answer)
+    assert facts["carved"] is not None and depths.max() <= 1.1 * TOLERANCE < facts["before_carving_m"]
 
 
 def test_a_thin_drawer_leaves_nothing_standing_in_its_way():
@@ -282,11 +284,11 @@ def test_what_would_lose_most_of_itself_is_not_carved():
     assert "would be cut away" in carve_overlap(parts, 0.0, 0.02, TOLERANCE, Overlap(parts))
 
 
-def test_tolerances_grow_with_the_scale():
-    parts = lidded(0.3, gap=-0.004)
-    answer = seen_as(parts, np.linspace(-0.3, 0.5, 9))
-    facts = place_parts(answer, PlacementSettings(), scale=10.0).report["penetration"]
-    assert facts["tolerance_m"] == pytest.approx(10 * TOLERANCE) and facts["carved"] is None
+def test_depths_grow_with_the_scale(tmp_path: Path):
+    answer = seen_as(lidded(0.3, gap=-0.004), np.linspace(-0.3, 0.5, 9))
+    settings = ExportSettings(usd=False, scale=10.0)
+    facts = export_result(answer, tmp_path / "a", settings).source["penetration"]
+    assert facts["tolerance_m"] == pytest.approx(10 * TOLERANCE) and 0.03 < facts["before_carving_m"] < 0.05
 
 
 def test_an_asset_stands_says_so_and_reaches_every_believed_state(tmp_path: Path):
