@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -46,6 +46,7 @@ from freeart21.mesh import Mesh, bounding_diagonal, box_centre
 from freeart21.reconstruction import Failure, Reconstruction
 from generator.simulate import joint_motion
 
+Names = Literal["part", "role"]
 URDF, MJCF, MESHES = "object.urdf", "object.xml", "meshes"
 
 
@@ -88,6 +89,9 @@ class ExportSettings:
     """URDF effort limit, N m or N. A default: video does not show it."""
     velocity: float = 10.0
     """URDF velocity limit, rad/s or m/s. A default: video does not show it."""
+    names: Names = "part"
+    """Names of the links: 'part' is reference and moving, 'role' base and lid, door, drawer, slider, handle or part
+    (`export.standing.name_role`)."""
     base: Base = "free"
     """Whether the root link moves freely or is fixed to the world. A loader can still fix a free base."""
     usd: bool | None = None
@@ -106,7 +110,8 @@ class ExportSettings:
         if self.density is not None and self.mass is not None:
             raise FreeArtError(f"density {self.density:g} kg/m^3 and mass {self.mass:g} kg: give one of them")
         self.placement.check()
-        for name, known in (("material", MATERIALS), ("dynamics", DYNAMICS), ("contact", PRESETS)):
+        known_names = {"material": MATERIALS, "dynamics": DYNAMICS, "contact": PRESETS, "names": get_args(Names)}
+        for name, known in known_names.items():
             for value in _each_value(getattr(self, name)):
                 if value not in known:
                     raise FreeArtError(f"there is no {name} '{value}'; there are {', '.join(known)}")
@@ -166,6 +171,7 @@ def export_result(
         replace(found, low=travel * found.low, high=travel * found.high),
         settings.placement,
         settings.scale,
+        None if recording is None else recording.gravity,
     )
     penetration = {
         key: settings.scale ** {"carved_m3": 3}.get(key, 1) * value if isinstance(value, float) else value
@@ -178,8 +184,11 @@ def export_result(
         shapes, shape_counts = _separate_contact(shapes, placement, penetration, settings)
         solids = {name: shape.visual for name, shape in shapes.items()}
         given = {name: getattr(settings, name) for name in ("mass", "density", "material", "wall")}
-        masses = weigh_parts(solids, {name: name for name in PARTS}, **given)
-        written = {name: _write_link(aside, name, shape, masses[name], settings) for name, shape in shapes.items()}
+        masses = weigh_parts(solids, placement.roles, **given)
+        links = placement.roles if settings.names == "role" else {name: name for name in PARTS}
+        written = {
+            name: _write_link(aside, name, links[name], shape, masses[name], settings) for name, shape in shapes.items()
+        }
         root, child = (written[name][0] for name in sorted(PARTS, key=lambda name: name != placement.root))
         joint = replace(placement.joint, name=_identifier(placement.joint.name, "joint"))
         guessed = not effects and settings.dynamics == "guessed"
@@ -203,7 +212,9 @@ def export_result(
         depth = measure_contact_depth(aside / URDF, joint.name, collisions, STATES)
         source |= {
             "parts": {
-                name: part | {"collision": fidelity[name].to_json(), **masses[name].to_json()}
+                name: part
+                | {"role": placement.roles[name], "collision": fidelity[links[name]].to_json()}
+                | masses[name].to_json()
                 for name, (_, part) in written.items()
             },
             **placement.report,
@@ -214,7 +225,7 @@ def export_result(
             "exporter": f"freeart21 {freeart21.__version__}",
             "settings": dataclasses.asdict(settings),
         }
-        write_asset_json(aside, _make_asset(aside, model, placement, source, settings.scale))
+        write_asset_json(aside, _make_asset(aside, model, links, placement, source, settings.scale))
         write_companion_files(aside, read_asset(aside), settings.usd)
         write_certificate(aside, replace(certify(read_asset(aside), fidelity), engines=list_reloaded()))
         findings = check_asset(aside)
@@ -333,9 +344,9 @@ def _separate_contact(
 
 
 def _write_link(
-    folder: Path, name: str, shape: _Shape, mass: PartMass, settings: ExportSettings
+    folder: Path, name: str, link: str, shape: _Shape, mass: PartMass, settings: ExportSettings
 ) -> tuple[LinkModel, dict[str, Any]]:
-    """Write the meshes of one link; also returns its entry in asset.json."""
+    """Write the meshes of a part and return its link, named `link`, and its entry in asset.json."""
     visual, collision = shape.visual, shape.collision
     texture = write_visual(folder / MESHES, name, visual, shape.part.texture)
     hulls = tuple(f"{MESHES}/{name}_hull_{k:02d}.obj" for k in range(len(collision.hulls)))
@@ -349,7 +360,7 @@ def _write_link(
     inertial = compute_inertial(shape.visual, mass.density, settings.wall)
     visual_file, picture = f"{MESHES}/{name}.obj", texture and f"{MESHES}/{texture}"
     surface = TABLE[mass.material]
-    return LinkModel(name, visual_file, picture, hulls, inertial, collision.primitives, surface), report
+    return LinkModel(link, visual_file, picture, hulls, inertial, collision.primitives, surface), report
 
 
 def _describe_mass(settings: ExportSettings) -> dict[str, Any]:
@@ -360,12 +371,14 @@ def _describe_mass(settings: ExportSettings) -> dict[str, Any]:
     }
 
 
-def _make_asset(folder: Path, model: AssetModel, placement: Placement, source: dict[str, Any], scale: float) -> Asset:
+def _make_asset(
+    folder: Path, model: AssetModel, links: dict[str, str], placement: Placement, source: dict[str, Any], scale: float
+) -> Asset:
     return Asset(
         folder / URDF,
         model.joint.name,
-        "reference",
-        "moving",
+        links["reference"],
+        links["moving"],
         placement.T_canonical_reference,
         placement.state_zero,
         {model.joint.name: model.effects} if model.effects else {},

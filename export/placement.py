@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from export.joint_range import TOLERANCE, ZEROS, JointRange, Zero, choose_zero
 from export.resting_pose import FACET_ANGLE, GROUND_SHARE, choose_upright, find_support, resting_poses, settle
+from export.standing import BASE, find_front, name_role
 from freeart21 import se3
 from freeart21.articulation import PARTS, Articulation
 from freeart21.errors import FreeArtError
@@ -24,6 +25,8 @@ reconstructions are off by at most this."""
 
 MIN_RANGE = {"revolute": 1e-3, "prismatic": 1e-4}
 """rad or m: a joint that was observed to move less has no limits to export."""
+MIN_STANDING = 0.5
+"""Share of the frames in which the reference part has one tilt: whoever carries an object about tilts it."""
 Direction = tuple[float, float, float]
 
 
@@ -32,7 +35,8 @@ class PlacementSettings:
     """Up direction, joint zero, and tolerance of overlap."""
 
     up: Direction | None = None
-    """Direction in the canonical frame that becomes z; None: that of gravity or of the likeliest resting pose."""
+    """Direction in the canonical frame that becomes z; None: that of gravity (given, or the recording's), or of the
+    likeliest resting pose."""
     gravity: Direction | None = None
     """Direction of gravity in the first frame's camera axes (right, down, forward), of any length. Only when the
     reference part stood still in the camera; not together with `up`."""
@@ -78,12 +82,18 @@ class Placement:
     """Reference part in its link's frame."""
     moving: Mesh
     """Moving part in its link's frame."""
+    roles: dict[str, str]
+    """Role by part, such as 'base' and 'drawer' (`standing.name_role`)."""
     report: dict[str, Any]
     """For asset.json: `up`, `limits`, `zero`."""
 
 
 def place_parts(
-    reconstruction: Reconstruction, found: JointRange, settings: PlacementSettings, scale: float = 1.0
+    reconstruction: Reconstruction,
+    found: JointRange,
+    settings: PlacementSettings,
+    scale: float = 1.0,
+    gravity: NDArray[np.float64] | None = None,
 ) -> Placement:
     """Link frames for a reconstruction.
 
@@ -92,6 +102,7 @@ def place_parts(
         found: the joint's range.
         settings: up direction and zero.
         scale: the reconstruction's lengths over those of its video.
+        gravity: (n, 3) unit direction of gravity in each frame's camera axes, where the recording has it.
 
     Zero comes from `choose_zero`. Raises FreeArtError on a joint that does not move, or `gravity` with a reference part
     that did not stand still.
@@ -105,9 +116,9 @@ def place_parts(
             f"least {min_range:g}: its limits are unknown"
         )
     zero, zero_name = choose_zero(articulation, found, settings.zero)
-    up, support, up_report = _choose_up(reconstruction, settings, found, zero)
+    up, support, up_report = _choose_up(reconstruction, settings, found, zero, gravity)
     root = "moving" if support == "moving" else "reference"
-    T_canonical_root = _root_pose(articulation, support, up, zero)
+    T_canonical_root = _root_pose(articulation, support, up, _find_front(articulation, root, up, found, zero), zero)
     T_root_canonical = se3.inverse(T_canonical_root)
     Ts = {"reference": T_root_canonical, "moving": T_root_canonical @ joint.transform(zero)}  # at joint position zero
     parts = {name: articulation.part(name).moved(Ts[name]) for name in PARTS}
@@ -126,6 +137,7 @@ def place_parts(
         0.0 - zero,
         parts["reference"].moved(frames["reference"]),
         parts["moving"].moved(frames["moving"]),
+        {root: BASE, child: name_role(in_root, parts[root], parts[child])},
         {
             "up": up_report,
             "limits": {"lower": found.low_by, "upper": found.high_by},
@@ -135,7 +147,11 @@ def place_parts(
 
 
 def _choose_up(
-    answer: Reconstruction, settings: PlacementSettings, found: JointRange, zero: float
+    answer: Reconstruction,
+    settings: PlacementSettings,
+    found: JointRange,
+    zero: float,
+    gravity: NDArray[np.float64] | None,
 ) -> tuple[NDArray[np.float64], str, dict[str, Any]]:
     """(3,) up in the canonical frame, the part that then supports the object, and a report."""
     parts = answer.articulation
@@ -148,7 +164,14 @@ def _choose_up(
         _check_reference_still(answer)
         up = -R_canonical_camera @ _normalise(settings.gravity, "gravity")
         return up, find_support(parts, zero, up), _describe_up("gravity", up)
-    camera_up = R_canonical_camera @ np.array([0.0, -1.0, 0.0])
+    standing = None if gravity is None else find_standing_up(answer, gravity)
+    if standing is not None:
+        up, share = standing
+        rest = settle(parts, zero, up)
+        up = rest if rest is not None and rest @ up > np.cos(FACET_ANGLE) else up
+        how = "gravity in the recording"
+        return up, find_support(parts, zero, up), _describe_up(how, up) | {"share_of_frames": share}
+    camera_up = R_canonical_camera @ (np.array([0.0, -1.0, 0.0]) if gravity is None else -gravity[first])
     poses = resting_poses(parts, found.low, found.high, zero)
     best = choose_upright(poses, camera_up)
     if best is None:
@@ -169,6 +192,20 @@ def _choose_up(
             "carried_by": pose.support,
         },
     )
+
+
+def find_standing_up(answer: Reconstruction, gravity: NDArray[np.float64]) -> tuple[NDArray[np.float64], float] | None:
+    """(3,) up in the canonical frame, in which the reference part stood for at least `MIN_STANDING` of the frames in
+    which it was seen, and that share; None when it was tilted to and fro.
+
+    `gravity` (n, 3) is its direction in each frame's camera axes.
+    """
+    seen = answer.seen[:, 0] if answer.seen[:, 0].any() else np.ones(len(answer), bool)
+    ups = -np.einsum("nji,nj->ni", answer.Ts_camera_reference[seen, :3, :3], gravity[seen])
+    near = ups @ ups.T > np.cos(FACET_ANGLE)
+    most = int(np.argmax(near.sum(1)))
+    share = float(near[most].mean())
+    return (_normalise(tuple(ups[near[most]].mean(0)), "gravity"), share) if share >= MIN_STANDING else None
 
 
 def _describe_up(how: str, up: NDArray[np.float64]) -> dict[str, Any]:
@@ -196,10 +233,22 @@ def _check_reference_still(answer: Reconstruction) -> None:
         )
 
 
-def _root_pose(parts: Articulation, support: str, up: NDArray[np.float64], zero: float) -> Array:
-    """(4, 4) root link in the canonical frame: z up, origin on the ground below the middle of the support at state
-    `zero`."""
-    R = _rotation_with_z(up)
+def _find_front(
+    parts: Articulation, root: str, up: NDArray[np.float64], found: JointRange, zero: float
+) -> NDArray[np.float64]:
+    """(3,) x axis of the root link in the canonical frame (`standing.find_front`)."""
+    posed = dict(zip(PARTS, parts.posed(np.eye(4), zero), strict=True))
+    opening = 1.0 if found.high - zero >= zero - found.low else -1.0
+    child = "reference" if root == "moving" else "moving"
+    return find_front(up, parts.joint, posed[root], posed[child], opening if child == "moving" else -opening)
+
+
+def _root_pose(
+    parts: Articulation, support: str, up: NDArray[np.float64], front: NDArray[np.float64], zero: float
+) -> Array:
+    """(4, 4) root link in the canonical frame: z up, x to the front, origin on the ground below the middle of the
+    support at state `zero`."""
+    R = np.stack([front, np.cross(up, front), up], -1)
     posed = dict(zip(PARTS, parts.posed(np.eye(4), zero), strict=True))
     corners = {name: mesh.vertices[np.unique(mesh.faces)] @ R for name, mesh in posed.items()}
     level = min(points[:, 2].min() for points in corners.values())
@@ -217,11 +266,3 @@ def _normalise(direction: Direction, name: str) -> NDArray[np.float64]:
     if d.shape != (3,) or not np.isfinite(d).all() or not np.linalg.norm(d) > 0:
         raise FreeArtError(f"{name} is {direction}, expected three finite numbers that are not all zero")
     return np.asarray(d / np.linalg.norm(d))
-
-
-def _rotation_with_z(z: NDArray[np.float64]) -> Array:
-    """(3, 3) columns x, y, z: z the given unit vector, x as near to the canonical x axis as possible."""
-    first = np.eye(3)[0] if abs(z[0]) < 0.9 else np.eye(3)[2]
-    x = first - z * (z @ first)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z], -1)

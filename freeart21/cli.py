@@ -429,6 +429,7 @@ def export(
     gravity: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")] = None,
     zero: Literal["first", "closed", "lower", "upper"] = "closed",
     video: Path | None = None,
+    names: Literal["role", "part"] = "role",
     base: Literal["free", "fixed"] = "free",
     usd: Literal["auto", "yes", "no"] = "auto",
 ) -> int:
@@ -457,6 +458,8 @@ def export(
         zero: Joint position that becomes zero: that of the first frame, the end where both parts fill the least space
             (closed), or the lower or upper end.
         video: The reconstructed sequence folder, for textures from its sharpest frames.
+        names: Links are named by their role (base; lid, door, drawer, slider, handle, or part where it is unclear), or
+            reference and moving (part).
         base: Whether the reference part moves freely or is fixed in the world (in URDF to a link named world).
         usd: Write object.usdc too; auto: if usd-core is installed.
     """

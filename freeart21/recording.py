@@ -60,6 +60,8 @@ class Recording:
     queries: tuple[Query, ...] = ()
     licence: str | None = None
     name: str = "sequence"
+    gravity: NDArray[np.float64] | None = None
+    """(n, 3) unit direction of gravity in each frame's camera axes (right, down, forward); None when not known."""
 
     def __post_init__(self) -> None:
         times = np.array(self.times_s, float).reshape(-1)
@@ -71,6 +73,10 @@ class Recording:
             for which in (query.pose_of_frame, query.state_of_frame):
                 if not 0 <= which < len(times):
                     raise FreeArtError(f"{self.name}: query {i} names frame {which}, expected 0 to {len(times) - 1}")
+        if self.gravity is not None:
+            lengths = np.linalg.norm(self.gravity, axis=-1)
+            if self.gravity.shape != (len(times), 3) or not np.allclose(lengths, 1, rtol=0, atol=1e-3):
+                raise FreeArtError(f"{self.name}: gravity is {self.gravity.shape}, expected a unit vector a frame")
         times.flags.writeable = False
         object.__setattr__(self, "times_s", times)
 

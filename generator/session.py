@@ -215,7 +215,8 @@ def record_object(name: str, settings: RecordSettings, work: Path, progress: Pro
     views = session.plan_views(parts)
     write_queries(work / "sequence", tuple(view.query for view in views))
     times_s = np.arange(settings.frames) / settings.fps
-    write_header(work / "sequence", session.camera, session.depth_scale, times_s, LICENCES[entry.source])
+    gravity = -session.plan.Ts_camera_world[:, :3, 2]
+    write_header(work / "sequence", session.camera, session.depth_scale, times_s, LICENCES[entry.source], gravity)
     facts = {"object": name, "category": loaded.category, "object_source": entry.source}
     rough = work / "rough_truth"
     shutil.rmtree(rough, ignore_errors=True)

@@ -167,7 +167,8 @@ def _sequence_files(folder: Path, pool: ThreadPoolExecutor) -> _Files:
                 raise FreeArtError(f"{folder}/{sub}/{i:05d}.png has another size than its camera")
         return [(f"{sub}/{i:05d}.png", checked.encode_png(image)) for sub, image in shown.items()]
 
-    yield "sequence.json", _json(header_json(recording.camera, scale, recording.times_s, recording.licence))
+    header = header_json(recording.camera, scale, recording.times_s, recording.licence, recording.gravity)
+    yield "sequence.json", _json(header)
     yield "queries.json", _json(queries_json(recording.queries))
     for files in pool.map(pictures, range(len(recording))):
         yield from files

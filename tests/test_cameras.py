@@ -232,6 +232,7 @@ def test_stray_scanner(tmp_path, turns, focus):
     recording = read.recording
     assert (recording.camera.width, recording.camera.height) == ((240, 320) if turns else (320, 240))
     assert recording.times_s == pytest.approx([0, 1 / 15, 1 + 2 / 15, 1.2]), "gaps stay"
+    np.testing.assert_allclose(recording.gravity[:, :2], np.tile([0, 1], (N, 1)), atol=1e-6)
     for i in (0, 2, 1, 3):
         frame = recording.frame(i)
         assert np.percentile(frame.rgb[..., 0], 99) == pytest.approx(200 - 4 * i, abs=2), "frames keep their order"

@@ -201,17 +201,17 @@ def seal(folder: Path) -> None:
 
 
 PLANTED: dict[str, tuple[str, Callable[[Path], None]]] = {
-    "the drawer's picture stands 20 mm in the base": (
-        "parts.visuals-clear", scaled("meshes/moving.obj", 1, (0, 0.02, 0)),
+    "a picture stands 20 mm in the base": (
+        "parts.visuals-clear", scaled("meshes/moving.obj", 1, (-0.02, 0, 0)),
     ),
-    "the drawer's picture is 3 mm in the base": ("parts.visuals-clear", scaled("meshes/moving.obj", 1, (0, 0.0035, 0))),
+    "a picture is 3 mm in the base": ("parts.visuals-clear", scaled("meshes/moving.obj", 1, (-0.0035, 0, 0))),
     "a picture in millimetres": ("collision.true-to-visual", scaled("meshes/moving.obj", 1000)),
     "a picture a third too large": ("collision.matches-visual", scaled("meshes/moving.obj", 3)),
-    "a picture beside its contact": ("collision.matches-visual", scaled("meshes/reference.obj", 1, (0.04, 0, 0))),
+    "a picture beside its contact": ("collision.matches-visual", scaled("meshes/reference.obj", 1, (0, 0.04, 0))),
     "masses in grams": ("mass.possible", masses_times(1e3)),
     "masses in tonnes": ("mass.possible", masses_times(1e-3)),
     "a mass in the MJCF alone": ("mjcf.same", edit("object.xml", r'mass="(0|[1-9])\.', r'mass="9\1.')),
-    "an axis turned in the MJCF alone": ("mjcf.same", edit("object.xml", r'axis="[^"]+"', 'axis="1 0 0"')),
+    "an axis turned in the MJCF alone": ("mjcf.same", edit("object.xml", r'axis="[^"]+"', 'axis="0 1 0"')),
     "limits of the MJCF alone": ("mjcf.same", edit("object.xml", r' range="[^"]+"', ' range="0 0.2"')),
     "a contact shape lost in the MJCF": ("mjcf.same", edit("object.xml", r'<geom type="box"[^>]*/>', "")),
     "a body renamed in the MJCF": ("mjcf.same", edit("object.xml", 'body name="moving"', 'body name="front"')),
@@ -230,7 +230,7 @@ PLANTED: dict[str, tuple[str, Callable[[Path], None]]] = {
         "collision.true-to-visual", link_as("moving", contact={"worst_m": 0.05, "outward_m": 0.0}),
     ),
     "the range opened into the base": ("parts.clear", edit("object.urdf", 'lower="[^"]+"', 'lower="-0.1"')),
-    "an axis that is no unit vector": ("axis.unit", edit("object.urdf", r'<axis xyz="[^"]+"', '<axis xyz="0 -2 0"')),
+    "an axis that is no unit vector": ("axis.unit", edit("object.urdf", r'<axis xyz="[^"]+"', '<axis xyz="2 0 0"')),
     "limits that are turned round": ("limits.ordered", edit("object.urdf", 'upper="[^"]+"', 'upper="-1"')),
     "no damping": ("dynamics.damped", undamped),
     "a texture that is gone": ("textures.exist", lambda folder: (folder / "meshes/moving.png").unlink()),

@@ -60,9 +60,9 @@ def seen_as(
     )
 
 
-def stands(answer: Reconstruction, **settings) -> Placement:
+def stands(answer: Reconstruction, recorded_gravity: np.ndarray | None = None, **settings) -> Placement:
     found = estimate_joint_range(answer, Overlap(answer.articulation))
-    return place_parts(answer, found, PlacementSettings(**settings))
+    return place_parts(answer, found, PlacementSettings(**settings), gravity=recorded_gravity)
 
 
 def carve(answer: Reconstruction, *settings) -> tuple[Articulation, dict, np.ndarray]:

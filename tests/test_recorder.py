@@ -204,6 +204,7 @@ def test_a_sequence_tells_nothing_of_object_seed_motion_or_joint(case: Case) -> 
         "depth_scale",
         "times_s",
         "licence",
+        "gravity",
     }
     assert set(json.loads((folder / "queries.json").read_text())["queries"][0]) == {
         "pose_of_frame",

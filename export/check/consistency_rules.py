@@ -18,7 +18,7 @@ from export.check.tree import Tree
 from export.contact import Shapes
 from export.loaders import FOLDER, joint_numbers
 from export.model import WORLD
-from freeart21 import se3
+from freeart21 import child, se3
 from freeart21.asset import Asset
 from freeart21.certificate import Certificate
 from freeart21.errors import FreeArtError
@@ -55,8 +55,9 @@ def judge_consistency(urdf: Path, mjcf: Path | None, tree: Tree, seen: Mapping[s
         return
     try:
         measured = certify(asset, {})
-    except (FreeArtError, KeyError, ValueError) as error:  # links or joint that the URDF lacks
-        yield from (Row(rule, "file", "fail", f"it cannot be measured: {error}") for rule in (VISUALS, CERTIFIED))
+    except Exception as error:  # links that the URDF lacks, or facts of any type
+        reason = f"it cannot be measured: {child.one_line(error)[:300]}"
+        yield from (Row(rule, "file", "fail", reason) for rule in (VISUALS, CERTIFIED))
     else:
         depth = measured.visual_overlap_m
         reason = f"visual meshes are {1000 * depth:.3g} mm in each other, expected at most {1000 * VISUAL_DEPTH_M:g}"

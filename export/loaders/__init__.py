@@ -17,6 +17,8 @@ from freeart21.reconstruction import describe_trust
 FOLDER = "loaders"
 SCHEMA = "freeart21/loaders/3"
 ENGINES = ("sapien", "mujoco", "pybullet", "drake")
+SURFACE = ("friction", "restitution")
+"""Of a link's surface."""
 WORDS = ("damping", "friction", "armature", "stiffness")
 """Joint parameters that effects can be (`Effect.joint_word`)."""
 
@@ -57,10 +59,14 @@ def joint_numbers(asset: Asset) -> dict[str, object]:
 
 def _read_surfaces(asset: Asset) -> dict[str, dict[str, float]]:
     """Friction and restitution of each link, from asset.json; empty where it states none."""
-    parts = asset.source.get("parts", {})
-    links = {"reference": asset.reference_link, "moving": asset.moving_link}
-    stated = {link: parts[part].get("surface") for part, link in links.items() if part in parts}
-    return {link: dict(surface) for link, surface in stated.items() if surface}
+    parts = asset.source.get("parts")
+    found = {}
+    for part, link in (("reference", asset.reference_link), ("moving", asset.moving_link)):
+        facts = parts.get(part) if isinstance(parts, dict) else None
+        surface = facts.get("surface") if isinstance(facts, dict) else None
+        if isinstance(surface, dict) and all(isinstance(surface.get(key), int | float) for key in SURFACE):
+            found[link] = {key: float(surface[key]) for key in SURFACE}
+    return found
 
 
 def find_base(asset: Asset) -> str:

@@ -85,7 +85,13 @@ def find_traces(sequence: Path) -> Iterator[str]:
             yield f"{path} does not belong to what a method sees"
     scale = checked.read_json(sequence / "sequence.json").get("depth_scale")
     written: dict[str, Any] = {
-        "sequence.json": header_json(recording.camera, scale, recording.times_s, recording.licence),  # type: ignore[arg-type]
+        "sequence.json": header_json(
+            recording.camera,
+            scale,  # type: ignore[arg-type]
+            recording.times_s,
+            recording.licence,
+            recording.gravity,
+        ),
         "queries.json": queries_json(recording.queries),
     }
     for name, data in written.items():

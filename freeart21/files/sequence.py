@@ -19,20 +19,30 @@ NO_DEPTH = 65535
 MAX_SIDE = 16384
 
 
-def header_json(camera: Camera, depth_scale: float, times_s: np.ndarray, licence: str | None) -> dict[str, Any]:
-    """The JSON object of sequence.json. `depth_scale` is metres per depth unit."""
-    return {
+def header_json(
+    camera: Camera, depth_scale: float, times_s: np.ndarray, licence: str | None, gravity: np.ndarray | None = None
+) -> dict[str, Any]:
+    """The JSON object of sequence.json. `depth_scale` is metres per depth unit, `gravity` as in `Recording`."""
+    header = {
         "schema": SCHEMA,
         "camera": {"K": camera.K, "width": camera.width, "height": camera.height},
         "depth_scale": depth_scale,
         "times_s": times_s,
         "licence": licence,
     }
+    return header if gravity is None else header | {"gravity": np.round(gravity, 6)}
 
 
-def write_header(folder: Path, camera: Camera, depth_scale: float, times_s: np.ndarray, licence: str | None) -> None:
-    """Write sequence.json. `depth_scale` is metres per depth unit."""
-    atomic.write_json(folder / "sequence.json", header_json(camera, depth_scale, times_s, licence))
+def write_header(
+    folder: Path,
+    camera: Camera,
+    depth_scale: float,
+    times_s: np.ndarray,
+    licence: str | None,
+    gravity: np.ndarray | None = None,
+) -> None:
+    """Write sequence.json. `depth_scale` is metres per depth unit, `gravity` as in `Recording`."""
+    atomic.write_json(folder / "sequence.json", header_json(camera, depth_scale, times_s, licence, gravity))
 
 
 def queries_json(queries: tuple[Query, ...]) -> dict[str, Any]:
@@ -74,7 +84,7 @@ def write_sequence(folder: Path, recording: Recording, depth_scale: float) -> No
         for i, frame in enumerate(recording.frames()):
             write_frame(aside, i, frame, depth_scale)
         write_queries(aside, recording.queries)
-        write_header(aside, recording.camera, depth_scale, recording.times_s, recording.licence)
+        write_header(aside, recording.camera, depth_scale, recording.times_s, recording.licence, recording.gravity)
 
 
 def read_sequence(folder: Path) -> Recording:
@@ -111,7 +121,8 @@ def read_sequence(folder: Path) -> Recording:
         mask = checked.read_labels(folder / "mask" / name, folder) > 127
         return Frame(checked.read_rgb(folder / "rgb" / name, folder), depth, mask)
 
-    return Recording(camera, times, load, _read_queries(folder), data.get("licence"), folder.name)
+    gravity = checked.numbers(data, "gravity", (len(times), 3), header) if "gravity" in data else None
+    return Recording(camera, times, load, _read_queries(folder), data.get("licence"), folder.name, gravity)
 
 
 def _camera(data: dict[str, Any], path: Path) -> Camera:

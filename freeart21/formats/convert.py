@@ -170,7 +170,7 @@ def _write_native(
             write_frame(aside, i, frame, scale)
             tick(n + i + 1, 2 * n)
         write_queries(aside, ())  # held-out views need pictures, which third-party layouts do not have
-        write_header(aside, recording.camera, scale, recording.times_s, recording.licence)
+        write_header(aside, recording.camera, scale, recording.times_s, recording.licence, recording.gravity)
         if truth is not None:
             write_truth(truth_folder, truth, 0)
     notes = (*read.notes, *read.observe(), *((f"without truth: {lacks}",) if lacks else ()))

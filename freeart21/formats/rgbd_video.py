@@ -108,6 +108,8 @@ class RgbdVideo:
     """Folder of the recording, which can hold masks/, a picture for each frame."""
     notes: tuple[str, ...] = ()
     observe: Callable[[], tuple[str, ...]] = tuple
+    gravity: Array | None = None
+    """(n, 3) unit direction of gravity in the axes of the colours as filmed; None when the file does not have it."""
 
 
 def import_extra(module: str, what: str) -> ModuleType:
@@ -259,7 +261,8 @@ def align_video(video: RgbdVideo, options: ReadOptions) -> ThirdPartyRecording:
     notes = video.notes
     if scale < 1:
         notes += (f"pictures of {lens.width} x {lens.height} are made {width} x {height} (--longest-side)",)
-    recording = Recording(camera, video.times_s, load, (), None, video.name)
+    gravity = None if video.gravity is None else _turn_vectors(video.gravity, video.turns)
+    recording = Recording(camera, video.times_s, load, (), None, video.name, gravity)
     return ThirdPartyRecording(
         video.name,
         video.name,
@@ -270,6 +273,13 @@ def align_video(video: RgbdVideo, options: ReadOptions) -> ThirdPartyRecording:
         video.observe,
         shown is not None,
     )
+
+
+def _turn_vectors(vectors: Array, turns: int) -> Array:
+    """(n, 3) camera axes' vectors in those of pictures that are turned clockwise by `turns` quarters."""
+    for _ in range(turns % 4):
+        vectors = np.stack([-vectors[:, 1], vectors[:, 0], vectors[:, 2]], -1)
+    return vectors
 
 
 def _undistort(image: NDArray[Any], lens: Lens, flat: Camera, interpolation: int) -> NDArray[Any]:

@@ -77,12 +77,14 @@ def read_stray_scanner(folder: Path, options: ReadOptions) -> ThirdPartyRecordin
     K = intrinsics(np.median(some, 0)) if len(some) else read_intrinsics(folder / "camera_matrix.csv")
     left_out = f"{len(number) - len(rows)} of {len(number)} frames have no depth or no colours, and are left out"
     times = table["timestamp"][rows]
+    ups = _find_ups(np.stack([table[name] for name in _POSE], 1)[rows])
     video = RgbdVideo(
         third_party.safe_name(folder.resolve().name),
         times - times[0],
         load,
         Lens(K, track.width, track.height),
-        turns=_find_turns(np.stack([table[name] for name in _POSE], 1)[rows]),
+        turns=_find_turns(ups),
+        gravity=-ups,
         folder=folder,
         notes=(left_out,) if len(rows) < len(number) else (),
     )
@@ -117,9 +119,14 @@ def _read_map(folder: Path, path: Path) -> NDArray[Any]:
     return checked.read_image(path, cv2.IMREAD_UNCHANGED, folder)
 
 
-def _find_turns(wxyz: Array) -> int:
-    """Clockwise quarter turns that make the pictures upright, by (n, 4) rotations from the camera to a world, y up."""
-    up = np.median([se3.rotation_from_wxyz(one / np.linalg.norm(one))[1] for one in wxyz], 0)  # camera axes
+def _find_ups(wxyz: Array) -> Array:
+    """(n, 3) up in camera axes, by (n, 4) rotations from the camera to a world whose y is up."""
+    return np.array([se3.rotation_from_wxyz(one / np.linalg.norm(one))[1] for one in wxyz])
+
+
+def _find_turns(ups: Array) -> int:
+    """Clockwise quarter turns that make the pictures upright, by (n, 3) up in camera axes."""
+    up = np.median(ups, 0)
     if not np.hypot(up[0], up[1]) >= _LEVEL:
         return 0
     return int(np.rint(np.arctan2(-up[0], -up[1]) / (np.pi / 2))) % 4
