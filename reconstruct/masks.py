@@ -10,7 +10,7 @@ doubt.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,9 @@ Bools = NDArray[np.bool_]
 Image = NDArray[np.uint8]
 Values = NDArray[Any]
 """Single precision, half precision for flows; OpenCV's stubs give no more exact type."""
+
+Progress = Callable[[str, int, int], None]
+QUIET: Progress = lambda what, done, total: None  # noqa: E731
 
 STILL_PX = 0.3
 """Flow, pixels a frame, up to which a pixel stands still: three times what DIS gives on static textured scenes."""
@@ -55,6 +58,17 @@ class MaskSettings:
 
 
 @dataclass(frozen=True)
+class Click:
+    """A pixel with what a user calls it."""
+
+    frame: int
+    column: float
+    row: float
+    """Pixels of the recording."""
+    on_object: bool
+
+
+@dataclass(frozen=True)
 class Masks:
     """Masks and how far they can be trusted."""
 
@@ -79,36 +93,52 @@ class _Video:
     backward: Values
 
 
-def find_masks(
-    recording: Recording,
-    settings: MaskSettings | None = None,
-    progress: Callable[[str, int, int], None] = lambda what, done, total: None,
-) -> Masks:
+def find_masks(recording: Recording, settings: MaskSettings | None = None, progress: Progress = QUIET) -> Masks:
     """Masks of the object that is held and moved in front of the camera. Raises FreeArtError when nothing moves.
 
     The masks of `recording` are not looked at.
     """
-    settings = settings or MaskSettings()
-    video = _load(recording, settings.longest_side, progress)
-    still, moves = _residual_flow(video)
-    front, notes = _in_front(video, still, moves)
-    front = _nearest_layer(video, front)
-    if settings.saliency is not None:
-        front = _cut_by_saliency(video, front, settings.saliency, progress)
-    solid = front > 0.5
-    moving = (solid & ~still).sum((1, 2)) / np.maximum(solid.sum((1, 2)), 1)
-    if np.median(solid.mean((1, 2))) < 1e-4 or np.percentile(moving, 90) < 0.05:
-        raise FreeArtError(
-            f"{recording.name}: nothing that is held in front of the static scene moves: film an object that is "
-            "moved before the camera, or name a folder of masks"
-        )
-    hand = _hand(video, front, notes)
-    object_ = _carry(video, front * (1 - hand))
-    masks, doubt, reasons = _choose(video, object_, front)
-    return Masks(_enlarge(masks, object_, recording), doubt, reasons, tuple(notes))
+    return Foreground(recording, settings, progress).masks()
 
 
-def _load(recording: Recording, longest_side: int, progress: Callable[[str, int, int], None]) -> _Video:
+class Foreground:
+    """What is in front of the static scene, measured once; `masks` then costs a twentieth of a second a frame."""
+
+    def __init__(self, recording: Recording, settings: MaskSettings | None = None, progress: Progress = QUIET) -> None:
+        """`progress` is called with what is done, how many frames of it, of how many."""
+        settings = settings or MaskSettings()
+        self._recording = recording
+        self._video = video = _load(recording, settings.longest_side, progress)
+        still, motions = _residual_flow(video)
+        front, self._notes = _in_front(video, still, motions)
+        front = _nearest_layer(video, front)
+        if settings.saliency is not None:
+            front = _cut_by_saliency(video, front, settings.saliency, progress)
+        self._front = front
+        solid = front > 0.5
+        moving = (solid & ~still).sum((1, 2)) / np.maximum(solid.sum((1, 2)), 1)
+        self._empty = bool(np.median(solid.mean((1, 2))) < 1e-4 or np.percentile(moving, 90) < 0.05)
+
+    def masks(self, clicks: Sequence[Click] = ()) -> Masks:
+        """The masks, corrected by clicks: surface around a click, followed by flow, and its colours in all frames.
+
+        Raises FreeArtError when nothing moves and there are no clicks, or a click is not in the video.
+        """
+        recording, notes = self._recording, list(self._notes)
+        if self._empty and not clicks:
+            raise FreeArtError(
+                f"{recording.name}: nothing that is held in front of the static scene moves: film an object that is "
+                "moved before the camera, mark it by clicks (`masks --click`), or name a folder of masks"
+            )
+        seeds = _carry_clicks(self._video, clicks, recording)
+        front = np.where(seeds > 0, np.float32(1), self._front)
+        hand = _hand(self._video, front, seeds, notes)
+        object_ = _carry(self._video, front * (1 - hand), seeds)
+        masks, doubt, reasons = _choose(self._video, object_, front, seeds)
+        return Masks(_enlarge(masks, object_, recording), doubt, reasons, tuple(notes))
+
+
+def _load(recording: Recording, longest_side: int, progress: Progress) -> _Video:
     camera = recording.camera
     scale = min(1.0, longest_side / max(camera.width, camera.height))
     width, height = round(scale * camera.width), round(scale * camera.height)
@@ -403,7 +433,7 @@ def _touches_rim(labels: NDArray[Any]) -> NDArray[np.intp]:
     return np.setdiff1d(np.unique(_rim_of(labels)), [0])
 
 
-def _hand(video: _Video, front: Values, notes: list[str]) -> Values:
+def _hand(video: _Video, front: Values, seeds: NDArray[np.int8], notes: list[str]) -> Values:
     """(n, h, w) probability that a pixel in front is of a hand or an arm, given that it is in front."""
     n = len(front)
     arm, thing = np.zeros(front.shape, np.float32), np.zeros(front.shape, np.float32)
@@ -415,10 +445,13 @@ def _hand(video: _Video, front: Values, notes: list[str]) -> Values:
         rim = np.isin(labels, _touches_rim(labels)) & (labels > 0)
         arm[i] = skin | rim
         thing[i] = (rest > 0) & ~rim
-    if thing.sum() < 0.1 * arm.sum():
+    if thing.sum() < 0.1 * arm.sum() and not (seeds > 0).any():
         notes.append("the object has the colour of skin, or leaves the picture: hand and object hardly differ")
         return np.zeros(front.shape, np.float32)
     bins = [_bins(picture) for picture in video.rgb]
+    given = _colours_of(bins, seeds)
+    for i in range(n):
+        arm[i], thing[i] = _obey(arm[i], thing[i], given[bins[i]], seeds[i])
     for _ in range(2):
         flat = np.concatenate([b.ravel() for b in bins])
         h_arm, h_thing = _histogram(flat, arm.ravel()), _histogram(flat, thing.ravel())
@@ -427,8 +460,26 @@ def _hand(video: _Video, front: Values, notes: list[str]) -> Values:
             a, t = h_arm[bins[i]], h_thing[bins[i]]
             solid = front[i] > 0.5
             hand[i] = _fill((a + 1e-7) / (a + t + 2e-7), solid, video.rgb[i], 2)
-            arm[i], thing[i] = solid & (hand[i] > 0.5), solid & (hand[i] <= 0.5)
+            parted = (solid & (hand[i] > 0.5)).astype(np.float32), (solid & (hand[i] <= 0.5)).astype(np.float32)
+            arm[i], thing[i] = _obey(*parted, given[bins[i]], seeds[i])
     return hand
+
+
+def _colours_of(bins: list[NDArray[np.intp]], seeds: NDArray[np.int8]) -> NDArray[np.int8]:
+    """Colour bin to 1 where clicks say object, -1 where they say other things, 0 where nothing or both."""
+    flat, marks = np.concatenate([b.ravel() for b in bins]), seeds.ravel()
+    given = np.zeros(int(np.prod(_COLOUR_BINS)), np.int8)
+    for sign in (1, -1):
+        if (marks == sign).any():
+            share = _histogram(flat, (marks == sign).astype(np.float32))
+            given += (sign * (share > 0.05 * share.max())).astype(np.int8)
+    return given
+
+
+def _obey(arm: Values, thing: Values, given: NDArray[np.int8], seeds: NDArray[np.int8]) -> tuple[Values, Values]:
+    """Samples of arm and object, in which pixels go to the side that clicks give them or their colours."""
+    own = np.where(seeds != 0, seeds, np.where(arm + thing > 0, given, 0))
+    return np.where(own > 0, 0, np.where(own < 0, 1, arm)), np.where(own < 0, 0, np.where(own > 0, 1, thing))
 
 
 def _warp(image: Values, flow: Values) -> Values:
@@ -441,11 +492,12 @@ def _warp(image: Values, flow: Values) -> Values:
     )
 
 
-def _carry(video: _Video, p: Values) -> Values:
+def _carry(video: _Video, p: Values, seeds: NDArray[np.int8]) -> Values:
     """`p` (n, h, w) averaged with what neighbours in time have where flow leads and depths agree."""
     n = len(p)
     for _ in range(3):
-        before, p = p, p.copy()
+        before = np.where(seeds > 0, 1, np.where(seeds < 0, 0, p)).astype(np.float32)
+        p = before.copy()
         for i in range(n):
             total, weight = before[i].copy(), np.ones(p.shape[1:], np.float32)
             for k, flow in ((i + 1, video.forward[i]), (i - 1, video.backward[i])):
@@ -456,10 +508,47 @@ def _carry(video: _Video, p: Values) -> Values:
                     total += w * _warp(before[k], flow)
                     weight += w
             p[i] = total / weight
-    return p
+    return np.where(seeds > 0, 1, np.where(seeds < 0, 0, p)).astype(np.float32)
 
 
-def _choose(video: _Video, p: Values, front: Values) -> tuple[Bools, Values, tuple[str, ...]]:
+def _carry_clicks(video: _Video, clicks: Sequence[Click], recording: Recording) -> NDArray[np.int8]:
+    """(n, h, w) 1 where clicks say object, -1 where they say it is not, 0 elsewhere.
+
+    The surface around a click: depth within the noise, colours within 8 of 255 of CIELAB, or a disc of 1 % of the
+    picture's width. It is followed until a third is left; of two clicks the nearer in time is believed.
+    """
+    n, h, w = video.depth.shape
+    seeds, age = np.zeros((n, h, w), np.int8), np.full((n, h, w), n, np.int32)
+    scale = np.array([w / recording.camera.width, h / recording.camera.height])
+    for click in clicks:
+        u, v = (np.array([click.column, click.row]) * scale).astype(int)
+        if not (0 <= click.frame < n and 0 <= u < w and 0 <= v < h):
+            raise FreeArtError(
+                f"a click is at frame {click.frame}, pixel {click.column:g}, {click.row:g}: not in the video"
+            )
+        lab = cv2.cvtColor(video.rgb[click.frame], cv2.COLOR_RGB2LAB)
+        flooded = np.zeros((h + 2, w + 2), np.uint8)
+        z = video.depth[click.frame]
+        if z[v, u] > 0:
+            flooded[1:-1, 1:-1] = (z > 0) & (np.abs(z - z[v, u]) > 4 * _gap(z))
+        flags = 4 | (2 << 8) | cv2.FLOODFILL_MASK_ONLY | cv2.FLOODFILL_FIXED_RANGE
+        cv2.floodFill(lab, flooded, (int(u), int(v)), (0, 0, 0), (8, 8, 8), (8, 8, 8), flags)
+        region = (flooded[1:-1, 1:-1] == 2).astype(np.uint8)
+        cv2.circle(region, (int(u), int(v)), max(2, round(0.01 * w)), 1, -1)
+        for direction, flow in ((1, video.backward), (-1, video.forward)):
+            at, now = click.frame, region.astype(np.float32)
+            while 0 <= at < n and now.sum() > 0.33 * region.sum():
+                newer = (now > 0.5) & (np.abs(at - click.frame) <= age[at])
+                seeds[at][newer], age[at][newer] = (1 if click.on_object else -1), abs(at - click.frame)
+                if not 0 <= at + direction < n:
+                    break
+                there, own = _warp(video.depth[at], flow[at + direction]), video.depth[at + direction]
+                agree = (there == 0) | (own == 0) | (np.abs(there - own) < 2 * _gap(own))
+                now, at = _warp(now, flow[at + direction]) * agree, at + direction
+    return seeds
+
+
+def _choose(video: _Video, p: Values, front: Values, seeds: NDArray[np.int8]) -> tuple[Bools, Values, tuple[str, ...]]:
     """Masks, doubts and their reasons: of the pieces of each frame those that hang together in time, without specks."""
     n = len(p)
     masks = np.zeros(p.shape, bool)
@@ -472,7 +561,8 @@ def _choose(video: _Video, p: Values, front: Values) -> tuple[Bools, Values, tup
         rim = np.isin(np.arange(1, count), _touches_rim(labels))
         value = np.where(rim, 0.3, 1.0) * area
         keep = np.flatnonzero((value > 0.05 * value.max()) & (~rim | (value == value.max()))) + 1
-        masks[i] = np.isin(labels, keep)
+        clicked = np.setdiff1d(np.unique(labels[seeds[i] > 0]), [0])
+        masks[i] = np.isin(labels, [*keep, *clicked])
     area = masks.sum((1, 2)).astype(np.float32)
     doubt, reasons = np.zeros(n, np.float32), []
     typical = float(np.median(area[area > 0])) if (area > 0).any() else 1.0
@@ -505,7 +595,7 @@ def _grow(mask: Bools) -> Bools:
     return cv2.dilate(mask.astype(np.uint8), np.ones((5, 5))) > 0
 
 
-def _cut_by_saliency(video: _Video, front: Values, weights: Path, progress: Callable[[str, int, int], None]) -> Values:
+def _cut_by_saliency(video: _Video, front: Values, weights: Path, progress: Progress) -> Values:
     """`front` by the saliency network u2netp (Qin et al. 2020) where there is no depth, and half by it at its outline.
 
     The network sees the surroundings of what is in front with all that is behind painted grey: it takes a person who

@@ -15,7 +15,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files.masks import write_masks
 from freeart21.recording import Frame, Recording
 from freeart21.view.masks_page import choose_frames
-from reconstruct.masks import MaskSettings, find_masks
+from reconstruct.masks import Click, Foreground, MaskSettings, find_masks
 
 H, W, F = 120, 160, 140.0
 SKIN, SLEEVE, BLUE, GREY = (205, 150, 125), (90, 60, 100), (40, 70, 200), (60, 60, 60)
@@ -24,7 +24,9 @@ WALL = cv2.GaussianBlur(RNG.integers(0, 255, (400, 500, 3), np.uint8), (0, 0), 1
 PAINT = cv2.GaussianBlur(RNG.integers(0, 60, (40, 50, 3), np.uint8), (0, 0), 1.0)
 
 
-def film(n: int = 20, shift: float = 0.0, person: bool = False, still: bool = False, moved: float = 3.0) -> Recording:
+def film(
+    n: int = 20, shift: float = 0.0, person: bool = False, still: bool = False, paint: tuple = (BLUE, GREY)
+) -> Recording:
     """A blue and grey block in a hand whose arm comes from below, before a wall; `shift`: the camera's, px."""
 
     def load(i: int) -> Frame:
@@ -33,10 +35,10 @@ def film(n: int = 20, shift: float = 0.0, person: bool = False, still: bool = Fa
         if person:
             at = 50 + round(4 * np.sin(i))
             rgb[10:, at : at + 60], depth[10:, at : at + 60] = (150, 140, 30), 0.9
-        c = 40 + round(0 if still else 25 * (1 + np.sin(0.12 * moved * i)))
+        c = 40 + round(0 if still else 25 * (1 + np.sin(0.36 * i)))
         mask = np.zeros((H, W), bool)
         mask[30:62, c : c + 45] = True
-        rgb[30:46, c : c + 45], rgb[46:62, c : c + 45] = BLUE, GREY
+        rgb[30:46, c : c + 45], rgb[46:62, c : c + 45] = paint
         rgb[26:66, c - 3 : c + 47][mask[26:66, c - 3 : c + 47]] += PAINT[:, :50].reshape(-1, 3)[: 45 * 32]
         for rows, colour in ((slice(52, 95), SKIN), (slice(95, H), SLEEVE)):
             rgb[rows, c + 14 : c + 30] = colour
@@ -93,6 +95,30 @@ def test_a_frame_that_lost_the_object_has_the_highest_doubt():
     assert int(np.argmax(found.doubt)) in (6, 7, 8) and found.reasons[7]
     assert found.doubt[7] > 2 * np.median(found.doubt)
     assert set(choose_frames(found.doubt)[:2]) & {6, 7, 8}
+
+
+def test_two_clicks_part_a_wooden_object_from_the_hand():
+    recording = film(paint=((150, 95, 60), (130, 80, 50)))  # the hues of skin
+    foreground, where = Foreground(recording), np.stack([frame.mask for frame in recording.frames()])
+    before = iou_of(foreground.masks().masks, recording)
+    clicks = []
+    for place in ((38, 5), (55, 5), (55, 40)):
+        row, column = place[0], int(np.flatnonzero(where[10].any(0))[0]) + place[1]
+        clicks.append(Click(10, column, row, bool(where[10, row, column])))
+    clicks.append(Click(10, int(np.flatnonzero(where[10].any(0))[0]) + 22, 80, False))
+    after = foreground.masks(clicks)
+    assert before < 0.6 and iou_of(after.masks, recording) > max(0.75, before + 0.2), before
+    assert after.masks[10, clicks[0].row, clicks[0].column] and not after.masks[10, 80, clicks[3].column]
+
+
+def test_a_click_corrects_the_surface_around_it_in_other_frames():
+    foreground = Foreground(film())
+    without = foreground.masks().masks
+    at = [int(np.flatnonzero(m.any(0))[0]) + 10 for m in without]
+    after = foreground.masks([Click(5, at[5], 37, False)]).masks
+    assert without[5, 37, at[5]] and not after[5, 37, at[5]] and not after[7, 37, at[7]]
+    with pytest.raises(FreeArtError, match="not in the video"):
+        foreground.masks([Click(99, 5, 5, True)])
 
 
 def test_weights_of_something_else_are_one_line(tmp_path: Path):
