@@ -68,8 +68,18 @@ def triangle_normals(vertices: NDArray[np.float64], faces: NDArray[np.integer]) 
 
 def bounding_diagonal(*meshes: Mesh) -> float:
     """Diagonal, metres, of the axis-aligned box around all meshes; 0 when all are empty."""
-    points = [mesh.vertices[np.unique(mesh.faces)] for mesh in meshes if not mesh.empty]
-    return float(np.linalg.norm(np.ptp(np.concatenate(points), axis=0))) if points else 0.0
+    points = [used_vertices(mesh).T for mesh in meshes if not mesh.empty]
+    if not points:
+        return 0.0
+    low, high = np.min([p.min(1) for p in points], axis=0), np.max([p.max(1) for p in points], axis=0)
+    return float(np.linalg.norm(high - low))
+
+
+def used_vertices(mesh: Mesh) -> NDArray[np.float64]:
+    """(n, 3) vertices of a mesh that a face has, in their order."""
+    used = np.zeros(len(mesh.vertices), bool)
+    used[mesh.faces] = True
+    return mesh.vertices[used]
 
 
 def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
@@ -87,5 +97,5 @@ def box_centre(mesh: Mesh) -> NDArray[np.float64]:
     """(3,) centre of the axis-aligned box around a mesh, metres; the origin when it is empty."""
     if mesh.empty:
         return np.zeros(3)
-    used = mesh.vertices[np.unique(mesh.faces)]
+    used = used_vertices(mesh)
     return np.asarray((used.min(0) + used.max(0)) / 2)

@@ -107,15 +107,20 @@ class Surface:
 
 def _along_curve(points: Array) -> Indices:
     """Order of `points` (n, 3) along a Z-order curve of 1024 cells a side (Morton 1966); stable within a cell."""
-    extent = max(float(np.ptp(points, axis=0).max()), SMALLEST)
-    order: Indices = _curve_order(points, points.min(0), extent)
+    order: Indices = _curve_order(points, SMALLEST)
     return order
 
 
 @njit(cache=True, nogil=True)
-def _curve_order(points: Array, low: Array, extent: float) -> Indices:
-    """Radix sort by the 30 bits of each cell, ten at a time; points that are not finite get some cell."""
+def _curve_order(points: Array, extent: float) -> Indices:
+    """Radix sort by the 30 bits of each cell, ten at a time; points that are not finite get some cell. The curve is at
+    least `extent` metres wide."""
     n = len(points)
+    low, high = points[0].copy(), points[0].copy()
+    for i in range(n):
+        for k in range(3):
+            low[k], high[k] = min(low[k], points[i, k]), max(high[k], points[i, k])
+    extent = max(extent, (high - low).max())
     keys, order, other = np.empty(n, np.int64), np.arange(n), np.empty(n, np.int64)
     for i in range(n):
         key = np.int64(0)
@@ -139,6 +144,30 @@ def _curve_order(points: Array, low: Array, extent: float) -> Indices:
             starts[at] += 1
         order, other = other, order
     return order
+
+
+@njit(cache=True, nogil=True)
+def _split(members: Indices, values: Array, middle: int) -> None:
+    """Rearrange `members` so that no value before `middle` is above one behind it (Hoare 1961, quickselect)."""
+    low, high = 0, len(members) - 1
+    while low < high:
+        pivot = values[members[(low + high) // 2]]
+        i, j = low, high
+        while i <= j:
+            while values[members[i]] < pivot:
+                i += 1
+            while values[members[j]] > pivot:
+                j -= 1
+            if i <= j:
+                members[i], members[j] = members[j], members[i]
+                i += 1
+                j -= 1
+        if middle <= j:
+            high = j
+        elif middle >= i:
+            low = i
+        else:
+            return
 
 
 @njit(cache=True, nogil=True)
@@ -171,8 +200,8 @@ def _build(corners: Array, leaf_size: int) -> tuple[Indices, Array, Array, Indic
             first[node], count[node] = begin[node], len(members)
         else:
             axis = np.argmax(middle_high - middle_low)
-            members[:] = members[np.argsort(centres[members, axis])]
             half = begin[node] + len(members) // 2
+            _split(members, centres[:, axis], len(members) // 2)
             first[node] = nodes
             begin[nodes], end[nodes] = begin[node], half
             begin[nodes + 1], end[nodes + 1] = half, end[node]

@@ -22,7 +22,7 @@ from freeart21.files.benchmark import read_benchmark
 from freeart21.files.mesh_file import write_ply
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
-from freeart21.mesh import Mesh
+from freeart21.mesh import Mesh, used_vertices
 from freeart21.se3 import Array
 from freeart21.z_buffer import draw_triangles
 from leaderboard.release.shards import Progress
@@ -131,7 +131,7 @@ def _size(mesh: Mesh) -> dict[str, float]:
     """Diameter and box, millimetres."""
     from scipy.spatial import ConvexHull, QhullError, distance
 
-    used = mesh.vertices[np.unique(mesh.faces)]
+    used = used_vertices(mesh)
     low, high = used.min(0), used.max(0)
     try:
         hull = used[ConvexHull(used).vertices]
