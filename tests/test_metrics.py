@@ -7,7 +7,7 @@ import trimesh
 from freeart21 import se3
 from freeart21.mesh import Mesh
 from leaderboard import metrics
-from leaderboard.surface import Surface
+from leaderboard.surface import Surface, _split
 
 X, Y, Z = np.eye(3)
 
@@ -229,3 +229,14 @@ def test_a_surface_without_area_is_empty_and_infinitely_far():
     assert line.sample(10, (0,)).shape == (0, 3)
     assert np.isinf(line.distance(np.zeros((2, 3)))).all()
     assert np.array_equal(line.distance(np.zeros((2, 3)), np.array([1.0, 2.0])), [1, 2])
+
+
+def test_trees_are_split_at_the_middle_whatever_the_values():
+    rng = np.random.default_rng(3)
+    for n in (2, 3, 17, 500):
+        for values in (rng.random(n), np.zeros(n), np.arange(n) * 1.0, -np.arange(n) * 1.0, np.arange(n) % 3 * 1.0):
+            for middle in {1, n // 2, n - 1}:
+                members = rng.permutation(n)
+                _split(members, values, middle)
+                assert sorted(members) == list(range(n))
+                assert values[members[:middle]].max() <= values[members[middle:]].min()

@@ -216,14 +216,3 @@ def test_a_few_wrong_labels_make_no_surface_of_the_other_part():
     mesh = fuse(scene, labels, 2, ROUND, np.ones(len(ROUND), bool), SurfaceSettings())
     assert mesh.vertices[:, 0].max() > 0.055
     assert (mesh.areas() * (mesh.vertices[mesh.faces].mean(1)[:, 0] < 0.01)).sum() < 0.02 * mesh.areas().sum()
-
-
-def test_trees_are_split_at_the_middle_whatever_the_values():
-    rng = np.random.default_rng(3)
-    for n in (2, 3, 17, 500):
-        for values in (rng.random(n), np.zeros(n), np.arange(n) * 1.0, -np.arange(n) * 1.0, np.arange(n) % 3 * 1.0):
-            for middle in {1, n // 2, n - 1}:
-                members = rng.permutation(n)
-                _split(members, values, middle)
-                assert sorted(members) == list(range(n))
-                assert values[members[:middle]].max() <= values[members[middle:]].min()
