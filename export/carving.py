@@ -19,9 +19,11 @@ STEP_TOLERANCES = 3.0
 square of the step over 8 r, .1 mm for steps of 1.5 mm and a radius of 3 mm."""
 COARSE_DOUBLINGS, MAX_DOUBLINGS = 3, 8
 """Doublings of the copies, to find which part loses less, and at most."""
-MAX_TRIANGLES = 400_000
-"""Most triangles of a swept volume; beyond, copies are subtracted one by one. A cabinet of loose boards
-(PartNet-Mobility 45940) doubled each time, to eight million."""
+MAX_TRIANGLES = 100_000
+"""Most triangles of a swept volume; beyond, copies are subtracted one by one: rough parts double each time, a cabinet
+of loose boards (PartNet-Mobility 45940) to eight million."""
+MAX_COPIES = 64
+"""Most copies that are subtracted one by one: 73 of a drawer took 60 s."""
 SIMPLIFY_SHARE = 0.1
 """Tolerance of simplifying solids over the overlap tolerance. It also removes sheets of no thickness: with one in its
 doorway a cabinet seemed 23 mm in its drawer."""
@@ -80,7 +82,7 @@ def carve_overlap(parts: Articulation, low: float, high: float, tolerance: float
         swept = _sweep(tool, joints[name], low, high, doublings, smooth)
         if swept is not None:
             return (solids[name] - swept).as_original().simplify(smooth)
-        states = np.linspace(low, high, 2**doublings)
+        states = np.linspace(low, high, min(2**doublings, MAX_COPIES))
         return _subtract_copies(solids[name], tool, joints[name], states, smooth)
 
     lost = {name: solids[name].volume() - subtract(name, COARSE_DOUBLINGS).volume() for name in PARTS}
