@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import solve
+from benchmarks.baselines import METHODS as METHOD_NAMES
 from benchmarks.common import RESULTS, ROOT, run_cli, write_report
 from benchmarks.freshness import is_current, read_commit
 from freeart21 import catalog
@@ -80,6 +81,15 @@ RUNS = (
 )
 REFERENCES = "references.json"
 """Answers that nobody solved, on all 21: the truth, the truth as an asset, nothing moves, random numbers."""
+BASELINES = "baselines.json"
+"""Of `benchmarks.baselines`."""
+STRICT_3 = (
+    ("depth_median", "depth, median, %", 2),
+    ("depth_95", "depth, 95 %, %", 1),
+    ("silhouette", "silhouette IoU", 2),
+    ("view_iou", "view IoU", 2),
+)
+"""Metric, column and digits of what strict-3 adds."""
 METRICS = {
     "axis": ("axis, deg", 2),
     "position": ("position, %", 2),
@@ -243,6 +253,52 @@ def write_reach(folder: str) -> str:
     return _table(["", "ours", "goal", "FreeArtGS"], rows) + "\\\n".join([stamps, *more]) + "\n"
 
 
+def write_baselines(folder: str) -> str:
+    """The classical baselines by joint type, beside our method, by strict-2; failures count with their penalty."""
+    report = checked.read_json(RESULTS / BASELINES)
+    rows = []
+    for name, its in report["methods"].items():
+        title = f"{name}, **given {', '.join(its['privileged'])}**" if its["privileged"] else name
+        for kind in ("revolute", "prismatic"):
+            group = its["scores"]["strict-2"]["by_type"][kind]
+            cells = [_mean(group["statistics"].get(m), digits) for m, (_, digits) in METRICS.items()]
+            rows.append([title, kind, f"{group['failures']} of {group['sequences']}", *cells])
+    ours = checked.read_json(RESULTS / RUNS[0].file)
+    for kind in ("revolute", "prismatic"):
+        found = ours["by_type"].get(kind, {})
+        cells = [_mean(found.get(m), digits) for m, (_, digits) in METRICS.items()]
+        failures = sum(_has_failed(row) for row in ours["rows"] if _is_kind(row, kind))
+        rows.append(["ours", kind, f"{failures} of {found.get('n', 0)}", *cells])
+    head = ["method", "joint", "failures", *(column for column, _ in METRICS.values())]
+    stamps = [_stamp(BASELINES, folder, "baselines"), _stamp(RUNS[0].file, folder)]
+    missing = [name for name in METHOD_NAMES if name not in report["methods"]]
+    gaps = f"\nNot measured yet: {', '.join(missing)}.\n" if missing else ""
+    return _table(head, rows) + gaps + "\n" + "\\\n".join(stamps) + "\n"
+
+
+def write_baseline_points(folder: str) -> str:
+    """The same answers by strict-3: points in its tracks, medians over all 21, time and memory."""
+    report = checked.read_json(RESULTS / BASELINES)
+    rows = []
+    for name, its in report["methods"].items():
+        scores = its["scores"]["strict-3"]
+        group = scores["by_type"]["all"]["statistics"]
+        cells = [_cell(group[m]["median"] if m in group else None, digits) for m, _, digits in STRICT_3]
+        points = [_cell(value, 1) for value in scores["points"].values()]
+        use = [_cell(its["cpu_seconds"][k], 0) for k in ("median", "worst")]
+        rows.append([name, str(scores["failures"]), *points, *cells, " / ".join(use), _cell(its["peak_gb"], 1)])
+    tracks = next(iter(report["methods"].values()))["scores"]["strict-3"]["points"]
+    head = ["method", "failures", *(f"points, {track}" for track in tracks)]
+    head += [*(f"{column}, median" for _, column, _ in STRICT_3), "processor s, median / worst", "GB"]
+    failed = [
+        f"- {name}: " + "; ".join(f"{key.removesuffix('-v1')} ({reason})" for key, reason in its["declared"].items())
+        for name, its in report["methods"].items()
+        if its["declared"]
+    ]
+    listed = "\nDeclared failures:\n\n" + "\n".join(failed) + "\n" if failed else ""
+    return _table(head, rows) + listed + "\n" + _stamp(BASELINES, folder, "baselines") + "\n"
+
+
 def _bold(text: str, met: bool) -> str:
     return text if met else f"**{text}**"
 
@@ -252,6 +308,8 @@ TABLES: dict[str, Callable[[str], str]] = {
     "types": write_types,
     "categories": write_categories,
     "gaussians": write_gaussians,
+    "baselines": write_baselines,
+    "baseline-points": write_baseline_points,
     "reach": write_reach,
 }
 
