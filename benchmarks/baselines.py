@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import RESULTS, ROOT, commit, format_number, make_table, run_cli, wide_console, write_report
-from freeart21.files import checked
+from benchmarks.common import RESULTS, ROOT, commit, format_number, machine, make_table, run_cli, wide_console
+from freeart21.files import atomic, checked
 from leaderboard.cached import cached_scores
 from leaderboard.methods.descriptor import PRIVILEGED, find_descriptor
 from leaderboard.methods.run import RUN_SCHEMA, run_method
@@ -89,8 +89,10 @@ def main(
             rows.append([name, rules, scores["failures"], *numbers, *points, f"{its['cpu_seconds']['median']:.0f}"])
     head = ["method", "protocol", "failures", "axis, deg", "mIoU", "PSNR, dB", *TRACKS, "processor s"]
     wide_console().print(make_table("baselines, all 21", head, rows, ("protocol",)))
-    settings = {"data": data.name, "protocols": PROTOCOLS, "solved_at": solved_at or commit()}
-    write_report(RESULTS / FILE, settings, methods=found)
+    settings = {"data": data.name, "protocols": PROTOCOLS, "scored_at": commit()}
+    report = {"methods": found, "commit": solved_at or commit(), "machine": machine(), "settings": settings}
+    atomic.write_json(RESULTS / FILE, report)
+    print(RESULTS / FILE)
 
 
 if __name__ == "__main__":
