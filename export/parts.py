@@ -92,6 +92,8 @@ def close_parts(
     for name in PARTS:
         if whole.part(name).empty:
             raise FreeArtError(f"{name} part of joint '{whole.joint.name}' is an empty mesh: nothing to export")
+        if not whole.part(name).areas().sum() > 0:
+            raise FreeArtError(f"{name} part: mesh has no triangle of any area")
     if recording is not None:
         check_recording(reconstruction, recording)
     surfaces, panels = {}, {}
