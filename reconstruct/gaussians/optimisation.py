@@ -358,9 +358,9 @@ class Fit:
     def _hold_mean_distance(self, step: Array, train: Flags) -> Array:
         """`step` without its mean shift of the object along the view, over the frames `train`.
 
-        A step of all frames towards the camera and of the whole surface inwards leave the depths as they are, so that
-        outlines alone would decide, and those of discs are some tenths of a pixel too wide: clean flip_cap_usb came 0.27
-        mm nearer (0.4 % of its size) and its surfaces shrank by as much. The geometry before knows the mean distance.
+        All frames a little nearer and the whole surface a little smaller leave the depths as they are. Then outlines
+        alone decide, and those of discs are some tenths of a pixel too wide: the clean flip_cap_usb came 0.27 mm nearer
+        (0.4 % of its size) and its surface shrank by as much. The geometry before knows the mean distance.
         """
         n = len(self.poses.Ts)
         twists = step[: 6 * n].reshape(n, 6)
