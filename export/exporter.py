@@ -20,6 +20,7 @@ from export.collision import PRESETS, Collision, CollisionSettings, Contact, mak
 from export.companion_files import USD, write_companion_files
 from export.contact import measure_contact_depth, measure_contact_fidelity, read_link_shapes
 from export.guessed_dynamics import DYNAMICS, Dynamics, guess_effects
+from export.hollows import sealed_faces
 from export.inertia import compute_inertial
 from export.joint_range import STATES
 from export.masses import PartMass, weigh_parts
@@ -182,7 +183,7 @@ def export_result(
             tasks = {name: pool.submit(_make_shape, name, part, placement, settings) for name, part in parts.items()}
         shapes = {name: task.result() for name, task in tasks.items()}
         shapes, shape_counts = _separate_contact(shapes, placement, penetration, settings)
-        solids = {name: shape.visual for name, shape in shapes.items()}
+        solids = {name: shape.solid for name, shape in shapes.items()}
         given = {name: getattr(settings, name) for name in ("mass", "density", "material", "wall")}
         masses = weigh_parts(solids, placement.roles, **given)
         links = placement.roles if settings.names == "role" else {name: name for name in PARTS}
@@ -306,22 +307,27 @@ def scale_reconstruction(reconstruction: Reconstruction, scale: float) -> Recons
 
 @dataclass(frozen=True)
 class _Shape:
-    """One part: its visual mesh and its collision shapes."""
+    """One part: its meshes and its collision shapes."""
 
     part: Part
+    solid: Mesh
+    """Closed, with the walls of cavities that nothing connects with the outside: what the mass is computed of."""
     visual: Mesh
+    """Without these walls."""
     collision: Collision
 
 
 def _make_shape(name: str, part: Part, placement: Placement, settings: ExportSettings) -> _Shape:
-    visual = getattr(placement, name)
+    solid = getattr(placement, name)
+    sealed = sealed_faces(solid)
+    visual = solid.with_faces(~sealed)
     ground = 0.0 if name == placement.root else -float(placement.joint.pivot[2])  # in its link's frame
     try:
         collision = make_collision(
             visual, settings.collision or PRESETS[settings.contact], ground, single=not part.surface.is_solid
         )
-        shape = _Shape(part, visual, collision)
-        compute_inertial(visual, 1.0, settings.wall)  # raises without a volume
+        shape = _Shape(part.without(sealed), solid, visual, collision)
+        compute_inertial(solid, 1.0, settings.wall)  # raises without a volume
     except FreeArtError as error:
         raise FreeArtError(f"{name} part: {error}") from error
     return shape
@@ -357,7 +363,7 @@ def _write_link(
         "hulls": len(hulls),
         "primitives": len(collision.primitives),
     }
-    inertial = compute_inertial(shape.visual, mass.density, settings.wall)
+    inertial = compute_inertial(shape.solid, mass.density, settings.wall)
     visual_file, picture = f"{MESHES}/{name}.obj", texture and f"{MESHES}/{texture}"
     surface = TABLE[mass.material]
     return LinkModel(link, visual_file, picture, hulls, inertial, collision.primitives, surface), report

@@ -25,6 +25,8 @@ import trimesh
 from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, distance_transform_edt, label
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from export.decomposition import robust_hull
@@ -134,6 +136,20 @@ def find_panels(closed: Mesh, observed: NDArray[np.bool_], space: SpaceGrid) -> 
     if kept.any():
         room = np.minimum(room, _distances(near, patch, kept, None, thickness, space) - thickness)
     return Panels(tuple(_extract(room, hollow[cores], space)), facts)
+
+
+def sealed_faces(mesh: Mesh) -> NDArray[np.bool_]:
+    """(F,) the walls of cavities that nothing connects with the outside: shells of a closed mesh that face inwards.
+
+    No view, and no contact, ever sees them; only the mass does.
+    """
+    a, b, c = mesh.faces.T
+    ones = np.ones(2 * len(a), bool)
+    edges = coo_array((ones, (np.concatenate([a, b]), np.concatenate([b, c]))), shape=2 * (len(mesh.vertices),))
+    shell = connected_components(edges, directed=False)[1][a]
+    x, y, z = (mesh.vertices[corner] for corner in (a, b, c))
+    volume = np.bincount(shell, np.einsum("ni,ni->n", x, np.cross(y, z)))
+    return np.asarray(volume[shell] < 0)
 
 
 def _measure_points(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from export.atlas import Texture
 from export.carving import carve_overlap
@@ -39,6 +40,21 @@ class Part:
     """Triangles of the reconstructed mesh."""
     panels: dict[str, Any]
     """What was found of panels and hollow cores (`export.hollows`), in lengths of the video."""
+
+    def without(self, faces: NDArray[np.bool_]) -> Part:
+        """The part without some of its triangles, flags (F,)."""
+        surface, texture = self.surface, self.texture
+        patch = faces[surface.patch_first :]
+        mesh = surface.mesh.with_faces(~faces)
+        surface = replace(
+            surface,
+            mesh=mesh,
+            patch_first=surface.patch_first - int(faces[: surface.patch_first].sum()),
+            panel_count=surface.panel_count - int(patch[len(patch) - surface.panel_count :].sum()),
+        )
+        if texture is not None:
+            texture = replace(texture, atlas=replace(texture.atlas, corners=texture.atlas.corners[~faces]))
+        return replace(self, surface=surface, texture=texture)
 
     def to_json(self, scale: float) -> dict[str, Any]:
         """The part's entry in asset.json; lengths times `scale`."""
