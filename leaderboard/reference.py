@@ -66,6 +66,11 @@ def is_reference(method: Method) -> bool:
     return method.code.endswith(_CODE)
 
 
+def is_outside_ranking(method: Method) -> bool:
+    """Whether it has points and no place: a reference row, or one that was given a part of the truth (`run`)."""
+    return is_reference(method) or bool((method.settings or {}).get("privileged_inputs"))
+
+
 def truth_answer(truth: Truth, rng: np.random.Generator | None = None) -> Reconstruction:
     """The truth as an answer."""
     return Reconstruction(

@@ -230,6 +230,13 @@ def test_a_method_without_some_numbers_has_a_place_in_the_tracks_of_the_others(w
     assert [place.measured for place in places] == [3, 1, 3]
 
 
+def test_a_method_that_was_given_a_part_of_the_truth_has_no_place(world, score_tables):
+    good = score_tables[world[1][0], "strict-2"]
+    given = replace(good, method=replace(good.method, name="given", settings={"privileged_inputs": ["part_masks"]}))
+    board = entrants([(Path("x/one"), {"strict-2": good}), (Path("x/two"), {"strict-2": given})])
+    assert {place.entrant.name: place.text for place in ranked("strict-2", board)} == {"good": "1", "given": "ref."}
+
+
 def test_names_are_safe_as_names_of_files():
     hostile = ["a", "A", "../../etc/passwd", "con", "a/b", "a b", "", ".", "<script>", "é", "x" * 300, "a", "a?b#c"]
     found = file_names(hostile)

@@ -23,7 +23,7 @@ from freeart21.view.tables import (
 )
 from leaderboard.points import FIRST, TRACK_TEXTS, TRACKS, Standing, row_points, standings
 from leaderboard.protocols import Group, Metric, Protocol, protocol_named
-from leaderboard.reference import is_reference
+from leaderboard.reference import is_outside_ranking
 from leaderboard.site.entrant import Entrant
 from leaderboard.site.html import (
     TABLES_ONLY,
@@ -145,7 +145,7 @@ def ranked(protocol: str, entrants: Sequence[Entrant]) -> list[Place]:
     The order of two methods depends on these two alone.
     """
     rules, heads = protocol_named(protocol), columns(protocol_named(protocol))
-    references = frozenset(e.name for e in entrants if is_reference(e.method))
+    references = frozenset(e.name for e in entrants if is_outside_ranking(e.method))
     tables = {entrant.name: entrant.whole[protocol] for entrant in entrants}
     found = {track: standings(tables, track, rules, references) for track in TRACKS}
     places = []
