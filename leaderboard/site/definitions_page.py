@@ -18,7 +18,8 @@ PENALTY = (
 POINTS = (
     "A number earns 1 / (1 + error / half) points: all where nothing is wrong, half of them at the error below. A "
     "track is the mean over its numbers, times 100; a sequence that failed earns 0. Rows made from the truth, or "
-    "given a part of it as input, have points and no place. Scales are fixed: no method changes the points or the order of two others."
+    "given a part of it as input, have points and no place. Scales are fixed: no method changes the points or the "
+    "order of two others."
 )
 
 
