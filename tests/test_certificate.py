@@ -261,11 +261,17 @@ def test_each_planted_fault_fails_its_rule(asset: Path, fault: str):
         assert rule in failed(asset)
 
 
-def test_parts_in_each_other_are_found_in_what_export_writes(tmp_path: Path):
-    """The parts of the answer itself overlap by 3 mm: contact is carved, what is seen is not."""
-    export_result(drawer(0.0035), tmp_path / "asset", SETTINGS)
-    assert "3 mm in each other" in failed(tmp_path / "asset")["parts.visuals-clear"]
-    assert read_certificate(tmp_path / "asset").visual_overlap_m == pytest.approx(0.003, abs=2e-4)
+@pytest.mark.parametrize("carve", [True, False])
+def test_parts_in_each_other_are_found_in_what_export_writes(tmp_path: Path, carve: bool):
+    """The parts of the answer itself overlap by 3 mm: `export` carves them, or its files say so."""
+    settings = replace(SETTINGS, placement=replace(SETTINGS.placement, carve=carve))
+    export_result(drawer(0.0035), tmp_path / "asset", settings)
+    overlap = read_certificate(tmp_path / "asset").visual_overlap_m
+    if carve:
+        assert "parts.visuals-clear" not in failed(tmp_path / "asset") and overlap < 0.001
+    else:
+        assert "3 mm in each other" in failed(tmp_path / "asset")["parts.visuals-clear"]
+        assert overlap == pytest.approx(0.003, abs=2e-4)
 
 
 HANDED = {
