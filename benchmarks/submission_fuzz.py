@@ -163,7 +163,7 @@ class Fuzz:
                 if asset:
                     write_asset(folder / SEQUENCE / "asset", answer.articulation.joint, parts=answer.articulation)
                 with self._few_samples():
-                    row = score_results(folder, self.data, limit_s=None).rows[0]
+                    row = score_results(folder, self.data, self.rules.name, limit_s=None).rows[0]
                 assert row.status == "ok", row.reason
                 self.honest[lucky, asset] = row
 
@@ -215,7 +215,7 @@ class Fuzz:
                     refusals.append(str(error))
                 try:
                     with open_results(given) as folder:
-                        scores = score_results(folder, self.data, limit_s=None)
+                        scores = score_results(folder, self.data, self.rules.name, limit_s=None)
                     row, status, text = scores.rows[0], scores.rows[0].status, scores.rows[0].reason
                     print_scores(scores, Console(file=io.StringIO()), everything=True)
                     write_scores(given.parent / "scores.json", scores)

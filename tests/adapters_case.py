@@ -122,7 +122,7 @@ def imported(data, source, out, layout, **options):
     name = options.pop("name", "a")
     report = import_results(layout, source, data, out, Options(**options))
     assert name in report.sequences
-    return score_sequence(out / name, data / "sequences" / name, data / "truth" / name, lacks=lacks(out))
+    return score_sequence(out / name, data / "sequences" / name, data / "truth" / name, "strict-2", lacks=lacks(out))
 
 
 def lacks(out) -> tuple[str, ...]:

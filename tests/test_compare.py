@@ -329,7 +329,7 @@ def test_results_folders_are_scored_and_kept(data, tmp_path, monkeypatch):
         (tmp_path / name).mkdir()
         (tmp_path / name / "method.json").write_text("{}")
     comparison = compare_results([tmp_path / "one", tmp_path / "two"], data, None, tmp_path / "keep")
-    assert calls == [(name, "strict-2", tmp_path / "keep") for name in ("one", "two")]
+    assert calls == [(name, "strict-3", tmp_path / "keep") for name in ("one", "two")]
     assert [entrant.name for entrant in comparison.entrants] == ["one", "two"]
     shutil.make_archive(str(tmp_path / "three"), "zip", tmp_path, "one")
     assert compare_results([tmp_path / "three.zip"], data).entrants[0].name == "one"

@@ -17,6 +17,7 @@ from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.benchmark import read_benchmark
+from freeart21.files.data_card import CARD_FILES
 from freeart21.files.hashes import file_sha256
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
@@ -238,7 +239,8 @@ def test_the_truth_says_where_it_came_from(case: Case) -> None:
 def test_the_benchmark_lists_every_file_with_its_hash(case: Case) -> None:
     assert case.name in read_benchmark(case.folder).sequences
     listed = json.loads((case.folder / "benchmark.json").read_text())["sha256"]
-    files = {str(p.relative_to(case.folder)) for p in case.folder.rglob("*") if p.is_file()} - {"benchmark.json"}
+    files = {str(p.relative_to(case.folder)) for p in case.folder.rglob("*") if p.is_file()}
+    files -= {"benchmark.json", *CARD_FILES}
     assert set(listed) == files
     some = sorted(files)[:: max(len(files) // 5, 1)]
     assert all(listed[name] == file_sha256(case.folder / name) for name in some)

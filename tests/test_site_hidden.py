@@ -48,7 +48,7 @@ def world(tmp_path_factory):
     patch = pytest.MonkeyPatch()
     few_samples(patch)
     facts = benchmark_facts(read_benchmark(public))
-    scores = {place: table_of(place, data, "strict-2", facts) for place in (good, weak)}
+    scores = {place: table_of(place, data, "strict-3", facts) for place in (good, weak)}
     patch.undo()
     shutil.rmtree(data)
     shutil.rmtree(folder / "truth")
@@ -142,7 +142,7 @@ def test_what_it_says_in_words(site):
 
 def test_the_tables_that_are_handed_out_read_well_and_lack_the_range(site):
     for name in ("good", "weak"):
-        scores = read_scores(site / "scores" / f"{name}.strict-2.json")
+        scores = read_scores(site / "scores" / f"{name}.strict-3.json")
         assert all(row.values["state"] is None and row.values["state_all"] is None for row in scores.rows)
         assert "no row has state, state_all" in scores.notes[-1] and scores.benchmark["hidden"]
         assert all("state" not in summary.statistics for summary in scores.summaries)
@@ -156,10 +156,10 @@ def test_means_of_joint_states_are_shown_where_they_tell_no_single_one(world):
     place, weak = list(world[1].items())[1]
     hinges = [row for row in weak.rows if row.joint_type == "revolute"]
     twice = [replace(row, sequence=f"{row.sequence}{k}") for k in range(2) for row in hinges]
-    more = replace(weak, rows=tuple(twice), summaries=summarise(twice, protocol_named("strict-2")))
-    at = [(metric.id, group) for metric, group in columns(protocol_named("strict-2"))].index(("state", "revolute"))
+    more = replace(weak, rows=tuple(twice), summaries=summarise(twice, protocol_named("strict-3")))
+    at = [(metric.id, group) for metric, group in columns(protocol_named("strict-3"))].index(("state", "revolute"))
     for table, there in ((weak, False), (more, True)):
-        (line,) = ranked("strict-2", entrants([(place, {"strict-2": table})], "digest"))
+        (line,) = ranked("strict-3", entrants([(place, {"strict-3": table})], "digest"))
         assert (line.cells[at] is not None) == there
 
 
@@ -167,7 +167,7 @@ def test_tables_alone_make_the_same_numbers(tables, site, tmp_path):
     out = tmp_path / "site"
     build.write_site(tables, None, out)
     assert not (out / "data").exists() and not list(out.rglob("*.jpg"))
-    assert (out / "scores" / "good.strict-2.csv").read_bytes() == (site / "scores/good.strict-2.csv").read_bytes()
+    assert (out / "scores" / "good.strict-3.csv").read_bytes() == (site / "scores/good.strict-3.csv").read_bytes()
     front = (out / "index.html").read_text()
     assert "tables of scores only" in front and "The ground truth is hidden" in front
     assert "tables of scores only" in (out / "sequences" / "a.html").read_text()
@@ -206,15 +206,15 @@ def test_tables_that_do_not_go_together_are_refused_in_one_line(world, tables, t
     archive = tmp_path / "one.zip"
     archive.write_bytes(b"PK")
     scores = read_scores(tables[1])
-    few = replace(scores, rows=scores.rows[:2], summaries=summarise(scores.rows[:2], protocol_named("strict-2")))
+    few = replace(scores, rows=scores.rows[:2], summaries=summarise(scores.rows[:2], protocol_named("strict-3")))
     write_scores(short := tmp_path / "short.json", few)
     for results, data, protocols, words in (
         ([tables[0], other], None, (), r"other\.json is scored on made-up"),
         ([other], public, (), r"other\.json is scored on made-up"),
         ([tables[0], code], None, (), r"code\.json is scored by other code"),
         ([tables[0], short], None, (), r"short\.json has rows for 2 of 3"),
-        (tables, None, ("paper-1",), r"good\.json is scored by strict-2, expected paper-1"),
-        (tables, None, ("strict-2", "paper-1"), r"good\.json: there is no table of good by paper-1"),
+        (tables, None, ("paper-1",), r"good\.json is scored by strict-3, expected paper-1"),
+        (tables, None, ("strict-3", "paper-1"), r"good\.json: there is no table of good by paper-1"),
         ([tables[0].parent], None, (), r"--data, which it answers"),
         ([archive], None, (), r"one\.zip is an archive"),
         ([tmp_path / "no.json"], None, (), r"no\.json is missing"),

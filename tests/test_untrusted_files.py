@@ -48,6 +48,7 @@ EXEMPT = {
     "the answer of a process of our own": (
         "freeart21/doctor.py:json.loads freeart21/formats/mat_file.py:json.loads freeart21/jobs/worker.py:json.loads "
         "generator/teleop/stage_process.py:json.loads export/check/trial_process.py:json.loads "
+        "export/check/consistency_rules.py:json.loads "
         "leaderboard/asset_process.py:json.loads leaderboard/asset_process.py:fdopen leaderboard/worker.py:json.loads "
         "leaderboard/worker.py:fdopen"
     ),

@@ -34,7 +34,7 @@ def test_a_recorded_truth_handed_in_and_reloaded_scores_perfect(name, tmp_path):
     answer = replace(truth_as_answer(truth), seen=truth.seen > 0)
     write_result(results / sequence, answer, renders=[truth.query_rgb(i) for i in range(len(recording.queries))])
     export_result(results / sequence, results / sequence / "asset", ExportSettings(meshes=COARSE, collision=ROUGH))
-    (row,) = score_results(results, data).rows
+    (row,) = score_results(results, data, "strict-2").rows
     assert (row.status, row.measured_from, row.swapped) == ("ok", "asset", False)
     assert row.values["joint_type"] == row.values["fscore_parts"] == 1 and row.values["fscore"] > CLOSED
     assert row.values["miou"] == row.values["ssim"] == pytest.approx(1)

@@ -22,7 +22,7 @@ from freeart21.recording import Recording
 from freeart21.truth import Truth
 
 _SEEN_BY_METHODS = {"sequence.json", "queries.json", "rgb", "depth", "mask"}
-_SEQUENCE_KEYS = {"schema", "camera", "depth_scale", "times_s", "licence"}
+_SEQUENCE_KEYS = {"gravity", "schema", "camera", "depth_scale", "times_s", "licence"}
 _CLOSE = 1e-9
 _S = TypeVar("_S")
 _T = TypeVar("_T")
