@@ -73,10 +73,12 @@ def test_a_native_method_is_measured_and_its_results_are_valid(data, tmp_path, a
     busy = (
         "x = bytearray(200_000_000)\nimport time\nt = time.process_time()\nwhile time.process_time() < t + 0.5: pass\n"
     )
+    ours = b"x" * 2_000_000_000  # resident in the process that starts it: not the method's
     report = run_method(native(answers, busy), data, tmp_path / "r", sequences=("a", "b"))
+    del ours
     for entry in report.entries.values():
         assert entry.outcome == "answer" and entry.cpu_seconds >= 0.5 and entry.seconds >= 0.5
-        assert entry.peak_bytes > 2e8  # a sample before the command's exec counts the tests' own memory, too
+        assert 2e8 < entry.peak_bytes < 1.2e9
     assert [str(f) for f in validate_results(tmp_path / "r", data).faults] == [
         "c is missing, expected a folder with prediction.json"
     ]

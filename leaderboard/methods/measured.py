@@ -29,7 +29,7 @@ class Usage:
     cpu_seconds: float
     """Of all its processes that it waited for; of a container's client alone."""
     peak_bytes: int
-    """Largest sum of resident memory of all its processes, looked up every PERIOD_S."""
+    """Largest sum of resident memory of all its processes, or largest of one of them: looked up every PERIOD_S."""
     stopped_by: str
     """The limit, in words; empty when none was met."""
 
@@ -86,7 +86,6 @@ def run_measured(
         process.returncode = os.waitstatus_to_exitcode(status)
         reader.join(5.0)
         process.stdout.close()
-    peak = max(peak, used.ru_maxrss * 1024)
     code = None if stopped_by else process.returncode
     return Usage(code, time.monotonic() - began, used.ru_utime + used.ru_stime, peak, stopped_by)
 
@@ -97,11 +96,16 @@ def _kill(session: int) -> None:
 
 
 def _resident_bytes(session: int) -> int:
-    """Resident memory of all processes of a session, pages that they share counted in each."""
-    total = 0
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError, ValueError, IndexError):
-            fields = path.read_text(errors="replace").rpartition(")")[2].split()
-            if int(fields[3]) == session:
-                total += int(fields[21]) * os.sysconf("SC_PAGE_SIZE")
-    return total
+    """Resident memory of all processes of a session together, or the largest that one of them has had since its start.
+
+    Pages that they share are counted in each. (`ru_maxrss` counts the memory of the process that started it, too.)
+    """
+    total, largest = 0, 0
+    for folder in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError, ValueError, KeyError):
+            if os.getsid(int(folder.name)) == session:
+                lines = (folder / "status").read_text(errors="replace").splitlines()
+                facts = dict(line.split(":", 1) for line in lines if line.startswith(("VmHWM:", "VmRSS:")))
+                total += int(facts["VmRSS"].split()[0]) * 1024
+                largest = max(largest, int(facts["VmHWM"].split()[0]) * 1024)
+    return max(total, largest)

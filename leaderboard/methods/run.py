@@ -263,7 +263,7 @@ def _prepare_inputs(method: Descriptor, sequence: Path, truth: Path, work: Path)
             values[key] = sequence
         elif key == "part_masks":
             values[key] = work / key
-            shutil.copytree(truth / "part_mask", work / key)
+            checked.copy_folder(truth / "part_mask", work / key)
         elif kind == "mesh":
             values[key] = work / f"{key}.obj"
             mesh = read_truth(truth).articulation.part(part)
@@ -319,7 +319,7 @@ def _copy_result(source: Path, target: Path, frames: int) -> None:
             relative = path.relative_to(source).as_posix()
             if path.is_file() and any(fnmatchcase(relative, pattern) for pattern in RESULT.files):
                 (aside / relative).parent.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(path, aside / relative)
+                shutil.copyfile(checked.require_file(path, checked.MAX_ARRAY_BYTES, source), aside / relative)
 
 
 def _read_options(method: Descriptor, home: Path | None) -> Options:
