@@ -23,7 +23,7 @@ from functools import cache
 from pathlib import Path
 
 from benchmarks.common import ROOT
-from freeart21.code import source_digest
+from freeart21.code import modules_behind, source_digest
 
 DOCUMENTS = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 LINE = re.compile(
@@ -31,6 +31,10 @@ LINE = re.compile(
     r"(?P<state>old|current)\.\*(?=\\?$)",
     re.M,
 )
+
+MEASURED = {"reconstruct": ("reconstruct.pipeline", "reconstruct.features.hand_made", "reconstruct.trackers.dis")}
+"""Package to the modules that its figures come from: what these do not import is left out. The defaults of registries
+are found by name, so they are named."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +72,24 @@ def is_current(commit: str, code: tuple[str, ...]) -> bool:
     if _git("merge-base", "--is-ancestor", commit, "HEAD") is None:
         return False
     changed = _git("diff", "--name-only", "--no-renames", commit, "--", *code)
-    return changed is not None and all(_same(commit, name) for name in changed.splitlines() if name.endswith(".py"))
+    return changed is not None and all(
+        _same(commit, name) for name in changed.splitlines() if name.endswith(".py") and _is_measured(name)
+    )
+
+
+def _is_measured(name: str) -> bool:
+    """Whether a Python file has a part in what its package's figures measure."""
+    package = name.split("/")[0]
+    return package not in MEASURED or not (ROOT / name).is_file() or name in _measured_files(package)
+
+
+@cache
+def _measured_files(package: str) -> frozenset[str]:
+    """The files behind MEASURED[package], relative to the repository, and its __init__.py."""
+    files = {ROOT / package / "__init__.py"}
+    for module in MEASURED[package]:
+        files |= set(modules_behind(module, ROOT, (package,)).values())
+    return frozenset(file.relative_to(ROOT).as_posix() for file in files)
 
 
 @cache

@@ -90,3 +90,10 @@ def test_a_removed_file_makes_figures_old(history):
 @pytest.mark.parametrize("commit", ["deadbee", "HEAD-dirty"])
 def test_a_commit_that_is_not_in_the_history_is_old(history, commit):
     assert not is_current(commit, ("code",))
+
+
+def test_what_the_solver_never_reaches_makes_no_figure_old():
+    inside = {f"reconstruct/{name}.py" for name in ("__init__", "joint", "trackers/dis", "features/hand_made")}
+    every = {file.relative_to(ROOT).as_posix() for file in (ROOT / "reconstruct" / "gaussians").glob("*.py")}
+    assert all(map(freshness._is_measured, inside | every))
+    assert not freshness._is_measured("reconstruct/look.py") and freshness._is_measured("leaderboard/look.py")
