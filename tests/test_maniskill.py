@@ -6,6 +6,8 @@ What needs ManiSkill, an extra, is skipped without it.
 import importlib.util
 import json
 import shutil
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 
@@ -13,7 +15,7 @@ import numpy as np
 import pytest
 from refusal import assert_refused
 
-from export.maniskill import ENVIRONMENTS, register
+from export.maniskill import ENVIRONMENTS
 from export.maniskill.assets import find_asset, prepare_asset
 from export.maniskill.motion import CarriedMotion, draw_motion
 from freeart21 import se3
@@ -22,6 +24,12 @@ from freeart21.files.asset import write_effects
 from freeart21.files.urdf import read_urdf_joints
 from generator.simulate import load, roll_out
 
+try:
+    import tomllib
+except ModuleNotFoundError:  # before 3.11
+    import tomli as tomllib
+
+ROOT = Path(__file__).resolve().parents[1]
 OPEN, FREE_MOVING = ENVIRONMENTS
 needs_maniskill = pytest.mark.skipif(
     importlib.util.find_spec("mani_skill") is None, reason="ManiSkill is not installed: freeart21[maniskill]"
@@ -60,8 +68,35 @@ def make(env: str, asset: Path, **settings):
 
 
 def test_without_maniskill_it_says_what_to_install(monkeypatch):
+    gymnasium = pytest.importorskip("gymnasium")
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    assert_refused("maniskill", register)
+    assert_refused("maniskill", gymnasium.make, OPEN)
+
+
+def test_gymnasium_finds_them_without_an_import(tmp_path):
+    """In a new interpreter: by "module:name", and by name where gymnasium has plugins; ManiSkill is not imported."""
+    pytest.importorskip("gymnasium")
+    points = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]["gymnasium.envs"]
+    installed = tmp_path / "with_the_entry_point-1.dist-info"
+    installed.mkdir()
+    (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: with-the-entry-point\nVersion: 1\n")
+    lines = "\n".join(f"{name} = {value}" for name, value in points.items())
+    (installed / "entry_points.txt").write_text(f"[gymnasium.envs]\n{lines}\n")
+    code = f"""
+import sys, gymnasium
+from gymnasium.envs import registration
+if hasattr(registration, "load_plugin_envs"):
+    gymnasium.spec("{OPEN}")
+try:
+    gymnasium.make("export.maniskill:{OPEN}", asset="no such object")
+except Exception as error:
+    print(gymnasium.spec("{OPEN}").max_episode_steps, "mani_skill" in sys.modules, error)
+"""
+    code = f"import sys; sys.path[:0] = [{str(tmp_path)!r}, {str(ROOT)!r}]\n{code}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    has_it = importlib.util.find_spec("mani_skill") is not None
+    assert done.stdout.startswith(f"200 {has_it} "), done.stderr
+    assert ("no such object" if has_it else "freeart21[maniskill]") in done.stdout
 
 
 def test_two_halves_with_the_engine_between_make_a_step(chest):
@@ -278,6 +313,30 @@ def test_the_motor_brings_the_lid_to_its_target_and_is_paid(chest):
     assert env.unwrapped.body.q == pytest.approx(0.9, abs=0.02 * 1.5)
     away = env.unwrapped.hand._motion.at(env.unwrapped.body.simulated.time_s)[0] - env.unwrapped.body.root_pose
     assert np.abs(away[:3, 3]).max() < 2e-3  # the hand carries it along
+    env.close()
+
+
+@needs_maniskill
+@pytest.mark.parametrize("fault", ["limit", "fell", "no number"])
+def test_it_fails_where_nothing_can_be_had_any_more(chest, fault):
+    """Past a limit by more than the tolerance, below the ground, or without a number: the episode ends, at a loss."""
+    env = make(OPEN, chest, robot_uids="none", control_mode="passive", base="free", start=0.5, reward_mode="sparse")
+    env.reset(seed=0)
+    body, plain = env.unwrapped.body, env.unwrapped
+    fail = plain.evaluate()["fail"]
+    assert str(fail.dtype) == "torch.bool" and fail.shape == (1,) and not fail.any()
+    span = body.upper - body.lower
+    body.put(body.upper + 0.5 * plain._tolerance * span)
+    assert not plain.evaluate()["fail"].any()
+    if fault == "limit":
+        body.put(body.upper + 1.5 * plain._tolerance * span)
+    elif fault == "fell":
+        body.put(0.5, se3.exp_se3(np.array([0, 0, -0.3, 0, 0, 0])))
+    else:
+        body.simulated._q = np.nan
+    info = plain.evaluate()
+    assert info["fail"].all() and not info["success"].any()
+    assert plain.compute_sparse_reward(None, None, info) == -1 and plain.compute_dense_reward(None, None, info) == 0
     env.close()
 
 

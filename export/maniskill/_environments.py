@@ -14,17 +14,20 @@ from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.sensors.camera import CameraConfig
 from mani_skill.utils import sapien_utils
 from mani_skill.utils.building.ground import build_ground
+from mani_skill.utils.registration import register
 from mani_skill.utils.scene_builder.table import TableSceneBuilder
 from mani_skill.utils.structs.types import SceneConfig, SimConfig
 
+from export.maniskill import ENVIRONMENTS, EPISODE_STEPS
 from export.maniskill._agent import OBJECT, ObjectAgent
 from export.maniskill._body import Body
-from export.maniskill._gymnasium import register_environment, render_modes
+from export.maniskill._gymnasium import render_modes
 from export.maniskill._hand import Hand
 from export.maniskill.assets import find_asset
 from export.maniskill.motion import CarriedMotion, draw_motion
 from freeart21 import se3
 from freeart21.errors import FreeArtError
+from freeart21.formats.maniskill import CONTROL_HZ
 from freeart21.se3 import Array
 
 TOLERANCE = 0.02
@@ -33,9 +36,12 @@ AT_REST = 0.1
 """Spans per second below which the joint is at rest."""
 OPENED = 0.9
 """Default target: this far from the start to the farther end of the span, as in ManiSkill's cabinets."""
-_SIM_HZ, _CONTROL_HZ = 500, 20  # against 1 kHz, a released joint is off by less than 0.1 %: see docs/maniskill.md
+_SIM_HZ, _CONTROL_HZ = (
+    500,
+    CONTROL_HZ,
+)  # against 1 kHz, a released joint is off by less than 0.1 %: see docs/maniskill.md
 _BEFORE_ROBOT = 0.12  # m from ManiSkill's place for a panda's hand at rest to the object's near side
-_SECONDS = 10  # of an episode
+_SECONDS = EPISODE_STEPS / CONTROL_HZ
 _TURN, _SHIFT = 0.1, 0.01  # rad and m by which a standing object is displaced at random
 
 
@@ -84,7 +90,7 @@ class ObjectEnvironment(BaseEnv):
     def _default_sim_config(self) -> SimConfig:
         return SimConfig(
             sim_freq=_SIM_HZ,
-            control_freq=_CONTROL_HZ,
+            control_freq=CONTROL_HZ,
             scene_config=SceneConfig(enable_enhanced_determinism=True),
         )
 
@@ -175,11 +181,26 @@ class ObjectEnvironment(BaseEnv):
     # observations and rewards
 
     def evaluate(self) -> dict[str, torch.Tensor]:
-        """`success`: at rest within the tolerance of the target; `joint_error`: distance in spans of the joint."""
+        """`success`: at rest within the tolerance of the target; `fail`: see `_failed`; `joint_error`: distance from
+        the target in spans of the joint, 1 where it is no number."""
         span = self.body.upper - self.body.lower
         away = abs(self.body.q - self._target) / span
         success = away <= self._tolerance and abs(self.body.qd) <= AT_REST * span
-        return {"success": torch.tensor([success]), "joint_error": torch.tensor([away], dtype=torch.float32)}
+        return {
+            "success": torch.tensor([success]),
+            "fail": torch.tensor([self._failed()]),
+            "joint_error": torch.tensor([away if np.isfinite(away) else 1.0], dtype=torch.float32),
+        }
+
+    def _failed(self) -> bool:
+        """Whether the state is no number, the joint is past a limit by more than the tolerance, or the object's middle
+        is below what it stood on."""
+        body = self.body
+        if not np.isfinite([body.q, body.qd, *body.root_pose.ravel()]).all():
+            return True
+        slack = self._tolerance * (body.upper - body.lower)
+        within = body.simulated.lower - slack <= body.q <= body.simulated.upper + slack
+        return not within or (not self._held and se3.transform(body.root_pose, self._centre_root)[2] < 0)
 
     def _get_obs_extra(self, info: dict[str, Any]) -> dict[str, torch.Tensor]:
         obs = {"target_qpos": self._tensor([self._target])}
@@ -206,19 +227,20 @@ class ObjectEnvironment(BaseEnv):
         return torch.tensor(np.array([values], np.float32), device=self.device)
 
     def compute_dense_reward(self, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
-        """Up to 1 for the joint near its target, plus 1 for the robot's hand near the moving part; 3 on success."""
+        """Up to 1 for the joint near its target, plus 1 for the robot's hand near the moving part; 3 on success, 0 on
+        failure."""
         reward = 1 - torch.tanh(5 * info["joint_error"])
         if hasattr(self.agent, "tcp"):
             away = self._tensor(self.body.moving_centre()) - self.agent.tcp.pose.p
             reward = reward + 1 - torch.tanh(5 * torch.linalg.norm(away, dim=1))
-        return torch.where(info["success"], torch.full_like(reward, 3.0), reward)
+        reward = torch.where(info["success"], torch.full_like(reward, 3.0), reward)
+        return torch.where(info["fail"], torch.zeros_like(reward), reward)
 
     def compute_normalized_dense_reward(self, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
         """The dense reward over 3."""
         return self.compute_dense_reward(obs, action, info) / 3
 
 
-@register_environment("FreeArt21-Open-v1", _SECONDS * _CONTROL_HZ)
 class OpenEnvironment(ObjectEnvironment):
     """An object stands on a table or the ground; its joint must come to rest at the target.
 
@@ -253,7 +275,6 @@ class OpenEnvironment(ObjectEnvironment):
         self._begin(start, target, moved @ self._T_root_rest)
 
 
-@register_environment("FreeArt21-FreeMoving-v1", _SECONDS * _CONTROL_HZ)
 class FreeMovingEnvironment(ObjectEnvironment):
     """An object is carried by an invisible hand; its joint must come to rest at the target.
 
@@ -291,3 +312,7 @@ class FreeMovingEnvironment(ObjectEnvironment):
         super().set_state_dict(state, env_idx)
         assert self.hand is not None
         self.hand.catch()
+
+
+for _uid, _environment in zip(ENVIRONMENTS, (OpenEnvironment, FreeMovingEnvironment), strict=True):
+    register(_uid, _environment, max_episode_steps=EPISODE_STEPS)

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
 from copy import deepcopy
 from typing import Any
 
 import gymnasium
 import torch
-from gymnasium.envs.registration import EnvSpec, WrapperSpec
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import RecordConstructorArgs
-from mani_skill.utils.registration import register_env
 from mani_skill.utils.wrappers.gymnasium import CPUGymWrapper
 
 
@@ -54,18 +52,6 @@ class GymnasiumWrapper(CPUGymWrapper, RecordConstructorArgs):
         options = {"ignore_terminations": ignore_terminations, "record_metrics": record_metrics}
         RecordConstructorArgs.__init__(self, **options)
         CPUGymWrapper.__init__(self, env, **options)
-
-
-def register_environment(uid: str, max_episode_steps: int) -> Callable[[type], type]:
-    """Class decorator: ManiSkill's registration of an environment, with `StepLimit` as its wrapper."""
-
-    def register(cls: type) -> type:
-        cls = register_env(uid, max_episode_steps=max_episode_steps)(cls)
-        wrapper = WrapperSpec("StepLimit", f"{StepLimit.__module__}:{StepLimit.__name__}", {})
-        gymnasium.registry[uid].additional_wrappers = (wrapper,)
-        return cls
-
-    return register
 
 
 def render_modes(modes: tuple[str, ...], can_render: bool) -> list[str]:
