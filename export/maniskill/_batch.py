@@ -103,7 +103,7 @@ class JointBatch:
         self._inertia = self._tensor([joint._inertia for joint in joints])
         self._drive_inertia = self._tensor([joint._drive_inertia for joint in joints])
         self._rotors = [joint._rotor for joint in joints]
-        self._thrown = torch.tensor(
+        self._drive_rebounds = torch.tensor(
             [rotor.throw_back > 0 and not slack for rotor, slack in zip(self._rotors, slacks, strict=True)],
             device=device,
         )
@@ -114,7 +114,7 @@ class JointBatch:
         self._memories = [torch.zeros_like(slot.values[0]) for slot in self._force]
         self._qdd, self._impact, self._drive_q, self._drive_qd = (torch.zeros_like(self.q) for _ in range(4))
         self._side = torch.zeros_like(self.q)
-        self._departs = torch.full_like(self.q, torch.nan)
+        self._departure_time = torch.full_like(self.q, torch.nan)
         self._leaves_with, self._leaves_at = torch.zeros_like(self.q), torch.zeros_like(self.q)
         self.set_state(self._tensor([joint.state()[0] for joint in joints]), torch.zeros_like(self.q))
 
@@ -161,13 +161,13 @@ class JointBatch:
         self.q[here], self.qd[here], self.time_s[here] = q.double(), qd.double(), 0.0
         for tensor in (self._qdd, self._impact, self._side):
             tensor[here] = 0.0
-        self._departs[here] = torch.nan
+        self._departure_time[here] = torch.nan
         self._drive_q[here], self._drive_qd[here] = self.q[here], self.qd[here]
-        begun = [torch.isin(slot.rows, here) for slot in self._force]
+        restarted = [torch.isin(slot.rows, here) for slot in self._force]
         old = self._memories
         self._memories = [torch.zeros_like(memory) for memory in old]
         self._remember(self.q)
-        self._memories = [torch.where(new, m, o) for new, m, o in zip(begun, self._memories, old, strict=True)]
+        self._memories = [torch.where(new, m, o) for new, m, o in zip(restarted, self._memories, old, strict=True)]
         if self._motor is not None:
             self.command(self.q[here], here, at_s=-torch.inf)
 
@@ -288,7 +288,7 @@ class JointBatch:
         """First half of a substep of `h` s: where an engine puts the joints, and what acts."""
         low, high = torch.minimum(self.lower, self.q), torch.maximum(self.upper, self.q)
         q = torch.minimum(torch.maximum(self.q + 0.5 * h * self.qd, low), high)
-        q = torch.where(self._departs.isnan(), q, self.q)
+        q = torch.where(self._departure_time.isnan(), q, self.q)
         t, qd = self.time_s + 0.5 * h, self.qd
         self._remember(q)
         self._middle = q
@@ -307,15 +307,17 @@ class JointBatch:
 
     def after_engine(self, qd: Tensor, h: float) -> None:
         """Second half of a substep: move the joints by the engine's new velocities (n,); limits and slack act."""
-        qd, waiting = qd.double(), ~self._departs.isnan()
-        before = self.q, self.qd, self._qdd, self._impact, self._departs
+        qd, waiting = qd.double(), ~self._departure_time.isnan()
+        before = self.q, self.qd, self._qdd, self._impact, self._departure_time
         q0, qd0, t = self.q, self.qd, self.time_s + 0.5 * h
         self._qdd, self._impact = (qd - qd0) / h, torch.zeros_like(qd)
         self.q, self.qd = self._advance_part(q0, qd0, h)
         if waiting.any():
-            self.q, self.qd, self._qdd, self._impact, self._departs = (
+            self.q, self.qd, self._qdd, self._impact, self._departure_time = (
                 torch.where(waiting, old, new)
-                for old, new in zip(before, (self.q, self.qd, self._qdd, self._impact, self._departs), strict=True)
+                for old, new in zip(
+                    before, (self.q, self.qd, self._qdd, self._impact, self._departure_time), strict=True
+                )
             )
             self._wait_at_limit(waiting, h)
         for row in self._slack_rows:
@@ -346,20 +348,20 @@ class JointBatch:
         for slot in self._stop:
             new = torch.zeros_like(q).index_add_(0, slot.rows, slot.law(q, impact, none))
             back = torch.where(new.abs() > back.abs(), new, back)
-        departs = torch.zeros_like(hits)
-        if (hits & self._thrown).any():
-            rest, speed, leaving = self._rebounds_of_drives(hits & self._thrown, limit, towards, impact, before)
-            thrown = speed > back.abs()
-            back = torch.where(thrown, -towards * speed, back)
-            before = torch.where(thrown, before + rest, before)
-            a = torch.where(thrown & (rest != 0), leaving, a)
-            departs = thrown & (before > h)
-            self._departs = torch.where(departs, self.time_s + before, self._departs)
-            self._leaves_with = torch.where(departs, back, self._leaves_with)
-            self._leaves_at = torch.where(departs, a, self._leaves_at)
+        stays = torch.zeros_like(hits)
+        if (hits & self._drive_rebounds).any():
+            rest, speed, leaving = self._rebounds_of_drives(hits & self._drive_rebounds, limit, towards, impact, before)
+            driven_back = speed > back.abs()
+            back = torch.where(driven_back, -towards * speed, back)
+            before = torch.where(driven_back, before + rest, before)
+            a = torch.where(driven_back & (rest != 0), leaving, a)
+            stays = driven_back & (before > h)
+            self._departure_time = torch.where(stays, self.time_s + before, self._departure_time)
+            self._leaves_with = torch.where(stays, back, self._leaves_with)
+            self._leaves_at = torch.where(stays, a, self._leaves_at)
         remaining = h - before
         beyond = limit + remaining * (back + 0.5 * remaining * a)
-        bounces = (low <= beyond) & (beyond <= high) & (towards * (back + 0.5 * remaining * a) < 0) & ~departs
+        bounces = (low <= beyond) & (beyond <= high) & (towards * (back + 0.5 * remaining * a) < 0) & ~stays
         q1 = torch.where(hits, torch.where(bounces, beyond, limit), after)
         qd1 = torch.where(hits, torch.where(bounces, back + remaining * a, none), qd + h * a)
         self._qdd = torch.where(hits & ~bounces, none, self._qdd)
@@ -384,12 +386,12 @@ class JointBatch:
         return rest, speed, towards * (towards * motor + press) / self._inertia
 
     def _wait_at_limit(self, waiting: Tensor, h: float) -> None:
-        since = self.time_s + h - self._departs
+        since = self.time_s + h - self._departure_time
         goes = waiting & (since > 0)
         moved = since * (self._leaves_with + 0.5 * since * self._leaves_at)
         self.q = torch.where(goes, self.q + moved, self.q)
         self.qd = torch.where(goes, self._leaves_with + since * self._leaves_at, self.qd)
-        self._departs = torch.where(goes, torch.full_like(self._departs, torch.nan), self._departs)
+        self._departure_time = torch.where(goes, torch.full_like(self._departure_time, torch.nan), self._departure_time)
 
     def _advance_drive_side(self, i: int, qd0: Tensor, t: Tensor, h: float) -> None:
         """`SimulatedAsset._advance_drive_side` of environment `i`; an impact is one row's, and rare."""
