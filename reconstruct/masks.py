@@ -22,6 +22,7 @@ from scipy import ndimage
 
 from freeart21.errors import FreeArtError
 from freeart21.recording import Recording
+from reconstruct.hands import HandNetwork, draw_hand
 
 Bools = NDArray[np.bool_]
 Image = NDArray[np.uint8]
@@ -43,6 +44,8 @@ _RIM = 2
 """Pixels from the picture's border that count as its rim."""
 _SKIN_HUE = (25.0, 68.0)
 """Its hue in CIELAB, degrees: 40 to 65 on average (Xiao et al. 2017), less in red light; wood and brass have more."""
+_LEAST_FOUND = 0.1
+"""Share of frames in which hands are found, from which on their colours are learned there, not from skin's."""
 _COLOUR_BINS = (12, 32, 32)
 """Bins of CIELAB lightness, a, b; smoothed by one bin."""
 
@@ -55,6 +58,8 @@ class MaskSettings:
     """Pixels of the working pictures."""
     saliency: Path | None = None
     """u2netp.onnx (input 320 x 320, ImageNet's mean and deviation): cuts where there is no depth."""
+    hands: Path | None = None
+    """Folder of MediaPipe's networks (`reconstruct.hands`): finds hands by shape, where skin's colour misleads."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +120,7 @@ class Foreground:
         if settings.saliency is not None:
             front = _cut_by_saliency(video, front, settings.saliency, progress)
         self._front = front
+        self._palms = None if settings.hands is None else _draw_hands(video, HandNetwork(settings.hands), progress)
         solid = front > 0.5
         moving = (solid & ~still).sum((1, 2)) / np.maximum(solid.sum((1, 2)), 1)
         self._empty = bool(np.median(solid.mean((1, 2))) < 1e-4 or np.percentile(moving, 90) < 0.05)
@@ -132,7 +138,7 @@ class Foreground:
             )
         seeds = _carry_clicks(self._video, clicks, recording)
         front = np.where(seeds > 0, np.float32(1), self._front)
-        hand = _hand(self._video, front, seeds, notes)
+        hand = _hand(self._video, front, self._palms, seeds, notes)
         object_ = _carry(self._video, front * (1 - hand), seeds)
         masks, doubt, reasons = _choose(self._video, object_, front, seeds)
         return Masks(_enlarge(masks, object_, recording), doubt, reasons, tuple(notes))
@@ -433,17 +439,44 @@ def _touches_rim(labels: NDArray[Any]) -> NDArray[np.intp]:
     return np.setdiff1d(np.unique(_rim_of(labels)), [0])
 
 
-def _hand(video: _Video, front: Values, seeds: NDArray[np.int8], notes: list[str]) -> Values:
-    """(n, h, w) probability that a pixel in front is of a hand or an arm, given that it is in front."""
+def _draw_hands(video: _Video, network: HandNetwork, progress: Progress) -> Bools:
+    """(n, h, w) the pixels that hands cover, seen or hidden; none in frames without one."""
+    drawn = np.zeros(video.depth.shape, bool)
+    for i, picture in enumerate(video.rgb):
+        for hand in network.find(picture):
+            drawn[i] |= draw_hand(hand, picture.shape)
+        progress("hands", i + 1, len(drawn))
+    return drawn
+
+
+def _near(hands: Bools) -> Bools:
+    """The pixels of hands and those around them, as far as half the side of a square of their size."""
+    reach = max(1, round(0.5 * float(np.sqrt(hands.sum()))))
+    return np.asarray(ndimage.distance_transform_edt(~hands) <= reach)
+
+
+def _hand(video: _Video, front: Values, palms: Bools | None, seeds: NDArray[np.int8], notes: list[str]) -> Values:
+    """(n, h, w) probability that a pixel in front is of a hand or an arm, given that it is in front.
+
+    Its first samples are the hands that were found (`palms`), or else the colours of skin.
+    """
     n = len(front)
     arm, thing = np.zeros(front.shape, np.float32), np.zeros(front.shape, np.float32)
-    for i in range(n):
+    found = np.zeros(n, bool) if palms is None else palms.any((1, 2))
+    by_shape = found.mean() >= _LEAST_FOUND
+    may = np.ones(front.shape, bool)  # be of a hand or an arm
+    for i in np.flatnonzero(found) if by_shape else range(n):
         solid = front[i] > 0.5
-        skin = cv2.morphologyEx((solid & _skin(video.rgb[i])).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3))) > 0
+        own = solid & _skin(video.rgb[i])
+        if palms is not None and by_shape:
+            may[i] = _near(palms[i])
+            own &= may[i]
+        skin = cv2.morphologyEx(own.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3))) > 0
         rest = cv2.morphologyEx((solid & ~skin).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3)))
         _, labels = cv2.connectedComponents(rest)
         rim = np.isin(labels, _touches_rim(labels)) & (labels > 0)
         arm[i] = skin | rim
+        may[i] |= rim
         thing[i] = (rest > 0) & ~rim
     if thing.sum() < 0.1 * arm.sum() and not (seeds > 0).any():
         notes.append("the object has the colour of skin, or leaves the picture: hand and object hardly differ")
@@ -459,7 +492,7 @@ def _hand(video: _Video, front: Values, seeds: NDArray[np.int8], notes: list[str
         for i in range(n):
             a, t = h_arm[bins[i]], h_thing[bins[i]]
             solid = front[i] > 0.5
-            hand[i] = _fill((a + 1e-7) / (a + t + 2e-7), solid, video.rgb[i], 2)
+            hand[i] = _fill(may[i] * (a + 1e-7) / (a + t + 2e-7), solid, video.rgb[i], 2)
             parted = (solid & (hand[i] > 0.5)).astype(np.float32), (solid & (hand[i] <= 0.5)).astype(np.float32)
             arm[i], thing[i] = _obey(*parted, given[bins[i]], seeds[i])
     return hand
