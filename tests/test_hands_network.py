@@ -78,7 +78,7 @@ def test_a_hand_is_drawn_as_palm_and_fingers():
     assert 1_000 < drawn.sum() < 3_000
 
 
-def test_a_folder_without_the_networks_is_told(tmp_path):
+def test_a_folder_without_the_networks_is_refused(tmp_path):
     with pytest.raises(FreeArtError, match=f"has no {PALM}: pip install"):
         HandNetwork(tmp_path)
     (tmp_path / PALM).write_bytes(b"junk" * 100)
