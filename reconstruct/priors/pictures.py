@@ -1,0 +1,31 @@
+"""Crops as networks take them: enlarged to a multiple of their stride, 0 to 1, and pixels back."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+def enlarge(picture: NDArray[np.uint8], enlargement: float, stride: int) -> NDArray[np.uint8]:
+    """A picture (h, w, 3) `enlargement` times as large, each side rounded to a multiple of `stride` pixels."""
+    sides = [max(round(side * enlargement / stride), 1) * stride for side in picture.shape[:2]]
+    return np.asarray(cv2.resize(picture, (sides[1], sides[0]), interpolation=cv2.INTER_LINEAR), np.uint8)
+
+
+def to_tensor(picture: NDArray[np.uint8]) -> Tensor:
+    """(1, 3, h, w) from 0 to 1, of a picture (h, w, 3) in RGB."""
+    import torch
+
+    return torch.from_numpy(np.ascontiguousarray(picture)).permute(2, 0, 1)[None].float() / 255
+
+
+def to_crop(at: NDArray[Any], picture: NDArray[np.uint8], enlarged: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Columns and rows (m, 2) in `enlarged` as those in `picture`; whole numbers are pixel centres in both."""
+    ratio = np.array(picture.shape[1::-1]) / np.array(enlarged.shape[1::-1])
+    return np.asarray((np.asarray(at, float) + 0.5) * ratio - 0.5)

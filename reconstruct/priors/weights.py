@@ -1,0 +1,126 @@
+"""Weights of learned networks: found, checked, read without running anything that they hold."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import io
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from freeart21.errors import FreeArtError
+from freeart21.files import checked
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+INSTALL = "pip install 'freeart21[priors]'"
+FOLDER = "FREEART21_WEIGHTS"
+"""Environment variable: the folder of the weights that the user brings, under the names that they are published by."""
+MAX_BYTES = 8 << 30
+"""Largest file of weights. DINOv3's largest, of 6.7 billion parameters in half floats, is not among those supported."""
+
+
+@dataclass(frozen=True)
+class PackagedWeights:
+    """A file of weights inside an installed package.
+
+    One content is accepted, so that the same code gives the same result: the code is part of the cache's keys.
+    """
+
+    package: str
+    """Name by which it is imported."""
+    file: str
+    """Path in the package."""
+    sha256: str
+    """Of the file, hexadecimal."""
+
+    def read(self) -> dict[str, Any]:
+        """The tensors by name; FreeArtError when the package is missing or holds another file."""
+        require_packages("torch", "kornia", self.package)
+        spec = importlib.util.find_spec(self.package)
+        assert spec is not None and spec.submodule_search_locations
+        path = Path(next(iter(spec.submodule_search_locations))) / self.file
+        data = checked.read_bytes(path, MAX_BYTES, checked.ANYWHERE)
+        found = hashlib.sha256(data).hexdigest()
+        if found != self.sha256:
+            raise FreeArtError(
+                f"{path} has SHA-256 {found[:12]}, expected {self.sha256[:12]}: another release's weights"
+            )
+        return parse_weights(data, path)
+
+
+@dataclass(frozen=True)
+class BroughtWeights:
+    """A file of weights that its authors publish and that the user brings."""
+
+    file: str
+    """The published name."""
+    source: str
+    """Where it is to be had."""
+
+    def path(self) -> Path:
+        """The file in the folder that FREEART21_WEIGHTS names; FreeArtError says where it is to be had."""
+        folder = os.environ.get(FOLDER)
+        if not folder:
+            raise FreeArtError(f"{self.file} is needed: get it from {self.source}, and set {FOLDER} to its folder")
+        path = Path(folder) / self.file
+        if not checked.is_there(path):
+            raise FreeArtError(f"{path} is missing: get it from {self.source}")
+        return path
+
+    def read(self) -> dict[str, Any]:
+        """The tensors by name; FreeArtError when the file is missing or holds anything else."""
+        path = self.path()
+        return parse_weights(checked.read_bytes(path, MAX_BYTES, checked.ANYWHERE), path)
+
+
+def require_packages(*names: str) -> None:
+    """Raises FreeArtError, with the line that installs it, when a package cannot be found."""
+    for name in names:
+        if importlib.util.find_spec(name) is None:
+            raise FreeArtError(f"the package {name} is not installed: {INSTALL}")
+
+
+def parse_weights(data: bytes, where: Path) -> dict[str, Any]:
+    """What torch saved in `data`: tensors and plain values, nothing executable. FreeArtError for anything else."""
+    import torch
+
+    try:
+        found = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+    except Exception as error:  # of many classes, by what is wrong with the file
+        raise FreeArtError(f"{where} holds no weights: {str(error).splitlines()[0]}") from None
+    if not isinstance(found, dict):
+        raise FreeArtError(f"{where} holds {type(found).__name__}, expected weights by name")
+    return found
+
+
+def load_into(network: Any, weights: dict[str, Tensor], what: str, derived: tuple[str, ...] = ()) -> Any:
+    """`network` with `weights`, ready for inference; FreeArtError when a name or a shape differs.
+
+    `derived` are buffers that follow from the settings of the network, which not every file holds.
+    """
+    own = network.state_dict()
+    try:
+        network.load_state_dict({**{name: own[name] for name in derived}, **weights})
+    except RuntimeError as error:
+        raise FreeArtError(f"{what} does not fit its network: {str(error).splitlines()[1].strip()}") from None
+    return network.eval()
+
+
+@contextmanager
+def inference() -> Iterator[None]:
+    """Without gradients, and on one thread: the same bits on any number of cores."""
+    import torch
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with torch.inference_mode():
+            yield
+    finally:
+        torch.set_num_threads(threads)
