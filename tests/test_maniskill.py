@@ -398,7 +398,7 @@ def test_an_episode_becomes_a_sequence_with_truth_and_that_a_trajectory_again(tm
     )
     env.reset(seed=4)
     for _ in range(4):
-        env.step(np.array([env.unwrapped._target], np.float32))
+        env.step(env.unwrapped._target.numpy())
     last = env.unwrapped.body.q, env.unwrapped.body.root_pose
     env.close()
     (made,) = convert(tmp_path / "a", tmp_path / "data", "native", truth_of=complete_truth)
@@ -464,3 +464,78 @@ def test_it_warns_of_effects_that_do_not_show(chest, monkeypatch):
     monkeypatch.setattr(_body.logger, "warning", lines.append)
     make(OPEN, chest, robot_uids="none").close()
     assert any("axis_tilt" in line for line in lines)
+
+
+@needs_maniskill
+@pytest.mark.parametrize("robot, shape", [("none", (1,)), ("pusher", (3,))])
+def test_of_several_objects_each_reset_has_one(chest, robot, shape):
+    """Drawn from the seed; what is observed and done keeps its shape, actions are within -1 and 1."""
+    import gymnasium
+
+    (chest / "small.urdf").write_text(LID.replace('upper="1.5"', 'upper="0.5"'))
+    both = [str(chest / name) for name in ("chest.urdf", "small.urdf")]
+    settings = {"obs_mode": "state", "sim_backend": "cpu", "render_backend": "none"}
+    env = gymnasium.make(OPEN, asset=both, robot_uids=robot, target=0.4, **settings)
+    assert env.unwrapped.single_action_space == gymnasium.spaces.Box(-1, 1, shape, np.float32)
+    seen = {}
+    for seed in (1, 2, 3, 4, 5, 1):
+        obs, _ = env.reset(seed=seed)
+        info = env.unwrapped.evaluate()
+        assert {tuple(value.shape) for value in info.values()} == {(1,)} and not info["fail"].any()
+        assert env.observation_space.shape == obs.shape
+        index = int(info["asset_index"])
+        assert seen.setdefault(seed, index) == index
+        assert float(env.unwrapped._target) == pytest.approx(0.4 * (1.5, 0.5)[index], abs=1e-6)
+    assert {*seen.values()} == {0, 1}
+    assert_refused("empty list", gymnasium.make, OPEN, asset=[])
+    env.close()
+
+
+SLIDE = """<robot name="slide">
+  <link name="case"><inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>
+    </inertial><collision><geometry><box size="0.2 0.2 0.1"/></geometry></collision></link>
+  <link name="tray"><inertial><mass value="0.3"/><inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/>
+    </inertial><collision><geometry><box size="0.2 0.18 0.08"/></geometry></collision></link>
+  <joint name="slide" type="prismatic"><parent link="case"/><child link="tray"/><origin xyz="-0.02 0 0"/>
+    <axis xyz="-1 0 0"/><limit lower="0" upper="0.15" effort="1" velocity="1"/>
+    <dynamics damping="1" friction="1.5"/></joint>
+</robot>"""
+
+
+@needs_maniskill
+def test_a_ball_pushes_it_shut_and_the_recorded_actions_do_so_again(chest, tmp_path):
+    import gymnasium
+    import h5py
+
+    from export.maniskill import PushPolicy, Recorder
+
+    (chest / "chest.urdf").write_text(SLIDE)
+    env = make(OPEN, chest, robot_uids="pusher", start=0.9, target=0.1)
+    env = Recorder(env, tmp_path, trajectory_name="t", save_video=False)
+    env.reset(seed=3)
+    policy, done, start = PushPolicy(env), False, env.unwrapped.body.q
+    while not done:
+        _, _, ended, cut, info = env.step(policy())
+        done = bool(ended) or bool(cut)
+    last = env.unwrapped.body.q
+    env.close()
+    assert start == pytest.approx(0.135) and last == pytest.approx(0.015, abs=0.003) and info["success"].all()
+    data = json.loads((tmp_path / "t.json").read_text())
+    (episode,) = data["episodes"]
+    assert episode["success"] and not episode["fail"] and data["env_info"]["env_id"] == f"export.maniskill:{OPEN}"
+    again = gymnasium.make(data["env_info"]["env_id"], **data["env_info"]["env_kwargs"])
+    again.reset(seed=episode["episode_seed"], **{"options": episode["reset_kwargs"].get("options")})
+    with h5py.File(tmp_path / "t.h5") as file:
+        *_, (*_, after) = [again.step(action) for action in file["traj_0/actions"][:]]
+    assert after["success"].all() and again.unwrapped.body.q == pytest.approx(last, abs=1e-6)
+    again.close()
+
+
+@needs_maniskill
+def test_where_no_ball_can_push_the_policy_says_so(chest):
+    from export.maniskill import PushPolicy
+
+    env = make(OPEN, chest, robot_uids="pusher")  # a closed lid is flush with its chest
+    env.reset(seed=0)
+    assert_refused("no face to push", PushPolicy, env)
+    env.close()

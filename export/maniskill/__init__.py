@@ -50,11 +50,14 @@ def _make(function: str, uid: str, **settings: Any) -> Any:
     return getattr(importlib.import_module("mani_skill.utils.registration"), function)(uid, **settings)
 
 
+_NEEDING_MANISKILL = {"GymnasiumWrapper": "_gymnasium", "Recorder": "_gymnasium", "PushPolicy": "_push"}
+
+
 def __getattr__(name: str) -> Any:
-    """`GymnasiumWrapper`, which needs ManiSkill."""
-    if name != "GymnasiumWrapper":
+    """`GymnasiumWrapper`, `Recorder` and `PushPolicy`, which need ManiSkill."""
+    if name not in _NEEDING_MANISKILL:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return importlib.import_module("export.maniskill._gymnasium").GymnasiumWrapper
+    return getattr(importlib.import_module(f"export.maniskill.{_NEEDING_MANISKILL[name]}"), name)
 
 
 if importlib.util.find_spec("gymnasium") is not None:

@@ -31,13 +31,22 @@ class ObjectAgent(BaseAgent):
     """An articulated object with a driven joint: `pd_joint_pos`, `pd_joint_delta_pos`, `passive`.
 
     Where a hand holds the base, also `pd_joint_pos_base_delta_pose`. The motor acts through the asset's effects. Its
-    control is critically damped and compensates the moving part's weight, as for ManiSkill's robots.
+    control is critically damped and compensates the moving part's weight, as for ManiSkill's robots. Where the object
+    changes from reset to reset (`varied`), actions of `pd_joint_pos` are within -1 and 1, the ends of its span.
     """
 
     uid = OBJECT
 
-    def __init__(self, scene: Any, control_freq: int, control_mode: str | None, body: Body, hand: Any = None):
-        self.body, self._hand = body, hand
+    def __init__(
+        self,
+        scene: Any,
+        control_freq: int,
+        control_mode: str | None,
+        body: Body,
+        hand: Any = None,
+        varied: bool = False,
+    ):
+        self.body, self._hand, self._varied = body, hand, varied
         super().__init__(scene, control_freq, control_mode)
 
     def _load_articulation(self, initial_pose: Any = None) -> None:
@@ -48,7 +57,7 @@ class ObjectAgent(BaseAgent):
     def _controller_configs(self) -> dict[str, Any]:
         joint, body = [self.body.simulated.asset.joint], self.body
         step = _DELTA * (body.upper - body.lower)
-        absolute = MotorConfig(joint, body.lower, body.upper, 0.0, 0.0, normalize_action=False, body=body)
+        absolute = MotorConfig(joint, body.lower, body.upper, 0.0, 0.0, normalize_action=self._varied, body=body)
         delta = MotorConfig(joint, -step, step, 0.0, 0.0, use_delta=True, use_target=True, body=body)
         own_weight = {"balance_passive_force": False}  # ManiSkill would switch off gravity on the object
         modes: dict[str, Any] = {

@@ -3,6 +3,7 @@ FreeArt21-FreeMoving-v1: the same while the object is carried."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -23,6 +24,7 @@ from export.maniskill._agent import OBJECT, ObjectAgent
 from export.maniskill._body import Body
 from export.maniskill._gymnasium import render_modes
 from export.maniskill._hand import Hand
+from export.maniskill._pusher import PUSHER, Pusher
 from export.maniskill.assets import find_asset
 from export.maniskill.motion import CarriedMotion, draw_motion
 from freeart21 import se3
@@ -49,23 +51,25 @@ class ObjectEnvironment(BaseEnv):
     """Base of both environments: one object, one joint, a target, reward and success.
 
     Args:
-        asset: as for `assets.find_asset`.
+        asset: as for `assets.find_asset`, or several of them: each environment has one, the next one the next. A single
+            environment draws another at each reset.
         joint: the joint that moves; None takes the asset's.
         object_seed: sizes and colours of a procedural object.
         scale: lengths of the object over those of its files; PartNet-Mobility is not metric.
         target: fraction of the joint's span, from its lower end; None is `OPENED`.
         start: the same for the initial state; None is the position nearest to zero.
         tolerance: fraction of the joint's span.
-        robot_uids: a robot, or `freeart21_object` (also "none") for the motor in the joint.
+        robot_uids: a robot, `freeart21_pusher` (also "pusher") for a ball that pushes, or `freeart21_object` (also
+            "none") for the motor in the joint.
     """
 
-    SUPPORTED_ROBOTS: ClassVar[Any] = ["panda", OBJECT]
+    SUPPORTED_ROBOTS: ClassVar[Any] = ["panda", PUSHER, OBJECT]
     agent: Any
 
     def __init__(
         self,
         *args: Any,
-        asset: str | Path = "drawer_unit",
+        asset: str | Path | Sequence[str | Path] = "drawer_unit",
         joint: str | None = None,
         object_seed: int = 0,
         scale: float = 1.0,
@@ -78,10 +82,15 @@ class ObjectEnvironment(BaseEnv):
         for name, share in (("target", target), ("start", start), ("tolerance", tolerance)):
             if share is not None and not 0 <= share <= 1:
                 raise FreeArtError(f"{name} is {share:g}, expected a share of the joint's span, 0 to 1")
-        self._asset, self._scale = find_asset(asset, joint, object_seed), scale
+        several = [asset] if isinstance(asset, str | Path) else list(asset)
+        if not several:
+            raise FreeArtError("asset is an empty list, expected one object at least")
+        self._assets = [find_asset(one, joint, object_seed) for one in several]
+        if len(several) > 1 and kwargs.get("num_envs", 1) == 1:
+            kwargs.setdefault("reconfiguration_freq", 1)  # as ManiSkill's own environments of many objects
+        self._scale = scale
         self._target_share, self._start_share, self._tolerance = target, start, tolerance
-        self._target = 0.0
-        robot_uids = OBJECT if robot_uids in (None, "none") else robot_uids
+        robot_uids = {None: OBJECT, "none": OBJECT, "pusher": PUSHER}.get(robot_uids, robot_uids)
         super().__init__(*args, robot_uids=robot_uids, **kwargs)
         modes = render_modes(self.SUPPORTED_RENDER_MODES, self.scene.can_render())
         self.metadata = {"render_modes": modes, "render_fps": self.control_freq}
@@ -100,7 +109,11 @@ class ObjectEnvironment(BaseEnv):
     _held: bool = False
 
     def _load_agent(self, options: dict[str, Any], *args: Any, **kwargs: Any) -> None:
-        self.body = Body(self.scene, self._asset, self._scale, self.sim_timestep, self._fixed_base)
+        first = int(self._batched_episode_rng[0].randint(len(self._assets))) if len(self._assets) > 1 else 0
+        self._asset_index = first
+        self.body = Body(self.scene, self._assets[first], self._scale, self.sim_timestep, self._fixed_base)
+        self._target = self._tensor([0.0])[0]
+        """(n,) position, rad or m."""
         self.body.put(self._position(self._start_share, None))
         self._T_root_rest = self._standing()
         low, high = self.body.bounds()
@@ -109,7 +122,10 @@ class ObjectEnvironment(BaseEnv):
         """Of the object in its root's frame, initially."""
         self.hand = Hand(self.scene, self.body) if self._held else None
         if self.robot_uids == OBJECT:
-            self.agent = ObjectAgent(self.scene, self._control_freq, self._control_mode, self.body, self.hand)
+            varied = len(self._assets) > 1
+            self.agent = ObjectAgent(self.scene, self._control_freq, self._control_mode, self.body, self.hand, varied)
+        elif self.robot_uids == PUSHER:
+            self.agent = Pusher(self.scene, self._control_freq, self._control_mode)
         else:
             super()._load_agent(options, sapien.Pose(p=[-0.615, 0, 0]))
 
@@ -117,7 +133,7 @@ class ObjectEnvironment(BaseEnv):
         """(4, 4) of the root: upright on z = 0; centred at the origin, or its near side in front of the robot."""
         low, high = self.body.bounds()
         T = np.eye(4)
-        near = -0.5 * (high[0] - low[0]) if self.robot_uids == OBJECT else _BEFORE_ROBOT
+        near = -0.5 * (high[0] - low[0]) if self.robot_uids in (OBJECT, PUSHER) else _BEFORE_ROBOT
         T[:3, 3] = near - low[0], -0.5 * (low[1] + high[1]), -low[2]
         return T
 
@@ -151,8 +167,12 @@ class ObjectEnvironment(BaseEnv):
         return float(np.clip(0.0, low, high)) if otherwise is None else otherwise
 
     def _begin(self, start: float, target: float, T_world_root: Array) -> None:
-        self._target = target
+        self._target = self._tensor([target])[0]
         self.body.put(start, T_world_root)
+        if self.robot_uids == PUSHER:
+            aside = np.array([-1.0, 0.0, 0.75]) + self._batched_episode_rng[0].uniform(-0.1, 0.1, 3)
+            middle = se3.transform(T_world_root, self._centre_root)
+            self.agent.place(self._tensor(middle + self._size * aside / np.linalg.norm(aside)))
 
     def _before_simulation_step(self) -> None:
         if self.hand is not None:
@@ -169,41 +189,43 @@ class ObjectEnvironment(BaseEnv):
 
     def get_state_dict(self) -> dict[str, Any]:
         """ManiSkill's state and the target."""
-        return {**super().get_state_dict(), "target": self._tensor([self._target])}
+        return {**super().get_state_dict(), "target": self._target[:, None].clone()}
 
     def set_state_dict(self, state: dict[str, Any], env_idx: Any = None) -> None:
         """Restore a state. Effects with memory are reset."""
         super().set_state_dict(state, env_idx)
         self.body.fetch()
         if "target" in state:
-            self._target = float(np.asarray(state["target"]).reshape(-1)[0])
+            self._target = self._tensor(np.asarray(state["target"]).reshape(-1))[0]
 
     # observations and rewards
 
     def evaluate(self) -> dict[str, torch.Tensor]:
-        """`success`: at rest within the tolerance of the target; `fail`: see `_failed`; `joint_error`: distance from
-        the target in spans of the joint, 1 where it is no number."""
-        span = self.body.upper - self.body.lower
-        away = abs(self.body.q - self._target) / span
-        success = away <= self._tolerance and abs(self.body.qd) <= AT_REST * span
-        return {
-            "success": torch.tensor([success]),
-            "fail": torch.tensor([self._failed()]),
-            "joint_error": torch.tensor([away if np.isfinite(away) else 1.0], dtype=torch.float32),
-        }
-
-    def _failed(self) -> bool:
-        """Whether the state is no number, the joint is past a limit by more than the tolerance, or the object's middle
-        is below what it stood on."""
+        """Tensors of (n,). `success`: at rest within the tolerance of the target; `fail`: the state is no number, the
+        joint is past a limit by more than the tolerance, or the object's middle is below what it stood on;
+        `joint_error`: distance from the target in spans of the joint, 1 where it is no number; `asset_index`: which of
+        several assets it is."""
         body = self.body
-        if not np.isfinite([body.q, body.qd, *body.root_pose.ravel()]).all():
-            return True
-        slack = self._tolerance * (body.upper - body.lower)
-        within = body.simulated.lower - slack <= body.q <= body.simulated.upper + slack
-        return not within or (not self._held and se3.transform(body.root_pose, self._centre_root)[2] < 0)
+        state = self._tensor([body.q, body.qd, body.lower, body.upper, body.simulated.lower, body.simulated.upper])
+        q, qd, low, high, lowest, highest = state.T
+        span = high - low
+        away = (q - self._target).abs() / span
+        root = self._tensor(body.root_pose)
+        finite = torch.isfinite(q) & torch.isfinite(qd) & torch.isfinite(root).flatten(1).all(1)
+        past = (q < lowest - self._tolerance * span) | (q > highest + self._tolerance * span)
+        middle = (root @ self._tensor(np.append(self._centre_root, 1.0))[:, :, None])[:, 2, 0]
+        fell = (middle < 0) & (not self._held)
+        info = {
+            "success": finite & (away <= self._tolerance) & (qd.abs() <= AT_REST * span),
+            "fail": ~finite | past | fell,
+            "joint_error": torch.where(finite, away, torch.ones_like(away)),
+        }
+        if len(self._assets) > 1:
+            info["asset_index"] = torch.full_like(q, self._asset_index, dtype=torch.int32)
+        return info
 
     def _get_obs_extra(self, info: dict[str, Any]) -> dict[str, torch.Tensor]:
-        obs = {"target_qpos": self._tensor([self._target])}
+        obs = {"target_qpos": self._target[:, None].clone()}
         if hasattr(self.agent, "tcp"):
             obs["tcp_pose"] = self.agent.tcp.pose.raw_pose
         if self.obs_mode_struct.use_state:
@@ -256,7 +278,7 @@ class OpenEnvironment(ObjectEnvironment):
 
     def _load_scene(self, options: dict[str, Any]) -> None:
         self._table = None
-        if self.robot_uids == OBJECT:
+        if self.robot_uids in (OBJECT, PUSHER):
             build_ground(self.scene)
         else:
             self._table = TableSceneBuilder(self, robot_init_qpos_noise=0.02)

@@ -12,6 +12,7 @@ import torch
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import RecordConstructorArgs
 from mani_skill.utils.wrappers.gymnasium import CPUGymWrapper
+from mani_skill.utils.wrappers.record import RecordEpisode
 
 
 class StepLimit(gymnasium.Wrapper, RecordConstructorArgs):
@@ -52,6 +53,15 @@ class GymnasiumWrapper(CPUGymWrapper, RecordConstructorArgs):
         options = {"ignore_terminations": ignore_terminations, "record_metrics": record_metrics}
         RecordConstructorArgs.__init__(self, **options)
         CPUGymWrapper.__init__(self, env, **options)
+
+
+class Recorder(RecordEpisode):
+    """ManiSkill's `RecordEpisode`, whose files name the environment by module, so that `replay_trajectory` finds it."""
+
+    def __init__(self, env: Any, output_dir: Any, **options: Any):
+        super().__init__(env, str(output_dir), **options)
+        if self.save_trajectory:
+            self._json_data["env_info"]["env_id"] = f"export.maniskill:{env.unwrapped.spec.id}"
 
 
 def render_modes(modes: tuple[str, ...], can_render: bool) -> list[str]:

@@ -114,7 +114,9 @@ def read_episode(episode: Path) -> ThirdPartyRecording:
     )
     folder = object_folder_of(kwargs)
     lacks = ""
-    if kwargs.get("scale", 1.0) != 1.0:
+    if isinstance(kwargs.get("asset"), list):
+        lacks = "its environment had several objects"
+    elif kwargs.get("scale", 1.0) != 1.0:
         lacks = f"the object was simulated at {kwargs['scale']:g} times the size of its files"
     elif not (folder / "mobility.urdf").is_file():
         lacks = f"{folder} is no PartNet-Mobility folder, whose meshes a truth needs"
