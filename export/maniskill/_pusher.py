@@ -18,7 +18,7 @@ RADIUS = 0.01
 """m: a fingertip's."""
 STEP = 0.02
 """m by which a full action leads, along each world axis."""
-_MASS = 0.1  # kg of each slide and of the ball: 0.3 kg along the first axis, a hand's
+_MASS, _SLIDE = 0.3, 0.001  # kg of the ball, a hand's, and of a slide, so that it is the same along every axis
 _STIFFNESS, _DAMPING = 500.0, 25.0  # N/m, N*s/m: 10 N where it is held back by a full action; critical for 0.3 kg
 _REACH = 5.0  # m
 
@@ -56,12 +56,13 @@ class Pusher(BaseAgent):
 def _urdf() -> str:
     """Three slides along x, y and z, the last with the ball."""
     inertia = '<inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/>'  # slides do not turn
-    inertial = f'<inertial><mass value="{_MASS}"/>{inertia}</inertial>'
+    light, heavy = (f'<inertial><mass value="{mass}"/>{inertia}</inertial>' for mass in (_SLIDE, _MASS))
     limit = f'<limit lower="{-_REACH}" upper="{_REACH}" effort="1000" velocity="100"/>'
     ball = f'<geometry><sphere radius="{RADIUS}"/></geometry>'
-    robot, parent = f'<link name="root">{inertial}</link>', "root"
+    robot, parent = f'<link name="root">{light}</link>', "root"
     for name, axis in (("x", "1 0 0"), ("y", "0 1 0"), ("tip", "0 0 1")):
         shapes = f"<visual>{ball}</visual><collision>{ball}</collision>" if name == "tip" else ""
+        inertial = heavy if name == "tip" else light
         robot += f'<link name="{name}">{inertial}{shapes}</link><joint name="to_{name}" type="prismatic">'
         robot += f'<parent link="{parent}"/><child link="{name}"/><axis xyz="{axis}"/>{limit}</joint>'
         parent = name
