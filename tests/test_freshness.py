@@ -9,7 +9,7 @@ import pytest
 from benchmarks import freshness, results
 from benchmarks.freshness import DOCUMENTS, LINE, ROOT, is_current, read_stamps
 
-MEASURED = ("README", "adapters", "assets", "maniskill", "recorder", "results", "scale", "simgap", "teleop")
+MEASURED = ("README", "adapters", "assets", "maniskill", "priors", "recorder", "results", "scale", "simgap", "teleop")
 """Documents whose tables of figures are measurements; the others' tables are definitions."""
 in_git = pytest.mark.skipif(not (ROOT / ".git").exists(), reason="not a clone: no commits to compare with")
 

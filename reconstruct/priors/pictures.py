@@ -12,6 +12,10 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 
+IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+"""Of red, green and blue, from 0 to 1."""
+
+
 def enlarge(picture: NDArray[np.uint8], enlargement: float, stride: int) -> NDArray[np.uint8]:
     """A picture (h, w, 3) `enlargement` times as large, each side rounded to a multiple of `stride` pixels."""
     sides = [max(round(side * enlargement / stride), 1) * stride for side in picture.shape[:2]]
@@ -23,6 +27,14 @@ def to_tensor(picture: NDArray[np.uint8]) -> Tensor:
     import torch
 
     return torch.from_numpy(np.ascontiguousarray(picture)).permute(2, 0, 1)[None].float() / 255
+
+
+def normalise(picture: Tensor) -> Tensor:
+    """(1, 3, h, w) from 0 to 1, minus ImageNet's mean, over its standard deviation."""
+    import torch
+
+    mean, std = (torch.tensor(values).reshape(1, 3, 1, 1) for values in (IMAGENET_MEAN, IMAGENET_STD))
+    return (picture - mean) / std
 
 
 def to_crop(at: NDArray[Any], picture: NDArray[np.uint8], enlarged: NDArray[np.uint8]) -> NDArray[np.float64]:

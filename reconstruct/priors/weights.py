@@ -63,6 +63,11 @@ class BroughtWeights:
     source: str
     """Where it is to be had."""
 
+    def is_there(self) -> bool:
+        """Whether the folder that FREEART21_WEIGHTS names has the file."""
+        folder = os.environ.get(FOLDER)
+        return bool(folder) and checked.is_there(Path(str(folder)) / self.file)
+
     def path(self) -> Path:
         """The file in the folder that FREEART21_WEIGHTS names; FreeArtError says where it is to be had."""
         folder = os.environ.get(FOLDER)
@@ -76,6 +81,7 @@ class BroughtWeights:
     def read(self) -> dict[str, Any]:
         """The tensors by name; FreeArtError when the file is missing or holds anything else."""
         path = self.path()
+        require_packages("torch")
         return parse_weights(checked.read_bytes(path, MAX_BYTES, checked.ANYWHERE), path)
 
 
@@ -86,6 +92,11 @@ def require_packages(*names: str) -> None:
             raise FreeArtError(f"the package {name} is not installed: {INSTALL}")
 
 
+def first_line(error: Exception) -> str:
+    """What `error` says, on one line."""
+    return next(iter(str(error).splitlines()), "") or type(error).__name__
+
+
 def parse_weights(data: bytes, where: Path) -> dict[str, Any]:
     """What torch saved in `data`: tensors and plain values, nothing executable. FreeArtError for anything else."""
     import torch
@@ -93,7 +104,7 @@ def parse_weights(data: bytes, where: Path) -> dict[str, Any]:
     try:
         found = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     except Exception as error:  # of many classes, by what is wrong with the file
-        raise FreeArtError(f"{where} holds no weights: {str(error).splitlines()[0]}") from None
+        raise FreeArtError(f"{where} holds no weights: {first_line(error)}") from None
     if not isinstance(found, dict):
         raise FreeArtError(f"{where} holds {type(found).__name__}, expected weights by name")
     return found
@@ -108,7 +119,7 @@ def load_into(network: Any, weights: dict[str, Tensor], what: str, derived: tupl
     try:
         network.load_state_dict({**{name: own[name] for name in derived}, **weights})
     except RuntimeError as error:
-        raise FreeArtError(f"{what} does not fit its network: {str(error).splitlines()[1].strip()}") from None
+        raise FreeArtError(f"{what} does not fit its network: {' '.join(str(error).split())[:200]}") from None
     return network.eval()
 
 
