@@ -76,8 +76,8 @@ def carry_masks(pictures: Sequence[NDArray[np.uint8]], prompts: Sequence[Prompt]
             if prompt.mask is not None:
                 predictor.add_new_mask(state, frame_idx=prompt.frame, obj_id=OBJECT, mask=prompt.mask)
             if prompt.clicks:
-                at, labels = [click[:2] for click in prompt.clicks], [int(click[2]) for click in prompt.clicks]
-                points, labels = np.array(at, np.float32), np.array(labels, np.int32)
+                points = np.array([click[:2] for click in prompt.clicks], np.float32)
+                labels = np.array([click[2] for click in prompt.clicks], np.int32)
                 predictor.add_new_points_or_box(
                     state, frame_idx=prompt.frame, obj_id=OBJECT, points=points, labels=labels
                 )
