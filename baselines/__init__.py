@@ -8,4 +8,7 @@ why it has none:
 - `masked_icp`: coloured ICP (Open3D) of both parts, whose masks it is GIVEN: a privileged input.
 
 All share the closed-form joint of FreeArtGS (`joint`), and surfaces, masks and views by `surfaces` and `answer`.
+
+A constant without a source (sizes of voxels and windows, least counts and shares) was set by hand and is not measured:
+these are rows to compare with, not the best that the methods could do.
 """
