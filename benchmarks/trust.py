@@ -1,6 +1,7 @@
 """Does an answer say whether to trust it? Good and bad videos, solved, judged by their own signs and by the truth.
 
     .venv/bin/python -m benchmarks.trust [--partnet-root /data/partnet_mobility]
+    .venv/bin/python -m benchmarks.trust --answers out/reconstruct/public/results/ours --data out/freeart21-v1
 
 records what is missing of the videos, solves each that was not solved, asks the answer's own signs (`freeart21.trust`)
 and the truth (strict-1, from the files), prints the table and writes benchmarks/results/trust.json: how many wrong
@@ -8,6 +9,9 @@ answers are doubted, how many are not, and how many right ones are doubted all t
 of axis, pivot and states is within k of the standard deviations that the right answers give them (`WITHIN`). Videos of
 PartNet-Mobility objects are left out without --partnet-root. The surfaces of right answers that are sound are then
 spoilt, a part and a fault at a time (`FAULTS`), and judged again.
+
+With --answers, those of somebody's results folder are judged instead, from their files, and trust_answers.json is
+written.
 
 An answer is WRONG when it names the other joint type, when its axis is 5 degrees or its pivot 5 % of the diagonal off,
 when its states are off by a tenth of their range on average, when the Chamfer distance of a part is over 1 % of the
@@ -29,6 +33,7 @@ from rich.console import Console
 from benchmarks.common import RESULTS, ROOT, format_number, make_table, run_cli, write_report
 from freeart21.articulation import PARTS
 from freeart21.errors import FreeArtError
+from freeart21.files.benchmark import read_benchmark
 from freeart21.files.diagnostics import read_diagnostics
 from freeart21.files.result import read_result
 from freeart21.files.sequence import read_sequence
@@ -200,20 +205,35 @@ def main(
     videos: tuple[str, ...] = (),
     out: Path | None = None,
     refine: bool = True,
+    answers: Path | None = None,
+    data: Path = ROOT / "out" / "freeart21-v1",
 ) -> None:
     """Record, solve and judge.
 
     Args:
+        answers: Results folder of a method whose answers are judged instead.
+        data: Its data folder.
         work: Where videos and results are kept; what is there already is used.
         partnet_root: Folder that holds PartNet-Mobility objects.
         videos: These alone, by name.
         out: The JSON file. When not given: benchmarks/results/trust.json, and only when all videos are judged.
         refine: Solve with the Gaussians; a third of the time without.
     """
+    if answers is not None:
+        judged = judge_folder(answers, data)
+        _print(judged)
+        facts = {"protocol": "strict-1", "data": data.name, "videos": [one.video for one in judged]}
+        write_report(
+            out or RESULTS / "trust_answers.json",
+            facts,
+            summary=count_verdicts(judged),
+            rows=[asdict(one) for one in judged],
+        )
+        return
     chosen = [v for v in VIDEOS if (not videos or v.name in videos) and (partnet_root is not None or not v.partnet)]
     if not chosen:
         raise FreeArtError(f"no such videos: {', '.join(videos)}; there are {', '.join(v.name for v in VIDEOS)}")
-    judged, faults = list[Judged](), dict[str, str]()
+    judged, faults = [], dict[str, str]()
     for video in chosen:
         data, results = work / "data" / video.name, work / "results" / video.name
         sequence = _record(video, data, partnet_root)
@@ -287,24 +307,32 @@ def _stage(video: Video) -> Iterator[None]:
 # ---------------------------------------------------------------- verdicts
 
 
+def judge_folder(results: Path, data: Path) -> list[Judged]:
+    """The answers of a results folder to the sequences of a data folder; those that it lacks are left out."""
+    names = [name for name in read_benchmark(data).sequences if (results / name / "prediction.json").is_file()]
+    if not names:
+        raise FreeArtError(f"{results} has no answer to any sequence of {data}")
+    return [_judge_answer(results / name, data / "truth" / name, name) for name in names]
+
+
 def _judge_video(video: Video, data: Path, results: Path, sequence: str) -> Judged:
-    answer, truth = read_result(results / sequence), read_truth(data / "truth" / sequence)
+    found = _judge_answer(results / sequence, data / "truth" / sequence, video.name, video.held_out)
+    return replace(found, wrong=found.status == "ok" and (found.wrong or video.second_joint is not None))
+
+
+def _judge_answer(result: Path, truth_folder: Path, name: str, held_out: bool = False) -> Judged:
+    answer, truth = read_result(result), read_truth(truth_folder)
     turns = truth.articulation.joint.type == "revolute"
     span = float(np.ptp(truth.states)) * (180 / np.pi if turns else 100 / truth.diagonal)
     seconds = sum(answer.seconds.values())
     if isinstance(answer, Failure):
-        return Judged(
-            video.name, "failed", False, True, (answer.reason,), {}, span, None, None, None, seconds, video.held_out
-        )
-    trust = judge(
-        answer, read_diagnostics(results / sequence, len(answer))
-    )  # as the solver asks them, by today's signs
+        return Judged(name, "failed", False, True, (answer.reason,), {}, span, None, None, None, seconds, held_out)
+    trust = judge(answer, read_diagnostics(result, len(answer)))  # as the solver asks them, by today's signs
     values = measure(Case(truth, answer, []), Strict1(samples=2000)).values
     values = {name: values.get(name) for name in VALUES}
-    wrong = video.second_joint is not None or is_wrong(values, span)
     ratios = (*_over_std(answer, values, truth.diagonal), states_within(answer, truth))
     doubtful = trust.verdict == "doubtful"
-    return Judged(video.name, "ok", wrong, doubtful, trust.reasons, values, span, *ratios, seconds, video.held_out)
+    return Judged(name, "ok", is_wrong(values, span), doubtful, trust.reasons, values, span, *ratios, seconds, held_out)
 
 
 def _judge_spoilt(video: Video, sequence: Path, result: Path) -> dict[str, str]:

@@ -15,7 +15,9 @@ from freeart21 import se3
 from freeart21.articulation import PARTS, Articulation
 from freeart21.camera import Camera
 from freeart21.cli import DOUBTFUL, _print_result
+from freeart21.errors import FreeArtError
 from freeart21.files.diagnostics import diagnostics_from_json, diagnostics_to_json
+from freeart21.files.result import write_result
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Alternative, Reconstruction, Trust
@@ -592,3 +594,20 @@ def test_a_wrong_joint_moves_the_surface_off_the_video(box_video):
     assert "off its surface" in surface_reasons(scene, wrong)["moving"]
     still = replace(answer, states=np.zeros(len(answer)))
     assert "off its surface" in surface_reasons(scene, still)["moving"]
+
+
+def test_the_answers_of_a_folder_are_judged_from_their_files(data, tmp_path):
+    from adapters_case import truth_of
+    from synthetic_case import truth_as_answer
+
+    with pytest.raises(FreeArtError, match="no answer to any sequence"):
+        bench.judge_folder(tmp_path, data)
+    exact = truth_as_answer(truth_of("a"))
+    n = len(exact.states)
+    off = np.where(np.arange(n) % 2, 0.03, -0.03)
+    answer = replace(exact, states=exact.states + off, state_std=np.full(n, 0.02), seen=np.ones((n, 2), bool))
+    write_result(tmp_path / "a", answer)
+    (judged,) = bench.judge_folder(tmp_path, data)
+    assert judged.video == "a" and judged.status == "ok"
+    assert judged.states_within is not None
+    assert judged.states_within[1] == 0 and judged.states_within[3] == 1  # 1.5 standard deviations off, all of them
