@@ -166,10 +166,12 @@ def recognised(path: Path) -> str:
 
 
 def _title_of(path: Path) -> str:
-    """A folder's name, or a file's stem; of asset/ and gaussians.ply the name of the folder around them."""
+    """A folder's name, or a file's stem; of asset/, gaussians.ply and `film`'s result/ that of the folder around."""
     if path.is_file() and path.name != GAUSSIANS:
         return path.stem
-    return path.parent.name if path.name in ("asset", GAUSSIANS) else path.name
+    while path.name in ("asset", "result", GAUSSIANS):
+        path = path.parent
+    return path.name
 
 
 def _gaussians_page(name: str, path: Path) -> str:
