@@ -1086,6 +1086,7 @@ def known_commands() -> dict[str, Callable[..., Any]]:
         board.suite,
         board.pack,
         board.release,
+        board.lpips,
         board.tags,
         board.truth_by_markers,
         board.board,

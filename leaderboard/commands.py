@@ -455,6 +455,40 @@ def tags(out: Path, side_mm: float = 30.0) -> None:
     print(f"{out}: {print_tags(out, side_mm / 1000)} pages")
 
 
+def lpips(results: Annotated[Path, Positional], data: Path, alexnet: Path, out: Path | None = None) -> None:
+    """Measure LPIPS of a results folder's held-out views, beside the protocols' own figures.
+
+    AlexNet of version 0.1; the package lpips has the weights of the linear layers (pip install --no-deps lpips==0.1.4).
+
+    Args:
+        results: Results folder of a method.
+        data: Data folder.
+        alexnet: torchvision's alexnet-owt-7be5be79.pth, from download.pytorch.org/models.
+        out: Also write the numbers to this JSON file.
+    """
+    import numpy as np
+
+    from freeart21.errors import FreeArtError
+    from freeart21.files import atomic
+    from freeart21.files.benchmark import read_benchmark
+    from leaderboard.lpips import Lpips, measure_views
+    from leaderboard.score import check_results_folder
+
+    if out is not None and out.exists():
+        raise FreeArtError(f"{out} exists and is not replaced; name another file by --out")
+    benchmark = read_benchmark(data)
+    check_results_folder(results, benchmark.sequences)
+    with progress_bar("views") as report:
+        found = measure_views(results, benchmark, Lpips(alexnet), lambda done, total: report("views", done, total))
+    values = [value for value in found.values() if value is not None]
+    for name, value in found.items():
+        print(f"{name:40} {'-' if value is None else f'{value:.4f}'}")
+    mean = float(np.mean(values)) if values else None
+    print(f"{'mean':40} {'-' if mean is None else f'{mean:.4f}'}")
+    if out is not None:
+        atomic.write_json(out, {"schema": "freeart21/lpips/1", "mean": mean, "sequences": found})
+
+
 def truth_by_markers(
     sequence: Annotated[Path, Positional],
     side_mm: float,
