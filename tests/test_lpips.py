@@ -66,10 +66,10 @@ def test_the_command_prices_a_missing_view_as_an_empty_one(files, data, tmp_path
     for name in "ab":
         write_result(tmp_path / "r" / name, truth_as_answer(truth_of(name)))
     out = tmp_path / "l.json"
-    code, shown, said = run_command(
+    code, shown, errors = run_command(
         capsys, "lpips", tmp_path / "r", "--data", data, "--alexnet", files[0], "--out", out
     )
-    assert code == 0, said
+    assert code == 0, errors
     found = json.loads(out.read_text())["sequences"]
     assert set(found) == {"a", "b", "c"} and all(value > 0 for value in found.values())
     assert f"{found['a']:.4f}" in shown
