@@ -23,7 +23,7 @@ class PushTask:
     """Share to come to rest at."""
     friction: float | None = None
     """Coulomb friction, N*m or N, in place of the asset's effects."""
-    episode_steps: int = 60
+    episode_steps: int = 100
     """Control steps of an episode, at 20 Hz."""
     sim_hz: int = 100
     """Physics steps a second: a fifth of the environment's own, for speed."""
@@ -33,7 +33,7 @@ class PushTask:
 class PpoSettings:
     """PPO (Schulman et al. 2017), as stable-baselines3 has it."""
 
-    steps: int = 4000
+    steps: int = 8000
     """Control steps to train for."""
     seed: int = 0
     rollout: int = 400
