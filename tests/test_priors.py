@@ -108,7 +108,7 @@ def test_descriptors_belong_to_points_of_the_surface():
 
 
 def test_the_same_bits_on_any_number_of_threads():
-    import torch
+    torch = pytest.importorskip("torch")
 
     scene = plane(3)
     features = make_or_skip(XfeatFeatures, scene, FeatureSettings())
@@ -169,12 +169,12 @@ def test_weights_that_would_run_something_are_refused(tmp_path):
     assert_refused("x.pth holds no weights", parse_weights, b"not torch's", tmp_path / "x.pth")
 
 
-@pytest.mark.parametrize(("flag", "known"), [("tracker", "trackers: dis"), ("features", "features: hand_made")])
+@pytest.mark.parametrize(("flag", "known"), [("tracker", "dis"), ("features", "hand_made")])
 def test_the_command_line_chooses(flag, known, tmp_path, capsys):
     write_sequence(tmp_path / "s", sliding_plane(10, 3), 0.001)
     words = "reconstruct", tmp_path / "s", "--out", tmp_path / "r", "--segmentation", "paper", f"--{flag}", "telepathy"
     code, _, errors = run_command(capsys, *words)
-    assert code == 1 and f"unknown {known.split(':')[0]}"[:-1] in errors and "'telepathy'" in errors and known in errors
+    assert code == 1 and f"unknown {flag} 'telepathy'; " in errors and known in errors
 
 
 def test_an_unknown_matcher_is_one_line():
