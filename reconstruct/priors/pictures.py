@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from torch import Tensor
-
 
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 """Of red, green and blue, from 0 to 1."""
@@ -22,14 +18,14 @@ def enlarge(picture: NDArray[np.uint8], enlargement: float, stride: int) -> NDAr
     return np.asarray(cv2.resize(picture, (sides[1], sides[0]), interpolation=cv2.INTER_LINEAR), np.uint8)
 
 
-def to_tensor(picture: NDArray[np.uint8]) -> Tensor:
+def to_tensor(picture: NDArray[np.uint8]) -> Any:
     """(1, 3, h, w) from 0 to 1, of a picture (h, w, 3) in RGB."""
     import torch
 
     return torch.from_numpy(np.ascontiguousarray(picture)).permute(2, 0, 1)[None].float() / 255
 
 
-def normalise(picture: Tensor) -> Tensor:
+def normalise(picture: Any) -> Any:
     """(1, 3, h, w) from 0 to 1, minus ImageNet's mean, over its standard deviation."""
     import torch
 

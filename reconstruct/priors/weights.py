@@ -10,13 +10,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 INSTALL = "pip install 'freeart21[priors]'"
 FOLDER = "FREEART21_WEIGHTS"
@@ -110,7 +107,7 @@ def parse_weights(data: bytes, where: Path) -> dict[str, Any]:
     return found
 
 
-def load_into(network: Any, weights: dict[str, Tensor], what: str, derived: tuple[str, ...] = ()) -> Any:
+def load_into(network: Any, weights: dict[str, Any], what: str, derived: tuple[str, ...] = ()) -> Any:
     """`network` with `weights`, ready for inference; FreeArtError when a name or a shape differs.
 
     `derived` are buffers that follow from the settings of the network, which not every file holds.
