@@ -7,7 +7,6 @@ Those of the network below, torchvision's, are a download that the user names: n
 from __future__ import annotations
 
 import importlib.util
-import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from freeart21.files import checked
 from freeart21.files.benchmark import Benchmark
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
+from freeart21.files.weights import parse_weights
 from leaderboard.protocols.strict3 import STANDARD
 from leaderboard.submission import read_render
 
@@ -109,16 +109,7 @@ def _read_weights(path: Path) -> dict[str, Any]:
     """What torch saved in a file, nothing executable. Raises FreeArtError."""
     if importlib.util.find_spec("torch") is None:
         raise FreeArtError("LPIPS needs torch: pip install 'freeart21[torch]'")
-    import torch
-
-    data = checked.read_bytes(path, _MAX_BYTES, checked.ANYWHERE)
-    try:
-        found = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
-    except Exception as error:  # of many classes, by what is wrong with the file
-        raise FreeArtError(f"{path} holds no weights: {type(error).__name__}; expected the file {SOURCE}") from None
-    if not isinstance(found, dict):
-        raise FreeArtError(f"{path} holds {type(found).__name__}, expected weights by name")
-    return found
+    return parse_weights(checked.read_bytes(path, _MAX_BYTES, checked.ANYWHERE), path)
 
 
 def _require(weights: dict[str, Any], name: str, shape: tuple[int, ...], path: Path) -> Any:

@@ -12,7 +12,8 @@ from types import ModuleType
 from typing import Any
 
 from freeart21.errors import FreeArtError
-from reconstruct.priors.weights import FOLDER, first_line, require_packages
+from freeart21.files.weights import first_line
+from reconstruct.priors.weights import FOLDER, require_packages
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
-import io
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,6 +13,7 @@ from typing import Any
 
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
+from freeart21.files.weights import parse_weights
 
 INSTALL = "pip install 'freeart21[priors]'"
 FOLDER = "FREEART21_WEIGHTS"
@@ -87,24 +87,6 @@ def require_packages(*names: str) -> None:
     for name in names:
         if importlib.util.find_spec(name) is None:
             raise FreeArtError(f"the package {name} is not installed: {INSTALL}")
-
-
-def first_line(error: Exception) -> str:
-    """What `error` says, on one line."""
-    return next(iter(str(error).splitlines()), "") or type(error).__name__
-
-
-def parse_weights(data: bytes, where: Path) -> dict[str, Any]:
-    """What torch saved in `data`: tensors and plain values, nothing executable. FreeArtError for anything else."""
-    import torch
-
-    try:
-        found = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
-    except Exception as error:  # of many classes, by what is wrong with the file
-        raise FreeArtError(f"{where} holds no weights: {first_line(error)}") from None
-    if not isinstance(found, dict):
-        raise FreeArtError(f"{where} holds {type(found).__name__}, expected weights by name")
-    return found
 
 
 def load_into(network: Any, weights: dict[str, Any], what: str, derived: tuple[str, ...] = ()) -> Any:
