@@ -106,7 +106,7 @@ def _film(clip: dict[str, Any], folder: Path, limit: float, gaussians: bool) -> 
     if not isinstance(answer, Reconstruction):
         return row | {"last": f"{answer.stage}: {answer.reason}"}
     joint, span = answer.articulation.joint, float(np.ptp(answer.states[np.isfinite(answer.states)]))
-    axis = answer.T_camera_reference[0][:3, :3] @ joint.axis
+    axis = answer.Ts_camera_reference[0][:3, :3] @ joint.axis
     return row | {
         "type": joint.type,
         "travel": round(float(np.degrees(span)), 2) if joint.type == "revolute" else round(span, 4),
