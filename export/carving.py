@@ -19,8 +19,10 @@ STEP_TOLERANCES = 3.0
 square of the step over 8 r, .1 mm for steps of 1.5 mm and a radius of 3 mm."""
 STEP_WALLS = 0.75
 """Most of its walls' thickness that a part moves from copy to copy: a longer step leaves films between the copies."""
-COARSE_COPIES, MAX_COPIES = 8, 256
-"""Copies that are subtracted to find which part loses less, and at most."""
+COARSE_COPIES, ROUGH_COPIES, MAX_COPIES = 8, 64, 256
+"""Copies that are subtracted to find which part loses less, and at most: of a rough part, and of any other."""
+ROUGH_TRIANGLES = 5_000
+"""Triangles from which on a part is rough: the rest then grows with each copy, 128 of a stapler's took over 200 s."""
 SIMPLIFY_SHARE = 0.1
 """Tolerance of simplifying solids over the overlap tolerance. It also removes sheets of no thickness: with one in its
 doorway a cabinet seemed 23 mm in its drawer."""
@@ -76,7 +78,8 @@ def carve_overlap(parts: Articulation, low: float, high: float, tolerance: float
         tool, smooth = solids[others[name]], SIMPLIFY_SHARE * tolerance
         walls = 2 * tool.volume() / tool.surface_area()  # exact for a sheet, two thirds of the radius of a ball
         steps = travel / min(STEP_TOLERANCES * tolerance, STEP_WALLS * walls) if dense else 0.0
-        states = np.linspace(low, high, int(np.clip(np.ceil(steps) + 1, COARSE_COPIES, MAX_COPIES)))
+        most = ROUGH_COPIES if tool.num_tri() > ROUGH_TRIANGLES else MAX_COPIES
+        states = np.linspace(low, high, int(np.clip(np.ceil(steps) + 1, COARSE_COPIES, most)))
         return _subtract_copies(solids[name], tool, joints[name], states, smooth)
 
     lost = {name: solids[name].volume() - subtract(name, False).volume() for name in PARTS}
