@@ -23,7 +23,7 @@ from freeart21.errors import FreeArtError
 from generator.simulate import load
 
 HOLDING = 1.5
-"""Friction over the largest force of gravity on the joint."""
+"""Friction over the largest force of gravity on the joint, set by hand: it holds wherever it is left."""
 LEAST = 0.1
 """Least friction over the part's weight, times its lever on a hinge: what nothing pulls at is not free of it either."""
 

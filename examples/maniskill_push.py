@@ -10,7 +10,7 @@ import gymnasium as gym
 
 from export.maniskill import ENVIRONMENTS, PushPolicy, Recorder
 
-EPISODES = 2
+EPISODES = 2  # of each object
 
 
 def main(out: Path, objects: list[str]) -> float:

@@ -18,11 +18,13 @@ STEP_TOLERANCES = 3.0
 """Tolerances that a part moves from copy to copy: a ridge between two copies of an edge of radius r is as high as the
 square of the step over 8 r, .1 mm for steps of 1.5 mm and a radius of 3 mm."""
 STEP_WALLS = 0.75
-"""Most of its walls' thickness that a part moves from copy to copy: a longer step leaves films between the copies."""
+"""Most of its walls' thickness that a part moves from copy to copy: a longer step leaves films between the copies.
+Below 1 so that copies overlap; how far below is set by hand."""
 COARSE_COPIES, ROUGH_COPIES, MAX_COPIES = 8, 64, 256
 """Copies that are subtracted to find which part loses less, and at most: of a rough part, and of any other."""
 ROUGH_TRIANGLES = 5_000
-"""Triangles from which on a part is rough: the rest then grows with each copy, 128 of a stapler's took over 200 s."""
+"""Triangles from which on a part is rough: the rest then grows with each copy, 128 of a stapler's took over 200 s.
+Set by hand, between a box of boards and a reconstructed part (10,000 and more)."""
 SIMPLIFY_SHARE = 0.1
 """Tolerance of simplifying solids over the overlap tolerance. It also removes sheets of no thickness: with one in its
 doorway a cabinet seemed 23 mm in its drawer."""
