@@ -1,6 +1,6 @@
 """All tables of the solver: measured by one version with one command, and written into the documents from the files.
 
-    make results                            # solves what is missing, then writes the tables; a day of two cores
+    make results                            # solves what is missing, then writes the tables; half a day of two cores
     python -m benchmarks.results --write    # writes the tables from benchmarks/results/*.json
     python -m benchmarks.results --dry-run  # lists what would be solved
 
@@ -24,14 +24,16 @@ from benchmarks import solve
 from benchmarks.baselines import METHODS as METHOD_NAMES
 from benchmarks.common import RESULTS, ROOT, run_cli, write_report
 from benchmarks.freshness import is_current, read_commit
+from benchmarks.scale import cost_table
 from freeart21 import catalog
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
+from leaderboard.suite.rates import MEASURED, read_rates, write_rates
 from leaderboard.suite.rows import ROWS
 from leaderboard.suite.workflow import prepare, run_suite
 from reconstruct.settings import ReconstructSettings
 
-DOCUMENTS = (ROOT / "README.md", ROOT / "docs" / "results.md")
+DOCUMENTS = (ROOT / "README.md", ROOT / "docs" / "results.md", ROOT / "docs" / "scale.md")
 TABLE = re.compile(r"(<!-- table (?P<name>[\w-]+) -->\n).*?(<!-- end -->)", re.S)
 PIECES = ("no-gaussians", "no-end-to-end", "no-blended-rendering")
 
@@ -53,32 +55,42 @@ def _with(changes: dict[str, Any]) -> ReconstructSettings:
     return replace(base, **{group: replace(getattr(base, group), **values) for group, values in changes.items()})
 
 
-def _paper(title: str, file: str, **paper: bool) -> Run:
-    settings = replace(_with({"paper": paper}), segmentation="paper")
-    return Run(title, file, {"frames": 100, "settings": settings})
+GEOMETRY = {"gaussians": {"refine": False}}
 
 
+def _short(title: str, name: str, settings: ReconstructSettings | None = None, **options: Any) -> Run:
+    """A row of the first object of each category in 100 frames, geometry alone: what Gaussians add, others show."""
+    options = {"frames": 100, "settings": settings or _with(GEOMETRY), **options}
+    return Run(title, f"reconstruct-{name}.json", options)
+
+
+def _paper(**paper: bool) -> ReconstructSettings:
+    return replace(_with({"paper": paper, **GEOMETRY}), segmentation="paper")
+
+
+CLEAN = Run("clean, all 21", "reconstruct.json", {"tier": "full", "beside": ("no-gaussians",)})
+PAPER = _short("the paper's segmentation", "paper", _paper())
 RUNS = (
-    Run("clean, all 21", "reconstruct.json", {"tier": "full", "beside": ("no-gaussians",)}),
-    Run("2 % of noise on the depth", "reconstruct-public-noise2.json", {"sensor": "noise2", "beside": PIECES}),
-    Run("time of flight", "reconstruct-public-tof.json", {"sensor": "tof"}),
-    Run("a phone's LiDAR", "reconstruct-public-phone.json", {"sensor": "phone"}),
-    Run("motion blur", "reconstruct-public-blur.json", {"sensor": "blur"}),
-    Run("a hand holds it", "reconstruct-public-hand.json", {"sensor": "hand"}),
-    Run("the base stands, the camera moves", "reconstruct-public-static_base.json", {"motion": "static_base"}),
-    _paper("the paper's segmentation", "reconstruct-public-100frames-segmentation=paper.json"),
-    _paper(
-        "w/o Smooth Loss",
-        "reconstruct-public-100frames-segmentation=paper-use_smoothness=False.json",
-        use_smoothness=False,
-    ),
-    _paper("w/o Init Loss", "reconstruct-public-100frames-segmentation=paper-use_init=False.json", use_init=False),
+    CLEAN,
+    _short("clean", "clean"),
+    _short("2 % of noise on the depth", "noise2", sensor="noise2"),
+    _short("time of flight", "tof", sensor="tof"),
+    _short("a phone's LiDAR", "phone", sensor="phone"),
+    _short("motion blur", "blur", sensor="blur"),
+    _short("a hand holds it", "hand", sensor="hand"),
+    _short("the base stands, the camera moves", "static_base", motion="static_base"),
+    PAPER,
+    _short("w/o Smooth Loss", "paper-no-smooth", _paper(use_smoothness=False)),
+    _short("w/o Init Loss", "paper-no-init", _paper(use_init=False)),
+    _short("2 % of noise, with Gaussians", "noise2-gaussians", ReconstructSettings(), sensor="noise2", beside=PIECES),
     *(
-        Run(row.what, f"reconstruct-{row.name}.json", {"settings": _with(row.settings)})
+        _short(row.what, row.name, _with({**row.settings, **GEOMETRY}))
         for row in ROWS
         if row.group == "pieces" and row.name.removeprefix("ours-") not in PIECES
     ),
 )
+RATED = {"reconstruct": CLEAN, "reconstruct-paper": PAPER}
+"""Kind of a suite's job to the run that says what its frames take."""
 REFERENCES = "references.json"
 """Answers that nobody solved, on all 21: the truth, the truth as an asset, nothing moves, random numbers."""
 BASELINES = "baselines.json"
@@ -123,7 +135,7 @@ def _stamps(files: Sequence[str], folder: str) -> str:
 
 def write_objects(folder: str) -> str:
     """The 21 objects, worst mIoU first."""
-    report = checked.read_json(RESULTS / RUNS[0].file)
+    report = checked.read_json(RESULTS / CLEAN.file)
     rows = [
         [
             row["object"],
@@ -136,7 +148,7 @@ def write_objects(folder: str) -> str:
         for row in sorted(report["rows"], key=lambda row: row["miou"])
     ]
     head = ["object", *(column for column, _ in METRICS.values()), "pose, deg", "pose, moving, deg", "s", "GB"]
-    return _table(head, rows) + _stamps([RUNS[0].file], folder)
+    return _table(head, rows) + _stamps([CLEAN.file], folder)
 
 
 def write_types(folder: str) -> str:
@@ -148,7 +160,8 @@ def write_types(folder: str) -> str:
             continue
         report = checked.read_json(RESULTS / run.file)
         files.append(run.file)
-        about = f"{report['settings'].get('solver', '?')}, {report['settings']['protocol']}"
+        told = report["settings"]
+        about = f"{told['frames']}, {told.get('solver', '?')}, {told['protocol']}"
         beside = {f"{run.title}, {name}": its for name, its in report.get("beside", {}).items()}
         for title, its in {run.title: report, **beside}.items():
             for kind in ("revolute", "prismatic"):
@@ -161,10 +174,10 @@ def write_types(folder: str) -> str:
             for kind in ("revolute", "prismatic"):
                 cells = [_mean(groups[kind]["statistics"].get(m), digits) for m, (_, digits) in METRICS.items()]
                 failures = f"{groups[kind]['failures']} of {groups[kind]['sequences']}"
-                rows.append([title, kind, failures, *cells, "-, strict-2"])
+                rows.append([title, kind, failures, *cells, "300, -, strict-2"])
     else:
         missing.append("the truth, nothing moves, random numbers")
-    head = ["video", "joint", "failures", *(column for column, _ in METRICS.values()), "solver, protocol"]
+    head = ["video", "joint", "failures", *(column for column, _ in METRICS.values()), "frames, solver, protocol"]
     gaps = f"\nNot measured yet: {'; '.join(missing)}.\n" if missing else ""
     return _table(head, rows) + gaps + _stamps(files, folder)
 
@@ -184,7 +197,7 @@ def _is_kind(row: dict[str, Any], kind: str) -> bool:
 
 def write_categories(folder: str) -> str:
     """The 21 objects by category."""
-    report = checked.read_json(RESULTS / RUNS[0].file)
+    report = checked.read_json(RESULTS / CLEAN.file)
     found: dict[str, list[dict[str, Any]]] = {}
     for row in report["rows"]:
         found.setdefault(catalog.find(row["object"]).category, []).append(row)
@@ -199,7 +212,7 @@ def write_categories(folder: str) -> str:
         ]
         rows.append([name, str(len(its)), *cells])
     head = ["category", "objects", *(column for column, _ in METRICS.values())]
-    return _table(head, rows) + _stamps([RUNS[0].file], folder)
+    return _table(head, rows) + _stamps([CLEAN.file], folder)
 
 
 def write_gaussians(folder: str) -> str:
@@ -219,7 +232,7 @@ def write_gaussians(folder: str) -> str:
 
 def write_reach(folder: str) -> str:
     """What is reached, beside the goals (`benchmarks.solve.GOALS`) and the paper; missed goals bold."""
-    report = checked.read_json(RESULTS / RUNS[0].file)
+    report = checked.read_json(RESULTS / CLEAN.file)
     rows = []
     for goal in solve.GOALS:
         value = report["by_type"][goal.group].get(goal.metric)
@@ -229,9 +242,9 @@ def write_reach(folder: str) -> str:
             met = reached >= goal.reach if goal.metric in solve.MORE_IS_BETTER else reached <= goal.reach
             title = f"{column}, {goal.group}" + (", worst" if goal.statistic == "worst" else "")
             rows.append([title, _bold(_cell(reached, digits), met), f"{goal.reach:g}", goal.paper])
-    files = [RUNS[0].file]
+    files = [CLEAN.file]
     for run in RUNS[1:]:
-        if "sensor" in run.options and (RESULTS / run.file).is_file():
+        if "sensor" in run.options and "beside" not in run.options and (RESULTS / run.file).is_file():
             report = checked.read_json(RESULTS / run.file)
             lost, mean = sum(map(_has_failed, report["rows"])), report["by_type"]["all"]
             reached = f"{mean['axis']['mean']:.2f}, {mean['miou']['mean']:.3f}, {lost} of {len(report['rows'])}"
@@ -263,14 +276,14 @@ def write_baselines(folder: str) -> str:
             group = its["scores"]["strict-2"]["by_type"][kind]
             cells = [_mean(group["statistics"].get(m), digits) for m, (_, digits) in METRICS.items()]
             rows.append([title, kind, f"{group['failures']} of {group['sequences']}", *cells])
-    ours = checked.read_json(RESULTS / RUNS[0].file)
+    ours = checked.read_json(RESULTS / CLEAN.file)
     for kind in ("revolute", "prismatic"):
         found = ours["by_type"].get(kind, {})
         cells = [_mean(found.get(m), digits) for m, (_, digits) in METRICS.items()]
         failures = sum(_has_failed(row) for row in ours["rows"] if _is_kind(row, kind))
         rows.append(["ours", kind, f"{failures} of {found.get('n', 0)}", *cells])
     head = ["method", "joint", "failures", *(column for column, _ in METRICS.values())]
-    stamps = [_stamp(BASELINES, folder, "baselines"), _stamp(RUNS[0].file, folder)]
+    stamps = [_stamp(BASELINES, folder, "baselines"), _stamp(CLEAN.file, folder)]
     missing = [name for name in METHOD_NAMES if name not in report["methods"]]
     gaps = f"\nNot measured yet: {', '.join(missing)}.\n" if missing else ""
     return _table(head, rows) + gaps + "\n" + "\\\n".join(stamps) + "\n"
@@ -299,6 +312,21 @@ def write_baseline_points(folder: str) -> str:
     return _table(head, rows) + listed + "\n" + _stamp(BASELINES, folder, "baselines") + "\n"
 
 
+def write_costs(folder: str) -> str:
+    """What 100,000 sequences of 300 frames cost, by the rates, at the example prices of docs/scale.md."""
+    return "\n".join(cost_table(read_rates(), 100_000, 300, 0.04, 0.02)) + "\n"
+
+
+def rate_solver() -> None:
+    """Put the solver's seconds a frame, as the tables have them, among the rates (`leaderboard.suite.rates`)."""
+    rates = read_rates()
+    for kind, run in RATED.items():
+        report = checked.read_json(RESULTS / run.file)
+        seconds = float(np.mean([row["seconds_total"] for row in report["rows"] if row["seconds_total"]]))
+        rates[kind] = replace(rates[kind], seconds_per_frame=round(seconds / report["settings"]["frames"], 3))
+    write_rates(MEASURED, rates)
+
+
 def _bold(text: str, met: bool) -> str:
     return text if met else f"**{text}**"
 
@@ -311,6 +339,7 @@ TABLES: dict[str, Callable[[str], str]] = {
     "baselines": write_baselines,
     "baseline-points": write_baseline_points,
     "reach": write_reach,
+    "costs": write_costs,
 }
 
 
@@ -331,23 +360,33 @@ def score_references(data: Path, out: Path, workers: int) -> None:
 
 
 def main(
-    data: Path = ROOT / "out" / "freeart21-v1", workers: int = 1, write: bool = False, dry_run: bool = False
+    data: Path = ROOT / "out" / "freeart21-v1",
+    workers: int = 1,
+    only: tuple[str, ...] = (),
+    write: bool = False,
+    dry_run: bool = False,
 ) -> None:
     """Solve all variants, then write the tables.
 
     Args:
         data: Data folder of the public split; what it lacks is recorded.
         workers: Objects that are solved side by side.
+        only: Some of the files, without .json: nothing but these is solved.
         write: Solve nothing.
         dry_run: List the variants and exit.
     """
-    for run in RUNS:
+    files = [run.file.removesuffix(".json") for run in RUNS]
+    if unknown := [name for name in only if name not in files]:
+        raise FreeArtError(f"--only: no table '{unknown[0]}'; there are {', '.join(files)}")
+    for run in [run for run, name in zip(RUNS, files, strict=True) if not only or name in only]:
         if dry_run:
             print(f"{run.title}: benchmarks/results/{run.file}")
         elif not write:
             solve.main(data=data, workers=workers, out=RESULTS / run.file, **run.options)
-    if not (dry_run or write):
+    if not (dry_run or write or only):
         score_references(data, ROOT / "out" / "references", workers)
+    if not dry_run:
+        rate_solver()
     for document in DOCUMENTS if not dry_run else ():
         if (filled := fill(document)) != document.read_text("utf-8"):
             atomic.write_bytes(document, filled.encode())
