@@ -160,8 +160,8 @@ def write_types(folder: str) -> str:
             continue
         report = checked.read_json(RESULTS / run.file)
         files.append(run.file)
-        told = report["settings"]
-        about = f"{told['frames']}, {told.get('solver', '?')}, {told['protocol']}"
+        used = report["settings"]
+        about = f"{used['frames']}, {used.get('solver', '?')}, {used['protocol']}"
         beside = {f"{run.title}, {name}": its for name, its in report.get("beside", {}).items()}
         for title, its in {run.title: report, **beside}.items():
             for kind in ("revolute", "prismatic"):
