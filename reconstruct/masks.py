@@ -23,6 +23,7 @@ from scipy import ndimage
 from freeart21.errors import FreeArtError
 from freeart21.recording import Recording
 from reconstruct.hands import HandNetwork, draw_hand
+from reconstruct.segmenters import Prompt, Segmenter
 
 Bools = NDArray[np.bool_]
 Image = NDArray[np.uint8]
@@ -46,6 +47,8 @@ _SKIN_HUE = (25.0, 68.0)
 """Its hue in CIELAB, degrees: 40 to 65 on average (Xiao et al. 2017), less in red light; wood and brass have more."""
 _LEAST_FOUND = 0.1
 """Share of frames in which hands are found, from which on their colours are learned there, not from skin's."""
+PROMPTS = 3
+"""Frames whose own masks a segmenter starts from, the least doubtful of equal stretches of the video. Set by hand."""
 _COLOUR_BINS = (12, 32, 32)
 """Bins of CIELAB lightness, a, b; smoothed by one bin."""
 
@@ -142,6 +145,33 @@ class Foreground:
         object_ = _carry(self._video, front * (1 - hand), seeds)
         masks, doubt, reasons = _choose(self._video, object_, front, seeds)
         return Masks(_enlarge(masks, object_, recording), doubt, reasons, tuple(notes))
+
+
+def carry_masks(recording: Recording, own: Masks, segmenter: Segmenter, clicks: Sequence[Click] = ()) -> Masks:
+    """Masks by a segmenter, from our `own` in the least doubtful frames, and from the clicks.
+
+    There are two opinions of every frame: its doubt is what they do not share, 1 - IoU, and 1 where the segmenter
+    finds nothing. Raises FreeArtError when no frame has a mask or click.
+    """
+    stretches = [part for part in np.array_split(np.arange(len(own.doubt)), PROMPTS) if len(part)]
+    least = [int(part[np.argmin(own.doubt[part])]) for part in stretches]
+    frames = sorted({click.frame for click in clicks})
+    prompts = [Prompt(i, own.masks[i]) for i in least if own.masks[i].any() and i not in frames]
+    for frame in frames:
+        marks = tuple((c.column, c.row, c.on_object) for c in clicks if c.frame == frame)
+        prompts.append(Prompt(frame, clicks=marks))
+    if not prompts:
+        raise FreeArtError(f"{recording.name}: no frame has a mask to start from; mark the object by clicks (--click)")
+    found = segmenter.carry([np.ascontiguousarray(frame.rgb) for frame in recording.frames()], prompts)
+    union = np.maximum((found | own.masks).sum((1, 2)), 1)
+    differs = 1 - (found & own.masks).sum((1, 2)) / union
+    empty = found.sum((1, 2)) == 0
+    doubt = np.where(empty, 1.0, differs)
+    reasons = tuple(
+        f"{segmenter.name} finds nothing" if none else f"{segmenter.name} and our own mask differ" for none in empty
+    )
+    note = f"carried by {segmenter.name} from frames {', '.join(str(p.frame) for p in prompts)}"
+    return Masks(found, doubt, reasons, (*own.notes, note))
 
 
 def _load(recording: Recording, longest_side: int, progress: Progress) -> _Video:

@@ -11,8 +11,9 @@ from freeart21 import se3
 from reconstruct.features.dinov2 import Dinov2
 from reconstruct.features.dinov3 import Dinov3
 from reconstruct.priors import bundlesdf, dino, sam2
-from reconstruct.priors.sam2 import Prompt, carry_masks
+from reconstruct.priors.sam2 import carry_masks
 from reconstruct.priors.weights import FOLDER
+from reconstruct.segmenters import Prompt
 from reconstruct.settings import FeatureSettings, TrackSettings
 from reconstruct.trackers import alltracker, cotracker3
 from reconstruct.trackers.alltracker import AllTracker

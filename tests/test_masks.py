@@ -15,7 +15,8 @@ from freeart21.errors import FreeArtError
 from freeart21.files.masks import write_masks
 from freeart21.recording import Frame, Recording
 from freeart21.view.masks_page import choose_frames
-from reconstruct.masks import Click, Foreground, MaskSettings, find_masks
+from reconstruct.masks import Click, Foreground, Masks, MaskSettings, carry_masks, find_masks
+from reconstruct.segmenters import Prompt, Segmenter
 
 H, W, F = 120, 160, 140.0
 SKIN, SLEEVE, BLUE, GREY = (205, 150, 125), (90, 60, 100), (40, 70, 200), (60, 60, 60)
@@ -163,3 +164,42 @@ def test_film_makes_its_masks_once(tmp_path: Path, capsys, monkeypatch):
     write_masks(out / "masks", np.ones((9, H, W), bool), np.zeros(9), [""] * 9, [])
     code, shown, _ = run_command(capsys, "film", source, "--out", out, "--masks", "auto")
     assert "masks are doubtful" not in shown
+
+
+class Told(Segmenter):
+    """Gives what it is made with, and keeps what it was asked."""
+
+    name = "told"
+
+    def __init__(self, masks: np.ndarray) -> None:
+        self.masks = masks
+        self.prompts: list[Prompt] = []
+
+    def carry(self, pictures, prompts):
+        assert pictures[0].shape == (H, W, 3) and len(pictures) == len(self.masks)
+        self.prompts = list(prompts)
+        return self.masks
+
+
+def test_a_segmenter_starts_from_the_least_doubtful_masks_and_from_clicks():
+    recording = film(9)
+    true = np.stack([frame.mask for frame in recording.frames()])
+    own = Masks(true.copy(), np.array([0.3, 0.1, 0.3, 0.3, 0.3, 0.2, 0.0, 0.3, 0.3]), ("",) * 9)
+    own.masks[4, :46] = False  # half of it
+    segmenter = Told(true.copy())
+    segmenter.masks[8] = False
+    made = carry_masks(recording, own, segmenter, [Click(5, 60.0, 40.0, True), Click(5, 1.0, 1.0, False)])
+    assert [prompt.frame for prompt in segmenter.prompts] == [1, 6, 5]
+    assert segmenter.prompts[2].clicks == ((60.0, 40.0, True), (1.0, 1.0, False)) and segmenter.prompts[2].mask is None
+    assert np.array_equal(segmenter.prompts[0].mask, true[1]) and np.array_equal(made.masks, segmenter.masks)
+    assert made.doubt[8] == 1 and 0.3 < made.doubt[4] < 0.7 and not made.doubt[[0, 1, 2, 3, 5, 6, 7]].any()
+    assert made.reasons[8] == "told finds nothing" and "from frames 1, 6, 5" in made.notes[-1]
+    with pytest.raises(FreeArtError, match="no frame has a mask to start from"):
+        carry_masks(recording, Masks(np.zeros_like(true), own.doubt, ("",) * 9), segmenter)
+
+
+def test_an_unknown_segmenter_and_missing_weights_are_refused_before_anything_is_read(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("FREEART21_WEIGHTS", str(tmp_path))
+    for name, words in (("sam3", "unknown segmenter 'sam3'; segmenters: sam2"), ("sam2", "sam2.1_hiera_")):
+        code, out, err = run_command(capsys, "masks", tmp_path / "film", "--out", tmp_path / "m", "--segmenter", name)
+        assert code == 1 and words in err and not out and not (tmp_path / "m").exists()

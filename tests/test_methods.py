@@ -274,3 +274,9 @@ def test_the_command(data, tmp_path, capsys, answers):
     run = json.loads((tmp_path / "r" / "run.json").read_text())
     assert run["versions"] == ["solver 3.1"] and run["sequences"]["a"]["outcome"] == "answer"
     assert sys.executable not in json.dumps(run["descriptor"])
+
+    given["versions"] = [["{python}", "-c", "import no_such_package"]]
+    (tmp_path / "m.json").write_text(json.dumps(given))
+    code, out, err = run_command(capsys, "run", tmp_path / "m.json", data, "--out", tmp_path / "none")
+    assert code == 1 and "mine cannot run in this Python" in err and "no_such_package" in err
+    assert not (tmp_path / "none").exists()

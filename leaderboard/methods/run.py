@@ -122,11 +122,11 @@ def run_method(
     digest = hashlib.sha256(atomic.json_text(asdict(method)).encode()).hexdigest()
     before = _read_earlier(out, digest, (data, *([home] if home else [])))
     options = _read_options(method, home)
+    versions = [_read_version(method, words, home) for words in method.versions]
     where = {name: benchmark.truth(name) if truth is None else truth / "truth" / name for name in wanted}
     with only_writer(out):
         out.mkdir(parents=True, exist_ok=True)
         entries = dict(before)
-        versions = [_read_version(words, home) for words in method.versions]
         todo = [name for name in wanted if name not in before or not (out / name / "prediction.json").is_file()]
         for done, name in enumerate(todo):
             progress(name, done, len(todo))
@@ -338,15 +338,21 @@ def _read_options(method: Descriptor, home: Path | None) -> Options:
         ) from error
 
 
-def _read_version(words: Sequence[str], home: Path | None) -> str:
-    """The first line that a command of `versions` writes, or why there is none."""
+def _read_version(method: Descriptor, words: Sequence[str], home: Path | None) -> str:
+    """The first line that a command of `versions` writes, or why there is none.
+
+    Raises FreeArtError when one of {python} fails: this Python lacks what the method needs.
+    """
     filled = fill_words(words, known_values(home=home, name="", out="", **dict.fromkeys(PRIVILEGED, "")))
     try:
         done = subprocess.run(filled, capture_output=True, text=True, timeout=60, stdin=subprocess.DEVNULL, check=False)
-        lines = (done.stdout.strip() or done.stderr.strip()).splitlines()
-        return lines[0][:200] if lines else f"exit code {done.returncode}"
     except (OSError, subprocess.SubprocessError, UnicodeDecodeError) as error:
         return f"unknown: {child.one_line(error)}"
+    if done.returncode and words[0] == "{python}":
+        last = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+        raise FreeArtError(f"{method.name} cannot run in this Python: {checked.shorten(last)}")
+    lines = (done.stdout.strip() or done.stderr.strip()).splitlines()
+    return lines[0][:200] if lines else f"exit code {done.returncode}"
 
 
 def _last_line(log: Path) -> str:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from reconstruct.priors.checkouts import Checkout
 from reconstruct.priors.weights import BroughtWeights, inference, load_into
+from reconstruct.segmenters.base import Prompt
 
 CHECKOUT = Checkout("sam2", "https://github.com/facebookresearch/sam2")
 SOURCE = "https://github.com/facebookresearch/sam2 (Apache-2.0)"
@@ -36,17 +36,6 @@ FILES = (
 JPEG = (cv2.IMWRITE_JPEG_QUALITY, 98, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 """Colours of every pixel: an outline is not blurred."""
 OBJECT = 1
-
-
-@dataclass(frozen=True)
-class Prompt:
-    """What is known of one frame: a mask, or clicks."""
-
-    frame: int
-    mask: NDArray[np.bool_] | None = None
-    """(h, w) the object."""
-    clicks: tuple[tuple[float, float, bool], ...] = ()
-    """Column, row, and whether the object is there."""
 
 
 @lru_cache(1)
