@@ -18,8 +18,8 @@ import numpy as np
 from benchmarks.common import RESULTS, ROOT, format_number, make_table, run_cli, wide_console, write_report
 from freeart21 import se3
 from freeart21.articulation import PARTS
-from freeart21.asset import read_asset
 from freeart21.errors import FreeArtError
+from freeart21.files.asset import read_asset
 from freeart21.files.benchmark import read_benchmark
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
@@ -35,7 +35,7 @@ FILE = "supposed.json"
 
 
 def measure(sequence: Path, truth_folder: Path, folder: Path) -> list[dict[str, Any]]:
-    """Of both parts: share of supposed faces by area, and mean distances of seen and supposed ones, % of the diagonal."""
+    """Of both parts: the supposed faces' share of the area, and mean distances of either kind, % of the diagonal."""
     truth, recording = read_truth(truth_folder), read_sequence(sequence)
     answer, _ = read_submission(folder, len(recording), recording.camera.height, recording.camera.width)
     if isinstance(answer, Failure):
