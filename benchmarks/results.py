@@ -95,6 +95,8 @@ REFERENCES = "references.json"
 """Answers that nobody solved, on all 21: the truth, the truth as an asset, nothing moves, random numbers."""
 BASELINES = "baselines.json"
 """Of `benchmarks.baselines`."""
+SUPPOSED = "supposed.json"
+"""Of `benchmarks.supposed`."""
 STRICT_3 = (
     ("depth_median", "depth, median, %", 2),
     ("depth_95", "depth, 95 %, %", 1),
@@ -312,6 +314,20 @@ def write_baseline_points(folder: str) -> str:
     return _table(head, rows) + listed + "\n" + _stamp(BASELINES, folder, "baselines") + "\n"
 
 
+def write_supposed(folder: str) -> str:
+    """What the faces that nobody saw cost: means of all parts, and the ten dearest."""
+    report = checked.read_json(RESULTS / SUPPOSED)
+    mean = report["summary"]
+    rows = [[f"mean of {mean['parts']} parts", _cell(100 * mean["supposed_share"], 0)]]
+    rows[0] += [_cell(mean[key], 2) for key in ("seen_pct", "supposed_pct")]
+    for row in report["rows"][:10]:
+        share, seen, supposed = 100 * row["supposed_share"], row["seen"], row["supposed"]
+        cells = [_cell(share, 0), _cell(seen, 2), _cell(supposed, 2)]
+        rows.append([f"{row['sequence'].removesuffix('-v1')}, {row['part']}", *cells])
+    head = ["part", "supposed, % of area", "seen faces, % of diagonal", "supposed faces, % of diagonal"]
+    return _table(head, rows) + "\n" + _stamp(SUPPOSED, folder, "export") + "\n"
+
+
 def write_costs(folder: str) -> str:
     """What 100,000 sequences of 300 frames cost, by the rates, at the example prices of docs/scale.md."""
     return "\n".join(cost_table(read_rates(), 100_000, 300, 0.04, 0.02)) + "\n"
@@ -339,6 +355,7 @@ TABLES: dict[str, Callable[[str], str]] = {
     "baselines": write_baselines,
     "baseline-points": write_baseline_points,
     "reach": write_reach,
+    "supposed": write_supposed,
     "costs": write_costs,
 }
 

@@ -26,11 +26,10 @@ from freeart21.files.truth import read_truth
 from freeart21.reconstruction import Failure
 from leaderboard.asset_measurement import measure_asset
 from leaderboard.matching import match
+from leaderboard.protocols.strict1 import STANDARD
 from leaderboard.submission import read_submission
 from leaderboard.surface import Surface
 
-POINTS = 20_000
-"""On the faces of either kind of a part: a mean distance repeats within .002 % of the diagonal."""
 FILE = "supposed.json"
 
 
@@ -54,7 +53,7 @@ def measure(sequence: Path, truth_folder: Path, folder: Path) -> list[dict[str, 
         row: dict[str, Any] = {"part": name, "supposed_share": 1 - Surface(mesh, seen).area / Surface(mesh).area}
         for kind, faces in (("seen", seen), ("supposed", ~seen)):
             surface = Surface(mesh, faces)
-            points = se3.transform(T_truth_part, surface.sample(POINTS, (0, part)))
+            points = se3.transform(T_truth_part, surface.sample(STANDARD.samples, (0, part)))
             distances = matched.outer[part].distance(points)
             row[kind] = None if surface.empty else float(100 * distances.mean() / matched.diagonal)
         found.append(row)
@@ -93,7 +92,7 @@ def main(data: Path, results: Path) -> None:
     wide_console().print(make_table("from the asset to the truth, dearest first", head, cells, ("sequence",)))
     print({key: round(value, 3) for key, value in summary.items()})
     write_report(
-        RESULTS / FILE, {"data": data.name, "results": results.name, "points": POINTS}, rows=rows, summary=summary
+        RESULTS / FILE, {"data": data.name, "results": results.name, "points": STANDARD.samples}, rows=rows, summary=summary
     )
     print((RESULTS / FILE).relative_to(ROOT))
 
