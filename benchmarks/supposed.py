@@ -92,7 +92,10 @@ def main(data: Path, results: Path) -> None:
     wide_console().print(make_table("from the asset to the truth, dearest first", head, cells, ("sequence",)))
     print({key: round(value, 3) for key, value in summary.items()})
     write_report(
-        RESULTS / FILE, {"data": data.name, "results": results.name, "points": STANDARD.samples}, rows=rows, summary=summary
+        RESULTS / FILE,
+        {"data": data.name, "results": results.name, "points": STANDARD.samples},
+        rows=rows,
+        summary=summary,
     )
     print((RESULTS / FILE).relative_to(ROOT))
 
