@@ -166,10 +166,10 @@ def test_film_makes_its_masks_once(tmp_path: Path, capsys, monkeypatch):
     assert "masks are doubtful" not in shown
 
 
-class Told(Segmenter):
+class Fixed(Segmenter):
     """Gives what it is made with, and keeps what it was asked."""
 
-    name = "told"
+    name = "fixed"
 
     def __init__(self, masks: np.ndarray) -> None:
         self.masks = masks
@@ -186,14 +186,14 @@ def test_a_segmenter_starts_from_the_least_doubtful_masks_and_from_clicks():
     true = np.stack([frame.mask for frame in recording.frames()])
     own = Masks(true.copy(), np.array([0.3, 0.1, 0.3, 0.3, 0.3, 0.2, 0.0, 0.3, 0.3]), ("",) * 9)
     own.masks[4, :46] = False  # half of it
-    segmenter = Told(true.copy())
+    segmenter = Fixed(true.copy())
     segmenter.masks[8] = False
     made = carry_masks(recording, own, segmenter, [Click(5, 60.0, 40.0, True), Click(5, 1.0, 1.0, False)])
     assert [prompt.frame for prompt in segmenter.prompts] == [1, 6, 5]
     assert segmenter.prompts[2].clicks == ((60.0, 40.0, True), (1.0, 1.0, False)) and segmenter.prompts[2].mask is None
     assert np.array_equal(segmenter.prompts[0].mask, true[1]) and np.array_equal(made.masks, segmenter.masks)
     assert made.doubt[8] == 1 and 0.3 < made.doubt[4] < 0.7 and not made.doubt[[0, 1, 2, 3, 5, 6, 7]].any()
-    assert made.reasons[8] == "told finds nothing" and "from frames 1, 6, 5" in made.notes[-1]
+    assert made.reasons[8] == "fixed finds nothing" and "from frames 1, 6, 5" in made.notes[-1]
     with pytest.raises(FreeArtError, match="no frame has a mask to start from"):
         carry_masks(recording, Masks(np.zeros_like(true), own.doubt, ("",) * 9), segmenter)
 
