@@ -162,8 +162,7 @@ def write_types(folder: str) -> str:
             continue
         report = checked.read_json(RESULTS / run.file)
         files.append(run.file)
-        used = report["settings"]
-        about = f"{used['frames']}, {used.get('solver', '?')}, {used['protocol']}"
+        about = f"{_extent(report)}, {report['settings'].get('solver', '?')}, {report['settings']['protocol']}"
         beside = {f"{run.title}, {name}": its for name, its in report.get("beside", {}).items()}
         for title, its in {run.title: report, **beside}.items():
             for kind in ("revolute", "prismatic"):
@@ -176,12 +175,18 @@ def write_types(folder: str) -> str:
             for kind in ("revolute", "prismatic"):
                 cells = [_mean(groups[kind]["statistics"].get(m), digits) for m, (_, digits) in METRICS.items()]
                 failures = f"{groups[kind]['failures']} of {groups[kind]['sequences']}"
-                rows.append([title, kind, failures, *cells, "300, -, strict-2"])
+                rows.append([title, kind, failures, *cells, "300 frames, -, strict-2"])
     else:
         missing.append("the truth, nothing moves, random numbers")
-    head = ["video", "joint", "failures", *(column for column, _ in METRICS.values()), "frames, solver, protocol"]
+    head = ["video", "joint", "failures", *(column for column, _ in METRICS.values()), "of, solver, protocol"]
     gaps = f"\nNot measured yet: {'; '.join(missing)}.\n" if missing else ""
     return _table(head, rows) + gaps + _stamps(files, folder)
+
+
+def _extent(report: dict[str, Any]) -> str:
+    """How many frames a report is of, and whether geometry alone."""
+    alone = not report["settings"]["solver_settings"].get("gaussians", {}).get("refine", False)
+    return f"{report['settings']['frames']} frames" + (" by geometry alone" if alone else "")
 
 
 def _mean(statistic: dict[str, Any] | None, digits: int) -> str:
@@ -250,7 +255,14 @@ def write_reach(folder: str) -> str:
             report = checked.read_json(RESULTS / run.file)
             lost, mean = sum(map(_has_failed, report["rows"])), report["by_type"]["all"]
             reached = f"{mean['axis']['mean']:.2f}, {mean['miou']['mean']:.3f}, {lost} of {len(report['rows'])}"
-            rows.append([f"{run.title}: axis, deg, mIoU, failures", _bold(reached, not lost), "0 failures", "-"])
+            rows.append(
+                [
+                    f"{run.title}, {_extent(report)}: axis, deg, mIoU, failures",
+                    _bold(reached, not lost),
+                    "0 failures",
+                    "-",
+                ]
+            )
             files.append(run.file)
     hidden = checked.read_json(RESULTS / "hidden_gap.json")["figures"]
     for name, figure in hidden.items():
