@@ -347,7 +347,12 @@ def _merge_hulls(tests: _HullTests, hulls: list[_Hull], limit: float, least: int
 
 def drop_redundant(part: OuterSurface, hulls: list[_Hull], near: float, min_share: float = 0.0) -> list[_Hull]:
     """The hulls without those, smallest first, that alone cover at most `min_share` of the points of the surface, all
-    of them within `_ROUGHNESS` times `near` of another one; a hull covers what is in it or within `near`, m."""
+    of them within `_ROUGHNESS` times `near` of another one; a hull covers what is in it or within `near`, m.
+
+    What alone covers a corner of the part's convex hull stays: on such points it stands, and they touch first.
+    """
+    outermost = np.zeros(len(part.points), bool)
+    outermost[robust_hull(part.points).vertices] = True
     covers = np.zeros((2, len(hulls), len(part.points)), bool)
     volume, far = np.zeros(len(hulls)), _ROUGHNESS * near
     for k, hull in enumerate(hulls):
@@ -361,7 +366,8 @@ def drop_redundant(part: OuterSurface, hulls: list[_Hull], near: float, min_shar
     chosen = []
     for k in np.argsort(volume):
         alone = covers[0, k] & (times[0] <= 1)
-        if alone.sum() <= min_share * len(part.points) and (times[1, alone] > 1).all():
+        rough = alone.sum() <= min_share * len(part.points) and (times[1, alone] > 1).all()
+        if rough and not (alone & outermost).any():
             times -= covers[:, k]
         else:
             chosen.append(int(k))

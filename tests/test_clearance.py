@@ -174,3 +174,14 @@ def test_a_sheet_without_thickness_stops_nothing():
 
 
 TWO_SIDES = np.array([[0, 1, 2], [0, 2, 1]])
+
+
+def test_small_feet_carry_the_object():
+    board, foot = trimesh.creation.box((0.3, 0.2, 0.1)), trimesh.creation.box((0.01, 0.01, 0.0052))
+    feet = [foot.copy().apply_translation((x, y, 0.0026)) for x in (-0.13, 0.13) for y in (-0.08, 0.08)]
+    solid = trimesh.boolean.union([board.apply_translation((0, 0, 0.055)), *feet], engine="manifold")
+    made = make_collision(Mesh(np.array(solid.vertices), np.array(solid.faces)), CollisionSettings(), ground=0.0)
+    low = np.concatenate([shape.vertices for shape in made.shapes])
+    stands_on = low[low[:, 2] < 1e-6]
+    assert {tuple(np.sign(point[:2])) for point in stands_on} == {(-1, -1), (-1, 1), (1, -1), (1, 1)}
+    assert len(made.shapes) <= 6
