@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import solve
+from benchmarks import real_video, solve
 from benchmarks.baselines import METHODS as METHOD_NAMES
 from benchmarks.common import RESULTS, ROOT, run_cli, write_report
 from benchmarks.freshness import is_current, read_commit
@@ -95,6 +95,8 @@ REFERENCES = "references.json"
 """Answers that nobody solved, on all 21: the truth, the truth as an asset, nothing moves, random numbers."""
 BASELINES = "baselines.json"
 """Of `benchmarks.baselines`."""
+REAL_VIDEO = "real_video.json"
+"""Of `benchmarks.real_video`."""
 SUPPOSED = "supposed.json"
 """Of `benchmarks.supposed`."""
 STRICT_3 = (
@@ -340,6 +342,20 @@ def write_supposed(folder: str) -> str:
     return _table(head, rows) + "\n" + _stamp(SUPPOSED, folder, "export") + "\n"
 
 
+def write_real_video(folder: str) -> str:
+    """Real clips against what was written down of them beforehand."""
+    report = checked.read_json(RESULTS / REAL_VIDEO)
+    known = checked.read_json(real_video.EXPECTED)["clips"]
+    rows = []
+    for row in report["rows"]:
+        wanted = known[row["clip"]]
+        travel = "-" if wanted.get("travel") is None else " to ".join(f"{x:g}" for x in wanted["travel"])
+        cells = [row.get("type") or "-", _cell(row.get("travel"), 1), travel, row.get("trust") or "-"]
+        rows.append([row["clip"], row["grade"], *cells, _cell(row["seconds"], 0)])
+    head = ["clip", "grade", "type", "travel, deg", "expected", "trust", "s"]
+    return _table(head, rows) + "\n" + _stamp(REAL_VIDEO, folder) + "\n"
+
+
 def write_costs(folder: str) -> str:
     """What 100,000 sequences of 300 frames cost, by the rates, at the example prices of docs/scale.md."""
     return "\n".join(cost_table(read_rates(), 100_000, 300, 0.04, 0.02)) + "\n"
@@ -368,6 +384,7 @@ TABLES: dict[str, Callable[[str], str]] = {
     "baseline-points": write_baseline_points,
     "reach": write_reach,
     "supposed": write_supposed,
+    "real-video": write_real_video,
     "costs": write_costs,
 }
 
