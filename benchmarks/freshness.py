@@ -6,7 +6,8 @@ A section that prints figures ends with a line such as
 
 It names the commit (that of the file, if one is named), the packages or files that the figures speak of, and says `old`
 when what these do has changed since (comments, docstrings and layout do not count), `current` when it has not. A commit
-that this history does not hold, or that had uncommitted changes, is old.
+that this history does not hold, or that had uncommitted changes, is old. A package of MEASURED is also current when
+`benchmarks.same_answers` found that it gives the same answers as at that commit.
 
     python -m benchmarks.freshness            # prints a table
     python -m benchmarks.freshness --write    # corrects the lines in the documents
@@ -15,15 +16,19 @@ that this history does not hold, or that had uncommitted changes, is old.
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import re
 import subprocess
+import tarfile
+import tempfile
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from benchmarks.common import ROOT
-from freeart21.code import modules_behind, source_digest
+from freeart21.code import code_digest, modules_behind, source_digest
 
 DOCUMENTS = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 LINE = re.compile(
@@ -35,6 +40,9 @@ LINE = re.compile(
 MEASURED = {"reconstruct": ("reconstruct.pipeline", "reconstruct.features.hand_made", "reconstruct.trackers.dis")}
 """Package to the modules that its figures come from: what these do not import is left out. The defaults of registries
 are found by name, so they are named."""
+
+PROOFS = ROOT / "benchmarks" / "results" / "same_answers.json"
+"""Pairs of versions of a package that were found to give the same answers, or not (`benchmarks.same_answers`)."""
 
 
 @dataclass(frozen=True)
@@ -68,28 +76,77 @@ def read_commit(results: Path) -> str:
 
 
 def is_current(commit: str, code: tuple[str, ...]) -> bool:
-    """Whether no Python file of `code` (folders or files of the repository) does something else than at `commit`."""
+    """Whether each of `code` (folders or files of the repository) does, or answers, what it did at `commit`."""
     if _git("merge-base", "--is-ancestor", commit, "HEAD") is None:
         return False
-    changed = _git("diff", "--name-only", "--no-renames", commit, "--", *code)
+    return all(_is_unchanged(commit, name) or _gives_the_same(commit, name) for name in code)
+
+
+def _is_unchanged(commit: str, place: str) -> bool:
+    """Whether no Python file of a folder or file does something else than at `commit`."""
+    changed = _git("diff", "--name-only", "--no-renames", commit, "--", place)
     return changed is not None and all(
         _same(commit, name) for name in changed.splitlines() if name.endswith(".py") and _is_measured(name)
     )
 
 
-def _is_measured(name: str) -> bool:
-    """Whether a Python file has a part in what its package's figures measure."""
-    package = name.split("/")[0]
-    return package not in MEASURED or not (ROOT / name).is_file() or name in _measured_files(package)
+def _gives_the_same(commit: str, package: str) -> bool:
+    """Whether a chain of proofs leads from `package` as it is to what it was at `commit`."""
+    if package not in MEASURED or not PROOFS.is_file():
+        return False
+    equal = equal_digests(measured_digest(package, ROOT), json.loads(PROOFS.read_text("utf-8"))["proofs"])
+    return len(equal) > 1 and digest_at(commit, package) in equal
+
+
+def equal_digests(digest: str, proofs: list[dict[str, Any]]) -> set[str]:
+    """All digests that proofs link to `digest`, itself with them.
+
+    A pair that one proof found unequal is not linked, whatever another found.
+    """
+    links: dict[frozenset[str], bool] = {}
+    for proof in proofs:
+        pair = frozenset((proof["before"]["digest"], proof["after"]["digest"]))
+        links[pair] = links.get(pair, True) and proof["equal"]
+    found, waiting = {digest}, [digest]
+    while waiting:
+        here = waiting.pop()
+        near = {other for pair, equal in links.items() if equal and here in pair for other in pair} - found
+        found |= near
+        waiting += near
+    return found
 
 
 @cache
-def _measured_files(package: str) -> frozenset[str]:
-    """The files behind MEASURED[package], relative to the repository, and its __init__.py."""
-    files = {ROOT / package / "__init__.py"}
+def measured_digest(package: str, root: Path) -> str:
+    """SHA-256, hexadecimal, of what a package of MEASURED does in a checkout."""
+    return code_digest((name, root / name) for name in sorted(_measured_files(package, root)))
+
+
+@cache
+def digest_at(commit: str, package: str) -> str:
+    """The `measured_digest` of a package at a commit; empty when git does not have it."""
+    packed = subprocess.run(["git", "archive", commit, package], cwd=ROOT, capture_output=True, check=False)
+    if packed.returncode:
+        return ""
+    with tempfile.TemporaryDirectory() as folder:
+        with tarfile.open(fileobj=io.BytesIO(packed.stdout)) as archive:
+            archive.extractall(folder, filter="data")
+        return measured_digest(package, Path(folder))
+
+
+def _is_measured(name: str) -> bool:
+    """Whether a Python file has a part in what its package's figures measure."""
+    package = name.split("/")[0]
+    return package not in MEASURED or not (ROOT / name).is_file() or name in _measured_files(package, ROOT)
+
+
+@cache
+def _measured_files(package: str, root: Path) -> frozenset[str]:
+    """The files behind MEASURED[package] in a checkout, relative to it, and its __init__.py."""
+    files = {root / package / "__init__.py"}
     for module in MEASURED[package]:
-        files |= set(modules_behind(module, ROOT, (package,)).values())
-    return frozenset(file.relative_to(ROOT).as_posix() for file in files)
+        files |= set(modules_behind(module, root, (package,)).values())
+    return frozenset(file.relative_to(root).as_posix() for file in files if file.is_file())
 
 
 @cache

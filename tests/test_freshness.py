@@ -1,12 +1,14 @@
 """Figures in the documents name their commit, and those that are older than their code say so."""
 
+import json
 import re
 import subprocess
 from pathlib import Path
 
 import pytest
+from refusal import assert_refused
 
-from benchmarks import freshness, results
+from benchmarks import freshness, results, same_answers
 from benchmarks.freshness import DOCUMENTS, LINE, ROOT, is_current, read_stamps
 
 MEASURED = ("README", "adapters", "assets", "maniskill", "priors", "recorder", "results", "scale", "simgap", "teleop")
@@ -59,11 +61,14 @@ def history(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     git("add", ".")
     git("commit", "-qm", "one")
     monkeypatch.setattr(freshness, "ROOT", tmp_path)
-    freshness._git.cache_clear()
-    freshness._same.cache_clear()
+    clear_caches()
     yield tmp_path, git("rev-parse", "--short", "HEAD")
-    freshness._git.cache_clear()
-    freshness._same.cache_clear()
+    clear_caches()
+
+
+def clear_caches() -> None:
+    for function in ("_git", "_same", "_measured_files", "measured_digest", "digest_at"):
+        getattr(freshness, function).cache_clear()
 
 
 @pytest.mark.parametrize(
@@ -97,3 +102,93 @@ def test_what_the_solver_never_reaches_makes_no_figure_old():
     every = {file.relative_to(ROOT).as_posix() for file in (ROOT / "reconstruct" / "gaussians").glob("*.py")}
     assert all(map(freshness._is_measured, inside | every))
     assert not freshness._is_measured("reconstruct/look.py") and freshness._is_measured("leaderboard/look.py")
+
+
+def proof(before: str, after: str, equal: bool) -> dict:
+    return {"before": {"digest": before}, "after": {"digest": after}, "equal": equal}
+
+
+def test_proofs_chain_and_one_unequal_outweighs_others():
+    chain = [proof("a", "b", True), proof("c", "b", True), proof("d", "e", True)]
+    assert freshness.equal_digests("a", chain) == {"a", "b", "c"}
+    for order in (1, -1):
+        assert freshness.equal_digests("a", [*chain, proof("b", "a", False)][::order]) == {"a"}
+
+
+def test_figures_are_current_by_proofs_of_the_same_answers(history, monkeypatch):
+    """The proof must speak of this commit's code and of the code as it is; another package's is none."""
+    folder, commit = history
+    monkeypatch.setattr(freshness, "MEASURED", {"code": ("code.a",)})
+    monkeypatch.setattr(freshness, "PROOFS", folder / "proofs.json")
+    before = freshness.measured_digest("code", folder)
+    assert freshness.digest_at(commit, "code") == before
+
+    def current_with(*proofs):
+        freshness.PROOFS.write_text(json.dumps({"proofs": proofs}))
+        clear_caches()
+        return is_current(commit, ("code",))
+
+    (folder / "code" / "a.py").write_text("import code.b\nx = 2\n")
+    (folder / "code" / "b.py").write_text("y = 1\n")
+    clear_caches()
+    assert not is_current(commit, ("code",))
+    after = freshness.measured_digest("code", folder)
+    assert not current_with(proof(before, "other", True))
+    assert not current_with(proof(before, after, False))
+    assert current_with(proof(before, "other", True), proof("other", after, True))
+    assert not is_current(commit, ("code/a.py",))
+    (folder / "code" / "b.py").write_text("y = 2\n")
+    assert not current_with(proof(before, after, True))
+
+
+@pytest.fixture
+def answers(tmp_path):
+    """Two result folders of the same answer, solved at another time by another version."""
+    folders = tmp_path / "before", tmp_path / "after"
+    for k, folder in enumerate(folders):
+        (folder / "parts").mkdir(parents=True)
+        (folder / "parts" / "moving.ply").write_bytes(b"ply")
+        settings = {"solver": str(k), "joint": {"weight": 0.2, **({"new": 1} if k else {})}}
+        answer = {"states": [0.0, float("nan")], "seconds": {"joint": k}, "settings": settings}
+        (folder / "prediction.json").write_text(json.dumps(answer))
+        (folder / "diagnostics.json").write_text(json.dumps({"peak_bytes": k, "footprint_m": 0.1}))
+    return folders
+
+
+def test_answers_are_compared_but_for_times_memory_and_version(answers):
+    assert same_answers.compare_results(*answers) == ([], 3)
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("parts/moving.ply", "ply", "plY"),
+        ("parts/moving.ply", "ply", None),
+        ("prediction.json", "NaN", "0.0"),
+        ("prediction.json", "0.2", "0.3"),
+        ("diagnostics.json", "0.1", "0.10000000000000002"),
+    ],
+)
+@pytest.mark.parametrize("side", [0, 1])
+def test_what_differs_between_two_answers_is_found(answers, side, name, old, new):
+    file = answers[side] / name
+    if new is None:
+        file.unlink()
+    else:
+        assert old in file.read_text()
+        file.write_text(file.read_text().replace(old, new))
+    assert same_answers.compare_results(*answers) == ([name], 3)
+
+
+def test_a_proof_of_the_same_code_and_seed_is_replaced(tmp_path):
+    file = tmp_path / "proofs.json"
+    for seed, equal in ((1, True), (2, True), (1, False)):
+        same_answers.add_proof({**proof("a", "b", equal), "seed": seed}, file)
+    found = json.loads(file.read_text())
+    assert [(each["seed"], each["equal"]) for each in found["proofs"]] == [(2, True), (1, False)]
+    assert found["left_out"]["diagnostics.json"] == ["peak_bytes"]
+
+
+def test_a_tree_with_changes_proves_nothing(monkeypatch):
+    monkeypatch.setattr(same_answers.common, "commit", lambda: "abc-dirty")
+    assert_refused("commit first", same_answers.main, "HEAD")
