@@ -44,6 +44,9 @@ _ROUGHNESS = 6.0
 """Tolerances that roughness stands out of what lies below it."""
 
 
+WIDER = ()
+
+
 @dataclass(frozen=True)
 class Tolerance:
     """Bounds of a decomposition."""
@@ -94,6 +97,12 @@ def decompose(
         hulls += _merge_hulls(tests, _split_into_patches(tests, uncovered, last=True), limit, 0)
     if min_share > 0:
         chosen = drop_redundant(part, given + hulls, limit, min_share)
+        for wider in WIDER:
+            kept = {id(hull) for hull in chosen}
+            rough = [hull for hull in hulls if id(hull) not in kept]
+            tests.pairs = 0
+            hulls = _merge_hulls(tests, rough, wider * limit, 0)
+            chosen = drop_redundant(part, chosen + hulls, limit, min_share)
         hulls = [hull for hull in chosen if len(hull.members)]
         given = [hull for hull in chosen if not len(hull.members)]
     return [hull.corners for hull in given + _widen(tests, hulls, max_hulls - len(given))]

@@ -63,43 +63,60 @@ class Winding:
             return np.concatenate(list(pool.map(of, np.array_split(points, os.cpu_count() or 1))))
 
 
+@njit(cache=True, nogil=True)
 def _build_tree(middles: Array, leaf: int) -> tuple[Ints, Ints, Ints, Ints]:
     """Order of the triangles; per node its first triangle, their count, and its right child (0 in a leaf).
 
     Nodes are in preorder, so a left child follows its parent. A node is split at the median of its longest side.
     """
     order = np.arange(len(middles))
-    first: list[int] = []
-    count: list[int] = []
-    right: list[int] = []
-    waiting = [(0, len(middles), -1)]
-    while waiting:
-        start, stop, parent = waiting.pop()
+    most = 2 * max(len(middles), 1)
+    first, count, right = np.zeros(most, np.int64), np.zeros(most, np.int64), np.zeros(most, np.int64)
+    waiting = np.zeros((128, 3), np.int64)
+    waiting[0] = 0, len(middles), -1
+    top, here = 1, 0
+    while top > 0:
+        top -= 1
+        start, stop, parent = waiting[top]
         if parent >= 0:
-            right[parent] = len(first)
-        first.append(start)
-        count.append(stop - start)
-        right.append(0)
+            right[parent] = here
+        first[here], count[here] = start, stop - start
         if stop - start > leaf:
-            own = order[start:stop]
-            side = int(np.argmax(np.ptp(middles[own], axis=0)))
+            own = order[start:stop].copy()
+            side, longest = 0, -1.0
+            for k in range(3):
+                along = middles[own, k]
+                if along.max() - along.min() > longest:
+                    side, longest = k, along.max() - along.min()
             half = (stop - start) // 2
             order[start:stop] = own[np.argpartition(middles[own, side], half)]
-            here = len(first) - 1
-            waiting += [(start + half, stop, here), (start, start + half, -1)]
-    return order, np.array(first), np.array(count), np.array(right)
+            waiting[top] = start + half, stop, here
+            waiting[top + 1] = start, start + half, -1
+            top += 2
+        here += 1
+    return order, first[:here].copy(), count[:here].copy(), right[:here].copy()
 
 
+@njit(cache=True, nogil=True)
 def _node_dipoles(corners: Array, normals: Array, first: Ints, count: Ints) -> Array:
     """(N, 7) per node: area centroid, radius, and sum of the triangles' area vectors."""
     nodes = np.zeros((len(first), 7))
-    areas = np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
-    middles = corners.mean(1)
-    for k, (start, n) in enumerate(zip(first, count, strict=True)):
-        own = slice(start, start + n)
-        middle = areas[own] @ middles[own] / areas[own].sum()
-        radius = np.sqrt(((corners[own] - middle) ** 2).sum(-1).max())
-        nodes[k] = (*middle, radius, *normals[own].sum(0))
+    for k in range(len(first)):
+        total, square = 0.0, 0.0
+        for f in range(first[k], first[k] + count[k]):
+            area = max(np.sqrt((normals[f] ** 2).sum()), 1e-300)
+            total += area
+            for i in range(3):
+                nodes[k, i] += area * (corners[f, 0, i] + corners[f, 1, i] + corners[f, 2, i]) / 3
+                nodes[k, 4 + i] += normals[f, i]
+        nodes[k, :3] /= total
+        for f in range(first[k], first[k] + count[k]):
+            for j in range(3):
+                away = 0.0
+                for i in range(3):
+                    away += (corners[f, j, i] - nodes[k, i]) ** 2
+                square = max(square, away)
+        nodes[k, 3] = np.sqrt(square)
     return nodes
 
 
