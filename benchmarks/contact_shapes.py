@@ -44,7 +44,7 @@ from freeart21.view.link_shapes import read_shown
 
 SCHEMA = "freeart21/benchmark-contact-shapes/1"
 MAKERS = ("fine", "fast", "coacd .05", "coacd .02")
-"""Presets of ours, and CoACD with a threshold: the finer after the coarser, of which it takes about three times as
+"""Presets of ours, and CoACD with a threshold: the finer after the coarser, as it takes about three times as
 long."""
 MEASURING_S = 60.0
 """Processor seconds that a process may take beside the making."""

@@ -125,9 +125,20 @@ class _Surface:
 
     def __init__(self, mesh: Mesh, touches: NDArray[np.bool_]) -> None:
         real = mesh.areas() > 0
-        self._winding, self._touches = Winding(_select_faces(mesh, real)), touches[real]
+        mesh = _select_faces(mesh, real)
+        corners = mesh.vertices[mesh.faces].reshape(-1, 3)
+        self._low, self._high = corners.min(0, initial=np.inf), corners.max(0, initial=-np.inf)
+        self._winding, self._touches = Winding(mesh), touches[real]
 
     def depth(self, points: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """(n,) m inside the surface, negative outside; and whether the nearest triangle counts."""
-        distance, triangle = self._winding.nearest(points)
-        return np.where(self._winding.number(points) > 0.5, distance, -distance), self._touches[triangle]
+        """(n,) m inside the surface, negative outside; and whether the nearest triangle counts.
+
+        Outside the surface's bounding box it is the distance from that, which is no more, and no triangle counts.
+        """
+        depth = -np.linalg.norm(np.maximum(np.maximum(self._low - points, points - self._high), 0.0), axis=1)
+        touches, near = np.zeros(len(points), bool), depth == 0
+        if near.any():
+            distance, triangle = self._winding.nearest(points[near])
+            depth[near] = np.where(self._winding.number(points[near]) > 0.5, distance, -distance)
+            touches[near] = self._touches[triangle]
+        return depth, touches

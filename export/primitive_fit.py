@@ -12,8 +12,8 @@ from freeart21 import se3
 from freeart21.mesh import triangle_normals
 from freeart21.se3 import Array
 
-_SAMPLES = 1500
-"""Points on a shape that are tested."""
+_SAMPLES, _QUICK_SAMPLES = 1500, 40
+"""Points on a shape that are tested, and of these, first."""
 _SAME_DIRECTION = 0.999
 """Cosine between normals of one direction, 2.6 degrees: omitted corners tilt faces. Not measured."""
 _MIN_SINE = 0.9
@@ -31,7 +31,8 @@ def fit_primitive(corners: Array, part: OuterSurface, max_excess_m: float) -> Pr
         mesh = shape.mesh()
         solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
         points = sample_evenly(solid, solid.area / _SAMPLES)[0]
-        if part.excess(points).max() <= max_excess_m:
+        few = points[:: max(len(points) // _QUICK_SAMPLES, 1)]  # they reject most
+        if part.excess(few).max() <= max_excess_m and part.excess(points).max() <= max_excess_m:
             fitted.append((float(np.linalg.det(solid.triangles).sum()), shape))  # six times its volume
     return min(fitted, key=lambda each: each[0])[1] if fitted else None
 

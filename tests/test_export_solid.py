@@ -200,6 +200,22 @@ def test_what_is_flat_at_the_ground_is_made_thick_upwards():
     assert heights.min() == pytest.approx(0, abs=1e-9) and np.ptp(heights) > 0.9e-3
 
 
+def test_what_stands_out_within_keeps_its_shape_and_pebbles_share_some():
+    """In a tray: a pin of 7 mm, six tolerances high, and nine pebbles of 5.5 mm, 4 mm apart."""
+    pin = trimesh.creation.box((0.003, 0.003, 0.008), se3.pose(np.eye(3), (0.05, 0, -0.033)))
+    pebbles = [
+        trimesh.creation.box((0.003, 0.003, 0.006), se3.pose(np.eye(3), (0.007 * i - 0.05, 0.007 * j, -0.0335)))
+        for i in range(3)
+        for j in range(3)
+    ]
+    found = {}
+    for name, more in (("plain", []), ("pin", [pin]), ("pebbles", pebbles)):
+        made = make_collision(as_mesh(trimesh.boolean.union([tray(0.004), *more])), CollisionSettings())
+        found[name] = len(made.shapes), measure_fidelity(made.surface, made.shapes).uncovered
+    assert found["plain"][0] == 5 and found["pin"][0] == 6 and 5 < found["pebbles"][0] < 5 + 9
+    assert found["pin"][1] < 2e-3 and found["pebbles"][1] < 4e-3
+
+
 def test_triangles_that_bound_no_solid_get_a_hull_and_a_note(tmp_path: Path, monkeypatch):
     """A soup: cutting it into convex pieces and carving what it sweeps took eight minutes, for nothing."""
     rng = np.random.default_rng(0)
