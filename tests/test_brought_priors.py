@@ -1,20 +1,24 @@
 """Networks that the user brings: their interfaces, by tiny networks of the same layout in folders like the clones."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from refusal import assert_refused
 from test_priors import plane
+from test_reconstruct import sliding_plane
 
 from freeart21 import se3
+from freeart21.files.sequence import write_sequence
+from reconstruct.cache import stage_keys
 from reconstruct.features.dinov2 import Dinov2
 from reconstruct.features.dinov3 import Dinov3
 from reconstruct.priors import bundlesdf, dino, sam2
 from reconstruct.priors.sam2 import carry_masks
 from reconstruct.priors.weights import FOLDER
 from reconstruct.segmenters import Prompt
-from reconstruct.settings import FeatureSettings, TrackSettings
+from reconstruct.settings import FeatureSettings, ReconstructSettings, TrackSettings
 from reconstruct.trackers import alltracker, cotracker3
 from reconstruct.trackers.alltracker import AllTracker
 from reconstruct.trackers.cotracker3 import CoTracker3
@@ -266,3 +270,28 @@ def test_poses_of_bundlesdf(tmp_path):
     for text in ("1 2 3", "nan " * 16, "x " * 16, "2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1"):
         (place / "000000.txt").write_text(text)
         assert_refused("000000.txt", bundlesdf.read_poses, tmp_path, ["000000"])
+
+
+@pytest.mark.parametrize(
+    ("file", "change"),
+    [
+        ("alltracker.pth", {"tracks": TrackSettings(tracker="alltracker")}),
+        ("scaled_offline.pth", {"tracks": TrackSettings(tracker="cotracker3")}),
+        ("dinov2_vits14_pretrain.pth", {"segmentation": "paper", "features": FeatureSettings(model="dinov2")}),
+    ],
+)
+def test_brought_weights_are_part_of_the_key_of_cached_stages(file, change, folder):
+    write_sequence(folder / "s", sliding_plane(10, 3), 0.001)
+
+    def keys(settings):
+        return set(stage_keys(folder / "s", settings).values())
+
+    chosen, own = replace(ReconstructSettings(), **change), ReconstructSettings()
+    found = []
+    for content in (b"one", b"two", b"one"):
+        (folder / file).write_bytes(content)
+        found.append((keys(chosen), keys(own)))
+    assert found[0] == found[2] and not found[0][0] & found[1][0] and found[0][1] == found[1][1]
+    (folder / file).unlink()
+    assert_refused(f"{file} is missing", keys, chosen)
+    assert keys(replace(own, features=FeatureSettings(model="dinov2"))), "features that our segmentation does not use"

@@ -17,6 +17,7 @@ from reconstruct.evidence import Evidence
 from reconstruct.paper_segmentation import PartWeights, part_poses
 from reconstruct.pipeline import reconstruct
 from reconstruct.propagation import Propagation
+from reconstruct.recovery import _match_poses, _UnlabelledFrame
 from reconstruct.rigid import view_angle
 from reconstruct.scene import UnsolvableError, prepare_scene
 from reconstruct.seeds import Seed, find_seeds
@@ -70,7 +71,7 @@ def partial_propagation(done, resting, settings):
     for i in range(done):
         propagation.set_labels(i, true.logodds[i])
     propagation.done[:done] = True
-    past = np.arange(len(SWEEP)) < done
+    past = np.arange(len(clip.states)) < done
     Ts = np.where(past[:, None, None], true.poses.Ts, np.eye(4))
     propagation.set_joint(replace(true.poses, states=np.where(past, clip.states, 0), Ts=Ts))
     return propagation
@@ -148,6 +149,61 @@ def test_poses_under_the_papers_labels_when_a_part_appears_late():
 
 
 # ---- recovery ----------------------------------------------------------------------------------------------
+
+
+class TrueMatches(Dis):
+    """Points carried by the true poses, every fifth to a wrong place."""
+
+    def match(self, first, second):
+        scene, labels = self.scene, self.labels
+        at = np.argwhere(labels[first] > 0)[::17]
+        Ts = np.stack([self.clip.Ts, self.clip.Ts @ self.clip.joint.transform(self.clip.states)], 1)
+        motion = (Ts[second] @ se3.inverse(Ts[first]))[labels[first][tuple(at.T)] - 1]
+        moved = np.einsum("mij,mj->mi", motion[:, :3, :3], scene.points[first][tuple(at.T)]) + motion[:, :3, 3]
+        there = moved[:, :2] / moved[:, 2:] * (scene.fx, scene.fy)
+        there += np.stack([scene.cx[second], scene.cy[second]])
+        there[::5] = there[::5][::-1]
+        x, y = np.rint(there).astype(int).T
+        inside = (x >= 0) & (y >= 0) & (x < scene.mask.shape[2]) & (y < scene.mask.shape[1])
+        inside[inside] = labels[second, y[inside], x[inside]] == labels[first][tuple(at.T)][inside]
+        return at[inside][:, ::-1].astype(float), there[inside]
+
+
+def test_a_part_is_found_again_by_its_points(resting):
+    """Points give pose and state of a frame far from the last known one; none where a tracker knows no points."""
+    clip, evidence, true, _ = resting
+    frame, known = 22, np.arange(12)
+    tracker = TrueMatches(evidence.scene, QUIET.tracks)
+    tracker.clip, tracker.labels = clip, true.labels
+    propagation = partial_propagation(done=12, resting=resting, settings=QUIET)
+    view = _UnlabelledFrame(propagation, frame, np.array([2, 7, 10]), np.zeros((0, 2), int), np.zeros(0, int))
+    before = propagation.rng.bit_generator.state
+    assert _match_poses(propagation, view, 0.0, 0.0, known) == []
+    assert propagation.rng.bit_generator.state == before, "the same answer as without such a way"
+    propagation.tracker = tracker
+    guesses = _match_poses(propagation, view, 0.0, 0.0, known)
+    off = [
+        (np.degrees(np.linalg.norm(se3.log_so3(T[:3, :3].T @ clip.Ts[frame, :3, :3]))), abs(q - clip.states[frame]))
+        for T, q in guesses
+    ]
+    assert min(turn for turn, _ in off) < 1
+    assert any(turn < 1 and state < 0.03 * np.ptp(clip.states) for turn, state in off)
+
+
+def test_an_object_that_turned_far_while_it_was_hidden_is_found_again_by_its_points():
+    frames, first, last = 22, 10, 18
+    clip = without(make_clip("hinge", frames, size=SIZE, spin=0.8), slice(first, last))
+    evidence, true = true_estimate(clip, slice(first, last), slice(None))
+    true = replace(true, logodds=4 * true.logodds)
+    turn = {}
+    for kind in (Dis, TrueMatches):
+        tracker = kind(evidence.scene, QUIET.tracks)
+        tracker.clip, tracker.labels = clip, true.labels
+        propagation = partial_propagation(first, (clip, evidence, true, tracker), QUIET)
+        add_frames(propagation, last + 1 - first)
+        R = propagation.Ts[0, last, :3, :3].T @ clip.Ts[last, :3, :3]
+        turn[kind] = np.degrees(np.linalg.norm(se3.log_so3(R)))
+    assert turn[TrueMatches] < 10 < 40 < turn[Dis], turn
 
 
 def test_the_seed_whose_joint_explains_its_frames_best_is_taken(resting, monkeypatch):

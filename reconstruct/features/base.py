@@ -21,6 +21,11 @@ class Features:
     def __init__(self, scene: Scene, settings: FeatureSettings) -> None:
         self.scene, self.settings = scene, settings
 
+    @classmethod
+    def weights_digest(cls) -> str:
+        """SHA-256, hexadecimal, of weights that the user brings; empty without such."""
+        return ""
+
     def describe(self, frame: int, pixels: NDArray[np.integer[Any]]) -> Descriptors:
         """(m, d) descriptors of `pixels` (m, 2), row and column, of one frame: phi_t(u) of the supplement."""
         raise NotImplementedError

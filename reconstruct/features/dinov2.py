@@ -17,6 +17,11 @@ class Dinov2(DenseFeatures):
 
     name = "dinov2"
 
+    @classmethod
+    def weights_digest(cls) -> str:
+        """See `Features`."""
+        return dino.V2.weights()[0].digest()
+
     def __init__(self, scene: Scene, settings: FeatureSettings) -> None:
         super().__init__(scene, settings)
         dino.load_network(dino.V2)

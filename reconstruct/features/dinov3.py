@@ -17,6 +17,11 @@ class Dinov3(DenseFeatures):
 
     name = "dinov3"
 
+    @classmethod
+    def weights_digest(cls) -> str:
+        """See `Features`."""
+        return dino.V3.weights()[0].digest()
+
     def __init__(self, scene: Scene, settings: FeatureSettings) -> None:
         super().__init__(scene, settings)
         dino.load_network(dino.V3)

@@ -75,6 +75,10 @@ class BroughtWeights:
             raise FreeArtError(f"{path} is missing: get it from {self.source}")
         return path
 
+    def digest(self) -> str:
+        """SHA-256, hexadecimal, of the file; FreeArtError when it is missing."""
+        return hashlib.sha256(checked.read_bytes(self.path(), MAX_BYTES, checked.ANYWHERE)).hexdigest()
+
     def read(self) -> dict[str, Any]:
         """The tensors by name; FreeArtError when the file is missing or holds anything else."""
         path = self.path()

@@ -48,6 +48,11 @@ class AllTracker(WindowTracker):
 
     name = "alltracker"
 
+    @classmethod
+    def weights_digest(cls) -> str:
+        """See `Tracker`."""
+        return WEIGHTS.digest()
+
     def __init__(self, scene: Scene, settings: TrackSettings) -> None:
         super().__init__(scene, settings)
         self.network = load_network()

@@ -46,6 +46,11 @@ class CoTracker3(WindowTracker):
 
     name = "cotracker3"
 
+    @classmethod
+    def weights_digest(cls) -> str:
+        """See `Tracker`."""
+        return WEIGHTS.digest()
+
     def __init__(self, scene: Scene, settings: TrackSettings) -> None:
         super().__init__(scene, settings)
         self.predictor = load_predictor()

@@ -29,11 +29,16 @@ class MatchedFlow(Tracker):
 
     def __init__(self, scene: Scene, settings: TrackSettings) -> None:
         super().__init__(scene, settings)
-        matcher, flow = make_matcher(scene, self.matcher), optical_flow(scene)
+        self.points, flow = make_matcher(scene, self.matcher), optical_flow(scene)
         for i in range(len(scene) - 1):
             pair = flow.step(i, 1), flow.step(i + 1, -1)
-            flow.forward[i], flow.backward[i + 1] = improve_flow(scene, i, i + 1, pair, matcher.match(i, i + 1))
+            flow.forward[i], flow.backward[i + 1] = improve_flow(scene, i, i + 1, pair, self.points.match(i, i + 1))
         self.flow: Flow = flow
+
+    def match(self, first: int, second: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """See `Tracker`."""
+        found = self.points.match(first, second)
+        return found.here, found.there
 
     def step(self, frame: int, direction: int) -> Floats:
         """See `Tracker`."""
