@@ -6,6 +6,8 @@ makes a few short recordings, new ones each time, solves them by the code of tha
 the result folders file by file, prints a table and adds what it found to benchmarks/results/same_answers.json. Figures
 of the older commit then count as current (`benchmarks.freshness`). The same bytes on these recordings are evidence for
 others: a far-reaching change needs several runs. One answer that differs outweighs all that are equal.
+
+A version of the code is known by its digest: a commit that is rebased afterwards has the same, under another name.
 """
 
 from __future__ import annotations
