@@ -189,6 +189,16 @@ def test_a_proof_of_the_same_code_and_seed_is_replaced(tmp_path):
     assert found["left_out"]["diagnostics.json"] == ["peak_bytes"]
 
 
+def test_failures_alone_prove_nothing():
+    def solves(**statuses):
+        return [{"settings": name, "status": status, "differing": []} for name, status in statuses.items()]
+
+    good = solves(geometry="ok", default="ok", paper="ok")
+    assert same_answers.judge([*good, *solves(geometry="failed")]) is True
+    assert same_answers.judge(solves(geometry="ok", default="failed", paper="ok")) is None
+    assert same_answers.judge([*good, {**good[0], "differing": ["poses.npz"]}]) is False
+
+
 def test_a_tree_with_changes_proves_nothing(monkeypatch):
     monkeypatch.setattr(same_answers.common, "commit", lambda: "abc-dirty")
     assert_refused("commit first", same_answers.main, "HEAD")
