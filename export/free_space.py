@@ -30,6 +30,8 @@ _NEAR_SHARE = 0.02
 """Fraction of the part's diagonal within which a pixel's depth belongs to the surface drawn there."""
 _SAMPLES = 8_000
 """Points of a part that its largest planes are found with."""
+_FACING = 0.5
+"""Cosine, 60 degrees, set by hand."""
 UNKNOWN, SEEN_THROUGH, SWEPT = 0, 1, 2
 
 
@@ -43,6 +45,9 @@ class SpaceGrid:
     """m, edge of a voxel."""
     state: NDArray[np.uint8]
     """(X, Y, Z) `UNKNOWN`, `SEEN_THROUGH` or `SWEPT`."""
+    swept_normals: NDArray[np.float32] | None = None
+    """(X, Y, Z, 3) sum of the outward normals of the other part's surface that passed through a voxel; None: unknown,
+    all of it counts."""
 
     def centres(self, chosen: NDArray[np.bool_]) -> Array:
         """(n, 3) centres of the voxels where `chosen` (X, Y, Z) is true, in the part's frame."""
@@ -50,11 +55,32 @@ class SpaceGrid:
 
     def look_up(self, points: Array) -> NDArray[np.uint8]:
         """(n,) states at points (n, 3); `UNKNOWN` outside the grid."""
-        at = np.rint(se3.transform(se3.inverse(self.T_part_grid), points) / self.voxel).astype(np.int64)
-        within = ((at >= 0) & (at < self.state.shape)).all(1)
+        at, within = self._voxels(points)
         found = np.zeros(len(points), np.uint8)
         found[within] = self.state[tuple(at[within].T)]
         return found
+
+    def is_empty_behind(self, points: Array, normals: Array) -> NDArray[np.bool_]:
+        """(n,) whether points (n, 3) behind surface with outward normals (n, 3) are known to be empty.
+
+        Space that the other part's surface passed counts where that faces as the surface here does, within
+        `_FACING`: then it passed behind a wall. Else it is that part's back or edge, which reached into this one by the
+        error of poses and outlines, as where two parts slide on each other.
+        """
+        at, within = self._voxels(points)
+        state, empty = self.state[tuple(at[within].T)], np.zeros(len(points), bool)
+        swept = state == SWEPT
+        if self.swept_normals is not None:
+            m = self.swept_normals[tuple(at[within].T)]
+            turned = np.einsum("ij,ij->i", m, normals[within] @ self.T_part_grid[:3, :3])
+            swept &= turned > _FACING * np.linalg.norm(m, axis=1)
+        empty[within] = (state == SEEN_THROUGH) | swept
+        return empty
+
+    def _voxels(self, points: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """(n, 3) voxels of points, and (n,) whether these are in the grid."""
+        at = np.rint(se3.transform(se3.inverse(self.T_part_grid), points) / self.voxel).astype(np.int64)
+        return at, ((at >= 0) & (at < self.state.shape)).all(1)
 
 
 def find_free_space(reconstruction: Reconstruction, name: str, recording: Recording | None) -> SpaceGrid:
@@ -67,14 +93,15 @@ def find_free_space(reconstruction: Reconstruction, name: str, recording: Record
     whole = reconstruction.articulation
     own, other = whole.part(name), whole.part("moving" if name == "reference" else "reference")
     T, voxel, shape = _lay_grid(own)
-    state = np.zeros(shape, np.uint8)
+    state, normals = np.zeros(shape, np.uint8), np.zeros((*shape, 3), np.float32)
     q = reconstruction.states
     Ts = whole.joint.transform(np.linspace(q.min(), q.max(), _count_states(reconstruction, other, voxel)))
-    _mark_swept(state, se3.inverse(T) @ (Ts if name == "reference" else se3.inverse(Ts)), _sample(other, voxel), voxel)
+    Ts = se3.inverse(T) @ (Ts if name == "reference" else se3.inverse(Ts))
+    _mark_swept(state, normals, Ts, *_sample(other, voxel), voxel)
     if recording is not None:
         seen = _count_looks(reconstruction, name, recording, T, voxel, shape)
         state[seen >= MIN_FRAMES] = SEEN_THROUGH
-    return SpaceGrid(T, voxel, state)
+    return SpaceGrid(T, voxel, state, normals)
 
 
 def _lay_grid(part: Mesh) -> tuple[Array, float, tuple[int, int, int]]:
@@ -104,24 +131,29 @@ def _count_states(reconstruction: Reconstruction, other: Mesh, voxel: float) -> 
     return int(np.clip(np.ceil(np.ptp(q) * arm / voxel), 1, 1000)) + 1
 
 
-def _sample(mesh: Mesh, spacing: float) -> Array:
-    """(n, 3) points on a mesh, one per cubic cell of side `spacing`."""
-    corners = mesh.vertices[mesh.faces]
+def _sample(mesh: Mesh, spacing: float) -> tuple[Array, Array]:
+    """(n, 3) points on the triangles of a mesh, one per cubic cell of side `spacing`, and outward normals (n, 3)."""
+    across = triangle_normals(mesh.vertices, mesh.faces)
+    across = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
     split = np.maximum(1, np.ceil(np.sqrt(2 * mesh.areas()) / (0.7 * spacing))).astype(np.int64)
-    points = [mesh.vertices[np.unique(mesh.faces)]]
+    points, normals = [np.zeros((0, 3))], [np.zeros((0, 3))]
     for n in np.unique(split):
         i, j = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
         u, v = ((i + 1 / 3) / n)[i + j < n], ((j + 1 / 3) / n)[i + j < n]
-        a, b, c = np.moveaxis(corners[split == n], 1, 0)[:, :, None]
+        a, b, c = np.moveaxis(mesh.vertices[mesh.faces[split == n]], 1, 0)[:, :, None]
         points.append((a + u[:, None] * (b - a) + v[:, None] * (c - a)).reshape(-1, 3))
+        normals.append(np.repeat(across[split == n], len(u), axis=0))
     every = np.concatenate(points)
-    _, first = np.unique(np.floor(every / spacing).astype(np.int64), axis=0, return_index=True)
-    return every[np.sort(first)]
+    first = np.sort(np.unique(np.floor(every / spacing).astype(np.int64), axis=0, return_index=True)[1])
+    return every[first], np.concatenate(normals)[first]
 
 
 @njit(nogil=True, cache=True)
-def _mark_swept(state: NDArray[np.uint8], Ts: Array, points: Array, voxel: float) -> None:
-    """Mark the voxels that contain a point (n, 3) moved by one of Ts (m, 4, 4), grid from the points' frame."""
+def _mark_swept(
+    state: NDArray[np.uint8], sums: NDArray[np.float32], Ts: Array, points: Array, normals: Array, voxel: float
+) -> None:  # pragma: no cover
+    """Mark the voxels that contain a point (n, 3) moved by one of Ts (m, 4, 4), grid from the points' frame, and add
+    its normal (n, 3), turned, to `sums` (X, Y, Z, 3)."""
     for k in range(len(Ts)):
         T = Ts[k]
         for i in range(len(points)):
@@ -131,6 +163,9 @@ def _mark_swept(state: NDArray[np.uint8], Ts: Array, points: Array, voxel: float
             c = round((T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]) / voxel)
             if 0 <= a < state.shape[0] and 0 <= b < state.shape[1] and 0 <= c < state.shape[2]:
                 state[a, b, c] = 2
+                x, y, z = normals[i]
+                for r in range(3):
+                    sums[a, b, c, r] += T[r, 0] * x + T[r, 1] * y + T[r, 2] * z
 
 
 def _count_looks(

@@ -39,8 +39,8 @@ from freeart21.se3 import Array
 
 _SPLIT = 3.0
 """A plane whose thick places are this many times as thick as its thin ones is a panel that ends at a core."""
-_THIN, _THICK = 0.25, 0.9
-"""Quantiles of a plane's thickness: thin for at least a quarter, so that rims and rounded edges do not count."""
+_THIN, _THICK = 0.1, 0.9
+"""Quantiles of a plane's thickness: thin for at least a tenth, so that rims and rounded edges do not count."""
 _MIN_CORE = 0.01
 """Volume of a core over that of the part, below which it stays solid."""
 _VOTES = 25
@@ -193,7 +193,7 @@ def _first_empty(at: Array, normals: Array, most: Array, space: SpaceGrid) -> Ar
         waiting = waiting[(depth < most[waiting])]
         if not len(waiting):
             break
-        empty = space.look_up(at[waiting] - depth * normals[waiting]) != UNKNOWN
+        empty = space.is_empty_behind(at[waiting] - depth * normals[waiting], normals[waiting])
         found[waiting[empty]] = depth
         waiting = waiting[~empty]
     return found
@@ -223,12 +223,19 @@ def _find_thickness(seen: _Points, planes: Planes) -> tuple[NDArray[np.bool_], f
 
 
 def _slabs(seen: _Points, planes: Planes, split: NDArray[np.bool_], thickness: float) -> Array:
-    """(n,) m of material behind each point in front of a hollow core: its slab's own, `thickness` elsewhere."""
-    thick = np.full(len(seen.at), thickness)
+    """(n,) m of material behind each point in front of a hollow core: its slab's own, `thickness` elsewhere.
+
+    A slab is seen from both sides, and neither side is a panel that is thin elsewhere.
+    """
+    thick, tree = np.full(len(seen.at), thickness), cKDTree(seen.at)
+    panel = np.append(split, False)[planes.label]
     for k in np.flatnonzero(~split):
         own = planes.label == k
-        if seen.exact[own].mean() > 0.5:
-            high = float(np.quantile(seen.depth[own & seen.exact], _THICK))
+        both = own & seen.exact
+        if both.sum() > 0.5 * own.sum() and not (
+            panel[tree.query(seen.at[both] - seen.depth[both, None] * seen.normals[both])[1]].mean() > 0.5
+        ):
+            high = float(np.quantile(seen.depth[both], _THICK))
             similar = thick[np.abs(thick / high - 1) < 0.1]
             thick[own] = similar[0] if len(similar) else high  # few different ones
     return thick

@@ -9,11 +9,13 @@ import trimesh
 from export.collision import PRESETS, make_collision
 from export.fidelity import measure_fidelity
 from export.free_space import SEEN_THROUGH, SWEPT, find_free_space
+from export.hollows import find_panels
 from export.meshes import MeshSettings
 from export.parts import close_parts
 from export.penetration import Overlap
 from export.planes import fit_planes
 from export.primitives import Box
+from export.surface import close_surface
 from freeart21 import se3
 from freeart21.articulation import PARTS, Articulation
 from freeart21.camera import Camera
@@ -134,6 +136,34 @@ def test_without_the_video_the_sliding_drawer_alone_empties_its_carcass(drawer_u
     answer, _ = drawer_unit
     space = find_free_space(answer, "reference", None)
     assert space.look_up(np.array([[-0.05, 0.0, 0.018], [0.0, 0.0, 0.117]])).tolist() == [SWEPT, 0]
+
+
+def test_what_the_other_part_passed_is_empty_only_behind_a_wall_that_faces_as_it_does(drawer_unit):
+    answer, _ = drawer_unit
+    space = find_free_space(answer, "reference", None)
+    side = np.array([[0.0, 0.068, 0.05]])  # the drawer's, which faces +y
+    assert space.look_up(side).tolist() == [SWEPT]
+    assert space.is_empty_behind(side, np.array([[0, 1.0, 0]])).all()
+    assert not space.is_empty_behind(side, np.array([[0, -1.0, 0]])).any()  # a surface within the drawer
+
+
+def test_a_cabinet_is_hollow_of_which_one_low_drawer_opens():
+    """Its sides are known to be thin in less than a quarter of what was seen of them."""
+    x, y, z = 0.5 * SIZE
+    top = block((-x - 1, -y + WALL, 0.07), (x - WALL, y - WALL, 2 * z - WALL))
+    cabinet = trimesh.boolean.difference([block((-x, -y, 0), (x, y, 2 * z)), top])
+    low, high = np.array([-0.098, -0.068, 0.072]), np.array([0.086, 0.068, 0.104])
+    tray = trimesh.boolean.difference([block(low, high), block(low + SHEET, high + np.array([-SHEET, -SHEET, 1]))])
+    answer, recording = film([cabinet, tray], SLIDE, 0.065 * (1 - np.cos(0.9 * np.arange(FRAMES))))
+    found = find_panels_of(answer, recording)
+    assert found["thickness_by"] == "rims" and found["thickness_m"] == pytest.approx(WALL, abs=1e-3)
+    assert found["cores"][0]["hollow"] and found["cores"][0]["volume_m3"] > 0.5 * 0.18 * 0.14 * 0.05
+
+
+def find_panels_of(answer, recording) -> dict:
+    space = find_free_space(answer, "reference", recording)
+    closed = close_surface(answer.articulation.reference, SETTINGS, space)
+    return find_panels(closed.mesh, closed.observed, space).report
 
 
 def test_a_solid_base_under_a_lid_stays_solid():
