@@ -80,7 +80,7 @@ class SpaceGrid:
     def _voxels(self, points: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """(n, 3) voxels of points, and (n,) whether these are in the grid."""
         at = np.rint(se3.transform(se3.inverse(self.T_part_grid), points) / self.voxel).astype(np.int64)
-        return at, ((at >= 0) & (at < self.state.shape)).all(1)
+        return at, np.asarray(((at >= 0) & (at < self.state.shape)).all(1))
 
 
 def find_free_space(reconstruction: Reconstruction, name: str, recording: Recording | None) -> SpaceGrid:
