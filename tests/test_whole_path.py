@@ -5,12 +5,14 @@ from dataclasses import replace
 import pytest
 from synthetic_case import truth_as_answer
 
+from benchmarks.wholes import true_solids
 from export.collision import CollisionSettings
-from export.exporter import ExportSettings, export_result
+from export.exporter import DENSITY, ExportSettings, export_result
 from export.meshes import MeshSettings
 from freeart21.files.result import write_result
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
+from freeart21.files.urdf import read_urdf
 from generator.recorder import RecordSettings, record
 from leaderboard.score import score_results
 
@@ -19,9 +21,10 @@ CHANGED = 0.8
 what nobody can see closed; it was 0.45 of the drawer unit."""
 ROUGH = CollisionSettings(tolerance_m=0.02, patches=200, pairs=4_000)
 """Contact is not scored."""
-CLOSED = 0.92
-"""F-score that the export may bring the truth down to: patches that close what nobody can see are surface, too. It was
-0.936 of the drawer unit, and above 0.98 of the lighter."""
+CLOSED = 0.83
+"""F-score that the export may bring the truth down to: patches that close what nobody can see are surface, too, and so
+are the panels around a hollow core. It is .849 of the drawer unit, whose carcass weighs 7 % too little, where it was
+.929 of a solid one, 2.5 times too heavy; above .98 of the lighter."""
 COARSE = MeshSettings(points=8_000)
 SETTINGS = RecordSettings(frames=6, seed=11, queries=3, width=320, height=180, shader="trivial", edge=0.1)
 
@@ -33,7 +36,12 @@ def test_a_recorded_truth_handed_in_and_reloaded_scores_perfect(name, tmp_path):
     truth, recording = read_truth(data / "truth" / sequence), read_sequence(data / "sequences" / sequence)
     answer = replace(truth_as_answer(truth), seen=truth.seen > 0)
     write_result(results / sequence, answer, renders=[truth.query_rgb(i) for i in range(len(recording.queries))])
-    export_result(results / sequence, results / sequence / "asset", ExportSettings(meshes=COARSE, collision=ROUGH))
+    asset = export_result(
+        results / sequence, results / sequence / "asset", ExportSettings(meshes=COARSE, collision=ROUGH)
+    )
+    links = read_urdf(asset.urdf).links
+    for link, solid in zip((asset.reference_link, asset.moving_link), true_solids(truth), strict=True):
+        assert links[link].inertial.mass == pytest.approx(DENSITY * solid.volume, rel=0.2)
     (row,) = score_results(results, data, "strict-2").rows
     assert (row.status, row.measured_from, row.swapped) == ("ok", "asset", False)
     assert row.values["joint_type"] == row.values["fscore_parts"] == 1 and row.values["fscore"] > CLOSED
