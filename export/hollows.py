@@ -41,7 +41,7 @@ _SPLIT = 3.0
 """A plane whose thick places are this many times as thick as its thin ones is a panel that ends at a core."""
 _THIN, _THICK = 0.1, 0.9
 """Quantiles of a plane's thickness: thin for at least a tenth, so that rims and rounded edges do not count. Sides of a
-cabinet of which one drawer of three opens are thin in 13 to 23 %, broad faces of a solid phone in at most 6."""
+cabinet with one opened drawer of three are thin in 13 to 23 %, broad faces of a solid phone in at most 6."""
 _MIN_CORE = 0.01
 """Volume of a core over that of the part, below which it stays solid."""
 _VOTES = 25
