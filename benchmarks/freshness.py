@@ -37,7 +37,14 @@ LINE = re.compile(
     re.M,
 )
 
-MEASURED = {"reconstruct": ("reconstruct.pipeline", "reconstruct.features.hand_made", "reconstruct.trackers.dis")}
+MEASURED = {
+    "reconstruct": (
+        "reconstruct.pipeline",
+        "reconstruct.features.hand_made",
+        "reconstruct.pose_sources.tracked",
+        "reconstruct.trackers.dis",
+    )
+}
 """Package to the modules that its figures come from: what these do not import is left out. The defaults of registries
 are found by name, so they are named."""
 

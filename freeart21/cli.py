@@ -351,6 +351,7 @@ def reconstruct(
     segmentation: Literal["ours", "paper"] | None = None,
     tracker: str | None = None,
     features: str | None = None,
+    poses: str | None = None,
     settings_file: Annotated[Path | None, tyro.conf.arg(name="settings", metavar="FILE.json")] = None,
     settings: ReconstructSettings = ReconstructSettings(),  # noqa: B008 (frozen)
 ) -> int:
@@ -367,6 +368,7 @@ def reconstruct(
         segmentation: Short for --settings.segmentation: ours, or the paper's with hand-crafted features.
         tracker: Short for --settings.tracks.tracker: dis, or a learned one (docs/priors.md).
         features: Short for --settings.features.model, of the paper's segmentation: hand_made, or learned ones.
+        poses: SOURCE:FOLDER, short for --settings.given-poses.source and .folder: bundlesdf:FOLDER (docs/priors.md).
         settings_file: JSON of settings: a method.json, or its `settings` alone. What it lacks keeps its default.
         settings: One setting, such as --settings.joint.type-rule paper; --settings.help lists them all.
     """
@@ -384,6 +386,9 @@ def reconstruct(
         settings = replace(settings, tracks=replace(settings.tracks, tracker=tracker))
     if features is not None:
         settings = replace(settings, features=replace(settings.features, model=features))
+    if poses is not None:
+        source, _, folder = poses.partition(":")
+        settings = replace(settings, given_poses=replace(settings.given_poses, source=source, folder=folder))
     check_place(out, RESULT, (sequence,))
     work = work_folder(out)
     hint = f"finished stages are in {work}: the same command goes on"

@@ -34,6 +34,7 @@ from freeart21.reconstruction import Alternative, Reconstruction, Trust
 from reconstruct import VERSION
 from reconstruct.features import FEATURES, Features
 from reconstruct.gaussians import gsplat_backend
+from reconstruct.pose_sources import digest_poses
 from reconstruct.poses import FreePoses, JointedPoses
 from reconstruct.propagation import PartEstimate
 from reconstruct.settings import ReconstructSettings
@@ -135,6 +136,7 @@ def stage_keys(sequence: Path, settings: ReconstructSettings) -> dict[CachedStag
     del groups["progress"]
     if settings.gaussians.refine and settings.gaussians.backend != "numba":
         groups["gaussians"]["renderer"] = _describe_renderer()
+    groups["given_poses"]["folder"] = digest_poses(settings.given_poses)
     _add_weights(groups)
     keys = {}
     for stage in CACHED_STAGES:

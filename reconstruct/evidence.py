@@ -68,8 +68,12 @@ class PartReferences:
 class Evidence:
     """Costs and registration on one scene. Keeps no results."""
 
-    def __init__(self, scene: Scene, settings: EvidenceSettings, labels: LabelSettings) -> None:
+    def __init__(
+        self, scene: Scene, settings: EvidenceSettings, labels: LabelSettings, given_poses: Array | None = None
+    ) -> None:
         self.scene, self.settings, self.label_settings = scene, settings, labels
+        self.given_poses = np.zeros((0, len(scene), 4, 4)) if given_poses is None else given_poses
+        """(b, n, 4, 4) camera from body, of b bodies that another program tracked; NaN where unknown."""
         self.unit = float(np.hypot(scene.footprint, 2 * scene.noise))
         """Metres: footprint and depth noise in quadrature; gates are multiples of it."""
         self.sigma = float(np.hypot(SIGMA * scene.footprint, scene.noise))

@@ -39,6 +39,7 @@ from reconstruct.gaps import bridge_gaps, fill_gaps
 from reconstruct.gaussians.optimisation import optimise
 from reconstruct.joint_type import choose_joint_type, find_rival
 from reconstruct.part_swaps import swap_parts, undo_part_swaps
+from reconstruct.pose_sources import find_poses
 from reconstruct.poses import FINAL_GATE, FreePoses, JointedPoses, free_adjustment, joint_adjustment
 from reconstruct.propagation import PartEstimate, body_points
 from reconstruct.renders import render_queries
@@ -184,7 +185,7 @@ def _tracks(
     if scene.implausible:
         clock.say(f"{100 * scene.implausible:.2g} % of the object's depths lie implausibly far from it: taken as none")
     tracker = make_tracker(scene, settings.tracks) if with_tracks else None
-    evidence = Evidence(scene, settings.evidence, settings.labels)
+    evidence = Evidence(scene, settings.evidence, settings.labels, find_poses(scene, settings.given_poses))
     return _PreparedVideo(recording, scene, evidence, tracker, clock.progress)
 
 

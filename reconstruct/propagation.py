@@ -212,14 +212,14 @@ class Propagation:
         return float(costs.mean()) if len(costs) else np.inf
 
     def predict_part_poses(self, k: int, frame: int, neighbour: int) -> list[Array]:
-        """Initial guesses of part k's pose: constant, constant velocity, the other part's velocity, and the tracks'
-        motion."""
+        """Initial guesses of part k's pose: constant, constant velocity, the other part's velocity, the tracks' motion,
+        and given poses."""
         T, before = self.Ts[:, neighbour], 2 * neighbour - frame
         guesses = [T[k]]
         if 0 <= before < len(self.done) and self.done[before]:
             guesses += [T[m] @ se3.inverse(self.Ts[m, before]) @ T[k] for m in (k, 1 - k)]
         tracked = self._motion_from_tracks(k, frame, neighbour)
-        return guesses if tracked is None else [*guesses, tracked @ T[k]]
+        return guesses + ([] if tracked is None else [tracked @ T[k]]) + self._given_poses(k, frame)
 
     def initial_guesses(self, frame: int, neighbour: int) -> list[tuple[Array, float]]:
         """Initial guesses of reference pose and state."""
@@ -233,11 +233,9 @@ class Propagation:
             guesses += [(velocity @ T, ahead), (velocity @ T, q)]
         for k in range(2):
             tracked = self._motion_from_tracks(k, frame, neighbour)
-            if tracked is not None:
-                displacement = tracked @ self.Ts[k, neighbour]
-                guesses.append(
-                    (displacement if k == 0 else displacement @ se3.inverse(self.joint.transform(ahead)), ahead)
-                )
+            poses = [] if tracked is None else [tracked @ self.Ts[k, neighbour]]
+            for pose in poses + self._given_poses(k, frame):
+                guesses.append((pose if k == 0 else pose @ se3.inverse(self.joint.transform(ahead)), ahead))
         return [(se3.orthonormalised(T), q) for T, q in guesses]
 
     def _motion_from_tracks(self, k: int, frame: int, neighbour: int) -> Array | None:
@@ -251,6 +249,18 @@ class Propagation:
         if kept.sum() < 25:
             return None
         return rigid.ransac_fit(tracks.points[kept, 0], tracks.points[kept, -1], 3 * self.evidence.unit, self.rng)
+
+    def _given_poses(self, k: int, frame: int) -> list[Array]:
+        """Poses of part k in `frame` if it moved as the bodies that another program tracked, from the nearest frame
+        that shows it. Which body is which part is for the costs to decide."""
+        poses = []
+        for Ts in self.evidence.given_poses:
+            tracked = np.isfinite(Ts[:, 0, 0])
+            known = np.flatnonzero(self.done & self.seen[:, k] & tracked & (np.arange(len(Ts)) != frame))
+            if tracked[frame] and len(known):
+                near = known[np.abs(known - frame).argmin()]
+                poses.append(Ts[frame] @ se3.inverse(Ts[near]) @ self.Ts[k, near])
+        return poses
 
     def _extrapolate_state(self, frame: int) -> float:
         """The state of `frame` at constant velocity from the two nearest frames done."""

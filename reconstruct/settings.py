@@ -48,6 +48,16 @@ class TrackSettings:
 
 
 @dataclass(frozen=True)
+class GivenPosesSettings:
+    """Poses of the parts that another program found: initial guesses beside our own."""
+
+    source: str = "tracked"
+    """One of `reconstruct.pose_sources`; tracked: none but our own."""
+    folder: str = ""
+    """Of the other program's results."""
+
+
+@dataclass(frozen=True)
 class EvidenceSettings:
     """Cost of a pixel under a motion: point-to-plane, free space, silhouette, colour."""
 
@@ -229,6 +239,7 @@ class ReconstructSettings:
     """Part segmentation: ours, or the paper's with hand-made features."""
     scene: SceneSettings = field(default_factory=SceneSettings)
     tracks: TrackSettings = field(default_factory=TrackSettings)
+    given_poses: GivenPosesSettings = field(default_factory=GivenPosesSettings)
     evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
     labels: LabelSettings = field(default_factory=LabelSettings)
     growth: PropagationSettings = field(default_factory=PropagationSettings)
