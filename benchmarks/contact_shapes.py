@@ -29,8 +29,8 @@ import numpy as np
 import trimesh
 from manifold3d import Manifold, OpType
 
+from benchmarks.assets import join_visuals
 from benchmarks.common import RESULTS, ROOT, format_number, make_table, run_cli, run_within, wide_console, write_report
-from benchmarks.export import join_meshes
 from export.carving import make_solid
 from export.collision import PRESETS, Collision, convex_hull, make_collision
 from export.decomposition import MIN_THICKNESS_M
@@ -109,7 +109,7 @@ def read_parts(part: str) -> dict[str, Mesh]:
     if link and link not in links:
         raise FreeArtError(f"{urdf} has no visual of a link '{link}'; there are {', '.join(links)}")
     names = [folder.name for folder in urdf.parents if folder.name != "asset"]
-    return {f"{names[0]} {name}": join_meshes(shown, name, "visuals") for name in ([link] if link else links)}
+    return {f"{names[0]} {name}": join_visuals(shown, name) for name in ([link] if link else links)}
 
 
 def _row(name: str, mesh: Mesh, limit_s: float, folder: Path) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import real_video, solve
+from benchmarks import assets, real_video, solve
 from benchmarks.baselines import METHODS as METHOD_NAMES
 from benchmarks.common import RESULTS, ROOT, run_cli, write_report
 from benchmarks.freshness import is_current, read_commit
@@ -97,8 +97,6 @@ BASELINES = "baselines.json"
 """Of `benchmarks.baselines`."""
 REAL_VIDEO = "real_video.json"
 """Of `benchmarks.real_video`."""
-SUPPOSED = "supposed.json"
-"""Of `benchmarks.supposed`."""
 STRICT_3 = (
     ("depth_median", "depth, median, %", 2),
     ("depth_95", "depth, 95 %, %", 1),
@@ -328,18 +326,50 @@ def write_baseline_points(folder: str) -> str:
     return _table(head, rows) + listed + "\n" + _stamp(BASELINES, folder, "baselines") + "\n"
 
 
-def write_supposed(folder: str) -> str:
-    """What the faces that nobody saw cost: means of all parts, and the ten dearest."""
-    report = checked.read_json(RESULTS / SUPPOSED)
-    mean = report["summary"]
-    rows = [[f"mean of {mean['parts']} parts", _cell(100 * mean["supposed_share"], 0)]]
-    rows[0] += [_cell(mean[key], 2) for key in ("seen_pct", "supposed_pct")]
-    for row in report["rows"][:10]:
-        share, seen, supposed = 100 * row["supposed_share"], row["seen"], row["supposed"]
-        cells = [_cell(share, 0), _cell(seen, 2), _cell(supposed, 2)]
-        rows.append([f"{row['sequence'].removesuffix('-v1')}, {row['part']}", *cells])
-    head = ["part", "supposed, % of area", "seen faces, % of diagonal", "supposed faces, % of diagonal"]
-    return _table(head, rows) + "\n" + _stamp(SUPPOSED, folder, "export") + "\n"
+def write_assets(folder: str) -> str:
+    """How many assets reach each goal (`benchmarks.assets.GOALS`); those that not all reach are bold."""
+    summary = checked.read_json(RESULTS / assets.FILE)["summary"]
+    rows = []
+    for goal in assets.GOALS:
+        its = summary[goal.column]
+        reached = _bold(f"{its['reached']} of {its['of']}", its["reached"] == its["of"])
+        bound = f"{'at least' if goal.at_least else 'at most'} {goal.bound:g}"
+        rows.append([goal.says, bound, reached, *(_figure(its[key]) for key in ("median", "worst"))])
+    return _table(["", "goal", "reach it", "median", "worst"], rows) + _stamp_assets(folder)
+
+
+def write_asset_rows(folder: str) -> str:
+    """Each asset, that which misses most goals first; both parts' numbers, the reference part's first."""
+    columns = {
+        "failed_rules": "rules failed",
+        "mass_pc": "mass, %",
+        "iou": "voxel IoU",
+        "supposed": "supposed, share",
+        "seen_off_pc": "seen faces off, %",
+        "supposed_off_pc": "supposed faces off, %",
+        "visual_deep_mm": "visual in each other, mm",
+        "contact_worst_mm": "contact off, mm",
+        "shapes": "shapes",
+        "speed": "speed",
+        "cpu_s": "export, s",
+        "ball": "ball",
+    }
+    rows = []
+    for row in checked.read_json(RESULTS / assets.FILE)["rows"]:
+        cells = []
+        for column in columns:
+            value = row.get(column)
+            cells.append(" / ".join(_figure(each) for each in (value if isinstance(value, list) else [value])))
+        rows.append([row["object"].removesuffix("-v1"), *cells])
+    return _table(["object", *columns.values()], rows) + _stamp_assets(folder)
+
+
+def _stamp_assets(folder: str) -> str:
+    return "\n" + _stamp(assets.FILE, folder, "export") + "\n"
+
+
+def _figure(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
 
 
 def write_real_video(folder: str) -> str:
@@ -383,7 +413,8 @@ TABLES: dict[str, Callable[[str], str]] = {
     "baselines": write_baselines,
     "baseline-points": write_baseline_points,
     "reach": write_reach,
-    "supposed": write_supposed,
+    "assets": write_assets,
+    "asset-rows": write_asset_rows,
     "real-video": write_real_video,
     "costs": write_costs,
 }

@@ -14,7 +14,7 @@ from export.clearance import separate_shapes
 from export.decomposition import MAX_VERTICES, MIN_THICKNESS_M, Tolerance, decompose, thicken
 from export.outer_surface import OuterSurface, even_directions, sample_outer_surface
 from export.primitive_fit import fit_primitive
-from export.primitives import Primitive
+from export.primitives import Box, Cylinder, Primitive
 from freeart21.errors import FreeArtError
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
@@ -25,7 +25,7 @@ _FEET_SHARE = 4
 """One direction in this many, in which a hull keeps its furthest points, looks down and slightly sideways: twelve of
 48, with which a round foot is 3 % narrower."""
 _LEVEL_M = 5e-5
-"""m that a primitive may miss the ground; a tilt of .005 for a foot 1 cm long."""
+"""m that a primitive's base may miss the ground anywhere; a tilt of .005 for a foot 1 cm long."""
 _SIDEWAYS = 1e-3
 """Sideways component of the downward directions, so that the outer of two corners is kept unless it is higher by more
 than this fraction of their distance. For a foot of 5 cm that is `_LEVEL_M`."""
@@ -101,7 +101,7 @@ def make_collision(
     primitives: list[Primitive] = []
     for corners in pieces:
         shape = known.get(id(corners)) or fit_primitive(corners, surface, excess) if settings.primitives else None
-        if shape is not None and (ground is None or _fits_ground(shape.mesh(), ground, excess)):
+        if shape is not None and (ground is None or _fits_ground(shape, ground, excess)):
             primitives.append(shape)
             continue
         hull = convex_hull(corners, MIN_THICKNESS_M, MAX_VERTICES)
@@ -149,10 +149,19 @@ def separate_collisions(
     return out, counts
 
 
-def _fits_ground(shape: Mesh, ground: float, near: float) -> bool:
-    """Whether a shape ends at the ground, or above everything that is taken to touch it."""
-    low = float(shape.vertices[:, 2].min()) - ground
-    return abs(low) <= _LEVEL_M or low > near
+def _fits_ground(shape: Primitive, ground: float, near: float) -> bool:
+    """Whether a shape stands level on the ground, or is above everything that is taken to touch it.
+
+    A face that looks down may rise by `_LEVEL_M`, or by more than `near`, m: then the part leans there itself.
+    """
+    low = float(shape.mesh().vertices[:, 2].min()) - ground
+    across = np.abs(shape.T_link_shape[2, :3])  # of its axes, upwards
+    rise = 0.0
+    if isinstance(shape, Box):
+        rise = float(across @ shape.size - (across * shape.size)[across.argmax()])
+    elif isinstance(shape, Cylinder) and across.argmax() == 2:
+        rise = 2 * shape.radius * float(np.hypot(*across[:2]))
+    return low > near or (abs(low) <= _LEVEL_M and not _LEVEL_M < rise <= near)
 
 
 def _cut_at_ground(hull: Mesh, ground: float, near: float) -> Mesh:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from synthetic_case import truth_as_answer
 
-from benchmarks.wholes import true_solids
+from benchmarks.assets import true_model, true_solids
 from export.collision import CollisionSettings
 from export.exporter import DENSITY, ExportSettings, export_result
 from export.meshes import MeshSettings
@@ -40,7 +40,9 @@ def test_a_recorded_truth_handed_in_and_reloaded_scores_perfect(name, tmp_path):
         results / sequence, results / sequence / "asset", ExportSettings(meshes=COARSE, collision=ROUGH)
     )
     links = read_urdf(asset.urdf).links
-    for link, solid in zip((asset.reference_link, asset.moving_link), true_solids(truth), strict=True):
+    for link, solid in zip(
+        (asset.reference_link, asset.moving_link), true_solids(truth, true_model(truth)), strict=True
+    ):
         assert links[link].inertial.mass == pytest.approx(DENSITY * solid.volume, rel=0.2)
     (row,) = score_results(results, data, "strict-2").rows
     assert (row.status, row.measured_from, row.swapped) == ("ok", "asset", False)

@@ -67,10 +67,11 @@ def data_page(folder: Path, title: str) -> str:
     names = ", ".join(hidden[:5]) + " ..." * (len(hidden) > 5)
     notices = [f"{len(hidden)} sequences have no truth here and are left out: {names}"] if hidden else []
     frames = sum(s.frames for s in statistics)
-    chips = [f"{len(statistics)} sequences", f"{frames} frames", f"version {benchmark.version}", benchmark.split]
+    sequences = f"{len(statistics)} sequence{'s' * (len(statistics) > 1)}"
+    chips = [sequences, f"{frames} frames", f"version {benchmark.version}", benchmark.split]
     sections = [
         table_section(
-            f"Summary of {len(statistics)} sequences, {frames} frames",
+            f"Summary of {sequences}, {frames} frames",
             summary_rows(statistics),
             (),
             "full",

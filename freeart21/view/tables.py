@@ -23,8 +23,8 @@ NONE = "\N{EN DASH}"
 """Shown where a number is missing."""
 _DIGITS = {"deg": 2, "%": 2, "cm": 2, "dB": 1, "fraction": 3, "m": 4, "rad": 3, "1": 3, "dm²": 4, "points": 1}
 _SIGNS = {"deg": "°", "%": " %", "dB": " dB", "cm": " cm", "m": " m", "rad": " rad"}
-_WORDS = re.compile(r"[^\W\d_]{4,}")
-"""A word of four letters or more: a cell with one is text, not numbers with their units."""
+_WORDS = re.compile(r"[^\W\d_]{4,}|, ")
+"""A word of four letters or more, or a comma: a cell with one is text or a list, not a number with its unit."""
 
 
 class Markup(str):
@@ -105,7 +105,7 @@ def table_section(
 
 
 def table_cell(text: str, tag: Literal["td", "th"] = "td") -> str:
-    """A cell; numbers stay on one line, so that a narrow page scrolls the table instead."""
+    """A cell; a number and its unit stay on one line, so that a narrow page scrolls the table instead."""
     if isinstance(text, Markup):
         return text
     if tag == "th":
