@@ -381,9 +381,15 @@ def test_where_an_asset_came_from_is_shown_without_python() -> None:
 
 
 def test_cells_of_numbers_are_kept_on_one_line() -> None:
-    for text in ("-61.4° to 11.3°", "3.52e-05, 7.71e-05", "-0.002, 0.003, -0.005 m", "10 rad/s", "0.0542 kg"):
+    for text in ("-61.4° to 11.3°", "3.52e-05", "-0.005 m", "10 rad/s", "0.0542 kg"):
         assert table_cell(text).startswith("<td class=number>"), text
-    for text in ("revolute", "viscous_damping (coefficient 0.02 N m s/rad)", "2 sequences of 3", "none"):
+    for text in (
+        "-0.002, 0.003, -0.005 m",
+        "revolute",
+        "viscous_damping (coefficient 0.02 N m s/rad)",
+        "2 sequences of 3",
+        "none",
+    ):
         assert table_cell(text).startswith("<td>"), text
 
 
