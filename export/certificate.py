@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from export.check.report import CheckReport
-from export.contact import Shapes, measure_contact_depth, measure_contact_fidelity, read_link_shapes
+from export.checklist import Shapes
+from export.contact import measure_contact_depth, measure_contact_fidelity, read_link_shapes
 from export.fidelity import Fidelity
 from export.joint_range import STATES
 from export.penetration import measure_visual_depth
@@ -30,37 +31,59 @@ TOLERANCE = 1e-3
 """Relative difference of numbers, and of lengths over the asset's size, that rounding and libraries may make."""
 
 
-def certify(asset: Asset, fidelity: Mapping[str, Fidelity] | None = None) -> Certificate:
+@dataclass(frozen=True)
+class MeasuredFiles:
+    """Geometry of an asset, measured from its files."""
+
+    visuals: dict[str, Shapes]
+    """By link."""
+    fidelity: dict[str, Fidelity]
+    """Contact distances by link."""
+    visual_depth: float
+    """m that the visual meshes of the joint's links are in each other at most, in its range."""
+    contact_depth: float
+    """The same of collision shapes."""
+
+
+def measure_files(urdf: Path, joint: str, fidelity: bool = True) -> MeasuredFiles:
+    """Contact distances (unless `fidelity` is false) and overlaps of a URDF's links at one of its joints."""
+    visuals, collisions = read_link_shapes(urdf)
+    return MeasuredFiles(
+        visuals,
+        measure_contact_fidelity(visuals, collisions) if fidelity else {},
+        measure_visual_depth(read_urdf(urdf).joints[joint], visuals, STATES),
+        measure_contact_depth(urdf, joint, collisions, STATES),
+    )
+
+
+def certify(asset: Asset, measured: MeasuredFiles | None = None) -> Certificate:
     """The certificate of an exported asset, from its URDF, meshes and asset.json; no engines yet.
 
-    `fidelity` are the contact distances of its files by link, where they were measured already.
+    `measured` are its files, where they were measured already.
     """
-    visuals, collisions = read_link_shapes(asset.urdf)
-    fidelity = measure_contact_fidelity(visuals, collisions) if fidelity is None else fidelity
+    measured = measure_files(asset.urdf, asset.joint) if measured is None else measured
     urdf, up = read_urdf(asset.urdf), _read_facts(asset.source, "up")
     trust = trust_to_json(asset.trust)
     links = {"reference": asset.reference_link, "moving": asset.moving_link}
     return Certificate(
-        {link: _certify_link(asset, urdf, part, link, visuals[link], fidelity) for part, link in links.items()},
-        measure_visual_depth(urdf.joints[asset.joint], visuals, STATES),
-        measure_contact_depth(asset.urdf, asset.joint, collisions, STATES),
+        {link: _certify_link(asset, urdf, part, link, measured) for part, link in links.items()},
+        measured.visual_depth,
+        measured.contact_depth,
         str(up.get("how", UNKNOWN)),
         trust["verdict"],
         tuple(trust["reasons"]),
     )
 
 
-def _certify_link(
-    asset: Asset, urdf: Urdf, part: str, link: str, visuals: Shapes, fidelity: Mapping[str, Fidelity]
-) -> LinkCertificate:
+def _certify_link(asset: Asset, urdf: Urdf, part: str, link: str, measured: MeasuredFiles) -> LinkCertificate:
     facts = _read_facts(_read_facts(asset.source, "parts"), part)
     mass = _read_facts(facts, "mass")
     inertial = urdf.links[link].inertial
     if inertial is None:
         raise FreeArtError(f"{asset.urdf}: link '{link}' has no mass, expected an exported asset")
-    seen, supposed = measure_seen_share(visuals, _read_facts(facts, "patch"))
+    seen, supposed = measure_seen_share(measured.visuals[link], _read_facts(facts, "patch"))
     low, high = mass.get("bounds_kg") or (inertial.mass, inertial.mass)
-    contact = fidelity[link].to_json() if link in fidelity else {}
+    contact = measured.fidelity[link].to_json() if link in measured.fidelity else {}
     source = f"{'guessed' if mass.get('guessed') else 'given'} {mass.get('by', UNKNOWN)}"
     material = str(mass.get("material", UNKNOWN))
     return LinkCertificate(part, seen, supposed, contact, source, material, inertial.mass, float(low), float(high))

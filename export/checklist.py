@@ -40,6 +40,8 @@ MAX_MESH_BYTES = 256 << 20
 """Largest mesh or material file that is read."""
 Files = Callable[[str], Path]
 """Maps a file name in the URDF to a path."""
+Shapes = list[tuple[Array, trimesh.Trimesh]]
+"""Pose (4, 4) in the link, and mesh, of each shape."""
 FK_TOLERANCE = 1e-6
 """Rotation entries and metres by which two simulators may differ in a link's pose."""
 
@@ -95,9 +97,10 @@ def check_urdf(robot: ET.Element, urdf: Path, folder: Path) -> list[Finding]:
     files = partial(resolve_file, urdf, root=folder)
     try:
         for link in robot.findall("link"):
+            shapes = load_shapes(link, "collision", files)
             if not any(finding.broken for finding in masses):
-                findings += _check_mass_centre(link, files)
-            findings += _check_collisions(link, files)
+                findings += _check_mass_centre(link, shapes)
+            findings += _check_collisions(link, shapes)
             findings += _check_textures(link, files, folder)
         for joint in robot.findall("joint"):
             findings += [*_check_axis(joint), *_check_limits(joint)]
@@ -178,9 +181,9 @@ def _check_masses(link: ET.Element, robot: ET.Element) -> Iterator[Finding]:
         yield Finding("inertia.physical", f"link '{name}': {wrong}", broken=True)
 
 
-def _check_mass_centre(link: ET.Element, files: Files) -> Iterator[Finding]:
+def _check_mass_centre(link: ET.Element, shapes: Shapes) -> Iterator[Finding]:
     """A centre of mass outside the link's collision geometry."""
-    points = [se3.transform(T, mesh.vertices) for T, mesh in load_shapes(link, "collision", files)]
+    points = [se3.transform(T, mesh.vertices) for T, mesh in shapes]
     if points and link.find("inertial") is not None:
         box, centre = np.concatenate(points), _read_mass_centre(link)
         if (centre < box.min(0) - 1e-6).any() or (centre > box.max(0) + 1e-6).any():
@@ -196,14 +199,14 @@ def _read_mass_centre(link: ET.Element) -> Array:
     )
 
 
-def _check_collisions(link: ET.Element, files: Files) -> Iterator[Finding]:
+def _check_collisions(link: ET.Element, shapes: Shapes) -> Iterator[Finding]:
     name = link.get("name")
     if link.find("visual") is not None and link.find("collision") is None:
         yield Finding("collision.present", f"link '{name}' has a visual but no collision geometry")
     n = len(link.findall("collision"))
     if n > MAX_HULLS:
         yield Finding("collision.few", f"link '{name}' has {n} collision geometries, expected at most {MAX_HULLS}")
-    for k, (_, mesh) in enumerate(load_shapes(link, "collision", files)):
+    for k, (_, mesh) in enumerate(shapes):
         convex = mesh.convex_hull.volume if len(mesh.faces) else 0.0
         if not mesh.is_watertight or not mesh.volume > 0:
             yield Finding(
@@ -312,7 +315,7 @@ def _T_reference_moving(asset: Asset, q: float) -> Array:
     return se3.inverse(Ts[asset.reference_link]) @ Ts[asset.moving_link]
 
 
-def load_shapes(link: ET.Element, tag: str, files: Files) -> list[tuple[Array, trimesh.Trimesh]]:
+def load_shapes(link: ET.Element, tag: str, files: Files) -> Shapes:
     """Pose in the link, and scaled mesh, of every visual or collision element (`tag`) of a link that has a geometry.
 
     Raises FreeArtError when a mesh cannot be read or a size is invalid.

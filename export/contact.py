@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from export.checklist import load_shapes
+from export.checklist import Shapes, load_shapes
 from export.decomposition import thicken
 from export.fidelity import PER_SHAPES, Fidelity, depth_in_shapes, measure_fidelity, shape_planes
 from export.outer_surface import DENSE, sample_evenly, sample_outer_surface
@@ -22,8 +22,6 @@ from freeart21.files.urdf_files import resolve_file
 from freeart21.mesh import Mesh, join_meshes
 from freeart21.se3 import Array
 
-Shapes = list[tuple[Array, trimesh.Trimesh]]
-"""Pose (4, 4) in the link, and mesh, of each shape."""
 _MIN_POINTS = 5_000
 """Points on a link's surface when an asset has many links; otherwise they share `DENSE`, which bounds the time."""
 _SHEET_SHARE = 1e-4

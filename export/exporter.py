@@ -14,15 +14,13 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 import freeart21
-from export.certificate import certify, list_reloaded
+from export.certificate import certify, list_reloaded, measure_files
 from export.checklist import FK_TOLERANCE, check_asset
 from export.collision import PRESETS, Collision, CollisionSettings, Contact, make_collision, separate_collisions
 from export.companion_files import USD, write_companion_files
-from export.contact import measure_contact_depth, measure_contact_fidelity, read_link_shapes
 from export.guessed_dynamics import DYNAMICS, Dynamics, guess_effects
 from export.hollows import sealed_faces
 from export.inertia import compute_inertial
-from export.joint_range import STATES
 from export.masses import PartMass, weigh_parts
 from export.materials import DEFAULT, DENSITIES, MATERIALS, TABLE
 from export.meshes import MeshSettings, drop_small_components, write_hull, write_visual
@@ -208,18 +206,18 @@ def export_result(
         )
         atomic.write_bytes(aside / URDF, format_urdf(model))
         atomic.write_bytes(aside / MJCF, format_mjcf(model))
-        visuals, collisions = read_link_shapes(aside / URDF)
-        fidelity = measure_contact_fidelity(visuals, collisions)
-        depth = measure_contact_depth(aside / URDF, joint.name, collisions, STATES)
+        measured = measure_files(aside / URDF, joint.name)
         source |= {
             "parts": {
                 name: part
-                | {"role": placement.roles[name], "collision": fidelity[links[name]].to_json()}
+                | {"role": placement.roles[name], "collision": measured.fidelity[links[name]].to_json()}
                 | masses[name].to_json()
                 for name, (_, part) in written.items()
             },
             **placement.report,
-            "penetration": penetration | {"deepest_m": depth} | shape_counts,
+            "penetration": penetration
+            | {"deepest_m": measured.contact_depth, "deepest_visual_m": measured.visual_depth}
+            | shape_counts,
             "mass": _describe_mass(settings),
             "dynamics": {"guessed": guessed},
             "length_unit": "m",
@@ -228,7 +226,7 @@ def export_result(
         }
         write_asset_json(aside, _make_asset(aside, model, links, placement, source, settings.scale))
         write_companion_files(aside, read_asset(aside), settings.usd)
-        write_certificate(aside, replace(certify(read_asset(aside), fidelity), engines=list_reloaded()))
+        write_certificate(aside, replace(certify(read_asset(aside), measured), engines=list_reloaded()))
         findings = check_asset(aside)
         if (aside / USD).is_file():
             findings += check_usd(aside / USD, read_asset(aside))
@@ -342,7 +340,7 @@ def _separate_contact(
     Nothing is cut when the parts themselves overlap.
     """
     tolerance = penetration["tolerance_m"]
-    if not settings.placement.carve or (penetration["deepest_m"] > tolerance and penetration["carved"] is None):
+    if not settings.placement.carve or (penetration["before_carving_m"] > tolerance and penetration["carved"] is None):
         return shapes, {}
     collisions = {name: shape.collision for name, shape in shapes.items()}
     separated, counts = separate_collisions(collisions, placement.joint, placement.root, tolerance)

@@ -138,6 +138,13 @@ def _format_rows(word: str, rows: NDArray[np.generic], pattern: str) -> str:
     return "".join([line % tuple(row) for row in rows.tolist()])
 
 
+def number_cells(points: NDArray[np.floating], size: float) -> NDArray[np.int64]:
+    """(n,) a number for the cubic cell of side `size` that each of points (n, 3) lies in, in lexicographic order."""
+    cells = np.floor(points / size).astype(np.int64)
+    cells -= cells.min(0)
+    return np.ravel_multi_index(tuple(cells.T), tuple(cells.max(0) + 1))
+
+
 def _keep_faces(mesh: Mesh, faces: NDArray[np.int64]) -> Mesh:
     """The mesh of these faces, without unused vertices."""
     used, back = np.unique(faces, return_inverse=True)

@@ -158,9 +158,6 @@ def _clear_parts(
         surfaces = {
             name: replace_mesh(surface, cut.part(name), tolerance, settings) for name, surface in surfaces.items()
         }
-        clear = replace(closed, reference=surfaces["reference"].mesh, moving=surfaces["moving"].mesh)
-        after = float(Overlap(clear).max_depths(np.linspace(found.low, found.high, STATES)).max())
-        report |= {"deepest_m": after, "deepest_visual_m": after}
     return surfaces, found, report
 
 
@@ -175,13 +172,8 @@ def carve_parts(
     """The closed parts, one of them carved where they overlap by more than `tolerance`, m, in the range; and a report
     of the depth before, what was carved, or why nothing was."""
     overlap = Overlap(parts) if overlap is None else overlap
-    before = float(overlap.max_depths(np.linspace(found.low, found.high, STATES)).max())
-    report: dict[str, Any] = {
-        "deepest_m": before,
-        "deepest_visual_m": before,
-        "before_carving_m": before,
-        "carved": None,
-    }
+    before = overlap.max_depth(np.linspace(found.low, found.high, STATES))
+    report: dict[str, Any] = {"before_carving_m": before, "carved": None}
     if before <= tolerance or not carve:
         return parts, report
     if not_solid:

@@ -46,31 +46,34 @@ class Overlap:
         self.speeds: Array = np.concatenate([_point_speeds(self.joint, points) for points in self._points])
         """(n,) m per unit of state that each sampled point moves against the other part."""
         self._at = [np.full(len(points), np.nan) for points in self._points]
-        self._clear = [np.zeros(len(points)) for points in self._points]
+        self._depth = [np.zeros(len(points)) for points in self._points]
 
-    def depths(self, state: float) -> Array:
-        """(n,) m that each sampled point is inside the other part at a joint state; 0 outside. Reference points come
-        first.
+    def depths(self, state: float, least: float = 0.0) -> Array:
+        """(n,) m that each sampled point is inside the other part at a joint state; 0 outside, and 0 where it is no
+        more than `least`, m. Reference points come first.
 
-        A point is skipped while the joint's motion cannot have brought it to the surface since it was last measured.
+        A point is skipped while the joint's motion cannot have brought it so deep since it was last measured.
         """
         found = []
         T = self.joint.transform(state)
         for k, T_other in enumerate((se3.inverse(T), T)):
             points, surface = self._points[k], self._surfaces[1 - k]
             speeds = _point_speeds(self.joint, points)
-            due = ~(np.abs(state - self._at[k]) * speeds < self._clear[k])
+            due = ~(np.abs(state - self._at[k]) * speeds + self._depth[k] < least)
             depth = np.zeros(len(points))
             if due.any():
                 inside, touches = surface.depth(se3.transform(T_other, points[due]))
-                self._at[k][due], self._clear[k][due] = state, np.maximum(-inside, 0)
-                depth[due] = np.where(touches, np.maximum(inside, 0), 0)
+                self._at[k][due], self._depth[k][due] = state, inside
+                depth[due] = np.where(touches & (inside > least), inside, 0)
             found.append(depth)
         return np.concatenate(found)
 
-    def max_depths(self, states: Array) -> Array:
-        """(n,) m, the largest depth at each of the joint states (n,)."""
-        return np.array([self.depths(float(state)).max(initial=0.0) for state in states])
+    def max_depth(self, states: Array) -> float:
+        """m, the largest depth at any of the joint states (n,)."""
+        deepest = 0.0
+        for state in states:
+            deepest = max(deepest, float(self.depths(float(state), deepest).max(initial=0.0)))
+        return deepest
 
 
 def measure_visual_depth(
@@ -92,7 +95,7 @@ def measure_visual_depth(
         return 0.0
     axis, pivot = joint.T_parent_joint[:3, :3] @ joint.axis, joint.T_parent_joint[:3, 3]
     parts = Articulation(Joint(joint.name, joint.joint_type, axis, pivot, low, high), fixed, moving)
-    return float(Overlap(parts).max_depths(np.linspace(low, high, count)).max())
+    return Overlap(parts).max_depth(np.linspace(low, high, count))
 
 
 def _select_faces(mesh: Mesh, faces: NDArray[np.bool_]) -> Mesh:

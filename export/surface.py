@@ -38,6 +38,7 @@ from export.meshes import (
     flip_faces,
     is_inside_out,
     merge_duplicates,
+    number_cells,
 )
 from export.planes import PLANE_TOLERANCE, fit_planes, plane_axes, sample_planes, suppose_planes
 from export.winding_number import Winding
@@ -355,8 +356,7 @@ def _pick_one_per_cell(points: NDArray[np.float64], size: float) -> NDArray[np.i
     """Indices of the first point in each cubic cell of side `size`."""
     if len(points) == 0:
         return np.zeros(0, np.int64)
-    cells = np.floor((points - points.min(0)) / size).astype(np.int64)
-    return np.sort(np.unique(cells, axis=0, return_index=True)[1])
+    return np.sort(np.unique(number_cells(points - points.min(0), size), return_index=True)[1])
 
 
 _FACETS = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
@@ -446,10 +446,9 @@ def _fill_pinched_edges(tetrahedra: Delaunay, inside: NDArray[np.bool_]) -> NDAr
     """The solid with edges at which it touches itself filled all round, so that no edge has more than two triangles."""
     inside = inside.copy()
     for _ in range(_PINCH_ROUNDS):
-        faces = _boundary_triangles(tetrahedra, inside)
-        edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-        edges, count = np.unique(edges, axis=0, return_counts=True)
-        pinched = edges[count > 2]
+        edges = np.sort(_boundary_facets(tetrahedra, inside)[1][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+        of, count = np.unique(edges @ [len(tetrahedra.points), 1], return_counts=True)
+        pinched = np.stack(np.divmod(of[count > 2], len(tetrahedra.points)), -1)
         if len(pinched) == 0:
             break
         flags = np.zeros(len(tetrahedra.points), bool)
@@ -461,11 +460,16 @@ def _fill_pinched_edges(tetrahedra: Delaunay, inside: NDArray[np.bool_]) -> NDAr
     return inside
 
 
-def _boundary_triangles(tetrahedra: Delaunay, inside: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """(F, 3) triangles between solid and air, counter-clockwise seen from the air."""
+def _boundary_facets(tetrahedra: Delaunay, inside: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(F,) solid tetrahedra at the air, and (F, 3) their facets there."""
     beyond = (tetrahedra.neighbors >= 0) & inside[tetrahedra.neighbors]
     of, k = np.nonzero(inside[:, None] & ~beyond)
-    facets = np.take_along_axis(tetrahedra.simplices[of], _FACETS[k], axis=1).astype(np.int64)
+    return of, np.take_along_axis(tetrahedra.simplices[of], _FACETS[k], axis=1).astype(np.int64)
+
+
+def _boundary_triangles(tetrahedra: Delaunay, inside: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """(F, 3) triangles between solid and air, counter-clockwise seen from the air."""
+    of, facets = _boundary_facets(tetrahedra, inside)
     hands = _orientations(tetrahedra.simplices, tetrahedra.neighbors, _FACETS)
     corners = tetrahedra.points[tetrahedra.simplices]
     volume = np.linalg.det(corners[:, 1:] - corners[:, :1])

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from export.atlas import Atlas, Texels, Texture, find_texels, paint_texture, unwrap
-from export.meshes import vertex_normals
+from export.meshes import number_cells, vertex_normals
 from freeart21.errors import FreeArtError
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction
@@ -120,9 +120,9 @@ def _fill_from_nearest(
 ) -> NDArray[np.float32]:
     """(m, 3) colours for the points `targets` (m, 3), one per cubic cell of side `size`: that of the nearest cell of
     `points` (n, 3)."""
-    _, cell, count = np.unique(np.floor(points / size), axis=0, return_inverse=True, return_counts=True)
+    _, cell, count = np.unique(number_cells(points, size), return_inverse=True, return_counts=True)
     means = [np.bincount(cell.ravel(), values[:, k]) / count for values in (points, colours) for k in range(3)]
-    _, first, back = np.unique(np.floor(targets / size), axis=0, return_index=True, return_inverse=True)
+    _, first, back = np.unique(number_cells(targets, size), return_index=True, return_inverse=True)
     nearest = cKDTree(np.stack(means[:3], -1)).query(targets[first])[1]
     return np.asarray(np.stack(means[3:], -1).astype(np.float32)[nearest[back.ravel()]])
 

@@ -21,6 +21,8 @@ THREADED_POINTS = 2_000
 FAR_RADII = 2.0
 """Radii from a node's centre beyond which its triangles are approximated by one dipole (Barill et al. 2018, who take
 2)."""
+_SLACK = 1e-9
+"""Relative, above the rounding of distances: a bound that the nearest triangle itself is below."""
 
 
 class Winding:
@@ -127,7 +129,7 @@ def _winding_numbers(
     found = np.zeros(len(points))
     stack = np.empty(128, np.int64)
     for i in range(len(points)):
-        x, y, z = points[i]
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
         total, top = 0.0, 1
         stack[0] = 0
         while top > 0:
@@ -142,33 +144,40 @@ def _winding_numbers(
                 top += 2
             else:
                 for f in range(first[k], first[k] + count[k]):
-                    total += _solid_angle(corners[f], x, y, z)
+                    total += _solid_angle(corners, f, x, y, z)
         found[i] = total / (4 * np.pi)
     return found
 
 
 @njit(cache=True, nogil=True)
 def _nearest_triangles(points: Array, corners: Array, nodes: Array, first: Ints, count: Ints, right: Ints) -> Array:
-    """(n, 2) distance and index in `corners` of the nearest triangle."""
+    """(n, 2) distance and index in `corners` of the nearest triangle.
+
+    The triangle nearest to the point before bounds the search: neighbouring points come one after the other.
+    """
     found = np.empty((len(points), 2))
-    stack = np.empty(128, np.int64)
+    stack, bounds = np.empty(128, np.int64), np.empty(128)
+    which = 0
     for i in range(len(points)):
-        best, which, top = np.inf, 0, 1
-        stack[0] = 0
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        best, top = _triangle_distance(x, y, z, corners, which) * (1 + _SLACK) + 1e-300, 1
+        stack[0], bounds[0] = 0, 0.0
         while top > 0:
             top -= 1
             k = stack[top]
-            if _lower_bound(nodes[k], points[i]) >= best:
+            if bounds[top] >= best:
                 continue
             if right[k] > 0:
                 near, far = k + 1, right[k]
-                if _lower_bound(nodes[far], points[i]) < _lower_bound(nodes[near], points[i]):
-                    near, far = far, near
-                stack[top], stack[top + 1] = far, near
+                ahead, behind = _lower_bound(nodes, near, x, y, z), _lower_bound(nodes, far, x, y, z)
+                if behind < ahead:
+                    near, far, ahead, behind = far, near, behind, ahead
+                stack[top], bounds[top] = far, behind
+                stack[top + 1], bounds[top + 1] = near, ahead
                 top += 2
             else:
                 for f in range(first[k], first[k] + count[k]):
-                    away = _triangle_distance(points[i], corners[f])
+                    away = _triangle_distance(x, y, z, corners, f)
                     if away < best:
                         best, which = away, f
         found[i, 0], found[i, 1] = best, which
@@ -176,19 +185,10 @@ def _nearest_triangles(points: Array, corners: Array, nodes: Array, first: Ints,
 
 
 @njit(cache=True, nogil=True)
-def _lower_bound(node: Array, p: Array) -> float:
-    """Lower bound of the distance from p to the triangles of a node."""
-    x, y, z = node[0] - p[0], node[1] - p[1], node[2] - p[2]
-    return np.sqrt(x * x + y * y + z * z) - node[3]
-
-
-@njit(cache=True, nogil=True)
-def _triangle_distance(p: Array, triangle: Array) -> float:
-    s, t = _closest_barycentric(p, triangle)
-    x = p[0] - (1 - s - t) * triangle[0, 0] - s * triangle[1, 0] - t * triangle[2, 0]
-    y = p[1] - (1 - s - t) * triangle[0, 1] - s * triangle[1, 1] - t * triangle[2, 1]
-    z = p[2] - (1 - s - t) * triangle[0, 2] - s * triangle[1, 2] - t * triangle[2, 2]
-    return np.sqrt(x * x + y * y + z * z)
+def _lower_bound(nodes: Array, k: int, x: float, y: float, z: float) -> float:
+    """Lower bound of the distance from a point to the triangles of node `k`."""
+    x, y, z = nodes[k, 0] - x, nodes[k, 1] - y, nodes[k, 2] - z
+    return np.sqrt(x * x + y * y + z * z) - nodes[k, 3]
 
 
 @njit(cache=True, nogil=True)
@@ -197,14 +197,23 @@ def _dot(ax: float, ay: float, az: float, bx: float, by: float, bz: float) -> fl
 
 
 @njit(cache=True, nogil=True)
-def _closest_barycentric(p: Array, triangle: Array) -> tuple[float, float]:
-    """Barycentric coordinates (second, third corner) of the point of a triangle nearest to p (Ericson 2005, 5.1.5)."""
-    ux, uy, uz = triangle[1, 0] - triangle[0, 0], triangle[1, 1] - triangle[0, 1], triangle[1, 2] - triangle[0, 2]
-    vx, vy, vz = triangle[2, 0] - triangle[0, 0], triangle[2, 1] - triangle[0, 1], triangle[2, 2] - triangle[0, 2]
-    x, y, z = p[0] - triangle[0, 0], p[1] - triangle[0, 1], p[2] - triangle[0, 2]
+def _triangle_distance(px: float, py: float, pz: float, corners: Array, f: int) -> float:
+    """Distance from a point to triangle `f` (Ericson 2005, 5.1.5)."""
+    ox, oy, oz = corners[f, 0, 0], corners[f, 0, 1], corners[f, 0, 2]
+    ux, uy, uz = corners[f, 1, 0] - ox, corners[f, 1, 1] - oy, corners[f, 1, 2] - oz
+    vx, vy, vz = corners[f, 2, 0] - ox, corners[f, 2, 1] - oy, corners[f, 2, 2] - oz
+    x, y, z = px - ox, py - oy, pz - oz
     uu, uv, vv = _dot(ux, uy, uz, ux, uy, uz), _dot(ux, uy, uz, vx, vy, vz), _dot(vx, vy, vz, vx, vy, vz)
     d1, d2 = _dot(ux, uy, uz, x, y, z), _dot(vx, vy, vz, x, y, z)
-    d3, d4, d5, d6 = d1 - uu, d2 - uv, d1 - uv, d2 - vv
+    s, t = _closest_barycentric(d1, d2, d1 - uu, d2 - uv, d1 - uv, d2 - vv)
+    x, y, z = x - s * ux - t * vx, y - s * uy - t * vy, z - s * uz - t * vz
+    return np.sqrt(x * x + y * y + z * z)
+
+
+@njit(cache=True, nogil=True)
+def _closest_barycentric(d1: float, d2: float, d3: float, d4: float, d5: float, d6: float) -> tuple[float, float]:
+    """Barycentric coordinates (second, third corner) of the point of a triangle nearest to a point, from the products
+    of both edges at the first corner with the way from each corner to the point (Ericson 2005, 5.1.5)."""
     if d1 <= 0 and d2 <= 0:
         return 0.0, 0.0
     if d3 >= 0 and d4 <= d3:
@@ -226,11 +235,11 @@ def _closest_barycentric(p: Array, triangle: Array) -> tuple[float, float]:
 
 
 @njit(cache=True, nogil=True)
-def _solid_angle(triangle: Array, x: float, y: float, z: float) -> float:
-    """Solid angle of a triangle (3, 3) from a point (van Oosterom and Strackee 1983)."""
-    ax, ay, az = triangle[0, 0] - x, triangle[0, 1] - y, triangle[0, 2] - z
-    bx, by, bz = triangle[1, 0] - x, triangle[1, 1] - y, triangle[1, 2] - z
-    cx, cy, cz = triangle[2, 0] - x, triangle[2, 1] - y, triangle[2, 2] - z
+def _solid_angle(corners: Array, f: int, x: float, y: float, z: float) -> float:
+    """Solid angle of triangle `f` from a point (van Oosterom and Strackee 1983)."""
+    ax, ay, az = corners[f, 0, 0] - x, corners[f, 0, 1] - y, corners[f, 0, 2] - z
+    bx, by, bz = corners[f, 1, 0] - x, corners[f, 1, 1] - y, corners[f, 1, 2] - z
+    cx, cy, cz = corners[f, 2, 0] - x, corners[f, 2, 1] - y, corners[f, 2, 2] - z
     a, b, c = (
         np.sqrt(ax * ax + ay * ay + az * az),
         np.sqrt(bx * bx + by * by + bz * bz),

@@ -144,7 +144,7 @@ def test_what_slides_is_carved_as_it_is(larger: str):
     assert isinstance(cut, CarvedPart) and cut.name == larger
     assert cut.volume == pytest.approx(WEDGE.volume + 0.25 * 0.5 * 0.04 * 0.05, rel=0.03)  # ridges between copies
     apart = replace(parts, reference=cut.mesh) if larger == "reference" else replace(parts, moving=cut.mesh)
-    assert Overlap(apart).max_depths(np.linspace(0, 0.25, 9)).max() <= TOLERANCE
+    assert Overlap(apart).max_depth(np.linspace(0, 0.25, 9)) <= TOLERANCE
 
 
 def test_what_turns_is_carved_the_way_it_turns_out_of_either_part():
@@ -155,7 +155,7 @@ def test_what_turns_is_carved_the_way_it_turns_out_of_either_part():
     parts = Articulation(hinge, *meshes)
     cut = carve_overlap(parts, 0.0, 0.8, TOLERANCE, Overlap(parts))
     assert isinstance(cut, CarvedPart) and cut.name == "moving"
-    assert Overlap(replace(parts, moving=cut.mesh)).max_depths(np.linspace(0, 0.8, 9)).max() <= TOLERANCE
+    assert Overlap(replace(parts, moving=cut.mesh)).max_depth(np.linspace(0, 0.8, 9)) <= TOLERANCE
 
 
 def test_a_sheet_without_thickness_stops_nothing():
@@ -170,7 +170,7 @@ def test_a_sheet_without_thickness_stops_nothing():
     assert isinstance(cut, CarvedPart)
     left = {cut.name: cut.mesh} | {("moving" if cut.name == "reference" else "reference"): cut.other}
     apart = replace(parts, reference=left["reference"], moving=left["moving"])
-    assert Overlap(apart).max_depths(np.linspace(0, 0.25, 9)).max() <= TOLERANCE
+    assert Overlap(apart).max_depth(np.linspace(0, 0.25, 9)) <= TOLERANCE
 
 
 TWO_SIDES = np.array([[0, 1, 2], [0, 2, 1]])

@@ -114,8 +114,8 @@ def test_a_drawer_and_its_carcass_are_hollow(drawer_unit):
     answer, recording = drawer_unit
     whole = close_parts(answer, recording, SETTINGS)
     parts = whole.parts
-    depths = Overlap(whole.reconstruction.articulation).max_depths(np.linspace(whole.found.low, whole.found.high, 7))
-    assert depths.max() < 1e-3
+    states = np.linspace(whole.found.low, whole.found.high, 7)
+    assert Overlap(whole.reconstruction.articulation).max_depth(states) < 1e-3
     for name, true in zip(PARTS, (carcass(), drawer()), strict=True):
         surface = parts[name].surface
         assert volume(surface.mesh) == pytest.approx(true.volume, rel=0.25)

@@ -65,11 +65,11 @@ def stands(answer: Reconstruction, recorded_gravity: np.ndarray | None = None, *
     return place_parts(answer, found, PlacementSettings(**settings), gravity=recorded_gravity)
 
 
-def carve(answer: Reconstruction, *settings) -> tuple[Articulation, dict, np.ndarray]:
-    """The parts carved, the report, and how deep they are in each other at 47 states of the range."""
+def carve(answer: Reconstruction, *settings) -> tuple[Articulation, dict, float]:
+    """The parts carved, the report, and how deep they are in each other at most at 47 states of the range."""
     found = estimate_joint_range(answer, Overlap(answer.articulation))
     parts, report = carve_parts(answer.articulation, found, TOLERANCE, *settings)
-    return parts, report, Overlap(parts).max_depths(np.linspace(found.low, found.high, 47))
+    return parts, report, Overlap(parts).max_depth(np.linspace(found.low, found.high, 47))
 
 
 def test_a_box_with_a_lid_stands_on_its_base_closed_at_zero():
@@ -202,27 +202,30 @@ def test_a_guessed_surface_ends_no_range(patched):
     observed = {name: np.full(len(parts.part(name).faces), name != patched) for name in ("reference", "moving")}
     found = estimate_joint_range(answer, Overlap(parts, observed))
     assert (found.low, found.low_by) == (-0.7, "hidden")
-    assert Overlap(parts, observed).max_depths(np.array([-0.7])) == 0
-    assert Overlap(parts).max_depths(np.array([-0.7])) > 0.01
+    assert Overlap(parts, observed).depths(-0.7).max() == 0
+    assert Overlap(parts).depths(-0.7).max() > 0.01
 
 
 def test_depth_of_a_box_in_a_box():
     slide = Joint("slide", "prismatic", np.array([1.0, 0, 0]), np.zeros(3), -np.inf, np.inf)
     overlap = Overlap(Articulation(slide, box((0.1, 0.1, 0.1)), box((0.04, 0.04, 0.04), (0.075, 0, 0))))
-    assert overlap.max_depths(np.array([0.0, -0.003, -0.005, -0.012])) == pytest.approx([0, 0, 0, 0.007], abs=3e-4)
-    assert overlap.max_depths(np.array([-0.012, 0.0])) == pytest.approx([0.007, 0], abs=3e-4)  # in any order
+    for state, depth in ((0.0, 0), (-0.003, 0), (-0.005, 0), (-0.012, 0.007), (0.0, 0)):  # in any order
+        assert overlap.depths(state).max() == pytest.approx(depth, abs=3e-4)
+    assert overlap.depths(-0.012, 0.0071).max() == 0
+    for states in ([0.0, -0.003, -0.012, -0.002], [-0.012, 0.0], [-0.011, -0.012]):
+        assert overlap.max_depth(np.array(states)) == pytest.approx(0.007, abs=3e-4)
 
 
 def test_parts_in_each_other_are_carved_to_half_a_millimetre_and_say_so(tmp_path: Path):
     """A lid that everywhere sinks 4 mm into the box, as in reconstructions that are solid where nobody looked."""
     parts = lidded(0.3, gap=-0.004)
     answer = seen_as(parts, np.linspace(-0.3, 0.5, 9))
-    apart, facts, depths = carve(answer)
+    apart, facts, deepest = carve(answer)
     assert facts["before_carving_m"] > 0.003 and facts["carved"] is not None
-    assert depths.max() <= 1.1 * TOLERANCE
+    assert deepest <= 1.1 * TOLERANCE
     for mesh in (apart.reference, apart.moving):
         assert make_solid(mesh) is not None
-    assert carve(answer, False)[2].max() > 0.003
+    assert carve(answer, False)[2] > 0.003
 
 
 def test_open_parts_are_not_carved_and_say_why():
@@ -245,7 +248,7 @@ def test_a_thin_drawer_leaves_nothing_standing_in_its_way():
     cut = carve_overlap(parts, 0.0, 0.2, TOLERANCE, Overlap(parts))
     assert cut.name == "reference"
     apart = replace(parts, reference=cut.mesh)
-    assert Overlap(apart).max_depths(np.linspace(0, 0.2, 37)).max() <= TOLERANCE
+    assert Overlap(apart).max_depth(np.linspace(0, 0.2, 37)) <= TOLERANCE
     assert cut.volume == pytest.approx(0.2 * 0.1 * 0.05, rel=0.02)  # what the front wall sweeps, and the floor
 
 

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from export.certificate import certify, find_differences
+from export.certificate import certify, find_differences, measure_files
 from export.check.mjcf_tree import UnsupportedMjcf, read_mjcf_tree
 from export.check.report import Row
 from export.check.rules import MASS_TOLERANCE, POSE_TOLERANCE, VISUAL_DEPTH_M
 from export.check.tree import Tree
-from export.contact import Shapes
+from export.checklist import Shapes
 from export.loaders import FOLDER, joint_numbers
 from export.model import WORLD
 from freeart21 import child, se3
@@ -54,7 +54,7 @@ def judge_consistency(urdf: Path, mjcf: Path | None, tree: Tree, seen: Mapping[s
         yield from (Row(rule, "file", "skip", "it was not written by `export`") for rule in RULES)
         return
     try:
-        measured = certify(asset, {})
+        measured = certify(asset, measure_files(asset.urdf, asset.joint, fidelity=False))
     except Exception as error:  # links that the URDF lacks, or facts of any type
         reason = f"it cannot be measured: {child.one_line(error)[:300]}"
         yield from (Row(rule, "file", "fail", reason) for rule in (VISUALS, CERTIFIED))

@@ -9,7 +9,8 @@ from typing import Any
 
 from export.check.report import Row
 from export.check.rules import CONTACT_PERCENT, CONTACT_SHARE
-from export.contact import Shapes, is_closed, measure_contact_fidelity
+from export.checklist import Shapes
+from export.contact import is_closed, measure_contact_fidelity
 from export.fidelity import Fidelity
 from freeart21.articulation import PARTS
 from freeart21.errors import FreeArtError

@@ -20,8 +20,8 @@ from export.check.mjcf_tree import UnsupportedMjcf, list_files, read_mjcf_tree
 from export.check.report import Row
 from export.check.rules import FILE_RULES, GROUND_M, UNREAD
 from export.check.tree import Tree, build_tree
-from export.checklist import Files, Finding, check_urdf, load_shapes
-from export.contact import Shapes, is_closed
+from export.checklist import Files, Finding, Shapes, check_urdf, load_shapes
+from export.contact import is_closed
 from export.inertia import find_unphysical
 from export.stated_trust import read_stated_trust
 from export.usd_reload import RULE as USD_RULE

@@ -24,8 +24,7 @@ from export.check.rules import (
 )
 from export.check.solids import Body, make_body
 from export.check.tree import Tree
-from export.checklist import Finding
-from export.contact import Shapes
+from export.checklist import Finding, Shapes
 from freeart21 import se3
 from freeart21.files.urdf import UrdfInertial
 from freeart21.se3 import Array
