@@ -45,9 +45,7 @@ class CollisionSettings:
     360 shapes beside its boards 338 covered less."""
     primitives: bool = True
     """Whether boxes, cylinders and spheres replace hulls where they fit as well."""
-    patches: int = 800
-    """Most patches that the surface is split into before merging."""
-    pairs: int = 20_000
+    pairs: int = 40_000
     """Most pairs of hulls tested for merging; bounds the time."""
 
 
@@ -56,7 +54,7 @@ MAX_BOXES = 12
 Contact = Literal["fine", "fast"]
 PRESETS: dict[str, CollisionSettings] = {
     "fine": CollisionSettings(),
-    "fast": CollisionSettings(tolerance_m=3e-3, max_hulls=16, min_share=0.01, patches=300, pairs=8_000),
+    "fast": CollisionSettings(tolerance_m=3e-3, max_hulls=16, min_share=0.01, pairs=16_000),
 }
 """Contact shapes within about a millimetre, and at most 16 a part for fast simulation."""
 
@@ -88,7 +86,7 @@ def make_collision(
     """
     surface = sample_outer_surface(mesh)
     excess = max(min(settings.tolerance_m, surface.size / 50), surface.spacing / 2)
-    tolerance = Tolerance(excess, excess / 12, settings.patches, settings.pairs)
+    tolerance = Tolerance(excess, excess / 12, settings.pairs)
     boxes = [] if single else fit_boxes(mesh, surface, excess, min(MAX_BOXES, settings.max_hulls))
     corners_of_boxes = [box.mesh().vertices for box in boxes]
     pieces = (

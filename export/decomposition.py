@@ -56,8 +56,6 @@ class Tolerance:
     """m that a hull may extend beyond the part."""
     simplify_m: float
     """m by which corners may be omitted from a hull."""
-    max_patches: int
-    """Most patches."""
     max_pairs: int
     """Most pairs of hulls tested for merging; bounds the time."""
 
@@ -242,32 +240,27 @@ def _find_uncovered(part: OuterSurface, hulls: Sequence[Array], limit: float) ->
 
 
 def _split_into_patches(tests: _HullTests, members: NDArray[np.int64], last: bool = False) -> list[_Hull]:
-    """Hulls of patches that face one way and stay within the bound; the largest patch is split while more are allowed.
+    """Hulls of patches that face one way and stay within the bound.
 
     A few points without a shape are skipped, as neighbours usually cover them; the `last` time each becomes a small
     cube.
     """
     part, tolerance = tests.part, tests.tolerance
-    pending: list[tuple[float, int, NDArray[np.int64]]] = [(-part.size, 0, members)] if len(members) else []
+    pending = [members] if len(members) else []
     done: list[_Hull] = []
-    serial = 0
     while pending:
-        extent, _, members = heapq.heappop(pending)
+        members = pending.pop()
         small = len(members) < (2 if last else 4)
-        full = len(done) + len(pending) + 1 >= tolerance.max_patches
+        extent = float(np.linalg.norm(np.ptp(part.points[members], axis=0)))
         hull = None
-        if small or full or -extent < _SMALL_PATCH * tolerance.max_excess_m or _face_one_way(part.normals[members]):
+        if small or extent < _SMALL_PATCH * tolerance.max_excess_m or _face_one_way(part.normals[members]):
             hull = tests.fit_patch(members)
-        if hull is None and (last if small else full):
+        if hull is None and small and last:
             hull = tests.make_hull(thicken(part.points[members], MIN_THICKNESS_M / 2), members, np.inf)
         if hull is not None:
             done.append(hull)
-        if hull is not None or small:
-            continue
-        for half in _split_patch(part, members):
-            serial += 1
-            length = float(np.linalg.norm(np.ptp(part.points[half], axis=0)))
-            heapq.heappush(pending, (-length, serial, half))
+        elif not small:
+            pending += _split_patch(part, members)
     return done
 
 

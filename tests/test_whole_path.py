@@ -19,7 +19,7 @@ from leaderboard.score import score_results
 CHANGED = 0.8
 """% of the diagonal by which the export may change a surface: 20k faces, fragments below 1 % of the area dropped, and
 what nobody can see closed; it was 0.45 of the drawer unit."""
-ROUGH = CollisionSettings(tolerance_m=0.02, patches=200, pairs=4_000)
+ROUGH = CollisionSettings(tolerance_m=0.02, pairs=4_000)
 """Contact is not scored."""
 CLOSED = 0.83
 """F-score that the export may bring the truth down to: patches that close what nobody can see are surface, too, and so
