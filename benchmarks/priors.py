@@ -43,6 +43,7 @@ from reconstruct.settings import ReconstructSettings, SceneSettings, TrackSettin
 from reconstruct.trackers.dis import Dis
 from reconstruct.trackers.matched import matched_flow, round_trip
 
+FILE = "priors.json"
 MOTIONS = ("tumble", "human")
 CASES = (("human", "clean"), ("tumble", "clean"), ("tumble", "noise2"), ("tumble", "hand"))
 """Motion and sensor of the solved recordings."""
@@ -80,7 +81,7 @@ def main(
     solve: bool = False,
     matches: bool = True,
     work: Path = ROOT / "out" / "priors",
-    out: Path = RESULTS / "priors.json",
+    out: Path = RESULTS / FILE,
 ) -> None:
     """Measure the priors.
 

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import assets, real_video, solve
+from benchmarks import assets, priors, real_video, solve
 from benchmarks.baselines import METHODS as METHOD_NAMES
 from benchmarks.common import RESULTS, ROOT, run_cli, write_report
 from benchmarks.freshness import is_current, read_commit
@@ -33,7 +33,7 @@ from leaderboard.suite.rows import ROWS
 from leaderboard.suite.workflow import prepare, run_suite
 from reconstruct.settings import ReconstructSettings
 
-DOCUMENTS = (ROOT / "README.md", ROOT / "docs" / "results.md", ROOT / "docs" / "scale.md")
+DOCUMENTS = (ROOT / "README.md", *(ROOT / "docs" / f"{name}.md" for name in ("results", "scale", "priors")))
 TABLE = re.compile(r"(<!-- table (?P<name>[\w-]+) -->\n).*?(<!-- end -->)", re.S)
 PIECES = ("no-gaussians", "no-end-to-end", "no-blended-rendering")
 
@@ -97,6 +97,7 @@ BASELINES = "baselines.json"
 """Of `benchmarks.baselines`."""
 REAL_VIDEO = "real_video.json"
 """Of `benchmarks.real_video`."""
+_MATCH_COLUMNS = {"given": ".0f", "right": ".2f", "found": ".2f"}
 STRICT_3 = (
     ("depth_median", "depth, median, %", 2),
     ("depth_95", "depth, 95 %, %", 1),
@@ -124,11 +125,11 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join("| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *rows)) + "\n"
 
 
-def _stamp(file: str, folder: str, code: str = "reconstruct") -> str:
-    """The line under a table that `benchmarks.freshness` reads."""
-    commit = read_commit(RESULTS / file)
-    state = "current" if is_current(commit, (code,)) else "old"
-    return f"*Measured at `{commit}`, of `{code}` ([{file}]({folder}/{file})): {state}.*"
+def _stamp(file: str, folder: str, *code: str) -> str:
+    """The line under a table that `benchmarks.freshness` reads; the solver's code when none is named."""
+    commit, code = read_commit(RESULTS / file), code or ("reconstruct",)
+    state = "current" if is_current(commit, code) else "old"
+    return f"*Measured at `{commit}`, of {', '.join(f'`{c}`' for c in code)} ([{file}]({folder}/{file})): {state}.*"
 
 
 def _stamps(files: Sequence[str], folder: str) -> str:
@@ -386,6 +387,35 @@ def write_real_video(folder: str) -> str:
     return _table(head, rows) + "\n" + _stamp(REAL_VIDEO, folder) + "\n"
 
 
+def write_matches(folder: str) -> str:
+    """How far ways of matching are from the true flow, at the gaps of `benchmarks.priors`."""
+    found: dict[tuple[str, str], dict[int, dict[str, Any]]] = {}
+    for row in checked.read_json(RESULTS / priors.FILE)["matches"]:
+        found.setdefault((row["recording"], row["way"]), {})[row["gap"]] = row
+    rows = []
+    for (recording, way), by_gap in found.items():
+        cells = [f"{by_gap[gap][key]:{form}}" for gap in priors.GAPS for key, form in _MATCH_COLUMNS.items()]
+        rows.append([recording, way, *cells, _cell(float(np.mean([row["cpu_s"] for row in by_gap.values()])), 2)])
+    head = [f"{key} at {gap}" for gap in priors.GAPS for key in _MATCH_COLUMNS]
+    stamp = _stamp(priors.FILE, folder, "reconstruct/matchers", "reconstruct/trackers/matched.py")
+    return _table(["recording", "way", *head, "cpu s"], rows) + "\n" + stamp + "\n"
+
+
+def write_trackers(folder: str) -> str:
+    """Recordings that were solved with every tracker, by strict-2, without Gaussians."""
+    rows = [
+        [
+            row["recording"],
+            row["tracker"],
+            *(_cell(row[key], digits) for key, digits in (("axis", 2), ("state", 2), ("miou", 3), ("cpu_s", 0))),
+        ]
+        for row in checked.read_json(RESULTS / priors.FILE)["solved"]
+    ]
+    head = ["recording", "tracker", "axis, deg", "state, deg or %", "mIoU", "processor s"]
+    stamp = _stamp(priors.FILE, folder, "reconstruct", "reconstruct/matchers", "reconstruct/trackers/matched.py")
+    return _table(head, rows) + "\n" + stamp + "\n"
+
+
 def write_costs(folder: str) -> str:
     """What 100,000 sequences of 300 frames cost, by the rates, at the example prices of docs/scale.md."""
     return "\n".join(cost_table(read_rates(), 100_000, 300, 0.04, 0.02)) + "\n"
@@ -416,6 +446,8 @@ TABLES: dict[str, Callable[[str], str]] = {
     "assets": write_assets,
     "asset-rows": write_asset_rows,
     "real-video": write_real_video,
+    "matches": write_matches,
+    "trackers": write_trackers,
     "costs": write_costs,
 }
 
