@@ -30,6 +30,8 @@ _NEAR_SHARE = 0.02
 """Fraction of the part's diagonal within which a pixel's depth belongs to the surface drawn there."""
 _SAMPLES = 8_000
 """Points of a part that its largest planes are found with."""
+_PROBES = 1.5
+"""Voxels behind a surface from which space is looked up."""
 _FACING = 0.5
 """Cosine, 60 degrees, set by hand."""
 UNKNOWN, SEEN_THROUGH, SWEPT = 0, 1, 2
@@ -76,6 +78,21 @@ class SpaceGrid:
             swept &= turned > _FACING * np.linalg.norm(m, axis=1)
         empty[within] = (state == SEEN_THROUGH) | swept
         return empty
+
+    def depth_to_empty(self, points: Array, normals: Array, most: float | Array = np.inf) -> Array:
+        """(n,) m inwards from points (n, 3) of a surface with outward normals (n, 3) to the first voxel that is known
+        to be empty, `_PROBES` voxels deep or more; infinite where there is none up to `most`, m."""
+        found, limits = np.full(len(points), np.inf), np.broadcast_to(most, len(points))
+        longest = self.voxel * float(np.linalg.norm(self.state.shape))
+        waiting = np.arange(len(points))
+        for depth in np.arange(_PROBES * self.voxel, longest, self.voxel):
+            waiting = waiting[depth < limits[waiting]]
+            if not len(waiting):
+                break
+            empty = self.is_empty_behind(points[waiting] - depth * normals[waiting], normals[waiting])
+            found[waiting[empty]] = depth
+            waiting = waiting[~empty]
+        return found
 
     def _voxels(self, points: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """(n, 3) voxels of points, and (n,) whether these are in the grid."""

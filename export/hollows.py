@@ -49,7 +49,7 @@ _VOTES = 25
 _LEAST_SHARE = 0.02
 """Voxels that the surface of a cavity stays away from voxel centres: triangles keep an area."""
 _PROBES = 1.5
-"""Voxels in front of and behind a surface at which space is looked up."""
+"""Voxels behind an unseen surface at which cores are looked up."""
 _REACH = (1.5, 2.5, 3.5)
 """Voxels in front of an unseen surface at which known empty space says that the view ended there."""
 
@@ -176,28 +176,13 @@ def _measure_points(
     exact[ray] = observed[hit] & opposite
     ends = np.linalg.norm(where - at[ray], axis=1)
     depth[ray[exact[ray]]] = ends[exact[ray]]
-    empty = _first_empty(at, normals, np.where(exact, depth, np.inf), space)
+    empty = space.depth_to_empty(at, normals, np.where(exact, depth, np.inf))
     exact &= depth <= empty + space.voxel
     return _Points(at, normals, np.where(exact, depth, np.minimum(depth, empty)), exact, each)
 
 
 _OPPOSITE = 0.9
 """Cosine between a face and the one on its other side, of a panel."""
-
-
-def _first_empty(at: Array, normals: Array, most: Array, space: SpaceGrid) -> Array:
-    """(n,) m inwards from points (n, 3) to the first voxel known to be empty, `_PROBES` voxels deep or more."""
-    found = np.full(len(at), np.inf)
-    longest = space.voxel * float(np.linalg.norm(space.state.shape))
-    waiting = np.arange(len(at))
-    for depth in np.arange(_PROBES * space.voxel, longest, space.voxel):
-        waiting = waiting[(depth < most[waiting])]
-        if not len(waiting):
-            break
-        empty = space.is_empty_behind(at[waiting] - depth * normals[waiting], normals[waiting])
-        found[waiting[empty]] = depth
-        waiting = waiting[~empty]
-    return found
 
 
 def _find_thickness(seen: _Points, planes: Planes) -> tuple[NDArray[np.bool_], float, float | None, str]:

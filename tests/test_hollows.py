@@ -8,7 +8,7 @@ import trimesh
 
 from export.collision import PRESETS, make_collision
 from export.fidelity import measure_fidelity
-from export.free_space import SEEN_THROUGH, SWEPT, find_free_space
+from export.free_space import SEEN_THROUGH, SWEPT, SpaceGrid, find_free_space
 from export.hollows import find_panels
 from export.meshes import MeshSettings
 from export.parts import close_parts
@@ -212,3 +212,17 @@ def test_fast_contact_has_sixteen_shapes_at_most():
     rings = [trimesh.creation.torus(0.03, 0.006, transform=se3.pose(np.eye(3), (0.05 * k, 0, 0))) for k in range(4)]
     chain = trimesh.boolean.union([*rings, trimesh.creation.icosphere(3, 0.02)])
     assert 2 <= len(make_collision(Mesh(chain.vertices, chain.faces), PRESETS["fast"]).shapes) <= 16
+
+
+def test_a_wall_that_is_thinner_than_points_are_apart_has_no_holes():
+    """Its inner face was not seen, but the space there is known to be empty."""
+    outside = fine(block(-0.5 * SIZE, 0.5 * SIZE))
+    seen = outside.with_faces(outside.vertices[outside.faces].mean(1)[:, 0] > -0.0999)  # open at the front
+    voxel, wall = 0.002, 0.0025
+    shape = np.rint(SIZE / voxel).astype(int) + 1
+    at = np.moveaxis(np.indices(shape), 0, -1) * voxel - 0.5 * SIZE
+    empty = ((np.abs(at) < 0.5 * SIZE - wall) | ((at < -0.09) & [True, False, False])).all(-1)
+    space = SpaceGrid(se3.pose(np.eye(3), -0.5 * SIZE), voxel, np.where(empty, SEEN_THROUGH, 0).astype(np.uint8))
+    closed = close_surface(seen, MeshSettings(points=5_000), space)
+    assert closed.mesh.areas()[closed.observed].sum() == pytest.approx(seen.areas().sum(), rel=0.03)
+    assert volume(closed.mesh) < 2 * wall * seen.areas().sum()
