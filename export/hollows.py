@@ -7,7 +7,8 @@ The shorter description of each core is taken, in bits:
 
     solid    a number for every such plane that bounds the core, and one for a surface that lies exactly where the view
              or the other part's motion ended
-    hollow   a yes for every other plane that bounds the core, and a number for the thickness where no rim shows it
+    hollow   a yes for every other plane that bounds the core, and for what bounds it and lies on no plane; and a number
+             for the thickness where no rim shows it
 
 A number is log2(size / voxel) bits, a yes -log2 of the share of the part's surface that is known to be thin. A plane
 that is seen from both sides is a slab of its own thickness. The surface around a hollow core that nobody saw stays as a
@@ -116,7 +117,8 @@ def find_panels(closed: Mesh, observed: NDArray[np.bool_], space: SpaceGrid) -> 
         bounding = np.flatnonzero(areas > (4 * h) ** 2)
         shadow, unseen = (float((faces & which).sum() * patch.each) for which in (blocked, ~blocked))
         solid_bits = bits * (int(split[bounding].sum()) + int(shadow > unseen))
-        hollow_bits = -float((~split[bounding]).sum() * np.log2(share)) + (0.0 if source == "rims" else bits)
+        others = int((~split[bounding]).sum()) + int((backs & (planes.label < 0)).sum() * seen.each > (4 * h) ** 2)
+        hollow_bits = -others * float(np.log2(share)) + (0.0 if source == "rims" else bits)
         hollow[core] = hollow_bits < solid_bits
         closes = unseen < float(backs.sum() * seen.each)
         if hollow[core] and closes:

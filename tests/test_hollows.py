@@ -175,6 +175,17 @@ def test_a_solid_base_under_a_lid_stays_solid():
         assert parts[name].surface.panel_count == 0
 
 
+def test_rough_surface_around_a_core_must_be_a_panel_too():
+    """A rock on a thin plate: the plate alone does not make it hollow for nothing."""
+    ball = trimesh.creation.icosphere(4, 0.05)
+    ball.vertices *= 1 + np.random.default_rng(0).uniform(-0.05, 0.05, (len(ball.vertices), 1))
+    plate = trimesh.creation.cylinder(0.065, 0.003, 64, transform=se3.pose(np.eye(3), (0, 0, 0.0015)))
+    rock = fine(trimesh.boolean.union([trimesh.boolean.intersection([ball, block((-1, -1, 0), (1, 1, 1))]), plate]))
+    space = SpaceGrid(se3.pose(np.eye(3), (-0.07, -0.07, -0.006)), 0.002, np.zeros((71, 71, 33), np.uint8))
+    found = find_panels(rock, np.ones(len(rock.faces), bool), space).report
+    assert found["planes"] == 2 and found["cores"][0]["hollow_bits"] > 1
+
+
 def test_space_that_the_video_looked_through_is_empty_and_no_other(drawer_unit):
     answer, recording = drawer_unit
     space = find_free_space(answer, "moving", recording)
