@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from manifold3d import Manifold, OpType
 from refusal import assert_refused
 from solid_case import box
 
-from export.carving import carve_overlap, make_solid
+from export.carving import carve_overlap, make_solid, sweep
 from export.exporter import ExportSettings, export_result
 from export.joint_range import TOLERANCE, estimate_joint_range, robust_maximum
 from export.parts import carve_parts
@@ -272,6 +273,17 @@ def test_what_lies_down_comes_to_rest_on_three_corners_about_its_centre():
     )
     assert (weights > 0).all() and weights.sum() == pytest.approx(1)
     assert find_support(parts, 0.0, up) == "reference" and find_support(parts, 0.0, -up) == "moving"
+
+
+def test_swept_space_is_that_of_its_copies():
+    slide = Joint("slide", "prismatic", np.array([1.0, 0, 0]), np.zeros(3), -np.inf, np.inf)
+    turn = Joint("turn", "revolute", np.array([0, 0, 1.0]), np.array([0.0, 0.1, 0]), -np.inf, np.inf)
+    cube = make_solid(box((0.01, 0.01, 0.01)))
+    for joint, high, copies in ((slide, 0.06, 4), (turn, 1.2, 7), (slide, 0.05, 16)):
+        states = np.linspace(0, high, 2 ** int(np.ceil(np.log2(copies))))
+        moved = [cube.transform(joint.transform(state)[:3]) for state in states]
+        together = Manifold.batch_boolean(moved, OpType.Add).volume()
+        assert sweep(cube, joint, 0.0, high, copies, 1e-5).volume() == pytest.approx(together, rel=1e-3)
 
 
 def test_what_would_lose_most_of_itself_is_not_carved():
