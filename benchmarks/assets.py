@@ -67,7 +67,7 @@ FILE, SCHEMA = "assets.json", "freeart21/benchmark-assets/1"
 DENSITY = 1000.0
 """kg/m^3 of all exports: a mass then gives a volume."""
 CELLS = 80
-"""Voxels along the longer side of a part's box, at whose centres inside and outside are compared."""
+"""Voxels along the longest side of a true part's box, at whose centres inside and outside are compared."""
 FALL_S, CLOSE_S = 1.0, 2.0
 """s that a ball falls, and in which the joint closes."""
 SETTLE_STEPS, TIMED_STEPS = 250, 500
@@ -350,13 +350,16 @@ def T_truth_answer(answer: Reconstruction, truth: Truth, swapped: bool) -> tuple
 
 
 def voxel_iou(mesh: Mesh, solid: trimesh.Trimesh) -> float:
-    """Intersection over union of two solids, by points on a grid over both."""
+    """Intersection over union of a mesh and a true solid, by points on a lattice that the solid alone places.
+
+    On another lattice thin walls count otherwise.
+    """
     mine = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    low = np.minimum(mesh.vertices.min(0), solid.bounds[0])
-    high = np.maximum(mesh.vertices.max(0), solid.bounds[1])
-    step = float((high - low).max()) / CELLS
-    axes = [np.arange(a + 0.5 * step, b, step) for a, b in zip(low, high, strict=True)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3) + 1e-5 * step
+    step = float(np.ptp(solid.bounds, axis=0).max()) / CELLS
+    low = np.floor(np.minimum(mesh.vertices.min(0) - solid.bounds[0], 0) / step)
+    high = np.ceil((np.maximum(mesh.vertices.max(0), solid.bounds[1]) - solid.bounds[0]) / step)
+    cells = np.meshgrid(*(np.arange(*ends) + 0.5 for ends in zip(low, high, strict=True)), indexing="ij")
+    points = solid.bounds[0] + step * np.stack(cells, -1).reshape(-1, 3) + 1e-5 * step
     a, b = mine.contains(points), solid.contains(points)
     return float((a & b).sum() / max((a | b).sum(), 1))
 
