@@ -160,7 +160,7 @@ def make_row(name: str, result: Path, sequence: Path, truth: Path, contact: Cont
     try:
         row |= {"status": "ok", **measure(result, sequence, truth, folder, contact)}
     except FreeArtError as error:
-        row["status"] = str(error).replace(str(work), "WORK").replace(str(result.parent), "RESULTS")
+        return row | {"status": str(error).replace(str(work), "WORK").replace(str(result.parent), "RESULTS")}
     atomic.write_json(row_file, {"schema": SCHEMA, "key": key, "row": row})
     return row
 
