@@ -8,7 +8,7 @@ from export.exporter import ExportSettings, export_result
 from export.meshes import MeshSettings
 from generator.simulate import load
 
-ROUGH = CollisionSettings(tolerance_m=0.02, patches=200, pairs=4_000)
+ROUGH = CollisionSettings(tolerance_m=0.02, pairs=4_000)
 QUICK = ExportSettings(collision=ROUGH, meshes=MeshSettings(points=6_000))
 """Rough contact, and parts closed with a quarter of the points, for a quick look."""
 
