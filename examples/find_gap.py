@@ -7,11 +7,14 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from freeart21.effects import ViscousDamping
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured, Run
 from generator.simulate import load, roll_out
-from simgap.workflow import Verdict, find_gap
+from simgap.verdict import Verdict
+from simgap.workflow import find_gap
 
 
 def main(out: Path) -> Verdict:
@@ -24,7 +27,7 @@ def main(out: Path) -> Verdict:
         span = joint.upper - joint.lower
         moved = roll_out(real, joint.lower + start * span, push * span, duration_s=1.0)
         runs.append(Run(f"run_{i}", moved.times_s[::10], moved.q_measured[::10], held_out=i == 3))
-    measured = Measured(asset.joint, "revolute", (0.0, 0.0, 0.0), 100.0, "recorded", runs=tuple(runs))
+    measured = Measured(asset.joint, "revolute", np.zeros(3), 100.0, "recorded", runs=tuple(runs))
     verdict = find_gap(asset, measured)
     print(f"{hidden} was hidden: {verdict.verdict}. {verdict.sentence}")
     return verdict

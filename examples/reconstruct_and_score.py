@@ -4,7 +4,8 @@ import sys
 from pathlib import Path
 
 from freeart21.reconstruction import Failure
-from leaderboard.score import Row, score_results
+from leaderboard.rows import Row
+from leaderboard.score import score_results
 from reconstruct.pipeline import reconstruct_folder
 from reconstruct.settings import GaussianSettings, ReconstructSettings
 
