@@ -2,7 +2,6 @@
 
 With a stand-in for it; what needs simcheck itself, an extra, is skipped without it. 8 s with it, else 1 s."""
 
-import json
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -11,10 +10,9 @@ import pytest
 from little_asset import write_little
 
 from export.check import checking
-from export.check.report import CheckReport, Row
+from export.check.report import Row
 from export.check.simcheck_rules import run_simcheck
 from export.check.trial_process import StageResult
-from freeart21.files.asset import read_asset
 
 
 def stand_in(monkeypatch, results: list) -> list:
@@ -78,31 +76,3 @@ def test_it_finds_no_error_in_a_sound_asset_and_one_in_a_broken_one(tmp_path):
     urdf.write_text(urdf.read_text().replace('izz="', 'izz="-'))
     failed = [row.rule for row in checking.check(urdf, [], simcheck=True).failed]
     assert "simcheck.inertia.tensor" in failed
-
-
-def test_the_benchmark_counts_what_the_checker_says_and_keeps_what_passed(tmp_path, monkeypatch):
-    from benchmarks import simcheck
-
-    calls, rows = [], [Row("simcheck.a", "simcheck", "pass", "warn: thin"), Row("simcheck.b", "simcheck", "fail", "no")]
-    report = CheckReport("lid", rows, seconds={"simcheck": 3.0})
-    monkeypatch.setattr(simcheck, "check", lambda *given, **also: calls.append(also) or report)
-    monkeypatch.setattr(simcheck, "_export", lambda truth, asset, result: None)
-    monkeypatch.setattr(simcheck, "_versions", lambda: {"simcheck": "0.2.0"})
-    write_little(tmp_path / "lid")
-    benchmark = SimpleNamespace(truth=lambda name: tmp_path)
-
-    def row() -> dict:
-        return simcheck._row("lid", benchmark, (), tmp_path, 900.0)
-
-    for _ in range(2):
-        found = row()
-        assert found["failed"] == ["simcheck.b (simcheck): no"] and found["pieces"] == 2 and found["passed"] == 0
-        assert found["warned"] == ["simcheck.a (simcheck): warn: thin"] and found["seconds"] == 3.0
-    assert calls == [{"simcheck": True, "limit_s": 900.0}] * 2
-    rows.pop()
-    assert row() == row() and len(calls) == 3
-    assert json.loads((tmp_path / "lid.row.json").read_text())["row"]["pieces"] == 2
-    urdf = read_asset(tmp_path / "lid").urdf
-    urdf.write_text(urdf.read_text() + " ")
-    row()
-    assert len(calls) == 4
