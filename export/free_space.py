@@ -31,7 +31,7 @@ _NEAR_SHARE = 0.02
 _SAMPLES = 8_000
 """Points of a part that its largest planes are found with."""
 _PROBES = 1.5
-"""Voxels behind a surface from which space is looked up."""
+"""Voxels behind a surface from which space is looked up; set by hand, above half a voxel's diagonal."""
 _FACING = 0.5
 """Cosine, 60 degrees, set by hand."""
 UNKNOWN, SEEN_THROUGH, SWEPT = 0, 1, 2

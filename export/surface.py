@@ -59,7 +59,7 @@ _PLANE_SPACINGS = 2.0
 """Least spacings between points on supposed planes."""
 _BACK_SPACINGS = 4.0
 """Spacings behind a seen face within which known empty space gets points of its own. A needle costs more area than its
-face is worth when it is longer than 2.3 spacings, at `OBSERVED_WEIGHT`."""
+face is worth when it is longer than 2.3 spacings, at `OBSERVED_WEIGHT`; 4 is set by hand."""
 _PROBE_OFFSET = 0.25
 """Spacings in front of and behind an observed triangle where air and solid are expected: a wall can be half a spacing
 thick."""
