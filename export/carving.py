@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
 from manifold3d import Error, Manifold, Mesh64, OpType
 
 from export.penetration import Overlap
+from freeart21 import se3
 from freeart21.articulation import PARTS, Articulation
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
+from freeart21.se3 import Array
 
 OVERLAP_STATES = 9
 """States at which the overlap is measured."""
@@ -34,6 +37,10 @@ SWEEP_SHARE = 0.4
 in each other."""
 MIN_PIECE = 0.01
 """Fraction of a solid's volume below which a loose piece is dropped, as `meshes.MIN_COMPONENT`."""
+SPOT_ROUNDS = 3
+"""Times that spots are looked for and cut."""
+MAX_SPOTS = 100
+"""Spots of a round, the deepest. Ridges all over a part are no spots."""
 MAX_CUT_SHARE = 0.8
 """Largest fraction of a part's volume that may be cut away. Closed halves of a phone each fill the other's place where
 nobody looked between them: at .5 a phone and a USB stick were refused."""
@@ -96,6 +103,49 @@ def carve_overlap(parts: Articulation, low: float, high: float, tolerance: float
             other = solids[others[name]]
             return CarvedPart(name, _to_mesh(rest), _to_mesh(other), float(solids[name].volume() - rest.volume()))
     return f"more than {100 * MAX_CUT_SHARE:g} % of either part would be cut away"
+
+
+def cut_spots(parts: Articulation, name: str, states: Array, tolerance: float) -> Mesh:
+    """Part `name` without the spots where the other one still is deeper in it than `tolerance`, m, at states (n,).
+
+    Simplifying moves a few points of a carved part, as at a thin rail, by more than all others. Around each the convex
+    hull of what is there of the other part is cut out along the motion. That adds so few triangles that the part need
+    not be simplified again. The part as it is where one of the two is not closed.
+    """
+    meshes = {part: parts.part(part) for part in PARTS}
+    carved, tool = make_solid(meshes[name]), make_solid(meshes["moving" if name == "reference" else "reference"])
+    if carved is None or tool is None:
+        return meshes[name]
+    joint = parts.joint if name == "reference" else replace(parts.joint, axis=-parts.joint.axis)
+    for _ in range(SPOT_ROUNDS):
+        now = Articulation(parts.joint, meshes["reference"], meshes["moving"])
+        points, depth, at = Overlap(now).deep_points(states, tolerance)
+        if not len(depth):
+            break
+        if name == "reference":  # where they are on the other part
+            points = se3.transform(se3.inverse(joint.transform(at)), points[:, None])[:, 0]
+        hulls: list[Manifold] = []
+        while len(depth) and len(hulls) < MAX_SPOTS:
+            k = int(depth.argmax())
+            spot = tool ^ Manifold.cube((2 * depth[k],) * 3, True).translate(points[k])
+            hulls.append(_sweep_hull(spot.hull(), joint, points[k], states, SIMPLIFY_SHARE * tolerance))
+            left = np.abs(points - points[k]).max(1) > depth[k]
+            points, depth = points[left], depth[left]
+        rest = carved - Manifold.batch_boolean(hulls, OpType.Add)
+        carved = drop_small_pieces(rest.as_original().simplify(SIMPLIFY_SHARE * tolerance))
+        meshes[name] = _to_mesh(carved)
+    return meshes[name]
+
+
+def _sweep_hull(hull: Manifold, joint: Joint, at: Array, states: Array, deviation: float) -> Manifold:
+    """What a convex body at (3,) sweeps over the range of `states`, with arcs to `deviation`, m."""
+    count = 2
+    if joint.type == "revolute":
+        arm = max(float(np.linalg.norm(np.cross(joint.axis, at - joint.pivot))), deviation)
+        count += int(np.ptp(states) / (2 * np.arccos(1 - deviation / arm)))
+    placed = [hull.transform(joint.transform(q)[:3]) for q in np.linspace(states.min(), states.max(), count)]
+    pairs = [Manifold.batch_hull([a, b]) for a, b in itertools.pairwise(placed)]
+    return Manifold.batch_boolean(pairs, OpType.Add)
 
 
 def is_valid(solid: Manifold) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from export.atlas import Texture
-from export.carving import carve_overlap
+from export.carving import carve_overlap, cut_spots
 from export.free_space import find_free_space
 from export.hollows import Panels, find_panels
 from export.joint_range import STATES, TOLERANCE, JointRange, estimate_joint_range
@@ -158,6 +158,10 @@ def _clear_parts(
         surfaces = {
             name: replace_mesh(surface, cut.part(name), tolerance, settings) for name, surface in surfaces.items()
         }
+        name = report["carved"]
+        simple = replace(cut, reference=surfaces["reference"].mesh, moving=surfaces["moving"].mesh)
+        mesh = cut_spots(simple, name, np.linspace(found.low, found.high, STATES), tolerance)
+        surfaces[name] = replace_mesh(surfaces[name], mesh, tolerance, replace(settings, max_faces=len(mesh.faces)))
     return surfaces, found, report
 
 

@@ -75,6 +75,19 @@ class Overlap:
             deepest = max(deepest, float(self.depths(float(state), deepest).max(initial=0.0)))
         return deepest
 
+    def deep_points(self, states: Array, least: float) -> tuple[Array, Array, Array]:
+        """The sampled points that are deeper than `least`, m, at one of the joint states (n,): (k, 3) in the reference
+        part's frame, (k,) m, and (k,) the state at which each is deepest."""
+        points, own = np.concatenate(self._points), len(self._points[0])
+        depth, at = np.full(len(points), least), np.full(len(points), np.nan)
+        for state in states:
+            found = self.depths(float(state), least)
+            at = np.where(found > depth, state, at)
+            depth = np.maximum(depth, found)
+        deep = np.flatnonzero(np.isfinite(at))
+        moved = se3.transform(self.joint.transform(at[deep]), points[deep, None])[:, 0]
+        return np.where((deep < own)[:, None], points[deep], moved), depth[deep], at[deep]
+
 
 def measure_visual_depth(
     joint: UrdfJoint, visuals: Mapping[str, Sequence[tuple[Array, trimesh.Trimesh]]], count: int

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from export.carving import CarvedPart, carve_overlap
+from export.carving import CarvedPart, carve_overlap, cut_spots
 from export.clearance import separate_shapes
 from export.collision import CollisionSettings, make_collision, separate_collisions
 from export.fidelity import depth_in_shapes, shape_planes
@@ -185,3 +185,25 @@ def test_small_feet_carry_the_object():
     stands_on = low[low[:, 2] < 1e-6]
     assert {tuple(np.sign(point[:2])) for point in stands_on} == {(-1, -1), (-1, 1), (1, -1), (1, 1)}
     assert len(made.shapes) <= 6
+
+
+@pytest.mark.parametrize("carved", ["reference", "moving"])
+@pytest.mark.parametrize("kind", ["prismatic", "revolute"])
+def test_a_spike_in_the_way_is_cut_and_nothing_else(carved: str, kind: str):
+    """A block that passes over a plate of which one point stands up, as simplifying leaves it."""
+    hinge = Joint("hinge", "revolute", np.array([0, 0, 1.0]), np.array([0, 0.3, 0]), 0.0, 0.7)
+    joint = replace(SLIDE, upper=0.2) if kind == "prismatic" else hinge
+    plate = block((0.6, 0.6, 0.02), (0, 0, -0.0101)).subdivide_to_size(0.012)
+    spike = int(np.linalg.norm(plate.vertices - [0.1, 0, 0], axis=1).argmin())
+    plate.vertices[spike, 2] += 0.003
+    meshes = {"reference": block((0.05, 0.05, 0.05), (0, 0, 0.025)), "moving": block((0.05, 0.05, 0.05), (0, 0, 0.025))}
+    meshes[carved] = plate
+    if carved == "moving":
+        joint = replace(joint, axis=-joint.axis)
+    parts = Articulation(joint, *(Mesh(meshes[name].vertices, meshes[name].faces) for name in ("reference", "moving")))
+    states = np.linspace(joint.lower, joint.upper, 17)
+    rest = cut_spots(parts, carved, states, TOLERANCE)
+    apart = replace(parts, reference=rest) if carved == "reference" else replace(parts, moving=rest)
+    assert Overlap(parts).max_depth(states) > 2e-3
+    assert Overlap(apart).max_depth(states) <= TOLERANCE
+    assert trimesh.Trimesh(rest.vertices, rest.faces).volume > 0.9999 * plate.volume
