@@ -36,6 +36,7 @@ from export.check.engines.sapien_world import load
 from export.collision import Contact
 from export.contact import read_link_shapes
 from export.exporter import ExportSettings, export_result
+from export.preview import colours_at, project_link
 from freeart21 import catalog, se3
 from freeart21.articulation import PARTS, Articulation
 from freeart21.asset import Asset
@@ -45,14 +46,17 @@ from freeart21.files.asset import read_asset
 from freeart21.files.benchmark import read_benchmark
 from freeart21.files.certificate import read_certificate
 from freeart21.files.result import read_result
+from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
 from freeart21.files.urdf import link_poses, read_urdf
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh, join_meshes
 from freeart21.reconstruction import Failure, Reconstruction
+from freeart21.recording import Recording
 from freeart21.se3 import Array
 from freeart21.truth import Truth
 from freeart21.view.link_shapes import ShownUrdf, read_shown
+from freeart21.z_buffer import draw_triangles
 from generator import objects
 from generator.model import ObjectModel
 from generator.motion import PRESETS
@@ -98,6 +102,7 @@ GOALS = (
     Goal("contact_mm", 0.6, "surface to collision shapes, median, mm"),
     Goal("contact_worst_mm", 2, "surface to collision shapes, worst, mm"),
     Goal("speed", 0.8, "steps a processor s over those of the object's own hulls", at_least=True),
+    Goal("supposed_psnr", 20, "held-out views of supposed faces, dB", at_least=True),
     Goal("cpu_s", 60, "export, processor s"),
     Goal("up_deg", 5, "z from the maker's up, deg"),
     Goal("beyond", 1, "limits beyond the maker's, deg or mm"),
@@ -179,6 +184,7 @@ def measure(result: Path, sequence: Path, truth_folder: Path, folder: Path, cont
         "cpu_s": round(seconds, 1),
         **figures(read_asset(folder), answer, truth),
         **supposed_faces(result, truth, folder),
+        **supposed_views(read_asset(folder), answer, truth, read_sequence(sequence)),
         "engines": tried,
         "failed_rules": len(report.not_passed),
         "failed": [f"{row.rule} ({row.engine}): {row.reason}" for row in report.not_passed],
@@ -277,6 +283,46 @@ def supposed_faces(result: Path, truth: Truth, folder: Path) -> dict[str, list[f
             off = None if surface.empty else 100 * matched.outer[part].distance(points).mean() / matched.diagonal
             found[kind].append(None if off is None else float(off))
     return {kind: values[::-1] if matched.swapped else values for kind, values in found.items()}
+
+
+def supposed_views(asset: Asset, answer: Reconstruction, truth: Truth, recording: Recording) -> dict[str, float | None]:
+    """PSNR, dB, of the asset's textured meshes in the held-out views, over the truth's pixels that show seen faces, and
+    over those that show supposed ones; and these pixels' share."""
+    shown = read_shown(asset.urdf)
+    first = {
+        link: (asset.source["parts"][name].get("patch") or {}).get("first_face", np.inf)
+        for link, name in ((asset.reference_link, "reference"), (asset.moving_link, "moving"))
+    }
+    errors: list[list[Array]] = [[], []]
+    for i, query in enumerate(recording.queries):
+        mask, picture = truth.query_mask(i), truth.query_rgb(i).astype(float)
+        Ts = link_poses(
+            shown.urdf.joints, {**asset.held, asset.joint: answer.states[query.state_of_frame] + asset.state_zero}
+        )
+        T = query.T_newcam_cam @ answer.Ts_camera_reference[query.pose_of_frame] @ asset.T_canonical_reference
+        T = T @ se3.inverse(Ts[asset.reference_link])
+        nearest, colour, supposed = np.full(mask.shape, np.inf), np.zeros((*mask.shape, 3)), np.zeros(mask.shape, int)
+        for link in shown.visuals:
+            for points, faces, marks, image in project_link(shown, link, T @ Ts[link], np.eye(3)):
+                face, weights = np.full(mask.shape, -1), np.zeros((*mask.shape, 3))
+                draw_triangles(recording.camera.project(points), points[:, 2].copy(), faces, nearest, face, weights)
+                drawn = face >= 0
+                colour[drawn] = colours_at(weights[drawn], marks[faces[face[drawn]]], image)
+                supposed[drawn] = 1 + (face[drawn] >= first[link])
+        error = ((colour - picture) ** 2).mean(-1)
+        for kind in (0, 1):
+            errors[kind].append(error[mask & (supposed == 1 + kind)])
+    seen, never = (np.concatenate(its) if its else np.zeros(0) for its in errors)
+    return {
+        "seen_psnr": _decibels(seen),
+        "supposed_psnr": _decibels(never),
+        "supposed_pixels": len(never) / max(len(never) + len(seen), 1),
+    }
+
+
+def _decibels(squares: Array) -> float | None:
+    """Of squared errors of 8-bit colours; None without any, or where nothing is off."""
+    return float(10 * np.log10(255**2 / squares.mean())) if squares.any() else None
 
 
 # --- the asset and the truth ------------------------------------------------------------------------------------------

@@ -40,7 +40,7 @@ MIN_PIECE = 0.01
 SPOT_ROUNDS = 3
 """Times that spots are looked for and cut."""
 MAX_SPOTS = 100
-"""Spots of a round, the deepest. Ridges all over a part are no spots."""
+"""More are no spots: cutting 300 out of a cabinet of 2 m doubled its triangles, and left it 7 mm in its drawer."""
 MAX_CUT_SHARE = 0.8
 """Largest fraction of a part's volume that may be cut away. Closed halves of a phone each fill the other's place where
 nobody looked between them: at .5 a phone and a USB stick were refused."""
@@ -124,13 +124,18 @@ def cut_spots(parts: Articulation, name: str, states: Array, tolerance: float) -
             break
         if name == "reference":  # where they are on the other part
             points = se3.transform(se3.inverse(joint.transform(at)), points[:, None])[:, 0]
-        hulls: list[Manifold] = []
-        while len(depth) and len(hulls) < MAX_SPOTS:
-            k = int(depth.argmax())
-            spot = tool ^ Manifold.cube((2 * depth[k],) * 3, True).translate(points[k])
-            hulls.append(_sweep_hull(spot.hull(), joint, points[k], states, SIMPLIFY_SHARE * tolerance))
-            left = np.abs(points - points[k]).max(1) > depth[k]
-            points, depth = points[left], depth[left]
+        size, spots = float(depth.max()), np.zeros((0, 3))
+        while len(points):
+            spots = np.append(spots, points[:1], axis=0)
+            points = points[np.abs(points - points[0]).max(1) > size]
+        if len(spots) > MAX_SPOTS:
+            break
+        cubes = [Manifold.cube((2 * size,) * 3, True).translate(spot) for spot in spots]
+        deviation = SIMPLIFY_SHARE * tolerance
+        hulls = [
+            _sweep_hull((tool ^ cube).hull(), joint, spot, states, deviation)
+            for cube, spot in zip(cubes, spots, strict=True)
+        ]
         rest = carved - Manifold.batch_boolean(hulls, OpType.Add)
         carved = drop_small_pieces(rest.as_original().simplify(SIMPLIFY_SHARE * tolerance))
         meshes[name] = _to_mesh(carved)

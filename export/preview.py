@@ -38,7 +38,7 @@ _FAR = 1e4
 _FILL = 0.86
 """Fraction of the image's side that the object takes."""
 
-_Piece = tuple[Array, NDArray[np.integer], Array, NDArray[np.uint8]]
+Piece = tuple[Array, NDArray[np.integer], Array, NDArray[np.uint8]]
 
 
 def write_preview(folder: Path, asset: Asset) -> None:
@@ -64,7 +64,7 @@ def render_preview(asset: Asset) -> NDArray[np.uint8]:
     R = _view_rotation(_choose_viewpoint(np.concatenate(every)))
     boxes, drawn = [], []
     for Ts in poses:
-        points = [p for link in shown.visuals for p in _project_link(shown, link, Ts[link], R)]
+        points = [p for link in shown.visuals for p in project_link(shown, link, Ts[link], R)]
         drawn.append(points)
         boxes += [piece[0] for piece in points]
     low, high = np.concatenate(boxes).min(0), np.concatenate(boxes).max(0)
@@ -90,9 +90,12 @@ def _view_rotation(eye: Array) -> Array:
     return np.stack([right, np.cross(away, right), away])
 
 
-def _project_link(shown: ShownUrdf, link: str, T: Array, R: Array) -> list[_Piece]:
-    """Per visual: vertices (V, 3) right, down and away; triangles; texture coordinates or colours; texture."""
-    pieces: list[_Piece] = []
+def project_link(shown: ShownUrdf, link: str, T: Array, R: Array) -> list[Piece]:
+    """Per visual: vertices (V, 3) right, down and away; triangles; texture coordinates or colours; texture.
+
+    T (4, 4) takes the link to the frame that R (3, 3) turns.
+    """
+    pieces: list[Piece] = []
     for piece in shown.visuals[link]:
         points = se3.transform(T, piece.mesh.vertices) @ R.T
         if piece.texture is not None and piece.uv is not None and piece.texture.is_file():
@@ -107,7 +110,7 @@ def _project_link(shown: ShownUrdf, link: str, T: Array, R: Array) -> list[_Piec
     return pieces
 
 
-def _rasterise(pieces: list[_Piece], scale: float, shift: Array, R: Array) -> NDArray[np.uint8]:
+def _rasterise(pieces: list[Piece], scale: float, shift: Array, R: Array) -> NDArray[np.uint8]:
     side = SIDE * _SUPERSAMPLING
     colour = np.empty((side, side, 3))
     colour[:] = _GROUND
@@ -121,10 +124,15 @@ def _rasterise(pieces: list[_Piece], scale: float, shift: Array, R: Array) -> ND
         facing = normals @ light / np.maximum(np.linalg.norm(normals, axis=1), 1e-30)
         facing = np.where(normals[:, 2] > 0, -facing, facing)  # seen from behind
         shade = (_AMBIENT + (1 - _AMBIENT) * np.maximum(facing, 0.0))[face[drawn]]
-        values = np.einsum("nk,nki->ni", weights[drawn], marks[faces[face[drawn]]])
-        if image.size:
-            column, row = np.clip(np.rint(values).astype(int), 0, np.array(image.shape[1::-1]) - 1).T
-            values = image[row, column].astype(float)
-        colour[drawn] = shade[:, None] * values
+        colour[drawn] = shade[:, None] * colours_at(weights[drawn], marks[faces[face[drawn]]], image)
     small = cv2.resize(colour.astype(np.float32), (SIDE, SIDE), interpolation=cv2.INTER_AREA)
     return np.clip(np.rint(small), 0, 255).astype(np.uint8)
+
+
+def colours_at(weights: Array, marks: Array, image: NDArray[np.uint8]) -> Array:
+    """(n, 3) colours, 0 to 255, at barycentric weights (n, 3) of triangles whose corners have `marks` (n, 3, k)."""
+    values = np.einsum("nk,nki->ni", weights, marks)
+    if not image.size:
+        return np.asarray(values)
+    column, row = np.clip(np.rint(values).astype(int), 0, np.array(image.shape[1::-1]) - 1).T
+    return image[row, column].astype(float)
