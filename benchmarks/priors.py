@@ -9,8 +9,9 @@ what the tracker does; `xfeat` and `lightglue` are matches at keypoints, `+ flow
 counts where its way there and back ends within 1.5 pixels (the tracker's own limit). `right` is the share of what is
 given that lies within 3 pixels; `found` the share of the object's true pixels that have a right point within 6 pixels.
 
-`--solve` then solves each object, without Gaussians, with every tracker: clean, noise2 and hand moved by `tumble`,
-clean moved by `human`, which hides a part for long.
+`--solve` then solves each object, without Gaussians, with every tracker: clean, noise2, tof and hand moved by
+`tumble`, clean moved by `human`, which hides a part for long. `--sensors tof` solves those alone; the file's other rows
+stay.
 
 Prints tables, and writes benchmarks/results/priors.json.
 """
@@ -45,7 +46,7 @@ from reconstruct.trackers.matched import matched_flow, round_trip
 
 FILE = "priors.json"
 MOTIONS = ("tumble", "human")
-CASES = (("human", "clean"), ("tumble", "clean"), ("tumble", "noise2"), ("tumble", "hand"))
+CASES = (("human", "clean"), ("tumble", "clean"), ("tumble", "noise2"), ("tumble", "tof"), ("tumble", "hand"))
 """Motion and sensor of the solved recordings."""
 TRACKERS = ("dis", "xfeat", "lightglue")
 GAPS = (3, 10, 30)
@@ -80,6 +81,7 @@ def main(
     seed: int = 3,
     solve: bool = False,
     matches: bool = True,
+    sensors: tuple[str, ...] = (),
     work: Path = ROOT / "out" / "priors",
     out: Path = RESULTS / FILE,
 ) -> None:
@@ -91,6 +93,7 @@ def main(
         seed: Of shape, motion and sensor.
         solve: Solve recordings, too: some minutes of processor time each.
         matches: Measure matches; otherwise the file's own stay.
+        sensors: Solve recordings of these alone; the file's rows of others stay.
         work: Where recordings are kept.
         out: The JSON file.
     """
@@ -101,9 +104,12 @@ def main(
         print_matches(rows)
         found["matches"] = [asdict(row) for row in rows]
     if solve:
-        solved = [row for name in objects for case in CASES for row in solve_rows(name, *case, frames, seed, work)]
+        chosen = [case for case in CASES if not sensors or case[1] in sensors]
+        solved = [row for name in objects for case in chosen for row in solve_rows(name, *case, frames, seed, work)]
         print_solved(solved)
-        found["solved"] = [asdict(row) for row in solved]
+        new = {row.recording for row in solved}
+        kept = [row for row in found["solved"] if sensors and row["recording"] not in new]
+        found["solved"] = kept + [asdict(row) for row in solved]
     facts = {"objects": objects, "frames": frames, "seed": seed, "near": NEAR, "reach": REACH, "pairs": PAIRS}
     write_report(out, facts, **found)
 
