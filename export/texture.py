@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from export.atlas import Atlas, Texels, Texture, find_texels, paint_texture, unwrap
 from export.meshes import number_cells, vertex_normals
 from freeart21.errors import FreeArtError
-from freeart21.mesh import Mesh
+from freeart21.mesh import Mesh, bounding_diagonal
 from freeart21.reconstruction import Reconstruction
 from freeart21.recording import Recording
 from freeart21.se3 import Array
@@ -35,6 +35,10 @@ _SHARPNESS_POWER = 6.0
 """Power of a frame's sharpness in the high band: half as sharp weighs a 64th."""
 _FILL_CELL = 8.0
 """Texels along a cell of unseen surface, which gets a single colour."""
+_FILL_CELLS, _FILL_TURN = 64, 0.25
+"""Cells of seen surface whose colours mix in one of unseen surface, and diagonals of the part that normals that differ
+by 1 count as. Held-out pixels of supposed faces, seven objects: 18.5 dB by the nearest cell, 18.9 by the nearest that
+faces so, 19.5 by 64 however they face, 19.9 by both; half or twice the figures, or eight times the cells: within .1."""
 _EDGE_PIXELS = 2
 """Pixels along a part's outline that are ignored: they mix with the background."""
 MAX_FRAMES = 120
@@ -102,29 +106,50 @@ class _PartTexels:
         self.weights = np.zeros((2, count), np.float32)
 
     def texture(self) -> Texture:
-        """The texture so far; texels that no frame showed take the colour of the nearest one that was shown."""
+        """The texture so far; texels that no frame showed take those of their surroundings (`_fill_unseen`)."""
         known = self.weights.min(0) > 0
         colours = np.full((len(known), 3), 128.0, np.float32)
         if known.any():
             bands = self.bands[:, known] / self.weights[:, known, None]
             colours[known] = bands.sum(0)
             if not known.all():
-                colours[~known] = _fill_from_nearest(
-                    self.points[known], colours[known], self.points[~known], _FILL_CELL * self.atlas.texel_m
-                )
+                size, turn = _FILL_CELL * self.atlas.texel_m, _FILL_TURN * bounding_diagonal(self.mesh)
+                colours[~known] = _fill_unseen(self.points, self.normals, colours, known, size, turn)
         return Texture(self.atlas, paint_texture(self.atlas, self.texels, colours))
 
 
-def _fill_from_nearest(
-    points: NDArray[np.float32], colours: NDArray[np.float32], targets: NDArray[np.float32], size: float
+def _fill_unseen(
+    points: NDArray[np.floating],
+    normals: NDArray[np.floating],
+    colours: NDArray[np.float32],
+    known: NDArray[np.bool_],
+    size: float,
+    turn: float,
 ) -> NDArray[np.float32]:
-    """(m, 3) colours for the points `targets` (m, 3), one per cubic cell of side `size`: that of the nearest cell of
-    `points` (n, 3)."""
-    _, cell, count = np.unique(number_cells(points, size), return_inverse=True, return_counts=True)
-    means = [np.bincount(cell.ravel(), values[:, k]) / count for values in (points, colours) for k in range(3)]
-    _, first, back = np.unique(number_cells(targets, size), return_index=True, return_inverse=True)
-    nearest = cKDTree(np.stack(means[:3], -1)).query(targets[first])[1]
-    return np.asarray(np.stack(means[3:], -1).astype(np.float32)[nearest[back.ravel()]])
+    """(m, 3) colours of those points of (n, 3) that are not `known` (n,): the mean over the nearest cells of known
+    ones, by the inverse square of their distance.
+
+    A cell holds points within a cube of side `size`, m, that face one octant. Unit normals that differ by 1 count as
+    `turn`, m: behind a thin wall the nearest surface is its inside, which looks another way.
+    """
+    facing = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    octant = (facing > 0) @ np.array([1, 2, 4])
+    _, cell, count = np.unique(8 * number_cells(points, size) + octant, return_inverse=True, return_counts=True)
+    rows = np.concatenate([points, turn * facing, colours], 1).astype(float)
+
+    def means_of(chosen: NDArray[np.bool_]) -> tuple[NDArray[np.int64], Array]:
+        """The cells that hold chosen points, and the means of these."""
+        own = np.bincount(cell[chosen], minlength=len(count))
+        sums = np.stack([np.bincount(cell[chosen], column, len(count)) for column in rows[chosen].T], -1)
+        return np.flatnonzero(own), sums[own > 0] / own[own > 0, None]
+
+    (_, means), (asked, middles) = means_of(known), means_of(~known)
+    near = min(_FILL_CELLS, len(means))
+    distance, nearest = (x.reshape(-1, near) for x in cKDTree(means[:, :6]).query(middles[:, :6], k=near))
+    weights = 1 / np.maximum(distance, size) ** 2
+    found = np.zeros((len(count), 3), np.float32)
+    found[asked] = np.einsum("nk,nki->ni", weights, means[nearest, 6:]) / weights.sum(1, keepdims=True)
+    return found[cell[~known]]
 
 
 def _accumulate_frame(

@@ -19,7 +19,7 @@ from export.free_space import SWEPT, SpaceGrid
 from export.meshes import MeshSettings
 from export.parts import close_parts
 from export.surface import Surface, close_surface
-from export.texture import texture_from_vertices, textures_from_video
+from export.texture import _fill_unseen, texture_from_vertices, textures_from_video
 from freeart21 import se3
 from freeart21.articulation import Articulation
 from freeart21.camera import Camera
@@ -305,3 +305,20 @@ def test_an_asset_from_a_video_wears_it_and_says_so(tmp_path: Path):
     assert asset.scale == 1.0
     assert_refused("is not a folder", export_result, answer, tmp_path / "c", settings, video=tmp_path / "none")
     assert not (tmp_path / "c").exists()
+
+
+def test_an_unseen_back_has_the_colours_of_what_faces_as_it_does_not_of_the_inside_behind_it():
+    """A wall of 1 cm, 20 cm wide: its inside is tan, a rim of its back red, the rest of that was not seen."""
+    x, y = (line.ravel() for line in np.meshgrid(np.linspace(0, 0.2, 41), np.linspace(0, 0.2, 41)))
+    back = np.stack([x, y, np.zeros_like(x)], -1)
+    points = np.concatenate([back, back + np.array([0, 0, 0.01])])
+    normals = np.repeat([[0.0, 0, -1], [0.0, 0, 1]], len(back), axis=0)
+    red, tan = [160.0, 20, 30], [210.0, 180, 130]
+    colours = np.repeat([red, tan], len(back), axis=0).astype(np.float32)
+    known = np.ones(len(points), bool)
+    known[: len(back)] = (np.abs(back[:, :2] - 0.1) > 0.08).any(1)
+    colours[~known] = 128
+    found = _fill_unseen(points, normals, colours, known, 0.005, 0.07)
+    assert found.shape == ((~known).sum(), 3)
+    off = [np.linalg.norm(found - colour, axis=1) for colour in (red, tan)]
+    assert (off[0] < off[1]).mean() > 0.95 and off[0].mean() < 0.25 * np.linalg.norm(np.subtract(red, tan))
