@@ -90,8 +90,8 @@ SETTINGS = {
     "a plane with default contact",
     "pybullet": "step 2 ms, 100 solver iterations, inertia from the file, no damping of links, neighbours do not "
     "collide, friction 0.5, joint friction as the URDF's (by a velocity motor)",
-    "drake": "discrete step 2 ms, hydroelastic contact (compliant, default modulus), friction 0.5, joint friction as "
-    "the URDF's (by a damper with a limit)",
+    "drake": "discrete step 2 ms, SAP, hydroelastic contact (compliant, 1e8 Pa per kg, at most 1e9), friction 0.5, "
+    "joint friction as the URDF's (by a damper with a limit)",
 }
 """Settings for readers of the report."""
 
