@@ -119,7 +119,7 @@ def cut_spots(parts: Articulation, name: str, states: Array, tolerance: float) -
     joint = parts.joint if name == "reference" else replace(parts.joint, axis=-parts.joint.axis)
     for _ in range(SPOT_ROUNDS):
         now = Articulation(parts.joint, meshes["reference"], meshes["moving"])
-        points, depth, at = Overlap(now).deep_points(states, tolerance)
+        points, depth, at = Overlap(now, samples=None).deep_points(states, tolerance)
         if not len(depth):
             break
         if name == "reference":  # where they are on the other part

@@ -29,10 +29,11 @@ class Overlap:
     """
 
     def __init__(
-        self, parts: Articulation, observed: dict[str, NDArray[np.bool_]] | None = None, samples: int = SAMPLES
+        self, parts: Articulation, observed: dict[str, NDArray[np.bool_]] | None = None, samples: int | None = SAMPLES
     ) -> None:
         """`parts` in any frame, m, the moving part at state zero; meshes may be open.
 
+        Points are `samples` a part, spread by area, or with None the vertices: what is sharp is deepest there.
         With `observed`, (F,) of each part, only observed triangles count: a point counts when it lies on one and its
         nearest triangle of the other part is one. Patches that close a surface only define its inside.
         """
@@ -41,7 +42,10 @@ class Overlap:
         seen = {name: np.ones(len(mesh.faces), bool) for name, mesh in meshes.items()} if observed is None else observed
         self._surfaces = [_Surface(mesh, seen[name]) for name, mesh in meshes.items()]
         self._points = [
-            _sample_surface(_select_faces(mesh, seen[name]), samples, _SEED) for name, mesh in meshes.items()
+            mesh.vertices[np.unique(mesh.faces[seen[name]])]
+            if samples is None
+            else _sample_surface(_select_faces(mesh, seen[name]), samples, _SEED)
+            for name, mesh in meshes.items()
         ]
         self.speeds: Array = np.concatenate([_point_speeds(self.joint, points) for points in self._points])
         """(n,) m per unit of state that each sampled point moves against the other part."""

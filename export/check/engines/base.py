@@ -88,7 +88,7 @@ SETTINGS = {
     "joint friction as the URDF's (by a saturated damper)",
     "mujoco": "the file's own solver and contact options, step at most 2 ms; limits of URDFs as hard as that allows; "
     "a plane with default contact",
-    "pybullet": "step 2 ms, 100 solver iterations, inertia from the file, no damping of links, neighbours do not "
+    "pybullet": "step 1 ms, 100 solver iterations, inertia from the file, no damping of links, neighbours do not "
     "collide, friction 0.5, joint friction as the URDF's (by a velocity motor)",
     "drake": "discrete step 2 ms, SAP, hydroelastic contact (compliant, 1e8 Pa per kg, at most 1e9), friction 0.5, "
     "joint friction as the URDF's (by a damper with a limit)",

@@ -13,7 +13,8 @@ from freeart21 import se3
 from freeart21.files.urdf import UrdfInertial, read_urdf_joints
 from freeart21.se3 import Array
 
-_STEP_S, _FRICTION = 0.002, 0.5
+_STEP_S, _FRICTION = 0.001, 0.5
+"""s: in steps of 2 ms a lighter's lid hopped by .002 rad for ever on the limit at which gravity held it."""
 _NEAR_M = 0.01
 """Distance below an asset on the floor that is searched for the floor."""
 
