@@ -348,6 +348,7 @@ def write_asset_rows(folder: str) -> str:
         "supposed": "supposed, share",
         "seen_off_pc": "seen faces off, %",
         "supposed_off_pc": "supposed faces off, %",
+        "supposed_psnr": "views of supposed faces, dB",
         "visual_deep_mm": "visual in each other, mm",
         "contact_worst_mm": "contact off, mm",
         "shapes": "shapes",
