@@ -5,9 +5,9 @@ A section that prints figures ends with a line such as
     *Measured at `84f6ef9`, of `reconstruct`, `leaderboard` ([file](../benchmarks/results/reconstruct.json)): old.*
 
 It names the commit (that of the file, if one is named), the packages or files that the figures speak of, and says `old`
-when what these do has changed since (comments, docstrings and layout do not count), `current` when it has not. A commit
-that this history does not hold, or that had uncommitted changes, is old. A package of MEASURED is also current when
-`benchmarks.same_answers` found that it gives the same answers as at that commit.
+when what these do has changed since (`does_the_same`), `current` when it has not. A commit that this history does not
+hold, or that had uncommitted changes, is old. A package of MEASURED is also current when `benchmarks.same_answers`
+found that it gives the same answers as at that commit.
 
     python -m benchmarks.freshness            # prints a table
     python -m benchmarks.freshness --write    # corrects the lines in the documents
@@ -16,6 +16,7 @@ that this history does not hold, or that had uncommitted changes, is old. A pack
 from __future__ import annotations
 
 import argparse
+import ast
 import io
 import json
 import re
@@ -25,6 +26,7 @@ import tempfile
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from types import CodeType
 from typing import Any
 
 from benchmarks.common import ROOT
@@ -159,7 +161,39 @@ def _measured_files(package: str, root: Path) -> frozenset[str]:
 @cache
 def _same(commit: str, name: str) -> bool:
     before, now = _git("show", f"{commit}:{name}"), ROOT / name
-    return before is not None and now.is_file() and source_digest(before) == source_digest(now.read_text("utf-8"))
+    return before is not None and now.is_file() and does_the_same(before, now.read_text("utf-8"))
+
+
+def does_the_same(before: str, now: str) -> bool:
+    """Whether two Python texts compile to the same instructions. Comments, docstrings, layout, and the names of local
+    variables that are no arguments do not count."""
+    if source_digest(before) == source_digest(now):
+        return True
+    return _instructions(before) == _instructions(now)
+
+
+def _instructions(source: str) -> Any:
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list) and body:
+            kept = [entry for entry in body if not _is_text(entry)]
+            node.body = kept or [ast.copy_location(ast.Pass(), body[0])]  # type: ignore[attr-defined]
+    return _read_code(compile(tree, "", "exec"))
+
+
+def _is_text(entry: ast.stmt) -> bool:
+    value = entry.value if isinstance(entry, ast.Expr) else None
+    return isinstance(value, ast.Constant) and isinstance(value.value, str)
+
+
+def _read_code(code: CodeType) -> tuple[Any, ...]:
+    """What a code object does: instructions, global names, arguments, and constants with the code objects in them."""
+    arguments = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
+    constants = tuple(
+        _read_code(each) if isinstance(each, CodeType) else (type(each).__name__, repr(each)) for each in code.co_consts
+    )
+    return code.co_name, code.co_code, code.co_names, arguments, code.co_flags, constants
 
 
 @cache

@@ -143,12 +143,12 @@ def _fill_unseen(
         sums = np.stack([np.bincount(cell[chosen], column, len(count)) for column in rows[chosen].T], -1)
         return np.flatnonzero(own), sums[own > 0] / own[own > 0, None]
 
-    (_, means), (asked, middles) = means_of(known), means_of(~known)
+    (_, means), (targets, middles) = means_of(known), means_of(~known)
     near = min(_FILL_CELLS, len(means))
     distance, nearest = (x.reshape(-1, near) for x in cKDTree(means[:, :6]).query(middles[:, :6], k=near))
     weights = 1 / np.maximum(distance, size) ** 2
     found = np.zeros((len(count), 3), np.float32)
-    found[asked] = np.einsum("nk,nki->ni", weights, means[nearest, 6:]) / weights.sum(1, keepdims=True)
+    found[targets] = np.einsum("nk,nki->ni", weights, means[nearest, 6:]) / weights.sum(1, keepdims=True)
     return found[cell[~known]]
 
 

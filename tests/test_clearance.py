@@ -190,7 +190,7 @@ def test_small_feet_carry_the_object():
 @pytest.mark.parametrize("carved", ["reference", "moving"])
 @pytest.mark.parametrize("kind", ["prismatic", "revolute"])
 def test_a_spike_in_the_way_is_cut_and_nothing_else(carved: str, kind: str):
-    """A block that passes over a plate of which one point stands up, as simplifying leaves it."""
+    """A block that passes over a plate with one point that stands up, as simplifying leaves it."""
     hinge = Joint("hinge", "revolute", np.array([0, 0, 1.0]), np.array([0, 0.3, 0]), 0.0, 0.7)
     joint = replace(SLIDE, upper=0.2) if kind == "prismatic" else hinge
     plate = block((0.6, 0.6, 0.02), (0, 0, -0.0101)).subdivide_to_size(0.012)

@@ -202,3 +202,22 @@ def test_failures_alone_prove_nothing():
 def test_a_tree_with_changes_proves_nothing(monkeypatch):
     monkeypatch.setattr(same_answers.common, "commit", lambda: "abc-dirty")
     assert_refused("commit first", same_answers.main, "HEAD")
+
+
+@pytest.mark.parametrize(
+    ("now", "same"),
+    [
+        (
+            'def f(a, *, b=2):\n    """Other text."""\n    kept = a * b\n    return [kept + k for k in (1, 2)]  # more\n',
+            True,
+        ),
+        ('def f(a, *, c=2):\n    """Text."""\n    found = a * c\n    return [found + k for k in (1, 2)]\n', False),
+        ('def f(a, *, b=2):\n    """Text."""\n    found = a + b\n    return [found + k for k in (1, 2)]\n', False),
+        ('def f(a, *, b=2):\n    """Text."""\n    found = a * b\n    return [found + k for k in (1, 3)]\n', False),
+        ('def f(a, *, b=2):\n    """Text."""\n    found = g * b\n    return [found + k for k in (1, 2)]\n', False),
+        ('def f(a, *, b=3):\n    """Text."""\n    found = a * b\n    return [found + k for k in (1, 2)]\n', False),
+    ],
+)
+def test_names_of_local_variables_make_no_figure_old(now, same):
+    before = 'def f(a, *, b=2):\n    """Text."""\n    found = a * b\n    return [found + k for k in (1, 2)]\n'
+    assert freshness.does_the_same(before, now) is same
