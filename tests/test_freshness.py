@@ -208,7 +208,7 @@ def test_a_tree_with_changes_proves_nothing(monkeypatch):
     ("now", "same"),
     [
         (
-            'def f(a, *, b=2):\n    """Other text."""\n    kept = a * b\n    return [kept + k for k in (1, 2)]  # more\n',
+            'def f(a, *, b=2):\n    """Other text."""\n    kept = a * b\n    return [kept + k for k in (1, 2)] #\n',
             True,
         ),
         ('def f(a, *, c=2):\n    """Text."""\n    found = a * c\n    return [found + k for k in (1, 2)]\n', False),
