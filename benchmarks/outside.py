@@ -20,6 +20,7 @@ A run that was stopped goes on from there. Nothing of the data enters the reposi
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -134,7 +135,7 @@ def main(
     cases = []
     for clip in wanted:
         try:
-            folder, recording = _record(clip, work / f"{frames}frames")
+            folder, recording = record(clip, work / f"{frames}frames")
         except FreeArtError as error:
             left_out[clip.name] = str(error)
             continue
@@ -142,9 +143,7 @@ def main(
         cases.append(case if clip.settings.track is None else replace(case, motion="captured"))
     found = solve_cases(cases, variants, work / "solved", fresh=fresh)
     answers = _solve_videos([path for path in real if not clips or path.name in clips], variants, work, fresh, left_out)
-    roots = {str(partnet): "PARTNET", str(mocap): "MOCAP", str(urdfs): "URDFS", str(videos): "VIDEOS"}
-    for root, word in roots.items():
-        left_out = {name: why.replace(root, word) for name, why in left_out.items()}
+    left_out = {name: hide_roots(why, (partnet, mocap, urdfs, videos)) for name, why in left_out.items()}
     of = {name: worst_first([o for (n, _), o in found.items() if n == name]) for name in variants}
     _print(of, answers, left_out)
     if out is None and clips:
@@ -207,11 +206,18 @@ def own_urdf(folder: Path) -> Path | None:
     return None
 
 
+def hide_roots(text: str, roots: Sequence[Path]) -> str:
+    """A text without the machine's folders: each root by its own name."""
+    for root in roots:
+        text = text.replace(str(root), root.name)
+    return text
+
+
 def _settings(frames: int, sensor: str) -> RecordSettings:
     return RecordSettings(frames=frames, seed=SEED, sensor=sensor)
 
 
-def _record(clip: Clip, data: Path) -> tuple[Path, Job]:
+def record(clip: Clip, data: Path) -> tuple[Path, Job]:
     """The data folder that holds the clip, recorded unless it is there, and how it was recorded."""
     folder = data / ("scripted" if clip.settings.track is None else "tracks")
     job = plan_jobs([clip.object], clip.settings)[0]
