@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import assets, priors, real_video, solve
+from benchmarks import assets, outside_assets, priors, real_video, solve
 from benchmarks.baselines import METHODS as METHOD_NAMES
 from benchmarks.common import RESULTS, ROOT, run_cli, write_report
 from benchmarks.freshness import is_current, read_commit
@@ -35,6 +35,22 @@ from reconstruct.settings import ReconstructSettings
 
 DOCUMENTS = (ROOT / "README.md", *(ROOT / "docs" / f"{name}.md" for name in ("results", "scale", "priors")))
 TABLE = re.compile(r"(<!-- table (?P<name>[\w-]+) -->\n).*?(<!-- end -->)", re.S)
+ASSET_COLUMNS = {
+    "failed_rules": "rules failed",
+    "mass_pc": "mass, %",
+    "iou": "voxel IoU",
+    "supposed": "supposed, share",
+    "seen_off_pc": "seen faces off, %",
+    "supposed_off_pc": "supposed faces off, %",
+    "supposed_psnr": "views of supposed faces, dB",
+    "visual_deep_mm": "visual in each other, mm",
+    "contact_worst_mm": "contact off, mm",
+    "shapes": "shapes",
+    "speed": "speed",
+    "cpu_s": "export, s",
+    "ball": "ball",
+}
+"""Of `benchmarks.assets`."""
 PIECES = ("no-gaussians", "no-end-to-end", "no-blended-rendering")
 
 
@@ -341,37 +357,36 @@ def write_assets(folder: str) -> str:
 
 def write_asset_rows(folder: str) -> str:
     """Each asset, that which misses most goals first; both parts' numbers, the reference part's first."""
-    columns = {
-        "failed_rules": "rules failed",
-        "mass_pc": "mass, %",
-        "iou": "voxel IoU",
-        "supposed": "supposed, share",
-        "seen_off_pc": "seen faces off, %",
-        "supposed_off_pc": "supposed faces off, %",
-        "supposed_psnr": "views of supposed faces, dB",
-        "visual_deep_mm": "visual in each other, mm",
-        "contact_worst_mm": "contact off, mm",
-        "shapes": "shapes",
-        "speed": "speed",
-        "cpu_s": "export, s",
-        "ball": "ball",
-    }
-    rows = []
-    for row in checked.read_json(RESULTS / assets.FILE)["rows"]:
-        cells = []
-        for column in columns:
-            value = row.get(column)
-            cells.append(" / ".join(_figure(each) for each in (value if isinstance(value, list) else [value])))
-        rows.append([row["object"].removesuffix("-v1"), *cells])
-    return _table(["object", *columns.values()], rows) + _stamp_assets(folder)
+    return _asset_table(checked.read_json(RESULTS / assets.FILE)["rows"], ASSET_COLUMNS) + _stamp_assets(folder)
+
+
+def write_outside_assets(folder: str) -> str:
+    """Strangers' objects: the answer, then its asset; that which misses most goals first."""
+    answer = {"axis": "axis, deg", "state": "state, deg or %", "miou": "mIoU", "trust": "trust"}
+    columns = {**answer, **{k: its for k, its in ASSET_COLUMNS.items() if k not in ("mass_pc", "iou", "speed", "ball")}}
+    report = checked.read_json(RESULTS / outside_assets.FILE)
+    left_out = [f"- {name}: {why}" for name, why in sorted(report["settings"]["left_out"].items())]
+    listed = "\nWithout a video:\n\n" + "\n".join(left_out) + "\n" if left_out else ""
+    stamp = _stamp(outside_assets.FILE, folder, "reconstruct", "export")
+    return _asset_table(report["rows"], columns) + listed + "\n" + stamp + "\n"
+
+
+def _asset_table(rows: Sequence[dict[str, Any]], columns: dict[str, str]) -> str:
+    """Rows of assets; a cell holds both parts' numbers."""
+    cells = []
+    for row in rows:
+        values = [row.get(column) for column in columns]
+        texts = [" / ".join(map(_figure, value if isinstance(value, list) else [value])) for value in values]
+        cells.append([row["object"].removesuffix("-v1"), *texts])
+    return _table(["object", *columns.values()], cells)
 
 
 def _stamp_assets(folder: str) -> str:
     return "\n" + _stamp(assets.FILE, folder, "export") + "\n"
 
 
-def _figure(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}"
+def _figure(value: float | str | None) -> str:
+    return "-" if value is None else value if isinstance(value, str) else f"{value:.3g}"
 
 
 def write_real_video(folder: str) -> str:
@@ -446,6 +461,7 @@ TABLES: dict[str, Callable[[str], str]] = {
     "reach": write_reach,
     "assets": write_assets,
     "asset-rows": write_asset_rows,
+    "outside-assets": write_outside_assets,
     "real-video": write_real_video,
     "matches": write_matches,
     "trackers": write_trackers,
@@ -462,11 +478,12 @@ def fill(document: Path) -> str:
 
 def score_references(data: Path, out: Path, workers: int) -> None:
     """Writes REFERENCES; suite folder in `out`."""
-    outcome = run_suite(prepare(data, out, ("reference",)), workers)
+    outcome = run_suite(prepare(data, out, ("reference",), protocols=(solve.PROTOCOL,)), workers)
     for complaint in (*(failed.reason for failed in outcome.failed), *outcome.objections):
         raise FreeArtError(complaint)
-    rows = {name: {summary["group"]: summary for summary in its} for name, its in outcome.tables["strict-2"].items()}
-    write_report(RESULTS / REFERENCES, {"protocol": "strict-2", "data": data.name}, rows=rows)
+    tables = outcome.tables[solve.PROTOCOL]
+    rows = {name: {summary["group"]: summary for summary in its} for name, its in tables.items()}
+    write_report(RESULTS / REFERENCES, {"protocol": solve.PROTOCOL, "data": data.name}, rows=rows)
 
 
 def main(

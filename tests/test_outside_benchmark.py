@@ -8,7 +8,7 @@ import trimesh
 from refusal import assert_refused
 from test_track import URDF as CASE
 
-from benchmarks import outside, solve
+from benchmarks import outside, outside_assets, solve
 from reconstruct.settings import ReconstructSettings
 
 URDF = """<robot name="box"><link name="base"/><link name="lid"/><link name="drawer"/>
@@ -33,6 +33,15 @@ def test_what_is_absent_is_left_out_and_said_so(tmp_path):
     document = json.loads((tmp_path / "out.json").read_text())
     assert document["rows"] == [] and set(document["settings"]["left_out"]) == {"partnet", "videos", *outside.CAPTURED}
     assert str(tmp_path) not in (tmp_path / "out.json").read_text(), "no places of this machine"
+
+
+def test_assets_of_what_is_absent_are_left_out_too(tmp_path):
+    places = {"partnet": tmp_path / "p", "mocap": tmp_path / "m", "urdfs": tmp_path / "u"}
+    assert_refused("there is no clip 'teapot'", outside_assets.main, **places, clips=("teapot",), work=tmp_path / "work")
+    outside_assets.main(**places, work=tmp_path / "work", out=tmp_path / "out.json")
+    text = (tmp_path / "out.json").read_text()
+    assert json.loads(text)["rows"] == [] and str(tmp_path) not in text
+    assert set(json.loads(text)["settings"]["left_out"]) == {"partnet", *outside.CAPTURED}
 
 
 def test_clips_follow_from_the_data_alone(tmp_path):
