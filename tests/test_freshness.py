@@ -10,6 +10,7 @@ from refusal import assert_refused
 
 from benchmarks import freshness, results, same_answers
 from benchmarks.freshness import DOCUMENTS, LINE, ROOT, is_current, read_stamps
+from leaderboard.suite.workflow import Outcome
 
 MEASURED = ("README", "adapters", "assets", "maniskill", "priors", "recorder", "results", "scale", "simgap", "teleop")
 """Documents whose tables of figures are measurements; the others' tables are definitions."""
@@ -29,6 +30,21 @@ def test_figures_older_than_their_code_are_marked(document: Path):
 def test_the_solver_s_tables_are_those_of_the_files(document: Path):
     assert results.fill(document) == document.read_text("utf-8"), "python -m benchmarks.results --write"
     assert results.TABLE.search(document.read_text("utf-8"))
+
+
+def test_reference_rows_are_scored_by_the_protocol_of_all_rows(data, tmp_path, monkeypatch):
+    """The suite's own protocol was another one by then."""
+    monkeypatch.setattr(results, "RESULTS", tmp_path)
+    rows = {"truth": [{"group": "revolute", "failures": 0}]}
+
+    def run(suite, workers):
+        return Outcome({protocol: rows for protocol in suite.plan.protocols}, (), ())
+
+    monkeypatch.setattr(results, "run_suite", run)
+    results.score_references(data, tmp_path / "suite", 1)
+    written = json.loads((tmp_path / results.REFERENCES).read_text())
+    assert written["settings"]["protocol"] == "strict-2"
+    assert written["rows"] == {"truth": {"revolute": rows["truth"][0]}}
 
 
 def numeric_share(section: str) -> float:

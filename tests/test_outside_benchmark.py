@@ -37,7 +37,9 @@ def test_what_is_absent_is_left_out_and_said_so(tmp_path):
 
 def test_assets_of_what_is_absent_are_left_out_too(tmp_path):
     places = {"partnet": tmp_path / "p", "mocap": tmp_path / "m", "urdfs": tmp_path / "u"}
-    assert_refused("there is no clip 'teapot'", outside_assets.main, **places, clips=("teapot",), work=tmp_path / "work")
+    assert_refused(
+        "there is no clip 'teapot'", outside_assets.main, **places, clips=("teapot",), work=tmp_path / "work"
+    )
     outside_assets.main(**places, work=tmp_path / "work", out=tmp_path / "out.json")
     text = (tmp_path / "out.json").read_text()
     assert json.loads(text)["rows"] == [] and str(tmp_path) not in text
