@@ -363,8 +363,12 @@ def write_asset_rows(folder: str) -> str:
 def write_outside_assets(folder: str) -> str:
     """Strangers' objects: the answer, then its asset; that which misses most goals first."""
     answer = {"axis": "axis, deg", "state": "state, deg or %", "miou": "mIoU", "trust": "trust"}
-    columns = {**answer, **{k: its for k, its in ASSET_COLUMNS.items() if k not in ("mass_pc", "iou", "speed", "ball")}}
+    columns = answer | ASSET_COLUMNS | {"failed_rules": "rules failed, but for trust"}
+    columns = {k: its for k, its in columns.items() if k not in ("mass_pc", "iou", "speed", "ball")}
     report = checked.read_json(RESULTS / outside_assets.FILE)
+    for row in report["rows"]:
+        failed = row.get("failed", ())
+        row["failed_rules"] = row.get("failed_rules") and sum(not each.startswith("trust.") for each in failed)
     left_out = [f"- {name}: {why}" for name, why in sorted(report["settings"]["left_out"].items())]
     listed = "\nWithout a video:\n\n" + "\n".join(left_out) + "\n" if left_out else ""
     stamp = _stamp(outside_assets.FILE, folder, "reconstruct", "export")
