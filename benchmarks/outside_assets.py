@@ -69,13 +69,14 @@ def main(
     settings = without(replace(ReconstructSettings(), progress=False), outside.BESIDE)
     solved = solve_cases(list(cases.values()), {OURS: settings}, work / "geometry-alone", workers)
     results, place = work / "geometry-alone" / "results" / OURS, work / f"assets-{contact}"
+    for name in [name for name, case in cases.items() if not (results / case.sequence.name).is_dir()]:
+        left_out[name] = solved[OURS, cases.pop(name).sequence.name].row.reason  # crashed
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         jobs = {
             name: pool.submit(
                 assets.make_row, name, results / case.sequence.name, case.sequence, case.truth, contact, place
             )
             for name, case in cases.items()
-            if (results / case.sequence.name).is_dir()
         }
         rows = [
             {**describe_answer(solved[OURS, cases[name].sequence.name], results), **job.result()}

@@ -370,7 +370,7 @@ def write_outside_assets(folder: str) -> str:
         failed = row.get("failed", ())
         row["failed_rules"] = row.get("failed_rules") and sum(not each.startswith("trust.") for each in failed)
     left_out = [f"- {name}: {why}" for name, why in sorted(report["settings"]["left_out"].items())]
-    listed = "\nWithout a video:\n\n" + "\n".join(left_out) + "\n" if left_out else ""
+    listed = "\nLeft out:\n\n" + "\n".join(left_out) + "\n" if left_out else ""
     stamp = _stamp(outside_assets.FILE, folder, "reconstruct", "export")
     return _asset_table(report["rows"], columns) + listed + "\n" + stamp + "\n"
 
