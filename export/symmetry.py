@@ -29,11 +29,13 @@ _ACCEPT = 0.9
 _INSIDE = 0.75
 """Winding number of the seen surface from which a point is inside the part: at a hole it is about a half."""
 _MIRRORED = 0.2
-"""Least share of the points whose mirror images lie on seen surface: fewer are chance."""
+"""Least share of the points that say where a mirror plane is (`_ACROSS`) whose images lie on seen surface: fewer are
+chance."""
 _ROUND = 0.15
 """Least share of the points that lie on the surface of revolution, and least share of a ring that was seen."""
 _ACROSS = 0.3
-"""Sine between a normal and the axis from which a point says where the axis is: caps and floors do not."""
+"""Sine between a normal and an axis, or cosine of it and a mirror plane's, from which a point says where that is: caps
+and floors do not say where the axis is, and a mirror plane slides along walls."""
 _SAME = 0.98
 """Cosine, 11 degrees, from which two directions count as one: fitting turns a plane further than that."""
 _OFFSETS = 41
@@ -181,7 +183,8 @@ def _mirrored(seen: _Seen, axes: Array) -> list[tuple[Array, Array]]:
         low, high = np.quantile(seen.points @ n, [0.2, 0.8])
         best = max(np.linspace(low, high, _OFFSETS), key=lambda d: _agreement(seen, few, n, d))
         n, d = _fit_mirror(seen, few, n, float(best))
-        if seen.accepts(*_mirror(seen, few, n, d), _MIRRORED):
+        across = many[np.abs(seen.normals[many] @ n) > _ACROSS]
+        if len(across) and seen.accepts(*_mirror(seen, across, n, d), _MIRRORED):
             found.append(_mirror(seen, many, n, d))
     return found
 
