@@ -74,7 +74,8 @@ def suppose_by_symmetry(
     moved = [*_turned(surface, tolerance, spacing), *_mirrored(surface, axes)]
     if not moved:
         return Supposed()
-    at, facing = surface.unseen(*(np.concatenate(its) for its in zip(*moved, strict=True)), spacing)
+    at, facing = (np.concatenate(its) for its in zip(*moved, strict=True))
+    at, facing = surface.unseen(at, facing, spacing)
     one = np.unique(np.floor(at / spacing).astype(np.int64), axis=0, return_index=True)[1]
     return Supposed(at[one], facing[one])
 
@@ -94,9 +95,10 @@ class _Seen:
     def judge(self, points: Array, normals: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
         """(m,) whether points lie on the seen surface and face as it does, whether they are away from it, and whether
         they are in known empty space there."""
-        distance, nearest = self.tree.query(points)
-        on = (distance < self.near) & (np.einsum("ij,ij->i", normals, self.normals[nearest]) > _AGREE)
-        away = distance > self.near + self.space.voxel
+        distance, nearest = self.tree.query(points, distance_upper_bound=self.near + self.space.voxel)
+        away = np.isinf(distance)
+        own = self.normals[np.where(away, 0, nearest)]
+        on = (distance < self.near) & (np.einsum("ij,ij->i", normals, own) > _AGREE)
         return on, away, away & (self.space.look_up(points) != UNKNOWN)
 
     def accepts(self, points: Array, normals: Array, least: float) -> bool:
@@ -108,8 +110,8 @@ class _Seen:
 
     def unseen(self, points: Array, normals: Array, spacing: float) -> tuple[Array, Array]:
         """Those of the points, with their normals, that lie where nobody looked, off the seen surface."""
-        distance, _ = self.tree.query(points)
-        kept = (distance > max(spacing, self.near)) & (self.space.look_up(points) == UNKNOWN)
+        distance, _ = self.tree.query(points, distance_upper_bound=max(spacing, self.near))
+        kept = np.isinf(distance) & (self.space.look_up(points) == UNKNOWN)
         return points[kept], normals[kept]
 
 
