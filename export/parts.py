@@ -129,7 +129,9 @@ def close_parts(
     surfaces, range_, penetration = _clear_parts(reconstruction, surfaces, settings, tolerance, carve)
     meshes = (surfaces["reference"].mesh, surfaces["moving"].mesh)
     if recording is not None:
-        textures: tuple[Texture | None, ...] = textures_from_video(reconstruction, meshes, recording)
+        textures: tuple[Texture | None, ...] = textures_from_video(
+            reconstruction, meshes, recording, (surfaces["reference"].supposed, surfaces["moving"].supposed)
+        )
     else:
         textures = tuple(
             texture_from_vertices(mesh, whole.part(name)) for name, mesh in zip(PARTS, meshes, strict=True)

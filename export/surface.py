@@ -20,7 +20,7 @@ decimated at last.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import fast_simplification
 import manifold3d
@@ -118,6 +118,8 @@ class Surface:
     panel_count: int = 0
     """Triangles at the end of the patch that are the unseen backs of panels (`export.hollows`); the others close the
     part by the smallest area."""
+    supposed: Supposed = field(default_factory=Supposed)
+    """What symmetries suppose where nobody looked."""
 
     @property
     def is_solid(self) -> bool:
@@ -183,7 +185,7 @@ def close_surface(part: Mesh, settings: MeshSettings, space: SpaceGrid | None = 
     faces = faces[np.argsort(np.where(observed, 0, 2 - symmetric), kind="stable")]
     mesh = _transfer_colours(Mesh(vertices, faces), part)
     layers = float(given.areas().sum() / mesh.areas().sum())
-    return Surface(mesh, int(observed.sum()), wrong_way, layers, int(symmetric.sum()))
+    return Surface(mesh, int(observed.sum()), wrong_way, layers, int(symmetric.sum()), supposed=supposed)
 
 
 def subtract_cavities(surface: Surface, cavities: Sequence[Mesh], tolerance: float, settings: MeshSettings) -> Surface:

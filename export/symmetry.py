@@ -58,6 +58,8 @@ class Supposed:
     """(m, 3)."""
     normals: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(m, 3) outwards, of unit length."""
+    sources: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """(m, 3) the seen points that they are copies of."""
 
 
 def suppose_by_symmetry(
@@ -74,10 +76,14 @@ def suppose_by_symmetry(
     moved = [*_turned(surface, tolerance, spacing), *_mirrored(surface, axes)]
     if not moved:
         return Supposed()
-    at, facing = (np.concatenate(its) for its in zip(*moved, strict=True))
-    at, facing = surface.unseen(at, facing, spacing)
-    one = np.unique(np.floor(at / spacing).astype(np.int64), axis=0, return_index=True)[1]
-    return Supposed(at[one], facing[one])
+    at, facing, sources = (np.concatenate(its) for its in zip(*moved, strict=True))
+    unseen = np.flatnonzero(surface.is_unseen(at, spacing))
+    one = unseen[np.unique(np.floor(at[unseen] / spacing).astype(np.int64), axis=0, return_index=True)[1]]
+    return Supposed(at[one], facing[one], sources[one])
+
+
+_Copies = tuple[Array, Array, Array]
+"""Points, their normals, and the seen points that they are copies of, each (m, 3)."""
 
 
 @dataclass(frozen=True)
@@ -108,14 +114,13 @@ class _Seen:
         wrong[away] |= self.winding.number(points[away]) > _INSIDE
         return bool(on.mean() >= least and on.sum() >= _ACCEPT * (on | wrong).sum())
 
-    def unseen(self, points: Array, normals: Array, spacing: float) -> tuple[Array, Array]:
-        """Those of the points, with their normals, that lie where nobody looked, off the seen surface."""
+    def is_unseen(self, points: Array, spacing: float) -> NDArray[np.bool_]:
+        """(m,) whether points lie where nobody looked, off the seen surface by `spacing`, m, or more."""
         distance, _ = self.tree.query(points, distance_upper_bound=max(spacing, self.near))
-        kept = np.isinf(distance) & (self.space.look_up(points) == UNKNOWN)
-        return points[kept], normals[kept]
+        return np.isinf(distance) & (self.space.look_up(points) == UNKNOWN)
 
 
-def _turned(seen: _Seen, tolerance: float, spacing: float) -> list[tuple[Array, Array]]:
+def _turned(seen: _Seen, tolerance: float, spacing: float) -> list[_Copies]:
     """The rings of the surface of revolution that pass the test, points `spacing`, m, apart: rings that were seen over
     at least `_ROUND` of their way, and of which next to nothing is known to be empty space."""
     many = _thin_out(len(seen.points), _MANY)
@@ -129,7 +134,7 @@ def _turned(seen: _Seen, tolerance: float, spacing: float) -> list[tuple[Array, 
     along, across = p @ axis, p - (p @ axis)[:, None] * axis
     away = np.linalg.norm(across, axis=1)
     kept = away > spacing
-    along, across, away, n = along[kept], across[kept], away[kept], n[kept]
+    p, along, across, away, n = p[kept], along[kept], across[kept], away[kept], n[kept]
     profile = np.stack([along, away, n @ axis, np.einsum("ij,ij->i", n, across) / away], -1)
     inwards = profile[:, 3] < 0
     cells = np.column_stack([np.floor(profile[:, :2] / spacing), inwards]).astype(np.int64)
@@ -137,12 +142,13 @@ def _turned(seen: _Seen, tolerance: float, spacing: float) -> list[tuple[Array, 
     rings = np.stack([np.bincount(cell.ravel(), column) for column in profile.T], -1) / count[:, None]
     x, y = perpendiculars(axis)
     found = []
-    for height, radius, rise, out in rings:
+    for k, (height, radius, rise, out) in enumerate(rings):
         angle = np.arange(0, 2 * np.pi, spacing / radius)[:, None]
         spoke = np.cos(angle) * x + np.sin(angle) * y
         points, normals = pivot + height * axis + radius * spoke, rise * axis + out * spoke
         if seen.accepts(points, normals, _ROUND):
-            found.append((points, normals / np.hypot(rise, out)))
+            own = pivot + p[cell.ravel() == k]
+            found.append((points, normals / np.hypot(rise, out), np.resize(own, points.shape)))
     return found
 
 
@@ -175,7 +181,7 @@ def _fit_axis(
     return axis, middle + np.cross(axis, moment), (passes < _NEAR * tolerance) & (sine > _ACROSS)
 
 
-def _mirrored(seen: _Seen, axes: Array) -> list[tuple[Array, Array]]:
+def _mirrored(seen: _Seen, axes: Array) -> list[_Copies]:
     """The seen points mirrored in every plane that passes the test, of those across the part's `axes` and its principal
     axes, fitted."""
     few, many = _thin_out(len(seen.points), _FEW), _thin_out(len(seen.points), _MANY)
@@ -187,7 +193,7 @@ def _mirrored(seen: _Seen, axes: Array) -> list[tuple[Array, Array]]:
         n, d = _fit_mirror(seen, few, n, float(best))
         across = many[np.abs(seen.normals[many] @ n) > _ACROSS]
         if len(across) and seen.accepts(*_mirror(seen, across, n, d), _MIRRORED):
-            found.append(_mirror(seen, many, n, d))
+            found.append((*_mirror(seen, many, n, d), seen.points[many]))
     return found
 
 

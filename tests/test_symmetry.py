@@ -79,6 +79,8 @@ def test_a_hidden_end_is_the_mirror_image_of_the_other(turned):
     found = suppose_by_symmetry(*seen, np.eye(3), space, SPACING)
     assert len(found.points) > 100 and ((found.points - [0, 0, 1]) @ along).max() > 0.05
     assert np.abs(trimesh.proximity.signed_distance(solid, found.points)).max() < 0.003
+    images = found.sources - 2 * ((found.sources - [0, 0, 1]) @ along)[:, None] * along
+    assert np.linalg.norm(images - found.points, axis=1).max() < 0.003
 
 
 def test_what_was_seen_to_be_otherwise_is_not_supposed(turned):
