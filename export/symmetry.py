@@ -133,7 +133,7 @@ def _turned(seen: _Seen, tolerance: float, spacing: float) -> list[_Copies]:
     p, n = seen.points[many][on] - pivot, seen.normals[many][on]
     along, across = p @ axis, p - (p @ axis)[:, None] * axis
     away = np.linalg.norm(across, axis=1)
-    kept = away > spacing
+    kept = (away > spacing) & (away < np.linalg.norm(np.ptp(seen.points, axis=0)))  # a wall is no part of a huge ring
     p, along, across, away, n = p[kept], along[kept], across[kept], away[kept], n[kept]
     profile = np.stack([along, away, n @ axis, np.einsum("ij,ij->i", n, across) / away], -1)
     inwards = profile[:, 3] < 0
@@ -145,10 +145,10 @@ def _turned(seen: _Seen, tolerance: float, spacing: float) -> list[_Copies]:
     for k, (height, radius, rise, out) in enumerate(rings):
         angle = np.arange(0, 2 * np.pi, spacing / radius)[:, None]
         spoke = np.cos(angle) * x + np.sin(angle) * y
-        points, normals = pivot + height * axis + radius * spoke, rise * axis + out * spoke
+        points, normals = pivot + height * axis + radius * spoke, (rise * axis + out * spoke) / np.hypot(rise, out)
         if seen.accepts(points, normals, _ROUND):
             own = pivot + p[cell.ravel() == k]
-            found.append((points, normals / np.hypot(rise, out), np.resize(own, points.shape)))
+            found.append((points, normals, np.resize(own, points.shape)))
     return found
 
 

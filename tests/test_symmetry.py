@@ -100,3 +100,15 @@ def test_without_a_look_nothing_is_supposed(turned):
     *seen, space = seen_part(solid, lambda p: p[:, 0] > 0.015)
     space.state[:] = 0
     assert not len(suppose_by_symmetry(*seen, np.eye(3), space, SPACING).points)
+
+
+def test_a_wall_that_is_hardly_bent_is_no_part_of_a_huge_ring(turned):
+    """Bent about an axis a kilometre away: a ring of that radius, in steps of the spacing, would not fit in memory."""
+    rows, columns = (line.ravel() for line in np.mgrid[-0.1:0.1:41j, -0.1:0.1:41j])
+    points = np.stack([rows, columns, -(rows**2) / 2000], -1)
+    faces = np.concatenate([[[k, k + 41, k + 1], [k + 1, k + 41, k + 42]] for k in range(41 * 40) if k % 41 < 40])
+    seen = Mesh(points, faces)
+    normals = np.stack([rows / 1000, np.zeros_like(rows), np.ones_like(rows)], -1)
+    space = SpaceGrid(se3.pose(np.eye(3), [-0.2, -0.2, -0.2]), 0.1, np.full((5, 5, 5), SEEN_THROUGH, np.uint8))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    assert not len(suppose_by_symmetry(seen, points, normals, np.eye(3), space, SPACING).points)
