@@ -72,7 +72,9 @@ def suppose_by_symmetry(
     if len(points) < 100 or not (space.state == SEEN_THROUGH).any():
         return Supposed()
     tolerance = PLANE_TOLERANCE * float(np.linalg.norm(np.ptp(points, axis=0)))
-    surface = _Seen(points, normals, cKDTree(points), space, Winding(seen), _NEAR * max(tolerance, 0.5 * spacing))
+    surface = _SeenSurface(
+        points, normals, cKDTree(points), space, Winding(seen), _NEAR * max(tolerance, 0.5 * spacing)
+    )
     moved = [*_turned(surface, tolerance, spacing), *_mirrored(surface, axes)]
     if not moved:
         return Supposed()
@@ -87,7 +89,7 @@ _Copies = tuple[Array, Array, Array]
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _SeenSurface:
     """The seen surface, and what speaks against more of it."""
 
     points: Array
@@ -120,9 +122,9 @@ class _Seen:
         return np.isinf(distance) & (self.space.look_up(points) == UNKNOWN)
 
 
-def _turned(seen: _Seen, tolerance: float, spacing: float) -> list[_Copies]:
+def _turned(seen: _SeenSurface, tolerance: float, spacing: float) -> list[_Copies]:
     """The rings of the surface of revolution that pass the test, points `spacing`, m, apart: rings that were seen over
-    at least `_ROUND` of their way, and of which next to nothing is known to be empty space."""
+    at least `_ROUND` of their way, and that next to nothing speaks against."""
     many = _thin_out(len(seen.points), _MANY)
     starts = (None, *np.linalg.eigh(np.cov(seen.points.T))[1].T)
     axis, pivot, on = max(
@@ -158,8 +160,8 @@ def _fit_axis(
     """The axis that most normals meet: its direction (3,), a point (3,) on it, and (n,) which points lie on the surface
     of revolution about it: those whose normals pass the axis within twice `tolerance`, m, and are not along it.
 
-    Robust least squares from the direction `start` through the middle, or from all points alike; the scale of the
-    weights falls from a fifth of the size to `tolerance`.
+    Robust least squares from the direction `start` through the middle, or from all points with equal weights; the
+    scale of the weights falls from a fifth of the size to `tolerance`.
     """
     middle = points.mean(0)
     p = points - middle
@@ -181,7 +183,7 @@ def _fit_axis(
     return axis, middle + np.cross(axis, moment), (passes < _NEAR * tolerance) & (sine > _ACROSS)
 
 
-def _mirrored(seen: _Seen, axes: Array) -> list[_Copies]:
+def _mirrored(seen: _SeenSurface, axes: Array) -> list[_Copies]:
     """The seen points mirrored in every plane that passes the test, of those across the part's `axes` and its principal
     axes, fitted."""
     few, many = _thin_out(len(seen.points), _FEW), _thin_out(len(seen.points), _MANY)
@@ -202,19 +204,19 @@ def _thin_out(count: int, most: int) -> NDArray[np.int64]:
     return np.arange(0, count, count // most + 1)
 
 
-def _mirror(seen: _Seen, chosen: NDArray[np.int64], n: Array, d: float) -> tuple[Array, Array]:
+def _mirror(seen: _SeenSurface, chosen: NDArray[np.int64], n: Array, d: float) -> tuple[Array, Array]:
     """Chosen seen points and their normals, mirrored in the plane n . x = d."""
     p, m = seen.points[chosen], seen.normals[chosen]
     return p - 2 * ((p @ n) - d)[:, None] * n, m - 2 * (m @ n)[:, None] * n
 
 
-def _agreement(seen: _Seen, chosen: NDArray[np.int64], n: Array, d: float) -> float:
+def _agreement(seen: _SeenSurface, chosen: NDArray[np.int64], n: Array, d: float) -> float:
     """The share of mirrored points on the seen surface less that in known empty space."""
     there, _, empty = seen.judge(*_mirror(seen, chosen, n, d))
     return float(there.mean() - empty.mean())
 
 
-def _fit_mirror(seen: _Seen, chosen: NDArray[np.int64], n: Array, d: float) -> tuple[Array, float]:
+def _fit_mirror(seen: _SeenSurface, chosen: NDArray[np.int64], n: Array, d: float) -> tuple[Array, float]:
     """The plane in which the chosen points' mirror images lie best on the seen surface, from the one given: distances
     along the normals of the nearest seen points, by Gauss-Newton."""
     middle = seen.points.mean(0)

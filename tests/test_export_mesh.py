@@ -276,7 +276,7 @@ def test_print_is_read_from_the_video_whatever_the_lamp_does(lamp: float):
 
 
 def test_an_unseen_back_wears_the_colours_of_what_a_symmetry_copies():
-    """Points of the card's back are told to be copies of one point of its front: of a light stripe, then of a dark."""
+    """Points of the card's back are copies of one point of its front: on a light stripe, then on a dark one."""
     answer, recording = filmed()
     whole = answer.articulation
     x, y = (line.ravel() for line in np.meshgrid(np.linspace(-0.03, 0.03, 31), np.linspace(-0.02, 0.02, 21)))

@@ -22,7 +22,7 @@ def seen_part(solid, hidden):
     low = solid.bounds[0] - 6 * VOXEL
     shape = np.ceil(np.ptp(solid.bounds, axis=0) / VOXEL).astype(int) + 13
     centres = low + VOXEL * np.argwhere(np.ones(shape, bool))
-    empty = ~hidden(centres) & ~trimesh.Trimesh(*grown(solid)).contains(centres)
+    empty = ~hidden(centres) & ~trimesh.Trimesh(*enlarge(solid)).contains(centres)
     state = np.where(empty.reshape(shape), SEEN_THROUGH, 0).astype(np.uint8)
     keep = ~hidden(points)
     fine = solid.subdivide_to_size(SPACING)
@@ -30,7 +30,7 @@ def seen_part(solid, hidden):
     return seen, points[keep], normals[keep], SpaceGrid(se3.pose(np.eye(3), low), VOXEL, state)
 
 
-def grown(solid):
+def enlarge(solid):
     """A convex solid a voxel larger all around: space beside a surface is not known."""
     middle = solid.bounds.mean(0)
     scale = 1 + 2 * VOXEL / np.ptp(solid.bounds, axis=0)
