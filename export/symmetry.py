@@ -21,18 +21,20 @@ from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 
 _NEAR = 2.0
-"""Tolerances within which a moved point lies on the seen surface."""
+"""Tolerances within which a moved point lies on the seen surface: one for each of the two."""
 _AGREE = 0.9
-"""Least cosine of its normal and the one there, 26 degrees."""
+"""Least cosine of its normal and the one there, 26 degrees; set by hand, as the three that follow."""
 _ACCEPT = 0.9
 """Least share of the moved points that lie on seen surface, among these and those that lie where they cannot be."""
 _INSIDE = 0.75
-"""Winding number of the seen surface from which a point is inside the part: at a hole it is about a half."""
+"""Winding number of the seen surface from which a point is inside the part; at a hole it is about a half. Without this
+test a bottle was mirrored into its own inside."""
 _MIRRORED = 0.2
 """Least share of the points that say where a mirror plane is (`_ACROSS`) whose images lie on seen surface: fewer are
-chance."""
+chance. Tested on all points, a drawer seen from the front was mirrored to a back 8.5 mm off: walls alone agreed."""
 _ROUND = 0.15
-"""Least share of the points that lie on the surface of revolution, and least share of a ring that was seen."""
+"""Least share of the points that lie on the surface of revolution, and least share of a ring that was seen; set
+by hand."""
 _ACROSS = 0.3
 """Sine between a normal and an axis, or cosine of it and a mirror plane's, from which a point says where that is: caps
 and floors do not say where the axis is, and a mirror plane slides along walls."""
