@@ -165,8 +165,8 @@ def _same(commit: str, name: str) -> bool:
 
 
 def does_the_same(before: str, now: str) -> bool:
-    """Whether two Python texts compile to the same instructions. Comments, docstrings, layout, private names of its
-    own, and the names of local variables that are no arguments do not count."""
+    """Whether two Python texts compile to the same instructions. Comments, docstrings, layout, and the names of local
+    variables that are no arguments do not count."""
     if source_digest(before) == source_digest(now):
         return True
     return _instructions(before) == _instructions(now)
@@ -174,26 +174,12 @@ def does_the_same(before: str, now: str) -> bool:
 
 def _instructions(source: str) -> Any:
     tree = ast.parse(source)
-    _number_private_names(tree)
     for node in ast.walk(tree):
         body = getattr(node, "body", None)
         if isinstance(body, list) and body:
             kept = [entry for entry in body if not _is_text(entry)]
             node.body = kept or [ast.copy_location(ast.Pass(), body[0])]  # type: ignore[attr-defined]
     return _read_code(compile(tree, "", "exec"))
-
-
-def _number_private_names(tree: ast.AST) -> None:
-    """Replace names with one leading underscore that the text defines by numbers in the order in which they appear."""
-    nodes, numbers = list(ast.walk(tree)), dict[str, str]()
-    defined = {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
-    defined |= {node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
-    defined -= {name for node in nodes if isinstance(node, ast.Global | ast.Nonlocal) for name in node.names}
-    for node in nodes:
-        for field in ("id", "attr", "name"):
-            name = getattr(node, field, None)
-            if isinstance(name, str) and re.match("_[^_]", name) and name in defined:
-                setattr(node, field, numbers.setdefault(name, f"_{len(numbers)}"))
 
 
 def _is_text(entry: ast.stmt) -> bool:

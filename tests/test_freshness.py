@@ -220,21 +220,6 @@ def test_a_tree_with_changes_proves_nothing(monkeypatch):
     assert_refused("commit first", same_answers.main, "HEAD")
 
 
-def test_private_names_make_no_figure_old():
-    before = "from m import _a\n_LEAST = 2\ndef _f(x): return x._p + _a * _LEAST\n"
-    before += "class _C: pass\ndef g(x): return _f(x), _C\n"
-    for now, same in (
-        (before.replace("_LEAST", "_MOST").replace("_f", "_area").replace("_C", "_Box"), True),
-        (before.replace("_f(x), _C", "_C(x), _f"), False),
-        (before.replace("* _LEAST", "* _C"), False),
-        (before.replace("_a", "_b"), False),
-        (before.replace("_p", "_q"), False),
-        (before.replace("2", "3"), False),
-        (before.replace("g(", "h("), False),
-    ):
-        assert freshness.does_the_same(before, now) is same, now
-
-
 @pytest.mark.parametrize(
     ("now", "same"),
     [
