@@ -110,13 +110,15 @@ def cut_spots(parts: Articulation, name: str, states: Array, tolerance: float) -
 
     Simplifying moves a few points of a carved part, as at a thin rail, by more than all others. Around each the convex
     hull of what is there of the other part is cut out along the motion. That adds so few triangles that the part need
-    not be simplified again. The part as it is where one of the two is not closed.
+    not be simplified again. The part as it is where one of the two is not closed, and as far as it loses no more than
+    `MAX_CUT_SHARE` of its volume.
     """
     meshes = {part: parts.part(part) for part in PARTS}
     carved, tool = make_solid(meshes[name]), make_solid(meshes["moving" if name == "reference" else "reference"])
     if carved is None or tool is None:
         return meshes[name]
     joint = parts.joint if name == "reference" else replace(parts.joint, axis=-parts.joint.axis)
+    least = (1 - MAX_CUT_SHARE) * carved.volume()
     for _ in range(SPOT_ROUNDS):
         now = Articulation(parts.joint, meshes["reference"], meshes["moving"])
         points, depth, at = Overlap(now, samples=None).deep_points(states, tolerance)
@@ -138,6 +140,8 @@ def cut_spots(parts: Articulation, name: str, states: Array, tolerance: float) -
         ]
         rest = carved - Manifold.batch_boolean(hulls, OpType.Add)
         carved = drop_small_pieces(rest.as_original().simplify(SIMPLIFY_SHARE * tolerance))
+        if carved.volume() < least:
+            break
         meshes[name] = _to_mesh(carved)
     return meshes[name]
 

@@ -92,14 +92,20 @@ def _certify_link(asset: Asset, urdf: Urdf, part: str, link: str, measured: Meas
 def measure_seen_share(visuals: Shapes, patch: Mapping[str, Any]) -> tuple[float, dict[str, float]]:
     """Share of the area of a link's visual mesh that was seen, and that of the rest by how it was supplied.
 
-    `patch` is asset.json's `source.parts.*.patch`: triangles from `first_face` on were supplied, the last
-    `panel_faces` of them as backs of panels. Without it everything counts as seen.
+    `patch` is asset.json's `source.parts.*.patch`: triangles from `first_face` on were supplied, the first
+    `symmetric_faces` of them by a symmetry of what was seen, the last `panel_faces` as backs of panels. Without it
+    everything counts as seen.
     """
     area = np.concatenate([Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces)).areas() for _, mesh in visuals])
     first = int(patch.get("first_face", len(area)))
-    panels = len(area) - int(patch.get("panel_faces", 0))
+    panels = max(first, len(area) - int(patch.get("panel_faces", 0)))
+    copies = min(max(first, first + int(patch.get("symmetric_faces", 0))), panels)
     total = max(float(area.sum()), 1e-300)
-    parts = {"closing surface": area[first:panels], "back of a panel": area[max(first, panels) :]}
+    parts = {
+        "symmetry": area[first:copies],
+        "closing surface": area[copies:panels],
+        "back of a panel": area[panels:],
+    }
     return float(area[:first].sum()) / total, {how: float(a.sum()) / total for how, a in parts.items() if len(a)}
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -51,15 +51,20 @@ class SpaceGrid:
     """(X, Y, Z, 3) sum of the outward normals of the other part's surface that passed through a voxel; None: unknown,
     all of it counts."""
 
+    around: SpaceGrid | None = None
+    """Coarser, of twice the extent; None: unknown."""
+
     def centres(self, chosen: NDArray[np.bool_]) -> Array:
         """(n, 3) centres of the voxels where `chosen` (X, Y, Z) is true, in the part's frame."""
         return se3.transform(self.T_part_grid, self.voxel * np.argwhere(chosen))
 
     def look_up(self, points: Array) -> NDArray[np.uint8]:
-        """(n,) states at points (n, 3); `UNKNOWN` outside the grid."""
+        """(n,) states at points (n, 3): outside the grid those `around`, and beyond `UNKNOWN`."""
         at, within = self._voxels(points)
         found = np.zeros(len(points), np.uint8)
         found[within] = self.state[tuple(at[within].T)]
+        if self.around is not None and not within.all():
+            found[~within] = self.around.look_up(points[~within])
         return found
 
     def is_empty_behind(self, points: Array, normals: Array) -> NDArray[np.bool_]:
@@ -107,9 +112,22 @@ def find_free_space(reconstruction: Reconstruction, name: str, recording: Record
     pixels around it; frames of all states count. It is swept when the other part's seen surface passes through it
     within the range of states. Without a recording nothing is seen through.
     """
+    own = reconstruction.articulation.part(name)
+    around = _fill_grid(reconstruction, name, recording, *_lay_grid(own, MAX_VOXELS // 8, 0.5))
+    return replace(_fill_grid(reconstruction, name, recording, *_lay_grid(own, MAX_VOXELS)), around=around)
+
+
+def _fill_grid(
+    reconstruction: Reconstruction,
+    name: str,
+    recording: Recording | None,
+    T: Array,
+    voxel: float,
+    shape: tuple[int, int, int],
+) -> SpaceGrid:
+    """`find_free_space` in one grid."""
     whole = reconstruction.articulation
-    own, other = whole.part(name), whole.part("moving" if name == "reference" else "reference")
-    T, voxel, shape = _lay_grid(own)
+    other = whole.part("moving" if name == "reference" else "reference")
     state, normals = np.zeros(shape, np.uint8), np.zeros((*shape, 3), np.float32)
     q = reconstruction.states
     Ts = whole.joint.transform(np.linspace(q.min(), q.max(), _count_states(reconstruction, other, voxel)))
@@ -121,8 +139,9 @@ def find_free_space(reconstruction: Reconstruction, name: str, recording: Record
     return SpaceGrid(T, voxel, state, normals)
 
 
-def _lay_grid(part: Mesh) -> tuple[Array, float, tuple[int, int, int]]:
-    """T_part_grid, the voxel's edge, m, and the shape of a grid around a part, along its largest planes."""
+def _lay_grid(part: Mesh, most: int, margin: float = 0.0) -> tuple[Array, float, tuple[int, int, int]]:
+    """T_part_grid, the voxel's edge, m, and the shape of a grid of at most `most` voxels around a part, along its
+    largest planes; on each side there are `margin` times the part's extent, and `_PAD` voxels."""
     points = part.vertices[np.unique(part.faces)]
     centres, across = part.vertices[part.faces].mean(1), triangle_normals(part.vertices, part.faces)
     few = np.searchsorted(np.cumsum(part.areas()), part.areas().sum() * (np.arange(_SAMPLES) + 0.5) / _SAMPLES)
@@ -131,9 +150,10 @@ def _lay_grid(part: Mesh) -> tuple[Array, float, tuple[int, int, int]]:
     axes = plane_axes(fit_planes(centres[few], normals, PLANE_TOLERANCE * bounding_diagonal(part)), points)
     along = points @ axes
     low, high = along.min(0), along.max(0)
+    low, high = low - margin * (high - low), high + margin * (high - low)
     size = np.maximum(high - low, 1e-3 * np.max(high - low))
-    voxel = float(np.prod(size) / MAX_VOXELS) ** (1 / 3)
-    while np.prod(np.ceil(size / voxel) + 2 * _PAD + 1) > MAX_VOXELS:
+    voxel = float(np.prod(size) / most) ** (1 / 3)
+    while np.prod(np.ceil(size / voxel) + 2 * _PAD + 1) > most:
         voxel *= 1.02
     shape = tuple(int(n) for n in np.ceil(size / voxel) + 2 * _PAD + 1)
     return se3.pose(axes, axes @ (low - _PAD * voxel)), voxel, (shape[0], shape[1], shape[2])

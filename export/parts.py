@@ -50,6 +50,7 @@ class Part:
             surface,
             mesh=mesh,
             patch_first=surface.patch_first - int(faces[: surface.patch_first].sum()),
+            symmetric_count=surface.symmetric_count - int(patch[: surface.symmetric_count].sum()),
             panel_count=surface.panel_count - int(patch[len(patch) - surface.panel_count :].sum()),
         )
         if texture is not None:
@@ -69,6 +70,7 @@ class Part:
             "patch": {
                 "first_face": surface.patch_first,
                 "faces": surface.patch_count,
+                "symmetric_faces": surface.symmetric_count,
                 "panel_faces": surface.panel_count,
                 "area_fraction": surface.patch_share,
             },
@@ -127,7 +129,9 @@ def close_parts(
     surfaces, range_, penetration = _clear_parts(reconstruction, surfaces, settings, tolerance, carve)
     meshes = (surfaces["reference"].mesh, surfaces["moving"].mesh)
     if recording is not None:
-        textures: tuple[Texture | None, ...] = textures_from_video(reconstruction, meshes, recording)
+        textures: tuple[Texture | None, ...] = textures_from_video(
+            reconstruction, meshes, recording, (surfaces["reference"].supposed, surfaces["moving"].supposed)
+        )
     else:
         textures = tuple(
             texture_from_vertices(mesh, whole.part(name)) for name, mesh in zip(PARTS, meshes, strict=True)

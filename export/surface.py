@@ -5,19 +5,22 @@ The solid is the set of tetrahedra whose boundary S minimises
 
     area(S off the planes) + PLANE_WEIGHT * area(S on a plane)
         + OBSERVED_WEIGHT * (area of observed triangles without solid behind and air in front)
+        + SUPPOSED_WEIGHT * (area that symmetries suppose, without solid behind and air in front)
         + (volume of solid in known empty space) / voxel
 
 found as a minimum cut (Labatut, Pons, Keriven, ICCV 2007). The planes are those that were seen, continued, and those
 that bound what was seen (`planes.suppose_planes`): points on them are vertices, too. Tetrahedra on which the normals at
 all four corners agree are fixed beforehand. Thus an unseen back is flat where planes describe it more shortly, other
 holes are closed by the smallest area, a thin plate seen from both sides becomes two sheets with a rim, and openings
-whose inside was seen stay open. The boundary is closed and consistently oriented; it is decimated at last.
+whose inside was seen stay open. What the symmetries of the seen surface put where nobody looked
+(`export.symmetry`) are vertices, too, and weak evidence. The boundary is closed and consistently oriented; it is
+decimated at last.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import fast_simplification
 import manifold3d
@@ -41,6 +44,7 @@ from export.meshes import (
     number_cells,
 )
 from export.planes import PLANE_TOLERANCE, fit_planes, plane_axes, sample_planes, suppose_planes
+from export.symmetry import Supposed, suppose_by_symmetry
 from export.winding_number import Winding
 from freeart21.errors import FreeArtError
 from freeart21.mesh import Mesh, bounding_diagonal, triangle_normals
@@ -52,6 +56,9 @@ MAX_LAYERS = 4.0
 1.0, a cabinet of loose boards (PartNet-Mobility 45940) 1.8, 5,000 random triangles 20."""
 OBSERVED_WEIGHT = 8.0
 """Weight of an observed area against the same area of boundary. At 1 holes would consume the surface."""
+SUPPOSED_WEIGHT = 2.0
+"""The same of area that a symmetry supposes. At 1 the hidden back of a cylinder stays flat: its points stand for about
+half of its area; at 2 it is round, and so at 4."""
 PLANE_WEIGHT = 0.5
 """Weight of area on a plane that is known anyway. At 1 the smallest area wins and backs are bent between ragged edges;
 near 0 planes far from all that was seen cost nothing."""
@@ -65,6 +72,8 @@ _PROBE_OFFSET = 0.25
 thick."""
 _OBSERVED_DISTANCE = 0.5
 """Spacings from observed triangles within which a boundary triangle counts as observed."""
+_SYMMETRIC_SPACINGS = 1.5
+"""Spacings from a point that a symmetry supposes within which a triangle of the patch counts as supposed by it."""
 _MIN_SPACINGS = 150.0
 """Least number of spacings along a part's diagonal, so that a wall between two large triangles differs from a
 hollow."""
@@ -104,9 +113,13 @@ class Surface:
     """Whether the input's triangles faced inwards and were flipped."""
     layers: float = 1.0
     """Area of the input over the area of the mesh."""
+    symmetric_count: int = 0
+    """Triangles at the beginning of the patch that lie where a symmetry supposes surface (`export.symmetry`)."""
     panel_count: int = 0
     """Triangles at the end of the patch that are the unseen backs of panels (`export.hollows`); the others close the
     part by the smallest area."""
+    supposed: Supposed = field(default_factory=Supposed)
+    """What symmetries suppose where nobody looked."""
 
     @property
     def is_solid(self) -> bool:
@@ -150,15 +163,14 @@ def close_surface(part: Mesh, settings: MeshSettings, space: SpaceGrid | None = 
     seen = flip_faces(seen) if wrong_way else seen
     own = float(np.sqrt(4 / np.sqrt(3) * seen.areas().mean()))
     spacing = _point_spacing(seen, own, settings.points)
-    solid = _make_solid(seen.vertices, seen.faces)
+    solid, supposed = _make_solid(seen.vertices, seen.faces), Supposed()
     whole = solid is not None
     if solid is None:
         sheet = _thicken_sheet(seen, _SHEET_M)
-        solid = (
-            _make_solid(sheet.vertices, sheet.faces)
-            if sheet is not None
-            else _extract_solid(seen, spacing, space, settings)
-        )
+        if sheet is not None:
+            solid = _make_solid(sheet.vertices, sheet.faces)
+        else:
+            solid, supposed = _extract_solid(seen, spacing, space, settings)
     if solid is None:
         raise FreeArtError("mesh cannot be closed: it has no inside")
     if not whole or solid.num_tri() > settings.max_faces:
@@ -166,9 +178,14 @@ def close_surface(part: Mesh, settings: MeshSettings, space: SpaceGrid | None = 
     vertices, faces = _to_arrays(solid)
     vertices = _separate_vertices(vertices, faces)
     observed = np.ones(len(faces), bool) if whole else _find_observed(vertices, faces, seen, spacing)
-    faces = faces[np.argsort(~observed, kind="stable")]
+    symmetric = np.zeros(len(faces), bool)
+    if len(supposed.points):
+        away, _ = cKDTree(supposed.points).query(vertices[faces].mean(1))
+        symmetric = ~observed & (away < _SYMMETRIC_SPACINGS * spacing)
+    faces = faces[np.argsort(np.where(observed, 0, 2 - symmetric), kind="stable")]
     mesh = _transfer_colours(Mesh(vertices, faces), part)
-    return Surface(mesh, int(observed.sum()), wrong_way, float(given.areas().sum() / mesh.areas().sum()))
+    layers = float(given.areas().sum() / mesh.areas().sum())
+    return Surface(mesh, int(observed.sum()), wrong_way, layers, int(symmetric.sum()), supposed=supposed)
 
 
 def subtract_cavities(surface: Surface, cavities: Sequence[Mesh], tolerance: float, settings: MeshSettings) -> Surface:
@@ -211,12 +228,16 @@ def _retrace(surface: Surface, rest: manifold3d.Manifold, panels: Mesh, toleranc
     vertices = _separate_vertices(vertices, faces)
     seen = surface.mesh.with_faces(surface.observed)
     observed = _find_observed(vertices, faces, Mesh(seen.vertices, seen.faces), 2 * tolerance)
-    panel = np.zeros(len(faces), bool)
-    if not panels.empty:
-        panel = ~observed & (Winding(panels).distance(vertices[faces].mean(1)) < 2 * tolerance)
-    faces = faces[np.argsort(np.where(observed, 0, 1 + panel), kind="stable")]
+    first, last = surface.patch_first, surface.patch_first + surface.symmetric_count
+    copies, kind = Mesh(surface.mesh.vertices, surface.mesh.faces[first:last]), np.where(observed, 0, 2)
+    for order, old in ((1, copies), (3, panels)):
+        if not old.empty:
+            near = Winding(old).distance(vertices[faces].mean(1)) < 2 * tolerance
+            kind = np.where((kind > 0) & near, order, kind)
+    faces = faces[np.argsort(kind, kind="stable")]
     mesh = _transfer_colours(Mesh(vertices, faces), surface.mesh)
-    return replace(surface, mesh=mesh, patch_first=int(observed.sum()), panel_count=int(panel.sum()))
+    first, symmetric, _, panel = (int(n) for n in np.bincount(kind, minlength=4))
+    return replace(surface, mesh=mesh, patch_first=first, symmetric_count=symmetric, panel_count=panel)
 
 
 def _separate_vertices(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -242,8 +263,8 @@ def _point_spacing(seen: Mesh, own: float, points: int) -> float:
 
 def _extract_solid(
     seen: Mesh, spacing: float, space: SpaceGrid | None, settings: MeshSettings
-) -> manifold3d.Manifold | None:
-    """The solid of the module's formula; None when there is none."""
+) -> tuple[manifold3d.Manifold | None, Supposed]:
+    """The solid of the module's formula, None when there is none; and what symmetries supposed."""
     vertices, faces = trimesh.remesh.subdivide_to_size(seen.vertices, seen.faces, 1.5 * spacing, max_iter=30)
     own = points = vertices[_pick_one_per_cell(vertices, 0.5 * spacing)]
     tree = cKDTree(own)
@@ -255,22 +276,28 @@ def _extract_solid(
     tolerance = PLANE_TOLERANCE * bounding_diagonal(seen)
     planes = fit_planes(own[length > 0], normal[length > 0] / length[length > 0, None], tolerance)
     normals, offsets = suppose_planes(own, planes)
-    few = settings.points // 4
-    more = [sample_planes(normals, offsets, own, plane_axes(planes, own), _PLANE_SPACINGS * spacing, few)]
+    axes, few = plane_axes(planes, own), settings.points // 4
+    more = [sample_planes(normals, offsets, own, axes, _PLANE_SPACINGS * spacing, few)]
+    supposed = Supposed()
     if space is not None:
         more.append(_sample_free_space(own, space, few))
-    added = np.concatenate(more)
+        facing = length > 0
+        supposed = suppose_by_symmetry(seen, own[facing], normal[facing] / length[facing, None], axes, space, spacing)
+    added = np.concatenate([supposed.points, *more])
     points = np.concatenate([own, added[tree.query(added)[0] > spacing], _sample_backs(own, normal, spacing, space)])
     try:
         tetrahedra = Delaunay(points)
     except QhullError:
-        return None
+        return None, supposed
     step = _PROBE_OFFSET * spacing * across / np.maximum(area, 1e-300)[:, None]
-    start = tetrahedra.vertex_to_simplex[nearest]
+    centre = np.concatenate([centre, supposed.points])
+    step = np.concatenate([step, _PROBE_OFFSET * spacing * supposed.normals])
+    worth = np.append(OBSERVED_WEIGHT * area, np.full(len(supposed.points), SUPPOSED_WEIGHT * spacing**2))
+    start = tetrahedra.vertex_to_simplex[cKDTree(points).query(centre)[1]]
     evidence = np.zeros(len(tetrahedra.simplices))
     for sign in (-1.0, 1.0):
         place = _locate_tetrahedra(points, tetrahedra.simplices, tetrahedra.neighbors, start, centre + sign * step)
-        np.subtract.at(evidence, place[place >= 0], sign * OBSERVED_WEIGHT * area[place >= 0])
+        np.subtract.at(evidence, place[place >= 0], sign * worth[place >= 0])
     if space is not None:
         corners = points[tetrahedra.simplices]
         volume = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6
@@ -282,7 +309,7 @@ def _extract_solid(
     )
     inside = _drop_small_components(tetrahedra, inside)
     boundary = _boundary_triangles(tetrahedra, _fill_pinched_edges(tetrahedra, inside))
-    return _make_solid(points, boundary) if len(boundary) else None
+    return _make_solid(points, boundary) if len(boundary) else None, supposed
 
 
 def _facet_costs(

@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 
 from export.atlas import Atlas, Texels, Texture, find_texels, paint_texture, unwrap
 from export.meshes import number_cells, vertex_normals
+from export.symmetry import Supposed
 from freeart21.errors import FreeArtError
 from freeart21.mesh import Mesh, bounding_diagonal
 from freeart21.reconstruction import Reconstruction
@@ -74,10 +75,13 @@ def check_recording(reconstruction: Reconstruction, recording: Recording) -> Non
 
 
 def textures_from_video(
-    reconstruction: Reconstruction, meshes: tuple[Mesh, Mesh], recording: Recording
+    reconstruction: Reconstruction,
+    meshes: tuple[Mesh, Mesh],
+    recording: Recording,
+    supposed: tuple[Supposed, Supposed] = (Supposed(), Supposed()),
 ) -> tuple[Texture, Texture]:
-    """Textures of both parts, whose surfaces `meshes` are in the canonical frame at state zero. The recording is the
-    reconstruction's (`check_recording`)."""
+    """Textures of both parts, whose surfaces `meshes` are in the canonical frame at state zero, as what symmetries
+    `supposed` of them. The recording is the reconstruction's (`check_recording`)."""
     camera = recording.camera
     size = (len(reconstruction), camera.height, camera.width)
     poses = (reconstruction.Ts_camera_reference, reconstruction.Ts_camera_moving)
@@ -86,7 +90,7 @@ def textures_from_video(
     parts = [_PartTexels(mesh, Ts, camera.K, frames) for mesh, Ts in zip(meshes, poses, strict=True)]
     for i in frames:
         _accumulate_frame(parts, recording, reconstruction, int(i), size)
-    return parts[0].texture(), parts[1].texture()
+    return parts[0].texture(supposed[0]), parts[1].texture(supposed[1])
 
 
 class _PartTexels:
@@ -105,8 +109,9 @@ class _PartTexels:
         self.bands = np.zeros((2, count, 3), np.float32)
         self.weights = np.zeros((2, count), np.float32)
 
-    def texture(self) -> Texture:
-        """The texture so far; texels that no frame showed take those of their surroundings (`_fill_unseen`)."""
+    def texture(self, supposed: Supposed) -> Texture:
+        """The texture so far; texels that no frame showed take those of their surroundings (`_fill_unseen`), and there
+        belong the copies that symmetries `supposed`, with the colours of what they are copies of."""
         known = self.weights.min(0) > 0
         colours = np.full((len(known), 3), 128.0, np.float32)
         if known.any():
@@ -114,8 +119,27 @@ class _PartTexels:
             colours[known] = bands.sum(0)
             if not known.all():
                 size, turn = _FILL_CELL * self.atlas.texel_m, _FILL_TURN * bounding_diagonal(self.mesh)
-                colours[~known] = _fill_unseen(self.points, self.normals, colours, known, size, turn)
+                at, facing, paint = self._paint_copies(supposed, colours, known, size)
+                colours[~known] = _fill_unseen(
+                    np.concatenate([self.points, at]),
+                    np.concatenate([self.normals, facing]),
+                    np.concatenate([colours, paint]),
+                    np.append(known, np.ones(len(paint), bool)),
+                    size,
+                    turn,
+                )
         return Texture(self.atlas, paint_texture(self.atlas, self.texels, colours))
+
+    def _paint_copies(
+        self, supposed: Supposed, colours: NDArray[np.float32], known: NDArray[np.bool_], size: float
+    ) -> tuple[Array, Array, NDArray[np.float32]]:
+        """Points, normals and colours of the supposed copies that have a known texel within `size`, m, of the seen
+        point that they are copies of."""
+        if not len(supposed.points):
+            return supposed.points, supposed.normals, colours[:0]
+        distance, nearest = cKDTree(self.points[known]).query(supposed.sources, distance_upper_bound=size)
+        met = np.isfinite(distance)
+        return supposed.points[met], supposed.normals[met], colours[known][nearest[met]]
 
 
 def _fill_unseen(

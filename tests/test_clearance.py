@@ -207,3 +207,11 @@ def test_a_spike_in_the_way_is_cut_and_nothing_else(carved: str, kind: str):
     assert Overlap(parts).max_depth(states) > 2e-3
     assert Overlap(apart).max_depth(states) <= 1.2 * TOLERANCE, "vertices are looked at, not the edges between them"
     assert trimesh.Trimesh(rest.vertices, rest.faces).volume > 0.9999 * plate.volume
+
+
+def test_spots_that_would_take_most_of_a_part_stay():
+    """A block that runs through the whole of a thin bar."""
+    bar, tool = block((0.5, 0.01, 0.01), (0, 0, 0)), block((0.1, 0.1, 0.1), (0, 0, 0))
+    parts = Articulation(replace(SLIDE, lower=-0.3, upper=0.3), *(Mesh(m.vertices, m.faces) for m in (bar, tool)))
+    rest = cut_spots(parts, "reference", np.linspace(-0.3, 0.3, 17), TOLERANCE)
+    assert trimesh.Trimesh(rest.vertices, rest.faces).volume == pytest.approx(bar.volume)

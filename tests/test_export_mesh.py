@@ -19,6 +19,7 @@ from export.free_space import SWEPT, SpaceGrid
 from export.meshes import MeshSettings
 from export.parts import close_parts
 from export.surface import Surface, close_surface
+from export.symmetry import Supposed
 from export.texture import _fill_unseen, texture_from_vertices, textures_from_video
 from freeart21 import se3
 from freeart21.articulation import Articulation
@@ -274,6 +275,27 @@ def test_print_is_read_from_the_video_whatever_the_lamp_does(lamp: float):
     assert (green[:, 1] > green[:, 0] + 40).all()  # nothing of the card's stripes, and what nobody saw is green, too
 
 
+def test_an_unseen_back_wears_the_colours_of_what_a_symmetry_copies():
+    """Points of the card's back are copies of one point of its front: on a light stripe, then on a dark one."""
+    answer, recording = filmed()
+    whole = answer.articulation
+    x, y = (line.ravel() for line in np.meshgrid(np.linspace(-0.03, 0.03, 31), np.linspace(-0.02, 0.02, 21)))
+    back, behind = np.stack([x, y, np.full_like(x, 0.005)], -1), np.tile([0.0, 0, 1], (len(x), 1))
+    shown = []
+    for stripe in (0, 1):
+        source = np.array([0.002 * stripe - 0.029, -0.02, -0.005])
+        copies = Supposed(back, behind, np.tile(source, (len(x), 1)))
+        card, _ = textures_from_video(answer, (whole.reference, whole.moving), recording, (copies, Supposed()))
+        texels = find_texels(card.atlas)
+        place = texels.interpolate(whole.reference, whole.reference.vertices)
+        there = (place[:, 2] > 0.00499) & (np.abs(place[:, 0]) < 0.025) & (np.abs(place[:, 1]) < 0.015)
+        assert there.sum() > 1000
+        shown.append(card.image[texels.row, texels.column].astype(float).mean(1)[there].mean())
+        expected = print_colour(source[None]).mean()
+        assert shown[-1] == pytest.approx(expected, abs=20)
+    assert abs(shown[0] - shown[1]) > 60
+
+
 def test_a_recording_of_something_else_is_refused():
     answer, recording = filmed()
     shorter = replace(
@@ -295,7 +317,13 @@ def test_an_asset_from_a_video_wears_it_and_says_so(tmp_path: Path):
     asset = export_result(answer, tmp_path / "a", settings, video=tmp_path / "card")
     facts = json.loads((tmp_path / "a/asset.json").read_text())["source"]["parts"]["reference"]
     assert facts["texture"] == "video" and facts["texel_m"] == pytest.approx(0.2 / CAMERA.K[0, 0] / 2, rel=0.1)
-    assert facts["patch"] == {"first_face": facts["faces"], "faces": 0, "panel_faces": 0, "area_fraction": 0}
+    assert facts["patch"] == {
+        "first_face": facts["faces"],
+        "faces": 0,
+        "symmetric_faces": 0,
+        "panel_faces": 0,
+        "area_fraction": 0,
+    }
     picture = cv2.imread(str(tmp_path / "a/meshes/reference.png"))
     assert np.ptp(picture) > 100
     loaded = trimesh.load_mesh(tmp_path / "a/meshes/reference.obj", process=False, maintain_order=True)
