@@ -83,19 +83,23 @@ class ObjectAgent(BaseAgent):
         return obs
 
 
-class MotorController(PDJointPosController):
-    """ManiSkill's position controller, but targets go to the actuator of `generator.simulate`: the engine's drive is
-    taken by Coulomb friction."""
-
-    config: MotorConfig
-    _target_qpos: torch.Tensor | None = None
+class _ObjectController(BaseController):
+    """A controller of an object, or of n objects with different links, which ManiSkill's merged view does not name."""
 
     def _initialize_joints(self) -> None:
         if not self.articulation.merged:
             super()._initialize_joints()
             return
-        self.joints: list[Any] = []  # a merged articulation has none
+        self.joints: list[Any] = []
         self.active_joint_indices = torch.zeros(0, dtype=torch.int32)
+
+
+class MotorController(_ObjectController, PDJointPosController):
+    """ManiSkill's position controller, but targets go to the actuator of `generator.simulate`: the engine's drive is
+    taken by Coulomb friction."""
+
+    config: MotorConfig
+    _target_qpos: torch.Tensor | None = None
 
     def _get_joint_limits(self) -> np.ndarray:
         return np.array([[self.config.lower[0], self.config.upper[0]]], np.float32)
@@ -140,7 +144,7 @@ class MotorConfig(PDJointPosControllerConfig):
     controller_cls = MotorController
 
 
-class PassiveController(BaseController):
+class PassiveController(_ObjectController):
     """No motor: the joint is free. Actions are empty."""
 
     sets_target_qpos = sets_target_qvel = False

@@ -122,6 +122,12 @@ class ObjectEnvironment(BaseEnv):
         self._T_root_rest = self._standing(*corners.swapaxes(0, 1))
         self._size = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
         """(n,) m."""
+        spacing = self.sim_config.spacing
+        if n > 1 and spacing < 2 * self._size.max():  # one engine holds them all
+            raise FreeArtError(
+                f"sim_config.spacing of {spacing:g} m is too little for objects of {self._size.max():.3g} m in "
+                f"{n} scenes side by side, expected {2 * self._size.max():.3g} m at least"
+            )
         self._centre_root = corners.mean(axis=1)
         """(n, 3) of the object in its root's frame, initially."""
         self.hand = Hand(self.scene, self.body) if self._held else None
