@@ -283,7 +283,9 @@ def check_joint(asset: Asset, simulated: simulate.SimulatedAsset) -> None:
 def check_single(environment: Any) -> Body:
     """The body of an environment that steps one object on a CPU; FreeArtError for any other."""
     if not isinstance(environment.body, Body):
-        raise FreeArtError(f"a script for one object got {environment.num_envs} in GPU scenes, expected sim_backend cpu")
+        raise FreeArtError(
+            f"a script for one object got {environment.num_envs} in GPU scenes, expected sim_backend cpu"
+        )
     return environment.body
 
 

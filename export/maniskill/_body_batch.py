@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+import sapien
 import torch
 from mani_skill.utils.geometry.trimesh_utils import get_component_mesh
 from mani_skill.utils.structs import Pose
@@ -28,14 +29,14 @@ from freeart21.files.urdf import read_urdf
 from freeart21.joint import Joint
 from freeart21.se3 import Array
 from generator import simulate
-from generator.sapien_asset import build_articulation, physics_scene
+from generator.sapien_asset import build_articulation
 
 
 class BodyBatch:
     """Articulated objects in GPU scenes, one in each of n environments; one joint of each moves under its effects.
 
-    Its functions are those of `Body`. Environment i has the asset i modulo their number. All are stepped alike: in as
-    many substeps as the stiffest needs.
+    Its functions are those of `Body`. Environment i has the asset i modulo their number. All are stepped in as many
+    substeps as the stiffest needs.
     """
 
     def __init__(self, scene: Any, assets: Sequence[Asset], scale: float, timestep_s: float, fixed_base: bool):
@@ -46,10 +47,8 @@ class BodyBatch:
         self.articulations: list[Any] = [None] * self.n
         for first, asset in enumerate(assets[: self.n]):
             with prepare_asset(asset, scale) as readable:
-                gravity = np.asarray(scene.sim_config.scene_config.gravity, np.float32)
-                model = simulate.load(
-                    readable, timestep_s=timestep_s, scene=physics_scene(gravity), settable_limits=True
-                )
+                alone = sapien.Scene([sapien.physx.PhysxCpuSystem()])  # with the gravity that ManiSkill has set
+                model = simulate.load(readable, timestep_s=timestep_s, scene=alone, settable_limits=True)
                 check_joint(asset, model)
                 models.append(model)
                 for i in range(first, self.n, len(assets)):
@@ -152,17 +151,19 @@ class BodyBatch:
         return torch.from_numpy(ids).to(self._device)
 
     def place(self, rows: torch.Tensor, q: Array, T_world_root: Array) -> None:
-        """Put the joints of the environments `rows` (m,) at `q` (m,), at rest, and their roots at poses (m, 4, 4); their
-        clocks and effects with memory begin anew."""
-        q = self._tensor(q)
-        self.joints.set_state(q, torch.zeros_like(q), rows)
+        """Put the joints of the environments `rows` (m,) at `q` (m,), at rest, and their roots at poses (m, 4, 4).
+
+        Their clocks and effects with memory begin anew.
+        """
+        at = self._tensor(q)
+        self.joints.set_state(at, torch.zeros_like(at), rows)
         placed = np.concatenate([T_world_root[:, :3, 3], se3.wxyz(T_world_root)], axis=1)
         with self._only(rows):
             view, still = self.articulation, torch.zeros((len(rows), 3), device=self._device)
             view.set_root_pose(Pose.create(self._tensor(placed).float()))
             view.set_root_linear_velocity(still)
             view.set_root_angular_velocity(still)
-            view.set_qpos(q[:, None].float())
+            view.set_qpos(at[:, None].float())
             view.set_qvel(still[:, :1])
             view.set_qf(still[:, :1])
         self._forget(rows)
@@ -185,8 +186,10 @@ class BodyBatch:
     # motor
 
     def start_motor(self, rate: float) -> None:
-        """Give the joints critically damped motors of `rate` rad/s on their inertia, which bear the weight and hold them
-        where they are; only where `restarted`."""
+        """Give the joints critically damped motors of `rate` rad/s on their inertia; only where `restarted`.
+
+        They bear the weight and hold the joints where they are.
+        """
         inertia, rows = self.joints.joint_inertia, self.restarted.nonzero()[:, 0]
         if len(rows) == self.n:
             self.joints.set_motor(inertia * rate**2, 2 * inertia * rate)

@@ -140,8 +140,10 @@ class ObjectEnvironment(BaseEnv):
             super()._load_agent(options, sapien.Pose(p=[-0.615, 0, 0]))
 
     def _standing(self, low: Array, high: Array) -> Array:
-        """(n, 4, 4) of roots whose objects have corners (n, 3) with the root at the origin: upright on z = 0; centred at
-        the origin, or the near side in front of the robot."""
+        """(n, 4, 4) of roots whose objects have corners (n, 3) with the root at the origin: upright on z = 0.
+
+        They are centred at the origin, or their near side is in front of the robot.
+        """
         T = np.tile(np.eye(4), (len(low), 1, 1))
         near = -0.5 * (high[:, 0] - low[:, 0]) if self.robot_uids in (OBJECT, PUSHER) else _BEFORE_ROBOT
         T[:, 0, 3], T[:, 1, 3], T[:, 2, 3] = near - low[:, 0], -0.5 * (low[:, 1] + high[:, 1]), -low[:, 2]
@@ -168,7 +170,7 @@ class ObjectEnvironment(BaseEnv):
         if seed is not None:
             gymnasium.Env.reset(self, seed=int(np.ravel(seed)[0]))
         body = getattr(self, "body", None)
-        if body is not None and "env_idx" in (options or {}):
+        if body is not None and options is not None and "env_idx" in options:
             body.restarted[:] = False
             body.restarted[options["env_idx"]] = True
         result = super().reset(seed=seed, options=options)
@@ -178,8 +180,10 @@ class ObjectEnvironment(BaseEnv):
     # joint
 
     def _position(self, i: int, share: float | None, otherwise: float | None) -> float:
-        """The position, rad or m, of a fraction of the span in environment `i`; None: `otherwise`, or the one nearest to
-        zero."""
+        """The position, rad or m, of a fraction of the span in environment `i`.
+
+        None: `otherwise`, or the one nearest to zero.
+        """
         low, high = self.body.spans[i]
         if share is not None:
             return float(low + share * (high - low))
