@@ -1,7 +1,7 @@
 """ManiSkill's GPU scenes without a GPU: n CPU scenes behind the tensors and functions of SAPIEN's GPU system.
 
 As there, what is written to a tensor reaches the engine only by `gpu_apply_...`, and the other way by `gpu_fetch_...`;
-all articulations at once, a robot's among them. Nothing of CUDA, and no free actors.
+all articulations at once, a robot's among them. Nothing of CUDA.
 """
 
 import contextlib
@@ -44,18 +44,19 @@ class CpuScenes:
 
     def gpu_init(self):
         self._all = [a for view in self._scene.articulations.values() for a in view._objs]
-        self._links = [link for articulation in self._all for link in articulation.links]
-        self.articulation_rows = {a.name: row for row, a in enumerate(self._all)}
-        self.link_rows = {link.name: row for row, link in enumerate(self._links)}
-        assert len(self.link_rows) == len(self._links) and len(self.articulation_rows) == len(self._all)
+        actors = [actor for actor in self._scene.actors.values() if actor.px_body_type != "static"]
+        self._actors = [body for actor in actors for body in actor._bodies]
+        self._bodies = [link for articulation in self._all for link in articulation.links] + self._actors
+        self.articulation_rows = {id(a): row for row, a in enumerate(self._all)}
+        self.body_rows = {id(body): row for row, body in enumerate(self._bodies)}
         shape = len(self._all), max(a.dof for a in self._all)
         for name in ("qpos", "qvel", "qf", "qacc", "target_qpos", "target_qvel"):
             setattr(self, f"cuda_articulation_{name}", buffer(torch.zeros(shape)))
-        self.cuda_rigid_body_data = buffer(torch.zeros(len(self._links), 13))
-        self._fetch_links()
+        self.cuda_rigid_body_data = buffer(torch.zeros(len(self._bodies), 13))
+        self._fetch_bodies()
 
-    def _fetch_links(self):
-        rows = [[*k.entity_pose.p, *k.entity_pose.q, *k.linear_velocity, *k.angular_velocity] for k in self._links]
+    def _fetch_bodies(self):
+        rows = [[*k.entity_pose.p, *k.entity_pose.q, *k.linear_velocity, *k.angular_velocity] for k in self._bodies]
         self.cuda_rigid_body_data.torch()[:] = torch.tensor(np.array(rows))
 
     def __getattr__(self, name):
@@ -65,13 +66,15 @@ class CpuScenes:
             return lambda: [self._set(a, what, row) for a, row in zip(self._all, self._rows(what), strict=True)]
         if action == "fetch" and what in ("qpos", "qvel", "qacc"):
             return lambda: [self._get(a, what, row) for a, row in zip(self._all, self._rows(what), strict=True)]
-        if action == "fetch" and what.startswith("link_"):
-            return self._fetch_links
+        if (action == "fetch" and what.startswith("link_")) or name == "gpu_fetch_rigid_dynamic_data":
+            return self._fetch_bodies
+        if name == "gpu_apply_rigid_dynamic_data":
+            return lambda: [self._put(actor) for actor in self._actors]
         if action == "apply" and what.startswith("root_"):
             return lambda: [self._set_root(a, what) for a in self._all]
         if action == "apply" and what == "target_position":
             return lambda: [self._aim(a, row) for a, row in zip(self._all, self._rows("target_qpos"), strict=True)]
-        nothing = ("update_articulation_kinematics", "_rigid_dynamic_data", "target_qpos", "target_qvel")
+        nothing = ("update_articulation_kinematics", "target_qpos", "target_qvel")
         if name.startswith("gpu_") and name.endswith((*nothing, "target_velocity")):
             return lambda: None
         raise AttributeError(name)
@@ -85,8 +88,12 @@ class CpuScenes:
     def _get(self, articulation, what, row):
         row[: articulation.dof] = torch.from_numpy(getattr(articulation, what))
 
+    def _put(self, actor):
+        row = self.cuda_rigid_body_data.torch()[self.body_rows[id(actor)]].numpy()
+        actor.entity.set_pose(sapien.Pose(row[:3], row[3:7]))
+
     def _set_root(self, articulation, what):
-        row = self.cuda_rigid_body_data.torch()[self.link_rows[articulation.root.name]].numpy()
+        row = self.cuda_rigid_body_data.torch()[self.body_rows[id(articulation.root)]].numpy()
         if what == "root_pose":
             articulation.set_root_pose(sapien.Pose(row[:3], row[3:7]))
         else:
@@ -116,7 +123,7 @@ def gpu_scenes_on_cpu(monkeypatch):
         self.scene.px.timestep = 1.0 / self._sim_freq
 
     def rows(names, objects):
-        return torch.tensor([names[one.name] for one in objects], dtype=torch.int32)
+        return torch.tensor([names[id(one)] for one in objects], dtype=torch.int32)
 
     with monkeypatch.context() as patch:
         patch.setattr(sapien_env, "parse_sim_and_render_backend", lambda *_: cpu)
@@ -125,7 +132,7 @@ def gpu_scenes_on_cpu(monkeypatch):
         of_joint = property(lambda s: rows(s.px.articulation_rows, s._physx_articulations))
         patch.setattr(ArticulationJoint, "_data_index", of_joint)
         body = PhysxRigidBodyComponentStruct
-        patch.setattr(body, "_body_data_index", property(lambda s: rows(s.px.link_rows, s._bodies)))
+        patch.setattr(body, "_body_data_index", property(lambda s: rows(s.px.body_rows, s._bodies)))
         patch.setattr(body, "_body_data", property(lambda s: s.px.cuda_rigid_body_data.torch()))
         # on a GPU the first scene's ground is under all
         everywhere = property(lambda s: True, lambda s, value: None)

@@ -91,6 +91,8 @@ CASES = {  # n, settings, tolerance in any number of `numbers`
     "motor": (3, OPEN, {"robot_uids": "none", "start": 0.3}, 2e-5),
     "steps": (2, OPEN, {"robot_uids": "none", "control_mode": "pd_joint_delta_pos", "start": 0.3}, 2e-5),
     "stiff": (2, OPEN, {"robot_uids": "none", "control_mode": "passive", "start": 0.6}, 2e-3),
+    # without it ManiSkill draws the places of all robots from the first environment's numbers
+    "panda": (2, OPEN, {"start": 0.6, "control_mode": "pd_joint_delta_pos", "enhanced_determinism": True}, 2e-4),
     "free": (2, OPEN, {"robot_uids": "none", "control_mode": "passive", "base": "free", "start": 0.6}, 2e-3),
     "carried": (2, FREE_MOVING, {}, 2e-4),
     "led": (2, FREE_MOVING, {"control_mode": "pd_joint_pos_base_delta_pose"}, 2e-4),
