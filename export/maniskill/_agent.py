@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,8 +13,9 @@ from mani_skill.agents.controllers.base_controller import BaseController, Contro
 from mani_skill.agents.controllers.pd_joint_pos import PDJointPosController, PDJointPosControllerConfig
 
 from export.maniskill._body import Body
+from export.maniskill._body_batch import BodyBatch
 from freeart21 import se3
-from freeart21.mechanics import Actuator
+from freeart21.se3 import Array
 
 OBJECT = "freeart21_object"
 """robot_uids of this agent."""
@@ -42,7 +42,7 @@ class ObjectAgent(BaseAgent):
         scene: Any,
         control_freq: int,
         control_mode: str | None,
-        body: Body,
+        body: Body | BodyBatch,
         hand: Any = None,
         varied: bool = False,
     ):
@@ -51,13 +51,14 @@ class ObjectAgent(BaseAgent):
 
     def _load_articulation(self, initial_pose: Any = None) -> None:
         self.robot = self.body.articulation
-        self.robot_link_names = [link.name for link in self.robot.get_links()]
+        self.robot_link_names = self.body.link_names
 
     @property
     def _controller_configs(self) -> dict[str, Any]:
-        joint, body = [self.body.simulated.asset.joint], self.body
-        step = _DELTA * (body.upper - body.lower)
-        absolute = MotorConfig(joint, body.lower, body.upper, 0.0, 0.0, normalize_action=self._varied, body=body)
+        joint, body = [self.body.joint_name], self.body
+        lower, upper = body.spans.T
+        step = _DELTA * (upper - lower)
+        absolute = MotorConfig(joint, lower, upper, 0.0, 0.0, normalize_action=self._varied, body=body)
         delta = MotorConfig(joint, -step, step, 0.0, 0.0, use_delta=True, use_target=True, body=body)
         own_weight = {"balance_passive_force": False}  # ManiSkill would switch off gravity on the object
         modes: dict[str, Any] = {
@@ -74,65 +75,58 @@ class ObjectAgent(BaseAgent):
         return modes
 
     def get_proprioception(self) -> dict[str, torch.Tensor]:
-        """qpos as read by the asset's sensor, qvel, and the controller's state, each with ManiSkill's batch."""
-        obs: dict[str, Any] = {"qpos": _to_tensor([self.body.q_measured]), "qvel": _to_tensor([self.body.qd])}
+        """qpos as read by the asset's sensor (n, 1), qvel (n, 1), and the controller's state."""
+        obs: dict[str, Any] = {"qpos": self.body.measured()[:, None], "qvel": self.body.states()[1, :, None]}
         state = self.controller.get_state()
         if state:
             obs["controller"] = state
         return obs
 
 
-class Commands:
-    """Commanded values over time; held between commands, before the first and after the last."""
+class _ObjectController(BaseController):
+    """A controller of an object, or of n objects with different links, which ManiSkill's merged view does not name."""
 
-    def __init__(self) -> None:
-        self._times: list[float] = []
-        self._values: list[float] = []
-
-    def add(self, time_s: float, value: float) -> None:
-        """`value` from `time_s` on."""
-        self._times.append(time_s)
-        self._values.append(value)
-
-    def __call__(self, time_s: float) -> float:
-        return self._values[max(bisect_right(self._times, time_s) - 1, 0)]
+    def _initialize_joints(self) -> None:
+        if not self.articulation.merged:
+            super()._initialize_joints()
+            return
+        self.joints: list[Any] = []
+        self.active_joint_indices = torch.zeros(0, dtype=torch.int32)
 
 
-class MotorController(PDJointPosController):
+class MotorController(_ObjectController, PDJointPosController):
     """ManiSkill's position controller, but targets go to the actuator of `generator.simulate`: the engine's drive is
     taken by Coulomb friction."""
 
     config: MotorConfig
+    _target_qpos: torch.Tensor | None = None
 
     def _get_joint_limits(self) -> np.ndarray:
-        return np.array([[self.config.lower, self.config.upper]], np.float32)
+        return np.array([[self.config.lower[0], self.config.upper[0]]], np.float32)
+
+    def _clip_and_scale_action_space(self) -> None:
+        super()._clip_and_scale_action_space()
+        low, high = (np.array(end, np.float32) for end in (self.config.lower, self.config.upper))
+        self.action_space_low, self.action_space_high = (
+            torch.from_numpy(end).to(self.device)[:, None] for end in (low, high)
+        )
 
     @property
     def qpos(self) -> torch.Tensor:
-        return _to_tensor([self.config.body.q])
+        return self.config.body.states()[0, :, None]
 
     def set_drive_property(self) -> None:
         """The engine's drive is not used."""
 
     def reset(self) -> None:
-        super().reset()
-        simulated = self.config.body.simulated
-        inertia, rate = simulated.joint_inertia, 2 * np.pi * _MOTOR_HZ
-        self._commands = Commands()
-        self._commands.add(-np.inf, self.config.body.q)
-        simulated.set_actuator(
-            Actuator(self._commands, inertia * rate**2, 2 * inertia * rate, lambda t: -self._weight(simulated))
-        )
-
-    @staticmethod
-    def _weight(simulated: Any) -> float:
-        return float(simulated.mechanics.gravity_force(simulated.state()[0]))
+        body, here = self.config.body, self.qpos
+        before = here if self._target_qpos is None else self._target_qpos
+        self._step, self._start_qpos = 0, here
+        self._target_qpos = torch.where(body.restarted[:, None], here, before)
+        body.start_motor(2 * np.pi * _MOTOR_HZ)
 
     def set_drive_targets(self, targets: torch.Tensor) -> None:
-        body = self.config.body
-        target = float(np.clip(float(targets[0, 0]), body.lower, body.upper))
-        self._target_qpos = _to_tensor([target])
-        self._commands.add(body.simulated.time_s, target)
+        self._target_qpos = self.config.body.command(targets[:, 0])[:, None]
 
     def set_state(self, state: dict[str, Any]) -> None:
         super().set_state(state)
@@ -142,13 +136,15 @@ class MotorController(PDJointPosController):
 
 @dataclass
 class MotorConfig(PDJointPosControllerConfig):
-    """A motor in the joint of `body`."""
+    """A motor in each joint of `body`; `lower` and `upper` are (n,)."""
 
+    lower: Array
+    upper: Array
     body: Any = None
     controller_cls = MotorController
 
 
-class PassiveController(BaseController):
+class PassiveController(_ObjectController):
     """No motor: the joint is free. Actions are empty."""
 
     sets_target_qpos = sets_target_qvel = False
@@ -160,7 +156,7 @@ class PassiveController(BaseController):
         """The engine's drive is not used."""
 
     def reset(self) -> None:
-        self.config.body.simulated.set_actuator(None)
+        self.config.body.remove_motor()
 
     def set_action(self, action: Any) -> None:
         """Nothing acts."""
@@ -193,9 +189,9 @@ class HandController(BaseController):
         self.config.hand.lead()
 
     def set_action(self, action: torch.Tensor) -> None:
-        """Six numbers within -1 and 1, as fractions of the largest step."""
-        step = np.clip(np.asarray(action, float).reshape(6), -1, 1) * np.repeat(_HAND_STEP, 3)
-        self.config.hand.go(step[:3], se3.exp_so3(step[3:]))
+        """(n, 6) within -1 and 1, as fractions of the largest step."""
+        step = np.clip(action.cpu().numpy().astype(float), -1, 1) * np.repeat(_HAND_STEP, 3)
+        self.config.hand.go(step[:, :3], se3.exp_so3(step[:, 3:]))
 
 
 @dataclass
@@ -204,8 +200,3 @@ class HandConfig(ControllerConfig):
 
     hand: Any = None
     controller_cls = HandController
-
-
-def _to_tensor(values: Any) -> torch.Tensor:
-    """(1, n) with ManiSkill's batch."""
-    return torch.tensor([values], dtype=torch.float32)

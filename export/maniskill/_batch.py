@@ -109,6 +109,7 @@ class JointBatch:
         )
         self._read_mechanics()
         self._motor: Motor | None = None
+        self._substeps: int | None = None
         self._commands: deque[tuple[Tensor, Tensor]] = deque()
         self.q, self.qd, self.time_s = (self._tensor([0.0] * self.n) for _ in range(3))
         self._memories = [torch.zeros_like(slot.values[0]) for slot in self._force]
@@ -141,24 +142,28 @@ class JointBatch:
     def _read_mechanics(self) -> None:
         mechanics = [joint.mechanics for joint in self._joints]
         self._turns = torch.tensor([m.joint.type == "revolute" for m in mechanics], device=self._device)
-        along, across, turned = (self._tensor([m._arms[k] for m in mechanics]) for k in range(3))
-        self._across, self._turned = across, turned
-        axis, gravity = (self._tensor([v.tolist() for v in vs]) for vs in zip(
-            *((m.joint.axis, m.gravity) for m in mechanics), strict=True))  # fmt: skip
-        mass = self._tensor([m.mass for m in mechanics])
-        self._weight = mass[:, None] * gravity
-        pull = [torch.linalg.cross(arm, gravity) for arm in (along, across, turned)]
-        self._pulls = [(torque * axis).sum(1) for torque in pull]
-        self._slides = (self._weight * axis).sum(1)
-        self._sideways = torch.linalg.norm(self._weight - self._slides[:, None] * axis, dim=1)
+        self._along, self._across, self._turned = (self._tensor([m._arms[k] for m in mechanics]) for k in range(3))
+        self._axis = self._tensor([m.joint.axis.tolist() for m in mechanics])
+        self._mass = self._tensor([m.mass for m in mechanics])
+        self.set_gravity(self._tensor([m.gravity.tolist() for m in mechanics]))
+
+    def set_gravity(self, gravity: Tensor) -> None:
+        """Gravity (n, 3), m/s^2, in the frames of the joints' parent links, which turn with their bases."""
+        self._weight = self._mass[:, None] * gravity
+        pull = [torch.linalg.cross(arm, gravity) for arm in (self._along, self._across, self._turned)]
+        self._pulls = [(torque * self._axis).sum(1) for torque in pull]
+        self._slides = (self._weight * self._axis).sum(1)
+        self._sideways = torch.linalg.norm(self._weight - self._slides[:, None] * self._axis, dim=1)
 
     # --- state --------------------------------------------------------------------------------------------------------
 
-    def set_state(self, q: Tensor, qd: Tensor, rows: Tensor | None = None) -> None:
-        """Put the joints of the environments `rows` (all by default) to `q` and `qd`, (m,) each, at time 0; their
-        effects with memory begin anew."""
+    def set_state(self, q: Tensor, qd: Tensor, rows: Tensor | None = None, restart: bool = True) -> None:
+        """Put the joints of the environments `rows` (all by default) to `q` and `qd`, (m,) each; their effects with
+        memory begin anew. With `restart` it is time 0, and their motors hold them there."""
         here = torch.arange(self.n, device=self._device) if rows is None else rows
-        self.q[here], self.qd[here], self.time_s[here] = q.double(), qd.double(), 0.0
+        self.q[here], self.qd[here] = q.double(), qd.double()
+        if restart:
+            self.time_s[here] = 0.0
         for tensor in (self._qdd, self._impact, self._side):
             tensor[here] = 0.0
         self._departure_time[here] = torch.nan
@@ -168,14 +173,18 @@ class JointBatch:
         self._memories = [torch.zeros_like(memory) for memory in old]
         self._remember(self.q)
         self._memories = [torch.where(new, m, o) for new, m, o in zip(restarted, self._memories, old, strict=True)]
-        if self._motor is not None:
+        if self._motor is not None and restart:
             self.command(self.q[here], here, at_s=-torch.inf)
 
     def set_motor(self, stiffness: Tensor, damping: Tensor) -> None:
         """Give each joint a motor of these gains (n,), commanded to stay where it is."""
-        self._motor = Motor(stiffness.double(), damping.double())
+        self._motor, self._substeps = Motor(stiffness.double(), damping.double()), None
         self._commands.clear()
         self.command(self.q)
+
+    def remove_motor(self) -> None:
+        """Let the joints go."""
+        self._motor = self._substeps = None
 
     def command(self, targets: Tensor, rows: Tensor | None = None, at_s: float | None = None) -> None:
         """Command the motors of `rows` (all by default) to `targets` (m,), rad or m, from now on.
@@ -197,6 +206,11 @@ class JointBatch:
     @property
     def substeps(self) -> int:
         """Engine steps per `timestep_s`, as the stiffest effect or motor of all environments needs them."""
+        if self._substeps is None:
+            self._substeps = self._plan_substeps()
+        return self._substeps
+
+    def _plan_substeps(self) -> int:
         from generator.simulate import _MAX_SUBSTEPS, _PHASE_PER_STEP
 
         stiffness = self._tensor([sum(e.steepness() for e in effects) for effects in self._effects])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import deque
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.effects.base import readings
 from freeart21.errors import FreeArtError
+from freeart21.mechanics import Actuator
 from freeart21.se3 import Array
 from generator import simulate
 
@@ -26,7 +29,8 @@ NAME = "object"
 class Body:
     """An articulated object in a CPU scene of ManiSkill; one joint moves under its effects."""
 
-    def __init__(self, scene: Any, asset: Asset, scale: float, timestep_s: float, fixed_base: bool):
+    def __init__(self, scene: Any, assets: Sequence[Asset], scale: float, timestep_s: float, fixed_base: bool):
+        asset = assets[0]
         self._scene, self._timestep = scene, timestep_s
         sub_scene = scene.sub_scenes[0]
         with prepare_asset(asset, scale) as readable:
@@ -39,11 +43,7 @@ class Body:
                 settable_limits=True,
             )
         simulated = self.simulated
-        if simulated.joint_inertia <= 0:
-            raise FreeArtError(f"{asset.urdf} joint '{asset.joint}' moves no mass")
-        unseen = [effect.name for effect in simulated.effects if effect.kind == "kinematics"]
-        if unseen:
-            logger.warning(f"{asset.urdf}: ManiSkill does not render the effects {', '.join(unseen)}")
+        check_joint(asset, simulated)
         self._fixed = fixed_base
         self._joint = next(j for j in simulated.articulation.active_joints if j.name == asset.joint)
         self._limited = False
@@ -51,11 +51,14 @@ class Body:
         """URDF link name to the engine's link."""
         self.lower, self.upper = joint_span(simulated.lower, simulated.upper, simulated.world_joint.type == "prismatic")
         """Range of the joint's targets, rad or m."""
-        self.articulation = _register_articulation(simulated.articulation, scene)
+        self.articulation = register_articulations([simulated.articulation], scene, same_links=True)
         self.moving = [link for name, link in self.links.items() if name in simulated.moving_links]
         self._senses = any(effect.kind == "sensing" for effect in simulated.effects)
         late = sum(e.delay() for e in simulated.effects if e.kind == "sensing")
         self._history: deque[tuple[float, float]] = deque(maxlen=2 + int(np.ceil(late / timestep_s)))
+        self._commands = Commands()
+        self.restarted = torch.ones(1, dtype=torch.bool)
+        """(n,) environments that the controllers' next reset is for; ManiSkill does not say which."""
         if not fixed_base:
             self._keep_limits(True)
 
@@ -115,15 +118,95 @@ class Body:
         centres = np.array([(link.entity_pose * link.cmass_local_pose).p for link in self.moving], float)
         return np.asarray(masses @ centres / masses.sum())
 
-    def part_ids(self) -> np.ndarray:
-        """(n, 2) int16 per link: id in segmentation images, and 1 for the parent's side or 2 for the moving side."""
-        return np.array(
-            [
-                (link.entity.per_scene_id, 2 if name in self.simulated.moving_links else 1)
-                for name, link in self.links.items()
-            ],
-            np.int16,
-        )
+    # what the environments ask of any number of bodies n, here 1; see `_body_batch.BodyBatch`
+
+    n = 1
+
+    @property
+    def articulations(self) -> list[Any]:
+        """The engine's articulations, (n,)."""
+        return [self.simulated.articulation]
+
+    @property
+    def joint_name(self) -> str:
+        """The joint's name in the asset of the first environment."""
+        return self.simulated.asset.joint
+
+    @property
+    def link_names(self) -> list[str]:
+        """ManiSkill's names of the links of the first environment."""
+        return [link.name for link in self.articulation.get_links()]
+
+    @property
+    def spans(self) -> Array:
+        """(n, 2) range of the joint's targets, rad or m."""
+        return np.array([[self.lower, self.upper]])
+
+    @property
+    def limits(self) -> Array:
+        """(n, 2) the joint's limits, rad or m."""
+        return np.array([[self.simulated.lower, self.simulated.upper]])
+
+    def states(self) -> torch.Tensor:
+        """(2, n) float32: position, rad or m, and velocity of the joint."""
+        return torch.tensor([[self.q], [self.qd]], dtype=torch.float32)
+
+    def measured(self) -> torch.Tensor:
+        """(n,) float32: `q_measured`."""
+        return torch.tensor([self.q_measured], dtype=torch.float32)
+
+    def centres(self) -> torch.Tensor:
+        """(n, 3) float32: `moving_centre`."""
+        return torch.from_numpy(self.moving_centre()[None].astype(np.float32))
+
+    def root_poses(self) -> Array:
+        """(n, 4, 4): `root_pose`."""
+        return self.root_pose[None]
+
+    def times_s(self) -> Array:
+        """(n,) the clocks, s."""
+        return np.array([self.simulated.time_s])
+
+    def corners(self, q: Array) -> Array:
+        """(n, 2, 3) `bounds` with the joint at `q` (n,) and the root where the asset is loaded, at the origin."""
+        self.put(float(q[0]))
+        return self.bounds()[None]
+
+    def place(self, rows: torch.Tensor, q: Array, T_world_root: Array) -> None:
+        """`put` in the environments `rows` (m,): positions (m,) and root poses (m, 4, 4)."""
+        self.put(float(q[0]), T_world_root[0])
+
+    def read(self, rows: torch.Tensor) -> None:
+        """`fetch` in the environments `rows` (m,)."""
+        self.fetch()
+
+    def part_ids(self) -> torch.Tensor:
+        """(n, links, 2) int16: id in segmentation images, and 1 for the parent's side or 2 for the moving side."""
+        return torch.from_numpy(number_parts(self.links, self.simulated.moving_links)[None])
+
+    # motor
+
+    def start_motor(self, rate: float) -> None:
+        """Give the joint a critically damped motor of `rate` rad/s on its inertia, which bears the weight and holds it
+        where it is; only where `restarted`."""
+        simulated = self.simulated
+        self._commands = Commands()
+        self._commands.add(-np.inf, self.q)
+        inertia = simulated.joint_inertia
+        simulated.set_actuator(Actuator(self._commands, inertia * rate**2, 2 * inertia * rate, self._weight))
+
+    def remove_motor(self) -> None:
+        """Let the joint go."""
+        self.simulated.set_actuator(None)
+
+    def command(self, targets: torch.Tensor) -> torch.Tensor:
+        """Command the motors to `targets` (n,), rad or m, from now on; returns them, float32, clipped to the spans."""
+        target = float(np.clip(float(targets[0]), self.lower, self.upper))
+        self._commands.add(self.simulated.time_s, target)
+        return torch.tensor([target], dtype=torch.float32)
+
+    def _weight(self, time_s: float) -> float:
+        return -float(self.simulated.mechanics.gravity_force(self.q))
 
     # stepping
 
@@ -172,14 +255,64 @@ class Body:
             self._history.append((self.simulated.time_s, self.q))
 
 
-def _register_articulation(articulation: Any, scene: Any) -> Articulation:
-    """ManiSkill's view of a SAPIEN articulation, named and registered as by its builder."""
-    for link in articulation.links:
-        link.name = f"scene-0-{NAME}_{link.name}"
-        link.joint.name = f"scene-0-{NAME}_{link.joint.name}"
-    articulation.name = f"scene-0_{NAME}"
-    managed = Articulation.create_from_physx_articulations([articulation], scene, torch.zeros(1, dtype=torch.int32))
-    managed.initial_pose = Pose.create(sapien.Pose())
-    scene.articulations[NAME] = managed
-    scene.add_to_state_dict_registry(managed)
-    return managed
+class Commands:
+    """Commanded values over time; held between commands, before the first and after the last."""
+
+    def __init__(self) -> None:
+        self._times: list[float] = []
+        self._values: list[float] = []
+
+    def add(self, time_s: float, value: float) -> None:
+        """`value` from `time_s` on."""
+        self._times.append(time_s)
+        self._values.append(value)
+
+    def __call__(self, time_s: float) -> float:
+        return self._values[max(bisect_right(self._times, time_s) - 1, 0)]
+
+
+def check_joint(asset: Asset, simulated: simulate.SimulatedAsset) -> None:
+    """Raise FreeArtError if the joint moves no mass; warn of effects that do not show."""
+    if simulated.joint_inertia <= 0:
+        raise FreeArtError(f"{asset.urdf} joint '{asset.joint}' moves no mass")
+    unseen = [effect.name for effect in simulated.effects if effect.kind == "kinematics"]
+    if unseen:
+        logger.warning(f"{asset.urdf}: ManiSkill does not render the effects {', '.join(unseen)}")
+
+
+def check_single(environment: Any) -> Body:
+    """The body of an environment that steps one object on a CPU; FreeArtError for any other."""
+    if not isinstance(environment.body, Body):
+        raise FreeArtError(
+            f"a script for one object got {environment.num_envs} in GPU scenes, expected sim_backend cpu"
+        )
+    return environment.body
+
+
+def number_parts(links: Mapping[str, Any], moving: Collection[str]) -> np.ndarray:
+    """(n, 2) int16 per link of `links`, the engine's by name: id in segmentation images, 2 where `moving`, else 1."""
+    return np.array([(link.entity.per_scene_id, 2 if name in moving else 1) for name, link in links.items()], np.int16)
+
+
+def register_articulations(articulations: Sequence[Any], scene: Any, same_links: bool) -> Articulation:
+    """ManiSkill's view of SAPIEN articulations, one in each sub-scene, named and registered as by its builder.
+
+    With `same_links` all have the same links. Else each is registered alone, and the view is a merged one.
+    """
+    groups = [list(range(len(articulations)))] if same_links else [[i] for i in range(len(articulations))]
+    views = []
+    for rows in groups:
+        name = NAME if same_links else f"{NAME}-{rows[0]}"
+        for i in rows:
+            for link in articulations[i].links:
+                link.name = f"scene-{i}-{name}_{link.name}"
+                link.joint.name = f"scene-{i}-{name}_{link.joint.name}"
+            articulations[i].name = f"scene-{i}_{name}"
+        here = torch.tensor(rows, dtype=torch.int32)
+        view = Articulation.create_from_physx_articulations([articulations[i] for i in rows], scene, here)
+        view.initial_pose = Pose.create(sapien.Pose(), device=scene.device)
+        scene.articulations[name] = view
+        views.append(view)
+    merged = views[0] if same_links else Articulation.merge(views, name=NAME)
+    scene.add_to_state_dict_registry(merged)
+    return merged

@@ -13,7 +13,7 @@ import sapien
 import torch
 from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.sensors.camera import CameraConfig
-from mani_skill.utils import sapien_utils
+from mani_skill.utils import common, sapien_utils
 from mani_skill.utils.building.ground import build_ground
 from mani_skill.utils.registration import register
 from mani_skill.utils.scene_builder.table import TableSceneBuilder
@@ -22,6 +22,7 @@ from mani_skill.utils.structs.types import SceneConfig, SimConfig
 from export.maniskill import ENVIRONMENTS, EPISODE_STEPS
 from export.maniskill._agent import OBJECT, ObjectAgent
 from export.maniskill._body import Body
+from export.maniskill._body_batch import BodyBatch
 from export.maniskill._gymnasium import render_modes
 from export.maniskill._hand import Hand
 from export.maniskill._pusher import PUSHER, Pusher
@@ -109,17 +110,26 @@ class ObjectEnvironment(BaseEnv):
     _held: bool = False
 
     def _load_agent(self, options: dict[str, Any], *args: Any, **kwargs: Any) -> None:
-        first = int(self._batched_episode_rng[0].randint(len(self._assets))) if len(self._assets) > 1 else 0
-        self._asset_index = first
-        self.body = Body(self.scene, self._assets[first], self._scale, self.sim_timestep, self._fixed_base)
-        self._target = self._tensor([0.0])[0]
+        several, n = len(self._assets), self.num_envs
+        first = int(self._batched_episode_rng[0].randint(several)) if several > 1 and n == 1 else 0
+        self._asset_index = (first + torch.arange(n, device=self.device, dtype=torch.int32)) % several
+        assets = self._assets[first:] + self._assets[:first]
+        build = BodyBatch if self.gpu_sim_enabled else Body
+        self.body: Any = build(self.scene, assets, self._scale, self.sim_timestep, self._fixed_base)
+        self._target = self._tensor(np.zeros(n))
         """(n,) position, rad or m."""
-        self.body.put(self._position(self._start_share, None))
-        self._T_root_rest = self._standing()
-        low, high = self.body.bounds()
-        self._size = float(np.linalg.norm(high - low))
-        self._centre_root = 0.5 * (low + high)
-        """Of the object in its root's frame, initially."""
+        corners = self.body.corners(np.array([self._position(i, self._start_share, None) for i in range(n)]))
+        self._T_root_rest = self._standing(*corners.swapaxes(0, 1))
+        self._size = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
+        """(n,) m."""
+        spacing = self.sim_config.spacing
+        if n > 1 and spacing < 2 * self._size.max():  # one engine holds them all
+            raise FreeArtError(
+                f"sim_config.spacing of {spacing:g} m is too little for objects of {self._size.max():.3g} m in "
+                f"{n} scenes side by side, expected {2 * self._size.max():.3g} m at least"
+            )
+        self._centre_root = corners.mean(axis=1)
+        """(n, 3) of the object in its root's frame, initially."""
         self.hand = Hand(self.scene, self.body) if self._held else None
         if self.robot_uids == OBJECT:
             varied = len(self._assets) > 1
@@ -129,18 +139,22 @@ class ObjectEnvironment(BaseEnv):
         else:
             super()._load_agent(options, sapien.Pose(p=[-0.615, 0, 0]))
 
-    def _standing(self) -> Array:
-        """(4, 4) of the root: upright on z = 0; centred at the origin, or its near side in front of the robot."""
-        low, high = self.body.bounds()
-        T = np.eye(4)
-        near = -0.5 * (high[0] - low[0]) if self.robot_uids in (OBJECT, PUSHER) else _BEFORE_ROBOT
-        T[:3, 3] = near - low[0], -0.5 * (low[1] + high[1]), -low[2]
+    def _standing(self, low: Array, high: Array) -> Array:
+        """(n, 4, 4) of roots whose objects have corners (n, 3) with the root at the origin: upright on z = 0.
+
+        They are centred at the origin, or their near side is in front of the robot.
+        """
+        T = np.tile(np.eye(4), (len(low), 1, 1))
+        near = -0.5 * (high[:, 0] - low[:, 0]) if self.robot_uids in (OBJECT, PUSHER) else _BEFORE_ROBOT
+        T[:, 0, 3], T[:, 1, 3], T[:, 2, 3] = near - low[:, 0], -0.5 * (low[:, 1] + high[:, 1]), -low[:, 2]
         return T
 
     def _camera(self, uid: str, side: int) -> CameraConfig:
-        middle = se3.transform(self._T_root_rest, self._centre_root)
-        pose = sapien_utils.look_at(middle + 1.6 * self._size * np.array([-0.75, 0.5, 0.6]), middle)
-        size = self._size
+        """The same in all environments, for the largest object."""
+        largest = int(self._size.argmax())
+        size = float(self._size[largest])
+        middle = se3.transform(self._T_root_rest[largest], self._centre_root[largest])
+        pose = sapien_utils.look_at(middle + 1.6 * size * np.array([-0.75, 0.5, 0.6]), middle)
         return CameraConfig(uid, pose, side, side, fov=0.8, near=0.02 * size, far=max(20 * size, 5.0))
 
     @property
@@ -155,28 +169,42 @@ class ObjectEnvironment(BaseEnv):
         """ManiSkill's, which does not seed gymnasium's own generator, as gymnasium's checker requires."""
         if seed is not None:
             gymnasium.Env.reset(self, seed=int(np.ravel(seed)[0]))
-        return super().reset(seed=seed, options=options)
+        body = getattr(self, "body", None)
+        if body is not None and options is not None and "env_idx" in options:
+            body.restarted[:] = False
+            body.restarted[options["env_idx"]] = True
+        result = super().reset(seed=seed, options=options)
+        self.body.restarted[:] = True
+        return result
 
     # joint
 
-    def _position(self, share: float | None, otherwise: float | None) -> float:
-        """The position, rad or m, of a fraction of the span; None: `otherwise`, or the one nearest to zero."""
-        low, high = self.body.lower, self.body.upper
+    def _position(self, i: int, share: float | None, otherwise: float | None) -> float:
+        """The position, rad or m, of a fraction of the span in environment `i`.
+
+        None: `otherwise`, or the one nearest to zero.
+        """
+        low, high = self.body.spans[i]
         if share is not None:
-            return low + share * (high - low)
+            return float(low + share * (high - low))
         return float(np.clip(0.0, low, high)) if otherwise is None else otherwise
 
-    def _begin(self, start: float, target: float, T_world_root: Array) -> None:
-        self._target = self._tensor([target])[0]
-        self.body.put(start, T_world_root)
+    def _begin(self, rows: torch.Tensor, starts: Sequence[float], targets: Sequence[float], T: Sequence[Array]) -> None:
+        """Begin episodes in the environments `rows` (m,): positions (m,), targets (m,) and root poses (m, 4, 4)."""
+        self._target[rows] = self._tensor(targets)
+        self.body.place(rows, np.array(starts), np.array(T))
         if self.robot_uids == PUSHER:
-            aside = np.array([-1.0, 0.0, 0.75]) + self._batched_episode_rng[0].uniform(-0.1, 0.1, 3)
-            middle = se3.transform(T_world_root, self._centre_root)
-            self.agent.place(self._tensor(middle + self._size * aside / np.linalg.norm(aside)))
+            self.agent.place(self._tensor([self._aside(i, pose) for i, pose in zip(rows.tolist(), T, strict=True)]))
+
+    def _aside(self, i: int, T_world_root: Array) -> Array:
+        """(3,) a place for the pusher beside and above the object of environment `i`, at random."""
+        aside = np.array([-1.0, 0.0, 0.75]) + self._batched_episode_rng[i].uniform(-0.1, 0.1, 3)
+        middle = se3.transform(T_world_root, self._centre_root[i])
+        return np.asarray(middle + self._size[i] * aside / np.linalg.norm(aside))
 
     def _before_simulation_step(self) -> None:
         if self.hand is not None:
-            self.hand.move(self.body.simulated.time_s, self.sim_timestep)
+            self.hand.move(self.sim_timestep)
         self.body.before_step()
 
     def _after_simulation_step(self) -> None:
@@ -194,9 +222,10 @@ class ObjectEnvironment(BaseEnv):
     def set_state_dict(self, state: dict[str, Any], env_idx: Any = None) -> None:
         """Restore a state. Effects with memory are reset."""
         super().set_state_dict(state, env_idx)
-        self.body.fetch()
+        rows = torch.arange(self.num_envs, device=self.device) if env_idx is None else env_idx
+        self.body.read(rows)
         if "target" in state:
-            self._target = self._tensor(np.asarray(state["target"]).reshape(-1))[0]
+            self._target[rows] = common.to_tensor(state["target"], device=self.device).reshape(-1).float()
 
     # observations and rewards
 
@@ -205,15 +234,14 @@ class ObjectEnvironment(BaseEnv):
         joint is past a limit by more than the tolerance, or the object's middle is below what it stood on;
         `joint_error`: distance from the target in spans of the joint, 1 where it is no number; `asset_index`: which of
         several assets it is."""
-        body = self.body
-        state = self._tensor([body.q, body.qd, body.lower, body.upper, body.simulated.lower, body.simulated.upper])
-        q, qd, low, high, lowest, highest = state.T
+        (q, qd), (low, high) = self.body.states(), self._tensor(self.body.spans.T)
+        lowest, highest = self._tensor(self.body.limits.T)
         span = high - low
         away = (q - self._target).abs() / span
-        root = self._tensor(body.root_pose)
+        root = self._tensor(self.body.root_poses())
         finite = torch.isfinite(q) & torch.isfinite(qd) & torch.isfinite(root).flatten(1).all(1)
         past = (q < lowest - self._tolerance * span) | (q > highest + self._tolerance * span)
-        middle = (root @ self._tensor(np.append(self._centre_root, 1.0))[:, :, None])[:, 2, 0]
+        middle = (root[:, 2, :3] * self._tensor(self._centre_root)).sum(1) + root[:, 2, 3]
         fell = (middle < 0) & (not self._held)
         info = {
             "success": finite & (away <= self._tolerance) & (qd.abs() <= AT_REST * span),
@@ -221,7 +249,7 @@ class ObjectEnvironment(BaseEnv):
             "joint_error": torch.where(finite, away, torch.ones_like(away)),
         }
         if len(self._assets) > 1:
-            info["asset_index"] = torch.full_like(q, self._asset_index, dtype=torch.int32)
+            info["asset_index"] = self._asset_index.clone()
         return info
 
     def _get_obs_extra(self, info: dict[str, Any]) -> dict[str, torch.Tensor]:
@@ -229,13 +257,13 @@ class ObjectEnvironment(BaseEnv):
         if hasattr(self.agent, "tcp"):
             obs["tcp_pose"] = self.agent.tcp.pose.raw_pose
         if self.obs_mode_struct.use_state:
-            obs["joint_qpos"], obs["joint_qvel"] = self._tensor([self.body.q]), self._tensor([self.body.qd])
+            obs["joint_qpos"], obs["joint_qvel"] = self.body.states()[:, :, None]
             obs["object_pose"] = self.body.articulation.pose.raw_pose
-            obs["moving_part_pos"] = self._tensor(self.body.moving_centre())
+            obs["moving_part_pos"] = self.body.centres()
             if hasattr(self.agent, "tcp"):
                 obs["tcp_to_moving_part"] = obs["moving_part_pos"] - self.agent.tcp.pose.p
         if self.obs_mode_struct.visual.segmentation:
-            obs["part_ids"] = torch.from_numpy(self.body.part_ids()[None].copy())
+            obs["part_ids"] = self.body.part_ids()
         return obs
 
     def get_sensor_params(self) -> dict[str, dict[str, torch.Tensor]]:
@@ -246,14 +274,14 @@ class ObjectEnvironment(BaseEnv):
         }
 
     def _tensor(self, values: Any) -> torch.Tensor:
-        return torch.tensor(np.array([values], np.float32), device=self.device)
+        return torch.tensor(np.array(values, np.float32), device=self.device)
 
     def compute_dense_reward(self, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
         """Up to 1 for the joint near its target, plus 1 for the robot's hand near the moving part; 3 on success, 0 on
         failure."""
         reward = 1 - torch.tanh(5 * info["joint_error"])
         if hasattr(self.agent, "tcp"):
-            away = self._tensor(self.body.moving_centre()) - self.agent.tcp.pose.p
+            away = self.body.centres() - self.agent.tcp.pose.p
             reward = reward + 1 - torch.tanh(5 * torch.linalg.norm(away, dim=1))
         reward = torch.where(info["success"], torch.full_like(reward, 3.0), reward)
         return torch.where(info["fail"], torch.zeros_like(reward), reward)
@@ -287,14 +315,19 @@ class OpenEnvironment(ObjectEnvironment):
     def _initialize_episode(self, env_idx: torch.Tensor, options: dict[str, Any]) -> None:
         if self._table is not None:
             self._table.initialize(env_idx)
-        rng = self._batched_episode_rng[0]
+        begins = [self._begin_standing(i) for i in env_idx.tolist()]
+        self._begin(env_idx, *zip(*begins, strict=True))
+
+    def _begin_standing(self, i: int) -> tuple[float, float, Array]:
+        """Start and target, rad or m, and root pose (4, 4) of the next episode of environment `i`."""
+        rng = self._batched_episode_rng[i]
         turn, shift = rng.uniform(-_TURN, _TURN), rng.uniform(-_SHIFT, _SHIFT, 2)
         moved = se3.exp_se3(np.array([0, 0, 0, 0, 0, turn]))
         moved[:2, 3] = shift
-        start = self._position(self._start_share, None)
-        farther = max((self.body.lower, self.body.upper), key=lambda end: abs(end - start))
-        target = self._position(self._target_share, start + OPENED * (farther - start))
-        self._begin(start, target, moved @ self._T_root_rest)
+        start = self._position(i, self._start_share, None)
+        farther = max(self.body.spans[i], key=lambda end: abs(end - start))
+        target = self._position(i, self._target_share, start + OPENED * (farther - start))
+        return start, target, moved @ self._T_root_rest[i]
 
 
 class FreeMovingEnvironment(ObjectEnvironment):
@@ -313,27 +346,36 @@ class FreeMovingEnvironment(ObjectEnvironment):
         """Nothing but the object."""
 
     def _initialize_episode(self, env_idx: torch.Tensor, options: dict[str, Any]) -> None:
-        rng = self._batched_episode_rng[0]
-        low, high = self.body.lower, self.body.upper
+        begins, motions = [], []
+        for i in env_idx.tolist():
+            start, target, motion = self._begin_carried(i, options)
+            begins.append((start, target, motion.at(0.0)[0]))
+            motions.append(motion)
+        self._begin(env_idx, *zip(*begins, strict=True))
+        assert self.hand is not None
+        self.hand.follow(env_idx.tolist(), motions)
+
+    def _begin_carried(self, i: int, options: dict[str, Any]) -> tuple[float, float, CarriedMotion]:
+        """Start and target, rad or m, and the hand's motion in the next episode of environment `i`."""
+        rng, centre_root = self._batched_episode_rng[i], self._centre_root[i]
+        low, high = self.body.spans[i]
         drawn = low + rng.uniform(0.1, 0.9, 2) * (high - low)
-        start = options.get("start", self._position(self._start_share, drawn[0]))
-        target = options.get("target", self._position(self._target_share, drawn[1]))
+        start = options.get("start", self._position(i, self._start_share, drawn[0]))
+        target = options.get("target", self._position(i, self._target_share, drawn[1]))
         begins = se3.exp_se3(np.concatenate([np.zeros(3), rng.uniform(-1, 1, 3)]))
-        centre = se3.transform(self._T_root_rest, self._centre_root)
-        begins[:3, 3] = centre - begins[:3, :3] @ self._centre_root
-        motion = draw_motion(rng, begins, centre, self._size, _SECONDS)
+        centre = se3.transform(self._T_root_rest[i], centre_root)
+        begins[:3, 3] = centre - begins[:3, :3] @ centre_root
+        motion = draw_motion(rng, begins, centre, float(self._size[i]), _SECONDS)
         if "base_poses" in options:
             rows = np.asarray(options["base_poses"], float)
             motion = CarriedMotion(np.asarray(options["base_times"]), se3.pose_from_wxyz(rows[:, :3], rows[:, 3:]))
-        self._begin(float(start), float(target), motion.at(0.0)[0])
-        assert self.hand is not None
-        self.hand.follow(motion)
+        return float(start), float(target), motion
 
     def set_state_dict(self, state: dict[str, Any], env_idx: Any = None) -> None:
         """Restore a state; the hand continues from there."""
         super().set_state_dict(state, env_idx)
         assert self.hand is not None
-        self.hand.catch()
+        self.hand.catch(range(self.num_envs) if env_idx is None else env_idx.tolist())
 
 
 for _uid, _environment in zip(ENVIRONMENTS, (OpenEnvironment, FreeMovingEnvironment), strict=True):

@@ -7,6 +7,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from export.maniskill._body import check_single
 from export.maniskill._gymnasium import GymnasiumWrapper
 from export.maniskill._pusher import PUSHER, STEP
 from freeart21.effects import effects_from_urdf_dynamics
@@ -38,6 +39,7 @@ class JointFrame(gymnasium.Wrapper):
         plain = env.unwrapped
         if plain.robot_uids != PUSHER:
             raise FreeArtError(f"the robot is '{plain.robot_uids}', expected the pusher")
+        check_single(plain)
         super().__init__(GymnasiumWrapper(env, ignore_terminations=ignore_terminations))
         self._plain = plain
         body = plain.body
@@ -61,7 +63,7 @@ class JointFrame(gymnasium.Wrapper):
         aside = frame @ np.array([-1.0, 0.0, 0.0]) + np.array([0, 0, 0.5]) + rng.uniform(-0.1, 0.1, 3)
         place = plain.body.moving_centre() + plain._size * aside / np.linalg.norm(aside)
         place[2] = max(place[2], 0.05)
-        plain.agent.place(plain._tensor(place))
+        plain.agent.place(plain._tensor(place[None]))
         return self._observe(), info
 
     def step(self, action: Any) -> Any:

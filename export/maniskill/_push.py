@@ -8,6 +8,7 @@ import numpy as np
 import trimesh
 from mani_skill.utils.geometry.trimesh_utils import get_component_mesh
 
+from export.maniskill._body import check_single
 from export.maniskill._environments import ObjectEnvironment
 from export.maniskill._pusher import RADIUS, STEP
 from freeart21 import se3
@@ -31,7 +32,7 @@ class PushPolicy:
     def __init__(self, env: Any, seed: int = 0):
         plain = env.unwrapped
         assert isinstance(plain, ObjectEnvironment)
-        self._env, self._body = plain, plain.body
+        self._env, self._body = plain, check_single(plain)
         self._q0 = self._body.q
         self._joint = self._body.simulated.world_joint.moved(self._body.root_pose)  # it was read with the root at 0
         self._sign = float(np.sign(float(plain._target[0]) - self._q0)) or 1.0
