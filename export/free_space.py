@@ -52,7 +52,7 @@ class SpaceGrid:
     all of it counts."""
 
     around: SpaceGrid | None = None
-    """Coarser, of twice the extent; None: unknown."""
+    """Coarser, of three times the extent: a mirror image reaches no further. None: unknown."""
 
     def centres(self, chosen: NDArray[np.bool_]) -> Array:
         """(n, 3) centres of the voxels where `chosen` (X, Y, Z) is true, in the part's frame."""
@@ -66,6 +66,11 @@ class SpaceGrid:
         if self.around is not None and not within.all():
             found[~within] = self.around.look_up(points[~within])
         return found
+
+    def holds(self, points: Array) -> NDArray[np.bool_]:
+        """(n,) whether points (n, 3) lie in the grid or around it: of others nothing is known."""
+        within = self._voxels(points)[1]
+        return within if self.around is None else within | self.around.holds(points)
 
     def is_empty_behind(self, points: Array, normals: Array) -> NDArray[np.bool_]:
         """(n,) whether points (n, 3) behind surface with outward normals (n, 3) are known to be empty.
@@ -113,7 +118,7 @@ def find_free_space(reconstruction: Reconstruction, name: str, recording: Record
     within the range of states. Without a recording nothing is seen through.
     """
     own = reconstruction.articulation.part(name)
-    around = _fill_grid(reconstruction, name, recording, *_lay_grid(own, MAX_VOXELS // 8, 0.5))
+    around = _fill_grid(reconstruction, name, recording, *_lay_grid(own, MAX_VOXELS // 4, 1.0))
     return replace(_fill_grid(reconstruction, name, recording, *_lay_grid(own, MAX_VOXELS)), around=around)
 
 

@@ -81,7 +81,7 @@ def suppose_by_symmetry(
     if not moved:
         return Supposed()
     at, facing, sources = (np.concatenate(its) for its in zip(*moved, strict=True))
-    unseen = np.flatnonzero(surface.is_unseen(at, spacing))
+    unseen = np.flatnonzero(surface.sort(at, facing)[2])
     one = unseen[np.unique(np.floor(at[unseen] / spacing).astype(np.int64), axis=0, return_index=True)[1]]
     return Supposed(at[one], facing[one], sources[one])
 
@@ -104,24 +104,26 @@ class _SeenSurface:
 
     def judge(self, points: Array, normals: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
         """(m,) whether points lie on the seen surface and face as it does, whether they are away from it, and whether
-        they are in known empty space there."""
+        they are in known empty space there, or so far off that nobody knows."""
         distance, nearest = self.tree.query(points, distance_upper_bound=self.near + self.space.voxel)
         away = np.isinf(distance)
         own = self.normals[np.where(away, 0, nearest)]
         on = (distance < self.near) & (np.einsum("ij,ij->i", normals, own) > _AGREE)
-        return on, away, away & (self.space.look_up(points) != UNKNOWN)
+        return on, away, away & ((self.space.look_up(points) != UNKNOWN) | ~self.space.holds(points))
+
+    def sort(self, points: Array, normals: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+        """(m,) whether points lie on the seen surface and face as it does, whether they lie where they cannot be, in
+        known empty space or inside the part, and whether they lie where nobody looked."""
+        on, away, wrong = self.judge(points, normals)
+        rest = np.flatnonzero(away & ~wrong)
+        wrong[rest] = self.winding.number(points[rest]) > _INSIDE
+        return on, wrong, away & ~wrong
 
     def accepts(self, points: Array, normals: Array, least: float) -> bool:
         """Whether a share of `least` of the points lies on the seen surface, and next to none of the others where they
-        cannot be: in known empty space, or deep inside the part."""
-        on, away, wrong = self.judge(points, normals)
-        wrong[away] |= self.winding.number(points[away]) > _INSIDE
+        cannot be."""
+        on, wrong, _ = self.sort(points, normals)
         return bool(on.mean() >= least and on.sum() >= _ACCEPT * (on | wrong).sum())
-
-    def is_unseen(self, points: Array, spacing: float) -> NDArray[np.bool_]:
-        """(m,) whether points lie where nobody looked, off the seen surface by `spacing`, m, or more."""
-        distance, _ = self.tree.query(points, distance_upper_bound=max(spacing, self.near))
-        return np.isinf(distance) & (self.space.look_up(points) == UNKNOWN)
 
 
 def _turned(seen: _SeenSurface, tolerance: float, spacing: float) -> list[_Copies]:

@@ -192,7 +192,7 @@ def test_space_that_the_video_looked_through_is_empty_and_no_other(drawer_unit):
     assert space.look_up(np.array([[-0.03, 0.0, 0.08]])).tolist() == [SEEN_THROUGH]
     looked = space.centres(space.state == SEEN_THROUGH)
     assert not drawer().contains(looked[::7]).any()
-    beside = np.array([[0.0, 0.11, 0.05], [0.0, 1.0, 0.05]])  # of the drawer's grid: near it, and where nothing is known
+    beside = np.array([[0.0, 0.11, 0.05], [0.0, 1.0, 0.05]])  # the grid, and far away
     assert space.look_up(beside).tolist() == [SEEN_THROUGH, 0]
 
 

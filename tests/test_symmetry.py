@@ -1,5 +1,7 @@
 """What a symmetry of the seen surface puts where nobody looked, and what speaks against it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -100,6 +102,14 @@ def test_without_a_look_nothing_is_supposed(turned):
     *seen, space = seen_part(solid, lambda p: p[:, 0] > 0.015)
     space.state[:] = 0
     assert not len(suppose_by_symmetry(*seen, np.eye(3), space, SPACING).points)
+
+
+def test_beyond_the_space_that_was_looked_at_nothing_is_supposed():
+    solid = trimesh.creation.cylinder(radius=0.05, height=0.12, sections=128)
+    seen, points, normals, space = seen_part(solid, lambda p: p[:, 0] > 0.015)
+    elsewhere = replace(space, T_part_grid=se3.pose(np.eye(3), [9, 9, 9]))
+    assert len(suppose_by_symmetry(seen, points, normals, np.eye(3), space, SPACING).points)
+    assert not len(suppose_by_symmetry(seen, points, normals, np.eye(3), elsewhere, SPACING).points)
 
 
 def test_a_wall_that_is_hardly_bent_is_no_part_of_a_huge_ring(turned):
