@@ -73,7 +73,8 @@ thick."""
 _OBSERVED_DISTANCE = 0.5
 """Spacings from observed triangles within which a boundary triangle counts as observed."""
 _SYMMETRIC_SPACINGS = 1.5
-"""Spacings from a point that a symmetry supposes within which a triangle of the patch counts as supposed by it."""
+"""Spacings from a point that a symmetry supposes within which a triangle of the patch counts as supposed by it; set
+by hand, as such points are up to one apart."""
 _MIN_SPACINGS = 150.0
 """Least number of spacings along a part's diagonal, so that a wall between two large triangles differs from a
 hollow."""

@@ -39,7 +39,8 @@ _ACROSS = 0.3
 """Sine between a normal and an axis, or cosine of it and a mirror plane's, from which a point says where that is: caps
 and floors do not say where the axis is, and a mirror plane slides along walls."""
 _SAME = 0.98
-"""Cosine, 11 degrees, from which two directions count as one: fitting turns a plane further than that."""
+"""Cosine, 11 degrees, from which two directions count as one: fitting turns a plane further than that. It and the rest
+are set by hand."""
 _OFFSETS = 41
 """Mirror planes tried along a direction."""
 _FEW, _MANY = 2_000, 10_000
