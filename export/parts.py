@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from export.atlas import Texture
 from export.carving import carve_overlap, cut_spots
 from export.free_space import find_free_space
-from export.hollows import Panels, find_panels
+from export.hollows import Panels, find_panels, sealed_faces
 from export.joint_range import STATES, TOLERANCE, JointRange, estimate_joint_range
-from export.meshes import MeshSettings
+from export.meshes import MeshSettings, flip_faces
 from export.penetration import Overlap
 from export.surface import Surface, close_surface, replace_mesh, subtract_cavities
 from export.texture import check_recording, texture_from_vertices, textures_from_video
@@ -43,19 +43,10 @@ class Part:
 
     def without(self, faces: NDArray[np.bool_]) -> Part:
         """The part without some of its triangles, flags (F,)."""
-        surface, texture = self.surface, self.texture
-        patch = faces[surface.patch_first :]
-        mesh = surface.mesh.with_faces(~faces)
-        surface = replace(
-            surface,
-            mesh=mesh,
-            patch_first=surface.patch_first - int(faces[: surface.patch_first].sum()),
-            symmetric_count=surface.symmetric_count - int(patch[: surface.symmetric_count].sum()),
-            panel_count=surface.panel_count - int(patch[len(patch) - surface.panel_count :].sum()),
-        )
+        texture = self.texture
         if texture is not None:
             texture = replace(texture, atlas=replace(texture.atlas, corners=texture.atlas.corners[~faces]))
-        return replace(self, surface=surface, texture=texture)
+        return replace(self, surface=self.surface.without(faces), texture=texture)
 
     def to_json(self, scale: float) -> dict[str, Any]:
         """The part's entry in asset.json; lengths times `scale`."""
@@ -151,7 +142,9 @@ def _clear_parts(
     reconstruction: Reconstruction, surfaces: dict[str, Surface], settings: MeshSettings, tolerance: float, carve: bool
 ) -> tuple[dict[str, Surface], JointRange, dict[str, Any]]:
     """The surfaces, one of them carved where they overlap by more than `tolerance`, m, in the joint's range; the range;
-    and a report."""
+    and a report. A sealed hollow counts as solid: nothing gets into it."""
+    hollow, sealed = dict(surfaces), {name: sealed_faces(surface.mesh) for name, surface in surfaces.items()}
+    surfaces = {name: surface.without(sealed[name]) for name, surface in surfaces.items()}
     closed = replace(reconstruction.articulation, reference=surfaces["reference"].mesh, moving=surfaces["moving"].mesh)
     overlap = Overlap(closed)
     touching = Overlap(closed, {name: surface.observed for name, surface in surfaces.items()})
@@ -166,7 +159,11 @@ def _clear_parts(
         simple = replace(cut, reference=surfaces["reference"].mesh, moving=surfaces["moving"].mesh)
         mesh = cut_spots(simple, name, np.linspace(found.low, found.high, STATES), tolerance)
         surfaces[name] = replace_mesh(surfaces[name], mesh, tolerance, replace(settings, max_faces=len(mesh.faces)))
-    return surfaces, found, report
+        for name, surface in surfaces.items():
+            cavity = flip_faces(hollow[name].mesh.with_faces(sealed[name]))
+            most = len(surface.mesh.faces) + len(cavity.faces)
+            hollow[name] = subtract_cavities(surface, [cavity], 0.0, replace(settings, max_faces=most))
+    return hollow, found, report
 
 
 def carve_parts(

@@ -143,6 +143,17 @@ class Surface:
         area = self.mesh.areas()
         return float(area[self.patch_first :].sum() / area.sum())
 
+    def without(self, faces: NDArray[np.bool_]) -> Surface:
+        """The surface without some of its triangles, flags (F,); closed where these bound a hollow."""
+        patch = faces[self.patch_first :]
+        return replace(
+            self,
+            mesh=self.mesh.with_faces(~faces),
+            patch_first=self.patch_first - int(faces[: self.patch_first].sum()),
+            symmetric_count=self.symmetric_count - int(patch[: self.symmetric_count].sum()),
+            panel_count=self.panel_count - int(patch[len(patch) - self.panel_count :].sum()),
+        )
+
 
 def close_surface(part: Mesh, settings: MeshSettings, space: SpaceGrid | None = None) -> Surface:
     """The closed surface of a part, of about `max_faces` triangles at most.
