@@ -21,12 +21,12 @@ from export.companion_files import USD, write_companion_files
 from export.guessed_dynamics import DYNAMICS, Dynamics, guess_effects
 from export.hollows import sealed_faces
 from export.inertia import compute_inertial
-from export.masses import PartMass, weigh_parts
+from export.masses import PartMass, resolve_parts, weigh_parts
 from export.materials import DEFAULT, DENSITIES, MATERIALS, TABLE
 from export.meshes import MeshSettings, drop_small_components, write_hull, write_visual
 from export.mjcf import format_mjcf
 from export.model import BASES, AssetModel, Base, LinkModel
-from export.parts import Part, close_parts
+from export.parts import Part, WholeParts, close_parts
 from export.placement import Placement, PlacementSettings, place_parts
 from export.urdf import format_urdf
 from export.usd_reload import check_usd
@@ -43,6 +43,7 @@ from freeart21.files.result import read_method, read_result
 from freeart21.files.sequence import read_sequence
 from freeart21.mesh import Mesh, bounding_diagonal, box_centre
 from freeart21.reconstruction import Failure, Reconstruction
+from freeart21.recording import Recording
 from generator.simulate import joint_motion
 
 Names = Literal["part", "role"]
@@ -161,17 +162,8 @@ def export_result(
     _check_lengths(reconstruction, settings)
     recording = None if video is None else read_sequence(video)
     scaled = scale_reconstruction(reconstruction, settings.scale)
-    tolerance = settings.placement.tolerance_m
-    whole = close_parts(reconstruction, recording, settings.meshes, tolerance, settings.placement.carve)
-    parts, found = whole.parts, whole.found
-    travel = settings.scale if reconstruction.articulation.joint.type == "prismatic" else 1.0
-    placement = place_parts(
-        scale_reconstruction(whole.reconstruction, settings.scale),
-        replace(found, low=travel * found.low, high=travel * found.high),
-        settings.placement,
-        settings.scale,
-        None if recording is None else recording.gravity,
-    )
+    whole, placement = _complete(reconstruction, recording, settings)
+    parts, tolerance = whole.parts, settings.placement.tolerance_m
     penetration = {
         key: settings.scale ** {"carved_m3": 3}.get(key, 1) * value if isinstance(value, float) else value
         for key, value in whole.penetration.items()
@@ -234,6 +226,39 @@ def export_result(
             raise FreeArtError(f"the asset for {out} does not pass its own check: {findings[0]}")
         _check_motion(read_asset(aside), scaled, out)
     return read_asset(out)
+
+
+def _complete(
+    reconstruction: Reconstruction,
+    recording: Recording | None,
+    settings: ExportSettings,
+    materials: Mapping[str, str] | None = None,
+) -> tuple[WholeParts, Placement]:
+    """The whole parts, in lengths of the video, and their place, in those of the asset.
+
+    `materials` are those of the parts; None: as far as the settings tell before the parts have roles. Done again with
+    roles where these tell more and walls are as thick as usual for a material.
+    """
+    scale, given, known = settings.scale, settings.material, materials
+    if known is None:
+        known = given if isinstance(given, Mapping) else dict.fromkeys(PARTS, given or DEFAULT)
+    sizes = {name: scale * bounding_diagonal(reconstruction.articulation.part(name)) for name in PARTS}
+    walls = {name: TABLE[known.get(name, DEFAULT)].usual_wall(size) / scale for name, size in sizes.items()}
+    choices = settings.placement
+    whole = close_parts(reconstruction, recording, settings.meshes, choices.tolerance_m, choices.carve, walls)
+    travel = scale if reconstruction.articulation.joint.type == "prismatic" else 1.0
+    placement = place_parts(
+        scale_reconstruction(whole.reconstruction, scale),
+        replace(whole.found, low=travel * whole.found.low, high=travel * whole.found.high),
+        choices,
+        scale,
+        None if recording is None else recording.gravity,
+    )
+    resolved = resolve_parts(given, placement.roles, "material")
+    guessed = (name for name, part in whole.parts.items() if part.panels.get("thickness_by", "rims") != "rims")
+    if materials is None and any(known.get(name, DEFAULT) != resolved.get(name, DEFAULT) for name in guessed):
+        return _complete(reconstruction, recording, settings, resolved)
+    return whole, placement
 
 
 def _check_motion(asset: Asset, reconstruction: Reconstruction, out: Path) -> None:

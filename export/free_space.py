@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from export.planes import PLANE_TOLERANCE, fit_planes, plane_axes
+from export.winding_number import Winding
 from freeart21 import se3
 from freeart21.articulation import PARTS
 from freeart21.mesh import Mesh, bounding_diagonal, triangle_normals
@@ -34,7 +35,29 @@ _PROBES = 1.5
 """Voxels behind a surface from which space is looked up; set by hand, above half a voxel's diagonal."""
 _FACING = 0.5
 """Cosine, 60 degrees, set by hand."""
+INSIDE = 0.75
+"""Winding number of a part's seen surface from which a point is inside it; at a hole it is about a half. Without this
+test a bottle was mirrored into its own inside."""
+_STATES = 9
+"""States of the other part, evenly over those of the video, at which a point may be inside it; set by hand."""
 UNKNOWN, SEEN_THROUGH, SWEPT = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class OtherPart:
+    """The other part as it was seen, at some of its states."""
+
+    seen: Winding
+    Ts_other_part: Array
+    """(m, 4, 4)."""
+
+    def holds(self, points: Array) -> NDArray[np.bool_]:
+        """(n,) whether points (n, 3), in this part's frame, are inside the other part in any state."""
+        inside = np.zeros(len(points), bool)
+        for T in self.Ts_other_part:
+            rest = np.flatnonzero(~inside)
+            inside[rest] = self.seen.number(se3.transform(T, points[rest])) > INSIDE
+        return inside
 
 
 @dataclass(frozen=True)
@@ -53,6 +76,8 @@ class SpaceGrid:
 
     around: SpaceGrid | None = None
     """Coarser, of three times the extent: a mirror image reaches no further. None: unknown."""
+    other: OtherPart | None = None
+    """The other part. None: unknown."""
 
     def centres(self, chosen: NDArray[np.bool_]) -> Array:
         """(n, 3) centres of the voxels where `chosen` (X, Y, Z) is true, in the part's frame."""
@@ -119,7 +144,10 @@ def find_free_space(reconstruction: Reconstruction, name: str, recording: Record
     """
     own = reconstruction.articulation.part(name)
     around = _fill_grid(reconstruction, name, recording, *_lay_grid(own, MAX_VOXELS // 4, 1.0))
-    return replace(_fill_grid(reconstruction, name, recording, *_lay_grid(own, MAX_VOXELS)), around=around)
+    q, k = reconstruction.states, PARTS.index(name)
+    Ts = reconstruction.articulation.joint.transform(np.linspace(q.min(), q.max(), _STATES))
+    other = OtherPart(Winding(reconstruction.articulation.part(PARTS[1 - k])), Ts if k else se3.inverse(Ts))
+    return replace(_fill_grid(reconstruction, name, recording, *_lay_grid(own, MAX_VOXELS)), around=around, other=other)
 
 
 def _fill_grid(

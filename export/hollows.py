@@ -8,7 +8,8 @@ The shorter description of each core is taken, in bits:
     solid    a number for every such plane that bounds the core, and one for a surface that lies exactly where the view
              or the other part's motion ended
     hollow   a yes for every other plane that bounds the core, and for what bounds it and lies on no plane; and a number
-             for the thickness where no rim shows it
+             for the thickness where no rim shows it: then walls are as thick as usual for size and material, and no
+             thicker than where known empty space begins behind them
 
 A number is log2(size / voxel) bits, a yes -log2 of the share of the part's surface that is known to be thin. A plane
 that is seen from both sides is a slab of its own thickness. The surface around a hollow core that nobody saw stays as a
@@ -79,16 +80,16 @@ class _Points:
     """m^2 of a point."""
 
 
-def find_panels(closed: Mesh, observed: NDArray[np.bool_], space: SpaceGrid) -> Panels:
+def find_panels(closed: Mesh, observed: NDArray[np.bool_], space: SpaceGrid, wall: float = np.inf) -> Panels:
     """The cavities of a closed part, whose triangles `observed` (F,) were seen; none where it is better described as a
-    solid."""
+    solid. `wall`, m, is the usual thickness where no rim shows it."""
     h, size = space.voxel, bounding_diagonal(closed)
     solid = trimesh.Trimesh(closed.vertices, closed.faces, process=False)
     seen = _measure_points(solid, observed, observed, space)
     if not len(seen.at):
         return Panels()
     planes = fit_planes(seen.at, seen.normals, PLANE_TOLERANCE * size)
-    split, share, thickness, source = _find_thickness(seen, planes)
+    split, share, thickness, source = _find_thickness(seen, planes, wall)
     if thickness is None:
         return Panels(report={"panels": 0})
     thickness = max(thickness, h)
@@ -187,7 +188,7 @@ _OPPOSITE = 0.9
 """Cosine between a face and the one on its other side, of a panel."""
 
 
-def _find_thickness(seen: _Points, planes: Planes) -> tuple[NDArray[np.bool_], float, float | None, str]:
+def _find_thickness(seen: _Points, planes: Planes, wall: float) -> tuple[NDArray[np.bool_], float, float | None, str]:
     """(p,) which planes are thin in one place and thick in another, the share of the planes' known surface that is
     thin, the panels' thickness, m, or None, and where it comes from."""
     split = np.zeros(len(planes), bool)
@@ -207,7 +208,8 @@ def _find_thickness(seen: _Points, planes: Planes) -> tuple[NDArray[np.bool_], f
     rims = thin & seen.exact
     if rims.any():
         return split, share, float(np.median(seen.depth[rims])), "rims"
-    return split, share, float(np.quantile(seen.depth[thin], 0.25)), "empty space behind"
+    most = float(np.quantile(seen.depth[thin], 0.25))
+    return split, share, min(most, wall), "size and material" if wall < most else "empty space behind"
 
 
 def _slabs(seen: _Points, planes: Planes, split: NDArray[np.bool_], thickness: float) -> Array:

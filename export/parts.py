@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from export.atlas import Texture
-from export.carving import carve_overlap, cut_spots
+from export.carving import SIMPLIFY_SHARE, carve_overlap, cut_spots
 from export.free_space import find_free_space
 from export.hollows import Panels, find_panels, sealed_faces
 from export.joint_range import STATES, TOLERANCE, JointRange, estimate_joint_range
@@ -90,12 +90,15 @@ def close_parts(
     settings: MeshSettings,
     tolerance: float = TOLERANCE,
     carve: bool = True,
+    walls: Mapping[str, float] | None = None,
 ) -> WholeParts:
     """The parts of a reconstruction, closed, hollow where they are, clear of each other over the joint's range, and
     textured from the recording or, without one, from vertex colours.
 
-    Where they overlap by more than `tolerance`, m, and `carve` is set, one of them loses what the other sweeps. Raises
-    FreeArtError, which names the part, when one cannot be closed.
+    Where they overlap by more than `tolerance`, m, and `carve` is set, one of them loses what the other sweeps. `walls`
+    are the usual thicknesses, m, by part, of walls whose rims were not seen.
+
+    Raises FreeArtError, which names the part, when one cannot be closed.
     """
     whole = reconstruction.articulation
     for name in PARTS:
@@ -114,10 +117,10 @@ def close_parts(
             raise FreeArtError(f"{name} part: {error}") from error
         found = Panels()
         if closed.patch_count and closed.is_solid:
-            found = find_panels(closed.mesh, closed.observed, space)
+            found = find_panels(closed.mesh, closed.observed, space, (walls or {}).get(name, np.inf))
             closed = subtract_cavities(closed, found.cavities, _SMOOTH_VOXELS * space.voxel, settings)
         surfaces[name], panels[name] = closed, found.report
-    surfaces, range_, penetration = _clear_parts(reconstruction, surfaces, settings, tolerance, carve)
+    surfaces, range_, penetration = clear_parts(reconstruction, surfaces, settings, tolerance, carve)
     meshes = (surfaces["reference"].mesh, surfaces["moving"].mesh)
     if recording is not None:
         textures: tuple[Texture | None, ...] = textures_from_video(
@@ -138,7 +141,7 @@ def close_parts(
     return WholeParts(replace(reconstruction, articulation=articulation), parts, range_, penetration)
 
 
-def _clear_parts(
+def clear_parts(
     reconstruction: Reconstruction, surfaces: dict[str, Surface], settings: MeshSettings, tolerance: float, carve: bool
 ) -> tuple[dict[str, Surface], JointRange, dict[str, Any]]:
     """The surfaces, one of them carved where they overlap by more than `tolerance`, m, in the joint's range; the range;
@@ -161,8 +164,8 @@ def _clear_parts(
         surfaces[name] = replace_mesh(surfaces[name], mesh, tolerance, replace(settings, max_faces=len(mesh.faces)))
         for name, surface in surfaces.items():
             cavity = flip_faces(hollow[name].mesh.with_faces(sealed[name]))
-            most = len(surface.mesh.faces) + len(cavity.faces)
-            hollow[name] = subtract_cavities(surface, [cavity], 0.0, replace(settings, max_faces=most))
+            limits = replace(settings, max_faces=len(surface.mesh.faces) + len(cavity.faces))
+            hollow[name] = subtract_cavities(surface, [cavity], SIMPLIFY_SHARE * tolerance, limits)
     return hollow, found, report
 
 

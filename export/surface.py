@@ -5,7 +5,7 @@ The solid is the set of tetrahedra whose boundary S minimises
 
     area(S off the planes) + PLANE_WEIGHT * area(S on a plane)
         + OBSERVED_WEIGHT * (area of observed triangles without solid behind and air in front)
-        + SUPPOSED_WEIGHT * (area that symmetries suppose, without solid behind and air in front)
+        + bits * (area that symmetries suppose, without solid behind and air in front)
         + (volume of solid in known empty space) / voxel
 
 found as a minimum cut (Labatut, Pons, Keriven, ICCV 2007). The planes are those that were seen, continued, and those
@@ -13,8 +13,8 @@ that bound what was seen (`planes.suppose_planes`): points on them are vertices,
 all four corners agree are fixed beforehand. Thus an unseen back is flat where planes describe it more shortly, other
 holes are closed by the smallest area, a thin plate seen from both sides becomes two sheets with a rim, and openings
 whose inside was seen stay open. What the symmetries of the seen surface put where nobody looked
-(`export.symmetry`) are vertices, too, and weak evidence. The boundary is closed and consistently oriented; it is
-decimated at last.
+(`export.symmetry`) are vertices, too, and evidence as strong as the odds that it is right. The boundary is closed and
+consistently oriented; it is decimated at last.
 """
 
 from __future__ import annotations
@@ -56,9 +56,6 @@ MAX_LAYERS = 4.0
 1.0, a cabinet of loose boards (PartNet-Mobility 45940) 1.8, 5,000 random triangles 20."""
 OBSERVED_WEIGHT = 8.0
 """Weight of an observed area against the same area of boundary. At 1 holes would consume the surface."""
-SUPPOSED_WEIGHT = 2.0
-"""The same of area that a symmetry supposes. At 1 the hidden back of a cylinder stays flat: its points stand for about
-half of its area; at 2 it is round, and so at 4."""
 PLANE_WEIGHT = 0.5
 """Weight of area on a plane that is known anyway. At 1 the smallest area wins and backs are bent between ragged edges;
 near 0 planes far from all that was seen cost nothing."""
@@ -304,7 +301,7 @@ def _extract_solid(
     step = _PROBE_OFFSET * spacing * across / np.maximum(area, 1e-300)[:, None]
     centre = np.concatenate([centre, supposed.points])
     step = np.concatenate([step, _PROBE_OFFSET * spacing * supposed.normals])
-    worth = np.append(OBSERVED_WEIGHT * area, np.full(len(supposed.points), SUPPOSED_WEIGHT * spacing**2))
+    worth = np.append(OBSERVED_WEIGHT * area, supposed.bits * spacing**2)
     start = tetrahedra.vertex_to_simplex[cKDTree(points).query(centre)[1]]
     evidence = np.zeros(len(tetrahedra.simplices))
     for sign in (-1.0, 1.0):

@@ -2,7 +2,8 @@
 
 Two kinds are looked for: turning about an axis, by line geometry (the normals of a surface of revolution meet its axis,
 Pottmann and Randrup, Computing 60, 1998), and mirroring in a plane. Each is tested: moved points of the seen surface
-must lie on the seen surface, or where nobody looked. Those that lie where nobody looked are returned.
+lie on the seen surface, or where they cannot be, or where nobody looked. Those that lie where nobody looked are
+returned, each with the odds that it is right, in bits: what it weighs when the part is closed (`export.surface`).
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from export.free_space import SEEN_THROUGH, UNKNOWN, SpaceGrid
+from export.free_space import INSIDE, SEEN_THROUGH, UNKNOWN, SpaceGrid
 from export.planes import PLANE_TOLERANCE
 from export.winding_number import Winding
 from freeart21.effects import perpendiculars
@@ -23,12 +24,9 @@ from freeart21.se3 import Array
 _NEAR = 2.0
 """Tolerances within which a moved point lies on the seen surface: one for each of the two."""
 _AGREE = 0.9
-"""Least cosine of its normal and the one there, 26 degrees; set by hand, as the three that follow."""
-_ACCEPT = 0.9
-"""Least share of the moved points that lie on seen surface, among these and those that lie where they cannot be."""
-_INSIDE = 0.75
-"""Winding number of the seen surface from which a point is inside the part; at a hole it is about a half. Without this
-test a bottle was mirrored into its own inside."""
+"""Least cosine of its normal and the one there, 26 degrees; set by hand, as the two that follow."""
+_LEAST_BITS = 1.0
+"""Log odds that a copy must exceed: what its area costs as a boundary (`export.surface`), so that less never counts."""
 _MIRRORED = 0.2
 """Least share of the points that say where a mirror plane is (`_ACROSS`) whose images lie on seen surface: fewer are
 chance. Tested on all points, a drawer seen from the front was mirrored to a back 8.5 mm off: walls alone agreed."""
@@ -63,6 +61,8 @@ class Supposed:
     """(m, 3) outwards, of unit length."""
     sources: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(m, 3) the seen points that they are copies of."""
+    bits: Array = field(default_factory=lambda: np.zeros(0))
+    """(m,) log odds, above `_LEAST_BITS`, that they are right: by how many of their symmetry's images are."""
 
 
 def suppose_by_symmetry(
@@ -81,14 +81,15 @@ def suppose_by_symmetry(
     moved = [*_turned(surface, tolerance, spacing), *_mirrored(surface, axes)]
     if not moved:
         return Supposed()
-    at, facing, sources = (np.concatenate(its) for its in zip(*moved, strict=True))
+    moved.sort(key=lambda copies: -copies[3][0])  # where two suppose the same, the better one counts
+    at, facing, sources, bits = (np.concatenate(its) for its in zip(*moved, strict=True))
     unseen = np.flatnonzero(surface.sort(at, facing)[2])
     one = unseen[np.unique(np.floor(at[unseen] / spacing).astype(np.int64), axis=0, return_index=True)[1]]
-    return Supposed(at[one], facing[one], sources[one])
+    return Supposed(at[one], facing[one], sources[one], bits[one])
 
 
-_Copies = tuple[Array, Array, Array]
-"""Points, their normals, and the seen points that they are copies of, each (m, 3)."""
+_Copies = tuple[Array, Array, Array, Array]
+"""Points, their normals, and the seen points that they are copies of, each (m, 3); and the `Supposed.bits`, (m,)."""
 
 
 @dataclass(frozen=True)
@@ -114,17 +115,20 @@ class _SeenSurface:
 
     def sort(self, points: Array, normals: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
         """(m,) whether points lie on the seen surface and face as it does, whether they lie where they cannot be, in
-        known empty space or inside the part, and whether they lie where nobody looked."""
+        known empty space or inside one of the parts, and whether they lie where nobody looked."""
         on, away, wrong = self.judge(points, normals)
         rest = np.flatnonzero(away & ~wrong)
-        wrong[rest] = self.winding.number(points[rest]) > _INSIDE
+        wrong[rest] = self.winding.number(points[rest]) > INSIDE
+        rest = rest[~wrong[rest]]
+        if self.space.other is not None:
+            wrong[rest] = self.space.other.holds(points[rest])
         return on, wrong, away & ~wrong
 
-    def accepts(self, points: Array, normals: Array, least: float) -> bool:
-        """Whether a share of `least` of the points lies on the seen surface, and next to none of the others where they
-        cannot be."""
+    def weigh(self, points: Array, normals: Array, least: float) -> float:
+        """Log odds, in bits, that an image is right where at least a share of `least` lies on seen surface, else 0:
+        by the images there and those that lie where they cannot be (rule of succession)."""
         on, wrong, _ = self.sort(points, normals)
-        return bool(on.mean() >= least and on.sum() >= _ACCEPT * (on | wrong).sum())
+        return float(np.log2((on.sum() + 1) / (wrong.sum() + 1))) if on.mean() >= least else 0.0
 
 
 def _turned(seen: _SeenSurface, tolerance: float, spacing: float) -> list[_Copies]:
@@ -153,9 +157,10 @@ def _turned(seen: _SeenSurface, tolerance: float, spacing: float) -> list[_Copie
         angle = np.arange(0, 2 * np.pi, spacing / radius)[:, None]
         spoke = np.cos(angle) * x + np.sin(angle) * y
         points, normals = pivot + height * axis + radius * spoke, (rise * axis + out * spoke) / np.hypot(rise, out)
-        if seen.accepts(points, normals, _ROUND):
+        bits = seen.weigh(points, normals, _ROUND)
+        if bits > _LEAST_BITS:
             own = pivot + p[cell.ravel() == k]
-            found.append((points, normals, np.resize(own, points.shape)))
+            found.append((points, normals, np.resize(own, points.shape), np.full(len(points), bits)))
     return found
 
 
@@ -199,8 +204,9 @@ def _mirrored(seen: _SeenSurface, axes: Array) -> list[_Copies]:
         best = max(np.linspace(low, high, _OFFSETS), key=lambda d: _agreement(seen, few, n, d))
         n, d = _fit_mirror(seen, few, n, float(best))
         across = many[np.abs(seen.normals[many] @ n) > _ACROSS]
-        if len(across) and seen.accepts(*_mirror(seen, across, n, d), _MIRRORED):
-            found.append((*_mirror(seen, many, n, d), seen.points[many]))
+        bits = seen.weigh(*_mirror(seen, across, n, d), _MIRRORED) if len(across) else 0.0
+        if bits > _LEAST_BITS:
+            found.append((*_mirror(seen, many, n, d), seen.points[many], np.full(len(many), bits)))
     return found
 
 

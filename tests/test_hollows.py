@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -9,13 +11,14 @@ import trimesh
 from export.collision import PRESETS, make_collision
 from export.fidelity import measure_fidelity
 from export.free_space import SEEN_THROUGH, SWEPT, SpaceGrid, find_free_space
-from export.hollows import find_panels
+from export.hollows import find_panels, sealed_faces
+from export.materials import TABLE
 from export.meshes import MeshSettings
-from export.parts import close_parts
+from export.parts import clear_parts, close_parts
 from export.penetration import Overlap
 from export.planes import fit_planes
 from export.primitives import Box
-from export.surface import close_surface
+from export.surface import Surface, close_surface
 from freeart21 import se3
 from freeart21.articulation import PARTS, Articulation
 from freeart21.camera import Camera
@@ -184,6 +187,37 @@ def test_rough_surface_around_a_core_must_be_a_panel_too():
     space = SpaceGrid(se3.pose(np.eye(3), (-0.07, -0.07, -0.006)), 0.002, np.zeros((71, 71, 33), np.uint8))
     found = find_panels(rock, np.ones(len(rock.faces), bool), space).report
     assert found["planes"] == 2 and found["cores"][0]["hollow_bits"] > 1
+
+
+def test_walls_whose_rims_nobody_saw_are_as_thick_as_usual_for_size_and_material():
+    """A box whose inside is known to be empty from 15 mm behind its walls on, in one half."""
+    low, high = np.array([-0.1, -0.07, 0.0]), np.array([0.1, 0.07, 0.1])
+    box = fine(block(low, high))
+    state = np.zeros((107, 77, 57), np.uint8)
+    T = se3.pose(np.eye(3), low - 0.006)  # 2 mm voxels, three around
+    state[3 + 8 : 53, 3 + 8 : -3 - 8, 3 + 8 : -3 - 8] = SEEN_THROUGH
+    space, everything = SpaceGrid(T, 0.002, state), np.ones(len(box.faces), bool)
+    plain = find_panels(box, everything, space).report
+    assert plain["thickness_by"] == "empty space behind" and plain["thickness_m"] > 0.012
+    usual = TABLE["wood"].usual_wall(float(np.linalg.norm(high - low)))
+    assert usual == 0.009
+    found = find_panels(box, everything, space, usual).report
+    assert found["thickness_by"] == "size and material" and found["thickness_m"] == usual
+
+
+def test_nothing_of_the_other_part_stands_in_a_sealed_hollow():
+    """The visual mesh has no walls of sealed hollows, so what stands in one would be deep in the part."""
+    hollow = trimesh.boolean.difference([block((0, 0, 0), (0.1, 0.1, 0.1)), block((0.02,) * 3, (0.08,) * 3)])
+    loose = trimesh.util.concatenate([block((0.12, 0, 0), (0.2, 0.1, 0.1)), block((0.03,) * 3, (0.05,) * 3)])
+    parts = [Mesh(solid.vertices, solid.faces) for solid in (hollow, loose)]
+    answer, _ = film(
+        [hollow, loose], Joint("slide", "prismatic", np.array([0, 0, 1.0]), np.zeros(3), 0, 0.02), np.array([0, 0.02])
+    )
+    surfaces = {name: Surface(mesh, len(mesh.faces)) for name, mesh in zip(PARTS, parts, strict=True)}
+    cleared, found, _ = clear_parts(answer, surfaces, MeshSettings(), 5e-4, True)
+    assert sealed_faces(cleared["reference"].mesh).any()
+    visual = {name: surface.mesh.with_faces(~sealed_faces(surface.mesh)) for name, surface in cleared.items()}
+    assert Overlap(replace(answer.articulation, **visual)).max_depth(np.linspace(found.low, found.high, 5)) < 5e-4
 
 
 def test_space_that_the_video_looked_through_is_empty_and_no_other(drawer_unit):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +14,16 @@ from refusal import assert_refused
 from solid_case import box
 from test_export import masses, reconstruction
 
+from export import exporter
 from export.exporter import ExportSettings, export_result
 from export.masses import weigh_parts
 from export.materials import DENSITIES, TABLE
+from export.parts import close_parts
+from freeart21.articulation import PARTS
 from freeart21.files.asset import read_asset
 from freeart21.files.certificate import read_certificate
 from freeart21.files.result import write_result
+from freeart21.mesh import bounding_diagonal
 
 SOLIDS = {"reference": box((0.2, 0.15, 0.04)), "moving": box((0.2, 0.15, 0.03))}
 VOLUMES = {"reference": 0.2 * 0.15 * 0.04, "moving": 0.2 * 0.15 * 0.03}
@@ -47,6 +52,29 @@ def test_materials_are_given_for_all_or_by_part():
     found = weighed(material={"base": "steel"})
     assert [part.material for part in found.values()] == ["steel", "plastic"]
     assert [part.guessed for part in found.values()] == [False, True]
+
+
+@pytest.mark.parametrize(("rims", "closed"), [(False, 2), (True, 1)])
+def test_unseen_walls_are_those_of_the_material_that_a_role_names(tmp_path, monkeypatch, rims, closed):
+    """Roles are known once the parts are whole: where a thickness is a usual one, they are closed again."""
+    walls_given = []
+
+    def close(*given):
+        walls_given.append(given[-1])
+        whole = close_parts(*given)
+        found = {"thickness_by": "rims" if rims else "size and material"}
+        return replace(whole, parts={name: replace(part, panels=found) for name, part in whole.parts.items()})
+
+    monkeypatch.setattr(exporter, "close_parts", close)
+    answer = reconstruction()
+    sizes = [bounding_diagonal(answer.articulation.part(name)) for name in PARTS]
+    role = export_result(answer, tmp_path / "first", ExportSettings()).source["parts"]["moving"]["role"]
+    walls_given.clear()
+    export_result(answer, tmp_path / "second", ExportSettings(material={role: "wood"}, scale=2.0))
+    assert len(walls_given) == closed
+    materials = ("plastic", "plastic" if rims else "wood")
+    usual = [TABLE[name].usual_wall(2 * size) / 2 for name, size in zip(materials, sizes, strict=True)]
+    assert list(walls_given[-1].values()) == pytest.approx(usual)
 
 
 def test_a_mass_of_the_whole_is_divided_by_volume_and_density():
