@@ -28,8 +28,10 @@ from export.mjcf import format_mjcf
 from export.model import BASES, AssetModel, Base, LinkModel
 from export.parts import Part, WholeParts, close_parts
 from export.placement import Placement, PlacementSettings, place_parts
+from export.splats import PlacedPart, complete_gaussians
 from export.urdf import format_urdf
 from export.usd_reload import check_usd
+from freeart21 import se3
 from freeart21.articulation import PARTS
 from freeart21.asset import Asset
 from freeart21.effects.base import Effect
@@ -37,10 +39,12 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.asset import read_asset, write_asset_json
 from freeart21.files.certificate import write_certificate
+from freeart21.files.gaussians import GAUSSIANS, write_gaussians
 from freeart21.files.lock import only_writer
 from freeart21.files.places import ASSET, check_place
 from freeart21.files.result import read_method, read_result
 from freeart21.files.sequence import read_sequence
+from freeart21.joint import Joint
 from freeart21.mesh import Mesh, bounding_diagonal, box_centre
 from freeart21.reconstruction import Failure, Reconstruction
 from freeart21.recording import Recording
@@ -217,6 +221,9 @@ def export_result(
             "settings": dataclasses.asdict(settings),
         }
         write_asset_json(aside, _make_asset(aside, model, links, placement, source, settings.scale))
+        if reconstruction.appearance is not None:
+            placed = _place_shapes(shapes, placement, scaled.articulation.joint)
+            write_gaussians(aside / GAUSSIANS, complete_gaussians(reconstruction.appearance, settings.scale, placed))
         write_companion_files(aside, read_asset(aside), settings.usd)
         write_certificate(aside, replace(certify(read_asset(aside), measured), engines=list_reloaded()))
         findings = check_asset(aside)
@@ -280,7 +287,7 @@ def _read_reconstruction(result: Path | Reconstruction) -> tuple[Reconstruction,
     if isinstance(result, Reconstruction):
         return result, {}
     folder = Path(result)
-    answer = read_result(folder, appearance=False)
+    answer = read_result(folder)
     if isinstance(answer, Failure):
         raise FreeArtError(f"{folder} is a failure, nothing to export: {answer.stage}: {answer.reason}")
     path = folder.resolve()
@@ -370,6 +377,18 @@ def _separate_contact(
     collisions = {name: shape.collision for name, shape in shapes.items()}
     separated, counts = separate_collisions(collisions, placement.joint, placement.root, tolerance)
     return {name: replace(shapes[name], collision=separated[name]) for name in shapes}, {"pieces": counts}
+
+
+def _place_shapes(shapes: dict[str, _Shape], placement: Placement, joint: Joint) -> dict[str, PlacedPart]:
+    """The parts where they stand at joint position zero; `joint` is the canonical one, in lengths of the asset."""
+    to_child = se3.pose(np.eye(3), placement.joint.pivot)
+    Ts_link = {name: np.eye(4) if name == placement.root else to_child for name in PARTS}
+    T_root_canonical = Ts_link["reference"] @ se3.inverse(placement.T_canonical_reference)
+    motions = {"reference": np.eye(4), "moving": joint.transform(-placement.state_zero)}
+    return {
+        name: PlacedPart(shape.part, shape.visual, Ts_link[name], T_root_canonical @ motions[name])
+        for name, shape in shapes.items()
+    }
 
 
 def _write_link(

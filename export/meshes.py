@@ -15,7 +15,7 @@ from freeart21.mesh import Mesh, bounding_diagonal, triangle_normals
 
 _RAYS = 2000
 """Surface points from which rays are cast to find the outside."""
-_GREY = (0.7, 0.7, 0.7)  # of a part without colours
+GREY = (0.7, 0.7, 0.7)  # of a part without colours
 MIN_COMPONENT = 0.01
 """Fraction of a part's area or volume below which a connected component is dropped; the largest always stays."""
 
@@ -82,7 +82,7 @@ def write_visual(folder: Path, name: str, mesh: Mesh, texture: Texture | None) -
     file = None
     material = f"newmtl {name}\nKa 0 0 0\nKs 0 0 0\nd 1\nillum 1\n"
     if texture is None:
-        material += "Kd {:g} {:g} {:g}\n".format(*_GREY)
+        material += "Kd {:g} {:g} {:g}\n".format(*GREY)
     else:
         file = f"{name}.png"
         material += f"Kd 1 1 1\nmap_Kd {file}\n"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -49,6 +49,8 @@ class Gaussians:
     """(L, 3) light by the direction of a normal in the recording camera's frame, in which the lamps are fixed:
     coefficients of real spherical harmonics, orthonormal, by degree l and order -l to l, of mean 1 over the video. An
     image shows colours times light. None for uniform light."""
+    supposed: NDArray[np.bool_] | None = field(default=None, kw_only=True)
+    """(N,) whether nobody saw the surface that a Gaussian lies on. None: all of it was seen, or nobody knows."""
 
     def __post_init__(self) -> None:
         n = len(self.means)
@@ -68,9 +70,16 @@ class Gaussians:
                 raise FreeArtError(f"gaussians' light has shape {light.shape}, expected ({terms}; 3)")
             light.flags.writeable = False
             object.__setattr__(self, "light", light)
+        if self.supposed is not None and self.supposed.shape != (n,):
+            raise FreeArtError(f"gaussians' supposed have shape {self.supposed.shape}, expected ({n},)")
 
     def __len__(self) -> int:
         return len(self.means)
+
+    def chosen(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Gaussians:
+        """Some of the Gaussians, by flags (N,) or indices."""
+        names = [*_WIDTHS, *(["supposed"] if self.supposed is not None else [])]
+        return replace(self, **{name: getattr(self, name)[which] for name in names})
 
     def moved(self, T_new_old: ArrayLike) -> Gaussians:
         """The same in another canonical frame, `T_new_old` (4, 4)."""
@@ -81,6 +90,14 @@ class Gaussians:
             quaternions=multiply(se3.wxyz(T), self.quaternions).astype(np.float32),
             normals=(self.normals @ T[:3, :3].T).astype(np.float32),
         )
+
+
+def face_along(normals: ArrayLike) -> NDArray[np.float64]:
+    """(N, 4) unit quaternions, wxyz, of discs whose third axis is along unit `normals` (N, 3)."""
+    z = np.asarray(normals, float)
+    x = np.cross(np.where(np.abs(z[:, :1]) < 0.7, np.array([[1.0, 0, 0]]), np.array([[0, 1.0, 0]])), z)
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    return se3.wxyz(np.stack([x, np.cross(z, x), z], 2))
 
 
 def multiply(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:

@@ -2,7 +2,8 @@
 
 Binary, little-endian, 32-bit floats: `x y z nx ny nz f_dc_0..2 opacity scale_0..2 rot_0..3 part_weight`; `opacity` is a
 logit, `scale_*` are natural logarithms, `rot_*` is w first, and the colour is `0.5 + SH_0 * f_dc`. Viewers find
-properties by name; they skip part_weight and the comments, which hold the light.
+properties by name; they skip part_weight, `supposed` (1 on surface that nobody saw; last, where it is known) and the
+comments, which hold the light.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from freeart21.gaussians import LIGHT_TERMS, Gaussians
 from freeart21.se3 import Array, Floats, rotation_from_wxyz
 
 GAUSSIANS = "gaussians.ply"
-"""The file in a result folder."""
+"""The file in a result or asset folder."""
 SH_0 = 0.28209479177387814
 """The spherical harmonic of degree 0, which scales colours in 3DGS files."""
 MAX_GAUSSIANS = 4_000_000
@@ -38,6 +39,7 @@ _NAMES = (
     *("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"),
     *("scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", "part_weight"),
 )
+_SUPPOSED = "supposed"
 _OPTIONAL = ("nx", "ny", "nz", "part_weight")
 
 
@@ -57,6 +59,10 @@ def write_gaussians(path: Path, gaussians: Gaussians) -> None:
         gaussians.quaternions,
         gaussians.part_weights,
     ]
+    names: tuple[str, ...] = _NAMES
+    if gaussians.supposed is not None:
+        columns.append(gaussians.supposed)
+        names += (_SUPPOSED,)
     table = np.column_stack(columns).astype("<f4")
     light = [] if gaussians.light is None else gaussians.light.tolist()
     header = [
@@ -65,7 +71,7 @@ def write_gaussians(path: Path, gaussians: Gaussians) -> None:
         "comment metres, joint state zero; part_weight 1 is the reference part's, 0 the moving part's",
         *(_LIGHT + " ".join(f"{value:.9g}" for value in term) for term in light),
         f"element vertex {len(table)}",
-        *(f"property float {name}" for name in _NAMES),
+        *(f"property float {name}" for name in names),
         "end_header\n",
     ]
     atomic.write_bytes(path, "\n".join(header).encode() + table.tobytes())
@@ -173,7 +179,8 @@ def _gaussians(table: NDArray[np.void], light: Floats | None, needs_parts: bool)
     colours = np.clip(0.5 + SH_0 * columns("f_dc_0", "f_dc_1", "f_dc_2"), 0, 1)
     normals = _normals(given, means, quaternions, scales)
     values = (means, quaternions, scales, 1 / (1 + np.exp(-logits)), colours, weights, normals)
-    return replace(Gaussians(*(a.astype(np.float32) for a in values)), light=light)
+    supposed = columns(_SUPPOSED)[:, 0] > 0.5 if _SUPPOSED in names else None
+    return replace(Gaussians(*(a.astype(np.float32) for a in values)), light=light, supposed=supposed)
 
 
 def _normals(

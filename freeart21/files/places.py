@@ -64,6 +64,7 @@ ASSET = Output(
             "object.usdc",
             "LOSSES.md",
             "preview.png",
+            "gaussians.ply",
         ),
         *("loaders/load_*.py", "loaders/joint.json", "loaders/__pycache__/load_*.pyc"),
         *(f"meshes/*.{end}" for end in ("obj", "mtl", "png")),

@@ -183,6 +183,8 @@ def _gaussians_page(name: str, path: Path) -> str:
     if (gaussians.part_weights < 1).any():
         rows += [("Of the reference part", f"{n - moving:,}"), ("Of the moving part", f"{moving:,}")]
         rows.append(("Joint", "not in this file: parts are at state zero; the page of a result has a slider"))
+    if gaussians.supposed is not None:
+        rows.append(("On surface that nobody saw", f"{int(gaussians.supposed.sum()):,}"))
     light = "no shading"
     if gaussians.light is not None:
         light = f"fixed to the camera, here the viewer ({len(gaussians.light)} spherical harmonics)"

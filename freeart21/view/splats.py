@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -34,9 +34,7 @@ def largest_gaussians(gaussians: Gaussians, count: int) -> Gaussians:
         return gaussians
     widths = np.sort(gaussians.scales.astype(float), 1)
     cover = gaussians.opacities * widths[:, 1] * widths[:, 2]
-    chosen = np.sort(np.argsort(-cover, kind="stable")[:count])
-    arrays = ("means", "quaternions", "scales", "opacities", "colours", "part_weights", "normals")
-    return replace(gaussians, **{name: getattr(gaussians, name)[chosen] for name in arrays})
+    return gaussians.chosen(np.sort(np.argsort(-cover, kind="stable")[:count]))
 
 
 def splat_data(layers: SplatLayers) -> dict[str, Any]:
