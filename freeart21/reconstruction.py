@@ -112,7 +112,7 @@ class Reconstruction:
     """Joints between which and this one the video does not decide."""
 
     appearance: Gaussians | None = None
-    """Gaussians in the canonical frame; None when the method makes none."""
+    """Gaussians in the canonical frame; None when there are none."""
 
     def __post_init__(self) -> None:
         n = len(self.states)
@@ -142,6 +142,8 @@ class Reconstruction:
                 f"reconstruction part_masks has shape {self.part_masks.shape}, expected ({n}, height, width) "
                 "with values 0, 1, 2"
             )
+        if self.appearance is not None and not len(self.appearance):
+            object.__setattr__(self, "appearance", None)
 
     def __len__(self) -> int:
         return len(self.states)
