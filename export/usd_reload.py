@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from export.checklist import FK_TOLERANCE, Finding
+from export.checklist import Finding, allowed_off
 from export.model import WORLD
 from freeart21 import se3
 from freeart21.asset import Asset
@@ -75,7 +75,7 @@ def _check_body(path: Path, prim: Any, name: str, T: Array, inertial: UrdfInerti
 
     T_usd = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(0)).T
     off = float(np.abs(T_usd - T).max())
-    if not off <= FK_TOLERANCE:
+    if not off <= allowed_off(T):
         yield Finding(RULE, f"{path.name} puts '{name}' {off:.2g} from its pose in the URDF")
     if inertial is None:
         return
@@ -127,7 +127,7 @@ def _check_joint(path: Path, prim: Any, joint: UrdfJoint, urdf: Urdf) -> Iterato
     )
     moved = np.stack([frames[0] @ se3.exp_se3(q * screw) @ se3.inverse(frames[1]) for q in positions])
     off_by = float(np.abs(moved - np.stack([joint.transform(float(q)) for q in positions])).max())
-    if not off_by <= FK_TOLERANCE * max(1.0, float(np.abs(moved).max())):
+    if not off_by <= allowed_off(moved):
         yield Finding(RULE, f"{path.name} moves joint '{joint.name}' to {off_by:.2g} from its pose in the URDF")
 
 

@@ -16,9 +16,9 @@ from refusal import assert_refused
 from scipy.spatial.distance import cdist
 from solid_case import box
 
-from export.checklist import check_asset
+from export.checklist import allowed_off, check_asset
 from export.collision import CollisionSettings, convex_hull, make_collision
-from export.exporter import ExportSettings, export_result
+from export.exporter import ExportSettings, export_result, scale_reconstruction
 from export.fidelity import measure_fidelity
 from export.inertia import compute_inertial, find_unphysical
 from export.meshes import drop_small_components, flip_faces, is_inside_out, merge_duplicates, write_visual
@@ -507,3 +507,16 @@ def test_folder_that_is_no_asset_is_one_finding(tmp_path: Path):
     (finding,) = check_asset(tmp_path)
     assert finding.item == "asset" and "is not an asset" in finding.detail
     assert json.dumps(str(finding))
+
+
+def test_large_objects_are_held_to_single_precision_not_to_a_micrometre(tmp_path):
+    """Engines compute in single precision, whose steps grow with the lengths."""
+    offs = []
+    for frame in range(4):
+        answer = scale_reconstruction(reconstruction(frame=frame), 25.0)
+        joint, angles = answer.articulation.joint, np.linspace(0, 1.1, 7)
+        asset = export_result(answer, tmp_path / f"asset{frame}", ExportSettings(dynamics="none"))
+        motion = joint_motion(replace(asset, effects={}), angles)
+        offs.append(np.abs(motion - joint.transform(angles)).max())
+        assert offs[-1] < 2 * allowed_off(joint.transform(angles), asset.T_canonical_reference)
+    assert max(offs) > 1e-6
