@@ -90,7 +90,7 @@ def test_a_page_and_a_file_tell_supposed_gaussians(tmp_path):
 
 
 def test_an_asset_of_a_result_without_gaussians_has_none(tmp_path):
-    """A file with no rows is no appearance either: nothing says how wide discs should be."""
+    """A file with no rows is no appearance either: the width of discs would be unknown."""
     none = seen_gaussians(reconstruction().articulation).chosen(np.zeros(0, int))
     export_result(replace(reconstruction(), appearance=none), tmp_path / "asset")
     assert not (tmp_path / "asset" / GAUSSIANS).exists()
