@@ -36,8 +36,8 @@ _PROBES = 1.5
 _FACING = 0.5
 """Cosine, 60 degrees, set by hand."""
 INSIDE = 0.75
-"""Winding number of a part's seen surface from which a point is inside it; at a hole it is about a half. Without this
-test a bottle was mirrored into its own inside."""
+"""Winding number of a part's seen surface from which a point is inside it. At a hole it is about a half; the value is
+set by hand, midway to 1. Without this test a bottle was mirrored into its own inside."""
 _STATES = 9
 """States of the other part, evenly over those of the video, at which a point may be inside it; set by hand."""
 UNKNOWN, SEEN_THROUGH, SWEPT = 0, 1, 2

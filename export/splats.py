@@ -18,7 +18,7 @@ _RADIUS, _THICKNESS = 0.6, 0.1
 """Standard deviations of a disc, in distances between neighbours, and along its normal, in radii: as fitting begins
 with (`reconstruct.gaussians.initial`)."""
 _OPACITY = 0.95
-"""No fitting makes these denser, and at .7, where it begins, one sees through them; set by hand."""
+"""Set by hand, not measured: fitting begins with .7 and makes Gaussians denser, which it cannot do here."""
 
 
 @dataclass(frozen=True)
