@@ -13,6 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import run_command
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mutations import MUTATED, mutated_arrays, mutated_bytes, mutated_json
 from refusal import assert_refused
 from score_files import assert_penalised, score_one, score_results, submit, submit_with_asset, truths
 from synthetic_case import (
@@ -24,15 +27,20 @@ from synthetic_case import (
 )
 
 from freeart21 import child
+from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.mesh_file import write_ply
 from freeart21.files.result import write_result
+from freeart21.files.sequence import read_sequence
+from freeart21.files.truth import read_truth
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure
+from leaderboard.protocols import protocol_named
 from leaderboard.score import score_results as score_in_processes
 from leaderboard.scores_file import write_scores
+from leaderboard.sequence_score import SequenceScorer
 from leaderboard.skeleton import write_skeleton
-from leaderboard.submission import UNREADABLE
+from leaderboard.submission import UNREADABLE, find_faults, read_submission, read_submitted_method
 from leaderboard.tables import print_scores
 from leaderboard.validate import validate_results
 
@@ -153,39 +161,27 @@ def test_views_of_the_other_choice_are_read_when_the_parts_are_swapped(data, tmp
 # ---- method.json and text
 
 
-def _write(text):
-    return lambda path: path.write_text(text)
-
-
 def _linked(path):
     path.with_name("elsewhere.json").write_text('{"schema": "freeart21/method/1", "name": "x"}')
     path.symlink_to(path.with_name("elsewhere.json"))
 
 
 METHODS = {
-    "not JSON": _write("{"),
-    "a list": _write("[1, 2]"),
-    "another schema": _write('{"schema": "x", "name": "y"}'),
-    "a number for a name": _write('{"schema": "freeart21/method/1", "name": 1e300}'),
+    "a list": lambda path: path.write_text("[1, 2]"),
+    "another schema": lambda path: path.write_text('{"schema": "x", "name": "y"}'),
     "not UTF-8": lambda path: path.write_bytes(b'{"name": "\xff\xfe"}'),
-    "deep": _write("[" * 100_000),
-    "huge": _write('{"schema": "freeart21/method/1", "name": "' + "x" * (1 << 21) + '"}'),
+    "deep": lambda path: path.write_text("[" * 100_000),
+    "huge": lambda path: path.write_text('{"schema": "freeart21/method/1", "name": "' + "x" * (1 << 21) + '"}'),
     "a link": _linked,
     "a folder": lambda path: path.mkdir(),
 }
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_a_broken_method_json_is_a_note_and_loses_no_table(data, tmp_path, name, capsys):
-    submit(tmp_path / "a", truths()["a"])
+def test_a_broken_method_json_is_a_fault_and_loses_no_row(tmp_path, name):
     METHODS[name](tmp_path / "method.json")
-    scores = score_results(tmp_path, data)
-    assert scores.method.name == UNREADABLE and len(scores.rows) == 3 and scores.rows[0].status == "ok"
-    assert len(scores.notes) == 1 and scores.notes[0].startswith("method.json")
-    print_scores(scores)
-    assert UNREADABLE in capsys.readouterr().out
-    (report,) = validate_results(tmp_path, data).faults[:1]
-    assert report.file == "method.json" and report.fix
+    method, (fault,) = read_submitted_method(tmp_path)
+    assert method.name == UNREADABLE and fault.file == "method.json" and fault.fix and not fault.fatal
 
 
 HOSTILE = "a\x1b[2Jb\r\nc\ud800d\u202ee\x00" + "y" * 1000
@@ -316,6 +312,74 @@ def _alive(pid: int) -> bool:
     except OSError:
         return False
     return state != "Z"
+
+
+# ---- one file, spoiled
+
+
+def _put_json(folder, value):
+    (folder / "prediction.json").write_text(json.dumps(value))
+
+
+def _put_arrays(folder, arrays):
+    np.savez(folder / "poses.npz", **arrays)
+
+
+@pytest.fixture(scope="module")
+def answer(tmp_path_factory):
+    """A valid answer to sequence a, with renders, and what its JSON and its poses hold."""
+    folder = submit(tmp_path_factory.mktemp("answer") / "results" / "a", truths()["a"])
+    with np.load(folder / "poses.npz") as read:
+        arrays = {name: read[name] for name in read}
+    return folder, json.loads((folder / "prediction.json").read_text()), arrays
+
+
+@settings(MUTATED, max_examples=60)
+@given(draw=st.data())
+def test_a_spoiled_file_is_read_or_penalised_for_one_reason_that_validate_has_too(data, answer, draw):
+    folder, header, arrays = answer
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    kind = draw.draw(st.sampled_from(("json", "json", "arrays", "bytes", "missing")))
+    path = {"json": folder / "prediction.json", "arrays": folder / "poses.npz"}.get(kind)
+    path = path or draw.draw(st.sampled_from(files))
+    whole = path.read_bytes()
+    try:
+        if kind == "json":
+            _put_json(folder, draw.draw(mutated_json(header)))
+        elif kind == "arrays":
+            _put_arrays(folder, draw.draw(mutated_arrays(arrays)))
+        elif kind == "bytes":
+            path.write_bytes(draw.draw(mutated_bytes(whole)))
+        else:
+            path.unlink()
+        recording = read_sequence(data / "sequences" / "a")
+        scorer = SequenceScorer(protocol_named("strict-1"), recording, read_truth(data / "truth" / "a"))
+        faults = [fault for fault in find_faults(folder, len(recording), HEIGHT, WIDTH)]
+        assert all(str(fault).isprintable() and len(str(fault)) < 1000 for fault in faults)
+        fatal = [str(fault) for fault in faults if fault.fatal]
+        try:
+            read, notes = read_submission(folder, len(recording), HEIGHT, WIDTH)
+        except FreeArtError as error:
+            assert str(error) == fatal[0]
+        else:
+            assert not fatal and list(notes) == [str(fault) for fault in faults]
+            if not isinstance(read, Failure):
+                row = scorer.measure_row(read, folder, "files")
+                assert all(value is None or np.isfinite(value) for value in row.values.values())
+    finally:
+        path.write_bytes(whole)
+
+
+@pytest.mark.parametrize("path", ["part_mask/00006.png", "parts", "prediction.json", "renders"])
+def test_a_link_to_itself_is_a_fault_of_its_row(data, tmp_path, path):
+    folder = submit(tmp_path / "a", truths()["a"])
+    spoiled = folder / path
+    shutil.rmtree(spoiled) if spoiled.is_dir() else spoiled.unlink()
+    spoiled.symlink_to(spoiled.name)
+    fault = validate_results(tmp_path, data).faults[0]
+    assert str(fault) == f"a/{path} leads to itself, expected the file or folder itself"
+    row = score_one(data, folder)
+    assert row.status == "unreadable" and row.reason == str(fault)
 
 
 # ---- validate
