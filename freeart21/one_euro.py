@@ -44,7 +44,7 @@ class OneEuro:
 def headset_filter(joint_type: JointType) -> OneEuro:
     """Settings for hand-held controllers, for a revolute or prismatic joint.
 
-    Measured by `python -m benchmarks.headset_filter`: a held controller's noise (assumed: .6 mm and .25 degrees, half
+    Measured: a held controller's noise (assumed: .6 mm and .25 degrees, half
     of it a tremor at 10 Hz) falls by 4.1 (position) and 4.5 (rotation). Captured motion of eleven takes lags 3 and 4 ms
     in its fastest 5 %, and 6 ms elsewhere. The joint state is filtered as a rotation or a position, by its type.
     """

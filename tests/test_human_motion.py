@@ -9,10 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import motion_styles
 from freeart21 import catalog, se3
 from freeart21.camera import Camera
-from freeart21.formats.captured import read_track
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.submovements import Movement
@@ -26,14 +24,11 @@ from generator.motion.visibility import Atlas
 from generator.session import RecordSettings, load_object, plan_recording
 from generator.shapes import box, triangles
 
-SHARED = Path(__file__).resolve().parents[1].parent / "shared"
 CAMERA = Camera.from_fov(640, 360, np.radians(40))
 MESHES = Mesh(*triangles(box((1, 1, 1)))), Mesh(*triangles(box((1, 1, 0.2), (0, 0, 0.62))))
 LID = Joint("lid", "revolute", np.array([0.0, 1, 0]), np.array([0.5, 0, 0.5]), 0.0, 1.4)
 BODY = Body.of(MESHES, LID)
 SEEDS = range(8)
-
-needs_tracks = pytest.mark.skipif(not (SHARED / "mocap").is_dir(), reason="captured motion is not on this machine")
 
 
 @functools.cache
@@ -155,42 +150,6 @@ def test_objects_of_every_category_stay_in_the_picture(tmp_path: Path) -> None:
         strip = 0.5 * MARGIN * camera.height
         assert low.min() > strip and (high < np.array([camera.width, camera.height]) - strip).all(), name
         assert body.lower <= plan.states.min() and plan.states.max() <= body.upper + 1e-12, name
-
-
-# --- the data that it was drawn from ----------------------------------------------------------------------------------
-
-
-@needs_tracks
-def test_what_the_style_draws_from_is_what_the_takes_say() -> None:
-    paths = sorted((SHARED / "mocap").glob("*_use_*.object.npy"))
-    measured = motion_styles.fit_draws([read_track(path) for path in paths])
-    for name, text in measured.items():
-        if name in ("ON, BACK", "HELD_DEGREES", "HELD_SHIFT") or name.islower():
-            continue
-        held = getattr(human_hand, name)
-        if isinstance(held, human_hand.Law):
-            assert text == f"Law({', '.join(map(_two, dataclasses.astuple(held)))})", name
-        elif isinstance(held, tuple):
-            assert text == f"({', '.join(map(_two, held))})", name
-        else:
-            assert text == _two(held), name
-    assert measured["ON, BACK"] == f"{human_hand.ON:.2f}, {human_hand.BACK:.2f}"
-
-
-@needs_tracks
-def test_the_style_lies_among_takes_of_people_that_it_was_not_drawn_from() -> None:
-    takes = [read_track(path) for path in sorted((SHARED / "mocap").glob("*_use_*.object.npy"))]
-    held = [
-        s for t in takes if motion_styles.subject(t) not in motion_styles.DRAWN_FROM for s in motion_styles.stretches(t)
-    ]
-    ours = [motion_styles.Stretch("human", _movement(_plan(k)), -_plan(k).Ts_camera_object[:, 2, :3]) for k in SEEDS]
-    own, others = motion_styles.columns(ours), motion_styles.columns(held)
-    inside = [motion_styles.within(motion_styles.spread(own[k]), motion_styles.spread(others[k])) for k in own]
-    assert np.mean(inside) >= 0.8  # 25 of 27 over the catalog: benchmarks/results/motion_styles.json
-
-
-def _two(value: float) -> str:
-    return f"{value:.2f}"
 
 
 # --- submovements -----------------------------------------------------------------------------------------------------
