@@ -7,12 +7,12 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from export.maniskill import CONTROL_HZ
 from export.maniskill._body import check_single
 from export.maniskill._gymnasium import GymnasiumWrapper
 from export.maniskill._pusher import PUSHER, STEP
 from freeart21.effects import effects_from_urdf_dynamics
 from freeart21.errors import FreeArtError
-from freeart21.formats.maniskill import CONTROL_HZ
 from freeart21.se3 import Array
 
 

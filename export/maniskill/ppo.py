@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from export.maniskill import ENVIRONMENTS
+from export.maniskill import CONTROL_HZ, ENVIRONMENTS
 from freeart21.errors import FreeArtError
-from freeart21.formats.maniskill import CONTROL_HZ
 
 
 @dataclass(frozen=True)
