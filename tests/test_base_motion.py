@@ -19,7 +19,7 @@ from freeart21.measured import BaseAxis, BaseSeries, Measured, Run
 from simgap.fit.fit import Model, fit_model, predict_readings, refit_starts
 from simgap.fit.problem import make_problem
 from simgap.measure.data import make_fit_runs
-from simgap.measure.inputs import base_force_of, make_inputs
+from simgap.measure.inputs import make_inputs
 from simgap.models.equation_error import estimate_missing_force
 from simgap.models.surrogate import make_plant, simulate
 
@@ -150,30 +150,6 @@ def test_cart_pendulum_matches_the_textbook(quantity: str, tmp_path: Path):
     assert np.abs(simulated(tmp_path, measured, asset_of(tmp_path)) - q).max() < 1e-3 * np.ptp(q)
 
 
-def test_furuta_pendulum_with_a_quantised_arm(tmp_path: Path):
-    """A point of mass m at l on the end of an arm of .3 m along y that turns about z (Furuta), its encoder of 2,000
-    steps a turn: l q'' = r a cos q + l w^2 sin q cos q - g sin q, up to the sign of the arm's turn."""
-    r = 0.3  # the bob's own inertia, a sphere's, does not care about turns of the arm
-    arm = 0.8 * np.sin(2.5 * TIMES)
-
-    def slope(t, y):
-        w, a = 2.0 * np.cos(2.5 * t), -5.0 * np.sin(2.5 * t)
-        c, s = np.cos(y[0]), np.sin(y[0])
-        turning = MASS * ARM * (-r * a * c - G * s) + MASS * ARM**2 * w**2 * s * c
-        return [y[1], turning / INERTIA]
-
-    q = solve_ivp(slope, (0, TIMES[-1]), [0.2, 0.0], t_eval=TIMES, rtol=1e-9, atol=1e-10).y[0]
-    path = asset_of(tmp_path)
-    path.write_text(path.read_text().replace('<origin xyz="0 0 1" rpy', f'<origin xyz="0 {r} 0" rpy'))
-    step = 2 * np.pi / 2000
-    base = BaseSeries(angle=step * np.round(arm / step))
-    measured = measured_of("revolute", q, base, BaseAxis(np.array([0, 0, 1.0]), np.zeros(3)))
-    ours = simulated(tmp_path, measured, path)
-    assert np.abs(ours - q).max() < 3e-3 * np.ptp(q)
-    backwards = measured_of("revolute", q, BaseSeries(angle=-base.angle), measured.base_axis)
-    assert np.abs(simulated(tmp_path, backwards, path) - q).max() > 0.3 * np.ptp(q)
-
-
 def test_bases_round_trip_and_bad_ones_are_refused(tmp_path: Path):
     base = BaseSeries(shifted(TIMES), None, swung(TIMES))
     measured = measured_of("revolute", 0.1 * np.sin(TIMES), base, BaseAxis(AXIS, POINT))
@@ -200,13 +176,6 @@ def test_bases_round_trip_and_bad_ones_are_refused(tmp_path: Path):
     (tmp_path / "a" / "r.csv").write_text(rows.replace("base_x", "base_ax", 1))
     with pytest.raises(FreeArtError, match="positions and accelerations of its base, expected one of both"):
         read_measured(tmp_path / "a")
-
-
-def test_a_base_on_the_moving_side_is_refused(tmp_path: Path):
-    measured = measured_of("revolute", 0 * TIMES, BaseSeries(shifted(TIMES)), None)
-    plant = replace(make_plant(read_asset(asset_of(tmp_path)), measured), base_is_parent=False)
-    with pytest.raises(FreeArtError, match="the base of joint 'j' moves, but it is on the joint's child side"):
-        base_force_of(measured.runs[0], measured, plant)
 
 
 @pytest.mark.skipif(not ROTARY.is_dir(), reason="the recordings are not here")

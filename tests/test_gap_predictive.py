@@ -11,16 +11,11 @@ from gap_case import asset_of, measured_of
 from scipy.stats import multivariate_t
 
 from freeart21.files.asset import read_asset
-from simgap.measure.data import FitRun
-from simgap.models.surrogate import Inputs
-from simgap.select import predictive
 from simgap.select.predictive import (
     DECISIVE_LOG_ODDS,
     DEGREES_OF_FREEDOM,
     Score,
-    estimate_model_error,
     log_densities,
-    motion_scale,
     score_difference,
     select_smallest,
 )
@@ -36,26 +31,6 @@ def test_predictive_density_is_a_student_t():
     for n in (1, 7, 60):
         dense = multivariate_t(np.zeros(n), K[:n, :n], df=DEGREES_OF_FREEDOM).logpdf(left[:n])
         assert densities[n - 1] == pytest.approx(dense, abs=1e-9)
-
-
-@pytest.mark.parametrize("known", [0.0, 4.0])
-def test_most_likely_model_error_matches_a_grid_search(known: float):
-    """Against the density at every grid point."""
-    rng = np.random.default_rng(1)
-    runs, left = [], {}
-    for name, lasts in (("a", 90), ("b", 60)):
-        times = np.cumsum(rng.uniform(0.005, 0.015, lasts))
-        runs.append(FitRun(name, times, np.sin(4 * times), np.full(lasts, 1e-3), np.zeros(lasts), Inputs(), None))
-        left[name] = np.cumsum(rng.normal(0, 0.6, lasts)) + rng.normal(0, 1, lasts)
-    step = float(np.median(np.concatenate([np.diff(run.times_s) for run in runs])))
-
-    def likely(share: float, seconds: float) -> float:
-        scales = {run.name: float(np.hypot(share * motion_scale(run), known)) for run in runs}
-        return sum(float(log_densities(left[r.name], r.times_s, scales[r.name], seconds)[-1]) for r in runs)
-
-    best = max(likely(share, n * step) for share in predictive._SHARES for n in predictive._TIMES)
-    error = estimate_model_error(left, runs, {run.name: known for run in runs})
-    assert likely(error.share, error.seconds) == pytest.approx(best, abs=1e-9)
 
 
 def test_smallest_model_within_one_standard_error_is_chosen():

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from gap_case import ARM, MASS, G, asset_of, measured_of
-from steady_case import SPEEDS, steady_of
+from gap_case import ARM, MASS, G, asset_of
+from steady_case import steady_of
 
 from benchmarks.real_recordings import recordings
 from freeart21.asset import Asset
 from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured
-from freeart21.files.measured_writer import write_measured
 from freeart21.measured import Measured, Run
 from simgap.fit.force_search import list_candidates
 from simgap.fit.problem import make_problem
@@ -24,7 +21,7 @@ from simgap.measure.prescribed import make_force_runs
 from simgap.measure.stiction import find_stiction_bound
 from simgap.models.surrogate import make_plant
 from simgap.select.split import split_runs
-from simgap.workflow import find_gap, gap_folder, make_force_problem
+from simgap.workflow import find_gap, make_force_problem
 
 REAL = [name for name in ("directdrive_steady", "directdrive_breakaway") if name in recordings()]
 
@@ -48,14 +45,6 @@ def test_stribeck_friction_is_found_from_steady_torque(asset: Asset):
     assert all(gap.after < 0.1 * gap.before for gap in confirming)
 
 
-@pytest.mark.parametrize("rate, seconds", [(10, 8.0), (100, 4.0), (1000, 4.0)])
-def test_a_complete_asset_has_no_gap(asset: Asset, rate: int, seconds: float):
-    slow = (0.003, 0.006, 0.01, 0.02, 0.03, 0.05, 0.08, 0.13, 0.2, 0.3)
-    speeds = slow if rate == 10 else SPEEDS
-    found = find_gap(asset, steady_of(0, rate, seconds, speeds=speeds))
-    assert (found.verdict, found.by) == ("no_gap", "force")
-
-
 def test_constant_load_confounds_dry_and_load_friction(asset: Asset):
     found = find_gap(asset, steady_of(0, dry=0.6, speeds=(0.02, 0.05, 0.1, 0.2, 0.4, 0.8)))
     assert found.verdict == "ambiguous"
@@ -75,36 +64,6 @@ def test_position_forces_need_both_directions(asset: Asset):
     assert of_place <= both and not of_place & one
     assert {"coulomb_friction", "stribeck_friction", "viscous_damping"} <= one
     assert not both & {"load_friction", "encoder_scale", "actuator_delay", "latch", "end_stop_bounce"}
-
-
-def test_free_motion_is_not_prescribed_unless_declared(asset: Asset):
-    swings = measured_of(0)
-    pushed = replace(
-        swings, effort_kind="external", runs=tuple(replace(r, effort=0.1 * np.sin(r.times_s)) for r in swings.runs)
-    )
-    steady = steady_of(0, dry=0.6)
-    plant = make_plant(asset, steady)
-    assert make_force_runs(swings, plant) is None and make_force_runs(pushed, plant) is None
-    assert make_force_runs(steady, plant) is not None
-    free = replace(steady, runs=tuple(replace(run, prescribed=False) for run in steady.runs))
-    assert make_force_runs(free, plant) is None
-    first, *others = pushed.runs
-    runs_of_force = make_force_runs(replace(pushed, runs=(replace(first, prescribed=True), *others)), plant)
-    assert runs_of_force is not None and [run.name for run in runs_of_force[0]] == [first.name]
-    assert sum("not prescribed" in note for note in runs_of_force[2]) == len(others)
-
-
-def test_the_answer_states_its_evidence(asset: Asset, tmp_path: Path):
-    write_measured(tmp_path / "set", steady_of(0, viscous=0.5, prescribed=True, speeds=(0.05, 0.1, 0.2, 0.4, 0.7, 1.0)))
-    assert all(run.prescribed for run in read_measured(tmp_path / "set").runs)
-    gap_folder(asset.urdf, tmp_path / "set", tmp_path / "gap")
-    document = json.loads((tmp_path / "gap" / "verdict.json").read_text())
-    assert document["gap_of"] == {"quantity": "force", "unit": "N*m"}
-    assert [effect["name"] for effect in document["effects"]] == ["viscous_damping"] == document["added"]
-    assert document["effects"][0]["parameters"]["coefficient"]["value"] == pytest.approx(0.5, rel=0.05)
-    page = (tmp_path / "gap" / "index.html").read_text()
-    assert "SAPIEN has not confirmed it" in page and "mN m" in page and "by inverse dynamics" in page
-    assert "<b>Force</b>, N m" in page and "<b>Position</b>" not in page
 
 
 def held_of(begin: float, efforts: list[np.ndarray], away: float = 0.0) -> Measured:
