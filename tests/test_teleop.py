@@ -54,8 +54,8 @@ def a_drive() -> Driving:
 # --- messages ---------------------------------------------------------------------------------------------------------
 
 ODD = st.sampled_from(
-    [None, True, 1.5, 2**60, 10**1000, 1e308, -1e308, float("nan"), float("inf"), "", "x" * 3000, "\ud800", [], {}, [1, 1],
-     [4, 4, 4], [1, 1, 0, 0], [0] * 4, [1, 0, 0, None], "now", "rm", ["save"]]
+    [None, True, 1.5, 2**60, 10**1000, 1e308, -1e308, float("nan"), float("inf"), "", "x" * 3000, "\ud800", [], {},
+     [1, 1], [4, 4, 4], [1, 1, 0, 0], [0] * 4, [1, 0, 0, None], "now", "rm", ["save"]]
 )  # fmt: skip
 
 
@@ -163,9 +163,8 @@ def test_the_file_of_a_take_is_the_take_at_every_moment(tmp_path: Path) -> None:
         np.testing.assert_allclose(take.times, driving.take.times, atol=1e-6)
         np.testing.assert_allclose(take.states, [place.state for place in driving.take.places], atol=1e-6)
 
-    for what in rng.choice(
-        ["record", "pause", "undo", "move", "reset", "save"], 300, p=[0.2, 0.1, 0.2, 0.4, 0.05, 0.05]
-    ):
+    shares = {"record": 0.2, "pause": 0.1, "undo": 0.2, "move": 0.4, "reset": 0.05, "save": 0.05}
+    for what in rng.choice([*shares], 300, p=[*shares.values()]):
         if what == "move":
             driven(driving, time_s + np.arange(rng.integers(1, 90)) / 60)
             time_s += rng.uniform(0.5, 3)

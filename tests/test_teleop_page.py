@@ -96,7 +96,7 @@ def test_the_real_thing_is_seen_driven_and_recorded_by_mouse_keys_and_touch(tmp_
         page.open(url)
         until(page, "s.ready && teleop.link.drives")
         colours = "document.getElementById('picture').getContext('2d').getImageData(0, 0, 160, 90).data"
-        violet = f"(d => {{ let n = 0; for (let i = 0; i < d.length; i += 4) n += d[i + 2] - d[i + 1] > 40; return n; }})({colours})"
+        violet = f"[...{colours}].filter((blue, i, all) => i % 4 === 2 && blue - all[i - 1] > 40).length"
         assert page.run(violet) > 100, "the stapler is seen"
         press(page, "record")
         until(page, "s.recording")
@@ -148,10 +148,9 @@ def test_it_fits_the_screen(tmp_path: Path, width: int, height: int) -> None:
 @pytest.mark.skipif(not IWER.is_file(), reason="iwer is not installed: scripts/setup.sh dev")
 def test_a_headset_carries_swings_and_records(tmp_path: Path) -> None:
     with served_aside(tmp_path / "take.jsonl") as at, browser() as page:
-        device = (
-            f"window.device = new IWER.XRDevice({json.dumps(QUEST)}); device.installRuntime({{forceInstall: true}});"
-        )
-        page.ask("Page.addScriptToEvaluateOnNewDocument", source=f"{IWER.read_text('utf-8')};\n{device}")
+        device = f"window.device = new IWER.XRDevice({json.dumps(QUEST)});"
+        source = f"{IWER.read_text('utf-8')};\n{device} device.installRuntime({{forceInstall: true}});"
+        page.ask("Page.addScriptToEvaluateOnNewDocument", source=source)
         page.open(at.url, 480, 270)
         until(page, "teleop.link.drives")
         page.run(f"(async () => {{ window.now = await teleop.headset; {RIG} }})()")
@@ -175,7 +174,7 @@ def test_a_headset_carries_swings_and_records(tmp_path: Path) -> None:
         T, state = hand(page)
         push("right", "squeeze", 1)
         np.testing.assert_allclose(hand(page)[0], T, atol=1e-9, err_msg="nothing jumps")
-        place("right", right + [0.03, 0.02, -0.05], (0, 0.3, 0))
+        place("right", right + np.array([0.03, 0.02, -0.05]), (0, 0.3, 0))
         page.run("frames(3)")
         carried, _ = hand(page)
         # a person who looks along the room's -z: right, up and away are right, up and away in the picture
