@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from benchmarks.real_recordings import MEASURED, recordings
-from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured
 from freeart21.formats.measured_series import SeriesSettings, measure_series
 
@@ -21,16 +20,6 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / name).mkdir()
         make(folder / name)
     return folder
-
-
-@pytest.mark.parametrize("name", SOURCES)
-def test_real_recordings_are_read_with_their_asset(name: str, sets: Path):
-    measured = read_measured(sets / name / "measured")
-    asset = read_asset(sets / name / "asset.urdf", measured.joint)
-    assert asset.joint == measured.joint == "hinge"
-    assert any(run.held_out for run in measured.runs) and not all(run.held_out for run in measured.runs)
-    assert all(np.isfinite(run.q).all() and len(run.q) > 100 for run in measured.runs)
-    assert (measured.actuator is not None) == name.startswith("bam")
 
 
 COMMANDS = {  # files, required options, runs, rows a second
