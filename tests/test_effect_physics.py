@@ -25,24 +25,20 @@ from freeart21.effects.axis_tilt import AxisTilt
 from freeart21.effects.backlash import Backlash
 from freeart21.effects.coulomb_friction import CoulombFriction
 from freeart21.effects.eccentricity import Eccentricity
-from freeart21.effects.encoder_offset import EncoderOffset
-from freeart21.effects.encoder_scale import EncoderScale
 from freeart21.effects.end_stop_bounce import EndStopBounce
 from freeart21.effects.gear_friction import GearFriction
 from freeart21.effects.latch import Latch
-from freeart21.effects.load_friction import LoadFriction
 from freeart21.effects.pivot_offset import PivotOffset
 from freeart21.effects.quadratic_drag import QuadraticDrag
 from freeart21.effects.return_spring import ReturnSpring
 from freeart21.effects.sag import Sag
 from freeart21.effects.screw_pitch import ScrewPitch
-from freeart21.effects.time_offset import TimeOffset
 from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.effects.wobble import Wobble
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
-from freeart21.mechanics import Actuator, interpolate_series
+from freeart21.mechanics import Actuator
 from generator.simulate import joint_motion, load, roll_out
 from simgap.models.surrogate import make_plant, simulate
 
@@ -232,17 +228,6 @@ def test_servo_with_delay_and_gain(tmp_path: Path, kind: str):
             plain = expected[:, 0]
 
 
-@TYPES
-def test_gain_scales_efforts_but_not_pushes(tmp_path: Path, kind: str):
-    I = INERTIA[kind]  # noqa: E741
-    asset = asset_with(tmp_path, kind, ActuatorDelay(0.1), ActuatorGain(0.5))
-    effort = Actuator(effort=interpolate_series([0.0, 0.2, 0.4], [0.0, 2.0, 0.0], "held"))
-    run = roll_out(asset, 0.0, duration_s=1, gravity=WEIGHTLESS, actuator=effort)
-    assert run.qd == pytest.approx(0.5 * 2.0 / I * np.clip(run.times_s - 0.3, 0, 0.2), abs=2e-3)
-    pushed = roll_out(asset, 0.0, duration_s=1, gravity=WEIGHTLESS, force=lambda t: 2.0)
-    assert pushed.qd == pytest.approx(2.0 / I * pushed.times_s, rel=1e-3)
-
-
 def two_bodies(times, I, J, width, drive, state):  # noqa: E741
     """(n, 2) positions of part and drive side; contact at +-width/2 stiff and inelastic; drive(t, x, v) its force."""
     out = np.full((len(times), 2), np.nan)
@@ -310,24 +295,6 @@ def test_backlash_is_two_bodies_with_a_gap(tmp_path: Path, kind: str, through: s
     assert np.abs(run.q[early]).max() < (1e-3 if through == "servo" else 1e-9)
 
 
-@TYPES
-def test_gravity_on_a_resting_part(tmp_path: Path, kind: str):
-    rng = np.random.default_rng(5)
-    axis = rng.normal(size=3)
-    axis /= np.linalg.norm(axis)
-    asset = asset_with(tmp_path, kind, axis=" ".join(map(str, axis)))
-    inertia = MASS if kind == "prismatic" else 0.01 + MASS * ARM**2 * (1 - axis[2] ** 2)
-    gravity = rng.normal(size=3) * 5
-    simulated = load(asset, gravity=gravity)
-    for lean in (np.eye(4), se3.exp_se3([0, 0, 0, 0.3, -0.5, 0.9])):
-        simulated.set_base_pose(lean)
-        for q in (-0.7, 0.0, 1.1):
-            simulated.set_state(q)
-            simulated.step()
-            pull = simulated.mechanics.gravity_force(q)
-            assert simulated.state()[1] / 1e-3 == pytest.approx(pull / inertia, rel=1e-4, abs=1e-4)
-
-
 # kinematics and sensing, through the loaded asset
 
 
@@ -352,28 +319,7 @@ def test_joint_motion_includes_kinematic_effects(tmp_path: Path, kind: str):
         assert np.abs(got - C @ ideal @ zero).max() > 1e-3, effect.name
 
 
-def test_readings_are_delayed_and_scaled_but_truth_is_not(tmp_path: Path):
-    sensing = (EncoderOffset(0.05), EncoderScale(0.9), TimeOffset(0.02))
-    asset = asset_with(tmp_path, "revolute", *sensing)
-    run, plain = roll_out(asset, 0.5, duration_s=2), roll_out(replace(asset, effects={}), 0.5, duration_s=2)
-    np.testing.assert_array_equal(run.q, plain.q)
-    np.testing.assert_array_equal(plain.q, plain.q_measured)
-    assert run.q_measured[20:] == pytest.approx(0.9 * plain.q[:-20] + 0.05, abs=1e-9)
-
-
 # together
-
-
-def test_a_loaded_asset_keeps_no_state_between_runs(tmp_path: Path):
-    effects = (Latch(2.0, 0.1, 0.02, 0.5), Backlash(0.1, 0.2), LoadFriction(0.01), EndStopBounce(0.5))
-    asset = asset_with(tmp_path, "revolute", *effects, limit=limits(-0.5, 0.5))
-    simulated, law = load(asset), Actuator(lambda t: 0.4 * np.sin(4 * t), 50.0, 1.0)
-    runs = [roll_out(a, 0.1, 0.5, duration_s=1, actuator=law) for a in (asset, simulated, simulated)]
-    for run in runs[1:]:
-        np.testing.assert_array_equal(runs[0].q, run.q)
-    free = [roll_out(a, 0.1, 0.5, duration_s=1) for a in (simulated, asset)]
-    np.testing.assert_array_equal(free[0].q, free[1].q)
-    assert np.abs(free[0].q - runs[0].q).max() > 0.01
 
 
 def test_effects_unfit_for_a_joint_are_a_one_line_error(tmp_path: Path):

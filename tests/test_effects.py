@@ -44,7 +44,7 @@ from freeart21.effects.time_offset import TimeOffset
 from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.effects.wobble import Wobble
 from freeart21.errors import FreeArtError
-from freeart21.files.asset import read_asset, read_effects, write_asset_json
+from freeart21.files.asset import read_asset, write_asset_json
 from freeart21.joint import Joint, JointType
 from freeart21.mechanics import JointMechanics
 
@@ -75,16 +75,6 @@ def test_round_trip_through_json_text(effect, kind):
     for name, spec in specs.items():
         assert data["parameters"][name]["unit"] == spec.unit(kind)
         assert 0 < spec.scale <= spec.upper - spec.lower
-
-
-def test_effects_unfit_for_a_joint_type_are_refused():
-    for data in (PivotOffset(0.1, 0.0).to_json("revolute"), Eccentricity(0.1, 0.0).to_json("revolute")):
-        with pytest.raises(FreeArtError, match=r"here: effect '.*' on a prismatic joint, expected revolute"):
-            effect_from_json(data, "prismatic", "here")
-    with pytest.raises(FreeArtError, match="sine is 0.2, which a prismatic joint does not have"):
-        GravityOffset(sine=0.2, constant=1.0).to_json("prismatic")
-    with pytest.raises(FreeArtError, match=r"\['constant'\], expected \['cosine', 'sine'\]"):
-        effect_from_json(GravityOffset(constant=1.0).to_json("prismatic"), "revolute", "here")
 
 
 @pytest.mark.parametrize("cls", EFFECTS.values(), ids=lambda c: c.name)
@@ -327,14 +317,6 @@ def test_effects_json_holds_the_whole_library(tmp_path: Path, kind: JointType):
 def test_effects_json_that_contradicts_the_urdf_is_refused(tmp_path: Path, inside: str, message: str):
     described(tmp_path, inside)
     assert_refused(message, read_asset, tmp_path)
-
-
-def test_without_effects_json_the_urdf_is_read(tmp_path: Path):
-    assert read_effects(write_urdf(tmp_path)) == {}
-    assert read_effects(write_urdf(tmp_path, '<dynamics damping="0.3"/>')) == {"j": EXAMPLES[:1]}
-    with pytest.raises(FreeArtError, match="damping 'much', expected a finite number"):
-        read_effects(write_urdf(tmp_path, '<dynamics damping="much"/>'))
-    assert_refused("viscous_damping", read_effects, write_urdf(tmp_path, '<dynamics damping="-1"/>'))
 
 
 def test_equal_effects_merge():

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
-import film_sensors as sensors
 import numpy as np
 import pytest
 from browser import CHROMIUM, browser
 from film_scene import film_with_truth
 
+from benchmarks import film_faults as sensors
 from freeart21 import cli
 from freeart21.camera_faults import CameraFaults
 from freeart21.errors import FreeArtError
@@ -86,13 +86,6 @@ def test_one_camera_fault_is_named_and_measured(film, change, name, parameter, v
     assert size(verdict, parameter) == pytest.approx(value, abs=tolerance)
     assert set(verdict.added) == names(verdict)
     assert getattr(verdict.camera, parameter) == size(verdict, parameter)
-
-
-def test_both_faults_of_a_pair_are_named(film):
-    verdict = named(film, lambda f: sensors.rustles(sensors.reads_long(f, 0.02), 0.004, 0.0))
-    assert names(verdict) == {"depth_scale", "axial_noise"}
-    verdict = named(film, lambda f: sensors.blind_to_dark(sensors.lags(f, 1), 0.3))
-    assert names(verdict) == {"depth_delay", "dark_holes"}
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,7 @@ from simgap.prove.writeback import write_repaired
 from simgap.select.decide import _confirm
 from simgap.settings import JudgementSettings
 from simgap.verdict import NamedEffect, RunGap, Use, Verdict
-from simgap.workflow import find_gap, gap_folder
+from simgap.workflow import gap_folder
 
 
 def slider(folder: Path, mass: float) -> Path:
@@ -140,21 +139,3 @@ def test_confirmation_runs_decide(gaps: tuple[RunGap, ...], answer: str, tmp_pat
     found = _confirm(Verdict("named", (oil,), (), gaps, (), None, "Oil."), problem, JudgementSettings())
     assert (found.verdict, len(found.effects)) == (answer, answer == "named")
     assert (found.next_experiment is not None) == (answer == "unexplained")
-
-
-def test_an_unconfirmed_delay_is_no_gap(tmp_path: Path):
-    """Linearly varying small pushes declared as held: two runs lag by less than their noise."""
-    asset, t = read_asset(asset_of(tmp_path)), np.arange(300) / RATE
-    rng, runs = np.random.default_rng(3), []
-    for i in range(10):
-        push = 0.75 * np.sin(4.0 * t + i) if i in (0, 4) else np.zeros(len(t))
-
-        def slope(s, y, push=push):
-            return [y[1], (-MASS * G * ARM * np.sin(y[0]) + np.interp(s, t, push)) / INERTIA]
-
-        start = [0.0 if i in (0, 4) else rng.uniform(0.3, 1.0), 0.0]
-        q = solve_ivp(slope, (0, t[-1]), start, t_eval=t, rtol=1e-9, atol=1e-10, max_step=0.01).y[0]
-        runs.append(Run(f"run_{i}", t, q + rng.normal(0, 1.2e-3, len(t)), push))
-    measured = replace(free("revolute", *runs, doubt=(0.0, 0.0)), effort_kind="commanded", interpolation="held")
-    found = find_gap(asset, measured)
-    assert found.verdict == "no_gap" and "kept to confirm" in found.sentence

@@ -19,14 +19,12 @@ from freeart21.effects.armature import Armature
 from freeart21.effects.axis_tilt import AxisTilt
 from freeart21.effects.coulomb_friction import CoulombFriction
 from freeart21.effects.detent import Detent
-from freeart21.effects.encoder_offset import EncoderOffset
 from freeart21.effects.pivot_offset import PivotOffset
 from freeart21.effects.return_spring import ReturnSpring
 from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset, write_asset_json
 from freeart21.measured import Measured, Run
-from freeart21.mechanics import Actuator
 from generator.simulate import joint_motion, roll_out
 from simgap.geometry.kinematics import find_geometry
 from simgap.geometry.placing import place
@@ -173,27 +171,6 @@ def test_external_meshes_are_copied(tmp_path: Path, named_as: str):
     assert (tmp_path / "d/outside/0/box.png").is_file() and len(twice.effects["j"]) == 2
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("/etc/hostname", "leads out"),
-        ("notes.txt", "expected a mesh or a picture"),
-        ("gone.obj", "does not exist"),
-        ("big.obj", "at most"),
-    ],
-)
-def test_unsafe_urdf_references_are_not_copied(tmp_path: Path, name: str, message: str, monkeypatch):
-    asset = bob(tmp_path / "a")
-    monkeypatch.setattr("simgap.prove.asset_files.MAX_BYTES", 1000)
-    (tmp_path / "a/big.obj").write_bytes(b"#" * 1001)
-    (tmp_path / "a/notes.txt").write_text("")
-    visual = f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
-    asset.urdf.write_text(asset.urdf.read_text().replace("</inertial>", f"</inertial>{visual}"))
-    with pytest.raises(FreeArtError, match=message) as caught:
-        write_repaired(read_asset(asset.urdf), (), tmp_path / "b")
-    assert "\n" not in str(caught.value)
-
-
 # ---------------------------------------------------------------- and shown
 
 
@@ -242,29 +219,6 @@ def test_replay_uses_only_what_the_files_contain(tmp_path: Path):
         (run,) = replay_both(asset, again, measured, STARTS[:1]).runs
         assert run.after < most and run.before > 30e-3
         assert written == body or run.after > 10e-3
-
-
-def test_servo_effort_and_sensor_are_replayed(tmp_path: Path):
-    def command(s):
-        return 0.6 * np.sin(2 * s)
-
-    def push(s):
-        return 0.3 * np.sign(np.sin(7 * s))
-
-    asset = bob(tmp_path / "a")
-    law = Actuator(None, 8.0, 0.4)
-    measured = pendulum(
-        ((0.1, 0.0),),
-        lambda s, q, qd: 8.0 * (command(s) - q) - 0.4 * qd + push(s) + damped(s, q, qd),
-        q_command=command,
-        effort=push,
-    )
-    measured = replace(measured, actuator=law, effort_kind="external")
-    measured = replace(measured, runs=tuple(replace(r, q=r.q + 0.05) for r in measured.runs))
-    again = write_repaired(asset, (ViscousDamping(0.03), EncoderOffset(0.05)), tmp_path / "b")
-    (run,) = replay_both(asset, again, measured, ((0.1, 0.0),)).runs
-    assert run.before > 0.05
-    assert run.after < 4e-3  # commands are held from reading to reading
 
 
 # ---------------------------------------------------------------- and published
@@ -317,11 +271,6 @@ def test_a_verdict_is_published_with_sapiens_gaps(tmp_path: Path):
         "Oil is missing.",
         "Viscous damping",
         "3 runs: 1 fitted, 2 confirming",
-        "gap before and after, in SAPIEN, on 2 runs kept to confirm it",
-        "of the gap closed, on 1 run kept to confirm it",
-        "other motion: slow",
-        "Fitted to run run_0.",
-        "Where it shows, in 1 run that it was fitted to and 2 runs kept to confirm it",
         "Run run_1, confirming, slow",
     ):
         assert text in page, text

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
-from gap_case import ARM, MASS, G, asset_of
+from gap_case import asset_of
 from steady_case import steady_of
 
 from benchmarks.real_recordings import recordings
 from freeart21.asset import Asset
 from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured
-from freeart21.measured import Measured, Run
+from freeart21.measured import Measured
 from simgap.fit.force_search import list_candidates
 from simgap.fit.problem import make_problem
 from simgap.measure.data import make_fit_runs
 from simgap.measure.prescribed import make_force_runs
-from simgap.measure.stiction import find_stiction_bound
 from simgap.models.surrogate import make_plant
 from simgap.select.split import split_runs
 from simgap.workflow import find_gap, make_force_problem
@@ -64,33 +62,6 @@ def test_position_forces_need_both_directions(asset: Asset):
     assert of_place <= both and not of_place & one
     assert {"coulomb_friction", "stribeck_friction", "viscous_damping"} <= one
     assert not both & {"load_friction", "encoder_scale", "actuator_delay", "latch", "end_stop_bounce"}
-
-
-def held_of(begin: float, efforts: list[np.ndarray], away: float = 0.0) -> Measured:
-    """A pushed joint that stays at `begin`, or moves `away` at the end."""
-    rng, times = np.random.default_rng(0), np.arange(800) / 100
-    moved = away * np.clip(times - 7, 0, 1)
-    runs = tuple(
-        Run(f"r{i}", times, begin + moved + 1e-4 * np.round(rng.normal(0, 1, 800)), effort)
-        for i, effort in enumerate(efforts)
-    )
-    gravity = np.array([0.0, 0.0, -G])
-    return Measured("j", "revolute", gravity, 100.0, "recorded", "external", None, 0.05, 0.03, runs, "linear")
-
-
-def test_stiction_bound_is_the_largest_held_effort(asset: Asset):
-    times, weight = np.arange(800) / 100, MASS * G * ARM * np.sin(0.7)
-    pushed = find_gap(asset, held_of(0.0, [0.5 * times, -0.4 * times]))
-    assert pushed.verdict == "not_excited" and "held against 3.8 N m" in pushed.sentence
-    assert pushed.next_experiment is not None and "Push harder than 3.8 N m" in pushed.next_experiment
-    hung = find_gap(asset, held_of(0.7, [0 * times]))
-    assert "held against 4.91 N m" in hung.sentence and pytest.approx(0.97 * weight, abs=0.02) == 4.91
-    for nothing in (held_of(0.0, [0 * times]), held_of(0.7, [0 * times + weight])):
-        answer = find_gap(asset, nothing)
-        assert answer.verdict == "not_excited" and "held against" not in answer.sentence
-    at_last = held_of(0.0, [0.5 * times], away=0.3)
-    plant = make_plant(asset, at_last)
-    assert find_stiction_bound(at_last, plant, make_fit_runs(at_last, plant)[1]) is None
 
 
 @pytest.mark.skipif(not REAL, reason="the recordings are not here")

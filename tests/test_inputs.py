@@ -13,7 +13,6 @@ from freeart21.files.asset import read_asset
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import Actuator, interpolate_series
 from generator.simulate import roll_out
-from simgap.measure.data import thinning_notes, thinning_stride
 from simgap.measure.inputs import make_inputs
 from simgap.models.surrogate import Nuisance, make_plant, simulate
 from simgap.workflow import find_gap
@@ -84,19 +83,3 @@ def test_a_replay_goes_on_between_rows_as_the_fit_found(share: float, tmp_path: 
     asset, start = read_asset(asset_of(tmp_path)), (float(run.q_command[0]), 0.0)
     right, wrong = (replay_both(asset, asset, measured, (start,), holding=s).runs[0] for s in (share, 1 - share))
     assert right.after < 1.5e-3 < wrong.after
-
-
-def test_many_readings_are_thinned_as_far_as_the_motion_allows_and_that_is_said():
-    times = np.arange(24000) / 200
-    run = Run("long", times, np.sin(2 * np.pi * 1.0 * times))
-    assert thinning_stride(times, run.q) == 16  # 1,500 readings are 6 a half swing
-    fast = np.sin(2 * np.pi * 4.0 * times)
-    assert thinning_stride(times, fast) == 6  # a half swing has 25
-    assert thinning_stride(times, np.sin(2 * np.pi * 30.0 * times)) == 4  # 6,000 at most
-    assert thinning_stride(times[:1500], fast[:1500]) == 1
-    assert thinning_stride(times, times) == 16  # what never turns back
-    measured = Measured("j", "revolute", np.zeros(3), 200.0, "recorded", runs=(run, replace(run, q=fast)))
-    assert thinning_notes(measured) == (
-        "run 'long': one reading of 16 is looked at, 12.5 of 200 a second",
-        "run 'long': one reading of 6 is looked at, 33.3 of 200 a second",
-    )

@@ -193,20 +193,6 @@ def test_sag_of_a_door_is_confounded_with_the_trackers_zero(tmp_path: Path):
     assert found is not None and found.verdict == "no_gap"
 
 
-@pytest.mark.parametrize("size, verdict", [(0.02, "unexplained"), (0.002, "no_gap")])
-def test_unknown_geometry_is_not_named(tmp_path: Path, size: float, verdict: str):
-    """It is no gap where it is within the tracker's errors."""
-
-    def cam(q, t):  # three lobes: shift and turn with 3 q
-        shift = size * np.stack([np.cos(6 * q), 0.7 * np.sin(3 * q), -np.sin(6 * q)], 1)
-        return slid(shift) @ ideal("revolute")(q, t)
-
-    found = found_in(tmp_path, "revolute", cam, span=1.1)
-    assert found.verdict == verdict, (found.effects, found.unexplained_rms)
-    assert found.unexplained_rms > (1 if verdict == "unexplained" else 0.5)
-    assert (found.next_experiment is not None) == (verdict == "unexplained")
-
-
 def test_a_tumbling_part_is_a_one_line_error(tmp_path: Path):
     """A part that rotates as no joint of this type can: the wrong joint, or inconsistent frames."""
 

@@ -13,8 +13,6 @@ from synthetic_case import truth_as_answer
 from test_track import URDF
 
 from freeart21 import se3
-from freeart21.effects.axis_tilt import AxisTilt
-from freeart21.effects.encoder_offset import EncoderOffset
 from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
@@ -90,22 +88,6 @@ def test_a_measured_set_reproduces_the_film(tmp_path: Path, of: str, request):
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"asset", "measured"}
 
 
-def test_takes_of_another_object_are_a_one_line_error(tmp_path: Path, film: Path):
-    other = tmp_path / "other"
-    shutil.copytree(film, other)
-    data = json.loads((film / "truth.json").read_text())
-    for change, message in (
-        ({"motion": "tumble"}, "is of the motion 'tumble', expected release"),
-        ({"settings": {**data["source"]["settings"], "seed": 4}}, "has seed 4, .* has 3: expected one object"),
-    ):
-        (other / "truth.json").write_text(json.dumps({**data, "source": {**data["source"], **change}}))
-        with pytest.raises(FreeArtError, match=message):
-            measure_truths([film, other], tmp_path / "out")
-    with pytest.raises(FreeArtError, match="expected 0 or more"):
-        measure_truths([film], tmp_path / "out", TrackerNoise(-1.0))
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_film_of_a_urdf_needs_that_urdf(tmp_path: Path):
     folder = tmp_path / "case"
     folder.mkdir()
@@ -136,17 +118,6 @@ def test_a_film_of_a_urdf_needs_that_urdf(tmp_path: Path):
     (folder / "case.urdf").write_text(light.replace("0.05 0.02", "0.05 0.03"))
     with pytest.raises(FreeArtError, match=r"case\.urdf is not the object of"):
         measure_truths([film], tmp_path / "other", urdf=folder / "case.urdf")
-
-
-def test_a_released_joint_has_effects_of_motion_only(tmp_path: Path):
-    for effects, message in (
-        ((OIL, AxisTilt(0.01, 0.0)), "gives joint 'joint_1' axis_tilt: a released joint takes"),
-        ((EncoderOffset(0.1),), "gives joint 'joint_1' encoder_offset"),
-    ):
-        with pytest.raises(FreeArtError, match=message):
-            record("stapler", tmp_path / "data", settings(tmp_path, *effects))
-    with pytest.raises(FreeArtError, match="let go at 1.5 of its range in the motion release; expected 0 to 1"):
-        settings(tmp_path, OIL, let_go=1.5).check()
 
 
 def test_a_result_becomes_one_run(tmp_path: Path, film: Path):

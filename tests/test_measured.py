@@ -177,14 +177,6 @@ def test_drive_cells_may_be_empty_except_the_first(tmp_path: Path):
         read_measured(write(tmp_path / "b", changes, csv="t_s,q,effort\n" + "\n".join(rows)))
 
 
-def test_efforts_and_commands_need_to_be_explained(tmp_path: Path):
-    units = {"t_s": "s", "q": "rad", "effort": "N*m", "q_command": "rad"}
-    with pytest.raises(FreeArtError, match="has efforts, but 'effort' does not say"):
-        read_measured(write(tmp_path, {"units": units}, effort=TIMES))
-    with pytest.raises(FreeArtError, match="has 'q_command', but there is no 'actuator'"):
-        read_measured(write(tmp_path, {"units": units}, q_command=TIMES))
-
-
 def test_a_missing_set_is_a_one_line_error(tmp_path: Path):
     assert_refused("is not a measured set: expected a folder with measured.json", read_measured, tmp_path / "nothing")
 

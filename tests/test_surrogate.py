@@ -13,17 +13,11 @@ from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
 from freeart21.mechanics import Actuator, interpolate_series
 from generator.simulate import roll_out
-from simgap.models import kernel, laws
+from simgap.models import laws
 from simgap.models.surrogate import (
-    Batch,
     Inputs,
-    Nuisance,
-    effect_terms,
     make_plant,
-    make_vector,
     simulate,
-    sweep,
-    time_steps,
 )
 
 MASS, ARM, G = 1.6, 0.5, 9.81
@@ -130,88 +124,3 @@ def test_a_servo_is_sapiens(tmp_path: Path, names: tuple[str, ...]):
     inputs = Inputs(ticks, command, np.zeros(len(ticks)), np.zeros(len(ticks)))
     ours = simulate(plant, effects, theirs.times_s, 0.0, 0.0, inputs)
     assert np.abs(ours - theirs.q).max() < 4e-3 * np.ptp(theirs.q)
-
-
-def test_a_push_passes_the_actuator_by_and_a_commanded_effort_does_not(tmp_path: Path):
-    effects = (make_effect("actuator_gain", factor=0.5), make_effect("actuator_delay", seconds=0.1))
-    asset = asset_at(tmp_path, "prismatic", *effects)
-    plant = make_plant(asset, measured_of("prismatic", gravity=np.zeros(3)))
-    times, ticks = np.arange(1001) * 1e-3, np.array([0.0, 0.2, 0.4])
-    effort, none = np.array([0.0, 2.0, 0.0]), np.full(3, np.nan)
-    commanded = simulate(plant, effects, times, 0.0, 0.0, Inputs(ticks, none, effort, np.zeros(3)))
-    speed = 0.5 * 2.0 / MASS * 0.2
-    assert commanded[-1] == pytest.approx(0.5 * speed * 0.2 + speed * 0.5, abs=1e-7)
-    pushed = simulate(plant, effects, times, 0.0, 0.0, Inputs(ticks, none, np.zeros(3), effort))
-    speed = 2.0 / MASS * 0.2
-    assert pushed[-1] == pytest.approx(0.5 * speed * 0.2 + speed * 0.6, abs=1e-7)
-
-
-def test_friction_that_builds_up_is_lugres(tmp_path: Path):
-    """Small swings of a pendulum whose friction bends bristles first: against a stiff solver on the textbook's form."""
-    from scipy.integrate import solve_ivp
-
-    plant = make_plant(asset_at(tmp_path, "revolute"), measured_of("revolute"))
-    level, travel, inertia, weight = 0.03, 2e-3, plant.mechanics.inertia, MASS * G * ARM
-    effects = (make_effect("coulomb_friction", level=level),)
-    stiff, damp = level / travel, np.sqrt(level * inertia / travel)
-
-    def slopes(t, y):
-        q, v, z = y
-        bend = v - abs(v) / travel * z
-        return v, (-weight * np.sin(q) - stiff * z - damp * bend) / inertia, bend
-
-    times = np.arange(400) * 0.01
-    true = solve_ivp(slopes, (0, 4), (0.2, 0.0, 0.0), "LSODA", times, rtol=1e-9, atol=1e-12).y[0]
-    numbers = make_vector(plant, effects, Nuisance())
-    numbers[kernel.Q0] = 0.2
-    at_once = sweep(numbers[None], effect_terms(effects), times, Inputs(), time_steps(plant, effects))[0]
-    numbers[[kernel.TRAVEL, kernel.GRIPPING]] = travel, 1.0
-    ours = sweep(numbers[None], effect_terms(effects), times, Inputs(), time_steps(plant, effects))[0]
-    assert np.abs(ours - true).max() < 0.03 * np.abs(at_once - true).max()
-
-
-@pytest.mark.parametrize("back", [0.0, 0.5])
-def test_a_drive_side_goes_on_when_its_part_stops_dead(tmp_path: Path, back: float):
-    """A drawer that drags its drive along stops; a second later it is pulled off, and the drive, which has come to the
-    other end of its slack, or back from there, is felt at once or after the slack; here and in SAPIEN."""
-    width, drive, speed, pull = 0.02, 0.4, 0.5, 0.3
-    effects = (make_effect("backlash", width=width, drive_inertia=drive, throw_back=back),)
-    asset = asset_at(tmp_path, "prismatic", *effects, axis="1 0 0", lower=-2.0, upper=0.3)
-    plant = make_plant(asset, measured_of("prismatic", gravity=np.zeros(3)))
-    times, ticks = np.arange(2001) * 1e-3, np.array([0.0, 0.1, 1.0])
-    pushes = np.array([4.0, 0.0, -pull])  # the push takes the part ahead of its drive, up to the end of the slack
-    inputs = Inputs(ticks, np.full(3, np.nan), np.zeros(3), pushes)
-    ours = simulate(plant, effects, times, 0.0, speed, inputs)
-    after = times[times >= 1.0] - 1.0
-    at_once = 0.3 - 0.5 * pull / (MASS + drive) * after**2
-    if back == 0.0:
-        np.testing.assert_allclose(ours[times >= 1.0], at_once, atol=1e-5)
-    else:
-        assert np.abs(ours[times >= 1.0] - at_once).max() > 1e-3
-    theirs = roll_out(
-        asset, 0.0, speed, duration_s=2, timestep_s=1e-3, force=lambda t: pushes[np.searchsorted(ticks, t, "right") - 1]
-    )
-    assert np.abs(theirs.q - np.interp(theirs.times_s, times, ours)).max() < 1e-3
-
-
-@pytest.mark.parametrize("threads", [1, 3])
-def test_runs_side_by_side_are_as_each_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: int):
-    if threads > 1:
-        monkeypatch.setattr("simgap.models.surrogate._THREADING_SIZE", 0)
-        monkeypatch.setattr("os.sched_getaffinity", lambda process: set(range(threads)), raising=False)
-    effects = (
-        make_effect("coulomb_friction", level=0.2),
-        make_effect("latch", hold=2.0, position=0.1, travel=0.1, capture=0.4),
-    )
-    plant = make_plant(asset_at(tmp_path, "revolute"), measured_of("revolute", Actuator(stiffness=60.0, damping=4.0)))
-    command = np.full(100, 0.3)
-    driven = Inputs(np.arange(100) * 0.02, command, 0.1 * command, -command)
-    runs = [(np.arange(300) / 100, Inputs()), (np.arange(50) / 25, driven), (np.arange(7) / 50, Inputs())]
-    which, steps = np.array([1, 0, 2, 1]), np.array([(2e-3, 1e-3), (1e-3, 1e-3), (3e-3, 5e-4)])
-    numbers = np.tile(make_vector(plant, effects), (4, 1))
-    numbers[:, kernel.Q0] = [0.5, -0.7, 0.2, 0.05]
-    alone = [sweep(numbers[k : k + 1], effect_terms(effects), *runs[i], steps[i])[0] for k, i in enumerate(which)]
-    together = Batch.of(runs).sweep(numbers, effect_terms(effects), which, steps)
-    assert np.array_equal(together, np.concatenate(alone))
-    assert np.ptp(alone[3]) > 0.1 and abs(alone[0] - alone[3]).max() > 0.1
-    assert len(kernel.sweep.signatures) == 1  # what a thread gets of an array is laid out as all of it
