@@ -814,7 +814,7 @@ def view(
 def convert(
     source: Annotated[Path, Positional],
     out: Path,
-    to: Literal["official", "native", "maniskill", "rgbd"],
+    to: Literal["official", "native", "rgbd"],
     layout: Annotated[str | None, tyro.conf.arg(name="from")] = None,
     partnet_root: Path | None = None,
     joint: str | None = None,
@@ -826,13 +826,13 @@ def convert(
     masks: Path | None = None,
     longest_side: int = 1280,
 ) -> None:
-    """Convert recordings of depth cameras, and between layouts: official, Video2Articulation-S, ManiSkill, native.
+    """Convert recordings of depth cameras, and between layouts: official, Video2Articulation-S, native.
 
     Args:
         source: A recording, or a folder of recordings.
-        out: Folder to add to: a data folder (native), or one for examples/ and data/ (official), or for .h5 files.
+        out: Folder to add to: a data folder (native), or one for examples/ and data/ (official).
         to: Layout to write.
-        layout: native, tum, articulat3d, azure, record3d, rgbd, ros, stray, official, video2articulation or maniskill.
+        layout: native, tum, articulat3d, azure, record3d, rgbd, ros, stray, official or video2articulation.
         partnet_root: Folder of PartNet-Mobility objects, as ROOT/41083/mobility.urdf: a truth needs their meshes.
         joint: Moving joint, where neither the layout nor the catalog names it.
         meta: Video2Articulation's new_partnet_mobility_dataset_correct_intr_meta.json, for the joint's limits.
@@ -1097,13 +1097,8 @@ def known_commands() -> dict[str, Callable[..., Any]]:
         board.score,
         board.compare,
         board.site,
-        board.suite,
         board.pack,
         board.release,
-        board.lpips,
-        board.tags,
-        board.truth_by_markers,
-        board.board,
         measure,
         gap,
         replay,
