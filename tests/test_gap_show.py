@@ -216,7 +216,7 @@ def test_external_meshes_are_copied(tmp_path: Path, named_as: str):
 )
 def test_unsafe_urdf_references_are_not_copied(tmp_path: Path, name: str, message: str, monkeypatch):
     asset = bob(tmp_path / "a")
-    monkeypatch.setattr("simgap.prove.asset_files.MAX_BYTES", 1000)
+    monkeypatch.setattr("freeart21.files.asset_copy.MAX_BYTES", 1000)
     (tmp_path / "a/big.obj").write_bytes(b"#" * 1001)
     (tmp_path / "a/notes.txt").write_text("")
     visual = f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
