@@ -21,7 +21,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.asset import find_movable_joint, read_asset
 from freeart21.files.joint_json import joint_from_json, joint_to_json
-from freeart21.files.urdf import parse_urdf, read_urdf_joints, subtree_links
+from freeart21.files.urdf import read_file_names, read_urdf_joints, subtree_links
 from freeart21.files.urdf_files import resolve_file
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh, join_meshes
@@ -130,9 +130,8 @@ def check_asset_files(folder: Path) -> None:
     if size > MAX_ASSET_BYTES:
         raise FreeArtError(f"{folder} has {size} bytes, at most {MAX_ASSET_BYTES} are read")
     for urdf in sorted(folder.rglob("*.urdf")):
-        for element in parse_urdf(urdf).iter():
-            if "filename" in element.attrib:
-                resolve_file(urdf, element.attrib["filename"], folder)
+        for name in read_file_names(urdf):
+            resolve_file(urdf, name, folder)
 
 
 # ---- in the asset process
