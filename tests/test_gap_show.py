@@ -171,6 +171,27 @@ def test_external_meshes_are_copied(tmp_path: Path, named_as: str):
     assert (tmp_path / "d/outside/0/box.png").is_file() and len(twice.effects["j"]) == 2
 
 
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("/etc/hostname", "leads out"),
+        ("notes.txt", "expected a mesh or a picture"),
+        ("gone.obj", "does not exist"),
+        ("big.obj", "at most"),
+    ],
+)
+def test_unsafe_urdf_references_are_not_copied(tmp_path: Path, name: str, message: str, monkeypatch):
+    asset = bob(tmp_path / "a")
+    monkeypatch.setattr("freeart21.files.asset_copy.MAX_BYTES", 1000)
+    (tmp_path / "a/big.obj").write_bytes(b"#" * 1001)
+    (tmp_path / "a/notes.txt").write_text("")
+    visual = f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
+    asset.urdf.write_text(asset.urdf.read_text().replace("</inertial>", f"</inertial>{visual}"))
+    with pytest.raises(FreeArtError, match=message) as caught:
+        write_repaired(read_asset(asset.urdf), (), tmp_path / "b")
+    assert "\n" not in str(caught.value)
+
+
 # ---------------------------------------------------------------- and shown
 
 
