@@ -31,17 +31,17 @@ from freeart21.files.benchmark import JOB_SCHEMA, WORK, is_unfinished, read_benc
 from freeart21.files.data_card import write_card_of
 from freeart21.files.lock import acquire, release
 from freeart21.files.places import check_append
+from freeart21.progress import Board, progress_board
 from generator import partnet
-from generator.progress import Board, progress_board
 from generator.session import (
     ACCESS,
-    RecordSettings,
     catalog_entry,
     find_partnet_folder,
     load_object,
     record_object,
     resolve_name,
 )
+from generator.settings import RecordSettings
 
 __all__ = ["WORK", "Job", "Label", "is_unfinished", "official_names", "plan_jobs", "procedural_jobs", "record_jobs"]
 

@@ -27,7 +27,8 @@ from freeart21.se3 import Array
 from freeart21.truth import Truth
 from generator import partnet, simulate, urdf_folder
 from generator.release import add_inertia
-from generator.session import RecordSettings, build_model, find_partnet_folder
+from generator.session import build_model, find_partnet_folder
+from generator.settings import RecordSettings
 
 UNCERTAINTY = 0.02
 """Stated relative uncertainty of the asset's inertia and weight, which are the recorder's own."""

@@ -22,12 +22,13 @@ from freeart21 import catalog
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import read_benchmark
+from freeart21.progress import progress_bar
 from freeart21.se3 import Array
 from generator import objects
 from generator.dataset import Job, Label
 from generator.model import ObjectModel
-from generator.progress import progress_bar
-from generator.session import RecordSettings, load_object, plan_recording
+from generator.session import load_object, plan_recording
+from generator.settings import RecordSettings
 
 NAME, VERSION = "freeart21-v1", "1"
 Split = Literal["public", "test"]
@@ -156,7 +157,7 @@ def main(
     with progress_bar("fingerprints") as progress:
         for k, entry in enumerate(every):
             now[entry.sequence] = fingerprints(entry)
-            progress(k + 1, len(every))
+            progress(entry.sequence, k + 1, len(every))
     if write:
         atomic.write_json(_FROZEN, {"name": NAME, "version": VERSION, "sequences": now})
         return 0

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from gap_case import INERTIA, RATE, SERVO, G, asset_of, measured_of, replay_both
 
-from freeart21 import cli
 from freeart21.files.asset import read_asset
 from freeart21.files.measured_writer import write_measured
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import Actuator, interpolate_series, interpolation_terms
 from generator.simulate import roll_out
+from simgap import commands
 from simgap.measure.data import thinning_notes, thinning_stride
 from simgap.measure.inputs import logged_at, make_inputs
 from simgap.models.surrogate import Nuisance, make_plant, simulate
@@ -183,7 +183,7 @@ def test_what_was_left_out_stands_in_the_answer_and_on_its_page(tmp_path: Path, 
     runs = (still, replace(still, name="again"))
     measured = Measured("j", "revolute", np.array([0, 0, -G]), 100.0, "recorded", runs=runs)
     write_measured(tmp_path / "measured", measured)
-    cli.gap(asset_of(tmp_path / "asset"), tmp_path / "measured", tmp_path / "out")
+    commands.gap(asset_of(tmp_path / "asset"), tmp_path / "measured", tmp_path / "out")
     notes = json.loads((tmp_path / "out" / "verdict.json").read_text())["notes"]
     assert notes[0] == "run 'again' is run 'still' again, reading by reading: it was left out"
     assert notes[1].startswith("run 'still': one reading of 2 is looked at") and len(notes) == 2

@@ -19,6 +19,7 @@ from refusal import assert_refused
 from stopped_commands import stop
 from synthetic_case import make_recording, make_truth, truth_as_answer
 
+from export.commands import export
 from freeart21 import cli
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, places
@@ -30,8 +31,11 @@ from freeart21.files.truth import write_truth
 from freeart21.files.verify import verify
 from freeart21.reconstruction import Failure
 from generator import dataset
+from generator.commands import RecordOptions, record
 from leaderboard import commands
+from reconstruct.commands import reconstruct
 from reconstruct.settings import ReconstructSettings
+from simgap.commands import gap
 
 QUIET = ReconstructSettings(progress=False)
 
@@ -73,10 +77,10 @@ def untouched(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 COMMANDS: dict[str, Callable[[Path, Path], object]] = {
     "demo": lambda home, out: cli.demo(out=out),
-    "record": lambda home, out: cli.record(("stapler",), out),
-    "reconstruct": lambda home, out: cli.reconstruct(home / "data/sequences/a", out, settings=QUIET),
-    "export": lambda home, out: cli.export(home / "results/ours/a", out),
-    "gap": lambda home, out: cli.gap(home / "data", home / "results", out),
+    "record": lambda home, out: record(RecordOptions(("stapler",), out)),
+    "reconstruct": lambda home, out: reconstruct(home / "data/sequences/a", out, settings=QUIET),
+    "export": lambda home, out: export(home / "results/ours/a", out),
+    "gap": lambda home, out: gap(home / "data", home / "results", out),
     "replay": lambda home, out: cli.replay(home / "data", (home / "results",), out),
     "measure": lambda home, out: cli.measure((home / "data/truth/a",), out),
     "convert": lambda home, out: cli.convert(home / "data/sequences/a", out, "official"),
@@ -160,7 +164,7 @@ def test_an_older_result_that_holds_something_of_the_users_is_kept(home: Path, n
     (result / notes).write_text("mine")
     before = bytes_of(home)
     with pytest.raises(FreeArtError, match=f"older result, but {notes} in it would be lost"):
-        cli.reconstruct(home / "data/sequences/a", result, settings=QUIET)
+        reconstruct(home / "data/sequences/a", result, settings=QUIET)
     assert bytes_of(home) == before
 
 
@@ -334,7 +338,7 @@ def test_a_fault_of_the_recorders_own_leaves_the_folder_as_it_was(
 )
 def test_settings_beyond_all_bounds_are_one_line(tmp_path: Path, changes: dict[str, object], message: str) -> None:
     with pytest.raises(FreeArtError, match=message):
-        cli.record(**{"names": ("stapler",), "out": tmp_path / "data", **changes})  # type: ignore[arg-type]
+        record(RecordOptions(**{"names": ("stapler",), "out": tmp_path / "data", **changes}))  # type: ignore[arg-type]
     assert not (tmp_path / "data").exists()
 
 

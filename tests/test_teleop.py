@@ -28,6 +28,7 @@ from freeart21.camera import Camera
 from freeart21.catalog import built_in_names
 from freeart21.errors import FreeArtError
 from freeart21.files.take import read_take, sample_line, write_take
+from generator.commands import RecordOptions, record
 from generator.motion.body import UPRIGHT, Body
 from generator.scene import Scene
 from generator.session import RecordSettings, catalog_entry, load_object
@@ -817,7 +818,8 @@ def test_record_takes_teleop_for_track_and_says_what_it_leaves_out(
     Ts = se3.pose(np.eye(3), np.stack([0 * times, 0 * times, 0.5 + 0 * times], 1))
     write_take(tmp_path / "t.jsonl", "mouse", "camera", "revolute", zip(times, Ts, times / 4, strict=True))
     motion = f"teleop:{tmp_path / 't.jsonl'}"
-    cli.record(("flip_lighter",), tmp_path / "data", 4, motion=motion, width=96, height=64, queries=0, shader="trivial")
+    small = RecordSettings(width=96, height=64, queries=0, shader="trivial")
+    record(RecordOptions(("flip_lighter",), tmp_path / "data", 4, motion=motion, settings=small))
     assert "lasts 60 frames; the 4 with most joint" in capsys.readouterr().out
     truth = json.loads((tmp_path / "data" / "truth" / "flip_lighter-s0" / "truth.json").read_text())
     assert (truth["source"]["motion"], truth["source"]["track"]["name"]) == ("track", "t.jsonl")

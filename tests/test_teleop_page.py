@@ -16,10 +16,11 @@ pytest.importorskip("aiohttp", reason="the extra teleop is not installed")
 from browser import CHROMIUM, Browser, Navigated, browser
 from teleop_case import PATIENCE_S, Served, served_aside, started
 
-from freeart21 import cli, se3
+from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.files.take import Take, read_take
 from freeart21.files.truth import read_truth
+from generator.commands import RecordOptions, record
 from generator.motion.body import Body
 from generator.motion.plan import Plan
 from generator.motion.track import check_in_view
@@ -463,10 +464,11 @@ def test_the_real_thing_is_driven_seen_and_recorded(chromium: Browser, tmp_path:
         code, output = real.stop()
         assert code == 143 and "from a move to its picture" in output and not chromium.errors
     take = read_take(tmp_path / "take.jsonl")
-    cli.record(
-        ("stapler",), tmp_path / "data", 6, motion=f"teleop:{tmp_path / 'take.jsonl'}", width=96, height=54, queries=0,
-        shader="trivial",
-    )  # fmt: skip
+    small, motion = (
+        RecordSettings(width=96, height=54, queries=0, shader="trivial"),
+        f"teleop:{tmp_path / 'take.jsonl'}",
+    )
+    record(RecordOptions(("stapler",), tmp_path / "data", 6, motion=motion, settings=small))
     truth = read_truth(tmp_path / "data" / "truth" / "stapler-s0")
     begins = json.loads((tmp_path / "data" / "truth" / "stapler-s0" / "truth.json").read_text())["source"]["track"][
         "begins_s"

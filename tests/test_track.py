@@ -12,7 +12,7 @@ import pytest
 import trimesh
 from another_python import ROOT
 
-from freeart21 import cli, se3
+from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files.hashes import file_sha256
@@ -22,6 +22,8 @@ from freeart21.files.truth import read_truth
 from freeart21.formats.captured import ARCTIC_SIZES_M, read_track
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh, bounding_diagonal
+from generator.commands import RecordOptions
+from generator.commands import record as run_record
 from generator.dataset import plan_jobs
 from generator.golden import verify_deep
 from generator.motion import track
@@ -238,8 +240,9 @@ def test_changes_of_a_take_are_reported_and_stored(tmp_path: Path, capsys: pytes
     rows = np.zeros((12, 7), np.float32)
     rows[:, 0], rows[:, 4] = np.linspace(0, 1, 12), 20 * np.arange(12)  # 22 cm to the side
     np.save(tmp_path / "a.npy", rows)
-    small = {"width": 96, "height": 64, "shader": "trivial", "queries": 0}
-    cli.record(("flip_cap_usb",), tmp_path / "data", motion=f"track:{tmp_path / 'a.npy'}", **small)  # type: ignore[arg-type]
+    small = RecordSettings(width=96, height=64, queries=0, shader="trivial")
+    options = RecordOptions(("flip_cap_usb",), tmp_path / "data", motion=f"track:{tmp_path / 'a.npy'}", settings=small)
+    run_record(options)
     truth = read_truth(tmp_path / "data" / "truth" / "flip_cap_usb-s0")
     expected = truth.source["track"]
     assert expected["carry"] == pytest.approx(expected["size"] / expected["taken_with"]) and expected["carry"] < 0.5
@@ -249,7 +252,7 @@ def test_changes_of_a_take_are_reported_and_stored(tmp_path: Path, capsys: pytes
     assert out.strip().endswith("flip_cap_usb-s0")
     assert f"a.npy: its translation scaled by {expected['carry']:.2g} (an object of" in err and err.count("\n") == 1
     with pytest.raises(FreeArtError, match="exists with carry None, not 1"):
-        cli.record(("flip_cap_usb",), tmp_path / "data", motion=f"track:{tmp_path / 'a.npy'}", carry=1.0, **small)  # type: ignore[arg-type]
+        run_record(dataclasses.replace(options, settings=dataclasses.replace(small, carry=1.0)))
 
 
 def test_the_place_shows_all_frames_and_no_nearer_one_would() -> None:
@@ -384,9 +387,9 @@ def test_the_command_takes_the_take_s_length_by_default(tmp_path: Path, monkeypa
     )
     take = taken(tmp_path / "a.txt")
     for frames in (None, 40, 500):
-        cli.record(("stapler",), tmp_path / "data", frames, motion=f"track:{take}")
+        run_record(RecordOptions(("stapler",), tmp_path / "data", frames, motion=f"track:{take}"))
     assert [(s.frames, s.motion, s.track) for s in settings] == [(n, "track", take) for n in (61, 40, 61)]
-    cli.record(("stapler",), tmp_path / "data")
+    run_record(RecordOptions(("stapler",), tmp_path / "data"))
     assert (settings[-1].frames, settings[-1].motion, settings[-1].track) == (300, "tumble", None)
     for motion, expected in (
         ("track", "needs the file"),
@@ -394,7 +397,7 @@ def test_the_command_takes_the_take_s_length_by_default(tmp_path: Path, monkeypa
         (f"track:{tmp_path / 'b'}", "b is missing"),
     ):
         with pytest.raises(FreeArtError, match=expected):
-            cli.record(("stapler",), tmp_path / "data", motion=motion)
+            run_record(RecordOptions(("stapler",), tmp_path / "data", motion=motion))
 
 
 # --- any object -------------------------------------------------------------------------------------------------------

@@ -25,7 +25,8 @@ from freeart21.mesh import bounding_diagonal
 from generator import partnet
 from generator.motion.body import Body
 from generator.motion.plan import PRESETS
-from generator.session import RecordSettings, catalog_entry, load_object, resolve_name
+from generator.session import catalog_entry, load_object, resolve_name
+from generator.settings import RecordSettings
 from generator.teleop.address import addresses, is_loopback, qr_code
 from generator.teleop.certificate import Certificate, load_certificate, normalise_host
 from generator.teleop.driving import Driving, Placement
