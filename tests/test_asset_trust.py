@@ -45,7 +45,7 @@ def said_of(path: Path) -> tuple[str, str]:
 
 
 def test_every_file_of_a_doubtful_asset_says_so(doubtful: Path):
-    assert read_asset(doubtful).trust == 3
+    assert read_asset(doubtful).trust == DOUBTFUL
     document = json.loads((doubtful / "asset.json").read_text())["trust"]
     assert document == {"verdict": "doubtful", "reasons": list(DOUBTFUL.reasons)}
     for name in ("object.urdf", "object.xml"):
@@ -72,7 +72,7 @@ def test_check_asset_fails_a_doubtful_asset_from_any_one_of_its_files(doubtful: 
 
 def test_a_repaired_asset_carries_the_doubt_on(doubtful: Path, tmp_path: Path):
     again = write_repaired(read_asset(doubtful), (Armature(0.001),), tmp_path / "repaired")
-    assert again.trust == 3 and said_of(tmp_path / "repaired")[0] == "fail"
+    assert again.trust == DOUBTFUL and said_of(tmp_path / "repaired")[0] == "fail"
     for name in ("object.urdf", "object.xml", "LOSSES.md", "loaders/joint.json"):
         assert "doubtful: the axis" in (tmp_path / "repaired" / name).read_text()
 

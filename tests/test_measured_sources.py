@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.real_recordings import SHARED, recordings
+from benchmarks.real_recordings import MEASURED, recordings
 from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured
 from freeart21.formats.measured_series import SeriesSettings, measure_series
@@ -62,7 +62,7 @@ COMMANDS = {  # files, required options, runs, rows a second
 @pytest.mark.parametrize("name", COMMANDS)
 def test_each_recording_imports_with_one_command(name: str, sets: Path, tmp_path: Path):
     words, options, count, rate_hz = COMMANDS[name]
-    files = [SHARED / word for word in words.split()]
+    files = [MEASURED / word for word in words.split()]
     if not all(file.is_file() for file in files):
         pytest.skip("this recording is not at hand")
     notes = measure_series(
