@@ -49,8 +49,8 @@ MAX_OBJECTS = 1000
 """Procedural objects of one call: their names end in three digits."""
 MAX_WORKERS = 64
 _MADE_WITH = ("freeart21", "sapien", "numpy", "opencv-python-headless", "embreex", "manifold3d", "scipy")
-SECONDS_A_PICTURE = 0.25
-"""Approximate time for a picture: for the time limits of clusters."""
+MOST_SECONDS_A_PICTURE = 2.5
+"""Ten times the approximate time for a picture: for the limit of a job."""
 _JOBS = ".jobs"
 """Folder in the work folder for the state of jobs; no sequence has this name."""
 _OBJECT_FILES = 107
@@ -436,22 +436,22 @@ def _run_as_jobs(
                 "sequence": job.sequence,
                 "settings": _settings_to_json(job.settings),
             },
-            seconds=SECONDS_A_PICTURE * (job.settings.frames + job.settings.queries),
+            processors=2,
+            memory_gb=8.0,
+            limit_s=max(3600.0, MOST_SECONDS_A_PICTURE * (job.settings.frames + job.settings.queries)),
         )
         for name, job in by_name.items()
     ]
 
-    def listener(event: str, done: jobs_anywhere.Job, facts: dict[str, object]) -> None:
-        if event == "finished":
-            job = by_name[done.name]
-            board.update(job.sequence, *[job.settings.frames + job.settings.queries] * 2)
-            board.finished(job.sequence)
-            on_done(job.sequence)
+    def finished(done: jobs_anywhere.Job) -> None:
+        job = by_name[done.name]
+        board.update(job.sequence, *[job.settings.frames + job.settings.queries] * 2)
+        board.finished(job.sequence)
+        on_done(job.sequence)
 
-    report = jobs_anywhere.run_jobs(place / WORK / _JOBS, job_list, workers, executor, listener=listener)
-    for failed in report.failed:
-        full = failed.reason.startswith("cannot write")
-        raise (atomic.CannotWrite if full else FreeArtError)(failed.reason)
+    failed = jobs_anywhere.run_jobs(place / WORK / _JOBS, job_list, workers, executor, on_done=finished)
+    for reason in failed.values():
+        raise (atomic.CannotWrite if reason.startswith("cannot write") else FreeArtError)(reason)
 
 
 def record_one(out: str, name: str, sequence: str, settings: dict[str, Any]) -> None:

@@ -30,8 +30,7 @@ from freeart21.files.hashes import file_sha256
 from freeart21.files.lock import acquire
 from freeart21.files.truth import read_truth
 from freeart21.files.verify import verify
-from freeart21.jobs import EXECUTORS
-from freeart21.jobs.executors import Local
+from freeart21.jobs import EXECUTORS, Local
 from generator import dataset, objects, session
 from generator.dataset import Job, official_names, plan_jobs, procedural_jobs, record_jobs
 from generator.session import RecordSettings
@@ -216,7 +215,7 @@ def test_jobs_of_an_executor_give_the_same_bytes_also_when_their_processes_are_k
         """Two of the jobs' processes, in the midst of their work."""
         while not over.is_set() and len(killed) < 2:
             work = data / ".recording"
-            for pid in processes("freeart21.jobs.worker"):
+            for pid in processes(str(data)):
                 if pid not in killed and len(killed) < 2 and len(list(work.glob("*/side/*.png"))) > 2 * len(killed):
                     killed.append(pid)
                     with contextlib.suppress(ProcessLookupError):
