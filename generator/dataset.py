@@ -33,14 +33,8 @@ from freeart21.files.lock import acquire, release
 from freeart21.files.places import check_append
 from freeart21.progress import Board, progress_board
 from generator import partnet
-from generator.session import (
-    ACCESS,
-    catalog_entry,
-    find_partnet_folder,
-    load_object,
-    record_object,
-    resolve_name,
-)
+from generator.object_source import ACCESS, find_object
+from generator.session import record_object
 from generator.settings import RecordSettings
 
 __all__ = ["WORK", "Job", "Label", "is_unfinished", "official_names", "plan_jobs", "procedural_jobs", "record_jobs"]
@@ -100,22 +94,18 @@ def plan_jobs(names: Sequence[str], settings: RecordSettings) -> list[Job]:
     joint of a procedural object. Raises FreeArtError when a name is unknown or the object's files are unfit.
     """
     settings.check()
-    given, jobs = settings, []
+    jobs = []
     for each in dict.fromkeys(names):
-        name, settings = resolve_name(each, given)
-        entry = catalog_entry(name, settings)
-        joint, notes = settings.joint or entry.joint, tuple[str, ...]()
-        if entry.source == "partnet":
-            folder = find_partnet_folder(name, settings.partnet_root)
-            loaded = partnet.load(folder, joint, settings.skip_missing)
-            joint, notes = loaded.joint.name, loaded.notes
-        elif entry.source == "urdf":
+        source = find_object(each, settings)
+        entry, joint, notes = source.entry, source.joint, tuple[str, ...]()
+        if entry.source != "procedural":
             with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
-                loaded = load_object(entry, settings, Path(place))
+                loaded = source.load(Path(place))
             joint, notes = loaded.joint.name, loaded.notes
         own = entry.source == "procedural" and joint == entry.joint
         middle = "" if own else f"-{joint}"
-        jobs.append(Job(name, f"{name}{middle}-s{settings.seed}", settings, notes))
+        sequence = f"{entry.name}{middle}-s{settings.seed}"
+        jobs.append(Job(entry.name, sequence, replace(settings, urdf=source.urdf), notes))
     return jobs
 
 

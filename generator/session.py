@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21 import catalog
 from freeart21.camera import Camera
 from freeart21.camera_faults import ROOM_M
 from freeart21.effects import Effect, effect_from_json
@@ -20,7 +19,6 @@ from freeart21.files.asset import EFFECTS_SCHEMA
 from freeart21.files.camera_faults import read_camera_faults
 from freeart21.files.sequence import encode_depth, write_header, write_queries
 from freeart21.files.truth import write_truth
-from freeart21.files.urdf import MAX_URDF_BYTES
 from freeart21.formats.captured import read_track
 from freeart21.formats.third_party import Parts, assign_parts
 from freeart21.joint import Joint
@@ -28,14 +26,14 @@ from freeart21.mesh import Mesh, bounding_diagonal
 from freeart21.progress import Progress
 from freeart21.se3 import Array
 from freeart21.truth import Truth
-from generator import objects, partnet, urdf_folder
+from generator import partnet
 from generator.frame_writer import FrameWriter
 from generator.model import ObjectModel
 from generator.motion import PRESETS, STYLES, Plan, motion_range, plan_motion
 from generator.motion import track as tracks
 from generator.motion.body import Body
 from generator.motion.planner import camera_in_world
-from generator.partnet_writer import write_partnet
+from generator.object_source import find_object
 from generator.queries import PlannedQuery, plan_queries
 from generator.release import roll_out_release
 from generator.scene import Picture, Scene, simulator
@@ -49,9 +47,6 @@ LICENCES = {
     "urdf": "that of the object",
 }
 """Licence of a recording by the source of its object."""
-
-ACCESS = "https://sapien.ucsd.edu/downloads"
-"""Where to ask for PartNet-Mobility."""
 
 _PICTURES = ("sequence/rgb", "sequence/depth", "sequence/mask", "side")
 """Folders in the work folder, each with one picture a frame; `side` holds true labels for the truth folder."""
@@ -69,67 +64,29 @@ def record_object(name: str, settings: RecordSettings, work: Path, progress: Pro
     if (work / "truth").is_dir():
         return
     atomic.remove_leftovers(work)
-    entry = catalog_entry(name, settings)
-    loaded = load_object(entry, settings, work / "object")
-    released = settings.motion == "release" and entry.source == "procedural"
-    session = Session(loaded, settings, work, progress, build_model(entry.name, settings) if released else None)
+    source = find_object(name, settings)
+    loaded = source.load(work / "object")
+    released = settings.motion == "release" and source.entry.source == "procedural"
+    session = Session(loaded, settings, work, progress, source.build() if released else None)
     session.film()
     parts = session.parts()
     views = session.plan_views(parts)
     write_queries(work / "sequence", tuple(view.query for view in views))
     times_s = np.arange(settings.frames) / settings.fps
     gravity = -session.plan.Ts_camera_world[:, :3, 2]
-    write_header(work / "sequence", session.camera, session.depth_scale, times_s, LICENCES[entry.source], gravity)
-    facts = {"object": name, "category": loaded.category, "object_source": entry.source}
+    licence = LICENCES[source.entry.source]
+    write_header(work / "sequence", session.camera, session.depth_scale, times_s, licence, gravity)
+    facts = {"object": name, "category": loaded.category, "object_source": source.entry.source}
     rough = work / "rough_truth"
     shutil.rmtree(rough, ignore_errors=True)
     write_truth(rough, session.truth(parts, views, facts), len(views))
     try:
         np.savez_compressed(rough / "world.npz", T_camera_world=session.plan.Ts_camera_world)
-        if entry.source == "procedural":
+        if source.entry.source == "procedural":
             checked.copy_folder(work / "object" / name, rough / "object")
         rough.replace(work / "truth")
     except OSError as error:
         raise atomic.cannot_write(work / "truth", error) from error
-
-
-def resolve_name(name: str, settings: RecordSettings) -> tuple[str, RecordSettings]:
-    """The object's name, and the settings with its URDF when `name` is the path of one."""
-    if not name.lower().endswith(urdf_folder.URDF_ENDINGS):
-        return name, settings
-    urdf = checked.require_file(Path(name), MAX_URDF_BYTES, checked.ANYWHERE)
-    return urdf_folder.object_name(Path(name)), replace(settings, urdf=urdf)
-
-
-def catalog_entry(name: str, settings: RecordSettings) -> catalog.CatalogEntry:
-    """The catalog's entry of `name`, or a new one for the settings' URDF or a PartNet-Mobility id."""
-    if settings.urdf is not None:
-        return catalog.CatalogEntry(name, "unknown", None, None, "urdf", None)
-    return catalog.find(name, partnet=settings.partnet_root is not None)
-
-
-def load_object(entry: catalog.CatalogEntry, settings: RecordSettings, place: Path) -> partnet.PartNetObject:
-    """The object of the catalog's `entry`, loaded from a PartNet-Mobility folder.
-
-    The folder of a procedural object or a URDF is written in `place` unless it exists; a procedural object gets the
-    preset's size. Folders of PartNet-Mobility objects are the user's.
-    """
-    if settings.urdf is not None:
-        return urdf_folder.load_urdf(
-            settings.urdf, place / entry.name, settings.joint, settings.skip_missing, settings.root
-        )
-    folder = (
-        place / entry.name if entry.source == "procedural" else find_partnet_folder(entry.name, settings.partnet_root)
-    )
-    if entry.source == "procedural" and not folder.is_dir():
-        write_partnet(build_model(entry.name, settings), folder)
-    return partnet.load(folder, settings.joint or entry.joint, settings.skip_missing)
-
-
-def build_model(name: str, settings: RecordSettings) -> ObjectModel:
-    """The procedural object `name`, of the settings' seed and preset's size."""
-    model, diagonal = objects.build(name, settings.seed), PRESETS[settings.preset].diagonal_m
-    return model if diagonal is None else model.scaled(diagonal / model.diagonal)
 
 
 def plan_recording(
@@ -208,22 +165,6 @@ def read_release_effects(path: Path, joint: Joint) -> tuple[Effect, ...]:
             "of geometry, sensors or drives"
         )
     return effects
-
-
-def find_partnet_folder(name: str, root: Path | None) -> Path:
-    """The folder of the PartNet-Mobility object `name`; FreeArtError when it is absent, with where to ask for it."""
-    if root is None:
-        raise FreeArtError(
-            f"object '{name}' is from PartNet-Mobility: give the folder that holds {name} as --partnet-root; "
-            f"access to the dataset: {ACCESS}"
-        )
-    folder = partnet.find_folder(name, root)
-    if folder is None:
-        raise FreeArtError(
-            f"PartNet-Mobility object {name} is not in {root}; ask for access to the dataset at {ACCESS} and unpack it "
-            f"so that {root / name / partnet.URDF_NAME} exists"
-        )
-    return folder
 
 
 def nice_scale(least: float) -> float:

@@ -18,7 +18,6 @@ from typing import Annotated, Literal, get_args
 import numpy as np
 import tyro
 
-from freeart21 import catalog
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import read_benchmark
@@ -27,7 +26,8 @@ from freeart21.se3 import Array
 from generator import objects
 from generator.dataset import Job, Label
 from generator.model import ObjectModel
-from generator.session import load_object, plan_recording
+from generator.object_source import find_object
+from generator.session import plan_recording
 from generator.settings import RecordSettings
 
 NAME, VERSION = "freeart21-v1", "1"
@@ -115,7 +115,7 @@ def motion_fingerprint(entry: Entry, settings: RecordSettings | None = None) -> 
     """
     settings = replace(settings or RecordSettings(), seed=entry.seed, motion=entry.motion)
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
-        plan = plan_recording(load_object(catalog.find(entry.object), settings, Path(place)), settings)[1]
+        plan = plan_recording(find_object(entry.object, settings).load(Path(place)), settings)[1]
     return _digest([_text(plan.Ts_camera_object[:, :3], 4), _text(plan.states, 4)])
 
 

@@ -141,7 +141,7 @@ def with_settings(words: list[str]) -> Callable[..., int]:
         return reconstruct(*arguments, **options)
 
     update_wrapper(command, reconstruct)
-    del command.__wrapped__  # tyro reads the signature of what is wrapped
+    command.__dict__.pop("__wrapped__")  # tyro reads the signature of what is wrapped
     command.__signature__ = signature(reconstruct).replace(parameters=[*parameters.values()])  # type: ignore[attr-defined]
     if not any(word.startswith("--settings.") for word in words):
         command.__annotations__ = {**reconstruct.__annotations__, "settings": HIDDEN}

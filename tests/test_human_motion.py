@@ -20,7 +20,8 @@ from generator.motion.style import Task
 from generator.motion.styles.human import propose
 from generator.motion.timing import Hold
 from generator.motion.visibility import Atlas
-from generator.session import RecordSettings, load_object, plan_recording
+from generator.object_source import find_object
+from generator.session import RecordSettings, plan_recording
 from generator.shapes import box, triangles
 
 CAMERA = Camera.from_fov(640, 360, np.radians(40))
@@ -132,7 +133,7 @@ def test_any_length_and_clock(frames: int, fps: float) -> None:
 def test_objects_of_every_category_stay_in_the_picture(tmp_path: Path) -> None:
     for name in catalog.built_in_names()[1::3]:
         settings = RecordSettings(frames=60, seed=5, motion="human")
-        loaded = load_object(catalog.find(name), settings, tmp_path)
+        loaded = find_object(name, settings).load(tmp_path)
         camera, plan = plan_recording(loaded, settings)
         body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
         low, high = image_extent(plan.Ts_camera_object, plan.states, body, camera)

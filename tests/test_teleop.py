@@ -28,8 +28,9 @@ from freeart21.errors import FreeArtError
 from freeart21.files.take import read_take, write_take
 from generator.commands import teleop
 from generator.motion.body import UPRIGHT, Body
+from generator.object_source import find_object
 from generator.scene import Scene
-from generator.session import RecordSettings, catalog_entry, load_object
+from generator.settings import RecordSettings
 from generator.teleop import gate, server, stage_process, wire
 from generator.teleop.driving import GAP_S, STEP_S, UNDO_S, Driving, Placement
 from generator.teleop.limits import FILL, Workspace
@@ -217,7 +218,7 @@ def test_a_full_disk_leaves_whole_lines_and_a_take_that_is_saved_when_there_is_r
 
 @pytest.mark.parametrize("name", ["swivel_usb", "drawer_unit"])
 def test_an_object_begins_in_the_middle_and_large(name: str, tmp_path: Path) -> None:
-    loaded = load_object(catalog_entry(name, RecordSettings()), RecordSettings(), tmp_path)
+    loaded = find_object(name, RecordSettings()).load(tmp_path)
     body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
     camera = Camera.from_fov(640, 360, np.radians(40))
     room = Workspace.of(body, camera)
@@ -228,7 +229,7 @@ def test_an_object_begins_in_the_middle_and_large(name: str, tmp_path: Path) -> 
 
 
 def test_the_live_shader_shows_the_recorder_s_colours(tmp_path: Path) -> None:
-    loaded = load_object(catalog_entry("stapler", RecordSettings()), RecordSettings(), tmp_path)
+    loaded = find_object("stapler", RecordSettings()).load(tmp_path)
     camera = Camera.from_fov(96, 54, np.radians(40))
     T = se3.pose(se3.exp_so3([0.4, 0.5, -0.2]) @ UPRIGHT, [0.0, 0.0, 0.3])
     pictures = []

@@ -30,9 +30,10 @@ from generator.motion import track
 from generator.motion.body import UPRIGHT, Body
 from generator.motion.framing import MARGIN, image_extent, place_as_moved
 from generator.motion.plan import PRESETS
+from generator.object_source import find_object
 from generator.recorder import RecordSettings, record
 from generator.scene import Scene
-from generator.session import catalog_entry, load_object, plan_recording
+from generator.session import plan_recording
 from generator.urdf_folder import load_urdf
 
 SHARED = ROOT.parent / "shared"
@@ -330,7 +331,7 @@ def test_a_take_of_one_object_is_replayed_on_all_others_and_fills_the_picture(tm
     settings = dataclasses.replace(SMALL, motion="track", track=tmp_path / "a.txt", frames=31, width=320, height=180)
     fills, ways = {}, {}
     for k, name in enumerate(("stapler", "filing_cabinet", "cover_phone")):
-        loaded = load_object(catalog_entry(name, settings), settings, tmp_path / name)
+        loaded = find_object(name, settings).load(tmp_path / name)
         meshes = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
         if k == 0:
             size = bounding_diagonal(*meshes)
@@ -359,9 +360,7 @@ def test_the_example_takes_are_replayed_as_they_were_taken(path: Path, tmp_path:
     settings = dataclasses.replace(
         SMALL, motion="track", track=path, frames=track.count_frames(take, 30), width=320, height=180
     )
-    _, plan = plan_recording(
-        load_object(catalog_entry(name, settings), settings, tmp_path), settings
-    )  # refuses what leaves the view
+    _, plan = plan_recording(find_object(name, settings).load(tmp_path), settings)  # refuses what leaves the view
     assert plan.source["states"] == "as taken" and "carry" not in plan.source and take.size is not None
     assert (take.filter is not None) == (take.device == "headset")
     turned = np.arccos(
