@@ -9,11 +9,12 @@ from freeart21 import catalog
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.urdf import MAX_URDF_BYTES
-from generator import objects, partnet, urdf_folder
+from generator import objects, partnet, urdf_object
 from generator.model import ObjectModel
 from generator.motion import PRESETS
 from generator.partnet_writer import write_partnet
 from generator.settings import RecordSettings
+from generator.urdf_object import LoadedObject
 
 ACCESS = "https://sapien.ucsd.edu/downloads"
 """Where to ask for PartNet-Mobility."""
@@ -35,15 +36,15 @@ class ObjectSource:
     root: Path | None = None
     skip_missing: bool = False
 
-    def load(self, place: Path) -> partnet.PartNetObject:
+    def load(self, place: Path) -> LoadedObject:
         """Load the object.
 
-        The folder of a procedural object or a URDF is written in `place` unless it exists; a procedural object gets
-        the preset's size. Folders of PartNet-Mobility objects are the user's.
+        The folder of a procedural object is written in `place` unless it exists; it gets the preset's size. Other
+        files are the user's.
         """
         folder = place / self.entry.name
         if self.urdf is not None:
-            return urdf_folder.load_urdf(self.urdf, folder, self.joint, self.skip_missing, self.root)
+            return urdf_object.load_urdf(self.urdf, self.joint, self.skip_missing, self.root)
         if self.entry.source != "procedural":
             folder = find_partnet_folder(self.entry.name, self.partnet_root)
         elif not folder.is_dir():
@@ -62,9 +63,9 @@ def find_object(name: str, settings: RecordSettings) -> ObjectSource:
     Raises FreeArtError when the name is unknown, or the URDF is missing.
     """
     urdf = settings.urdf
-    if urdf is None and name.lower().endswith(urdf_folder.URDF_ENDINGS):
+    if urdf is None and name.lower().endswith(urdf_object.URDF_ENDINGS):
         urdf = checked.require_file(Path(name), MAX_URDF_BYTES, checked.ANYWHERE)
-        name = urdf_folder.object_name(Path(name))
+        name = urdf_object.object_name(Path(name))
     if urdf is None:
         entry = catalog.find(name, partnet=settings.partnet_root is not None)
     else:

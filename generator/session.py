@@ -26,7 +26,6 @@ from freeart21.mesh import Mesh, bounding_diagonal
 from freeart21.progress import Progress
 from freeart21.se3 import Array
 from freeart21.truth import Truth
-from generator import partnet
 from generator.frame_writer import FrameWriter
 from generator.model import ObjectModel
 from generator.motion import PRESETS, STYLES, Plan, motion_range, plan_motion
@@ -40,6 +39,7 @@ from generator.scene import Picture, Scene, simulator
 from generator.sensor import Sensor
 from generator.settings import TRACK, RecordSettings
 from generator.truth_mesh import build_truth
+from generator.urdf_object import LoadedObject
 
 LICENCES = {
     "procedural": "CC0-1.0",
@@ -90,7 +90,7 @@ def record_object(name: str, settings: RecordSettings, work: Path, progress: Pro
 
 
 def plan_recording(
-    loaded: partnet.PartNetObject, settings: RecordSettings, model: ObjectModel | None = None
+    loaded: LoadedObject, settings: RecordSettings, model: ObjectModel | None = None
 ) -> tuple[Camera, Plan]:
     """The camera and the planned motion. `model` gives the masses of a procedural object for the motion 'release'."""
     preset, s = PRESETS[settings.preset], settings
@@ -108,7 +108,7 @@ def plan_recording(
     return camera, plan_motion(s.motion, meshes, loaded.joint, camera, s.frames, s.fps, s.seed, preset, states)
 
 
-def _plan_from_take(loaded: partnet.PartNetObject, settings: RecordSettings, camera: Camera) -> Plan:
+def _plan_from_take(loaded: LoadedObject, settings: RecordSettings, camera: Camera) -> Plan:
     """The motion of the settings' take. Poses that are changes since the first start as the motion 'tumble' does."""
     assert settings.track is not None
     s, preset, take = settings, PRESETS[settings.preset], read_track(settings.track)
@@ -178,7 +178,7 @@ class Session:
 
     def __init__(
         self,
-        loaded: partnet.PartNetObject,
+        loaded: LoadedObject,
         settings: RecordSettings,
         work: Path,
         progress: Progress,
@@ -194,7 +194,7 @@ class Session:
         self.depth_scale = nice_scale((far if settings.camera is None else 2 * far + ROOM_M) / 65000)
         groups = [side.links for side in loaded.sides]
         faults = None if settings.camera is None else read_camera_faults(settings.camera)
-        self.scene = Scene(loaded.asset.urdf, groups, self.camera, near, far, settings.shader)
+        self.scene = Scene(loaded.asset.urdf, groups, self.camera, near, far, settings.shader, loaded.asset.root)
         self.sensor = Sensor(
             settings.sensor, self.scene, self.plan, loaded, coarse, settings.seed, settings.fps, faults
         )

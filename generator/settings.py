@@ -139,7 +139,7 @@ class RecordSettings:
         """All that decides the recording's bytes, as JSON, without paths of this machine."""
         from freeart21.files import checked
         from freeart21.files.hashes import file_sha256
-        from generator import urdf_folder
+        from generator import urdf_object
 
         facts = asdict(self)
         del facts["partnet_root"], facts["root"]
@@ -151,7 +151,7 @@ class RecordSettings:
         if self.track is None:
             del facts["carry"]
         if self.urdf is not None:
-            facts["urdf"] = {"name": self.urdf.name, "sha256": urdf_folder.digest(self.urdf, self.root)}
+            facts["urdf"] = {"name": self.urdf.name, "sha256": urdf_object.digest(self.urdf, self.root)}
         if self.track is not None:
             facts["track"] = {"name": self.track.name, "sha256": file_sha256(self.track, checked.ANYWHERE)}
         return facts

@@ -37,7 +37,7 @@ from generator.object_source import find_object
 from generator.recorder import RecordSettings, record
 from generator.scene import Scene
 from generator.session import plan_recording
-from generator.urdf_folder import load_urdf
+from generator.urdf_object import load_urdf
 
 SHARED = ROOT.parent / "shared"
 SMALL = RecordSettings(frames=5, width=96, height=64, shader="trivial", queries=1, edge=0.5)
@@ -372,8 +372,8 @@ def test_open_meshes_are_seen_from_both_sides(case: Path, tmp_path: Path) -> Non
     tray = trimesh.creation.box((0.1, 0.1, 0.04))
     tray.update_faces(tray.face_normals[:, 2] < 0.5)
     tray.export(case.parent / "box.obj")
-    assert len(load_urdf(case, tmp_path / "made").parent_side.surface.faces) == 20
-    assert len(load_urdf(case, tmp_path / "made").child_side.surface.faces) == 12
+    assert len(load_urdf(case).parent_side.surface.faces) == 20
+    assert len(load_urdf(case).child_side.surface.faces) == 12
     take = arctic(tmp_path / "a.npy", np.linspace(0, 2, 12), turn=0.03)
     record(str(case), tmp_path / "data", dataclasses.replace(SMALL, motion="track", track=take))
     assert verify_deep(tmp_path / "data") == []
@@ -408,9 +408,9 @@ def test_what_a_urdf_lacks_is_noted_also_when_it_was_made_before(case: Path, tmp
     second = '<visual><geometry><mesh filename="knob.stl"/></geometry></visual>'
     case.write_text(URDF.replace('<link name="box">', f'<link name="box">{second}'))
     with pytest.raises(FreeArtError, match=r"'knob.stl', which does not exist: .* --root .*; --skip-missing"):
-        load_urdf(case, tmp_path / "made")
+        load_urdf(case)
     for _ in range(2):
-        loaded = load_urdf(case, tmp_path / "made", skip_missing=True)
+        loaded = load_urdf(case, skip_missing=True)
         assert loaded.notes == ("absent meshes are left out: knob.stl",)
 
 
@@ -420,7 +420,7 @@ def test_mimic_and_floating_joints_are_held_and_noted(case: Path, tmp_path: Path
         <mimic joint="hinge" multiplier="-2" offset="0.5"/></joint><link name="world"/>
         <joint name="free" type="floating"><parent link="world"/><child link="box"/></joint></robot>"""
     case.write_text(URDF.replace("</robot>", more).replace('upper="1.5"', 'upper="1e30"'))
-    loaded = load_urdf(case, tmp_path / "made")
+    loaded = load_urdf(case)
     assert loaded.joint.name == "hinge" and loaded.asset.held == {"turns": 0.5}
     assert loaded.parent_side.links == ("box", "flap", "world")
     assert loaded.notes == (
@@ -434,7 +434,7 @@ def test_mimic_and_floating_joints_are_held_and_noted(case: Path, tmp_path: Path
 @needs_objects
 @pytest.mark.parametrize("name", ["laptop/laptop", "mixer/mixer", "ketchup/ketchup_derived_objbottom"])
 def test_real_urdfs_are_loaded(name: str, tmp_path: Path) -> None:
-    loaded = load_urdf(SHARED / "urdf_objects" / f"{name}.urdf", tmp_path / "made", "rotation")
+    loaded = load_urdf(SHARED / "urdf_objects" / f"{name}.urdf", "rotation")
     size = np.ptp(np.concatenate([side.surface.vertices for side in loaded.sides]), axis=0)
     assert loaded.joint.type == "revolute" and 0.1 < np.linalg.norm(size) < 0.6
     assert all(len(side.surface.faces) > 100 for side in loaded.sides)
