@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import inspect
 import re
 import shlex
 import typing
-from dataclasses import fields, is_dataclass
 from pathlib import Path
-from types import FunctionType
 
 import numpy as np
 import pytest
@@ -28,6 +25,7 @@ from freeart21.files.verify import verify
 from freeart21.reconstruction import Failure, Reconstruction
 from generator.motion.styles import STYLES
 from generator.sensors import SENSORS
+from reconstruct.commands import with_settings
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
@@ -274,7 +272,7 @@ def test_modules_exist(document: Path) -> None:
 def test_options_are_those_of_the_command_line() -> None:
     """What is checked above is not vacuous."""
     commands = _commands()
-    assert {"--deep", "--truth"} == commands["verify"] - {"--help"}
+    assert {"--deep", "--no-deep", "--truth"} == commands["verify"] - {"--help", "-h"}
     assert "--from" in commands["convert"] and "--layout" not in commands["convert"]
     assert _known("--settings.segmentation", commands["reconstruct"])
     assert not _known("--settings.segmentations", commands["reconstruct"])
@@ -283,34 +281,12 @@ def test_options_are_those_of_the_command_line() -> None:
 
 
 def _commands() -> dict[str, set[str]]:
-    """Command to options, from the signatures of the functions."""
-    return {name: {"--help", *_options_of(typing.cast(FunctionType, f))} for name, f in cli.known_commands().items()}
-
-
-def _options_of(function: FunctionType) -> set[str]:
-    hints = typing.get_type_hints(function, include_extras=True)
-    found = set()
-    for name in inspect.signature(function).parameters:
-        marks = getattr(hints[name], "__metadata__", ())
-        if tyro.conf.Positional in marks:
-            continue
-        names = [one.name for one in marks if getattr(one, "name", None)]
-        option = f"--{(names[0] if names else name).replace('_', '-')}"
-        found.add(option)
-        bare = typing.get_args(hints[name])[0] if marks else hints[name]
-        if is_dataclass(bare):
-            found |= {f"{option}.help", *_nested(typing.cast(type, bare), option)}
-    return found
-
-
-def _nested(settings: type, prefix: str) -> set[str]:
-    found, hints = set(), typing.get_type_hints(settings)
-    for field in fields(settings):
-        option = f"{prefix}.{field.name.replace('_', '-')}"
-        found |= _nested(hints[field.name], option) if is_dataclass(hints[field.name]) else {option}
-        if hints[field.name] is bool:
-            found.add(f"{prefix}.no-{field.name.replace('_', '-')}")
-    return found
+    """Command to its options."""
+    functions = {name: cli.load(name) for name in cli.COMMANDS} | {"reconstruct": with_settings(["--settings."])}
+    parsers = {name: tyro.extras.get_parser(function) for name, function in functions.items()}
+    options = {name: {o for action in p._actions for o in action.option_strings} for name, p in parsers.items()}
+    options["reconstruct"].add("--settings.help")
+    return options
 
 
 def _known(option: str, options: set[str]) -> bool:

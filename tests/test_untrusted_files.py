@@ -43,7 +43,7 @@ EXEMPT = {
         "generator/teleop/server.py:read_text export/loaders/__init__.py:read_bytes"
     ),
     "the answer of a process of our own": (
-        "freeart21/doctor.py:json.loads freeart21/formats/mat_file.py:json.loads freeart21/jobs/worker.py:json.loads "
+        "freeart21/doctor.py:json.loads freeart21/formats/mat_file.py:json.loads freeart21/jobs.py:json.loads "
         "generator/teleop/stage_process.py:json.loads export/check/trial_process.py:json.loads "
         "export/check/consistency_rules.py:json.loads "
         "leaderboard/forked.py:json.loads leaderboard/forked.py:fdopen"
@@ -63,7 +63,7 @@ EXEMPT = {
         "leaderboard/archive.py:open freeart21/formats/record3d.py:open freeart21/formats/video_file.py:open"
     ),
     "/proc": "leaderboard/provenance.py:read_text leaderboard/methods/measured.py:read_text",
-    "the log of a job of ours": "freeart21/jobs/worker.py:open",
+    "the log of a job of ours": "freeart21/jobs.py:read_text",
     "the log of a process of our own, and a device": (
         "leaderboard/forked.py:open leaderboard/methods/run.py:open leaderboard/methods/measured.py:open"
     ),
