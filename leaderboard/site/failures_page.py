@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from freeart21.view.document import Section, escape
+from freeart21.view.document import Markup, Section, render
 from freeart21.view.tables import number_text
 from leaderboard.protocols import Metric, protocol_named
 from leaderboard.rows import Row
+from leaderboard.site.common import PACKAGE, Board, explained, method_link, page, sequence_link
 from leaderboard.site.entrant import Entrant
-from leaderboard.site.html import Board, explained, method_link, page
+from leaderboard.site.index_page import thumb
 
 MAX_SHOWN = 6
 """Cards per number."""
@@ -23,20 +24,32 @@ def failures_page(board: Board) -> bytes:
     lost = [(e, row) for e, row in rows if row.status != "ok"]
     measured = [(e, row) for e, row in rows if row.status == "ok"]
     wrong = [(e, row) for e, row in measured if row.values.get("joint_type") == 0]
-    thumbs = {s.name for s in board.sequences if s.thumb}
+    thumbs = {s.name: s.thumb for s in board.sequences}
 
-    def card(entrant: Entrant, row: Row, head: str, text: str = "") -> str:
-        return _card(entrant, row, board.files[row.sequence], row.sequence in thumbs, head, text)
+    def cards(
+        title: str, shown: Sequence[tuple[EntrantRow, str, str]], note: str, more: str = ""
+    ) -> Section:
+        given = [
+            (
+                sequence_link(row.sequence, board, inside=thumb(thumbs.get(row.sequence, ""))),
+                head,
+                sequence_link(row.sequence, board),
+                method_link(entrant),
+                text,
+            )
+            for (entrant, row), head, text in shown
+        ]
+        return Section(title, render("cards.html.j2", PACKAGE, note=note, more=more, cards=given), place="full")
 
     sections = [
-        _cards(
+        cards(
             f"Not measured: {len(lost)} of {len(rows)}",
-            [card(e, row, row.status, row.reason) for e, row in lost],
+            [(pair, pair[1].status, pair[1].reason) for pair in lost],
             "Each counts with its penalty in all means." if lost else "Every result of every method could be measured.",
         ),
-        _cards(
+        cards(
             f"Wrong joint type: {len(wrong)}",
-            [card(e, row, "wrong type", row.notes[0] if row.notes else "") for e, row in wrong],
+            [(pair, "wrong type", pair[1].notes[0] if pair[1].notes else "") for pair in wrong],
             "Axis, position and state count with their penalty; masks, poses and surfaces are measured."
             if wrong
             else "Every measured result has the right joint type.",
@@ -44,14 +57,12 @@ def failures_page(board: Board) -> bytes:
     ]
     for metric in rules.metrics:
         if metric.supplements is None and metric.column and (worst := _worst(metric, measured)):
-            cards = [
-                card(e, row, number_text(row.values[metric.id], metric.unit(row.joint_type), True)) for e, row in worst
-            ]
-            link = f' <a href="definitions.html#{rules.name}.{metric.id}">Definition</a>'
-            sections.append(_cards(f"Worst by {metric.label}", cards, escape(explained(metric)) + link))
-    sections += _notes_section(measured, board)
-    lead = f"<p>Failures first, then the worst results by {escape(rules.name)}.</p>"
-    return page(board, "Failures", sections, here="failures.html", lead=lead)
+            texts = [number_text(row.values[metric.id], metric.unit(row.joint_type), True) for _, row in worst]
+            link = Markup('<a href="definitions.html#{}.{}">Definition</a>').format(rules.name, metric.id)
+            shown = [(pair, text, "") for pair, text in zip(worst, texts, strict=True)]
+            sections.append(cards(f"Worst by {metric.label}", shown, explained(metric), link))
+    lead = Markup("<p>Failures first, then the worst results by {}.</p>").format(rules.name)
+    return page(board, "Failures", [*sections, *_notes(measured, board)], here="failures.html", lead=lead)
 
 
 def _worst(metric: Metric, rows: Sequence[EntrantRow]) -> list[EntrantRow]:
@@ -65,34 +76,21 @@ def _worst(metric: Metric, rows: Sequence[EntrantRow]) -> list[EntrantRow]:
     return [pair for kind in kinds for pair in kind[: MAX_SHOWN // 2]]
 
 
-def _notes_section(rows: Sequence[EntrantRow], board: Board) -> list[Section]:
+def _notes(rows: Sequence[EntrantRow], board: Board) -> list[Section]:
     """Notes of scoring on measured rows: each once per method, with its sequences."""
     groups: dict[tuple[Entrant, str], list[str]] = {}
     for entrant, row in rows:
-        for note in row.notes:
-            groups.setdefault((entrant, note), []).append(row.sequence)
-    lines = []
-    for (entrant, note), names in groups.items():
-        links = ", ".join(f'<a href="sequences/{board.files[n]}.html">{escape(n)}</a>' for n in names[:MAX_SHOWN])
-        more = f" and {len(names) - MAX_SHOWN} more" if len(names) > MAX_SHOWN else ""
-        lines.append(f"<li>{method_link(entrant, False)} <p>{escape(note)} <small>{links}{more}</small></p></li>")
-    html = f'<ul class="remarked">{"".join(lines)}</ul>'
-    return [Section("Measured, with a note", html, place="full")] if lines else []
-
-
-def _card(entrant: Entrant, row: Row, file: str, thumb: bool, head: str, text: str) -> str:
-    image = (
-        f'<a href="sequences/{file}.html" tabindex="-1" aria-hidden="true">'
-        f'<img src="thumbs/{file}.jpg" alt="" width="176" height="99" loading="lazy"></a>'
-    ) * thumb
-    words = f"<p>{escape(text)}</p>" if text else ""
+        for text in row.notes:
+            groups.setdefault((entrant, text), []).append(row.sequence)
+    lines = [
+        (
+            method_link(e),
+            [text, ", ".join(names[:MAX_SHOWN]) + f" and {len(names) - MAX_SHOWN} more" * (len(names) > MAX_SHOWN)],
+        )
+        for (e, text), names in groups.items()
+    ]
     return (
-        f'<li class="card">{image}<div><b>{escape(head)}</b><a href="sequences/{file}.html">'
-        f"{escape(row.sequence)}</a>{method_link(entrant, False)}{words}</div></li>"
+        [Section("Measured, with a note", render("notes.html.j2", PACKAGE, blocks=lines), place="full")]
+        if lines
+        else []
     )
-
-
-def _cards(title: str, cards: Sequence[str], note: str) -> Section:
-    """Cards under a note, which is HTML."""
-    grid = f'<ul class="cards">{"".join(cards)}</ul>' if cards else ""
-    return Section(title, f'<p class="note">{note}</p>{grid}', place="full")
