@@ -71,10 +71,10 @@ def method_heads(entrants: Sequence[Entrant], deep: bool = False) -> list[Cell]:
     return [Cell(method_link(entrant, deep), css="number", link=True) for entrant in entrants]
 
 
-def sequence_link(name: str, board: Board, deep: bool = False, inside: str = "") -> Markup:
-    """A sequence's name, or other HTML, as a link to its page."""
+def sequence_link(name: str, board: Board, deep: bool = False) -> Markup:
+    """A sequence's name as a link to its page."""
     link = Markup('<a href="{}sequences/{}.html">{}</a>')
-    return link.format("../" * deep, board.files[name], inside or name)
+    return link.format("../" * deep, board.files[name], name)
 
 
 def unit_text(unit: str | None) -> str:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from freeart21.view.document import Markup, Section, render
-from freeart21.view.tables import number_text
+from freeart21.view.document import Markup, Section
+from freeart21.view.tables import Cell, number_text, table_section
 from leaderboard.protocols import Metric, protocol_named
 from leaderboard.rows import Row
-from leaderboard.site.common import PACKAGE, Board, explained, method_link, page, sequence_link
+from leaderboard.site.common import Board, method_link, metric_name, page, sequence_link
 from leaderboard.site.entrant import Entrant
-from leaderboard.site.index_page import thumb
 
 MAX_SHOWN = 6
-"""Cards per number."""
+"""Results per number."""
 EntrantRow = tuple[Entrant, Row]
 
 
@@ -21,48 +20,47 @@ def failures_page(board: Board) -> bytes:
     """The page, by the site's first protocol."""
     rules = protocol_named(board.protocols[0])
     rows = [(e, row) for e in board.entrants for row in e.scores[rules.name].rows if row.sequence in board.files]
-    lost = [(e, row) for e, row in rows if row.status != "ok"]
     measured = [(e, row) for e, row in rows if row.status == "ok"]
-    wrong = [(e, row) for e, row in measured if row.values.get("joint_type") == 0]
-    thumbs = {s.name: s.thumb for s in board.sequences}
-
-    def cards(
-        title: str, shown: Sequence[tuple[EntrantRow, str, str]], note: str, more: str = ""
-    ) -> Section:
-        given = [
-            (
-                sequence_link(row.sequence, board, inside=thumb(thumbs.get(row.sequence, ""))),
-                head,
-                sequence_link(row.sequence, board),
-                method_link(entrant),
-                text,
-            )
-            for (entrant, row), head, text in shown
+    lost = [
+        (sequence_link(row.sequence, board), method_link(e), row.status, row.reason)
+        for e, row in rows
+        if row.status != "ok"
+    ]
+    noted = [
+        (sequence_link(row.sequence, board), method_link(e), "wrong type" * (row.values.get("joint_type") == 0), note)
+        for e, row in measured
+        for note in row.notes or ("",) * (row.values.get("joint_type") == 0)
+    ]
+    worst = [
+        [
+            Cell(Markup('<a href="definitions.html#{}.{}">{}</a>').format(rules.name, metric.id, metric_name(metric))),
+            *(
+                Cell(
+                    number_text(row.values[metric.id], metric.unit(row.joint_type), True),
+                    below=sequence_link(row.sequence, board) + Markup("<br>") + e.name,
+                )
+                for e, row in _worst(metric, measured)
+            ),
         ]
-        return Section(title, render("cards.html.j2", PACKAGE, note=note, more=more, cards=given), place="full")
-
+        for metric in rules.metrics
+        if metric.supplements is None and metric.column
+    ]
+    note = "Each counts with its penalty in all means." if lost else "Every result of every method could be measured."
     sections = [
-        cards(
-            f"Not measured: {len(lost)} of {len(rows)}",
-            [(pair, pair[1].status, pair[1].reason) for pair in lost],
-            "Each counts with its penalty in all means." if lost else "Every result of every method could be measured.",
-        ),
-        cards(
-            f"Wrong joint type: {len(wrong)}",
-            [(pair, "wrong type", pair[1].notes[0] if pair[1].notes else "") for pair in wrong],
-            "Axis, position and state count with their penalty; masks, poses and surfaces are measured."
-            if wrong
-            else "Every measured result has the right joint type.",
+        _section(f"Not measured: {len(lost)} of {len(rows)}", lost, note),
+        _section("Worst by every number", worst, "The worst first."),
+        *(
+            [_section("Measured, with a note", noted, "A wrong joint type costs axis, position and state.")]
+            if noted
+            else []
         ),
     ]
-    for metric in rules.metrics:
-        if metric.supplements is None and metric.column and (worst := _worst(metric, measured)):
-            texts = [number_text(row.values[metric.id], metric.unit(row.joint_type), True) for _, row in worst]
-            link = Markup('<a href="definitions.html#{}.{}">Definition</a>').format(rules.name, metric.id)
-            shown = [(pair, text, "") for pair, text in zip(worst, texts, strict=True)]
-            sections.append(cards(f"Worst by {metric.label}", shown, explained(metric), link))
     lead = Markup("<p>Failures first, then the worst results by {}.</p>").format(rules.name)
-    return page(board, "Failures", [*sections, *_notes(measured, board)], here="failures.html", lead=lead)
+    return page(board, "Failures", sections, here="failures.html", lead=lead)
+
+
+def _section(title: str, rows: Sequence[Sequence[object]], note: str) -> Section:
+    return table_section(title, rows, (), "full", note)
 
 
 def _worst(metric: Metric, rows: Sequence[EntrantRow]) -> list[EntrantRow]:
@@ -74,23 +72,3 @@ def _worst(metric: Metric, rows: Sequence[EntrantRow]) -> list[EntrantRow]:
         return known[:MAX_SHOWN]
     kinds = [[pair for pair in known if pair[1].joint_type == kind] for kind in ("revolute", "prismatic")]
     return [pair for kind in kinds for pair in kind[: MAX_SHOWN // 2]]
-
-
-def _notes(rows: Sequence[EntrantRow], board: Board) -> list[Section]:
-    """Notes of scoring on measured rows: each once per method, with its sequences."""
-    groups: dict[tuple[Entrant, str], list[str]] = {}
-    for entrant, row in rows:
-        for text in row.notes:
-            groups.setdefault((entrant, text), []).append(row.sequence)
-    lines = [
-        (
-            method_link(e),
-            [text, ", ".join(names[:MAX_SHOWN]) + f" and {len(names) - MAX_SHOWN} more" * (len(names) > MAX_SHOWN)],
-        )
-        for (e, text), names in groups.items()
-    ]
-    return (
-        [Section("Measured, with a note", render("notes.html.j2", PACKAGE, blocks=lines), place="full")]
-        if lines
-        else []
-    )

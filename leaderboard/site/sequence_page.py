@@ -54,7 +54,8 @@ def sequence_page(board: Board, k: int, visual: Sequence[Section]) -> bytes:
         _notes_section(shown, board, "right" if visual else "full"),
         *([Section("Source of the sequence", facts(sources), place="full")] if sources else []),
     ]
-    return page(board, shown.name, sections, deep=True, lead=lead, kind="Sequence")
+    notices = [] if visual else ["Made from tables of scores only: without videos and the methods' results."]
+    return page(board, shown.name, sections, deep=True, lead=lead, kind="Sequence", notices=notices)
 
 
 def _numbers_section(protocol: str, shown: SequenceContent, entrants: Sequence[Entrant]) -> Section:
