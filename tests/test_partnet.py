@@ -25,7 +25,6 @@ from freeart21.mesh import bounding_diagonal
 from generator import objects, partnet
 from generator.model import Hinge, Link, Material, ObjectModel, Piece
 from generator.motion import motion_range
-from generator.partnet_files import Gaps, read_obj
 from generator.partnet_writer import R_ROOT_MESH, write_partnet
 from generator.rays import Caster
 from generator.scene import Scene
@@ -376,29 +375,6 @@ def test_sapien_reads_a_chain_of_turned_and_scaled_links_as_we_do(tmp_path: Path
 @pytest.mark.parametrize("name", NAMES)
 def test_sapien_reads_our_objects_as_we_do(name: str, folders: dict[str, Path]) -> None:
     _poses_agree(partnet.load(folders[name]), 2)
-
-
-def test_meshes_scaled_without_their_joints_are_noted(tmp_path: Path) -> None:
-    """As bounding_box.json has it: a lid whose hinge stays where it was before the meshes were scaled."""
-    link = '<visual><origin xyz="0 {y} 0"/><geometry><mesh filename="textured_objs/{m}.obj" scale="{s} {s} {s}"/>'
-    for scale, hinge, noted in ((1, 0.5, False), (0.1, 0.5, True), (0.1, 0.05, False), (0.1, 0.06, False)):
-        lid, body = (link.format(y=y, m=m, s=scale) + "</geometry></visual>" for y, m in ((-hinge, "b"), (0, "a")))
-        joint = (
-            f'<joint name="j" type="revolute"><origin xyz="0 {hinge} 0"/><axis xyz="1 0 0"/><child link="link_0"/>'
-            '<parent link="link_9"/><limit lower="0" upper="1"/></joint>'
-        )
-        text = f'<link name="link_0">{lid}</link>{joint}<link name="link_9">{body}</link>'
-        place = tmp_path / f"{scale}-{hinge}"
-        place.mkdir()
-        folder = _typed(place, text)
-        assert partnet.load(folder).notes == (), "nobody says what its box was"
-        vertices = np.concatenate([read_obj(folder / f"textured_objs/{m}.obj", folder, Gaps()).vertices for m in "ab"])
-        box = {"min": vertices.min(0).tolist(), "max": vertices.max(0).tolist()}
-        (folder / "bounding_box.json").write_text(json.dumps(box))
-        notes = partnet.load(folder).notes
-        assert len(notes) == noted, (scale, hinge, notes)
-        if noted:
-            assert notes[0].startswith("the assembly disagrees with bounding_box.json: meshes have 0.1 of its size")
 
 
 @pytest.mark.parametrize(

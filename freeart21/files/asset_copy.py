@@ -123,7 +123,7 @@ def list_mjcf_files(mjcf: Path, folder: Path) -> Iterator[Path]:
         if element.tag in ("include", "model", "plugin", "extension"):
             raise FreeArtError(f"{mjcf} has <{element.tag}>, expected one file without extensions")
         for name in (value for key, value in element.attrib.items() if key.startswith("file")):
-            below = folders.get(element.tag, folders.get("mesh", ""))
+            below = folders.get("texture" if element.tag == "texture" else "mesh", "")
             yield checked.inside(folder, str(mjcf.parent.resolve() / below / name))
 
 
