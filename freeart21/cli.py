@@ -290,6 +290,8 @@ def teleop(
     port: int = 8021,
     width: int = 640,
     height: int = 360,
+    cert: Path | None = None,
+    key: Path | None = None,
 ) -> None:
     """Move an object and its joint by hand in a browser, and record the motion as a take.
 
@@ -304,18 +306,19 @@ def teleop(
         joint: Moving joint of a URDF, or of a PartNet-Mobility object for which the catalog names none.
         skip_missing: Leave out missing meshes of the object.
         root: Folder with all files of a URDF; its own, or its package's, when not given.
-        host: Address to listen at; 0.0.0.0 for all of this machine. Other addresses than 127.0.0.1 use https, with a
-            certificate that is made once for this machine.
+        host: Address to listen at; 0.0.0.0 for all of this machine. Others than 127.0.0.1 need --cert and --key.
         port: Port to listen at; 0 takes a free one.
-        width: Width of the live picture, pixels; a page of another shape gets as many pixels.
+        width: Width of the live picture, pixels.
         height: Height of the live picture, pixels.
+        cert: PEM file of your certificate, for https.
+        key: PEM file of its private key.
     """
     from generator.session import RecordSettings
     from generator.teleop.start import TeleopSettings, serve
 
     record = RecordSettings(seed=seed, partnet_root=partnet_root, joint=joint, skip_missing=skip_missing, root=root)
     record.check()
-    serve(name, out, TeleopSettings(host, port, width, height), record)
+    serve(name, out, TeleopSettings(host, port, width, height, cert, key), record)
 
 
 def verify(data: Annotated[Path, Positional], deep: bool = False, truth: Path | None = None) -> int:
@@ -814,7 +817,7 @@ def view(
 def convert(
     source: Annotated[Path, Positional],
     out: Path,
-    to: Literal["official", "native", "maniskill", "rgbd"],
+    to: Literal["official", "native", "rgbd"],
     layout: Annotated[str | None, tyro.conf.arg(name="from")] = None,
     partnet_root: Path | None = None,
     joint: str | None = None,
@@ -826,13 +829,13 @@ def convert(
     masks: Path | None = None,
     longest_side: int = 1280,
 ) -> None:
-    """Convert recordings of depth cameras, and between layouts: official, Video2Articulation-S, ManiSkill, native.
+    """Convert recordings of depth cameras, and between layouts: official, Video2Articulation-S, native.
 
     Args:
         source: A recording, or a folder of recordings.
-        out: Folder to add to: a data folder (native), or one for examples/ and data/ (official), or for .h5 files.
+        out: Folder to add to: a data folder (native), or one for examples/ and data/ (official).
         to: Layout to write.
-        layout: native, tum, articulat3d, azure, record3d, rgbd, ros, stray, official, video2articulation or maniskill.
+        layout: native, tum, articulat3d, azure, record3d, rgbd, ros, stray, official or video2articulation.
         partnet_root: Folder of PartNet-Mobility objects, as ROOT/41083/mobility.urdf: a truth needs their meshes.
         joint: Moving joint, where neither the layout nor the catalog names it.
         meta: Video2Articulation's new_partnet_mobility_dataset_correct_intr_meta.json, for the joint's limits.
@@ -1097,13 +1100,8 @@ def known_commands() -> dict[str, Callable[..., Any]]:
         board.score,
         board.compare,
         board.site,
-        board.suite,
         board.pack,
         board.release,
-        board.lpips,
-        board.tags,
-        board.truth_by_markers,
-        board.board,
         measure,
         gap,
         replay,

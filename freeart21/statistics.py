@@ -11,9 +11,15 @@ from freeart21 import se3, sphere
 from freeart21.mesh import box_centre
 from freeart21.recording import Recording
 from freeart21.se3 import Array
-from freeart21.submovements import JOINT_SHARE, SHIFT, TURN_DEGREES, Movement
 from freeart21.truth import Truth
 
+TURN_DEGREES = 0.3
+"""An object that turns less than this from frame to frame, and shifts less, is at rest. Motion capture noise at rest is
+.007 to .028 (2nd percentile of 32 takes of ARCTIC), that of an object held still in a hand .02 to .08 (median)."""
+SHIFT = 0.003
+"""The same limit for its centre, as a share of the object's diagonal."""
+JOINT_SHARE = 0.002
+"""A joint that moves less than this share of its range from frame to frame is at rest."""
 FEW = 0.05
 """Share of the object's pixels below which the moving part is hard to track."""
 HARD_FRAMES = 0.15
@@ -39,8 +45,6 @@ class MotionStatistics:
     """(n,) the moving part's share of the object's pixels."""
     views: Array
     """(n, 3) unit vectors from the object to the camera, canonical frame."""
-    movement: Movement
-    """Motion of the held part, and of the joint over the range of its states."""
     pose_only: float
     """Shares of the frames in which only the pose, only the joint, both or neither moved."""
     joint_only: float
@@ -102,14 +106,12 @@ def motion_statistics(recording: Recording, truth: Truth, every: int = 10) -> Mo
     Raises FreeArtError when a picture is missing or of another size than the camera's.
     """
     joint, states, n = truth.articulation.joint, truth.states, len(truth)
-    middles, wheres, turns, shifts = _parts_motion(truth)
-    poses = truth.Ts_camera_reference, truth.Ts_camera_moving
+    middles, turns, shifts = _parts_motion(truth)
     held = int(turns[1].sum() < turns[0].sum())
     moves = np.maximum(turns / TURN_DEGREES, shifts / (SHIFT * truth.diagonal))
     pose = moves.min(0) >= 1  # one part at rest: the object was held still while the joint moved
     span = float(np.ptp(states))
     working = np.abs(np.diff(states)) >= JOINT_SHARE * span if span > 0 else np.zeros(n - 1, bool)
-    shares = (states - states.min()) / max(span, 1e-12)
     limits = joint.lower, joint.upper
     low, high = limits if np.isfinite(limits).all() else (float(states.min()), float(states.max()))
     boxes, leaves, counts_agree = _outlines(truth)
@@ -129,7 +131,6 @@ def motion_statistics(recording: Recording, truth: Truth, every: int = 10) -> Mo
         (states - low) / max(high - low, 1e-12),
         truth.seen[:, 1] / np.maximum(truth.seen.sum(1), 1),
         views,
-        Movement.of(poses[held][:, :3, :3], wheres[held] / truth.diagonal, shares, frames_a_second(recording)),
         pose_only,
         joint_only,
         both,
@@ -152,25 +153,19 @@ def _source(truth: Truth) -> dict[str, str]:
     return found
 
 
-def frames_a_second(recording: Recording) -> float:
-    """Frames a second, from the median time between frames."""
-    return 1 / float(np.median(np.diff(recording.times_s))) if len(recording) > 1 else 30.0
-
-
-def _parts_motion(truth: Truth) -> tuple[list[Array], list[Array], Array, Array]:
-    """Box centres (3,) of both parts, canonical frame; the same in the camera's axes, metres, (n, 3) each; rotations,
-    degrees, and shifts of the centres, metres, from frame to frame, (2, n - 1) each."""
-    middles, wheres, turns, shifts = [], [], [], []
+def _parts_motion(truth: Truth) -> tuple[list[Array], Array, Array]:
+    """Box centres (3,) of both parts, canonical frame; rotations, degrees, and shifts of the centres, metres, from
+    frame to frame in the camera's axes, (2, n - 1) each."""
+    middles, turns, shifts = [], [], []
     parts = truth.articulation.reference, truth.articulation.moving
     for mesh, Ts in zip(parts, (truth.Ts_camera_reference, truth.Ts_camera_moving), strict=True):
         middle = box_centre(mesh)
         Rs = Ts[:, :3, :3]
         where = Rs @ middle + Ts[:, :3, 3]
         middles.append(middle)
-        wheres.append(where)
         turns.append(np.degrees(se3.rotation_angle(Rs[1:] @ np.swapaxes(Rs[:-1], 1, 2))))
         shifts.append(np.linalg.norm(np.diff(where, axis=0), axis=1))
-    return middles, wheres, np.stack(turns), np.stack(shifts)
+    return middles, np.stack(turns), np.stack(shifts)
 
 
 def _outlines(truth: Truth) -> tuple[NDArray[np.int64], bool, bool]:

@@ -5,7 +5,6 @@ What needs ManiSkill, an extra, is skipped without it.
 
 import importlib.util
 import json
-import shutil
 import subprocess
 import sys
 import warnings
@@ -34,7 +33,6 @@ OPEN, FREE_MOVING = ENVIRONMENTS
 needs_maniskill = pytest.mark.skipif(
     importlib.util.find_spec("mani_skill") is None, reason="ManiSkill is not installed: freeart21[maniskill]"
 )
-needs_h5py = pytest.mark.skipif(importlib.util.find_spec("h5py") is None, reason="h5py is not installed")
 
 LID = """<robot name="chest">
   <link name="chest"><inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>
@@ -153,29 +151,6 @@ def test_a_drawn_motion_begins_where_it_is_asked_and_its_speed_is_its_slope():
 
 def test_a_motion_needs_a_time_for_each_pose():
     assert_refused("times rising", CarriedMotion, np.array([0.0, 0.0]), np.tile(np.eye(4), (2, 1, 1)))
-
-
-# --- files, without ManiSkill -----------------------------------------------------------------------------------------
-
-
-@needs_h5py
-def test_a_link_out_of_a_trajectory_is_not_followed(tmp_path):
-    import h5py
-
-    from freeart21.formats.convert import convert
-
-    source = tmp_path / "a"
-    source.mkdir()
-    with h5py.File(tmp_path / "secret.h5", "w") as file:
-        file["rgb"] = np.zeros((2, 4, 4, 3), np.uint8)
-    with h5py.File(source / "t.h5", "w") as file:
-        file["traj_0/obs/sensor_data/cam/rgb"] = h5py.ExternalLink("../secret.h5", "rgb")
-    info = {"env_info": {"env_id": OPEN, "env_kwargs": {}}, "episodes": [{"episode_id": 0}]}
-    (source / "t.json").write_text(json.dumps(info))
-    assert_refused("is a link", lambda: list(convert(source, tmp_path / "out", "native")))
-    assert not (tmp_path / "out").exists()
-    (source / "t.json").write_text(json.dumps(info | {"episodes": [{"episode_id": "../x"}]}))
-    assert_refused("episode_id", lambda: list(convert(source, tmp_path / "out", "native")))
 
 
 # --- with ManiSkill ---------------------------------------------------------------------------------------------------
@@ -374,62 +349,6 @@ def test_pictures_have_maniskills_shapes_and_name_the_parts(chest):
     names = {side: env.unwrapped.segmentation_id_map[k].name for k, side in ids.items()}
     assert names == {1: "chest", 2: "lid"}
     env.close()
-
-
-@needs_maniskill
-def test_an_episode_becomes_a_sequence_with_truth_and_that_a_trajectory_again(tmp_path):
-    import h5py
-    from mani_skill.utils.wrappers.record import RecordEpisode
-
-    from freeart21.files.sequence import read_sequence
-    from freeart21.files.truth import read_truth
-    from freeart21.formats.convert import convert
-    from generator.object_folder import object_folder
-    from generator.third_party import complete_truth
-
-    folder = object_folder("folding_usb", 0, tmp_path / "objects")
-    pictures = {
-        "obs_mode": "rgb+depth+segmentation",
-        "render_backend": "cpu",
-        "sensor_configs": {"width": 96, "height": 72},
-    }
-    env = RecordEpisode(
-        make(FREE_MOVING, folder, **pictures), str(tmp_path / "a"), trajectory_name="t", save_video=False
-    )
-    env.reset(seed=4)
-    for _ in range(4):
-        env.step(env.unwrapped._target.numpy())
-    last = env.unwrapped.body.q, env.unwrapped.body.root_pose
-    env.close()
-    (made,) = convert(tmp_path / "a", tmp_path / "data", "native", truth_of=complete_truth)
-    assert made.with_truth, made.notes
-    recording, truth = read_sequence(made.folder), read_truth(tmp_path / "data" / "truth" / made.name)
-    assert len(recording) == 5 and (recording.camera.width, recording.camera.height) == (96, 72)
-    np.testing.assert_allclose(np.diff(recording.times_s), 0.05)
-    assert truth.states[-1] == pytest.approx(last[0], abs=1e-5)
-    frame, mask = recording.frame(4), truth.part_mask(4)
-    assert set(np.unique(mask)) == {0, 1, 2} and ((mask > 0) == frame.mask).all() and frame.depth[frame.mask].min() > 0
-
-    shutil.copytree(folder, tmp_path / "beside" / folder.name)
-    (back,) = convert(tmp_path / "data", tmp_path / "b", "maniskill", partnet_root=tmp_path / "beside")
-    with h5py.File(tmp_path / "a" / "t.h5") as was, h5py.File(back.folder) as now:
-        before, after = (f["traj_0/env_states/articulations/object"][:] for f in (was, now))
-    np.testing.assert_allclose(after[:, 13], before[:, 13], atol=1e-5)
-    turned = [se3.pose_from_wxyz(rows[:, :3], rows[:, 3:7]) for rows in (before, after)]
-    for step in range(1, 5):  # the same motion in another world
-        ways = [np.linalg.norm(T[step, :3, 3] - T[0, :3, 3]) for T in turned]
-        assert ways[0] == pytest.approx(ways[1], abs=1e-5)
-    document = json.loads(back.folder.with_suffix(".json").read_text())
-    import gymnasium
-
-    kwargs = document["env_info"]["env_kwargs"] | {"obs_mode": "state", "render_backend": "none"}
-    again = gymnasium.make(document["env_info"]["env_id"], **kwargs)
-    again.reset(**document["episodes"][0]["reset_kwargs"])
-    with h5py.File(back.folder) as file:
-        for action in file["traj_0/actions"][:]:
-            again.step(action)
-    np.testing.assert_allclose(again.unwrapped.body.root_pose[:3, 3], turned[1][-1, :3, 3], atol=2e-3)
-    again.close()
 
 
 @needs_maniskill

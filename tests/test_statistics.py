@@ -5,13 +5,10 @@ from __future__ import annotations
 import dataclasses
 import html
 import re
-import subprocess
 from pathlib import Path
-from shutil import which
 
 import numpy as np
 import pytest
-from browser import CHROMIUM, browser
 from synthetic_case import make_recording, make_truth
 
 from freeart21 import se3, sphere
@@ -130,39 +127,15 @@ def test_sources_of_motion_stand_one_below_the_other_scripted_ones_first(tmp_pat
         "motion &lt;capture&gt; recorded, 2 sequences, 80 frames",
     ]
     rows = re.findall(r"<article>.*?</article>", text, re.S)
-    assert all(row.count("<figure>") == 4 for row in rows)
+    assert all(row.count("<figure>") == 2 for row in rows)
     axes = [re.findall(r'<text[^>]*>[^<]*</text>|<line class="grid"[^>]*>', row) for row in rows]
     assert axes[0] and all(a == axes[0] for a in axes), "same axes in every row"
     assert len({row.split("<h3>")[1].split("</h3>")[1] for row in rows[:3]}) == 1, "the same motion looks the same"
 
 
-@pytest.mark.skipif(not CHROMIUM, reason="needs a Chromium")
-@pytest.mark.parametrize("width", [1440, 390])
-def test_the_panels_fit_a_desk_and_a_phone(tmp_path: Path, width: int) -> None:
-    file = tmp_path / "page.html"
-    file.write_text(page(_folder(tmp_path / "toys")))
-    with browser() as chrome:
-        chrome.open(file, width=width, ready="true")
-        wide = chrome.run("document.documentElement.scrollWidth")
-        panels = chrome.run(
-            "[...document.querySelectorAll('article figure')].map((f) => { const b = f.getBoundingClientRect();"
-            " return [b.left, b.right, b.top, parseFloat(getComputedStyle(f.querySelector('svg')).width)]; })"
-        )
-        letters = chrome.run(
-            "(() => { const t = document.querySelector('.panels text'); const s = t.ownerSVGElement;"
-            " return parseFloat(getComputedStyle(t).fontSize) * s.clientWidth / s.viewBox.baseVal.width; })()"
-        )
-        assert wide == width and chrome.errors == []
-    assert len(panels) == 4 and all(left >= 0 and right <= width for left, right, *_ in panels)
-    assert len({round(top) for _, _, top, _ in panels}) == (1 if width > 760 else 2), "in a row, or two by two"
-    assert letters > 8  # pixels
-
-
 def test_figures_of_a_source_are_those_of_its_motion() -> None:
     s = motion_statistics(make_recording(_known()), _known())
-    m = s.movement
-    assert m.pose_moves.sum() == 22 and m.joint_moves.sum() == 23  # as STEPS says
-    assert m.degrees.max() == pytest.approx(2.5) and len(m.joint_submovements) == 1
+    assert s.max_degrees == pytest.approx(2.5)
     text = re.sub("<.*?>", " ", motion_section([s]).html)
     assert "median 2.50°, largest 2.5°" in text and "object at rest  44%" in text and "joint at rest  41%" in text
 
@@ -173,25 +146,3 @@ def test_a_folder_without_truths_is_one_line(tmp_path: Path) -> None:
         file.unlink() if file.is_file() else file.rmdir()
     with pytest.raises(FreeArtError, match="1 sequences, but the truth of none"):
         page(folder)
-
-
-@pytest.mark.skipif(which("node") is None, reason="needs node")
-def test_a_click_on_a_heading_sorts_numbers_as_numbers(tmp_path: Path) -> None:
-    script = Path("freeart21/view/static/table.js").resolve().read_text()
-    harness = """
-const FreeArt = {};
-SCRIPT
-const row = (v) => ({ v, children: [{ dataset: { value: v } }] });
-const body = { children: ["10", "9", "0.5"].map(row), append(...rows) { this.children = rows; } };
-let click;
-const button = { addEventListener(_, f) { click = f; } };
-const head = { a: {}, getAttribute(n) { return this.a[n] ?? null; }, setAttribute(n, v) { this.a[n] = v; },
-  removeAttribute(n) { delete this.a[n]; }, querySelector: () => button };
-FreeArt.sortable({ querySelector: () => body, querySelectorAll: () => [head] });
-click(); console.log(body.children.map((r) => r.v).join());
-click(); console.log(body.children.map((r) => r.v).join());
-"""
-    file = tmp_path / "sort.js"
-    file.write_text(harness.replace("SCRIPT", script))
-    done = subprocess.run(["node", str(file)], capture_output=True, text=True, timeout=30, check=True)
-    assert done.stdout.split() == ["0.5,9,10", "10,9,0.5"]

@@ -19,6 +19,8 @@ __all__ = ["ENVIRONMENTS", "register"]
 ENVIRONMENTS = ("FreeArt21-Open-v1", "FreeArt21-FreeMoving-v1")
 EPISODE_STEPS = 200
 """Control steps of an episode: 10 s."""
+CONTROL_HZ = 20
+"""Default of the environments."""
 
 
 def register() -> tuple[str, ...]:

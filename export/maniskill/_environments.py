@@ -19,7 +19,7 @@ from mani_skill.utils.registration import register
 from mani_skill.utils.scene_builder.table import TableSceneBuilder
 from mani_skill.utils.structs.types import SceneConfig, SimConfig
 
-from export.maniskill import ENVIRONMENTS, EPISODE_STEPS
+from export.maniskill import CONTROL_HZ, ENVIRONMENTS, EPISODE_STEPS
 from export.maniskill._agent import OBJECT, ObjectAgent
 from export.maniskill._body import Body
 from export.maniskill._body_batch import BodyBatch
@@ -30,7 +30,6 @@ from export.maniskill.assets import find_asset
 from export.maniskill.motion import CarriedMotion, draw_motion
 from freeart21 import se3
 from freeart21.errors import FreeArtError
-from freeart21.formats.maniskill import CONTROL_HZ
 from freeart21.se3 import Array
 
 TOLERANCE = 0.02
@@ -39,10 +38,7 @@ AT_REST = 0.1
 """Spans per second below which the joint is at rest."""
 OPENED = 0.9
 """Default target: this far from the start to the farther end of the span, as in ManiSkill's cabinets."""
-_SIM_HZ, _CONTROL_HZ = (
-    500,
-    CONTROL_HZ,
-)  # against 1 kHz, a released joint is off by less than 0.1 %: see docs/maniskill.md
+_SIM_HZ = 500  # against 1 kHz, a released joint is off by less than 0.1 %: see docs/maniskill.md
 _BEFORE_ROBOT = 0.12  # m from ManiSkill's place for a panda's hand at rest to the object's near side
 _SECONDS = EPISODE_STEPS / CONTROL_HZ
 _TURN, _SHIFT = 0.1, 0.01  # rad and m by which a standing object is displaced at random

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import tempfile
 import warnings
 from collections.abc import Iterator
@@ -18,13 +19,17 @@ from freeart21.files import checked
 from freeart21.files.asset import read_asset
 from freeart21.files.urdf import Urdf, UrdfInertial, UrdfShape, format_urdf, read_urdf
 from freeart21.files.urdf_files import find_file
-from freeart21.formats.maniskill import objects_place
 from freeart21.reconstruction import describe_trust
 from freeart21.se3 import Array
 from generator.object_folder import object_folder, sapien_urdf
 
 PARTNET = "mobility.urdf"
 _SCALES = (1e-4, 1e4)
+
+
+def objects_place() -> Path:
+    """Cache folder of procedural objects: $XDG_CACHE_HOME/freeart21/objects, or ~/.cache/freeart21/objects."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "freeart21" / "objects"
 
 
 def find_asset(asset: str | Path, joint: str | None = None, object_seed: int = 0) -> Asset:

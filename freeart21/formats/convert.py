@@ -18,7 +18,7 @@ from freeart21.files.data_card import write_card_of
 from freeart21.files.places import check_append
 from freeart21.files.sequence import write_frame, write_header, write_queries
 from freeart21.files.truth import write_truth
-from freeart21.formats import freeart21_official, maniskill, rgbd_folder, third_party
+from freeart21.formats import freeart21_official, rgbd_folder, third_party
 from freeart21.formats.third_party import (
     Progress,
     ReadOptions,
@@ -30,7 +30,7 @@ from freeart21.recording import Recording
 from freeart21.registry import find_instances
 from freeart21.truth import Truth
 
-Target = Literal["official", "native", "maniskill", "rgbd"]
+Target = Literal["official", "native", "rgbd"]
 TruthMaker = Callable[[ThirdPartyRecording, Path], Truth]
 """Makes the truth of a third-party recording from a folder of PartNet-Mobility objects; FreeArtError when it cannot."""
 
@@ -104,9 +104,6 @@ def convert(
     to="official" writes out/examples/NAME and, with the object's files (of the truth, or partnet_root/ID),
     out/data/partnet-mobility-v0/dataset/NAME. `hold_out` makes the official split of 5 %.
 
-    to="maniskill" writes out/NAME.h5 and out/NAME.json, a trajectory that FreeArt21-FreeMoving-v1 replays. It
-    needs the truth and the object's files.
-
     to="rgbd" writes out/pictures/NAME, upright and undistorted, depth in millimetres, to segment the object in.
 
     `meta` is Video2Articulation's meta file; `depth_unit` (metres) and `fps` (None: from time stamps in the names,
@@ -136,10 +133,7 @@ def convert(
                 yield _write_native(out, recording, truth_of, partnet_root or kind.objects(folder), tick)
                 continue
             files = find_object_folder(kind.object_folder(folder), recording.object_id, partnet_root)
-            if to == "maniskill":
-                yield _write_maniskill(out, recording, files)
-            else:
-                yield _write_official(out, recording, files, hold_out, tick)
+            yield _write_official(out, recording, files, hold_out, tick)
     if label is not None and _all_have_truth(out):
         write_benchmark(out, *label)
         write_card_of(out)
@@ -240,20 +234,6 @@ def _write_official(
             f"without the object's files, which their evaluator needs: {read.object_id} was not found (--partnet-root)"
         )
     return Converted(read.name, folder, read.known is not None, tuple(notes))
-
-
-def _write_maniskill(out: Path, read: ThirdPartyRecording, object_folder: Path | None) -> Converted:
-    if (out / f"{read.name}.h5").exists():
-        raise FreeArtError(f"{out / read.name}.h5 exists; choose another place or remove it first")
-    if read.known is None or object_folder is None:
-        lacks = read.lacks or f"{read.object_id} was not found (--partnet-root)"
-        raise FreeArtError(f"{read.name} gives no motion to replay: {lacks}")
-    known, recording = read.known, read.recording
-    poses = third_party.T_SAPIEN_CV @ known.Ts_camera_object
-    file = maniskill.write_trajectory(
-        out, read.name, object_folder.resolve(), recording.times_s, known.states, poses, recording.camera
-    )
-    return Converted(read.name, file, True, read.notes)
 
 
 def _all_have_truth(out: Path) -> bool:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from freeart21 import sphere
 from freeart21.errors import FreeArtError
@@ -16,8 +15,7 @@ from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
 from freeart21.recording import Recording
 from freeart21.se3 import Array
-from freeart21.statistics import FEW, GONE_FRAMES, HARD_FRAMES, MotionStatistics, motion_statistics
-from freeart21.submovements import TURN_DEGREES, Movement
+from freeart21.statistics import FEW, GONE_FRAMES, HARD_FRAMES, TURN_DEGREES, MotionStatistics, motion_statistics
 from freeart21.view.document import MOVING, REFERENCE, TRUTH, Section, data_url, document, escape
 from freeart21.view.plots import Axes
 from freeart21.view.tables import column_head, row_head, table, table_section, value_cell
@@ -28,9 +26,6 @@ CURVE_SIZE, CURVE_MARGINS = (300, 74), (34, 4, 4, 14)
 PANEL_SIZE, PANEL_MARGINS = (220, 112), (36, 18, 10, 20)
 TURNS, TURN_BINS = (0.01, 40.0), 22
 """Degrees per frame, from the noise of motion capture to a burst."""
-PAUSES, PAUSE_BINS = (0.1, 10.0), 8
-"""Seconds."""
-MAX_STROKE_S = 3.0
 COLUMNS = (
     *("Sequence", "Motion", "Frames", "Median rotation, °/frame", "Largest rotation, °/frame", "Only object moves"),
     *("Only joint moves", "Both move", "Neither", "Viewpoints covered", "Joint range covered"),
@@ -43,7 +38,7 @@ SUMMARY_NOTE = (
 )
 MOTION_NOTE = (
     f"All rows have the same axes. A rotation below {TURN_DEGREES:g}° per frame counts as rest (dashed line). "
-    "Regrasp: the object rests for at most a second between two sweeps. Recorded motion is listed by its device."
+    "Recorded motion is listed by its device."
 )
 
 
@@ -114,7 +109,7 @@ def summary_rows(statistics: Sequence[MotionStatistics]) -> list[tuple[str, str]
 
 
 def motion_section(statistics: Sequence[MotionStatistics]) -> Section:
-    """Rotation, joint movements, pauses and viewpoints by source of motion, scripted ones first."""
+    """Rotation and viewpoints by source of motion, scripted ones first."""
     groups: dict[tuple[bool, str], list[MotionStatistics]] = {}
     for s in statistics:
         groups.setdefault((s.recorded, s.motion_source), []).append(s)
@@ -123,21 +118,17 @@ def motion_section(statistics: Sequence[MotionStatistics]) -> Section:
 
 
 def _source_row(name: str, recorded: bool, group: list[MotionStatistics]) -> str:
-    moves = [s.movement for s in group]
-    turns, frames = np.concatenate([m.degrees for m in moves]), sum(s.frames for s in group)
-    minutes = max(sum(len(m.degrees) / m.fps for m in moves) / 60, 1e-9)
+    turns, frames = np.concatenate([s.degrees for s in group]), sum(s.frames for s in group)
     kind = "recorded" if recorded else "scripted"
     count = f"{len(group)} sequence{'s' * (len(group) > 1)}, {frames} frames"
     middle = np.median(turns) if len(turns) else 0.0
     facts = [
         ("rotation per frame", f"median {middle:.2f}°, largest {turns.max(initial=0.0):.1f}°"),
-        ("object at rest", _share_text([~m.pose_moves for m in moves])),
-        ("joint at rest", _share_text([~m.joint_moves for m in moves])),
-        ("regrasps", f"{np.mean([m.regrasps_a_minute for m in moves]):.0f} per minute"),
-        ("joint movements", f"{sum(len(m.joint_submovements) for m in moves) / minutes:.0f} per minute"),
+        ("object at rest", f"{np.mean([s.joint_only + s.neither for s in group]):.0%}"),
+        ("joint at rest", f"{np.mean([s.pose_only + s.neither for s in group]):.0%}"),
     ]
     values = "".join(f"<div><dt>{escape(label)}</dt><dd>{escape(value)}</dd></div>" for label, value in facts)
-    panels = _turn_panel(turns) + _stroke_panel(moves) + _pause_panel(moves, minutes) + _view_panel(group)
+    panels = _turn_panel(turns) + _view_panel(group)
     return (
         f'<article><h3>{escape(name)} <small>{kind}, {count}</small></h3><dl class="facts">{values}</dl>'
         f'<div class="panels">{panels}</div></article>'
@@ -152,26 +143,6 @@ def _turn_panel(turns: Array) -> str:
     return _figure(
         "rotation per frame, share of frames", ticks, _histogram(axes, turns, TURN_BINS, len(turns), REFERENCE), rest
     )
-
-
-def _stroke_panel(moves: list[Movement]) -> str:
-    """A dot for every movement of the joint: its duration and its share of the range."""
-    axes = Axes(*PANEL_SIZE, PANEL_MARGINS, (0.0, MAX_STROKE_S), (0.0, 1.0))
-    seconds = np.concatenate([np.diff(m.joint_submovements, axis=1)[:, 0] / m.fps for m in moves])
-    x = axes.across(np.minimum(seconds, MAX_STROKE_S))
-    y = axes.down(np.abs(np.concatenate([m.joint_ways for m in moves])))
-    dots = "".join(f'<circle class="dot" cx="{a:.1f}" cy="{b:.1f}" r="2.6"/>' for a, b in zip(x, y, strict=True))
-    ticks = [*axes.marks({0: "0", 1: "1", 2: "2", 3: "3 s"}), *axes.grid({0: "0", 1: "100%"})]
-    return _figure("joint movements: duration, share of the range", ticks, f'<g fill="{MOVING}">{dots}</g>')
-
-
-def _pause_panel(moves: list[Movement], minutes: float) -> str:
-    axes = Axes(*PANEL_SIZE, PANEL_MARGINS, PAUSES, (0.0, 16.0), log_x=True)
-    of_object, of_joint = (np.concatenate([getattr(m, name) for m in moves]) for name in ("holds_s", "joint_holds_s"))
-    ticks = [*axes.marks({0.1: ".1", 1: "1", 10: "10 s"}), *axes.grid({0: "0", 16: "16"})]
-    bars = _histogram(axes, of_object, PAUSE_BINS, minutes, TRUTH)
-    outline = _histogram(axes, of_joint, PAUSE_BINS, minutes, MOVING, outline=True)
-    return _figure("pauses per minute: object filled, joint outlined", ticks, bars, outline)
 
 
 def _view_panel(group: list[MotionStatistics]) -> str:
@@ -260,15 +231,14 @@ def _curve_figure(label: str, values: Array, colour: str, top: float, limit: flo
     return _figure(label, axes.grid({0: "0", top: f"{round(top, 2):g}"}), line, size=CURVE_SIZE)
 
 
-def _histogram(axes: Axes, values: Array, bins: int, unit: float, colour: str, outline: bool = False) -> str:
+def _histogram(axes: Axes, values: Array, bins: int, unit: float, colour: str) -> str:
     """Counts in geometric bins over the axes, divided by `unit`; values beyond an end count at that end."""
     edges = np.geomspace(*axes.x, bins + 1)
     counts = np.histogram(np.clip(values, *axes.x), edges)[0] / max(unit, 1e-9)
     x, y, bottom = axes.across(edges), axes.down(counts), float(axes.down(0.0))
     steps = "".join(f"V{y[k]:.1f}H{x[k + 1]:.1f}" for k in range(bins))
-    path = f"M{x[0]:.1f},{bottom:.1f}{steps}V{bottom:.1f}{'' if outline else 'Z'}"
-    look = f'fill="none" stroke="{colour}" stroke-width="1.6"' if outline else f'fill="{colour}"'
-    return f'<path {look} d="{path}"/>'
+    path = f"M{x[0]:.1f},{bottom:.1f}{steps}V{bottom:.1f}Z"
+    return f'<path fill="{colour}" d="{path}"/>'
 
 
 def _hemispheres(directions: Array, radius: float, x0: tuple[int, int], y0: int) -> list[tuple[int, str]]:
@@ -293,11 +263,6 @@ def _thumbnails(recording: Recording) -> str:
         size = THUMBNAIL_WIDTH, max(1, round(THUMBNAIL_WIDTH * rgb.shape[0] / rgb.shape[1]))
         images.append(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA))
     return data_url("image/jpeg", encode_jpeg(np.hstack(images).astype(np.uint8), THUMBNAIL_QUALITY))
-
-
-def _share_text(flags: list[NDArray[np.bool_]]) -> str:
-    every = np.concatenate(flags)
-    return f"{every.mean():.0%}" if len(every) else "-"
 
 
 def _anchor(s: MotionStatistics) -> str:
