@@ -11,8 +11,8 @@ stays in it while it closes, and the processor seconds of the export. True solid
 built-in objects.
 
 Prints a table, worst first, and how many reach each goal; writes benchmarks/results/assets.json (summary, rows, commit,
-settings, machine). Assets and rows are kept in --work, keyed by the exporter's code and the answer's files: a run that
-was stopped goes on.
+settings, machine). Assets and rows are kept in --work as long as the exporter's commit and the answer's files are the
+same: a run that was stopped goes on.
 """
 
 from __future__ import annotations
@@ -20,16 +20,14 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
 
-from benchmarks.common import RESULTS, ROOT, code_of, digest_of, make_table, run_cli, wide_console, write_report
+from benchmarks.common import RESULTS, ROOT, commit, digest_of, print_table, run_cli, run_rows, write_report
 from export.check.checking import check
 from export.check.engines.base import Setting
 from export.check.engines.sapien_world import load
@@ -41,7 +39,6 @@ from freeart21 import catalog, se3
 from freeart21.articulation import PARTS, Articulation
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
-from freeart21.files import atomic, checked
 from freeart21.files.asset import read_asset
 from freeart21.files.benchmark import read_benchmark
 from freeart21.files.certificate import read_certificate
@@ -67,7 +64,7 @@ from leaderboard.protocols.strict1 import STANDARD
 from leaderboard.submission import read_submission
 from leaderboard.surface import Surface
 
-FILE, SCHEMA = "assets.json", "freeart21/benchmark-assets/1"
+FILE = "assets.json"
 DENSITY = 1000.0
 """kg/m^3 of all exports: a mass then gives a volume."""
 CELLS = 80
@@ -134,16 +131,10 @@ def main(
     names = [name for name in benchmark.select_sequences(sequences or None) if (results / name).is_dir()]
     if not names:
         raise FreeArtError(f"{results} has an answer of no sequence of {data}")
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        jobs = [
-            pool.submit(make_row, name, results / name, data / "sequences" / name, benchmark.truth(name), contact, work)
-            for name in names
-        ]
-        rows = []
-        for job in jobs:
-            rows.append(job.result())
-            print_rows([rows[-1]])
-    rows.sort(key=lambda row: sum(is_missed(goal, row) for goal in GOALS), reverse=True)
+    rows = make_rows(
+        {name: (results / name, benchmark.sequence(name), benchmark.truth(name)) for name in names},
+        contact, work, workers,
+    )  # fmt: skip
     print_rows(rows)
     summary = sum_up(rows)
     for goal in GOALS:
@@ -154,20 +145,20 @@ def main(
         write_report(out or RESULTS / FILE, settings, summary=summary, rows=rows)
 
 
-def make_row(name: str, result: Path, sequence: Path, truth: Path, contact: Contact, work: Path) -> dict[str, Any]:
-    """Export and measure one answer, unless its row is known."""
-    row_file, folder = work / f"{name}.json", work / name
-    files = sorted(path for path in result.glob("*.json")) + sorted((result / "parts").rglob("*.*"))
-    key = digest_of(contact, DENSITY, CELLS, files=[*code_of("export"), Path(__file__), *files])
-    if row_file.is_file() and (known := checked.read_json(row_file, SCHEMA)).get("key") == key:
-        return dict(known["row"])
-    row: dict[str, Any] = {"object": name}
-    try:
-        row |= {"status": "ok", **measure(result, sequence, truth, folder, contact)}
-    except FreeArtError as error:
-        return row | {"status": str(error).replace(str(work), "WORK").replace(str(result.parent), "RESULTS")}
-    atomic.write_json(row_file, {"schema": SCHEMA, "key": key, "row": row})
-    return row
+def make_rows(
+    answers: dict[str, tuple[Path, Path, Path]], contact: Contact, work: Path, workers: int
+) -> list[dict[str, Any]]:
+    """Rows of answers, by name its result, sequence and truth folder; those that miss most goals first."""
+    todo = {}
+    for name, places in answers.items():
+        files = sorted(places[0].glob("*.json")) + sorted((places[0] / "parts").rglob("*.*"))
+        key = digest_of(contact, DENSITY, CELLS, commit("export", "benchmarks/assets.py"), files=files)
+        todo[name] = (key, measure, (*places, work / name, contact))
+    rows = []
+    for name, row in run_rows(work, todo, workers).items():
+        status = row.get("crash", "ok").replace(str(work), "WORK").replace(str(answers[name][0].parent), "RESULTS")
+        rows.append({"object": name, "status": status, **({} if "crash" in row else row)})
+    return sorted(rows, key=lambda row: sum(is_missed(goal, row) for goal in GOALS), reverse=True)
 
 
 def measure(result: Path, sequence: Path, truth_folder: Path, folder: Path, contact: Contact) -> dict[str, Any]:
@@ -523,7 +514,7 @@ def print_rows(rows: list[dict[str, Any]]) -> None:
         return "-" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
 
     cells = [[row["object"], *(text(row.get(column)) for column in columns)] for row in rows]
-    wide_console(230).print(make_table("", ["object", *columns], cells))
+    print_table("assets", ["object", *columns], cells)
     for row in rows:
         if row["status"] != "ok":
             print(row["object"], row["status"])

@@ -4,8 +4,8 @@
 
 runs each method of METHODS by its descriptor (`freeart21 run`, which goes on where it was stopped) and scores it by
 PROTOCOLS. Writes benchmarks/results/baselines.json: statistics by joint type, failures with their reasons, every row's
-numbers, time and memory of every sequence, versions. The table is in docs/results.md (`python -m benchmarks.results
---write`). masked-icp is given the true part masks: its row has a privileged input.
+numbers, time and memory of every sequence, versions. masked-icp is given the true part masks: its row has a privileged
+input.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import RESULTS, ROOT, commit, format_number, machine, make_table, run_cli, wide_console
-from freeart21.files import atomic, checked
+from benchmarks.common import RESULTS, ROOT, commit, format_number, print_table, run_cli, write_report
+from freeart21.files import checked
 from leaderboard.cached import cached_scores
 from leaderboard.methods.descriptor import PRIVILEGED, find_descriptor
 from leaderboard.methods.run import RUN_SCHEMA, run_method
@@ -88,11 +88,9 @@ def main(
             points = [format_number(scores["points"][track], 1) for track in TRACKS]
             rows.append([name, rules, scores["failures"], *numbers, *points, f"{its['cpu_seconds']['median']:.0f}"])
     head = ["method", "protocol", "failures", "axis, deg", "mIoU", "PSNR, dB", *TRACKS, "processor s"]
-    wide_console().print(make_table("baselines, all 21", head, rows, ("protocol",)))
-    settings = {"data": data.name, "protocols": PROTOCOLS, "scored_at": commit()}
-    report = {"methods": found, "commit": solved_at or commit(), "machine": machine(), "settings": settings}
-    atomic.write_json(RESULTS / FILE, report)
-    print(RESULTS / FILE)
+    print_table("baselines, all 21", head, rows)
+    settings = {"data": data.name, "protocols": PROTOCOLS, "solved_at": solved_at or commit()}
+    write_report(RESULTS / FILE, settings, methods=found)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Shared by all benchmarks: command line, report files, tables, keys of cached rows, commands within limits."""
+"""Shared by all benchmarks: command line, report files, tables, rows that are kept, commands within limits."""
 
 from __future__ import annotations
 
@@ -9,22 +9,30 @@ import platform
 import resource
 import signal
 import subprocess
+import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
+from datetime import datetime, timezone
+from importlib.metadata import version
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import tyro
-from rich.console import Console
-from rich.table import Table
 
 from freeart21.errors import FreeArtError
-from freeart21.files import atomic
+from freeart21.files import atomic, checked
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
+SHARED = ROOT.parent / "shared"
+"""Data of others, where they are at hand; nothing of them enters the repository."""
+NAMED = ("freeart21", "numpy", "numba", "opencv-python-headless", "sapien", "mujoco")
+"""Packages whose versions a report states."""
 PATIENCE = 8.0
 """Times its limit that a command may take by the clock: a busy machine gives it a part of a processor."""
 
@@ -40,27 +48,21 @@ def run_cli(main: Callable[..., int | None]) -> None:
 
 
 def write_report(path: Path, settings: dict[str, Any], **body: Any) -> None:
-    """Write the JSON file of a benchmark: `body`, `settings`, the commit and the machine. Prints its path."""
-    atomic.write_json(path, {**body, "commit": commit(), "machine": machine(), "settings": settings})
+    """Write the JSON file of a benchmark: `body`, `settings`, commit, date, machine and versions. Prints its path."""
+    atomic.write_json(path, {**body, **made_with(), "settings": settings})
     print(path)
 
 
-def wide_console(width: int = 170) -> Console:
-    """Standard output, wide enough for the tables."""
-    console = Console()
-    if not console.is_terminal:
-        console.width = width
-    return console
+def made_with() -> dict[str, Any]:
+    """Commit, day (UTC), machine and versions that a figure was measured with."""
+    day = datetime.now(timezone.utc).date().isoformat()
+    return {"commit": commit(), "date": day, "machine": machine(), "versions": {name: version(name) for name in NAMED}}
 
 
-def make_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]], texts: Sequence[str] = ()) -> Table:
-    """A table without styles. The first column and those named in `texts` are left-aligned, all others right."""
-    table = Table(title=title or None)
-    for k, name in enumerate(head):
-        table.add_column(name, justify="left" if k == 0 or name in texts else "right")
-    for row in rows:
-        table.add_row(*map(str, row))
-    return table
+def print_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """A table of texts and numbers on standard output."""
+    table = pd.DataFrame([list(map(str, row)) for row in rows], columns=list(head))
+    print(f"\n{title}\n{table.to_string(index=False, max_colwidth=90)}" if len(table) else f"\n{title}: no rows")
 
 
 def format_number(value: float | int | None, digits: int = 3) -> str:
@@ -68,30 +70,64 @@ def format_number(value: float | int | None, digits: int = 3) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
 
 
+def keep_row(file: Path, key: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """The row in `file` when it has this key; else a new one, kept there unless it is {"crash": reason}."""
+    known = checked.read_json(file) if file.is_file() else {}
+    if known.get("key") == key:
+        return dict(known["row"])
+    row = make()
+    if "crash" not in row:
+        atomic.write_json(file, {"key": key, "row": row})
+    return row
+
+
+def run_rows(
+    folder: Path, todo: Mapping[str, tuple[str, Callable[..., dict[str, Any]], tuple[Any, ...]]], workers: int = 1
+) -> dict[str, dict[str, Any]]:
+    """Rows by name, of key, function and arguments by name: each made in a process of its own, `workers` side by side.
+
+    A row is kept in `folder` as long as its key holds, so that a run that was stopped goes on. What fails gives
+    {"crash": reason}, and is tried again by the next run.
+    """
+
+    def run(call: Callable[..., dict[str, Any]], given: tuple[Any, ...]) -> dict[str, Any]:
+        try:
+            with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
+                return process.submit(call, *given).result()
+        except Exception as error:  # whatever it died of is the row's, not the others'
+            return {"crash": f"{type(error).__name__}: {error}"}
+
+    def make(name: str) -> dict[str, Any]:
+        key, call, given = todo[name]
+        row = keep_row(folder / f"{name}.json", key, lambda: run(call, given))
+        print(f"{name}: {row.get('crash', 'known')}", file=sys.stderr, flush=True)
+        return row
+
+    with ThreadPoolExecutor(workers) as pool:
+        return dict(zip(todo, pool.map(make, todo), strict=True))
+
+
 def digest_of(*facts: object, files: Iterable[Path] = ()) -> str:
-    """SHA-256, hexadecimal, of facts and of the names and bytes of files: the key of a cached row."""
+    """SHA-256, hexadecimal, of facts and of the names and bytes of files: the key of a kept row."""
     digest = hashlib.sha256(repr(facts).encode())
     for file in files:
         digest.update(file.name.encode() + file.read_bytes())
     return digest.hexdigest()
 
 
-def code_of(*places: str) -> list[Path]:
-    """The Python files of folders or files of the repository."""
-    return [path for place in places for path in sorted((ROOT / place).rglob("*.py")) or [ROOT / place]]
-
-
-def commit() -> str:
-    """The commit that is checked out, with '-dirty' when tracked files differ from it, its results apart.
+def commit(*places: str) -> str:
+    """The last commit that changed `places` (all but results when none are named), '-dirty' when they differ from it.
 
     'unknown' outside git.
     """
 
     def run_git(*command: str) -> str:
-        return subprocess.run(["git", *command], cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
+        where = places or (".", ":!benchmarks/results")
+        words = ["git", *command, "--", *where]
+        return subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
 
-    name = run_git("describe", "--always", "--exclude", "*")
-    changed = run_git("status", "--porcelain", "--untracked-files=no", "--", ".", ":!benchmarks/results")
+    name = run_git("log", "-1", "--format=%h")
+    changed = run_git("status", "--porcelain", "--untracked-files=no")
     return f"{name}-dirty" if name and changed else name or "unknown"
 
 

@@ -17,10 +17,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
 from scipy.spatial import ConvexHull
 
-from benchmarks.common import RESULTS, make_table, run_cli, write_report
+from benchmarks.common import RESULTS, print_table, run_cli, write_report
 from freeart21 import se3
 from freeart21.articulation import Articulation
 from freeart21.files.benchmark import read_benchmark
@@ -461,10 +460,7 @@ def main(
         [c, CHEATS[c][1], (CHEATS[c][0].__doc__ or "").strip(), *(f"{worst[c, p]:+.1f}" for p in protocols)]
         for c in order
     ]
-    table = make_table(
-        "points gained by cheating, largest of all sequences", ["cheat", "aims at", "what", *protocols], lines
-    )
-    Console(width=170).print(table)
+    print_table("points gained by cheating, largest of all sequences", ["cheat", "aims at", "what", *protocols], lines)
     wins = {p: [c for c in order if worst[c, p] >= NOTHING] for p in protocols}
     write_report(out, {"protocols": protocols, "seed": seed, "cheats": len(CHEATS)}, wins=wins, rows=rows)
     for protocol, cheats in wins.items():

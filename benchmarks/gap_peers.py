@@ -33,9 +33,18 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
-from benchmarks.common import RESULTS, ROOT, code_of, digest_of, make_table, run_cli, run_within, write_report
+from benchmarks.common import (
+    RESULTS,
+    ROOT,
+    commit,
+    digest_of,
+    keep_row,
+    print_table,
+    run_cli,
+    run_within,
+    write_report,
+)
 from benchmarks.hidden_gap import draw
 from benchmarks.real_recordings import recordings
 from benchmarks.world.draw import draw_specs
@@ -136,12 +145,13 @@ def take_away(measured: Path, fitted: Path) -> list[str]:
 
 def _ask(case: str, way: str, work: Path, seconds: float, untouched: list[str]) -> dict[str, Any]:
     """The row of one way on one case, cached."""
+    key = digest_of(seconds, commit("simgap", "freeart21", "benchmarks"))
+    file = work / "answers" / case / f"{way}.json"
+    return keep_row(file, key, lambda: _answer(case, way, work, seconds, untouched))
+
+
+def _answer(case: str, way: str, work: Path, seconds: float, untouched: list[str]) -> dict[str, Any]:
     folder = work / "answers" / case / way
-    code = ("simgap", "freeart21", "benchmarks/mujoco_sysid.py", "benchmarks/gap_peers.py", "benchmarks/world")
-    key = digest_of(case, way, seconds, files=code_of(*code))
-    row = checked.read_json(folder / "row.json") if (folder / "row.json").is_file() else {}
-    if row.get("key") == key:
-        return row
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     place, spent, status = work / "cases" / case, 0.0, ""
@@ -152,8 +162,7 @@ def _ask(case: str, way: str, work: Path, seconds: float, untouched: list[str]) 
     code = f"from benchmarks.gap_peers import answer; answer({way!r}, {str(place)!r}, '.', {seconds!r})"
     ended = run_within(_HARD * seconds, (sys.executable, "-c", code), folder)
     done = checked.read_json(folder / "done.json") if (folder / "done.json").is_file() else {}
-    row = {
-        "key": key,
+    return {
         "case": case,
         "way": way,
         "untouched": untouched,
@@ -163,8 +172,6 @@ def _ask(case: str, way: str, work: Path, seconds: float, untouched: list[str]) 
         "status": status
         or (done["status"] if done else "out of time" if ended.code is None else f"failed: {ended.last}"),
     }
-    atomic.write_json(folder / "row.json", row)
-    return row
 
 
 def answer(way: str, place: str, out: str, seconds: float) -> None:
@@ -346,17 +353,13 @@ def _print(rows: list[dict[str, Any]], ratios: dict[str, dict[str, Any]], ways: 
             row = of[case, way]
             error = "-" if row["error"] is None else f"{1e3 * row['error']:.3g}"
             mark = "" if row["status"] == "finished" else " !"
-            cells.append(f"{error}{mark} ({row['seconds']:.0f})\n{' '.join(row['names'])}")
+            cells.append(f"{error}{mark} ({row['seconds']:.0f}) {' '.join(row['names'])}")
         lines.append((case, *cells))
-    console = Console(width=200)
-    title = "error on untouched runs, mrad or mm (processor s); names"
-    console.print(make_table(title, ("case", *ways), lines, texts=ways))
+    print_table("error on untouched runs, mrad or mm (processor s); names", ("case", *ways), lines)
     for ours, way, figure in ((ours, way, figure) for ours, of in ratios.items() for way, figure in of.items()):
         spread = figure["standard_error_of_log"]
         factor = "" if spread is None else f", times or over {math.exp(spread):.2f} (one standard error)"
-        console.print(
-            f"{ours} over {way}: {figure['ratio']:.2f}{factor}; worse by a tenth: {figure['worse'] or 'never'}"
-        )
+        print(f"{ours} over {way}: {figure['ratio']:.2f}{factor}; worse by a tenth: {figure['worse'] or 'never'}")
 
 
 if __name__ == "__main__":

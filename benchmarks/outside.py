@@ -1,7 +1,6 @@
-"""The solver on data of others: real video, real objects, real motion; with and without its Gaussians.
+"""The solver and its assets on data of others: real objects and real motion, from the video to the simulators.
 
-    .venv/bin/python -m benchmarks.outside [--partnet ROOT] [--videos FOLDER] [--mocap FOLDER] [--urdfs FOLDER]
-        [--clips 1305 laptop]
+    .venv/bin/python -m benchmarks.outside [--partnet ROOT] [--mocap FOLDER] [--urdfs FOLDER] [--clips 1305 laptop]
 
 takes by path what is there of
 - PartNet-Mobility: every object in ROOT, by the first joint of its URDF that moves, recorded by our generator with
@@ -10,58 +9,37 @@ takes by path what is there of
   SUBJECT_OBJECT_use_TAKE.object.npy. The first take of each, the stretch over which the joint moves most, replayed on
   the object itself (OBJECT/OBJECT.urdf in the folder of URDFs, or the first other one there that can be recorded), or
   where it is absent on the built-in object of the like joint (`freeart21 record --motion track:FILE`);
-- videos with depth: folders of a camera's pictures (rgb/, depth/, masks/, cam_K.txt). They have no truth: what is found
-  is reported;
-what is absent, or cannot be recorded, is left out with its reason. All is solved from one geometry with the Gaussians
-and without, scored by strict-2 where a truth exists, printed worst first, written to benchmarks/results/outside.json.
-A run that was stopped goes on from there. Nothing of the data enters the repository.
+what is absent, or cannot be recorded or exported, is left out with its reason. Solves each video by geometry alone (or
+with --gaussians), scores the answer by strict-2, exports it and measures the asset as `benchmarks.assets` does, but for
+what needs a true solid. Prints a table, worst first, and writes benchmarks/results/outside.json. A run that was stopped
+goes on. Nothing of the data enters the repository. Real videos are `benchmarks.real_video`.
 """
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from benchmarks.common import RESULTS, ROOT, digest_of, format_number, make_table, run_cli, wide_console, write_report
-from benchmarks.solve import (
-    OURS,
-    PROTOCOL,
-    Aim,
-    Outcome,
-    case_of,
-    figures,
-    from_geometry,
-    key_of,
-    print_beside,
-    print_outcomes,
-    run_calls,
-    solve_cases,
-    without,
-    worst_first,
-)
-from freeart21 import jobs
+from benchmarks import assets
+from benchmarks.common import RESULTS, ROOT, SHARED, run_cli, write_report
+from benchmarks.solve import PIECES, PROTOCOL, Case, Outcome, case_of, solve_cases, with_changes
+from export.collision import Contact
 from freeart21.errors import FreeArtError
 from freeart21.files.result import read_result
 from freeart21.files.urdf import read_urdf_joints
-from freeart21.formats import rgbd_folder
-from freeart21.formats.convert import convert
 from freeart21.reconstruction import Failure
 from generator.dataset import Job, plan_jobs, record_jobs
 from generator.session import TRACK, RecordSettings
 from reconstruct import VERSION
-from reconstruct.cache import code_digest
-from reconstruct.pipeline import reconstruct_folder
-from reconstruct.settings import ReconstructSettings, read_settings
 
-BESIDE = "no-gaussians"
+FILE = "outside.json"
+SOLVED = ("axis", "state", "miou", "chamfer_w", "chamfer_m")
+"""Metrics of the answer that are listed beside its asset."""
 SENSORS = ("noise2", "tof")
 SEED = 7
-SHARED = ROOT.parent / "shared"
 CAPTURED = {"laptop": "folding_display", "mixer": "long_arm_stapler", "ketchup": "flip_cap_usb"}
 """The object that was moved before the cameras, and the built-in one that stands in where its URDF is absent."""
 
@@ -77,93 +55,75 @@ class Clip:
     object: str
 
 
-@dataclass(frozen=True)
-class VideoAnswer:
-    """What was found in a video whose truth nobody knows."""
-
-    clip: str
-    variant: str
-    status: str
-    """'ok', or what is hopeless."""
-    joint_type: str | None = None
-    axis: tuple[float, float, float] | None = None
-    """In the camera's frame, with the object as in frame 0."""
-    axis_std_deg: float | None = None
-    range: float | None = None
-    """Of the states, deg or mm."""
-    trust: str | None = None
-    seconds: float = 0.0
-
-
 def main(
     partnet: Path = SHARED / "partnet_mobility",
     mocap: Path = SHARED / "mocap",
     urdfs: Path = SHARED / "urdf_objects",
-    videos: Path = SHARED / "rgbd",
     clips: tuple[str, ...] = (),
     frames: int = 120,
-    fresh: bool = False,
+    gaussians: bool = False,
+    contact: Contact = "fine",
+    workers: int = 1,
     work: Path = ROOT / "out" / "outside",
     out: Path | None = None,
-    settings: ReconstructSettings = ReconstructSettings(),  # noqa: B008 (frozen)
 ) -> None:
-    """Solve and score data of others.
+    """Solve data of others and measure the assets.
 
     Args:
         partnet: Folder of PartNet-Mobility objects.
         mocap: Folder of captured motion.
         urdfs: Folder of the objects that were captured, a folder each.
-        videos: Folder of videos with depth.
-        clips: These alone: numbers of objects, laptop, mixer, ketchup, or names of videos.
-        frames: Of what is recorded.
-        fresh: Solve all anew, whatever is known.
-        work: Where recordings, results and outcomes are kept.
+        clips: These alone: numbers of objects, or laptop, mixer, ketchup.
+        frames: Frames of each video.
+        gaussians: Refine by Gaussians.
+        contact: Collision shapes.
+        workers: Objects that are solved, then exported, side by side.
+        work: Where recordings, answers and assets are kept.
         out: The JSON file. When not given: benchmarks/results/outside.json, and only when no clips are named.
-        settings: Of the solver.
     """
-    settings = replace(settings, progress=False)
-    variants = {OURS: settings, BESIDE: without(settings, BESIDE)}
-    chosen, left_out = clips_of(partnet, mocap, urdfs, frames)
-    real = sorted(path for path in videos.glob("*") if rgbd_folder.is_rgbd_folder(path))
-    if not real:
-        left_out["videos"] = f"there are none in {videos}"
-    named = [*(clip.name for clip in chosen), *(path.name for path in real)]
-    unknown = [name for name in clips if name not in named and name not in left_out]
-    if unknown:
-        raise FreeArtError(f"there is no clip '{unknown[0]}'; there are {', '.join(named) or 'none'}")
-    wanted = [clip for clip in chosen if not clips or clip.name in clips]
-    cases = []
-    for clip in wanted:
-        try:
-            folder, recording = record(clip, work / f"{frames}frames")
-        except FreeArtError as error:
-            left_out[clip.name] = str(error)
-            continue
-        case = case_of(recording, folder)
-        cases.append(case if clip.settings.track is None else replace(case, motion="captured"))
-    found = solve_cases(cases, variants, work / "solved", fresh=fresh)
-    answers = _solve_videos([path for path in real if not clips or path.name in clips], variants, work, fresh, left_out)
-    left_out = {name: hide_roots(why, (partnet, mocap, urdfs, videos)) for name, why in left_out.items()}
-    of = {name: worst_first([o for (n, _), o in found.items() if n == name]) for name in variants}
-    _print(of, answers, left_out)
-    if out is None and clips:
-        return
-    facts = {
-        "protocol": PROTOCOL,
-        "solver": VERSION,
-        "code": code_digest(),
-        "solver_settings": settings.to_json(),
-        "frames": frames,
-        "seed": SEED,
-        "clips": [
-            {"name": c.name, "source": c.source, "object": Path(c.object).name, "sensor": c.settings.sensor}
-            for c in wanted
-        ],
-        "left_out": left_out,
+    found, left_out = clips_of(partnet, mocap, urdfs, frames)
+    if unknown := set(clips) - {clip.name for clip in found} - set(left_out):
+        raise FreeArtError(f"there is no clip '{min(unknown)}'; there are {', '.join(c.name for c in found) or 'none'}")
+    cases: dict[str, Case] = {}
+    for clip in found:
+        if not clips or clip.name in clips:
+            try:
+                folder, recording = record(clip, work / f"{frames}frames")
+                cases[clip.name] = case_of(recording, folder)
+            except FreeArtError as error:
+                left_out[clip.name] = str(error)
+    kind = "gaussians" if gaussians else "geometry-alone"
+    settings = with_changes({} if gaussians else PIECES["no-gaussians"])
+    solved = dict(zip(cases, solve_cases(list(cases.values()), settings, work / kind, workers), strict=True))
+    results, place = work / kind / "results", work / f"assets-{kind}-{contact}"
+    for name in [name for name, case in cases.items() if not (results / case.sequence.name).is_dir()]:
+        left_out[name] = solved[name].row.reason  # crashed
+        del cases[name]
+    measured = assets.make_rows(
+        {name: (results / case.sequence.name, case.sequence, case.truth) for name, case in cases.items()},
+        contact, place, workers,
+    )  # fmt: skip
+    rows = [{**describe_answer(solved[row["object"]], results), **row} for row in measured]
+    assets.print_rows(rows)
+    left_out = {name: hide_roots(why, (partnet, mocap, urdfs)) for name, why in left_out.items()}
+    for name, why in left_out.items():
+        print(f"left out: {name}: {why}")
+    if out is not None or not clips:
+        facts = {"frames": frames, "seed": SEED, "protocol": PROTOCOL, "solver": VERSION, "contact": contact}
+        facts |= {"gaussians": gaussians, "density": assets.DENSITY, "sensors": SENSORS, "left_out": left_out}
+        write_report(out or RESULTS / FILE, facts, summary=assets.sum_up(rows), rows=rows)
+
+
+def describe_answer(outcome: Outcome, results: Path) -> dict[str, Any]:
+    """How good the answer is that was exported, and whether it is trusted."""
+    answer = read_result(results / outcome.row.sequence, appearance=False)
+    trust = None if isinstance(answer, Failure) or answer.trust is None else answer.trust.verdict
+    return {
+        **{metric: outcome.row.values[metric] for metric in SOLVED},
+        "type": outcome.row.joint_type,
+        "trust": trust,
+        "solve_s": round(sum(outcome.seconds.values()), 1),
     }
-    body = {**figures(of[OURS]), "beside": {BESIDE: figures(of[BESIDE])}, "without_truth": [asdict(t) for t in answers]}
-    path = out or RESULTS / "outside.json"
-    write_report(path, facts, **body)
 
 
 # --- recordings -------------------------------------------------------------------------------------------------------
@@ -223,101 +183,6 @@ def record(clip: Clip, data: Path) -> tuple[Path, Job]:
     job = plan_jobs([clip.object], clip.settings)[0]
     record_jobs(folder, [job])
     return folder, job
-
-
-# --- a video without a truth ------------------------------------------------------------------------------------------
-
-
-def _convert(source: Path, data: Path) -> Path:
-    """The sequence of a folder of pictures, converted unless it is there."""
-    sequence = data / "sequences" / source.name
-    if not sequence.is_dir():
-        list(convert(source, data, "native"))
-    return sequence
-
-
-def _solve_videos(
-    sources: list[Path], variants: dict[str, ReconstructSettings], work: Path, fresh: bool, left_out: dict[str, str]
-) -> list[VideoAnswer]:
-    """What each variant finds in each video; those that cannot be converted, or solved, are added to `left_out`."""
-    todo: list[jobs.Job] = []
-    for source in sources:
-        try:
-            sequence = _convert(source, work / "videos")
-        except FreeArtError as error:
-            left_out[source.name] = str(error)
-            continue
-        files = digest_of(files=[path for path in sorted(sequence.rglob("*")) if path.is_file()])
-        needs: tuple[str, ...] = ()
-        for variant, settings in variants.items():
-            name = f"{variant}/{source.name}"
-            arguments = {
-                "sequence": str(sequence.resolve()),
-                "result": f"{{folder}}/results/{name}",
-                "geometry": f"{{folder}}/geometry/{source.name}",
-                "settings": f"{{folder}}/settings/{variant}.json",
-            }
-            call, key = "benchmarks.outside:solve_video", key_of(settings, files)
-            todo.append(jobs.Job(name, call=call, arguments=arguments, needs=needs, key=key))
-            needs = (name,)
-    answers = []
-    for name, answer in run_calls(work / "solved-videos", todo, variants, fresh=fresh).items():
-        if "crash" in answer:
-            left_out[name] = answer["crash"]
-        else:
-            answers.append(VideoAnswer(**answer))
-    return answers
-
-
-def solve_video(sequence: str, result: str, geometry: str, settings: str) -> dict[str, Any]:
-    """Solve a video, in a process of its own; what was found, as JSON."""
-    own = replace(read_settings(Path(settings)), progress=False)
-    from_geometry(Path(sequence), Path(result), Path(geometry), own)
-    reconstruct_folder(Path(sequence), Path(result), own)
-    return asdict(describe_answer(Path(result), Path(settings).stem))
-
-
-def describe_answer(result: Path, variant: str) -> VideoAnswer:
-    """What a result folder says of its joint."""
-    answer = read_result(result)
-    seconds = sum(answer.seconds.values())
-    if isinstance(answer, Failure):
-        return VideoAnswer(result.name, variant, f"{answer.stage}: {answer.reason}", seconds=seconds)
-    joint = answer.articulation.joint
-    unit = 180 / np.pi if joint.type == "revolute" else 1000.0
-    return VideoAnswer(
-        clip=result.name,
-        variant=variant,
-        status="ok",
-        joint_type=joint.type,
-        axis=(float(joint.axis[0]), float(joint.axis[1]), float(joint.axis[2])),
-        axis_std_deg=None if answer.axis_std is None else float(np.degrees(answer.axis_std)),
-        range=float(np.ptp(answer.states[answer.seen.all(1)]) * unit) if answer.seen.all(1).any() else None,
-        trust=None if answer.trust is None else answer.trust.verdict,
-        seconds=seconds,
-    )
-
-
-# --- tables -----------------------------------------------------------------------------------------------------------
-
-
-def _print(of: dict[str, list[Outcome]], answers: list[VideoAnswer], left_out: dict[str, str]) -> None:
-    console = wide_console()
-    if of[OURS]:
-        print_outcomes(of[OURS], Aim(), "data of others")
-        print_beside(of[OURS], {BESIDE: of[BESIDE]}, Aim())
-    if answers:
-        head = ("video", "variant", "", "joint", "axis, camera", "± deg", "range", "trust", "s")
-        console.print(make_table("no truth", head, map(_cells, answers), texts=head[1:]))
-    for name, why in left_out.items():
-        console.print(f"  left out: {name}: {why}", markup=False, highlight=False)
-
-
-def _cells(t: VideoAnswer) -> tuple[str, ...]:
-    axis = "-" if t.axis is None else ", ".join(f"{x:.3f}" for x in t.axis)
-    span = "-" if t.range is None else f"{t.range:.1f} {'deg' if t.joint_type == 'revolute' else 'mm'}"
-    std = format_number(t.axis_std_deg, 2)
-    return t.clip, t.variant, t.status, t.joint_type or "-", axis, std, span, t.trust or "-", f"{t.seconds:.0f}"
 
 
 if __name__ == "__main__":

@@ -5,8 +5,8 @@
 makes an asset and a measured set of every recording of ../shared/measured (`real_recordings`), asks `gap` in a process
 of its own that is killed after --limit seconds of processor time, and grades the answer (`real_grade`) by what was
 known of the recording beforehand (real_expected.json). Prints the table and writes benchmarks/results/real_gap.json.
-May be killed and goes on: an answer of the same code, limit and recording is kept in --work. Recordings that are not at
-hand are left out.
+May be killed and goes on: an answer of the same commit, limit and recording is kept in --work. Recordings that are not
+at hand are left out.
 """
 
 from __future__ import annotations
@@ -16,17 +16,25 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
-from benchmarks.common import RESULTS, ROOT, code_of, digest_of, make_table, run_cli, run_within, write_report
+from benchmarks.common import (
+    RESULTS,
+    ROOT,
+    commit,
+    digest_of,
+    keep_row,
+    print_table,
+    run_cli,
+    run_within,
+    write_report,
+)
 from benchmarks.real_grade import grade_answer, measure_closing, overclaims, summarise
-from benchmarks.real_recordings import SHARED, recordings
+from benchmarks.real_recordings import MEASURED, recordings
 from freeart21.errors import FreeArtError
-from freeart21.files import atomic, checked
+from freeart21.files import checked
 
 EXPECTED = ROOT / "benchmarks" / "real_expected.json"
 _CODE = ("simgap", "freeart21", "generator", "export", "benchmarks/real_recordings.py")
-"""Folders and files whose code an answer depends on."""
+"""Folders and files that an answer depends on."""
 _NO_TIME = {"seconds": 0.0, "wall seconds": 0.0}
 _COMMAND = ("-m", "freeart21", "gap", "asset.urdf", "measured", "--out", "answer")
 
@@ -47,7 +55,7 @@ def main(
     """
     here = recordings()
     if not here:
-        print(f"no recordings at {SHARED}: nothing to do")
+        print(f"no recordings at {MEASURED}: nothing to do")
         return
     unknown = sorted(set(names) - set(here))
     if unknown:
@@ -56,12 +64,8 @@ def main(
     chosen = [name for name in here if not names or name in names]
     rows = []
     for k, name in enumerate(chosen, 1):
-        row_file = work / name / "row.json"
-        key = digest_of(name, limit, files=code_of(*_CODE))
-        row = checked.read_json(row_file) if row_file.is_file() else {}
-        if row.get("key") != key:
-            row = {"key": key, **_ask(name, work / name, limit)}
-            atomic.write_json(row_file, row)
+        key = digest_of(limit, commit(*_CODE))
+        row = keep_row(work / f"{name}.json", key, lambda name=name: _ask(name, work / name, limit))
         rows.append(_grade(row, known))
         print(f"{k} of {len(chosen)}: {name}: {rows[-1]['grade']} ({rows[-1]['seconds']:.0f} s)", flush=True)
     _print(rows)
@@ -123,9 +127,8 @@ def _print(rows: list[dict[str, Any]]) -> None:
         message, names = row["verdict"] or row["status"], ", ".join(row["effects"]) or "-"
         why = "; ".join(row["reasons"])
         cells.append((row["name"], row["grade"], message, names, share, left, f"{row['seconds']:.0f}", why))
-    console = Console(width=200)
-    console.print(make_table("", head, cells, texts=head[1:]))
-    console.print(summarise(rows))
+    print_table("real recordings", head, cells)
+    print(summarise(rows))
 
 
 if __name__ == "__main__":

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from scipy.io import loadmat
 
-from benchmarks.common import ROOT
+from benchmarks.common import SHARED
 from export.joint_asset import JointNumbers, write_joint_asset
 from freeart21.formats.circumstances import Circumstances
 from freeart21.formats.measured_series import SeriesSettings, measure_series
 from freeart21.se3 import Array
 
-SHARED = ROOT.parent / "shared" / "measured"
+MEASURED = SHARED / "measured"
 STRETCHES = 6
 """Into which a long free swing is cut; the second and the fifth are held out."""
 MULTIARM = JointNumbers("pendulum", 0.1476, 0.14775, 1.0912e-4 + 0.1476 * 0.14775**2)
@@ -70,19 +70,19 @@ def recordings() -> dict[str, Callable[[Path], None]]:
         "hsm150_pos": ("hsm150_motor", lambda out: motor(out, ("pos_0.06",))),
         "hsm150_neg": ("hsm150_motor", lambda out: motor(out, ("neg_0.04",))),
     }
-    return {name: make for name, (folder, make) in made.items() if (SHARED / folder).is_dir()}
+    return {name: make for name, (folder, make) in made.items() if (MEASURED / folder).is_dir()}
 
 
 def multiarm(out: Path) -> None:
     """Four segments to fit, the authors' two validation segments held out; 0 is hanging."""
-    file = SHARED / "multiarm_pendulum" / "SinglePendulumDataForParameterEstimation.mat"
+    file = MEASURED / "multiarm_pendulum" / "SinglePendulumDataForParameterEstimation.mat"
     given = {"columns": {"t": "Time_id+Time_vad", "q": "Y_id:1+Y_vad:1"}, "zero": np.pi, "held_out": ("5", "6")}
     _write_set(out, MULTIARM, [file], **given, inertia_relative=0.05, gravity_relative=0.05)
 
 
 def phy180_whole(out: Path) -> None:
     """One film fitted, the other held out, as their files are."""
-    files = [SHARED / "phy180_pendulum" / f"data{k}.csv" for k in (31, 32)]
+    files = [MEASURED / "phy180_pendulum" / f"data{k}.csv" for k in (31, 32)]
     _write_set(out, PHY180, files, held_out=("data32",), **_LENGTH_BY_PERIOD)
 
 
@@ -91,19 +91,19 @@ _LENGTH_BY_PERIOD = {"inertia_relative": 0.0, "gravity_relative": 0.05}
 
 
 def _write_filmed(out: Path, name: str, body: JointNumbers) -> None:
-    rows = np.genfromtxt(SHARED / "phy180_pendulum" / f"{name}.csv", delimiter=",", skip_header=1)
+    rows = np.genfromtxt(MEASURED / "phy180_pendulum" / f"{name}.csv", delimiter=",", skip_header=1)
     files = _cut_in_three(out, rows)
     _write_set(out, body, files, held_out=("2", "5"), **_LENGTH_BY_PERIOD)
 
 
 def adip_pend(out: Path) -> None:
     """The one file."""
-    _write_set(out, ADIP, [SHARED / "rotary_and_cart" / "adip_pend_data.mat"], **_LENGTH_BY_PERIOD)
+    _write_set(out, ADIP, [MEASURED / "rotary_and_cart" / "adip_pend_data.mat"], **_LENGTH_BY_PERIOD)
 
 
 def adip_pend_cut(out: Path) -> None:
     """The same in stretches."""
-    data = loadmat(SHARED / "rotary_and_cart" / "adip_pend_data.mat")
+    data = loadmat(MEASURED / "rotary_and_cart" / "adip_pend_data.mat")
     files = _cut_in_three(out, np.column_stack([data["t"], data["theta2"]]))
     _write_set(out, ADIP, files, held_out=("2", "5"), **_LENGTH_BY_PERIOD)
 
@@ -112,7 +112,7 @@ def rotary(out: Path, settled: bool) -> None:
     """The pendulum of an arm that was turned by a radian: from the start on, or from where it is still (1e-3 rad)."""
     files = []
     for gain, still in ((3, 3.0), (5, 2.5)):
-        data = loadmat(SHARED / "rotary_and_cart" / f"adip_arm_pcont_data_kP_{gain}_ref_1.mat")
+        data = loadmat(MEASURED / "rotary_and_cart" / f"adip_arm_pcont_data_kP_{gain}_ref_1.mat")
         rows = np.column_stack([data["t"], data["theta2"]])
         rows = rows[rows[:, 0] > (still if settled else 1.0)]
         files.append(_write_csv(out / "raw" / f"kp{gain}.csv", "time,angle", rows))
@@ -124,7 +124,7 @@ def rotary_with_base(out: Path) -> None:
     the side on which the first swing shows it."""
     files = []
     for gain in (3, 5):
-        data = loadmat(SHARED / "rotary_and_cart" / f"adip_arm_pcont_data_kP_{gain}_ref_1.mat")
+        data = loadmat(MEASURED / "rotary_and_cart" / f"adip_arm_pcont_data_kP_{gain}_ref_1.mat")
         rows = np.column_stack([data[name] for name in ("t", "theta2", "theta1")])
         rows = rows[rows[:, 0] > 1.0]
         files.append(_write_csv(out / "raw" / f"kp{gain}.csv", "time,angle,arm", rows))
@@ -136,7 +136,7 @@ def rotary_with_base(out: Path) -> None:
 def servo(out: Path, gain: int) -> None:
     """Four commands at one gain; where the torque was switched off, a run without the servo begins."""
     names = ("lift_and_drop", "sin_sin", "sin_time_square", "up_and_down")
-    files = [SHARED / "bam_xl330" / f"kp{gain}_{name}.json" for name in names]
+    files = [MEASURED / "bam_xl330" / f"kp{gain}_{name}.json" for name in names]
     per_amp = BAM_MOTOR["kt"] / BAM_MOTOR["R"]
     law = (BAM_MOTOR["error_gain"] * gain * BAM_MOTOR["vin"] * per_amp, BAM_MOTOR["kt"] * per_amp)
     held_out = (f"kp{gain}_sin_time_square",)
@@ -147,7 +147,7 @@ def servo_off(out: Path) -> None:
     """What both gains' logs have after the servo is switched off."""
     files = []
     for gain in (100, 400):
-        entries = json.loads((SHARED / "bam_xl330" / f"kp{gain}_lift_and_drop.json").read_text())["entries"]
+        entries = json.loads((MEASURED / "bam_xl330" / f"kp{gain}_lift_and_drop.json").read_text())["entries"]
         rows = [(e["timestamp"], e["position"]) for e in entries if not e["torque_enable"]]
         files.append(_write_csv(out / "raw" / f"drop{gain}.csv", "time,angle", np.array(rows)))
     _write_set(out, BAM, files, held_out=("drop100",), inertia_relative=0.05, gravity_relative=0.05)
@@ -155,7 +155,7 @@ def servo_off(out: Path) -> None:
 
 def dfki(out: Path) -> None:
     """One recording, cut in two; the last third is held out."""
-    rows = np.genfromtxt(SHARED / "dfki_pendulum" / "sysid_measured.csv", delimiter=",", skip_header=1)[:, [0, 1, 3]]
+    rows = np.genfromtxt(MEASURED / "dfki_pendulum" / "sysid_measured.csv", delimiter=",", skip_header=1)[:, [0, 1, 3]]
     parts = {"early": rows[: 2 * len(rows) // 3], "late": rows[2 * len(rows) // 3 :]}
     files = [_write_csv(out / "raw" / f"{name}.csv", "time,position,torque", part) for name, part in parts.items()]
     unsure = {"inertia_relative": 0.2, "gravity_relative": 0.2}
@@ -179,14 +179,14 @@ def breakaway(out: Path) -> None:
 
 def _join_files(out: Path, test: str, kind: str, name: str) -> Path:
     """Position, degrees, and torque of one recording in one file: they stand in two, row by row."""
-    folder = SHARED / "directdrive_friction" / test
+    folder = MEASURED / "directdrive_friction" / test
     pos, tau = (np.loadtxt(folder / f"{kind}_{what}1_{name}_exp_gan.t") for what in ("pos", "tau"))
     return _write_csv(out / "raw" / f"{kind}_{name}.csv", "time,angle,torque", np.column_stack([pos, tau[:, 1]]))
 
 
 def motor(out: Path, ways: Iterable[str]) -> None:
     """Torque steps; of each way the second run is held out."""
-    files = [SHARED / "hsm150_motor" / f"idf_{way}_{k}.mat" for way in ways for k in (1, 2)]
+    files = [MEASURED / "hsm150_motor" / f"idf_{way}_{k}.mat" for way in ways for k in (1, 2)]
     columns = {"t": "data:1", "q": "data:3", "effort": "data:5"}
     held_out = tuple(file.name for file in files if file.stem.endswith("_2"))
     _write_set(

@@ -25,23 +25,22 @@ import numpy as np
 from benchmarks.common import (
     RESULTS,
     ROOT,
-    code_of,
+    SHARED,
+    commit,
     digest_of,
-    make_table,
+    keep_row,
+    print_table,
     run_cli,
     run_within,
-    wide_console,
     write_report,
 )
 from freeart21.errors import FreeArtError
-from freeart21.files import atomic, checked
+from freeart21.files import checked
 from freeart21.files.result import read_result
 from freeart21.reconstruction import Reconstruction
 
-SHARED = ROOT.parent / "shared"
 EXPECTED = ROOT / "benchmarks" / "real_video_expected.json"
 GRADES = ("wrong", "silent", "doubted", "right")
-_CODE = ("reconstruct", "freeart21", "export")
 
 
 def main(
@@ -67,14 +66,10 @@ def main(
         raise FreeArtError(f"there is no clip {', '.join(unknown)}; there are {', '.join(here) or 'none'}")
     rows = []
     for name in [name for name in here if not names or name in names]:
-        file = work / name / "row.json"
-        key = digest_of(name, limit, gaussians, known[name], files=code_of(*_CODE))
-        row = checked.read_json(file) if file.is_file() else {}
-        if row.get("key") != key:
-            row = {"key": key, **_film(known[name], work / name, limit, gaussians)}
-            atomic.write_json(file, row)
+        key = digest_of(limit, gaussians, known[name], commit("reconstruct", "freeart21", "export"))
+        row = keep_row(work / f"{name}.json", key, lambda name=name: _film(known[name], work / name, limit, gaussians))
         grade, reasons = grade_clip(known[name], row)
-        rows.append({"clip": name, "grade": grade, "reasons": reasons, **{k: row[k] for k in row if k != "key"}})
+        rows.append({"clip": name, "grade": grade, "reasons": reasons, **row})
         print(f"{name}: {grade} ({row['seconds']:.0f} s)", flush=True)
     rows.sort(key=lambda row: GRADES.index(row["grade"]))
     _print(rows)
@@ -152,7 +147,7 @@ def _print(rows: list[dict[str, Any]]) -> None:
         )
         for row in rows
     ]
-    wide_console().print(make_table("", head, cells, texts=head))
+    print_table("real clips", head, cells)
 
 
 if __name__ == "__main__":

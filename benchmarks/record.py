@@ -22,9 +22,8 @@ from typing import Any
 
 import numpy as np
 import sapien
-from rich.console import Console
 
-from benchmarks.common import RESULTS, make_table, run_cli, write_report
+from benchmarks.common import RESULTS, print_table, run_cli, write_report
 from freeart21 import catalog, se3
 from generator.dataset import plan_jobs, record_jobs
 from generator.scene import simulator
@@ -174,12 +173,11 @@ def _whole(names: tuple[str, ...], workers: int, settings: RecordSettings, data:
 
 
 def _print(rows: list[dict[str, Any]]) -> None:
-    console = Console()
     for kind in ("film", "whole"):
         here = [{k: v for k, v in row.items() if k != "kind"} for row in rows if row["kind"] == kind]
         if here:
             cells = [[f"{v:.3g}" if isinstance(v, float) else v for v in row.values()] for row in here]
-            console.print(make_table(kind, list(here[0]), cells))
+            print_table(kind, list(here[0]), cells)
 
 
 if __name__ == "__main__":

@@ -29,8 +29,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the processes that s
 
 import numpy as np
 import trimesh
-from rich.console import Console
-from rich.progress import track
 
 from benchmarks.common import RESULTS, ROOT, run_cli, write_report
 from export.exporter import export_result
@@ -96,9 +94,9 @@ def main(
         profiled: Rows that are scored once more, in this process, to see what their time goes into.
         out: The JSON file.
     """
-    console, benchmark = Console(), read_benchmark(data)
+    benchmark = read_benchmark(data)
     made = results is None
-    results = results or make_results(benchmark, work / f"results-{faces}", faces, console)
+    results = results or make_results(benchmark, work / f"results-{faces}", faces)
     with measure_use() as used:
         rows = score_results(results, benchmark.folder, protocol, workers=workers).rows
     whole = used()
@@ -124,20 +122,21 @@ def main(
         stages=stages,
         rows=[{"sequence": r.sequence, "status": r.status, "measured_from": r.measured_from} for r in rows],
     )
-    console.print(
+    print(
         f"{len(rows)} sequences: {whole.wall_s:.1f} s, {whole.cpu_s:.1f} processor seconds, "
         f"{whole.peak_bytes / 1e9:.2f} GB"
     )
     for name, seconds in stages.items():
-        console.print(f"{seconds:8.2f} processor s a row: {name}")
+        print(f"{seconds:8.2f} processor s a row: {name}")
 
 
-def make_results(benchmark: Benchmark, folder: Path, faces: int, console: Console) -> Path:
+def make_results(benchmark: Benchmark, folder: Path, faces: int) -> Path:
     """Answers with assets to all sequences of `benchmark` in `folder`; those that are there are kept."""
     folder.mkdir(parents=True, exist_ok=True)
     write_method(folder, Method("benchmark", "the truth, a little wrong", {"faces": faces}))
     todo = [name for name in benchmark.sequences if not (folder / name / "asset").is_dir()]
-    for name in track(todo, "Making answers", console=console, disable=not todo):
+    for name in todo:
+        print(f"making an answer to {name}", flush=True)
         truth = read_truth(benchmark.truth(name))
         queries = len(list((benchmark.truth(name) / "queries" / "rgb").glob("*.png")))
         views = [_dim(truth.query_rgb(i)) for i in range(queries)]

@@ -23,7 +23,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common import RESULTS, make_table, run_cli, wide_console, write_report
+from benchmarks.common import RESULTS, print_table, run_cli, write_report
 from freeart21.errors import FreeArtError
 from freeart21.files.sequence import read_sequence
 from freeart21.reconstruction import Failure
@@ -78,7 +78,7 @@ def main(
         "wall_s",
     ]
     cells = [[f"{row[key]:.1f}" if isinstance(row[key], float) else row[key] for key in head] for row in rows]
-    wide_console().print(make_table(f"processor seconds, {object}, {sensor}", head, cells))
+    print_table(f"processor seconds, {object}, {sensor}", head, cells)
     summary = {
         f"geometry_s_a_frame_{row['frames']}x{row['height']}": _geometry(row) / row["frames"]
         for row in rows

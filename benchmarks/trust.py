@@ -20,6 +20,7 @@ diagonal, or when two joints moved and it tells of one.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
@@ -28,9 +29,8 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
-from rich.console import Console
 
-from benchmarks.common import RESULTS, ROOT, format_number, make_table, run_cli, write_report
+from benchmarks.common import RESULTS, ROOT, format_number, print_table, run_cli, write_report
 from freeart21.articulation import PARTS
 from freeart21.errors import FreeArtError
 from freeart21.files.benchmark import read_benchmark
@@ -245,7 +245,7 @@ def main(
         if judged[-1].status == "ok" and not judged[-1].wrong and not judged[-1].doubtful:
             faults |= _judge_spoilt(video, data / "sequences" / sequence, results / sequence)
     _print(judged)
-    Console().print_json(data=count_faults(faults))
+    print(json.dumps(count_faults(faults), indent=1))
     if out is None and len(chosen) < len(VIDEOS):
         return
     write_report(
@@ -446,9 +446,8 @@ def _print(judged: list[Judged]) -> None:
         truth = "refused" if one.status != "ok" else "wrong" if one.wrong else "right"
         errors = (format_number(one.values.get(name)) for name in ("axis", "state"))
         cells.append((one.video, truth, "doubtful" if one.doubtful else "sound", *errors, "; ".join(one.reasons)))
-    console = Console()
-    console.print(make_table("trust", head, cells, texts=head[1:]))
-    console.print_json(data=summary(judged))
+    print_table("trust", head, cells)
+    print(json.dumps(summary(judged), indent=1))
 
 
 if __name__ == "__main__":

@@ -290,6 +290,8 @@ def teleop(
     port: int = 8021,
     width: int = 640,
     height: int = 360,
+    cert: Path | None = None,
+    key: Path | None = None,
 ) -> None:
     """Move an object and its joint by hand in a browser, and record the motion as a take.
 
@@ -304,18 +306,19 @@ def teleop(
         joint: Moving joint of a URDF, or of a PartNet-Mobility object for which the catalog names none.
         skip_missing: Leave out missing meshes of the object.
         root: Folder with all files of a URDF; its own, or its package's, when not given.
-        host: Address to listen at; 0.0.0.0 for all of this machine. Other addresses than 127.0.0.1 use https, with a
-            certificate that is made once for this machine.
+        host: Address to listen at; 0.0.0.0 for all of this machine. Others than 127.0.0.1 need --cert and --key.
         port: Port to listen at; 0 takes a free one.
-        width: Width of the live picture, pixels; a page of another shape gets as many pixels.
+        width: Width of the live picture, pixels.
         height: Height of the live picture, pixels.
+        cert: PEM file of your certificate, for https.
+        key: PEM file of its private key.
     """
     from generator.session import RecordSettings
     from generator.teleop.start import TeleopSettings, serve
 
     record = RecordSettings(seed=seed, partnet_root=partnet_root, joint=joint, skip_missing=skip_missing, root=root)
     record.check()
-    serve(name, out, TeleopSettings(host, port, width, height), record)
+    serve(name, out, TeleopSettings(host, port, width, height, cert, key), record)
 
 
 def verify(data: Annotated[Path, Positional], deep: bool = False, truth: Path | None = None) -> int:
@@ -1097,13 +1100,8 @@ def known_commands() -> dict[str, Callable[..., Any]]:
         board.score,
         board.compare,
         board.site,
-        board.suite,
         board.pack,
         board.release,
-        board.lpips,
-        board.tags,
-        board.truth_by_markers,
-        board.board,
         measure,
         gap,
         replay,

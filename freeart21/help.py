@@ -26,7 +26,7 @@ OPTION_GROUPS: dict[str, dict[str, tuple[str, ...]]] = {
     },
     "teleop": {
         "the object": ("seed", "partnet_root", "joint", "skip_missing", "root"),
-        "the server and its picture": ("host", "port", "width", "height"),
+        "the server and its picture": ("host", "port", "width", "height", "cert", "key"),
     },
     "measure": {
         "of files": ("asset", "joint", "columns", "unit_t", "unit_q", "unit_effort", "zero", "reverse", "held_out"),

@@ -18,7 +18,7 @@ from leaderboard.submission import read_submitted_method
 
 WORKERS = 2
 """Rows scored side by side."""
-_RELEVANT = ("freeart21", "scoring", "python", "libraries")
+_RELEVANT = ("freeart21", "python", "libraries")
 """Entries of the environment that the numbers depend on; commit and machine do not change them."""
 
 
@@ -32,9 +32,9 @@ def cached_scores(
 ) -> Scores:
     """The scores of a method's results folder, from the table in the folder `cache` when that is current.
 
-    A table is current when results, benchmark.json, truths, scoring code and libraries have the hashes and versions in
-    it. Otherwise the results are scored (arguments as in `score_results`) and the table is written. `cache` None
-    neither reads nor writes a table. `truth` is where the truth of a packed data folder lies.
+    A table is current when results, benchmark.json, truths, package and libraries have the hashes and versions in it.
+    Otherwise the results are scored (arguments as in `score_results`) and the table is written. `cache` None neither
+    reads nor writes a table. `truth` is where the truth of a packed data folder lies.
 
     Raises FreeArtError as `score_results`, when another file lies in the table's place, and when the results change
     while they are scored.
@@ -63,7 +63,7 @@ def cache_path(results: Path, protocol: str, cache: Path) -> Path:
 
 
 def is_current(scores: Scores, results: Path, benchmark: Benchmark) -> bool:
-    """Whether scoring `results` now would give `scores`: the same bytes, scored by the same code and libraries."""
+    """Whether scoring `results` now would give `scores`: the same bytes, package and libraries."""
     environment = describe_environment()
     if any(scores.made_with.get(key) != environment[key] for key in _RELEVANT):
         return False

@@ -247,10 +247,11 @@ def check_tables(
                 f"{place} is scored on {_describe_set(scores.benchmark)}, expected {_describe_set(facts)}: "
                 "another benchmark, or another version of it"
             )
-        if scores.made_with.get("scoring") != reference.made_with.get("scoring"):
+        version, expected = (table.made_with.get("freeart21") for table in (scores, reference))
+        if version != expected:
             raise FreeArtError(
-                f"{place} is scored by other code ({_describe_code(scores)}) than {first} "
-                f"({_describe_code(reference)}): score it again, or name its results folder instead"
+                f"{place} is scored by freeart21 {shorten(str(version))}, {first} by {shorten(str(expected))}: "
+                "score it again, or name its results folder instead"
             )
         for row in scores.rows:
             if row.sequence not in sequences:
@@ -301,7 +302,3 @@ def _verdict(interval: Interval, metric: Metric) -> Literal["better", "worse", "
 
 def _describe_set(facts: dict[str, str]) -> str:
     return f"{facts['name']} {facts['version']} ({facts['sha256'][:12]})"
-
-
-def _describe_code(scores: Scores) -> str:
-    return f"scoring {str(scores.made_with.get('scoring'))[:12]}"

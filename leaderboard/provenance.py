@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import json
 import os
-import pkgutil
 import platform
 import stat
 import subprocess
@@ -17,54 +15,31 @@ from pathlib import Path
 from typing import Any
 
 import freeart21
-from freeart21.code import code_digest, modules_behind
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.benchmark import Benchmark
-from leaderboard import protocols
 from leaderboard.rows import Scores
 from leaderboard.submission import MAX_FILES
 
 MAX_BYTES = 4 << 30
 """Largest folder that is hashed; a result of 300 frames has 20 MB."""
 LIBRARIES = ("numpy", "scipy", "scikit-image", "sapien", "numba", "opencv-python-headless", "trimesh")
-_PACKAGES = ("freeart21", "generator", "reconstruct", "export", "leaderboard", "simgap")
 _ROOT = Path(__file__).resolve().parents[1]
 _CHUNK_BYTES = 1 << 20
 
 
 def describe_environment() -> dict[str, Any]:
-    """Version, fingerprint of the scoring code, commit, and versions of Python and libraries, and the machine.
+    """Version of the package, commit, and versions of Python and libraries, and the machine.
 
     The commit is empty outside a checkout and ends in '-dirty' when files differ from it.
     """
     return {
         "freeart21": freeart21.__version__,
-        "scoring": scoring_code(),
         "commit": _commit(),
         "python": platform.python_version(),
         "libraries": {name: _version(name) for name in LIBRARIES},
         "machine": {"system": platform.system(), "machine": platform.machine(), "processor": _processor()},
     }
-
-
-@lru_cache
-def scoring_code() -> str:
-    """SHA-256 (hexadecimal) of the code of `scoring_modules`, comments and layout ignored."""
-    return code_digest(scoring_modules().items())
-
-
-def scoring_modules() -> dict[str, Path]:
-    """Module name to file of all modules that scoring one row can import, every protocol included."""
-    ours = (f"{protocols.__name__}.{info.name}" for info in pkgutil.iter_modules(protocols.__path__))
-    found: dict[str, Path] = {}
-    for name in ("leaderboard.sequence_score", *ours):
-        found |= modules_behind(name, _ROOT, _PACKAGES)
-    for point in metadata.entry_points(group=protocols.__name__):
-        spec = importlib.util.find_spec(point.module)
-        if spec is not None and spec.origin is not None:
-            found[point.module] = Path(spec.origin)
-    return dict(sorted(found.items()))
 
 
 def folder_sha256(folder: Path) -> str:

@@ -21,8 +21,6 @@ from leaderboard.sequence_score import score_sequence
 
 ANCHOR = 4
 """Frame of the video that shows the first state of methods without a video."""
-SCALE = 2.5
-"""nerfstudio's units per metre."""
 GL = np.diag([1.0, -1.0, -1.0, 1.0])
 """OpenGL's camera from OpenCV's, and back."""
 
@@ -196,56 +194,6 @@ def parts_at(truth, state, world):
     )
 
 
-def paris(folder, name="a", *, world=ZUP, start_mesh=True):
-    """The save folder of an experiment from the state of frame ANCHOR to 1 rad (or 0.2 m)."""
-    truth = truth_of(name)
-    joint, first = truth.articulation.joint, truth.states[ANCHOR]
-    turns = joint.type == "revolute"
-    amount = (1.0 if turns else 0.2) - first
-    axis, pivot = world[:3, :3] @ joint.axis, apply(world, joint.pivot)
-    motion = {"type": "rotate" if turns else "translate", "axis_o": pivot.tolist(), "axis_d": axis.tolist()}
-    if turns:
-        motion |= {"rot_angle": [np.degrees(amount)], "R": np.eye(3).tolist()}
-    else:
-        motion |= {"dist": amount}
-    write_json(folder / "save" / "it5000_val_motion.json", motion | {"axis_d": [1, 0, 0]})  # an older one
-    write_json(folder / "save" / "it20000_test_motion.json", motion)
-    static, moving = parts_at(truth, first, world)
-    half = parts_at(truth, first + amount / 2, world)[1]
-    write_mesh(folder / "save" / "it20000_static_256_thre5.0.ply", *static)
-    write_mesh(folder / "save" / "it20000_dynamic_256_thre5.0.ply", *half)
-    if start_mesh:
-        write_mesh(folder / "save" / "it20000_dyn_t0_256_thre5.0.ply", *moving)
-    return amount
-
-
-def digitaltwinart(folder, name="a", *, known=True):
-    truth = truth_of(name)
-    joint, first = truth.articulation.joint, truth.states[ANCHOR]
-    turns = joint.type == "revolute"
-    axis, pivot = ZUP[:3, :3] @ joint.axis, apply(ZUP, joint.pivot)
-    amount = (1.0 if turns else 0.2) - first
-    T = turned(axis, pivot, amount) if turns else np.eye(4)
-    if not turns:
-        T[:3, 3] = axis * amount
-    on_axis = pivot - axis * (axis @ pivot)
-    hinge = {"axis_position": on_axis.tolist(), "axis_direction": (axis * np.sign(amount)).tolist()}
-    hinge |= {"theta": float(np.degrees(abs(amount)))}
-    shift = T[:3, 3]
-    slide = {"axis_direction": (shift / np.linalg.norm(shift)).tolist(), "axis_position": [0.0, 0.0, 0.0]}
-    slide |= {"theta": float(np.linalg.norm(shift))}
-    both = {"rotation": T[:3, :3].tolist(), "translation": shift.tolist()}
-    home = folder / "results" / "step_0004000"
-    if known:
-        write_json(home / "init_motion.json", [(hinge if turns else slide) | both])
-    else:
-        write_json(home / "init_revolute_motion.json", [hinge | both])
-        write_json(home / "init_prismatic_motion.json", [slide | both])
-    for k, (vertices, faces) in enumerate(parts_at(truth, first, ZUP)):
-        write_obj(home / f"init_part_{k}.obj", vertices, faces)
-    return home
-
-
 def artgs(folder, name="a", *, extra=False):
     truth = truth_of(name)
     joint, first = truth.articulation.joint, truth.states[ANCHOR]
@@ -315,50 +263,6 @@ def screwsplat(folder, name="a", *, order="wv", shown=2, unit=1.0):
     return folder
 
 
-def rsrd(folder, name="a", *, order="wxyz", scale_file=True, camera=GL):
-    """keyframes.txt of the truth, scanned at its joint state zero in a world of its own, in units of 1/SCALE m."""
-    truth, world = truth_of(name), rigid(3)
-    parts = (truth.articulation.reference, truth.articulation.moving)
-    clouds = [surface_points(part, count, k) for k, (part, count) in enumerate(zip(parts, (4000, 3000), strict=True))]
-    clouds = [(SCALE * apply(world, cloud)).astype(np.float32).astype(float) for cloud in clouds]
-    mean_all = np.concatenate(clouds).mean(0)
-    means = [cloud.mean(0) for cloud in clouds]
-
-    def carried(T_camera_part):
-        """Scanned points x in nerfstudio's units to the camera's: SCALE * camera T world^-1 (x / SCALE)."""
-        T = camera @ T_camera_part @ np.linalg.inv(world)
-        T[:3, 3] *= SCALE
-        return T
-
-    def shift(t):
-        T = np.eye(4)
-        T[:3, 3] = t
-        return T
-
-    def row(T):
-        q = wxyz(T[:3, :3])
-        return [*(q if order == "wxyz" else np.roll(q, -1)), *T[:3, 3]]
-
-    Ts = (truth.Ts_camera_reference, truth.Ts_camera_moving)
-    to_object = shift(mean_all)
-    start = np.linalg.inv(to_object) @ carried(Ts[0][0]) @ to_object
-    deltas = []
-    for i in range(len(truth)):
-        both = []
-        for k in (0, 1):
-            to_part = shift(means[k] - mean_all)
-            moved = carried(Ts[k][i])
-            both.append(row(np.linalg.inv(to_object @ start @ to_part) @ moved @ to_object @ to_part))
-        deltas.append(both)
-    write_json(folder / "keyframes.txt", {"part_deltas": deltas, "T_objreg_objinit": [row(start)], "hands": {}})
-    for k, cloud in enumerate(clouds):
-        write_cloud(folder / f"part_{k}.ply", cloud)
-    if scale_file:
-        transform = np.eye(4)[:3].tolist()
-        write_json(folder / "dataparser_transforms.json", {"transform": transform, "scale": SCALE})
-    return folder
-
-
 def tracked(run, Ts, mesh, seed, *, names=None, obj="textured_mesh.obj", savetxt=False):
     """One run on one part: its own frame, the poses of that frame in the camera, and the part in it."""
     own = rigid(seed)
@@ -384,9 +288,6 @@ def runs_of(folder, name="a", of=lambda T: T, **options):
 WRITERS = {
     "freeartgs": freeartgs,
     "itaco": itaco,
-    "rsrd": rsrd,
-    "paris": paris,
-    "digitaltwinart": digitaltwinart,
     "artgs": artgs,
     "articulate-anything": articulate_anything,
     "bundlesdf": runs_of,

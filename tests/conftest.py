@@ -21,7 +21,6 @@ QUICK = {  # file to CPU seconds alone, imports included, measured on two cores 
     "metrics": 2.8,
     "one_euro": 1.3,
     "package": 0.3,
-    "planted_faults": 3.8,
     "registration": 2.5,
     "se3": 1.5,
     "shapes": 0.9,

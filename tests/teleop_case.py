@@ -28,7 +28,6 @@ from generator.teleop import wire
 from generator.teleop.driving import Placement
 from generator.teleop.gate import Gate
 from generator.teleop.server import Server
-from generator.teleop.stage import LivePicture, Mark
 from generator.teleop.takes import Takes
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -37,13 +36,11 @@ PATIENCE_S = 600.0
 TOKEN = "the-token-of-a-test"
 BOUNDS = wire.Bounds(0.0, 1.0, 5.0)
 START = Placement(se3.pose(np.eye(3), [0.0, 0.0, 1.0]), 0.0)
-FACTS = {"object": "thing", "joint": "hinge", "joint_type": "revolute"}
-SMALL = ("--width", "160", "--height", "90")
+FACTS = {
+    "object": "thing", "joint": "hinge", "joint_type": "revolute", "fov_y": 0.7, "centre": [0.0, 0.0, 0.0],
+    "depths": [0.2, 5.0], "points": [[[0.1, 0, 0], [-0.1, 0, 0]], [[0, 0.1, 0]]], "axis": [0, 0, 1], "pivot": [0, 0, 0],
+}  # fmt: skip
 JPEG = cv2.imencode(".jpg", np.full((360, 640, 3), 60, np.uint8))[1].tobytes()
-
-
-def run(coroutine: Coroutine[Any, Any, Any]) -> Any:
-    return asyncio.run(asyncio.wait_for(coroutine, 240))
 
 
 def in_a_loop(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., None]:
@@ -51,7 +48,7 @@ def in_a_loop(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., N
 
     @functools.wraps(test)
     def in_loop(*args: Any, **named: Any) -> None:
-        run(test(*args, **named))
+        asyncio.run(asyncio.wait_for(test(*args, **named), PATIENCE_S))
 
     return in_loop
 
@@ -60,21 +57,11 @@ class NoStage:
     """A stage that shows the same picture at once."""
 
     def __init__(self) -> None:
-        self.size, self.ready, self.last = (640, 360), True, LivePicture(JPEG, Mark(), 0.0)
-        self.show = lambda: None
+        self.size, self.ready, self.last, self.show = (640, 360), True, JPEG, lambda: None
 
-    def request(self, place: Placement, mark: Mark) -> None:
-        self.last = LivePicture(JPEG, mark, 0.0)
+    def request(self, place: Placement) -> None:
+        self.last = bytes(bytearray(JPEG))  # another picture
         self.show()
-
-    def resize(self, size: tuple[int, int]) -> None:
-        self.size = size
-
-    def fps(self, now: float) -> float:
-        return 0.0
-
-    def drawing_ms(self) -> float:
-        return 0.0
 
 
 @dataclass
@@ -83,7 +70,6 @@ class Served:
 
     server: Server
     port: int
-    token: str
     log: list[str] = field(default_factory=list)
 
     @property
@@ -92,39 +78,35 @@ class Served:
 
     @property
     def url(self) -> str:
-        return f"{self.address}/?token={self.token}"
+        return f"{self.address}/?token={TOKEN}"
 
 
 @contextlib.asynccontextmanager
-async def served(
-    out: Path, facts: dict[str, Any] = FACTS, bounds: wire.Bounds = BOUNDS, start: Placement = START
-) -> AsyncIterator[Served]:
+async def served(out: Path) -> AsyncIterator[Served]:
     """A server of the product's own code, whose object nobody draws."""
     log: list[str] = []
-    gates = Gate.of(TOKEN, "http", ("127.0.0.1", "localhost"), 0)
-    server = Server(facts, bounds, start, NoStage(), Takes(out, "revolute"), gates, log.append)  # type: ignore[arg-type]
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
-        server._gate = Gate.of(TOKEN, "http", ("127.0.0.1", "localhost"), port)
+        gate = Gate(port, token=TOKEN)
+        server = Server(FACTS, BOUNDS, START, NoStage(), Takes(out, "revolute"), gate, log.append)  # type: ignore[arg-type]
         running = asyncio.create_task(server.run(listener))
         try:
-            yield Served(server, port, TOKEN, log)
+            yield Served(server, port, log)
         finally:
             running.cancel()
             await server.close()
 
 
 @contextlib.contextmanager
-def served_aside(out: Path, *what: Any) -> Iterator[Served]:
+def served_aside(out: Path) -> Iterator[Served]:
     """`served`, in a thread of its own."""
-    loop, ready = asyncio.new_event_loop(), queue.SimpleQueue[Served]()
+    loop, ready, end = asyncio.new_event_loop(), queue.SimpleQueue[Served](), asyncio.Event()
 
     async def serve() -> None:
-        async with served(out, *what) as at:
+        async with served(out) as at:
             ready.put(at)
             await end.wait()
 
-    end = asyncio.Event()
     thread = threading.Thread(target=lambda: loop.run_until_complete(serve()), daemon=True)
     thread.start()
     try:
@@ -139,18 +121,15 @@ class Page:
     """A page without a browser: its messages, and those it received."""
 
     def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
-        self.socket = socket
-        self.n = 0
-        self.pictures: list[tuple[int, float]] = []
+        self.socket, self.n, self.pictures = socket, 0, 0
         self.received: list[dict[str, Any]] = []
         self._reading = asyncio.create_task(self._read())
 
     async def _read(self) -> None:
         async for message in self.socket:
             if message.type == aiohttp.WSMsgType.BINARY:
-                n, time_ms, _ = wire.unpack_picture(message.data)
-                self.pictures.append((n, time_ms))
-                await self.say({"type": "seen", "n": len(self.pictures)})
+                self.pictures += 1
+                await self.say({"type": "seen", "n": self.pictures})
             else:
                 self.received.append(json.loads(message.data))
 
@@ -166,6 +145,14 @@ class Page:
         message = a_move(self.n, state) | {"epoch": self.epoch} | changed
         await self.say(message)
         return message
+
+    async def stretch(self, states: Any) -> list[dict[str, Any]]:
+        """Moves at 60 a second; what was sent."""
+        sent = []
+        for q in states:
+            sent.append(await self.move(float(q)))
+            await asyncio.sleep(1 / 60)
+        return sent
 
     async def do(self, what: str) -> None:
         await self.say({"type": "do", "what": what, "n": self.n})
@@ -183,21 +170,16 @@ class Page:
 
     async def status(self, **wanted: Any) -> dict[str, Any]:
         """Wait for a status that says so."""
-        await self.until(
-            lambda: all((self.last("status") or {}).get(k) == v for k, v in wanted.items()), f"status {wanted}"
-        )
-        found = self.last("status")
-        assert found is not None
-        return found
+        await self.until(lambda: wanted.items() <= (self.last("status") or {}).items(), f"status {wanted}")
+        return self.last("status") or {}
 
 
 @contextlib.asynccontextmanager
-async def page(address: str, token: str = TOKEN, **headers: str) -> AsyncIterator[Page]:
+async def page(address: str, token: str = TOKEN) -> AsyncIterator[Page]:
     """A page that has got its hello."""
-    given = {"Origin": address} | headers
     async with (
         aiohttp.ClientSession() as session,
-        session.ws_connect(f"{address}/ws?token={token}&v=1", headers=given, max_msg_size=0) as socket,
+        session.ws_connect(f"{address}/ws?token={token}&v=1", headers={"Origin": address}, max_msg_size=0) as socket,
     ):
         one = Page(socket)
         await one.until(lambda: one.last("status") is not None, "hello and status")
@@ -206,67 +188,31 @@ async def page(address: str, token: str = TOKEN, **headers: str) -> AsyncIterato
 
 def a_move(n: int, state: float = 0.0) -> dict[str, Any]:
     """A move that is as it should be."""
-    position, quaternion = [0.01 * n, 0.0, 1.0], se3.wxyz(se3.exp_so3([0.0, 0.02 * n, 0.0])).tolist()
     return {
-        "type": "move",
-        "n": n,
-        "time": time.monotonic() * 1e3,
-        "position": [min(x, 1.0) for x in position],
-        "quaternion": quaternion,
-        "state": state,
-        "device": "mouse",
-    }
-
-
-@dataclass
-class Started:
-    """The real command in a process of its own."""
-
-    process: subprocess.Popen[str]
-    url: str
-
-    @property
-    def address(self) -> str:
-        return self.url.partition("/?")[0]
-
-    @property
-    def port(self) -> int:
-        return int(self.address.rpartition(":")[2])
-
-    @property
-    def token(self) -> str:
-        return self.url.partition("token=")[2]
-
-    def stop(self, number: int = signal.SIGTERM) -> tuple[int, str]:
-        """Exit code, and standard error."""
-        self.process.send_signal(number)
-        return self.process.wait(PATIENCE_S), (self.process.stderr.read() if self.process.stderr else "")
+        "type": "move", "n": n, "time": time.monotonic() * 1e3, "position": [min(0.01 * n, 1.0), 0.0, 1.0],
+        "quaternion": se3.wxyz(se3.exp_so3([0.0, 0.02 * n, 0.0])).tolist(), "state": state, "device": "mouse",
+    }  # fmt: skip
 
 
 @contextlib.contextmanager
-def started(out: Path, *more: str, name: str = "flip_lighter") -> Iterator[Started]:
-    """`freeart21 teleop NAME --out OUT --port 0` with small pictures, until the block ends."""
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
-    command = [sys.executable, "-m", "freeart21", "teleop", name, "--out", str(out), "--port", "0", *SMALL, *more]
+def started(out: Path, *more: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """`freeart21 teleop stapler --out OUT --port 0` with small pictures, and its address, until the block ends."""
+    command = [sys.executable, "-m", "freeart21", "teleop", "stapler", "--out", str(out), "--port", "0"]
     process = subprocess.Popen(
-        command,
+        [*command, "--width", "160", "--height", "90", *more],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env=environment,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"},
         cwd=ROOT,
         # a shell's '&' lets the tests ignore it, and the command, which keeps to that, would never end
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
-    try:
-        assert process.stdout is not None and process.stderr is not None
-        url = process.stdout.readline().strip()
-        assert url.startswith("http"), process.stderr.read()
-        yield Started(process, url)
-    finally:
-        if process.poll() is None:
+    with process:
+        try:
+            assert process.stdout is not None and process.stderr is not None
+            url = process.stdout.readline().strip()
+            assert url.startswith("http"), process.stderr.read()
+            yield process, url
+        finally:
             process.terminate()
-            process.wait(PATIENCE_S)
-        for pipe in (process.stdout, process.stderr):
-            if pipe is not None:
-                pipe.close()

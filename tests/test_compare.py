@@ -59,7 +59,7 @@ def make_scores(data, name, numbers=None, protocol="strict-2", lacks=(), failed=
         answered = ("ok", "", "files") if ok else ("failed", "too dark", "nothing")
         rows.append(Row(sequence, kind, answered[0], answered[1], answered[2], False, 0.5, values, {}))
     facts = benchmark_facts(read_benchmark(data))
-    made_with = {"scoring": "1" * 64, "libraries": {"numpy": "2"}}
+    made_with = {"freeart21": "1", "libraries": {"numpy": "2"}}
     method = Method(name, lacks=lacks)
     return Scores(protocol, method, facts, tuple(rows), summarise(rows, rules), made_with=made_with)
 
@@ -299,8 +299,8 @@ def test_benchmarks_are_never_mixed(data, compared):
 
 def test_versions_of_the_scoring_code_and_truths_are_never_mixed(data, compared):
     table = make_scores(data, "B")
-    with pytest.raises(FreeArtError, match="by other code .scoring 222222222222. than .*score it again"):
-        compared(make_scores(data, "A"), replace(table, made_with={"scoring": "2" * 64}))
+    with pytest.raises(FreeArtError, match="is scored by freeart21 2, .* by 1: score it again"):
+        compared(make_scores(data, "A"), replace(table, made_with={"freeart21": "2"}))
     other = [replace(table, rows=(replace(table.rows[0], truth_sha256=digit * 64), *table.rows[1:])) for digit in "12"]
     assert_refused("against another truth of p00", compared, *other)
     other = replace(table, made_with={**table.made_with, "libraries": {"numpy": "3"}})
@@ -384,7 +384,7 @@ def test_json_has_everything_and_traces_it(data, compared, tmp_path):
     write_comparison(tmp_path / "c.json", comparison, "type")
     body = json.loads((tmp_path / "c.json").read_text())
     assert body["benchmark"]["sha256"] == benchmark_facts(read_benchmark(data))["sha256"]
-    assert [one["made_with"]["scoring"] for one in body["methods"]] == ["1" * 64] * 3
+    assert [one["made_with"]["freeart21"] for one in body["methods"]] == ["1"] * 3
     groups = {(one["by"], one["group"]): one for one in body["groups"]}
     assert {by for by, _ in groups} == {"type", "category"} and ("category", "USB") in groups
     pairs = {(d["method"], d["other"]): d for d in groups["type", "all"]["differences"] if d["metric"] == "axis"}

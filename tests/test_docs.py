@@ -20,7 +20,6 @@ from freeart21.files.asset import read_asset
 from freeart21.files.benchmark import read_benchmark, write_benchmark
 from freeart21.files.checked import read_json
 from freeart21.files.diagnostics import read_confidence, read_diagnostics
-from freeart21.files.hashes import file_sha256
 from freeart21.files.measured import read_measured
 from freeart21.files.result import read_method, read_result
 from freeart21.files.sequence import read_sequence
@@ -211,32 +210,6 @@ def test_the_example_of_scores_is_read_and_has_the_fields_that_score_writes(writ
     assert document["made_with"]["machine"].keys() == describe_environment()["machine"].keys()
 
 
-def test_the_example_of_a_comparison_has_the_fields_that_compare_writes(written: Path, tmp_path: Path) -> None:
-    from dataclasses import replace
-
-    from leaderboard.compare import compare_results
-    from leaderboard.compare_files import to_json
-    from leaderboard.scores_file import read_scores, write_scores
-
-    scores = read_scores(written / "scores.json")
-    facts = {**scores.benchmark, "sha256": file_sha256(written / "data" / "benchmark.json")}
-    tables = [tmp_path / "mine.json", tmp_path / "other.json"]
-    for path in tables:
-        write_scores(path, replace(scores, method=replace(scores.method, name=path.stem), benchmark=facts))
-    document, made = read_json(written / "comparison.json"), to_json(compare_results(tables, written / "data"))
-
-    def same_keys(expected: typing.Any, found: typing.Any, place: str) -> None:
-        if isinstance(expected, dict):
-            shortened = place.endswith(("statistics", "values", "made_with"))
-            assert expected.keys() == found.keys() or (shortened and expected.keys() <= found.keys()), place
-            for key in expected:
-                same_keys(expected[key], found[key], f"{place}.{key}")
-        elif isinstance(expected, list) and expected and isinstance(expected[0], dict):
-            same_keys(expected[0], found[0], place)
-
-    same_keys(document, made, "comparison")
-
-
 def test_the_example_of_a_hidden_truth_has_the_fields_that_pack_writes(written: Path, tmp_path: Path) -> None:
     from leaderboard.pack import pack_truth
 
@@ -357,17 +330,3 @@ def _code(text: str) -> list[str]:
     text = _without_blocks(text) + "\n".join(body for _, name, body in _BLOCK.findall(text) if not name)
     lines = [re.sub(r"\s#\s.*", "", line).strip() for line in re.findall(r"^    \S.*$", text, re.M)]
     return [*re.findall(r"`([^`\n]+)`", text), *lines]
-
-
-def test_the_folders_of_the_readme_are_there_or_made_by_its_commands():
-    text = (ROOT / "README.md").read_text("utf-8")
-    named, made = text.partition("## The code")[2].split("The folders ")
-    for folder in re.findall(r"`([a-z0-9]+)/`", named):
-        assert (ROOT / folder).is_dir(), folder
-    ours = {p.parent.name for p in ROOT.glob("*/__init__.py")} - {"tests"}
-    assert ours <= set(re.findall(r"`([a-z0-9]+)/`", named))
-    commands = "\n".join(line for line in text.splitlines() if line.startswith("    "))
-    for folder in re.findall(r"`([a-z]+)/`", made.partition("are made")[0]):
-        assert not (ROOT / folder / "__init__.py").exists() and re.search(rf"--out {folder}\b|make demo\b", commands), (
-            folder
-        )

@@ -18,7 +18,7 @@ from score_files import score_one
 
 from freeart21.files.result import Method, read_method, read_result, write_result
 from freeart21.reconstruction import Failure
-from leaderboard.adapters.registry import layouts
+from leaderboard.adapters.layout import layouts
 from leaderboard.methods.descriptor import (
     FOLDER,
     NATIVE,

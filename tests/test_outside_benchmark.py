@@ -1,15 +1,13 @@
-"""Data of others: which clips there are, how a captured motion is cut, and that variants share one geometry."""
+"""Data of others: which clips there are, how a captured motion is cut; rows, reports and tables of all benchmarks."""
 
 import json
-from dataclasses import replace
+import sys
 
 import numpy as np
-import trimesh
 from refusal import assert_refused
-from test_track import URDF as CASE
 
-from benchmarks import outside, outside_assets, solve
-from reconstruct.settings import ReconstructSettings
+from benchmarks import outside, results
+from benchmarks.common import run_rows, run_within, write_report
 
 URDF = """<robot name="box"><link name="base"/><link name="lid"/><link name="drawer"/>
 <joint name="glue" type="fixed"><parent link="base"/><child link="drawer"/></joint>
@@ -27,23 +25,12 @@ def captured(path, q):
 
 
 def test_what_is_absent_is_left_out_and_said_so(tmp_path):
-    places = {"partnet": tmp_path / "p", "mocap": tmp_path / "m", "videos": tmp_path / "v", "urdfs": tmp_path / "u"}
+    places = {"partnet": tmp_path / "p", "mocap": tmp_path / "m", "urdfs": tmp_path / "u"}
     assert_refused("there is no clip 'teapot'", outside.main, **places, clips=("teapot",), work=tmp_path / "work")
     outside.main(**places, work=tmp_path / "work", out=tmp_path / "out.json")
     document = json.loads((tmp_path / "out.json").read_text())
-    assert document["rows"] == [] and set(document["settings"]["left_out"]) == {"partnet", "videos", *outside.CAPTURED}
+    assert document["rows"] == [] and set(document["settings"]["left_out"]) == {"partnet", *outside.CAPTURED}
     assert str(tmp_path) not in (tmp_path / "out.json").read_text(), "no places of this machine"
-
-
-def test_assets_of_what_is_absent_are_left_out_too(tmp_path):
-    places = {"partnet": tmp_path / "p", "mocap": tmp_path / "m", "urdfs": tmp_path / "u"}
-    assert_refused(
-        "there is no clip 'teapot'", outside_assets.main, **places, clips=("teapot",), work=tmp_path / "work"
-    )
-    outside_assets.main(**places, work=tmp_path / "work", out=tmp_path / "out.json")
-    text = (tmp_path / "out.json").read_text()
-    assert json.loads(text)["rows"] == [] and str(tmp_path) not in text
-    assert set(json.loads(text)["settings"]["left_out"]) == {"partnet", *outside.CAPTURED}
 
 
 def test_clips_follow_from_the_data_alone(tmp_path):
@@ -66,46 +53,37 @@ def test_clips_follow_from_the_data_alone(tmp_path):
     )
 
 
-def test_captured_motion_is_of_the_object_itself_where_it_can_be_recorded(tmp_path):
-    folder = tmp_path / "case"
-    folder.mkdir()
-    trimesh.creation.box((100, 100, 20)).export(folder / "lid.stl")
-    (folder / "case.urdf").write_text(CASE)
-    assert outside.own_urdf(folder) is None, "a mesh of it is absent"
-    trimesh.creation.box((0.1, 0.1, 0.04)).export(folder / "box.obj")
-    assert outside.own_urdf(folder) == folder / "case.urdf"
-    (folder / "a.urdf").write_text(CASE)
-    assert outside.own_urdf(folder) == folder / "case.urdf", "that of its own name first"
-    (folder / "case.urdf").write_text("no urdf")
-    assert outside.own_urdf(folder) == folder / "a.urdf"
-    assert outside.own_urdf(tmp_path / "none") is None
+def count_and_answer(counter, x):
+    """A row that says `x`, or fails where it is negative; every call leaves a line in a file."""
+    with counter.open("a") as file:
+        file.write("called\n")
+    if x < 0:
+        raise ValueError("negative")
+    return {"x": x}
 
 
-def test_variants_of_a_recording_are_jobs_one_after_the_other(tmp_path, monkeypatch):
-    """Each is run again when its settings or the data change; what is solved is known to the next run."""
-    own = ReconstructSettings(progress=False)
-    variants = {"ours": own, "beside": replace(own, seed=1)}
-    case = solve.Case("stapler", "wave", tmp_path / "sequences" / "a", tmp_path / "truth" / "a", ["d4"])
-    first, second = solve.solving_jobs(case, variants)
-    assert second.needs == (first.name,) == ("ours/a",) and first.arguments["geometry"] == "{folder}/geometry/a"
-    (alone,) = solve.solving_jobs(case, {"ours": own})
-    assert alone.arguments["geometry"] is None and alone.key == first.key != second.key
-    assert solve.solving_jobs(replace(case, recording=["d5"]), variants)[0].key != first.key
-
-    values = dict.fromkeys((m.id for m in solve.protocol_named(solve.PROTOCOL).metrics), 0.0)
-    row = solve.asdict(solve.Row("a", "revolute", "ok", "", "asset", False, 0.5, values, {}))
-    answer = {"row": row, "seconds": {"joint": 1.0}, "peak_gb": 1.0, "commit": "abc", "machine": {}}
-    monkeypatch.setattr(solve, "run_calls", lambda *given: {"ours/a": answer})
-    found = solve.solve_cases([case], variants, tmp_path)
-    assert list(found) == [("ours", "a")] and found["ours", "a"].row == solve.Row.from_json(row)
+def test_rows_are_made_once_each_apart_and_a_failed_one_again(tmp_path):
+    counter = tmp_path / "counter"
+    todo = {"good": ("key", count_and_answer, (counter, 1)), "bad": ("key", count_and_answer, (counter, -1))}
+    expected = {"good": {"x": 1}, "bad": {"crash": "ValueError: negative"}}
+    assert run_rows(tmp_path / "rows", todo) == run_rows(tmp_path / "rows", todo) == expected
+    assert len(counter.read_text().splitlines()) == 3
+    run_rows(tmp_path / "rows", {"good": ("another key", count_and_answer, (counter, 2))})
+    assert len(counter.read_text().splitlines()) == 4
 
 
-def test_calls_are_run_once_and_a_failed_one_is_reported(tmp_path):
-    call = "reconstruct.cache:work_folder"
-    todo = [solve.jobs.Job("good/a", call="json:loads", arguments={"s": '{"x": 1}'})]
-    todo.append(solve.jobs.Job("bad/a", call=call, arguments={"nothing": 1}))
-    own = {"ours": ReconstructSettings()}
-    assert solve.run_calls(tmp_path, todo, own, known_only=True) == {}
-    found = solve.run_calls(tmp_path, todo, own)
-    assert found["good/a"] == {"x": 1} and "TypeError" in found["bad/a"]["crash"]
-    assert solve.run_calls(tmp_path, todo, own, known_only=True) == {"good/a": {"x": 1}}
+def test_a_report_says_what_it_was_measured_with_and_a_table_is_filled_from_it(tmp_path):
+    write_report(tmp_path / "report.json", {"frames": 3}, rows=[])
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert {"commit", "date", "machine", "versions", "settings", "rows"} == set(report)
+    text = "before\n<!-- table score -->\nold\n<!-- end -->\nafter\n"
+    filled = results.fill(text)
+    assert "old" not in filled and filled.startswith("before") and filled.endswith("after\n")
+    assert results.fill(filled) == filled
+
+
+def test_a_command_is_killed_when_its_time_is_over(tmp_path):
+    ended = run_within(1.0, [sys.executable, "-c", "print('on')\nwhile True: pass"], tmp_path)
+    assert ended.code is None and ended.seconds < 5
+    ended = run_within(60.0, [sys.executable, "-c", "print('one'); print('two'); raise SystemExit(3)"], tmp_path)
+    assert (ended.code, ended.last) == (3, "two")

@@ -459,27 +459,6 @@ def test_summary_counts_means_and_failures():
     assert bench.badness(rows[0].row) == (pytest.approx(1.0 / reach), "state")
 
 
-def test_before_and_after_say_what_became_worse(capsys):
-    before = [
-        outcome("a", "revolute", 9, 1.0, axis=0.10, state=0.2, psnr=20.0),
-        outcome("b", "revolute", 9, 1.0, axis=0.10, state=0.2, psnr=20.0),
-        outcome("only before", "revolute", 9, 1.0),
-    ]
-    after = [
-        outcome("b", "revolute", 19, 2.0, axis=0.16, state=0.31, psnr=30.0),
-        outcome("a", "revolute", 19, 2.0, axis=0.14, state=0.1, psnr=24.0),
-    ]
-    both = bench.pairs(before, after)
-    assert [(was.row.sequence, now.row.sequence) for was, now in both] == [("b", "b"), ("a", "a")]
-    assert bench.worse(before[0].row, after[0].row) == ["axis", "state"]
-    assert bench.no_worse_line(both).endswith("missed by b (axis, state)")
-    assert bench.no_worse_line(both[1:]).endswith("met by all 1")
-    bench.print_beside(after, {"no-gaussians": before}, bench.AIMS[""])
-    output = capsys.readouterr().out
-    assert "0.10 > 0.16" in output and "20.0 > 30.0" in output and "9 > 19" in output
-    assert bench.summary(after)["psnr_db_worst"] == 24.0 and bench.summary(after)["psnr_db_mean"] == 27.0
-
-
 @pytest.mark.parametrize(
     "values, fails",
     [

@@ -2,7 +2,6 @@
 
 import importlib.util
 import io
-import json
 import socket
 from dataclasses import replace
 
@@ -13,8 +12,6 @@ from priors_case import make_or_skip
 from refusal import assert_refused
 from test_reconstruct import sliding_plane
 
-from benchmarks import priors
-from benchmarks.priors import SolvedRow
 from freeart21.files.sequence import write_sequence
 from reconstruct.features.xfeat import Xfeat as XfeatFeatures
 from reconstruct.matchers import MATCHERS, Matches, make_matcher
@@ -182,23 +179,3 @@ def test_the_command_line_chooses(flag, known, tmp_path, capsys):
 
 def test_an_unknown_matcher_is_one_line():
     assert_refused("unknown matcher 'telepathy'; matchers: lightglue, xfeat", make_matcher, None, "telepathy")
-
-
-def test_rows_of_other_sensors_stay_in_the_benchmarks_file(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        priors,
-        "solve_rows",
-        lambda name, motion, sensor, *_: [
-            SolvedRow(f"{name}, {motion}, {sensor}", "dis", "ok", 1.0, 0.5, 0.1, 0.9, 60.0)
-        ],
-    )
-    out = tmp_path / "priors.json"
-    old = [{"recording": f"lid, tumble, {sensor}", "tracker": "dis", "axis": 9.0} for sensor in ("hand", "tof")]
-    out.write_text(json.dumps({"matches": [{"way": "dis"}], "solved": old}))
-    priors.main(("lid",), solve=True, matches=False, sensors=("tof",), work=tmp_path, out=out)
-    found = json.loads(out.read_text())
-    assert [(row["recording"], row["axis"]) for row in found["solved"]] == [
-        ("lid, tumble, hand", 9.0),
-        ("lid, tumble, tof", 0.5),
-    ]
-    assert found["matches"] == [{"way": "dis"}]

@@ -16,8 +16,7 @@ from generator.motion.style import Style
 from generator.motion.styles import STYLES
 from generator.sensors import SENSORS
 from generator.sensors.base import SensorModel
-from leaderboard.adapters.layout import Layout
-from leaderboard.adapters.registry import layouts
+from leaderboard.adapters.layout import Layout, layouts
 from leaderboard.protocols import PROTOCOLS, Protocol
 from reconstruct.features import FEATURES, Features
 from reconstruct.trackers import TRACKERS
@@ -71,9 +70,9 @@ LAYOUT = replace(rgbd_folder.LAYOUT, name="scans", rank=9)
 """
 LAYOUT = """
 from dataclasses import replace
-from leaderboard.adapters import paris
+from leaderboard.adapters import artgs
 
-LAYOUT = replace(paris.LAYOUT, name="own")
+LAYOUT = replace(artgs.LAYOUT, name="own")
 """
 
 

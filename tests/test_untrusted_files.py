@@ -37,21 +37,16 @@ OPENERS = {
 OF_MODULES = {"np.load", "json.load", "json.loads", "trimesh.load", "shutil.copy", "ET.parse", "h5py.File"}
 WRITES = {"w", "wb", "xb", "a"}
 EXEMPT = {
-    "our own source": (
-        "freeart21/code.py:read_text leaderboard/suite/plan.py:read_text simgap/models/laws.py:read_bytes "
-        "simgap/workflow.py:read_bytes"
-    ),
+    "our own source": ("freeart21/code.py:read_text simgap/models/laws.py:read_bytes simgap/workflow.py:read_bytes"),
     "a file of the package": (
         "freeart21/view/document.py:read_text freeart21/view/click_page.py:read_text "
-        "generator/teleop/server.py:read_text export/loaders/__init__.py:read_bytes "
-        "leaderboard/board/workflow.py:read_text"
+        "generator/teleop/server.py:read_text export/loaders/__init__.py:read_bytes"
     ),
     "the answer of a process of our own": (
         "freeart21/doctor.py:json.loads freeart21/formats/mat_file.py:json.loads freeart21/jobs/worker.py:json.loads "
         "generator/teleop/stage_process.py:json.loads export/check/trial_process.py:json.loads "
         "export/check/consistency_rules.py:json.loads "
-        "leaderboard/asset_process.py:json.loads leaderboard/asset_process.py:fdopen leaderboard/worker.py:json.loads "
-        "leaderboard/worker.py:fdopen"
+        "leaderboard/forked.py:json.loads leaderboard/forked.py:fdopen"
     ),
     "a message of the page, of bounded length": (
         "generator/teleop/wire.py:json.loads freeart21/view/click_page.py:json.loads"
@@ -62,8 +57,7 @@ EXEMPT = {
     ),
     "what this process has just written, in a folder of its own": (
         "export/usd.py:read_bytes leaderboard/site/build.py:read_bytes simgap/prove/replay.py:read_text "
-        "leaderboard/board/workflow.py:read_bytes leaderboard/board/ledger.py:read_text "
-        "leaderboard/board/ledger.py:read_bytes leaderboard/release/shards.py:open"
+        "leaderboard/release/shards.py:open"
     ),
     "a file, or an entry of an archive, that `checked` has opened": (
         "leaderboard/archive.py:open freeart21/formats/record3d.py:open freeart21/formats/video_file.py:open"
@@ -71,7 +65,7 @@ EXEMPT = {
     "/proc": "leaderboard/provenance.py:read_text leaderboard/methods/measured.py:read_text",
     "the log of a job of ours": "freeart21/jobs/worker.py:open",
     "the log of a process of our own, and a device": (
-        "leaderboard/asset_process.py:open leaderboard/methods/run.py:open leaderboard/methods/measured.py:open"
+        "leaderboard/forked.py:open leaderboard/methods/run.py:open leaderboard/methods/measured.py:open"
     ),
     "a device": "freeart21/ending.py:open",
     "a lock of ours, which is written": "freeart21/files/lock.py:open generator/dataset.py:open",

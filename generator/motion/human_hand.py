@@ -1,8 +1,8 @@
 """Draws how a person's hand moves an object and its joint: submovements and rests, with measured distributions.
 
 The numbers are fitted to the takes of subjects s1 and s4 of ARCTIC's motion capture (13 takes of people who use a
-laptop, a mixer, a ketchup bottle; 30 Hz) by `python -m benchmarks.motion_styles --fitted`; the takes of subject s2 were
-not used. Every submovement has minimum jerk (Flash and Hogan 1985); overlapping submovements add.
+laptop, a mixer, a ketchup bottle; 30 Hz); the takes of subject s2 were not used. Every submovement has minimum jerk
+(Flash and Hogan 1985); overlapping submovements add.
 """
 
 from __future__ import annotations

@@ -10,9 +10,8 @@ from typing import Any
 
 from aiohttp import web
 
-from generator.teleop import wire
 from generator.teleop.gate import Allowance
-from generator.teleop.stage import LivePicture, Stage
+from generator.teleop.stage import Stage
 
 IN_FLIGHT = 2
 """Unacknowledged pictures after which a page gets no other: one is shown while one is in transit."""
@@ -29,11 +28,9 @@ class Client:
         self.n = -1
         """Number of the newest move."""
         self.heard_at = time.monotonic()
-        """Time of its last ping or move."""
-        self.bad = self.late = 0
-        """Numbers of invalid messages, and of moves that arrived after newer ones."""
-        self.latency_ms: tuple[float, float] | None = None
-        """Latency that the page measured: median and 95th percentile."""
+        """Time of its last move."""
+        self.bad = 0
+        """Number of invalid messages."""
         self._messages: deque[dict[str, Any]] = deque()
         self._status: dict[str, Any] | None = None
         self._wake = asyncio.Event()
@@ -59,7 +56,7 @@ class Client:
 
     async def send(self) -> None:
         """Send until the page disconnects."""
-        last: LivePicture | None = None
+        last: bytes | None = None
         with contextlib.suppress(ConnectionError, RuntimeError):  # it has disconnected
             while len(self._messages) <= _MAX_QUEUED:
                 await self._wake.wait()
@@ -74,10 +71,7 @@ class Client:
                     continue
                 last = shown
                 self._sent += 1
-                own = shown.mark.by is self
-                await self.socket.send_bytes(
-                    wire.pack_picture(shown.mark.n if own else 0, shown.mark.time_ms if own else 0.0, shown.jpeg)
-                )
+                await self.socket.send_bytes(shown)
             await self.close("it takes no messages")
 
     async def close(self, why: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hmac
 import secrets
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from urllib.parse import urlsplit
 
@@ -18,48 +18,44 @@ MAX_BAD = 1000
 _LOG_INTERVAL_S = 5.0
 
 
-def new_token() -> str:
-    """A secret of 128 bits, usable in a URL."""
-    return secrets.token_urlsafe(16)
-
-
 @dataclass(frozen=True)
 class Gate:
     """The requirements on a request."""
 
-    token: str
-    scheme: str
-    """'http' or 'https'."""
-    hosts: frozenset[str]
-    """Accepted `Host` values, with port; others are refused (DNS rebinding)."""
-
-    @classmethod
-    def of(cls, token: str, scheme: str, names: Iterable[str], port: int) -> Gate:
-        """The gate of a server that is reached by any of `names` at a port."""
-        usual = 443 if scheme == "https" else 80
-        bracketed = [f"[{name}]" if ":" in name else name for name in names]
-        hosts = {f"{name}:{port}".lower() for name in bracketed}
-        return cls(token, scheme, frozenset(hosts | ({n.lower() for n in bracketed} if port == usual else set())))
+    port: int
+    host: str = "127.0.0.1"
+    secure: bool = False
+    """Whether the server has a certificate: the browser then checks its name against the address."""
+    token: str = field(default_factory=lambda: secrets.token_urlsafe(16))
+    """A secret of 128 bits, usable in a URL."""
 
     def refusal(self, token: str, host: str, origin: str | None, socket: bool) -> str:
         """Why a request is refused; '' for an admitted one. A websocket must come from a page of this server."""
-        if host.lower() not in self.hosts:
+        if not self.secure and host.lower() not in self._hosts():  # DNS rebinding
             return "an address that is not this server's"
         if origin is not None or socket:
             parts = urlsplit(origin or "")
-            if (parts.scheme, parts.netloc.lower()) != (self.scheme, host.lower()):
+            if (parts.scheme, parts.netloc.lower()) != ("https" if self.secure else "http", host.lower()):
                 return "a page of another origin"
         # compare_digest takes no text beyond ASCII
         if not hmac.compare_digest(token.encode("utf-8", "replace"), self.token.encode()):
             return "no token, or a wrong one"
         return ""
 
+    def _hosts(self) -> set[str]:
+        names = {"127.0.0.1", "localhost", "[::1]", bracketed(self.host).lower()}
+        return {f"{name}:{self.port}" for name in names} | (names if self.port == 80 else set())
+
+
+def bracketed(host: str) -> str:
+    """`host` as it stands in a URL."""
+    return f"[{host}]" if ":" in host else host
+
 
 @dataclass
 class Allowance:
     """Rate limit of one page (token bucket)."""
 
-    bad: int = 0
     _left: float = BURST
     _at: float = field(default_factory=time.monotonic)
 

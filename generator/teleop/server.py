@@ -6,25 +6,22 @@ import asyncio
 import socket
 import ssl
 import time
-from base64 import b64encode
 from collections.abc import Callable
-from hashlib import sha256
 from importlib import resources
 from typing import Any
 
 from aiohttp import WSMessage, WSMsgType, web
 
-from freeart21 import __version__, se3
+from freeart21 import se3
 from freeart21.errors import FreeArtError
 from generator.teleop import wire
 from generator.teleop.client import Client
-from generator.teleop.connections import KEEP_S, Connections
-from generator.teleop.driving import UNDO_S, Driving, Placement
+from generator.teleop.driving import Driving, Placement
 from generator.teleop.gate import MAX_BAD, Gate, RateLimitedLog
-from generator.teleop.stage import Mark, Stage, live_size
+from generator.teleop.stage import Stage
 from generator.teleop.takes import Takes
 
-SCRIPTS = ("main", "link", "hand", "desk", "keys", "pad", "panel", "headset", "clutch", "room")
+SCRIPTS = ("main", "link", "hand", "desk", "keys", "panel", "headset", "clutch", "room")
 FILES = {
     "/": ("teleop.html", "text/html"),
     "/style.css": ("style.css", "text/css"),
@@ -37,6 +34,10 @@ STATUS_S = 0.25
 """Interval of status messages to pages."""
 SILENCE_S = 1.0
 """A recording is paused after this silence of the driver; its page sends 30 messages a second."""
+SPEAK_S = 5.0
+"""Time until a connection must have shown the token, and for which it stays open after a file."""
+MAX_CONNECTIONS = 96
+"""Connections after which the oldest without the token end: 16 pages have one each, and up to 6 while they load."""
 _END_S = 1.0
 """Time for connections to end when the server stops."""
 _FRAME_BYTES = 1 << 16
@@ -49,20 +50,7 @@ _HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-_RELOAD = (
-    "const token = sessionStorage.getItem('token');"
-    "if (token && !location.search) location.replace('/?token=' + encodeURIComponent(token));"
-)
-"""Script for a reloaded page: the token is no longer in the address, but in the tab's storage for this origin."""
-_REFUSED = (
-    '<!DOCTYPE html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-    "<title>FreeArt-21</title><p>This page opens by the address that the terminal printed, with its token. Open that "
-    f"address again.</p><script>{_RELOAD}</script></html>"
-)
-_REFUSED_POLICY = (
-    f"default-src 'none'; script-src 'sha256-{b64encode(sha256(_RELOAD.encode()).digest()).decode()}'; "
-    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-)
+_REFUSED = "This page opens by the address that the terminal printed, with its token. Open that address again."
 
 
 class Server:
@@ -82,20 +70,19 @@ class Server:
         self._facts, self._bounds, self._stage, self._takes, self._gate = facts, bounds, stage, takes, gate
         self._log, self._quiet = log, RateLimitedLog(log)
         self._runner = web.AppRunner(
-            self._app(), access_log=None, handle_signals=False, shutdown_timeout=_END_S, keepalive_timeout=KEEP_S
+            self._app(), access_log=None, handle_signals=False, shutdown_timeout=_END_S, keepalive_timeout=SPEAK_S
         )
-        self.connections = Connections(self._new_protocol, self._quiet)
+        self._since: dict[web.RequestHandler[web.Request], float] = {}
+        """When each open connection was first seen."""
+        self._admitted: set[web.RequestHandler[web.Request]] = set()
+        """Connections that have shown the token."""
         self.driving = Driving(start)
-        self.latency_ms: tuple[float, float] | None = None
-        """Latest measurement of the driver's page: median and 95th percentile."""
         self._clients: list[Client] = []
         self._driver: Client | None = None
         self._count = 0
-        self._saving: asyncio.Task[None] | None = None
         self._notice, self._notices, self._alarm = "", 0, False
         self._fault = ""
         """Error of the last write of the take's file; '' for none."""
-        self._budget = stage.size
         stage.show = self._wake_clients
 
     def _app(self) -> web.Application:
@@ -106,19 +93,18 @@ class Server:
         app.router.add_route("*", "/{anything:.*}", self._not_found)
         return app
 
-    def _new_protocol(self) -> asyncio.BaseProtocol:
-        serve = self._runner.server
-        assert serve is not None
-        return serve()
-
     async def run(self, listener: socket.socket, context: ssl.SSLContext | None = None) -> None:
         """Serve connections of `listener` and send status messages until cancelled."""
         await self._runner.setup()
-        taking = asyncio.create_task(self.connections.accept(listener, context))
+        assert self._runner.server is not None
+        patience = None if context is None else SPEAK_S
+        accepting = await asyncio.get_running_loop().create_server(
+            self._runner.server, sock=listener, ssl=context, ssl_handshake_timeout=patience
+        )
         try:
             await self._tick()
         finally:
-            taking.cancel()
+            accepting.close()
             self._write()
 
     async def _tick(self) -> None:
@@ -128,12 +114,19 @@ class Server:
             if driver is not None and time.monotonic() - driver.heard_at > SILENCE_S and driving.pause():
                 self._notify(f"paused: the page was silent for {SILENCE_S:g} s")
             self._write()
+            self._end_silent(time.monotonic())
             self._queue_for_all(self._status())
 
-    async def finish_saving(self) -> None:
-        """Wait until a running save has finished."""
-        if self._saving is not None:
-            await self._saving
+    def _end_silent(self, now: float) -> None:
+        """End connections that have not shown the token in time, and the oldest of those when there are too many."""
+        assert self._runner.server is not None
+        self._since = {one: self._since.get(one, now) for one in self._runner.server.connections}
+        self._admitted &= set(self._since)
+        silent = [one for one in self._since if one not in self._admitted]  # oldest first
+        for k, one in enumerate(silent):
+            if now - self._since[one] > SPEAK_S or len(self._since) - k > MAX_CONNECTIONS:
+                self._quiet.report_dropped("a connection that showed no token", "somebody")
+                one.force_close()
 
     async def close(self) -> None:
         """Close all pages and connections; takes seconds at most."""
@@ -147,11 +140,10 @@ class Server:
         token, origin = request.query.get("token", ""), request.headers.get("Origin")
         why = self._gate.refusal(token, request.host or "", origin, socket)
         if not why:
-            self.connections.admit(request.transport)
+            self._admitted.add(request.protocol)
             return None
-        self._quiet.report_dropped(why, _peer_name(request))
-        headers = {**_HEADERS, "Content-Security-Policy": _REFUSED_POLICY}
-        return web.Response(status=403, text=_REFUSED, content_type="text/html", headers=headers)
+        self._quiet.report_dropped(why, str(request.remote))
+        return web.Response(status=403, text=_REFUSED, headers=_HEADERS)
 
     async def _not_found(self, request: web.Request) -> web.Response:
         return self._refuse(request) or web.Response(status=404, text="nothing here", headers=_HEADERS)
@@ -177,14 +169,14 @@ class Server:
         if request.query.get("v") != wire.VERSION:
             return web.Response(status=400, text=f"expected v={wire.VERSION}", headers=_HEADERS)
         if len(self._clients) >= MAX_PAGES:
-            self._quiet.report_dropped(f"more than {MAX_PAGES} pages", _peer_name(request))
+            self._quiet.report_dropped(f"more than {MAX_PAGES} pages", str(request.remote))
             return web.Response(status=503, text="too many pages", headers=_HEADERS)
         channel = web.WebSocketResponse(max_msg_size=_FRAME_BYTES, compress=False, heartbeat=10.0)
         await channel.prepare(request)
         self._count += 1
         client = Client(channel, f"page {self._count}", self._stage)
         self._clients.append(client)
-        self._log(f"{client.name} connected from {_peer_name(request)}")
+        self._log(f"{client.name} connected from {request.remote!s}")
         if self._driver is None:
             self._drive(client)
         else:
@@ -213,24 +205,16 @@ class Server:
             message = wire.read(frame.data, self._bounds)
         except wire.BadMessage as error:
             return self._count_bad(client, str(error))
+        client.heard_at = now
         if isinstance(message, wire.Acknowledgement):
             client.acknowledge(message.count)
-        elif isinstance(message, wire.Ping):
-            client.heard_at = now
-            if client is self._driver and message.latency_ms is not None:
-                self.latency_ms = message.latency_ms
-            client.queue({"type": "pong", "time": message.time_ms})
         elif isinstance(message, wire.Command) and message.what == "drive":
             if self._driver is None:
                 self._drive(client)
         elif client is not self._driver:
-            if isinstance(message, wire.Move | wire.Command):
-                return self._count_bad(client, "a watching page tried to drive")
+            return self._count_bad(client, "a watching page tried to drive")
         elif isinstance(message, wire.Move):
-            self._move(client, message, now)
-        elif isinstance(message, wire.ViewSize):
-            self._stage.resize(live_size(*self._budget, message.width / message.height))
-            self._queue_for_all({"type": "size", "width": self._stage.size[0], "height": self._stage.size[1]})
+            self._move(client, message)
         else:
             self._run_command(message.what)
         return True
@@ -243,21 +227,17 @@ class Server:
             return False
         return True
 
-    def _move(self, client: Client, move: wire.Move, now: float) -> None:
-        client.heard_at = now
+    def _move(self, client: Client, move: wire.Move) -> None:
         if move.n <= client.n:
-            client.late += 1
             return
         client.n = move.n
         if self.driving.move(move, 1e-3 * move.time_ms):
-            self._stage.request(self.driving.place, Mark(client, move.n, move.time_ms))
+            self._stage.request(self.driving.place)
         if self.driving.is_full and self.driving.pause():
             self._notify("paused: a take cannot be longer; save it")
 
     def _write(self) -> None:
         """Update the take's file; a new error is reported once."""
-        if self._saving is not None:
-            return
         fault = ""
         try:
             self._takes.write(self.driving)
@@ -270,9 +250,7 @@ class Server:
 
     def _run_command(self, what: str) -> None:
         driving, epoch = self.driving, self.driving.epoch
-        if self._saving is not None:
-            self._notify("the take is being saved")
-        elif what == "record":
+        if what == "record":
             self._notify("recording continues from the end of the take" if driving.record() else "recording")
         elif what == "pause" and driving.pause():
             self._notify("paused: move freely; to continue, the object returns to its present place")
@@ -283,24 +261,20 @@ class Server:
             driving.reset()
             self._notify("the object is back at its start")
         elif what == "save":
-            self._begin_saving()
+            self._save()
         self._write()
         if driving.epoch != epoch:
             self._queue_for_all({"type": "place", "epoch": driving.epoch, **_numbers(driving.place)})
-            self._stage.request(driving.place, Mark())
+            self._stage.request(driving.place)
 
-    def _begin_saving(self) -> None:
-        self.driving.pause()
-        if self.driving.has_take:
-            self._saving = asyncio.create_task(self._save())
-        else:
-            self._notify("there is no take to save: record one")
-
-    async def _save(self) -> None:
-        """Write the take in a thread: an hour's take needs seconds, and pictures continue meanwhile."""
+    def _save(self) -> None:
         driving = self.driving
+        driving.pause()
+        if not driving.has_take:
+            self._notify("there is no take to save: record one")
+            return
         try:
-            path = await asyncio.to_thread(self._takes.save, driving)
+            path = self._takes.save(driving)
         except FreeArtError as error:
             self._log(f"not saved: {error}")
             self._notify(f"not saved: {error}. The take is kept: press save again", alarm=True)
@@ -309,22 +283,19 @@ class Server:
             self._notify(f"saved as {path.name}, {driving.take.seconds:.1f} s")
             driving.start_new_take()
             self._queue_for_all(self._status())
-        finally:
-            self._saving = None
 
     # --- the driver ---------------------------------------------------------------------------------------------------
 
     def _drive(self, client: Client) -> None:
         self._driver, client.n = client, -1
-        self.driving.cut()  # its page has a clock of its own
+        self.driving.take.cut()  # its page has a clock of its own
         client.heard_at = time.monotonic()
         self._log(f"{client.name} drives")
         client.queue(self._hello(client))
 
     def _remove_client(self, client: Client) -> None:
         self._clients.remove(client)
-        late = f"; {client.late} of its moves arrived out of order and were dropped" if client.late else ""
-        self._log(f"{client.name} disconnected{late}")
+        self._log(f"{client.name} disconnected")
         if client is self._driver:
             self._driver = None
             if self.driving.pause():
@@ -349,17 +320,13 @@ class Server:
         driving = self.driving
         return {
             "type": "hello",
-            "version": __version__,
             "role": "driver" if client is self._driver else "watcher",
             **self._facts,
             "limits": [self._bounds.lower, self._bounds.upper],
             "epoch": driving.epoch,
             **_numbers(driving.place),
-            "start": _numbers(driving.start),
             "width": self._stage.size[0],
             "height": self._stage.size[1],
-            "undo_s": UNDO_S,
-            "recording": driving.phase == "recording",
         }
 
     def _status(self) -> dict[str, Any]:
@@ -372,9 +339,6 @@ class Server:
             "seconds": round(driving.take.seconds, 2),
             "samples": len(driving.take),
             "state": driving.place.state,
-            "fps": stage.fps(time.monotonic()),
-            "drawing_ms": round(stage.drawing_ms(), 1),
-            "latency_ms": None if self.latency_ms is None else self.latency_ms[0],
             "driven": self._driver is not None,
             "watchers": len(self._clients) - (self._driver is not None),
             "file": self._takes.next_name(),
@@ -386,7 +350,3 @@ class Server:
 
 def _numbers(place: Placement) -> dict[str, Any]:
     return {"position": place.T[:3, 3].tolist(), "quaternion": se3.wxyz(place.T).tolist(), "state": place.state}
-
-
-def _peer_name(request: web.Request) -> str:
-    return wire.printable(request.remote or "somebody")

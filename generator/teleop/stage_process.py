@@ -12,12 +12,10 @@ import json
 import os
 import struct
 import sys
-import time
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import cv2
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,24 +25,12 @@ from freeart21.errors import FreeArtError
 from generator.scene import Scene
 
 SHADER = "minimal"
-ANSWER = struct.Struct("<Id")
-"""Header of an answer: number of bytes that follow, and seconds for drawing and packing. FAULT instead of the number:
-a second header and the error's text follow."""
-FAULT = 0xFFFFFFFF
+ANSWER = struct.Struct("<?I")
+"""Header of an answer: whether it is an error's text, and the number of bytes that follow."""
 MIDDLE, EDGE = (118, 112, 106), (27, 22, 18)
 """Blue, green and red of the background in the middle of the picture and at its border. The page has the border's
 colour, so that no edge is visible; a grey middle contrasts with dark and light objects."""
-
-
-FIRST: dict[str, Any] = {
-    "T": np.eye(4).tolist(),
-    "state": 0.0,
-    "width": 64,
-    "height": 36,
-    "quality": 50,
-    "shift": [0.0, 0.0],
-    "layer": 0,
-}
+FIRST: dict[str, Any] = {"T": np.eye(4).tolist(), "state": 0.0, "width": 64, "height": 36, "quality": 50}
 
 
 def main() -> None:
@@ -58,14 +44,11 @@ def main() -> None:
         stage = Stage(json.loads(first))
         stage.draw(FIRST)  # compiles the shaders: seconds
     except Exception as error:  # the parent process reports it
-        text = str(error) if isinstance(error, FreeArtError) else child.one_line(error)
-        _send(answers, FAULT, 0.0, text.encode())
+        _send(answers, True, (str(error) if isinstance(error, FreeArtError) else child.one_line(error)).encode())
         return
-    _send(answers, 0, 0.0, b"")
+    _send(answers, False, b"")
     for line in questions:
-        start = time.perf_counter()
-        jpeg = stage.draw(json.loads(line))
-        _send(answers, len(jpeg), time.perf_counter() - start, jpeg)
+        _send(answers, False, stage.draw(json.loads(line)))
 
 
 class Stage:
@@ -75,26 +58,21 @@ class Stage:
         """`setup`: URDF, link groups, the joint's name, positions of the other joints, and the camera."""
         self._fov_y, self._joint, self._held = setup["fov_y"], setup["joint"], setup["held"]
         camera = Camera.from_fov(64, 36, self._fov_y)
-        self._scene = Scene(Path(setup["urdf"]), setup["groups"], camera, setup["near"], setup["far"], SHADER)
+        self._scene = Scene(
+            Path(setup["urdf"]), setup["groups"], camera, setup["near"], setup["far"], SHADER, Path(setup["root"])
+        )
         self._background = background(64, 36)
-        self._sum = np.zeros((36, 64, 3), np.uint16)
 
     def draw(self, order: dict[str, Any]) -> bytes:
-        """Render an order as JPEG: the mean of this view and of its earlier layers."""
-        width, height, layer = order["width"], order["height"], order["layer"]
-        camera = Camera.from_fov(width, height, self._fov_y)
-        K = camera.K.copy()
-        K[:2, 2] += order["shift"]
-        self._scene.set_camera(Camera(K, width, height))
+        """Render an order as JPEG."""
+        width, height = order["width"], order["height"]
+        self._scene.set_camera(Camera.from_fov(width, height, self._fov_y))
         self._scene.shoot(np.array(order["T"]), {**self._held, self._joint: order["state"]})
         if self._background.shape[:2] != (height, width):
             self._background = background(width, height)
-        picture = over_background(self._scene.colour_and_cover(), self._background)
-        if layer == 0:
-            self._sum = picture.astype(np.uint16)
-        else:
-            self._sum += picture
-            picture = (self._sum // np.uint16(layer + 1)).astype(np.uint8)
+        drawn = self._scene.colour_and_cover()
+        colours = cv2.convertScaleAbs(cv2.cvtColor(drawn, cv2.COLOR_RGBA2BGR), alpha=255)
+        picture = cv2.copyTo(colours, (drawn[..., 3] > 0).astype(np.uint8), self._background.copy())
         ok, packed = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, order["quality"]])
         if not ok:
             raise FreeArtError("a picture cannot be packed as JPEG")
@@ -114,22 +92,6 @@ def background(width: int, height: int) -> NDArray[np.uint8]:
     return np.asarray(np.floor(colours + np.random.default_rng(0).random((height, width, 1))).astype(np.uint8))
 
 
-@numba.njit(cache=True)
-def over_background(colours: NDArray[np.float32], background: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The engine's colours and alpha (h, w, 4) as bytes, blue first, over a background."""
-    picture = background.copy()
-    for v in range(colours.shape[0]):
-        for u in range(colours.shape[1]):
-            if colours[v, u, 3] > 0:
-                for k in range(3):
-                    value = colours[v, u, 2 - k] * np.float32(255) + np.float32(0.5)
-                    picture[v, u, k] = np.uint8(min(max(value, np.float32(0)), np.float32(255)))
-    return picture
-
-
-def _send(answers: BinaryIO, size: int, seconds: float, data: bytes) -> None:
-    answers.write(ANSWER.pack(size, seconds))
-    if size == FAULT:
-        answers.write(ANSWER.pack(len(data), 0.0))
-    answers.write(data)
+def _send(answers: BinaryIO, is_fault: bool, data: bytes) -> None:
+    answers.write(ANSWER.pack(is_fault, len(data)) + data)
     answers.flush()

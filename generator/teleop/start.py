@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import ipaddress
 import os
 import signal
 import socket
+import ssl
 import sys
 import tempfile
 import time
@@ -22,21 +24,17 @@ from freeart21 import stopping
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.mesh import bounding_diagonal
-from generator import partnet
 from generator.motion.body import Body
 from generator.motion.plan import PRESETS
 from generator.session import RecordSettings, catalog_entry, load_object, resolve_name
-from generator.teleop.address import addresses, is_loopback, qr_code
-from generator.teleop.certificate import Certificate, load_certificate, normalise_host
 from generator.teleop.driving import Driving, Placement
-from generator.teleop.gate import Gate, new_token
+from generator.teleop.gate import Gate, bracketed
 from generator.teleop.limits import Workspace
-from generator.teleop.stage import SCALES, Stage
+from generator.teleop.stage import Stage
 from generator.teleop.takes import Takes
 from generator.teleop.wire import Bounds
+from generator.urdf_object import LoadedObject
 
-PACKAGES = ("aiohttp", "qrcode", "cryptography")
-"""Of the extra `teleop`."""
 SIDES = 64, 1280
 """Pixels that the live picture may have a side."""
 
@@ -46,14 +44,48 @@ class TeleopSettings:
     """Settings of teleoperation."""
 
     host: str = "127.0.0.1"
-    """Where the server listens."""
+    """Where the server listens; 0.0.0.0 for all addresses of this machine."""
     port: int = 8021
     """0 takes any free port."""
     width: int = 640
     height: int = 360
-    """Size of the live picture, pixels; a page with another aspect ratio gets as many pixels."""
-    finest: float = SCALES[-1]
-    """Largest factor on its resolution (each side), where the machine draws that in time."""
+    """Size of the live picture, pixels."""
+    cert: Path | None = None
+    key: Path | None = None
+    """PEM files of a certificate and its private key: other hosts than this machine itself are served by https alone,
+    because browsers give headsets to no other pages and the address holds the secret."""
+
+    def check(self) -> None:
+        """Raise FreeArtError for settings that cannot be served."""
+        low, high = SIDES
+        if not (low <= min(self.width, self.height) and max(self.width, self.height) <= high):
+            raise FreeArtError(
+                f"cannot show live pictures of {self.width} x {self.height}; expected {low} to {high} a side"
+            )
+        if not 0 <= self.port <= 65535:
+            raise FreeArtError(f"port {self.port} is none, expected 0 (any free one) to 65535")
+        if (self.cert is None) != (self.key is None) or (self.cert is None and not is_loopback(self.host)):
+            raise FreeArtError(f"host {self.host} is served by https: needs both --cert FILE and --key FILE")
+
+    def tls(self) -> ssl.SSLContext | None:
+        """The context of the certificate, or None for http. Raises FreeArtError."""
+        if self.cert is None:
+            return None
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.minimum_version = ssl.TLSVersion.TLSv1_2
+        try:
+            context.load_cert_chain(self.cert, self.key, password="")  # no question at the terminal
+        except (OSError, ValueError) as error:
+            raise FreeArtError(f"cannot use the certificate {self.cert} with the key {self.key}: {error}") from error
+        return context
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can reach `host`."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host.rstrip(".").lower() == "localhost"
 
 
 def serve(name: str, out: Path, settings: TeleopSettings, record: RecordSettings) -> None:
@@ -62,16 +94,10 @@ def serve(name: str, out: Path, settings: TeleopSettings, record: RecordSettings
     Raises FreeArtError when the object is unknown or unfit, `out` exists, the port is taken or the simulator cannot
     show the object; KeyboardInterrupt when stopped. A take that was not saved is then written next to `out`.
     """
-    lacking = [package for package in PACKAGES if find_spec(package) is None]
-    if lacking:
-        raise FreeArtError(f"teleop needs {', '.join(lacking)}: pip install 'freeart21[teleop]'")
-    low, high = SIDES
-    if not (low <= min(settings.width, settings.height) and max(settings.width, settings.height) <= high):
-        raise FreeArtError(
-            f"cannot show live pictures of {settings.width} x {settings.height}; expected {low} to {high} a side"
-        )
-    if not 0 <= settings.port <= 65535:
-        raise FreeArtError(f"port {settings.port} is none, expected 0 (any free one) to 65535")
+    if find_spec("aiohttp") is None:
+        raise FreeArtError("teleop needs aiohttp: pip install 'freeart21[teleop]'")
+    settings.check()
+    context = settings.tls()
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
         name, loaded, inputs = _load_object(name, record, Path(place))
         for note in loaded.notes:
@@ -79,14 +105,14 @@ def serve(name: str, out: Path, settings: TeleopSettings, record: RecordSettings
         size = bounding_diagonal(loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh())
         takes = Takes(out, loaded.joint.type, inputs, size)
         with _signals_to_loop() as signals:
-            rescued = asyncio.run(_serve(name, loaded, takes, settings, signals))
+            rescued = asyncio.run(_serve(name, loaded, takes, settings, context, signals))
     if signals:
         with stopping.resume_hint(lambda: rescued):
             os.kill(os.getpid(), signals[0])
             stopping.raise_if_stopped()
 
 
-def _load_object(name: str, record: RecordSettings, place: Path) -> tuple[str, partnet.PartNetObject, tuple[Path, ...]]:
+def _load_object(name: str, record: RecordSettings, place: Path) -> tuple[str, LoadedObject, tuple[Path, ...]]:
     """The object's name, the loaded object, and the user's folders, which are never written to."""
     name, record = resolve_name(name, record)
     loaded = load_object(catalog_entry(name, record), record, place)
@@ -95,7 +121,12 @@ def _load_object(name: str, record: RecordSettings, place: Path) -> tuple[str, p
 
 
 async def _serve(
-    name: str, loaded: partnet.PartNetObject, takes: Takes, settings: TeleopSettings, signals: list[int]
+    name: str,
+    loaded: LoadedObject,
+    takes: Takes,
+    settings: TeleopSettings,
+    context: ssl.SSLContext | None,
+    signals: list[int],
 ) -> str:
     """Serve until stopped; returns a message on an unsaved take, or ''."""
     from generator.teleop.server import Server
@@ -105,43 +136,33 @@ async def _serve(
     room = Workspace.of(body, Camera.from_fov(settings.width, settings.height, fov_y))
     start = Placement(room.T_start, room.state)
     with _open_listener(settings) as listener:
-        port = listener.getsockname()[1]
-        certificate = None if is_loopback(settings.host) else load_certificate(settings.host)
-        here = "127.0.0.1", "localhost", "::1", settings.host
-        scheme, names = ("http", here) if certificate is None else ("https", certificate.names)
-        gate = Gate.of(new_token(), scheme, names, port)
-        stage = Stage(_stage_setup(loaded, room, fov_y), (settings.width, settings.height), start, settings.finest)
+        gate = Gate(listener.getsockname()[1], settings.host, context is not None)
+        stage = Stage(_stage_setup(loaded, room, fov_y), (settings.width, settings.height), start)
         bounds = Bounds(body.lower, body.upper, room.reach)
-        server = Server(_object_facts(name, loaded, room, fov_y), bounds, start, stage, takes, gate, _log)
+        server = Server(object_facts(name, loaded, room, fov_y), bounds, start, stage, takes, gate, _log)
         for path, seconds in takes.find_unsaved_takes():
             _log(f"{path} is a take of {seconds:.1f} s that nobody saved: move it to keep it, or remove it")
-        _announce(addresses(settings.host, port, gate.token), certificate)
+        host = socket.gethostname() if settings.host in ("0.0.0.0", "::") else bracketed(settings.host)
+        scheme = "http" if context is None else "https"
+        print(f"{scheme}://{host}:{gate.port}/?token={gate.token}", flush=True)
         _log(f"{name}: open this address in a browser; takes go to {takes.next_name()}; Ctrl-C ends")
         try:
-            tls = None if certificate is None else certificate.context()
-            await _run_until_stopped(signals, [server.run(listener, tls), stage.run(_log)])
+            await _run_until_stopped(signals, [server.run(listener, context), stage.run(_log)])
         finally:
-            await server.finish_saving()
             rescued = _rescue_take(server.driving, takes)
             if rescued and not signals:
                 _log(rescued)
             await server.close()
-            if server.latency_ms is not None:
-                median, high = server.latency_ms
-                _log(f"from a move to its picture: median {median:.0f} ms, 95 % within {high:.0f} ms (the last 100)")
-                _log(f"drawing a picture: median {stage.drawing_ms():.0f} ms")
     return rescued
 
 
-def _object_facts(name: str, loaded: partnet.PartNetObject, room: Workspace, fov_y: float) -> dict[str, Any]:
+def object_facts(name: str, loaded: LoadedObject, room: Workspace, fov_y: float) -> dict[str, Any]:
     """Facts on the object that every page gets."""
     return {
         "object": name,
         "joint": loaded.joint.name,
         "joint_type": loaded.joint.type,
         "fov_y": fov_y,
-        "size": 2 * room.radius,
-        "radius": room.radius,
         "centre": room.centre.tolist(),
         "depths": [room.nearest, room.farthest],
         "points": [np.round(points, 6).tolist() for points in room.points],
@@ -150,10 +171,11 @@ def _object_facts(name: str, loaded: partnet.PartNetObject, room: Workspace, fov
     }
 
 
-def _stage_setup(loaded: partnet.PartNetObject, room: Workspace, fov_y: float) -> dict[str, Any]:
+def _stage_setup(loaded: LoadedObject, room: Workspace, fov_y: float) -> dict[str, Any]:
     """Arguments of the simulator's process (`stage_process.Stage`)."""
     return {
         "urdf": str(loaded.asset.urdf),
+        "root": str(loaded.asset.root),
         "groups": [list(side.links) for side in loaded.sides],
         "joint": loaded.joint.name,
         "held": loaded.asset.held,
@@ -212,29 +234,16 @@ def _signals_to_loop() -> Iterator[list[int]]:
 @contextlib.contextmanager
 def _open_listener(settings: TeleopSettings) -> Iterator[socket.socket]:
     """Open a listening socket; FreeArtError, in one line, when that fails."""
-    normalise_host(settings.host)
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
-    listener = socket.socket(family, socket.SOCK_STREAM)
     try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind((settings.host, settings.port))
-        listener.listen(128)
-    except OSError as error:
-        listener.close()
+        listener = socket.create_server((settings.host, settings.port), family=family, backlog=128)
+    except (OSError, UnicodeError) as error:
+        reason = getattr(error, "strerror", None) or error
         raise FreeArtError(
-            f"cannot listen at {settings.host} port {settings.port}: {error.strerror or error}; --port chooses another"
+            f"cannot listen at {settings.host} port {settings.port}: {reason}; --host, --port choose another"
         ) from error
     with listener:
         yield listener
-
-
-def _announce(found: tuple[str, ...], certificate: Certificate | None) -> None:
-    """Print the page's addresses, the best first; on a terminal also a QR code."""
-    print("\n".join(found), flush=True)
-    if sys.stderr.isatty():
-        print(qr_code(found[0]), file=sys.stderr, flush=True)
-    if certificate is not None:
-        _log(f"the certificate is self-signed: a browser warns, and must show the SHA-256 {certificate.fingerprint}")
 
 
 def _log(line: str) -> None:

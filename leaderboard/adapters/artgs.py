@@ -24,8 +24,7 @@ from freeart21.files import checked
 from freeart21.joint import JointType
 from freeart21.mesh import Mesh, join_meshes
 from leaderboard.adapters.layout import ImportedResult, Layout, Request
-from leaderboard.adapters.readers import choose_joint, read_list, read_part
-from leaderboard.adapters.two_states import two_state_result
+from leaderboard.adapters.readers import choose_joint, read_list, read_part, two_state_result
 
 _TYPES: dict[str, JointType] = {"hinge": "revolute", "slider": "prismatic"}
 

@@ -23,8 +23,7 @@ from freeart21.joint import JointType
 from freeart21.mesh import Mesh, join_meshes
 from freeart21.view.link_shapes import read_shown
 from leaderboard.adapters.layout import ImportedResult, Layout, Request
-from leaderboard.adapters.readers import choose_joint, scale_mesh
-from leaderboard.adapters.two_states import two_state_result
+from leaderboard.adapters.readers import choose_joint, scale_mesh, two_state_result
 
 
 def _find_urdf(folder: Path) -> Path | None:

@@ -1,7 +1,7 @@
 """FreeArtGS: `outputs/<id>/evaluation_data`, as exported for its own evaluator.
 
     export_manifest.json               joint_type: which of the two folders counts
-    revolute/ or prismatic/            as in `evaluation_data`, and camera_poses.json:
+    revolute/ or prismatic/            as in `itaco`, and camera_poses.json:
                                        [{"file_path": ".../00012.png", "transform_matrix": 4 x 4}], each exported frame
     ../splatfacto-art/articulation.json  "frames" with the trained angle_rad or distance
 
@@ -25,7 +25,7 @@ import numpy as np
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.joint import JOINT_TYPES, JointType
-from leaderboard.adapters.evaluation_data import list_hypotheses, read_hypothesis
+from leaderboard.adapters.itaco import list_hypotheses, read_hypothesis
 from leaderboard.adapters.layout import ImportedResult, Layout, Request
 from leaderboard.adapters.readers import read_list
 

@@ -27,9 +27,9 @@ from leaderboard.adapters.layout import (
     Options,
     Request,
     common_lacks,
+    layout_named,
     to_reconstruction,
 )
-from leaderboard.adapters.registry import layout_named
 from leaderboard.submission import MAX_FILES
 from leaderboard.video_fit import describe_misfit
 

@@ -6,9 +6,9 @@ by fillers of the right shape, and `common_lacks` lists them, so that metrics th
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -25,6 +25,7 @@ from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import PIECES, Failure, Piece, Reconstruction
 from freeart21.recording import Recording
+from freeart21.registry import find_instances
 from freeart21.se3 import Array
 
 Axes = Literal["opencv", "opengl"]
@@ -85,7 +86,7 @@ class Request:
             )
         return self.options.anchor
 
-    @cached_property
+    @functools.cached_property
     def foreground(self) -> NDArray[np.bool_]:
         """(n, height, width) the object's masks in the video."""
         return np.stack([self.recording.frame(i).mask for i in range(self.frames)])
@@ -213,3 +214,16 @@ def common_lacks(lacks: Sequence[set[Piece]]) -> tuple[Piece, ...]:
     """The pieces that every result lacks (`ImportedResult.lacks`): those that the method never produces."""
     absent = set.intersection(*lacks) if lacks else {"renders"}
     return tuple(piece for piece in PIECES if piece in absent)
+
+
+@functools.cache
+def layouts() -> dict[str, Layout]:
+    """Name to layout: modules of this folder, and entry points `leaderboard.adapters` of other packages."""
+    return find_instances("leaderboard.adapters", Layout)
+
+
+def layout_named(name: str) -> Layout:
+    """The layout `name`; FreeArtError lists the known ones."""
+    if name not in layouts():
+        raise FreeArtError(f"unknown layout '{name}'; known: {', '.join(layouts())}")
+    return layouts()[name]

@@ -1,32 +1,45 @@
-"""Folders of tracked object poses, as written by BundleSDF and FoundationPose: one run tracks one rigid body.
+"""BundleSDF and FoundationPose: folders of tracked object poses; one run tracks one rigid body.
 
     ob_in_cam/<frame>.txt    4 x 4, camera (OpenCV) from object, metres; the name is the picture's
     a mesh                   in the object's frame
 
-Two runs, one per part, make an answer with a fitted joint. One run alone gives the reference part's poses without a
-joint. Two runs lie in two subfolders of a sequence's folder: `reference/` and `moving/`, or any two with an ob_in_cam/,
-the first by name being the reference part.
+Two runs, one per part, make an answer with a joint fitted here (`fitting`), which a note says. One run alone gives the
+reference part's poses without a joint. Two runs lie in two subfolders of a sequence's folder: `reference/` and
+`moving/`, or any two with an ob_in_cam/, the first by name being the reference part.
+
+BundleSDF, the output folder of run_custom.py, read in NVlabs/BundleSDF@cf0610e3636bc42535c996f129161f44beeadc56:
+BundleTrack/src/Bundler.cpp (saveNewframeResult: the object's pose in the camera, ten digits), bundlesdf.py
+(textured_mesh.obj is in the object's frame, in metres; mesh_cleaned.obj is in normalised space and is not read),
+offscreen_renderer.py (OpenCV camera), run_custom.py (names are those of the pictures).
+
+FoundationPose, the debug folder of run_demo.py, read in
+NVlabs/FoundationPose@bf2518348eb2ef8f1fdf786b79ed698db02e8703: run_demo.py (np.savetxt of the pose, camera from the
+given mesh; names are those of the pictures), Utils.py (OpenCV camera). Its model_tf.obj is in the camera frame of the
+first picture and is not read: copy the mesh that was given to it, in metres, into the folder of ob_in_cam/ as mesh.obj
+or mesh.ply. Its results on LINEMOD and YCB-Video (*_res.yml) are not read.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from freeart21 import se3
 from freeart21.errors import FreeArtError
-from freeart21.mesh import Mesh
+from freeart21.mesh import Mesh, box_centre
 from freeart21.se3 import Array
 from leaderboard.adapters import readers
-from leaderboard.adapters.layout import ImportedResult, Request
-from leaderboard.adapters.tracked_parts import TrackedPart, fit_tracked_parts
+from leaderboard.adapters.fitting import fit_joint
+from leaderboard.adapters.layout import ImportedResult, Layout, Request
 
 MAX_FILES = 100_000
+_DEFAULT_SIZE = 0.1
+"""Metres; size of a part without a surface, for weighing rotations against translations."""
 
 
-def list_runs(folder: Path) -> list[Path]:
+def _list_runs(folder: Path) -> list[Path]:
     """The runs in a sequence's folder: itself, or its subfolders with poses, in order."""
     if (folder / "ob_in_cam").is_dir():
         return [folder]
@@ -35,33 +48,36 @@ def list_runs(folder: Path) -> list[Path]:
     return named if set(named) <= set(below) else below
 
 
-def make_reader(meshes: tuple[str, ...]) -> Callable[[Path, Request], ImportedResult]:
-    """A reader of such folders; the mesh is the first existing file of `meshes`."""
-
-    def read(folder: Path, request: Request) -> ImportedResult:
-        runs = list_runs(folder)
-        if len(runs) > 2:
-            names = ", ".join(run.name for run in runs)
-            raise FreeArtError(f"{folder} holds {len(runs)} runs, expected one or two: {names}")
-        tracks = [_read_poses(run / "ob_in_cam", request) for run in runs]
-        common = sorted(set.intersection(*(set(poses) for poses, _ in tracks)))
-        if not common:
-            raise FreeArtError(f"{folder}: its two runs have no frame in common")
-        at, n = np.array(common), request.frames
-        notes = tuple(note for _, notes in tracks for note in notes)
-        surfaces = [_read_mesh(run, meshes, request) for run in runs]
-        parts = [
-            TrackedPart(np.array([poses[i] for i in common]), mesh, 1.0)
-            for (poses, _), mesh in zip(tracks, surfaces, strict=True)
-        ]
-        if len(parts) == 2:
-            return fit_tracked_parts(parts, at, n, notes, first_is_reference=True)
-        seen, more = readers.frames_with_result(at, n)
-        Ts = readers.nearest_poses(parts[0].Ts, at, n)
+def _read(mesh_names: tuple[str, ...], folder: Path, request: Request) -> ImportedResult:
+    """The result in `folder`; the mesh of a run is the first existing file of `mesh_names`."""
+    runs = _list_runs(folder)
+    if len(runs) > 2:
+        names = ", ".join(run.name for run in runs)
+        raise FreeArtError(f"{folder} holds {len(runs)} runs, expected one or two: {names}")
+    tracks = [_read_poses(run / "ob_in_cam", request) for run in runs]
+    common = sorted(set.intersection(*(set(poses) for poses, _ in tracks)))
+    if not common:
+        raise FreeArtError(f"{folder}: its two runs have no frame in common")
+    at, n = np.array(common), request.frames
+    notes = tuple(note for _, notes in tracks for note in notes)
+    Ts = [np.array([poses[i] for i in common]) for poses, _ in tracks]
+    seen, absent = readers.frames_with_result(at, n)
+    reference = readers.nearest_poses(Ts[0], at, n)
+    if len(runs) == 1:
         note = "one run tracks one rigid body: there is no joint"
-        return ImportedResult(None, poses=(Ts, Ts), seen=seen, notes=(note, *more, *notes))
-
-    return read
+        return ImportedResult(None, poses=(reference, reference), seen=seen, notes=(note, *absent, *notes))
+    base, moving = (_read_mesh(run, mesh_names, request) for run in runs)
+    centre = np.zeros(3) if moving is None else box_centre(moving)
+    size = _DEFAULT_SIZE if moving is None else float(np.linalg.norm(np.ptp(moving.vertices, axis=0)))
+    fit = fit_joint("joint", se3.inverse(Ts[0]) @ Ts[1], centre, size)
+    note = "the joint is not the method's: it was fitted to the poses of its parts by the import "
+    note += f"({fit.joint.type}, {1000 * fit.residual:.2g} mm off in the median frame; the other type "
+    note += f"{1000 * fit.other_residual:.2g} mm)" if np.isfinite(fit.other_residual) else "not tried)"
+    carried = readers.nearest_poses(Ts[1] @ se3.inverse(fit.T_reference_moving), at, n)
+    meshes = None if base is None or moving is None else (base, moving.moved(fit.T_reference_moving))
+    states = readers.interpolate_states(fit.states, at, n)
+    notes = (note, *absent, *notes)
+    return ImportedResult(fit.joint, states, (reference, carried), meshes=meshes, seen=seen, notes=notes)
 
 
 def _read_poses(folder: Path, request: Request) -> tuple[dict[int, Array], tuple[str, ...]]:
@@ -80,3 +96,19 @@ def _read_poses(folder: Path, request: Request) -> tuple[dict[int, Array], tuple
 def _read_mesh(run: Path, names: tuple[str, ...], request: Request) -> Mesh | None:
     paths = [run / name for name in names if (run / name).is_file()]
     return readers.read_part(paths[0], run, request.options.scale)[0] if paths else None
+
+
+BUNDLESDF = Layout(
+    "bundlesdf",
+    "BundleSDF, https://github.com/NVlabs/BundleSDF",
+    "NVlabs/BundleSDF@cf0610e3636bc42535c996f129161f44beeadc56:BundleTrack/src/Bundler.cpp, bundlesdf.py",
+    lambda folder: bool(_list_runs(folder)),
+    partial(_read, ("textured_mesh.obj",)),
+)
+FOUNDATIONPOSE = Layout(
+    "foundationpose",
+    "FoundationPose, https://github.com/NVlabs/FoundationPose",
+    "NVlabs/FoundationPose@bf2518348eb2ef8f1fdf786b79ed698db02e8703:run_demo.py",
+    lambda folder: bool(_list_runs(folder)),
+    partial(_read, ("mesh.obj", "mesh.ply", "textured_mesh.obj")),
+)

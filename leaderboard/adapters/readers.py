@@ -11,22 +11,29 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.mesh_file import read_ply
 from freeart21.formats.third_party import T_GL_CV, poses_from_rows, read_npy
+from freeart21.joint import Joint, JointType
 from freeart21.mesh import Mesh, join_meshes
 from freeart21.se3 import Array
 from freeart21.view.obj import read_obj
-from leaderboard.adapters.layout import Axes, Request
-from leaderboard.adapters.points import mesh_from_points
+from leaderboard.adapters.layout import Axes, Frame, ImportedResult, Request
 
 MASK_THRESHOLD = 0.5
 """Pixels of a soft map above it are the moving part."""
 POSE_TOLERANCE = 1e-3
 """Tolerance of rigid poses in files, which are single precision or text of few digits."""
+NEIGHBOURS = 8
+"""Neighbours that define the plane of a point's triangle."""
+SIDE = 2.0
+"""Side of the triangles in median distances to the nearest other point."""
+LARGEST = 2_000_000
+"""Most points of a cloud; the scorer holds 4 million faces."""
 _ASPECT = 0.02
 """Largest relative difference between the aspect ratios of a map and its video."""
 
@@ -133,11 +140,72 @@ def masks_from_maps(moving: NDArray[Any], at: NDArray[np.int64], request: Reques
     return masks
 
 
+# ---- clouds
+
+
+def mesh_from_points(points: Array, colours: NDArray[np.uint8] | None = None) -> Mesh:
+    """Equilateral triangles of side SIDE median spacings, centred at `points` (n, 3), metres, with `colours` (n, 3).
+
+    A surface that the scorer can measure: no holes are closed and none is fitted. Each triangle lies in the plane of
+    the point's neighbours, so that samples of the triangles are samples of the cloud, noise included. Coincident points
+    are ignored for the spacing. Raises FreeArtError for too few or too many points.
+    """
+    points = np.asarray(points, float).reshape(-1, 3)
+    if not 4 <= len(points) <= LARGEST:
+        raise FreeArtError(f"a cloud has {len(points)} points, expected 4 to {LARGEST}")
+    tree = cKDTree(points)
+    distances, neighbours = tree.query(points, k=min(NEIGHBOURS + 1, len(points)))
+    others = distances[:, 1:]
+    nearest = np.where(others > 0, others, np.inf).min(1)
+    spacing = float(np.median(nearest[np.isfinite(nearest)])) if np.isfinite(nearest).any() else 0.0
+    if spacing <= 0:
+        raise FreeArtError("a cloud has all its points in one place")
+    centred = points[neighbours] - points[neighbours].mean(1, keepdims=True)
+    _, directions = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))
+    u, v = directions[:, :, 2], directions[:, :, 1]  # the plane of the two largest spreads
+    radius = SIDE * spacing / np.sqrt(3)
+    turns = 2 * np.pi * np.arange(3) / 3
+    corners = points[:, None] + radius * (
+        np.cos(turns)[None, :, None] * u[:, None] + np.sin(turns)[None, :, None] * v[:, None]
+    )
+    repeated = None if colours is None else np.repeat(colours, 3, 0)
+    return Mesh(corners.reshape(-1, 3), np.arange(3 * len(points)).reshape(-1, 3), repeated)
+
+
+# ---- results without a video
+
+
+def two_state_result(
+    folder: Path,
+    request: Request,
+    default: Frame,
+    joint_type: JointType,
+    axis: ArrayLike,
+    pivot: Array,
+    span: float | tuple[float, float],
+    meshes: tuple[Mesh, Mesh] | None,
+    notes: tuple[str, ...] = (),
+) -> ImportedResult:
+    """The result of a method that saw two joint states from many views, not a video: a joint and the parts, no poses.
+
+    It is in a world frame of its own (`default`, unless the user names one), metres, and is placed in one frame of the
+    video, the anchor, which must show the first state. Its files do not define the camera's pose in that world.
+    `span` is the motion from the first state to the second, rad or m, or the joint's two limits. `meshes` are the parts
+    in the first state, which is state zero.
+    """
+    T_camera_world = request.T_camera_world(folder, default)
+    limits = span if isinstance(span, tuple) else (min(0.0, span), max(0.0, span))
+    axis = unit_vector(axis, f"{folder}: the joint's axis")
+    joint = Joint("joint", joint_type, axis, np.asarray(pivot, float), *limits)
+    note = f"it has no poses: it is placed in frame {request.anchor}, assumed to show joint state zero"
+    return ImportedResult(joint, anchor=request.anchor, anchor_pose=T_camera_world, meshes=meshes, notes=(note, *notes))
+
+
 # ---- files
 
 
 def read_part(path: Path, root: Path, scale: float = 1.0) -> tuple[Mesh, str]:
-    """The part in an OBJ or PLY file, and a note if it is a point cloud, which becomes small triangles (`points`).
+    """The part in an OBJ or PLY file, and a note if it is a cloud (`mesh_from_points`).
 
     Materials must lie in the folder `root`. Raises FreeArtError when the file cannot be read or has no point.
     """

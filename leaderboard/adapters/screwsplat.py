@@ -31,9 +31,7 @@ from freeart21.joint import JointType
 from freeart21.mesh import Mesh, join_meshes
 from freeart21.se3 import Array
 from leaderboard.adapters.layout import ImportedResult, Layout, Request
-from leaderboard.adapters.points import mesh_from_points
-from leaderboard.adapters.readers import choose_joint
-from leaderboard.adapters.two_states import two_state_result
+from leaderboard.adapters.readers import choose_joint, mesh_from_points, two_state_result
 
 LEAST_CONFIDENCE = 0.3
 _UNIT_TOLERANCE = 1e-2

@@ -1,4 +1,4 @@
-// Geometry of carrying an object with a controller, and of moving its joint by stick or trigger. No page, no headset.
+// Geometry of carrying an object with a controller, and of moving its joint by a stick. No page, no headset.
 //
 // Poses are {position: [x, y, z] m, quaternion: [w, x, y, z]}. A room's axes are WebXR's (x right, y up, z back), a
 // camera's are x right, y down, z forward.
@@ -86,16 +86,11 @@ export class Clutch {
  * Dead zone of a stick: XInput's XINPUT_GAMEPAD_LEFT_THUMB_DEADZONE, 7849 of 32767.
  */
 export const STICK_REST = 0.24;
-/** Dead zone of a trigger: XInput's XINPUT_GAMEPAD_TRIGGER_THRESHOLD, 30 of 255. */
-export const TRIGGER_REST = 0.12;
 /**
  * Joint speed, ranges a second, at full deflection of a stick. In 23 takes of ARCTIC with a moving joint, nine tenths of
  * its motion are slower than 2.1; half is slower than .76, the speed at 70 % deflection.
  */
 export const STICK_SPEED = 2;
-/** Largest joint speed by a trigger, ranges a second: 99 % of that motion is slower than 3.9. */
-export const TRIGGER_SPEED = 4;
-
 /** A stick's deflection in -1 to 1 beyond the dead zone, squared for fine control near the middle. */
 export function response(deflection) {
   const beyond = Math.max(Math.abs(deflection) - STICK_REST, 0) / (1 - STICK_REST);
@@ -103,47 +98,13 @@ export function response(deflection) {
 }
 
 /**
- * The joint state commanded by one controller.
- *
- * The stick commands a speed: pushed away the state increases, pulled near it decreases. The trigger commands a position:
- * the joint moves from its present state towards the farther end in proportion to the pull, and back on release.
+ * The joint state after `dt` seconds: pushed away, the stick increases it, pulled near it decreases it.
+ * @param state Now, rad or m.
+ * @param stick Deflection towards the person, -1 to 1, as gamepads have it.
+ * @param limits Lowest and highest state.
  */
-export class JointGrip {
-  constructor() {
-    this.drop();
-  }
-
-  /** Ignore the trigger until it is released: after the controller was lost or carried, or something else moved the joint. */
-  drop() {
-    this.ready = false;
-    this.from = null;
-  }
-
-  /**
-   * The state after `dt` seconds.
-   * @param state Now, rad or m.
-   * @param stick Deflection towards the person, -1 to 1, as gamepads have it.
-   * @param trigger 0 to 1.
-   * @param limits Lowest and highest state.
-   */
-  moved(state, stick, trigger, limits, dt) {
-    const [low, high] = limits;
-    const range = high - low;
-    const pull = Math.max(trigger - TRIGGER_REST, 0) / (1 - TRIGGER_REST);
-    if (pull === 0) this.ready = true;
-    if (pull > 0 && this.ready && this.from === null) {
-      this.from = state;
-      this.to = state - low > high - state ? low : high;
-    }
-    let next = state - response(stick) * STICK_SPEED * range * dt;
-    if (this.from !== null) {
-      const wanted = this.from + pull * (this.to - this.from);
-      const most = TRIGGER_SPEED * range * dt;
-      next = state + clamp(wanted - state, -most, most);
-      if (pull === 0 && next === wanted) this.from = null; // back where it was
-    }
-    return clamp(next, low, high);
-  }
+export function swung(state, stick, [low, high], dt) {
+  return clamp(state - response(stick) * STICK_SPEED * (high - low) * dt, low, high);
 }
 
 /** A button: `step` returns "press" when it goes down, then "short" on release or "long" after `longest` seconds. */

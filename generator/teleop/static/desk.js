@@ -1,7 +1,6 @@
 // Mouse and touch: drag turns, shift-drag or right-drag moves, the wheel is the joint; two fingers move, pinch and twist.
 
 import { startKeys } from "./keys.js";
-import { startPad } from "./pad.js";
 
 const WHEEL_RANGE = 1200; // pixels of the wheel that take the joint through its range: twelve notches
 const WHEEL_DEPTH = 0.0012; // of a pixel of the wheel, as a share of the depth: a notch is 12 %
@@ -26,7 +25,6 @@ export function arcball(from, to) {
 export class Desk {
   constructor({ hand, link, canvas, may }) {
     Object.assign(this, { hand, link, canvas, may });
-    this.mode = "turn"; // of one finger
     this._pointers = new Map();
     const on = (type, f) => canvas.addEventListener(type, f, { passive: false });
     on("pointerdown", (event) => this._down(event));
@@ -35,7 +33,6 @@ export class Desk {
     on("wheel", (event) => this._wheel(event));
     on("contextmenu", (event) => event.preventDefault());
     startKeys({ hand, link, may });
-    startPad({ hand, link, may });
   }
 
   /** The picture's rectangle in the page, CSS pixels: it is scaled to fit the canvas. */
@@ -66,7 +63,7 @@ export class Desk {
     if (document.activeElement && document.activeElement !== document.body) document.activeElement.blur();
     this.canvas.setPointerCapture(event.pointerId);
     const touch = event.pointerType === "touch";
-    const moves = touch ? this.mode === "move" : event.button !== 0 || event.shiftKey;
+    const moves = !touch && (event.button !== 0 || event.shiftKey);
     this._pointers.set(event.pointerId, { x: event.clientX, y: event.clientY, touch, moves });
     this.canvas.classList.add("held");
   }

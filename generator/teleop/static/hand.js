@@ -52,13 +52,11 @@ export class Hand {
     this.placed = 0;
     this.device = "mouse";
     this.centre = [0, 0, 0];
-    this.radius = 0.1;
     this.depths = [0.1, 10];
     this.points = [[], []]; // that bound the still and the moving part at joint state zero
     this.joint = { axis: [0, 0, 1], pivot: [0, 0, 0], turns: true };
     this.fovY = 0.7;
     this.aspect = 16 / 9;
-    this.start = null;
     this.onchange = () => {};
   }
 
@@ -66,12 +64,10 @@ export class Hand {
   meet(hello) {
     this.limits = hello.limits;
     this.centre = hello.centre;
-    this.radius = hello.radius;
     this.depths = hello.depths;
     this.points = hello.points;
     this.joint = { axis: hello.axis, pivot: hello.pivot, turns: hello.joint_type === "revolute" };
     this.fovY = hello.fov_y;
-    this.start = hello.start;
     this.aspect = hello.width / hello.height;
     this.place(hello, hello.epoch);
   }
@@ -127,19 +123,6 @@ export class Hand {
   /** Move the joint by `d`. */
   swing(d, device) {
     this.set(this.position, this.quaternion, this.state + d, device);
-  }
-
-  /** Return to the start pose. */
-  reset(device = this.device) {
-    if (this.start) this.set(this.start.position, this.start.quaternion, this.start.state, device);
-  }
-
-  /** Apply the limits again after the picture's shape changed. */
-  fit() {
-    const before = this.position;
-    const middle = this._fitted(this.quaternion, this.middle());
-    const position = minus(middle, rotate(this.quaternion, this.centre));
-    if (Math.hypot(...minus(position, before)) > 1e-6) this.set(position, this.quaternion, this.state, this.device);
   }
 
   /** Bounding points of the object at the present joint state. */

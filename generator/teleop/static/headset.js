@@ -1,19 +1,18 @@
 // Control by a headset: reads WebXR controllers, sets the commanded pose and joint state.
 //
-// The controller that is squeezed first carries the object; the other's stick or trigger moves the joint. Only indices of the "xr-standard" mapping are used (trigger 0, squeeze 1, stick 3 and axes 2 and 3, buttons 4
-// and 5), which PICO's and Quest's controllers share.
+// The controller that is squeezed first carries the object; the other's stick moves the joint. Only indices of the
+// "xr-standard" mapping are used (squeeze 1, stick 3 and axes 2 and 3, buttons 4 and 5), which PICO's and Quest's controllers share.
 
-import { Button, Clutch, JointGrip, facing, heading, roomToCamera } from "./clutch.js";
+import { Button, Clutch, facing, heading, roomToCamera, swung } from "./clutch.js";
 import { Room } from "./room.js";
 
 const SQUEEZED = 0.5; // from here on a squeeze holds ...
 const LET_GO = 0.3; // ... until it is less than this, so that a hand that trembles does not let go. Not measured.
 const SAVE_S = 1; // how long the record button is held to save. Not measured.
 const LONGEST_STEP_S = 0.1; // a stick moves the joint by no more than it does in this time, however late a frame comes
-const PANEL_PIXELS = [1280, 720]; // what the panel in the room can show; the server may draw fewer
-const COLOURS = { holds: [0.3, 0.64, 1], tracked: [0.75, 0.78, 0.82] };
+const COLOURS = { holds: [76, 163, 255], tracked: [191, 199, 209] };
 const HELP = [
-  "Squeeze to carry the object. The other hand's stick or trigger moves the joint.",
+  "Squeeze to carry the object. The other hand's stick moves the joint.",
   "A or X: record or pause, held: save.  B or Y: undo.  Stick pressed: recentre.",
 ];
 const WATCHES = ["Another page drives.", "You watch."];
@@ -37,8 +36,8 @@ export async function startHeadset({ hand, link, picture, button }) {
     button.disabled = true;
     say("Headset needs https");
     button.title =
-      "Browsers give headsets to pages of https alone, or of this machine itself: start the server with --host, or " +
-      "connect the headset by cable (adb reverse).";
+      "Browsers give headsets to pages of https alone, or of this machine itself: start the server with --cert and " +
+      "--key, or connect the headset by cable (adb reverse).";
     return now;
   }
   const offers = () => navigator.xr?.isSessionSupported("immersive-vr").catch(() => false) ?? false;
@@ -46,7 +45,7 @@ export async function startHeadset({ hand, link, picture, button }) {
     button.hidden = !(await offers());
   };
   navigator.xr?.addEventListener?.("devicechange", look);
-  link.onpicture((bitmap) => now.session?.room.show(bitmap));
+  link.on("picture", (bitmap) => now.session?.room.show(bitmap));
   await look();
   const words = label.textContent;
   button.addEventListener("click", async () => {
@@ -55,18 +54,15 @@ export async function startHeadset({ hand, link, picture, button }) {
       return;
     }
     button.disabled = true;
-    const shape = link.shape;
     try {
       now.session = await Headset.begin(hand, link, () => {
         now.session = null;
         link.immersive = false;
         say(words);
-        if (shape) link.view(...shape);
       });
       link.immersive = true;
       hand.device = "headset"; // of what is sent before anything moves, too
       link.send(hand, hand.device);
-      link.view(...PANEL_PIXELS);
       now.session.room.show(picture);
       say("Leave headset");
     } catch (error) {
@@ -82,7 +78,7 @@ export async function startHeadset({ hand, link, picture, button }) {
 /** One session. */
 export class Headset {
   static async begin(hand, link, ended) {
-    const session = await navigator.xr.requestSession("immersive-vr", { optionalFeatures: ["local-floor"] });
+    const session = await navigator.xr.requestSession("immersive-vr");
     try {
       const canvas = document.createElement("canvas");
       const gl = canvas.getContext("webgl2", { xrCompatible: true, antialias: false });
@@ -90,21 +86,18 @@ export class Headset {
       await gl.makeXRCompatible();
       const layer = new XRWebGLLayer(session, gl);
       await session.updateRenderState({ baseLayer: layer, depthNear: 0.05, depthFar: 50 });
-      let floor = true;
-      const space = await session.requestReferenceSpace("local-floor").catch(() => {
-        floor = false;
-        return session.requestReferenceSpace("local");
-      });
-      return new Headset({ session, space, floor, gl, layer, hand, link, ended });
+      const space = await session.requestReferenceSpace("local");
+      return new Headset({ session, space, gl, layer, hand, link, ended });
     } catch (error) {
       await session.end().catch(() => {});
       throw error;
     }
   }
 
-  constructor({ session, space, floor, gl, layer, hand, link, ended }) {
-    Object.assign(this, { session, space, floor, layer, hand, link });
+  constructor({ session, space, gl, layer, hand, link, ended }) {
+    Object.assign(this, { session, space, layer, hand, link });
     this.room = new Room(gl);
+    this.colours = { holds: this.room.colour(COLOURS.holds), tracked: this.room.colour(COLOURS.tracked) };
     this.clutch = new Clutch();
     this.holder = null; // "left" or "right", while it carries
     this.controllers = { left: new Controller(), right: new Controller() };
@@ -224,22 +217,15 @@ export class Headset {
     let { state } = this.hand;
     const tracked = Object.values(this.controllers).filter((one) => one.pose).length;
     for (const [side, one] of Object.entries(this.controllers)) {
-      if (one.pose && (side !== this.holder || tracked === 1)) {
-        state = one.joint.moved(state, one.stick, one.value(0), this.hand.limits, dt);
-      } else {
-        one.joint.drop();
-      }
+      if (one.pose && (side !== this.holder || tracked === 1)) state = swung(state, one.stick, this.hand.limits, dt);
     }
     return state;
   }
 
   move(dt, time) {
     const { hand } = this;
-    if (this.left && !same(this.left, hand)) {
-      // an undo or another device has placed the object: continue from there, and ignore held triggers
-      for (const one of Object.values(this.controllers)) one.joint.drop();
-      if (this.holder) this.grasp(this.holder);
-    }
+    // an undo or another device has placed the object: continue from there
+    if (this.holder && this.left && !same(this.left, hand)) this.grasp(this.holder);
     this.choose();
     const state = this.bent(dt);
     if (this.holder || state !== hand.state || this.status.recording) {
@@ -253,24 +239,22 @@ export class Headset {
     if (time - this.told > 100) {
       this.told = time;
       const { recording, paused, seconds } = this.status;
-      const { state, limits } = this.hand;
+      const { state } = this.hand;
       const joint = this.link.hello?.joint_type;
-      const latency = this.link.latency()?.[0] ?? null;
       const notice = this.link.drives ? this.status.notice : null;
       const lines = this.link.drives ? this.hint : this.link.state === "open" ? WATCHES : ALONE;
-      this.room.tell({ recording, paused, seconds, state, limits, joint, notice, latency, lines });
+      this.room.tell({ recording, paused, seconds, state, joint, notice, lines });
     }
     const shown = Object.entries(this.controllers)
       .filter(([, one]) => one.pose)
-      .map(([side, one]) => ({ ...one.pose, colour: side === this.holder ? COLOURS.holds : COLOURS.tracked }));
-    this.room.draw(this.layer, views, shown, this.floor);
+      .map(([side, one]) => ({ ...one.pose, colour: side === this.holder ? this.colours.holds : this.colours.tracked }));
+    this.room.draw(this.layer, views, shown);
   }
 }
 
 /** The state of one controller. */
 class Controller {
   constructor() {
-    this.joint = new JointGrip();
     this.record = new Button(SAVE_S);
     this.undo = new Button();
     this.recentre = new Button();
@@ -283,7 +267,7 @@ class Controller {
   drop() {
     this.wants = false; // to carry
     this.squeezed = true;
-    for (const part of [this.joint, this.record, this.undo, this.recentre]) part.drop();
+    for (const part of [this.record, this.undo, this.recentre]) part.drop();
   }
 
   /** @param found XRPose; null while the controller is not tracked. */

@@ -4,7 +4,6 @@ const STEP_MS = 1000 / 60;
 const KEEP_ALIVE_MS = 1000 / 30;
 const MOST_WAITING = 1 << 14; // bytes that the network has not taken; a move that waits would only be late
 const FIRST_WAIT_MS = 250, LONGEST_WAIT_MS = 5000;
-const KEPT = 100; // latencies
 
 export class Link {
   constructor(token) {
@@ -13,31 +12,24 @@ export class Link {
     this.state = "connecting"; // or "open", "lost"
     this.retryAt = 0;
     this.failures = 0;
-    this.latencies = [];
     this.immersive = false; // in a headset, where the page itself may count as hidden
     this.tap = null; // told of every move that is sent
     this._token = token;
-    this._listeners = { picture: [], status: [], hello: [], place: [], size: [], state: [] };
+    this._listeners = { picture: [], status: [], hello: [], place: [], state: [] };
     this._hand = null;
     this._n = 0;
     this._dirty = false;
     this._lastSent = -Infinity;
     this._seen = 0;
-    this._lastShown = -1;
     this._decoding = false;
     this._next = null;
     this._arrivals = [];
     setInterval(() => this._keepAlive(), KEEP_ALIVE_MS);
-    setInterval(() => this._ping(), 1000);
     this._connect();
   }
 
-  onpicture(f) { this._listeners.picture.push(f); }
-  onstatus(f) { this._listeners.status.push(f); }
-  onhello(f) { this._listeners.hello.push(f); }
-  onplace(f) { this._listeners.place.push(f); }
-  onsize(f) { this._listeners.size.push(f); }
-  onstate(f) { this._listeners.state.push(f); }
+  /** Call `f` for each "picture", "status", "hello", "place" or change of "state". */
+  on(what, f) { this._listeners[what].push(f); }
 
   get drives() { return this.hello !== null && this.hello.role === "driver" && this.state === "open"; }
 
@@ -60,21 +52,6 @@ export class Link {
     if (!this.drives && what !== "drive") return;
     if (this._dirty) this._transmit();
     this._say({ type: "do", what, n: this._n });
-  }
-
-  /** Send the picture's size on the screen, in its pixels. */
-  view(width, height) {
-    this.shape = [width, height];
-    this._view = { type: "view", width: Math.max(1, Math.round(width)), height: Math.max(1, Math.round(height)) };
-    if (this.drives) this._say(this._view);
-  }
-
-  /** Median and 95th percentile of the last latencies, ms; null before the first. */
-  latency() {
-    if (!this.latencies.length) return null;
-    const sorted = [...this.latencies].sort((a, b) => a - b);
-    const at = (share) => sorted[Math.min(sorted.length - 1, Math.floor(share * sorted.length))];
-    return [at(0.5), at(0.95)];
   }
 
   /** Number of pictures in the last second. */
@@ -102,10 +79,6 @@ export class Link {
     if (this.status && this.status.recording && performance.now() - this._lastSent >= KEEP_ALIVE_MS - 2) this._transmit();
   }
 
-  _ping() {
-    this._say({ type: "ping", time: performance.now(), latency: this.latency() });
-  }
-
   _say(message) {
     if (this._socket && this._socket.readyState === WebSocket.OPEN) this._socket.send(JSON.stringify(message));
   }
@@ -124,11 +97,7 @@ export class Link {
     const socket = new WebSocket(`${scheme}://${location.host}/ws?token=${encodeURIComponent(this._token)}&v=1`);
     socket.binaryType = "arraybuffer";
     this._socket = socket;
-    socket.onopen = () => {
-      this._n = this._seen = 0;
-      this._lastShown = -1;
-      this._ping();
-    };
+    socket.onopen = () => { this._n = this._seen = 0; };
     socket.onmessage = (event) => {
       if (typeof event.data === "string") this._read(JSON.parse(event.data));
       else this._picture(event.data);
@@ -146,44 +115,29 @@ export class Link {
     if (message.type === "hello") {
       this.hello = message;
       this.failures = 0;
-      this._dirty = false;
       this._become("open");
-      this._tell("hello", message);
-      if (this._view && this.drives) this._say(this._view);
-    } else if (message.type === "status") {
-      this.status = message;
-      this._tell("status", message);
-    } else if (message.type === "place") {
-      this._dirty = false;
-      this._tell("place", message);
-    } else if (message.type === "size") {
-      if (this.hello) Object.assign(this.hello, { width: message.width, height: message.height });
-      this._tell("size", message);
     }
+    if (message.type === "status") this.status = message;
+    else this._dirty = false; // the server has placed the object
+    this._tell(message.type, message);
   }
 
-  _picture(data) {
+  _picture(jpeg) {
     this._arrivals.push(performance.now());
-    const view = new DataView(data);
     if (this._next) this._disposed();
-    this._next = { n: view.getUint32(0, true), time: view.getFloat64(4, true), jpeg: data.slice(12), from: this._socket };
+    this._next = { jpeg, from: this._socket };
     this._decode();
   }
 
   async _decode() {
     if (this._decoding || !this._next) return;
     this._decoding = true;
-    const { n, time, jpeg, from } = this._next;
+    const { jpeg, from } = this._next;
     this._next = null;
     try {
       const bitmap = await createImageBitmap(new Blob([jpeg], { type: "image/jpeg" }));
       this._tell("picture", bitmap);
       bitmap.close();
-      if (from === this._socket && time > 0 && n > this._lastShown && this.drives) {
-        this.latencies.push(performance.now() - time);
-        if (this.latencies.length > KEPT) this.latencies.shift();
-        this._lastShown = n;
-      }
       if (from === this._socket) this._disposed();
     } finally {
       this._decoding = false;

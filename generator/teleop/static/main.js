@@ -1,4 +1,4 @@
-// Start of the page: moves the token from the address to the tab's storage and connects hand, link, desk and panel.
+// Start of the page: connects hand, link, desk, panel and headset.
 
 import { Desk } from "./desk.js";
 import { Hand } from "./hand.js";
@@ -6,15 +6,9 @@ import { startHeadset } from "./headset.js";
 import { Link } from "./link.js";
 import { Panel } from "./panel.js";
 
-const token = new URLSearchParams(location.search).get("token") || "";
-history.replaceState(null, "", location.pathname);
-try {
-  sessionStorage.setItem("token", token); // the server's answer to a reload, which comes without it, takes it from there
-} catch { /* a browser that keeps nothing: the address opens the page again */ }
-
 const canvas = document.getElementById("picture");
 const hand = new Hand();
-const link = new Link(token);
+const link = new Link(new URLSearchParams(location.search).get("token") || "");
 const may = () => link.drives;
 const desk = new Desk({ hand, link, canvas, may });
 const context = canvas.getContext("2d", { alpha: false, desynchronized: true });
@@ -23,21 +17,17 @@ hand.onchange = (device, time) => {
   link.send(hand, device, time);
   panel.joint();
 };
-link.onhello((hello) => {
+link.on("hello", (hello) => {
   hand.meet(hello);
   if (link.drives) link.send(hand, hand.device);
 });
-const panel = new Panel({ hand, link, desk, may }); // hears of the object after the hand
-link.onplace((place) => {
+const panel = new Panel({ hand, link, may }); // hears of the object after the hand
+link.on("place", (place) => {
   hand.place(place, place.epoch);
   panel.joint();
   if (link.drives) link.send(hand, hand.device);
 });
-link.onsize((size) => {
-  hand.aspect = size.width / size.height;
-  if (link.drives) hand.fit();
-});
-link.onpicture((bitmap) => {
+link.on("picture", (bitmap) => {
   if (canvas.width !== bitmap.width || canvas.height !== bitmap.height) {
     canvas.width = bitmap.width;
     canvas.height = bitmap.height;
@@ -46,12 +36,6 @@ link.onpicture((bitmap) => {
   panel.shown();
   document.documentElement.dataset.ready = "yes";
 });
-
-function resized() {
-  const ratio = window.devicePixelRatio || 1;
-  link.view(canvas.clientWidth * ratio, canvas.clientHeight * ratio);
-}
-new ResizeObserver(resized).observe(canvas);
 document.addEventListener("visibilitychange", () => {
   if (document.hidden && !link.immersive && link.drives && link.status && link.status.recording) link.do("pause");
 });

@@ -2,28 +2,23 @@
 
 const $ = (id) => document.getElementById(id);
 const STEPS = 1000; // of the slider
-const NOTICE_MS = 6000, ASK_MS = 3000;
+const NOTICE_MS = 6000;
 
 const minutes = (s) => `${Math.floor(s / 60)}:${(s % 60).toFixed(1).padStart(4, "0")}`;
 
 export class Panel {
-  constructor({ hand, link, desk, may }) {
-    Object.assign(this, { hand, link, desk, may });
+  constructor({ hand, link, may }) {
+    Object.assign(this, { hand, link, may });
     this._notice = 0;
-    this._asked = -Infinity;
-    this._slid = false;
     const click = (id, f) => $(id).addEventListener("click", f);
     click("record", () => link.do(link.status && link.status.recording ? "pause" : "record"));
     click("undo", () => link.do("undo"));
     click("save", () => link.do("save"));
-    click("reset", () => this._reset());
+    click("reset", () => {
+      const take = link.status && link.status.samples >= 2;
+      if (!take || confirm("Drop the take that is not saved?")) link.do("reset");
+    });
     click("drive", () => link.do("drive"));
-    for (const mode of ["turn", "move"]) {
-      click(mode, () => {
-        desk.mode = mode;
-        for (const m of ["turn", "move"]) $(m).setAttribute("aria-pressed", String(m === mode));
-      });
-    }
     $("slider").addEventListener("input", () => {
       const [low, high] = hand.limits;
       if (this.may()) hand.set(hand.position, hand.quaternion, low + ($("slider").value / STEPS) * (high - low), this._sliding);
@@ -32,24 +27,14 @@ export class Panel {
     this._sliding = "mouse";
     $("slider").addEventListener("pointerdown", (e) => (this._sliding = e.pointerType === "touch" ? "touch" : "mouse"));
     $("slider").addEventListener("keydown", () => (this._sliding = "keys"));
-    click("help", () => this.help(true));
-    click("helpclose", () => this.help(false));
-    $("helpcard").addEventListener("click", (event) => event.target === $("helpcard") && this.help(false));
     addEventListener("keydown", (event) => {
-      if (event.key === "?") this.help($("helpcard").hidden);
-      else if (event.key === "Escape") this.help(false);
+      if (event.key === "?" || event.key === "Escape") $("help").open = event.key === "?" && !$("help").open;
     });
-    link.onhello((hello) => this._hello(hello));
-    link.onstatus((status) => this._status(status));
-    link.onstate(() => this.veil());
+    link.on("hello", (hello) => this._hello(hello));
+    link.on("status", (status) => this._status(status));
+    link.on("state", () => this.veil());
     setInterval(() => this._rates(), 250);
     this.veil();
-  }
-
-  help(shown) {
-    $("helpcard").hidden = !shown;
-    $("help").setAttribute("aria-expanded", String(shown));
-    if (shown) $("helpclose").focus();
   }
 
   /** Show the joint state. */
@@ -135,31 +120,9 @@ export class Panel {
     if (!alarm) this._fade = setTimeout(() => notice.classList.add("fading"), NOTICE_MS);
   }
 
-  _reset() {
-    const button = $("reset");
-    const take = this.link.status && this.link.status.samples >= 2;
-    if (take && performance.now() - this._asked > ASK_MS) {
-      this._asked = performance.now();
-      button.classList.add("ask");
-      button.lastElementChild.textContent = "Drop take?";
-      setTimeout(() => this._calm(), ASK_MS);
-      return;
-    }
-    this._calm();
-    this.link.do("reset");
-  }
-
-  _calm() {
-    this._asked = -Infinity;
-    $("reset").classList.remove("ask");
-    $("reset").lastElementChild.textContent = "Reset";
-  }
-
   _rates() {
     const fps = this.link.fps();
     $("fps").value = fps > 1 ? `${fps} fps` : "still";
-    const latency = this.link.latency();
-    $("latency").value = latency ? `${latency[0].toFixed(0)} ms (${latency[1].toFixed(0)})` : "– ms";
     if (this.link.state === "lost") this.veil();
   }
 }
