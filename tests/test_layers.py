@@ -92,7 +92,7 @@ def test_imports_point_down(package):
         ("leaderboard", "from reconstruct.pipeline import reconstruct"),
         ("leaderboard", "from generator import recorder"),
         ("export", "from leaderboard import metrics"),
-        ("baselines", "from reconstruct.joint import fit_joint"),
+        ("baselines", "from reconstruct.rigid import view_angle"),
         ("baselines", "from freeart21.files.truth import read_truth"),
         ("generator", "import export"),
         ("freeart21", "import trimesh"),

@@ -394,22 +394,6 @@ def test_a_damaged_stage_is_one_line_and_solved_again(harm, sequence, finished, 
     assert found == {name: data for name, data in whole.items() if name != "prediction.json"}
 
 
-def test_the_code_digest_sees_code_alone(tmp_path):
-    def digest(text):
-        (tmp_path / "a.py").write_text(text)
-        return cache.code_digest(tmp_path)
-
-    plain = digest("x: int = 1\ndef f(a):\n    return a + 1\n")
-    assert (
-        digest('"""Doc."""\nx: int = 1  # why\n"""Of x."""\n\n\ndef f( a ):\n    """Doc."""\n    return (a+1)\n')
-        == plain
-    )
-    for text in ("x: int = 1\ndef f(a):\n    return a + 2\n", "x: int = 1\ndef f(a):\n    return a - 1\n"):
-        assert digest(text) != plain
-    assert digest("x: int = 1\ndef f(b):\n    return b + 1\n") != plain
-    assert digest("x: int = 1\ndef f(a):\n    'text'\n    return a + 1\n") == plain
-
-
 # ---- the benchmark -------------------------------------------------------------------------------------------------
 
 
