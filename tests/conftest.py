@@ -6,16 +6,16 @@ from collections import Counter
 import pytest
 
 QUICK = {
-    "camera", "captures", "doctor", "effects", "files", "joint", "joint_asset", "kernels", "layers", "measured",
-    "metrics", "registration", "se3", "shapes", "statistics", "view",
+    "camera", "captures", "doctor", "effects", "files", "joint", "joint_asset", "layers", "measured",
+    "metrics", "se3", "shapes", "statistics", "view",
 }  # fmt: skip
 """Files that take a few seconds each, imports included."""
 SLOW = ("gap_choose", "gap_fit", "whole_path", "examples", "reconstruct", "pipeline", "export", "check_asset", "teleop")
 """Files that begin: if one of them came last, a core would be idle meanwhile."""
 TORCH = {"brought_priors", "gaussian_backends", "joint_batch", "maniskill", "maniskill_many", "priors"}
 """Files whose tests all need PyTorch or ManiSkill."""
-SOME_TORCH = {"baselines", "examples", "jobs"}
-"""Files with some such tests, marked `torch`."""
+SOME_TORCH = {"baselines": "masked_icp", "examples": "maniskill", "jobs": "ray"}
+"""Files with some tests that need them, or Ray, or Open3D: those with this word in their names."""
 
 
 def _subject(path):
@@ -25,7 +25,7 @@ def _subject(path):
 def pytest_ignore_collect(collection_path, config):
     """Files without a test that runs are not even imported."""
     if collection_path.suffix == ".py":
-        wanted = {"quick": QUICK, "torch": TORCH | SOME_TORCH}.get(config.option.markexpr)
+        wanted = {"quick": QUICK, "torch": TORCH | {*SOME_TORCH}}.get(config.option.markexpr)
         subject = _subject(collection_path)
         if subject in TORCH if wanted is None else subject not in wanted:
             return True
@@ -34,9 +34,11 @@ def pytest_ignore_collect(collection_path, config):
 def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: SLOW.index(_subject(item.path)) if _subject(item.path) in SLOW else len(SLOW))
     for item in items:
-        for mark, files in (("quick", QUICK), ("torch", TORCH)):
-            if _subject(item.path) in files:
-                item.add_marker(mark)
+        subject = _subject(item.path)
+        if subject in QUICK:
+            item.add_marker("quick")
+        if subject in TORCH or (subject in SOME_TORCH and SOME_TORCH[subject] in item.name):
+            item.add_marker("torch")
 
 
 def pytest_terminal_summary(terminalreporter):

@@ -35,13 +35,11 @@ def test_the_hidden_damping_is_named(answers):
     assert verdict.verdict == "named" and [named.effect.name for named in verdict.effects] == ["viscous_damping"]
 
 
-@pytest.mark.torch
 def test_the_drawer_is_pushed_shut_in_maniskill(tmp_path):
     assert runpy.run_path(str(EXAMPLES / "maniskill_push.py"))["main"](tmp_path, ["drawer_unit"]) == 1
     assert (tmp_path / "drawer_unit.h5").is_file()
 
 
-@pytest.mark.torch
 def test_the_drawer_is_opened_in_maniskill(tmp_path):
     assert runpy.run_path(str(EXAMPLES / "maniskill_open.py"))["main"](tmp_path) < 0.02
     assert (tmp_path / "opened.png").is_file()
