@@ -1,6 +1,6 @@
 """Whether `gap` names what a camera does to a film: cameras with one fault each, of a size drawn at random.
 
-The faults are those of tests/film_sensors.py, which share no code with what looks for them, put upon clean recordings:
+The faults are those of `film_faults`, which share no code with what looks for them, put upon clean recordings:
 
     freeart21 record swivel_usb filing_cabinet --out data/film --seed 2611 --frames 60 --width 320 \\
         --height 180 --shader trivial
@@ -11,9 +11,6 @@ Weak faults may be below what is named at all: an object 8 cm away hardly shows 
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -22,13 +19,10 @@ from typing import Any
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
-
-import film_sensors as sensors  # noqa: E402
-
-from freeart21.recording import Recording  # noqa: E402
-from simgap.film.workflow import find_film_gap, read_film  # noqa: E402
+from benchmarks import film_faults as sensors
+from benchmarks.common import RESULTS, run_cli, write_report
+from freeart21.recording import Recording
+from simgap.film.workflow import find_film_gap, read_film
 
 Draw = Callable[[Recording, float, np.random.Generator], Recording]
 
@@ -91,21 +85,22 @@ def grade(truth: set[str], verdict: Any) -> str:
     return "in part" if named else "silent" if truth else "right"
 
 
-def main() -> None:
-    """Score, print and write."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, required=True)
-    parser.add_argument("--objects", nargs="*", default=[])
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path)
-    options = parser.parse_args()
+def main(data: Path, objects: tuple[str, ...] = (), seed: int = 1, out: Path = RESULTS / "film_gap.json") -> None:
+    """Film, ask and grade; the file is written after every case.
+
+    Args:
+        data: The data folder.
+        objects: Sequences; the first three when none are named.
+        seed: Of the sizes.
+        out: The JSON file.
+    """
     rows: list[dict[str, Any]] = []
-    names = options.objects or [p.name for p in sorted((options.data / "sequences").iterdir())][:3]
+    names = objects or tuple(path.name for path in sorted((data / "sequences").iterdir()))[:3]
     for o, name in enumerate(names):
-        truth = options.data / "truth" / name
-        film = read_film(truth / "object", options.data / "sequences" / name)
+        truth = data / "truth" / name
+        film = read_film(truth / "object", data / "sequences" / name)
         clean = sensors.film_of(film.recording)
-        for kind, made, expected, size in _cases(clean, np.random.default_rng([options.seed, o])):
+        for kind, made, expected, size in _cases(clean, np.random.default_rng([seed, o])):
             began = time.perf_counter()
             verdict, _ = find_film_gap(replace(film, recording=made))
             row = {
@@ -122,12 +117,7 @@ def main() -> None:
             }
             rows.append(row)
             print(f"{name:24} {kind:32} {size:8.3g} {row['grade']:20} {', '.join(row['named'])}", flush=True)
-            if options.out is not None:
-                text = json.dumps(
-                    {"seed": options.seed, "summary": _summary(rows), "rows": rows}, indent=1, default=list
-                )
-                options.out.write_text(text + "\n")
-    print(json.dumps(_summary(rows), indent=1))
+            write_report(out, {"seed": seed, "objects": names}, summary=_summary(rows), rows=rows)
 
 
 def _shows(clean: Recording, made: Recording) -> bool:
@@ -174,4 +164,4 @@ def _summary(rows: list[dict[str, Any]]) -> dict[str, dict[str, int]]:
 
 
 if __name__ == "__main__":
-    main()
+    run_cli(main)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import importlib.util
 import io
-import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -22,13 +22,13 @@ from freeart21.files import checked
 from freeart21.files.asset import read_asset
 from freeart21.files.urdf import (
     LARGEST_LIMIT,
-    UrdfInertial,
+    UrdfJoint,
+    UrdfLink,
+    UrdfShape,
     link_poses,
-    parse_numbers,
-    parse_origin,
-    parse_urdf,
-    read_attribute,
+    read_file_names,
     read_urdf_joints,
+    read_urdf_parts,
 )
 from freeart21.files.urdf_files import describe_missing_file, resolve_file
 from freeart21.se3 import Array
@@ -42,6 +42,8 @@ Files = Callable[[str], Path]
 """Maps a file name in the URDF to a path."""
 Shapes = list[tuple[Array, trimesh.Trimesh]]
 """Pose (4, 4) in the link, and mesh, of each shape."""
+UNREADABLE = "numbers and meshes"
+"""The rule that numbers and meshes can be read."""
 FK_TOLERANCE = 1e-6
 """Rotation entries and metres by which two simulators may differ in a link's pose within a metre (`allowed_off`)."""
 
@@ -82,37 +84,40 @@ def check_asset(folder: Path) -> list[Finding]:
     folder = Path(folder)
     try:
         asset = read_asset(folder)
-        robot = parse_urdf(asset.urdf)
     except (FreeArtError, ValueError, OverflowError, RecursionError) as error:
         return [Finding("asset", str(error))]
-    findings = check_urdf(robot, asset.urdf, asset.urdf.parent)
+    findings = check_urdf(asset.urdf, asset.urdf.parent)
     if findings:
         return findings
     try:
-        return list(_check_reload(asset, robot))
+        return list(_check_reload(asset))
     except Exception as error:  # hostile numbers reach parsers and geometry of many libraries
-        return [Finding("numbers and meshes", _first_line(error))]
+        return [Finding(UNREADABLE, _first_line(error))]
 
 
-def check_urdf(robot: ET.Element, urdf: Path, folder: Path) -> list[Finding]:
-    """Faults of the URDF's text and of the files that it names in `folder`, without simulation."""
-    masses = [finding for link in robot.findall("link") for finding in _check_masses(link, robot)]
-    findings = [*_check_tree(robot), *_check_names(robot), *_check_paths(robot, urdf, folder)]
+def check_urdf(urdf: Path, folder: Path) -> list[Finding]:
+    """Faults of a URDF and of the files that it names in `folder`, without simulation."""
+    try:
+        links, joints = read_urdf_parts(urdf)
+    except FreeArtError as error:
+        return [Finding(UNREADABLE, str(error))]
+    masses = [finding for link in links for finding in _check_masses(link, joints)]
+    findings = [*_check_tree(links, joints), *_check_names(links, joints), *_check_paths(urdf, folder)]
     if any(f.item == "tree" or f.rule == "paths.exist" for f in findings):  # the rest needs a valid tree and all files
         return [*findings, *masses]
     findings += masses
     files = partial(resolve_file, urdf, root=folder)
     try:
-        for link in robot.findall("link"):
-            shapes = load_shapes(link, "collision", files)
+        for link in links:
+            shapes = load_shapes(link.collisions, files)
             if not any(finding.broken for finding in masses):
                 findings += _check_mass_centre(link, shapes)
             findings += _check_collisions(link, shapes)
             findings += _check_textures(link, files, folder)
-        for joint in robot.findall("joint"):
-            findings += [*_check_axis(joint), *_check_limits(joint)]
+        for joint in joints:
+            findings += _check_limits(joint)
     except Exception as error:  # hostile numbers reach parsers and geometry of many libraries
-        findings.append(Finding("numbers and meshes", _first_line(error)))
+        findings.append(Finding(UNREADABLE, _first_line(error)))
     return findings
 
 
@@ -121,44 +126,40 @@ def _first_line(error: Exception) -> str:
     return lines[0] if isinstance(error, FreeArtError) else f"{type(error).__name__}: {lines[0]}"
 
 
-def _check_tree(robot: ET.Element) -> Iterator[Finding]:
-    links = [link.get("name", "") for link in robot.findall("link")]
-    ends = [(read_attribute(j, "parent", "link"), read_attribute(j, "child", "link")) for j in robot.findall("joint")]
-    for end in {e for pair in ends for e in pair}:
-        if end not in links:
-            yield Finding("tree.links-exist", f"a joint names link '{end}'; links: {', '.join(links)}")
-    children = [child for _, child in ends]
-    roots = [link for link in links if link not in children]
+def _check_tree(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint]) -> Iterator[Finding]:
+    names, ends = [link.name for link in links], [(joint.parent, joint.child) for joint in joints]
+    for end in {e for pair in ends for e in pair} - set(names):
+        yield Finding("tree.links-exist", f"a joint names link '{end}'; links: {', '.join(names)}")
+    parents = Counter(child for _, child in ends)
+    roots = [name for name in names if name not in parents]
     if len(roots) != 1:
         yield Finding("tree.one-root", f"roots are {', '.join(roots) or 'none'}, expected one")
     connected = set(roots)
     while new := {child for parent, child in ends if parent in connected} - connected:
         connected |= new
-    if roots and set(links) - connected:
-        unconnected = ", ".join(sorted(set(links) - connected))
+    if roots and set(names) - connected:
+        unconnected = ", ".join(sorted(set(names) - connected))
         yield Finding("tree.one-root", f"links {unconnected} are not connected to the root")
-    for child in sorted({c for c in children if children.count(c) > 1}):
-        yield Finding("tree.one-parent", f"link '{child}' is the child of {children.count(child)} joints, expected one")
+    for child, count in sorted(parents.items()):
+        if count > 1:
+            yield Finding("tree.one-parent", f"link '{child}' is the child of {count} joints, expected one")
 
 
-def _check_names(robot: ET.Element) -> Iterator[Finding]:
+def _check_names(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint]) -> Iterator[Finding]:
     groups = {
-        "link": robot.findall("link"),
-        "joint": robot.findall("joint"),
-        "visual": list(robot.iter("visual")),
-        "collision": list(robot.iter("collision")),
+        "link": [link.name for link in links],
+        "joint": [joint.name for joint in joints],
+        "visual": [shape.name for link in links for shape in link.visuals if shape.name],
+        "collision": [shape.name for link in links for shape in link.collisions if shape.name],
     }
-    for kind, elements in groups.items():
-        names = [e.get("name", "") for e in elements if kind in ("link", "joint") or e.get("name")]
-        for name in sorted({n for n in names if names.count(n) > 1 or not n}):
-            yield Finding(
-                "names.unique", f"{kind} name '{name}' is used {names.count(name)} times, expected unique names"
-            )
+    for kind, names in groups.items():
+        for name, count in sorted(Counter(names).items()):
+            if count > 1 or not name:
+                yield Finding("names.unique", f"{kind} name '{name}' is used {count} times, expected unique names")
 
 
-def _check_paths(robot: ET.Element, urdf: Path, folder: Path) -> Iterator[Finding]:
-    for element in [*robot.iter("mesh"), *robot.iter("texture")]:
-        name = element.get("filename", "")
+def _check_paths(urdf: Path, folder: Path) -> Iterator[Finding]:
+    for name in read_file_names(urdf, ("mesh", "texture")):
         if not name or Path(name).is_absolute() or "://" in name or " " in name:
             expected = "expected a relative path without spaces in the asset's folder"
             yield Finding("paths.relative", f"file '{name}', {expected}")
@@ -169,48 +170,30 @@ def _check_paths(robot: ET.Element, urdf: Path, folder: Path) -> Iterator[Findin
             yield Finding("paths.exist", str(error))
 
 
-def _check_masses(link: ET.Element, robot: ET.Element) -> Iterator[Finding]:
+def _check_masses(link: UrdfLink, joints: Sequence[UrdfJoint]) -> Iterator[Finding]:
     """Mass and inertia that no body can have."""
-    name = link.get("name")
-    if link.find("inertial") is None:
-        if any(read_attribute(j, "child", "link") == name for j in robot.findall("joint") if j.get("type") != "fixed"):
-            yield Finding("inertia.present", f"link '{name}' moves and has no <inertial>", broken=True)
-        return
-    rows = ("ixx ixy ixz", "ixy iyy iyz", "ixz iyz izz")
-    try:
-        inertia = np.array([[_read_number(link, "inertial/inertia", key, "0") for key in row.split()] for row in rows])
-        wrong = find_unphysical(
-            UrdfInertial(_read_number(link, "inertial/mass", "value", "0"), _read_mass_centre(link), inertia)
-        )
-    except (FreeArtError, np.linalg.LinAlgError) as error:
-        wrong = f"mass, centre or inertia cannot be read: {error}"
-    if wrong:
-        yield Finding("inertia.physical", f"link '{name}': {wrong}", broken=True)
+    if link.inertial is None:
+        if any(joint.child == link.name and joint.type != "fixed" for joint in joints):
+            yield Finding("inertia.present", f"link '{link.name}' moves and has no <inertial>", broken=True)
+    elif wrong := find_unphysical(link.inertial):
+        yield Finding("inertia.physical", f"link '{link.name}': {wrong}", broken=True)
 
 
-def _check_mass_centre(link: ET.Element, shapes: Shapes) -> Iterator[Finding]:
+def _check_mass_centre(link: UrdfLink, shapes: Shapes) -> Iterator[Finding]:
     """A centre of mass outside the link's collision geometry."""
     points = [se3.transform(T, mesh.vertices) for T, mesh in shapes]
-    if points and link.find("inertial") is not None:
-        box, centre = np.concatenate(points), _read_mass_centre(link)
+    if points and link.inertial is not None:
+        box, centre = np.concatenate(points), link.inertial.centre
         if (centre < box.min(0) - 1e-6).any() or (centre > box.max(0) + 1e-6).any():
             yield Finding(
-                "inertia.centre-inside",
-                f"link '{link.get('name')}' has its centre of mass outside of its collision box",
+                "inertia.centre-inside", f"link '{link.name}' has its centre of mass outside of its collision box"
             )
 
 
-def _read_mass_centre(link: ET.Element) -> Array:
-    return parse_numbers(
-        read_attribute(link, "inertial/origin", "xyz", "0 0 0"), 3, f"link '{link.get('name')}' has xyz"
-    )
-
-
-def _check_collisions(link: ET.Element, shapes: Shapes) -> Iterator[Finding]:
-    name = link.get("name")
-    if link.find("visual") is not None and link.find("collision") is None:
+def _check_collisions(link: UrdfLink, shapes: Shapes) -> Iterator[Finding]:
+    name, n = link.name, len(link.collisions)
+    if link.visuals and not n:
         yield Finding("collision.present", f"link '{name}' has a visual but no collision geometry")
-    n = len(link.findall("collision"))
     if n > MAX_HULLS:
         yield Finding("collision.few", f"link '{name}' has {n} collision geometries, expected at most {MAX_HULLS}")
     for k, (_, mesh) in enumerate(shapes):
@@ -224,11 +207,8 @@ def _check_collisions(link: ET.Element, shapes: Shapes) -> Iterator[Finding]:
             yield Finding("collision.convex", f"mesh {k} of link '{name}' is not convex: {filled}")
 
 
-def _check_textures(link: ET.Element, files: Files, folder: Path) -> Iterator[Finding]:
-    for mesh in link.findall("visual/geometry/mesh"):
-        path = files(mesh.get("filename", ""))
-        if path.suffix.lower() != ".obj":
-            continue
+def _check_textures(link: UrdfLink, files: Files, folder: Path) -> Iterator[Finding]:
+    for path in (files(shape.filename) for shape in link.visuals if shape.filename.lower().endswith(".obj")):
         for library in values_after(path, "mtllib"):
             material = checked.inside(folder, str((path.parent / library).resolve()))
             if not material.is_file():
@@ -239,42 +219,33 @@ def _check_textures(link: ET.Element, files: Files, folder: Path) -> Iterator[Fi
                     yield Finding("textures.exist", f"{material.name} names {image}, which does not exist")
 
 
-def _check_axis(joint: ET.Element) -> Iterator[Finding]:
-    if joint.get("type") == "fixed":
+def _check_limits(joint: UrdfJoint) -> Iterator[Finding]:
+    name = f"joint '{joint.name}'"
+    if joint.type != "fixed" and abs(joint.axis_length - 1) > 1e-6:
+        yield Finding("axis.unit", f"{name} has an axis of length {joint.axis_length:.6g}, expected 1")
+    if joint.type not in ("revolute", "prismatic"):
         return
-    name = joint.get("name")
-    length = float(
-        np.linalg.norm(parse_numbers(read_attribute(joint, "axis", "xyz", "1 0 0"), 3, f"joint '{name}' has axis"))
-    )
-    if abs(length - 1) > 1e-6:
-        yield Finding("axis.unit", f"joint '{name}' has an axis of length {length:.6g}, expected 1")
-
-
-def _check_limits(joint: ET.Element) -> Iterator[Finding]:
-    name = joint.get("name")
-    if joint.get("type") not in ("revolute", "prismatic"):
+    if not joint.limited:
+        yield Finding("limits.present", f"{name} has no <limit>")
         return
-    if joint.find("limit") is None:
-        yield Finding("limits.present", f"joint '{name}' has no <limit>")
-        return
-    lower, upper = (_read_number(joint, "limit", key, "0", finite=False) for key in ("lower", "upper"))
-    if max(abs(lower), abs(upper)) > LARGEST_LIMIT:
-        limits = f"joint '{name}' has limits {lower:g} to {upper:g}"
+    limits = f"{name} has limits {joint.lower:g} to {joint.upper:g}"
+    if np.isinf([joint.lower, joint.upper]).any():
         yield Finding("limits.present", f"{limits}, expected within {LARGEST_LIMIT:g} rad or m, or type 'continuous'")
-    if not lower < upper:
-        yield Finding("limits.ordered", f"joint '{name}' has limits {lower:g} to {upper:g}, expected lower < upper")
-    elif not lower <= 0 <= upper:
-        yield Finding("limits.zero-within", f"joint '{name}' has limits {lower:g} to {upper:g}, expected zero within")
-    for key in ("effort", "velocity"):
-        value = _read_number(joint, "limit", key, "0", finite=False)
-        if not value > 0:
-            yield Finding(f"limits.{key}", f"joint '{name}' has {key} {value:g}, expected more than 0")
+    if not joint.lower < joint.upper:
+        yield Finding("limits.ordered", f"{limits}, expected lower < upper")
+    elif not joint.lower <= 0 <= joint.upper:
+        yield Finding("limits.zero-within", f"{limits}, expected zero within")
+    for key, value in (("effort", joint.effort), ("velocity", joint.velocity)):
+        if value is not None and not value > 0:
+            yield Finding(f"limits.{key}", f"{name} has {key} {value:g}, expected more than 0")
+        elif value is None:
+            yield Finding(f"limits.{key}", f"{name} has no finite {key}, expected more than 0")
 
 
-def _check_reload(asset: Asset, robot: ET.Element) -> Iterator[Finding]:
+def _check_reload(asset: Asset) -> Iterator[Finding]:
     """Poses of the moving link by the URDF's numbers against SAPIEN and MuJoCo."""
-    joint = next(j for j in robot.findall("joint") if j.get("name") == asset.joint)
-    lower, upper = (_read_number(joint, "limit", key, default) for key, default in (("lower", "-1"), ("upper", "1")))
+    joint = read_urdf_joints(asset.urdf)[asset.joint]
+    lower, upper = np.clip([joint.lower, joint.upper], -1e3, 1e3) if joint.limited else (-1.0, 1.0)
     positions = np.linspace(lower, upper, 7)
     poses = np.stack([_T_reference_moving(asset, q) for q in positions])
     zero = _T_reference_moving(asset, asset.state_zero)
@@ -322,40 +293,28 @@ def _T_reference_moving(asset: Asset, q: float) -> Array:
     return se3.inverse(Ts[asset.reference_link]) @ Ts[asset.moving_link]
 
 
-def load_shapes(link: ET.Element, tag: str, files: Files) -> Shapes:
-    """Pose in the link, and scaled mesh, of every visual or collision element (`tag`) of a link that has a geometry.
+def load_shapes(shapes: Sequence[UrdfShape], files: Files) -> Shapes:
+    """Pose in the link, and scaled mesh, of every visual or collision shape that has a geometry.
 
-    Raises FreeArtError when a mesh cannot be read or a size is invalid.
+    Raises FreeArtError when a mesh cannot be read.
     """
-    found = []
-    where = f"link '{link.get('name')}'"
-    for element in link.findall(tag):
-        shape = element.find("geometry/*")
-        solid = None if shape is None else _load_geometry(shape, files, where)
-        if solid is not None:
-            found.append((parse_origin(element, where), solid))
-    return found
+    solids = ((shape.T_link_shape, _load_geometry(shape, files)) for shape in shapes)
+    return [(T, solid) for T, solid in solids if solid is not None]
 
 
-def _load_geometry(shape: ET.Element, files: Files, where: str) -> trimesh.Trimesh | None:
+def _load_geometry(shape: UrdfShape, files: Files) -> trimesh.Trimesh | None:
     """The mesh of a geometry in its own frame; None for a kind that URDF does not have."""
-
-    def size(attribute: str, count: int = 1, default: str | None = None) -> Array:
-        return parse_numbers(shape.get(attribute, default), count, f"{where} has {attribute}")
-
-    match shape.tag:
-        case "box":
-            return trimesh.creation.box(size("size", 3))
-        case "sphere":
-            return trimesh.creation.icosphere(3, float(size("radius")[0]))
-        case "cylinder":
-            return trimesh.creation.cylinder(float(size("radius")[0]), float(size("length")[0]))
-        case "capsule":
-            return trimesh.creation.capsule(float(size("length")[0]), float(size("radius")[0]))
-        case "mesh":
-            path = files(shape.get("filename", ""))
-            loaded = read_solid(path)
-            return loaded.apply_scale(size("scale", 3, "1 1 1"))
+    match shape.kind, shape.size.tolist():
+        case "box", size:
+            return trimesh.creation.box(size)
+        case "sphere", [radius]:
+            return trimesh.creation.icosphere(3, radius)
+        case "cylinder", [radius, length]:
+            return trimesh.creation.cylinder(radius, length)
+        case "capsule", [radius, length]:
+            return trimesh.creation.capsule(length, radius)
+        case "mesh", _:
+            return read_solid(files(shape.filename)).apply_scale(shape.size)
     return None
 
 
@@ -377,8 +336,3 @@ def values_after(path: Path, key: str) -> list[str]:
     """The rest of each line of an OBJ or MTL file that begins with `key`."""
     lines = checked.read_text(path, MAX_MESH_BYTES, errors="replace").split("\n")
     return [line[len(key) :].strip() for line in lines if line.startswith(key + " ")]
-
-
-def _read_number(element: ET.Element, path: str, attribute: str, default: str, finite: bool = True) -> float:
-    what = f"{element.tag} '{element.get('name')}' has {attribute}"
-    return float(parse_numbers(read_attribute(element, path, attribute, default), 1, what, finite)[0])

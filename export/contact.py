@@ -17,7 +17,7 @@ from export.decomposition import thicken
 from export.fidelity import PER_SHAPES, Fidelity, depth_in_shapes, measure_fidelity, shape_planes
 from export.outer_surface import DENSE, sample_evenly, sample_outer_surface
 from freeart21 import se3
-from freeart21.files.urdf import parse_urdf, read_urdf
+from freeart21.files.urdf import read_urdf
 from freeart21.files.urdf_files import resolve_file
 from freeart21.mesh import Mesh, join_meshes
 from freeart21.se3 import Array
@@ -33,11 +33,9 @@ _DEPTH_POINTS = 20_000
 def read_link_shapes(urdf: Path) -> tuple[dict[str, Shapes], dict[str, Shapes]]:
     """Visual and collision shapes of a URDF by link, in the link's frame; raises FreeArtError."""
     files = partial(resolve_file, urdf, root=urdf.parent)
-    links = parse_urdf(urdf).findall("link")
-    visuals, collisions = (
-        {e.get("name", ""): load_shapes(e, tag, files) for e in links} for tag in ("visual", "collision")
-    )
-    return visuals, collisions
+    links = read_urdf(urdf).links
+    visuals = {name: load_shapes(link.visuals, files) for name, link in links.items()}
+    return visuals, {name: load_shapes(link.collisions, files) for name, link in links.items()}
 
 
 def measure_contact_fidelity(seen: Mapping[str, Shapes], touched: Mapping[str, Shapes]) -> dict[str, Fidelity]:

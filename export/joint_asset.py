@@ -11,15 +11,17 @@ about every axis.
 from __future__ import annotations
 
 import math
-import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
-from export.model import number_text
+import numpy as np
+
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.places import JOINT_ASSET, check_place
+from freeart21.files.urdf import Urdf, UrdfInertial, UrdfJoint, UrdfLink, UrdfShape, format_urdf
+from freeart21.se3 import pose
 
 Kind = Literal["pendulum", "door", "drawer"]
 KINDS: tuple[str, ...] = get_args(Kind)
@@ -64,35 +66,22 @@ def write_joint_asset(out: Path, numbers: JointNumbers) -> None:
 def format_joint_urdf(numbers: JointNumbers) -> bytes:
     """The URDF file."""
     length, own = _mass_properties(numbers)
-    centre = {"pendulum": (0.0, 0.0, -length), "door": (length, 0.0, 0.0), "drawer": (0.0, 0.0, 0.0)}[numbers.kind]
-    axis = {"pendulum": (0, 1, 0), "door": (0, 0, 1), "drawer": (1, 0, 0)}[numbers.kind]
-    robot = ET.Element("robot", name=numbers.kind)
-    robot.append(ET.Comment(f" {JOINT_ASSET.mark.decode()} "))
-    ET.SubElement(robot, "link", name="base")
-    part = ET.SubElement(robot, "link", name="part")
-    inertial = ET.SubElement(part, "inertial")
-    ET.SubElement(inertial, "origin", xyz=number_text(*centre))
-    ET.SubElement(inertial, "mass", value=repr(float(numbers.mass)))
-    same, none = dict.fromkeys(("ixx", "iyy", "izz"), repr(own)), dict.fromkeys(("ixy", "ixz", "iyz"), "0")
-    ET.SubElement(inertial, "inertia", same | none)
-    visual = ET.SubElement(part, "visual")
-    ET.SubElement(visual, "origin", xyz=number_text(*(c / 2 for c in centre)))
-    thick = max(0.1 * length, 0.02)
-    size = [max(abs(c), thick) for c in centre]
-    ET.SubElement(ET.SubElement(visual, "geometry"), "box", size=number_text(*size))
-    low, high = (-math.inf if numbers.lower is None else numbers.lower, numbers.upper)
-    free = numbers.lower is None and high is None
-    turns = numbers.kind != "drawer"
+    centre = np.array(
+        {"pendulum": (0.0, 0.0, -length), "door": (length, 0.0, 0.0), "drawer": np.zeros(3)}[numbers.kind]
+    )
+    axis = {"pendulum": (0.0, 1.0, 0.0), "door": (0.0, 0.0, 1.0), "drawer": (1.0, 0.0, 0.0)}[numbers.kind]
+    size = np.maximum(np.abs(centre), max(0.1 * length, 0.02))
+    visual = UrdfShape("box", pose(np.eye(3), centre / 2), size)
+    part = UrdfLink("part", (visual,), (), UrdfInertial(float(numbers.mass), centre, own * np.eye(3)))
+    free, turns = numbers.lower is None and numbers.upper is None, numbers.kind != "drawer"
     kind = "continuous" if free and turns else "revolute" if turns else "prismatic"
-    joint = ET.SubElement(robot, "joint", name=numbers.name, type=kind)
-    ET.SubElement(joint, "parent", link="base")
-    ET.SubElement(joint, "child", link="part")
-    ET.SubElement(joint, "axis", xyz=number_text(*axis))
-    if not free:
-        assert high is not None  # checked by `_check`
-        ET.SubElement(joint, "limit", lower=repr(float(low)), upper=repr(float(high)), effort="0", velocity="0")
-    ET.indent(robot)
-    return bytes(ET.tostring(robot, encoding="utf-8", xml_declaration=True)) + b"\n"
+    lower, upper = (np.inf if end is None else end for end in (numbers.lower, numbers.upper))
+    strength = (None, None) if free else (0.0, 0.0)
+    joint = UrdfJoint(
+        numbers.name, kind, "base", "part", np.eye(4), np.array(axis), lower, upper, not free, *strength, 0.0, 0.0
+    )
+    links = {"base": UrdfLink("base", (), (), None), "part": part}
+    return format_urdf(Urdf(Path(), numbers.kind, links, {joint.name: joint}), f" {JOINT_ASSET.mark.decode()} ")
 
 
 def _mass_properties(numbers: JointNumbers) -> tuple[float, float]:

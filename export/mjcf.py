@@ -5,12 +5,13 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from itertools import zip_longest
 
-from export.model import AssetModel, LinkModel, number_text
+from export.model import AssetModel, LinkModel
 from export.primitives import Box, Cylinder, Primitive, Sphere
 from export.stated_trust import trust_comment
 from freeart21 import se3
 from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError
+from freeart21.files.urdf import number_text
 
 STIFF_FRICTION = {"solreffriction": "0.002 1", "solimpfriction": "0.999 0.999 0.001"}
 """MuJoCo's friction is a soft constraint, and with its defaults a joint held by friction creeps: a pendulum was .9 % of

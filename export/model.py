@@ -57,8 +57,3 @@ class AssetModel:
     """Whether the root link moves freely or is fixed to the world."""
     trust: Trust | None = None
     """Trust in the reconstruction; None when not stated."""
-
-
-def number_text(*values: float) -> str:
-    """Numbers separated by spaces, each with the fewest digits that give it back exactly."""
-    return " ".join(repr(float(value) + 0.0) for value in values)

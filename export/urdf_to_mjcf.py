@@ -10,11 +10,11 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from export.mjcf import joint_attributes
-from export.model import WORLD, Base, number_text
+from export.model import WORLD, Base
 from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
-from freeart21.files.urdf import UrdfInertial, UrdfJoint, UrdfLink, UrdfShape, child_joints, read_urdf
+from freeart21.files.urdf import UrdfInertial, UrdfJoint, UrdfLink, UrdfShape, child_joints, number_text, read_urdf
 from freeart21.se3 import Array
 
 _MESHES = (".obj", ".stl", ".msh")

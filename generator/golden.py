@@ -27,6 +27,7 @@ from generator import partnet
 from generator.rays import Caster
 from generator.scene import Picture, Scene
 from generator.sensors import SENSORS
+from generator.urdf_object import LoadedObject
 
 DEPTH_SHARE = 0.002
 """Largest depth error away from edges, as a share of the object's diagonal."""
@@ -112,7 +113,7 @@ def render_again(recording: Recording, truth: Truth, folder: Path, views: int) -
         yield picture, psnr(picture.rgb, truth.query_rgb(i), truth.query_mask(i))
 
 
-def _scene(loaded: partnet.PartNetObject, camera: Camera, truth: Truth) -> Scene:
+def _scene(loaded: LoadedObject, camera: Camera, truth: Truth) -> Scene:
     shader = str(truth.source.get("shader", "default"))
     reach = float(np.linalg.norm(truth.Ts_camera_reference[:, :3, 3], axis=1).max()) + 4 * truth.diagonal
     return Scene(loaded.asset.urdf, [side.links for side in loaded.sides], camera, 1e-3 * reach, reach, shader)

@@ -6,7 +6,6 @@ asset without effects.
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,14 +17,15 @@ from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.asset import write_asset_json
+from freeart21.files.asset_copy import copy_urdf
 from freeart21.files.measured_writer import write_measured
 from freeart21.files.places import check_place
 from freeart21.files.truth import read_truth
-from freeart21.files.urdf import parse_urdf
+from freeart21.files.urdf import format_urdf, read_urdf
 from freeart21.measured import Measured, Run
 from freeart21.se3 import Array
 from freeart21.truth import Truth
-from generator import partnet, simulate, urdf_folder
+from generator import partnet, simulate, urdf_object
 from generator.release import add_inertia
 from generator.session import RecordSettings, build_model, find_partnet_folder
 
@@ -151,9 +151,10 @@ def _asset(
     own = source.get("object_source") == "procedural"
     joint, skip_missing = str(source["joint"]), bool(source["settings"].get("skip_missing"))
     if source.get("object_source") == "urdf":
-        loaded = urdf_folder.load_urdf(_check_urdf(folder, truth, urdf, root), out, joint, skip_missing, root)
-        urdf_folder.clear_notes(out)
-        _remove_dynamics(out / partnet.URDF_NAME)
+        given = _check_urdf(folder, truth, urdf, root)
+        loaded = urdf_object.load_urdf(given, joint, skip_missing, root)
+        copy_urdf(given, out, loaded.asset.root, skip_missing)
+        loaded = urdf_object.load_urdf(_remove_dynamics(out / given.name), joint, skip_missing, out)
     elif urdf is not None:
         raise FreeArtError(f"{folder} is of {source['object']}, which was not recorded from a URDF; got {urdf}")
     else:
@@ -186,7 +187,7 @@ def _check_urdf(folder: Path, truth: Truth, urdf: Path | None, root: Path | None
     name = truth.source["object"]
     if urdf is None:
         raise FreeArtError(f"{folder} is of the URDF {name}; a truth holds its hash, not its files: give it as --urdf")
-    was, now = (truth.source["settings"].get("urdf") or {}).get("sha256"), urdf_folder.digest(urdf, root)
+    was, now = (truth.source["settings"].get("urdf") or {}).get("sha256"), urdf_object.digest(urdf, root)
     if was != now:
         raise FreeArtError(
             f"{urdf} is not the object of {folder}: it and its meshes have SHA-256 {now[:12]}..., expected "
@@ -195,10 +196,9 @@ def _check_urdf(folder: Path, truth: Truth, urdf: Path | None, root: Path | None
     return urdf
 
 
-def _remove_dynamics(urdf: Path) -> None:
+def _remove_dynamics(urdf: Path) -> Path:
     """Remove <dynamics> from a URDF: a released joint has the effects of the recording and no others."""
-    robot = parse_urdf(urdf)
-    for joint in robot.findall("joint"):
-        for dynamics in joint.findall("dynamics"):
-            joint.remove(dynamics)
-    atomic.write_bytes(urdf, ET.tostring(robot))
+    read = read_urdf(urdf)
+    joints = {name: replace(joint, damping=0.0, friction=0.0) for name, joint in read.joints.items()}
+    atomic.write_bytes(urdf, format_urdf(replace(read, joints=joints)))
+    return urdf

@@ -19,28 +19,24 @@ Properties of such folders (`tests/test_partnet.py` loads folders with each of t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from freeart21 import se3
-from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.asset import find_movable_joint, held_positions, read_semantics
-from freeart21.files.urdf import MAX_URDF_BYTES, Urdf, UrdfJoint, UrdfLink, read_urdf, subtree_links
-from freeart21.joint import Joint
-from freeart21.mesh import bounding_diagonal
+from freeart21.files.asset import find_movable_joint, read_semantics
+from freeart21.files.urdf import Urdf, UrdfLink
 from freeart21.se3 import Array
-from generator.motion import motion_range
 from generator.partnet_files import Gaps, read_obj, resolve_inside
-from generator.surface import Surface
+from generator.urdf_object import LoadedObject, Visual, assemble, read_tree
 
 URDF_NAME = "mobility.urdf"
 BOX_NAME = "bounding_box.json"
-FLOATING = "floating"
 
 # fmt: off
 INCOMPLETE = frozenset((
@@ -53,144 +49,44 @@ INCOMPLETE = frozenset((
 list is r-pad's missing_objs.txt). One of them, the scissors 10546, belongs to FreeArt-21."""
 
 
-@dataclass(frozen=True)
-class Visual:
-    """One mesh of a link."""
-
-    mesh: Path
-    T_link_mesh: Array
-    scale: Array
-
-
-@dataclass(frozen=True)
-class Side:
-    """All links on one side of the scored joint."""
-
-    links: tuple[str, ...]
-    surface: Surface
-    """In the object's frame, the scored joint at zero and the others held."""
-
-
-@dataclass(frozen=True)
-class PartNetObject:
-    """A loaded object and the two sides of its scored joint.
-
-    The object's frame is that of the URDF's root link (z up), the scored joint at zero.
-    """
-
-    name: str
-    """The folder's name."""
-    category: str
-    """From meta.json; 'unknown' without it."""
-    asset: Asset
-    """Reference link = the joint's parent, moving link = its child; canonical frame = the object's frame."""
-    joint: Joint
-    """Motion of the child side relative to the parent side, in the object's frame."""
-    parent_side: Side
-    child_side: Side
-    semantics: dict[str, str]
-    """Link name to semantics.txt's kind and name, such as 'slider drawer'; mobility_v2.json may use other names."""
-    missing: tuple[str, ...]
-    """Absent mesh files that the URDF names (only with `skip_missing`, or for an object of `INCOMPLETE`)."""
-    notes: tuple[str, ...]
-    """Remarks on this object for the user, one line each."""
-
-    @property
-    def sides(self) -> tuple[Side, Side]:
-        """Parent side, child side."""
-        return self.parent_side, self.child_side
-
-
 def find_folder(name: str, root: Path) -> Path | None:
     """The folder of object `name`: ROOT/NAME or, as the data set unpacks, ROOT/dataset/NAME; None when absent."""
     return next((place for place in (root / name, root / "dataset" / name) if place.is_dir()), None)
 
 
-def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> PartNetObject:
+def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> LoadedObject:
     """Load the object in `folder` with the named joint (or meta.json's scored joint, or the only movable one).
 
-    Raises FreeArtError, in one line, when a file is missing or unreadable, when the joint is unknown (the movable ones
-    are listed) or has no range, or when a side has no surface. `skip_missing` leaves absent mesh files out instead, as
-    is always done for the objects in `INCOMPLETE`.
+    Raises FreeArtError, in one line, as `generator.urdf_object.load_urdf`. `skip_missing` leaves absent mesh files out,
+    as is always done for the objects in `INCOMPLETE`.
     """
     folder = Path(folder)
     urdf = folder / URDF_NAME
     if not urdf.is_file():
         raise FreeArtError(f"{folder} is not a PartNet-Mobility object: it has no {URDF_NAME}")
     meta = _meta(folder)
-    read = read_tree(urdf)
-    joints = read.joints
-    scored = find_movable_joint(urdf, joint or meta.get("scored_joint"))
-    if not scored.lower < scored.upper:
+    read, gaps = read_tree(urdf), Gaps()
+    find_movable_joint(urdf, joint or meta.get("scored_joint"))
+    absent: set[str] = set()
+    visuals = {link.name: _visuals(link, folder, urdf, gaps, absent) for link in read.links.values()}
+    gaps.meshes |= absent
+    missing = tuple(sorted(absent))
+    if missing and not (skip_missing or folder.resolve().name in INCOMPLETE):
+        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
         raise FreeArtError(
-            f"{urdf}: joint '{scored.name}' cannot move: its limits are [{scored.lower:g}, {scored.upper:g}]"
+            f"{urdf} names the mesh {missing[0]}, which does not exist{more}; --skip-missing leaves absent meshes out"
         )
-    held = held_positions(joints, scored.name)
-    Ts = read.link_poses(held)
-    visuals = {link.name: _visuals(link, folder, urdf) for link in read.links.values()}
-    gaps = Gaps()
-    absent = _missing_meshes(visuals, folder, urdf, skip_missing or folder.resolve().name in INCOMPLETE)
-    gaps.meshes.update(absent)
-    below = subtree_links(joints, scored.child)
-    child = _side(scored, tuple(name for name in visuals if name in below), visuals, Ts, folder, gaps)
-    parent = _side(scored, tuple(name for name in visuals if name not in below), visuals, Ts, folder, gaps)
-    T_object_joint = Ts[scored.parent] @ scored.T_parent_joint
-    assert scored.joint_type is not None
-    lower, upper = scored.lower + 0.0, scored.upper + 0.0
-    if (
-        scored.joint_type == "prismatic"
-    ):  # a missing limit: the object's diagonal from the other, or half of it to either side
-        size = bounding_diagonal(parent.surface.mesh(), child.surface.mesh())
-        ends = np.isfinite([lower, upper])
-        lower = lower if ends[0] else (upper - size if ends[1] else -0.5 * size)
-        upper = upper if ends[1] else lower + size
-    axis, pivot = T_object_joint[:3, :3] @ scored.axis, T_object_joint[:3, 3]
-    moving = Joint(scored.name, scored.joint_type, axis, pivot, lower, upper)
-    asset = Asset(
-        urdf,
-        scored.name,
-        scored.parent,
-        scored.child,
-        Ts[scored.parent],
-        held=held,
-        source={"format": "PartNet-Mobility", "object": folder.name},
-    )
-    notes = (
-        *gaps.notes(),
-        *_joint_notes(moving, scored, joints, held),
-        *_scale_notes(read, visuals, folder),
-        *_meta_notes(meta, folder),
-    )
-    category = str(meta.get("model_cat", "unknown"))
-    return PartNetObject(
-        folder.name, category, asset, moving, parent, child, read_semantics(folder / "semantics.txt"), absent, notes
+    loaded = assemble(read, joint or meta.get("scored_joint"), visuals, gaps, folder.name, folder, "PartNet-Mobility")
+    return replace(
+        loaded,
+        category=str(meta.get("model_cat", "unknown")),
+        semantics=read_semantics(folder / "semantics.txt"),
+        missing=missing,
+        notes=(*loaded.notes, *_scale_notes(read, visuals, folder), *_meta_notes(meta, folder)),
     )
 
 
-def _joint_notes(moving: Joint, scored: UrdfJoint, joints: dict[str, UrdfJoint], held: dict[str, float]) -> list[str]:
-    notes = []
-    ends = np.isfinite([scored.lower, scored.upper])
-    if not ends.all():
-        low, high = motion_range(moving)
-        lacks = "limits" if not ends.any() else "upper limit" if ends[0] else "lower limit"
-        unit = "rad" if moving.type == "revolute" else "m"
-        notes.append(f"joint '{moving.name}' has no {lacks}: it is moved from {low:.4g} to {high:.4g} {unit}")
-    if not moving.lower <= 0 <= moving.upper:
-        notes.append(f"joint '{moving.name}' never stands at 0: its limits are [{moving.lower:g}, {moving.upper:g}]")
-    for name, q in held.items():
-        if mimic := joints[name].mimic:
-            notes.append(f"joint '{name}' follows '{mimic[0]}' (mimic) and is held at {q:g}: only two parts move")
-        elif q != 0:
-            notes.append(f"joint '{name}' cannot stand at 0 and is held at {q:g}")
-    return notes + floating_notes(joints)
-
-
-def floating_notes(joints: dict[str, UrdfJoint]) -> list[str]:
-    """Remarks on floating joints, which are held at their origin."""
-    return [f"joint '{j.name}' is {FLOATING}: it is held at its origin" for j in joints.values() if j.type == FLOATING]
-
-
-def _scale_notes(read: Urdf, visuals: dict[str, list[Visual]], folder: Path) -> list[str]:
+def _scale_notes(read: Urdf, visuals: Mapping[str, Sequence[Visual]], folder: Path) -> list[str]:
     """Remarks on hinges whose frames were not scaled with the meshes, found by bounding_box.json (of the old meshes).
 
     At state zero the assembly is right in any case. A hinge whose axis is outside the assembly by more than 5 % of its
@@ -202,10 +98,10 @@ def _scale_notes(read: Urdf, visuals: dict[str, list[Visual]], folder: Path) -> 
     Ts = read.link_poses({})
     points = np.concatenate(
         [
-            se3.transform(Ts[name] @ v.T_link_mesh, v.scale * surface.vertices[np.unique(surface.faces)])
+            se3.transform(Ts[name] @ v.T_link_mesh, v.scale * v.surface.vertices[np.unique(v.surface.faces)])
             for name, of_link in visuals.items()
             for v in of_link
-            if v.mesh.is_file() and len((surface := read_obj(v.mesh, folder, Gaps())).faces)
+            if len(v.surface.faces)
         ]
     )
     low, high = points.min(0), points.max(0)
@@ -252,32 +148,6 @@ def _meta_notes(meta: dict[str, Any], folder: Path) -> list[str]:
     return [] if ours or stated == folder.name else [f"meta.json calls the object {stated}; the folder's name is kept"]
 
 
-def read_tree(urdf: Path) -> Urdf:
-    """Read a URDF; FreeArtError when it is not one tree of links, or has an unknown joint type.
-
-    SAPIEN would take an unknown type for a fixed joint, and reports other faults without their place.
-    """
-    read = read_urdf(urdf)
-    try:
-        checked.read_bytes(urdf, MAX_URDF_BYTES, checked.ANYWHERE).decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise FreeArtError(f"{urdf} is not UTF-8 text: {error}") from error
-    for j in read.joints.values():
-        if j.joint_type is None and j.type not in ("fixed", FLOATING):
-            raise FreeArtError(
-                f"{urdf}: joint '{j.name}' has type '{j.type}', expected fixed, revolute, continuous, prismatic or "
-                f"{FLOATING} (which is held)"
-            )
-        if j.joint_type and j.type != "continuous" and not j.limited:
-            raise FreeArtError(f"{urdf}: joint '{j.name}' is {j.type} and has no <limit>, expected lower and upper")
-        if j.lower > j.upper:
-            raise FreeArtError(
-                f"{urdf}: joint '{j.name}' has limits [{j.lower:g}, {j.upper:g}], expected lower <= upper"
-            )
-    read.root  # noqa: B018  raises unless there is one
-    return read
-
-
 def _meta(folder: Path) -> dict[str, Any]:
     path = folder / "meta.json"
     meta = checked.read_json(path) if path.is_file() else {}
@@ -286,7 +156,8 @@ def _meta(folder: Path) -> dict[str, Any]:
     return meta
 
 
-def _visuals(link: UrdfLink, folder: Path, urdf: Path) -> list[Visual]:
+def _visuals(link: UrdfLink, folder: Path, urdf: Path, gaps: Gaps, absent: set[str]) -> list[Visual]:
+    """What a link shows; `absent` receives the names of files that are not there."""
     visuals = []
     for shape in link.visuals:
         where = f"{urdf}: link '{link.name}'"
@@ -297,41 +168,8 @@ def _visuals(link: UrdfLink, folder: Path, urdf: Path) -> list[Visual]:
         path = resolve_inside(folder, shape.filename, f"{where} has the mesh")
         if not shape.size.all():
             raise FreeArtError(f"{where} has a mesh of scale {shape.size.tolist()}, expected none to be zero")
-        visuals.append(Visual(path, shape.T_link_shape, shape.size))
+        if path.is_file():
+            visuals.append(Visual(read_obj(path, folder, gaps), shape.T_link_shape, shape.size))
+        else:
+            absent.add(str(path.relative_to(folder.resolve())))
     return visuals
-
-
-def _missing_meshes(visuals: dict[str, list[Visual]], folder: Path, urdf: Path, may_lack: bool) -> tuple[str, ...]:
-    """Absent mesh files; FreeArtError unless `may_lack`."""
-    meshes = {v.mesh for of_link in visuals.values() for v in of_link}
-    absent = tuple(sorted(str(mesh.relative_to(folder.resolve())) for mesh in meshes if not mesh.is_file()))
-    if absent and not may_lack:
-        more = f" and {len(absent) - 1} more" if len(absent) > 1 else ""
-        raise FreeArtError(
-            f"{urdf} names the mesh {absent[0]}, which does not exist{more}; --skip-missing leaves absent meshes out"
-        )
-    return absent
-
-
-def _side(
-    scored: UrdfJoint,
-    links: tuple[str, ...],
-    visuals: dict[str, list[Visual]],
-    Ts: dict[str, Array],
-    folder: Path,
-    gaps: Gaps,
-) -> Side:
-    pieces = [
-        read_obj(v.mesh, folder, gaps).moved(Ts[name] @ v.T_link_mesh, v.scale)
-        for name in links
-        for v in visuals[name]
-        if v.mesh.is_file()
-    ]
-    surface = Surface.joined(pieces)
-    if len(surface.faces) == 0:
-        lacks = gaps.notes()[:1] and f" ({gaps.notes()[0]})"
-        raise FreeArtError(
-            f"{folder / URDF_NAME}: joint '{scored.name}' has no surface on the side of links "
-            f"{', '.join(links) or '(none)'}{lacks or ''}"
-        )
-    return Side(links, surface)

@@ -15,9 +15,8 @@ import functools
 import io
 import re
 import tempfile
-import xml.etree.ElementTree as ET
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,7 @@ from trimesh.geometry import triangulate_quads
 
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.urdf import parse_urdf
+from freeart21.files.urdf import UrdfShape, format_urdf, read_urdf
 from freeart21.files.urdf_files import resolve_file
 from freeart21.se3 import Array
 from generator.surface import Paint, Surface, srgb_bytes
@@ -267,34 +266,24 @@ def sapien_urdf(urdf: Path, root: Path | None = None) -> Iterator[Path]:
     materials. Meshes with a mirroring scale have reversed faces (SAPIEN would show them from inside). Only OBJ files
     are inspected; all are in `root`, as in `freeart21.files.urdf_files`.
     """
-    robot = parse_urdf(urdf)
+    read = read_urdf(urdf)
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
-        changed = False
-        for link in robot.iter("link"):
-            for shape in [s for s in link if s.tag in ("visual", "collision")]:
-                mesh = shape.find("geometry/mesh")
-                if mesh is None:
-                    continue
-                path = resolve_file(urdf, mesh.get("filename", ""), root)
-                mirrored = np.prod(_scale(mesh)) < 0
-                usable = _mesh_for_sapien(path, Path(place), bool(mirrored))
-                changed |= usable != urdf.absolute().parent / mesh.get("filename", "")
-                if usable is None:
-                    link.remove(shape)
-                else:
-                    mesh.set("filename", str(usable))
-        if changed:
-            for texture in robot.iter("texture"):
-                texture.set("filename", str(resolve_file(urdf, texture.get("filename", ""), root)))
-            ET.ElementTree(robot).write(Path(place) / urdf.name, encoding="utf-8")
-        yield Path(place) / urdf.name if changed else urdf
 
+        def usable(_: str, shape: UrdfShape) -> UrdfShape | None:
+            texture = str(resolve_file(urdf, shape.texture, root)) if shape.texture else ""
+            if shape.kind != "mesh":
+                return replace(shape, texture=texture)
+            path = resolve_file(urdf, shape.filename, root)
+            file = _mesh_for_sapien(path, Path(place), bool(np.prod(shape.size) < 0))
+            files.append((str(urdf.absolute().parent / shape.filename), str(file)))
+            return None if file is None else replace(shape, filename=str(file), texture=texture)
 
-def _scale(mesh: ET.Element) -> Array:
-    values = np.ones(3)
-    with contextlib.suppress(ValueError):
-        values = np.array([float(word) for word in mesh.get("scale", "1 1 1").split()])
-    return values
+        files: list[tuple[str, str]] = []
+        changed = read.with_shapes(usable)
+        copy = Path(place) / urdf.name
+        if any(named != file for named, file in files):
+            copy.write_bytes(format_urdf(replace(changed, mujoco={})))
+        yield copy if copy.is_file() else urdf
 
 
 def _mesh_for_sapien(path: Path, place: Path, mirrored: bool) -> Path | None:

@@ -2,36 +2,34 @@
 
 from __future__ import annotations
 
-import json
-import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from manifold3d import Manifold
 from numpy.typing import NDArray
 
 from freeart21.files import atomic, checked
+from freeart21.files.urdf import Urdf, UrdfJoint, UrdfLink, UrdfShape, format_urdf
 from freeart21.mesh import triangle_normals
-from freeart21.se3 import Array
+from freeart21.se3 import Array, exp_so3, pose
 from generator import textures
-from generator.model import SHINE, Finish, Link, Material, ObjectModel, Piece
+from generator.model import SHINE, Finish, Material, ObjectModel, Piece
 from generator.shapes import triangles
+from generator.surface import crease_normals
 
 R_ROOT_MESH: Array = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Root frame (z up) from PartNet-Mobility's mesh frame (y up): the rotation rpy (pi/2, 0, -pi/2) of its last joint."""
-
-_ROOT_RPY = "1.570796326794897 0 -1.570796326794897"
-_CREASE = np.cos(np.radians(40.0))
-_JSON_KIND = {"revolute": "hinge", "prismatic": "slider"}
+_QUARTER = 1.570796326794897
+"""rad, as PartNet-Mobility's files write a quarter turn: the frozen sequences of freeart21-v1 have it."""
+_T_ROOT = pose(exp_so3([0, 0, -_QUARTER]) @ exp_so3([_QUARTER, 0, 0]), np.zeros(3))
 
 
 def write_partnet(model: ObjectModel, folder: Path) -> Path:
-    """Write `model` as the new folder `folder`: mobility.urdf, mobility_v2.json, meshes, pictures and the rest."""
+    """Write `model` as the new folder `folder`: mobility.urdf, meshes, pictures, semantics.txt and meta.json."""
     with atomic.new_folder(folder) as aside:
         names = _write_meshes(model, aside)
         atomic.write_bytes(aside / "mobility.urdf", _urdf(model, names))
-        atomic.write_bytes(aside / "mobility_v2.json", json.dumps(_mobility(model), separators=(",", ":")).encode())
         semantics = "".join(f"link_{k} {link.semantic}\n" for k, link in enumerate(model.links))
         atomic.write_bytes(aside / "semantics.txt", semantics.encode())
         atomic.write_json(
@@ -45,14 +43,7 @@ def write_partnet(model: ObjectModel, folder: Path) -> Path:
                 "link_mass_kg": {f"link_{k}": round(link.mass, 6) for k, link in enumerate(model.links)},
             },
         )
-        corners = np.concatenate([_mesh_frame(piece.solid)[0] for link in model.links for piece in link.pieces])
-        atomic.write_json(aside / "bounding_box.json", {"min": corners.min(0), "max": corners.max(0)})
     return folder
-
-
-def _mesh_frame(solid: Manifold) -> tuple[Array, NDArray[np.int64]]:
-    vertices, faces = triangles(solid)
-    return vertices @ R_ROOT_MESH, faces
 
 
 def _write_meshes(model: ObjectModel, folder: Path) -> list[list[tuple[str, str]]]:
@@ -136,81 +127,30 @@ def box_uv(vertices: Array, faces: NDArray[np.int64], tile_m: float | None) -> A
     return uv
 
 
-def crease_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
-    """Corner normals (F, 3, 3): at each vertex the area-weighted mean over the faces within 40 degrees of this one."""
-    area_normal = triangle_normals(vertices, faces)
-    unit = area_normal / np.maximum(np.linalg.norm(area_normal, axis=1, keepdims=True), 1e-20)
-    order = np.argsort(faces.reshape(-1), kind="stable")
-    counts = np.bincount(faces.reshape(-1), minlength=len(vertices))
-    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    vertex = faces.reshape(-1)[order]
-    repeats = counts[vertex]
-    mine = np.repeat(order, repeats)  # every corner, once for each corner that shares its vertex
-    offset = np.arange(len(mine)) - np.repeat(np.cumsum(repeats) - repeats, repeats)
-    other = order[np.repeat(starts[vertex], repeats) + offset]
-    near = np.einsum("ij,ij->i", unit[mine // 3], unit[other // 3]) >= _CREASE
-    total = np.zeros((faces.size, 3))
-    np.add.at(total, mine[near], area_normal[other[near] // 3])
-    return np.asarray((total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)).reshape(-1, 3, 3))
-
-
 def _urdf(model: ObjectModel, names: list[list[tuple[str, str]]]) -> bytes:
     """The URDF: no inertia, dynamics or effort, meshes placed by minus the sum of joint origins, root joint last."""
-    robot = ET.Element("robot", name=f"partnet_{model.name}")
-    ET.SubElement(robot, "link", name="base")
+    links = {"base": UrdfLink("base", (), (), None)}
+    joints = {}
     for k, link in enumerate(model.links):
-        origin = _text(-_origin(model, f"link_{k}"))
-        element = ET.SubElement(robot, "link", name=f"link_{k}")
-        for kind in ("visual", "collision"):
-            for name, mesh in names[k]:
-                shape = ET.SubElement(element, kind, {"name": name} if kind == "visual" else {})
-                ET.SubElement(shape, "origin", xyz=origin)
-                ET.SubElement(ET.SubElement(shape, "geometry"), "mesh", filename=mesh)
-        _add_joint(robot, model, k, link)
-    ET.indent(robot, "\t")
-    return b'<?xml version="1.0" ?>\n' + ET.tostring(robot) + b"\n"
-
-
-def _add_joint(robot: ET.Element, model: ObjectModel, k: int, link: Link) -> None:
-    hinge = link.hinge
-    joint = ET.SubElement(robot, "joint", name=f"joint_{k}", type="fixed" if hinge is None else hinge.type)
-    if hinge is None:
-        ET.SubElement(joint, "origin", rpy=_ROOT_RPY, xyz="0 0 0")
-    else:
-        ET.SubElement(joint, "origin", xyz=_text(_origin(model, f"link_{k}") - _origin(model, hinge.parent)))
-        ET.SubElement(joint, "axis", xyz=_text(np.array(hinge.axis, float) @ R_ROOT_MESH))
-    ET.SubElement(joint, "child", link=f"link_{k}")
-    ET.SubElement(joint, "parent", link="base" if hinge is None else hinge.parent)
-    if hinge is not None:
-        ET.SubElement(joint, "limit", lower=repr(float(hinge.lower)), upper=repr(float(hinge.upper)))
+        name, hinge, at = f"link_{k}", link.hinge, _origin(model, f"link_{k}")
+        shapes = [UrdfShape("mesh", pose(np.eye(3), -at), np.ones(3), mesh, name=own) for own, mesh in names[k]]
+        links[name] = UrdfLink(name, tuple(shapes), tuple(replace(shape, name="") for shape in shapes), None)
+        joints[f"joint_{k}"] = UrdfJoint(
+            f"joint_{k}",
+            "fixed" if hinge is None else hinge.type,
+            "base" if hinge is None else hinge.parent,
+            name,
+            _T_ROOT if hinge is None else pose(np.eye(3), at - _origin(model, hinge.parent)),
+            np.eye(3)[0] if hinge is None else np.array(hinge.axis, float) @ R_ROOT_MESH,
+            -np.inf if hinge is None else hinge.lower,
+            np.inf if hinge is None else hinge.upper,
+            hinge is not None,
+            *(None, None, 0.0, 0.0),
+        )
+    return format_urdf(Urdf(Path(), f"partnet_{model.name}", links, joints))
 
 
 def _origin(model: ObjectModel, link: str) -> Array:
     """(3,) where a link's frame stands in the mesh frame: the sum of the joint origins down to it."""
     hinge = model.links[int(link.removeprefix("link_"))].hinge
     return np.zeros(3) if hinge is None else np.array(hinge.pivot, float) @ R_ROOT_MESH
-
-
-def _mobility(model: ObjectModel) -> list[dict[str, Any]]:
-    entries, part = [], 0
-    for k, link in enumerate(model.links):
-        parts = [{"id": part + i + 1, "name": piece.name, "children": []} for i, piece in enumerate(link.pieces)]
-        part += len(parts)
-        kind, name = link.semantic.split(" ", 1)
-        entry = {"id": k, "parent": -1, "joint": kind, "name": name, "parts": parts, "jointData": {}}
-        if link.hinge is not None:
-            unit = 180 / np.pi if link.hinge.type == "revolute" else 1.0
-            entry["parent"], entry["joint"] = int(link.hinge.parent.removeprefix("link_")), _JSON_KIND[link.hinge.type]
-            entry["jointData"] = {
-                "axis": {
-                    "origin": (np.array(link.hinge.pivot, float) @ R_ROOT_MESH).tolist(),
-                    "direction": (np.array(link.hinge.axis, float) @ R_ROOT_MESH).tolist(),
-                },
-                "limit": {"a": link.hinge.lower * unit, "b": link.hinge.upper * unit, "noLimit": False},
-            }
-        entries.append(entry)
-    return entries
-
-
-def _text(values: Array) -> str:
-    return " ".join(repr(float(v) + 0.0) for v in values)

@@ -7,7 +7,6 @@ collision shapes at 1000 kg/m^3.
 from __future__ import annotations
 
 import tempfile
-import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,21 +16,21 @@ import trimesh
 from freeart21.asset import Asset
 from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError
-from freeart21.files.urdf import parse_urdf
+from freeart21.files.urdf import UrdfInertial, format_urdf, read_urdf
 from freeart21.se3 import Array
 from generator import simulate
 from generator.model import Link, ObjectModel
 from generator.motion.body import Body
 from generator.motion.styles.release import tip_base
-from generator.partnet import PartNetObject
 from generator.partnet_writer import R_ROOT_MESH
 from generator.shapes import triangles
+from generator.urdf_object import LoadedObject
 
 _TIMESTEP_S = 1e-3
 
 
 def roll_out_release(
-    loaded: PartNetObject,
+    loaded: LoadedObject,
     effects: tuple[Effect, ...],
     frames: int,
     fps: float,
@@ -81,22 +80,22 @@ def add_inertia(asset: Asset, model: ObjectModel, folder: Path, shapes: bool = F
 
     The URDF has the visual and collision shapes only with `shapes`.
     """
-    root = parse_urdf(asset.urdf)
-    for element in root.findall("link"):
-        for shape in () if shapes else (*element.findall("visual"), *element.findall("collision")):
-            element.remove(shape)
-        name = element.get("name", "")
+    urdf = read_urdf(asset.urdf)
+    links = {}
+    for name, link in urdf.links.items():
+        link = link if shapes else replace(link, visuals=(), collisions=())
         if name.startswith("link_"):
-            link = model.links[int(name.removeprefix("link_"))]
-            pivot = np.zeros(3) if link.hinge is None else np.array(link.hinge.pivot, float)
-            element.append(_inertial(link, pivot))
+            made = model.links[int(name.removeprefix("link_"))]
+            pivot = np.zeros(3) if made.hinge is None else np.array(made.hinge.pivot, float)
+            link = replace(link, inertial=_inertial(made, pivot))
+        links[name] = link
     path = folder / "weighed.urdf"
-    path.write_bytes(ET.tostring(root))
+    path.write_bytes(format_urdf(replace(urdf, links=links)))
     return replace(asset, urdf=path)
 
 
-def _inertial(link: Link, pivot: Array) -> ET.Element:
-    """The URDF's <inertial> of a link, in the link's frame: at `pivot` (3,) of the object, with mesh-frame axes."""
+def _inertial(link: Link, pivot: Array) -> UrdfInertial:
+    """The mass properties of a link, in the link's frame: at `pivot` (3,) of the object, with mesh-frame axes."""
     mass, moment, about_zero = 0.0, np.zeros(3), np.zeros((3, 3))
     for piece in link.pieces:
         solid = trimesh.Trimesh(*triangles(piece.solid), process=False)
@@ -108,9 +107,4 @@ def _inertial(link: Link, pivot: Array) -> ET.Element:
     centre = moment / mass
     inertia = about_zero - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
     centre, inertia = (centre - pivot) @ R_ROOT_MESH, R_ROOT_MESH.T @ inertia @ R_ROOT_MESH
-    element = ET.Element("inertial")
-    ET.SubElement(element, "origin", xyz=" ".join(repr(float(x)) for x in centre))
-    ET.SubElement(element, "mass", value=repr(mass))
-    entries = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
-    ET.SubElement(element, "inertia", {name: repr(float(inertia[at])) for name, at in entries.items()})
-    return element
+    return UrdfInertial(mass, centre, inertia)

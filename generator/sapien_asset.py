@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import tempfile
-import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from freeart21 import child, se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
-from freeart21.files.urdf import Urdf, UrdfJoint, parse_urdf, subtree_links
+from freeart21.files.urdf import Urdf, UrdfJoint, UrdfLink, UrdfShape, format_urdf, subtree_links
 from freeart21.files.urdf_files import find_file
 
 UNREACHED = 1e4
@@ -67,7 +67,7 @@ def build_articulation(
     """
     _check_tree(asset, urdf)
     _check_sides(asset, urdf.joints, joint)
-    robot, joints = _urdf_for_sapien(asset, urdf.joints, visuals, collisions), urdf.joints
+    robot, joints = _urdf_for_sapien(asset, urdf, visuals, collisions), urdf.joints
     builder = _articulation_builder(asset.urdf, robot, scene)
     for link in builder.link_builders:
         link.collision_groups = _COLLISION_GROUPS
@@ -118,11 +118,11 @@ def _check_sides(asset: Asset, joints: dict[str, UrdfJoint], joint: UrdfJoint) -
         )
 
 
-def _articulation_builder(urdf: Path, robot: ET.Element, scene: Any) -> Any:
+def _articulation_builder(urdf: Path, robot: Urdf, scene: Any) -> Any:
     """SAPIEN's articulation builder of the rewritten URDF `robot`."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "asset.urdf"
-        ET.ElementTree(robot).write(path, encoding="utf-8")
+        path.write_bytes(format_urdf(robot))
         try:
             articulations, actors, _ = scene.create_urdf_loader().parse(str(path))
         except Exception as error:  # SAPIEN raises Exception itself
@@ -165,28 +165,32 @@ def _frozen_position(asset: Asset, joint: UrdfJoint) -> float:
     return asset.held.get(joint.name, float(np.clip(0.0, joint.lower, joint.upper)))
 
 
-def _urdf_for_sapien(asset: Asset, joints: dict[str, UrdfJoint], visuals: bool, collisions: bool) -> ET.Element:
+def _urdf_for_sapien(asset: Asset, urdf: Urdf, visuals: bool, collisions: bool) -> Urdf:
     """The URDF with absolute file names and complete limits, without what the simulation does not need."""
-    root = parse_urdf(asset.urdf)
-    for element in list(root):
-        if element.tag not in ("link", "joint", "material"):
-            root.remove(element)
-    for file in [*root.iter("mesh"), *root.iter("texture")]:
-        file.set("filename", str(find_file(asset.urdf, file.get("filename", ""), asset.root)))
-    for link in root.findall("link"):
-        mass = link.find("inertial/mass")
-        has_mass = mass is not None and float(mass.get("value", "0")) > 0
-        for shape in list(link):
-            unused = shape.tag == "collision" and has_mass and not collisions
-            if unused or (shape.tag == "visual" and not visuals):
-                link.remove(shape)
-    for element in root.findall("joint"):
-        for part in [p for p in element if p.tag in ("mimic", "dynamics", "limit")]:
-            element.remove(part)
-        joint = joints[element.get("name", "")]
-        if joint.type in ("revolute", "prismatic"):
-            ET.SubElement(element, "limit", {"lower": repr(joint.lower), "upper": repr(joint.upper)})
-    return root
+
+    def with_file(_: str, shape: UrdfShape) -> UrdfShape:
+        names = (
+            str(find_file(asset.urdf, name, asset.root)) if name else "" for name in (shape.filename, shape.texture)
+        )
+        filename, texture = names
+        return replace(shape, filename=filename, texture=texture)
+
+    def needed(link: UrdfLink) -> UrdfLink:
+        has_mass = link.inertial is not None and link.inertial.mass > 0
+        return replace(
+            link,
+            visuals=link.visuals if visuals else (),
+            collisions=link.collisions if collisions or not has_mass else (),
+        )
+
+    joints = {
+        joint.name: replace(
+            joint, limited=joint.type != "continuous", mimic=None, damping=0.0, friction=0.0, effort=None, velocity=None
+        )
+        for joint in urdf.joints.values()
+    }
+    named = urdf.with_shapes(with_file)
+    return replace(named, links={n: needed(link) for n, link in named.links.items()}, joints=joints, mujoco={})
 
 
 def _check_tree(asset: Asset, urdf: Urdf) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import functools
+import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,16 @@ from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.doctor import require_rendering
 from freeart21.errors import FreeArtError
+from freeart21.files.urdf import format_urdf, read_file_names, read_urdf
+from freeart21.files.urdf_files import find_root
 from freeart21.se3 import Array
-from generator.partnet_files import sapien_urdf
+from generator.model import SHINE
+from generator.partnet import URDF_NAME
+from generator.partnet_files import Gaps, sapien_urdf
 from generator.sapien_asset import read_files_now
-from generator.surface import srgb_bytes
+from generator.surface import Surface, crease_normals, srgb_bytes
+from generator.textures import plain
+from generator.urdf_object import FLOATING, read_visuals
 
 _T_SAPIEN_CAMERA = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """SAPIEN's camera axes (x forward, y left, z up) from ours (x right, y down, z forward)."""
@@ -76,8 +83,10 @@ class Scene:
         near: float,
         far: float,
         shader: str = "default",
+        root: Path | None = None,
     ) -> None:
-        """`groups` are the link names of each label, from label 1; `near` and `far` bound the depth, metres.
+        """`groups` are the link names of each label, from label 1; `near` and `far` bound the depth, metres; files are
+        in `root`. SAPIEN reads the files of a PartNet-Mobility folder; the meshes of any other URDF are read by us.
 
         Raises FreeArtError when this machine cannot render or SAPIEN cannot load the object.
         """
@@ -104,7 +113,7 @@ class Scene:
         self._props: list[Any] = []
         self._prop_gloss: dict[int, list[float]] = {}
         self._props_shown = False
-        self._object = _load(self._scene, urdf)
+        self._object = _load(self._scene, urdf, root)
         self._joint_names = [joint.name for joint in self._object.active_joints]
         self._label = _group_labels(self._object, groups, urdf)
         self._depths = near, far
@@ -314,11 +323,18 @@ def _out_of_view() -> Any:
     return sapien.Pose([-1e4, 0, 0])
 
 
-def _load(scene: Any, urdf: Path) -> Any:
+def _load(scene: Any, urdf: Path, root: Path | None) -> Any:
     """The articulation of a URDF without collision shapes and without absent files."""
+    read = read_urdf(urdf)
     loader = scene.create_urdf_loader()
     loader.fix_root_link = False
-    with sapien_urdf(urdf) as readable:
+    with tempfile.TemporaryDirectory(prefix="freeart21-") as place, sapien_urdf(urdf, root) as readable:
+        own = urdf.name != URDF_NAME
+        if own:
+            joints = {n: replace(j, type="fixed") if j.type == FLOATING else j for n, j in read.joints.items()}
+            bare = replace(read.with_shapes(lambda *_: None), joints=joints, mujoco={})
+            readable = Path(place) / urdf.name
+            readable.write_bytes(format_urdf(bare))
         try:
             builders = loader.parse(str(readable))[0]
             for link in builders[0].link_builders:
@@ -328,7 +344,36 @@ def _load(scene: Any, urdf: Path) -> Any:
         except Exception as error:  # the loader raises Exception itself
             lines = str(error).replace(str(readable.parent), str(urdf.parent)).strip().splitlines()
             raise FreeArtError(f"SAPIEN cannot load {urdf}: {lines[0] if lines else type(error).__name__}") from error
+    if own:
+        shown = read_visuals(read, find_root(urdf, read_file_names(urdf), root), True, Gaps())
+        for link in articulation.links:
+            surfaces = [v.surface.moved(v.T_link_mesh, v.scale) for v in shown[link.name]]
+            if surfaces:
+                link.entity.add_component(_render_body([skin for s in surfaces for skin in _skins(s)]))
     return articulation
+
+
+def _skins(surface: Surface) -> list[Skin]:
+    """A skin for each paint of a surface, of the finish 'plastic'."""
+    strength, exponent = SHINE["plastic"]
+    normals = crease_normals(surface.vertices, surface.faces)
+    skins = []
+    for k, paint in enumerate(surface.paints):
+        here = surface.paint[surface.faces[:, 0]] == k
+        corners = surface.faces[here].reshape(-1)
+        picture = plain(tuple((paint.colour / 255.0).tolist())) if paint.picture is None else paint.picture
+        if len(corners):
+            skins.append(
+                Skin(
+                    surface.vertices[corners],
+                    np.arange(len(corners)).reshape(-1, 3),
+                    normals[here].reshape(-1, 3),
+                    surface.uv[corners],
+                    picture,
+                    1 - strength * float(np.sqrt(exponent / 1000)),
+                )
+            )
+    return skins
 
 
 def _specular_strengths(scene: Any, known: dict[int, list[float]]) -> NDArray[np.float32]:

@@ -12,10 +12,10 @@ from freeart21.camera_faults import CameraFaults, incidence_cosine
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 from generator.motion import Plan, hull_points
-from generator.partnet import PartNetObject
 from generator.scene import Scene, encode_srgb
 from generator.sensors import check_sensor
 from generator.sensors.base import Video
+from generator.urdf_object import LoadedObject
 
 EXPOSURE_S = 1 / 60
 """Exposure time of blur, half a frame at 30 a second; at most a frame."""
@@ -48,7 +48,7 @@ class Sensor:
         name: str,
         scene: Scene,
         plan: Plan,
-        loaded: PartNetObject,
+        loaded: LoadedObject,
         meshes: tuple[Mesh, Mesh],
         seed: int,
         fps: float,

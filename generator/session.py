@@ -29,7 +29,7 @@ from freeart21.joint import Joint
 from freeart21.mesh import Mesh, bounding_diagonal
 from freeart21.se3 import Array
 from freeart21.truth import Truth
-from generator import objects, partnet, urdf_folder
+from generator import objects, partnet, urdf_object
 from generator.frame_writer import FrameWriter
 from generator.model import ObjectModel
 from generator.motion import PRESETS, STYLES, Plan, motion_range, plan_motion
@@ -44,6 +44,7 @@ from generator.scene import Picture, Scene, simulator
 from generator.sensor import Sensor
 from generator.sensors import check_sensor
 from generator.truth_mesh import build_truth
+from generator.urdf_object import LoadedObject
 
 LICENCES = {
     "procedural": "CC0-1.0",
@@ -190,7 +191,7 @@ class RecordSettings:
         if self.track is None:
             del facts["carry"]
         if self.urdf is not None:
-            facts["urdf"] = {"name": self.urdf.name, "sha256": urdf_folder.digest(self.urdf, self.root)}
+            facts["urdf"] = {"name": self.urdf.name, "sha256": urdf_object.digest(self.urdf, self.root)}
         if self.track is not None:
             facts["track"] = {"name": self.track.name, "sha256": file_sha256(self.track, checked.ANYWHERE)}
         return facts
@@ -232,10 +233,10 @@ def record_object(name: str, settings: RecordSettings, work: Path, progress: Pro
 
 def resolve_name(name: str, settings: RecordSettings) -> tuple[str, RecordSettings]:
     """The object's name, and the settings with its URDF when `name` is the path of one."""
-    if not name.lower().endswith(urdf_folder.URDF_ENDINGS):
+    if not name.lower().endswith(urdf_object.URDF_ENDINGS):
         return name, settings
     urdf = checked.require_file(Path(name), MAX_URDF_BYTES, checked.ANYWHERE)
-    return urdf_folder.object_name(Path(name)), replace(settings, urdf=urdf)
+    return urdf_object.object_name(Path(name)), replace(settings, urdf=urdf)
 
 
 def catalog_entry(name: str, settings: RecordSettings) -> catalog.CatalogEntry:
@@ -245,16 +246,14 @@ def catalog_entry(name: str, settings: RecordSettings) -> catalog.CatalogEntry:
     return catalog.find(name, partnet=settings.partnet_root is not None)
 
 
-def load_object(entry: catalog.CatalogEntry, settings: RecordSettings, place: Path) -> partnet.PartNetObject:
-    """The object of the catalog's `entry`, loaded from a PartNet-Mobility folder.
+def load_object(entry: catalog.CatalogEntry, settings: RecordSettings, place: Path) -> LoadedObject:
+    """The object of the catalog's `entry`, or of the settings' URDF.
 
-    The folder of a procedural object or a URDF is written in `place` unless it exists; a procedural object gets the
-    preset's size. Folders of PartNet-Mobility objects are the user's.
+    The folder of a procedural object is written in `place` unless it exists; it gets the preset's size. Other files are
+    the user's.
     """
     if settings.urdf is not None:
-        return urdf_folder.load_urdf(
-            settings.urdf, place / entry.name, settings.joint, settings.skip_missing, settings.root
-        )
+        return urdf_object.load_urdf(settings.urdf, settings.joint, settings.skip_missing, settings.root)
     folder = (
         place / entry.name if entry.source == "procedural" else find_partnet_folder(entry.name, settings.partnet_root)
     )
@@ -270,7 +269,7 @@ def build_model(name: str, settings: RecordSettings) -> ObjectModel:
 
 
 def plan_recording(
-    loaded: partnet.PartNetObject, settings: RecordSettings, model: ObjectModel | None = None
+    loaded: LoadedObject, settings: RecordSettings, model: ObjectModel | None = None
 ) -> tuple[Camera, Plan]:
     """The camera and the planned motion. `model` gives the masses of a procedural object for the motion 'release'."""
     preset, s = PRESETS[settings.preset], settings
@@ -288,7 +287,7 @@ def plan_recording(
     return camera, plan_motion(s.motion, meshes, loaded.joint, camera, s.frames, s.fps, s.seed, preset, states)
 
 
-def _plan_from_take(loaded: partnet.PartNetObject, settings: RecordSettings, camera: Camera) -> Plan:
+def _plan_from_take(loaded: LoadedObject, settings: RecordSettings, camera: Camera) -> Plan:
     """The motion of the settings' take. Poses that are changes since the first start as the motion 'tumble' does."""
     assert settings.track is not None
     s, preset, take = settings, PRESETS[settings.preset], read_track(settings.track)
@@ -374,7 +373,7 @@ class Session:
 
     def __init__(
         self,
-        loaded: partnet.PartNetObject,
+        loaded: LoadedObject,
         settings: RecordSettings,
         work: Path,
         progress: Progress,
@@ -390,7 +389,7 @@ class Session:
         self.depth_scale = nice_scale((far if settings.camera is None else 2 * far + ROOM_M) / 65000)
         groups = [side.links for side in loaded.sides]
         faults = None if settings.camera is None else read_camera_faults(settings.camera)
-        self.scene = Scene(loaded.asset.urdf, groups, self.camera, near, far, settings.shader)
+        self.scene = Scene(loaded.asset.urdf, groups, self.camera, near, far, settings.shader, loaded.asset.root)
         self.sensor = Sensor(
             settings.sensor, self.scene, self.plan, loaded, coarse, settings.seed, settings.fps, faults
         )

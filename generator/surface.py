@@ -13,6 +13,8 @@ from freeart21.errors import FreeArtError
 from freeart21.mesh import Mesh, triangle_normals
 from freeart21.se3 import Array
 
+_CREASE = np.cos(np.radians(40.0))
+
 
 @dataclass(frozen=True)
 class Paint:
@@ -114,3 +116,21 @@ def srgb_bytes(linear: Array) -> NDArray[np.uint8]:
     linear = np.clip(linear, 0, 1)
     encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     return np.asarray(np.rint(255 * encoded).astype(np.uint8))
+
+
+def crease_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
+    """Corner normals (F, 3, 3): at each vertex the area-weighted mean over the faces within 40 degrees of this one."""
+    area_normal = triangle_normals(vertices, faces)
+    unit = area_normal / np.maximum(np.linalg.norm(area_normal, axis=1, keepdims=True), 1e-20)
+    order = np.argsort(faces.reshape(-1), kind="stable")
+    counts = np.bincount(faces.reshape(-1), minlength=len(vertices))
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    vertex = faces.reshape(-1)[order]
+    repeats = counts[vertex]
+    mine = np.repeat(order, repeats)  # every corner, once for each corner that shares its vertex
+    offset = np.arange(len(mine)) - np.repeat(np.cumsum(repeats) - repeats, repeats)
+    other = order[np.repeat(starts[vertex], repeats) + offset]
+    near = np.einsum("ij,ij->i", unit[mine // 3], unit[other // 3]) >= _CREASE
+    total = np.zeros((faces.size, 3))
+    np.add.at(total, mine[near], area_normal[other[near] // 3])
+    return np.asarray((total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)).reshape(-1, 3, 3))

@@ -14,6 +14,7 @@ from freeart21.mesh import bounding_diagonal
 from freeart21.truth import Truth
 from generator import partnet
 from generator.truth_mesh import build_truth
+from generator.urdf_object import LoadedObject
 
 EDGE = 0.02
 """Longest edge of the truth meshes, as a share of the object's diagonal: as in recordings of our own."""
@@ -62,7 +63,7 @@ def complete_truth(
     return build_truth(fine, parts, known.states, read.recording.camera, frames, known.source | facts)
 
 
-def _check_same(read: ThirdPartyRecording, known: KnownTruth, loaded: partnet.PartNetObject, diagonal: float) -> None:
+def _check_same(read: ThirdPartyRecording, known: KnownTruth, loaded: LoadedObject, diagonal: float) -> None:
     wrong = sorted(n for n, q in known.held.items() if abs(loaded.asset.held.get(n, q) - q) > _SAME_STATE)
     if wrong:
         name = wrong[0]

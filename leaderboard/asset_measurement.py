@@ -1,11 +1,12 @@
 """Measures a submitted asset in the simulator: its joint, its visual meshes, and the findings of its checks.
 
 The loaders of an asset are native code that a hostile file can crash, so each asset is measured in a process of its own
-(`leaderboard.asset_process`).
+(`leaderboard.forked`).
 """
 
 from __future__ import annotations
 
+import atexit
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,12 +21,12 @@ from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.asset import find_movable_joint, read_asset
 from freeart21.files.joint_json import joint_from_json, joint_to_json
-from freeart21.files.urdf import parse_urdf, read_urdf_joints, subtree_links
+from freeart21.files.urdf import read_file_names, read_urdf_joints, subtree_links
 from freeart21.files.urdf_files import resolve_file
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh, join_meshes
 from freeart21.se3 import Array
-from leaderboard import asset_process
+from leaderboard import forked
 from leaderboard.protocol import Shape
 from leaderboard.submission import LARGEST, MAX_FACES
 from leaderboard.surface import Surface
@@ -51,6 +52,9 @@ LEAST_SLIDE = 1e-6
 """Metres over the whole range below which a joint counts as not sliding."""
 LOOSEST_FIT = 1e-3
 """Largest entry, per metre of travel, of the difference between the motion and that of a hinge or slider."""
+
+_SERVER = forked.Server("leaderboard.asset_measurement")
+atexit.register(_SERVER.close)
 
 
 @dataclass(frozen=True)
@@ -98,10 +102,10 @@ def _measure(folder: Path, states: ArrayLike, whole: bool) -> MeasuredAsset:
 
 def _ask(folder: Path, request: dict[str, Any], temporary: Path) -> dict[str, Any]:
     try:
-        answer = asset_process.ask("leaderboard.asset_measurement", request, temporary, TIME_LIMIT_S)
-    except asset_process.TimedOut as error:
+        answer = _SERVER.ask(request, temporary, TIME_LIMIT_S)
+    except forked.TimedOut as error:
         raise FreeArtError(f"{folder} did not load and move within {TIME_LIMIT_S:g} s") from error
-    except asset_process.Crashed as error:
+    except forked.Crashed as error:
         code, _, message = str(error).partition(": ")
         raise FreeArtError(f"{folder} ended the simulator that loaded it ({code}): {message}") from error
     if "error" in answer:
@@ -126,9 +130,8 @@ def check_asset_files(folder: Path) -> None:
     if size > MAX_ASSET_BYTES:
         raise FreeArtError(f"{folder} has {size} bytes, at most {MAX_ASSET_BYTES} are read")
     for urdf in sorted(folder.rglob("*.urdf")):
-        for element in parse_urdf(urdf).iter():
-            if "filename" in element.attrib:
-                resolve_file(urdf, element.attrib["filename"], folder)
+        for name in read_file_names(urdf):
+            resolve_file(urdf, name, folder)
 
 
 # ---- in the asset process
@@ -261,4 +264,4 @@ def reply(request: dict[str, Any]) -> dict[str, Any]:
 
 def main() -> None:
     """Serve requests as an asset process."""
-    asset_process.serve(reply, MODULES)
+    forked.serve(reply, MODULES)

@@ -1,8 +1,14 @@
-"""Scores the rows of one table in separate processes: in parallel on this machine, or as jobs of an executor."""
+"""Scores the rows of one table in separate processes: in parallel on this machine, or as jobs of an executor.
+
+A submission can be too slow (a mesh of a million slivers ran for 480 s) or crash native code; it then costs its own row
+only.
+"""
 
 from __future__ import annotations
 
 import queue
+import sys
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from contextlib import closing
@@ -10,25 +16,29 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from freeart21 import stopping
+from freeart21 import child, stopping
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
 from freeart21.jobs import Job, run_jobs
+from leaderboard import asset_measurement, forked, sequence_score
 from leaderboard.protocols import protocol_named
 from leaderboard.rows import Row
-from leaderboard.sequence_score import SequenceScorer
-from leaderboard.worker import RowAborted, Worker
 
 FOLDERS = ("result", "sequence", "truth")
 """Keys of the folders in a request."""
 MOST_WORKERS = 64
 SECONDS = 20.0
 """Estimated time of one row, the start of its process included."""
+ROW_LIMIT_S = 180.0
+"""Time limit of a row. Measured: 18 to 40 s (60 frames, 2 parts of 200k faces, an asset) on two cores shared with six
+other programs."""
+ROW_MEMORY = 12 << 30
+"""Bytes of address space of a row's process. Measured: 1.2 GiB."""
 
 Request = Mapping[str, Any]
-"""What a `Worker` scores: the FOLDERS, the name of a `protocol`, and `lacks`, pieces the method never produces."""
+"""The arguments of `score_sequence` as JSON: the FOLDERS, the name of a `protocol`, and `lacks`."""
 
 
 def score_rows_locally(
@@ -40,19 +50,19 @@ def score_rows_locally(
     """
     if not 1 <= workers <= MOST_WORKERS:
         raise FreeArtError(f"cannot score with {workers} workers; expected 1 to {MOST_WORKERS}")
-    scorers = [Worker() for _ in range(max(1, min(workers, len(requests))))]
-    free: queue.SimpleQueue[Worker] = queue.SimpleQueue()
-    for scorer in scorers:
-        free.put(scorer)
+    servers = [forked.Server(__name__) for _ in range(max(1, min(workers, len(requests))))]
+    free: queue.SimpleQueue[forked.Server] = queue.SimpleQueue()
+    for server in servers:
+        free.put(server)
 
     def score(request: Request) -> Row:
-        scorer = free.get()
+        server = free.get()
         try:
-            return score_row(scorer, request, limit_s)
+            return score_row(server, request, limit_s)
         finally:
-            free.put(scorer)
+            free.put(server)
 
-    pool = ThreadPoolExecutor(len(scorers))
+    pool = ThreadPoolExecutor(len(servers))
     try:
         with stopping.defer_stop():
             futures: list[Future[Row]] = [pool.submit(score, request) for request in requests]
@@ -61,22 +71,60 @@ def score_rows_locally(
     finally:
         with stopping.defer_stop():
             pool.shutdown(wait=False, cancel_futures=True)
-            for scorer in scorers:
-                scorer.end()
+            for server in servers:
+                server.end()
             pool.shutdown(wait=True)
-            for scorer in scorers:
-                scorer.close()
+            for server in servers:
+                server.close()
     return [future.result() for future in futures]
 
 
-def score_row(scorer: Worker, request: Request, limit_s: float) -> Row:
+def score_row(server: forked.Server, request: Request, limit_s: float) -> Row:
     """The row of `request`, penalised when it takes more than `limit_s` seconds or crashes its process."""
     try:
-        return scorer.score(dict(request), limit_s)
-    except RowAborted as reason:
-        recording, truth = read_sequence(Path(request["sequence"])), read_truth(Path(request["truth"]))
-        rules, lacks = protocol_named(request["protocol"]), tuple(request["lacks"])
-        return SequenceScorer(rules, recording, truth, lacks).penalised_row("failed", str(reason))
+        with tempfile.TemporaryDirectory() as temporary:
+            answer = server.ask(dict(request), Path(temporary), limit_s)
+    except forked.TimedOut:
+        answer = {"aborted": f"took more than {limit_s:g} s"}
+    except forked.Crashed as error:
+        answer = {"aborted": f"ended with {str(error).partition(': ')[0]}"}
+    if "error" in answer:
+        raise FreeArtError(answer["error"])
+    if "row" in answer:
+        return Row.from_json(answer["row"])
+    recording, truth = read_sequence(Path(request["sequence"])), read_truth(Path(request["truth"]))
+    rules, lacks = protocol_named(request["protocol"]), tuple(request["lacks"])
+    scorer = sequence_score.SequenceScorer(rules, recording, truth, lacks)
+    return scorer.penalised_row("failed", f"scoring {answer['aborted']}")
+
+
+def reply(request: dict[str, Any]) -> dict[str, Any]:
+    """The row of `request`, or why there is none: an `error` of the data, or why scoring was `aborted`."""
+    _limit_memory()
+    result, sequence, truth = (Path(request[key]) for key in FOLDERS)
+    try:
+        arguments = result, sequence, truth, request["protocol"], tuple(request["lacks"])
+        return {"row": asdict(sequence_score.score_sequence(*arguments))}
+    except FreeArtError as error:
+        return {"error": str(error)}
+    except MemoryError:
+        return {"aborted": f"took more than {ROW_MEMORY >> 30} GiB of memory"}
+    except Exception as error:  # the other rows are still scored
+        return {"aborted": f"stopped: {type(error).__name__}: {child.one_line(error)}"}
+
+
+def _limit_memory() -> None:
+    if sys.platform == "linux":
+        import resource
+
+        hard = resource.getrlimit(resource.RLIMIT_AS)[1]
+        limit = ROW_MEMORY if hard == resource.RLIM_INFINITY else min(ROW_MEMORY, hard)
+        resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
+
+
+def main() -> None:
+    """Serve requests, each of which can measure an asset."""
+    forked.serve(reply, asset_measurement.MODULES)
 
 
 def score_rows_as_jobs(
@@ -123,8 +171,8 @@ def score_rows_as_jobs(
 
 def write_row(request: dict[str, Any], limit_s: float, out: str) -> None:
     """Score `request` and write the row to the JSON file `out`: what a job runs."""
-    with closing(Worker()) as scorer:
-        atomic.write_json(Path(out), asdict(score_row(scorer, request, limit_s)))
+    with closing(forked.Server(__name__)) as server:
+        atomic.write_json(Path(out), asdict(score_row(server, request, limit_s)))
 
 
 def _read_row(path: Path) -> Row:

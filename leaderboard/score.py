@@ -15,14 +15,13 @@ from freeart21.errors import FreeArtError
 from freeart21.files.benchmark import Benchmark, read_benchmark
 from freeart21.files.hashes import file_sha256
 from freeart21.reconstruction import Piece
-from leaderboard.parallel_rows import FOLDERS, score_rows_as_jobs, score_rows_locally
+from leaderboard.parallel_rows import FOLDERS, ROW_LIMIT_S, score_rows_as_jobs, score_rows_locally
 from leaderboard.protocol import Group, Protocol
 from leaderboard.protocols import DEFAULT, protocol_named
 from leaderboard.provenance import with_provenance
 from leaderboard.rows import Row, Scores, Statistic, Summary, frame
 from leaderboard.sequence_score import score_sequence
 from leaderboard.submission import read_submitted_method
-from leaderboard.worker import ROW_LIMIT_S
 
 
 def score_results(

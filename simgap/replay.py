@@ -18,6 +18,7 @@ from typing import Any, get_args
 from freeart21 import __version__
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
+from freeart21.files.asset_copy import file_hashes
 from freeart21.files.hashes import file_sha256
 from freeart21.files.lock import only_writer
 from freeart21.files.measured import OTHER_UNITS, read_measured, run_files
@@ -26,7 +27,6 @@ from freeart21.files.urdf import read_xml
 from freeart21.joint import JointType
 from freeart21.measured import Run
 from simgap.page.replay_page import HEAD, Row, replay_page
-from simgap.prove.asset_files import file_hashes
 from simgap.prove.replay import SECONDS, Progress, replay
 from simgap.prove.replay_process import AssetOnDisk, Engine
 from simgap.verdict import SCHEMA as VERDICT

@@ -4,13 +4,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import trimesh
 from little_asset import write_little
 
 from benchmarks import assets
 from freeart21 import se3
 from freeart21.camera import Camera
-from freeart21.mesh import Mesh
 from freeart21.recording import Query
 
 
@@ -25,15 +23,6 @@ def test_goals_are_counted_over_the_rows_that_they_concern():
     assert (found["speed"]["reached"], found["speed"]["of"], found["speed"]["worst"]) == (1, 3, 0.5)
     assert (found["ball"]["reached"], found["ball"]["of"]) == (1, 2), "no ball for what is no drawer, but for no asset"
     assert found["failed_rules"]["reached"] == 1
-
-
-def test_voxel_iou_of_a_half_and_of_a_thin_wall_that_is_cut_otherwise():
-    solid = trimesh.creation.box((0.2, 0.1, 0.003))
-    half = trimesh.creation.box((0.1, 0.1, 0.003)).apply_translation((0.05, 0, 0))
-    assert assets.voxel_iou(Mesh(half.vertices, half.faces), solid) == pytest.approx(0.5, abs=0.02)
-    more = trimesh.util.concatenate([solid, trimesh.creation.box((0.01,) * 3).apply_translation((0.1043, 0.2, 0.1))])
-    least = assets.voxel_iou(Mesh(np.asarray(more.vertices), np.asarray(more.faces)), solid)
-    assert least > 0.9, "a crumb elsewhere moves no lattice"
 
 
 def test_views_of_supposed_and_of_seen_faces_are_counted_apart(tmp_path):

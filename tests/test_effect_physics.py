@@ -6,46 +6,41 @@ product but the effects' parameters.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from effect_cases import EVERY
 from refusal import assert_refused
 from scipy.integrate import solve_ivp
 
 from freeart21 import se3
 from freeart21.asset import Asset
+from freeart21.effects import Effect
 from freeart21.effects.actuator_delay import ActuatorDelay
 from freeart21.effects.actuator_gain import ActuatorGain
 from freeart21.effects.armature import Armature
 from freeart21.effects.axis_tilt import AxisTilt
 from freeart21.effects.backlash import Backlash
 from freeart21.effects.coulomb_friction import CoulombFriction
-from freeart21.effects.detent import Detent
 from freeart21.effects.eccentricity import Eccentricity
-from freeart21.effects.encoder_offset import EncoderOffset
-from freeart21.effects.encoder_scale import EncoderScale
 from freeart21.effects.end_stop_bounce import EndStopBounce
 from freeart21.effects.gear_friction import GearFriction
-from freeart21.effects.gravity_offset import GravityOffset
 from freeart21.effects.latch import Latch
-from freeart21.effects.load_friction import LoadFriction
 from freeart21.effects.pivot_offset import PivotOffset
 from freeart21.effects.quadratic_drag import QuadraticDrag
 from freeart21.effects.return_spring import ReturnSpring
 from freeart21.effects.sag import Sag
 from freeart21.effects.screw_pitch import ScrewPitch
-from freeart21.effects.stribeck_friction import StribeckFriction
-from freeart21.effects.time_offset import TimeOffset
 from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.effects.wobble import Wobble
 from freeart21.errors import FreeArtError
-from freeart21.events import drive_rebound
 from freeart21.files.asset import read_asset
-from freeart21.mechanics import Actuator, interpolate_series
+from freeart21.measured import Measured
+from freeart21.mechanics import Actuator
 from generator.simulate import joint_motion, load, roll_out
+from simgap.models.surrogate import make_plant, simulate
 
 MASS, ARM, G = 1.6, 0.5, 9.81
 INERTIA = {"revolute": 0.01 + MASS * ARM**2, "prismatic": MASS}
@@ -106,62 +101,44 @@ def with_friction(drive, level, q0: float, qd0: float, end: float, step: float =
     return q
 
 
-def ramp(size: float, seconds: float) -> Callable[[float], float]:
-    """A force that grows to `size` and stays."""
-    return lambda t: size * min(t / seconds, 1.0)
-
-
 def error(run, q: np.ndarray) -> float:
     """Largest error of position over the largest travel."""
     return float(np.abs(run.q - q).max() / np.ptp(q))
 
 
-# friction and drag
+# laws, on a pendulum let go and a slider pushed, both under gravity
 
 
-@TYPES
-def test_stribeck_deceleration(tmp_path: Path, kind: str):
-    level, rise, speed = 0.7 * INERTIA[kind], 1.2 * INERTIA[kind], 0.4
-    asset = asset_with(tmp_path, kind, StribeckFriction(level, rise, speed))
-    run = roll_out(asset, 0.1, 2.0, duration_s=3.5, gravity=WEIGHTLESS)
-    I = INERTIA[kind]  # noqa: E741
-    expected = with_friction(
-        lambda q, qd: 0.0, lambda q, qd, qdd: (level + rise * np.exp(-((qd / speed) ** 2))) / I, 0.1, 2.0, 3.5
-    )
-    assert error(run, expected) < 4e-4
-    flat = with_friction(lambda q, qd: 0.0, lambda q, qd, qdd: level / I, 0.1, 2.0, 3.5)
-    assert error(run, flat) > 0.02
+@pytest.mark.parametrize(
+    "effect, kind", [param for param in EVERY if param.values[0].acts in ("force", "drive", "inertia")]
+)
+def test_a_law_moves_the_joint_alike_in_sapien_and_in_the_fast_simulation(tmp_path: Path, effect: Effect, kind: str):
+    """Without a memory, also as an event-driven solution of the law in plain numpy."""
+    q0, qd0 = (0.9, 0.0) if kind == "revolute" else (-0.2, 0.9)
+    asset = asset_with(tmp_path, kind, effect)
+    run = roll_out(asset, q0, qd0, duration_s=3)
+    plant = make_plant(asset, Measured("j", kind, np.array([0.0, 0.0, -G]), 1000.0, "recorded"))
+    fast, plain = (simulate(plant, effects, run.times_s, q0, qd0) for effects in ((effect,), ()))
+    assert error(run, fast) < 2e-3
+    idle = kind == "prismatic" and effect.name in ("armature", "gear_friction")  # nothing pulls, nor presses on teeth
+    assert error(run, plain) > 2e-3 or idle
+    if type(effect).remember is not Effect.remember:
+        return
+    I = INERTIA[kind] + effect.added_inertia()  # noqa: E741
+
+    def pull(q):
+        return -MASS * G * ARM * np.sin(q) if kind == "revolute" else 0.0
+
+    def level(q, qd, qdd):
+        along = MASS * np.hypot(G * np.cos(q) + ARM * qd**2, G * np.sin(q) + ARM * qdd)  # and across the rod
+        bearing = along if kind == "revolute" else MASS * G
+        return effect.drive_limit(q, qd, abs(pull(q)) if effect.geared else bearing) / I
+
+    expected = with_friction(lambda q, qd: (pull(q) + effect.force(q, qd)) / I, level, q0, qd0, 3.0)
+    assert error(run, expected) < 2e-3
 
 
-@TYPES
-def test_stribeck_breakaway(tmp_path: Path, kind: str):
-    asset = asset_with(tmp_path, kind, StribeckFriction(0.3, 0.5, 0.4))
-    at_rest = roll_out(asset, 0.0, duration_s=1, gravity=WEIGHTLESS, force=lambda t: 0.79)
-    assert np.abs(at_rest.q).max() < 1e-5
-    away = roll_out(asset, 0.0, duration_s=6, gravity=WEIGHTLESS, force=lambda t: 0.9)
-    assert np.gradient(away.qd, away.times_s)[-100:] == pytest.approx((0.9 - 0.3) / INERTIA[kind], rel=0.01)
-
-
-@TYPES
-def test_quadratic_drag_closed_form(tmp_path: Path, kind: str):
-    run = roll_out(asset_with(tmp_path, kind, QuadraticDrag(0.7)), 0.0, 3.0, duration_s=4, gravity=WEIGHTLESS)
-    k = 0.7 / INERTIA[kind]
-    assert run.qd == pytest.approx(3.0 / (1 + k * 3.0 * run.times_s), rel=1e-3)
-    assert run.q[-1] == pytest.approx(np.log1p(k * 3.0 * 4) / k, rel=1e-3)
-
-
-def test_load_friction_of_a_slider(tmp_path: Path):
-    asset = asset_with(tmp_path, "prismatic", LoadFriction(0.2), axis="0 0.6 0.8")
-    run = roll_out(asset, 0.0, 8.0, duration_s=1.5)
-    up, down = G * (0.8 + 0.2 * 0.6), G * (0.8 - 0.2 * 0.6)
-    turn = 8.0 / up
-    expected = np.where(run.times_s < turn, 8.0 - up * run.times_s, -down * (run.times_s - turn))
-    assert run.qd == pytest.approx(expected, abs=8e-3)
-    for coefficient, slips in ((1.36, False), (1.30, True)):  # tan of the slope is 4 / 3
-        still = roll_out(
-            asset_with(tmp_path, "prismatic", LoadFriction(coefficient), axis="0 0.6 0.8"), 0, duration_s=1
-        )
-        assert (abs(still.q[-1]) > 0.05) == slips
+# friction
 
 
 @pytest.mark.parametrize(("share", "slides"), [(1.15, 0), (1.30, 1), (0.78, -1), (0.85, 0), (-0.5, -1), (0.0, -1)])
@@ -176,95 +153,7 @@ def test_gear_friction_of_a_slider(tmp_path: Path, share: float, slides: int):
     assert run.qd[-1] == pytest.approx(expected, abs=2e-3 * G)
 
 
-@pytest.mark.parametrize("qd0", [0.0, 4.0])
-def test_load_friction_of_a_pendulum(tmp_path: Path, qd0: float):
-    radius = 0.01
-    run = roll_out(asset_with(tmp_path, "revolute", LoadFriction(radius)), 1.2, qd0, duration_s=4)
-    I = INERTIA["revolute"]  # noqa: E741
-
-    def bearing(q, qd, qdd):  # along and across the rod
-        return MASS * np.hypot(G * np.cos(q) + ARM * qd**2, G * np.sin(q) + ARM * qdd)
-
-    expected = with_friction(
-        lambda q, qd: -MASS * G * ARM * np.sin(q) / I,
-        lambda q, qd, qdd: radius * bearing(q, qd, qdd) / I,
-        1.2,
-        qd0,
-        4.0,
-    )
-    assert error(run, expected) < 1e-3
-    constant = with_friction(
-        lambda q, qd: -MASS * G * ARM * np.sin(q) / I, lambda q, qd, qdd: radius * MASS * G / I, 1.2, qd0, 4.0
-    )
-    assert error(run, constant) > 0.05
-
-
 # forces of position
-
-
-def test_gravity_offset_equals_a_tilted_base(tmp_path: Path):
-    """Gravity tilted by 0.1 rad in the swing plane, m 10 % larger: the same motion as the asset with an offset."""
-    tilt = 0.1
-    leant = roll_out(
-        asset_with(tmp_path, "revolute"), 0.5, duration_s=2, gravity=(G * np.sin(tilt), 0, -G * np.cos(tilt))
-    )
-    weight = MASS * G * ARM  # hinge along y: the torque is -weight sin(q + tilt)
-    offset = GravityOffset(cosine=-weight * np.sin(tilt), sine=weight * (1 - np.cos(tilt)))
-    run = roll_out(asset_with(tmp_path, "revolute", offset), 0.5, duration_s=2)
-    assert np.abs(run.q - leant.q).max() < 1e-4
-    slider = roll_out(
-        asset_with(tmp_path, "prismatic", GravityOffset(constant=MASS * 0.3)), 0.0, duration_s=1, gravity=WEIGHTLESS
-    )
-    assert slider.q == pytest.approx(0.15 * slider.times_s**2, abs=1e-6)
-
-
-@TYPES
-def test_detent_stiffness_and_peak(tmp_path: Path, kind: str):
-    peak, centre, width = 0.8, 0.3, 0.05
-    asset = asset_with(tmp_path, kind, Detent(peak, centre, width))
-    small = roll_out(asset, centre + 0.002, duration_s=3, gravity=WEIGHTLESS)
-    rate = np.sqrt(peak * np.exp(0.5) / width / INERTIA[kind])
-    assert small.q - centre == pytest.approx(0.002 * np.cos(rate * small.times_s), abs=1.5e-4)
-    for push, goes in ((0.95, False), (1.05, True)):
-        run = roll_out(
-            asset_with(tmp_path, kind, Detent(peak, centre, width), ViscousDamping(3.0)),
-            centre,
-            duration_s=12,
-            timestep_s=5e-3,
-            gravity=WEIGHTLESS,
-            force=ramp(push * peak, 3.0),
-        )
-        assert (run.q[-1] > centre + 3 * width) == goes
-    through = roll_out(asset, 0.0, 1.5, duration_s=0.6, gravity=WEIGHTLESS)
-    expected = solved(
-        lambda t, q, qd: (
-            -peak / INERTIA[kind] * ((q - centre) / width) * np.exp(0.5 - 0.5 * ((q - centre) / width) ** 2)
-        ),
-        0.0,
-        1.5,
-        through.times_s,
-    )
-    assert error(through, expected[:, 0]) < 1e-5
-    assert through.qd[-1] == pytest.approx(1.5, abs=2e-3) and through.qd.max() > 1.51
-
-
-@TYPES
-def test_latch_releases_at_its_hold(tmp_path: Path, kind: str):
-    hold, position, travel = 2.0, 0.1, 0.02
-    effects = (Latch(hold, position, travel, 0.5), ViscousDamping(5.0))
-    for pull, goes in ((0.9, False), (1.1, True)):
-        run = roll_out(
-            asset_with(tmp_path, kind, *effects),
-            position,
-            duration_s=4,
-            gravity=WEIGHTLESS,
-            force=ramp(pull * hold, 2.0),
-        )
-        assert (run.q[-1] > position + 2 * travel) == goes
-        if not goes:
-            assert run.q[-1] - position == pytest.approx(pull * travel, rel=0.01)
-        else:
-            assert run.qd[-1] == pytest.approx(pull * hold / 5.0, rel=0.01)  # free but for the damper
 
 
 @TYPES
@@ -287,56 +176,6 @@ def test_latch_catches_a_slow_part_and_lets_a_fast_one_pass(tmp_path: Path, kind
 
 
 # inertia and limits
-
-
-@TYPES
-def test_armature_has_inertia_but_no_weight(tmp_path: Path, kind: str):
-    I = INERTIA[kind]  # noqa: E741
-    asset = asset_with(tmp_path, kind, Armature(0.7 * I), ViscousDamping(0.5))
-    run = roll_out(asset, 0.0, duration_s=2, gravity=WEIGHTLESS, force=lambda t: 2.0)
-    assert run.qd == pytest.approx(4.0 * -np.expm1(-0.5 / (1.7 * I) * run.times_s), abs=2e-3)
-    if kind == "revolute":
-        swing = roll_out(asset_with(tmp_path, kind, Armature(0.7 * I)), 0.02, duration_s=3)
-        rate = np.sqrt(MASS * G * ARM / (1.7 * I))
-        assert swing.q == pytest.approx(0.02 * np.cos(rate * swing.times_s), abs=1e-4)
-        assert np.ptp(swing.energy_j) < 1e-3 * MASS * G * ARM * 0.02**2 / 2
-    pushed = roll_out(
-        asset_with(tmp_path, kind, Armature(0.7 * I), CoulombFriction(1.0)), 0.0, 3.0, duration_s=1, gravity=WEIGHTLESS
-    )
-    assert pushed.qd[-1] == pytest.approx(3.0 - 1.0 / (1.7 * I), rel=2e-3)
-
-
-@pytest.mark.parametrize("speed", [0.05, 3.0])
-@pytest.mark.parametrize("press, push", [(-20.0, 0.0), (-3.0, -2.0), (5.0, 0.0)])
-def test_rotor_at_a_limit_is_a_spring_damper(speed: float, press: float, push: float):
-    """Part and rotor in steps of 2 microseconds, for 60 ms after the part stopped dead."""
-    part, drive, rate, ratio = 1.0, 0.3, 2 * np.pi * 50, 0.5
-    light = part * drive / (part + drive)
-    k, c, h = light * rate**2, 2 * ratio * rate * light, 2e-6
-    p, v, x, w, touched = 0.0, 0.0, 0.0, speed, 0.0
-    for i in range(30_000):
-        between = k * (x - p) + c * (w - v)
-        v, w = v + h * (between + press) / part, w + h * (push - between) / drive
-        p, x = p + h * v, x + h * w
-        if p >= 0.0:
-            p, v, touched = 0.0, 0.0, i * h
-    z = c / (2 * np.sqrt(k * drive))
-    back = float(np.exp(-2 * z * np.arccos(z) / np.sqrt(1 - z * z)))
-    stays, leaves = drive_rebound(speed, press, push, part, drive, back, float(np.sqrt(drive / k)))
-    whole, together = part + drive, 30_000 * h - stays
-    if leaves == 0.0 or together <= 0:
-        assert touched > 0.05  # it stays
-        return
-    middle = -leaves * together + 0.5 * (press + push) / whole * together**2
-    if middle > 0:
-        assert touched > stays  # pressed in again
-    else:
-        assert middle == pytest.approx((part * p + drive * x) / whole, abs=2e-5 + 0.01 * abs(middle))
-    assert drive_rebound(speed, press, push, part, drive, back, 0.0) == (
-        0.0,
-        pytest.approx(back * speed * drive / whole),
-    )
-    assert drive_rebound(speed, press, push, part, drive, 0.0, 0.01) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("e, timestep_s", [(0.0, 1e-3), (0.6, 7e-3), (0.9, 1e-3), (1.0, 7e-3)])
@@ -364,15 +203,6 @@ def test_bounces_rise_to_e_squared_each(tmp_path: Path, e: float, timestep_s: fl
         assert np.ptp(run.energy_j) < 1e-3 * MASS * G
 
 
-def test_a_lid_bounces_at_both_limits_of_a_hinge(tmp_path: Path):
-    asset = asset_with(tmp_path, "revolute", EndStopBounce(0.5), limit=limits(-0.4, 0.4))
-    run = roll_out(asset, 0.0, 3.0, duration_s=1, gravity=WEIGHTLESS)
-    t = run.times_s
-    first, second = 0.4 / 3, 0.4 / 3 + 0.8 / 1.5
-    expected = np.where(t < first, 3 * t, np.where(t < second, 0.4 - 1.5 * (t - first), -0.4 + 0.75 * (t - second)))
-    assert run.q == pytest.approx(expected, abs=1e-5)
-
-
 # actuator
 
 
@@ -396,17 +226,6 @@ def test_servo_with_delay_and_gain(tmp_path: Path, kind: str):
             assert error(run, plain) > 0.03
         else:
             plain = expected[:, 0]
-
-
-@TYPES
-def test_gain_scales_efforts_but_not_pushes(tmp_path: Path, kind: str):
-    I = INERTIA[kind]  # noqa: E741
-    asset = asset_with(tmp_path, kind, ActuatorDelay(0.1), ActuatorGain(0.5))
-    effort = Actuator(effort=interpolate_series([0.0, 0.2, 0.4], [0.0, 2.0, 0.0], "held"))
-    run = roll_out(asset, 0.0, duration_s=1, gravity=WEIGHTLESS, actuator=effort)
-    assert run.qd == pytest.approx(0.5 * 2.0 / I * np.clip(run.times_s - 0.3, 0, 0.2), abs=2e-3)
-    pushed = roll_out(asset, 0.0, duration_s=1, gravity=WEIGHTLESS, force=lambda t: 2.0)
-    assert pushed.qd == pytest.approx(2.0 / I * pushed.times_s, rel=1e-3)
 
 
 def two_bodies(times, I, J, width, drive, state):  # noqa: E741
@@ -476,51 +295,6 @@ def test_backlash_is_two_bodies_with_a_gap(tmp_path: Path, kind: str, through: s
     assert np.abs(run.q[early]).max() < (1e-3 if through == "servo" else 1e-9)
 
 
-@TYPES
-def test_gravity_on_a_resting_part(tmp_path: Path, kind: str):
-    rng = np.random.default_rng(5)
-    axis = rng.normal(size=3)
-    axis /= np.linalg.norm(axis)
-    asset = asset_with(tmp_path, kind, axis=" ".join(map(str, axis)))
-    inertia = MASS if kind == "prismatic" else 0.01 + MASS * ARM**2 * (1 - axis[2] ** 2)
-    gravity = rng.normal(size=3) * 5
-    simulated = load(asset, gravity=gravity)
-    for lean in (np.eye(4), se3.exp_se3([0, 0, 0, 0.3, -0.5, 0.9])):
-        simulated.set_base_pose(lean)
-        for q in (-0.7, 0.0, 1.1):
-            simulated.set_state(q)
-            simulated.step()
-            pull = simulated.mechanics.gravity_force(q)
-            assert simulated.state()[1] / 1e-3 == pytest.approx(pull / inertia, rel=1e-4, abs=1e-4)
-
-
-def test_load_friction_at_a_limit(tmp_path: Path):
-    """A lid resting on its stop at 90 degrees: its hinge carries the weight, and lifting needs more."""
-    asset = asset_with(tmp_path, "revolute", LoadFriction(0.05), limit=limits(np.pi / 2, 3))
-    to_lift = MASS * G * (ARM + 0.05)
-    for push, lifts in ((0.98, False), (1.02, True)):
-        run = roll_out(asset, np.pi / 2, duration_s=0.5, force=ramp(push * to_lift, 1e-9))
-        assert (run.q[-1] > np.pi / 2 + 1e-3) == lifts
-
-
-def test_drive_side_separates_at_a_limit(tmp_path: Path):
-    """A slider on its lower stop: touched from below, released for 0.3 s, then lifted."""
-    J, width = 0.4, 0.2
-    asset = asset_with(tmp_path, "prismatic", Backlash(width, J), axis="0 0 1", limit=limits(0, 9))
-    efforts = Actuator(effort=interpolate_series([0.0, 0.6, 0.9], [2.0, -0.5, 20.0], "held"))
-    run = roll_out(asset, 0.0, duration_s=1.5, actuator=efforts)
-    assert np.all(run.q[(run.times_s > 0.5) & (run.times_s < 0.9)] == 0)
-    x, v = 0.1 - 0.5 * 0.5 / J * 0.3**2, -0.5 / J * 0.3
-    a = 20 / J
-    met = (-v + np.sqrt(v * v + 2 * a * (0.1 - x))) / a
-    speed = J * (v + a * met) / (J + MASS)
-    since = np.maximum(run.times_s - 0.9 - met, 0)
-    expected = speed * since + 0.5 * (20 - MASS * G) / (J + MASS) * since**2
-    late = run.times_s > 0.6
-    assert run.q[late] == pytest.approx(expected[late], abs=3e-3)
-    assert met > 0.05 and run.q[-1] > 0.4
-
-
 # kinematics and sensing, through the loaded asset
 
 
@@ -545,41 +319,7 @@ def test_joint_motion_includes_kinematic_effects(tmp_path: Path, kind: str):
         assert np.abs(got - C @ ideal @ zero).max() > 1e-3, effect.name
 
 
-def test_kinematic_effects_compose_without_changing_dynamics(tmp_path: Path):
-    tilt, pitch = AxisTilt(0.1, 0.0), ScrewPitch(0.3)
-    asset = asset_with(tmp_path, "revolute", tilt, pitch)
-    simulated = load(asset)
-    simulated.set_state(0.7)
-    plain = load(replace(asset, effects={}))
-    plain.set_state(0.7)
-    X = tilt.displacement(0.7, 0, simulated.mechanics) @ pitch.displacement(0.7, 0, simulated.mechanics)
-    np.testing.assert_allclose(simulated.T_reference_moving(), X @ plain.T_reference_moving(), atol=1e-6)
-    runs = [roll_out(a, 0.7, duration_s=0.5) for a in (simulated, plain)]
-    np.testing.assert_array_equal(runs[0].q, runs[1].q)
-
-
-def test_readings_are_delayed_and_scaled_but_truth_is_not(tmp_path: Path):
-    sensing = (EncoderOffset(0.05), EncoderScale(0.9), TimeOffset(0.02))
-    asset = asset_with(tmp_path, "revolute", *sensing)
-    run, plain = roll_out(asset, 0.5, duration_s=2), roll_out(replace(asset, effects={}), 0.5, duration_s=2)
-    np.testing.assert_array_equal(run.q, plain.q)
-    np.testing.assert_array_equal(plain.q, plain.q_measured)
-    assert run.q_measured[20:] == pytest.approx(0.9 * plain.q[:-20] + 0.05, abs=1e-9)
-
-
 # together
-
-
-def test_a_loaded_asset_keeps_no_state_between_runs(tmp_path: Path):
-    effects = (Latch(2.0, 0.1, 0.02, 0.5), Backlash(0.1, 0.2), LoadFriction(0.01), EndStopBounce(0.5))
-    asset = asset_with(tmp_path, "revolute", *effects, limit=limits(-0.5, 0.5))
-    simulated, law = load(asset), Actuator(lambda t: 0.4 * np.sin(4 * t), 50.0, 1.0)
-    runs = [roll_out(a, 0.1, 0.5, duration_s=1, actuator=law) for a in (asset, simulated, simulated)]
-    for run in runs[1:]:
-        np.testing.assert_array_equal(runs[0].q, run.q)
-    free = [roll_out(a, 0.1, 0.5, duration_s=1) for a in (simulated, asset)]
-    np.testing.assert_array_equal(free[0].q, free[1].q)
-    assert np.abs(free[0].q - runs[0].q).max() > 0.01
 
 
 def test_effects_unfit_for_a_joint_are_a_one_line_error(tmp_path: Path):

@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
-import film_sensors as sensors
 import numpy as np
 import pytest
 from browser import CHROMIUM, browser
 from film_scene import film_with_truth
 
-from freeart21 import cli, se3
-from freeart21.camera_faults import CameraFaults, incidence_cosine
+from benchmarks import film_faults as sensors
+from freeart21 import cli
+from freeart21.camera_faults import CameraFaults
 from freeart21.errors import FreeArtError
 from freeart21.files.camera_faults import read_camera_faults, write_camera_faults
 from freeart21.files.sequence import read_sequence, write_sequence
@@ -88,18 +88,6 @@ def test_one_camera_fault_is_named_and_measured(film, change, name, parameter, v
     assert getattr(verdict.camera, parameter) == size(verdict, parameter)
 
 
-def test_exposure_drift_and_tone_drift_are_distinguished(film):
-    assert names(named(film, lambda f: sensors.brightens(f, 1.0))) == {"exposure_drift"}
-    assert names(named(film, lambda f: sensors.steepens(f, 0.25))) <= {"gamma_drift"}
-
-
-def test_both_faults_of_a_pair_are_named(film):
-    verdict = named(film, lambda f: sensors.rustles(sensors.reads_long(f, 0.02), 0.004, 0.0))
-    assert names(verdict) == {"depth_scale", "axial_noise"}
-    verdict = named(film, lambda f: sensors.blind_to_dark(sensors.lags(f, 1), 0.3))
-    assert names(verdict) == {"depth_delay", "dark_holes"}
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -172,56 +160,6 @@ def test_bad_film_input_is_a_one_line_error(scene, tmp_path):
         find_film_gap(short)
 
 
-def test_camera_fault_files_hold_only_the_differences(tmp_path):
-    faults = CameraFaults(depth_scale=0.01, exposure=(0.0, 0.5, -0.5), noise=1e-3, noise_at=0.5)
-    write_camera_faults(tmp_path / "camera.json", faults)
-    assert read_camera_faults(tmp_path / "camera.json") == faults
-    assert set(json.loads((tmp_path / "camera.json").read_text())) == {
-        "schema", "depth_scale", "exposure", "noise", "noise_at",
-    }  # fmt: skip
-    for text, match in (
-        ('"depth_scale": 9', "depth_scale is 9.0, expected -0.5 to 1"),
-        ('"depth_size": 1', "camera faults has 'depth_size', expected depth_scale"),
-        ('"gamma": [0, -2]', "expected numbers above -1"),
-        ('"noise": "loud"', "'noise' is 'loud', expected a finite number"),
-    ):
-        (tmp_path / "bad.json").write_text('{"schema": "freeart21/camera-faults/1", ' + text + "}")
-        with pytest.raises(FreeArtError, match=match):
-            read_camera_faults(tmp_path / "bad.json")
-
-
-def test_camera_faults_act_by_their_parameters(film):
-    camera = film.recording.camera
-    depth = film.recording.frame(0).depth
-    on = depth > 0
-    bright, cosine = np.full(depth.shape, 0.5, np.float32), incidence_cosine(depth, camera)
-    rng = np.random.default_rng(0)
-    scaled = CameraFaults(depth_scale=0.1, depth_offset=0.01).depth(depth, bright, cosine, camera, rng)
-    np.testing.assert_allclose(scaled[on], 1.1 * depth[on] + 0.01, rtol=1e-5)
-    noisy = CameraFaults(noise=0.002, noise_at=1.0, noise_growth=0.0).depth(depth, bright, cosine, camera, rng)
-    assert np.std((noisy - depth)[on]) == pytest.approx(0.002, rel=0.1)
-    moved = CameraFaults(depth_shift_u=3.0, depth_shift_v=-2.0).depth(depth, bright, cosine, camera, rng)
-    np.testing.assert_array_equal(moved[:-2, 3:], depth[2:, :-3])
-    holes = CameraFaults(dark_share=0.9, dark_level=0.8).depth(depth, bright, cosine, camera, rng)
-    assert np.mean(holes[on] == 0) == pytest.approx(0.9, abs=0.03)
-    grey = np.full((4, 4, 3), 128, np.uint8)
-    brighter = CameraFaults(exposure=(0.0, 1.0)).colour(grey, 1.0)
-    assert int(brighter[0, 0, 0]) == pytest.approx(175, abs=2)  # twice the light of sRGB 128
-    assert CameraFaults().is_ideal and not CameraFaults(holes=0.1).is_ideal
-    assert CameraFaults(focal=0.1, centre_u=2).actual_camera(camera).K[0, 0] == pytest.approx(1.1 * camera.K[0, 0])
-
-
-def test_a_delay_is_found_from_estimated_poses(film):
-    """Estimated poses: every part has an unknown small error in every frame."""
-    rng, placed = np.random.default_rng(3), film.scene.placed
-    off = [[se3.pose(se3.exp_so3(rng.normal(size=3) * 4e-3), rng.normal(size=3) * 6e-4) for _ in T] for T in placed.Ts]
-    Ts = tuple(np.array(o) @ T for o, T in zip(off, placed.Ts, strict=True))
-    estimated = replace(film, scene=replace(film.scene, placed=replace(placed, Ts=Ts, exact=False)))
-    verdict = named(estimated, lambda f: sensors.lags(f, 1))
-    assert names(verdict) == {"depth_delay"} and size(verdict, "depth_delay") == pytest.approx(1 / 30, abs=4e-3)
-    assert not named(estimated, lambda f: f).effects
-
-
 # --- faults that the recorder puts in ---------------------------------------------------------------------------------
 
 SETTINGS = RecordSettings(frames=36, width=192, height=108, queries=0, shader="trivial", seed=5)
@@ -249,13 +187,6 @@ def test_recorded_faults_are_recovered(tmp_path):
     assert found == {"depth_scale", "axial_noise", "dark_holes", "exposure_drift"}, verdict.sentence
     assert verdict.camera.depth_scale == pytest.approx(0.03, abs=1e-3)
     assert verdict.camera.noise == pytest.approx(5e-4, rel=0.25)
-
-
-def test_recorded_geometry_and_timing_faults_are_recovered(tmp_path):
-    verdict = answer(*filmed(tmp_path / "late", CameraFaults(depth_delay=0.02, focal=0.03)))
-    assert names(verdict) == {"depth_delay", "focal_length"}, verdict.sentence
-    assert verdict.camera.depth_delay == pytest.approx(0.02, abs=2e-3)
-    assert verdict.camera.focal == pytest.approx(0.03, abs=3e-3)
 
 
 def test_a_broken_fault_file_is_refused_before_recording(tmp_path):

@@ -6,7 +6,6 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,13 +14,10 @@ from gap_case import ARM, INERTIA, MASS, G, asset_of, measured_of, problem_of
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
-from simgap.fit.fit import Fit, Model, fit_model
+from simgap.fit.fit import Fit, Model
 from simgap.fit.problem import Problem, without_asset_error
-from simgap.fit.search import Search
-from simgap.measure.data import FitRun
-from simgap.select.experiment import NO_EXPERIMENT, next_experiment
+from simgap.select.experiment import next_experiment
 from simgap.select.split import split_runs
-from simgap.settings import GapSettings
 from simgap.verdict import Verdict
 from simgap.workflow import find_gap
 
@@ -34,12 +30,6 @@ def verdict(folder: Path, measured: Measured, lower: float = -3.0, upper: float 
 def damped(tmp_path_factory: pytest.TempPathFactory) -> Verdict:
     """Verdict on runs with a nearly viscous loss."""
     return verdict(tmp_path_factory.mktemp("damped"), measured_of(11, viscous=0.12, power=0.98))
-
-
-def search_on(folder: Path, measured: Measured) -> Search:
-    """A search without effects on the first three runs."""
-    problem, runs = problem_of(folder, measured)
-    return Search(problem, runs[:3], ())
 
 
 def names(found: Verdict) -> set[str]:
@@ -132,12 +122,6 @@ def test_zero_offset_and_tilted_base_are_rivals(tmp_path: Path):
     assert found.next_experiment and "the explanations then differ by" in found.next_experiment
 
 
-def test_armature_and_weaker_gravity_are_rivals(tmp_path: Path):
-    """Without a known force, 1.5 times the inertia swings as 2/3 of the weight does."""
-    found = verdict(tmp_path, measured_of(27, inertia=1.5 * INERTIA))
-    assert found.verdict == "ambiguous" and {("armature",), ("gravity_offset",)} <= set(found.rivals)
-
-
 def test_drive_delay_and_clock_delay_are_rivals(tmp_path: Path):
     found = verdict(tmp_path, measured_of(15, servo=True, delay=0.03))
     assert found.verdict == "ambiguous" and {("actuator_delay",), ("time_offset",)} <= set(found.rivals)
@@ -162,37 +146,9 @@ def test_a_hardening_spring_is_named_a_spring_alone(tmp_path: Path):
     assert names(found) <= {"return_spring"}, found
 
 
-def test_an_effect_removed_from_the_library_is_not_named(tmp_path: Path):
-    asset, measured = read_asset(asset_of(tmp_path), "j"), measured_of(11, spring=2.0, rest=0.3)
-    found = find_gap(asset, measured, GapSettings(without=("return_spring",)))
-    assert found.verdict != "no_gap"
-    assert "return_spring" not in names(found) | {name for names in found.rivals for name in names}
-
-
 def at(model: Model, **real: float) -> np.ndarray:
     """Neutral values except for these parameters."""
     return np.array([real.get(r.name, x) for r, x in zip(model.ranges(), model.neutral(), strict=True)])
-
-
-def simulate_readings(truth: Fit, runs: tuple[FitRun, ...]) -> tuple[FitRun, ...]:
-    """The runs with readings simulated from a fit."""
-    rng = np.random.default_rng(0)
-    return tuple(
-        replace(run, q=run.q - run.sigma * (truth.residuals[run.name] - rng.normal(size=len(run.q)))) for run in runs
-    )
-
-
-def test_a_catch_is_found_from_a_wrong_position(tmp_path: Path):
-    """Only the release times show where it holds: no gradient leads there."""
-    search = search_on(tmp_path, measured_of(15, seconds=4.0))
-    model, real = Model(search.problem, ("latch",)), {"hold": 0.6, "position": 0.2, "travel": 0.12, "capture": 0.5}
-    truth = fit_model(model, search.train, at(model, **real), iterations=0)
-    search.train = simulate_readings(truth, search.train)
-    off = at(model, **(real | {"hold": 0.7, "position": 0.24, "travel": 0.16, "capture": 0.3}))
-    start = fit_model(model, search.train, off, truth.starts, iterations=0)
-    found = search._finish(start)
-    assert fit_model(model, search.train, off, truth.starts).rms > 3 and found.rms < 1.1
-    assert found.values["latch", "position"] == pytest.approx(0.2, abs=0.01)
 
 
 def test_a_joint_that_hardly_moves_is_refused(tmp_path: Path):
@@ -208,23 +164,6 @@ def test_without_marks_runs_are_cross_validated(tmp_path: Path):
     folds = split_runs(runs).folds
     assert sorted(run.name for fold in folds for run in fold.test) == sorted(run.name for run in runs)
     assert all(not {r.name for r in fold.train} & {r.name for r in fold.test} for fold in folds)
-
-
-def test_a_single_run_is_split(tmp_path: Path):
-    found = verdict(tmp_path, measured_of(19, marked=False, runs=1, seconds=9.0, viscous=0.1, largest=1.5))
-    assert (found.verdict, names(found)) == ("named", {"viscous_damping"})
-
-
-def test_selection_and_confirmation_runs_are_disjoint():
-    runs = tuple(SimpleNamespace(name=f"r{i}", held_out=i > 3, regime="free", speed=np.full(9, i)) for i in range(8))
-    split = split_runs(runs)
-    uses = {run.name: split.use(run.name) for run in runs}
-    assert [uses[f"r{i}"] for i in range(8)] == ["fitted"] * 4 + ["choosing", "confirming"] * 2
-    unmarked = tuple(SimpleNamespace(**{**vars(run), "held_out": None}) for run in runs)
-    split = split_runs(unmarked)
-    assert [run.name for run in split.confirming] == ["r2", "r7"]
-    assert not {run.name for fold in split.folds for run in (*fold.train, *fold.test)} & {"r2", "r7"}
-    assert not split_runs(unmarked[:4]).confirming
 
 
 def test_the_wrong_joint_is_a_one_line_error(tmp_path: Path):
@@ -273,9 +212,3 @@ def test_an_experiment_separates_all_rivals(problem: Problem):
     damped = fit(problem, "viscous_damping", 0.06)
     assert next_experiment([heavier, weaker]).startswith("Push it to and fro with a known")
     assert "the explanations then differ by at least" in next_experiment([heavier, weaker, damped])
-
-
-def test_rivals_that_no_experiment_separates_are_reported(problem: Problem):
-    damped, more = fit(problem, "viscous_damping", 0.06), fit(problem, "viscous_damping", 0.2)
-    assert next_experiment([damped, damped]) == NO_EXPERIMENT
-    assert "the first two explanations then differ by" in next_experiment([damped, more, damped])

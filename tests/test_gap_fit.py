@@ -3,35 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from gap_case import INERTIA, measured_of, problem_of
 
-from freeart21.effects import EFFECTS
-from freeart21.effects.latch import Latch
 from freeart21.measured import Measured
 from simgap.fit.fit import (
     Model,
-    ParameterMap,
-    cut_stretches,
     fit_from_small_effects,
     fit_model,
     linearise_runs,
     predict_readings,
     refit_starts,
 )
-from simgap.fit.force_guess import guess_places, sample_missing_force
-from simgap.fit.least_squares import robust_loss, robust_weight
 from simgap.fit.model import repeats_family
-from simgap.fit.parts import drop_poor_fits, extend_to_all, select_parts
-from simgap.fit.search import Search, list_candidates, simplify
+from simgap.fit.parts import extend_to_all, select_parts
+from simgap.fit.search import Search, list_candidates
 from simgap.measure.noise import estimate_noise
-from simgap.models import kernel
-from simgap.models.surrogate import simulate
 from simgap.select.choose import choose_hypotheses
 from simgap.select.split import split_runs
 from simgap.settings import GapSettings
@@ -87,30 +77,6 @@ def test_slopes_match_finite_differences(tmp_path: Path):
     assert starts[0].shape == (2, len(run.q))
 
 
-def test_a_superset_of_effects_fits_no_worse(tmp_path: Path):
-    setup, runs = problem_of(tmp_path, measured_of(5, dry=0.1, drag=0.05))
-    train = split_runs(runs).folds[0].train
-    search = Search(setup, train, list_candidates(setup, train))
-    level = search.fit_singles()
-    pairs = search.fit_larger(level[:3])
-    assert {"coulomb_friction", "quadratic_drag"} in [set(fit.model.names) for fit in pairs]
-    assert len(search.fits) > len(level)
-    for names, fit in search.fits.items():
-        for name in names:
-            smaller = search.fits.get(tuple(n for n in names if n != name))
-            assert smaller is None or fit.cost <= smaller.cost * (1 + 1e-6) + 1e-2, names
-
-
-def test_an_effect_that_vanishes_is_removed(tmp_path: Path):
-    setup, runs = problem_of(tmp_path, measured_of(5, dry=0.1))
-    pair = Model(setup, ("coulomb_friction", "viscous_damping"), instant_friction=True)
-    theta = np.array([{"level": 0.1, "coefficient": 0.0}.get(r.name, r.neutral) for r in pair.ranges()])
-    fit = fit_model(pair, runs, theta, iterations=0)
-    assert simplify(fit, runs).model.names == ("coulomb_friction",)
-    small = replace(fit, theta=theta + np.array([r.name == "coefficient" for r in pair.ranges()]) * 1e-3)
-    assert simplify(small, runs).model.names == pair.names
-
-
 def test_noise_floor_is_the_sensors(tmp_path: Path):
     rng = np.random.default_rng(0)
     times = np.cumsum(rng.uniform(0.004, 0.006, 4000))
@@ -125,79 +91,12 @@ def test_noise_floor_is_the_sensors(tmp_path: Path):
     assert noise.time_jitter_s == pytest.approx(2e-3, rel=0.25) and noise.sigma_at_rest == pytest.approx(2e-3, rel=0.4)
 
 
-def test_a_quantised_rest_does_not_hide_the_noise():
-    rng = np.random.default_rng(1)
-    times = np.arange(3000) / 100
-    true = np.where(times < 12, 0.5 * np.sin(3 * times), 0.5 * np.sin(36) + 0.0002)
-    readings = 1.5e-3 * np.round((true + rng.normal(0, 0.5e-3, 3000)) / 1.5e-3)
-    assert estimate_noise([(times, readings)]).sigma_at_rest == pytest.approx(
-        np.hypot(0.5e-3, 1.5e-3 / np.sqrt(12)), rel=0.12
-    )
-
-
-def test_one_unreachable_segment_does_not_block_the_fit(tmp_path: Path):
-    setup, runs = problem_of(tmp_path, measured_of(3, viscous=0.12))
-    broken = replace(runs[0], name="broken", q=runs[0].q + np.where(runs[0].times_s > 1.0, 0.8, 0.0))
-    model = Model(setup, ("viscous_damping",))
-    cut = cut_stretches((*runs, broken), 1.5)
-    fit = fit_model(model, cut, np.array([0.9, 0.9, 0.0, 0.02]))
-    assert fit.effects[0].coefficient == pytest.approx(0.12, rel=0.15)
-
-
-def test_missing_force_locates_a_catch(tmp_path: Path):
-    """Runs that stay inside it: a simulation without it leaves, so its gradient is uninformative."""
-    setup, runs = problem_of(tmp_path, measured_of(6, exact=True, seconds=4.0))
-    catch, rng = Latch(9.0, 0.3, 0.12, 0.5), np.random.default_rng(6)
-    starts = ((0.27, 0.3), (1.1, 0.0), (0.33, -0.2), (-0.9, 0.0), (0.34, 0.1))
-    caught = tuple(
-        replace(run, q=simulate(setup.plant, (catch,), run.times_s, *start) + rng.normal(0, 7e-4, len(run.q)))
-        for run, start in zip(runs, starts, strict=True)
-    )
-    found = guess_places(setup, sample_missing_force(setup, caught), "latch", 2)
-    assert len(found) == 2
-    assert found[0]["position"] == pytest.approx(0.3, abs=0.03)
-    assert found[0]["travel"] == pytest.approx(0.12, rel=0.25)
-    assert found[0]["hold"] / found[0]["travel"] == pytest.approx(9.0 / 0.12, rel=0.15)
-    places = guess_places(setup, sample_missing_force(setup, caught, (catch,)), "latch", 1)
-    assert not places or places[0]["hold"] < 0.2 * 9.0  # nothing is missing with it
-    assert guess_places(setup, sample_missing_force(setup, caught), "viscous_damping", 2) == []
-
-
-def test_run_cost_is_a_robust_likelihood():
-    """Quadratic up to a multiple of the usual error, logarithmic beyond; the weights are its slope."""
-    powers = np.array([0.5, 0.7, 0.8, 1.0, 8.99, 9.01, 100.0])
-    for i in range(len(powers)):
-        moved = powers * (1 + 1e-4 * (np.arange(len(powers)) == i))
-        slope = (robust_loss(moved)[i] - robust_loss(powers)[i]) / (1e-4 * powers[i])
-        assert slope == pytest.approx(robust_weight(powers)[i], rel=1e-3)
-    assert robust_loss(powers)[:5].tolist() == powers[:5].tolist()
-    far = np.array([1.0, 1.0, 1.0, 9e2]), np.array([1.0, 1.0, 1.0, 9e4])
-    assert robust_loss(far[1])[-1] - robust_loss(far[0])[-1] == pytest.approx(9 * np.log(100))
-    together = np.full(4, 1e4)  # where all are missed equally none is held back
-    assert robust_loss(together).tolist() == together.tolist() and robust_weight(together).tolist() == [1.0] * 4
-
-
-def test_one_diverging_run_moves_no_parameter(tmp_path: Path):
-    setup, runs = problem_of(tmp_path, measured_of(26, viscous=0.12, seconds=4.0))
-    model = Model(setup, ("viscous_damping",))
-    astray = (replace(runs[0], q=runs[0].q + 0.4 * (runs[0].times_s > 2)), *runs[1:])
-    right, held = fit_model(model, runs), fit_model(model, astray)
-    spread = np.sqrt(np.diag(np.linalg.inv(right.normal)))
-    assert np.abs((held.theta - right.theta) / spread).max() < 4
-    assert held.run_rms(runs[0].name) > 50
-
-
 # --- long runs, searched on segments ----------------------------------------------------------------------------------
 
 
 def long_runs(seconds: float) -> Measured:
     """Eight runs of a pendulum with viscous damping."""
     return measured_of(3, runs=8, seconds=seconds, marked=False, viscous=0.06)
-
-
-def test_short_runs_are_searched_whole(tmp_path: Path):
-    problem, runs = problem_of(tmp_path, long_runs(4.0))
-    assert select_parts(problem, runs) is runs
 
 
 def test_a_search_on_segments_holds_on_whole_runs(tmp_path: Path):
@@ -217,14 +116,6 @@ def test_a_search_on_segments_holds_on_whole_runs(tmp_path: Path):
     assert fit.values["viscous_damping", "coefficient"] / inertia == pytest.approx(0.06, rel=0.12)
 
 
-def test_components_of_near_fits_are_near():
-    def fit(cost: float, *names: str) -> SimpleNamespace:
-        return SimpleNamespace(cost=cost, model=SimpleNamespace(names=names))
-
-    best, part, far, near = fit(10.0, "a", "b"), fit(900.0, "a"), fit(61.0, "c"), fit(59.0, "d")
-    assert drop_poor_fits([best, part, far, near], 6.0) == [best, part, near]
-
-
 # --- presliding friction, and forces and frictions of any shape over position -----------------------------------------
 
 HIDDEN = {
@@ -232,18 +123,6 @@ HIDDEN = {
     "force_over_position": {f"force_{k + 1}": x for k, x in enumerate((-0.3, 0.1, 0.4, 0.5, 0.2, 0.3, 0.6, 0.1))},
     "friction_over_position": {f"level_{k + 1}": 0.02 + 0.3 * (k in (2, 5)) for k in range(8)},
 }
-
-
-def test_presliding_friction_dissipates_only_sliding():
-    """Loss per cycle is 4 * level * (amplitude - travel), zero within the travel (Dupont et al. 2002)."""
-    law, remember, level, travel = *(getattr(EFFECTS["presliding_friction"], k) for k in ("law", "remember")), 0.3, 0.02
-    for amplitude, expected in ((0.1, 4 * 0.3 * 0.08), (0.019, 0.0)):
-        q = amplitude * np.sin(np.linspace(0, 4 * np.pi, 40_001))
-        anchor, work = remember(0.0, 0.0, level, travel), []
-        for a, b in pairwise(q):
-            work.append(-law(0.5 * (a + b), 0.0, 0.0, anchor, level, travel) * (b - a))
-            anchor = remember(b, anchor, level, travel)
-        assert sum(work[20_000:]) == pytest.approx(expected, abs=1e-5)
 
 
 @pytest.mark.parametrize(("name", "expected"), list(zip(HIDDEN, [*list(HIDDEN)[:2], "coulomb_friction"], strict=True)))
@@ -260,19 +139,3 @@ def test_a_shape_over_position_is_named(tmp_path: Path, name: str, expected: str
     choice = choose_hypotheses(search, split.folds, GapSettings().judgement)
     assert choice.accepted and choice.accepted[0].names == (expected,) and choice.in_part == (expected != name), choice
     assert not any(repeats_family(names) for names in search.fits)
-
-
-def test_presliding_friction_starts_where_that_of_bearings_ends(tmp_path: Path):
-    """The effect's own travel starts where that of all dry friction ends."""
-    problem, _ = problem_of(tmp_path, measured_of(5, exact=True, marked=False))
-    model = Model(problem, ("coulomb_friction",))
-    theta = np.array([r.upper if r.name == "travel_root" else r.neutral for r in model.ranges()])
-    own = Model(model.problem, ("presliding_friction",)).ranges()
-    least = next(r.lower for r in own if (r.owner, r.name) == ("presliding_friction", "travel"))
-    assert least == pytest.approx(ParameterMap(model).vector(theta)[0][kernel.TRAVEL])
-
-
-def test_a_set_has_one_effect_of_a_family():
-    assert repeats_family(("coulomb_friction", "presliding_friction"))
-    assert repeats_family(("presliding_friction", "stribeck_friction", "viscous_damping"))
-    assert not repeats_family(("load_friction", "presliding_friction"))

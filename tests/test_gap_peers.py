@@ -1,33 +1,13 @@
 """The peers of `gap`: held-back runs, the library's fits, MuJoCo's fit, and the ratios."""
 
-import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 from gap_case import asset_of, measured_of
 
-from benchmarks.gap_peers import compare, fit_all, open_library, take_away
+from benchmarks.gap_peers import compare, fit_all, open_library
 from freeart21.files.asset import read_asset
-from freeart21.files.measured import read_measured
-
-
-@pytest.mark.parametrize(("marked", "gone"), [((1, 3), [3]), ((1,), [1]), ((0, 2, 3, 4), [2, 4]), ((), [2])])
-def test_held_back_runs_follow_one_rule(tmp_path: Path, marked: tuple[int, ...], gone: list[int]):
-    folder = tmp_path / "measured"
-    folder.mkdir()
-    runs = [{"file": f"r{i}.csv", **({"held_out": True} if i in marked else {})} for i in range(5)]
-    doc = {"version": 1, "joint": "j", "joint_type": "revolute", "units": {"t_s": "s", "q": "rad"}, "runs": runs}
-    doc |= {"gravity": [0, 0, -9.81], "base": "fixed", "sampling": {"rate_hz": 100, "timestamps": "recorded"}}
-    (folder / "measured.json").write_text(json.dumps(doc))
-    for i in range(5):
-        rows = [f"{0.01 * k:.2f},{math.cos(0.01 * k + i):.6f}" for k in range(60)]
-        (folder / f"r{i}.csv").write_text("\n".join(["t_s,q", *rows]) + "\n")
-    names = take_away(folder, tmp_path / "fitted")
-    every, left = (read_measured(path) for path in (folder, tmp_path / "fitted"))
-    assert names == [every.runs[i].name for i in gone]
-    assert [run.name for run in left.runs] == [run.name for run in every.runs if run.name not in names]
 
 
 def test_ratios_are_geometric_means_over_delivered_answers():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,14 +18,13 @@ from freeart21.files.measured_writer import write_measured
 from freeart21.joint import JointType
 from freeart21.measured import Measured, Run
 from simgap.models.surrogate import Nuisance, make_plant
-from simgap.page.publish import _make_rolled_back
 from simgap.prove.body import find_correction
 from simgap.prove.replay import AssetOnDisk, replay
-from simgap.prove.writeback import set_joint_words, write_repaired
+from simgap.prove.writeback import write_repaired
 from simgap.select.decide import _confirm
 from simgap.settings import JudgementSettings
 from simgap.verdict import NamedEffect, RunGap, Use, Verdict
-from simgap.workflow import find_gap, gap_folder
+from simgap.workflow import gap_folder
 
 
 def slider(folder: Path, mass: float) -> Path:
@@ -121,45 +119,6 @@ def test_delivered_files_reproduce_the_verdicts_numbers(inertia: float, oil: flo
     assert replayed(tmp_path / "gap/asset", mine, ["run_6"])["run_6"] < 1.3e-3
 
 
-def test_confounded_asset_parameters_get_an_experiment(tmp_path: Path):
-    """A heavier part swings as one of less inertia: either may be written; a known push separates them."""
-    asset, measured = swings(tmp_path, 1.03, 0.0)
-    found = find_gap(read_asset(asset), read_measured(measured))
-    (inertia,) = (c for c in found.corrections if c.name == "inertia")
-    assert found.verdict == "no_gap" and inertia.low < 1.0 < 1.03 < inertia.high  # weight alone may be off as well
-    assert "or it may be that its weight pulls 0.97" in found.sentence
-    assert found.next_experiment and "known" in found.next_experiment and "then differ by" in found.next_experiment
-
-
-def test_gravity_direction_and_zero_offset_are_confounded(tmp_path: Path):
-    """Both within the asset's uncertainty: a swinging joint shows only their sum."""
-    measured = measured_of(30, runs=6, offset=0.04)
-    found = find_gap(read_asset(asset_of(tmp_path)), replace(measured, gravity_relative=0.1))
-    assert found.verdict == "no_gap" and any(c.name == "lean" for c in found.corrections)
-    assert "or it may be a sensor whose zero is off" in found.sentence
-    assert found.next_experiment and "then differ by" in found.next_experiment
-    bare = find_gap(read_asset(asset_of(tmp_path / "b")), replace(measured_of(30, runs=6), gravity_relative=0.1))
-    assert "zero" not in bare.sentence  # a usual mounting is no question
-
-
-def test_an_unconfirmed_answer_asks_for_more_runs(tmp_path: Path):
-    asset, measured = swings(tmp_path, 1.0, 0.06, count=4)
-    found = find_gap(read_asset(asset), read_measured(measured))
-    assert found.verdict == "named" and "not confirmed" in found.sentence
-    assert found.next_experiment and "Record more runs" in found.next_experiment
-
-
-def test_a_repaired_mjcf_has_no_old_parameters():
-    root = ET.fromstring('<mujoco><joint name="j" stiffness="3" springref="0.2" armature="0.1" damping="9"/></mujoco>')
-    set_joint_words(root, "j", {"j": (ViscousDamping(0.25),)}, Path("pendulum.xml"))
-    assert root[0].attrib == {"name": "j", "damping": "0.25"}
-
-
-def test_an_unconfirmed_replay_gets_an_experiment():
-    oil = NamedEffect(ViscousDamping(0.1), {"coefficient": 0.09}, {"coefficient": 0.11})
-    assert _make_rolled_back(Verdict("named", (oil,), (), (), (), None, "Oil."), (oil,), (oil,)).next_experiment
-
-
 def rows(*sizes: tuple[Use, float, float]) -> tuple[RunGap, ...]:
     return tuple(RunGap(f"run_{i}", b, a, 1.0, False, "free", use) for i, (use, b, a) in enumerate(sizes))
 
@@ -180,37 +139,3 @@ def test_confirmation_runs_decide(gaps: tuple[RunGap, ...], answer: str, tmp_pat
     found = _confirm(Verdict("named", (oil,), (), gaps, (), None, "Oil."), problem, JudgementSettings())
     assert (found.verdict, len(found.effects)) == (answer, answer == "named")
     assert (found.next_experiment is not None) == (answer == "unexplained")
-
-
-def test_an_unconfirmed_delay_is_no_gap(tmp_path: Path):
-    """Linearly varying small pushes declared as held: two runs lag by less than their noise."""
-    asset, t = read_asset(asset_of(tmp_path)), np.arange(300) / RATE
-    rng, runs = np.random.default_rng(3), []
-    for i in range(10):
-        push = 0.75 * np.sin(4.0 * t + i) if i in (0, 4) else np.zeros(len(t))
-
-        def slope(s, y, push=push):
-            return [y[1], (-MASS * G * ARM * np.sin(y[0]) + np.interp(s, t, push)) / INERTIA]
-
-        start = [0.0 if i in (0, 4) else rng.uniform(0.3, 1.0), 0.0]
-        q = solve_ivp(slope, (0, t[-1]), start, t_eval=t, rtol=1e-9, atol=1e-10, max_step=0.01).y[0]
-        runs.append(Run(f"run_{i}", t, q + rng.normal(0, 1.2e-3, len(t)), push))
-    measured = replace(free("revolute", *runs, doubt=(0.0, 0.0)), effort_kind="commanded", interpolation="held")
-    found = find_gap(asset, measured)
-    assert found.verdict == "no_gap" and "kept to confirm" in found.sentence
-
-
-def test_a_falling_slider_has_drag_and_no_load_friction(tmp_path: Path):
-    """Gravity along the slider: no load on its bearing."""
-    rng, mass, drag, runs = np.random.default_rng(0), 0.03, 0.001, []
-    rate, end = np.sqrt(G * drag / mass), np.sqrt(mass * G / drag)
-    for i, seconds in enumerate((2.0, 3.0, 3.5)):
-        t = np.arange(round(15 * seconds)) / 15
-        fallen = end / rate * np.log(np.cosh(rate * t))  # from rest, m v' = m g - drag v^2
-        runs.append(Run(f"run_{i}", t, 45 - fallen + rng.normal(0, 0.01, len(t))))
-    measured = Measured(
-        "j", "prismatic", np.array([-G, 0.0, 0.0]), 15, "recorded", None, None, 0.0, 0.0, tuple(runs), "unknown"
-    )
-    found = find_gap(read_asset(slider(tmp_path, mass)), measured)
-    assert [named.effect.name for named in found.effects] == ["quadratic_drag"]
-    assert abs(found.effects[0].effect.values()[0] / drag - 1) < 0.03

@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
-from gap_case import ARM, MASS, G, asset_of, measured_of
-from steady_case import SPEEDS, steady_of
+from gap_case import asset_of
+from steady_case import steady_of
 
 from benchmarks.real_recordings import recordings
 from freeart21.asset import Asset
 from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured
-from freeart21.files.measured_writer import write_measured
-from freeart21.measured import Measured, Run
+from freeart21.measured import Measured
 from simgap.fit.force_search import list_candidates
 from simgap.fit.problem import make_problem
 from simgap.measure.data import make_fit_runs
 from simgap.measure.prescribed import make_force_runs
-from simgap.measure.stiction import find_stiction_bound
 from simgap.models.surrogate import make_plant
 from simgap.select.split import split_runs
-from simgap.workflow import find_gap, gap_folder, make_force_problem
+from simgap.workflow import find_gap, make_force_problem
 
 REAL = [name for name in ("directdrive_steady", "directdrive_breakaway") if name in recordings()]
 
@@ -48,14 +43,6 @@ def test_stribeck_friction_is_found_from_steady_torque(asset: Asset):
     assert all(gap.after < 0.1 * gap.before for gap in confirming)
 
 
-@pytest.mark.parametrize("rate, seconds", [(10, 8.0), (100, 4.0), (1000, 4.0)])
-def test_a_complete_asset_has_no_gap(asset: Asset, rate: int, seconds: float):
-    slow = (0.003, 0.006, 0.01, 0.02, 0.03, 0.05, 0.08, 0.13, 0.2, 0.3)
-    speeds = slow if rate == 10 else SPEEDS
-    found = find_gap(asset, steady_of(0, rate, seconds, speeds=speeds))
-    assert (found.verdict, found.by) == ("no_gap", "force")
-
-
 def test_constant_load_confounds_dry_and_load_friction(asset: Asset):
     found = find_gap(asset, steady_of(0, dry=0.6, speeds=(0.02, 0.05, 0.1, 0.2, 0.4, 0.8)))
     assert found.verdict == "ambiguous"
@@ -75,63 +62,6 @@ def test_position_forces_need_both_directions(asset: Asset):
     assert of_place <= both and not of_place & one
     assert {"coulomb_friction", "stribeck_friction", "viscous_damping"} <= one
     assert not both & {"load_friction", "encoder_scale", "actuator_delay", "latch", "end_stop_bounce"}
-
-
-def test_free_motion_is_not_prescribed_unless_declared(asset: Asset):
-    swings = measured_of(0)
-    pushed = replace(
-        swings, effort_kind="external", runs=tuple(replace(r, effort=0.1 * np.sin(r.times_s)) for r in swings.runs)
-    )
-    steady = steady_of(0, dry=0.6)
-    plant = make_plant(asset, steady)
-    assert make_force_runs(swings, plant) is None and make_force_runs(pushed, plant) is None
-    assert make_force_runs(steady, plant) is not None
-    free = replace(steady, runs=tuple(replace(run, prescribed=False) for run in steady.runs))
-    assert make_force_runs(free, plant) is None
-    first, *others = pushed.runs
-    runs_of_force = make_force_runs(replace(pushed, runs=(replace(first, prescribed=True), *others)), plant)
-    assert runs_of_force is not None and [run.name for run in runs_of_force[0]] == [first.name]
-    assert sum("not prescribed" in note for note in runs_of_force[2]) == len(others)
-
-
-def test_the_answer_states_its_evidence(asset: Asset, tmp_path: Path):
-    write_measured(tmp_path / "set", steady_of(0, viscous=0.5, prescribed=True, speeds=(0.05, 0.1, 0.2, 0.4, 0.7, 1.0)))
-    assert all(run.prescribed for run in read_measured(tmp_path / "set").runs)
-    gap_folder(asset.urdf, tmp_path / "set", tmp_path / "gap")
-    document = json.loads((tmp_path / "gap" / "verdict.json").read_text())
-    assert document["gap_of"] == {"quantity": "force", "unit": "N*m"}
-    assert [effect["name"] for effect in document["effects"]] == ["viscous_damping"] == document["added"]
-    assert document["effects"][0]["parameters"]["coefficient"]["value"] == pytest.approx(0.5, rel=0.05)
-    page = (tmp_path / "gap" / "index.html").read_text()
-    assert "SAPIEN has not confirmed it" in page and "mN m" in page and "by inverse dynamics" in page
-    assert "<b>Force</b>, N m" in page and "<b>Position</b>" not in page
-
-
-def held_of(begin: float, efforts: list[np.ndarray], away: float = 0.0) -> Measured:
-    """A pushed joint that stays at `begin`, or moves `away` at the end."""
-    rng, times = np.random.default_rng(0), np.arange(800) / 100
-    moved = away * np.clip(times - 7, 0, 1)
-    runs = tuple(
-        Run(f"r{i}", times, begin + moved + 1e-4 * np.round(rng.normal(0, 1, 800)), effort)
-        for i, effort in enumerate(efforts)
-    )
-    gravity = np.array([0.0, 0.0, -G])
-    return Measured("j", "revolute", gravity, 100.0, "recorded", "external", None, 0.05, 0.03, runs, "linear")
-
-
-def test_stiction_bound_is_the_largest_held_effort(asset: Asset):
-    times, weight = np.arange(800) / 100, MASS * G * ARM * np.sin(0.7)
-    pushed = find_gap(asset, held_of(0.0, [0.5 * times, -0.4 * times]))
-    assert pushed.verdict == "not_excited" and "held against 3.8 N m" in pushed.sentence
-    assert pushed.next_experiment is not None and "Push harder than 3.8 N m" in pushed.next_experiment
-    hung = find_gap(asset, held_of(0.7, [0 * times]))
-    assert "held against 4.91 N m" in hung.sentence and pytest.approx(0.97 * weight, abs=0.02) == 4.91
-    for nothing in (held_of(0.0, [0 * times]), held_of(0.7, [0 * times + weight])):
-        answer = find_gap(asset, nothing)
-        assert answer.verdict == "not_excited" and "held against" not in answer.sentence
-    at_last = held_of(0.0, [0.5 * times], away=0.3)
-    plant = make_plant(asset, at_last)
-    assert find_stiction_bound(at_last, plant, make_fit_runs(at_last, plant)[1]) is None
 
 
 @pytest.mark.skipif(not REAL, reason="the recordings are not here")

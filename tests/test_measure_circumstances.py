@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -94,14 +92,3 @@ def test_bad_circumstances_are_a_one_line_error_without_output(tmp_path: Path, c
     with pytest.raises(FreeArtError, match=re.escape(why)) as error:
         set_of(tmp_path, facts, wanted)
     assert "\n" not in str(error.value) and not (tmp_path / "out").exists()
-
-
-def test_the_command_line_takes_circumstances(tmp_path: Path):
-    set_of(tmp_path, {"prescribed": True}, {"effort": "torque"}, effort="commanded")
-    command = [sys.executable, "-m", "freeart21", "measure"]
-    document = ["--effort", "commanded", "--circumstances", str(tmp_path / "told.json")]
-    asset = next((tmp_path / "asset").glob("*.urdf"))
-    made = [*command, str(tmp_path / "run.csv"), "--out", str(tmp_path / "new"), "--asset", str(asset), *document]
-    done = subprocess.run([*made, "--unit-q", "rad"], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert read_measured(tmp_path / "new" / "measured").runs[0].prescribed is True

@@ -5,18 +5,19 @@ from __future__ import annotations
 import json
 import re
 import zlib
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import run_command
 from gap_case import asset_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mutations import MUTATED, mutated_bytes, mutated_json, mutated_table, reads_or_refuses
 from refusal import assert_refused
 from scipy.io import savemat
 
 from freeart21.errors import FreeArtError
-from freeart21.files.asset import read_asset, write_asset_json
 from freeart21.files.measured import read_measured
 from freeart21.formats.measured_series import SeriesSettings, columns_from, measure_series
 from freeart21.formats.time_series import read_series
@@ -147,12 +148,6 @@ def test_zero_and_sign_are_applied(tmp_path: Path, asset: Path):
     np.testing.assert_allclose(measured.runs[0].q, Q, atol=2e-9)
 
 
-def test_rows_without_times_use_the_given_rate(tmp_path: Path, asset: Path):
-    measured, output = imported(tmp_path, asset, text(Q[:, None], "angle"), rate_hz=100.0)
-    np.testing.assert_allclose(measured.runs[0].times_s, T, atol=1e-12)
-    assert measured.rate_hz == 100 and "100 rows a second" in output
-
-
 def test_sensor_wraps_are_undone(tmp_path: Path):
     urdf = asset_of(tmp_path / "asset")
     urdf.write_text(urdf.read_text().replace('type="revolute"', 'type="continuous"'))
@@ -173,14 +168,6 @@ def test_empty_rows_are_dropped_and_reported(tmp_path: Path, asset: Path):
     assert len(run.q) == len(Q) and np.isnan(run.q).sum() == 1
     assert "1 rows without a new time" in output
     assert "1 rows with another number of cells than 2" in output
-
-
-def test_gravity_is_in_the_reference_links_frame(tmp_path: Path, asset: Path):
-    plain = read_asset(asset)
-    turned = np.array([[1.0, 0, 0, 0.3], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
-    write_asset_json(asset.parent, replace(plain, T_canonical_reference=turned))
-    measured, _ = imported(tmp_path, asset.parent, text(TABLE, "time,angle"))
-    np.testing.assert_allclose(measured.gravity, [0, 9.81, 0], atol=1e-12)
 
 
 DRIVEN = np.column_stack([T, Q, np.degrees(np.sin(T)), np.sin(3 * T), (T < 0.4).astype(float)])
@@ -209,128 +196,22 @@ def test_efforts_state_hold_and_unit(tmp_path: Path, asset: Path):
     assert measured.interpolation == "held"
 
 
-def test_empty_drive_cells_are_skipped(tmp_path: Path, asset: Path):
-    lines = text(DRIVEN[:, [0, 1, 3]], "time,position,torque").splitlines()
-    lines[6] = lines[6].rsplit(",", 1)[0] + ","
-    measured, output = imported(tmp_path, asset, "\n".join(lines), effort="commanded")
-    (run,) = measured.runs
-    assert (
-        np.flatnonzero(np.isnan(run.effort)).tolist() == [5] and "1 empty cells of drives count as no value" in output
-    )
-    lines[1:4] = [line.rsplit(",", 1)[0] + "," for line in lines[1:4]]  # the drive's topic began later
-    options = {"effort": "commanded", "columns": {"effort": "torque"}}
-    later, output = imported(tmp_path, asset, "\n".join(lines), name="later.csv", out="later", **options)
-    np.testing.assert_allclose(later.runs[0].times_s, run.times_s[3:] - run.times_s[3], atol=1e-9)
-    assert later.runs[0].effort[0] == run.effort[3] and "the first 3 rows were left out: they have no effort" in output
-    lines[1:76] = [line.rsplit(",", 1)[0] + "," for line in lines[1:76]]
-    with pytest.raises(FreeArtError, match="effort begin in row 76 of 80, expected 20 rows or more from there on"):
-        imported(tmp_path, asset, "\n".join(lines), name="silent.csv", out="silent", **options)
-
-
-def test_swapped_rows_are_sorted_and_a_second_recording_is_refused(tmp_path: Path, asset: Path):
-    lines = text(TABLE, "time,angle").splitlines()
-    lines[20], lines[21] = lines[21], lines[20]
-    measured, output = imported(tmp_path, asset, "\n".join(lines))
-    np.testing.assert_allclose(measured.runs[0].q, Q, atol=2e-7)
-    assert "1 rows came late, and were sorted" in output
-    with pytest.raises(FreeArtError, match="time goes back .* a second recording"):
-        imported(tmp_path, asset, text(np.vstack([TABLE, TABLE]), "time,angle"), name="twice.csv", out="twice")
-
-
-def test_a_wrapped_command_follows_its_position(tmp_path: Path):
-    urdf = asset_of(tmp_path / "asset")
-    urdf.write_text(urdf.read_text().replace('type="revolute"', 'type="continuous"'))
-    wound = 12 * T + 2.5
-    leapt = [(np.degrees(x) + 180) % 360 - 180 for x in (wound, wound + 0.2)]
-    leapt[1] += 360  # and is counted from another turn
-    content = text(np.column_stack([T, *leapt]), "time,angle,command")
-    measured, output = imported(tmp_path, urdf, content, actuator=(5.0, 0.1), unit_q="deg")
-    np.testing.assert_allclose(measured.runs[0].q, wound, atol=1e-6)
-    np.testing.assert_allclose(measured.runs[0].q_command, wound + 0.2, atol=1e-6)
-    assert "jumps of the command by a whole turn were removed" in output
-
-
-def test_a_duplicate_recording_is_dropped(tmp_path: Path, asset: Path):
-    for name in ("a.csv", "b.csv"):
-        (tmp_path / name).write_text(text(TABLE, "time,angle"))
-    (tmp_path / "c.csv").write_text(text(np.column_stack([T, 0.9 * Q]), "time,angle"))
-    files = [tmp_path / name for name in ("a.csv", "b.csv", "c.csv")]
-    notes = measure_series(files, tmp_path / "out", asset, None, SeriesSettings(held_out=("a",)))
-    assert [run.name for run in read_measured(tmp_path / "out" / "measured").runs] == ["b", "c"]
-    assert "run 'a' is run 'b' again, reading by reading: it was left out" in notes
-
-
-def test_an_ignored_drive_column_is_reported(tmp_path: Path, asset: Path):
-    content = text(DRIVEN[:, [0, 1, 3]], "time,position,torque")
-    measured, output = imported(tmp_path, asset, content, columns={"t": "time", "q": "position"})
-    assert measured.runs[0].effort is None and "column 'torque' is left out" in output
-
-
 REFUSED = {
     "a drive": (
         text(DRIVEN[:, [0, 1, 3]], "time,position,torque"),
         {},
         "column 'torque' looks like an effort: expected --effort",
     ),
-    "a command": (
-        text(DRIVEN[:, [0, 1, 2]], "time,pos,setpoint"),
-        {},
-        "column 'setpoint' looks like a command: expected --act",
-    ),
-    "no time": (
-        text(np.column_stack([Q, -Q]), "a,b"),
-        {},
-        "which column is the time. --columns t=NAME.*; columns: a, b",
-    ),
     "no position": (
         text(np.column_stack([T, Q, Q]), "time,a,b"),
         {},
         "which column.* --columns q=NAME; columns: time, a, b",
     ),
-    "two positions": (
-        text(np.column_stack([T, Q, Q]), "time,theta,phi"),
-        {},
-        "is theta or phi.*columns: time, theta, phi",
-    ),
     "no such column": (FORMS["commas"], {"columns": {"q": "x"}}, "run.csv has no column 'x'; columns: time, angle"),
     "no such joint": (FORMS["commas"], {"joint": "lid"}, "no movable joint 'lid'; movable joints: j"),
-    "no such run": (FORMS["commas"], {"held_out": ("b",)}, "--held-out: there is no run 'b'; runs: run"),
-    "all held out": (FORMS["commas"], {"held_out": ("run",)}, "^measured.json: all 1 runs are held out"),
     "metres of a hinge": (FORMS["commas"], {"unit_q": "mm"}, "--unit-q mm: joint 'j' is revolute, expected rad, deg"),
-    "newtons of a hinge": (
-        text(DRIVEN[:, [0, 1, 3]], "time,q,tau"),
-        {"effort": "external", "unit_effort": "N"},
-        r"--unit-effort N: joint 'j' is revolute, expected N\*m",
-    ),
     "time goes back": (text(np.vstack([TABLE, TABLE]), "time,angle"), {}, "time goes back from 0.79 to 0 in row 81"),
-    "too short": (text(TABLE[:12], "time,angle"), {}, "has 12 rows of different times, expected 20 or more"),
     "no numbers": ("dear diary,\nhello", {}, "has no rows of numbers; it begins with 'dear diary,'"),
-    "nothing": ("", {}, "has no rows"),
-    "ragged": (text(TABLE, "time,angle") + "1,2,3\n" * 9, {}, "9 of 89 rows have another number of cells than 2"),
-    "not text": (b"\0\1\2" * 50, {}, "is not text: it has NUL bytes"),
-    "gravity": (
-        FORMS["commas"],
-        {"gravity": (0.0, np.nan, 0.0)},
-        "--gravity 0.0 nan 0.0: expected a finite number each",
-    ),
-    "an endless law": (
-        FORMS["commas"],
-        {"actuator": (np.inf, 1.0)},
-        "--actuator inf 1.0: expected a finite number each",
-    ),
-    "no reading": (
-        text(np.column_stack([T, np.nan * Q]), "time,q"),
-        {},
-        "^run.csv has 0 readings of q that are numbers",
-    ),
-    "no rate": (text(Q[:, None], "angle"), {"rate_hz": 0.0}, "--rate-hz 0: expected above 0"),
-    "heavy gravity": (FORMS["commas"], {"gravity": (0.0, 0.0, -981.0)}, "'gravity' is 981 long, expected m/s"),
-    "a law without a column": (FORMS["commas"], {"actuator": (1.0, 1.0)}, "which column is q_command\\?"),
-    "a column without a law": (
-        FORMS["commas"],
-        {"columns": {"q_command": "angle"}},
-        "q_command=angle needs --actuator",
-    ),
 }
 
 
@@ -343,20 +224,25 @@ def test_unreadable_input_is_a_one_line_error_without_output(what: str, tmp_path
     assert {p.name for p in tmp_path.iterdir()} == {"asset", "run.csv"}
 
 
-@pytest.mark.parametrize(
-    "name, content, message",
-    [
-        ("a.json", b"[" * 100_000, "is not JSON"),
-        ("a.json", b"{}", "has no table: expected a list of objects"),
-        ("a.mat", b"MATLAB 7.3 MAT-file" + b" " * 500, "of version 7.3"),
-        ("a.mat", b"MATLAB 5.0" + bytes(200), "is not a readable MAT file"),
-        ("a.mat", b"x" * 124 + b"\0\1IM" + b"\x0f\0\0\0\4\0\0\0abcd", "is not a readable MAT file"),
-        ("a.xlsx", b"PK", "is a .xlsx file, expected text"),
-        ("a.npz", b"PK", "is a .npz file, expected text"),
-    ],
-)
-def test_hostile_files_are_a_one_line_error(name: str, content: bytes, message: str, tmp_path: Path, asset: Path):
-    assert_refused(message, imported, tmp_path, asset, content, name)
+TABLES = {
+    "a.csv": st.one_of(mutated_table(FORMS["quotes and a unit"]), mutated_table(FORMS["more columns"])),
+    "a.json": mutated_json({"about": 1, "log": [{"t": t, "q": q} for t, q in TABLE.tolist()]}).map(json.dumps),
+}
+
+
+@MUTATED
+@given(data=st.data())
+def test_a_broken_recording_is_read_or_refused_in_one_line(tmp_path: Path, data):
+    name = data.draw(st.sampled_from(sorted(TABLES)))
+    (tmp_path / name).write_text(data.draw(TABLES[name]))
+    reads_or_refuses(read_series, tmp_path / name)
+
+
+@settings(MUTATED, max_examples=6)
+@given(data=st.data())
+def test_a_broken_mat_file_is_read_or_refused_in_one_line(tmp_path: Path, data):
+    (tmp_path / "a.mat").write_bytes(data.draw(mutated_bytes(mat(tmp_path, t=T, q=Q))))
+    reads_or_refuses(read_series, tmp_path / "a.mat")
 
 
 def test_a_mat_file_that_crashes_scipy_is_a_one_line_error(tmp_path: Path, monkeypatch):
@@ -367,14 +253,6 @@ def test_a_mat_file_that_crashes_scipy_is_a_one_line_error(tmp_path: Path, monke
     (tmp_path / "python").chmod(0o755)
     (tmp_path / "a.mat").write_bytes(content)
     assert_refused(r"a\.mat is not a readable MAT file: the reader crashed on it", read_series, tmp_path / "a.mat")
-
-
-def test_python_files_next_to_a_mat_file_are_not_run(tmp_path: Path, monkeypatch):
-    content = mat(tmp_path, t=T, q=Q)
-    (tmp_path / "numpy.py").write_text("raise SystemExit('imported')")
-    (tmp_path / "a.mat").write_bytes(content)
-    monkeypatch.chdir(tmp_path)
-    assert set(read_series(Path("a.mat")).columns) == {"t", "q"}
 
 
 def test_a_decompression_bomb_is_not_unpacked(tmp_path: Path, monkeypatch):
@@ -397,22 +275,6 @@ def test_columns_come_from_options_or_a_file(tmp_path: Path):
         (("x=time",), "no role 'x'; roles: t, q, eff"),
     ):
         assert_refused(message, columns_from, words)
-
-
-def test_each_file_is_a_run_with_its_name(tmp_path: Path, asset: Path):
-    for folder in ("a", "b"):
-        (tmp_path / folder).mkdir()
-        (tmp_path / folder / "run 1.csv").write_text(text(np.column_stack([T, Q + 0.01 * (folder == "b")]), "t,q"))
-    files = [tmp_path / folder / "run 1.csv" for folder in ("a", "b")]
-    measure_series(files, tmp_path / "out", asset, None, SeriesSettings())
-    assert [run.name for run in read_measured(tmp_path / "out/measured").runs] == ["run_1", "run_1_2"]
-
-
-def test_files_in_different_units_are_refused(tmp_path: Path, asset: Path):
-    for name, unit in (("a", "deg"), ("b", "rad")):
-        (tmp_path / f"{name}.csv").write_text(text(TABLE, f"time,angle [{unit}]"))
-    with pytest.raises(FreeArtError, match=r"b.csv: q is in rad, but in deg in a.csv; expected the same for all"):
-        measure_series([tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "out", asset, None, SeriesSettings())
 
 
 def test_the_command_line_follows_its_sources(tmp_path: Path, asset: Path, capsys):

@@ -18,7 +18,7 @@ from export.checklist import read_solid
 from freeart21.errors import FreeArtError
 from freeart21.view.link_shapes import read_shown
 from freeart21.view.mesh_pieces import ENDINGS, read_pieces
-from generator.urdf_folder import load_urdf
+from generator.urdf_object import load_urdf
 
 SIZE = (0.1, 0.2, 0.04)
 URDF = """<robot name="x">
@@ -54,7 +54,7 @@ def test_every_kind_is_read_the_same_by_record_and_check_asset_and_view(ending: 
     mesh = f'<mesh filename="package://x/meshes/a%20part{ending}" scale="1 1 -2"/>'
     urdf.write_text(URDF.format(base=mesh, lid=mesh))
     wide = np.array(SIZE) * [1, 1, 2]
-    recorded = load_urdf(urdf, tmp_path / "made").child_side.surface.mesh()
+    recorded = load_urdf(urdf).child_side.surface.mesh()
     np.testing.assert_allclose(np.ptp(recorded.vertices, axis=0), wide, atol=1e-6)
     shown = read_shown(urdf)
     for pieces in (shown.visuals["lid"], shown.collisions["lid"]):
@@ -79,7 +79,7 @@ def test_collada_is_in_its_unit_and_stands_as_written(tmp_path: Path) -> None:
         np.testing.assert_allclose(np.ptp(vertices, axis=0), np.array(SIZE) * 0.0254, atol=1e-7)
         urdf = tmp_path / "x.urdf"
         urdf.write_text(URDF.format(base='<mesh filename="a.dae"/>', lid='<sphere radius="0.001"/>'))
-        notes = load_urdf(urdf, tmp_path / f"made{axis}").notes
+        notes = load_urdf(urdf).notes
         expected = ["COLLADA's <up_axis> is ignored, as in RViz"] if axis in ("X_UP", "Y_UP") else []
         assert [note.split(":")[0] for note in notes] == expected
     for unit, message in (("0", "its unit is 0 m"), ("x", "could not convert"), ("nan", "its unit is nan m")):
@@ -107,7 +107,7 @@ def test_colours_and_pictures_of_glb_are_kept(tmp_path: Path) -> None:
     np.testing.assert_array_equal(painted.mesh.colours[far], np.tile([0, 255, 0], (far.sum(), 1)))
     np.testing.assert_array_equal(painted.mesh.colours[~far], np.tile([0, 0, 255], ((~far).sum(), 1)))
     (tmp_path / "x.urdf").write_text(URDF.format(base='<mesh filename="a.glb"/>', lid='<box size="1 1 1"/>'))
-    made = load_urdf(tmp_path / "x.urdf", tmp_path / "made").parent_side.surface
+    made = load_urdf(tmp_path / "x.urdf").parent_side.surface
     assert any(paint.picture is not None and paint.picture.shape == (1, 2, 3) for paint in made.paints)
 
 
@@ -122,7 +122,7 @@ def test_colours_and_pictures_of_glb_are_kept(tmp_path: Path) -> None:
 )
 def test_primitives_are_recorded_and_shown(shape: str, size: tuple[float, ...], tmp_path: Path) -> None:
     (tmp_path / "x.urdf").write_text(URDF.format(base=shape, lid=shape))
-    loaded = load_urdf(tmp_path / "x.urdf", tmp_path / "made")
+    loaded = load_urdf(tmp_path / "x.urdf")
     surface = loaded.parent_side.surface
     np.testing.assert_allclose(np.ptp(surface.vertices, axis=0), size, atol=2e-3)
     solid = trimesh.Trimesh(surface.vertices, surface.faces)
@@ -141,9 +141,8 @@ def test_primitives_are_recorded_and_shown(shape: str, size: tuple[float, ...], 
 def test_what_is_no_shape_is_refused_by_record_and_view(shape: str, message: str, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "a.glb")
     (tmp_path / "x.urdf").write_text(URDF.format(base='<box size="1 1 1"/>', lid=shape))
-    for read in (read_shown, lambda urdf: load_urdf(urdf, tmp_path / "made")):
+    for read in (read_shown, load_urdf):
         assert_refused(message, read, tmp_path / "x.urdf")
-    assert not (tmp_path / "made").exists()
 
 
 def test_a_mesh_names_files_of_the_root_alone(tmp_path: Path) -> None:

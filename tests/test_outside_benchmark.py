@@ -4,9 +4,7 @@ import json
 import sys
 
 import numpy as np
-import trimesh
 from refusal import assert_refused
-from test_track import URDF as CASE
 
 from benchmarks import outside, results
 from benchmarks.common import run_rows, run_within, write_report
@@ -53,21 +51,6 @@ def test_clips_follow_from_the_data_alone(tmp_path):
         "laptop",
         "s1_laptop_use_02.object.npy",
     )
-
-
-def test_captured_motion_is_of_the_object_itself_where_it_can_be_recorded(tmp_path):
-    folder = tmp_path / "case"
-    folder.mkdir()
-    trimesh.creation.box((100, 100, 20)).export(folder / "lid.stl")
-    (folder / "case.urdf").write_text(CASE)
-    assert outside.own_urdf(folder) is None, "a mesh of it is absent"
-    trimesh.creation.box((0.1, 0.1, 0.04)).export(folder / "box.obj")
-    assert outside.own_urdf(folder) == folder / "case.urdf"
-    (folder / "a.urdf").write_text(CASE)
-    assert outside.own_urdf(folder) == folder / "case.urdf", "that of its own name first"
-    (folder / "case.urdf").write_text("no urdf")
-    assert outside.own_urdf(folder) == folder / "a.urdf"
-    assert outside.own_urdf(tmp_path / "none") is None
 
 
 def count_and_answer(counter, x):

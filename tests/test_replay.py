@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import json
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,17 +13,13 @@ from gap_case import ARM, INERTIA, MASS, RATE, G, asset_of
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
-from freeart21 import cli, se3
-from freeart21.effects.coulomb_friction import CoulombFriction
-from freeart21.effects.detent import Detent
+from freeart21 import cli
 from freeart21.effects.viscous_damping import ViscousDamping
-from freeart21.errors import FreeArtError
-from freeart21.files.asset import read_asset, write_asset_json
+from freeart21.files.asset import read_asset
 from freeart21.files.measured_writer import write_measured
 from freeart21.joint import JointType
 from freeart21.measured import Measured, Run
 from simgap.prove.writeback import write_repaired
-from simgap.replay import Replayed, format_table, replay_folder
 
 OIL = 0.06
 STARTS = (1.2, -0.7, 0.5, -1.0, 0.9, -0.4)
@@ -99,67 +94,6 @@ def test_gap_and_replay_agree_to_the_last_digit(tmp_path: Path, monkeypatch, cap
             assert uses == (document["uses"] if what == "after" else dict.fromkeys(uses, "unknown"))
 
 
-def test_a_replay_is_written_atomically_and_never_overwrites(tmp_path: Path):
-    asset, runs = oiled(tmp_path), write_set(tmp_path / "m", pendulum(2))
-    out = tmp_path / "out"
-    result = replay_folder(asset, [runs / "swing_1.csv"], out)
-    (row,) = result.rows
-    assert row.replay.error < 1.1e-3 and row.replay.start == pytest.approx((STARTS[1], 0.0), abs=3e-3)
-    curve = np.loadtxt(out / "curves/swing_1.csv", delimiter=",", skiprows=1)
-    assert np.sqrt(np.mean((curve[:, 2] - curve[:, 1]) ** 2)) == pytest.approx(row.replay.error, rel=1e-9)
-    data = json.loads((out / "replay.json").read_text())
-    assert data["command"] == f"freeart21 replay {asset} {runs / 'swing_1.csv'}"
-    assert set(data["asset"]["files"]) == {"bob.urdf", "bob.xml", "asset.json", "effects.json"}
-    page = (out / "index.html").read_text()
-    assert data["command"] in page and "swing_1" in page and "src=" not in page
-    with pytest.raises(FreeArtError, match="exists; choose another place"):
-        replay_folder(asset, [runs], out)
-    with pytest.raises(FreeArtError, match="none of 2 runs was replayed within"):
-        replay_folder(asset, [runs], tmp_path / "late", seconds=1e-3)
-    assert not (tmp_path / "late").exists()
-
-
-def test_runs_are_replayed_independently(tmp_path: Path):
-    asset, runs = oiled(tmp_path), write_set(tmp_path / "m", pendulum(3))
-    every, one = (replay_folder(asset, [path]).rows for path in (runs, runs / "swing_2.csv"))
-    assert one[0].replay.error == every[2].replay.error and one[0].replay.start == every[2].replay.start
-
-
-def test_engines_are_compared_or_the_reason_is_given(tmp_path: Path):
-    pytest.importorskip("mujoco")
-    runs = write_set(tmp_path / "m", pendulum(1))
-    for asset in (oiled(tmp_path / "with"), tmp_path / "with/plain"):  # with an MJCF, and a URDF alone
-        errors = [replay_folder(asset, [runs], engine=e).rows[0].replay.error for e in ("sapien", "mujoco")]
-        assert errors[0] == pytest.approx(errors[1], rel=0.02)
-    notched = oiled(tmp_path / "notched", Detent(0.3, 0.2, 0.05))
-    with pytest.raises(FreeArtError, match="MuJoCo's format cannot say detent"):
-        replay_folder(notched, [runs], engine="mujoco")
-
-
-def test_gravity_is_measured_in_the_canonical_frame_whichever_engine_replays(tmp_path: Path):
-    pytest.importorskip("mujoco")
-    R = se3.exp_so3(np.array([0.9, 0.5, -0.3]))
-    folder = oiled(tmp_path)
-    write_asset_json(folder, replace(read_asset(folder), T_canonical_reference=se3.pose(R, [0.1, 0.2, 0.3])))
-    runs = write_set(tmp_path / "m", pendulum(1), down=R @ [0, 0, -G])
-    for engine in ("sapien", "mujoco"):
-        assert replay_folder(folder, [runs], engine=engine).rows[0].replay.error < 0.01
-
-
-def test_missing_mujoco_is_a_one_line_message(tmp_path: Path, monkeypatch):
-    own = importlib.util.find_spec
-    monkeypatch.setattr("importlib.util.find_spec", lambda name, *more: None if name == "mujoco" else own(name, *more))
-    with pytest.raises(FreeArtError, match="MuJoCo is not installed: pip install"):
-        replay_folder(oiled(tmp_path), [write_set(tmp_path / "m", pendulum(1))], engine="mujoco")
-
-
-def test_guessed_effects_act_unless_excluded(tmp_path: Path):
-    asset, runs = read_asset(oiled(tmp_path)), write_set(tmp_path / "m", pendulum(1))
-    write_asset_json(asset.urdf.parent, replace(asset, source={"dynamics": {"guessed": True}}))
-    acting, without = (replay_folder(asset.urdf.parent, [runs], guesses=g).rows[0].replay.error for g in (True, False))
-    assert acting < 1.1e-3 and without > 10e-3
-
-
 INERTIA_TAG = '<inertia ixx="1e-2" iyy="1e-2" izz="1e-2" ixy="0" ixz="0" iyz="0"/>'
 TWO = """<robot name="two"><link name="base"/>
     <link name="door"><inertial><origin xyz="0 0 -{ARM}"/><mass value="{MASS}"/>{tensor}</inertial></link>
@@ -175,36 +109,6 @@ def two(folder: Path, more: str = "") -> Path:
     path = folder / "two.urdf"
     path.write_text(TWO.format(ARM=ARM, MASS=MASS, tensor=INERTIA_TAG, more=more))
     return path
-
-
-def slid(mm: bool = False) -> tuple[Run, ...]:
-    """A drawer pushed once and stopped by dry friction of 1 N, in closed form."""
-    t = np.arange(300) / RATE
-    q = np.where(t < 2.0, 0.5 + 1.0 * t - 0.25 * t**2, 1.5)
-    return (Run("pushed", t, q + np.random.default_rng(0).normal(0, 1e-3, len(t))),)
-
-
-def test_each_joint_is_replayed_by_its_runs(tmp_path: Path):
-    """A hinge and a slider of one asset, with millimetres in one file and missing rows in the other."""
-    path = two(tmp_path / "a", '<dynamics friction="1.0"/>')
-    (swing,) = pendulum(1, oil=0.0)
-    seen = swing.q.copy()
-    seen[40:90] = np.nan
-    samples = np.r_[0:150, 220:300]
-    hinge = write_set(tmp_path / "h", (replace(swing, times_s=swing.times_s[samples], q=seen[samples]),))
-    slider = write_set(tmp_path / "s", slid(), "slide", "prismatic")
-    text = json.loads((slider / "measured.json").read_text())
-    text["units"]["q"] = "mm"
-    (slider / "measured.json").write_text(json.dumps(text))
-    rows = (slider / "pushed.csv").read_text().splitlines()
-    scaled = [f"{t},{1e3 * float(q)}" for t, q in (row.split(",") for row in rows[1:])]
-    (slider / "pushed.csv").write_text("\n".join([rows[0], *scaled]))
-    result = replay_folder(path, [hinge, slider], tmp_path / "out")
-    turned, pushed = result.rows
-    assert turned.replay.error < 1.1e-3 and len(turned.replay.times_s) == 180
-    assert pushed.replay.error < 1.1e-3 and pushed.replay.start == pytest.approx((0.5, 1.0), abs=3e-3)
-    assert " rad" in format_table(result) and " mm/s" in format_table(result) and result.joint == "j, slide"
-    assert len(list((tmp_path / "out/curves").iterdir())) == 2
 
 
 def test_bad_replay_files_are_a_one_line_error(tmp_path: Path):
@@ -235,36 +139,3 @@ def test_bad_replay_files_are_a_one_line_error(tmp_path: Path):
         code = run("replay", *words, "--out", tmp_path / "out")
         assert isinstance(code, str) and message in code and "\n" not in code, (words, code)
         assert not (tmp_path / "out").exists()
-
-
-def test_part_poses_are_replayed_as_gaps_positions(tmp_path: Path, monkeypatch):
-    """runs/ of the answer is a measured set, which repeats the numbers."""
-    from test_gap_command import poses
-
-    monkeypatch.chdir(tmp_path)
-    asset_of(Path("a"))
-    (swing,) = pendulum(1)
-    poses(tmp_path / "m/p", swing.q)
-    base = write_set(tmp_path / "plain", (swing,)) / "measured.json"
-    text = {**json.loads(base.read_text()), "runs": [{"file": "p", "kind": "poses"}]}
-    Path("m/measured.json").write_text(json.dumps(text))
-    assert "in runs/ of its answer" in str(run("replay", "a", "m"))
-    assert not run("gap", "a", "m", "--out", "gap")
-    document = json.loads(Path("gap/verdict.json").read_text())
-    rows = [row for row in document["gap"] if row["regime"] != "geometry"]
-    assert len(rows) == 1 and document["proof"]["repeat"]["before"] == "freeart21 replay a gap/runs"
-    for what in ("before", "after"):
-        assert not run(*document["proof"]["repeat"][what].split()[1:], "--out", what)
-        (found,) = json.loads(Path(what, "replay.json").read_text())["runs"]
-        assert found["error"] == rows[0][what]
-
-
-@pytest.mark.parametrize("noise", [0.0, 1e-3])
-def test_sticking_friction_is_replayed(tmp_path: Path, noise: float, recwarn):
-    """A resting joint is matched to its noise, also where all readings are equal."""
-    t = np.arange(200) / RATE
-    still = Run("still", t, np.random.default_rng(1).normal(0, noise, len(t)))
-    asset = oiled(tmp_path, CoulombFriction(MASS * G * ARM))
-    result: Replayed = replay_folder(asset, [write_set(tmp_path / "m", (still,))])
-    assert result.rows[0].replay.error < 1.2 * noise + 1e-4 and result.rows[0].use == "unknown"
-    assert not [warning for warning in recwarn if issubclass(warning.category, RuntimeWarning)]

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 
@@ -15,23 +13,15 @@ from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
 from freeart21.mechanics import Actuator, interpolate_series
 from generator.simulate import roll_out
-from simgap.models import kernel, laws
+from simgap.models import laws
 from simgap.models.surrogate import (
-    Batch,
     Inputs,
-    Nuisance,
-    StepSettings,
-    effect_terms,
     make_plant,
-    make_vector,
     simulate,
-    sweep,
-    time_steps,
 )
 
 MASS, ARM, G = 1.6, 0.5, 9.81
 GRAVITY = np.array([0.0, 0.0, -G])
-TYPES = pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 
 
 def asset_at(folder: Path, kind: str, *effects, axis: str = "0 1 0", lower: float = -50, upper: float = 50):
@@ -84,25 +74,6 @@ def test_the_kernel_has_every_law_of_the_library():
         assert caught == float(cls.remember(q, 1.0, *numbers)), name
 
 
-@TYPES
-@pytest.mark.parametrize("name", FREE)
-def test_free_motion_is_sapiens(tmp_path: Path, kind: str, name: str):
-    gravity = GRAVITY if kind == "revolute" else np.zeros(3)
-    if name in ("load_friction", "gear_friction") and kind == "prismatic":
-        gravity = GRAVITY
-    asset = asset_at(tmp_path, kind, FREE[name])
-    q0, qd0 = (0.9, 0.0) if kind == "revolute" else (-0.2, 0.9)
-    theirs = roll_out(asset, q0, qd0, duration_s=3, gravity=gravity)
-    plant = make_plant(asset, measured_of(kind, gravity=gravity))
-    ours = simulate(plant, (FREE[name],), theirs.times_s, q0, qd0)
-    assert np.abs(ours - theirs.q_measured).max() < 2e-3 * np.ptp(theirs.q), name
-    plain = simulate(plant, (), theirs.times_s, q0, qd0)
-    assert np.abs(plain - theirs.q_measured).max() > 5e-3 * np.ptp(theirs.q) or (kind, name) in (
-        ("prismatic", "armature"),  # nothing accelerates it
-        ("prismatic", "gear_friction"),  # nor presses on teeth
-    )
-
-
 @pytest.mark.parametrize(
     "bounce",
     [
@@ -119,56 +90,6 @@ def test_impacts_are_sapiens(tmp_path: Path, bounce: tuple[str, dict[str, float]
     ours = simulate(make_plant(asset, measured_of("revolute")), effects, theirs.times_s, 1.2)
     assert np.abs(ours - theirs.q).max() < 4e-3
     assert ours.min() >= -0.4 - 1e-12
-
-
-@pytest.mark.parametrize("deep", [2e-3, 2e-2])
-def test_an_impact_that_begins_and_ends_within_a_step_is_one(tmp_path: Path, deep: float):
-    """A swing that just reaches its limit: in the kernel's coarse steps, in fine ones, and in SAPIEN."""
-    effects = (make_effect("end_stop_bounce", restitution=0.3),)
-    asset = asset_at(tmp_path, "revolute", *effects, lower=-1.2 + deep, upper=2.0)
-    plant = make_plant(asset, measured_of("revolute"))
-    times = np.arange(601) / 100
-    coarse = simulate(plant, effects, times, 1.2)
-    assert coarse.min() == pytest.approx(-1.2 + deep, abs=1e-4) and coarse.min() >= plant.lower
-    fine = StepSettings(phase_per_step=0.01, max_step_s=5e-4)
-    np.testing.assert_allclose(coarse, simulate(plant, effects, times, 1.2, settings=fine), atol=5e-4)
-    theirs = roll_out(asset, 1.2, duration_s=6, timestep_s=4e-3)
-    assert theirs.q.min() >= plant.lower - 1e-12
-    assert np.abs(theirs.q - simulate(plant, effects, theirs.times_s, 1.2)).max() < 4e-3
-    free = simulate(replace(plant, lower=-50.0), effects, times, 1.2)
-    assert np.abs(coarse - free).max() > 5 * deep
-
-
-def test_a_rotor_takes_its_part_back_from_a_limit_as_a_shaft_does(tmp_path: Path):
-    """A pendulum and a rotor behind a damped shaft that meet a dead stop, fast and slowly, in steps of 5 us."""
-    rotor, stiffness, damping, limit = 0.12, 7000.0, 28.0, -0.5
-    plant = make_plant(asset_at(tmp_path, "revolute", lower=limit), measured_of("revolute"))
-    inertia, weight = plant.mechanics.inertia, MASS * G * ARM
-    times = np.arange(300) / 100
-
-    @numba.njit
-    def course(h, per, n):
-        q, v, x, w, out = 1.1, 0.0, 1.1, 0.0, np.empty(n)
-        for i in range(n):
-            out[i] = q
-            for _ in range(per):
-                shaft = stiffness * (x - q) + damping * (w - v)
-                v += h * (shaft - weight * math.sin(q)) / inertia
-                w -= h * shaft / rotor
-                q, x = q + h * v, x + h * w
-                if q < limit:
-                    q, v = limit, 0.0
-        return out
-
-    true = course(5e-6, 2000, 300)
-    z = damping / (2 * np.sqrt(stiffness * rotor))
-    back = float(np.exp(-2 * z * np.arccos(z) / np.sqrt(1 - z * z)))
-
-    def off(**shaft: float) -> float:
-        return float(np.abs(simulate(plant, (make_effect("armature", value=rotor, **shaft),), times, 1.1) - true).max())
-
-    assert off() > 0.015 and off(throw_back=back) > 0.015
-    assert off(throw_back=back, swing=float(np.sqrt(rotor / stiffness))) < 2e-3
 
 
 @pytest.mark.parametrize(
@@ -203,117 +124,3 @@ def test_a_servo_is_sapiens(tmp_path: Path, names: tuple[str, ...]):
     inputs = Inputs(ticks, command, np.zeros(len(ticks)), np.zeros(len(ticks)))
     ours = simulate(plant, effects, theirs.times_s, 0.0, 0.0, inputs)
     assert np.abs(ours - theirs.q).max() < 4e-3 * np.ptp(theirs.q)
-
-
-def test_a_push_passes_the_actuator_by_and_a_commanded_effort_does_not(tmp_path: Path):
-    effects = (make_effect("actuator_gain", factor=0.5), make_effect("actuator_delay", seconds=0.1))
-    asset = asset_at(tmp_path, "prismatic", *effects)
-    plant = make_plant(asset, measured_of("prismatic", gravity=np.zeros(3)))
-    times, ticks = np.arange(1001) * 1e-3, np.array([0.0, 0.2, 0.4])
-    effort, none = np.array([0.0, 2.0, 0.0]), np.full(3, np.nan)
-    commanded = simulate(plant, effects, times, 0.0, 0.0, Inputs(ticks, none, effort, np.zeros(3)))
-    speed = 0.5 * 2.0 / MASS * 0.2
-    assert commanded[-1] == pytest.approx(0.5 * speed * 0.2 + speed * 0.5, abs=1e-7)
-    pushed = simulate(plant, effects, times, 0.0, 0.0, Inputs(ticks, none, np.zeros(3), effort))
-    speed = 2.0 / MASS * 0.2
-    assert pushed[-1] == pytest.approx(0.5 * speed * 0.2 + speed * 0.6, abs=1e-7)
-
-
-def test_a_late_clock_reads_what_was(tmp_path: Path):
-    asset = asset_at(tmp_path, "revolute")
-    plant = make_plant(asset, measured_of("revolute"))
-    times = np.arange(500) * 0.01
-    now = simulate(plant, (), times, 0.5)
-    late = simulate(plant, (make_effect("time_offset", seconds=0.2),), times, 0.5)
-    np.testing.assert_allclose(late, now, atol=1e-9)  # the start is that of the first reading: a free gauge
-
-
-def test_nuisance_is_another_asset(tmp_path: Path):
-    asset = asset_at(tmp_path, "revolute")
-    plant = make_plant(asset, measured_of("revolute"))
-    lean = 0.01
-    leant = make_plant(asset, measured_of("revolute", gravity=(G * np.sin(lean), 0, -G * np.cos(lean))))
-    times = np.arange(300) * 0.01
-    way = np.sign(plant.gravity_terms[1] @ (leant.gravity_terms[0] - plant.gravity_terms[0]))
-    ours = simulate(plant, (), times, 0.5, nuisance=Nuisance(lean=(way * np.tan(lean), 0.0), gravity=np.cos(lean)))
-    np.testing.assert_allclose(ours, simulate(leant, (), times, 0.5), atol=1e-5)  # SAPIEN's gravity is single precision
-
-
-def test_friction_that_builds_up_is_lugres(tmp_path: Path):
-    """Small swings of a pendulum whose friction bends bristles first: against a stiff solver on the textbook's form."""
-    from scipy.integrate import solve_ivp
-
-    plant = make_plant(asset_at(tmp_path, "revolute"), measured_of("revolute"))
-    level, travel, inertia, weight = 0.03, 2e-3, plant.mechanics.inertia, MASS * G * ARM
-    effects = (make_effect("coulomb_friction", level=level),)
-    stiff, damp = level / travel, np.sqrt(level * inertia / travel)
-
-    def slopes(t, y):
-        q, v, z = y
-        bend = v - abs(v) / travel * z
-        return v, (-weight * np.sin(q) - stiff * z - damp * bend) / inertia, bend
-
-    times = np.arange(400) * 0.01
-    true = solve_ivp(slopes, (0, 4), (0.2, 0.0, 0.0), "LSODA", times, rtol=1e-9, atol=1e-12).y[0]
-    numbers = make_vector(plant, effects, Nuisance())
-    numbers[kernel.Q0] = 0.2
-    at_once = sweep(numbers[None], effect_terms(effects), times, Inputs(), time_steps(plant, effects))[0]
-    numbers[[kernel.TRAVEL, kernel.GRIPPING]] = travel, 1.0
-    ours = sweep(numbers[None], effect_terms(effects), times, Inputs(), time_steps(plant, effects))[0]
-    assert np.abs(ours - true).max() < 0.03 * np.abs(at_once - true).max()
-
-
-def test_a_loose_drive_side_comes_to_rest_with_a_part_that_leans_on_its_stop(tmp_path: Path):
-    effects = (make_effect("backlash", width=0.02, drive_inertia=0.1),)
-    asset = asset_at(tmp_path, "prismatic", *effects, axis="1 0 0", lower=0.0, upper=2.0)
-    plant = make_plant(asset, measured_of("prismatic", gravity=[-0.02, 0.0, -G]))
-    times = np.arange(500) / 100
-    q = simulate(plant, effects, times, 0.3, -0.4)
-    assert q.min() == 0.0 and np.all(q[times > 1.5] == 0.0)
-
-
-@pytest.mark.parametrize("back", [0.0, 0.5])
-def test_a_drive_side_goes_on_when_its_part_stops_dead(tmp_path: Path, back: float):
-    """A drawer that drags its drive along stops; a second later it is pulled off, and the drive, which has come to the
-    other end of its slack, or back from there, is felt at once or after the slack; here and in SAPIEN."""
-    width, drive, speed, pull = 0.02, 0.4, 0.5, 0.3
-    effects = (make_effect("backlash", width=width, drive_inertia=drive, throw_back=back),)
-    asset = asset_at(tmp_path, "prismatic", *effects, axis="1 0 0", lower=-2.0, upper=0.3)
-    plant = make_plant(asset, measured_of("prismatic", gravity=np.zeros(3)))
-    times, ticks = np.arange(2001) * 1e-3, np.array([0.0, 0.1, 1.0])
-    pushes = np.array([4.0, 0.0, -pull])  # the push takes the part ahead of its drive, up to the end of the slack
-    inputs = Inputs(ticks, np.full(3, np.nan), np.zeros(3), pushes)
-    ours = simulate(plant, effects, times, 0.0, speed, inputs)
-    after = times[times >= 1.0] - 1.0
-    at_once = 0.3 - 0.5 * pull / (MASS + drive) * after**2
-    if back == 0.0:
-        np.testing.assert_allclose(ours[times >= 1.0], at_once, atol=1e-5)
-    else:
-        assert np.abs(ours[times >= 1.0] - at_once).max() > 1e-3
-    theirs = roll_out(
-        asset, 0.0, speed, duration_s=2, timestep_s=1e-3, force=lambda t: pushes[np.searchsorted(ticks, t, "right") - 1]
-    )
-    assert np.abs(theirs.q - np.interp(theirs.times_s, times, ours)).max() < 1e-3
-
-
-@pytest.mark.parametrize("threads", [1, 3])
-def test_runs_side_by_side_are_as_each_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: int):
-    if threads > 1:
-        monkeypatch.setattr("simgap.models.surrogate._THREADING_SIZE", 0)
-        monkeypatch.setattr("os.sched_getaffinity", lambda process: set(range(threads)), raising=False)
-    effects = (
-        make_effect("coulomb_friction", level=0.2),
-        make_effect("latch", hold=2.0, position=0.1, travel=0.1, capture=0.4),
-    )
-    plant = make_plant(asset_at(tmp_path, "revolute"), measured_of("revolute", Actuator(stiffness=60.0, damping=4.0)))
-    command = np.full(100, 0.3)
-    driven = Inputs(np.arange(100) * 0.02, command, 0.1 * command, -command)
-    runs = [(np.arange(300) / 100, Inputs()), (np.arange(50) / 25, driven), (np.arange(7) / 50, Inputs())]
-    which, steps = np.array([1, 0, 2, 1]), np.array([(2e-3, 1e-3), (1e-3, 1e-3), (3e-3, 5e-4)])
-    numbers = np.tile(make_vector(plant, effects), (4, 1))
-    numbers[:, kernel.Q0] = [0.5, -0.7, 0.2, 0.05]
-    alone = [sweep(numbers[k : k + 1], effect_terms(effects), *runs[i], steps[i])[0] for k, i in enumerate(which)]
-    together = Batch.of(runs).sweep(numbers, effect_terms(effects), which, steps)
-    assert np.array_equal(together, np.concatenate(alone))
-    assert np.ptp(alone[3]) > 0.1 and abs(alone[0] - alone[3]).max() > 0.1
-    assert len(kernel.sweep.signatures) == 1  # what a thread gets of an array is laid out as all of it

@@ -31,7 +31,7 @@ from generator.motion.plan import PRESETS
 from generator.recorder import RecordSettings, record
 from generator.scene import Scene
 from generator.session import catalog_entry, load_object, plan_recording
-from generator.urdf_folder import load_urdf
+from generator.urdf_object import load_urdf
 
 SHARED = ROOT.parent / "shared"
 SMALL = RecordSettings(frames=5, width=96, height=64, shader="trivial", queries=1, edge=0.5)
@@ -422,14 +422,13 @@ def case(tmp_path: Path) -> Path:
 
 
 def test_a_urdf_of_anybody_is_loaded_with_its_joint_sizes_and_colours(case: Path, tmp_path: Path) -> None:
-    loaded = load_urdf(case, tmp_path / "made")
+    loaded = load_urdf(case)
     assert (loaded.joint.name, loaded.joint.type, loaded.joint.upper) == ("hinge", "revolute", 1.5)
     np.testing.assert_allclose(loaded.joint.pivot, [0, 0.05, 0.02], atol=1e-12)
     lid, box = loaded.child_side.surface.mesh(), loaded.parent_side.surface.mesh()
     np.testing.assert_allclose(lid.vertices.min(0), [-0.05, -0.05, 0.02], atol=1e-7)
     np.testing.assert_allclose(np.ptp(box.vertices, axis=0), [0.1, 0.1, 0.04], atol=1e-7)
     assert lid.colours is not None and (lid.colours == [204, 26, 26]).all()
-    assert "inertial" in (tmp_path / "made" / "mobility.urdf").read_text()
 
 
 def test_a_urdf_of_anybody_is_recorded_and_its_truth_is_what_is_seen(case: Path, tmp_path: Path) -> None:
@@ -450,8 +449,8 @@ def test_open_meshes_are_seen_from_both_sides(case: Path, tmp_path: Path) -> Non
     tray = trimesh.creation.box((0.1, 0.1, 0.04))
     tray.update_faces(tray.face_normals[:, 2] < 0.5)
     tray.export(case.parent / "box.obj")
-    assert len(load_urdf(case, tmp_path / "made").parent_side.surface.faces) == 20
-    assert len(load_urdf(case, tmp_path / "made").child_side.surface.faces) == 12
+    assert len(load_urdf(case).parent_side.surface.faces) == 20
+    assert len(load_urdf(case).child_side.surface.faces) == 12
     take = arctic(tmp_path / "a.npy", np.linspace(0, 2, 12), turn=0.03)
     record(str(case), tmp_path / "data", dataclasses.replace(SMALL, motion="track", track=take))
     assert verify_deep(tmp_path / "data") == []
@@ -506,15 +505,15 @@ def test_what_a_urdf_lacks_is_noted_also_when_it_was_made_before(case: Path, tmp
     second = '<visual><geometry><mesh filename="knob.stl"/></geometry></visual>'
     case.write_text(URDF.replace('<link name="box">', f'<link name="box">{second}'))
     with pytest.raises(FreeArtError, match=r"'knob.stl', which does not exist: .* --root .*; --skip-missing"):
-        load_urdf(case, tmp_path / "made")
+        load_urdf(case)
     for _ in range(2):
-        loaded = load_urdf(case, tmp_path / "made", skip_missing=True)
+        loaded = load_urdf(case, skip_missing=True)
         assert loaded.notes == ("absent meshes are left out: knob.stl",)
 
 
 def test_a_wheel_without_limits_takes_any_state(case: Path, tmp_path: Path) -> None:
     case.write_text(_without(URDF, "<limit[^>]*>").replace('"revolute"', '"continuous"'))
-    loaded = load_urdf(case, tmp_path / "made")
+    loaded = load_urdf(case)
     body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
     take = read_track(arctic(tmp_path / "a.npy", np.linspace(0, 7, 12)))
     states, changes = track.fit_states(take.states, take, body)
@@ -527,7 +526,7 @@ def test_mimic_and_floating_joints_are_held_and_noted(case: Path, tmp_path: Path
         <mimic joint="hinge" multiplier="-2" offset="0.5"/></joint><link name="world"/>
         <joint name="free" type="floating"><parent link="world"/><child link="box"/></joint></robot>"""
     case.write_text(URDF.replace("</robot>", more).replace('upper="1.5"', 'upper="1e30"'))
-    loaded = load_urdf(case, tmp_path / "made")
+    loaded = load_urdf(case)
     assert loaded.joint.name == "hinge" and loaded.asset.held == {"turns": 0.5}
     assert loaded.parent_side.links == ("box", "flap", "world")
     assert loaded.notes == (
@@ -541,7 +540,7 @@ def test_mimic_and_floating_joints_are_held_and_noted(case: Path, tmp_path: Path
 @needs_objects
 @pytest.mark.parametrize("name", ["laptop/laptop", "mixer/mixer", "ketchup/ketchup_derived_objbottom"])
 def test_real_urdfs_are_loaded(name: str, tmp_path: Path) -> None:
-    loaded = load_urdf(SHARED / "urdf_objects" / f"{name}.urdf", tmp_path / "made", "rotation")
+    loaded = load_urdf(SHARED / "urdf_objects" / f"{name}.urdf", "rotation")
     size = np.ptp(np.concatenate([side.surface.vertices for side in loaded.sides]), axis=0)
     assert loaded.joint.type == "revolute" and 0.1 < np.linalg.norm(size) < 0.6
     assert all(len(side.surface.faces) > 100 for side in loaded.sides)

@@ -46,8 +46,7 @@ EXEMPT = {
         "freeart21/doctor.py:json.loads freeart21/formats/mat_file.py:json.loads freeart21/jobs/worker.py:json.loads "
         "generator/teleop/stage_process.py:json.loads export/check/trial_process.py:json.loads "
         "export/check/consistency_rules.py:json.loads "
-        "leaderboard/asset_process.py:json.loads leaderboard/asset_process.py:fdopen leaderboard/worker.py:json.loads "
-        "leaderboard/worker.py:fdopen"
+        "leaderboard/forked.py:json.loads leaderboard/forked.py:fdopen"
     ),
     "a message of the page, of bounded length": (
         "generator/teleop/wire.py:json.loads freeart21/view/click_page.py:json.loads"
@@ -66,7 +65,7 @@ EXEMPT = {
     "/proc": "leaderboard/provenance.py:read_text leaderboard/methods/measured.py:read_text",
     "the log of a job of ours": "freeart21/jobs/worker.py:open",
     "the log of a process of our own, and a device": (
-        "leaderboard/asset_process.py:open leaderboard/methods/run.py:open leaderboard/methods/measured.py:open"
+        "leaderboard/forked.py:open leaderboard/methods/run.py:open leaderboard/methods/measured.py:open"
     ),
     "a device": "freeart21/ending.py:open",
     "a lock of ours, which is written": "freeart21/files/lock.py:open generator/dataset.py:open",

@@ -6,7 +6,7 @@ LuGre (Canudas de Wit et al. 1995), oil is a power |v|^p, a stop gives way as Hu
 harden.
 
 Runge-Kutta of order 4 at a fixed small step; steps end at every change of a command, and where the joint meets a stop
-or a catch, at the instant found by bisection. `tests/test_world.py` holds it to scipy's solve_ivp and to MuJoCo.
+or a catch, at the instant found by bisection. `tests/test_world.py` holds it to scipy's solve_ivp.
 """
 
 from __future__ import annotations

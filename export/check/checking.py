@@ -15,8 +15,7 @@ from export.check.rules import ENGINE_RULES, UNREAD
 from export.check.subject import find_subject
 from export.check.trial_process import run_stage
 from freeart21.errors import FreeArtError
-from freeart21.files.urdf import parse_urdf, read_urdf_joints
-from freeart21.files.urdf_files import file_names
+from freeart21.files.urdf import read_urdf_parts
 
 ENGINES = tuple(MODULES)
 TIME_LIMIT_S = 60.0
@@ -87,19 +86,15 @@ def check(
     return CheckReport(str(path), tuple(rows), versions, settings, seconds, notes)
 
 
-def _collision_files(urdf: Path | None) -> list[str]:
-    links = [] if urdf is None else parse_urdf(urdf).findall("link")
-    return [name for link in links for shape in link.findall("collision") for name in file_names(shape)]
-
-
 def _collect_notes(urdf: Path | None) -> tuple[tuple[str, ...], str]:
     """Changes made to a URDF for the trials, and why no trial is possible if so."""
     try:
-        joints = {} if urdf is None else read_urdf_joints(urdf)
+        links, joints = ([], []) if urdf is None else read_urdf_parts(urdf)
     except FreeArtError:  # reported by the rules on files
         return (), ""
-    held = (f"joint '{j.name}' follows '{j.mimic[0]}' (mimic): trials hold it" for j in joints.values() if j.mimic)
-    free = [f"joint '{j.name}' is {j.type}" for j in joints.values() if j.joint_type is None and j.type != "fixed"]
-    others = {name for name in _collision_files(urdf) if Path(name).suffix.lower() not in READ_BY_ENGINES}
+    held = (f"joint '{j.name}' follows '{j.mimic[0]}' (mimic): trials hold it" for j in joints if j.mimic)
+    free = [f"joint '{j.name}' is {j.type}" for j in joints if j.joint_type is None and j.type != "fixed"]
+    files = {shape.filename for link in links for shape in link.collisions if shape.kind == "mesh"}
+    others = {name for name in files if Path(name).suffix.lower() not in READ_BY_ENGINES}
     converted = (f"collision mesh {name} is given to the engines as an OBJ" for name in sorted(others))
     return (*held, *converted), f"{free[0]}, and only hinges and sliders are tried" if free else ""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -20,7 +19,7 @@ from export.check.mjcf_tree import UnsupportedMjcf, list_files, read_mjcf_tree
 from export.check.report import Row
 from export.check.rules import FILE_RULES, GROUND_M, UNREAD
 from export.check.tree import Tree, build_tree
-from export.checklist import Files, Finding, Shapes, check_urdf, load_shapes
+from export.checklist import UNREADABLE, Files, Finding, Shapes, check_urdf, load_shapes
 from export.contact import is_closed
 from export.inertia import find_unphysical
 from export.stated_trust import read_stated_trust
@@ -29,11 +28,11 @@ from export.usd_reload import check_usd
 from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
-from freeart21.files.urdf import parse_urdf, read_urdf
+from freeart21.files.urdf import Urdf, read_urdf
 from freeart21.files.urdf_files import resolve_file
 from freeart21.reconstruction import describe_trust
 
-_FATAL = ("paths.exist", "inertia.physical", "limits.ordered", "numbers and meshes")
+_FATAL = ("paths.exist", "inertia.physical", "limits.ordered", UNREADABLE)
 """Rules without which a trial is meaningless; for a link without inertia, engines invent one."""
 SHAPE_RULES = ("inertia.fits-shape", "mass.possible", "collision.matches-visual", "axis.near", "parts.clear", CONTACT)
 LAST_RULES = (*SHAPE_RULES, *CONSISTENCY_RULES)
@@ -57,27 +56,29 @@ def judge_files(
         assert mjcf is not None
         yield from _judge_mjcf(mjcf, folder, facts, rows)
         return
-    say("numbers and meshes")
-    robot = parse_urdf(urdf)
-    findings = check_urdf(robot, urdf, folder)
+    say(UNREADABLE)
+    findings = check_urdf(urdf, folder)
     stop = [f for f in findings if f.item == "tree" or f.rule in _FATAL]
     facts["blocked"] = f"{stop[0].rule} fails" if stop else UNREAD
+    rules = list(FILE_RULES)
+    if [f.rule for f in findings] == [UNREADABLE]:
+        yield from make_rows(findings, dict.fromkeys(rules, facts["blocked"]), rows)
+        return
     if any(f.item == "tree" or f.rule == "paths.exist" for f in findings):
-        skipped = dict.fromkeys(
-            list(FILE_RULES)[list(FILE_RULES).index("inertia.centre-inside") :], "the tree or its files are not whole"
-        )
+        skipped = dict.fromkeys(rules[rules.index("inertia.centre-inside") :], "the tree or its files are not whole")
         yield from make_rows(findings, skipped, rows)
         return
     say("mesh.readable")
     files = partial(resolve_file, urdf, root=folder)
     seen: dict[str, Shapes] = {}
-    findings += _check_visuals(robot, files, seen)
     try:
-        tree = build_tree(read_urdf(urdf))
-        touched = {link.get("name", ""): load_shapes(link, "collision", files) for link in robot.findall("link")}
+        read = read_urdf(urdf)
+        tree = build_tree(read)
+        findings += _check_visuals(read, files, seen)
+        touched = {name: load_shapes(link.collisions, files) for name, link in read.links.items()}
     except FreeArtError as error:
-        findings.append(Finding("numbers and meshes", str(error)))
-        facts["blocked"] = "numbers and meshes fails"
+        findings.append(Finding(UNREADABLE, str(error)))
+        facts["blocked"] = f"{UNREADABLE} fails"
         skipped = dict.fromkeys((*LAST_RULES, "dynamics.damped", USD_RULE, "stands.on-ground"), facts["blocked"])
         yield from make_rows(findings, skipped, rows)
         return
@@ -144,19 +145,17 @@ def _judge_usd(urdf: Path) -> Row:
     return Row(USD_RULE, "file", "fail" if found else "pass", "; ".join(found[:_MAX_SHOWN]))
 
 
-def _check_visuals(robot: ET.Element, files: Files, seen: dict[str, Shapes]) -> Iterator[Finding]:
+def _check_visuals(urdf: Urdf, files: Files, seen: dict[str, Shapes]) -> Iterator[Finding]:
     """Faults of the visual meshes; `seen` receives the readable ones, by link."""
-    for link in robot.findall("link"):
-        for k, visual in enumerate(link.findall("visual")):
-            alone = ET.Element("link", link.attrib)
-            alone.append(visual)
-            where = f"visual {k} of link '{link.get('name')}'"
+    for name, link in urdf.links.items():
+        for k, visual in enumerate(link.visuals):
+            where = f"visual {k} of link '{name}'"
             try:
-                shapes = load_shapes(alone, "visual", files)
+                shapes = load_shapes([visual], files)
             except Exception as error:  # parsers of many formats
                 yield Finding("mesh.readable", f"{where}: {(str(error).splitlines() or [''])[0]}")
                 continue
-            seen.setdefault(link.get("name", ""), []).extend(shapes)
+            seen.setdefault(name, []).extend(shapes)
             for _, mesh in shapes:
                 if not len(mesh.faces) or not np.isfinite(mesh.vertices).all() or not mesh.area > 0:
                     yield Finding("mesh.readable", f"{where} has no surface")
@@ -210,8 +209,8 @@ def _judge_mjcf(mjcf: Path, folder: Path, facts: dict[str, Any], rows: list[Row]
         return
     except FreeArtError as error:
         tree = None
-        findings.append(Finding("numbers and meshes", str(error)))
-    judged |= {"numbers and meshes", "tree.one-root", "tree.one-parent", "tree.links-exist"}
+        findings.append(Finding(UNREADABLE, str(error)))
+    judged |= {UNREADABLE, "tree.one-root", "tree.one-parent", "tree.links-exist"}
     if tree is not None:
         judged |= {"inertia.physical", "limits.ordered", "limits.zero-within", "dynamics.damped"}
         findings += [*_check_damping(tree), *_check_numbers(tree)]

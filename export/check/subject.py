@@ -9,8 +9,8 @@ from pathlib import Path
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.asset import read_asset
-from freeart21.files.urdf import parse_urdf, read_xml
-from freeart21.files.urdf_files import file_names, find_root, resolve_file
+from freeart21.files.urdf import read_file_names, read_xml
+from freeart21.files.urdf_files import find_root, resolve_file
 
 MAX_FILE_BYTES = 256 << 20
 """Largest file."""
@@ -53,7 +53,7 @@ def find_subject(path: Path, root: Path | None = None) -> Subject:
     if root is not None:
         subject = replace(subject, folder=find_root(path, root=root))
     elif subject.urdf is not None and not (path / "asset.json").is_file():
-        found = find_root(subject.urdf, file_names(parse_urdf(subject.urdf)))
+        found = find_root(subject.urdf, read_file_names(subject.urdf))
         if subject.folder.absolute().is_relative_to(found):
             subject = replace(subject, folder=found)
     _check_files(subject)
@@ -91,7 +91,7 @@ def _file_kind(path: Path) -> str | None:
 def _check_files(subject: Subject) -> None:
     files: set[Path] = set()
     if subject.urdf is not None:
-        files |= {resolve_file(subject.urdf, name, subject.folder) for name in file_names(parse_urdf(subject.urdf))}
+        files |= {resolve_file(subject.urdf, name, subject.folder) for name in read_file_names(subject.urdf)}
     if subject.mjcf is not None:
         from export.check.mjcf_tree import list_files
 

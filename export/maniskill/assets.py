@@ -6,21 +6,21 @@ import contextlib
 import os
 import tempfile
 import warnings
-import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from freeart21 import catalog
+from freeart21 import catalog, se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.asset import read_asset
-from freeart21.files.urdf import parse_urdf
+from freeart21.files.urdf import Urdf, UrdfInertial, UrdfShape, format_urdf, read_urdf
 from freeart21.files.urdf_files import find_file
 from freeart21.reconstruction import describe_trust
+from freeart21.se3 import Array
 from generator.object_folder import object_folder, sapien_urdf
 
 PARTNET = "mobility.urdf"
@@ -86,7 +86,7 @@ def prepare_asset(asset: Asset, scale: float) -> Iterator[Asset]:
             yield replace(asset, urdf=readable, root=Path(readable.anchor))
             return
         urdf = Path(place) / asset.urdf.name
-        ET.ElementTree(_scale_urdf(readable, scale)).write(urdf, encoding="utf-8")
+        urdf.write_bytes(format_urdf(_scale_urdf(readable, scale)))
         T = asset.T_canonical_reference.copy()
         T[:3, 3] *= scale
         travel = _travel(readable, scale)
@@ -97,35 +97,28 @@ def prepare_asset(asset: Asset, scale: float) -> Iterator[Asset]:
 
 def _travel(urdf: Path, scale: float) -> dict[str, float]:
     """Joint name to `scale`, for prismatic joints."""
-    return {j.get("name", ""): scale for j in parse_urdf(urdf).findall("joint") if j.get("type") == "prismatic"}
+    return {joint.name: scale for joint in read_urdf(urdf).joints.values() if joint.type == "prismatic"}
 
 
-def _scale_urdf(urdf: Path, scale: float) -> ET.Element:
-    root = parse_urdf(urdf)
+def _scale_urdf(path: Path, scale: float) -> Urdf:
+    def scaled_pose(T: Array) -> Array:
+        return se3.pose(T[:3, :3], scale * T[:3, 3])
 
-    def times(element: ET.Element, name: str, factor: float, default: str | None = None) -> None:
-        text = element.get(name, default)
-        if text is not None:
-            element.set(name, " ".join(repr(factor * float(word)) for word in text.split()))
+    def scaled_shape(_: str, shape: UrdfShape) -> UrdfShape:
+        file = str(find_file(path, shape.filename, Path(path.anchor))) if shape.filename else ""
+        return replace(shape, T_link_shape=scaled_pose(shape.T_link_shape), size=scale * shape.size, filename=file)
 
-    for origin in root.iter("origin"):
-        times(origin, "xyz", scale)
-    for mesh in root.iter("mesh"):
-        mesh.set("filename", str(find_file(urdf, mesh.get("filename", ""), Path(urdf.anchor))))
-        times(mesh, "scale", scale, "1 1 1")
-    for tag, name in (("box", "size"), ("sphere", "radius"), ("cylinder", "radius"), ("cylinder", "length")):
-        for shape in root.iter(tag):
-            times(shape, name, scale)
-    for mass in root.iter("mass"):
-        times(mass, "value", scale**3)
-    for inertia in root.iter("inertia"):
-        for name in inertia.attrib:
-            times(inertia, name, scale**5)
-    for joint in root.findall("joint"):
-        for limit in joint.findall("limit") if joint.get("type") == "prismatic" else ():
-            times(limit, "lower", scale)
-            times(limit, "upper", scale)
-    return root
+    urdf = read_urdf(path).with_shapes(scaled_shape)
+    links, joints = {}, {}
+    for name, link in urdf.links.items():
+        of = link.inertial
+        scaled = of and UrdfInertial(scale**3 * of.mass, scale * of.centre, scale**5 * of.inertia)
+        links[name] = replace(link, inertial=scaled)
+    for name, joint in urdf.joints.items():
+        factor = scale if joint.type == "prismatic" else 1.0
+        ends = factor * joint.lower, factor * joint.upper
+        joints[name] = replace(joint, T_parent_joint=scaled_pose(joint.T_parent_joint), lower=ends[0], upper=ends[1])
+    return replace(urdf, links=links, joints=joints)
 
 
 def joint_span(lower: float, upper: float, prismatic: bool) -> tuple[float, float]:

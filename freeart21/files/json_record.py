@@ -14,7 +14,10 @@ _WORDS = {str: "text", bool: "true or false", int: "a whole number", float: "a f
 
 
 def read_record(kind: type[_T], data: Any, where: str, whole: bool = False) -> _T:
-    """The dataclass `kind` in the JSON value `data`; fields that it lacks keep their defaults, but not if `whole`.
+    """The dataclass `kind` in the JSON value `data`; fields that it lacks keep their defaults.
+
+    With `whole` it is a program's record, of which a later version can have more fields: unknown ones are ignored. In
+    what a user types (not `whole`) they are faults.
 
     A field is text, a flag, a number, a literal, null, a list, a tuple of equal entries, a dictionary with text as
     keys, or another dataclass with all its fields. Raises FreeArtError, which begins with `where`.
@@ -24,13 +27,15 @@ def read_record(kind: type[_T], data: Any, where: str, whole: bool = False) -> _
     if not isinstance(data, dict):
         raise FreeArtError(f"{where} is {checked.shorten(data)}, expected an object of {', '.join(known)}")
     for name in data:
-        if name not in known:
+        if name not in known and not whole:
             raise FreeArtError(f"{where} has {checked.shorten(name)}, expected {', '.join(known)}")
     for name, field in known.items():
-        if name not in data and (whole or (field.default is MISSING and field.default_factory is MISSING)):
+        if name not in data and field.default is MISSING and field.default_factory is MISSING:
             raise FreeArtError(f"{where} lacks '{name}', expected {', '.join(known)}")
     hints = get_type_hints(kind)
-    return kind(**{name: _read_value(hints[name], value, f"{where}: '{name}'") for name, value in data.items()})
+    return kind(
+        **{name: _read_value(hints[name], value, f"{where}: '{name}'") for name, value in data.items() if name in known}
+    )
 
 
 def _read_value(hint: Any, value: Any, where: str) -> Any:

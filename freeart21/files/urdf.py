@@ -1,4 +1,4 @@
-"""The URDF reader: links with shapes and masses, joints, forward kinematics.
+"""Reads and writes URDF: links with shapes and masses, joints, forward kinematics.
 
 It accepts what strict parsers refuse: limits without effort and velocity, repeated visual names, links without inertia.
 Input is untrusted: sizes are bounded, a document type (and so entities) is refused, no path leaves the folder, and
@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -28,6 +28,7 @@ _SIZES = {"box": (("size", 3),), "sphere": (("radius", 1),), "mesh": (("scale", 
     ("cylinder", "capsule"), (("radius", 1), ("length", 1))
 )
 """Attributes that give a geometry's size, and how many numbers each has."""
+_UNLIMITED = 1e16
 LARGEST_LIMIT = 1e3
 """rad or m: a limit beyond it counts as unlimited. Files write 1e16 (default of SDFormat), 1e30 or inf."""
 LARGEST_NUMBER = 1e9
@@ -50,6 +51,9 @@ class UrdfShape:
     """Of a mesh, as written in the URDF."""
     rgba: Array | None = None
     """(4,) colour in 0..1, the visual's own or that of the material it names."""
+    name: str = ""
+    texture: str = ""
+    """File name of the material's picture."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +105,8 @@ class UrdfJoint:
     friction: float
     mimic: tuple[str, float, float] | None = None
     """Name of the joint that it mimics, multiplier and offset."""
+    axis_length: float = 1.0
+    """Of the axis as written."""
 
     @property
     def joint_type(self) -> JointType | None:
@@ -125,8 +131,10 @@ class Urdf:
     """In file order."""
     joints: dict[str, UrdfJoint]
     """In file order."""
-    parents_first: tuple[str, ...]
+    parents_first: tuple[str, ...] = ()
     """All links, level by level."""
+    mujoco: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    """MuJoCo's extension of the format: names of the elements in <mujoco> to their attributes."""
 
     @property
     def root(self) -> str:
@@ -142,21 +150,37 @@ class Urdf:
         Ts = link_poses(self.joints, q)
         return {name: Ts.get(name, np.eye(4)) for name in self.links}
 
+    def with_shapes(self, change: Callable[[str, UrdfShape], UrdfShape | None]) -> Urdf:
+        """The URDF with `change(tag, shape)` in place of each shape, without it for None; the tag is 'visual' or
+        'collision'."""
+
+        def changed(tag: str, shapes: tuple[UrdfShape, ...]) -> tuple[UrdfShape, ...]:
+            return tuple(new for shape in shapes if (new := change(tag, shape)) is not None)
+
+        links = {
+            name: replace(
+                link, visuals=changed("visual", link.visuals), collisions=changed("collision", link.collisions)
+            )
+            for name, link in self.links.items()
+        }
+        return replace(self, links=links)
+
 
 def read_urdf(path: Path) -> Urdf:
     """The URDF in `path`; no mesh is opened.
 
     Raises FreeArtError when the file is no URDF, a number cannot be parsed, names repeat, or the joints form no tree.
     """
-    robot = parse_urdf(path)
-    joints = _parse_joints(robot, path)
-    materials = {m.get("name", ""): m for m in robot.findall("material")}
-    elements = robot.findall("link")
-    for name, times in Counter(e.get("name", "") for e in elements).items():
+    robot = _parse_urdf(path)
+    joints, links = _joints_by_name(_parse_joints(robot, path), path), _parse_links(robot, path)
+    for name, times in Counter(link.name for link in links).items():
         if times > 1:
             raise FreeArtError(f"{path} has link '{name}' {times} times, expected unique names")
-    links = {e.get("name", ""): _parse_link(e, materials, path) for e in elements}
-    return Urdf(path, robot.get("name", ""), links, joints, _sort_parents_first(list(links), joints, path))
+    by_name = {link.name: link for link in links}
+    extension = robot.find("mujoco")
+    mujoco = {} if extension is None else {e.tag: dict(e.attrib) for e in extension}
+    parents_first = _sort_parents_first(list(by_name), joints, path)
+    return Urdf(path, robot.get("name", ""), by_name, joints, parents_first, mujoco)
 
 
 def read_urdf_joints(path: Path) -> dict[str, UrdfJoint]:
@@ -164,10 +188,113 @@ def read_urdf_joints(path: Path) -> dict[str, UrdfJoint]:
 
     Raises FreeArtError when the file is no URDF or a joint's number cannot be parsed.
     """
-    return _parse_joints(parse_urdf(path), path)
+    return _joints_by_name(_parse_joints(_parse_urdf(path), path), path)
 
 
-def parse_urdf(path: Path) -> ET.Element:
+def read_urdf_parts(path: Path) -> tuple[list[UrdfLink], list[UrdfJoint]]:
+    """Links and joints as they are listed: names may repeat or lack, and joints need not form a tree.
+
+    Raises FreeArtError when the file is no URDF or a number cannot be parsed.
+    """
+    robot = _parse_urdf(path)
+    return _parse_links(robot, path), _parse_joints(robot, path)
+
+
+def read_file_names(path: Path, tags: Iterable[str] | None = None) -> list[str]:
+    """All file names in a URDF, or those of the elements `tags` (empty where one has none)."""
+    elements = _parse_urdf(path).iter()
+    if tags is None:
+        return [name for element in elements if (name := element.get("filename"))]
+    return [element.get("filename", "") for element in elements if element.tag in tags]
+
+
+def format_urdf(urdf: Urdf, comment: str = "") -> bytes:
+    """The URDF file, with `comment` at its top. Limits that are infinite are written as 1e16."""
+    robot = ET.Element("robot", name=urdf.name)
+    if comment:
+        robot.append(ET.Comment(comment))
+    if urdf.mujoco:
+        extension = ET.SubElement(robot, "mujoco")
+        for tag, attributes in urdf.mujoco.items():
+            ET.SubElement(extension, tag, dict(attributes))
+    for link in urdf.links.values():
+        element = ET.SubElement(robot, "link", name=link.name)
+        if link.inertial is not None:
+            _add_inertial(element, link.inertial)
+        for tag, shapes in (("visual", link.visuals), ("collision", link.collisions)):
+            for k, shape in enumerate(shapes):
+                _add_shape(element, tag, shape, f"{link.name}_{k}")
+    for joint in urdf.joints.values():
+        _add_joint(robot, joint)
+    ET.indent(robot)
+    return bytes(ET.tostring(robot, encoding="utf-8", xml_declaration=True)) + b"\n"
+
+
+def number_text(*values: float) -> str:
+    """Numbers separated by spaces, each with the fewest digits that give it back exactly."""
+    return " ".join(repr(float(value) + 0.0) for value in values)
+
+
+def _add_origin(element: ET.Element, T: Array) -> None:
+    R, across = T[:3, :3], float(np.hypot(T[0, 0], T[1, 0]))
+    if across > 1e-9:
+        rpy = np.arctan2(R[2, 1], R[2, 2]), np.arctan2(-R[2, 0], across), np.arctan2(R[1, 0], R[0, 0])
+    else:  # gimbal lock: any yaw will do
+        rpy = np.arctan2(-R[1, 2], R[1, 1]), np.arctan2(-R[2, 0], across), 0.0
+    ET.SubElement(element, "origin", xyz=number_text(*T[:3, 3]), rpy=number_text(*rpy))
+
+
+def _add_inertial(link: ET.Element, of: UrdfInertial) -> None:
+    element = ET.SubElement(link, "inertial")
+    ET.SubElement(element, "origin", xyz=number_text(*of.centre), rpy="0 0 0")
+    ET.SubElement(element, "mass", value=number_text(of.mass))
+    moments = zip(_MOMENTS, of.inertia[np.triu_indices(3)], strict=True)
+    ET.SubElement(element, "inertia", {name: number_text(value) for name, value in moments})
+
+
+def _add_shape(link: ET.Element, tag: str, shape: UrdfShape, material: str) -> None:
+    element = ET.SubElement(link, tag, {"name": shape.name} if shape.name else {})
+    _add_origin(element, shape.T_link_shape)
+    if shape.kind:
+        geometry = ET.SubElement(ET.SubElement(element, "geometry"), shape.kind)
+        if shape.kind == "mesh":
+            geometry.set("filename", shape.filename)
+        at = 0
+        for attribute, count in _SIZES.get(shape.kind, ()):
+            size = shape.size[at : at + count]
+            at += count
+            if shape.kind != "mesh" or (size != 1).any():
+                geometry.set(attribute, number_text(*size))
+    if shape.rgba is not None or shape.texture:
+        look = ET.SubElement(element, "material", name=material)
+        if shape.rgba is not None:
+            ET.SubElement(look, "color", rgba=number_text(*shape.rgba))
+        if shape.texture:
+            ET.SubElement(look, "texture", filename=shape.texture)
+
+
+def _add_joint(robot: ET.Element, joint: UrdfJoint) -> None:
+    element = ET.SubElement(robot, "joint", name=joint.name, type=joint.type)
+    ET.SubElement(element, "parent", link=joint.parent)
+    ET.SubElement(element, "child", link=joint.child)
+    _add_origin(element, joint.T_parent_joint)
+    if joint.type == "fixed":
+        return
+    ET.SubElement(element, "axis", xyz=number_text(*joint.axis))
+    if joint.limited:
+        ends = np.clip([joint.lower, joint.upper], -_UNLIMITED, _UNLIMITED)
+        values = {"lower": ends[0], "upper": ends[1], "effort": joint.effort, "velocity": joint.velocity}
+        ET.SubElement(element, "limit", {key: number_text(x) for key, x in values.items() if x is not None})
+    if joint.damping or joint.friction:
+        losses = {"damping": number_text(joint.damping), "friction": number_text(joint.friction)}
+        ET.SubElement(element, "dynamics", losses)
+    if joint.mimic is not None:
+        leader, multiplier, offset = joint.mimic
+        numbers = {"multiplier": number_text(multiplier), "offset": number_text(offset)}
+        ET.SubElement(element, "mimic", {"joint": leader, **numbers})
+
+
+def _parse_urdf(path: Path) -> ET.Element:
     """The <robot> element of a URDF file; FreeArtError when there is none."""
     robot = read_xml(path)
     if robot.tag != "robot":
@@ -279,7 +406,7 @@ def subtree_links(joints: Mapping[str, UrdfJoint], link: str) -> set[str]:
     return found
 
 
-def read_attribute(element: ET.Element, path: str, attribute: str, default: str = "") -> str:
+def _attribute(element: ET.Element, path: str, attribute: str, default: str = "") -> str:
     """An attribute of the element at `path` below `element`, or the default when either is missing."""
     found = element.find(path)
     return default if found is None else found.get(attribute, default)
@@ -301,22 +428,30 @@ def parse_numbers(text: str | None, count: int, what: str, finite: bool = True) 
     return values
 
 
-def parse_origin(element: ET.Element, where: str) -> Array:
+def _parse_origin(element: ET.Element, where: str) -> Array:
     """(4, 4) of an element's <origin xyz rpy>: R = Rz(yaw) Ry(pitch) Rx(roll), rad."""
-    roll, pitch, yaw = parse_numbers(read_attribute(element, "origin", "rpy", "0 0 0"), 3, f"{where} has rpy")
+    roll, pitch, yaw = parse_numbers(_attribute(element, "origin", "rpy", "0 0 0"), 3, f"{where} has rpy")
     x, y, z = np.eye(3)
     R = se3.exp_so3(yaw * z) @ se3.exp_so3(pitch * y) @ se3.exp_so3(roll * x)
-    return se3.pose(R, parse_numbers(read_attribute(element, "origin", "xyz", "0 0 0"), 3, f"{where} has xyz"))
+    return se3.pose(R, parse_numbers(_attribute(element, "origin", "xyz", "0 0 0"), 3, f"{where} has xyz"))
 
 
-def _parse_joints(robot: ET.Element, path: Path) -> dict[str, UrdfJoint]:
-    joints: dict[str, UrdfJoint] = {}
-    for element in robot.findall("joint"):
-        name = element.get("name", "")
-        if not name or name in joints or element.find("parent") is None or element.find("child") is None:
-            raise FreeArtError(f"{path}: joint '{name}' needs a unique name, a parent and a child")
-        joints[name] = _parse_joint(element, f"{path}: joint '{name}'")
-    return joints
+def _joints_by_name(joints: list[UrdfJoint], path: Path) -> dict[str, UrdfJoint]:
+    found: dict[str, UrdfJoint] = {}
+    for joint in joints:
+        if not (joint.name and joint.parent and joint.child) or joint.name in found:
+            raise FreeArtError(f"{path}: joint '{joint.name}' needs a unique name, a parent and a child")
+        found[joint.name] = joint
+    return found
+
+
+def _parse_joints(robot: ET.Element, path: Path) -> list[UrdfJoint]:
+    return [_parse_joint(element, f"{path}: joint '{element.get('name', '')}'") for element in robot.findall("joint")]
+
+
+def _parse_links(robot: ET.Element, path: Path) -> list[UrdfLink]:
+    materials = {m.get("name", ""): m for m in robot.findall("material")}
+    return [_parse_link(element, materials, path) for element in robot.findall("link")]
 
 
 def _parse_joint(element: ET.Element, where: str) -> UrdfJoint:
@@ -324,7 +459,7 @@ def _parse_joint(element: ET.Element, where: str) -> UrdfJoint:
 
     def number(tag: str, attribute: str, default: str = "0", finite: bool = True) -> float:
         return float(
-            parse_numbers(read_attribute(element, tag, attribute, default), 1, f"{where} has {attribute}", finite)[0]
+            parse_numbers(_attribute(element, tag, attribute, default), 1, f"{where} has {attribute}", finite)[0]
         )
 
     def end(attribute: str) -> float:
@@ -335,7 +470,7 @@ def _parse_joint(element: ET.Element, where: str) -> UrdfJoint:
         value = number("limit", attribute, finite=False)
         return value if np.isfinite(value) else None
 
-    axis = parse_numbers(read_attribute(element, "axis", "xyz", "1 0 0"), 3, f"{where} has axis")
+    axis = parse_numbers(_attribute(element, "axis", "xyz", "1 0 0"), 3, f"{where} has axis")
     length = float(np.linalg.norm(axis))
     if kind in _MOVABLE and length < 1e-9:
         raise FreeArtError(f"{where} has axis {axis.tolist()}, expected a direction")
@@ -344,9 +479,9 @@ def _parse_joint(element: ET.Element, where: str) -> UrdfJoint:
     return UrdfJoint(
         element.get("name", ""),
         kind,
-        read_attribute(element, "parent", "link"),
-        read_attribute(element, "child", "link"),
-        parse_origin(element, where),
+        _attribute(element, "parent", "link"),
+        _attribute(element, "child", "link"),
+        _parse_origin(element, where),
         axis / max(length, 1e-9),
         -np.inf if unlimited else end("lower"),
         np.inf if unlimited else end("upper"),
@@ -358,6 +493,7 @@ def _parse_joint(element: ET.Element, where: str) -> UrdfJoint:
         None
         if mimic is None
         else (mimic.get("joint", ""), number("mimic", "multiplier", "1"), number("mimic", "offset")),
+        length,
     )
 
 
@@ -370,17 +506,18 @@ def _parse_link(element: ET.Element, materials: Mapping[str, ET.Element], path: 
 
 
 def _parse_shape(shape: ET.Element, materials: Mapping[str, ET.Element], where: str) -> UrdfShape:
-    T = parse_origin(shape, where)
+    T, name = _parse_origin(shape, where), shape.get("name", "")
     geometry = shape.find("geometry/*")
     if geometry is None:
-        return UrdfShape("", T, np.zeros(0))
+        return UrdfShape("", T, np.zeros(0), name=name)
     default = "1 1 1" if geometry.tag == "mesh" else None
     sizes = [
         parse_numbers(geometry.get(attribute, default), count, f"{where} has {attribute}")
         for attribute, count in _SIZES.get(geometry.tag, ())
     ]
     size = np.concatenate([np.zeros(0), *sizes])
-    return UrdfShape(geometry.tag, T, size, geometry.get("filename", ""), _parse_rgba(shape, materials, where))
+    filename, rgba = geometry.get("filename", ""), _parse_rgba(shape, materials, where)
+    return UrdfShape(geometry.tag, T, size, filename, rgba, name, _attribute(shape, "material/texture", "filename"))
 
 
 def _parse_rgba(shape: ET.Element, materials: Mapping[str, ET.Element], where: str) -> Array | None:
@@ -400,9 +537,9 @@ def _parse_inertial(link: ET.Element, where: str) -> UrdfInertial | None:
         return None
 
     def number(tag: str, attribute: str) -> float:
-        return float(parse_numbers(read_attribute(inertial, tag, attribute, "0"), 1, f"{where} has {attribute}")[0])
+        return float(parse_numbers(_attribute(inertial, tag, attribute, "0"), 1, f"{where} has {attribute}")[0])
 
-    T = parse_origin(inertial, where)
+    T = _parse_origin(inertial, where)
     tensor = np.zeros((3, 3))
     tensor[np.triu_indices(3)] = [number("inertia", name) for name in _MOMENTS]
     tensor = tensor + np.triu(tensor, 1).T

@@ -7,7 +7,6 @@ where no file has the literal name. Nothing outside the root is opened.
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 from pathlib import Path
 from urllib.parse import unquote
@@ -41,11 +40,6 @@ def find_root(urdf: Path, names: Iterable[str] = (), root: Path | None = None) -
         if holds_both or folder.name in packages or any((folder / mark).is_file() for mark in _MARKS):
             root = folder
     return root
-
-
-def file_names(robot: ET.Element) -> list[str]:
-    """All file names in a URDF."""
-    return [name for element in robot.iter() if (name := element.get("filename"))]
 
 
 def resolve_file(urdf: Path, filename: str, root: Path | None = None) -> Path:

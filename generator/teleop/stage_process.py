@@ -58,7 +58,9 @@ class Stage:
         """`setup`: URDF, link groups, the joint's name, positions of the other joints, and the camera."""
         self._fov_y, self._joint, self._held = setup["fov_y"], setup["joint"], setup["held"]
         camera = Camera.from_fov(64, 36, self._fov_y)
-        self._scene = Scene(Path(setup["urdf"]), setup["groups"], camera, setup["near"], setup["far"], SHADER)
+        self._scene = Scene(
+            Path(setup["urdf"]), setup["groups"], camera, setup["near"], setup["far"], SHADER, Path(setup["root"])
+        )
         self._background = background(64, 36)
 
     def draw(self, order: dict[str, Any]) -> bytes:

@@ -24,7 +24,6 @@ from freeart21 import stopping
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.mesh import bounding_diagonal
-from generator import partnet
 from generator.motion.body import Body
 from generator.motion.plan import PRESETS
 from generator.session import RecordSettings, catalog_entry, load_object, resolve_name
@@ -34,6 +33,7 @@ from generator.teleop.limits import Workspace
 from generator.teleop.stage import Stage
 from generator.teleop.takes import Takes
 from generator.teleop.wire import Bounds
+from generator.urdf_object import LoadedObject
 
 SIDES = 64, 1280
 """Pixels that the live picture may have a side."""
@@ -112,7 +112,7 @@ def serve(name: str, out: Path, settings: TeleopSettings, record: RecordSettings
             stopping.raise_if_stopped()
 
 
-def _load_object(name: str, record: RecordSettings, place: Path) -> tuple[str, partnet.PartNetObject, tuple[Path, ...]]:
+def _load_object(name: str, record: RecordSettings, place: Path) -> tuple[str, LoadedObject, tuple[Path, ...]]:
     """The object's name, the loaded object, and the user's folders, which are never written to."""
     name, record = resolve_name(name, record)
     loaded = load_object(catalog_entry(name, record), record, place)
@@ -122,7 +122,7 @@ def _load_object(name: str, record: RecordSettings, place: Path) -> tuple[str, p
 
 async def _serve(
     name: str,
-    loaded: partnet.PartNetObject,
+    loaded: LoadedObject,
     takes: Takes,
     settings: TeleopSettings,
     context: ssl.SSLContext | None,
@@ -156,7 +156,7 @@ async def _serve(
     return rescued
 
 
-def object_facts(name: str, loaded: partnet.PartNetObject, room: Workspace, fov_y: float) -> dict[str, Any]:
+def object_facts(name: str, loaded: LoadedObject, room: Workspace, fov_y: float) -> dict[str, Any]:
     """Facts on the object that every page gets."""
     return {
         "object": name,
@@ -171,10 +171,11 @@ def object_facts(name: str, loaded: partnet.PartNetObject, room: Workspace, fov_
     }
 
 
-def _stage_setup(loaded: partnet.PartNetObject, room: Workspace, fov_y: float) -> dict[str, Any]:
+def _stage_setup(loaded: LoadedObject, room: Workspace, fov_y: float) -> dict[str, Any]:
     """Arguments of the simulator's process (`stage_process.Stage`)."""
     return {
         "urdf": str(loaded.asset.urdf),
+        "root": str(loaded.asset.root),
         "groups": [list(side.links) for side in loaded.sides],
         "joint": loaded.joint.name,
         "held": loaded.asset.held,

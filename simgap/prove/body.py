@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.effects import Effect, gravity_change
 from freeart21.errors import FreeArtError
+from freeart21.files.asset_copy import scale_inertials
 from freeart21.files.urdf import read_urdf_joints, subtree_links
 from freeart21.se3 import Array
 from generator import simulate
@@ -65,27 +66,26 @@ def find_correction(plant: Plant, nuisance: Nuisance) -> BodyCorrection:
     return BodyCorrection(f, f, offset=(gravity_change(*(float(value) for value in rest)),))
 
 
-def correct_body(root: ET.Element, asset: Asset, correction: BodyCorrection) -> None:
-    """Correct the `<inertial>` of all links beyond the joint of `asset` in its URDF."""
+def correct_body(robot: Any, asset: Asset, correction: BodyCorrection) -> None:
+    """Correct the `<inertial>` of all links beyond the joint of `asset` in `robot`, its URDF's element."""
     if correction == NO_CORRECTION:
         return
     loaded = simulate.load(replace(asset, effects={}), gravity=(0.0, 0.0, 0.0))
     hinge = loaded.world_joint
     joints = read_urdf_joints(asset.urdf)
-    moving = subtree_links(joints, joints[asset.joint].child)
-    for link in root.findall("link"):
-        inertial = link.find("inertial")
-        if link.get("name") not in moving or inertial is None:
-            continue
-        for mass in inertial.findall("mass"):
-            mass.set("value", repr(float(mass.get("value", "0")) * correction.mass))
-        for tensor in inertial.findall("inertia"):
-            for key, value in tensor.attrib.items():
-                tensor.set(key, repr(float(value) * correction.inertia))
-        if hinge.type == "revolute":
-            to_link = se3.inverse(loaded.link_pose(link.get("name", "")))
-            axis, pivot = to_link[:3, :3] @ hinge.axis, se3.transform(to_link, hinge.pivot[None])[0]
-            _move_centre(inertial, axis, pivot, correction.arm, correction.turn)
+
+    def move(link: str, centre: Array) -> Array:
+        """Scale the distance of a centre of mass from the hinge's axis, and rotate it about that."""
+        if hinge.type != "revolute":
+            return centre
+        to_link = se3.inverse(loaded.link_pose(link))
+        axis, pivot = to_link[:3, :3] @ hinge.axis, se3.transform(to_link, hinge.pivot[None])[0]
+        arm = centre - pivot
+        along = (arm @ axis) * axis
+        across = np.cos(correction.turn) * (arm - along) + np.sin(correction.turn) * np.cross(axis, arm)
+        return np.asarray(pivot + along + correction.arm * across)
+
+    scale_inertials(robot, subtree_links(joints, joints[asset.joint].child), correction.mass, correction.inertia, move)
 
 
 def check_body(before: Asset, after: Asset, correction: BodyCorrection, folder: Path) -> None:
@@ -96,13 +96,3 @@ def check_body(before: Asset, after: Asset, correction: BodyCorrection, folder: 
             f"{folder} has an inertia of {is_now:.6g} about its joint once reloaded, expected "
             f"{was * correction.inertia:.6g}: do all its links have an <inertial>?"
         )
-
-
-def _move_centre(inertial: ET.Element, axis: Array, pivot: Array, factor: float, turn: float) -> None:
-    """Scale the distance of the centre of mass (link frame) from the hinge's axis, and rotate it about that."""
-    origin = inertial.find("origin")
-    origin = ET.SubElement(inertial, "origin") if origin is None else origin
-    arm = np.array([float(v) for v in origin.get("xyz", "0 0 0").split()]) - pivot
-    along = (arm @ axis) * axis
-    across = np.cos(turn) * (arm - along) + np.sin(turn) * np.cross(axis, arm)
-    origin.set("xyz", " ".join(repr(float(v)) for v in pivot + along + factor * across))

@@ -25,6 +25,7 @@ from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.asset import check_no_mimics, find_movable_joint, read_asset
+from freeart21.files.asset_copy import copy_asset_files, mjcf_path, write_xml
 from freeart21.files.urdf import read_xml
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import Actuator, interpolate_series
@@ -32,7 +33,6 @@ from freeart21.se3 import Array
 from generator import simulate
 from simgap.geometry.placing import place
 from simgap.geometry.track_geometry import move_twists, rms_displacement
-from simgap.prove.asset_files import copy_asset_files, mjcf_path, write_xml
 from simgap.verdict import root_mean_square
 
 Engine = Literal["sapien", "mujoco"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,8 +17,8 @@ from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.asset import read_asset, write_asset_json
+from freeart21.files.asset_copy import copy_asset_files, mjcf_path, set_dynamics, set_mjcf_joint, write_xml
 from generator import simulate
-from simgap.prove.asset_files import copy_asset_files, mjcf_path, write_xml
 from simgap.prove.body import NO_CORRECTION, BodyCorrection, check_body, correct_body
 
 _POSE_TOLERANCE = 1e-6  # metres and rotation entries; the engine has single precision
@@ -49,11 +48,20 @@ def write_repaired(
     files = copy_asset_files(asset.urdf, folder, asset.root)
     urdf, mjcf = folder / asset.urdf.name, mjcf_path(asset.urdf)
     correct_body(files[urdf.name], asset, body)
-    set_dynamics(files[urdf.name], merged)
+    terms = {name: [effect.urdf_dynamics() for effect in acting] for name, acting in merged.items()}
+    set_dynamics(
+        files[urdf.name],
+        {
+            n: {w: float(np.sum([t.get(w, 0.0) for t in of])) for w in ("damping", "friction")}
+            for n, of in terms.items()
+        },
+    )
     write_xml(urdf, files[urdf.name])
     keeps_mjcf = mjcf.name in files and body == NO_CORRECTION  # else it is converted from the corrected URDF
     if keeps_mjcf:
-        set_joint_words(files[mjcf.name], asset.joint, merged, mjcf)
+        unset = ("damping", "frictionloss", *STIFF_FRICTION, "armature", "stiffness", "springref")
+        words = joint_attributes(merged.get(asset.joint, ()), asset.joint)
+        set_mjcf_joint(files[mjcf.name], asset.joint, unset, words, mjcf)
         write_xml(folder / mjcf.name, files[mjcf.name])
     source_json = {key: value for key, value in asset.source.items() if key != "dynamics"}  # measured now, not guessed
     source_json |= {"repair": source} if source else {}
@@ -82,30 +90,10 @@ def merge_effects(had: tuple[Effect, ...], new: tuple[Effect, ...]) -> tuple[Eff
     return tuple(out)
 
 
-def set_dynamics(root: ET.Element, effects: dict[str, tuple[Effect, ...]]) -> None:
-    """Set `<dynamics>` of every joint of a URDF from its effects; the rest is unchanged."""
-    for joint in root.findall("joint"):
-        acting = effects.get(joint.get("name", ""), ())
-        terms = [effect.urdf_dynamics() for effect in acting]
-        sums = {word: float(np.sum([t.get(word, 0.0) for t in terms])) for word in ("damping", "friction")}
-        element = joint.find("dynamics")
-        if element is None and not any(sums.values()):
-            continue
-        element = ET.SubElement(joint, "dynamics") if element is None else element
-        for word, value in sums.items():
-            element.set(word, repr(value))
-
-
-def set_joint_words(root: ET.Element, joint: str, effects: dict[str, tuple[Effect, ...]], where: Path) -> None:
-    """Set the attributes of an MJCF's joint from the effects; FreeArtError when it has no such joint."""
-    element = next((e for e in root.iter("joint") if e.get("name") == joint), None)
-    if element is None:
-        names = ", ".join(e.get("name", "") for e in root.iter("joint"))
-        raise FreeArtError(f"{where} has no joint '{joint}'; joints: {names or 'none'}")
-    for word in ("damping", "frictionloss", *STIFF_FRICTION, "armature", "stiffness", "springref"):
-        element.attrib.pop(word, None)
-    for word, value in joint_attributes(effects.get(joint, ()), joint).items():
-        element.set(word, value)
+def _sum_dynamics(effects: tuple[Effect, ...]) -> dict[str, float]:
+    """Damping and friction that effects add up to in a URDF."""
+    terms = [effect.urdf_dynamics() for effect in effects]
+    return {word: float(np.sum([t.get(word, 0.0) for t in terms])) for word in ("damping", "friction")}
 
 
 def _check_reloaded(asset: Asset, effects: dict[str, tuple[Effect, ...]], folder: Path) -> Asset:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 from export.check.engines.base import GRAVITY, EngineJoint, Setting, World
 from export.check.engines.plain_urdf import write_plain_urdf
 from freeart21 import se3
-from freeart21.files.urdf import UrdfInertial, read_xml
+from freeart21.files.urdf import UrdfInertial, read_urdf, read_xml
 from freeart21.se3 import Array
 
 _LARGEST_STEP_S = 0.002
@@ -22,13 +21,11 @@ def load(file: Path, folder: Path, setting: Setting) -> MujocoWorld:
     """The asset in a scene of its own."""
     import mujoco
 
-    xml = read_xml(file)
-    urdf = xml.tag == "robot"
-    on_world = urdf and xml.find("link[@name='world']") is not None  # MuJoCo takes that link for its world
+    urdf = read_xml(file).tag == "robot"
+    on_world = urdf and "world" in read_urdf(file).links  # MuJoCo takes that link for its world
     if urdf:
-        words = ET.Element("mujoco")
-        ET.SubElement(words, "compiler", fusestatic="false", strippath="false", discardvisual="true")
-        file = write_plain_urdf(file, folder, words)
+        compiler = {"fusestatic": "false", "strippath": "false", "discardvisual": "true"}
+        file = write_plain_urdf(file, folder, compiler)
     spec = mujoco.MjSpec.from_file(str(file))
     tops = list(spec.worldbody.bodies)
     if len(tops) != 1:

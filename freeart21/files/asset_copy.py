@@ -1,4 +1,4 @@
-"""Copies of an asset's files: everything that its URDF, and the MJCF next to it, reference.
+"""Copies of an asset's files, with changes: everything that its URDF, and the MJCF next to it, reference.
 
 Files inside the asset's folder keep their place. Those referenced by absolute path, package:// or from a parent folder
 go to `outside/`, and the copy references them there, so it is self-contained. A URDF may be untrusted: only meshes and
@@ -10,13 +10,17 @@ from __future__ import annotations
 import os
 import shutil
 import xml.etree.ElementTree as ET
+from collections.abc import Callable, Container, Iterable, Mapping
 from pathlib import Path
+
+import numpy as np
 
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.hashes import file_sha256
 from freeart21.files.urdf import read_xml
 from freeart21.files.urdf_files import find_file, resolve_file
+from freeart21.se3 import Array
 
 MAX_FILE_BYTES = 512 << 20
 MAX_BYTES = 2 << 30
@@ -81,22 +85,34 @@ def copy_asset_files(urdf: Path, folder: Path, root: Path | None = None) -> dict
     Returns the URDF, and the MJCF next to it if any, by file name, with references updated; the caller writes both.
     Raises FreeArtError when a referenced file is missing, too large, or neither mesh nor picture.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    home = Path(os.path.normpath(urdf.absolute().parent))
-    copy = _Copy(home, folder)
-    robot = read_xml(urdf, comments=True)
-    for element in _naming(robot, "filename"):
-        name = element.get("filename", "")
-        element.set("filename", copy.take(find_file(urdf, name, root), str(urdf)))
+    copy, robot = _copy_urdf(urdf, folder, root)
     out, mjcf = {urdf.name: robot}, mjcf_path(urdf)
     if mjcf.is_file():
         model = read_xml(mjcf, comments=True)
         if model.tag == "mujoco":  # else another file of that name
             _copy_named(mjcf, model, copy)
             out[mjcf.name] = model
-    if (home / "semantics.txt").is_file():
-        shutil.copyfile(checked.require_file(home / "semantics.txt", MAX_FILE_BYTES), folder / "semantics.txt")
+    if (copy.home / "semantics.txt").is_file():
+        shutil.copyfile(checked.require_file(copy.home / "semantics.txt", MAX_FILE_BYTES), folder / "semantics.txt")
     return out
+
+
+def copy_urdf(urdf: Path, folder: Path, root: Path | None = None, skip_missing: bool = False) -> None:
+    """Copy a URDF and the files that it names, all inside `root`, into `folder`; absent ones keep their name with
+    `skip_missing`. Raises FreeArtError as `copy_asset_files`."""
+    write_xml(folder / urdf.name, _copy_urdf(urdf, folder, root, skip_missing)[1])
+
+
+def _copy_urdf(urdf: Path, folder: Path, root: Path | None, skip_missing: bool = False) -> tuple[_Copy, ET.Element]:
+    """Copies the files that a URDF names; returns the state of the copy, and the URDF with references updated."""
+    folder.mkdir(parents=True, exist_ok=True)
+    copy = _Copy(Path(os.path.normpath(urdf.absolute().parent)), folder)
+    robot = read_xml(urdf, comments=True)
+    for element in _naming(robot, "filename"):
+        name = element.get("filename", "")
+        if not (skip_missing and not resolve_file(urdf, name, root).is_file()):
+            element.set("filename", copy.take(find_file(urdf, name, root), str(urdf)))
+    return copy, robot
 
 
 def file_hashes(urdf: Path, root: Path | None = None) -> dict[str, str]:
@@ -120,6 +136,51 @@ def write_xml(path: Path, root: ET.Element) -> None:
     """Write a URDF or MJCF atomically."""
     declared = True if root.tag == "robot" else None
     atomic.write_bytes(path, ET.tostring(root, encoding="utf-8", xml_declaration=declared) + b"\n")
+
+
+def set_dynamics(robot: ET.Element, losses: Mapping[str, Mapping[str, float]]) -> None:
+    """Set `<dynamics>` of every joint of a URDF from damping and friction by joint; the rest is unchanged."""
+    for joint in robot.findall("joint"):
+        sums = losses.get(joint.get("name", ""), {"damping": 0.0, "friction": 0.0})
+        element = joint.find("dynamics")
+        if element is None and not any(sums.values()):
+            continue
+        element = ET.SubElement(joint, "dynamics") if element is None else element
+        for word, value in sums.items():
+            element.set(word, repr(value))
+
+
+def set_mjcf_joint(
+    model: ET.Element, joint: str, unset: Iterable[str], attributes: Mapping[str, str], where: Path
+) -> None:
+    """Replace the attributes `unset` of an MJCF's joint by `attributes`; FreeArtError when it has no such joint."""
+    element = next((e for e in model.iter("joint") if e.get("name") == joint), None)
+    if element is None:
+        names = ", ".join(e.get("name", "") for e in model.iter("joint"))
+        raise FreeArtError(f"{where} has no joint '{joint}'; joints: {names or 'none'}")
+    for word in unset:
+        element.attrib.pop(word, None)
+    element.attrib.update(attributes)
+
+
+def scale_inertials(
+    robot: ET.Element, links: Container[str], mass: float, inertia: float, move: Callable[[str, Array], Array]
+) -> None:
+    """Multiply masses and moments of `links` by factors; `move` maps a link's name and its centre of mass (3,) in its
+    frame to the new one."""
+    for link in robot.findall("link"):
+        name, inertial = link.get("name", ""), link.find("inertial")
+        if name not in links or inertial is None:
+            continue
+        for element in inertial.findall("mass"):
+            element.set("value", repr(float(element.get("value", "0")) * mass))
+        for tensor in inertial.findall("inertia"):
+            for key, value in tensor.attrib.items():
+                tensor.set(key, repr(float(value) * inertia))
+        origin = inertial.find("origin")
+        origin = ET.SubElement(inertial, "origin") if origin is None else origin
+        centre = np.array([float(v) for v in origin.get("xyz", "0 0 0").split()])
+        origin.set("xyz", " ".join(repr(float(v)) for v in move(name, centre)))
 
 
 def _naming(root: ET.Element, attribute: str) -> list[ET.Element]:
