@@ -5,32 +5,18 @@ Heavy imports are inside the functions, so that `freeart21 --help` is fast.
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import sys
-from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
 
+from freeart21.progress import progress_bar
+
 Positional: Any = tyro.conf.Positional
 ExecutorName = Literal["local", "ray", "slurm"]
-
-
-@contextlib.contextmanager
-def progress_bar(text: str, counted: bool = False) -> Iterator[Callable[[str, int, int], None]]:
-    """A progress bar on a terminal; gives a function that updates it: text, number done, total."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    console = Console(stderr=True)
-    numbers = (MofNCompleteColumn(),) if counted else ()
-    columns = (TextColumn("{task.description}"), BarColumn(), *numbers, TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
-        task = bars.add_task(text, total=None)
-        yield lambda now, done, total: bars.update(task, description=now, completed=done, total=total)
 
 
 def score(

@@ -91,8 +91,6 @@ ANSWER = Output("answer of gap", _json("verdict"), "verdict.json", ("verdict.jso
 SITE = Output("site", _json("site"), "site.json", ("site.json",), listed=True)
 DEMO = Output("demo", _json("demo"), "demo.json", ("demo.json",), listed=True)
 PAGE = Output("page", b'<meta name="generator" content="freeart21')
-SUITE = Output("suite of rows", _json("suite"), "suite.json", ("*",))
-"""A suite resumes in its folder, and replaces only files of its own jobs."""
 MASKS = Output("folder of masks", _json("masks"), "masks.json", ("masks.json", "index.html", _PICTURE))
 SCORES = Output("table of scores", _json("scores"))
 SHEET = Output("contact sheet", b"freeart21 contact sheet")
