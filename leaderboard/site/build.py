@@ -99,14 +99,7 @@ def write_site(
         else:
             shown = _pack_sequences(new, benchmark, board_entrants, protocols[0], types, files, progress)
         _write_pages(new, Board(name, board_entrants, protocols, shown, files, facts, command))
-        written = sorted(path.relative_to(new).as_posix() for path in new.rglob("*") if path.is_file())
-        marker = {
-            "schema": SCHEMA,
-            "title": name,
-            "benchmark": facts["name"],
-            "protocols": protocols,
-            "files": written,
-        }
+        marker = {"schema": SCHEMA, "title": name, "benchmark": facts["name"], "protocols": protocols}
         atomic.write_json(new / SITE.marker, marker)
     return Path(out) / "index.html"
 
