@@ -204,7 +204,7 @@ def look(sequence: Annotated[Path, Positional], out: Path | None = None) -> int:
         out: The page with a contact sheet; NAME-look.html in the working folder when not given.
     """
     from freeart21.files.places import PAGE, check_place
-    from freeart21.view.look_page import write_look_page
+    from freeart21.view.masks_page import write_look_page
     from reconstruct.look import look_at, read_for_look
 
     page = out or Path(f"{sequence.resolve().name}-look.html")

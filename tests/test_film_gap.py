@@ -19,7 +19,7 @@ from generator.recorder import RecordSettings, record
 from simgap import commands
 from simgap.film import samples
 from simgap.film.scene import read_scene
-from simgap.film.workflow import film_gap_folder, find_film_gap, is_sequence, read_film
+from simgap.film.workflow import film_gap_folder, find_film_gap, read_film
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -150,7 +150,6 @@ def test_bad_film_input_is_a_one_line_error(scene, tmp_path):
         commands.gap(asset, tmp_path, tmp_path / "out", poses=sequence)
     lone = tmp_path / "lone"
     write_sequence(lone, read_sequence(sequence), 1e-4)
-    assert is_sequence(lone) and not is_sequence(asset)
     with pytest.raises(FreeArtError, match="nothing says where .* was in .*: expected a result around"):
         read_film(asset, lone)
     with pytest.raises(FreeArtError, match="holds no part poses"):
