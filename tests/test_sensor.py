@@ -9,7 +9,7 @@ import pytest
 from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
-from generator import hand, partnet, tof
+from generator import partnet, tof
 from generator.model import Hinge, Link, Material, ObjectModel, Piece
 from generator.motion import Plan
 from generator.partnet_writer import write_partnet
@@ -232,25 +232,6 @@ def test_the_hand_hides_some_of_the_object_and_nothing_else_changes(
         assert beside.sum() > 50
         assert (np.abs(with_hand.rgb[beside].astype(int) - bare.rgb[beside]).max(1) > 20).mean() > 0.9
     assert 0.04 < np.mean(shares) < 0.35 and np.std(shares) > 0.01
-
-
-def test_the_hand_moves_with_what_it_holds_and_changes_its_grip_smoothly(loaded: partnet.PartNetObject) -> None:
-    meshes = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
-    plan = _plan(np.array([0, 0, 0, 0.0, 0.03, 0.0]), 150)
-    motion = hand.HandMotion(plan, loaded.joint, meshes, CAMERA, 0)
-    assert motion.held == 0 and len(motion.grasps) >= 2  # the board is larger than the lid
-    joints = []
-    for t in range(150):
-        grasp = motion.grasp(t)
-        joints.append(se3.transform(grasp.T_side_hand, motion.hand.joints(grasp.tips).reshape(-1, 3)))
-        lengths = np.linalg.norm(np.diff(joints[-1].reshape(5, 4, 3), axis=1), axis=-1)
-        assert np.allclose(lengths, hand.LENGTHS * motion.hand.scale, rtol=1e-6)  # bones are rigid
-    steps = np.linalg.norm(np.diff(joints, axis=0), axis=-1).max(1)
-    assert np.sum(steps == 0) > 70 and steps.max() < 0.05 and steps.max() > 1e-3
-    T = plan.Ts_camera_object[0]
-    poses = motion.poses(0, T, 0.0)
-    assert poses.shape == (hand.BONES, 4, 4) == (len(motion.hand.pieces(8)), 4, 4)
-    se3.check_poses("hand", poses)
 
 
 # --- phone ------------------------------------------------------------------------------------------------------------
