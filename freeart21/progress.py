@@ -1,14 +1,21 @@
-"""Progress of a recording: what is done, how fast, and the time left."""
+"""Progress on standard error: what is done, how fast, and the time left."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    ProgressColumn,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.progress import Progress as Bars
 from rich.text import Text
 
@@ -58,10 +65,13 @@ def progress_board(sequences: int, pictures: int) -> Iterator[Board]:
 
 
 @contextmanager
-def progress_bar(what: str) -> Iterator[Progress]:
-    """Open one bar named `what`, on standard error when that is a terminal; call it with (done, total)."""
-    with progress_board(1, 0) as board:
-        yield partial(board.update, what)
+def progress_bar(text: str, counted: bool = False) -> Iterator[Callable[[str, int, int], None]]:
+    """Open one bar on a terminal; gives a function that updates it: text, number done, total."""
+    console, numbers = Console(stderr=True), (MofNCompleteColumn(),) if counted else ()
+    columns = (TextColumn("{task.description}"), BarColumn(), *numbers, TimeElapsedColumn())
+    with Bars(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
+        task = bars.add_task(text, total=None)
+        yield lambda now, done, total: bars.update(task, description=now, completed=done, total=total)
 
 
 def print_line(text: str) -> None:
