@@ -95,8 +95,8 @@ def write_site(
             if benchmark is None:
                 shown.append(show_table(sequence, types[sequence], board_entrants))
                 continue
-            given = board_entrants, protocols[0], types[sequence]
-            content, visual[sequence] = show_sequence(benchmark, sequence, *given)
+            source = benchmark, sequence, board_entrants, protocols[0], types[sequence]
+            content, visual[sequence] = show_sequence(*source)
             shown.append(content)
             if progress:
                 progress(f"Packed {sequence}", count, len(sequences))
