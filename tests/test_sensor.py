@@ -20,6 +20,7 @@ from generator.sensors.blur import Blur
 from generator.sensors.noise2 import NOISE2_SHARE, Noise2
 from generator.shapes import box
 from generator.tof import TimeOfFlight, infrared_albedo
+from generator.urdf_object import LoadedObject
 
 CAMERA = Camera.from_fov(160, 120, np.radians(40))
 FRAMES = 90
@@ -28,7 +29,7 @@ UPRIGHT = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
 
 
 @pytest.fixture(scope="module")
-def loaded(tmp_path_factory: pytest.TempPathFactory) -> partnet.PartNetObject:
+def loaded(tmp_path_factory: pytest.TempPathFactory) -> LoadedObject:
     """A board of 12 x 10 cm with a small lid above it."""
     red, blue = (Material(n, c, "plastic", 1000) for n, c in (("red", (0.8, 0.2, 0.2)), ("blue", (0.2, 0.2, 0.8))))
     lid = Link(
@@ -55,11 +56,11 @@ TURN = _plan(np.array([0, 0, 0, 0.01, 0.03, 0.0]))
 
 
 @pytest.fixture(scope="module")
-def scene(loaded: partnet.PartNetObject) -> Scene:
+def scene(loaded: LoadedObject) -> Scene:
     return Scene(loaded.asset.urdf, [s.links for s in loaded.sides], CAMERA, 0.01, 3.0, "trivial")
 
 
-def _sensor(name: str, scene: Scene, loaded: partnet.PartNetObject, plan: Plan = TURN, seed: int = 0) -> Sensor:
+def _sensor(name: str, scene: Scene, loaded: LoadedObject, plan: Plan = TURN, seed: int = 0) -> Sensor:
     meshes = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
     return Sensor(name, scene, plan, loaded, meshes, seed, 30.0)
 
@@ -67,7 +68,7 @@ def _sensor(name: str, scene: Scene, loaded: partnet.PartNetObject, plan: Plan =
 # --- all of them ------------------------------------------------------------------------------------------------------
 
 
-def test_clean_is_what_is_rendered(scene: Scene, loaded: partnet.PartNetObject) -> None:
+def test_clean_is_what_is_rendered(scene: Scene, loaded: LoadedObject) -> None:
     shot = _sensor("clean", scene, loaded).shoot(7)
     picture = scene.render(TURN.Ts_camera_object[7], {loaded.joint.name: float(TURN.states[7])})
     assert np.array_equal(shot.rgb, picture.rgb) and np.array_equal(shot.depth, picture.depth)
@@ -76,9 +77,7 @@ def test_clean_is_what_is_rendered(scene: Scene, loaded: partnet.PartNetObject) 
 
 
 @pytest.mark.parametrize("name", [*SENSORS, "tof+blur+hand"])
-def test_a_frame_is_the_same_in_any_order_and_frames_differ(
-    name: str, scene: Scene, loaded: partnet.PartNetObject
-) -> None:
+def test_a_frame_is_the_same_in_any_order_and_frames_differ(name: str, scene: Scene, loaded: LoadedObject) -> None:
     sensor = _sensor(name, scene, loaded)
     forth = [sensor.shoot(i) for i in (3, 40, 41)]
     again = _sensor(name, scene, loaded)
@@ -90,7 +89,7 @@ def test_a_frame_is_the_same_in_any_order_and_frames_differ(
         assert np.array_equal(a.mask, a.side > 0)
 
 
-def test_every_frame_has_noise_of_its_own(scene: Scene, loaded: partnet.PartNetObject) -> None:
+def test_every_frame_has_noise_of_its_own(scene: Scene, loaded: LoadedObject) -> None:
     clean, noisy = (_sensor(name, scene, loaded) for name in ("clean", "noise2"))
     depths = [(clean.shoot(i).depth, noisy.shoot(i).depth) for i in (40, 41)]
     both = np.all([true > 0 for true, _ in depths], axis=0)
@@ -98,7 +97,7 @@ def test_every_frame_has_noise_of_its_own(scene: Scene, loaded: partnet.PartNetO
     assert both.sum() > 1000 and abs(np.mean(one * other)) < 0.2
 
 
-def test_unknown_names_get_one_line(scene: Scene, loaded: partnet.PartNetObject) -> None:
+def test_unknown_names_get_one_line(scene: Scene, loaded: LoadedObject) -> None:
     for name, message in (
         ("fog", f"unknown sensor 'fog'; sensors: {', '.join(SENSORS)}"),
         ("tof+fog", "unknown sensor 'fog'"),
@@ -208,7 +207,7 @@ def test_tof_pixels_fly_backwards_and_only_at_edges() -> None:
     assert 0.02 < (measured[(depth > 0) & (inside <= 2)] == 0).mean() < 0.8
 
 
-def test_tof_takes_colour_and_gloss_from_the_scene(scene: Scene, loaded: partnet.PartNetObject) -> None:
+def test_tof_takes_colour_and_gloss_from_the_scene(scene: Scene, loaded: LoadedObject) -> None:
     shot = _sensor("tof", scene, loaded).shoot(0)
     base, gloss = scene.materials()
     assert gloss[shot.mask] == pytest.approx(0.25, abs=0.02) and (gloss[~shot.mask] == 0).all()  # SHINE's plastic
@@ -223,13 +222,13 @@ def test_tof_takes_colour_and_gloss_from_the_scene(scene: Scene, loaded: partnet
 # --- blur -------------------------------------------------------------------------------------------------------------
 
 
-def test_blur_leaves_a_still_picture_alone(scene: Scene, loaded: partnet.PartNetObject) -> None:
+def test_blur_leaves_a_still_picture_alone(scene: Scene, loaded: LoadedObject) -> None:
     still = Plan(TURN.Ts_camera_object[:1].repeat(3, 0), np.full(3, 0.4), TURN.Ts_camera_world[:3])
     sharp, blurred = (_sensor(name, scene, loaded, still).shoot(1) for name in ("clean", "blur"))
     assert np.array_equal(sharp.rgb, blurred.rgb)
 
 
-def test_blur_widens_edges_by_the_motion_and_keeps_the_light(scene: Scene, loaded: partnet.PartNetObject) -> None:
+def test_blur_widens_edges_by_the_motion_and_keeps_the_light(scene: Scene, loaded: LoadedObject) -> None:
     step_px = 14.0  # a frame; half of it while the shutter is open
     shift = np.array([step_px * (0.3 - 0.01) / CAMERA.K[0, 0], 0, 0, 0, 0, 0])
     plan = _plan(shift, 3)
@@ -258,7 +257,7 @@ def test_sub_frames_are_odd_and_a_pixel_apart() -> None:
 
 @pytest.mark.parametrize("seed", [0, 3])
 def test_the_hand_hides_some_of_the_object_and_nothing_else_changes(
-    seed: int, scene: Scene, loaded: partnet.PartNetObject
+    seed: int, scene: Scene, loaded: LoadedObject
 ) -> None:
     sensor = _sensor("hand", scene, loaded, TURN, seed)
     shares = []
@@ -278,7 +277,7 @@ def test_the_hand_hides_some_of_the_object_and_nothing_else_changes(
     assert 0.04 < np.mean(shares) < 0.35 and np.std(shares) > 0.01
 
 
-def test_tof_sees_the_hand_as_skin_and_cloth_not_as_metal(scene: Scene, loaded: partnet.PartNetObject) -> None:
+def test_tof_sees_the_hand_as_skin_and_cloth_not_as_metal(scene: Scene, loaded: LoadedObject) -> None:
     hand, measured = _sensor("hand", scene, loaded).shoot(0), _sensor("tof+hand", scene, loaded).shoot(0)
     gloss = scene.materials()[1]
     skin = (hand.depth > 0) & (hand.side == 0)
@@ -287,7 +286,7 @@ def test_tof_sees_the_hand_as_skin_and_cloth_not_as_metal(scene: Scene, loaded: 
     assert gloss[hand.mask] == pytest.approx(0.25, abs=0.02)  # the object's stays what it was
 
 
-def test_the_hand_moves_with_what_it_holds_and_changes_its_grip_smoothly(loaded: partnet.PartNetObject) -> None:
+def test_the_hand_moves_with_what_it_holds_and_changes_its_grip_smoothly(loaded: LoadedObject) -> None:
     meshes = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
     plan = _plan(np.array([0, 0, 0, 0.0, 0.03, 0.0]), 150)
     motion = hand.HandMotion(plan, loaded.joint, meshes, CAMERA, 0)
@@ -353,6 +352,6 @@ def test_phone_rounds_a_step_unless_colours_show_it() -> None:
     assert 8 < widths[0] < 24 and widths[1] <= 4
 
 
-def test_phone_is_empty_where_nothing_is_drawn(scene: Scene, loaded: partnet.PartNetObject) -> None:
+def test_phone_is_empty_where_nothing_is_drawn(scene: Scene, loaded: LoadedObject) -> None:
     shot = _sensor("phone", scene, loaded).shoot(0)
     assert (shot.depth[shot.mask] > 0).all() and (shot.depth[~shot.mask] == 0).all()
