@@ -199,17 +199,6 @@ def test_entities_are_refused_whoever_reads(odd: Path) -> None:
             assert_refused("declares a document type 'robot', which is not read", read, odd)
 
 
-def test_a_very_long_chain_of_links_is_read_in_no_time(odd: Path) -> None:
-    """Twenty thousand links in a row: neither recursion nor the square of their number."""
-    n = 20_000
-    links = "".join(f'<link name="{k}"/>' for k in range(n))
-    joints = "".join(
-        f'<joint name="{k}" type="fixed"><parent link="{k}"/><child link="{k + 1}"/></joint>' for k in range(n - 1)
-    )
-    odd.write_text(f'<robot name="chain">{links}{joints}</robot>')
-    assert list(read_urdf(odd).parents_first) == [str(k) for k in range(n)]
-
-
 @pytest.mark.parametrize(
     ("urdf", "name", "mesh", "mark"),
     [
