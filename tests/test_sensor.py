@@ -19,6 +19,7 @@ from generator.sensors import SENSORS, phone
 from generator.sensors.noise2 import NOISE2_SHARE, Noise2
 from generator.shapes import box
 from generator.tof import TimeOfFlight
+from generator.urdf_object import LoadedObject
 
 CAMERA = Camera.from_fov(160, 120, np.radians(40))
 FRAMES = 90
@@ -27,7 +28,7 @@ UPRIGHT = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
 
 
 @pytest.fixture(scope="module")
-def loaded(tmp_path_factory: pytest.TempPathFactory) -> partnet.PartNetObject:
+def loaded(tmp_path_factory: pytest.TempPathFactory) -> LoadedObject:
     """A board of 12 x 10 cm with a small lid above it."""
     red, blue = (Material(n, c, "plastic", 1000) for n, c in (("red", (0.8, 0.2, 0.2)), ("blue", (0.2, 0.2, 0.8))))
     lid = Link(
@@ -54,11 +55,11 @@ TURN = _plan(np.array([0, 0, 0, 0.01, 0.03, 0.0]))
 
 
 @pytest.fixture(scope="module")
-def scene(loaded: partnet.PartNetObject) -> Scene:
+def scene(loaded: LoadedObject) -> Scene:
     return Scene(loaded.asset.urdf, [s.links for s in loaded.sides], CAMERA, 0.01, 3.0, "trivial")
 
 
-def _sensor(name: str, scene: Scene, loaded: partnet.PartNetObject, plan: Plan = TURN, seed: int = 0) -> Sensor:
+def _sensor(name: str, scene: Scene, loaded: LoadedObject, plan: Plan = TURN, seed: int = 0) -> Sensor:
     meshes = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
     return Sensor(name, scene, plan, loaded, meshes, seed, 30.0)
 
@@ -66,7 +67,7 @@ def _sensor(name: str, scene: Scene, loaded: partnet.PartNetObject, plan: Plan =
 # --- all of them ------------------------------------------------------------------------------------------------------
 
 
-def test_clean_is_what_is_rendered(scene: Scene, loaded: partnet.PartNetObject) -> None:
+def test_clean_is_what_is_rendered(scene: Scene, loaded: LoadedObject) -> None:
     shot = _sensor("clean", scene, loaded).shoot(7)
     picture = scene.render(TURN.Ts_camera_object[7], {loaded.joint.name: float(TURN.states[7])})
     assert np.array_equal(shot.rgb, picture.rgb) and np.array_equal(shot.depth, picture.depth)
@@ -75,9 +76,7 @@ def test_clean_is_what_is_rendered(scene: Scene, loaded: partnet.PartNetObject) 
 
 
 @pytest.mark.parametrize("name", [*SENSORS, "tof+blur+hand"])
-def test_a_frame_is_the_same_in_any_order_and_frames_differ(
-    name: str, scene: Scene, loaded: partnet.PartNetObject
-) -> None:
+def test_a_frame_is_the_same_in_any_order_and_frames_differ(name: str, scene: Scene, loaded: LoadedObject) -> None:
     sensor = _sensor(name, scene, loaded)
     forth = [sensor.shoot(i) for i in (3, 40, 41)]
     again = _sensor(name, scene, loaded)
@@ -89,7 +88,7 @@ def test_a_frame_is_the_same_in_any_order_and_frames_differ(
         assert np.array_equal(a.mask, a.side > 0)
 
 
-def test_unknown_names_get_one_line(scene: Scene, loaded: partnet.PartNetObject) -> None:
+def test_unknown_names_get_one_line(scene: Scene, loaded: LoadedObject) -> None:
     for name, message in (
         ("fog", f"unknown sensor 'fog'; sensors: {', '.join(SENSORS)}"),
         ("tof+fog", "unknown sensor 'fog'"),
@@ -190,7 +189,7 @@ def test_tof_pixels_fly_backwards_and_only_at_edges() -> None:
 # --- blur -------------------------------------------------------------------------------------------------------------
 
 
-def test_blur_widens_edges_by_the_motion_and_keeps_the_light(scene: Scene, loaded: partnet.PartNetObject) -> None:
+def test_blur_widens_edges_by_the_motion_and_keeps_the_light(scene: Scene, loaded: LoadedObject) -> None:
     step_px = 14.0  # a frame; half of it while the shutter is open
     shift = np.array([step_px * (0.3 - 0.01) / CAMERA.K[0, 0], 0, 0, 0, 0, 0])
     plan = _plan(shift, 3)
@@ -214,7 +213,7 @@ def test_blur_widens_edges_by_the_motion_and_keeps_the_light(scene: Scene, loade
 
 @pytest.mark.parametrize("seed", [0, 3])
 def test_the_hand_hides_some_of_the_object_and_nothing_else_changes(
-    seed: int, scene: Scene, loaded: partnet.PartNetObject
+    seed: int, scene: Scene, loaded: LoadedObject
 ) -> None:
     sensor = _sensor("hand", scene, loaded, TURN, seed)
     shares = []
