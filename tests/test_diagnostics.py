@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+import page_data as view
 import pytest
-import test_view as view
 
 from freeart21 import se3
 from freeart21.camera import Camera
@@ -158,10 +158,11 @@ def test_confidence_maps_stand_beside_the_masks_and_in_the_page(tmp_path):
     found = replace(sample_diagnostics(), confidence_maps=maps)
     write_result(tmp_path / "r", result, diagnostics=found)
     assert (read_confidence(tmp_path / "r", 3, maps.shape[1:]) == maps[3]).all()
-    (player,) = [data for data in view.Parsed(page(tmp_path / "r")).data if "labels" in data]
-    image = cv2.imdecode(np.frombuffer(base64.b64decode(player["labels"][3].split(",")[1]), np.uint8), cv2.IMREAD_COLOR)
-    assert player["confidence"] and set(np.unique(image[..., 1])) == {0, 120, 140, 220, 240}
-    assert (np.floor(image[..., 1] / 100 + 0.1) == result.part_masks[3]).all(), "what the scripts make of it"
+    (player,) = [data for data in view.Parsed(page(tmp_path / "r")).data if "sources" in data]
+    (source,) = player["sources"]
+    image = cv2.imdecode(np.frombuffer(base64.b64decode(source["labels"][3].split(",")[1]), np.uint8), 0)
+    assert source["confidence"] and set(np.unique(image)) == {0, 120, 140, 220, 240}
+    assert (np.floor(image / 100 + 0.1) == result.part_masks[3]).all(), "what the scripts make of it"
     with pytest.raises(FreeArtError, match="is 48 x 32, expected 48 x 31 as the part masks"):
         read_confidence(tmp_path / "r", 3, (31, 48))
     (tmp_path / "r" / "confidence" / "00004.png").unlink()
@@ -244,28 +245,16 @@ def test_a_jump_and_a_pose_off_the_joint_are_reported():
 # ---------------------------------------------------------------- the page
 
 
-def test_page_of_a_result_tells_what_it_should(tmp_path, monkeypatch):
-    truth = view.make_truth()
-    write_result(tmp_path / "r", view.perfect_result(truth), diagnostics=sample_diagnostics())
-    view.write_sequence(tmp_path / "s", view.make_recording(), 1e-4)
-    view.write_truth(tmp_path / "t", truth, 0)
-    text = page(tmp_path / "r", None, tmp_path / "s")
-    parsed = view.Parsed(text)
+def test_page_of_a_result_tells_what_it_should(tmp_path):
+    shares = np.full((view.N, 2), 0.5)
+    found = replace(sample_diagnostics(), uncovered=shares, spilled=0.1 * shares, off_surface=0.01 * shares)
+    found = replace(found, colour_residual=shares, extent_ratio=np.array([1.1, 860]), seen_share=np.array([0.9, 0.2]))
+    write_result(tmp_path / "r", view.perfect_result(view.make_truth()), diagnostics=found)
+    text = page(tmp_path / "r")
     for words in ("Warnings", "Residual", "Label confidence", "Joint residual", "1.50 GB", "Frames 2-3"):
         assert words in text
-    (player,) = [data for data in parsed.data if "axes" in data]
-    assert [axis["name"] for axis in player["axes"]] == ["estimate"] and len(player["axes"][0]["ends"]) == view.N
-    _, charts = [data for data in parsed.data if "charts" in data]
-    assert len(charts["charts"]) == 9 and len(charts["x"]) == view.N
+    for words in ("Surface outside the mask", "Depth off the surface", "1.1 and 8.6e+02 times", "90 and 20 %"):
+        assert words in text
+    _, charts = [data for data in view.Parsed(text).data if "charts" in data]
+    assert len(charts["charts"]) == 13 and len(charts["x"]) == view.N
     assert charts["charts"][0][1][0] is None, "the moving part's residual in frame 0 is not known"
-    bare = view.perfect_result(truth)
-    write_result(tmp_path / "r", bare)
-    text = page(tmp_path / "r", tmp_path / "t", tmp_path / "s")
-    assert "wrote no diagnostics" in text and "Label confidence" not in text and "Joint residual" in text
-    (player,) = [data for data in view.Parsed(text).data if "axes" in data]
-    assert [axis["name"] for axis in player["axes"]] == ["estimate", "truth"]
-    found, true = (np.array(axis["ends"][1]).reshape(2, 2) for axis in player["axes"])
-    line = found[1] - found[0]
-    across = np.array([-line[1], line[0]]) / np.linalg.norm(line)
-    assert (true - found[0]) @ across == pytest.approx(np.zeros(2), abs=0.3), "one line, to a tenth of a pixel each"
-    assert (true[1] - true[0]) @ line > 0, "and one direction, though this result's axis is turned round"

@@ -89,7 +89,7 @@ def test_imports_point_down(package):
         ("reconstruct", "def f():\n    from freeart21.files import truth"),
         ("reconstruct", "import generator.simulate"),
         ("export", "from leaderboard import metrics"),
-        ("baselines", "from reconstruct.joint import fit_joint"),
+        ("baselines", "from reconstruct.rigid import view_angle"),
         ("freeart21", "import trimesh"),
         ("generator", "import sapien"),
     ],

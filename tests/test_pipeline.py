@@ -14,11 +14,11 @@ import pytest
 from reconstruct_clip import make_clip
 
 from freeart21 import stopping
-from freeart21.cli import reconstruct as command
 from freeart21.files.sequence import write_sequence
 from freeart21.gaussians import Gaussians
 from freeart21.reconstruction import Reconstruction
 from reconstruct import VERSION, cache, pipeline
+from reconstruct.commands import reconstruct as command
 from reconstruct.pipeline import reconstruct_folder, reconstruct_until
 from reconstruct.settings import GaussianSettings, ReconstructSettings
 from reconstruct.stages import CACHED_STAGES, STAGES, settings_used_by
