@@ -14,7 +14,7 @@ from benchmarks import trust as bench
 from freeart21 import se3
 from freeart21.articulation import PARTS, Articulation
 from freeart21.camera import Camera
-from freeart21.cli import DOUBTFUL, _print_result
+from freeart21.ending import DOUBTFUL
 from freeart21.errors import FreeArtError
 from freeart21.files.diagnostics import diagnostics_from_json, diagnostics_to_json
 from freeart21.files.result import write_result
@@ -24,6 +24,7 @@ from freeart21.reconstruction import Alternative, Reconstruction, Trust
 from freeart21.recording import Frame, Recording
 from freeart21.trust import _pose_uncertainty, _surface_off_video, judge, measure_motion, object_size
 from freeart21.view.diagnosis import warnings
+from reconstruct.commands import _print_result
 from reconstruct.diagnostics import (
     other_motion_cost,
     rival_distance,
