@@ -8,7 +8,7 @@ from pathlib import Path
 from freeart21.files import checked
 from freeart21.files.asset import ASSET_SCHEMA
 from freeart21.files.trust_json import trust_from_json
-from freeart21.files.urdf import read_xml
+from freeart21.files.urdf import read_comments
 from freeart21.reconstruction import Trust, describe_trust
 
 MARK = "freeart21 trust: "
@@ -43,6 +43,4 @@ def read_stated_trust(urdf: Path | None, mjcf: Path | None) -> Trust | None:
 
 def _read_comment(file: Path) -> str | None:
     """The text after `MARK` in the first comment that begins with it."""
-    root = read_xml(file, comments=True)
-    texts = ((element.text or "").strip() for element in root.iter() if not isinstance(element.tag, str))
-    return next((text.removeprefix(MARK) for text in texts if text.startswith(MARK)), None)
+    return next((text.removeprefix(MARK) for text in read_comments(file) if text.startswith(MARK)), None)

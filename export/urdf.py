@@ -58,7 +58,7 @@ def format_urdf(model: AssetModel) -> bytes:
 
 def _link(link: LinkModel) -> UrdfLink:
     hulls = [UrdfShape("mesh", np.eye(4), np.ones(3), hull) for hull in link.hulls]
-    shapes = [*hulls, *map(_primitive, link.primitives)]
+    shapes = [*hulls, *map(primitive_shape, link.primitives)]
     return UrdfLink(
         link.name,
         (UrdfShape("mesh", np.eye(4), np.ones(3), link.visual, name=f"{link.name}_visual"),),
@@ -67,7 +67,8 @@ def _link(link: LinkModel) -> UrdfLink:
     )
 
 
-def _primitive(shape: Primitive) -> UrdfShape:
+def primitive_shape(shape: Primitive) -> UrdfShape:
+    """A collision shape of ours as a URDF's."""
     match shape:
         case Box():
             return UrdfShape("box", shape.T_link_shape, shape.size)

@@ -19,24 +19,18 @@ Properties of such folders (`tests/test_partnet.py` loads folders with each of t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.asset import find_movable_joint, read_semantics
-from freeart21.files.urdf import Urdf, UrdfLink
-from freeart21.se3 import Array
+from freeart21.files.urdf import UrdfLink
 from generator.partnet_files import Gaps, read_obj, resolve_inside
 from generator.urdf_object import LoadedObject, Visual, assemble, read_tree
 
 URDF_NAME = "mobility.urdf"
-BOX_NAME = "bounding_box.json"
 
 # fmt: off
 INCOMPLETE = frozenset((
@@ -82,64 +76,8 @@ def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> 
         category=str(meta.get("model_cat", "unknown")),
         semantics=read_semantics(folder / "semantics.txt"),
         missing=missing,
-        notes=(*loaded.notes, *_scale_notes(read, visuals, folder), *_meta_notes(meta, folder)),
+        notes=(*loaded.notes, *_meta_notes(meta, folder)),
     )
-
-
-def _scale_notes(read: Urdf, visuals: Mapping[str, Sequence[Visual]], folder: Path) -> list[str]:
-    """Remarks on hinges whose frames were not scaled with the meshes, found by bounding_box.json (of the old meshes).
-
-    At state zero the assembly is right in any case. A hinge whose axis is outside the assembly by more than 5 % of its
-    diagonal moves its part away from the object; no real object has one.
-    """
-    box = _read_box_diagonal(folder / BOX_NAME)
-    if box is None or all(np.allclose(v.scale, 1) for of_link in visuals.values() for v in of_link):
-        return []
-    Ts = read.link_poses({})
-    points = np.concatenate(
-        [
-            se3.transform(Ts[name] @ v.T_link_mesh, v.scale * v.surface.vertices[np.unique(v.surface.faces)])
-            for name, of_link in visuals.items()
-            for v in of_link
-            if len(v.surface.faces)
-        ]
-    )
-    low, high = points.min(0), points.max(0)
-    size = float(np.linalg.norm(high - low))
-    if abs(size / box - 1) < 0.01:
-        return []
-    notes = []
-    for joint in read.joints.values():
-        if joint.joint_type == "revolute":
-            T = Ts[joint.parent] @ joint.T_parent_joint
-            if not _line_crosses_box(T[:3, 3], T[:3, :3] @ joint.axis, low - 0.05 * size, high + 0.05 * size):
-                notes.append(
-                    f"the assembly disagrees with {BOX_NAME}: meshes have {size / box:.3g} of its size, but joint "
-                    f"'{joint.name}' turns about an axis outside them, so its part floats; recorded as {URDF_NAME} says"
-                )
-    return notes
-
-
-def _read_box_diagonal(path: Path) -> float | None:
-    """The diagonal of a PartNet-Mobility object's bounding box; None without a file or with an empty box."""
-    if not path.is_file():
-        return None
-    data = checked.read_json(path)
-    diagonal = float(
-        np.linalg.norm(checked.numbers(data, "max", (3,), path) - checked.numbers(data, "min", (3,), path))
-    )
-    return diagonal if diagonal > 0 else None
-
-
-def _line_crosses_box(point: Array, direction: Array, low: Array, high: Array) -> bool:
-    """Whether a line crosses a box (slab method)."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ends = np.sort([(low - point) / direction, (high - point) / direction], axis=0)
-    still = np.abs(direction) < 1e-12
-    within = (low <= point) & (point <= high)
-    near = np.where(still, np.where(within, -np.inf, np.inf), ends[0])
-    far = np.where(still, np.where(within, np.inf, -np.inf), ends[1])
-    return bool(near.max() <= far.min())
 
 
 def _meta_notes(meta: dict[str, Any], folder: Path) -> list[str]:

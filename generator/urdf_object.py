@@ -203,7 +203,7 @@ def _joint_notes(moving: Joint, scored: UrdfJoint, joints: dict[str, UrdfJoint],
         elif q != 0:
             notes.append(f"joint '{name}' cannot stand at 0 and is held at {q:g}")
     floating = (j.name for j in joints.values() if j.type == FLOATING)
-    return notes + [f"joint '{name}' is {FLOATING}: it is held at its origin" for name in floating]
+    return [f"joint '{name}' is {FLOATING}: it is held at its origin" for name in floating] + notes
 
 
 def read_tree(urdf: Path) -> Urdf:

@@ -23,7 +23,7 @@ from freeart21.files.hashes import file_sha256
 from freeart21.files.lock import only_writer
 from freeart21.files.measured import OTHER_UNITS, read_measured, run_files
 from freeart21.files.places import check_place
-from freeart21.files.urdf import read_xml
+from freeart21.files.urdf import read_root_tag
 from freeart21.joint import JointType
 from freeart21.measured import Run
 from simgap.page.replay_page import HEAD, Row, replay_page
@@ -134,7 +134,7 @@ def replay_folder(
 
 def _check_urdf(asset: Path) -> None:
     """FreeArtError where another kind of model is given in place of a URDF."""
-    if asset.is_file() and (tag := read_xml(asset).tag) != "robot":
+    if asset.is_file() and (tag := read_root_tag(asset)) != "robot":
         raise FreeArtError(
             f"{asset} is of <{tag}>, expected a URDF's <robot>, or an asset folder: MuJoCo (--engine mujoco) takes the "
             "MJCF that lies beside a URDF"

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from engine_case import loader
 from refusal import assert_refused
 from test_check_asset import files_of
 from test_export import reconstruction
 
-from export import usd
+from export import commands, usd
 from export.exporter import export_result
-from export.maniskill.assets import find_asset
 from export.stated_trust import read_stated_trust
-from freeart21 import cli
 from freeart21.effects.armature import Armature
 from freeart21.files.asset import read_asset
 from freeart21.files.result import write_result
@@ -35,7 +30,7 @@ def doubtful(tmp_path_factory) -> Path:
     """A doubtful result, exported by the command."""
     home = tmp_path_factory.mktemp("doubtful")
     write_result(home / "ours" / "s1", replace(reconstruction(), trust=DOUBTFUL))
-    assert cli.export(home / "ours" / "s1", home / "asset") == cli.DOUBTFUL
+    assert commands.export(home / "ours" / "s1", home / "asset") == 3
     return home / "asset"
 
 
@@ -78,15 +73,6 @@ def test_a_repaired_asset_carries_the_doubt_on(doubtful: Path, tmp_path: Path):
         assert "doubtful: the axis" in (tmp_path / "repaired" / name).read_text()
 
 
-@pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="MuJoCo is not installed")
-def test_loaders_warn_of_a_doubtful_asset_and_of_no_other(doubtful: Path, sound: Path):
-    with pytest.warns(UserWarning, match="object.xml was made of a reconstruction that is doubtful: the axis"):
-        loader(doubtful, "mujoco").load()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        loader(sound, "mujoco").load()
-
-
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("sound") / "asset"
@@ -97,7 +83,7 @@ def sound(tmp_path_factory) -> Path:
 def test_a_sound_answer_passes_and_one_without_a_verdict_is_not_stated(sound: Path, tmp_path: Path, capsys):
     assert said_of(sound)[0] == "pass" and "reconstruction that the asset was made of" not in page(sound)
     write_result(tmp_path / "ours" / "s1", reconstruction())
-    assert cli.export(tmp_path / "ours" / "s1", tmp_path / "asset") == 0
+    assert commands.export(tmp_path / "ours" / "s1", tmp_path / "asset") == 0
     assert capsys.readouterr().out.splitlines()[-1].startswith("not stated: ")
     document = json.loads((tmp_path / "asset/asset.json").read_text())["trust"]
     assert document == {"verdict": "not stated", "reasons": []} and read_asset(tmp_path / "asset").trust is None
@@ -116,11 +102,3 @@ def test_trust_that_is_no_verdict_is_refused_in_one_line(sound: Path, tmp_path: 
         (tmp_path / "asset.json").write_text(json.dumps(document | {"trust": wrong}))
         (tmp_path / "object.urdf").write_bytes((sound / "object.urdf").read_bytes())
         assert_refused(r"asset.json: .*trust", read_asset, tmp_path)
-
-
-def test_an_environment_warns_of_a_doubtful_asset(doubtful: Path, sound: Path):
-    with pytest.warns(UserWarning, match="was made of a reconstruction that is doubtful: the axis"):
-        find_asset(doubtful)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        find_asset(sound)

@@ -19,7 +19,7 @@ from mutations import MUTATED, mutated_bytes, mutated_json, reads_or_refuses
 from PIL import Image
 from refusal import assert_refused
 
-from freeart21 import cli, se3
+from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files.sequence import read_sequence
@@ -29,6 +29,7 @@ from freeart21.formats.rgbd_folder import read_rgbd_folder
 from freeart21.formats.rgbd_video import Lens, Picture, RgbdVideo, align_video, turn_intrinsics
 from freeart21.formats.third_party import DEFAULTS, ReadOptions
 from freeart21.recording import Frame
+from generator import commands
 
 PHONE = Lens(np.array([[260.0, 0, 158], [0, 260, 122], [0, 0, 1]]), 320, 240)
 """A phone's colour camera; its depth has a quarter of the pixels in each direction."""
@@ -249,15 +250,15 @@ def test_stray_scanner(tmp_path, turns, focus):
 def test_the_way_from_a_camera_to_a_sequence(tmp_path, capsys):
     write_stray(tmp_path / "mug", UPRIGHT[1])
     assert_refused("mug has no masks: `--to rgbd` writes", list, convert(tmp_path / "mug", tmp_path / "out", "native"))
-    cli.convert(tmp_path / "mug", tmp_path / "out", "rgbd", longest_side=160)
+    commands.convert(tmp_path / "mug", tmp_path / "out", "rgbd", longest_side=160)
     pictures = tmp_path / "out/pictures/mug"
     names = sorted(path.name for path in (pictures / "rgb").iterdir())
     assert names[:2] == ["000000.000000.png", "000000.066667.png"] and not (pictures / "masks").exists()
     for name in names:
         red, _, blue = cv2.split(cv2.imread(str(pictures / "rgb" / name))[..., ::-1])
         write_png(pictures / "masks" / name, 255 * (red > blue).astype(np.uint8))
-    cli.convert(tmp_path / "mug", tmp_path / "out", "native", masks=pictures / "masks", longest_side=160)
-    cli.convert(pictures, tmp_path / "again", "native")
+    commands.convert(tmp_path / "mug", tmp_path / "out", "native", masks=pictures / "masks", longest_side=160)
+    commands.convert(pictures, tmp_path / "again", "native")
     straight, detour = read_sequence(tmp_path / "out/sequences/mug"), read_sequence(tmp_path / "again/sequences/mug")
     assert straight.times_s == pytest.approx(detour.times_s, abs=1e-5)
     assert np.allclose(straight.camera.K, detour.camera.K, rtol=0, atol=1e-4)

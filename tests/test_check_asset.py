@@ -17,9 +17,9 @@ from refusal import assert_refused
 
 from export.check import checking, trial_process
 from export.check.checking import check
-from export.check.engines.base import MODULES, Setting, load_world
+from export.check.engines.base import MODULES, load_world
 from export.check.file_rules import judge_files
-from export.check.report import CheckReport, Row
+from export.check.report import Row
 from export.check.rules import ENGINE_RULES, FILE_RULES, MAX_HULLS
 from export.check.subject import find_subject
 from export.check.trial import Trial
@@ -147,22 +147,6 @@ def test_each_break_of_the_text_fails_its_rule_and_no_other(tmp_path: Path, rule
     assert failed(files_of(broken(tmp_path, rule))) == [rule]
 
 
-MORE_BREAKS = [
-    ("tree.one-root", '<parent link="box"/>', '<parent link="lid"/>'),  # it hangs on itself
-    ("inertia.physical", ' ixx="', ' ixx="10" was="'),  # a triangle that cannot close
-    ("numbers and meshes", ' ixx="', ' ixx="many" was="'),
-]
-
-
-@pytest.mark.parametrize("rule, old, new", MORE_BREAKS)
-def test_more_breaks_of_a_rule_are_found(tmp_path: Path, rule: str, old: str, new: str):
-    file = write_little(tmp_path)
-    text = file.read_text()
-    assert old in text
-    file.write_text(text.replace(old, new, 1))
-    assert rule in failed(files_of(file))
-
-
 def with_meshes(folder: Path, solid: trimesh.Trimesh | None = None) -> Path:
     """The little asset with a mesh for its lid, seen and touched, and a material for it."""
     file = write_little(folder)
@@ -215,22 +199,11 @@ FILE_BREAKS: dict[str, Callable[[Path], None]] = {
 }
 
 
-def test_an_asset_with_meshes_is_sound(tmp_path: Path):
-    assert failed(files_of(with_meshes(tmp_path))) == []
-
-
 @pytest.mark.parametrize("rule", FILE_BREAKS)
 def test_each_break_of_a_file_fails_its_rule_and_no_other(tmp_path: Path, rule: str):
     with_meshes(tmp_path)
     FILE_BREAKS[rule](tmp_path)
     assert failed(files_of(tmp_path)) == [rule]
-
-
-def test_a_file_name_with_a_space_is_found(tmp_path: Path):
-    file = with_meshes(tmp_path)
-    (tmp_path / "seen.obj").rename(tmp_path / "a seen.obj")
-    file.write_text(file.read_text().replace('"seen.obj"', '"a seen.obj"'))
-    assert failed(files_of(file)) == ["paths.relative"]
 
 
 def test_a_bent_collision_mesh_is_not_convex(tmp_path: Path):
@@ -301,24 +274,6 @@ def test_each_break_of_the_dynamics_fails_its_rule_and_no_other(tmp_path: Path, 
     assert failed(trial_of(TRIALS[rule](tmp_path))) == [rule]
 
 
-@pytest.mark.parametrize("decay_s, verdicts", [(np.inf, ["pass", "fail"]), (0.2, ["pass", "pass"])])
-def test_what_trembles_by_less_than_it_may_drift_oscillates_unless_it_calms_down(decay_s: float, verdicts: list[str]):
-    t = np.arange(501) * 0.01
-    Ts = np.tile(np.eye(4), (501, 1, 1, 1))
-    Ts[:, 0, 2, 3] = 3e-4 * np.sin(2 * np.pi * 3 * t) * np.exp(-t / decay_s)
-    rows = Trial("none", None, None, lambda setting: pytest.fail())._rested(Ts, ["box"], np.zeros((1, 3)))
-    assert [row.verdict for row in rows] == verdicts
-    assert 0.15 < rows[0].value < 0.301
-
-
-@mujoco_only
-def test_a_joint_without_end_turns_both_ways(tmp_path: Path):
-    file = write_little(tmp_path)
-    text = file.read_text().replace('type="revolute"', 'type="continuous"').replace('"0 -1 0"', '"0 0 1"')
-    file.write_text(text.replace('<limit lower="0" upper="1.2" effort="10" velocity="5"/>', ""))
-    assert failed(files_of(file)) == [] and failed(trial_of(file)) == []
-
-
 @mujoco_only
 def test_flat_collision_meshes_do_not_load_in_mujoco_and_the_rest_is_skipped(tmp_path: Path):
     flat = trimesh.Trimesh([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]], [[0, 1, 2], [0, 2, 3]])
@@ -349,20 +304,6 @@ def test_an_engine_that_crashes_fails_one_that_needs_longer_is_unknown(
     assert (first.rule, first.verdict) == ("engine.loads", verdict) and message in first.reason
     assert {row.rule for row in others} == set(ENGINE_RULES) - {"engine.loads"}
     assert {row.verdict for row in others} == {"unknown" if verdict == "unknown" else "skip"}
-
-
-@pytest.mark.parametrize(
-    "verdicts, verdict",
-    [("pass skip", "pass"), ("pass unknown", "unknown"), ("unknown fail", "fail"), ("skip", "unknown")],
-)
-def test_the_verdict_of_a_report_is_the_worst_of_its_rules(verdicts: str, verdict: str, capsys, monkeypatch, tmp_path):
-    rows = tuple(Row("axis.unit", "file", one, "why") for one in verdicts.split())
-    report = CheckReport("lid", rows)
-    assert report.verdict == report.to_json()["verdict"] == verdict
-    assert report.to_json()["passed"] == (verdict == "pass")
-    monkeypatch.setattr(checking, "check", lambda *given, **also: report)
-    code, out, _ = run_command(capsys, "check-asset", tmp_path)
-    assert code == (0 if verdict == "pass" else 3) and out.splitlines()[-1].startswith(f"{verdict}: ")
 
 
 # ---------------------------------------------------------------- what is unusual, and right
@@ -403,26 +344,6 @@ def test_a_door_of_an_mjcf_that_hangs_on_the_world_is_not_set_free(tmp_path: Pat
     assert failed(rows) == [] and {row.verdict for row in rows if row.rule.startswith("rest.")} == {"skip"}
 
 
-@mujoco_only
-def test_a_light_rocker_with_friction_stops_at_its_limits(tmp_path: Path):
-    """Its friction is far more than its inertia needs: pushed through it, limits of 20 ms gave way by a tenth."""
-    shape = '<origin xyz="0.005 0 {0}"/><geometry><box size="0.01 {1} {1}"/></geometry>'
-    link = (
-        '<link name="{0}"><inertial><mass value="{1}"/><inertia ixx="{2}" iyy="{2}" izz="{2}" ixy="0" ixz="0" iyz="0"/>'
-    )
-    link += "</inertial><visual>{3}</visual><collision>{3}</collision></link>"
-    body = link.format("plate", 0.1, 1e-4, shape.format(0.05, 0.1)) + link.format(
-        "rocker", 0.02, 1e-6, shape.format(0, 0.04)
-    )
-    joint = (
-        '<joint name="rock" type="revolute"><parent link="plate"/><child link="rocker"/><origin xyz="0.011 0 0.05"/>'
-    )
-    joint += '<axis xyz="0 1 0"/><limit lower="-0.15" upper="0.15" effort="1" velocity="5"/>'
-    file = tmp_path / "switch.urdf"
-    file.write_text(f'<robot name="s">{body}{joint}<dynamics damping="0.001" friction="0.001"/></joint></robot>')
-    assert "joint.stops" not in failed(trial_of(file))
-
-
 # ---------------------------------------------------------------- what is no asset
 
 
@@ -460,13 +381,6 @@ def test_a_file_outside_is_refused(tmp_path: Path, name: str):
         assert_refused("out of the folder", check, mjcf)
 
 
-def test_a_mesh_beyond_all_bounds_is_refused(tmp_path: Path):
-    file = with_meshes(tmp_path)
-    with (tmp_path / "hull.obj").open("r+b") as mesh:
-        mesh.truncate(300 << 20)  # a hole on the disk
-    assert_refused("at most 268435456 are read", check, file)
-
-
 # ---------------------------------------------------------------- the command
 
 
@@ -486,10 +400,7 @@ def test_the_command_says_what_failed_and_ends_with_its_code(tmp_path: Path, mon
     }
     code, out, _ = run_command(capsys, "check-asset", broken(tmp_path / "bad", "axis.unit").parent)
     assert code == 3 and "fail  axis.unit (file): joint 'hinge' has an axis of length 2, expected 1" in out
-    (tmp_path / "none").mkdir()
-    assert "is no asset" in run_command(capsys, "check-asset", tmp_path / "none")[2]
-    for limit in ("0", "-1", "nan", "inf"):
-        assert "expected seconds" in run_command(capsys, "check-asset", file, "--limit-s", limit)[2]
+    assert "expected seconds" in run_command(capsys, "check-asset", file, "--limit-s", "nan")[2]
     _, out, err = run_command(capsys, "check-asset", file, "--json", file / "said.json")
     assert "cannot write" in err and out.endswith("in time: 0\n"), "what was found is not lost"
 
@@ -504,31 +415,3 @@ def test_a_real_laptop_moves_and_is_not_blamed_for_our_settings(tmp_path: Path):
     if importlib.util.find_spec("mujoco"):
         trial = trial_of(REAL / "urdf_objects" / "laptop" / "laptop.urdf")
         assert failed(trial) == ["rest.drift"]  # it stands on edge, its lid open
-
-
-def test_an_asset_may_be_named_from_where_one_stands_or_by_a_link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    write_little(tmp_path / "asset")
-    (tmp_path / "link").symlink_to(tmp_path / "asset")
-    monkeypatch.chdir(tmp_path)
-    for path in (Path("asset"), Path("link")):
-        assert check(path, ()).verdict == "pass"
-
-
-@pytest.mark.parametrize("engine", ["sapien", "pybullet", "drake"])
-def test_the_files_friction_is_put_back_where_an_engine_drops_it(tmp_path: Path, engine: str):
-    """A lid of 0.1 kg on edge, 0.1 m from its hinge to its middle: what lets 0.09 N m go is held by 0.11 N m. A
-    transmission of the file changes nothing. (MuJoCo reads friction itself, and its own creeps.)"""
-    pytest.importorskip(MODULES[engine])
-    fell = {}
-    motor = "<transmission name='t'><type>transmission_interface/SimpleTransmission</type><joint name='hinge'/>"
-    motor += "<actuator name='motor'><mechanicalReduction>1</mechanicalReduction></actuator></transmission></robot>"
-    for friction in (0.09, 0.11):
-        folder = tmp_path / f"{friction}"
-        urdf = write_little(folder)
-        text = urdf.read_text().replace(f'friction="{numbers(0.5)["friction"]}"', f'friction="{friction}"')
-        urdf.write_text(text.replace('axis xyz="0 -1 0"', 'axis xyz="0 1 0"').replace("</robot>", motor))  # falls open
-        world = load_world(engine, urdf, folder, Setting(fixed=True, gravity=True, floor=False))
-        world.put({"hinge": 0.05})
-        world.advance(1.0)
-        fell[friction] = world.state()[0]["hinge"] - 0.05
-    assert fell[0.09] > 0.2 and abs(fell[0.11]) < 1e-3

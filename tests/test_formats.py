@@ -25,7 +25,7 @@ from hypothesis import strategies as st
 from mutations import MUTATED, mutated_json, reads_or_refuses
 from refusal import assert_refused
 
-from freeart21 import cli, se3
+from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.files.benchmark import read_benchmark
 from freeart21.files.result import Method, write_method, write_result
@@ -37,7 +37,7 @@ from freeart21.formats.third_party import ReadOptions
 from freeart21.joint import Joint
 from freeart21.reconstruction import Reconstruction
 from freeart21.truth import Truth
-from generator import partnet
+from generator import commands, partnet
 from generator.rays import Caster
 from generator.third_party import complete_truth
 from leaderboard.protocols import PROTOCOLS
@@ -472,7 +472,7 @@ def as_answer(truth: Truth) -> Reconstruction:
 def native(toy_root: Path, toy_example: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The toy example converted to a native data folder, by the command line."""
     out = tmp_path_factory.mktemp("native") / "data"
-    cli.convert(toy_example, out, "native", partnet_root=toy_root)
+    commands.convert(toy_example, out, "native", partnet_root=toy_root)
     return out
 
 
@@ -503,9 +503,9 @@ def test_an_official_example_becomes_a_data_folder_that_scores(
 
 
 def test_round_trip_native_official_native(native: Path, toy_root: Path, tmp_path: Path) -> None:
-    cli.convert(native / "sequences/7777", tmp_path / "official", "official", partnet_root=toy_root)
+    commands.convert(native / "sequences/7777", tmp_path / "official", "official", partnet_root=toy_root)
     assert (tmp_path / "official/data/partnet-mobility-v0/dataset/7777/mobility.urdf").read_text() == TOY_URDF
-    cli.convert(tmp_path / "official", tmp_path / "again", "native")  # finds the object beside examples/
+    commands.convert(tmp_path / "official", tmp_path / "again", "native")  # finds the object beside examples/
     one, two = read_sequence(native / "sequences/7777"), read_sequence(tmp_path / "again/sequences/7777")
     assert np.array_equal(one.times_s, two.times_s) and np.array_equal(one.camera.K, two.camera.K)
     assert one.licence == two.licence
@@ -523,7 +523,7 @@ def test_round_trip_native_official_native(native: Path, toy_root: Path, tmp_pat
 
 def test_what_is_written_is_what_their_code_reads(native: Path, toy_root: Path, tmp_path: Path) -> None:
     """File by file from the description: names, keys, types, axes and order."""
-    cli.convert(native, tmp_path / "out", "official", partnet_root=toy_root)
+    commands.convert(native, tmp_path / "out", "official", partnet_root=toy_root)
     folder, recording = tmp_path / "out/examples/7777", read_sequence(native / "sequences/7777")
     truth = read_truth(native / "truth/7777")
     n = len(recording)
@@ -550,7 +550,7 @@ def test_what_is_written_is_what_their_code_reads(native: Path, toy_root: Path, 
 
 
 def test_held_out_frames_are_the_official_split(native: Path, tmp_path: Path) -> None:
-    cli.convert(native, tmp_path / "out", "official", hold_out=True)
+    commands.convert(native, tmp_path / "out", "official", hold_out=True)
     folder, recording = tmp_path / "out/examples/7777", read_sequence(native / "sequences/7777")
     info = json.loads((folder / "eval/split_info.json").read_text())
     held, train = info["eval_original_indices"], info["train_original_indices"]
@@ -642,7 +642,7 @@ def test_a_failed_conversion_leaves_nothing(example: Path, tmp_path: Path, nativ
 def test_truth_is_written_with_its_sequence_or_not_at_all(
     example: Path, toy_example: Path, toy_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    cli.convert(toy_example, tmp_path / "data", "native", partnet_root=tmp_path)
+    commands.convert(toy_example, tmp_path / "data", "native", partnet_root=tmp_path)
     output = capsys.readouterr()
     assert "without truth: PartNet-Mobility object 7777 is not in" in output.err and "sequences/7777" in output.out
     assert not (tmp_path / "data/truth").exists()
@@ -676,7 +676,7 @@ def in_open3d(folder: Path) -> None:
 def test_a_cameras_pictures_become_a_sequence(pictures: Path, tmp_path: Path, layout: str) -> None:
     if layout == "open3d":
         in_open3d(pictures)
-    cli.convert(pictures, tmp_path / "data", "native", fps=10)
+    commands.convert(pictures, tmp_path / "data", "native", fps=10)
     recording = read_sequence(tmp_path / "data/sequences/my-stapler")
     assert not (tmp_path / "data/truth").exists()
     assert recording.times_s == pytest.approx([0, 0.1, 0.2])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import warnings
 from pathlib import Path
 
@@ -11,13 +10,11 @@ import pytest
 from engine_case import EFFECTS, GRAVITY, loader, release_of, write_case
 
 from export import losses
-from freeart21 import se3
 from freeart21.effects import EFFECTS as EFFECTS_BY_NAME
 from freeart21.effects.armature import Armature
 from freeart21.effects.latch import Latch
 from freeart21.effects.return_spring import ReturnSpring
 from freeart21.effects.viscous_damping import ViscousDamping
-from freeart21.files.urdf import link_poses, read_urdf_joints
 from generator.simulate import roll_out
 
 KINDS = ("revolute", "prismatic")
@@ -229,56 +226,3 @@ def test_what_loaders_play_is_what_losses_md_says(tmp_path: Path):
         names = [n for n in EFFECTS_BY_NAME if losses.outcome(column_of(engine), n) != losses.LOST]
         words = {EFFECTS_BY_NAME[n].joint_word for n in names}
         assert words == loader(tmp_path, name).PLAYED, name
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_turned_base_stands_where_it_is_put(tmp_path: Path, kind):
-    asset = write_case(tmp_path, kind)
-    T = se3.pose(se3.exp_so3(np.array([0.3, -0.5, 0.9])), [0.4, -0.2, 0.7])
-    w, x, y, z = se3.wxyz(T)
-    expected = T @ link_poses(read_urdf_joints(asset.urdf), {"hinge": 0.6})["moving"]
-    seen = {}
-    sapien = pytest.importorskip("sapien")
-    scene = sapien.Scene([sapien.physx.PhysxCpuSystem()])
-    body = loader(tmp_path, "sapien").load(scene, sapien.Pose(T.astype(np.float32)), fixed=True)
-    body.set_qpos([0.6])
-    seen["sapien"] = body.find_link_by_name("moving").entity_pose.to_transformation_matrix()
-    if importlib.util.find_spec("mujoco"):
-        import mujoco
-
-        for free in (True, False):
-            scene = mujoco.MjSpec()
-            module = loader(tmp_path, "mujoco")
-            for prefix in ("a_", "b_"):
-                scene = module.load(scene, T[:3, 3], (w, x, y, z), prefix, fixed=not free)
-            model = scene.compile()
-            data = mujoco.MjData(model)
-            data.joint("b_hinge").qpos[0] = 0.6
-            mujoco.mj_kinematics(model, data)
-            put = data.body("b_moving")
-            seen[f"mujoco {free}"] = se3.pose(put.xmat.reshape(3, 3), put.xpos)
-    if importlib.util.find_spec("pybullet"):
-        import pybullet
-
-        simulated = InPybullet(tmp_path)
-        pybullet.resetSimulation()
-        simulated.body = loader(tmp_path, "pybullet").load(T[:3, 3], (x, y, z, w), fixed=True)
-        simulated.put(0.6)
-        place, turn = pybullet.getLinkState(simulated.body, simulated.joint, computeForwardKinematics=True)[4:6]
-        seen["pybullet"] = se3.pose(np.array(pybullet.getMatrixFromQuaternion(turn)).reshape(3, 3), place)
-    if importlib.util.find_spec("pydrake"):
-        from pydrake.math import RigidTransform
-        from pydrake.multibody.plant import MultibodyPlant
-
-        for fixed in (True, False):
-            plant = MultibodyPlant(STEP)
-            module = loader(tmp_path, "drake")
-            instance = module.load(plant, RigidTransform(T), fixed)
-            plant.Finalize()
-            context = plant.CreateDefaultContext()
-            joint = plant.GetJointByName("hinge", instance)
-            (joint.set_angle if kind == "revolute" else joint.set_translation)(context, 0.6)
-            put = plant.EvalBodyPoseInWorld(context, plant.GetBodyByName("moving", instance))
-            seen[f"drake {fixed}"] = put.GetAsMatrix4()
-    for name, pose in seen.items():
-        np.testing.assert_allclose(pose, expected, atol=1e-6, err_msg=name)

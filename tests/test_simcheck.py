@@ -12,7 +12,6 @@ from little_asset import write_little
 from export.check import checking
 from export.check.report import Row
 from export.check.simcheck_rules import run_simcheck
-from export.check.trial_process import StageResult
 
 
 def stand_in(monkeypatch, results: list) -> list:
@@ -54,17 +53,6 @@ def test_errors_fail_what_was_not_finished_is_unknown_and_warnings_are_listed(mo
         Row("simcheck.e", "simcheck/mujoco", "unknown", "warn: did not finish"),
     ]
     assert given[0].thresholds.engine_timeout == 80.0
-
-
-def test_it_has_more_time_than_its_own_engines_ask_for(tmp_path, monkeypatch):
-    calls = []
-    monkeypatch.setattr(
-        checking, "run_stage", lambda request, limit_s: calls.append((request, limit_s)) or StageResult((), {}, 0)
-    )
-    monkeypatch.setattr(checking.importlib.util, "find_spec", lambda name: object())
-    checking.check(write_little(tmp_path / "lid"), [], simcheck=True)
-    request, limit_s = calls[-1]
-    assert request["engine"] == "simcheck" and request["limit_s"] == limit_s > 2 * 240
 
 
 def test_it_finds_no_error_in_a_sound_asset_and_one_in_a_broken_one(tmp_path):

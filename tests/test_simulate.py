@@ -12,7 +12,7 @@ from freeart21.effects.coulomb_friction import CoulombFriction
 from freeart21.effects.return_spring import ReturnSpring
 from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.errors import FreeArtError
-from freeart21.files.asset import read_asset, write_effects
+from freeart21.files.asset import read_asset
 from freeart21.files.urdf import read_urdf_joints
 from freeart21.joint import Joint
 from generator.simulate import joint_motion, load, roll_out
@@ -46,15 +46,6 @@ def asset_with(folder: Path, kind: str, *effects, **words) -> Asset:
     return replace(read_asset(write_urdf(folder, kind, **words)), effects={"j": effects})
 
 
-def test_free_pendulum_keeps_its_energy_and_amplitude(tmp_path: Path):
-    run = roll_out(asset_with(tmp_path, "revolute"), 2.6416, duration_s=10)
-    kinetic = 0.5 * INERTIA["revolute"] * run.qd**2
-    assert np.ptp(run.energy_j) < 1e-4 * kinetic.max()
-    assert kinetic.max() == pytest.approx(MASS * 9.81 * ARM * (1 - np.cos(2.6416)), rel=1e-4)
-    late = run.q[run.times_s > 7]
-    assert late.max() == pytest.approx(2.6416, abs=1e-4) and late.min() == pytest.approx(-2.6416, abs=1e-4)
-
-
 @TYPES
 def test_oscillator_keeps_its_energy_and_period(tmp_path: Path, kind: str):
     stiffness, rest = 30.0, 0.2
@@ -68,23 +59,8 @@ def test_oscillator_keeps_its_energy_and_period(tmp_path: Path, kind: str):
     assert period == pytest.approx(2 * np.pi * np.sqrt(INERTIA[kind] / stiffness), rel=1e-3)
 
 
-def test_stiff_spring_keeps_its_period_at_a_coarse_step(tmp_path: Path):
-    asset = asset_with(tmp_path, "prismatic", ReturnSpring(1e5, 0.0))
-    period = 2 * np.pi * np.sqrt(MASS / 1e5)
-    run = roll_out(asset, 1e-3, duration_s=20 * period, timestep_s=period / 4, gravity=WEIGHTLESS)
-    assert run.q[::4] == pytest.approx(1e-3, abs=2e-5)
-    assert np.abs(run.q[1::4]).max() < 1e-4
-
-
-def test_slider_falling_along_gravity_keeps_its_energy(tmp_path: Path):
-    asset = asset_with(tmp_path, "prismatic", axis="0 0.6 0.8")
-    run = roll_out(asset, 0.0, 8.0, duration_s=10)
-    assert np.ptp(run.energy_j) < 1e-4 * (0.5 * MASS * run.qd**2).max()
-    assert run.q == pytest.approx(8.0 * run.times_s - 0.5 * 9.81 * 0.8 * run.times_s**2, abs=1e-2)
-
-
 @TYPES
-@pytest.mark.parametrize("level", [0.05, 0.3, 5.0])
+@pytest.mark.parametrize("level", [0.05, 5.0])
 def test_coulomb_friction_decelerates_by_its_level(tmp_path: Path, kind: str, level: float):
     run = roll_out(asset_with(tmp_path, kind, CoulombFriction(level)), 0.0, 3.0, duration_s=2, gravity=WEIGHTLESS)
     deceleration = level / INERTIA[kind]
@@ -105,7 +81,7 @@ def test_coulomb_friction_sticks_below_its_level_and_slips_above(tmp_path: Path,
 
 
 @TYPES
-@pytest.mark.parametrize("coefficient", [0.05, 1.0, 100.0, 1e4])
+@pytest.mark.parametrize("coefficient", [0.05, 1e4])
 @pytest.mark.parametrize("timestep_s", [1e-3, 1e-2])
 def test_viscous_damping_decays_exponentially(tmp_path: Path, kind: str, coefficient: float, timestep_s: float):
     asset = asset_with(tmp_path, kind, ViscousDamping(coefficient))
@@ -114,15 +90,6 @@ def test_viscous_damping_decays_exponentially(tmp_path: Path, kind: str, coeffic
     assert run.qd == pytest.approx(3.0 * np.exp(-rate * run.times_s), rel=0.01, abs=1e-6)
     if rate * timestep_s < 0.5:
         assert run.q[-1] == pytest.approx(3.0 / rate * -np.expm1(-rate), rel=0.02)
-
-
-@TYPES
-def test_strong_damping_leaves_coulomb_friction_its_share(tmp_path: Path, kind: str):
-    asset = asset_with(tmp_path, kind, ViscousDamping(500.0), CoulombFriction(2.0))
-    pushed = roll_out(asset, 0.0, duration_s=0.5, gravity=WEIGHTLESS, force=lambda t: 7.0)
-    assert pushed.qd[-1] == pytest.approx((7.0 - 2.0) / 500.0, rel=0.01)
-    held = roll_out(asset, 0.0, duration_s=0.5, gravity=WEIGHTLESS, force=lambda t: 1.9)
-    assert np.abs(held.q).max() < 1e-5
 
 
 @TYPES
@@ -145,13 +112,6 @@ def test_urdf_dynamics_means_the_same_effects(tmp_path: Path, kind: str, dynamic
     assert abs(free.q[-1] - runs[0].q[-1]) > 0.01
 
 
-def test_effects_json_beside_the_urdf_acts(tmp_path: Path):
-    asset = asset_with(tmp_path, "revolute", ReturnSpring(20.0, 0.0))
-    write_effects(tmp_path, asset)
-    run = roll_out(read_asset(tmp_path), 0.5, duration_s=1, gravity=WEIGHTLESS)
-    assert run.q == pytest.approx(0.5 * np.cos(np.sqrt(20.0 / INERTIA["revolute"]) * run.times_s), abs=1e-3)
-
-
 def test_limits_stop_the_joint_dead(tmp_path: Path):
     asset = asset_with(tmp_path, "revolute", limit='<limit lower="-0.3" upper="1" effort="1" velocity="1"/>')
     run = roll_out(asset, 0.8, duration_s=4)
@@ -160,11 +120,6 @@ def test_limits_stop_the_joint_dead(tmp_path: Path):
     assert run.q[hit:].max() == pytest.approx(0.3, abs=1e-3)
     with pytest.raises(FreeArtError, match=r"starts at 2, expected within its limits -0.3 to 1"):
         roll_out(asset, 2.0, duration_s=1)
-
-
-def test_slow_motion_is_not_lost_to_single_precision(tmp_path: Path):
-    run = roll_out(asset_with(tmp_path, "prismatic"), 1.3, 0.01, duration_s=3, gravity=WEIGHTLESS)
-    assert run.q == pytest.approx(1.3 + 0.01 * run.times_s, abs=1e-7)
 
 
 def test_same_call_same_bits(tmp_path: Path):
@@ -234,26 +189,6 @@ def test_overlapping_parts_do_not_push_each_other(tmp_path: Path):
     assert run.q[-1] == pytest.approx(0.1, abs=1e-6)
 
 
-def test_joint_without_zero_in_its_limits_loads_and_moves(tmp_path: Path):
-    asset = asset_with(tmp_path, "prismatic", limit='<limit lower="-0.108" upper="-0.008"/>')
-    assert load(asset).state() == (-0.008, 0.0)
-    moved = joint_motion(replace(asset, state_zero=-0.008), [-0.1])
-    np.testing.assert_allclose(moved[0, :3, 3], [0, -0.1, 0], atol=1e-6)
-
-
-def test_energy_is_zero_at_zero_whatever_the_limits(tmp_path: Path):
-    asset = asset_with(tmp_path, "revolute", limit='<limit lower="0.5" upper="1"/>')
-    assert load(asset).state() == (0.5, 0.0)
-    lifted = load(asset).energy([0.0, 0.5, np.pi], [0.0, 2.0, 0.0])
-    expected = [0, MASS * 9.81 * ARM * (1 - np.cos(0.5)) + 0.5 * INERTIA["revolute"] * 4, MASS * 9.81 * 2 * ARM]
-    assert lifted == pytest.approx(expected, rel=1e-5, abs=1e-5)
-
-
-def test_limit_without_a_lower_one_means_zero(tmp_path: Path):
-    run = roll_out(asset_with(tmp_path, "revolute", limit='<limit upper="1"/>'), 0.5, duration_s=2)
-    assert run.q.min() == 0.0
-
-
 def test_free_base_falls_and_fixed_base_does_not(tmp_path: Path):
     asset = asset_with(tmp_path, "revolute")
     asset.urdf.write_text(
@@ -269,12 +204,6 @@ def test_free_base_falls_and_fixed_base_does_not(tmp_path: Path):
         for _ in range(100):
             simulated.step()
         assert 2 - simulated.link_pose("base")[2, 3] == pytest.approx(drop, abs=1e-3)
-
-
-def test_effects_feel_gravity_along_the_axes_of_a_turned_base(tmp_path: Path):
-    simulated = load(asset_with(tmp_path, "revolute"))
-    simulated.set_base_pose(se3.pose(se3.exp_so3([np.pi / 2, 0, 0]), [0, 0, 2]))
-    assert np.allclose(simulated.mechanics.gravity, [0, -9.81, 0], atol=1e-5), "the base's y axis points up"
 
 
 def test_faults_cost_one_clear_line(tmp_path: Path):

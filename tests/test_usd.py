@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import importlib.util
 from collections.abc import Callable
 from pathlib import Path
@@ -22,7 +21,6 @@ from freeart21.effects.coulomb_friction import CoulombFriction
 from freeart21.effects.return_spring import ReturnSpring
 from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.errors import FreeArtError
-from freeart21.files.asset import read_asset
 from freeart21.files.urdf import read_urdf
 
 KINDS = ("revolute", "prismatic")
@@ -126,60 +124,6 @@ def test_meshes_wear_their_pictures_and_hulls_are_hidden_and_convex(tmp_path: Pa
         assert UsdPhysics.MeshCollisionAPI(hull).GetApproximationAttr().Get() == "convexHull"
 
 
-@needs_usd
-def test_usds_own_validators_find_nothing(tmp_path: Path):
-    pytest.importorskip("pxr.UsdValidation")
-    from pxr import UsdValidation
-
-    for base in ("free", "fixed"):
-        write_case(tmp_path / base, "revolute", EFFECTS, base)
-        validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
-        found = UsdValidation.ValidationContext(validators).Validate(opened(tmp_path / base))
-        assert len(validators) > 20 and [error.GetErrorAsString() for error in found] == []
-
-
-@needs_usd
-def test_primitives_are_primitives(tmp_path: Path):
-    from pxr import UsdGeom
-
-    asset = write_case(tmp_path, "revolute")
-    shapes = (
-        '<box size="0.1 0.2 0.3"/>',
-        '<sphere radius="0.05"/>',
-        '<cylinder radius="0.02" length="0.3"/>',
-    )
-    inertia = "".join(
-        f'<collision><origin xyz="0.1 0 {k}" rpy="0 0.5 0"/><geometry>{shape}</geometry></collision>'
-        for k, shape in enumerate(shapes)
-    )
-    text = asset.urdf.read_text().replace("</inertial>", f"</inertial>{inertia}", 1)
-    asset.urdf.write_text(text)
-    (tmp_path / "effects.json").unlink()
-    write_usd(tmp_path / "object.usdc", read_asset(asset.urdf))
-    stage = opened(tmp_path)
-    link = read_urdf(asset.urdf).links["reference"]
-    cache = UsdGeom.BBoxCache(0, [UsdGeom.Tokens.guide])
-    halves = ([0.05, 0.1, 0.15], [0.05] * 3, [0.02, 0.02, 0.15])
-    kinds = (UsdGeom.Cube, UsdGeom.Sphere, UsdGeom.Cylinder)
-    for k, (kind, half) in enumerate(zip(kinds, halves, strict=True)):
-        prim = stage.GetPrimAtPath(f"/bob/reference/collision_{k:02d}")
-        T = np.abs(link.collisions[k].T_link_shape)
-        box = cache.ComputeWorldBound(prim).ComputeAlignedRange()
-        assert prim.IsA(kind)
-        np.testing.assert_allclose(0.5 * np.array(box.GetSize()), T[:3, :3] @ half, atol=1e-6)
-        np.testing.assert_allclose(box.GetMidpoint(), link.collisions[k].T_link_shape[:3, 3], atol=1e-6)
-
-
-@needs_usd
-def test_the_same_asset_is_the_same_bytes(tmp_path: Path):
-    sums = set()
-    for name in ("a", "b"):
-        write_case(tmp_path / name, "revolute", EFFECTS)
-        opened(tmp_path / name)
-        sums.add(hashlib.sha256((tmp_path / name / "object.usdc").read_bytes()).hexdigest())
-    assert len(sums) == 1
-
-
 def test_without_usd_core_one_line_says_what_to_install(tmp_path: Path, monkeypatch):
     asset = write_case(tmp_path, "revolute")
     monkeypatch.setattr(usd, "is_available", lambda: False)
@@ -245,19 +189,3 @@ def test_a_layer_that_says_another_thing_fails(tmp_path: Path, edit):
     stage.GetRootLayer().Save()
     verdict, reason = said_of_usd(tmp_path)
     assert verdict == "fail" and message in reason
-
-
-@needs_usd
-def test_a_file_that_is_no_layer_fails(tmp_path: Path):
-    write_case(tmp_path, "revolute")
-    (tmp_path / "object.usdc").write_bytes(b"PXR-USDC" + bytes(80))
-    verdict, reason = said_of_usd(tmp_path)
-    assert verdict == "fail" and "object.usdc cannot be read" in reason
-
-
-def test_without_usd_core_the_layer_is_said_to_be_unread(tmp_path: Path, monkeypatch):
-    write_case(tmp_path, "revolute")
-    (tmp_path / "object.usdc").touch()
-    find = importlib.util.find_spec
-    monkeypatch.setattr("importlib.util.find_spec", lambda name, *a: None if name == "pxr" else find(name, *a))
-    assert said_of_usd(tmp_path) == ("skip", "object.usdc was not read: usd-core is not installed")

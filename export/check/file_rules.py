@@ -15,7 +15,7 @@ from export.check.consistency_rules import judge_consistency
 from export.check.contact_rule import RULE as CONTACT
 from export.check.contact_rule import judge_contact
 from export.check.geometry_rules import check_shapes
-from export.check.mjcf_tree import UnsupportedMjcf, list_files, read_mjcf_tree
+from export.check.mjcf_tree import UnsupportedMjcf, read_mjcf_tree
 from export.check.report import Row
 from export.check.rules import FILE_RULES, GROUND_M, UNREAD
 from export.check.tree import Tree, build_tree
@@ -28,6 +28,7 @@ from export.usd_reload import check_usd
 from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
+from freeart21.files.asset_copy import list_mjcf_files
 from freeart21.files.urdf import Urdf, read_urdf
 from freeart21.files.urdf_files import resolve_file
 from freeart21.reconstruction import describe_trust
@@ -193,10 +194,10 @@ def _check_ground(
 
 
 def _judge_mjcf(mjcf: Path, folder: Path, facts: dict[str, Any], rows: list[Row]) -> Iterator[Row]:
-    """Rows of an MJCF, without MuJoCo."""
+    """Rows of an MJCF."""
     findings = [
         Finding("paths.exist", f"file '{file.name}' does not exist")
-        for file in list_files(mjcf, folder)
+        for file in list_mjcf_files(mjcf, folder)
         if not file.is_file()
     ]
     facts["blocked"] = "paths.exist fails" if findings else ""
@@ -204,7 +205,7 @@ def _judge_mjcf(mjcf: Path, folder: Path, facts: dict[str, Any], rows: list[Row]
     try:
         tree = read_mjcf_tree(mjcf)
     except UnsupportedMjcf as error:
-        why = f"{error}, which only MuJoCo reads"
+        why = str(error)
         yield from make_rows(findings, {rule: why for rule in FILE_RULES if rule not in judged}, rows)
         return
     except FreeArtError as error:

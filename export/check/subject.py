@@ -9,7 +9,8 @@ from pathlib import Path
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.asset import read_asset
-from freeart21.files.urdf import read_file_names, read_xml
+from freeart21.files.asset_copy import list_mjcf_files
+from freeart21.files.urdf import read_file_names, read_root_tag
 from freeart21.files.urdf_files import find_root, resolve_file
 
 MAX_FILE_BYTES = 256 << 20
@@ -84,7 +85,7 @@ def _file_kind(path: Path) -> str | None:
     """'robot' or 'mujoco', from the root element; None for other files."""
     if path.suffix.lower() not in (".urdf", ".xml", ".xacro") or not path.is_file():
         return None
-    tag = read_xml(path).tag
+    tag = read_root_tag(path)
     return tag if tag in ("robot", "mujoco") else None
 
 
@@ -93,9 +94,7 @@ def _check_files(subject: Subject) -> None:
     if subject.urdf is not None:
         files |= {resolve_file(subject.urdf, name, subject.folder) for name in read_file_names(subject.urdf)}
     if subject.mjcf is not None:
-        from export.check.mjcf_tree import list_files
-
-        files |= set(list_files(subject.mjcf, subject.folder))
+        files |= set(list_mjcf_files(subject.mjcf, subject.folder))
     sizes = {file: file.stat().st_size for file in files if file.is_file()}
     for file, size in sizes.items():
         if size > MAX_FILE_BYTES:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import shutil
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Container, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -115,6 +115,28 @@ def _copy_urdf(urdf: Path, folder: Path, root: Path | None, skip_missing: bool =
     return copy, robot
 
 
+def list_mjcf_files(mjcf: Path, folder: Path) -> Iterator[Path]:
+    """The files that an MJCF names; FreeArtError when one lies outside `folder`, or another file is included."""
+    root = read_xml(mjcf)
+    folders = _mjcf_folders(root)
+    for element in root.iter():
+        if element.tag in ("include", "model", "plugin", "extension"):
+            raise FreeArtError(f"{mjcf} has <{element.tag}>, expected one file without extensions")
+        for name in (value for key, value in element.attrib.items() if key.startswith("file")):
+            below = folders.get("texture" if element.tag == "texture" else "mesh", "")
+            yield checked.inside(folder, str(mjcf.parent.resolve() / below / name))
+
+
+def _mjcf_folders(root: ET.Element) -> dict[str, str]:
+    """Element name to the folder, relative to the MJCF, that its compiler states for the element's files."""
+    folders: dict[str, str] = {}
+    for compiler in root.iter("compiler"):
+        every = compiler.get("assetdir", "")
+        meshes, textures = (compiler.get(word, every) for word in ("meshdir", "texturedir"))
+        folders |= {k: v for k, v in (("mesh", meshes), ("hfield", meshes), ("texture", textures)) if v}
+    return folders
+
+
 def file_hashes(urdf: Path, root: Path | None = None) -> dict[str, str]:
     """SHA-256 of the URDF, the files that describe the asset, and referenced files, by name; missing ones are
     omitted."""
@@ -189,12 +211,10 @@ def _naming(root: ET.Element, attribute: str) -> list[ET.Element]:
 
 def _copy_named(path: Path, root: ET.Element, copy: _Copy) -> None:
     """Copy the files of an MJCF and update their references; its compiler's folders are removed."""
-    folders: dict[str, str] = {}
+    folders = _mjcf_folders(root)
     for compiler in root.iter("compiler"):
-        every = compiler.attrib.pop("assetdir", "")
-        meshes, textures = (compiler.attrib.pop(word, every) for word in ("meshdir", "texturedir"))
-        tag_folders = {"mesh": meshes, "hfield": meshes, "texture": textures}
-        folders |= {tag: where for tag, where in tag_folders.items() if where}
+        for word in ("assetdir", "meshdir", "texturedir"):
+            compiler.attrib.pop(word, None)
     for element in _naming(root, "file"):
         name = element.get("file", "")
         source = copy.home / folders.get(element.tag, "") / name

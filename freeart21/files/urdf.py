@@ -302,6 +302,17 @@ def _parse_urdf(path: Path) -> ET.Element:
     return robot
 
 
+def read_root_tag(path: Path) -> str:
+    """The name of an XML file's root element, such as 'robot' or 'mujoco'."""
+    return read_xml(path).tag
+
+
+def read_comments(path: Path) -> list[str]:
+    """The comments of an XML file, without space at their ends."""
+    elements = read_xml(path, comments=True).iter()
+    return [(element.text or "").strip() for element in elements if not isinstance(element.tag, str)]
+
+
 def read_xml(path: Path, comments: bool = False, root: Path | None = None) -> ET.Element:
     """The root element of an XML file of bounded size; `root` bounds the path (see `checked`), None is ANYWHERE."""
     return parse_xml(checked.read_bytes(path, MAX_URDF_BYTES, root or checked.ANYWHERE), path, comments)

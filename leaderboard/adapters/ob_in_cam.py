@@ -3,7 +3,7 @@
     ob_in_cam/<frame>.txt    4 x 4, camera (OpenCV) from object, metres; the name is the picture's
     a mesh                   in the object's frame
 
-Two runs, one per part, make an answer with a joint fitted by us (`freeart21.joint_fit`), which a note says. One run alone gives the
+Two runs, one per part, make an answer with a joint of `freeart21.joint_fit`, which a note says. One run alone gives the
 reference part's poses without a joint. Two runs lie in two subfolders of a sequence's folder: `reference/` and
 `moving/`, or any two with an ob_in_cam/, the first by name being the reference part.
 

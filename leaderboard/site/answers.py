@@ -90,6 +90,7 @@ def read_answer(
     poses = checked.read_npz(folder / "poses.npz", ("T_camera_reference", "T_camera_moving"))
     Ts = [se3.orthonormalised(se3.check_poses(name, T)) for name, T in poses.items()]
     parts = [EMPTY if "meshes" in lacks else read_ply(folder / "parts" / f"{name}.ply")[0] for name in PARTS]
+    parts = [replace(part, colours=None) for part in parts]
     masks = np.zeros((0, *size), np.uint8)
     if "masks" not in lacks:
         masks = np.stack([_read_mask(folder, i, size) for i in frames])

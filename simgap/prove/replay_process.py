@@ -26,7 +26,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.asset import check_no_mimics, find_movable_joint, read_asset
 from freeart21.files.asset_copy import copy_asset_files, mjcf_path, write_xml
-from freeart21.files.urdf import read_xml
+from freeart21.files.urdf import read_root_tag
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import Actuator, interpolate_series
 from freeart21.se3 import Array
@@ -226,7 +226,7 @@ class _AssetInMujoco(_AssetInEngine):
 
         with tempfile.TemporaryDirectory() as place_:
             mjcf = mjcf_path(self.asset.urdf)
-            if not (mjcf.is_file() and read_xml(mjcf).tag == "mujoco"):
+            if not (mjcf.is_file() and read_root_tag(mjcf) == "mujoco"):
                 mjcf = _convert_to_mjcf(self.asset, Path(place_))
             try:
                 spec = mujoco.MjSpec.from_file(str(mjcf))
@@ -289,7 +289,7 @@ class _AssetInMujoco(_AssetInEngine):
 
 def _convert_to_mjcf(asset: Asset, folder: Path) -> Path:
     """The asset's URDF as MJCF, in a folder with its files."""
-    from export.urdf_to_mjcf import urdf_to_mjcf  # rarely needed, and takes half a second to import
+    from export.mjcf import urdf_to_mjcf  # rarely needed, and takes half a second to import
 
     urdf = folder / asset.urdf.name
     write_xml(urdf, copy_asset_files(asset.urdf, folder, asset.root)[urdf.name])

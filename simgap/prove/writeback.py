@@ -10,8 +10,7 @@ import numpy as np
 
 from export.companion_files import write_companion_files
 from export.loaders import FOLDER as LOADERS
-from export.mjcf import STIFF_FRICTION, joint_attributes
-from export.urdf_to_mjcf import urdf_to_mjcf
+from export.mjcf import STIFF_FRICTION, joint_attributes, urdf_to_mjcf
 from freeart21.asset import Asset
 from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError

@@ -11,7 +11,7 @@ import numpy as np
 from export.check.engines.base import GRAVITY, EngineJoint, Setting, World
 from export.check.engines.plain_urdf import write_plain_urdf
 from freeart21 import se3
-from freeart21.files.urdf import UrdfInertial, read_urdf, read_xml
+from freeart21.files.urdf import UrdfInertial, read_root_tag, read_urdf
 from freeart21.se3 import Array
 
 _LARGEST_STEP_S = 0.002
@@ -21,7 +21,7 @@ def load(file: Path, folder: Path, setting: Setting) -> MujocoWorld:
     """The asset in a scene of its own."""
     import mujoco
 
-    urdf = read_xml(file).tag == "robot"
+    urdf = read_root_tag(file) == "robot"
     on_world = urdf and "world" in read_urdf(file).links  # MuJoCo takes that link for its world
     if urdf:
         compiler = {"fusestatic": "false", "strippath": "false", "discardvisual": "true"}
