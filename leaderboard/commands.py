@@ -54,6 +54,7 @@ def score(
     from freeart21.errors import FreeArtError
     from freeart21.files import atomic
     from freeart21.files.places import SCORES, check_place
+    from freeart21.progress import progress_bar
     from leaderboard.archive import open_results
     from leaderboard.rows import Row
     from leaderboard.score import score_results
@@ -112,6 +113,7 @@ def compare(
         truth: The truth of a packed data folder.
     """
     from freeart21.files.places import check_place
+    from freeart21.progress import progress_bar
     from leaderboard.compare import compare_results
     from leaderboard.compare_files import kind_of, write_comparison
     from leaderboard.compare_tables import print_comparison
@@ -201,6 +203,7 @@ def site(
         truth: The truth of a packed data folder, for scoring. The site has nothing of it: answers are shown as they
             are, and joint states are scored in the means alone.
     """
+    from freeart21.progress import progress_bar
     from leaderboard.site.build import write_site
 
     with progress_bar("Reading") as show:
@@ -246,6 +249,7 @@ def import_(
         object_poses: Official FreeArt-21 examples, for world frames that are fixed to the object.
         name: Name of the method; by default that of the results folder.
     """
+    from freeart21.progress import progress_bar
     from leaderboard.adapters.importer import import_results
     from leaderboard.adapters.layout import Options
 
@@ -289,6 +293,7 @@ def run(
         engine: Program that runs images: docker or podman.
         truth: The truth of a packed data folder, for methods that are given part masks or meshes of it.
     """
+    from freeart21.progress import progress_bar
     from leaderboard.methods.descriptor import find_descriptor
     from leaderboard.methods.run import run_method
 
@@ -334,6 +339,7 @@ def pack(
     """
     from freeart21.errors import FreeArtError
     from freeart21.files.places import check_place
+    from freeart21.progress import progress_bar
     from leaderboard.pack import PUBLIC, TRUTH, default_key_path, pack_public, pack_truth
 
     if public == truth:
@@ -370,6 +376,7 @@ def release(
     """
     from freeart21.errors import FreeArtError
     from freeart21.files.places import check_place
+    from freeart21.progress import progress_bar
     from leaderboard.release.bop import write_bop
     from leaderboard.release.coco import write_coco
     from leaderboard.release.shards import write_shards

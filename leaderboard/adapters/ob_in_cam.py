@@ -3,9 +3,9 @@
     ob_in_cam/<frame>.txt    4 x 4, camera (OpenCV) from object, metres; the name is the picture's
     a mesh                   in the object's frame
 
-Two runs, one per part, make an answer with a joint fitted by us (`freeart21.joint_fit`), which a note says. One run
-alone gives the reference part's poses without a joint. Two runs lie in two subfolders of a sequence's folder:
-`reference/` and `moving/`, or any two with an ob_in_cam/, the first by name being the reference part.
+Two runs, one per part, make an answer with a joint of `freeart21.joint_fit`, which a note says. One run alone gives the
+reference part's poses without a joint. Two runs lie in two subfolders of a sequence's folder: `reference/` and
+`moving/`, or any two with an ob_in_cam/, the first by name being the reference part.
 
 BundleSDF, the output folder of run_custom.py, read in NVlabs/BundleSDF@cf0610e3636bc42535c996f129161f44beeadc56:
 BundleTrack/src/Bundler.cpp (saveNewframeResult: the object's pose in the camera, ten digits), bundlesdf.py
