@@ -13,8 +13,6 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from freeart21.progress import progress_bar
-
 Positional: Any = tyro.conf.Positional
 ExecutorName = Literal["local", "ray", "slurm"]
 
