@@ -1,5 +1,5 @@
 # Two commands: `make demo` sets up and runs one object all the way; `make test` sets up and passes the tests.
-.PHONY: setup demo demo-data test check results docs clean
+.PHONY: setup demo demo-data test test-torch check results docs clean
 
 setup:
 	scripts/setup.sh
@@ -22,6 +22,11 @@ test:
 	.venv/bin/ruff format --check --quiet .
 	.venv/bin/mypy
 	.venv/bin/pytest -n 2 --dist loadfile --no-loadscope-reorder
+
+# The tests of PyTorch, ManiSkill, Ray and Open3D, in an environment of their own: 4 GB.
+test-torch:
+	scripts/setup.sh torch
+	.venv-torch/bin/pytest -n 2 --dist loadfile --no-loadscope-reorder -m torch
 
 # What a change needs while it is made, in under a minute; `make test` is what it owes in the end.
 check:
@@ -46,4 +51,4 @@ docs:
 	@echo "$(DOCS)/index.html"
 
 clean:
-	rm -rf .venv out .pytest_cache .mypy_cache .ruff_cache
+	rm -rf .venv .venv-torch node_modules out .pytest_cache .mypy_cache .ruff_cache

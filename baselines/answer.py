@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from baselines.joint import fit_joint
 from baselines.rigid import interpolate_poses
 from baselines.surfaces import Labels, draw, fuse, label_frame
 from baselines.video import UnsolvableError, Video, read_video
@@ -20,6 +19,7 @@ from freeart21.files import atomic
 from freeart21.files.asset import write_asset_json
 from freeart21.files.result import write_result
 from freeart21.files.sequence import read_sequence
+from freeart21.joint_fit import LEAST_POSES, fit_joint, fit_joint_of_type, paper_joint_type
 from freeart21.mesh import Mesh, bounding_diagonal, join_meshes
 from freeart21.reconstruction import Failure, Reconstruction
 from freeart21.recording import Recording
@@ -88,17 +88,19 @@ def assemble(video: Video, motion: Motion, by_paper: bool) -> Reconstruction:
         seen = motion.seen[order]
     else:
         seen = motion.seen
-    if len(both) == 0:
-        raise UnsolvableError("joint", "the two parts were never found in one keyframe")
+    if len(both) < LEAST_POSES:
+        raise UnsolvableError("joint", f"both parts were found in {len(both)} keyframes, expected {LEAST_POSES}")
     relative = se3.inverse(Ts[0]) @ Ts[1]
     home = relative[both[0]]
     meshes[1] = meshes[1].moved(home)
     Ts[1] = Ts[1] @ se3.inverse(home)
     relative = relative @ se3.inverse(home)
-    joint, states = fit_joint(relative[both], meshes[1].vertices.mean(0), bounding_diagonal(meshes[1]), by_paper)
+    relative, centre, lever = relative[both], meshes[1].vertices.mean(0), bounding_diagonal(meshes[1]) / 2
+    kind = paper_joint_type(relative @ se3.pose(np.eye(3), centre)) if by_paper else None
+    fit = fit_joint_of_type(relative, kind, centre, lever) if kind else fit_joint(relative, centre, lever)[0]
     every = np.arange(len(recording))
     all_Ts = [interpolate_poses(video.numbers[found], T[found], every) for T, found in zip(Ts, seen, strict=True)]
-    all_states = np.interp(every, video.numbers[both], states)
+    all_states = np.interp(every, video.numbers[both], fit.states)
     masks = []
     for number in every:
         frame = recording.frame(int(number))
@@ -107,7 +109,7 @@ def assemble(video: Video, motion: Motion, by_paper: bool) -> Reconstruction:
     numbers = video.numbers
     was_seen = np.stack([(every >= numbers[f].min()) & (every <= numbers[f].max()) for f in seen], 1)
     return Reconstruction(
-        Articulation(joint, meshes[0], meshes[1]), all_states, all_Ts[0], all_Ts[1], np.stack(masks), was_seen
+        Articulation(fit.joint(), meshes[0], meshes[1]), all_states, all_Ts[0], all_Ts[1], np.stack(masks), was_seen
     )
 
 

@@ -1,4 +1,4 @@
-"""Rigid motions of points: closed form (Arun et al. 1987), RANSAC, and poses of one body from its tracks."""
+"""Rigid motions of points: RANSAC, and poses of one body from its tracks."""
 
 from __future__ import annotations
 
@@ -16,15 +16,6 @@ _ROUNDS = 4
 """Of landmarks and poses in turn."""
 
 
-def fit_motion(a: Array, b: Array, weights: Array | None = None) -> Array:
-    """T_b_a (4, 4) of least squares that maps points `a` (P, 3) to `b`, with `weights` (P,)."""
-    w = np.ones(len(a)) if weights is None else weights
-    w = w / w.sum()
-    centre_a, centre_b = w @ a, w @ b
-    R = se3.project_so3((b - centre_b).T @ ((a - centre_a) * w[:, None]))
-    return se3.pose(R, centre_b - R @ centre_a)
-
-
 def find_motion(a: Array, b: Array, tolerance: float, rng: np.random.Generator) -> tuple[Array, Bools]:
     """The motion T_b_a with most points of `a` (P, 3) within `tolerance`, metres, of `b`, and its inliers (P,).
 
@@ -33,18 +24,14 @@ def find_motion(a: Array, b: Array, tolerance: float, rng: np.random.Generator) 
     if len(a) < 3:
         return np.eye(4), np.zeros(len(a), bool)
     trials = rng.integers(0, len(a), (_TRIALS, 3))
-    A, B = a[trials], b[trials]
-    centre_a, centre_b = A.mean(1), B.mean(1)
-    R = se3.project_so3(np.einsum("nki,nkj->nij", B - centre_b[:, None], A - centre_a[:, None]))
-    t = centre_b - np.einsum("nij,nj->ni", R, centre_a)
-    distance = np.linalg.norm(a @ np.swapaxes(R, 1, 2) + t[:, None] - b, axis=2)
+    Ts = se3.fit_rigid(a[trials], b[trials])
+    distance = np.linalg.norm(se3.transform(Ts, a[None]) - b, axis=2)
     best = int((distance < tolerance).sum(1).argmax())
-    inliers = distance[best] < tolerance
-    T = se3.pose(R[best], t[best])
+    inliers, T = distance[best] < tolerance, Ts[best]
     for _ in range(3):
         if inliers.sum() < 3:
             break
-        T = fit_motion(a[inliers], b[inliers])
+        T = se3.fit_rigid(a[inliers], b[inliers])
         inliers = np.linalg.norm(se3.transform(T, a) - b, axis=1) < tolerance
     return T, inliers
 
@@ -88,7 +75,7 @@ def estimate_poses(points: Array, tolerance: float, rng: np.random.Generator) ->
             distance = np.linalg.norm(se3.transform(Ts[f], landmarks[known]) - points[known, f], axis=1)
             if (distance < tolerance).sum() >= LEAST_POINTS:
                 near = known[distance < tolerance]
-                Ts[f] = fit_motion(landmarks[near], points[near, f])
+                Ts[f] = se3.fit_rigid(landmarks[near], points[near, f])
     return interpolate_poses(np.flatnonzero(found), Ts[found], np.arange(count)) if found.any() else Ts, found
 
 

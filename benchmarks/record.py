@@ -26,8 +26,9 @@ import sapien
 from benchmarks.common import RESULTS, print_table, run_cli, write_report
 from freeart21 import catalog, se3
 from generator.dataset import plan_jobs, record_jobs
+from generator.object_source import find_object
 from generator.scene import simulator
-from generator.session import RecordSettings, Session, load_object
+from generator.session import RecordSettings, Session
 
 _AXES = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # SAPIEN's camera axes from ours
 
@@ -80,12 +81,12 @@ def main(
 
 
 def _triangles(name: str, settings: RecordSettings, place: Path) -> int:
-    return sum(len(side.surface.faces) for side in load_object(catalog.find(name), settings, place).sides)
+    return sum(len(side.surface.faces) for side in find_object(name, settings).load(place).sides)
 
 
 def _film(name: str, triangles: int, settings: RecordSettings, work: Path, blocks: int) -> dict[str, Any]:
     """Rates of the bare loop and of the recorder's film, in turns."""
-    loaded = load_object(catalog.find(name), settings, work / "object")
+    loaded = find_object(name, settings).load(work / "object")
     session = Session(loaded, settings, work, lambda done, total: None)
     bare, film = [], []
     size = 0

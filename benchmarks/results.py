@@ -1,11 +1,11 @@
-"""The tables of README and docs, one a task, from the files that benchmarks write.
+"""The tables of docs/results.md, one a task, from the files that benchmarks write.
 
     make results                            # solves what is missing, then writes the tables; half a day of two cores
     python -m benchmarks.results --write    # writes the tables from benchmarks/results/*.json
     python -m benchmarks.results --dry-run  # lists what would be solved
 
 Solves every variant of RUNS (`benchmarks.solve`); a finished object is not solved again, so a run that was stopped goes
-on. Prints the tables, and writes them where a document has `<!-- table NAME -->` and `<!-- end -->`; no number in them
+on. Prints the tables, and writes them where the page has `<!-- table NAME -->` and `<!-- end -->`; no number in them
 is typed by hand. What another benchmark measures is in the file that it wrote last.
 """
 
@@ -24,7 +24,7 @@ from benchmarks.common import RESULTS, ROOT, format_number, run_cli
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 
-DOCUMENTS = (ROOT / "README.md", ROOT / "docs" / "results.md")
+DOCUMENT = ROOT / "docs" / "results.md"
 TABLE = re.compile(r"(<!-- table (?P<name>[\w-]+) -->\n).*?(<!-- end -->)", re.S)
 METRICS = {
     "axis": "axis, deg",
@@ -93,12 +93,13 @@ def read(file: str) -> dict[str, Any]:
 
 
 def describe(*files: str) -> str:
-    """A line below a table: each file with its commit, and day where it states one."""
-    found = []
+    """A line below a table: each file with its commit, and day where it states one; the machines."""
+    found, machines = [], {}
     for file in files:
         report = read(file)
         found.append(f"`{file}` {report['commit'][:7]}" + (f" ({report['date']})" if "date" in report else ""))
-    return f"*Commits: {', '.join(found)}.*\n"
+        machines[f"{report['machine']['processor']}, {report['machine']['cores']} cores"] = None
+    return f"*Commits: {', '.join(found)}. Machine: {'; '.join(machines)}.*\n"
 
 
 def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -109,18 +110,13 @@ def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def figures_of(found: dict[str, Any]) -> list[str]:
-    """Mean and standard deviation of every metric, '-' where there is none."""
-    cells = []
-    for metric in METRICS:
-        value, digits = found.get(metric), solve.DIGITS[metric]
-        spread = value and value.get("std")
-        mean = format_number(value and value["mean"], digits)
-        cells.append(mean if spread is None else f"{mean} ± {spread:.{digits}f}")
-    return cells
+    """Mean of every metric, '-' where there is none."""
+    means = {metric: found[metric]["mean"] for metric in METRICS if found.get(metric)}
+    return [format_number(means.get(metric), solve.DIGITS[metric]) for metric in METRICS]
 
 
 def write_solver() -> str:
-    """Ours, its inputs varied, and the baselines, by joint type: means and standard deviations by strict-2."""
+    """Ours, its inputs varied, and the baselines, by joint type: means by strict-2."""
     rows, files = [], []
     for run in RUNS:
         if run.shown and (RESULTS / run.file).is_file():
@@ -145,16 +141,23 @@ def write_solver() -> str:
 
 
 def write_assets() -> str:
-    """How many assets reach each goal (`benchmarks.assets.GOALS`): of the 21, and of strangers' objects."""
+    """How many assets reach each goal (`benchmarks.assets.GOALS`), the goal that most miss first; those missed bold."""
     own, others = read(assets.FILE)["summary"], read(outside.FILE)["summary"]
     rows = []
-    for goal in assets.GOALS:
+    for goal in sorted(assets.GOALS, key=lambda goal: own[goal.column]["reached"] / own[goal.column]["of"]):
         bound = f"{'at least' if goal.at_least else 'at most'} {goal.bound:g}"
         cells = []
         for summary in (own, others):
             its = summary.get(goal.column)
-            reached = f"{its['reached']} of {its['of']}" if its and its["of"] else "-"
-            cells += [reached, *("-" if not its or its[k] is None else f"{its[k]:.3g}" for k in ("median", "worst"))]
+            if not its or its["median"] is None:  # it concerns none of them
+                cells += ["-"] * 3
+                continue
+            reached = f"{its['reached']} of {its['of']}"
+            cells += [
+                reached if its["reached"] == its["of"] else f"**{reached}**",
+                f"{its['median']:.3g}",
+                f"{its['worst']:.3g}",
+            ]
         rows.append([goal.says, bound, *cells])
     head = ["", "goal", "the 21", "median", "worst", "strangers' objects", "median", "worst"]
     return markdown(head, rows) + "\n" + describe(assets.FILE, outside.FILE)
@@ -210,7 +213,7 @@ def main(
     write: bool = False,
     dry_run: bool = False,
 ) -> None:
-    """Solve all variants, then print the tables and write them into the documents.
+    """Solve all variants, then print the tables and write them into the page.
 
     Args:
         data: Data folder of the public split; what it lacks is recorded.
@@ -231,10 +234,10 @@ def main(
         return
     for name, make in TABLES.items():
         print(f"\n{name}\n\n{make()}")
-    for document in DOCUMENTS:
-        if (filled := fill(document.read_text("utf-8"))) != document.read_text("utf-8"):
-            atomic.write_bytes(document, filled.encode())
-            print(document)
+    text = DOCUMENT.read_text("utf-8")
+    if (filled := fill(text)) != text:
+        atomic.write_bytes(DOCUMENT, filled.encode())
+        print(DOCUMENT)
 
 
 if __name__ == "__main__":

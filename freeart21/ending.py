@@ -21,6 +21,10 @@ from freeart21.errors import FreeArtError
 TRACEBACK = "FREEART21_TRACEBACK"
 """Environment variable: when it is set, internal errors are printed with their traceback."""
 
+DOUBTFUL = 3
+"""Exit code of a result with a warning: `reconstruct` does not trust it, `export` made an asset from such a result or
+with collision shapes far from the visible ones, a rule of `check-asset` failed."""
+
 FAULT = 70
 """Exit code of an internal error: EX_SOFTWARE of sysexits.h."""
 _READER_GONE = 128 + signal.SIGPIPE

@@ -13,7 +13,7 @@ from freeart21.errors import FreeArtError
 from freeart21.se3 import Array
 
 JointType = Literal["revolute", "prismatic"]
-JOINT_TYPES: tuple[str, ...] = get_args(JointType)
+JOINT_TYPES: tuple[JointType, ...] = get_args(JointType)
 
 
 @dataclass(frozen=True)

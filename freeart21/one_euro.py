@@ -11,7 +11,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from freeart21 import se3
 from freeart21.joint import JointType
@@ -56,6 +55,8 @@ def filter_motion(settings: OneEuro, times: Array, Ts: Array, states: Array) -> 
     Every quantity computes a cutoff from its own speed, and all use the largest one. So pose and joint state lag by the
     same time. With separate lags, an object left the picture that the operator had kept it in.
     """
+    from scipy.spatial.transform import Rotation
+
     bands = (settings.position, settings.rotation, settings.state)
     measured = list(zip(Ts[:, :3, 3], Rotation.from_matrix(Ts[:, :3, :3]), states[:, None], strict=True))
     place, turn, state = measured[0]

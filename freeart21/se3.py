@@ -164,6 +164,19 @@ def mean_pose(Ts: ArrayLike, sigma: float | None = 2.0) -> Array:
     return mean
 
 
+def fit_rigid(source: ArrayLike, target: ArrayLike, weights: ArrayLike | None = None) -> Array:
+    """The pose (..., 4, 4) that takes points `source` (..., m, 3) to `target`, by least squares with `weights` (..., m)
+    (Arun, Huang and Blostein 1987)."""
+    source, target = np.asarray(source, float), np.asarray(target, float)
+    w = np.ones(source.shape[:-1]) if weights is None else np.asarray(weights, float)
+    source, target = np.broadcast_to(source, (*w.shape, 3)), np.broadcast_to(target, (*w.shape, 3))
+    w = w / np.maximum(w.sum(-1, keepdims=True), 1e-300)
+    a, b = (w[..., None] * source).sum(-2), (w[..., None] * target).sum(-2)
+    M = np.swapaxes(w[..., None] * (target - b[..., None, :]), -1, -2) @ (source - a[..., None, :])
+    R = project_so3(M)
+    return pose(R, b - np.einsum("...ij,...j->...i", R, a))
+
+
 def rotation_from_wxyz(wxyz: ArrayLike) -> Array:
     """The rotation (..., 3, 3) of a quaternion (..., 4) in w, x, y, z order, of any length."""
     q = np.asarray(wxyz, float)

@@ -12,7 +12,6 @@ import fcntl
 import os
 import shutil
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -29,19 +28,13 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import JOB_SCHEMA, WORK, is_unfinished, read_benchmark, write_benchmark
 from freeart21.files.data_card import write_card_of
-from freeart21.files.lock import acquire, release
+from freeart21.files.lock import hold_lock
 from freeart21.files.places import check_append
+from freeart21.progress import Board, progress_board
 from generator import partnet
-from generator.progress import Board, progress_board
-from generator.session import (
-    ACCESS,
-    RecordSettings,
-    catalog_entry,
-    find_partnet_folder,
-    load_object,
-    record_object,
-    resolve_name,
-)
+from generator.object_source import ACCESS, find_object
+from generator.session import record_object
+from generator.settings import RecordSettings
 
 __all__ = ["WORK", "Job", "Label", "is_unfinished", "official_names", "plan_jobs", "procedural_jobs", "record_jobs"]
 
@@ -49,8 +42,8 @@ MAX_OBJECTS = 1000
 """Procedural objects of one call: their names end in three digits."""
 MAX_WORKERS = 64
 _MADE_WITH = ("freeart21", "sapien", "numpy", "opencv-python-headless", "embreex", "manifold3d", "scipy")
-SECONDS_A_PICTURE = 0.25
-"""Approximate time for a picture: for the time limits of clusters."""
+MOST_SECONDS_A_PICTURE = 2.5
+"""Ten times the approximate time for a picture: for the limit of a job."""
 _JOBS = ".jobs"
 """Folder in the work folder for the state of jobs; no sequence has this name."""
 _OBJECT_FILES = 107
@@ -100,22 +93,18 @@ def plan_jobs(names: Sequence[str], settings: RecordSettings) -> list[Job]:
     joint of a procedural object. Raises FreeArtError when a name is unknown or the object's files are unfit.
     """
     settings.check()
-    given, jobs = settings, []
+    jobs = []
     for each in dict.fromkeys(names):
-        name, settings = resolve_name(each, given)
-        entry = catalog_entry(name, settings)
-        joint, notes = settings.joint or entry.joint, tuple[str, ...]()
-        if entry.source == "partnet":
-            folder = find_partnet_folder(name, settings.partnet_root)
-            loaded = partnet.load(folder, joint, settings.skip_missing)
-            joint, notes = loaded.joint.name, loaded.notes
-        elif entry.source == "urdf":
+        source = find_object(each, settings)
+        entry, joint, notes = source.entry, source.joint, tuple[str, ...]()
+        if entry.source != "procedural":
             with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
-                loaded = load_object(entry, settings, Path(place))
+                loaded = source.load(Path(place))
             joint, notes = loaded.joint.name, loaded.notes
         own = entry.source == "procedural" and joint == entry.joint
         middle = "" if own else f"-{joint}"
-        jobs.append(Job(name, f"{name}{middle}-s{settings.seed}", settings, notes))
+        sequence = f"{entry.name}{middle}-s{settings.seed}"
+        jobs.append(Job(entry.name, sequence, replace(settings, urdf=source.urdf), notes))
     return jobs
 
 
@@ -360,25 +349,12 @@ def _finish(out: Path, label: Label) -> None:
             shutil.rmtree(left, ignore_errors=True)
 
 
-@contextlib.contextmanager
-def _writer_lock(out: Path) -> Iterator[None]:
-    """Hold the lock of the data folder `out`; this recorder's jobs share it (`record_one`)."""
-    made = [folder for folder in (out, *out.parents) if not folder.exists()]
-    lock = out / WORK / "lock"
-    deadline = time.monotonic() + _PATIENCE_S
-    while (handle := acquire(lock)) is None:
-        if time.monotonic() > deadline:
-            if not lock.is_file():
-                raise FreeArtError(f"cannot write {lock}: its folder cannot be made")
-            raise FreeArtError(f"another process is recording into {out}; wait for it, or choose another folder")
-        time.sleep(0.05)
-    try:
-        yield
-    finally:
-        if is_unfinished(out):  # a worker that ends a moment later still holds it
-            os.close(handle)
-        else:
-            release(lock, handle, [lock.parent, out / "sequences", out / "truth", *made])
+def _writer_lock(out: Path) -> contextlib.AbstractContextManager[None]:
+    """Hold the lock of the data folder `out`; this recorder's jobs share it (`record_one`), a moment longer perhaps."""
+    lock, folders = out / WORK / "lock", (out / WORK, out / "sequences", out / "truth")
+    return hold_lock(
+        lock, f"another process is recording into {out}", _PATIENCE_S, folders, keep=lambda: is_unfinished(out)
+    )
 
 
 # --- workers ----------------------------------------------------------------------------------------------------------
@@ -436,22 +412,22 @@ def _run_as_jobs(
                 "sequence": job.sequence,
                 "settings": _settings_to_json(job.settings),
             },
-            seconds=SECONDS_A_PICTURE * (job.settings.frames + job.settings.queries),
+            processors=2,
+            memory_gb=8.0,
+            limit_s=max(3600.0, MOST_SECONDS_A_PICTURE * (job.settings.frames + job.settings.queries)),
         )
         for name, job in by_name.items()
     ]
 
-    def listener(event: str, done: jobs_anywhere.Job, facts: dict[str, object]) -> None:
-        if event == "finished":
-            job = by_name[done.name]
-            board.update(job.sequence, *[job.settings.frames + job.settings.queries] * 2)
-            board.finished(job.sequence)
-            on_done(job.sequence)
+    def finished(done: jobs_anywhere.Job) -> None:
+        job = by_name[done.name]
+        board.update(job.sequence, *[job.settings.frames + job.settings.queries] * 2)
+        board.finished(job.sequence)
+        on_done(job.sequence)
 
-    report = jobs_anywhere.run_jobs(place / WORK / _JOBS, job_list, workers, executor, listener=listener)
-    for failed in report.failed:
-        full = failed.reason.startswith("cannot write")
-        raise (atomic.CannotWrite if full else FreeArtError)(failed.reason)
+    failed = jobs_anywhere.run_jobs(place / WORK / _JOBS, job_list, workers, executor, on_done=finished)
+    for reason in failed.values():
+        raise (atomic.CannotWrite if reason.startswith("cannot write") else FreeArtError)(reason)
 
 
 def record_one(out: str, name: str, sequence: str, settings: dict[str, Any]) -> None:

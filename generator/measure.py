@@ -26,8 +26,9 @@ from freeart21.measured import Measured, Run
 from freeart21.se3 import Array
 from freeart21.truth import Truth
 from generator import partnet, simulate, urdf_object
+from generator.object_source import find_object, find_partnet_folder
 from generator.release import add_inertia
-from generator.session import RecordSettings, build_model, find_partnet_folder
+from generator.settings import RecordSettings
 
 UNCERTAINTY = 0.02
 """Stated relative uncertainty of the asset's inertia and weight, which are the recorder's own."""
@@ -164,7 +165,7 @@ def _asset(
     if own:
         entry = catalog.find(str(source["object"]), partnet=False)
         settings = RecordSettings(seed=int(source["settings"]["seed"]), preset=str(source["settings"]["preset"]))
-        asset = add_inertia(asset, build_model(entry.name, settings), out, shapes=True)
+        asset = add_inertia(asset, find_object(entry.name, settings).build(), out, shapes=True)
         Path(asset.urdf).replace(out / partnet.URDF_NAME)
         asset = replace(asset, urdf=out / partnet.URDF_NAME)
     if asset.reference_link not in source["reference_links"]:  # the child side is the reference part

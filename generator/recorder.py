@@ -6,7 +6,8 @@ from pathlib import Path
 
 from freeart21.catalog import built_in_names
 from generator.dataset import Job, plan_jobs, record_jobs
-from generator.session import LICENCES, RecordSettings, nice_scale
+from generator.session import LICENCES, nice_scale
+from generator.settings import RecordSettings
 
 __all__ = ["LICENCES", "Job", "RecordSettings", "built_in_names", "nice_scale", "record"]
 

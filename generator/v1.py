@@ -18,16 +18,17 @@ from typing import Annotated, Literal, get_args
 import numpy as np
 import tyro
 
-from freeart21 import catalog
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import read_benchmark
+from freeart21.progress import progress_bar
 from freeart21.se3 import Array
 from generator import objects
 from generator.dataset import Job, Label
 from generator.model import ObjectModel
-from generator.progress import progress_bar
-from generator.session import RecordSettings, load_object, plan_recording
+from generator.object_source import find_object
+from generator.session import plan_recording
+from generator.settings import RecordSettings
 
 NAME, VERSION = "freeart21-v1", "1"
 Split = Literal["public", "test"]
@@ -114,7 +115,7 @@ def motion_fingerprint(entry: Entry, settings: RecordSettings | None = None) -> 
     """
     settings = replace(settings or RecordSettings(), seed=entry.seed, motion=entry.motion)
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
-        plan = plan_recording(load_object(catalog.find(entry.object), settings, Path(place)), settings)[1]
+        plan = plan_recording(find_object(entry.object, settings).load(Path(place)), settings)[1]
     return _digest([_text(plan.Ts_camera_object[:, :3], 4), _text(plan.states, 4)])
 
 
@@ -156,7 +157,7 @@ def main(
     with progress_bar("fingerprints") as progress:
         for k, entry in enumerate(every):
             now[entry.sequence] = fingerprints(entry)
-            progress(k + 1, len(every))
+            progress(entry.sequence, k + 1, len(every))
     if write:
         atomic.write_json(_FROZEN, {"name": NAME, "version": VERSION, "sequences": now})
         return 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,6 +39,12 @@ def min_sequences(level: float = LEVEL) -> int:
     All n differences lie on one side of their true median with probability 2^(1-n), which a bootstrap cannot see.
     """
     return math.ceil(1 - math.log2(1 - level))
+
+
+def describe() -> dict[str, Any]:
+    """How intervals are made, for a file."""
+    settings = {"level": LEVEL, "resamples": RESAMPLES, "seed": SEED}
+    return {"kind": KIND, **settings, "fewest_sequences": min_sequences()}
 
 
 def bootstrap_intervals(

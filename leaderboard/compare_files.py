@@ -15,6 +15,7 @@ from freeart21.files.places import Output, require_replaceable
 from leaderboard import bootstrap
 from leaderboard.compare import By, Comparison, Group
 from leaderboard.compare_tables import latex, legend, markdown
+from leaderboard.scores_file import metric_terms
 
 SCHEMA = "freeart21/comparison/1"
 _CSV_HEAD = "protocol,benchmark,by,"
@@ -100,25 +101,14 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
         "protocol": comparison.rules.name,
         "benchmark": comparison.benchmark,
         "metrics": [
-            {
-                "id": metric.id,
-                "label": metric.label,
-                "unit": {"revolute": metric.revolute_unit, "prismatic": metric.prismatic_unit},
-                "direction": metric.direction,
-            }
+            {key: value for key, value in metric_terms(metric).items() if key != "price"}
             for metric in comparison.rules.metrics
         ],
         "methods": [
             {"name": entrant.name, "method": asdict(entrant.scores.method), "made_with": entrant.scores.made_with}
             for entrant in comparison.entrants
         ],
-        "interval": {
-            "kind": bootstrap.KIND,
-            "level": bootstrap.LEVEL,
-            "resamples": bootstrap.RESAMPLES,
-            "seed": bootstrap.SEED,
-            "fewest_sequences": bootstrap.min_sequences(),
-        },
+        "interval": bootstrap.describe(),
         "groups": [
             _group(comparison, group) for by in get_args(By) if by != "sequence" for group in comparison.groups(by)
         ],
@@ -129,10 +119,7 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
                 "category": comparison.categories[name],
                 "methods": {
                     entrant.name: {
-                        "status": row.status,
-                        "measured_from": row.measured_from,
-                        "result_sha256": row.result_sha256,
-                        "values": row.values,
+                        key: getattr(row, key) for key in ("status", "measured_from", "result_sha256", "values")
                     }
                     for entrant in comparison.entrants
                     if (row := comparison.row(entrant, name)) is not None
@@ -153,14 +140,9 @@ def _group(comparison: Comparison, group: Group) -> dict[str, Any]:
         "methods": {name: {**asdict(one), "coverage": one.coverage} for name, one in standings.items()},
         "differences": [
             {
-                "method": one.method,
-                "other": one.other,
-                "metric": one.metric,
+                **{key: getattr(one, key) for key in ("method", "other", "metric", "verdict")},
+                **{key: getattr(one.interval, key) for key in ("low", "high", "sequences")},
                 "difference": one.interval.mean,
-                "low": one.interval.low,
-                "high": one.interval.high,
-                "sequences": one.interval.sequences,
-                "verdict": one.verdict,
             }
             for one in comparison.differences(group)
         ],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,27 +14,26 @@ from rich.markup import escape
 from rich.table import Table
 
 from leaderboard import bootstrap
-from leaderboard.compare import By, Comparison, Difference, Entrant, Group, Standing
+from leaderboard.compare import By, Comparison, Difference, Group, Standing
 from leaderboard.protocol import Metric
-from leaderboard.rows import Statistic
 from leaderboard.submission import escape_unprintable
 from leaderboard.tables import NOTHING, WIDTH, column_foot, column_head, decimals, ranking_metrics, unit_suffix
 
 _LONGEST_NAME = 22
 """Characters of a method's name on a terminal."""
+_Show = Literal["mean", "median", "value"]
+_SHOWN: dict[_Show, str] = {
+    "mean": "mean ± standard deviation",
+    "median": "median (worst)",
+    "value": "each sequence",
+}
 _MARKS = {"better": " ✓", "worse": " ✗", "open": ""}
 _LATEX = {
     **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
     **{c: f"\\{c}" for c in "&%$#_{}"},
     **{NOTHING: "--", "±": r"$\pm$", "°": r"$^{\circ}$", "↑": r"$\uparrow$", "↓": r"$\downarrow$"},
-    **{
-        "✓": r"$\checkmark$",
-        "✗": r"$\times$",
-        "²": r"$^{2}$",
-        "<": r"\textless{}",
-        ">": r"\textgreater{}",
-        "|": r"\textbar{}",
-    },
+    **{"✓": r"$\checkmark$", "✗": r"$\times$", "²": r"$^{2}$"},
+    **{"<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}"},
 }
 
 
@@ -62,12 +61,9 @@ def make_grids(comparison: Comparison, by: By) -> tuple[Grid, ...]:
     """The tables of a comparison: means, medians, and differences to the first method; by sequence, the values."""
     groups, metrics = comparison.groups(by), ranking_metrics(comparison.rules)
     if by == "sequence":
-        return (_grid(comparison, groups, metrics, _format_value, "each sequence", False),)
-    found = [
-        _grid(comparison, groups, metrics, _format_mean, "mean ± standard deviation", True),
-        _grid(comparison, groups, metrics, _format_median, "median (worst)", True),
-    ]
-    return (*found, *_difference_grids(comparison, groups, metrics))
+        return (_grid(comparison, groups, metrics, "value"),)
+    means, medians = (_grid(comparison, groups, metrics, show) for show in ("mean", "median"))
+    return (means, medians, *_difference_grids(comparison, groups, metrics))
 
 
 def legend(comparison: Comparison, by: By) -> tuple[str, ...]:
@@ -98,35 +94,31 @@ def legend(comparison: Comparison, by: By) -> tuple[str, ...]:
 # ---- cells
 
 
-def _grid(
-    comparison: Comparison,
-    groups: tuple[Group, ...],
-    metrics: Sequence[Metric],
-    cell: Callable[[Standing, Group, Metric], str],
-    what: str,
-    summarised: bool,
-) -> Grid:
+def _grid(comparison: Comparison, groups: tuple[Group, ...], metrics: Sequence[Metric], show: _Show) -> Grid:
     rules = comparison.rules
-    typed = summarised and any(metric.id == "joint_type" for metric in rules.metrics)
+    typed = show != "value" and any(metric.id == "joint_type" for metric in rules.metrics)
     head = ["method", "measured", *(["type\n↑"] if typed else [])]
     head += [f"{column_head(metric)}\n{column_foot(metric)}" for metric in metrics]
     sections = []
     for group in groups:
         standings = [comparison.standing(entrant, group) for entrant in comparison.entrants]
         best = {
-            metric.id: _find_best(standings, metric, "median" if cell is _format_median else "mean")
-            for metric in metrics
+            metric.id: _find_best(standings, metric, "median" if show == "median" else "mean") for metric in metrics
         }
         rows = []
         for k, (entrant, standing) in enumerate(zip(comparison.entrants, standings, strict=True)):
-            cells = [Cell(entrant.name), Cell(_format_measured(comparison, entrant, group, standing, summarised))]
+            measured = f"{standing.sequences - standing.failures}/{standing.sequences}"
+            if show == "value":
+                row = comparison.row(entrant, group.name)
+                measured = NOTHING if row is None else row.status
+            cells = [Cell(entrant.name), Cell(measured)]
             if typed:
                 right = standing.statistics.get("joint_type")
                 cells.append(Cell(NOTHING if right is None else f"{100 * right.mean:.0f}%"))
-            cells += [Cell(cell(standing, group, metric), k in best[metric.id]) for metric in metrics]
+            cells += [Cell(_format(standing, group, metric, show), k in best[metric.id]) for metric in metrics]
             rows.append(tuple(cells))
         sections.append((_section_title(comparison, group), tuple(rows)))
-    return Grid(f"{rules.name}, {what}", tuple(head), tuple(sections))
+    return Grid(f"{rules.name}, {_SHOWN[show]}", tuple(head), tuple(sections))
 
 
 def _section_title(comparison: Comparison, group: Group) -> str:
@@ -134,15 +126,6 @@ def _section_title(comparison: Comparison, group: Group) -> str:
         return f"{group.name}: {comparison.categories[group.name]}, {group.types[0]}"
     n = len(group.sequences)
     return f"{group.name}, {n} sequence{'' if n == 1 else 's'}"
-
-
-def _format_measured(
-    comparison: Comparison, entrant: Entrant, group: Group, standing: Standing, summarised: bool
-) -> str:
-    if summarised:
-        return f"{standing.sequences - standing.failures}/{standing.sequences}"
-    row = comparison.row(entrant, group.name)
-    return NOTHING if row is None else row.status
 
 
 def _find_best(standings: Sequence[Standing], metric: Metric, by: Literal["mean", "median"]) -> set[int]:
@@ -154,37 +137,22 @@ def _find_best(standings: Sequence[Standing], metric: Metric, by: Literal["mean"
     return {k for k, value in found.items() if value == best}
 
 
-def _get_statistic(standing: Standing, group: Group, metric: Metric) -> tuple[Statistic | None, str, str]:
-    """The statistic, its unit, and the unit suffix for columns whose head has no unit."""
-    unit = group.unit(metric) or ""
-    return standing.statistics.get(metric.id), unit, "" if metric.unit("all") else unit_suffix(unit)
-
-
 def format_number(value: float, unit: str) -> str:
     """A number with the decimals of its unit; without decimals from 1000."""
     return f"{value:.{decimals(unit) if abs(value) < 999.5 else 0}f}"
 
 
-def _format_mean(standing: Standing, group: Group, metric: Metric) -> str:
-    found, unit, suffix = _get_statistic(standing, group, metric)
+def _format(standing: Standing, group: Group, metric: Metric, show: _Show) -> str:
+    """A statistic, with its unit where the head of the column has none."""
+    found, unit = standing.statistics.get(metric.id), group.unit(metric) or ""
     if found is None:
         return NOTHING
-    spread = "" if found.std is None else f" ± {format_number(found.std, unit)}"
-    return f"{format_number(found.mean, unit)}{spread}{suffix}"
-
-
-def _format_median(standing: Standing, group: Group, metric: Metric) -> str:
-    found, unit, suffix = _get_statistic(standing, group, metric)
-    return (
-        NOTHING
-        if found is None
-        else f"{format_number(found.median, unit)} ({format_number(found.worst, unit)}){suffix}"
-    )
-
-
-def _format_value(standing: Standing, group: Group, metric: Metric) -> str:
-    found, unit, suffix = _get_statistic(standing, group, metric)
-    return NOTHING if found is None else f"{format_number(found.mean, unit)}{suffix}"
+    text = format_number(found.median if show == "median" else found.mean, unit)
+    if show == "mean" and found.std is not None:
+        text += f" ± {format_number(found.std, unit)}"
+    if show == "median":
+        text += f" ({format_number(found.worst, unit)})"
+    return text if metric.unit("all") else text + unit_suffix(unit)
 
 
 def _difference_grids(comparison: Comparison, groups: tuple[Group, ...], metrics: Sequence[Metric]) -> Iterator[Grid]:
@@ -313,11 +281,7 @@ def latex(comparison: Comparison, by: By) -> str:
         lines = [r"\begin{table}[htbp]", r"\centering", rf"\caption{{{_escape_latex(grid.title)}}}"]
         lines += [r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"]
         lines += [rf"\begin{{tabular}}{{l{'r' * (last - 1)}}}", r"\toprule"]
-        heads = [head.split("\n") for head in grid.head]
-        depth = max(map(len, heads))
-        for line in range(depth):
-            words = [([""] * (depth - len(head)) + head)[line] for head in heads]
-            lines.append(" & ".join(map(_escape_latex, words)) + r" \\")
+        lines.append(" & ".join(_escape_latex(" ".join(head.split())) for head in grid.head) + r" \\")
         for name, rows in grid.sections:
             lines += [r"\midrule", rf"\multicolumn{{{last}}}{{l}}{{\textit{{{_escape_latex(name)}}}}} \\"]
             for row in rows:

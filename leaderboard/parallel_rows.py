@@ -29,8 +29,8 @@ from leaderboard.rows import Row
 FOLDERS = ("result", "sequence", "truth")
 """Keys of the folders in a request."""
 MOST_WORKERS = 64
-SECONDS = 20.0
-"""Estimated time of one row, the start of its process included."""
+MEMORY_GB, LEAST_LIMIT_S = 4.0, 600.0
+"""What a job of one row reserves, and its limit besides the row's own: the start of its process, on a busy machine."""
 ROW_LIMIT_S = 180.0
 """Time limit of a row. Measured: 18 to 40 s (60 frames, 2 parts of 200k faces, an asset) on two cores shared with six
 other programs."""
@@ -152,21 +152,16 @@ def score_rows_as_jobs(
             Job(
                 f"score/{k:06d}",
                 call="leaderboard.parallel_rows:write_row",
-                arguments={"request": absolute, "limit_s": limit_s, "out": "{out}"},
-                out=f"rows/{k:06d}.json",
-                seconds=SECONDS,
+                arguments={"request": absolute, "limit_s": limit_s, "out": str(work / "rows" / f"{k:06d}.json")},
+                memory_gb=MEMORY_GB,
+                limit_s=LEAST_LIMIT_S + 2 * limit_s,
             )
         )
 
-    def on_event(event: str, job: Job, facts: dict[str, object]) -> None:
-        if event == "finished":
-            report(_read_row(work / str(job.out)))
-
-    outcome = run_jobs(work, jobs, workers, executor, listener=on_event)
-    if outcome.failed:
-        more = f" (and {len(outcome.failed) - 1} more)" if len(outcome.failed) > 1 else ""
-        raise FreeArtError(f"{outcome.failed[0].reason}{more}")
-    return [_read_row(work / str(job.out)) for job in jobs]
+    failed = list(run_jobs(work, jobs, workers, executor, on_done=lambda job: report(_read_row(job))).values())
+    if failed:
+        raise FreeArtError(f"{failed[0]}{f' (and {len(failed) - 1} more)' if len(failed) > 1 else ''}")
+    return [_read_row(job) for job in jobs]
 
 
 def write_row(request: dict[str, Any], limit_s: float, out: str) -> None:
@@ -175,5 +170,5 @@ def write_row(request: dict[str, Any], limit_s: float, out: str) -> None:
         atomic.write_json(Path(out), asdict(score_row(server, request, limit_s)))
 
 
-def _read_row(path: Path) -> Row:
-    return Row.from_json(checked.read_json(path))
+def _read_row(job: Job) -> Row:
+    return Row.from_json(checked.read_json(Path(job.arguments["out"])))

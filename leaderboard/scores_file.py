@@ -13,6 +13,7 @@ from freeart21.files import atomic, checked
 from freeart21.files.json_record import read_record
 from freeart21.files.places import SCORES, require_replaceable
 from freeart21.files.result import Method
+from freeart21.reconstruction import PIECES
 from leaderboard.protocol import Metric, Protocol
 from leaderboard.protocols import protocol_named
 from leaderboard.rows import Row, Scores
@@ -50,7 +51,7 @@ def write_scores(path: Path, scores: Scores) -> None:
     rules = protocol_named(scores.protocol)
     body: dict[str, Any] = asdict(scores)
     del body["seconds"]
-    metrics = [{**_terms(m), "beside": m.supplements, "definition": m.definition} for m in rules.metrics]
+    metrics = [{**metric_terms(m), "beside": m.supplements, "definition": m.definition} for m in rules.metrics]
     body["protocol"] = {"name": rules.name, "preamble": rules.preamble, "metrics": metrics}
     atomic.write_json(Path(path), {"schema": SCHEMA, **body})
 
@@ -90,13 +91,14 @@ def _read_scores(data: dict[str, Any], path: Path) -> Scores:
     words = {key: shorten(getattr(table.method, key)) for key in ("name", "code", "hardware")}
     if not words["name"].strip():
         raise FreeArtError(f"{path}: the method has no name")
-    method = replace(table.method, **words, settings=plain_json(table.method.settings))
+    lacks = tuple(piece for piece in PIECES if piece in table.method.lacks)
+    method = replace(table.method, **words, settings=plain_json(table.method.settings), lacks=lacks)
     benchmark = {key: value for key, value in table.benchmark.items() if key in (*_BENCHMARK, "hidden")}
     notes, made_with = _printable(table.notes), plain_json(table.made_with)
     return Scores(rules.name, method, benchmark, rows, summarise(rows, rules), None, notes, made_with)
 
 
-def _terms(metric: Metric) -> dict[str, Any]:
+def metric_terms(metric: Metric) -> dict[str, Any]:
     """The definition of a metric as far as values of two files can be compared by it."""
     return {
         "id": metric.id,
@@ -112,7 +114,7 @@ def _check_terms(protocol: dict[str, Any], rules: Protocol, path: Path) -> None:
     for given in listed if isinstance(listed, list) else [listed]:
         if not isinstance(given, dict):
             raise FreeArtError(f"{path}: the metrics of its protocol are {checked.shorten(listed)}, expected objects")
-        ours = _terms(rules.metric(str(given.get("id"))))
+        ours = metric_terms(rules.metric(str(given.get("id"))))
         for key in ("unit", "direction", "price"):
             if given.get(key) != ours[key]:
                 raise FreeArtError(

@@ -107,43 +107,13 @@ class Surface:
 
 def _along_curve(points: Array) -> Indices:
     """Order of `points` (n, 3) along a Z-order curve of 1024 cells a side (Morton 1966); stable within a cell."""
-    order: Indices = _curve_order(points, SMALLEST)
-    return order
-
-
-@njit(cache=True, nogil=True)
-def _curve_order(points: Array, extent: float) -> Indices:
-    """Radix sort by the 30 bits of each cell, ten at a time; points that are not finite get some cell. The curve is at
-    least `extent` metres wide."""
-    n = len(points)
-    low, high = points[0].copy(), points[0].copy()
-    for i in range(n):
-        for k in range(3):
-            low[k], high[k] = min(low[k], points[i, k]), max(high[k], points[i, k])
-    extent = max(extent, (high - low).max())
-    keys, order, other = np.empty(n, np.int64), np.arange(n), np.empty(n, np.int64)
-    for i in range(n):
-        key = np.int64(0)
-        for k in range(3):
-            bits = np.int64((points[i, k] - low[k]) / extent * 1023)
-            bits = (bits | (bits << 16)) & 0x030000FF
-            bits = (bits | (bits << 8)) & 0x0300F00F
-            bits = (bits | (bits << 4)) & 0x030C30C3
-            bits = (bits | (bits << 2)) & 0x09249249
-            key |= bits << (2 - k)
-        keys[i] = key
-    for shift in (0, 10, 20):
-        starts = np.zeros(1025, np.int64)
-        for i in range(n):
-            starts[((keys[i] >> shift) & 1023) + 1] += 1
-        for cell in range(1024):
-            starts[cell + 1] += starts[cell]
-        for i in range(n):
-            at = (keys[order[i]] >> shift) & 1023
-            other[starts[at]] = order[i]
-            starts[at] += 1
-        order, other = other, order
-    return order
+    low = points.min(0)
+    extent = max(SMALLEST, float((points.max(0) - low).max()))
+    with np.errstate(invalid="ignore"):  # points that are not finite get some cell
+        bits = ((points - low) / extent * 1023).astype(np.int64) & 1023
+    for shift, kept in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
+        bits = (bits | (bits << shift)) & kept
+    return np.argsort((bits << [2, 1, 0]).sum(1), kind="stable")
 
 
 @njit(cache=True, nogil=True)

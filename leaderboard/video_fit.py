@@ -6,7 +6,6 @@ well but score badly. The video's masks and depth reveal them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,13 +39,7 @@ quaternions in the other order fit by 0 to 0.31.
 """
 EQUAL = 0.03
 """Explanations whose fits differ by less are equal; the first, simplest one is suggested."""
-CLEAR, TIMES = 0.8, 4.0
-"""Other axes are also suggested above DOES_NOT_FIT when they fit by CLEAR and their misfit is TIMES smaller: inverse
-poses of the solver's answers fit by 0.39 to 0.81, as its frame is nearly the camera's. This finds 12 of 14 such
-answers, and none of 148 others that fit by 0.4."""
-NEAR = 1.25
-"""Largest error factor of the estimated unit of length: depth shows only the front (15 % measured)."""
-_UNITS = {1e-3: "mm", 1e-2: "cm", 0.0254: "inches"}
+UNITS = {"": 1.0, "lengths were in mm (import --scale 0.001)": 1e-3, "lengths were in cm (import --scale 0.01)": 1e-2}
 
 
 @dataclass(frozen=True)
@@ -87,20 +80,20 @@ def describe_misfit(answer: Reconstruction, recording: Recording, lacks: tuple[P
     Ts = np.stack([reference, moving])
     points = [Surface(part).sample(POINTS, (7, k)) for k, part in enumerate(_parts(answer))]
     fit = _fit(points, Ts, chosen)
-    axes = [(_fit(points, poses, chosen), f"if {name}") for name, poses in _other_axes(Ts).items()]
-    best, name = max(axes)
-    clear = best >= CLEAR and 1 - best < (1 - fit) / TIMES
-    if fit >= DOES_NOT_FIT and not clear:
+    if fit >= DOES_NOT_FIT:
         return ""
     where = ", ".join(map(str, frames))
     message = f"the parts, posed by the answer, fit the video's masks and depth to {fit:.0%} (frames {where})"
-    if not clear:
-        units = [(_fit(other, poses, chosen), name) for name, other, poses in _other_units(points, Ts, chosen)]
-        candidates = [*axes, *units]
-        best, name = next(pair for pair in candidates if pair[0] >= max(candidates)[0] - EQUAL)
+    candidates = []
+    for length, unit in UNITS.items():
+        scaled = [unit * p for p in points]
+        for name, poses in _other_poses(Ts).items():
+            words = " and ".join(word for word in (name, length) if word)
+            candidates.append((_fit(scaled, _scale_poses(poses, unit), chosen), words))
+    best, name = next(pair for pair in candidates if pair[0] >= max(candidates)[0] - EQUAL)
     if best < FITS:
         return f"{message}; none of the other axes, units and orders of quaternions fits"
-    return f"{message}; {best:.0%} would do {name}"
+    return f"{message}; {best:.0%} would do if {name}"
 
 
 def _parts(answer: Reconstruction) -> tuple[Mesh, Mesh]:
@@ -141,40 +134,16 @@ def _fit(points: list[Array], Ts: Array, pictures: list[_Picture]) -> float:
     return float(np.mean(fits))
 
 
-def _other_axes(Ts: Array) -> dict[str, Array]:
-    """Possible mistakes in the poses (2, n, 4, 4), to complete 'if ...', with the corrected poses."""
+def _other_poses(Ts: Array) -> dict[str, Array]:
+    """Possible mistakes in the poses (2, n, 4, 4), to complete 'if ...', with the corrected poses; none first."""
     return {
+        "": Ts,
         "the poses were in OpenGL's camera axes (import --axes or --frame, where the layout has one)": T_GL_CV @ Ts,
-        "the object's frame had OpenGL's axes": Ts @ T_GL_CV,
         "the poses and the object's frame had OpenGL's axes (import --axes opengl)": T_GL_CV @ Ts @ T_GL_CV,
         "the poses were camera to object": se3.inverse(Ts),
-        "the poses were camera to object, in OpenGL's axes": T_GL_CV @ se3.inverse(Ts),
-        "the poses were OpenGL's camera to object": se3.inverse(Ts @ T_GL_CV),
         "quaternions were x, y, z, w": _reorder_quaternions(Ts, [3, 0, 1, 2]),
         "quaternions were w, x, y, z": _reorder_quaternions(Ts, [1, 2, 3, 0]),
-        "quaternions of camera to object were x, y, z, w": se3.inverse(
-            _reorder_quaternions(se3.inverse(Ts), [3, 0, 1, 2])
-        ),
-        "quaternions of camera to object were w, x, y, z": se3.inverse(
-            _reorder_quaternions(se3.inverse(Ts), [1, 2, 3, 0])
-        ),
     }
-
-
-def _other_units(points: list[Array], Ts: Array, pictures: list[_Picture]) -> Iterator[tuple[str, list[Array], Array]]:
-    """Possible mistakes in the unit of length, alone and with other axes, with the corrected points and poses."""
-    for name, poses in {"": Ts, **_other_axes(Ts)}.items():
-        estimate = _estimate_unit(points, poses, pictures)
-        known = any(1 / NEAR < estimate / unit < NEAR for unit in (1.0, *_UNITS))
-        for unit in (*_UNITS, *([] if known else [estimate])):
-            scaled = [unit * p for p in points]
-            lengths = f"lengths were in {_UNITS[unit]}" if unit in _UNITS else f"a unit of length were {unit:.3g} m"
-            lengths += f" (import --scale {unit:.3g})"
-            yield f"if {name} and {lengths}" if name else f"if {lengths}", scaled, _scale_poses(poses, unit)
-            if not name:
-                other = _UNITS.get(unit, f"units of {unit:.3g} m")
-                yield f"if lengths of the meshes alone were in {other}", scaled, poses
-                yield f"if lengths of the poses alone were in {other}", points, _scale_poses(poses, unit)
 
 
 def _scale_poses(Ts: Array, unit: float) -> Array:
@@ -190,14 +159,3 @@ def _reorder_quaternions(Ts: Array, order: list[int]) -> Array:
     poses = Ts.copy()
     poses[..., :3, :3] = again.as_matrix().reshape(*Ts.shape[:2], 3, 3)
     return poses
-
-
-def _estimate_unit(points: list[Array], Ts: Array, pictures: list[_Picture]) -> float:
-    """Metres per unit of the answer: the ratio of median depths on the object, video to answer."""
-    ratios = []
-    for k, picture in enumerate(pictures):
-        z = np.concatenate([se3.transform(T[k], p)[:, 2] for T, p in zip(Ts, points, strict=True)])
-        depth = picture.depth[picture.mask & (picture.depth > 0)]
-        if len(depth) and np.median(z) > 0:
-            ratios.append(float(np.median(depth) / np.median(z)))
-    return float(np.median(ratios)) if ratios else 1.0

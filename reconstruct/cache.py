@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21 import code
 from freeart21.articulation import PARTS, Articulation
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
@@ -158,16 +157,13 @@ def _add_weights(groups: dict[str, Any]) -> None:
             groups[group] = {**groups[group], "weights": digest}
 
 
-def code_digest(folder: Path | None = None) -> str:
-    """SHA-256, hexadecimal, of the code of the modules in `folder` (the solver's own when None), without comments,
-    docstrings and layout."""
-    folder = folder or Path(__file__).parent
-    return code.code_digest((str(path.relative_to(folder)), path) for path in sorted(folder.rglob("*.py")))
-
-
 @lru_cache
 def _own_code() -> str:
-    return code_digest()
+    """SHA-256, hexadecimal, of the solver's files."""
+    folder, digest = Path(__file__).parent, hashlib.sha256()
+    for path in sorted(folder.rglob("*.py")):
+        digest.update(f"{path.relative_to(folder)}\n".encode() + path.read_bytes())
+    return digest.hexdigest()
 
 
 def _libraries() -> dict[str, str]:

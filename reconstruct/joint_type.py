@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from freeart21 import se3
 from freeart21.joint import Joint, JointType
+from freeart21.joint_fit import JointFit, fit_joint_of_type, paper_joint_type
 from freeart21.se3 import Array
 from reconstruct.evidence import Evidence, sample_evenly, sample_pixels
-from reconstruct.joint import JointFit, fit_joint, paper_joint_type
 from reconstruct.labels import discriminative_frames
 from reconstruct.poses import JointedPoses, Labels, joint_adjustment
 from reconstruct.scene import UnsolvableError
@@ -55,7 +55,7 @@ def choose_joint_type(
     relative = se3.inverse(Ts[0, frames]) @ Ts[1, frames]
     centre, lever = body.mean(0), float(np.linalg.norm(body - body.mean(0), axis=1).mean())
     kinds: tuple[JointType, ...] = ("revolute", "prismatic")
-    fits = {kind: fit_joint(relative, kind, centre, lever, settings.joint) for kind in kinds}
+    fits = {kind: fit_joint_of_type(relative, kind, centre, lever, settings.joint.noise_resistance) for kind in kinds}
 
     def adjust(kind: JointType) -> JointedPoses:
         known = current if current is not None and current.joint.type == kind else None
@@ -94,7 +94,8 @@ def find_rival(
         return None, np.full(2, np.nan)
     centre, lever = body.mean(0), float(np.linalg.norm(body - body.mean(0), axis=1).mean())
     other: JointType = "prismatic" if poses.joint.type == "revolute" else "revolute"
-    fit = fit_joint(se3.inverse(Ts[0, frames]) @ Ts[1, frames], other, centre, lever, settings.joint)
+    relative = se3.inverse(Ts[0, frames]) @ Ts[1, frames]
+    fit = fit_joint_of_type(relative, other, centre, lever, settings.joint.noise_resistance)
     if other == "revolute":
         fit = _brought_near(fit, se3.transform(fit.T_zero, centre), 0.75 * FARTHEST_HINGE * evidence.scene.diagonal)
     rival = joint_adjustment(evidence, labels, _initial_poses(fit, Ts[0], frames), seen, settings.poses, rng, 8)

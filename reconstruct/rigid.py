@@ -1,4 +1,4 @@
-"""Rigid transforms from corresponding points: closed form, robust, and RANSAC (supplement, Transformation Init.)."""
+"""Rigid transforms from corresponding points: robust, and RANSAC (supplement, Transformation Init.)."""
 
 from __future__ import annotations
 
@@ -6,17 +6,6 @@ import numpy as np
 
 from freeart21 import se3
 from freeart21.se3 import Array
-
-
-def rigid_fit(source: Array, target: Array, weights: Array | None = None) -> Array:
-    """T (..., 4, 4) that takes points `source` (..., m, 3) to `target`, least squares (Arun et al. 1987)."""
-    w = np.ones(source.shape[:-1]) if weights is None else weights
-    source, target = np.broadcast_to(source, (*w.shape, 3)), np.broadcast_to(target, (*w.shape, 3))
-    w = w / np.maximum(w.sum(-1, keepdims=True), 1e-300)
-    a, b = (w[..., None] * source).sum(-2), (w[..., None] * target).sum(-2)
-    M = np.swapaxes(w[..., None] * (target - b[..., None, :]), -1, -2) @ (source - a[..., None, :])
-    R = se3.project_so3(M)
-    return se3.pose(R, b - np.einsum("...ij,...j->...i", R, a))
 
 
 def distances(T: Array, source: Array, target: Array) -> Array:
@@ -36,7 +25,7 @@ def tukey_fit(T: Array, source: Array, target: Array, scale: float, rounds: int 
         weights = tukey_weights(distances(T, source, target), 2 * scale)
         if (weights > 0).sum() < 6:
             break
-        T = rigid_fit(source, target, weights)
+        T = se3.fit_rigid(source, target, weights)
     return T
 
 
@@ -48,7 +37,7 @@ def ransac_fit(
     if len(source) < sample:
         return None
     picks = rng.integers(0, len(source), (tries, sample))
-    Ts = rigid_fit(source[picks], target[picks])
+    Ts = se3.fit_rigid(source[picks], target[picks])
     some = rng.permutation(len(source))[:800]
     score = np.minimum(distances(Ts, source[some][None], target[some][None]) / scale, 1).sum(1)
     return tukey_fit(Ts[score.argmin()], source, target, scale)

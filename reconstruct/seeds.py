@@ -320,12 +320,12 @@ def _sample_local_motions(X: Array, Y: Array, radius: float, scale: float, rng: 
         return np.zeros((0, 4, 4))
     order = np.where(near, rng.random(near.shape), np.inf)
     pick = np.argpartition(order, SAMPLE, axis=1)[:, :SAMPLE]
-    Ts = rigid.rigid_fit(X[pick], Y[pick])
+    Ts = se3.fit_rigid(X[pick], Y[pick])
     for _ in range(2):
         r = rigid.distances(Ts, X[None], Y[None]) / (2 * scale)
         weights = np.where(near & (r < 1), (1 - r**2) ** 2, 0.0)
         enough = (weights > 0).sum(1) >= 6
-        Ts[enough] = rigid.rigid_fit(X[None], Y[None], weights[enough])
+        Ts[enough] = se3.fit_rigid(X[None], Y[None], weights[enough])
     return Ts
 
 

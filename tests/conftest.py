@@ -1,65 +1,55 @@
-"""Which tests are quick: `pytest -m quick`, which `make check` runs; and which files begin."""
+"""Which tests run when: `-m quick` (`make check`), `-m torch` (`make test-torch`), all others (`make test`)."""
 
-from pathlib import Path
+import re
+from collections import Counter
 
 import pytest
 
-QUICK = {  # file to CPU seconds alone, imports included, measured on two cores of a shared x86-64 machine
-    "camera": 0.8,
-    "captures": 1.1,
-    "diagnostics": 2.5,
-    "docker": 0.3,
-    "doctor": 1.2,
-    "effects": 3.2,
-    "files": 2.1,
-    "joint": 0.8,
-    "joint_asset": 2.1,
-    "kernels": 2.6,
-    "labels": 6.0,
-    "layers": 1.9,
-    "measured": 1.1,
-    "metrics": 2.8,
-    "one_euro": 1.3,
-    "package": 0.3,
-    "registration": 2.5,
-    "se3": 1.5,
-    "shapes": 0.9,
-    "statistics": 2.5,
-    "teleop_certificate": 0.9,
-    "view": 3.0,
-    "vocabulary": 0.8,
-}
-
-
-SLOW = (
-    "gap_choose",
-    "gap_fit",
-    "whole_path",
-    "examples",
-    "reconstruct",
-    "gaussian_optimisation",
-    "pipeline",
-    "export",
-    "check_asset",
-)
-"""Files of 45 CPU seconds and more: if one of them came last, a core would be idle meanwhile."""
-
-
-def pytest_ignore_collect(collection_path, config):
-    """Of the quick tests alone, other files are not even imported: that took ten seconds."""
-    if config.option.markexpr == "quick" and collection_path.suffix == ".py" and _subject(collection_path) not in QUICK:
-        return True
+QUICK = {
+    "camera", "captures", "doctor", "effects", "files", "joint", "joint_asset", "layers", "measured",
+    "metrics", "se3", "shapes", "statistics", "view",
+}  # fmt: skip
+"""Files that take a few seconds each, imports included."""
+SLOW = ("gap_choose", "gap_fit", "whole_path", "examples", "reconstruct", "pipeline", "export", "check_asset", "teleop")
+"""Files that begin: if one of them came last, a core would be idle meanwhile."""
+TORCH = {"brought_priors", "gaussian_backends", "joint_batch", "maniskill", "maniskill_many", "priors"}
+"""Files whose tests all need PyTorch or ManiSkill."""
+SOME_TORCH = {"baselines": "masked_icp", "examples": "maniskill", "jobs": "ray"}
+"""Files with some tests that need them, or Ray, or Open3D: those with this word in their names."""
 
 
 def _subject(path):
-    return Path(path).stem.removeprefix("test_")
+    return path.stem.removeprefix("test_")
+
+
+def pytest_ignore_collect(collection_path, config):
+    """Files without a test that runs are not even imported."""
+    if collection_path.suffix == ".py":
+        wanted = {"quick": QUICK, "torch": TORCH | {*SOME_TORCH}}.get(config.option.markexpr)
+        subject = _subject(collection_path)
+        if subject in TORCH if wanted is None else subject not in wanted:
+            return True
 
 
 def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: SLOW.index(_subject(item.path)) if _subject(item.path) in SLOW else len(SLOW))
     for item in items:
-        if _subject(item.path) in QUICK:
-            item.add_marker(pytest.mark.quick)
+        subject = _subject(item.path)
+        if subject in QUICK:
+            item.add_marker("quick")
+        if subject in TORCH or (subject in SOME_TORCH and SOME_TORCH[subject] in item.name):
+            item.add_marker("torch")
+
+
+def pytest_terminal_summary(terminalreporter):
+    """How many tests were skipped, and why."""
+    skipped = terminalreporter.stats.get("skipped", [])
+    reasons = Counter(
+        re.sub(".*(not (here|at hand|on this machine|beside)|no PartNet).*", "outside data are not here", text)
+        for text in (report.longrepr[2].removeprefix("Skipped: ") for report in skipped)
+    )
+    for reason, count in reasons.most_common():
+        terminalreporter.write_line(f"{count} skipped: {reason}")
 
 
 @pytest.fixture(scope="session")

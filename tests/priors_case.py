@@ -14,4 +14,4 @@ def make_or_skip(kind: Any, *arguments: Any) -> Any:
     except FreeArtError as error:
         if not any(text in str(error) for text in ("is not installed", "FREEART21_WEIGHTS")):
             raise
-        pytest.skip(str(error))
+        pytest.skip(f"outside data are not here: {error}")

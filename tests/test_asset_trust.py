@@ -10,10 +10,9 @@ import pytest
 from test_check_asset import files_of
 from test_export import reconstruction
 
-from export import usd
+from export import commands, usd
 from export.exporter import export_result
 from export.stated_trust import read_stated_trust
-from freeart21 import cli
 from freeart21.effects.armature import Armature
 from freeart21.files.asset import read_asset
 from freeart21.files.result import write_result
@@ -30,7 +29,7 @@ def doubtful(tmp_path_factory) -> Path:
     """A doubtful result, exported by the command."""
     home = tmp_path_factory.mktemp("doubtful")
     write_result(home / "ours" / "s1", replace(reconstruction(), trust=DOUBTFUL))
-    assert cli.export(home / "ours" / "s1", home / "asset") == cli.DOUBTFUL
+    assert commands.export(home / "ours" / "s1", home / "asset") == 3
     return home / "asset"
 
 
@@ -83,7 +82,7 @@ def sound(tmp_path_factory) -> Path:
 def test_a_sound_answer_passes_and_one_without_a_verdict_is_not_stated(sound: Path, tmp_path: Path, capsys):
     assert said_of(sound)[0] == "pass" and "reconstruction that the asset was made of" not in page(sound)
     write_result(tmp_path / "ours" / "s1", reconstruction())
-    assert cli.export(tmp_path / "ours" / "s1", tmp_path / "asset") == 0
+    assert commands.export(tmp_path / "ours" / "s1", tmp_path / "asset") == 0
     assert capsys.readouterr().out.splitlines()[-1].startswith("not stated: ")
     document = json.loads((tmp_path / "asset/asset.json").read_text())["trust"]
     assert document == {"verdict": "not stated", "reasons": []} and read_asset(tmp_path / "asset").trust is None

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from baseline_scene import write_scene
 
-from baselines import groups, joint, masked_icp, rigid, rigid_clusters, two_motions
+from baselines import groups, masked_icp, rigid, rigid_clusters, two_motions
 from baselines.answer import run_baseline
 from baselines.video import UnsolvableError
 from freeart21 import se3
 from freeart21.files.asset import read_asset
 from freeart21.files.result import read_result
-from freeart21.joint import Joint
 from freeart21.reconstruction import Failure
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -64,42 +63,6 @@ def test_poses_between_keyframes_go_along_the_screw():
     got = rigid.interpolate_poses(np.array([2, 6]), Ts, np.arange(9))
     np.testing.assert_allclose(got[3], se3.exp_se3(twist / 4), atol=1e-12)
     np.testing.assert_allclose(got[[0, 8]], Ts, atol=1e-12)
-
-
-def hinge(turn, noise=0.0):
-    true = Joint("j", "revolute", [0, 0.6, 0.8], [0.1, 0.2, 0.3], 0, 3)
-    states = turn * np.sin(np.linspace(0, 1.5, 30))
-    home = motion(3)
-    Ts = true.transform(states) @ home @ se3.exp_se3(rng().normal(size=(30, 6)) * noise)
-    return true, states, Ts
-
-
-@pytest.mark.parametrize("turn", [0.6, 2.0])
-def test_a_hinge_in_closed_form(turn):
-    true, states, Ts = hinge(turn, 1e-3)
-    got, found = joint.fit_joint(Ts, np.array([0.1, 0, 0]), 0.2, by_paper=False)
-    assert got.type == "revolute"
-    sign = np.sign(got.axis @ true.axis)
-    assert np.degrees(np.arccos(abs(got.axis @ true.axis))) < 1
-    assert np.linalg.norm(np.cross(got.pivot - true.pivot, true.axis)) < 0.006
-    np.testing.assert_allclose(sign * found, states - states[0], atol=0.01)
-
-
-def test_the_papers_cues_take_a_short_arc_for_a_line():
-    assert joint.fit_joint(hinge(0.6)[2], np.array([0.1, 0, 0]), 0.2, by_paper=True)[0].type == "prismatic"
-    assert joint.fit_joint(hinge(2.5)[2], np.array([0.1, 0, 0]), 0.2, by_paper=True)[0].type == "revolute"
-
-
-@pytest.mark.parametrize("by_paper", [False, True])
-def test_a_slider_in_closed_form(by_paper):
-    true = Joint("j", "prismatic", [0, 0.6, 0.8], [0, 0, 0], 0, 1)
-    states = 0.1 * np.sin(np.linspace(0, 1.5, 30))
-    Ts = true.transform(states) @ motion(3) @ se3.exp_se3(rng().normal(size=(30, 6)) * 1e-3)
-    got, found = joint.fit_joint(Ts, np.zeros(3), 0.2, by_paper)
-    assert got.type == "prismatic" and abs(got.axis @ true.axis) > 0.999
-    np.testing.assert_allclose(np.abs(found), states, atol=0.005)
-    with pytest.raises(UnsolvableError, match="3 keyframes, expected 4"):
-        joint.fit_joint(Ts[:3], np.zeros(3), 0.2, by_paper)
 
 
 @pytest.mark.parametrize("vote", [groups.vote_by_motions, groups.vote_by_distances])

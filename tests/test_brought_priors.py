@@ -1,24 +1,18 @@
 """Networks that the user brings: their interfaces, by tiny networks of the same layout in folders like the clones."""
 
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from refusal import assert_refused
 from test_priors import plane
-from test_reconstruct import sliding_plane
 
 from freeart21 import se3
-from freeart21.files.sequence import write_sequence
-from reconstruct.cache import stage_keys
-from reconstruct.features.dinov2 import Dinov2
-from reconstruct.features.dinov3 import Dinov3
-from reconstruct.priors import bundlesdf, dino, sam2
+from reconstruct.priors import bundlesdf, sam2
 from reconstruct.priors.sam2 import carry_masks
 from reconstruct.priors.weights import FOLDER
 from reconstruct.segmenters import Prompt
-from reconstruct.settings import FeatureSettings, ReconstructSettings, TrackSettings
+from reconstruct.settings import TrackSettings
 from reconstruct.trackers import alltracker, cotracker3
 from reconstruct.trackers.alltracker import AllTracker
 from reconstruct.trackers.cotracker3 import CoTracker3
@@ -67,24 +61,6 @@ class CoTrackerPredictor(torch.nn.Module):
         visible[0, 1:] = queries[0, :, 2] < H / 2
         return tracks, visible
 """
-HUB = """
-import torch
-dependencies = ["torch"]
-
-class Tiny(torch.nn.Module):
-    def __init__(self):
-        super().__init__()
-        self.patch_embed = torch.nn.Conv2d(3, 8, PATCH, PATCH)
-
-    def get_intermediate_layers(self, x, n=1, reshape=False, return_class_token=False, norm=True):
-        assert x.shape[0] == 1 and not self.training and n == 1 and reshape and x.min() < -1 < 1 < x.max() < 2.7
-        assert x.shape[2] % PATCH == 0 and x.shape[3] % PATCH == 0
-        return (self.patch_embed(x),)
-
-def ENTRY(*, pretrained=True, **kwargs):
-    assert not pretrained
-    return Tiny()
-"""
 SAM2 = """
 import os
 import cv2
@@ -126,13 +102,13 @@ def build_sam2_video_predictor(config_file, ckpt_path=None, device="cuda", mode=
 def folder(tmp_path, monkeypatch):
     """The folder of weights; networks and modules loaded from it are forgotten afterwards."""
     monkeypatch.setenv(FOLDER, str(tmp_path))
-    caches = dino.load_network, sam2.load_predictor, alltracker.load_network, cotracker3.load_predictor
+    caches = sam2.load_predictor, alltracker.load_network, cotracker3.load_predictor
     known = set(sys.modules)
     yield tmp_path
     for cache in caches:
         cache.cache_clear()
     for name in set(sys.modules) - known:
-        if name.split(".")[0] in ("nets", "cotracker", "sam2", "hubconf"):
+        if name.split(".")[0] in ("nets", "cotracker", "sam2"):
             del sys.modules[name]
 
 
@@ -189,59 +165,6 @@ def test_a_brought_tracker_in_crop_pixels_and_metres(name, folder):
     assert tracker.follow(0, 3, pixels=at[:0]).pixels.shape == (0, 4, 2)
 
 
-@pytest.mark.parametrize("name", TRACKERS)
-def test_what_a_brought_tracker_lacks_is_one_line(name, folder, monkeypatch):
-    scene = plane(STEP, 6)
-    kind, write_it = TRACKERS[name]
-    where = {"alltracker": "https://huggingface.co/aharley/alltracker", "cotracker3": "https://huggingface.co/facebook"}
-    assert_refused(f"is missing: get it from {where[name]}", kind, scene, TrackSettings())
-    write_it(folder, scene)
-    code = next(p for p in folder.iterdir() if p.is_dir())
-    code.rename(folder / "elsewhere")
-    assert_refused(f"git clone https://github.com/.*{code.name}", kind, scene, TrackSettings())
-    (folder / "elsewhere").rename(code)
-    file = next(folder.glob("*.pth"))
-    torch.save({"model": {"another.weight": torch.zeros(2)}}, file)
-    assert_refused(f"{file.name} does not fit its network: ", kind, scene, TrackSettings())
-    monkeypatch.delenv(FOLDER)
-    assert_refused(f"{file.name} is needed: get it from .*set {FOLDER}", kind, scene, TrackSettings())
-
-
-@pytest.mark.parametrize(
-    ("kind", "generation", "file"),
-    [
-        (Dinov2, dino.V2, "dinov2_vitb14_pretrain.pth"),
-        (Dinov3, dino.V3, "dinov3_vits16_pretrain_lvd1689m-08c60483.pth"),
-    ],
-)
-def test_brought_descriptors(kind, generation, file, folder):
-    scene = plane(8)
-    scene.rgb[:, :3] = 255  # black and white are in the picture, for the range of the input
-    scene.rgb[:, 3:6] = 0
-    entry = dict(generation.files)[file]
-    assert_refused(f"is missing: get it from {generation.source[:30]}", kind, scene, FeatureSettings())
-    save(folder, file, {"patch_embed.weight": (8, 3, generation.patch, generation.patch), "patch_embed.bias": (8,)})
-    assert_refused(f"git clone {generation.checkout.source}", kind, scene, FeatureSettings())
-    hub = HUB.replace("PATCH", str(generation.patch)).replace("ENTRY", entry)
-    write(folder, f"{generation.checkout.folder}/hubconf.py", hub)
-    network = dino.load_network(generation)
-    network.patch_embed.weight.data = torch.randn(network.patch_embed.weight.shape, generator=torch.manual_seed(0))
-    features = kind(scene, FeatureSettings())
-    at = np.argwhere(scene.valid[0])[::97]
-    at = at[(at[:, 1] > 30) & (at[:, 1] < scene.mask.shape[2] - 30)]
-    a, b = features.describe(0, at), features.describe(1, at + np.array([0, 8]))
-    assert a.shape == (len(at), 8) and np.allclose(np.linalg.norm(a, axis=1), 1)
-    cosine = a @ b.T
-    assert np.median(np.diag(cosine)) > np.median(cosine) + 0.15  # the same point, and others
-
-
-def test_the_largest_of_the_weights_is_taken(folder):
-    assert dino.V2.weights()[1] == "dinov2_vits14"
-    for size in ("vits", "vitl"):
-        (folder / f"dinov2_{size}14_pretrain.pth").write_bytes(b"")
-    assert dino.V2.weights()[1] == "dinov2_vitl14"
-
-
 def test_masks_are_carried_through_the_video_both_ways(folder):
     pictures = [np.full((40, 60, 3), (20, 60, 90), np.uint8) for _ in range(5)]
     truth = np.zeros((5, 40, 60), bool)
@@ -270,28 +193,3 @@ def test_poses_of_bundlesdf(tmp_path):
     for text in ("1 2 3", "nan " * 16, "x " * 16, "2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1"):
         (place / "000000.txt").write_text(text)
         assert_refused("000000.txt", bundlesdf.read_poses, tmp_path, ["000000"])
-
-
-@pytest.mark.parametrize(
-    ("file", "change"),
-    [
-        ("alltracker.pth", {"tracks": TrackSettings(tracker="alltracker")}),
-        ("scaled_offline.pth", {"tracks": TrackSettings(tracker="cotracker3")}),
-        ("dinov2_vits14_pretrain.pth", {"segmentation": "paper", "features": FeatureSettings(model="dinov2")}),
-    ],
-)
-def test_brought_weights_are_part_of_the_key_of_cached_stages(file, change, folder):
-    write_sequence(folder / "s", sliding_plane(10, 3), 0.001)
-
-    def keys(settings):
-        return set(stage_keys(folder / "s", settings).values())
-
-    chosen, own = replace(ReconstructSettings(), **change), ReconstructSettings()
-    found = []
-    for content in (b"one", b"two", b"one"):
-        (folder / file).write_bytes(content)
-        found.append((keys(chosen), keys(own)))
-    assert found[0] == found[2] and not found[0][0] & found[1][0] and found[0][1] == found[1][1]
-    (folder / file).unlink()
-    assert_refused(f"{file} is missing", keys, chosen)
-    assert keys(replace(own, features=FeatureSettings(model="dinov2"))), "features that our segmentation does not use"

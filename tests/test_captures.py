@@ -134,15 +134,6 @@ def test_times_are_those_of_the_names(tmp_path: Path, kind: str) -> None:
     )
 
 
-@pytest.mark.parametrize("names", [("v1.9", "v1.10"), ("20240131125959", "20240131130000"), ("img_2", "img_12")])
-def test_other_numbers_are_no_times(tmp_path: Path, names: tuple[str, str]) -> None:
-    for k, name in enumerate(names):
-        write_frame(tmp_path / "lid", name, k)
-    read = read_rgbd_folder(tmp_path / "lid")
-    assert read.recording.times_s == pytest.approx([0, 1 / 30])
-    assert [int(frame.rgb[0, 0, 0]) for frame in read.recording.frames()] == [0, 1]
-
-
 def test_depth_has_stamps_of_its_own_as_in_tum(tmp_path: Path) -> None:
     for k in range(4):
         write_frame(tmp_path / "lid", f"{100 + k / 30:.6f}", k, depth=500 + k)
@@ -205,13 +196,3 @@ def test_the_largest_of_a_type_is_no_depth(raw: np.generic) -> None:
     array[4:12, 6:11] = 0.5 if array.dtype.kind == "f" else 500
     depth = third_party.depth_metres(array, Path("depth.npz"))
     assert depth[5, 7] == pytest.approx(0.5) and depth[0, 0] == 0
-
-
-@pytest.mark.parametrize(("sub", "suffix"), [("depth", ".npy"), ("depth", ".exr"), ("masks", ".npy")])
-def test_files_of_another_form_are_one_line(tmp_path: Path, sub: str, suffix: str) -> None:
-    write_frame(tmp_path / "lid", "0")
-    path = tmp_path / "lid" / sub / "0.png"
-    path.rename(path.with_suffix(suffix))
-    with pytest.raises(FreeArtError, match=rf"lid/{sub} holds {suffix} files, expected .*\.png") as caught:
-        list(convert(tmp_path / "lid", tmp_path / "data", "native"))
-    assert "\n" not in str(caught.value)

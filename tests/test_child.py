@@ -40,7 +40,6 @@ def test_processes_are_started_by_one_function():
                 found.add((name, node.value))
     assert found == {
         ("freeart21/child.py", "executable"),
-        ("freeart21/jobs/worker.py", "executable"),  # the word {python} of somebody's own command
         ("leaderboard/methods/descriptor.py", "executable"),  # likewise of a method's
         ("leaderboard/methods/run.py", "python3"),  # likewise, in its container
     }

@@ -17,10 +17,10 @@ from freeart21.files.atomic import write_json
 from freeart21.files.benchmark import read_benchmark
 from freeart21.files.result import Method
 from leaderboard import commands, compare
-from leaderboard.bootstrap import bootstrap_intervals, min_sequences
+from leaderboard.bootstrap import bootstrap_intervals
 from leaderboard.compare import compare_results, read_category
 from leaderboard.compare_files import COMPARISONS, write_comparison
-from leaderboard.compare_tables import latex, legend, make_grids, markdown, print_comparison, split_columns
+from leaderboard.compare_tables import latex, legend, make_grids, print_comparison, split_columns
 from leaderboard.protocols import PROTOCOLS, protocol_named
 from leaderboard.rows import Row, Scores
 from leaderboard.score import benchmark_facts, summarise
@@ -182,14 +182,6 @@ def test_an_interval_of_90_percent_holds_the_true_difference_that_often(n):
     assert 0.85 <= np.mean(held) <= 0.95
 
 
-def test_few_sequences_have_no_interval():
-    assert min_sequences(0.95) == 6 and min_sequences(0.9) == 5
-    rng = np.random.default_rng(0)
-    for n, has in ((1, False), (5, False), (6, True)):
-        (found,) = bootstrap_intervals(rng.normal(size=(n, 1)))
-        assert (found.low is not None) == has and found.sequences == n and (has or not found.significant)
-
-
 def test_intervals_are_the_same_every_time_and_of_each_column_alone():
     draws = np.random.default_rng(1).normal(size=(21, 5))
     draws[3:, 2] = np.nan
@@ -211,14 +203,6 @@ def test_methods_are_compared_only_on_sequences_that_both_have(data, compared):
     assert (found.mean, found.low, found.high, found.sequences) == (1, 1, 1, 12)
     assert comparison.standing(comparison.entrants[0], group).statistics["axis"].mean == pytest.approx(10.8)
     assert any("has rows for 18 of 21 sequences" in note for note in comparison.notes)
-
-
-def test_a_failure_stays_in_at_its_price(data, compared):
-    axis = {name: 90.0 if name in REVOLUTE[:5] else 1.0 for name in REVOLUTE}
-    comparison = compared(make_scores(data, "A"), make_scores(data, "B", {"axis": axis}, failed=REVOLUTE[:5]))
-    group = by_name(comparison)["revolute"]
-    found = {d.metric: d.interval for d in comparison.differences(group)}["axis"]
-    assert found.sequences == 15 and found.mean == pytest.approx(89 / 3)
 
 
 def test_what_a_method_does_not_make_is_a_dash_and_in_no_difference(data, compared):
@@ -272,48 +256,37 @@ def test_groups_by_category_and_by_sequence(data, compared):
     assert len(table) == 42 and set(table.columns) >= {"sequence", "type", "category", "method", "status", "axis"}
 
 
-def test_a_joint_type_that_does_not_occur_has_no_group(data, compared):
-    comparison = compared(make_scores(data, "A", sequences=REVOLUTE))
-    assert [group.name for group in comparison.groups("type")] == ["revolute"]
-
-
 # ---- tables that cannot be compared
 
 
-def test_protocols_are_never_mixed(data, compared):
-    with pytest.raises(FreeArtError, match=r"1\.json is scored by strict-1, expected strict-2: .* protocols"):
-        compared(make_scores(data, "A"), make_scores(data, "B", protocol="strict-1"))
-    assert_refused("scored by strict-2, expected strict-1", compared, make_scores(data, "A"), protocol="strict-1")
-    assert compared(make_scores(data, "A", protocol="strict-1")).rules.name == "strict-1", "that of the tables"
+def _row_of(scores, **changes):
+    return replace(scores, rows=(replace(scores.rows[0], **changes), *scores.rows[1:]))
 
 
-def test_benchmarks_are_never_mixed(data, compared):
-    table = make_scores(data, "B")
-    with pytest.raises(FreeArtError, match=r"is scored on other 1 \(000000000000\), expected paper-like 1"):
-        compared(
-            make_scores(data, "A"), replace(table, benchmark={**table.benchmark, "name": "other", "sha256": "0" * 64})
-        )
-    with pytest.raises(FreeArtError, match="has a row for x, which is not a sequence of"):
-        compared(replace(table, rows=(replace(table.rows[0], sequence="x"), *table.rows[1:])))
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (lambda b: replace(b, benchmark={**b.benchmark, "name": "other", "sha256": "0" * 64}), "is scored on other 1"),
+        (lambda b: _row_of(b, sequence="x"), "has a row for x, which is not a sequence of"),
+        (lambda b: replace(b, made_with={"freeart21": "2"}), "is scored by freeart21 2, .* by 1: score it again"),
+    ],
+)
+def test_tables_that_cannot_be_compared(change, message, data, compared):
+    assert_refused(message, compared, make_scores(data, "A"), change(make_scores(data, "B")))
 
 
-def test_versions_of_the_scoring_code_and_truths_are_never_mixed(data, compared):
-    table = make_scores(data, "B")
-    with pytest.raises(FreeArtError, match="is scored by freeart21 2, .* by 1: score it again"):
-        compared(make_scores(data, "A"), replace(table, made_with={"freeart21": "2"}))
-    other = [replace(table, rows=(replace(table.rows[0], truth_sha256=digit * 64), *table.rows[1:])) for digit in "12"]
-    assert_refused("against another truth of p00", compared, *other)
-    other = replace(table, made_with={**table.made_with, "libraries": {"numpy": "3"}})
-    assert "other versions of libraries" in compared(make_scores(data, "A"), other).notes[0]
-
-
-def test_bad_input_is_one_line(data, tmp_path):
+def test_protocols_truths_and_libraries_are_never_mixed(data, compared, tmp_path):
+    table, other = make_scores(data, "B"), make_scores(data, "B", protocol="strict-1")
+    assert_refused(r"1\.json is scored by strict-1, expected strict-2: .* protocols", compared, table, other)
+    assert_refused("scored by strict-2, expected strict-1", compared, table, protocol="strict-1")
+    assert compared(other).rules.name == "strict-1", "that of the tables"
+    truths = [_row_of(table, truth_sha256=digit * 64) for digit in "12"]
+    assert_refused("against another truth of p00", compared, *truths)
+    newer = replace(table, made_with={**table.made_with, "libraries": {"numpy": "3"}})
+    assert "other versions of libraries" in compared(make_scores(data, "A"), newer).notes[0]
     assert_refused("nothing to compare", compare_results, [], data)
-    write_scores(tmp_path / "a.json", make_scores(data, "A"))
-    with pytest.raises(FreeArtError, match="is named twice"):
-        compare_results([tmp_path / "a.json", tmp_path / ".." / tmp_path.name / "a.json"], data)
-    (tmp_path / "b.json").write_text("{}")
-    assert_refused("b.json has schema 'None'", compare_results, [tmp_path / "b.json"], data)
+    twice = [tmp_path / "0.json", tmp_path / ".." / tmp_path.name / "0.json"]
+    assert_refused("is named twice", compare_results, twice, data)
     assert_refused("is not a folder of results", compare_results, [tmp_path / "none"], data)
 
 
@@ -392,23 +365,6 @@ def test_json_has_everything_and_traces_it(data, compared, tmp_path):
     assert (pairs["C", "B"]["difference"], pairs["C", "B"]["verdict"]) == (-2, "better")
     assert body["sequences"][0]["methods"]["B"]["values"]["axis"] == 3 and len(body["sequences"]) == 21
     assert body["interval"]["level"] == 0.95 and body["interval"]["resamples"] == 10_000
-
-
-def test_markdown_is_whole_tables_and_shows_words_as_they_are(data, compared):
-    text = markdown(compared(make_scores(data, "A"), make_scores(data, NASTY)), "type")
-    rows = [line for line in text.splitlines() if line.startswith("|")]
-    bars = {line.count("|") - line.count(r"\|") for line in rows}
-    assert len(rows) > 20 and bars == {15, 6}
-    assert r"50% \| a\_b &amp; &lt;c&gt; \*d\*" in text and "**" in text
-
-
-def test_a_comment_of_latex_has_whole_names(data, compared):
-    lacking = make_scores(data, "\u03c6 \u03a9mega")
-    lacking = replace(lacking, method=replace(lacking.method, lacks=("renders",)))
-    lines = latex(compared(lacking, make_scores(data, "A")), "type").splitlines()
-    assert any(line == "% \u2013 \u03c6 \u03a9mega makes no renders." for line in lines)
-    assert all("?" not in line for line in lines)
-    assert any(line.startswith("U+03C6 U+03A9mega &") for line in lines)
 
 
 def test_latex_is_balanced_and_shows_words_as_they_are(data, compared):

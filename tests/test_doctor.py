@@ -65,28 +65,11 @@ def test_each_reason_for_no_rendering_has_its_fix(says, monkeypatch, sapien, vul
     assert_refused(message, doctor.require_rendering)
 
 
-def test_opencv_with_windows_on_a_machine_without_screen(says, monkeypatch):
-    error = "ImportError: libGL.so.1: cannot open shared object file: No such file or directory"
-    monkeypatch.setattr(
-        doctor, "_run_python", lambda code: subprocess.CompletedProcess([], 1, "", f"Traceback\n{error}\n")
-    )
-    finding = doctor._cv2()
-    assert finding.status == "missing" and "libGL.so.1" in finding.detail
-    assert finding.fix == "pip install --force-reinstall --no-deps opencv-python-headless"
-
-
 def test_a_wrong_package_version_is_named(monkeypatch):
     real = doctor.importlib.metadata.version
     monkeypatch.setattr(doctor.importlib.metadata, "version", lambda name: "2.2.2" if name == "sapien" else real(name))
     (finding,) = doctor._packages()
     assert finding.status == "missing" and finding.detail == "sapien is 2.2.2, expected >=3.0.3"
-
-
-def test_the_gaussian_rasteriser_is_named(says):
-    says[doctor._PROBE_GAUSSIANS] = (0, 'a warning\n{"backend": "numba", "why": "on the processor: no GPU"}')
-    assert doctor._gaussians() == doctor.Finding("Gaussians", "ok", "numba: on the processor: no GPU")
-    says[doctor._PROBE_GAUSSIANS] = (-11, "", "")
-    assert doctor._gaussians().status == "missing" and "exit code -11" in doctor._gaussians().detail
 
 
 def test_a_real_probe_names_the_gaussian_rasteriser():

@@ -11,15 +11,15 @@ from browser import CHROMIUM, browser
 from film_scene import film_with_truth
 
 from benchmarks import film_faults as sensors
-from freeart21 import cli
 from freeart21.camera_faults import CameraFaults
 from freeart21.errors import FreeArtError
 from freeart21.files.camera_faults import read_camera_faults, write_camera_faults
 from freeart21.files.sequence import read_sequence, write_sequence
 from generator.recorder import RecordSettings, record
+from simgap import commands
 from simgap.film import samples
 from simgap.film.scene import read_scene
-from simgap.film.workflow import film_gap_folder, find_film_gap, is_sequence, read_film
+from simgap.film.workflow import film_gap_folder, find_film_gap, read_film
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -147,10 +147,9 @@ def test_the_answer_is_atomic_and_read_by_the_recorder(scene, tmp_path):
 def test_bad_film_input_is_a_one_line_error(scene, tmp_path):
     asset, sequence = scene
     with pytest.raises(FreeArtError, match="--poses goes with a video"):
-        cli.gap(asset, tmp_path, tmp_path / "out", poses=sequence)
+        commands.gap(asset, tmp_path, tmp_path / "out", poses=sequence)
     lone = tmp_path / "lone"
     write_sequence(lone, read_sequence(sequence), 1e-4)
-    assert is_sequence(lone) and not is_sequence(asset)
     with pytest.raises(FreeArtError, match="nothing says where .* was in .*: expected a result around"):
         read_film(asset, lone)
     with pytest.raises(FreeArtError, match="holds no part poses"):

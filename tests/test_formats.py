@@ -20,9 +20,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mutations import MUTATED, mutated_json, reads_or_refuses
 from refusal import assert_refused
 
-from freeart21 import cli, se3
+from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.files.benchmark import read_benchmark
 from freeart21.files.result import Method, write_method, write_result
@@ -34,7 +37,7 @@ from freeart21.formats.third_party import ReadOptions
 from freeart21.joint import Joint
 from freeart21.reconstruction import Reconstruction
 from freeart21.truth import Truth
-from generator import partnet
+from generator import commands, partnet
 from generator.rays import Caster
 from generator.third_party import complete_truth
 from leaderboard.protocols import PROTOCOLS
@@ -179,49 +182,10 @@ def test_states_in_every_form(example: Path, text: str) -> None:
     assert known.states.tolist() == [0.25, 0.5, 1.0]
 
 
-OFFICIAL_FAULTS: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
-    "missing frame": (lambda f: (f / "rgb/00001.png").rename(f / "rgb/00003.png"), ("rgb", "frame 1 is missing")),
-    "fewer depths": (lambda f: (f / "depth/00002.npz").unlink(), ("rgb 3", "depth 2")),
-    "fewer poses": (
-        lambda f: (f / "object_poses.json").write_text(json.dumps(OBJECT_POSES[:2])),
-        ("object_poses.json 2",),
-    ),
-    "fewer states": (lambda f: (f / "joint_states.json").write_text("[0.1, 0.2]"), ("joint_states.json 2", "rgb 3")),
-    "state without number": (
-        lambda f: (f / "joint_states.json").write_text('[{"a": 1}, 2, 3]'),
-        ("state 0", "angle_rad"),
-    ),
-    "wrong size": (lambda f: png(f / "masks/00001.png", np.zeros((H, W + 1), np.uint8)), ("frame 1: mask is 9 x 6",)),
-    "wrong part size": (lambda f: png(f / "rendered_masks/mask_0/0001.png", np.zeros((5, W), np.uint8)), ("8 x 5",)),
-    "two of one number": (
-        lambda f: png(f / "rgb/0001.png", np.zeros((H, W, 3), np.uint8)),
-        ("0001.png", "both frame 1"),
-    ),
-    "metres in whole numbers": (lambda f: npz(f / "depth/00001.npz", depth=dot(3, 2, 2, np.uint16)), ("millimetres",)),
-    "no key": (lambda f: npz(f / "depth/00001.npz", a=dot(3, 2, 2)), ("has no depth; it has a",)),
-    "K": (lambda f: (f / "cam_K.txt").write_text("1 2\n3 4\n"), ("camera K", "(2, 2)")),
-    "K text": (lambda f: (f / "cam_K.txt").write_text("one two three\n"), ("cam_K.txt", "3 x 3")),
-    "quaternion": (
-        lambda f: (f / "object_poses.json").write_text('[{"position": [0,0,0], "quaternion": [0,0,0,0]}]'),
-        ("length 0",),
-    ),
-    "part mask missing": (lambda f: (f / "rendered_masks/mask_1/0002.png").unlink(), ("mask_0 3, mask_1 2",)),
-    "link out": (lambda f: _link_out(f / "rgb/00001.png"), ("leads out of the folder",)),
-    "not json": (lambda f: (f / "object_poses.json").write_text("[" * 100000), ("not JSON",)),
-}
-
-
 def _link_out(path: Path) -> None:
     outside = path.parents[3] / "outside.png"
     path.rename(outside)
     path.symlink_to(outside)
-
-
-@pytest.mark.parametrize("fault", OFFICIAL_FAULTS)
-def test_a_broken_official_example_is_one_clear_line(example: Path, fault: str) -> None:
-    change, words = OFFICIAL_FAULTS[fault]
-    change(example)
-    refused(lambda: read_all(freeart21_official.read_example(example)), *words)
 
 
 def test_an_official_example_after_its_split(example: Path) -> None:
@@ -358,19 +322,6 @@ def test_degrees_and_mesh_axes_of_the_meta_file(one_view: Path, tmp_path: Path) 
     assert "axis is 90.0 deg" in video2articulation.read_view(one_view, meta).notes[0]
 
 
-def test_only_sampled_frames_count_though_links_are_broken(one_view: Path) -> None:
-    (one_view / "sample_rgb").mkdir()
-    for i in (0, 2):
-        (one_view / f"sample_rgb/{i:06d}.jpg").symlink_to("/nowhere/at/all.jpg")
-    (one_view / "depth/000001.npz").unlink()  # not needed
-    read = video2articulation.read_view(one_view)
-    assert len(read.recording) == 2 and read.known.states.tolist() == [0.0, 1.0]
-    assert read.recording.frame(1).mask[PIXELS[2]] and read.recording.times_s[1] == pytest.approx(2 / 15)
-    assert read.recording.camera.project(se3.transform(read.known.Ts_camera_object[1], P_ROOT)) == pytest.approx(
-        (7.5, 2.5)
-    )
-
-
 @pytest.mark.parametrize("protocol", [0, 2, 4, 5])
 @pytest.mark.parametrize("form", ["arrays", "lists", "table", "float32"])
 def test_pickles_of_every_protocol(tmp_path: Path, protocol: int, form: str) -> None:
@@ -423,45 +374,6 @@ def test_a_malicious_pickle_runs_nothing(one_view: Path, tmp_path: Path) -> None
         refused(lambda: video2articulation.read_view(one_view), "actor_pose.pkl is", words)
         assert not mark.exists()
     assert "antigravity" not in sys.modules
-
-
-VIEW_FAULTS: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
-    "missing depth": (lambda f: (f / "depth/000001.npz").unlink(), ("depth", "frame 1 is missing")),
-    "missing pickle": (lambda f: (f.parent / "actor_pose.pkl").unlink(), ("actor_pose.pkl is missing",)),
-    "camera count": (lambda f: np.save(f / "camera_pose.npy", np.array(CAMERA_POSES[:2])), ("frame 2", "2 poses")),
-    "actor count": (
-        lambda f: (f.parent / "actor_pose.pkl").write_bytes(pickle.dumps({k: v[:2] for k, v in ACTORS.items()})),
-        ("actor_6 has shape (2, 7)", "(3, 7)"),
-    ),
-    "value count": (lambda f: np.save(f.parent / "gt_joint_value.npy", np.zeros(4)), ("gt_joint_value.npy", "(4,)")),
-    "segment size": (lambda f: npz(f / "segment/000001.npz", a=np.zeros((H, 5), np.uint8)), ("segment", "(6, 5)")),
-    "picture size": (lambda f: png(f / "rgb/000001.jpg", np.zeros((5, W, 3), np.uint8)), ("rgb is 8 x 5",)),
-    "pickled array": (
-        lambda f: np.save(f / "camera_pose.npy", np.array([{}], object), allow_pickle=True),
-        ("without pickled objects",),
-    ),
-    "nothing moves": (
-        lambda f: (f.parent / "actor_pose.pkl").write_bytes(pickle.dumps(ACTORS | {"actor_7": ACTORS["actor_6"]})),
-        ("no actor moves",),
-    ),
-    "sample out of range": (lambda f: png(f / "sample_rgb/000009.jpg", np.zeros((H, W), np.uint8)), ("[9]", "3 poses")),
-    "link out": (lambda f: _link_out(f / "rgb/000001.jpg"), ("leads out of the folder",)),
-}
-
-
-@pytest.mark.parametrize("fault", VIEW_FAULTS)
-def test_a_broken_view_is_one_clear_line(one_view: Path, fault: str) -> None:
-    change, words = VIEW_FAULTS[fault]
-    change(one_view)
-    refused(lambda: read_all(video2articulation.read_view(one_view)), *words)
-
-
-def test_values_that_disagree_with_the_poses_give_no_joint(one_view: Path) -> None:
-    for name in ("gt_joint_value", "qpos"):
-        (one_view.parent / f"{name}.npy").unlink()
-    np.save(one_view.parent / "gt_joint_value.npy", np.degrees(VALUES))
-    read = video2articulation.read_view(one_view)
-    assert read.known.joint is None and "disagree" in read.lacks
 
 
 def test_a_joint_value_is_found_in_qpos_by_its_name(one_view: Path) -> None:
@@ -560,7 +472,7 @@ def as_answer(truth: Truth) -> Reconstruction:
 def native(toy_root: Path, toy_example: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The toy example converted to a native data folder, by the command line."""
     out = tmp_path_factory.mktemp("native") / "data"
-    cli.convert(toy_example, out, "native", partnet_root=toy_root)
+    commands.convert(toy_example, out, "native", partnet_root=toy_root)
     return out
 
 
@@ -591,9 +503,9 @@ def test_an_official_example_becomes_a_data_folder_that_scores(
 
 
 def test_round_trip_native_official_native(native: Path, toy_root: Path, tmp_path: Path) -> None:
-    cli.convert(native / "sequences/7777", tmp_path / "official", "official", partnet_root=toy_root)
+    commands.convert(native / "sequences/7777", tmp_path / "official", "official", partnet_root=toy_root)
     assert (tmp_path / "official/data/partnet-mobility-v0/dataset/7777/mobility.urdf").read_text() == TOY_URDF
-    cli.convert(tmp_path / "official", tmp_path / "again", "native")  # finds the object beside examples/
+    commands.convert(tmp_path / "official", tmp_path / "again", "native")  # finds the object beside examples/
     one, two = read_sequence(native / "sequences/7777"), read_sequence(tmp_path / "again/sequences/7777")
     assert np.array_equal(one.times_s, two.times_s) and np.array_equal(one.camera.K, two.camera.K)
     assert one.licence == two.licence
@@ -609,27 +521,9 @@ def test_round_trip_native_official_native(native: Path, toy_root: Path, tmp_pat
     assert np.abs(a.articulation.joint.axis - b.articulation.joint.axis).max() < 1e-9
 
 
-def test_a_child_that_is_the_reference_part_stays_the_child(native: Path, toy_root: Path, tmp_path: Path) -> None:
-    """The sides are those of the joint: when the child is larger, poses are those of the moving part, and mask_1 is the
-    reference part."""
-    shutil.copytree(native, tmp_path / "data")
-    folder = tmp_path / "data/truth/7777"
-    truth = read_truth(folder)
-    turned = json.loads((folder / "truth.json").read_text())
-    source = turned["source"]
-    source["reference_links"], source["moving_links"] = source["moving_links"], source["reference_links"]
-    (folder / "truth.json").write_text(json.dumps(turned))
-    cli.convert(tmp_path / "data", tmp_path / "official", "official", partnet_root=toy_root)
-    read = freeart21_official.read_example(tmp_path / "official/examples/7777")
-    assert np.abs(read.known.Ts_camera_object - truth.Ts_camera_moving).max() < 1e-6
-    assert np.array_equal(read.known.side(0) == 2, truth.part_mask(0) == 1)
-    known = freeart21_official.known_of_truth(read_truth(folder), toy_root / "7777")
-    assert np.allclose(known.Ts_camera_object @ known.joint.transform(known.states), truth.Ts_camera_reference)
-
-
 def test_what_is_written_is_what_their_code_reads(native: Path, toy_root: Path, tmp_path: Path) -> None:
     """File by file from the description: names, keys, types, axes and order."""
-    cli.convert(native, tmp_path / "out", "official", partnet_root=toy_root)
+    commands.convert(native, tmp_path / "out", "official", partnet_root=toy_root)
     folder, recording = tmp_path / "out/examples/7777", read_sequence(native / "sequences/7777")
     truth = read_truth(native / "truth/7777")
     n = len(recording)
@@ -656,7 +550,7 @@ def test_what_is_written_is_what_their_code_reads(native: Path, toy_root: Path, 
 
 
 def test_held_out_frames_are_the_official_split(native: Path, tmp_path: Path) -> None:
-    cli.convert(native, tmp_path / "out", "official", hold_out=True)
+    commands.convert(native, tmp_path / "out", "official", hold_out=True)
     folder, recording = tmp_path / "out/examples/7777", read_sequence(native / "sequences/7777")
     info = json.loads((folder / "eval/split_info.json").read_text())
     held, train = info["eval_original_indices"], info["train_original_indices"]
@@ -748,7 +642,7 @@ def test_a_failed_conversion_leaves_nothing(example: Path, tmp_path: Path, nativ
 def test_truth_is_written_with_its_sequence_or_not_at_all(
     example: Path, toy_example: Path, toy_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    cli.convert(toy_example, tmp_path / "data", "native", partnet_root=tmp_path)
+    commands.convert(toy_example, tmp_path / "data", "native", partnet_root=tmp_path)
     output = capsys.readouterr()
     assert "without truth: PartNet-Mobility object 7777 is not in" in output.err and "sequences/7777" in output.out
     assert not (tmp_path / "data/truth").exists()
@@ -782,7 +676,7 @@ def in_open3d(folder: Path) -> None:
 def test_a_cameras_pictures_become_a_sequence(pictures: Path, tmp_path: Path, layout: str) -> None:
     if layout == "open3d":
         in_open3d(pictures)
-    cli.convert(pictures, tmp_path / "data", "native", fps=10)
+    commands.convert(pictures, tmp_path / "data", "native", fps=10)
     recording = read_sequence(tmp_path / "data/sequences/my-stapler")
     assert not (tmp_path / "data/truth").exists()
     assert recording.times_s == pytest.approx([0, 0.1, 0.2])
@@ -792,31 +686,62 @@ def test_a_cameras_pictures_become_a_sequence(pictures: Path, tmp_path: Path, la
         assert frame.mask[2, 5] and frame.mask.sum() == 1 and (frame.rgb == 40 * i).all()
 
 
-def of_larger_pictures(folder: Path) -> None:
-    in_open3d(folder)
-    (folder / "camera_intrinsic.json").write_text(json.dumps({**OPEN3D, "width": 1280, "height": 720}))
+def test_depth_has_the_unit_that_is_given(pictures: Path) -> None:
+    read = rgbd_folder.read_rgbd_folder(pictures, ReadOptions(depth_unit=1 / 5000))
+    assert read.recording.frame(0).depth[2, 5] == pytest.approx(0.1)
+    refused(lambda: rgbd_folder.read_rgbd_folder(pictures, ReadOptions(depth_unit=1000)), "depth unit is 1000")
+    refused(lambda: rgbd_folder.read_rgbd_folder(pictures, ReadOptions(fps=0)), "fps is 0")
+
+
+# --- nearly valid files -----------------------------------------------------------------------------------------------
+
+
+@settings(MUTATED, max_examples=60)
+@given(data=st.data())
+def test_an_official_example_with_a_wrong_field_is_read_or_one_line(tmp_path: Path, data: st.DataObject) -> None:
+    folder = official(tmp_path / "examples/1")
+    path = folder / data.draw(st.sampled_from(("object_poses.json", "joint_states.json", "camera_params.json")))
+    path.write_text(json.dumps(data.draw(mutated_json(json.loads(path.read_text())))))
+    reads_or_refuses(lambda: read_all(freeart21_official.read_example(folder)))
+
+
+OFFICIAL_FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
+    "missing frame": (lambda f: (f / "rgb/00001.png").rename(f / "rgb/00003.png"), "frame 1 is missing"),
+    "wrong size": (lambda f: png(f / "masks/00001.png", np.zeros((H, W + 1), np.uint8)), "frame 1: mask is 9 x 6"),
+    "metres in whole numbers": (lambda f: npz(f / "depth/00001.npz", depth=dot(3, 2, 2, np.uint16)), "millimetres"),
+    "K text": (lambda f: (f / "cam_K.txt").write_text("one two three\n"), "3 x 3"),
+    "link out": (lambda f: _link_out(f / "rgb/00001.png"), "leads out of the folder"),
+}
+
+
+@pytest.mark.parametrize("fault", OFFICIAL_FAULTS)
+def test_a_broken_official_example_is_one_clear_line(example: Path, fault: str) -> None:
+    change, words = OFFICIAL_FAULTS[fault]
+    change(example)
+    refused(lambda: read_all(freeart21_official.read_example(example)), words)
+
+
+VIEW_FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
+    "missing pickle": (lambda f: (f.parent / "actor_pose.pkl").unlink(), "actor_pose.pkl is missing"),
+    "camera count": (lambda f: np.save(f / "camera_pose.npy", np.array(CAMERA_POSES[:2])), "2 poses"),
+    "segment size": (lambda f: npz(f / "segment/000001.npz", a=np.zeros((H, 5), np.uint8)), "(6, 5)"),
+}
+
+
+@pytest.mark.parametrize("fault", VIEW_FAULTS)
+def test_a_broken_view_is_one_clear_line(one_view: Path, fault: str) -> None:
+    change, words = VIEW_FAULTS[fault]
+    change(one_view)
+    refused(lambda: read_all(video2articulation.read_view(one_view)), words)
 
 
 PICTURE_FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
     "no masks": (lambda f: shutil.rmtree(f / "masks"), "has no masks: `--to rgbd` writes its pictures"),
     "a frame without depth": (
         lambda f: (f / "depth/frame_10.png").unlink(),
-        "frame 'frame_10' is among the colours, but not among depth; 1 differ",
+        "is among the colours, but not",
     ),
-    "depth of another size": (
-        lambda f: png(f / "depth/frame_10.png", np.zeros((2 * H, W), np.uint16)),
-        "frame_10.png is 8 x 12, expected 8 x 6 as the first colours: align depth",
-    ),
-    "shallow depth": (
-        lambda f: png(f / "depth/frame_9.png", np.zeros((H, W), np.uint8)),
-        "expected one channel of uint16",
-    ),
-    "intrinsics of another size": (of_larger_pictures, "is of pictures 1280 x 720, but the colours are 8 x 6"),
-    "a matrix of two rows": (
-        lambda f: (f / "cam_K.txt").write_text("10 0 3.5\n0 11 2.5\n"),
-        "has shape (2, 3), expected a 3 x 3 matrix",
-    ),
-    "link out": (lambda f: _link_out(f / "masks/frame_9.png"), "leads out of the folder"),
+    "shallow depth": (lambda f: png(f / "depth/frame_9.png", np.zeros((H, W), np.uint8)), "one channel of uint16"),
 }
 
 
@@ -826,10 +751,3 @@ def test_broken_pictures_are_one_clear_line(pictures: Path, tmp_path: Path, faul
     spoil(pictures)
     refused(lambda: list(convert(pictures, tmp_path / "data", "native")), words)
     assert not (tmp_path / "data").exists()
-
-
-def test_depth_has_the_unit_that_is_given(pictures: Path) -> None:
-    read = rgbd_folder.read_rgbd_folder(pictures, ReadOptions(depth_unit=1 / 5000))
-    assert read.recording.frame(0).depth[2, 5] == pytest.approx(0.1)
-    refused(lambda: rgbd_folder.read_rgbd_folder(pictures, ReadOptions(depth_unit=1000)), "depth unit is 1000")
-    refused(lambda: rgbd_folder.read_rgbd_folder(pictures, ReadOptions(fps=0)), "fps is 0")

@@ -8,7 +8,7 @@ from scipy.ndimage import map_coordinates
 from freeart21 import se3
 from freeart21.mesh import Mesh
 from reconstruct.gaussians import numba_backend
-from reconstruct.gaussians.alignment import CELLS, HOLD, Scales, Terms, alignment_terms, eliminate_patches
+from reconstruct.gaussians.alignment import Scales, alignment_terms
 from reconstruct.gaussians.initial import SPACING, place_discs
 from reconstruct.gaussians.losses import Target
 from reconstruct.gaussians.model import make_splats
@@ -110,68 +110,3 @@ def test_at_the_truth_hardly_anything_pulls(model):
     assert terms.count > 3000 and terms.spread[0] < 1e-3 and terms.spread[1] < 1e-5
     off = alignment_terms(render(model, off_by(Ts, TWISTS["all"], 0)), target, LENS, Ts, SCALES, CELL)
     assert off.cost > 5 * terms.cost
-
-
-def made_up_terms(frames=7, patches=40, seed=0):
-    """Made-up terms of some frames whose patches are seen by several of them, and all their rows one by one."""
-    rng = np.random.default_rng(seed)
-    terms, rows = {}, []
-    for i in range(frames):
-        cells = np.unique(np.concatenate([k * CELLS + rng.integers(0, patches, 25) for k in range(2)]))
-        H, g, shared = np.zeros((2, 6, 6)), np.zeros((2, 6)), np.zeros((len(cells), 27), np.float32)
-        for q, cell in enumerate(cells):
-            J = rng.standard_normal((5, 6)).astype(np.float32)
-            S, r = J[:, :3] @ np.linalg.qr(rng.standard_normal((3, 3)))[0], 0.1 * rng.standard_normal(5)
-            H[cell // CELLS] += J.T @ J
-            g[cell // CELLS] += J.T @ r
-            shared[q] = np.concatenate([(J.T @ S).ravel(), (S.T @ S)[np.triu_indices(3)], S.T @ r])
-            rows.append((i, cell, J, S, r))
-        terms[i] = Terms(H, g, cells.astype(np.int32), shared, 0.0, 0.0, np.zeros(3))
-    return terms, rows
-
-
-@pytest.mark.parametrize("part", [0, 1])
-def test_eliminating_the_patches_solves_the_whole_system(part):
-    n = 7
-    terms, rows = made_up_terms(n)
-    cells = np.unique([cell for _, cell, *_ in rows if cell // CELLS == part])
-    whole, right = np.zeros((6 * n + 3 * len(cells),) * 2), np.zeros(6 * n + 3 * len(cells))
-    for i, cell, J, S, r in rows:
-        if cell // CELLS == part:
-            k = 6 * n + 3 * np.searchsorted(cells, cell)
-            row = np.zeros((len(r), len(right)))
-            row[:, 6 * i : 6 * i + 6], row[:, k : k + 3] = J, S
-            whole += row.T @ row
-            right += row.T @ r
-    for k in range(6 * n, len(right), 3):
-        own = slice(k, k + 3)
-        whole[own, own] += HOLD * np.trace(whole[own, own]) * np.eye(3)
-    still = 1e-3 * np.eye(6 * n)  # all parts may move together
-    whole[: 6 * n, : 6 * n] += still
-    expected = np.linalg.solve(whole, -right)
-    found = eliminate_patches(terms, n)
-    twists = np.linalg.solve(found.A[part] + still, -found.b[part])
-    np.testing.assert_allclose(twists, expected[: 6 * n], atol=2e-5)
-    both = (twists, np.zeros(6 * n)) if part == 0 else (np.zeros(6 * n), twists)
-    np.testing.assert_allclose(found.shifts(both)[cells].ravel(), expected[6 * n :], atol=2e-4)
-
-
-def test_a_frame_before_a_fixed_model_does_not_move_the_surface():
-    terms, _ = made_up_terms()
-    alone = {i: t.before_a_fixed_model() for i, t in terms.items()}
-    found = eliminate_patches(alone, 7)
-    assert not found.shifts((np.ones(42), np.ones(42))).any()
-    np.testing.assert_allclose(found.A[0][:6, :6], terms[0].H[0])
-    assert np.abs(eliminate_patches(terms, 7).A[0][:6, :6] - terms[0].H[0]).max() > 1
-
-
-def test_coarse_pixels_see_farther(model):
-    """Six pixels away at full resolution the gradient's word is wrong; blocks of four still show the way."""
-    target, far = target_of(render(model, Ts)), off_by(Ts, [0.03, 0.02, 0, 0, 0, 0], 0)
-    left = {}
-    for coarseness in (1, 4):
-        terms = alignment_terms(render(model, far), target, LENS, far, SCALES, CELL, coarseness)
-        twists = np.stack([-np.linalg.solve(terms.H[k], terms.g[k]) for k in range(2)])
-        moved = se3.exp_se3(twists) @ far
-        left[coarseness] = away(moved)[0] / away(far)[0]
-    assert left[4] < 0.8 * left[1]

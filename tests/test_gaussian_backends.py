@@ -3,15 +3,15 @@
 import inspect
 import sys
 import types
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import numpy as np
 import pytest
-from gaussian_scenes import GRADIENT_SCENES, SCENES, SMALL, check_gradients, check_picture, poses, splats
+from gaussian_scenes import GRADIENT_SCENES, SCENES, check_gradients, check_picture, poses, splats
 
 from freeart21.errors import FreeArtError
 from reconstruct.gaussians import backends, gsplat_backend, numba_backend
-from reconstruct.gaussians.rasteriser import Lens, Splats
+from reconstruct.gaussians.rasteriser import Lens
 
 
 @pytest.fixture(autouse=True)
@@ -40,27 +40,6 @@ def test_pictures_by_way_of_gsplat(stand_in, name):
 @pytest.mark.parametrize("name", GRADIENT_SCENES)
 def test_gradients_by_way_of_gsplat(stand_in, name):
     check_gradients(gsplat_backend.rasterise, *GRADIENT_SCENES[name](), clamp=True)
-
-
-def test_what_was_drawn_is_said_by_way_of_gsplat(stand_in):
-    for name in ("off the window", "behind the camera"):
-        some, Ts, lens = SCENES[name]()
-        shape = (lens.height, lens.width)
-        ones = np.ones((*shape, 3), np.float32), np.ones(shape, np.float32), np.ones(shape, np.float32)
-        here, there = (b.rasterise(some, Ts, lens)[1](*ones) for b in (numba_backend, gsplat_backend))
-        assert (there.drawn >= here.drawn).all() and there.drawn.sum() < len(some)
-        assert not there.means[~there.drawn].any() and not there.screen[~there.drawn].any()
-
-
-def test_no_gaussian_needs_no_gpu():
-    none = Splats(**{f.name: getattr(splats(), f.name)[:0] for f in fields(Splats)})
-    picture, pull = gsplat_backend.rasterise(none, poses(), SMALL)
-    ours, our_pull = numba_backend.rasterise(none, poses(), SMALL)
-    weights = np.ones_like(ours.colour), np.ones_like(ours.depth), np.ones_like(ours.alpha)
-    for a, b in ((picture, ours), (pull(*weights), our_pull(*weights))):
-        for field in fields(a):
-            x, y = getattr(a, field.name), getattr(b, field.name)
-            assert x.shape == y.shape and x.dtype == y.dtype and not x.any() and not y.any(), field.name
 
 
 def test_the_stand_in_is_called_as_gsplat_is(stand_in, monkeypatch):
@@ -103,13 +82,6 @@ def test_without_a_package_the_processor_draws(monkeypatch):
     assert "\n" not in str(raised.value)
 
 
-def test_a_torch_that_cannot_be_imported_is_no_crash_of_ours(monkeypatch):
-    monkeypatch.setattr(gsplat_backend.importlib.util, "find_spec", lambda name: name)
-    monkeypatch.setitem(sys.modules, "torch", None)
-    assert gsplat_backend.missing_requirement().startswith("torch cannot be imported: ")
-    assert backends.choose_backend() is numba_backend.rasterise
-
-
 def _torch(cuda, toolkit):
     return {
         "torch": types.SimpleNamespace(__version__="2.9", cuda=types.SimpleNamespace(is_available=lambda: cuda)),
@@ -139,37 +111,3 @@ def test_what_is_missing_is_named(monkeypatch, tmp_path, cuda, toolkit, built, e
     lack = gsplat_backend.missing_requirement()
     assert lack is None if expected is None else expected in lack
     assert backends.predict_backend()[0] == ("gsplat" if expected is None else "numba")
-
-
-def _works(*arguments):
-    return numba_backend.rasterise(*arguments)
-
-
-def _does_not_compile(*_):
-    raise RuntimeError("Error building extension 'gsplat_cuda'\nninja: build stopped")
-
-
-def _draws_nothing(*arguments):
-    picture, pull = numba_backend.rasterise(*arguments)
-    return replace(picture, alpha=0 * picture.alpha), pull
-
-
-@pytest.mark.parametrize(
-    "rasterise, error",
-    [
-        (_works, None),
-        (_does_not_compile, "gsplat fails: RuntimeError: Error building extension 'gsplat_cuda'"),
-        (_draws_nothing, "gsplat draws nothing"),
-    ],
-)
-def test_gsplat_is_taken_where_it_works_and_only_there(rasterise, error, monkeypatch):
-    monkeypatch.setattr(gsplat_backend, "missing_requirement", lambda: None)
-    monkeypatch.setattr(gsplat_backend, "rasterise", rasterise)
-    assert gsplat_backend.rendering_error() == error
-    assert backends.choose_backend("numba") is numba_backend.rasterise
-    assert backends.choose_backend() is (numba_backend.rasterise if error else rasterise)
-    if error:
-        with pytest.raises(FreeArtError, match=f"{error}; "):
-            backends.choose_backend("gsplat")
-    else:
-        assert backends.choose_backend("gsplat") is rasterise

@@ -1,7 +1,5 @@
 """What a picture of the model is held to, against the same written anew in double precision."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.ndimage import correlate1d
@@ -94,14 +92,6 @@ def test_similarity_is_that_of_scikit_image():
     assert ssim(x, x)[0] == pytest.approx(1, abs=1e-6)
 
 
-def test_similarity_s_derivative_is_its_difference():
-    rng = np.random.default_rng(2)
-    x, y = rng.random((2, 13, 15, 3))
-    expected = differences(lambda x: plain_ssim(x, y).sum(), {"x": x}, "x")
-    _, found = ssim(x.astype(np.float32), y.astype(np.float32))
-    assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max()
-
-
 def test_the_loss_and_its_derivatives():
     picture, target = case()
     hidden = hidden_by(picture, target)
@@ -120,41 +110,3 @@ def test_the_loss_and_its_derivatives():
         d, difference = getattr(found, f"d_{name}"), differences(whole, at, name)
         assert d.dtype == np.float32 and d.shape == difference.shape
         assert np.abs(d - difference).max() < 1e-3 * np.abs(difference).max(), name
-
-
-def test_a_model_before_which_something_stands_is_free_there():
-    picture, target = case()
-    hidden = hidden_by(picture, target)
-    found = loss(picture, target, BACKGROUND, UNIT, SETTINGS)
-    assert not found.d_colour[hidden].any() and not found.d_depth[hidden].any() and not found.d_alpha[hidden].any()
-    behind = replace(target, around=np.where(target.around > 0, 3, 0).astype(np.float32))
-    pulled = loss(picture, behind, BACKGROUND, UNIT, SETTINGS)
-    assert (pulled.d_alpha[hidden] != 0).all() and pulled.mask > found.mask
-    # hidden pixels cost nothing; their neighbours do, through SSIM
-    other = replace(picture, colour=np.where(hidden[..., None], picture.colour * 0.5, picture.colour))
-    assert loss(other, target, BACKGROUND, UNIT, replace(SETTINGS, ssim=0.0)).rgb == pytest.approx(
-        loss(picture, target, BACKGROUND, UNIT, replace(SETTINGS, ssim=0.0)).rgb, abs=1e-7
-    )
-
-
-def test_depth_that_is_not_believed_says_nothing():
-    picture, target = case()
-    silent = (target.depth == 0) | (picture.alpha <= COVERED)
-    found = loss(picture, target, BACKGROUND, UNIT, SETTINGS)
-    assert not found.d_depth[silent].any() and (found.d_depth[~silent] != 0).all()
-    none = replace(target, depth=np.zeros(SIZE, np.float32))
-    without = loss(picture, none, BACKGROUND, UNIT, SETTINGS)
-    assert without.depth == 0 and not without.d_depth.any() and without.rgb == found.rgb
-    unweighted = loss(picture, target, BACKGROUND, UNIT, replace(SETTINGS, depth=0.0))
-    np.testing.assert_array_equal(unweighted.d_alpha, without.d_alpha)
-
-
-def test_a_model_that_shows_the_target_is_at_rest():
-    _, target = case()
-    alpha = target.mask.astype(np.float32)
-    shown = Picture(target.colour * alpha[..., None], target.depth, alpha, 0 * alpha)
-    found = loss(shown, target, BACKGROUND, UNIT, SETTINGS)
-    assert abs(found.rgb) < 1e-6 and found.depth == 0 and found.mask == 0
-    pulled = loss(replace(shown, colour=0.9 * shown.colour), target, BACKGROUND, UNIT, SETTINGS)
-    assert np.abs(found.d_colour).max() < 1e-3 * np.abs(pulled.d_colour).max()
-    assert not found.d_depth.any()

@@ -103,18 +103,6 @@ def test_a_frame_that_shows_nothing_goes_with_the_others(clip):
     assert len(found.gaussians) > 500
 
 
-def test_the_motion_stays_without_end_to_end_and_weights_are_whole_without_blending(clip):
-    scene, estimate = spoilt(clip)
-    found = run(scene, estimate, clip, end_to_end=False, blended=False, rounds=3)
-    assert not found.motion_refined and found.poses is estimate.poses and found.apply_to(estimate) is estimate
-    assert set(np.unique(found.gaussians.part_weights)) == {0, 1}
-
-
-def test_nothing_to_begin_with_is_no_model(clip):
-    scene, estimate = spoilt(clip)
-    assert run(scene, replace(estimate, labels=np.zeros_like(estimate.labels)), clip) is None
-
-
 @pytest.mark.parametrize(
     "changed, message",
     [

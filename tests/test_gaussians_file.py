@@ -1,19 +1,21 @@
 """A file of Gaussians keeps what it is given, is what other programs read and write, and can do no harm."""
 
 import importlib.util
-import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mutations import MUTATED, mutated_bytes, reads_or_refuses
 from refusal import assert_refused
 from score_files import truths, write_data
 from synthetic_case import truth_as_answer
 
 from freeart21 import se3
 from freeart21.errors import FreeArtError
-from freeart21.files.gaussians import MAX_GAUSSIANS, MAX_HEADER_BYTES, SH_0, read_gaussians, write_gaussians
+from freeart21.files.gaussians import MAX_GAUSSIANS, SH_0, read_gaussians, write_gaussians
 from freeart21.files.result import read_result, write_result
 from freeart21.gaussians import LIGHT_TERMS, Gaussians
 from freeart21.reconstruction import Reconstruction
@@ -103,12 +105,6 @@ def test_the_file_is_what_viewers_expect(tmp_path):
     assert 1 / (1 + np.exp(-columns["opacity"])) == pytest.approx(given.opacities, abs=1e-6)
 
 
-def test_no_gaussians_at_all_round_trip(tmp_path):
-    none = Gaussians(*(np.zeros((0, k)[: 1 + (k > 0)], np.float32) for k in (3, 4, 3, 0, 3, 0, 3)))
-    write_gaussians(tmp_path / "a.ply", none)
-    assert len(read_gaussians(tmp_path / "a.ply", needs_parts=True)) == 0
-
-
 @pytest.mark.parametrize("kind", ["float", "double"])
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 def test_a_plain_3dgs_file_in_any_order_is_one_still_part(tmp_path, kind, end):
@@ -134,36 +130,6 @@ def test_a_plain_3dgs_file_in_any_order_is_one_still_part(tmp_path, kind, end):
 
 
 HEAD = b"ply\nformat binary_little_endian 1.0\n"
-BAD_FILES = {
-    "empty": (b"", "does not begin with 'ply'"),
-    "no PLY": (b"\x80\x04pickle", "does not begin with 'ply'"),
-    "header without end": (HEAD + b"comment x\n" * 9999, f"no end_header in its first {MAX_HEADER_BYTES} bytes"),
-    "header cut": (HEAD + b"element vertex 3\nproperty float x\nend_header", "no end_header"),
-    "ascii": (
-        b"ply\nformat ascii 1.0\nelement vertex 0\nend_header\n",
-        "format is 'format ascii 1.0', expected binary",
-    ),
-    "no format": (b"ply\nelement vertex 0\nend_header\n", "expected binary_little_endian"),
-    "not ASCII": (HEAD + b"comment \xff\nelement vertex 0\nend_header\n", "ascii"),
-    "no element": (HEAD + b"end_header\n", "first element is '', expected vertex"),
-    "another first": (HEAD + b"element chunk 3\nelement vertex 3\nend_header\n", "first element is 'chunk 3'"),
-    "negative count": (HEAD + b"element vertex -5\nend_header\n", "first element is 'vertex -5'"),
-    "count of digits": (HEAD + b"element vertex " + b"9" * 5000 + b"\nend_header\n", "first element is 'vertex 9999"),
-    "too many": (HEAD + b"element vertex 999999999\nend_header\n", f"at most {MAX_GAUSSIANS} are read"),
-    "a list": (HEAD + b"element vertex 1\nproperty list uchar int x\nend_header\n", "a property is 'list uchar int x'"),
-    "unknown type": (HEAD + b"element vertex 1\nproperty object x\nend_header\n", "a property is 'object x'"),
-    "twice": (HEAD + b"element vertex 1\nproperty float x\nproperty float x\nend_header\n", "a name of its own"),
-    "a mesh": (HEAD + b"element vertex 1\nproperty float x\nend_header\n0000", "no y, z, f_dc_0.* properties are 'x'"),
-}
-
-
-@pytest.mark.parametrize("what", BAD_FILES)
-def test_a_malicious_header_is_one_clear_line(tmp_path, what):
-    data, message = BAD_FILES[what]
-    (tmp_path / "a.ply").write_bytes(data)
-    text = assert_refused(message, read_gaussians, tmp_path / "a.ply")
-    assert text.startswith(f"{tmp_path / 'a.ply'} is not a readable PLY file of Gaussians: ")
-    assert text.isprintable() and len(text) < 400
 
 
 def test_a_promise_of_more_rows_than_there_are_takes_no_memory(tmp_path):
@@ -174,28 +140,6 @@ def test_a_promise_of_more_rows_than_there_are_takes_no_memory(tmp_path):
     assert_refused(f"ends after 1 of {MAX_GAUSSIANS} Gaussians", read_gaussians, tmp_path / "a.ply")
 
 
-@pytest.mark.parametrize(
-    ("column", "value", "message"),
-    [
-        ("x", np.nan, "x of Gaussian 7 is nan, expected a finite number"),
-        ("scale_1", -np.inf, "scale_1 of Gaussian 7 is -inf"),
-        ("scale_2", 88.0, "expected logarithms of metres below 1e6"),
-        ("rot_0", np.inf, "rot_0 of Gaussian 7 is inf"),
-        ("opacity", np.nan, "opacity of Gaussian 7"),
-        ("f_dc_1", np.nan, "f_dc_1 of Gaussian 7"),
-        ("part_weight", np.nan, "part_weight of Gaussian 7"),
-        ("part_weight", -0.25, "a part_weight is -0.25, expected 0 .moving part. to 1"),
-        ("part_weight", 1.5, "a part_weight is 1.5, expected 0"),
-    ],
-)
-def test_numbers_that_are_none_are_named(tmp_path, column, value, message):
-    write_gaussians(tmp_path / "a.ply", make_gaussians())
-    columns = {name: values.copy() for name, values in table(tmp_path / "a.ply")[1].items()}
-    columns[column][7] = value
-    write_table(tmp_path / "a.ply", columns)
-    assert_refused(message, read_gaussians, tmp_path / "a.ply")
-
-
 def test_a_quaternion_of_length_zero_and_numbers_beyond_floats_are_named(tmp_path):
     write_gaussians(tmp_path / "a.ply", make_gaussians())
     good = table(tmp_path / "a.ply")[1]
@@ -203,52 +147,6 @@ def test_a_quaternion_of_length_zero_and_numbers_beyond_floats_are_named(tmp_pat
     assert_refused("the quaternion of Gaussian 3 is zero", read_gaussians, tmp_path / "b.ply")
     write_table(tmp_path / "c.ply", good | {"x": np.full(50, 1e200)}, "double")
     assert_refused("means are not all finite", read_gaussians, tmp_path / "c.ply")
-
-
-@pytest.mark.parametrize(
-    ("spoil", "message"),
-    [
-        (
-            lambda text: text.replace(b"comment freeart21/light", b"comment", 1),
-            "its light has 8 lines, expected 1, 4, 9",
-        ),
-        (lambda text: re.sub(rb"(light \S+ \S+) \S+\n", rb"\1\n", text), "of 3 numbers"),
-        (lambda text: re.sub(rb"light \S+", b"light nan", text, count=1), "its light is not all finite"),
-        (lambda text: re.sub(rb"light \S+", b"light __import__", text, count=1), "could not convert string to float"),
-        (lambda text: text[:-1], "ends after 49 of 50 Gaussians"),
-        (lambda text: text[:400], "no end_header"),
-    ],
-)
-def test_a_spoilt_file_is_one_clear_line(tmp_path, spoil, message):
-    write_gaussians(tmp_path / "a.ply", make_gaussians())
-    (tmp_path / "a.ply").write_bytes(spoil((tmp_path / "a.ply").read_bytes()))
-    assert_refused(message, read_gaussians, tmp_path / "a.ply")
-
-
-def test_no_bytes_do_more_than_raise_one_clear_line(tmp_path):
-    write_gaussians(tmp_path / "a.ply", make_gaussians(20))
-    good, rng = (tmp_path / "a.ply").read_bytes(), np.random.default_rng(0)
-    head, read = good.index(b"end_header") + 11, 0
-    for _ in range(800):
-        data = bytearray(good)
-        for at in rng.integers(0, head if rng.random() < 0.6 else len(data), rng.integers(1, 6)):
-            data[at] = rng.integers(0, 256)
-        at = rng.integers(0, head)
-        data[at:at] = data[: rng.integers(0, 60)] if rng.random() < 0.1 else b""
-        (tmp_path / "a.ply").write_bytes(data[: rng.integers(0, 2 * len(data))])
-        try:
-            read += len(read_gaussians(tmp_path / "a.ply")) >= 0
-        except FreeArtError as error:
-            assert str(error).isprintable() and len(str(error)) < 500
-    assert 0 < read < 400, "some change nothing that counts"
-
-
-def test_a_missing_file_a_folder_and_a_large_one(tmp_path, monkeypatch):
-    assert_refused(r"a\.ply is missing", read_gaussians, tmp_path / "a.ply")
-    assert_refused("is a folder", read_gaussians, tmp_path)
-    write_gaussians(tmp_path / "a.ply", make_gaussians())
-    monkeypatch.setattr("freeart21.files.gaussians.MAX_PLY_BYTES", 1000)
-    assert_refused("at most 1000 are read", read_gaussians, tmp_path / "a.ply")
 
 
 # ---------------------------------------------------------------- another program
@@ -267,18 +165,6 @@ def test_gsply_reads_what_we_write(tmp_path):
     assert np.exp(theirs.scales) == pytest.approx(given.scales, rel=1e-5)
     assert 1 / (1 + np.exp(-theirs.opacities)) == pytest.approx(given.opacities, abs=1e-6)
     assert theirs.sh0 * SH_0 + 0.5 == pytest.approx(given.colours, abs=1e-6)
-
-
-@needs_gsply
-def test_we_read_what_gsply_writes(tmp_path):
-    import gsply
-
-    given = make_gaussians()
-    write_gaussians(tmp_path / "a.ply", given)
-    gsply.plywrite(tmp_path / "b.ply", gsply.plyread(tmp_path / "a.ply"))
-    back = read_gaussians(tmp_path / "b.ply")
-    assert np.array_equal(back.means, given.means) and back.colours == pytest.approx(given.colours, abs=1e-6)
-    assert back.scales == pytest.approx(given.scales, rel=1e-5) and (back.part_weights == 1).all()
 
 
 # ---------------------------------------------------------------- in a result
@@ -301,3 +187,24 @@ def test_a_result_carries_its_appearance_and_is_replaced_with_it(tmp_path):
     assert_refused(r"gaussians\.ply is not a readable PLY file of Gaussians", read_result, results / name)
     write_result(results / name, truth_as_answer(truth))
     assert not (results / name / "gaussians.ply").exists() and read_result(results / name).appearance is None
+
+
+@settings(MUTATED, max_examples=300)
+@given(data=st.data())
+def test_no_bytes_do_more_than_raise_one_clear_line(tmp_path, data):
+    write_gaussians(tmp_path / "a.ply", make_gaussians(20))
+    (tmp_path / "a.ply").write_bytes(data.draw(mutated_bytes((tmp_path / "a.ply").read_bytes())))
+    line = reads_or_refuses(read_gaussians, tmp_path / "a.ply")
+    assert line.isprintable() and len(line) < 500
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "message"),
+    [("x", np.nan, "x of Gaussian 7 is nan"), ("part_weight", 1.5, "a part_weight is 1.5, expected 0")],
+)
+def test_numbers_that_are_none_are_named(tmp_path, column, value, message):
+    write_gaussians(tmp_path / "a.ply", make_gaussians())
+    columns = {name: values.copy() for name, values in table(tmp_path / "a.ply")[1].items()}
+    columns[column][7] = value
+    write_table(tmp_path / "a.ply", columns)
+    assert_refused(message, read_gaussians, tmp_path / "a.ply")

@@ -11,24 +11,18 @@ from test_surfaces import CAMERA, ROUND, shoot
 
 from freeart21 import se3
 from freeart21.recording import Frame, Recording
-from reconstruct.evidence import Evidence, sample_pixels
+from reconstruct.evidence import Evidence
 from reconstruct.kernels import HIDDEN
 from reconstruct.pipeline import reconstruct
 from reconstruct.scene import prepare_scene
 from reconstruct.settings import SceneSettings, SurfaceSettings
 from reconstruct.surfaces import fuse
 
-WALL = 3.0
-
 
 def hold(frame, before, known_depth=True):
     """`frame` with a hand in the pixels `before` (h, w), 2 cm nearer than the object; with or without a known depth."""
     depth = np.where(before, frame.depth[frame.mask].min() - 0.02 if known_depth else 0, frame.depth).astype(np.float32)
     return Frame(np.where(before[..., None], np.uint8(190), frame.rgb), depth, frame.mask & ~before)
-
-
-def before_wall(frame):
-    return replace(frame, depth=np.where(frame.mask, frame.depth, WALL).astype(np.float32))
 
 
 def filmed(frames, recording):
@@ -71,35 +65,6 @@ def test_a_pixel_behind_a_hand_says_nothing_against_a_motion(clip):
     assert covered.mean() > 0.1, "else the hand covers nothing"
     assert (costs[covered] <= HIDDEN + 1e-9).mean() > 0.98
     assert np.allclose(costs[~covered], untold[~covered], atol=HIDDEN)
-
-
-def test_before_a_hand_there_is_no_object(clip):
-    evidence, pixels, T = over_the_hand(clip, known_depth=True)
-    nearer = T.copy()
-    nearer[2, 3] -= 0.6 * evidence.scene.points[0][evidence.scene.valid[0]][:, 2].min()
-    assert evidence.costs(0, np.array([1]), nearer[None, None], pixels).mean() > 2 * HIDDEN
-
-
-def test_a_hand_does_not_draw_the_pose(clip):
-    offs = []
-    for known_depth in (True, False):
-        evidence, pixels, T = over_the_hand(clip, known_depth)
-        mask = np.zeros(evidence.scene.mask.shape[1:], bool)
-        mask[tuple(pixels.T)] = True
-        samples = {0: sample_pixels(evidence.usable_pixels(0, mask), 600, np.random.default_rng(0))}
-        H, g, stats = evidence.register(np.array([0]), np.array([1]), T[None], samples, 4.0)
-        offs.append((np.linalg.norm(np.linalg.solve(H[0] + 1e-6 * np.trace(H[0]) * np.eye(6), g[0])), stats[0, 3]))
-    (step, outside), (blind_step, blind_outside) = offs
-    assert outside < 0.1 * blind_outside and step < 0.2 * blind_step
-
-
-def test_a_wall_behind_changes_nothing(clip):
-    frames = list(clip.recording.frames())
-    free, walled = evidence_of(clip, frames), evidence_of(clip, [before_wall(f) for f in frames])
-    assert np.array_equal(free.scene.valid, walled.scene.valid) and (walled.scene.points[..., 2] < -2).any()
-    pixels, others = np.argwhere(free.scene.valid[0]), np.arange(1, 6)
-    T = (clip.Ts[others] @ se3.inverse(clip.Ts[0]))[:, None]
-    assert np.array_equal(free.costs(0, others, T, pixels), walled.costs(0, others, T, pixels))
 
 
 @pytest.mark.parametrize("known_depth", [True, False])

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from refusal import assert_refused
 
+from export import commands
 from export.joint_asset import JointNumbers, write_joint_asset
-from freeart21 import cli
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import find_movable_joint, read_asset
 from generator.simulate import load, roll_out
@@ -98,11 +98,11 @@ def test_numbers_that_cannot_be_are_refused_in_one_line(message: str, tmp_path: 
 
 def test_only_an_older_asset_of_a_few_numbers_is_replaced(tmp_path: Path, capsys: pytest.CaptureFixture):
     out = tmp_path / "lid.urdf"
-    cli.joint_asset(out, 0.3, length=0.1)
-    cli.joint_asset(out, 0.3, length=0.2)
+    commands.joint_asset(out, 0.3, length=0.1)
+    commands.joint_asset(out, 0.3, length=0.2)
     assert "-0.2" in out.read_text() and capsys.readouterr().out.split() == [str(out), str(out)]
     mine = '<robot name="mine"/>'
     out.write_text(mine)
-    assert_refused("lacks our mark", cli.joint_asset, out, 0.3, length=0.1)
+    assert_refused("lacks our mark", commands.joint_asset, out, 0.3, length=0.1)
     assert out.read_text() == mine
-    assert_refused("expected the name of a URDF file", cli.joint_asset, tmp_path / "lid", 0.3, length=0.1)
+    assert_refused("expected the name of a URDF file", commands.joint_asset, tmp_path / "lid", 0.3, length=0.1)

@@ -85,11 +85,3 @@ def test_the_command_says_how_to_make_a_sequence_of_something_else(tmp_path: Pat
     (tmp_path / "lid.r3d").write_bytes(b"")
     code, _, err = run_command(capsys, "look", tmp_path / "lid.r3d", "--out", tmp_path / "look.html")
     assert code == 1 and err.count("\n") == 1 and "freeart21 convert" in err and not (tmp_path / "look.html").exists()
-
-
-def test_quantised_depth_has_the_noise_of_its_step():
-    def coarse(i, f):
-        return replace(f, depth=np.round(f.depth / 0.02).astype(np.float32) * np.float32(0.02))
-
-    value = {f.what: f.value for f in look_at(video(coarse)).findings}["depth noise, pixel by pixel"]
-    assert value == "5.8 mm"  # 20 mm / sqrt(12)

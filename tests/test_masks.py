@@ -12,10 +12,8 @@ from command_line import run_command
 
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
-from freeart21.files.masks import write_masks
 from freeart21.recording import Frame, Recording
-from freeart21.view.masks_page import choose_frames
-from reconstruct.masks import Click, Foreground, Masks, MaskSettings, carry_masks, find_masks
+from reconstruct.masks import Click, Foreground, Masks, carry_masks, find_masks
 from reconstruct.segmenters import Prompt, Segmenter
 
 H, W, F = 120, 160, 140.0
@@ -73,31 +71,6 @@ def test_a_scene_in_which_nothing_moves_is_refused():
         find_masks(film(still=True))
 
 
-def test_an_object_without_any_depth_behind_is_found():
-    recording = film()
-
-    def load(i: int) -> Frame:
-        frame = recording.load(i)
-        return Frame(frame.rgb, np.where(frame.depth < 0.6, frame.depth, 0).astype(np.float32), frame.mask)
-
-    assert iou_of(find_masks(Recording(recording.camera, recording.times_s, load)).masks, recording) > 0.8
-
-
-def test_a_frame_that_lost_the_object_has_the_highest_doubt():
-    recording = film()
-
-    def load(i: int) -> Frame:
-        frame = recording.load(i)
-        if i != 7:
-            return frame
-        return Frame(frame.rgb, np.where(frame.depth < 0.6, 1.5, frame.depth).astype(np.float32), frame.mask)
-
-    found = find_masks(Recording(recording.camera, recording.times_s, load))
-    assert int(np.argmax(found.doubt)) in (6, 7, 8) and found.reasons[7]
-    assert found.doubt[7] > 2 * np.median(found.doubt)
-    assert set(choose_frames(found.doubt)[:2]) & {6, 7, 8}
-
-
 def test_two_clicks_part_a_wooden_object_from_the_hand():
     recording = film(paint=((150, 95, 60), (130, 80, 50)))  # the hues of skin
     foreground, where = Foreground(recording), np.stack([frame.mask for frame in recording.frames()])
@@ -120,12 +93,6 @@ def test_a_click_corrects_the_surface_around_it_in_other_frames():
     assert without[5, 37, at[5]] and not after[5, 37, at[5]] and not after[7, 37, at[7]]
     with pytest.raises(FreeArtError, match="not in the video"):
         foreground.masks([Click(99, 5, 5, True)])
-
-
-def test_weights_of_something_else_are_one_line(tmp_path: Path):
-    (tmp_path / "u2netp.onnx").write_bytes(b"no network")
-    with pytest.raises(FreeArtError, match="no ONNX network"):
-        find_masks(film(), MaskSettings(saliency=tmp_path / "u2netp.onnx"))
 
 
 def write_film(folder: Path, recording: Recording) -> Path:
@@ -152,18 +119,6 @@ def test_the_command_writes_what_convert_and_film_take(tmp_path: Path, capsys):
     (out / "mine.txt").write_text("kept")
     code, _, err = run_command(capsys, "masks", source, "--out", out)
     assert code == 1 and "mine.txt" in err and (out / "mine.txt").exists()
-
-
-def test_film_makes_its_masks_once(tmp_path: Path, capsys, monkeypatch):
-    source, out = write_film(tmp_path / "block", film(n=9)), tmp_path / "out"
-    code, shown, err = run_command(capsys, "film", source, "--out", out, "--masks", "auto")
-    assert (
-        code == 1 and "masks:" in shown and "bad   frames: 9" in shown and "--anyway" in err
-    )  # too short to be solved
-    assert (out / "masks" / "index.html").is_file()
-    write_masks(out / "masks", np.ones((9, H, W), bool), np.zeros(9), [""] * 9, [])
-    code, shown, _ = run_command(capsys, "film", source, "--out", out, "--masks", "auto")
-    assert "masks are doubtful" not in shown
 
 
 class Fixed(Segmenter):

@@ -1,13 +1,15 @@
 """Data of others: which clips there are, how a captured motion is cut; rows, reports and tables of all benchmarks."""
 
+import importlib
 import json
 import sys
 
 import numpy as np
+import pytest
 from refusal import assert_refused
 
 from benchmarks import outside, results
-from benchmarks.common import run_rows, run_within, write_report
+from benchmarks.common import ROOT, run_rows, run_within, write_report
 
 URDF = """<robot name="box"><link name="base"/><link name="lid"/><link name="drawer"/>
 <joint name="glue" type="fixed"><parent link="base"/><child link="drawer"/></joint>
@@ -53,23 +55,20 @@ def test_clips_follow_from_the_data_alone(tmp_path):
     )
 
 
-def count_and_answer(counter, x):
-    """A row that says `x`, or fails where it is negative; every call leaves a line in a file."""
-    with counter.open("a") as file:
-        file.write("called\n")
-    if x < 0:
-        raise ValueError("negative")
-    return {"x": x}
+@pytest.mark.parametrize("path", sorted((ROOT / "benchmarks").glob("*.py")), ids=lambda path: path.stem)
+def test_every_benchmark_is_imported_and_says_what_it_is(path):
+    if path.stem == "mujoco_sysid":
+        pytest.importorskip("absl", reason="mujoco[sysid]")
+    assert importlib.import_module(f"benchmarks.{path.stem}").__doc__
 
 
 def test_rows_are_made_once_each_apart_and_a_failed_one_again(tmp_path):
-    counter = tmp_path / "counter"
-    todo = {"good": ("key", count_and_answer, (counter, 1)), "bad": ("key", count_and_answer, (counter, -1))}
-    expected = {"good": {"x": 1}, "bad": {"crash": "ValueError: negative"}}
-    assert run_rows(tmp_path / "rows", todo) == run_rows(tmp_path / "rows", todo) == expected
-    assert len(counter.read_text().splitlines()) == 3
-    run_rows(tmp_path / "rows", {"good": ("another key", count_and_answer, (counter, 2))})
-    assert len(counter.read_text().splitlines()) == 4
+    todo = {"good": ("key", json.loads, ('{"x": 1}',)), "bad": ("key", json.loads, ("no",))}
+    found = run_rows(tmp_path, todo)
+    assert found["good"] == {"x": 1} and found["bad"]["crash"].startswith("JSONDecodeError: ")
+    todo = {"good": ("key", json.loads, ('{"x": 2}',)), "bad": ("key", json.loads, ("{}",))}
+    assert run_rows(tmp_path, todo) == {"good": {"x": 1}, "bad": {}}
+    assert run_rows(tmp_path, {"good": ("another key", *todo["good"][1:])})["good"] == {"x": 2}
 
 
 def test_a_report_says_what_it_was_measured_with_and_a_table_is_filled_from_it(tmp_path):

@@ -8,7 +8,6 @@ from reconstruct_clip import make_clip
 from test_reconstruct import GENTLE, QUIET, true_estimate
 
 from freeart21 import se3
-from reconstruct import part_swaps
 from reconstruct.part_swaps import undo_part_swaps
 
 FRAMES = 48
@@ -96,13 +95,6 @@ def test_an_exchanged_stretch_is_turned_back(name, first, last, clips):
     assert_same(found, as_named_by(found, true, r))
 
 
-@pytest.mark.parametrize("first, stays", [(24, True), (36, True), (12, False)])
-def test_the_shorter_side_changes_its_names(first, stays, clips):
-    evidence, true = clips["slide"]
-    found = undone(evidence, swap_parts(true, within(first), true.poses.states[first]))
-    assert np.array_equal(found.labels, true.labels) is stays
-
-
 @pytest.mark.parametrize("part", [0, 1])
 @pytest.mark.parametrize("first", [20, 28])
 @pytest.mark.parametrize("name", ["hinge", "slide"])
@@ -113,44 +105,9 @@ def test_a_hidden_part_is_no_obstacle(name, first, part, clips):
     assert_same(found, true)
 
 
-@pytest.mark.parametrize("first", [19, 22, 25, 29])
-def test_at_rest_it_does_not_matter_when_they_were_exchanged(first, resting):
-    evidence, true = resting
-    r = true.poses.states[REST.start]
-    found = undone(evidence, swap_parts(true, within(first), r))
-    true = as_named_by(found, true, r)
-    assert_same_poses(found.poses, true.poses)
-    moving = ~within(REST.start, REST.stop)
-    assert np.array_equal(found.labels[moving], true.labels[moving])
-
-
 @pytest.mark.parametrize("name", ["hinge", "slide"])
 def test_where_nothing_was_exchanged_nothing_is_turned(name, clips, resting):
     evidence, true = clips[name]
     assert undone(evidence, true) is true
     evidence, true = resting
     assert undone(evidence, true) is true
-
-
-def test_a_joint_that_never_moves_tells_nothing(clips):
-    evidence, true = clips["hinge"]
-    still = replace(true, poses=replace(true.poses, states=np.full(FRAMES, 0.3)))
-    assert undone(evidence, still) is still
-
-
-@pytest.mark.parametrize("views", [(), (0, 24, 47), tuple(range(0, FRAMES, 10))])
-def test_with_few_frames_that_show_both_parts_nothing_is_turned(views, clips):
-    evidence, true = clips["hinge"]
-    wrong = swap_parts(true, within(24), true.poses.states[24])
-    for part in range(2):
-        few = hidden(wrong, np.setdiff1d(np.arange(FRAMES), views), part)
-        assert undone(evidence, few) is few
-
-
-def test_without_similar_views_nothing_is_swapped(clips, monkeypatch):
-    evidence, true = clips["hinge"]
-    wrong = swap_parts(true, within(24), true.poses.states[24])
-    assert undone(evidence, wrong) is not wrong
-    assert undone(evidence, wrong, replace(QUIET.exchanges, most=0)) is wrong
-    monkeypatch.setattr(part_swaps, "MAX_TURN", 1e-4)
-    assert undone(evidence, wrong) is wrong

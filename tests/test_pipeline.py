@@ -5,32 +5,21 @@ import multiprocessing
 import os
 import shutil
 import signal
-import sys
 import time
-from dataclasses import fields, is_dataclass, replace
-from types import SimpleNamespace
-from typing import ClassVar, Literal, get_args, get_type_hints
+from dataclasses import fields, replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
 from reconstruct_clip import make_clip
 
-from benchmarks import solve as bench
 from freeart21 import stopping
-from freeart21.articulation import Articulation
-from freeart21.cli import reconstruct as command
-from freeart21.errors import FreeArtError
-from freeart21.files.sequence import read_sequence, write_sequence
+from freeart21.files.sequence import write_sequence
 from freeart21.gaussians import Gaussians
-from freeart21.help import command_help
-from freeart21.mesh import Mesh
-from freeart21.reconstruction import Failure, Reconstruction
-from leaderboard.rows import Row
+from freeart21.reconstruction import Reconstruction
 from reconstruct import VERSION, cache, pipeline
-from reconstruct.gaussians import gsplat_backend
-from reconstruct.gaussians.model import FAINT_COPY
+from reconstruct.commands import reconstruct as command
 from reconstruct.pipeline import reconstruct_folder, reconstruct_until
-from reconstruct.scene import prepare_scene
 from reconstruct.settings import GaussianSettings, ReconstructSettings
 from reconstruct.stages import CACHED_STAGES, STAGES, settings_used_by
 
@@ -112,21 +101,6 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(stop, left, sequence, whole, tm
     assert [path.name for path in tmp_path.iterdir()] == ["out"], "what was kept goes when the result is there"
 
 
-def test_a_result_that_cannot_be_written_costs_no_stage(sequence, finished, whole, tmp_path, monkeypatch):
-    out = tmp_path / "out"
-    shutil.copytree(cache.work_folder(finished), cache.work_folder(out))
-
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    with monkeypatch.context() as patch, pytest.raises(OSError, match="No space"):
-        patch.setattr(pipeline, "write_result", full)
-        reconstruct_folder(sequence, out, QUIET)
-    monkeypatch.setattr(pipeline, "prepare_scene", full)  # the video is not even looked at
-    reconstruct_folder(sequence, out, QUIET)
-    assert contents(out) == whole
-
-
 def _coloured(video, known, settings, rng):
     """Stands for the stage `gaussians`: some that nobody could find again without the same random numbers."""
     return replace(known, appearance=some_gaussians(rng))
@@ -193,33 +167,6 @@ def test_killed_in_the_gaussians_or_after_them_a_run_goes_on_to_the_same_ones(
         assert np.array_equal(getattr(found, f.name), getattr(whole, f.name)), f.name
 
 
-def test_the_answers_gaussians_stand_where_those_of_the_stage_did(sequence, coloured):
-    work, recording = cache.StageCache(sequence, coloured, QUIET), read_sequence(sequence)
-    known = cache._read_stage(work.path("poses"), "poses", work._keys["poses"]).state
-    poses = replace(known.estimate.poses, states=known.estimate.poses.states + 0.3)  # a state zero far from frame 0's
-    nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3)))
-    estimate, articulation = replace(known.estimate, poses=poses), Articulation(poses.joint, nothing, nothing)
-    scene = prepare_scene(recording, QUIET.scene)
-    answer = pipeline._to_canonical_frame(articulation, replace(known, estimate=estimate), scene, recording)
-    for q, state in zip(poses.states, answer.states, strict=True):
-        expected = render_picture(known.appearance, poses.joint.transform(q), known.free_poses[0].Ts[0])
-        found = render_picture(answer.appearance, answer.articulation.joint.transform(state), np.eye(4))
-        assert expected.shape == found.shape and np.allclose(found, expected, atol=1e-5)
-
-
-def render_picture(gaussians, motion, T):
-    """(M, 17) what a rasteriser draws under a motion of the joint, then `T`; what is too faint for it left out."""
-    found = []
-    for weights, moved in (
-        (gaussians.part_weights, gaussians.moved(T)),
-        (1 - gaussians.part_weights, gaussians.moved(T @ motion)),
-    ):
-        opacities = gaussians.opacities * weights
-        columns = [opacities[:, None], moved.means, moved.quaternions, moved.scales, moved.colours, moved.normals]
-        found.append(np.concatenate(columns, 1)[opacities > FAINT_COPY])
-    return np.concatenate(found)
-
-
 def test_until_stops_keeps_and_goes_on(sequence, whole, tmp_path, monkeypatch, capsys):
     out = tmp_path / "ours" / "hinge-s0"
     assert command(sequence, out, until="joint", settings=QUIET) == 0
@@ -235,15 +182,6 @@ def test_until_stops_keeps_and_goes_on(sequence, whole, tmp_path, monkeypatch, c
     assert contents(out) == whole
 
 
-def test_a_hopeless_video_fails_with_until_too(tmp_path):
-    write_sequence(tmp_path / "rigid", make_clip("rigid", 10, (120, 90), spin=0.2).recording, 2e-5)
-    with pytest.raises(FreeArtError, match="no stage 'tracks' to stop after; expected one of segmentation, joint, "):
-        reconstruct_until(tmp_path / "rigid", tmp_path / "out", "tracks", QUIET)
-    found = reconstruct_until(tmp_path / "rigid", tmp_path / "out", "poses", QUIET)
-    assert isinstance(found, Failure) and found.stage == "segmentation"
-    assert not (tmp_path / "out").exists() and not cache.work_folder(tmp_path / "out").exists()
-
-
 def test_interrupted_the_command_says_what_is_kept(sequence, tmp_path, monkeypatch):
     monkeypatch.setattr(stopping, "_hints", [])
     Calls(monkeypatch, "bridge_gaps")
@@ -257,28 +195,6 @@ def test_interrupted_the_command_says_what_is_kept(sequence, tmp_path, monkeypat
 
 
 # ---- the table of stages -------------------------------------------------------------------------------------------
-
-
-def test_command_line_pipeline_and_cache_know_the_stages_of_the_table(tmp_path):
-    assert len({stage.name for stage in STAGES}) == len(STAGES)
-    assert set(pipeline._SOLVERS) == set(CACHED_STAGES)
-    until = get_type_hints(command)["until"]
-    assert get_args(until) == (Literal[CACHED_STAGES], type(None))
-    lines = " ".join(command_help("reconstruct", command).split())
-    assert f"--until {'|'.join(CACHED_STAGES)} " in lines
-    assert [stage.name for stage in STAGES if stage.cached and f"{stage.name}: {stage.description}." not in lines] == []
-
-
-def test_every_group_of_settings_counts_from_one_stage_on():
-    groups = QUIET.to_json()
-    named = [group for stage in STAGES for group in stage.first_used_settings]
-    assert len(set(named)) == len(named) and set(named) <= set(groups)
-    assert set(settings_used_by(CACHED_STAGES[-1], groups)) == set(groups) - {"renders"}, (
-        "the last kept stage depends on all but one"
-    )
-    assert "a new group" in settings_used_by(CACHED_STAGES[0], {"a new group": {}}), (
-        "and on nothing that nobody thought of too late"
-    )
 
 
 class Watched(ReconstructSettings):
@@ -328,52 +244,6 @@ def test_changed_settings_are_solved_again_from_the_first_stage_that_uses_them(
     assert contents(out) == contents(tmp_path / "fresh")
 
 
-def test_keys_change_with_what_a_stage_depends_on_and_nothing_else(sequence, tmp_path, monkeypatch):
-    def changed(settings=QUIET, folder=sequence):
-        now = cache.stage_keys(folder, settings)
-        return [stage for stage in CACHED_STAGES if now[stage] != before[stage]]
-
-    geometry = replace(QUIET, gaussians=replace(QUIET.gaussians, refine=False))
-    on_the_processor = replace(QUIET, gaussians=replace(QUIET.gaussians, backend="numba"))
-    before = cache.stage_keys(sequence, QUIET)
-    assert len(set(before.values())) == len(before)
-    assert changed(replace(QUIET, progress=True)) == []
-    from_joint = ["joint", "gaussians", "poses", "surfaces"]
-    assert changed(replace(QUIET, gaps=replace(QUIET.gaps, shortest_gap=3))) == from_joint
-    assert changed(replace(QUIET, exchanges=replace(QUIET.exchanges, most=3))) == from_joint
-    assert changed(geometry) == ["gaussians", "poses", "surfaces"]
-    assert changed(replace(QUIET, surfaces=replace(QUIET.surfaces, voxel=2.0))) == ["gaussians", "poses", "surfaces"]
-    with monkeypatch.context() as patch:
-        patch.setattr(cache, "_describe_renderer", lambda: ["1.5.3", "2.9.0", "Some GPU"])
-        assert changed() == ["gaussians", "poses", "surfaces"]
-        on_a_gpu = [cache.stage_keys(sequence, s) for s in (geometry, on_the_processor)]
-    assert on_a_gpu == [cache.stage_keys(sequence, s) for s in (geometry, on_the_processor)]
-    assert changed(replace(QUIET, renders="video")) == []
-    others = {"progress", "exchanges", "gaps", "gaussians", "surfaces", "renders", "given_poses"}
-    for name in set(QUIET.to_json()) - others:
-        group = getattr(QUIET, name)
-        other = replace(group, **{fields(group)[0].name: 12345}) if is_dataclass(group) else 12345
-        assert changed(replace(QUIET, **{name: other})) == list(CACHED_STAGES), name
-    write_sequence(tmp_path / "a", make_clip("hinge", 10, (120, 90), spin=0.2).recording, 2e-5)
-    assert changed(folder=tmp_path / "a") == [], "held-out views and the folder's name do not count"
-    depth = tmp_path / "a" / "depth" / "00004.png"
-    data = bytearray(depth.read_bytes())
-    data[-20] ^= 1
-    depth.write_bytes(data)
-    assert changed(folder=tmp_path / "a") == list(CACHED_STAGES)
-    monkeypatch.setattr(cache, "VERSION", "0")
-    assert changed() == list(CACHED_STAGES)
-
-
-@pytest.mark.parametrize("lack", [None, "torch is not installed"])
-def test_where_gsplat_draws_keys_name_it_and_the_gpu(lack, monkeypatch):
-    cuda = SimpleNamespace(get_device_name=lambda: "Some GPU")
-    monkeypatch.setitem(sys.modules, "torch", SimpleNamespace(__version__="2.9.0", cuda=cuda))
-    monkeypatch.setattr(gsplat_backend, "missing_requirement", lambda: lack)
-    monkeypatch.setattr(cache.metadata, "version", {"gsplat": "1.5.3"}.__getitem__)
-    assert cache._describe_renderer.__wrapped__() == (["1.5.3", "2.9.0", "Some GPU"] if lack is None else [])
-
-
 @pytest.mark.parametrize("harm", ["cut", "bit", "garbled", "text"])
 def test_a_damaged_stage_is_one_line_and_solved_again(harm, sequence, finished, tmp_path, monkeypatch, capsys):
     out, whole = tmp_path / "out", contents(finished)
@@ -394,80 +264,3 @@ def test_a_damaged_stage_is_one_line_and_solved_again(harm, sequence, finished, 
     found = contents(out)
     assert found.pop("prediction.json")["states"] == whole["prediction.json"]["states"]
     assert found == {name: data for name, data in whole.items() if name != "prediction.json"}
-
-
-def test_the_code_digest_sees_code_alone(tmp_path):
-    def digest(text):
-        (tmp_path / "a.py").write_text(text)
-        return cache.code_digest(tmp_path)
-
-    plain = digest("x: int = 1\ndef f(a):\n    return a + 1\n")
-    assert (
-        digest('"""Doc."""\nx: int = 1  # why\n"""Of x."""\n\n\ndef f( a ):\n    """Doc."""\n    return (a+1)\n')
-        == plain
-    )
-    for text in ("x: int = 1\ndef f(a):\n    return a + 2\n", "x: int = 1\ndef f(a):\n    return a - 1\n"):
-        assert digest(text) != plain
-    assert digest("x: int = 1\ndef f(b):\n    return b + 1\n") != plain
-    assert digest("x: int = 1\ndef f(a):\n    'text'\n    return a + 1\n") == plain
-
-
-# ---- the benchmark -------------------------------------------------------------------------------------------------
-
-
-def outcome(name, kind, seconds, peak, status="ok", **values):
-    """A hand-made outcome."""
-    own = {"joint_type": 1.0, "axis": 0.0, "position": 0.0, "state": 0.0, "miou": 1.0, "chamfer_w": 0.0}
-    every = dict.fromkeys((m.id for m in bench.protocol_named(bench.PROTOCOL).metrics), 0.0)
-    every |= {"psnr": None, "ssim": None, "chamfer_m": 0.0, **own, **values}
-    if kind == "prismatic":
-        every["position"] = None
-    row = Row(name, kind, status, "", "asset", False, 0.5, every, {}, ("a note",))
-    return bench.Outcome("stapler", "wave", row, {"tracks": 1.0, "joint": seconds - 1.0}, peak, "abc", {})
-
-
-def test_summary_counts_means_and_failures():
-    rows = [
-        outcome("a", "revolute", 100, 1.5, axis=0.5, position=0.2, state=1.0, miou=0.9, chamfer_w=0.4, chamfer_m=1.0),
-        outcome("b", "revolute", 200, 2.5, axis=11.5, position=0.4, state=3.0, miou=0.8, chamfer_w=0.6, chamfer_m=3.0),
-        outcome("c", "prismatic", 300, 2.0, axis=3.0, state=0.25, miou=0.5, chamfer_w=0.2, chamfer_m=2.0),
-        replace(outcome("d", "prismatic", 1, None, "failed", joint_type=0.0, axis=90.0, state=7.75), seconds={}),
-    ]
-    found = bench.summary(rows)
-    assert found == {
-        "n": 4,
-        "type_right": 3,
-        "failures": 3,
-        "axis_deg_mean": pytest.approx(26.25),
-        "axis_deg_worst": 90.0,
-        "position_pct_mean": pytest.approx(0.3),
-        "state_deg_mean": pytest.approx(2.0),
-        "state_pct_mean": pytest.approx(4.0),
-        "miou_mean": pytest.approx(0.8),
-        "chamfer_w_pct_mean": pytest.approx(0.3),
-        "chamfer_m_pct_mean": pytest.approx(1.5),
-        "psnr_db_mean": None,
-        "psnr_db_worst": None,
-        "seconds_mean": pytest.approx(200.0),
-        "peak_gb": 2.5,
-    }
-    groups = bench.by_type(rows)
-    assert groups["revolute"]["axis"]["std"] == pytest.approx(11 / np.sqrt(2)), "n - 1 below the line"
-    assert groups["prismatic"]["n"] == 2 and "position" not in groups["prismatic"]
-    assert [o.row.sequence for o in bench.worst_first(rows)] == ["d", "b", "c", "a"]
-    reach = next(goal.reach for goal in bench.GOALS if (goal.metric, goal.group) == ("state", "revolute"))
-    assert bench.badness(rows[0].row) == (pytest.approx(1.0 / reach), "state")
-
-
-@pytest.mark.parametrize(
-    "values, fails",
-    [
-        ({"axis": 10.0, "miou": 0.6}, False),
-        ({"axis": 10.01}, True),
-        ({"miou": 0.59}, True),
-        ({"joint_type": 0.0}, True),
-        ({"status": "missing"}, True),
-    ],
-)
-def test_what_counts_as_a_failure(values, fails):
-    assert bench.has_failed(outcome("a", "revolute", 2, 1.0, **values).row) is fails

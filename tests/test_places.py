@@ -19,7 +19,9 @@ from refusal import assert_refused
 from stopped_commands import stop
 from synthetic_case import make_recording, make_truth, truth_as_answer
 
+from export.commands import export
 from freeart21 import cli
+from freeart21.commands import view
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, places
 from freeart21.files.benchmark import write_benchmark
@@ -27,11 +29,13 @@ from freeart21.files.lock import only_writer
 from freeart21.files.result import Method, write_own_method, write_result
 from freeart21.files.sequence import write_sequence
 from freeart21.files.truth import write_truth
-from freeart21.files.verify import verify
 from freeart21.reconstruction import Failure
-from generator import dataset
+from generator.commands import RecordOptions, convert, record
+from generator.settings import RecordSettings
 from leaderboard import commands
+from reconstruct.commands import reconstruct
 from reconstruct.settings import ReconstructSettings
+from simgap.commands import gap, replay
 
 QUIET = ReconstructSettings(progress=False)
 
@@ -73,14 +77,14 @@ def untouched(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 COMMANDS: dict[str, Callable[[Path, Path], object]] = {
     "demo": lambda home, out: cli.demo(out=out),
-    "record": lambda home, out: cli.record(("stapler",), out),
-    "reconstruct": lambda home, out: cli.reconstruct(home / "data/sequences/a", out, settings=QUIET),
-    "export": lambda home, out: cli.export(home / "results/ours/a", out),
-    "gap": lambda home, out: cli.gap(home / "data", home / "results", out),
-    "replay": lambda home, out: cli.replay(home / "data", (home / "results",), out),
+    "record": lambda home, out: record(RecordOptions(("stapler",), out)),
+    "reconstruct": lambda home, out: reconstruct(home / "data/sequences/a", out, settings=QUIET),
+    "export": lambda home, out: export(home / "results/ours/a", out),
+    "gap": lambda home, out: gap(home / "data", home / "results", out),
+    "replay": lambda home, out: replay(home / "data", (home / "results",), out),
     "measure": lambda home, out: cli.measure((home / "data/truth/a",), out),
-    "convert": lambda home, out: cli.convert(home / "data/sequences/a", out, "official"),
-    "view": lambda home, out: cli.view(home / "results/ours/a", out),
+    "convert": lambda home, out: convert(home / "data/sequences/a", out, "official"),
+    "view": lambda home, out: view(home / "results/ours/a", out),
     "score": lambda home, out: commands.score(home / "results/ours", home / "data", out=out),
 }
 FILES = ("view", "score")
@@ -125,14 +129,6 @@ def test_nothing_is_written_over_around_or_into_what_is_read(untouched: Path, co
     assert bytes_of(untouched) == before
 
 
-def test_nothing_is_written_into_a_folder_that_is_read_whatever_it_holds(tmp_path: Path) -> None:
-    places.check_place(tmp_path / "out", None, [tmp_path / "in"])
-    (tmp_path / "in").mkdir()
-    with pytest.raises(FreeArtError, match="lies in .*in, which would be read"):
-        places.check_place(tmp_path / "in" / "sub" / "out", None, [tmp_path / "in"])
-    places.check_place(tmp_path / "in" / "sub" / "out", None, [tmp_path / "in"], into=tmp_path / "in")
-
-
 def test_a_folder_that_may_not_be_written_is_one_line(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shut = home / "shut"
     shut.mkdir()
@@ -146,7 +142,7 @@ def test_a_folder_that_may_not_be_written_is_one_line(home: Path, monkeypatch: p
 def test_an_older_result_is_replaced_with_its_asset(home: Path) -> None:
     result = home / "results" / "ours" / "a"
     (result / "asset" / "meshes").mkdir(parents=True)
-    (result / "asset" / "asset.json").write_text("{}")
+    atomic.write_json(result / "asset" / "asset.json", {"files": ["meshes/moving_hull_00.obj"]})
     (result / "asset" / "meshes" / "moving_hull_00.obj").write_text("")
     write_result(result, Failure("tracks", "too dark"))
     assert [path.name for path in result.iterdir()] == ["prediction.json"]
@@ -160,7 +156,7 @@ def test_an_older_result_that_holds_something_of_the_users_is_kept(home: Path, n
     (result / notes).write_text("mine")
     before = bytes_of(home)
     with pytest.raises(FreeArtError, match=f"older result, but {notes} in it would be lost"):
-        cli.reconstruct(home / "data/sequences/a", result, settings=QUIET)
+        reconstruct(home / "data/sequences/a", result, settings=QUIET)
     assert bytes_of(home) == before
 
 
@@ -264,83 +260,22 @@ def test_what_a_killed_writer_left_is_cleared_up_and_the_old_folder_gets_its_nam
     assert sorted(path.name for path in result.parent.iterdir()) == [".a.b.0123abcd.part", "a"]
 
 
-def test_an_old_folder_comes_back_when_the_new_one_cannot_take_its_name(
-    home: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    result = home / "results" / "ours" / "a"
-    before, rename = bytes_of(home), Path.replace
-
-    def failing(self: Path, target: Path) -> Path:
-        if self.name.endswith(atomic.PART_SUFFIX) and Path(target) == result:
-            raise KeyboardInterrupt
-        return rename(self, target)
-
-    monkeypatch.setattr(Path, "replace", failing)
-    with pytest.raises(KeyboardInterrupt):
-        write_result(result, Failure("tracks", "too dark"))
-    assert bytes_of(home) == before
-
-
 # --- unfinished, and faults of our own --------------------------------------------------------------------------------
-
-
-def unfinished(folder: Path) -> Path:
-    """A data folder as a stopped recorder leaves it: one of two sequences is done."""
-    work = folder / ".recording"
-    work.mkdir(parents=True)
-    jobs = [{"sequence": "a"}, {"sequence": "b"}]
-    atomic.write_json(work / "job.json", {"schema": "freeart21/recording-job/1", "jobs": jobs})
-    write_sequence(folder / "sequences" / "a", make_recording(make_truth(), "a"), 1e-4)
-    return folder
-
-
-@pytest.mark.parametrize("look", ["verify", "view", "score"])
-def test_an_unfinished_recording_is_called_so_with_how_to_go_on(home: Path, look: str) -> None:
-    data = unfinished(home / "half")
-    with pytest.raises(
-        FreeArtError, match=r"half is an unfinished recording \(1 of 2 sequences are done\): .* goes on"
-    ):
-        if look == "verify":
-            verify(data)
-        elif look == "view":
-            cli.view(data, home / "page.html")
-        else:
-            commands.score(home / "results/ours", data)
-
-
-def test_a_fault_of_the_recorders_own_leaves_the_folder_as_it_was(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def broken(*_: object) -> None:
-        raise TypeError("a fault of ours")
-
-    monkeypatch.setattr(dataset, "require_rendering", lambda: None)
-    monkeypatch.setattr(dataset, "record_object", broken)
-    with pytest.raises(TypeError):
-        dataset.record_jobs(tmp_path / "data", dataset.plan_jobs(["stapler"], dataset.RecordSettings(frames=2)))
-    assert not (tmp_path / "data").exists()
 
 
 @pytest.mark.parametrize(
     "changes, message",
     [
-        ({"width": 100_000}, "100000 x 360; expected at most 16384 a side"),
-        ({"width": 16384, "height": 16384}, "16777216 pixels"),
+        ({"settings": RecordSettings(width=100_000)}, "100000 x 360; expected at most 16384 a side"),
         ({"frames": 10**9}, "expected at most 100000 each"),
-        ({"queries": 10**9}, "expected at most 100000 each"),
         ({"workers": 10**6}, "expected 1 to 64"),
         ({"procedural": "stapler", "names": (), "count": 10**9}, "expected 1 to 1000"),
     ],
 )
 def test_settings_beyond_all_bounds_are_one_line(tmp_path: Path, changes: dict[str, object], message: str) -> None:
     with pytest.raises(FreeArtError, match=message):
-        cli.record(**{"names": ("stapler",), "out": tmp_path / "data", **changes})  # type: ignore[arg-type]
+        record(RecordOptions(**{"names": ("stapler",), "out": tmp_path / "data", **changes}))  # type: ignore[arg-type]
     assert not (tmp_path / "data").exists()
-
-
-def test_a_demo_that_cannot_be_recorded_says_nothing_else(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert_refused("cannot record 0 frames", cli.demo, out=tmp_path / "demo", frames=0)
-    assert capsys.readouterr().out == "" and not list(tmp_path.iterdir())
 
 
 ENDING = "from freeart21.ending import report_errors\nwith report_errors():\n    "
@@ -370,6 +305,7 @@ def test_whatever_happens_is_one_line(code: str, status: int, message: str) -> N
 NATIVE = """
 import os, signal, sys
 from freeart21 import __main__, cli
+from freeart21.commands import view
 from freeart21.errors import FreeArtError
 class Renderer:
     def __del__(self):
@@ -399,13 +335,6 @@ def test_a_command_ends_before_native_libraries_are_taken_down(code: str, status
     assert done.returncode == status, done.stderr
     assert done.stderr.startswith(message) and len(done.stderr.splitlines()) == bool(message)
     assert done.stdout == "the output\n"
-
-
-def test_output_that_cannot_be_written_is_said() -> None:
-    with Path("/dev/full").open("w") as full:
-        done = run_python("-c", NATIVE.format(code="pass"), stdout=full)
-    assert done.returncode == 1 and len(done.stderr.splitlines()) == 1
-    assert done.stderr.endswith("No space left on device\n")
 
 
 # --- stop signals -----------------------------------------------------------------------------------------------------

@@ -10,12 +10,9 @@ from test_reconstruct import QUIET, true_estimate
 from test_recovery import SIZE, partial_propagation, without
 
 from freeart21 import se3
-from freeart21.files.sequence import write_sequence
-from reconstruct.cache import stage_keys
-from reconstruct.pipeline import reconstruct
 from reconstruct.pose_sources import find_poses
 from reconstruct.segmentation import add_frames
-from reconstruct.settings import GivenPosesSettings, ReconstructSettings
+from reconstruct.settings import GivenPosesSettings
 from reconstruct.trackers.dis import Dis
 
 FRAMES, HIDDEN = 22, slice(10, 18)
@@ -70,18 +67,6 @@ def test_an_object_that_was_hidden_is_found_again_by_given_poses(hidden, tmp_pat
     assert turn["bundlesdf"] < 5 < 40 < turn["tracked"], turn
 
 
-def test_the_answer_with_given_poses_is_as_good_as_without(tmp_path):
-    clip = make_clip("hinge", 16, size=SIZE, spin=0.1)
-    write_run(tmp_path / "a", clip)
-    write_run(tmp_path / "b", clip, moving=True)
-    off = []
-    for given in (GivenPosesSettings(), GivenPosesSettings("bundlesdf", str(tmp_path))):
-        result = reconstruct(clip.recording, replace(QUIET, given_poses=given))
-        error = np.abs(np.abs(result.states) - np.abs(clip.states - clip.states[0])) / np.ptp(clip.states)
-        off.append(error.max())
-    assert off[1] < max(1.2 * off[0], 0.005), off
-
-
 def test_poses_are_checked(hidden, tmp_path):
     clip, evidence, _ = hidden
     scene = evidence.scene
@@ -111,18 +96,3 @@ def test_poses_are_checked(hidden, tmp_path):
     )
     for folder in ("", str(tmp_path / "none"), str(tmp_path)):
         assert_refused("runs of BundleSDF, expected 1 or 2", find_poses, scene, GivenPosesSettings("bundlesdf", folder))
-
-
-def test_given_poses_are_part_of_the_key_of_cached_stages(hidden, tmp_path):
-    clip = hidden[0]
-    write_sequence(tmp_path / "s", clip.recording, 0.001)
-
-    def keys(given):
-        return stage_keys(tmp_path / "s", replace(ReconstructSettings(), given_poses=given))["segmentation"]
-
-    given, copy = write_run(tmp_path / "a" / "run", clip), write_run(tmp_path / "b" / "run", clip)
-    own = keys(GivenPosesSettings())
-    assert keys(given) == keys(copy) != own == keys(GivenPosesSettings("tracked", "anywhere"))
-    file = tmp_path / "b" / "run" / "ob_in_cam" / "00003.txt"
-    file.write_text(file.read_text() + "\n")
-    assert keys(copy) != keys(given)

@@ -76,13 +76,3 @@ def test_reliable_frames_are_not_replaced(films):
     propagation.costs[STRETCH] = 2.0  # seems lost, yet no new segmentation fits better
     assert not _resegment(propagation, STRETCH, RNG(0))
     assert np.array_equal(propagation.Ts, Ts) and np.array_equal(propagation.labels, labels)
-
-
-def test_a_few_costly_frames_are_no_stretch(films):
-    propagation = lost_propagation(films["hinge"], np.eye(3), 0.0, False)
-    propagation.costs[:] = 0.1
-    propagation.costs[3:9] = 5.0
-    assert find_lost_stretches(propagation) == []
-    propagation.costs[[3, 4, 5, 8, 9, 10, 14, 15, 16]] = 5.0  # some better ones in between
-    (stretch,) = find_lost_stretches(propagation)
-    assert stretch[0] == 3 and stretch[-1] == 16

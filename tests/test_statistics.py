@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import html
 import re
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from freeart21.recording import Recording
 from freeart21.statistics import motion_statistics
 from freeart21.truth import Truth
 from freeart21.view import page
-from freeart21.view.data_page import motion_section, summary_rows
+from freeart21.view.data_page import summary_rows
 
 N = 40
 STEPS = np.repeat(["pose", "joint", "both", "none"], [10, 11, 12, 6])
@@ -102,42 +101,8 @@ def test_the_page_of_a_data_folder_tells_all_of_it(tmp_path: Path) -> None:
     assert "2 sequences" in text and "80 frames" in text and "2 of 2 (100%)" in text
     assert "&lt;toy&gt;" in text and "<toy>" not in text
     assert not re.search(r'(src|href)="(?!data:|#)', text) and text.count("data:image/jpeg") == 2
-    cells = re.findall(r'data-value="([^"]*)"', text)
-    assert len(cells) == 2 * 17 and html.unescape(cells[1]) == "tumble"
     rows = dict(summary_rows([motion_statistics(make_recording(_known()), _known())]))
     assert rows["Hard: under 5 % in 15 % of the frames"] == "1 of 1 (100%)"
-
-
-def _captured(truth: Truth, device: str = "motion <capture>") -> Truth:
-    take = {"name": "a.npy", "device": device, "sha256": "0"}
-    return dataclasses.replace(truth, source={**truth.source, "motion": "track", "track": take})
-
-
-def test_sources_of_motion_stand_one_below_the_other_scripted_ones_first(tmp_path: Path) -> None:
-    known = _known()
-    takes = [_captured(known, device) for device in ("a mouse", "motion <capture>", "motion <capture>")]
-    inspected = dataclasses.replace(known, source={**known.source, "motion": "inspect"})
-    found = [motion_statistics(make_recording(t), t) for t in (*takes, known, inspected)]
-    text = motion_section(found).html
-    titles = [" ".join(re.sub("<.*?>", "", t).split()) for t in re.findall(r"<h3>(.*?)</h3>", text)]
-    assert titles == [
-        "inspect scripted, 1 sequence, 40 frames",
-        "tumble scripted, 1 sequence, 40 frames",
-        "a mouse recorded, 1 sequence, 40 frames",
-        "motion &lt;capture&gt; recorded, 2 sequences, 80 frames",
-    ]
-    rows = re.findall(r"<article>.*?</article>", text, re.S)
-    assert all(row.count("<figure>") == 2 for row in rows)
-    axes = [re.findall(r'<text[^>]*>[^<]*</text>|<line class="grid"[^>]*>', row) for row in rows]
-    assert axes[0] and all(a == axes[0] for a in axes), "same axes in every row"
-    assert len({row.split("<h3>")[1].split("</h3>")[1] for row in rows[:3]}) == 1, "the same motion looks the same"
-
-
-def test_figures_of_a_source_are_those_of_its_motion() -> None:
-    s = motion_statistics(make_recording(_known()), _known())
-    assert s.max_degrees == pytest.approx(2.5)
-    text = re.sub("<.*?>", " ", motion_section([s]).html)
-    assert "median 2.50°, largest 2.5°" in text and "object at rest  44%" in text and "joint at rest  41%" in text
 
 
 def test_a_folder_without_truths_is_one_line(tmp_path: Path) -> None:

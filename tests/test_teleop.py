@@ -22,16 +22,17 @@ from hypothesis import strategies as st
 from refusal import assert_refused
 from teleop_case import BOUNDS, START, TOKEN, a_move, in_a_loop, page, served, started
 
-from freeart21 import child, cli, se3
+from freeart21 import child, se3
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files.take import read_take, write_take
-from generator.motion.body import UPRIGHT, Body
+from generator.commands import teleop
+from generator.motion.body import UPRIGHT
+from generator.object_source import find_object
 from generator.scene import Scene
-from generator.session import RecordSettings, catalog_entry, load_object
+from generator.settings import RecordSettings
 from generator.teleop import gate, server, stage_process, wire
 from generator.teleop.driving import GAP_S, STEP_S, UNDO_S, Driving, Placement
-from generator.teleop.limits import FILL, Workspace
 from generator.teleop.stage import Stage
 from generator.teleop.takes import Takes
 
@@ -214,20 +215,8 @@ def test_a_full_disk_leaves_whole_lines_and_a_take_that_is_saved_when_there_is_r
 # --- the object and its picture ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["swivel_usb", "drawer_unit"])
-def test_an_object_begins_in_the_middle_and_large(name: str, tmp_path: Path) -> None:
-    loaded = load_object(catalog_entry(name, RecordSettings()), RecordSettings(), tmp_path)
-    body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
-    camera = Camera.from_fov(640, 360, np.radians(40))
-    room = Workspace.of(body, camera)
-    uv = camera.project(se3.transform(room.T_start, body.points(np.array([room.state]))[0]))
-    assert np.abs((uv.max(0) + uv.min(0)) / 2 - [320, 180]).max() < 3
-    assert np.ptp(uv[:, 1]) / 360 == pytest.approx(FILL, abs=0.06) or np.ptp(uv[:, 0]) > 0.9 * 640
-    assert room.nearest <= se3.transform(room.T_start, room.centre[None])[0, 2] <= room.farthest
-
-
 def test_the_live_shader_shows_the_recorder_s_colours(tmp_path: Path) -> None:
-    loaded = load_object(catalog_entry("stapler", RecordSettings()), RecordSettings(), tmp_path)
+    loaded = find_object("stapler", RecordSettings()).load(tmp_path)
     camera = Camera.from_fov(96, 54, np.radians(40))
     T = se3.pose(se3.exp_so3([0.4, 0.5, -0.2]) @ UPRIGHT, [0.0, 0.0, 0.3])
     pictures = []
@@ -428,14 +417,14 @@ async def test_idle_connections_end_and_cost_no_take(tmp_path: Path, monkeypatch
 def test_what_cannot_be_done_is_said_in_a_line_before_anything_starts(tmp_path: Path) -> None:
     there, out = tmp_path / "take.jsonl", tmp_path / "t.jsonl"
     there.write_text("mine")
-    assert_refused("exists", cli.teleop, "stapler", there)
-    assert_refused("port", cli.teleop, "stapler", out, port=99999)
-    assert_refused("64 to 1280", cli.teleop, "stapler", out, width=9)
-    assert_refused("unknown object", cli.teleop, "nothing", out)
-    assert_refused("--cert FILE and --key FILE", cli.teleop, "stapler", out, host="0.0.0.0")
-    assert_refused("cannot use the certificate", cli.teleop, "stapler", out, cert=there, key=there)
+    assert_refused("exists", teleop, "stapler", there)
+    assert_refused("port", teleop, "stapler", out, port=99999)
+    assert_refused("64 to 1280", teleop, "stapler", out, width=9)
+    assert_refused("unknown object", teleop, "nothing", out)
+    assert_refused("--cert FILE and --key FILE", teleop, "stapler", out, host="0.0.0.0")
+    assert_refused("cannot use the certificate", teleop, "stapler", out, cert=there, key=there)
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        assert_refused("--port", cli.teleop, "stapler", out, port=taken.getsockname()[1])
+        assert_refused("--port", teleop, "stapler", out, port=taken.getsockname()[1])
     assert there.read_text() == "mine" and [p.name for p in tmp_path.iterdir()] == ["take.jsonl"]
 
 

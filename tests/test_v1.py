@@ -29,12 +29,6 @@ def test_both_splits_have_the_same_objects_and_every_category_every_style() -> N
     assert len({e.sequence for e in EVERY}) == 42
 
 
-def test_names_of_the_test_split_tell_nothing() -> None:
-    for e in v1.entries("test"):
-        category = catalog.find(e.object).category.lower()
-        assert not any(word in e.sequence for word in (*e.object.split("_"), category, e.motion))
-
-
 def test_jobs_take_seed_and_motion_from_the_table_and_the_rest_from_the_settings() -> None:
     jobs = v1.jobs("test", RecordSettings(sensor="tof", seed=5, motion="release"))
     assert {job.settings.sensor for job in jobs} == {"tof"} and {job.settings.seed for job in jobs} == {42}

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from freeart21.camera_faults import CameraFaults
-from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.json_record import read_record
 
@@ -29,7 +28,5 @@ def read_camera_faults(path: Path) -> CameraFaults:
     """The faults in a file; FreeArtError names a field that is unknown, no number or out of bounds."""
     data = checked.read_json(path, SCHEMA, checked.ANYWHERE)
     del data["schema"]
-    try:
+    with checked.naming(path):
         return read_record(CameraFaults, data, "camera faults")
-    except FreeArtError as error:
-        raise FreeArtError(f"{path}: {error}") from error

@@ -19,7 +19,8 @@ import stat
 import struct
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path
 from typing import IO, Any, TypeGuard, cast
@@ -256,6 +257,15 @@ def text(data: dict[str, Any], key: str, path: Path) -> str:
     if not isinstance(value, str):
         raise FreeArtError(f"{path}: '{key}' is {str(value)[:60]}, expected text")
     return value
+
+
+@contextmanager
+def naming(where: Path | str) -> Iterator[None]:
+    """A FreeArtError of the block begins with `where`, unless it names it."""
+    try:
+        yield
+    except FreeArtError as error:
+        raise error if str(where) in str(error) else FreeArtError(f"{where}: {error}") from error
 
 
 def is_number(value: Any) -> TypeGuard[float]:

@@ -31,7 +31,7 @@ def joint_from_json(data: Any, path: Path) -> Joint:
     lower, upper = data.get("lower"), data.get("upper")
     if not all(value is None or isinstance(value, int | float) for value in (lower, upper)):
         raise FreeArtError(f"{path}: joint limits are {lower!r}, {upper!r}, expected numbers or null")
-    try:
+    with checked.naming(path):
         return Joint(
             checked.text(data, "name", path),
             data.get("type"),  # type: ignore[arg-type]
@@ -40,5 +40,3 @@ def joint_from_json(data: Any, path: Path) -> Joint:
             -np.inf if lower is None else float(lower),
             np.inf if upper is None else float(upper),
         )
-    except FreeArtError as error:
-        raise error if str(path) in str(error) else FreeArtError(f"{path}: {error}") from error

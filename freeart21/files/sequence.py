@@ -99,7 +99,8 @@ def read_sequence(folder: Path) -> Recording:
     if not checked.is_there(header):
         raise FreeArtError(f"{folder} is not a sequence: it has no sequence.json")
     data = checked.read_json(header, SCHEMA, folder)
-    camera = _camera(data, header)
+    with checked.naming(header):
+        camera = _camera(data, header)
     times = checked.numbers(data, "times_s", (None,), header)
     scale = data.get("depth_scale")
     if not isinstance(scale, int | float) or not 0 < scale < 1:
@@ -122,7 +123,8 @@ def read_sequence(folder: Path) -> Recording:
         return Frame(checked.read_rgb(folder / "rgb" / name, folder), depth, mask)
 
     gravity = checked.numbers(data, "gravity", (len(times), 3), header) if "gravity" in data else None
-    return Recording(camera, times, load, _read_queries(folder), data.get("licence"), folder.name, gravity)
+    with checked.naming(folder):
+        return Recording(camera, times, load, _read_queries(folder), data.get("licence"), folder.name, gravity)
 
 
 def _camera(data: dict[str, Any], path: Path) -> Camera:

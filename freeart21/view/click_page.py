@@ -9,7 +9,6 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from importlib import resources
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -18,12 +17,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21.errors import FreeArtError
+from freeart21.view.document import static_text
+from freeart21.view.masks_page import lit_up
 from freeart21.view.video import encode_jpeg
 
 HOST = "127.0.0.1"
 MAX_BYTES = 4096
 """Of a request's body."""
 MAX_CLICKS = 500
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Content-Security-Policy": "default-src 'none'; img-src 'self'; connect-src 'self'; style-src 'unsafe-inline'; "
+    "script-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+}
 
 Point = tuple[int, float, float, bool]
 """Frame, column and row in the recording's pixels, and whether it is on the object."""
@@ -114,16 +122,11 @@ class ClickServer:
         if not self._allowed(request):
             _reply(request, 403, b"open the address that the terminal printed", "text/plain")
         elif path == "/":
-            page = resources.files("freeart21.view").joinpath("static", "click.html").read_text("utf-8")
-            _reply(request, 200, page.encode(), "text/html; charset=utf-8")
+            _reply(request, 200, static_text("click.html").encode(), "text/html; charset=utf-8")
         elif path == "/state":
             with self._lock:
-                _reply(
-                    request,
-                    200,
-                    json.dumps({**self._state(), "title": self.title, "frames": self.frames}).encode(),
-                    "application/json",
-                )
+                state = {**self._state(), "title": self.title, "frames": self.frames}
+            _reply(request, 200, json.dumps(state).encode(), "application/json")
         elif path in {f"/frame/{i}" for i in range(self.frames)}:
             with self._lock:
                 content = self._draw(int(path.removeprefix("/frame/")))
@@ -135,10 +138,7 @@ class ClickServer:
         """JPEG of a frame with the mask lit up and outlined, in the recording's pixels, and the clicks in it."""
         picture = np.ascontiguousarray(self.picture(frame))
         if self.answer is not None:
-            mask = self.answer.masks[frame].astype(np.uint8)
-            picture = np.where(mask[..., None] > 0, picture, picture // 2).astype(np.uint8)
-            lines, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-            cv2.drawContours(picture, lines, -1, (255, 40, 200), max(1, picture.shape[1] // 400))
+            picture = lit_up(picture, self.answer.masks[frame].astype(np.uint8), max(1, picture.shape[1] // 400))
         for at, column, row, on_object in self.clicks:
             if at == frame:
                 radius = max(3, picture.shape[1] // 120)
@@ -180,19 +180,9 @@ class ClickServer:
 
 
 def _reply(request: BaseHTTPRequestHandler, code: int, content: bytes, kind: str) -> None:
+    headers = {**HEADERS, "Content-Type": kind, "Content-Length": str(len(content))}
     request.send_response(code)
-    policy = "default-src 'none'; img-src 'self'; connect-src 'self'; style-src 'unsafe-inline'"
-    for name, value in (
-        ("Content-Type", kind),
-        ("Content-Length", str(len(content))),
-        ("Cache-Control", "no-store"),
-        ("Referrer-Policy", "no-referrer"),
-        ("X-Content-Type-Options", "nosniff"),
-        (
-            "Content-Security-Policy",
-            f"{policy}; script-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
-        ),
-    ):
+    for name, value in headers.items():
         request.send_header(name, value)
     request.end_headers()
     request.wfile.write(content)

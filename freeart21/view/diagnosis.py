@@ -15,7 +15,7 @@ from freeart21.files.diagnostics import Diagnostics
 from freeart21.reconstruction import Reconstruction
 from freeart21.se3 import Array
 from freeart21.trust import JUMP, Motion, find_jumps, judge, measure_motion, median, object_size
-from freeart21.view.document import MOVING, REFERENCE, Section, escape
+from freeart21.view.document import MOVING, REFERENCE, Section, render
 from freeart21.view.plots import Chart, Curve, curves_section, display_unit, true_runs
 
 COLOURS = (REFERENCE, MOVING)
@@ -66,29 +66,20 @@ def diagnosis_section(
             f" The surfaces of reference and moving part are {extents[0]:.2g} and {extents[1]:.2g} times as large as "
             f"their pixels span; {shares[0]:.0f} and {shares[1]:.0f} % of them were seen."
         )
-    charts = (
+
+    def of_joint(values: Array) -> tuple[Curve, ...]:
+        return (Curve("moving part", JOINT_RESIDUAL, values),)
+
+    pixels = np.stack([(result.part_masks == k).sum((1, 2)) for k in (1, 2)], 1) / 1000
+    far = "of the moving part's measured pose from its pose by the reference part and the joint."
+    charts = [
         *(_own_charts(diagnostics) if diagnostics is not None else ()),
-        Chart(
-            "Joint residual: rotation",
-            "°",
-            (Curve("moving part", JOINT_RESIDUAL, np.degrees(motion.gap_angle)),),
-            "Angle between the moving part's measured pose and its pose by the reference part and the joint.",
-        ),
-        Chart(
-            "Joint residual: translation",
-            "mm",
-            (Curve("moving part", JOINT_RESIDUAL, 1000 * motion.gap_distance),),
-            "Distance of the moving part's measured centre from its place by the reference part and the joint.",
-        ),
-        Chart("Rotation per frame", "°", _both(np.degrees(motion.step_angle)), "Rotation since the previous frame."),
-        Chart(
-            "Translation per frame",
-            "mm",
-            _both(1000 * motion.step_distance),
-            "Displacement of the part's centre since the previous frame.",
-        ),
-        Chart("Visible pixels", "thousands", _both(_pixels(result) / 1000), "Pixels of each part."),
-    )
+        Chart("Joint residual: rotation", "°", of_joint(np.degrees(motion.gap_angle)), f"Angle {far}"),
+        Chart("Joint residual: translation", "mm", of_joint(1000 * motion.gap_distance), f"Distance {far}"),
+        Chart("Rotation per frame", "°", _both(np.degrees(motion.step_angle)), "Since the previous frame."),
+        Chart("Translation per frame", "mm", _both(1000 * motion.step_distance), "Of the part's centre."),
+        Chart("Visible pixels", "thousands", _both(pixels), "Pixels of each part."),
+    ]
     unseen = np.asarray(~result.seen.all(1))
     return curves_section("Quality, frame by frame", charts, abscissa, timed, unseen, note)
 
@@ -96,41 +87,21 @@ def diagnosis_section(
 def _own_charts(d: Diagnostics) -> list[Chart]:
     """Charts of the method's own diagnostics."""
     by_joint = Curve("moving, pose by the joint", JOINT_RESIDUAL, 1000 * d.jointed_residual_m[:, 1], "dashed")
-    charts = [
-        Chart(
-            "Residual",
-            "mm",
-            (*_both(1000 * d.residual_m), by_joint),
-            "RMS distance of each part's points from its surface in other frames. Where the dashed line is higher than "
-            "the moving part's own, the joint does not explain the measurement.",
-        ),
-        Chart(
-            "Inliers",
-            "%",
-            _both(100 * d.inliers),
-            f"Share of each part's points within {1000 * d.gate_m:.1f} mm of its surface in other frames.",
-            100.0,
-        ),
-        Chart(
-            "Outside the mask",
-            "%",
-            _both(100 * d.outside),
-            "Share of each part's points outside the foreground mask of other frames.",
-            5.0,
-        ),
-        Chart("Label confidence", "%", _both(100 * d.confidence), "Mean probability of the part labels.", 100.0),
-    ]
-    surfaces = (
-        (
-            "Pixels without surface",
-            d.uncovered,
-            "Share of each part's pixels covered by neither rendered surface.",
-            5.0,
-        ),
-        ("Surface outside the mask", d.spilled, "Share of each part's rendered surface outside the object mask.", 5.0),
+    about = (
+        "RMS distance of each part's points from its surface in other frames. Where the dashed line is higher than "
+        "the moving part's own, the joint does not explain the measurement."
+    )
+    near = f"Share of each part's points within {1000 * d.gate_m:.1f} mm of its surface in other frames."
+    shares = (
+        ("Inliers", d.inliers, near, 100.0),
+        ("Outside the mask", d.outside, "Share of each part's points outside the mask of other frames.", 5.0),
+        ("Label confidence", d.confidence, "Mean probability of the part labels.", 100.0),
+        ("Pixels without surface", d.uncovered, "Share of each part's pixels on neither rendered surface.", 5.0),
+        ("Surface outside the mask", d.spilled, "Share of each part's rendered surface outside the mask.", 5.0),
         ("Depth off the surface", d.off_surface, "Share of each part's pixels with a depth off its surface.", 5.0),
     )
-    charts += [Chart(title, "%", _both(100 * v), text, top) for title, v, text, top in surfaces if v is not None]
+    charts = [Chart("Residual", "mm", (*_both(1000 * d.residual_m), by_joint), about)]
+    charts += [Chart(title, "%", _both(100 * v), text, top) for title, v, text, top in shares if v is not None]
     if d.colour_residual is not None:
         about = "Median colour difference of rendered surface and image, CIELAB, lightness damped."
         charts.append(Chart("Colour residual", "CIELAB", _both(d.colour_residual), about))
@@ -140,21 +111,8 @@ def _own_charts(d: Diagnostics) -> list[Chart]:
 def warnings_section(result: Reconstruction, diagnostics: Diagnostics | None) -> Section:
     """The warnings as a list; a click on the frames shows them."""
     found = warnings(result, diagnostics)
-    lines = []
-    for warning in found[:MAX_WARNINGS]:
-        text = escape(warning.text)
-        if warning.frames is None:
-            lines.append(f"<li>{text[:1].upper()}{text[1:]}.</li>")
-        else:
-            button = (
-                f'<button type="button" data-frame="{sum(warning.frames) // 2}">{warning.where.capitalize()}</button>'
-            )
-            lines.append(f"<li>{button}: {text}.</li>")
-    if len(found) > MAX_WARNINGS:
-        lines.append(f"<li>{len(found) - MAX_WARNINGS} more.</li>")
-    if not found:
-        lines = ["<li class=fine>No warnings.</li>"]
-    return Section("Warnings", f'<ul class="remarks">{"".join(lines)}</ul>', "remarks", {"n": len(found)}, "right")
+    more = len(found) - MAX_WARNINGS
+    return Section("Warnings", render("warnings.html.j2", warnings=found[:MAX_WARNINGS], more=more), place="right")
 
 
 def warnings(result: Reconstruction, diagnostics: Diagnostics | None = None) -> list[Finding]:
@@ -168,23 +126,26 @@ def warnings(result: Reconstruction, diagnostics: Diagnostics | None = None) -> 
         if diagnostics is not None:
             d = diagnostics
             finest = max(0.5 * d.footprint_m, d.noise_m, MIN_LENGTH * size)
-            found += _high(d.residual_m[:, k], finest, 1000, "mm", f"the residual of the {part} part is")
+            found += _high(d.residual_m[:, k], finest, 1000, " mm", f"the residual of the {part} part is")
             found += _low(d.inliers[:, k], MIN_INLIERS, f"only {{:.0f}} % of the {part} part's points are inliers")
             found += _low(
                 d.confidence[:, k], MIN_CONFIDENCE, f"the mean label confidence of the {part} part is {{:.0f}} %"
             )
-            found += _high(d.outside[:, k], MAX_OUTSIDE, 100, "%", f"points of the {part} part outside the mask:")
+            found += _high(d.outside[:, k], MAX_OUTSIDE, 100, " %", f"points of the {part} part outside the mask:")
         found += _jumps(np.degrees(motion.step_angle[:, k]), 3.0, "°", f"the {part} part turns by")
-        found += _jumps(1000 * motion.step_distance[:, k], 20 * size, "mm", f"the {part} part moves by")
+        found += _jumps(1000 * motion.step_distance[:, k], 20 * size, " mm", f"the {part} part moves by")
     found += _off_the_joint(motion, size)
     if result.state_std is not None:
         least = np.radians(1.0) if joint_type == "revolute" else MIN_LENGTH * size
-        found += _high(result.state_std, least, factor, unit, "the standard deviation of the state is")
+        found += _high(
+            result.state_std,
+            least,
+            factor,
+            "°" if unit == "°" else f" {unit}",
+            "the standard deviation of the state is",
+        )
     whole = [w for w in found if w.frames is None]
     return whole + sorted((w for w in found if w.frames is not None), key=lambda w: w.frames or (0, 0))
-
-
-# ---------------------------------------------------------------- kinds of warnings
 
 
 def _unseen(result: Reconstruction) -> list[Finding]:
@@ -200,15 +161,11 @@ def _unseen(result: Reconstruction) -> list[Finding]:
 def _high(values: Array, least: float, factor: float, unit: str, what: str) -> list[Finding]:
     """A warning for every run of frames with values beyond OUTLIER medians and `least`."""
     known = values[np.isfinite(values)]
-    if not len(known):
-        return []
-    middle = float(np.median(known))
-    found = []
+    middle, found = float(np.median(known)) if len(known) else 0.0, []
     for run in true_runs(np.nan_to_num(values) > max(OUTLIER * middle, least), BRIDGE):
         most = float(np.nanmax(values[run]))
         times = f", {most / middle:.0f} times the median" if middle > 0 and most < 1000 * middle else ""
-        upto = "up to " if len(run) > 1 else ""
-        found.append(Finding(f"{what} {upto}{factor * most:.3g}{_spaced(unit)}{times}", _ends(run)))
+        found.append(Finding(f"{what} {'up to ' * (len(run) > 1)}{factor * most:.3g}{unit}{times}", _ends(run)))
     return found
 
 
@@ -238,7 +195,7 @@ def _low(values: Array, least: float, what: str) -> list[Finding]:
 def _jumps(values: Array, least: float, unit: str, what: str) -> list[Finding]:
     """A warning for every frame with a step far larger than its neighbours' and than `least`."""
     return [
-        Finding(f"{what} {values[i]:.3g}{_spaced(unit)} in one frame, far more than in its neighbours", (i, i))
+        Finding(f"{what} {values[i]:.3g}{unit} in one frame, far more than in its neighbours", (i, i))
         for i in map(int, find_jumps(values, least, JUMP))
     ]
 
@@ -249,12 +206,3 @@ def _ends(run: NDArray[np.int64]) -> tuple[int, int]:
 
 def _both(values: Array) -> tuple[Curve, ...]:
     return tuple(Curve(name, COLOURS[k], values[:, k]) for k, name in enumerate(PARTS))
-
-
-def _pixels(result: Reconstruction) -> Array:
-    """(n, 2) pixels of each part."""
-    return np.stack([(result.part_masks == k).sum((1, 2)) for k in (1, 2)], 1).astype(float)
-
-
-def _spaced(unit: str) -> str:
-    return unit if unit == "°" else f" {unit}"

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from freeart21.asset import Asset
+from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.asset import read_asset, read_effects
@@ -30,9 +31,8 @@ from freeart21.truth import Truth
 from freeart21.view.asset_scene import asset_scene
 from freeart21.view.data_page import data_page
 from freeart21.view.diagnosis import diagnosis_section, warnings_section
-from freeart21.view.document import TRUTH, Section, document
+from freeart21.view.document import MOVING, TRUTH, Markup, Section, document
 from freeart21.view.link_shapes import read_shown
-from freeart21.view.losses import losses_sections
 from freeart21.view.parts import (
     AXIS,
     align,
@@ -43,8 +43,8 @@ from freeart21.view.parts import (
     matched,
     with_truth,
 )
-from freeart21.view.plots import state_section
-from freeart21.view.scene import scene_section, without_outliers
+from freeart21.view.plots import Curve, state_section
+from freeart21.view.scene import Layer, scene_section, without_outliers
 from freeart21.view.tables import (
     alternative_rows,
     certificate_section,
@@ -57,13 +57,20 @@ from freeart21.view.tables import (
     score_section,
     seconds_section,
     source_rows,
+    table,
     table_section,
 )
-from freeart21.view.video import AxisLine, PartMasks, VideoSettings, shown_frames, video_section
+from freeart21.view.video import Overlay, PartMasks, VideoSettings, shown_frames, video_section
 
 ALIGNMENT_NOTE = (
     "The ground truth is aligned with the estimate by the reference part's poses over all frames; the sign of the axis "
     "and the median offset of the states are removed."
+)
+TRUTH_COLOURS = ("#7fcfb6", TRUTH)
+TRUE_LAYERS = (
+    Layer("ground truth", TRUTH, "ghost", False),
+    Layer("ground truth", TRUTH, "ghost", False),
+    Layer("true axis", TRUTH, "axis"),
 )
 MARKERS = {
     "sequence.json": "sequence",
@@ -120,19 +127,10 @@ def page(
     return _result_page(name, path, answer, true, recording, extra)
 
 
-def write_page(
-    path: Path,
-    out: Path,
-    truth: Path | None = None,
-    sequence: Path | None = None,
-    scores: Mapping[str, Any] | None = None,
-    score_note: str = "",
-    root: Path | None = None,
-) -> None:
+def write_page(path: Path, out: Path, truth: Path | None = None, sequence: Path | None = None, **options: Any) -> None:
     """Write `page(...)` to the file `out`, completely or not at all; FreeArtError if another file is there."""
-    inputs = [given for given in (path, truth, sequence) if given is not None]
-    check_place(out, PAGE, inputs)
-    atomic.write_bytes(Path(out), page(path, truth, sequence, scores, score_note, root).encode())
+    check_place(out, PAGE, [given for given in (path, truth, sequence) if given is not None])
+    atomic.write_bytes(Path(out), page(path, truth, sequence, **options).encode())
 
 
 def recognised(path: Path) -> str:
@@ -157,12 +155,7 @@ def recognised(path: Path) -> str:
         raise unfinished_error(path)
     names = sorted(p.name + "/" * p.is_dir() for p in path.iterdir())
     there = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "") or "nothing"
-    patterns = ("*/sequence.json", "*/*/sequence.json", "*/prediction.json", "*/asset.json")
-    inner = sorted(str(p.parent.relative_to(path)) for pattern in patterns for p in path.glob(pattern))
-    hint = f"; what can be shown in it: {', '.join(inner[:8])}{' ...' * (len(inner) > 8)}" if inner else ""
-    raise FreeArtError(
-        f"{path} is nothing to show: looked for {', '.join(MARKERS)} or a .urdf file, found {there}{hint}"
-    )
+    raise FreeArtError(f"{path} is nothing to show: looked for {', '.join(MARKERS)} or a .urdf file, found {there}")
 
 
 def _title_of(path: Path) -> str:
@@ -210,16 +203,16 @@ def _sequence_page(name: str, recording: Recording | None, true: Truth | None, e
         camera = recording.camera if recording is not None else None
         scene = articulation_scene(true.articulation, states, true.Ts_camera_reference, camera)
         sections += [
-            video_section(recording, truth=true.part_mask, n=len(true), states=states, joint_type=joint.type),
+            video_section(recording, [_true_overlay(true)], len(true), states, joint.type),
             scene_section(scene, "True parts and joint"),
-            state_section(joint.type, *_abscissa(recording, len(true)), truth=states),
+            state_section(joint.type, *_abscissa(recording, len(true)), [Curve("ground truth", TRUTH, states)]),
             table_section("True joint", joint_rows(joint, states), place="right"),
             table_section("Source", source_rows(true.source)),
         ]
         chips.append(f"{joint.type} joint")
     if recording is not None:
         rows = recording_rows(recording)
-        sections.append(table_section("Recording", rows, place="small" if true is not None else "right"))
+        sections.append(table_section("Recording", rows, (), "small" if true is not None else "right"))
     return document(name, [*sections, *extra], "sequence" if recording is not None else "truth", chips)
 
 
@@ -244,38 +237,28 @@ def _result_page(
     camera = recording.camera if recording is not None else None
     abscissa, timed = _abscissa(recording, len(result))
     scene = articulation_scene(parts, states, Ts, camera, result.appearance)
-    axes = []
-    if camera is not None:
-        axes.append(AxisLine("estimate", AXIS, axis_in_images(joint, *axis_place(parts, states), Ts, camera)))
-    true_states: Array | None = None
+    line = None if camera is None else axis_in_images(joint, *axis_place(parts, states), Ts, camera)
+    overlays = [Overlay("estimate", masks.__getitem__, axis=line, axis_colour=AXIS, confidence=confidence)]
+    std = result.state_std
+    band = None if std is None or not np.isfinite(std).any() else 2 * std
+    curves = [Curve("estimate" + ", ± 2 std" * (band is not None), MOVING, states, "", band)]
     side: Literal["left", "right"] = "left" if extra else "right"
     facts = table_section("Joint", joint_rows(joint, states), (), side)
     if true is not None:
         alignment = align(result, true)
-        scene = with_truth(scene, true, alignment)
+        scene = with_truth(scene, true, alignment, TRUE_LAYERS)
         aligned, aligned_states = alignment.joint(true), alignment.states(true)
-        true_states = aligned_states if alignment.comparable else None
-        if camera is not None:
-            own, place = true.articulation.joint, axis_place(true.articulation, true.states)
-            lines = axis_in_images(own, *place, true.Ts_camera_reference, camera)
-            axes.append(AxisLine("truth", TRUTH, lines if alignment.sign > 0 else lines[:, ::-1]))
+        if alignment.comparable:
+            curves.insert(0, Curve("ground truth", TRUTH, aligned_states, "wide"))
+        overlays.append(_true_overlay(true, camera, alignment.sign < 0, False))
         angle = np.arctan2(np.linalg.norm(np.cross(joint.axis, aligned.axis)), abs(joint.axis @ aligned.axis))
         note = f"{ALIGNMENT_NOTE} Angle between the axes: {np.degrees(angle):.2f}°."
         rows = compared_rows(joint, states, aligned, aligned_states)
         facts = table_section("Joint", rows, ("", "estimate", "ground truth"), side, note)
     sections = [
-        video_section(
-            recording,
-            lambda i: masks[i],
-            true.part_mask if true else None,
-            len(result),
-            states,
-            joint.type,
-            axes=axes,
-            confidence=confidence,
-        ),
+        video_section(recording, overlays, len(result), states, joint.type),
         scene_section(scene, "Parts and joint"),
-        state_section(joint.type, abscissa, timed, states, result.state_std, result.seen[:, 1], true_states),
+        state_section(joint.type, abscissa, timed, curves, result.seen[:, 1]),
         warnings_section(result, diagnostics),
         *extra,
         facts,
@@ -294,6 +277,16 @@ def _result_page(
             notices.append(f"The asset cannot be shown: {error}")
     moved = limits_text(joint.type, float(states.min()), float(states.max()))
     return document(name, sections, "result", [f"{joint.type} joint", moved, *_recording_chips(recording)], notices)
+
+
+def _true_overlay(true: Truth, camera: Camera | None = None, turned: bool = False, shown: bool = True) -> Overlay:
+    """The true parts over the video, and their axis when the camera is known, its ends exchanged when `turned`."""
+    line = None
+    if camera is not None:
+        place = axis_place(true.articulation, true.states)
+        line = axis_in_images(true.articulation.joint, *place, true.Ts_camera_reference, camera)
+        line = line[:, ::-1] if turned else line
+    return Overlay("ground truth", true.part_mask, TRUTH_COLOURS, line, TRUTH, shown)
 
 
 def _read_extras(
@@ -323,7 +316,7 @@ def _failure_page(
     _check_lengths(recording=recording, truth=true)
     sections = []
     if recording is not None:
-        sections.append(video_section(recording, None, true.part_mask if true else None))
+        sections.append(video_section(recording, [_true_overlay(true)] if true else []))
     sections += [table_section("No reconstruction", [("Stage", failure.stage), ("Reason", failure.reason)]), *extra]
     if failure.seconds:
         sections.append(seconds_section(failure.seconds))
@@ -368,10 +361,9 @@ def _asset_sections(
     if certificate is not None:
         sections.insert(1, certificate_section(certificate))
     if asset is not None and asset.source:
-        rows = [("trust", describe_trust(asset.trust)), *source_rows(asset.source)]
-        sections.append(table_section("Source of the asset", rows))
-    if path.is_dir():
-        sections += losses_sections(path)
+        rows = table([("trust", describe_trust(asset.trust)), *source_rows(asset.source)])
+        html = Markup("<details><summary>All that asset.json states</summary>{}</details>").format(rows)
+        sections.append(Section("Source of the asset", html, place="full"))
     return sections, chips, notices
 
 

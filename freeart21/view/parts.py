@@ -1,8 +1,9 @@
-"""The 3D view of two parts and their joint, estimated or true, and of a file of Gaussians."""
+"""The 3D view of two parts and their joint, of others over them, and of a file of Gaussians."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,12 +17,13 @@ from freeart21.mesh import Mesh, bounding_diagonal, box_centre
 from freeart21.reconstruction import Reconstruction
 from freeart21.se3 import Array
 from freeart21.truth import Truth
-from freeart21.view.document import MOVING, REFERENCE, TRUTH
-from freeart21.view.scene import Layer, Link, Scene, Slider, Surface, axis_mesh, axis_point, slider_range
+from freeart21.view.document import MOVING, REFERENCE
+from freeart21.view.scene import Layer, Link, Scene, Slider, Surface, axis_mesh, axis_point, find_focus, slider_range
 from freeart21.view.splats import SplatLayers
 
 AXIS = "#AA3377"
 """Colour of the estimated joint axis."""
+LAYERS = Layer("reference part", REFERENCE), Layer("moving part", MOVING), Layer("joint axis", AXIS, "axis")
 FIRST_VIEW = np.array([0.45, -0.4, -1.0])
 """Direction to the first viewpoint in the camera frame (x right, y down, z away from the camera)."""
 MAX_SPLATS_ALONE = 350_000
@@ -107,77 +109,100 @@ def articulation_scene(
     Ts_camera_reference: Array,
     camera: Camera | None = None,
     appearance: Gaussians | None = None,
+    layers: tuple[Layer, Layer, Layer] = LAYERS,
 ) -> Scene:
-    """Two parts (surfaces, Gaussians), the joint axis, and a slider that can follow the states (n,) of the video."""
+    """Two parts (surfaces, Gaussians), the joint axis, and a slider that can follow the states (n,) of the video.
+
+    `layers` are those of reference part, moving part and axis.
+    """
     joint = articulation.joint
     near, size = axis_place(articulation, states)
-    slider = Slider(
-        joint.name, joint.type, *slider_range(joint, states, size), float(states[0]), np.asarray(states, float)
-    )
-    R_world_camera = Ts_camera_reference[0, :3, :3].T
+    ends = slider_range(joint, states, size)
+    slider = Slider(joint.name, joint.type, *ends, float(states[0]), np.asarray(states, float))
     return Scene(
         links=(Link(-1), Link(0, joint=joint, slider=0)),
         sliders=(slider,),
-        layers=(Layer("reference part", REFERENCE), Layer("moving part", MOVING), Layer("joint axis", AXIS, "axis")),
+        layers=layers,
         surfaces=(
             Surface(_without_single_colour(articulation.reference), 0, 0),
             Surface(_without_single_colour(articulation.moving), 1, 1),
             Surface(axis_mesh(joint, near, size), 0, 2),
         ),
-        up=R_world_camera @ [0.0, -1.0, 0.0],
-        towards_viewer=R_world_camera @ FIRST_VIEW,
+        **seen_from(Ts_camera_reference[0]),
         camera=camera,
         Ts_camera_world=Ts_camera_reference,
         splats=None if not appearance else SplatLayers(appearance, (0, 1), (0, 1)),
     )
 
 
-def with_truth(scene: Scene, truth: Truth, alignment: Alignment) -> Scene:
-    """The scene of a result with the true parts and axis over it, moved by the same slider.
+def seen_from(T_camera_world: Array) -> dict[str, Any]:
+    """`up` and `towards_viewer` of a scene that is first seen from near a camera (4, 4)."""
+    R_world_camera = T_camera_world[:3, :3].T
+    return {"up": R_world_camera @ [0.0, -1.0, 0.0], "towards_viewer": R_world_camera @ FIRST_VIEW}
 
-    When the joint types differ the truth gets a slider of its own.
+
+def with_articulation(
+    scene: Scene,
+    layers: tuple[Layer, Layer, Layer],
+    articulation: Articulation,
+    states: NDArray[np.float64],
+    aligned: tuple[float, float] | None,
+    near: ArrayLike,
+    size: float,
+) -> Scene:
+    """The scene with other parts and their axis over it, in its frame, on layers of their own.
+
+    Args:
+        scene: With one slider or more.
+        layers: Of the reference part, the moving part and the axis.
+        articulation: The other parts and joint.
+        states: (n,) of the other joint, in the video.
+        aligned: Scale and offset that give its state from the scene's first slider; None for a slider of its own.
+        near: (3,) where its axis is drawn.
+        size: Length of its axis, m.
     """
-    true = truth.articulation.moved(alignment.T_pred_truth)
-    size = truth.diagonal or 1.0
-    links, sliders = len(scene.links), scene.sliders
-    if alignment.comparable:  # q_truth = sign * (q - offset)
-        sign, states = alignment.sign, alignment.states(truth)
-        moving = Link(links, joint=true.joint, slider=0, scale=sign, offset=-sign * alignment.offset)
-        lower, upper = min(sliders[0].lower, float(states.min())), max(sliders[0].upper, float(states.max()))
-        sliders = (replace(sliders[0], lower=lower, upper=upper), *sliders[1:])
+    joint, first, root = articulation.joint, len(scene.layers), len(scene.links)
+    sliders = scene.sliders
+    if aligned is None:
+        name, ends = f"{layers[0].name}: {joint.type}", slider_range(joint, states, size)
+        sliders = (*sliders, Slider(name, joint.type, *ends, float(states[0]), np.asarray(states, float)))
+        moving = Link(root, joint=joint, slider=len(sliders) - 1)
     else:
-        moving = Link(links, joint=true.joint, slider=len(sliders))
-        ends = slider_range(true.joint, truth.states, size)
-        name = f"{true.joint.name} (ground truth)"
-        sliders = (*sliders, Slider(name, true.joint.type, *ends, float(truth.states[0]), truth.states))
-    reference, moved, axis = range(len(scene.layers), len(scene.layers) + 3)
-    near = axis_place(true, truth.states)[0]
+        moving = Link(root, joint=joint, slider=0, scale=aligned[0], offset=aligned[1])
+    meshes = articulation.reference, articulation.moving, axis_mesh(joint, near, size)
+    surfaces = (Surface(replace(mesh, colours=None), root + (k == 1), first + k) for k, mesh in enumerate(meshes))
     return replace(
         scene,
         links=(*scene.links, Link(-1), moving),
         sliders=sliders,
-        layers=(
-            *scene.layers,
-            Layer("true reference part", TRUTH, "ghost", False),
-            Layer("true moving part", TRUTH, "ghost", False),
-            Layer("true axis", TRUTH, "axis"),
-        ),
-        surfaces=(
-            *scene.surfaces,
-            Surface(replace(true.reference, colours=None), links, reference),
-            Surface(replace(true.moving, colours=None), links + 1, moved),
-            Surface(axis_mesh(alignment.joint(truth), near, size, 1.4), links, axis),
-        ),
+        layers=(*scene.layers, *layers),
+        surfaces=(*scene.surfaces, *surfaces),
+        focus=scene.focus or find_focus(scene),
     )
+
+
+def with_truth(scene: Scene, truth: Truth, alignment: Alignment, layers: tuple[Layer, Layer, Layer]) -> Scene:
+    """The scene of a result with the true parts and axis over it, moved by the same slider.
+
+    When the joint types differ the truth gets a slider of its own.
+    """
+    true, sign = truth.articulation.moved(alignment.T_pred_truth), alignment.sign
+    if alignment.comparable:
+        slider, states = scene.sliders[0], alignment.states(truth)
+        ends = min(slider.lower, float(states.min())), max(slider.upper, float(states.max()))
+        scene = replace(scene, sliders=(replace(slider, lower=ends[0], upper=ends[1]), *scene.sliders[1:]))
+    aligned = (sign, -sign * alignment.offset) if alignment.comparable else None  # q_truth = sign * (q - offset)
+    near = axis_place(true, truth.states)[0]
+    return with_articulation(scene, layers, true, truth.states, aligned, near, truth.diagonal or 1.0)
 
 
 def gaussians_scene(gaussians: Gaussians) -> Scene:
     """Gaussians alone, y down and z away from the viewer as in the first camera of a video."""
     layers: tuple[Layer, ...] = (Layer("Gaussians", REFERENCE),)
     if (gaussians.part_weights < 1).any():
-        layers = (Layer("reference part", REFERENCE), Layer("moving part", MOVING))
+        layers = LAYERS[:2]
     splats = SplatLayers(gaussians, (0, 0), (0, len(layers) - 1), MAX_SPLATS_ALONE)
-    return Scene((Link(-1),), (), layers, (), np.array([0.0, -1.0, 0.0]), FIRST_VIEW, splats=splats)
+    return Scene((Link(-1),), (), layers, (), **seen_from(np.eye(4)), splats=splats)
 
 
 def axis_place(articulation: Articulation, states: NDArray[np.float64]) -> tuple[Array, float]:
@@ -206,8 +231,7 @@ def axis_in_images(joint: Joint, near: ArrayLike, size: float, Ts_camera: Array,
     z, other = seen[..., 2], seen[:, ::-1]
     part = np.clip((closest - z) / np.where(other[..., 2] == z, 1.0, other[..., 2] - z), 0.0, 1.0)
     clipped = np.where((z < closest)[..., None], seen + part[..., None] * (other - seen), seen)
-    pixels = camera.project(clipped)
-    return np.where((z.max(1) > closest)[:, None, None], pixels, np.nan)
+    return np.where((z.max(1) > closest)[:, None, None], camera.project(clipped), np.nan)
 
 
 def _without_single_colour(mesh: Mesh) -> Mesh:

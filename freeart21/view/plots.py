@@ -1,4 +1,4 @@
-"""Line plots as SVG: axes, curves with legends, small charts over the frames of a video, and the joint state."""
+"""Line plots and bars as SVG: axes, curves with a legend, and the joint state over a video."""
 
 from __future__ import annotations
 
@@ -9,73 +9,39 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21.joint import JointType
-from freeart21.view.document import MOVING, TRUTH, Section, escape
+from freeart21.view.document import Markup, Section, render
 
 Array = NDArray[np.float64]
+Box = tuple[str, float, float, float, float]
+"""A rectangle by its CSS class, values of x at its left and right, values of y at its bottom and top."""
 
-CHART_SIZE, CHART_MARGINS = (400, 150), (40, 6, 8, 20)
-STATE_SIZE, STATE_MARGINS = (560, 210), (46, 14, 8, 24)
+MARGINS = 46, 14, 8, 24
 MAX_MEDIANS = 12.0
-"""Upper end of a chart, in medians: a single far outlier is cut off, the rest stays readable."""
+"""Upper end of a chart that starts at zero, in medians: a single far outlier is cut off, the rest stays readable."""
 
 
 @dataclass(frozen=True)
 class Axes:
-    """Maps values to a drawing, pixels from its upper left corner, and draws grid lines and tick labels."""
+    """Maps values to a drawing, pixels from its upper left corner."""
 
     width: int
     height: int
-    margins: tuple[int, int, int, int]
-    """Left, right, top and bottom."""
     x: tuple[float, float]
     """Values at the left and the right end."""
     y: tuple[float, float]
     """Values at the bottom and the top."""
-    log_x: bool = False
-    """Whether x is logarithmic."""
 
     def across(self, values: Array | float) -> Array:
         """Pixels from the left."""
-        left, right, _, _ = self.margins
-        value, low, high = np.asarray(values, float), *self.x
-        if self.log_x:
-            value, low, high = np.log(value), np.log(low), np.log(high)
-        return np.asarray(left + (value - low) / max(high - low, 1e-9) * (self.width - left - right))
+        left, right, _, _ = MARGINS
+        share = (np.asarray(values, float) - self.x[0]) / max(self.x[1] - self.x[0], 1e-9)
+        return np.asarray(np.round(left + share * (self.width - left - right), 1))
 
     def down(self, values: Array | float) -> Array:
-        """Pixels from the top; values above the axes are drawn at their top."""
-        _, _, top, bottom = self.margins
-        share = (self.y[1] - np.minimum(np.asarray(values, float), self.y[1])) / (self.y[1] - self.y[0])
-        return np.asarray(top + share * (self.height - top - bottom))
-
-    def grid(self, at: int | Mapping[float, str]) -> list[str]:
-        """Horizontal lines with their values at the left: about so many, or at values with their texts."""
-        left, right, _, _ = self.margins
-        texts = {float(v): f"{v:g}" for v in tick_values(*self.y, at)} if isinstance(at, int) else at
-        return [
-            f'<line class="grid" x1="{left}" x2="{self.width - right}" y1="{y:.1f}" y2="{y:.1f}"/>'
-            f'<text x="{left - 6}" y="{y + 4:.1f}" text-anchor="end">{escape(text)}</text>'
-            for value, text in texts.items()
-            for y in [float(self.down(value))]
-        ]
-
-    def marks(self, at: int | Mapping[float, str], unit: str = "") -> list[str]:
-        """Tick labels of x: about so many, the last one followed by the unit, or at values with their texts."""
-        y = self.height - self.margins[3] + 16
-        if isinstance(at, int):
-            values = tick_values(*self.x, at)
-            at = {float(v): f"{v:g}{unit if v == values[-1] else ''}" for v in values}
-        return [
-            f'<text x="{self.across(value):.1f}" y="{y}" text-anchor="middle">{escape(text)}</text>'
-            for value, text in at.items()
-        ]
-
-    @property
-    def cursor(self) -> str:
-        """The vertical line that the scripts move."""
-        left, _, top, bottom = self.margins
-        return f'<line class="cursor" x1="{left}" x2="{left}" y1="{top}" y2="{self.height - bottom}"/>'
+        """Pixels from the top; values beyond an end are drawn at that end."""
+        _, _, top, bottom = MARGINS
+        share = (self.y[1] - np.clip(np.asarray(values, float), *self.y)) / (self.y[1] - self.y[0])
+        return np.asarray(np.round(top + share * (self.height - top - bottom), 1))
 
 
 @dataclass(frozen=True)
@@ -90,135 +56,124 @@ class Curve:
     """CSS class of the line: '', 'dashed' or 'wide'."""
     half_width: Array | None = None
     """(n,) half the width of a band around it; NaN where unknown."""
-    dash: str = ""
-    """SVG stroke-dasharray."""
 
 
 @dataclass(frozen=True)
 class Chart:
-    """Curves of one unit over the frames."""
+    """Curves of one unit over a common abscissa."""
 
     title: str
     unit: str
-    curves: tuple[Curve, ...]
-    about: str
+    curves: Sequence[Curve]
+    about: str = ""
     """What it shows, in a sentence."""
     top: float | None = None
     """Smallest upper end of the vertical axis, such as 100 for percentages."""
+    y: tuple[float, float] | None = None
+    """Ends of the vertical axis; from zero to the largest value when not given."""
+    boxes: Sequence[Box] = ()
+    height: int = 190
 
 
 def curves_section(
     title: str,
-    charts: tuple[Chart, ...],
+    charts: Sequence[Chart],
     abscissa: Array,
-    timed: bool,
+    timed: bool = True,
     unseen: NDArray[np.bool_] | None = None,
     note: str = "",
+    place: Any = "full",
+    frames: NDArray[np.int64] | None = None,
 ) -> Section:
-    """Charts over `abscissa` (n,), seconds when `timed`, else frame numbers; all start at zero.
+    """Charts over `abscissa` (n,), seconds when `timed`, else frame numbers.
 
-    Frames with `unseen` (n,) have a grey background. A cursor follows the video, legends show the values there.
+    Frames with `unseen` (n,) have a grey background. A cursor follows the video, legends show the values there, and
+    hide curves. `frames` (n,) are the frames of the video at these places; 0 to n - 1 when not given.
     """
     x = np.asarray(abscissa, float)
-    axes = [Axes(*CHART_SIZE, CHART_MARGINS, x_range(x), (0.0, _upper_end(chart))) for chart in charts]
-    under = unseen_boxes(axes[0], x, ~unseen) if unseen is not None else []
-    figures = "".join(
-        line_figure(on, x, chart.curves, chart.title, chart.unit, " s" * timed, (5, 3), under, chart.about)
-        for chart, on in zip(charts, axes, strict=True)
-    )
-    data = curves_data(axes[0], x, [chart.curves for chart in charts])
-    return Section(title, f'<div class="charts">{figures}</div>', "curves", data, "full", note)
+    ends = float(x[0]), float(max(x[-1], x[0] + 1e-9))
+    grey = [] if unseen is None else _unseen_boxes(x, unseen)
+    drawn = Markup("")
+    data: dict[str, Any] = {"charts": [[_rounded(c.values) for c in chart.curves] for chart in charts]}
+    for chart in charts:
+        axes = Axes(560, chart.height, ends, chart.y or (0.0, _upper_end(chart)))
+        boxes = [*((css, a, b, *axes.y) for css, a, b in grey), *chart.boxes]
+        drawn += figure(axes, x, chart.curves, chart.title, chart.unit, " s" * timed, boxes, chart.about)
+        data |= {"x": axes.across(x), "width": axes.width}
+    if frames is not None:
+        data["frames"] = frames
+    return Section(title, Markup('<div class="charts">{}</div>').format(drawn), "curves", data, place, note)
 
 
-def state_section(
-    joint_type: JointType,
-    abscissa: Array,
-    timed: bool,
-    estimate: Array | None = None,
-    std: Array | None = None,
-    seen: NDArray[np.bool_] | None = None,
-    truth: Array | None = None,
-) -> Section:
-    """The joint state over the video.
-
-    Args:
-        joint_type: 'revolute' or 'prismatic'.
-        abscissa: (n,) seconds when `timed`, else frame numbers.
-        timed: Whether `abscissa` is a time.
-        estimate: (n,) rad or m.
-        std: (n,) its standard deviations; NaN where unknown.
-        seen: (n,) False in frames in which the moving part was not measured: these are grey.
-        truth: (n,) rad or m, with the sign and the zero of `estimate` when there is one.
-    """
-    unit, factor = display_unit(joint_type)
-    x, curves = np.asarray(abscissa, float), []
-    if truth is not None:
-        curves.append(Curve("ground truth", TRUTH, factor * truth, "wide" if estimate is not None else ""))
-    if estimate is not None:
-        band = None if std is None or not np.isfinite(std).any() else 2 * factor * std
-        curves.append(Curve("estimate" + ", ± 2 std" * (band is not None), MOVING, factor * estimate, "", band))
-    extent = [c.values + side * (0 if c.half_width is None else c.half_width) for c in curves for side in (-1, 1)]
-    axes = Axes(*STATE_SIZE, STATE_MARGINS, x_range(x), _padded_range(extent))
-    name = f"Joint state, {'degrees' if unit == '°' else unit}"
-    under = unseen_boxes(axes, x, seen) if seen is not None else []
-    html = line_figure(axes, x, curves, "", name, " s" if timed else "", (6, 5), under)
-    note = "Grey: the moving part was not measured." if under else ""
-    return Section(
-        name, f'<div class="charts wide">{html}</div>', "curves", curves_data(axes, x, [curves]), "left", note
-    )
-
-
-def line_figure(
+def figure(
     axes: Axes,
     x: Array,
     curves: Sequence[Curve],
     title: str,
     unit: str,
-    x_unit: str,
-    ticks: tuple[int, int] = (6, 4),
-    under: Sequence[str] = (),
+    x_unit: str = "",
+    boxes: Sequence[Box] = (),
     about: str = "",
-    entry: str = "<li>{}</li>",
-) -> str:
-    """A figure of curves over `x` (n,) with a legend, for sections of kind 'curves' with `curves_data`.
+    legend: bool = True,
+    x_labels: Mapping[float, str] | None = None,
+) -> Markup:
+    """An SVG of curves over `x` (n,), with a legend that the script of kind 'curves' fills.
 
-    Args:
-        axes: Where values lie.
-        x: Abscissa of all curves.
-        curves: Drawn in this order.
-        title: Caption; none when empty.
-        unit: Unit of the curves.
-        x_unit: Follows the last tick label.
-        ticks: About how many tick labels x and y have.
-        under: SVG below the curves.
-        about: Tooltip of the caption.
-        entry: HTML of a legend entry, with a place for its content.
+    `x_unit` follows the last tick label; `x_labels` replace them.
     """
-    drawn = "".join(map("<g>{}</g>".format, (_curve_svg(axes, x, curve) for curve in curves)))
-    names = "".join(
-        entry.format(f'{_legend_line(curve)}<span class="who">{escape(curve.name)}</span> <output></output>')
-        for curve in curves
+    left, right, top, bottom = MARGINS
+    drawn = [(curve, _bands(axes, x, curve), _lines(axes, x, curve)) for curve in curves]
+    rectangles = []
+    for css, a, b, low, high in boxes:
+        (x0, x1), (y1, y0) = axes.across(np.array([a, b])), axes.down(np.array([low, high]))
+        rectangles.append((css, x0, y0, round(x1 - x0, 1), round(max(y1 - y0, 0.8), 1)))
+    across = tick_values(*axes.x, 6)
+    texts = x_labels or {float(v): f"{v:g}{x_unit if v == across[-1] else ''}" for v in across}
+    return render(
+        "figure.html.j2",
+        axes=axes,
+        title=title,
+        unit=unit,
+        about=about,
+        legend=legend,
+        boxes=rectangles,
+        curves=drawn,
+        y_ticks=[(float(axes.down(v)), f"{v:g}") for v in tick_values(*axes.y, 4)],
+        x_ticks=[(float(axes.across(value)), text) for value, text in texts.items()],
+        left=left,
+        right=axes.width - right,
+        top=top,
+        bottom=axes.height - bottom,
     )
-    tip = f' title="{escape(about)}"' if about else ""
-    caption = f"<figcaption{tip}><b>{escape(title)}</b>, {escape(unit)}</figcaption>" if title else ""
-    inside = "".join([*under, *axes.grid(ticks[1]), *axes.marks(ticks[0], x_unit), drawn, axes.cursor])
-    return (
-        f'<figure>{caption}<svg viewBox="0 0 {axes.width} {axes.height}" role="img" tabindex="0" '
-        f'aria-label="{escape(title or unit)} over time; left and right arrows step">{inside}</svg>'
-        f'<ul class="legend">{names}</ul></figure>'
-    )
 
 
-def curves_data(
-    axes: Axes, x: Array, curves: Sequence[Sequence[Curve]], frames: NDArray[np.int64] | None = None
-) -> dict[str, Any]:
-    """Input of the script of kind 'curves' for figures over the same `x` (n,).
+def state_section(
+    joint_type: str,
+    abscissa: Array,
+    timed: bool,
+    curves: Sequence[Curve],
+    seen: NDArray[np.bool_] | None = None,
+    frames: NDArray[np.int64] | None = None,
+    note: str = "",
+) -> Section:
+    """The joint state over the video; `curves` in rad or m by `joint_type`.
 
-    `frames` (n,) are the frames of the video at these places; 0 to n - 1 when not given.
+    The first curve decides the range; those far beyond it run along the edge. Frames without `seen` (n,) are grey.
     """
-    values = [[_rounded(curve.values) for curve in chart] for chart in curves]
-    data = {"x": np.round(axes.across(x), 2), "width": axes.width, "charts": values}
-    return data if frames is None else {**data, "frames": frames}
+    unit, factor = display_unit(joint_type)
+    scaled = [
+        Curve(c.name, c.colour, factor * c.values, c.style, None if c.half_width is None else factor * c.half_width)
+        for c in curves
+    ]
+    ends = padded_range([c.values for c in scaled[:1]], 0.75)
+    every = padded_range(
+        [c.values + s * np.nan_to_num(0 if c.half_width is None else c.half_width) for c in scaled for s in (-1, 1)]
+    )
+    chart = Chart("", unit, scaled, y=(max(ends[0], every[0]), min(ends[1], every[1])), height=210)
+    name = f"Joint state, {'degrees' if unit == '°' else unit}"
+    grey = "" if seen is None or seen.all() else "Grey: the moving part was not measured. "
+    unseen = None if seen is None else ~np.asarray(seen, bool)
+    return curves_section(name, [chart], abscissa, timed, unseen, (grey + note).strip(), "left", frames)
 
 
 def display_unit(joint_type: str) -> tuple[str, float]:
@@ -226,9 +181,13 @@ def display_unit(joint_type: str) -> tuple[str, float]:
     return ("°", 180 / np.pi) if joint_type == "revolute" else ("cm", 100.0)
 
 
-def x_range(x: Array) -> tuple[float, float]:
-    """Ends of an axis over `x` (n,)."""
-    return float(x[0]), float(max(x[-1], x[0] + 1e-9))
+def padded_range(values: Sequence[Array], margin: float = 0.06) -> tuple[float, float]:
+    """Smallest and largest finite value of arrays, with a margin on both sides as a share of their distance."""
+    every = np.concatenate([np.ravel(v) for v in values]) if len(values) else np.zeros(1)
+    every = every[np.isfinite(every)]
+    low, high = (float(every.min()), float(every.max())) if len(every) else (0.0, 1.0)
+    room = margin * (high - low) or 1.0
+    return low - room, high + room
 
 
 def tick_values(low: float, high: float, about: int) -> Array:
@@ -246,54 +205,29 @@ def true_runs(flags: NDArray[np.bool_], bridge: int = 1) -> list[NDArray[np.int6
     return [np.arange(piece[0], piece[-1] + 1) for piece in pieces]
 
 
-def unseen_boxes(axes: Axes, x: Array, seen: NDArray[np.bool_]) -> list[str]:
-    """Grey boxes over the places of `x` (n,) that were not measured, half a frame to either side."""
-    across, (_, _, top, bottom) = axes.across(x), axes.margins
-    height = axes.height - top - bottom
-    edges = np.concatenate([across[:1], (across[1:] + across[:-1]) / 2, across[-1:]])
-    boxes = [(float(edges[run[0]]), float(edges[run[-1] + 1])) for run in true_runs(~np.asarray(seen, bool))]
-    return [
-        f'<rect class="unseen" x="{left:.1f}" width="{right - left:.1f}" y="{top}" height="{height}"/>'
-        for left, right in boxes
-    ]
+def _unseen_boxes(x: Array, unseen: NDArray[np.bool_]) -> list[tuple[str, float, float]]:
+    """Over the places of `x` (n,) that were not measured, half a frame to either side."""
+    edges = np.concatenate([x[:1], (x[1:] + x[:-1]) / 2, x[-1:]])
+    return [("unseen", float(edges[run[0]]), float(edges[run[-1] + 1])) for run in true_runs(unseen)]
 
 
-def path_data(x: Array, y: Array) -> str:
+def _bands(axes: Axes, x: Array, curve: Curve) -> list[str]:
+    if curve.half_width is None:
+        return []
+    low, high = axes.down(curve.values - curve.half_width), axes.down(curve.values + curve.half_width)
+    runs = [run for run in true_runs(np.isfinite(curve.half_width)) if len(run) > 1]
+    there = axes.across(x)
+    return [f"{_path(there[run], low[run])}L{_path(there[run[::-1]], high[run[::-1]])[1:]}Z" for run in runs]
+
+
+def _lines(axes: Axes, x: Array, curve: Curve) -> list[str]:
+    return [_path(axes.across(x[run]), axes.down(curve.values[run])) for run in true_runs(np.isfinite(curve.values))]
+
+
+def _path(x: Array, y: Array) -> str:
     """An SVG path through points; a single one becomes a dot."""
-    points = "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(x, y, strict=True))
+    points = "L".join(f"{a:g} {b:g}" for a, b in zip(x, y, strict=True))
     return f"M{points}{'h0' if len(x) == 1 else ''}"
-
-
-def _curve_svg(axes: Axes, x: Array, curve: Curve) -> str:
-    parts = []
-    if curve.half_width is not None:
-        low, high = axes.down(curve.values - curve.half_width), axes.down(curve.values + curve.half_width)
-        for run in true_runs(np.isfinite(low)):
-            if len(run) > 1:
-                there, back = path_data(axes.across(x[run]), low[run]), path_data(axes.across(x[run]), high[run])
-                turned = "L".join(back[1:].split("L")[::-1])
-                parts.append(f'<path class="band" fill="{curve.colour}" d="{there}L{turned}Z"/>')
-    for run in true_runs(np.isfinite(curve.values)):
-        points = path_data(axes.across(x[run]), axes.down(curve.values[run]))
-        parts.append(f'<path{_look(curve)} stroke="{curve.colour}" d="{points}"/>')
-    return "".join(parts)
-
-
-def _legend_line(curve: Curve) -> str:
-    line = f'<path{_look(curve)} stroke="{curve.colour}" d="M1 4h20"/>'
-    return f'<svg class="dash" viewBox="0 0 22 8" aria-hidden="true">{line}</svg>'
-
-
-def _look(curve: Curve) -> str:
-    return f' class="{curve.style}"' * bool(curve.style) + f' stroke-dasharray="{curve.dash}"' * bool(curve.dash)
-
-
-def _padded_range(curves: list[Array]) -> tuple[float, float]:
-    values = np.concatenate(curves) if curves else np.zeros(1)
-    values = values[np.isfinite(values)]
-    low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
-    margin = 0.06 * (high - low) or 1.0
-    return low - margin, high + margin
 
 
 def _upper_end(chart: Chart) -> float:

@@ -59,7 +59,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Layer:
-    """Surfaces that are shown and hidden together, by one entry of the legend."""
+    """Surfaces that are shown and hidden together; layers of one name have one entry in the legend."""
 
     name: str
     colour: str
@@ -100,6 +100,8 @@ class Scene:
     """(n, 4, 4) recording camera from the world of the scene, in every frame."""
     splats: SplatLayers | None = None
     """Gaussians in place of the surfaces of two layers."""
+    focus: tuple[Array, float] | None = None
+    """Centre (3,) and radius, m, of the ball that is visible at first; found from all solid surfaces when None."""
 
 
 def link_poses(links: Sequence[Link], values: Sequence[float]) -> list[Array]:
@@ -119,16 +121,11 @@ def axis_mesh(joint: Joint, near: ArrayLike, size: float, length: float = 1.15) 
 
     It is centred at the axis point nearest to `near` (3,), and `length` times `size` (m), the object's diagonal, long.
     """
-    return axis_arrow(joint.type, size, length).moved(axis_pose(joint, near))
-
-
-def axis_arrow(joint_type: str, size: float = 1.0, length: float = 1.15, segments: tuple[int, int] = (32, 12)) -> Mesh:
-    """The arrow of `axis_mesh` along z, centred at the origin; its straight and its bent part have so many segments."""
     radius = 0.008 * size / length
-    shape = arrow(length * size, radius, segments[0])
-    if joint_type == "prismatic":
-        return shape
-    return joined(shape, turning_arrow(0.085 * size, 0.7 * radius, 0.36 * length * size, segments[1]))
+    shape = arrow(length * size, radius)
+    if joint.type == "revolute":
+        shape = joined(shape, turning_arrow(0.085 * size, 0.7 * radius, 0.36 * length * size))
+    return shape.moved(axis_pose(joint, near))
 
 
 def axis_point(joint: Joint, near: ArrayLike) -> Array:
@@ -167,6 +164,7 @@ def scene_section(
     title: str = "3D view",
     place: Literal["right", "full"] = "right",
     max_faces: int = MAX_FACES_PER_LAYER,
+    note: str = "",
 ) -> Section:
     """The 3D view of a scene. Layers with more than `max_faces` triangles are simplified."""
     surfaces = [
@@ -175,33 +173,25 @@ def scene_section(
         for part in _reduced([s for s in scene.surfaces if s.layer == layer and not s.mesh.empty], max_faces)
     ]
     textures = sorted({surface.texture for surface in surfaces if surface.texture is not None})
-    data = scene_data(scene)
-    data["surfaces"] = [_surface_data(surface, textures) for surface in surfaces]
-    data["textures"] = [_texture_url(path) for path in textures]
-    html, count = '<div class="scene"></div>', 0 if scene.splats is None else len(scene.splats.gaussians)
-    if scene.splats is not None and count > scene.splats.max_count:
-        html += f'<p class="note">Shown: the {scene.splats.max_count:,} largest of {count:,} Gaussians.</p>'
-    return Section(title, html, "scene", data, place)
-
-
-def scene_data(scene: Scene) -> dict[str, Any]:
-    """Input of the 3D view's script, without surfaces and textures."""
-    centre, radius = _bounds(scene)
-    camera = scene.camera
-    return {
+    centre, radius = scene.focus or find_focus(scene)
+    camera, splats = scene.camera, scene.splats
+    data = {
         "links": [_link_data(link) for link in scene.links],
         "sliders": [dict(vars(slider)) for slider in scene.sliders],
         "layers": [dict(vars(layer)) for layer in scene.layers],
-        "surfaces": [],
-        "textures": [],
+        "surfaces": [_surface_data(surface, textures) for surface in surfaces],
+        "textures": [_texture_url(path) for path in textures],
         "up": scene.up,
         "towards_viewer": scene.towards_viewer,
         "centre": centre,
         "radius": radius,
         "camera": camera and {"K": camera.K, "width": camera.width, "height": camera.height},
-        "gaussians": None if scene.splats is None else splat_data(scene.splats),
+        "gaussians": None if splats is None else splat_data(splats),
         "camera_poses": None if scene.Ts_camera_world is None else np.round(scene.Ts_camera_world[:, :3], 6),
     }
+    if splats is not None and len(splats.gaussians) > splats.max_count:
+        note += f" Shown: the {splats.max_count:,} largest of {len(splats.gaussians):,} Gaussians."
+    return Section(title, "", "scene", data, place, note.strip())
 
 
 def _reduced(surfaces: list[Surface], max_faces: int) -> list[Surface]:
@@ -266,7 +256,7 @@ def _surface_data(surface: Surface, textures: list[Path]) -> dict[str, Any]:
     }
 
 
-def _bounds(scene: Scene) -> tuple[Array, float]:
+def find_focus(scene: Scene) -> tuple[Array, float]:
     """Centre (3,) and radius, m, of the ball that is visible at first.
 
     It contains all solid surfaces with the sliders at their first values, and nearly all at the sliders' ends; without

@@ -11,61 +11,24 @@ from freeart21.mesh import Mesh
 def simplified(mesh: Mesh, max_faces: int) -> Mesh:
     """`mesh` with at most `max_faces` triangles, for display only.
 
-    Vertex clustering on a uniform grid with one optimal vertex per cell (Lindstrom, "Out-of-core simplification of
-    large polygonal models", 2000): flat faces stay flat and edges sharp. Degenerate and repeated triangles are dropped.
-    A vertex gets the colour of the nearest one that it replaces. Cells are enlarged until the result is small enough.
+    By quadric errors (Garland and Heckbert 1997); where many small pieces keep it above, the largest triangles stay. A
+    vertex gets the colour of the nearest one.
     """
     if len(mesh.faces) <= max_faces:
         return mesh
-    used = np.zeros(len(mesh.vertices), bool)
-    used[mesh.faces] = True
-    low, size = mesh.vertices[used].min(0), np.ptp(mesh.vertices[used], axis=0).max()
-    if size == 0:
-        return Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
-    places = np.where(used[:, None], mesh.vertices - low, 0.0)  # unused vertices can be anywhere
-    key = np.array([1, 1 << 21, 1 << 42])
-    cell = size * np.sqrt(1.0 / max_faces)
-    while True:
-        cells = np.floor(places / cell).astype(np.int64)
-        cluster = np.unique(cells @ key, return_inverse=True)[1].reshape(-1)
-        faces = cluster[mesh.faces]
-        faces = faces[(faces != np.roll(faces, 1, axis=1)).all(1)]
-        faces = faces[np.sort(np.unique(np.sort(faces, axis=1) @ key, return_index=True)[1])]
-        if len(faces) <= max_faces:
-            return _clustered(mesh, cluster, faces, cell)
-        cell *= max(1.03, np.sqrt(len(faces) / max_faces))
+    from fast_simplification import simplify
+    from scipy.spatial import cKDTree
 
-
-def _clustered(mesh: Mesh, cluster: NDArray[np.int64], faces: NDArray[np.int64], cell: float) -> Mesh:
-    """The mesh of `faces` over clusters, each vertex nearest to the planes of the triangles in its cell."""
-    n = int(cluster.max()) + 1
-    corners = mesh.faces.reshape(-1)
-    counts = np.maximum(np.bincount(cluster[corners], minlength=n), 1)
-
-    def total(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.stack([np.bincount(cluster[corners], column, n) for column in values.reshape(len(corners), -1).T], -1)
-
-    mean = total(mesh.vertices[corners]) / counts[:, None]
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    normal = np.repeat(np.cross(b - a, c - a) / cell**2, 3, axis=0)
-    offset = np.einsum("ij,ij->i", normal, mesh.vertices[corners] - mean[cluster[corners]])
-    A = total(normal[:, :, None] * normal[:, None, :]).reshape(-1, 3, 3)
-    weight = (
-        1e-3 * np.trace(A, axis1=1, axis2=2) + 1e-12
-    )  # the mean decides along directions that the planes leave free
-    step = np.linalg.solve(A + weight[:, None, None] * np.eye(3), total(normal * offset[:, None])[..., None])[..., 0]
-    vertices = mean + np.clip(step, -cell, cell)
-    colours = None
-    if mesh.colours is not None:
-        distance = np.linalg.norm(mesh.vertices[corners] - vertices[cluster[corners]], axis=1)
-        order = np.lexsort((distance, cluster[corners]))
-        groups, first = np.unique(cluster[corners][order], return_index=True)
-        colours = np.zeros((n, 3), np.uint8)
-        colours[groups] = mesh.colours[corners[order[first]]]
-    used = np.unique(faces)
-    index = np.zeros(n, np.int64)
-    index[used] = np.arange(len(used))
-    return Mesh(vertices[used], index[faces], None if colours is None else colours[used])
+    used, faces = np.unique(mesh.faces, return_inverse=True)
+    faces = faces.reshape(-1, 3)
+    points = mesh.vertices[used].astype(np.float32)
+    vertices, faces = simplify(points, faces.astype(np.int32), target_count=max_faces, agg=7.0)
+    if len(faces) > max_faces:
+        a, b, c = (vertices[faces[:, k]] for k in range(3))
+        area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        faces = faces[np.sort(np.argsort(-area, kind="stable")[:max_faces])]
+    colours = None if mesh.colours is None else mesh.colours[used[cKDTree(points).query(vertices)[1]]]
+    return Mesh(vertices.astype(float), faces.astype(np.int64), colours)
 
 
 def joined(*meshes: Mesh) -> Mesh:

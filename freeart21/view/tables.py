@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
-from freeart21.certificate import Certificate, LinkCertificate
+from freeart21.certificate import Certificate
 from freeart21.errors import FreeArtError
 from freeart21.files.urdf import Urdf, UrdfJoint
 from freeart21.joint import Joint
 from freeart21.reconstruction import Alternative
 from freeart21.recording import Recording
-from freeart21.view.document import Section, escape
+from freeart21.view.document import Markup, Place, Section, render
 from freeart21.view.plots import display_unit
 
 ARROWS = {"up": ("↑", "larger is better"), "down": ("↓", "smaller is better")}
@@ -27,95 +27,76 @@ _WORDS = re.compile(r"[^\W\d_]{4,}|, ")
 """A word of four letters or more, or a comma: a cell with one is text or a list, not a number with its unit."""
 
 
-class Markup(str):
-    """A whole cell of a table as HTML, already escaped."""
+@dataclass(frozen=True)
+class Cell:
+    """A cell or a heading with more than a text."""
 
-    __slots__ = ()
-
-
-def two_lines(text: str, below: str, heading: bool = False, bold: bool = False) -> Markup:
-    """A cell, or a row's heading, with a text and a smaller one below."""
-    lines = f"{f'<b>{escape(text)}</b>' if bold else escape(text)}<br><small>{escape(below)}</small>"
-    return Markup(f"<th scope=row>{lines}</th>" if heading else f"<td>{lines}</td>")
-
-
-def bar(share: float) -> Markup:
-    """A cell with a bar over this share of its width, 0 to 1."""
-    return Markup(f'<td class="bar"><i style="width:{100 * share:.1f}%"></i></td>')
-
-
-def value_cell(text: str, value: object = None, html: bool = False, css: str = "") -> Markup:
-    """A cell that sorts by `value` (by its text when None); `text` is HTML if so said, `css` its class."""
-    sort = "" if value is None else f' data-value="{escape(value)}"'
-    look = f' class="{css}"' if css else ""
-    return Markup(f"<td{look}{sort}>{text if html else escape(text)}</td>")
+    text: object = ""
+    """Escaped unless it is `Markup`."""
+    value: object = None
+    """What it is sorted by, when not by its text."""
+    css: str = ""
+    below: object = ""
+    """A smaller second line."""
+    bar: float | None = None
+    """A bar over this share of the cell's width, 0 to 1, in place of the text."""
+    title: str = ""
+    """Tooltip."""
+    link: bool = False
+    """Of a heading that is a link, not a button to sort by."""
 
 
-def number_cell(text: str, best: bool = False, value: float | None = None, more: str = "") -> Markup:
-    """A right-aligned cell with a number as `text`, sorted by `value`, with HTML `more` below it."""
-    return value_cell(f"<span>{text}</span>{more}", value, True, "number" + " best" * best)
-
-
-def row_head(html: str, value: object = None) -> Markup:
-    """A row's heading as HTML, sorted by `value`."""
-    sort = "" if value is None else f' data-value="{escape(value)}"'
-    return Markup(f"<th scope=row{sort}>{html}</th>")
-
-
-def column_head(html: str, number: bool = False, sortable: bool = False, more: str = "") -> Markup:
-    """A column's heading as HTML, a button when it is sortable, with HTML `more` behind it."""
-    inside = f'<button type="button">{html}</button>' if sortable else html
-    look = " class=number" if number else ""
-    return Markup(f"<th scope=col{look}>{inside}{more}</th>")
+def number_cell(text: str, best: bool = False, value: float | None = None, below: object = "") -> Cell:
+    """A right-aligned number."""
+    return Cell(text, value, "number" + " best" * best, below)
 
 
 def table(
-    rows: Iterable[Sequence[str]], head: Sequence[str] = (), css: str = "", label: str = "", row_css: Sequence[str] = ()
-) -> str:
+    rows: Iterable[Sequence[object]],
+    head: Sequence[object] = (),
+    css: str = "",
+    label: str = "",
+    row_css: Sequence[str] = (),
+) -> Markup:
     """A table in a box that scrolls sideways.
 
     Args:
-        rows: Texts, escaped here, or `Markup`; the first cell of a row is its heading.
-        head: Headings of the columns, as texts or `Markup`.
-        css: Class of the table; with 'sortable' a click on a heading's button sorts the rows.
+        rows: Texts or `Cell`s; the first one of a row is its heading.
+        head: Headings of the columns.
+        css: Class of the table; with 'sortable' a click on a heading sorts the rows.
         label: What the table is, for screen readers; the keyboard then scrolls it.
         row_css: Class of each row, when given.
     """
-    names = [cell if isinstance(cell, Markup) else column_head(escape(cell)) for cell in head]
-    header = f"<thead><tr>{''.join(names)}</tr></thead>" if head else ""
-    lines = []
-    for k, row in enumerate(rows):
-        look = f' class="{row_css[k]}"' if k < len(row_css) and row_css[k] else ""
-        lines.append(f"<tr{look}>{table_cell(row[0], 'th')}{''.join(map(table_cell, row[1:]))}</tr>")
-    region = f' tabindex="0" role="region" aria-label="{escape(label)}, scrolls sideways"' if label else ""
-    look = f' class="{css}"' if css else ""
-    return f'<div class="table"{region}><table{look}>{header}<tbody>{"".join(lines)}</tbody></table></div>'
+    lines = [
+        (row_css[k] if row_css else "", [_cell(one, i) for i, one in enumerate(row)]) for k, row in enumerate(rows)
+    ]
+    heads = [one if isinstance(one, Cell) else Cell(one) for one in head]
+    return render("table.html.j2", rows=lines, head=heads, css=css, label=label, sortable="sortable" in css.split())
 
 
 def table_section(
     title: str,
-    rows: Iterable[Sequence[str]],
-    head: Sequence[str] = (),
-    place: Literal["left", "right", "full", "small"] = "small",
+    rows: Iterable[Sequence[object]],
+    head: Sequence[object] = (),
+    place: Place = "small",
     note: str = "",
-    kind: str = "",
+    css: str = "",
 ) -> Section:
-    """A section with one table; `kind` is its CSS class."""
-    return Section(title, table(rows, head, kind), place=place, note=note)
+    """A section with one table; `css` is its class."""
+    return Section(title, table(rows, head, css), place=place, note=note)
 
 
-def table_cell(text: str, tag: Literal["td", "th"] = "td") -> str:
-    """A cell; a number and its unit stay on one line, so that a narrow page scrolls the table instead."""
-    if isinstance(text, Markup):
-        return text
-    if tag == "th":
-        return f"<th scope=row>{escape(text)}</th>"
-    figures = any(c.isdigit() for c in text) and not _WORDS.search(text)
-    return f"<td{' class=number' * figures}>{escape(text)}</td>"
+def _cell(given: object, column: int) -> Cell:
+    """A number and its unit stay on one line, so that a narrow page scrolls the table instead."""
+    if isinstance(given, Cell):
+        return given
+    text = str(given)
+    is_number = column > 0 and any(c.isdigit() for c in text) and not _WORDS.search(text)
+    return Cell(given, css="number" if is_number else "")
 
 
 def number_text(value: float | None, unit: str | None, with_unit: bool = False) -> str:
-    """A value with about three significant digits; `FreeArt.numberText` does the same."""
+    """A value with about three significant digits."""
     if value is None or unit is None:
         return NONE
     small = abs(value) < 10 or unit in ("dB", "fraction")
@@ -135,47 +116,6 @@ def source_rows(source: Mapping[str, Any]) -> list[tuple[str, str]]:
     return rows
 
 
-def certificate_section(certificate: Certificate) -> Section:
-    """How good an asset is, from its certificate: a column a link, then what holds for the whole."""
-    links = certificate.links
-
-    def per_link(text: Callable[[LinkCertificate], str]) -> list[str]:
-        return [text(link) for link in links.values()]
-
-    def distance(link: LinkCertificate, key: str) -> str:
-        return f"{1000 * link.contact[key]:.2g} mm" if key in link.contact else NONE
-
-    def supposed(link: LinkCertificate) -> str:
-        return ", ".join(f"{how} {share:.0%}" for how, share in link.supposed.items()) or "nothing"
-
-    span = [
-        ("Trust", ": ".join(filter(None, [certificate.trust, "; ".join(certificate.reasons)]))),
-        ("Upright by", certificate.upright),
-        ("Visual meshes in each other", f"{1000 * certificate.visual_overlap_m:.2g} mm at most"),
-        ("Collision shapes in each other", f"{1000 * certificate.contact_overlap_m:.2g} mm at most"),
-        *(
-            (_engine_title(engine, of.version), ": ".join(filter(None, [of.verdict, ", ".join(of.failed)])))
-            for engine, of in certificate.engines.items()
-        ),
-    ]
-    rows = [
-        ["Area that was seen", *per_link(lambda link: f"{link.seen_share:.0%}")],
-        ["The rest", *per_link(supposed)],
-        ["Visual to contact, median", *per_link(lambda link: distance(link, "median_m"))],
-        ["Visual to contact, 95 % within", *per_link(lambda link: distance(link, "worst_of_95_m"))],
-        ["Contact beyond visual, 95 % within", *per_link(lambda link: distance(link, "outward_95_m"))],
-        ["Mass", *per_link(lambda link: f"{link.mass_kg:.3g} kg")],
-        ["Mass by", *per_link(lambda link: link.mass)],
-        ["Mass, bounds", *per_link(lambda link: f"{link.mass_low_kg:.2g} to {link.mass_high_kg:.2g} kg")],
-        ["Material", *per_link(lambda link: link.material)],
-    ]
-    return Section("Certificate", table(span) + table(rows, ["", *links]), place="full")
-
-
-def _engine_title(engine: str, version: str) -> str:
-    return "Rules on files" if engine == "file" else f"Tried in {engine} {version}".strip()
-
-
 def _plain(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
@@ -186,6 +126,40 @@ def _plain(value: object) -> str:
     if isinstance(value, Mapping):
         return "; ".join(f"{name} {text}" for name, text in source_rows(value))
     return str(value)
+
+
+def certificate_section(certificate: Certificate) -> Section:
+    """How good an asset is, from its certificate: what holds for the whole, then a row a link."""
+    engines = [
+        (
+            "Rules on files" if engine == "file" else f"Tried in {engine} {of.version}".strip(),
+            ": ".join(filter(None, [of.verdict, ", ".join(of.failed)])),
+        )
+        for engine, of in certificate.engines.items()
+    ]
+    whole = [
+        ("Trust", ": ".join(filter(None, [certificate.trust, "; ".join(certificate.reasons)]))),
+        ("Upright by", certificate.upright),
+        ("Visual meshes in each other", f"{1000 * certificate.visual_overlap_m:.2g} mm at most"),
+        ("Collision shapes in each other", f"{1000 * certificate.contact_overlap_m:.2g} mm at most"),
+        *engines,
+    ]
+    head = ("", "seen", "the rest", "visual to contact", "contact beyond visual", "mass", "by", "bounds", "material")
+    rows = []
+    for name, link in certificate.links.items():
+        supposed = ", ".join(f"{how} {share:.0%}" for how, share in link.supposed.items()) or "nothing"
+        median, worst, outward = (
+            f"{1000 * link.contact[key]:.2g}" if key in link.contact else NONE
+            for key in ("median_m", "worst_of_95_m", "outward_95_m")
+        )
+        mass = (f"{link.mass_kg:.3g} kg", link.mass, f"{link.mass_low_kg:.2g} to {link.mass_high_kg:.2g} kg")
+        rows.append(
+            (name, f"{link.seen_share:.0%}", supposed, f"{median}; {worst} mm", f"{outward} mm", *mass, link.material)
+        )
+    note = (
+        "Visual to contact: the median; 95 % of the surface lie within the second number, as of contact beyond visual."
+    )
+    return Section("Certificate", table(whole) + table(rows, head), place="full", note=note)
 
 
 def recording_rows(recording: Recording) -> list[tuple[str, str]]:
@@ -206,11 +180,11 @@ def recording_rows(recording: Recording) -> list[tuple[str, str]]:
 
 def joint_rows(joint: Joint, states: Sequence[float] | np.ndarray) -> list[tuple[str, str]]:
     """Type, axis, pivot, limits, and the range of the video's states (n,)."""
-    rows = [("Type", joint.type), ("Axis", _vector(joint.axis))]
-    if joint.type == "revolute":
-        rows.append(("Pivot", f"{_vector(joint.pivot)} m"))
+    pivot = [("Pivot", f"{_vector(joint.pivot)} m")] if joint.type == "revolute" else []
     return [
-        *rows,
+        ("Type", joint.type),
+        ("Axis", _vector(joint.axis)),
+        *pivot,
         ("Limits", limits_text(joint.type, joint.lower, joint.upper)),
         ("States in the video", limits_text(joint.type, float(np.min(states)), float(np.max(states)))),
     ]
@@ -236,11 +210,13 @@ def compared_rows(
 def seconds_section(seconds: Mapping[str, float], peak_bytes: int | None = None) -> Section:
     """Seconds of every stage, with bars, and the peak memory when known."""
     longest = max([*seconds.values(), 1e-9])
-    rows: list[list[str]] = [[stage, bar(max(v, 0.0) / longest), f"{v:.2f} s"] for stage, v in seconds.items()]
+    rows: list[list[object]] = [
+        [stage, Cell(bar=max(v, 0.0) / longest, css="bar"), f"{v:.2f} s"] for stage, v in seconds.items()
+    ]
     rows.append(["total", "", f"{sum(seconds.values()):.2f} s"])
     if peak_bytes is not None:
         rows.append(["peak memory", "", f"{peak_bytes / 1e9:.2f} GB"])
-    return Section("Time per stage", table(rows, row_css=[""] * len(seconds) + ["total"]))
+    return table_section("Time per stage", rows)
 
 
 def score_section(scores: Mapping[str, Any], note: str = "", place: Literal["right", "small"] = "right") -> Section:
@@ -256,14 +232,11 @@ def score_section(scores: Mapping[str, Any], note: str = "", place: Literal["rig
         value, better = entry.get("value"), entry.get("better")
         if not (value is None or isinstance(value, int | float | str)) or better not in (None, *ARROWS):
             raise FreeArtError(f"score '{name}' is {entry!r}, expected a value, and better 'up' or 'down'")
-        arrow = '<abbr title="{1}">{0}</abbr>'.format(*ARROWS[better]) if better else ""
-        label = escape(entry.get("label") or name.replace("_", " ").capitalize())
-        texts = escape(_score_text(value, entry.get("unit"))), escape(entry.get("beside") or "")
-        rows.append([Markup(f"<th scope=row>{label} {arrow}</th>"), *map(Markup, map(_FIGURE, texts))])
-    return Section("Score", table(rows, css="scores"), place=place, note=note)
-
-
-_FIGURE = "<td class=number>{}</td>".format
+        arrow, meaning = ARROWS[better] if better else ("", "")
+        label = entry.get("label") or name.replace("_", " ").capitalize()
+        shown = _score_text(value, entry.get("unit")), entry.get("beside") or ""
+        rows.append([Cell(f"{label} {arrow}".strip(), title=meaning), *(Cell(text, css="number") for text in shown)])
+    return table_section("Score", rows, (), place, note, "scores")
 
 
 def _score_text(value: float | str | None, unit: str | None) -> str:
@@ -285,9 +258,8 @@ def link_section(urdf: Urdf) -> Section:
             mass, centre = f"{link.inertial.mass:.4g} kg", f"{_vector(link.inertial.centre)} m"
             moments = ", ".join(f"{moment:.3g}" for moment in np.diag(link.inertial.inertia))
         rows.append((link.name, mass, centre, moments, f"{len(link.visuals)} / {len(link.collisions)}"))
-    return table_section(
-        "Links", rows, ("", "mass", "centre of mass", "Ixx, Iyy, Izz, kg m²", "visual / collision shapes"), "full"
-    )
+    head = ("", "mass", "centre of mass", "Ixx, Iyy, Izz, kg m²", "visual / collision shapes")
+    return table_section("Links", rows, head, "full")
 
 
 def joint_section(urdf: Urdf, effects: Mapping[str, Sequence[Any]]) -> Section:
@@ -296,8 +268,7 @@ def joint_section(urdf: Urdf, effects: Mapping[str, Sequence[Any]]) -> Section:
     for name, joint in urdf.joints.items():
         if joint.joint_type is None:
             continue
-        unit = ("N m", "rad/s") if joint.joint_type == "revolute" else ("N", "m/s")
-        acting = "; ".join(effect_text(effect, joint) for effect in effects.get(name, ())) or "none"
+        effort, velocity = ("N m", "rad/s") if joint.joint_type == "revolute" else ("N", "m/s")
         rows.append(
             (
                 name,
@@ -305,14 +276,13 @@ def joint_section(urdf: Urdf, effects: Mapping[str, Sequence[Any]]) -> Section:
                 f"{joint.parent} → {joint.child}",
                 _vector(joint.axis),
                 limits_text(joint.joint_type, joint.lower, joint.upper),
-                "-" if joint.effort is None else f"{joint.effort:g} {unit[0]}",
-                "-" if joint.velocity is None else f"{joint.velocity:g} {unit[1]}",
-                acting,
+                "-" if joint.effort is None else f"{joint.effort:g} {effort}",
+                "-" if joint.velocity is None else f"{joint.velocity:g} {velocity}",
+                "; ".join(effect_text(effect, joint) for effect in effects.get(name, ())) or "none",
             )
         )
-    return table_section(
-        "Joints", rows, ("", "type", "links", "axis", "limits", "effort", "velocity", "effects"), "full"
-    )
+    head = ("", "type", "links", "axis", "limits", "effort", "velocity", "effects")
+    return table_section("Joints", rows, head, "full")
 
 
 def effect_text(effect: Any, joint: UrdfJoint) -> str:

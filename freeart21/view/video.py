@@ -1,10 +1,10 @@
-"""The video player: colour and depth images, foreground, and the parts, estimated or true, over them."""
+"""The video player: colour and depth images, and the parts of one or more sources over them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,19 +20,28 @@ PartMasks = Callable[[int], Image]
 
 QUALITIES = (85, 75, 60, 45, 30, 15)
 """JPEG qualities to try, best first."""
-_LABEL_STEP, _CONFIDENCE_STEPS = 100, 40
+LABEL_STEP, CONFIDENCE_STEPS = 100, 40
 """A pixel with label 0, 1, 2 is stored as 0, 100, 200, far enough apart for any colour management, plus up to 40 by its
 confidence."""
 
 
 @dataclass(frozen=True)
-class AxisLine:
-    """A joint axis in every image."""
+class Overlay:
+    """The parts and the joint axis of one source."""
 
-    name: Literal["estimate", "truth"]
-    colour: str
-    ends: NDArray[np.float64]
+    name: str
+    masks: PartMasks | None = None
+    colours: tuple[str, str] = (REFERENCE, MOVING)
+    """Of reference and moving part."""
+    axis: NDArray[np.float64] | None = None
     """(n, 2, 2) both ends in pixels of the recording, the positive one last; NaN where it is not visible."""
+    axis_colour: str = ""
+    shown: bool = True
+    """At first."""
+    confidence: PartMasks | None = None
+    """That of the labels, 0 to 255."""
+    absent: str = ""
+    """Why there are no masks."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +51,13 @@ class VideoSettings:
     max_frames: int = 150
     """Longer videos are thinned out evenly."""
     max_side: int = 640
-    """Pixels of the longer side; larger images are scaled down."""
+    """Pixels of the longer side of images; larger ones are scaled down."""
+    mask_side: int = 640
+    """The same of masks."""
     rgb_bytes: int = 6 << 20
     """Most bytes of all colour images before base64; the JPEG quality is lowered until they fit."""
     depth_bytes: int = 3 << 20
-    """The same for the depth images."""
+    """The same for the depth images; 0 for none."""
 
 
 def shown_frames(n: int, most: int) -> NDArray[np.int64]:
@@ -56,7 +67,86 @@ def shown_frames(n: int, most: int) -> NDArray[np.int64]:
 
 def encode_jpeg(image: Image, quality: int) -> bytes:
     """JPEG of an RGB image (height, width, 3)."""
-    return _encode(image, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])[
+        1
+    ].tobytes()
+
+
+def video_section(
+    recording: Recording | None,
+    overlays: Sequence[Overlay] = (),
+    n: int = 0,
+    states: ArrayLike | None = None,
+    joint_type: str = "",
+    settings: VideoSettings = VideoSettings(),
+    note: str = "Solid outline and stronger colour: moving part; dashed: reference part.",
+) -> Section:
+    """The player of a recording, with the parts and joint axes of `overlays` and the recording's own masks over it.
+
+    Without a recording the parts are drawn on a plain background, and `n` is the number of frames. `states` (n,), rad
+    or m by `joint_type`, are shown with the time. Raises FreeArtError when masks and images differ in size.
+    """
+    masked = [overlay.masks for overlay in overlays if overlay.masks is not None]
+    if recording is None and not (masked and n):
+        raise FreeArtError("a video player needs a recording, or part masks and the number of frames")
+    total, size = (
+        (n, masked[0](0).shape)
+        if recording is None
+        else (len(recording), (recording.camera.height, recording.camera.width))
+    )
+    frames = shown_frames(total, settings.max_frames)
+    shown, small = (_scaled(size, side) for side in (settings.max_side, settings.mask_side))
+    rgb: list[Image] = []
+    depth: list[NDArray[np.float32]] = []
+    labels: list[list[str]] = [[] for _ in overlays]
+    foreground: list[str] = []
+    for i in frames.tolist():
+        if recording is not None:
+            frame = recording.frame(i)
+            rgb.append(np.asarray(cv2.resize(frame.rgb, shown, interpolation=cv2.INTER_AREA), np.uint8))
+            if settings.depth_bytes:
+                depth.append(np.asarray(cv2.resize(frame.depth, shown, interpolation=cv2.INTER_NEAREST), np.float32))
+            foreground.append(_label_image(2 * frame.mask.astype(np.uint8), None, small))
+        for overlay, found in zip(overlays, labels, strict=True):
+            if overlay.masks is not None:
+                mask = overlay.masks(i)
+                if mask.shape != size:
+                    raise FreeArtError(
+                        f"frame {i}: the mask of the {overlay.name} is {mask.shape[1]} x {mask.shape[0]}, "
+                        f"expected {size[1]} x {size[0]} as the video"
+                    )
+                found.append(_label_image(mask, overlay.confidence and overlay.confidence(i), small))
+    near, far = _depth_range(depth)
+    sources: list[dict[str, Any]] = [
+        {
+            "name": overlay.name,
+            "colours": overlay.colours,
+            "labels": own or None,
+            "axis": None if overlay.axis is None else _axis_ends(overlay.axis[frames], shown[0] / size[1]),
+            "axis_colour": overlay.axis_colour or overlay.colours[1],
+            "shown": overlay.shown,
+            "confidence": overlay.confidence is not None,
+            "absent": overlay.absent,
+        }
+        for overlay, own in zip(overlays, labels, strict=True)
+    ]
+    if foreground:
+        given = {"name": "given mask", "colours": ("#ffffff", "#ffffff"), "axis_colour": "#ffffff", "absent": ""}
+        sources.append({**given, "labels": foreground, "axis": None, "shown": False, "confidence": False})
+    data: dict[str, Any] = {
+        "width": shown[0],
+        "height": shown[1],
+        "label_size": small,
+        "frames": frames,
+        "times_s": recording.times_s[frames] if recording is not None else None,
+        "states": None if states is None else np.asarray(states, float)[frames],
+        "joint_type": joint_type,
+        "rgb": _jpeg_urls(rgb, settings.rgb_bytes),
+        "depth": _jpeg_urls([_depth_image(d, near, far) for d in depth], settings.depth_bytes),
+        "depth_range_m": [near, far],
+        "sources": sources,
+    }
+    return Section("Video", "", "video", data, "left", note if masked else "")
 
 
 def fitting_quality(images: Sequence[Image], max_bytes: int) -> int:
@@ -68,99 +158,24 @@ def fitting_quality(images: Sequence[Image], max_bytes: int) -> int:
     return quality
 
 
-def video_section(
-    recording: Recording | None,
-    estimate: PartMasks | None = None,
-    truth: PartMasks | None = None,
-    n: int | None = None,
-    states: ArrayLike | None = None,
-    joint_type: str = "",
-    settings: VideoSettings | None = None,
-    axes: Sequence[AxisLine] = (),
-    confidence: PartMasks | None = None,
-) -> Section:
-    """The player of a recording with estimated and true parts and joint axes over it.
-
-    Without a recording the parts are drawn on a plain background, and `n` is the number of frames. `states` (n,), rad
-    or m by `joint_type`, are shown with the time; `confidence` is that of the estimated parts, 0 to 255. Raises
-    FreeArtError when masks and images differ in size.
-    """
-    settings = settings or VideoSettings()
-    masks = {"estimate": estimate, "truth": truth}
-    first = next((get for get in masks.values() if get), None)
-    if recording is not None:
-        total, size = len(recording), (recording.camera.height, recording.camera.width)
-    elif first is not None and n is not None:
-        total, size = n, first(0).shape
-    else:
-        raise FreeArtError("a video player needs a recording, or part masks and the number of frames")
-    frames = shown_frames(total, settings.max_frames)
-    scale = min(1.0, settings.max_side / max(size))
-    shown = max(1, round(size[1] * scale)), max(1, round(size[0] * scale))
-    rgb: list[Image] = []
-    depth: list[NDArray[np.float32]] = []
-    labels: list[str] = []
-    for i in frames.tolist():
-        frame = recording.frame(i) if recording is not None else None
-        if frame is not None:
-            rgb.append(np.asarray(cv2.resize(frame.rgb, shown, interpolation=cv2.INTER_AREA), np.uint8))
-            depth.append(np.asarray(cv2.resize(frame.depth, shown, interpolation=cv2.INTER_NEAREST), np.float32))
-        found = [
-            frame.mask.astype(np.uint8) if frame is not None else None,
-            *(get(i) if get else None for get in masks.values()),
-        ]
-        labels.append(_label_image(found, i, size, shown, confidence(i) if confidence else None))
-    near, far = _depth_range(depth)
-    data: dict[str, Any] = {
-        "width": shown[0],
-        "height": shown[1],
-        "frames": frames,
-        "times_s": recording.times_s[frames] if recording is not None else None,
-        "states": None if states is None else np.asarray(states, float)[frames],
-        "joint_type": joint_type,
-        "rgb": _jpeg_urls(rgb, settings.rgb_bytes),
-        "depth": _jpeg_urls([_depth_image(d, near, far) for d in depth], settings.depth_bytes),
-        "depth_range_m": [near, far],
-        "depth_colours": _colour_bar() if depth else None,
-        "labels": labels,
-        "estimate": estimate is not None,
-        "truth": truth is not None,
-        "confidence": confidence is not None,
-        "axes": [
-            {"name": axis.name, "colour": axis.colour, "ends": axis_ends(axis.ends[frames], scale)} for axis in axes
-        ],
-        "colours": [REFERENCE, MOVING],
-    }
-    return Section("Video", '<div class="player"></div>', "video", data, "left")
+def _scaled(size: tuple[int, ...], side: int) -> tuple[int, int]:
+    """(width, height) of an image of `size` (height, width), scaled down to a longer side of `side` pixels."""
+    scale = min(1.0, side / max(size))
+    return max(1, round(size[1] * scale)), max(1, round(size[0] * scale))
 
 
-def axis_ends(ends: NDArray[np.float64], scale: float) -> list[list[float] | None]:
-    """Ends (n, 2, 2) of an axis, times `scale`, as [u0, v0, u1, v1] a frame for the scripts; None where not visible."""
+def _axis_ends(ends: NDArray[np.float64], scale: float) -> list[list[float] | None]:
+    """Ends (n, 2, 2) of an axis, times `scale`, as [u0, v0, u1, v1] a frame; None where not visible."""
     return [np.round(e * scale, 1).ravel().tolist() if np.isfinite(e).all() else None for e in ends]
 
 
-def _label_image(
-    masks: list[Image | None], index: int, size: tuple[int, ...], shown: tuple[int, int], confidence: Image | None
-) -> str:
-    """Foreground, estimated and true labels of one frame as red, green and blue of one PNG.
-
-    The confidence of the estimated labels is added to them in eight steps, up to _CONFIDENCE_STEPS.
-    """
-    image = np.zeros((shown[1], shown[0], 3), np.uint8)
-    for k, (what, mask) in enumerate(zip(("foreground", "estimated parts", "true parts"), masks, strict=True)):
-        if mask is None:
-            continue
-        if mask.shape != size:
-            raise FreeArtError(
-                f"frame {index}: the mask of the {what} is {mask.shape[1]} x {mask.shape[0]}, "
-                f"expected {size[1]} x {size[0]} as the video"
-            )
-        image[..., k] = _LABEL_STEP * cv2.resize(mask, shown, interpolation=cv2.INTER_NEAREST)
-        if k == 1 and confidence is not None:
-            level = cv2.resize(confidence, shown, interpolation=cv2.INTER_NEAREST).astype(np.uint16)
-            steps = (8 * level + 127) // 255 * (_CONFIDENCE_STEPS // 8)
-            image[..., k] += np.where(image[..., k] > 0, steps, 0).astype(np.uint8)
-    return data_url("image/png", _encode(image, ".png", [cv2.IMWRITE_PNG_COMPRESSION, 6]))
+def _label_image(mask: Image, confidence: Image | None, size: tuple[int, int]) -> str:
+    """Labels of one frame as a PNG, with their confidence in eight steps up to CONFIDENCE_STEPS."""
+    image = LABEL_STEP * cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST)
+    if confidence is not None:
+        level = cv2.resize(confidence, size, interpolation=cv2.INTER_NEAREST).astype(np.uint16)
+        image = image + np.where(image > 0, (8 * level + 127) // 255 * (CONFIDENCE_STEPS // 8), 0).astype(np.uint8)
+    return data_url("image/png", cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 6])[1].tobytes())
 
 
 def _jpeg_urls(images: list[Image], max_bytes: int) -> list[str] | None:
@@ -168,13 +183,6 @@ def _jpeg_urls(images: list[Image], max_bytes: int) -> list[str] | None:
         return None
     quality = fitting_quality(images, max_bytes)
     return [data_url("image/jpeg", encode_jpeg(image, quality)) for image in images]
-
-
-def _encode(image: Image, suffix: str, options: list[int]) -> bytes:
-    ok, data = cv2.imencode(suffix, cv2.cvtColor(image, cv2.COLOR_RGB2BGR), options)
-    if not ok:
-        raise FreeArtError(f"cannot encode an image of shape {image.shape} as {suffix}")
-    return data.tobytes()
 
 
 def _depth_range(depths: list[NDArray[np.float32]]) -> tuple[float, float]:
@@ -188,13 +196,7 @@ def _depth_range(depths: list[NDArray[np.float32]]) -> tuple[float, float]:
 
 
 def _depth_image(depth: NDArray[np.float32], near: float, far: float) -> Image:
-    """Near bright, far dark; grey where nothing was measured."""
+    """Near bright, far dark (viridis); grey where nothing was measured."""
     level = np.clip(255 * (far - depth) / (far - near), 0, 255).astype(np.uint8)
     colours = np.asarray(cv2.applyColorMap(level, cv2.COLORMAP_VIRIDIS)[..., ::-1], np.uint8)
     return np.where((depth <= 0)[..., None], np.uint8(200), colours)
-
-
-def _colour_bar() -> list[str]:
-    """Colours of the depth images from near to far, for the legend."""
-    levels = np.linspace(255, 0, 9).astype(np.uint8)[None]
-    return [f"#{r:02x}{g:02x}{b:02x}" for b, g, r in cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS)[0].tolist()]

@@ -26,7 +26,8 @@ from freeart21.errors import FreeArtError
 from freeart21.mesh import bounding_diagonal
 from generator.motion.body import Body
 from generator.motion.plan import PRESETS
-from generator.session import RecordSettings, catalog_entry, load_object, resolve_name
+from generator.object_source import find_object
+from generator.settings import RecordSettings
 from generator.teleop.driving import Driving, Placement
 from generator.teleop.gate import Gate, bracketed
 from generator.teleop.limits import Workspace
@@ -114,10 +115,10 @@ def serve(name: str, out: Path, settings: TeleopSettings, record: RecordSettings
 
 def _load_object(name: str, record: RecordSettings, place: Path) -> tuple[str, LoadedObject, tuple[Path, ...]]:
     """The object's name, the loaded object, and the user's folders, which are never written to."""
-    name, record = resolve_name(name, record)
-    loaded = load_object(catalog_entry(name, record), record, place)
+    source = find_object(name, record)
+    loaded = source.load(place)
     folder = loaded.asset.urdf.parent
-    return name, loaded, () if folder.is_relative_to(place) else (folder,)
+    return source.entry.name, loaded, () if folder.is_relative_to(place) else (folder,)
 
 
 async def _serve(

@@ -3,7 +3,7 @@
     ob_in_cam/<frame>.txt    4 x 4, camera (OpenCV) from object, metres; the name is the picture's
     a mesh                   in the object's frame
 
-Two runs, one per part, make an answer with a joint fitted here (`fitting`), which a note says. One run alone gives the
+Two runs, one per part, make an answer with a joint of `freeart21.joint_fit`, which a note says. One run alone gives the
 reference part's poses without a joint. Two runs lie in two subfolders of a sequence's folder: `reference/` and
 `moving/`, or any two with an ob_in_cam/, the first by name being the reference part.
 
@@ -28,10 +28,10 @@ import numpy as np
 
 from freeart21 import se3
 from freeart21.errors import FreeArtError
+from freeart21.joint_fit import fit_joint
 from freeart21.mesh import Mesh, box_centre
 from freeart21.se3 import Array
 from leaderboard.adapters import readers
-from leaderboard.adapters.fitting import fit_joint
 from leaderboard.adapters.layout import ImportedResult, Layout, Request
 
 MAX_FILES = 100_000
@@ -69,15 +69,15 @@ def _read(mesh_names: tuple[str, ...], folder: Path, request: Request) -> Import
     base, moving = (_read_mesh(run, mesh_names, request) for run in runs)
     centre = np.zeros(3) if moving is None else box_centre(moving)
     size = _DEFAULT_SIZE if moving is None else float(np.linalg.norm(np.ptp(moving.vertices, axis=0)))
-    fit = fit_joint("joint", se3.inverse(Ts[0]) @ Ts[1], centre, size)
+    fit, other = fit_joint(se3.inverse(Ts[0]) @ Ts[1], centre, size / 2)
     note = "the joint is not the method's: it was fitted to the poses of its parts by the import "
-    note += f"({fit.joint.type}, {1000 * fit.residual:.2g} mm off in the median frame; the other type "
-    note += f"{1000 * fit.other_residual:.2g} mm)" if np.isfinite(fit.other_residual) else "not tried)"
-    carried = readers.nearest_poses(Ts[1] @ se3.inverse(fit.T_reference_moving), at, n)
-    meshes = None if base is None or moving is None else (base, moving.moved(fit.T_reference_moving))
+    note += f"({fit.type}, {1000 * fit.residual:.2g} mm off in the median frame; the other type "
+    note += f"{1000 * other.residual:.2g} mm)"
+    carried = readers.nearest_poses(Ts[1] @ se3.inverse(fit.T_zero), at, n)
+    meshes = None if base is None or moving is None else (base, moving.moved(fit.T_zero))
     states = readers.interpolate_states(fit.states, at, n)
     notes = (note, *absent, *notes)
-    return ImportedResult(fit.joint, states, (reference, carried), meshes=meshes, seen=seen, notes=notes)
+    return ImportedResult(fit.joint(), states, (reference, carried), meshes=meshes, seen=seen, notes=notes)
 
 
 def _read_poses(folder: Path, request: Request) -> tuple[dict[int, Array], tuple[str, ...]]:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from freeart21 import stopping
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
-from freeart21.files.benchmark import Benchmark, read_benchmark
+from freeart21.files.benchmark import read_benchmark
 from freeart21.files.places import SITE, check_place
 from freeart21.files.result import Method
-from freeart21.joint import JointType
+from freeart21.view.document import Section
 from leaderboard.cached import cached_scores
 from leaderboard.compare import check_tables
 from leaderboard.method_names import check_names
@@ -21,20 +19,17 @@ from leaderboard.protocols import DEFAULT, protocol_named
 from leaderboard.rows import Row, Scores
 from leaderboard.score import benchmark_facts
 from leaderboard.scores_file import read_scores, write_scores
-from leaderboard.site.definitions_page import definitions_page
-from leaderboard.site.downloads_page import downloads_page, scores_csv
-from leaderboard.site.entrant import Entrant, entrants
+from leaderboard.site.common import Board
+from leaderboard.site.entrant import entrants
 from leaderboard.site.failures_page import failures_page
-from leaderboard.site.html import Board, script, style
 from leaderboard.site.index_page import index_page
 from leaderboard.site.method_page import method_page
 from leaderboard.site.names import file_names
-from leaderboard.site.sequence_data import SequenceContent, show_sequence, show_table
+from leaderboard.site.reference_pages import definitions_page, downloads_page, scores_csv
 from leaderboard.site.sequence_page import sequence_page
+from leaderboard.site.sequence_view import show_sequence, show_table
 
 SCHEMA = "freeart21/site/1"
-WORKERS = 2
-"""Threads that read and pack sequences: decoding and packing release Python's lock."""
 Progress = Callable[[str, int, int], None]
 """Called with what was just done, how many of it are done, and how many there are."""
 
@@ -93,20 +88,23 @@ def write_site(
     name = title or f"FreeArt-21: {facts['name']}"
     files = dict(zip(sequences, file_names(sequences), strict=True))
     types = {row.sequence: row.joint_type for row in board_entrants[0].scores[protocols[0]].rows}
+    visual: dict[str, list[Section]] = {}
     with atomic.new_folder(Path(out), SITE) as new:
-        if benchmark is None:
-            shown = [show_table(sequence, types[sequence], board_entrants) for sequence in sequences]
-        else:
-            shown = _pack_sequences(new, benchmark, board_entrants, protocols[0], types, files, progress)
-        _write_pages(new, Board(name, board_entrants, protocols, shown, files, facts, command))
-        written = sorted(path.relative_to(new).as_posix() for path in new.rglob("*") if path.is_file())
-        marker = {
-            "schema": SCHEMA,
-            "title": name,
-            "benchmark": facts["name"],
-            "protocols": protocols,
-            "files": written,
-        }
+        shown = []
+        for count, sequence in enumerate(sequences, 1):
+            if benchmark is None:
+                shown.append(show_table(sequence, types[sequence], board_entrants))
+                continue
+            source = benchmark, sequence, board_entrants, protocols[0], types[sequence]
+            content, visual[sequence] = show_sequence(*source)
+            shown.append(content)
+            if progress:
+                progress(f"Packed {sequence}", count, len(sequences))
+        board = Board(name, board_entrants, protocols, shown, files, facts, command)
+        for k, sequence in enumerate(sequences):
+            _write(new / "sequences" / f"{files[sequence]}.html", sequence_page(board, k, visual.pop(sequence, [])))
+        _write_pages(new, board)
+        marker = {"schema": SCHEMA, "title": name, "benchmark": facts["name"], "protocols": protocols}
         atomic.write_json(new / SITE.marker, marker)
     return Path(out) / "index.html"
 
@@ -190,43 +188,7 @@ def _score(
     return {name: cached_scores(folder, data, name, keep, scored(name), truth=truth) for name in protocols}
 
 
-def _pack_sequences(
-    new: Path,
-    benchmark: Benchmark,
-    board_entrants: Sequence[Entrant],
-    protocol: str,
-    types: Mapping[str, JointType],
-    files: dict[str, str],
-    progress: Progress | None,
-) -> list[SequenceContent]:
-    """Pack every sequence and write its data and images."""
-    shown: list[SequenceContent] = []
-    with ThreadPoolExecutor(WORKERS) as pool:
-        jobs = [
-            pool.submit(show_sequence, benchmark, name, board_entrants, protocol, types[name])
-            for name in benchmark.sequences
-        ]
-        try:
-            for job in jobs:
-                one = job.result()
-                stopping.raise_if_stopped()
-                file = files[one.name]
-                _write(new / "data" / f"{file}.js", one.script.encode())
-                _write(new / "thumbs" / f"{file}.jpg", one.thumb)
-                for k, sheet in enumerate(one.sheets):
-                    _write(new / "video" / f"{file}-{k}.jpg", sheet)
-                shown.append(one)
-                if progress:
-                    progress(f"Packed {one.name}", len(shown), len(jobs))
-        finally:
-            for job in jobs:
-                job.cancel()
-    return shown
-
-
 def _write_pages(new: Path, board: Board) -> None:
-    _write(new / "static" / "site.js", script().encode())
-    _write(new / "static" / "site.css", style().encode())
     tables: dict[str, bytes] = {}
     for entrant in board.entrants:
         for protocol in board.protocols:
@@ -236,8 +198,6 @@ def _write_pages(new: Path, board: Board) -> None:
             tables[f"{name}.csv"] = scores_csv(entrant.scores[protocol])
             _write(new / "scores" / f"{name}.csv", tables[f"{name}.csv"])
         _write(new / "methods" / f"{entrant.file}.html", method_page(board, entrant))
-    for k, one in enumerate(board.sequences):
-        _write(new / "sequences" / f"{board.files[one.name]}.html", sequence_page(board, k))
     _write(new / "index.html", index_page(board))
     _write(new / "failures.html", failures_page(board))
     _write(new / "definitions.html", definitions_page(board))

@@ -14,18 +14,6 @@ from leaderboard.site.names import file_names
 
 COLOURS = ("#0072B2", "#D55E00", "#CC79A7", "#E69F00", "#56B4E9", "#8A6D00", "#6B7280")
 """Of Okabe and Ito (2008), without the green of the ground truth; the yellow is darkened for white backgrounds."""
-SHAPES = (
-    "M8 2.2a5.8 5.8 0 1 0 0 11.6a5.8 5.8 0 1 0 0-11.6z",
-    "M2.8 2.8h10.4v10.4h-10.4z",
-    "M8 1.8l6.8 12h-13.6z",
-    "M8 1l7 7l-7 7l-7-7z",
-    "M6 1.5h4v4.500h4.500v4h-4.500v4.500h-4v-4.500h-4.500v-4h4.500z",
-    "M1.200 2.200h13.600l-6.800 12z",
-    "M8 1l6 3.500v7l-6 3.500l-6-3.500v-7z",
-)
-"""Filled SVG paths in a box of 16: a method is never recognised by its colour alone."""
-DASHES = ("", "7 3", "2 3", "9 3 2 3", "4 2", "1 4", "12 4")
-"""SVG stroke-dasharrays of curves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +31,7 @@ class Entrant:
     whole: Mapping[str, Scores]
     """Protocol to its complete table, for means."""
     index: int
-    """Chooses colour, shape and dash."""
+    """Chooses its colour."""
 
     @property
     def method(self) -> Method:
@@ -56,23 +44,13 @@ class Entrant:
         return COLOURS[self.index % len(COLOURS)]
 
     @property
-    def shape(self) -> str:
-        """An SVG path in a box of 16, shifted after each round of colours so that pairs differ."""
-        return SHAPES[(self.index + self.index // len(COLOURS)) % len(SHAPES)]
-
-    @property
-    def dash(self) -> str:
-        """An SVG stroke-dasharray."""
-        return DASHES[(self.index + self.index // len(COLOURS)) % len(DASHES)]
+    def pale(self) -> str:
+        """The colour halfway to white, for the reference part."""
+        return "#" + "".join(f"{(int(self.colour[k : k + 2], 16) + 255) // 2:02x}" for k in (1, 3, 5))
 
     def row(self, protocol: str, sequence: str) -> Row | None:
         """Its row for a sequence by a protocol, if any."""
         return next((row for row in self.scores[protocol].rows if row.sequence == sequence), None)
-
-
-def svg_mark(shape: str, colour: str) -> str:
-    """An SVG path in a box of 16 in its colour."""
-    return f'<svg class="mark" viewBox="0 0 16 16" aria-hidden="true"><path d="{shape}" fill="{colour}"/></svg>'
 
 
 def public_scores(scores: Scores, hidden: str) -> Scores:

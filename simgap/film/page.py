@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from freeart21.files import checked
 from freeart21.se3 import Array
-from freeart21.view.document import Section, data_url, document, escape
+from freeart21.view.document import Markup, Section, data_url, document
 from freeart21.view.tables import table_section
 from simgap.film.answer import FilmVerdict, size_text
 from simgap.film.maps import FilmMap
@@ -24,7 +25,6 @@ from simgap.page.report import (
     maps_section,
     parameters_section,
     ranking_section,
-    tile,
 )
 from simgap.page.report_plots import map_drawing, p_text
 from simgap.select.predictive import score_difference
@@ -47,7 +47,7 @@ def page(verdict: FilmVerdict, found: FilmResult, command: str, seconds: float) 
     ]
     largest = sorted(verdict.gaps, key=lambda g: -g.before / max(g.floor, 1e-12))[:4]
     tiles = [
-        tile(
+        (
             f"{size_text(g.before, g.unit)} → {size_text(g.after, g.unit)}",
             f"{g.regime}, on confirming frames",
             f"floor {size_text(g.floor, g.unit)}",
@@ -88,26 +88,21 @@ def _gaps(verdict: FilmVerdict) -> Section:
     return table_section("The gap on confirming frames", rows, head, "full")
 
 
-def _doubt(verdict: FilmVerdict) -> str:
-    html = ""
+def _doubt(verdict: FilmVerdict) -> list[tuple[str, Sequence[str]]]:
+    found: list[tuple[str, Sequence[str]]] = []
     part = verdict.missing_part
     if part is not None:
-        sides, at = (
-            " x ".join(f"{1e3 * v:.0f}" for v in part.size_m),
-            ", ".join(f"{1e3 * v:.0f}" for v in part.middle_m),
-        )
-        html += (
-            f"<p>The asset lacks something of about {escape(sides)} mm on its {escape(part.part)} part, at "
-            f"({escape(at)}) mm of the canonical frame; {part.frames} confirming frames show it, and "
-            f"{100 * part.share_explained:.0f} % of what they have beyond the asset lies there.</p>"
-        )
-    for title, lines in (
-        ("Nothing can be said of these", [f"{names.replace('_', ' ')}: {why}" for names, why in verdict.cannot_tell]),
-        ("What is left without a name", verdict.left),
-    ):
-        items = "".join(f"<li>{escape(line)}</li>" for line in lines)
-        html += f'<p>{title}:</p><ul class="remarks">{items}</ul>' if items else ""
-    return html
+        sides = " x ".join(f"{1e3 * v:.0f}" for v in part.size_m)
+        at = ", ".join(f"{1e3 * v:.0f}" for v in part.middle_m)
+        lines = [
+            f"Something of about {sides} mm on its {part.part} part, at ({at}) mm of the canonical frame.",
+            f"{part.frames} confirming frames show it, and {100 * part.share_explained:.0f} % of what they have beyond "
+            "the asset lies there.",
+        ]
+        found.append(("The asset lacks", lines))
+    unknown = [f"{names.replace('_', ' ')}: {why}" for names, why in verdict.cannot_tell]
+    lists = ("Nothing can be said of these", unknown), ("What is left without a name", verdict.left)
+    return [*found, *((title, lines) for title, lines in lists if lines)]
 
 
 def _maps(found: FilmResult) -> list[Section]:
@@ -122,7 +117,7 @@ def _maps(found: FilmResult) -> list[Section]:
     return maps_section(drawings, [m.bins for m in maps], "signs of frames", note)
 
 
-def _picture_map(m: FilmMap) -> str:
+def _picture_map(m: FilmMap) -> Markup:
     values = m.bins.mean.reshape(len(m.rows) - 1, -1)
     reach = float(np.nanquantile(np.abs(values), 0.98)) or 1.0
     level = np.clip(np.nan_to_num(values) / reach, -1, 1)[..., None]
@@ -130,11 +125,13 @@ def _picture_map(m: FilmMap) -> str:
     colours[~np.isfinite(values)] = 225
     image = cv2.resize(np.rint(colours).astype(np.uint8), None, fx=24, fy=24, interpolation=cv2.INTER_NEAREST)
     title = f"{m.what} over the picture".capitalize()
-    return (
-        f"<figure><figcaption><b>{escape(title)}</b>, p = {p_text(m.bins.p_value)}<br>blue -{reach:.2g}, red "
-        f'+{reach:.2g} {escape(m.unit)}</figcaption><img class="pixels" alt="{escape(title)}" '
-        f'src="{_png(image)}"></figure>'
-    )
+    about = f"p = {p_text(m.bins.p_value)}, blue -{reach:.2g}, red +{reach:.2g} {m.unit}"
+    return _picture(title, about, image)
+
+
+def _picture(title: str, about: str, image: Image) -> Markup:
+    figure = Markup('<figure><figcaption><b>{0}</b>, {1}</figcaption><img class="pixels" alt="{0}" src="{2}"></figure>')
+    return figure.format(title, about, data_url("image/png", checked.encode_png(image)))
 
 
 def _frame(verdict: FilmVerdict, found: FilmResult) -> Section:
@@ -163,15 +160,14 @@ def _frame(verdict: FilmVerdict, found: FilmResult) -> Section:
     colours = [frame.rgb[box], np.rint(ideal.rgb).astype(np.uint8)[box], rgb[box]]
     names = ["measured", "simulated, as the asset is", "simulated, with camera.json"]
     shown = slice(2 if camera.is_ideal else 3)
-    figures = "".join(
-        f'<figure><figcaption><b>{what}</b>, {name}</figcaption><img class="pixels" alt="{what}, {name}" '
-        f'src="{_png(_sized(image))}"></figure>'
+    figures = Markup("").join(
+        _picture(what, name, _sized(image))
         for what, images in (("Colour", colours), ("Depth", depths))
         for name, image in zip(names[shown], images[shown], strict=True)
     )
     note = f"Depth from {near:.3g} m (dark) to {far:.3g} m (light); white: none; grey: beyond. The asset is not lit."
-    html = f'<div class="charts pictures">{figures}</div><p class="note">{escape(note)}</p>'
-    return Section(f"Frame {index}, of the confirming ones", html, place="full")
+    html = Markup('<div class="charts pictures">{}</div>').format(figures)
+    return Section(f"Frame {index}, of the confirming ones", html, place="full", note=note)
 
 
 def _sized(image: Image) -> Image:
@@ -187,7 +183,3 @@ def _coloured(depth: Array, near: float, far: float) -> Image:
     out[depth <= 0] = 255
     out[depth > far] = 128
     return np.asarray(out, np.uint8)
-
-
-def _png(image: Image) -> str:
-    return data_url("image/png", checked.encode_png(image))

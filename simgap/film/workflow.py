@@ -163,11 +163,6 @@ def _moves(film: Film) -> bool:
     return bool(np.nanmedian(np.max(speed, 0)) >= 0.5)
 
 
-def is_sequence(path: Path) -> bool:
-    """Whether a folder is a video, not a measured set."""
-    return (Path(path) / "sequence.json").is_file()
-
-
 def read_film(asset: Path, sequence: Path, poses: Path | None = None, root: Path | None = None) -> Film:
     """Asset (referenced files inside `root`), video and poses from files."""
     recording = read_sequence(sequence)

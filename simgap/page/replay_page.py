@@ -7,21 +7,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from freeart21.joint import JointType
-from freeart21.view.document import Section, document, escape
+from freeart21.view.document import Section, document, render
 from freeart21.view.tables import table_section
-from simgap.page.report_plots import run_drawings
-from simgap.prove.comparison import ReplayGap, compare_curves
+from simgap.page.report_plots import run_section
+from simgap.prove.comparison import compare_curves
 from simgap.prove.replay import RunReplay
-from simgap.verdict import Quantity
 
 MOST_DRAWN = 40
 """Runs whose curves are drawn; each takes some 50 kB."""
-
-
 MOST_SIGMAS = 1e6
 """Larger values occur with readings without noise, whose sigma is a rounding error."""
 HEAD = ("run", "rms error", "in sigmas", "used", "start", "start velocity")
 """Columns of `Row.texts`."""
+NOTE = (
+    "Simulated from the asset's files alone. Only the state at each run's first reading is free; it is fitted to the "
+    "run. Sigma is the noise of the readings."
+)
 
 
 @dataclass(frozen=True)
@@ -50,37 +51,21 @@ class Row:
 
 def repeat_section(commands: dict[str, str], note: str = "") -> Section:
     """Command lines that repeat the proof, by description."""
-    lines = "".join(
-        f'<p class="note">{escape(what)}</p><pre class="command">{escape(line)}</pre>'
-        for what, line in commands.items()
-    )
-    return Section("Repeat it", lines + (f'<p class="note">{escape(note)}</p>' if note else ""), place="full")
-
-
-def run_section(
-    title: str, run: ReplayGap, kind: JointType, names: tuple[str, str | None], by: Quantity = "position"
-) -> Section:
-    """The curves of a run; `names` are those of the simulations, None for one that is not drawn."""
-    figures, data = run_drawings(run, kind, names, by)
-    return Section(title, f'<div class="charts wide">{"".join(figures)}</div>', "curves", data, "full")
+    return Section("Repeat it", render("repeat.html.j2", "simgap.page", commands=commands), place="full", note=note)
 
 
 def replay_page(title: str, about: Sequence[str], command: str, rows: Sequence[Row], notes: Sequence[str] = ()) -> str:
     """The page as HTML, self-contained."""
-    note_text = (
-        "Simulated from the asset's files alone. Only the state at each run's first reading is free; it is fitted to "
-        "the run. Sigma is the noise of the readings."
-    )
     texts = [row.texts() for row in rows]
+    more = [f"{len(rows) - MOST_DRAWN} more are in curves/."] if len(rows) > MOST_DRAWN else []
     sections = [
-        table_section("Runs", texts, HEAD, "full", " ".join([note_text, *notes])),
+        table_section("Runs", texts, HEAD, "full", " ".join([NOTE, *notes, *more])),
         repeat_section({"This replay": command}),
     ]
     for row, (name, error, sigmas, *_) in list(zip(rows, texts, strict=True))[:MOST_DRAWN]:
         run = row.replay
         gap = compare_curves(run.run, run.times_s, run.measured, (run.simulated, run.simulated), run.noise)
-        heading = f"Run {name}: {error}, {sigmas} sigmas"
-        sections.append(run_section(heading, gap, row.joint_type, ("by the files", None)))
-    if len(rows) > MOST_DRAWN:
-        sections.append(Section("More runs", f"<p>{len(rows) - MOST_DRAWN} more are in curves/.</p>", place="full"))
+        sections.append(
+            run_section(f"Run {name}: {error}, {sigmas} sigmas", gap, row.joint_type, ("by the files", None))
+        )
     return document(title, sections, "replay", about)

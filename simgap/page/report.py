@@ -4,28 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 
 from freeart21.effects.base import Effect
 from freeart21.joint import JointType
 from freeart21.measured import Measured
-from freeart21.view.document import Section, document, escape
-from freeart21.view.plots import Curve
-from freeart21.view.tables import Markup, bar, table_section, two_lines
+from freeart21.view.document import Markup, Section, document, render
+from freeart21.view.plots import Curve, curves_section
+from freeart21.view.tables import Cell, table_section
 from simgap.geometry.finding import KinematicsFinding
-from simgap.geometry.track_geometry import TrackGeometry
 from simgap.models.localise import LEVEL, ResidualMap
 from simgap.models.surrogate import Nuisance
-from simgap.page.replay_page import repeat_section, run_section
-from simgap.page.report_plots import AFTER, BEFORE, chart, drawn_samples, force_map, interval_drawing, p_text
+from simgap.page.replay_page import repeat_section
+from simgap.page.report_plots import AFTER, BEFORE, chart, drawn_samples, force_map, p_text, run_section
 from simgap.prove.body import NO_CORRECTION, BodyCorrection
 from simgap.prove.comparison import ReplayComparison, ReplayGap, closed_part, track_use
 from simgap.select.words import amount, capitalise, effect_label, effect_words, number_text, runs_text
 from simgap.settings import JudgementSettings
 from simgap.verdict import GEOMETRY, NamedEffect, RunGap, Use, Verdict, deciding_runs, root_mean_square, unit_of
 
+Tile = tuple[str, str, str]
+"""A figure with its description and a remark."""
+PACKAGE = "simgap.page"
 ROLLED_BACK = "with the repair that was rolled back"
 MOST_RUNS = 4
 """Held-out runs that are drawn."""
@@ -143,19 +145,15 @@ def page(gap: Gap) -> str:
     return document(gap.title, [*sections, *_ranking(gap), *_gaps(gap), *_repeat(gap)], "gap", chips)
 
 
-def answer_section(verdict: Verdict, tiles: Sequence[str], notes: Sequence[str] = ()) -> Section:
+def answer_section(verdict: Verdict, tiles: Sequence[Tile], notes: Sequence[str] = ()) -> Section:
     """The sentence, and the main figures."""
     word = _WORDS[verdict.verdict] + ", in part" * verdict.in_part
-    html = (
-        f'<p class="verdict {escape(verdict.verdict)}"><b>{escape(word)}</b></p>'
-        f'<p class="sentence">{escape(verdict.sentence)}</p>'
-        f'<div class="tiles">{"".join(tiles)}</div>'
-    )
-    html += "".join(f'<p class="note">{escape(note)}</p>' for note in (*notes, *verdict.notes))
+    lines = *notes, *verdict.notes
+    html = render("answer.html.j2", PACKAGE, verdict=verdict, word=word, tiles=tiles, notes=lines)
     return Section("The answer", html, place="full")
 
 
-def _tiles(gap: Gap) -> list[str]:
+def _tiles(gap: Gap) -> list[Tile]:
     """The gap and its closed share: of motion, and of poses off the joint."""
     tiles = []
     motion = [g for g in gap.motion if np.isfinite(g.before)]
@@ -172,7 +170,7 @@ def _tiles(gap: Gap) -> list[str]:
 
 def _sizes(
     gaps: list[RunGap], text: Callable[[float], str], what: str, after_is: str | None, in_turn: bool = False
-) -> str:
+) -> Tile:
     """A tile with the gap before and, where replayed, after, relative to noise, on the deciding runs."""
     judged = deciding_runs(gaps)
     before, floor = (root_mean_square([getattr(g, name) for g in judged]) for name in ("before", "floor"))
@@ -180,14 +178,14 @@ def _sizes(
     shown = [before, after] if after_is and after_is != ROLLED_BACK and np.isfinite(after) else [before]
     how = f"before and {after_is}, in SAPIEN, " if len(shown) > 1 else ""
     times = " → ".join(f"{v / floor:.1f}" for v in shown)
-    return tile(
+    return (
         " → ".join(map(text, shown)),
         f"gap {what}{how}on {runs_text([g.use for g in judged], in_turn)}",
         f"{times} times the sensor's noise, {text(floor)}",
     )
 
 
-def _closed(gap: Gap) -> list[str]:
+def _closed(gap: Gap) -> list[Tile]:
     """Tiles with the closed share of the gap, for motion like the fitted one and for other motion."""
     assert gap.comparison is not None
     fitted = {r.regime for r in gap.verdict.gaps if r.use == "fitted"}
@@ -198,45 +196,37 @@ def _closed(gap: Gap) -> list[str]:
             other = f"other motion: {', '.join(sorted(regimes))}"
             kind = "same kind of motion as was fitted" if regimes <= fitted else other
             what = f"of the gap closed, on {runs_text([run.use for run in runs])}"
-            tiles.append(tile(f"{100 * min(part, 1.0):.0f} %", what, kind))
+            tiles.append((f"{100 * min(part, 1.0):.0f} %", what, kind))
     return tiles
-
-
-def tile(figure: str, what: str, more: str) -> str:
-    """A figure with its description and a remark."""
-    return f"<div><b>{escape(figure)}</b><span>{escape(what)}</span><small>{escape(more)}</small></div>"
 
 
 def parameters_section(verdict: Verdict, kind: JointType, note: str, file_of: Callable[[Effect], str]) -> list[Section]:
     """Every parameter of the named effects and every correction, with 90 % interval and file (`file_of` an effect)."""
-
-    def row(
-        head: tuple[str, str], name: str, meaning: str, sizes: tuple[float, float, float], texts: list[str]
-    ) -> tuple[Any, ...]:
-        known = np.isfinite(sizes[1:]).any()
-        span, drawing = (f"{texts[1]} to {texts[2]}", interval_drawing(*sizes)) if known else ("", "")
-        size = two_lines(texts[0], span, bold=True)
-        return two_lines(*head, True, bool(head[0])), two_lines(name, meaning), size, Markup(f"<td>{drawing}</td>")
-
     rows = []
+
+    def add(head: Cell, name: str, meaning: str, ends: tuple[float, float], texts: list[str]) -> None:
+        span = f"{texts[1]} to {texts[2]}" if np.isfinite(ends).any() else ""
+        rows.append((head, Cell(name, below=meaning), Cell(texts[0], below=span)))
+
     for c in verdict.corrections:
         sizes = c.value, c.low, c.high
         texts = [f"{v:.4g}" if c.unit == "1" else number_text(v, c.unit) for v in sizes]
-        rows.append(row(("The asset's own", "in asset/: <inertial>"), c.name, _OWN[c.unit], sizes, texts))
+        add(Cell("The asset's own", below="in asset/: <inertial>"), c.name, _OWN[c.unit], sizes[1:], texts)
     for named in verdict.effects:
         effect = named.effect
         file = f"in {file_of(effect)}" if effect.name in verdict.added else "not written"
-        head = f"{capitalise(effect_label(effect.name))}", f"{effect.name}, {file}"
+        head = Cell(capitalise(effect_label(effect.name)), below=f"{effect.name}, {file}")
         for name, spec in effect.parameters(kind).items():
-            sizes = getattr(effect, name), named.low[name], named.high[name]
-            rows.append(row(head, name, spec.meaning, sizes, [number_text(v, spec.unit(kind)) for v in sizes]))
-            head = "", ""
+            ends = named.low[name], named.high[name]
+            texts = [number_text(v, spec.unit(kind)) for v in (getattr(effect, name), *ends)]
+            add(head, name, spec.meaning, ends, texts)
+            head = Cell()
     if not rows:
         return []
     whole = {named.effect.name for named in verdict.effects} <= set(verdict.added)
     part = f"; written: {', '.join(verdict.added)}" if verdict.added else ", not certain, and not written"
     title = "What was written" if whole else f"The best explanation{part}"
-    return [table_section(title, rows, ("", "parameter", "value, 90 % interval", ""), "full", note, "fitted")]
+    return [table_section(title, rows, ("", "parameter", "value, 90 % interval"), "full", note)]
 
 
 def _file_of(effect: Effect) -> str:
@@ -254,32 +244,21 @@ def _fitted_text(gap: Gap) -> str:
     return f"run {names[0]}" if len(names) == 1 else f"{len(names)} runs: {', '.join(names)}"
 
 
-def doubt_sections(verdict: Verdict, of: str, more: str = "") -> list[Section]:
-    """Rivals, other doubts (`more`, HTML), the next experiment, and flagged regions in the runs `of`."""
-    html = ""
-    if verdict.rivals:
-        texts = [
-            (capitalise(" and ".join(effect_label(n) for n in names)), ", ".join(names)) for names in verdict.rivals
-        ]
-        lines = "".join(f"<li>{escape(words)} <small>{escape(names)}</small></li>" for words, names in texts)
-        html += f'<p>These explain what was measured equally well:</p><ul class="remarks">{lines}</ul>'
-    html += more
-    if verdict.next_experiment:
-        html += f'<p class="next"><b>Next experiment.</b> {escape(verdict.next_experiment)}</p>'
-    title = (
-        "What these runs cannot decide"
-        if verdict.rivals
-        else "What would tell more"
-        if not more
-        else "What is in doubt"
-    )
-    found = [Section(title, html, place="full")] if html else []
+def doubt_sections(verdict: Verdict, of: str, more: Sequence[tuple[str, Sequence[str]]] = ()) -> list[Section]:
+    """Rivals, other doubts (`more`: titles and lines), the next experiment, and flagged regions in the runs `of`."""
+    rivals = [
+        f"{capitalise(' and '.join(effect_label(n) for n in names))} ({', '.join(names)})" for names in verdict.rivals
+    ]
+    lists = [*([("These explain what was measured equally well", rivals)] if rivals else []), *more]
+    found = []
+    if lists or verdict.next_experiment:
+        html = render("doubt.html.j2", PACKAGE, lists=lists, next_experiment=verdict.next_experiment)
+        title = "What these runs cannot decide" if rivals else "What is in doubt" if more else "What would tell more"
+        found.append(Section(title, html, place="full"))
     if verdict.where:
-        spots = "".join(
-            f"<li>{escape(w.text)} <small>p = {escape(p_text(w.p_value))}</small></li>" for w in verdict.where[:8]
-        )
-        rest = f'<p class="note">And {len(verdict.where) - 8} more.</p>' if len(verdict.where) > 8 else ""
-        found.append(Section(f"Where it shows, in {of}", f'<ul class="remarks two">{spots}</ul>{rest}', place="full"))
+        rows = [(w.text, p_text(w.p_value)) for w in verdict.where[:8]]
+        rest = f"And {len(verdict.where) - 8} more." if len(verdict.where) > 8 else ""
+        found.append(table_section(f"Where it shows, in {of}", rows, ("", "p"), "full", rest))
     return found
 
 
@@ -314,20 +293,18 @@ def _maps(gap: Gap) -> list[Section]:
     return maps_section([force_map(m, gap.measured.joint_type) for m in maps], maps, "half-swings", note)
 
 
-def maps_section(drawings: Sequence[str], maps: Sequence[ResidualMap], units: str, note: str) -> list[Section]:
+def maps_section(drawings: Sequence[Markup], maps: Sequence[ResidualMap], units: str, note: str) -> list[Section]:
     """Maps of where measurement and simulation differ, the most significant first; insignificant ones are collapsed."""
+    if not maps:
+        return []
     sure = [drawing for drawing, m in zip(drawings, maps, strict=True) if m.adjusted <= LEVEL]
-    rest = [drawing for drawing in drawings if drawing not in sure]
+    rest = [drawing for drawing, m in zip(drawings, maps, strict=True) if m.adjusted > LEVEL]
     note += (
         f" {len(sure)} of {len(maps)} maps differ from nothing beyond chance ({units} flipped at random, corrected for "
         "the number of maps); where, is on colour. These maps point; the fits decide."
     )
-    html = f'<div class="charts maps">{"".join(sure)}</div>' if sure else ""
-    if rest:
-        html += f"<details{' open' * (not sure)}><summary>{len(rest)} maps that chance explains</summary>"
-        html += f'<div class="charts maps">{"".join(rest)}</div></details>'
-    html += f'<p class="note">{escape(note)}</p>'
-    return [Section("Where simulation and measurement differ", html, place="full")] if maps else []
+    html = render("maps.html.j2", PACKAGE, sure=sure, rest=rest)
+    return [Section("Where simulation and measurement differ", html, place="full", note=note)]
 
 
 def _geometry(gap: Gap) -> list[Section]:
@@ -336,13 +313,22 @@ def _geometry(gap: Gap) -> list[Section]:
     if g is None or not g.tracks:
         return []
     track = sorted(g.tracks, key=lambda t: not t.held_out)[0]
-    figures = "".join(
-        _off_drawing(track, columns, title, unit, factor)
+    drawn = drawn_samples(len(track.times_s), 500)
+    before, after = track.off_before[drawn], track.off_after[drawn]
+    charts = [
+        chart(
+            [
+                Curve(name, colour, factor * np.linalg.norm(off[:, columns], axis=1))
+                for name, colour, off in (("before", BEFORE, before), ("after", AFTER, after))
+            ],
+            title,
+            unit,
+        )
         for columns, title, unit, factor in (
             (slice(0, 3), "Off the joint: shift of the part's middle", "mm", 1e3),
             (slice(3, 6), "Off the joint: turn", "°", 180 / np.pi),
         )
-    )
+    ]
     chosen = tuple(sorted(e.name for e in g.effects))
     shown = [r for r in g.ranking if len(r[0]) < 2 or tuple(sorted(r[0])) == chosen or r[0] in g.rivals]
     rows = [
@@ -368,22 +354,12 @@ def _geometry(gap: Gap) -> list[Section]:
         "full",
         f"{g.unexplained_rms:.1f} sigmas of displacement depend on the position and have no name.",
     )
-    drawing = Section(
+    title = (
         f"Off its joint: {what}, {1e3 * track.gap_before:.2g} mm → {1e3 * track.gap_after:.2g} mm "
-        f"(noise {1e3 * track.floor:.2g} mm)",
-        f'<div class="charts wide">{figures}</div><p class="note">{escape(note)}</p>',
-        place="full",
+        f"(noise {1e3 * track.floor:.2g} mm)"
     )
-    return [drawing, table]
-
-
-def _off_drawing(track: TrackGeometry, columns: slice, title: str, unit: str, factor: float) -> str:
-    kept = drawn_samples(len(track.times_s), 500)
-    lines = [
-        Curve(name, colour, factor * np.linalg.norm(off[kept][:, columns], axis=1))
-        for name, colour, off in (("before", BEFORE, track.off_before), ("after", AFTER, track.off_after))
-    ]
-    return chart(track.times_s[kept] - track.times_s[0], lines, title, unit, height=170)
+    x = track.times_s[drawn] - track.times_s[0]
+    return [curves_section(title, charts, x, note=note), table]
 
 
 def _ranking(gap: Gap) -> list[Section]:
@@ -401,13 +377,13 @@ def ranking_section(ranking: Sequence[Ranked], of: str) -> list[Section]:
     for r in ranking:
         names = capitalise(" and ".join(effect_label(n) for n in r.names) or "nothing is missing")
         behind = "0" if r.ahead == 0.0 else f"{r.ahead:.0f} ± {r.error:.0f}"
-        cells: list[str] = [two_lines(names, ", ".join(r.names), heading=True), behind]
+        cells: list[object] = [Cell(names, below=", ".join(r.names)), behind]
         if worst:
             spread = "" if r.spread is None else f"{r.spread[0]:.2f} to {r.spread[1]:.2f}"
-            cells += [bar(np.log10(max(r.rms, 1.0)) / worst), f"{r.rms:.2f}", spread]
+            cells += [Cell(bar=np.log10(max(r.rms, 1.0)) / worst, css="bar"), f"{r.rms:.2f}", spread]
         rows.append(cells)
     heads = ("", "log probability", *("error (log)", "error / noise", "run by run") * bool(worst))
-    return [table_section(f"Explanations, judged on {of}", rows, heads, "full", kind="ranked")] if ranking else []
+    return [table_section(f"Explanations, judged on {of}", rows, heads, "full")] if ranking else []
 
 
 def _gaps(gap: Gap) -> list[Section]:

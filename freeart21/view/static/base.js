@@ -16,9 +16,8 @@ FreeArt.element = (tag, attributes = {}, ...children) => {
   return node;
 };
 
-/** The typed array behind the output of `embed_array` or `embed_points`; typed arrays are returned as they are. */
+/** The typed array behind the output of `embed_array` or `embed_points`. */
 FreeArt.array = (data) => {
-  if (ArrayBuffer.isView(data)) return data;
   const text = atob(data.base64);
   const bytes = new Uint8Array(text.length);
   for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
@@ -58,9 +57,9 @@ FreeArt.makeBus = () => {
   };
 };
 
-/** A button that stays pressed; `set(pressed)` is called after every click. */
-FreeArt.toggle = (attributes, pressed, set, ...children) => {
-  const button = FreeArt.element("button", { type: "button", "aria-pressed": pressed, ...attributes }, ...children);
+/** Makes a button stay pressed; `set(pressed)` is called after every click. */
+FreeArt.toggle = (button, set, pressed = true) => {
+  button.setAttribute("aria-pressed", pressed);
   button.addEventListener("click", () => {
     const next = button.getAttribute("aria-pressed") !== "true";
     button.setAttribute("aria-pressed", next);
@@ -72,7 +71,7 @@ FreeArt.toggle = (attributes, pressed, set, ...children) => {
 /** A check box with its text; `set(checked)` is called after every change. */
 FreeArt.checkBox = (text, checked, set) => {
   const box = FreeArt.element("input", { type: "checkbox", checked, onchange: () => set(box.checked) });
-  return { box, label: FreeArt.element("label", {}, box, text) };
+  return FreeArt.element("label", {}, box, text);
 };
 
 /** A labelled range from 0 to 100; `set(value)` is called after every change. */

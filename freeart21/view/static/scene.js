@@ -119,7 +119,7 @@ FreeArt.renderer = (canvas, data) => {
     return result;
   };
   const surfaces = data.surfaces.map((surface) => {
-    const mesh = surface.mesh ?? surface, vertices = FreeArt.array(mesh.vertices), faces = FreeArt.array(mesh.faces);
+    const vertices = FreeArt.array(surface.vertices), faces = FreeArt.array(surface.faces);
     const { positions, normals } = FreeArt.corners(vertices, faces);
     const array = gl.createVertexArray();
     gl.bindVertexArray(array);
@@ -127,7 +127,7 @@ FreeArt.renderer = (canvas, data) => {
     attribute("normal", normals, 3);
     if (surface.colours) attribute("colour", gathered(FreeArt.array(surface.colours), faces, 3), 3, gl.UNSIGNED_BYTE, true);
     if (surface.uv) attribute("uv", gathered(FreeArt.array(surface.uv), faces, 2), 2);
-    return { ...surface, array, count: faces.length, painted: Boolean(surface.colours), mesh: null, vertices: null, faces: null };
+    return { ...surface, array, count: faces.length, painted: Boolean(surface.colours), vertices: null, faces: null };
   });
   let changed = () => {};
   const textures = data.textures.map((url) => {
@@ -147,7 +147,7 @@ FreeArt.renderer = (canvas, data) => {
     return texture;
   });
   const tint = (colour) => [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16) / 255);
-  for (const surface of surfaces) surface.tint = tint(surface.colour ?? data.layers[surface.layer].colour);
+  for (const surface of surfaces) surface.tint = tint(data.layers[surface.layer].colour);
   const splats = data.gaussians && Splats.renderer(gl, data.gaussians, linked(SPLAT_VERTEX_SHADER, SPLAT_FRAGMENT_SHADER),
     data.gaussians.layers.map((layer) => tint(data.layers[layer].colour)));
   const drawLayer = (style, frame, alpha) => {
@@ -312,7 +312,7 @@ FreeArt.kinds.scene = (section, data, bus) => {
   const frameBox = element("div", { class: "view" }, canvas);
   const legend = element("div", { class: "layers", role: "group", "aria-label": "what is shown" });
   const sliders = element("div", { class: "sliders" });
-  section.querySelector(".scene").append(frameBox, element("div", { class: "panel" }, legend, sliders));
+  section.querySelector("h2").after(element("div", { class: "scene" }, frameBox, element("div", { class: "panel" }, legend, sliders)));
   const renderer = FreeArt.renderer(canvas, data);
   if (!renderer) {
     frameBox.replaceChildren(element("p", { class: "notice" }, "The 3D view needs WebGL 2, which this browser does not offer."));
@@ -347,21 +347,8 @@ FreeArt.kinds.scene = (section, data, bus) => {
       const near = Math.max(depth - 4 * data.radius, 0.02 * Math.abs(depth), 1e-4);
       renderer.draw({ ...frame, view, projection: Kinematics.pinhole(data.camera, aspect, near, depth + 6 * data.radius) });
     } else renderer.draw({ ...frame, view: orbit.view(), projection: orbit.projection(aspect) });
-    name(frame.poses);
   };
 
-  /* Names under objects that are side by side. */
-  const names = (data.labels ?? []).map((label) => ({ ...label, node: element("span", { class: "tag" }, label.text) }));
-  frameBox.append(...names.map(({ node }) => node));
-  const name = (poses) => {
-    const T = Kinematics.multiply(orbit.projection(canvas.clientWidth / canvas.clientHeight), orbit.view());
-    for (const { layer, link, at, node } of names) {
-      node.hidden = through || !apart || !shown[layer];
-      const p = Kinematics.multiply(Kinematics.multiply(T, poses[link]), [at[0], 0, 0, 0, at[1], 0, 0, 0, at[2], 0, 0, 0, 1, 0, 0, 0]);
-      node.style.left = `${50 * (p[0] / p[12] + 1)}%`;
-      node.style.top = `${50 * (1 - p[4] / p[12])}%`;
-    }
-  };
   const redraw = () => {
     if (!waiting) requestAnimationFrame(draw);
     waiting = true;
@@ -369,10 +356,10 @@ FreeArt.kinds.scene = (section, data, bus) => {
   renderer.onChange(redraw);
 
   /* Buttons in the corner of the view. */
-  const toggle = (text, title, pressed, set) => FreeArt.toggle({ title }, pressed, (on) => {
+  const toggle = (text, title, pressed, set) => FreeArt.toggle(element("button", { type: "button", title }, text), (on) => {
     set(on);
     redraw();
-  }, text);
+  }, pressed);
   const throughButton = toggle("Video camera", "view from the camera of the video", false, (on) => { through = on; });
   const two = data.gaussians && data.gaussians.layers[0] !== data.gaussians.layers[1];
   const painted = two || data.surfaces.some((surface) => surface.colours && data.layers[surface.layer].style === "solid");
@@ -385,21 +372,6 @@ FreeArt.kinds.scene = (section, data, bus) => {
       redraw();
     } }, "Reset")));
 
-  /* Arrangements of several objects: side by side, or overlaid. */
-  let apart = false;
-  const arrange = (way) => {
-    apart = !way.ghost;
-    way.shifts.forEach((shift, k) => shift.forEach((x, i) => { data.links[data.roots[k]].T[i][3] = x; }));
-    data.layers[0].style = way.ghost ? "ghost" : "solid";
-    data.radius = way.radius;
-    orbit.home();
-    redraw();
-  };
-  const ways = data.arrangements ?? [];
-  if (ways.length)
-    legend.before(FreeArt.choice("arrangement", ways.map(({ name }) => [name, name]), ways[0].name,
-      (chosen) => arrange(ways.find(({ name }) => name === chosen))));
-
   /* Parts as Gaussians or as surfaces. */
   const both = data.gaussians && data.surfaces.some((surface) => data.gaussians.layers.includes(surface.layer));
   const lookChoice = both && FreeArt.choice("how the parts are shown",
@@ -409,19 +381,16 @@ FreeArt.kinds.scene = (section, data, bus) => {
     });
   if (lookChoice) legend.before(lookChoice);
 
-  /* The legend, whose entries show and hide layers; a layer that `follows` another has no entry of its own. */
-  data.layers.forEach((layer, i) => {
-    const own = (k) => k === i || data.layers[k].follows === i;
-    const filled = data.surfaces.some((surface) => own(surface.layer)) || data.gaussians?.layers.includes(i);
-    if (layer.follows !== undefined || !filled) return;
-    const mark = element("i", { class: layer.style });
-    mark.style.background = mark.style.borderColor = layer.colour;
-    const button = toggle(layer.name, "show or hide", layer.shown, (on) => {
-      data.layers.forEach((_, k) => { if (own(k)) shown[k] = on; });
-    });
-    button.prepend(layer.shape ? FreeArt.mark(layer) : mark);
+  /* The legend, whose entries show and hide layers; layers of one name have one entry. */
+  for (const text of new Set(data.layers.map((layer) => layer.name))) {
+    const own = data.layers.flatMap((layer, i) => (layer.name === text ? [i] : []));
+    if (!data.surfaces.some((surface) => own.includes(surface.layer)) && !own.some((i) => data.gaussians?.layers.includes(i))) continue;
+    const { style, colour, shown: first } = data.layers[own[0]], mark = element("i", { class: style });
+    mark.style.background = mark.style.borderColor = colour;
+    const button = toggle(text, "show or hide", first, (on) => { for (const i of own) shown[i] = on; });
+    button.prepend(mark);
     legend.append(button);
-  });
+  }
 
   /* One slider a joint. */
   const rows = data.sliders.map((slider, k) => {
@@ -491,7 +460,6 @@ FreeArt.kinds.scene = (section, data, bus) => {
       }
     redraw();
   });
-  if (ways.length) arrange(ways[0]);
   orbit.home();
   let first = true;
   new ResizeObserver(() => {
