@@ -9,7 +9,7 @@ import pytest
 from another_python import ROOT, run_python
 from little_asset import write_little
 
-from freeart21 import child, search_path
+from freeart21 import processes, search_path
 
 PACKAGES = ("freeart21", "generator", "reconstruct", "export", "leaderboard", "simgap")
 TRAPS = ("queue", "numpy", "json", "signal", "random", "cv2", "multiprocessing", "sitecustomize", "pickle", "sapien")
@@ -39,7 +39,7 @@ def test_processes_are_started_by_one_function():
             if isinstance(node, ast.Constant) and node.value in ("-m", "python3"):
                 found.add((name, node.value))
     assert found == {
-        ("freeart21/child.py", "executable"),
+        ("freeart21/processes.py", "executable"),
         ("leaderboard/methods/descriptor.py", "executable"),  # likewise of a method's
         ("leaderboard/methods/run.py", "python3"),  # likewise, in its container
     }
@@ -53,7 +53,7 @@ def test_a_child_does_not_import_from_the_working_folder(tmp_path, monkeypatch, 
     monkeypatch.syspath_prepend(str(tmp_path / "user"))  # as `python -m` puts it
     code = "import queue, json, numpy, sys; print(numpy.__name__, sys.argv[1])"
     done = subprocess.run(
-        [*child.python(code), "word"], env={**os.environ, **variables}, capture_output=True, text=True, check=False
+        [*processes.python(code), "word"], env={**os.environ, **variables}, capture_output=True, text=True, check=False
     )
     assert (done.stdout, done.returncode) == ("numpy word\n", 0), done.stderr
     assert not marker.exists()
