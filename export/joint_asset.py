@@ -76,9 +76,21 @@ def format_joint_urdf(numbers: JointNumbers) -> bytes:
     free, turns = numbers.lower is None and numbers.upper is None, numbers.kind != "drawer"
     kind = "continuous" if free and turns else "revolute" if turns else "prismatic"
     lower, upper = (np.inf if end is None else end for end in (numbers.lower, numbers.upper))
-    strength = (None, None) if free else (0.0, 0.0)
+    strength = None if free else 0.0
     joint = UrdfJoint(
-        numbers.name, kind, "base", "part", np.eye(4), np.array(axis), lower, upper, not free, *strength, 0.0, 0.0
+        numbers.name,
+        kind,
+        "base",
+        "part",
+        np.eye(4),
+        np.array(axis),
+        lower,
+        upper,
+        limited=not free,
+        effort=strength,
+        velocity=strength,
+        damping=0.0,
+        friction=0.0,
     )
     links = {"base": UrdfLink("base", (), (), None), "part": part}
     return format_urdf(Urdf(Path(), numbers.kind, links, {joint.name: joint}), f" {JOINT_ASSET.mark.decode()} ")

@@ -125,8 +125,7 @@ def demo(
             scores=page_entries(scores.rows[0], scores.protocol),
             score_note=score_note(scores.rows[0], scores.protocol),
         )
-        files = sorted(path.relative_to(aside).as_posix() for path in aside.rglob("*") if path.is_file())
-        write_json(aside / DEMO.marker, {"schema": "freeart21/demo/1", "object": name, "files": files})
+        write_json(aside / DEMO.marker, {"schema": "freeart21/demo/1", "object": name})
     print_scores(scores)
     print(f"All results are in {out}; open {out / 'index.html'} in a browser.")
 

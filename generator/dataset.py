@@ -12,7 +12,6 @@ import fcntl
 import os
 import shutil
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -29,7 +28,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import JOB_SCHEMA, WORK, is_unfinished, read_benchmark, write_benchmark
 from freeart21.files.data_card import write_card_of
-from freeart21.files.lock import acquire, release
+from freeart21.files.lock import hold_lock
 from freeart21.files.places import check_append
 from freeart21.progress import Board, progress_board
 from generator import partnet
@@ -350,25 +349,12 @@ def _finish(out: Path, label: Label) -> None:
             shutil.rmtree(left, ignore_errors=True)
 
 
-@contextlib.contextmanager
-def _writer_lock(out: Path) -> Iterator[None]:
-    """Hold the lock of the data folder `out`; this recorder's jobs share it (`record_one`)."""
-    made = [folder for folder in (out, *out.parents) if not folder.exists()]
-    lock = out / WORK / "lock"
-    deadline = time.monotonic() + _PATIENCE_S
-    while (handle := acquire(lock)) is None:
-        if time.monotonic() > deadline:
-            if not lock.is_file():
-                raise FreeArtError(f"cannot write {lock}: its folder cannot be made")
-            raise FreeArtError(f"another process is recording into {out}; wait for it, or choose another folder")
-        time.sleep(0.05)
-    try:
-        yield
-    finally:
-        if is_unfinished(out):  # a worker that ends a moment later still holds it
-            os.close(handle)
-        else:
-            release(lock, handle, [lock.parent, out / "sequences", out / "truth", *made])
+def _writer_lock(out: Path) -> contextlib.AbstractContextManager[None]:
+    """Hold the lock of the data folder `out`; this recorder's jobs share it (`record_one`), a moment longer perhaps."""
+    lock, folders = out / WORK / "lock", (out / WORK, out / "sequences", out / "truth")
+    return hold_lock(
+        lock, f"another process is recording into {out}", _PATIENCE_S, folders, keep=lambda: is_unfinished(out)
+    )
 
 
 # --- workers ----------------------------------------------------------------------------------------------------------

@@ -5,10 +5,8 @@ Heavy imports are inside the functions, so that `freeart21 --help` is fast.
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import sys
-from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -17,20 +15,6 @@ import tyro
 
 Positional: Any = tyro.conf.Positional
 ExecutorName = Literal["local", "ray", "slurm"]
-
-
-@contextlib.contextmanager
-def progress_bar(text: str, counted: bool = False) -> Iterator[Callable[[str, int, int], None]]:
-    """A progress bar on a terminal; gives a function that updates it: text, number done, total."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    console = Console(stderr=True)
-    numbers = (MofNCompleteColumn(),) if counted else ()
-    columns = (TextColumn("{task.description}"), BarColumn(), *numbers, TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
-        task = bars.add_task(text, total=None)
-        yield lambda now, done, total: bars.update(task, description=now, completed=done, total=total)
 
 
 def score(
@@ -68,6 +52,7 @@ def score(
     from freeart21.errors import FreeArtError
     from freeart21.files import atomic
     from freeart21.files.places import SCORES, check_place
+    from freeart21.progress import progress_bar
     from leaderboard.archive import open_results
     from leaderboard.rows import Row
     from leaderboard.score import score_results
@@ -126,6 +111,7 @@ def compare(
         truth: The truth of a packed data folder.
     """
     from freeart21.files.places import check_place
+    from freeart21.progress import progress_bar
     from leaderboard.compare import compare_results
     from leaderboard.compare_files import kind_of, write_comparison
     from leaderboard.compare_tables import print_comparison
@@ -215,6 +201,7 @@ def site(
         truth: The truth of a packed data folder, for scoring. The site has nothing of it: answers are shown as they
             are, and joint states are scored in the means alone.
     """
+    from freeart21.progress import progress_bar
     from leaderboard.site.build import write_site
 
     with progress_bar("Reading") as show:
@@ -260,6 +247,7 @@ def import_(
         object_poses: Official FreeArt-21 examples, for world frames that are fixed to the object.
         name: Name of the method; by default that of the results folder.
     """
+    from freeart21.progress import progress_bar
     from leaderboard.adapters.importer import import_results
     from leaderboard.adapters.layout import Options
 
@@ -303,6 +291,7 @@ def run(
         engine: Program that runs images: docker or podman.
         truth: The truth of a packed data folder, for methods that are given part masks or meshes of it.
     """
+    from freeart21.progress import progress_bar
     from leaderboard.methods.descriptor import find_descriptor
     from leaderboard.methods.run import run_method
 
@@ -348,6 +337,7 @@ def pack(
     """
     from freeart21.errors import FreeArtError
     from freeart21.files.places import check_place
+    from freeart21.progress import progress_bar
     from leaderboard.pack import PUBLIC, TRUTH, default_key_path, pack_public, pack_truth
 
     if public == truth:
@@ -384,6 +374,7 @@ def release(
     """
     from freeart21.errors import FreeArtError
     from freeart21.files.places import check_place
+    from freeart21.progress import progress_bar
     from leaderboard.release.bop import write_bop
     from leaderboard.release.coco import write_coco
     from leaderboard.release.shards import write_shards

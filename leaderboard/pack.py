@@ -26,7 +26,7 @@ from freeart21.files import atomic, checked
 from freeart21.files.benchmark import SCHEMA, Benchmark, read_benchmark
 from freeart21.files.data_card import CARD_FILES, DataSet, card_files, describe_sequence
 from freeart21.files.hashes import MAX_HASHED_BYTES, file_sha256
-from freeart21.files.hidden import MARKER, PICTURES, hidden_digest
+from freeart21.files.hidden import MARKER, hidden_digest
 from freeart21.files.hidden import SCHEMA as HIDDEN_SCHEMA
 from freeart21.files.places import Output, require_replaceable
 from freeart21.files.sequence import encode_depth, header_json, queries_json, read_sequence
@@ -39,12 +39,9 @@ PUBLIC = Output(
     "packed set",
     b'"schema": "freeart21/benchmark/1",\n "hidden": ',
     "benchmark.json",
-    (
-        *(*CARD_FILES, "benchmark.json", "sequences/*/sequence.json", "sequences/*/queries.json"),
-        *(f"sequences/*/{sub}/{'[0-9]' * 5}.png" for sub in PICTURES),
-    ),
+    CARD_FILES,
 )
-TRUTH = Output("hidden truth", b'"schema": "freeart21/hidden-truth/', MARKER, (MARKER, "truth/*"))
+TRUTH = Output("hidden truth", b'"schema": "freeart21/hidden-truth/', MARKER)
 THREADS = 2
 
 Progress = Callable[[int, int], None]

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from refusal import assert_refused
 from test_check_asset import files_of
 from test_export import reconstruction
 
@@ -89,16 +88,3 @@ def test_a_sound_answer_passes_and_one_without_a_verdict_is_not_stated(sound: Pa
     assert document == {"verdict": "not stated", "reasons": []} and read_asset(tmp_path / "asset").trust is None
     assert said_of(tmp_path / "asset")[0] == "skip"
     assert "freeart21 trust: not stated" in (tmp_path / "asset/object.urdf").read_text()
-
-
-def test_trust_that_is_no_verdict_is_refused_in_one_line(sound: Path, tmp_path: Path):
-    document = json.loads((sound / "asset.json").read_text())
-    for wrong in (
-        "yes",
-        {"verdict": "fine"},
-        {"verdict": "sound", "reasons": ["a doubt"]},
-        {"verdict": "doubtful", "reasons": ["a\nb"]},
-    ):
-        (tmp_path / "asset.json").write_text(json.dumps(document | {"trust": wrong}))
-        (tmp_path / "object.urdf").write_bytes((sound / "object.urdf").read_bytes())
-        assert_refused(r"asset.json: .*trust", read_asset, tmp_path)

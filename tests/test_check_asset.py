@@ -24,7 +24,6 @@ from export.check.rules import ENGINE_RULES, FILE_RULES, MAX_HULLS
 from export.check.subject import find_subject
 from export.check.trial import Trial
 from export.check.trial_process import run_stage
-from freeart21 import se3
 
 REAL = Path(__file__).resolve().parents[2] / "shared"
 mujoco_only = pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="MuJoCo is not installed")
@@ -77,27 +76,6 @@ def test_a_sound_asset_passes_in_engines_that_few_have(tmp_path: Path, engine: s
 def test_a_sound_mjcf_passes(tmp_path: Path):
     rows = [*files_of(write_little(tmp_path, mjcf=True)), *trial_of(tmp_path)]
     assert failed(rows) == [] and all(row.verdict == "pass" for row in rows if row.engine == "mujoco")
-
-
-def test_the_mass_matrix_is_that_of_a_double_pendulum():
-    """Its closed form, with points of 2 and 3 kg at the ends of rods of 0.5 and 0.4 m (Goldstein, problem 1.22)."""
-    from export.check.tree import Tree, TreeJoint
-    from freeart21.files.urdf import UrdfInertial
-
-    m1, m2, a, b = 2.0, 3.0, 0.5, 0.4
-    y, down = np.array([0.0, 1.0, 0.0]), [0.0, 0.0, -1.0]
-    joints = {
-        name: TreeJoint(name, "revolute", parent, child, se3.pose(np.eye(3), at), y, np.zeros(3), -9.0, 9.0)
-        for name, parent, child, at in (("one", "base", "rod", np.zeros(3)), ("two", "rod", "tip", a * np.array(down)))
-    }
-    points = {n: UrdfInertial(m, r * np.array(down), np.zeros((3, 3))) for n, m, r in (("rod", m1, a), ("tip", m2, b))}
-    tree = Tree("base", ("base", "rod", "tip"), joints, points)
-    cosine = np.cos(0.9)
-    expected = [
-        [m1 * a * a + m2 * (a * a + b * b + 2 * a * b * cosine), m2 * (b * b + a * b * cosine)],
-        [m2 * (b * b + a * b * cosine), m2 * b * b],
-    ]
-    np.testing.assert_allclose(tree.mass_matrix({"one": 0.4, "two": 0.9}, points), expected, rtol=1e-12)
 
 
 # ---------------------------------------------------------------- what is broken in the files
@@ -164,13 +142,6 @@ def with_meshes(folder: Path, solid: trimesh.Trimesh | None = None) -> Path:
     return file
 
 
-def bent() -> trimesh.Trimesh:
-    """A solid of 0.2 x 0.15 m from which a corner was cut."""
-    one = trimesh.creation.box((0.2, 0.05, 0.01), se3.pose(np.eye(3), (0, -0.05, 0)))
-    other = trimesh.creation.box((0.05, 0.15, 0.01), se3.pose(np.eye(3), (-0.075, 0, 0)))
-    return trimesh.boolean.union([one, other])
-
-
 def replaced(name: str, old: str, new: str) -> Callable[[Path], None]:
     def change(folder: Path) -> None:
         text = (folder / name).read_text()
@@ -204,21 +175,6 @@ def test_each_break_of_a_file_fails_its_rule_and_no_other(tmp_path: Path, rule: 
     with_meshes(tmp_path)
     FILE_BREAKS[rule](tmp_path)
     assert failed(files_of(tmp_path)) == [rule]
-
-
-def test_a_bent_collision_mesh_is_not_convex(tmp_path: Path):
-    fails = {"collision.convex", "collision.true-to-visual"}  # engines take the hull, which fills the bend
-    assert set(failed(files_of(with_meshes(tmp_path, bent())))) == fails
-
-
-def test_an_asset_below_the_ground_does_not_stand_on_it_but_rests(tmp_path: Path):
-    file = write_little(tmp_path)
-    text = file.read_text().replace('xyz="0 0 0.02"', 'xyz="0 0 -0.03"').replace('"-0.1 0 0.04"', '"-0.1 0 -0.01"')
-    file.write_text(text)
-    (row,) = (row for row in files_of(file) if row.verdict == "fail")
-    assert row.rule == "stands.on-ground" and "-50 mm" in row.reason
-    if importlib.util.find_spec("mujoco"):
-        assert failed(trial_of(file)) == []
 
 
 # ---------------------------------------------------------------- what an engine does with it
@@ -274,13 +230,6 @@ def test_each_break_of_the_dynamics_fails_its_rule_and_no_other(tmp_path: Path, 
     assert failed(trial_of(TRIALS[rule](tmp_path))) == [rule]
 
 
-@mujoco_only
-def test_flat_collision_meshes_do_not_load_in_mujoco_and_the_rest_is_skipped(tmp_path: Path):
-    flat = trimesh.Trimesh([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]], [[0, 1, 2], [0, 2, 3]])
-    rows = trial_of(with_meshes(tmp_path, flat))
-    assert failed(rows) == ["engine.loads"] and sum(row.verdict == "skip" for row in rows) == len(rows) - 1
-
-
 @pytest.mark.parametrize(
     "body, verdict, message",
     [
@@ -334,14 +283,6 @@ def test_what_is_unusual_and_right_passes(tmp_path: Path, name: str):
     assert old in file.read_text()
     file.write_text(file.read_text().replace(old, new))
     assert failed([*files_of(file), *trial_of(file)]) == []
-
-
-@mujoco_only
-def test_a_door_of_an_mjcf_that_hangs_on_the_world_is_not_set_free(tmp_path: Path):
-    file = write_little(tmp_path, mjcf=True)
-    file.write_text(file.read_text().replace("<freejoint/>", '<joint name="post" axis="0 0 1" damping="0.01"/>'))
-    rows = trial_of(file)
-    assert failed(rows) == [] and {row.verdict for row in rows if row.rule.startswith("rest.")} == {"skip"}
 
 
 # ---------------------------------------------------------------- what is no asset

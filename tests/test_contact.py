@@ -115,13 +115,3 @@ def test_numbers_in_asset_json_that_its_files_do_not_have_fail(carved: Path, tmp
         document["source"]["parts"] = wrong
         (again / "asset.json").write_text(json.dumps(document))
         assert "asset.json" not in row_of(again).reason
-
-
-def test_an_open_visual_is_not_judged(tmp_path: Path):
-    export_result(reconstruction(), tmp_path / "asset")
-    for name in ("reference", "moving"):
-        file = tmp_path / "asset" / "meshes" / f"{name}.obj"
-        lines = file.read_text().splitlines(keepends=True)
-        file.write_text("".join(lines[:-1]))  # without its last triangle
-    row = row_of(tmp_path / "asset")
-    assert row.verdict == "skip" and "not closed" in row.reason

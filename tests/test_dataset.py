@@ -31,7 +31,7 @@ from freeart21.files.truth import read_truth
 from freeart21.files.verify import verify
 from freeart21.jobs import EXECUTORS, Local
 from generator import dataset, session
-from generator.dataset import Job, official_names, plan_jobs, procedural_jobs, record_jobs
+from generator.dataset import official_names, plan_jobs, procedural_jobs, record_jobs
 from generator.session import RecordSettings
 
 SETTINGS = RecordSettings(frames=6, width=160, height=120, queries=2, shader="trivial", edge=0.5)
@@ -308,19 +308,6 @@ def test_official_objects_that_are_absent_are_named_in_one_line_with_where_to_as
         official_names(tmp_path)
     assert "45135" not in str(caught.value) and "\n" not in str(caught.value)
     assert official_names(tmp_path, skip_missing=True) == ("103271", "45135")
-
-
-def test_names_of_sequences_may_be_opaque_and_must_be_unique(tmp_path: Path) -> None:
-    label = dataset.Label("hidden", "1", "test")
-    record_jobs(tmp_path / "data", [Job("stapler", "k3v9", SETTINGS)], label=label)
-    benchmark = read_benchmark(tmp_path / "data")
-    assert benchmark.sequences == ("k3v9",) and (benchmark.name, benchmark.split) == ("hidden", "test")
-    assert verify(tmp_path / "data").findings == []
-    for sequence in ("a/b", "..", ".a"):
-        with pytest.raises(FreeArtError, match="cannot be the name of a sequence"):
-            record_jobs(tmp_path / "data", [Job("stapler", sequence, SETTINGS)])
-    with pytest.raises(FreeArtError, match="cannot be the name of a sequence"):
-        record_jobs(tmp_path / "data", [Job("stapler", "b", SETTINGS)] * 2)
 
 
 # --- what is recorded -------------------------------------------------------------------------------------------------

@@ -41,7 +41,7 @@ def test_links_lead_somewhere(document: Path) -> None:
 def options() -> dict[str, set[str]]:
     """Command to its options, as its help names them."""
     found = {}
-    for command in cli.known_commands():
+    for command in cli.COMMANDS:
         shown = io.StringIO()
         with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(shown):
             patch.setattr(sys, "argv", ["freeart21", command, "--help"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -84,16 +83,3 @@ def test_one_short_sweep_of_poses_is_accepted(tmp_path: Path, monkeypatch, capsy
     code, out = gap(tmp_path, monkeypatch, capsys)
     assert code == 0 and out
     assert (tmp_path / "out/verdict.json").is_file() and (tmp_path / "out/index.html").is_file()
-
-
-def test_a_massless_asset_is_a_one_line_error(tmp_path: Path, monkeypatch, capsys):
-    asset_of(tmp_path / "a")
-    (urdf,) = (tmp_path / "a").glob("*.urdf")
-    text = urdf.read_text()
-    for name in ("inertial", "collision"):
-        text = re.sub(f"<{name}>.*?</{name}>", "", text, flags=re.S)
-    urdf.write_text(text)
-    write(tmp_path / "m", ONE, csv=series(swing()))
-    code, _ = gap(tmp_path, monkeypatch, capsys)
-    assert isinstance(code, str) and "has no inertia about it" in code and "\n" not in code
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["a", "m"]

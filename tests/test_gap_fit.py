@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,13 +17,8 @@ from simgap.fit.fit import (
     predict_readings,
     refit_starts,
 )
-from simgap.fit.model import repeats_family
 from simgap.fit.parts import extend_to_all, select_parts
-from simgap.fit.search import Search, list_candidates
 from simgap.measure.noise import estimate_noise
-from simgap.select.choose import choose_hypotheses
-from simgap.select.split import split_runs
-from simgap.settings import GapSettings
 
 
 def test_hidden_parameters_are_recovered_with_free_initial_states(tmp_path: Path):
@@ -117,25 +111,3 @@ def test_a_search_on_segments_holds_on_whole_runs(tmp_path: Path):
 
 
 # --- presliding friction, and forces and frictions of any shape over position -----------------------------------------
-
-HIDDEN = {
-    "presliding_friction": {"level": 0.15, "travel": 0.08},
-    "force_over_position": {f"force_{k + 1}": x for k, x in enumerate((-0.3, 0.1, 0.4, 0.5, 0.2, 0.3, 0.6, 0.1))},
-    "friction_over_position": {f"level_{k + 1}": 0.02 + 0.3 * (k in (2, 5)) for k in range(8)},
-}
-
-
-@pytest.mark.parametrize(("name", "expected"), list(zip(HIDDEN, [*list(HIDDEN)[:2], "coulomb_friction"], strict=True)))
-def test_a_shape_over_position_is_named(tmp_path: Path, name: str, expected: str):
-    """Common effects come first: friction that varies with position is dry friction, in part."""
-    problem, runs = problem_of(tmp_path, measured_of(5, exact=True, marked=False))
-    model = Model(problem, (name,), instant_friction=True)
-    theta = np.array([HIDDEN[name].get(r.name, x) for r, x in zip(model.ranges(), model.neutral(), strict=True)])
-    true = fit_model(model, runs, theta, iterations=0)
-    rng = np.random.default_rng(0)
-    runs = tuple(replace(run, q=predict_readings(true, run) + run.sigma * rng.normal(size=len(run.q))) for run in runs)
-    split = split_runs(runs)
-    search = Search(problem, split.train_runs, list_candidates(problem, split.train_runs))
-    choice = choose_hypotheses(search, split.folds, GapSettings().judgement)
-    assert choice.accepted and choice.accepted[0].names == (expected,) and choice.in_part == (expected != name), choice
-    assert not any(repeats_family(names) for names in search.fits)

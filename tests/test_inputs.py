@@ -17,8 +17,6 @@ from simgap.measure.inputs import make_inputs
 from simgap.models.surrogate import Nuisance, make_plant, simulate
 from simgap.workflow import find_gap
 
-TIMES = np.array([0.0, 0.1, 0.25, 0.3, 0.5, 0.6])
-VALUES = np.array([0.0, 1.0, -1.0, 2.0, 2.0, 0.5])
 HOW = pytest.mark.parametrize("how", ["held", "linear", "unknown"])
 
 
@@ -34,18 +32,6 @@ def driven(rows: int, rate: float, how: str, effort: bool = False) -> Measured:
     law = None if effort else Actuator(None, *SERVO)
     kind = "commanded" if effort else None
     return Measured("j", "revolute", np.array([0, 0, -G]), rate, "recorded", kind, law, 0, 0, (run,), how)  # type: ignore[arg-type]
-
-
-def test_a_straight_line_goes_from_row_to_row_and_a_smooth_one_through_them():
-    straight, smooth = (interpolate_series(TIMES, VALUES, how, holding=0.0) for how in ("linear", "unknown"))
-    at = np.linspace(-0.1, 0.8, 91)
-    assert [straight(t) for t in at] == pytest.approx(np.interp(at, TIMES, VALUES))
-    assert [smooth(t) for t in TIMES] == pytest.approx(VALUES) and smooth(-1) == 0.0 and smooth(9) == 0.5
-    parabola = interpolate_series(TIMES, 3 * TIMES**2 - TIMES, "unknown", holding=0.0)
-    assert [parabola(t) for t in at[10:70]] == pytest.approx(3 * at[10:70] ** 2 - at[10:70])
-    half = interpolate_series(TIMES, VALUES, "unknown", holding=0.5)
-    assert half(0.2) == pytest.approx(0.5 * (interpolate_series(TIMES, VALUES, "held")(0.2) + smooth(0.2)))
-    assert interpolate_series(TIMES, VALUES, "unknown", holding=1.0)(0.2) == 1.0
 
 
 @HOW

@@ -82,12 +82,8 @@ WRONG = {
     "needs --length": {"mass": 1.0},
     "is too small: 2 kg at 0.5 m have 0.5 alone": {"mass": 2.0, "length": 0.5, "inertia": 0.4},
     "expected a number above 0": {"mass": 0.0, "length": 0.5},
-    "expected a finite number": {"mass": math.nan, "length": 0.5},
     "a pendulum's centre of mass is off its axis": {"mass": 1.0, "length": 0.0},
     "a drawer has a mass alone": {"kind": "drawer", "mass": 1.0, "length": 0.2},
-    "gravity does not swing an upright door": {"kind": "door", "mass": 1.0, "length": 0.2, "period": 1.0},
-    "needs --inertia": {"kind": "door", "mass": 1.0, "length": 0.0},
-    "a period tells an inertia": {"mass": 1.0, "length": 0.2, "period": 1.0, "inertia": 1.0},
     "expected both limits": {"mass": 1.0, "length": 0.2, "lower": 0.0},
     "expected the lower one to be less": {"mass": 1.0, "length": 0.2, "lower": 1.0, "upper": 0.0},
 }

@@ -180,19 +180,6 @@ def test_parameters_lie_in_their_confidence_intervals(tmp_path: Path):
     assert inside >= 0.6 * tests
 
 
-def test_sag_of_a_door_is_confounded_with_the_trackers_zero(tmp_path: Path):
-    """About a vertical axis the moment turns with the door, so the sag is constant in the door's frame."""
-    door = asset(tmp_path, "revolute", axis="0 0 1")
-
-    def motion(q, t):
-        plain = about(PIVOT, turn(Z, q))
-        return plain @ about(PIVOT, turn(Y, np.full(len(q), 1e-3)))
-
-    data, _ = measured("revolute", motion)
-    found = find_geometry(door, data)
-    assert found is not None and found.verdict == "no_gap"
-
-
 def test_a_tumbling_part_is_a_one_line_error(tmp_path: Path):
     """A part that rotates as no joint of this type can: the wrong joint, or inconsistent frames."""
 

@@ -15,7 +15,7 @@ from freeart21.joint import Joint
 from generator import objects
 from generator.model import Link, ObjectModel
 from generator.partnet_writer import box_uv, crease_normals, write_partnet
-from generator.shapes import box, lathe, polygon, repeated, rod, round_box, screw, tapered, triangles, union
+from generator.shapes import box, triangles, union
 
 NAMES = catalog.built_in_names()
 SEEDS = (0, 3)
@@ -111,39 +111,6 @@ def test_the_same_object_is_written_as_the_same_bytes(tmp_path: Path) -> None:
     files = sorted(str(p.relative_to(folders[0])) for p in folders[0].rglob("*") if p.is_file())
     assert files == sorted(str(p.relative_to(folders[1])) for p in folders[1].rglob("*") if p.is_file())
     assert filecmp.cmpfiles(folders[0], folders[1], files, shallow=False)[1:] == ([], [])
-
-
-def test_shapes_have_the_volumes_of_their_closed_forms() -> None:
-    a, b, c, e = 3.0, 2.0, 1.0, 0.1
-    # the bevel takes prisms of section e^2 / 2 off the 12 edges, and all but e^3 / 6 off the corners, where three meet
-    prisms = 4 * (e**2 / 2) * ((a - 2 * e) + (b - 2 * e) + (c - 2 * e))
-    assert box((a, b, c), bevel=0).volume() == pytest.approx(6.0)
-    corner = e**3 * 5 / 6
-    assert box((a, b, c), bevel=e).volume() == pytest.approx(6.0 - prisms - 8 * corner, rel=1e-9)
-    assert rod(0.5, 2.0, "x", segments=512).volume() == pytest.approx(np.pi * 0.5, rel=1e-4)
-    radius = 0.2
-    core = np.array([3.0, 2.0, 1.0]) - 2 * radius
-    steiner = np.prod(core) + 2 * radius * (core[0] * core[1] + core[1] * core[2] + core[2] * core[0])
-    steiner += np.pi * radius**2 * core.sum() + 4 / 3 * np.pi * radius**3
-    assert round_box((3, 2, 1), radius, segments=96).volume() == pytest.approx(steiner, rel=2e-3)
-
-
-def test_turned_repeated_and_tapered_shapes() -> None:
-    cone = lathe([[0.0, 0.0], [2.0, 0.0], [0.0, 3.0]], "z", (1, 2, 3), segments=512)
-    assert cone.volume() == pytest.approx(np.pi * 4, rel=1e-3)
-    assert np.allclose(cone.bounding_box(), (-1, 0, 3, 3, 4, 6), atol=1e-3)
-    row = repeated(box((1, 1, 1)), (0, 3, 0), 4)
-    assert np.allclose(row.bounding_box(), (-0.5, -5, -0.5, 0.5, 5, 0.5)) and row.volume() == pytest.approx(4)
-    low, high = polygon([[-2, -2], [2, -2], [2, 2], [-2, 2]]), polygon([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    frustum = tapered(low, high, 3.0, "x", 5.0)
-    assert np.allclose(frustum.bounding_box(), (5, -2, -2, 8, 2, 2))
-    assert frustum.volume() == pytest.approx(3 / 3 * (16 + 4 + 8), rel=1e-3)
-    for axis, sign in (("x", 1), ("x", -1), ("y", 1), ("y", -1), ("z", 1), ("z", -1)):
-        head = screw(1.0, axis, (0, 0, 0), sign)  # type: ignore[arg-type]
-        k = "xyz".index(axis)
-        slot = [0.05 if j != k else 0.45 * sign for j in range(3)]
-        probe = box((0.02, 0.02, 0.02), slot)
-        assert (head ^ probe).volume() == 0 and (head ^ probe.translate([-2 * c for c in slot])).volume() > 0
 
 
 @pytest.mark.parametrize("tile", [None, 0.5])

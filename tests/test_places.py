@@ -142,7 +142,7 @@ def test_a_folder_that_may_not_be_written_is_one_line(home: Path, monkeypatch: p
 def test_an_older_result_is_replaced_with_its_asset(home: Path) -> None:
     result = home / "results" / "ours" / "a"
     (result / "asset" / "meshes").mkdir(parents=True)
-    (result / "asset" / "asset.json").write_text("{}")
+    atomic.write_json(result / "asset" / "asset.json", {"files": ["meshes/moving_hull_00.obj"]})
     (result / "asset" / "meshes" / "moving_hull_00.obj").write_text("")
     write_result(result, Failure("tracks", "too dark"))
     assert [path.name for path in result.iterdir()] == ["prediction.json"]

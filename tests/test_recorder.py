@@ -12,24 +12,18 @@ import pytest
 from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
-from freeart21.files.benchmark import read_benchmark
-from freeart21.files.data_card import CARD_FILES
 from freeart21.files.hashes import file_sha256
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
-from freeart21.joint import Joint
 from freeart21.recording import Recording
 from freeart21.truth import Truth
 from generator import partnet
-from generator.dataset import plan_jobs
 from generator.golden import LEAST_PSNR, interior_pixels, render_again, verify_deep
 from generator.model import Hinge, Link, Material, ObjectModel, Piece
 from generator.partnet_writer import write_partnet
 from generator.rays import Caster
 from generator.recorder import RecordSettings, record
-from generator.shapes import box, triangles
-from generator.surface import Paint, Surface
-from generator.truth_mesh import outer_faces
+from generator.shapes import box
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "partnet_mobility"
 SETTINGS = RecordSettings(
@@ -197,16 +191,6 @@ def test_a_sequence_tells_nothing_of_object_seed_motion_or_joint(case: Case) -> 
         assert not found, f"{path.name} says {found}"
 
 
-def test_the_benchmark_lists_every_file_with_its_hash(case: Case) -> None:
-    assert case.name in read_benchmark(case.folder).sequences
-    listed = json.loads((case.folder / "benchmark.json").read_text())["sha256"]
-    files = {str(p.relative_to(case.folder)) for p in case.folder.rglob("*") if p.is_file()}
-    files -= {"benchmark.json", *CARD_FILES}
-    assert set(listed) == files
-    some = sorted(files)[:: max(len(files) // 5, 1)]
-    assert all(listed[name] == file_sha256(case.folder / name) for name in some)
-
-
 def test_the_larger_part_is_the_reference_even_when_the_joint_carries_it(place: Path) -> None:
     data = place / "reference_is_child"
     sequence = record("90210077", data, dataclasses.replace(SETTINGS, partnet_root=place / "own"))
@@ -233,35 +217,6 @@ def test_same_seed_same_bytes(tmp_path: Path) -> None:
     assert hashes[0] == hashes[1] and len(hashes[0]) > 20
 
 
-# --- truth meshes -----------------------------------------------------------------------------------------------------
-
-
-def test_a_drawers_inside_is_outer_only_because_it_opens() -> None:
-    shell = box((1, 1, 1)) - box((0.98, 0.9, 0.9), (-0.02, 0, 0))
-    drawer = (box((0.9, 0.85, 0.8), (-0.04, 0, 0)) - box((0.8, 0.75, 0.8), (-0.04, 0, 0.1))) + box(
-        (0.02, 1, 1), (-0.51, 0, 0)
-    )
-    meshes = tuple(
-        Surface(
-            *triangles(s), np.zeros((s.num_vert(), 2)), np.zeros(s.num_vert(), int), (Paint(np.zeros(3, np.uint8)),)
-        )
-        .subdivided(0.06)
-        .mesh()
-        for s in (shell, drawer)
-    )
-
-    def shareinterior_pixels(upper: float) -> float:
-        joint = Joint("j", "prismatic", np.array([-1.0, 0, 0]), np.zeros(3), 0.0, upper)
-        flags = outer_faces(meshes, joint)[1]  # type: ignore[arg-type]
-        centres = meshes[1].vertices[meshes[1].faces].mean(1)
-        bottom = (np.abs(centres[:, 2] + 0.3) < 1e-6) & (np.abs(centres[:, 0] + 0.04) < 0.39)
-        assert bottom.sum() > 50
-        return float(flags[bottom].mean())
-
-    assert shareinterior_pixels(0.7) > 0.9
-    assert shareinterior_pixels(1e-3) == 0.0
-
-
 # --- faults -----------------------------------------------------------------------------------------------------------
 
 
@@ -285,13 +240,3 @@ def test_bad_requests_get_one_clear_line(tmp_path: Path) -> None:
         r"no movable joint 'lid'; movable joints: joint_0 \(revolute .*\), joint_1 \(", "stapler", tmp_path, joint="lid"
     )
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_real_object_is_found_as_the_data_set_unpacks_with_its_notes(tmp_path: Path) -> None:
-    folder = _small_root(tmp_path / "dataset" / "90210077")
-    urdf = folder / "mobility.urdf"
-    urdf.write_text(urdf.read_text().replace('upper="0.4"', 'upper="-0.1"'))
-    (job,) = plan_jobs(["90210077"], dataclasses.replace(SETTINGS, partnet_root=tmp_path))
-    assert job.sequence == "90210077-joint_0-s3"
-    assert job.notes == ("joint 'joint_0' never stands at 0: its limits are [-0.9, -0.1]",)
-    assert "notes" not in job.to_json()  # they decide no byte

@@ -9,7 +9,7 @@ import pytest
 from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
-from generator import hand, partnet, tof
+from generator import partnet, tof
 from generator.model import Hinge, Link, Material, ObjectModel, Piece
 from generator.motion import Plan
 from generator.partnet_writer import write_partnet
@@ -19,6 +19,7 @@ from generator.sensors import SENSORS, phone
 from generator.sensors.noise2 import NOISE2_SHARE, Noise2
 from generator.shapes import box
 from generator.tof import TimeOfFlight
+from generator.urdf_object import LoadedObject
 
 CAMERA = Camera.from_fov(160, 120, np.radians(40))
 FRAMES = 90
@@ -27,7 +28,7 @@ UPRIGHT = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
 
 
 @pytest.fixture(scope="module")
-def loaded(tmp_path_factory: pytest.TempPathFactory) -> partnet.PartNetObject:
+def loaded(tmp_path_factory: pytest.TempPathFactory) -> LoadedObject:
     """A board of 12 x 10 cm with a small lid above it."""
     red, blue = (Material(n, c, "plastic", 1000) for n, c in (("red", (0.8, 0.2, 0.2)), ("blue", (0.2, 0.2, 0.8))))
     lid = Link(
@@ -54,11 +55,11 @@ TURN = _plan(np.array([0, 0, 0, 0.01, 0.03, 0.0]))
 
 
 @pytest.fixture(scope="module")
-def scene(loaded: partnet.PartNetObject) -> Scene:
+def scene(loaded: LoadedObject) -> Scene:
     return Scene(loaded.asset.urdf, [s.links for s in loaded.sides], CAMERA, 0.01, 3.0, "trivial")
 
 
-def _sensor(name: str, scene: Scene, loaded: partnet.PartNetObject, plan: Plan = TURN, seed: int = 0) -> Sensor:
+def _sensor(name: str, scene: Scene, loaded: LoadedObject, plan: Plan = TURN, seed: int = 0) -> Sensor:
     meshes = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
     return Sensor(name, scene, plan, loaded, meshes, seed, 30.0)
 
@@ -66,7 +67,7 @@ def _sensor(name: str, scene: Scene, loaded: partnet.PartNetObject, plan: Plan =
 # --- all of them ------------------------------------------------------------------------------------------------------
 
 
-def test_clean_is_what_is_rendered(scene: Scene, loaded: partnet.PartNetObject) -> None:
+def test_clean_is_what_is_rendered(scene: Scene, loaded: LoadedObject) -> None:
     shot = _sensor("clean", scene, loaded).shoot(7)
     picture = scene.render(TURN.Ts_camera_object[7], {loaded.joint.name: float(TURN.states[7])})
     assert np.array_equal(shot.rgb, picture.rgb) and np.array_equal(shot.depth, picture.depth)
@@ -75,9 +76,7 @@ def test_clean_is_what_is_rendered(scene: Scene, loaded: partnet.PartNetObject) 
 
 
 @pytest.mark.parametrize("name", [*SENSORS, "tof+blur+hand"])
-def test_a_frame_is_the_same_in_any_order_and_frames_differ(
-    name: str, scene: Scene, loaded: partnet.PartNetObject
-) -> None:
+def test_a_frame_is_the_same_in_any_order_and_frames_differ(name: str, scene: Scene, loaded: LoadedObject) -> None:
     sensor = _sensor(name, scene, loaded)
     forth = [sensor.shoot(i) for i in (3, 40, 41)]
     again = _sensor(name, scene, loaded)
@@ -89,7 +88,7 @@ def test_a_frame_is_the_same_in_any_order_and_frames_differ(
         assert np.array_equal(a.mask, a.side > 0)
 
 
-def test_unknown_names_get_one_line(scene: Scene, loaded: partnet.PartNetObject) -> None:
+def test_unknown_names_get_one_line(scene: Scene, loaded: LoadedObject) -> None:
     for name, message in (
         ("fog", f"unknown sensor 'fog'; sensors: {', '.join(SENSORS)}"),
         ("tof+fog", "unknown sensor 'fog'"),
@@ -190,7 +189,7 @@ def test_tof_pixels_fly_backwards_and_only_at_edges() -> None:
 # --- blur -------------------------------------------------------------------------------------------------------------
 
 
-def test_blur_widens_edges_by_the_motion_and_keeps_the_light(scene: Scene, loaded: partnet.PartNetObject) -> None:
+def test_blur_widens_edges_by_the_motion_and_keeps_the_light(scene: Scene, loaded: LoadedObject) -> None:
     step_px = 14.0  # a frame; half of it while the shutter is open
     shift = np.array([step_px * (0.3 - 0.01) / CAMERA.K[0, 0], 0, 0, 0, 0, 0])
     plan = _plan(shift, 3)
@@ -214,7 +213,7 @@ def test_blur_widens_edges_by_the_motion_and_keeps_the_light(scene: Scene, loade
 
 @pytest.mark.parametrize("seed", [0, 3])
 def test_the_hand_hides_some_of_the_object_and_nothing_else_changes(
-    seed: int, scene: Scene, loaded: partnet.PartNetObject
+    seed: int, scene: Scene, loaded: LoadedObject
 ) -> None:
     sensor = _sensor("hand", scene, loaded, TURN, seed)
     shares = []
@@ -232,25 +231,6 @@ def test_the_hand_hides_some_of_the_object_and_nothing_else_changes(
         assert beside.sum() > 50
         assert (np.abs(with_hand.rgb[beside].astype(int) - bare.rgb[beside]).max(1) > 20).mean() > 0.9
     assert 0.04 < np.mean(shares) < 0.35 and np.std(shares) > 0.01
-
-
-def test_the_hand_moves_with_what_it_holds_and_changes_its_grip_smoothly(loaded: partnet.PartNetObject) -> None:
-    meshes = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
-    plan = _plan(np.array([0, 0, 0, 0.0, 0.03, 0.0]), 150)
-    motion = hand.HandMotion(plan, loaded.joint, meshes, CAMERA, 0)
-    assert motion.held == 0 and len(motion.grasps) >= 2  # the board is larger than the lid
-    joints = []
-    for t in range(150):
-        grasp = motion.grasp(t)
-        joints.append(se3.transform(grasp.T_side_hand, motion.hand.joints(grasp.tips).reshape(-1, 3)))
-        lengths = np.linalg.norm(np.diff(joints[-1].reshape(5, 4, 3), axis=1), axis=-1)
-        assert np.allclose(lengths, hand.LENGTHS * motion.hand.scale, rtol=1e-6)  # bones are rigid
-    steps = np.linalg.norm(np.diff(joints, axis=0), axis=-1).max(1)
-    assert np.sum(steps == 0) > 70 and steps.max() < 0.05 and steps.max() > 1e-3
-    T = plan.Ts_camera_object[0]
-    poses = motion.poses(0, T, 0.0)
-    assert poses.shape == (hand.BONES, 4, 4) == (len(motion.hand.pieces(8)), 4, 4)
-    se3.check_poses("hand", poses)
 
 
 # --- phone ------------------------------------------------------------------------------------------------------------

@@ -131,12 +131,6 @@ def test_same_call_same_bits(tmp_path: Path):
         np.testing.assert_array_equal(runs[0].qd, run.qd)
 
 
-def test_gravity_of_one_load_does_not_leak_into_the_next(tmp_path: Path):
-    asset = asset_with(tmp_path, "revolute")
-    load(asset, gravity=(1.0, 2.0, 3.0))
-    assert load(asset).gravity == pytest.approx([0, 0, -9.81])
-
-
 def random_pose(rng: np.random.Generator, shift: float = 0.5) -> np.ndarray:
     return se3.exp_se3(np.concatenate([rng.uniform(-shift, shift, 3), rng.normal(size=3)]))
 
@@ -176,34 +170,6 @@ def test_other_joints_are_held_where_the_asset_says(tmp_path: Path):
         simulated.set_state(0.3)
         hung = se3.pose(se3.exp_so3([held, 0, 0]), [0.1, 0.3, 1])
         np.testing.assert_allclose(simulated.T_reference_moving(), hung, atol=1e-6)
-
-
-def test_overlapping_parts_do_not_push_each_other(tmp_path: Path):
-    box = '<collision><geometry><box size="0.2 0.2 0.2"/></geometry></collision>'
-    path = tmp_path / "boxes.urdf"
-    path.write_text(f"""<robot name="r"><link name="base"/><link name="still">{box}</link><link name="bob">{box}</link>
-        <joint name="f" type="fixed"><parent link="base"/><child link="still"/></joint>
-        <joint name="j" type="prismatic"><parent link="base"/><child link="bob"/><origin xyz="0 0.05 0.05"/></joint>
-        </robot>""")
-    run = roll_out(read_asset(path), 0.0, 0.1, duration_s=1, gravity=WEIGHTLESS)
-    assert run.q[-1] == pytest.approx(0.1, abs=1e-6)
-
-
-def test_free_base_falls_and_fixed_base_does_not(tmp_path: Path):
-    asset = asset_with(tmp_path, "revolute")
-    asset.urdf.write_text(
-        asset.urdf.read_text().replace(
-            '<link name="base"/>',
-            """<link name="base"><inertial>
-        <mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>""",
-        )
-    )
-    for fixed, drop in ((True, 0.0), (False, 0.5 * 9.81 * 0.1**2)):
-        simulated = load(asset, fixed_base=fixed)
-        simulated.set_base_pose(se3.pose(np.eye(3), [0, 0, 2]))
-        for _ in range(100):
-            simulated.step()
-        assert 2 - simulated.link_pose("base")[2, 3] == pytest.approx(drop, abs=1e-3)
 
 
 def test_faults_cost_one_clear_line(tmp_path: Path):

@@ -187,7 +187,6 @@ def changed(path: Path, out: Path, **changes: Any) -> Path:
 def test_tables_that_do_not_go_together_are_refused_in_one_line(world, tables, tmp_path):
     public, _ = world
     other = changed(tables[1], tmp_path / "other.json", benchmark__sha256="2" * 64)
-    code = changed(tables[1], tmp_path / "code.json", made_with__scoring="3" * 64)
     archive = tmp_path / "one.zip"
     archive.write_bytes(b"PK")
     scores = read_scores(tables[1])
@@ -196,7 +195,6 @@ def test_tables_that_do_not_go_together_are_refused_in_one_line(world, tables, t
     for results, data, protocols, words in (
         ([tables[0], other], None, (), r"other\.json is scored on made-up"),
         ([other], public, (), r"other\.json is scored on made-up"),
-        ([tables[0], code], None, (), r"code\.json is scored by other code"),
         ([tables[0], short], None, (), r"short\.json has rows for 2 of 3"),
         (tables, None, ("paper-1",), r"good\.json is scored by strict-3, expected paper-1"),
         (tables, None, ("strict-3", "paper-1"), r"good\.json: there is no table of good by paper-1"),

@@ -27,13 +27,12 @@ from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files.take import read_take, write_take
 from generator.commands import teleop
-from generator.motion.body import UPRIGHT, Body
+from generator.motion.body import UPRIGHT
 from generator.object_source import find_object
 from generator.scene import Scene
 from generator.settings import RecordSettings
 from generator.teleop import gate, server, stage_process, wire
 from generator.teleop.driving import GAP_S, STEP_S, UNDO_S, Driving, Placement
-from generator.teleop.limits import FILL, Workspace
 from generator.teleop.stage import Stage
 from generator.teleop.takes import Takes
 
@@ -214,18 +213,6 @@ def test_a_full_disk_leaves_whole_lines_and_a_take_that_is_saved_when_there_is_r
 
 
 # --- the object and its picture ---------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", ["swivel_usb", "drawer_unit"])
-def test_an_object_begins_in_the_middle_and_large(name: str, tmp_path: Path) -> None:
-    loaded = find_object(name, RecordSettings()).load(tmp_path)
-    body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
-    camera = Camera.from_fov(640, 360, np.radians(40))
-    room = Workspace.of(body, camera)
-    uv = camera.project(se3.transform(room.T_start, body.points(np.array([room.state]))[0]))
-    assert np.abs((uv.max(0) + uv.min(0)) / 2 - [320, 180]).max() < 3
-    assert np.ptp(uv[:, 1]) / 360 == pytest.approx(FILL, abs=0.06) or np.ptp(uv[:, 0]) > 0.9 * 640
-    assert room.nearest <= se3.transform(room.T_start, room.centre[None])[0, 2] <= room.farthest
 
 
 def test_the_live_shader_shows_the_recorder_s_colours(tmp_path: Path) -> None:

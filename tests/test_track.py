@@ -31,7 +31,7 @@ from generator.dataset import plan_jobs
 from generator.golden import verify_deep
 from generator.motion import track
 from generator.motion.body import UPRIGHT, Body
-from generator.motion.framing import MARGIN, image_extent, place_as_moved
+from generator.motion.framing import image_extent
 from generator.motion.plan import PRESETS
 from generator.object_source import find_object
 from generator.recorder import RecordSettings, record
@@ -216,26 +216,6 @@ def test_changes_of_a_take_are_reported_and_stored(tmp_path: Path, capsys: pytes
         run_record(dataclasses.replace(options, settings=dataclasses.replace(small, carry=1.0)))
 
 
-def test_the_place_shows_all_frames_and_no_nearer_one_would() -> None:
-    rng = np.random.default_rng(0)
-    body, camera, n = _body(), Camera.from_fov(320, 180, 0.7), 40
-    Rs, shifts = se3.exp_so3(rng.normal(size=(n, 3))) @ UPRIGHT, rng.uniform(-0.2, 0.2, (n, 3))
-    states = rng.uniform(0, 1, n)
-    tight = dataclasses.replace(PRESETS["handheld"], fill=5.0)
-    Ts = place_as_moved(Rs, shifts, states, body, camera, tight)
-    low, high = image_extent(Ts, states, body, camera)
-    strip, size = MARGIN * camera.height, np.array([camera.width, camera.height])
-    room = np.concatenate([low - strip, size - strip - high], 1)
-    assert room.min() == pytest.approx(0, abs=1e-6), "touches the strip round the picture, and enters it nowhere"
-    touched = room.min(0)
-    across = 0 if max(touched[[0, 2]]) < max(touched[[1, 3]]) else 1
-    assert touched[across] == pytest.approx(touched[across + 2], abs=1e-6), "on both sides: no shift would help"
-    np.testing.assert_allclose(Ts[:, :3, 3] - Ts[0, :3, 3], shifts - shifts[0], atol=1e-12)
-    far = place_as_moved(Rs, shifts, states, body, camera, dataclasses.replace(tight, fill=0.05))
-    low, high = image_extent(far, states, body, camera)
-    assert (high - low)[:, 1].mean() == pytest.approx(0.05 * camera.height, rel=0.1)
-
-
 @pytest.mark.parametrize("poses", ["first", "camera"])
 def test_the_truth_moves_as_the_take_does(tmp_path: Path, poses: str) -> None:
     take = taken(tmp_path / "a.txt", 50.0, poses)
@@ -402,16 +382,6 @@ def test_what_is_wrong_with_a_urdf_is_said_in_a_line(case: Path, change, joint: 
         plan_jobs([str(case)], dataclasses.replace(SMALL, joint=joint))
     assert str(case.parent) in str(caught.value) and "freeart21-" not in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_what_a_urdf_lacks_is_noted_also_when_it_was_made_before(case: Path, tmp_path: Path) -> None:
-    second = '<visual><geometry><mesh filename="knob.stl"/></geometry></visual>'
-    case.write_text(URDF.replace('<link name="box">', f'<link name="box">{second}'))
-    with pytest.raises(FreeArtError, match=r"'knob.stl', which does not exist: .* --root .*; --skip-missing"):
-        load_urdf(case)
-    for _ in range(2):
-        loaded = load_urdf(case, skip_missing=True)
-        assert loaded.notes == ("absent meshes are left out: knob.stl",)
 
 
 def test_mimic_and_floating_joints_are_held_and_noted(case: Path, tmp_path: Path) -> None:

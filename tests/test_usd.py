@@ -85,25 +85,6 @@ def test_numbers_are_those_of_the_urdf_in_the_units_of_usd(tmp_path: Path, kind)
 
 
 @needs_usd
-@pytest.mark.parametrize("base", ["free", "fixed"])
-def test_the_base_is_free_or_nailed_to_the_world(tmp_path: Path, base):
-    from pxr import UsdPhysics
-
-    write_case(tmp_path, "revolute", base=base)
-    stage = opened(tmp_path)
-    roots = [p for p in stage.Traverse() if p.HasAPI(UsdPhysics.ArticulationRootAPI)]
-    nailed = [p for p in stage.Traverse() if p.IsA(UsdPhysics.FixedJoint)]
-    bodies = [p.GetName() for p in stage.Traverse() if p.HasAPI(UsdPhysics.RigidBodyAPI)]
-    assert bodies == ["reference", "moving"]
-    if base == "free":
-        assert [p.GetName() for p in roots] == ["reference"] and not nailed
-    else:
-        assert roots == nailed and len(nailed) == 1
-        fixed = UsdPhysics.FixedJoint(nailed[0])
-        assert not fixed.GetBody0Rel().GetTargets() and str(fixed.GetBody1Rel().GetTargets()[0]) == "/bob/reference"
-
-
-@needs_usd
 def test_meshes_wear_their_pictures_and_hulls_are_hidden_and_convex(tmp_path: Path):
     from pxr import UsdGeom, UsdPhysics, UsdShade
 

@@ -16,6 +16,7 @@ from typing import Any
 
 from freeart21 import processes
 from freeart21.errors import FreeArtError
+from freeart21.files import checked
 from freeart21.files.places import Output, require_replaceable
 from freeart21.processes import os_error_text
 
@@ -75,7 +76,8 @@ def new_folder(path: Path, older: Output | None = None) -> Iterator[Path]:
     """A folder to fill: it is renamed to `path` when the block succeeds, and removed when it fails.
 
     An existing folder at `path` stays until the new one is complete. Only an older output of the kind `older` is
-    replaced (`places.require_replaceable`, checked before and after the block). Raises FreeArtError, and CannotWrite.
+    replaced (`places.require_replaceable`, checked before and after the block), and the new one's marker gets the list
+    of its files. Raises FreeArtError, and CannotWrite.
     """
     require_replaceable(path, older)
     try:
@@ -87,6 +89,8 @@ def new_folder(path: Path, older: Output | None = None) -> Iterator[Path]:
         yield aside
         processes.raise_if_stopped()
         require_replaceable(path, older)
+        if older is not None and (aside / older.marker).is_file():
+            _list_files(aside, older.marker)
         aside.chmod(0o755)
         with processes.defer_stop():
             _replace_folder(aside, path)
@@ -95,6 +99,14 @@ def new_folder(path: Path, older: Output | None = None) -> Iterator[Path]:
     finally:
         with processes.defer_stop():
             shutil.rmtree(aside, ignore_errors=True)
+
+
+def _list_files(folder: Path, marker: str) -> None:
+    """Write the names of all other files of `folder` into its marker, unless that lists them by their hashes."""
+    data = checked.read_json(folder / marker)
+    if "sha256" not in data:
+        names = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+        write_json(folder / marker, {**data, "files": [name for name in names if name != marker]})
 
 
 def _replace_folder(aside: Path, path: Path) -> None:

@@ -6,7 +6,7 @@ import contextlib
 import fcntl
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from freeart21.errors import FreeArtError
@@ -27,9 +27,18 @@ def only_writer(out: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def hold_lock(lock: Path, otherwise: str, patience_s: float) -> Iterator[None]:
-    """Hold the lock file `lock`; FreeArtError `otherwise` when another process keeps it for `patience_s`."""
-    made = [folder for folder in lock.parents if not folder.exists()]
+def hold_lock(
+    lock: Path,
+    otherwise: str,
+    patience_s: float,
+    folders: Sequence[Path] = (),
+    keep: Callable[[], bool] = lambda: False,
+) -> Iterator[None]:
+    """Hold the lock file `lock`; FreeArtError `otherwise` when another process keeps it for `patience_s`.
+
+    Afterwards its file, its new folders and the given `folders` are removed when they are empty, unless `keep`.
+    """
+    made = [*folders, *(folder for folder in lock.parents if not folder.exists())]
     deadline = time.monotonic() + patience_s
     while (handle := acquire(lock)) is None:
         if time.monotonic() > deadline:
@@ -38,7 +47,10 @@ def hold_lock(lock: Path, otherwise: str, patience_s: float) -> Iterator[None]:
     try:
         yield
     finally:
-        release(lock, handle, made)
+        if keep():
+            os.close(handle)
+        else:
+            release(lock, handle, made)
 
 
 def release(lock: Path, handle: int, made: list[Path]) -> None:

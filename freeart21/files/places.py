@@ -1,7 +1,8 @@
 """Where commands can write without data loss.
 
-A command replaces only an older output of its own kind: one with the kind's mark, and with no file that the kind's
-writer does not write. It never writes over, around or into its inputs, into another output, or through a link. Anything
+A command replaces only an older output of its own kind. A folder of ours has a marker, a JSON file that begins with its
+schema and lists all that was written with it under "files" (`atomic.new_folder`); a file of ours has a mark near its
+beginning. An output is never written over, around or into its inputs, into another output, or through a link. Anything
 else is refused, before the work and again at its end.
 """
 
@@ -18,24 +19,21 @@ from freeart21.files import checked
 
 _HEAD = 4096
 """Bytes of a file that hold its mark: our writers put the schema first."""
-_PICTURE = "[0-9]" * 5 + ".png"
-_LEFTOVERS = (".*.part", ".*.old", ".*.lock")
-"""Patterns of what killed processes leave."""
+_LEFTOVERS = (".*.part", ".*.old", ".*.lock", "__pycache__")
+"""Patterns of what killed processes and Python leave."""
 
 
 @dataclass(frozen=True)
 class Output:
-    """A kind of output: how to recognise it, and the files it can hold."""
+    """A kind of output, and how to recognise it."""
 
     what: str
     mark: bytes
     """Bytes near the beginning of the marker file, or of an output that is one file."""
     marker: str = ""
-    """Of a folder: its file with the mark."""
+    """Of a folder: its file with the mark and the list."""
     files: tuple[str, ...] = ()
-    """Of a folder: patterns (fnmatch; '*' crosses '/') of all files that commands write into it."""
-    listed: bool = False
-    """Whether the list "files" of the marker file names further files."""
+    """Of a folder: files that are not in the list."""
 
     def stands_at(self, path: Path) -> bool:
         """Whether `path` is an output of this kind."""
@@ -50,59 +48,20 @@ def _json(kind: str) -> bytes:
     return f'"schema": "freeart21/{kind}/'.encode()
 
 
-ASSET = Output(
-    "asset",
-    _json("asset"),
-    "asset.json",
-    (
-        *(
-            "asset.json",
-            "certificate.json",
-            "effects.json",
-            "object.urdf",
-            "object.xml",
-            "object.usdc",
-            "LOSSES.md",
-            "preview.png",
-            "gaussians.ply",
-        ),
-        *("loaders/load_*.py", "loaders/joint.json", "loaders/__pycache__/load_*.pyc"),
-        *(f"meshes/*.{end}" for end in ("obj", "mtl", "png")),
-    ),
-)
-RESULT = Output(
-    "result",
-    _json("prediction"),
-    "prediction.json",
-    (
-        *(
-            "prediction.json",
-            "poses.npz",
-            "diagnostics.json",
-            "gaussians.ply",
-            "parts/reference.ply",
-            "parts/moving.ply",
-        ),
-        *(f"{folder}/{_PICTURE}" for folder in ("part_mask", "confidence", "renders", "renders_other")),
-        *(f"asset/{pattern}" for pattern in ASSET.files),  # made from the result, and outdated with it
-    ),
-)
-ANSWER = Output("answer of gap", _json("verdict"), "verdict.json", ("verdict.json", "index.html"), listed=True)
-SITE = Output("site", _json("site"), "site.json", ("site.json",), listed=True)
-DEMO = Output("demo", _json("demo"), "demo.json", ("demo.json",), listed=True)
+ASSET = Output("asset", _json("asset"), "asset.json")
+RESULT = Output("result", _json("prediction"), "prediction.json")
+ANSWER = Output("answer of gap", _json("verdict"), "verdict.json")
+SITE = Output("site", _json("site"), "site.json")
+DEMO = Output("demo", _json("demo"), "demo.json")
+MASKS = Output("folder of masks", _json("masks"), "masks.json", ("index.html",))
 PAGE = Output("page", b'<meta name="generator" content="freeart21')
-SUITE = Output("suite of rows", _json("suite"), "suite.json", ("*",))
-"""A suite resumes in its folder, and replaces only files of its own jobs."""
-MASKS = Output("folder of masks", _json("masks"), "masks.json", ("masks.json", "index.html", _PICTURE))
 SCORES = Output("table of scores", _json("scores"))
-SHEET = Output("contact sheet", b"freeart21 contact sheet")
 JOINT_ASSET = Output("asset of a few numbers", b"freeart21 joint-asset")
 
 
 def import_of(layout: str) -> Output:
     """The results folder that `freeart21 import` makes of results in `layout`; an older one of that layout only."""
-    files = ("method.json", *(f"*/{pattern}" for pattern in RESULT.files))
-    return Output(f"import of {layout} results", f'"imported": "{layout}"'.encode(), "method.json", files)
+    return Output(f"import of {layout} results", f'"imported": "{layout}"'.encode(), "method.json")
 
 
 _SEQUENCE = Output("sequence", _json("sequence"), "sequence.json")
@@ -172,27 +131,29 @@ def require_replaceable(out: Path, kind: Output | None) -> None:
 
 
 def _other_files(out: Path, kind: Output) -> list[str]:
-    """Files in the folder `out` that are not part of such an output, and all links."""
-    found, named = [], _listed(out / kind.marker) if kind.listed else frozenset[str]()
-    for place, folders, files in os.walk(out):
-        links = [name for name in folders if (Path(place) / name).is_symlink()]
-        for name in (*files, *links):
-            path = Path(place) / name
-            inside = path.relative_to(out).as_posix()
-            if any(fnmatchcase(part, rest) for part in path.relative_to(out).parts for rest in _LEFTOVERS):
-                continue
-            known = inside in named or any(fnmatchcase(inside, pattern) for pattern in kind.files)
-            if path.is_symlink() or not known:
-                found.append(inside)
+    """Files in the folder `out` that neither its marker nor that of a folder in it lists, and all links."""
+    ours = {kind.marker, *kind.files}
+    for marker in {kind.marker, RESULT.marker, ASSET.marker}:
+        for path in out.rglob(marker):
+            place = path.parent.relative_to(out)
+            ours |= {(place / name).as_posix() for name in _listed(path)}
+    found = []
+    for path in out.rglob("*"):
+        inside = path.relative_to(out)
+        left_over = any(fnmatchcase(part, pattern) for part in inside.parts for pattern in _LEFTOVERS)
+        if path.is_symlink() or not (path.is_dir() or left_over or inside.as_posix() in ours):
+            found.append(inside.as_posix())
     return sorted(found)
 
 
-def _listed(marker: Path) -> frozenset[str]:
+def _listed(marker: Path) -> tuple[str, ...]:
+    """The files that a marker lists, by name or by hash, and itself; none where it has no list."""
     try:
-        files = checked.read_json(marker).get("files")
+        data = checked.read_json(marker)
     except FreeArtError:
-        files = None
-    return frozenset(map(str, files)) if isinstance(files, list) else frozenset()
+        return ()
+    listed = data.get("files", data.get("sha256"))
+    return (marker.name, *map(str, listed)) if isinstance(listed, list | dict) else ()
 
 
 def _check_path(out: Path) -> None:

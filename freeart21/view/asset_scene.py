@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,14 +22,6 @@ LINK_COLOURS = (REFERENCE, MOVING, "#56B4E9", "#CC79A7", "#F0E442", "#D55E00", "
 """Colours of the bodies, in the order of the tree."""
 HULL_COLOURS = ((86, 180, 233), (0, 158, 115), (230, 159, 0), (204, 121, 167), (240, 228, 66), (0, 114, 178))
 """Colours of collision shapes in turn, to distinguish the pieces of a decomposition."""
-
-
-@dataclass(frozen=True)
-class _Body:
-    """Links joined by fixed joints."""
-
-    name: str
-    links: tuple[str, ...]
 
 
 def asset_scene(shown: ShownUrdf, asset: Asset | None = None, T_camera_canonical: Array | None = None) -> Scene:
@@ -84,14 +76,14 @@ def _scene(
     position = {name: i + shift for i, name in enumerate(shown.visuals)}
     layers: list[Layer] = []
     surfaces: list[Surface] = []
-    for body in _bodies(shown, asset):
+    for name, body in _bodies(shown, asset):
         colour = LINK_COLOURS[len(layers) % len(LINK_COLOURS)]
         surfaces += [
-            Surface(piece.mesh, position[name], len(layers), piece.uv, piece.texture)
-            for name in body.links
-            for piece in shown.visuals[name]
+            Surface(piece.mesh, position[link], len(layers), piece.uv, piece.texture)
+            for link in body
+            for piece in shown.visuals[link]
         ]
-        layers.append(Layer(body.name, colour))
+        layers.append(Layer(name, colour))
     axes, hulls = len(layers), len(layers) + 1
     layers += [Layer("joint axes", AXIS, "axis"), Layer("collision shapes", "#009E73", "ghost", False)]
     for link, (owner, visuals) in zip(links[shift:], shown.visuals.items(), strict=True):
@@ -107,8 +99,9 @@ def _scene(
     return Scene(tuple(links), tuple(sliders), tuple(layers), tuple(surfaces), up, towards)
 
 
-def _bodies(shown: ShownUrdf, asset: Asset | None) -> list[_Body]:
-    """Groups of links with visuals, separated by movable joints: the asset's two parts first, then down the tree."""
+def _bodies(shown: ShownUrdf, asset: Asset | None) -> list[tuple[str, list[str]]]:
+    """Groups of links that fixed joints join, by the first with visuals: the asset's two parts first, then down the
+    tree."""
     fixed_to = {joint.child: joint.parent for joint in shown.urdf.joints.values() if joint.joint_type is None}
     groups: dict[str, list[str]] = {}
     for name in shown.visuals:
@@ -116,13 +109,9 @@ def _bodies(shown: ShownUrdf, asset: Asset | None) -> list[_Body]:
         while top in fixed_to:
             top = fixed_to[top]
         groups.setdefault(top, []).append(name)
-    bodies = []
-    for links in groups.values():
-        visible = [name for name in links if shown.visuals[name]]
-        if visible:
-            bodies.append(_Body(visible[0], tuple(links)))
+    bodies = [(seen[0], links) for links in groups.values() if (seen := [one for one in links if shown.visuals[one]])]
     first = [asset.reference_link, asset.moving_link] if asset is not None else []
-    return sorted(bodies, key=lambda body: next((i for i, link in enumerate(first) if link in body.links), len(first)))
+    return sorted(bodies, key=lambda body: next((i for i, link in enumerate(first) if link in body[1]), len(first)))
 
 
 def _at_child(joint: UrdfJoint) -> Joint:

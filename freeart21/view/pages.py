@@ -155,12 +155,7 @@ def recognised(path: Path) -> str:
         raise unfinished_error(path)
     names = sorted(p.name + "/" * p.is_dir() for p in path.iterdir())
     there = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "") or "nothing"
-    patterns = ("*/sequence.json", "*/*/sequence.json", "*/prediction.json", "*/asset.json")
-    inner = sorted(str(p.parent.relative_to(path)) for pattern in patterns for p in path.glob(pattern))
-    hint = f"; what can be shown in it: {', '.join(inner[:8])}{' ...' * (len(inner) > 8)}" if inner else ""
-    raise FreeArtError(
-        f"{path} is nothing to show: looked for {', '.join(MARKERS)} or a .urdf file, found {there}{hint}"
-    )
+    raise FreeArtError(f"{path} is nothing to show: looked for {', '.join(MARKERS)} or a .urdf file, found {there}")
 
 
 def _title_of(path: Path) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -134,7 +135,7 @@ def articulation_scene(
     )
 
 
-def seen_from(T_camera_world: Array) -> dict[str, Array]:
+def seen_from(T_camera_world: Array) -> dict[str, Any]:
     """`up` and `towards_viewer` of a scene that is first seen from near a camera (4, 4)."""
     R_world_camera = T_camera_world[:3, :3].T
     return {"up": R_world_camera @ [0.0, -1.0, 0.0], "towards_viewer": R_world_camera @ FIRST_VIEW}

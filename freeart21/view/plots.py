@@ -93,7 +93,8 @@ def curves_section(
     x = np.asarray(abscissa, float)
     ends = float(x[0]), float(max(x[-1], x[0] + 1e-9))
     grey = [] if unseen is None else _unseen_boxes(x, unseen)
-    drawn, data = Markup(""), {"charts": [[_rounded(c.values) for c in chart.curves] for chart in charts]}
+    drawn = Markup("")
+    data: dict[str, Any] = {"charts": [[_rounded(c.values) for c in chart.curves] for chart in charts]}
     for chart in charts:
         axes = Axes(560, chart.height, ends, chart.y or (0.0, _upper_end(chart)))
         boxes = [*((css, a, b, *axes.y) for css, a, b in grey), *chart.boxes]

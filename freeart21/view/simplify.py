@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from freeart21.mesh import Mesh
 
@@ -18,6 +17,7 @@ def simplified(mesh: Mesh, max_faces: int) -> Mesh:
     if len(mesh.faces) <= max_faces:
         return mesh
     from fast_simplification import simplify
+    from scipy.spatial import cKDTree
 
     used, faces = np.unique(mesh.faces, return_inverse=True)
     faces = faces.reshape(-1, 3)

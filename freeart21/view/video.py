@@ -131,8 +131,8 @@ def video_section(
         for overlay, own in zip(overlays, labels, strict=True)
     ]
     if foreground:
-        mask = {"colours": ("#ffffff", "#ffffff"), "labels": foreground, "axis": None, "axis_colour": "#ffffff"}
-        sources.append({"name": "given mask", "shown": False, "confidence": False, "absent": "", **mask})
+        given = {"name": "given mask", "colours": ("#ffffff", "#ffffff"), "axis_colour": "#ffffff", "absent": ""}
+        sources.append({**given, "labels": foreground, "axis": None, "shown": False, "confidence": False})
     data: dict[str, Any] = {
         "width": shown[0],
         "height": shown[1],

@@ -1,4 +1,4 @@
-"""Access control: token and origin of requests, the message rate of pages, and a rate-limited log."""
+"""Access control: token and origin of requests, the message rate of pages, and a log of what is dropped."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ BURST = 400.0
 """Burst of messages: what a network that stalls for two seconds delivers at once."""
 MAX_BAD = 1000
 """Bad messages after which a page is closed."""
-_LOG_INTERVAL_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -69,20 +68,15 @@ class Allowance:
         return True
 
 
-class RateLimitedLog:
-    """A log with at most one line of each kind every few seconds, with the number of those left out."""
+class LogOfDrops:
+    """Reports the first of each kind of what is dropped: a flood of messages is no flood of lines."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self._say = say
-        self._kinds: dict[str, tuple[float, int]] = {}
+        self._kinds: set[str] = set()
 
-    def report_dropped(self, why: str, whose: str) -> None:
+    def report(self, why: str, whose: object) -> None:
         """Report something that was dropped; `why` is one of a few fixed texts."""
-        now = time.monotonic()
-        at, count = self._kinds.get(why, (-_LOG_INTERVAL_S, 0))
-        if now - at >= _LOG_INTERVAL_S:
-            more = f" ({count} more since the last line)" if count else ""
-            self._say(f"dropped from {whose}: {why}{more}")
-            self._kinds[why] = (now, 0)
-        else:
-            self._kinds[why] = (at, count + 1)
+        if why not in self._kinds:
+            self._kinds.add(why)
+            self._say(f"dropped from {whose}: {why} (others of this kind are dropped without a line)")

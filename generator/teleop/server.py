@@ -17,7 +17,7 @@ from freeart21.errors import FreeArtError
 from generator.teleop import wire
 from generator.teleop.client import Client
 from generator.teleop.driving import Driving, Placement
-from generator.teleop.gate import MAX_BAD, Gate, RateLimitedLog
+from generator.teleop.gate import MAX_BAD, Gate, LogOfDrops
 from generator.teleop.stage import Stage
 from generator.teleop.takes import Takes
 
@@ -68,7 +68,7 @@ class Server:
     ) -> None:
         """`facts` on the object are sent to every page in its `hello`."""
         self._facts, self._bounds, self._stage, self._takes, self._gate = facts, bounds, stage, takes, gate
-        self._log, self._quiet = log, RateLimitedLog(log)
+        self._log, self._drops = log, LogOfDrops(log)
         self._runner = web.AppRunner(
             self._app(), access_log=None, handle_signals=False, shutdown_timeout=_END_S, keepalive_timeout=SPEAK_S
         )
@@ -125,7 +125,7 @@ class Server:
         silent = [one for one in self._since if one not in self._admitted]  # oldest first
         for k, one in enumerate(silent):
             if now - self._since[one] > SPEAK_S or len(self._since) - k > MAX_CONNECTIONS:
-                self._quiet.report_dropped("a connection that showed no token", "somebody")
+                self._drops.report("a connection that showed no token", "somebody")
                 one.force_close()
 
     async def close(self) -> None:
@@ -142,7 +142,7 @@ class Server:
         if not why:
             self._admitted.add(request.protocol)
             return None
-        self._quiet.report_dropped(why, str(request.remote))
+        self._drops.report(why, request.remote)
         return web.Response(status=403, text=_REFUSED, headers=_HEADERS)
 
     async def _not_found(self, request: web.Request) -> web.Response:
@@ -169,7 +169,7 @@ class Server:
         if request.query.get("v") != wire.VERSION:
             return web.Response(status=400, text=f"expected v={wire.VERSION}", headers=_HEADERS)
         if len(self._clients) >= MAX_PAGES:
-            self._quiet.report_dropped(f"more than {MAX_PAGES} pages", str(request.remote))
+            self._drops.report(f"more than {MAX_PAGES} pages", request.remote)
             return web.Response(status=503, text="too many pages", headers=_HEADERS)
         channel = web.WebSocketResponse(max_msg_size=_FRAME_BYTES, compress=False, heartbeat=10.0)
         await channel.prepare(request)
@@ -221,7 +221,7 @@ class Server:
 
     def _count_bad(self, client: Client, why: str) -> bool:
         client.bad += 1
-        self._quiet.report_dropped(why, client.name)
+        self._drops.report(why, client.name)
         if client.bad >= MAX_BAD:
             self._log(f"{client.name} is closed after {client.bad} bad messages")
             return False

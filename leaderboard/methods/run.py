@@ -23,7 +23,7 @@ from freeart21.files import atomic, checked
 from freeart21.files.benchmark import Benchmark, read_benchmark
 from freeart21.files.lock import only_writer
 from freeart21.files.places import RESULT, check_place
-from freeart21.files.result import Method, read_result, write_method, write_result
+from freeart21.files.result import RESULT_FILES, Method, read_result, write_method, write_result
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
 from freeart21.formats import rgbd_folder
@@ -319,7 +319,7 @@ def _copy_result(source: Path, target: Path, frames: int) -> None:
     with atomic.new_folder(target, RESULT) as aside:
         for path in source.rglob("*"):
             relative = path.relative_to(source).as_posix()
-            if path.is_file() and any(fnmatchcase(relative, pattern) for pattern in RESULT.files):
+            if path.is_file() and any(fnmatchcase(relative, pattern) for pattern in RESULT_FILES):
                 (aside / relative).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(checked.require_file(path, checked.MAX_ARRAY_BYTES, source), aside / relative)
 

@@ -6,7 +6,6 @@ truth is in it, not even an alignment.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,18 +16,14 @@ from numpy.typing import NDArray
 from freeart21 import se3
 from freeart21.articulation import PARTS, Articulation
 from freeart21.errors import FreeArtError
-from freeart21.files import checked
-from freeart21.files.joint_json import joint_from_json
-from freeart21.files.mesh_file import read_ply
-from freeart21.files.result import SCHEMA
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
-from freeart21.reconstruction import Piece
+from freeart21.reconstruction import Failure, Piece
 from freeart21.se3 import Array
 from freeart21.truth import Truth
 from freeart21.view.parts import state_offset
 from leaderboard import metrics
-from leaderboard.submission import LARGEST, find_link_faults
+from leaderboard.submission import read_submission
 from leaderboard.surface import Surface
 
 EMPTY = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
@@ -69,37 +64,26 @@ def read_answer(
     lacks: tuple[Piece, ...],
     size: tuple[int, int],
 ) -> Answer:
-    """The result in `folder`; only what is shown is read.
+    """The result in `folder`.
 
     Args:
         folder: The result.
         truth: What it is aligned with; the number of frames when that is hidden.
-        frames: Frames whose part masks are read.
+        frames: Frames whose part masks are kept.
         swapped: Whether scoring exchanged its part names.
         lacks: What the method does not make.
         size: (height, width) of the masks.
 
     Raises FreeArtError when it cannot be shown.
     """
-    if any(find_link_faults(folder)):
-        raise FreeArtError(f"{folder.name} has links that lead out of it")
-    header, n = folder / "prediction.json", truth if isinstance(truth, int) else len(truth)
-    data = checked.read_json(header, SCHEMA)
-    joint = joint_from_json(data.get("joint"), header)
-    states = checked.numbers(data, "states", (n,), header)
-    poses = checked.read_npz(folder / "poses.npz", ("T_camera_reference", "T_camera_moving"))
-    Ts = [se3.orthonormalised(se3.check_poses(name, T)) for name, T in poses.items()]
-    parts = [EMPTY if "meshes" in lacks else read_ply(folder / "parts" / f"{name}.ply")[0] for name in PARTS]
-    parts = [replace(part, colours=None) for part in parts]
-    masks = np.zeros((0, *size), np.uint8)
-    if "masks" not in lacks:
-        masks = np.stack([_read_mask(folder, i, size) for i in frames])
-    for what, numbers in (("states", states), ("poses", Ts[0]), *(("meshes", part.vertices) for part in parts)):
-        if np.abs(numbers).max(initial=0.0) > LARGEST:
-            raise FreeArtError(f"{folder.name}: {what} has numbers beyond {LARGEST:g}")
-    anchor = data.get("anchor", 0)
-    if not isinstance(anchor, int) or not 0 <= anchor < n:
-        raise FreeArtError(f"{folder.name}: 'anchor' is no frame of the video")
+    n = truth if isinstance(truth, int) else len(truth)
+    given, _ = read_submission(folder, n, *size)
+    if isinstance(given, Failure):
+        raise FreeArtError(f"{folder.name} is a failure: {given.reason}")
+    joint, states, anchor = given.articulation.joint, given.states, given.anchor
+    Ts = [given.Ts_camera_reference, given.Ts_camera_moving]
+    parts = [EMPTY if "meshes" in lacks else replace(given.articulation.part(name), colours=None) for name in PARTS]
+    masks = np.zeros((0, *size), np.uint8) if "masks" in lacks else given.part_masks[list(frames)]
     if "poses" in lacks:  # as `matching.match`: the anchor frame's only, the moving part posed by its joint
         Ts = [Ts[0][anchor][None], (Ts[0][anchor] @ joint.transform(states[anchor]))[None]]
     if swapped:  # as `matching.with_parts_swapped`: the axis is reversed, the states stay
@@ -130,14 +114,3 @@ def align_states(answer: Answer, joint: Joint, states: Array) -> Answer:
     if answer.zero is not None:
         return replace(answer, sign=sign, offset=-sign * float(states[answer.zero]), comparable=True)
     return replace(answer, sign=sign, offset=state_offset(answer.states - sign * states, own.type), comparable=True)
-
-
-def _read_mask(folder: Path, index: int, size: tuple[int, int]) -> NDArray[np.uint8]:
-    path = folder / "part_mask" / f"{index:05d}.png"
-    head = checked.read_head(path, 24, folder)  # the size in a PNG's header, before it is unpacked
-    mask = np.zeros((0, 0), np.uint8)
-    if head[:8] == b"\x89PNG\r\n\x1a\n" and head[16:24] == struct.pack(">II", size[1], size[0]):
-        mask = checked.read_labels(path, folder)
-    if mask.shape != size or mask.max(initial=0) > 2:
-        raise FreeArtError(f"{folder.name}/part_mask/{path.name} is no part mask of {size[1]} x {size[0]}")
-    return mask

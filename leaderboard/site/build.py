@@ -95,8 +95,8 @@ def write_site(
             if benchmark is None:
                 shown.append(show_table(sequence, types[sequence], board_entrants))
                 continue
-            given = board_entrants, protocols[0], types[sequence]
-            content, visual[sequence] = show_sequence(benchmark, sequence, *given)
+            source = benchmark, sequence, board_entrants, protocols[0], types[sequence]
+            content, visual[sequence] = show_sequence(*source)
             shown.append(content)
             if progress:
                 progress(f"Packed {sequence}", count, len(sequences))
@@ -104,14 +104,7 @@ def write_site(
         for k, sequence in enumerate(sequences):
             _write(new / "sequences" / f"{files[sequence]}.html", sequence_page(board, k, visual.pop(sequence, [])))
         _write_pages(new, board)
-        written = sorted(path.relative_to(new).as_posix() for path in new.rglob("*") if path.is_file())
-        marker = {
-            "schema": SCHEMA,
-            "title": name,
-            "benchmark": facts["name"],
-            "protocols": protocols,
-            "files": written,
-        }
+        marker = {"schema": SCHEMA, "title": name, "benchmark": facts["name"], "protocols": protocols}
         atomic.write_json(new / SITE.marker, marker)
     return Path(out) / "index.html"
 

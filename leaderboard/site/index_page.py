@@ -130,7 +130,7 @@ def _ranking_section(board: Board, protocol: str) -> Section:
     ]
     best = []
     for k, (metric, _) in enumerate(heads):
-        means = [place.means[k][0] for place in places if place.means[k] is not None]
+        means = [mean[0] for place in places if (mean := place.means[k]) is not None]
         best.append((max if metric.direction == "up" else min)(means) if len(set(means)) > 1 else None)
     html = render(
         "ranking.html.j2",

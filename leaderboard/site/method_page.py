@@ -65,7 +65,7 @@ def _protocol_section(board: Board, entrant: Entrant, rules: Protocol) -> Sectio
 def _means(entrant: Entrant, rules: Protocol) -> Markup:
     """Every number by joint type and over all: mean and standard deviation, median and worst."""
     groups, hidden = entrant.whole[rules.name].summaries, hidden_metrics(entrant, rules)
-    head = ["mean ± standard deviation"]
+    head: list[object] = ["mean ± standard deviation"]
     head += [Cell(g.group, None, "number", f"{g.sequences - g.failures} of {g.sequences}") for g in groups]
     rows = []
     for metric in rules.metrics:

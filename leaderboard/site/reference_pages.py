@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import shlex
 from collections.abc import Mapping
 
@@ -89,17 +87,9 @@ def _unit_sentence(metric: Metric) -> str:
 
 def scores_csv(scores: Scores) -> bytes:
     """A line per sequence: type, status, reason, source, seconds, every number in its unit, `id_cm` in centimetres."""
-    ids = list(dict.fromkeys(id for row in scores.rows for id in row.values))
-    lengths = list(dict.fromkeys(id for row in scores.rows for id in row.values_cm))
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    words = ("sequence", "joint_type_truth", "status", "reason", "measured_from", "swapped", "seconds")
-    writer.writerow([*words, *ids, *(f"{id}_cm" for id in lengths)])
-    for row in scores.rows:
-        own = [row.sequence, row.joint_type, row.status, row.reason, row.measured_from, int(row.swapped), row.seconds]
-        numbers = [*(row.values.get(id) for id in ids), *(row.values_cm.get(id) for id in lengths)]
-        writer.writerow([*map(_no_formula, own), *numbers])
-    return text.getvalue().encode()
+    lines = scores.frame().reset_index().rename(columns={"truth_type": "joint_type_truth"})
+    lines["swapped"] = lines["swapped"].astype(int)
+    return str(lines.map(_no_formula).to_csv(index=False, lineterminator="\n")).encode()
 
 
 def _no_formula(value: object) -> object:

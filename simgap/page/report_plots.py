@@ -86,13 +86,14 @@ def map_drawing(m: ResidualMap, title: str, what: str, factor: float, unit: str,
     edges = np.linspace(edges[0], edges[-1], len(mean) + 1)
     ends = padded_range([np.zeros(1), mean - reach, mean + reach], 0.08)
     axes, step = Axes(330, 150, (edges[0], edges[-1]), ends), edges[1] - edges[0]
+    thin = 0.003 * (edges[-1] - edges[0])
     boxes = [("flagged", a, a + step, *ends) for a, flag in zip(edges[:-1], m.flagged, strict=True) if flag]
     boxes.append(("error", edges[0], edges[-1], 0.0, 0.0))
     for i in np.flatnonzero(np.isfinite(mean)):
         a, middle = edges[i] + 0.06 * step, edges[i] + 0.5 * step
         look, (low, high) = "significant" if m.flagged[i] else "mean", sorted((0.0, mean[i]))
         boxes.append((look, a, a + 0.88 * step, low, high))
-        boxes.append(("error", middle - 0.02 * step, middle + 0.02 * step, mean[i] - reach[i], mean[i] + reach[i]))
+        boxes.append(("error", middle - thin, middle + thin, mean[i] - reach[i], mean[i] + reach[i]))
     labels = None
     if m.labels:
         every = -(-len(m.labels) // 4)

@@ -55,4 +55,3 @@ const Kinematics = {
   },
 };
 
-if (typeof module !== "undefined") module.exports = Kinematics;

@@ -227,4 +227,3 @@ const Splats = {
   },
 };
 
-if (typeof module !== "undefined") module.exports = Splats;
