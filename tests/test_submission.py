@@ -24,7 +24,7 @@ from synthetic_case import (
     with_names_exchanged,
 )
 
-from freeart21 import child
+from freeart21 import processes
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.mesh_file import write_ply
@@ -128,7 +128,9 @@ def test_modules_among_the_results_are_not_imported(data, tmp_path, monkeypatch)
     truth = truths()["a"]
     folder = submit_with_asset(tmp_path / "a", truth)
     assert score_one(data, folder).status == "ok"
-    assert subprocess.run(child.command("leaderboard.parallel_rows"), input="", text=True, timeout=60).returncode == 0
+    assert (
+        subprocess.run(processes.command("leaderboard.parallel_rows"), input="", text=True, timeout=60).returncode == 0
+    )
 
 
 # ---- held-out views of the other choice
@@ -246,7 +248,7 @@ def impatient(monkeypatch):
     )
     places = [place for place in sys.path if place]
     command = [sys.executable, "-c", f"import sys; sys.path[:] = {places!r}\n{source}"]
-    monkeypatch.setattr(child, "command", lambda module: command)
+    monkeypatch.setattr(processes, "command", lambda module: command)
 
 
 def test_a_row_without_end_and_one_that_crashes_cost_only_themselves(data, tmp_path, impatient):

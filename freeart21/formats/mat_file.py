@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from freeart21 import child
+from freeart21 import processes
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.measured import MAX_BYTES
@@ -42,7 +42,7 @@ def read_mat(path: Path) -> dict[str, tuple[Array, ...]]:
         out = Path(place) / "columns.npz"
         try:
             done = subprocess.run(
-                [*child.command("freeart21.formats.mat_file"), str(out)],
+                [*processes.command("freeart21.formats.mat_file"), str(out)],
                 input=data,
                 capture_output=True,
                 timeout=TIME_LIMIT_S,
