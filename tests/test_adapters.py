@@ -26,7 +26,7 @@ from freeart21.reconstruction import Failure
 from leaderboard.adapters.importer import import_results
 from leaderboard.adapters.layout import layouts
 from leaderboard.adapters.readers import number_frames
-from leaderboard.protocols.strict2 import STRICT_2
+from leaderboard.protocols.strict import STRICT_2
 from leaderboard.sequence_score import score_sequence
 
 CLOUD = 1.0

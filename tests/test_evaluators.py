@@ -37,14 +37,13 @@ from freeart21.mesh import Mesh
 from leaderboard.protocol import Case
 from leaderboard.protocols.itaco1 import ITACO_1
 from leaderboard.protocols.paper1 import PAPER_1, Paper1, average_alignment, measure, state_error
-from leaderboard.protocols.strict1 import Strict1
-from leaderboard.protocols.strict2 import STRICT_2
+from leaderboard.protocols.strict import STRICT_2, Strict
 from leaderboard.registration import register_clouds
 from leaderboard.sequence_score import SequenceScorer
 
 paper = functools.partial(values_of, PAPER_1, constants=Paper1(samples=1500))
 itaco = functools.partial(values_of, ITACO_1, constants=Paper1(samples=1500))
-strict = functools.partial(values_of, STRICT_2, constants=Strict1(samples=1500))
+strict = functools.partial(values_of, STRICT_2, constants=Strict(2, samples=1500))
 SURFACES = ("cd_w", "cd_m", "cd_s")
 FLOOR = 0.05
 """dm^2 between two samplings of one surface."""

@@ -28,12 +28,12 @@ from freeart21.mesh import Mesh
 from freeart21.reconstruction import PIECES, Failure
 from leaderboard import protocols
 from leaderboard.protocols.paper1 import Paper1
-from leaderboard.protocols.strict1 import Strict1
+from leaderboard.protocols.strict import Strict
 from leaderboard.sequence_score import SequenceScorer
 from leaderboard.tables import NOTHING, format_cell, print_scores
 
 FEW = {
-    **dict.fromkeys(("strict-1", "strict-2"), Strict1(samples=1500)),
+    **{f"strict-{version}": Strict(version, samples=1500) for version in (1, 2, 3)},
     **dict.fromkeys(("paper-1", "itaco-1"), Paper1(samples=1500)),
 }
 """Constants of protocols that take long with their own."""

@@ -34,7 +34,7 @@ from freeart21.joint import Joint
 from freeart21.reconstruction import Failure
 from leaderboard.asset_measurement import fit_joint_to_motion, measure_joint
 from leaderboard.protocols import PROTOCOLS, protocol_named
-from leaderboard.protocols.strict3 import STRICT_3
+from leaderboard.protocols.strict import STRICT_3
 from leaderboard.score import statistic
 from leaderboard.scores_file import write_scores
 from leaderboard.tables import page_entries, print_scores, score_note

@@ -43,25 +43,22 @@ from freeart21.mesh import Mesh, join_meshes
 from leaderboard.depth_views import cameras, draw
 from leaderboard.points import TRACKS
 from leaderboard.protocol import Case, Shape
-from leaderboard.protocols import DEFAULT, PROTOCOLS, strict1, strict2, strict3
-from leaderboard.protocols.strict1 import STRICT_1, Strict1, both_seen, spread_frames
-from leaderboard.protocols.strict2 import STRICT_2
-from leaderboard.protocols.strict3 import STRICT_3, Strict3, cell_weights, picture_values
+from leaderboard.protocols import DEFAULT, PROTOCOLS
+from leaderboard.protocols.strict import STRICT_1, Strict, both_seen, cell_weights, picture_values, spread_frames
 from leaderboard.sequence_score import SequenceScorer
 
-MODULES = {
-    "strict-1": (STRICT_1, strict1, Strict1(samples=3000)),
-    "strict-2": (STRICT_2, strict2, Strict1(samples=3000)),
-    "strict-3": (STRICT_3, strict3, Strict3(samples=3000)),
+RULES = {
+    f"strict-{k}": replace(rules, measure=functools.partial(rules.measure, constants=Strict(k, samples=3000)))
+    for k in (1, 2, 3)
+    for rules in [PROTOCOLS[f"strict-{k}"]]
 }
-by_protocol = pytest.mark.parametrize("protocol", MODULES)
+by_protocol = pytest.mark.parametrize("protocol", RULES)
 by_kind = pytest.mark.parametrize("kind", KINDS)
 EMPTY = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
 
 
 def measured(protocol, truth, answer, renders=None, asset=None, other=None):
-    _, module, constants = MODULES[protocol]
-    return module.measure(Case(truth, answer, renders or on_white(truth), asset, other), constants)
+    return RULES[protocol].measure(Case(truth, answer, renders or on_white(truth), asset, other))
 
 
 def scored(*arguments, **named):
@@ -183,7 +180,7 @@ PERTURBED = {  # name: joint types, the answer, and metric to its value, or to i
 @by_protocol
 def test_a_perturbation_costs_what_it_is_off_by(protocol, name):
     kinds, perturb, expected = PERTURBED[name]
-    known = {metric.id for metric in MODULES[protocol][0].metrics}
+    known = {metric.id for metric in RULES[protocol].metrics}
     for kind in kinds:
         truth = make_truth(kind)
         values = scored(protocol, truth, perturb(truth))
@@ -203,7 +200,7 @@ def test_a_perturbation_costs_what_it_is_off_by(protocol, name):
 @by_kind
 def test_the_truth_is_perfect_from_files_and_from_an_asset(protocol, kind):
     truth = make_truth(kind)
-    answer, rules = truth_as_answer(truth), MODULES[protocol][0]
+    answer, rules = truth_as_answer(truth), RULES[protocol]
     for asset in (None, shape_of(answer)):
         values = scored(protocol, truth, answer, asset=asset)
         assert set(values) == {m.id for m in rules.metrics if kind == "revolute" or "position" not in m.id}
@@ -368,8 +365,7 @@ def far_off(truth):
 
 @by_kind
 def test_no_answer_costs_more_than_a_declared_failure(kind):
-    truth, (rules, module, constants) = make_truth(kind), MODULES["strict-2"]
-    rules = replace(rules, measure=functools.partial(module.measure, constants=constants))
+    truth, rules = make_truth(kind), RULES["strict-2"]
     case = SequenceScorer(rules, make_recording(truth), truth)
     failed = case.penalised_row("failed", "declared")
     for answer in (far_off(truth), static_answer(truth), random_answer(truth, 0), random_answer(truth, 1)):
@@ -484,12 +480,12 @@ def test_pictures_are_whole():
     truth = make_truth()
     good = on_white(truth)
     noisy = [np.where(truth.query_mask(i)[..., None], p, 7).astype(np.uint8) for i, p in enumerate(good)]
-    perfect, flooded, none = (picture_values(truth, views) for views in (good, noisy, [None, None]))
+    perfect, flooded, none = (picture_values(truth, views, Strict(3)) for views in (good, noisy, [None, None]))
     assert perfect == {"psnr": 100.0, "ssim": pytest.approx(1.0), "view_iou": 1.0}
     assert flooded["psnr"] < 5 and flooded["view_iou"] < 0.5 and flooded["ssim"] < 0.7
     assert none == {"psnr": 0.0, "ssim": 0.0, "view_iou": 0.0}
     empty = replace(truth, query_mask=lambda i: np.zeros((32, 40), bool))
-    assert picture_values(empty, good) == {"psnr": None, "ssim": None, "view_iou": None}
+    assert picture_values(empty, good, Strict(3)) == {"psnr": None, "ssim": None, "view_iou": None}
 
 
 def test_white_parts_of_the_object_count_in_no_silhouette():
@@ -499,14 +495,14 @@ def test_white_parts_of_the_object_count_in_no_silhouette():
     half[:, :20] = 90
     pale = replace(truth, query_rgb=lambda i: half)
     views = [np.where(truth.query_mask(i)[..., None], half, 255).astype(np.uint8) for i in range(2)]
-    assert picture_values(pale, views)["view_iou"] == 1.0
-    assert picture_values(pale, [white, white])["view_iou"] == 0.0
+    assert picture_values(pale, views, Strict(3))["view_iou"] == 1.0
+    assert picture_values(pale, [white, white], Strict(3))["view_iou"] == 0.0
 
 
 @pytest.fixture(scope="module")
 def honest():
-    truth, (rules, module, constants) = make_truth(), MODULES["strict-3"]
-    rules, answer = replace(rules, measure=lambda case: module.measure(case, constants)), make_honest(truth)
+    truth, rules = make_truth(), RULES["strict-3"]
+    answer = make_honest(truth)
     return rules, answer, {track: score(answer, rules, track) for track in TRACKS}
 
 
