@@ -20,7 +20,6 @@ from freeart21.joint import JointType
 from leaderboard.archive import open_results
 from leaderboard.bootstrap import Interval, bootstrap_intervals
 from leaderboard.cached import cached_scores
-from leaderboard.method_names import check_names
 from leaderboard.protocol import Metric, Protocol
 from leaderboard.protocols import DEFAULT, protocol_named
 from leaderboard.rows import Row, Scores, Statistic
@@ -284,7 +283,6 @@ def _partial_notes(found: list[tuple[Path, Scores]], sequences: tuple[str, ...])
 
 def _entrants(found: list[tuple[Path, Scores]]) -> tuple[Entrant, ...]:
     """Each table with a unique name."""
-    check_names([(place, scores.method) for place, scores in found])
     names = [scores.method.name for _, scores in found]
     places = [place.resolve().name for place, _ in found]
     full = [n if names.count(n) == 1 else f"{n} ({place})" for n, place in zip(names, places, strict=True)]

@@ -27,7 +27,6 @@ from leaderboard.adapters.importer import import_results
 from leaderboard.adapters.layout import layouts
 from leaderboard.adapters.readers import number_frames
 from leaderboard.protocols.strict import STRICT_2
-from leaderboard.sequence_score import score_sequence
 
 CLOUD = 1.0
 """% of the diagonal: Chamfer distance of a cloud of a few thousand points on the made-up object."""
@@ -134,33 +133,7 @@ def test_files_of_another_convention_score_badly(src, run, layout, written, opti
     assert max(row.values[id] for id in ids) > least
 
 
-def test_screwsplat_with_v_before_w_has_another_joint_type(src, run):
-    screwsplat(src / "b", "b", order="vw")
-    assert run("screwsplat", "b").values["joint_type"] == 0
-
-
-@pytest.mark.parametrize(
-    "layout, name, options, limits",
-    [
-        ("artgs", "a", {}, (-np.inf, np.inf)),
-        ("articulate-anything", "a", {"scale": 2.0}, (0.0, 1.2)),
-        ("articulate-anything", "b", {"scale": 2.0}, (0.0, 2.4)),
-    ],
-)
-def test_limits_of_a_slider_are_lengths(tmp_path, src, run, layout, name, options, limits):
-    WRITERS[layout](src / name, name)
-    run(layout, name, **options)
-    answer = read_result(tmp_path / "r" / name)
-    assert (answer.articulation.joint.lower, answer.articulation.joint.upper) == limits and answer.anchor == ANCHOR
-
-
 # ---- FreeArtGS and iTACO
-
-
-def test_freeartgs_without_camera_names_has_one_frame_per_frame_of_the_video(src, run):
-    freeartgs(src / "a")
-    (src / "a" / "evaluation_data" / "revolute" / "camera_poses.json").unlink()
-    assert_perfect(run("freeartgs"), VIDEO, CLOUD)
 
 
 def test_freeartgs_clouds_are_at_the_trained_value_zero_and_a_note_says_when_it_is_unknown(tmp_path, src, run):
@@ -179,18 +152,6 @@ def test_freeartgs_frames_go_by_their_names_and_others_by_the_nearest(tmp_path, 
     assert np.ptp((answer.states - truth.states)[frames]) < 1e-9  # one offset: no frame is another's
     assert not answer.part_masks[3].any() and answer.part_masks[4].any()
     assert "6 of 16 frames" in notes_of(tmp_path / "r")
-
-
-@pytest.mark.parametrize("layout", ["itaco", "freeartgs"])
-@pytest.mark.parametrize("name", "ab")
-def test_itacos_own_protocol_which_removes_no_offset_of_the_states(data, tmp_path, src, name, layout):
-    WRITERS[layout](src / name, name)
-    import_results(layout, src, data, tmp_path / "r")
-    where = tmp_path / "r" / name, data / "sequences" / name, data / "truth" / name
-    values = score_sequence(*where, "itaco-1", lacks(tmp_path / "r")).values
-    assert values["joint_type"] == 1 and values["miou"] == 1
-    for id in ("axis", "state", "camera_rotation", "camera_position", *(("position",) if name == "a" else ())):
-        assert values[id] < 1e-6, id
 
 
 @pytest.mark.parametrize(

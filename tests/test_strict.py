@@ -40,11 +40,10 @@ from benchmarks.gaming import CHEATS, NOTHING, make_honest, score
 from freeart21 import se3
 from freeart21.articulation import Articulation
 from freeart21.mesh import Mesh, join_meshes
-from leaderboard.depth_views import cameras, draw
 from leaderboard.points import TRACKS
 from leaderboard.protocol import Case, Shape
 from leaderboard.protocols import DEFAULT, PROTOCOLS
-from leaderboard.protocols.strict import STRICT_1, Strict, both_seen, cell_weights, picture_values, spread_frames
+from leaderboard.protocols.strict import STRICT_1, Strict, both_seen, picture_values
 from leaderboard.sequence_score import SequenceScorer
 
 RULES = {
@@ -293,18 +292,6 @@ def test_strict_1_gives_the_numbers_that_it_always_gave(kind):
     assert values == pytest.approx(FROZEN[kind], rel=1e-9)
 
 
-@by_kind
-def test_everything_between_is_finite(kind):
-    truth, rng = make_truth(kind), np.random.default_rng(1)
-    for seed in range(6):
-        answer = noisy_answer(truth, seed) if seed % 2 else random_answer(truth, seed)
-        if seed % 3 == 0:
-            answer = with_joint(answer, replace(answer.articulation.joint, type=KINDS[seed % 2]))
-            answer = replace(answer, part_masks=np.zeros_like(answer.part_masks))
-        values = scored("strict-1", truth, in_frame(answer, random_pose(rng, 100.0)), [None, pictures(truth)[0]])
-        assert all(np.isfinite(value) and value >= 0 for value in values.values()), seed
-
-
 def test_state_looks_only_where_both_parts_are_seen():
     truth = make_truth()
     seen = truth.seen.copy()
@@ -316,13 +303,6 @@ def test_state_looks_only_where_both_parts_are_seen():
     values = scored("strict-1", truth, with_states(truth, truth.states + (np.arange(len(truth)) == 3)))
     assert values["state"] < 1e-6
     assert values["state_all"] == pytest.approx(np.rad2deg(1.0) / len(truth), abs=1e-6)
-
-
-def test_the_five_poses_span_the_joint_range():
-    states = make_truth().states
-    frames = spread_frames(states, 5)
-    assert states[frames[0]] == states.min() and states[frames[-1]] == states.max()
-    assert len(set(frames)) == 5
 
 
 def test_hidden_surface_is_neither_demanded_nor_forbidden():
@@ -379,15 +359,6 @@ def test_no_answer_costs_more_than_a_declared_failure(kind):
 
 
 @by_kind
-def test_numbers_that_strict_1_has_stay_as_they_were_where_the_definition_did(kind):
-    truth = make_truth(kind)
-    before, after = (scored(protocol, truth, noisy_answer(truth, 3)) for protocol in ("strict-1", "strict-2"))
-    assert {id: after[id] for id in before} == before
-    for id in ("chamfer_w", "chamfer_m", "chamfer_s", "fscore"):
-        assert after[f"{id}_parts"] == after[id]
-
-
-@by_kind
 @pytest.mark.parametrize("swap", [False, True])
 def test_surfaces_are_the_assets_and_those_of_the_files_are_supplements(kind, swap):
     truth = make_truth(kind)
@@ -436,27 +407,6 @@ def test_pictures_are_those_of_the_choice_that_the_matching_made():
 # ---- strict-3: depth from outside, pictures as a whole, and cheating does not pay
 
 
-def test_bad_answers_are_worse_than_noisy_ones():
-    truth = make_truth()
-    noisy = scored("strict-3", truth, noisy_answer(truth))
-    for answer in (static_answer(truth), random_answer(truth)):
-        found = scored("strict-3", truth, answer)
-        assert all(found[id] > noisy[id] for id in ("depth_median", "chamfer_w", "chamfer_m"))
-        assert found["silhouette"] < noisy["silhouette"]
-
-
-def test_depth_is_that_of_the_nearest_surface():
-    centre, box = np.array([0.1, 0.2, 0.3]), make_truth().articulation.reference
-    box = Mesh(box.vertices - box.vertices.mean(0) + centre, box.faces)
-    far = Mesh(np.full((3, 3), 50.0), np.array([[0, 1, 2]]))
-    for T in cameras(centre, 1.0):
-        view = draw((box, far), (T, T))
-        middle = view.depth[128, 128]
-        assert 3.0 - 0.26 <= middle < 3.0 and view.part[128, 128] == 0 and view.face[128, 128] >= 0
-        assert not np.isfinite(view.depth[0, 0]) and view.part[0, 0] == -1
-        assert np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3)) and np.linalg.det(T[:3, :3]) > 0
-
-
 def test_surfaces_that_the_video_never_shows_cost_no_depth():
     truth = make_truth()
     hidden = truth.articulation.reference
@@ -466,14 +416,6 @@ def test_surfaces_that_the_video_never_shows_cost_no_depth():
     dented = Mesh(hidden.vertices + np.where(inside[:, None], [[0, 0, 0.06]], 0.0), hidden.faces)
     answer = with_parts(truth_as_answer(truth), dented)
     assert scored("strict-3", truth, answer)["depth_95"] > 1 > scored("strict-3", unseen, answer)["depth_95"]
-
-
-def test_a_crowd_of_samples_counts_as_one():
-    points = np.concatenate([np.zeros((99, 3)), [[1.0, 0, 0]]])
-    weights = cell_weights(points, 0.1)
-    assert weights[:99].sum() == pytest.approx(1) and weights[99] == 1
-    assert len(cell_weights(np.zeros((0, 3)), 0.1)) == 0
-    assert np.isfinite(cell_weights(np.array([[0.0, 0, 0], [1e9, 0, 0]]), 1e-3)).all()
 
 
 def test_pictures_are_whole():

@@ -31,7 +31,6 @@ from freeart21.mesh import Mesh
 from freeart21.reconstruction import PIECES, Failure, Piece
 from leaderboard.adapters.importer import import_results
 from leaderboard.adapters.layout import Options, common_lacks
-from leaderboard.method_names import check_name
 from leaderboard.methods.descriptor import (
     NATIVE,
     PRIVILEGED,
@@ -118,7 +117,6 @@ def run_method(
         raise FreeArtError(f"{method.name} needs its checkout: give --home DIR, got {home}")
     if engine not in ENGINES:
         raise FreeArtError(f"engine is '{engine}', expected {' or '.join(ENGINES)}")
-    check_name(Method(method.name), "the descriptor")
     digest = hashlib.sha256(atomic.json_text(asdict(method)).encode()).hexdigest()
     before = _read_earlier(out, digest, (data, *([home] if home else [])))
     options = _read_options(method, home)
