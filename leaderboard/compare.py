@@ -261,24 +261,17 @@ def check_tables(
                 other, sha256 = truths.setdefault(row.sequence, (place, row.truth_sha256))
                 if sha256 != row.truth_sha256:
                     raise FreeArtError(f"{place} is scored against another truth of {row.sequence} than {other}")
-    return (*_environment_notes(found), *_partial_notes(found, sequences))
-
-
-def _environment_notes(found: list[tuple[Path, Scores]]) -> list[str]:
-    reference = found[0][1].made_with.get("libraries")
-    return [
-        f"{place} was scored with other versions of libraries than {found[0][0]}: the last digits may differ"
+    notes = [
+        f"{place} was scored with other versions of libraries than {first}: the last digits may differ"
         for place, scores in found[1:]
-        if scores.made_with.get("libraries") != reference
+        if scores.made_with.get("libraries") != reference.made_with.get("libraries")
     ]
-
-
-def _partial_notes(found: list[tuple[Path, Scores]], sequences: tuple[str, ...]) -> list[str]:
-    return [
+    notes += [
         f"{place} has rows for {len(scores.rows)} of {len(sequences)} sequences: its means are over these"
         for place, scores in found
         if len(scores.rows) < len(sequences)
     ]
+    return tuple(notes)
 
 
 def _entrants(found: list[tuple[Path, Scores]]) -> tuple[Entrant, ...]:

@@ -226,17 +226,7 @@ PLANTS = {
         lambda folder: add_behind_pixels(folder / "rgb" / "00001.png", b"5"),
         "rgb/00001.png has bytes behind its pixels",
     ),
-    "a file": (
-        lambda folder: (folder / "rgb" / ".hidden").write_text("5"),
-        "rgb/.hidden does not belong to what a method sees",
-    ),
     "a link": (lambda folder: (folder / "depth2").symlink_to(folder / "depth"), "depth2"),
-    "a level": (
-        lambda folder: (folder / "mask" / "00001.png").write_bytes(
-            checked.encode_png(254 * read_sequence(folder).frame(1).mask.astype(np.uint8))
-        ),
-        "mask/00001.png has other values than 0 and 255",
-    ),
 }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 import sys
@@ -60,28 +59,6 @@ def test_every_shard_is_a_whole_data_folder(data, tmp_path):
     for path in (tmp_path / "out").rglob("*"):
         if path.is_file():
             assert path.read_bytes() == (tmp_path / "again" / path.relative_to(tmp_path / "out")).read_bytes()
-
-
-def test_datasets_shows_the_manifest_with_pictures(data, tmp_path):
-    datasets = pytest.importorskip("datasets")
-    write_shards([data], tmp_path / "out", per_shard=2, doi="10.5281/zenodo.1")
-    rows = datasets.load_dataset(str(tmp_path / "out"), cache_dir=str(tmp_path / "cache"))["test"]
-    assert rows["sequence"][:] == ["a", "b", "c"] and rows["joint_type"][1] == "prismatic"
-    assert rows[0]["preview"].size == (160, 128)
-    for row in rows:
-        content = (tmp_path / "out" / row["shard"]).read_bytes()
-        assert hashlib.sha256(content).hexdigest() == row["shard_sha256"]
-    text = (tmp_path / "out/README.md").read_text()
-    assert "manifest.parquet" in text and "shards/" in text and "10.5281/zenodo.1" in text
-
-
-def test_mlcroissant_accepts_a_release(data, tmp_path):
-    mlcroissant = pytest.importorskip("mlcroissant")
-    write_shards([data], tmp_path / "out", per_shard=2)
-    found = mlcroissant.Dataset(jsonld=tmp_path / "out/croissant.json")
-    assert not found.metadata.ctx.issues.errors and len(list(found.records("sequences"))) == 3
-    names = [one.name for one in found.metadata.distribution]
-    assert len(names) == 3 and "sequences.jsonl" in names
 
 
 def test_many_folders_are_one_release_and_faults_are_refused(data, tmp_path, monkeypatch):
@@ -159,12 +136,3 @@ def test_a_silhouette_is_where_the_part_projects():
     area = cv2.contourArea(hull)
     assert inside.sum() == pytest.approx(area, rel=0.01)
     assert not silhouette(mesh, se3.pose(np.eye(3), [0, 0, -2.0]), camera).any()  # behind the camera
-
-
-def test_the_toolkit_of_bop_reads_a_scene(data, tmp_path):
-    inout = pytest.importorskip("bop_toolkit_lib.inout")
-    write_bop(data, tmp_path / "bop")
-    scene = tmp_path / "bop/test/000001"
-    poses = inout.load_scene_gt(str(scene / "scene_gt.json"))
-    assert poses[0][0]["cam_R_m2c"].shape == (3, 3) and poses[0][1]["cam_t_m2c"].shape == (3, 1)
-    assert inout.load_scene_camera(str(scene / "scene_camera.json"))[0]["cam_K"].shape == (3, 3)

@@ -191,19 +191,11 @@ def _run_one(
     except _Failed as failed:
         seconds = {"run": round(total["seconds"], 2)}
         write_result(out / name, Failure(failed.stage, failed.reason, seconds))
-        return Entry("failure", f"{failed.stage}: {failed.reason}", **_rounded(total))
     answer = read_result(out / name, appearance=False)
-    failed_itself = isinstance(answer, Failure)
-    reason = f"{answer.stage}: {answer.reason}" if isinstance(answer, Failure) else ""
-    return Entry("failure" if failed_itself else "answer", reason, **_rounded(total), lacks=lacks, notes=notes)
-
-
-def _rounded(total: Mapping[str, float]) -> dict[str, Any]:
-    return {
-        "seconds": round(total["seconds"], 2),
-        "cpu_seconds": round(total["cpu_seconds"], 2),
-        "peak_bytes": int(total["peak_bytes"]),
-    }
+    took = round(total["seconds"], 2), round(total["cpu_seconds"], 2), int(total["peak_bytes"])
+    if isinstance(answer, Failure):  # declared here, or by the method itself
+        return Entry("failure", f"{answer.stage}: {answer.reason}", *took, lacks, notes)
+    return Entry("answer", "", *took, lacks, notes)
 
 
 def _run_command(
