@@ -30,6 +30,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files.result import Method, write_method, write_result
 from freeart21.joint import Joint
 from freeart21.reconstruction import Failure
+from leaderboard import asset_measurement, forked
 from leaderboard.asset_measurement import measure_joint
 from leaderboard.protocols import PROTOCOLS, protocol_named
 from leaderboard.protocols.strict import STRICT_3
@@ -212,6 +213,7 @@ def test_an_asset_that_ends_the_simulator_ends_only_itself(data, tmp_path, monke
     crash.mkdir()
     (crash / "sapien.py").write_text("import os; os.abort()")
     monkeypatch.syspath_prepend(str(crash))
+    monkeypatch.setattr(asset_measurement, "_SERVER", forked.Server("leaderboard.asset_measurement"))  # a new process
     truth = truths()["a"]
     folder = submit_with_asset(tmp_path / "a", truth)
     row = score_one(data, folder)
