@@ -20,7 +20,7 @@ from leaderboard.rows import Row, Source, Status
 from leaderboard.submission import (
     escape_unprintable,
     read_import_notes,
-    read_render,
+    read_renders,
     read_submission,
     shorten,
 )
@@ -146,17 +146,10 @@ class SequenceScorer:
         """
         if "renders" in self.lacks or not any("renders" in metric.needs for metric in self.rules.metrics):
             return [None] * len(self.recording.queries), ()
-        camera = self.recording.camera
-        renders: list[Render] = []
-        notes = []
-        for i in range(len(self.recording.queries)):
-            render, faults = read_render(folder, subfolder, i, camera.height, camera.width)
-            renders.append(render)
-            notes += [str(fault) for fault in faults]
-        absent = sum(render is None for render in renders) - len(notes)
-        if absent:
-            notes.append(f"{absent} of {len(renders)} held-out views have no render")
-        return renders, tuple(notes)
+        camera, count = self.recording.camera, len(self.recording.queries)
+        renders, faults, absent = read_renders(folder, subfolder, count, camera.height, camera.width)
+        notes = [str(fault) for fault in faults]
+        return renders, (*notes, *([f"{absent} of {count} held-out views have no render"] if absent else []))
 
     def _row(
         self,

@@ -166,21 +166,22 @@ def find_link_faults(folder: Path) -> Iterator[Fault]:
             yield replace(_link_fault(_relative_name(folder, path)), found="leads out of the folder")
 
 
-def read_render(
-    folder: Path, subfolder: str, index: int, height: int, width: int
-) -> tuple[NDArray[np.uint8] | None, list[Fault]]:
-    """The render (height, width, 3) of held-out query `index`; None when the file is missing, or with its fault."""
-    path = folder / subfolder / f"{index:05d}.png"
-    if not path.is_file():
-        return None, []
-    file = _relative_name(folder, path)
-    fault = _find_png_fault(path, file, height, width)
-    if fault is None:
-        try:
-            return checked.read_rgb(path), []
-        except Exception as error:  # OpenCV's own, on hostile bytes
-            fault = _unreadable_fault(file, path, error)
-    return None, [replace(fault, fatal=False)]
+def read_renders(
+    folder: Path, subfolder: str, count: int, height: int, width: int
+) -> tuple[list[NDArray[np.uint8] | None], list[Fault], int]:
+    """The renders (height, width, 3) of `count` queries, None for one without a sound file; faults; missing files."""
+    renders: list[NDArray[np.uint8] | None] = []
+    found: list[Fault] = []
+    for path in (folder / subfolder / f"{i:05d}.png" for i in range(count)):
+        renders.append(None)
+        if not path.is_file():
+            continue
+        fault = _find_png_fault(path, _relative_name(folder, path), height, width)
+        faults = [fault] if fault else []
+        if fault is None:
+            renders[-1], faults = _attempt(folder, path, "", partial(checked.read_rgb, path))
+        found += [replace(fault, fatal=False) for fault in faults]
+    return renders, found, sum(render is None for render in renders) - len(found)
 
 
 def read_import_notes(folder: Path) -> tuple[str, ...]:

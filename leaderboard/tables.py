@@ -11,7 +11,7 @@ from rich.table import Table
 
 from leaderboard.protocol import Metric, Protocol
 from leaderboard.protocols import protocol_named
-from leaderboard.rows import Row, Scores, Statistic, Summary
+from leaderboard.rows import Row, Scores, Summary
 from leaderboard.submission import escape_unprintable
 
 WIDTH = 100
@@ -163,27 +163,21 @@ def _format_status(row: Row, rules: Protocol) -> str:
 
 def format_cell(row: Row, metric: Metric, whole: bool) -> str:
     """The text of a row's value, with the unit if the column has no common one."""
-    value, unit = row.values.get(metric.id), metric.unit(row.joint_type)
-    return (
-        NOTHING
-        if value is None or unit is None
-        else _format_number(value, unit, metric, row.values_cm.get(metric.id), whole)
-    )
+    value, centimetres = row.values.get(metric.id), row.values_cm.get(metric.id)
+    return _format_number(value, metric.unit(row.joint_type), metric, centimetres, whole)
 
 
 def _format_statistic(summary: Summary, metric: Metric, name: str, whole: bool) -> str:
-    def of(id: str) -> float | None:
-        found: Statistic | None = summary.statistics.get(id)
-        return None if found is None else getattr(found, name)
-
-    value, unit = of(metric.id), metric.unit(summary.group)
-    return (
-        NOTHING if value is None or unit is None else _format_number(value, unit, metric, of(f"{metric.id}_cm"), whole)
-    )
+    value, centimetres = (getattr(summary.statistics.get(id), name, None) for id in (metric.id, f"{metric.id}_cm"))
+    return _format_number(value, metric.unit(summary.group), metric, centimetres, whole)
 
 
-def _format_number(value: float, unit: str, metric: Metric, centimetres: float | None, whole: bool) -> str:
+def _format_number(
+    value: float | None, unit: str | None, metric: Metric, centimetres: float | None, whole: bool
+) -> str:
     """`value` with about three digits, and its unit if the column has no common one."""
+    if value is None or unit is None:
+        return NOTHING
     digits = decimals(unit) if abs(value) < 10 or unit in ("dB", "fraction") else 1 if abs(value) < 99.95 else 0
     in_cm = f" ({centimetres:.{decimals('cm')}f})" if whole and centimetres is not None else ""
     return f"{value:.{digits}f}{'' if metric.unit('all') else unit_suffix(unit)}{in_cm}"

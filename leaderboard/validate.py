@@ -21,7 +21,7 @@ from leaderboard.submission import (
     find_appearance_faults,
     find_faults,
     find_link_faults,
-    read_render,
+    read_renders,
     read_submitted_method,
 )
 from leaderboard.video_fit import describe_misfit
@@ -81,10 +81,8 @@ def _validate_sequence(
         return answer, faults, []  # its files may lie anywhere: read no more of them
     notes = []
     for subfolder in ("renders", "renders_other"):
-        renders = [read_render(folder, subfolder, i, height, width) for i in range(len(recording.queries))]
-        wrong = [fault for _, some in renders for fault in some]
+        renders, wrong, absent = read_renders(folder, subfolder, len(recording.queries), height, width)
         faults += wrong
-        absent = sum(render is None for render, _ in renders) - len(wrong)
         expected = "renders" not in lacks and (subfolder == "renders" or (folder / subfolder).is_dir())
         if isinstance(answer, Reconstruction) and absent and expected:
             notes.append(f"{folder.name}/{subfolder}: {absent} of {len(renders)} held-out views have no picture")
