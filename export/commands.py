@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from freeart21.ending import DOUBTFUL
 from freeart21.errors import FreeArtError
+from freeart21.processes import DOUBTFUL
 
 Positional: Any = tyro.conf.Positional
 Masses = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="KG | NAME=KG...")]

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from freeart21 import child
+from freeart21 import processes
 from freeart21.errors import FreeArtError
 
 BACKPORTS = (
@@ -238,7 +238,7 @@ def _nvidia() -> list[str]:
 
 
 def _run_python(code: str) -> subprocess.CompletedProcess[str]:
-    return _run(child.python(code))
+    return _run(processes.python(code))
 
 
 def _run(command: Sequence[str]) -> subprocess.CompletedProcess[str]:

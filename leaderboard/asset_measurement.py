@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from freeart21 import child, se3
+from freeart21 import processes, se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
@@ -259,7 +259,7 @@ def reply(request: dict[str, Any]) -> dict[str, Any]:
     try:
         return _examine_asset(Path(request["asset"]), states, shape_file and Path(shape_file))
     except Exception as error:  # parsers of many libraries read hostile files, each with its own exceptions
-        return {"error": child.one_line(error)}
+        return {"error": processes.one_line(error)}
 
 
 def main() -> None:

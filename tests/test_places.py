@@ -278,7 +278,7 @@ def test_settings_beyond_all_bounds_are_one_line(tmp_path: Path, changes: dict[s
     assert not (tmp_path / "data").exists()
 
 
-ENDING = "from freeart21.ending import report_errors\nwith report_errors():\n    "
+ENDING = "from freeart21.processes import report_errors\nwith report_errors():\n    "
 
 
 @pytest.mark.parametrize(
@@ -341,9 +341,9 @@ def test_a_command_ends_before_native_libraries_are_taken_down(code: str, status
 
 HIDDEN = """
 import os, signal, sys, time
-from freeart21 import stopping
-from freeart21.ending import report_errors
-stopping.listen()
+from freeart21 import processes
+from freeart21.processes import report_errors
+processes.listen()
 class Dropping:
     def __del__(self):
         os.kill(os.getpid(), signal.SIGINT)

@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 from refusal import assert_refused
 from teleop_case import BOUNDS, START, TOKEN, a_move, in_a_loop, page, served, started
 
-from freeart21 import child, se3
+from freeart21 import processes, se3
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files.take import read_take, write_take
@@ -233,7 +233,7 @@ def test_the_live_shader_shows_the_recorder_s_colours(tmp_path: Path) -> None:
 async def test_a_simulator_that_dies_is_started_again_twice(monkeypatch: pytest.MonkeyPatch) -> None:
     answers = f"struct.pack({stage_process.ANSWER.format!r}, False, 3) + b'jpg'"
     obedient = f"import struct, sys\nfor _ in sys.stdin: sys.stdout.buffer.write({answers}); sys.stdout.flush()"
-    monkeypatch.setattr("freeart21.child.command", lambda module: child.python(obedient))
+    monkeypatch.setattr("freeart21.processes.command", lambda module: processes.python(obedient))
     stage, log = Stage({}, (64, 36), START), []
     drawing = asyncio.create_task(stage.run(log.append))
     for start in range(3):

@@ -12,10 +12,10 @@ from test_diagnostics import long_result, sample_diagnostics
 from freeart21 import se3
 from freeart21.articulation import PARTS, Articulation
 from freeart21.camera import Camera
-from freeart21.ending import DOUBTFUL
 from freeart21.files.diagnostics import diagnostics_from_json, diagnostics_to_json
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
+from freeart21.processes import DOUBTFUL
 from freeart21.reconstruction import Alternative, Reconstruction, Trust
 from freeart21.recording import Frame, Recording
 from freeart21.trust import _pose_uncertainty, _surface_off_video, judge, measure_motion, object_size

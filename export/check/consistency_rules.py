@@ -19,7 +19,7 @@ from export.check.tree import Tree
 from export.checklist import Shapes
 from export.loaders import FOLDER, joint_numbers
 from export.model import WORLD
-from freeart21 import child, se3
+from freeart21 import processes, se3
 from freeart21.asset import Asset
 from freeart21.certificate import Certificate
 from freeart21.errors import FreeArtError
@@ -57,7 +57,7 @@ def judge_consistency(urdf: Path, mjcf: Path | None, tree: Tree, seen: Mapping[s
     try:
         measured = certify(asset, measure_files(asset.urdf, asset.joint, fidelity=False))
     except Exception as error:  # links that the URDF lacks, or facts of any type
-        reason = f"it cannot be measured: {child.one_line(error)[:300]}"
+        reason = f"it cannot be measured: {processes.one_line(error)[:300]}"
         yield from (Row(rule, "file", "fail", reason) for rule in (VISUALS, CERTIFIED))
     else:
         depth = measured.visual_overlap_m

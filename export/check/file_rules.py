@@ -29,7 +29,7 @@ from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.files.asset_copy import list_mjcf_files
-from freeart21.files.urdf import Urdf, read_urdf
+from freeart21.files.urdf import Urdf, read_urdf, read_urdf_parts
 from freeart21.files.urdf_files import resolve_file
 from freeart21.reconstruction import describe_trust
 
@@ -62,7 +62,7 @@ def judge_files(
     stop = [f for f in findings if f.item == "tree" or f.rule in _FATAL]
     facts["blocked"] = f"{stop[0].rule} fails" if stop else UNREAD
     rules = list(FILE_RULES)
-    if [f.rule for f in findings] == [UNREADABLE]:
+    if not _are_numbers_readable(urdf):
         yield from make_rows(findings, dict.fromkeys(rules, facts["blocked"]), rows)
         return
     if any(f.item == "tree" or f.rule == "paths.exist" for f in findings):
@@ -102,6 +102,14 @@ def judge_files(
         say(CONSISTENCY_RULES[0])
         rows += judge_consistency(urdf, mjcf, tree, seen)
     yield from (row for row in make_rows(findings, skipped, rows) if row.rule in LAST_RULES)
+
+
+def _are_numbers_readable(urdf: Path) -> bool:
+    try:
+        read_urdf_parts(urdf)
+    except FreeArtError:
+        return False
+    return True
 
 
 def make_rows(findings: list[Finding], skipped: dict[str, str], rows: list[Row]) -> Iterator[Row]:

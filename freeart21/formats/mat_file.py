@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from freeart21 import child
+from freeart21 import processes
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.run_table import MAX_CSV_BYTES
@@ -38,7 +38,7 @@ def read_mat(path: Path) -> dict[str, tuple[Array, ...]]:
     data = checked.read_bytes(path, MAX_CSV_BYTES, checked.ANYWHERE)
     with tempfile.TemporaryDirectory() as place:
         out = Path(place) / "columns.npz"
-        command = [*child.command("freeart21.formats.mat_file"), str(out), str(MAX_MEMORY)]
+        command = [*processes.command("freeart21.formats.mat_file"), str(out), str(MAX_MEMORY)]
         try:
             done = subprocess.run(command, input=data, capture_output=True, timeout=TIME_LIMIT_S, check=False)
         except subprocess.TimeoutExpired as error:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from freeart21 import child
+from freeart21 import processes
 from freeart21.articulation import PARTS
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
@@ -231,7 +231,9 @@ def _run_command(
     try:
         return run_measured(filled, work, log, max(seconds, 0.0), method.limits.memory_gb * 1e9, stop)
     except OSError as error:
-        raise _Failed("start", f"{filled[0]} cannot be started: {error.strerror or child.one_line(error)}") from error
+        raise _Failed(
+            "start", f"{filled[0]} cannot be started: {error.strerror or processes.one_line(error)}"
+        ) from error
 
 
 def contain(
@@ -347,7 +349,7 @@ def _read_version(method: Descriptor, words: Sequence[str], home: Path | None) -
     try:
         done = subprocess.run(filled, capture_output=True, text=True, timeout=60, stdin=subprocess.DEVNULL, check=False)
     except (OSError, subprocess.SubprocessError, UnicodeDecodeError) as error:
-        return f"unknown: {child.one_line(error)}"
+        return f"unknown: {processes.one_line(error)}"
     if done.returncode and words[0] == "{python}":
         last = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
         raise FreeArtError(f"{method.name} cannot run in this Python: {checked.shorten(last)}")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21 import stopping
+from freeart21 import processes
 from freeart21.articulation import PARTS
 from freeart21.files import atomic
 from freeart21.files.benchmark import read_benchmark
@@ -30,7 +30,7 @@ def write_coco(data: Path, out: Path, progress: Progress = lambda *_: None) -> i
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
     for k, fact in enumerate(facts):
-        stopping.raise_if_stopped()
+        processes.raise_if_stopped()
         truth = read_truth(benchmark.truth(fact.sequence))
         recording = read_sequence(benchmark.sequence(fact.sequence))
         for i in range(len(truth)):
