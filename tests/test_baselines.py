@@ -23,20 +23,6 @@ def rng():
     return np.random.default_rng(0)
 
 
-def motion(seed, turn=0.5, way=0.1):
-    draw = np.random.default_rng(seed)
-    return se3.exp_se3(np.concatenate([draw.normal(size=3) * way, draw.normal(size=3) * turn]))
-
-
-def test_a_motion_is_found_among_outliers():
-    a = rng().normal(size=(60, 3)) * 0.1
-    b = se3.transform(motion(1), a)
-    b[:25] += rng().normal(size=(25, 3)) * 0.1
-    T, inliers = rigid.find_motion(a, b, 1e-3, rng())
-    np.testing.assert_allclose(T, motion(1), atol=1e-9)
-    assert not inliers[:25].any() and inliers[25:].all()
-
-
 def test_poses_of_a_body_from_tracks_that_come_and_go():
     points = rng().normal(size=(200, 3)) * 0.1
     Ts = np.stack([se3.exp_se3(k * np.array([0.01, 0, 0, 0.1, 0.05, 0])) for k in range(12)])
@@ -50,14 +36,6 @@ def test_poses_of_a_body_from_tracks_that_come_and_go():
     np.testing.assert_allclose(between, np.repeat(between[:1], 12, 0), atol=1e-6)
     tracks[:, 5:] = np.nan
     assert list(np.flatnonzero(rigid.estimate_poses(tracks, 1e-3, rng())[1])) == [0, 1, 2, 3, 4]
-
-
-def test_poses_between_keyframes_go_along_the_screw():
-    twist = np.array([0.1, 0, 0, 0, 0, 1.0])
-    Ts = np.stack([np.eye(4), se3.exp_se3(twist)])
-    got = rigid.interpolate_poses(np.array([2, 6]), Ts, np.arange(9))
-    np.testing.assert_allclose(got[3], se3.exp_se3(twist / 4), atol=1e-12)
-    np.testing.assert_allclose(got[[0, 8]], Ts, atol=1e-12)
 
 
 @pytest.mark.parametrize("vote", [groups.vote_by_motions, groups.vote_by_distances])
