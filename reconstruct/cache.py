@@ -241,6 +241,7 @@ def _unpack(hint: Any, value: Any, name: str, arrays: dict[str, NDArray[Any]]) -
     if value is None:
         return None
     if is_dataclass(hint):
+        assert isinstance(hint, type)
         hints = get_type_hints(hint)
         found = hint(**{key: _unpack(hints[key], entry, f"{name}.{key}", arrays) for key, entry in value.items()})
         if hint is Joint:
