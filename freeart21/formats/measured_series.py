@@ -21,8 +21,7 @@ import numpy as np
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, base_json, checked
 from freeart21.files.asset import find_movable_joint, read_asset
-from freeart21.files.measured import MAX_RATE_HZ, MIN_SAMPLES, read_measured
-from freeart21.files.measured_writer import write_measured
+from freeart21.files.measured import MAX_RATE_HZ, MIN_SAMPLES, read_measured, write_measured
 from freeart21.files.urdf import UrdfJoint
 from freeart21.formats import circumstances
 from freeart21.formats.circumstances import Circumstances
