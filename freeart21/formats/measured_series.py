@@ -589,7 +589,8 @@ def _scale_runs(
                 counts["jumps of the command"] += turns
         counts["empty cells"] += sum(int(np.isnan(values[r]).sum()) for r in ("effort", "q_command") if r in values)
         moved = base_json.base_of({"t_s": values["t"], **base}, Path(name))
-        made.append(replace(Run(name, values["t"], own.pop("q"), base=moved), **own))
+        run = Run(name, values["t"], own["q"], own.get("effort"), own.get("q_command"), base=moved)
+        made.append(replace(run, voltage=own.get("voltage"), qd=own.get("qd")))
     for what, count in counts.items():
         how = "of drives count as no value" if what == "empty cells" else "by a whole turn were removed"
         if count:
