@@ -223,26 +223,14 @@ def convert(
         longest_side: Most pixels of width and height of a camera's pictures; larger ones are made smaller.
     """
     from freeart21.formats import convert as formats
+    from freeart21.formats.third_party import ReadOptions
     from freeart21.progress import progress_board
     from generator.third_party import complete_truth
 
     maker = partial(complete_truth, joint=joint, skip_missing=skip_missing)
+    options = ReadOptions(depth_unit, fps, meta, partnet_root, masks, longest_side)
     with progress_board(1, 0) as board:
-        for done in formats.convert(
-            source,
-            out,
-            to,
-            layout,
-            maker,
-            partnet_root,
-            meta,
-            hold_out,
-            depth_unit,
-            fps,
-            masks,
-            longest_side,
-            board.update,
-        ):
+        for done in formats.convert(source, out, to, layout, maker, options, hold_out, board.update):
             board.finished(done.name)
             print(done.folder)
             for note in done.notes:

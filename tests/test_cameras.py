@@ -266,7 +266,7 @@ def test_the_way_from_a_camera_to_a_sequence(tmp_path, capsys):
         assert np.array_equal(one.rgb, other.rgb) and np.array_equal(one.mask, other.mask) and one.mask.any()
         assert np.abs(one.depth - other.depth).max() < 0.0006
     (pictures / "masks" / names[0]).unlink()
-    wrong = convert(tmp_path / "mug", tmp_path / "third", "native", masks=pictures / "masks")
+    wrong = convert(tmp_path / "mug", tmp_path / "third", "native", options=ReadOptions(masks=pictures / "masks"))
     assert_refused("has 3 masks, expected 4: one for each", list, wrong)
 
 

@@ -18,8 +18,9 @@ from freeart21.files.data_card import write_card_of
 from freeart21.files.places import check_append
 from freeart21.files.sequence import write_frame, write_header, write_queries
 from freeart21.files.truth import write_truth
-from freeart21.formats import freeart21_official, rgbd_folder, third_party
+from freeart21.formats import freeart21_official, rgbd_folder
 from freeart21.formats.third_party import (
+    DEFAULTS,
     Progress,
     ReadOptions,
     RecordingLayout,
@@ -86,29 +87,22 @@ def convert(
     to: Target,
     layout: str | None = None,
     truth_of: TruthMaker | None = None,
-    partnet_root: Path | None = None,
-    meta: Path | None = None,
+    options: ReadOptions = DEFAULTS,
     hold_out: bool = False,
-    depth_unit: float = 1e-3,
-    fps: float | None = None,
-    masks: Path | None = None,
-    longest_side: int = third_party.LONGEST_SIDE,
     progress: Callable[[str, int, int], None] = lambda name, done, total: None,
 ) -> Iterator[Converted]:
     """Convert every recording in `source`, in sequence.
 
     to="native" writes out/sequences/SEQ and, when `truth_of` can make it, out/truth/SEQ. Objects are searched in
-    `partnet_root` or, for an official example, in data/partnet-mobility-v0/dataset next to examples/.
+    `options.partnet_root` or, for an official example, in data/partnet-mobility-v0/dataset next to examples/.
     out/benchmark.json is updated when every sequence has its truth.
 
-    to="official" writes out/examples/NAME and, with the object's files (of the truth, or partnet_root/ID),
+    to="official" writes out/examples/NAME and, with the object's files (of the truth, or options.partnet_root/ID),
     out/data/partnet-mobility-v0/dataset/NAME. `hold_out` makes the official split of 5 %.
 
     to="rgbd" writes out/pictures/NAME, upright and undistorted, depth in millimetres, to segment the object in.
 
-    `meta` is Video2Articulation's meta file; `depth_unit` (metres) and `fps` (None: from time stamps in the names,
-    else 30) are for picture folders; `masks` (a folder with a mask for each picture of to="rgbd") and `longest_side`
-    (pixels) for all recordings of cameras. `progress` is called with a sequence's name, the frames done, their total.
+    `progress` is called with a sequence's name, the frames done, their total.
     Raises FreeArtError; recordings converted before remain.
     """
     out = Path(out)
@@ -118,7 +112,7 @@ def convert(
         checked.require_inside(Path(source), folder)
         if kind.name == to:
             raise FreeArtError(f"{folder} is of the layout {to} already")
-        recording = kind.read(folder, ReadOptions(depth_unit, fps, meta, partnet_root, masks, longest_side))
+        recording = kind.read(folder, options)
         tick = functools.partial(progress, recording.name)
         with _remove_empty_folders(out):
             if to == "rgbd":
@@ -130,9 +124,9 @@ def convert(
                     "them, one mask a picture, and name their folder by --masks"
                 )
             if to == "native":
-                yield _write_native(out, recording, truth_of, partnet_root or kind.objects(folder), tick)
+                yield _write_native(out, recording, truth_of, options.partnet_root or kind.objects(folder), tick)
                 continue
-            files = find_object_folder(kind.object_folder(folder), recording.object_id, partnet_root)
+            files = find_object_folder(kind.object_folder(folder), recording.object_id, options.partnet_root)
             yield _write_official(out, recording, files, hold_out, tick)
     if label is not None and _all_have_truth(out):
         write_benchmark(out, *label)

@@ -93,7 +93,8 @@ def read_example(folder: Path) -> ThirdPartyRecording:
         raise FreeArtError(
             f"{folder / SIDECAR} has {len(times)} times, expected one for each of {max(train) + 1} frames"
         )
-    camera = Camera(third_party.read_matrix(folder / "cam_K.txt"), *_size(rgb[0]))
+    height, width = checked.read_rgb(rgb[0]).shape[:2]
+    camera = Camera(third_party.read_matrix(folder / "cam_K.txt"), width, height)
 
     def load(index: int) -> Frame:
         path = third_party.within(folder, depth[index])
@@ -134,13 +135,27 @@ def read_states(path: Path) -> Array:
 
 def read_object_poses(folder: Path) -> Array:
     """(n, 4, 4) camera from the object's root link, from object_poses.json and camera_params.json in `folder`."""
-    Ts_world_object = _object_poses(folder / "object_poses.json")
-    Ts_world_gl = _cameras(folder / "camera_params.json")
+    poses, cameras = folder / "object_poses.json", folder / "camera_params.json"
+    rows = [
+        np.concatenate([checked.numbers(entry, key, (n,), poses) for key, n in (("position", 3), ("quaternion", 4))])
+        for entry in _entries(poses)
+    ]
+    Ts_world_gl = np.array([checked.numbers(entry, "model_matrix", (4, 4), cameras) for entry in _entries(cameras)])
     if len(Ts_world_gl) > 1:
-        third_party.same_count(
-            folder, {"object_poses.json": len(Ts_world_object), "camera_params.json": len(Ts_world_gl)}
-        )
-    return np.asarray(se3.inverse(Ts_world_gl @ third_party.T_GL_CV) @ Ts_world_object)
+        third_party.same_count(folder, {poses.name: len(rows), cameras.name: len(Ts_world_gl)})
+    Ts_world_gl = se3.check_poses(f"{cameras} model_matrix", Ts_world_gl, tolerance=1e-3)
+    return np.asarray(
+        se3.inverse(Ts_world_gl @ third_party.T_GL_CV) @ third_party.poses_from_rows(np.array(rows), str(poses))
+    )
+
+
+def _entries(path: Path) -> list[dict[str, Any]]:
+    """The JSON objects in a list, or one alone."""
+    data = checked.read_any_json(path)
+    entries = [data] if isinstance(data, dict) else data
+    if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
+        raise FreeArtError(f"{path} holds no list of objects")
+    return entries
 
 
 def eval_indices(frames: int) -> list[int]:
@@ -278,64 +293,28 @@ def _train_indices(folder: Path, n: int) -> list[int]:
     path = folder / "eval" / "split_info.json"
     if not path.is_file():
         return list(range(n))
-    train = checked.read_json(path).get("train_original_indices")
-    whole = isinstance(train, list) and all(type(i) is int and 0 <= i < third_party.MAX_FRAMES for i in train)
-    if not isinstance(train, list) or not whole or train != sorted(set(train)):
+    train = checked.numbers(checked.read_json(path), "train_original_indices", (None,), path).astype(int).tolist()
+    if train != sorted(set(train)) or not 0 <= min(train, default=0) <= max(train, default=0) < third_party.MAX_FRAMES:
         raise FreeArtError(f"{path}: train_original_indices is not a rising list of frame numbers")
     if len(train) != n:
         raise FreeArtError(f"{path} names {len(train)} frames of the video, but {folder}/rgb has {n}")
-    return list(train)
-
-
-def _object_poses(path: Path) -> Array:
-    entries = checked.read_any_json(path)
-    rows = []
-    for i, entry in enumerate(entries if isinstance(entries, list) else []):
-        parts = [entry.get("position"), entry.get("quaternion")] if isinstance(entry, dict) else [None, None]
-        try:
-            rows.append(np.concatenate([np.array(parts[0], float).reshape(3), np.array(parts[1], float).reshape(4)]))
-        except (TypeError, ValueError):
-            raise FreeArtError(f"{path}: pose {i} needs 'position' of 3 and 'quaternion' of 4 numbers") from None
-    if not rows:
-        raise FreeArtError(f"{path} holds no list of poses")
-    return third_party.poses_from_rows(np.array(rows), str(path))
-
-
-def _cameras(path: Path) -> Array:
-    """(n or 1, 4, 4) world from OpenGL camera."""
-    entries = checked.read_any_json(path)
-    entries = [entries] if isinstance(entries, dict) else entries
-    matrices = []
-    for i, entry in enumerate(entries if isinstance(entries, list) else []):
-        try:
-            matrices.append(np.array(entry["model_matrix"], float).reshape(4, 4))
-        except (TypeError, ValueError, KeyError):
-            raise FreeArtError(f"{path}: camera {i} has no 'model_matrix' of 4 x 4 numbers") from None
-    if not matrices:
-        raise FreeArtError(f"{path} holds no list of cameras")
-    return se3.check_poses(f"{path} model_matrix", np.array(matrices), tolerance=1e-3)
+    return train
 
 
 def _state(entry: Any, path: Path, i: int) -> float:
-    inner = entry.get("joint") if isinstance(entry, dict) and isinstance(entry.get("joint"), dict) else None
-    values = [entry]
-    for held in (entry, inner):
-        if isinstance(held, dict):
-            values = [held[key] for key in _STATE_KEYS if key in held] or values
-            if values != [entry]:
-                break
-    value = values[0][0] if isinstance(values[0], list) and values[0] else values[0]
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < _LARGEST_STATE:
+    """The number of one entry: itself, or by the first known key of it or of its 'joint'; of a list its first."""
+    value = entry
+    for held in (entry, entry.get("joint")) if isinstance(entry, dict) else ():
+        named = [held[key] for key in _STATE_KEYS if key in held] if isinstance(held, dict) else []
+        if named:
+            value = named[0]
+            break
+    value = value[0] if isinstance(value, list) and value else value
+    if not checked.is_number(value) or not abs(value) < _LARGEST_STATE:
         raise FreeArtError(
-            f"{path}: state {i} is {entry!r}, expected a number or one of {', '.join(_STATE_KEYS)}"[:300]
+            f"{path}: state {i} is {checked.shorten(entry)}, expected a number or one of {', '.join(_STATE_KEYS)}"
         )
     return float(value)
-
-
-def _size(path: Path) -> tuple[int, int]:
-    """Width and height of a picture."""
-    height, width = checked.read_rgb(path).shape[:2]
-    return width, height
 
 
 def _sidecar(folder: Path) -> dict[str, Any]:

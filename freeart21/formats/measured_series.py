@@ -214,7 +214,7 @@ def measure_series(
     if settings.gravity is None:
         notes.append(f"gravity 0 0 -9.81 m/s^2, with z of link '{chosen.reference_link}' up (else --gravity)")
     given = settings.inertia_relative, settings.gravity_relative
-    uncertainty = [own if one is None else one for one, own in zip(given, UNSURE, strict=True)]
+    uncertainty = tuple(own if one is None else one for one, own in zip(given, UNSURE, strict=True))
     if None in given:
         notes.append(
             f"the asset's inertia is uncertain by {uncertainty[0]:.0%}, its weight by {uncertainty[1]:.0%} (else "
@@ -243,7 +243,8 @@ def measure_series(
         "recorded" if clock else "nominal",
         settings.effort if "effort" in names else None,
         settings.law,
-        *uncertainty,
+        uncertainty[0],
+        uncertainty[1],
         facts.mark_prescribed(marked),
         settings.interpolation or "unknown",
         facts.base_axis(set(names)),
@@ -588,7 +589,8 @@ def _scale_runs(
                 counts["jumps of the command"] += turns
         counts["empty cells"] += sum(int(np.isnan(values[r]).sum()) for r in ("effort", "q_command") if r in values)
         moved = base_json.base_of({"t_s": values["t"], **base}, Path(name))
-        made.append(Run(name, values["t"], base=moved, **own))
+        run = Run(name, values["t"], own["q"], own.get("effort"), own.get("q_command"), base=moved)
+        made.append(replace(run, voltage=own.get("voltage"), qd=own.get("qd")))
     for what, count in counts.items():
         how = "of drives count as no value" if what == "empty cells" else "by a whole turn were removed"
         if count:

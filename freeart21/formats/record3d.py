@@ -11,7 +11,6 @@ The number in a name is the frame's place in the lists of metadata, which can na
 
 from __future__ import annotations
 
-import re
 import struct
 import zipfile
 import zlib
@@ -63,7 +62,11 @@ def read_record3d(source: Path, options: ReadOptions) -> ThirdPartyRecording:
     about = checked.parse_json(_read_entry(source, named).decode("utf-8", "replace"), where)
     if not isinstance(about, dict):
         raise FreeArtError(f"{where} holds a {type(about).__name__}, expected an object")
-    colours, depth, confidence = (_number_names(names, kinds, where) for kinds in (_COLOURS, _DEPTH, _CONFIDENCE))
+    paths = [path for path in map(PurePosixPath, names) if len(path.parts) == 2]
+    colours, depth, confidence = (
+        {i: str(path) for i, path in third_party.by_number(paths, kinds, source).items()}
+        for kinds in (_COLOURS, _DEPTH, _CONFIDENCE)
+    )
     frames = sorted(set(colours) & set(depth))
     if not 0 < len(frames) <= MAX_FRAMES:
         raise FreeArtError(f"{source} has {len(frames)} frames with colours and depth, expected 1 to {MAX_FRAMES}")
@@ -138,17 +141,6 @@ def _read_entry(source: Path, name: str) -> bytes:
         return data
 
     return _with_zip(source, read)
-
-
-def _number_names(names: list[str], kinds: tuple[str, ...], where: Path) -> dict[int, str]:
-    found: dict[int, str] = {}
-    for name in names:
-        path = PurePosixPath(name)
-        if path.suffix.lower() in kinds and re.fullmatch(r"[0-9]{1,9}", path.stem) and len(path.parts) == 2:
-            if int(path.stem) in found:
-                raise FreeArtError(f"{where.parent}: {found[int(path.stem)]} and {name} are both frame {path.stem}")
-            found[int(path.stem)] = name
-    return found
 
 
 def _read_lens(about: dict[str, Any], where: Path) -> tuple[Lens, Array]:

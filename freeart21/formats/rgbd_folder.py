@@ -16,9 +16,7 @@ depth, mask and K. Pixel centres of these matrices are at whole numbers, as in O
 
 from __future__ import annotations
 
-import itertools
 import re
-from bisect import bisect
 from collections.abc import Callable
 from pathlib import Path
 
@@ -32,11 +30,13 @@ from freeart21.files.sequence import encode_depth
 from freeart21.formats import third_party
 from freeart21.formats.rgbd_video import (
     HALF_PIXEL,
+    MAX_DIFFERENCE_S,
     Lens,
     Picture,
     RgbdVideo,
     align_video,
     check_intrinsics,
+    pair_times,
     read_intrinsics,
     read_unturned,
     turn_intrinsics,
@@ -48,8 +48,6 @@ from freeart21.se3 import Array
 
 MILLIMETRE = 0.001
 FPS = 30.0
-MAX_DIFFERENCE_NS = 20_000_000
-"""Largest difference between time stamps of one frame, as in associate.py of the TUM RGB-D sets (0.02 s)."""
 
 _COLOUR, _DEPTH, _MASK = ("rgb", "color", "colour", "images"), ("depth",), ("masks", "mask")
 _OPEN3D = ("camera_intrinsic.json", "intrinsic.json")
@@ -213,26 +211,28 @@ def _frames(
 ) -> tuple[list[_Frame], Array, tuple[str, ...]]:
     """Colours, depth and mask of every frame, (n,) seconds from the first frame, and notes."""
     stamps = [_stamps(list(files)) for files in (rgb, depth, mask)]
-    colour, deep, masked = stamps
     notes: list[str] = []
-    if colour is not None and deep is not None and masked is not None:
-        depths, masks = (sorted((t, name) for name, t in stamped.items()) for stamped in (deep, masked))
-        found = sorted((t, name, _nearest(depths, t), _nearest(masks, t)) for name, t in colour.items())
-        chosen = [(t, (rgb[name], depth[d], mask[m])) for t, name, d, m in found if d and m]
-        if len(chosen) < len(found):
+    if None not in stamps:
+        named = [sorted((t, name) for name, t in (one or {}).items()) for one in stamps]
+        first = named[0][0][0]
+        colours, depths, masks = (np.array([t - first for t, _ in one]) / 1e9 for one in named)
+        for at in np.flatnonzero(np.diff(colours) == 0)[:1]:
+            one, other = (rgb[name].name for _, name in named[0][at : at + 2])
+            raise FreeArtError(f"{folder}: {one} and {other} have one time stamp")
+        with_depth, deep = pair_times(colours, depths)
+        with_mask, masked = pair_times(colours[with_depth], masks)
+        chosen, deep = with_depth[with_mask], deep[with_mask]
+        within = f"within {1e3 * MAX_DIFFERENCE_S:g} ms"
+        if not len(chosen):
+            raise FreeArtError(f"{folder}: no colours have depth and a mask {within} by name")
+        if len(chosen) < len(rgb):
             notes.append(
-                f"{len(found) - len(chosen)} of {len(found)} colours have no depth and mask within "
-                f"{MAX_DIFFERENCE_NS / 1e6:g} ms by their time stamps, and are left out"
+                f"{len(rgb) - len(chosen)} of {len(rgb)} colours have no depth and mask {within} by their time stamps, "
+                "and are left out"
             )
-        if not chosen:
-            raise FreeArtError(
-                f"{folder}: no colours have depth and a mask within {MAX_DIFFERENCE_NS / 1e6:g} ms by name"
-            )
-        for (t, (one, *_)), (later, (other, *_)) in itertools.pairwise(chosen):
-            if t == later:
-                raise FreeArtError(f"{folder}: {one.name} and {other.name} have one time stamp")
-        times = np.array([t - chosen[0][0] for t, _ in chosen]) / 1e9
-        frames = [frame for _, frame in chosen]
+        places = zip(*([named[k][i][1] for i in rows] for k, rows in enumerate((chosen, deep, masked))), strict=True)
+        frames = [(rgb[a], depth[b], mask[c]) for a, b, c in places]
+        times = np.array([named[0][i][0] - named[0][chosen[0]][0] for i in chosen]) / 1e9
         notes.append(
             _describe_times(times) if fps is None else f"times are by --fps, {fps:g} a second, not by the names"
         )
@@ -295,13 +295,6 @@ def _stamps(names: list[str]) -> dict[str, int] | None:
         name: int(whole) * 10**digits + int((fraction + digits * "0")[:digits] or 0)
         for name, (whole, fraction, _) in zip(names, parts, strict=True)
     }
-
-
-def _nearest(stamps: list[tuple[int, str]], t: int) -> str | None:
-    """Name of the nearest of sorted time stamps to `t`, ns; None when it differs by MAX_DIFFERENCE_NS or more."""
-    at = bisect(stamps, (t,))
-    difference, name = min((abs(stamp - t), name) for stamp, name in stamps[max(at - 1, 0) : at + 1])
-    return name if difference < MAX_DIFFERENCE_NS else None
 
 
 def _describe_times(times: Array) -> str:

@@ -12,6 +12,7 @@ are turned upright. Frame numbers name the files and count the video's frames.
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21 import se3
+from freeart21 import processes, se3
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.formats import third_party
@@ -92,22 +93,21 @@ def read_stray_scanner(folder: Path, options: ReadOptions) -> ThirdPartyRecordin
 
 def _read_table(path: Path) -> dict[str, Array]:
     """Column name to (n,) numbers of odometry.csv; empty fields are NaN. Raises FreeArtError."""
-    lines = checked.read_text(path, _MAX_TABLE_BYTES).strip().split("\n")
-    names = [name.strip() for name in lines[0].split(",")]
-    lacking = [name for name in ("timestamp", "frame", *_POSE) if name not in names]
+    import pandas as pd
+
+    text = checked.read_text(path, _MAX_TABLE_BYTES)
+    try:
+        read = pd.read_csv(io.StringIO(text), skipinitialspace=True, index_col=False, float_precision="round_trip")
+        table = {name.strip(): column.to_numpy(float) for name, column in read.items()}
+    except ValueError as error:
+        raise FreeArtError(f"{path} is no table of numbers: {processes.one_line(error)}") from None
+    needed = ("timestamp", "frame", *_POSE)
+    lacking = [name for name in needed if name not in table]
     if lacking:
-        raise FreeArtError(f"{path} has no column {', '.join(lacking)}; it has {', '.join(names)[:200]}")
-    if not 2 <= len(lines) <= MAX_FRAMES + 1:
-        raise FreeArtError(f"{path} has {len(lines) - 1} rows, expected 1 to {MAX_FRAMES}")
-    rows = np.full((len(lines) - 1, len(names)), np.nan)
-    for i, line in enumerate(lines[1:]):
-        words = [word.strip() for word in line.split(",")]
-        try:
-            rows[i, : len(words)] = [float(word or "nan") for word in words]
-        except ValueError:
-            raise FreeArtError(f"{path}: row {i + 1} is no row of {len(names)} numbers") from None
-    table = dict(zip(names, rows.T, strict=True))
-    if not all(np.isfinite(table[name]).all() for name in ("timestamp", "frame", *_POSE)):
+        raise FreeArtError(f"{path} has no column {', '.join(lacking)}; it has {', '.join(table)[:200]}")
+    if not 1 <= len(read) <= MAX_FRAMES:
+        raise FreeArtError(f"{path} has {len(read)} rows, expected 1 to {MAX_FRAMES}")
+    if not all(np.isfinite(table[name]).all() for name in needed):
         raise FreeArtError(f"{path}: time stamps, frames and rotations are not all finite numbers")
     return table
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any
+from pathlib import Path, PurePath
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -21,6 +21,7 @@ from freeart21.joint import Joint
 from freeart21.recording import Recording
 from freeart21.se3 import Array
 
+P = TypeVar("P", bound=PurePath)
 Image = NDArray[np.uint8]
 Progress = Callable[[int, int], None]
 """Called with the number of finished frames and their total."""
@@ -202,12 +203,17 @@ def numbered(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
     """
     if not folder.is_dir():
         raise FreeArtError(f"{folder} is missing")
-    found: dict[int, Path] = {}
-    for path in sorted(folder.iterdir()):
+    return by_number(folder.iterdir(), suffixes, folder)
+
+
+def by_number(paths: Iterable[P], suffixes: tuple[str, ...], where: Path) -> dict[int, P]:
+    """As `numbered`, of these paths in `where`."""
+    found: dict[int, P] = {}
+    for path in sorted(paths):
         if path.suffix.lower() in suffixes and re.fullmatch(r"[0-9]{1,9}", path.stem):
             number = int(path.stem)
             if number in found:
-                raise FreeArtError(f"{folder}: {found[number].name} and {path.name} are both frame {number}")
+                raise FreeArtError(f"{where}: {found[number].name} and {path.name} are both frame {number}")
             found[number] = path
     return found
 

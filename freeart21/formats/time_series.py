@@ -142,10 +142,10 @@ def _read_text(path: Path) -> Series:
 
 def _split(lines: list[str], separator: str, decimal: str) -> list[list[str]]:
     """The cells of each line, with decimal points."""
-    rows = csv.reader(lines, delimiter=separator) if separator != " " else map(str.split, lines)
-    if decimal == ",":
-        rows = [[cell.replace(",", ".") for cell in row] for row in rows] if separator != "," else []
-    return [[cell.strip() for cell in row] for row in rows]
+    if decimal == separator:
+        return []
+    rows = csv.reader(lines, delimiter=separator) if separator != " " else (line.split() for line in lines)
+    return [[cell.strip().replace(decimal, ".") for cell in row] for row in rows]
 
 
 def _width(rows: list[list[str]]) -> int:

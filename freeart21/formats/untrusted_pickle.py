@@ -35,7 +35,8 @@ class _Record:
     """Stands for a dtype or an array: the arguments that made it, and its state, as they are in the file."""
 
     def __init__(self, *arguments: Any) -> None:
-        self.arguments, self.state = arguments, ()
+        self.arguments = arguments
+        self.state: tuple[Any, ...] = ()
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         self.state = state
@@ -104,7 +105,8 @@ def _plain(value: Any, depth: int, visited: Iterator[int]) -> Any:
     if next(visited) > MAX_OPCODES:
         raise _Refused("more than it could use")
     if type(value) is _Record:
-        return _numbers(*value.state[-4:])
+        shape, kind, by_columns, raw = value.state[-4:]
+        return _numbers(shape, kind, by_columns, raw)
     if value is None or type(value) in (str, int, float, bool):
         return value
     if depth and type(value) is dict:

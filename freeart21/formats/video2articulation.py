@@ -265,14 +265,12 @@ def _stated(meta: Path, category: str, object_id: str, number: int) -> _Stated |
     for entry in interactions if isinstance(interactions, list) else []:
         if not isinstance(entry, dict) or entry.get("id") != number:
             continue
-        try:
-            kind, joint = _TYPES[entry["type"]], entry["joint"]
-            axis = np.array(joint["axis"]["direction"], float).reshape(3)
-            limits = np.array([joint["limit"]["a"], joint["limit"]["b"]], float)
-        except (KeyError, TypeError, ValueError):
-            raise FreeArtError(
-                f"{meta}: {category} {object_id} interaction {number} needs a type (hinge or slider), axis and limit"
-            ) from None
+        where = f"{meta}: {category} {object_id} interaction {number}"
+        kind = _TYPES[checked.one_of(entry, "type", tuple(_TYPES), where)]
+        joint = checked.json_object(entry, "joint", where)
+        axis = checked.numbers(checked.json_object(joint, "axis", where), "direction", (3,), Path(where))
+        ends = checked.json_object(joint, "limit", where)
+        limits = np.array([checked.number(ends, key, where) for key in ("a", "b")])
         limits = np.radians(limits) if kind == "revolute" else limits
         axis = R_OBJECT_LABEL @ axis / max(float(np.linalg.norm(axis)), 1e-12)
         return _Stated(kind, axis, float(limits.min()), float(limits.max()))
