@@ -68,7 +68,7 @@ def certify(asset: Asset, measured: MeasuredFiles | None = None) -> Certificate:
     `measured` are its files, where they were measured already.
     """
     measured = measure_files(asset.urdf, asset.joint) if measured is None else measured
-    urdf, up = read_urdf(asset.urdf), _read_facts(asset.source, "up")
+    urdf, up = read_urdf(asset.urdf), asset.facts("up")
     trust = trust_to_json(asset.trust)
     links = {"reference": asset.reference_link, "moving": asset.moving_link}
     return Certificate(
@@ -82,12 +82,11 @@ def certify(asset: Asset, measured: MeasuredFiles | None = None) -> Certificate:
 
 
 def _certify_link(asset: Asset, urdf: Urdf, part: str, link: str, measured: MeasuredFiles) -> LinkCertificate:
-    facts = _read_facts(_read_facts(asset.source, "parts"), part)
-    mass = _read_facts(facts, "mass")
+    mass = asset.facts("parts", part, "mass")
     inertial = urdf.links[link].inertial
     if inertial is None:
         raise FreeArtError(f"{asset.urdf}: link '{link}' has no mass, expected an exported asset")
-    seen, supposed = measure_seen_share(measured.visuals[link], _read_facts(facts, "patch"))
+    seen, supposed = measure_seen_share(measured.visuals[link], asset.facts("parts", part, "patch"))
     low, high = mass.get("bounds_kg") or (inertial.mass, inertial.mass)
     contact = measured.fidelity[link].to_json() if link in measured.fidelity else {}
     source = f"{'guessed' if mass.get('guessed') else 'given'} {mass.get('by', UNKNOWN)}"
@@ -179,9 +178,3 @@ def _sum_up(report: CheckReport) -> dict[str, EngineResult]:
         failed = tuple(row.rule for row in own.not_passed)
         found[engine] = EngineResult(report.engines.get(engine, ""), own.verdict, failed)
     return found
-
-
-def _read_facts(source: Mapping[str, Any], key: str) -> dict[str, Any]:
-    """The object `key` of facts from asset.json, empty where there is none."""
-    found = source.get(key)
-    return dict(found) if isinstance(found, Mapping) else {}

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import importlib.util
 from pathlib import Path
 
-from export import usd
 from export.loaders import write_loaders
 from export.losses import write_losses
 from export.preview import write_preview
 from freeart21.asset import Asset
+from freeart21.errors import FreeArtError
 
 USD = "object.usdc"
 
@@ -18,8 +19,13 @@ def write_companion_files(folder: Path, asset: Asset, with_usd: bool | None = No
 
     `with_usd` None writes USD where usd-core is installed; True raises FreeArtError where it is not.
     """
-    if usd.is_available() if with_usd is None else with_usd:
-        usd.write_usd(folder / USD, asset)
+    installed = importlib.util.find_spec("pxr") is not None
+    if with_usd and not installed:
+        raise FreeArtError("usd-core is not installed, which writes USD: pip install 'freeart21[usd]'")
+    if installed if with_usd is None else with_usd:
+        from export.usd import write_usd
+
+        write_usd(folder / USD, asset)
     write_loaders(folder, asset)
     write_losses(folder, asset)
     write_preview(folder, asset)

@@ -192,12 +192,11 @@ def format_losses(asset: Asset, textured: bool, files: frozenset[str]) -> str:
 
 def _describe_contact(asset: Asset) -> list[str]:
     """A paragraph on the fidelity of contact stated in asset.json; none without it."""
-    parts = asset.source.get("parts")
     descriptions = []
-    for name, part in parts.items() if isinstance(parts, dict) else ():
-        found = part.get("collision") if isinstance(part, dict) else None
+    for name in asset.facts("parts"):
+        found = asset.facts("parts", name, "collision")
         keys = ("worst_of_95_m", "worst_m", "outward_95_m", "outward_m")
-        numbers = [x for key in keys if isinstance(x := found.get(key), int | float)] if isinstance(found, dict) else []
+        numbers = [x for key in keys if isinstance(x := found.get(key), int | float)]
         if len(numbers) == len(keys):
             near, worst, out, furthest = (f"{1000 * number:.3g} mm" for number in numbers)
             descriptions.append(
@@ -209,18 +208,16 @@ def _describe_contact(asset: Asset) -> list[str]:
 
 def describe_limitations(asset: Asset) -> list[str]:
     """A line for each part that is no solid, and for overlap that was not carved, as stated in asset.json."""
-    parts, lines = asset.source.get("parts"), []
-    for name, part in parts.items() if isinstance(parts, dict) else ():
-        layers = part.get("layers") if isinstance(part, dict) and part.get("solid") is False else None
+    lines = []
+    for name in asset.facts("parts"):
+        facts = asset.facts("parts", name)
+        layers = facts.get("layers") if facts.get("solid") is False else None
         if isinstance(layers, int | float):
             lines.append(
                 f"`{name}` is no solid: its triangles have {layers:.3g} times the area of the solid around them. "
                 "Its collision shape is one convex hull."
             )
-    found = asset.source.get("penetration")
-    why, deepest = (
-        (found.get(key) for key in ("not_carved_because", "deepest_m")) if isinstance(found, dict) else (None,) * 2
-    )
+    why, deepest = (asset.facts("penetration").get(key) for key in ("not_carved_because", "deepest_m"))
     if isinstance(why, str) and isinstance(deepest, int | float):
         lines.append(f"The two parts' collision shapes overlap by up to {1000 * deepest:.3g} mm: not carved, {why}.")
     return lines

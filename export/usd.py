@@ -8,13 +8,13 @@ Neither schema is part of usd-core; their names are plain tokens that other read
 
 from __future__ import annotations
 
-import importlib.util
 import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
+from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
 
 from export.checklist import MAX_MESH_BYTES, values_after
 from export.loaders import joint_numbers
@@ -30,20 +30,9 @@ from freeart21.reconstruction import describe_trust
 from freeart21.se3 import Array
 
 
-def is_available() -> bool:
-    """Whether usd-core is installed."""
-    return importlib.util.find_spec("pxr") is not None
-
-
 def write_usd(path: Path, asset: Asset) -> None:
-    """Write the asset as a USD layer beside its URDF, binary when `path` ends in .usdc. Textures stay in their files.
-
-    Raises FreeArtError when usd-core is not installed.
-    """
-    if not is_available():
-        raise FreeArtError("usd-core is not installed, which writes USD: pip install 'freeart21[usd]'")
-    from pxr import Kind, Sdf, Usd, UsdGeom, UsdPhysics
-
+    """Write the asset as a USD layer beside its URDF, binary when `path` ends in .usdc. Textures stay in
+    their files."""
     urdf = read_urdf(asset.urdf)
     layer = Sdf.Layer.CreateAnonymous(path.suffix)
     stage = Usd.Stage.Open(layer)
@@ -72,8 +61,6 @@ def write_usd(path: Path, asset: Asset) -> None:
 
 
 def _identifier(name: str) -> str:
-    from pxr import Tf
-
     return str(Tf.MakeValidIdentifier(name))
 
 
@@ -82,8 +69,6 @@ def _add_body(
 ) -> Any:
     """A rigid body with its visual and collision shapes, these with friction and restitution where `surface` has
     them."""
-    from pxr import UsdGeom, UsdPhysics, UsdShade
-
     body = UsdGeom.Xform.Define(stage, root.AppendChild(_identifier(link.name)))
     _set_pose(body, T_root_link)
     UsdPhysics.RigidBodyAPI.Apply(body.GetPrim())
@@ -115,8 +100,6 @@ def _add_body(
 
 def _add_mass(body: Any, of: UrdfInertial) -> None:
     """Mass, and inertia as moments about principal axes."""
-    from pxr import Gf, UsdPhysics
-
     moments, axes = np.linalg.eigh(of.inertia)
     axes = axes * np.where(axes[np.abs(axes).argmax(0), range(3)] < 0, -1.0, 1.0)  # fix the sign of each axis
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
@@ -129,8 +112,6 @@ def _add_mass(body: Any, of: UrdfInertial) -> None:
 
 def _add_joint(stage: Any, root: Any, joint: UrdfJoint, bodies: dict[str, Any], asset: Asset) -> None:
     """The joint between two bodies, or between the world and a fixed base."""
-    from pxr import Gf, UsdPhysics
-
     kinds = {"revolute": UsdPhysics.RevoluteJoint, "prismatic": UsdPhysics.PrismaticJoint, None: UsdPhysics.FixedJoint}
     schema = kinds[joint.joint_type].Define(stage, root.AppendChild(_identifier(joint.name)))
     along_x = _rotation_from_x(joint.axis) if joint.joint_type else np.eye(4)
@@ -156,8 +137,6 @@ def _add_joint(stage: Any, root: Any, joint: UrdfJoint, bodies: dict[str, Any], 
 
 def _add_dynamics(prim: Any, joint: UrdfJoint, numbers: dict[str, Any], per_unit: float) -> None:
     """Damping and spring as a drive, per degree; friction, armature and speed limit as attributes of the engines."""
-    from pxr import Sdf, UsdPhysics
-
     axis = {"revolute": "angular", "prismatic": "linear"}[numbers["type"]]
     drive = UsdPhysics.DriveAPI.Apply(prim, axis)
     drive.CreateTypeAttr("force")
@@ -184,8 +163,6 @@ def _add_dynamics(prim: Any, joint: UrdfJoint, numbers: dict[str, Any], per_unit
 
 def _add_shape(stage: Any, path: Any, shape: UrdfShape, urdf: Path) -> Any:
     """The shape at its pose in its link."""
-    from pxr import Gf, UsdGeom
-
     match shape.kind:
         case "mesh":
             geom = _fill_mesh(UsdGeom.Mesh.Define(stage, path), shape, urdf)
@@ -215,8 +192,6 @@ def _add_shape(stage: Any, path: Any, shape: UrdfShape, urdf: Path) -> Any:
 
 
 def _fill_mesh(geom: Any, shape: UrdfShape, urdf: Path) -> Any:
-    from pxr import Sdf, UsdGeom, Vt
-
     path = resolve_file(urdf, shape.filename)
     mesh = trimesh.load_mesh(checked.require_file(path, MAX_MESH_BYTES), process=False)
     points = np.ascontiguousarray(mesh.vertices * shape.size, np.float32)
@@ -237,8 +212,6 @@ def _fill_mesh(geom: Any, shape: UrdfShape, urdf: Path) -> Any:
 
 def _add_material(stage: Any, root: Any, name: str, geom: Any, shape: UrdfShape, urdf: Path) -> None:
     """UsdPreviewSurface with the texture or colour of the mesh's first material."""
-    from pxr import Gf, Sdf, UsdShade
-
     picture, colour = _read_material(resolve_file(urdf, shape.filename)) if shape.kind == "mesh" else (None, None)
     if colour is None:
         colour = (0.7, 0.7, 0.7) if shape.rgba is None else tuple(shape.rgba[:3].tolist())
@@ -280,15 +253,11 @@ def _read_material(obj: Path) -> tuple[Path | None, tuple[float, ...] | None]:
 
 
 def _set_pose(geom: Any, T: Array) -> None:
-    from pxr import Gf, UsdGeom
-
     geom.AddTranslateOp().Set(Gf.Vec3d(*T[:3, 3].tolist()))
     geom.AddOrientOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Quatd(*np.asarray(se3.wxyz(T), float).tolist()))
 
 
 def _quaternion(T: Array) -> Any:
-    from pxr import Gf
-
     return Gf.Quatf(*np.asarray(se3.wxyz(T), float).tolist())
 
 

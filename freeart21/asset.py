@@ -47,3 +47,10 @@ class Asset:
         object.__setattr__(
             self, "T_canonical_reference", check_poses("asset T_canonical_reference", self.T_canonical_reference)
         )
+
+    def facts(self, *keys: str) -> dict[str, Any]:
+        """The object of `source` that the keys lead to, such as "parts", "moving"; empty where there is none."""
+        found: Any = self.source
+        for key in keys:
+            found = found.get(key) if isinstance(found, dict) else None
+        return found if isinstance(found, dict) else {}

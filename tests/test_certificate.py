@@ -156,7 +156,6 @@ PLANTED: dict[str, tuple[str, Callable[[Path], None]]] = {
     "a certificate of better contact": (
         "collision.true-to-visual", edit(FILE, '"worst_m": [^,]+', '"worst_m": 0.05'),
     ),
-    "the range opened into the base": ("parts.clear", edit("object.urdf", 'lower="[^"]+"', 'lower="-0.1"')),
 }  # fmt: skip
 """Faults of an asset's files against each other; those of a URDF alone are in test_check_asset."""
 

@@ -134,8 +134,6 @@ def test_the_part_that_carries_is_the_root_and_moves_the_same_joint(tmp_path: Pa
     angles = np.array([0.0, 0.3, 0.8])
     expected = exchanged.articulation.joint.transform(angles)
     np.testing.assert_allclose(joint_motion(asset, angles), expected, atol=1e-6)
-    scored, states = measure_joint(tmp_path / "b", angles)
-    np.testing.assert_allclose(scored.transform(states), expected, atol=1e-5)
 
 
 def masses(folder: Path) -> dict[str, float]:
@@ -146,7 +144,6 @@ def masses(folder: Path) -> dict[str, float]:
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 def test_a_scaled_asset_is_the_scaled_object_and_moves_as_it(tmp_path: Path, kind: str):
-    mujoco = pytest.importorskip("mujoco")
     answer, k = reconstruction(kind, (0.1, 0.4, 1.1), frame=3), 0.25
     plain, small = (export_result(answer, tmp_path / str(s), ExportSettings(scale=s)) for s in (1.0, k))
     assert (plain.scale, small.scale) == (1.0, k)
@@ -163,10 +160,6 @@ def test_a_scaled_asset_is_the_scaled_object_and_moves_as_it(tmp_path: Path, kin
     np.testing.assert_allclose(sizes[1], k * sizes[0], rtol=1e-5)
     assert sum(masses(tmp_path / "0.25").values()) == pytest.approx(
         k**3 * sum(masses(tmp_path / "1.0").values()), rel=1e-4
-    )
-    model = mujoco.MjModel.from_xml_path(str(tmp_path / "0.25" / "object.xml"))
-    np.testing.assert_allclose(
-        model.joint(small.joint).range, [float(limits[1].get(key)) for key in ("lower", "upper")]
     )
     assert check_asset(tmp_path / "0.25") == []
     assert_refused("has 0.25 times the video's lengths", measure_joint, tmp_path / "0.25", [0.0, 0.5])
@@ -379,8 +372,6 @@ BREAKS = {
 
 @pytest.mark.parametrize("message", BREAKS)
 def test_checklist_finds_broken_files(exported: Path, tmp_path: Path, message: str):
-    if message.startswith("mjcf"):
-        pytest.importorskip("mujoco")
     folder = Path(shutil.copytree(exported, tmp_path / "a"))
     (folder / "effects.json").unlink()
     BREAKS[message](folder)

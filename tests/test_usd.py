@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 import trimesh
 from engine_case import write_case
+from refusal import assert_refused
 
-from export import usd
 from export.check.file_rules import judge_files
-from export.usd import write_usd
+from export.companion_files import write_companion_files
 from freeart21.effects.armature import Armature
 from freeart21.effects.coulomb_friction import CoulombFriction
 from freeart21.effects.return_spring import ReturnSpring
 from freeart21.effects.viscous_damping import ViscousDamping
-from freeart21.errors import FreeArtError
 from freeart21.files.urdf import read_urdf
 
 KINDS = ("revolute", "prismatic")
@@ -89,10 +88,8 @@ def test_meshes_wear_their_pictures_and_hulls_are_hidden_and_convex(tmp_path: Pa
 
 def test_without_usd_core_one_line_says_what_to_install(tmp_path: Path, monkeypatch):
     asset = write_case(tmp_path, "revolute")
-    monkeypatch.setattr(usd, "is_available", lambda: False)
-    with pytest.raises(FreeArtError, match=r"usd-core is not installed, .*pip install 'freeart21\[usd\]'"):
-        write_usd(tmp_path / "b.usdc", asset)
-    assert not (tmp_path / "b.usdc").exists()
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert_refused(r"pip install 'freeart21\[usd\]'", write_companion_files, tmp_path, asset, True)
 
 
 def _set(prim: str, name: str, value: object) -> Callable:

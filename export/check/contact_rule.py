@@ -12,9 +12,8 @@ from export.check.rules import CONTACT_PERCENT, CONTACT_SHARE
 from export.checklist import Shapes
 from export.contact import is_closed, measure_contact_fidelity
 from export.fidelity import Fidelity
-from freeart21.articulation import PARTS
 from freeart21.errors import FreeArtError
-from freeart21.files import checked
+from freeart21.files.asset import read_asset
 from freeart21.files.certificate import FILE as CERTIFICATE
 from freeart21.files.certificate import read_certificate
 
@@ -72,21 +71,13 @@ def _find_misstated(found: Mapping[str, Fidelity], folder: Path) -> Iterator[str
 
 
 def _read_stated(folder: Path) -> Iterator[tuple[str, dict[str, dict[str, Any]]]]:
-    """File name, and what it states on contact by link; an invalid certificate is `certificate.same`'s."""
+    """File name, and what it states on contact by link; an invalid file is `certificate.same`'s."""
     with suppress(FreeArtError):
         certificate = read_certificate(folder)
         if certificate is not None:
             yield CERTIFICATE, {name: dict(link.contact) for name, link in certificate.links.items()}
-    header = folder / "asset.json"
-    if not header.is_file():
-        return
-    data = checked.read_json(header)
-    source = data.get("source")
-    parts = source.get("parts") if isinstance(source, dict) else None
-    stated = {}
-    for part in PARTS:
-        facts = parts.get(part) if isinstance(parts, dict) else None
-        contact = facts.get("collision") if isinstance(facts, dict) else None
-        if isinstance(contact, dict):
-            stated[str(data.get(f"{part}_link"))] = contact
-    yield header.name, stated
+    with suppress(FreeArtError):
+        asset = read_asset(folder) if (folder / "asset.json").is_file() else None
+        if asset is not None:
+            links = {"reference": asset.reference_link, "moving": asset.moving_link}
+            yield "asset.json", {link: asset.facts("parts", part, "collision") for part, link in links.items()}

@@ -5,7 +5,6 @@ Bodies have at most one hinge or slide each (and a free joint at the top); every
 
 from __future__ import annotations
 
-import importlib.util
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from freeart21.files.urdf import UrdfInertial
 
 
 class UnsupportedMjcf(Exception):
-    """The file has what a tree cannot express, or MuJoCo is not installed."""
+    """The file has what a tree cannot express."""
 
 
 def read_mjcf_tree(mjcf: Path) -> Tree:
@@ -59,8 +58,6 @@ def count_shapes(mjcf: Path) -> dict[str, Counter[str]]:
 
 
 def _read_spec(mjcf: Path, compiled: bool) -> Any:
-    if importlib.util.find_spec("mujoco") is None:
-        raise UnsupportedMjcf("MuJoCo is not installed")
     import mujoco
 
     try:

@@ -15,7 +15,6 @@ from export.check.mjcf_tree import UnsupportedMjcf, count_shapes, read_mjcf_tree
 from export.check.report import Row
 from export.check.rules import MASS_TOLERANCE, POSE_TOLERANCE
 from export.check.tree import Tree, build_tree
-from export.check.usd_tree import read_usd_tree
 from export.loaders import FOLDER, joint_numbers
 from export.model import WORLD
 from freeart21 import se3
@@ -66,6 +65,8 @@ def _compare_mjcf(mjcf: Path, asset: Asset) -> Iterator[str]:
 
 def _compare_usd(layer: Path, asset: Asset) -> Iterator[str]:
     """Differences in the tree, and bodies that stand elsewhere in the layer."""
+    from export.check.usd_tree import read_usd_tree  # needs usd-core
+
     urdf = read_urdf(asset.urdf)
     other, placed = read_usd_tree(layer, urdf)
     yield from _compare_trees(layer.name, build_tree(urdf), other)

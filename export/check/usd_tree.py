@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics
 
 from export.check.tree import Tree, TreeJoint
 from export.model import WORLD
@@ -26,8 +27,6 @@ def read_usd_tree(layer: Path, urdf: Urdf) -> tuple[Tree, dict[str, Array]]:
     Needs usd-core. Raises FreeArtError for a layer that cannot be read, references others (no other file is opened),
     or counts in other units than m and kg with z up.
     """
-    from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics
-
     try:
         file = Sdf.Layer.OpenAsAnonymous(str(checked.require_file(layer, MAX_USD_BYTES)))
         others = file.GetCompositionAssetDependencies()
@@ -55,8 +54,6 @@ def read_usd_tree(layer: Path, urdf: Urdf) -> tuple[Tree, dict[str, Array]]:
 
 
 def _read_joint(prim: Any, name: str, names: Mapping[str, str]) -> TreeJoint:
-    from pxr import UsdPhysics
-
     joint = UsdPhysics.Joint(prim)
     parent, child = (
         next((names.get(str(path.name), str(path.name)) for path in end.GetTargets()), WORLD)
@@ -83,8 +80,6 @@ def _read_joint(prim: Any, name: str, names: Mapping[str, str]) -> TreeJoint:
 
 
 def _read_inertial(prim: Any) -> UrdfInertial:
-    from pxr import UsdPhysics
-
     mass = UsdPhysics.MassAPI(prim)
     R = _rotation(mass.GetPrincipalAxesAttr().Get())
     tensor = R @ np.diag(mass.GetDiagonalInertiaAttr().Get()) @ R.T

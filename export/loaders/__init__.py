@@ -59,12 +59,10 @@ def joint_numbers(asset: Asset) -> dict[str, object]:
 
 def _read_surfaces(asset: Asset) -> dict[str, dict[str, float]]:
     """Friction and restitution of each link, from asset.json; empty where it states none."""
-    parts = asset.source.get("parts")
     found = {}
     for part, link in (("reference", asset.reference_link), ("moving", asset.moving_link)):
-        facts = parts.get(part) if isinstance(parts, dict) else None
-        surface = facts.get("surface") if isinstance(facts, dict) else None
-        if isinstance(surface, dict) and all(isinstance(surface.get(key), int | float) for key in SURFACE):
+        surface = asset.facts("parts", part, "surface")
+        if all(isinstance(surface.get(key), int | float) for key in SURFACE):
             found[link] = {key: float(surface[key]) for key in SURFACE}
     return found
 

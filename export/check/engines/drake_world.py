@@ -7,6 +7,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydrake.geometry import (
+    AddContactMaterial,
+    AddRigidHydroelasticProperties,
+    DefaultProximityProperties,
+    HalfSpace,
+    ProximityProperties,
+    SceneGraphConfig,
+)
+from pydrake.math import RigidTransform
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, DiscreteContactApproximation
+from pydrake.multibody.tree import PdControllerGains
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource
 
 from export.check.engines.base import GRAVITY, EngineJoint, Setting, World
 from export.check.engines.plain_urdf import write_plain_urdf
@@ -25,20 +40,6 @@ of 370 kg by 7, at 1e9 phones of 100 g fly off, and at 1e7 a lighter of 21 g tre
 
 def load(file: Path, folder: Path, setting: Setting) -> DrakeWorld:
     """The asset in a plant of its own."""
-    from pydrake.geometry import (
-        AddContactMaterial,
-        AddRigidHydroelasticProperties,
-        DefaultProximityProperties,
-        HalfSpace,
-        ProximityProperties,
-        SceneGraphConfig,
-    )
-    from pydrake.math import RigidTransform
-    from pydrake.multibody.parsing import Parser
-    from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, DiscreteContactApproximation
-    from pydrake.systems.framework import DiagramBuilder
-    from pydrake.systems.primitives import ConstantVectorSource
-
     builder = DiagramBuilder()
     plant, geometry = AddMultibodyPlantSceneGraph(builder, time_step=_STEP_S)
     plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)  # by default light assets tremble
@@ -78,7 +79,6 @@ def _add_friction(plant: Any, model: Any, friction: Mapping[str, float]) -> bool
     An actuator that is only a damper towards speed 0, limited to the friction: a discrete plant solves it together with
     the contacts.
     """
-    from pydrake.multibody.tree import PdControllerGains
 
     for k in plant.GetJointActuatorIndices(model):  # from the file's transmissions, which are not driven here
         plant.RemoveJointActuator(plant.get_joint_actuator(k))
@@ -95,7 +95,6 @@ class DrakeWorld(World):
     """See `World`."""
 
     def __init__(self, diagram: Any, plant: Any, model: Any, bodies: list[Any], root: Any):
-        from pydrake.systems.analysis import Simulator
 
         self.plant, self.root = plant, root
         self.bodies = {body.name(): body for body in bodies}
@@ -138,7 +137,6 @@ class DrakeWorld(World):
         self.simulator.Initialize()
 
     def place(self, T_world_root: Array) -> None:
-        from pydrake.math import RigidTransform
 
         T: Any = np.array(T_world_root, float)
         self.plant.SetFreeBodyPose(self.context, self.root, RigidTransform(T))

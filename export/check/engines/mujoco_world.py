@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from export.check.engines.base import GRAVITY, EngineJoint, Setting, World
@@ -19,8 +20,6 @@ _LARGEST_STEP_S = 0.002
 
 def load(file: Path, folder: Path, setting: Setting) -> MujocoWorld:
     """The asset in a scene of its own."""
-    import mujoco
-
     urdf = read_root_tag(file) == "robot"
     on_world = urdf and "world" in read_urdf(file).links  # MuJoCo takes that link for its world
     if urdf:
@@ -74,8 +73,6 @@ class MujocoWorld(World):
     """See `World`."""
 
     def __init__(self, model: Any, root: str, root_held: bool):
-        import mujoco
-
         self.model, self.data = model, mujoco.MjData(model)
         names = [model.body(b).name for b in range(model.nbody)]
         self.root, self.root_held = root, root_held
@@ -104,16 +101,12 @@ class MujocoWorld(World):
         return found
 
     def put(self, q: Mapping[str, float], qd: Mapping[str, float] | None = None) -> None:
-        import mujoco
-
         for joint in self.joints:
             self.data.joint(joint.name).qpos[0] = q.get(joint.name, 0.0)
             self.data.joint(joint.name).qvel[0] = (qd or {}).get(joint.name, 0.0)
         mujoco.mj_forward(self.model, self.data)
 
     def place(self, T_world_root: Array) -> None:
-        import mujoco
-
         at = self.model.body(self.root).jntadr[0]
         address = self.model.jnt_qposadr[at]
         self.data.qpos[address : address + 7] = [*T_world_root[:3, 3], *se3.wxyz(T_world_root)]
@@ -124,14 +117,10 @@ class MujocoWorld(World):
         return q, {j.name: float(self.data.joint(j.name).qvel[0]) for j in self.joints}
 
     def poses(self) -> dict[str, Array]:
-        import mujoco
-
         mujoco.mj_kinematics(self.model, self.data)
         return {n: se3.pose(self.data.body(n).xmat.reshape(3, 3), self.data.body(n).xpos) for n in self.parents}
 
     def advance(self, seconds: float, push: Mapping[str, float] | None = None) -> None:
-        import mujoco
-
         for joint in self.joints:
             address = self.model.jnt_dofadr[self.model.joint(joint.name).id]
             self.data.qfrc_applied[address] = (push or {}).get(joint.name, 0.0)
@@ -139,8 +128,6 @@ class MujocoWorld(World):
 
     def energy(self) -> float | None:
         """Potential energy of gravity and springs, and kinetic energy."""
-        import mujoco
-
         mujoco.mj_forward(self.model, self.data)
         return float(self.data.energy.sum())
 
@@ -153,8 +140,6 @@ class MujocoWorld(World):
         return min(heights, default=None)
 
     def _lowest(self, g: int) -> float:
-        import mujoco
-
         model, R, at = self.model, self.data.geom_xmat[g].reshape(3, 3), self.data.geom_xpos[g][2]
         size, down = model.geom_size[g], np.abs(R[2])
         match mujoco.mjtGeom(int(model.geom_type[g])):

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+import pybullet
 
 from export.check.engines.base import GRAVITY, EngineJoint, Setting, World
 from export.check.engines.plain_urdf import write_plain_urdf
@@ -21,8 +22,6 @@ _NEAR_M = 0.01
 
 def load(file: Path, folder: Path, setting: Setting) -> PybulletWorld:
     """The asset in a world of its own."""
-    import pybullet
-
     client = pybullet.connect(pybullet.DIRECT)
     pybullet.setGravity(0, 0, -GRAVITY if setting.gravity else 0.0, physicsClientId=client)
     pybullet.setPhysicsEngineParameter(fixedTimeStep=_STEP_S, numSolverIterations=100, physicsClientId=client)
@@ -46,8 +45,6 @@ class PybulletWorld(World):
     """See `World`. A link's index is that of its parent joint; the root has -1."""
 
     def __init__(self, client: int, body: int, floor: int | None, setting: Setting, friction: Mapping[str, float]):
-        import pybullet
-
         self.client, self.body, self.floor, self.fixed = client, body, floor, setting.fixed
         infos = [pybullet.getJointInfo(body, k, client) for k in range(pybullet.getNumJoints(body, client))]
         names = {-1: pybullet.getBodyInfo(body, client)[0].decode(), **{i[0]: i[12].decode() for i in infos}}
@@ -78,8 +75,6 @@ class PybulletWorld(World):
 
     def inertials(self) -> dict[str, UrdfInertial]:
         """PyBullet reports no mass for a fixed root, which is left out."""
-        import pybullet
-
         found = {}
         for name, k in self.index.items():
             if k == -1 and self.fixed:
@@ -90,28 +85,20 @@ class PybulletWorld(World):
         return found
 
     def put(self, q: Mapping[str, float], qd: Mapping[str, float] | None = None) -> None:
-        import pybullet
-
         for name, k in self.number.items():
             pybullet.resetJointState(self.body, k, q.get(name, 0.0), (qd or {}).get(name, 0.0), self.client)
 
     def place(self, T_world_root: Array) -> None:
-        import pybullet
-
         T = T_world_root @ self._T_root_centre()
         w, x, y, z = se3.wxyz(T)
         pybullet.resetBasePositionAndOrientation(self.body, T[:3, 3].tolist(), [x, y, z, w], self.client)
         pybullet.resetBaseVelocity(self.body, [0, 0, 0], [0, 0, 0], self.client)
 
     def state(self) -> tuple[dict[str, float], dict[str, float]]:
-        import pybullet
-
         at = {name: pybullet.getJointState(self.body, k, self.client)[:2] for name, k in self.number.items()}
         return {name: s[0] for name, s in at.items()}, {name: s[1] for name, s in at.items()}
 
     def poses(self) -> dict[str, Array]:
-        import pybullet
-
         base = _pose(*pybullet.getBasePositionAndOrientation(self.body, self.client))
         found = {self.root: base @ se3.inverse(self._T_root_centre())}
         for name, k in self.index.items():
@@ -121,8 +108,6 @@ class PybulletWorld(World):
         return found
 
     def advance(self, seconds: float, push: Mapping[str, float] | None = None) -> None:
-        import pybullet
-
         for _ in range(max(1, round(seconds / _STEP_S))):
             for name, force in (push or {}).items():
                 pybullet.setJointMotorControl2(
@@ -132,8 +117,6 @@ class PybulletWorld(World):
 
     def lowest(self) -> float | None:
         """PyBullet wraps every mesh in a margin of 1 mm."""
-        import pybullet
-
         if self.floor is None:
             return None
         near = pybullet.getClosestPoints(self.body, self.floor, _NEAR_M, physicsClientId=self.client)
@@ -141,8 +124,6 @@ class PybulletWorld(World):
 
     def _T_root_centre(self) -> Array:
         """(4, 4) frame that PyBullet uses as the root's pose: its centre of mass and principal axes."""
-        import pybullet
-
         info = pybullet.getDynamicsInfo(self.body, -1, self.client)
         return _pose(info[3], info[4])
 

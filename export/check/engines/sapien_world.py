@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import sapien
 
 from export.check.engines.base import GRAVITY, EngineJoint, Setting, World
 from export.check.engines.plain_urdf import write_plain_urdf
@@ -21,8 +22,6 @@ _STIFF = 1e4
 
 def load(file: Path, folder: Path, setting: Setting) -> SapienWorld:
     """The asset in a scene of its own."""
-    import sapien
-
     config = sapien.physx.PhysxSceneConfig()
     config.gravity = np.array([0, 0, -GRAVITY if setting.gravity else 0.0], np.float32)
     body = sapien.physx.PhysxBodyConfig()
@@ -83,8 +82,6 @@ class SapienWorld(World):
         self.articulation.set_qvel(np.array([(qd or {}).get(j.name, 0.0) for j in self.joints], np.float32))
 
     def place(self, T_world_root: Array) -> None:
-        import sapien
-
         self.articulation.set_root_pose(sapien.Pose(np.asarray(T_world_root, np.float32)))
         self.articulation.set_root_linear_velocity(np.zeros(3, np.float32))
         self.articulation.set_root_angular_velocity(np.zeros(3, np.float32))
