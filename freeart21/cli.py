@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 import freeart21
-from freeart21 import stopping
-from freeart21.ending import DOUBTFUL, report_errors
+from freeart21 import processes
 from freeart21.errors import FreeArtError
+from freeart21.processes import DOUBTFUL, report_errors
 from simgap.commands import SeriesOptions, TruthOptions, measure_files
 
 if TYPE_CHECKING:
@@ -414,7 +414,7 @@ def main() -> None:
         print(f"freeart21: there is no command '{words[0]}'; commands: {', '.join(COMMANDS)}", file=sys.stderr)
         sys.exit(2)
     else:
-        stopping.listen()
+        processes.listen()
         with report_errors():
             code = _run_command(words[0], words[1:])
         sys.exit(code or 0)

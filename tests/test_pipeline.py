@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from reconstruct_clip import make_clip
 
-from freeart21 import stopping
+from freeart21 import processes
 from freeart21.files.sequence import write_sequence
 from freeart21.gaussians import Gaussians
 from freeart21.reconstruction import Reconstruction
@@ -183,13 +183,13 @@ def test_until_stops_keeps_and_goes_on(sequence, whole, tmp_path, monkeypatch, c
 
 
 def test_interrupted_the_command_says_what_is_kept(sequence, tmp_path, monkeypatch):
-    monkeypatch.setattr(stopping, "_hints", [])
+    monkeypatch.setattr(processes, "_hints", [])
     Calls(monkeypatch, "bridge_gaps")
     with pytest.raises(KeyboardInterrupt):
         command(sequence, tmp_path / "ours" / "x", settings=QUIET)
     assert (
-        str(cache.work_folder(tmp_path / "ours" / "x")) in stopping.current_hint()
-        and "goes on" in stopping.current_hint()
+        str(cache.work_folder(tmp_path / "ours" / "x")) in processes.current_hint()
+        and "goes on" in processes.current_hint()
     )
     assert [path.name for path in (tmp_path / "ours").iterdir()] == [".x.work"]
 

@@ -49,7 +49,7 @@ def _read_value(hint: Any, value: Any, where: str, whole: bool) -> Any:
         return None if value is None else _read_value(_not_none(inner), value, where, whole)
     if is_dataclass(hint):
         return read_record(hint, value, where, whole)  # type: ignore[arg-type]
-    if origin is tuple and isinstance(value, list):
+    if origin is tuple and isinstance(value, list) and (inner[-1] is ... or len(value) == len(inner)):
         return tuple(_read_value(inner[0], entry, f"{where}, entry {k}", whole) for k, entry in enumerate(value))
     if origin is dict and isinstance(value, dict):
         return {
@@ -74,5 +74,5 @@ def _expected(hint: Any) -> str:
     if origin is Literal:
         return ", ".join(map(str, inner))
     if origin is tuple:
-        return f"a list, each {_expected(inner[0])}"
-    return "an object" if origin is dict else _WORDS[hint]
+        return f"a list{'' if inner[-1] is ... else f' of {len(inner)}'}, each {_expected(inner[0])}"
+    return _WORDS.get(hint, "an object")
