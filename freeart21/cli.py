@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import fields, replace
 from importlib import import_module
 from pathlib import Path
@@ -24,8 +24,9 @@ from freeart21.processes import DOUBTFUL, report_errors
 from simgap.commands import SeriesOptions, TruthOptions, measure_files
 
 if TYPE_CHECKING:
+    from freeart21.files.masks import Click
     from freeart21.recording import Recording
-    from reconstruct.masks import Click, Foreground
+    from reconstruct.masks import Foreground
 
 Positional: Any = tyro.conf.Positional
 Flat: Any = tyro.conf.arg(name="")
@@ -267,8 +268,7 @@ def masks(
     made = foreground.masks(clicks)
     if network is not None:
         made = carry_masks(recording, made, network, clicks)
-    marks = [(c.frame, c.column, c.row, int(c.on_object)) for c in clicks]
-    write_masks(out, made.masks, made.doubt, made.reasons, made.notes, marks)
+    write_masks(out, made, clicks)
     views = [
         MaskView(i, recording.frame(i).rgb, made.masks[i], float(made.doubt[i]), made.reasons[i])
         for i in choose_frames(made.doubt)
@@ -283,17 +283,12 @@ def masks(
 
 def _ask_for_clicks(foreground: Foreground, recording: Recording, port: int) -> list[Click]:
     """Clicks of a user on a page of this machine."""
-    from freeart21.view.click_page import Answer, ClickServer, Point
-    from reconstruct.masks import Click
+    from freeart21.view.click_page import ClickServer
 
-    def solve(points: Sequence[Point]) -> Answer:
-        made = foreground.masks([Click(*point) for point in points])
-        return Answer(made.masks, made.doubt, made.reasons)
-
-    server = ClickServer(lambda i: recording.frame(i).rgb, solve, recording.name, len(recording), port)
+    server = ClickServer(lambda i: recording.frame(i).rgb, foreground.masks, recording.name, len(recording), port)
     print(f"open {server.address}", flush=True)
     server.serve()
-    return [Click(*point) for point in server.clicks]
+    return server.clicks
 
 
 def film(

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from freeart21.errors import FreeArtError
+from freeart21.files.masks import Click, Masks
 from freeart21.recording import Recording
 from reconstruct.hands import HandNetwork, draw_hand
 from reconstruct.segmenters import Prompt, Segmenter
@@ -61,30 +62,6 @@ class MaskSettings:
     """Pixels of the working pictures."""
     hands: Path | None = None
     """Folder of MediaPipe's networks (`reconstruct.hands`): finds hands by shape, where skin's colour misleads."""
-
-
-@dataclass(frozen=True)
-class Click:
-    """A pixel with what a user calls it."""
-
-    frame: int
-    column: float
-    row: float
-    """Pixels of the recording."""
-    on_object: bool
-
-
-@dataclass(frozen=True)
-class Masks:
-    """Masks and how far they can be trusted."""
-
-    masks: Bools
-    """(n, height, width), pixels of the recording."""
-    doubt: Values
-    """(n,) 0 to 1; more than 0.5 should be looked at."""
-    reasons: tuple[str, ...]
-    """(n,) the largest cause of each doubt."""
-    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -198,20 +198,18 @@ class GaussianSettings:
 
     def __post_init__(self) -> None:
         terms = (1, 4, 9, 16, 25)  # freeart21.gaussians.LIGHT_TERMS, which would import numpy for `--help`
-        if self.light_terms not in terms:
-            raise FreeArtError(
-                f"settings.gaussians.light-terms is {self.light_terms}, expected one of {str(terms)[1:-1]}"
-            )
-        if not 1 <= self.warm_up <= self.rounds:
-            raise FreeArtError(
-                f"settings.gaussians.warm-up is {self.warm_up} of {self.rounds} rounds, expected 1 to {self.rounds}"
-            )
-        for name in ("most_pixels", "begin", "most"):
-            if not getattr(self, name) > 0:
+        bounds = {
+            "light_terms": (self.light_terms in terms, f"one of {str(terms)[1:-1]}"),
+            "warm_up": (1 <= self.warm_up <= self.rounds, f"1 to {self.rounds}, the rounds"),
+            "most_pixels": (self.most_pixels > 0, "more than 0"),
+            "begin": (self.begin > 0, "more than 0"),
+            "most": (self.most > 0, "more than 0"),
+            "held_back": (self.held_back >= 2, "every 2nd frame or fewer"),
+        }
+        for name, (is_good, expected) in bounds.items():
+            if not is_good:
                 flag = name.replace("_", "-")
-                raise FreeArtError(f"settings.gaussians.{flag} is {getattr(self, name)}, expected more than 0")
-        if self.held_back < 2:
-            raise FreeArtError(f"settings.gaussians.held-back is {self.held_back}, expected every 2nd frame or fewer")
+                raise FreeArtError(f"settings.gaussians.{flag} is {getattr(self, name)}, expected {expected}")
 
 
 @dataclass(frozen=True)

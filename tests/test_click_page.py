@@ -16,18 +16,19 @@ import numpy as np
 import pytest
 
 from freeart21.errors import FreeArtError
-from freeart21.view.click_page import MAX_BYTES, Answer, ClickServer
+from freeart21.files.masks import Masks
+from freeart21.view.click_page import MAX_BYTES, ClickServer
 
 N, H, W = 5, 40, 60
 
 
-def solve(points) -> Answer:
+def solve(points) -> Masks:
     if any(on for *_, on in points) and len(points) > 2:
         raise FreeArtError("too many for this test")
     masks = np.zeros((N, H, W), bool)
     for frame, column, row, on in points:
         masks[frame, int(row) - 3 : int(row) + 3, int(column) - 3 : int(column) + 3] = on
-    return Answer(masks, np.linspace(0, 1, N), ["far"] * N)
+    return Masks(masks, np.linspace(0, 1, N), ("far",) * N)
 
 
 @pytest.fixture

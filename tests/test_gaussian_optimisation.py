@@ -107,7 +107,7 @@ def test_a_frame_that_shows_nothing_goes_with_the_others(clip):
     "changed, message",
     [
         ({"light_terms": 7}, "light-terms is 7, expected one of 1, 4, 9, 16, 25"),
-        ({"rounds": 1, "warm_up": 2}, "warm-up is 2 of 1 rounds"),
+        ({"rounds": 1, "warm_up": 2}, "warm-up is 2, expected 1 to 1, the rounds"),
         ({"most": 0}, "most is 0, expected more than 0"),
         ({"held_back": 1}, "held-back is 1, expected every 2nd frame or fewer"),
     ],

@@ -1,9 +1,11 @@
-"""A folder of masks made without hand work: a picture a frame, and masks.json with the doubt about each."""
+"""Masks made without hand work, with the doubt about each, and their folder: a picture a frame, and masks.json."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,27 +16,37 @@ from freeart21.files.places import MASKS
 SCHEMA = "freeart21/masks/1"
 
 
-def write_masks(
-    folder: Path,
-    masks: NDArray[np.bool_],
-    doubt: NDArray[np.floating],
-    reasons: Sequence[str],
-    notes: Sequence[str],
-    clicks: Sequence[Sequence[float]] = (),
-) -> None:
-    """Write masks (n, h, w) as 00000.png and so on, and masks.json.
+class Click(NamedTuple):
+    """A pixel with what a user calls it."""
 
-    Args:
-        folder: An older one is replaced.
-        masks: True on the object.
-        doubt: (n,) 0 to 1.
-        reasons: (n,) causes of the doubts.
-        notes: On the whole video.
-        clicks: Frame, column, row, and 1 for the object or 0, of every click of the user.
-    """
+    frame: int
+    column: float
+    row: float
+    """Pixels of the recording."""
+    on_object: bool
+
+
+@dataclass(frozen=True)
+class Masks:
+    """Masks and how far they can be trusted."""
+
+    masks: NDArray[np.bool_]
+    """(n, height, width), pixels of the recording."""
+    doubt: NDArray[Any]
+    """(n,) 0 to 1; more than 0.5 should be looked at."""
+    reasons: tuple[str, ...]
+    """(n,) the largest cause of each doubt."""
+    notes: tuple[str, ...] = ()
+    """On the whole video."""
+
+
+def write_masks(folder: Path, made: Masks, clicks: Sequence[Click] = ()) -> None:
+    """Write the masks as 00000.png and so on, and masks.json with the user's clicks. An older `folder` is replaced."""
     with atomic.new_folder(folder, MASKS) as aside:
-        for i, mask in enumerate(masks):
+        for i, mask in enumerate(made.masks):
             atomic.write_bytes(aside / f"{i:05d}.png", checked.encode_png(255 * mask.astype(np.uint8)))
-        frames = [{"doubt": round(float(d), 3), "reason": r} for d, r in zip(doubt, reasons, strict=True)]
-        body = {"schema": SCHEMA, "notes": list(notes), "clicks": [list(click) for click in clicks], "frames": frames}
-        atomic.write_json(aside / "masks.json", body)
+        frames = [{"doubt": round(float(d), 3), "reason": r} for d, r in zip(made.doubt, made.reasons, strict=True)]
+        marks = [[c.frame, c.column, c.row, int(c.on_object)] for c in clicks]
+        atomic.write_json(
+            aside / "masks.json", {"schema": SCHEMA, "notes": list(made.notes), "clicks": marks, "frames": frames}
+        )

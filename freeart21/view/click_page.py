@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21.errors import FreeArtError
+from freeart21.files.masks import Click, Masks
 from freeart21.view.document import static_text
 from freeart21.view.masks_page import lit_up
 from freeart21.view.video import encode_jpeg
@@ -33,18 +34,6 @@ HEADERS = {
     "script-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
 }
 
-Point = tuple[int, float, float, bool]
-"""Frame, column and row in the recording's pixels, and whether it is on the object."""
-
-
-@dataclass(frozen=True)
-class Answer:
-    """Masks that stand after some clicks."""
-
-    masks: NDArray[np.bool_]
-    doubt: NDArray[Any]
-    reasons: Sequence[str]
-
 
 @dataclass
 class ClickServer:
@@ -52,13 +41,13 @@ class ClickServer:
 
     picture: Callable[[int], NDArray[np.uint8]]
     """(h, w, 3) RGB of a frame."""
-    solve: Callable[[Sequence[Point]], Answer]
+    solve: Callable[[Sequence[Click]], Masks]
     """Masks after clicks; FreeArtError is shown on the page."""
     title: str
     frames: int
     port: int = 0
-    clicks: list[Point] = field(default_factory=list)
-    answer: Answer | None = None
+    clicks: list[Click] = field(default_factory=list)
+    answer: Masks | None = None
     saved: bool = False
 
     def __post_init__(self) -> None:
@@ -89,13 +78,13 @@ class ClickServer:
         return f"http://{HOST}:{self._server.server_address[1]}/?token={self._token}"
 
     def serve(self) -> None:
-        """Answer until the page saves."""
+        """Masks until the page saves."""
         try:
             self._server.serve_forever(poll_interval=0.1)
         finally:
             self._server.server_close()
 
-    def _update(self, clicks: list[Point]) -> None:
+    def _update(self, clicks: list[Click]) -> None:
         """Take these clicks; where they give no masks those before stay, and the page shows why."""
         try:
             self.answer, self._message = self.solve(clicks), ""
@@ -163,8 +152,7 @@ class ClickServer:
                         raise ValueError("column and row are no numbers")
                     if not 0 <= int(body["frame"]) < self.frames:
                         raise ValueError(f"frame is {body['frame']}, expected 0 to {self.frames - 1}")
-                    point = (int(body["frame"]), column, row, bool(body["on_object"]))
-                    self._update([*self.clicks, point])
+                    self._update([*self.clicks, Click(int(body["frame"]), column, row, bool(body["on_object"]))])
                 elif path == "/undo":
                     self._update(self.clicks[:-1])
                 elif path == "/save" and self.answer is not None:

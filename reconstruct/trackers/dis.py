@@ -10,17 +10,13 @@ from numpy.typing import NDArray
 from freeart21.se3 import Floats
 from reconstruct.scene import Scene
 from reconstruct.settings import TrackSettings
-from reconstruct.tracks import Tracker, Tracks, follow, optical_flow
+from reconstruct.tracks import Flow, Tracker, Tracks, follow, optical_flow
 
 
-class Dis(Tracker):
-    """The default: chained DIS flow between neighbouring frames, with confidence from forward-backward consistency."""
+class FlowTracker(Tracker):
+    """Chained flow between neighbouring frames, with confidence from forward-backward consistency."""
 
-    name = "dis"
-
-    def __init__(self, scene: Scene, settings: TrackSettings) -> None:
-        super().__init__(scene, settings)
-        self.flow = optical_flow(scene)
+    flow: Flow
 
     def step(self, frame: int, direction: int) -> Floats:
         """See `Tracker`."""
@@ -31,3 +27,13 @@ class Dis(Tracker):
     ) -> Tracks:
         """See `Tracker`; all valid pixels on a grid of `settings.stride` when none are given."""
         return follow(self.scene, self.flow, start, steps, self.settings, direction, pixels)
+
+
+class Dis(FlowTracker):
+    """The default: DIS flow."""
+
+    name = "dis"
+
+    def __init__(self, scene: Scene, settings: TrackSettings) -> None:
+        super().__init__(scene, settings)
+        self.flow = optical_flow(scene)

@@ -5,7 +5,7 @@ For motion that is too fast for flow alone.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -16,7 +16,8 @@ from freeart21.se3 import Floats
 from reconstruct.matchers import MATCHERS, Matches
 from reconstruct.scene import Scene
 from reconstruct.settings import TrackSettings
-from reconstruct.tracks import Flow, Tracker, Tracks, bilinear, crop_shift, follow, optical_flow
+from reconstruct.trackers.dis import FlowTracker
+from reconstruct.tracks import bilinear, crop_shift, optical_flow
 
 NEIGHBOURS = 5
 """Nearest matches whose median displacement a pixel takes: two of them may be wrong."""
@@ -24,7 +25,7 @@ WINDOW = 5
 """Pixels, each way, over which two flows are compared."""
 
 
-class MatchedFlow(Tracker):
+class MatchedFlow(FlowTracker):
     """DIS flow twice, from nothing and from matches; a pixel takes the one whose way there and back ends nearer."""
 
     matcher: ClassVar[str]
@@ -36,22 +37,12 @@ class MatchedFlow(Tracker):
         for i in range(len(scene) - 1):
             pair = flow.step(i, 1), flow.step(i + 1, -1)
             flow.forward[i], flow.backward[i + 1] = improve_flow(scene, i, i + 1, pair, self.points.match(i, i + 1))
-        self.flow: Flow = flow
+        self.flow = flow
 
     def match(self, first: int, second: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """See `Tracker`."""
         found = self.points.match(first, second)
         return found.here, found.there
-
-    def step(self, frame: int, direction: int) -> Floats:
-        """See `Tracker`."""
-        return self.flow.step(frame, direction)
-
-    def follow(
-        self, start: int, steps: int, direction: int = 1, pixels: NDArray[np.integer[Any]] | None = None
-    ) -> Tracks:
-        """See `Tracker`; all valid pixels on a grid of `settings.stride` when none are given."""
-        return follow(self.scene, self.flow, start, steps, self.settings, direction, pixels)
 
 
 class LightGlue(MatchedFlow):
