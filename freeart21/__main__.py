@@ -19,20 +19,20 @@ def _exit_at_once(number: int, frame: Any) -> None:
 if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
     signal.signal(signal.SIGINT, _exit_at_once)  # no work is in progress yet; `listen` replaces it
 
-from freeart21 import stopping  # noqa: E402
+from freeart21 import processes  # noqa: E402
 
 
 def main() -> None:
     """Run the command line."""
-    stopping.listen()
-    from freeart21.ending import run_and_exit
+    processes.listen()
+    from freeart21.processes import run_and_exit
 
     run_and_exit(_run_command)
 
 
 def _run_command() -> None:
-    from freeart21.ending import report_errors
     from freeart21.errors import FreeArtError
+    from freeart21.processes import report_errors
     from freeart21.search_path import replaced_package
 
     with report_errors():

@@ -25,11 +25,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from freeart21 import child, stopping
-from freeart21.ending import report_errors
+from freeart21 import processes
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.lock import hold_lock
+from freeart21.processes import report_errors
 
 ATTEMPTS = 3
 """Times that a job is started when its process is killed. A job that fails by itself is not started again."""
@@ -87,7 +87,7 @@ class Ledger:
                 return
             module, function = job.call.split(":")
             getattr(importlib.import_module(module), function)(**job.arguments)
-            stopping.raise_if_stopped()
+            processes.raise_if_stopped()
             os.sync()  # the job's files reach the disk before the marker
             atomic.write_json(self.path("done", job.name), {"digest": job.digest})
 
@@ -125,7 +125,7 @@ class Local(Executor):
 
     def submit(self, job: Job, request: dict[str, Any]) -> Any:
         """As `Executor.submit`."""
-        with stopping.defer_stop():
+        with processes.defer_stop():
             self.jobs.append(_start_process(request))
             return self._pool.submit(_wait_for_exit, self.jobs[-1], request)
 
@@ -149,13 +149,13 @@ class Ray(Executor):
     def __init__(self, workers: int, folder: Path) -> None:
         super().__init__(workers, folder)
         self._ray = importlib.import_module("ray")
-        handlers = {number: signal.getsignal(number) for number in stopping.SIGNALS}
+        handlers = {number: signal.getsignal(number) for number in processes.SIGNALS}
         own = {} if os.environ.get("RAY_ADDRESS") else {"num_cpus": self.workers, "include_dashboard": False}
         environment = {"env_vars": {"PYTHONPATH": os.pathsep.join(place for place in sys.path if place)}}
         try:
             self._ray.init(log_to_driver=False, logging_level="ERROR", runtime_env=environment, **own)
         except Exception as error:
-            raise FreeArtError(f"Ray does not start: {child.one_line(error)}") from error
+            raise FreeArtError(f"Ray does not start: {processes.one_line(error)}") from error
         finally:
             for number, handler in handlers.items():  # Ray replaces some
                 signal.signal(number, handler)
@@ -243,7 +243,7 @@ def run_jobs(
         heard_at = time.monotonic()
         try:
             while ready or running:
-                stopping.raise_if_stopped()
+                processes.raise_if_stopped()
                 while ready and len(running) < runner.workers:
                     job = ready.popleft()
                     running[job.name] = job, runner.submit(job, _request(folder, job))
@@ -262,7 +262,7 @@ def run_jobs(
                     try:
                         code, line = started.result()
                     except Exception as error:  # of many types: cancelled, out of time, node lost
-                        code, line = -signal.SIGKILL, child.one_line(error)
+                        code, line = -signal.SIGKILL, processes.one_line(error)
                     if ledger.finished(job):
                         on_done(job)
                     elif code < 0 and tries[name] < ATTEMPTS:
@@ -271,7 +271,7 @@ def run_jobs(
                         reason = line or f"exit code {code}"
                         failed[name] = reason if code >= 0 else f"its process was killed {ATTEMPTS} times ({reason})"
         finally:
-            with stopping.defer_stop():
+            with processes.defer_stop():
                 runner.close()
     return failed
 
@@ -297,7 +297,7 @@ def _start_process(request: dict[str, Any]) -> subprocess.Popen[bytes]:
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("wb") as out:
         process = subprocess.Popen(
-            child.command("freeart21.jobs"),
+            processes.command("freeart21.jobs"),
             stdin=subprocess.PIPE,
             stdout=out,
             stderr=out,
@@ -335,7 +335,7 @@ def _last_line(log: Path) -> str:
 
 def main() -> None:
     """Run the job on standard input. When standard input ends, so has the parent, and this process ends."""
-    stopping.listen()
+    processes.listen()
     request = json.loads(sys.stdin.readline())
 
     def end_with_the_parent() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,6 @@ from freeart21.se3 import Array
 Timestamps = Literal["recorded", "nominal"]
 EffortKind = Literal["commanded", "external"]
 Interpolation = Literal["held", "linear", "unknown"]
-TIMESTAMPS: tuple[str, ...] = get_args(Timestamps)
-EFFORT_KINDS: tuple[str, ...] = get_args(EffortKind)
-INTERPOLATIONS: tuple[str, ...] = get_args(Interpolation)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from freeart21 import stopping
+from freeart21 import processes
 from freeart21.errors import FreeArtError
 from generator.settings import RecordSettings
 
@@ -88,7 +88,7 @@ def record(options: Annotated[RecordOptions, Flat]) -> int:
             source = checked.read_json(out / "truth" / sequence / "truth.json")["source"]
             print(f"{sequence}: {describe_changes(source['track'])}", file=sys.stderr, flush=True)
 
-    with stopping.resume_hint(
+    with processes.resume_hint(
         lambda: f"finished sequences are in {out}: the same command goes on" if is_unfinished(out) else ""
     ):
         made = record_jobs(out, jobs, options.workers, label, done, options.executor)

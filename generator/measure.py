@@ -18,7 +18,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.asset import write_asset_json
 from freeart21.files.asset_copy import copy_urdf
-from freeart21.files.measured_writer import write_measured
+from freeart21.files.measured import write_measured
 from freeart21.files.places import check_place
 from freeart21.files.truth import read_truth
 from freeart21.files.urdf import format_urdf, read_urdf

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21 import child, se3
+from freeart21 import processes, se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files.urdf import Urdf, UrdfJoint, UrdfLink, UrdfShape, format_urdf, subtree_links
@@ -135,7 +135,7 @@ def _articulation_builder(urdf: Path, robot: Urdf, scene: Any) -> Any:
 
 
 def _cannot_load(urdf: Path, error: Exception) -> FreeArtError:
-    return FreeArtError(f"{urdf} cannot be loaded by SAPIEN: {child.one_line(error)}")
+    return FreeArtError(f"{urdf} cannot be loaded by SAPIEN: {processes.one_line(error)}")
 
 
 def _remove_losses(articulation: Any) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from freeart21 import child, se3
+from freeart21 import processes, se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
@@ -71,23 +71,17 @@ class MeasuredAsset:
 
 
 def measure_joint(folder: Path, states: ArrayLike) -> tuple[Joint, Array]:
-    """The joint of the asset in `folder`, canonical frame, and the states (n,) it reaches for `states` (n,), rad or m.
-
-    Raises FreeArtError with one reason when the asset does not load, does not move, or crashes the simulator.
-    """
-    asset = _measure(folder, states, whole=False)
+    """The joint of the asset in `folder`, canonical frame, and the states (n,) it reaches for `states`, rad or m."""
+    asset = measure_asset(folder, states, whole=False)
     return asset.joint, asset.states
 
 
-def measure_asset(folder: Path, states: ArrayLike) -> MeasuredAsset:
-    """The asset in `folder`, loaded and driven to the canonical `states` (n,), rad or m.
+def measure_asset(folder: Path, states: ArrayLike, whole: bool = True) -> MeasuredAsset:
+    """The asset in `folder`, loaded and driven to the canonical `states` (n,), rad or m; `whole`: not its joint alone.
 
-    Raises FreeArtError as `measure_joint`, and for a broken mesh or mass: empty, not finite, of no size or implausible.
+    Raises FreeArtError with one reason when the asset does not load, does not move, or crashes the simulator, and if
+    `whole` for a broken mesh or mass: empty, not finite, of no size or implausible.
     """
-    return _measure(folder, states, whole=True)
-
-
-def _measure(folder: Path, states: ArrayLike, whole: bool) -> MeasuredAsset:
     check_asset_files(folder)
     with tempfile.TemporaryDirectory() as temporary:
         shape_file = Path(temporary) / "shape.npz"
@@ -259,7 +253,7 @@ def reply(request: dict[str, Any]) -> dict[str, Any]:
     try:
         return _examine_asset(Path(request["asset"]), states, shape_file and Path(shape_file))
     except Exception as error:  # parsers of many libraries read hostile files, each with its own exceptions
-        return {"error": child.one_line(error)}
+        return {"error": processes.one_line(error)}
 
 
 def main() -> None:

@@ -21,7 +21,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from freeart21 import child
+from freeart21 import processes
 
 GRACE_S = 30.0
 """Seconds after a request's limit in which the server has to report the timeout."""
@@ -118,7 +118,7 @@ class Server:
         if self._process is None:
             self._owner = os.getpid()
             self._process = subprocess.Popen(
-                child.command(self._module),
+                processes.command(self._module),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 bufsize=0,

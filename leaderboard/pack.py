@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from freeart21 import stopping
+from freeart21 import processes
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import SCHEMA, Benchmark, read_benchmark
@@ -156,7 +156,7 @@ def _sequence_files(folder: Path, pool: ThreadPoolExecutor) -> _Files:
     scale = float(checked.read_json(folder / "sequence.json")["depth_scale"])
 
     def pictures(i: int) -> list[tuple[str, bytes]]:
-        stopping.raise_if_stopped()
+        processes.raise_if_stopped()
         frame = recording.frame(i)
         shown = {"rgb": frame.rgb, "depth": encode_depth(frame.depth, scale), "mask": frame.mask.astype(np.uint8) * 255}
         for sub, image in shown.items():
@@ -209,7 +209,7 @@ def _write(out: Path, kind: Output, files: _Files) -> None:
         return
     with atomic.new_folder(out, kind) as staging:
         for name, content in files:
-            stopping.raise_if_stopped()
+            processes.raise_if_stopped()
             path = staging / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
@@ -230,7 +230,7 @@ def _write_zip(out: Path, files: _Files) -> None:
         temporary = Path(name)
         with os.fdopen(handle, "wb") as opened, zipfile.ZipFile(opened, "w") as archive:
             for inside, content in files:
-                stopping.raise_if_stopped()
+                processes.raise_if_stopped()
                 entry = zipfile.ZipInfo(f"{out.stem}/{inside}", (1980, 1, 1, 0, 0, 0))
                 entry.create_system, entry.external_attr = 3, 0o100644 << 16
                 archive.writestr(entry, content)  # stored: pictures are compressed already

@@ -16,7 +16,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from freeart21 import child, stopping
+from freeart21 import processes
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.sequence import read_sequence
@@ -64,12 +64,12 @@ def score_rows_locally(
 
     pool = ThreadPoolExecutor(len(servers))
     try:
-        with stopping.defer_stop():
+        with processes.defer_stop():
             futures: list[Future[Row]] = [pool.submit(score, request) for request in requests]
         for future in as_completed(futures):
             report(future.result())
     finally:
-        with stopping.defer_stop():
+        with processes.defer_stop():
             pool.shutdown(wait=False, cancel_futures=True)
             for server in servers:
                 server.end()
@@ -110,7 +110,7 @@ def reply(request: dict[str, Any]) -> dict[str, Any]:
     except MemoryError:
         return {"aborted": f"took more than {ROW_MEMORY >> 30} GiB of memory"}
     except Exception as error:  # the other rows are still scored
-        return {"aborted": f"stopped: {type(error).__name__}: {child.one_line(error)}"}
+        return {"aborted": f"stopped: {type(error).__name__}: {processes.one_line(error)}"}
 
 
 def _limit_memory() -> None:

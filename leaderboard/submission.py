@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -88,43 +88,32 @@ def read_submission(
     Files are checked before they are unpacked. Raises FreeArtError for unreadable files, links, another number of
     frames, masks of another size, and numbers that are not in SI units.
     """
-    faults = find_faults(Path(folder), frames, height, width)
-    notes: list[str] = []
-    while True:
-        try:
-            fault = next(faults)
-        except StopIteration as end:
-            assert end.value is not None  # there was no fatal fault
-            return end.value, tuple(notes)
+    answer, faults = find_faults(Path(folder), frames, height, width)
+    for fault in faults:
         if fault.fatal:
             raise FreeArtError(str(fault))
-        notes.append(str(fault))
+    assert answer is not None  # there was no fatal fault
+    return answer, tuple(str(fault) for fault in faults)
 
 
 def find_faults(
     folder: Path, frames: int, height: int, width: int
-) -> Generator[Fault, None, Reconstruction | Failure | None]:
-    """Yield every fault of the result in `folder`; return the answer, or None after a fatal fault."""
-    fatal = False
+) -> tuple[Reconstruction | Failure | None, list[Fault]]:
+    """The answer in `folder`, None after a fatal fault, and every fault of it."""
     masks: list[NDArray[np.uint8]] = []
+    faults: list[Fault] = []
     try:
-        for fault in _find_file_faults(folder, frames, height, width, masks):
-            fatal |= fault.fatal
-            yield fault
-        if fatal:
-            return None
+        faults.extend(_find_file_faults(folder, frames, height, width, masks))
+        if any(fault.fatal for fault in faults):
+            return None, faults
         answer = read_result(folder, masks or None, appearance=False)
     except Exception as error:  # parsers of many libraries read hostile bytes, each with its own exceptions
-        yield _unreadable_fault(folder.name, folder, error)
-        return None
+        return None, [*faults, _unreadable_fault(folder.name, folder, error)]
     if isinstance(answer, Failure):
-        return answer
-    yield from _find_unit_doubts(folder, answer)
-    return replace(
-        answer,
-        Ts_camera_reference=se3.orthonormalised(answer.Ts_camera_reference),
-        Ts_camera_moving=se3.orthonormalised(answer.Ts_camera_moving),
-    )
+        return answer, faults
+    faults += _find_unit_doubts(folder, answer)
+    Ts = [se3.orthonormalised(T) for T in (answer.Ts_camera_reference, answer.Ts_camera_moving)]
+    return replace(answer, Ts_camera_reference=Ts[0], Ts_camera_moving=Ts[1]), faults
 
 
 def read_submitted_method(results: Path) -> tuple[Method, list[Fault]]:

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 import freeart21
-from freeart21 import stopping
-from freeart21.ending import DOUBTFUL
+from freeart21 import processes
+from freeart21.processes import DOUBTFUL
 from reconstruct.settings import ReconstructSettings, read_settings
 from reconstruct.stages import STAGES, CachedStageName
 
@@ -82,7 +82,7 @@ def reconstruct(
     check_place(out, RESULT, (sequence,))
     work = work_folder(out)
     hint = f"finished stages are in {work}: the same command goes on"
-    with stopping.resume_hint(lambda: hint if work.is_dir() else ""), only_writer(out):
+    with processes.resume_hint(lambda: hint if work.is_dir() else ""), only_writer(out):
         if until is not None:
             outcome = reconstruct_until(sequence, out, until, settings)
             if isinstance(outcome, Path):

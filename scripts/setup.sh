@@ -55,6 +55,11 @@ if [ "${1:-}" = dev ]; then
     fi
 fi
 
+if [ "${1:-}" = torch ] && ! $venv/bin/python -c 'import open3d' 2>/dev/null && has apt-get; then
+    as_root apt-get -qq update
+    apt_install libusb-1.0-0 libgl1 libgomp1
+fi
+
 renders() { $venv/bin/python -c 'from freeart21.doctor import require_rendering; require_rendering()' 2>/dev/null; }
 if ! renders && command -v apt-get >/dev/null; then
     echo "setup: installing a software Vulkan driver"

@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from freeart21 import cli, stopping
+from freeart21 import cli, processes
 
 
 def run_command(capture, *words) -> tuple[int, str, str]:
@@ -12,7 +12,7 @@ def run_command(capture, *words) -> tuple[int, str, str]:
     capture.readouterr()
     with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as ended:
         patch.setattr(sys, "argv", ["freeart21", *map(str, words)])
-        patch.setattr(stopping, "listen", lambda: None)
+        patch.setattr(processes, "listen", lambda: None)
         cli.main()
     code, shown = ended.value.code, capture.readouterr()
     if isinstance(code, str):  # as Python ends with a text

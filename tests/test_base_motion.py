@@ -11,8 +11,7 @@ from scipy.integrate import solve_ivp
 
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
-from freeart21.files.measured import read_measured
-from freeart21.files.measured_writer import write_measured
+from freeart21.files.measured import read_measured, write_measured
 from freeart21.measured import BaseAxis, BaseSeries, Measured, Run
 from simgap.measure.inputs import make_inputs
 from simgap.models.surrogate import make_plant, simulate

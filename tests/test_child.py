@@ -1,6 +1,5 @@
 """No process of ours imports what lies in the folder that the user stands in."""
 
-import ast
 import os
 import subprocess
 from pathlib import Path
@@ -9,9 +8,8 @@ import pytest
 from another_python import ROOT, run_python
 from little_asset import write_little
 
-from freeart21 import child, search_path
+from freeart21 import processes, search_path
 
-PACKAGES = ("freeart21", "generator", "reconstruct", "export", "leaderboard", "simgap")
 TRAPS = ("queue", "numpy", "json", "signal", "random", "cv2", "multiprocessing", "sitecustomize", "pickle", "sapien")
 
 
@@ -24,27 +22,6 @@ def trapped(folder: Path) -> Path:
     return marker
 
 
-def test_processes_are_started_by_one_function():
-    """Nowhere else is Python's own path known, or a process made without a command line."""
-    found = set()
-    for path in (p for package in PACKAGES for p in (ROOT / package).rglob("*.py")):
-        name = path.relative_to(ROOT).as_posix()
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Attribute) and ast.unparse(node) in ("sys.executable", "sys._base_executable"):
-                found.add((name, "executable"))
-            if isinstance(node, ast.Attribute) and ast.unparse(node).startswith(("os.system", "os.spawn", "os.exec")):
-                found.add((name, node.attr))
-            if isinstance(node, ast.alias) and node.name in ("get_context", "ProcessPoolExecutor", "multiprocessing"):
-                found.add((name, node.name))
-            if isinstance(node, ast.Constant) and node.value in ("-m", "python3"):
-                found.add((name, node.value))
-    assert found == {
-        ("freeart21/child.py", "executable"),
-        ("leaderboard/methods/descriptor.py", "executable"),  # likewise of a method's
-        ("leaderboard/methods/run.py", "python3"),  # likewise, in its container
-    }
-
-
 @pytest.mark.parametrize("variables", [{}, {"PYTHONPATH": f":{ROOT}"}, {"PYTHONPATH": f"{ROOT}:."}])
 def test_a_child_does_not_import_from_the_working_folder(tmp_path, monkeypatch, variables):
     marker = trapped(tmp_path / "user")
@@ -53,7 +30,7 @@ def test_a_child_does_not_import_from_the_working_folder(tmp_path, monkeypatch, 
     monkeypatch.syspath_prepend(str(tmp_path / "user"))  # as `python -m` puts it
     code = "import queue, json, numpy, sys; print(numpy.__name__, sys.argv[1])"
     done = subprocess.run(
-        [*child.python(code), "word"], env={**os.environ, **variables}, capture_output=True, text=True, check=False
+        [*processes.python(code), "word"], env={**os.environ, **variables}, capture_output=True, text=True, check=False
     )
     assert (done.stdout, done.returncode) == ("numpy word\n", 0), done.stderr
     assert not marker.exists()
@@ -67,33 +44,9 @@ def test_the_command_does_not_import_from_the_working_folder(tmp_path):
     assert not marker.exists(), marker.read_text()
 
 
-def _measure(folder: Path) -> list[list[str]]:
-    """A pendulum's recording in a MAT file: measured, and compared to its simulation."""
-    from gap_case import asset_of, measured_of
-    from scipy.io import savemat
-
-    for run in measured_of(3, runs=2, seconds=1.5).runs:
-        savemat(folder / f"{run.name}.mat", {"t": run.times_s, "q": run.q})
-    asset_of(folder)
-    files = ["run_0.mat", "run_1.mat", "--unit-q", "rad", "--held-out", "run_1"]
-    return [
-        ["measure", *files, "--asset", "bob.urdf", "--out", "set"],
-        ["gap", "bob.urdf", "set/measured", "--out", "gap"],
-        ["replay", "gap/asset", "set/measured", "--out", "proof"],
-    ]
-
-
 def _check_asset(folder: Path) -> list[list[str]]:
     write_little(folder / "little")
     return [["check-asset", "little/lid_box.urdf"]]
-
-
-def _score(folder: Path) -> list[list[str]]:
-    from score_files import submit, truths, write_data
-
-    write_data(folder / "data")
-    submit(folder / "results" / "a", truths()["a"], renders=False)
-    return [["score", "results", "--data", "data", "--out", "scores.json"]]
 
 
 def _record(folder: Path) -> list[list[str]]:
@@ -101,13 +54,13 @@ def _record(folder: Path) -> list[list[str]]:
     return [["record", "stapler", "flip_lighter", "--workers", "2", *small, "--out", "made"]]
 
 
-@pytest.mark.parametrize("prepare", [_measure, _check_asset, _score, _record, lambda folder: [["doctor", "--json"]]])
+@pytest.mark.parametrize("prepare", [_check_asset, _record])
 def test_no_command_runs_what_lies_in_its_folder(tmp_path, prepare):
     commands = prepare(tmp_path)
     marker = trapped(tmp_path)
     for words in commands:
         done = run_python("-m", "freeart21", *words, cwd=tmp_path)
-        assert done.returncode in (0, 3) or words[0] == "doctor", done.stderr
+        assert done.returncode in (0, 3), done.stderr
         assert not marker.exists(), (words, marker.read_text())
 
 

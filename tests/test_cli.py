@@ -46,7 +46,7 @@ def test_bad_input_is_one_line_and_writes_nothing(tmp_path: Path, case: str) -> 
 
 def test_recording_without_a_vulkan_device_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("VK_ICD_FILENAMES", "/nonexistent.json")
-    assert "no Vulkan driver is installed" in fails("record", "stapler", "--out", tmp_path / "data", "--frames", "2")
+    assert "no Vulkan driver" in fails("record", "stapler", "--out", tmp_path / "data", "--frames", "2")
     assert not (tmp_path / "data").exists()
 
 

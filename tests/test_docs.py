@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from freeart21 import cli, stopping
+from freeart21 import cli, processes
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = (*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md")))
@@ -45,7 +45,7 @@ def options() -> dict[str, set[str]]:
         shown = io.StringIO()
         with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(shown):
             patch.setattr(sys, "argv", ["freeart21", command, "--help"])
-            patch.setattr(stopping, "listen", lambda: None)
+            patch.setattr(processes, "listen", lambda: None)
             with contextlib.suppress(SystemExit):
                 cli.main()
         found[command] = set(re.findall(r"--[a-z][\w.-]*", shown.getvalue()))

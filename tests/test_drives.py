@@ -19,8 +19,7 @@ from scipy.integrate import solve_ivp
 from freeart21.effects.actuator_offset import ActuatorOffset
 from freeart21.files.actuator_json import actuator_from_json
 from freeart21.files.asset import read_asset
-from freeart21.files.measured import read_measured
-from freeart21.files.measured_writer import write_measured
+from freeart21.files.measured import read_measured, write_measured
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import Actuator, DcMotor
 from simgap.measure.inputs import make_inputs

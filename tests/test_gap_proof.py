@@ -13,8 +13,7 @@ from scipy.integrate import solve_ivp
 
 from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.files.asset import read_asset
-from freeart21.files.measured import read_measured
-from freeart21.files.measured_writer import write_measured
+from freeart21.files.measured import read_measured, write_measured
 from freeart21.joint import JointType
 from freeart21.measured import Measured, Run
 from simgap.models.surrogate import Nuisance, make_plant

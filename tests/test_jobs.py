@@ -141,9 +141,9 @@ def test_jobs_that_are_lost_with_their_workers_have_failed_after_some_attempts(t
 # --- killed -----------------------------------------------------------------------------------------------------------
 
 RUN = (
-    "import sys; from freeart21 import stopping; from freeart21.ending import report_errors; from test_jobs import *\n"
-    "stopping.listen(); folder = Path(sys.argv[1])\n"
-    "with report_errors(): run_jobs(folder, writing(folder, 6, float(sys.argv[2])), 2)"
+    "import sys; from freeart21 import processes; from test_jobs import *\n"
+    "processes.listen(); folder = Path(sys.argv[1])\n"
+    "with processes.report_errors(): run_jobs(folder, writing(folder, 6, float(sys.argv[2])), 2)"
 )
 
 

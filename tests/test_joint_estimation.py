@@ -75,45 +75,11 @@ def test_closed_forms_are_exact_on_exact_poses(seed):
     assert abs(direction @ slide.axis) == pytest.approx(1, abs=1e-12)
 
 
-@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
-@pytest.mark.parametrize("seed", range(4))
-def test_fit_is_exact_on_exact_poses_in_any_gauge(kind, seed):
-    rng = np.random.default_rng(seed)
-    joint = random_joint(rng, kind)
-    states = rng.uniform(0, 1.2 if kind == "revolute" else 0.3, 40)
-    fits = both_fits(relative_poses(joint, states, rng), np.array([0.1, 0, 0]), 0.1)
-    fit = fits.pop(kind)
-    (other,) = fits.values()
-    assert fit.type == kind and fit.residual < 1e-12 and other.residual > 1e-5
-    axis, line, state = errors(fit, joint, states)
-    assert axis < 1e-6 and state.max() < 1e-6 and fit.states[0] == 0
-    if kind == "revolute":
-        assert line < 1e-6
-
-
 def test_a_part_that_turns_several_times_keeps_counting():
     rng = np.random.default_rng(0)
     joint, states = random_joint(rng, "revolute"), np.linspace(0, 15, 80)
     fit = both_fits(relative_poses(joint, states, rng), np.array([0.1, 0, 0]), 0.1)["revolute"]
     assert fit.residual < 1e-9 and errors(fit, joint, states)[2].max() < 1e-6
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_fifth_of_the_frames_may_be_nonsense(seed):
-    rng = np.random.default_rng(seed)
-    for kind, span in (("revolute", 1.0), ("prismatic", 0.3)):
-        joint = random_joint(rng, kind)
-        states = span * (0.5 - 0.5 * np.cos(np.linspace(0, 6, 60)))
-        Ts = relative_poses(joint, states, rng, noise=0.005, outliers=0.2)
-        fits = both_fits(Ts, np.zeros(3), 0.1)
-        fit = fits.pop(kind)
-        (other,) = fits.values()
-        assert fit.residual < 0.003 and other.residual > 2 * fit.residual
-        axis, line, state = errors(fit, joint, states)
-        assert np.degrees(axis) < (0.5 if kind == "revolute" else 1.0)
-        assert np.median(state) < 0.01 * span
-        if kind == "revolute":
-            assert line < 0.01
 
 
 def test_small_range_revolute_with_a_small_lever():
@@ -175,16 +141,6 @@ def test_two_sigma_filter_names_the_jumps():
     Ts[17, :3, 3] += (0, 0.5, 0)
     inliers = find_inlier_poses(Ts)
     assert not inliers[17] and inliers.sum() == 39
-
-
-def test_without_noise_resistance_outliers_do_harm():
-    rng = np.random.default_rng(5)
-    joint = random_joint(rng, "revolute")
-    states = np.linspace(0, 1, 40)
-    Ts = relative_poses(joint, states, rng, noise=0.003, outliers=0.2)
-    with_it = fit_joint_of_type(Ts, "revolute", np.zeros(3), 0.1)
-    without = revolute_axis(Ts[:, :3, :3], robust=False)
-    assert errors(with_it, joint, states)[0] < 0.2 * np.arccos(min(1.0, abs(without @ joint.axis)))
 
 
 # --- the type ---------------------------------------------------------------------------------------------------------

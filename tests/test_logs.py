@@ -13,8 +13,7 @@ import pytest
 from gap_case import G, asset_of
 
 from freeart21.files.asset import read_asset
-from freeart21.files.measured import read_measured
-from freeart21.files.measured_writer import write_measured
+from freeart21.files.measured import read_measured, write_measured
 from freeart21.measured import BaseAxis, BaseSeries, Measured, Run
 from freeart21.mechanics import Actuator
 from freeart21.turns import is_wrapped

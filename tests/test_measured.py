@@ -14,8 +14,7 @@ from mutations import MUTATED, mutated_arrays, mutated_json, mutated_table, read
 from refusal import assert_refused
 
 from freeart21.errors import FreeArtError
-from freeart21.files.measured import read_measured
-from freeart21.files.measured_writer import write_measured
+from freeart21.files.measured import read_measured, write_measured
 
 TIMES = np.arange(60) * 0.01
 
@@ -199,5 +198,5 @@ def test_a_prescribed_run_has_its_measured_effort(tmp_path: Path):
     assert [run.prescribed for run in read_measured(tmp_path / "b").runs] == [True, False]
     with pytest.raises(FreeArtError, match="run 'run_0' is prescribed, but has no 'effort'"):
         read_measured(write(tmp_path / "c", {"runs": runs}))
-    with pytest.raises(FreeArtError, match="run 'run_0.csv' has prescribed 'yes', expected true or false"):
+    with pytest.raises(FreeArtError, match="entry 0: 'prescribed' is 'yes', expected true or false"):
         read_measured(write(tmp_path / "d", {**changes, "runs": [{**runs[0], "prescribed": "yes"}, runs[1]]}))

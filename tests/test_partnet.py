@@ -277,13 +277,6 @@ def test_an_absent_mesh_is_refused_or_left_out_on_request(tmp_path: Path) -> Non
     _depths_agree(loaded, 0.2)
 
 
-def test_a_mesh_without_faces_is_left_out_here_and_in_sapien(tmp_path: Path) -> None:
-    lid = _link("link_0", "textured_objs/b.obj", "textured_objs/empty.obj", "textured_objs/points.obj")
-    loaded = partnet.load(_typed(tmp_path, lid + _SLIDE + _BODY, empty__obj="", points__obj="v 0 0 0\nv 1 1 1\n"))
-    assert loaded.notes == ("meshes without faces are left out: textured_objs/empty.obj, textured_objs/points.obj",)
-    _depths_agree(loaded, 0.2)
-
-
 def test_faces_drawn_twice_are_judged_as_one_and_inner_faces_apart(tmp_path: Path) -> None:
     names = [f"textured_objs/{n}.obj" for n in ("a", "back", "inner")]
     twice = _typed(
@@ -334,11 +327,6 @@ def test_sapien_reads_a_chain_of_turned_and_scaled_links_as_we_do(tmp_path: Path
         )  # outwards, mirrored too
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_sapien_reads_our_objects_as_we_do(name: str, folders: dict[str, Path]) -> None:
-    _poses_agree(partnet.load(folders[name]), 2)
-
-
 # --- faults -----------------------------------------------------------------------------------------------------------
 
 
@@ -355,17 +343,11 @@ def test_the_choice_of_joints_is_listed_with_type_range_and_part(tmp_path: Path)
 
 FAULTS = {
     r"'joint_0' cannot move: its limits are \[0, 0\]": ("0.5", "0.0"),
-    r"'joint_0' has limits \[0, -1\], expected lower <= upper": ('upper="0.5"', 'upper="-1"'),
-    "joint 'joint_0' has type 'planar', expected fixed, revolute": ("prismatic", "planar"),
     "joint 'joint_0' is prismatic and has no <limit>": ('<limit lower="0" upper="0.5"/>', ""),
-    "has the root links base, lost, expected one": ("</robot>", '<link name="lost"/></robot>'),
     "'../../etc/b.obj', which leads out of the folder": ("textured_objs/b.obj", "../../etc/b.obj"),
-    "the mesh '/etc/b.obj', expected a path inside": ("textured_objs/b.obj", "/etc/b.obj"),
     "'package://toy/b.obj', expected a path inside": ("textured_objs/b.obj", "package://toy/b.obj"),
-    "'textured_objs/b.dae', expected an .obj file": ("b.obj", "b.dae"),
     "a visual that is not a mesh": ('mesh filename="textured_objs/b.obj"', 'box size="1 1 1"'),
     "b.obj is not a readable OBJ file: a face names a vertex before the first": ("f 1/1", "f 0/1"),
-    "b.obj has vertices that are not finite or beyond": ("v -0.5 1.0", "v 1e30 1.0"),
     "b.obj names the material library '/etc/passwd', expected a path inside": ("mtllib a.mtl", "mtllib /etc/passwd"),
     "a.mtl: Kd is '0.8 nan 0.1', expected numbers": ("Kd 0.8 0.2", "Kd 0.8 nan"),
     "names the picture '.*x.png', which leads out of the folder": ("Kd 0.8", "map_Kd ../../x.png\nKd 0.8"),

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from reconstruct_clip import make_clip
 
-from freeart21 import stopping
+from freeart21 import processes
 from freeart21.files.sequence import write_sequence
 from freeart21.gaussians import Gaussians
 from freeart21.reconstruction import Reconstruction
@@ -183,13 +183,13 @@ def test_until_stops_keeps_and_goes_on(sequence, whole, tmp_path, monkeypatch, c
 
 
 def test_interrupted_the_command_says_what_is_kept(sequence, tmp_path, monkeypatch):
-    monkeypatch.setattr(stopping, "_hints", [])
+    monkeypatch.setattr(processes, "_hints", [])
     Calls(monkeypatch, "bridge_gaps")
     with pytest.raises(KeyboardInterrupt):
         command(sequence, tmp_path / "ours" / "x", settings=QUIET)
     assert (
-        str(cache.work_folder(tmp_path / "ours" / "x")) in stopping.current_hint()
-        and "goes on" in stopping.current_hint()
+        str(cache.work_folder(tmp_path / "ours" / "x")) in processes.current_hint()
+        and "goes on" in processes.current_hint()
     )
     assert [path.name for path in (tmp_path / "ours").iterdir()] == [".x.work"]
 
@@ -251,8 +251,8 @@ def test_a_damaged_stage_is_one_line_and_solved_again(harm, sequence, finished, 
     path = cache.work_folder(out) / "surfaces.npz"
     data = bytearray(path.read_bytes())
     bit, garbled = bytearray(data), bytearray(data)
-    bit[len(data) // 2] ^= 1
-    stream = data.index(b"answer_states.npy") + 17  # and the header's extra field: 20 bytes
+    stream = data.index(b"state.result.states.npy") + 23  # and the header's extra field: 20 bytes
+    bit[stream + 40] ^= 1
     garbled[stream : stream + 60] = b"\xff" * 60
     harmed = {"cut": data[:-100], "bit": bit, "garbled": garbled, "text": b"not an archive"}
     path.write_bytes(harmed[harm])

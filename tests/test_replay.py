@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from freeart21 import cli
 from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.files.asset import read_asset
-from freeart21.files.measured_writer import write_measured
+from freeart21.files.measured import write_measured
 from freeart21.joint import JointType
 from freeart21.measured import Measured, Run
 from simgap.prove.writeback import write_repaired

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import errno
 import json
 import os
@@ -22,15 +21,10 @@ from hypothesis import strategies as st
 from refusal import assert_refused
 from teleop_case import BOUNDS, START, TOKEN, a_move, in_a_loop, page, served, started
 
-from freeart21 import child, se3
-from freeart21.camera import Camera
+from freeart21 import processes, se3
 from freeart21.errors import FreeArtError
 from freeart21.files.take import read_take, write_take
 from generator.commands import teleop
-from generator.motion.body import UPRIGHT
-from generator.object_source import find_object
-from generator.scene import Scene
-from generator.settings import RecordSettings
 from generator.teleop import gate, server, stage_process, wire
 from generator.teleop.driving import GAP_S, STEP_S, UNDO_S, Driving, Placement
 from generator.teleop.stage import Stage
@@ -186,14 +180,6 @@ def test_the_file_of_a_take_is_the_take_at_every_moment(tmp_path: Path) -> None:
     assert saved > 5 and len(list(tmp_path.iterdir())) == saved
 
 
-def test_what_comes_to_stand_in_the_file_s_place_is_left_alone(tmp_path: Path) -> None:
-    takes, driving, unsaved = Takes(tmp_path / "take.jsonl", "revolute"), a_drive(), tmp_path / "take-unsaved.jsonl"
-    takes.write(driving)
-    unsaved.unlink()
-    unsaved.write_text("mine")
-    assert len(read_take(takes.save(driving)).times) == 91 and unsaved.read_text() == "mine"
-
-
 def test_a_full_disk_leaves_whole_lines_and_a_take_that_is_saved_when_there_is_room(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -215,25 +201,11 @@ def test_a_full_disk_leaves_whole_lines_and_a_take_that_is_saved_when_there_is_r
 # --- the object and its picture ---------------------------------------------------------------------------------------
 
 
-def test_the_live_shader_shows_the_recorder_s_colours(tmp_path: Path) -> None:
-    loaded = find_object("stapler", RecordSettings()).load(tmp_path)
-    camera = Camera.from_fov(96, 54, np.radians(40))
-    T = se3.pose(se3.exp_so3([0.4, 0.5, -0.2]) @ UPRIGHT, [0.0, 0.0, 0.3])
-    pictures = []
-    for shader in ("default", stage_process.SHADER):
-        scene = Scene(loaded.asset.urdf, [side.links for side in loaded.sides], camera, 0.01, 3.0, shader)
-        scene.shoot(T, {loaded.joint.name: 0.3})
-        pictures.append(scene.colour_and_cover())
-    covered = pictures[0][..., 3] > 0
-    assert covered.sum() > 300 and (covered == (pictures[1][..., 3] > 0)).all()
-    assert np.abs(pictures[0] - pictures[1])[covered][:, :3].max() < 0.5 / 255
-
-
 @in_a_loop
 async def test_a_simulator_that_dies_is_started_again_twice(monkeypatch: pytest.MonkeyPatch) -> None:
     answers = f"struct.pack({stage_process.ANSWER.format!r}, False, 3) + b'jpg'"
     obedient = f"import struct, sys\nfor _ in sys.stdin: sys.stdout.buffer.write({answers}); sys.stdout.flush()"
-    monkeypatch.setattr("freeart21.child.command", lambda module: child.python(obedient))
+    monkeypatch.setattr("freeart21.processes.command", lambda module: processes.python(obedient))
     stage, log = Stage({}, (64, 36), START), []
     drawing = asyncio.create_task(stage.run(log.append))
     for start in range(3):
@@ -386,29 +358,6 @@ async def test_floods_are_dropped_and_cost_neither_take_nor_memory(tmp_path: Pat
             await three.status(paused=True, samples=10)
         assert any("more messages than" in line for line in at.log) and any("2048 bytes" in line for line in at.log)
         assert len(at.log) < 50 and all(len(line) < 200 for line in at.log)
-
-
-@in_a_loop
-async def test_idle_connections_end_and_cost_no_take(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Many that say nothing, or never end their request: those give way to pages, and a take is made meanwhile."""
-    monkeypatch.setattr(server, "MAX_CONNECTIONS", 30)
-    async with served(tmp_path / "take.jsonl") as at, page(at.address) as one:
-        await one.do("record")
-        idle = []
-        for k in range(100):
-            idle.append(await asyncio.open_connection("127.0.0.1", at.port))
-            if k % 2:
-                idle[-1][1].write(b"GET / HTTP/1.1\r\nX-Slow: ")
-        await one.stretch([0.1, 0.2, 0.3])
-        monkeypatch.setattr(server, "SPEAK_S", 0.2)
-        for reader, writer in idle:  # all are ended by the server
-            with contextlib.suppress(ConnectionError):
-                assert await reader.read() == b""
-            writer.close()
-        async with page(at.address) as two:
-            assert two.last("hello")["role"] == "watcher"
-        await one.do("save")
-        await one.until((tmp_path / "take.jsonl").exists, "saved")
 
 
 # --- the command ------------------------------------------------------------------------------------------------------

@@ -12,10 +12,10 @@ from test_diagnostics import long_result, sample_diagnostics
 from freeart21 import se3
 from freeart21.articulation import PARTS, Articulation
 from freeart21.camera import Camera
-from freeart21.ending import DOUBTFUL
 from freeart21.files.diagnostics import diagnostics_from_json, diagnostics_to_json
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
+from freeart21.processes import DOUBTFUL
 from freeart21.reconstruction import Alternative, Reconstruction, Trust
 from freeart21.recording import Frame, Recording
 from freeart21.trust import _pose_uncertainty, _surface_off_video, judge, measure_motion, object_size
@@ -27,7 +27,7 @@ from reconstruct.diagnostics import (
 )
 from reconstruct.evidence import Evidence
 from reconstruct.joint_type import RIVAL_COST, choose_joint_type, find_rival
-from reconstruct.poses import JointedPoses, free_adjustment
+from reconstruct.poses import JointedPoses
 from reconstruct.propagation import PartEstimate, body_points
 from reconstruct.scene import estimate_correlated_noise, prepare_scene
 from reconstruct.settings import EvidenceSettings, LabelSettings, ReconstructSettings, SceneSettings
@@ -338,27 +338,6 @@ def test_independent_noise_of_the_depth_is_separated_from_correlated(sigma, leng
         assert found == pytest.approx(sigma, rel=0.4) and 80 < area < 700  # 4 pi 5^2 = 314
     else:
         assert (found, area) == (0.0, 1.0)
-
-
-def test_depths_that_share_an_error_weigh_as_one_beside_colours():
-    """Errors of 6 mm, blurred with 5 pixels, turn poses half as much as when each pixel's depth counts as its own."""
-    n, clip = 12, make_clip("hinge", 12, spin=0.35)
-    frames = [clip.recording.frame(i) for i in range(n)]
-    pictures = with_depth_errors([(f.rgb, f.depth, f.mask) for f in frames], 0.006, 5)
-    noisy = [Frame(rgb, depth.astype(np.float32), mask) for rgb, depth, mask in pictures]
-    scene = prepare_scene(replace(clip.recording, load=lambda i: noisy[i]), SceneSettings())
-    labels, settings = scene.mask.astype(np.uint8), ReconstructSettings()
-    for i, (x, y) in enumerate(scene.origin):
-        labels[i] *= clip.part_masks[i][y:, x:][: labels.shape[1], : labels.shape[2]]
-
-    def turn_error(scene):
-        evidence = Evidence(scene, settings.evidence, settings.labels)
-        seen = np.ones(n, bool)
-        Ts = free_adjustment(evidence, labels, 1, clip.Ts, seen, settings.poses, np.random.default_rng(0)).Ts
-        found, true = (T[3:] @ se3.inverse(T[:-3]) for T in (Ts, clip.Ts))
-        return np.median(se3.rotation_angle(se3.inverse(found)[:, :3, :3] @ true[:, :3, :3]))
-
-    assert turn_error(scene) < 0.6 * turn_error(replace(scene, correlation_area=1.0))
 
 
 # ---------------------------------------------------------------- the benchmark

@@ -18,7 +18,7 @@ from export.exporter import export_result
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import check_no_mimics, find_movable_joint, held_positions, read_asset
 from freeart21.files.urdf import format_urdf, link_poses, read_urdf, read_urdf_joints, read_urdf_parts, resolve_mimics
-from freeart21.files.urdf_files import find_file, resolve_file
+from freeart21.files.urdf_files import find_file
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
@@ -303,16 +303,3 @@ def test_xacro_is_said_to_be_xacro(odd: Path, text: str) -> None:
         assert_refused(r"is a xacro file, .*: expand it first, `xacro odd.urdf > expanded", read, odd)
     odd.write_text('<robot name="x" xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="a"/></robot>')
     assert list(read_urdf(odd).links) == ["a"]  # what xacro writes keeps its name space
-
-
-def test_files_are_looked_for_inside_the_folder_only(odd: Path) -> None:
-    (odd.parent / "meshes").mkdir()
-    mesh = odd.parent / "meshes" / "a.obj"
-    mesh.write_text("")
-    for name in ("meshes/a.obj", "file://meshes/a.obj", "package://odd/meshes/a.obj", "package://meshes/a.obj"):
-        assert resolve_file(odd, name) == mesh.resolve()
-    assert resolve_file(odd, "no.obj") == (odd.parent / "no.obj").resolve()
-    assert resolve_file(odd, "../x.obj", odd.parent.parent).name == "x.obj"
-    for name in ("../x.obj", "/etc/passwd", "package://../../x.obj", "file:///etc/passwd"):
-        assert_refused("leads out of the folder", resolve_file, odd, name)
-    assert_refused("which cannot be looked up", resolve_file, odd, "a" * 5000)

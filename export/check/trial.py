@@ -22,7 +22,7 @@ from export.check.rules import (
     TURNS,
 )
 from export.check.tree import Tree, TreeJoint
-from freeart21 import child, se3
+from freeart21 import processes, se3
 from freeart21.files.urdf import LARGEST_LIMIT, UrdfInertial
 from freeart21.se3 import Array
 
@@ -63,7 +63,7 @@ class Trial:
         try:
             world = self.load(Setting(fixed=True, gravity=False, floor=False))
         except Exception as error:  # the engine's own faults, of any type
-            yield self._row("engine.loads", "fail", child.one_line(error)[:300])
+            yield self._row("engine.loads", "fail", processes.one_line(error)[:300])
             for rule in (*STATED, *MOVED):
                 yield self._row(rule, "skip", "it does not load")
             return
@@ -94,7 +94,7 @@ class Trial:
             return tried()
         except Exception as error:
             left = [self._row(other, "skip", f"see {rule}") for other in others]
-            return [self._row(rule, "fail", child.one_line(error)[:300]), *left]
+            return [self._row(rule, "fail", processes.one_line(error)[:300]), *left]
 
     def _row(self, rule: str, verdict: Any, reason: str = "", value: float | None = None, unit: str = "") -> Row:
         return Row(rule, self.engine, verdict, reason, value, unit)

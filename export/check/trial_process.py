@@ -24,7 +24,7 @@ from typing import Any
 
 from export.check.report import Row, Verdict
 from export.check.rules import ENGINE_RULES, FILE_RULES
-from freeart21 import child
+from freeart21 import processes
 from freeart21.errors import FreeArtError
 
 LINE_MARK = "freeart21-check:"
@@ -55,7 +55,7 @@ def run_stage(request: dict[str, Any], limit_s: float) -> StageResult:
     began = time.monotonic()
     with tempfile.TemporaryDirectory() as place, tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as errors:
         process = subprocess.Popen(
-            child.command("export.check.trial_process"),
+            processes.command("export.check.trial_process"),
             stdin=subprocess.PIPE,
             stdout=output,
             stderr=errors,
@@ -117,7 +117,7 @@ def main() -> None:
         for row in _judge_stage(request):
             _emit(row=asdict(row))
     except Exception as error:  # hostile files reach parsers of many libraries
-        sys.exit(child.one_line(error))
+        sys.exit(processes.one_line(error))
 
 
 def _emit(**what: object) -> None:

@@ -14,11 +14,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from freeart21 import stopping
-from freeart21.ending import os_error_text
+from freeart21 import processes
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.places import Output, require_replaceable
+from freeart21.processes import os_error_text
 
 PART_SUFFIX = ".part"
 """Suffix of the hidden names of unfinished files and folders."""
@@ -41,7 +41,7 @@ def write_bytes(path: Path, data: bytes, sync: bool = True, mode: int = 0o644) -
     Without `sync` a crash of the machine before the next `os.sync` can lose the file, but not leave it half-written.
     Raises CannotWrite, and KeyboardInterrupt after a stop signal.
     """
-    stopping.raise_if_stopped()
+    processes.raise_if_stopped()
     aside: str | None = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -87,17 +87,17 @@ def new_folder(path: Path, older: Output | None = None) -> Iterator[Path]:
         raise cannot_write(path, error) from error
     try:
         yield aside
-        stopping.raise_if_stopped()
+        processes.raise_if_stopped()
         require_replaceable(path, older)
         if older is not None and (aside / older.marker).is_file():
             _list_files(aside, older.marker)
         aside.chmod(0o755)
-        with stopping.defer_stop():
+        with processes.defer_stop():
             _replace_folder(aside, path)
     except OSError as error:
         raise cannot_write(path, error) from error
     finally:
-        with stopping.defer_stop():
+        with processes.defer_stop():
             shutil.rmtree(aside, ignore_errors=True)
 
 

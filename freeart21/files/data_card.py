@@ -145,55 +145,29 @@ def describe(folder: Path, doi: str = "") -> DataSet:
 
 def readme(data: DataSet, table: str = TABLE, sharded: bool = False) -> str:
     """README.md: the hub's YAML header, then text."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
     licences = Counter(one.licence for one in data.sequences)
     known = {_LICENCES.get(licence, "other") for licence in licences}
-    header = [
-        f"license: {known.pop() if len(known) == 1 else 'other'}",
-        f"pretty_name: {_yaml(data.name)}",
-        f"version: {_yaml(data.version)}",
-        *([f"doi: {_yaml(data.doi)}"] if data.doi else []),
-        "task_categories: [image-to-3d, depth-estimation, image-segmentation]",
-        "tags: [articulated-objects, rgb-d, 6d-pose, robotics, simulation, croissant]",
-        f"size_categories: [{next((name for limit, name in _SIZES if len(data.sequences) < limit), 'n>1M')}]",
-        "configs:",
-        "- config_name: sequences",
-        "  data_files:",
-        f"  - split: {re.sub('[^A-Za-z0-9_]+', '_', data.split) or 'all'}",
-        f"    path: {_yaml(table)}",
-    ]
-    lines = ["---", *header, "---", MARK, "", f"# {data.name}, version {data.version}", ""]
-    lines += [_summary(data), "", "| | |", "| --- | --- |"]
-    lines += [f"| {what} | {_cell(value)} |" for what, value in _statistics(data, licences)]
-    lines += [
-        "",
-        "## Files",
-        "",
-        *([_SHARDS, ""] if sharded else []),
-        _FILES,
-        *([_HIDDEN] if data.hidden else [_TRUTH]),
-        "",
-        "## Use",
-        "",
-        _USE,
-        "",
-    ]
-    return "\n".join(lines)
-
-
-_FILES = """- `sequences/SEQ`: what a method may see: `rgb/`, `depth/` (16 bit, `depth_scale` of sequence.json is metres
-  per unit), `mask/` (object), `sequence.json` (intrinsics, times, licence), `queries.json` (held-out views).
-- `sequences.jsonl`: a line for each sequence.
-- `benchmark.json`: the SHA-256 of every file; `freeart21 verify` checks them."""
-_SHARDS = """`shards/*.tar` each unpack to a whole data folder, which can be verified and scored alone.
-`manifest.parquet` has a line for each sequence: shard and its SHA-256, licence, seed, hardness, preview. In a shard:"""
-_TRUTH = (
-    """- `truth/SEQ`: part masks, poses of both parts, joint and states, meshes, held-out views, not for methods."""
-)
-_HIDDEN = """- The truth is not here: `benchmark.json` has a salted hash of it."""
-_USE = """    freeart21 init-submission DATA --out results/mine
-    freeart21 score results/mine --data DATA
-
-Camera: x right, y down, z forward, pixel centres at +0.5, depth along z, 0 is none. SI units and radians."""
+    pages = Environment(
+        loader=PackageLoader("freeart21.files"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    pages.filters |= {"yaml": json.dumps, "cell": _cell}  # JSON's strings are YAML's
+    return pages.get_template("data_card.md.j2").render(
+        data=data,
+        table=table,
+        sharded=sharded,
+        mark=MARK,
+        hub_licence=known.pop() if len(known) == 1 else "other",
+        size=next((name for limit, name in _SIZES if len(data.sequences) < limit), "n>1M"),
+        split=re.sub("[^A-Za-z0-9_]+", "_", data.split) or "all",
+        summary=_summary(data),
+        statistics=_statistics(data, licences),
+    )
 
 
 def _summary(data: DataSet) -> str:
@@ -261,50 +235,27 @@ def croissant(data: DataSet, table: bytes, shards: Mapping[str, tuple[int, str]]
     return json.dumps(body, indent=1) + "\n"
 
 
+_OWN = (
+    "citeAs column extract field fileObject fileProperty fileSet format includes isLiveDataset jsonPath key md5 "
+    "parentField path recordSet references regex repeated replace separator source subField transform"
+)
+"""Croissant's own words, which mean the same in its name space."""
 _CONTEXT = {
     "@language": "en",
     "@vocab": "https://schema.org/",
     "sc": "https://schema.org/",
     "cr": "http://mlcommons.org/croissant/",
     "dct": "http://purl.org/dc/terms/",
-    "citeAs": "cr:citeAs",
-    "column": "cr:column",
     "conformsTo": "dct:conformsTo",
     "data": {"@id": "cr:data", "@type": "@json"},
     "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
     "examples": {"@id": "cr:examples", "@type": "@json"},
-    "extract": "cr:extract",
-    "field": "cr:field",
-    "fileObject": "cr:fileObject",
-    "fileProperty": "cr:fileProperty",
-    "fileSet": "cr:fileSet",
-    "format": "cr:format",
-    "includes": "cr:includes",
-    "isLiveDataset": "cr:isLiveDataset",
-    "jsonPath": "cr:jsonPath",
-    "key": "cr:key",
-    "md5": "cr:md5",
-    "parentField": "cr:parentField",
-    "path": "cr:path",
-    "recordSet": "cr:recordSet",
-    "references": "cr:references",
-    "regex": "cr:regex",
-    "repeated": "cr:repeated",
-    "replace": "cr:replace",
-    "separator": "cr:separator",
-    "source": "cr:source",
-    "subField": "cr:subField",
-    "transform": "cr:transform",
+    **{word: f"cr:{word}" for word in _OWN.split()},
 }
 
 
 def _counted(values: Mapping[str, int]) -> str:
     return ", ".join(f"{value} ({count})" if len(values) > 1 else value for value, count in sorted(values.items()))
-
-
-def _yaml(text: str) -> str:
-    """A text as YAML: JSON's strings are YAML's."""
-    return json.dumps(text)
 
 
 def _cell(text: str) -> str:

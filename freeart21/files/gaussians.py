@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
-from freeart21.files.mesh_file import MAX_PLY_BYTES, PLY_TYPES
+from freeart21.files.mesh_file import MAX_PLY_BYTES, read_header
 from freeart21.gaussians import LIGHT_TERMS, Gaussians
 from freeart21.se3 import Array, Floats, rotation_from_wxyz
 
@@ -91,48 +91,30 @@ def read_gaussians(path: Path, needs_parts: bool = False, root: Path | None = No
             table, light = _table(file)
         with np.errstate(over="ignore"):  # numbers beyond 32-bit floats become infinite, and are refused
             return _gaussians(table, light, needs_parts)
-    except (ValueError, OverflowError, OSError, FreeArtError) as error:
+    except (ValueError, IndexError, OverflowError, OSError, FreeArtError) as error:
         raise FreeArtError(f"{path} is not a readable PLY file of Gaussians: {error}") from error
 
 
 def _table(file: BufferedReader) -> tuple[NDArray[np.void], Floats | None]:
     """The rows of the vertices, and the light in the comments; ValueError when the file is invalid."""
-    head = file.read(MAX_HEADER_BYTES)
-    if not head.startswith(b"ply"):
-        raise ValueError("it does not begin with 'ply'")
-    before, mark, after = head.partition(b"\nend_header")
-    line_end = after.find(b"\n")
-    if not mark or after[: line_end + 1].strip() or line_end < 0:
-        raise ValueError(f"no end_header in its first {MAX_HEADER_BYTES} bytes")
-    lines = [line.strip() for line in before.decode("ascii").split("\n")]
-    encoding = [line for line in lines if line.startswith("format ")]
-    if encoding != ["format binary_little_endian 1.0"]:
-        raise ValueError(f"its format is {_quote(' '.join(encoding))}, expected binary_little_endian 1.0")
-    elements = [k for k, line in enumerate(lines) if line.startswith("element ")]
-    words = lines[elements[0]].split() if elements else []
-    if len(words) != 3 or words[1] != "vertex" or not words[2].isdecimal() or len(words[2]) > 12:
-        raise ValueError(f"its first element is {_quote(' '.join(words[1:]))}, expected vertex and their number")
-    count = int(words[2])
+    header = read_header(file.read(MAX_HEADER_BYTES))
+    if header.encoding != "binary_little_endian":
+        raise ValueError(f"its format is {header.encoding}, expected binary_little_endian")
+    if not header.elements or header.elements[0][0] != "vertex":
+        raise ValueError("its first element is not vertex")
+    dtype, (_, count, _) = header.dtype(0), header.elements[0]
     if count > MAX_GAUSSIANS:
         raise ValueError(f"it has {count} Gaussians, at most {MAX_GAUSSIANS} are read")
-    fields: list[tuple[str, str]] = []
-    for line in lines[elements[0] : elements[1] if len(elements) > 1 else None]:
-        words = line.split()
-        if words[:1] != ["property"]:
-            continue
-        if len(words) != 3 or words[1] not in PLY_TYPES or words[2] in dict(fields):
-            raise ValueError(f"a property is {_quote(line[9:])}, expected a type of number and a name of its own")
-        fields.append((words[2], "<" + PLY_TYPES[words[1]]))
-    missing = [name for name in _NAMES if name not in dict(fields) and name not in _OPTIONAL]
+    known = dtype.names or ()
+    missing = [name for name in _NAMES if name not in known and name not in _OPTIONAL]
     if missing:
-        known = _quote(", ".join(name for name, _ in fields)) if fields else "none"
-        raise ValueError(f"its vertices have no {', '.join(missing)}; their properties are {known}")
-    start, dtype = len(before) + len(mark) + line_end + 1, np.dtype(fields)
-    there = max(0, os.fstat(file.fileno()).st_size - start) // dtype.itemsize
+        has = checked.shorten(", ".join(known))
+        raise ValueError(f"its vertices have no {', '.join(missing)}; their properties are {has}")
+    there = max(0, os.fstat(file.fileno()).st_size - header.body_at) // dtype.itemsize
     if there < count:
         raise ValueError(f"it ends after {there} of {count} Gaussians")
-    file.seek(start)
-    return np.frombuffer(file.read(count * dtype.itemsize), dtype, count), _light(lines)
+    file.seek(header.body_at)
+    return np.frombuffer(file.read(count * dtype.itemsize), dtype, count), _light(header.comments)
 
 
 def _light(lines: list[str]) -> Floats | None:
@@ -199,9 +181,3 @@ def _normals(
         inward = np.einsum("ni,ni->n", thin, means[lost] - np.median(means, 0)) < 0
         normals[lost] = np.where(inward[:, None], -thin, thin)
     return normals
-
-
-def _quote(text: str) -> str:
-    """At most eighty printable characters of an untrusted text, in quotes."""
-    plain = "".join(c for c in text if c.isprintable())
-    return f"'{plain}'" if len(plain) <= 80 else f"'{plain[:77]}...'"

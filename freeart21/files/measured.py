@@ -1,32 +1,23 @@
-"""A measured set on disk: measured.json and one file or folder a run."""
+"""A measured set on disk: measured.json and one file or folder a run, read and written."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal
 
 import numpy as np
 
 from freeart21 import se3
 from freeart21.errors import FreeArtError
-from freeart21.files import base_json, checked
-from freeart21.files.actuator_json import actuator_from_json
+from freeart21.files import atomic, base_json, checked
+from freeart21.files.actuator_json import actuator_from_json, actuator_to_json
+from freeart21.files.base_json import base_columns
 from freeart21.files.hashes import file_sha256
+from freeart21.files.json_record import read_record
 from freeart21.files.run_table import MAX_SAMPLES, read_table
-from freeart21.joint import JOINT_TYPES, JointType
-from freeart21.measured import (
-    EFFORT_KINDS,
-    INTERPOLATIONS,
-    TIMESTAMPS,
-    EffortKind,
-    Interpolation,
-    Measured,
-    Run,
-    Timestamps,
-    drop_duplicate_runs,
-)
+from freeart21.joint import JointType
+from freeart21.measured import EffortKind, Interpolation, Measured, Run, Timestamps, drop_duplicate_runs
 from freeart21.mechanics import Actuator
 from freeart21.se3 import Array
 from freeart21.turns import is_wrapped, unwrap_angles, unwrap_command
@@ -61,72 +52,98 @@ OTHER_UNITS: dict[str, dict[str, float]] = {
 """Unit to other accepted units, and their sizes in it."""
 
 
+@dataclass(frozen=True)
+class _Run:
+    """An entry of `runs`."""
+
+    file: str
+    kind: Literal["csv", "poses", "rgbd"] = "csv"
+    held_out: bool | None = None
+    prescribed: bool | None = None
+
+
+@dataclass(frozen=True)
+class _Sampling:
+    rate_hz: float
+    timestamps: Timestamps
+
+
+@dataclass(frozen=True)
+class _Uncertainty:
+    """0 is exact."""
+
+    inertia_relative: float = 0.0
+    gravity_relative: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Header:
+    """measured.json."""
+
+    version: int
+    joint: str
+    joint_type: JointType
+    units: dict[str, str]
+    gravity: tuple[float, float, float]
+    sampling: _Sampling
+    runs: tuple[_Run, ...]
+    base: Any = "fixed"
+    effort: EffortKind | None = None
+    interpolation: Interpolation = "unknown"
+    actuator: dict[str, Any] | None = None
+    asset_uncertainty: _Uncertainty | None = None
+    wrapped: bool | None = None
+
+
 def read_measured(folder: Path) -> Measured:
     """The measured set in a folder. Raises FreeArtError when it is invalid."""
-    folder = Path(folder)
-    path = folder / "measured.json"
-    if not folder.is_dir() or not checked.is_there(path):
-        raise FreeArtError(f"{folder} is not a measured set: expected a folder with measured.json")
-    data = checked.read_json(path)
-    if data.get("version") != VERSION:
-        raise FreeArtError(f"{path} has version {data.get('version')!r}, expected {VERSION}")
-    kind = cast(JointType, checked.one_of(data, "joint_type", JOINT_TYPES, path))
-    sampling = checked.json_object(data, "sampling", path)
-    rate = checked.number(sampling, "rate_hz", path, checked.ABOVE_ZERO, expected="a number above 0")
-    if rate > MAX_RATE_HZ:
-        raise FreeArtError(f"{path}: 'rate_hz' is {rate:g}, expected at most {MAX_RATE_HZ:g} readings a second")
-    timestamps = cast(Timestamps, checked.one_of(sampling, "timestamps", TIMESTAMPS, path))
-    stated = data.get("effort") is not None
-    efforts = cast(EffortKind, checked.one_of(data, "effort", EFFORT_KINDS, path)) if stated else None
-    between = checked.one_of(data, "interpolation", INTERPOLATIONS, path) if "interpolation" in data else "unknown"
-    actuator = _actuator(data, path)
-    uncertain = data.get("asset_uncertainty") is not None
-    uncertainty = checked.json_object(data, "asset_uncertainty", path) if uncertain else {}
-    listed = _listed_runs(data, path)
-    files = _run_files(folder, listed, path)
-    units = _units(data, kind, path)
-    scales = {column: _scale(unit, UNITS[kind][column]) for column, unit in units.items()}
-    runs = tuple(_read_run(file, entry, kind, rate, scales, path) for file, entry in zip(files, listed, strict=True))
-    runs, turns = _whole_turns(runs, kind, data.get("wrapped"), path)
+    header, files = _read_header(folder)
+    path, kind, rate = Path(folder) / "measured.json", header.joint_type, header.sampling.rate_hz
+    if not 0 < rate <= MAX_RATE_HZ:
+        raise FreeArtError(
+            f"{path}: 'rate_hz' is {rate:g}, expected above 0, at most {MAX_RATE_HZ:g} readings a second"
+        )
+    actuator = None if header.actuator is None else actuator_from_json(header.actuator, path)
+    _check_units(header.units, kind, path)
+    scales = {column: OTHER_UNITS.get(UNITS[kind][column], {}).get(unit, 1.0) for column, unit in header.units.items()}
+    runs = tuple(_read_run(*entry, rate, scales, path) for entry in zip(files, header.runs, strict=True))
+    runs, turns = _whole_turns(runs, kind, header.wrapped)
     runs, copies = drop_duplicate_runs(runs)
-    notes = (*turns, *copies)
     _check_rate(runs, rate, path)
-    _check_channels(runs, units, efforts, actuator, path)
+    _check_channels(runs, header.units, header.effort, actuator, path)
     bases = [run.base for run in runs if run.base is not None]
-    turned = any(base.angle is not None for base in bases)
-    base_axis = base_json.base_axis_of(data.get("base", "fixed"), bool(bases), turned, path)
-    gravity = checked.numbers(data, "gravity", (3,), path)
+    base_axis = base_json.base_axis_of(header.base, bool(bases), any(b.angle is not None for b in bases), path)
+    gravity = np.array(header.gravity)
     if np.linalg.norm(gravity) > MAX_GRAVITY:
         raise FreeArtError(
             f"{path}: 'gravity' is {np.linalg.norm(gravity):.4g} long, expected m/s^2, some 9.81 on earth"
         )
     if all(run.held_out for run in runs):
         raise FreeArtError(f"{path}: all {len(runs)} runs are held out, expected at least one to fit to")
+    doubt = header.asset_uncertainty or _Uncertainty()
+    for name, value in asdict(doubt).items():
+        if not 0 <= value < 1:
+            raise FreeArtError(f"{path}: '{name}' is {value:g}, expected 0 (exact) to below 1")
     return Measured(
-        joint=checked.text(data, "joint", path),
+        joint=header.joint,
         joint_type=kind,
         gravity=gravity,
         rate_hz=rate,
-        timestamps=timestamps,
-        effort_kind=efforts,
+        timestamps=header.sampling.timestamps,
+        effort_kind=header.effort,
         actuator=actuator,
-        interpolation=cast(Interpolation, between),
-        inertia_relative=_relative(uncertainty, "inertia_relative", path),
-        gravity_relative=_relative(uncertainty, "gravity_relative", path),
+        interpolation=header.interpolation,
         runs=runs,
         base_axis=base_axis,
-        notes=notes,
+        notes=(*turns, *copies),
+        **asdict(doubt),
     )
 
 
 def run_files(folder: Path) -> dict[str, Path]:
     """Run name to its file in the measured set in a folder; FreeArtError when there is none."""
-    path = folder / "measured.json"
-    if not folder.is_dir() or not checked.is_there(path):
-        raise FreeArtError(f"{folder} is not a measured set: expected a folder with measured.json")
-    listed = _listed_runs(checked.read_json(path), path)
-    files = _run_files(folder, listed, path)
-    return {_name_of(entry["file"]): file for entry, file in zip(listed, files, strict=True)}
+    header, files = _read_header(folder)
+    return {_name_of(entry.file): file for entry, file in zip(header.runs, files, strict=True)}
 
 
 def run_hashes(folder: Path) -> dict[str, str]:
@@ -134,26 +151,22 @@ def run_hashes(folder: Path) -> dict[str, str]:
     return {name: file_sha256(file, folder) for name, file in run_files(folder).items()}
 
 
-def _listed_runs(data: dict[str, Any], path: Path) -> list[dict[str, Any]]:
-    listed = data.get("runs")
-    if not isinstance(listed, list) or not all(isinstance(e, dict) and isinstance(e.get("file"), str) for e in listed):
-        raise FreeArtError(f"{path}: 'runs' must be a list of objects with a 'file'")
-    if not 1 <= len(listed) <= MAX_RUNS:
-        raise FreeArtError(f"{path} has {len(listed)} runs, expected 1 to {MAX_RUNS}")
-    for entry in listed:
-        for word in MARKS:
-            if entry.get(word) not in (None, True, False):
-                raise FreeArtError(f"{path}: run '{entry['file']}' has {word} {entry[word]!r}, expected true or false")
-    return listed
-
-
-def _run_files(folder: Path, listed: list[dict[str, Any]], path: Path) -> list[Path]:
-    """The files of all runs: different files of different names, of bounded total size."""
+def _read_header(folder: Path) -> tuple[_Header, list[Path]]:
+    """measured.json, and the files of its runs: different files of different names, of bounded total size."""
+    folder = Path(folder)
+    path = folder / "measured.json"
+    if not folder.is_dir() or not checked.is_there(path):
+        raise FreeArtError(f"{folder} is not a measured set: expected a folder with measured.json")
+    header = read_record(_Header, checked.read_json(path), str(path), whole=True)
+    if header.version != VERSION:
+        raise FreeArtError(f"{path} has version {header.version}, expected {VERSION}")
+    if not 1 <= len(header.runs) <= MAX_RUNS:
+        raise FreeArtError(f"{path} has {len(header.runs)} runs, expected 1 to {MAX_RUNS}")
     files: dict[Path, str] = {}
     names: dict[str, str] = {}
-    for entry in listed:
-        file, listed_name = checked.inside(folder, entry["file"]), entry["file"]
-        if file.is_dir() and entry.get("kind") == "poses":
+    for entry in header.runs:
+        file, listed_name = checked.inside(folder, entry.file), entry.file
+        if file.is_dir() and entry.kind == "poses":
             file = checked.inside(folder, f"{listed_name}/poses.npz")
         if file in files:
             raise FreeArtError(
@@ -168,7 +181,7 @@ def _run_files(folder: Path, listed: list[dict[str, Any]], path: Path) -> list[P
     total = sum(file.stat().st_size for file in files if file.is_file())
     if total > MAX_BYTES:
         raise FreeArtError(f"{path}: the runs have {total} bytes together, at most {MAX_BYTES} are read")
-    return list(files)
+    return header, list(files)
 
 
 def _name_of(file: str) -> str:
@@ -176,27 +189,27 @@ def _name_of(file: str) -> str:
     return str(Path(file.removesuffix("poses.npz") if file.endswith("/poses.npz") else file)).removesuffix(".csv")
 
 
-def _read_run(
-    file: Path, entry: dict[str, Any], kind: JointType, rate_hz: float, scales: dict[str, float], path: Path
-) -> Run:
-    how, name, held_out = entry.get("kind", "csv"), _name_of(entry["file"]), entry.get("held_out")
-    if how == "csv":
-        table, lines = read_table(file, COLUMNS)
-        table = {c: values * scales[c] if scales.get(c, 1.0) != 1.0 else values for c, values in table.items()}
-        _check_series(file, table["t_s"], table["q"], [f"line {k}" for k in lines], "readings of q that are numbers")
-        effort, command, voltage, enabled = (table.get(column) for column in DRIVES)
-        return Run(
-            name, table["t_s"], table["q"], effort, command, None, None, held_out, voltage, enabled,
-            base_json.base_of(table, file), table.get("qd"), entry.get("prescribed"),
-        )  # fmt: skip
-    if how == "poses":
-        return replace(_read_poses(file, name, rate_hz, held_out), prescribed=entry.get("prescribed"))
-    if how == "rgbd":
+def _read_run(file: Path, entry: _Run, rate_hz: float, scales: dict[str, float], path: Path) -> Run:
+    name = _name_of(entry.file)
+    if entry.kind == "rgbd":
         raise FreeArtError(
-            f"{path}: run '{entry['file']}' is of kind 'rgbd': run `freeart21 reconstruct` on it, then `freeart21 "
+            f"{path}: run '{entry.file}' is of kind 'rgbd': run `freeart21 reconstruct` on it, then `freeart21 "
             "measure` on the result, which makes runs of kind 'poses'"
         )
-    raise FreeArtError(f"{path}: run '{entry['file']}' has kind {how!r}, expected csv, poses or rgbd")
+    if entry.kind == "poses":
+        return replace(_read_poses(file, name, rate_hz, entry.held_out), prescribed=entry.prescribed)
+    table, lines = read_table(file, COLUMNS)
+    table = {c: values * scales[c] if scales.get(c, 1.0) != 1.0 else values for c, values in table.items()}
+    _check_series(file, table["t_s"], table["q"], [f"line {k}" for k in lines], "readings of q that are numbers")
+    return Run(
+        name,
+        table["t_s"],
+        table["q"],
+        **{column: table.get(column) for column in (*DRIVES, "qd")},  # type: ignore[arg-type]
+        base=base_json.base_of(table, file),
+        held_out=entry.held_out,
+        prescribed=entry.prescribed,
+    )
 
 
 def _read_poses(file: Path, name: str, rate_hz: float, held_out: bool | None) -> Run:
@@ -261,8 +274,7 @@ def _check_rate(runs: tuple[Run, ...], rate_hz: float, path: Path) -> None:
             )
 
 
-def _units(data: dict[str, Any], kind: JointType, path: Path) -> dict[str, str]:
-    units = checked.json_object(data, "units", path)
+def _check_units(units: dict[str, str], kind: JointType, path: Path) -> None:
     for column, unit in units.items():
         if column not in COLUMNS:
             raise FreeArtError(f"{path}: units of '{column}', expected {', '.join(COLUMNS)}")
@@ -272,23 +284,15 @@ def _units(data: dict[str, Any], kind: JointType, path: Path) -> dict[str, str]:
             raise FreeArtError(
                 f"{path}: '{column}' of a {kind} joint is in {unit!r}, expected {' or '.join(map(repr, known))}"
             )
-    return units
-
-
-def _scale(unit: str, own: str) -> float:
-    """Size of `unit` in the unit `own`."""
-    return 1.0 if unit == own else OTHER_UNITS[own][unit]
 
 
 def _whole_turns(
-    runs: tuple[Run, ...], kind: JointType, wrapped: Any, path: Path
+    runs: tuple[Run, ...], kind: JointType, wrapped: bool | None
 ) -> tuple[tuple[Run, ...], tuple[str, ...]]:
     """The runs with unwrapped angles, and a line for each changed run.
 
     `wrapped` is true, false or None as in the file. With None, jumps are removed that are clearly the end of a turn.
     """
-    if wrapped not in (None, True, False):
-        raise FreeArtError(f"{path}: 'wrapped' is {wrapped!r}, expected true or false")
     if kind != "revolute" or wrapped is False:
         return runs, ()
     found, notes = [], []
@@ -313,7 +317,7 @@ def _check_channels(
         columns: tuple[str, ...] = () if run.poses is not None else ("t_s", "q")
         columns += () if run.qd is None else ("qd",)
         columns += tuple(c for c in DRIVES if getattr(run, c) is not None)
-        columns += tuple(base_json.base_columns(run.base))
+        columns += tuple(base_columns(run.base))
         for column in columns:
             if column not in units:
                 raise FreeArtError(f"{path}: run '{run.name}' has '{column}', whose unit is not in 'units'")
@@ -341,12 +345,79 @@ def _check_channels(
             raise FreeArtError(f"{path}: run '{run.name}' has 'enabled', but nothing that was commanded")
 
 
-def _actuator(data: dict[str, Any], path: Path) -> Actuator | None:
-    given = data.get("actuator") is not None
-    return actuator_from_json(checked.json_object(data, "actuator", path), path) if given else None
+# --- written ----------------------------------------------------------------------------------------------------------
 
 
-def _relative(data: dict[str, Any], key: str, path: Path) -> float:
-    if key not in data:
-        return 0.0
-    return checked.number(data, key, path, 0.0, math.nextafter(1.0, 0.0), "0 (exact) to below 1")
+def write_measured(folder: Path, measured: Measured) -> None:
+    """Write a set into `folder`, which is made. Poses are relative to the reference part: its own are the identity."""
+    folder.mkdir(parents=True, exist_ok=True)
+    units = UNITS[measured.joint_type]
+    columns = {"t_s", "q"} | {c for c in DRIVES for r in measured.runs if getattr(r, c) is not None}
+    columns |= {"qd" for run in measured.runs if run.qd is not None}
+    columns |= {column for run in measured.runs for column in base_columns(run.base)}
+    actuator = measured.actuator
+    atomic.write_json(
+        folder / "measured.json",
+        {
+            "version": VERSION,
+            "joint": measured.joint,
+            "joint_type": measured.joint_type,
+            "units": {column: unit for column, unit in units.items() if column in columns},
+            "gravity": measured.gravity,
+            "base": _base(measured),
+            "sampling": {"rate_hz": measured.rate_hz, "timestamps": measured.timestamps},
+            "runs": [_write_run(folder, run) for run in measured.runs],
+            **({"interpolation": measured.interpolation} if columns & set(DRIVES) else {}),
+            **({} if measured.effort_kind is None else {"effort": measured.effort_kind}),
+            **({} if actuator is None else {"actuator": actuator_to_json(actuator, _follows(actuator, columns))}),
+            "asset_uncertainty": {
+                "inertia_relative": measured.inertia_relative,
+                "gravity_relative": measured.gravity_relative,
+            },
+        },
+    )
+
+
+def _base(measured: Measured) -> str | dict[str, Array]:
+    """`base` of measured.json."""
+    if measured.base_axis is not None:
+        return {"axis": measured.base_axis.axis, "point": measured.base_axis.point}
+    return "moving" if any(run.base is not None for run in measured.runs) else "fixed"
+
+
+def _follows(actuator: Actuator, columns: set[str]) -> bool:
+    return "q_command" in columns or actuator.stiffness > 0
+
+
+def _write_run(folder: Path, run: Run) -> dict[str, str | bool]:
+    """Write the file or folder of a run; gives its entry in measured.json."""
+    marked = {word: getattr(run, word) for word in MARKS if getattr(run, word) is not None}
+    if run.poses is None:
+        _write_csv(folder / f"{run.name}.csv", run)
+        return {"file": f"{run.name}.csv", **marked}
+    if run.base is not None or any(getattr(run, column) is not None for column in DRIVES):
+        raise FreeArtError(
+            f"run '{run.name}' has poses and a drive or a moving base, which no file of a measured set can hold"
+        )
+    place = folder / run.name
+    place.mkdir()
+    seen = np.ones(len(run.times_s), bool) if run.seen is None else run.seen
+    np.savez_compressed(
+        place / "poses.npz",
+        T_camera_reference=np.tile(np.eye(4), (len(run.times_s), 1, 1)),
+        T_camera_moving=run.poses,
+        times_s=run.times_s,
+        seen=seen,
+    )
+    return {"file": run.name, "kind": "poses", **marked}
+
+
+def _write_csv(path: Path, run: Run) -> None:
+    """Write all digits of every number; a missing reading is an empty cell."""
+    series = {"t_s": run.times_s, "q": run.q, "qd": run.qd, **{column: getattr(run, column) for column in DRIVES}}
+    series |= base_columns(run.base)
+    table = {name: values.tolist() for name, values in series.items() if values is not None}
+    rows = (
+        ",".join("" if value != value else repr(value) for value in row) for row in zip(*table.values(), strict=True)
+    )
+    atomic.write_bytes(path, "\n".join([",".join(table), *rows, ""]).encode())

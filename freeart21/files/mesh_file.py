@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,29 +15,69 @@ from freeart21.files import atomic, checked
 from freeart21.mesh import Mesh
 
 MAX_PLY_BYTES = 512 << 20
-PLY_TYPES = {
-    "char": "i1",
-    "int8": "i1",
-    "uchar": "u1",
-    "uint8": "u1",
-    "short": "i2",
-    "int16": "i2",
-    "ushort": "u2",
-    "uint16": "u2",
-    "int": "i4",
-    "int32": "i4",
-    "uint": "u4",
-    "uint32": "u4",
-    "float": "f4",
-    "float32": "f4",
-    "double": "f8",
-    "float64": "f8",
+_WORDS = {
+    "i1": "char int8",
+    "u1": "uchar uint8",
+    "i2": "short int16",
+    "u2": "ushort uint16",
+    "i4": "int int32",
+    "u4": "uint uint32",
+    "f4": "float float32",
+    "f8": "double float64",
 }
+_TYPES = {word: kind for kind, words in _WORDS.items() for word in words.split()}
+_INDICES = ("vertex_indices", "vertex_index")
+_ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
-_Element = tuple[str, int, list[list[str]]]
-"""Name, number of entries, and the words of each property."""
-_Tables = dict[str, NDArray[Any]]
+@dataclass(frozen=True)
+class Header:
+    """The header of a PLY file."""
+
+    encoding: str
+    elements: list[tuple[str, int, list[list[str]]]]
+    """Name, number of entries, and the words of each property."""
+    comments: list[str]
+    body_at: int
+    """Byte at which the entries begin."""
+
+    def dtype(self, k: int) -> np.dtype[np.void]:
+        """The entries of element `k`; of lists only one of three vertices, as fields n and i. ValueError otherwise."""
+        order, fields = _ORDERS[self.encoding], list[tuple[Any, ...]]()
+        for words in self.elements[k][2]:
+            kinds = [_TYPES.get(word) for word in words[int(words[:1] == ["list"]) : -1]]
+            if None in kinds or len(kinds) not in (1, 2) or (len(kinds) == 2 and words[3] not in _INDICES):
+                said = checked.shorten(" ".join(words))
+                raise ValueError(f"a property is {said}, expected a type of number and a name, or vertex_indices")
+            if len(kinds) == 1:
+                fields.append((words[1], f"{order}{kinds[0]}"))
+            else:
+                fields += [("n", f"{order}{kinds[0]}"), ("i", f"{order}{kinds[1]}", 3)]
+        return np.dtype(fields)
+
+
+def read_header(data: bytes) -> Header:
+    """The header at the beginning of `data`; ValueError when there is none."""
+    before, mark, after = data.partition(b"\nend_header")
+    line_end = after.find(b"\n")
+    if not data.startswith(b"ply") or not mark or after[: line_end + 1].strip() or line_end < 0:
+        raise ValueError("it does not begin with 'ply', or has no end_header")
+    encoding, elements, comments = "", list[tuple[str, int, list[list[str]]]](), []
+    for line in before.decode("ascii").split("\n"):
+        words = line.split()
+        if words[:1] == ["format"]:
+            encoding = words[1]
+        elif words[:1] == ["comment"]:
+            comments.append(line.strip())
+        elif words[:1] == ["element"]:
+            elements.append((words[1], int(words[2]), []))
+            if int(words[2]) < 0:
+                raise ValueError(f"element {checked.shorten(words[1])} has count {words[2]}")
+        elif words[:1] == ["property"]:
+            elements[-1][2].append(words[1:])
+    if encoding not in _ORDERS:
+        raise ValueError(f"its format is {checked.shorten(encoding)}, expected {' or '.join(_ORDERS)}")
+    return Header(encoding, elements, comments, len(before) + len(mark) + line_end + 1)
 
 
 def write_ply(path: Path, mesh: Mesh, flags: dict[str, NDArray[np.bool_]] | None = None) -> None:
@@ -84,22 +125,7 @@ def read_ply(path: Path, root: Path | None = None) -> tuple[Mesh, dict[str, NDAr
 
 
 def _parse(data: bytes) -> tuple[Mesh, dict[str, NDArray[np.bool_]]]:
-    end = data.index(b"end_header")
-    body_at = data.index(b"\n", end) + 1
-    lines = data[:end].decode("ascii").splitlines()
-    if not lines or lines[0].strip() != "ply":
-        raise ValueError("it does not begin with 'ply'")
-    encoding = next(line.split()[1] for line in lines if line.startswith("format"))
-    elements: list[_Element] = []
-    for line in lines:
-        words = line.split()
-        if words[:1] == ["element"]:
-            if int(words[2]) < 0:
-                raise ValueError(f"element {words[1]} has count {words[2]}")
-            elements.append((words[1], int(words[2]), []))
-        elif words[:1] == ["property"]:
-            elements[-1][2].append(words[1:])
-    tables = (_ascii_tables if encoding == "ascii" else _binary_tables)(data[body_at:], elements, encoding)
+    tables = _tables(data)
     vertex, face = tables.get("vertex"), tables.get("face")
     if vertex is None:
         raise ValueError("it has no vertices")
@@ -117,45 +143,21 @@ def _parse(data: bytes) -> tuple[Mesh, dict[str, NDArray[np.bool_]]]:
     return Mesh(points, face["i"].astype(np.int64), colours), flags
 
 
-def _dtype(properties: list[list[str]], order: str) -> np.dtype[np.void]:
-    fields: list[tuple[Any, ...]] = []
-    for words in properties:
-        if words[0] == "list":
-            if words[3] not in ("vertex_indices", "vertex_index"):
-                raise ValueError(f"it has a list property '{words[3]}', expected vertex_indices only")
-            fields += [("n", order + PLY_TYPES[words[1]]), ("i", order + PLY_TYPES[words[2]], 3)]
+def _tables(data: bytes) -> dict[str, NDArray[Any]]:
+    """Element name to its entries."""
+    header, tables = read_header(data), {}
+    text, at = header.encoding == "ascii", header.body_at
+    lines = io.StringIO(data[at:].decode("ascii")) if text else io.StringIO()
+    for k, (name, count, properties) in enumerate(header.elements):
+        dtype = header.dtype(k)
+        size = 2 * len(properties) if text else dtype.itemsize  # of text, a digit and a blank each at least
+        if count * size > len(data) - at + text:
+            raise ValueError(f"it ends before its {count} {name} entries")
+        if text and count:
+            tables[name] = np.loadtxt(lines, dtype, max_rows=count, ndmin=1)
         else:
-            fields.append((words[1], order + PLY_TYPES[words[0]]))
-    return np.dtype(fields)
-
-
-def _binary_tables(body: bytes, elements: list[_Element], encoding: str) -> _Tables:
-    order = {"binary_little_endian": "<", "binary_big_endian": ">"}[encoding]
-    tables, at = {}, 0
-    for name, count, properties in elements:
-        dtype = _dtype(properties, order)
-        if at + count * dtype.itemsize > len(body):
+            tables[name] = np.frombuffer(data, dtype, count, at)
+            at += count * size
+        if len(tables[name]) != count:
             raise ValueError(f"it ends before its {count} {name} entries")
-        tables[name] = np.frombuffer(body, dtype, count, at)
-        at += count * dtype.itemsize
-    return tables
-
-
-def _ascii_tables(body: bytes, elements: list[_Element], encoding: str) -> _Tables:
-    lines = io.StringIO(body.decode("ascii"))
-    tables = {}
-    for name, count, properties in elements:
-        dtype = _dtype(properties, "<")
-        if 2 * count * len(properties) > len(body) + 1:  # each entry has a digit and a blank
-            raise ValueError(f"it ends before its {count} {name} entries")
-        rows = np.loadtxt(lines, max_rows=count, ndmin=2) if count else np.zeros((0, 0))
-        if len(rows) != count:
-            raise ValueError(f"it ends before its {count} {name} entries")
-        table = np.zeros(count, dtype)
-        column = 0
-        for field in dtype.names or ():
-            width = 3 if field == "i" else 1
-            table[field] = rows[:, column : column + width].reshape(table[field].shape)
-            column += width
-        tables[name] = table
     return tables

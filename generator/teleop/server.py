@@ -72,9 +72,9 @@ class Server:
         self._runner = web.AppRunner(
             self._app(), access_log=None, handle_signals=False, shutdown_timeout=_END_S, keepalive_timeout=SPEAK_S
         )
-        self._since: dict[web.RequestHandler[web.Request], float] = {}
+        self._since: dict[web.RequestHandler, float] = {}
         """When each open connection was first seen."""
-        self._admitted: set[web.RequestHandler[web.Request]] = set()
+        self._admitted: set[web.RequestHandler] = set()
         """Connections that have shown the token."""
         self.driving = Driving(start)
         self._clients: list[Client] = []

@@ -11,7 +11,7 @@ import json
 from collections.abc import Callable
 from typing import Any
 
-from freeart21 import child, stopping
+from freeart21 import processes
 from freeart21.errors import FreeArtError
 from generator.teleop.driving import Placement
 from generator.teleop.stage_process import ANSWER
@@ -63,9 +63,9 @@ class Stage:
 
     @contextlib.asynccontextmanager
     async def _started(self) -> Any:
-        with stopping.block_signals():
+        with processes.block_signals():
             process = await asyncio.create_subprocess_exec(
-                *child.command("generator.teleop.stage_process"),
+                *processes.command("generator.teleop.stage_process"),
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 limit=1 << 26,

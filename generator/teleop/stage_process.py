@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21 import child
+from freeart21 import processes
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from generator.scene import Scene
@@ -44,7 +44,7 @@ def main() -> None:
         stage = Stage(json.loads(first))
         stage.draw(FIRST)  # compiles the shaders: seconds
     except Exception as error:  # the parent process reports it
-        _send(answers, True, (str(error) if isinstance(error, FreeArtError) else child.one_line(error)).encode())
+        _send(answers, True, (str(error) if isinstance(error, FreeArtError) else processes.one_line(error)).encode())
         return
     _send(answers, False, b"")
     for line in questions:

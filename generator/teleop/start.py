@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from freeart21 import stopping
+from freeart21 import processes
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.mesh import bounding_diagonal
@@ -108,9 +108,9 @@ def serve(name: str, out: Path, settings: TeleopSettings, record: RecordSettings
         with _signals_to_loop() as signals:
             rescued = asyncio.run(_serve(name, loaded, takes, settings, context, signals))
     if signals:
-        with stopping.resume_hint(lambda: rescued):
+        with processes.resume_hint(lambda: rescued):
             os.kill(os.getpid(), signals[0])
-            stopping.raise_if_stopped()
+            processes.raise_if_stopped()
 
 
 def _load_object(name: str, record: RecordSettings, place: Path) -> tuple[str, LoadedObject, tuple[Path, ...]]:
@@ -194,7 +194,7 @@ async def _run_until_stopped(signals: list[int], works: list[Coroutine[Any, Any,
         signals.append(number)
         end.set()
 
-    for number in stopping.SIGNALS:
+    for number in processes.SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             loop.add_signal_handler(number, stop, number)
     tasks = [asyncio.ensure_future(work) for work in (*works, end.wait())]
@@ -223,7 +223,7 @@ def _rescue_take(driving: Driving, takes: Takes) -> str:
 @contextlib.contextmanager
 def _signals_to_loop() -> Iterator[list[int]]:
     """Restore the handlers of stop signals after this block; in it the event loop appends their numbers to the list."""
-    before = {number: signal.getsignal(number) for number in stopping.SIGNALS}
+    before = {number: signal.getsignal(number) for number in processes.SIGNALS}
     signals: list[int] = []
     try:
         yield signals

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import freeart21
-from freeart21 import child
+from freeart21 import processes
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import Benchmark, read_benchmark
@@ -151,7 +151,7 @@ def _write_answer(
     except FreeArtError:
         raise
     except Exception as error:  # parsers of many libraries read hostile bytes, each with its own exceptions
-        message = f"{place.folder} cannot be read ({type(error).__name__}: {child.one_line(error)})"
+        message = f"{place.folder} cannot be read ({type(error).__name__}: {processes.one_line(error)})"
         raise FreeArtError(message) from error
     notes: tuple[str, ...] = ()
     if not isinstance(result, Failure) and not isinstance(answer, Failure):

@@ -241,13 +241,6 @@ def read_list(path: Path, content: str) -> list[dict[str, Any]]:
     return data
 
 
-def read_number(data: dict[str, Any], key: str, path: Path) -> float:
-    """The finite number `data[key]`, also from a list of one."""
-    value = data.get(key)
-    listed = value if isinstance(value, list) else [value]
-    return float(checked.numbers({key: np.ravel(np.array(listed, object)).tolist()}, key, (1,), path)[0])
-
-
 def read_vector(path: Path) -> Array:
     """The vector (3,) in an .npy file of shape (3,) or (1, 3)."""
     try:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from freeart21 import child
+from freeart21 import processes
 from freeart21.articulation import PARTS
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
@@ -31,7 +31,6 @@ from freeart21.mesh import Mesh
 from freeart21.reconstruction import PIECES, Failure, Piece
 from leaderboard.adapters.importer import import_results
 from leaderboard.adapters.layout import Options, common_lacks
-from leaderboard.method_names import check_name
 from leaderboard.methods.descriptor import (
     NATIVE,
     PRIVILEGED,
@@ -118,7 +117,6 @@ def run_method(
         raise FreeArtError(f"{method.name} needs its checkout: give --home DIR, got {home}")
     if engine not in ENGINES:
         raise FreeArtError(f"engine is '{engine}', expected {' or '.join(ENGINES)}")
-    check_name(Method(method.name), "the descriptor")
     digest = hashlib.sha256(atomic.json_text(asdict(method)).encode()).hexdigest()
     before = _read_earlier(out, digest, (data, *([home] if home else [])))
     options = _read_options(method, home)
@@ -193,19 +191,11 @@ def _run_one(
     except _Failed as failed:
         seconds = {"run": round(total["seconds"], 2)}
         write_result(out / name, Failure(failed.stage, failed.reason, seconds))
-        return Entry("failure", f"{failed.stage}: {failed.reason}", **_rounded(total))
     answer = read_result(out / name, appearance=False)
-    failed_itself = isinstance(answer, Failure)
-    reason = f"{answer.stage}: {answer.reason}" if isinstance(answer, Failure) else ""
-    return Entry("failure" if failed_itself else "answer", reason, **_rounded(total), lacks=lacks, notes=notes)
-
-
-def _rounded(total: Mapping[str, float]) -> dict[str, Any]:
-    return {
-        "seconds": round(total["seconds"], 2),
-        "cpu_seconds": round(total["cpu_seconds"], 2),
-        "peak_bytes": int(total["peak_bytes"]),
-    }
+    took = round(total["seconds"], 2), round(total["cpu_seconds"], 2), int(total["peak_bytes"])
+    if isinstance(answer, Failure):  # declared here, or by the method itself
+        return Entry("failure", f"{answer.stage}: {answer.reason}", *took, lacks, notes)
+    return Entry("answer", "", *took, lacks, notes)
 
 
 def _run_command(
@@ -231,7 +221,9 @@ def _run_command(
     try:
         return run_measured(filled, work, log, max(seconds, 0.0), method.limits.memory_gb * 1e9, stop)
     except OSError as error:
-        raise _Failed("start", f"{filled[0]} cannot be started: {error.strerror or child.one_line(error)}") from error
+        raise _Failed(
+            "start", f"{filled[0]} cannot be started: {error.strerror or processes.one_line(error)}"
+        ) from error
 
 
 def contain(
@@ -347,7 +339,7 @@ def _read_version(method: Descriptor, words: Sequence[str], home: Path | None) -
     try:
         done = subprocess.run(filled, capture_output=True, text=True, timeout=60, stdin=subprocess.DEVNULL, check=False)
     except (OSError, subprocess.SubprocessError, UnicodeDecodeError) as error:
-        return f"unknown: {child.one_line(error)}"
+        return f"unknown: {processes.one_line(error)}"
     if done.returncode and words[0] == "{python}":
         last = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
         raise FreeArtError(f"{method.name} cannot run in this Python: {checked.shorten(last)}")

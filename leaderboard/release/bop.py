@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21 import se3, stopping
+from freeart21 import processes, se3
 from freeart21.articulation import PARTS
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
@@ -75,7 +75,7 @@ def _write_scene(scene: Path, sequence: Path, truth_folder: Path, first: int) ->
     poses: dict[str, Any] = {}
     infos: dict[str, Any] = {}
     for i in range(len(recording)):
-        stopping.raise_if_stopped()
+        processes.raise_if_stopped()
         for sub in ("rgb", "depth"):
             picture = checked.read_bytes(sequence / sub / f"{i:05d}.png", checked.MAX_IMAGE_BYTES, sequence)
             atomic.write_bytes(scene / sub / f"{i:06d}.png", picture, sync=False)

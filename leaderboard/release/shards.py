@@ -17,7 +17,7 @@ from typing import Any, get_type_hints
 
 import cv2
 
-from freeart21 import stopping
+from freeart21 import processes
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import SCHEMA, Benchmark, read_benchmark
@@ -106,7 +106,7 @@ def _write_shard(path: Path, benchmark: Benchmark, facts: Sequence[SequenceFacts
             for name, digest in own.items():
                 if name.split("/")[1] != fact.sequence:
                     continue
-                stopping.raise_if_stopped()
+                processes.raise_if_stopped()
                 place = checked.inside(benchmark.folder, name)
                 if file_sha256(place, benchmark.folder) != digest:
                     raise FreeArtError(f"{benchmark.folder / name} differs from its hash in benchmark.json")

@@ -11,7 +11,7 @@ from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.asset import read_asset
-from freeart21.files.measured_writer import write_measured
+from freeart21.files.measured import write_measured
 from freeart21.files.places import check_place
 from freeart21.files.result import read_result
 from freeart21.measured import Measured, Run

@@ -20,8 +20,7 @@ from freeart21.files import atomic
 from freeart21.files.asset import has_guessed_dynamics
 from freeart21.files.atomic import new_folder
 from freeart21.files.lock import only_writer
-from freeart21.files.measured import read_measured, run_hashes
-from freeart21.files.measured_writer import write_measured
+from freeart21.files.measured import read_measured, run_hashes, write_measured
 from freeart21.files.places import ANSWER, check_place
 from freeart21.joint import JointType
 from freeart21.measured import Measured, Run

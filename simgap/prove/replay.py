@@ -20,7 +20,7 @@ from typing import get_args
 
 import numpy as np
 
-from freeart21 import child
+from freeart21 import processes
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
@@ -214,7 +214,7 @@ def _run(folder: Path, job: Job, seconds: float, progress: Progress | None) -> N
         pickle.dump(job, stdin)
         stdin.seek(0)
         process = subprocess.Popen(
-            [*child.command("simgap.prove.replay_process"), str(folder)],
+            [*processes.command("simgap.prove.replay_process"), str(folder)],
             stdin=stdin,
             stdout=subprocess.DEVNULL,
             stderr=stderr,
