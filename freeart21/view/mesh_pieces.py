@@ -135,7 +135,7 @@ def _look(mesh: Any, linear: bool) -> tuple[NDArray[np.uint8] | None, NDArray[np
     visual = mesh.visual
     if visual.kind in ("vertex", "face"):
         return np.asarray(visual.vertex_colors)[:, :3].astype(np.uint8), None, None
-    material = getattr(visual, "material", None)
+    material: Any = getattr(visual, "material", None)
     material = material.to_pbr() if hasattr(material, "to_pbr") else material
     factor = getattr(material, "baseColorFactor", None)
     colour = np.full(3, 255, np.uint8) if factor is None else np.asarray(factor)[:3].astype(np.uint8)

@@ -232,6 +232,6 @@ def _thumbnail(recording: Recording) -> str:
         half = max(0.62 * np.ptp(cols), 0.62 * np.ptp(rows) * 16 / 9, 8.0)
         x, y = (cols[0] + cols[-1]) / 2, (rows[0] + rows[-1]) / 2
         size = round(2 * half), round(2 * half * 9 / 16)
-        image = cv2.getRectSubPix(image, size, (float(x), float(y)))
+        image = cv2.getRectSubPix(image, size, (float(x), float(y))).astype(np.uint8)
     small = cv2.resize(image, THUMBNAIL, interpolation=cv2.INTER_AREA).astype(np.uint8)
     return data_url("image/jpeg", encode_jpeg(small, 72))
