@@ -187,6 +187,7 @@ def test_an_obj_has_the_picture_of_its_material_from_inside_the_root_alone(tmp_p
     (tmp_path / "x/a.mtl").write_text("newmtl a\nmap_Kd in.png\nnewmtl b\nmap_Kd ../out.png\nnewmtl c\nKd 0 0 1\n")
     inside, outside, plain = read_pieces(tmp_path / "x/a.obj", tmp_path / "x")
     assert inside.picture is not None and inside.uv is not None and inside.mesh.colours.tolist() == [[0, 200, 0]] * 3
+    assert read_pieces(tmp_path / "x/a.obj", tmp_path / "x")[0].picture is inside.picture, "one picture, held once"
     assert outside.picture is None and 200 not in np.asarray(outside.mesh.colours)
     assert plain.mesh.colours.tolist() == [[0, 0, 255]] * 3
     np.testing.assert_array_equal(plain.mesh.vertices[plain.mesh.faces[0]], [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
