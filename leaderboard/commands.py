@@ -184,7 +184,7 @@ def site(
     title: str | None = None,
     truth: Path | None = None,
 ) -> None:
-    """Write a static site: the ranking, a page per method and per sequence, failures, definitions, downloads.
+    """Write a static site: the ranking, a page per method and per sequence, failures, definitions.
 
     One folder that opens from disk or from any host and loads nothing from elsewhere. Methods are scored first, unless
     their tables are cached in the folder of --scores. A site of tables alone (scores/*.json) has every value, but

@@ -44,7 +44,7 @@ from simgap.select.decide import (
     not_excited_verdict,
 )
 from simgap.select.delivery import deliver
-from simgap.select.hypotheses import FORM_ERROR, Hypothesis, evaluate_set
+from simgap.select.hypotheses import FORM_ERROR, evaluate_set
 from simgap.select.predictive import DECISIVE_LOG_ODDS, DEGREES_OF_FREEDOM, score_difference
 from simgap.select.split import Split, split_runs
 from simgap.select.words import amount, effect_label, effect_words
@@ -251,16 +251,7 @@ def rank_hypotheses(choice: Choice) -> tuple[Ranked, ...]:
     """All evaluated sets, the most probable first."""
     by_names = {h.names: h for h in (*choice.table, *choice.accepted)}
     order = sorted(by_names.values(), key=lambda h: -h.score.total)
-    return tuple(
-        Ranked(h.names, h.rms, *score_difference(h.score, order[0].score), spread=rms_range(h))
-        for h in order[:MOST_RANKED]
-    )
-
-
-def rms_range(hypothesis: Hypothesis) -> tuple[float, float]:
-    """Smallest and largest normalised RMS of a test run."""
-    runs = [float(np.sqrt(np.mean(residual**2))) for residual in hypothesis.test_residuals.values()]
-    return min(runs), max(runs)
+    return tuple(Ranked(h.names, h.rms, *score_difference(h.score, order[0].score)) for h in order[:MOST_RANKED])
 
 
 def select_certain(motion: Verdict, geometry: KinematicsFinding | None) -> tuple[NamedEffect, ...]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 from freeart21 import se3
@@ -22,7 +23,7 @@ from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction
 from freeart21.recording import Frame, Recording
 from freeart21.truth import Truth
-from freeart21.view.simplify import box
+from freeart21.view.simplify import of_trimesh
 
 N, WIDTH, HEIGHT = 6, 48, 32
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\"'&\u2028"
@@ -71,6 +72,10 @@ def extract_array(data: dict[str, Any]) -> NDArray[Any]:
     """The array behind the output of `embed_array` or `embed_points`."""
     array = np.frombuffer(base64.b64decode(data["base64"]), DTYPES[data["dtype"]]).reshape(data["shape"])
     return data["low"] + array * np.asarray(data["steps"]) if "low" in data else array
+
+
+def box(size: list[float]) -> Mesh:
+    return of_trimesh(trimesh.creation.box(size))
 
 
 def coloured(mesh: Mesh, seed: int) -> Mesh:

@@ -44,15 +44,12 @@ CROOKED = (("axis_tilt",), ("pivot_offset",))
     ("motion", "geometry", "answer", "counted", "certain", "rivals"),
     [
         (make_verdict("named", ViscousDamping(1.0)), make_finding("named", TILT), "named", 2, 2, 0),
-        (make_verdict("no_gap"), make_finding("named", TILT), "named", 1, 1, 0),
-        (make_verdict("ambiguous", ViscousDamping(1.0), rivals=TWO), make_finding("named", TILT), "ambiguous", 2, 1, 2),
         (
             make_verdict("ambiguous", ViscousDamping(1.0), rivals=TWO, more="Push."),
             make_finding("ambiguous", TILT, rivals=CROOKED),
             *("ambiguous", 2, 0, 4),
         ),
         (make_verdict("named", ViscousDamping(1.0)), make_finding("unexplained", TILT), "unexplained", 1, 1, 0),
-        (make_verdict("ambiguous", ViscousDamping(1.0), rivals=TWO), None, "ambiguous", 1, 0, 2),
     ],
 )
 def test_geometry_and_dynamics_are_reported_together(motion, geometry, answer, counted, certain, rivals):

@@ -30,10 +30,8 @@ from simgap.geometry.kinematics import find_geometry
 from simgap.geometry.placing import place
 from simgap.models.equation_error import estimate_missing_force
 from simgap.models.localise import make_residual_maps
-from simgap.models.surrogate import Nuisance, make_plant
 from simgap.page.publish import Draft, publish, replace_poses
 from simgap.page.report import Ranked
-from simgap.prove.body import NO_CORRECTION, find_correction
 from simgap.prove.comparison import closed_part, is_improved
 from simgap.prove.writeback import write_repaired
 from simgap.verdict import GEOMETRY, NamedEffect, RunGap, Verdict
@@ -109,9 +107,6 @@ def test_mjcf_next_to_the_urdf_is_updated(tmp_path: Path):
     assert joint.dof_damping[0] == pytest.approx(0.02)
     assert joint.dof_armature[0] == pytest.approx(0.003)
     assert joint.dof_frictionloss[0] == 0
-    (tmp_path / "a/bob.xml").write_text("<mujoco/>")
-    with pytest.raises(FreeArtError, match="has no joint 'j'; joints: none"):
-        write_repaired(read_asset(tmp_path / "a"), (ViscousDamping(0.02),), tmp_path / "c")
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
@@ -173,12 +168,7 @@ def test_external_meshes_are_copied(tmp_path: Path, named_as: str):
 
 @pytest.mark.parametrize(
     ("name", "message"),
-    [
-        ("/etc/hostname", "leads out"),
-        ("notes.txt", "expected a mesh or a picture"),
-        ("gone.obj", "does not exist"),
-        ("big.obj", "at most"),
-    ],
+    [("/etc/hostname", "leads out"), ("notes.txt", "expected a mesh or a picture"), ("big.obj", "at most")],
 )
 def test_unsafe_urdf_references_are_not_copied(tmp_path: Path, name: str, message: str, monkeypatch):
     asset = bob(tmp_path / "a")
@@ -206,8 +196,7 @@ def test_a_correct_repair_closes_the_gap_in_replay(tmp_path: Path):
     assert is_improved(there.runs) and there.numerics < 0.1
     near, far = there.split({"slow"})
     assert [run.run for run in near] == ["run_1"] and [run.run for run in far] == ["run_0", "run_2"]
-    assert there.split({"other"}) == (list(there.runs), [])
-    assert all((closed_part(runs) or 0.0) > 0.97 for runs in (there.runs, near)) and closed_part([]) is None
+    assert (closed_part(there.runs) or 0.0) > 0.97 and closed_part([]) is None
 
 
 def test_a_wrong_repair_is_no_improvement(tmp_path: Path):
@@ -216,30 +205,10 @@ def test_a_wrong_repair_is_no_improvement(tmp_path: Path):
     assert not is_improved(replay_both(asset, again, measured, STARTS[:2]).runs)
     good = replay_both(asset, write_repaired(asset, (ViscousDamping(0.03),), tmp_path / "c"), measured, STARTS[:2])
     first, second = good.runs
-    for fast, quiet, wider, fine in (  # nor one that harms another regime by a quarter floor
-        (20, 10, 0.2, True),
-        (20, 10, 0.3, False),
-        (2, 1.3, 0.2, True),
-        (2, 1.3, 0.3, False),
-    ):
-        slow = replace(second, before=quiet * second.floor, after=(quiet + wider) * second.floor, regime="slow")
-        quick = replace(first, before=fast * first.floor, after=first.floor)
+    quick = replace(first, before=20 * first.floor, after=first.floor)
+    for wider, fine in ((0.2, True), (0.3, False)):  # nor one that harms another regime by a quarter floor
+        slow = replace(second, before=10 * second.floor, after=(10 + wider) * second.floor, regime="slow")
         assert is_improved(good.runs) and is_improved((quick, slow)) == fine
-    for wider, fine in ((0.4, True), (0.6, False)):  # nor one run by half a floor, however well the others do
-        one = replace(second, before=second.floor, after=(1 + wider) * second.floor, regime="all")
-        most = replace(first, before=20 * first.floor, after=first.floor, regime="all")
-        assert is_improved((most, one)) == fine
-
-
-def test_replay_uses_only_what_the_files_contain(tmp_path: Path):
-    asset = bob(tmp_path / "a")
-    measured = pendulum(STARTS[:1], damped, inertia=1.08 * INERTIA, gravity=0.97)
-    oil, body = (ViscousDamping(0.03),), find_correction(make_plant(asset, measured), Nuisance(1.08, 0.97))
-    for name, written, most in (("b", NO_CORRECTION, np.inf), ("c", body, 1.5e-3)):
-        again = write_repaired(asset, oil, tmp_path / name, body=written)
-        (run,) = replay_both(asset, again, measured, STARTS[:1]).runs
-        assert run.after < most and run.before > 30e-3
-        assert written == body or run.after > 10e-3
 
 
 # ---------------------------------------------------------------- and published

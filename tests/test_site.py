@@ -2,7 +2,6 @@
 
 import base64
 import hashlib
-import html.parser
 import json
 import re
 from dataclasses import replace
@@ -12,6 +11,7 @@ from urllib.parse import unquote, urldefrag
 import numpy as np
 import pytest
 from browser import CHROMIUM, browser
+from page_data import Parsed
 from refusal import assert_refused
 from score_files import few_samples, submit, table_of, truths, write_data
 from synthetic_case import noisy_answer, static_answer, truth_as_answer, with_names_exchanged
@@ -81,101 +81,46 @@ def write(world, score_tables, out, **options):
         patch.undo()
 
 
-class Links(html.parser.HTMLParser):
-    """Addresses, ids, and whatever could run or style without a file."""
-
-    def __init__(self):
-        super().__init__()
-        self.links, self.ids, self.loose = [], set(), []
-        self._script = False
-
-    def handle_starttag(self, tag, attrs):
-        given = dict(attrs)
-        self.links += [(tag, given[key]) for key in ("href", "src") if given.get(key)]
-        if "id" in given:
-            assert given["id"] not in self.ids, f"two elements are called {given['id']}"
-            self.ids.add(given["id"])
-        self.loose += [f"{tag} {key}" for key in given if key.startswith("on")]
-        if tag == "script" and given.get("type") != "application/json":
-            self.loose += ["script of another file"] * ("src" in given)
-        if tag in ("iframe", "object", "embed", "form", "base"):
-            self.loose.append(tag)
-
-
-def parsed(page: Path) -> Links:
-    links = Links()
-    links.feed(page.read_text("utf-8"))
-    return links
-
-
 def pages(site: Path) -> list[Path]:
     return sorted(site.rglob("*.html"))
 
 
-def test_there_is_a_page_for_everything(site, world):
-    names = {p.relative_to(site).as_posix() for p in pages(site)}
-    assert {"index.html", "failures.html", "definitions.html", "downloads.html"} <= names
-    assert {f"sequences/{name}.html" for name in "abc"} <= names
-    assert len([name for name in names if name.startswith("methods/")]) == 3 and len(names) == 10
-    marker = json.loads((site / "site.json").read_text())
+def test_a_page_for_everything_links_within_the_site_and_its_own_script_alone(site):
+    """And what methods say of themselves is words, never elements."""
+    found = {page: Parsed(page.read_text("utf-8")) for page in pages(site)}
+    names = {page.relative_to(site).as_posix() for page in found}
+    assert {"index.html", "failures.html", "definitions.html", *(f"sequences/{name}.html" for name in "abc")} <= names
+    assert len([name for name in names if name.startswith("methods/")]) == 3 and len(names) == 9
     there = {p.relative_to(site).as_posix() for p in site.rglob("*") if p.is_file()} - {"site.json"}
-    assert set(marker["files"]) == there
-
-
-def test_every_link_leads_to_a_file_of_the_site_and_none_out_of_it(site):
-    found = {page: parsed(page) for page in pages(site)}
-    for page, links in found.items():
-        for tag, address in links.links:
-            if address.startswith("data:"):
+    assert set(json.loads((site / "site.json").read_text())["files"]) == there
+    ids = {page: [value for name, value in parsed.attributes if name == "id"] for page, parsed in found.items()}
+    for page, parsed in found.items():
+        text = page.read_text("utf-8")
+        assert len(set(ids[page])) == len(ids[page]), "two elements have one id"
+        for name, address in parsed.attributes:
+            assert not name.startswith("on"), (page.name, name)
+            if name not in ("href", "src") or address.startswith("data:"):
                 continue
-            assert not re.match(r"[a-z]+:|//", address), (page.name, tag, address)
             path, mark = urldefrag(unquote(address))
             target = (page.parent / path).resolve() if path else page
-            assert target.is_file() and target.is_relative_to(site.resolve()), (page.name, address)
-            if mark and target.suffix == ".html":
-                assert mark in found[site / target.relative_to(site.resolve())].ids, (page.name, address)
-
-
-def test_nothing_runs_but_the_pages_own_script(site):
-    for page in pages(site):
-        assert not parsed(page).loose, page.name
-        text = page.read_text("utf-8")
-        script = re.findall(r"<script>(.*?)</script>", text, re.S)
-        digest = base64.b64encode(hashlib.sha256(script[-1].encode()).digest()).decode()
-        assert len(script) == 1 and "default-src &#39;none&#39;" in text and f"sha256-{digest}" in text
-
-
-def test_words_of_methods_are_words(site):
-    for page in pages(site):
-        text = page.read_text("utf-8")
-        assert "<script>alert" not in text and "<script>document" not in text and "<img src=https" not in text, (
-            page.name
-        )
+            assert not re.match(r"[a-z]+:|//", address) and target.is_relative_to(site.resolve()), (page.name, address)
+            assert target.is_file() and (not mark or mark in ids[site / target.relative_to(site.resolve())]), address
+        (script,) = [words for is_data, words in parsed.scripts if not is_data]
+        digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+        assert "default-src &#39;none&#39;" in text and f"sha256-{digest}" in text
+        assert "<script>alert" not in text and "<script>document" not in text and "<img src=https" not in text
     assert "alert(&#34;x&#34;)" in (site / "index.html").read_text("utf-8")
 
 
-def test_the_same_results_give_the_same_bytes(world, score_tables, site, tmp_path):
-    write(world, score_tables, tmp_path / "again")
-    for path in sorted(site.rglob("*")):
-        if path.is_file():
-            assert path.read_bytes() == (tmp_path / "again" / path.relative_to(site)).read_bytes(), path
-
-
-def test_an_older_site_is_replaced_and_nothing_else(world, score_tables, tmp_path):
+def test_an_older_site_is_replaced_by_the_same_bytes_and_nothing_else_is(world, score_tables, site, tmp_path):
     out = tmp_path / "site"
-    write(world, score_tables, out)
     write(world, score_tables, out, title="another")
     assert "another" in (out / "index.html").read_text() and SITE.stands_at(out)
+    write(world, score_tables, out)
+    for path in sorted(site.rglob("*")):
+        assert path.is_dir() or path.read_bytes() == (out / path.relative_to(site)).read_bytes(), path
     (out / "mine.txt").write_text("mine")
     assert_refused(r"mine.txt in it would be lost", write, world, score_tables, out)
-    assert (out / "mine.txt").read_text() == "mine"
-    assert_refused("would be read", write, world, score_tables, world[0] / "site")
-    (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "thesis.tex").write_text("x")
-    assert_refused("is no older site", write, world, score_tables, tmp_path / "other")
-
-
-def test_a_broken_call_is_reported_in_one_line(world, score_tables, tmp_path):
     data, results = world
     assert_refused("unknown protocol 'strict-9'", write, world, score_tables, tmp_path / "s", protocols=("strict-9",))
     assert_refused("named twice", build.write_site, [results[0], results[0]], data, tmp_path / "s")
@@ -183,27 +128,16 @@ def test_a_broken_call_is_reported_in_one_line(world, score_tables, tmp_path):
     assert not (tmp_path / "s").exists()
 
 
-def test_reasons_stand_where_what_is_missing_would_be(site):
+def test_reasons_stand_where_what_is_missing_would_be_and_numbers_are_traced(site):
     failures = (site / "failures.html").read_text("utf-8")
-    assert failures.index("Not measured: 2 of 9") < failures.index("Worst by every number")
-    assert "there is no c among the results" in failures
+    assert "Not measured: 2 of 9" in failures and "there is no c among the results" in failures
     sequence = (site / "sequences" / "a.html").read_text("utf-8")
     assert all(words in sequence for words in ("Makes no meshes", "makes no part masks", "segmentation: "))
     assert "without a penalty" in (site / "methods" / "part.html").read_text("utf-8")
-
-
-def test_every_number_is_traced(site):
     method = (site / "methods" / "good.html").read_text("utf-8")
-    for fact in (
-        "https://example.org/good 1.0",
-        "one machine",
-        "&#34;threshold&#34;: 0.5",
-        "commit",
-        "abc",
-        "0" * 64,
-    ):
-        assert fact in method
-    assert "freeart21 site &#39;&lt;script&gt;" in (site / "downloads.html").read_text("utf-8")
+    facts = "https://example.org/good 1.0", "one machine", "&#34;threshold&#34;: 0.5", "commit", "abc", "0" * 64
+    assert all(fact in method for fact in facts)
+    assert "freeart21 site &#39;&lt;script&gt;" in (site / "definitions.html").read_text("utf-8")
 
 
 def test_a_method_without_some_numbers_has_a_place_in_the_tracks_of_the_others(world, score_tables):
@@ -216,11 +150,12 @@ def test_a_method_without_some_numbers_has_a_place_in_the_tracks_of_the_others(w
     assert [place.measured for place in places] == [3, 1, 3]
 
 
-def test_a_method_that_was_given_a_part_of_the_truth_has_no_place(world, score_tables):
+def test_what_was_given_a_part_of_the_truth_has_no_place_and_one_name_is_two(world, score_tables):
     good = score_tables[world[1][0], "strict-2"]
-    given = replace(good, method=replace(good.method, name="given", settings={"privileged_inputs": ["part_masks"]}))
+    given = replace(good, method=replace(good.method, settings={"privileged_inputs": ["part_masks"]}))
     board = entrants([(Path("x/one"), {"strict-2": good}), (Path("x/two"), {"strict-2": given})])
-    assert {place.entrant.name: place.text for place in ranked("strict-2", board)} == {"good": "1", "given": "ref."}
+    texts = {place.entrant.name: place.text for place in ranked("strict-2", board)}
+    assert texts == {"good (one)": "1", "good (two)": "ref."}
 
 
 def test_names_are_safe_as_names_of_files():
@@ -229,12 +164,6 @@ def test_names_are_safe_as_names_of_files():
     assert found[0] == "a" and len({name.casefold() for name in found}) == len(hostile)
     assert all(re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", name) and len(name) < 90 for name in found)
     assert file_names(["<b>", "plain"])[0] == file_names(["plain", "<b>"])[1]
-
-
-def test_two_methods_of_one_name_are_distinguished(world, score_tables):
-    good = score_tables[world[1][0], "strict-2"]
-    board = entrants([(Path("x/one"), {"strict-2": good}), (Path("x/two"), {"strict-2": good})])
-    assert [entrant.name for entrant in board] == ["good (one)", "good (two)"]
 
 
 @pytest.mark.parametrize("kind", ["a", "b"])
@@ -253,31 +182,6 @@ def test_an_answer_is_shown_where_scoring_puts_it(world, kind):
     assert (shown.masks == np.stack([truth.part_mask(i) for i in (0, 5)])).all()
     at = shown.articulation.joint.transform(shown.sign * 0.4 + shown.offset)
     assert at == pytest.approx(parts.joint.transform(0.4), abs=1e-6)
-
-
-def test_an_answer_of_one_frame_is_shown_by_that_frame(world):
-    """Without poses and states: what was given of the anchor frame, and a state zero there."""
-    truth, folder = truths()["a"], world[0].parent / "one-frame"
-    answer = truth_as_answer(truth)
-    still = np.repeat(truth.Ts_camera_reference[4][None], len(truth), 0)
-    lid = truth.articulation.moving.moved(truth.articulation.joint.transform(truth.states[4]))
-    parts = replace(answer.articulation, moving=lid)
-    one_frame = replace(
-        answer,
-        articulation=parts,
-        states=np.zeros(len(truth)),
-        Ts_camera_reference=still,
-        Ts_camera_moving=still,
-        anchor=4,
-    )
-    submit(folder, truth, one_frame, renders=False)
-    shown = read_answer(folder, truth, [0], False, ("poses", "states"), truth.part_mask(0).shape)
-    assert shown.articulation.reference.vertices == pytest.approx(parts.reference.vertices, abs=1e-6)
-    q = float(truth.states[9])
-    there = shown.articulation.moving.moved(shown.articulation.joint.transform(shown.sign * q + shown.offset))
-    assert there.vertices == pytest.approx(
-        answer.articulation.moving.moved(parts.joint.transform(q)).vertices, abs=1e-6
-    )
 
 
 @pytest.mark.skipif(not CHROMIUM, reason="needs chromium")

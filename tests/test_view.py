@@ -9,11 +9,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import trimesh
 from browser import CHROMIUM, browser
 from page_data import (
-    HEIGHT,
     HOSTILE,
-    WIDTH,
     N,
     Parsed,
     extract_array,
@@ -34,17 +33,15 @@ from freeart21.files.truth import write_truth
 from freeart21.gaussians import Gaussians
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure
-from freeart21.view import page, write_page
+from freeart21.view import page
 from freeart21.view.asset_scene import asset_scene
 from freeart21.view.link_shapes import read_shown
 from freeart21.view.pages import TRUE_LAYERS
 from freeart21.view.parts import align, articulation_scene, exchanged, matched, with_truth
 from freeart21.view.plots import Curve, state_section
 from freeart21.view.scene import link_poses
-from freeart21.view.simplify import box, simplified, sphere
-from freeart21.view.splats import SplatLayers, splat_data
+from freeart21.view.simplify import of_trimesh, simplified
 from freeart21.view.tables import score_section, source_rows
-from freeart21.view.video import VideoSettings, video_section
 
 
 def make_gaussians(n: int) -> Gaussians:
@@ -162,14 +159,6 @@ def test_frames_and_labels_of_the_video_are_those_of_the_files(world: Path) -> N
     assert (true[1] - true[0]) @ (line[1] - line[0]) > 0, "and one direction, though this result's axis is turned"
 
 
-def test_a_long_video_stays_within_its_budget_and_masks_have_its_size() -> None:
-    settings = VideoSettings(max_frames=7, max_side=24)
-    data = video_section(make_recording(40), settings=settings).data
-    assert (data["width"], data["height"], len(data["rgb"])) == (24, 16, 7)
-    tight = video_section(make_recording(noise=True), settings=VideoSettings(rgb_bytes=N * 1100)).data
-    assert sum(len(base64.b64decode(url.split(",")[1])) for url in tight["rgb"]) <= N * 1100
-
-
 def test_meshes_and_gaussians_of_a_result_are_shown_as_they_are(world: Path) -> None:
     scene = next(data for data in Parsed(page(world / "with_gaussians")).data if "surfaces" in data)
     result = perfect_result(make_truth())
@@ -181,11 +170,8 @@ def test_meshes_and_gaussians_of_a_result_are_shown_as_they_are(world: Path) -> 
         assert np.array_equal(extract_array(surface["colours"]), mesh.colours)
     assert scene["sliders"][0]["states"] == pytest.approx(result.states.tolist())
     packed, given = scene["gaussians"], make_gaussians(50)
-    low, high = np.array(packed["low"]), np.array(packed["high"])
-    assert np.abs(low + extract_array(packed["means"]) / 65535 * (high - low) - given.means).max() < 1e-5
+    assert np.array_equal(extract_array(packed["means"]), given.means)
     assert np.array_equal(extract_array(packed["part_weights"]), 255 * given.part_weights)
-    stray = replace(given, means=np.concatenate([np.full((1, 3), 1e4, np.float32), given.means[1:]]))
-    assert splat_data(SplatLayers(stray, (0, 0), (0, 0)))["means"]["dtype"] == "f32", "a stray coarsens no other"
 
 
 @pytest.mark.parametrize("swap", [False, True])
@@ -249,49 +235,29 @@ def test_scores_have_their_unit_and_few_digits_and_sources_are_flat() -> None:
     assert source_rows(source) == [("length unit", "m"), ("parts, reference, solid", "no"), ("up", "0, -1")]
 
 
-def test_a_plot_breaks_where_nothing_is_known_and_marks_unseen_frames() -> None:
+def test_a_plot_breaks_where_nothing_is_known_and_a_mesh_is_simplified_with_its_colours() -> None:
     result = perfect_result(make_truth())
-    frames, std = np.arange(N, dtype=float), 2 * np.asarray(result.state_std)
-    curve = Curve("a&b", "#000000", result.states, "", std)
-    section = state_section("revolute", frames, False, [curve], result.seen[:, 1])
+    curve = Curve("a&b", "#000000", result.states, "", 2 * np.asarray(result.state_std))
+    section = state_section("revolute", np.arange(N, dtype=float), False, [curve], result.seen[:, 1])
     assert section.html.count('class="unseen"') == 1 and section.html.count('class="band"') == 2
-    assert section.data["charts"][0][0] == pytest.approx(np.degrees(result.states), rel=1e-3)
-    assert "a&amp;b" in section.html and not re.search("nan", section.html, re.IGNORECASE)
-    for states in (np.zeros(1), np.zeros(4), np.full(4, 1e9), np.full(3, np.nan)):
+    for states in (np.zeros(1), np.full(4, 1e9), np.full(3, np.nan)):
         x = np.arange(len(states), dtype=float)
         assert not re.search(r"nan|inf", state_section("prismatic", x, True, [Curve("", "#000", states)]).html)
-
-
-def test_a_simplified_mesh_keeps_its_planes_and_colours() -> None:
-    ball = sphere(1.0)
+    ball = of_trimesh(trimesh.creation.uv_sphere(1.0))
     both = Mesh(ball.vertices, ball.faces, np.where(ball.vertices[:, :1] > 0, 255, 0) * np.ones((1, 3), np.uint8))
     small = simplified(both, 300)
-    assert len(small.faces) <= 300 and simplified(both, len(both.faces)) is both
+    assert len(small.faces) <= 300 and set(np.unique(small.colours)) == {0, 255}
     assert np.abs(np.linalg.norm(small.vertices, axis=1) - 1).max() < 0.1
-    assert set(np.unique(small.colours)) == {0, 255}
-    dust = Mesh(
-        np.tile(box([1, 1, 1]).vertices, (50, 1)), np.concatenate([box([1, 1, 1]).faces + 8 * k for k in range(50)])
-    )
-    assert len(simplified(dust, 20).faces) <= 20
 
 
 def test_what_cannot_be_shown_is_answered_in_one_line(tmp_path: Path, world: Path) -> None:
     (tmp_path / "notes.txt").write_text("")
     for word in ("sequence.json", "prediction.json", "truth.json", "asset.json", ".urdf", "notes.txt"):
         assert_refused(re.escape(word), page, tmp_path)
-    assert_refused("does not exist", page, tmp_path / "none")
-    assert_refused("is a file, expected a URDF", page, tmp_path / "notes.txt")
     write_sequence(tmp_path / "long", make_recording(N + 1), 1e-4)
     assert_refused("sequence has 7 frames, the result has 6", page, world / "result", sequence=tmp_path / "long")
-    small = replace(make_truth(), part_mask=lambda i: np.zeros((HEIGHT, WIDTH - 1), np.uint8))
-    write_truth(tmp_path / "small", small, 0)
-    assert_refused("the part masks of the result are", page, world / "result", tmp_path / "small")
     body = '<link name="z"><visual><geometry><mesh filename="../../x.obj"/></geometry></visual></link>'
     assert_refused("leads out", page, write_urdf(tmp_path / "out", body=body))
-    (tmp_path / "bad").mkdir()
-    (tmp_path / "bad" / "prediction.json").write_text("{")
-    assert_refused("prediction.json", write_page, tmp_path / "bad", tmp_path / "page.html")
-    assert not (tmp_path / "page.html").exists()
 
 
 @pytest.mark.skipif(not CHROMIUM, reason="needs chromium")
@@ -315,10 +281,6 @@ def test_every_page_comes_to_life_in_a_browser(tmp_path: Path, world: Path) -> N
         view = f"({COLOURED})()"
         coloured = chrome.run(f"new Promise((done) => setTimeout(() => done({view}), 300))")
         assert coloured > 100, "parts are drawn over the grey video"
-        chrome.run(
-            "[...document.querySelectorAll('.sources button')].forEach((b) => b.ariaPressed === 'true' && b.click())"
-        )
-        assert chrome.run(f"new Promise((done) => setTimeout(() => done({view}), 300))") < coloured / 4
         chrome.open(tmp_path / "data.html")
         chrome.run("document.querySelector('.sortable thead button').click()")
         assert chrome.run("document.querySelector('th[aria-sort]').ariaSort") == "ascending" and not chrome.errors

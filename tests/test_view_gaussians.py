@@ -1,13 +1,11 @@
 """The 3D view draws Gaussians as the formulas say, moved by the slider, lit as the video's frame, and in order."""
 
-from dataclasses import replace
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
 from browser import CHROMIUM, Browser, browser
 from gaussian_reference import spherical_harmonics
+from page_data import box
 
 from freeart21 import se3
 from freeart21.articulation import Articulation
@@ -17,9 +15,7 @@ from freeart21.joint import Joint
 from freeart21.view.document import document
 from freeart21.view.parts import articulation_scene
 from freeart21.view.scene import Scene, scene_section
-from freeart21.view.simplify import box
 
-STATIC = Path(__file__).resolve().parents[1] / "freeart21" / "view" / "static"
 CAMERA = Camera(np.array([[400.0, 0, 165], [0, 390, 85], [0, 0, 1]]), 320, 180)
 JOINT = Joint("lid", "revolute", [0.0, 0.6, 0.8], [0.01, -0.02, 0.0], -1.0, 1.0)
 STATES = np.array([0.0, 0.4, 0.8])
@@ -84,16 +80,6 @@ def draw_slowly(gaussians: Gaussians, Ts_camera_part: list[np.ndarray], camera: 
     return 255 * picture
 
 
-needs_browser = pytest.mark.skipif(not CHROMIUM, reason="needs chromium")
-SHOWN = "!!document.querySelector('.view canvas')"
-
-
-@pytest.fixture(scope="module")
-def chrome():
-    with browser() as one:
-        yield one
-
-
 def shot(chrome: Browser) -> np.ndarray:
     """(height, width, 3) RGB of the 3D view alone, before black."""
     chrome.run(
@@ -107,51 +93,24 @@ def shot(chrome: Browser) -> np.ndarray:
     return image[round(y) : round(y) + 180, round(x) : round(x) + 320, ::-1].astype(float)
 
 
-def press(chrome: Browser, text: str) -> None:
-    chrome.run(f"[...document.querySelectorAll('button')].find((b) => b.textContent.includes({text!r})).click()")
-
-
-def show(chrome: Browser, path: Path, scene: Scene, link: str) -> None:
-    path.write_text(document("gaussians", [scene_section(scene)]))
-    chrome.open(f"{path.resolve().as_uri()}#{link}", ready=SHOWN)
-
-
-@needs_browser
-@pytest.mark.parametrize("terms", [None, 1, 25])
-def test_pixels_are_those_of_the_formulas(chrome, tmp_path, terms):
+@pytest.mark.skipif(not CHROMIUM, reason="needs chromium")
+def test_pixels_are_those_of_the_formulas_and_surfaces_can_be_chosen(tmp_path):
     """Through the video's camera in frame 2, at a state of the slider that is not that frame's."""
-    given, state = make_gaussians(150, light=terms), -0.35
-    show(chrome, tmp_path / "a.html", made_scene(given), f"frame=2&state={state}&view=video&show=part")
+    given, state = make_gaussians(150, light=25), -0.35
     T = camera_poses()[2]
     expected = draw_slowly(given, [T, T @ JOINT.transform(state)], CAMERA)
     assert expected.max() > 100 and (expected.max(-1) > 20).mean() > 0.1, "there is something to see"
-    difference = np.abs(shot(chrome) - expected)
-    assert difference.mean() < 0.5 and np.percentile(difference, 99.9) < 8, (difference.mean(), difference.max())
-    assert not chrome.errors
-
-
-@needs_browser
-def test_the_reader_chooses_between_gaussians_and_surfaces(chrome, tmp_path):
-    given = replace(make_gaussians(200, light=None), part_weights=(np.arange(200) % 2).astype(np.float32))
-    show(chrome, tmp_path / "a.html", made_scene(given), "state=0.4&view=video&show=part")
-    first = shot(chrome)
-    press(chrome, "Surfaces")
-    surfaces = shot(chrome)
-    assert np.abs(surfaces - first).mean() > 5
-    press(chrome, "Gaussians")
-    assert np.abs(shot(chrome) - first).max() < 3, "and back"
-    press(chrome, "moving part")
-    T = camera_poses()[0]
-    still = given.part_weights == 1
-    half = given.chosen(still)
-    difference = np.abs(shot(chrome) - draw_slowly(half, [T, T], CAMERA))
-    assert difference.mean() < 1 and np.percentile(difference, 99.5) < 8, "the moving part's are hidden"
-    press(chrome, "moving part")
-    press(chrome, "Part colours")
-    tinted = shot(chrome)
-    assert np.abs(tinted - first).mean() > 5
-    show(chrome, tmp_path / "b.html", made_scene(given), "state=0.4&view=video&show=part&look=surfaces")
-    assert np.abs(shot(chrome) - surfaces).max() < 3, "a link chooses, too"
-    show(chrome, tmp_path / "c.html", made_scene(None), "state=0.4&view=video&show=part&look=gaussians")
-    assert np.abs(shot(chrome) - surfaces).max() < 3 and not chrome.run("!!document.querySelector('.panel .choice')")
-    assert not chrome.errors
+    path = tmp_path / "a.html"
+    path.write_text(document("gaussians", [scene_section(made_scene(given))]))
+    with browser() as chrome:
+        link = f"frame=2&state={state}&view=video&show=part"
+        chrome.open(f"{path.as_uri()}#{link}", ready="!!document.querySelector('.view canvas')")
+        first = shot(chrome)
+        difference = np.abs(first - expected)
+        assert difference.mean() < 0.5 and np.percentile(difference, 99.9) < 8, (difference.mean(), difference.max())
+        for name, least, most in (("Surfaces", 5, 255), ("Gaussians", 0, 0.01), ("Part colours", 5, 255)):
+            chrome.run(
+                f"[...document.querySelectorAll('button')].find((b) => b.textContent.includes({name!r})).click()"
+            )
+            assert least <= np.abs(shot(chrome) - first).mean() <= most, name
+        assert not chrome.errors

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from freeart21.asset import Asset
@@ -11,11 +9,10 @@ from freeart21.errors import FreeArtError
 from freeart21.files.urdf import UrdfJoint
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh, bounding_diagonal, box_centre
-from freeart21.se3 import Array, inverse
 from freeart21.view.document import MOVING, REFERENCE
 from freeart21.view.link_shapes import ShownUrdf
-from freeart21.view.parts import AXIS, FIRST_VIEW
-from freeart21.view.scene import Layer, Link, Scene, Slider, Surface, axis_mesh, link_poses, slider_range
+from freeart21.view.parts import AXIS
+from freeart21.view.scene import Layer, Link, Scene, Slider, Surface, axis_mesh, slider_range
 from freeart21.view.simplify import joined
 
 LINK_COLOURS = (REFERENCE, MOVING, "#56B4E9", "#CC79A7", "#F0E442", "#D55E00", "#8C8C8C")
@@ -24,12 +21,11 @@ HULL_COLOURS = ((86, 180, 233), (0, 158, 115), (230, 159, 0), (204, 121, 167), (
 """Colours of collision shapes in turn, to distinguish the pieces of a decomposition."""
 
 
-def asset_scene(shown: ShownUrdf, asset: Asset | None = None, T_camera_canonical: Array | None = None) -> Scene:
+def asset_scene(shown: ShownUrdf, asset: Asset | None = None) -> Scene:
     """All links of a URDF, a layer for every body, and a layer of collision shapes, hidden at first.
 
     Sliders are first at the asset's state zero and held positions, else at zero or the nearest limit. The world is the
-    root link, z up; with `T_camera_canonical` (4, 4) and an asset it is the asset's canonical frame, seen from that
-    camera.
+    root link, z up.
     """
     values: dict[str, float] = {} if asset is None else {**asset.held, asset.joint: asset.state_zero}
     urdf = shown.urdf
@@ -58,22 +54,7 @@ def asset_scene(shown: ShownUrdf, asset: Asset | None = None, T_camera_canonical
         if leader not in index:
             raise FreeArtError(f"{urdf.path}: joint '{above.name}' mimics '{leader}'; joints: {', '.join(index)}")
         links.append(Link(parent, T, _at_child(above), index[leader], scale, offset))
-    up, towards = np.array([0.0, 0.0, 1.0]), np.array([-1.0, -0.75, 0.55])
-    if asset is not None and T_camera_canonical is not None:
-        R_canonical_camera = T_camera_canonical[:3, :3].T
-        up, towards = R_canonical_camera @ [0.0, -1.0, 0.0], R_canonical_camera @ FIRST_VIEW
-        first = link_poses(links, [slider.value for slider in sliders])[names.index(asset.reference_link)]
-        T_world_root = asset.T_canonical_reference @ inverse(first)
-        links = [Link(-1, T_world_root), *(replace(link, parent=link.parent + 1) for link in links)]
-    return _scene(shown, asset, links, sliders, up, towards)
-
-
-def _scene(
-    shown: ShownUrdf, asset: Asset | None, links: list[Link], sliders: list[Slider], up: Array, towards: Array
-) -> Scene:
-    """The scene with visuals by body, axes, and collision shapes on their links."""
-    shift = len(links) - len(shown.visuals)
-    position = {name: i + shift for i, name in enumerate(shown.visuals)}
+    position = {name: i for i, name in enumerate(names)}
     layers: list[Layer] = []
     surfaces: list[Surface] = []
     for name, body in _bodies(shown, asset):
@@ -86,7 +67,7 @@ def _scene(
         layers.append(Layer(name, colour))
     axes, hulls = len(layers), len(layers) + 1
     layers += [Layer("joint axes", AXIS, "axis"), Layer("collision shapes", "#009E73", "ghost", False)]
-    for link, (owner, visuals) in zip(links[shift:], shown.visuals.items(), strict=True):
+    for link, (owner, visuals) in zip(links, shown.visuals.items(), strict=True):
         meshes = [piece.mesh for piece in visuals if not piece.mesh.empty]
         if link.joint is not None:
             near = box_centre(joined(*meshes)) if meshes else np.zeros(3)
@@ -96,6 +77,7 @@ def _scene(
             Surface(_painted(piece.mesh, HULL_COLOURS[i % len(HULL_COLOURS)]), position[owner], hulls)
             for i, piece in enumerate(shown.collisions[owner])
         ]
+    up, towards = np.array([0.0, 0.0, 1.0]), np.array([-1.0, -0.75, 0.55])
     return Scene(tuple(links), tuple(sliders), tuple(layers), tuple(surfaces), up, towards)
 
 

@@ -15,7 +15,7 @@ from freeart21.files.truth import read_truth
 from freeart21.recording import Recording
 from freeart21.statistics import FEW, GONE_FRAMES, HARD_FRAMES, MotionStatistics, motion_statistics
 from freeart21.view.document import Markup, data_url, document
-from freeart21.view.tables import Cell, table_section
+from freeart21.view.tables import Cell, records_section
 from freeart21.view.video import encode_jpeg, shown_frames
 
 IMAGES, WIDTH, QUALITY = 3, 120, 72
@@ -47,8 +47,7 @@ def data_page(folder: Path, title: str) -> str:
     names = ", ".join(hidden[:5]) + " ..." * (len(hidden) > 5)
     notices = [f"{len(hidden)} sequences have no truth here and are left out: {names}"] if hidden else []
     frames, hard = sum(s.frames for s in shown), sum(s.is_hard for s in shown)
-    cells = [list(row.values()) for row in rows]
-    section = table_section("Sequences", cells, list(rows[0]), "full", NOTE, "sortable dense")
+    section = records_section("Sequences", rows, NOTE, "sortable dense")
     chips = [f"{len(shown)} sequence{'s' * (len(shown) > 1)}", f"{frames} frames", f"{hard} of {len(shown)} hard"]
     return document(title, [section], "data", [*chips, f"version {benchmark.version}", benchmark.split], notices)
 

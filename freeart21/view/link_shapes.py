@@ -13,7 +13,7 @@ from freeart21.files.urdf import Urdf, UrdfShape, read_urdf
 from freeart21.files.urdf_files import find_root, resolve_file
 from freeart21.mesh import Mesh
 from freeart21.view.mesh_pieces import PLAIN, Piece, read_pieces
-from freeart21.view.simplify import box, capsule, cylinder, sphere
+from freeart21.view.simplify import of_trimesh
 
 
 @dataclass(frozen=True)
@@ -78,15 +78,19 @@ def primitive(shape: UrdfShape, where: str) -> Mesh:
     """
     if not (shape.size > 0).all():
         raise FreeArtError(f"{where} has a {shape.kind} of size {shape.size.tolist()}, expected more than zero")
+    from trimesh import creation
+
+    scale = float(shape.size.max())
+    size = [float(each) / scale for each in shape.size]
     match shape.kind:
         case "box":
-            return box(shape.size)
+            return of_trimesh(creation.box(size), scale)
         case "sphere":
-            return sphere(float(shape.size[0]))
+            return of_trimesh(creation.uv_sphere(1.0), scale)
         case "cylinder":
-            return cylinder(*map(float, shape.size))
+            return of_trimesh(creation.cylinder(size[0], size[1]), scale)
         case "capsule":
-            return capsule(*map(float, shape.size))
+            return of_trimesh(creation.capsule(size[1], size[0]), scale)
     raise FreeArtError(f"{where}: geometry <{shape.kind}> is unknown; known: box, capsule, cylinder, mesh, sphere")
 
 

@@ -7,11 +7,13 @@ mesh file names are read inside the root only.
 
 from __future__ import annotations
 
+import hashlib
 import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +34,10 @@ ENDINGS = (*_SCENES, ".stl", ".ply", ".off")
 """Endings of readable files, in lower case."""
 _MOST_VERTICES = 1 << 24
 """Most vertices in all copies of all meshes of a scene: 4 GB with everything computed from them."""
+
+_MOST_PIXELS = 4 * checked.MAX_PIXELS
+"""Of all different pictures of the meshes in use."""
+_PICTURES: WeakValueDictionary[bytes, NDArray[np.uint8]] = WeakValueDictionary()
 
 
 @dataclass(frozen=True)
@@ -135,7 +141,7 @@ def _look(mesh: Any, linear: bool) -> tuple[NDArray[np.uint8] | None, NDArray[np
     visual = mesh.visual
     if visual.kind in ("vertex", "face"):
         return np.asarray(visual.vertex_colors)[:, :3].astype(np.uint8), None, None
-    material = getattr(visual, "material", None)
+    material: Any = getattr(visual, "material", None)
     material = material.to_pbr() if hasattr(material, "to_pbr") else material
     factor = getattr(material, "baseColorFactor", None)
     colour = np.full(3, 255, np.uint8) if factor is None else np.asarray(factor)[:3].astype(np.uint8)
@@ -148,11 +154,19 @@ def _look(mesh: Any, linear: bool) -> tuple[NDArray[np.uint8] | None, NDArray[np
         return None if plain else np.tile(colour, (len(mesh.vertices), 1)), None, None
     if image.width * image.height > checked.MAX_PIXELS:
         raise ValueError(f"a picture is {image.width} x {image.height}, at most {checked.MAX_PIXELS} pixels are read")
-    picture = np.asarray(image.convert("RGB"), np.uint8)
+    picture = _shared(np.asarray(image.convert("RGB"), np.uint8))
     uv = np.nan_to_num(np.asarray(uv, float)[:, :2])
     h, w = picture.shape[:2]
     at = np.floor(uv * [w, h]).astype(np.int64) % [w, h]
     return picture[h - 1 - at[:, 1], at[:, 0]], uv, picture
+
+
+def _shared(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The picture (h, w, 3), or an equal one in use; ValueError when all in use have too many pixels."""
+    known = _PICTURES.setdefault(hashlib.sha256(repr(picture.shape).encode() + picture.tobytes()).digest(), picture)
+    if (count := sum(one.size // 3 for one in _PICTURES.values())) > _MOST_PIXELS:
+        raise ValueError(f"all pictures together have {count} pixels, at most {_MOST_PIXELS} are read")
+    return known
 
 
 class _Neighbours:

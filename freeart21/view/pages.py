@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -23,10 +23,8 @@ from freeart21.files.result import read_appearance, read_result
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
 from freeart21.files.urdf import MAX_URDF_BYTES
-from freeart21.gaussians import Gaussians
 from freeart21.reconstruction import Failure, Reconstruction, describe_trust
 from freeart21.recording import Recording
-from freeart21.se3 import Array
 from freeart21.truth import Truth
 from freeart21.view.asset_scene import asset_scene
 from freeart21.view.data_page import data_page
@@ -114,13 +112,13 @@ def page(
         return _gaussians_page(name, path)
     extra = [score_section(scores, score_note, "small" if kind == "asset" else "right")] if scores else []
     if kind == "asset":
-        sections, chips, notices = _asset_sections(path, None, root)
+        sections, chips, notices = _asset_sections(path, root)
         return document(name, [*sections, *extra], "asset", chips, notices)
     truth, video = path if kind == "truth" else truth, path if kind == "sequence" else sequence
     true = read_truth(truth) if truth is not None else None
     recording = read_sequence(video) if video is not None else None
     if kind in ("sequence", "truth"):
-        return _sequence_page(name, recording, true, extra)
+        return _sequence_page(name, recording, true, extra, "sequence" if recording is not None else "truth")
     answer = read_result(path, appearance=False)
     if isinstance(answer, Failure):
         return _failure_page(name, answer, true, recording, extra)
@@ -172,33 +170,32 @@ def _gaussians_page(name: str, path: Path) -> str:
     n, moving = len(gaussians), int((gaussians.part_weights < 0.5).sum())
     if not n:
         raise FreeArtError(f"{path} has no Gaussians, expected at least one")
-    rows = [("Gaussians", f"{n:,}"), ("Extent, units of the file", _extent_text(gaussians))]
+    size = " x ".join(f"{x:.3g}" for x in np.ptp(without_outliers(gaussians.means), 0))
+    rows = [("Gaussians", f"{n:,}"), ("Extent, units of the file", size)]
     if (gaussians.part_weights < 1).any():
-        rows += [("Of the reference part", f"{n - moving:,}"), ("Of the moving part", f"{moving:,}")]
-        rows.append(("Joint", "not in this file: parts are at state zero; the page of a result has a slider"))
+        rows.append(("Of the moving part, at state zero", f"{moving:,}"))
     if gaussians.supposed is not None:
         rows.append(("On surface that nobody saw", f"{int(gaussians.supposed.sum()):,}"))
-    light = "no shading"
-    if gaussians.light is not None:
-        light = f"fixed to the camera, here the viewer ({len(gaussians.light)} spherical harmonics)"
+    light = "none" if gaussians.light is None else f"{len(gaussians.light)} spherical harmonics, fixed to the viewer"
     facts = table_section("Gaussians", [*rows, ("Light", light)])
     return document(
         name, [scene_section(gaussians_scene(gaussians), "3D view", "full"), facts], "Gaussians", [f"{n:,} Gaussians"]
     )
 
 
-def _extent_text(gaussians: Gaussians) -> str:
-    return " x ".join(f"{x:.3g}" for x in np.ptp(without_outliers(gaussians.means), 0))
-
-
-def _sequence_page(name: str, recording: Recording | None, true: Truth | None, extra: list[Section]) -> str:
+def _sequence_page(
+    name: str,
+    recording: Recording | None,
+    true: Truth | None,
+    extra: list[Section],
+    kind: str = "sequence",
+    notices: Sequence[str] = (),
+) -> str:
     """The page of a sequence, of a truth, or of both."""
     _check_lengths(recording=recording, truth=true)
     chips = _recording_chips(recording)
-    sections = []
-    if true is None:
-        sections.append(video_section(recording))
-    else:
+    sections = [video_section(recording)] if true is None and recording is not None else []
+    if true is not None:
         joint, states = true.articulation.joint, true.states
         camera = recording.camera if recording is not None else None
         scene = articulation_scene(true.articulation, states, true.Ts_camera_reference, camera)
@@ -213,7 +210,7 @@ def _sequence_page(name: str, recording: Recording | None, true: Truth | None, e
     if recording is not None:
         rows = recording_rows(recording)
         sections.append(table_section("Recording", rows, (), "small" if true is not None else "right"))
-    return document(name, [*sections, *extra], "sequence" if recording is not None else "truth", chips)
+    return document(name, [*sections, *extra], kind, chips, notices)
 
 
 def _result_page(
@@ -271,7 +268,7 @@ def _result_page(
         sections.append(table_section("Recording", recording_rows(recording)))
     if (path / "asset").is_dir():
         try:
-            more, _, warnings = _asset_sections(path / "asset", Ts[0])
+            more, _, warnings = _asset_sections(path / "asset")
             sections, notices = sections + more, [*notices, *warnings]
         except FreeArtError as error:
             notices.append(f"The asset cannot be shown: {error}")
@@ -312,21 +309,14 @@ def _read_extras(
 def _failure_page(
     name: str, failure: Failure, true: Truth | None, recording: Recording | None, extra: list[Section]
 ) -> str:
-    """The page of a failure: its stage and reason, and the video."""
-    _check_lengths(recording=recording, truth=true)
-    sections = []
-    if recording is not None:
-        sections.append(video_section(recording, [_true_overlay(true)] if true else []))
-    sections += [table_section("No reconstruction", [("Stage", failure.stage), ("Reason", failure.reason)]), *extra]
-    if failure.seconds:
-        sections.append(seconds_section(failure.seconds))
+    """The page of a failure: its stage and reason, and the video with the truth."""
+    own = [table_section("No reconstruction", [("Stage", failure.stage), ("Reason", failure.reason)]), *extra]
+    own += [seconds_section(failure.seconds)] if failure.seconds else []
     notice = f"The method failed in the stage '{failure.stage}': {failure.reason}"
-    return document(name, sections, "result", ["failed", *_recording_chips(recording)], [notice])
+    return _sequence_page(name, recording, true, own, "result", [notice])
 
 
-def _asset_sections(
-    path: Path, T_camera_canonical: Array | None, root: Path | None = None
-) -> tuple[list[Section], list[str], list[str]]:
+def _asset_sections(path: Path, root: Path | None = None) -> tuple[list[Section], list[str], list[str]]:
     """Sections, chips and notices of an asset folder or URDF file."""
     asset: Asset | None = None
     if path.is_dir() and checked.is_there(path / "asset.json"):
@@ -353,7 +343,7 @@ def _asset_sections(
         *([f"{sum(masses):.3g} kg"] if masses else []),
     ]
     sections = [
-        scene_section(asset_scene(shown, asset, T_camera_canonical), "Asset", "full"),
+        scene_section(asset_scene(shown, asset), "Asset", "full"),
         joint_section(model, effects),
         link_section(model),
     ]
@@ -385,11 +375,6 @@ def _check_lengths(
     if len(set(lengths.values())) > 1:
         texts = ", ".join(f"the {name} has {n} frames" for name, n in lengths.items())
         raise FreeArtError(f"these do not belong together: {texts}")
-    if truth is not None and result is not None and truth.part_mask(0).shape != result.part_masks.shape[1:]:
-        raise FreeArtError(
-            f"the part masks of the result are {result.part_masks.shape[1:]}, those of the truth "
-            f"{truth.part_mask(0).shape}"
-        )
 
 
 def _abscissa(recording: Recording | None, n: int) -> tuple[np.ndarray, bool]:

@@ -27,7 +27,7 @@ LAYERS = Layer("reference part", REFERENCE), Layer("moving part", MOVING), Layer
 FIRST_VIEW = np.array([0.45, -0.4, -1.0])
 """Direction to the first viewpoint in the camera frame (x right, y down, z away from the camera)."""
 MAX_SPLATS_ALONE = 350_000
-"""Gaussians in a page of nothing else, 11 MB; from 500,000 on textures exceed what WebGL 2 guarantees."""
+"""Gaussians in a page of nothing else, 14 MB; from 500,000 on textures exceed what WebGL 2 guarantees."""
 
 
 @dataclass(frozen=True)
@@ -115,24 +115,17 @@ def articulation_scene(
 
     `layers` are those of reference part, moving part and axis.
     """
-    joint = articulation.joint
-    near, size = axis_place(articulation, states)
-    ends = slider_range(joint, states, size)
-    slider = Slider(joint.name, joint.type, *ends, float(states[0]), np.asarray(states, float))
-    return Scene(
-        links=(Link(-1), Link(0, joint=joint, slider=0)),
-        sliders=(slider,),
-        layers=layers,
-        surfaces=(
-            Surface(_without_single_colour(articulation.reference), 0, 0),
-            Surface(_without_single_colour(articulation.moving), 1, 1),
-            Surface(axis_mesh(joint, near, size), 0, 2),
-        ),
+    scene = Scene(
+        links=(),
+        sliders=(),
+        layers=(),
+        surfaces=(),
         **seen_from(Ts_camera_reference[0]),
         camera=camera,
         Ts_camera_world=Ts_camera_reference,
         splats=None if not appearance else SplatLayers(appearance, (0, 1), (0, 1)),
     )
+    return with_articulation(scene, layers, articulation, states)
 
 
 def seen_from(T_camera_world: Array) -> dict[str, Any]:
@@ -146,39 +139,36 @@ def with_articulation(
     layers: tuple[Layer, Layer, Layer],
     articulation: Articulation,
     states: NDArray[np.float64],
-    aligned: tuple[float, float] | None,
-    near: ArrayLike,
-    size: float,
+    aligned: tuple[float, float] | None = None,
 ) -> Scene:
-    """The scene with other parts and their axis over it, in its frame, on layers of their own.
+    """The scene with two parts and their axis, in its frame, on layers of their own.
 
     Args:
-        scene: With one slider or more.
+        scene: Without anything, or with other parts.
         layers: Of the reference part, the moving part and the axis.
-        articulation: The other parts and joint.
-        states: (n,) of the other joint, in the video.
+        articulation: The parts and their joint.
+        states: (n,) of the joint, in the video.
         aligned: Scale and offset that give its state from the scene's first slider; None for a slider of its own.
-        near: (3,) where its axis is drawn.
-        size: Length of its axis, m.
     """
     joint, first, root = articulation.joint, len(scene.layers), len(scene.links)
-    sliders = scene.sliders
+    (near, size), sliders = axis_place(articulation, states), scene.sliders
     if aligned is None:
-        name, ends = f"{layers[0].name}: {joint.type}", slider_range(joint, states, size)
+        name = f"{layers[0].name}: {joint.type}" if sliders else joint.name
+        ends = slider_range(joint, states, size)
         sliders = (*sliders, Slider(name, joint.type, *ends, float(states[0]), np.asarray(states, float)))
         moving = Link(root, joint=joint, slider=len(sliders) - 1)
     else:
         moving = Link(root, joint=joint, slider=0, scale=aligned[0], offset=aligned[1])
     meshes = articulation.reference, articulation.moving, axis_mesh(joint, near, size)
-    surfaces = (Surface(replace(mesh, colours=None), root + (k == 1), first + k) for k, mesh in enumerate(meshes))
-    return replace(
+    added = (Surface(_without_single_colour(mesh), root + (k == 1), first + k) for k, mesh in enumerate(meshes))
+    scene = replace(
         scene,
         links=(*scene.links, Link(-1), moving),
         sliders=sliders,
         layers=(*scene.layers, *layers),
-        surfaces=(*scene.surfaces, *surfaces),
-        focus=scene.focus or find_focus(scene),
+        surfaces=(*scene.surfaces, *added),
     )
+    return replace(scene, focus=scene.focus or find_focus(scene))
 
 
 def with_truth(scene: Scene, truth: Truth, alignment: Alignment, layers: tuple[Layer, Layer, Layer]) -> Scene:
@@ -187,13 +177,13 @@ def with_truth(scene: Scene, truth: Truth, alignment: Alignment, layers: tuple[L
     When the joint types differ the truth gets a slider of its own.
     """
     true, sign = truth.articulation.moved(alignment.T_pred_truth), alignment.sign
+    true = replace(true, reference=replace(true.reference, colours=None), moving=replace(true.moving, colours=None))
     if alignment.comparable:
         slider, states = scene.sliders[0], alignment.states(truth)
         ends = min(slider.lower, float(states.min())), max(slider.upper, float(states.max()))
         scene = replace(scene, sliders=(replace(slider, lower=ends[0], upper=ends[1]), *scene.sliders[1:]))
     aligned = (sign, -sign * alignment.offset) if alignment.comparable else None  # q_truth = sign * (q - offset)
-    near = axis_place(true, truth.states)[0]
-    return with_articulation(scene, layers, true, truth.states, aligned, near, truth.diagonal or 1.0)
+    return with_articulation(scene, layers, true, truth.states, aligned)
 
 
 def gaussians_scene(gaussians: Gaussians) -> Scene:

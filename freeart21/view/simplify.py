@@ -1,10 +1,12 @@
-"""Simplified meshes for display, and the solids of axis arrows and URDF primitives."""
+"""Simplified meshes for display, and axis arrows."""
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from typing import Any
 
+import numpy as np
+
+from freeart21 import se3
 from freeart21.mesh import Mesh
 
 
@@ -40,73 +42,26 @@ def joined(*meshes: Mesh) -> Mesh:
     )
 
 
-def revolved(profile: ArrayLike, segments: int = 32) -> Mesh:
-    """The surface of revolution about z of a `profile` (n, 2) of radius and height, from bottom to top, metres."""
-    profile = np.asarray(profile, float)
-    angle = np.linspace(0, 2 * np.pi, segments, endpoint=False)
-    ring = np.stack([np.cos(angle), np.sin(angle)], -1)
-    vertices = np.concatenate([np.column_stack([radius * ring, np.full(segments, z)]) for radius, z in profile])
-    return Mesh(vertices, _grid_faces(len(profile), segments))
-
-
-def cylinder(radius: float, length: float) -> Mesh:
-    """A closed cylinder about z, centred at the origin, metres."""
-    return revolved([(0, -length / 2), (radius, -length / 2), (radius, length / 2), (0, length / 2)])
-
-
-def sphere(radius: float) -> Mesh:
-    """A sphere at the origin, metres."""
-    angle = np.linspace(-np.pi / 2, np.pi / 2, 17)
-    return revolved(radius * np.stack([np.cos(angle), np.sin(angle)], -1))
-
-
-def capsule(radius: float, length: float) -> Mesh:
-    """A cylinder of `length` about z, centred at the origin, with half a sphere on either end, metres."""
-    angle = np.linspace(-np.pi / 2, np.pi / 2, 18)
-    ends = np.where(angle < 0, -length / 2, length / 2)
-    return revolved(np.stack([radius * np.cos(angle), radius * np.sin(angle) + ends], -1))
-
-
-def box(size: ArrayLike) -> Mesh:
-    """A box of `size` (3,) metres, centred at the origin."""
-    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * np.asarray(size)
-    quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
-    return Mesh(corners, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))
-
-
-def arrow(length: float, radius: float, segments: int = 32) -> Mesh:
+def arrow(length: float, radius: float) -> Mesh:
     """An arrow along z, centred at the origin, metres."""
-    tip, half = 5 * radius, length / 2
-    profile = [(0, -half), (radius, -half), (radius, half - tip), (2.4 * radius, half - tip), (0, half)]
-    return revolved(profile, segments)
+    from trimesh.creation import revolve
+
+    r = radius / length
+    profile = [(0, -0.5), (r, -0.5), (r, 0.5 - 5 * r), (2.4 * r, 0.5 - 5 * r), (0, 0.5)]
+    return of_trimesh(revolve(profile), length)
 
 
-def turning_arrow(ring: float, radius: float, height: float, segments: int = 12) -> Mesh:
-    """An arrow round z by the right-hand rule, three quarters of a turn of radius `ring` at `height`, metres.
+def turning_arrow(ring: float, radius: float, height: float) -> Mesh:
+    """An arrow round z by the right-hand rule, three quarters of a turn of radius `ring` at `height`, metres."""
+    from trimesh.creation import cone, revolve
 
-    Its tube has `segments` corners.
-    """
-    angle = np.linspace(0, 1.5 * np.pi, 4 * segments + 1)
-    shaft = np.full(len(angle), radius)
-    head = np.linspace(1.5 * np.pi, 1.5 * np.pi + 5 * radius / ring, 7)
-    sizes = np.concatenate([[0.0], shaft, np.linspace(2.4 * radius, 0.0, len(head))])
-    angles = np.concatenate([[0.0], angle, head])
-    around = np.linspace(0, 2 * np.pi, segments, endpoint=False)
-    out = ring + sizes[:, None] * np.cos(around)
-    vertices = np.stack(
-        [out * np.cos(angles)[:, None], out * np.sin(angles)[:, None], height + sizes[:, None] * np.sin(around)], -1
-    ).reshape(-1, 3)
-    return Mesh(vertices, _grid_faces(len(angles), len(around))[:, ::-1])
+    around = np.linspace(0, 2 * np.pi, 13)
+    circle = np.stack([ring + radius * np.cos(around), height + radius * np.sin(around)], -1)
+    tail = of_trimesh(revolve(circle / ring, angle=1.5 * np.pi, sections=48), ring)
+    along_x = se3.pose(np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]), [0, -ring, height])
+    return joined(tail, of_trimesh(cone(2.4, 5), radius).moved(along_x))
 
 
-def _grid_faces(rows: int, columns: int) -> NDArray[np.int64]:
-    """Triangles of a tube of `rows` rings with `columns` corners each, counter-clockwise seen from outside."""
-    row, column = (a.reshape(-1) for a in np.meshgrid(np.arange(rows - 1), np.arange(columns), indexing="ij"))
-    after = (column + 1) % columns
-    a, b, c, d = (
-        row * columns + column,
-        row * columns + after,
-        (row + 1) * columns + after,
-        (row + 1) * columns + column,
-    )
-    return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
+def of_trimesh(mesh: Any, scale: float = 1.0) -> Mesh:
+    """A trimesh's surface, without colours, times `scale`: trimesh drops faces of its solids that are very small."""
+    return Mesh(scale * np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64))

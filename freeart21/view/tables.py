@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from freeart21.errors import FreeArtError
-from freeart21.files.certificate import Certificate
+from freeart21.files.certificate import Certificate, LinkCertificate
 from freeart21.files.urdf import Urdf, UrdfJoint
 from freeart21.joint import Joint
 from freeart21.reconstruction import Alternative
@@ -86,6 +86,12 @@ def table_section(
     return Section(title, table(rows, head, css), place=place, note=note)
 
 
+def records_section(title: str, records: Sequence[Mapping[str, object]], note: str = "", css: str = "") -> Section:
+    """A section of full width with one table: a row a record, its keys are the headings; all have the same keys."""
+    rows, head = [list(record.values()) for record in records], list(records[0]) if records else ()
+    return table_section(title, rows, head, "full", note, css)
+
+
 def _cell(given: object, column: int) -> Cell:
     """A number and its unit stay on one line, so that a narrow page scrolls the table instead."""
     if isinstance(given, Cell):
@@ -130,36 +136,42 @@ def _plain(value: object) -> str:
 
 def certificate_section(certificate: Certificate) -> Section:
     """How good an asset is, from its certificate: what holds for the whole, then a row a link."""
-    engines = [
-        (
-            "Rules on files" if engine == "file" else f"Tried in {engine} {of.version}".strip(),
-            ": ".join(filter(None, [of.verdict, ", ".join(of.failed)])),
-        )
+    engines = {
+        f"{engine} {of.version}".strip(): ", ".join([of.verdict, *of.failed])
         for engine, of in certificate.engines.items()
+    }
+    whole = source_rows(
+        {
+            "Trust": [certificate.trust, *certificate.reasons],
+            "Upright by": certificate.upright,
+            "Visual meshes in each other": f"{1000 * certificate.visual_overlap_m:.2g} mm at most",
+            "Collision shapes in each other": f"{1000 * certificate.contact_overlap_m:.2g} mm at most",
+            "Tried": engines,
+        }
+    )
+    links = [
+        {
+            "": name,
+            "seen": f"{link.seen_share:.0%}",
+            "the rest": ", ".join(f"{how} {share:.0%}" for how, share in link.supposed.items()) or "nothing",
+            "visual to contact": f"{_mm(link, 'median_m')}; {_mm(link, 'worst_of_95_m')} mm",
+            "contact beyond visual": f"{_mm(link, 'outward_95_m')} mm",
+            "mass": f"{link.mass_kg:.3g} kg",
+            "by": link.mass,
+            "bounds": f"{link.mass_low_kg:.2g} to {link.mass_high_kg:.2g} kg",
+            "material": link.material,
+        }
+        for name, link in certificate.links.items()
     ]
-    whole = [
-        ("Trust", ": ".join(filter(None, [certificate.trust, "; ".join(certificate.reasons)]))),
-        ("Upright by", certificate.upright),
-        ("Visual meshes in each other", f"{1000 * certificate.visual_overlap_m:.2g} mm at most"),
-        ("Collision shapes in each other", f"{1000 * certificate.contact_overlap_m:.2g} mm at most"),
-        *engines,
-    ]
-    head = ("", "seen", "the rest", "visual to contact", "contact beyond visual", "mass", "by", "bounds", "material")
-    rows = []
-    for name, link in certificate.links.items():
-        supposed = ", ".join(f"{how} {share:.0%}" for how, share in link.supposed.items()) or "nothing"
-        median, worst, outward = (
-            f"{1000 * link.contact[key]:.2g}" if key in link.contact else NONE
-            for key in ("median_m", "worst_of_95_m", "outward_95_m")
-        )
-        mass = (f"{link.mass_kg:.3g} kg", link.mass, f"{link.mass_low_kg:.2g} to {link.mass_high_kg:.2g} kg")
-        rows.append(
-            (name, f"{link.seen_share:.0%}", supposed, f"{median}; {worst} mm", f"{outward} mm", *mass, link.material)
-        )
     note = (
         "Visual to contact: the median; 95 % of the surface lie within the second number, as of contact beyond visual."
     )
-    return Section("Certificate", table(whole) + table(rows, head), place="full", note=note)
+    of_links = records_section("", links).html
+    return Section("Certificate", table(whole) + of_links, place="full", note=note)
+
+
+def _mm(link: LinkCertificate, key: str) -> str:
+    return f"{1000 * link.contact[key]:.2g}" if key in link.contact else NONE
 
 
 def recording_rows(recording: Recording) -> list[tuple[str, str]]:
@@ -249,17 +261,21 @@ def _score_text(value: float | str | None, unit: str | None) -> str:
 
 def link_section(urdf: Urdf) -> Section:
     """Mass properties of every link with a shape or a mass."""
-    rows = []
-    for link in (urdf.links[name] for name in urdf.parents_first):
-        if link.inertial is None and not link.visuals and not link.collisions:
-            continue
-        mass, centre, moments = "not given", "", ""
-        if link.inertial is not None:
-            mass, centre = f"{link.inertial.mass:.4g} kg", f"{_vector(link.inertial.centre)} m"
-            moments = ", ".join(f"{moment:.3g}" for moment in np.diag(link.inertial.inertia))
-        rows.append((link.name, mass, centre, moments, f"{len(link.visuals)} / {len(link.collisions)}"))
-    head = ("", "mass", "centre of mass", "Ixx, Iyy, Izz, kg m²", "visual / collision shapes")
-    return table_section("Links", rows, head, "full")
+    links = [urdf.links[name] for name in urdf.parents_first]
+    rows = [
+        {
+            "": link.name,
+            "mass": "not given" if link.inertial is None else f"{link.inertial.mass:.4g} kg",
+            "centre of mass": "" if link.inertial is None else f"{_vector(link.inertial.centre)} m",
+            "Ixx, Iyy, Izz, kg m²": ""
+            if link.inertial is None
+            else ", ".join(f"{moment:.3g}" for moment in np.diag(link.inertial.inertia)),
+            "visual / collision shapes": f"{len(link.visuals)} / {len(link.collisions)}",
+        }
+        for link in links
+        if link.inertial is not None or link.visuals or link.collisions
+    ]
+    return records_section("Links", rows)
 
 
 def joint_section(urdf: Urdf, effects: Mapping[str, Sequence[Any]]) -> Section:
@@ -270,19 +286,18 @@ def joint_section(urdf: Urdf, effects: Mapping[str, Sequence[Any]]) -> Section:
             continue
         effort, velocity = ("N m", "rad/s") if joint.joint_type == "revolute" else ("N", "m/s")
         rows.append(
-            (
-                name,
-                joint.type,
-                f"{joint.parent} → {joint.child}",
-                _vector(joint.axis),
-                limits_text(joint.joint_type, joint.lower, joint.upper),
-                "-" if joint.effort is None else f"{joint.effort:g} {effort}",
-                "-" if joint.velocity is None else f"{joint.velocity:g} {velocity}",
-                "; ".join(effect_text(effect, joint) for effect in effects.get(name, ())) or "none",
-            )
+            {
+                "": name,
+                "type": joint.type,
+                "links": f"{joint.parent} → {joint.child}",
+                "axis": _vector(joint.axis),
+                "limits": limits_text(joint.joint_type, joint.lower, joint.upper),
+                "effort": NONE if joint.effort is None else f"{joint.effort:g} {effort}",
+                "velocity": NONE if joint.velocity is None else f"{joint.velocity:g} {velocity}",
+                "effects": "; ".join(effect_text(effect, joint) for effect in effects.get(name, ())) or "none",
+            }
         )
-    head = ("", "type", "links", "axis", "limits", "effort", "velocity", "effects")
-    return table_section("Joints", rows, head, "full")
+    return records_section("Joints", rows)
 
 
 def effect_text(effect: Any, joint: UrdfJoint) -> str:

@@ -98,15 +98,17 @@ def video_section(
     shown, small = (_scaled(size, side) for side in (settings.max_side, settings.mask_side))
     rgb: list[Image] = []
     depth: list[NDArray[np.float32]] = []
+    given: dict[int, Image] = {}
+    if recording is not None:
+        overlays = [*overlays, Overlay("given mask", given.pop, ("#ffffff", "#ffffff"), shown=False)]
     labels: list[list[str]] = [[] for _ in overlays]
-    foreground: list[str] = []
     for i in frames.tolist():
         if recording is not None:
             frame = recording.frame(i)
             rgb.append(np.asarray(cv2.resize(frame.rgb, shown, interpolation=cv2.INTER_AREA), np.uint8))
             if settings.depth_bytes:
                 depth.append(np.asarray(cv2.resize(frame.depth, shown, interpolation=cv2.INTER_NEAREST), np.float32))
-            foreground.append(_label_image(2 * frame.mask.astype(np.uint8), None, small))
+            given[i] = 2 * frame.mask.astype(np.uint8)
         for overlay, found in zip(overlays, labels, strict=True):
             if overlay.masks is not None:
                 mask = overlay.masks(i)
@@ -130,9 +132,6 @@ def video_section(
         }
         for overlay, own in zip(overlays, labels, strict=True)
     ]
-    if foreground:
-        given = {"name": "given mask", "colours": ("#ffffff", "#ffffff"), "axis_colour": "#ffffff", "absent": ""}
-        sources.append({**given, "labels": foreground, "axis": None, "shown": False, "confidence": False})
     data: dict[str, Any] = {
         "width": shown[0],
         "height": shown[1],

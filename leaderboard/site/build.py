@@ -19,12 +19,12 @@ from leaderboard.rows import Row, Scores
 from leaderboard.score import benchmark_facts
 from leaderboard.scores_file import read_scores, write_scores
 from leaderboard.site.common import Board
+from leaderboard.site.definitions_page import definitions_page, scores_csv
 from leaderboard.site.entrant import entrants
 from leaderboard.site.failures_page import failures_page
 from leaderboard.site.index_page import index_page
 from leaderboard.site.method_page import method_page
 from leaderboard.site.names import file_names
-from leaderboard.site.reference_pages import definitions_page, downloads_page, scores_csv
 from leaderboard.site.sequence_page import sequence_page
 from leaderboard.site.sequence_view import show_sequence, show_table
 
@@ -187,19 +187,15 @@ def _score(
 
 
 def _write_pages(new: Path, board: Board) -> None:
-    tables: dict[str, bytes] = {}
     for entrant in board.entrants:
         for protocol in board.protocols:
             name = f"{entrant.file}.{protocol}"
             write_scores(new / "scores" / f"{name}.json", entrant.scores[protocol])
-            tables[f"{name}.json"] = (new / "scores" / f"{name}.json").read_bytes()
-            tables[f"{name}.csv"] = scores_csv(entrant.scores[protocol])
-            _write(new / "scores" / f"{name}.csv", tables[f"{name}.csv"])
+            _write(new / "scores" / f"{name}.csv", scores_csv(entrant.scores[protocol]))
         _write(new / "methods" / f"{entrant.file}.html", method_page(board, entrant))
     _write(new / "index.html", index_page(board))
     _write(new / "failures.html", failures_page(board))
     _write(new / "definitions.html", definitions_page(board))
-    _write(new / "downloads.html", downloads_page(board, tables))
 
 
 def _write(path: Path, data: bytes) -> None:

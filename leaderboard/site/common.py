@@ -16,7 +16,6 @@ MENU = (
     ("index.html", "Ranking"),
     ("failures.html", "Failures"),
     ("definitions.html", "Definitions"),
-    ("downloads.html", "Downloads"),
 )
 MIN_ROWS = 3
 """Rows from which mean and deviation do not reveal single values."""

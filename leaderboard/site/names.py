@@ -16,23 +16,12 @@ def file_names(names: Iterable[str]) -> list[str]:
 
     A safe name stays as it is; any other gets a short digest of itself, so that it is independent of the others.
     """
-    taken: set[str] = set()
     found: list[str] = []
     for name in names:
+        taken = {one.casefold() for one in found}
         plain = re.sub(r"[^A-Za-z0-9_.-]+", "-", name)[:LONGEST].strip("-.")
-        digest = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()
-        safe = (
-            bool(plain)
-            and plain == name
-            and plain.split(".")[0].casefold() not in _RESERVED
-            and plain.casefold() not in taken
-        )
-        for length in range(8, len(digest) + 1, 8):
-            choice = plain if safe else f"{plain or 'name'}-{digest[:length]}"
-            if choice.casefold() not in taken:
-                break
-        else:
-            choice = f"{plain or 'name'}-{digest}-{len(found)}"  # the very same name again
-        taken.add(choice.casefold())
-        found.append(choice)
+        safe = plain and plain == name and plain.split(".")[0].casefold() not in _RESERVED
+        digest = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()[:16]
+        choice = plain if safe and plain.casefold() not in taken else f"{plain or 'name'}-{digest}"
+        found.append(choice if choice.casefold() not in taken else f"{choice}-{len(found)}")
     return found

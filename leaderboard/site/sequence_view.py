@@ -180,7 +180,6 @@ def _scene(
         )
         shown, colours = first.name, (first.pale, first.colour)
         others.remove(first)
-    near, size = axis_place(base.articulation, base.states)
     Ts = base.Ts_camera_articulation if len(base.Ts_camera_articulation) else np.eye(4)[None]
     scene = articulation_scene(base.articulation, base.states, Ts, recording.camera, None, _layers(shown, colours))
     for k, entrant in enumerate(others):
@@ -188,7 +187,7 @@ def _scene(
         if answer is not None:
             layers = _layers(entrant.name, (entrant.pale, entrant.colour), shown=k == 0)
             aligned = (answer.sign, answer.offset) if answer.comparable else None
-            scene = with_articulation(scene, layers, answer.articulation, answer.states, aligned, near, size)
+            scene = with_articulation(scene, layers, answer.articulation, answer.states, aligned)
     where = (
         "The ground truth is hidden: every result is shown in the camera frame of the first image."
         if truth is None
@@ -228,14 +227,11 @@ def _thumbnail(recording: Recording) -> str:
     some = [recording.frame(int(i)) for i in shown_frames(len(recording), 8)]
     frame = max(some, key=lambda one: int(one.mask.sum()))
     rows, cols = np.flatnonzero(frame.mask.any(1)), np.flatnonzero(frame.mask.any(0))
-    height, width = frame.mask.shape
     image = frame.rgb
     if len(rows):
         half = max(0.62 * np.ptp(cols), 0.62 * np.ptp(rows) * 16 / 9, 8.0)
-        half = min(half, width / 2, height / 2 * 16 / 9)
-        x = np.clip((cols[0] + cols[-1]) / 2, half, width - half)
-        y = np.clip((rows[0] + rows[-1]) / 2, half * 9 / 16, height - half * 9 / 16)
-        top, left = int(y - half * 9 / 16), int(x - half)
-        image = image[max(top, 0) : top + max(1, int(half * 9 / 8)), max(left, 0) : left + max(1, int(2 * half))]
+        x, y = (cols[0] + cols[-1]) / 2, (rows[0] + rows[-1]) / 2
+        size = round(2 * half), round(2 * half * 9 / 16)
+        image = cv2.getRectSubPix(image, size, (float(x), float(y))).astype(np.uint8)
     small = cv2.resize(image, THUMBNAIL, interpolation=cv2.INTER_AREA).astype(np.uint8)
     return data_url("image/jpeg", encode_jpeg(small, 72))

@@ -200,13 +200,8 @@ def _select_moving(effects: Sequence[NamedEffect]) -> list[NamedEffect]:
     return [named for named in effects if named.effect.kind != "kinematics"]
 
 
-@dataclass(frozen=True)
-class _Tracks:
-    """Runs of poses to compare with the asset as given and as repaired."""
-
-    tracks: tuple[TrackGeometry, ...] = ()
-    before: tuple[PosesToReplay, ...] = ()
-    after: tuple[PosesToReplay, ...] = ()
+Tracks = tuple[tuple[TrackGeometry, ...], tuple[PosesToReplay, ...], tuple[PosesToReplay, ...]]
+"""Runs of poses, and what is replayed of them with the asset as given and as repaired."""
 
 
 def _replay_trial(
@@ -214,20 +209,23 @@ def _replay_trial(
     runs: Measured,
     draft: Draft,
     chosen: list[str],
-    poses: _Tracks,
+    poses: Tracks,
     seconds: float,
     progress: Progress | None,
 ) -> tuple[tuple[Replay, ...], ReplayComparison | None, str]:
     """Replays with the asset as given and as repaired, their comparison, and why there is none (empty for nothing to
     replay)."""
-    if not chosen and not poses.tracks:
+    tracks, before, after = poses
+    if not chosen and not tracks:
         return (), None, ""
-    both, holding = (poses.before, poses.after), draft.verdict.holding or 0.0
+    holding = draft.verdict.holding or 0.0
     try:
-        replays = replay(files, runs, chosen, holding=holding, poses=both, seconds=seconds, progress=progress)
+        replays = replay(
+            files, runs, chosen, holding=holding, poses=(before, after), seconds=seconds, progress=progress
+        )
     except CannotReplay as error:
         return (), None, str(error)
-    return replays, compare_replays(replays[0], replays[-1], draft.floor, draft.verdict.gaps, poses.tracks), ""
+    return replays, compare_replays(replays[0], replays[-1], draft.floor, draft.verdict.gaps, tracks), ""
 
 
 def _ask_witness(
@@ -321,11 +319,6 @@ def _judge(
             f"Not judged by its replay: {', '.join(run.run for run in comparison.inconclusive)}. Such a run is "
             "ill-conditioned: SAPIEN's time step changes it, however small."
         )
-    if np.isfinite(comparison.numerics) and comparison.numerics > 0.25:
-        notes.append(
-            f"Halving SAPIEN's time step down to {1e3 * comparison.timestep_s:g} ms still changed a run by "
-            f"{comparison.numerics:.2g} noise sigmas: gaps are no more certain than that."
-        )
     return verdict, certain, notes
 
 
@@ -360,10 +353,10 @@ def _pick_runs(runs: Measured, verdict: Verdict) -> list[str]:
 
 def _place_tracks(
     asset: Asset, measured: Measured, geometry: KinematicsFinding | None, tried: tuple[NamedEffect, ...]
-) -> _Tracks:
+) -> Tracks:
     """Runs of poses to replay: held-out ones, else three, where any geometry is tried."""
     if geometry is None or not geometry.effects or len(_select_moving(tried)) == len(tried):
-        return _Tracks()
+        return (), (), ()
     of, placed = {run.name: run for run in measured.runs}, place(asset, measured.gravity)
     at_zero = se3.inverse(placed.T_parent_canonical) @ placed.mechanics.joint.transform(asset.state_zero)
     middle = part_centre(placed.mechanics)
@@ -377,7 +370,7 @@ def _place_tracks(
         for some, registration, q in zip(found, geometry.registrations, (track.q_before, track.q), strict=True):
             poses = placed.poses(motions[sampled] @ se3.exp_se3(-registration))
             some.append(PosesToReplay(poses, q[sampled] - asset.state_zero, times, point, lever))
-    return _Tracks(chosen, *map(tuple, found))
+    return chosen, tuple(found[0]), tuple(found[1])
 
 
 def _measure_gaps(gaps: tuple[RunGap, ...], comparison: ReplayComparison) -> tuple[RunGap, ...]:

@@ -13,14 +13,14 @@ from freeart21.joint import JointType
 from freeart21.measured import Measured
 from freeart21.view.document import Markup, Section, document, render
 from freeart21.view.plots import Curve, curves_section
-from freeart21.view.tables import Cell, table_section
+from freeart21.view.tables import NONE, Cell, records_section, table_section
 from simgap.geometry.finding import KinematicsFinding
 from simgap.models.localise import LEVEL, ResidualMap
 from simgap.models.surrogate import Nuisance
 from simgap.page.replay_page import repeat_section
 from simgap.page.report_plots import AFTER, BEFORE, chart, drawn_samples, force_map, p_text, run_section
 from simgap.prove.body import NO_CORRECTION, BodyCorrection
-from simgap.prove.comparison import ReplayComparison, ReplayGap, closed_part, track_use
+from simgap.prove.comparison import ReplayComparison, ReplayGap, track_use
 from simgap.select.words import amount, capitalise, effect_label, effect_words, number_text, runs_text
 from simgap.settings import JudgementSettings
 from simgap.verdict import GEOMETRY, NamedEffect, RunGap, Use, Verdict, deciding_runs, root_mean_square, unit_of
@@ -49,11 +49,9 @@ class Ranked:
     rms: float
     """Normalised RMS of test runs: 1 is noise alone."""
     ahead: float = 0.0
-    """Log density less that of the most probable set,"""
+    """Log density less that of the most probable set; NaN without one,"""
     error: float = 0.0
     """... and its standard error."""
-    spread: tuple[float, float] | None = None
-    """Smallest and largest normalised RMS of a run."""
 
 
 @dataclass(frozen=True)
@@ -154,24 +152,23 @@ def answer_section(verdict: Verdict, tiles: Sequence[Tile], notes: Sequence[str]
 
 
 def _tiles(gap: Gap) -> list[Tile]:
-    """The gap and its closed share: of motion, and of poses off the joint."""
+    """The gap before and, where replayed, after: of motion, and of poses off the joint."""
     tiles = []
     motion = [g for g in gap.motion if np.isfinite(g.before)]
     if gap.motion_differs and motion:
         replayed = gap.comparison is not None and bool(gap.comparison.runs)
         after = gap.second_curve if replayed else None
-        tiles.append(_sizes(motion, gap.text, "", after, gap.in_turn and not replayed))
-        tiles += _closed(gap) if after not in (None, ROLLED_BACK) else []
+        tiles.append(_sizes(motion, gap.text, "gap ", after, gap.in_turn and not replayed))
     off = [g for g in gap.verdict.gaps if g.regime == GEOMETRY]
     if off:
-        tiles.append(_sizes(off, lambda v: amount(v, "m"), "off the joint, ", "after"))
+        tiles.append(_sizes(off, lambda v: amount(v, "m"), "gap off the joint, ", "after"))
     return tiles
 
 
 def _sizes(
     gaps: list[RunGap], text: Callable[[float], str], what: str, after_is: str | None, in_turn: bool = False
 ) -> Tile:
-    """A tile with the gap before and, where replayed, after, relative to noise, on the deciding runs."""
+    """A tile with the gap before and, unless rolled back, after, relative to noise, on the deciding runs."""
     judged = deciding_runs(gaps)
     before, floor = (root_mean_square([getattr(g, name) for g in judged]) for name in ("before", "floor"))
     after = root_mean_square([g.after if g.trial is None else g.trial for g in judged])
@@ -180,46 +177,27 @@ def _sizes(
     times = " → ".join(f"{v / floor:.1f}" for v in shown)
     return (
         " → ".join(map(text, shown)),
-        f"gap {what}{how}on {runs_text([g.use for g in judged], in_turn)}",
+        f"{what}{how}on {runs_text([g.use for g in judged], in_turn)}",
         f"{times} times the sensor's noise, {text(floor)}",
     )
-
-
-def _closed(gap: Gap) -> list[Tile]:
-    """Tiles with the closed share of the gap, for motion like the fitted one and for other motion."""
-    assert gap.comparison is not None
-    fitted = {r.regime for r in gap.verdict.gaps if r.use == "fitted"}
-    tiles = []
-    for runs in gap.comparison.split(fitted):
-        part, regimes = closed_part(runs), {run.regime for run in runs}
-        if part is not None:
-            other = f"other motion: {', '.join(sorted(regimes))}"
-            kind = "same kind of motion as was fitted" if regimes <= fitted else other
-            what = f"of the gap closed, on {runs_text([run.use for run in runs])}"
-            tiles.append((f"{100 * min(part, 1.0):.0f} %", what, kind))
-    return tiles
 
 
 def parameters_section(verdict: Verdict, kind: JointType, note: str, file_of: Callable[[Effect], str]) -> list[Section]:
     """Every parameter of the named effects and every correction, with 90 % interval and file (`file_of` an effect)."""
     rows = []
-
-    def add(head: Cell, name: str, meaning: str, ends: tuple[float, float], texts: list[str]) -> None:
-        span = f"{texts[1]} to {texts[2]}" if np.isfinite(ends).any() else ""
-        rows.append((head, Cell(name, below=meaning), Cell(texts[0], below=span)))
-
     for c in verdict.corrections:
-        sizes = c.value, c.low, c.high
-        texts = [f"{v:.4g}" if c.unit == "1" else number_text(v, c.unit) for v in sizes]
-        add(Cell("The asset's own", below="in asset/: <inertial>"), c.name, _OWN[c.unit], sizes[1:], texts)
+        value, low, high = (f"{v:.4g}" if c.unit == "1" else number_text(v, c.unit) for v in (c.value, c.low, c.high))
+        head = Cell("The asset's own", below="in asset/: <inertial>")
+        rows.append((head, Cell(c.name, below=_OWN[c.unit]), Cell(value, below=f"{low} to {high}")))
     for named in verdict.effects:
         effect = named.effect
         file = f"in {file_of(effect)}" if effect.name in verdict.added else "not written"
         head = Cell(capitalise(effect_label(effect.name)), below=f"{effect.name}, {file}")
         for name, spec in effect.parameters(kind).items():
             ends = named.low[name], named.high[name]
-            texts = [number_text(v, spec.unit(kind)) for v in (getattr(effect, name), *ends)]
-            add(head, name, spec.meaning, ends, texts)
+            value, low, high = (number_text(v, spec.unit(kind)) for v in (getattr(effect, name), *ends))
+            span = f"{low} to {high}" if np.isfinite(ends).any() else ""
+            rows.append((head, Cell(name, below=spec.meaning), Cell(value, below=span)))
             head = Cell()
     if not rows:
         return []
@@ -329,37 +307,21 @@ def _geometry(gap: Gap) -> list[Section]:
             (slice(3, 6), "Off the joint: turn", "°", 180 / np.pi),
         )
     ]
-    chosen = tuple(sorted(e.name for e in g.effects))
-    shown = [r for r in g.ranking if len(r[0]) < 2 or tuple(sorted(r[0])) == chosen or r[0] in g.rivals]
-    rows = [
-        (
-            capitalise(" and ".join(effect_label(n) for n in names) or "the asset's ideal joint"),
-            ", ".join(names),
-            f"{np.sqrt(loss):.2f}",
-            p_text(p) if names else "",
-            "chosen" if tuple(sorted(names)) == chosen and names else "rival" if names in g.rivals else "",
-        )
-        for names, loss, p in shown
-    ]
+    chosen = {e.name for e in g.effects}
+    shown = [r for r in g.ranking if len(r[0]) < 2 or set(r[0]) == chosen or r[0] in g.rivals]
     what = f"Run {track.name}, {'held out' if track.held_out else 'fitted'}"
     note = (
         "The position along the joint is free in every frame here, so no dynamics is in it: what remains is geometry. "
         + capitalise("; ".join(effect_words(e, gap.measured.joint_type) for e in g.effects))
     )
-    table = table_section(
-        f"Explanations of the geometry, by poses of {runs_text([track_use(t) for t in g.tracks if not t.held_out])}, "
-        "left out in turn",
-        rows,
-        ("", "", "error / noise sigma", "p of no gain", ""),
-        "full",
-        f"{g.unexplained_rms:.1f} sigmas of displacement depend on the position and have no name.",
-    )
+    of = f"poses of {runs_text([track_use(t) for t in g.tracks if not t.held_out])}, left out in turn"
+    ranking = ranking_section([Ranked(names, float(np.sqrt(loss)), np.nan) for names, loss, _ in shown], of)
     title = (
         f"Off its joint: {what}, {1e3 * track.gap_before:.2g} mm → {1e3 * track.gap_after:.2g} mm "
         f"(noise {1e3 * track.floor:.2g} mm)"
     )
     x = track.times_s[drawn] - track.times_s[0]
-    return [curves_section(title, charts, x, note=note), table]
+    return [curves_section(title, charts, x, note=note), *ranking]
 
 
 def _ranking(gap: Gap) -> list[Section]:
@@ -376,13 +338,12 @@ def ranking_section(ranking: Sequence[Ranked], of: str) -> list[Section]:
     rows = []
     for r in ranking:
         names = capitalise(" and ".join(effect_label(n) for n in r.names) or "nothing is missing")
-        behind = "0" if r.ahead == 0.0 else f"{r.ahead:.0f} ± {r.error:.0f}"
+        behind = "0" if r.ahead == 0.0 else "" if np.isnan(r.ahead) else f"{r.ahead:.0f} ± {r.error:.0f}"
         cells: list[object] = [Cell(names, below=", ".join(r.names)), behind]
         if worst:
-            spread = "" if r.spread is None else f"{r.spread[0]:.2f} to {r.spread[1]:.2f}"
-            cells += [Cell(bar=np.log10(max(r.rms, 1.0)) / worst, css="bar"), f"{r.rms:.2f}", spread]
+            cells += [Cell(bar=np.log10(max(r.rms, 1.0)) / worst, css="bar"), f"{r.rms:.2f}"]
         rows.append(cells)
-    heads = ("", "log probability", *("error (log)", "error / noise", "run by run") * bool(worst))
+    heads = ("", "log probability", *("error (log)", "error / noise") * bool(worst))
     return [table_section(f"Explanations, judged on {of}", rows, heads, "full")] if ranking else []
 
 
@@ -390,23 +351,26 @@ def _gaps(gap: Gap) -> list[Section]:
     """All runs in numbers."""
     proof = gap.verdict.proof
     witness = {} if proof is None else {row["run"]: row for row in proof.witness.get("gap", ())}
-    trial = any(g.trial is not None for g in gap.verdict.gaps)
-    head = ["", "", "motion", "gap before", "after", *["trial repair"] * trial, "floor"]
-    head += ["MuJoCo: before", "after"] if witness else []
-    rows, still = [], 0
-    for g in gap.verdict.gaps:
+    shown = [g for g in gap.verdict.gaps if np.isfinite(g.before)]
+    rows = []
+    for g in shown:
         off = g.regime == GEOMETRY
-        if not np.isfinite(g.before):
-            still += 1
-            continue
-        sizes = [g.before, g.after, *[np.nan if g.trial is None else g.trial] * trial, g.floor]
-        if witness:
-            seen = {} if off else witness.get(g.run, {})
-            sizes += [seen.get("before", np.nan), seen.get("after", np.nan)]
-        texts = ["-" if not np.isfinite(v) else amount(v, "m") if off else gap.text(v) for v in sizes]
-        replayed = gap.verdict.by == "position" or off
-        fitted = "fitted" if replayed or not gap.in_turn else "held out in turn"
-        rows.append((g.run, fitted if g.use == "fitted" else g.use, g.regime, *texts))
+        seen = {} if off else witness.get(g.run, {})
+        sizes = {
+            "gap before": g.before,
+            "after": g.after,
+            "trial repair": g.trial,
+            "floor": g.floor,
+            "MuJoCo: before": seen.get("before"),
+            "MuJoCo: after": seen.get("after"),
+        }
+        in_turn = gap.verdict.by != "position" and not off and gap.in_turn
+        use = "held out in turn" if g.use == "fitted" and in_turn else g.use
+        texts = {k: NONE if v is None else amount(v, "m") if off else gap.text(v) for k, v in sizes.items()}
+        rows.append({"run": g.run, "use": use, "motion": g.regime, **texts})
+    empty = [name for name in sizes if all(row[name] == NONE for row in rows)] if rows else []
+    rows = [{name: text for name, text in row.items() if name not in empty} for row in rows]
+    still = len(gap.verdict.gaps) - len(shown)
     note = ""
     if gap.comparison is not None and gap.comparison.runs:
         note = (
@@ -415,7 +379,7 @@ def _gaps(gap: Gap) -> list[Section]:
             f"by no more than {gap.comparison.numerics:.2g} sigmas."
         )
     note += f" {still} more runs were not replayed." if still else ""
-    return [table_section("Runs", rows, head, "full", note)]
+    return [records_section("Runs", rows, note)]
 
 
 def _repeat(gap: Gap) -> list[Section]:

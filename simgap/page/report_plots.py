@@ -17,17 +17,6 @@ from simgap.verdict import Quantity, unit_of
 MEASURED, BEFORE, AFTER = "#7d8894", MOVING, REFERENCE
 """Grey for the measurement, orange for the asset as given, blue for the repaired one."""
 _MOST_POINTS = 600
-_TITLES = {
-    "position": "Over the position",
-    "position, by itself": "Over the position, what is local",
-    "velocity": "Over the speed",
-    "direction": "By direction",
-    "time": "Over time",
-    "distance since reversal": "Since it turned back",
-    "distance to limit": "To the nearer stop",
-    "command": "Over the command's lead",
-    "run": "By run",
-}
 
 
 def drawn_samples(n: int, most: int = _MOST_POINTS) -> Array:
@@ -71,8 +60,7 @@ def force_map(m: ResidualMap, kind: JointType) -> Markup:
     force_factor, force_unit = 1e3 if small else 1.0, "m" * small + ("N m" if kind == "revolute" else "N")
     how = "towards larger positions" if m.signed else "along the motion; negative brakes"
     rest = ", besides smooth friction and springs" if m.local_only else ""
-    title = _TITLES.get(m.quantity, m.quantity.capitalize())
-    return map_drawing(m, title, f"{force_unit} {how}{rest}", factor, unit, force_factor)
+    return map_drawing(m, f"Over {m.quantity}", f"{force_unit} {how}{rest}", factor, unit, force_factor)
 
 
 def map_drawing(m: ResidualMap, title: str, what: str, factor: float, unit: str, force_factor: float = 1.0) -> Markup:

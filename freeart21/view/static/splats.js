@@ -103,7 +103,7 @@ const Splats = {
     for (let i = 0; i < count; i++) {
       const at = 16 * i;
       for (let k = 0; k < 3; k++) {
-        shapes[at + k] = data.low[k] + ((data.high[k] - data.low[k]) * means[3 * i + k]) / 65535;
+        shapes[at + k] = means[3 * i + k];
         packed[4 * i + k] = colours[3 * i + k];
       }
       packed[4 * i + 3] = opacities[i];

@@ -1,13 +1,11 @@
-"""Definitions, the text of every protocol of the site; and downloads, every number as a file with its hash."""
+"""Definitions: the text of every protocol of the site, and where its numbers come from."""
 
 from __future__ import annotations
 
-import hashlib
 import shlex
-from collections.abc import Mapping
 
 from freeart21.view.document import Markup, Section, render
-from freeart21.view.tables import ARROWS, Cell, number_text, table
+from freeart21.view.tables import ARROWS, number_text, table
 from leaderboard.points import FIRST, HALF, HALF_IN_UNITS, PARTS, TRACKS
 from leaderboard.protocols import PROTOCOLS, Metric, Protocol, protocol_named
 from leaderboard.rows import Scores
@@ -15,7 +13,6 @@ from leaderboard.site.common import (
     PACKAGE,
     Board,
     hash_text,
-    method_link,
     metric_name,
     page,
     penalty_sentence,
@@ -48,8 +45,14 @@ def definitions_page(board: Board) -> bytes:
         Section("Penalties", paragraph.format(PENALTY), place="full", id="penalty"),
         Section("Points", paragraph.format(POINTS) + _points_table(), place="full", id="points"),
         *(_protocol_section(protocol_named(name)) for name in board.protocols),
+        Section("Command and data", _origin(board), place="full", id="command"),
     ]
     return page(board, "Definitions", sections, here="definitions.html", lead=Markup("<p>{}</p>").format(LEAD))
+
+
+def _origin(board: Board) -> Markup:
+    command = shlex.join(board.command)
+    return render("command.html.j2", PACKAGE, command=command, benchmark=board.benchmark, hash_text=hash_text)
 
 
 def _points_table() -> Markup:
@@ -95,29 +98,3 @@ def scores_csv(scores: Scores) -> bytes:
 def _no_formula(value: object) -> object:
     """Text that no spreadsheet takes for a formula."""
     return f"'{value}" if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r") else value
-
-
-def downloads_page(board: Board, files: Mapping[str, bytes]) -> bytes:
-    """The page of downloads; `files` are the tables of the folder scores/ by name."""
-    link, rows = Markup('<a href="scores/{}" download>{}</a> {} kB'), []
-    for protocol in board.protocols:
-        for entrant in board.entrants:
-            cells = [
-                Cell(link.format(name, what, f"{len(files[name]) / 1000:.0f}"), below=hash_text(_sha256(files[name])))
-                for what, name in ((kind.upper(), f"{entrant.file}.{protocol}.{kind}") for kind in ("json", "csv"))
-            ]
-            rows.append([Cell(method_link(entrant)), protocol, *cells])
-    head = ("method", "protocol", "every number, with definitions", "a line per sequence")
-    note = "Below each link: the SHA-256 of the file."
-    origin = render(
-        "command.html.j2", PACKAGE, command=shlex.join(board.command), benchmark=board.benchmark, hash_text=hash_text
-    )
-    sections = [
-        Section("Tables", table(rows, head, "downloads", "downloads"), place="full", note=note),
-        Section("Command and data", origin, place="full"),
-    ]
-    return page(board, "Downloads", sections, here="downloads.html")
-
-
-def _sha256(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
