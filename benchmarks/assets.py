@@ -60,7 +60,7 @@ from generator.motion import PRESETS
 from generator.partnet_writer import write_partnet
 from leaderboard.asset_measurement import measure_asset
 from leaderboard.matching import match
-from leaderboard.protocols.strict1 import STANDARD
+from leaderboard.protocols.strict import STANDARD
 from leaderboard.submission import read_submission
 from leaderboard.surface import Surface
 
@@ -270,7 +270,7 @@ def supposed_faces(result: Path, truth: Truth, folder: Path) -> dict[str, list[f
         found["supposed"].append(1 - Surface(mesh, seen).area / Surface(mesh).area)
         for kind, faces in (("seen_off_pc", seen), ("supposed_off_pc", ~seen)):
             surface = Surface(mesh, faces)
-            points = se3.transform(T_truth_part, surface.sample(STANDARD.samples, (0, part)))
+            points = se3.transform(T_truth_part, surface.sample(STANDARD[1].samples, (0, part)))
             off = None if surface.empty else 100 * matched.outer[part].distance(points).mean() / matched.diagonal
             found[kind].append(None if off is None else float(off))
     return {kind: values[::-1] if matched.swapped else values for kind, values in found.items()}

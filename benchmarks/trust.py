@@ -49,7 +49,7 @@ from generator.recorder import record
 from generator.sensor import Sensor
 from generator.session import RecordSettings
 from leaderboard.protocol import Case
-from leaderboard.protocols.strict1 import Strict1, measure
+from leaderboard.protocols.strict import Strict, measure
 from reconstruct import VERSION
 from reconstruct.pipeline import reconstruct_folder
 from reconstruct.scene import prepare_scene
@@ -328,7 +328,7 @@ def _judge_answer(result: Path, truth_folder: Path, name: str, held_out: bool = 
     if isinstance(answer, Failure):
         return Judged(name, "failed", False, True, (answer.reason,), {}, span, None, None, None, seconds, held_out)
     trust = judge(answer, read_diagnostics(result, len(answer)))  # as the solver asks them, by today's signs
-    values = measure(Case(truth, answer, []), Strict1(samples=2000)).values
+    values = measure(Case(truth, answer, []), Strict(1, samples=2000)).values
     values = {name: values.get(name) for name in VALUES}
     ratios = (*_over_std(answer, values, truth.diagonal), states_within(answer, truth))
     doubtful = trust.verdict == "doubtful"

@@ -18,10 +18,16 @@ from export.fidelity import Fidelity
 from export.joint_range import STATES
 from export.penetration import measure_visual_depth
 from freeart21.asset import Asset
-from freeart21.certificate import Certificate, EngineResult, LinkCertificate
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
-from freeart21.files.certificate import FILE, read_certificate, write_certificate
+from freeart21.files.certificate import (
+    FILE,
+    Certificate,
+    EngineResult,
+    LinkCertificate,
+    read_certificate,
+    write_certificate,
+)
 from freeart21.files.trust_json import trust_to_json
 from freeart21.files.urdf import Urdf, read_urdf
 from freeart21.mesh import Mesh

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import io
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -14,6 +13,8 @@ import numpy as np
 import trimesh
 
 from export.check.rules import MAX_HULLS
+from export.check.same_asset import RULES as COPIES
+from export.check.same_asset import judge_copy
 from export.inertia import find_unphysical
 from freeart21 import se3
 from freeart21.asset import Asset
@@ -90,7 +91,9 @@ def check_asset(folder: Path) -> list[Finding]:
     if findings:
         return findings
     try:
-        return list(_check_reload(asset))
+        copies = [judge_copy(rule, asset) for rule in COPIES] if "parts" in asset.source else []  # written by `export`
+        unlike = [Finding(row.rule, row.reason) for row in copies if row.verdict == "fail"]
+        return [*_check_reload(asset), *unlike]
     except Exception as error:  # hostile numbers reach parsers and geometry of many libraries
         return [Finding(UNREADABLE, _first_line(error))]
 
@@ -243,7 +246,7 @@ def _check_limits(joint: UrdfJoint) -> Iterator[Finding]:
 
 
 def _check_reload(asset: Asset) -> Iterator[Finding]:
-    """Poses of the moving link by the URDF's numbers against SAPIEN and MuJoCo."""
+    """Poses of the moving link by the URDF's numbers against SAPIEN."""
     joint = read_urdf_joints(asset.urdf)[asset.joint]
     lower, upper = np.clip([joint.lower, joint.upper], -1e3, 1e3) if joint.limited else (-1.0, 1.0)
     positions = np.linspace(lower, upper, 7)
@@ -259,32 +262,6 @@ def _check_reload(asset: Asset) -> Iterator[Finding]:
         return
     if off > allowed_off(C, poses, expected):
         yield Finding("reload", f"SAPIEN moves '{asset.moving_link}' to {off:.2g} from its pose in the URDF")
-    mjcf = asset.urdf.with_suffix(".xml")
-    if mjcf.is_file() and importlib.util.find_spec("mujoco"):
-        yield from _check_mujoco(asset, mjcf, positions, poses)
-
-
-def _check_mujoco(asset: Asset, mjcf: Path, positions: Array, poses: Array) -> Iterator[Finding]:
-    import mujoco
-
-    try:
-        model = mujoco.MjModel.from_xml_path(str(mjcf))
-    except ValueError as error:
-        yield Finding("mujoco", str(error).splitlines()[0])
-        return
-    data = mujoco.MjData(model)
-
-    def pose(body: str) -> Array:
-        return se3.pose(data.body(body).xmat.reshape(3, 3), data.body(body).xpos)
-
-    worst = 0.0
-    for q, T in zip(positions, poses, strict=True):
-        data.joint(asset.joint).qpos[0] = q
-        mujoco.mj_kinematics(model, data)
-        off = np.abs(se3.inverse(pose(asset.reference_link)) @ pose(asset.moving_link) - T).max()
-        worst = max(worst, float(off))
-    if worst > allowed_off(poses):
-        yield Finding("mujoco", f"MuJoCo puts '{asset.moving_link}' {worst:.2g} from its pose in the URDF")
 
 
 def _T_reference_moving(asset: Asset, q: float) -> Array:

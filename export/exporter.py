@@ -14,10 +14,10 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 import freeart21
-from export.certificate import certify, list_reloaded, measure_files
+from export.certificate import MeasuredFiles, certify, list_reloaded, measure_files
 from export.checklist import allowed_off, check_asset
 from export.collision import PRESETS, Collision, CollisionSettings, Contact, make_collision, separate_collisions
-from export.companion_files import USD, write_companion_files
+from export.companion_files import write_companion_files
 from export.guessed_dynamics import DYNAMICS, Dynamics, guess_effects
 from export.hollows import sealed_faces
 from export.inertia import compute_inertial
@@ -30,7 +30,6 @@ from export.parts import Part, WholeParts, close_parts
 from export.placement import Placement, PlacementSettings, place_parts
 from export.splats import PlacedPart, complete_gaussians
 from export.urdf import format_urdf
-from export.usd_reload import check_usd
 from freeart21 import se3
 from freeart21.articulation import PARTS
 from freeart21.asset import Asset
@@ -46,8 +45,9 @@ from freeart21.files.result import read_method, read_result
 from freeart21.files.sequence import read_sequence
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh, bounding_diagonal, box_centre
-from freeart21.reconstruction import Failure, Reconstruction
+from freeart21.reconstruction import Failure, Reconstruction, Trust
 from freeart21.recording import Recording
+from freeart21.se3 import Array
 from generator.simulate import joint_motion
 
 Names = Literal["part", "role"]
@@ -164,73 +164,33 @@ def export_result(
     reconstruction, source = _read_reconstruction(result)
     _check_lengths(reconstruction, settings)
     recording = None if video is None else read_sequence(video)
-    scaled = scale_reconstruction(reconstruction, settings.scale)
     whole, placement = _complete(reconstruction, recording, settings)
-    parts, tolerance = whole.parts, settings.placement.tolerance_m
-    penetration = {
-        key: settings.scale ** {"carved_m3": 3}.get(key, 1) * value if isinstance(value, float) else value
-        for key, value in whole.penetration.items()
-    } | {"tolerance_m": tolerance * settings.scale}
-    with only_writer(out), atomic.new_folder(out, ASSET) as aside:
-        with ThreadPoolExecutor() as pool:  # most of the time goes into nearest-point queries, which release the GIL
-            tasks = {name: pool.submit(_make_shape, name, part, placement, settings) for name, part in parts.items()}
-        shapes = {name: task.result() for name, task in tasks.items()}
-        shapes, shape_counts = _separate_contact(shapes, placement, penetration, settings)
-        solids = {name: shape.solid for name, shape in shapes.items()}
+    scaled = scale_reconstruction(reconstruction, settings.scale)
+    with only_writer(out), atomic.new_folder(out, ASSET) as folder:
+        shapes, penetration, cuts = _make_shapes(whole, placement, settings)
         given = {name: getattr(settings, name) for name in ("mass", "density", "material", "wall")}
-        masses = weigh_parts(solids, placement.roles, **given)
-        links = placement.roles if settings.names == "role" else {name: name for name in PARTS}
-        written = {
-            name: _write_link(aside, name, links[name], shape, masses[name], settings) for name, shape in shapes.items()
-        }
-        root, child = (written[name][0] for name in sorted(PARTS, key=lambda name: name != placement.root))
-        joint = replace(placement.joint, name=_identifier(placement.joint.name, "joint"))
-        guessed = not effects and settings.dynamics == "guessed"
-        if guessed:  # the origin of the child link is the pivot
-            effects = guess_effects(replace(joint, pivot=np.zeros(3)), child.inertial)
-        model = AssetModel(
-            _identifier(str(source.get("sequence") or "object"), "object"),
-            root,
-            child,
-            joint,
-            settings.effort,
-            settings.velocity,
-            effects,
-            settings.base,
-            reconstruction.trust,
-        )
-        atomic.write_bytes(aside / URDF, format_urdf(model))
-        atomic.write_bytes(aside / MJCF, format_mjcf(model))
-        measured = measure_files(aside / URDF, joint.name)
+        masses = weigh_parts({name: shape.solid for name, shape in shapes.items()}, placement.roles, **given)
+        links, parts = _write_links(folder, shapes, masses, placement, settings)
+        model = _make_model(links, placement, source.get("sequence"), reconstruction.trust, effects, settings)
+        measured = _write_formats(folder, model)
         source |= {
             "parts": {
-                name: part
-                | {"role": placement.roles[name], "collision": measured.fidelity[links[name]].to_json()}
-                | masses[name].to_json()
-                for name, (_, part) in written.items()
+                name: facts | {"collision": measured.fidelity[links[name].name].to_json()} | masses[name].to_json()
+                for name, facts in parts.items()
             },
             **placement.report,
             "penetration": penetration
             | {"deepest_m": measured.contact_depth, "deepest_visual_m": measured.visual_depth}
-            | shape_counts,
-            "mass": _describe_mass(settings),
-            "dynamics": {"guessed": guessed},
-            "length_unit": "m",
-            "exporter": f"freeart21 {freeart21.__version__}",
-            "settings": dataclasses.asdict(settings),
+            | cuts,
+            **_describe_settings(settings, guessed=model.effects != effects),
         }
-        write_asset_json(aside, _make_asset(aside, model, links, placement, source, settings.scale))
+        write_asset_json(folder, _make_asset(folder, model, links, placement, source, settings.scale))
         if reconstruction.appearance is not None:
             placed = _place_shapes(shapes, placement, scaled.articulation.joint)
-            write_gaussians(aside / GAUSSIANS, complete_gaussians(reconstruction.appearance, settings.scale, placed))
-        write_companion_files(aside, read_asset(aside), settings.usd)
-        write_certificate(aside, replace(certify(read_asset(aside), measured), engines=list_reloaded()))
-        findings = check_asset(aside)
-        if (aside / USD).is_file():
-            findings += check_usd(aside / USD, read_asset(aside))
-        if findings:
-            raise FreeArtError(f"the asset for {out} does not pass its own check: {findings[0]}")
-        _check_motion(read_asset(aside), scaled, out)
+            write_gaussians(folder / GAUSSIANS, complete_gaussians(reconstruction.appearance, settings.scale, placed))
+        write_companion_files(folder, read_asset(folder), settings.usd)
+        write_certificate(folder, replace(certify(read_asset(folder), measured), engines=list_reloaded()))
+        _check_written(folder, scaled.articulation.joint, scaled.states, out)
     return read_asset(out)
 
 
@@ -267,18 +227,19 @@ def _complete(
     return whole, placement
 
 
-def _check_motion(asset: Asset, reconstruction: Reconstruction, out: Path) -> None:
-    """Raise FreeArtError when the reloaded asset's joint moves otherwise than the reconstruction's, in the canonical
-    frame."""
-    states, joint = reconstruction.states, reconstruction.articulation.joint
-    sampled = np.linspace(states.min(), states.max(), 7)
+def _check_written(folder: Path, joint: Joint, states: Array, out: Path) -> None:
+    """Raise FreeArtError when the asset in `folder` breaks a rule, or its joint moves otherwise than `joint`, the
+    reconstruction's, in its range of `states` (n,), in the canonical frame."""
+    failed = f"the asset for {out} does not pass its own check"
+    if findings := check_asset(folder):
+        raise FreeArtError(f"{failed}: {findings[0]}")
+    asset, sampled = read_asset(folder), np.linspace(states.min(), states.max(), 7)
     motion = joint_motion(replace(asset, effects={}), sampled)  # kinematic effects change the motion
     error = float(np.abs(motion - joint.transform(sampled)).max())
     expected = 2 * allowed_off(asset.T_canonical_reference, motion)
     if error > expected:
         raise FreeArtError(
-            f"the asset for {out} does not pass its own check: its joint is {error:.2g} from the reconstruction's, "
-            f"expected at most {expected:g}"
+            f"{failed}: its joint is {error:.2g} from the reconstruction's, expected at most {expected:g}"
         )
 
 
@@ -347,6 +308,29 @@ class _Shape:
     collision: Collision
 
 
+def _make_shapes(
+    whole: WholeParts, placement: Placement, settings: ExportSettings
+) -> tuple[dict[str, _Shape], dict[str, Any], dict[str, Any]]:
+    """The parts' shapes, their collision shapes cut where they overlap more than the tolerance; for asset.json, how
+    deep the parts were in each other, in lengths of the asset, and the counts of cuts.
+
+    No collision shape is cut when the parts themselves overlap.
+    """
+    with ThreadPoolExecutor() as pool:  # most of the time goes into nearest-point queries, which release the GIL
+        made = pool.map(lambda name: _make_shape(name, whole.parts[name], placement, settings), whole.parts)
+        shapes = dict(zip(whole.parts, made, strict=True))
+    tolerance = settings.placement.tolerance_m * settings.scale
+    found = {
+        key: settings.scale ** {"carved_m3": 3}.get(key, 1) * value if isinstance(value, float) else value
+        for key, value in whole.penetration.items()
+    } | {"tolerance_m": tolerance}
+    if not settings.placement.carve or (found["before_carving_m"] > tolerance and found["carved"] is None):
+        return shapes, found, {}
+    collisions = {name: shape.collision for name, shape in shapes.items()}
+    separated, counts = separate_collisions(collisions, placement.joint, placement.root, tolerance)
+    return {name: replace(shapes[name], collision=separated[name]) for name in shapes}, found, {"pieces": counts}
+
+
 def _make_shape(name: str, part: Part, placement: Placement, settings: ExportSettings) -> _Shape:
     solid = getattr(placement, name)
     sealed = sealed_faces(solid)
@@ -356,27 +340,10 @@ def _make_shape(name: str, part: Part, placement: Placement, settings: ExportSet
         collision = make_collision(
             visual, settings.collision or PRESETS[settings.contact], ground, single=not part.surface.is_solid
         )
-        shape = _Shape(part.without(sealed), solid, visual, collision)
         compute_inertial(solid, 1.0, settings.wall)  # raises without a volume
     except FreeArtError as error:
         raise FreeArtError(f"{name} part: {error}") from error
-    return shape
-
-
-def _separate_contact(
-    shapes: dict[str, _Shape], placement: Placement, penetration: dict[str, Any], settings: ExportSettings
-) -> tuple[dict[str, _Shape], dict[str, Any]]:
-    """The shapes, their collision shapes cut where they overlap more than the tolerance; for asset.json, the counts of
-    cuts.
-
-    Nothing is cut when the parts themselves overlap.
-    """
-    tolerance = penetration["tolerance_m"]
-    if not settings.placement.carve or (penetration["before_carving_m"] > tolerance and penetration["carved"] is None):
-        return shapes, {}
-    collisions = {name: shape.collision for name, shape in shapes.items()}
-    separated, counts = separate_collisions(collisions, placement.joint, placement.root, tolerance)
-    return {name: replace(shapes[name], collision=separated[name]) for name in shapes}, {"pieces": counts}
+    return _Shape(part.without(sealed), solid, visual, collision)
 
 
 def _place_shapes(shapes: dict[str, _Shape], placement: Placement, joint: Joint) -> dict[str, PlacedPart]:
@@ -391,42 +358,84 @@ def _place_shapes(shapes: dict[str, _Shape], placement: Placement, joint: Joint)
     }
 
 
-def _write_link(
-    folder: Path, name: str, link: str, shape: _Shape, mass: PartMass, settings: ExportSettings
-) -> tuple[LinkModel, dict[str, Any]]:
-    """Write the meshes of a part and return its link, named `link`, and its entry in asset.json."""
-    visual, collision = shape.visual, shape.collision
-    texture = write_visual(folder / MESHES, name, visual, shape.part.texture)
-    hulls = tuple(f"{MESHES}/{name}_hull_{k:02d}.obj" for k in range(len(collision.hulls)))
-    for file, hull in zip(hulls, collision.hulls, strict=True):
-        write_hull(folder / file, hull)
-    report = {
-        **shape.part.to_json(settings.scale),
-        "hulls": len(hulls),
-        "primitives": len(collision.primitives),
-    }
-    inertial = compute_inertial(shape.solid, mass.density, settings.wall)
-    visual_file, picture = f"{MESHES}/{name}.obj", texture and f"{MESHES}/{texture}"
-    surface = TABLE[mass.material]
-    return LinkModel(link, visual_file, picture, hulls, inertial, collision.primitives, surface), report
+def _write_links(
+    folder: Path,
+    shapes: dict[str, _Shape],
+    masses: dict[str, PartMass],
+    placement: Placement,
+    settings: ExportSettings,
+) -> tuple[dict[str, LinkModel], dict[str, dict[str, Any]]]:
+    """Write the meshes of the parts; their links, and their facts for asset.json."""
+    links, facts = {}, {}
+    for name, shape in shapes.items():
+        visual, collision, mass = shape.visual, shape.collision, masses[name]
+        texture = write_visual(folder / MESHES, name, visual, shape.part.texture)
+        hulls = tuple(f"{MESHES}/{name}_hull_{k:02d}.obj" for k in range(len(collision.hulls)))
+        for file, hull in zip(hulls, collision.hulls, strict=True):
+            write_hull(folder / file, hull)
+        links[name] = LinkModel(
+            placement.roles[name] if settings.names == "role" else name,
+            f"{MESHES}/{name}.obj",
+            texture and f"{MESHES}/{texture}",
+            hulls,
+            compute_inertial(shape.solid, mass.density, settings.wall),
+            collision.primitives,
+            TABLE[mass.material],
+        )
+        counts = {"hulls": len(hulls), "primitives": len(collision.primitives), "role": placement.roles[name]}
+        facts[name] = shape.part.to_json(settings.scale) | counts
+    return links, facts
 
 
-def _describe_mass(settings: ExportSettings) -> dict[str, Any]:
-    """For asset.json: what the masses were computed of, for both parts."""
+def _make_model(
+    links: dict[str, LinkModel],
+    placement: Placement,
+    name: Any,
+    trust: Trust | None,
+    effects: tuple[Effect, ...],
+    settings: ExportSettings,
+) -> AssetModel:
+    """The asset as it is written to each format; with guessed effects where there are none and the settings say so."""
+    root, child = (links[part] for part in sorted(PARTS, key=lambda part: part != placement.root))
+    joint = replace(placement.joint, name=_identifier(placement.joint.name, "joint"))
+    if not effects and settings.dynamics == "guessed":  # the origin of the child link is the pivot
+        effects = guess_effects(replace(joint, pivot=np.zeros(3)), child.inertial)
+    title = _identifier(str(name or "object"), "object")
+    return AssetModel(title, root, child, joint, settings.effort, settings.velocity, effects, settings.base, trust)
+
+
+def _write_formats(folder: Path, model: AssetModel) -> MeasuredFiles:
+    """Write URDF and MJCF, and measure what they consist of."""
+    atomic.write_bytes(folder / URDF, format_urdf(model))
+    atomic.write_bytes(folder / MJCF, format_mjcf(model))
+    return measure_files(folder / URDF, model.joint.name)
+
+
+def _describe_settings(settings: ExportSettings, guessed: bool) -> dict[str, Any]:
+    """For asset.json: what the masses were computed of, whether effects are `guessed`, the exporter and settings."""
+    of = "the solid that the mesh bounds" if settings.wall is None else "a wall along the mesh"
     return {
-        "of": "the solid that the mesh bounds" if settings.wall is None else "a wall along the mesh",
-        "wall_m": settings.wall,
+        "mass": {"of": of, "wall_m": settings.wall},
+        "dynamics": {"guessed": guessed},
+        "length_unit": "m",
+        "exporter": f"freeart21 {freeart21.__version__}",
+        "settings": dataclasses.asdict(settings),
     }
 
 
 def _make_asset(
-    folder: Path, model: AssetModel, links: dict[str, str], placement: Placement, source: dict[str, Any], scale: float
+    folder: Path,
+    model: AssetModel,
+    links: dict[str, LinkModel],
+    placement: Placement,
+    source: dict[str, Any],
+    scale: float,
 ) -> Asset:
     return Asset(
         folder / URDF,
         model.joint.name,
-        links["reference"],
-        links["moving"],
+        links["reference"].name,
+        links["moving"].name,
         placement.T_canonical_reference,
         placement.state_zero,
         {model.joint.name: model.effects} if model.effects else {},

@@ -1,7 +1,6 @@
 """LOSSES.md: properties of an asset that each format and engine keeps or loses.
 
-Cells were verified in the version named by the column, in `tests/test_loaders.py`, `test_usd.py` and `test_losses.py`;
-columns "as documented" were not run.
+Cells were verified in the version named by the column, in `tests/test_loaders.py`, `test_usd.py` and `test_losses.py`.
 """
 
 from __future__ import annotations
@@ -46,8 +45,6 @@ class Column:
     """The asset's file."""
     outcomes: Mapping[str, str]
     """Property or effect name to what happens to it; without an entry a property is kept, an effect lost."""
-    measured: bool = True
-    """Whether it was run, or only read about."""
     notes: tuple[str, ...] = field(default=())
     """Remarks."""
 
@@ -148,25 +145,6 @@ ENGINES = (
         },
         notes=("Its loader's friction acts in discrete plants only, and takes `connect` after `load`.",),
     ),
-    Column(
-        "Isaac Sim 5, Isaac Lab",
-        "object.usdc",
-        _USD_EFFECTS
-        | _effects_by_parameter(friction="kept: staticFrictionEffort, dynamicFrictionEffort", armature=KEPT),
-        measured=False,
-        notes=(
-            "Isaac's URDF importer drops friction; before Isaac Sim 5 friction is a coefficient of the joint's load, "
-            "which cannot express a torque: there a drive of stiffness 0, maxForce of the friction and large "
-            "damping does.",
-        ),
-    ),
-    Column(
-        "Newton",
-        "object.usdc",
-        _USD_EFFECTS | _effects_by_parameter(friction="kept: newton:friction", armature=KEPT),
-        measured=False,
-        notes=("Its MuJoCo solver plays damping and friction of the URDF as they are (measured with 1.8.0).",),
-    ),
 )
 
 
@@ -202,10 +180,8 @@ def format_losses(asset: Asset, textured: bool, files: frozenset[str]) -> str:
         "## Files",
         _format_table(formats, [row for row in rows if row != "own"]),
         "## Engines",
-        _format_table([column for column in engines if column.measured], [*properties, "own"]),
+        _format_table(engines, [*properties, "own"]),
     ]
-    if untried := [column for column in engines if not column.measured]:
-        parts += ["## As documented, not run", _format_table(untried, properties)]
     if "object.usdc" not in files:
         parts.append(
             "There is no USD: usd-core was not installed (`pip install 'freeart21[usd]'`), or none was requested."

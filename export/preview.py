@@ -98,8 +98,8 @@ def project_link(shown: ShownUrdf, link: str, T: Array, R: Array) -> list[Piece]
     pieces: list[Piece] = []
     for piece in shown.visuals[link]:
         points = se3.transform(T, piece.mesh.vertices) @ R.T
-        if piece.texture is not None and piece.uv is not None and piece.texture.is_file():
-            image = checked.read_rgb(piece.texture)
+        if piece.picture is not None and piece.uv is not None:
+            image = piece.picture
             size = np.array([image.shape[1], image.shape[0]])
             marks = np.stack([piece.uv[:, 0], 1 - piece.uv[:, 1]], -1) * size - 0.5
         else:

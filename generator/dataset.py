@@ -1,8 +1,8 @@
 """Records a data set: plans its sequences, holds a lock, runs workers, and continues after an interruption.
 
-While it is recorded, a data folder holds `.recording/`: a lock, job.json (the complete plan) and a work folder for each
-sequence. A finished sequence is renamed into place, its truth first. At the end benchmark.json is written and
-`.recording/` removed. After an interruption at any point the same command continues and gives the same bytes.
+While it is recorded, a data folder holds `.recording/`: a lock, job.json (the plan) and a work folder a sequence.
+What is finished is renamed into place, its truth first. At the end benchmark.json is written and `.recording/` removed.
+After an interruption the same command records the sequences that are not in place, and gives the same bytes.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +40,6 @@ __all__ = ["WORK", "Job", "Label", "is_unfinished", "official_names", "plan_jobs
 MAX_OBJECTS = 1000
 """Procedural objects of one call: their names end in three digits."""
 MAX_WORKERS = 64
-_MADE_WITH = ("freeart21", "sapien", "numpy", "opencv-python-headless", "embreex", "manifold3d", "scipy")
 MOST_SECONDS_A_PICTURE = 2.5
 """Ten times the approximate time for a picture: for the limit of a job."""
 _JOBS = ".jobs"
@@ -180,8 +178,8 @@ def record_jobs(
         executor: one of `freeart21.jobs.EXECUTORS`; the machines of another one than 'local' all see `out`.
 
     Raises FreeArtError, in one line, when a job is unfit, a sequence exists with other settings, another process writes
-    to `out`, an unfinished recording with another plan is there, or the disk refuses. Finished work is kept then, as
-    after KeyboardInterrupt, and the same call continues.
+    to `out`, or the disk refuses. Finished sequences are kept then, as after KeyboardInterrupt, and the same call
+    records the others.
     """
     out = Path(out)
     check_append(out)
@@ -197,7 +195,8 @@ def record_jobs(
     with _writer_lock(out):
         try:
             _remove_partial_files(out)
-            _write_plan(out, jobs, label)
+            plan = {"schema": JOB_SCHEMA, "label": vars(label), "jobs": [job.to_json() for job in jobs]}
+            atomic.write_json(out / WORK / "job.json", plan)
             todo = _unfinished_jobs(out, jobs)
             try:
                 _run(out, todo, workers, on_done, executor)
@@ -260,20 +259,17 @@ def _read_label(out: Path) -> Label:
 
 
 def _unfinished_jobs(out: Path, jobs: Sequence[Job]) -> list[Job]:
-    """The jobs whose sequence is not in place; FreeArtError when it is there with other settings."""
+    """The jobs whose sequence is not in place; FreeArtError when it, or its truth, is there with other settings."""
     todo = []
     for job in jobs:
         sequence, truth = (out / sub / job.sequence for sub in ("sequences", "truth"))
-        under_way = (out / WORK / job.sequence).is_dir()
-        if not sequence.exists() and (not truth.exists() or under_way):
-            todo.append(job)
-            continue
-        different = _difference(job, truth / "truth.json")
-        if different:
-            there = sequence if sequence.exists() else truth
+        there = next((place for place in (sequence, truth) if place.exists()), None)
+        if there and (different := _difference(job, truth / "truth.json")):
             raise FreeArtError(
                 f"{there} exists{different}; choose another place or seed, or remove the sequence and its truth first"
             )
+        if not sequence.exists() and (not truth.exists() or (out / WORK / job.sequence).is_dir()):
+            todo.append(job)
     return todo
 
 
@@ -291,49 +287,9 @@ def _difference(job: Job, header: Path) -> str:
     except FreeArtError:
         return " and has no truth"
     was = {"object": source.get("object"), "sequence": job.sequence, **(source.get("settings") or {})}
-    return _first_difference(was, _parsed_json(job.to_json()), " with {key} {was}, not {now}")
-
-
-def _first_difference(was: dict[str, Any], now: dict[str, Any], pattern: str) -> str:
+    now = checked.parse_json(atomic.json_text(job.to_json()), "the plan")
     key = next((key for key in {**now, **was} if was.get(key) != now.get(key)), None)
-    return "" if key is None else pattern.format(key=key, was=was.get(key), now=now.get(key))
-
-
-def _parsed_json(data: Any) -> Any:
-    return checked.parse_json(atomic.json_text(data), "the plan")
-
-
-def _write_plan(out: Path, jobs: Sequence[Job], label: Label) -> None:
-    """Write the plan; FreeArtError when an unfinished recording has another one."""
-    made_with = {name: metadata.version(name) for name in _MADE_WITH}
-    plan = {"schema": JOB_SCHEMA, "label": vars(label), "made_with": made_with, "jobs": [j.to_json() for j in jobs]}
-    path = out / WORK / "job.json"
-    if not path.is_file():
-        for left in (out / WORK).iterdir():  # of a finished recording that was killed during its clean-up
-            if left.is_dir():
-                shutil.rmtree(left)
-        atomic.write_json(path, plan)
-        return
-    before, now = checked.read_json(path, JOB_SCHEMA), _parsed_json(plan)
-    if before == now:
-        return
-    different = (
-        _first_difference(before.get("label", {}), now["label"], "{key} {was}, not {now}")
-        or _first_difference(before.get("made_with", {}), now["made_with"], "made with {key} {was}, not {now}")
-        or _different_jobs(before.get("jobs", []), now["jobs"])
-    )
-    raise FreeArtError(
-        f"{out} holds an unfinished recording of something else ({different}): finish it by its own command, "
-        f"or discard it by removing {out / WORK}"
-    )
-
-
-def _different_jobs(before: list[dict[str, Any]], now: list[dict[str, Any]]) -> str:
-    for was, wanted in zip(before, now, strict=False):
-        different = _first_difference(was, wanted, "{key} {was}, not {now}")
-        if different:
-            return different
-    return f"{len(before)} sequences, not {len(now)}"
+    return "" if key is None else f" with {key} {was.get(key)}, not {now.get(key)}"
 
 
 def _finish(out: Path, label: Label) -> None:
@@ -376,12 +332,14 @@ def _run(out: Path, jobs: list[Job], workers: int, on_done: Callable[[str], None
 
 
 def _record_sequence(out: Path, job: Job, progress: Callable[[int, int], None]) -> None:
-    """Record one sequence and move it into place, the truth first. A killed call may be repeated."""
+    """Record one sequence and move it into place, the truth first. A killed call may be repeated: it begins anew unless
+    the truth is in place."""
     work = out / WORK / job.sequence
     places = {sub: out / folder / job.sequence for sub, folder in (("truth", "truth"), ("sequence", "sequences"))}
     try:
         if not places["truth"].exists():
-            work.mkdir(parents=True, exist_ok=True)
+            shutil.rmtree(work, ignore_errors=True)
+            work.mkdir(parents=True)
             record_object(job.name, job.settings, work, progress)
             os.sync()
         for sub, place in places.items():
@@ -400,7 +358,7 @@ def _record_sequence(out: Path, job: Job, progress: Callable[[int, int], None]) 
 def _run_as_jobs(
     out: Path, jobs: list[Job], workers: int, executor: str, board: Board, on_done: Callable[[str], None]
 ) -> None:
-    """Record each sequence as a job of `executor`. A job whose machine failed continues from its finished frames."""
+    """Record each sequence as a job of `executor`. A job whose machine failed begins anew."""
     place, by_name = out.resolve(), {f"record/{job.sequence}": job for job in jobs}
     job_list = [
         jobs_anywhere.Job(

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-import shutil
+import os
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -26,7 +31,6 @@ from freeart21.mesh import Mesh, bounding_diagonal
 from freeart21.progress import Progress
 from freeart21.se3 import Array
 from freeart21.truth import Truth
-from generator.frame_writer import FrameWriter
 from generator.model import ObjectModel
 from generator.motion import PRESETS, STYLES, Plan, motion_range, plan_motion
 from generator.motion import track as tracks
@@ -51,19 +55,13 @@ LICENCES = {
 _PICTURES = ("sequence/rgb", "sequence/depth", "sequence/mask", "side")
 """Folders in the work folder, each with one picture a frame; `side` holds true labels for the truth folder."""
 
-_PNG_END = b"\x00\x00\x00\x00IEND\xaeB`\x82"
-
 
 def record_object(name: str, settings: RecordSettings, work: Path, progress: Progress) -> None:
     """Record the object `name` into `work/sequence` and `work/truth`, both complete.
 
-    After an interruption the same call continues: existing frames are kept, missing ones drawn, and the result is the
-    same to the last byte. `truth` appears last. Raises FreeArtError when the object's files are unfit, this machine
-    cannot render, or the disk refuses.
+    `work` is an empty folder. Raises FreeArtError when the object's files are unfit, this machine cannot render, or the
+    disk refuses.
     """
-    if (work / "truth").is_dir():
-        return
-    atomic.remove_leftovers(work)
     source = find_object(name, settings)
     loaded = source.load(work / "object")
     released = settings.motion == "release" and source.entry.source == "procedural"
@@ -77,16 +75,14 @@ def record_object(name: str, settings: RecordSettings, work: Path, progress: Pro
     licence = LICENCES[source.entry.source]
     write_header(work / "sequence", session.camera, session.depth_scale, times_s, licence, gravity)
     facts = {"object": name, "category": loaded.category, "object_source": source.entry.source}
-    rough = work / "rough_truth"
-    shutil.rmtree(rough, ignore_errors=True)
-    write_truth(rough, session.truth(parts, views, facts), len(views))
+    truth = work / "truth"
+    write_truth(truth, session.truth(parts, views, facts), len(views))
     try:
-        np.savez_compressed(rough / "world.npz", T_camera_world=session.plan.Ts_camera_world)
+        np.savez_compressed(truth / "world.npz", T_camera_world=session.plan.Ts_camera_world)
         if source.entry.source == "procedural":
-            checked.copy_folder(work / "object" / name, rough / "object")
-        rough.replace(work / "truth")
+            checked.copy_folder(work / "object" / name, truth / "object")
     except OSError as error:
-        raise atomic.cannot_write(work / "truth", error) from error
+        raise atomic.cannot_write(truth, error) from error
 
 
 def plan_recording(
@@ -203,28 +199,23 @@ class Session:
         self._done = 0
 
     def film(self) -> None:
-        """Draw all frames of the video that are not in the work folder yet.
+        """Draw all frames of the video into the work folder.
 
         While a frame is encoded and written, the renderer draws the next one. Raises FreeArtError when a picture is
         empty although nothing hides the object: a software renderer was seen to fail like this under heavy load.
         """
         n = self.settings.frames
-        is_complete = [all(_is_complete_png(self._work / sub / f"{i:05d}.png") for sub in _PICTURES) for i in range(n)]
-        with FrameWriter() as writer:
+        with _png_writer() as put:
             for i in range(n):
-                if is_complete[i]:
-                    side = self._side(i)
-                else:
-                    shot = self.sensor.shoot(i)
-                    if i + 1 < n and not is_complete[i + 1]:
-                        self.sensor.start_drawing(i + 1)
-                    side = shot.side
-                    if not self._may_hide:
-                        self._require_seen(side, f"frame {i}")
-                    mask = shot.mask.view(np.uint8) * np.uint8(255)
-                    images = shot.rgb, encode_depth(shot.depth, self.depth_scale), mask, side
-                    writer.put({self._work / sub / f"{i:05d}.png": m for sub, m in zip(_PICTURES, images, strict=True)})
-                self._counts[i] = np.count_nonzero(side == 1), np.count_nonzero(side == 2)
+                shot = self.sensor.shoot(i)
+                if i + 1 < n:
+                    self.sensor.start_drawing(i + 1)
+                if not self._may_hide:
+                    self._require_seen(shot.side, f"frame {i}")
+                mask = shot.mask.view(np.uint8) * np.uint8(255)
+                images = shot.rgb, encode_depth(shot.depth, self.depth_scale), mask, shot.side
+                put({self._work / sub / f"{i:05d}.png": image for sub, image in zip(_PICTURES, images, strict=True)})
+                self._counts[i] = np.count_nonzero(shot.side == 1), np.count_nonzero(shot.side == 2)
                 self._count_picture()
 
     def parts(self) -> Parts:
@@ -294,9 +285,32 @@ class Session:
         self._progress(self._done, self.settings.frames + self.settings.queries)
 
 
-def _is_complete_png(path: Path) -> bool:
-    """Whether a PNG file exists and ends properly: after a power cut files may lack their content."""
-    try:
-        return checked.read_bytes(path, checked.MAX_IMAGE_BYTES).endswith(_PNG_END)
-    except FreeArtError:
-        return False
+@contextmanager
+def _png_writer() -> Iterator[Callable[[dict[Path, NDArray[Any]]], None]]:
+    """A function that writes pictures as PNG, each to its path; all are on disk when the context ends.
+
+    The simulator holds Python's global lock while it draws, and a thread that wants the lock waits for a whole picture.
+    So a thread only encodes, which needs no lock; the function returns when the encoding has started; and the caller's
+    thread writes the encoded files. Memory is bounded: the function waits when all threads are busy.
+    """
+    begun, waiting = threading.Semaphore(0), deque[list[tuple[Path, Future[bytes]]]]()
+
+    def encode(image: NDArray[Any]) -> bytes:
+        begun.release()
+        return checked.encode_png(image)
+
+    def write_oldest() -> None:
+        for path, future in waiting.popleft():
+            atomic.write_bytes(path, future.result(), sync=False)
+
+    def put(pictures: dict[Path, NDArray[Any]]) -> None:
+        while waiting and all(future.done() for _, future in waiting[0]):
+            write_oldest()
+        waiting.append([(path, pool.submit(encode, image)) for path, image in pictures.items()])
+        for _ in pictures:
+            begun.acquire()
+
+    with ThreadPoolExecutor(min(max(4, os.cpu_count() or 1), 16), "png") as pool:
+        yield put
+        while waiting:
+            write_oldest()

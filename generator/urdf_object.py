@@ -35,8 +35,7 @@ from freeart21.joint import Joint
 from freeart21.mesh import bounding_diagonal
 from freeart21.se3 import Array
 from freeart21.view.link_shapes import primitive
-from freeart21.view.mesh_pieces import ENDINGS, read_pieces, up_axis
-from freeart21.view.obj import Piece
+from freeart21.view.mesh_pieces import ENDINGS, Piece, read_pieces, up_axis
 from generator.motion import motion_range
 from generator.partnet_files import MAX_OBJ_BYTES, Gaps, read_obj
 from generator.surface import Paint, Surface

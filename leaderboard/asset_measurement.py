@@ -71,23 +71,17 @@ class MeasuredAsset:
 
 
 def measure_joint(folder: Path, states: ArrayLike) -> tuple[Joint, Array]:
-    """The joint of the asset in `folder`, canonical frame, and the states (n,) it reaches for `states` (n,), rad or m.
-
-    Raises FreeArtError with one reason when the asset does not load, does not move, or crashes the simulator.
-    """
-    asset = _measure(folder, states, whole=False)
+    """The joint of the asset in `folder`, canonical frame, and the states (n,) it reaches for `states`, rad or m."""
+    asset = measure_asset(folder, states, whole=False)
     return asset.joint, asset.states
 
 
-def measure_asset(folder: Path, states: ArrayLike) -> MeasuredAsset:
-    """The asset in `folder`, loaded and driven to the canonical `states` (n,), rad or m.
+def measure_asset(folder: Path, states: ArrayLike, whole: bool = True) -> MeasuredAsset:
+    """The asset in `folder`, loaded and driven to the canonical `states` (n,), rad or m; `whole`: not its joint alone.
 
-    Raises FreeArtError as `measure_joint`, and for a broken mesh or mass: empty, not finite, of no size or implausible.
+    Raises FreeArtError with one reason when the asset does not load, does not move, or crashes the simulator, and if
+    `whole` for a broken mesh or mass: empty, not finite, of no size or implausible.
     """
-    return _measure(folder, states, whole=True)
-
-
-def _measure(folder: Path, states: ArrayLike, whole: bool) -> MeasuredAsset:
     check_asset_files(folder)
     with tempfile.TemporaryDirectory() as temporary:
         shape_file = Path(temporary) / "shape.npz"

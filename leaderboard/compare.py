@@ -20,7 +20,6 @@ from freeart21.joint import JointType
 from leaderboard.archive import open_results
 from leaderboard.bootstrap import Interval, bootstrap_intervals
 from leaderboard.cached import cached_scores
-from leaderboard.method_names import check_names
 from leaderboard.protocol import Metric, Protocol
 from leaderboard.protocols import DEFAULT, protocol_named
 from leaderboard.rows import Row, Scores, Statistic
@@ -262,29 +261,21 @@ def check_tables(
                 other, sha256 = truths.setdefault(row.sequence, (place, row.truth_sha256))
                 if sha256 != row.truth_sha256:
                     raise FreeArtError(f"{place} is scored against another truth of {row.sequence} than {other}")
-    return (*_environment_notes(found), *_partial_notes(found, sequences))
-
-
-def _environment_notes(found: list[tuple[Path, Scores]]) -> list[str]:
-    reference = found[0][1].made_with.get("libraries")
-    return [
-        f"{place} was scored with other versions of libraries than {found[0][0]}: the last digits may differ"
+    notes = [
+        f"{place} was scored with other versions of libraries than {first}: the last digits may differ"
         for place, scores in found[1:]
-        if scores.made_with.get("libraries") != reference
+        if scores.made_with.get("libraries") != reference.made_with.get("libraries")
     ]
-
-
-def _partial_notes(found: list[tuple[Path, Scores]], sequences: tuple[str, ...]) -> list[str]:
-    return [
+    notes += [
         f"{place} has rows for {len(scores.rows)} of {len(sequences)} sequences: its means are over these"
         for place, scores in found
         if len(scores.rows) < len(sequences)
     ]
+    return tuple(notes)
 
 
 def _entrants(found: list[tuple[Path, Scores]]) -> tuple[Entrant, ...]:
     """Each table with a unique name."""
-    check_names([(place, scores.method) for place, scores in found])
     names = [scores.method.name for _, scores in found]
     places = [place.resolve().name for place, _ in found]
     full = [n if names.count(n) == 1 else f"{n} ({place})" for n, place in zip(names, places, strict=True)]

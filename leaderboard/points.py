@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from freeart21.files.result import Method
 from freeart21.se3 import Array
 from leaderboard.bootstrap import bootstrap_intervals
 from leaderboard.protocol import Metric, Protocol
@@ -75,7 +76,12 @@ class Standing:
     """0 to 100: the mean over its sequences."""
     place: int | None
     """1 plus the number of methods that are better beyond doubt; those with one place are tied. None for
-    reference rows."""
+    methods outside the ranking."""
+
+
+def is_outside_ranking(method: Method) -> bool:
+    """Whether it has points and no place: it was given a part of the truth (`run`)."""
+    return bool((method.settings or {}).get("privileged_inputs"))
 
 
 def metric_points(metric: Metric, value: float) -> float:

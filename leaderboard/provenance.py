@@ -16,8 +16,8 @@ from typing import Any
 
 import freeart21
 from freeart21.errors import FreeArtError
-from freeart21.files import checked
 from freeart21.files.benchmark import Benchmark
+from freeart21.files.hashes import file_sha256
 from leaderboard.rows import Scores
 from leaderboard.submission import MAX_FILES
 
@@ -25,7 +25,6 @@ MAX_BYTES = 4 << 30
 """Largest folder that is hashed; a result of 300 frames has 20 MB."""
 LIBRARIES = ("numpy", "scipy", "scikit-image", "sapien", "numba", "opencv-python-headless", "trimesh")
 _ROOT = Path(__file__).resolve().parents[1]
-_CHUNK_BYTES = 1 << 20
 
 
 def describe_environment() -> dict[str, Any]:
@@ -63,7 +62,7 @@ def folder_sha256(folder: Path) -> str:
                     bytes_left -= found.st_size
                     if bytes_left < 0:
                         raise FreeArtError(f"{folder} has more than {MAX_BYTES} bytes")
-                    content = _file_sha256(path, found.st_size)
+                    content = file_sha256(path)
                 else:
                     content = "neither file nor folder"
                 entries.append((path.relative_to(folder).as_posix(), content))
@@ -111,16 +110,6 @@ def with_provenance(scores: Scores, results: Path, benchmark: Benchmark) -> Scor
         for row in scores.rows
     )
     return replace(scores, rows=rows, made_with=describe_environment())
-
-
-def _file_sha256(path: Path, size: int) -> str:
-    """Hash of the first `size` bytes: a file that is still being written is read no further."""
-    digest = hashlib.sha256()
-    with checked.open_file(path, MAX_BYTES) as file:
-        while size > 0 and (piece := file.read(min(size, _CHUNK_BYTES))):
-            digest.update(piece)
-            size -= len(piece)
-    return digest.hexdigest()
 
 
 def _raise(error: OSError) -> None:

@@ -13,7 +13,7 @@ from freeart21.files.truth import read_truth
 from freeart21.reconstruction import Failure, Piece, Reconstruction
 from freeart21.recording import Recording
 from freeart21.truth import Truth
-from leaderboard.asset_measurement import measure_asset, measure_joint
+from leaderboard.asset_measurement import measure_asset
 from leaderboard.protocol import Case, Protocol, Render, Shape
 from leaderboard.protocols import DEFAULT, protocol_named
 from leaderboard.rows import Row, Source, Status
@@ -69,16 +69,10 @@ def apply_asset(
     With `whole` also the shape of its visual meshes and one note for each finding of its checks. Raises FreeArtError
     when the asset does not load or move.
     """
-    shape: Shape | None = None
-    notes: tuple[str, ...] = ()
-    if whole:
-        asset = measure_asset(folder, answer.states)
-        joint, states, shape = asset.joint, asset.states, asset.shape
-        notes = tuple(f"asset: {finding}" for finding in asset.findings)
-    else:
-        joint, states = measure_joint(folder, answer.states)
-    parts = answer.articulation
-    return replace(answer, articulation=Articulation(joint, parts.reference, parts.moving), states=states), shape, notes
+    asset, parts = measure_asset(folder, answer.states, whole), answer.articulation
+    notes = tuple(f"asset: {finding}" for finding in asset.findings)
+    parts = Articulation(asset.joint, parts.reference, parts.moving)
+    return replace(answer, articulation=parts, states=asset.states), asset.shape, notes
 
 
 @dataclass(frozen=True)

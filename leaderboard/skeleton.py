@@ -21,29 +21,20 @@ PLACEHOLDER_M = 0.1
 """Side, metres, of the placeholder cubes."""
 NOT_SOLVED = Failure("none", "not solved yet")
 _README = """\
-Results of one method on the sequences of {name}. What `freeart21 score {folder} --data DATA` reads:
+Results of one method on the sequences of {name}, to fill in. docs/formats.md describes each file.
 
-method.json                the method: name, code, settings, hardware
-SEQ/prediction.json        the answer, or a failure. As written here: the failure "not solved yet", which is penalised.
-SEQ/prediction.example.json  what an answer looks like. Put yours in, and rename it to prediction.json:
-                             joint      type (revolute or prismatic), axis (unit vector) and pivot (metres) in the
-                                        canonical frame, limits in rad or m; null is none
-                             states     one a frame, rad or m
-                             seen       optional: was the reference, the moving part seen in the frame
-                             seconds    optional: what each stage took
-SEQ/poses.npz              T_camera_reference and T_camera_moving, each (frames, 4, 4): the camera's axes (x right,
-                           y down, z forward, metres) from the canonical frame, for either part
-SEQ/part_mask/00000.png    one a frame, 8 bits: 0 neither part, 1 reference part, 2 moving part
+method.json                  the method: name, code, settings, hardware
+SEQ/prediction.json          the answer, or a failure; as written here "not solved yet", which is penalised
+SEQ/prediction.example.json  what an answer looks like: put yours in, and rename it to prediction.json
+SEQ/poses.npz                both parts' poses, (frames, 4, 4): camera (x right, y down, z forward, metres) from part
+SEQ/part_mask/00000.png      one a frame: 0 neither part, 1 reference part, 2 moving part
 SEQ/parts/reference.ply, SEQ/parts/moving.ply
-                           triangle meshes, metres, canonical frame, at state zero
-SEQ/renders/00000.png      optional: the held-out view of each entry of the sequence's queries.json
-SEQ/renders_other/         optional: the same if the other part is the reference part
-SEQ/asset/                 optional: the simulation-ready asset (one URDF with meshes, asset.json). With one, joint and
-                           surfaces are measured from it; without, from the files above, and marked so.
+                             triangle meshes, metres, canonical frame, at state zero
+SEQ/renders/, SEQ/renders_other/, SEQ/asset/  optional: held-out views (the other if the other part is the reference
+                             part), and the simulation-ready asset, from which joint and surfaces are measured then
 
-The canonical frame, state zero and which part is the reference part are yours to choose. Poses here are the
-identity, masks call the whole object the reference part, parts are cubes: placeholders of the right shapes.
-`freeart21 validate {folder} --data DATA` lists every fault and how to fix it.
+The canonical frame, state zero and which part is the reference part are yours to choose. What is here are placeholders
+of the right shapes. `freeart21 validate {folder} --data DATA` lists every fault and how to fix it.
 """
 
 

@@ -14,7 +14,6 @@ from freeart21.files.sequence import read_sequence
 from freeart21.reconstruction import Failure, Piece, Reconstruction
 from freeart21.recording import Recording
 from leaderboard.asset_measurement import measure_asset
-from leaderboard.method_names import check_name
 from leaderboard.score import check_results_folder
 from leaderboard.submission import (
     Fault,
@@ -51,10 +50,6 @@ def validate_results(results: Path, data: Path) -> Report:
     check_results_folder(results, benchmark.sequences)
     method, faults = read_submitted_method(results)
     notes: list[str] = []
-    try:
-        check_name(method, "method.json")
-    except FreeArtError as error:
-        faults.append(Fault("method.json", str(error).removeprefix("method.json: ")))
     if not (results / "method.json").exists():
         notes.append(f"there is no method.json: the method is called {results.resolve().name}")
     answers = failures = 0

@@ -59,8 +59,6 @@ class MaskSettings:
 
     longest_side: int = 480
     """Pixels of the working pictures."""
-    saliency: Path | None = None
-    """u2netp.onnx (input 320 x 320, ImageNet's mean and deviation): cuts where there is no depth."""
     hands: Path | None = None
     """Folder of MediaPipe's networks (`reconstruct.hands`): finds hands by shape, where skin's colour misleads."""
 
@@ -120,8 +118,6 @@ class Foreground:
         still, motions = _residual_flow(video)
         front, self._notes = _in_front(video, still, motions)
         front = _nearest_layer(video, front)
-        if settings.saliency is not None:
-            front = _cut_by_saliency(video, front, settings.saliency, progress)
         self._front = front
         self._palms = None if settings.hands is None else _draw_hands(video, HandNetwork(settings.hands), progress)
         solid = front > 0.5
@@ -656,46 +652,6 @@ def _choose(video: _Video, p: Values, front: Values, seeds: NDArray[np.int8]) ->
 def _grow(mask: Bools) -> Bools:
     """`mask` with two more pixels all around."""
     return cv2.dilate(mask.astype(np.uint8), np.ones((5, 5))) > 0
-
-
-def _cut_by_saliency(video: _Video, front: Values, weights: Path, progress: Progress) -> Values:
-    """`front` by the saliency network u2netp (Qin et al. 2020) where there is no depth, and half by it at its outline.
-
-    The network sees the surroundings of what is in front with all that is behind painted grey: it takes a person who
-    stands there otherwise. Input (1, 3, 320, 320) RGB over the largest value, less ImageNet's mean, by its deviation;
-    the first output is the saliency, stretched to 0 to 1.
-    """
-    try:
-        network = cv2.dnn.readNetFromONNX(str(weights))
-    except cv2.error as error:
-        raise FreeArtError(f"{weights} is no ONNX network that OpenCV reads: u2netp.onnx is expected") from error
-    first = network.getUnconnectedOutLayersNames()[0]
-    result = front.copy()
-    _, h, w = front.shape
-    for i in range(len(front)):
-        solid = front[i] > 0.5
-        if not solid.any():
-            continue
-        row, column = (np.flatnonzero(solid.any(axis)) for axis in (1, 0))
-        pad = round(0.15 * max(np.ptp(row), np.ptp(column))) + 4
-        box = (slice(max(row[0] - pad, 0), row[-1] + pad), slice(max(column[0] - pad, 0), column[-1] + pad))
-        behind = (front[i] < 0.2) & (video.depth[i] > 0)
-        picture = np.where(behind[..., None], 128, video.rgb[i])[box].astype(np.float32)
-        small = cv2.resize(picture, (320, 320), interpolation=cv2.INTER_LINEAR) / max(float(picture.max()), 1.0)
-        normal = (small - np.array([0.485, 0.456, 0.406])) / np.array([0.229, 0.224, 0.225])
-        network.setInput(np.ascontiguousarray(normal.transpose(2, 0, 1)[None], np.float32))
-        seen = np.asarray(network.forward(first))
-        if seen.shape != (1, 1, 320, 320):
-            raise FreeArtError(f"{weights} gives {seen.shape}, expected (1, 1, 320, 320) as u2netp does")
-        seen = (seen[0, 0] - seen.min()) / max(float(np.ptp(seen)), 1e-6)
-        shape = (front[i][box].shape[1], front[i][box].shape[0])
-        saliency = np.zeros((h, w), np.float32)
-        saliency[box] = cv2.resize(seen, shape, interpolation=cv2.INTER_LINEAR)
-        edge = (_grow(solid) != solid) | (_grow(~solid) & solid)
-        blank = (video.depth[i] == 0) & _grow(_grow(solid))
-        result[i] = np.where(blank, saliency, np.where(edge, 0.5 * (front[i] + saliency), front[i]))
-        progress("saliency", i + 1, len(front))
-    return result
 
 
 def _enlarge(masks: Bools, p: Values, recording: Recording) -> Bools:

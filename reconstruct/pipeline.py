@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from threadpoolctl import threadpool_limits
 
 from freeart21 import se3
@@ -26,6 +24,7 @@ from freeart21.files.places import RESULT, require_replaceable
 from freeart21.files.result import write_result
 from freeart21.files.sequence import read_sequence
 from freeart21.gaussians import FAINT_COPY, Gaussians
+from freeart21.progress import print_line, progress_bar
 from freeart21.reconstruction import Alternative, Failure, Reconstruction
 from freeart21.recording import Recording
 from freeart21.se3 import Array
@@ -408,40 +407,29 @@ class _StageClock:
         self.seconds: dict[str, float] = {}
         self.running = STAGES[0].name
         """The stage that was started last."""
-        self._start = 0.0
-        self._show, self._console = show, Console(stderr=True)
-        self._bar = Progress(
-            TextColumn("{task.description:>12}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            console=self._console,
-            disable=not (show and self._console.is_terminal),
-            transient=True,
-        )
-        self._task = self._bar.add_task(self.running, total=len(STAGES))
+        self._start, self._show = 0.0, show
+        self._bar = progress_bar("") if show else nullcontext(lambda text, done, total: None)
 
     def __enter__(self) -> _StageClock:
-        self._bar.start()
+        self._update = self._bar.__enter__()
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
+    def __exit__(self, *error: Any) -> None:
+        self._bar.__exit__(*error)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Times a stage by name; a repeated one keeps its first time."""
-        self._bar.update(self._task, description=name)
         self.running, self._start = name, time.perf_counter()
+        self.progress(0)
         try:
             yield
         finally:
             self.seconds = self.so_far()
-            self._bar.update(self._task, completed=len(self.seconds))
 
     def progress(self, share: float) -> None:
         """Shows the finished share, 0 to 1, of the running stage."""
-        self._bar.update(self._task, completed=len(self.seconds) + share)
+        self._update(self.running, round(1000 * (len(self.seconds) + share)), 1000 * len(STAGES))
 
     def so_far(self) -> dict[str, float]:
         """Seconds of all stages, the running one until now."""
@@ -451,9 +439,8 @@ class _StageClock:
     def resume(self, last: CachedStage) -> None:
         """Take over the seconds of cached stages."""
         self.seconds = dict(last.seconds)
-        self._bar.update(self._task, completed=len(self.seconds))
 
     def say(self, line: str) -> None:
         """Print one line on standard error, when progress is shown."""
         if self._show:
-            self._console.print(line, highlight=False, markup=False, soft_wrap=True)
+            print_line(line)

@@ -5,16 +5,11 @@ Lengths are in footprints (the size of one pixel at the object) unless a field s
 
 from __future__ import annotations
 
-import math
-import sys
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Literal
 
 from freeart21.errors import FreeArtError
-
-_Settings = TypeVar("_Settings")
-_KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "text"}
 
 
 @dataclass(frozen=True)
@@ -267,66 +262,12 @@ def read_settings(path: Path) -> ReconstructSettings:
     """Settings from JSON: as written by `to_json`, or the `settings` of a method.json or prediction.json.
 
     Settings that the file does not name keep their defaults. FreeArtError names a setting that does not exist, or a
-    value of another type. Settings of a saved result that are constants now are ignored, with a note on standard error.
+    value of another type. Settings of a saved result that this version does not have are ignored.
     """
     from freeart21.files import checked
+    from freeart21.files.json_record import read_record
 
     path = Path(path)
     data = checked.read_json(path, root=checked.ANYWHERE)
-    if "schema" in data and isinstance(data.get("settings"), dict):
-        data = {name: value for name, value in data["settings"].items() if name != "solver"}
-        data, removed = _without_unknown(data)
-        if removed:
-            note = f"{len(removed)} settings that this version does not have are ignored, such as {removed[0]}"
-            print(f"{path}: {note}", file=sys.stderr)
-    return _updated(ReconstructSettings(), data, path, "")
-
-
-def _without_unknown(data: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """`data` without settings that this version does not have, and their names."""
-    own, removed = ReconstructSettings().to_json(), []
-    known: dict[str, Any] = {}
-    for name, value in data.items():
-        group = own.get(name)
-        if name not in own:
-            removed.append(name)
-        elif isinstance(group, dict) and isinstance(value, dict):
-            removed += [f"{name}.{key}" for key in value if key not in group]
-            known[name] = {key: entry for key, entry in value.items() if key in group}
-        else:
-            known[name] = value
-    return known, removed
-
-
-def _updated(settings: _Settings, data: dict[str, Any], path: Path, prefix: str) -> _Settings:
-    """`settings` with the values of `data`; `prefix` is the group's name for messages."""
-    assert is_dataclass(settings) and not isinstance(settings, type)
-    kinds, known = get_type_hints(type(settings)), [f.name for f in fields(settings)]
-    changed: dict[str, Any] = {}
-    for name, value in data.items():
-        if name not in known:
-            raise FreeArtError(
-                f"{path}: there is no setting '{prefix}{name}'; {prefix or 'settings'}: {', '.join(known)}"
-            )
-        now = getattr(settings, name)
-        if is_dataclass(now):
-            if not isinstance(value, dict):
-                raise FreeArtError(f"{path}: setting '{prefix}{name}' is {value!r}, expected an object")
-            changed[name] = _updated(now, value, path, f"{prefix}{name}.")
-        else:
-            changed[name] = _checked(kinds[name], value, f"{path}: setting '{prefix}{name}'")
-    return replace(settings, **changed)
-
-
-def _checked(kind: Any, value: Any, what: str) -> Any:
-    """`value` as a setting of the type `kind`."""
-    if get_origin(kind) is Literal:
-        if value in get_args(kind):
-            return value
-        raise FreeArtError(f"{what} is {value!r}, expected {' or '.join(map(str, get_args(kind)))}")
-    number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    if kind is float and number:
-        return float(value)
-    if type(value) is kind:
-        return value
-    raise FreeArtError(f"{what} is {value!r}, expected {_KINDS[kind]}")
+    saved = "schema" in data and isinstance(data.get("settings"), dict)
+    return read_record(ReconstructSettings, data["settings"] if saved else data, f"{path}: settings", whole=saved)

@@ -17,10 +17,8 @@ from freeart21.files.result import write_result
 from freeart21.files.sequence import write_sequence
 from freeart21.files.truth import write_truth
 from freeart21.joint import Joint
-from leaderboard.protocols import PROTOCOLS, protocol_named, strict1, strict2, strict3
-from leaderboard.protocols.strict1 import STRICT_1, Strict1
-from leaderboard.protocols.strict2 import STRICT_2
-from leaderboard.protocols.strict3 import STRICT_3, Strict3
+from leaderboard.protocols import PROTOCOLS, protocol_named
+from leaderboard.protocols.strict import Strict
 from leaderboard.rows import Scores
 from leaderboard.score import score_results as score_in_processes
 from leaderboard.score import summarise
@@ -30,9 +28,9 @@ from leaderboard.submission import read_submitted_method
 
 def few_samples(monkeypatch) -> None:
     """Protocols of few samples, in this process."""
-    for rules, module in ((STRICT_1, strict1), (STRICT_2, strict2), (STRICT_3, strict3)):
-        constants = Strict3(samples=2000) if module is strict3 else Strict1(samples=2000)
-        few = functools.partial(module.measure, constants=constants)
+    for version in (1, 2, 3):
+        rules = PROTOCOLS[f"strict-{version}"]
+        few = functools.partial(rules.measure, constants=Strict(version, samples=2000))
         monkeypatch.setitem(PROTOCOLS, rules.name, replace(rules, measure=few))
 
 

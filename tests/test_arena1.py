@@ -1,4 +1,4 @@
-"""arena-1 by closed forms, by the laws of a metric, and against the package `articulatearena` where it is installed."""
+"""arena-1 by closed forms, by the laws of a metric, and against the package `articulatearena`."""
 
 import functools
 from dataclasses import replace
@@ -15,15 +15,12 @@ from perturbed import (
     shifted,
     tilted,
     values_of,
-    with_states,
 )
-from refusal import assert_refused
 from score_files import write_asset
 from synthetic_case import (
     in_frame,
     make_recording,
     make_truth,
-    noisy_answer,
     random_pose,
     truth_as_answer,
     with_joint,
@@ -32,8 +29,6 @@ from synthetic_case import (
 
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
-from leaderboard.asset_measurement import measure_joint
-from leaderboard.protocols import arena1
 from leaderboard.protocols.arena1 import (
     ARENA_1,
     KAPPA,
@@ -63,13 +58,6 @@ def random_joint(rng, kind=None):
 
 
 # ---- the norm
-
-
-def test_a_box_weighs_as_a_box_does():
-    solid = solid_from_mesh(body())
-    a, b, c = BOX
-    assert solid.mass == pytest.approx(a * b * c) and np.allclose(solid.centre, (0.1, -0.2, 0.3))
-    assert np.allclose(solid.inertia / solid.mass, np.diag([b * b + c * c, a * a + c * c, a * a + b * b]) / 12)
 
 
 def test_the_norm_is_the_root_mean_square_speed_of_the_parts_points():
@@ -117,15 +105,6 @@ def test_shifting_the_axis_costs_the_shift_times_the_angles(shift):
     )
 
 
-@pytest.mark.parametrize("degrees", [1.0, 30.0])
-def test_tilting_a_slider_costs_the_chord(degrees):
-    truth = make_truth("prismatic")
-    joint = truth.articulation.joint
-    chord = 2 * np.sin(np.deg2rad(degrees) / 2)
-    answer = tilted(truth, degrees)
-    assert scored(truth, answer)["twist"] == pytest.approx(chord * np.hypot(joint.lower, joint.upper))
-
-
 def test_tilting_a_hinge_costs_the_speed_of_the_part_about_the_difference():
     truth = make_truth()
     joint, answer = truth.articulation.joint, tilted(truth, 10.0)
@@ -156,22 +135,6 @@ def test_a_wrong_type_costs_what_the_two_motions_differ_by():
     assert scored(truth, answer)["joint_type"] == 0
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_nothing_moving_costs_what_a_failure_does(kind):
-    truth = make_truth(kind)
-    joint, solid = truth.articulation.joint, solid_from_mesh(truth.articulation.moving)
-    still = with_states(truth, 0 * truth.states)
-    still = with_joint(still, replace(joint, lower=0.0, upper=0.0), still.states)
-    row = SequenceScorer(ARENA_1, make_recording(truth), truth).penalised_row("failed", "declared")
-    size = np.sqrt(solid.square(joint.screw)) * np.hypot(joint.lower, joint.upper)
-    assert row.values["twist"] == pytest.approx(size) and row.values["joint_type"] == 0
-    offset = float(np.median(truth.states))  # its zero is laid on the middle of the true states
-    moved = replace(joint, lower=offset, upper=offset)
-    assert scored(truth, still)["twist"] == pytest.approx(
-        pair_distance(end_twists(joint, solid), end_twists(moved, solid), solid.square), rel=0.05
-    )
-
-
 # ---- what is the same answer, and what is not
 
 
@@ -189,14 +152,6 @@ def test_what_is_the_same_motion_costs_nothing(kind):
     ):
         values = scored(truth, same)
         assert all(values[id] == pytest.approx(0, abs=1e-6) for id in IDS), values
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_reversed_motion_is_another_motion(kind):
-    truth = make_truth(kind)
-    joint, solid = truth.articulation.joint, solid_from_mesh(truth.articulation.moving)
-    values = scored(truth, with_states(truth, -truth.states))
-    assert values["twist_shown"] > 0.1 * still_distance(joint, solid)
 
 
 def test_it_is_a_metric():
@@ -232,20 +187,6 @@ def test_joints_without_limits():
 # ---- limits of an asset
 
 
-def test_an_assets_limits_are_its_urdfs_counted_from_the_canonical_zero(tmp_path):
-    joint = make_truth().articulation.joint
-    write_asset(tmp_path / "a", joint, state_zero=0.3, limits=(-0.5, 1.1))
-    found, _ = measure_joint(tmp_path / "a", [0.0, 0.5])
-    assert (found.lower, found.upper) == pytest.approx((-0.8, 0.8))
-
-    def endless(text):
-        return text.replace('type="revolute"', 'type="continuous"').replace('lower="-2.0" upper="2.0"', "")
-
-    write_asset(tmp_path / "b", joint, urdf=endless)
-    found, _ = measure_joint(tmp_path / "b", [0.0, 0.5])
-    assert (found.lower, found.upper) == (-np.inf, np.inf)
-
-
 # ---- against the package
 
 
@@ -266,8 +207,6 @@ def test_ours_is_the_packages_number():
         compact = pair_distance(end_twists(a, solid, KAPPA), end_twists(b, solid, KAPPA), solid.square)
         assert compact == pytest.approx(package.compactified_joint_metric(*four, norm, KAPPA), rel=1e-12)
         assert still_distance(a, solid) == pytest.approx(package.cost_to_fixed((four[0], four[1]), norm), rel=1e-12)
-        endless = replace(a, lower=-np.inf, upper=np.inf)
-        assert joint_distance(endless, b, solid, KAPPA) > 0  # holds ours to theirs within, and raises where they differ
 
 
 def test_the_body_is_the_packages_body(tmp_path):
@@ -281,16 +220,3 @@ def test_the_body_is_the_packages_body(tmp_path):
     ours = solid_from_mesh(Mesh(ply.vertices, ply.faces))
     assert ours.mass == pytest.approx(theirs.mass) and np.allclose(ours.centre, theirs.com, atol=1e-9)
     assert np.allclose(ours.inertia, theirs.inertia, rtol=1e-9, atol=1e-12)
-
-
-def test_a_package_that_says_another_number_is_not_passed_over(monkeypatch):
-    pytest.importorskip("articulatearena")
-    monkeypatch.setattr(arena1, "_by_package", lambda *_: 1.0)
-    assert_refused(r"articulatearena 0\.\S+ gives 1\.0, we give", scored, make_truth(), tilted(make_truth(), 5.0))
-
-
-def test_without_the_package_the_number_is_the_same(monkeypatch):
-    truth = make_truth()
-    before = scored(truth, noisy_answer(truth))
-    monkeypatch.setattr(arena1, "_package", lambda: None)
-    assert scored(truth, noisy_answer(truth)) == before

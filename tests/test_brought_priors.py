@@ -7,11 +7,9 @@ import pytest
 from refusal import assert_refused
 from test_priors import plane
 
-from freeart21 import se3
-from reconstruct.priors import bundlesdf, sam2
-from reconstruct.priors.sam2 import carry_masks
+from reconstruct import segmenters
 from reconstruct.priors.weights import FOLDER
-from reconstruct.segmenters import Prompt
+from reconstruct.segmenters import Prompt, make_segmenter
 from reconstruct.settings import TrackSettings
 from reconstruct.trackers import alltracker, cotracker3
 from reconstruct.trackers.alltracker import AllTracker
@@ -102,7 +100,7 @@ def build_sam2_video_predictor(config_file, ckpt_path=None, device="cuda", mode=
 def folder(tmp_path, monkeypatch):
     """The folder of weights; networks and modules loaded from it are forgotten afterwards."""
     monkeypatch.setenv(FOLDER, str(tmp_path))
-    caches = sam2.load_predictor, alltracker.load_network, cotracker3.load_predictor
+    caches = segmenters.load_predictor, alltracker.load_network, cotracker3.load_predictor
     known = set(sys.modules)
     yield tmp_path
     for cache in caches:
@@ -171,25 +169,11 @@ def test_masks_are_carried_through_the_video_both_ways(folder):
     for i, picture in enumerate(pictures):
         truth[i, 10:30, 5 + 6 * i : 25 + 6 * i] = True
         picture[truth[i]] = (200, 120, 40)
-    assert_refused("sam2.1_hiera_tiny.pt is missing: get it from", carry_masks, pictures, [Prompt(2, truth[2])])
+    assert_refused("sam2.1_hiera_tiny.pt is missing: get it from", make_segmenter, "sam2")
     save(folder, "sam2.1_hiera_small.pt", {"image_encoder.weight": (2, 2), "image_encoder.bias": (2,)}, "model")
     write(folder, "sam2/sam2/build_sam.py", SAM2)
     for prompt in (Prompt(2, truth[2]), Prompt(3, clicks=((33.0, 20.0, True), (1.0, 1.0, False)))):
-        found = carry_masks(pictures, [prompt])
+        found = make_segmenter("sam2").carry(pictures, [prompt])
         assert found.shape == truth.shape and found.dtype == bool
         assert (found != truth).mean() < 0.03  # JPEG blurs the outline
-    assert_refused("needs a mask or clicks", carry_masks, pictures, [])
-
-
-def test_poses_of_bundlesdf(tmp_path):
-    place = tmp_path / "ob_in_cam"
-    place.mkdir()
-    true = se3.exp_se3(np.random.default_rng(0).normal(size=(3, 6)))
-    for k, T in zip((0, 2, 3), true, strict=True):
-        np.savetxt(place / f"{k:06d}.txt", T, fmt="%.8g")
-    found = bundlesdf.read_poses(tmp_path, [f"{k:06d}" for k in range(4)])
-    assert np.isnan(found[1]).all() and np.abs(found[[0, 2, 3]] - true).max() < 1e-6
-    assert_refused("has a pose of none of 1 frames, expected 7.txt", bundlesdf.read_poses, tmp_path, ["7"])
-    for text in ("1 2 3", "nan " * 16, "x " * 16, "2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1"):
-        (place / "000000.txt").write_text(text)
-        assert_refused("000000.txt", bundlesdf.read_poses, tmp_path, ["000000"])
+    assert_refused("needs a mask or clicks", make_segmenter("sam2").carry, pictures, [])

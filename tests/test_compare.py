@@ -12,7 +12,6 @@ import pytest
 from refusal import assert_refused
 from rich.console import Console
 
-from freeart21.errors import FreeArtError
 from freeart21.files.atomic import write_json
 from freeart21.files.benchmark import read_benchmark
 from freeart21.files.result import Method
@@ -21,7 +20,7 @@ from leaderboard.bootstrap import bootstrap_intervals
 from leaderboard.compare import compare_results, read_category
 from leaderboard.compare_files import COMPARISONS, write_comparison
 from leaderboard.compare_tables import latex, legend, make_grids, print_comparison, split_columns
-from leaderboard.protocols import PROTOCOLS, protocol_named
+from leaderboard.protocols import protocol_named
 from leaderboard.rows import Row, Scores
 from leaderboard.score import benchmark_facts, summarise
 from leaderboard.scores_file import write_scores
@@ -111,30 +110,6 @@ def test_means_and_deviations_are_those_of_the_papers_table(data, compared):
     assert first.sections[1][1][0][3].text == "45.00 ± 49.30"
 
 
-def test_numbers_without_a_common_unit_have_no_common_mean(data, compared):
-    comparison = compared(make_scores(data, "A", {"state": 3.0}))
-    groups, (entrant,) = by_name(comparison), comparison.entrants
-    assert "state" not in comparison.standing(entrant, groups["all"]).statistics
-    assert "position" not in comparison.standing(entrant, groups["prismatic"]).statistics
-    assert comparison.standing(entrant, groups["all"]).statistics["position"].sequences == 15
-    texts = [row[0][5].text for _, row in make_grids(comparison, "type")[0].sections]
-    assert texts == ["3.00 ± 0.00°", "3.00 ± 0.00%", "–"]  # noqa: RUF001
-
-
-def test_the_worst_and_the_best_follow_the_direction_of_the_metric(data, compared):
-    up = {name: 20.0 + k for k, name in enumerate(REVOLUTE)}
-    comparison = compared(
-        make_scores(data, "A", {"psnr": up, "axis": 5.0}), make_scores(data, "B", {"psnr": 10.0, "axis": 2.0})
-    )
-    group = by_name(comparison)["revolute"]
-    a, b = (comparison.standing(entrant, group) for entrant in comparison.entrants)
-    assert (a.statistics["psnr"].worst, b.statistics["psnr"].worst) == (20, 10)
-    metrics = [head.split("\n")[0] for head in make_grids(comparison, "type")[0].head]
-    (rows_a, rows_b) = make_grids(comparison, "type")[0].sections[0][1]
-    assert (rows_a[metrics.index("views")].best, rows_b[metrics.index("views")].best) == (True, False)
-    assert (rows_a[metrics.index("axis")].best, rows_b[metrics.index("axis")].best) == (False, True)
-
-
 # ---- differences
 
 
@@ -182,17 +157,6 @@ def test_an_interval_of_90_percent_holds_the_true_difference_that_often(n):
     assert 0.85 <= np.mean(held) <= 0.95
 
 
-def test_intervals_are_the_same_every_time_and_of_each_column_alone():
-    draws = np.random.default_rng(1).normal(size=(21, 5))
-    draws[3:, 2] = np.nan
-    draws[:, 4] = np.nan
-    draws[:9, 1] = np.nan
-    together = bootstrap_intervals(draws)
-    assert together == bootstrap_intervals(draws) and together[4] is None and together[2].low is None
-    assert together[1] == bootstrap_intervals(draws[9:, 1:2])[0]
-    assert together[0].low < together[0].mean < together[0].high
-
-
 def test_methods_are_compared_only_on_sequences_that_both_have(data, compared):
     """B lacks three sequences on which A is bad: there A is not charged for them in the difference."""
     axis = {name: 50.0 if name in REVOLUTE[:3] else 1.0 for name in REVOLUTE}
@@ -232,28 +196,6 @@ def test_categories_are_what_the_truth_says_and_never_guessed(tmp_path):
         assert category_in(source) == "unknown"
     assert read_category(tmp_path / "none") == "unknown"
     assert category_in({"category": "a\x1b[2J\nb"}).isprintable()
-
-
-def test_groups_by_category_and_by_sequence(data, compared):
-    comparison = compared(make_scores(data, "A", {"state": 3.0}), make_scores(data, "B"))
-    groups = by_name(comparison, "category")
-    assert {name: len(group.sequences) for name, group in groups.items()} == {
-        "Phone": 6,
-        "Scissors": 5,
-        "Stapler": 5,
-        "USB": 5,
-    }
-    assert comparison.standing(comparison.entrants[0], groups["Phone"]).statistics["state"].mean == 3, (
-        "all are of one type"
-    )
-    assert len(comparison.groups("sequence")) == 21
-    (grid,) = make_grids(comparison, "sequence")
-    assert grid.sections[0][0] == "p00: Phone, prismatic" and [row[1].text for row in grid.sections[0][1]] == [
-        "ok",
-        "ok",
-    ]
-    table = comparison.frame()
-    assert len(table) == 42 and set(table.columns) >= {"sequence", "type", "category", "method", "status", "axis"}
 
 
 # ---- tables that cannot be compared
@@ -332,11 +274,6 @@ def test_every_format_is_written_replaced_and_the_same_every_time(by, suffix, da
     assert_refused("is no older", write_comparison, tmp_path / f"mine{suffix}", comparison, by)
 
 
-def test_another_ending_is_refused_before_anything_is_scored(data, tmp_path):
-    with pytest.raises(FreeArtError, match=r"ends in '.txt', expected .csv, .json, .md, .tex"):
-        commands.compare((tmp_path / "none",), data, out=tmp_path / "out.txt")
-
-
 def test_csv_has_every_number_and_no_formula(data, compared, tmp_path):
     axis = {name: float(k) for k, name in enumerate(REVOLUTE)}
     comparison = compared(make_scores(data, "A"), make_scores(data, "=1+1", {"axis": axis}))
@@ -396,19 +333,6 @@ def test_ten_methods_fit_a_screen_of_100_columns(by, data, compared):
     for grid in make_grids(comparison, by):
         shown = [head for piece in split_columns(grid, 100) for head in piece.head[1:]]
         assert shown == list(grid.head[1:]), "every column, once"
-
-
-def test_other_protocols_have_tables_too(data, compared, monkeypatch):
-    """Of a protocol without a type, without heads of columns, and in units of its own."""
-    rules = protocol_named("strict-1")
-    own = tuple(replace(m, column="", supplements=None) for m in rules.metrics if m.id in ("axis", "state"))
-    own += (replace(own[0], id="twist", revolute_unit="m", prismatic_unit="m"),)
-    monkeypatch.setitem(PROTOCOLS, "own-1", replace(rules, name="own-1", metrics=own))
-    comparison = compared(make_scores(data, "A", protocol="own-1"), make_scores(data, "B", protocol="own-1"))
-    head = [" ".join(head.split()) for head in make_grids(comparison, "type")[0].head]
-    assert head == ["method", "measured", "axis deg ↓", "state ↓", "twist m ↓"]
-    print_comparison(comparison, "type", Console(width=100, file=io.StringIO()))
-    assert "0.0000 m" in latex(comparison, "type"), "differences have their unit behind them"
 
 
 def test_the_command_prints_and_writes(data, tmp_path, capsys):

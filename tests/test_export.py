@@ -11,17 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from command_line import run_command
 from refusal import assert_refused
 from scipy.spatial.distance import cdist
 from solid_case import box
 
 from export.checklist import allowed_off, check_asset
-from export.collision import CollisionSettings, convex_hull, make_collision
+from export.collision import CollisionSettings, convex_hull
 from export.exporter import ExportSettings, export_result, scale_reconstruction
-from export.fidelity import measure_fidelity
 from export.inertia import compute_inertial, find_unphysical
-from export.meshes import drop_small_components, flip_faces, is_inside_out, merge_duplicates, write_visual
+from export.meshes import flip_faces, is_inside_out, write_visual
 from export.placement import PlacementSettings
 from export.texture import texture_from_vertices
 from freeart21 import doctor, se3
@@ -35,7 +33,6 @@ from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.files.result import write_result
-from freeart21.files.urdf import UrdfInertial
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh, join_meshes
 from freeart21.reconstruction import Failure, Reconstruction
@@ -147,26 +144,6 @@ def masses(folder: Path) -> dict[str, float]:
     return {link.name: float(link.mass) for link in simulated.articulation.links}
 
 
-def test_density_and_mass_are_those_asked_for_in_every_simulator(tmp_path: Path):
-    mujoco = pytest.importorskip("mujoco")
-    volumes = np.array([0.2 * 0.15 * 0.04, 0.2 * 0.15 * 0.03])
-    for name, settings, expected in (
-        ("plastic", ExportSettings(), 1050 * volumes),
-        ("steel", ExportSettings(density=7850.0), 7850 * volumes),
-        ("weighed", ExportSettings(mass=0.35), 0.35 * volumes / volumes.sum()),
-    ):
-        export_result(reconstruction(), tmp_path / name, settings)
-        loaded = masses(tmp_path / name)
-        assert [loaded["reference"], loaded["moving"]] == pytest.approx(expected, rel=1e-5)
-        model = mujoco.MjModel.from_xml_path(str(tmp_path / name / "object.xml"))
-        assert [model.body(n).mass[0] for n in ("reference", "moving")] == pytest.approx(expected, rel=1e-5)
-        assert check_asset(tmp_path / name) == []
-    bodies = [
-        ET.parse(tmp_path / n / "object.urdf").find("link/inertial/inertia").get("ixx") for n in ("plastic", "steel")
-    ]
-    assert float(bodies[1]) / float(bodies[0]) == pytest.approx(7850 / 1050)
-
-
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 def test_a_scaled_asset_is_the_scaled_object_and_moves_as_it(tmp_path: Path, kind: str):
     mujoco = pytest.importorskip("mujoco")
@@ -199,29 +176,15 @@ def test_a_scaled_asset_is_the_scaled_object_and_moves_as_it(tmp_path: Path, kin
     "settings, message",
     [
         ({"density": 0.0}, r"density is 0 kg/m\^3, expected 0.001 to 100000"),
-        ({"density": -5.0}, "density is -5"),
         ({"density": np.nan}, "density is nan"),
         ({"mass": 0.0}, "mass is 0 kg, expected 1e-06 to 1e\\+06"),
-        ({"mass": np.inf}, "mass is inf"),
         ({"mass": 1.0, "density": 600.0}, r"density 600 kg/m\^3 and mass 1 kg: give one of them"),
         ({"scale": 0.0}, "scale is 0, expected 0.0001 to 10000"),
-        ({"scale": -1.0}, "scale is -1"),
-        ({"scale": np.nan}, "scale is nan"),
     ],
 )
 def test_settings_out_of_bounds_cost_one_line_and_leave_nothing(tmp_path: Path, settings: dict, message: str):
     assert_refused(message, export_result, reconstruction(), tmp_path / "a", ExportSettings(**settings))
     assert not list(tmp_path.iterdir())
-
-
-def test_the_command_line_hands_all_of_them_through(tmp_path: Path, capsys):
-    write_result(tmp_path / "ours/s1", reconstruction())
-    (tmp_path / "ours/method.json").write_text('{"schema": "freeart21/method/1", "name": "ours"}')
-    words = ("--out", tmp_path / "a", "--mass", 0.2, "--scale", 0.5, "--up", 0, 0, -1)
-    assert run_command(capsys, "export", tmp_path / "ours/s1", *words)[0] == 0
-    asset = read_asset(tmp_path / "a")
-    assert asset.scale == 0.5 and asset.T_canonical_reference[2, 2] == pytest.approx(-1)
-    assert sum(masses(tmp_path / "a").values()) == pytest.approx(0.2, rel=1e-5)
 
 
 def test_what_cannot_be_exported_says_why_and_leaves_nothing(tmp_path: Path):
@@ -309,31 +272,6 @@ def test_effects_that_share_a_word_of_mjcf_are_summed_in_it(tmp_path: Path):
     assert read_asset(tmp_path / "a").effects == {"lid_joint": effects}
 
 
-def test_mujoco_loads_the_same_asset(exported: Path):
-    mujoco = pytest.importorskip("mujoco")
-    asset = read_asset(exported)
-    model = mujoco.MjModel.from_xml_path(str(exported / "object.xml"))
-    data, simulated = mujoco.MjData(model), load(asset)
-    low, high = model.joint(asset.joint).range
-    assert (low, high) == pytest.approx((simulated.lower, simulated.upper))
-    for q in np.linspace(low, high, 5):
-        data.joint(asset.joint).qpos[0] = q
-        mujoco.mj_forward(model, data)
-        simulated.set_state(q)
-        lid = data.body("moving")
-        np.testing.assert_allclose(
-            se3.pose(lid.xmat.reshape(3, 3), lid.xpos), simulated.T_reference_moving(), atol=1e-6
-        )
-    assert model.body("moving").mass[0] == pytest.approx(simulated.moving_mass, rel=1e-6)
-    data.joint(asset.joint).qpos[0] = 0.0
-    mujoco.mj_forward(model, data)
-    dense = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, dense)
-    own = model.joint(asset.joint).dofadr[0]
-    assert dense[own, own] == pytest.approx(simulated.joint_inertia, rel=1e-5)
-    assert data.ncon == 0
-
-
 def test_colours_are_seen_in_sapien(exported: Path):
     try:
         doctor.require_rendering()
@@ -361,21 +299,6 @@ def test_colours_are_seen_in_sapien(exported: Path):
 # --- meshes
 
 
-def test_cleaning_merges_drops_crumbs_and_keeps_colours():
-    big, crumb = box((1, 1, 1), colour=RED), box((0.02, 0.02, 0.02), (3, 0, 0), BLUE)
-    doubled = Mesh(
-        np.concatenate([big.vertices[big.faces].reshape(-1, 3), crumb.vertices]),
-        np.concatenate([np.arange(36).reshape(-1, 3), np.arange(36).reshape(-1, 3)[:2], [[0, 0, 1]], crumb.faces + 36]),
-        np.concatenate([np.tile(np.uint8(RED), (36, 1)), crumb.colours]),
-    )
-    whole = merge_duplicates(doubled)
-    clean = drop_small_components(whole, 0.01)
-    assert (len(clean.vertices), len(clean.faces)) == (8, 12)
-    assert (clean.colours == RED).all()
-    assert trimesh.Trimesh(clean.vertices, clean.faces).volume == pytest.approx(1)
-    assert len(drop_small_components(whole, 0.0).faces) == 24
-
-
 def test_faces_that_look_inwards_are_found_and_turned_and_said(tmp_path: Path):
     solid = box((1, 2, 3), (5, 5, 5))
     assert not is_inside_out(solid) and is_inside_out(flip_faces(solid))
@@ -400,37 +323,13 @@ def test_visual_obj_wears_its_texture_and_a_grey_part_has_none(tmp_path: Path):
 # --- collision and inertia
 
 
-def l_shape() -> Mesh:
-    solid = trimesh.boolean.union(
-        [
-            trimesh.creation.box((0.2, 0.05, 0.02), se3.pose(np.eye(3), (0.1, 0.025, 0))),
-            trimesh.creation.box((0.05, 0.2, 0.02), se3.pose(np.eye(3), (0.025, 0.1, 0))),
-        ]
-    )
-    return Mesh(solid.vertices, solid.faces)
-
-
-def test_concave_part_becomes_several_convex_pieces():
-    part = l_shape()
-    cut = make_collision(part, CollisionSettings())
-    assert 2 <= len(cut.shapes) <= 8
-    fidelity = measure_fidelity(cut.surface, cut.shapes)
-    assert fidelity.median < 1e-4 and fidelity.worst < 2e-3
-    volume = sum(trimesh.Trimesh(h.vertices, h.faces).volume for h in cut.shapes)
-    true = trimesh.Trimesh(part.vertices, part.faces)
-    assert true.volume < volume < 1.25 * true.volume  # they overlap a little
-    assert true.convex_hull.volume > 1.4 * true.volume
-
-
 @pytest.mark.parametrize(
     "points",
     [
         np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.0]]),
-        np.array([[0, 0, 0], [0.3, 0.3, 0.3]]),
-        np.array([[0.1, 0.2, 0.3]]),
         np.tile([[0.1, 0.2, 0.3]], (5, 1)),
     ],
-    ids=["plane", "line", "point", "one point five times"],
+    ids=["plane", "one point five times"],
 )
 def test_flat_points_get_a_hull_of_the_least_thickness(points):
     hull = convex_hull(points, 0.002, 64)
@@ -458,20 +357,6 @@ def test_inertia_of_boxes_is_the_closed_form():
     assert find_unphysical(one) is None
 
 
-def test_unphysical_numbers_are_named():
-    def body(mass, *moments):
-        return UrdfInertial(mass, np.zeros(3), np.diag(moments))
-
-    assert "mass is 0 kg" in str(find_unphysical(body(0.0, 1, 1, 1)))
-    assert "mass is nan" in str(find_unphysical(body(np.nan, 1, 1, 1)))
-    assert "all above 0" in str(find_unphysical(body(1.0, 0, 1, 1)))
-    assert "triangle inequality" in str(find_unphysical(body(1.0, 1, 1, 2.01)))
-    assert find_unphysical(body(1.0, 1, 1, 2)) is None
-    assert "not finite" in str(find_unphysical(body(1.0, 1, 1, np.nan)))
-    open_box = box((1, 1, 1))
-    assert_refused("volume", compute_inertial, Mesh(open_box.vertices, open_box.faces[1:]), 600.0)
-
-
 # --- checklist
 
 
@@ -484,8 +369,8 @@ def turn_mjcf_axis(folder: Path) -> None:
 BREAKS = {
     "textures: moving.mtl names moving.png": lambda folder: (folder / "meshes/moving.png").unlink(),
     "numbers and meshes: ": lambda folder: (folder / "meshes/moving_hull_00.obj").write_text("v 0 0 0\nf 1 2 3\n"),
-    "mujoco: MuJoCo puts 'moving'": turn_mjcf_axis,
-    "mujoco: ": lambda folder: (folder / "object.xml").write_text(
+    "mjcf: object.xml puts 'moving'": turn_mjcf_axis,
+    "mjcf: ": lambda folder: (folder / "object.xml").write_text(
         (folder / "object.xml").read_text().replace("meshes/moving.obj", "meshes/no.obj")
     ),
 }
@@ -494,7 +379,7 @@ BREAKS = {
 
 @pytest.mark.parametrize("message", BREAKS)
 def test_checklist_finds_broken_files(exported: Path, tmp_path: Path, message: str):
-    if message.startswith("mujoco"):
+    if message.startswith("mjcf"):
         pytest.importorskip("mujoco")
     folder = Path(shutil.copytree(exported, tmp_path / "a"))
     (folder / "effects.json").unlink()

@@ -20,7 +20,7 @@ from export.meshes import MeshSettings
 from export.parts import close_parts
 from export.surface import Surface, close_surface
 from export.symmetry import Supposed
-from export.texture import _fill_unseen, texture_from_vertices, textures_from_video
+from export.texture import textures_from_video
 from freeart21 import se3
 from freeart21.articulation import Articulation
 from freeart21.camera import Camera
@@ -180,35 +180,10 @@ def test_hostile_meshes_are_solids_or_one_line(name: str):
 # --- atlas and texture
 
 
-def test_every_triangle_has_its_own_place_on_the_atlas():
-    ball = trimesh.creation.icosphere(3, 0.05)
-    mesh = Mesh(ball.vertices, ball.faces)
-    atlas = unwrap(mesh, 0.0005)
-    assert atlas.corners.shape == mesh.faces.shape and max(atlas.width, atlas.height) <= 4096
-    a, b, c = (atlas.pixels[atlas.corners[:, k]] for k in range(3))
-    flat = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) * atlas.texel_m**2
-    assert flat.sum() == pytest.approx(ball.area, rel=0.1)
-    texels = find_texels(atlas)
-    assert len(texels.row) * atlas.texel_m**2 == pytest.approx(ball.area, rel=0.1)
-    assert np.linalg.norm(texels.interpolate(mesh, mesh.vertices), axis=1) == pytest.approx(0.05, rel=0.01)
-
-
 def test_a_huge_surface_gets_larger_texels_not_a_larger_picture():
     ball = trimesh.creation.icosphere(2, 1.0)
     atlas = unwrap(Mesh(ball.vertices, ball.faces), 1e-5)
     assert max(atlas.width, atlas.height) <= 4096 and atlas.texel_m > 1e-5
-
-
-def test_vertex_colours_are_on_the_skin():
-    ball = fine(trimesh.creation.icosphere(3, 0.05))
-    colours = np.where(ball.vertices[:, :1] > 0, np.uint8([200, 30, 20]), np.uint8([20, 40, 220])).astype(np.uint8)
-    part = replace(ball, colours=colours)
-    surface = close_surface(part, MeshSettings(max_faces=800))
-    skin = texture_from_vertices(surface.mesh, part)
-    texels = find_texels(skin.atlas)
-    x = texels.interpolate(surface.mesh, surface.mesh.vertices)[:, 0]
-    shown = skin.image[texels.row, texels.column]
-    assert (shown[x > 0.005] == [200, 30, 20]).all() and (shown[x < -0.005] == [20, 40, 220]).all()
 
 
 CAMERA = Camera.from_fov(320, 240, 0.8)
@@ -333,20 +308,3 @@ def test_an_asset_from_a_video_wears_it_and_says_so(tmp_path: Path):
     assert asset.scale == 1.0
     assert_refused("is not a folder", export_result, answer, tmp_path / "c", settings, video=tmp_path / "none")
     assert not (tmp_path / "c").exists()
-
-
-def test_an_unseen_back_has_the_colours_of_what_faces_as_it_does_not_of_the_inside_behind_it():
-    """A wall of 1 cm, 20 cm wide: its inside is tan, a rim of its back red, the rest of that was not seen."""
-    x, y = (line.ravel() for line in np.meshgrid(np.linspace(0, 0.2, 41), np.linspace(0, 0.2, 41)))
-    back = np.stack([x, y, np.zeros_like(x)], -1)
-    points = np.concatenate([back, back + np.array([0, 0, 0.01])])
-    normals = np.repeat([[0.0, 0, -1], [0.0, 0, 1]], len(back), axis=0)
-    red, tan = [160.0, 20, 30], [210.0, 180, 130]
-    colours = np.repeat([red, tan], len(back), axis=0).astype(np.float32)
-    known = np.ones(len(points), bool)
-    known[: len(back)] = (np.abs(back[:, :2] - 0.1) > 0.08).any(1)
-    colours[~known] = 128
-    found = _fill_unseen(points, normals, colours, known, 0.005, 0.07)
-    assert found.shape == ((~known).sum(), 3)
-    off = [np.linalg.norm(found - colour, axis=1) for colour in (red, tan)]
-    assert (off[0] < off[1]).mean() > 0.95 and off[0].mean() < 0.25 * np.linalg.norm(np.subtract(red, tan))

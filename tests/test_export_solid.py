@@ -94,13 +94,6 @@ def test_a_part_that_is_a_primitive_is_found_to_be_that_one(shape):
     assert fidelity.median < 3e-4 and fidelity.worst < 1e-3
 
 
-def test_a_wedge_is_no_primitive():
-    wedge = trimesh.convex.convex_hull([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1], [0.1, 0, 0.02]])
-    outside = sample_outer_surface(as_mesh(wedge))
-    (piece,) = decompose(outside, TOLERANCE, 16)
-    assert fit_primitive(piece, outside, 1.2e-3) is None
-
-
 def test_a_part_of_boxes_is_boxes():
     """A slab with a block on it: two pieces, both of them boxes."""
     slab, block = (
@@ -115,28 +108,6 @@ def test_a_part_of_boxes_is_boxes():
     assert make_collision(as_mesh(slab), CollisionSettings(primitives=False)).primitives == ()
 
 
-def test_a_thin_walled_tray_is_five_plates():
-    outside = sample_outer_surface(as_mesh(tray(0.002)))
-    pieces = decompose(outside, TOLERANCE, 64)
-    assert len(pieces) <= 8
-    fidelity = measure_fidelity(outside, [as_mesh(trimesh.convex.convex_hull(piece)) for piece in pieces])
-    assert fidelity.median < 1e-4 and fidelity.outward < 2e-3 and fidelity.uncovered < 1e-3
-
-
-def test_many_posts_keep_the_gaps_between_them():
-    """196 posts of 4 mm, 12 mm apart, on a plate: over 800 faces, each one a patch."""
-    posts = [
-        trimesh.creation.box((0.004, 0.004, 0.012), se3.pose(np.eye(3), (0.012 * i, 0.012 * j, 0.007)))
-        for i in range(14)
-        for j in range(14)
-    ]
-    plate = trimesh.creation.box((0.17, 0.17, 0.004), se3.pose(np.eye(3), (0.078, 0.078, 0)))
-    outside = sample_outer_surface(as_mesh(trimesh.boolean.union([plate, *posts])))
-    pieces = decompose(outside, Tolerance(1.2e-3, 1e-4, 1000), 2000)
-    shapes = [as_mesh(trimesh.convex.convex_hull(piece)) for piece in pieces]
-    assert measure_fidelity(outside, shapes).outward < 2e-3
-
-
 def test_fidelity_of_known_shapes():
     """A box of 100 mm under one that is 1 mm larger all round, and under one that lacks its upper 10 mm."""
     outside = sample_outer_surface(as_mesh(trimesh.creation.box((0.1, 0.1, 0.1))))
@@ -147,16 +118,6 @@ def test_fidelity_of_known_shapes():
     lacking = measure_fidelity(outside, [as_mesh(short)])
     assert lacking.median == pytest.approx(0, abs=1e-6) and lacking.outward == pytest.approx(0, abs=1e-6)
     assert lacking.uncovered == pytest.approx(0.01, rel=0.01)
-
-
-def test_what_nothing_gets_into_is_inside():
-    """A closed hollow in a block is not to be kept open, and its surface not to be covered."""
-    hollow = trimesh.creation.box((0.06, 0.06, 0.06))
-    hollow.invert()
-    block = trimesh.util.concatenate([trimesh.creation.box((0.1, 0.1, 0.1)), hollow])
-    outside = sample_outer_surface(as_mesh(block))
-    assert np.abs(outside.points).max(1).min() > 0.049
-    assert len(decompose(outside, TOLERANCE, 16)) == 1
 
 
 def test_an_open_sheet_is_a_plate_behind_it():
@@ -200,19 +161,6 @@ def test_a_box_that_leans_by_less_than_the_tolerance_stands_level():
     cut = make_collision(as_mesh(solid), CollisionSettings(), ground)
     heights = np.concatenate([shape.vertices[:, 2] for shape in cut.shapes]) - ground
     assert (heights < 1e-3).sum() == 4 and heights[heights < 1e-3] == pytest.approx(0, abs=5e-5)
-
-
-def test_a_rounded_body_with_more_corners_than_a_piece_may_have_stands_as_wide_as_it_is():
-    """Like a telephone: its flat back is narrower than itself. None of the even directions looks straight down."""
-    rng = np.random.default_rng(0)
-    ball = rng.normal(size=(20_000, 3))
-    ball = ball / np.linalg.norm(ball, axis=1)[:, None] * [0.05, 0.025, 0.008]
-    ball[:, 2] = np.maximum(ball[:, 2], -0.0078)  # flat where it lies
-    flat = ball[ball[:, 2] == -0.0078]
-    hull = convex_hull(ball, 1e-3, 48)
-    standing = hull.vertices[hull.vertices[:, 2] < -0.0078 + 1e-6]
-    assert len(hull.vertices) <= 48
-    np.testing.assert_allclose(np.ptp(standing[:, :2], axis=0), np.ptp(flat[:, :2], axis=0), rtol=0.05)
 
 
 def test_what_is_flat_at_the_ground_is_made_thick_upwards():

@@ -41,8 +41,7 @@ from generator import commands, partnet
 from generator.rays import Caster
 from generator.third_party import complete_truth
 from leaderboard.protocols import PROTOCOLS
-from leaderboard.protocols.strict1 import Strict1
-from leaderboard.protocols.strict2 import STRICT_2, measure
+from leaderboard.protocols.strict import STRICT_2, Strict, measure
 from leaderboard.score import score_results
 
 W, H, N = 8, 6, 3
@@ -479,7 +478,7 @@ def native(toy_root: Path, toy_example: Path, tmp_path_factory: pytest.TempPathF
 def test_an_official_example_becomes_a_data_folder_that_scores(
     native: Path, toy_example: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    few = functools.partial(measure, constants=Strict1(samples=2000))
+    few = functools.partial(measure, constants=Strict(2, samples=2000))
     monkeypatch.setitem(PROTOCOLS, "strict-2", replace(STRICT_2, measure=few))
     assert read_benchmark(native).sequences == ("7777",)
     truth = read_truth(native / "truth/7777")

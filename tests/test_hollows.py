@@ -16,7 +16,6 @@ from export.materials import TABLE
 from export.meshes import MeshSettings
 from export.parts import clear_parts, close_parts
 from export.penetration import Overlap
-from export.planes import fit_planes
 from export.primitives import Box
 from export.surface import Surface, close_surface
 from freeart21 import se3
@@ -141,15 +140,6 @@ def test_without_the_video_the_sliding_drawer_alone_empties_its_carcass(drawer_u
     assert space.look_up(np.array([[-0.05, 0.0, 0.018], [0.0, 0.0, 0.117]])).tolist() == [SWEPT, 0]
 
 
-def test_what_the_other_part_passed_is_empty_only_behind_a_wall_that_faces_as_it_does(drawer_unit):
-    answer, _ = drawer_unit
-    space = find_free_space(answer, "reference", None)
-    side = np.array([[0.0, 0.068, 0.05]])  # the drawer's, which faces +y
-    assert space.look_up(side).tolist() == [SWEPT]
-    assert space.is_empty_behind(side, np.array([[0, 1.0, 0]])).all()
-    assert not space.is_empty_behind(side, np.array([[0, -1.0, 0]])).any()  # a surface within the drawer
-
-
 def test_a_cabinet_is_hollow_of_which_one_low_drawer_opens():
     """Its sides are known to be thin in less than a quarter of what was seen of them."""
     x, y, z = 0.5 * SIZE
@@ -176,17 +166,6 @@ def test_a_solid_base_under_a_lid_stays_solid():
     for name, true in zip(PARTS, (base, lid), strict=True):
         assert volume(parts[name].surface.mesh) == pytest.approx(true.volume, rel=0.05)
         assert parts[name].surface.panel_count == 0
-
-
-def test_rough_surface_around_a_core_must_be_a_panel_too():
-    """A rock on a thin plate: the plate alone does not make it hollow for nothing."""
-    ball = trimesh.creation.icosphere(4, 0.05)
-    ball.vertices *= 1 + np.random.default_rng(0).uniform(-0.05, 0.05, (len(ball.vertices), 1))
-    plate = trimesh.creation.cylinder(0.065, 0.003, 64, transform=se3.pose(np.eye(3), (0, 0, 0.0015)))
-    rock = fine(trimesh.boolean.union([trimesh.boolean.intersection([ball, block((-1, -1, 0), (1, 1, 1))]), plate]))
-    space = SpaceGrid(se3.pose(np.eye(3), (-0.07, -0.07, -0.006)), 0.002, np.zeros((71, 71, 33), np.uint8))
-    found = find_panels(rock, np.ones(len(rock.faces), bool), space).report
-    assert found["planes"] == 2 and found["cores"][0]["hollow_bits"] > 1
 
 
 def test_walls_whose_rims_nobody_saw_are_as_thick_as_usual_for_size_and_material():
@@ -228,19 +207,6 @@ def test_space_that_the_video_looked_through_is_empty_and_no_other(drawer_unit):
     assert not drawer().contains(looked[::7]).any()
     beside = np.array([[0.0, 0.11, 0.05], [0.0, 1.0, 0.05]])  # the grid, and far away
     assert space.look_up(beside).tolist() == [SEEN_THROUGH, 0]
-
-
-def test_planes_of_a_box_are_its_faces():
-    points, of = trimesh.sample.sample_surface_even(block((0, 0, 0), (0.2, 0.1, 0.05)), 4000, seed=0)
-    normals = block((0, 0, 0), (0.2, 0.1, 0.05)).face_normals[of]
-    planes = fit_planes(points, normals, 1e-3)
-    assert len(planes) == 6 and (planes.label >= 0).all()
-    faces = sorted(
-        (tuple(np.rint(n).tolist()), round(d, 6)) for n, d in zip(planes.normals, planes.offsets, strict=True)
-    )
-    assert faces == sorted(
-        [((1, 0, 0), 0.2), ((-1, 0, 0), 0), ((0, 1, 0), 0.1), ((0, -1, 0), 0), ((0, 0, 1), 0.05), ((0, 0, -1), 0)]
-    )
 
 
 @pytest.mark.parametrize("preset", ["fine", "fast"])

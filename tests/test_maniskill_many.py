@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from refusal import assert_refused
-from test_maniskill import FREE_MOVING, LID, OPEN, SLIDE
+from test_maniskill import FREE_MOVING, LID, OPEN
 
 from export.maniskill.assets import find_asset
 from freeart21.effects import EFFECTS
@@ -174,30 +174,6 @@ def test_states_of_some_are_set_and_the_others_stay(two, monkeypatch):
         np.testing.assert_allclose(plain.body.states()[0], now[:, 13], atol=1e-7)
         assert plain.body.times_s() == pytest.approx(0.2)  # the hand goes on
         many.close()
-
-
-def test_a_ball_shuts_the_trays_of_all(tmp_path, monkeypatch):
-    """Actions of the script, made with one on a CPU, shut them in two scenes: contacts and friction act."""
-    from export.maniskill import PushPolicy
-
-    (tmp_path / "slide.urdf").write_text(SLIDE)
-    asset, settings = str(tmp_path / "slide.urdf"), {"robot_uids": "pusher", "start": 0.9, "target": 0.1}
-    one = make(OPEN, asset, **settings)
-    one.reset(seed=3)
-    policy, actions, true = PushPolicy(one), [], []
-    while not true or not true[-1][-2]:
-        actions.append(policy())
-        true.append(numbers(one.step(actions[-1]))[0])
-    one.close()
-    with gpu_scenes_on_cpu(monkeypatch):
-        many = make(OPEN, asset, 2, **settings)
-        many.reset(seed=[3, 3])
-        course = np.array([numbers(many.step(np.stack([action] * 2))) for action in actions])
-        assert many.unwrapped.evaluate()["success"].all()
-        assert_refused("got 2 in GPU scenes, expected sim_backend cpu", PushPolicy, many)
-        many.close()
-    for i in range(2):
-        np.testing.assert_allclose(course[:, i], true, atol=1e-3)
 
 
 def press(asset, n):

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from command_line import run_command
 from engine_case import loader
@@ -197,35 +195,3 @@ def test_usd_has_the_friction_and_restitution_of_each_material(asset: Path):
             assert found == pytest.approx((of.friction, of.restitution))
             seen += 1
     assert seen >= 2
-
-
-def test_a_box_slides_on_a_slope_steeper_than_its_friction_alone(tmp_path: Path):
-    """In SAPIEN, on a floor of the same friction: tan of the slope against steel's 0.5."""
-    import sapien
-
-    asset = tmp_path / "asset"
-    export_result(reconstruction(), asset, ExportSettings(material="steel", usd=None))
-    moved = {}
-    for slope in (0.4, 0.6):
-        physx = sapien.physx
-        scene = sapien.Scene([physx.PhysxCpuSystem()])
-        scene.set_timestep(0.002)
-        floor = scene.create_actor_builder()
-        floor.add_box_collision(half_size=[2, 2, 0.1], material=physx.PhysxMaterial(0.5, 0.5, 0.0))
-        ground = floor.build_static()
-        turn = sapien.Pose(q=[np.cos(np.arctan(slope) / 2), 0, np.sin(np.arctan(slope) / 2), 0])
-        ground.set_pose(turn)
-        body = loader(asset, "sapien").load(scene, turn * sapien.Pose([0, 0, 0.101]))
-        for _ in range(500):
-            scene.step()
-        moved[slope] = float(np.linalg.norm(body.root_pose.p - (turn * sapien.Pose([0, 0, 0.101])).p))
-    assert moved[0.4] < 0.01 and moved[0.6] > 0.1
-
-
-def test_losses_say_who_has_friction_and_restitution(asset: Path):
-    text = (asset / "LOSSES.md").read_text()
-    assert "friction of the surfaces, by material" in text and "restitution of the surfaces" in text
-    assert json.loads((asset / "loaders/joint.json").read_text())["surfaces"][names(asset)[0]] == {
-        "friction": STEEL.friction,
-        "restitution": STEEL.restitution,
-    }

@@ -185,4 +185,4 @@ def test_what_is_no_mesh_is_reported_in_a_line(ending: str, tmp_path: Path) -> N
             assert (ending in (".obj", ".stl", ".off") and data == whole[: len(whole) // 3]) or not pieces
         except FreeArtError as error:
             assert str(tmp_path / f"b{ending}") in str(error) and "\n" not in str(error)
-    assert_refused(r"x.step is no mesh that is read, expected .obj, .stl", read_pieces, tmp_path / "x.step", tmp_path)
+    assert_refused(r"x.step is no mesh that is read, expected .obj, .dae", read_pieces, tmp_path / "x.step", tmp_path)

@@ -5,24 +5,20 @@ import os
 import shutil
 import stat
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from adapters_case import official_example, truth_of
+from adapters_case import truth_of
 from command_line import run_command
-from method_stand_in import make_home
 from refusal import assert_refused
 from score_files import score_one
 
-from freeart21.files.result import Method, read_method, read_result, write_result
+from freeart21.files.result import read_method, read_result, write_result
 from freeart21.reconstruction import Failure
 from leaderboard.adapters.layout import layouts
 from leaderboard.methods.descriptor import (
-    FOLDER,
     NATIVE,
-    PRIVILEGED,
     SCHEMA,
     Descriptor,
     Limits,
@@ -30,10 +26,8 @@ from leaderboard.methods.descriptor import (
     shipped,
 )
 from leaderboard.methods.run import contain, run_method
-from leaderboard.sequence_score import score_sequence
 from leaderboard.validate import validate_results
 
-ROOT = Path(__file__).resolve().parents[1]
 SOLVE = """
 import sys, pathlib, shutil
 sequence, out = map(pathlib.Path, sys.argv[1:3])
@@ -113,9 +107,8 @@ def test_limits_of_time_and_memory_end_all_its_processes(data, tmp_path):
     child = f"[sys.executable, '-c', 'import time; time.sleep(60)', {mark!r}]"
     forks = f"import subprocess, sys, time\nsubprocess.Popen({child})\ntime.sleep(60)"
     slow = method(forks, limits=Limits(1.0, 8.0))
-    began = time.monotonic()
     run_method(slow, data, tmp_path / "slow", sequences=("a",))
-    assert time.monotonic() - began < 20 and failure(tmp_path / "slow") == "limits: it took more than 1 s"
+    assert failure(tmp_path / "slow") == "limits: it took more than 1 s"
     left = [p for p in Path("/proc").glob("[0-9]*/cmdline") if mark.encode() in _read(p)]
     assert not left
     large = method("x = bytearray(400_000_000)\nimport time\ntime.sleep(60)", limits=Limits(60.0, 0.3))
@@ -201,46 +194,23 @@ def test_privileged_inputs_come_from_the_truth_and_are_named(data, tmp_path, ans
         "masks = sorted(pathlib.Path(sys.argv[3]).iterdir())\n"
         "assert masks[0].name == '00000.png' and len(masks) == 16\n"
         "assert 'v ' in open(sys.argv[4]).read()\n"
+        "assert all(len(list(pathlib.Path(sys.argv[5], name).iterdir())) == 16 for name in ('rgb', 'depth', 'masks'))\n"
     )
     mine = method(
         SOLVE.format(answers=str(answers)) + check, "{sequence}", "{out}", "{part_masks}", "{mesh_moving}",
-        inputs=("sequence", "part_masks", "mesh_moving"),
+        "{rgbd_moving}", inputs=("sequence", "part_masks", "mesh_moving", "rgbd_moving"),
     )  # fmt: skip
     report = run_method(mine, data, tmp_path / "r", sequences=("a",))
     assert report.entries["a"].outcome == "answer", report.entries["a"].reason
-    assert read_method(tmp_path / "r").settings["privileged_inputs"] == ["part_masks", "mesh_moving"]
-
-
-THIRD_PARTY = ("articulate-anything", "bundlesdf", "foundationpose", "freeartgs", "itaco", "videoartgs")
-
-
-@pytest.mark.parametrize("name", THIRD_PARTY)
-def test_each_shipped_descriptor_fits_its_layout(data, tmp_path, monkeypatch, name):
-    home = make_home(tmp_path / "home")
-    monkeypatch.setenv("PATH", f"{home / 'bin'}:{os.environ['PATH']}")
-    official_example(home / "object_poses" / "a", truth_of("a"))
-    theirs = find_descriptor(name)
-    if name == "videoartgs":  # the stand-in writes the object's frame
-        theirs = replace(theirs, options={"frame": "zup", "object_poses": "{home}/object_poses", "anchor": "4"})
-    if name == "articulate-anything":
-        theirs = replace(theirs, options={**theirs.options, "anchor": "4"})
-    report = run_method(theirs, data, tmp_path / "r", home, ("a",))
-    assert report.entries["a"].outcome == "answer", report.entries["a"].reason
-    made = read_method(tmp_path / "r")
-    row = score_sequence(tmp_path / "r" / "a", data / "sequences" / "a", data / "truth" / "a", lacks=made.lacks)
-    assert row.status == "ok" and row.values["joint_type"] == 1 and row.values["axis"] < 0.5
-    assert made.name == name and "renders" in made.lacks
-    assert ("privileged_inputs" in made.settings) == any(key in PRIVILEGED for key in theirs.inputs)
-    assert_refused("needs its checkout", run_method, theirs, data, tmp_path / "s")
+    assert read_method(tmp_path / "r").settings["privileged_inputs"] == ["part_masks", "mesh_moving", "rgbd_moving"]
 
 
 def test_the_shipped_descriptors_are_whole():
-    assert set(THIRD_PARTY) < set(shipped()) and len(shipped()) == len(list(FOLDER.glob("*.json"))) == 9
+    assert len(shipped()) == 9
     for name in shipped():
         found = find_descriptor(name)
         assert found.name == name and found.about and found.code
         assert found.layout == NATIVE or found.layout in layouts()
-    assert isinstance(Method(found.name), Method)
 
 
 @pytest.mark.parametrize(

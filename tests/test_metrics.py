@@ -7,7 +7,7 @@ import trimesh
 from freeart21 import se3
 from freeart21.mesh import Mesh
 from leaderboard import metrics
-from leaderboard.surface import Surface, _split
+from leaderboard.surface import Surface
 
 X, Y, Z = np.eye(3)
 
@@ -18,10 +18,6 @@ def test_axis_error_is_the_angle_whatever_the_signs(angle):
     for sign in (1, -1):
         assert metrics.axis_error(X, sign * b) == pytest.approx(angle, abs=1e-15)
         assert metrics.axis_error(sign * b, X) == pytest.approx(angle, abs=1e-15)
-
-
-def test_axis_error_of_directions_longer_than_one_by_rounding_is_not_nan():
-    assert metrics.axis_error(X * (1 + 1e-15), X * (1 + 1e-15)) == 0
 
 
 def test_position_error_is_measured_at_the_part():
@@ -40,11 +36,6 @@ def test_skew_lines_are_as_far_apart_as_their_planes():
 def test_parallel_lines_are_measured_point_to_line(sign, tilt):
     b = sign * np.array([np.sin(tilt), 0, np.cos(tilt)])
     assert metrics.line_to_line(Z, np.zeros(3), b, np.array([3.0, 4.0, 0])) == pytest.approx(5, abs=1e-5)
-
-
-def test_lines_a_hair_beyond_parallel_are_measured_line_to_line():
-    b = np.array([np.sin(2e-6), 0, np.cos(2e-6)])
-    assert metrics.line_to_line(Z, np.zeros(3), b, np.array([3.0, 4.0, 0])) == pytest.approx(4, abs=1e-9)
 
 
 def test_state_error_removes_sign_and_median_offset():
@@ -79,29 +70,8 @@ def test_miou_counts_what_is_absent_in_both_as_right():
     assert swapped == pytest.approx((0 + 0 + 0 + 0 + 1 + 1) / 6)
 
 
-def test_confusion_counts_every_pixel():
-    truth, answer = np.array([[0, 1, 2, 2]], np.uint8), np.array([[0, 2, 2, 1]], np.uint8)
-    assert metrics.confusion(truth, answer).tolist() == [[1, 0, 0], [0, 0, 1], [0, 1, 1]]
-
-
 def random_poses(rng, n):
     return se3.exp_se3(rng.normal(size=(n, 6)))
-
-
-def test_alignment_finds_a_constant_change_of_frame():
-    rng = np.random.default_rng(0)
-    truth, X_pred = random_poses(rng, 20), random_poses(rng, 1)[0]
-    T = metrics.align(truth, truth @ X_pred, np.array([0.1, 0.2, 0.3]))
-    assert np.allclose(T, X_pred, atol=1e-12)
-
-
-def test_alignment_leaves_out_wild_frames():
-    rng = np.random.default_rng(1)
-    truth = random_poses(rng, 40)
-    answer = truth @ se3.exp_se3(1e-3 * rng.normal(size=(40, 6)))
-    answer[[3, 17]] = random_poses(rng, 2) @ se3.pose(np.eye(3), [50.0, 0, 0])
-    T = metrics.align(truth, answer, np.zeros(3))
-    assert np.abs(T - np.eye(4)).max() < 2e-3
 
 
 def test_alignment_does_not_depend_on_where_the_answers_origin_is():
@@ -120,10 +90,6 @@ def test_pose_error_is_angle_and_shift_of_the_centre():
     about_centre = se3.pose(R, centre - R @ centre)
     assert metrics.pose_error(truth, truth @ about_centre, centre) == pytest.approx((0.2, 0), abs=1e-9)
     assert metrics.pose_error(truth, truth @ se3.pose(np.eye(3), [0, 0.3, 0.4]), centre) == pytest.approx((0, 0.5))
-
-
-def test_chamfer_is_the_mean_of_the_two_directed_means_not_squared():
-    assert metrics.chamfer(np.array([0.0, 2.0]), np.array([3.0])) == pytest.approx(2.0)
 
 
 def test_fscore_is_harmonic_and_survives_nothing():
@@ -191,14 +157,6 @@ def test_distance_keeps_its_digits_on_thin_triangles():
     assert Surface(mesh).distance(points) == pytest.approx([0.1, 0, 1, 2], abs=1e-7)
 
 
-def test_distance_at_most_is_the_smaller_of_the_two():
-    rng = np.random.default_rng(0)
-    ball = trimesh.creation.icosphere(subdivisions=2)
-    surface = Surface(Mesh(ball.vertices, ball.faces))
-    points, limit = rng.normal(size=(300, 3)) * 2, rng.random(300)
-    assert np.array_equal(surface.distance(points, limit), np.minimum(surface.distance(points), limit))
-
-
 def test_samples_lie_on_the_surface_in_proportion_to_area():
     a, b = trimesh.creation.box([1, 1, 1]), trimesh.creation.box([2, 2, 2]).apply_translation([5, 0, 0])
     both = trimesh.util.concatenate([a, b])
@@ -211,32 +169,9 @@ def test_samples_lie_on_the_surface_in_proportion_to_area():
     assert not np.array_equal(points, surface.sample(20_000, (0, 2)))
 
 
-def test_samples_are_even_within_a_triangle():
-    triangle = Surface(Mesh(np.array([[0, 0, 0], [3.0, 0, 0], [0, 3.0, 0]]), np.array([[0, 1, 2]])))
-    assert triangle.sample(40_000, (0,)).mean(0) == pytest.approx([1, 1, 0], abs=0.02)
-
-
-def test_concentric_spheres_are_as_far_apart_as_their_radii():
-    ball = trimesh.creation.icosphere(subdivisions=5)
-    inner, outer = (Surface(Mesh(ball.vertices * r, ball.faces)) for r in (1.0, 1.1))
-    there, back = (a.distance(b.sample(5000, (0,))) for a, b in ((outer, inner), (inner, outer)))
-    assert metrics.chamfer(there, back) == pytest.approx(0.1, rel=1e-2)
-
-
 def test_a_surface_without_area_is_empty_and_infinitely_far():
     line = Surface(Mesh(np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]]), np.array([[0, 1, 2]])))
     assert line.empty
     assert line.sample(10, (0,)).shape == (0, 3)
     assert np.isinf(line.distance(np.zeros((2, 3)))).all()
     assert np.array_equal(line.distance(np.zeros((2, 3)), np.array([1.0, 2.0])), [1, 2])
-
-
-def test_trees_are_split_at_the_middle_whatever_the_values():
-    rng = np.random.default_rng(3)
-    for n in (2, 3, 17, 500):
-        for values in (rng.random(n), np.zeros(n), np.arange(n) * 1.0, -np.arange(n) * 1.0, np.arange(n) % 3 * 1.0):
-            for middle in {1, n // 2, n - 1}:
-                members = rng.permutation(n)
-                _split(members, values, middle)
-                assert sorted(members) == list(range(n))
-                assert values[members[:middle]].max() <= values[members[middle:]].min()

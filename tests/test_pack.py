@@ -26,10 +26,8 @@ from freeart21.files.hidden import read_hidden
 from freeart21.files.sequence import read_sequence, write_sequence
 from freeart21.files.truth import write_truth
 from freeart21.files.verify import verify
-from leaderboard import cached, commands
-from leaderboard.compare import compare_results
+from leaderboard import commands
 from leaderboard.pack import EPOCH_S, default_key_path, pack_public, pack_truth, read_or_create_key
-from leaderboard.scores_file import write_scores
 from leaderboard.validate import validate_results
 
 OBJECTS = {"mini_stapler-s5": "revolute", "cover_phone-s5": "prismatic"}
@@ -228,17 +226,7 @@ PLANTS = {
         lambda folder: add_behind_pixels(folder / "rgb" / "00001.png", b"5"),
         "rgb/00001.png has bytes behind its pixels",
     ),
-    "a file": (
-        lambda folder: (folder / "rgb" / ".hidden").write_text("5"),
-        "rgb/.hidden does not belong to what a method sees",
-    ),
     "a link": (lambda folder: (folder / "depth2").symlink_to(folder / "depth"), "depth2"),
-    "a level": (
-        lambda folder: (folder / "mask" / "00001.png").write_bytes(
-            checked.encode_png(254 * read_sequence(folder).frame(1).mask.astype(np.uint8))
-        ),
-        "mask/00001.png has other values than 0 and 255",
-    ),
 }
 
 
@@ -278,13 +266,6 @@ def test_packing_again_gives_the_same_bytes_and_replaces_only_a_pack(data, halve
     shutil.copytree(data, tmp_path / "other")
     for pack in (pack_public, pack_truth):
         assert_refused("is no older", pack, data, tmp_path / "other")
-
-
-def test_a_packed_set_packed_again_is_itself(halves, tmp_path):
-    """So it says nothing but what its pictures and numbers show."""
-    pack_public(halves[0], tmp_path / "again")
-    assert contents(tmp_path / "again") == contents(halves[0]) and not default_key_path(halves[0]).exists()
-    assert_refused("packed without its truth", pack_truth, halves[0], tmp_path / "none")
 
 
 def test_a_zip_is_the_folder_and_the_same_every_time(data, halves, tmp_path):
@@ -353,29 +334,6 @@ def test_without_the_truth_nothing_is_scored_and_all_is_validated(halves, answer
     assert_refused("is missing, or is not the file that was packed", score_results, answered, public, truth=truth)
 
 
-@pytest.mark.parametrize(
-    "body",
-    [
-        '{"schema": "freeart21/hidden-truth/1", "names": {}, "salt": "", "sha256": {"../x": ""}}',
-        "{",
-    ],
-)
-def test_a_broken_marker_is_refused_in_one_line(body, halves):
-    (halves[1] / "hidden.json").write_text(body)
-    assert_refused("", read_benchmark, *halves)
-
-
-def test_tables_are_kept_and_compared_with_the_truth_elsewhere(halves, answered, tmp_path, monkeypatch):
-    few_samples(monkeypatch)
-    monkeypatch.setattr(cached, "score_results", lambda *a, workers, **named: score_results(*a, **named))
-    public, truth = halves
-    comparison = compare_results([answered], public, None, tmp_path / "keep", truth=truth)
-    assert set(comparison.categories.values()) == {"Stapler"}
-    write_scores(tmp_path / "table.json", comparison.entrants[0].scores)
-    alone = compare_results([tmp_path / "table.json"], public)
-    assert set(alone.categories.values()) == {"unknown"}, "what the truth says is not known without it"
-
-
 def test_the_command_takes_one_half_at_a_time(data, tmp_path, capsys):
     for given in ({}, {"public": True, "truth": True}):
         assert_refused("name one half", commands.pack, data, tmp_path / "out", **given)
@@ -385,17 +343,6 @@ def test_the_command_takes_one_half_at_a_time(data, tmp_path, capsys):
     assert "key" not in capsys.readouterr().out
     assert_refused("would be read", commands.pack, data, data / "sequences" / "out", public=True)
     assert verify(tmp_path / "out", tmp_path / "truth").findings == []
-
-
-def test_a_truth_with_links_is_not_packed(data, tmp_path):
-    more = data / "truth" / "cover_phone-s5" / "more.txt"
-    more.symlink_to("/etc/hostname")
-    assert_refused(r"more\.txt is not listed", pack_truth, data, tmp_path / "truth")
-    listed = json.loads((data / "benchmark.json").read_text())
-    listed["sha256"]["truth/cover_phone-s5/more.txt"] = hashlib.sha256(more.read_bytes()).hexdigest()
-    (data / "benchmark.json").write_text(json.dumps(listed))
-    assert_refused(r"more\.txt is not a plain file", pack_truth, data, tmp_path / "truth")
-    assert not (tmp_path / "truth").exists()
 
 
 def other_bytes(data):
@@ -409,19 +356,8 @@ def missing_picture(data):
     return r"rgb/00003\.png is missing: benchmark\.json lists it"
 
 
-def extra_file(data):
-    (data / "truth/mini_stapler-s5/notes.txt").write_text("mine")
-    return r"notes\.txt is not listed in benchmark\.json"
-
-
-def two_faults(data):
-    (data / "sequences/mini_stapler-s5/rgb/00003.png").unlink()
-    extra_file(data)
-    return r"1 more files differ: `freeart21 verify"
-
-
 @pytest.mark.parametrize("half", [pack_public, pack_truth])
-@pytest.mark.parametrize("spoil_one", [other_bytes, missing_picture, extra_file, two_faults])
+@pytest.mark.parametrize("spoil_one", [other_bytes, missing_picture])
 def test_what_is_not_as_its_hashes_say_is_not_packed(spoil_one, half, data, tmp_path):
     words = spoil_one(data)
     for out in (tmp_path / "out", tmp_path / "out.zip"):

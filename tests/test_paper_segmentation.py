@@ -10,7 +10,7 @@ from freeart21 import se3
 from freeart21.reconstruction import Reconstruction
 from reconstruct import paper_segmentation, pipeline
 from reconstruct.evidence import Evidence
-from reconstruct.features.hand_made import HandMade
+from reconstruct.features import HandMade
 from reconstruct.paper_segmentation import (
     Pair,
     initial_transforms,

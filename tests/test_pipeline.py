@@ -251,8 +251,8 @@ def test_a_damaged_stage_is_one_line_and_solved_again(harm, sequence, finished, 
     path = cache.work_folder(out) / "surfaces.npz"
     data = bytearray(path.read_bytes())
     bit, garbled = bytearray(data), bytearray(data)
-    bit[len(data) // 2] ^= 1
-    stream = data.index(b"answer_states.npy") + 17  # and the header's extra field: 20 bytes
+    stream = data.index(b"state.result.states.npy") + 23  # and the header's extra field: 20 bytes
+    bit[stream + 40] ^= 1
     garbled[stream : stream + 60] = b"\xff" * 60
     harmed = {"cut": data[:-100], "bit": bit, "garbled": garbled, "text": b"not an archive"}
     path.write_bytes(harmed[harm])

@@ -15,7 +15,7 @@ from leaderboard.protocols import PROTOCOLS, protocol_named
 from leaderboard.rows import Row, Scores
 from leaderboard.scores_file import read_scores
 from leaderboard.site.entrant import entrants
-from leaderboard.site.index_page import ranked
+from leaderboard.site.index_page import describe_copies, ranked
 
 RULES = protocol_named("strict-3")
 HANDED = Path(__file__).resolve().parents[2] / "shared" / "failing" / "board"
@@ -92,3 +92,12 @@ def test_the_order_of_two_does_not_depend_on_a_third():
 
     two = order("A2", "B")
     assert [name for name in order("A2", "B", "C_junk") if name != "C_junk"] == two == order("B", "A2")
+
+
+def test_the_same_files_under_two_names_are_reported():
+    row = Row("s", "revolute", "ok", "", "files", False, 1.0, {}, {}, result_sha256="1" * 64)
+    failed = replace(row, sequence="t", status="failed")
+    other = replace(row, result_sha256="2" * 64)
+    tables = [("one", (row, failed)), ("two", (row, failed)), ("three", (other, failed))]
+    board = entrants([(Path(n), {"strict-2": Scores("strict-2", Method(n), {}, rows, ())}) for n, rows in tables])
+    assert describe_copies(board) == ["one and two hold the same files for 1 of 1 sequences."]

@@ -84,6 +84,9 @@ def test_poses_are_checked(hidden, tmp_path):
     poses = find_poses(scene, given)
     assert poses.shape == (1, FRAMES, 4, 4) and np.isfinite(poses).all()
     place = tmp_path / "good" / "ob_in_cam"
+    for wrong in ("1 2 3", "nan " * 16, "x " * 16):
+        (place / "00004.txt").write_text(wrong)
+        assert_refused("00004.txt", find_poses, scene, given)
     (place / "00004.txt").unlink()
     assert np.isnan(find_poses(scene, given)[0, 4]).all()
     (place / "00000.txt").rename(place / "00022.txt")

@@ -18,7 +18,7 @@ from reconstruct.priors.weights import BroughtWeights, load_into, parse_weights
 from reconstruct.scene import prepare_scene
 from reconstruct.settings import SceneSettings, TrackSettings
 from reconstruct.trackers.dis import Dis
-from reconstruct.trackers.xfeat import Xfeat as XfeatTracker
+from reconstruct.trackers.matched import Xfeat as XfeatTracker
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 import sys
@@ -26,7 +25,6 @@ from freeart21.files.mesh_file import read_ply
 from freeart21.files.verify import differing_files, listed_files
 from leaderboard.pack import pack_public
 from leaderboard.release.bop import silhouette, write_bop
-from leaderboard.release.coco import run_lengths, write_coco
 from leaderboard.release.shards import write_shards
 
 
@@ -63,28 +61,6 @@ def test_every_shard_is_a_whole_data_folder(data, tmp_path):
             assert path.read_bytes() == (tmp_path / "again" / path.relative_to(tmp_path / "out")).read_bytes()
 
 
-def test_datasets_shows_the_manifest_with_pictures(data, tmp_path):
-    datasets = pytest.importorskip("datasets")
-    write_shards([data], tmp_path / "out", per_shard=2, doi="10.5281/zenodo.1")
-    rows = datasets.load_dataset(str(tmp_path / "out"), cache_dir=str(tmp_path / "cache"))["test"]
-    assert rows["sequence"][:] == ["a", "b", "c"] and rows["joint_type"][1] == "prismatic"
-    assert rows[0]["preview"].size == (160, 128)
-    for row in rows:
-        content = (tmp_path / "out" / row["shard"]).read_bytes()
-        assert hashlib.sha256(content).hexdigest() == row["shard_sha256"]
-    text = (tmp_path / "out/README.md").read_text()
-    assert "manifest.parquet" in text and "shards/" in text and "10.5281/zenodo.1" in text
-
-
-def test_mlcroissant_accepts_a_release(data, tmp_path):
-    mlcroissant = pytest.importorskip("mlcroissant")
-    write_shards([data], tmp_path / "out", per_shard=2)
-    found = mlcroissant.Dataset(jsonld=tmp_path / "out/croissant.json")
-    assert not found.metadata.ctx.issues.errors and len(list(found.records("sequences"))) == 3
-    names = [one.name for one in found.metadata.distribution]
-    assert len(names) == 3 and "sequences.jsonl" in names
-
-
 def test_many_folders_are_one_release_and_faults_are_refused(data, tmp_path, monkeypatch):
     pytest.importorskip("pyarrow")
     more = tmp_path / "more"
@@ -107,41 +83,15 @@ def test_many_folders_are_one_release_and_faults_are_refused(data, tmp_path, mon
 
 def test_the_command_writes_each_form(data, tmp_path, capsys):
     pytest.importorskip("pyarrow")
-    for form, words in (("shards", "1 shard"), ("coco", "annotations"), ("bop", "3 scenes")):
+    for form, words in (("shards", "1 shard"), ("bop", "3 scenes")):
         code, out, err = run_command(capsys, "release", data, "--to", form, "--out", tmp_path / form)
         assert code == 0, err
         assert out.endswith(f"{words}\n")
     pack_public(data, tmp_path / "public", tmp_path / "key")
-    for form in ("coco", "bop"):
-        code, _, err = run_command(capsys, "release", tmp_path / "public", "--to", form, "--out", tmp_path / "x")
-        assert code == 1 and "packed without its truth" in err and not (tmp_path / "x").exists()
-    code, _, err = run_command(capsys, "release", data, data, "--to", "coco", "--out", tmp_path / "x")
+    code, _, err = run_command(capsys, "release", tmp_path / "public", "--to", "bop", "--out", tmp_path / "x")
+    assert code == 1 and "packed without its truth" in err and not (tmp_path / "x").exists()
+    code, _, err = run_command(capsys, "release", data, data, "--to", "bop", "--out", tmp_path / "x")
     assert code == 1 and "one data folder" in err
-
-
-def test_pycocotools_reads_the_masks(data, tmp_path):
-    coco = pytest.importorskip("pycocotools.coco")
-    n = write_coco(data, tmp_path / "coco")
-    found = coco.COCO(tmp_path / "coco/instances.json")
-    assert len(found.anns) == n > 60 and [c["name"] for c in found.loadCats([1, 2])] == [
-        "reference part",
-        "moving part",
-    ]
-    known = truths()
-    for annotation in found.loadAnns(found.getAnnIds()):
-        (image,) = found.loadImgs(annotation["image_id"])
-        labels = known[image["sequence"]].part_mask(image["frame"])
-        mask = labels == annotation["category_id"]
-        assert np.array_equal(found.annToMask(annotation) > 0, mask) and annotation["area"] == mask.sum()
-        x, y, w, h = map(int, annotation["bbox"])
-        assert mask[y : y + h, x : x + w].sum() == mask.sum() and mask[y].any() and mask[:, x + w - 1].any()
-        assert (data / image["file_name"]).is_file()
-
-
-def test_run_lengths_begin_with_what_is_off():
-    assert run_lengths(np.array([[1, 0], [1, 1]], bool)) == [0, 2, 1, 1]
-    assert run_lengths(np.array([[0, 1], [0, 0]], bool)) == [2, 1, 1]
-    assert run_lengths(np.zeros((2, 2), bool)) == [4] and run_lengths(np.ones((2, 2), bool)) == [0, 4]
 
 
 def test_bop_has_poses_in_millimetres_and_pixels_from_whole_numbers(data, tmp_path):
@@ -186,12 +136,3 @@ def test_a_silhouette_is_where_the_part_projects():
     area = cv2.contourArea(hull)
     assert inside.sum() == pytest.approx(area, rel=0.01)
     assert not silhouette(mesh, se3.pose(np.eye(3), [0, 0, -2.0]), camera).any()  # behind the camera
-
-
-def test_the_toolkit_of_bop_reads_a_scene(data, tmp_path):
-    inout = pytest.importorskip("bop_toolkit_lib.inout")
-    write_bop(data, tmp_path / "bop")
-    scene = tmp_path / "bop/test/000001"
-    poses = inout.load_scene_gt(str(scene / "scene_gt.json"))
-    assert poses[0][0]["cam_R_m2c"].shape == (3, 3) and poses[0][1]["cam_t_m2c"].shape == (3, 1)
-    assert inout.load_scene_camera(str(scene / "scene_camera.json"))[0]["cam_K"].shape == (3, 3)

@@ -59,10 +59,6 @@ CASES: dict[str, tuple[Joint, Mesh, Mesh, list[float], str]] = {
     "a screen on a foot": (
         hinge((1, 0, 0), (0, 0, 0.6)), CARCASS, box((0.9, 0.04, 0.5), (0, -0.1, 0.7)), [0, -1, 0], "part",
     ),
-    "a wheel on an oblique axis": (
-        hinge(np.array([1, 0, 1]) / np.sqrt(2), (0, 0, 0.3)), CARCASS, box((0.5, 0.5, 0.5), (0.1, 0, 0.3)), [0, -1, 0],
-        "part",
-    ),
 }  # fmt: skip
 
 
@@ -71,8 +67,7 @@ def test_the_front_and_the_role(name: str):
     joint, standing, moving, front, role = CASES[name]
     found = find_front(Z, joint, standing, moving, 1.0)
     assert found @ Z == pytest.approx(0, abs=1e-9) and np.linalg.norm(found) == pytest.approx(1)
-    if "oblique" not in name:
-        assert abs(found @ front) > np.cos(np.radians(1)) and (found @ front > 0 or "upwards" in name)
+    assert abs(found @ front) > np.cos(np.radians(1)) and (found @ front > 0 or "upwards" in name)
     T = se3.inverse(se3.pose(np.stack([found, np.cross(Z, found), Z], -1), np.zeros(3)))
     assert name_role(joint.moved(T), standing.moved(T), moving.moved(T)) == role
 
@@ -143,12 +138,6 @@ def test_gravity_of_what_was_carried_about_is_not_taken_for_up():
     answer, gravity = filmed(np.linspace(-1.0, 1.0, 20))
     assert find_standing_up(answer, gravity) is None
     assert stands(answer, gravity).report["up"]["how"] != "gravity in the recording"
-
-
-def test_up_that_is_given_comes_before_the_recordings_gravity():
-    answer, gravity = filmed(np.zeros(20))
-    placed = stands(answer, gravity, up=(1.0, 0.0, 0.0))
-    assert placed.T_canonical_reference[0, 2] == pytest.approx(1)
 
 
 def test_a_sequence_keeps_gravity_and_refuses_what_is_none(tmp_path: Path):

@@ -110,21 +110,6 @@ def test_what_was_seen_to_be_otherwise_is_not_supposed(turned):
     assert not len(found.points) or (found.points @ behind).max() < 0.01
 
 
-def test_without_a_look_nothing_is_supposed(turned):
-    solid = trimesh.creation.cylinder(radius=0.05, height=0.12)
-    *seen, space = seen_part(solid, lambda p: p[:, 0] > 0.015)
-    space.state[:] = 0
-    assert not len(suppose_by_symmetry(*seen, np.eye(3), space, SPACING).points)
-
-
-def test_beyond_the_space_that_was_looked_at_nothing_is_supposed():
-    solid = trimesh.creation.cylinder(radius=0.05, height=0.12, sections=128)
-    seen, points, normals, space = seen_part(solid, lambda p: p[:, 0] > 0.015)
-    elsewhere = replace(space, T_part_grid=se3.pose(np.eye(3), [9, 9, 9]))
-    assert len(suppose_by_symmetry(seen, points, normals, np.eye(3), space, SPACING).points)
-    assert not len(suppose_by_symmetry(seen, points, normals, np.eye(3), elsewhere, SPACING).points)
-
-
 def test_a_wall_that_is_hardly_bent_is_no_part_of_a_huge_ring(turned):
     """Bent about an axis a kilometre away: a ring of that radius, in steps of the spacing, would not fit in memory."""
     rows, columns = (line.ravel() for line in np.mgrid[-0.1:0.1:41j, -0.1:0.1:41j])

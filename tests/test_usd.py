@@ -14,8 +14,6 @@ from engine_case import write_case
 from export import usd
 from export.check.file_rules import judge_files
 from export.usd import write_usd
-from export.usd_reload import check_usd
-from freeart21 import se3
 from freeart21.effects.armature import Armature
 from freeart21.effects.coulomb_friction import CoulombFriction
 from freeart21.effects.return_spring import ReturnSpring
@@ -38,31 +36,15 @@ def opened(folder: Path):
     return Usd.Stage.Open(str(folder / "object.usdc"))
 
 
-def rigid(position, quaternion) -> np.ndarray:
-    return se3.pose_from_wxyz(np.array(position, float), np.array([quaternion.real, *quaternion.imaginary], float))
-
-
 @needs_usd
 @pytest.mark.parametrize("kind", KINDS)
-def test_numbers_are_those_of_the_urdf_in_the_units_of_usd(tmp_path: Path, kind):
-    from pxr import UsdGeom, UsdPhysics
-
+def test_the_joints_numbers_are_in_the_units_of_usd(tmp_path: Path, kind):
     asset = write_case(tmp_path, kind, EFFECTS)
     stage = opened(tmp_path)
-    assert UsdGeom.GetStageMetersPerUnit(stage) == 1 and UsdGeom.GetStageUpAxis(stage) == "Z"
-    assert UsdPhysics.GetStageKilogramsPerUnit(stage) == 1
-    urdf = read_urdf(asset.urdf)
-    for name, link in urdf.links.items():
-        mass = UsdPhysics.MassAPI(stage.GetPrimAtPath(f"/bob/{name}"))
-        assert mass.GetMassAttr().Get() == pytest.approx(link.inertial.mass)
-        np.testing.assert_allclose(mass.GetCenterOfMassAttr().Get(), link.inertial.centre, atol=1e-7)
-        R = rigid(np.zeros(3), mass.GetPrincipalAxesAttr().Get())[:3, :3]
-        inertia = R @ np.diag(mass.GetDiagonalInertiaAttr().Get()) @ R.T
-        np.testing.assert_allclose(inertia, link.inertial.inertia, atol=1e-6 * np.abs(link.inertial.inertia).max())
+    joint = read_urdf(asset.urdf).joints["hinge"]
     prim = stage.GetPrimAtPath("/bob/hinge")
     axis, degree = ("angular", np.pi / 180) if kind == "revolute" else ("linear", 1.0)
     attributes = {a.GetName(): a.Get() for a in prim.GetAttributes()}
-    joint = urdf.joints["hinge"]
     expected = {
         "physics:lowerLimit": joint.lower / degree,
         "physics:upperLimit": joint.upper / degree,
@@ -126,17 +108,17 @@ def _turn_inertia(stage) -> None:
 
 EDITS: dict[str, tuple[Callable, str]] = {
     "rad where USD counts degrees": (_set("hinge", "physics:upperLimit", 2.5), "limits joint 'hinge'"),
-    "axis": (_set("hinge", "physics:axis", "Y"), "moves joint 'hinge'"),
-    "pivot": (_set("hinge", "physics:localPos0", (0.15, 0.02, 0.11)), "moves joint 'hinge'"),
-    "mass": (_set("moving", "physics:mass", 500.0), "gives 'moving' the mass"),
-    "inertia": (_turn_inertia, "gives 'moving' the inertia"),
+    "axis": (_set("hinge", "physics:axis", "Y"), "puts 'moving'"),
+    "pivot": (_set("hinge", "physics:localPos0", (0.15, 0.02, 0.11)), "puts 'moving'"),
+    "mass": (_set("moving", "physics:mass", 500.0), "gives 'moving' another mass"),
+    "inertia": (_turn_inertia, "gives 'moving' another mass, centre or inertia"),
     "place": (_set("moving", "xformOp:translate", (0.0, 0.0, 0.0)), "puts 'moving'"),
     "sides": (
         lambda stage: stage.GetPrimAtPath("/bob/hinge").GetRelationship("physics:body1").SetTargets(["/bob/reference"]),
-        "has joint 'hinge' on ['reference']",
+        "has joint 'hinge' between 'reference' and 'reference'",
     ),
     "units": (lambda stage: stage.SetMetadata("metersPerUnit", 0.01), "counts in 0.01 m"),
-    "no joint": (lambda stage: stage.RemovePrim("/bob/hinge"), "has no joint 'hinge'"),
+    "no joint": (lambda stage: stage.RemovePrim("/bob/hinge"), "has no revolute joint 'hinge'"),
     "another layer": (
         lambda stage: stage.GetRootLayer().subLayerPaths.append("/etc/passwd"),
         "names /etc/passwd",
@@ -155,8 +137,7 @@ def said_of_usd(folder: Path) -> tuple[str, str]:
 @pytest.mark.parametrize("base", ["free", "fixed"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_layer_read_back_says_what_the_urdf_says(tmp_path: Path, kind, base):
-    asset = write_case(tmp_path, kind, EFFECTS, base)
-    assert list(check_usd(tmp_path / "object.usdc", asset)) == []
+    write_case(tmp_path, kind, EFFECTS, base)
     assert said_of_usd(tmp_path) == ("pass", "")
 
 

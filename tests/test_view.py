@@ -88,7 +88,7 @@ KINDS = {
     "failed": ("segmentation", "only one part &lt;moves&gt;"),
     "asset": ("viscous_damping (coefficient 0.02 N m s/rad)", "2.5 kg", "3 N m", "2, 1, 3", "by hand"),
     "chair.ply": ("80 Gaussians", "Of the moving part"),
-    "data": ("Summary of 1 sequence, 6 frames", "Viewpoints covered"),
+    "data": ("1 sequence", "6 frames", "Viewpoints covered"),
 }
 """Every kind of page, with words that it has."""
 COLOURED = """() => {

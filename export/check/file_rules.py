@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -23,11 +22,8 @@ from export.checklist import UNREADABLE, Files, Finding, Shapes, check_urdf, loa
 from export.contact import is_closed
 from export.inertia import find_unphysical
 from export.stated_trust import read_stated_trust
-from export.usd_reload import RULE as USD_RULE
-from export.usd_reload import check_usd
 from freeart21 import se3
 from freeart21.errors import FreeArtError
-from freeart21.files.asset import read_asset
 from freeart21.files.asset_copy import list_mjcf_files
 from freeart21.files.urdf import Urdf, read_urdf, read_urdf_parts
 from freeart21.files.urdf_files import resolve_file
@@ -80,7 +76,7 @@ def judge_files(
     except FreeArtError as error:
         findings.append(Finding(UNREADABLE, str(error)))
         facts["blocked"] = f"{UNREADABLE} fails"
-        skipped = dict.fromkeys((*LAST_RULES, "dynamics.damped", USD_RULE, "stands.on-ground"), facts["blocked"])
+        skipped = dict.fromkeys((*LAST_RULES, "dynamics.damped", "stands.on-ground"), facts["blocked"])
         yield from make_rows(findings, skipped, rows)
         return
     findings += _check_damping(tree)
@@ -88,8 +84,6 @@ def judge_files(
     skipped = {}
     findings += _check_ground(tree, touched, facts, skipped)
     facts["blocked"] = "" if not stop else facts["blocked"]
-    say(USD_RULE)
-    rows.append(_judge_usd(urdf))
     yield from (row for row in make_rows(findings, skipped, rows) if row.rule not in LAST_RULES)
     say("parts.clear")  # may take long
     findings = [f for f in findings if f.rule in ("mesh.readable", "inertia.physical")]
@@ -100,7 +94,7 @@ def judge_files(
         say(CONTACT)
         rows.append(judge_contact(seen, touched, folder))
         say(CONSISTENCY_RULES[0])
-        rows += judge_consistency(urdf, mjcf, tree, seen)
+        rows += judge_consistency(urdf, seen)
     yield from (row for row in make_rows(findings, skipped, rows) if row.rule in LAST_RULES)
 
 
@@ -138,20 +132,6 @@ def _judge_trust(urdf: Path | None, mjcf: Path | None) -> Row:
     if trust is None:
         return Row(TRUST, "file", "skip", "the asset states no trust in its reconstruction")
     return Row(TRUST, "file", "pass" if trust.verdict == "sound" else "fail", describe_trust(trust))
-
-
-def _judge_usd(urdf: Path) -> Row:
-    """Whether the USD layer of one of our assets agrees with its URDF."""
-    layer = urdf.with_suffix(".usdc")
-    if not (urdf.parent / "asset.json").is_file() or not layer.exists():
-        return Row(USD_RULE, "file", "skip", "there is no USD written by `export`")
-    if importlib.util.find_spec("pxr") is None:
-        return Row(USD_RULE, "file", "skip", f"{layer.name} was not read: usd-core is not installed")
-    try:
-        found = [finding.detail for finding in check_usd(layer, read_asset(urdf.parent))]
-    except FreeArtError as error:
-        found = [str(error)]
-    return Row(USD_RULE, "file", "fail" if found else "pass", "; ".join(found[:_MAX_SHOWN]))
 
 
 def _check_visuals(urdf: Urdf, files: Files, seen: dict[str, Shapes]) -> Iterator[Finding]:

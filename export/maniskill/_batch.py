@@ -291,13 +291,6 @@ class JointBatch:
 
     # --- one step -----------------------------------------------------------------------------------------------------
 
-    def step(self) -> None:
-        """Advance by `timestep_s` joints that nothing touches; the engine's part is `free_velocity`."""
-        n = self.substeps
-        for _ in range(n):
-            kick = self.before_engine(self.timestep_s / n)
-            self.after_engine(self.free_velocity(kick, self.timestep_s / n), self.timestep_s / n)
-
     def before_engine(self, h: float) -> Kick:
         """First half of a substep of `h` s: where an engine puts the joints, and what acts."""
         low, high = torch.minimum(self.lower, self.q), torch.maximum(self.upper, self.q)
@@ -312,12 +305,6 @@ class JointBatch:
         z = (-self._damping_slope(q, qd)).clamp(min=0.0) * h / inertia
         inverse_phi1 = torch.where(z > 1e-9, z / -torch.expm1(-z.clamp(min=1e-9)), torch.ones_like(z))
         return Kick(q, effects + motor, friction, inertia * inverse_phi1 - self.joint_inertia)
-
-    def free_velocity(self, kick: Kick, h: float) -> Tensor:
-        """(n,) velocities after `h` s of joints that nothing touches: gravity, the kick's force, Coulomb friction."""
-        inertia = self.joint_inertia + kick.armature
-        free = self.qd + h * (self.gravity_force(kick.q) + kick.force) / inertia
-        return torch.sign(free) * (free.abs() - h * kick.friction / inertia).clamp(min=0.0)
 
     def after_engine(self, qd: Tensor, h: float) -> None:
         """Second half of a substep: move the joints by the engine's new velocities (n,); limits and slack act."""

@@ -73,14 +73,6 @@ class Body:
         self._history.clear()
         self._note()
 
-    def fetch(self) -> None:
-        """Read the state that was set in the engine."""
-        articulation = self.simulated.articulation
-        self.simulated.set_state(float(articulation.qpos[0]), float(articulation.qvel[0]))
-        self.simulated.update_gravity()
-        self._history.clear()
-        self._note()
-
     @property
     def q(self) -> float:
         """Position of the joint, rad or m."""
@@ -90,14 +82,6 @@ class Body:
     def qd(self) -> float:
         """Velocity of the joint, rad/s or m/s."""
         return self.simulated.state()[1]
-
-    @property
-    def q_measured(self) -> float:
-        """Reading of a sensor with the asset's sensing effects."""
-        if not self._senses:
-            return self.q
-        times, q = np.array(self._history).T
-        return float(readings(self.simulated.effects, times, q)[-1])
 
     @property
     def root_pose(self) -> Array:
@@ -111,12 +95,6 @@ class Body:
         if mesh is None or not len(mesh.vertices):
             raise FreeArtError(f"{self.simulated.asset.urdf} has no collision shapes, expected some")
         return np.asarray(mesh.bounds, float)
-
-    def moving_centre(self) -> Array:
-        """(3,) centre of mass of the moving part, world frame, m."""
-        masses = np.array([link.mass for link in self.moving])
-        centres = np.array([(link.entity_pose * link.cmass_local_pose).p for link in self.moving], float)
-        return np.asarray(masses @ centres / masses.sum())
 
     # what the environments ask of any number of bodies n, here 1; see `_body_batch.BodyBatch`
 
@@ -152,12 +130,17 @@ class Body:
         return torch.tensor([[self.q], [self.qd]], dtype=torch.float32)
 
     def measured(self) -> torch.Tensor:
-        """(n,) float32: `q_measured`."""
-        return torch.tensor([self.q_measured], dtype=torch.float32)
+        """(n,) float32: reading of a sensor with the asset's sensing effects."""
+        if not self._senses:
+            return self.states()[0]
+        times, q = np.array(self._history).T
+        return torch.tensor([float(readings(self.simulated.effects, times, q)[-1])], dtype=torch.float32)
 
     def centres(self) -> torch.Tensor:
-        """(n, 3) float32: `moving_centre`."""
-        return torch.from_numpy(self.moving_centre()[None].astype(np.float32))
+        """(n, 3) float32 centre of mass of the moving part, world frame, m."""
+        masses = np.array([link.mass for link in self.moving])
+        centres = np.array([(link.entity_pose * link.cmass_local_pose).p for link in self.moving], float)
+        return torch.from_numpy((masses @ centres / masses.sum())[None].astype(np.float32))
 
     def root_poses(self) -> Array:
         """(n, 4, 4): `root_pose`."""
@@ -177,8 +160,12 @@ class Body:
         self.put(float(q[0]), T_world_root[0])
 
     def read(self, rows: torch.Tensor) -> None:
-        """`fetch` in the environments `rows` (m,)."""
-        self.fetch()
+        """Take the state that was set in the engine."""
+        articulation = self.simulated.articulation
+        self.simulated.set_state(float(articulation.qpos[0]), float(articulation.qvel[0]))
+        self.simulated.update_gravity()
+        self._history.clear()
+        self._note()
 
     def part_ids(self) -> torch.Tensor:
         """(n, links, 2) int16: id in segmentation images, and 1 for the parent's side or 2 for the moving side."""

@@ -37,10 +37,6 @@ class Hand:
         self._motions: list[CarriedMotion | None] = [None] * body.n
         self._targets = np.tile(np.eye(4), (body.n, 1, 1))
 
-    @property
-    def _motion(self) -> CarriedMotion | None:
-        return self._motions[0]
-
     def follow(self, rows: Iterable[int], motions: Sequence[CarriedMotion]) -> None:
         """In the environments `rows` (m,) follow `motions` (m,) from now on; their times are the body's clocks."""
         for i, motion in zip(rows, motions, strict=True):

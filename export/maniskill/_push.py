@@ -62,7 +62,7 @@ class PushPolicy:
             urdf = self._body.simulated.asset.urdf
             raise FreeArtError(f"{urdf}: no face to push the joint by can be reached from outside")
         if self._joint.type == "prismatic":
-            middle = self._body.moving_centre()
+            middle = self._body.centres()[0].numpy().astype(float)
             best = found[np.argmin(np.linalg.norm(np.cross(points[found] - middle, self._joint.axis), axis=1))]
         else:
             best = found[np.argmax(lever[found])]

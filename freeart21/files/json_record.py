@@ -34,21 +34,27 @@ def read_record(kind: type[_T], data: Any, where: str, whole: bool = False) -> _
             raise FreeArtError(f"{where} lacks '{name}', expected {', '.join(known)}")
     hints = get_type_hints(kind)
     return kind(
-        **{name: _read_value(hints[name], value, f"{where}: '{name}'") for name, value in data.items() if name in known}
+        **{
+            name: _read_value(hints[name], value, f"{where}: '{name}'", whole)
+            for name, value in data.items()
+            if name in known
+        }
     )
 
 
-def _read_value(hint: Any, value: Any, where: str) -> Any:
+def _read_value(hint: Any, value: Any, where: str, whole: bool) -> Any:
     """`value` as the type `hint`; FreeArtError, which begins with `where`."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
-        return None if value is None else _read_value(_not_none(inner), value, where)
+        return None if value is None else _read_value(_not_none(inner), value, where, whole)
     if is_dataclass(hint):
-        return read_record(hint, value, where, whole=True)  # type: ignore[arg-type]
+        return read_record(hint, value, where, whole)  # type: ignore[arg-type]
     if origin is tuple and isinstance(value, list) and (inner[-1] is ... or len(value) == len(inner)):
-        return tuple(_read_value(inner[0], entry, f"{where}, entry {k}") for k, entry in enumerate(value))
+        return tuple(_read_value(inner[0], entry, f"{where}, entry {k}", whole) for k, entry in enumerate(value))
     if origin is dict and isinstance(value, dict):
-        return {key: _read_value(inner[1], entry, f"{where}: {checked.shorten(key)}") for key, entry in value.items()}
+        return {
+            key: _read_value(inner[1], entry, f"{where}: {checked.shorten(key)}", whole) for key, entry in value.items()
+        }
     if hint is Any or (origin is Literal and value in inner):
         return value
     if hint is float and checked.is_number(value):

@@ -14,7 +14,7 @@ from pathlib import Path
 from freeart21.files import checked
 from freeart21.formats.rgbd_folder import has_pictures, read_rgbd_folder
 from freeart21.formats.rgbd_video import HALF_PIXEL, Lens
-from freeart21.formats.third_party import ReadOptions, RecordingLayout, ThirdPartyRecording, find_recordings
+from freeart21.formats.third_party import ReadOptions, RecordingLayout, ThirdPartyRecording
 
 DEPTH_UNIT = 1 / 6553.5
 
@@ -34,8 +34,6 @@ LAYOUT = RecordingLayout(
     "articulat3d",
     1,
     "images/, depth/, intrinsics.json",
-    lambda source: find_recordings(
-        source, lambda folder: checked.is_there(folder / "intrinsics.json") and has_pictures(folder), ("*",)
-    ),
+    lambda folder: checked.is_there(folder / "intrinsics.json") and has_pictures(folder),
     read_articulat3d,
 )

@@ -16,8 +16,8 @@ from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.formats import third_party
-from freeart21.formats.rgbd_video import MAX_DIFFERENCE_S, Lens, Picture, RgbdVideo, align_video, pair_times
-from freeart21.formats.third_party import ReadOptions, RecordingLayout, ThirdPartyRecording, find_recordings
+from freeart21.formats.rgbd_video import Lens, Picture, RgbdVideo, align_video, pair_streams
+from freeart21.formats.third_party import ReadOptions, RecordingLayout, ThirdPartyRecording
 from freeart21.formats.video_file import VideoFile, VideoTrack
 from freeart21.se3 import Array
 
@@ -59,9 +59,7 @@ def read_azure_kinect(source: Path, options: ReadOptions) -> ThirdPartyRecording
     colour, depth = (VideoTrack(file, file.titles[name]) for name in ("COLOR", "DEPTH"))
     lens, T_colour = _read_camera(cameras, _COLOUR, colour, where)
     depth_lens, T_depth = _read_camera(cameras, _DEPTH, depth, where)
-    colours, depths = pair_times(colour.times_s, depth.times_s)
-    if not len(colours):
-        raise FreeArtError(f"{source}: no colours have depth within {1e3 * MAX_DIFFERENCE_S:g} ms")
+    colours, depths, times, notes = pair_streams(source, colour.times_s, depth.times_s)
 
     def load(index: int) -> Picture:
         raw = depth.read(int(depths[index]))
@@ -69,17 +67,14 @@ def read_azure_kinect(source: Path, options: ReadOptions) -> ThirdPartyRecording
             raise FreeArtError(f"{source}: track DEPTH has pixels {raw.shape} {raw.dtype}, expected 16 bits")
         return Picture(colour.read(int(colours[index]), "rgb24"), raw.astype(np.float32) / np.float32(1000))
 
-    lost = len(colour) - len(colours)
-    note = f"{lost} of {len(colour)} colours have no depth within {1e3 * MAX_DIFFERENCE_S:g} ms, and are left out"
-    times = colour.times_s[colours]
     video = RgbdVideo(
         third_party.safe_name(source.resolve().stem),
-        times - times[0],
+        times,
         load,
         lens,
         depth_lens,
         T_colour @ se3.inverse(T_depth),
-        notes=(note,) if lost else (),
+        notes=notes,
     )
     return align_video(video, options)
 
@@ -122,6 +117,6 @@ LAYOUT = RecordingLayout(
     "azure",
     1,
     "an .mkv file of an Azure Kinect or Femto Bolt",
-    lambda source: find_recordings(source, lambda path: path.is_file() and path.suffix.lower() == ".mkv", ("*",)),
+    lambda path: path.is_file() and path.suffix.lower() == ".mkv",
     read_azure_kinect,
 )

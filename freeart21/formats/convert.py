@@ -70,7 +70,7 @@ def find_sources(source: Path, layout: str | None = None) -> list[tuple[Recordin
     if not source.exists():
         raise FreeArtError(f"{source} is missing")
     for kind in known.values() if layout is None else (known[layout],):
-        found = list(kind.find(source))
+        found = kind.find(source)
         if found:
             return [(kind, folder) for folder in found]
     if layout is not None:

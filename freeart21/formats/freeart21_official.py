@@ -39,7 +39,6 @@ from freeart21.formats.third_party import (
     Progress,
     RecordingLayout,
     ThirdPartyRecording,
-    find_recordings,
 )
 from freeart21.recording import Frame, Recording
 from freeart21.se3 import Array
@@ -387,7 +386,8 @@ LAYOUT = RecordingLayout(
     "official",
     2,
     "rgb/, depth/*.npz and cam_K.txt",
-    lambda source: find_recordings(source, is_example, ("examples/*", "*")),
+    is_example,
     lambda folder, options: read_example(folder),
+    ("examples/*", "*"),
     _objects,
 )

@@ -13,7 +13,6 @@ from freeart21.formats.third_party import (
     RecordingLayout,
     ThirdPartyRecording,
     find_object_folder,
-    find_recordings,
 )
 
 
@@ -40,9 +39,8 @@ LAYOUT = RecordingLayout(
     "native",
     0,
     "sequence.json",
-    lambda source: find_recordings(
-        source, lambda folder: checked.is_there(folder / "sequence.json"), ("sequences/*", "*")
-    ),
+    lambda folder: checked.is_there(folder / "sequence.json"),
     _read,
+    ("sequences/*", "*"),
     object_folder=_object_folder,
 )

@@ -9,7 +9,6 @@ inertia * q * w'', so that no noise is differentiated.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -37,16 +36,9 @@ _PARTS = 8
 """Windows last at most a run over this number, also where the motion drifts instead of swinging."""
 
 
-@dataclass(frozen=True)
-class RawMotion:
-    """One run, with positions in an unknown unit."""
-
-    times_s: Array
-    """(n,) s, increasing."""
-    q: Array
-    """(n,) position from the joint's zero, in the unknown unit; NaN where there is none."""
-    effort: Array | None
-    """(n,) N*m or N on the joint; None for none."""
+Motion = tuple[Array, Array, Array | None]
+"""Times (n,), s, increasing; positions (n,) from the joint's zero in an unknown unit, NaN where there is none; and
+efforts (n,) on the joint, N*m or N, None for none."""
 
 
 def joint_mechanics(asset: Asset, gravity: Array) -> JointMechanics | None:
@@ -76,12 +68,12 @@ def joint_mechanics(asset: Asset, gravity: Array) -> JointMechanics | None:
     return JointMechanics(joint, sum(body[0] for body in bodies), inertia, moment, gravity)
 
 
-def unit_by_motion(mechanics: JointMechanics, runs: Sequence[RawMotion], scales: dict[str, float]) -> str | None:
+def unit_by_motion(mechanics: JointMechanics, runs: Sequence[Motion], scales: dict[str, float]) -> str | None:
     """The unit in which the asset's equation of motion holds; None when none does, or several do.
 
     `scales` maps units to rad or m.
     """
-    windows = [window for run in runs for window in _windows(run)]
+    windows = [window for run in runs for window in _windows(*run)]
     windows = windows[:: max(1, -(-len(windows) // _MOST_WINDOWS))]
     if len(windows) < LEAST_WINDOWS:
         return None
@@ -96,21 +88,17 @@ def unit_by_motion(mechanics: JointMechanics, runs: Sequence[RawMotion], scales:
     return order[0] if order else None
 
 
-def _windows(run: RawMotion) -> list[RawMotion]:
-    """Stretches of a run of at most half a swing each, overlapping by half."""
-    good = np.isfinite(run.q) if run.effort is None else np.isfinite(run.q) & np.isfinite(run.effort)
-    t, q = run.times_s[good], run.q[good]
-    effort = None if run.effort is None else run.effort[good]
-    if len(t) < 2 * _SAMPLES:
+def _windows(t: Array, q: Array, effort: Array | None) -> list[tuple[Array, Array, Array]]:
+    """Stretches of a run of at most half a swing each, overlapping by half, of times, positions and efforts."""
+    table = np.stack([t, q, np.zeros(len(t)) if effort is None else effort])
+    table = table[:, np.isfinite(table).all(0)]
+    n = table.shape[1]
+    if n < 2 * _SAMPLES:
         return []
-    middle = q - np.median(q)
+    middle = table[1] - np.median(table[1])
     crossings = max(1, int(np.count_nonzero(np.diff(np.sign(_smooth(middle))))))
-    length = int(np.clip(len(t) // crossings, _SAMPLES, max(_SAMPLES, len(t) // _PARTS)))
-    begins = range(0, len(t) - length + 1, max(1, length // 2))
-    return [
-        RawMotion(t[a : a + length], q[a : a + length], None if effort is None else effort[a : a + length])
-        for a in begins
-    ]
+    length = int(np.clip(n // crossings, _SAMPLES, max(_SAMPLES, n // _PARTS)))
+    return [tuple(table[:, a : a + length]) for a in range(0, n - length + 1, max(1, length // 2))]
 
 
 def _smooth(q: Array, width: int = 5) -> Array:
@@ -118,25 +106,25 @@ def _smooth(q: Array, width: int = 5) -> Array:
     return np.convolve(np.pad(q, width // 2, mode="edge"), np.full(width, 1 / width), "valid")
 
 
-def _fit_inertia(mechanics: JointMechanics, windows: list[RawMotion], scale: float) -> tuple[float, float, float]:
+def _fit_inertia(
+    mechanics: JointMechanics, windows: list[tuple[Array, Array, Array]], scale: float
+) -> tuple[float, float, float]:
     """The fitted inertia over the asset's, its standard error, and the residual sum of squares over that of the forces.
 
     Viscous and dry friction are fitted, too, and must be dissipative.
     """
     rows, forces = [], []
-    for run in windows:
-        span = run.times_s[-1] - run.times_s[0]
-        phase = np.pi * (run.times_s - run.times_s[0]) / span
-        s, c, rate = np.sin(phase), np.cos(phase), np.pi / span
+    for t, raw, effort in windows:
+        rate = np.pi / (t[-1] - t[0])
+        s, c = np.sin(rate * (t - t[0])), np.cos(rate * (t - t[0]))
         w, dw, ddw = s**4, 4 * rate * s**3 * c, 4 * rate**2 * (3 * s**2 * c**2 - s**4)
-        q = scale * run.q
-        known = mechanics.gravity_force(q) + (0.0 if run.effort is None else run.effort)
+        q = scale * raw
         off = q - q.mean()
-        turning = np.sign(np.gradient(_smooth(q), run.times_s))
-        terms = (mechanics.inertia * off * ddw, -off * dw, turning * w, known * w)
-        sums = [float(np.trapezoid(term, run.times_s)) for term in terms]
-        rows.append(sums[:3])
-        forces.append(sums[3])
+        turning = np.sign(np.gradient(_smooth(q), t))
+        terms = (mechanics.inertia * off * ddw, -off * dw, turning * w, (mechanics.gravity_force(q) + effort) * w)
+        *row, force = (float(np.trapezoid(term, t)) for term in terms)
+        rows.append(row)
+        forces.append(force)
     columns, y = np.array(rows), np.array(forces)
     if not np.any(y):
         return 0.0, np.inf, np.inf

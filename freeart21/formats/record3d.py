@@ -41,7 +41,6 @@ from freeart21.formats.third_party import (
     ReadOptions,
     RecordingLayout,
     ThirdPartyRecording,
-    find_recordings,
 )
 from freeart21.se3 import Array
 
@@ -262,9 +261,5 @@ def _is_record3d(path: Path) -> bool:
 
 
 LAYOUT = RecordingLayout(
-    "record3d",
-    1,
-    "an .r3d file, or metadata and rgbd/ (or rgb/ and depth/*.exr)",
-    lambda source: find_recordings(source, _is_record3d, ("*",)),
-    read_record3d,
+    "record3d", 1, "an .r3d file, or metadata and rgbd/ (or rgb/ and depth/*.exr)", _is_record3d, read_record3d
 )

@@ -42,7 +42,7 @@ from freeart21.formats.rgbd_video import (
     turn_intrinsics,
     turn_pixels,
 )
-from freeart21.formats.third_party import DEFAULTS, ReadOptions, RecordingLayout, ThirdPartyRecording, find_recordings
+from freeart21.formats.third_party import DEFAULTS, ReadOptions, RecordingLayout, ThirdPartyRecording
 from freeart21.recording import Frame
 from freeart21.se3 import Array
 
@@ -349,6 +349,6 @@ LAYOUT = RecordingLayout(
     "rgbd",
     1,
     "rgb/ or color/, depth/*.png, masks/ and cam_K.txt or camera_intrinsic.json",
-    lambda source: find_recordings(source, is_rgbd_folder, ("*",)),
+    is_rgbd_folder,
     read_rgbd_folder,
 )

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import importlib
 import io
+import itertools
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
@@ -210,6 +211,39 @@ def pair_times(colour_s: Array, depth_s: Array) -> tuple[NDArray[np.int64], NDAr
     chosen = np.sort(order[first])
     chosen = chosen[difference[chosen] < MAX_DIFFERENCE_S]
     return chosen, nearest[chosen]
+
+
+def pair_streams(
+    source: Path, colour_s: Array, depth_s: Array
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, tuple[str, ...]]:
+    """Indices of colours and depth of each frame as `pair_times` gives them, for times (n,), (m,) in any order.
+
+    Then the frames' seconds from the first, and a note of what is left out. Raises FreeArtError when nothing is paired.
+    """
+    orders = [np.argsort(times, kind="stable") for times in (colour_s, depth_s)]
+    pairs = pair_times(colour_s[orders[0]], depth_s[orders[1]])
+    colours, depths = (order[pair] for order, pair in zip(orders, pairs, strict=True))
+    within = f"within {1e3 * MAX_DIFFERENCE_S:g} ms"
+    if not len(colours):
+        raise FreeArtError(f"{source}: no colours have depth {within}")
+    lost = len(colour_s) - len(colours)
+    note = f"{lost} of {len(colour_s)} colours have no depth {within}, and are left out"
+    return colours, depths, colour_s[colours] - colour_s[colours[0]], (note,) if lost else ()
+
+
+class InOrder:
+    """Entries of a stream by index; by rising index it is read once. `start` gives a new iterator over all."""
+
+    def __init__(self, start: Callable[[], Iterator[Any]]):
+        self._start, self._next = start, 0
+        self._entries: Iterator[Any] = iter(())
+
+    def read(self, index: int) -> Any:
+        """Entry `index`; None after the last."""
+        if index < self._next or not self._next:
+            self._entries, self._next = self._start(), 0
+        ahead, self._next = index - self._next, index + 1
+        return next(itertools.islice(self._entries, ahead, None), None)
 
 
 def masks_in_order(folder: Path, count: int) -> Callable[[int], Mask]:

@@ -9,8 +9,7 @@ The types are those of ROS: no definition of the file is used. Infrared pictures
 from __future__ import annotations
 
 import bz2
-import io
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.formats import third_party
 from freeart21.formats.rgbd_video import (
-    MAX_DIFFERENCE_S,
+    InOrder,
     Lens,
     Picture,
     RgbdVideo,
@@ -32,14 +31,13 @@ from freeart21.formats.rgbd_video import (
     fit_forward_distortion,
     import_extra,
     intrinsics,
-    pair_times,
+    pair_streams,
 )
 from freeart21.formats.third_party import (
     MAX_FRAMES,
     ReadOptions,
     RecordingLayout,
     ThirdPartyRecording,
-    find_recordings,
 )
 from freeart21.se3 import Array
 
@@ -49,6 +47,7 @@ MAX_CHUNK_BYTES = 256 << 20
 _PICTURES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _INFO, _TRANSFORM, _TREE = "sensor_msgs/msg/CameraInfo", "geometry_msgs/msg/Transform", "tf2_msgs/msg/TFMessage"
 _UNIT = "std_msgs/msg/Float32"
+_KINDS = (*_PICTURES, _INFO, _TRANSFORM, _TREE, _UNIT)
 _DEPTH_ENCODINGS = {"16uc1": np.uint16, "mono16": np.uint16, "z16": np.uint16, "32fc1": np.float32}
 _COLOUR_ENCODINGS = {"rgb8": None, "bgr8": cv2.COLOR_BGR2RGB, "rgba8": cv2.COLOR_RGBA2RGB, "bgra8": cv2.COLOR_BGRA2RGB}
 _FORWARD = ("plumb bob", "rational polynomial", "brown conrady")
@@ -66,34 +65,24 @@ def read_ros_log(source: Path, options: ReadOptions) -> ThirdPartyRecording:
     aligned = "aligned" in depth or seen.frames[depth] == seen.frames[colour] != ""
     T = np.eye(4) if aligned else seen.find_transform(colour, depth)
     colour_s, depth_s = (np.array(seen.times_ns[topic], float) / 1e9 for topic in (colour, depth))
-    orders = [np.argsort(times, kind="stable") for times in (colour_s, depth_s)]
-    pairs = pair_times(colour_s[orders[0]], depth_s[orders[1]])
-    if not len(pairs[0]):
-        raise FreeArtError(f"{source}: no colours have depth within {1e3 * MAX_DIFFERENCE_S:g} ms")
-    colours, depths = (order[pair] for order, pair in zip(orders, pairs, strict=True))
-    colour_of, depth_of = _Topic(source, colour), _Topic(source, depth)
+    colours, depths, times, notes = pair_streams(source, colour_s, depth_s)
+    colour_of, depth_of = (InOrder(partial(read_messages, source, topic)) for topic in (colour, depth))
 
     def load(index: int) -> Picture:
-        rgb = _decode_colours(colour_of.read(int(colours[index])), f"{source}: {colour}")
-        raw = _decode_depth(depth_of.read(int(depths[index])), f"{source}: {depth}")
+        rgb = _decode_colours(colour_of.read(int(colours[index]))[3], f"{source}: {colour}")
+        raw = _decode_depth(depth_of.read(int(depths[index]))[3], f"{source}: {depth}")
         if raw.dtype == np.uint16:
             raw = np.where(raw < 65535, raw, 0).astype(np.float32) * np.float32(seen.depth_unit)
         return Picture(rgb, raw.astype(np.float32))
 
-    times = colour_s[colours]
-    lost = len(colour_s) - len(colours)
-    notes = (
-        f"colours are {colour}, depth is {depth}",
-        *((f"{lost} of {len(colour_s)} colours have no depth in time, and are left out",) if lost else ()),
-    )
     video = RgbdVideo(
         third_party.safe_name(source.resolve().stem),
-        times - times[0],
+        times,
         load,
         lens,
         None if aligned else seen.read_lens(depth),
         T,
-        notes=notes,
+        notes=(f"colours are {colour}, depth is {depth}", *notes),
     )
     return align_video(video, options)
 
@@ -208,98 +197,39 @@ class _Contents:
         return reached[self.frames[colour]]
 
 
-class _Topic:
-    """Messages of one topic by their place in the log; by rising index they are read once."""
-
-    def __init__(self, source: Path, topic: str):
-        self._source, self._topic, self._next = source, topic, 0
-        self._messages: Iterator[Message] | None = None
-
-    def read(self, index: int) -> Any:
-        if self._messages is None or index < self._next:
-            self._messages, self._next = read_messages(self._source, self._topic), 0
-        for _, _, _, message in self._messages:
-            self._next += 1
-            if self._next > index:
-                return message
-        raise FreeArtError(f"{self._source}: {self._topic} ends before message {index}")
-
-
 def read_messages(source: Path, topic: str | None = None) -> Iterator[Message]:
-    """The messages of the types read here, in the order of the file; of `topic` alone when it is given."""
+    """The messages of the types read here, by time; of `topic` alone when it is given."""
     checked.require_file(source, MAX_LOG_BYTES, checked.ANYWHERE)
     typesys = import_extra("rosbags.typesys", str(source))
+    bags, logs = import_extra("rosbags.rosbag1", str(source)), import_extra("rosbags.rosbag2", str(source))
     is_bag = source.suffix.lower() == ".bag"
     store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC if is_bag else typesys.Stores.ROS2_HUMBLE)
     if _TREE not in store.types:
         store.register(typesys.get_types_from_msg("geometry_msgs/TransformStamped[] transforms", _TREE))
     decode = store.deserialize_ros1 if is_bag else store.deserialize_cdr
+    lz4 = import_extra("lz4.frame", str(source)).LZ4FrameDecompressor
+    bags.reader.decompressors.update(bz2=_bounded(bz2.BZ2Decompressor), lz4=_bounded(lz4))
+    mcap = import_extra("rosbags.rosbag2.storage_mcap", str(source))
+    mcap.DECOMPRESSORS.update(lz4=_bounded(lz4), zstd=_bounded(mcap.zstd.ZstdDecompressor))
     try:
-        for name, kind, time_ns, data in (_bag_records if is_bag else _mcap_records)(source, topic):
-            if kind in (*_PICTURES, _INFO, _TRANSFORM, _TREE, _UNIT):
-                yield name, kind, time_ns, decode(data, kind)
-    except FreeArtError:
-        raise
-    except Exception as error:  # the libraries raise what they like on broken files
+        with (bags if is_bag else logs).Reader(source) as reader:
+            known = [one for one in reader.connections if one.msgtype in _KINDS and topic in (None, one.topic)]
+            for one, time_ns, data in reader.messages(known) if known else ():
+                yield one.topic, one.msgtype, time_ns, decode(data, one.msgtype)
+    except Exception as error:  # the library raises what it likes on broken files
         raise FreeArtError(f"{source} is not a readable log: {type(error).__name__} {str(error)[:120]}") from error
 
 
-def _bag_records(source: Path, topic: str | None) -> Iterator[tuple[str, str, int, bytes]]:
-    rosbag1 = import_extra("rosbags.rosbag1", str(source))
-    with rosbag1.Reader(source) as reader:
-        for at, chunk in reader.chunks.items():
-            kind = getattr(chunk.decompressor, "__module__", "")
-            for name in ("bz2", "lz4"):
-                if name in kind:
-                    reader.chunks[at] = chunk._replace(decompressor=partial(_unpack, name))
-        chosen = [one for one in reader.connections if topic in (None, one.topic)]
-        if chosen:
-            for connection, time_ns, data in reader.messages(chosen):
-                yield connection.topic, connection.msgtype, time_ns, data
+def _bounded(unpacker: Callable[[], Any]) -> Callable[..., bytes]:
+    """A function of packed bytes that unpacks at most MAX_CHUNK_BYTES: the library's own have no limit."""
 
+    def unpack(data: bytes, size: int = 0) -> bytes:
+        found: bytes = unpacker().decompress(data, MAX_CHUNK_BYTES + 1)
+        if len(found) > MAX_CHUNK_BYTES:
+            raise ValueError(f"a chunk unpacks to more than {MAX_CHUNK_BYTES} bytes")
+        return found
 
-def _mcap_records(source: Path, topic: str | None) -> Iterator[tuple[str, str, int, bytes]]:
-    reader, records = import_extra("mcap.stream_reader", str(source)), import_extra("mcap.records", str(source))
-    schemas: dict[int, str] = {}
-    channels: dict[int, tuple[str, str]] = {}
-
-    def walk(stream: Any, inside: bool) -> Iterator[tuple[str, str, int, bytes]]:
-        if inside:
-            found = reader.breakup_chunk(stream)
-        else:
-            found = reader.StreamReader(stream, emit_chunks=True, record_size_limit=MAX_CHUNK_BYTES).records
-        for record in found:
-            if isinstance(record, records.Chunk) and not inside:
-                record.data, record.compression = _unpack(record.compression, record.data), ""
-                yield from walk(record, True)
-            elif isinstance(record, records.Schema):
-                schemas[record.id] = record.name
-            elif isinstance(record, records.Channel):
-                kind = schemas.get(record.schema_id, "") if record.message_encoding == "cdr" else ""
-                channels[record.id] = (record.topic, kind)
-            elif isinstance(record, records.Message) and record.channel_id in channels:
-                name, kind = channels[record.channel_id]
-                if topic in (None, name):
-                    yield name, kind, record.log_time, record.data
-
-    with checked.open_file(source, MAX_LOG_BYTES, checked.ANYWHERE) as file:
-        yield from walk(file, False)
-
-
-def _unpack(kind: str, data: bytes) -> bytes:
-    """At most MAX_CHUNK_BYTES of `data`, packed by bz2, lz4 or zstd, or not at all."""
-    if kind == "bz2":
-        found = bz2.BZ2Decompressor().decompress(data, MAX_CHUNK_BYTES + 1)
-    elif kind == "lz4":
-        found = import_extra("lz4.frame", "a log").LZ4FrameDecompressor().decompress(data, MAX_CHUNK_BYTES + 1)
-    elif kind == "zstd":
-        unpacker = import_extra("zstandard", "a log").ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES)
-        found = unpacker.stream_reader(io.BytesIO(data)).read(MAX_CHUNK_BYTES + 1)
-    else:
-        found = data
-    if len(found) > MAX_CHUNK_BYTES:
-        raise ValueError(f"a chunk unpacks to more than {MAX_CHUNK_BYTES} bytes")
-    return found
+    return unpack
 
 
 def _decode_depth(message: Any, where: str) -> NDArray[Any]:
@@ -349,8 +279,6 @@ LAYOUT = RecordingLayout(
     "ros",
     1,
     "a .bag file of a RealSense or ROS 1, or an .mcap file of ROS 2",
-    lambda source: find_recordings(
-        source, lambda path: path.is_file() and path.suffix.lower() in (".bag", ".mcap"), ("*",)
-    ),
+    lambda path: path.is_file() and path.suffix.lower() in (".bag", ".mcap"),
     read_ros_log,
 )

@@ -37,7 +37,6 @@ from freeart21.formats.third_party import (
     ReadOptions,
     RecordingLayout,
     ThirdPartyRecording,
-    find_recordings,
 )
 from freeart21.formats.video_file import VideoFile, VideoTrack
 from freeart21.se3 import Array
@@ -132,14 +131,10 @@ def _find_turns(ups: Array) -> int:
     return int(np.rint(np.arctan2(-up[0], -up[1]) / (np.pi / 2))) % 4
 
 
-def _is_stray_scanner(folder: Path) -> bool:
-    return all(checked.is_there(folder / name) for name in ("rgb.mp4", "depth", "odometry.csv"))
-
-
 LAYOUT = RecordingLayout(
     "stray",
     1,
     "rgb.mp4, depth/, odometry.csv, camera_matrix.csv",
-    lambda source: find_recordings(source, _is_stray_scanner, ("*",)),
+    lambda folder: all(checked.is_there(folder / name) for name in ("rgb.mp4", "depth", "odometry.csv")),
     read_stray_scanner,
 )

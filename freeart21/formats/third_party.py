@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import re
-import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from PIL import Image as Pillow
 
 from freeart21 import se3
 from freeart21.errors import FreeArtError
@@ -169,24 +170,22 @@ class RecordingLayout:
     """Layouts are tried in this order; the first one with a recording in the folder is taken."""
     files: str
     """The files that a recording is recognised by, for messages."""
-    find: Callable[[Path], Iterable[Path]]
-    """The recordings in a folder (itself, or those in it), or a file that is one."""
+    fits: Callable[[Path], bool]
+    """Whether a folder, or a file, is a recording."""
     read: Callable[[Path, ReadOptions], ThirdPartyRecording]
+    patterns: tuple[str, ...] = ("*",)
+    """Where in a folder its recordings are; the first pattern with any is taken."""
     objects: Callable[[Path], Path | None] = lambda recording: None
     """The folder of PartNet-Mobility objects that belongs to a recording, if it exists."""
     object_folder: Callable[[Path], Path | None] = lambda recording: None
     """The folder of the recorded object itself, where a recording has one."""
 
-
-def find_recordings(source: Path, fits: Callable[[Path], bool], patterns: tuple[str, ...]) -> list[Path]:
-    """`source` if it `fits`, else the folders in it that do, by the first of `patterns` that gives any."""
-    if fits(source):
-        return [source]
-    for pattern in patterns:
-        found = [folder for folder in sorted(source.glob(pattern)) if fits(folder)]
-        if found:
-            return found
-    return []
+    def find(self, source: Path) -> list[Path]:
+        """`source` if it is a recording, else the recordings in it."""
+        if self.fits(source):
+            return [source]
+        found = ([path for path in sorted(source.glob(pattern)) if self.fits(path)] for pattern in self.patterns)
+        return next((some for some in found if some), [])
 
 
 def find_object_folder(own: Path | None, object_id: str, partnet_root: Path | None) -> Path | None:
@@ -278,39 +277,23 @@ def read_foreground(path: Path) -> NDArray[np.bool_]:
     3 pixels, unlike soft edges. In soft masks and JPEG, with many values, the darkest sixteenth is background.
     """
     data = checked.read_bytes(path, checked.MAX_IMAGE_BYTES)
-    image = checked.decode_image(_palette_as_grey(data), path, cv2.IMREAD_UNCHANGED)
+    image = checked.decode_image(data, path, cv2.IMREAD_UNCHANGED)
+    is_png = data.startswith(_PNG)
+    if is_png and data[25:26] == b"\x03":  # a palette, by the colour type in IHDR (PNG specification, 11.2.1)
+        with Pillow.open(io.BytesIO(data)) as opened:
+            if (opened.getpalette() or [255])[:3] == [0, 0, 0]:  # two labels can have one colour: palettes are padded
+                image = np.asarray(opened)
     if image.dtype not in (np.uint8, np.uint16):
         raise FreeArtError(f"{path} is not a readable mask picture of 8 or 16 bits")
     if image.ndim == 3:
         alpha = image[..., 3] if image.shape[2] == 4 else None
         image = alpha if alpha is not None and alpha.min() < alpha.max() else image[..., :3].max(2)
-    if not data.startswith(_PNG) or len(np.unique(image)) > _MOST_VALUES:
+    if not is_png or len(np.unique(image)) > _MOST_VALUES:
         image = np.where(image < np.iinfo(image.dtype).max / 16, np.zeros_like(image), image)
     flat = cv2.erode(image, np.ones((3, 3))) == cv2.dilate(image, np.ones((3, 3)))
     labels = np.unique(image[flat & (image > 0)])
     least = labels[0] if 0 < len(labels) <= _MOST_LABELS else image.max(initial=0)
     return np.asarray((image > 0) & (image > least / 2))
-
-
-def _palette_as_grey(data: bytes) -> bytes:
-    """A palette PNG that begins with black as a PNG of its indices; other data unchanged.
-
-    Two labels can have the same colour (palettes are padded with black), so colours would lose labels.
-    """
-    if not data.startswith(_PNG) or data[25:26] != b"\x03":  # the colour type in IHDR (PNG specification, 11.2.1)
-        return data
-    chunks, at = [], len(_PNG)
-    while at + 12 <= len(data):
-        size = int.from_bytes(data[at : at + 4], "big")
-        kind, body = data[at + 4 : at + 8], data[at + 8 : at + 8 + size]
-        if kind == b"PLTE" and body[:3] != bytes(3):
-            return data
-        if kind == b"IHDR":
-            body = body[:9] + b"\x00" + body[10:]
-        if kind in (b"IHDR", b"IDAT", b"IEND"):
-            chunks.append(len(body).to_bytes(4, "big") + kind + body + zlib.crc32(kind + body).to_bytes(4, "big"))
-        at += 12 + size
-    return _PNG + b"".join(chunks)
 
 
 def poses_from_rows(rows: ArrayLike, where: str) -> Array:

@@ -20,7 +20,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.formats.rgbd_folder import has_pictures, read_rgbd_folder
 from freeart21.formats.rgbd_video import Lens, intrinsics, read_intrinsics
-from freeart21.formats.third_party import ReadOptions, RecordingLayout, ThirdPartyRecording, find_recordings
+from freeart21.formats.third_party import ReadOptions, RecordingLayout, ThirdPartyRecording
 
 DEPTH_UNIT = 1 / 5000
 _SIZE = (640, 480)
@@ -52,12 +52,6 @@ LAYOUT = RecordingLayout(
     "tum",
     0,
     "rgb.txt, depth.txt, rgb/, depth/",
-    lambda source: find_recordings(
-        source,
-        lambda folder: (
-            checked.is_there(folder / "rgb.txt") and checked.is_there(folder / "depth.txt") and has_pictures(folder)
-        ),
-        ("*",),
-    ),
+    lambda folder: has_pictures(folder) and all(checked.is_there(folder / f"{k}.txt") for k in ("rgb", "depth")),
     read_tum,
 )

@@ -1,7 +1,8 @@
 """Reads numbers from an untrusted pickle without running anything that it names.
 
 Unpickling calls functions that the file names, with arguments from the file. Here only NumPy's array storage is
-accepted, and the classes below replace even that, so that no code of NumPy sees the file's state.
+accepted, and the records below take the place even of that: no code of NumPy sees the file's state before it is
+checked.
 """
 
 from __future__ import annotations
@@ -23,80 +24,52 @@ from freeart21.files import checked
 
 MAX_BYTES = 64 << 20
 MAX_OPCODES = 1_000_000
-_CODES = {
-    f"{kind}{size}" for kind, sizes in (("f", (2, 4, 8)), ("i", (1, 2, 4, 8)), ("u", (1, 2, 4, 8))) for size in sizes
-}
-_PLAIN = (str, int, float, bool, type(None))
+_CODES = ("f2", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8")
 
 
 class _Refused(Exception):
     """The file names or holds something other than numbers."""
 
 
-class _Type:
-    """Replaces numpy.dtype, for numbers only."""
+class _Record:
+    """Stands for a dtype or an array: the arguments that made it, and its state, as they are in the file."""
 
-    def __init__(self, code: str) -> None:
-        if code not in _CODES:
-            raise _Refused(f"an array of type {code!r}")
-        self._code, self._order = code, "<"
+    def __init__(self, *arguments: Any) -> None:
+        self.arguments, self.state = arguments, ()
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
-        if len(state) < 5 or state[1] not in ("<", ">", "|", "=") or any(s is not None for s in state[2:5]):
-            raise _Refused("a structured array")
-        self._order = state[1]
-
-    def read(self, raw: bytes) -> NDArray[Any]:
-        return np.frombuffer(raw, np.dtype(self._order + self._code))
+        self.state = state
 
 
-class _Array:
-    """Replaces numpy.ndarray."""
-
-    def __init__(self) -> None:
-        self.value: NDArray[Any] | None = None
-
-    def __setstate__(self, state: tuple[Any, ...]) -> None:
-        shape, kind, by_columns, raw = state[-4:]
-        self.value = _shaped(raw, kind, shape, bool(by_columns))
+class _Dtype(_Record):
+    """Stands for numpy.dtype."""
 
 
-def _shaped(raw: Any, kind: Any, shape: Any, by_columns: bool) -> NDArray[Any]:
-    if not isinstance(kind, _Type) or not isinstance(raw, bytes | bytearray) or not isinstance(shape, tuple):
-        raise _Refused("an array that is not numbers")
-    if len(shape) > 4 or not all(type(n) is int and n >= 0 for n in shape):
-        raise _Refused(f"an array of shape {shape!r}")
-    values = kind.read(bytes(raw))
-    if math.prod(shape) != len(values):
-        raise _Refused(f"an array of shape {shape} with {len(values)} numbers")
-    return values.reshape(shape, order="F" if by_columns else "C")
-
-
-def _reconstruct(*_: Any) -> _Array:
-    return _Array()
-
-
-def _from_buffer(raw: Any, kind: Any, shape: Any, order: str) -> _Array:
-    array = _Array()
-    array.value = _shaped(raw, kind, shape, order == "F")
-    return array
-
-
-def _scalar(kind: Any, raw: Any) -> float:
-    return float(_shaped(raw, kind, (1,), False)[0])
-
-
-def _bytes(text: str, coding: str) -> bytes:
+def _encode(text: str, coding: str) -> bytes:
     if coding != "latin1":
         raise _Refused(f"text in {coding!r}")
     return text.encode("latin1")
 
 
+def _array(shape: Any, kind: Any, by_columns: Any, raw: Any) -> _Record:
+    array = _Record()
+    array.state = (shape, kind, by_columns, raw)
+    return array
+
+
+def _scalar(kind: Any, raw: Any) -> _Record:
+    return _array((), kind, False, raw)
+
+
+def _from_buffer(raw: Any, kind: Any, shape: Any, order: Any) -> _Record:
+    return _array(shape, kind, order == "F", raw)
+
+
 _ADMITTED: dict[tuple[str, str], Any] = {
     ("numpy", "ndarray"): "ndarray",
-    ("numpy", "dtype"): lambda code, *_: _Type(code),
-    ("_codecs", "encode"): _bytes,
-    **{(f"numpy.{core}.multiarray", "_reconstruct"): _reconstruct for core in ("core", "_core")},
+    ("numpy", "dtype"): _Dtype,
+    ("_codecs", "encode"): _encode,
+    **{(f"numpy.{core}.multiarray", "_reconstruct"): _Record for core in ("core", "_core")},
     **{(f"numpy.{core}.multiarray", "scalar"): _scalar for core in ("core", "_core")},
     **{(f"numpy.{core}.numeric", "_frombuffer"): _from_buffer for core in ("core", "_core")},
 }
@@ -130,14 +103,27 @@ def _plain(value: Any, depth: int, visited: Iterator[int]) -> Any:
     """`value` as plain types; the count of visits stops lists that contain one another many times."""
     if next(visited) > MAX_OPCODES:
         raise _Refused("more than it could use")
-    if isinstance(value, _Array):
-        if value.value is None:
-            raise _Refused("an array without numbers")
-        return value.value
-    if type(value) in _PLAIN:
+    if type(value) is _Record:
+        return _numbers(*value.state[-4:])
+    if value is None or type(value) in (str, int, float, bool):
         return value
     if depth and type(value) is dict:
         return {_plain(k, 0, visited): _plain(v, depth - 1, visited) for k, v in value.items()}
     if depth and type(value) in (list, tuple):
         return [_plain(v, depth - 1, visited) for v in value]
     raise _Refused(f"a {type(value).__name__}" if depth else "lists in lists")
+
+
+def _numbers(shape: Any, kind: Any, by_columns: Any, raw: Any) -> NDArray[Any]:
+    """The array of this state, a 0-dimensional one for a scalar."""
+    if type(kind) is not _Dtype or kind.arguments[0] not in _CODES:
+        raise _Refused(f"an array of type {kind.arguments[0]!r}" if type(kind) is _Dtype else "an array of no type")
+    order = kind.state[1] if len(kind.state) > 1 else "<"
+    if order not in ("<", ">", "|", "="):
+        raise _Refused(f"numbers in the order {order!r}")
+    if not isinstance(raw, bytes | bytearray):
+        raise _Refused("an array that is not numbers")
+    values = np.frombuffer(raw, np.dtype(order + kind.arguments[0]))
+    if len(shape) > 4 or not all(type(n) is int and n >= 0 for n in shape) or math.prod(shape) != len(values):
+        raise _Refused(f"an array of shape {shape!r} with {len(values)} numbers")
+    return values.reshape(shape, order="F" if by_columns else "C")

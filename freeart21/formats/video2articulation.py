@@ -33,7 +33,7 @@ from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.formats import third_party
-from freeart21.formats.third_party import Image, KnownTruth, RecordingLayout, ThirdPartyRecording, find_recordings
+from freeart21.formats.third_party import Image, KnownTruth, RecordingLayout, ThirdPartyRecording
 from freeart21.formats.untrusted_pickle import read_pickle
 from freeart21.joint import Joint, JointType
 from freeart21.recording import Frame, Recording
@@ -330,11 +330,11 @@ def _limits(
     return min([low, *ends]), max([high, *ends])
 
 
-_PATTERNS = ("view_*", "joint_*/view_*", "*/joint_*/view_*", "*/*/joint_*/view_*", "*/*/*/joint_*/view_*")
 LAYOUT = RecordingLayout(
     "video2articulation",
     3,
     "camera_pose.npy and intrinsics.npy",
-    lambda source: find_recordings(source, is_view, _PATTERNS),
+    is_view,
     lambda folder, options: read_view(folder, options.meta),
+    ("view_*", "joint_*/view_*", "*/joint_*/view_*", "*/*/joint_*/view_*", "*/*/*/joint_*/view_*"),
 )

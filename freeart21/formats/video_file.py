@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.formats.rgbd_video import import_extra
+from freeart21.formats.rgbd_video import InOrder, import_extra
 from freeart21.formats.third_party import MAX_FRAMES
 from freeart21.se3 import Array
 
@@ -50,8 +50,8 @@ class VideoTrack:
     """A video track of a file. Frames are decoded in order: reading them by rising index is fast."""
 
     def __init__(self, file: VideoFile, index: int):
-        self._file, self._index, self._next = file, index, 0
-        self._frames: Iterator[Any] | None = None
+        self._file, self._index = file, index
+        self._frames = InOrder(self._decode)
         with file.open() as opened:
             stream = opened.streams[index]
             self.width, self.height = int(stream.codec_context.width), int(stream.codec_context.height)
@@ -73,16 +73,9 @@ class VideoTrack:
 
     def read(self, index: int, pixels: str | None = None) -> NDArray[Any]:
         """Frame `index` as FFmpeg's pixel format `pixels`, or as stored. Raises FreeArtError when it is not there."""
-        if self._frames is None or index < self._next:
-            self._frames, self._next = self._decode(), 0
-        for frame in self._frames:
-            self._next += 1
-            if self._next <= index:
-                continue
-            if (frame.width, frame.height) != (self.width, self.height):
-                break
+        frame = self._frames.read(index)
+        if frame is not None and (frame.width, frame.height) == (self.width, self.height):
             return np.asarray(frame.to_ndarray() if pixels is None else frame.to_ndarray(format=pixels))
-        self._frames = None
         raise FreeArtError(
             f"{self._file.path}: frame {index} of track {self._index} is missing or of another size, expected "
             f"{len(self)} frames of {self.width} x {self.height}"

@@ -79,7 +79,7 @@ def _scene(
     for name, body in _bodies(shown, asset):
         colour = LINK_COLOURS[len(layers) % len(LINK_COLOURS)]
         surfaces += [
-            Surface(piece.mesh, position[link], len(layers), piece.uv, piece.texture)
+            Surface(piece.mesh, position[link], len(layers), piece.uv, piece.picture)
             for link in body
             for piece in shown.visuals[link]
         ]

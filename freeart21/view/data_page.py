@@ -1,8 +1,7 @@
-"""The page of a data folder: a summary, and every sequence with its images and statistics."""
+"""The page of a data folder: every sequence with its images and statistics."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -20,11 +19,6 @@ from freeart21.view.tables import Cell, table_section
 from freeart21.view.video import encode_jpeg, shown_frames
 
 IMAGES, WIDTH, QUALITY = 3, 120, 72
-COLUMNS = (
-    *("Sequence", "Images", "Motion", "Frames", "Median rotation, °/frame", "Largest rotation, °/frame"),
-    *("Only object moves", "Only joint moves", "Both move", "Neither", "Viewpoints covered", "Joint range covered"),
-    *(f"Frames below {FEW:.0%}", "Out of sight, frames", "Height filled", "Depth, m", "Inside the image", "Masks"),
-)
 NOTE = (
     f"Hard: the moving part has less than {FEW:.0%} of the object's pixels in {HARD_FRAMES:.0%} of the frames or more. "
     f"Out of sight: no pixel of it is visible in {GONE_FRAMES} or more successive frames. Viewpoints covered: share of "
@@ -39,7 +33,7 @@ def data_page(folder: Path, title: str) -> str:
     """
     benchmark = read_benchmark(folder)
     shown: list[MotionStatistics] = []
-    rows: list[list[Cell]] = []
+    rows: list[dict[str, Cell]] = []
     hidden: list[str] = []
     for name in benchmark.sequences:
         if not (benchmark.truth(name) / "truth.json").is_file():
@@ -52,60 +46,33 @@ def data_page(folder: Path, title: str) -> str:
         raise FreeArtError(f"{folder} has {len(benchmark.sequences)} sequences, but the truth of none: nothing to show")
     names = ", ".join(hidden[:5]) + " ..." * (len(hidden) > 5)
     notices = [f"{len(hidden)} sequences have no truth here and are left out: {names}"] if hidden else []
-    sequences, frames = f"{len(shown)} sequence{'s' * (len(shown) > 1)}", f"{sum(s.frames for s in shown)} frames"
-    sections = [
-        table_section(f"Summary of {sequences}, {frames}", summary_rows(shown), (), "full", NOTE),
-        table_section("Sequences", rows, COLUMNS, "full", css="sortable dense"),
-    ]
-    return document(
-        title, sections, "data", [sequences, frames, f"version {benchmark.version}", benchmark.split], notices
-    )
+    frames, hard = sum(s.frames for s in shown), sum(s.is_hard for s in shown)
+    cells = [list(row.values()) for row in rows]
+    section = table_section("Sequences", cells, list(rows[0]), "full", NOTE, "sortable dense")
+    chips = [f"{len(shown)} sequence{'s' * (len(shown) > 1)}", f"{frames} frames", f"{hard} of {len(shown)} hard"]
+    return document(title, [section], "data", [*chips, f"version {benchmark.version}", benchmark.split], notices)
 
 
-def summary_rows(statistics: Sequence[MotionStatistics]) -> list[tuple[str, str]]:
-    """Facts about all sequences together."""
-    n = len(statistics)
-
-    def of(count: int) -> str:
-        return f"{count} of {n} ({count / n:.0%})"
-
-    def middle(values: Sequence[float]) -> str:
-        return f"median {np.median(values):.0%}, least {min(values):.0%}"
-
-    paces = [s.median_degrees for s in statistics]
-    gone = sum(s.longest_absence >= GONE_FRAMES for s in statistics)
-    return [
-        ("Hard: under 5 % in 15 % of the frames", of(sum(s.is_hard for s in statistics))),
-        (f"Moving part out of sight for {GONE_FRAMES} frames", of(gone)),
-        ("First frame shows both parts (5 % or more)", of(sum(s.share[0] >= FEW for s in statistics))),
-        ("Object inside the image in all frames", of(sum(not s.leaves for s in statistics))),
-        ("Rotation per frame", f"medians {min(paces):.2f}° to {max(paces):.2f}°"),
-        ("Viewpoints covered", middle([s.coverage for s in statistics])),
-        ("Joint range covered", middle([s.range_covered for s in statistics])),
-        ("Object height, share of the image's", middle([s.fill for s in statistics])),
-        ("Frames per sequence", f"{min(s.frames for s in statistics)} to {max(s.frames for s in statistics)}"),
-        ("Masks, part masks and pixel counts agree", of(sum(s.masks_valid for s in statistics))),
-    ]
-
-
-def _row(s: MotionStatistics, images: str) -> list[Cell]:
-    shares = s.pose_only, s.joint_only, s.both, s.neither, s.coverage, s.range_covered
+def _row(s: MotionStatistics, images: str) -> dict[str, Cell]:
+    """The cells of a sequence by their headings."""
     source = ", ".join(f"{key} {value}" for key, value in s.source.items())
-    return [
-        Cell(s.name, s.name, below=f"{source}, {s.joint_type}".removeprefix(", ")),
-        Cell(Markup('<img alt="{}" src="{}">').format(f"{IMAGES} images of the video", images)),
-        Cell(s.motion_source),
-        Cell(s.frames),
-        Cell(f"{s.median_degrees:.2f}"),
-        Cell(f"{s.max_degrees:.1f}"),
-        *(Cell(f"{v:.0%}", v) for v in shares),
-        Cell(f"{s.few_pixels_share:.0%}" + " hard" * s.is_hard, s.few_pixels_share),
-        Cell(s.longest_absence),
-        Cell(f"{s.fill:.0%}", s.fill),
-        Cell(f"{s.depth_m[0]:.2f} to {s.depth_m[1]:.2f}", s.depth_m[0]),
-        Cell("no" if s.leaves else "yes"),
-        Cell("agree" if s.masks_valid else "differ"),
-    ]
+    return {
+        "Sequence": Cell(s.name, s.name, below=f"{source}, {s.joint_type}".removeprefix(", ")),
+        "Images": Cell(Markup('<img alt="{}" src="{}">').format(f"{IMAGES} images of the video", images)),
+        "Motion": Cell(s.motion_source),
+        "Frames": Cell(s.frames),
+        "Median rotation, °/frame": Cell(f"{s.median_degrees:.2f}"),
+        "Largest rotation, °/frame": Cell(f"{s.max_degrees:.1f}"),
+        "Both move": Cell(f"{s.both:.0%}", s.both),
+        "Viewpoints covered": Cell(f"{s.coverage:.0%}", s.coverage),
+        "Joint range covered": Cell(f"{s.range_covered:.0%}", s.range_covered),
+        f"Frames below {FEW:.0%}": Cell(f"{s.few_pixels_share:.0%}" + " hard" * s.is_hard, s.few_pixels_share),
+        "Out of sight, frames": Cell(s.longest_absence),
+        "Height filled": Cell(f"{s.fill:.0%}", s.fill),
+        "Depth, m": Cell(f"{s.depth_m[0]:.2f} to {s.depth_m[1]:.2f}", s.depth_m[0]),
+        "Inside the image": Cell("no" if s.leaves else "yes"),
+        "Masks": Cell("agree" if s.masks_valid else "differ"),
+    }
 
 
 def _images(recording: Recording) -> str:

@@ -16,7 +16,7 @@ from freeart21.reconstruction import Reconstruction
 from freeart21.se3 import Array
 from freeart21.trust import JUMP, Motion, find_jumps, judge, measure_motion, median, object_size
 from freeart21.view.document import MOVING, REFERENCE, Section, render
-from freeart21.view.plots import Chart, Curve, curves_section, display_unit, true_runs
+from freeart21.view.plots import Chart, Curve, curves_section, true_runs
 
 COLOURS = (REFERENCE, MOVING)
 JOINT_RESIDUAL = "#AA3377"
@@ -26,8 +26,6 @@ OUTLIER = 3.0
 MIN_LENGTH = 0.005
 """Lengths below this share of the object's size get no warning. A near-perfect stapler of 19 cm has frames with three
 medians of residual, .3 mm."""
-MIN_INLIERS, MIN_CONFIDENCE, MAX_OUTSIDE = 0.6, 0.75, 0.05
-"""Shares of a part's points, and mean label probability, beyond which a frame gets a warning."""
 BRIDGE = 3
 """Warnings closer than this many frames are one."""
 
@@ -60,12 +58,6 @@ def diagnosis_section(
     note = "Grey: a part was not seen. No ground truth is used."
     if diagnostics is None:
         note += " The method wrote no diagnostics: residuals and confidence are unknown."
-    elif diagnostics.extent_ratio is not None and diagnostics.seen_share is not None:
-        extents, shares = diagnostics.extent_ratio, 100 * diagnostics.seen_share
-        note += (
-            f" The surfaces of reference and moving part are {extents[0]:.2g} and {extents[1]:.2g} times as large as "
-            f"their pixels span; {shares[0]:.0f} and {shares[1]:.0f} % of them were seen."
-        )
 
     def of_joint(values: Array) -> tuple[Curve, ...]:
         return (Curve("moving part", JOINT_RESIDUAL, values),)
@@ -117,56 +109,24 @@ def warnings_section(result: Reconstruction, diagnostics: Diagnostics | None) ->
 
 def warnings(result: Reconstruction, diagnostics: Diagnostics | None = None) -> list[Finding]:
     """Reasons to doubt the result: of the whole (its own `trust`, else judged here), then frame by frame."""
-    motion = measure_motion(result)
-    trust = result.trust or judge(result, diagnostics)
-    size, joint_type = object_size(result), result.articulation.joint.type
-    unit, factor = display_unit(joint_type)
-    found = [*map(Finding, trust.reasons), *_unseen(result)]
+    motion, trust = measure_motion(result), result.trust or judge(result, diagnostics)
+    size = object_size(result)
+    found = _off_the_joint(motion, size)
+    for seen, what in (
+        (result.seen[:, 1], "the moving part was not seen; its states are not measured"),
+        (result.seen[:, 0], "the reference part was not seen; its poses are guessed"),
+    ):
+        found += [Finding(what, _ends(run)) for run in true_runs(~seen)]
     for k, part in enumerate(PARTS):
         if diagnostics is not None:
-            d = diagnostics
-            finest = max(0.5 * d.footprint_m, d.noise_m, MIN_LENGTH * size)
-            found += _high(d.residual_m[:, k], finest, 1000, " mm", f"the residual of the {part} part is")
-            found += _low(d.inliers[:, k], MIN_INLIERS, f"only {{:.0f}} % of the {part} part's points are inliers")
-            found += _low(
-                d.confidence[:, k], MIN_CONFIDENCE, f"the mean label confidence of the {part} part is {{:.0f}} %"
-            )
-            found += _high(d.outside[:, k], MAX_OUTSIDE, 100, " %", f"points of the {part} part outside the mask:")
+            residual = diagnostics.residual_m[:, k]
+            least = max(0.5 * diagnostics.footprint_m, diagnostics.noise_m, MIN_LENGTH * size)
+            for run in true_runs(np.nan_to_num(residual) > max(OUTLIER * median(residual), least), BRIDGE):
+                text = f"the residual of the {part} part is {1000 * np.nanmax(residual[run]):.3g} mm"
+                found.append(Finding(f"{text}, its median {1000 * median(residual):.3g} mm", _ends(run)))
         found += _jumps(np.degrees(motion.step_angle[:, k]), 3.0, "°", f"the {part} part turns by")
         found += _jumps(1000 * motion.step_distance[:, k], 20 * size, " mm", f"the {part} part moves by")
-    found += _off_the_joint(motion, size)
-    if result.state_std is not None:
-        least = np.radians(1.0) if joint_type == "revolute" else MIN_LENGTH * size
-        found += _high(
-            result.state_std,
-            least,
-            factor,
-            "°" if unit == "°" else f" {unit}",
-            "the standard deviation of the state is",
-        )
-    whole = [w for w in found if w.frames is None]
-    return whole + sorted((w for w in found if w.frames is not None), key=lambda w: w.frames or (0, 0))
-
-
-def _unseen(result: Reconstruction) -> list[Finding]:
-    found, last = [], len(result) - 1
-    for run in true_runs(~result.seen[:, 1]):
-        how = "interpolated" if run[0] > 0 and run[-1] < last else "not measured"
-        found.append(Finding(f"the moving part was not seen; its states are {how}", _ends(run)))
-    for run in true_runs(~result.seen[:, 0]):
-        found.append(Finding("the reference part was not seen; its poses are guessed", _ends(run)))
-    return found
-
-
-def _high(values: Array, least: float, factor: float, unit: str, what: str) -> list[Finding]:
-    """A warning for every run of frames with values beyond OUTLIER medians and `least`."""
-    known = values[np.isfinite(values)]
-    middle, found = float(np.median(known)) if len(known) else 0.0, []
-    for run in true_runs(np.nan_to_num(values) > max(OUTLIER * middle, least), BRIDGE):
-        most = float(np.nanmax(values[run]))
-        times = f", {most / middle:.0f} times the median" if middle > 0 and most < 1000 * middle else ""
-        found.append(Finding(f"{what} {'up to ' * (len(run) > 1)}{factor * most:.3g}{unit}{times}", _ends(run)))
-    return found
+    return [*map(Finding, trust.reasons), *sorted(found, key=lambda one: one.frames or (0, 0))]
 
 
 def _off_the_joint(motion: Motion, size: float) -> list[Finding]:
@@ -184,12 +144,6 @@ def _off_the_joint(motion: Motion, size: float) -> list[Finding]:
         )
         for run in true_runs(far, BRIDGE)
     ]
-
-
-def _low(values: Array, least: float, what: str) -> list[Finding]:
-    """A warning for every run of frames with shares below `least`; `what` has a place for the lowest, percent."""
-    runs = true_runs(np.nan_to_num(values, nan=1.0) < least, BRIDGE)
-    return [Finding(what.format(100 * float(np.nanmin(values[run]))), _ends(run)) for run in runs]
 
 
 def _jumps(values: Array, least: float, unit: str, what: str) -> list[Finding]:

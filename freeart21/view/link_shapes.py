@@ -12,8 +12,7 @@ from freeart21.files import checked
 from freeart21.files.urdf import Urdf, UrdfShape, read_urdf
 from freeart21.files.urdf_files import find_root, resolve_file
 from freeart21.mesh import Mesh
-from freeart21.view.mesh_pieces import read_pieces
-from freeart21.view.obj import PLAIN, Piece
+from freeart21.view.mesh_pieces import PLAIN, Piece, read_pieces
 from freeart21.view.simplify import box, capsule, cylinder, sphere
 
 
@@ -56,10 +55,10 @@ def _pieces(
         colour = None if shape.rgba is None else np.round(255 * np.clip(shape.rgba[:3], 0, 1)).astype(np.uint8)
         for piece in _geometry(shape, where, path, root, missing):
             mesh = piece.mesh.moved(shape.T_link_shape)
-            if mesh.colours is None or (colour is not None and piece.texture is None):
+            if mesh.colours is None or (colour is not None and piece.picture is None):
                 plain = np.array(PLAIN, np.uint8) if colour is None else colour
                 mesh = replace(mesh, colours=np.tile(plain, (len(mesh.vertices), 1)))
-            pieces.append(replace(piece, mesh=mesh, uv=None if piece.texture is None else piece.uv))
+            pieces.append(replace(piece, mesh=mesh))
     return tuple(pieces)
 
 

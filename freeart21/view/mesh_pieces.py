@@ -1,13 +1,14 @@
 """The loader of all mesh files that URDFs name; a piece has one material.
 
-OBJ and PLY are read here, other formats by trimesh (COLLADA by pycollada). COLLADA lengths are converted to metres by
-their <unit>. <up_axis> of COLLADA and glTF is ignored, as in RViz and MoveIt: a URDF places the mesh as it is written.
-Files that a mesh file names are read inside the root only.
+Formats but PLY are read by trimesh (COLLADA by pycollada). COLLADA lengths are converted to metres by their <unit>.
+<up_axis> of COLLADA and glTF is ignored, as in RViz and MoveIt: a URDF places the mesh as it is written. Files that a
+mesh file names are read inside the root only.
 """
 
 from __future__ import annotations
 
 import io
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -21,26 +22,39 @@ from freeart21.files import checked
 from freeart21.files.mesh_file import read_ply
 from freeart21.files.urdf import parse_xml
 from freeart21.mesh import Mesh
-from freeart21.view.obj import MAX_OBJ_BYTES, Piece, read_obj
 
-_SCENES = (".dae", ".glb", ".gltf")
-ENDINGS = (".obj", ".stl", ".ply", ".off", *_SCENES)
+MAX_BYTES = 256 << 20
+"""Of a mesh file, and of each file that it names."""
+PLAIN = (190, 190, 190)
+"""Colour of a surface without a given one."""
+_SCENES = (".obj", ".dae", ".glb", ".gltf")
+ENDINGS = (*_SCENES, ".stl", ".ply", ".off")
 """Endings of readable files, in lower case."""
 _MOST_VERTICES = 1 << 24
 """Most vertices in all copies of all meshes of a scene: 4 GB with everything computed from them."""
 
 
+@dataclass(frozen=True)
+class Piece:
+    """The triangles of one material."""
+
+    mesh: Mesh
+    """With vertex colours, if any are given; those of a picture are sampled from it."""
+    uv: NDArray[np.float64] | None = None
+    """(V, 2) texture coordinates, (0, 0) at the lower left corner; None without a picture."""
+    picture: NDArray[np.uint8] | None = None
+    """(h, w, 3) RGB of its texture."""
+
+
 def read_pieces(file: Path, root: Path) -> list[Piece]:
-    """The pieces of a mesh file, m, with vertex colours if the file has any.
+    """The pieces of a mesh file, m; none of an OBJ file without faces.
 
     Raises FreeArtError, in one line, when its format is none of `ENDINGS`, it cannot be read, or has no faces.
     """
     ending = file.suffix.lower()
     if ending not in ENDINGS:
         raise FreeArtError(f"{file} is no mesh that is read, expected {', '.join(ENDINGS)}")
-    if ending == ".obj":
-        return read_obj(file, root)
-    data = checked.read_bytes(file, MAX_OBJ_BYTES, root)
+    data = checked.read_bytes(file, MAX_BYTES, root)
     try:
         pieces = _pieces(file, root, data)
     except Exception as error:  # hostile bytes reach parsers of many formats
@@ -48,14 +62,14 @@ def read_pieces(file: Path, root: Path) -> list[Piece]:
             raise
         reason = " ".join(str(error).split()) or type(error).__name__
         raise FreeArtError(f"{file} is not a readable {ending} file: {reason[:200]}") from error
-    if not any(len(piece.mesh.faces) for piece in pieces):
+    if ending != ".obj" and not any(len(piece.mesh.faces) for piece in pieces):
         raise FreeArtError(f"{file} is not a readable {ending} file: it has no faces")
     return pieces
 
 
 def up_axis(file: Path, root: Path) -> str:
     """The <up_axis> of a COLLADA file: X_UP, Y_UP, Z_UP, or empty."""
-    asset = parse_xml(checked.read_bytes(file, MAX_OBJ_BYTES, root), file).find("{*}asset/{*}up_axis")
+    asset = parse_xml(checked.read_bytes(file, MAX_BYTES, root), file).find("{*}asset/{*}up_axis")
     return "" if asset is None else (asset.text or "").strip()
 
 
@@ -80,21 +94,23 @@ def _scene_pieces(file: Path, root: Path, data: bytes) -> list[Piece]:
 
     ending = file.suffix.lower()
     unit = _unit(file, data) if ending == ".dae" else 1.0
-    if ending != ".dae":
+    if ending in (".glb", ".gltf"):
         text = data[20 : 20 + int.from_bytes(data[12:16], "little")] if ending == ".glb" else data
         _check_accessors(checked.parse_json(text.decode("utf-8"), file))
     neighbours: Any = _Neighbours(file, root)
-    scene = trimesh.load_scene(io.BytesIO(data), file_type=ending[1:], resolver=neighbours)
+    options: dict[str, Any] = {"process": False} if ending == ".obj" else {}
+    scene = trimesh.load_scene(io.BytesIO(data), file_type=ending[1:], resolver=neighbours, **options)
     nodes = [(T, scene.geometry[name]) for T, name in (scene.graph[node] for node in scene.graph.nodes_geometry)]
     meshes = [(T, mesh) for T, mesh in nodes if isinstance(mesh, trimesh.Trimesh)]
+    meshes = meshes[::-1] if ending == ".obj" else meshes  # trimesh takes their materials from the end of the file
     if (count := sum(len(mesh.vertices) for _, mesh in meshes)) > _MOST_VERTICES:
         raise FreeArtError(f"{file} has {count} vertices in all, at most {_MOST_VERTICES} are read")
     pieces = []
     for T, mesh in meshes:
         flip = -1 if np.linalg.det(T[:3, :3]) < 0 else 1
-        colours, uv, picture = _look(mesh, linear=ending != ".dae")
+        colours, uv, picture = _look(mesh, linear=ending in (".glb", ".gltf"))
         vertices = unit * se3.transform(T, np.asarray(mesh.vertices, float))
-        pieces.append(Piece(Mesh(vertices, np.asarray(mesh.faces)[:, ::flip], colours), uv, None, picture))
+        pieces.append(Piece(Mesh(vertices, np.asarray(mesh.faces)[:, ::flip], colours), uv, picture))
     return pieces
 
 
@@ -120,6 +136,7 @@ def _look(mesh: Any, linear: bool) -> tuple[NDArray[np.uint8] | None, NDArray[np
     if visual.kind in ("vertex", "face"):
         return np.asarray(visual.vertex_colors)[:, :3].astype(np.uint8), None, None
     material = getattr(visual, "material", None)
+    material = material.to_pbr() if hasattr(material, "to_pbr") else material
     factor = getattr(material, "baseColorFactor", None)
     colour = np.full(3, 255, np.uint8) if factor is None else np.asarray(factor)[:3].astype(np.uint8)
     if linear:  # glTF 2.0, 3.9.2: factors are linear, pictures sRGB (IEC 61966-2-1)
@@ -150,7 +167,7 @@ class _Neighbours:
         paths = [self._file.parent / each for each in names]
         path = next((each for each in paths if each.is_file()), paths[0])
         try:
-            return checked.read_bytes(path, MAX_OBJ_BYTES, self._root)
+            return checked.read_bytes(path, MAX_BYTES, self._root)
         except FreeArtError as error:
             raise ValueError(f"it names '{name[:80]}': {error}") from error
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Literal
 
 import cv2
@@ -13,13 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from freeart21 import se3
 from freeart21.camera import Camera
-from freeart21.files import checked
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 from freeart21.view.document import Section, data_url, embed_array, embed_points
 from freeart21.view.simplify import arrow, joined, simplified, turning_arrow
 from freeart21.view.splats import SplatLayers, splat_data
+from freeart21.view.video import encode_jpeg
 
 MAX_FACES_PER_LAYER = 50_000
 MAX_TEXTURE_SIDE = 1024
@@ -79,7 +78,8 @@ class Surface:
     layer: int
     uv: NDArray[np.float64] | None = None
     """(V, 2) texture coordinates."""
-    texture: Path | None = None
+    picture: NDArray[np.uint8] | None = None
+    """(h, w, 3) RGB texture; the colours are sampled from it."""
 
 
 @dataclass(frozen=True)
@@ -172,15 +172,15 @@ def scene_section(
         for layer in range(len(scene.layers))
         for part in _reduced([s for s in scene.surfaces if s.layer == layer and not s.mesh.empty], max_faces)
     ]
-    textures = sorted({surface.texture for surface in surfaces if surface.texture is not None})
+    pictures = list({id(s.picture): s.picture for s in surfaces if s.picture is not None}.values())
     centre, radius = scene.focus or find_focus(scene)
     camera, splats = scene.camera, scene.splats
     data = {
         "links": [_link_data(link) for link in scene.links],
         "sliders": [dict(vars(slider)) for slider in scene.sliders],
         "layers": [dict(vars(layer)) for layer in scene.layers],
-        "surfaces": [_surface_data(surface, textures) for surface in surfaces],
-        "textures": [_texture_url(path) for path in textures],
+        "surfaces": [_surface_data(surface, pictures) for surface in surfaces],
+        "textures": [_picture_url(picture) for picture in pictures],
         "up": scene.up,
         "towards_viewer": scene.towards_viewer,
         "centre": centre,
@@ -195,40 +195,32 @@ def scene_section(
 
 
 def _reduced(surfaces: list[Surface], max_faces: int) -> list[Surface]:
-    """The surfaces of one layer, joined by link and texture, with at most `max_faces` triangles in all."""
-    groups: dict[tuple[int, Path | None], list[Surface]] = {}
+    """The surfaces of one layer, joined by link and texture, with at most `max_faces` triangles in all.
+
+    Colours stand for the texture of what is simplified, else the texture for colours.
+    """
+    groups: dict[tuple[int, int], list[Surface]] = {}
     for surface in surfaces:
-        groups.setdefault((surface.link, surface.texture), []).append(surface)
+        groups.setdefault((surface.link, id(surface.picture)), []).append(surface)
     total = sum(len(surface.mesh.faces) for surface in surfaces)
     reduced = []
-    for (link, texture), group in groups.items():
-        mesh = joined(*(surface.mesh for surface in group))
-        if all(surface.mesh.colours is not None for surface in group):
-            colours = [surface.mesh.colours for surface in group if surface.mesh.colours is not None]
+    for (link, _), group in groups.items():
+        mesh, picture = joined(*(surface.mesh for surface in group)), group[0].picture
+        uv = None if picture is None else np.concatenate([s.uv for s in group if s.uv is not None])
+        colours = [surface.mesh.colours for surface in group if surface.mesh.colours is not None]
+        if len(colours) == len(group) and (picture is None or total > max_faces):
             mesh = Mesh(mesh.vertices, mesh.faces, np.concatenate(colours))
-        uv = np.concatenate([s.uv for s in group if s.uv is not None]) if texture is not None else None
         if total > max_faces:
-            if texture is not None and uv is not None:
-                mesh, texture, uv = Mesh(mesh.vertices, mesh.faces, _sampled(texture, uv)), None, None
-            mesh = simplified(mesh, max(4, max_faces * len(mesh.faces) // total))
-        reduced.append(Surface(mesh, link, surfaces[0].layer, uv, texture))
+            mesh, picture, uv = simplified(mesh, max(4, max_faces * len(mesh.faces) // total)), None, None
+        reduced.append(Surface(mesh, link, surfaces[0].layer, uv, picture))
     return reduced
 
 
-def _sampled(texture: Path, uv: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """(V, 3) colours of a repeating texture at (V, 2) coordinates."""
-    image = checked.read_rgb(texture)
-    height, width = image.shape[:2]
-    row, column = (1 - uv[:, 1] % 1) * height, uv[:, 0] % 1 * width
-    return np.asarray(image[row.astype(int) % height, column.astype(int) % width])
-
-
-def _texture_url(path: Path) -> str:
-    image = checked.read_image(path, cv2.IMREAD_COLOR)
-    scale = min(1.0, MAX_TEXTURE_SIDE / max(image.shape[:2]))
+def _picture_url(picture: NDArray[np.uint8]) -> str:
+    scale = min(1.0, MAX_TEXTURE_SIDE / max(picture.shape[:2]))
     if scale < 1:
-        image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    return data_url("image/jpeg", cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes())
+        picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA).astype(np.uint8)
+    return data_url("image/jpeg", encode_jpeg(picture, 85))
 
 
 def _link_data(link: Link) -> dict[str, Any]:
@@ -243,7 +235,7 @@ def _link_data(link: Link) -> dict[str, Any]:
     }
 
 
-def _surface_data(surface: Surface, textures: list[Path]) -> dict[str, Any]:
+def _surface_data(surface: Surface, pictures: list[NDArray[np.uint8]]) -> dict[str, Any]:
     mesh = surface.mesh
     return {
         "link": surface.link,
@@ -252,7 +244,7 @@ def _surface_data(surface: Surface, textures: list[Path]) -> dict[str, Any]:
         "faces": embed_array(mesh.faces, "u16" if len(mesh.vertices) <= 1 << 16 else "u32"),
         "colours": None if mesh.colours is None else embed_array(mesh.colours, "u8"),
         "uv": None if surface.uv is None else embed_points(surface.uv),
-        "texture": -1 if surface.texture is None else textures.index(surface.texture),
+        "texture": next((k for k, picture in enumerate(pictures) if picture is surface.picture), -1),
     }
 
 

@@ -9,8 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from freeart21.certificate import Certificate
 from freeart21.errors import FreeArtError
+from freeart21.files.certificate import Certificate
 from freeart21.files.urdf import Urdf, UrdfJoint
 from freeart21.joint import Joint
 from freeart21.reconstruction import Alternative

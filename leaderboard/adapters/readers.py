@@ -21,7 +21,7 @@ from freeart21.formats.third_party import T_GL_CV, poses_from_rows, read_npy
 from freeart21.joint import Joint, JointType
 from freeart21.mesh import Mesh, join_meshes
 from freeart21.se3 import Array
-from freeart21.view.obj import read_obj
+from freeart21.view.mesh_pieces import read_pieces
 from leaderboard.adapters.layout import Axes, Frame, ImportedResult, Request
 
 MASK_THRESHOLD = 0.5
@@ -210,7 +210,7 @@ def read_part(path: Path, root: Path, scale: float = 1.0) -> tuple[Mesh, str]:
     Materials must lie in the folder `root`. Raises FreeArtError when the file cannot be read or has no point.
     """
     if path.suffix.lower() == ".obj":
-        mesh = join_meshes([piece.mesh for piece in read_obj(path, root)])
+        mesh = join_meshes([piece.mesh for piece in read_pieces(path, root)])
     else:
         mesh = read_ply(path, root)[0]
     if mesh.empty and len(mesh.vertices) == 0:
@@ -239,13 +239,6 @@ def read_list(path: Path, content: str) -> list[dict[str, Any]]:
     if not isinstance(data, list) or not data or not all(isinstance(entry, dict) for entry in data):
         raise FreeArtError(f"{path} holds no list of {content}")
     return data
-
-
-def read_number(data: dict[str, Any], key: str, path: Path) -> float:
-    """The finite number `data[key]`, also from a list of one."""
-    value = data.get(key)
-    listed = value if isinstance(value, list) else [value]
-    return float(checked.numbers({key: np.ravel(np.array(listed, object)).tolist()}, key, (1,), path)[0])
 
 
 def read_vector(path: Path) -> Array:

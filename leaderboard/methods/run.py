@@ -31,7 +31,6 @@ from freeart21.mesh import Mesh
 from freeart21.reconstruction import PIECES, Failure, Piece
 from leaderboard.adapters.importer import import_results
 from leaderboard.adapters.layout import Options, common_lacks
-from leaderboard.method_names import check_name
 from leaderboard.methods.descriptor import (
     NATIVE,
     PRIVILEGED,
@@ -118,7 +117,6 @@ def run_method(
         raise FreeArtError(f"{method.name} needs its checkout: give --home DIR, got {home}")
     if engine not in ENGINES:
         raise FreeArtError(f"engine is '{engine}', expected {' or '.join(ENGINES)}")
-    check_name(Method(method.name), "the descriptor")
     digest = hashlib.sha256(atomic.json_text(asdict(method)).encode()).hexdigest()
     before = _read_earlier(out, digest, (data, *([home] if home else [])))
     options = _read_options(method, home)
@@ -193,19 +191,11 @@ def _run_one(
     except _Failed as failed:
         seconds = {"run": round(total["seconds"], 2)}
         write_result(out / name, Failure(failed.stage, failed.reason, seconds))
-        return Entry("failure", f"{failed.stage}: {failed.reason}", **_rounded(total))
     answer = read_result(out / name, appearance=False)
-    failed_itself = isinstance(answer, Failure)
-    reason = f"{answer.stage}: {answer.reason}" if isinstance(answer, Failure) else ""
-    return Entry("failure" if failed_itself else "answer", reason, **_rounded(total), lacks=lacks, notes=notes)
-
-
-def _rounded(total: Mapping[str, float]) -> dict[str, Any]:
-    return {
-        "seconds": round(total["seconds"], 2),
-        "cpu_seconds": round(total["cpu_seconds"], 2),
-        "peak_bytes": int(total["peak_bytes"]),
-    }
+    took = round(total["seconds"], 2), round(total["cpu_seconds"], 2), int(total["peak_bytes"])
+    if isinstance(answer, Failure):  # declared here, or by the method itself
+        return Entry("failure", f"{answer.stage}: {answer.reason}", *took, lacks, notes)
+    return Entry("answer", "", *took, lacks, notes)
 
 
 def _run_command(

@@ -1,22 +1,19 @@
 """arena-1: the joint as a motion, limits included, by the metric of ArticulateArena (arXiv 2609.33931).
 
 A joint is the unordered pair of its end twists {lower xi, upper xi}; the distance of two joints is that of their pairs
-under the kinetic-energy norm of the true moving part, in metres. Our own implementation computes it; where the package
-`articulatearena` (extra [arena]) is installed, it computes each value, too, and the two must agree.
+under the kinetic-energy norm of the true moving part, in metres. tests/test_arena1.py holds it to the package
+`articulatearena`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
-from typing import Any
 
 import numpy as np
 import trimesh
 from scipy.spatial import QhullError
 
-from freeart21.errors import FreeArtError
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Piece, Reconstruction
@@ -31,8 +28,6 @@ KAPPA = np.pi
 """Metres, the scale of the compact metric, as in their benchmark."""
 LEAST_VOLUME = 1e-12
 """m^3; closed meshes of less volume are replaced by their convex hull."""
-AGREEMENT = 1e-9
-"""Largest relative difference between the package's value and ours."""
 
 
 @dataclass(frozen=True)
@@ -143,13 +138,7 @@ def end_twists(joint: Joint, solid: Solid, kappa: float | None = None) -> tuple[
 
 def joint_distance(true: Joint, joint: Joint, solid: Solid, kappa: float | None = None) -> float:
     """Distance of two joints in one frame: metres, or without unit in [0, 2 sqrt 2] when mapped with `kappa`."""
-    found = pair_distance(end_twists(true, solid, kappa), end_twists(joint, solid, kappa), solid.square)
-    if theirs := _package():
-        reference = _by_package(theirs, true, joint, solid, kappa)
-        if abs(reference - found) > AGREEMENT * max(1.0, found):
-            name = f"articulatearena {theirs.__version__}"
-            raise FreeArtError(f"arena-1: {name} gives {reference!r}, we give {found!r}, expected the same")
-    return found
+    return pair_distance(end_twists(true, solid, kappa), end_twists(joint, solid, kappa), solid.square)
 
 
 def pair_distance(a: tuple[Array, Array], b: tuple[Array, Array], square: Callable[[Array], float]) -> float:
@@ -173,35 +162,6 @@ def penalties(truth: Truth) -> dict[str, float | None]:
         "twist_shown": still_distance(joint.spanning(truth.states), solid),
         "twist_compact": still_distance(joint, solid, KAPPA),
     }
-
-
-@cache
-def _package() -> Any:
-    """The package `articulatearena`, or None where it is not installed."""
-    try:
-        import articulatearena
-    except ImportError:
-        return None
-    return articulatearena
-
-
-def _by_package(package: Any, true: Joint, joint: Joint, solid: Solid, kappa: float | None) -> float:
-    """The same distance by `articulatearena`, whose twists are (w, v)."""
-    norm = package.make_kinetic_energy_norm(package.LinkInertia(solid.mass, solid.centre, solid.inertia))
-    pairs = []
-    for one in (true, joint):
-        twist = package.screw_twist(one.axis, one.pivot, one.type).data
-        if kappa is None:
-            pair = package.make_endpoint_pair(twist, one.lower, one.upper)
-            pairs += [pair.u.data, pair.v.data]
-            continue
-        forward, backward = package.continuous_joint_repr(twist, norm)
-        for limit in (one.lower, one.upper):
-            if np.isfinite(limit):
-                pairs.append(package.radial_compactify(limit * twist, kappa, norm))
-            else:
-                pairs.append(forward if limit > 0 else backward)
-    return float(package.joint_metric(*pairs, norm))
 
 
 _NOTHING = "what a joint that does not move costs"

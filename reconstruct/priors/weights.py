@@ -1,25 +1,34 @@
-"""Weights of learned networks: found, checked, read without running anything that they hold."""
+"""Learned networks: their weights, read without running anything that they hold, their code, and their pictures."""
 
 from __future__ import annotations
 
 import hashlib
+import importlib
 import importlib.util
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
 
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.weights import parse_weights
+from freeart21.files.weights import first_line, parse_weights
 
 INSTALL = "pip install 'freeart21[priors]'"
 FOLDER = "FREEART21_WEIGHTS"
 """Environment variable: the folder of the weights that the user brings, under the names that they are published by."""
 MAX_BYTES = 8 << 30
 """Largest file of weights. DINOv3's largest, of 6.7 billion parameters in half floats, is not among those supported."""
+IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+"""Of red, green and blue, from 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +95,51 @@ class BroughtWeights:
         return parse_weights(checked.read_bytes(path, MAX_BYTES, checked.ANYWHERE), path)
 
 
+@dataclass(frozen=True)
+class Checkout:
+    """The code of a network that is in no package: a public repository's clone in the folder of FREEART21_WEIGHTS."""
+
+    folder: str
+    """Its name there."""
+    source: str
+    """Where it is to be had."""
+
+    def path(self) -> Path:
+        """The folder; FreeArtError names the command that gets it."""
+        require_packages("torch")
+        place = Path(os.environ.get(FOLDER) or f"${FOLDER}") / self.folder
+        if not place.is_dir():
+            raise FreeArtError(f"the network's code is needed: git clone {self.source} {place} (set {FOLDER})")
+        return place.absolute()
+
+    def load_module(self, name: str) -> ModuleType:
+        """The module `name`: of an installed package, if there is one, or of the clone."""
+        try:
+            installed = importlib.util.find_spec(name) is not None
+        except ImportError:
+            installed = False
+        place = None if installed else str(self.path())
+        if place:
+            sys.path.insert(0, place)
+        try:
+            return importlib.import_module(name)
+        except ImportError as error:
+            raise FreeArtError(f"{place or name} cannot be imported: {first_line(error)}") from None
+        finally:
+            if place:
+                sys.path.remove(place)
+
+    def load_hub(self, entry: str) -> Any:
+        """The network of an entry of the clone's hubconf.py, without weights."""
+        import torch
+
+        place = self.path()
+        try:
+            return torch.hub.load(str(place), entry, source="local", pretrained=False)
+        except (ImportError, OSError, RuntimeError) as error:
+            raise FreeArtError(f"{place} has no network {entry}: {first_line(error)}") from None
+
+
 def require_packages(*names: str) -> None:
     """Raises FreeArtError, with the line that installs it, when a package cannot be found."""
     for name in names:
@@ -118,3 +172,30 @@ def inference() -> Iterator[None]:
             yield
     finally:
         torch.set_num_threads(threads)
+
+
+def enlarge(picture: NDArray[np.uint8], enlargement: float, stride: int) -> NDArray[np.uint8]:
+    """A picture (h, w, 3) `enlargement` times as large, each side rounded to a multiple of `stride` pixels."""
+    sides = [max(round(side * enlargement / stride), 1) * stride for side in picture.shape[:2]]
+    return np.asarray(cv2.resize(picture, (sides[1], sides[0]), interpolation=cv2.INTER_LINEAR), np.uint8)
+
+
+def to_tensor(picture: NDArray[np.uint8]) -> Any:
+    """(1, 3, h, w) from 0 to 1, of a picture (h, w, 3) in RGB."""
+    import torch
+
+    return torch.from_numpy(np.ascontiguousarray(picture)).permute(2, 0, 1)[None].float() / 255
+
+
+def normalise(picture: Any) -> Any:
+    """(1, 3, h, w) from 0 to 1, minus ImageNet's mean, over its standard deviation."""
+    import torch
+
+    mean, std = (torch.tensor(values).reshape(1, 3, 1, 1) for values in (IMAGENET_MEAN, IMAGENET_STD))
+    return (picture - mean) / std
+
+
+def to_crop(at: NDArray[Any], picture: NDArray[np.uint8], enlarged: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Columns and rows (m, 2) in `enlarged` as those in `picture`; whole numbers are pixel centres in both."""
+    ratio = np.array(picture.shape[1::-1]) / np.array(enlarged.shape[1::-1])
+    return np.asarray((np.asarray(at, float) + 0.5) * ratio - 0.5)

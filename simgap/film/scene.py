@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
-from freeart21.files import checked
 from freeart21.files.asset import read_asset
 from freeart21.files.result import read_result
 from freeart21.files.truth import read_truth
@@ -21,7 +20,7 @@ from freeart21.mesh import Mesh, bounding_diagonal
 from freeart21.reconstruction import Failure
 from freeart21.se3 import Array
 from freeart21.view.link_shapes import read_shown
-from freeart21.view.obj import PLAIN
+from freeart21.view.mesh_pieces import PLAIN
 
 
 @dataclass(frozen=True)
@@ -154,13 +153,14 @@ def _scene(
     shown = read_shown(asset.urdf, asset.root)
     if shown.missing:
         raise FreeArtError(f"{asset.urdf} names the mesh {shown.missing[0]}, which is missing")
-    Ts, pictures, at = shown.urdf.link_poses(q), dict[Path, int](), 0
+    Ts, pictures, at = shown.urdf.link_poses(q), dict[int, NDArray[np.uint8]](), 0
     found: list[tuple[NDArray[Any], ...]] = []
     for name in sorted(shown.visuals, key=lambda name: name not in reference):
         for piece in (p for p in shown.visuals[name] if not p.mesh.empty):
             mesh, index, n = piece.mesh.moved(T_canonical_root @ Ts[name]), -1, len(piece.mesh.vertices)
-            if piece.texture is not None and piece.uv is not None:
-                index = pictures.setdefault(piece.texture, len(pictures))
+            if piece.picture is not None:
+                pictures[id(piece.picture)] = piece.picture
+                index = list(pictures).index(id(piece.picture))
             colours = np.tile(np.array(PLAIN, np.uint8), (n, 1)) if mesh.colours is None else mesh.colours
             uv = np.zeros((n, 2)) if index < 0 or piece.uv is None else piece.uv
             part = np.full(n, 1 if name in reference else 2)
@@ -172,5 +172,4 @@ def _scene(
         if not any(part[0] == k for _, part, *_ in found):
             raise FreeArtError(f"{asset.urdf} has no visual mesh on its {name} side, expected one to film")
     vertices, parts, rgb, uvs, faces, texture = (np.concatenate(each) for each in zip(*found, strict=True))
-    textures = tuple(checked.read_rgb(path) for path in pictures)
-    return FilmScene(vertices, parts, rgb, uvs, faces, texture, textures, placed)
+    return FilmScene(vertices, parts, rgb, uvs, faces, texture, tuple(pictures.values()), placed)

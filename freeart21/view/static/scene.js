@@ -25,7 +25,7 @@ uniform bool textured, ghost;
 uniform sampler2D image;
 out vec4 result;
 void main() {
-  vec3 base = mix(tint, textured ? v_colour * texture(image, v_uv).rgb : v_colour, own);
+  vec3 base = mix(tint, textured ? texture(image, v_uv).rgb : v_colour, own);
   vec3 eye = normalize(-v_position);
   vec3 n = normalize(v_normal);
   n = dot(n, eye) < 0.0 ? -n : n;                       // surfaces have two sides
@@ -127,7 +127,7 @@ FreeArt.renderer = (canvas, data) => {
     attribute("normal", normals, 3);
     if (surface.colours) attribute("colour", gathered(FreeArt.array(surface.colours), faces, 3), 3, gl.UNSIGNED_BYTE, true);
     if (surface.uv) attribute("uv", gathered(FreeArt.array(surface.uv), faces, 2), 2);
-    return { ...surface, array, count: faces.length, painted: Boolean(surface.colours), vertices: null, faces: null };
+    return { ...surface, array, count: faces.length, painted: surface.colours !== null || surface.texture >= 0, vertices: null, faces: null };
   });
   let changed = () => {};
   const textures = data.textures.map((url) => {
