@@ -209,8 +209,8 @@ def check_poses(name: str, Ts: ArrayLike, tolerance: float = 1e-4) -> Array:
     flat = Ts.reshape(-1, 4, 4)
     for i, T in enumerate(flat):
         where = f"{name}[{i}]" if Ts.ndim > 2 else name
-        if not np.isfinite(T).all():
-            raise FreeArtError(f"{where} has entries that are not finite")
+        if not (np.abs(T) < 1e100).all():
+            raise FreeArtError(f"{where} has entries that are not finite, or beyond 1e100")
         error = np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max()
         if error > tolerance or np.linalg.det(T[:3, :3]) < 0 or np.abs(T[3] - [0, 0, 0, 1]).max() > 1e-9:
             raise FreeArtError(

@@ -94,23 +94,6 @@ def test_the_card_of_a_packed_set_has_nothing_of_its_truth(folder, tmp_path):
     assert "".join((tmp_path / "public" / name).read_text() for name in CARD_FILES) == text
 
 
-def test_mlcroissant_reads_every_record(folder):
-    mlcroissant = pytest.importorskip("mlcroissant")
-    data = mlcroissant.Dataset(jsonld=folder / "croissant.json")
-    assert not data.metadata.ctx.issues.errors
-    records = list(data.records("sequences"))
-    assert len(records) == 3
-    first = {key.removeprefix("sequences/"): value for key, value in records[0].items()}
-    assert first["sequence"] in ("a", b"a") and first["frames"] == 16 and first["seed"] == 7
-
-
-def test_datasets_loads_the_folder(folder, tmp_path, monkeypatch):
-    datasets = pytest.importorskip("datasets")
-    loaded = datasets.load_dataset(str(folder), cache_dir=str(tmp_path / "cache"))
-    assert list(loaded) == ["test"] and loaded["test"].num_rows == 3
-    assert loaded["test"][0]["sequence"] == "a" and loaded["test"][2]["joint_type"] == "revolute"
-
-
 def test_a_doi_is_in_header_text_and_croissant(folder):
     from freeart21.files.data_card import card_files
 

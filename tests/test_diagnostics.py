@@ -175,7 +175,7 @@ def test_confidence_maps_stand_beside_the_masks_and_in_the_page(tmp_path):
     "change, message",
     [
         ({"schema": "freeart21/diagnostics/9"}, "schema 'freeart21/diagnostics/9'"),
-        ({"residual_m": [[0.0, 0.0]]}, "'residual_m' has 1 frames, expected 6"),
+        ({"residual_m": [[0.0, 0.0]]}, "residual_m has shape (1, 2), expected (6, 2)"),
         ({"residual_m": [[0.0, -1.0]] * view.N}, "'residual_m' reaches from -1"),
         ({"pixels": [[0.0, float("inf")]] * view.N}, "'pixels' reaches"),
         ({"outside": None}, "'outside'"),

@@ -310,11 +310,6 @@ def test_an_asset_cannot_point_out_of_its_folder(urdf):
     assert_refused("leads out of the folder", read_asset, urdf.parent)
 
 
-def test_a_folder_that_is_no_asset(tmp_path):
-    assert_refused("is not an asset", read_asset, tmp_path)
-    assert_refused("does not exist", read_asset, tmp_path / "nothing")
-
-
 # --- nearly valid files -----------------------------------------------------------------------------------------------
 
 
@@ -353,17 +348,3 @@ def test_poses_and_meshes_that_are_nearly_right_are_read_or_one_line(tmp_path, d
         mesh.write_bytes(data.draw(mutated_bytes(before[1])))
     reads_or_refuses(read_result, tmp_path / "ours")
     poses.write_bytes(before[0]), mesh.write_bytes(before[1])
-
-
-@pytest.mark.parametrize(
-    "change, message",
-    [
-        ({"states": [0, 1]}, "shape"),
-        ({"joint": {"name": "a", "type": "spherical", "axis": [1, 0, 0], "pivot": [0, 0, 0]}}, "type 'spherical'"),
-        ({"trust": {"verdict": "sound", "reasons": ["why"]}}, "sound with 1 reasons"),
-        ({"trust": {"verdict": "doubtful", "reasons": ["two\nlines"]}}, "plain lines"),
-    ],
-)
-def test_a_bad_prediction_is_one_clear_line(result, change, message):
-    edit(result / "prediction.json", **change)
-    assert_refused(message, read_result, result)

@@ -196,15 +196,3 @@ def test_no_bytes_do_more_than_raise_one_clear_line(tmp_path, data):
     (tmp_path / "a.ply").write_bytes(data.draw(mutated_bytes((tmp_path / "a.ply").read_bytes())))
     line = reads_or_refuses(read_gaussians, tmp_path / "a.ply")
     assert line.isprintable() and len(line) < 500
-
-
-@pytest.mark.parametrize(
-    ("column", "value", "message"),
-    [("x", np.nan, "x of Gaussian 7 is nan"), ("part_weight", 1.5, "a part_weight is 1.5, expected 0")],
-)
-def test_numbers_that_are_none_are_named(tmp_path, column, value, message):
-    write_gaussians(tmp_path / "a.ply", make_gaussians())
-    columns = {name: values.copy() for name, values in table(tmp_path / "a.ply")[1].items()}
-    columns[column][7] = value
-    write_table(tmp_path / "a.ply", columns)
-    assert_refused(message, read_gaussians, tmp_path / "a.ply")

@@ -176,10 +176,6 @@ def test_drive_cells_may_be_empty_except_the_first(tmp_path: Path):
         read_measured(write(tmp_path / "b", changes, csv="t_s,q,effort\n" + "\n".join(rows)))
 
 
-def test_a_missing_set_is_a_one_line_error(tmp_path: Path):
-    assert_refused("is not a measured set: expected a folder with measured.json", read_measured, tmp_path / "nothing")
-
-
 def test_oversized_input_is_refused(tmp_path: Path, monkeypatch):
     folder = write(tmp_path)
     monkeypatch.setattr("freeart21.files.measured.MAX_BYTES", 1000)

@@ -6,7 +6,7 @@ Optional: no scorer reads them. Contents of the other result files (states and t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -81,17 +81,10 @@ class Diagnostics:
     pieces that were seen at one state only."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name in _OF_FRAMES and np.shape(value) != (len(self.pixels), 2):
-                raise FreeArtError(
-                    f"diagnostics {field.name} has shape {np.shape(value)}, expected ({len(self.pixels)}, 2)"
-                )
-
-        for name, shape in _shapes(len(self)).items():
-            value = getattr(self, name)
-            if value is not None and np.shape(value) != shape:
-                raise FreeArtError(f"diagnostics {name} has shape {np.shape(value)}, expected {shape}")
+        for name, shape in _SHAPES.items():
+            value, expected = getattr(self, name), tuple(len(self) if size is None else size for size in shape)
+            if value is not None and np.shape(value) != expected:
+                raise FreeArtError(f"diagnostics {name} has shape {np.shape(value)}, expected {expected}")
         maps = self.confidence_maps
         if maps is not None and (maps.ndim != 3 or len(maps) != len(self) or maps.dtype != np.uint8):
             raise FreeArtError(
@@ -104,58 +97,38 @@ class Diagnostics:
 
     def exchanged(self) -> Diagnostics:
         """The same with reference and moving part exchanged."""
-        turned = {name: getattr(self, name) for name in (*_OF_FRAMES, *_OF_PARTS)}
+        turned = {
+            name: getattr(self, name) for name, shape in _SHAPES.items() if shape[-1] == 2 and name != "type_costs"
+        }
         return replace(self, **{name: value[..., ::-1] for name, value in turned.items() if value is not None})
 
 
-_OF_FRAMES = ("pixels", "confidence", "inliers", "outside", "residual_m", "jointed_residual_m")
-_OF_PARTS = (
-    "other_motion_cost",
-    "uncovered",
-    "spilled",
-    "off_surface",
-    "colour_residual",
-    "extent_ratio",
-    "seen_share",
-)
-_OPTIONAL = ("unexplained", "rival_distance", "type_costs", *_OF_PARTS)
+_REQUIRED = ("pixels", "confidence", "inliers", "outside", "residual_m", "jointed_residual_m")
+_SHAPES: dict[str, tuple[int | None, ...]] = {
+    **dict.fromkeys(_REQUIRED, (None, 2)),
+    **dict.fromkeys(("unexplained", "rival_distance"), (None,)),
+    "type_costs": (2,),
+    **dict.fromkeys(("other_motion_cost", "uncovered", "spilled", "off_surface", "colour_residual"), (None, 2)),
+    **dict.fromkeys(("extent_ratio", "seen_share"), (2,)),
+}
+"""Of the arrays, in the order of the file; None is the number of frames."""
 _SHARES = ("confidence", "inliers", "outside", "unexplained", "uncovered", "spilled", "off_surface", "seen_share")
 _LENGTHS = ("gate_m", "footprint_m", "noise_m", "diagonal_m")
 
 
-def _shapes(n: int) -> dict[str, tuple[int, ...]]:
-    """Shapes of the optional fields for n frames."""
-    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(_OPTIONAL, (n, 2))
-    shapes.update(dict.fromkeys(("unexplained", "rival_distance"), (n,)))
-    shapes.update(dict.fromkeys(("type_costs", "extent_ratio", "seen_share"), (2,)))
-    return shapes
-
-
 def diagnostics_to_json(diagnostics: Diagnostics) -> dict[str, Any]:
     """Plain values without the maps; arrays to six digits, null where nothing was measured."""
-    data: dict[str, Any] = {"schema": SCHEMA}
-    for name in _OF_FRAMES:
-        data[name] = [[_six_digits(v) for v in row] for row in np.asarray(getattr(diagnostics, name), float).tolist()]
-    for name in _OPTIONAL:
-        value = getattr(diagnostics, name)
-        if value is not None:
-            flat = [_six_digits(v) for v in np.ravel(value).tolist()]
-            data[name] = flat if np.ndim(value) == 1 else [flat[i : i + 2] for i in range(0, len(flat), 2)]
-    return (
-        data | {name: float(getattr(diagnostics, name)) for name in _LENGTHS} | {"peak_bytes": diagnostics.peak_bytes}
-    )
+    arrays = {name: getattr(diagnostics, name) for name in _SHAPES}
+    data = {name: _six_digits(np.asarray(value, float).tolist()) for name, value in arrays.items() if value is not None}
+    lengths = {name: float(getattr(diagnostics, name)) for name in _LENGTHS}
+    return {"schema": SCHEMA, **data, **lengths, "peak_bytes": diagnostics.peak_bytes}
 
 
 def diagnostics_from_json(data: dict[str, Any], path: Path) -> Diagnostics:
     """What `diagnostics_to_json` wrote; raises FreeArtError naming `path`."""
-    arrays = {name: checked.numbers(data, name, (None, 2), path, nullable=True) for name in _OF_FRAMES}
-    n = len(arrays["pixels"])
-    for name, shape in _shapes(n).items():
-        if data.get(name) is not None:
-            arrays[name] = checked.numbers(data, name, shape, path, nullable=True)
+    given = {name: shape for name, shape in _SHAPES.items() if name in _REQUIRED or data.get(name) is not None}
+    arrays = {name: checked.numbers(data, name, shape, path, nullable=True) for name, shape in given.items()}
     for name, array in arrays.items():
-        if name in _OF_FRAMES and len(array) != n:
-            raise FreeArtError(f"{path}: '{name}' has {len(array)} frames, expected {n} as 'pixels'")
         low, high = np.nanmin(array, initial=0.0), np.nanmax(array, initial=0.0)
         most = 1.0 if name in _SHARES else np.inf
         if low < 0 or high > most or not np.isfinite(high):
@@ -164,7 +137,8 @@ def diagnostics_from_json(data: dict[str, Any], path: Path) -> Diagnostics:
     peak = data.get("peak_bytes")
     if peak is not None and (not isinstance(peak, int) or isinstance(peak, bool) or peak < 0):
         raise FreeArtError(f"{path}: 'peak_bytes' is {peak!r}, expected a whole number or null")
-    return Diagnostics(**arrays, **lengths, peak_bytes=peak)  # type: ignore[arg-type]
+    with checked.naming(path):
+        return Diagnostics(**arrays, **lengths, peak_bytes=peak)  # type: ignore[arg-type]
 
 
 def write_diagnostics(folder: Path, diagnostics: Diagnostics) -> None:
@@ -204,5 +178,8 @@ def read_confidence(folder: Path, index: int, shape: tuple[int, int]) -> NDArray
     return found
 
 
-def _six_digits(value: float) -> float | None:
+def _six_digits(value: Any) -> Any:
+    """The numbers of nested lists."""
+    if isinstance(value, list):
+        return [_six_digits(entry) for entry in value]
     return float(f"{value:.6g}") if np.isfinite(value) else None

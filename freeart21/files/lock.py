@@ -40,29 +40,22 @@ def hold_lock(
     """
     made = [*folders, *(folder for folder in lock.parents if not folder.exists())]
     deadline = time.monotonic() + patience_s
-    while (handle := acquire(lock)) is None:
+    while (handle := _acquire(lock)) is None:
         if time.monotonic() > deadline:
             raise FreeArtError(f"{otherwise}; wait for it, or choose another place")
         time.sleep(0.05)
     try:
         yield
     finally:
-        if keep():
-            os.close(handle)
-        else:
-            release(lock, handle, made)
+        if not keep():
+            lock.unlink(missing_ok=True)
+            for folder in made:
+                with contextlib.suppress(OSError):  # what is not empty stays
+                    folder.rmdir()
+        os.close(handle)
 
 
-def release(lock: Path, handle: int, made: list[Path]) -> None:
-    """Release the lock and remove its file, and those of the folders `made` for it (innermost first) that are empty."""
-    lock.unlink(missing_ok=True)
-    for folder in made:
-        with contextlib.suppress(OSError):  # what is not empty stays
-            folder.rmdir()
-    os.close(handle)
-
-
-def acquire(path: Path) -> int | None:
+def _acquire(path: Path) -> int | None:
     """A handle that holds the lock file `path`, or None when another process has it.
 
     The lock is taken exclusively, then kept as a shared one. Raises CannotWrite when the file cannot be made.
