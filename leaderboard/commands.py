@@ -355,20 +355,20 @@ def pack(
 def release(
     data: Annotated[tuple[Path, ...], Positional],
     out: Path,
-    to: Literal["shards", "bop"] = "shards",
+    to: Literal["shards", "coco", "bop"] = "shards",
     per_shard: int = 64,
     doi: str = "",
 ) -> None:
-    """Write data folders as they are published: tar shards with a manifest, or BOP scenes.
+    """Write data folders as they are published: tar shards with a manifest, COCO instances, or BOP scenes.
 
     shards: files of a bounded number of sequences, each a whole data folder, manifest.parquet (hash, seed, hardness,
-    licence, preview of each sequence) and the card, as the Hugging Face hub shows them. bop: pictures, masks, poses and
-    models of both parts.
+    licence, preview of each sequence) and the card, as the Hugging Face hub shows them. coco: masks of both parts in
+    one JSON file, without pictures. bop: pictures, masks, poses and models of both parts.
 
     Args:
-        data: Data folders of one name, version and split; one for bop, with its truth.
+        data: Data folders of one name, version and split; one for coco and bop, with its truth.
         out: New folder.
-        to: Form: shards or bop.
+        to: Form: shards, coco or bop.
         per_shard: Most sequences in a shard.
         doi: DOI of the data set, once it has one, such as 10.5281/zenodo.123.
     """
@@ -376,6 +376,7 @@ def release(
     from freeart21.files.places import check_place
     from freeart21.progress import progress_bar
     from leaderboard.release.bop import write_bop
+    from leaderboard.release.coco import write_coco
     from leaderboard.release.shards import write_shards
 
     check_place(out, None, data)
@@ -384,6 +385,8 @@ def release(
     with progress_bar("Writing") as show:
         if to == "shards":
             count, what = write_shards(data, out, per_shard, doi, show), "shard"
+        elif to == "coco":
+            count, what = write_coco(data[0], out, show), "annotation"
         else:
             count, what = write_bop(data[0], out, show), "scene"
     print(f"{out}: {count} {what}{'s' * (count != 1)}")

@@ -25,6 +25,7 @@ from freeart21.files.mesh_file import read_ply
 from freeart21.files.verify import differing_files, listed_files
 from leaderboard.pack import pack_public
 from leaderboard.release.bop import silhouette, write_bop
+from leaderboard.release.coco import run_lengths, write_coco
 from leaderboard.release.shards import write_shards
 
 
@@ -83,15 +84,41 @@ def test_many_folders_are_one_release_and_faults_are_refused(data, tmp_path, mon
 
 def test_the_command_writes_each_form(data, tmp_path, capsys):
     pytest.importorskip("pyarrow")
-    for form, words in (("shards", "1 shard"), ("bop", "3 scenes")):
+    for form, words in (("shards", "1 shard"), ("coco", "annotations"), ("bop", "3 scenes")):
         code, out, err = run_command(capsys, "release", data, "--to", form, "--out", tmp_path / form)
         assert code == 0, err
         assert out.endswith(f"{words}\n")
     pack_public(data, tmp_path / "public", tmp_path / "key")
-    code, _, err = run_command(capsys, "release", tmp_path / "public", "--to", "bop", "--out", tmp_path / "x")
-    assert code == 1 and "packed without its truth" in err and not (tmp_path / "x").exists()
-    code, _, err = run_command(capsys, "release", data, data, "--to", "bop", "--out", tmp_path / "x")
+    for form in ("coco", "bop"):
+        code, _, err = run_command(capsys, "release", tmp_path / "public", "--to", form, "--out", tmp_path / "x")
+        assert code == 1 and "packed without its truth" in err and not (tmp_path / "x").exists()
+    code, _, err = run_command(capsys, "release", data, data, "--to", "coco", "--out", tmp_path / "x")
     assert code == 1 and "one data folder" in err
+
+
+def test_pycocotools_reads_the_masks(data, tmp_path):
+    coco = pytest.importorskip("pycocotools.coco")
+    n = write_coco(data, tmp_path / "coco")
+    found = coco.COCO(tmp_path / "coco/instances.json")
+    assert len(found.anns) == n > 60 and [c["name"] for c in found.loadCats([1, 2])] == [
+        "reference part",
+        "moving part",
+    ]
+    known = truths()
+    for annotation in found.loadAnns(found.getAnnIds()):
+        (image,) = found.loadImgs(annotation["image_id"])
+        labels = known[image["sequence"]].part_mask(image["frame"])
+        mask = labels == annotation["category_id"]
+        assert np.array_equal(found.annToMask(annotation) > 0, mask) and annotation["area"] == mask.sum()
+        x, y, w, h = map(int, annotation["bbox"])
+        assert mask[y : y + h, x : x + w].sum() == mask.sum() and mask[y].any() and mask[:, x + w - 1].any()
+        assert (data / image["file_name"]).is_file()
+
+
+def test_run_lengths_begin_with_what_is_off():
+    assert run_lengths(np.array([[1, 0], [1, 1]], bool)) == [0, 2, 1, 1]
+    assert run_lengths(np.array([[0, 1], [0, 0]], bool)) == [2, 1, 1]
+    assert run_lengths(np.zeros((2, 2), bool)) == [4] and run_lengths(np.ones((2, 2), bool)) == [0, 4]
 
 
 def test_bop_has_poses_in_millimetres_and_pixels_from_whole_numbers(data, tmp_path):
