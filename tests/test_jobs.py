@@ -92,7 +92,7 @@ def test_a_job_whose_process_is_killed_starts_again_as_often_as_is_said(tmp_path
 def test_a_job_that_takes_longer_than_its_limit_has_failed(tmp_path):
     (job,) = writing(tmp_path, 1, 600)
     assert "more than 5 s" in run_jobs(tmp_path, [Job(job.name, job.call, job.arguments, limit_s=5)])[job.name]
-    assert not processes(str(tmp_path))
+    assert not job_processes(str(tmp_path))
 
 
 def test_an_unknown_executor_lists_the_known_and_slurm_says_what_it_lacks(tmp_path, monkeypatch):
@@ -159,7 +159,7 @@ def until(true, patience_s: float = 120.0) -> None:
     raise AssertionError("waited in vain")
 
 
-def processes(folder: str) -> list[int]:
+def job_processes(folder: str) -> list[int]:
     """Processes of jobs whose log is in `folder`."""
     found = []
     for place in Path("/proc").glob("[0-9]*"):
@@ -178,7 +178,7 @@ def test_a_run_that_is_killed_again_and_again_goes_on_to_the_same_bytes(tmp_path
             until(lambda: len(started(tmp_path)) > kill or run.poll() is not None)  # noqa: B023
             time.sleep(draw.uniform(0, 0.3))
             run.send_signal(signal.SIGKILL)
-        until(lambda: not processes(str(tmp_path)))  # its jobs end with it
+        until(lambda: not job_processes(str(tmp_path)))  # its jobs end with it
         for name, sha256 in results(tmp_path).items():
             assert name.endswith(".part") or whole[name] == sha256, (kill, name)  # whatever has its name is whole
     assert run_jobs(tmp_path, writing(tmp_path, 6), 2) == {}
@@ -195,7 +195,7 @@ def test_ctrl_c_ends_with_130_and_its_jobs_with_it(tmp_path):
         run.send_signal(signal.SIGINT)
         _, errors = run.communicate(timeout=120)
     assert run.returncode == 130 and errors.strip() == "freeart21: stopped", errors
-    assert not processes(str(tmp_path)) and not list(tmp_path.rglob("*lock"))
+    assert not job_processes(str(tmp_path)) and not list(tmp_path.rglob("*lock"))
 
 
 def test_the_same_job_done_by_two_at_a_time_is_done_once(tmp_path):
@@ -226,8 +226,8 @@ def test_rays_workers_killed_at_random_lose_nothing(tmp_path, whole):
 
     def kill() -> None:
         for _ in range(2):
-            until(lambda: over.is_set() or processes(str(tmp_path)))
-            for pid in processes(str(tmp_path))[:1]:
+            until(lambda: over.is_set() or job_processes(str(tmp_path)))
+            for pid in job_processes(str(tmp_path))[:1]:
                 time.sleep(draw.uniform(0, 0.3))
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(pid, signal.SIGKILL)
