@@ -82,9 +82,9 @@ def log_evidences(fits: Sequence[JointFit], Ts: Array, centre: Array, lever: flo
     Types of joint differ in smooth functions of the state, so only these are compared: the residuals' components along
     polynomials. A tracker's errors are smooth, too: they drift as the part moves, and a far hinge takes the drift for
     an arc. So each octave of degrees has a noise level of its own, estimated from the residuals; a drift, which is of
-    low degree, counts as the few independent numbers that it is, five a polynomial. Axes have any direction alike. A
-    hinge is on or near the part: the distance of its pivot from the part's centre has a plane Cauchy distribution of
-    the part's size, whose share beyond a distance r is lever / r.
+    low degree, counts as the few independent numbers that it is, five a polynomial. All directions of an axis are
+    equally likely. A hinge is on or near the part: the distance of its pivot from the part's centre has a plane Cauchy
+    distribution of the part's size, whose share beyond a distance r is lever / r.
     """
     body, near = _points_around(centre, lever), min(fits, key=lambda fit: fit.residual)
     weights = np.minimum(1, 3 * near.residual / np.maximum(near.residuals, 1e-300))[:, None]  # of frames gone wild

@@ -293,10 +293,10 @@ def _png_writer() -> Iterator[Callable[[dict[Path, NDArray[Any]]], None]]:
     So a thread only encodes, which needs no lock; the function returns when the encoding has started; and the caller's
     thread writes the encoded files. Memory is bounded: the function waits when all threads are busy.
     """
-    begun, waiting = threading.Semaphore(0), deque[list[tuple[Path, Future[bytes]]]]()
+    started, waiting = threading.Semaphore(0), deque[list[tuple[Path, Future[bytes]]]]()
 
     def encode(image: NDArray[Any]) -> bytes:
-        begun.release()
+        started.release()
         return checked.encode_png(image)
 
     def write_oldest() -> None:
@@ -308,7 +308,7 @@ def _png_writer() -> Iterator[Callable[[dict[Path, NDArray[Any]]], None]]:
             write_oldest()
         waiting.append([(path, pool.submit(encode, image)) for path, image in pictures.items()])
         for _ in pictures:
-            begun.acquire()
+            started.acquire()
 
     with ThreadPoolExecutor(min(max(4, os.cpu_count() or 1), 16), "png") as pool:
         yield put

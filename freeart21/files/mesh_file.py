@@ -47,8 +47,8 @@ class Header:
         for words in self.elements[k][2]:
             kinds = [_TYPES.get(word) for word in words[int(words[:1] == ["list"]) : -1]]
             if None in kinds or len(kinds) not in (1, 2) or (len(kinds) == 2 and words[3] not in _INDICES):
-                said = checked.shorten(" ".join(words))
-                raise ValueError(f"a property is {said}, expected a type of number and a name, or vertex_indices")
+                given = checked.shorten(" ".join(words))
+                raise ValueError(f"a property is {given}, expected a type of number and a name, or vertex_indices")
             if len(kinds) == 1:
                 fields.append((words[1], f"{order}{kinds[0]}"))
             else:
