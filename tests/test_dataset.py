@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from another_python import ROOT, run_python
-from test_jobs import processes
+from test_jobs import job_processes
 
 from freeart21 import catalog
 from freeart21.effects.viscous_damping import ViscousDamping
@@ -133,7 +133,7 @@ def test_jobs_of_an_executor_give_the_same_bytes_also_when_their_processes_are_k
         """Two of the jobs' processes, in the midst of their work."""
         while not over.is_set() and len(killed) < 2:
             work = data / ".recording"
-            for pid in processes(str(data)):
+            for pid in job_processes(str(data)):
                 if pid not in killed and len(killed) < 2 and len(list(work.glob("*/side/*.png"))) > 2 * len(killed):
                     killed.append(pid)
                     with contextlib.suppress(ProcessLookupError):
