@@ -1,8 +1,7 @@
 """Jobs: calls of functions of this project, each done once, here or on a cluster, whatever is killed meanwhile.
 
 The ledger of a folder of jobs is `.jobs/` in it: a log of each job and, written last, a marker when it is finished.
-Jobs with a marker are skipped, so that a killed run resumes. Where a job runs does not change its results. They are in
-files that every worker must see: on a cluster, on a shared file system.
+Jobs with a marker are skipped, so that a killed run resumes. Results are in files that every worker must see.
 """
 
 from __future__ import annotations
@@ -11,6 +10,7 @@ import contextlib
 import hashlib
 import importlib
 import json
+import math
 import os
 import shutil
 import signal
@@ -98,7 +98,7 @@ class Ledger:
 class Executor:
     """Starts jobs, and ends them."""
 
-    queue_s = 0.0
+    queue_s = math.inf
     """Longest time from the submission of a job to its begin, s."""
 
     def __init__(self, workers: int, folder: Path) -> None:
@@ -117,7 +117,7 @@ class Executor:
 
 
 class Local(Executor):
-    """Processes of this machine."""
+    """Processes of this machine. Each is ended here when its limit has passed: none is waited for in vain."""
 
     def __init__(self, workers: int, folder: Path) -> None:
         super().__init__(workers, folder)
