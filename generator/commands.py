@@ -224,14 +224,13 @@ def convert(
     """
     from freeart21.formats import convert as formats
     from freeart21.formats.third_party import ReadOptions
-    from freeart21.progress import progress_board
+    from freeart21.progress import progress_bar
     from generator.third_party import complete_truth
 
     maker = partial(complete_truth, joint=joint, skip_missing=skip_missing)
     options = ReadOptions(depth_unit, fps, meta, partnet_root, masks, longest_side)
-    with progress_board(1, 0) as board:
-        for done in formats.convert(source, out, to, layout, maker, options, hold_out, board.update):
-            board.finished(done.name)
+    with progress_bar("Converting") as show:
+        for done in formats.convert(source, out, to, layout, maker, options, hold_out, show):
             print(done.folder)
             for note in done.notes:
                 print(f"{done.name}: {note}", file=sys.stderr)

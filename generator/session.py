@@ -212,7 +212,7 @@ class Session:
                     self.sensor.start_drawing(i + 1)
                 if not self._may_hide:
                     self._require_seen(shot.side, f"frame {i}")
-                mask = shot.mask.view(np.uint8) * np.uint8(255)
+                mask = (shot.side > 0).view(np.uint8) * np.uint8(255)
                 images = shot.rgb, encode_depth(shot.depth, self.depth_scale), mask, shot.side
                 put({self._work / sub / f"{i:05d}.png": image for sub, image in zip(_PICTURES, images, strict=True)})
                 self._counts[i] = np.count_nonzero(shot.side == 1), np.count_nonzero(shot.side == 2)
