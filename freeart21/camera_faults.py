@@ -35,7 +35,6 @@ class Fault:
     """Meaning of a field of `CameraFaults`."""
 
     low: float
-    """Bounds, far beyond any camera, so that a damaged file is refused."""
     high: float
     """Between these it must lie: far beyond any camera, so that a damaged file is refused."""
     unit: str
@@ -123,7 +122,8 @@ class CameraFaults:
         z = depth.astype(np.float64)
         out = z * (1 + self.depth_scale) + self.depth_offset + self.depth_curve * z * z
         if rng is not None:
-            out = self._add_noise(out, z, cosine, rng)
+            noise = rng.standard_normal(z.shape)
+            out = out + self.depth_noise(z, cosine) * noise if self.noise else out
             out = self._add_flying_pixels(out, z, rng)
             out = np.where(rng.random(z.shape) < self.hole_probability(brightness, cosine), 0.0, out)
         out = np.where(seen, np.maximum(out, 0), 0)
@@ -151,10 +151,6 @@ class CameraFaults:
             return rgb
         table = srgb_encode(2.0**stops * srgb_decode(np.arange(256) / 255.0) ** (1 + gamma))
         return np.asarray(np.rint(255 * table).astype(np.uint8)[rgb])
-
-    def _add_noise(self, out: Array, z: Array, cosine: Map, rng: np.random.Generator) -> Array:
-        noise = rng.standard_normal(z.shape)
-        return out + self.depth_noise(z, cosine) * noise if self.noise else out
 
     def _add_flying_pixels(self, out: Array, z: Array, rng: np.random.Generator) -> Array:
         fly, share = rng.random((2, *z.shape))

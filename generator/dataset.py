@@ -194,7 +194,9 @@ def record_jobs(
     label = label or _read_label(out)
     with _writer_lock(out):
         try:
-            _remove_partial_files(out)
+            for folder in (out, out / WORK):  # what a killed recorder left
+                for left in folder.glob(f".*{atomic.PART_SUFFIX}"):
+                    left.unlink(missing_ok=True)
             plan = {"schema": JOB_SCHEMA, "label": vars(label), "jobs": [job.to_json() for job in jobs]}
             atomic.write_json(out / WORK / "job.json", plan)
             todo = _unfinished_jobs(out, jobs)
@@ -266,13 +268,6 @@ def _unfinished_jobs(out: Path, jobs: Sequence[Job]) -> list[Job]:
         if not sequence.exists() and (not truth.exists() or (out / WORK / job.sequence).is_dir()):
             todo.append(job)
     return todo
-
-
-def _remove_partial_files(out: Path) -> None:
-    """Remove temporary files of data-set files that a killed recorder left."""
-    for folder in (out, out / WORK):
-        for left in folder.glob(f".*{atomic.PART_SUFFIX}"):
-            left.unlink(missing_ok=True)
 
 
 def _difference(job: Job, header: Path) -> str:

@@ -121,13 +121,7 @@ def _plan_from_take(loaded: LoadedObject, settings: RecordSettings, camera: Came
     if take.poses == "camera" and way_changes:
         Ts, more = tracks.move_away(Ts, states, body, camera)
         way_changes["carry"] *= more
-    facts: dict[str, Any] = {
-        "name": take.name,
-        "sha256": take.sha256,
-        "form": take.form,
-        "device": take.device,
-        "poses": take.poses,
-    }
+    facts: dict[str, Any] = {key: getattr(take, key) for key in ("name", "sha256", "form", "device", "poses")}
     if take.filter is not None:
         facts["filter"] = {"one_euro": asdict(take.filter)}
     plan = Plan(

@@ -176,7 +176,8 @@ def read_visuals(read: Urdf, root: Path, gaps: Gaps, closed: bool = True) -> dic
         for shape in link.visuals:
             surface = _surface(shape, read.path, f"{read.path}: link '{name}'", root, gaps)
             if surface is not None and len(surface.faces):
-                surface = _both_sides(surface) if closed and not _bounds_volume(surface) else surface
+                if closed and not _bounds_volume(surface):
+                    surface = Surface.joined([surface, replace(surface, faces=surface.faces[:, ::-1])])
                 scale = shape.size if shape.kind == "mesh" else np.ones(3)
                 found[name].append(Visual(surface, shape.T_link_shape, scale))
     return found
@@ -291,8 +292,3 @@ def _bounds_volume(surface: Surface) -> bool:
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=True)
     mesh.update_faces(mesh.nondegenerate_faces())  # as at the poles of a sphere
     return bool(mesh.is_volume)
-
-
-def _both_sides(surface: Surface) -> Surface:
-    """The surface with each face in both directions."""
-    return Surface.joined([surface, replace(surface, faces=surface.faces[:, ::-1])])

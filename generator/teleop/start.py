@@ -44,10 +44,13 @@ def serve(name: str, out: Path, settings: TeleopSettings, record: RecordSettings
     settings.check()
     context = _tls(settings)
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
-        name, loaded, inputs = _load_object(name, record, Path(place))
+        source = find_object(name, record)
+        name, loaded = source.entry.name, source.load(Path(place))
         for note in loaded.notes:
             print(f"{name}: {note}", file=sys.stderr)
         size = bounding_diagonal(loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh())
+        folder = loaded.asset.urdf.parent  # the user's is never written to
+        inputs = () if folder.is_relative_to(place) else (folder,)
         takes = Takes(out, loaded.joint.type, inputs, size)
         rescued: list[str] = []
         with processes.resume_hint(lambda: "".join(rescued)):
@@ -67,14 +70,6 @@ def _tls(settings: TeleopSettings) -> ssl.SSLContext | None:
             f"cannot use the certificate {settings.cert} with the key {settings.key}: {error}"
         ) from error
     return context
-
-
-def _load_object(name: str, record: RecordSettings, place: Path) -> tuple[str, LoadedObject, tuple[Path, ...]]:
-    """The object's name, the loaded object, and the user's folders, which are never written to."""
-    source = find_object(name, record)
-    loaded = source.load(place)
-    folder = loaded.asset.urdf.parent
-    return source.entry.name, loaded, () if folder.is_relative_to(place) else (folder,)
 
 
 async def _serve(
