@@ -251,7 +251,7 @@ def masks(
     from freeart21.progress import progress_bar
     from freeart21.view.masks_page import MaskView, choose_frames, write_masks_page
     from reconstruct.hands import find_networks
-    from reconstruct.masks import Foreground, MaskSettings, carry_masks
+    from reconstruct.masks import Foreground, carry_masks
     from reconstruct.segmenters import make_segmenter
 
     check_place(out, MASKS, [source])
@@ -261,9 +261,8 @@ def masks(
         raise FreeArtError(f"{source} has {len(found)} recordings, expected one")
     layout, folder = found[0]
     recording = layout.read(folder, ReadOptions(depth_unit=depth_unit)).recording
-    settings = MaskSettings(hands=hands or find_networks())
     with progress_bar("Finding the object") as show:
-        foreground = Foreground(recording, settings, progress=show)
+        foreground = Foreground(recording, hands or find_networks(), show)
     clicks = _ask_for_clicks(foreground, recording, port) if click else []
     made = foreground.masks(clicks)
     if network is not None:
