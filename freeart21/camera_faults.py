@@ -201,26 +201,6 @@ def srgb_decode(colours: NDArray[Any]) -> Array:
     return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
 
 
-def incidence_cosine(depth: NDArray[Any], camera: Camera) -> Map:
-    """Cosine (height, width) of the angle of incidence from the depth picture alone; 1 where nothing is drawn.
-
-    On a plane the inverse depth is linear in the picture; each slope is the smaller of both sides'.
-    """
-    rays = camera.rays()
-    w = np.where(depth > 0, 1 / np.maximum(depth, 1e-9), np.nan)
-    slopes = []
-    for axis, f in ((1, camera.K[0, 0]), (0, camera.K[1, 1])):
-        step = np.diff(w, axis=axis) * f
-        pad = np.full_like(np.take(w, [0], axis), np.nan)
-        both = np.stack([np.concatenate([pad, step], axis), np.concatenate([step, pad], axis)])
-        both = np.where(np.isfinite(both), both, np.inf)
-        least = np.take_along_axis(both, np.abs(both).argmin(0)[None], 0)[0]
-        slopes.append(np.where(np.isfinite(least), least, 0.0))
-    n = np.stack([slopes[0], slopes[1], np.nan_to_num(w) - slopes[0] * rays[..., 0] - slopes[1] * rays[..., 1]], -1)
-    length = np.linalg.norm(n, axis=-1) * np.linalg.norm(rays, axis=-1)
-    return np.where(depth > 0, np.nan_to_num(w) / np.maximum(length, 1e-12), 1.0).astype(np.float32)
-
-
 def find_depth_edges(z: NDArray[Any]) -> tuple[Array, Array]:
     """Depth behind the nearest depth edge, metres, and the distance to that edge, pixels; inf far from any.
 

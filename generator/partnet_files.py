@@ -34,7 +34,6 @@ from generator.surface import Paint, Surface, srgb_bytes
 
 MAX_OBJ_BYTES = 256 << 20
 MAX_MTL_BYTES = 4 << 20
-_LARGEST = 1e6  # largest plausible coordinate
 _NO_KD = 0.6  # default Kd of SAPIEN's reader (Assimp)
 _FACE = re.compile(r"^[ \t]*f[ \t]", re.MULTILINE)
 _FACE_LINE = re.compile(r"^[ \t]*f[ \t]+(.*)", re.MULTILINE)
@@ -92,27 +91,11 @@ class Material:
     """The picture that replaces Kd."""
 
 
-def resolve_inside(folder: Path, name: str, what: str) -> Path:
-    """The file `name` in `folder`; FreeArtError when it is outside, also through a link."""
-    if "://" in name or name.startswith(("/", "\\")):
-        raise FreeArtError(f"{what} '{name}', expected a path inside {folder}")
-    try:
-        path = checked.inside(folder, name)
-        path.is_file()
-    except (OSError, RuntimeError, ValueError) as error:  # a circle of links, a name too long
-        raise FreeArtError(f"{what} '{name[:80]}', which cannot be looked up: {error}") from error
-    except FreeArtError as error:
-        if error.__cause__ is not None:  # of the look-up
-            raise FreeArtError(f"{what} '{name[:80]}', which cannot be looked up: {error.__cause__}") from error
-        raise FreeArtError(f"{what} '{name}', which leads out of the folder {folder}") from error
-    return path
-
-
 def read_obj(path: Path, folder: Path, gaps: Gaps) -> Surface:
     """The triangles of an OBJ file of the object in `folder`, with its materials; adds absent files to `gaps`.
 
-    Raises FreeArtError, in one line, when the file is not an OBJ, refers to vertices that do not exist or are not
-    finite, when a picture is unreadable, or when a file is outside `folder`.
+    Raises FreeArtError, in one line, when the file is not an OBJ, refers to vertices that do not exist, when a picture
+    is unreadable, or when a file is outside `folder`.
     """
     text = _text(path, MAX_OBJ_BYTES)
     materials = read_materials(path, text, folder, gaps)
@@ -131,8 +114,6 @@ def read_obj(path: Path, folder: Path, gaps: Gaps) -> Surface:
     except (ValueError, IndexError, KeyError, TypeError, AttributeError) as error:
         raise FreeArtError(f"{path} is not a readable OBJ file: {' '.join(str(error).split())}") from error
     surface = Surface.joined(pieces)
-    if not (np.abs(surface.vertices) < _LARGEST).all():
-        raise FreeArtError(f"{path} has vertices that are not finite or beyond {_LARGEST:g}")
     if len(surface.faces) == 0:
         raise FreeArtError(f"{path} is not a readable OBJ file: it has faces, but none of three corners or more")
     return surface
@@ -225,10 +206,17 @@ def _picture(rest: str, mtl: Path, folder: Path) -> Path | None:
 
 
 def _neighbour(origin: Path, name: str, folder: Path, what: str) -> Path | None:
-    """The file `name` relative to the file `origin`, inside `folder`; None when absent."""
-    here = origin.parent.resolve().relative_to(folder.resolve())
-    path = resolve_inside(folder, name if name.startswith("/") else f"{here}/{name}", f"{origin} names the {what}")
-    return path if path.is_file() else None
+    """The file `name` relative to the file `origin`, None when absent; FreeArtError when it is outside `folder`."""
+    named = f"{origin} names the {what} '{name[:80]}'"
+    if "://" in name or name.startswith(("/", "\\")):
+        raise FreeArtError(f"{named}, expected a path inside {folder}")
+    try:
+        path = checked.inside(folder, f"{origin.parent.resolve().relative_to(folder.resolve())}/{name}")
+        return path if path.is_file() else None
+    except (OSError, RuntimeError, ValueError) as error:  # a circle of links, a name too long
+        raise FreeArtError(f"{named}, which cannot be looked up: {error}") from error
+    except FreeArtError as error:
+        raise FreeArtError(f"{named}, which leads out of the folder {folder}") from error
 
 
 def _colour(rest: str, mtl: Path) -> Array:

@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21 import se3
-from freeart21.camera_faults import CameraFaults, incidence_cosine
+from freeart21.camera_faults import CameraFaults
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 from generator.motion import Plan, hull_points
 from generator.scene import Scene, encode_srgb
 from generator.sensors import check_sensor
 from generator.sensors.base import Video
+from generator.tof import incidence_cosine
 from generator.urdf_object import LoadedObject
 
 EXPOSURE_S = 1 / 60
@@ -118,7 +119,8 @@ class Sensor:
         assert faults is not None
         rng = np.random.default_rng([self._seed, _FAULTS, i])
         bright = (rgb.mean(-1) / 255).astype(np.float32)
-        depth = faults.depth(depth, bright, incidence_cosine(depth, self._scene.camera), self._nominal_camera, rng)
+        cosine = incidence_cosine(depth, self._scene.camera.rays())
+        depth = faults.depth(depth, bright, cosine, self._nominal_camera, rng)
         return depth, faults.colour(rgb, i / max(len(self._plan.states) - 1, 1))
 
     def start_drawing(self, i: int) -> None:

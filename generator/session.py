@@ -112,7 +112,7 @@ def _plan_from_take(loaded: LoadedObject, settings: RecordSettings, camera: Came
     stretch = tracks.resample_take(take, s.fps, s.frames)
     states, state_changes = tracks.fit_states(stretch.states, take, body)
     diagonal = bounding_diagonal(*body.meshes)
-    carry, way_changes = tracks.scale_translation(take, diagonal, s.carry)
+    carry, way_changes = tracks.scale_translation(take, diagonal)
     R_first = None
     if take.poses == "first":
         scripted = plan_motion("tumble", body.meshes, loaded.joint, camera, s.frames, s.fps, s.seed, preset)

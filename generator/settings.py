@@ -21,9 +21,6 @@ MAX_PICTURES = 100_000
 MAX_PIXELS = 1 << 24
 """Pixels of a picture, 4096 x 4096: with 3 bytes each below the 64 MiB that `checked` reads of one file."""
 
-MAX_CARRY = 100.0
-"""Largest factor on a take's translation: from millimetres to the size of a room. Not measured."""
-
 
 @dataclass(frozen=True)
 class RecordSettings:
@@ -47,9 +44,6 @@ class RecordSettings:
     """How the object is moved: one of `generator.motion.STYLES`, or TRACK."""
     track: Annotated[Path | None, Suppress] = None
     """File of the take that the motion TRACK replays (`freeart21.formats.captured.read_track`)."""
-    carry: float | None = None
-    """Factor on the translations of a take whose poses are changes since its first; from the objects' sizes when not
-    given (`generator.motion.track.scale_translation`)."""
     preset: str = "handheld"
     """handheld (real size, filling the picture) or paper (PartNet scale, 3 m away)."""
     sensor: str = "clean"
@@ -112,11 +106,6 @@ class RecordSettings:
             raise FreeArtError("the motion track needs the file of a take, and only it has one; expected track:FILE")
         if self.track is not None:
             checked.require_file(self.track, MAX_TAKE_BYTES, checked.ANYWHERE)
-        if self.carry is not None and not (self.track is not None and 0 <= self.carry <= MAX_CARRY):
-            raise FreeArtError(
-                f"the way cannot be scaled by {self.carry:g} in the motion {self.motion}; expected 0 to "
-                f"{MAX_CARRY:g}, and the motion track:FILE"
-            )
         motions = (*STYLES, TRACK)
         named = ("motion", self.motion, motions), ("preset", self.preset, PRESETS), ("shader", self.shader, SHADERS)
         for what, value, known in named:
@@ -148,8 +137,6 @@ class RecordSettings:
         for later in ("let_go", "track", "urdf", "camera"):
             if getattr(self, later) is None:
                 del facts[later]  # older recordings have no such key
-        if self.track is None:
-            del facts["carry"]
         if self.urdf is not None:
             facts["urdf"] = {"name": self.urdf.name, "sha256": urdf_object.digest(self.urdf, self.root)}
         if self.track is not None:

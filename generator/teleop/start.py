@@ -5,14 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import ipaddress
-import os
-import signal
 import socket
 import ssl
 import sys
 import tempfile
 import time
-from collections.abc import Coroutine, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -105,12 +103,9 @@ def serve(name: str, out: Path, settings: TeleopSettings, record: RecordSettings
             print(f"{name}: {note}", file=sys.stderr)
         size = bounding_diagonal(loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh())
         takes = Takes(out, loaded.joint.type, inputs, size)
-        with _signals_to_loop() as signals:
-            rescued = asyncio.run(_serve(name, loaded, takes, settings, context, signals))
-    if signals:
-        with processes.resume_hint(lambda: rescued):
-            os.kill(os.getpid(), signals[0])
-            processes.raise_if_stopped()
+        rescued: list[str] = []
+        with processes.resume_hint(lambda: "".join(rescued)):
+            asyncio.run(_serve(name, loaded, takes, settings, context, rescued))
 
 
 def _load_object(name: str, record: RecordSettings, place: Path) -> tuple[str, LoadedObject, tuple[Path, ...]]:
@@ -127,9 +122,9 @@ async def _serve(
     takes: Takes,
     settings: TeleopSettings,
     context: ssl.SSLContext | None,
-    signals: list[int],
-) -> str:
-    """Serve until stopped; returns a message on an unsaved take, or ''."""
+    rescued: list[str],
+) -> None:
+    """Serve until stopped; `rescued` receives a message on an unsaved take."""
     from generator.teleop.server import Server
 
     body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
@@ -147,14 +142,17 @@ async def _serve(
         scheme = "http" if context is None else "https"
         print(f"{scheme}://{host}:{gate.port}/?token={gate.token}", flush=True)
         _log(f"{name}: open this address in a browser; takes go to {takes.next_name()}; Ctrl-C ends")
+        works = [asyncio.ensure_future(server.run(listener, context)), asyncio.ensure_future(stage.run(_log))]
         try:
-            await _run_until_stopped(signals, [server.run(listener, context), stage.run(_log)])
+            await asyncio.gather(*works)
         finally:
-            rescued = _rescue_take(server.driving, takes)
-            if rescued and not signals:
-                _log(rescued)
+            for work in works:
+                work.cancel()
+            await asyncio.gather(*works, return_exceptions=True)
+            rescued.append(_rescue_take(server.driving, takes))
+            if rescued[0] and not processes.stop_signal():
+                _log(rescued[0])
             await server.close()
-    return rescued
 
 
 def object_facts(name: str, loaded: LoadedObject, room: Workspace, fov_y: float) -> dict[str, Any]:
@@ -186,29 +184,6 @@ def _stage_setup(loaded: LoadedObject, room: Workspace, fov_y: float) -> dict[st
     }
 
 
-async def _run_until_stopped(signals: list[int], works: list[Coroutine[Any, Any, None]]) -> None:
-    """Run coroutines until the process is stopped or one of them ends; its exception is raised."""
-    loop, end = asyncio.get_running_loop(), asyncio.Event()
-
-    def stop(number: int) -> None:
-        signals.append(number)
-        end.set()
-
-    for number in processes.SIGNALS:
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            loop.add_signal_handler(number, stop, number)
-    tasks = [asyncio.ensure_future(work) for work in (*works, end.wait())]
-    try:
-        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-        ended = [task for task in tasks if task.done()]
-    finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-    for task in ended:
-        task.result()
-
-
 def _rescue_take(driving: Driving, takes: Takes) -> str:
     """Write an unsaved take; returns a message on it, or ''."""
     if not driving.has_take:
@@ -218,18 +193,6 @@ def _rescue_take(driving: Driving, takes: Takes) -> str:
         return f"the take that was not saved is in {takes.rescue(driving)}"
     except FreeArtError as error:
         return f"the take that was not saved is lost: {error}"
-
-
-@contextlib.contextmanager
-def _signals_to_loop() -> Iterator[list[int]]:
-    """Restore the handlers of stop signals after this block; in it the event loop appends their numbers to the list."""
-    before = {number: signal.getsignal(number) for number in processes.SIGNALS}
-    signals: list[int] = []
-    try:
-        yield signals
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextlib.contextmanager
