@@ -207,7 +207,11 @@ REFUSED = {
     "no such column": (FORMS["commas"], {"columns": {"q": "x"}}, "run.csv has no column 'x'; columns: time, angle"),
     "no such joint": (FORMS["commas"], {"joint": "lid"}, "no movable joint 'lid'; movable joints: j"),
     "metres of a hinge": (FORMS["commas"], {"unit_q": "mm"}, "--unit-q mm: joint 'j' is revolute, expected rad, deg"),
-    "time goes back": (text(np.vstack([TABLE, TABLE]), "time,angle"), {}, "time goes back from 0.79 to 0 in row 81"),
+    "time goes back": (
+        text(np.vstack([TABLE, TABLE]), "time,angle"),
+        {},
+        "times must increase, but line 82 has 0 s after 0.79 s",
+    ),
     "no numbers": ("dear diary,\nhello", {}, "has no rows of numbers; it begins with 'dear diary,'"),
 }
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -79,6 +79,22 @@ class Circumstances:
     """Whether angles are within one turn. With None, jumps of a turn are removed."""
 
 
+def _read_circumstances(settings: SeriesSettings, columns: dict[str, str]) -> tuple[Circumstances, Actuator | None]:
+    """The contents of the file of circumstances, and the actuator, which describes each drive in `columns`."""
+    where, facts = settings.circumstances, Circumstances()
+    if where is not None:
+        facts = read_record(Circumstances, checked.read_json(where, root=checked.ANYWHERE), str(where))
+    if settings.actuator is not None and facts.actuator is not None:
+        raise FreeArtError(f"--actuator and the actuator of {where}: expected one of them")
+    law = None if facts.actuator is None else actuator_from_json(facts.actuator, str(where))
+    law = law if settings.actuator is None else Actuator(None, *settings.actuator)
+    described = {"effort": settings.effort, "q_command": law, "voltage": law and law.motor}
+    for role, need in _NEEDS.items():
+        if role in columns and described[role] is None:
+            raise FreeArtError(f"--columns {role}={columns[role]} needs {need}")
+    return facts, law
+
+
 def columns_from(words: tuple[str, ...]) -> dict[str, str]:
     """Role to column, from words such as t=time, or from one JSON file."""
     if len(words) == 1 and "=" not in words[0]:
@@ -109,22 +125,11 @@ def measure_series(files: Iterable[Path], out: Path, settings: SeriesSettings) -
     joint = find_movable_joint(asset.urdf, asset.joint)
     kind = joint.joint_type
     assert kind is not None  # movable
-    where, facts = settings.circumstances or Path("measure"), Circumstances()
-    if settings.circumstances is not None:
-        facts = read_record(Circumstances, checked.read_json(where, root=checked.ANYWHERE), str(where))
-    if settings.actuator is not None and facts.actuator is not None:
-        raise FreeArtError(f"--actuator and the actuator of {where}: expected one of them")
-    law = None if facts.actuator is None else actuator_from_json(facts.actuator, where)
-    law = law if settings.actuator is None else Actuator(None, *settings.actuator)
     columns = columns_from(settings.columns)
-    described = {"effort": settings.effort, "q_command": law, "voltage": law and law.motor}
-    for role in _NEEDS:
-        if role in columns and described[role] is None:
-            raise FreeArtError(f"--columns {role}={columns[role]} needs {_NEEDS[role]}")
+    facts, law = _read_circumstances(settings, columns)
     drives = {role for role in _NEEDS if role in columns}
     drives |= {"effort"} if settings.effort else set()
     drives |= {"q_command"} if settings.actuator else set()
-
     notes = [] if settings.joint else [f"joint '{joint.name}' ({joint.type}), the only movable one (else --joint)"]
     origin: dict[str, Path] = {}
     runs: dict[str, Values] = {}
@@ -142,6 +147,7 @@ def measure_series(files: Iterable[Path], out: Path, settings: SeriesSettings) -
             while name in runs:
                 name += "_2"
             runs[name], origin[name] = _clean_rows(name, values, notes), file
+    where = settings.circumstances or Path("measure")
     for role in facts.units:
         if role not in roles:
             raise FreeArtError(f"{where}: units of '{role}', which no column has; expected {', '.join(roles)}")
@@ -193,30 +199,9 @@ def measure_series(files: Iterable[Path], out: Path, settings: SeriesSettings) -
     )
     made = []
     for name, values in runs.items():
-        q, command = size_q * values["q"], values.get("q_command")
-        command = None if command is None else size_q * command
-        if kind == "revolute" and facts.wrapped is not False:
-            q, turns = unwrap_angles(q)
-            if command is not None:
-                command, more = unwrap_command(command, q)
-                turns += more
-            if turns:
-                notes.append(f"{name}: {turns} jumps of a whole turn were removed")
-        moved = base_json.base_of({"t_s": values["t"], **values}, Path(name))
-        made.append(
-            Run(
-                name,
-                values["t"],
-                q,
-                values.get("effort"),
-                command,
-                held_out=name in held_out if held_out else None,
-                base=moved,
-                voltage=values.get("voltage"),
-                qd=values.get("qd"),
-                prescribed=True if name in prescribed else None,
-            )
-        )
+        run = _make_run(name, values, size_q, kind == "revolute" and facts.wrapped is not False, notes)
+        marks = {"held_out": name in held_out if held_out else None, "prescribed": True if name in prescribed else None}
+        made.append(replace(run, **marks))
     for role in drives:
         notes.append(f"{role}: {settings.interpolation or 'unknown'} between its rows (else --interpolation)")
     if not settings.held_out and len(made) > 1:
@@ -241,10 +226,8 @@ def measure_series(files: Iterable[Path], out: Path, settings: SeriesSettings) -
         write_measured(aside / "measured", measured)
         try:
             read_measured(aside / "measured")
-        except FreeArtError as error:  # the temporary folder does not appear in the message
-            raise FreeArtError(
-                str(error).replace(f"{aside.resolve()}/measured/", "").replace(f"{aside}/measured/", "")
-            ) from error
+        except FreeArtError as error:
+            raise FreeArtError(str(error).replace(f"{aside}/", "")) from error  # that folder is gone then
     return [*notes, *copies]
 
 
@@ -319,20 +302,10 @@ def _runs_of(series: Series, roles: dict[str, str], rate_hz: float | None) -> li
 
 
 def _clean_rows(name: str, values: Values, notes: list[str]) -> Values:
-    """The run without rows whose time is missing or repeated, from the first row on where every drive has a value.
-
-    FreeArtError when time goes back.
-    """
+    """The run without rows whose time is missing or repeated, from the first row on where every drive has a value."""
     t = values["t"]
     rows = np.flatnonzero(np.isfinite(t))
     rows = rows[np.diff(t[rows], prepend=np.nan) != 0]
-    back = np.flatnonzero(np.diff(t[rows]) < 0)
-    if len(back):
-        before, row = rows[back[0] : back[0] + 2]
-        raise FreeArtError(
-            f"run '{name}': time goes back from {t[before]:g} to {t[row]:g} in row {row + 1}, expected increasing "
-            "times. Is it a second recording? Give each its own file"
-        )
     for role in _NEEDS:
         if role in values:
             rows = rows[int(np.argmax(np.isfinite(values[role][rows]))) :]
@@ -343,6 +316,23 @@ def _clean_rows(name: str, values: Values, notes: list[str]) -> Values:
     if len(rows) < len(t):
         notes.append(f"{name}: {len(t) - len(rows)} rows without a new time or a value of the drive were left out")
     return {role: v[rows] for role, v in values.items()}
+
+
+def _make_run(name: str, values: Values, size_q: float, unwraps: bool, notes: list[str]) -> Run:
+    """The run of these values, all in SI but positions and commands, whose unit is `size_q`; without jumps of a turn
+    when it `unwraps`."""
+    q, command, turns = size_q * values["q"], values.get("q_command"), 0
+    command = None if command is None else size_q * command
+    if unwraps:
+        q, turns = unwrap_angles(q)
+    if unwraps and command is not None:
+        command, more = unwrap_command(command, q)
+        turns += more
+    if turns:
+        notes.append(f"{name}: {turns} jumps of a whole turn were removed")
+    base = base_json.base_of({"t_s": values["t"], **values}, Path(name))
+    own = {role: values.get(role) for role in ("effort", "voltage", "qd")}
+    return Run(name, values["t"], q, q_command=command, base=base, **own)
 
 
 def _unit_by_step(steps: Array) -> tuple[str, str]:

@@ -243,9 +243,7 @@ def _joint_names(path: Path) -> list[str]:
     return [f"joint_{word}" if word.isdigit() else word for word in words]
 
 
-def _joint(
-    actors: dict[int, Array], cast: _Cast, states: Array, number: int, home: Path
-) -> tuple[Joint | None, str]:
+def _joint(actors: dict[int, Array], cast: _Cast, states: Array, number: int, home: Path) -> tuple[Joint | None, str]:
     """The joint that maps the stated joint values to the moving actor's poses in the root link's frame.
 
     Its limits are those of the states, and of the folder's meta.json.
