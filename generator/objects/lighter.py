@@ -69,9 +69,8 @@ def _body(width: float, depth: float, seam: float, case: Material, colour: Colou
     rear = box((width * 0.74, 0.0004, width * 0.57), (0, depth / 2, seam * 0.5))
     stamp = textured("stamp", "metal", _BRASS, textures.label(["FA-21", "BRADFORD"], colour, ink, 2.6, None, False))
     sole = box((width * 0.74, depth * 0.62, 0.0004), (0, 0, 0))
-    barrel = rod(0.0013, depth * 0.80, "y", (width / 2 + 0.0006, 0, seam)) - box(
-        (0.004, depth * 0.27, 0.004), (width / 2, 0, seam)
-    )
+    barrel = rod(0.0013, depth * 0.80, "y", (width / 2 + 0.0006, 0, seam))
+    barrel -= box((0.004, depth * 0.27, 0.004), (width / 2, 0, seam))
     hinge = Material("hinge_metal", (0.62, 0.62, 0.64), "metal", _STEEL)
     return (
         Piece("case", shell, case),
@@ -85,15 +84,13 @@ def _body(width: float, depth: float, seam: float, case: Material, colour: Colou
 
 def _insert(width: float, depth: float, seam: float, rng: Rng) -> Pieces:
     steel = textured("insert_steel", "metal", _STEEL, textures.brushed_metal(rng, (0.66, 0.67, 0.70)), 0.02)
-    block = plate(
-        rounded_outline(width - 0.0022, depth - 0.0022, 0.0016), seam + 0.0005, "z", (seam + 0.0045) / 2, 0.0004
-    )
+    plan = rounded_outline(width - 0.0022, depth - 0.0022, 0.0016)
+    block = plate(plan, seam + 0.0005, "z", (seam + 0.0045) / 2, 0.0004)
     tall, wide, deep = 0.0145, 0.0150, depth - 0.0042
     centre = (-width / 2 + 0.0040 + wide / 2, 0.0, seam + 0.002 + tall / 2)
     screen = plate(rounded_outline(wide, deep, deep * 0.42), tall, "z", centre[2]).translate((centre[0], 0, 0))
-    screen -= plate(
-        rounded_outline(wide - 0.0012, deep - 0.0012, deep * 0.40), tall * 1.2, "z", centre[2] + 0.0006
-    ).translate((centre[0], 0, 0))
+    flue = plate(rounded_outline(wide - 0.0012, deep - 0.0012, deep * 0.40), tall * 1.2, "z", centre[2] + 0.0006)
+    screen -= flue.translate((centre[0], 0, 0))
     holes = union(
         rod(0.0011, depth * 2, "y", (centre[0] + dx * 0.0036, 0, centre[2] + dz * 0.0034 + 0.001), segments=16)
         for dx in (-1, 0, 1)
@@ -192,19 +189,14 @@ def _torch_body(
     solid -= rod(0.0042, 2 * depth, "y", pivot)
     well = rounded_outline(split + width / 2 - 0.0042, depth - 0.0042, 0.0020)
     solid -= plate(well, 0.004, "z", seam).translate(((split - width / 2) / 2, 0, 0))
-    arm = CrossSection.batch_hull(
-        [
-            CrossSection.circle(0.0016, 24).translate((x, z)),
-            CrossSection.square((0.001, 0.003)).translate((split + 0.003, seam + 0.0095)),
-        ]
-    )
-    solid += plate(arm, 0.0052, "y")
+    eye = CrossSection.circle(0.0016, 24).translate((x, z))
+    tail = CrossSection.square((0.001, 0.003)).translate((split + 0.003, seam + 0.0095))
+    solid += plate(CrossSection.batch_hull([eye, tail]), 0.0052, "y")
     solid -= rod(0.00125, 0.0054, "y", pivot, 0, 24)
     ribs = int(rng.integers(4, 8))
     for k in range(ribs):
-        bar = rounded_outline(width * (0.62 - 0.035 * k), 0.0012, 0.00055, 12).translate(
-            (width * 0.06, 0.0065 + 0.0024 * k)
-        )
+        bar = rounded_outline(width * (0.62 - 0.035 * k), 0.0012, 0.00055, 12)
+        bar = bar.translate((width * 0.06, 0.0065 + 0.0024 * k))
         solid -= pair(plate(bar, 0.0010, "y"), "y", depth / 2)
     window = rounded_outline(0.0042, 0.0150, 0.0020).translate((width * 0.30, seam * 0.66))
     solid -= pair(plate(window, 0.0016, "y"), "y", depth / 2)
@@ -247,9 +239,8 @@ def _torch_base(depth: float, colour: Colour) -> Pieces:
     reach = np.where(np.arange(60) % 4 < 2, 0.0044, 0.0040)
     gear = plate(polygon(np.stack([reach * np.cos(turn), reach * np.sin(turn)], -1)), 0.0016, "z", -0.0002)
     gear -= box((0.0060, 0.0009, 0.002), (0, 0, -0.0013))
-    valve = rod(0.0020, 0.0012, "z", (0.0095, 0, 0), 0.0002, 28) - rod(
-        0.0007, 0.004, "z", (0.0095, 0, -0.002), segments=12
-    )
+    valve = rod(0.0020, 0.0012, "z", (0.0095, 0, 0), 0.0002, 28)
+    valve -= rod(0.0007, 0.004, "z", (0.0095, 0, -0.002), segments=12)
     dark = Material("adjuster", textures.shade(colour, 0.8, 0.02), "plastic", 1050.0)
     brass = Material("valve", (0.72, 0.58, 0.30), "metal", _BRASS)
     return (Piece("adjuster", gear.translate((-0.004, 0, 0)), dark), Piece("valve", valve, brass))
@@ -260,9 +251,8 @@ def _burner(width: float, depth: float, seam: float, split: float, rng: Rng) -> 
     steel = textured("burner_steel", "metal", _STEEL, textures.brushed_metal(rng, (0.55, 0.55, 0.57)), 0.01)
     jets = int(rng.integers(1, 4))
     middle, room = (split - width / 2) / 2 - 0.0012, depth - 0.0062
-    base = moulded(rounded_outline(width * 0.44, room, 0.0022), 0.0020, "z", seam - 0.0010, 0.0004).translate(
-        (middle, 0, 0)
-    )
+    base = moulded(rounded_outline(width * 0.44, room, 0.0022), 0.0020, "z", seam - 0.0010, 0.0004)
+    base = base.translate((middle, 0, 0))
     size = 0.0034 if jets == 1 else 0.0023
     nozzles: list[Manifold] = []
     bores: list[Manifold] = []
@@ -384,9 +374,8 @@ def _handle(neck: float, thick: float, colour: Colour, accent: Colour, rng: Rng)
         for k in range(rows)
         for s in (-1, 1)
     )
-    slide = moulded(rounded_outline(0.0120, 0.0080, 0.0030), 0.0050, "z", 0.0060, 0.0012).translate(
-        (end - 0.0185, 0, 0)
-    )
+    slide = moulded(rounded_outline(0.0120, 0.0080, 0.0030), 0.0050, "z", 0.0060, 0.0012)
+    slide = slide.translate((end - 0.0185, 0, 0))
     for k in (-1, 0, 1):
         slide -= box((0.0008, 0.02, 0.001), (end - 0.0185 + 0.0024 * k, 0, 0.0085))
     red = Material("safety", (0.85, 0.12, 0.10), "plastic", 1050.0)
@@ -426,10 +415,8 @@ def _neck(neck: float, accent: Colour, rng: Rng) -> Pieces:
     collar = lathe([[0, 0.006], [0.0043, 0.006], [0.0043, 0.0135], [0.0037, 0.0165], [0, 0.0165]], "x", (0, 0, 0), 32)
     collar -= rod(0.0037, 0.1, "y", (0, 0, 0), 0, 32)
     for k in range(3):
-        ring = rod(0.0050, 0.0007, "x", (0.0092 + 0.0018 * k, 0, 0), 0, 32) - rod(
-            0.0040, 0.01, "x", (0.010 + 0.0018 * k, 0, 0), 0, 32
-        )
-        collar -= ring
+        ring = rod(0.0050, 0.0007, "x", (0.0092 + 0.0018 * k, 0, 0), 0, 32)
+        collar -= ring - rod(0.0040, 0.01, "x", (0.010 + 0.0018 * k, 0, 0), 0, 32)
     head = neck - 0.0150
     outer = lathe([[0, 0.014], [0.0031, 0.014], [0.0031, head], [0, head]], "x", (0, 0, 0), 32)
     outer -= rod(0.0024, 0.02, "x", (head, 0, 0), 0, 24)

@@ -178,10 +178,8 @@ def _keyboard_screen(width: float, height: float, colour: Colour, brand: str, rn
     glass, glass_x = (width * 0.665, height - 0.0090), -width * 0.035
     cut_window, pane = _recess(rounded_outline(*glass, 0.0020, 20).translate((glass_x, 0)), face, 1, 0.0012, 0.00008)
     display = box((glass[0] - 0.0060, glass[1] - 0.0060, 0.0002), (glass_x, 0, face - 0.00002))
-    bezel_outline = rounded_outline(glass[0] + 0.0016, glass[1] + 0.0016, 0.0028, 20)
-    bezel = moulded(bezel_outline - bezel_outline.offset(-0.0009), 0.0010, "z", face, 0.0002, 1).translate(
-        (glass_x, 0, 0)
-    )
+    outline = rounded_outline(glass[0] + 0.0016, glass[1] + 0.0016, 0.0028, 20)
+    bezel = moulded(outline - outline.offset(-0.0009), 0.0010, "z", face, 0.0002, 1).translate((glass_x, 0, 0))
 
     panel_at = (width / 2 - 0.0105, 0.0)
     size = (0.0125, height - 0.0120)
@@ -201,9 +199,8 @@ def _keyboard_screen(width: float, height: float, colour: Colour, brand: str, rn
     slots = _slots(0.0013, 0.0090, 0.0017, 4).rotate(90).translate((-width / 2 + 0.0075, height * 0.20))
     lens = CrossSection.circle(0.0015, 24).translate((-width / 2 + 0.0075, -height * 0.30))
     cut_holes, holes = _recess(slots + lens, face, 1, 0.0010, 0.0005)
-    name = (
-        _printed(brand, 0.0030, height * 0.30).rotate((0, 0, 90)).translate((-width / 2 + 0.0078, -height * 0.08, face))
-    )
+    name = _printed(brand, 0.0030, height * 0.30).rotate((0, 0, 90))
+    name = name.translate((-width / 2 + 0.0078, -height * 0.08, face))
     cut_back, slide = _recess(rounded_outline(width - 0.0200, height - 0.0160, 0.0030, 20), _SLIT, -1, 0.0008, 0.0002)
     rails = pair(box((0.0012, height - 0.0220, 0.0008), (0, 0, 0.0005)), "x", width * 0.30)
     steel = textures.brushed_metal(rng, textures.shade(colour, 1.3, 0.05))
@@ -396,21 +393,15 @@ def _back(
     note = printed("imei_label", textures.label(text, paper, ink, 2.1, rng, True))
     wide = min(door[0] * 0.66, 0.030)
     sticker = box((wide, wide / 2.1, 0.0002), (door_at[0], door_at[1] - door[1] * 0.26, back))
-    emboss = (
-        _printed(brand, 0.0055, door[0] * 0.55)
-        .rotate((0, 180, 0))
-        .translate((door_at[0], door_at[1] + door[1] * 0.16, back))
-    )
+    emboss = _printed(brand, 0.0055, door[0] * 0.55).rotate((0, 180, 0))
+    emboss = emboss.translate((door_at[0], door_at[1] + door[1] * 0.16, back))
+    white = Material("flash", (0.86, 0.86, 0.78), "plastic", _ABS)
     chrome = Material("lens_ring", textures.shade(colour, 0.75, 0.10), "metal", _STEEL)
     dark = Material("seam", textures.shade(colour, 0.35), "rubber", _ABS)
     pieces = [
         Piece("camera_ring", ring.rotate((180, 0, 0)).translate(here), chrome),
         Piece("camera_lens", lens.rotate((180, 0, 0)).translate(here), _GLOSS),
-        Piece(
-            "flash",
-            flash.translate((x + away[0], y + away[1], back)),
-            Material("flash", (0.86, 0.86, 0.78), "plastic", _ABS),
-        ),
+        Piece("flash", flash.translate((x + away[0], y + away[1], back)), white),
         Piece("battery_seam", line, dark),
         Piece("battery_latch", latch, dark),
         Piece("loudspeaker", holes, dark),
@@ -529,16 +520,8 @@ def _key_picture(size: tuple[float, float], cells: Sequence[Cell], colour: Colou
         shift = 0.38 * a if small.strip() and len(small) > 1 else 0.0
         _letters(picture, text, u - shift, v, 1.05 * b, 1.5 * a, ink)
         if small.strip():
-            beside = shift > 0
-            _letters(
-                picture,
-                small,
-                u + (0.42 * a if beside else 0.55 * a),
-                v - (0 if beside else 0.55 * b),
-                0.5 * b,
-                0.85 * a,
-                ink,
-            )
+            right, up = (0.42 * a, 0) if shift > 0 else (0.55 * a, 0.55 * b)
+            _letters(picture, small, u + right, v - up, 0.5 * b, 0.85 * a, ink)
     return picture
 
 

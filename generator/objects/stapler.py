@@ -150,9 +150,8 @@ def _lid(
     sticker = printed("label", textures.label(["FA-21", text], (0.96, 0.95, 0.90), red_ink, 3.2, rng))
     ends = np.array(outline[6]), np.array(outline[5])
     slope, middle = np.arctan2(*(ends[1] - ends[0])[::-1]), (ends[0] + ends[1]) / 2
-    top = tilted(box((length * 0.30, width * 0.42, 0.0006)), "y", -slope, (0, 0, 0)).translate(
-        (middle[0], 0, middle[1] + 0.0001)
-    )
+    top = tilted(box((length * 0.30, width * 0.42, 0.0006)), "y", -slope, (0, 0, 0))
+    top = top.translate((middle[0], 0, middle[1] + 0.0001))
     words = [f"STAPLER  {int(rng.integers(100, 999))}"]
     side = printed("side_print", textures.label(words, body, (0.97, 0.97, 0.97), 5.0, None, False))
     prints = pair(box((length * 0.36, 0.0006, 0.0100), (length * 0.02, 0, z + 0.0085)), "y", width * 0.39 - 0.0001)
@@ -201,33 +200,23 @@ def _mini_base(
     length: float, width: float, hinge_at: Point, colour: Colour, shell: Material, steel: Material, rng: Rng
 ) -> Pieces:
     x, _, z = hinge_at
-    plan = CrossSection.batch_hull(
-        [
-            CrossSection.circle(width * 0.36, 40).translate((-length / 2 + width * 0.36, 0)),
-            rounded_outline(0.010, width, 0.0042).translate((length / 2 - 0.0050, 0)),
-        ]
-    )
+    nose = CrossSection.circle(width * 0.36, 40).translate((-length / 2 + width * 0.36, 0))
+    plan = CrossSection.batch_hull([nose, rounded_outline(0.010, width, 0.0042).translate((length / 2 - 0.0050, 0))])
     floor = moulded(plan, 0.0068, "z", 0.0034, 0.0024, 4)
-    ear = CrossSection.batch_hull(
-        [
-            CrossSection.circle(0.0058, 32).translate((x, z)),
-            CrossSection.square((0.019, 0.002)).translate((x - 0.0105, 0.004)),
-        ]
-    )
+    eye = CrossSection.circle(0.0058, 32).translate((x, z))
+    ear = CrossSection.batch_hull([eye, CrossSection.square((0.019, 0.002)).translate((x - 0.0105, 0.004))])
     thick = 0.0022
     floor += pair(moulded(ear, thick, "y", 0, 0.0008, 3), "y", width / 2 - thick / 2 - 0.0004)
     anvil_at = -length * 0.385
-    anvil = moulded(rounded_outline(0.0100, width * 0.50, 0.0014), 0.0014, "z", 0.0068, 0.0003).translate(
-        (anvil_at, 0, 0)
-    )
+    anvil = moulded(rounded_outline(0.0100, width * 0.50, 0.0014), 0.0014, "z", 0.0068, 0.0003)
+    anvil = anvil.translate((anvil_at, 0, 0))
     grooves = union(box((0.0012, 0.0100, 0.002), (anvil_at + dx, 0, 0.0081), 0.0002) for dx in (-0.0017, 0.0017))
     dents = int(rng.integers(3, 6))
     for k in range(dents):  # to hold on to, along both sides
         at = -length * 0.10 + 0.0042 * (k - dents / 2)
         floor -= pair(rod(0.0010, 0.02, "z", (at, 0, 0), 0, 12), "y", width * 0.475)
-    claw = polygon([[0, -0.0046], [0.0070, -0.0024], [0.0070, 0.0024], [0, 0.0046]]) - polygon(
-        [[0.0030, 0], [0.0071, -0.0007], [0.0071, 0.0007]]
-    )
+    claw = polygon([[0, -0.0046], [0.0070, -0.0024], [0.0070, 0.0024], [0, 0.0046]])
+    claw -= polygon([[0.0030, 0], [0.0071, -0.0007], [0.0071, 0.0007]])
     remover = plate(claw, 0.0010, "z", 0.0052).translate((length / 2 - 0.0020, 0, 0))
     pin = rod(0.0016, width - 0.0010, "y", hinge_at, 0.0003, 32)
     caps = pair(rod(0.0030, 0.0010, "y", (x, 0, z), 0.0003, 32), "y", width / 2 - 0.0004)
@@ -360,16 +349,12 @@ def _long_base(
     holes = union(rod(0.0034, 0.1, "z", (length * (0.02 + 0.09 * k), 0, 0), 0, 24) for k in range(3))
     feet = corners(rod(0.0050, 0.0060, "z", (0, 0, 0.0030), 0.0008, 28), "xy", length * 0.46, width * 0.72)
     anvil_at = -length * 0.462
-    anvil = moulded(rounded_outline(0.0180, width * 0.86, 0.0020), 0.0022, "z", top + 0.0006, 0.0005).translate(
-        (anvil_at, 0, 0)
-    )
+    anvil = moulded(rounded_outline(0.0180, width * 0.86, 0.0020), 0.0022, "z", top + 0.0006, 0.0005)
+    anvil = anvil.translate((anvil_at, 0, 0))
     grooves = union(box((0.0018, 0.0110, 0.002), (anvil_at + dx, 0, top + 0.0022), 0.0003) for dx in (-0.0030, 0.0030))
-    cheek = CrossSection.batch_hull(
-        [
-            CrossSection.circle(0.0085, 32).translate((x, z)),
-            CrossSection.square((0.036, 0.002)).translate((x - 0.021, top - 0.003)),
-        ]
-    ) - CrossSection.circle(0.0040, 24).translate((x - 0.003, top + 0.0080))
+    eye = CrossSection.circle(0.0085, 32).translate((x, z))
+    cheek = CrossSection.batch_hull([eye, CrossSection.square((0.036, 0.002)).translate((x - 0.021, top - 0.003))])
+    cheek -= CrossSection.circle(0.0040, 24).translate((x - 0.003, top + 0.0080))
     post = pair(moulded(cheek, 0.0018, "y", 0, 0.0005), "y", width / 2 + 0.0017)
     post += box((0.0340, width + 0.0030, 0.0016), (x - 0.003, 0, top + 0.0002), 0.0004)
     bolts = union(screw(0.0036, "y", (x, s * (width / 2 + 0.0028), z), s) for s in (-1, 1))
@@ -381,13 +366,11 @@ def _long_base(
     rule = textured("ruler", "metal", _STEEL, _ruler_cm(scale_long, 0.0105, textures.shade(colour, 1.06), ink))
     strip = box((scale_long, 0.0105, 0.0004), (-length * 0.09, -width * 0.36, top))
     stop_at = -length * rng.uniform(0.02, 0.12)
-    fence = moulded(rounded_outline(width * 2.3, 0.0125, 0.0030), 0.0014, "x", stop_at, 0.0004).translate(
-        (0, 0, top + 0.0064)
-    )
+    fence = moulded(rounded_outline(width * 2.3, 0.0125, 0.0030), 0.0014, "x", stop_at, 0.0004)
+    fence = fence.translate((0, 0, top + 0.0064))
     saddle = box((0.0200, width * 1.30 + 0.0060, 0.0016), (stop_at + 0.0100, 0, top + 0.0014), 0.0004)
-    saddle += pair(
-        box((0.0200, 0.0016, 0.0110), (stop_at + 0.0100, 0, top - 0.0030), 0.0004), "y", width * 0.65 + 0.0022
-    )
+    flap = box((0.0200, 0.0016, 0.0110), (stop_at + 0.0100, 0, top - 0.0030), 0.0004)
+    saddle += pair(flap, "y", width * 0.65 + 0.0022)
     knob = rod(0.0052, 0.0060, "y", (stop_at + 0.0100, -(width * 0.65 + 0.0062), top - 0.0040), 0.0008, 28)
     cuts = [
         rod(0.0006, 0.1, "y", (stop_at + 0.0100 + 0.0053 * np.cos(t), 0, top - 0.0040 + 0.0053 * np.sin(t)), 0, 8)
@@ -423,9 +406,8 @@ def _long_magazine(length: float, hinge_at: Point, colour: Colour, steel: Materi
     channel -= box((reach - 0.002, width - 0.0020, height), (middle, 0, level + 0.0010))
     channel -= box((0.004, width * 0.8, height), (front, 0, level + 0.0010))
     holes = union(rod(0.0016, 0.1, "y", (front + reach * (0.3 + 0.2 * k), 0, level - 0.0004), 0, 20) for k in range(4))
-    strap = stroke(
-        [[front + reach - 0.004, level + 0.001], [x - 0.030, level + 0.006], [x, z]], [0.0012, 0.0012, 0.0046]
-    )
+    way = [[front + reach - 0.004, level + 0.001], [x - 0.030, level + 0.006], [x, z]]
+    strap = stroke(way, [0.0012, 0.0012, 0.0046])
     rail = plate(strap, 0.0080, "y") - rod(0.0028, 0.1, "y", hinge_at, 0, 28)
     bright = textures.shade(colour, 1.12)
     tints = textures.stripes((bright, textures.shade(bright, 0.86)), 40)
