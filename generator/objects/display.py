@@ -9,7 +9,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from generator import textures
-from generator.model import Hinge, Link, Material, ObjectModel, Piece, Pieces, Point, Rng, printed, textured
+from generator.model import ABS, STEEL, Hinge, Link, Material, ObjectModel, Piece, Pieces, Point, Rng, printed, textured
 from generator.shapes import (
     box,
     moulded,
@@ -44,8 +44,6 @@ _DAYS = (
 )
 _GREYS = ((0.74, 0.74, 0.73), (0.60, 0.62, 0.64), (0.80, 0.78, 0.74), (0.66, 0.70, 0.74), (0.53, 0.53, 0.52))
 _BRANDS = ("LUMENA", "VISTA 21", "HELIOS", "ORBIT")
-_ABS = 1050.0
-_STEEL = 7850.0
 
 
 @dataclass(frozen=True)
@@ -120,10 +118,10 @@ def _monitor(
         middle,
         thick,
         str(rng.choice(_BRANDS)),
-        textured("shell", "plastic", _ABS, textures.speckle(rng, colour, 0.05), 0.04),
+        textured("shell", "plastic", ABS, textures.speckle(rng, colour, 0.05), 0.04),
         Material("stand_metal", textures.shade(trim, 0.95), "metal", 2700.0),
-        Material("port_plastic", textures.shade(colour, 0.4), "plastic", _ABS),
-        textured("steel", "metal", _STEEL, textures.brushed_metal(rng, (0.55, 0.56, 0.58)), 0.02),
+        Material("port_plastic", textures.shade(colour, 0.4), "plastic", ABS),
+        textured("steel", "metal", STEEL, textures.brushed_metal(rng, (0.55, 0.56, 0.58)), 0.02),
         Material("rubber", (0.07, 0.07, 0.075), "rubber", 1200.0),
         (0.20, 0.20, 0.22) if light else (0.62, 0.62, 0.64),
     )
@@ -140,8 +138,8 @@ def _panel(m: _Monitor, bezel: float, chin: float, picture: Image, depth: float)
     button = round_box((0.006, 0.014, 0.004), 0.0012, (m.thick * 0.5, 0, -m.height / 2), 12)
     buttons = repeated(button, (0, 0.021, 0), 5).translate((0, -m.width * 0.36, 0))
     led = box((0.001, 0.009, 0.0018), (0, -m.width * 0.45, -m.height / 2 + chin * 0.30), 0.0003)
-    glow = Material("power_light", [(0.85, 0.88, 0.92), (0.30, 0.70, 0.95)][len(m.brand) % 2], "plastic", _ABS)
-    ink = Material("brand", m.print, "plastic", _ABS)
+    glow = Material("power_light", [(0.85, 0.88, 0.92), (0.30, 0.70, 0.95)][len(m.brand) % 2], "plastic", ABS)
+    ink = Material("brand", m.print, "plastic", ABS)
     glass = textured("screen", "plastic", 2500.0, picture)
     return _raised(
         m,
@@ -281,7 +279,7 @@ def _pivot_head(m: _Monitor) -> Pieces:
         screw(0.0045, "x", (face + 0.008, y * 0.047, k * 0.047), segments=16) for y in (-1, 1) for k in (-1, 1)
     )
     mark = box((0.001, 0.003, 0.010), (face + 0.0082, 0, 0.046), 0.0002)
-    red = Material("turn_mark", (0.75, 0.15, 0.12), "plastic", _ABS)
+    red = Material("turn_mark", (0.75, 0.15, 0.12), "plastic", ABS)
     return _raised(
         m,
         ("mount", mount, m.stand),
@@ -368,8 +366,8 @@ def folding_display(seed: int) -> ObjectModel:
         (width * rng.uniform(0.66, 0.76), height * rng.uniform(0.52, 0.58)),
         height * rng.uniform(0.10, 0.16),
         textured("shell", "metal", 2000.0, textures.speckle(rng, colour, 0.03), 0.04),
-        Material("dark_plastic", textures.shade(colour, 0.45), "plastic", _ABS),
-        textured("steel", "metal", _STEEL, textures.brushed_metal(rng, textures.shade(colour, 1.05)), 0.02),
+        Material("dark_plastic", textures.shade(colour, 0.45), "plastic", ABS),
+        textured("steel", "metal", STEEL, textures.brushed_metal(rng, textures.shade(colour, 1.05)), 0.02),
         Material("rubber", textures.shade(colour, 0.35), "rubber", 1200.0),
         colour,
         textures.shade(colour, 0.28),
@@ -399,7 +397,7 @@ def _tablet(p: _Portable, rng: Rng) -> Pieces:
     keys = repeated(key, (0, 0.013, 0), 3)
     back = plate(text_outline(brand, p.height * 0.05), 0.0008, "x", p.thick / 2)
     back = back.translate((0, p.width * 0.36, (p.height / 2 + p.top) / 2 + 0.012))
-    ink = Material("print", p.ink, "plastic", _ABS)
+    ink = Material("print", p.ink, "plastic", ABS)
     return (
         Piece("slab", slab, p.shell),
         Piece("screen", box((0.0008, wide - 0.0004, high - 0.0004), (front + 0.0007, 0, z)), glass),
@@ -469,7 +467,7 @@ def _kickstand(p: _Portable, rng: Rng) -> Pieces:
     edge = box((0.0044, wide * 0.55, 0.0044), (x, 0, long + 0.0019), 0.0003)
     text = str(rng.choice(["FOLD  0 - 125", "OPEN TO STAND", "STAND SIDE"]))
     picture = textures.label([text], p.colour, textures.shade(p.colour, 0.55), 7.0, None, False, 96)
-    words = textured("stand_print", "plastic", _ABS, picture)
+    words = textured("stand_print", "plastic", ABS, picture)
     line = box((0.0003, wide * 0.42, wide * 0.06), (x + 0.0020, 0, long + high * 0.70))
     thread = rod(0.0032, 0.0044, "x", (x, wide * 0.40, long + high * 0.5), 0.0, 24)
     bush = rod(0.0055, 0.0044, "x", (x, wide * 0.40, long + high * 0.5), 0.0002, 24) - thread
