@@ -62,12 +62,9 @@ def render_preview(asset: Asset) -> NDArray[np.uint8]:
         for piece in shown.visuals[link]
     ]
     R = _view_rotation(_choose_viewpoint(np.concatenate(every)))
-    boxes, drawn = [], []
-    for Ts in poses:
-        points = [p for link in shown.visuals for p in project_link(shown, link, Ts[link], R)]
-        drawn.append(points)
-        boxes += [piece[0] for piece in points]
-    low, high = np.concatenate(boxes).min(0), np.concatenate(boxes).max(0)
+    drawn = [[p for link in shown.visuals for p in project_link(shown, link, Ts[link], R)] for Ts in poses]
+    points = np.concatenate([piece[0] for pieces in drawn for piece in pieces])
+    low, high = points.min(0), points.max(0)
     scale = _FILL * SIDE * _SUPERSAMPLING / max(float((high - low)[:2].max()), 1e-9)
     shift = 0.5 * SIDE * _SUPERSAMPLING - scale * 0.5 * (low + high)[:2]
     return np.hstack([_rasterise(pieces, scale, shift, R) for pieces in drawn])

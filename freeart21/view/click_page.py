@@ -20,7 +20,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files.masks import Click, Masks
 from freeart21.view.document import static_text
 from freeart21.view.masks_page import lit_up
-from freeart21.view.video import encode_jpeg
+from freeart21.view.video import jpeg_bytes
 
 HOST = "127.0.0.1"
 MAX_BYTES = 4096
@@ -134,7 +134,7 @@ class ClickServer:
                 colour = (0, 220, 90) if on_object else (255, 60, 40)
                 cv2.circle(picture, (round(column), round(row)), radius, colour, -1)
                 cv2.circle(picture, (round(column), round(row)), radius, (255, 255, 255), 1)
-        return encode_jpeg(picture, 85)
+        return jpeg_bytes(picture, 85)
 
     def _post(self, request: BaseHTTPRequestHandler) -> None:
         path = urlsplit(request.path).path

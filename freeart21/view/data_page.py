@@ -14,9 +14,9 @@ from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
 from freeart21.recording import Recording
 from freeart21.statistics import FEW, GONE_FRAMES, HARD_FRAMES, MotionStatistics, motion_statistics
-from freeart21.view.document import Markup, data_url, document
-from freeart21.view.tables import Cell, records_section
-from freeart21.view.video import encode_jpeg, shown_frames
+from freeart21.view.document import Markup, document
+from freeart21.view.tables import Cell, table_section
+from freeart21.view.video import jpeg_url, shown_frames
 
 IMAGES, WIDTH, QUALITY = 3, 120, 72
 NOTE = (
@@ -47,7 +47,7 @@ def data_page(folder: Path, title: str) -> str:
     names = ", ".join(hidden[:5]) + " ..." * (len(hidden) > 5)
     notices = [f"{len(hidden)} sequences have no truth here and are left out: {names}"] if hidden else []
     frames, hard = sum(s.frames for s in shown), sum(s.is_hard for s in shown)
-    section = records_section("Sequences", rows, NOTE, "sortable dense")
+    section = table_section("Sequences", rows, (), "full", NOTE, "sortable dense")
     chips = [f"{len(shown)} sequence{'s' * (len(shown) > 1)}", f"{frames} frames", f"{hard} of {len(shown)} hard"]
     return document(title, [section], "data", [*chips, f"version {benchmark.version}", benchmark.split], notices)
 
@@ -81,4 +81,4 @@ def _images(recording: Recording) -> str:
         rgb = recording.frame(int(i)).rgb
         size = WIDTH, max(1, round(WIDTH * rgb.shape[0] / rgb.shape[1]))
         images.append(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA))
-    return data_url("image/jpeg", encode_jpeg(np.hstack(images).astype(np.uint8), QUALITY))
+    return jpeg_url(np.hstack(images).astype(np.uint8), QUALITY)

@@ -22,6 +22,7 @@ from leaderboard.site.common import (
     method_link,
     metric_head,
     page,
+    score_cell,
     sentence,
     sequence_link,
     statistic_of,
@@ -162,10 +163,8 @@ def _sequences(board: Board, rules: Protocol) -> Markup:
         thumb = Markup('<img class="thumb" src="{}" alt="">').format(s.thumb) if s.thumb else Markup("")
         cells = [Cell(thumb + sequence_link(s.name, board), s.name), s.facts["category"], s.facts["joint_type"]]
         for row in (entrant.row(rules.name, s.name) for entrant in board.entrants):
-            value = None if row is None else row.values.get(metric.id)
             failed = row.status if row is not None and row.status != "ok" else ""
-            text = number_text(value, metric.unit(s.facts["joint_type"]), True)
-            cells.append(number_cell(text, value=value, below=failed))
+            cells.append(score_cell(row, metric, s.facts["joint_type"], below=failed))
         rows.append(cells)
     head = ["sequence", "category", "joint", *method_heads(board.entrants)]
     note = Markup('<p class="note">{}. All numbers are on the pages of sequences and methods.</p>').format(metric.label)

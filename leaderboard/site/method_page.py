@@ -19,6 +19,7 @@ from leaderboard.site.common import (
     metric_head,
     metric_row_head,
     page,
+    score_cell,
     sequence_link,
     statistic_of,
 )
@@ -99,15 +100,11 @@ def _sequences(board: Board, entrant: Entrant, rules: Protocol) -> Markup:
 def _line(row: Row, metrics: Sequence[Metric], link: Markup) -> list[Cell]:
     wrong = row.status == "ok" and row.values.get("joint_type") == 0
     word = "wrong type" if wrong else "files" if row.status == "ok" and row.measured_from == "files" else row.status
-    cells = []
-    for metric in metrics:
-        value, unit = row.values.get(metric.id), metric.unit(row.joint_type)
-        cells.append(number_cell(number_text(value, unit, metric.unit("all") is None), value=value))
     return [
         Cell(link, row.sequence),
         Cell(row.joint_type),
         Cell(word, css="failed" if row.status != "ok" or wrong else "", title=row.reason),
-        *cells,
+        *(score_cell(row, metric, row.joint_type, metric.unit("all") is None) for metric in metrics),
         number_cell(NONE if row.seconds is None else f"{row.seconds:.0f}", value=row.seconds),
     ]
 
