@@ -54,20 +54,10 @@ class ClickServer:
         self._token, self._lock = secrets.token_urlsafe(18), threading.Lock()
         self._message = ""
         self._update([])
-        owner = self
-
-        class Handler(BaseHTTPRequestHandler):
-            def do_GET(self) -> None:
-                owner._get(self)
-
-            def do_POST(self) -> None:
-                owner._post(self)
-
-            def log_message(self, format: str, *args: Any) -> None:
-                pass
-
+        answers = {"do_GET": lambda request: self._get(request), "do_POST": lambda request: self._post(request)}
+        handler = type("Handler", (BaseHTTPRequestHandler,), {**answers, "log_message": lambda *_: None})
         try:
-            self._server = ThreadingHTTPServer((HOST, self.port), Handler)
+            self._server = ThreadingHTTPServer((HOST, self.port), handler)
         except OSError as error:
             raise FreeArtError(f"port {self.port} of {HOST} cannot be opened: {error.strerror}") from error
         self._server.daemon_threads = True

@@ -81,10 +81,18 @@ def _pieces(file: Path, root: Path, data: bytes) -> list[Piece]:
     import trimesh
 
     ending = file.suffix.lower()
-    unit = _unit(file, data) if ending == ".dae" else 1.0
+    unit = 1.0
+    if ending == ".dae":  # its XML is checked before another parser reads it
+        metres = parse_xml(data, file).find("{*}asset/{*}unit")
+        unit = float("1" if metres is None else metres.get("meter", "1"))
+        if not 0 < unit < np.inf:
+            raise ValueError(f"its unit is {unit:g} m")
     if ending in (".glb", ".gltf"):
         text = data[20 : 20 + int.from_bytes(data[12:16], "little")] if ending == ".glb" else data
-        _check_accessors(checked.parse_json(text.decode("utf-8"), file))
+        accessors = checked.parse_json(text.decode("utf-8"), file).get("accessors", ())
+        empty = sum(one["count"] for one in accessors if "bufferView" not in one)  # trimesh fills them with zeros
+        if empty > _MOST_VERTICES:
+            raise ValueError(f"its accessors have {empty} entries without data, at most {_MOST_VERTICES} are read")
     neighbours: Any = _Neighbours(file, root)
     options: dict[str, Any] = {"process": False} if ending in (".obj", ".ply") else {}
     scene = trimesh.load_scene(io.BytesIO(data), file_type=ending[1:], resolver=neighbours, **options)
@@ -100,22 +108,6 @@ def _pieces(file: Path, root: Path, data: bytes) -> list[Piece]:
         vertices = unit * se3.transform(T, np.asarray(mesh.vertices, float))
         pieces.append(Piece(Mesh(vertices, np.asarray(mesh.faces)[:, ::flip], colours), uv, picture))
     return pieces
-
-
-def _check_accessors(header: Any) -> None:
-    """ValueError when accessors without a buffer, which trimesh fills with zeros, have too many entries."""
-    count = sum(accessor["count"] for accessor in header.get("accessors", ()) if "bufferView" not in accessor)
-    if count > _MOST_VERTICES:
-        raise ValueError(f"its accessors have {count} entries without data, at most {_MOST_VERTICES} are read")
-
-
-def _unit(file: Path, data: bytes) -> float:
-    """Metres per unit of a COLLADA file; its XML is checked before another parser reads it."""
-    unit = parse_xml(data, file).find("{*}asset/{*}unit")
-    metres = float("1" if unit is None else unit.get("meter", "1"))
-    if not 0 < metres < np.inf:
-        raise ValueError(f"its unit is {metres:g} m")
-    return metres
 
 
 def _look(mesh: Any, linear: bool) -> tuple[NDArray[np.uint8] | None, NDArray[np.float64] | None, Any]:

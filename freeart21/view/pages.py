@@ -35,7 +35,6 @@ from freeart21.view.plots import state_section
 from freeart21.view.scene import gaussians_scene, scene_section, sources_scene, without_outliers
 from freeart21.view.source import AXIS, LAYERS, PartMasks, Source, matched, truth_over, truth_source
 from freeart21.view.tables import (
-    alternative_rows,
     certificate_section,
     compared_rows,
     joint_rows,
@@ -212,7 +211,10 @@ def _result_page(
     """The page of a reconstruction, with its diagnostics and asset."""
     result, diagnostics, confidence, notices = _read_extras(path, result)
     _check_lengths(sequence=recording, truth=true, result=result)
-    alternatives = [table_section("Alternative joint", alternative_rows(other)) for other in result.alternatives]
+    alternatives = []
+    for other in result.alternatives:
+        cost = "Cost of a pixel, difference", f"{other.cost_difference:+.3f}"  # beyond that under the result's joint
+        alternatives.append(table_section("Alternative joint", [*joint_rows(other.joint, other.states), cost]))
     if true is not None:
         given, result = result, matched(result, true)
         if diagnostics is not None and result is not given:

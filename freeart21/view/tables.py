@@ -12,7 +12,6 @@ import numpy as np
 from freeart21.files.certificate import Certificate
 from freeart21.files.urdf import Urdf
 from freeart21.joint import Joint
-from freeart21.reconstruction import Alternative
 from freeart21.recording import Recording
 from freeart21.view.document import Markup, Place, Section, render
 from freeart21.view.plots import display_unit
@@ -195,11 +194,6 @@ def joint_rows(joint: Joint, states: Sequence[float] | np.ndarray) -> list[tuple
         ("Limits", limits_text(joint.type, joint.lower, joint.upper)),
         ("States in the video", limits_text(joint.type, float(np.min(states)), float(np.max(states)))),
     ]
-
-
-def alternative_rows(other: Alternative) -> list[tuple[str, str]]:
-    """Rows of `joint_rows` and the cost of a pixel under the joint, beyond that under the result's."""
-    return [*joint_rows(other.joint, other.states), ("Cost of a pixel, difference", f"{other.cost_difference:+.3f}")]
 
 
 def compared_rows(

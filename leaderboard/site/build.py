@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -26,7 +26,7 @@ from leaderboard.site.index_page import index_page
 from leaderboard.site.method_page import method_page
 from leaderboard.site.names import file_names
 from leaderboard.site.sequence_page import sequence_page
-from leaderboard.site.sequence_view import show_sequence, show_table
+from leaderboard.site.sequence_view import show_sequence
 
 SCHEMA = "freeart21/site/1"
 Progress = Callable[[str, int, int], None]
@@ -77,8 +77,17 @@ def write_site(
     else:
         facts, sequences = benchmark_facts(benchmark), benchmark.sequences
     _check_tables(tables, facts, sequences)
+    done, steps = itertools.count(1), len(folders) * len(protocols) * len(sequences)
+
+    def report(folder: Path, name: str, row: Row, _: int) -> None:
+        if progress:
+            progress(f"Scored {folder.name}, {row.sequence}, by {name}", next(done), steps)
+
     for folder in folders:
-        methods[folder] = _score(folder, Path(data or ""), protocols, keep, progress, truth)
+        methods[folder] = {
+            name: cached_scores(folder, Path(data or ""), name, keep, partial(report, folder, name), truth=truth)
+            for name in protocols
+        }
     if tables and folders:
         _check_tables({**tables, **{folder: methods[folder][protocols[0]] for folder in folders}}, facts, sequences)
     methods_given = [(place, methods[place]) for place in results if place in methods]
@@ -90,9 +99,6 @@ def write_site(
     with atomic.new_folder(Path(out), SITE) as new:
         shown = []
         for count, sequence in enumerate(sequences, 1):
-            if benchmark is None:
-                shown.append(show_table(sequence, types[sequence], board_entrants))
-                continue
             source = benchmark, sequence, board_entrants, protocols[0], types[sequence]
             content, visual[sequence] = show_sequence(*source)
             shown.append(content)
@@ -100,7 +106,7 @@ def write_site(
                 progress(f"Packed {sequence}", count, len(sequences))
         board = Board(title, board_entrants, protocols, shown, files, facts, command)
         for k, sequence in enumerate(sequences):
-            _write(new / "sequences" / f"{files[sequence]}.html", sequence_page(board, k, visual.pop(sequence, [])))
+            _write(new / "sequences" / f"{files[sequence]}.html", sequence_page(board, k, visual.pop(sequence)))
         for entrant in board_entrants:
             for protocol, table in entrant.scores.items():
                 write_scores(new / "scores" / f"{entrant.file}.{protocol}.json", table)
@@ -158,24 +164,6 @@ def _check_tables(tables: Mapping[Path, Scores], facts: dict[str, str], sequence
             raise FreeArtError(
                 f"{place} has rows for {len(scores.rows)} of {len(sequences)} sequences: score all of them"
             )
-
-
-def _score(
-    folder: Path,
-    data: Path,
-    protocols: Sequence[str],
-    keep: Path | None,
-    progress: Progress | None,
-    truth: Path | None,
-) -> dict[str, Scores]:
-    """The table of one method by every protocol."""
-
-    def report(name: str, count: Iterator[int], row: Row, of: int) -> None:
-        if progress:
-            progress(f"Scored {folder.name}, {row.sequence}, by {name}", next(count), of)
-
-    reports = {name: partial(report, name, itertools.count(1)) for name in protocols}
-    return {name: cached_scores(folder, data, name, keep, reports[name], truth=truth) for name in protocols}
 
 
 def _write(path: Path, data: bytes) -> None:

@@ -159,8 +159,3 @@ def facts(rows: Sequence[tuple[str, object]]) -> Markup:
     """A list of names and values."""
     entries = (Markup("<div><dt>{}</dt><dd>{}</dd></div>").format(name, value) for name, value in rows)
     return Markup('<dl class="facts">{}</dl>').format(Markup("").join(entries))
-
-
-def hash_text(sha256: str) -> Markup:
-    """A hash as HTML."""
-    return Markup('<code class="hash">{}</code>').format(sha256)

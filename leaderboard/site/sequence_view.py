@@ -62,16 +62,16 @@ class SequenceContent:
     """Method's file name to why nothing of its result can be shown."""
 
 
-def show_table(name: str, joint_type: JointType, entrants: Sequence[Entrant]) -> SequenceContent:
-    """What is shown of a sequence without its data folder: numbers alone."""
-    absent = dict.fromkeys((entrant.file for entrant in entrants), NO_FILES)
-    return SequenceContent(name, {"joint_type": joint_type, "category": NONE, "source": {}}, absent=absent)
-
-
 def show_sequence(
-    benchmark: Benchmark, name: str, entrants: Sequence[Entrant], protocol: str, joint_type: JointType
+    benchmark: Benchmark | None, name: str, entrants: Sequence[Entrant], protocol: str, joint_type: JointType
 ) -> tuple[SequenceContent, list[Section]]:
-    """Read one sequence, its truth and every method's result: facts, and the sections of its page."""
+    """Read one sequence, its truth and every method's result: facts, and the sections of its page.
+
+    Without a benchmark nothing is read, and there are no sections.
+    """
+    facts: dict[str, Any] = {"joint_type": joint_type, "category": NONE, "source": {}}
+    if benchmark is None:
+        return SequenceContent(name, facts, absent={entrant.file: NO_FILES for entrant in entrants}), []
     recording = read_sequence(benchmark.sequence(name))
     truth = None if benchmark.hidden else read_truth(benchmark.truth(name))
     frames = shown_frames(len(recording), MAX_FRAMES)
@@ -92,13 +92,10 @@ def show_sequence(
     elif (first := _first_of(sources)) is not None:
         sources = [first, *(one.follow(first) if one.articulation else one for one in sources if one is not first)]
     sources = [replace(one, shown=k < 2) for k, one in enumerate(sources)]  # the truth and a method at first
-    facts: dict[str, Any] = {
-        "joint_type": joint_type,
-        "category": NONE,
+    facts |= {
         "frames": len(recording),
         "seconds": float(recording.times_s[-1] - recording.times_s[0]),
         "size": f"{size[1]} \N{MULTIPLICATION SIGN} {size[0]}",
-        "source": {},
         "licence": recording.licence,
     }
     if truth is not None:
