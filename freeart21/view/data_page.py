@@ -12,7 +12,6 @@ from freeart21.errors import FreeArtError
 from freeart21.files.benchmark import read_benchmark
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
-from freeart21.recording import Recording
 from freeart21.statistics import FEW, GONE_FRAMES, HARD_FRAMES, MotionStatistics, motion_statistics
 from freeart21.view.document import Markup, document
 from freeart21.view.tables import Cell, table_section
@@ -41,7 +40,12 @@ def data_page(folder: Path, title: str) -> str:
             continue
         recording = read_sequence(benchmark.sequence(name))
         shown.append(motion_statistics(recording, read_truth(benchmark.truth(name))))
-        rows.append(_row(shown[-1], _images(recording)))
+        images = []
+        for i in shown_frames(len(recording), IMAGES):
+            rgb = recording.frame(int(i)).rgb
+            size = WIDTH, max(1, round(WIDTH * rgb.shape[0] / rgb.shape[1]))
+            images.append(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA))
+        rows.append(_row(shown[-1], jpeg_url(np.hstack(images).astype(np.uint8), QUALITY)))
     if not shown:
         raise FreeArtError(f"{folder} has {len(benchmark.sequences)} sequences, but the truth of none: nothing to show")
     names = ", ".join(hidden[:5]) + " ..." * (len(hidden) > 5)
@@ -72,13 +76,3 @@ def _row(s: MotionStatistics, images: str) -> dict[str, Cell]:
         "Inside the image": Cell("no" if s.leaves else "yes"),
         "Masks": Cell("agree" if s.masks_valid else "differ"),
     }
-
-
-def _images(recording: Recording) -> str:
-    """Images of a video side by side, as the address of a JPEG."""
-    images = []
-    for i in shown_frames(len(recording), IMAGES):
-        rgb = recording.frame(int(i)).rgb
-        size = WIDTH, max(1, round(WIDTH * rgb.shape[0] / rgb.shape[1]))
-        images.append(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA))
-    return jpeg_url(np.hstack(images).astype(np.uint8), QUALITY)

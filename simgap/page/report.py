@@ -144,7 +144,16 @@ def page(gap: Gap) -> str:
     sections += [*motion, *geometry] if gap.motion_differs else [*geometry, *motion]
     marked = [g.use for g in gap.motion if g.use == "choosing"]
     of = runs_text(marked) if marked else runs_text([g.use for g in gap.motion if g.use == "fitted"], in_turn=True)
-    sections += [*ranking_section(gap.draft.ranking[:12], of), _gaps(gap), *_repeat(gap)]
+    sections += [*ranking_section(gap.draft.ranking[:12], of), _gaps(gap)]
+    if verdict.proof is not None:
+        texts = {
+            "before": "The gap before, from the files of the asset as it was given",
+            "after": "The gap after, from the files of the asset beside the verdict",
+            "trial": "The gap with the trial repair, which is not in that asset",
+        }
+        absent = verdict.proof.witness.get("absent")
+        note = f"MuJoCo has not witnessed it: {absent}." if absent else "Add --engine mujoco for MuJoCo's numbers."
+        sections.append(repeat_section({texts[k]: line for k, line in verdict.proof.repeat.items()}, note))
     return document(gap.title, sections, "gap", chips)
 
 
@@ -371,18 +380,3 @@ def _gaps(gap: Gap) -> Section:
         )
     note += f" {still} more runs were not replayed." if still else ""
     return table_section("Runs", rows, (), "full", note)
-
-
-def _repeat(gap: Gap) -> list[Section]:
-    """The command lines of the proof, and the second engine's result."""
-    proof = gap.verdict.proof
-    if proof is None:
-        return []
-    of = {
-        "before": "The gap before, from the files of the asset as it was given",
-        "after": "The gap after, from the files of the asset beside the verdict",
-        "trial": "The gap with the trial repair, which is not in that asset",
-    }
-    absent = proof.witness.get("absent")
-    note = f"MuJoCo has not witnessed it: {absent}." if absent else "Add --engine mujoco for MuJoCo's numbers."
-    return [repeat_section({of[what]: line for what, line in proof.repeat.items()}, note)]
