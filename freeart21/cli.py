@@ -243,7 +243,7 @@ def masks(
     from freeart21.formats.third_party import ReadOptions
     from freeart21.progress import progress_bar
     from freeart21.view.click_page import ClickServer
-    from freeart21.view.masks_page import MaskView, choose_frames, write_masks_page
+    from freeart21.view.masks_page import write_masks_page
     from reconstruct.hands import find_networks
     from reconstruct.masks import Foreground, carry_masks
     from reconstruct.segmenters import make_segmenter
@@ -267,14 +267,10 @@ def masks(
     if network is not None:
         made = carry_masks(recording, made, network, clicks)
     write_masks(out, made, clicks)
-    views = [
-        MaskView(i, recording.frame(i).rgb, made.masks[i], float(made.doubt[i]), made.reasons[i])
-        for i in choose_frames(made.doubt)
-    ]
     doubtful = int((made.doubt > 0.5).sum())
     text = f"{doubtful} of {len(made.doubt)} masks are doubtful"
     lead = "Lit up: what is taken for the object. Where that is wrong, edit the masks of those frames."
-    write_masks_page(views, out / "index.html", recording.name, [*made.notes, *([text] if doubtful else [])], lead)
+    write_masks_page(recording, made, out / "index.html", [*made.notes, *([text] if doubtful else [])], lead)
     print("\n".join([*made.notes, f"masks: {text}; look at {out / 'index.html'}"]), flush=True)
     return DOUBTFUL if 2 * doubtful >= len(made.doubt) else 0
 
