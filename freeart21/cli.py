@@ -18,10 +18,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 import freeart21
+from export.settings import Masses, Materials
 from freeart21 import processes
 from freeart21.errors import FreeArtError
+from freeart21.formats.series_settings import SeriesSettings
 from freeart21.processes import DOUBTFUL, report_errors
-from simgap.commands import SeriesOptions, TruthOptions, measure_files
+from simgap.commands import TruthOptions
 
 if TYPE_CHECKING:
     from freeart21.files.masks import Click
@@ -30,8 +32,6 @@ if TYPE_CHECKING:
 
 Positional: Any = tyro.conf.Positional
 Flat: Any = tyro.conf.arg(name="")
-MassWords = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="KG | NAME=KG...")]
-MaterialWords = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="MATERIAL | NAME=MATERIAL...")]
 DESCRIPTION = "FreeArt-21: from RGB-D videos of articulated objects to simulation-ready assets, and their score."
 COMMANDS = {
     "doctor": "freeart21.commands",
@@ -142,9 +142,7 @@ def _light_settings() -> Any:
 def measure(
     sources: Annotated[tuple[Path, ...], Positional],
     out: Path,
-    gravity: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")] = None,
-    rate_hz: float | None = None,
-    series: Annotated[SeriesOptions, Flat] = SeriesOptions(),  # noqa: B008 (frozen)
+    series: Annotated[SeriesSettings, Flat] = SeriesSettings(),  # noqa: B008 (frozen)
     truths: Annotated[TruthOptions, Flat] = TruthOptions(),  # noqa: B008 (frozen)
 ) -> None:
     """Make a measured set for `gap`: from CSV, JSON or MAT files, a filmed result, or recorded truths.
@@ -154,9 +152,6 @@ def measure(
             whose reference part stood still, with --gravity; or truth folders of one object (DATA/truth/SEQ, each
             recorded with --motion release).
         out: Folder for the measured set (OUT/measured) and, for truths, the object without effects (OUT/asset).
-        gravity: Gravity, m/s^2. For files: in the asset's reference link, 0 0 -9.81 when not given. For a result: in
-            the camera's axes (right, down, forward) of the first frame, 0 9.81 0 for a level camera.
-        rate_hz: Rows per second of files without times; frames of a result [30].
     """
     files = [source for source in sources if source.is_file()]
     results = [source for source in sources if (source / "prediction.json").is_file()]
@@ -171,21 +166,25 @@ def measure(
     kind = "files" if files else "a result" if results else "truths"
     for whose, options in (("files", series), ("truths", truths)):
         given = [f.name.replace("_", "-") for f in fields(options) if getattr(options, f.name) != f.default]
+        given = [name for name in given if kind != "a result" or name not in ("gravity", "rate-hz")]
         if given and whose != kind:
             named = ", ".join(str(source) for source in sources)
             raise FreeArtError(f"measure: --{given[0]} applies to {whose}, but this was taken for {kind}: {named}")
     asset = out / "asset"
     if files:
-        asset = measure_files(files, out, gravity, rate_hz, series)
+        from freeart21.formats.measured_series import measure_series
+
+        print("".join(f"- {note}\n" for note in measure_series(files, out, series)), end="")
+        asset = series.asset or asset
     elif results:
-        if len(sources) > 1 or gravity is None:
+        if len(sources) > 1 or series.gravity is None:
             raise FreeArtError(
                 "measure: expected one result and --gravity X Y Z in the camera's axes of its first frame "
-                f"(0 9.81 0 for a level camera); got {len(sources)} folders, gravity {gravity}"
+                f"(0 9.81 0 for a level camera); got {len(sources)} folders, gravity {series.gravity}"
             )
         from simgap.measure.reconstruction import measure_result
 
-        measure_result(results[0], out, gravity, 30.0 if rate_hz is None else rate_hz)
+        measure_result(results[0], out, series.gravity, 30.0 if series.rate_hz is None else series.rate_hz)
         asset = results[0] / "asset"
     else:
         from generator.measure import TrackerNoise, measure_truths
@@ -295,8 +294,8 @@ def film(
     out: Path,
     masks: Path | None = None,
     segmenter: str | None = None,
-    mass: MassWords = None,
-    material: MaterialWords = None,
+    mass: Masses = None,
+    material: Materials = None,
     gaussians: bool = True,
     anyway: bool = False,
 ) -> int:
@@ -317,7 +316,7 @@ def film(
         gaussians: Refine by Gaussians and render with them; without, it takes a third of the time.
         anyway: Solve it though a property of the video is bad.
     """
-    from export.commands import ExportOptions, check_asset, export
+    from export.commands import BY_ROLE, check_asset, export
     from freeart21.commands import view
     from reconstruct.commands import reconstruct
     from reconstruct.settings import ReconstructSettings
@@ -338,7 +337,7 @@ def film(
         print(f"export: {result / 'asset'} is finished; remove it to export anew, as with another --mass", flush=True)
     else:
         print(f"export: {result / 'asset'}", flush=True)
-        if export(result, result / "asset", sequence, ExportOptions(mass=mass, material=material)) == 1:
+        if export(result, result / "asset", sequence, replace(BY_ROLE, mass=mass, material=material)) == 1:
             return 1
     print("check-asset:", flush=True)
     verdict = check_asset(result / "asset", as_json=out / "check.json", certify=True)

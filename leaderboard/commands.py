@@ -113,8 +113,7 @@ def compare(
     from freeart21.files.places import check_place
     from freeart21.progress import progress_bar
     from leaderboard.compare import compare_results
-    from leaderboard.compare_files import kind_of, write_comparison
-    from leaderboard.compare_tables import print_comparison
+    from leaderboard.compare_tables import kind_of, print_comparison, write_comparison
     from leaderboard.rows import Row
 
     if out is not None:

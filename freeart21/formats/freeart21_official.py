@@ -58,7 +58,6 @@ OBJECTS = Path("data/partnet-mobility-v0/dataset")
 
 _LARGEST_STATE = 1e6
 _STATE_KEYS = ("angle_rad", "angle", "value", "qpos", "state", "theta", "translation")
-_STATE_LISTS = ("frames", "values", "joint_values", "joint_states")
 
 
 def is_example(folder: Path) -> bool:
@@ -112,15 +111,13 @@ def read_example(folder: Path) -> ThirdPartyRecording:
 
 
 def read_states(path: Path) -> Array:
-    """(n,) joint states, rad or m, from joint_states.json in any form that the official evaluator reads.
+    """(n,) joint states, rad or m, from joint_states.json: a list with an entry a frame.
 
-    Of a list (qpos of several joints) the first is used, as there; but when the first never moves and exactly one other
-    does, that one. Unlike there, an entry without a known number is an error, not zero.
+    An entry is a number, an object with one, or a list (qpos of several joints), whose first is used, as in the
+    official evaluator; but when the first never moves and exactly one other does, that one. Unlike there, an entry
+    without a known number is an error, not zero.
     """
     data = checked.read_any_json(path)
-    if isinstance(data, dict):
-        lists = [data[key] for key in _STATE_LISTS if isinstance(data.get(key), list)]
-        data = lists[0] if lists else [data[key] for key in sorted((k for k in data if k.isdigit()), key=int)]
     if not isinstance(data, list) or not data:
         raise FreeArtError(f"{path} holds no list of joint states")
     if all(isinstance(entry, list) and entry for entry in data):
@@ -302,13 +299,10 @@ def _train_indices(folder: Path, n: int) -> list[int]:
 
 
 def _state(entry: Any, path: Path, i: int) -> float:
-    """The number of one entry: itself, or by the first known key of it or of its 'joint'; of a list its first."""
+    """The number of one entry: itself, or by the first known key of it; of a list its first."""
     value = entry
-    for held in (entry, entry.get("joint")) if isinstance(entry, dict) else ():
-        named = [held[key] for key in _STATE_KEYS if key in held] if isinstance(held, dict) else []
-        if named:
-            value = named[0]
-            break
+    if isinstance(entry, dict):
+        value = next((entry[key] for key in _STATE_KEYS if key in entry), None)
     value = value[0] if isinstance(value, list) and value else value
     if not checked.is_number(value) or not abs(value) < _LARGEST_STATE:
         raise FreeArtError(

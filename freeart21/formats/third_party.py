@@ -149,8 +149,6 @@ class ReadOptions:
     """Metres per depth unit of picture folders."""
     fps: float | None = None
     """Frames a second of picture folders; None: from time stamps in the names, else 30."""
-    meta: Path | None = None
-    """Video2Articulation's meta file."""
     partnet_root: Path | None = None
     """Folder of PartNet-Mobility objects."""
     masks: Path | None = None
