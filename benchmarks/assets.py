@@ -33,8 +33,9 @@ from export.check.engines.base import Setting
 from export.check.engines.sapien_world import load
 from export.collision import Contact
 from export.contact import read_link_shapes
-from export.exporter import ExportSettings, export_result
+from export.exporter import export_result
 from export.preview import colours_at, project_link
+from export.settings import ExportSettings
 from freeart21 import catalog, se3
 from freeart21.articulation import PARTS, Articulation
 from freeart21.asset import Asset

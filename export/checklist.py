@@ -32,9 +32,9 @@ from freeart21.files.urdf import (
     read_urdf_parts,
 )
 from freeart21.files.urdf_files import describe_missing_file, resolve_file
+from freeart21.mesh import join_meshes
 from freeart21.se3 import Array
 from freeart21.view.mesh_pieces import read_pieces
-from freeart21.view.simplify import joined
 from generator.simulate import joint_motion
 
 MAX_MESH_BYTES = 256 << 20
@@ -298,7 +298,7 @@ def _load_geometry(shape: UrdfShape, files: Files) -> trimesh.Trimesh | None:
 def read_solid(path: Path) -> trimesh.Trimesh:
     """The triangles of a mesh file. Equal corners are merged, except in an OBJ, which has shared vertices."""
     if path.suffix.lower() != ".obj":
-        mesh = joined(*(piece.mesh for piece in read_pieces(path, path.parent)))
+        mesh = join_meshes([piece.mesh for piece in read_pieces(path, path.parent)])
         solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
         solid.merge_vertices(merge_tex=True, merge_norm=True)
         return solid

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 import freeart21
+from export.settings import Masses, Materials
 from freeart21 import processes
 from freeart21.errors import FreeArtError
 from freeart21.formats.series_settings import SeriesSettings
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
 
 Positional: Any = tyro.conf.Positional
 Flat: Any = tyro.conf.arg(name="")
-MassWords = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="KG | NAME=KG...")]
-MaterialWords = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="MATERIAL | NAME=MATERIAL...")]
 DESCRIPTION = "FreeArt-21: from RGB-D videos of articulated objects to simulation-ready assets, and their score."
 COMMANDS = {
     "doctor": "freeart21.commands",
@@ -251,7 +250,7 @@ def masks(
     from freeart21.progress import progress_bar
     from freeart21.view.masks_page import MaskView, choose_frames, write_masks_page
     from reconstruct.hands import find_networks
-    from reconstruct.masks import Foreground, MaskSettings, carry_masks
+    from reconstruct.masks import Foreground, carry_masks
     from reconstruct.segmenters import make_segmenter
 
     check_place(out, MASKS, [source])
@@ -261,9 +260,8 @@ def masks(
         raise FreeArtError(f"{source} has {len(found)} recordings, expected one")
     layout, folder = found[0]
     recording = layout.read(folder, ReadOptions(depth_unit=depth_unit)).recording
-    settings = MaskSettings(hands=hands or find_networks())
     with progress_bar("Finding the object") as show:
-        foreground = Foreground(recording, settings, progress=show)
+        foreground = Foreground(recording, hands or find_networks(), show)
     clicks = _ask_for_clicks(foreground, recording, port) if click else []
     made = foreground.masks(clicks)
     if network is not None:
@@ -296,8 +294,8 @@ def film(
     out: Path,
     masks: Path | None = None,
     segmenter: str | None = None,
-    mass: MassWords = None,
-    material: MaterialWords = None,
+    mass: Masses = None,
+    material: Materials = None,
     gaussians: bool = True,
     anyway: bool = False,
 ) -> int:
@@ -318,7 +316,7 @@ def film(
         gaussians: Refine by Gaussians and render with them; without, it takes a third of the time.
         anyway: Solve it though a property of the video is bad.
     """
-    from export.commands import ExportOptions, check_asset, export
+    from export.commands import BY_ROLE, check_asset, export
     from freeart21.commands import view
     from reconstruct.commands import reconstruct
     from reconstruct.settings import ReconstructSettings
@@ -339,7 +337,7 @@ def film(
         print(f"export: {result / 'asset'} is finished; remove it to export anew, as with another --mass", flush=True)
     else:
         print(f"export: {result / 'asset'}", flush=True)
-        if export(result, result / "asset", sequence, ExportOptions(mass=mass, material=material)) == 1:
+        if export(result, result / "asset", sequence, replace(BY_ROLE, mass=mass, material=material)) == 1:
             return 1
     print("check-asset:", flush=True)
     verdict = check_asset(result / "asset", as_json=out / "check.json", certify=True)

@@ -12,7 +12,7 @@ import tyro
 
 from freeart21 import processes
 from freeart21.errors import FreeArtError
-from generator.settings import RecordSettings
+from generator.settings import RecordSettings, TeleopSettings
 
 Positional: Any = tyro.conf.Positional
 Flat: Any = tyro.conf.arg(name="")
@@ -131,12 +131,7 @@ def teleop(
     joint: str | None = None,
     skip_missing: bool = False,
     root: Path | None = None,
-    host: str = "127.0.0.1",
-    port: int = 8021,
-    width: int = 640,
-    height: int = 360,
-    cert: Path | None = None,
-    key: Path | None = None,
+    settings: Annotated[TeleopSettings, Flat] = TeleopSettings(),  # noqa: B008 (frozen)
 ) -> None:
     """Move an object and its joint by hand in a browser, and record the motion as a take.
 
@@ -151,18 +146,12 @@ def teleop(
         joint: Moving joint of a URDF, or of a PartNet-Mobility object for which the catalog names none.
         skip_missing: Leave out missing meshes of the object.
         root: Folder with all files of a URDF; its own, or its package's, when not given.
-        host: Address to listen at; 0.0.0.0 for all of this machine. Others than 127.0.0.1 need --cert and --key.
-        port: Port to listen at; 0 takes a free one.
-        width: Width of the live picture, pixels.
-        height: Height of the live picture, pixels.
-        cert: PEM file of your certificate, for https.
-        key: PEM file of its private key.
     """
-    from generator.teleop.start import TeleopSettings, serve
+    from generator.teleop.start import serve
 
     record = RecordSettings(seed=seed, partnet_root=partnet_root, joint=joint, skip_missing=skip_missing, root=root)
     record.check()
-    serve(name, out, TeleopSettings(host, port, width, height, cert, key), record)
+    serve(name, out, settings, record)
 
 
 def verify(data: Annotated[Path, Positional], deep: bool = False, truth: Path | None = None) -> int:
@@ -222,14 +211,13 @@ def convert(
     """
     from freeart21.formats import convert as formats
     from freeart21.formats.third_party import ReadOptions
-    from freeart21.progress import progress_board
+    from freeart21.progress import progress_bar
     from generator.third_party import complete_truth
 
     maker = partial(complete_truth, joint=joint, skip_missing=skip_missing)
     options = ReadOptions(depth_unit, fps, partnet_root, masks, longest_side)
-    with progress_board(1, 0) as board:
-        for done in formats.convert(source, out, to, layout, maker, options, hold_out, board.update):
-            board.finished(done.name)
+    with progress_bar("Converting") as show:
+        for done in formats.convert(source, out, to, layout, maker, options, hold_out, show):
             print(done.folder)
             for note in done.notes:
                 print(f"{done.name}: {note}", file=sys.stderr)

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.benchmark import Benchmark, read_benchmark
@@ -27,7 +26,6 @@ from generator import partnet
 from generator.rays import Caster
 from generator.scene import Picture, Scene
 from generator.sensors import SENSORS
-from generator.urdf_object import LoadedObject
 
 DEPTH_SHARE = 0.002
 """Largest depth error away from edges, as a share of the object's diagonal."""
@@ -99,7 +97,9 @@ def render_again(recording: Recording, truth: Truth, folder: Path, views: int) -
     Ts_camera_world = checked.read_npz(folder / "world.npz", ("T_camera_world",))["T_camera_world"]
     if Ts_camera_world.shape != truth.Ts_camera_reference.shape:
         raise FreeArtError(f"{folder}/world.npz has shape {Ts_camera_world.shape}, expected a pose a frame")
-    scene = _scene(loaded, recording.camera, truth)
+    shader, groups = str(source.get("shader", "default")), [side.links for side in loaded.sides]
+    reach = float(np.linalg.norm(truth.Ts_camera_reference[:, :3, 3], axis=1).max()) + 4 * truth.diagonal
+    scene = Scene(loaded.asset.urdf, groups, recording.camera, 1e-3 * reach, reach, shader)
     scene.fix_lamps(Ts_camera_world[0])
     for i, query in enumerate(recording.queries[:views]):
         T, state = (
@@ -111,12 +111,6 @@ def render_again(recording: Recording, truth: Truth, folder: Path, views: int) -
         positions = {**loaded.asset.held, loaded.joint.name: float(state)}
         picture = scene.render(T, positions, query.T_newcam_cam @ Ts_camera_world[query.pose_of_frame])
         yield picture, psnr(picture.rgb, truth.query_rgb(i), truth.query_mask(i))
-
-
-def _scene(loaded: LoadedObject, camera: Camera, truth: Truth) -> Scene:
-    shader = str(truth.source.get("shader", "default"))
-    reach = float(np.linalg.norm(truth.Ts_camera_reference[:, :3, 3], axis=1).max()) + 4 * truth.diagonal
-    return Scene(loaded.asset.urdf, [side.links for side in loaded.sides], camera, 1e-3 * reach, reach, shader)
 
 
 def psnr(rgb: NDArray[np.uint8], expected: NDArray[np.uint8], mask: NDArray[np.bool_]) -> float:

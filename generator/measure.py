@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -96,7 +97,7 @@ def measure_truths(
 def _check_one_object(folders: list[Path], truths: list[Truth]) -> None:
     if not truths:
         raise FreeArtError("no truth folder was named, expected one or more")
-    first = None
+    first: dict[str, Any] = {}
     for folder, truth in zip(folders, truths, strict=True):
         source = truth.source
         settings = source.get("settings") or {}
@@ -105,15 +106,8 @@ def _check_one_object(folders: list[Path], truths: list[Truth]) -> None:
                 f"{folder} is of the motion '{source.get('motion')}', expected release: only then the base is at rest "
                 "and nothing but effects works the joint"
             )
-        what = {
-            "object": source.get("object"),
-            "seed": settings.get("seed"),
-            "preset": settings.get("preset"),
-            "joint": source.get("joint"),
-            "fps": settings.get("fps"),
-            "effects": settings.get("effects"),
-            "reference_links": source.get("reference_links"),
-        }
+        what = {key: source.get(key) for key in ("object", "joint", "reference_links")}
+        what |= {key: settings.get(key) for key in ("seed", "preset", "fps", "effects")}
         first = first or what
         for key, value in what.items():
             if value != first[key]:

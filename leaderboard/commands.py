@@ -113,8 +113,7 @@ def compare(
     from freeart21.files.places import check_place
     from freeart21.progress import progress_bar
     from leaderboard.compare import compare_results
-    from leaderboard.compare_files import kind_of, write_comparison
-    from leaderboard.compare_tables import print_comparison
+    from leaderboard.compare_tables import kind_of, print_comparison, write_comparison
     from leaderboard.rows import Row
 
     if out is not None:
@@ -282,8 +281,8 @@ def run(
     data (`freeart21 pack`) when its truth has to be out of reach. run.json has time, memory and versions.
 
     Args:
-        method: Descriptor, a .json, or the name of a shipped one (two-motions, rigid-clusters, masked-icp, freeartgs,
-            itaco, bundlesdf, foundationpose, articulate-anything, videoartgs).
+        method: Descriptor, a .json, or the name of a shipped one (two-motions, rigid-clusters, masked-icp, paper,
+            freeartgs, itaco, bundlesdf, foundationpose, articulate-anything, videoartgs).
         data: The data folder of the sequences.
         out: Results folder, such as results/NAME.
         home: The method's own checkout, if its commands name it.

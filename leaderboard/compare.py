@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
-import numpy as np
 import pandas as pd
 
 from freeart21.catalog import CATALOG
@@ -22,7 +20,7 @@ from leaderboard.bootstrap import Interval, bootstrap_intervals
 from leaderboard.cached import cached_scores
 from leaderboard.protocol import Metric, Protocol
 from leaderboard.protocols import DEFAULT, protocol_named
-from leaderboard.rows import Row, Scores, Statistic
+from leaderboard.rows import Row, Scores
 from leaderboard.score import benchmark_facts, statistic
 from leaderboard.scores_file import read_scores
 from leaderboard.submission import shorten
@@ -42,21 +40,6 @@ class Entrant:
 
 
 @dataclass(frozen=True)
-class Standing:
-    """Results of one method over a group of sequences; failed and missing ones count with their penalty."""
-
-    sequences: int
-    failures: int
-    statistics: dict[str, Statistic]
-    """Metric id to its statistic; only metrics with values and one unit in the group."""
-
-    @property
-    def coverage(self) -> float:
-        """Fraction of the sequences that was measured."""
-        return 1 - self.failures / self.sequences if self.sequences else 0.0
-
-
-@dataclass(frozen=True)
 class Group:
     """Sequences that share one set of statistics."""
 
@@ -69,18 +52,6 @@ class Group:
     def unit(self, metric: Metric) -> str | None:
         """The metric's unit in this group; None without a common one."""
         return metric.unit(self.types[0] if len(self.types) == 1 else "all")
-
-
-@dataclass(frozen=True)
-class Difference:
-    """Difference of one metric between two methods, over the sequences for which both have a value."""
-
-    method: str
-    other: str
-    metric: str
-    interval: Interval
-    verdict: Literal["better", "worse", "open"]
-    """About `method`; 'open' when the interval contains 0 or there are too few sequences for one."""
 
 
 @dataclass(frozen=True)
@@ -100,9 +71,10 @@ class Comparison:
         found = {row.sequence: row.joint_type for entrant in self.entrants for row in entrant.scores.rows}
         return {name: found[name] for name in self.categories if name in found}
 
-    def row(self, entrant: Entrant, sequence: str) -> Row | None:
-        """The row of a method for a sequence; None when it was not scored."""
-        return self._rows[entrant.name].get(sequence)
+    @cached_property
+    def frames(self) -> dict[str, pd.DataFrame]:
+        """Method to its rows, as `Scores.frame`."""
+        return {entrant.name: entrant.scores.frame() for entrant in self.entrants}
 
     def groups(self, by: By) -> tuple[Group, ...]:
         """The groups: each joint type and then all, or each category, or each sequence."""
@@ -116,55 +88,46 @@ class Comparison:
             found.append(self._group(by, "all", list(self.types)))
         return tuple(found)
 
-    def standing(self, entrant: Entrant, group: Group) -> Standing:
-        """Statistics of the method over the group."""
-        rows = [row for name in group.sequences if (row := self.row(entrant, name)) is not None]
-        statistics = {}
-        for metric in self.rules.metrics:
-            numbers = [v for row in rows if (v := row.values.get(metric.id)) is not None]
-            if numbers and group.unit(metric) is not None:
-                statistics[metric.id] = statistic(numbers, metric.direction)
-        return Standing(len(rows), sum(row.status != "ok" for row in rows), statistics)
+    def table(self, by: By) -> pd.DataFrame:
+        """A row per group and method; failed and missing sequences count with their penalty.
 
-    def differences(self, group: Group) -> tuple[Difference, ...]:
-        """Each method minus each earlier one, for every metric for which both have values in the group."""
-        pairs = list(combinations(self.entrants, 2))
-        found = []
-        for metric in self.rules.metrics if pairs else ():
-            if group.unit(metric) is None:
-                continue
-            numbers = {entrant.name: self._numbers(entrant, group, metric) for entrant in self.entrants}
-            columns = np.stack([numbers[later.name] - numbers[first.name] for first, later in pairs], axis=1)
-            for (first, later), interval in zip(pairs, bootstrap_intervals(columns), strict=True):
-                if interval is not None:
-                    found.append(Difference(later.name, first.name, metric.id, interval, _verdict(interval, metric)))
-        return tuple(found)
+        Columns: group, method, sequences, failures, coverage (the measured fraction); for each metric with values and
+        one unit in the group its mean (id), id_std, id_median, id_worst, id_sequences; and the mean difference to the
+        first method over the sequences for which both have a value, id_difference, with the ends id_low and id_high of
+        its interval, and id_verdict: 'better' or 'worse' than the first, or 'open' when 0 lies within or there are too
+        few sequences for an interval.
+        """
+        lines = []
+        for group in self.groups(by):
+            metrics = [metric for metric in self.rules.metrics if group.unit(metric) is not None]
+            ids = [metric.id for metric in metrics]
+            chosen = {name: frame.reindex(list(group.sequences)) for name, frame in self.frames.items()}
+            first = next(iter(chosen.values()))[ids]
+            for name, frame in chosen.items():
+                status = frame.status.dropna()
+                failures = int((status != "ok").sum())
+                line: dict[str, Any] = {"group": group.name, "method": name, "sequences": len(status)}
+                line |= {"failures": failures, "coverage": 1 - failures / len(status) if len(status) else 0.0}
+                is_first = name == self.entrants[0].name
+                intervals = [None] * len(ids) if is_first else bootstrap_intervals(frame[ids] - first)
+                for metric, interval in zip(metrics, intervals, strict=True):
+                    line |= _describe_column(metric, frame[metric.id].dropna(), interval)
+                lines.append(line)
+        return pd.DataFrame(lines)
 
     def frame(self) -> pd.DataFrame:
         """A row per sequence and method: sequence, type, category, method, status, and every metric in its unit."""
-        lines = []
-        for name, kind in self.types.items():
-            for entrant in self.entrants:
-                row = self.row(entrant, name)
-                if row is not None:
-                    facts = {"sequence": name, "type": kind, "category": self.categories[name]}
-                    lines.append({**facts, "method": entrant.name, "status": row.status, **row.values})
-        table = pd.DataFrame(lines)
-        return table.astype({metric.id: float for metric in self.rules.metrics})
-
-    @cached_property
-    def _rows(self) -> dict[str, dict[str, Row]]:
-        return {entrant.name: {row.sequence: row for row in entrant.scores.rows} for entrant in self.entrants}
+        columns = ["status", *(metric.id for metric in self.rules.metrics)]
+        table = pd.concat([frame[columns].assign(method=name) for name, frame in self.frames.items()])
+        table = table.loc[list(self.types)].reset_index()
+        table.insert(1, "type", table.sequence.map(self.types))
+        table.insert(2, "category", table.sequence.map(self.categories))
+        table.insert(3, "method", table.pop("method"))
+        return table
 
     def _group(self, by: By, name: str, sequences: list[str]) -> Group:
         types = tuple(kind for kind in get_args(JointType) if any(self.types[s] == kind for s in sequences))
         return Group(by, name, tuple(sequences), types)
-
-    def _numbers(self, entrant: Entrant, group: Group, metric: Metric) -> np.ndarray:
-        """(n,) the method's value for every sequence of the group, NaN without one."""
-        rows = [self.row(entrant, name) for name in group.sequences]
-        values = [None if row is None else row.values.get(metric.id) for row in rows]
-        return np.array([np.nan if value is None else value for value in values])
 
 
 def compare_results(
@@ -285,10 +248,19 @@ def _entrants(found: list[tuple[Path, Scores]]) -> tuple[Entrant, ...]:
     return tuple(Entrant(name, scores) for name, (_, scores) in zip(unique, found, strict=True))
 
 
-def _verdict(interval: Interval, metric: Metric) -> Literal["better", "worse", "open"]:
-    if not interval.significant:
-        return "open"
-    return "better" if (interval.mean > 0) == (metric.direction == "up") else "worse"
+def _describe_column(metric: Metric, values: pd.Series[float], interval: Interval | None) -> dict[str, Any]:
+    """The columns of one metric in `Comparison.table`."""
+    if values.empty:
+        return {}
+    one, id = statistic(values, metric.direction), metric.id
+    found = {id: one.mean, f"{id}_std": one.std, f"{id}_median": one.median, f"{id}_worst": one.worst}
+    found[f"{id}_sequences"] = one.sequences
+    if interval is not None:
+        better = (interval.mean > 0) == (metric.direction == "up")
+        verdict = "open" if not interval.significant else "better" if better else "worse"
+        ends = {f"{id}_low": interval.low, f"{id}_high": interval.high}
+        found |= {f"{id}_difference": interval.mean, **ends, f"{id}_verdict": verdict}
+    return found
 
 
 def _describe_set(facts: dict[str, str]) -> str:

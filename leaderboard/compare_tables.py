@@ -1,24 +1,37 @@
-"""A comparison as tables of text, for a terminal, Markdown or LaTeX."""
+"""A comparison as tables: on a terminal, or in a CSV, JSON, Markdown or LaTeX file."""
 
 from __future__ import annotations
 
 import html
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
 
+import pandas as pd
 from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic
+from freeart21.files.places import Output, require_replaceable
 from leaderboard import bootstrap
-from leaderboard.compare import By, Comparison, Difference, Group, Standing
+from leaderboard.compare import By, Comparison, Group
 from leaderboard.protocol import Metric
 from leaderboard.submission import escape_unprintable
 from leaderboard.tables import NOTHING, WIDTH, column_foot, column_head, decimals, ranking_metrics, unit_suffix
 
+SCHEMA = "freeart21/comparison/2"
+COMPARISONS: dict[str, Output] = {
+    ".csv": Output("table of a comparison", b"protocol,benchmark,by,"),
+    ".json": Output("comparison", b'"schema": "freeart21/comparison/'),
+    ".md": Output("comparison", b"<!-- freeart21 comparison"),
+    ".tex": Output("comparison", b"% freeart21 comparison"),
+}
+"""Suffix to how an older file of that kind is recognised."""
 _LONGEST_NAME = 22
 """Characters of a method's name on a terminal."""
 _Show = Literal["mean", "median", "value"]
@@ -59,11 +72,11 @@ class Grid:
 
 def make_grids(comparison: Comparison, by: By) -> tuple[Grid, ...]:
     """The tables of a comparison: means, medians, and differences to the first method; by sequence, the values."""
-    groups, metrics = comparison.groups(by), ranking_metrics(comparison.rules)
+    table = comparison.table(by)
     if by == "sequence":
-        return (_grid(comparison, groups, metrics, "value"),)
-    means, medians = (_grid(comparison, groups, metrics, show) for show in ("mean", "median"))
-    return (means, medians, *_difference_grids(comparison, groups, metrics))
+        return (_grid(comparison, by, table, "value"),)
+    means, medians = (_grid(comparison, by, table, show) for show in ("mean", "median"))
+    return (means, medians, *_difference_grids(comparison, by, table))
 
 
 def legend(comparison: Comparison, by: By) -> tuple[str, ...]:
@@ -94,28 +107,24 @@ def legend(comparison: Comparison, by: By) -> tuple[str, ...]:
 # ---- cells
 
 
-def _grid(comparison: Comparison, groups: tuple[Group, ...], metrics: Sequence[Metric], show: _Show) -> Grid:
-    rules = comparison.rules
+def _grid(comparison: Comparison, by: By, table: pd.DataFrame, show: _Show) -> Grid:
+    rules, metrics = comparison.rules, ranking_metrics(comparison.rules)
     typed = show != "value" and any(metric.id == "joint_type" for metric in rules.metrics)
     head = ["method", "measured", *(["type\n↑"] if typed else [])]
     head += [f"{column_head(metric)}\n{column_foot(metric)}" for metric in metrics]
     sections = []
-    for group in groups:
-        standings = [comparison.standing(entrant, group) for entrant in comparison.entrants]
-        best = {
-            metric.id: _find_best(standings, metric, "median" if show == "median" else "mean") for metric in metrics
-        }
+    for group in comparison.groups(by):
+        lines = table[table.group == group.name].set_index("method")
+        best = {metric.id: _find_best(lines, metric, "_median" if show == "median" else "") for metric in metrics}
         rows = []
-        for k, (entrant, standing) in enumerate(zip(comparison.entrants, standings, strict=True)):
-            measured = f"{standing.sequences - standing.failures}/{standing.sequences}"
+        for name, line in lines.iterrows():
+            measured = f"{line.sequences - line.failures}/{line.sequences}"
             if show == "value":
-                row = comparison.row(entrant, group.name)
-                measured = NOTHING if row is None else row.status
-            cells = [Cell(entrant.name), Cell(measured)]
+                measured = comparison.frames[str(name)].status.get(group.name, NOTHING)
+            cells = [Cell(str(name)), Cell(measured)]
             if typed:
-                right = standing.statistics.get("joint_type")
-                cells.append(Cell(NOTHING if right is None else f"{100 * right.mean:.0f}%"))
-            cells += [Cell(_format(standing, group, metric, show), k in best[metric.id]) for metric in metrics]
+                cells.append(Cell(NOTHING if pd.isna(line.get("joint_type")) else f"{100 * line.joint_type:.0f}%"))
+            cells += [Cell(_format(line, group, metric, show), name in best[metric.id]) for metric in metrics]
             rows.append(tuple(cells))
         sections.append((_section_title(comparison, group), tuple(rows)))
     return Grid(f"{rules.name}, {_SHOWN[show]}", tuple(head), tuple(sections))
@@ -128,13 +137,12 @@ def _section_title(comparison: Comparison, group: Group) -> str:
     return f"{group.name}, {n} sequence{'' if n == 1 else 's'}"
 
 
-def _find_best(standings: Sequence[Standing], metric: Metric, by: Literal["mean", "median"]) -> set[int]:
-    """Indices of the methods with the best mean (or median); empty when fewer than two have one."""
-    found = {k: getattr(s.statistics[metric.id], by) for k, s in enumerate(standings) if metric.id in s.statistics}
+def _find_best(lines: pd.DataFrame, metric: Metric, suffix: str) -> set[Any]:
+    """The methods with the best mean (or median); empty when fewer than two have one."""
+    found = lines[metric.id + suffix].dropna() if metric.id in lines else pd.Series()
     if len(found) < 2:
         return set()
-    best = max(found.values()) if metric.direction == "up" else min(found.values())
-    return {k for k, value in found.items() if value == best}
+    return set(found.index[found == (found.max() if metric.direction == "up" else found.min())])
 
 
 def format_number(value: float, unit: str) -> str:
@@ -142,33 +150,29 @@ def format_number(value: float, unit: str) -> str:
     return f"{value:.{decimals(unit) if abs(value) < 999.5 else 0}f}"
 
 
-def _format(standing: Standing, group: Group, metric: Metric, show: _Show) -> str:
+def _format(line: pd.Series[Any], group: Group, metric: Metric, show: _Show) -> str:
     """A statistic, with its unit where the head of the column has none."""
-    found, unit = standing.statistics.get(metric.id), group.unit(metric) or ""
-    if found is None:
+    id, unit = metric.id, group.unit(metric) or ""
+    if pd.isna(line.get(id)):
         return NOTHING
-    text = format_number(found.median if show == "median" else found.mean, unit)
-    if show == "mean" and found.std is not None:
-        text += f" ± {format_number(found.std, unit)}"
+    text = format_number(line[f"{id}_median" if show == "median" else id], unit)
+    if show == "mean" and pd.notna(line[f"{id}_std"]):
+        text += f" ± {format_number(line[f'{id}_std'], unit)}"
     if show == "median":
-        text += f" ({format_number(found.worst, unit)})"
+        text += f" ({format_number(line[f'{id}_worst'], unit)})"
     return text if metric.unit("all") else text + unit_suffix(unit)
 
 
-def _difference_grids(comparison: Comparison, groups: tuple[Group, ...], metrics: Sequence[Metric]) -> Iterator[Grid]:
+def _difference_grids(comparison: Comparison, by: By, table: pd.DataFrame) -> Iterator[Grid]:
     """One table: a section for each method but the first, rows are metrics, columns are groups."""
-    first = comparison.entrants[0]
-    found: dict[tuple[str, str, str], Difference] = {}
-    for group in groups:
-        for one in comparison.differences(group) if len(comparison.entrants) > 1 else ():
-            if one.other == first.name:
-                found[one.method, one.metric, group.name] = one
+    groups, first = comparison.groups(by), comparison.entrants[0]
+    lines = table.set_index(["method", "group"])
     sections = []
     for entrant in comparison.entrants[1:]:
         rows = []
-        for metric in metrics:
+        for metric in ranking_metrics(comparison.rules):
             name = " ".join(column_head(metric).split())
-            cells = [_difference_cell(found.get((entrant.name, metric.id, g.name)), g, metric) for g in groups]
+            cells = [_difference_cell(lines.loc[(entrant.name, group.name)], group, metric) for group in groups]
             rows.append((Cell(f"{name} {'↑' if metric.direction == 'up' else '↓'}"), *cells))
         sections.append((f"{entrant.name} less {first.name}", tuple(rows)))
     if sections:
@@ -176,15 +180,15 @@ def _difference_grids(comparison: Comparison, groups: tuple[Group, ...], metrics
         yield Grid(title, ("", *(group.name for group in groups)), tuple(sections))
 
 
-def _difference_cell(found: Difference | None, group: Group, metric: Metric) -> Cell:
+def _difference_cell(line: pd.Series[Any], group: Group, metric: Metric) -> Cell:
     unit = group.unit(metric)
-    if found is None or unit is None:
+    mean, low, high, verdict = (line.get(f"{metric.id}_{key}") for key in ("difference", "low", "high", "verdict"))
+    if unit is None or mean is None or pd.isna(mean):
         return Cell(NOTHING)
-    interval = found.interval
-    text = f"{'+' if interval.mean > 0 else ''}{format_number(interval.mean, unit)}{unit_suffix(unit)}"
-    if interval.low is not None and interval.high is not None:
-        text += f" [{format_number(interval.low, unit)}, {format_number(interval.high, unit)}]{_MARKS[found.verdict]}"
-    return Cell(text, found.verdict == "better")
+    text = f"{'+' if mean > 0 else ''}{format_number(mean, unit)}{unit_suffix(unit)}"
+    if pd.notna(low) and pd.notna(high):
+        text += f" [{format_number(low, unit)}, {format_number(high, unit)}]{_MARKS[verdict]}"
+    return Cell(text, verdict == "better")
 
 
 # ---- terminal
@@ -252,7 +256,59 @@ def _truncate(text: str, longest: int) -> str:
     return text if len(text) <= longest else f"{text[: longest - 1]}…"
 
 
-# ---- Markdown and LaTeX
+# ---- files
+
+
+def kind_of(path: Path) -> Output:
+    """The kind of file that `path` names; FreeArtError lists the suffixes."""
+    if path.suffix not in COMPARISONS:
+        raise FreeArtError(f"{path} ends in '{path.suffix}', expected {', '.join(COMPARISONS)}")
+    return COMPARISONS[path.suffix]
+
+
+def write_comparison(path: Path, comparison: Comparison, by: By) -> None:
+    """Write `comparison` in the format of `path`'s suffix; JSON has all groups, the others those of `by`.
+
+    Raises FreeArtError for another suffix, and when something else than an older file of this kind exists at `path`.
+    """
+    require_replaceable(path, kind_of(path))
+    writers: dict[str, Callable[[], str]] = {
+        ".csv": lambda: csv(comparison, by),
+        ".json": lambda: atomic.json_text(to_json(comparison)),
+        ".md": lambda: markdown(comparison, by),
+        ".tex": lambda: latex(comparison, by),
+    }
+    atomic.write_bytes(path, writers[path.suffix]().encode())
+
+
+def csv(comparison: Comparison, by: By) -> str:
+    """`Comparison.table`, or by sequence `Comparison.frame`; text that a spreadsheet would take for a formula gets a
+    leading apostrophe."""
+    found = comparison.frame() if by == "sequence" else comparison.table(by)
+    for name in found.select_dtypes(exclude="number"):
+        found[name] = [f"'{v}" if isinstance(v, str) and v[:1] in "=+-@" else v for v in found[name]]
+    found.insert(0, "by", by)
+    found.insert(0, "benchmark", f"{comparison.benchmark['name']} {comparison.benchmark['sha256'][:12]}")
+    found.insert(0, "protocol", comparison.rules.name)
+    return str(found.to_csv(index=False, lineterminator="\n"))
+
+
+def to_json(comparison: Comparison) -> dict[str, Any]:
+    """The whole comparison: methods with their environment, the tables by type and by category, every sequence."""
+    return {
+        "schema": SCHEMA,
+        "protocol": comparison.rules.name,
+        "benchmark": comparison.benchmark,
+        "methods": [
+            {"name": entrant.name, "method": asdict(entrant.scores.method), "made_with": entrant.scores.made_with}
+            for entrant in comparison.entrants
+        ],
+        "interval": bootstrap.describe(),
+        "by_type": comparison.table("type").to_dict("records"),
+        "by_category": comparison.table("category").to_dict("records"),
+        "sequences": comparison.frame().to_dict("records"),
+        "notes": list(legend(comparison, "type")),
+    }
 
 
 def markdown(comparison: Comparison, by: By) -> str:

@@ -72,13 +72,10 @@ class Propagation:
         seed: Seed,
         settings: ReconstructSettings,
         rng: np.random.Generator,
-        span: tuple[int, int] | None = None,
     ) -> None:
         scene = evidence.scene
         self.evidence, self.tracker, self.settings, self.rng = evidence, tracker, settings, rng
         n = len(scene)
-        self.span = (0, n - 1) if span is None else span
-        """First and last frame to propagate to."""
         self.Ts = np.tile(np.eye(4), (2, n, 1, 1))
         """(2, n, 4, 4) camera from part."""
         self.states = np.zeros(n)

@@ -24,12 +24,6 @@ def packed(tmp_path):
     return make
 
 
-def _link(name):
-    info = zipfile.ZipInfo(name)
-    info.external_attr = (stat.S_IFLNK | 0o777) << 16
-    return info
-
-
 @pytest.mark.parametrize("top", ["", "mine/"])
 def test_an_archive_holds_results_or_one_folder_of_them(packed, top):
     path = packed((f"{top}a/prediction.json", "{}"), (f"{top}b/prediction.json", "[]"), ("__MACOSX/._a", "x"))
@@ -45,35 +39,30 @@ def test_one_answer_is_not_taken_for_the_folder_of_all(packed):
         assert (folder / "a" / "prediction.json").exists()
 
 
-@pytest.mark.parametrize(
-    "name, message",
-    [
-        ("../x", "leads out"),
-        ("/etc/x", "leads out"),
-        ("a/../../x", "leads out"),
-        ("a\\..\\x", "leads out"),
-        ("C:x", "leads out"),
-        ("a\nb", "no plain name"),
-        ("a/" * 20 + "x", "no plain name"),
-        ("x" * 300, "no plain name"),
-        (_link("a/link"), "is a link"),
-    ],
-)
-def test_entries_that_are_no_results_file_are_refused_before_anything_is_unpacked(packed, monkeypatch, name, message):
-    monkeypatch.setattr(archive, "_write", lambda *_: pytest.fail("unpacked"))
-    with pytest.raises(FreeArtError, match=message) as error, open_results(packed(("a/b", "x"), (name, "x"))):
+@pytest.mark.parametrize("name", ["../x", "/etc/x", "a/../../x", "a\\..\\x", "a\nb"])
+def test_entries_that_lead_elsewhere_are_refused_before_anything_is_unpacked(packed, monkeypatch, name):
+    monkeypatch.setattr(zipfile.ZipFile, "extractall", lambda *_: pytest.fail("unpacked"))
+    with (
+        pytest.raises(FreeArtError, match="is no plain path") as error,
+        open_results(packed(("a/b", "x"), (name, "x"))),
+    ):
         pass
     assert str(error.value).isprintable()
 
 
+def test_a_link_is_unpacked_as_a_plain_file(packed):
+    link = zipfile.ZipInfo("a/link")
+    link.external_attr = (stat.S_IFLNK | 0o777) << 16
+    with open_results(packed(("b", "x"), (link, "/etc/passwd"))) as folder:
+        assert not (folder / "a/link").is_symlink() and (folder / "a/link").read_text() == "/etc/passwd"
+
+
 def test_bombs_are_refused(packed, monkeypatch):
-    monkeypatch.setattr(archive, "MAX_ENTRY_BYTES", 1000)
-    with pytest.raises(FreeArtError, match="unpacks to 2000 bytes"), open_results(packed(("a", bytes(2000)))):
-        pass
-    monkeypatch.setattr(archive, "MAX_ARCHIVE_BYTES", 1500)
     many = packed(("a", bytes(900)), ("b", bytes(900)))
-    with pytest.raises(FreeArtError, match="unpacks to more than 1500"), open_results(many):
-        pass
+    with monkeypatch.context() as few:
+        few.setattr(archive, "MAX_ARCHIVE_BYTES", 1500)
+        with pytest.raises(FreeArtError, match="unpacks to 1800 bytes"), open_results(many):
+            pass
     monkeypatch.setattr(archive, "MAX_FILES", 1)
     with pytest.raises(FreeArtError, match="has 2 entries"), open_results(many):
         pass

@@ -18,8 +18,15 @@ from freeart21.files.result import Method
 from leaderboard import commands, compare
 from leaderboard.bootstrap import bootstrap_intervals
 from leaderboard.compare import compare_results, read_category
-from leaderboard.compare_files import COMPARISONS, write_comparison
-from leaderboard.compare_tables import latex, legend, make_grids, print_comparison, split_columns
+from leaderboard.compare_tables import (
+    COMPARISONS,
+    latex,
+    legend,
+    make_grids,
+    print_comparison,
+    split_columns,
+    write_comparison,
+)
 from leaderboard.protocols import protocol_named
 from leaderboard.rows import Row, Scores
 from leaderboard.score import benchmark_facts, summarise
@@ -77,8 +84,10 @@ def compared(data, tmp_path):
     return compared
 
 
-def by_name(comparison, by="type"):
-    return {group.name: group for group in comparison.groups(by)}
+def lines_of(comparison, method):
+    """Group to the row of the method."""
+    table = comparison.table("type")
+    return {line.group: line for _, line in table[table.method == method].iterrows()}
 
 
 # ---- closed forms
@@ -90,15 +99,14 @@ def test_means_and_deviations_are_those_of_the_papers_table(data, compared):
     axis |= {name: 90.0 * (k < 3) for k, name in enumerate(PRISMATIC)}
     right = {name: float(value == 0) for name, value in axis.items()}
     comparison = compared(make_scores(data, "AA", {"axis": axis, "joint_type": right}, failed=REVOLUTE[:2]))
-    groups, (entrant,) = by_name(comparison), comparison.entrants
-    assert list(groups) == ["revolute", "prismatic", "all"]
-    revolute, prismatic, every = (comparison.standing(entrant, group) for group in groups.values())
-    found = revolute.statistics["axis"]
-    assert (round(found.mean, 2), round(found.std, 2), found.median, found.worst) == (42.00, 46.48, 0, 90)
-    found = prismatic.statistics["axis"]
-    assert (round(found.mean, 2), round(found.std, 2)) == (45.00, 49.30)
+    lines = lines_of(comparison, "AA")
+    assert list(lines) == ["revolute", "prismatic", "all"]
+    revolute, prismatic, every = lines.values()
+    found = revolute.axis, revolute.axis_std, revolute.axis_median, revolute.axis_worst
+    assert np.round(found, 2).tolist() == [42.00, 46.48, 0, 90]
+    assert (round(prismatic.axis, 2), round(prismatic.axis_std, 2)) == (45.00, 49.30)
     assert revolute.coverage == pytest.approx(13 / 15) and every.coverage == pytest.approx(19 / 21)
-    assert revolute.statistics["joint_type"].mean == pytest.approx(8 / 15)
+    assert revolute.joint_type == pytest.approx(8 / 15)
     first = make_grids(comparison, "type")[0]
     (name, (row,)) = first.sections[0]
     assert name == "revolute, 15 sequences" and [cell.text for cell in row[:4]] == [
@@ -120,12 +128,9 @@ def test_a_difference_that_is_known_by_construction(data, compared):
     comparison = compared(
         make_scores(data, "A", {"axis": axis}), make_scores(data, "B", {"axis": {k: v + 2 for k, v in axis.items()}})
     )
-    for group in comparison.groups("type"):
-        (found,) = (d for d in comparison.differences(group) if d.metric == "axis")
-        assert (found.method, found.other, found.verdict) == ("B", "A", "worse")
-        interval = found.interval
-        assert (interval.mean, interval.low, interval.high) == pytest.approx((2, 2, 2))
-        assert interval.sequences == len(group.sequences)
+    for line in lines_of(comparison, "B").values():
+        assert (line.axis_difference, line.axis_low, line.axis_high) == pytest.approx((2, 2, 2))
+        assert line.axis_verdict == "worse" and line.axis_sequences == line.sequences
 
 
 @pytest.mark.parametrize("metric, better", [("axis", -1.0), ("miou", 0.1), ("psnr", 1.0), ("chamfer_w", -1.0)])
@@ -134,9 +139,9 @@ def test_better_is_what_the_metric_calls_better(metric, better, data, compared):
     for step, verdict in ((better, "better"), (-better, "worse"), (0.0, "open")):
         then = {name: value + step for name, value in first.items()}
         comparison = compared(make_scores(data, "A", {metric: first}), make_scores(data, "B", {metric: then}))
-        found = {d.metric: d for d in comparison.differences(by_name(comparison)["all"])}
-        assert found[metric].verdict == verdict and found[metric].interval.mean == pytest.approx(step)
-        assert found["ssim"].verdict == "open"
+        found = lines_of(comparison, "B")["all"]
+        assert found[f"{metric}_verdict"] == verdict and found[f"{metric}_difference"] == pytest.approx(step)
+        assert found.ssim_verdict == "open"
 
 
 def test_an_interval_of_two_values_is_that_of_the_binomial_distribution():
@@ -162,10 +167,9 @@ def test_methods_are_compared_only_on_sequences_that_both_have(data, compared):
     axis = {name: 50.0 if name in REVOLUTE[:3] else 1.0 for name in REVOLUTE}
     some = [*REVOLUTE[3:], *PRISMATIC]
     comparison = compared(make_scores(data, "A", {"axis": axis}), make_scores(data, "B", {"axis": 2.0}, sequences=some))
-    group = by_name(comparison)["revolute"]
-    found = {d.metric: d.interval for d in comparison.differences(group)}["axis"]
-    assert (found.mean, found.low, found.high, found.sequences) == (1, 1, 1, 12)
-    assert comparison.standing(comparison.entrants[0], group).statistics["axis"].mean == pytest.approx(10.8)
+    found = lines_of(comparison, "B")["revolute"]
+    assert (found.axis_difference, found.axis_low, found.axis_high, found.axis_sequences) == (1, 1, 1, 12)
+    assert lines_of(comparison, "A")["revolute"].axis == pytest.approx(10.8)
     assert any("has rows for 18 of 21 sequences" in note for note in comparison.notes)
 
 
@@ -176,8 +180,8 @@ def test_what_a_method_does_not_make_is_a_dash_and_in_no_difference(data, compar
     column = [" ".join(head.split()) for head in first.head].index("ref. part deg ↓")
     texts = [[row[column].text for row in rows] for _, rows in first.sections]
     assert texts == [["1.00 ± 0.00", "–"]] * 3  # noqa: RUF001
-    metrics = {d.metric for d in comparison.differences(by_name(comparison)["all"])}
-    assert "axis" in metrics and not metrics & set(nothing)
+    found = lines_of(comparison, "B")["all"]
+    assert found.axis_verdict == "open" and all(pd.isna(found.get(f"{id}_difference", None)) for id in nothing)
     assert any("B makes no states, poses" in line for line in legend(comparison, "type"))
     assert not any(row[column].best for _, rows in first.sections for row in rows), "nobody is best of one"
 
@@ -295,12 +299,11 @@ def test_json_has_everything_and_traces_it(data, compared, tmp_path):
     body = json.loads((tmp_path / "c.json").read_text())
     assert body["benchmark"]["sha256"] == benchmark_facts(read_benchmark(data))["sha256"]
     assert [one["made_with"]["freeart21"] for one in body["methods"]] == ["1"] * 3
-    groups = {(one["by"], one["group"]): one for one in body["groups"]}
-    assert {by for by, _ in groups} == {"type", "category"} and ("category", "USB") in groups
-    pairs = {(d["method"], d["other"]): d for d in groups["type", "all"]["differences"] if d["metric"] == "axis"}
-    assert set(pairs) == {("B", "A"), ("C", "A"), ("C", "B")}
-    assert (pairs["C", "B"]["difference"], pairs["C", "B"]["verdict"]) == (-2, "better")
-    assert body["sequences"][0]["methods"]["B"]["values"]["axis"] == 3 and len(body["sequences"]) == 21
+    found = {(one["group"], one["method"]): one for one in body["by_type"]}["all", "C"]
+    assert found["axis_difference"] == 0 and found["axis_verdict"] == "open"
+    assert {one["group"] for one in body["by_category"]} == {*CATEGORIES.values()}
+    rows = [row for row in body["sequences"] if row["method"] == "B"]
+    assert rows[0]["axis"] == 3 and len(rows) == 21 and rows[0]["state"] == 1
     assert body["interval"]["level"] == 0.95 and body["interval"]["resamples"] == 10_000
 
 

@@ -16,11 +16,11 @@ from scipy.spatial.distance import cdist
 from solid_case import box
 
 from export.checklist import allowed_off, check_asset
-from export.collision import CollisionSettings, convex_hull
-from export.exporter import ExportSettings, export_result, scale_reconstruction
+from export.collision import convex_hull
+from export.exporter import export_result, scale_reconstruction
 from export.inertia import compute_inertial, find_unphysical
 from export.meshes import flip_faces, is_inside_out, write_visual
-from export.placement import PlacementSettings
+from export.settings import CollisionSettings, ExportSettings, PlacementSettings
 from export.texture import texture_from_vertices
 from freeart21 import doctor, se3
 from freeart21.articulation import Articulation

@@ -13,10 +13,11 @@ from solid_case import box
 from test_export import masses, reconstruction
 
 from export import exporter
-from export.exporter import ExportSettings, export_result
+from export.exporter import export_result
 from export.masses import weigh_parts
 from export.materials import DENSITIES, TABLE
 from export.parts import close_parts
+from export.settings import ExportSettings
 from freeart21.articulation import PARTS
 from freeart21.files.asset import read_asset
 from freeart21.files.certificate import read_certificate

@@ -36,11 +36,10 @@ from freeart21.reconstruction import Failure
 from freeart21.view import page
 from freeart21.view.asset_scene import asset_scene
 from freeart21.view.link_shapes import read_shown
-from freeart21.view.pages import TRUE_LAYERS
-from freeart21.view.parts import align, articulation_scene, exchanged, matched, with_truth
 from freeart21.view.plots import Curve, state_section
-from freeart21.view.scene import link_poses
+from freeart21.view.scene import link_poses, sources_scene
 from freeart21.view.simplify import of_trimesh, simplified
+from freeart21.view.source import Source, matched, truth_over
 from freeart21.view.tables import score_section, source_rows
 
 
@@ -180,11 +179,12 @@ def test_meshes_and_gaussians_of_a_result_are_shown_as_they_are(world: Path) -> 
 def test_truth_lies_exactly_over_a_perfect_result(joint_type: str, sign: float, swap: bool) -> None:
     truth = make_truth(joint_type)
     result = perfect_result(truth, sign=sign)
-    result = matched(exchanged(result) if swap else result, truth)
-    alignment = align(result, truth)
-    assert np.abs(alignment.states(truth) - result.states).max() < 1e-9
-    scene = articulation_scene(result.articulation, result.states, result.Ts_camera_reference)
-    scene = with_truth(scene, truth, alignment, TRUE_LAYERS)
+    result = matched(result.exchanged() if swap else result, truth)
+    poses = result.Ts_camera_reference
+    estimate = Source("estimate", articulation=result.articulation, states=result.states, Ts_camera=poses)
+    over = truth_over(truth, result, estimate)
+    assert np.abs(over.states_of_first - result.states).max() < 1e-9
+    scene = sources_scene([estimate, over])
     reference, moving = (next(s for s in scene.surfaces if s.layer == k) for k in (3, 4))
     for i, state in enumerate(result.states):
         poses = link_poses(scene.links, [state])
@@ -195,7 +195,7 @@ def test_truth_lies_exactly_over_a_perfect_result(joint_type: str, sign: float, 
             drawn = se3.transform(result.Ts_camera_reference[i] @ poses[surface.link], surface.mesh.vertices)
             assert np.abs(drawn - se3.transform(T, mesh.vertices)).max() < 1e-9
     other = make_truth("prismatic" if joint_type == "revolute" else "revolute")
-    scene = with_truth(scene, other, align(result, other), TRUE_LAYERS)
+    scene = sources_scene([estimate, over, truth_over(other, result, estimate)])
     assert [s.type for s in scene.sliders] == [truth.articulation.joint.type, other.articulation.joint.type]
 
 

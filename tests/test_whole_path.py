@@ -6,9 +6,8 @@ import pytest
 from synthetic_case import truth_as_answer
 
 from benchmarks.assets import true_model, true_solids
-from export.collision import CollisionSettings
-from export.exporter import DENSITY, ExportSettings, export_result
-from export.meshes import MeshSettings
+from export.exporter import DENSITY, export_result
+from export.settings import CollisionSettings, ExportSettings, MeshSettings
 from freeart21.files.result import write_result
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from export.check.tree import Tree, TreeJoint
+from export.check.tree import Tree
 from freeart21 import se3
 from freeart21.errors import FreeArtError
-from freeart21.files.urdf import UrdfInertial
+from freeart21.files.urdf import UrdfInertial, UrdfJoint
 
 
 class UnsupportedMjcf(Exception):
@@ -67,14 +67,14 @@ def _read_spec(mjcf: Path, compiled: bool) -> Any:
         raise FreeArtError(f"{mjcf} cannot be read by MuJoCo: {' '.join(str(error).split())[:300]}") from error
 
 
-def _read_joint(model: Any, b: int, names: list[str]) -> TreeJoint:
+def _read_joint(model: Any, b: int, names: list[str]) -> UrdfJoint:
     """The joint, or the rigid connection, of body `b` to its parent."""
     import mujoco
 
     T = se3.pose(se3.rotation_from_wxyz(model.body_quat[b]), model.body_pos[b])
     parent, child, count = names[model.body_parentid[b]], names[b], int(model.body_jntnum[b])
     if count == 0:
-        return TreeJoint(f"{child} (welded)", None, parent, child, T, np.eye(3)[2], np.zeros(3), -np.inf, np.inf)
+        return UrdfJoint(f"{child} (welded)", "fixed", parent, child, T, np.eye(3)[2])
     j = int(model.body_jntadr[b])
     kinds = {int(mujoco.mjtJoint.mjJNT_HINGE): "revolute", int(mujoco.mjtJoint.mjJNT_SLIDE): "prismatic"}
     kind: Any = kinds.get(int(model.jnt_type[j]))
@@ -82,6 +82,6 @@ def _read_joint(model: Any, b: int, names: list[str]) -> TreeJoint:
         raise UnsupportedMjcf(f"body '{child}' has other joints than one hinge or slide without ref")
     lower, upper = model.jnt_range[j].tolist() if model.jnt_limited[j] else (-np.inf, np.inf)
     dof = int(model.jnt_dofadr[j])
-    losses = float(model.dof_damping[dof]), float(model.dof_frictionloss[dof])
+    damping, friction = float(model.dof_damping[dof]), float(model.dof_frictionloss[dof])
     name, axis, pivot = model.joint(j).name or f"{child} (joint)", model.jnt_axis[j].copy(), model.jnt_pos[j].copy()
-    return TreeJoint(name, kind, parent, child, T, axis, pivot, lower, upper, *losses)
+    return UrdfJoint(name, kind, parent, child, T, axis, lower, upper, True, None, None, damping, friction, pivot=pivot)

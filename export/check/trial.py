@@ -21,9 +21,9 @@ from export.check.rules import (
     STATES,
     TURNS,
 )
-from export.check.tree import Tree, TreeJoint
+from export.check.tree import Tree
 from freeart21 import processes, se3
-from freeart21.files.urdf import LARGEST_LIMIT, UrdfInertial
+from freeart21.files.urdf import LARGEST_LIMIT, UrdfInertial, UrdfJoint
 from freeart21.se3 import Array
 
 LIMIT_TOLERANCE = 1e-6
@@ -215,7 +215,7 @@ class Trial:
         return [moves, self._bounded_row("joint.stops", beyond[1], 1.0, "", what)]
 
     def _pushed(
-        self, world: World, joint: TreeJoint, inertia: float, start: Mapping[str, float]
+        self, world: World, joint: UrdfJoint, inertia: float, start: Mapping[str, float]
     ) -> tuple[tuple[float, float], float, float]:
         """Where `joint` rests when pushed down and when pushed up, and its least and greatest position on the way."""
         force, endless = push_force(joint, inertia), not np.isfinite(joint.upper - joint.lower)
@@ -228,7 +228,7 @@ class Trial:
             for _ in range(round(PUSH_S / SAMPLE_S)):
                 world.advance(SAMPLE_S, {joint.name: push})
                 way.append(world.state()[0][joint.name])
-                if endless and joint.kind == "revolute":
+                if endless and joint.joint_type == "revolute":
                     way[-1] = float(np.unwrap(way[-2:])[-1])  # SAPIEN wraps the angle of an endless joint
                 if endless and abs(way[-1] - way[0]) > _joint_range(joint):
                     break
@@ -340,14 +340,14 @@ class Trial:
         return [drift, self._bounded_row("rest.oscillation", turns, TURNS - 1, "", what)]
 
 
-def push_force(joint: TreeJoint, inertia: float) -> float:
+def push_force(joint: UrdfJoint, inertia: float) -> float:
     """Force, N m or N, that moves the joint over its range in `PUSH_S` / 2 s without gravity: for its inertia (kg m^2
     or kg) and the file's damping and friction."""
     seconds, span = 0.5 * PUSH_S, _joint_range(joint)
     return 2 * inertia * span / seconds**2 + 2 * joint.damping * span / seconds + 1.5 * joint.friction
 
 
-def _joint_range(joint: TreeJoint) -> float:
+def _joint_range(joint: UrdfJoint) -> float:
     low, high = joint.sweep
     return high - low
 

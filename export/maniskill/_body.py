@@ -267,15 +267,6 @@ def check_joint(asset: Asset, simulated: simulate.SimulatedAsset) -> None:
         logger.warning(f"{asset.urdf}: ManiSkill does not render the effects {', '.join(unseen)}")
 
 
-def check_single(environment: Any) -> Body:
-    """The body of an environment that steps one object on a CPU; FreeArtError for any other."""
-    if not isinstance(environment.body, Body):
-        raise FreeArtError(
-            f"a script for one object got {environment.num_envs} in GPU scenes, expected sim_backend cpu"
-        )
-    return environment.body
-
-
 def number_parts(links: Mapping[str, Any], moving: Collection[str]) -> np.ndarray:
     """(n, 2) int16 per link of `links`, the engine's by name: id in segmentation images, 2 where `moving`, else 1."""
     return np.array([(link.entity.per_scene_id, 2 if name in moving else 1) for name, link in links.items()], np.int16)

@@ -31,6 +31,7 @@ from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
+from freeart21.files.places import require_replaceable
 from freeart21.files.urdf import read_urdf_joints
 from freeart21.formats import third_party
 from freeart21.formats.third_party import (
@@ -168,8 +169,7 @@ def write_example(
     name = third_party.safe_name(name).replace("_", "-")
     folder, copied = root / "examples" / name, root / OBJECTS / name
     for place in (folder, copied):
-        if place.exists():
-            raise FreeArtError(f"{place} exists; choose another place or remove it first")
+        require_replaceable(place, None)
     n = len(recording)
     if known is not None:
         third_party.same_count(folder, {"video": n, "truth": len(known.states)})

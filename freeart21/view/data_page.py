@@ -46,7 +46,7 @@ def data_page(folder: Path, title: str) -> str:
         raise FreeArtError(f"{folder} has {len(benchmark.sequences)} sequences, but the truth of none: nothing to show")
     names = ", ".join(hidden[:5]) + " ..." * (len(hidden) > 5)
     notices = [f"{len(hidden)} sequences have no truth here and are left out: {names}"] if hidden else []
-    frames, hard = sum(s.frames for s in shown), sum(s.is_hard for s in shown)
+    frames, hard = sum(len(s.share) for s in shown), sum(s.is_hard for s in shown)
     section = records_section("Sequences", rows, NOTE, "sortable dense")
     chips = [f"{len(shown)} sequence{'s' * (len(shown) > 1)}", f"{frames} frames", f"{hard} of {len(shown)} hard"]
     return document(title, [section], "data", [*chips, f"version {benchmark.version}", benchmark.split], notices)
@@ -59,18 +59,15 @@ def _row(s: MotionStatistics, images: str) -> dict[str, Cell]:
         "Sequence": Cell(s.name, s.name, below=f"{source}, {s.joint_type}".removeprefix(", ")),
         "Images": Cell(Markup('<img alt="{}" src="{}">').format(f"{IMAGES} images of the video", images)),
         "Motion": Cell(s.motion_source),
-        "Frames": Cell(s.frames),
-        "Median rotation, °/frame": Cell(f"{s.median_degrees:.2f}"),
-        "Largest rotation, °/frame": Cell(f"{s.max_degrees:.1f}"),
+        "Frames": Cell(len(s.share)),
+        "Median rotation, °/frame": Cell(f"{np.median(s.degrees):.2f}" if len(s.degrees) else "0.00"),
+        "Largest rotation, °/frame": Cell(f"{s.degrees.max(initial=0):.1f}"),
         "Both move": Cell(f"{s.both:.0%}", s.both),
         "Viewpoints covered": Cell(f"{s.coverage:.0%}", s.coverage),
         "Joint range covered": Cell(f"{s.range_covered:.0%}", s.range_covered),
         f"Frames below {FEW:.0%}": Cell(f"{s.few_pixels_share:.0%}" + " hard" * s.is_hard, s.few_pixels_share),
         "Out of sight, frames": Cell(s.longest_absence),
-        "Height filled": Cell(f"{s.fill:.0%}", s.fill),
         "Depth, m": Cell(f"{s.depth_m[0]:.2f} to {s.depth_m[1]:.2f}", s.depth_m[0]),
-        "Inside the image": Cell("no" if s.leaves else "yes"),
-        "Masks": Cell("agree" if s.masks_valid else "differ"),
     }
 
 

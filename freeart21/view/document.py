@@ -6,7 +6,7 @@ import base64
 import hashlib
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, is_dataclass
 from functools import cache
 from importlib import resources
 from typing import Any, Literal
@@ -125,7 +125,7 @@ def document(
 
 
 def embed_json(data: Any) -> Markup:
-    """`data` as JSON that is safe inside a `<script>` element; infinities and NaN become null."""
+    """`data`, dataclasses by their fields, as JSON that is safe inside a `<script>`; infinities and NaN become null."""
     return htmlsafe_json_dumps(_finite(data), allow_nan=False, separators=(",", ":"))
 
 
@@ -156,6 +156,8 @@ def static_text(*names: str) -> str:
 def _finite(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
+    if is_dataclass(value):
+        value = vars(value)
     if isinstance(value, dict):
         return {str(key): _finite(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):

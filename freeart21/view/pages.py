@@ -31,18 +31,9 @@ from freeart21.view.data_page import data_page
 from freeart21.view.diagnosis import diagnosis_section, warnings_section
 from freeart21.view.document import MOVING, TRUTH, Markup, Section, document
 from freeart21.view.link_shapes import read_shown
-from freeart21.view.parts import (
-    AXIS,
-    align,
-    articulation_scene,
-    axis_in_images,
-    axis_place,
-    gaussians_scene,
-    matched,
-    with_truth,
-)
 from freeart21.view.plots import Curve, state_section
-from freeart21.view.scene import Layer, scene_section, without_outliers
+from freeart21.view.scene import gaussians_scene, scene_section, sources_scene, without_outliers
+from freeart21.view.source import AXIS, LAYERS, PartMasks, Source, matched, truth_over, truth_source
 from freeart21.view.tables import (
     alternative_rows,
     certificate_section,
@@ -58,17 +49,11 @@ from freeart21.view.tables import (
     table,
     table_section,
 )
-from freeart21.view.video import Overlay, PartMasks, VideoSettings, shown_frames, video_section
+from freeart21.view.video import VideoSettings, shown_frames, video_section
 
 ALIGNMENT_NOTE = (
     "The ground truth is aligned with the estimate by the reference part's poses over all frames; the sign of the axis "
     "and the median offset of the states are removed."
-)
-TRUTH_COLOURS = ("#7fcfb6", TRUTH)
-TRUE_LAYERS = (
-    Layer("ground truth", TRUTH, "ghost", False),
-    Layer("ground truth", TRUTH, "ghost", False),
-    Layer("true axis", TRUTH, "axis"),
 )
 MARKERS = {
     "sequence.json": "sequence",
@@ -196,13 +181,12 @@ def _sequence_page(
     chips = _recording_chips(recording)
     sections = [video_section(recording)] if true is None and recording is not None else []
     if true is not None:
-        joint, states = true.articulation.joint, true.states
-        camera = recording.camera if recording is not None else None
-        scene = articulation_scene(true.articulation, states, true.Ts_camera_reference, camera)
+        source = truth_source(true, layers=LAYERS)
+        joint, states = source.joint, true.states
         sections += [
-            video_section(recording, [_true_overlay(true)], len(true), states, joint.type),
-            scene_section(scene, "True parts and joint"),
-            state_section(joint.type, *_abscissa(recording, len(true)), [Curve("ground truth", TRUTH, states)]),
+            video_section(recording, [source]),
+            scene_section(sources_scene([source], _camera(recording)), "True parts and joint"),
+            state_section(joint.type, *_abscissa(recording, len(true)), [Curve(source.name, TRUTH, states)]),
             table_section("True joint", joint_rows(joint, states), place="right"),
             table_section("Source", source_rows(true.source)),
         ]
@@ -229,31 +213,36 @@ def _result_page(
         given, result = result, matched(result, true)
         if diagnostics is not None and result is not given:
             diagnostics = diagnostics.exchanged()
-    Ts, parts, states = result.Ts_camera_reference, result.articulation, result.states
-    joint, masks = parts.joint, result.part_masks
-    camera = recording.camera if recording is not None else None
-    abscissa, timed = _abscissa(recording, len(result))
-    scene = articulation_scene(parts, states, Ts, camera, result.appearance)
-    line = None if camera is None else axis_in_images(joint, *axis_place(parts, states), Ts, camera)
-    overlays = [Overlay("estimate", masks.__getitem__, axis=line, axis_colour=AXIS, confidence=confidence)]
-    std = result.state_std
+    joint, states = result.articulation.joint, result.states
+    estimate = Source(
+        "estimate",
+        axis_colour=AXIS,
+        articulation=result.articulation,
+        states=states,
+        Ts_camera=result.Ts_camera_reference,
+        masks=result.part_masks.__getitem__,
+        confidence=confidence,
+        layers=LAYERS,
+    )
+    sources, std = [estimate], result.state_std
     band = None if std is None or not np.isfinite(std).any() else 2 * std
     curves = [Curve("estimate" + ", ± 2 std" * (band is not None), MOVING, states, "", band)]
     side: Literal["left", "right"] = "left" if extra else "right"
     facts = table_section("Joint", joint_rows(joint, states), (), side)
     if true is not None:
-        alignment = align(result, true)
-        scene = with_truth(scene, true, alignment, TRUE_LAYERS)
-        aligned, aligned_states = alignment.joint(true), alignment.states(true)
-        if alignment.comparable:
-            curves.insert(0, Curve("ground truth", TRUTH, aligned_states, "wide"))
-        overlays.append(_true_overlay(true, camera, alignment.sign < 0, False))
+        over = truth_over(true, result, estimate)
+        sources.append(over)
+        aligned = over.joint_of_first
+        if over.offset is not None:
+            curves.insert(0, Curve(over.name, TRUTH, over.states_of_first, "wide"))
         angle = np.arctan2(np.linalg.norm(np.cross(joint.axis, aligned.axis)), abs(joint.axis @ aligned.axis))
         note = f"{ALIGNMENT_NOTE} Angle between the axes: {np.degrees(angle):.2f}°."
-        rows = compared_rows(joint, states, aligned, aligned_states)
+        rows = compared_rows(joint, states, aligned, over.states_of_first)
         facts = table_section("Joint", rows, ("", "estimate", "ground truth"), side, note)
+    abscissa, timed = _abscissa(recording, len(result))
+    scene = sources_scene(sources, _camera(recording), result.appearance)
     sections = [
-        video_section(recording, overlays, len(result), states, joint.type),
+        video_section(recording, sources),
         scene_section(scene, "Parts and joint"),
         state_section(joint.type, abscissa, timed, curves, result.seen[:, 1]),
         warnings_section(result, diagnostics),
@@ -274,16 +263,6 @@ def _result_page(
             notices.append(f"The asset cannot be shown: {error}")
     moved = limits_text(joint.type, float(states.min()), float(states.max()))
     return document(name, sections, "result", [f"{joint.type} joint", moved, *_recording_chips(recording)], notices)
-
-
-def _true_overlay(true: Truth, camera: Camera | None = None, turned: bool = False, shown: bool = True) -> Overlay:
-    """The true parts over the video, and their axis when the camera is known, its ends exchanged when `turned`."""
-    line = None
-    if camera is not None:
-        place = axis_place(true.articulation, true.states)
-        line = axis_in_images(true.articulation.joint, *place, true.Ts_camera_reference, camera)
-        line = line[:, ::-1] if turned else line
-    return Overlay("ground truth", true.part_mask, TRUTH_COLOURS, line, TRUTH, shown)
 
 
 def _read_extras(
@@ -380,6 +359,10 @@ def _check_lengths(
 def _abscissa(recording: Recording | None, n: int) -> tuple[np.ndarray, bool]:
     """Times, s, or frame numbers (n,), and whether they are times."""
     return (recording.times_s, True) if recording is not None else (np.arange(n, dtype=float), False)
+
+
+def _camera(recording: Recording | None) -> Camera | None:
+    return None if recording is None else recording.camera
 
 
 def _recording_chips(recording: Recording | None) -> list[str]:

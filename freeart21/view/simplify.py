@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from freeart21 import se3
-from freeart21.mesh import Mesh
+from freeart21.mesh import Mesh, join_meshes
 
 
 def simplified(mesh: Mesh, max_faces: int) -> Mesh:
@@ -33,15 +33,6 @@ def simplified(mesh: Mesh, max_faces: int) -> Mesh:
     return Mesh(vertices.astype(float), faces.astype(np.int64), colours)
 
 
-def joined(*meshes: Mesh) -> Mesh:
-    """All meshes as one, without colours."""
-    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    return Mesh(
-        np.concatenate([mesh.vertices for mesh in meshes]),
-        np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]),
-    )
-
-
 def arrow(length: float, radius: float) -> Mesh:
     """An arrow along z, centred at the origin, metres."""
     from trimesh.creation import revolve
@@ -59,7 +50,7 @@ def turning_arrow(ring: float, radius: float, height: float) -> Mesh:
     circle = np.stack([ring + radius * np.cos(around), height + radius * np.sin(around)], -1)
     tail = of_trimesh(revolve(circle / ring, angle=1.5 * np.pi, sections=48), ring)
     along_x = se3.pose(np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]), [0, -ring, height])
-    return joined(tail, of_trimesh(cone(2.4, 5), radius).moved(along_x))
+    return join_meshes([tail, of_trimesh(cone(2.4, 5), radius).moved(along_x)])
 
 
 def of_trimesh(mesh: Any, scale: float = 1.0) -> Mesh:

@@ -2,46 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from freeart21.errors import FreeArtError
 from freeart21.recording import Recording
-from freeart21.view.document import MOVING, REFERENCE, Section, data_url
+from freeart21.view.document import Section, data_url
+from freeart21.view.source import Source
 
 Image = NDArray[np.uint8]
-PartMasks = Callable[[int], Image]
-"""Frame index to (height, width) part labels: 0 background, 1 reference, 2 moving."""
 
 QUALITIES = (85, 75, 60, 45, 30, 15)
 """JPEG qualities to try, best first."""
 LABEL_STEP, CONFIDENCE_STEPS = 100, 40
 """A pixel with label 0, 1, 2 is stored as 0, 100, 200, far enough apart for any colour management, plus up to 40 by its
 confidence."""
-
-
-@dataclass(frozen=True)
-class Overlay:
-    """The parts and the joint axis of one source."""
-
-    name: str
-    masks: PartMasks | None = None
-    colours: tuple[str, str] = (REFERENCE, MOVING)
-    """Of reference and moving part."""
-    axis: NDArray[np.float64] | None = None
-    """(n, 2, 2) both ends in pixels of the recording, the positive one last; NaN where it is not visible."""
-    axis_colour: str = ""
-    shown: bool = True
-    """At first."""
-    confidence: PartMasks | None = None
-    """That of the labels, 0 to 255."""
-    absent: str = ""
-    """Why there are no masks."""
 
 
 @dataclass(frozen=True)
@@ -74,34 +54,33 @@ def encode_jpeg(image: Image, quality: int) -> bytes:
 
 def video_section(
     recording: Recording | None,
-    overlays: Sequence[Overlay] = (),
-    n: int = 0,
-    states: ArrayLike | None = None,
-    joint_type: str = "",
+    sources: Sequence[Source] = (),
     settings: VideoSettings = VideoSettings(),
     note: str = "Solid outline and stronger colour: moving part; dashed: reference part.",
 ) -> Section:
-    """The player of a recording, with the parts and joint axes of `overlays` and the recording's own masks over it.
+    """The player of a recording, with the parts and axes of sources and the recording's own masks over it.
 
-    Without a recording the parts are drawn on a plain background, and `n` is the number of frames. `states` (n,), rad
-    or m by `joint_type`, are shown with the time. Raises FreeArtError when masks and images differ in size.
+    Without a recording the parts of the first source are drawn on a plain background. The first one's states are shown
+    with the time. Raises FreeArtError when masks and images differ in size.
     """
-    masked = [overlay.masks for overlay in overlays if overlay.masks is not None]
-    if recording is None and not (masked and n):
-        raise FreeArtError("a video player needs a recording, or part masks and the number of frames")
-    total, size = (
-        (n, masked[0](0).shape)
-        if recording is None
-        else (len(recording), (recording.camera.height, recording.camera.width))
-    )
+    first = sources[0] if sources else Source("")
+    camera = None if recording is None else recording.camera
+    if recording is not None:
+        total, size = len(recording), (recording.camera.height, recording.camera.width)
+    elif first.masks is not None:
+        total, (height, width) = len(first.states), first.masks(0).shape
+        size = height, width
+    else:
+        raise FreeArtError("a video player needs a recording, or part masks")
     frames = shown_frames(total, settings.max_frames)
     shown, small = (_scaled(size, side) for side in (settings.max_side, settings.mask_side))
     rgb: list[Image] = []
     depth: list[NDArray[np.float32]] = []
     given: dict[int, Image] = {}
+    note = note if any(source.masks for source in sources) else ""
     if recording is not None:
-        overlays = [*overlays, Overlay("given mask", given.pop, ("#ffffff", "#ffffff"), shown=False)]
-    labels: list[list[str]] = [[] for _ in overlays]
+        sources = [*sources, Source("given mask", ("#ffffff", "#ffffff"), masks=given.pop, shown=False)]
+    labels: list[list[str]] = [[] for _ in sources]
     for i in frames.tolist():
         if recording is not None:
             frame = recording.frame(i)
@@ -109,43 +88,43 @@ def video_section(
             if settings.depth_bytes:
                 depth.append(np.asarray(cv2.resize(frame.depth, shown, interpolation=cv2.INTER_NEAREST), np.float32))
             given[i] = 2 * frame.mask.astype(np.uint8)
-        for overlay, found in zip(overlays, labels, strict=True):
-            if overlay.masks is not None:
-                mask = overlay.masks(i)
+        for source, found in zip(sources, labels, strict=True):
+            if source.masks is not None:
+                mask = source.masks(i)
                 if mask.shape != size:
                     raise FreeArtError(
-                        f"frame {i}: the mask of the {overlay.name} is {mask.shape[1]} x {mask.shape[0]}, "
+                        f"frame {i}: the mask of the {source.name} is {mask.shape[1]} x {mask.shape[0]}, "
                         f"expected {size[1]} x {size[0]} as the video"
                     )
-                found.append(_label_image(mask, overlay.confidence and overlay.confidence(i), small))
+                found.append(_label_image(mask, source.confidence and source.confidence(i), small))
     near, far = _depth_range(depth)
-    sources: list[dict[str, Any]] = [
-        {
-            "name": overlay.name,
-            "colours": overlay.colours,
-            "labels": own or None,
-            "axis": None if overlay.axis is None else _axis_ends(overlay.axis[frames], shown[0] / size[1]),
-            "axis_colour": overlay.axis_colour or overlay.colours[1],
-            "shown": overlay.shown,
-            "confidence": overlay.confidence is not None,
-            "absent": overlay.absent,
-        }
-        for overlay, own in zip(overlays, labels, strict=True)
-    ]
+    lines = [source.axis_in_images(camera) for source in sources]
     data: dict[str, Any] = {
         "width": shown[0],
         "height": shown[1],
         "label_size": small,
         "frames": frames,
         "times_s": recording.times_s[frames] if recording is not None else None,
-        "states": None if states is None else np.asarray(states, float)[frames],
-        "joint_type": joint_type,
+        "states": None if first.articulation is None or first.zero is not None else first.states[frames],
+        "joint_type": "" if first.articulation is None else first.joint.type,
         "rgb": _jpeg_urls(rgb, settings.rgb_bytes),
         "depth": _jpeg_urls([_depth_image(d, near, far) for d in depth], settings.depth_bytes),
         "depth_range_m": [near, far],
-        "sources": sources,
+        "sources": [
+            {
+                "name": source.name,
+                "colours": source.colours,
+                "labels": own or None,
+                "axis": None if line is None else _axis_ends(line[frames], shown[0] / size[1]),
+                "axis_colour": source.axis_colour or source.colours[1],
+                "shown": source.shown,
+                "confidence": source.confidence is not None,
+                "absent": source.absent,
+            }
+            for source, own, line in zip(sources, labels, lines, strict=True)
+        ],
     }
-    return Section("Video", "", "video", data, "left", note if masked else "")
+    return Section("Video", "", "video", data, "left", note)
 
 
 def fitting_quality(images: Sequence[Image], max_bytes: int) -> int:

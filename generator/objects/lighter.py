@@ -212,16 +212,14 @@ def _torch_body(
     raised = moulded(badge, 0.0010, "y", -depth / 2, 0.0003)
     name = text_outline(str(rng.choice(["JET 21", "TURBO", "TORCH", "BLAZE"])), 0.0050, width * 0.38)
     raised -= plate(name.translate((-width * 0.12, seam * 0.74)), 0.0008, "y", -depth / 2 - 0.0005)
-    trigger = smooth_outline(
-        [
-            [split + 0.0026, seam + 0.004],
-            [width * 0.46, seam + 0.004],
-            [width * 0.46, seam + 0.0102],
-            [width * 0.36, seam + 0.0138],
-            [split + 0.0026, seam + 0.0148],
-        ],
-        0.0012,
-    )
+    wedge = [
+        [split + 0.0026, seam + 0.004],
+        [width * 0.46, seam + 0.004],
+        [width * 0.46, seam + 0.0102],
+        [width * 0.36, seam + 0.0138],
+        [split + 0.0026, seam + 0.0148],
+    ]
+    trigger = smooth_outline(wedge, 0.0012)
     button = moulded(trigger, depth * 0.62, "y", 0.0, 0.0008)
     for k in range(4):
         button -= rod(0.0005, depth, "y", (split + 0.0050 + 0.0016 * k, 0, seam + 0.0148 - 0.0006 * k), segments=12)
@@ -339,49 +337,40 @@ def _handle(neck: float, thick: float, colour: Colour, accent: Colour, rng: Rng)
     plastic = textured("handle", "plastic", 1050.0, textures.speckle(rng, colour, 0.03), 0.02)
     rubber = textured("grip_rubber", "rubber", 1150.0, textures.speckle(rng, (0.13, 0.13, 0.14), 0.25), 0.012)
     end = neck + 0.036
-    side = softened(
-        polygon(
-            [
-                [-0.0095, -0.003],
-                [-0.0060, -0.0120],
-                [0.008, -0.0165],
-                [0.044, -0.0165],
-                [0.056, -0.0235],
-                [end - 0.030, -0.0250],
-                [end - 0.006, -0.0190],
-                [end, -0.0080],
-                [end - 0.003, 0.0020],
-                [end - 0.014, 0.0052],
-                [neck + 0.011, 0.0052],
-                [neck + 0.003, 0.0008],
-                [0.018, 0.0008],
-                [0.0075, 0.0085],
-                [-0.0055, 0.0080],
-                [-0.0105, 0.003],
-            ]
-        ),
-        0.0050,
-        32,
-    )
+    profile = [
+        [-0.0095, -0.003],
+        [-0.0060, -0.0120],
+        [0.008, -0.0165],
+        [0.044, -0.0165],
+        [0.056, -0.0235],
+        [end - 0.030, -0.0250],
+        [end - 0.006, -0.0190],
+        [end, -0.0080],
+        [end - 0.003, 0.0020],
+        [end - 0.014, 0.0052],
+        [neck + 0.011, 0.0052],
+        [neck + 0.003, 0.0008],
+        [0.018, 0.0008],
+        [0.0075, 0.0085],
+        [-0.0055, 0.0080],
+        [-0.0105, 0.003],
+    ]
+    side = softened(polygon(profile), 0.0050, 32)
     solid = moulded(side, thick, "y", 0.0, 0.0038, 4)
     solid -= plate(side, 0.0005, "y") - plate(side.offset(-0.0005, JoinType.Round), 0.0005, "y")  # the halves' seam
     solid -= box((neck + 0.024, 0.0094, 0.05), (neck / 2 - 0.0080, 0, -0.0050 + 0.025), 0.0)
     solid -= rod(0.0084, 0.0094, "y", (0, 0, 0), segments=48)
     hang = rod(0.0030, 0.1, "y", (end - 0.0085, 0, -0.0080), 0, 32)
-    trigger = softened(
-        polygon(
-            [
-                [0.044, -0.010],
-                [0.016, -0.010],
-                [0.0190, -0.0195],
-                [0.0265, -0.0260],
-                [0.0255, -0.0340],
-                [0.0320, -0.0360],
-                [0.0410, -0.0250],
-            ]
-        ),
-        0.0014,
-    )
+    hook = [
+        [0.044, -0.010],
+        [0.016, -0.010],
+        [0.0190, -0.0195],
+        [0.0265, -0.0260],
+        [0.0255, -0.0340],
+        [0.0320, -0.0360],
+        [0.0410, -0.0250],
+    ]
+    trigger = softened(polygon(hook), 0.0014)
     solid -= plate(trigger.offset(0.0004, JoinType.Round), 0.0098, "y")
     lever = moulded(trigger, 0.0088, "y", 0.0, 0.0012, 3)
     for k in range(4):
@@ -444,35 +433,27 @@ def _neck(neck: float, accent: Colour, rng: Rng) -> Pieces:
     head = neck - 0.0150
     outer = lathe([[0, 0.014], [0.0031, 0.014], [0.0031, head], [0, head]], "x", (0, 0, 0), 32)
     outer -= rod(0.0024, 0.02, "x", (head, 0, 0), 0, 24)
-    tip = lathe(
-        [
-            [0.0029, head - 0.002],
-            [0.0036, head - 0.002],
-            [0.0042, head],
-            [0.0042, neck - 0.001],
-            [0.0036, neck],
-            [0.0029, neck],
-        ],
-        "x",
-        (0, 0, 0),
-        32,
-    )
+    flare = [
+        [0.0029, head - 0.002],
+        [0.0036, head - 0.002],
+        [0.0042, head],
+        [0.0042, neck - 0.001],
+        [0.0036, neck],
+        [0.0029, neck],
+    ]
+    tip = lathe(flare, "x", (0, 0, 0), 32)
     slots = int(rng.integers(4, 7))
     for turn in np.arange(slots) * 2 * np.pi / slots:
         cut = moulded(rounded_outline(0.0062, 0.0018, 0.0008, 12), 0.01, "z", 0.006, 0.0001, 1)
         tip -= cut.translate((neck - 0.0070, 0, 0)).rotate((float(np.degrees(turn)), 0, 0))
-    jet = lathe(
-        [
-            [0, head - 0.008],
-            [0.0016, head - 0.008],
-            [0.0016, neck - 0.0075],
-            [0.0007, neck - 0.0055],
-            [0, neck - 0.0055],
-        ],
-        "x",
-        (0, 0, 0),
-        20,
-    )
+    needle = [
+        [0, head - 0.008],
+        [0.0016, head - 0.008],
+        [0.0016, neck - 0.0075],
+        [0.0007, neck - 0.0055],
+        [0, neck - 0.0055],
+    ]
+    jet = lathe(needle, "x", (0, 0, 0), 20)
     bend = np.array(
         [[head - 0.008, 0, 0.0020], [neck - 0.006, 0, 0.0021], [neck - 0.0042, 0, 0.0019], [neck - 0.0036, 0, 0.0006]]
     )

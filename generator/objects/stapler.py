@@ -280,23 +280,18 @@ def _mini_lid(
     x, _, z = hinge_at
     front, back, top = -length * 0.50, x + 0.0075, z + 0.0140 * rng.uniform(0.95, 1.08)
     wide = width - 0.0062
-    side = softened(
-        polygon(
-            [
-                [front, z - 0.0010],
-                [front + 0.004, z - 0.0030],
-                [x, z - 0.0040],
-                [back, z - 0.0010],
-                [back, top - 0.0050],
-                [back - 0.0080, top],
-                [front * 0.30, top - 0.0005],
-                [front + 0.0060, top - 0.0055],
-                [front, top - 0.0090],
-            ]
-        ),
-        0.0042,
-        40,
-    )
+    profile = [
+        [front, z - 0.0010],
+        [front + 0.004, z - 0.0030],
+        [x, z - 0.0040],
+        [back, z - 0.0010],
+        [back, top - 0.0050],
+        [back - 0.0080, top],
+        [front * 0.30, top - 0.0005],
+        [front + 0.0060, top - 0.0055],
+        [front, top - 0.0090],
+    ]
+    side = softened(polygon(profile), 0.0042, 40)
     outer = moulded(side, wide, "y", 0.0, 0.0030, 4)
     wall = 0.0014
     inner = moulded(side.offset(-wall, JoinType.Round), wide - 2 * wall, "y", 0.0, 0.0012, 2)
@@ -353,18 +348,12 @@ def _long_base(
     """A channel of sheet steel with anvil, ruler, a stop that slides along it, and the post of the hinge."""
     x, _, z = hinge_at
     deep, sheet = 0.0090, 0.0016
-    plan = softened(
-        CrossSection.batch_boolean(
-            [
-                CrossSection.square((length, width * 1.30), True),
-                CrossSection.square((length * 0.20, width * 2.0), True).translate((-length * 0.40, 0)),
-                CrossSection.square((length * 0.15, width * 1.8), True).translate((length * 0.425, 0)),
-            ],
-            OpType.Add,
-        ),
-        0.0060,
-        32,
-    )
+    bars = [
+        CrossSection.square((length, width * 1.30), True),
+        CrossSection.square((length * 0.20, width * 2.0), True).translate((-length * 0.40, 0)),
+        CrossSection.square((length * 0.15, width * 1.8), True).translate((length * 0.425, 0)),
+    ]
+    plan = softened(CrossSection.batch_boolean(bars, OpType.Add), 0.0060, 32)
     body = moulded(plan, deep, "z", deep / 2 + 0.002, 0.0018, 3)
     body -= plate(plan.offset(-sheet, JoinType.Round), deep, "z", deep / 2 + 0.002 - sheet)
     top = deep + 0.002
@@ -461,26 +450,21 @@ def _long_arm(
     x, _, z = hinge_at
     front, back, sheet = -length * 0.492, x + 0.0130, 0.0014
     top = z + 0.0125
-    side = softened(
-        polygon(
-            [
-                [front, 0.0245],
-                [front + length * 0.36, 0.0255],
-                [front + length * 0.42, 0.0290],
-                [x - 0.030, z - 0.0070],
-                [back - 0.004, z - 0.0090],
-                [back, z - 0.0050],
-                [back, top - 0.0050],
-                [back - 0.010, top],
-                [front + length * 0.24, top - 0.0020],
-                [front + length * 0.18, top + 0.0020],
-                [front + 0.014, top + 0.0005],
-                [front, top - 0.0100],
-            ]
-        ),
-        0.0040,
-        32,
-    )
+    profile = [
+        [front, 0.0245],
+        [front + length * 0.36, 0.0255],
+        [front + length * 0.42, 0.0290],
+        [x - 0.030, z - 0.0070],
+        [back - 0.004, z - 0.0090],
+        [back, z - 0.0050],
+        [back, top - 0.0050],
+        [back - 0.010, top],
+        [front + length * 0.24, top - 0.0020],
+        [front + length * 0.18, top + 0.0020],
+        [front + 0.014, top + 0.0005],
+        [front, top - 0.0100],
+    ]
+    side = softened(polygon(profile), 0.0040, 32)
     outer = moulded(side, width, "y", 0.0, 0.0022, 3)
     hollow = plate(side.offset(-sheet, JoinType.Round), width - 2 * sheet, "y")
     below = plate(side.offset(-sheet, JoinType.Round).translate((0, -0.006)), width - 2 * sheet, "y")

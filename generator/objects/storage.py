@@ -434,11 +434,7 @@ def _cabinet_carcass(c: _Cabinet) -> Pieces:
     plinth = box((deep - 0.04, c.width - 0.03, 0.046), (middle[0] + 0.012, 0, 0.036), 0.003)
     plinth -= box((deep - 0.043, c.width - 0.033, 0.05), (middle[0] + 0.012, 0, 0.033))
     foot = lathe([[0.0, 0.0], [0.018, 0], [0.020, 0.002], [0.020, 0.006], [0.006, 0.009], [0.006, 0.058], [0, 0.058]])
-    feet = union(
-        foot.translate((middle[0] + 0.012 + x * (deep / 2 - 0.06), y * (c.width / 2 - 0.05), 0))
-        for x in (-1, 1)
-        for y in (-1, 1)
-    )
+    feet = corners(foot.translate((middle[0] + 0.012, 0, 0)), "xy", deep / 2 - 0.06, c.width / 2 - 0.05)
     return (
         Piece("cabinet_shell", shell, c.sheet),
         Piece("runner", rails, c.chrome),

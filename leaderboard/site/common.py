@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from freeart21.view.document import Markup, Section, Site, document
 from freeart21.view.tables import ARROWS, Cell, number_text
 from leaderboard.protocols import Group, Metric, Protocol
+from leaderboard.rows import Statistic
 from leaderboard.site.entrant import Entrant
 from leaderboard.site.sequence_view import SequenceContent
 
@@ -117,6 +118,20 @@ def hidden_metrics(entrant: Entrant, rules: Protocol) -> tuple[str, ...]:
     return rules.penalised_by_truth if entrant.scores[rules.name].benchmark.get("hidden") else ()
 
 
+def statistic_of(entrant: Entrant, rules: Protocol, metric: Metric, group: Group) -> Statistic | None:
+    """A method's statistic over a group of sequences; None without one, or where it would reveal a hidden truth."""
+    summaries = {summary.group: summary for summary in entrant.whole[rules.name].summaries}
+    found = summaries[group].statistics.get(metric.id) if group in summaries else None
+    tells = found is not None and found.sequences < MIN_ROWS and metric.id in hidden_metrics(entrant, rules)
+    return None if tells else found
+
+
+def best_of(values: Sequence[float | None], metric: Metric) -> float | None:
+    """The best of several methods' numbers; None when all are the same."""
+    known = {value for value in values if value is not None}
+    return (max if metric.direction == "up" else min)(known) if len(known) > 1 else None
+
+
 def explained(metric: Metric) -> str:
     """Definition, direction and penalty in two sentences."""
     return f"{sentence(metric.definition)} {sentence(ARROWS[metric.direction][1])[:-1]}; {penalty_sentence(metric)}."
@@ -145,8 +160,3 @@ def facts(rows: Sequence[tuple[str, object]]) -> Markup:
 def hash_text(sha256: str) -> Markup:
     """A hash as HTML."""
     return Markup('<code class="hash">{}</code>').format(sha256)
-
-
-def note(text: str) -> Markup:
-    """A remark in small type."""
-    return Markup('<p class="note">{}</p>').format(text) if text else Markup("")

@@ -8,10 +8,9 @@ from collections.abc import Sequence
 from freeart21.view.document import Markup, Section, render
 from freeart21.view.tables import NONE, Cell, number_cell, number_text, source_rows, table
 from leaderboard.protocols import Metric, Protocol, protocol_named
-from leaderboard.rows import Row, Scores, Summary
+from leaderboard.rows import Row, Statistic
 from leaderboard.site.common import (
     LACKS,
-    MIN_ROWS,
     PACKAGE,
     Board,
     columns,
@@ -21,6 +20,7 @@ from leaderboard.site.common import (
     metric_row_head,
     page,
     sequence_link,
+    statistic_of,
 )
 from leaderboard.site.entrant import Entrant
 
@@ -28,12 +28,14 @@ from leaderboard.site.entrant import Entrant
 def method_page(board: Board, entrant: Entrant) -> bytes:
     """The page of one method."""
     method, first = entrant.method, entrant.scores[board.protocols[0]]
+    seconds = sorted(row.seconds for row in first.rows if row.seconds is not None)
+    median = [f"{one:.0f} s per sequence (median, stated by the method)" for one in seconds[len(seconds) // 2 :]]
     lead = facts(
         [
             ("code", method.code or "not stated"),
             ("hardware", method.hardware or "not stated"),
             ("measured", f"{first.measured} of {len(first.rows)} sequences"),
-            ("time", _time_text(first)),
+            ("time", next(iter(median), "not stated")),
         ]
     )
     notices = list(dict.fromkeys(first.notes))
@@ -50,13 +52,6 @@ def method_page(board: Board, entrant: Entrant) -> bytes:
     return page(board, entrant.name, sections, deep=True, lead=lead, kind="Method", notices=notices)
 
 
-def _time_text(scores: Scores) -> str:
-    seconds = sorted(row.seconds for row in scores.rows if row.seconds is not None)
-    if not seconds:
-        return "not stated"
-    return f"{seconds[len(seconds) // 2]:.0f} s per sequence (median, stated by the method)"
-
-
 def _protocol_section(board: Board, entrant: Entrant, rules: Protocol) -> Section:
     html = _means(entrant, rules) + Markup("<h3>Every sequence</h3>") + _sequences(board, entrant, rules)
     return Section(f"Scores by {rules.name}", html, place="full", id=f"protocol-{rules.name}")
@@ -64,21 +59,24 @@ def _protocol_section(board: Board, entrant: Entrant, rules: Protocol) -> Sectio
 
 def _means(entrant: Entrant, rules: Protocol) -> Markup:
     """Every number by joint type and over all: mean and standard deviation, median and worst."""
-    groups, hidden = entrant.whole[rules.name].summaries, hidden_metrics(entrant, rules)
+    groups, rows, css = entrant.whole[rules.name].summaries, [], []
     head: list[object] = ["mean ± standard deviation"]
     head += [Cell(g.group, None, "number", f"{g.sequences - g.failures} of {g.sequences}") for g in groups]
-    rows = []
     for metric in rules.metrics:
-        cells = [_mean(metric, summary, metric.id in hidden) for summary in groups]
+        found = {summary.group: statistic_of(entrant, rules, metric, summary.group) for summary in groups}
+        cells = [
+            _mean(statistic, metric.unit(group), metric.id in hidden_metrics(entrant, rules))
+            for group, statistic in found.items()
+        ]
         if any(cell.text != NONE for cell in cells):
-            rows.append(("beside" if metric.supplements else "", [metric_row_head(rules, metric), *cells]))
-    return table([row for _, row in rows], head, "numbers", "means", [css for css, _ in rows])
+            rows.append([metric_row_head(rules, metric), *cells])
+            css.append("beside" if metric.supplements else "")
+    return table(rows, head, "numbers", "means", css)
 
 
-def _mean(metric: Metric, summary: Summary, hidden: bool) -> Cell:
+def _mean(found: Statistic | None, unit: str | None, hidden: bool) -> Cell:
     """A cell; when `hidden` it must not reveal the number of a single sequence."""
-    unit, found = metric.unit(summary.group), summary.statistics.get(metric.id)
-    if unit is None or found is None or (hidden and found.sequences < MIN_ROWS):
+    if unit is None or found is None:
         return number_cell(NONE)
     below = [] if found.std is None else [f"± {number_text(found.std, unit)}"]
     if not hidden:

@@ -14,6 +14,7 @@ from leaderboard.site.common import (
     LACKS,
     PACKAGE,
     Board,
+    best_of,
     facts,
     hidden_metrics,
     method_heads,
@@ -68,15 +69,12 @@ def _numbers_section(protocol: str, shown: SequenceContent, entrants: Sequence[E
         if unit is None:
             continue
         values = [None if row is None else row.values.get(metric.id) for row in rows]
-        known = [v for v in values if v is not None]
-        best = (max if metric.direction == "up" else min)(known) if len(set(known)) > 1 else None
-        cells = []
+        best, cells = best_of(values, metric), []
         for row, value in zip(rows, values, strict=True):
             below = ""
-            if row is not None and value is not None and row.status != "ok":
-                below = f"{row.status}: penalty"
-            elif row is not None and value is not None and metric.id in row.values_cm:
-                below = number_text(row.values_cm[metric.id], "cm", True)
+            if row is not None and value is not None:
+                failed, centimetres = row.status != "ok", number_text(row.values_cm.get(metric.id), "cm", True)
+                below = f"{row.status}: penalty" if failed else centimetres * (metric.id in row.values_cm)
             cells.append(number_cell(number_text(value, unit, True), value is not None and value == best, value, below))
         lines.append([metric_row_head(rules, metric), *cells])
         css.append("beside" if metric.supplements else "")

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from freeart21.articulation import PARTS, Articulation
 from freeart21.errors import FreeArtError
@@ -18,14 +17,14 @@ from freeart21.files.truth import read_truth
 from freeart21.joint import JointType
 from freeart21.recording import Recording
 from freeart21.truth import Truth
-from freeart21.view.document import TRUTH, Section, data_url
-from freeart21.view.parts import articulation_scene, axis_in_images, axis_place, with_articulation
+from freeart21.view.document import Section, data_url
 from freeart21.view.plots import Curve, state_section
-from freeart21.view.scene import Layer, scene_section
+from freeart21.view.scene import scene_section, sources_scene
+from freeart21.view.source import Source, truth_source
 from freeart21.view.tables import NONE
-from freeart21.view.video import Overlay, VideoSettings, encode_jpeg, shown_frames, video_section
+from freeart21.view.video import VideoSettings, encode_jpeg, shown_frames, video_section
 from leaderboard.rows import Row
-from leaderboard.site.answers import Answer, align_states, read_answer
+from leaderboard.site.answers import read_answer
 from leaderboard.site.entrant import Entrant
 
 SETTINGS = VideoSettings(max_frames=72, mask_side=256, rgb_bytes=640 << 10, depth_bytes=0)
@@ -35,6 +34,7 @@ STATE_SAMPLES = 400
 """Most samples of a curve of joint states."""
 THUMBNAIL = 176, 99
 NO_FILES = "only its table of scores was given"
+HIDDEN = "The ground truth is hidden: every result is shown in the camera frame of the first image."
 
 
 @dataclass(frozen=True)
@@ -68,19 +68,22 @@ def show_sequence(
     truth = None if benchmark.hidden else read_truth(benchmark.truth(name))
     frames = shown_frames(len(recording), SETTINGS.max_frames)
     size = recording.camera.height, recording.camera.width
-    answers: dict[str, Answer] = {}
     absent: dict[str, str] = {}
+    sources: list[Source] = []
     for entrant in entrants:
         row = entrant.row(protocol, name)
-        answer = _read_answer(entrant, name, row, truth or len(recording), frames.tolist(), size)
-        if isinstance(answer, Answer):
-            answers[entrant.file] = answer
-        else:
-            absent[entrant.file] = answer
-    base = _truth_as_answer(truth) if truth else _first_of(list(answers.values()))
-    if base is not None and truth is None:
-        joint = base.articulation.joint
-        answers = {file: align_states(one, joint, base.states) for file, one in answers.items()}
+        found = _read_answer(entrant, name, row, truth or len(recording), frames.tolist(), size)
+        if isinstance(found, str):
+            absent[entrant.file] = found
+            found = Source("", absent=found if len(found) <= 60 else f"{found[:57]}…")
+        elif found.masks is None:
+            found = replace(found, absent="makes no part masks")
+        sources.append(replace(found, name=entrant.name, colours=(entrant.pale, entrant.colour)))
+    if truth is not None:
+        sources = [_true_source(truth), *(replace(one, Ts_camera=truth.Ts_camera_reference) for one in sources)]
+    elif (first := _first_of(sources)) is not None:
+        sources = [first, *(one.follow(first) if one.articulation else one for one in sources if one is not first)]
+    sources = [replace(one, shown=k < 2) for k, one in enumerate(sources)]  # the truth and a method at first
     facts: dict[str, Any] = {
         "joint_type": joint_type,
         "category": NONE,
@@ -93,18 +96,21 @@ def show_sequence(
     if truth is not None:
         facts |= {"diagonal_cm": 100 * truth.diagonal, "range": float(np.ptp(truth.states)), "source": truth.source}
         facts["category"] = str(truth.source.get("category") or "unknown")
-    sections = [_video(recording, truth, base, entrants, answers, absent)]
-    if base is not None:
+    sections = [video_section(recording, sources, SETTINGS)]
+    if sources[0].articulation is not None:
+        where = HIDDEN if truth is None else "Results are aligned with the ground truth as the protocol does it."
+        note = f"{where} The slider moves all joints of one type. Meshes are simplified; pale: reference part."
+        scene = sources_scene(sources, recording.camera)
         sections += [
-            _states(recording, truth, base, entrants, answers),
-            _scene(recording, truth, base, entrants, answers),
+            _states(recording, truth, sources),
+            scene_section(scene, "Parts and joint in 3D", "right", FACES, note),
         ]
     return SequenceContent(name, facts, _thumbnail(recording), absent), sections
 
 
 def _read_answer(
     entrant: Entrant, name: str, row: Row | None, truth: Truth | int, frames: list[int], size: tuple[int, int]
-) -> Answer | str:
+) -> Source | str:
     """A method's result, or why it cannot be shown; `truth` as in `read_answer`."""
     if row is None:
         return "its table has no such row"
@@ -119,99 +125,30 @@ def _read_answer(
         return f"its files cannot be shown: {reason}"
 
 
-def _truth_as_answer(truth: Truth) -> Answer:
-    """The truth as a perfect result, with its outer surfaces and no masks."""
+def _true_source(truth: Truth) -> Source:
+    """The truth, with its outer surfaces."""
     outer = [truth.articulation.part(n).with_faces(f) for n, f in zip(PARTS, truth.outer, strict=True)]
     parts = Articulation(truth.articulation.joint, replace(outer[0], colours=None), replace(outer[1], colours=None))
-    return Answer(
-        parts, truth.states, 1.0, 0.0, True, None, truth.Ts_camera_reference, np.zeros((0, 1, 1), np.uint8), ()
-    )
+    return truth_source(truth, articulation=parts)
 
 
-def _first_of(answers: Sequence[Answer]) -> Answer | None:
+def _first_of(sources: Sequence[Source]) -> Source | None:
     """The first result with the most frequent joint type; of one with states, if any."""
-    types = [one.articulation.joint.type for one in answers]
-    frequent = [one for one, kind in zip(answers, types, strict=True) if kind == max(types, key=types.count)]
+    there = [one for one in sources if one.articulation is not None]
+    types = [one.joint.type for one in there]
+    frequent = [one for one in there if types.count(one.joint.type) == max(map(types.count, types))]
+    frequent = [one for one in frequent if one.joint.type == frequent[0].joint.type]
     return next((one for one in frequent if one.zero is None), next(iter(frequent), None))
 
 
-def _video(
-    recording: Recording,
-    truth: Truth | None,
-    base: Answer | None,
-    entrants: Sequence[Entrant],
-    answers: Mapping[str, Answer],
-    absent: Mapping[str, str],
-) -> Section:
-    """The player; with a hidden truth, axes by each result's own poses."""
-    frames = shown_frames(len(recording), SETTINGS.max_frames).tolist()
-    overlays = []
-    if truth is not None:
-        overlays.append(Overlay("ground truth", truth.part_mask, ("#7fcfb6", TRUTH), _axis(base, base, recording)))
-    for entrant in entrants:
-        answer, line, masks = answers.get(entrant.file), None, None
-        if answer is not None:
-            line = _axis(answer, base if truth is not None else answer, recording)
-            masks = dict(zip(frames, answer.masks, strict=True)).__getitem__ if len(answer.masks) else None
-        why = absent.get(entrant.file) or "makes no part masks" * (masks is None)
-        brief = why if len(why) <= 60 else f"{why[:57]}…"
-        shown = len(overlays) < (1 if truth is None else 2)  # the truth and the first method are shown at first
-        overlays.append(Overlay(entrant.name, masks, (entrant.pale, entrant.colour), line, shown=shown, absent=brief))
-    return video_section(recording, overlays, settings=SETTINGS)
-
-
-def _axis(answer: Answer | None, posed: Answer | None, recording: Recording) -> NDArray[np.float64] | None:
-    """A result's axis in all images by the poses of `posed`; None without any."""
-    if answer is None or posed is None or not len(posed.Ts_camera_articulation):
-        return None
-    place = axis_place(posed.articulation, posed.states)
-    return axis_in_images(answer.articulation.joint, *place, posed.Ts_camera_articulation, recording.camera)
-
-
-def _scene(
-    recording: Recording, truth: Truth | None, base: Answer, entrants: Sequence[Entrant], answers: Mapping[str, Answer]
-) -> Section:
-    """The 3D view of all results, moved by one slider where their joints are of one type."""
-    shown, others = "ground truth", list(entrants)
-    colours = "#7fcfb6", TRUTH
-    if truth is None:
-        first = next(
-            entrant for entrant in entrants if entrant.file in answers and answers[entrant.file].states is base.states
-        )
-        shown, colours = first.name, (first.pale, first.colour)
-        others.remove(first)
-    Ts = base.Ts_camera_articulation if len(base.Ts_camera_articulation) else np.eye(4)[None]
-    scene = articulation_scene(base.articulation, base.states, Ts, recording.camera, None, _layers(shown, colours))
-    for k, entrant in enumerate(others):
-        answer = answers.get(entrant.file)
-        if answer is not None:
-            layers = _layers(entrant.name, (entrant.pale, entrant.colour), shown=k == 0)
-            aligned = (answer.sign, answer.offset) if answer.comparable else None
-            scene = with_articulation(scene, layers, answer.articulation, answer.states, aligned)
-    where = (
-        "The ground truth is hidden: every result is shown in the camera frame of the first image."
-        if truth is None
-        else "Results are aligned with the ground truth as the protocol does it."
-    )
-    note = f"{where} The slider moves all joints of one type. Meshes are simplified; pale: reference part."
-    return scene_section(scene, "Parts and joint in 3D", "right", FACES, note)
-
-
-def _layers(name: str, colours: tuple[str, str], shown: bool = True) -> tuple[Layer, Layer, Layer]:
-    pale, colour = colours
-    return Layer(name, pale, shown=shown), Layer(name, colour, shown=shown), Layer(name, colour, "axis", shown)
-
-
-def _states(
-    recording: Recording, truth: Truth | None, base: Answer, entrants: Sequence[Entrant], answers: Mapping[str, Answer]
-) -> Section:
-    """The joint state of every result with the true, or the first one's, joint type."""
+def _states(recording: Recording, truth: Truth | None, sources: Sequence[Source]) -> Section:
+    """The joint state of every result with the joint type of the first source."""
     frames = shown_frames(len(recording), STATE_SAMPLES)
-    curves = [Curve("ground truth", TRUTH, base.states[frames], "wide")] if truth is not None else []
-    for entrant in entrants:
-        answer = answers.get(entrant.file)
-        if answer is not None and answer.comparable and "states" not in answer.lacks:
-            curves.append(Curve(entrant.name, entrant.colour, answer.states_as_true[frames]))
+    curves = [
+        Curve(one.name, one.colours[1], one.states_of_first[frames], "wide" if one is sources[0] and truth else "")
+        for one in sources
+        if one.articulation is not None and one.offset is not None and one.zero is None
+    ]
     note = (
         "The ground truth is hidden: states have the sign and zero of the first method shown."
         if truth is None
@@ -219,7 +156,7 @@ def _states(
     )
     seen = None if truth is None else truth.seen[frames, 1] > 0
     x = recording.times_s[frames] - recording.times_s[0]
-    return state_section(base.articulation.joint.type, x, True, curves, seen, frames, note)
+    return state_section(sources[0].joint.type, x, True, curves, seen, frames, note)
 
 
 def _thumbnail(recording: Recording) -> str:
