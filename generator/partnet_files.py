@@ -42,6 +42,7 @@ _BACK_INDEX = re.compile(r"^[ \t]*f[ \t].*-\d", re.MULTILINE)
 _NO_INDEX = re.compile(r"^[ \t]*f(?:[ \t]+[\d/-]+)*[ \t]+(?:0+|-\d+)(?:/|\s|$)", re.MULTILINE)
 _LIBRARY = re.compile(r"^[ \t]*mtllib[ \t]+(.*\S)", re.MULTILINE)
 _USED = re.compile(r"^[ \t]*usemtl[ \t]+(.*\S)", re.MULTILINE)
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"  # makes SAPIEN miss a file's first line
 _PICTURES = ("map_", "bump", "disp", "norm", "decal", "refl")  # first words of MTL lines that name a picture
 
 
@@ -280,7 +281,7 @@ def _mesh_for_sapien(path: Path, place: Path, mirrored: bool) -> Path | None:
     if (
         all(unchanged for _, unchanged in lines)
         and not mirrored
-        and not any(map(_has_byte_order_mark, (path, *libraries)))
+        and not any(checked.read_head(file, 3) == _BYTE_ORDER_MARK for file in (path, *libraries))
     ):
         return path
     if mirrored:
@@ -302,8 +303,3 @@ def _resolve_picture(line: str, folder: Path) -> tuple[str, bool]:
             if (folder / path).is_file():
                 return f"{key} {rest.removesuffix(name)}{(folder / path).resolve()}", path == name
     return "", False
-
-
-def _has_byte_order_mark(path: Path) -> bool:
-    """Whether a file starts with a byte order mark, which makes SAPIEN miss its first line."""
-    return checked.read_head(path, 3) == b"\xef\xbb\xbf"
