@@ -21,8 +21,9 @@ import freeart21
 from export.settings import Masses, Materials
 from freeart21 import processes
 from freeart21.errors import FreeArtError
+from freeart21.formats.series_settings import SeriesSettings
 from freeart21.processes import DOUBTFUL, report_errors
-from simgap.commands import SeriesOptions, TruthOptions, measure_files
+from simgap.commands import TruthOptions
 
 if TYPE_CHECKING:
     from freeart21.files.masks import Click
@@ -135,9 +136,7 @@ def demo(
 def measure(
     sources: Annotated[tuple[Path, ...], Positional],
     out: Path,
-    gravity: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")] = None,
-    rate_hz: float | None = None,
-    series: Annotated[SeriesOptions, Flat] = SeriesOptions(),  # noqa: B008 (frozen)
+    series: Annotated[SeriesSettings, Flat] = SeriesSettings(),  # noqa: B008 (frozen)
     truths: Annotated[TruthOptions, Flat] = TruthOptions(),  # noqa: B008 (frozen)
 ) -> None:
     """Make a measured set for `gap`: from CSV, JSON or MAT files, a filmed result, or recorded truths.
@@ -147,9 +146,6 @@ def measure(
             whose reference part stood still, with --gravity; or truth folders of one object (DATA/truth/SEQ, each
             recorded with --motion release).
         out: Folder for the measured set (OUT/measured) and, for truths, the object without effects (OUT/asset).
-        gravity: Gravity, m/s^2. For files: in the asset's reference link, 0 0 -9.81 when not given. For a result: in
-            the camera's axes (right, down, forward) of the first frame, 0 9.81 0 for a level camera.
-        rate_hz: Rows per second of files without times; frames of a result [30].
     """
     files = [source for source in sources if source.is_file()]
     results = [source for source in sources if (source / "prediction.json").is_file()]
@@ -164,21 +160,25 @@ def measure(
     kind = "files" if files else "a result" if results else "truths"
     for whose, options in (("files", series), ("truths", truths)):
         given = [f.name.replace("_", "-") for f in fields(options) if getattr(options, f.name) != f.default]
+        given = [name for name in given if kind != "a result" or name not in ("gravity", "rate-hz")]
         if given and whose != kind:
             named = ", ".join(str(source) for source in sources)
             raise FreeArtError(f"measure: --{given[0]} applies to {whose}, but this was taken for {kind}: {named}")
     asset = out / "asset"
     if files:
-        asset = measure_files(files, out, gravity, rate_hz, series)
+        from freeart21.formats.measured_series import measure_series
+
+        print("".join(f"- {note}\n" for note in measure_series(files, out, series)), end="")
+        asset = series.asset or asset
     elif results:
-        if len(sources) > 1 or gravity is None:
+        if len(sources) > 1 or series.gravity is None:
             raise FreeArtError(
                 "measure: expected one result and --gravity X Y Z in the camera's axes of its first frame "
-                f"(0 9.81 0 for a level camera); got {len(sources)} folders, gravity {gravity}"
+                f"(0 9.81 0 for a level camera); got {len(sources)} folders, gravity {series.gravity}"
             )
         from simgap.measure.reconstruction import measure_result
 
-        measure_result(results[0], out, gravity, 30.0 if rate_hz is None else rate_hz)
+        measure_result(results[0], out, series.gravity, 30.0 if series.rate_hz is None else series.rate_hz)
         asset = results[0] / "asset"
     else:
         from generator.measure import TrackerNoise, measure_truths
@@ -243,7 +243,7 @@ def masks(
     from freeart21.formats.third_party import ReadOptions
     from freeart21.progress import progress_bar
     from freeart21.view.click_page import ClickServer
-    from freeart21.view.masks_page import MaskView, choose_frames, write_masks_page
+    from freeart21.view.masks_page import write_masks_page
     from reconstruct.hands import find_networks
     from reconstruct.masks import Foreground, carry_masks
     from reconstruct.segmenters import make_segmenter
@@ -267,14 +267,10 @@ def masks(
     if network is not None:
         made = carry_masks(recording, made, network, clicks)
     write_masks(out, made, clicks)
-    views = [
-        MaskView(i, recording.frame(i).rgb, made.masks[i], float(made.doubt[i]), made.reasons[i])
-        for i in choose_frames(made.doubt)
-    ]
     doubtful = int((made.doubt > 0.5).sum())
     text = f"{doubtful} of {len(made.doubt)} masks are doubtful"
     lead = "Lit up: what is taken for the object. Where that is wrong, edit the masks of those frames."
-    write_masks_page(views, out / "index.html", recording.name, [*made.notes, *([text] if doubtful else [])], lead)
+    write_masks_page(recording, made, out / "index.html", [*made.notes, *([text] if doubtful else [])], lead)
     print("\n".join([*made.notes, f"masks: {text}; look at {out / 'index.html'}"]), flush=True)
     return DOUBTFUL if 2 * doubtful >= len(made.doubt) else 0
 

@@ -186,7 +186,6 @@ def convert(
     layout: Annotated[str | None, tyro.conf.arg(name="from")] = None,
     partnet_root: Path | None = None,
     joint: str | None = None,
-    meta: Path | None = None,
     hold_out: bool = False,
     skip_missing: bool = False,
     depth_unit: float = 0.001,
@@ -203,7 +202,6 @@ def convert(
         layout: native, tum, articulat3d, azure, record3d, rgbd, ros, stray, official or video2articulation.
         partnet_root: Folder of PartNet-Mobility objects, as ROOT/41083/mobility.urdf: a truth needs their meshes.
         joint: Moving joint, where neither the layout nor the catalog names it.
-        meta: Video2Articulation's new_partnet_mobility_dataset_correct_intr_meta.json, for the joint's limits.
         hold_out: Write the official split: 5 % of the frames go to eval/.
         skip_missing: Leave out missing meshes of a PartNet-Mobility object.
         depth_unit: Metres per depth unit of a picture folder (rgb/, depth/, masks/, cam_K.txt).
@@ -217,7 +215,7 @@ def convert(
     from generator.third_party import complete_truth
 
     maker = partial(complete_truth, joint=joint, skip_missing=skip_missing)
-    options = ReadOptions(depth_unit, fps, meta, partnet_root, masks, longest_side)
+    options = ReadOptions(depth_unit, fps, partnet_root, masks, longest_side)
     with progress_bar("Converting") as show:
         for done in formats.convert(source, out, to, layout, maker, options, hold_out, show):
             print(done.folder)
