@@ -18,8 +18,8 @@ from scipy.io import loadmat
 from benchmarks.common import SHARED
 from export.joint_asset import write_joint_asset
 from export.settings import JointNumbers
-from freeart21.formats.circumstances import Circumstances
-from freeart21.formats.measured_series import SeriesSettings, measure_series
+from freeart21.formats.measured_series import measure_series
+from freeart21.formats.series_settings import SeriesSettings
 from freeart21.se3 import Array
 
 MEASURED = SHARED / "measured"
@@ -77,7 +77,7 @@ def recordings() -> dict[str, Callable[[Path], None]]:
 def multiarm(out: Path) -> None:
     """Four segments to fit, the authors' two validation segments held out; 0 is hanging."""
     file = MEASURED / "multiarm_pendulum" / "SinglePendulumDataForParameterEstimation.mat"
-    given = {"columns": {"t": "Time_id+Time_vad", "q": "Y_id:1+Y_vad:1"}, "zero": np.pi, "held_out": ("5", "6")}
+    given = {"columns": ("t=Time_id+Time_vad", "q=Y_id:1+Y_vad:1"), "zero": np.pi, "held_out": ("5", "6")}
     _write_set(out, MULTIARM, [file], **given, inertia_relative=0.05, gravity_relative=0.05)
 
 
@@ -129,8 +129,9 @@ def rotary_with_base(out: Path) -> None:
         rows = np.column_stack([data[name] for name in ("t", "theta2", "theta1")])
         rows = rows[rows[:, 0] > 1.0]
         files.append(_write_csv(out / "raw" / f"kp{gain}.csv", "time,angle,arm", rows))
-    columns = {"t": "time", "q": "angle", "base_angle": "arm"}
-    given = Circumstances(base={"axis": [0, 0, 1], "point": [0, ARM, 0]})
+    columns = ("t=time", "q=angle", "base_angle=arm")
+    given = out / "raw" / "circumstances.json"
+    given.write_text(json.dumps({"base": {"axis": [0, 0, 1], "point": [0, ARM, 0]}}))
     _write_set(out, ADIP, files, columns=columns, circumstances=given, held_out=("kp5",), **_LENGTH_BY_PERIOD)
 
 
@@ -188,7 +189,7 @@ def _join_files(out: Path, test: str, kind: str, name: str) -> Path:
 def motor(out: Path, ways: Iterable[str]) -> None:
     """Torque steps; of each way the second run is held out."""
     files = [MEASURED / "hsm150_motor" / f"idf_{way}_{k}.mat" for way in ways for k in (1, 2)]
-    columns = {"t": "data:1", "q": "data:3", "effort": "data:5"}
+    columns = ("t=data:1", "q=data:3", "effort=data:5")
     held_out = tuple(file.name for file in files if file.stem.endswith("_2"))
     _write_set(
         out, HSM150, files, columns=columns, unit_q="rad", unit_effort="N*m", effort="commanded", held_out=held_out,
@@ -217,6 +218,7 @@ def _write_csv(path: Path, header: str, rows: Array) -> Path:
 def _write_set(out: Path, body: JointNumbers, files: list[Path], **given: Any) -> None:
     """out/asset.urdf and out/measured, by the public functions; positions are in rad if nothing else is given."""
     write_joint_asset(out / "asset.urdf", body)
-    measure_series(files, out / "set", out / "asset.urdf", None, SeriesSettings(**{"unit_q": "rad", **given}))
+    stated = {"asset": out / "asset.urdf", "unit_q": "rad", **given}
+    measure_series(files, out / "set", SeriesSettings(**stated))
     (out / "set" / "measured").rename(out / "measured")
     (out / "set").rmdir()

@@ -90,7 +90,7 @@ PIECES: dict[str, dict[str, Any]] = {
     "one-attempt": {"growth": {"attempts": 1}},
     "no-even-motion": {"growth": {"surprise_weight": 0.0}},
     "no-recovery": {"growth": {"surprising_cost": _NEVER}},
-    "no-votes": {"labels": {"rounds_of_votes": 0}},
+    "no-votes": {"evidence": {"rounds_of_votes": 0}},
     "no-gaps": {"gaps": {"shortest_gap": 1_000_000, "jump": _NEVER}},
     "no-loops": {"poses": {"loops": 0}},
     "paper-type": {"joint": {"type_rule": "paper"}},
@@ -314,9 +314,7 @@ def _outcome(case: Case, answer: dict[str, Any]) -> Outcome:
     return Outcome(case.object, case.motion, row, {}, None, commit(), machine())
 
 
-def solve(
-    sequence: Path, truth: Path, place: Path, settings: ReconstructSettings, method: str = "ours"
-) -> dict[str, Any]:
+def solve(sequence: Path, truth: Path, place: Path, settings: ReconstructSettings, method: str) -> dict[str, Any]:
     """Solve, export and score a recording, in a process of its own; the fields of `Outcome` that are not the case's."""
     from baselines import paper
     from export.exporter import export_result

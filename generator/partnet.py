@@ -30,15 +30,9 @@ from generator.urdf_object import LoadedObject, load_urdf
 
 URDF_NAME = "mobility.urdf"
 
-# fmt: off
-INCOMPLETE = frozenset((
-    "10090", "10108", "10356", "11538", "12115", "9918", "9987", "10546", "11260", "11887", "12071", "12542",
-    "12578", "12584", "12612", "23724", "25144", "29525", "30857", "32213", "32746", "2780", "39138", "43142",
-    "3380", "3593", "7130", "7138", "7347", "7221", "7306", "7320", "8966",
-))
-# fmt: on
-"""Objects whose URDF names meshes that were never published because they have no faces (SAPIEN's issues 33 and 201; the
-list is r-pad's missing_objs.txt). One of them, the scissors 10546, belongs to FreeArt-21."""
+INCOMPLETE = frozenset(("10546",))
+"""Objects of FreeArt-21 whose URDF names meshes that were never published because they have no faces (SAPIEN's issues
+33 and 201): scissors. Others need `skip_missing`."""
 
 
 def find_folder(name: str, root: Path) -> Path | None:
@@ -63,14 +57,7 @@ def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> 
         loaded,
         category=str(meta.get("model_cat", "unknown")),
         semantics=read_semantics(folder / "semantics.txt"),
-        notes=(*loaded.notes, *_meta_notes(meta, folder)),
     )
-
-
-def _meta_notes(meta: dict[str, Any], folder: Path) -> list[str]:
-    stated = str(meta.get("anno_id", folder.name))
-    ours = "scored_joint" in meta
-    return [] if ours or stated == folder.name else [f"meta.json calls the object {stated}; the folder's name is kept"]
 
 
 def _meta(folder: Path) -> dict[str, Any]:

@@ -15,8 +15,9 @@ import functools
 import io
 import re
 import tempfile
+from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,44 +42,31 @@ _BACK_INDEX = re.compile(r"^[ \t]*f[ \t].*-\d", re.MULTILINE)
 _NO_INDEX = re.compile(r"^[ \t]*f(?:[ \t]+[\d/-]+)*[ \t]+(?:0+|-\d+)(?:/|\s|$)", re.MULTILINE)
 _LIBRARY = re.compile(r"^[ \t]*mtllib[ \t]+(.*\S)", re.MULTILINE)
 _USED = re.compile(r"^[ \t]*usemtl[ \t]+(.*\S)", re.MULTILINE)
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"  # makes SAPIEN miss a file's first line
 _PICTURES = ("map_", "bump", "disp", "norm", "decal", "refl")  # first words of MTL lines that name a picture
 
 
-@dataclass
-class Gaps:
-    """What an object lacks; names as in its files."""
-
-    meshes: set[str] = field(default_factory=set)
-    """Absent meshes that the URDF names."""
-    empty: set[str] = field(default_factory=set)
-    """Meshes without faces."""
-    libraries: set[str] = field(default_factory=set)
-    """Absent material libraries."""
-    pictures: set[str] = field(default_factory=set)
-    """Absent pictures."""
-    transparent: set[str] = field(default_factory=set)
-    """Material libraries with a transparent material."""
-
-    axes: set[str] = field(default_factory=set)
-    """COLLADA files whose up axis is not z."""
-
-    def notes(self) -> tuple[str, ...]:
-        """One line for each kind of gap."""
-        lines = (
-            (self.meshes, "absent meshes are left out"),
-            (self.empty, "meshes without faces are left out"),
-            (self.libraries, "absent material libraries leave plain grey"),
-            (self.pictures, "absent pictures leave the plain colour"),
-            (self.axes, "COLLADA's <up_axis> is ignored, as in RViz: meshes are taken as they are written"),
-            (self.transparent, "materials are transparent: colour shows what is behind them, depth and mask do not"),
-        )
-        return tuple(f"{what}: {_list_names(names)}" for names, what in lines if names)
+Gaps = defaultdict[str, set[str]]
+"""What an object lacks: a key of `GAPS` to names as in its files. Made by `Gaps(set)`."""
+GAPS = {
+    "meshes": "absent meshes are left out",
+    "empty": "meshes without faces are left out",
+    "libraries": "absent material libraries leave plain grey",
+    "pictures": "absent pictures leave the plain colour",
+    "axes": "COLLADA's <up_axis> is ignored, as in RViz: meshes are taken as they are written",
+    "transparent": "materials are transparent: colour shows what is behind them, depth and mask do not",
+}
+"""Kind of gap to what comes of it."""
 
 
-def _list_names(names: set[str]) -> str:
-    """Up to three of the names, sorted, and the number of others."""
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-    return ", ".join(sorted(names)[:3]) + more
+def describe_gaps(gaps: Gaps) -> tuple[str, ...]:
+    """One line for each kind of gap, with up to three names and the number of others."""
+    lines = []
+    for kind, what in GAPS.items():
+        if names := sorted(gaps[kind]):
+            more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+            lines.append(f"{what}: {', '.join(names[:3])}{more}")
+    return tuple(lines)
 
 
 @dataclass(frozen=True)
@@ -100,7 +88,7 @@ def read_obj(path: Path, folder: Path, gaps: Gaps) -> Surface:
     text = _text(path, MAX_OBJ_BYTES)
     materials = read_materials(path, text, folder, gaps)
     if not _FACE.search(text):
-        gaps.empty.add(_name(path, folder))
+        gaps["empty"].add(_name(path, folder))
         return Surface.joined([])
     if _BACK_INDEX.search(text):
         text = _resolve_back_indices(text)
@@ -174,7 +162,7 @@ def read_materials(obj: Path, text: str, folder: Path, gaps: Gaps) -> dict[str, 
     for library in _LIBRARY.findall(text):
         mtl = _neighbour(obj, library, folder, "material library")
         if mtl is None:
-            gaps.libraries.add(library)
+            gaps["libraries"].add(library)
             continue
         name = ""
         for line in _text(mtl, MAX_MTL_BYTES).splitlines():
@@ -186,11 +174,11 @@ def read_materials(obj: Path, text: str, folder: Path, gaps: Gaps) -> dict[str, 
             elif name and key == "Kd":
                 materials[name] = Material(srgb_bytes(_colour(rest, mtl)), materials[name].picture)
             elif name and key == "d" and 0 < _floats(rest.removeprefix("-halo"), mtl, "d")[0] < 1:
-                gaps.transparent.add(_name(mtl, folder))
+                gaps["transparent"].add(_name(mtl, folder))
             elif name and key.startswith(_PICTURES):
                 picture = _picture(rest, mtl, folder)
                 if picture is None:
-                    gaps.pictures.add(rest)
+                    gaps["pictures"].add(rest)
                 elif key == "map_Kd":
                     materials[name] = Material(materials[name].colour, picture)
     return materials
@@ -293,7 +281,7 @@ def _mesh_for_sapien(path: Path, place: Path, mirrored: bool) -> Path | None:
     if (
         all(unchanged for _, unchanged in lines)
         and not mirrored
-        and not any(map(_has_byte_order_mark, (path, *libraries)))
+        and not any(checked.read_head(file, 3) == _BYTE_ORDER_MARK for file in (path, *libraries))
     ):
         return path
     if mirrored:
@@ -315,8 +303,3 @@ def _resolve_picture(line: str, folder: Path) -> tuple[str, bool]:
             if (folder / path).is_file():
                 return f"{key} {rest.removesuffix(name)}{(folder / path).resolve()}", path == name
     return "", False
-
-
-def _has_byte_order_mark(path: Path) -> bool:
-    """Whether a file starts with a byte order mark, which makes SAPIEN miss its first line."""
-    return checked.read_head(path, 3) == b"\xef\xbb\xbf"

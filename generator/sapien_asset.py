@@ -77,7 +77,8 @@ def build_articulation(
             if joint.joint_type == "revolute":
                 record.joint_type = "revolute_unwrapped"
         elif record.name in joints and joints[record.name].joint_type:
-            _freeze(record, _frozen_position(asset, joints[record.name]))
+            other = joints[record.name]
+            _freeze(record, asset.held.get(other.name, float(np.clip(0.0, other.lower, other.upper))))
     try:
         articulation = builder.build(fix_root_link=fixed_base)
     except Exception as error:  # SAPIEN raises Exception itself
@@ -159,10 +160,6 @@ def _freeze(record: Any, q: float) -> None:
     motion = se3.exp_se3(np.eye(6)[0] * q if record.joint_type == "prismatic" else np.eye(6)[3] * q)
     record.pose_in_parent = record.pose_in_parent * sapien.Pose(motion.astype(np.float32))
     record.joint_type, record.limits = "fixed", []
-
-
-def _frozen_position(asset: Asset, joint: UrdfJoint) -> float:
-    return asset.held.get(joint.name, float(np.clip(0.0, joint.lower, joint.upper)))
 
 
 def _urdf_for_sapien(asset: Asset, urdf: Urdf, visuals: bool, collisions: bool) -> Urdf:

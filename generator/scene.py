@@ -236,14 +236,6 @@ class Scene:
             lamp.set_pose(turn * rest)
         self._R_now = R
 
-    def link_poses(self) -> dict[str, Array]:
-        """Link name to its pose (4, 4) in the camera frame at the last `render`, from SAPIEN."""
-        T_camera_sapien = se3.inverse(_T_SAPIEN_CAMERA)
-        return {
-            link.name: T_camera_sapien @ se3.pose_from_wxyz(link.entity_pose.p, link.entity_pose.q)
-            for link in self._object.links
-        }
-
 
 def simulator() -> dict[str, str]:
     """Simulator, its version and the name of the render device, for a truth's `source`."""
@@ -345,7 +337,7 @@ def _load(scene: Any, urdf: Path, root: Path | None) -> Any:
             lines = str(error).replace(str(readable.parent), str(urdf.parent)).strip().splitlines()
             raise FreeArtError(f"SAPIEN cannot load {urdf}: {lines[0] if lines else type(error).__name__}") from error
     if own:
-        shown = read_visuals(read, find_root(urdf, read_file_names(urdf), root), Gaps())
+        shown = read_visuals(read, find_root(urdf, read_file_names(urdf), root), Gaps(set))
         for link in articulation.links:
             surfaces = [v.surface.moved(v.T_link_mesh, v.scale) for v in shown[link.name]]
             if surfaces:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -142,3 +143,46 @@ class RecordSettings:
         if self.track is not None:
             facts["track"] = {"name": self.track.name, "sha256": file_sha256(self.track, checked.ANYWHERE)}
         return facts
+
+
+SIDES = 64, 1280
+"""Pixels that the live picture of teleoperation may have a side."""
+
+
+@dataclass(frozen=True)
+class TeleopSettings:
+    """How an object is served for teleoperation."""
+
+    host: str = "127.0.0.1"
+    """Address to listen at; 0.0.0.0 for all of this machine. Others than 127.0.0.1 need --cert and --key: browsers give
+    headsets to no other pages, and the address holds the secret."""
+    port: int = 8021
+    """Port to listen at; 0 takes a free one."""
+    width: int = 640
+    """Width of the live picture, pixels."""
+    height: int = 360
+    """Height of the live picture, pixels."""
+    cert: Path | None = None
+    """PEM file of your certificate, for https."""
+    key: Path | None = None
+    """PEM file of its private key."""
+
+    def check(self) -> None:
+        """Raise FreeArtError for settings that cannot be served."""
+        low, high = SIDES
+        if not (low <= min(self.width, self.height) and max(self.width, self.height) <= high):
+            raise FreeArtError(
+                f"cannot show live pictures of {self.width} x {self.height}; expected {low} to {high} a side"
+            )
+        if not 0 <= self.port <= 65535:
+            raise FreeArtError(f"port {self.port} is none, expected 0 (any free one) to 65535")
+        if (self.cert is None) != (self.key is None) or (self.cert is None and not _is_loopback(self.host)):
+            raise FreeArtError(f"host {self.host} is served by https: needs both --cert FILE and --key FILE")
+
+
+def _is_loopback(host: str) -> bool:
+    """Whether only this machine can reach `host`."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host.rstrip(".").lower() == "localhost"

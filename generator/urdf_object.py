@@ -37,7 +37,7 @@ from freeart21.se3 import Array
 from freeart21.view.link_shapes import primitive
 from freeart21.view.mesh_pieces import ENDINGS, Piece, read_pieces, up_axis
 from generator.motion import motion_range
-from generator.partnet_files import MAX_OBJ_BYTES, Gaps, read_obj
+from generator.partnet_files import MAX_OBJ_BYTES, Gaps, describe_gaps, read_obj
 from generator.surface import Paint, Surface
 
 FLOATING = "floating"
@@ -126,7 +126,7 @@ def load_urdf(
     PartNet-Mobility's `layout` are taken as they are. Raises FreeArtError, in one line, when a file is missing or
     unreadable, when the joint is unknown (the movable ones are listed) or has no range, or when a side has no surface.
     """
-    read, gaps = read_tree(urdf), Gaps()
+    read, gaps = read_tree(urdf), Gaps(set)
     scored = find_movable_joint(urdf, joint)
     if not scored.lower < scored.upper:
         raise FreeArtError(
@@ -134,9 +134,9 @@ def load_urdf(
         )
     root = find_root(urdf, read_file_names(urdf), root)
     visuals = read_visuals(read, root, gaps, closed=layout == "URDF")
-    if gaps.meshes and not skip_missing:
-        more = f" ({len(gaps.meshes)} such meshes)" if len(gaps.meshes) > 1 else ""
-        absent = describe_missing_file(urdf, min(gaps.meshes), root)
+    if gaps["meshes"] and not skip_missing:
+        more = f" ({len(gaps['meshes'])} such meshes)" if len(gaps["meshes"]) > 1 else ""
+        absent = describe_missing_file(urdf, min(gaps["meshes"]), root)
         raise FreeArtError(f"{urdf} names the mesh {absent}{more}; --skip-missing leaves absent meshes out")
     joints = read.joints
     held = held_positions(joints, scored.name)
@@ -161,7 +161,7 @@ def load_urdf(
     asset = Asset(
         *(urdf, scored.name, scored.parent, scored.child, Ts[scored.parent]), held=held, source=source, root=root
     )
-    notes = (*gaps.notes(), *_joint_notes(moving, scored, joints, held))
+    notes = (*describe_gaps(gaps), *_joint_notes(moving, scored, joints, held))
     return LoadedObject(name, "unknown", asset, moving, parent, child, {}, notes)
 
 
@@ -176,7 +176,8 @@ def read_visuals(read: Urdf, root: Path, gaps: Gaps, closed: bool = True) -> dic
         for shape in link.visuals:
             surface = _surface(shape, read.path, f"{read.path}: link '{name}'", root, gaps)
             if surface is not None and len(surface.faces):
-                surface = _both_sides(surface) if closed and not _bounds_volume(surface) else surface
+                if closed and not _bounds_volume(surface):
+                    surface = Surface.joined([surface, replace(surface, faces=surface.faces[:, ::-1])])
                 scale = shape.size if shape.kind == "mesh" else np.ones(3)
                 found[name].append(Visual(surface, shape.T_link_shape, scale))
     return found
@@ -238,10 +239,10 @@ def _side(
     pieces = [v.surface.moved(Ts[name] @ v.T_link_mesh, v.scale) for name in links for v in visuals[name]]
     surface = Surface.joined(pieces)
     if len(surface.faces) == 0:
-        lacks = gaps.notes()[:1] and f" ({gaps.notes()[0]})"
+        lacks = "".join(f" ({note})" for note in describe_gaps(gaps)[:1])
         raise FreeArtError(
             f"{read.path}: joint '{scored.name}' has no surface on the side of links "
-            f"{', '.join(links) or '(none)'}{lacks or ''}"
+            f"{', '.join(links) or '(none)'}{lacks}"
         )
     return Side(links, surface)
 
@@ -257,14 +258,14 @@ def _surface(shape: UrdfShape, urdf: Path, where: str, root: Path, gaps: Gaps) -
         if path.suffix.lower() not in ENDINGS:
             raise FreeArtError(f"{where} has the mesh '{shape.filename}', expected {', '.join(ENDINGS)}")
         if not checked.is_there(path):
-            gaps.meshes.add(shape.filename)
+            gaps["meshes"].add(shape.filename)
             return None
         if path.suffix.lower() == ".obj":
             surface = read_obj(path, root, gaps)
         else:
             surface = _joined(read_pieces(path, root))
             if path.suffix.lower() == ".dae" and up_axis(path, root) in ("X_UP", "Y_UP"):
-                gaps.axes.add(shape.filename)
+                gaps["axes"].add(shape.filename)
     if not (np.abs(surface.vertices) < _LARGEST).all():
         raise FreeArtError(f"{where} shows vertices beyond {_LARGEST:g}")
     if shape.rgba is None:
@@ -291,8 +292,3 @@ def _bounds_volume(surface: Surface) -> bool:
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=True)
     mesh.update_faces(mesh.nondegenerate_faces())  # as at the poles of a sphere
     return bool(mesh.is_volume)
-
-
-def _both_sides(surface: Surface) -> Surface:
-    """The surface with each face in both directions."""
-    return Surface.joined([surface, replace(surface, faces=surface.faces[:, ::-1])])

@@ -17,6 +17,8 @@ FLATTEST = 1e-12
 """Triangles with an area below this share of their longest edge squared are left out as lines."""
 SMALLEST = 1e-60
 """m^2: smaller triangles are left out as points; their squares would underflow."""
+CELLS = 100
+"""Cells along a surface's diagonal, in whose order points are looked up."""
 
 
 class Surface:
@@ -67,17 +69,24 @@ class Surface:
     def distance(self, points: ArrayLike, at_most: ArrayLike | None = None) -> Array:
         """Distance (n,), metres, from `points` (n, 3) to the nearest point of the surface; inf when it is empty.
 
-        `at_most` (n,) caps the distances.
+        `at_most` (n,) caps the distances; points whose cap is below their distance to the surface's box cost nothing.
         """
-        points = np.ascontiguousarray(points, float).reshape(-1, 3)
-        limits = np.full(len(points), np.inf) if at_most is None else np.asarray(at_most, float)
-        if self.empty or not len(points):
-            return limits.copy()
-        tree, mesh = self._tree
-        with ThreadPoolExecutor() as pool:
-            chunks = np.array_split(points, min(len(points), os.cpu_count() or 1))
-            squares = np.concatenate(list(pool.map(lambda some: tree.squared_distance(*mesh, some)[0], chunks)))
-        return np.minimum(np.sqrt(squares), limits)
+        points = np.asarray(points, float).reshape(-1, 3)
+        distances = np.full(len(points), np.inf) if at_most is None else np.array(at_most, float)
+        if self.empty:
+            return distances
+        tree, (vertices, faces) = self._tree
+        low, high = vertices.min(0), vertices.max(0)
+        to_box = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0), axis=1)
+        cells = np.floor(points * (CELLS / np.linalg.norm(high - low)))
+        order = np.lexsort(cells.T)  # neighbours in turn find the tree's nodes in the cache: half the time
+        order = order[to_box[order] < distances[order]]
+        if len(order):
+            with ThreadPoolExecutor() as pool:
+                chunks = np.array_split(points[order], min(len(order), os.cpu_count() or 1))
+                squares = list(pool.map(lambda some: tree.squared_distance(vertices, faces, some)[0], chunks))
+            distances[order] = np.minimum(distances[order], np.sqrt(np.concatenate(squares)))
+        return distances
 
     @cached_property
     def _tree(self) -> tuple[igl.AABB, tuple[Array, NDArray[np.int64]]]:

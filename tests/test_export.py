@@ -37,7 +37,7 @@ from freeart21.joint import Joint
 from freeart21.mesh import Mesh, join_meshes
 from freeart21.reconstruction import Failure, Reconstruction
 from generator.simulate import joint_motion, load, roll_out
-from leaderboard.asset_measurement import measure_joint
+from leaderboard.asset_measurement import measure_asset
 
 RED, BLUE = (200, 30, 20), (20, 40, 220)
 
@@ -164,7 +164,7 @@ def test_a_scaled_asset_is_the_scaled_object_and_moves_as_it(tmp_path: Path, kin
         k**3 * sum(masses(tmp_path / "1.0").values()), rel=1e-4
     )
     assert check_asset(tmp_path / "0.25") == []
-    assert_refused("has 0.25 times the video's lengths", measure_joint, tmp_path / "0.25", [0.0, 0.5])
+    assert_refused("has 0.25 times the video's lengths", measure_asset, tmp_path / "0.25", [0.0, 0.5])
 
 
 @pytest.mark.parametrize(

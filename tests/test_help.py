@@ -53,7 +53,8 @@ def test_what_the_help_lists_is_what_there_is():
     from export.exporter import DENSITY
     from export.materials import MATERIALS
     from freeart21.formats.convert import recording_layouts
-    from freeart21.formats.measured_series import ANGLES, EFFORTS, LENGTHS, ROLES, TIME_UNITS, UNSURE
+    from freeart21.formats.measured_series import ROLES
+    from freeart21.formats.series_units import EFFORTS, POSITIONS, TIMES
     from generator.motion import PRESETS, STYLES
     from generator.sensors import SENSORS
     from generator.settings import SHADERS
@@ -61,7 +62,11 @@ def test_what_the_help_lists_is_what_there_is():
     lists = {
         "convert": [name for name in recording_layouts() if name != "maniskill"],
         "record": [*STYLES, *PRESETS, *SENSORS, *SHADERS],
-        "measure": [*ROLES, *ANGLES, *LENGTHS, *EFFORTS, *TIME_UNITS, f"{UNSURE[0]:g} when", f"{UNSURE[1]:g} when"],
+        "measure": [
+            *ROLES,
+            *TIMES,
+            *(unit for table in (POSITIONS, EFFORTS) for units in table.values() for unit in units),
+        ],
         "export": [*MATERIALS, f"plastic ({DENSITY:g}"],
     }
     for name, words in lists.items():

@@ -23,7 +23,6 @@ from export.maniskill import CONTROL_HZ, ENVIRONMENTS, EPISODE_STEPS
 from export.maniskill._agent import OBJECT, ObjectAgent
 from export.maniskill._body import Body
 from export.maniskill._body_batch import BodyBatch
-from export.maniskill._gymnasium import render_modes
 from export.maniskill._hand import Hand
 from export.maniskill.assets import find_asset
 from export.maniskill.motion import CarriedMotion, draw_motion
@@ -87,8 +86,6 @@ class ObjectEnvironment(BaseEnv):
         self._target_share, self._start_share, self._tolerance = target, start, tolerance
         robot_uids = OBJECT if robot_uids in (None, "none") else robot_uids
         super().__init__(*args, robot_uids=robot_uids, **kwargs)
-        modes = render_modes(self.SUPPORTED_RENDER_MODES, self.scene.can_render())
-        self.metadata = {"render_modes": modes, "render_fps": self.control_freq}
 
     @property
     def _default_sim_config(self) -> SimConfig:
@@ -249,13 +246,6 @@ class ObjectEnvironment(BaseEnv):
         if self.obs_mode_struct.visual.segmentation:
             obs["part_ids"] = self.body.part_ids()
         return obs
-
-    def get_sensor_params(self) -> dict[str, dict[str, torch.Tensor]]:
-        """ManiSkill's, but with new tensors in every observation."""
-        return {
-            uid: {name: value.clone() for name, value in params.items()}
-            for uid, params in super().get_sensor_params().items()
-        }
 
     def _tensor(self, values: Any) -> torch.Tensor:
         return torch.tensor(np.array(values, np.float32), device=self.device)

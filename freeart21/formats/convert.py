@@ -15,7 +15,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import is_unfinished, read_benchmark, unfinished_error, write_benchmark
 from freeart21.files.data_card import write_card_of
-from freeart21.files.places import check_append
+from freeart21.files.places import check_append, require_replaceable
 from freeart21.files.sequence import write_frame, write_header, write_queries
 from freeart21.files.truth import write_truth
 from freeart21.formats import freeart21_official, rgbd_folder
@@ -148,8 +148,7 @@ def _write_native(
 ) -> Converted:
     sequence, truth_folder = (out / sub / read.name for sub in ("sequences", "truth"))
     for folder in (sequence, truth_folder):
-        if folder.exists():
-            raise FreeArtError(f"{folder} exists; choose another place or remove it first")
+        require_replaceable(folder, None)
     n, recording = len(read.recording), read.recording
     scale = _depth_scale(recording, lambda done: tick(done, 2 * n))
     truth, lacks = _truth(read, truth_of, root)
@@ -166,10 +165,7 @@ def _write_native(
 
 
 def _write_pictures(out: Path, read: ThirdPartyRecording, tick: Progress) -> Converted:
-    folder = out / PICTURES / read.name
-    if folder.exists():
-        raise FreeArtError(f"{folder} exists; choose another place or remove it first")
-    recording = read.recording
+    folder, recording = out / PICTURES / read.name, read.recording
     with atomic.new_folder(folder) as aside:
         for i, (time, frame) in enumerate(zip(recording.times_s, recording.frames(), strict=True)):
             rgbd_folder.write_pictures(aside, time, frame, read.has_masks)

@@ -78,7 +78,8 @@ def plan_motion(
     if style.propose is None:
         assert style.plan is not None and states is not None
         return style.plan(body, states, camera, preset, seed)
-    atlas = _atlas(body, camera, frames)
+    distance = body.radius * max(1.1 * camera.K[1, 1] / (0.5 * camera.height), 1.6)
+    atlas = Atlas(body, distance) if frames >= 60 else Atlas(body, distance, 96, 4)
     task = Task(body, atlas, frames, fps, "hidden", states, style.heights, (seed, _shape_key(body)))
     task = replace(task, hardship=_draw_hardship(task, seed, hard))
     rng = np.random.default_rng([seed, 2, style.stream, _shape_key(body)])
@@ -94,11 +95,6 @@ def plan_motion(
             best = score, Plan(Ts, course.states, camera_in_world(style, Ts, body))
     assert best is not None
     return best[1]
-
-
-def _atlas(body: Body, camera: Camera, frames: int) -> Atlas:
-    distance = body.radius * max(1.1 * camera.K[1, 1] / (0.5 * camera.height), 1.6)
-    return Atlas(body, distance) if frames >= 60 else Atlas(body, distance, 96, 4)
 
 
 def _draw_hardship(task: Task, seed: int, hard: bool | None) -> Hardship:
