@@ -195,14 +195,14 @@ def measure_series(files: Iterable[Path], out: Path, settings: SeriesSettings) -
     made = []
     for name, values in runs.items():
         run = _make_run(name, values, size_q, kind == "revolute" and facts.wrapped is not False, notes)
-        marks = {"held_out": name in held_out if held_out else None, "prescribed": True if name in prescribed else None}
-        made.append(replace(run, **marks))
+        marked = True if name in prescribed else None
+        made.append(replace(run, held_out=name in held_out if held_out else None, prescribed=marked))
     for role in drives:
         notes.append(f"{role}: {settings.interpolation or 'unknown'} between its rows (else --interpolation)")
     if not settings.held_out and len(made) > 1:
         notes.append(f"no run is held out: `gap` leaves each out in turn: {join_names(list(runs))} (else --held-out)")
     moves = bool(set(roles) & set(base_json.COLUMNS))
-    marked, copies = drop_duplicate_runs(tuple(made))
+    unique, copies = drop_duplicate_runs(tuple(made))
     measured = Measured(
         joint.name,
         kind,
@@ -213,7 +213,7 @@ def measure_series(files: Iterable[Path], out: Path, settings: SeriesSettings) -
         law,
         settings.inertia_relative,
         settings.gravity_relative,
-        marked,
+        unique,
         settings.interpolation or "unknown",
         base_json.base_axis_of(facts.base or ("moving" if moves else "fixed"), moves, base_json.ANGLE in roles, where),
     )
@@ -326,8 +326,8 @@ def _make_run(name: str, values: Values, size_q: float, unwraps: bool, notes: li
     if turns:
         notes.append(f"{name}: {turns} jumps of a whole turn were removed")
     base = base_json.base_of({"t_s": values["t"], **values}, Path(name))
-    own = {role: values.get(role) for role in ("effort", "voltage", "qd")}
-    return Run(name, values["t"], q, q_command=command, base=base, **own)
+    effort, voltage, qd = (values.get(role) for role in ("effort", "voltage", "qd"))
+    return Run(name, values["t"], q, effort, command, base=base, voltage=voltage, qd=qd)
 
 
 def _unit_by_step(steps: Array) -> tuple[str, str]:
