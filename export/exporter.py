@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import freeart21
-from export.certificate import MeasuredFiles, certify, list_reloaded, measure_files
+from export.certificate import certify, list_reloaded, measure_files
 from export.checklist import allowed_off, check_asset
 from export.collision import Collision, make_collision, separate_collisions
 from export.companion_files import write_companion_files
@@ -97,7 +97,9 @@ def export_result(
         masses = weigh_parts({name: shape.solid for name, shape in shapes.items()}, placement.roles, **given)
         links, parts = _write_links(folder, shapes, masses, placement, settings)
         model = _make_model(links, placement, source.get("sequence"), reconstruction.trust, effects, settings)
-        measured = _write_formats(folder, model)
+        atomic.write_bytes(folder / URDF, format_urdf(model))
+        atomic.write_bytes(folder / MJCF, format_mjcf(model))
+        measured = measure_files(folder / URDF, model.joint.name)
         source |= {
             "parts": {
                 name: facts | {"collision": measured.fidelity[links[name].name].to_json()} | masses[name].to_json()
@@ -339,13 +341,6 @@ def _make_model(
         effects = guess_effects(replace(joint, pivot=np.zeros(3)), child.inertial)
     title = _identifier(str(name or "object"), "object")
     return AssetModel(title, root, child, joint, settings.effort, settings.velocity, effects, settings.base, trust)
-
-
-def _write_formats(folder: Path, model: AssetModel) -> MeasuredFiles:
-    """Write URDF and MJCF, and measure what they consist of."""
-    atomic.write_bytes(folder / URDF, format_urdf(model))
-    atomic.write_bytes(folder / MJCF, format_mjcf(model))
-    return measure_files(folder / URDF, model.joint.name)
 
 
 def _describe_settings(settings: ExportSettings, guessed: bool) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from freeart21.files.urdf import Urdf, UrdfInertial, UrdfJoint, resolve_mimics
+from freeart21.files.urdf import Urdf, UrdfInertial, UrdfJoint, link_poses, resolve_mimics
 from freeart21.se3 import Array
 
 
@@ -46,12 +46,8 @@ class Tree:
         return resolve_mimics(self.joints, q)
 
     def link_poses(self, q: Mapping[str, float | Array]) -> dict[str, Array]:
-        """Link name to T_root_link (..., 4, 4) at joint positions `q`, rad or m, numbers or arrays (...) of one shape;
-        joints missing in `q` are at zero. Links placed by numbers only have one pose (4, 4)."""
-        Ts = {self.root: np.eye(4)}
-        for joint in self.joints.values():
-            Ts[joint.child] = Ts[joint.parent] @ joint.transform(q.get(joint.name, 0.0))
-        return Ts
+        """As the function `link_poses`."""
+        return {self.root: np.eye(4), **link_poses(self.joints, q)}
 
     def jacobians(self, q: Mapping[str, float], inertials: Mapping[str, UrdfInertial]) -> dict[str, Array]:
         """Link name to (6, n): velocity of its centre of mass and angular velocity, root's frame, per velocity of the

@@ -12,7 +12,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -384,8 +383,9 @@ class _Builder(ET.TreeBuilder):
         raise ET.ParseError(f"it declares a document type '{name}', which is not read")
 
 
-def link_poses(joints: Mapping[str, UrdfJoint], q: Mapping[str, float]) -> dict[str, Array]:
-    """Link name to T_root_link (4, 4) at joint positions `q`, rad or m; joints missing in `q` are at zero.
+def link_poses(joints: Mapping[str, UrdfJoint], q: Mapping[str, float | Array]) -> dict[str, Array]:
+    """Link name to T_root_link (..., 4, 4) at joint positions `q`, rad or m, numbers or arrays (...) of one shape;
+    joints missing in `q` are at zero. Links placed by numbers only have one pose (4, 4).
 
     Covers the links that joints name. The joints must form trees, as `read_urdf` checks. Mimic joints are placed by `q`
     like all others: call `resolve_mimics` first.
@@ -400,12 +400,7 @@ def link_poses(joints: Mapping[str, UrdfJoint], q: Mapping[str, float]) -> dict[
     return Ts
 
 
-class _HasMimic(Protocol):
-    @property
-    def mimic(self) -> tuple[str, float, float] | None: ...
-
-
-def resolve_mimics(joints: Mapping[str, _HasMimic], q: Mapping[str, float]) -> dict[str, float]:
+def resolve_mimics(joints: Mapping[str, UrdfJoint], q: Mapping[str, float]) -> dict[str, float]:
     """`q`, rad or m, completed by the positions of mimic joints: multiplier times the leader's position plus offset.
 
     A leader missing in `q` is at zero. Raises FreeArtError when a leader does not exist, or joints mimic each other.
