@@ -118,7 +118,7 @@ def check_urdf(urdf: Path, folder: Path) -> list[Finding]:
             findings += _check_collisions(link, shapes)
             findings += _check_textures(link, files, folder)
         for joint in joints:
-            findings += _check_limits(joint)
+            findings += check_limits(joint)
     except Exception as error:  # hostile numbers reach parsers and geometry of many libraries
         findings.append(Finding(UNREADABLE, _first_line(error)))
     return findings
@@ -222,7 +222,8 @@ def _check_textures(link: UrdfLink, files: Files, folder: Path) -> Iterator[Find
                     yield Finding("textures.exist", f"{material.name} names {image}, which does not exist")
 
 
-def _check_limits(joint: UrdfJoint) -> Iterator[Finding]:
+def check_limits(joint: UrdfJoint) -> Iterator[Finding]:
+    """Faults of a joint's axis and limits."""
     name = f"joint '{joint.name}'"
     if joint.type != "fixed" and abs(joint.axis_length - 1) > 1e-6:
         yield Finding("axis.unit", f"{name} has an axis of length {joint.axis_length:.6g}, expected 1")

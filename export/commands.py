@@ -34,13 +34,11 @@ def export(
     """
     from export.check.contact_rule import judge_contact
     from export.contact import read_link_shapes
-    from export.exporter import describe_limitations, export_result
+    from export.exporter import export_result
     from freeart21.reconstruction import describe_trust
 
     asset = export_result(result, out, settings, video=video)
     print(asset.urdf)
-    for line in describe_limitations(asset):
-        print(line, file=sys.stderr)
     judged = judge_contact(*read_link_shapes(asset.urdf), asset.urdf.parent)
     if judged.verdict == "fail":
         print(f"{judged.rule} fails: {judged.reason}", file=sys.stderr)

@@ -109,7 +109,19 @@ def export_result(
             | cuts,
             **_describe_settings(settings, guessed=model.effects != effects),
         }
-        write_asset_json(folder, _make_asset(folder, model, links, placement, source, settings.scale))
+        asset = Asset(
+            folder / URDF,
+            model.joint.name,
+            links["reference"].name,
+            links["moving"].name,
+            placement.T_canonical_reference,
+            placement.state_zero,
+            {model.joint.name: model.effects} if model.effects else {},
+            source=source,
+            scale=settings.scale,
+            trust=model.trust,
+        )
+        write_asset_json(folder, asset)
         if reconstruction.appearance is not None:
             placed = _place_shapes(shapes, placement, scaled.articulation.joint)
             write_gaussians(folder / GAUSSIANS, complete_gaussians(reconstruction.appearance, settings.scale, placed))
@@ -346,46 +358,6 @@ def _describe_settings(settings: ExportSettings, guessed: bool) -> dict[str, Any
         "exporter": f"freeart21 {freeart21.__version__}",
         "settings": dataclasses.asdict(settings),
     }
-
-
-def _make_asset(
-    folder: Path,
-    model: AssetModel,
-    links: dict[str, LinkModel],
-    placement: Placement,
-    source: dict[str, Any],
-    scale: float,
-) -> Asset:
-    return Asset(
-        folder / URDF,
-        model.joint.name,
-        links["reference"].name,
-        links["moving"].name,
-        placement.T_canonical_reference,
-        placement.state_zero,
-        {model.joint.name: model.effects} if model.effects else {},
-        {},
-        source,
-        scale,
-        model.trust,
-    )
-
-
-def describe_limitations(asset: Asset) -> list[str]:
-    """A line for each part that is no solid, and for overlap that was not carved, as stated in asset.json."""
-    lines = []
-    for name in asset.facts("parts"):
-        facts = asset.facts("parts", name)
-        layers = facts.get("layers") if facts.get("solid") is False else None
-        if isinstance(layers, int | float):
-            lines.append(
-                f"`{name}` is no solid: its triangles have {layers:.3g} times the area of the solid around them. "
-                "Its collision shape is one convex hull."
-            )
-    why, deepest = (asset.facts("penetration").get(key) for key in ("not_carved_because", "deepest_m"))
-    if isinstance(why, str) and isinstance(deepest, int | float):
-        lines.append(f"The two parts' collision shapes overlap by up to {1000 * deepest:.3g} mm: not carved, {why}.")
-    return lines
 
 
 def _identifier(text: str, fallback: str) -> str:

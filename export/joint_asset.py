@@ -12,18 +12,16 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 
-from export.settings import JointKind, JointNumbers
+from export.settings import JointNumbers
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.places import JOINT_ASSET, check_place
 from freeart21.files.urdf import Urdf, UrdfInertial, UrdfJoint, UrdfLink, UrdfShape, format_urdf
 from freeart21.se3 import pose
 
-KINDS: tuple[str, ...] = get_args(JointKind)
 G = 9.81
 """m/s^2, for inertia from a period; also the default of `freeart21 measure`."""
 BALL = 4e-5
@@ -107,8 +105,6 @@ def _mass_properties(numbers: JointNumbers) -> tuple[float, float]:
 
 def _check(numbers: JointNumbers) -> None:
     """Raise FreeArtError when a number is invalid, or belongs to another kind of joint."""
-    if numbers.kind not in KINDS:
-        raise FreeArtError(f"there is no kind '{numbers.kind}' of joint; kinds: {', '.join(KINDS)}")
     for name in ("mass", "length", "inertia", "period", "lower", "upper"):
         value = getattr(numbers, name)
         if value is not None and not math.isfinite(value):
@@ -130,5 +126,3 @@ def _check(numbers: JointNumbers) -> None:
         raise FreeArtError("--lower and --upper: expected both limits, or none")
     if numbers.lower is not None and numbers.upper is not None and not numbers.lower < numbers.upper:
         raise FreeArtError(f"--lower {numbers.lower:g} --upper {numbers.upper:g}: expected the lower one to be less")
-    if not numbers.joint.strip():
-        raise FreeArtError("--joint: expected a name that is not empty")

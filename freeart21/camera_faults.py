@@ -124,7 +124,11 @@ class CameraFaults:
         if rng is not None:
             noise = rng.standard_normal(z.shape)
             out = out + self.depth_noise(z, cosine) * noise if self.noise else out
-            out = self._add_flying_pixels(out, z, rng)
+            fly, share = rng.random((2, *z.shape))
+            if self.flying_share and self.flying_reach:
+                behind, distance = find_depth_edges(z)
+                flying = (distance <= self.flying_reach) & (fly < self.flying_share)
+                out = np.where(flying, out + share * (behind - z), out)
             out = np.where(rng.random(z.shape) < self.hole_probability(brightness, cosine), 0.0, out)
         out = np.where(seen, np.maximum(out, 0), 0)
         return self._shift_depth(out.astype(np.float32), camera)
@@ -151,14 +155,6 @@ class CameraFaults:
             return rgb
         table = srgb_encode(2.0**stops * srgb_decode(np.arange(256) / 255.0) ** (1 + gamma))
         return np.asarray(np.rint(255 * table).astype(np.uint8)[rgb])
-
-    def _add_flying_pixels(self, out: Array, z: Array, rng: np.random.Generator) -> Array:
-        fly, share = rng.random((2, *z.shape))
-        if not (self.flying_share and self.flying_reach):
-            return out
-        behind, distance = find_depth_edges(z)
-        flying = (distance <= self.flying_reach) & (fly < self.flying_share)
-        return np.where(flying, out + share * (behind - z), out)
 
     def _shift_depth(self, depth: Map, camera: Camera) -> Map:
         """The depth picture with its registration error; nearest-neighbour."""

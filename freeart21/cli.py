@@ -27,8 +27,6 @@ from simgap.commands import TruthOptions
 
 if TYPE_CHECKING:
     from freeart21.files.masks import Click
-    from freeart21.recording import Recording
-    from reconstruct.masks import Foreground
 
 Positional: Any = tyro.conf.Positional
 Flat: Any = tyro.conf.arg(name="")
@@ -96,6 +94,7 @@ def demo(
     from leaderboard.scores_file import write_scores
     from leaderboard.tables import page_entries, print_scores, score_note
     from reconstruct.pipeline import reconstruct_folder
+    from reconstruct.settings import GaussianSettings, ReconstructSettings
 
     check_place(out, DEMO)
     settings = RecordSettings(  # small pictures and few views: 3 minutes 20 s on two cores
@@ -107,7 +106,10 @@ def demo(
         print(f"Recording {frames} frames of {name} in the simulator", flush=True)
         sequence = record(name, data, settings)
         print("Reconstructing it from the video alone", flush=True)
-        answer = reconstruct_folder(data / "sequences" / sequence, results / sequence, _light_settings())
+        light = GaussianSettings(rounds=6, most_pixels=20_000, begin=8_000, most=12_000)  # less than half of the time
+        answer = reconstruct_folder(
+            data / "sequences" / sequence, results / sequence, ReconstructSettings(gaussians=light)
+        )
         if not isinstance(answer, Failure):
             print("Exporting it as a textured asset for simulators, and reloading that", flush=True)
             try:
@@ -129,14 +131,6 @@ def demo(
         write_json(aside / DEMO.marker, {"schema": "freeart21/demo/1", "object": name})
     print_scores(scores)
     print(f"All results are in {out}; open {out / 'index.html'} in a browser.")
-
-
-def _light_settings() -> Any:
-    """Fewer Gaussians, pixels and rounds than by default: less than half of the stage's time."""
-    from reconstruct.settings import GaussianSettings, ReconstructSettings
-
-    light = GaussianSettings(rounds=6, most_pixels=20_000, begin=8_000, most=12_000)
-    return ReconstructSettings(gaussians=light)
 
 
 def measure(
@@ -248,7 +242,8 @@ def masks(
     from freeart21.formats.convert import find_sources
     from freeart21.formats.third_party import ReadOptions
     from freeart21.progress import progress_bar
-    from freeart21.view.masks_page import MaskView, choose_frames, write_masks_page
+    from freeart21.view.click_page import ClickServer
+    from freeart21.view.masks_page import write_masks_page
     from reconstruct.hands import find_networks
     from reconstruct.masks import Foreground, carry_masks
     from reconstruct.segmenters import make_segmenter
@@ -262,31 +257,22 @@ def masks(
     recording = layout.read(folder, ReadOptions(depth_unit=depth_unit)).recording
     with progress_bar("Finding the object") as show:
         foreground = Foreground(recording, hands or find_networks(), show)
-    clicks = _ask_for_clicks(foreground, recording, port) if click else []
+    clicks: list[Click] = []
+    if click:
+        server = ClickServer(lambda i: recording.frame(i).rgb, foreground.masks, recording.name, len(recording), port)
+        print(f"open {server.address}", flush=True)
+        server.serve()
+        clicks = server.clicks
     made = foreground.masks(clicks)
     if network is not None:
         made = carry_masks(recording, made, network, clicks)
     write_masks(out, made, clicks)
-    views = [
-        MaskView(i, recording.frame(i).rgb, made.masks[i], float(made.doubt[i]), made.reasons[i])
-        for i in choose_frames(made.doubt)
-    ]
     doubtful = int((made.doubt > 0.5).sum())
     text = f"{doubtful} of {len(made.doubt)} masks are doubtful"
     lead = "Lit up: what is taken for the object. Where that is wrong, edit the masks of those frames."
-    write_masks_page(views, out / "index.html", recording.name, [*made.notes, *([text] if doubtful else [])], lead)
+    write_masks_page(recording, made, out / "index.html", [*made.notes, *([text] if doubtful else [])], lead)
     print("\n".join([*made.notes, f"masks: {text}; look at {out / 'index.html'}"]), flush=True)
     return DOUBTFUL if 2 * doubtful >= len(made.doubt) else 0
-
-
-def _ask_for_clicks(foreground: Foreground, recording: Recording, port: int) -> list[Click]:
-    """Clicks of a user on a page of this machine."""
-    from freeart21.view.click_page import ClickServer
-
-    server = ClickServer(lambda i: recording.frame(i).rgb, foreground.masks, recording.name, len(recording), port)
-    print(f"open {server.address}", flush=True)
-    server.serve()
-    return server.clicks
 
 
 def film(
@@ -318,6 +304,8 @@ def film(
     """
     from export.commands import BY_ROLE, check_asset, export
     from freeart21.commands import view
+    from freeart21.files.result import read_result
+    from freeart21.reconstruction import Reconstruction
     from reconstruct.commands import reconstruct
     from reconstruct.settings import ReconstructSettings
 
@@ -342,7 +330,9 @@ def film(
     print("check-asset:", flush=True)
     verdict = check_asset(result / "asset", as_json=out / "check.json", certify=True)
     view(result, out / "index.html", sequence=sequence)
-    return max(verdict, _trust_of(result))
+    answer = read_result(result)
+    sound = isinstance(answer, Reconstruction) and answer.trust is not None and answer.trust.verdict == "sound"
+    return max(verdict, 0 if sound else DOUBTFUL)
 
 
 def _film_sequence(source: Path, out: Path, masks: Path | None, segmenter: str | None, anyway: bool) -> Path:
@@ -379,16 +369,6 @@ def _film_sequence(source: Path, out: Path, masks: Path | None, segmenter: str |
         names = ", ".join(path.parent.name for path in made)
         raise FreeArtError(f"{source} has {len(made)} recordings, expected one; film one of them: {names}")
     return made[0].parent
-
-
-def _trust_of(result: Path) -> int:
-    """0 for a sound result, else DOUBTFUL."""
-    from freeart21.files.result import read_result
-    from freeart21.reconstruction import Reconstruction
-
-    answer = read_result(result)
-    sound = isinstance(answer, Reconstruction) and answer.trust is not None and answer.trust.verdict == "sound"
-    return 0 if sound else DOUBTFUL
 
 
 _make_masks = masks  # `film` has an argument of that name

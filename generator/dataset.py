@@ -358,7 +358,10 @@ def _run_as_jobs(
                 "out": str(place),
                 "name": job.name,
                 "sequence": job.sequence,
-                "settings": _settings_to_json(job.settings),
+                "settings": {
+                    key: str(value.resolve()) if isinstance(value, Path) else value
+                    for key, value in asdict(job.settings).items()
+                },
             },
             processors=2,
             memory_gb=8.0,
@@ -392,11 +395,6 @@ def record_one(out: str, name: str, sequence: str, settings: dict[str, Any]) -> 
         )
     finally:
         os.close(handle)
-
-
-def _settings_to_json(settings: RecordSettings) -> dict[str, Any]:
-    """All fields as JSON, with absolute paths."""
-    return {key: str(value.resolve()) if isinstance(value, Path) else value for key, value in asdict(settings).items()}
 
 
 @contextlib.contextmanager

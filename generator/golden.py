@@ -53,7 +53,12 @@ def _deep_findings(benchmark: Benchmark, name: str, frames: int, views: int) -> 
     recording, truth = read_sequence(benchmark.sequence(name)), read_truth(benchmark.truth(name))
     yield from collect_findings(lambda: cast_findings(name, recording, truth, frames))
     if (benchmark.truth(name) / "object").is_dir():
-        yield from render_findings(name, recording, truth, benchmark.truth(name), views)
+        psnrs = [value for _, value in render_again(recording, truth, benchmark.truth(name), views)]
+        for i in np.flatnonzero(np.array(psnrs) < LEAST_PSNR):
+            yield (
+                f"{name}: view {i}, rendered anew from truth/{name}/object, has {psnrs[i]:.1f} dB, expected "
+                f"{LEAST_PSNR:g}"
+            )
 
 
 def cast_findings(name: str, recording: Recording, truth: Truth, frames: int) -> Iterator[str]:
@@ -80,13 +85,6 @@ def cast_findings(name: str, recording: Recording, truth: Truth, frames: int) ->
                 f"{name}: in frame {i} the depth of {100 * odd:.1f} % of the pixels away from edges is more than "
                 f"{100 * DEPTH_SHARE:g} % of the diagonal off what rays meet"
             )
-
-
-def render_findings(name: str, recording: Recording, truth: Truth, folder: Path, views: int) -> Iterator[str]:
-    """Findings on some held-out views, rendered again from the object in the truth's `folder`."""
-    psnr = np.array([value for _, value in render_again(recording, truth, folder, views)])
-    for i in np.flatnonzero(psnr < LEAST_PSNR):
-        yield f"{name}: view {i}, rendered anew from truth/{name}/object, has {psnr[i]:.1f} dB, expected {LEAST_PSNR:g}"
 
 
 def render_again(recording: Recording, truth: Truth, folder: Path, views: int) -> Iterator[tuple[Picture, float]]:

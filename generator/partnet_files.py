@@ -42,6 +42,7 @@ _BACK_INDEX = re.compile(r"^[ \t]*f[ \t].*-\d", re.MULTILINE)
 _NO_INDEX = re.compile(r"^[ \t]*f(?:[ \t]+[\d/-]+)*[ \t]+(?:0+|-\d+)(?:/|\s|$)", re.MULTILINE)
 _LIBRARY = re.compile(r"^[ \t]*mtllib[ \t]+(.*\S)", re.MULTILINE)
 _USED = re.compile(r"^[ \t]*usemtl[ \t]+(.*\S)", re.MULTILINE)
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"  # makes SAPIEN miss a file's first line
 _PICTURES = ("map_", "bump", "disp", "norm", "decal", "refl")  # first words of MTL lines that name a picture
 
 
@@ -171,7 +172,9 @@ def read_materials(obj: Path, text: str, folder: Path, gaps: Gaps) -> dict[str, 
                 name = rest
                 materials[name] = Material(srgb_bytes(np.full(3, _NO_KD)))
             elif name and key == "Kd":
-                materials[name] = Material(srgb_bytes(_colour(rest, mtl)), materials[name].picture)
+                kd = _floats(rest, mtl, "Kd")
+                kd = np.clip(kd[:3] if len(kd) >= 3 else np.full(3, kd[0]), 0, 1)
+                materials[name] = Material(srgb_bytes(kd), materials[name].picture)
             elif name and key == "d" and 0 < _floats(rest.removeprefix("-halo"), mtl, "d")[0] < 1:
                 gaps["transparent"].add(_name(mtl, folder))
             elif name and key.startswith(_PICTURES):
@@ -204,11 +207,6 @@ def _neighbour(origin: Path, name: str, folder: Path, what: str) -> Path | None:
         raise FreeArtError(f"{named}, which cannot be looked up: {error}") from error
     except FreeArtError as error:
         raise FreeArtError(f"{named}, which leads out of the folder {folder}") from error
-
-
-def _colour(rest: str, mtl: Path) -> Array:
-    values = _floats(rest, mtl, "Kd")
-    return np.clip(values[:3] if len(values) >= 3 else np.full(3, values[0]), 0, 1)
 
 
 def _floats(rest: str, mtl: Path, key: str) -> Array:
@@ -280,7 +278,7 @@ def _mesh_for_sapien(path: Path, place: Path, mirrored: bool) -> Path | None:
     if (
         all(unchanged for _, unchanged in lines)
         and not mirrored
-        and not any(map(_has_byte_order_mark, (path, *libraries)))
+        and not any(checked.read_head(file, 3) == _BYTE_ORDER_MARK for file in (path, *libraries))
     ):
         return path
     if mirrored:
@@ -302,8 +300,3 @@ def _resolve_picture(line: str, folder: Path) -> tuple[str, bool]:
             if (folder / path).is_file():
                 return f"{key} {rest.removesuffix(name)}{(folder / path).resolve()}", path == name
     return "", False
-
-
-def _has_byte_order_mark(path: Path) -> bool:
-    """Whether a file starts with a byte order mark, which makes SAPIEN miss its first line."""
-    return checked.read_head(path, 3) == b"\xef\xbb\xbf"

@@ -73,7 +73,10 @@ class Sensor:
         """Frame `i` of the video as the camera gives it, with its true labels: 1 the scored joint's parent side, 2 its
         child side. It does not depend on the frames before."""
         count = max(model.sub_frames(self.motion_px(i)) for model in self.models) if self._averages else 1
-        then = None if self._faults is None or not self._faults.depth_delay else self._delayed_depth(i)
+        faults, then = self._faults, None
+        if faults is not None and faults.depth_delay:  # clean depth at the earlier time
+            self._draw(i - faults.depth_delay * self._fps)
+            self._started_frame, then = None, self._scene.depth_and_side()[0]
         light = self._light(i, count)
         if self._started_frame != i:
             self._draw(i)
@@ -85,28 +88,14 @@ class Sensor:
         rng = np.random.default_rng([self._seed, _STREAM, i])
         for model in self.models:
             depth = model.depth(depth, rng)
-        if self._faults is not None:
-            depth, rgb = self._apply_faults(i, depth if then is None else then, rgb)
+        if faults is not None:
+            depth = depth if then is None else then
+            bright = (rgb.mean(-1) / 255).astype(np.float32)
+            cosine = incidence_cosine(depth, self._scene.camera.rays())
+            rng = np.random.default_rng([self._seed, _FAULTS, i])
+            depth = faults.depth(depth, bright, cosine, self._nominal_camera, rng)
+            rgb = faults.colour(rgb, i / max(len(self._plan.states) - 1, 1))
         return Picture(rgb, depth, side)
-
-    def _delayed_depth(self, i: int) -> NDArray[np.float32]:
-        """Clean depth at the earlier time that frame `i`'s delayed depth picture shows."""
-        assert self._faults is not None
-        self._draw(i - self._faults.depth_delay * self._fps)
-        self._started_frame = None
-        return self._scene.depth_and_side()[0]
-
-    def _apply_faults(
-        self, i: int, depth: NDArray[np.float32], rgb: NDArray[np.uint8]
-    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        """Add the camera's faults to depth and colours."""
-        faults = self._faults
-        assert faults is not None
-        rng = np.random.default_rng([self._seed, _FAULTS, i])
-        bright = (rgb.mean(-1) / 255).astype(np.float32)
-        cosine = incidence_cosine(depth, self._scene.camera.rays())
-        depth = faults.depth(depth, bright, cosine, self._nominal_camera, rng)
-        return depth, faults.colour(rgb, i / max(len(self._plan.states) - 1, 1))
 
     def start_drawing(self, i: int) -> None:
         """Let the renderer start frame `i` while the caller does other work; `shoot` then fetches the picture."""

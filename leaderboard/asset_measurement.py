@@ -70,12 +70,6 @@ class MeasuredAsset:
     """Findings of `export.checklist.check_asset`, one line each; empty when only the joint was measured."""
 
 
-def measure_joint(folder: Path, states: ArrayLike) -> tuple[Joint, Array]:
-    """The joint of the asset in `folder`, canonical frame, and the states (n,) it reaches for `states`, rad or m."""
-    asset = measure_asset(folder, states, whole=False)
-    return asset.joint, asset.states
-
-
 def measure_asset(folder: Path, states: ArrayLike, whole: bool = True) -> MeasuredAsset:
     """The asset in `folder`, loaded and driven to the canonical `states` (n,), rad or m; `whole`: not its joint alone.
 

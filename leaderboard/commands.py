@@ -328,7 +328,7 @@ def pack(
 
     Args:
         data: A data folder (with benchmark.json).
-        out: Folder to write, or a ZIP if its name ends in .zip.
+        out: Folder to write.
         public: Write the public half.
         truth: Write the truth.
         keep_names: Keep the names of the sequences.
@@ -343,7 +343,7 @@ def pack(
         raise FreeArtError("pack: name one half, --public or --truth")
     key = key or default_key_path(data)
     is_new = not key.exists()
-    check_place(out, None if out.suffix == ".zip" else PUBLIC if public else TRUTH, (data, key))
+    check_place(out, PUBLIC if public else TRUTH, (data, key))
     with progress_bar("Packing") as show:
         (pack_public if public else pack_truth)(data, out, key, keep_names, partial(show, "Packing"))
     print(out)

@@ -9,8 +9,8 @@ from __future__ import annotations
 import contextlib
 import importlib
 import json
+import multiprocessing
 import os
-import select
 import signal
 import subprocess
 import sys
@@ -18,6 +18,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +26,12 @@ from freeart21 import processes
 
 GRACE_S = 30.0
 """Seconds after a request's limit in which the server has to report the timeout."""
+PERIOD_S = 0.2
+"""Between two looks at whether a server that is waited for was ended."""
 ONE_THREAD = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")}
 """Environment of parallel processes that work on small matrices."""
 LOG = "output.txt"
 _LOG_TAIL_BYTES = 4096
-_CHUNK_BYTES = 1 << 16
 _is_forked = False
 """Whether this process is a server's child, which has imported what its own requests need."""
 
@@ -50,6 +52,7 @@ class Server:
     def __init__(self, module: str) -> None:
         self._module = module
         self._process: subprocess.Popen[bytes] | None = None
+        self._connection: Connection[bytes, bytes] | None = None
         self._owner = 0  # id of the process that started it; a fork of that process starts its own
         self._lock = threading.Lock()
         self._ended = False
@@ -75,19 +78,13 @@ class Server:
     def end(self) -> None:
         """End the server for good, also while another thread waits for its answer, which gets Crashed."""
         self._ended = True
-        if (process := self._process) is not None and process.stdin is not None:
-            with contextlib.suppress(OSError):
-                process.stdin.close()
 
     def close(self) -> None:
-        """End the process and its child: both end when its standard input closes."""
+        """End the process and its child: both end when their connection closes."""
         process, self._process = self._process, None
-        if process is None or self._owner != os.getpid():
+        if process is None or self._connection is None or self._owner != os.getpid():
             return
-        for pipe in (process.stdin, process.stdout):
-            if pipe is not None:
-                with contextlib.suppress(OSError):
-                    pipe.close()
+        self._connection.close()
         try:
             process.wait(5)
         except subprocess.TimeoutExpired:
@@ -95,56 +92,41 @@ class Server:
             process.wait()
 
     def _ask_process(self, job: dict[str, Any]) -> dict[str, Any]:
-        body = json.dumps(job).encode() + b"\n"
         with self._lock:
-            process = self._start()
+            process, connection = self._start()
+            deadline = time.monotonic() + job["limit_s"] + GRACE_S
             try:
-                line = _exchange(process, body, job["limit_s"] + GRACE_S)
+                connection.send_bytes(json.dumps(job).encode())
+                while not connection.poll(PERIOD_S):
+                    if self._ended or time.monotonic() > deadline:
+                        raise EOFError
+                answer: dict[str, Any] = json.loads(connection.recv_bytes())
+            except (EOFError, OSError) as error:
+                self.close()
+                raise Crashed(f"exit code {process.returncode}: no message") from error
             except BaseException:
                 self.close()
                 raise
-            if not line:
-                self.close()
-                raise Crashed(f"exit code {process.returncode}: no message")
-        answer: dict[str, Any] = json.loads(line)
         return answer
 
-    def _start(self) -> subprocess.Popen[bytes]:
-        """The running process, started when there is none."""
+    def _start(self) -> tuple[subprocess.Popen[bytes], Connection[bytes, bytes]]:
+        """The running process and the connection to it, started when there is none."""
         if self._ended:
             raise Crashed("exit code 0: stopped")
         if self._process is not None and (self._owner != os.getpid() or self._process.poll() is not None):
             self.close()
         if self._process is None:
             self._owner = os.getpid()
-            self._process = subprocess.Popen(
-                processes.command(self._module),
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                bufsize=0,
-                env={**os.environ, **ONE_THREAD},
-                start_new_session=True,  # signals of the terminal do not reach it: its owner decides when to end
-            )
-        return self._process
-
-
-def _exchange(process: subprocess.Popen[bytes], body: bytes, limit_s: float) -> bytes:
-    """The answer to `body`; empty when the server has ended or does not answer in time."""
-    assert process.stdin is not None and process.stdout is not None
-    try:
-        unsent = memoryview(body)
-        while unsent:
-            unsent = unsent[process.stdin.write(unsent) :]
-    except (BrokenPipeError, ValueError):  # ended, or its pipe closed by `end`
-        return b""
-    deadline, answer = time.monotonic() + limit_s, b""
-    while not answer.endswith(b"\n"):
-        ready = select.select([process.stdout], [], [], max(deadline - time.monotonic(), 0))[0]
-        chunk = process.stdout.read(_CHUNK_BYTES) if ready else b""
-        if not chunk:
-            return b""
-        answer += chunk
-    return answer
+            self._connection, other = multiprocessing.Pipe()
+            with other:
+                self._process = subprocess.Popen(
+                    processes.command(self._module),
+                    stdin=other.fileno(),
+                    env={**os.environ, **ONE_THREAD},
+                    start_new_session=True,  # signals of the terminal do not reach it: its owner decides when to end
+                )
+        assert self._connection is not None
+        return self._process, self._connection
 
 
 def _last_line(path: Path) -> str:
@@ -161,65 +143,51 @@ def _last_line(path: Path) -> str:
 
 
 def serve(reply: Reply, modules: tuple[str, ...]) -> None:
-    """Answer the requests on standard input, each in a forked child, after importing `modules` where installed.
+    """Answer the requests on standard input, a socket, each in a forked child, after importing `modules` if installed.
 
-    Ends when standard input closes. Where forking is not safe (all but Linux), the server itself answers one request.
+    Ends when the socket closes. Where forking is not safe (all but Linux), the server itself answers one request.
     """
-    requests, answers = os.fdopen(os.dup(0), "rb"), os.dup(1)
+    parent: Connection[bytes, bytes] = Connection(os.dup(0))
     with open(os.devnull) as nothing:  # noqa: PTH123 (a device)
         os.dup2(nothing.fileno(), 0)
-    os.dup2(2, 1)  # what is printed is no answer
+    os.dup2(2, 1)  # what is printed must not reach a user's standard output
     for name in modules:
         with contextlib.suppress(Exception):  # code that needs a missing module reports it
             importlib.import_module(name)
-    while line := requests.readline():
-        job = json.loads(line)
-        if sys.platform != "linux":
-            _write(answers, {"answer": reply(job["request"])})
-            return
-        answer = _answer_in_child(job, reply, requests.fileno())
-        if answer is None:
-            return
-        _write(answers, answer)
-
-
-def _answer_in_child(job: dict[str, Any], reply: Reply, parent: int | None) -> dict[str, Any] | None:
-    """The answer of a forked child; None when the descriptor `parent` was closed at its other end meanwhile."""
-    reading, writing = os.pipe()
-    pid = os.fork()
-    if pid == 0:
-        try:
-            os.close(reading)
-            _run_child(job, reply, writing)
-        finally:
-            os._exit(70)
-    os.close(writing)
-    waited_for = [reading] if parent is None else [reading, parent]
-    try:
-        deadline, answer = time.monotonic() + job["limit_s"], b""
+    with contextlib.suppress(EOFError):
         while True:
-            ready = select.select(waited_for, [], [], max(deadline - time.monotonic(), 0))[0]
-            if parent in ready or not ready:
-                _kill_group(pid)
-                os.waitpid(pid, 0)
-                return None if ready else {"timed_out": True}
-            if not (chunk := os.read(reading, _CHUNK_BYTES)):
-                break
-            answer += chunk
-    finally:
-        os.close(reading)
-    code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-    return {"crashed": code} if code or not answer else json.loads(answer)
+            job = json.loads(parent.recv_bytes())
+            if sys.platform != "linux":
+                parent.send_bytes(json.dumps({"answer": reply(job["request"])}).encode())
+                return
+            answer = _answer_in_child(job, reply, parent)
+            if answer is None:
+                return
+            parent.send_bytes(json.dumps(answer).encode())
 
 
-def _kill_group(pid: int) -> None:
-    """Kill a child and what it has forked in turn."""
-    for kill in (os.killpg, os.kill):  # the second for a child that has no group of its own yet
-        with contextlib.suppress(ProcessLookupError):
-            kill(pid, signal.SIGKILL)
+def _answer_in_child(job: dict[str, Any], reply: Reply, parent: Connection[Any, Any] | None) -> dict[str, Any] | None:
+    """The answer of a forked child; None when the connection `parent` was closed at its other end meanwhile."""
+    fork = multiprocessing.get_context("fork")
+    reading, writing = fork.Pipe(duplex=False)
+    child = fork.Process(target=_run_child, args=(job, reply, writing))
+    child.start()
+    writing.close()
+    ready = wait([reading, *([parent] if parent else [])], job["limit_s"])
+    answer = None
+    if reading in ready:
+        with reading, contextlib.suppress(EOFError):
+            answer = {"answer": json.loads(reading.recv_bytes())}
+    else:
+        for kill in (os.killpg, os.kill):  # with what it has forked; the second if it has no group of its own yet
+            with contextlib.suppress(ProcessLookupError):
+                kill(child.pid or 0, signal.SIGKILL)
+        answer = None if ready else {"timed_out": True}
+    child.join()
+    return {"crashed": child.exitcode} if reading in ready and answer is None else answer
 
 
-def _run_child(job: dict[str, Any], reply: Reply, writing: int) -> None:
+def _run_child(job: dict[str, Any], reply: Reply, writing: Connection[bytes, bytes]) -> None:
     global _is_forked
     if not _is_forked:  # a child's child stays in its group, and ends with it
         os.setpgid(0, 0)
@@ -228,11 +196,5 @@ def _run_child(job: dict[str, Any], reply: Reply, writing: int) -> None:
     os.dup2(log, 1)
     os.dup2(log, 2)
     os.environ["TMPDIR"] = tempfile.tempdir = job["folder"]  # the parent removes it, however the child ends
-    _write(writing, {"answer": reply(job["request"])})
+    writing.send_bytes(json.dumps(reply(job["request"])).encode())
     os._exit(0)  # the simulator's teardown can crash
-
-
-def _write(descriptor: int, answer: dict[str, Any]) -> None:
-    unsent = memoryview(json.dumps(answer).encode() + b"\n")
-    while unsent:
-        unsent = unsent[os.write(descriptor, unsent) :]

@@ -11,8 +11,6 @@ import hashlib
 import hmac
 import os
 import secrets
-import tempfile
-import zipfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -28,7 +26,7 @@ from freeart21.files.data_card import CARD_FILES, DataSet, card_files, describe_
 from freeart21.files.hashes import MAX_HASHED_BYTES, file_sha256
 from freeart21.files.hidden import MARKER, hidden_digest
 from freeart21.files.hidden import SCHEMA as HIDDEN_SCHEMA
-from freeart21.files.places import Output, require_replaceable
+from freeart21.files.places import Output
 from freeart21.files.sequence import encode_depth, header_json, queries_json, read_sequence
 from freeart21.files.verify import differing_files, listed_files
 
@@ -93,11 +91,11 @@ def choose_names(benchmark: Benchmark, key: bytes, keep_names: bool) -> Names:
 def pack_public(
     data: Path, out: Path, key: Path | None = None, keep_names: bool = False, progress: Progress = lambda done, of: None
 ) -> None:
-    """Write the public half of the data folder `data` to `out`: a folder, or a ZIP if its name ends in .zip.
+    """Write the public half of the data folder `data` to the folder `out`.
 
     `keep_names` keeps the sequences' names, which reveal their objects. `key` is a file, created when missing; None
     means `default_key_path`. A folder that was packed before gives itself. Raises FreeArtError when `data` is broken or
-    differs from its benchmark.json, or when something else exists at `out` (a ZIP is never replaced).
+    differs from its benchmark.json, or when something else exists at `out`.
     """
     benchmark = read_benchmark(data)
     _check_hashes(Path(data))
@@ -203,10 +201,7 @@ def _json(data: dict[str, object]) -> bytes:
 
 
 def _write(out: Path, kind: Output, files: _Files) -> None:
-    """Write `files` to a folder or a ZIP, atomically, all with the same time."""
-    if out.suffix == ".zip":
-        _write_zip(out, files)
-        return
+    """Write `files` to a folder, atomically, all with the same time."""
     with atomic.new_folder(out, kind) as staging:
         for name, content in files:
             processes.raise_if_stopped()
@@ -219,27 +214,3 @@ def _write(out: Path, kind: Output, files: _Files) -> None:
                 path.chmod(0o755)
             os.utime(path, (EPOCH_S, EPOCH_S))
         os.utime(staging, (EPOCH_S, EPOCH_S))
-
-
-def _write_zip(out: Path, files: _Files) -> None:
-    require_replaceable(out, None)
-    temporary: Path | None = None
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=out.parent, prefix=f".{out.name}.", suffix=atomic.PART_SUFFIX)
-        temporary = Path(name)
-        with os.fdopen(handle, "wb") as opened, zipfile.ZipFile(opened, "w") as archive:
-            for inside, content in files:
-                processes.raise_if_stopped()
-                entry = zipfile.ZipInfo(f"{out.stem}/{inside}", (1980, 1, 1, 0, 0, 0))
-                entry.create_system, entry.external_attr = 3, 0o100644 << 16
-                archive.writestr(entry, content)  # stored: pictures are compressed already
-        temporary.chmod(0o644)
-        require_replaceable(out, None)
-        temporary.replace(out)
-        temporary = None
-    except OSError as error:
-        raise atomic.cannot_write(out, error) from error
-    finally:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)

@@ -144,12 +144,15 @@ def read_submitted_method(results: Path) -> tuple[Method, list[Fault]]:
         return Method(UNREADABLE), [replace(fault, fatal=False, fix=fix)]
 
 
-def find_link_faults(folder: Path) -> Iterator[Fault]:
-    """A fault if the result folder is a link, and for each link in it that leads out of the folder or to itself."""
-    if folder.is_symlink():
+def find_link_faults(folder: Path, home: Path | None = None) -> Iterator[Fault]:
+    """A fault for each link in the result folder, or it itself, that leads out of `home` or to itself.
+
+    Without `home`, links within the folder are allowed, and the folder is none.
+    """
+    if folder.is_symlink() and (home is None or not folder.resolve().is_relative_to(home.resolve())):
         yield _link_fault(folder.name)
         return
-    home = folder.resolve()
+    home = (home or folder).resolve()
     for count, path in enumerate(folder.rglob("*")):
         if count > MAX_FILES:
             fix = "remove files that are not part of the result"
@@ -216,18 +219,9 @@ def _find_file_faults(
         yield Fault(folder.name, "is not a result: it has no prediction.json", fix=fix)
         return
     data, fault = _attempt(folder, header, "", lambda: checked.read_json(header, SCHEMA))
-    if data is None:
-        yield from fault
-        return
-    yield from _find_seconds_faults(folder, header, data)
-    status = data.get("status")
-    if status == "failed":
-        for key in ("stage", "reason"):
-            yield from _attempt(folder, header, key, partial(checked.text, data, key, header))[1]
-        return
-    if status != "ok":
-        yield Fault(_relative_name(folder, header), f"is {status!r}"[:60], "'ok' or 'failed'", "status")
-        return
+    yield from fault
+    if data is None or data.get("status") != "ok":
+        return  # `read_result` checks the rest
     yield from _find_joint_faults(folder, header, data, frames)
     yield from _find_pose_faults(folder, frames)
     yield from _find_mask_faults(folder, frames, height, width, masks)
@@ -252,15 +246,6 @@ def _find_joint_faults(folder: Path, header: Path, data: dict[str, Any], frames:
     for key, shape, nullable in (("state_std", (frames,), True), ("seen", (frames, 2), False)):
         if key in data:
             yield from _attempt(folder, header, key, partial(checked.numbers, data, key, shape, header, nullable))[1]
-
-
-def _find_seconds_faults(folder: Path, header: Path, data: dict[str, Any]) -> Iterator[Fault]:
-    seconds, file = data.get("seconds") or {}, _relative_name(folder, header)
-    if not (isinstance(seconds, dict) and all(isinstance(value, int | float) for value in seconds.values())):
-        fix = 'write {"stage": 1.5}, or leave it out'
-        yield Fault(file, f"is {seconds!r}"[:60], "a number for every stage", "seconds", fix=fix)
-    elif any(math.isinf(value) for value in seconds.values()):
-        yield Fault(file, "has a number beyond all floats", "seconds", "seconds", fix="write seconds")
 
 
 def _find_pose_faults(folder: Path, frames: int) -> Iterator[Fault]:

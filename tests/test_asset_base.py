@@ -19,7 +19,7 @@ from freeart21.effects.coulomb_friction import CoulombFriction
 from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.files.asset import read_asset
 from generator.simulate import joint_motion
-from leaderboard.asset_measurement import measure_joint
+from leaderboard.asset_measurement import measure_asset
 from simgap.prove.writeback import write_repaired
 
 HAS_USD = importlib.util.find_spec("pxr") is not None
@@ -35,7 +35,8 @@ def test_either_base_gives_the_same_asset(tmp_path: Path, base):
     angles = np.array([0.0, 0.3, 0.8])
     expected = answer.articulation.joint.transform(angles)
     np.testing.assert_allclose(joint_motion(asset, angles), expected, atol=1e-6)
-    joint, states = measure_joint(tmp_path / "a", angles)
+    measured = measure_asset(tmp_path / "a", angles, whole=False)
+    joint, states = measured.joint, measured.states
     np.testing.assert_allclose(joint.transform(states), expected, atol=1e-5)
     free = ET.parse(tmp_path / "a/object.xml").find(".//freejoint")
     assert (free is not None) == (base == "free")

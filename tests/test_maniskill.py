@@ -189,7 +189,9 @@ def test_the_motor_brings_the_lid_to_its_target_and_is_paid(chest):
     rewards = [env.step(np.array([0.9], np.float32))[1].item() for _ in range(30)]
     assert rewards[0] == 0 and rewards[-1] == 1
     assert env.unwrapped.body.q == pytest.approx(0.9, abs=0.02 * 1.5)
-    away = env.unwrapped.hand._motions[0].at(env.unwrapped.body.simulated.time_s)[0] - env.unwrapped.body.root_pose
+    away = (
+        env.unwrapped.hand._motions[0].at(env.unwrapped.body.simulated.time_s)[0] - env.unwrapped.body.root_poses()[0]
+    )
     assert np.abs(away[:3, 3]).max() < 2e-3  # the hand carries it along
     env.close()
 
@@ -203,11 +205,11 @@ def test_it_fails_where_nothing_can_be_had_any_more(chest, fault):
     body, plain = env.unwrapped.body, env.unwrapped
     fail = plain.evaluate()["fail"]
     assert str(fail.dtype) == "torch.bool" and fail.shape == (1,) and not fail.any()
-    span = body.upper - body.lower
-    body.put(body.upper + 0.5 * plain._tolerance * span)
+    upper, span = body.spans[0, 1], np.ptp(body.spans[0])
+    body.put(upper + 0.5 * plain._tolerance * span)
     assert not plain.evaluate()["fail"].any()
     if fault == "limit":
-        body.put(body.upper + 1.5 * plain._tolerance * span)
+        body.put(upper + 1.5 * plain._tolerance * span)
     elif fault == "fell":
         body.put(0.5, se3.exp_se3(np.array([0, 0, -0.3, 0, 0, 0])))
     else:

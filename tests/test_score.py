@@ -31,7 +31,7 @@ from freeart21.files.result import Method, write_method, write_result
 from freeart21.joint import Joint
 from freeart21.reconstruction import Failure
 from leaderboard import asset_measurement, forked
-from leaderboard.asset_measurement import measure_joint
+from leaderboard.asset_measurement import measure_asset
 from leaderboard.protocols import PROTOCOLS, protocol_named
 from leaderboard.protocols.strict import STRICT_3
 from leaderboard.scores_file import write_scores
@@ -223,7 +223,8 @@ def test_an_asset_that_ends_the_simulator_ends_only_itself(data, tmp_path, monke
 def test_a_range_of_several_turns_is_read_right(tmp_path):
     joint = Joint("lid", "revolute", np.array([0, 0.6, 0.8]), np.array([0.1, 0.2, -0.3]), -7.0, 9.0)
     write_asset(tmp_path, joint, limits=(-7.0, 9.0))
-    found, states = measure_joint(tmp_path, [-6.0, 0.0, 2.0, 8.5])
+    measured = measure_asset(tmp_path, [-6.0, 0.0, 2.0, 8.5], whole=False)
+    found, states = measured.joint, measured.states
     assert np.allclose(found.axis, joint.axis, atol=1e-5)
     assert np.linalg.norm(np.cross(found.pivot - joint.pivot, joint.axis)) < 1e-5
     assert np.allclose(np.exp(1j * states), np.exp(1j * np.array([-6.0, 0.0, 2.0, 8.5])), atol=1e-5)

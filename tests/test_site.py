@@ -21,10 +21,10 @@ from freeart21.files.result import Method, write_method, write_result
 from freeart21.reconstruction import Failure
 from freeart21.view.tables import NONE
 from leaderboard.site import build
-from leaderboard.site.answers import read_answer
 from leaderboard.site.entrant import entrants
 from leaderboard.site.index_page import ranked
 from leaderboard.site.names import file_names
+from leaderboard.site.sequence_view import read_answer
 from leaderboard.submission import LONGEST_TEXT
 
 HOSTILE = '<script>alert("x")</script> & <img src=https://evil.example/x onerror=alert(1)>'

@@ -355,7 +355,6 @@ def spoil_everything(folder: Path) -> None:
     header = json.loads((folder / "prediction.json").read_text())
     header["joint"]["axis"] = [0, 0, 2]
     header["states"][3] = None
-    header["seconds"] = "long"
     header["seen"] = [[1, 1]]
     (folder / "prediction.json").write_text(json.dumps(header))
     Ts = np.repeat(np.eye(4)[None], 16, 0)
@@ -378,7 +377,6 @@ def test_validate_tells_every_fault_at_once_and_score_the_first_of_them(data, tm
     report = validate_results(tmp_path, data)
     found = {(fault.file, fault.field, fault.frame) for fault in report.faults}
     assert found == {
-        ("a/prediction.json", "seconds", None),
         ("a/prediction.json", "joint", None),
         ("a/prediction.json", "states", None),
         ("a/prediction.json", "seen", None),

@@ -96,16 +96,11 @@ def _read_circumstances(settings: SeriesSettings, columns: dict[str, str]) -> tu
 
 
 def columns_from(words: tuple[str, ...]) -> dict[str, str]:
-    """Role to column, from words such as t=time, or from one JSON file."""
-    if len(words) == 1 and "=" not in words[0]:
-        columns = dict(checked.read_json(Path(words[0]), root=checked.ANYWHERE))
-    else:
-        columns = {role: name for role, _, name in (word.partition("=") for word in words)}
+    """Role to column, from words such as t=time."""
+    columns = {role: name for role, _, name in (word.partition("=") for word in words)}
     for role, name in columns.items():
-        if role not in ROLES or not isinstance(name, str) or not name:
-            raise FreeArtError(
-                f"--columns {role}={name}: expected ROLE=NAME, such as t=time, or a JSON file, of {', '.join(ROLES)}"
-            )
+        if role not in ROLES or not name:
+            raise FreeArtError(f"--columns {role}={name}: expected ROLE=NAME, such as t=time, of {', '.join(ROLES)}")
     return columns
 
 

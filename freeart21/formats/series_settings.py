@@ -19,8 +19,8 @@ class SeriesSettings:
     """Joint of the URDF; only needed when several can move."""
     columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ROLE=NAME...")] = ()
     """Columns of t, q, qd, effort, q_command, voltage, enabled, base_x, base_y, base_z, base_ax, base_ay, base_az,
-    base_angle, such as t=time q=angle; or a JSON file. Without a header they are called 1, 2, ... Names joined by +
-    are consecutive runs."""
+    base_angle, such as t=time q=angle. Without a header they are called 1, 2, ... Names joined by + are consecutive
+    runs."""
     unit_t: Annotated[Literal["s", "ms", "us", "ns"] | None, tyro.conf.arg(metavar="UNIT")] = None
     """Unit of times: s, ms, us or ns; by the header or their step when not given."""
     unit_q: Annotated[str | None, tyro.conf.arg(metavar="UNIT")] = None

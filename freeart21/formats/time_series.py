@@ -74,10 +74,11 @@ def join_names(names: list[str]) -> str:
 def read_series(path: Path) -> Series:
     """All columns of numbers in a text, JSON or MATLAB file. Raises FreeArtError."""
     path = Path(path)
+    units: dict[str, str | None] = {}
     if path.suffix.lower() == ".mat":
-        columns, units = read_mat(path), {}
+        columns = read_mat(path)
     elif path.suffix.lower() == ".json":
-        columns, units = _read_json(path), {}
+        columns = _read_json(path)
     else:
         columns, units = _read_text(path)
     if not 1 <= len(columns) <= MAX_COLUMNS:

@@ -78,15 +78,9 @@ def read_view(folder: Path) -> ThirdPartyRecording:
     )
     T = len(cameras)
     frames = _frames(folder, T)
-    rgb = third_party.numbered(folder / "rgb", (".jpg", ".jpeg", ".png"))
-    depth, segment = (third_party.numbered(folder / sub, (".npz",)) for sub in ("depth", "segment"))
-    for sub, files in (("rgb", rgb), ("depth", depth), ("segment", segment)):
-        absent = [i for i in frames if i not in files]
-        if absent:
-            raise FreeArtError(f"{folder}/{sub}: frame {absent[0]} is missing; {len(frames)} frames are used")
-        if max(files) >= T:
-            raise FreeArtError(f"{folder}/{sub} has frame {max(files)}, but camera_pose.npy has {T} poses")
-    height, width = checked.read_rgb(third_party.within(folder, rgb[frames[0]])).shape[:2]
+    rgb = third_party.frame_files(folder, "rgb", (".jpg", ".jpeg", ".png"), frames)
+    depth, segment = (third_party.frame_files(folder, sub, (".npz",), frames) for sub in ("depth", "segment"))
+    height, width = checked.read_rgb(rgb[0]).shape[:2]
     camera = Camera(third_party.read_npy(folder / "intrinsics.npy", (3, 3)), width, height)
     actors = _actors(home / "actor_pose.pkl", T)
     cast = _cast(actors, home)
@@ -95,19 +89,16 @@ def read_view(folder: Path) -> ThirdPartyRecording:
     sides = _side_labels(cast, home)
 
     def side(i: int) -> Image:
-        path = third_party.within(folder, segment[frames[i]])
-        labels = checked.read_npz(path, ("a",))["a"]
+        labels = checked.read_npz(segment[i], ("a",))["a"]
         if labels.shape != (height, width) or labels.dtype.kind not in "iu":
             raise FreeArtError(
-                f"{path}: segment has shape {labels.shape} {labels.dtype}, expected {(height, width)} ids"
+                f"{segment[i]}: segment has shape {labels.shape} {labels.dtype}, expected {(height, width)} ids"
             )
         return sides[labels.astype(np.int64) % _LABELS]
 
     def load(index: int) -> Frame:
-        path = third_party.within(folder, depth[frames[index]])
-        metres = third_party.depth_metres(checked.read_npz(path, ("a",))["a"], path)
-        picture = checked.read_rgb(third_party.within(folder, rgb[frames[index]]))
-        return Frame(picture, metres, side(index) > 0)
+        metres = third_party.depth_metres(checked.read_npz(depth[index], ("a",))["a"], depth[index])
+        return Frame(checked.read_rgb(rgb[index]), metres, side(index) > 0)
 
     joint, lacks = _joint(actors, cast, states, number, home)
     T_camera_world = se3.inverse(cameras @ third_party.T_SAPIEN_CV)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from freeart21.view.document import Markup, Section, render
+from freeart21.view.source import Source
 
 Array = NDArray[np.float64]
 Box = tuple[str, float, float, float, float]
@@ -73,7 +74,7 @@ def curves_section(
     runs = true_runs(np.zeros(len(x), bool) if unseen is None else unseen)
     grey: list[Box] = [("unseen", edges[run[0]], edges[run[-1] + 1], -np.inf, np.inf) for run in runs]
     drawn = [figure(replace(chart, boxes=[*grey, *chart.boxes]), x, " s" * timed) for chart in charts]
-    values = [[_rounded(c.values) for c in chart.curves] for chart in charts]
+    values = [[[float(f"{v:.4g}") for v in curve.values] for curve in chart.curves] for chart in charts]
     data = {"charts": values, "x": _across(x, x, charts[0].width), "width": charts[0].width}
     if frames is not None:
         data["frames"] = frames
@@ -126,25 +127,32 @@ def figure(
 
 
 def state_section(
-    joint_type: str,
+    sources: Sequence[Source],
     abscissa: Array,
     timed: bool,
-    curves: Sequence[Curve],
     seen: NDArray[np.bool_] | None = None,
     frames: NDArray[np.int64] | None = None,
     note: str = "",
 ) -> Section:
-    """The joint state over the video; `curves` in rad or m by `joint_type`.
+    """The joint states over the video of all sources with the first one's joint type, with its sign and zero.
 
-    The first curve decides the range; those far beyond it run along the edge. Frames without `seen` (n,) are grey.
+    The first one decides the range; those far beyond it run along the edge. Frames without `seen` (n,) are grey.
+    `frames` (n,) are those at the places `abscissa`; all when None.
     """
-    unit, factor = display_unit(joint_type)
-    widths = [None if c.half_width is None else factor * c.half_width for c in curves]
-    scaled = [replace(c, values=factor * c.values, half_width=w) for c, w in zip(curves, widths, strict=True)]
-    ends = padded_range([c.values for c in scaled[:1]], 0.75)
-    bands = [np.zeros(1) if w is None else np.nan_to_num(w) for w in widths]
-    every = padded_range([c.values + sign * w for c, w in zip(scaled, bands, strict=True) for sign in (-1, 1)])
-    chart = Chart("", unit, scaled, y=(max(ends[0], every[0]), min(ends[1], every[1])), height=210)
+    unit, factor = display_unit(sources[0].joint.type)
+    at = slice(None) if frames is None else frames
+    curves = []
+    for one in sources:
+        if one.articulation is not None and one.offset is not None and one.zero is None:
+            known = one.state_std is not None and bool(np.isfinite(one.state_std).any())
+            band = None if one.state_std is None or not known else 2 * factor * one.state_std[at]
+            style, states = "wide" if one.is_truth else "", factor * one.states_of_first[at]
+            curves.append(Curve(one.name + ", ± 2 std" * known, one.colours[1], states, style, band))
+    curves.sort(key=lambda curve: curve.style != "wide")  # the truth first, below the others
+    ends = padded_range([c.values for c in curves[:1]], 0.75)
+    bands = [np.zeros(1) if c.half_width is None else np.nan_to_num(c.half_width) for c in curves]
+    every = padded_range([c.values + sign * w for c, w in zip(curves, bands, strict=True) for sign in (-1, 1)])
+    chart = Chart("", unit, curves, y=(max(ends[0], every[0]), min(ends[1], every[1])), height=210)
     name = f"Joint state, {'degrees' if unit == '°' else unit}"
     grey = "" if seen is None or seen.all() else "Grey: the moving part was not measured. "
     unseen = None if seen is None else ~np.asarray(seen, bool)
@@ -206,7 +214,3 @@ def _upper_end(chart: Chart) -> float:
         return chart.top or 1.0
     high = float(min(values.max(), max(MAX_MEDIANS * np.median(values), np.percentile(values, 95))))
     return 1.05 * high or 1.0 if chart.top is None else max(high, chart.top)
-
-
-def _rounded(values: Array) -> list[float | None]:
-    return [float(f"{v:.4g}") if np.isfinite(v) else None for v in np.asarray(values, float).tolist()]

@@ -16,10 +16,10 @@ from freeart21.gaussians import FAINT_COPY, TURNED_AWAY, Gaussians
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh, join_meshes
 from freeart21.se3 import Array
-from freeart21.view.document import Section, data_url, embed_array, embed_points
-from freeart21.view.simplify import arrow, simplified, turning_arrow
+from freeart21.view.document import Section, embed_array, embed_points
+from freeart21.view.link_shapes import of_trimesh
 from freeart21.view.source import LAYERS, Source, axis_point
-from freeart21.view.video import encode_jpeg
+from freeart21.view.video import jpeg_url
 
 MAX_FACES_PER_LAYER = 50_000
 MAX_TEXTURE_SIDE = 1024
@@ -131,14 +131,10 @@ def sources_scene(sources: Sequence[Source], camera: Camera | None = None, gauss
             Layer(names[2], colours[2], "axis", source.shown or source.ghost),
         ]
         meshes = [source.articulation.reference, source.articulation.moving, axis_mesh(joint, near, size)]
-        surfaces = [
-            Surface(
-                replace(mesh, colours=None) if source.ghost or _has_one_colour(mesh) else mesh,
-                root + (k == 1),
-                first + k,
-            )
-            for k, mesh in enumerate(meshes)
-        ]
+        surfaces = []
+        for k, mesh in enumerate(meshes):  # of one colour, or a ghost: a mesh has its part's colour
+            plain = source.ghost or (mesh.colours is not None and (mesh.colours == mesh.colours[:1]).all())
+            surfaces.append(Surface(replace(mesh, colours=None) if plain else mesh, root + (k == 1), first + k))
         scene = replace(
             scene,
             links=[*scene.links, Link(-1), moving],
@@ -154,11 +150,6 @@ def gaussians_scene(gaussians: Gaussians) -> Scene:
     names = LAYERS[:2] if (gaussians.part_weights < 1).any() else ("Gaussians",)
     layers = [Layer(name, colour) for name, colour in zip(names, Source("").colours, strict=False)]
     return Scene([Link(-1), Link(-1)], [], layers, [], None, np.eye(4)[None], gaussians)
-
-
-def _has_one_colour(mesh: Mesh) -> bool:
-    """Whether all vertices have the same colour: the mesh then gets its part's."""
-    return mesh.colours is not None and bool((mesh.colours == mesh.colours[:1]).all())
 
 
 def link_poses(links: Sequence[Link], values: Sequence[float]) -> list[Array]:
@@ -178,9 +169,18 @@ def axis_mesh(joint: Joint, near: ArrayLike, size: float) -> Mesh:
 
     It is centred at the axis point nearest to `near` (3,), and 1.15 times `size` (m), the object's diagonal, long.
     """
-    shape = arrow(1.15 * size, 0.007 * size)
+    from trimesh.creation import cone, revolve
+
+    r = 0.007 / 1.15
+    arrow = [(0, -0.5), (r, -0.5), (r, 0.5 - 5 * r), (2.4 * r, 0.5 - 5 * r), (0, 0.5)]
+    shape = of_trimesh(revolve(arrow), 1.15 * size)
     if joint.type == "revolute":
-        shape = join_meshes([shape, turning_arrow(0.085 * size, 0.005 * size, 0.41 * size)])
+        ring, radius, height = 0.085 * size, 0.005 * size, 0.41 * size
+        around = np.linspace(0, 2 * np.pi, 13)
+        circle = np.stack([ring + radius * np.cos(around), height + radius * np.sin(around)], -1)
+        tail = of_trimesh(revolve(circle / ring, angle=1.5 * np.pi, sections=48), ring)
+        along_x = se3.pose(np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]), [0, -ring, height])
+        shape = join_meshes([shape, tail, of_trimesh(cone(2.4, 5), radius).moved(along_x)])
     x = np.cross(np.eye(3)[np.argmin(np.abs(joint.axis))], joint.axis)
     x /= np.linalg.norm(x)
     return shape.moved(se3.pose(np.stack([x, np.cross(joint.axis, x), joint.axis], -1), axis_point(joint, near)))
@@ -261,11 +261,34 @@ def _reduced(surfaces: list[Surface], max_faces: int) -> list[Surface]:
     return reduced
 
 
+def simplified(mesh: Mesh, max_faces: int) -> Mesh:
+    """`mesh` with at most `max_faces` triangles, for display only.
+
+    By quadric errors (Garland and Heckbert 1997); where many small pieces keep it above, the largest triangles stay. A
+    vertex gets the colour of the nearest one.
+    """
+    if len(mesh.faces) <= max_faces:
+        return mesh
+    from fast_simplification import simplify
+    from scipy.spatial import cKDTree
+
+    used, faces = np.unique(mesh.faces, return_inverse=True)
+    faces = faces.reshape(-1, 3)
+    points = mesh.vertices[used].astype(np.float32)
+    vertices, faces = simplify(points, faces.astype(np.int32), target_count=max_faces, agg=7.0)
+    if len(faces) > max_faces:
+        a, b, c = (vertices[faces[:, k]] for k in range(3))
+        area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        faces = faces[np.sort(np.argsort(-area, kind="stable")[:max_faces])]
+    colours = None if mesh.colours is None else mesh.colours[used[cKDTree(points).query(vertices)[1]]]
+    return Mesh(vertices.astype(float), faces.astype(np.int64), colours)
+
+
 def _picture_url(picture: NDArray[np.uint8]) -> str:
     scale = min(1.0, MAX_TEXTURE_SIDE / max(picture.shape[:2]))
     if scale < 1:
         picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA).astype(np.uint8)
-    return data_url("image/jpeg", encode_jpeg(picture, 85))
+    return jpeg_url(picture, 85)
 
 
 def _surface_data(surface: Surface, pictures: list[NDArray[np.uint8]]) -> dict[str, Any]:

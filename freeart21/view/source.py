@@ -41,6 +41,8 @@ class Source:
     """(n,) rad or m, with its own sign and zero."""
     Ts_camera: Array = field(default_factory=lambda: np.zeros((0, 4, 4)))
     """(n, 4, 4) camera from the shared frame; (0, 4, 4) without poses."""
+    state_std: Array | None = None
+    """(n,) standard deviations of the states; NaN where unknown."""
     zero: int | None = None
     """The frame at state zero of a method without states."""
     masks: PartMasks | None = None
@@ -48,6 +50,7 @@ class Source:
     """That of the masks' labels, 0 to 255."""
     layers: tuple[str, str, str] | None = None
     """Names of the parts and the axis in the 3D view; its own when None."""
+    is_truth: bool = False
     ghost: bool = False
     """Transparent in the 3D view, and there without vertex colours."""
     shown: bool = True
@@ -122,11 +125,11 @@ class Source:
 def truth_source(truth: Truth, **options: Any) -> Source:
     """The truth in its own frame; `options` are other fields."""
     true = truth.articulation, truth.states, truth.Ts_camera_reference
-    own = Source("ground truth", ("#7fcfb6", TRUTH), TRUTH, *true, masks=truth.part_mask)
+    own = Source("ground truth", ("#7fcfb6", TRUTH), TRUTH, *true, masks=truth.part_mask, is_truth=True)
     return replace(own, **options)
 
 
-def truth_over(truth: Truth, result: Reconstruction, estimate: Source) -> Source:
+def align_truth(truth: Truth, result: Reconstruction, estimate: Source) -> Source:
     """The truth over an estimate with the same part names (see `matched`), in its frame.
 
     They are aligned by the robust mean of the reference part's poses over all frames.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -17,27 +16,13 @@ from freeart21.view.source import Source
 
 Image = NDArray[np.uint8]
 
-QUALITIES = (85, 75, 60, 45, 30, 15)
-"""JPEG qualities to try, best first."""
 LABEL_STEP, CONFIDENCE_STEPS = 100, 40
 """A pixel with label 0, 1, 2 is stored as 0, 100, 200, far enough apart for any colour management, plus up to 40 by its
 confidence."""
 
 
-@dataclass(frozen=True)
-class VideoSettings:
-    """How much of a video goes into a page."""
-
-    max_frames: int = 150
-    """Longer videos are thinned out evenly."""
-    max_side: int = 640
-    """Pixels of the longer side of images; larger ones are scaled down."""
-    mask_side: int = 640
-    """The same of masks."""
-    rgb_bytes: int = 6 << 20
-    """Most bytes of all colour images before base64; the JPEG quality is lowered until they fit."""
-    depth_bytes: int = 3 << 20
-    """The same for the depth images; 0 for none."""
+MAX_FRAMES = 150
+"""Longer videos are thinned out evenly."""
 
 
 def shown_frames(n: int, most: int) -> NDArray[np.int64]:
@@ -45,23 +30,31 @@ def shown_frames(n: int, most: int) -> NDArray[np.int64]:
     return np.unique(np.rint(np.linspace(0, n - 1, min(n, most))).astype(np.int64))
 
 
-def encode_jpeg(image: Image, quality: int) -> bytes:
+def jpeg_bytes(image: Image, quality: int) -> bytes:
     """JPEG of an RGB image (height, width, 3)."""
-    return cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])[
-        1
-    ].tobytes()
+    options = [cv2.IMWRITE_JPEG_QUALITY, quality]
+    return cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), options)[1].tobytes()
+
+
+def jpeg_url(image: Image, quality: int) -> str:
+    """JPEG of an RGB image (height, width, 3) as a data: address."""
+    return data_url("image/jpeg", jpeg_bytes(image, quality))
 
 
 def video_section(
     recording: Recording | None,
     sources: Sequence[Source] = (),
-    settings: VideoSettings = VideoSettings(),
+    max_frames: int = MAX_FRAMES,
+    sides: tuple[int, int] = (640, 640),
+    quality: int = 80,
+    with_depth: bool = True,
     note: str = "Solid outline and stronger colour: moving part; dashed: reference part.",
 ) -> Section:
     """The player of a recording, with the parts and axes of sources and the recording's own masks over it.
 
     Without a recording the parts of the first source are drawn on a plain background. The first one's states are shown
-    with the time. Raises FreeArtError when masks and images differ in size.
+    with the time. Images and masks are scaled down to `sides`, pixels of the longer one. `quality` is that of JPEGs:
+    150 frames of 640 x 360 pixels take some 6 MB. Raises FreeArtError when masks and images differ in size.
     """
     first = sources[0] if sources else Source("")
     camera = None if recording is None else recording.camera
@@ -72,9 +65,9 @@ def video_section(
         size = height, width
     else:
         raise FreeArtError("a video player needs a recording, or part masks")
-    frames = shown_frames(total, settings.max_frames)
-    shown, small = (_scaled(size, side) for side in (settings.max_side, settings.mask_side))
-    rgb: list[Image] = []
+    frames = shown_frames(total, max_frames)
+    shown, small = (_scaled(size, side) for side in sides)
+    rgb: list[str] = []
     depth: list[NDArray[np.float32]] = []
     given: dict[int, Image] = {}
     note = note if any(source.masks for source in sources) else ""
@@ -84,8 +77,9 @@ def video_section(
     for i in frames.tolist():
         if recording is not None:
             frame = recording.frame(i)
-            rgb.append(np.asarray(cv2.resize(frame.rgb, shown, interpolation=cv2.INTER_AREA), np.uint8))
-            if settings.depth_bytes:
+            image = np.asarray(cv2.resize(frame.rgb, shown, interpolation=cv2.INTER_AREA), np.uint8)
+            rgb.append(jpeg_url(image, quality))
+            if with_depth:
                 depth.append(np.asarray(cv2.resize(frame.depth, shown, interpolation=cv2.INTER_NEAREST), np.float32))
             given[i] = 2 * frame.mask.astype(np.uint8)
         for source, found in zip(sources, labels, strict=True):
@@ -107,15 +101,20 @@ def video_section(
         "times_s": recording.times_s[frames] if recording is not None else None,
         "states": None if first.articulation is None or first.zero is not None else first.states[frames],
         "joint_type": "" if first.articulation is None else first.joint.type,
-        "rgb": _jpeg_urls(rgb, settings.rgb_bytes),
-        "depth": _jpeg_urls([_depth_image(d, near, far) for d in depth], settings.depth_bytes),
+        "rgb": rgb or None,
+        "depth": [_depth_url(one, near, far, quality) for one in depth] or None,
         "depth_range_m": [near, far],
         "sources": [
             {
                 "name": source.name,
                 "colours": source.colours,
                 "labels": own or None,
-                "axis": None if line is None else _axis_ends(line[frames], shown[0] / size[1]),
+                "axis": None
+                if line is None
+                else [
+                    np.round(ends * shown[0] / size[1], 1).ravel() if np.isfinite(ends).all() else None
+                    for ends in line[frames]
+                ],
                 "axis_colour": source.axis_colour or source.colours[1],
                 "shown": source.shown,
                 "confidence": source.confidence is not None,
@@ -127,24 +126,10 @@ def video_section(
     return Section("Video", "", "video", data, "left", note)
 
 
-def fitting_quality(images: Sequence[Image], max_bytes: int) -> int:
-    """The best JPEG quality at which all images fit into `max_bytes`, by a sample of six; the lowest if none does."""
-    sample = [images[i] for i in shown_frames(len(images), 6)]
-    for quality in QUALITIES:
-        if np.mean([len(encode_jpeg(image, quality)) for image in sample]) * len(images) <= max_bytes:
-            break
-    return quality
-
-
 def _scaled(size: tuple[int, ...], side: int) -> tuple[int, int]:
     """(width, height) of an image of `size` (height, width), scaled down to a longer side of `side` pixels."""
     scale = min(1.0, side / max(size))
     return max(1, round(size[1] * scale)), max(1, round(size[0] * scale))
-
-
-def _axis_ends(ends: NDArray[np.float64], scale: float) -> list[list[float] | None]:
-    """Ends (n, 2, 2) of an axis, times `scale`, as [u0, v0, u1, v1] a frame; None where not visible."""
-    return [np.round(e * scale, 1).ravel().tolist() if np.isfinite(e).all() else None for e in ends]
 
 
 def _label_image(mask: Image, confidence: Image | None, size: tuple[int, int]) -> str:
@@ -154,13 +139,6 @@ def _label_image(mask: Image, confidence: Image | None, size: tuple[int, int]) -
         level = cv2.resize(confidence, size, interpolation=cv2.INTER_NEAREST).astype(np.uint16)
         image = image + np.where(image > 0, (8 * level + 127) // 255 * (CONFIDENCE_STEPS // 8), 0).astype(np.uint8)
     return data_url("image/png", cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 6])[1].tobytes())
-
-
-def _jpeg_urls(images: list[Image], max_bytes: int) -> list[str] | None:
-    if not images:
-        return None
-    quality = fitting_quality(images, max_bytes)
-    return [data_url("image/jpeg", encode_jpeg(image, quality)) for image in images]
 
 
 def _depth_range(depths: list[NDArray[np.float32]]) -> tuple[float, float]:
@@ -173,8 +151,8 @@ def _depth_range(depths: list[NDArray[np.float32]]) -> tuple[float, float]:
     return float(near), float(max(far, near + 1e-3))
 
 
-def _depth_image(depth: NDArray[np.float32], near: float, far: float) -> Image:
+def _depth_url(depth: NDArray[np.float32], near: float, far: float, quality: int) -> str:
     """Near bright, far dark (viridis); grey where nothing was measured."""
     level = np.clip(255 * (far - depth) / (far - near), 0, 255).astype(np.uint8)
     colours = np.asarray(cv2.applyColorMap(level, cv2.COLORMAP_VIRIDIS)[..., ::-1], np.uint8)
-    return np.where((depth <= 0)[..., None], np.uint8(200), colours)
+    return jpeg_url(np.where((depth <= 0)[..., None], np.uint8(200), colours), quality)

@@ -30,7 +30,7 @@ from leaderboard.adapters.layout import (
     layout_named,
     to_reconstruction,
 )
-from leaderboard.submission import MAX_FILES
+from leaderboard.submission import find_link_faults
 from leaderboard.video_fit import describe_misfit
 
 MOST_FAULTS = 20
@@ -145,7 +145,8 @@ def _write_answer(
 ) -> tuple[ImportedResult | Failure, tuple[str, ...]]:
     """Read one result and write it as a result folder; returns it and its notes. Raises FreeArtError, one line."""
     try:
-        _check_links(place.folder, source)
+        for fault in find_link_faults(place.folder, source):
+            raise FreeArtError(str(fault))
         result = rules.read(place.folder, Request(recording, place.options))
         answer = result if isinstance(result, Failure) else to_reconstruction(result, recording)
     except FreeArtError:
@@ -159,18 +160,6 @@ def _write_answer(
         notes = (*result.notes, *([misfit] if misfit else []))
     write_result(out, answer, {"import": {"layout": rules.name, "notes": list(notes)}})
     return result, notes
-
-
-def _check_links(folder: Path, source: Path) -> None:
-    """Raise FreeArtError when a result is, or holds, a link that leads out of `source`, or has too many files."""
-    home = source.resolve()
-    if not folder.resolve().is_relative_to(home):
-        raise FreeArtError(f"{folder} leads out of {source}")
-    for count, path in enumerate(folder.rglob("*")):
-        if count > MAX_FILES:
-            raise FreeArtError(f"{folder} has more than {MAX_FILES} files, expected one result")
-        if path.is_symlink() and not path.resolve().is_relative_to(home):
-            raise FreeArtError(f"{path} leads out of {source}")
 
 
 def _options_to_json(options: Options) -> dict[str, Any]:

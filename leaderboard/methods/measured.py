@@ -6,7 +6,6 @@ import contextlib
 import os
 import signal
 import subprocess
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from pathlib import Path
 PERIOD_S = 0.2
 """Between two looks at the memory."""
 MAX_LOG = 1 << 20
-"""Most bytes that are kept of what a command writes."""
+"""Bytes of a command's output above which its beginning is dropped, at every look."""
 
 
 @dataclass(frozen=True)
@@ -46,48 +45,46 @@ def run_measured(
     stopped_by, peak = "", 0
     with log.open("ab") as output:
         process = subprocess.Popen(
-            words, cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )  # fmt: skip
-        assert process.stdout is not None
-        room = [MAX_LOG]
-
-        def copy() -> None:
-            assert process.stdout is not None
-            while data := process.stdout.read1(1 << 16):  # type: ignore[attr-defined]
-                output.write(data[: room[0]])
-                room[0] -= min(room[0], len(data))
-
-        reader = threading.Thread(target=copy, daemon=True)
-        reader.start()
-        try:
-            while True:
-                ended, status, used = os.wait4(process.pid, os.WNOHANG)
-                if ended:
-                    break
-                peak = max(peak, _resident_bytes(process.pid))
-                if time.monotonic() - began > seconds:
-                    stopped_by = f"it took more than {seconds:g} s"
-                elif peak > memory_bytes:
-                    stopped_by = f"it took more than {memory_bytes / 1e9:g} GB of memory"
-                if stopped_by:
-                    _kill(process.pid)
-                    stop()
-                    _, status, used = os.wait4(process.pid, 0)
-                    break
-                time.sleep(PERIOD_S)
-        except BaseException:
-            _kill(process.pid)
-            stop()
-            os.wait4(process.pid, 0)
-            process.returncode = -signal.SIGKILL
-            raise
-        _kill(process.pid)  # what it left behind in its session
-        process.returncode = os.waitstatus_to_exitcode(status)
-        reader.join(5.0)
-        process.stdout.close()
+            words, cwd=folder, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
+        )
+    try:
+        while True:
+            ended, status, used = os.wait4(process.pid, os.WNOHANG)
+            _shorten(log)
+            if ended:
+                break
+            peak = max(peak, _resident_bytes(process.pid))
+            if time.monotonic() - began > seconds:
+                stopped_by = f"it took more than {seconds:g} s"
+            elif peak > memory_bytes:
+                stopped_by = f"it took more than {memory_bytes / 1e9:g} GB of memory"
+            if stopped_by:
+                _kill(process.pid)
+                stop()
+                _, status, used = os.wait4(process.pid, 0)
+                break
+            time.sleep(PERIOD_S)
+    except BaseException:
+        _kill(process.pid)
+        stop()
+        os.wait4(process.pid, 0)
+        process.returncode = -signal.SIGKILL
+        raise
+    _kill(process.pid)  # what it left behind in its session
+    process.returncode = os.waitstatus_to_exitcode(status)
     code = None if stopped_by else process.returncode
     return Usage(code, time.monotonic() - began, used.ru_utime + used.ru_stime, peak, stopped_by)
+
+
+def _shorten(log: Path) -> None:
+    """Keep the last half of MAX_LOG bytes of a log that is larger: the command, which appends to it, goes on there."""
+    if log.stat().st_size > MAX_LOG:
+        with log.open("rb+") as file:
+            file.seek(-MAX_LOG // 2, os.SEEK_END)
+            end = file.read()
+            file.seek(0)
+            file.write(end)
+            file.truncate()
 
 
 def _kill(session: int) -> None:

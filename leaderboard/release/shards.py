@@ -65,14 +65,18 @@ def write_shards(
     with atomic.new_folder(Path(out)) as new:
         (new / "shards").mkdir()
         shards: dict[str, tuple[int, str]] = {}
-        with _ManifestWriter(new / MANIFEST) as manifest:
-            for k, (benchmark, facts) in enumerate(chunks):
-                name = f"shards/{_plain(whole.name)}-{k:05d}.tar"
-                for fact in _write_shard(new / name, benchmark, facts):
-                    done += 1
-                    progress(f"Packed {fact.sequence}", done, len(names))
-                shards[name] = (new / name).stat().st_size, file_digest(new / name)
-                manifest.write(benchmark, facts, name, shards[name][1])
+        rows: list[dict[str, Any]] = []
+        for k, (benchmark, facts) in enumerate(chunks):
+            name = f"shards/{_plain(whole.name)}-{k:05d}.tar"
+            for fact in _write_shard(new / name, benchmark, facts):
+                done += 1
+                progress(f"Packed {fact.sequence}", done, len(names))
+            shards[name] = (new / name).stat().st_size, file_digest(new / name)
+            for fact in facts:
+                preview = {"bytes": _preview(benchmark.sequence(fact.sequence)), "path": f"{fact.sequence}.jpg"}
+                place = {"shard": name, "shard_sha256": shards[name][1]}
+                rows.append({**asdict(fact), **place, "preview": preview})
+        _write_manifest(new / MANIFEST, rows)
         for name, content in card_files(whole, MANIFEST, shards).items():
             atomic.write_bytes(new / name, content)
     return len(chunks)
@@ -120,40 +124,20 @@ def _add(archive: tarfile.TarFile, name: str, content: bytes) -> None:
     archive.addfile(entry, io.BytesIO(content))
 
 
-class _ManifestWriter:
-    """The manifest, a group of rows for each shard: only one shard's rows are in memory."""
+def _write_manifest(path: Path, rows: list[dict[str, Any]]) -> None:
+    """Write the rows as Parquet, with the types that the Hugging Face hub reads."""
+    arrow = _pyarrow()
+    from pyarrow import parquet
 
-    def __init__(self, path: Path) -> None:
-        arrow = _pyarrow()
-        self._hints = {name: _plain_type(hint) for name, hint in get_type_hints(SequenceFacts).items()}
-        kinds = {str: arrow.string(), int: arrow.int64(), float: arrow.float64(), bool: arrow.bool_()}
-        columns = [(name, kinds[kind]) for name, kind in self._hints.items()]
-        image = arrow.struct([("bytes", arrow.binary()), ("path", arrow.string())])
-        columns += [("shard", arrow.string()), ("shard_sha256", arrow.string()), ("preview", image)]
-        hub: dict[str, Any] = {
-            name: {"_type": "Value", "dtype": _HUB_TYPES[kind]} for name, kind in self._hints.items()
-        }
-        text = {"_type": "Value", "dtype": "string"}
-        hub |= {"shard": text, "shard_sha256": text, "preview": {"_type": "Image"}}
-        metadata = {"huggingface": json.dumps({"info": {"features": hub}})}
-        self._schema = arrow.schema(columns, metadata=metadata)
-        from pyarrow.parquet import ParquetWriter
-
-        self._writer = ParquetWriter(path, self._schema)
-
-    def __enter__(self) -> _ManifestWriter:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._writer.close()
-
-    def write(self, benchmark: Benchmark, facts: Sequence[SequenceFacts], shard: str, digest: str) -> None:
-        """Add the rows of a shard."""
-        rows = []
-        for fact in facts:
-            preview = {"bytes": _preview(benchmark.sequence(fact.sequence)), "path": f"{fact.sequence}.jpg"}
-            rows.append({**asdict(fact), "shard": shard, "shard_sha256": digest, "preview": preview})
-        self._writer.write_table(_pyarrow().Table.from_pylist(rows, schema=self._schema))
+    hints = {name: _plain_type(hint) for name, hint in get_type_hints(SequenceFacts).items()}
+    hints |= {"shard": str, "shard_sha256": str}
+    kinds = {str: arrow.string(), int: arrow.int64(), float: arrow.float64(), bool: arrow.bool_()}
+    image = arrow.struct([("bytes", arrow.binary()), ("path", arrow.string())])
+    features = {name: {"_type": "Value", "dtype": _HUB_TYPES[kind]} for name, kind in hints.items()}
+    hub = json.dumps({"info": {"features": {**features, "preview": {"_type": "Image"}}}})
+    columns = [*((name, kinds[kind]) for name, kind in hints.items()), ("preview", image)]
+    schema = arrow.schema(columns, metadata={"huggingface": hub})
+    parquet.write_table(arrow.Table.from_pylist(rows, schema=schema), path)
 
 
 def _preview(sequence: Path) -> bytes:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from freeart21.view.document import Markup, Section, Site, document
-from freeart21.view.tables import ARROWS, Cell, number_text
+from freeart21.view.document import Markup, Section, document
+from freeart21.view.tables import ARROWS, Cell, number_cell, number_text
 from leaderboard.protocols import Group, Metric, Protocol
-from leaderboard.rows import Statistic
+from leaderboard.rows import Row, Statistic
 from leaderboard.site.entrant import Entrant
 from leaderboard.site.sequence_view import SequenceContent
 
@@ -47,17 +48,11 @@ class Board:
 
 
 def page(
-    board: Board,
-    title: str,
-    sections: Sequence[Section],
-    here: str = "",
-    deep: bool = False,
-    lead: str = "",
-    kind: str = "",
-    notices: Sequence[str] = (),
+    board: Board, title: str, sections: Sequence[Section], here: str = "", deep: bool = False, **options: Any
 ) -> bytes:
-    """A page of the site; `deep` when it is in a folder, everything else as in `document` and `Site`."""
-    return document(title, sections, kind, (), notices, lead, Site(board.title, MENU, here, "../" * deep)).encode()
+    """A page of the site; `deep` when it is in a folder. `options` are those of `document`."""
+    around = {"title": board.title, "menu": MENU, "here": here, "root": "../" * deep}
+    return document(title, sections, site=around, **options).encode()
 
 
 def method_link(entrant: Entrant, deep: bool = False) -> Markup:
@@ -126,6 +121,15 @@ def statistic_of(entrant: Entrant, rules: Protocol, metric: Metric, group: Group
     return None if tells else found
 
 
+def score_cell(
+    row: Row | None, metric: Metric, kind: Group, with_unit: bool = True, best: float | None = None, below: str = ""
+) -> Cell:
+    """A row's number by a metric, in its unit for joints of a kind; bold when it is the best one."""
+    value = None if row is None else row.values.get(metric.id)
+    text = number_text(value, metric.unit(kind), with_unit)
+    return number_cell(text, value is not None and value == best, value, below)
+
+
 def best_of(values: Sequence[float | None], metric: Metric) -> float | None:
     """The best of several methods' numbers; None when all are the same."""
     known = {value for value in values if value is not None}
@@ -155,8 +159,3 @@ def facts(rows: Sequence[tuple[str, object]]) -> Markup:
     """A list of names and values."""
     entries = (Markup("<div><dt>{}</dt><dd>{}</dd></div>").format(name, value) for name, value in rows)
     return Markup('<dl class="facts">{}</dl>').format(Markup("").join(entries))
-
-
-def hash_text(sha256: str) -> Markup:
-    """A hash as HTML."""
-    return Markup('<code class="hash">{}</code>').format(sha256)

@@ -9,7 +9,7 @@ from itertools import combinations
 from freeart21.view.document import Markup, Section, render
 from freeart21.view.tables import ARROWS, NONE, Cell, number_cell, number_text, table
 from leaderboard.points import FIRST, TRACK_TEXTS, TRACKS, Standing, is_outside_ranking, standings
-from leaderboard.protocols import Group, Metric, Protocol, protocol_named
+from leaderboard.protocols import Group, Protocol, protocol_named
 from leaderboard.published import PUBLISHED, PublishedRow
 from leaderboard.rows import Statistic
 from leaderboard.site.common import (
@@ -22,6 +22,7 @@ from leaderboard.site.common import (
     method_link,
     metric_head,
     page,
+    score_cell,
     sentence,
     sequence_link,
     statistic_of,
@@ -108,7 +109,7 @@ def ranked(protocol: str, entrants: Sequence[Entrant]) -> list[Place]:
 
 def _ranking_section(board: Board, protocol: str) -> Section:
     rules = protocol_named(protocol)
-    heads, places, rows = columns(rules), ranked(protocol, board.entrants), board.sequences
+    heads, places = columns(rules), ranked(protocol, board.entrants)
     up, meaning = ARROWS["up"]
     head = [
         Cell("#", title="1 plus the number of methods that are better beyond doubt"),
@@ -124,34 +125,28 @@ def _ranking_section(board: Board, protocol: str) -> Section:
         best_of([None if mean is None else mean.mean for mean in means], metric)
         for (metric, _), means in zip(heads, zip(*(place.means for place in places), strict=True), strict=True)
     ]
-    html = render(
-        "ranking.html.j2",
-        PACKAGE,
-        protocol=protocol,
-        ranking=table([_line(place, heads, best, len(rows)) for place in places], head, "sortable ranking", "ranking"),
-        sequences=_sequences(board, rules),
-    )
+    lines = []
+    for place in places:
+        cells = []
+        for (metric, group), found, top in zip(heads, place.means, best, strict=True):
+            unit, value = metric.unit(group), None if found is None else found.mean
+            below = "" if found is None or found.std is None else f"± {number_text(found.std, unit)}"
+            cells.append(number_cell(number_text(value, unit), value is not None and value == top, value, below))
+        points = [place.standings[track].points if track in place.standings else None for track in TRACKS]
+        order = tuple(place.standings)[:1] == (FIRST,) and place.standings[FIRST].place
+        lines.append(
+            [
+                Cell(place.text, order or 10**6),
+                Cell(method_link(place.entrant), place.entrant.name),
+                number_cell(f"{place.measured} of {len(board.sequences)}", value=place.measured),
+                *(number_cell(number_text(value, "points"), value=value) for value in points),
+                *cells,
+            ]
+        )
+    ranking, every = table(lines, head, "sortable ranking", "ranking"), _sequences(board, rules)
+    html = render("ranking.html.j2", PACKAGE, protocol=protocol, ranking=ranking, sequences=every)
     title = f"Ranking by {protocol}" if rules.ranking else f"By {protocol}: another protocol, not the ranking"
     return Section(title, html, place="full", id=f"protocol-{protocol}")
-
-
-def _line(
-    place: Place, heads: Sequence[tuple[Metric, Group]], best: Sequence[float | None], sequences: int
-) -> list[Cell]:
-    cells = []
-    for (metric, group), found, top in zip(heads, place.means, best, strict=True):
-        unit, value = metric.unit(group), None if found is None else found.mean
-        below = "" if found is None or found.std is None else f"± {number_text(found.std, unit)}"
-        cells.append(number_cell(number_text(value, unit), value is not None and value == top, value, below))
-    points = [place.standings[track].points if track in place.standings else None for track in TRACKS]
-    order = tuple(place.standings)[:1] == (FIRST,) and place.standings[FIRST].place
-    return [
-        Cell(place.text, order or 10**6),
-        Cell(method_link(place.entrant), place.entrant.name),
-        number_cell(f"{place.measured} of {sequences}", value=place.measured),
-        *(number_cell(number_text(value, "points"), value=value) for value in points),
-        *cells,
-    ]
 
 
 def _sequences(board: Board, rules: Protocol) -> Markup:
@@ -162,10 +157,8 @@ def _sequences(board: Board, rules: Protocol) -> Markup:
         thumb = Markup('<img class="thumb" src="{}" alt="">').format(s.thumb) if s.thumb else Markup("")
         cells = [Cell(thumb + sequence_link(s.name, board), s.name), s.facts["category"], s.facts["joint_type"]]
         for row in (entrant.row(rules.name, s.name) for entrant in board.entrants):
-            value = None if row is None else row.values.get(metric.id)
             failed = row.status if row is not None and row.status != "ok" else ""
-            text = number_text(value, metric.unit(s.facts["joint_type"]), True)
-            cells.append(number_cell(text, value=value, below=failed))
+            cells.append(score_cell(row, metric, s.facts["joint_type"], below=failed))
         rows.append(cells)
     head = ["sequence", "category", "joint", *method_heads(board.entrants)]
     note = Markup('<p class="note">{}. All numbers are on the pages of sequences and methods.</p>').format(metric.label)
@@ -175,16 +168,16 @@ def _sequences(board: Board, rules: Protocol) -> Markup:
 def _published_section() -> Section:
     """Tables from publications, by protocol, data set, joint type and source; never ranked."""
     groups: dict[tuple[str, str, Group, str], list[PublishedRow]] = {}
-    for row in PUBLISHED:
-        groups.setdefault((row.protocol, row.dataset, row.group, row.source), []).append(row)
+    for one in PUBLISHED:
+        groups.setdefault((one.protocol, one.dataset, one.group, one.source), []).append(one)
     tables = []
     for (protocol, dataset, group, source), members in groups.items():
         ids, rules = list(dict.fromkeys(id for row in members for id in row.values)), protocol_named(protocol)
         head = ["method", *(metric_head(rules.metric(id), group) for id in ids)]
-        rows = [[row.method, *(_published_cell(*row.values.get(id, (None, None))) for id in ids)] for row in members]
+        rows = []
+        for row in members:
+            numbers = [row.values.get(id, (None, None)) for id in ids]
+            texts = [(NONE if v is None else f"{v:.2f}", "" if std is None else f"± {std:.2f}") for v, std in numbers]
+            rows.append([row.method, *(number_cell(mean, below=below) for mean, below in texts)])
         tables.append((f"{dataset}, {group}, closest protocol {protocol}", source, table(rows, head, label=dataset)))
     return Section("As published", render("published.html.j2", PACKAGE, tables=tables), place="full", id="published")
-
-
-def _published_cell(mean: float | None, std: float | None) -> Cell:
-    return number_cell(NONE if mean is None else f"{mean:.2f}", below="" if std is None else f"± {std:.2f}")

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from freeart21.view.document import Markup, Section, render
 from freeart21.view.tables import NONE, Cell, number_cell, number_text, source_rows, table
-from leaderboard.protocols import Metric, Protocol, protocol_named
-from leaderboard.rows import Row, Statistic
+from leaderboard.protocols import Protocol, protocol_named
+from leaderboard.rows import Statistic
 from leaderboard.site.common import (
     LACKS,
     PACKAGE,
@@ -19,6 +19,7 @@ from leaderboard.site.common import (
     metric_head,
     metric_row_head,
     page,
+    score_cell,
     sequence_link,
     statistic_of,
 )
@@ -44,17 +45,15 @@ def method_page(board: Board, entrant: Entrant) -> bytes:
         notices.insert(0, f"This method {names}: numbers that need them are left out ({NONE}), without a penalty.")
     settings = json.dumps(method.settings, indent=2, ensure_ascii=True, sort_keys=True) if method.settings else ""
     own = Markup("<pre tabindex=0>{}</pre>").format(settings or "not stated")
-    sections = [
-        *(_protocol_section(board, entrant, protocol_named(name)) for name in board.protocols),
+    sections = []
+    for rules in map(protocol_named, board.protocols):
+        html = _means(entrant, rules) + Markup("<h3>Every sequence</h3>") + _sequences(board, entrant, rules)
+        sections.append(Section(f"Scores by {rules.name}", html, place="full", id=f"protocol-{rules.name}"))
+    sections += [
         Section("Settings, as stated by the method", own, place="full"),
         Section("Provenance", _provenance(entrant, board.protocols), place="full", id="provenance"),
     ]
     return page(board, entrant.name, sections, deep=True, lead=lead, kind="Method", notices=notices)
-
-
-def _protocol_section(board: Board, entrant: Entrant, rules: Protocol) -> Section:
-    html = _means(entrant, rules) + Markup("<h3>Every sequence</h3>") + _sequences(board, entrant, rules)
-    return Section(f"Scores by {rules.name}", html, place="full", id=f"protocol-{rules.name}")
 
 
 def _means(entrant: Entrant, rules: Protocol) -> Markup:
@@ -91,25 +90,16 @@ def _sequences(board: Board, entrant: Entrant, rules: Protocol) -> Markup:
     rows = []
     for s in board.sequences:
         row = entrant.row(rules.name, s.name)
-        if row is not None:
-            rows.append(_line(row, metrics, sequence_link(s.name, board, True)))
+        if row is None:
+            continue
+        wrong = row.status == "ok" and row.values.get("joint_type") == 0
+        word = "files" if row.status == "ok" and row.measured_from == "files" else row.status
+        seconds = number_cell(NONE if row.seconds is None else f"{row.seconds:.0f}", value=row.seconds)
+        status = Cell("wrong type" if wrong else word, css="failed" * (row.status != "ok" or wrong), title=row.reason)
+        cells = [score_cell(row, metric, row.joint_type, metric.unit("all") is None) for metric in metrics]
+        link = Cell(sequence_link(s.name, board, True), row.sequence)
+        rows.append([link, row.joint_type, status, *cells, seconds])
     return table(rows, head, "sortable", "every sequence")
-
-
-def _line(row: Row, metrics: Sequence[Metric], link: Markup) -> list[Cell]:
-    wrong = row.status == "ok" and row.values.get("joint_type") == 0
-    word = "wrong type" if wrong else "files" if row.status == "ok" and row.measured_from == "files" else row.status
-    cells = []
-    for metric in metrics:
-        value, unit = row.values.get(metric.id), metric.unit(row.joint_type)
-        cells.append(number_cell(number_text(value, unit, metric.unit("all") is None), value=value))
-    return [
-        Cell(link, row.sequence),
-        Cell(row.joint_type),
-        Cell(word, css="failed" if row.status != "ok" or wrong else "", title=row.reason),
-        *cells,
-        number_cell(NONE if row.seconds is None else f"{row.seconds:.0f}", value=row.seconds),
-    ]
 
 
 def _provenance(entrant: Entrant, protocols: Sequence[str]) -> Markup:
