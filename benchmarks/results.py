@@ -58,9 +58,8 @@ def _short(title: str, name: str, changes: dict[str, Any] | None = None, shown: 
     return Run(title, f"reconstruct-{name}.json", {"frames": 100, "settings": settings, **options}, shown)
 
 
-CLEAN = Run("ours, all 21, 300 frames, with Gaussians", "reconstruct.json", {"tier": "full"})
 RUNS = (
-    CLEAN,
+    Run("ours, all 21, 300 frames, with Gaussians", "reconstruct.json", {"tier": "full"}),
     _short("ours, 7, 100 frames, geometry alone", "clean"),
     *(
         _short(f"the same, {what}", sensor, sensor=sensor)

@@ -25,11 +25,6 @@ class Matches:
     """(m, 2) column and row in the first frame."""
     there: NDArray[np.float64]
     """(m, 2) column and row in the second frame."""
-    confidence: NDArray[np.float64]
-    """(m,) 0 to 1."""
-
-    def __len__(self) -> int:
-        return len(self.here)
 
 
 class Matcher:
@@ -46,9 +41,9 @@ class Matcher:
         (here, a), (there, b) = self.describe(first), self.describe(second)
         h, w = self.scene.mask.shape[1:]
         if not len(a) or not len(b):
-            return Matches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
-        pairs, confidence = self.network.match(here, a, there, b, (w, h))
-        return Matches(here[pairs[:, 0]], there[pairs[:, 1]], confidence)
+            return Matches(np.zeros((0, 2)), np.zeros((0, 2)))
+        pairs = self.network.match(here, a, there, b, (w, h))
+        return Matches(here[pairs[:, 0]], there[pairs[:, 1]])
 
     def describe(self, frame: int) -> tuple[NDArray[np.float64], Floats]:
         """Keypoints (k, 2) on the object in one frame, where it has depth, and their descriptors (k, d)."""

@@ -49,25 +49,52 @@ class Tracks:
 
 
 class Tracker:
-    """Interface of a tracker; one file of `reconstruct.trackers` each. Pixels are of the scene's crops."""
+    """A tracker by dense flow between neighbouring frames; one file of `reconstruct.trackers` each. One that works
+    otherwise overrides `step` and `follow`. Pixels are of the scene's crops."""
 
     name: ClassVar[str]
+    flow: Flow
 
     def __init__(self, scene: Scene, settings: TrackSettings) -> None:
         self.scene, self.settings = scene, settings
 
     def step(self, frame: int, direction: int) -> Floats:
         """Displacements (h, w, 2), column and row, of all pixels of `frame` to its neighbour in time, +1 or -1."""
-        raise NotImplementedError
+        return self.flow.step(frame, direction)
 
     def follow(
         self, start: int, steps: int, direction: int = 1, pixels: NDArray[np.integer[Any]] | None = None
     ) -> Tracks:
         """Filtered tracks from `start` over at most `steps` frames in time `direction`.
 
-        `pixels` (p, 2) are rows and columns to follow; the tracker's own choice when not given.
+        `pixels` (p, 2) are rows and columns to follow; all valid ones on a grid of `settings.stride` when not given.
+        The confidence is 1 / (1 + (r / max_round_trip)^2), with the forward-backward disagreement r in pixels, at its
+        worst so far: 0.5, the paper's threshold, where r is `max_round_trip`.
         """
-        raise NotImplementedError
+        scene, settings = self.scene, self.settings
+        if pixels is None:
+            grid = scene.valid[start] & ~scene.edge[start]
+            pixels = np.argwhere(grid[:: settings.stride, :: settings.stride]) * settings.stride
+        h, w = scene.mask.shape[1:]
+        frames = start + direction * np.arange(steps + 1)
+        frames = frames[(frames >= 0) & (frames < len(scene))]
+        at = pixels[:, ::-1].astype(float)
+        path, on_object, trust = [at], [np.ones(len(at), bool)], [np.ones(len(at))]
+        for a, b in pairwise(map(int, frames)):
+            there = at + bilinear(self.step(a, direction), at)
+            back = bilinear(self.step(b, -direction), there)
+            x, y = np.rint(there).astype(int).T
+            inside = (x >= 0) & (y >= 0) & (x < w) & (y < h)
+            on_object.append(np.zeros(len(at), bool))
+            on_object[-1][inside] = scene.points[b, y[inside], x[inside], 2] > 0
+            round_trip = np.linalg.norm(there + back - at, axis=1)
+            trust.append(np.minimum(trust[-1], 1 / (1 + (round_trip / settings.max_round_trip) ** 2)))
+            path.append(there)
+            at = there
+        stack, confidence = np.stack(path, 1), np.stack(trust, 1)
+        points = np.stack([lift_to_3d(scene, int(f), stack[:, s]) for s, f in enumerate(frames)], 1)
+        visible = filter_tracks(points, confidence, np.stack(on_object, 1), settings)
+        return Tracks(frames, stack, visible, points, confidence)
 
 
 def optical_flow(scene: Scene) -> Flow:
@@ -110,46 +137,6 @@ def lift_to_3d(scene: Scene, frame: int, pixels: NDArray[np.float64]) -> NDArray
     z = (normal * point).sum(1) / np.where(facing < -0.15, facing, -1.0)
     near = (facing < -0.15) & (np.abs(z - point[:, 2]) < 4 * scene.footprint)
     return ray * np.where(near, z, np.maximum(point[:, 2], 0))[:, None]
-
-
-def follow(
-    scene: Scene,
-    flow: Flow,
-    start: int,
-    steps: int,
-    settings: TrackSettings,
-    direction: int = 1,
-    pixels: NDArray[np.integer[Any]] | None = None,
-) -> Tracks:
-    """Tracks from `start` over `steps` frames in time `direction`, filtered.
-
-    `pixels` (p, 2) are rows and columns to follow; all valid ones on a grid of `settings.stride` when not given. The
-    confidence is 1 / (1 + (r / max_round_trip)^2), with the forward-backward disagreement r in pixels, at its worst so
-    far: 0.5, the paper's threshold, where r is `max_round_trip`.
-    """
-    if pixels is None:
-        grid = scene.valid[start] & ~scene.edge[start]
-        pixels = np.argwhere(grid[:: settings.stride, :: settings.stride]) * settings.stride
-    h, w = scene.mask.shape[1:]
-    frames = start + direction * np.arange(steps + 1)
-    frames = frames[(frames >= 0) & (frames < len(scene))]
-    at = pixels[:, ::-1].astype(float)
-    path, on_object, trust = [at], [np.ones(len(at), bool)], [np.ones(len(at))]
-    for a, b in pairwise(map(int, frames)):
-        there = at + bilinear(flow.step(a, direction), at)
-        back = bilinear(flow.step(b, -direction), there)
-        x, y = np.rint(there).astype(int).T
-        inside = (x >= 0) & (y >= 0) & (x < w) & (y < h)
-        on_object.append(np.zeros(len(at), bool))
-        on_object[-1][inside] = scene.points[b, y[inside], x[inside], 2] > 0
-        round_trip = np.linalg.norm(there + back - at, axis=1)
-        trust.append(np.minimum(trust[-1], 1 / (1 + (round_trip / settings.max_round_trip) ** 2)))
-        path.append(there)
-        at = there
-    stack, confidence = np.stack(path, 1), np.stack(trust, 1)
-    points = np.stack([lift_to_3d(scene, int(f), stack[:, s]) for s, f in enumerate(frames)], 1)
-    visible = filter_tracks(points, confidence, np.stack(on_object, 1), settings)
-    return Tracks(frames, stack, visible, points, confidence)
 
 
 def filter_tracks(

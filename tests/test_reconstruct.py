@@ -29,7 +29,7 @@ GENTLE = 0.35  # radians of tumbling: about 3 degrees a frame
 
 @pytest.fixture(scope="module")
 def hinge():
-    return make_clip("hinge", FRAMES, (160, 120), spin=GENTLE)
+    return make_clip("hinge", FRAMES, spin=GENTLE)
 
 
 @pytest.fixture(scope="module")

@@ -59,8 +59,8 @@ def detect(picture: NDArray[np.uint8]) -> tuple[NDArray[np.float64], Floats]:
 
 def match(
     here: NDArray[np.float64], a: Floats, there: NDArray[np.float64], b: Floats, size: tuple[int, int]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Pairs (m, 2) of the numbers of keypoints that are the same point, and their confidence (m,).
+) -> NDArray[np.int64]:
+    """Pairs (m, 2) of the numbers of keypoints that are the same point.
 
     `here` and `there` (k, 2) are columns and rows in pictures of `size`, width and height; `a` and `b` (k, 128) their
     descriptors.
@@ -77,4 +77,4 @@ def match(
 
     with inference():
         found = load_network()[1]({"image0": image(here, a), "image1": image(there, b)})
-    return found["matches"][0].numpy().astype(np.int64), found["scores"][0].numpy().astype(float)
+    return np.asarray(found["matches"][0].numpy(), np.int64)

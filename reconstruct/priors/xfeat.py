@@ -49,10 +49,9 @@ def detect(picture: NDArray[np.uint8]) -> tuple[NDArray[np.float64], Floats]:
 
 def match(
     here: NDArray[np.float64], a: Floats, there: NDArray[np.float64], b: Floats, size: tuple[int, int]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Pairs (m, 2) of the numbers of mutual nearest neighbours by descriptors `a` and `b` (k, 64), and cosines (m,)."""
+) -> NDArray[np.int64]:
+    """Pairs (m, 2) of the numbers of mutual nearest neighbours by their descriptors `a` and `b` (k, 64)."""
     cosine = a @ b.T
     forward, back = cosine.argmax(1), cosine.argmax(0)
     i = np.flatnonzero((back[forward] == np.arange(len(a))) & (cosine.max(1) > LEAST_COSINE))
-    j = forward[i]
-    return np.stack([i, j], 1), np.clip(cosine[i, j].astype(float), 0, 1)
+    return np.stack([i, forward[i]], 1)

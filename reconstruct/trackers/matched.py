@@ -15,8 +15,7 @@ from freeart21.se3 import Floats
 from reconstruct.matchers import Matcher, Matches
 from reconstruct.scene import Scene
 from reconstruct.settings import TrackSettings
-from reconstruct.trackers.dis import FlowTracker
-from reconstruct.tracks import bilinear, crop_shift, optical_flow
+from reconstruct.tracks import Tracker, bilinear, crop_shift, optical_flow
 
 NEIGHBOURS = 5
 """Nearest matches whose median displacement a pixel takes: two of them may be wrong."""
@@ -24,7 +23,7 @@ WINDOW = 5
 """Pixels, each way, over which two flows are compared."""
 
 
-class MatchedFlow(FlowTracker):
+class MatchedFlow(Tracker):
     """DIS flow twice, from nothing and from matches; a pixel takes the one whose way there and back ends nearer."""
 
     matcher: ClassVar[str]
@@ -55,10 +54,10 @@ def improve_flow(
     scene: Scene, first: int, second: int, pair: tuple[Floats, Floats], matches: Matches
 ) -> tuple[Floats, Floats]:
     """Flow (h, w, 2) there and back: `pair`, or where it returns nearer, flow that starts from `matches`."""
-    if len(matches) < NEIGHBOURS:
+    if len(matches.here) < NEIGHBOURS:
         return pair
     there = matched_flow(scene, first, second, matches)
-    back = matched_flow(scene, second, first, Matches(matches.there, matches.here, matches.confidence))
+    back = matched_flow(scene, second, first, Matches(matches.there, matches.here))
     better = round_trip(there, back) < round_trip(*pair), round_trip(back, there) < round_trip(*pair[::-1])
     return np.where(better[0][..., None], there, pair[0]), np.where(better[1][..., None], back, pair[1])
 
@@ -71,7 +70,7 @@ def matched_flow(scene: Scene, first: int, second: int, matches: Matches) -> Flo
     ]
     initial = np.tile(crop_shift(scene, first, second).astype(np.float32), (*scene.mask.shape[1:], 1))
     at = np.argwhere(scene.mask[first])
-    if len(at) and len(matches) >= NEIGHBOURS:
+    if len(at) and len(matches.here) >= NEIGHBOURS:
         _, near = cKDTree(matches.here).query(at[:, ::-1], k=NEIGHBOURS)
         initial[tuple(at.T)] = np.median((matches.there - matches.here)[near], axis=1)
     dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
