@@ -32,7 +32,11 @@ def test_each_request_has_a_process_that_knows_nothing_of_the_others(ask, tmp_pa
 
 @pytest.mark.parametrize(
     "do, line",
-    [("abort", "exit code -6: about to break"), ("leave", "exit code 0: no message"), ("raise", "exit code 1: ValueError: not caught")],
+    [
+        ("abort", "exit code -6: about to break"),
+        ("leave", "exit code 0: no message"),
+        ("raise", "exit code 1: ValueError: not caught"),
+    ],
 )
 def test_a_process_that_ends_without_an_answer_is_reported_and_the_next_one_answers(server, ask, do, line):
     waiting = ask("answer") and server._process.pid
