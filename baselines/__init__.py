@@ -1,4 +1,5 @@
-"""Three classical methods, made of kept libraries and of nothing of our solver: rows to compare a method with.
+"""Three classical methods, made of kept libraries and of nothing of our solver: rows to compare a method with. And the
+paper's own segmentation (`paper`), an ablation of our solver.
 
 Each reads a sequence folder as anybody's method would and writes a result folder (`answer.run_baseline`), or declares
 why it has none:

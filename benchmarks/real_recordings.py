@@ -16,31 +16,32 @@ import numpy as np
 from scipy.io import loadmat
 
 from benchmarks.common import SHARED
-from export.joint_asset import JointNumbers, write_joint_asset
-from freeart21.formats.circumstances import Circumstances
-from freeart21.formats.measured_series import SeriesSettings, measure_series
+from export.joint_asset import write_joint_asset
+from export.settings import JointNumbers
+from freeart21.formats.measured_series import measure_series
+from freeart21.formats.series_settings import SeriesSettings
 from freeart21.se3 import Array
 
 MEASURED = SHARED / "measured"
 STRETCHES = 6
 """Into which a long free swing is cut; the second and the fifth are held out."""
-MULTIARM = JointNumbers("pendulum", 0.1476, 0.14775, 1.0912e-4 + 0.1476 * 0.14775**2)
+MULTIARM = JointNumbers(0.1476, "pendulum", 0.14775, 1.0912e-4 + 0.1476 * 0.14775**2)
 """EstimatedParameters_SinglePendulum.mat of its authors."""
-PHY180, PHY180_SLOW = JointNumbers("pendulum", 1.0, period=1.024), JointNumbers("pendulum", 1.0, period=1.409)
+PHY180, PHY180_SLOW = JointNumbers(1.0, "pendulum", period=1.024), JointNumbers(1.0, "pendulum", period=1.409)
 """Periods of small swings, read off the recordings: 1.024 s at .1 rad, 1.409 s at .2 rad."""
-ADIP = JointNumbers("pendulum", 0.096, 0.195, period=0.993)
+ADIP = JointNumbers(0.096, "pendulum", 0.195, period=0.993)
 """Mass and length of its authors, the period at .2 rad as recorded."""
 ARM = 0.30
 """m of its authors, from the arm's axis to the pendulum."""
-BAM = JointNumbers("pendulum", 0.49, 0.10)
+BAM = JointNumbers(0.49, "pendulum", 0.10)
 """Mass and length in the logs."""
 BAM_MOTOR = {"kt": 0.3029, "R": 3.368, "error_gain": 0.00246, "vin": 7.4}
 """N*m/A, ohm, duty per rad and unit of kp, V: params/xl330/m1.json and xl330/actuator.py of Rhoban/bam."""
-DFKI = JointNumbers("pendulum", 0.6755, 0.5)
+DFKI = JointNumbers(0.6755, "pendulum", 0.5)
 """Mass and length of its authors' URDF."""
-DIRECTDRIVE = JointNumbers("pendulum", 10.0, 40.0 / 98.1, 2.519)
+DIRECTDRIVE = JointNumbers(10.0, "pendulum", 40.0 / 98.1, 2.519)
 """kg m^2 of its authors, 2.351 + .168 cos(0); the weight's moment, 40 N m, off the torque at steady speed."""
-HSM150 = JointNumbers("door", 0.5, 0.0, 1.2e-4)
+HSM150 = JointNumbers(0.5, "door", 0.0, 1.2e-4)
 """J of the recording's own variables (the catalogue's)."""
 SPEEDS = {"steady": ("10", "20", "30", "15"), "slow": ("1", "2", "5", "3")}
 """Degrees a second, as its files call them; the last is held out."""
@@ -76,7 +77,7 @@ def recordings() -> dict[str, Callable[[Path], None]]:
 def multiarm(out: Path) -> None:
     """Four segments to fit, the authors' two validation segments held out; 0 is hanging."""
     file = MEASURED / "multiarm_pendulum" / "SinglePendulumDataForParameterEstimation.mat"
-    given = {"columns": {"t": "Time_id+Time_vad", "q": "Y_id:1+Y_vad:1"}, "zero": np.pi, "held_out": ("5", "6")}
+    given = {"columns": ("t=Time_id+Time_vad", "q=Y_id:1+Y_vad:1"), "zero": np.pi, "held_out": ("5", "6")}
     _write_set(out, MULTIARM, [file], **given, inertia_relative=0.05, gravity_relative=0.05)
 
 
@@ -128,8 +129,9 @@ def rotary_with_base(out: Path) -> None:
         rows = np.column_stack([data[name] for name in ("t", "theta2", "theta1")])
         rows = rows[rows[:, 0] > 1.0]
         files.append(_write_csv(out / "raw" / f"kp{gain}.csv", "time,angle,arm", rows))
-    columns = {"t": "time", "q": "angle", "base_angle": "arm"}
-    given = Circumstances(base={"axis": [0, 0, 1], "point": [0, ARM, 0]})
+    columns = ("t=time", "q=angle", "base_angle=arm")
+    given = out / "raw" / "circumstances.json"
+    given.write_text(json.dumps({"base": {"axis": [0, 0, 1], "point": [0, ARM, 0]}}))
     _write_set(out, ADIP, files, columns=columns, circumstances=given, held_out=("kp5",), **_LENGTH_BY_PERIOD)
 
 
@@ -187,7 +189,7 @@ def _join_files(out: Path, test: str, kind: str, name: str) -> Path:
 def motor(out: Path, ways: Iterable[str]) -> None:
     """Torque steps; of each way the second run is held out."""
     files = [MEASURED / "hsm150_motor" / f"idf_{way}_{k}.mat" for way in ways for k in (1, 2)]
-    columns = {"t": "data:1", "q": "data:3", "effort": "data:5"}
+    columns = ("t=data:1", "q=data:3", "effort=data:5")
     held_out = tuple(file.name for file in files if file.stem.endswith("_2"))
     _write_set(
         out, HSM150, files, columns=columns, unit_q="rad", unit_effort="N*m", effort="commanded", held_out=held_out,
@@ -216,6 +218,7 @@ def _write_csv(path: Path, header: str, rows: Array) -> Path:
 def _write_set(out: Path, body: JointNumbers, files: list[Path], **given: Any) -> None:
     """out/asset.urdf and out/measured, by the public functions; positions are in rad if nothing else is given."""
     write_joint_asset(out / "asset.urdf", body)
-    measure_series(files, out / "set", out / "asset.urdf", None, SeriesSettings(**{"unit_q": "rad", **given}))
+    stated = {"asset": out / "asset.urdf", "unit_q": "rad", **given}
+    measure_series(files, out / "set", SeriesSettings(**stated))
     (out / "set" / "measured").rename(out / "measured")
     (out / "set").rmdir()

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -54,14 +54,11 @@ class Run:
 
 def _short(title: str, name: str, changes: dict[str, Any] | None = None, shown: bool = True, **options: Any) -> Run:
     """A row of the first object of each category in 100 frames, geometry alone."""
-    changes = dict(changes or {})
-    segmentation = changes.pop("segmentation", "ours")
-    settings = replace(solve.with_changes({**changes, **solve.PIECES["no-gaussians"]}), segmentation=segmentation)
+    settings = solve.with_changes({**(changes or {}), **solve.PIECES["no-gaussians"]})
     return Run(title, f"reconstruct-{name}.json", {"frames": 100, "settings": settings, **options}, shown)
 
 
 CLEAN = Run("ours, all 21, 300 frames, with Gaussians", "reconstruct.json", {"tier": "full"})
-PAPER = {"segmentation": "paper"}
 RUNS = (
     CLEAN,
     _short("ours, 7, 100 frames, geometry alone", "clean"),
@@ -76,9 +73,7 @@ RUNS = (
         }.items()
     ),
     _short("the same, the base stands, the camera moves", "static_base", motion="static_base"),
-    _short("the same, the paper's segmentation", "paper", PAPER),
-    _short("w/o Smooth Loss", "paper-no-smooth", {**PAPER, "paper": {"use_smoothness": False}}, shown=False),
-    _short("w/o Init Loss", "paper-no-init", {**PAPER, "paper": {"use_init": False}}, shown=False),
+    _short("the same, the paper's segmentation", "paper", method="paper"),
     *(
         _short(f"ours, {name}", f"ours-{name}", changes, shown=False)
         for name, changes in solve.PIECES.items()

@@ -90,10 +90,7 @@ PIECES: dict[str, dict[str, Any]] = {
     "one-attempt": {"growth": {"attempts": 1}},
     "no-even-motion": {"growth": {"surprise_weight": 0.0}},
     "no-recovery": {"growth": {"surprising_cost": _NEVER}},
-    "no-propagation": {"labels": {"propagation": 0.0}},
-    "no-votes": {"labels": {"rounds_of_votes": 0}},
-    "no-pieces": {"pieces": {"most": 0}},
-    "no-exchanges": {"exchanges": {"most": 0}},
+    "no-votes": {"evidence": {"rounds_of_votes": 0}},
     "no-gaps": {"gaps": {"shortest_gap": 1_000_000, "jump": _NEVER}},
     "no-loops": {"poses": {"loops": 0}},
     "paper-type": {"joint": {"type_rule": "paper"}},
@@ -147,6 +144,7 @@ def main(
     workers: int = 1,
     work: Path = ROOT / "out" / "reconstruct",
     out: Path | None = None,
+    method: Literal["ours", "paper"] = "ours",
     settings: ReconstructSettings = ReconstructSettings(),  # noqa: B008 (frozen)
 ) -> None:
     """Solve and score FreeArt-21 v1.
@@ -165,17 +163,20 @@ def main(
         work: Where results are kept, to look at, and what is known of them.
         out: The JSON file. When not given: benchmarks/results/reconstruct.json, or reconstruct-VARIANT.json there, and
             only when a whole tier is known.
+        method: ours, or `baselines.paper`, which has no settings.
         settings: Of the solver.
     """
     settings = replace(settings, progress=False)
     recorded = "-".join(_name_recording(sensor, motion, preset, frames))
-    variant = "-".join([split, *filter(None, [recorded]), *_name_changes(settings)])
+    variant = "-".join(
+        [split, *filter(None, [recorded]), *([] if method == "ours" else [method]), *_name_changes(settings)]
+    )
     folder = data.with_name(f"{data.name}-{recorded}") if recorded else data
     chosen = _objects(tier, objects)
     recordings = _recordings(chosen, split, sensor, motion, preset, frames)
     _record(folder, recordings, split, recorded)
     cases = [case_of(recording, folder) for recording in recordings]
-    outcomes = worst_first(solve_cases(cases, settings, work / variant, workers))
+    outcomes = worst_first(solve_cases(cases, settings, work / variant, workers, method))
     print_outcomes(outcomes, f"{variant}, {'chosen objects' if objects else tier}")
     if out is None and objects:
         return
@@ -188,6 +189,7 @@ def main(
         "preset": preset,
         "frames": frames,
         "protocol": PROTOCOL,
+        "method": method,
         "solver": VERSION,
         "solver_settings": settings.to_json(),
         "workers": workers,
@@ -290,13 +292,15 @@ def case_of(recording: Job, folder: Path) -> Case:
 # --- doing it ---------------------------------------------------------------------------------------------------------
 
 
-def solve_cases(cases: Sequence[Case], settings: ReconstructSettings, folder: Path, workers: int = 1) -> list[Outcome]:
+def solve_cases(
+    cases: Sequence[Case], settings: ReconstructSettings, folder: Path, workers: int = 1, method: str = "ours"
+) -> list[Outcome]:
     """Outcomes of the cases, solved in `folder`, which keeps results (results/SEQUENCE) and rows."""
     todo = {}
     for case in cases:
-        key = digest_of(PROTOCOL, VERSION, commit("reconstruct"), settings.to_json(), case.recording)
+        key = digest_of(PROTOCOL, VERSION, method, commit("reconstruct"), settings.to_json(), case.recording)
         place = folder / "results" / case.sequence.name
-        todo[case.sequence.name] = (key, solve, (case.sequence, case.truth, place, settings))
+        todo[case.sequence.name] = (key, solve, (case.sequence, case.truth, place, settings, method))
     rows = run_rows(folder / "rows", todo, workers)
     return [_outcome(case, rows[case.sequence.name]) for case in cases]
 
@@ -310,13 +314,14 @@ def _outcome(case: Case, answer: dict[str, Any]) -> Outcome:
     return Outcome(case.object, case.motion, row, {}, None, commit(), machine())
 
 
-def solve(sequence: Path, truth: Path, place: Path, settings: ReconstructSettings) -> dict[str, Any]:
+def solve(sequence: Path, truth: Path, place: Path, settings: ReconstructSettings, method: str) -> dict[str, Any]:
     """Solve, export and score a recording, in a process of its own; the fields of `Outcome` that are not the case's."""
+    from baselines import paper
     from export.exporter import export_result
     from freeart21.reconstruction import Failure
     from reconstruct.pipeline import reconstruct_folder
 
-    found = reconstruct_folder(sequence, place, settings)
+    found = paper.main(sequence, place) if method == "paper" else reconstruct_folder(sequence, place, settings)
     peak_gb, lacks = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9, ()
     if not isinstance(found, Failure):
         try:

@@ -3,9 +3,8 @@
 import sys
 from pathlib import Path
 
-from export.collision import CollisionSettings
-from export.exporter import ExportSettings, export_result
-from export.meshes import MeshSettings
+from export.exporter import export_result
+from export.settings import CollisionSettings, ExportSettings, MeshSettings
 from generator.simulate import load
 
 ROUGH = CollisionSettings(tolerance_m=0.02, pairs=4_000)

@@ -32,9 +32,9 @@ from freeart21.files.urdf import (
     read_urdf_parts,
 )
 from freeart21.files.urdf_files import describe_missing_file, resolve_file
+from freeart21.mesh import join_meshes
 from freeart21.se3 import Array
 from freeart21.view.mesh_pieces import read_pieces
-from freeart21.view.simplify import joined
 from generator.simulate import joint_motion
 
 MAX_MESH_BYTES = 256 << 20
@@ -118,7 +118,7 @@ def check_urdf(urdf: Path, folder: Path) -> list[Finding]:
             findings += _check_collisions(link, shapes)
             findings += _check_textures(link, files, folder)
         for joint in joints:
-            findings += _check_limits(joint)
+            findings += check_limits(joint)
     except Exception as error:  # hostile numbers reach parsers and geometry of many libraries
         findings.append(Finding(UNREADABLE, _first_line(error)))
     return findings
@@ -222,7 +222,8 @@ def _check_textures(link: UrdfLink, files: Files, folder: Path) -> Iterator[Find
                     yield Finding("textures.exist", f"{material.name} names {image}, which does not exist")
 
 
-def _check_limits(joint: UrdfJoint) -> Iterator[Finding]:
+def check_limits(joint: UrdfJoint) -> Iterator[Finding]:
+    """Faults of a joint's axis and limits."""
     name = f"joint '{joint.name}'"
     if joint.type != "fixed" and abs(joint.axis_length - 1) > 1e-6:
         yield Finding("axis.unit", f"{name} has an axis of length {joint.axis_length:.6g}, expected 1")
@@ -298,7 +299,7 @@ def _load_geometry(shape: UrdfShape, files: Files) -> trimesh.Trimesh | None:
 def read_solid(path: Path) -> trimesh.Trimesh:
     """The triangles of a mesh file. Equal corners are merged, except in an OBJ, which has shared vertices."""
     if path.suffix.lower() != ".obj":
-        mesh = joined(*(piece.mesh for piece in read_pieces(path, path.parent)))
+        mesh = join_meshes([piece.mesh for piece in read_pieces(path, path.parent)])
         solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
         solid.merge_vertices(merge_tex=True, merge_norm=True)
         return solid

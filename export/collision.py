@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import manifold3d
 import numpy as np
@@ -15,6 +14,7 @@ from export.decomposition import MAX_VERTICES, MIN_THICKNESS_M, Tolerance, decom
 from export.outer_surface import OuterSurface, even_directions, sample_outer_surface
 from export.primitive_fit import fit_primitive
 from export.primitives import Box, Cylinder, Primitive
+from export.settings import CollisionSettings
 from freeart21.errors import FreeArtError
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
@@ -31,32 +31,8 @@ _SIDEWAYS = 1e-3
 than this fraction of their distance. For a foot of 5 cm that is `_LEVEL_M`."""
 
 
-@dataclass(frozen=True)
-class CollisionSettings:
-    """Settings of the convex decomposition."""
-
-    tolerance_m: float = 1.2e-3
-    """m that a hull may extend beyond the part. For parts under 6 cm a fiftieth of their size; for large ones half the
-    spacing of surface points, 1.5 mm for a cabinet of 65 cm."""
-    max_hulls: int = 256
-    """Most hulls per part; beyond, the tolerance is widened."""
-    min_share: float = 0.0025
-    """Least share of a part's surface that a shape alone must cover, so that roughness costs no shapes: of a drawer's
-    360 shapes beside its boards 338 covered less."""
-    primitives: bool = True
-    """Whether boxes, cylinders and spheres replace hulls where they fit as well."""
-    pairs: int = 40_000
-    """Most pairs of hulls tested for merging; bounds the time."""
-
-
 MAX_BOXES = 12
 """Most boxes of a part that are found by its planes."""
-Contact = Literal["fine", "fast"]
-PRESETS: dict[str, CollisionSettings] = {
-    "fine": CollisionSettings(),
-    "fast": CollisionSettings(tolerance_m=3e-3, max_hulls=16, min_share=0.01, pairs=16_000),
-}
-"""Contact shapes within about a millimetre, and at most 16 a part for fast simulation."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Files derived from URDF, MJCF and asset.json: USD, loaders, LOSSES.md, preview.png."""
+"""Files derived from URDF, MJCF and asset.json: USD, loaders, preview.png."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import importlib.util
 from pathlib import Path
 
 from export.loaders import write_loaders
-from export.losses import write_losses
 from export.preview import write_preview
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
@@ -27,5 +26,4 @@ def write_companion_files(folder: Path, asset: Asset, with_usd: bool | None = No
 
         write_usd(folder / USD, asset)
     write_loaders(folder, asset)
-    write_losses(folder, asset)
     write_preview(folder, asset)

@@ -7,27 +7,28 @@ import dataclasses
 import re
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 
 import freeart21
 from export.certificate import MeasuredFiles, certify, list_reloaded, measure_files
 from export.checklist import allowed_off, check_asset
-from export.collision import PRESETS, Collision, CollisionSettings, Contact, make_collision, separate_collisions
+from export.collision import Collision, make_collision, separate_collisions
 from export.companion_files import write_companion_files
-from export.guessed_dynamics import DYNAMICS, Dynamics, guess_effects
+from export.guessed_dynamics import guess_effects
 from export.hollows import sealed_faces
 from export.inertia import compute_inertial
 from export.masses import PartMass, resolve_parts, weigh_parts
-from export.materials import DEFAULT, DENSITIES, MATERIALS, TABLE
-from export.meshes import MeshSettings, drop_small_components, write_hull, write_visual
+from export.materials import DEFAULT, DENSITIES, TABLE
+from export.meshes import drop_small_components, write_hull, write_visual
 from export.mjcf import format_mjcf
-from export.model import BASES, AssetModel, Base, LinkModel
+from export.model import AssetModel, LinkModel
 from export.parts import Part, WholeParts, close_parts
-from export.placement import Placement, PlacementSettings, place_parts
+from export.placement import Placement, place_parts
+from export.settings import PRESETS, ExportSettings
 from export.splats import PlacedPart, complete_gaussians
 from export.urdf import format_urdf
 from freeart21 import se3
@@ -50,90 +51,14 @@ from freeart21.recording import Recording
 from freeart21.se3 import Array
 from generator.simulate import joint_motion
 
-Names = Literal["part", "role"]
 URDF, MJCF, MESHES = "object.urdf", "object.xml", "meshes"
 
 
 DENSITY = DENSITIES[DEFAULT]
 """kg/m^3 by default, that of plastic: video does not show mass."""
-_DENSITIES = (1e-3, 1e5)
-"""kg/m^3: bounds of matter on earth, with room."""
-_MASSES = (1e-6, 1e6)
-"""kg: bounds that engines and single precision can handle."""
-_WALLS = (1e-5, 1.0)
-"""m, from foil to masonry."""
-_SCALES = (1e-4, 1e4)
 _LENGTHS = (1e-3, 10.0)
 """m: bounds of a part's size, its distance from the axis, and its travel. Below 1 mm, collision shapes cannot be made
 (`decomposition.MIN_THICKNESS_M`); 10 m, set by hand, is beyond what a depth camera sees."""
-
-
-@dataclass(frozen=True)
-class ExportSettings:
-    """Settings of `export_result`."""
-
-    density: float | None = None
-    """kg/m^3 of both parts; None: that of `material`, unless `mass` is given."""
-    material: str | Mapping[str, str] | None = None
-    """What both parts are made of, or each by the name of its link or part, of `export.materials.MATERIALS`; a part
-    without one is of `DEFAULT`, marked as a guess."""
-    wall: float | None = None
-    """m: both parts are shells of this wall thickness; None: solids."""
-    mass: float | Mapping[str, float] | None = None
-    """kg of the whole object, divided between the parts by volume and density, or of parts by the name of their link or
-    part; not together with `density`."""
-    dynamics: Dynamics = "guessed"
-    """'guessed': a joint without effects gets a little damping and friction, marked as guessed."""
-    scale: float = 1.0
-    """Lengths of the asset over those of the video."""
-    placement: PlacementSettings = field(default_factory=PlacementSettings)
-    """Which way is up, where the joint is at zero and where it ends."""
-    effort: float = 100.0
-    """URDF effort limit, N m or N. A default: video does not show it."""
-    velocity: float = 10.0
-    """URDF velocity limit, rad/s or m/s. A default: video does not show it."""
-    names: Names = "part"
-    """Names of the links: 'part' is reference and moving, 'role' base and lid, door, drawer, slider, handle or part
-    (`export.standing.name_role`)."""
-    base: Base = "free"
-    """Whether the root link moves freely or is fixed to the world. A loader can still fix a free base."""
-    usd: bool | None = None
-    """Whether to write USD; None: only where usd-core is installed."""
-    meshes: MeshSettings = field(default_factory=MeshSettings)
-    """Visual meshes and textures."""
-    contact: Contact = "fine"
-    """Collision shapes: 'fine' within about a millimetre, 'fast' at most 16 a part."""
-    collision: CollisionSettings | None = None
-    """Collision shapes in detail; None: as `contact` says."""
-
-    def check(self) -> None:
-        """Raise FreeArtError when a setting is invalid."""
-        if self.base not in BASES:
-            raise FreeArtError(f"base is '{self.base}', expected {' or '.join(BASES)}")
-        if self.density is not None and self.mass is not None:
-            raise FreeArtError(f"density {self.density:g} kg/m^3 and mass {self.mass:g} kg: give one of them")
-        self.placement.check()
-        known_names = {"material": MATERIALS, "dynamics": DYNAMICS, "contact": PRESETS, "names": get_args(Names)}
-        for name, known in known_names.items():
-            for value in _each_value(getattr(self, name)):
-                if value not in known:
-                    raise FreeArtError(f"there is no {name} '{value}'; there are {', '.join(known)}")
-        for name, unit, (low, high) in (
-            ("density", " kg/m^3", _DENSITIES),
-            ("wall", " m", _WALLS),
-            ("mass", " kg", _MASSES),
-            ("scale", "", _SCALES),
-        ):
-            for value in _each_value(getattr(self, name)):
-                if not low <= value <= high:
-                    raise FreeArtError(f"{name} is {value:g}{unit}, expected {low:g} to {high:g}")
-
-
-def _each_value(given: Any) -> tuple[Any, ...]:
-    """The values of a setting that is one for all parts, one each, or None."""
-    if isinstance(given, Mapping):
-        return tuple(given.values())
-    return () if given is None else (given,)
 
 
 def export_result(
@@ -184,7 +109,19 @@ def export_result(
             | cuts,
             **_describe_settings(settings, guessed=model.effects != effects),
         }
-        write_asset_json(folder, _make_asset(folder, model, links, placement, source, settings.scale))
+        asset = Asset(
+            folder / URDF,
+            model.joint.name,
+            links["reference"].name,
+            links["moving"].name,
+            placement.T_canonical_reference,
+            placement.state_zero,
+            {model.joint.name: model.effects} if model.effects else {},
+            source=source,
+            scale=settings.scale,
+            trust=model.trust,
+        )
+        write_asset_json(folder, asset)
         if reconstruction.appearance is not None:
             placed = _place_shapes(shapes, placement, scaled.articulation.joint)
             write_gaussians(folder / GAUSSIANS, complete_gaussians(reconstruction.appearance, settings.scale, placed))
@@ -421,29 +358,6 @@ def _describe_settings(settings: ExportSettings, guessed: bool) -> dict[str, Any
         "exporter": f"freeart21 {freeart21.__version__}",
         "settings": dataclasses.asdict(settings),
     }
-
-
-def _make_asset(
-    folder: Path,
-    model: AssetModel,
-    links: dict[str, LinkModel],
-    placement: Placement,
-    source: dict[str, Any],
-    scale: float,
-) -> Asset:
-    return Asset(
-        folder / URDF,
-        model.joint.name,
-        links["reference"].name,
-        links["moving"].name,
-        placement.T_canonical_reference,
-        placement.state_zero,
-        {model.joint.name: model.effects} if model.effects else {},
-        {},
-        source,
-        scale,
-        model.trust,
-    )
 
 
 def _identifier(text: str, fallback: str) -> str:

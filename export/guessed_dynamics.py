@@ -8,16 +8,12 @@ identifies.
 
 from __future__ import annotations
 
-from typing import Literal, get_args
-
 import numpy as np
 
 from freeart21.effects import Effect, effects_from_urdf_dynamics
 from freeart21.files.urdf import UrdfInertial
 from freeart21.joint import Joint
 
-Dynamics = Literal["guessed", "none"]
-DYNAMICS: tuple[str, ...] = get_args(Dynamics)
 SETTLE_S = 1.0
 """s in which speed falls to 37 %. A guess: lids and drawers come to rest within a second or two."""
 FRICTION_SHARE = 0.01

@@ -11,20 +11,17 @@ about every axis.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
 
 import numpy as np
 
+from export.settings import JointNumbers
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.places import JOINT_ASSET, check_place
 from freeart21.files.urdf import Urdf, UrdfInertial, UrdfJoint, UrdfLink, UrdfShape, format_urdf
 from freeart21.se3 import pose
 
-Kind = Literal["pendulum", "door", "drawer"]
-KINDS: tuple[str, ...] = get_args(Kind)
 G = 9.81
 """m/s^2, for inertia from a period; also the default of `freeart21 measure`."""
 BALL = 4e-5
@@ -32,26 +29,6 @@ BALL = 4e-5
 Engines take no point masses; it lengthens a period by 2e-5."""
 _SMALL = 1e-3
 """m: radius of the ball of a drawer. Not measured: engines need some inertia, and sliding does not depend on it."""
-
-
-@dataclass(frozen=True)
-class JointNumbers:
-    """Known numbers of a joint and its moving part; None is unknown."""
-
-    kind: Kind
-    mass: float
-    """kg, of the moving part."""
-    length: float | None = None
-    """m from the joint's axis to the centre of mass; not of a drawer."""
-    inertia: float | None = None
-    """kg m^2 about the joint's axis; None: that of a point mass at `length`."""
-    period: float | None = None
-    """s of a small free swing of a pendulum: gives the length or, together with a length, the inertia."""
-    lower: float | None = None
-    """rad or m; None is unlimited."""
-    upper: float | None = None
-    name: str = "hinge"
-    """Of the joint."""
 
 
 def write_joint_asset(out: Path, numbers: JointNumbers) -> None:
@@ -78,7 +55,7 @@ def format_joint_urdf(numbers: JointNumbers) -> bytes:
     lower, upper = (np.inf if end is None else end for end in (numbers.lower, numbers.upper))
     strength = None if free else 0.0
     joint = UrdfJoint(
-        numbers.name,
+        numbers.joint,
         kind,
         "base",
         "part",
@@ -128,8 +105,6 @@ def _mass_properties(numbers: JointNumbers) -> tuple[float, float]:
 
 def _check(numbers: JointNumbers) -> None:
     """Raise FreeArtError when a number is invalid, or belongs to another kind of joint."""
-    if numbers.kind not in KINDS:
-        raise FreeArtError(f"there is no kind '{numbers.kind}' of joint; kinds: {', '.join(KINDS)}")
     for name in ("mass", "length", "inertia", "period", "lower", "upper"):
         value = getattr(numbers, name)
         if value is not None and not math.isfinite(value):
@@ -151,5 +126,3 @@ def _check(numbers: JointNumbers) -> None:
         raise FreeArtError("--lower and --upper: expected both limits, or none")
     if numbers.lower is not None and numbers.upper is not None and not numbers.lower < numbers.upper:
         raise FreeArtError(f"--lower {numbers.lower:g} --upper {numbers.upper:g}: expected the lower one to be less")
-    if not numbers.name.strip():
-        raise FreeArtError("--joint: expected a name that is not empty")

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from export.penetration import Overlap
+from export.settings import TOLERANCE, Zero
 from freeart21 import se3
 from freeart21.articulation import Articulation
 from freeart21.reconstruction import Reconstruction
 
 End = Literal["seen", "hidden", "contact"]
 """What determines a limit: an observed frame, a predicted state of a frame in which a part was hidden, or contact."""
-Zero = Literal["first", "closed", "lower", "upper"]
-ZEROS: tuple[str, ...] = get_args(Zero)
-TOLERANCE = 5e-4
-"""m: overlap that an asset may have, and increase in overlap that counts as contact."""
 SIGMAS = 2.0
 """Standard deviations of uncertainty of a state: 95 %."""
 STATES = 31

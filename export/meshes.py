@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,16 +17,6 @@ _RAYS = 2000
 GREY = (0.7, 0.7, 0.7)  # of a part without colours
 MIN_COMPONENT = 0.01
 """Fraction of a part's area or volume below which a connected component is dropped; the largest always stays."""
-
-
-@dataclass(frozen=True)
-class MeshSettings:
-    """Sizes of part meshes."""
-
-    max_faces: int = 20_000
-    """Most faces of a part; more are decimated (`export.surface`)."""
-    points: int = 25_000
-    """Approximate number of surface points with which a part is closed; a cut through 60 000 took a minute."""
 
 
 def merge_duplicates(mesh: Mesh) -> Mesh:

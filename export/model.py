@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 from export.materials import Material
 from export.primitives import Primitive
+from export.settings import Base
 from freeart21.effects.base import Effect
 from freeart21.files.urdf import UrdfInertial
 from freeart21.joint import Joint
 from freeart21.reconstruction import Trust
 
-Base = Literal["free", "fixed"]
-BASES = get_args(Base)
 WORLD = "world"
 """Name of the root link of a fixed base. MuJoCo, Drake and PyBullet take a root link of this name for the world."""
 

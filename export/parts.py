@@ -13,9 +13,10 @@ from export.atlas import Texture
 from export.carving import SIMPLIFY_SHARE, carve_overlap, cut_spots
 from export.free_space import find_free_space
 from export.hollows import Panels, find_panels, sealed_faces
-from export.joint_range import STATES, TOLERANCE, JointRange, estimate_joint_range
-from export.meshes import MeshSettings, flip_faces
+from export.joint_range import STATES, JointRange, estimate_joint_range
+from export.meshes import flip_faces
 from export.penetration import Overlap
+from export.settings import TOLERANCE, MeshSettings
 from export.surface import Surface, close_surface, replace_mesh, subtract_cavities
 from export.texture import check_recording, texture_from_vertices, textures_from_video
 from freeart21.articulation import PARTS, Articulation

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from export.joint_range import TOLERANCE, ZEROS, JointRange, Zero, choose_zero
+from export.joint_range import JointRange, choose_zero
 from export.resting_pose import FACET_ANGLE, GROUND_SHARE, choose_upright, find_support, resting_poses, settle
-from export.standing import BASE, find_front, name_role
+from export.settings import PlacementSettings
+from export.standing import BASE, find_front, name_role, normalise
 from freeart21 import se3
 from freeart21.articulation import PARTS, Articulation
 from freeart21.errors import FreeArtError
@@ -27,39 +28,6 @@ MIN_RANGE = {"revolute": 1e-3, "prismatic": 1e-4}
 """rad or m: a joint that was observed to move less has no limits to export."""
 MIN_STANDING = 0.5
 """Share of the frames in which the reference part has one tilt: whoever carries an object about tilts it."""
-Direction = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class PlacementSettings:
-    """Up direction, joint zero, and tolerance of overlap."""
-
-    up: Direction | None = None
-    """Direction in the canonical frame that becomes z; None: that of gravity (given, or the recording's), or of the
-    likeliest resting pose."""
-    gravity: Direction | None = None
-    """Direction of gravity in the first frame's camera axes (right, down, forward), of any length. Only when the
-    reference part stood still in the camera; not together with `up`."""
-    zero: Zero = "closed"
-    """Where the URDF joint is at zero: at the 'first' frame's state, 'closed' (the end with the smaller convex hull),
-    'lower', 'upper'."""
-    tolerance_m: float = TOLERANCE
-    """m that the parts may overlap, in the asset's own lengths when it is scaled."""
-    carve: bool = True
-    """Whether the volume swept by one part is subtracted from the other, where both are closed."""
-
-    def check(self) -> None:
-        """Raise FreeArtError when a setting is invalid."""
-        for name in ("up", "gravity"):
-            value = getattr(self, name)
-            if value is not None:
-                _normalise(value, name)
-        if self.up is not None and self.gravity is not None:
-            raise FreeArtError("up and gravity are both given: give one of them")
-        if self.zero not in ZEROS:
-            raise FreeArtError(f"zero is '{self.zero}', expected one of {', '.join(ZEROS)}")
-        if not 0 < self.tolerance_m < np.inf:
-            raise FreeArtError(f"tolerance_m is {self.tolerance_m:g} m, expected more than 0")
 
 
 @dataclass(frozen=True)
@@ -156,13 +124,13 @@ def _choose_up(
     """(3,) up in the canonical frame, the part that then supports the object, and a report."""
     parts = answer.articulation
     if settings.up is not None:
-        up = _normalise(settings.up, "up")
+        up = normalise(np.array(settings.up))
         return up, find_support(parts, zero, up), _describe_up("given", up)
     first = _first_frame(answer)
     R_canonical_camera = answer.Ts_camera_reference[first, :3, :3].T
     if settings.gravity is not None:
         _check_reference_still(answer)
-        up = -R_canonical_camera @ _normalise(settings.gravity, "gravity")
+        up = -R_canonical_camera @ normalise(np.array(settings.gravity))
         return up, find_support(parts, zero, up), _describe_up("gravity", up)
     standing = None if gravity is None else find_standing_up(answer, gravity)
     if standing is not None:
@@ -205,7 +173,7 @@ def find_standing_up(answer: Reconstruction, gravity: NDArray[np.float64]) -> tu
     near = ups @ ups.T > np.cos(FACET_ANGLE)
     most = int(np.argmax(near.sum(1)))
     share = float(near[most].mean())
-    return (_normalise(tuple(ups[near[most]].mean(0)), "gravity"), share) if share >= MIN_STANDING else None
+    return (normalise(ups[near[most]].mean(0)), share) if share >= MIN_STANDING else None
 
 
 def _describe_up(how: str, up: NDArray[np.float64]) -> dict[str, Any]:
@@ -258,11 +226,3 @@ def _root_pose(
     base = base if len(base) else standing
     x, y, _ = 0.5 * (base.min(0) + base.max(0))
     return se3.pose(R, R @ np.array([x, y, level]))
-
-
-def _normalise(direction: Direction, name: str) -> NDArray[np.float64]:
-    """(3,) of length one."""
-    d = np.asarray(direction, float)
-    if d.shape != (3,) or not np.isfinite(d).all() or not np.linalg.norm(d) > 0:
-        raise FreeArtError(f"{name} is {direction}, expected three finite numbers that are not all zero")
-    return np.asarray(d / np.linalg.norm(d))

@@ -7,7 +7,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from freeart21 import se3
 from freeart21.asset import Asset
@@ -23,13 +22,9 @@ SIDE = 512
 """Pixels along each side of the two images."""
 _SUPERSAMPLING = 2
 """Samples per pixel and axis."""
-_VIEWPOINT = (-1.0, -1.4, 0.9)
-"""Preferred direction of the camera from the object."""
-_DIRECTIONS = 24
-"""Directions around the object that are tried."""
-_MIN_GAIN = 0.05
-"""Fraction by which the opposite side must cover more of the image to be preferred: less is not visible."""
-_LIGHT = (-0.35, -0.5, 0.8)
+_VIEWPOINT = (1.0, -1.4, 0.9)
+"""Direction of the camera from the object: before its front, from its right."""
+_LIGHT = (0.35, -0.5, 0.8)
 _AMBIENT = 0.55
 """Share of ambient light."""
 _GROUND = (236, 238, 241)
@@ -55,31 +50,13 @@ def render_preview(asset: Asset) -> NDArray[np.uint8]:
     joint = shown.urdf.joints[asset.joint]
     ends = sorted((joint.lower, joint.upper), key=abs)
     poses = [link_poses(shown.urdf.joints, {**asset.held, asset.joint: q}) for q in ends]
-    every = [
-        se3.transform(Ts[link], piece.mesh.vertices[:: len(piece.mesh.vertices) // 2000 + 1])
-        for Ts in poses
-        for link in shown.visuals
-        for piece in shown.visuals[link]
-    ]
-    R = _view_rotation(_choose_viewpoint(np.concatenate(every)))
-    boxes, drawn = [], []
-    for Ts in poses:
-        points = [p for link in shown.visuals for p in project_link(shown, link, Ts[link], R)]
-        drawn.append(points)
-        boxes += [piece[0] for piece in points]
-    low, high = np.concatenate(boxes).min(0), np.concatenate(boxes).max(0)
+    R = _view_rotation(np.array(_VIEWPOINT))
+    drawn = [[p for link in shown.visuals for p in project_link(shown, link, Ts[link], R)] for Ts in poses]
+    points = np.concatenate([piece[0] for pieces in drawn for piece in pieces])
+    low, high = points.min(0), points.max(0)
     scale = _FILL * SIDE * _SUPERSAMPLING / max(float((high - low)[:2].max()), 1e-9)
     shift = 0.5 * SIDE * _SUPERSAMPLING - scale * 0.5 * (low + high)[:2]
     return np.hstack([_rasterise(pieces, scale, shift, R) for pieces in drawn])
-
-
-def _choose_viewpoint(points: Array) -> Array:
-    """(3,) direction from which points (n, 3) of both states cover most of the image."""
-    turns = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
-    eyes = se3.exp_so3(turns[:, None] * np.array([0.0, 0.0, 1.0])) @ np.array(_VIEWPOINT)
-    covers = [ConvexHull(points @ _view_rotation(eye)[:2].T, qhull_options="QJ").volume for eye in eyes]
-    habit = 1 - _MIN_GAIN * np.abs(np.remainder(turns + np.pi, 2 * np.pi) - np.pi) / np.pi
-    return np.asarray(eyes[int(np.argmax(covers * habit))])
 
 
 def _view_rotation(eye: Array) -> Array:

@@ -43,9 +43,9 @@ def find_front(
     level = joint.axis - up * (up @ joint.axis)
     upright_axis = np.linalg.norm(level) < np.sin(STEEP)
     if not upright_axis and joint.type == "prismatic":
-        return _normalise(opening * level)
+        return normalise(opening * level)
     if not upright_axis:
-        across, out = _normalise(np.cross(up, level)), box_centre(moving) - joint.pivot
+        across, out = normalise(np.cross(up, level)), box_centre(moving) - joint.pivot
         out = out if abs(across @ out) > abs(up @ out) else away
         return across if across @ out >= 0 else -across
     thin = _thinnest_side(moving if joint.type == "revolute" else standing, up)
@@ -55,7 +55,7 @@ def find_front(
 def _thinnest_side(mesh: Mesh, up: NDArray[np.float64]) -> NDArray[np.float64]:
     """(3,) the horizontal direction in which a mesh is thinnest, to a degree."""
     first = np.eye(3)[int(np.argmin(np.abs(up)))]
-    first = _normalise(first - up * (up @ first))
+    first = normalise(first - up * (up @ first))
     angles = np.radians(np.arange(180.0))
     ways = np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * np.cross(up, first)
     points = mesh.vertices[np.unique(mesh.faces)] @ ways.T
@@ -111,5 +111,6 @@ def name_role(joint: Joint, standing: Mesh, moving: Mesh) -> str:
     return "handle" if small else PART
 
 
-def _normalise(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+def normalise(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3,) of length one."""
     return np.asarray(vector / np.linalg.norm(vector))

@@ -36,7 +36,6 @@ from export.carving import drop_small_pieces
 from export.free_space import UNKNOWN, SpaceGrid
 from export.meshes import (
     MIN_COMPONENT,
-    MeshSettings,
     drop_small_components,
     flip_faces,
     is_inside_out,
@@ -44,6 +43,7 @@ from export.meshes import (
     number_cells,
 )
 from export.planes import PLANE_TOLERANCE, fit_planes, plane_axes, sample_planes, suppose_planes
+from export.settings import MeshSettings
 from export.symmetry import Supposed, suppose_by_symmetry
 from export.winding_number import Winding
 from freeart21.errors import FreeArtError

@@ -35,7 +35,6 @@ class Fault:
     """Meaning of a field of `CameraFaults`."""
 
     low: float
-    """Bounds, far beyond any camera, so that a damaged file is refused."""
     high: float
     """Between these it must lie: far beyond any camera, so that a damaged file is refused."""
     unit: str
@@ -123,8 +122,13 @@ class CameraFaults:
         z = depth.astype(np.float64)
         out = z * (1 + self.depth_scale) + self.depth_offset + self.depth_curve * z * z
         if rng is not None:
-            out = self._add_noise(out, z, cosine, rng)
-            out = self._add_flying_pixels(out, z, rng)
+            noise = rng.standard_normal(z.shape)
+            out = out + self.depth_noise(z, cosine) * noise if self.noise else out
+            fly, share = rng.random((2, *z.shape))
+            if self.flying_share and self.flying_reach:
+                behind, distance = find_depth_edges(z)
+                flying = (distance <= self.flying_reach) & (fly < self.flying_share)
+                out = np.where(flying, out + share * (behind - z), out)
             out = np.where(rng.random(z.shape) < self.hole_probability(brightness, cosine), 0.0, out)
         out = np.where(seen, np.maximum(out, 0), 0)
         return self._shift_depth(out.astype(np.float32), camera)
@@ -151,18 +155,6 @@ class CameraFaults:
             return rgb
         table = srgb_encode(2.0**stops * srgb_decode(np.arange(256) / 255.0) ** (1 + gamma))
         return np.asarray(np.rint(255 * table).astype(np.uint8)[rgb])
-
-    def _add_noise(self, out: Array, z: Array, cosine: Map, rng: np.random.Generator) -> Array:
-        noise = rng.standard_normal(z.shape)
-        return out + self.depth_noise(z, cosine) * noise if self.noise else out
-
-    def _add_flying_pixels(self, out: Array, z: Array, rng: np.random.Generator) -> Array:
-        fly, share = rng.random((2, *z.shape))
-        if not (self.flying_share and self.flying_reach):
-            return out
-        behind, distance = find_depth_edges(z)
-        flying = (distance <= self.flying_reach) & (fly < self.flying_share)
-        return np.where(flying, out + share * (behind - z), out)
 
     def _shift_depth(self, depth: Map, camera: Camera) -> Map:
         """The depth picture with its registration error; nearest-neighbour."""
@@ -199,26 +191,6 @@ def srgb_decode(colours: NDArray[Any]) -> Array:
     """Linear light of sRGB, both 0 to 1."""
     x = np.clip(colours, 0, 1)
     return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
-
-
-def incidence_cosine(depth: NDArray[Any], camera: Camera) -> Map:
-    """Cosine (height, width) of the angle of incidence from the depth picture alone; 1 where nothing is drawn.
-
-    On a plane the inverse depth is linear in the picture; each slope is the smaller of both sides'.
-    """
-    rays = camera.rays()
-    w = np.where(depth > 0, 1 / np.maximum(depth, 1e-9), np.nan)
-    slopes = []
-    for axis, f in ((1, camera.K[0, 0]), (0, camera.K[1, 1])):
-        step = np.diff(w, axis=axis) * f
-        pad = np.full_like(np.take(w, [0], axis), np.nan)
-        both = np.stack([np.concatenate([pad, step], axis), np.concatenate([step, pad], axis)])
-        both = np.where(np.isfinite(both), both, np.inf)
-        least = np.take_along_axis(both, np.abs(both).argmin(0)[None], 0)[0]
-        slopes.append(np.where(np.isfinite(least), least, 0.0))
-    n = np.stack([slopes[0], slopes[1], np.nan_to_num(w) - slopes[0] * rays[..., 0] - slopes[1] * rays[..., 1]], -1)
-    length = np.linalg.norm(n, axis=-1) * np.linalg.norm(rays, axis=-1)
-    return np.where(depth > 0, np.nan_to_num(w) / np.maximum(length, 1e-12), 1.0).astype(np.float32)
 
 
 def find_depth_edges(z: NDArray[Any]) -> tuple[Array, Array]:

@@ -18,20 +18,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 import freeart21
+from export.settings import Masses, Materials
 from freeart21 import processes
 from freeart21.errors import FreeArtError
+from freeart21.formats.series_settings import SeriesSettings
 from freeart21.processes import DOUBTFUL, report_errors
-from simgap.commands import SeriesOptions, TruthOptions, measure_files
+from simgap.commands import TruthOptions
 
 if TYPE_CHECKING:
     from freeart21.files.masks import Click
-    from freeart21.recording import Recording
-    from reconstruct.masks import Foreground
 
 Positional: Any = tyro.conf.Positional
 Flat: Any = tyro.conf.arg(name="")
-MassWords = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="KG | NAME=KG...")]
-MaterialWords = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="MATERIAL | NAME=MATERIAL...")]
 DESCRIPTION = "FreeArt-21: from RGB-D videos of articulated objects to simulation-ready assets, and their score."
 COMMANDS = {
     "doctor": "freeart21.commands",
@@ -96,6 +94,7 @@ def demo(
     from leaderboard.scores_file import write_scores
     from leaderboard.tables import page_entries, print_scores, score_note
     from reconstruct.pipeline import reconstruct_folder
+    from reconstruct.settings import GaussianSettings, ReconstructSettings
 
     check_place(out, DEMO)
     settings = RecordSettings(  # small pictures and few views: 3 minutes 20 s on two cores
@@ -107,7 +106,10 @@ def demo(
         print(f"Recording {frames} frames of {name} in the simulator", flush=True)
         sequence = record(name, data, settings)
         print("Reconstructing it from the video alone", flush=True)
-        answer = reconstruct_folder(data / "sequences" / sequence, results / sequence, _light_settings())
+        light = GaussianSettings(rounds=6, most_pixels=20_000, begin=8_000, most=12_000)  # less than half of the time
+        answer = reconstruct_folder(
+            data / "sequences" / sequence, results / sequence, ReconstructSettings(gaussians=light)
+        )
         if not isinstance(answer, Failure):
             print("Exporting it as a textured asset for simulators, and reloading that", flush=True)
             try:
@@ -131,20 +133,10 @@ def demo(
     print(f"All results are in {out}; open {out / 'index.html'} in a browser.")
 
 
-def _light_settings() -> Any:
-    """Fewer Gaussians, pixels and rounds than by default: less than half of the stage's time."""
-    from reconstruct.settings import GaussianSettings, ReconstructSettings
-
-    light = GaussianSettings(rounds=6, most_pixels=20_000, begin=8_000, most=12_000)
-    return ReconstructSettings(gaussians=light)
-
-
 def measure(
     sources: Annotated[tuple[Path, ...], Positional],
     out: Path,
-    gravity: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")] = None,
-    rate_hz: float | None = None,
-    series: Annotated[SeriesOptions, Flat] = SeriesOptions(),  # noqa: B008 (frozen)
+    series: Annotated[SeriesSettings, Flat] = SeriesSettings(),  # noqa: B008 (frozen)
     truths: Annotated[TruthOptions, Flat] = TruthOptions(),  # noqa: B008 (frozen)
 ) -> None:
     """Make a measured set for `gap`: from CSV, JSON or MAT files, a filmed result, or recorded truths.
@@ -154,9 +146,6 @@ def measure(
             whose reference part stood still, with --gravity; or truth folders of one object (DATA/truth/SEQ, each
             recorded with --motion release).
         out: Folder for the measured set (OUT/measured) and, for truths, the object without effects (OUT/asset).
-        gravity: Gravity, m/s^2. For files: in the asset's reference link, 0 0 -9.81 when not given. For a result: in
-            the camera's axes (right, down, forward) of the first frame, 0 9.81 0 for a level camera.
-        rate_hz: Rows per second of files without times; frames of a result [30].
     """
     files = [source for source in sources if source.is_file()]
     results = [source for source in sources if (source / "prediction.json").is_file()]
@@ -171,21 +160,25 @@ def measure(
     kind = "files" if files else "a result" if results else "truths"
     for whose, options in (("files", series), ("truths", truths)):
         given = [f.name.replace("_", "-") for f in fields(options) if getattr(options, f.name) != f.default]
+        given = [name for name in given if kind != "a result" or name not in ("gravity", "rate-hz")]
         if given and whose != kind:
             named = ", ".join(str(source) for source in sources)
             raise FreeArtError(f"measure: --{given[0]} applies to {whose}, but this was taken for {kind}: {named}")
     asset = out / "asset"
     if files:
-        asset = measure_files(files, out, gravity, rate_hz, series)
+        from freeart21.formats.measured_series import measure_series
+
+        print("".join(f"- {note}\n" for note in measure_series(files, out, series)), end="")
+        asset = series.asset or asset
     elif results:
-        if len(sources) > 1 or gravity is None:
+        if len(sources) > 1 or series.gravity is None:
             raise FreeArtError(
                 "measure: expected one result and --gravity X Y Z in the camera's axes of its first frame "
-                f"(0 9.81 0 for a level camera); got {len(sources)} folders, gravity {gravity}"
+                f"(0 9.81 0 for a level camera); got {len(sources)} folders, gravity {series.gravity}"
             )
         from simgap.measure.reconstruction import measure_result
 
-        measure_result(results[0], out, gravity, 30.0 if rate_hz is None else rate_hz)
+        measure_result(results[0], out, series.gravity, 30.0 if series.rate_hz is None else series.rate_hz)
         asset = results[0] / "asset"
     else:
         from generator.measure import TrackerNoise, measure_truths
@@ -249,9 +242,10 @@ def masks(
     from freeart21.formats.convert import find_sources
     from freeart21.formats.third_party import ReadOptions
     from freeart21.progress import progress_bar
-    from freeart21.view.masks_page import MaskView, choose_frames, write_masks_page
+    from freeart21.view.click_page import ClickServer
+    from freeart21.view.masks_page import write_masks_page
     from reconstruct.hands import find_networks
-    from reconstruct.masks import Foreground, MaskSettings, carry_masks
+    from reconstruct.masks import Foreground, carry_masks
     from reconstruct.segmenters import make_segmenter
 
     check_place(out, MASKS, [source])
@@ -261,34 +255,24 @@ def masks(
         raise FreeArtError(f"{source} has {len(found)} recordings, expected one")
     layout, folder = found[0]
     recording = layout.read(folder, ReadOptions(depth_unit=depth_unit)).recording
-    settings = MaskSettings(hands=hands or find_networks())
     with progress_bar("Finding the object") as show:
-        foreground = Foreground(recording, settings, progress=show)
-    clicks = _ask_for_clicks(foreground, recording, port) if click else []
+        foreground = Foreground(recording, hands or find_networks(), show)
+    clicks: list[Click] = []
+    if click:
+        server = ClickServer(lambda i: recording.frame(i).rgb, foreground.masks, recording.name, len(recording), port)
+        print(f"open {server.address}", flush=True)
+        server.serve()
+        clicks = server.clicks
     made = foreground.masks(clicks)
     if network is not None:
         made = carry_masks(recording, made, network, clicks)
     write_masks(out, made, clicks)
-    views = [
-        MaskView(i, recording.frame(i).rgb, made.masks[i], float(made.doubt[i]), made.reasons[i])
-        for i in choose_frames(made.doubt)
-    ]
     doubtful = int((made.doubt > 0.5).sum())
     text = f"{doubtful} of {len(made.doubt)} masks are doubtful"
     lead = "Lit up: what is taken for the object. Where that is wrong, edit the masks of those frames."
-    write_masks_page(views, out / "index.html", recording.name, [*made.notes, *([text] if doubtful else [])], lead)
+    write_masks_page(recording, made, out / "index.html", [*made.notes, *([text] if doubtful else [])], lead)
     print("\n".join([*made.notes, f"masks: {text}; look at {out / 'index.html'}"]), flush=True)
     return DOUBTFUL if 2 * doubtful >= len(made.doubt) else 0
-
-
-def _ask_for_clicks(foreground: Foreground, recording: Recording, port: int) -> list[Click]:
-    """Clicks of a user on a page of this machine."""
-    from freeart21.view.click_page import ClickServer
-
-    server = ClickServer(lambda i: recording.frame(i).rgb, foreground.masks, recording.name, len(recording), port)
-    print(f"open {server.address}", flush=True)
-    server.serve()
-    return server.clicks
 
 
 def film(
@@ -296,8 +280,8 @@ def film(
     out: Path,
     masks: Path | None = None,
     segmenter: str | None = None,
-    mass: MassWords = None,
-    material: MaterialWords = None,
+    mass: Masses = None,
+    material: Materials = None,
     gaussians: bool = True,
     anyway: bool = False,
 ) -> int:
@@ -318,8 +302,10 @@ def film(
         gaussians: Refine by Gaussians and render with them; without, it takes a third of the time.
         anyway: Solve it though a property of the video is bad.
     """
-    from export.commands import ExportOptions, check_asset, export
+    from export.commands import BY_ROLE, check_asset, export
     from freeart21.commands import view
+    from freeart21.files.result import read_result
+    from freeart21.reconstruction import Reconstruction
     from reconstruct.commands import reconstruct
     from reconstruct.settings import ReconstructSettings
 
@@ -339,12 +325,14 @@ def film(
         print(f"export: {result / 'asset'} is finished; remove it to export anew, as with another --mass", flush=True)
     else:
         print(f"export: {result / 'asset'}", flush=True)
-        if export(result, result / "asset", sequence, ExportOptions(mass=mass, material=material)) == 1:
+        if export(result, result / "asset", sequence, replace(BY_ROLE, mass=mass, material=material)) == 1:
             return 1
     print("check-asset:", flush=True)
     verdict = check_asset(result / "asset", as_json=out / "check.json", certify=True)
     view(result, out / "index.html", sequence=sequence)
-    return max(verdict, _trust_of(result))
+    answer = read_result(result)
+    sound = isinstance(answer, Reconstruction) and answer.trust is not None and answer.trust.verdict == "sound"
+    return max(verdict, 0 if sound else DOUBTFUL)
 
 
 def _film_sequence(source: Path, out: Path, masks: Path | None, segmenter: str | None, anyway: bool) -> Path:
@@ -381,16 +369,6 @@ def _film_sequence(source: Path, out: Path, masks: Path | None, segmenter: str |
         names = ", ".join(path.parent.name for path in made)
         raise FreeArtError(f"{source} has {len(made)} recordings, expected one; film one of them: {names}")
     return made[0].parent
-
-
-def _trust_of(result: Path) -> int:
-    """0 for a sound result, else DOUBTFUL."""
-    from freeart21.files.result import read_result
-    from freeart21.reconstruction import Reconstruction
-
-    answer = read_result(result)
-    sound = isinstance(answer, Reconstruction) and answer.trust is not None and answer.trust.verdict == "sound"
-    return 0 if sound else DOUBTFUL
 
 
 _make_masks = masks  # `film` has an argument of that name

@@ -32,8 +32,7 @@ def doctor(as_json: AsJson = False) -> int:
         marks = {"ok": "[green]ok[/]", "note": "[dim]note[/]", "missing": "[bold red]missing[/]"}
         for f in findings:
             table.add_row(f.name, marks[f.status], escape(f.detail))
-        console = Console()
-        console.print(table)
+        Console().print(table)
         for f in findings:
             if f.fix:
                 print(f"To fix {f.name}: {f.fix}")

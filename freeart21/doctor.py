@@ -12,9 +12,8 @@ import os
 import platform
 import shutil
 import subprocess
-import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from freeart21 import processes
@@ -58,11 +57,16 @@ class Finding:
 
 def examine() -> list[Finding]:
     """Everything that FreeArt-21 needs or can use on this machine, in the order in which to fix it."""
-    cores = f"none; everything runs on the {os.cpu_count()} processor cores"
-    gpu = Finding("GPU", "ok", ", ".join(_nvidia())) if _nvidia() else Finding("GPU", "note", cores)
-    cv2 = _probe("OpenCV", "pip install --force-reinstall --no-deps opencv-python-headless")
-    gaussians = _probe("Gaussians", f"{_INSTALL}, or where torch crashes: pip uninstall torch")
-    return [_python(), *_packages(), cv2, _rendering(), gpu, gaussians, *map(_optional, _OPTIONAL)]
+    gpus = ", ".join(_nvidia())
+    return [
+        Finding("Python", "ok", platform.python_version()),
+        *_packages(),
+        _probe("OpenCV", "pip install --force-reinstall --no-deps opencv-python-headless"),
+        _rendering(),
+        Finding("GPU", "ok" if gpus else "note", gpus or f"none; everything runs on {os.cpu_count()} processor cores"),
+        _probe("Gaussians", f"{_INSTALL}, or where torch crashes: pip uninstall torch"),
+        *map(_optional, _OPTIONAL),
+    ]
 
 
 def require_rendering() -> None:
@@ -70,14 +74,6 @@ def require_rendering() -> None:
     finding = _rendering()
     if finding.status == "missing":
         raise FreeArtError(f"{finding.detail}. Fix: {finding.fix}")
-
-
-def _python() -> Finding:
-    version = platform.python_version()
-    if (3, 10) <= sys.version_info[:2] <= (3, 12):
-        return Finding("Python", "ok", version)
-    fix = "make a virtual environment with Python 3.11: make setup PYTHON=python3.11"
-    return Finding("Python", "missing", f"{version}, expected 3.10 to 3.12", fix)
 
 
 def _packages() -> list[Finding]:
@@ -113,24 +109,23 @@ def _version(name: str) -> str | None:
 @functools.cache
 def _rendering() -> Finding:
     found = _probe("Vulkan", _BACKPORTS)
+    chosen = os.environ.get("VK_ICD_FILENAMES") or os.environ.get("VK_DRIVER_FILES")
     if found.status == "ok":
         return found
     if "libX11" in found.detail:
-        return Finding("Vulkan", "missing", found.detail, "sudo apt-get install -y libx11-6")
+        return replace(found, fix="sudo apt-get install -y libx11-6")
     if found.detail.startswith(("ImportError", "ModuleNotFoundError")):
-        return Finding("Vulkan", "missing", found.detail, _INSTALL)
-    chosen = os.environ.get("VK_ICD_FILENAMES") or os.environ.get("VK_DRIVER_FILES")
+        return replace(found, fix=_INSTALL)
     if _nvidia() and not chosen:
-        return Finding(
-            "Vulkan",
-            "missing",
-            f"there is an NVIDIA GPU but no Vulkan driver for it in this system or container ({found.detail})",
-            "start the container with NVIDIA_DRIVER_CAPABILITIES=all, or install libnvidia-gl, or set "
+        return replace(
+            found,
+            detail=f"there is an NVIDIA GPU but no Vulkan driver for it in this system or container ({found.detail})",
+            fix="start the container with NVIDIA_DRIVER_CAPABILITIES=all, or install libnvidia-gl, or set "
             "VK_ICD_FILENAMES=/usr/share/vulkan/icd.d/lvp_icd.x86_64.json for software rendering",
         )
     pointer = f"; VK_ICD_FILENAMES or VK_DRIVER_FILES points to {chosen}" if chosen else ""
     none = f"no Vulkan driver that SAPIEN accepts{pointer} (Debian 12's own Mesa 22.3 is too old); SAPIEN says: "
-    return Finding("Vulkan", "missing", none + found.detail, _BACKPORTS)
+    return replace(found, detail=none + found.detail)
 
 
 def _probe(name: str, fix: str) -> Finding:

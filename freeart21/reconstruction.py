@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -147,3 +147,22 @@ class Reconstruction:
 
     def __len__(self) -> int:
         return len(self.states)
+
+    def exchanged(self) -> Reconstruction:
+        """The same motion with the names of the parts exchanged.
+
+        The canonical frame and the states stay; the axis is reversed, as the reference part moves about (along) the
+        same line in the opposite direction when seen from the moving part.
+        """
+        a, look = self.articulation, self.appearance
+        return replace(
+            self,
+            articulation=Articulation(replace(a.joint, axis=-a.joint.axis), a.moving, a.reference),
+            Ts_camera_reference=self.Ts_camera_moving,
+            Ts_camera_moving=self.Ts_camera_reference,
+            part_masks=np.array([0, 2, 1], np.uint8)[self.part_masks],
+            seen=self.seen[:, ::-1],
+            covariances=None if self.covariances is None else self.covariances[:, ::-1],
+            alternatives=tuple(replace(o, joint=replace(o.joint, axis=-o.joint.axis)) for o in self.alternatives),
+            appearance=look and replace(look, part_weights=1 - look.part_weights),
+        )

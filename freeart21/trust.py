@@ -9,6 +9,7 @@ the constants are of right and wrong answers of benchmarks/trust.py (320 x 180 p
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,20 +81,10 @@ only. Right answers: 0.81 and more; wrong ones: 0.74 and less."""
 
 def judge(result: Reconstruction, diagnostics: Diagnostics | None = None) -> Trust:
     """Sound, or doubtful with all reasons. With the method's own diagnostics, more is checked."""
-    motion, size = measure_motion(result), object_size(result)
-    reasons = [
-        *_rarely_visible(result),
-        *_turns_too_fast(motion),
-        *_state_jumps(result, size),
-        *_poses_off_joint(result, motion, size),
-        *_joint_uncertain(result, size),
-        *_type_undecided(result),
-    ]
+    reasons = [*_doubts_of_poses(result)]
     if diagnostics is not None:
-        d = diagnostics
-        reasons += [*_poor_agreement(d), *_joint_contradicted(d), *_third_motion(d), *_own_motion_unseen(d)]
-        reasons += _rival_states(d, result)
-        reasons += [text for k in range(len(PARTS)) for text in _surface_off_video(d, k)]
+        reasons += _doubts_of_agreement(diagnostics, result)
+        reasons += [text for k in range(len(PARTS)) for text in _surface_off_video(diagnostics, k)]
     return Trust("doubtful" if reasons else "sound", tuple(reasons))
 
 
@@ -190,50 +181,50 @@ def find_jumps(values: Array, floor: float, times: float) -> NDArray[np.int64]:
 # ---------------------------------------------------------------- checks
 
 
-def _rarely_visible(result: Reconstruction) -> list[str]:
-    seen, n = result.seen, len(result)
-    both = np.flatnonzero(seen.all(1))
+def _doubts_of_poses(result: Reconstruction) -> Iterator[str]:
+    """Reasons to doubt the poses, the states and the joint, from these alone."""
+    joint, seen, n = result.articulation.joint, result.seen, len(result)
+    motion, size = measure_motion(result), object_size(result)
+    in_both = np.asarray(seen.all(1))
+    both = np.flatnonzero(in_both)
     ends = [] if not len(both) else [("before", both[0], both[0]), ("after", both[-1], n - 1 - both[-1])]
-    return [
-        f"no frame {where} frame {at} shows both parts: {count} of {n} states are extrapolated"
-        for where, at, count in ends
-        if count > MAX_EXTRAPOLATED * n
-    ] + [
-        f"the {part} part was seen in only {int(seen[:, k].sum())} of {len(seen)} frames"
-        for k, part in enumerate(PARTS)
-        if seen[:, k].mean() < MIN_SEEN
-    ]
-
-
-def _turns_too_fast(motion: Motion) -> list[str]:
+    for where, at, count in ends:
+        if count > MAX_EXTRAPOLATED * n:
+            yield f"no frame {where} frame {at} shows both parts: {count} of {n} states are extrapolated"
+    for k, part in enumerate(PARTS):
+        if seen[:, k].mean() < MIN_SEEN:
+            yield f"the {part} part was seen in only {int(seen[:, k].sum())} of {n} frames"
     turn = np.nanmax(np.nan_to_num(motion.step_angle[1:]), axis=1)
     median_turn = float(np.median(turn)) if len(turn) else 0.0
-    if median_turn <= MAX_TURN_PER_FRAME:
-        return []
-    return [
-        f"a part turns by {np.degrees(median_turn):.0f}° from frame to frame in the median: film slower, or more frames"
-    ]
+    if median_turn > MAX_TURN_PER_FRAME:
+        degrees = np.degrees(median_turn)
+        yield f"a part turns by {degrees:.0f}° from frame to frame in the median: film slower, or more frames"
 
+    steps = np.where(np.r_[False, in_both[:-1]], state_steps(result), np.nan)  # over a gap it is no step of a frame
+    jumps = find_jumps(steps, JUMP_ANGLE if joint.type == "revolute" else JUMP_SHARE * size, JUMP)
+    if len(jumps):
+        frames = ", ".join(map(str, jumps[:5])) + (" and others" if len(jumps) > 5 else "")
+        yield f"the state jumps by up to {_format_state(float(steps[jumps].max()), joint)} in one frame ({frames})"
 
-def _state_jumps(result: Reconstruction, size: float) -> list[str]:
-    joint, both = result.articulation.joint, np.asarray(result.seen.all(1))
-    steps = np.where(np.r_[False, both[:-1]], state_steps(result), np.nan)  # over a gap it is no step of one frame
-    found = find_jumps(steps, JUMP_ANGLE if joint.type == "revolute" else JUMP_SHARE * size, JUMP)
-    if not len(found):
-        return []
-    frames = ", ".join(map(str, found[:5])) + (" and others" if len(found) > 5 else "")
-    return [f"the state jumps by up to {_format_state(float(steps[found].max()), joint)} in one frame ({frames})"]
-
-
-def _poses_off_joint(result: Reconstruction, motion: Motion, size: float) -> list[str]:
     uncertain = SIGMAS_OFF_JOINT * _pose_uncertainty(result)
     off = median(np.sqrt(np.maximum(motion.gap_surface**2 - uncertain**2, 0)))
-    if not off > MAX_OFF_JOINT * size:
-        return []
-    return [
-        f"the moving part's measured poses lie off the joint by {1000 * off:.2g} mm, {100 * off / size:.2g} % of the "
-        "object, in the median: joint, labels or poses are wrong"
-    ]
+    if off > MAX_OFF_JOINT * size:
+        yield (
+            f"the moving part's measured poses lie off the joint by {1000 * off:.2g} mm, {100 * off / size:.2g} % of "
+            "the object, in the median: joint, labels or poses are wrong"
+        )
+
+    if result.axis_std is None:
+        span = float(np.ptp(result.states[seen[:, 1]])) if seen[:, 1].any() else 0.0
+        if span < (MIN_ANGLE if joint.type == "revolute" else MIN_SLIDE * size):
+            yield f"the joint moves by only {_format_state(span, joint)}, which says little of its axis"
+    elif result.axis_std > MAX_AXIS_STD:
+        yield f"the axis is known to {np.degrees(result.axis_std):.2g}° only (one standard deviation)"
+    if result.pivot_std is not None and result.pivot_std > MAX_PIVOT_STD * size:
+        yield f"the axis line is known to {1000 * result.pivot_std:.2g} mm only (one standard deviation)"
+    for other in result.alternatives:
+        costs = f"only {other.cost_difference:.2g}" if other.cost_difference > 0 else "no"
+        yield f"revolute or prismatic is undecided: under a {other.joint.type} joint a pixel costs {costs} more"
 
 
 def _pose_uncertainty(result: Reconstruction) -> Array:
@@ -256,129 +247,91 @@ def _pose_uncertainty(result: Reconstruction) -> Array:
     return np.sqrt(np.maximum(variance, 0))
 
 
-def _joint_uncertain(result: Reconstruction, size: float) -> list[str]:
-    found, joint = [], result.articulation.joint
-    if result.axis_std is None:
-        span = float(np.ptp(result.states[result.seen[:, 1]])) if result.seen[:, 1].any() else 0.0
-        if span < (MIN_ANGLE if joint.type == "revolute" else MIN_SLIDE * size):
-            found.append(f"the joint moves by only {_format_state(span, joint)}, which says little of its axis")
-    elif result.axis_std > MAX_AXIS_STD:
-        found.append(f"the axis is known to {np.degrees(result.axis_std):.2g}° only (one standard deviation)")
-    if result.pivot_std is not None and result.pivot_std > MAX_PIVOT_STD * size:
-        found.append(f"the axis line is known to {1000 * result.pivot_std:.2g} mm only (one standard deviation)")
-    return found
-
-
-def _poor_agreement(d: Diagnostics) -> list[str]:
-    found = []
+def _doubts_of_agreement(d: Diagnostics, result: Reconstruction) -> Iterator[str]:
+    """Reasons to doubt that two motions and the joint explain the video, from the method's diagnostics."""
     worst = max(MAX_RESIDUAL * max(d.footprint_m, d.noise_m), MAX_RESIDUAL_SHARE * d.diagonal_m)
     for k, part in enumerate(PARTS):
         residual, met, sure = (median(values[:, k]) for values in (d.residual_m, d.inliers, d.confidence))
         if residual > worst:
-            found.append(
+            yield (
                 f"the {part} part's residual is {1000 * residual:.2g} mm in the median, a pixel covers "
                 f"{1000 * d.footprint_m:.2g} mm"
             )
         if met < MIN_INLIERS:
-            found.append(f"only {100 * met:.0f} % of the {part} part's points meet its surface in other frames")
+            yield f"only {100 * met:.0f} % of the {part} part's points meet its surface in other frames"
         if sure < MIN_LABEL_PROBABILITY:
-            found.append(f"the {part} part's labels are only {100 * sure:.0f} % sure in the median")
-    return found
+            yield f"the {part} part's labels are only {100 * sure:.0f} % sure in the median"
 
-
-def _joint_contradicted(d: Diagnostics) -> list[str]:
     free, bound = d.residual_m[:, 1], d.jointed_residual_m[:, 1]
     both = np.isfinite(free) & np.isfinite(bound)
     a, b = median(free[both]), median(bound[both])
     least = max(0.1 * max(d.footprint_m, d.noise_m), MAX_JOINT_SHARE * d.diagonal_m)
-    if not (b > MAX_JOINT_RATIO * a and b - a > least):
-        return []
-    return [
-        f"under the joint the moving part's residual is {1000 * b:.2f} mm, without it {1000 * a:.2f} mm: the joint "
-        "does not explain the motion"
-    ]
+    if b > MAX_JOINT_RATIO * a and b - a > least:
+        yield (
+            f"under the joint the moving part's residual is {1000 * b:.2f} mm, without it {1000 * a:.2f} mm: the joint "
+            "does not explain the motion"
+        )
 
+    third = _ninth_decile(d.unexplained)
+    if third > MAX_THIRD_MOTION:
+        yield (
+            f"{100 * third:.1f} % of the object's pixels follow neither part's motion in a tenth of the frames: a "
+            "third part moves, or labels or poses are wrong"
+        )
+    for k, part in enumerate(PARTS):
+        if d.other_motion_cost is not None and median(d.other_motion_cost[:, k]) < MIN_OTHER_COST:
+            yield (
+                f"the {part} part's pixels follow the other part's motion within the noise: what it does itself is not "
+                "seen"
+            )
 
-def _third_motion(d: Diagnostics) -> list[str]:
-    known = np.zeros(0) if d.unexplained is None else d.unexplained[np.isfinite(d.unexplained)]
-    share = float(np.percentile(known, 90)) if len(known) else 0.0
-    if share <= MAX_THIRD_MOTION:
-        return []
-    return [
-        f"{100 * share:.1f} % of the object's pixels follow neither part's motion in a tenth of the frames: a third "
-        "part moves, or labels or poses are wrong"
-    ]
-
-
-def _own_motion_unseen(d: Diagnostics) -> list[str]:
-    if d.other_motion_cost is None:
-        return []
-    return [
-        f"the {part} part's pixels follow the other part's motion within the noise: what it does itself is not seen"
-        for k, part in enumerate(PARTS)
-        if median(d.other_motion_cost[:, k]) < MIN_OTHER_COST
-    ]
-
-
-def _type_undecided(result: Reconstruction) -> list[str]:
-    return [
-        f"revolute or prismatic is undecided: under a {other.joint.type} joint a pixel costs only "
-        f"{other.cost_difference:.2g} more"
-        if other.cost_difference > 0
-        else f"revolute or prismatic is undecided: under a {other.joint.type} joint a pixel costs no more"
-        for other in result.alternatives
-    ]
-
-
-def _rival_states(d: Diagnostics, result: Reconstruction) -> list[str]:
-    if d.rival_distance is None:
-        return []
-    tested = d.rival_distance[np.isfinite(d.rival_distance)]
+    tested = np.zeros(0) if d.rival_distance is None else d.rival_distance[np.isfinite(d.rival_distance)]
     rivals = tested[tested > 0]
-    if len(rivals) == 0 or len(rivals) < MAX_RIVALS * len(tested):
-        return []
-    away, step = median(rivals), float(np.nanmax(np.nan_to_num(state_steps(result))))
-    if step < REACH_OF_RIVAL * away:
-        return []
-    joint = result.articulation.joint
-    return [
-        f"a state {_format_state(away, joint)} away explains {100 * len(rivals) / len(tested):.0f} % of the frames as "
-        f"well, and the state moves by up to {_format_state(step, joint)} between frames: it may be off by as much"
-    ]
+    if len(rivals) and len(rivals) >= MAX_RIVALS * len(tested):
+        away, step = median(rivals), float(np.nanmax(np.nan_to_num(state_steps(result))))
+        if step >= REACH_OF_RIVAL * away:
+            far, joint = _format_state(away, result.articulation.joint), result.articulation.joint
+            yield (
+                f"a state {far} away explains {100 * len(rivals) / len(tested):.0f} % of the frames as well, and the "
+                f"state moves by up to {_format_state(step, joint)} between frames: it may be off by as much"
+            )
 
 
-def _surface_off_video(d: Diagnostics, k: int) -> list[str]:
+def _ninth_decile(values: Array | None) -> float:
+    """What a tenth of the finite values exceed; 0 when there are none."""
+    known = np.zeros(0) if values is None else values[np.isfinite(values)]
+    return float(np.percentile(known, 90)) if len(known) else 0.0
+
+
+def _surface_off_video(d: Diagnostics, k: int) -> Iterator[str]:
     """How the surface of part `k`, posed by joint and states, contradicts the video."""
-    part, found = PARTS[k], []
+    part = PARTS[k]
     uncovered, spilled, off, colour = (
         np.zeros(0) if values is None else values[:, k]
         for values in (d.uncovered, d.spilled, d.off_surface, d.colour_residual)
     )
     ratio, seen = (np.nan if values is None else float(values[k]) for values in (d.extent_ratio, d.seen_share))
     if not EXTENT_RATIOS[0] <= ratio <= EXTENT_RATIOS[1] and np.isfinite(ratio):
-        found.append(f"the {part} part's surface extends over {ratio:.3g} times what its pixels span")
-    known = uncovered[np.isfinite(uncovered)]
-    share = float(np.percentile(known, 90)) if len(known) else 0.0
-    if share > MAX_UNCOVERED:
-        found.append(
+        yield f"the {part} part's surface extends over {ratio:.3g} times what its pixels span"
+    if (share := _ninth_decile(uncovered)) > MAX_UNCOVERED:
+        yield (
             f"{100 * share:.3g} % of the {part} part's pixels lie on neither surface in a tenth of the frames, most in "
             f"frame {int(np.nanargmax(uncovered))}: a piece is missing, or poses, joint, states or surface are wrong"
         )
     if median(spilled) > MAX_SPILLED:
-        found.append(f"{100 * median(spilled):.0f} % of the {part} part's surface lies off the mask in the median")
+        yield f"{100 * median(spilled):.0f} % of the {part} part's surface lies off the mask in the median"
     if median(off) > MAX_OFF_SURFACE:
-        found.append(
+        yield (
             f"{100 * median(off):.3g} % of the {part} part's pixels lie off its surface in the median: joint, states "
             "or surface are wrong"
         )
     if median(colour) > MAX_OFF_COLOUR:
-        found.append(f"the {part} part's colours are not those of the video: {median(colour):.0f} CIELAB units away")
+        yield f"the {part} part's colours are not those of the video: {median(colour):.0f} CIELAB units away"
     if seen < MIN_SURFACE_SEEN:
-        found.append(
+        yield (
             f"only {100 * seen:.0f} % of the {part} part's surface was seen where it is, in pieces that are known to "
             "move with it"
         )
-    return found
 
 
 def median(values: Array) -> float:

@@ -12,7 +12,7 @@ import tyro
 
 from freeart21 import processes
 from freeart21.errors import FreeArtError
-from generator.settings import RecordSettings
+from generator.settings import RecordSettings, TeleopSettings
 
 Positional: Any = tyro.conf.Positional
 Flat: Any = tyro.conf.arg(name="")
@@ -131,12 +131,7 @@ def teleop(
     joint: str | None = None,
     skip_missing: bool = False,
     root: Path | None = None,
-    host: str = "127.0.0.1",
-    port: int = 8021,
-    width: int = 640,
-    height: int = 360,
-    cert: Path | None = None,
-    key: Path | None = None,
+    settings: Annotated[TeleopSettings, Flat] = TeleopSettings(),  # noqa: B008 (frozen)
 ) -> None:
     """Move an object and its joint by hand in a browser, and record the motion as a take.
 
@@ -151,18 +146,12 @@ def teleop(
         joint: Moving joint of a URDF, or of a PartNet-Mobility object for which the catalog names none.
         skip_missing: Leave out missing meshes of the object.
         root: Folder with all files of a URDF; its own, or its package's, when not given.
-        host: Address to listen at; 0.0.0.0 for all of this machine. Others than 127.0.0.1 need --cert and --key.
-        port: Port to listen at; 0 takes a free one.
-        width: Width of the live picture, pixels.
-        height: Height of the live picture, pixels.
-        cert: PEM file of your certificate, for https.
-        key: PEM file of its private key.
     """
-    from generator.teleop.start import TeleopSettings, serve
+    from generator.teleop.start import serve
 
     record = RecordSettings(seed=seed, partnet_root=partnet_root, joint=joint, skip_missing=skip_missing, root=root)
     record.check()
-    serve(name, out, TeleopSettings(host, port, width, height, cert, key), record)
+    serve(name, out, settings, record)
 
 
 def verify(data: Annotated[Path, Positional], deep: bool = False, truth: Path | None = None) -> int:
@@ -197,7 +186,6 @@ def convert(
     layout: Annotated[str | None, tyro.conf.arg(name="from")] = None,
     partnet_root: Path | None = None,
     joint: str | None = None,
-    meta: Path | None = None,
     hold_out: bool = False,
     skip_missing: bool = False,
     depth_unit: float = 0.001,
@@ -214,7 +202,6 @@ def convert(
         layout: native, tum, articulat3d, azure, record3d, rgbd, ros, stray, official or video2articulation.
         partnet_root: Folder of PartNet-Mobility objects, as ROOT/41083/mobility.urdf: a truth needs their meshes.
         joint: Moving joint, where neither the layout nor the catalog names it.
-        meta: Video2Articulation's new_partnet_mobility_dataset_correct_intr_meta.json, for the joint's limits.
         hold_out: Write the official split: 5 % of the frames go to eval/.
         skip_missing: Leave out missing meshes of a PartNet-Mobility object.
         depth_unit: Metres per depth unit of a picture folder (rgb/, depth/, masks/, cam_K.txt).
@@ -224,14 +211,13 @@ def convert(
     """
     from freeart21.formats import convert as formats
     from freeart21.formats.third_party import ReadOptions
-    from freeart21.progress import progress_board
+    from freeart21.progress import progress_bar
     from generator.third_party import complete_truth
 
     maker = partial(complete_truth, joint=joint, skip_missing=skip_missing)
-    options = ReadOptions(depth_unit, fps, meta, partnet_root, masks, longest_side)
-    with progress_board(1, 0) as board:
-        for done in formats.convert(source, out, to, layout, maker, options, hold_out, board.update):
-            board.finished(done.name)
+    options = ReadOptions(depth_unit, fps, partnet_root, masks, longest_side)
+    with progress_bar("Converting") as show:
+        for done in formats.convert(source, out, to, layout, maker, options, hold_out, show):
             print(done.folder)
             for note in done.notes:
                 print(f"{done.name}: {note}", file=sys.stderr)

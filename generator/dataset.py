@@ -194,7 +194,9 @@ def record_jobs(
     label = label or _read_label(out)
     with _writer_lock(out):
         try:
-            _remove_partial_files(out)
+            for folder in (out, out / WORK):  # what a killed recorder left
+                for left in folder.glob(f".*{atomic.PART_SUFFIX}"):
+                    left.unlink(missing_ok=True)
             plan = {"schema": JOB_SCHEMA, "label": vars(label), "jobs": [job.to_json() for job in jobs]}
             atomic.write_json(out / WORK / "job.json", plan)
             todo = _unfinished_jobs(out, jobs)
@@ -226,25 +228,20 @@ def _check(jobs: Sequence[Job], workers: int) -> None:
 
 
 def _check_list(out: Path, jobs: Sequence[Job]) -> None:
-    """FreeArtError when benchmark.json, which lists every file with its hash, would exceed the size that is read."""
-    there = (out / "benchmark.json").stat().st_size if (out / "benchmark.json").is_file() else 0
-    sizes = [_listed_bytes(job) for job in jobs if not (out / "sequences" / job.sequence).exists()]
-    if there + sum(sizes) > checked.MAX_JSON_BYTES:
-        fit = max(0, int((checked.MAX_JSON_BYTES - there) / (sum(sizes) / len(sizes))))
-        raise FreeArtError(
-            f"cannot record {len(sizes)} sequences into {out}: benchmark.json would list their files in about "
-            f"{(there + sum(sizes)) >> 20} MiB, at most {checked.MAX_JSON_BYTES >> 20} are read; record at most {fit} "
-            "of them here, and the others into folders of their own"
-        )
-
-
-def _listed_bytes(job: Job) -> int:
-    """Approximate bytes of benchmark.json for one sequence.
+    """FreeArtError when benchmark.json, which lists every file with its hash, would exceed the size that is read.
 
     There are four pictures for a frame (one of them in the truth), two for a held-out view, and the object's files.
     """
-    files = 4 * job.settings.frames + 2 * job.settings.queries + _OBJECT_FILES
-    return files * (len(job.sequence) + _BYTES_OF_LINE)
+    size = (out / "benchmark.json").stat().st_size if (out / "benchmark.json").is_file() else 0
+    for job in jobs:
+        if not (out / "sequences" / job.sequence).exists():
+            files = 4 * job.settings.frames + 2 * job.settings.queries + _OBJECT_FILES
+            size += files * (len(job.sequence) + _BYTES_OF_LINE)
+    if size > checked.MAX_JSON_BYTES:
+        raise FreeArtError(
+            f"cannot record {len(jobs)} sequences into {out}: benchmark.json would list their files in about "
+            f"{size >> 20} MiB, at most {checked.MAX_JSON_BYTES >> 20} are read; record some into folders of their own"
+        )
 
 
 def _read_label(out: Path) -> Label:
@@ -271,13 +268,6 @@ def _unfinished_jobs(out: Path, jobs: Sequence[Job]) -> list[Job]:
         if not sequence.exists() and (not truth.exists() or (out / WORK / job.sequence).is_dir()):
             todo.append(job)
     return todo
-
-
-def _remove_partial_files(out: Path) -> None:
-    """Remove temporary files of data-set files that a killed recorder left."""
-    for folder in (out, out / WORK):
-        for left in folder.glob(f".*{atomic.PART_SUFFIX}"):
-            left.unlink(missing_ok=True)
 
 
 def _difference(job: Job, header: Path) -> str:
@@ -368,7 +358,10 @@ def _run_as_jobs(
                 "out": str(place),
                 "name": job.name,
                 "sequence": job.sequence,
-                "settings": _settings_to_json(job.settings),
+                "settings": {
+                    key: str(value.resolve()) if isinstance(value, Path) else value
+                    for key, value in asdict(job.settings).items()
+                },
             },
             processors=2,
             memory_gb=8.0,
@@ -402,11 +395,6 @@ def record_one(out: str, name: str, sequence: str, settings: dict[str, Any]) -> 
         )
     finally:
         os.close(handle)
-
-
-def _settings_to_json(settings: RecordSettings) -> dict[str, Any]:
-    """All fields as JSON, with absolute paths."""
-    return {key: str(value.resolve()) if isinstance(value, Path) else value for key, value in asdict(settings).items()}
 
 
 @contextlib.contextmanager

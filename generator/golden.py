@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.benchmark import Benchmark, read_benchmark
@@ -27,7 +26,6 @@ from generator import partnet
 from generator.rays import Caster
 from generator.scene import Picture, Scene
 from generator.sensors import SENSORS
-from generator.urdf_object import LoadedObject
 
 DEPTH_SHARE = 0.002
 """Largest depth error away from edges, as a share of the object's diagonal."""
@@ -55,7 +53,12 @@ def _deep_findings(benchmark: Benchmark, name: str, frames: int, views: int) -> 
     recording, truth = read_sequence(benchmark.sequence(name)), read_truth(benchmark.truth(name))
     yield from collect_findings(lambda: cast_findings(name, recording, truth, frames))
     if (benchmark.truth(name) / "object").is_dir():
-        yield from render_findings(name, recording, truth, benchmark.truth(name), views)
+        psnrs = [value for _, value in render_again(recording, truth, benchmark.truth(name), views)]
+        for i in np.flatnonzero(np.array(psnrs) < LEAST_PSNR):
+            yield (
+                f"{name}: view {i}, rendered anew from truth/{name}/object, has {psnrs[i]:.1f} dB, expected "
+                f"{LEAST_PSNR:g}"
+            )
 
 
 def cast_findings(name: str, recording: Recording, truth: Truth, frames: int) -> Iterator[str]:
@@ -84,13 +87,6 @@ def cast_findings(name: str, recording: Recording, truth: Truth, frames: int) ->
             )
 
 
-def render_findings(name: str, recording: Recording, truth: Truth, folder: Path, views: int) -> Iterator[str]:
-    """Findings on some held-out views, rendered again from the object in the truth's `folder`."""
-    psnr = np.array([value for _, value in render_again(recording, truth, folder, views)])
-    for i in np.flatnonzero(psnr < LEAST_PSNR):
-        yield f"{name}: view {i}, rendered anew from truth/{name}/object, has {psnr[i]:.1f} dB, expected {LEAST_PSNR:g}"
-
-
 def render_again(recording: Recording, truth: Truth, folder: Path, views: int) -> Iterator[tuple[Picture, float]]:
     """Render the first `views` held-out views from the object in the truth's `folder`; with PSNR, dB, in the mask."""
     source = truth.source
@@ -99,7 +95,9 @@ def render_again(recording: Recording, truth: Truth, folder: Path, views: int) -
     Ts_camera_world = checked.read_npz(folder / "world.npz", ("T_camera_world",))["T_camera_world"]
     if Ts_camera_world.shape != truth.Ts_camera_reference.shape:
         raise FreeArtError(f"{folder}/world.npz has shape {Ts_camera_world.shape}, expected a pose a frame")
-    scene = _scene(loaded, recording.camera, truth)
+    shader, groups = str(source.get("shader", "default")), [side.links for side in loaded.sides]
+    reach = float(np.linalg.norm(truth.Ts_camera_reference[:, :3, 3], axis=1).max()) + 4 * truth.diagonal
+    scene = Scene(loaded.asset.urdf, groups, recording.camera, 1e-3 * reach, reach, shader)
     scene.fix_lamps(Ts_camera_world[0])
     for i, query in enumerate(recording.queries[:views]):
         T, state = (
@@ -111,12 +109,6 @@ def render_again(recording: Recording, truth: Truth, folder: Path, views: int) -
         positions = {**loaded.asset.held, loaded.joint.name: float(state)}
         picture = scene.render(T, positions, query.T_newcam_cam @ Ts_camera_world[query.pose_of_frame])
         yield picture, psnr(picture.rgb, truth.query_rgb(i), truth.query_mask(i))
-
-
-def _scene(loaded: LoadedObject, camera: Camera, truth: Truth) -> Scene:
-    shader = str(truth.source.get("shader", "default"))
-    reach = float(np.linalg.norm(truth.Ts_camera_reference[:, :3, 3], axis=1).max()) + 4 * truth.diagonal
-    return Scene(loaded.asset.urdf, [side.links for side in loaded.sides], camera, 1e-3 * reach, reach, shader)
 
 
 def psnr(rgb: NDArray[np.uint8], expected: NDArray[np.uint8], mask: NDArray[np.bool_]) -> float:

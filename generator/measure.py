@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -96,7 +97,7 @@ def measure_truths(
 def _check_one_object(folders: list[Path], truths: list[Truth]) -> None:
     if not truths:
         raise FreeArtError("no truth folder was named, expected one or more")
-    first = None
+    first: dict[str, Any] = {}
     for folder, truth in zip(folders, truths, strict=True):
         source = truth.source
         settings = source.get("settings") or {}
@@ -105,15 +106,8 @@ def _check_one_object(folders: list[Path], truths: list[Truth]) -> None:
                 f"{folder} is of the motion '{source.get('motion')}', expected release: only then the base is at rest "
                 "and nothing but effects works the joint"
             )
-        what = {
-            "object": source.get("object"),
-            "seed": settings.get("seed"),
-            "preset": settings.get("preset"),
-            "joint": source.get("joint"),
-            "fps": settings.get("fps"),
-            "effects": settings.get("effects"),
-            "reference_links": source.get("reference_links"),
-        }
+        what = {key: source.get(key) for key in ("object", "joint", "reference_links")}
+        what |= {key: settings.get(key) for key in ("seed", "preset", "fps", "effects")}
         first = first or what
         for key, value in what.items():
             if value != first[key]:
@@ -155,7 +149,10 @@ def _asset(
         given = _check_urdf(folder, truth, urdf, root)
         loaded = urdf_object.load_urdf(given, joint, skip_missing, root)
         copy_urdf(given, out, loaded.asset.root, skip_missing)
-        loaded = urdf_object.load_urdf(_remove_dynamics(out / given.name), joint, skip_missing, out)
+        read = read_urdf(out / given.name)  # a released joint has the effects of the recording and no others
+        joints = {name: replace(joint, damping=0.0, friction=0.0) for name, joint in read.joints.items()}
+        atomic.write_bytes(read.path, format_urdf(replace(read, joints=joints)))
+        loaded = urdf_object.load_urdf(read.path, joint, skip_missing, out)
     elif urdf is not None:
         raise FreeArtError(f"{folder} is of {source['object']}, which was not recorded from a URDF; got {urdf}")
     else:
@@ -194,12 +191,4 @@ def _check_urdf(folder: Path, truth: Truth, urdf: Path | None, root: Path | None
             f"{urdf} is not the object of {folder}: it and its meshes have SHA-256 {now[:12]}..., expected "
             f"{str(was)[:12]}..."
         )
-    return urdf
-
-
-def _remove_dynamics(urdf: Path) -> Path:
-    """Remove <dynamics> from a URDF: a released joint has the effects of the recording and no others."""
-    read = read_urdf(urdf)
-    joints = {name: replace(joint, damping=0.0, friction=0.0) for name, joint in read.joints.items()}
-    atomic.write_bytes(urdf, format_urdf(replace(read, joints=joints)))
     return urdf

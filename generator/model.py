@@ -16,6 +16,8 @@ Point = tuple[float, float, float]
 Rng = np.random.Generator
 Finish = Literal["plastic", "metal", "wood", "rubber", "paper"]
 
+ABS, STEEL, BRASS = 1050.0, 7850.0, 8500.0
+"""Densities, kg/m^3."""
 SHINE: dict[str, tuple[float, float]] = {
     "plastic": (0.25, 60.0),
     "metal": (0.55, 120.0),

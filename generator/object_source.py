@@ -26,15 +26,14 @@ class ObjectSource:
 
     entry: catalog.CatalogEntry
     """The catalog's, or a new one for a URDF or a PartNet-Mobility id."""
-    seed: int
-    preset: str
-    """Of the sizes and colours, and of the size, of a procedural object."""
-    joint: str | None
-    """Scored joint; None: the only movable one."""
-    partnet_root: Path | None = None
+    settings: RecordSettings
+    """Seed and preset of a procedural object, and where files are."""
     urdf: Path | None = None
-    root: Path | None = None
-    skip_missing: bool = False
+
+    @property
+    def joint(self) -> str | None:
+        """Scored joint; None: the only movable one."""
+        return self.settings.joint or self.entry.joint
 
     def load(self, place: Path) -> LoadedObject:
         """Load the object.
@@ -42,18 +41,18 @@ class ObjectSource:
         The folder of a procedural object is written in `place` unless it exists; it gets the preset's size. Other
         files are the user's.
         """
-        folder = place / self.entry.name
+        folder, s = place / self.entry.name, self.settings
         if self.urdf is not None:
-            return urdf_object.load_urdf(self.urdf, self.joint, self.skip_missing, self.root)
+            return urdf_object.load_urdf(self.urdf, self.joint, s.skip_missing, s.root)
         if self.entry.source != "procedural":
-            folder = find_partnet_folder(self.entry.name, self.partnet_root)
+            folder = find_partnet_folder(self.entry.name, s.partnet_root)
         elif not folder.is_dir():
             write_partnet(self.build(), folder)
-        return partnet.load(folder, self.joint, self.skip_missing)
+        return partnet.load(folder, self.joint, s.skip_missing)
 
     def build(self) -> ObjectModel:
         """The model of a procedural object."""
-        model, diagonal = objects.build(self.entry.name, self.seed), PRESETS[self.preset].diagonal_m
+        model, diagonal = objects.build(self.entry.name, self.settings.seed), PRESETS[self.settings.preset].diagonal_m
         return model if diagonal is None else model.scaled(diagonal / model.diagonal)
 
 
@@ -67,19 +66,8 @@ def find_object(name: str, settings: RecordSettings) -> ObjectSource:
         urdf = checked.require_file(Path(name), MAX_URDF_BYTES, checked.ANYWHERE)
         name = urdf_object.object_name(Path(name))
     if urdf is None:
-        entry = catalog.find(name, partnet=settings.partnet_root is not None)
-    else:
-        entry = catalog.CatalogEntry(name, "unknown", None, None, "urdf", None)
-    return ObjectSource(
-        entry,
-        settings.seed,
-        settings.preset,
-        settings.joint or entry.joint,
-        settings.partnet_root,
-        urdf,
-        settings.root,
-        settings.skip_missing,
-    )
+        return ObjectSource(catalog.find(name, partnet=settings.partnet_root is not None), settings)
+    return ObjectSource(catalog.CatalogEntry(name, "unknown", None, None, "urdf", None), settings, urdf)
 
 
 def find_partnet_folder(name: str, root: Path | None) -> Path:

@@ -25,22 +25,14 @@ from typing import Any
 
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.asset import find_movable_joint, read_semantics
-from freeart21.files.urdf import UrdfLink
-from generator.partnet_files import Gaps, read_obj, resolve_inside
-from generator.urdf_object import LoadedObject, Visual, assemble, read_tree
+from freeart21.files.asset import read_semantics
+from generator.urdf_object import LoadedObject, load_urdf
 
 URDF_NAME = "mobility.urdf"
 
-# fmt: off
-INCOMPLETE = frozenset((
-    "10090", "10108", "10356", "11538", "12115", "9918", "9987", "10546", "11260", "11887", "12071", "12542",
-    "12578", "12584", "12612", "23724", "25144", "29525", "30857", "32213", "32746", "2780", "39138", "43142",
-    "3380", "3593", "7130", "7138", "7347", "7221", "7306", "7320", "8966",
-))
-# fmt: on
-"""Objects whose URDF names meshes that were never published because they have no faces (SAPIEN's issues 33 and 201; the
-list is r-pad's missing_objs.txt). One of them, the scissors 10546, belongs to FreeArt-21."""
+INCOMPLETE = frozenset(("10546",))
+"""Objects of FreeArt-21 whose URDF names meshes that were never published because they have no faces (SAPIEN's issues
+33 and 201): scissors. Others need `skip_missing`."""
 
 
 def find_folder(name: str, root: Path) -> Path | None:
@@ -59,31 +51,13 @@ def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> 
     if not urdf.is_file():
         raise FreeArtError(f"{folder} is not a PartNet-Mobility object: it has no {URDF_NAME}")
     meta = _meta(folder)
-    read, gaps = read_tree(urdf), Gaps()
-    find_movable_joint(urdf, joint or meta.get("scored_joint"))
-    absent: set[str] = set()
-    visuals = {link.name: _visuals(link, folder, urdf, gaps, absent) for link in read.links.values()}
-    gaps.meshes |= absent
-    missing = tuple(sorted(absent))
-    if missing and not (skip_missing or folder.resolve().name in INCOMPLETE):
-        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
-        raise FreeArtError(
-            f"{urdf} names the mesh {missing[0]}, which does not exist{more}; --skip-missing leaves absent meshes out"
-        )
-    loaded = assemble(read, joint or meta.get("scored_joint"), visuals, gaps, folder.name, folder, "PartNet-Mobility")
+    skip = skip_missing or folder.resolve().name in INCOMPLETE
+    loaded = load_urdf(urdf, joint or meta.get("scored_joint"), skip, folder, "PartNet-Mobility")
     return replace(
         loaded,
         category=str(meta.get("model_cat", "unknown")),
         semantics=read_semantics(folder / "semantics.txt"),
-        missing=missing,
-        notes=(*loaded.notes, *_meta_notes(meta, folder)),
     )
-
-
-def _meta_notes(meta: dict[str, Any], folder: Path) -> list[str]:
-    stated = str(meta.get("anno_id", folder.name))
-    ours = "scored_joint" in meta
-    return [] if ours or stated == folder.name else [f"meta.json calls the object {stated}; the folder's name is kept"]
 
 
 def _meta(folder: Path) -> dict[str, Any]:
@@ -92,22 +66,3 @@ def _meta(folder: Path) -> dict[str, Any]:
     if not isinstance(meta.get("scored_joint", ""), str):
         raise FreeArtError(f"{path}: scored_joint is {meta['scored_joint']!r}, expected a joint's name")
     return meta
-
-
-def _visuals(link: UrdfLink, folder: Path, urdf: Path, gaps: Gaps, absent: set[str]) -> list[Visual]:
-    """What a link shows; `absent` receives the names of files that are not there."""
-    visuals = []
-    for shape in link.visuals:
-        where = f"{urdf}: link '{link.name}'"
-        if shape.kind != "mesh" or not shape.filename:
-            raise FreeArtError(f"{where} has a visual that is not a mesh; expected <mesh filename=...>")
-        if not shape.filename.lower().endswith(".obj"):
-            raise FreeArtError(f"{where} has the mesh '{shape.filename}', expected an .obj file")
-        path = resolve_inside(folder, shape.filename, f"{where} has the mesh")
-        if not shape.size.all():
-            raise FreeArtError(f"{where} has a mesh of scale {shape.size.tolist()}, expected none to be zero")
-        if path.is_file():
-            visuals.append(Visual(read_obj(path, folder, gaps), shape.T_link_shape, shape.size))
-        else:
-            absent.add(str(path.relative_to(folder.resolve())))
-    return visuals

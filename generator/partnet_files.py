@@ -15,8 +15,9 @@ import functools
 import io
 import re
 import tempfile
+from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,6 @@ from generator.surface import Paint, Surface, srgb_bytes
 
 MAX_OBJ_BYTES = 256 << 20
 MAX_MTL_BYTES = 4 << 20
-_LARGEST = 1e6  # largest plausible coordinate
 _NO_KD = 0.6  # default Kd of SAPIEN's reader (Assimp)
 _FACE = re.compile(r"^[ \t]*f[ \t]", re.MULTILINE)
 _FACE_LINE = re.compile(r"^[ \t]*f[ \t]+(.*)", re.MULTILINE)
@@ -42,44 +42,31 @@ _BACK_INDEX = re.compile(r"^[ \t]*f[ \t].*-\d", re.MULTILINE)
 _NO_INDEX = re.compile(r"^[ \t]*f(?:[ \t]+[\d/-]+)*[ \t]+(?:0+|-\d+)(?:/|\s|$)", re.MULTILINE)
 _LIBRARY = re.compile(r"^[ \t]*mtllib[ \t]+(.*\S)", re.MULTILINE)
 _USED = re.compile(r"^[ \t]*usemtl[ \t]+(.*\S)", re.MULTILINE)
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"  # makes SAPIEN miss a file's first line
 _PICTURES = ("map_", "bump", "disp", "norm", "decal", "refl")  # first words of MTL lines that name a picture
 
 
-@dataclass
-class Gaps:
-    """What an object lacks; names as in its files."""
-
-    meshes: set[str] = field(default_factory=set)
-    """Absent meshes that the URDF names."""
-    empty: set[str] = field(default_factory=set)
-    """Meshes without faces."""
-    libraries: set[str] = field(default_factory=set)
-    """Absent material libraries."""
-    pictures: set[str] = field(default_factory=set)
-    """Absent pictures."""
-    transparent: set[str] = field(default_factory=set)
-    """Material libraries with a transparent material."""
-
-    axes: set[str] = field(default_factory=set)
-    """COLLADA files whose up axis is not z."""
-
-    def notes(self) -> tuple[str, ...]:
-        """One line for each kind of gap."""
-        lines = (
-            (self.meshes, "absent meshes are left out"),
-            (self.empty, "meshes without faces are left out"),
-            (self.libraries, "absent material libraries leave plain grey"),
-            (self.pictures, "absent pictures leave the plain colour"),
-            (self.axes, "COLLADA's <up_axis> is ignored, as in RViz: meshes are taken as they are written"),
-            (self.transparent, "materials are transparent: colour shows what is behind them, depth and mask do not"),
-        )
-        return tuple(f"{what}: {_list_names(names)}" for names, what in lines if names)
+Gaps = defaultdict[str, set[str]]
+"""What an object lacks: a key of `GAPS` to names as in its files. Made by `Gaps(set)`."""
+GAPS = {
+    "meshes": "absent meshes are left out",
+    "empty": "meshes without faces are left out",
+    "libraries": "absent material libraries leave plain grey",
+    "pictures": "absent pictures leave the plain colour",
+    "axes": "COLLADA's <up_axis> is ignored, as in RViz: meshes are taken as they are written",
+    "transparent": "materials are transparent: colour shows what is behind them, depth and mask do not",
+}
+"""Kind of gap to what comes of it."""
 
 
-def _list_names(names: set[str]) -> str:
-    """Up to three of the names, sorted, and the number of others."""
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-    return ", ".join(sorted(names)[:3]) + more
+def describe_gaps(gaps: Gaps) -> tuple[str, ...]:
+    """One line for each kind of gap, with up to three names and the number of others."""
+    lines = []
+    for kind, what in GAPS.items():
+        if names := sorted(gaps[kind]):
+            more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+            lines.append(f"{what}: {', '.join(names[:3])}{more}")
+    return tuple(lines)
 
 
 @dataclass(frozen=True)
@@ -92,32 +79,16 @@ class Material:
     """The picture that replaces Kd."""
 
 
-def resolve_inside(folder: Path, name: str, what: str) -> Path:
-    """The file `name` in `folder`; FreeArtError when it is outside, also through a link."""
-    if "://" in name or name.startswith(("/", "\\")):
-        raise FreeArtError(f"{what} '{name}', expected a path inside {folder}")
-    try:
-        path = checked.inside(folder, name)
-        path.is_file()
-    except (OSError, RuntimeError, ValueError) as error:  # a circle of links, a name too long
-        raise FreeArtError(f"{what} '{name[:80]}', which cannot be looked up: {error}") from error
-    except FreeArtError as error:
-        if error.__cause__ is not None:  # of the look-up
-            raise FreeArtError(f"{what} '{name[:80]}', which cannot be looked up: {error.__cause__}") from error
-        raise FreeArtError(f"{what} '{name}', which leads out of the folder {folder}") from error
-    return path
-
-
 def read_obj(path: Path, folder: Path, gaps: Gaps) -> Surface:
     """The triangles of an OBJ file of the object in `folder`, with its materials; adds absent files to `gaps`.
 
-    Raises FreeArtError, in one line, when the file is not an OBJ, refers to vertices that do not exist or are not
-    finite, when a picture is unreadable, or when a file is outside `folder`.
+    Raises FreeArtError, in one line, when the file is not an OBJ, refers to vertices that do not exist, when a picture
+    is unreadable, or when a file is outside `folder`.
     """
     text = _text(path, MAX_OBJ_BYTES)
     materials = read_materials(path, text, folder, gaps)
     if not _FACE.search(text):
-        gaps.empty.add(_name(path, folder))
+        gaps["empty"].add(_name(path, folder))
         return Surface.joined([])
     if _BACK_INDEX.search(text):
         text = _resolve_back_indices(text)
@@ -131,8 +102,6 @@ def read_obj(path: Path, folder: Path, gaps: Gaps) -> Surface:
     except (ValueError, IndexError, KeyError, TypeError, AttributeError) as error:
         raise FreeArtError(f"{path} is not a readable OBJ file: {' '.join(str(error).split())}") from error
     surface = Surface.joined(pieces)
-    if not (np.abs(surface.vertices) < _LARGEST).all():
-        raise FreeArtError(f"{path} has vertices that are not finite or beyond {_LARGEST:g}")
     if len(surface.faces) == 0:
         raise FreeArtError(f"{path} is not a readable OBJ file: it has faces, but none of three corners or more")
     return surface
@@ -193,7 +162,7 @@ def read_materials(obj: Path, text: str, folder: Path, gaps: Gaps) -> dict[str, 
     for library in _LIBRARY.findall(text):
         mtl = _neighbour(obj, library, folder, "material library")
         if mtl is None:
-            gaps.libraries.add(library)
+            gaps["libraries"].add(library)
             continue
         name = ""
         for line in _text(mtl, MAX_MTL_BYTES).splitlines():
@@ -203,13 +172,15 @@ def read_materials(obj: Path, text: str, folder: Path, gaps: Gaps) -> dict[str, 
                 name = rest
                 materials[name] = Material(srgb_bytes(np.full(3, _NO_KD)))
             elif name and key == "Kd":
-                materials[name] = Material(srgb_bytes(_colour(rest, mtl)), materials[name].picture)
+                kd = _floats(rest, mtl, "Kd")
+                kd = np.clip(kd[:3] if len(kd) >= 3 else np.full(3, kd[0]), 0, 1)
+                materials[name] = Material(srgb_bytes(kd), materials[name].picture)
             elif name and key == "d" and 0 < _floats(rest.removeprefix("-halo"), mtl, "d")[0] < 1:
-                gaps.transparent.add(_name(mtl, folder))
+                gaps["transparent"].add(_name(mtl, folder))
             elif name and key.startswith(_PICTURES):
                 picture = _picture(rest, mtl, folder)
                 if picture is None:
-                    gaps.pictures.add(rest)
+                    gaps["pictures"].add(rest)
                 elif key == "map_Kd":
                     materials[name] = Material(materials[name].colour, picture)
     return materials
@@ -225,15 +196,17 @@ def _picture(rest: str, mtl: Path, folder: Path) -> Path | None:
 
 
 def _neighbour(origin: Path, name: str, folder: Path, what: str) -> Path | None:
-    """The file `name` relative to the file `origin`, inside `folder`; None when absent."""
-    here = origin.parent.resolve().relative_to(folder.resolve())
-    path = resolve_inside(folder, name if name.startswith("/") else f"{here}/{name}", f"{origin} names the {what}")
-    return path if path.is_file() else None
-
-
-def _colour(rest: str, mtl: Path) -> Array:
-    values = _floats(rest, mtl, "Kd")
-    return np.clip(values[:3] if len(values) >= 3 else np.full(3, values[0]), 0, 1)
+    """The file `name` relative to the file `origin`, None when absent; FreeArtError when it is outside `folder`."""
+    named = f"{origin} names the {what} '{name[:80]}'"
+    if "://" in name or name.startswith(("/", "\\")):
+        raise FreeArtError(f"{named}, expected a path inside {folder}")
+    try:
+        path = checked.inside(folder, f"{origin.parent.resolve().relative_to(folder.resolve())}/{name}")
+        return path if path.is_file() else None
+    except (OSError, RuntimeError, ValueError) as error:  # a circle of links, a name too long
+        raise FreeArtError(f"{named}, which cannot be looked up: {error}") from error
+    except FreeArtError as error:
+        raise FreeArtError(f"{named}, which leads out of the folder {folder}") from error
 
 
 def _floats(rest: str, mtl: Path, key: str) -> Array:
@@ -305,7 +278,7 @@ def _mesh_for_sapien(path: Path, place: Path, mirrored: bool) -> Path | None:
     if (
         all(unchanged for _, unchanged in lines)
         and not mirrored
-        and not any(map(_has_byte_order_mark, (path, *libraries)))
+        and not any(checked.read_head(file, 3) == _BYTE_ORDER_MARK for file in (path, *libraries))
     ):
         return path
     if mirrored:
@@ -327,8 +300,3 @@ def _resolve_picture(line: str, folder: Path) -> tuple[str, bool]:
             if (folder / path).is_file():
                 return f"{key} {rest.removesuffix(name)}{(folder / path).resolve()}", path == name
     return "", False
-
-
-def _has_byte_order_mark(path: Path) -> bool:
-    """Whether a file starts with a byte order mark, which makes SAPIEN miss its first line."""
-    return checked.read_head(path, 3) == b"\xef\xbb\xbf"

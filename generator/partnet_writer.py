@@ -14,7 +14,7 @@ from freeart21.files.urdf import Urdf, UrdfJoint, UrdfLink, UrdfShape, format_ur
 from freeart21.mesh import triangle_normals
 from freeart21.se3 import Array, exp_so3, pose
 from generator import textures
-from generator.model import SHINE, Finish, Material, ObjectModel, Piece
+from generator.model import SHINE, Finish, ObjectModel, Piece
 from generator.shapes import triangles
 from generator.surface import crease_normals
 
@@ -61,7 +61,9 @@ def _write_meshes(model: ObjectModel, folder: Path) -> list[list[tuple[str, str]
                 lines = material_lines(piece.material.name, piece.material.finish, f"texture_{part}.png")
                 atomic.write_bytes(folder / "textured_objs" / f"{stem}.mtl", ("\n".join(lines) + "\n").encode())
                 names[-1].append((f"{piece.name}-{part}", f"textured_objs/{stem}.obj"))
-            atomic.write_bytes(folder / "images" / f"texture_{part}.png", checked.encode_png(_picture(piece.material)))
+            look = piece.material  # plain colours are pictures, too: SAPIEN takes Kd as linear but pictures as sRGB
+            picture = textures.plain(look.colour) if look.texture is None else look.texture
+            atomic.write_bytes(folder / "images" / f"texture_{part}.png", checked.encode_png(picture))
     return names
 
 
@@ -98,11 +100,6 @@ def material_lines(name: str, finish: Finish, picture: str) -> list[str]:
         f"Ks {strength:g} {strength:g} {strength:g}",
         f"map_Kd ../images/{picture}",
     ]
-
-
-def _picture(material: Material) -> NDArray[np.uint8]:
-    """Also plain colours become pictures: SAPIEN takes Kd as linear but pictures as sRGB."""
-    return textures.plain(material.colour) if material.texture is None else material.texture
 
 
 def box_uv(vertices: Array, faces: NDArray[np.int64], tile_m: float | None) -> Array:

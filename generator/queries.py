@@ -68,22 +68,14 @@ def plan_queries(
 def _fitting_move(rng: np.random.Generator, camera: Camera, points: Array) -> Array | None:
     """A camera motion T_newcam_cam (4, 4) that keeps all points (k, 3) in the picture; None when none is found."""
     centre = (points.min(0) + points.max(0)) / 2
-    for size in 0.95 ** np.arange(30):
-        T_newcam_cam = _camera_move(rng, centre, float(size))
-        if _inside(camera, se3.transform(T_newcam_cam, points)):
+    strip, corner = MARGIN * camera.height, np.array([camera.width, camera.height])
+    for size in (0.95 ** np.arange(30)).tolist():
+        axis = rng.normal(size=3)
+        angle = np.radians(TURN_DEGREES) * size * rng.uniform(0.3, 1.0)
+        R = se3.exp_so3(angle * axis / np.linalg.norm(axis))
+        shift = size * SHIFT * np.linalg.norm(centre) * rng.uniform(-1, 1, 3)
+        T_newcam_cam = se3.pose(R, centre + shift - R @ centre)
+        uv = camera.project(se3.transform(T_newcam_cam, points))
+        if (uv >= strip).all() and (uv <= corner - strip).all():
             return T_newcam_cam
     return None
-
-
-def _camera_move(rng: np.random.Generator, centre: Array, size: float) -> Array:
-    """A rotation about the object's centre and a translation: up to `TURN_DEGREES` and `SHIFT` times `size`."""
-    axis = rng.normal(size=3)
-    angle = np.radians(TURN_DEGREES) * size * rng.uniform(0.3, 1.0)
-    R = se3.exp_so3(angle * axis / np.linalg.norm(axis))
-    shift = size * SHIFT * np.linalg.norm(centre) * rng.uniform(-1, 1, 3)
-    return se3.pose(R, centre + shift - R @ centre)
-
-
-def _inside(camera: Camera, points_camera: Array) -> bool:
-    uv, strip = camera.project(points_camera), MARGIN * camera.height
-    return bool((uv >= strip).all() and (uv <= np.array([camera.width, camera.height]) - strip).all())

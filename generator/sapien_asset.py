@@ -66,7 +66,12 @@ def build_articulation(
     Raises FreeArtError when the URDF is not one tree with the asset's links, or SAPIEN cannot read a file.
     """
     _check_tree(asset, urdf)
-    _check_sides(asset, urdf.joints, joint)
+    beyond = subtree_links(urdf.joints, joint.child)
+    if (asset.reference_link in beyond) == (asset.moving_link in beyond):
+        raise FreeArtError(
+            f"{asset.urdf}: links '{asset.reference_link}' and '{asset.moving_link}' are on the same "
+            f"side of joint '{joint.name}', expected one on each side"
+        )
     robot, joints = _urdf_for_sapien(asset, urdf, visuals, collisions), urdf.joints
     builder = _articulation_builder(asset.urdf, robot, scene)
     for link in builder.link_builders:
@@ -77,7 +82,8 @@ def build_articulation(
             if joint.joint_type == "revolute":
                 record.joint_type = "revolute_unwrapped"
         elif record.name in joints and joints[record.name].joint_type:
-            _freeze(record, _frozen_position(asset, joints[record.name]))
+            other = joints[record.name]
+            _freeze(record, asset.held.get(other.name, float(np.clip(0.0, other.lower, other.upper))))
     try:
         articulation = builder.build(fix_root_link=fixed_base)
     except Exception as error:  # SAPIEN raises Exception itself
@@ -106,16 +112,6 @@ def links_from(articulation: Any, first: str) -> list[Any]:
             names.add(link.name)
             links.append(link)
     return links
-
-
-def _check_sides(asset: Asset, joints: dict[str, UrdfJoint], joint: UrdfJoint) -> None:
-    """FreeArtError unless reference and moving link are on different sides of the joint."""
-    beyond = subtree_links(joints, joint.child)
-    if (asset.reference_link in beyond) == (asset.moving_link in beyond):
-        raise FreeArtError(
-            f"{asset.urdf}: links '{asset.reference_link}' and '{asset.moving_link}' are on the same "
-            f"side of joint '{joint.name}', expected one on each side"
-        )
 
 
 def _articulation_builder(urdf: Path, robot: Urdf, scene: Any) -> Any:
@@ -159,10 +155,6 @@ def _freeze(record: Any, q: float) -> None:
     motion = se3.exp_se3(np.eye(6)[0] * q if record.joint_type == "prismatic" else np.eye(6)[3] * q)
     record.pose_in_parent = record.pose_in_parent * sapien.Pose(motion.astype(np.float32))
     record.joint_type, record.limits = "fixed", []
-
-
-def _frozen_position(asset: Asset, joint: UrdfJoint) -> float:
-    return asset.held.get(joint.name, float(np.clip(0.0, joint.lower, joint.upper)))
 
 
 def _urdf_for_sapien(asset: Asset, urdf: Urdf, visuals: bool, collisions: bool) -> Urdf:

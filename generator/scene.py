@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from freeart21 import se3
 from freeart21.camera import Camera
+from freeart21.camera_faults import srgb_decode
 from freeart21.doctor import require_rendering
 from freeart21.errors import FreeArtError
 from freeart21.files.urdf import format_urdf, read_file_names, read_urdf
@@ -235,14 +236,6 @@ class Scene:
             lamp.set_pose(turn * rest)
         self._R_now = R
 
-    def link_poses(self) -> dict[str, Array]:
-        """Link name to its pose (4, 4) in the camera frame at the last `render`, from SAPIEN."""
-        T_camera_sapien = se3.inverse(_T_SAPIEN_CAMERA)
-        return {
-            link.name: T_camera_sapien @ se3.pose_from_wxyz(link.entity_pose.p, link.entity_pose.q)
-            for link in self._object.links
-        }
-
 
 def simulator() -> dict[str, str]:
     """Simulator, its version and the name of the render device, for a truth's `source`."""
@@ -272,8 +265,7 @@ def _to_16_bits(values: NDArray[np.float32]) -> NDArray[np.uint16]:
 def _srgb_tables() -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
     """Tables of sRGB bytes by linear light, and of linear light by sRGB."""
     x = np.arange(65536) / 65535
-    light = np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
-    return srgb_bytes(x), light.astype(np.float32)
+    return srgb_bytes(x), srgb_decode(x).astype(np.float32)
 
 
 def _to_bytes(colours: NDArray[np.float32]) -> NDArray[np.uint8]:
@@ -345,7 +337,7 @@ def _load(scene: Any, urdf: Path, root: Path | None) -> Any:
             lines = str(error).replace(str(readable.parent), str(urdf.parent)).strip().splitlines()
             raise FreeArtError(f"SAPIEN cannot load {urdf}: {lines[0] if lines else type(error).__name__}") from error
     if own:
-        shown = read_visuals(read, find_root(urdf, read_file_names(urdf), root), True, Gaps())
+        shown = read_visuals(read, find_root(urdf, read_file_names(urdf), root), Gaps(set))
         for link in articulation.links:
             surfaces = [v.surface.moved(v.T_link_mesh, v.scale) for v in shown[link.name]]
             if surfaces:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from freeart21 import se3
-from freeart21.camera_faults import CameraFaults, incidence_cosine
+from freeart21.camera_faults import CameraFaults
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 from generator.motion import Plan, hull_points
-from generator.scene import Scene, encode_srgb
+from generator.scene import Picture, Scene, encode_srgb
 from generator.sensors import check_sensor
 from generator.sensors.base import Video
+from generator.tof import incidence_cosine
 from generator.urdf_object import LoadedObject
 
 EXPOSURE_S = 1 / 60
@@ -24,20 +23,6 @@ _FAULTS = 6
 """Random stream of the camera's faults: frame i draws from [seed, _FAULTS, i]."""
 _STREAM = 4
 """Random stream of the sensors: frame i draws from [seed, _STREAM, i]."""
-
-
-@dataclass(frozen=True)
-class Shot:
-    """One frame of the video as the camera gives it, with its true labels."""
-
-    rgb: NDArray[np.uint8]
-    """(height, width, 3)."""
-    depth: NDArray[np.float32]
-    """(height, width) z-depth, metres; 0 where there is none."""
-    mask: NDArray[np.bool_]
-    """(height, width) where the object is seen: `side` > 0."""
-    side: NDArray[np.uint8]
-    """(height, width) true labels: 0 no object, 1 the scored joint's parent side, 2 its child side."""
 
 
 class Sensor:
@@ -84,10 +69,14 @@ class Sensor:
         if pieces:
             scene.set_props(pieces)
 
-    def shoot(self, i: int) -> Shot:
-        """Frame `i` of the video; it does not depend on the frames before."""
+    def shoot(self, i: int) -> Picture:
+        """Frame `i` of the video as the camera gives it, with its true labels: 1 the scored joint's parent side, 2 its
+        child side. It does not depend on the frames before."""
         count = max(model.sub_frames(self.motion_px(i)) for model in self.models) if self._averages else 1
-        then = None if self._faults is None or not self._faults.depth_delay else self._delayed_depth(i)
+        faults, then = self._faults, None
+        if faults is not None and faults.depth_delay:  # clean depth at the earlier time
+            self._draw(i - faults.depth_delay * self._fps)
+            self._started_frame, then = None, self._scene.depth_and_side()[0]
         light = self._light(i, count)
         if self._started_frame != i:
             self._draw(i)
@@ -99,27 +88,14 @@ class Sensor:
         rng = np.random.default_rng([self._seed, _STREAM, i])
         for model in self.models:
             depth = model.depth(depth, rng)
-        if self._faults is not None:
-            depth, rgb = self._apply_faults(i, depth if then is None else then, rgb)
-        return Shot(rgb, depth, side > 0, side)
-
-    def _delayed_depth(self, i: int) -> NDArray[np.float32]:
-        """Clean depth at the earlier time that frame `i`'s delayed depth picture shows."""
-        assert self._faults is not None
-        self._draw(i - self._faults.depth_delay * self._fps)
-        self._started_frame = None
-        return self._scene.depth_and_side()[0]
-
-    def _apply_faults(
-        self, i: int, depth: NDArray[np.float32], rgb: NDArray[np.uint8]
-    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        """Add the camera's faults to depth and colours."""
-        faults = self._faults
-        assert faults is not None
-        rng = np.random.default_rng([self._seed, _FAULTS, i])
-        bright = (rgb.mean(-1) / 255).astype(np.float32)
-        depth = faults.depth(depth, bright, incidence_cosine(depth, self._scene.camera), self._nominal_camera, rng)
-        return depth, faults.colour(rgb, i / max(len(self._plan.states) - 1, 1))
+        if faults is not None:
+            depth = depth if then is None else then
+            bright = (rgb.mean(-1) / 255).astype(np.float32)
+            cosine = incidence_cosine(depth, self._scene.camera.rays())
+            rng = np.random.default_rng([self._seed, _FAULTS, i])
+            depth = faults.depth(depth, bright, cosine, self._nominal_camera, rng)
+            rgb = faults.colour(rgb, i / max(len(self._plan.states) - 1, 1))
+        return Picture(rgb, depth, side)
 
     def start_drawing(self, i: int) -> None:
         """Let the renderer start frame `i` while the caller does other work; `shoot` then fetches the picture."""

@@ -112,7 +112,7 @@ def _plan_from_take(loaded: LoadedObject, settings: RecordSettings, camera: Came
     stretch = tracks.resample_take(take, s.fps, s.frames)
     states, state_changes = tracks.fit_states(stretch.states, take, body)
     diagonal = bounding_diagonal(*body.meshes)
-    carry, way_changes = tracks.scale_translation(take, diagonal, s.carry)
+    carry, way_changes = tracks.scale_translation(take, diagonal)
     R_first = None
     if take.poses == "first":
         scripted = plan_motion("tumble", body.meshes, loaded.joint, camera, s.frames, s.fps, s.seed, preset)
@@ -121,13 +121,7 @@ def _plan_from_take(loaded: LoadedObject, settings: RecordSettings, camera: Came
     if take.poses == "camera" and way_changes:
         Ts, more = tracks.move_away(Ts, states, body, camera)
         way_changes["carry"] *= more
-    facts: dict[str, Any] = {
-        "name": take.name,
-        "sha256": take.sha256,
-        "form": take.form,
-        "device": take.device,
-        "poses": take.poses,
-    }
+    facts: dict[str, Any] = {key: getattr(take, key) for key in ("name", "sha256", "form", "device", "poses")}
     if take.filter is not None:
         facts["filter"] = {"one_euro": asdict(take.filter)}
     plan = Plan(
@@ -212,7 +206,7 @@ class Session:
                     self.sensor.start_drawing(i + 1)
                 if not self._may_hide:
                     self._require_seen(shot.side, f"frame {i}")
-                mask = shot.mask.view(np.uint8) * np.uint8(255)
+                mask = (shot.side > 0).view(np.uint8) * np.uint8(255)
                 images = shot.rgb, encode_depth(shot.depth, self.depth_scale), mask, shot.side
                 put({self._work / sub / f"{i:05d}.png": image for sub, image in zip(_PICTURES, images, strict=True)})
                 self._counts[i] = np.count_nonzero(shot.side == 1), np.count_nonzero(shot.side == 2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -20,9 +21,6 @@ MAX_PICTURES = 100_000
 """Of frames, and of held-out views: their files are numbered with five digits."""
 MAX_PIXELS = 1 << 24
 """Pixels of a picture, 4096 x 4096: with 3 bytes each below the 64 MiB that `checked` reads of one file."""
-
-MAX_CARRY = 100.0
-"""Largest factor on a take's translation: from millimetres to the size of a room. Not measured."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +45,6 @@ class RecordSettings:
     """How the object is moved: one of `generator.motion.STYLES`, or TRACK."""
     track: Annotated[Path | None, Suppress] = None
     """File of the take that the motion TRACK replays (`freeart21.formats.captured.read_track`)."""
-    carry: float | None = None
-    """Factor on the translations of a take whose poses are changes since its first; from the objects' sizes when not
-    given (`generator.motion.track.scale_translation`)."""
     preset: str = "handheld"
     """handheld (real size, filling the picture) or paper (PartNet scale, 3 m away)."""
     sensor: str = "clean"
@@ -112,11 +107,6 @@ class RecordSettings:
             raise FreeArtError("the motion track needs the file of a take, and only it has one; expected track:FILE")
         if self.track is not None:
             checked.require_file(self.track, MAX_TAKE_BYTES, checked.ANYWHERE)
-        if self.carry is not None and not (self.track is not None and 0 <= self.carry <= MAX_CARRY):
-            raise FreeArtError(
-                f"the way cannot be scaled by {self.carry:g} in the motion {self.motion}; expected 0 to "
-                f"{MAX_CARRY:g}, and the motion track:FILE"
-            )
         motions = (*STYLES, TRACK)
         named = ("motion", self.motion, motions), ("preset", self.preset, PRESETS), ("shader", self.shader, SHADERS)
         for what, value, known in named:
@@ -148,10 +138,51 @@ class RecordSettings:
         for later in ("let_go", "track", "urdf", "camera"):
             if getattr(self, later) is None:
                 del facts[later]  # older recordings have no such key
-        if self.track is None:
-            del facts["carry"]
         if self.urdf is not None:
             facts["urdf"] = {"name": self.urdf.name, "sha256": urdf_object.digest(self.urdf, self.root)}
         if self.track is not None:
             facts["track"] = {"name": self.track.name, "sha256": file_sha256(self.track, checked.ANYWHERE)}
         return facts
+
+
+SIDES = 64, 1280
+"""Pixels that the live picture of teleoperation may have a side."""
+
+
+@dataclass(frozen=True)
+class TeleopSettings:
+    """How an object is served for teleoperation."""
+
+    host: str = "127.0.0.1"
+    """Address to listen at; 0.0.0.0 for all of this machine. Others than 127.0.0.1 need --cert and --key: browsers give
+    headsets to no other pages, and the address holds the secret."""
+    port: int = 8021
+    """Port to listen at; 0 takes a free one."""
+    width: int = 640
+    """Width of the live picture, pixels."""
+    height: int = 360
+    """Height of the live picture, pixels."""
+    cert: Path | None = None
+    """PEM file of your certificate, for https."""
+    key: Path | None = None
+    """PEM file of its private key."""
+
+    def check(self) -> None:
+        """Raise FreeArtError for settings that cannot be served."""
+        low, high = SIDES
+        if not (low <= min(self.width, self.height) and max(self.width, self.height) <= high):
+            raise FreeArtError(
+                f"cannot show live pictures of {self.width} x {self.height}; expected {low} to {high} a side"
+            )
+        if not 0 <= self.port <= 65535:
+            raise FreeArtError(f"port {self.port} is none, expected 0 (any free one) to 65535")
+        if (self.cert is None) != (self.key is None) or (self.cert is None and not _is_loopback(self.host)):
+            raise FreeArtError(f"host {self.host} is served by https: needs both --cert FILE and --key FILE")
+
+
+def _is_loopback(host: str) -> bool:
+    """Whether only this machine can reach `host`."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host.rstrip(".").lower() == "localhost"

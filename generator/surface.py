@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from freeart21 import se3
+from freeart21.camera_faults import srgb_encode
 from freeart21.errors import FreeArtError
 from freeart21.mesh import Mesh, triangle_normals
 from freeart21.se3 import Array
@@ -113,9 +114,7 @@ class Surface:
 
 def srgb_bytes(linear: Array) -> NDArray[np.uint8]:
     """sRGB bytes of linear light, 0 to 1, such as an MTL file's Kd (IEC 61966-2-1)."""
-    linear = np.clip(linear, 0, 1)
-    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return np.asarray(np.rint(255 * encoded).astype(np.uint8))
+    return np.asarray(np.rint(255 * srgb_encode(linear)).astype(np.uint8))
 
 
 def crease_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:

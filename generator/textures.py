@@ -28,17 +28,8 @@ def wood(rng: np.random.Generator, light: Colour, dark: Colour, size: int = 512)
     picture = np.array(light) * (1 - mix) + np.array(dark) * mix
     for _ in range(2):  # knots
         cu, cv = rng.integers(0, size, 2)
-        cv2.ellipse(
-            picture,
-            (int(cu), int(cv)),
-            (int(rng.integers(10, 20)), int(rng.integers(5, 9))),
-            0,
-            0,
-            360,
-            (np.array(dark) * 0.55).tolist(),
-            -1,
-            cv2.LINE_AA,
-        )
+        centre, axes = (int(cu), int(cv)), (int(rng.integers(10, 20)), int(rng.integers(5, 9)))
+        cv2.ellipse(picture, centre, axes, 0, 0, 360, (np.array(dark) * 0.55).tolist(), -1, cv2.LINE_AA)
     return to_uint8(cv2.GaussianBlur(picture, (0, 0), 0.8))
 
 

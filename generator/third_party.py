@@ -13,6 +13,7 @@ from freeart21.joint import Joint
 from freeart21.mesh import bounding_diagonal
 from freeart21.truth import Truth
 from generator import partnet
+from generator.object_source import find_partnet_folder
 from generator.truth_mesh import build_truth
 from generator.urdf_object import LoadedObject
 
@@ -37,9 +38,7 @@ def complete_truth(
     known = read.known
     if known is None:
         raise FreeArtError(read.lacks)
-    folder = partnet.find_folder(safe_name(read.object_id), partnet_root)
-    if folder is None:
-        raise FreeArtError(f"PartNet-Mobility object {read.object_id} is not in {partnet_root}")
+    folder = find_partnet_folder(safe_name(read.object_id), partnet_root)
     named = joint or known.joint_name
     if named is None:
         named = next((entry.joint for entry in catalog.CATALOG if entry.name == read.object_id), None)

@@ -37,7 +37,7 @@ from freeart21.se3 import Array
 from freeart21.view.link_shapes import primitive
 from freeart21.view.mesh_pieces import ENDINGS, Piece, read_pieces, up_axis
 from generator.motion import motion_range
-from generator.partnet_files import MAX_OBJ_BYTES, Gaps, read_obj
+from generator.partnet_files import MAX_OBJ_BYTES, Gaps, describe_gaps, read_obj
 from generator.surface import Paint, Surface
 
 FLOATING = "floating"
@@ -104,8 +104,6 @@ class LoadedObject:
     child_side: Side
     semantics: dict[str, str]
     """Link name to semantics.txt's kind and name, such as 'slider drawer'; mobility_v2.json may use other names."""
-    missing: tuple[str, ...]
-    """Absent mesh files that the URDF names (only with `skip_missing`, or for an object of `INCOMPLETE`)."""
     notes: tuple[str, ...]
     """Remarks on this object for the user, one line each."""
 
@@ -116,51 +114,31 @@ class LoadedObject:
 
 
 def load_urdf(
-    urdf: Path, joint: str | None = None, skip_missing: bool = False, root: Path | None = None
+    urdf: Path,
+    joint: str | None = None,
+    skip_missing: bool = False,
+    root: Path | None = None,
+    layout: str = "URDF",
 ) -> LoadedObject:
     """The object of a URDF with the named joint, or the only movable one.
 
-    Files that the URDF names are in `root`, by default its own folder or its package's. Raises FreeArtError, in one
-    line, when a file is missing or unreadable, when the joint is unknown (the movable ones are listed) or has no range,
-    or when a side has no surface.
+    Files that the URDF names are in `root`, by default its own folder or its package's. The faces of a URDF of
+    PartNet-Mobility's `layout` are taken as they are. Raises FreeArtError, in one line, when a file is missing or
+    unreadable, when the joint is unknown (the movable ones are listed) or has no range, or when a side has no surface.
     """
-    find_movable_joint(urdf, joint)
-    read, gaps = read_tree(urdf), Gaps()
-    root = find_root(urdf, read_file_names(urdf), root)
-    visuals = read_visuals(read, root, skip_missing, gaps)
-    return assemble(read, joint, visuals, gaps, urdf.stem, root, "URDF")
-
-
-def read_visuals(read: Urdf, root: Path, skip_missing: bool, gaps: Gaps) -> dict[str, list[Visual]]:
-    """Link name to what it shows; adds absent files to `gaps`."""
-    found: dict[str, list[Visual]] = {}
-    for name, link in read.links.items():
-        found[name] = []
-        for shape in link.visuals:
-            surface = _surface(shape, read.path, f"{read.path}: link '{name}'", skip_missing, root, gaps)
-            if surface is not None and len(surface.faces):
-                surface = surface if _bounds_volume(surface) else _both_sides(surface)
-                scale = shape.size if shape.kind == "mesh" else np.ones(3)
-                found[name].append(Visual(surface, shape.T_link_shape, scale))
-    return found
-
-
-def assemble(
-    read: Urdf,
-    joint: str | None,
-    visuals: Mapping[str, Sequence[Visual]],
-    gaps: Gaps,
-    name: str,
-    root: Path,
-    layout: str,
-) -> LoadedObject:
-    """The object of the URDF `read` from what its links show."""
-    joints = read.joints
-    scored = find_movable_joint(read.path, joint)
+    read, gaps = read_tree(urdf), Gaps(set)
+    scored = find_movable_joint(urdf, joint)
     if not scored.lower < scored.upper:
         raise FreeArtError(
-            f"{read.path}: joint '{scored.name}' cannot move: its limits are [{scored.lower:g}, {scored.upper:g}]"
+            f"{urdf}: joint '{scored.name}' cannot move: its limits are [{scored.lower:g}, {scored.upper:g}]"
         )
+    root = find_root(urdf, read_file_names(urdf), root)
+    visuals = read_visuals(read, root, gaps, closed=layout == "URDF")
+    if gaps["meshes"] and not skip_missing:
+        more = f" ({len(gaps['meshes'])} such meshes)" if len(gaps["meshes"]) > 1 else ""
+        absent = describe_missing_file(urdf, min(gaps["meshes"]), root)
+        raise FreeArtError(f"{urdf} names the mesh {absent}{more}; --skip-missing leaves absent meshes out")
+    joints = read.joints
     held = held_positions(joints, scored.name)
     Ts = read.link_poses(held)
     below = subtree_links(joints, scored.child)
@@ -178,12 +156,31 @@ def assemble(
         upper = upper if ends[1] else lower + size
     axis, pivot = T_object_joint[:3, :3] @ scored.axis, T_object_joint[:3, 3]
     moving = Joint(scored.name, scored.joint_type, axis, pivot, lower, upper)
+    name = urdf.stem if layout == "URDF" else root.name
     source: dict[str, Any] = {"format": layout, "object": name}
     asset = Asset(
-        *(read.path, scored.name, scored.parent, scored.child, Ts[scored.parent]), held=held, source=source, root=root
+        *(urdf, scored.name, scored.parent, scored.child, Ts[scored.parent]), held=held, source=source, root=root
     )
-    notes = (*gaps.notes(), *_joint_notes(moving, scored, joints, held))
-    return LoadedObject(name, "unknown", asset, moving, parent, child, {}, (), notes)
+    notes = (*describe_gaps(gaps), *_joint_notes(moving, scored, joints, held))
+    return LoadedObject(name, "unknown", asset, moving, parent, child, {}, notes)
+
+
+def read_visuals(read: Urdf, root: Path, gaps: Gaps, closed: bool = True) -> dict[str, list[Visual]]:
+    """Link name to what it shows, without absent files, which are added to `gaps`.
+
+    With `closed`, a surface that bounds no volume gets each face in both directions.
+    """
+    found: dict[str, list[Visual]] = {}
+    for name, link in read.links.items():
+        found[name] = []
+        for shape in link.visuals:
+            surface = _surface(shape, read.path, f"{read.path}: link '{name}'", root, gaps)
+            if surface is not None and len(surface.faces):
+                if closed and not _bounds_volume(surface):
+                    surface = Surface.joined([surface, replace(surface, faces=surface.faces[:, ::-1])])
+                scale = shape.size if shape.kind == "mesh" else np.ones(3)
+                found[name].append(Visual(surface, shape.T_link_shape, scale))
+    return found
 
 
 def _joint_notes(moving: Joint, scored: UrdfJoint, joints: dict[str, UrdfJoint], held: dict[str, float]) -> list[str]:
@@ -242,16 +239,16 @@ def _side(
     pieces = [v.surface.moved(Ts[name] @ v.T_link_mesh, v.scale) for name in links for v in visuals[name]]
     surface = Surface.joined(pieces)
     if len(surface.faces) == 0:
-        lacks = gaps.notes()[:1] and f" ({gaps.notes()[0]})"
+        lacks = "".join(f" ({note})" for note in describe_gaps(gaps)[:1])
         raise FreeArtError(
             f"{read.path}: joint '{scored.name}' has no surface on the side of links "
-            f"{', '.join(links) or '(none)'}{lacks or ''}"
+            f"{', '.join(links) or '(none)'}{lacks}"
         )
     return Side(links, surface)
 
 
-def _surface(shape: UrdfShape, urdf: Path, where: str, skip_missing: bool, root: Path, gaps: Gaps) -> Surface | None:
-    """The surface of a visual in its mesh's frame; None for an absent file with `skip_missing`."""
+def _surface(shape: UrdfShape, urdf: Path, where: str, root: Path, gaps: Gaps) -> Surface | None:
+    """The surface of a visual in its mesh's frame; None for an absent file."""
     if shape.kind != "mesh":
         surface = _joined([Piece(primitive(shape, where))])
     elif not shape.size.all():
@@ -261,17 +258,14 @@ def _surface(shape: UrdfShape, urdf: Path, where: str, skip_missing: bool, root:
         if path.suffix.lower() not in ENDINGS:
             raise FreeArtError(f"{where} has the mesh '{shape.filename}', expected {', '.join(ENDINGS)}")
         if not checked.is_there(path):
-            if skip_missing:
-                gaps.meshes.add(shape.filename)
-                return None
-            absent = describe_missing_file(urdf, shape.filename, root)
-            raise FreeArtError(f"{where} names the mesh {absent}; --skip-missing leaves absent meshes out")
+            gaps["meshes"].add(shape.filename)
+            return None
         if path.suffix.lower() == ".obj":
             surface = read_obj(path, root, gaps)
         else:
             surface = _joined(read_pieces(path, root))
             if path.suffix.lower() == ".dae" and up_axis(path, root) in ("X_UP", "Y_UP"):
-                gaps.axes.add(shape.filename)
+                gaps["axes"].add(shape.filename)
     if not (np.abs(surface.vertices) < _LARGEST).all():
         raise FreeArtError(f"{where} shows vertices beyond {_LARGEST:g}")
     if shape.rgba is None:
@@ -298,8 +292,3 @@ def _bounds_volume(surface: Surface) -> bool:
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=True)
     mesh.update_faces(mesh.nondegenerate_faces())  # as at the poles of a sphere
     return bool(mesh.is_volume)
-
-
-def _both_sides(surface: Surface) -> Surface:
-    """The surface with each face in both directions."""
-    return Surface.joined([surface, replace(surface, faces=surface.faces[:, ::-1])])

@@ -278,8 +278,8 @@ def run(
     data (`freeart21 pack`) when its truth has to be out of reach. run.json has time, memory and versions.
 
     Args:
-        method: Descriptor, a .json, or the name of a shipped one (two-motions, rigid-clusters, masked-icp, freeartgs,
-            itaco, bundlesdf, foundationpose, articulate-anything, videoartgs).
+        method: Descriptor, a .json, or the name of a shipped one (two-motions, rigid-clusters, masked-icp, paper,
+            freeartgs, itaco, bundlesdf, foundationpose, articulate-anything, videoartgs).
         data: The data folder of the sequences.
         out: Results folder, such as results/NAME.
         home: The method's own checkout, if its commands name it.

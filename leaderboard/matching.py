@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from freeart21 import se3
-from freeart21.articulation import PARTS, Articulation
+from freeart21.articulation import PARTS
 from freeart21.errors import FreeArtError
 from freeart21.reconstruction import Piece, Reconstruction
 from freeart21.se3 import Array
@@ -70,7 +70,7 @@ def match(
         answer = _posed_as_in_anchor(answer)
     swapped, same, other = match_parts(truth, answer, centre, diagonal, lacks, (outer[0], outer[1]))
     swapped = swapped and rename
-    named = with_parts_swapped(answer) if swapped else answer
+    named = answer.exchanged() if swapped else answer
     frames = [answer.anchor] if "poses" in lacks else slice(None)
     T_truth_pred = align(truth.Ts_camera_reference[frames], named.Ts_camera_reference[frames], centre)
     parts = named.articulation.moved(T_truth_pred)
@@ -116,24 +116,6 @@ def match_parts(
         as_given, exchanged = _labelling_distances(truth, answer, outer)
         return exchanged < as_given, same, other
     return False, same, other
-
-
-def with_parts_swapped(answer: Reconstruction) -> Reconstruction:
-    """The same answer with the names of its parts exchanged.
-
-    The canonical frame and the states stay; the axis is reversed, as the reference part moves about (along) the same
-    line in the opposite direction when seen from the moving part.
-    """
-    joint, parts = answer.articulation.joint, answer.articulation
-    return replace(
-        answer,
-        articulation=Articulation(replace(joint, axis=-joint.axis), parts.moving, parts.reference),
-        Ts_camera_reference=answer.Ts_camera_moving,
-        Ts_camera_moving=answer.Ts_camera_reference,
-        part_masks=np.array([0, 2, 1], np.uint8)[answer.part_masks],
-        seen=answer.seen[:, ::-1],
-        covariances=None if answer.covariances is None else answer.covariances[:, ::-1],
-    )
 
 
 def _posed_as_in_anchor(answer: Reconstruction) -> Reconstruction:

@@ -1,4 +1,4 @@
 """The reconstruction: from one RGB-D video to two parts, their poses, the joint between them, and meshes."""
 
-VERSION = "11"
+VERSION = "12"
 """Version of the solver, stated in results: increases whenever a change moves the numbers of a result."""

@@ -30,15 +30,12 @@ from freeart21.gaussians import Gaussians
 from freeart21.joint import Joint
 from freeart21.reconstruction import Reconstruction
 from reconstruct import VERSION
-from reconstruct.features import FEATURES, Features
 from reconstruct.gaussians import gsplat_backend
 from reconstruct.pose_sources import digest_poses
 from reconstruct.poses import FreePoses
 from reconstruct.propagation import PartEstimate
 from reconstruct.settings import ReconstructSettings
 from reconstruct.stages import CACHED_STAGES, CachedStageName, settings_used_by
-from reconstruct.trackers import TRACKERS
-from reconstruct.tracks import Tracker
 
 _LIBRARIES = ("numpy", "scipy", "numba", "opencv-python-headless", "scikit-image")
 MAX_STAGE_BYTES = 16 << 30
@@ -134,26 +131,13 @@ def stage_keys(sequence: Path, settings: ReconstructSettings) -> dict[CachedStag
     del groups["progress"]
     if settings.gaussians.refine and settings.gaussians.backend != "numba":
         groups["gaussians"]["renderer"] = _describe_renderer()
-    groups["given_poses"]["folder"] = digest_poses(settings.given_poses)
-    _add_weights(groups)
+    groups["poses_from"] = digest_poses(settings.poses_from)
     keys = {}
     for stage in CACHED_STAGES:
         digest = basis.copy()
         digest.update(json.dumps([stage, settings_used_by(stage, groups)], sort_keys=True).encode())
         keys[stage] = digest.hexdigest()
     return keys
-
-
-def _add_weights(groups: dict[str, Any]) -> None:
-    """Adds the hashes of weights that the user brought to the settings that name them. Those of packages need none:
-    the code holds their hashes."""
-    chosen: list[tuple[str, type[Tracker] | type[Features] | None]]
-    chosen = [("tracks", TRACKERS.get(groups["tracks"]["tracker"]))]
-    if groups["segmentation"] == "paper":
-        chosen.append(("features", FEATURES.get(groups["features"]["model"])))
-    for group, member in chosen:
-        if member is not None and (digest := member.weights_digest()):
-            groups[group] = {**groups[group], "weights": digest}
 
 
 @lru_cache

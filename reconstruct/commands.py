@@ -11,7 +11,7 @@ from functools import update_wrapper
 from inspect import signature
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -38,9 +38,7 @@ def reconstruct(
     out: Path,
     until: Annotated[CachedStageName | None, tyro.conf.arg(help=STOP_AFTER)] = None,
     keep_work: bool = False,
-    segmentation: Literal["ours", "paper"] | None = None,
     tracker: str | None = None,
-    features: str | None = None,
     poses: str | None = None,
     settings_file: Annotated[Path | None, tyro.conf.arg(name="settings", metavar="FILE.json")] = None,
     settings: ReconstructSettings = ReconstructSettings(),  # noqa: B008 (frozen)
@@ -55,10 +53,8 @@ def reconstruct(
         sequence: A sequence folder (with sequence.json).
         out: Result folder, such as results/ours/SEQ.
         keep_work: Keep the stages' files after the result is written, for calls with other settings.
-        segmentation: Short for --settings.segmentation: ours, or the paper's with hand-crafted features.
         tracker: Short for --settings.tracks.tracker: dis, or a learned one (docs/priors.md).
-        features: Short for --settings.features.model, of the paper's segmentation: hand_made, or learned ones.
-        poses: SOURCE:FOLDER, short for --settings.given-poses.source and .folder: bundlesdf:FOLDER (docs/priors.md).
+        poses: Short for --settings.poses-from: bundlesdf:FOLDER (docs/priors.md).
         settings_file: JSON of settings: a method.json, or its `settings` alone. What it lacks keeps its default.
         settings: One setting, such as --settings.joint.type-rule paper; --settings.help lists them all.
     """
@@ -70,15 +66,10 @@ def reconstruct(
     from reconstruct.cache import work_folder
     from reconstruct.pipeline import reconstruct_folder, reconstruct_until
 
-    if segmentation is not None:
-        settings = replace(settings, segmentation=segmentation)
     if tracker is not None:
         settings = replace(settings, tracks=replace(settings.tracks, tracker=tracker))
-    if features is not None:
-        settings = replace(settings, features=replace(settings.features, model=features))
     if poses is not None:
-        source, _, folder = poses.partition(":")
-        settings = replace(settings, given_poses=replace(settings.given_poses, source=source, folder=folder))
+        settings = replace(settings, poses_from=poses)
     check_place(out, RESULT, (sequence,))
     work = work_folder(out)
     hint = f"finished stages are in {work}: the same command goes on"

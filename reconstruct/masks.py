@@ -24,7 +24,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files.masks import Click, Masks
 from freeart21.recording import Recording
 from reconstruct.hands import HandNetwork, draw_hand
-from reconstruct.segmenters import Prompt, Segmenter
+from reconstruct.segmenters import Prompt, Sam2
 
 Bools = NDArray[np.bool_]
 Image = NDArray[np.uint8]
@@ -34,6 +34,8 @@ Values = NDArray[Any]
 Progress = Callable[[str, int, int], None]
 QUIET: Progress = lambda what, done, total: None  # noqa: E731
 
+LONGEST_SIDE = 480
+"""Pixels of the working pictures."""
 STILL_PX = 0.3
 """Flow, pixels a frame, up to which a pixel stands still: three times what DIS gives on static textured scenes."""
 LEAST_GAP = 0.012
@@ -55,16 +57,6 @@ _COLOUR_BINS = (12, 32, 32)
 
 
 @dataclass(frozen=True)
-class MaskSettings:
-    """What `find_masks` may use."""
-
-    longest_side: int = 480
-    """Pixels of the working pictures."""
-    hands: Path | None = None
-    """Folder of MediaPipe's networks (`reconstruct.hands`): finds hands by shape, where skin's colour misleads."""
-
-
-@dataclass(frozen=True)
 class _Video:
     """Working pictures: (n, h, w, ...)."""
 
@@ -76,27 +68,22 @@ class _Video:
     backward: Values
 
 
-def find_masks(recording: Recording, settings: MaskSettings | None = None, progress: Progress = QUIET) -> Masks:
-    """Masks of the object that is held and moved in front of the camera. Raises FreeArtError when nothing moves.
-
-    The masks of `recording` are not looked at.
-    """
-    return Foreground(recording, settings, progress).masks()
-
-
 class Foreground:
-    """What is in front of the static scene, measured once; `masks` then costs a twentieth of a second a frame."""
+    """What is in front of the static scene, measured once; `masks` then costs a twentieth of a second a frame.
 
-    def __init__(self, recording: Recording, settings: MaskSettings | None = None, progress: Progress = QUIET) -> None:
-        """`progress` is called with what is done, how many frames of it, of how many."""
-        settings = settings or MaskSettings()
+    The masks of the recording are not looked at.
+    """
+
+    def __init__(self, recording: Recording, hands: Path | None = None, progress: Progress = QUIET) -> None:
+        """`hands`: folder of MediaPipe's networks (`reconstruct.hands`), which find hands by shape, where skin's colour
+        misleads. `progress` is called with what is done, how many frames of it, of how many."""
         self._recording = recording
-        self._video = video = _load(recording, settings.longest_side, progress)
+        self._video = video = _load(recording, progress)
         still, motions = _residual_flow(video)
         front, self._notes = _in_front(video, still, motions)
         front = _nearest_layer(video, front)
         self._front = front
-        self._palms = None if settings.hands is None else _draw_hands(video, HandNetwork(settings.hands), progress)
+        self._palms = None if hands is None else _draw_hands(video, HandNetwork(hands), progress)
         solid = front > 0.5
         moving = (solid & ~still).sum((1, 2)) / np.maximum(solid.sum((1, 2)), 1)
         self._empty = bool(np.median(solid.mean((1, 2))) < 1e-4 or np.percentile(moving, 90) < 0.05)
@@ -120,7 +107,7 @@ class Foreground:
         return Masks(_enlarge(masks, object_, recording), doubt, reasons, tuple(notes))
 
 
-def carry_masks(recording: Recording, own: Masks, segmenter: Segmenter, clicks: Sequence[Click] = ()) -> Masks:
+def carry_masks(recording: Recording, own: Masks, segmenter: Sam2, clicks: Sequence[Click] = ()) -> Masks:
     """Masks by a segmenter, from our `own` in the least doubtful frames, and from the clicks.
 
     There are two opinions of every frame: its doubt is what they do not share, 1 - IoU, and 1 where the segmenter
@@ -147,9 +134,9 @@ def carry_masks(recording: Recording, own: Masks, segmenter: Segmenter, clicks: 
     return Masks(found, doubt, reasons, (*own.notes, note))
 
 
-def _load(recording: Recording, longest_side: int, progress: Progress) -> _Video:
+def _load(recording: Recording, progress: Progress) -> _Video:
     camera = recording.camera
-    scale = min(1.0, longest_side / max(camera.width, camera.height))
+    scale = min(1.0, LONGEST_SIDE / max(camera.width, camera.height))
     width, height = round(scale * camera.width), round(scale * camera.height)
     n = len(recording)
     rgb, depth = np.zeros((n, height, width, 3), np.uint8), np.zeros((n, height, width), np.float32)

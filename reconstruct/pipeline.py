@@ -7,7 +7,7 @@ One function per stage of the table in `stages`. Outcomes of expensive stages ar
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,15 +29,13 @@ from freeart21.reconstruction import Alternative, Failure, Reconstruction
 from freeart21.recording import Recording
 from freeart21.se3 import Array
 from freeart21.trust import judge
-from reconstruct import VERSION, paper_segmentation
+from reconstruct import VERSION
 from reconstruct.cache import CachedStage, SolverState, StageCache
 from reconstruct.diagnostics import diagnose, peak_bytes
 from reconstruct.evidence import Evidence
-from reconstruct.features import make_features
 from reconstruct.gaps import bridge_gaps, fill_gaps
 from reconstruct.gaussians.optimisation import optimise
 from reconstruct.joint_type import choose_joint_type, find_rival
-from reconstruct.part_swaps import swap_parts, undo_part_swaps
 from reconstruct.pose_sources import find_poses
 from reconstruct.poses import FINAL_GATE, FreePoses, JointedPoses, free_adjustment, joint_adjustment
 from reconstruct.propagation import PartEstimate, body_points
@@ -55,15 +53,17 @@ from reconstruct.tracks import Tracker
 __all__ = ["ReconstructSettings", "reconstruct", "reconstruct_folder", "reconstruct_until"]
 
 
-def reconstruct(recording: Recording, settings: ReconstructSettings | None = None) -> Reconstruction | Failure:
-    """Solve one recording from RGB, depth, foreground masks and intrinsics alone.
+def reconstruct(
+    recording: Recording, settings: ReconstructSettings | None = None, solvers: Mapping[str, StageSolver] | None = None
+) -> Reconstruction | Failure:
+    """Solve one recording from RGB, depth, foreground masks and intrinsics alone, its stages by `solvers` (SOLVERS).
 
     Returns a `Failure` when the input cannot be solved: too few frames, empty masks, or no second part that moves and
     covers enough pixels.
     """
     settings = settings or ReconstructSettings()
     with _one_blas_thread(), _StageClock(settings.progress) as clock:
-        result, _ = _solve(recording, settings, clock)
+        result, _ = _solve(recording, settings, clock, solvers=solvers)
     assert result is not None
     return result
 
@@ -125,6 +125,7 @@ def _solve(
     clock: _StageClock,
     cache: StageCache | None = None,
     until: CachedStageName | None = None,
+    solvers: Mapping[str, StageSolver] | None = None,
 ) -> tuple[Reconstruction | Failure | None, Diagnostics | None]:
     """Solve all stages that are not in `cache`; no result when stopped after the stage `until`."""
     last = _load_last(cache, clock) or CachedStage(None, SolverState(), np.random.default_rng(settings.seed))
@@ -138,7 +139,7 @@ def _solve(
                 video = _tracks(recording, settings, clock, with_tracks=done == 0)
         for stage in CACHED_STAGES[done:]:
             with clock.stage(stage):
-                state = _SOLVERS[stage](video, state, settings, rng)
+                state = (solvers or SOLVERS)[stage](video, state, settings, rng)
                 if cache is not None:
                     cache.store(CachedStage(stage, state, rng, clock.so_far()))
             if stage == until:
@@ -166,7 +167,7 @@ def _load_last(cache: StageCache | None, clock: _StageClock) -> CachedStage | No
 
 
 @dataclass
-class _PreparedVideo:
+class PreparedVideo:
     """A recording prepared for the stages."""
 
     recording: Recording
@@ -179,50 +180,40 @@ class _PreparedVideo:
 
 def _tracks(
     recording: Recording, settings: ReconstructSettings, clock: _StageClock, with_tracks: bool
-) -> _PreparedVideo:
+) -> PreparedVideo:
     scene = prepare_scene(recording, settings.scene)
     if scene.implausible:
         clock.say(f"{100 * scene.implausible:.2g} % of the object's depths lie implausibly far from it: taken as none")
     tracker = make_tracker(scene, settings.tracks) if with_tracks else None
-    evidence = Evidence(scene, settings.evidence, settings.labels, find_poses(scene, settings.given_poses))
-    return _PreparedVideo(recording, scene, evidence, tracker, clock.progress)
+    evidence = Evidence(scene, settings.evidence, find_poses(scene, settings.poses_from))
+    return PreparedVideo(recording, scene, evidence, tracker, clock.progress)
 
 
-_Solver = Callable[[_PreparedVideo, SolverState, ReconstructSettings, np.random.Generator], SolverState]
-_SOLVERS: dict[str, _Solver] = {}
+StageSolver = Callable[[PreparedVideo, SolverState, ReconstructSettings, np.random.Generator], SolverState]
+"""From the state before a stage to the state after it."""
 
 
-def _stage_solver(solver: _Solver) -> _Solver:
-    """Registers the function that solves the stage of its name, from the state before it to the state after it."""
-    _SOLVERS[solver.__name__.removeprefix("_")] = solver
-    return solver
-
-
-@_stage_solver
 def _segmentation(
-    video: _PreparedVideo, state: SolverState, settings: ReconstructSettings, rng: np.random.Generator
+    video: PreparedVideo, state: SolverState, settings: ReconstructSettings, rng: np.random.Generator
 ) -> SolverState:
     assert video.tracker is not None
-    if settings.segmentation == "paper":
-        features = make_features(video.scene, settings.features)
-        weights = paper_segmentation.segment(video.evidence, video.tracker, features, settings.paper, rng)
-        estimate = paper_segmentation.part_poses(video.evidence, video.tracker, weights, settings, rng)
-    else:
-        seeds = find_seeds(video.evidence, video.tracker, rng)
-        estimate = propagate_from_seeds(video.evidence, video.tracker, seeds, settings, rng)
+    seeds = find_seeds(video.evidence, video.tracker, rng)
+    estimate = propagate_from_seeds(video.evidence, video.tracker, seeds, settings, rng)
     video.tracker = None  # frees up to a gigabyte; no later stage uses it
     return SolverState(estimate)
 
 
-@_stage_solver
-def _joint(
-    video: _PreparedVideo, state: SolverState, settings: ReconstructSettings, rng: np.random.Generator
+def solve_joint(
+    video: PreparedVideo,
+    state: SolverState,
+    settings: ReconstructSettings,
+    rng: np.random.Generator,
+    relabel: bool = True,
 ) -> SolverState:
+    """The joint, and all poses under it; with `relabel` new labels by them."""
     assert state.estimate is not None
     evidence = video.evidence
-    relabel = settings.segmentation == "ours" or settings.paper.relabel
-    estimate = undo_part_swaps(evidence, state.estimate, settings.exchanges, rng) if relabel else state.estimate
-    estimate = bridge_gaps(evidence, estimate, settings.gaps, rng)
+    estimate = bridge_gaps(evidence, state.estimate, settings.gaps, rng)
     estimate = _relabel_unless_lost(evidence, estimate, rng) if relabel else estimate
     estimate = replace(estimate, poses=_choose_joint_type(evidence, estimate, settings, rng))
     estimate = bridge_gaps(evidence, estimate, settings.gaps, rng)
@@ -255,9 +246,8 @@ def _choose_joint_type(
     return choose_joint_type(evidence, estimate.labels, free, estimate.seen, body, everywhere, settings, rng, poses)
 
 
-@_stage_solver
 def _gaussians(
-    video: _PreparedVideo, state: SolverState, settings: ReconstructSettings, rng: np.random.Generator
+    video: PreparedVideo, state: SolverState, settings: ReconstructSettings, rng: np.random.Generator
 ) -> SolverState:
     if not settings.gaussians.refine:
         return state
@@ -278,9 +268,8 @@ def _gaussians(
     return replace(state, estimate=model.apply_to(estimate), free_poses=free_poses, appearance=model.gaussians)
 
 
-@_stage_solver
 def _poses(
-    video: _PreparedVideo, state: SolverState, settings: ReconstructSettings, rng: np.random.Generator
+    video: PreparedVideo, state: SolverState, settings: ReconstructSettings, rng: np.random.Generator
 ) -> SolverState:
     assert state.estimate is not None
     if state.free_poses:  # from the Gaussians
@@ -298,9 +287,8 @@ def _adjust_without_joint(
     )
 
 
-@_stage_solver
 def _surfaces(
-    video: _PreparedVideo, state: SolverState, settings: ReconstructSettings, rng: np.random.Generator
+    video: PreparedVideo, state: SolverState, settings: ReconstructSettings, rng: np.random.Generator
 ) -> SolverState:
     assert state.estimate is not None
     estimate, camera = state.estimate, video.recording.camera
@@ -322,6 +310,16 @@ def _surfaces(
     return SolverState(result=replace(result, trust=judge(result, diagnostics)), diagnostics=diagnostics)
 
 
+SOLVERS: dict[str, StageSolver] = {
+    "segmentation": _segmentation,
+    "joint": solve_joint,
+    "gaussians": _gaussians,
+    "poses": _poses,
+    "surfaces": _surfaces,
+}
+"""By stage."""
+
+
 def _find_rival(
     evidence: Evidence, state: SolverState, settings: ReconstructSettings
 ) -> tuple[JointedPoses | None, Array]:
@@ -339,7 +337,12 @@ def _put_larger_part_first(estimate: PartEstimate) -> PartEstimate:
     first, second = (int((estimate.labels == k).sum()) for k in (1, 2))
     if first >= second:
         return estimate
-    return swap_parts(estimate, np.ones(len(estimate.labels), bool), 0.0)
+    poses, labels = estimate.poses, estimate.labels
+    swapped = np.where(labels > 0, 3 - labels, 0).astype(np.uint8)
+    std = None if poses.joint_std is None else poses.joint_std[::-1]
+    states = -poses.states
+    poses = replace(poses, joint=poses.joint.spanning(states), states=states, Ts=poses.Ts_moving, joint_std=std)
+    return PartEstimate(poses, swapped, -estimate.logodds, estimate.seen[:, ::-1])
 
 
 def _to_canonical_frame(

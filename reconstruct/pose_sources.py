@@ -1,6 +1,6 @@
 """Poses of the parts that another program found: initial guesses beside our own; the video's cost decides.
 
-`tracked`, the default, has none. `bundlesdf` has those that BundleSDF (Wen et al., CVPR 2023) left, a run a part:
+`bundlesdf:FOLDER` has those that BundleSDF (Wen et al., CVPR 2023) left, a run a part:
 
     FOLDER/ob_in_cam/ID.txt           of one part
     FOLDER/RUN/ob_in_cam/ID.txt       of one or two parts: every subfolder that has an ob_in_cam
@@ -22,9 +22,8 @@ from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.se3 import Array, check_poses, orthonormalised
 from reconstruct.scene import Scene
-from reconstruct.settings import GivenPosesSettings
 
-SOURCES = ("bundlesdf", "tracked")
+SOURCE = "bundlesdf"
 MAX_BYTES = 4096
 FOLDER = "ob_in_cam"
 ROUNDING = 1e-3
@@ -35,18 +34,19 @@ FARTHEST = 1.0
 the origin into the middle of its first points. Millimetres, or object from camera, lie farther."""
 
 
-def find_poses(scene: Scene, settings: GivenPosesSettings) -> Array:
-    """(b, n, 4, 4) camera from body, metres, of b bodies in n frames; NaN where unknown.
+def find_poses(scene: Scene, given: str) -> Array:
+    """(b, n, 4, 4) camera from body, metres, of b bodies in n frames, `given` as SOURCE:FOLDER; NaN where unknown. None
+    of an empty `given`.
 
     Each body is one of the parts, which one need not be known. Its own frame is any. Raises FreeArtError.
     """
-    runs = _find_runs(settings)
+    runs = _find_runs(given)
     return np.stack([_read_run(run, scene) for run in runs]) if runs else np.zeros((0, len(scene), 4, 4))
 
 
-def digest_poses(settings: GivenPosesSettings) -> str:
+def digest_poses(given: str) -> str:
     """SHA-256, hexadecimal, of the files that the poses come from; empty without such."""
-    runs, digest = _find_runs(settings), hashlib.sha256()
+    runs, digest = _find_runs(given), hashlib.sha256()
     for run in runs:
         for path in _pose_files(run):
             digest.update(f"{run.name} {path.name} ".encode())
@@ -54,19 +54,18 @@ def digest_poses(settings: GivenPosesSettings) -> str:
     return digest.hexdigest() if runs else ""
 
 
-def _find_runs(settings: GivenPosesSettings) -> list[Path]:
-    """The folders of the source's runs, none of `tracked`; FreeArtError lists the known sources."""
-    if settings.source not in SOURCES:
-        raise FreeArtError(f"unknown source of poses '{settings.source}'; sources: {', '.join(SOURCES)}")
-    if settings.source == "tracked":
+def _find_runs(given: str) -> list[Path]:
+    """The folders of the source's runs; FreeArtError names the known source."""
+    source, _, name = given.partition(":")
+    if not given:
         return []
-    folder = Path(settings.folder)
-    below = sorted(path for path in folder.iterdir()) if settings.folder and folder.is_dir() else []
+    if source != SOURCE:
+        raise FreeArtError(f"unknown source of poses '{source}'; sources: {SOURCE}")
+    folder = Path(name)
+    below = sorted(path for path in folder.iterdir()) if name and folder.is_dir() else []
     runs = [run for run in (folder, *below) if (run / FOLDER).is_dir()] if below else []
     if not 1 <= len(runs) <= MOST_RUNS:
-        raise FreeArtError(
-            f"'{settings.folder}' holds {len(runs)} runs of BundleSDF, expected 1 or 2: {folder}/{FOLDER}"
-        )
+        raise FreeArtError(f"'{name}' holds {len(runs)} runs of BundleSDF, expected 1 or 2: {folder}/{FOLDER}")
     return runs
 
 

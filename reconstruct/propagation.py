@@ -72,13 +72,10 @@ class Propagation:
         seed: Seed,
         settings: ReconstructSettings,
         rng: np.random.Generator,
-        span: tuple[int, int] | None = None,
     ) -> None:
         scene = evidence.scene
         self.evidence, self.tracker, self.settings, self.rng = evidence, tracker, settings, rng
         n = len(scene)
-        self.span = (0, n - 1) if span is None else span
-        """First and last frame to propagate to."""
         self.Ts = np.tile(np.eye(4), (2, n, 1, 1))
         """(2, n, 4, 4) camera from part."""
         self.states = np.zeros(n)
@@ -323,10 +320,9 @@ class Propagation:
 
     def label_frame(self, frame: int) -> None:
         """Label `frame` from the costs of all its pixels under both motions to the frames done."""
-        known = self.done & (self.seen.any(1) | self.ambiguous)
         self.body = self.body_points() if self.body is None else self.body
-        poses = self.Ts, self.body, known, self.measured_frames()
-        self.set_labels(frame, label_frame(self.evidence, frame, *poses, self.logodds, self.rng))
+        poses = self.Ts, self.body, self.measured_frames()
+        self.set_labels(frame, label_frame(self.evidence, frame, *poses, self.logodds[frame], self.rng))
 
     def relabel_uncertain_frames(self) -> None:
         """Label the most uncertain frames again, now that later frames are known."""

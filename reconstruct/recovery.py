@@ -14,7 +14,6 @@ from reconstruct import rigid
 from reconstruct.evidence import Pixels, sample_pixels
 from reconstruct.propagation import MIN_JOINTED_PIXELS, REFERENCES, REST_COST, SAMPLES, UNCERTAIN_SHARE, Propagation
 from reconstruct.registration import step_with_joint
-from reconstruct.tracks import lift_to_3d
 
 GATES = (12.0, 8.0, 6.0, 5.0)
 """Point-to-plane gates of the registration, coarse to fine."""
@@ -30,8 +29,6 @@ LOOK_BACK = 8
 """Frames nearer than this are avoided as references: a joint that starts to move is slow."""
 SOUND_FRAMES, SOUND_SHARE = 8, 0.05
 """So many consecutive frames, each with at least this share of certain pixels of either part, were tracked reliably."""
-MIN_MATCHES = 12
-"""Points of a part, found again, that its motion is fitted to: twice those of a RANSAC sample."""
 _PATCH = 8
 """Sampled pixels per patch; a patch follows one motion."""
 _AS_GOOD = 1.1
@@ -66,18 +63,16 @@ def recover_frame(
     rest = float(propagation.states[neighbour]) if unlabelled else q
     found = resting = view.refine(T, rest, at_rest=True)
     before = best = view.cost(*resting)
-    guesses = _guess_states(propagation, view, T, q, rest, known)
-    matched, by_points = _match_poses(propagation, view, q, rest, known), False
-    for k, guess in enumerate(guesses + matched):
+    for guess in _guess_states(propagation, view, T, q, rest, known):
         refined = view.refine(*guess)
         if (cost := view.cost(*refined)) < best:
-            best, found, by_points = cost, refined, k >= len(guesses)
+            best, found = cost, refined
     better = best < MAX_COST_RATIO * before and best < before - MIN_GAIN
     if propagation.ambiguous[neighbour] and not propagation.is_state_jump(found[1] - rest):
         better = (REST_COST_UNLABELLED if unlabelled else REST_COST) * best < before
     if better and unlabelled:
         found = view.prefer_known_state(*found, rest, best)
-    if better and view.agrees_with_flow(neighbour, *found, by_points):
+    if better and view.agrees_with_flow(neighbour, *found):
         return *found, True
     return (*resting, True) if propagation.ambiguous[neighbour] else (T, q, False)
 
@@ -104,42 +99,6 @@ def _guess_states(
     for Ts in (np.tile(T, (len(grid), 1, 1)), T @ turned):
         guesses += [(Ts[g], float(grid[g])) for g in np.argsort(view.patch_costs(Ts, grid), kind="stable")[:2]]
     return guesses
-
-
-def _match_poses(
-    propagation: Propagation, view: _UnlabelledFrame, q: float, rest: float, known: NDArray[np.int64]
-) -> list[tuple[Array, float]]:
-    """Reference poses and states by points of either part that the tracker finds again in the frame, if it can.
-
-    They are guesses like others: the frame's cost decides. The state is `q` or `rest`, with both parts found also the
-    one of the range seen in the frames `known` that places the moving part best.
-    """
-    scene, joint, frame = propagation.evidence.scene, propagation.joint, view.frame
-    assert joint is not None
-    pairs: tuple[list[tuple[Array, Array]], ...] = ([], [])
-    for other in map(int, view.others):
-        found = propagation.tracker.match(other, frame)
-        if found is None:
-            return []
-        here, there = (lift_to_3d(scene, i, at) for i, at in zip((other, frame), found, strict=True))
-        x, y = np.rint(found[0]).astype(int).T
-        logodds = propagation.logodds[other, y, x]
-        for k, mine in enumerate((logodds <= -1, logodds >= 1)):
-            pairs[k].append((se3.transform(se3.inverse(propagation.Ts[k, other]), here[mine]), there[mine]))
-    Ts = []
-    for mine in pairs:
-        source, target = (np.concatenate(points) for points in zip(*mine, strict=True))
-        enough = len(source) >= MIN_MATCHES
-        Ts.append(rigid.ransac_fit(source, target, 3 * propagation.evidence.unit, propagation.rng) if enough else None)
-    states = list(dict.fromkeys((q, rest)))
-    if Ts[0] is not None and Ts[1] is not None:
-        body = np.concatenate([points for points, _ in pairs[1]])
-        states_seen = propagation.states[known]
-        grid = np.linspace(states_seen.min(), states_seen.max(), SEARCHED_STATES)
-        off = rigid.distances(Ts[0] @ joint.transform(grid), body[None], se3.transform(Ts[1], body)[None]).mean(1)
-        states.append(float(grid[off.argmin()]))
-    guesses = [] if Ts[0] is None else [(Ts[0], state) for state in states]
-    return guesses + ([] if Ts[1] is None else [(Ts[1] @ se3.inverse(joint.transform(s)), s) for s in states])
 
 
 @dataclass(frozen=True)
@@ -212,11 +171,10 @@ class _UnlabelledFrame:
         swapped = self.refine(T @ propagation.joint.transform(q - rest), other)
         return swapped if self.cost(*swapped) < _AS_GOOD * cost else (T, q)
 
-    def agrees_with_flow(self, neighbour: int, T: Array, q: float, by_points: bool) -> bool:
+    def agrees_with_flow(self, neighbour: int, T: Array, q: float) -> bool:
         """Whether labels carried by optical flow agree with `T` and `q`; otherwise the parts are swapped.
 
-        Flow carries nothing of a part that was hidden, so then a majority is enough. Without labels nothing disagrees,
-        nor `by_points` after a frame that shows neither part: points found again bring their own labels.
+        Flow carries nothing of a part that was hidden, so then a majority is enough. Without labels nothing disagrees.
         """
         propagation = self.propagation
         costs = self.costs(T[None], np.array([q]))[:, 0]
@@ -224,7 +182,7 @@ class _UnlabelledFrame:
         decided = (carried > 0) & (np.abs(costs[:, 1] - costs[:, 0]) > 0.3)
         agree = (costs.argmin(1) + 1 == carried)[decided]
         if len(agree) < MIN_JOINTED_PIXELS:
-            return bool(propagation.ambiguous[neighbour] or (by_points and not propagation.seen[neighbour].any()))
+            return bool(propagation.ambiguous[neighbour])
         return bool(agree.mean() > (0.8 if propagation.seen[neighbour].all() else 0.5))
 
 

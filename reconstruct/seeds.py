@@ -94,18 +94,12 @@ class Seed:
     """Number of pixels that move by the smaller part's motion."""
 
 
-def find_candidates(
-    evidence: Evidence,
-    tracker: Tracker,
-    rng: np.random.Generator,
-    within: tuple[int, int] | None = None,
-) -> list[Candidate]:
-    """Two-motion fits of tracks over the recording, or the frames from `within[0]` to `within[1]`, best first.
+def find_candidates(evidence: Evidence, tracker: Tracker, rng: np.random.Generator) -> list[Candidate]:
+    """Two-motion fits of tracks over the recording, best first.
 
     Raises UnsolvableError when there are none, with the test that failed in the pair that came nearest.
     """
-    first, last = (0, len(evidence.scene) - 1) if within is None else within
-    pairs = [(frame, gap) for gap in FRAME_GAPS for frame in range(first, last - gap + 1, WINDOW_SPACING)]
+    pairs = _spaced_pairs(evidence)
     tried = [_fit_two_motions(evidence, tracker, frame, gap, rng) for frame, gap in pairs]
     found = [c for c in tried if isinstance(c, Candidate)]
     if found:
@@ -117,34 +111,34 @@ def find_candidates(
     ]
     if not rejections:
         raise UnsolvableError(
-            f"frames {first} to {last} hold no pair {min(FRAME_GAPS)} apart, the least that is needed"
+            f"{len(evidence.scene)} frames hold no pair {min(FRAME_GAPS)} apart, the least that is needed"
         )
     rejected, start, end = max(rejections, key=lambda m: m[0].passed)
     raise UnsolvableError(f"no two frames show two motions; frames {start} and {end} come nearest: {rejected.reason}")
 
 
-def find_seeds(
-    evidence: Evidence,
-    tracker: Tracker,
-    rng: np.random.Generator,
-    within: tuple[int, int] | None = None,
-) -> list[Seed]:
+def _spaced_pairs(evidence: Evidence) -> list[tuple[int, int]]:
+    """(frame, gap) of the pairs of frames in which two motions are sought."""
+    n = len(evidence.scene)
+    return [(frame, gap) for gap in FRAME_GAPS for frame in range(0, n - gap, WINDOW_SPACING)]
+
+
+def find_seeds(evidence: Evidence, tracker: Tracker, rng: np.random.Generator) -> list[Seed]:
     """Windows whose dense refinement gains most from a second motion, best first.
 
-    With `within` they start between its first and last frame. Where there is little texture the gain of tracks is
-    mostly noise, so tracks only propose one window per stretch and gap; the dense cost of its two frames selects those
-    that are refined on the frames between.
+    Where there is little texture the gain of tracks is mostly noise, so tracks only propose one window per stretch and
+    gap; the dense cost of its two frames selects those that are refined on the frames between.
 
     Raises UnsolvableError when no window gains enough: nothing moves against anything else.
     """
     failure = None
     try:
-        chosen = _select_candidates(evidence, find_candidates(evidence, tracker, rng, within), rng)
+        chosen = _select_candidates(evidence, find_candidates(evidence, tracker, rng), rng)
     except UnsolvableError as error:
         chosen, failure = [], error
     seeds = [_refine_seed(evidence, c, _refinement_frames(evidence, c), rng) for c in chosen]
     own = np.random.default_rng(0)  # the search for small parts leaves the other draws as they are
-    small = _select_candidates(evidence, find_unexplained_parts(evidence, tracker, own, within), own)
+    small = _select_candidates(evidence, find_unexplained_parts(evidence, tracker, own), own)
     seeds += [_refine_seed(evidence, c, _refinement_frames(evidence, c), own) for c in small]
     seeds.sort(key=lambda seed: -seed.evidence)
     enough = [s for s in seeds if s.evidence >= LEAST_EVIDENCE and s.pixels >= LEAST_PIXELS]
@@ -160,16 +154,13 @@ def _select_candidates(evidence: Evidence, found: list[Candidate], rng: np.rando
     return [tried[c] for c in np.argsort(-np.array(evidences), kind="stable")[:MAX_REFINED]]
 
 
-def find_unexplained_parts(
-    evidence: Evidence, tracker: Tracker, rng: np.random.Generator, within: tuple[int, int] | None = None
-) -> list[Candidate]:
+def find_unexplained_parts(evidence: Evidence, tracker: Tracker, rng: np.random.Generator) -> list[Candidate]:
     """Second motions of what the object's dominant motion leaves unexplained, best first.
 
     A small part is a few per cent of the tracks, too few to be found among them; but under the dominant motion its
     pixels form a connected region of large cost.
     """
-    first, last = (0, len(evidence.scene) - 1) if within is None else within
-    pairs = [(frame, gap) for gap in FRAME_GAPS for frame in range(first, last - gap + 1, WINDOW_SPACING)]
+    pairs = _spaced_pairs(evidence)
     found = [c for frame, gap in pairs for c in _explain_regions(evidence, tracker, frame, gap, rng)]
     return sorted(found, key=lambda c: -c.gain)
 

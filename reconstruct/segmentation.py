@@ -16,7 +16,8 @@ from freeart21 import se3
 from freeart21.se3 import Array
 from reconstruct.evidence import Evidence
 from reconstruct.joint_type import frames_with_both_parts
-from reconstruct.labels import Frames, label_frames
+from reconstruct.kernels import HIDDEN
+from reconstruct.labels import label_frames
 from reconstruct.poses import joint_adjustment
 from reconstruct.propagation import (
     AGREEING_FRAMES,
@@ -31,9 +32,8 @@ from reconstruct.propagation import (
     body_points,
 )
 from reconstruct.recovery import is_lost, recover_frame, unreliable_frames
-from reconstruct.resegmentation import find_lost_stretches, is_unreliable, replace_stretch
 from reconstruct.scene import UnsolvableError
-from reconstruct.seeds import Seed, find_seeds
+from reconstruct.seeds import Seed
 from reconstruct.settings import ReconstructSettings
 from reconstruct.tracks import Tracker
 
@@ -49,15 +49,17 @@ ADJUST_EVERY, ADJUST_SAMPLES = 16, 250
 """Frames between joint adjustments during propagation, and their pixels per frame and part."""
 SAME_PLACE = 0.2
 """A frame whose pose changes by less than this many units after labelling keeps its labels."""
-STRETCH_MARGIN = 40
-"""Frames beyond a lost stretch, both ways, that its new segmentation covers: there it is aligned."""
+LOST_COST = 2.5
+"""A frame that costs more than this times what the best quarter costs is lost."""
+UNRELIABLE_SHARE = 0.15
+"""Share of lost frames from which a whole propagation is unreliable."""
 
 
 def next_frames(propagation: Propagation) -> list[tuple[int, int]]:
     """(frame, neighbour already done) at both ends of the frames done."""
-    frames, (first, last) = np.flatnonzero(propagation.done), propagation.span
+    frames = np.flatnonzero(propagation.done)
     ends = [(int(frames[-1]) + 1, int(frames[-1])), (int(frames[0]) - 1, int(frames[0]))]
-    return [(i, p) for i, p in ends if first <= i <= last]
+    return [(i, p) for i, p in ends if 0 <= i < len(propagation.done)]
 
 
 def add_frames(propagation: Propagation, most: int) -> int:
@@ -181,53 +183,41 @@ def redo_lost_frames(propagation: Propagation, frame: int, neighbour: int) -> bo
 def propagate_from_seeds(
     evidence: Evidence, tracker: Tracker, seeds: Sequence[Seed], settings: ReconstructSettings, rng: np.random.Generator
 ) -> PartEstimate:
-    """Labels, poses and joint of the whole recording, from one of `seeds` (best first); lost stretches are segmented
-    anew.
+    """Labels, poses and joint of the whole recording, by the cheapest propagation from one of `seeds` (best first);
+    other seeds are tried only while much of it is unreliable.
 
     Raises UnsolvableError when the second part never moves against the first.
     """
-    propagation = _best_propagation(evidence, tracker, seeds, settings, rng)
-    failed: set[int] = set()
-    for _ in range(settings.pieces.most):
-        stretch = next((run for run in find_lost_stretches(propagation) if int(run[0]) not in failed), None)
-        if stretch is None:
-            break
-        if not _resegment(propagation, stretch, rng):
-            failed.add(int(stretch[0]))
-    return PartEstimate(propagation.current_poses(), propagation.labels, propagation.logodds, propagation.seen)
-
-
-def _best_propagation(
-    evidence: Evidence, tracker: Tracker, seeds: Sequence[Seed], settings: ReconstructSettings, rng: np.random.Generator
-) -> Propagation:
-    """The cheapest propagation over all frames; other seeds are tried only while much of it is unreliable."""
     best, failure = None, UnsolvableError("no second part")
     for _ in range(settings.growth.attempts):
         try:
-            propagation, seed = _propagate_span(evidence, tracker, seeds, settings, rng)
+            propagation, seed = _propagate(evidence, tracker, seeds, settings, rng)
         except UnsolvableError as error:
             failure = error
             break
         if best is None or np.nanmean(propagation.costs) < np.nanmean(best.costs):
             best = propagation
-        if not is_unreliable(propagation):
+        if not _is_unreliable(propagation):
             break
         seeds = [other for other in seeds if abs(other.frame - seed.frame) >= SEED_DISTANCE]
     if best is None:
         raise failure
-    return best
+    return PartEstimate(best.current_poses(), best.labels, best.logodds, best.seen)
 
 
-def _propagate_span(
-    evidence: Evidence,
-    tracker: Tracker,
-    seeds: Sequence[Seed],
-    settings: ReconstructSettings,
-    rng: np.random.Generator,
-    span: tuple[int, int] | None = None,
+def _is_unreliable(propagation: Propagation) -> bool:
+    """Whether many frames cost far more than the best quarter, and more than half of what a hidden frame costs."""
+    costs = propagation.costs[np.isfinite(propagation.costs)]
+    if len(costs) == 0:
+        return False
+    return bool((costs > max(0.5 * HIDDEN, LOST_COST * np.percentile(costs, 25))).mean() > UNRELIABLE_SHARE)
+
+
+def _propagate(
+    evidence: Evidence, tracker: Tracker, seeds: Sequence[Seed], settings: ReconstructSettings, rng: np.random.Generator
 ) -> tuple[Propagation, Seed]:
-    """A propagation over all frames, or from `span[0]` to `span[1]`, and the seed that it started from."""
-    propagation, seed = _initial_propagation(evidence, tracker, seeds, settings, rng, span)
+    """A propagation over all frames, and the seed that it started from."""
+    propagation, seed = _initial_propagation(evidence, tracker, seeds, settings, rng)
     while next_frames(propagation):
         add_frames(propagation, ADJUST_EVERY)
         found, propagation.recovered_frames = propagation.recovered_frames, []
@@ -240,12 +230,7 @@ def _propagate_span(
 
 
 def _initial_propagation(
-    evidence: Evidence,
-    tracker: Tracker,
-    seeds: Sequence[Seed],
-    settings: ReconstructSettings,
-    rng: np.random.Generator,
-    span: tuple[int, int] | None = None,
+    evidence: Evidence, tracker: Tracker, seeds: Sequence[Seed], settings: ReconstructSettings, rng: np.random.Generator
 ) -> tuple[Propagation, Seed]:
     """A propagation up to the joint, from the first of some distant `seeds` whose joint is beyond doubt, and that seed.
 
@@ -258,7 +243,7 @@ def _initial_propagation(
     best, least, failure = None, (True, np.inf), UnsolvableError("no second part")
     for seed in chosen[: settings.growth.beginnings]:
         try:
-            propagation = _propagate_until_joint(Propagation(evidence, tracker, seed, settings, rng, span), seed)
+            propagation = _propagate_until_joint(Propagation(evidence, tracker, seed, settings, rng), seed)
         except UnsolvableError as error:
             failure = error
             continue
@@ -297,22 +282,6 @@ def _adjust_poses(propagation: Propagation, rng: np.random.Generator) -> None:
     known = propagation.evidence, propagation.labels, propagation.current_poses(), propagation.seen
     settings, within = propagation.settings.poses, propagation.done
     propagation.set_joint(joint_adjustment(*known, settings, rng, 4, within, samples=ADJUST_SAMPLES))
-
-
-def _resegment(propagation: Propagation, stretch: Frames, rng: np.random.Generator) -> bool:
-    """Segment `stretch` anew from a seed within it; returns whether the result was better and taken."""
-    settings, last = propagation.settings, len(propagation.done) - 1
-    span = max(0, int(stretch[0]) - STRETCH_MARGIN), min(last, int(stretch[-1]) + STRETCH_MARGIN)
-    try:
-        within = int(stretch[0]), int(stretch[-1])
-        seeds = find_seeds(propagation.evidence, propagation.tracker, rng, within)
-        piece, _ = _propagate_span(propagation.evidence, propagation.tracker, seeds, settings, rng, span)
-    except UnsolvableError:
-        return False
-    if not replace_stretch(propagation, piece, stretch):
-        return False
-    _adjust_poses(propagation, rng)
-    return True
 
 
 def relabel_frames(evidence: Evidence, estimate: PartEstimate, rng: np.random.Generator) -> PartEstimate:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import cv2
 import numpy as np
@@ -42,16 +42,6 @@ class Prompt:
     """Column, row, and whether the object is there."""
 
 
-class Segmenter:
-    """Carries masks along a video. The constructor loads the weights; FreeArtError says what is missing."""
-
-    name: ClassVar[str]
-
-    def carry(self, pictures: Sequence[NDArray[np.uint8]], prompts: Sequence[Prompt]) -> NDArray[np.bool_]:
-        """(n, h, w) the object in n RGB pictures (h, w, 3), from what is known of some frames."""
-        raise NotImplementedError
-
-
 @lru_cache(1)
 def load_predictor() -> Any:
     """SAM 2's video predictor with its weights, on a GPU where there is one; FreeArtError says what is missing."""
@@ -64,7 +54,7 @@ def load_predictor() -> Any:
     return load_into(build(config, None, device=device), weights.get("model", weights), brought.file)
 
 
-class Sam2(Segmenter):
+class Sam2:
     """SAM 2 (Ravi et al. 2024), by the user's own weights.
 
     Read in facebookresearch/sam2 at 2b90b9f (sam2/build_sam.py, sam2_video_predictor.py, utils/misc.py): a folder of
@@ -79,7 +69,8 @@ class Sam2(Segmenter):
         self._predictor = load_predictor()
 
     def carry(self, pictures: Sequence[NDArray[np.uint8]], prompts: Sequence[Prompt]) -> NDArray[np.bool_]:
-        """See `Segmenter`; FreeArtError without prompts."""
+        """(n, h, w) the object in n RGB pictures (h, w, 3), from what is known of some frames; FreeArtError without
+        `prompts`."""
         if not prompts:
             raise FreeArtError("SAM 2 needs a mask or clicks in one frame at least")
         predictor = self._predictor
@@ -105,10 +96,10 @@ class Sam2(Segmenter):
         return found
 
 
-SEGMENTERS: dict[str, type[Segmenter]] = {"sam2": Sam2}
+SEGMENTERS = {"sam2": Sam2}
 
 
-def make_segmenter(name: str) -> Segmenter:
+def make_segmenter(name: str) -> Sam2:
     """The segmenter `name`, its weights loaded; FreeArtError lists the known ones, or says what is missing."""
     if name not in SEGMENTERS:
         raise FreeArtError(f"unknown segmenter '{name}'; segmenters: {', '.join(SEGMENTERS)}")

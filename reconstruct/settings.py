@@ -43,29 +43,11 @@ class TrackSettings:
 
 
 @dataclass(frozen=True)
-class GivenPosesSettings:
-    """Poses of the parts that another program found: initial guesses beside our own."""
-
-    source: str = "tracked"
-    """One of `reconstruct.pose_sources`; tracked: none but our own."""
-    folder: str = ""
-    """Of the other program's results."""
-
-
-@dataclass(frozen=True)
 class EvidenceSettings:
-    """Cost of a pixel under a motion: point-to-plane, free space, silhouette, colour."""
+    """Cost of a pixel under a motion (point-to-plane, free space, silhouette, colour), and part masks from it."""
 
     colour_weight: float = 0.2
     """Weight of colour against depth in registration."""
-
-
-@dataclass(frozen=True)
-class LabelSettings:
-    """From costs to part masks."""
-
-    propagation: float = 2.0
-    """Weight of the beliefs of other frames; a pixel that has seen the joint move weighs its own log-odds."""
     rounds_of_votes: int = 2
     """Times that all frames are labelled again with the beliefs of all frames about each surface."""
 
@@ -86,48 +68,6 @@ class PropagationSettings:
 
 
 @dataclass(frozen=True)
-class ResegmentationSettings:
-    """New segmentation, from seeds of their own, of stretches in which tracking was lost."""
-
-    most: int = 3
-    """Stretches that are tried, at most."""
-
-
-@dataclass(frozen=True)
-class FeatureSettings:
-    """Hand-made features: the difference of each cue that counts as one unit of distance; 0 leaves the cue out."""
-
-    model: str = "hand_made"
-    """One of `reconstruct.features`."""
-    colour: float = 10.0
-    """CIELAB units, lightness damped."""
-    gradient: float = 10.0
-    """Grey levels per pixel."""
-    place: float = 0.1
-    """Object diagonals."""
-    normal: float = 0.7
-    """Length of the difference of two unit normals."""
-    curvature: float = 0.2
-    """0 on a plane, towards 1 where normals differ."""
-
-
-@dataclass(frozen=True)
-class PaperSegmentationSettings:
-    """The paper's free-moving part segmentation; its numbers are constants of `reconstruct.paper_segmentation`."""
-
-    iterations: int = 100
-    """Adam steps per frame pair."""
-    use_main: bool = True
-    use_smoothness: bool = True
-    """False: the ablation "w/o Smooth Loss"."""
-    use_entropy: bool = True
-    use_init: bool = True
-    """False: the ablation "w/o Init Loss"."""
-    relabel: bool = False
-    """Let the joint stage relabel from dense evidence, as ours does; the masks are then no longer the paper's."""
-
-
-@dataclass(frozen=True)
 class GapSettings:
     """Joining what came before and after frames in which a part is hidden."""
 
@@ -135,14 +75,6 @@ class GapSettings:
     """Frames without the part that can break the chain."""
     jump: float = 5.0
     """A step of the state larger than this times the 90th percentile is a jump."""
-
-
-@dataclass(frozen=True)
-class PartSwapSettings:
-    """Undoing stretches in which the parts were confused."""
-
-    most: int = 4
-    """Swaps, at most."""
 
 
 @dataclass(frozen=True)
@@ -228,18 +160,13 @@ class ReconstructSettings:
     """All stages."""
 
     seed: int = 0
-    segmentation: Literal["ours", "paper"] = "ours"
-    """Part segmentation: ours, or the paper's with hand-made features."""
+    poses_from: str = ""
+    """SOURCE:FOLDER of the parts' poses that another program found (`reconstruct.pose_sources`): initial guesses beside
+    our own."""
     scene: SceneSettings = field(default_factory=SceneSettings)
     tracks: TrackSettings = field(default_factory=TrackSettings)
-    given_poses: GivenPosesSettings = field(default_factory=GivenPosesSettings)
     evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
-    labels: LabelSettings = field(default_factory=LabelSettings)
     growth: PropagationSettings = field(default_factory=PropagationSettings)
-    pieces: ResegmentationSettings = field(default_factory=ResegmentationSettings)
-    features: FeatureSettings = field(default_factory=FeatureSettings)
-    paper: PaperSegmentationSettings = field(default_factory=PaperSegmentationSettings)
-    exchanges: PartSwapSettings = field(default_factory=PartSwapSettings)
     gaps: GapSettings = field(default_factory=GapSettings)
     joint: JointSettings = field(default_factory=JointSettings)
     poses: PoseSettings = field(default_factory=PoseSettings)

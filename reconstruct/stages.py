@@ -24,7 +24,7 @@ class Stage:
 STAGES = (
     Stage("tracks", "crop, points and normals; optical flow", cached=False),  # fast to repeat, gigabytes to store
     Stage("segmentation", "two motions, propagated from a seed both ways in time"),
-    Stage("joint", "part swaps and gaps fixed, the joint's type, all adjusted under it", ("exchanges", "gaps")),
+    Stage("joint", "gaps fixed, the joint's type, all adjusted under it", ("gaps",)),
     Stage("gaussians", "one model of both parts, fitted to every frame", ("gaussians", "surfaces")),
     Stage("poses", "both parts' poses without the joint"),
     Stage("surfaces", "depth fused to a mesh per part"),

@@ -69,16 +69,6 @@ class Tracker:
         """
         raise NotImplementedError
 
-    def match(self, first: int, second: int) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-        """Points of the object in two frames, however far apart: columns and rows (m, 2) in either; None when the
-        tracker knows no such thing."""
-        return None
-
-    @classmethod
-    def weights_digest(cls) -> str:
-        """SHA-256, hexadecimal, of weights that the user brings; empty without such."""
-        return ""
-
 
 def optical_flow(scene: Scene) -> Flow:
     """DIS optical flow (Kroeger et al. 2016) both ways between all neighbouring frames, with a black background."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,44 +13,6 @@ import tyro
 from freeart21.errors import FreeArtError
 
 Positional: Any = tyro.conf.Positional
-
-
-@dataclass(frozen=True)
-class SeriesOptions:
-    """Options of `measure` for files; None is guessed, or absent."""
-
-    asset: Path | None = None
-    """Asset folder or URDF of the recorded object."""
-    joint: str | None = None
-    """Joint of the URDF; only needed when several can move."""
-    columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ROLE=NAME...")] = ()
-    """Columns of t, q, qd, effort, q_command, voltage, enabled, base_x, base_y, base_z, base_ax, base_ay, base_az,
-    base_angle, such as t=time q=angle; or a JSON file. Without a header they are called 1, 2, ..."""
-    unit_t: Annotated[Literal["s", "ms", "us", "ns"] | None, tyro.conf.arg(metavar="UNIT")] = None
-    """Unit of times: s, ms, us or ns; guessed when not given."""
-    unit_q: Annotated[str | None, tyro.conf.arg(metavar="UNIT")] = None
-    """Unit of positions and commands: rad, deg, turns, counts=N (N per turn), m, cm, mm; guessed from the joint's
-    limits and dynamics when not given."""
-    unit_effort: Annotated[Literal["N*m", "N*cm", "mN*m", "N", "mN"] | None, tyro.conf.arg(metavar="UNIT")] = None
-    """Unit of efforts: N*m, N*cm or mN*m, N or mN; N*m or N when not given."""
-    zero: float = 0.0
-    """Recorded position, in its unit, where the URDF's joint is at 0."""
-    reverse: bool = False
-    """The recording's positive direction is opposite to the URDF's joint axis."""
-    effort: Literal["commanded", "external"] | None = None
-    """Efforts are commanded to the actuator, or push the part."""
-    actuator: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="STIFFNESS DAMPING")] = None
-    """Gains of force = STIFFNESS (q_command - q) - DAMPING qd, in N*m/rad and N*m*s/rad (N/m, N*s/m)."""
-    interpolation: Literal["held", "linear", "unknown"] | None = None
-    """Efforts and commands between their rows; unknown when not given."""
-    circumstances: Path | None = None
-    """JSON file of actuator, base, prescribed runs, units, wrapped."""
-    inertia_relative: Annotated[float | None, tyro.conf.arg(metavar="PART")] = None
-    """Relative uncertainty of the asset's inertia, 0.1 when not given."""
-    gravity_relative: Annotated[float | None, tyro.conf.arg(metavar="PART")] = None
-    """Relative uncertainty of its gravity torque or force, 0.05 when not given."""
-    held_out: tuple[str, ...] = ()
-    """Runs that no fit uses: names, numbers from 1, or files."""
 
 
 @dataclass(frozen=True)
@@ -70,21 +31,6 @@ class TruthOptions:
     """The object's URDF as it was recorded, for truths of a URDF."""
     root: Path | None = None
     """The --root of that recording."""
-
-
-def measure_files(files: Sequence[Path], out: Path, gravity: Any, rate_hz: float | None, given: SeriesOptions) -> Path:
-    """Write the measured set of recorded files; gives the asset."""
-    from freeart21.formats.circumstances import Circumstances, read_circumstances
-    from freeart21.formats.measured_series import SeriesSettings, columns_from, measure_series
-
-    if given.asset is None:
-        raise FreeArtError("measure: files need --asset FOLDER or URDF, the object whose joint was measured")
-    options = {**vars(given), "gravity": gravity, "rate_hz": rate_hz, "columns": columns_from(given.columns)}
-    known = Circumstances() if given.circumstances is None else read_circumstances(given.circumstances)
-    asset, joint = options.pop("asset"), options.pop("joint")
-    for note in measure_series(files, out, asset, joint, SeriesSettings(**{**options, "circumstances": known})):
-        print(f"- {note}")
-    return given.asset
 
 
 def gap(

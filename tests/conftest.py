@@ -10,8 +10,9 @@ QUICK = {
     "metrics", "se3", "shapes", "statistics", "view",
 }  # fmt: skip
 """Files that take a few seconds each, imports included."""
-SLOW = ("gap_choose", "gap_fit", "whole_path", "examples", "reconstruct", "pipeline", "export", "check_asset", "teleop")
-"""Files that begin: if one of them came last, a core would be idle meanwhile."""
+SLOW = ("gap_choose", "pipeline", "whole_path", "gap_fit", "reconstruct", "examples", "export", "check_asset")
+"""Files that begin: if one of them came last, a core would be idle meanwhile. The first two compile the kernels of
+simgap and of reconstruct, so that no two processes compile the same."""
 TORCH = {"brought_priors", "gaussian_backends", "joint_batch", "maniskill", "maniskill_many", "priors"}
 """Files whose tests all need PyTorch or ManiSkill."""
 SOME_TORCH = {"baselines": "masked_icp", "examples": "maniskill", "jobs": "ray"}

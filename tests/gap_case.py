@@ -32,7 +32,7 @@ WORLD = {
 }  # fmt: skip
 
 
-@njit
+@njit(cache=True)
 def _course(q, v, n, command, inertia, weight, lean, viscous, power, dry, drag, spring, rest, cog, count, lower, upper,
             bounce, gain, delay, warming, groove, centre, width, hardens, gears):  # fmt: skip
     every = round(1 / (STEP * RATE))

@@ -23,7 +23,7 @@ from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction
 from freeart21.recording import Frame, Recording
 from freeart21.truth import Truth
-from freeart21.view.simplify import of_trimesh
+from freeart21.view.link_shapes import of_trimesh
 
 N, WIDTH, HEIGHT = 6, 48, 32
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\"'&\u2028"

@@ -20,9 +20,8 @@ from export.check.consistency_rules import RULES as CONSISTENCY_RULES
 from export.check.consistency_rules import judge_consistency
 from export.check.subject import find_subject
 from export.contact import read_link_shapes
-from export.exporter import ExportSettings, export_result
-from export.meshes import MeshSettings
-from export.placement import PlacementSettings
+from export.exporter import export_result
+from export.settings import ExportSettings, MeshSettings, PlacementSettings
 from freeart21.articulation import Articulation
 from freeart21.files.certificate import FILE, read_certificate
 from freeart21.joint import Joint

@@ -10,10 +10,11 @@ import trimesh
 
 from export.carving import CarvedPart, carve_overlap, cut_spots
 from export.clearance import separate_shapes
-from export.collision import CollisionSettings, make_collision
+from export.collision import make_collision
 from export.fidelity import depth_in_shapes, shape_planes
 from export.outer_surface import sample_evenly
 from export.penetration import Overlap
+from export.settings import CollisionSettings
 from freeart21 import se3
 from freeart21.articulation import Articulation
 from freeart21.joint import Joint

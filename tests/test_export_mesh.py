@@ -14,10 +14,10 @@ from refusal import assert_refused
 from solid_case import tray
 
 from export.atlas import find_texels, unwrap
-from export.exporter import ExportSettings, export_result
+from export.exporter import export_result
 from export.free_space import SWEPT, SpaceGrid
-from export.meshes import MeshSettings
 from export.parts import close_parts
+from export.settings import ExportSettings, MeshSettings
 from export.surface import Surface, close_surface
 from export.symmetry import Supposed
 from export.texture import textures_from_video

@@ -161,7 +161,7 @@ def test_bad_film_input_is_a_one_line_error(scene, tmp_path):
 
 # --- faults that the recorder puts in ---------------------------------------------------------------------------------
 
-SETTINGS = RecordSettings(frames=36, width=192, height=108, queries=0, shader="trivial", seed=5)
+SETTINGS = RecordSettings(frames=24, width=160, height=90, queries=0, shader="trivial", seed=5)
 
 
 def filmed(folder, faults=None):

@@ -7,7 +7,7 @@ from test_masks import H, W, film, iou_of
 import reconstruct.masks as masks
 from freeart21.errors import FreeArtError
 from reconstruct.hands import LANDMARKS, PALM, HandNetwork
-from reconstruct.masks import MaskSettings, find_masks
+from reconstruct.masks import Foreground
 
 
 def test_a_folder_without_the_networks_is_refused(tmp_path):
@@ -28,6 +28,6 @@ def test_a_hand_that_is_found_tells_an_object_of_its_colour_from_it(monkeypatch,
         drawn[i, 80:] = False
     monkeypatch.setattr(masks, "HandNetwork", lambda folder: None)
     monkeypatch.setattr(masks, "_draw_hands", lambda video, network, progress: drawn)
-    before = iou_of(find_masks(wood).masks, wood)
-    after = iou_of(find_masks(wood, MaskSettings(hands=tmp_path)).masks, wood)
+    before = iou_of(Foreground(wood).masks().masks, wood)
+    after = iou_of(Foreground(wood, tmp_path).masks().masks, wood)
     assert after > before + 0.1

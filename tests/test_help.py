@@ -53,7 +53,8 @@ def test_what_the_help_lists_is_what_there_is():
     from export.exporter import DENSITY
     from export.materials import MATERIALS
     from freeart21.formats.convert import recording_layouts
-    from freeart21.formats.measured_series import ANGLES, EFFORTS, LENGTHS, ROLES, TIME_UNITS, UNSURE
+    from freeart21.formats.measured_series import ROLES
+    from freeart21.formats.series_units import EFFORTS, POSITIONS, TIMES
     from generator.motion import PRESETS, STYLES
     from generator.sensors import SENSORS
     from generator.settings import SHADERS
@@ -61,7 +62,11 @@ def test_what_the_help_lists_is_what_there_is():
     lists = {
         "convert": [name for name in recording_layouts() if name != "maniskill"],
         "record": [*STYLES, *PRESETS, *SENSORS, *SHADERS],
-        "measure": [*ROLES, *ANGLES, *LENGTHS, *EFFORTS, *TIME_UNITS, f"{UNSURE[0]:g} when", f"{UNSURE[1]:g} when"],
+        "measure": [
+            *ROLES,
+            *TIMES,
+            *(unit for table in (POSITIONS, EFFORTS) for units in table.values() for unit in units),
+        ],
         "export": [*MATERIALS, f"plastic ({DENSITY:g}"],
     }
     for name, words in lists.items():
@@ -76,7 +81,7 @@ def test_all_solver_settings_are_behind_a_word_of_their_own(capsys):
 
 def test_settings_of_a_file_are_those_of_a_result_that_was_made_with_them(tmp_path: Path):
     path = tmp_path / "s.json"
-    given = ReconstructSettings(seed=3, segmentation="paper").to_json()
+    given = ReconstructSettings(seed=3, renders="video").to_json()
     given["tracks"]["tau_c"] = 0.7
     for data in (given, {"schema": "freeart21/prediction/1", "settings": {"solver": "2", **given}}):
         path.write_text(json.dumps(data))
@@ -95,11 +100,11 @@ def test_settings_of_a_saved_result_that_no_longer_exist_are_ignored(tmp_path: P
 @pytest.mark.parametrize(
     "data, message",
     [
-        ({"sead": 1}, "settings has 'sead', expected seed, segmentation"),
+        ({"sead": 1}, "settings has 'sead', expected seed, poses_from"),
         ({"tracks": {"tau": 1}}, "settings: 'tracks' has 'tau', expected tracker, "),
         ({"tracks": 3}, "settings: 'tracks' is 3, expected an object"),
         ({"seed": 1.5}, "settings: 'seed' is 1.5, expected a whole number"),
-        ({"segmentation": "mine"}, "settings: 'segmentation' is 'mine', expected ours, paper"),
+        ({"renders": "mine"}, "settings: 'renders' is 'mine', expected gaussians and video, "),
     ],
 )
 def test_a_setting_that_does_not_exist_costs_one_line(tmp_path: Path, data: dict, message: str):

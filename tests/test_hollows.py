@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from export.collision import PRESETS, make_collision
+from export.collision import make_collision
 from export.fidelity import measure_fidelity
 from export.free_space import SEEN_THROUGH, SWEPT, SpaceGrid, find_free_space
 from export.hollows import find_panels, sealed_faces
 from export.materials import TABLE
-from export.meshes import MeshSettings
 from export.parts import clear_parts, close_parts
 from export.penetration import Overlap
 from export.primitives import Box
+from export.settings import PRESETS, MeshSettings
 from export.surface import Surface, close_surface
 from freeart21 import se3
 from freeart21.articulation import PARTS, Articulation

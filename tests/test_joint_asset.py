@@ -10,7 +10,8 @@ import pytest
 from refusal import assert_refused
 
 from export import commands
-from export.joint_asset import JointNumbers, write_joint_asset
+from export.joint_asset import write_joint_asset
+from export.settings import JointNumbers
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import find_movable_joint, read_asset
 from generator.simulate import load, roll_out
@@ -18,10 +19,10 @@ from generator.simulate import load, roll_out
 G = 9.81
 
 
-def write_and_read(folder: Path, *arguments, **numbers):
+def write_and_read(folder: Path, kind, mass, *arguments, **numbers):
     """The asset as it is read back."""
     path = folder / "made.urdf"
-    write_joint_asset(path, JointNumbers(*arguments, **numbers))
+    write_joint_asset(path, JointNumbers(mass, kind, *arguments, **numbers))
     return read_asset(path)
 
 
@@ -68,7 +69,7 @@ def test_a_door_feels_its_inertia_and_no_gravity_and_a_drawer_its_mass(tmp_path:
 
 
 def test_limits_and_names_are_those_given(tmp_path: Path):
-    asset = write_and_read(tmp_path, "drawer", 2.0, lower=0.0, upper=0.4, name="slide")
+    asset = write_and_read(tmp_path, "drawer", 2.0, lower=0.0, upper=0.4, joint="slide")
     joint = find_movable_joint(asset.urdf)
     assert (joint.name, joint.type, joint.lower, joint.upper) == ("slide", "prismatic", 0.0, 0.4)
     assert find_movable_joint(write_and_read(tmp_path, "door", 2.0, 0.3).urdf).type == "continuous"
@@ -98,11 +99,13 @@ def test_numbers_that_cannot_be_are_refused_in_one_line(message: str, tmp_path: 
 
 def test_only_an_older_asset_of_a_few_numbers_is_replaced(tmp_path: Path, capsys: pytest.CaptureFixture):
     out = tmp_path / "lid.urdf"
-    commands.joint_asset(out, 0.3, length=0.1)
-    commands.joint_asset(out, 0.3, length=0.2)
+    commands.joint_asset(out, JointNumbers(0.3, length=0.1))
+    commands.joint_asset(out, JointNumbers(0.3, length=0.2))
     assert "-0.2" in out.read_text() and capsys.readouterr().out.split() == [str(out), str(out)]
     mine = '<robot name="mine"/>'
     out.write_text(mine)
-    assert_refused("lacks our mark", commands.joint_asset, out, 0.3, length=0.1)
+    assert_refused("lacks our mark", commands.joint_asset, out, JointNumbers(0.3, length=0.1))
     assert out.read_text() == mine
-    assert_refused("expected the name of a URDF file", commands.joint_asset, tmp_path / "lid", 0.3, length=0.1)
+    assert_refused(
+        "expected the name of a URDF file", commands.joint_asset, tmp_path / "lid", JointNumbers(0.3, length=0.1)
+    )

@@ -13,8 +13,8 @@ from command_line import run_command
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.recording import Frame, Recording
-from reconstruct.masks import Click, Foreground, Masks, carry_masks, find_masks
-from reconstruct.segmenters import Prompt, Segmenter
+from reconstruct.masks import Click, Foreground, Masks, carry_masks
+from reconstruct.segmenters import Prompt
 
 H, W, F = 120, 160, 140.0
 SKIN, SLEEVE, BLUE, GREY = (205, 150, 125), (90, 60, 100), (40, 70, 200), (60, 60, 60)
@@ -58,7 +58,7 @@ def iou_of(found: np.ndarray, recording: Recording) -> float:
 @pytest.mark.parametrize("case", [{}, {"person": True}, {"shift": 1.7}])
 def test_the_object_is_found_without_hand_arm_wall_and_who_stands_behind(case: dict):
     recording = film(**case)
-    found = find_masks(recording)
+    found = Foreground(recording).masks()
     assert iou_of(found.masks, recording) > (0.7 if "shift" in case else 0.8), case
     assert np.median(found.doubt) < 0.5
     hand = np.stack([frame.depth < 0.6 for frame in recording.frames()])
@@ -68,7 +68,7 @@ def test_the_object_is_found_without_hand_arm_wall_and_who_stands_behind(case: d
 
 def test_a_scene_in_which_nothing_moves_is_refused():
     with pytest.raises(FreeArtError, match="nothing that is held"):
-        find_masks(film(still=True))
+        Foreground(film(still=True)).masks()
 
 
 def test_two_clicks_part_a_wooden_object_from_the_hand():
@@ -121,7 +121,7 @@ def test_the_command_writes_what_convert_and_film_take(tmp_path: Path, capsys):
     assert code == 1 and "mine.txt" in err and (out / "mine.txt").exists()
 
 
-class Fixed(Segmenter):
+class Fixed:
     """Gives what it is made with, and keeps what it was asked."""
 
     name = "fixed"

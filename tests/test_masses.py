@@ -13,10 +13,11 @@ from solid_case import box
 from test_export import masses, reconstruction
 
 from export import exporter
-from export.exporter import ExportSettings, export_result
+from export.exporter import export_result
 from export.masses import weigh_parts
 from export.materials import DENSITIES, TABLE
 from export.parts import close_parts
+from export.settings import ExportSettings
 from freeart21.articulation import PARTS
 from freeart21.files.asset import read_asset
 from freeart21.files.certificate import read_certificate
@@ -66,9 +67,8 @@ def test_unseen_walls_are_those_of_the_material_that_a_role_names(tmp_path, monk
     monkeypatch.setattr(exporter, "close_parts", close)
     answer = reconstruction()
     sizes = [bounding_diagonal(answer.articulation.part(name)) for name in PARTS]
-    role = export_result(answer, tmp_path / "first", ExportSettings()).source["parts"]["moving"]["role"]
-    walls_given.clear()
-    export_result(answer, tmp_path / "second", ExportSettings(material={role: "wood"}, scale=2.0))
+    asset = export_result(answer, tmp_path / "a", ExportSettings(material={"lid": "wood"}, scale=2.0))
+    assert asset.source["parts"]["moving"]["role"] == "lid"
     assert len(walls_given) == closed
     materials = ("plastic", "plastic" if rims else "wood")
     usual = [TABLE[name].usual_wall(2 * size) / 2 for name, size in zip(materials, sizes, strict=True)]

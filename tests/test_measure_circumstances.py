@@ -12,8 +12,8 @@ from gap_case import asset_of
 
 from freeart21.errors import FreeArtError
 from freeart21.files.measured import read_measured
-from freeart21.formats.circumstances import read_circumstances
-from freeart21.formats.measured_series import SeriesSettings, measure_series
+from freeart21.formats.measured_series import measure_series
+from freeart21.formats.series_settings import SeriesSettings
 
 T = 0.01 * np.arange(120)
 Q = 0.8 * np.cos(7 * T)
@@ -30,9 +30,9 @@ def set_of(folder: Path, facts: dict, wanted: dict[str, str], **options):
     rows = [",".join(names), *(",".join(f"{v:.9g}" for v in row) for row in np.column_stack([TABLE[n] for n in names]))]
     (folder / "run.csv").write_text("\n".join(rows) + "\n")
     (folder / "told.json").write_text(json.dumps(facts))
-    columns = {"t": "time", "q": "angle", **wanted}
-    settings = SeriesSettings(columns, circumstances=read_circumstances(folder / "told.json"), **options)
-    notes = measure_series([folder / "run.csv"], folder / "out", asset, None, settings)
+    columns = ("t=time", "q=angle", *(f"{role}={name}" for role, name in wanted.items()))
+    given = {"asset": asset, "columns": columns, "circumstances": folder / "told.json", "unit_q": "rad", **options}
+    notes = measure_series([folder / "run.csv"], folder / "out", SeriesSettings(**given))
     return read_measured(folder / "out" / "measured"), "\n".join(notes)
 
 
@@ -45,7 +45,7 @@ def test_motor_voltage_and_measured_velocity(tmp_path: Path):
     assert run.voltage is not None and run.qd is not None
     np.testing.assert_allclose(run.voltage, -TABLE["volts"], atol=1e-8)
     np.testing.assert_allclose(run.qd, 5.6 * np.sin(7 * T), atol=1e-6)
-    assert "voltage: held or smooth between rows" in notes
+    assert "voltage: unknown between" in notes
 
 
 def test_drive_limits_and_dead_band(tmp_path: Path):
@@ -75,11 +75,15 @@ def test_prescribed_motion_and_unwrapped_angles(tmp_path: Path):
 BAD = {
     "a word that is none": ({"drive": 1}, {}, "has 'drive', expected actuator, base, prescribed"),
     "no such actuator": ({"actuator": {"type": "steam"}}, {}, "the actuator's type is 'steam'"),
-    "no such unit": ({"units": {"qd": "rpm"}}, {"qd": "rate"}, "'qd' is in 'rpm', expected 'rad/s' or 'deg/s'"),
-    "a unit that has an option": ({"units": {"q": "deg"}}, {}, "units of 'q', expected of qd, voltage, base_x"),
+    "no such unit": (
+        {"units": {"qd": "rpm"}},
+        {"qd": "rate"},
+        "units of qd rpm: joint 'j' is revolute, expected rad/s, deg/s",
+    ),
+    "a unit of no column": ({"units": {"qd": "deg/s"}}, {}, "units of 'qd', which no column has; expected t, q"),
     "an angle about nothing": ({}, {"base_angle": "arm"}, "a run has 'base_angle', but base is 'moving'"),
     "a voltage without a motor": ({}, {"voltage": "volts"}, "needs an actuator of type 'dc_motor'"),
-    "a run that is not there": ({"prescribed": ["other"]}, {}, "there is no run 'other' to be prescribed; runs: run"),
+    "a run that is not there": ({"prescribed": ["other"]}, {}, "prescribed: there is no run 'other'; runs: run"),
     "prescribed without a force": ({"prescribed": True}, {}, "run 'run' is prescribed, but has no 'effort'"),
     "not yes or no": ({"wrapped": 3}, {}, "'wrapped' is 3, expected true or false"),
 }

@@ -110,7 +110,7 @@ BAD_HEADERS = [
     ({"units": {"t_s": "s", "q": "grad"}}, "'q' of a revolute joint is in 'grad', expected 'rad' or 'deg'"),
     ({"base": {"axis": [0, 0, 1]}}, "the base has an axis, but no run has a column 'base_angle'"),
     ({"runs": [{"file": "../run_0.csv"}]}, "leads out of the folder"),
-    ({"runs": [{"file": "run_0.csv"}, {"file": "run_0", "kind": "poses"}]}, "would both be called 'run_0'"),
+    ({"runs": [{"file": "run_0.csv"}, {"file": "run_0", "kind": "poses"}]}, "two runs are called 'run_0'"),
     ({"gravity": [0, 0, -9810]}, "'gravity' is 9810 long, expected m/s^2"),
     ({"runs": [{"file": "run_0.csv", "held_out": True}]}, "all 1 runs are held out"),
 ]

@@ -206,7 +206,7 @@ def test_privileged_inputs_come_from_the_truth_and_are_named(data, tmp_path, ans
 
 
 def test_the_shipped_descriptors_are_whole():
-    assert len(shipped()) == 9
+    assert len(shipped()) == 10
     for name in shipped():
         found = find_descriptor(name)
         assert found.name == name and found.about and found.code

@@ -1,34 +1,44 @@
-"""A stopped reconstruction goes on to the same bytes; the reconstruction's benchmark counts as it says."""
+"""From a folder to a folder: it opens the sequence alone, and a stopped reconstruction goes on to the same bytes."""
 
 import json
 import multiprocessing
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import time
 from dataclasses import fields, replace
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 import pytest
+from another_python import ROOT
 from reconstruct_clip import make_clip
 
 from freeart21 import processes
-from freeart21.files.sequence import write_sequence
+from freeart21.files.result import read_result
+from freeart21.files.sequence import read_sequence, write_sequence
 from freeart21.gaussians import Gaussians
 from freeart21.reconstruction import Reconstruction
 from reconstruct import VERSION, cache, pipeline
 from reconstruct.commands import reconstruct as command
 from reconstruct.pipeline import reconstruct_folder, reconstruct_until
+from reconstruct.renders import render
 from reconstruct.settings import GaussianSettings, ReconstructSettings
 from reconstruct.stages import CACHED_STAGES, STAGES, settings_used_by
 
-QUIET = ReconstructSettings(progress=False, gaussians=GaussianSettings(rounds=3, warm_up=1, begin=3000, most=4000))
+QUIET = ReconstructSettings(progress=False, gaussians=GaussianSettings(rounds=2, warm_up=1, begin=500, most=500))
 
 
 @pytest.fixture(scope="module")
 def sequence(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("clip") / "hinge-s0"
+    """A small clip, with a truth folder next to it."""
+    place = tmp_path_factory.mktemp("clip")
+    folder = place / "sequences" / "hinge-s0"
+    (place / "truth" / "hinge-s0").mkdir(parents=True)
+    (place / "truth" / "hinge-s0" / "truth.json").write_text("{}")
     write_sequence(folder, make_clip("hinge", 10, (120, 90), spin=0.2, queries=((3, 8, np.eye(4)),)).recording, 2e-5)
     return folder
 
@@ -57,6 +67,68 @@ def contents(out):
     return {**found, "prediction.json": prediction, "diagnostics.json": diagnostics}
 
 
+# ---- the folder ----------------------------------------------------------------------------------------------------
+
+CODE = ("", ".py", ".pyc", ".nbi", ".nbc", ".pth", ".toml")
+AUDIT = """
+import json, os, sys
+opened = set()
+def hook(event, arguments):
+    if event in ("open", "os.listdir", "os.scandir") and isinstance(arguments[0], (str, bytes, os.PathLike)):
+        opened.add(os.path.realpath(os.fsdecode(arguments[0])))
+sys.addaudithook(hook)
+from pathlib import Path
+from reconstruct.pipeline import reconstruct_folder
+from reconstruct.settings import read_settings
+reconstruct_folder(Path(sys.argv[1]), Path(sys.argv[2]), read_settings(Path(sys.argv[3])))
+print(json.dumps(sorted(opened)))
+"""
+
+
+def test_a_sequence_alone_is_all_it_opens(sequence, finished, tmp_path):
+    alone = tmp_path / "elsewhere" / "x7f3"
+    alone.parent.mkdir()
+    shutil.copytree(sequence, alone)
+    out = tmp_path / "answers" / "x7f3"
+    done = subprocess.run(
+        [sys.executable, "-c", AUDIT, alone, out, finished / "prediction.json"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    opened = [Path(p) for p in json.loads(done.stdout.splitlines()[-1])]
+    assert any(p.is_relative_to(alone.resolve()) for p in opened), "the hook saw nothing"
+    home_of_python = {Path(p).resolve() for p in (*sys.path, sys.prefix, sys.base_prefix) if p}
+    libraries = [*home_of_python, Path("/proc"), Path("/sys"), Path("/dev"), Path("/etc"), Path("/usr"), Path("/lib")]
+    mine = [tmp_path.resolve() / "elsewhere" / "x7f3", tmp_path.resolve() / "answers"]
+    for path in opened:
+        if path.is_relative_to(tmp_path.resolve()):
+            assert any(path.is_relative_to(a) for a in mine), path
+        else:
+            code = path.is_relative_to(ROOT) and (
+                path.suffix in CODE or {"freeart21.egg-info", "__pycache__"} & set(path.parts)
+            )
+            assert code or any(path.is_relative_to(a) for a in libraries) or str(path).startswith("/tmp"), path
+        assert "truth" not in path.parts, path
+    here, there = read_result(finished), read_result(out)
+    assert np.array_equal(there.states, here.states) and np.array_equal(there.part_masks, here.part_masks)
+    assert np.array_equal(there.Ts_camera_moving, here.Ts_camera_moving)
+
+
+def test_folder_holds_renders_masks_and_settings(sequence, finished):
+    recording, result = read_sequence(sequence), read_result(finished)
+    data = json.loads((finished / "prediction.json").read_text())
+    assert data["settings"]["joint"]["type_rule"] == "residual" and set(data["seconds"]) >= {"tracks", "renders"}
+    assert (finished / "renders" / "00000.png").is_file()
+    posed = result.articulation.posed(result.Ts_camera_reference[5], float(result.states[5]))
+    picture, frame = render(recording.camera, list(posed)), recording.frame(5)
+    shown = (picture < 255).any(2)
+    assert (shown & frame.mask).sum() / (shown | frame.mask).sum() > 0.9
+    both = shown & frame.mask
+    assert np.median(np.abs(picture[both].astype(int) - frame.rgb[both])) < 25
+
+
 FREE = ["free_adjustment", "free_adjustment"]  # one a part
 
 
@@ -79,26 +151,6 @@ class Calls:
 
 
 # ---- stages --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "stop, left",
-    [
-        ("bridge_gaps", ["bridge_gaps", *FREE, "choose_joint_type", "bridge_gaps", "optimise", *FREE, "fuse", "fuse"]),
-        ("fuse", ["fuse", "fuse"]),
-    ],
-)
-def test_a_stopped_run_goes_on_to_the_same_bytes(stop, left, sequence, whole, tmp_path, monkeypatch):
-    out = tmp_path / "out"
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        Calls(patch, stop)
-        reconstruct_folder(sequence, out, QUIET)
-    assert not out.exists() and cache.work_folder(out).is_dir()
-    calls = Calls(monkeypatch)
-    reconstruct_folder(sequence, out, QUIET)
-    assert calls.solved == left
-    assert contents(out) == whole
-    assert [path.name for path in tmp_path.iterdir()] == ["out"], "what was kept goes when the result is there"
 
 
 def _coloured(video, known, settings, rng):
@@ -126,7 +178,7 @@ def coloured(sequence, finished, tmp_path_factory):
     out = tmp_path_factory.mktemp("coloured") / "out"
     _up_to_joint(finished, out)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(pipeline._SOLVERS, "gaussians", _coloured)
+        patch.setitem(pipeline.SOLVERS, "gaussians", _coloured)
         reconstruct_folder(sequence, out, QUIET, keep_work=True)
     return out
 
@@ -138,26 +190,23 @@ def _run_until_killed(sequence, out, stage):
         (out.parent / f"in_{stage}").touch()
         time.sleep(600)
 
-    pipeline._SOLVERS.update({"gaussians": _coloured, stage: hangs})
+    pipeline.SOLVERS.update({"gaussians": _coloured, stage: hangs})
     reconstruct_folder(sequence, out, QUIET)
 
 
-@pytest.mark.parametrize("stage, cached_stage", [("gaussians", "joint"), ("poses", "gaussians")])
-def test_killed_in_the_gaussians_or_after_them_a_run_goes_on_to_the_same_ones(
-    stage, cached_stage, sequence, finished, coloured, tmp_path, monkeypatch
-):
+def test_killed_after_the_gaussians_a_run_goes_on_to_the_same_ones(sequence, finished, coloured, tmp_path, monkeypatch):
     out = tmp_path / "out"
     _up_to_joint(finished, out)
-    process = multiprocessing.get_context("spawn").Process(target=_run_until_killed, args=(sequence, out, stage))
+    process = multiprocessing.get_context("spawn").Process(target=_run_until_killed, args=(sequence, out, "poses"))
     process.start()
     deadline = time.monotonic() + 60
-    while not (tmp_path / f"in_{stage}").exists() and time.monotonic() < deadline:
+    while not (tmp_path / "in_poses").exists() and time.monotonic() < deadline:
         time.sleep(0.01)
     os.kill(process.pid, signal.SIGKILL)
     process.join()
     assert process.exitcode == -signal.SIGKILL and not out.exists()
-    assert cache.StageCache(sequence, out, QUIET).load_last()[0].stage == cached_stage
-    monkeypatch.setitem(pipeline._SOLVERS, "gaussians", _coloured)
+    assert cache.StageCache(sequence, out, QUIET).load_last()[0].stage == "gaussians"
+    monkeypatch.setitem(pipeline.SOLVERS, "gaussians", _coloured)
     reconstruct_folder(sequence, out, QUIET, keep_work=True)
     assert contents(out) == contents(coloured) and "gaussians.ply" in contents(out)
     found, whole = (
@@ -167,12 +216,22 @@ def test_killed_in_the_gaussians_or_after_them_a_run_goes_on_to_the_same_ones(
         assert np.array_equal(getattr(found, f.name), getattr(whole, f.name)), f.name
 
 
-def test_until_stops_keeps_and_goes_on(sequence, whole, tmp_path, monkeypatch, capsys):
+def test_stopped_by_the_user_or_after_a_stage_a_run_goes_on_to_the_same_bytes(
+    sequence, whole, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(processes, "_hints", [])
     out = tmp_path / "ours" / "hinge-s0"
-    assert command(sequence, out, until="joint", settings=QUIET) == 0
     work = cache.work_folder(out)
-    assert str(work / "joint.npz") in capsys.readouterr().out and not out.exists()
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        Calls(patch, "bridge_gaps")
+        command(sequence, out, settings=QUIET)
+    assert str(work) in processes.current_hint() and "goes on" in processes.current_hint()
+    assert [path.name for path in out.parent.iterdir()] == [work.name]
     calls = Calls(monkeypatch)
+    assert command(sequence, out, until="joint", settings=QUIET) == 0
+    assert calls.solved == ["bridge_gaps", *FREE, "choose_joint_type", "bridge_gaps"]
+    assert str(work / "joint.npz") in capsys.readouterr().out and not out.exists()
+    calls.solved.clear()
     assert reconstruct_until(sequence, out, "segmentation", QUIET) == work / "segmentation.npz" and not calls.solved
     assert command(sequence, out, keep_work=True, settings=QUIET) == 0
     assert calls.solved == ["optimise", *FREE, "fuse", "fuse"]
@@ -180,18 +239,6 @@ def test_until_stops_keeps_and_goes_on(sequence, whole, tmp_path, monkeypatch, c
     method = json.loads((out.parent / "method.json").read_text())
     assert VERSION in method["code"] and contents(out)["prediction.json"]["settings"]["solver"] == VERSION
     assert contents(out) == whole
-
-
-def test_interrupted_the_command_says_what_is_kept(sequence, tmp_path, monkeypatch):
-    monkeypatch.setattr(processes, "_hints", [])
-    Calls(monkeypatch, "bridge_gaps")
-    with pytest.raises(KeyboardInterrupt):
-        command(sequence, tmp_path / "ours" / "x", settings=QUIET)
-    assert (
-        str(cache.work_folder(tmp_path / "ours" / "x")) in processes.current_hint()
-        and "goes on" in processes.current_hint()
-    )
-    assert [path.name for path in (tmp_path / "ours").iterdir()] == [".x.work"]
 
 
 # ---- the table of stages -------------------------------------------------------------------------------------------
@@ -207,9 +254,13 @@ class Watched(ReconstructSettings):
         return super().__getattribute__(name)
 
 
-def test_no_stage_reads_settings_that_the_table_gives_to_later_ones(sequence, tmp_path, monkeypatch):
-    """A stage whose key lacks what it reads would be taken for that of other settings."""
-    groups, found = QUIET.to_json(), {}
+COARSE = replace(QUIET, surfaces=replace(QUIET.surfaces, voxel=2.0))
+
+
+@pytest.fixture(scope="module")
+def coarse(sequence, tmp_path_factory):
+    """The result of one uninterrupted run with COARSE, and the settings that each stage read."""
+    out, groups, found = tmp_path_factory.mktemp("coarse") / "out", QUIET.to_json(), {}
 
     def watched(stage, solver):
         def solve(*arguments):
@@ -220,28 +271,34 @@ def test_no_stage_reads_settings_that_the_table_gives_to_later_ones(sequence, tm
 
         return solve
 
-    for stage, solver in list(pipeline._SOLVERS.items()):
-        monkeypatch.setitem(pipeline._SOLVERS, stage, watched(stage, solver))
-    reconstruct_folder(sequence, tmp_path / "out", Watched(progress=False, gaussians=QUIET.gaussians))
-    assert {"growth", "pieces"} <= found["segmentation"] and "gaps" in found["joint"]
+    with pytest.MonkeyPatch.context() as patch:
+        for stage, solver in list(pipeline.SOLVERS.items()):
+            patch.setitem(pipeline.SOLVERS, stage, watched(stage, solver))
+        reconstruct_folder(sequence, out, Watched(**vars(COARSE)))
+    return out, found
+
+
+def test_no_stage_reads_settings_that_the_table_gives_to_later_ones(coarse):
+    """A stage whose key lacks what it reads would be taken for that of other settings."""
+    found = coarse[1]
+    assert "growth" in found["segmentation"] and "gaps" in found["joint"]
     for stage in CACHED_STAGES:
-        assert found[stage] <= set(settings_used_by(stage, groups)), stage
+        assert found[stage] <= set(settings_used_by(stage, QUIET.to_json())), stage
 
 
 # ---- what makes a kept stage invalid -------------------------------------------------------------------------------
 
 
 def test_changed_settings_are_solved_again_from_the_first_stage_that_uses_them(
-    sequence, finished, tmp_path, monkeypatch
+    sequence, finished, coarse, tmp_path, monkeypatch
 ):
     out = tmp_path / "out"
     shutil.copytree(cache.work_folder(finished), cache.work_folder(out))
     calls = Calls(monkeypatch)
-    coarse = replace(QUIET, surfaces=replace(QUIET.surfaces, voxel=2.0))
-    reconstruct_folder(sequence, out, coarse, keep_work=True)
+    reconstruct_folder(sequence, out, COARSE)
+    assert [path.name for path in tmp_path.iterdir()] == ["out"], "what was kept goes when the result is there"
     assert calls.solved == ["optimise", *FREE, "fuse", "fuse"]  # the Gaussians begin with surfaces
-    reconstruct_folder(sequence, tmp_path / "fresh", coarse)
-    assert contents(out) == contents(tmp_path / "fresh")
+    assert contents(out) == contents(coarse[0])
 
 
 @pytest.mark.parametrize("harm", ["cut", "bit", "garbled", "text"])

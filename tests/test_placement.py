@@ -14,12 +14,13 @@ from refusal import assert_refused
 from solid_case import box
 
 from export.carving import carve_overlap, make_solid
-from export.exporter import ExportSettings, export_result
-from export.joint_range import TOLERANCE, estimate_joint_range, robust_maximum
+from export.exporter import export_result
+from export.joint_range import estimate_joint_range, robust_maximum
 from export.parts import carve_parts
 from export.penetration import Overlap
-from export.placement import Placement, PlacementSettings, place_parts
+from export.placement import Placement, place_parts
 from export.resting_pose import resting_poses
+from export.settings import TOLERANCE, ExportSettings, PlacementSettings
 from freeart21 import se3
 from freeart21.articulation import Articulation
 from freeart21.errors import FreeArtError

@@ -12,7 +12,6 @@ from test_recovery import SIZE, partial_propagation, without
 from freeart21 import se3
 from reconstruct.pose_sources import find_poses
 from reconstruct.segmentation import add_frames
-from reconstruct.settings import GivenPosesSettings
 from reconstruct.trackers.dis import Dis
 
 FRAMES, HIDDEN = 22, slice(10, 18)
@@ -48,7 +47,7 @@ def write_run(folder, clip, moving=False, change=lambda T: T):
     for i, T in enumerate(Ts):
         noise = se3.exp_se3(np.concatenate([rng.normal(0, NOISE_M, 3), rng.normal(0, NOISE_RAD, 3)]))
         np.savetxt(place / f"{i:05d}.txt", change(T @ body @ noise), fmt="%.10g")
-    return GivenPosesSettings("bundlesdf", str(folder))
+    return f"bundlesdf:{folder}"
 
 
 @pytest.mark.parametrize("moving", [False, True])
@@ -56,15 +55,15 @@ def test_an_object_that_was_hidden_is_found_again_by_given_poses(hidden, tmp_pat
     """By those of either part: nobody says which part they are of."""
     clip, evidence, true = hidden
     last, turn = HIDDEN.stop, {}
-    for settings in (GivenPosesSettings(), write_run(tmp_path, clip, moving)):
-        evidence.given_poses = find_poses(evidence.scene, settings)
+    for given in ("", write_run(tmp_path, clip, moving)):
+        evidence.given_poses = find_poses(evidence.scene, given)
         known = clip, evidence, true, Dis(evidence.scene, QUIET.tracks)
         propagation = partial_propagation(HIDDEN.start, known, QUIET)
         add_frames(propagation, last + 1 - HIDDEN.start)
         R = propagation.Ts[0, last, :3, :3].T @ clip.Ts[last, :3, :3]
-        turn[settings.source] = np.degrees(np.linalg.norm(se3.log_so3(R)))
-    evidence.given_poses = find_poses(evidence.scene, GivenPosesSettings())
-    assert turn["bundlesdf"] < 5 < 40 < turn["tracked"], turn
+        turn[bool(given)] = np.degrees(np.linalg.norm(se3.log_so3(R)))
+    evidence.given_poses = find_poses(evidence.scene, "")
+    assert turn[True] < 5 < 40 < turn[False], turn
 
 
 def test_poses_are_checked(hidden, tmp_path):
@@ -94,8 +93,6 @@ def test_poses_are_checked(hidden, tmp_path):
     for path in place.iterdir():
         path.unlink()
     assert_refused("has 0 poses", find_poses, scene, given)
-    assert_refused(
-        "unknown source of poses 'x'; sources: bundlesdf, tracked", find_poses, scene, GivenPosesSettings("x")
-    )
+    assert_refused("unknown source of poses 'x'; sources: bundlesdf", find_poses, scene, "x")
     for folder in ("", str(tmp_path / "none"), str(tmp_path)):
-        assert_refused("runs of BundleSDF, expected 1 or 2", find_poses, scene, GivenPosesSettings("bundlesdf", folder))
+        assert_refused("runs of BundleSDF, expected 1 or 2", find_poses, scene, f"bundlesdf:{folder}")

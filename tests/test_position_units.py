@@ -11,7 +11,8 @@ from scipy.integrate import solve_ivp
 
 from freeart21.errors import FreeArtError
 from freeart21.files.measured import read_measured
-from freeart21.formats.measured_series import SeriesSettings, measure_series
+from freeart21.formats.measured_series import measure_series
+from freeart21.formats.series_settings import SeriesSettings
 
 G, MASS, ARM, INERTIA = 9.81, 1.0, 0.3, 0.01
 T = 0.01 * np.arange(500)
@@ -42,7 +43,7 @@ def moved(q0: float, force, inertia: float, seed: int = 0) -> np.ndarray:
 def measured(folder: Path, urdf: Path, header: str, *columns: np.ndarray, **options):
     """The measured set of one file, and the lines that were printed."""
     np.savetxt(folder / "run.csv", np.column_stack([T, *columns]), delimiter=",", header=header, comments="")
-    notes = measure_series([folder / "run.csv"], folder / "out", urdf, None, SeriesSettings(**options))
+    notes = measure_series([folder / "run.csv"], folder / "out", SeriesSettings(asset=urdf, **options))
     return read_measured(folder / "out" / "measured"), "\n".join(notes)
 
 
@@ -69,7 +70,7 @@ def slid() -> tuple[np.ndarray, np.ndarray]:
 def test_a_wide_swing_tells_its_unit(unit: str, tmp_path: Path):
     q = swing(1.4)
     found, notes = measured(tmp_path, asset(tmp_path), "time,angle", np.degrees(q) if unit == "deg" else q)
-    assert f"positions are in {unit}, by the asset's inertia" in notes
+    assert f"is in {unit}, by the asset's inertia" in notes
     np.testing.assert_allclose(found.runs[0].q, q, atol=1e-9)
 
 
@@ -82,7 +83,7 @@ def test_a_known_torque_tells_the_unit_of_many_turns(unit: str, reverse: bool, t
     recorded = sign * (np.degrees(q) if unit == "deg" else q)
     options = {"effort": "commanded", "reverse": reverse}
     found, notes = measured(tmp_path, vertical, "t,q,effort", recorded, sign * torque, **options)
-    assert f"positions are in {unit}, by the asset's inertia" in notes
+    assert f"is in {unit}, by the asset's inertia" in notes
     np.testing.assert_allclose(found.runs[0].q, q, atol=1e-9)
 
 
@@ -91,15 +92,20 @@ def test_a_known_push_tells_the_unit_of_a_slider(unit: str, tmp_path: Path):
     q, push = slid()
     urdf = asset(tmp_path, "prismatic", "0 1 0", '<limit lower="-1e4" upper="1e4" effort="9" velocity="9"/>')
     _, notes = measured(tmp_path, urdf, "t,q,effort", q * (1e3 if unit == "mm" else 1), push, effort="external")
-    assert f"positions are in {unit}, by the asset's inertia" in notes
+    assert f"is in {unit}, by the asset's inertia" in notes
 
 
 REFUSED = {
-    "a small swing": (swing(0.1), "angle", "", "Neither the joint's limits nor its motion show it"),
-    "a rotor that runs down": (5 - 5 * np.exp(-T), "angle", "", "Neither the joint's limits nor its motion show it"),
-    "counts": (np.round(2048 + 650 * swing(1.0)), "counts", LIMITS, "It seems to be sensor counts"),
-    "counts under another name": (np.round(2048 + 650 * swing(1.0)), "angle", LIMITS, "Neither rad nor deg is within"),
-    "raw": (swing(1.0), "raw", "", "It seems to be sensor counts"),
+    "a small swing": (swing(0.1), "angle", "", "the joint has no limits, and no motion tells it"),
+    "a rotor that runs down": (5 - 5 * np.exp(-T), "angle", "", "the joint has no limits, and no motion tells it"),
+    "counts": (np.round(2048 + 650 * swing(1.0)), "counts", LIMITS, "counts have no unit of their own"),
+    "counts under another name": (
+        np.round(2048 + 650 * swing(1.0)),
+        "angle",
+        LIMITS,
+        "the joint's limits allow it in none",
+    ),
+    "raw": (swing(1.0), "raw", "", "counts have no unit of their own"),
 }
 
 
@@ -107,7 +113,7 @@ REFUSED = {
 def test_a_unit_that_nothing_tells_is_asked_for(what: str, tmp_path: Path):
     q, name, limits, why = REFUSED[what]
     urdf = asset(tmp_path, "revolute" if limits else "continuous", limits=limits)
-    line = assert_refused(why, measured, tmp_path, urdf, f"time,{name}", q, columns={"q": name})
+    line = assert_refused(why, measured, tmp_path, urdf, f"time,{name}", q, columns=(f"q={name}",))
     assert f"column '{name}'" in line and "expected --unit-q rad or --unit-q deg" in line
     assert not (tmp_path / "out").exists()
 
@@ -116,7 +122,7 @@ def test_counts_have_a_number_per_turn(tmp_path: Path):
     q = swing(1.0)
     counts = np.round(2048 + 4096 / (2 * np.pi) * q)
     urdf = asset(tmp_path, "revolute", limits=LIMITS)
-    options = {"columns": {"q": "counts"}, "zero": 2048.0}
+    options = {"columns": ("q=counts",), "zero": 2048.0}
     found, _ = measured(tmp_path, urdf, "time,counts", counts, unit_q="counts=4096", **options)
     np.testing.assert_allclose(found.runs[0].q, q, atol=1e-3)
     for wrong in ("counts", "counts=", "counts=0", "counts=nan", "counts=many", "steps=4096"):
@@ -128,4 +134,4 @@ def test_counts_have_a_number_per_turn(tmp_path: Path):
 def test_limits_tell_a_unit_that_motion_does_not(size: float, unit: str, tmp_path: Path):
     urdf = asset(tmp_path, "revolute", "1 0 0", LIMITS)
     _, notes = measured(tmp_path, urdf, "time,angle", size * 0.8 * np.exp(-T))
-    assert f"positions are in {unit}, by the joint's limits" in notes
+    assert f"is in {unit}, by the joint's limits" in notes

@@ -12,7 +12,7 @@ from refusal import assert_refused
 from test_reconstruct import sliding_plane
 
 from freeart21.files.sequence import write_sequence
-from reconstruct.matchers import MATCHERS
+from reconstruct.matchers import NETWORKS, Matcher
 from reconstruct.priors import weights, xfeat
 from reconstruct.priors.weights import BroughtWeights, load_into, parse_weights
 from reconstruct.scene import prepare_scene
@@ -36,10 +36,10 @@ def plane(step, frames=4):
     return prepare_scene(sliding_plane(frames, step), SceneSettings(min_frames=3))
 
 
-@pytest.mark.parametrize("name", MATCHERS)
+@pytest.mark.parametrize("name", NETWORKS)
 def test_matches_lie_on_the_object_and_are_right(name, no_network):
     scene = plane(7)
-    matches = make_or_skip(MATCHERS[name], scene).match(0, 3)
+    matches = make_or_skip(Matcher, name, scene).match(0, 3)
     assert len(matches) > 30 and (matches.confidence > 0).all() and (matches.confidence <= 1).all()
     for frame, at in ((0, matches.here), (3, matches.there)):
         assert scene.valid[frame][tuple(np.rint(at[:, ::-1]).astype(int).T)].all()
@@ -48,11 +48,11 @@ def test_matches_lie_on_the_object_and_are_right(name, no_network):
     assert np.median(off) < 1.5 and (off < 3).mean() > 0.8
 
 
-@pytest.mark.parametrize("name", MATCHERS)
+@pytest.mark.parametrize("name", NETWORKS)
 def test_a_frame_without_the_object_has_no_matches(name):
     scene = plane(3)
     scene.points[1] = 0
-    matcher = make_or_skip(MATCHERS[name], scene)
+    matcher = make_or_skip(Matcher, name, scene)
     assert len(matcher.match(0, 1)) == len(matcher.match(1, 2)) == 0
 
 
@@ -112,9 +112,8 @@ def test_weights_that_would_run_something_are_refused(tmp_path):
     assert_refused("x.pth holds no weights", parse_weights, b"not torch's", tmp_path / "x.pth")
 
 
-@pytest.mark.parametrize(("flag", "known"), [("tracker", "dis"), ("features", "hand_made")])
-def test_the_command_line_chooses(flag, known, tmp_path, capsys):
+def test_the_command_line_chooses(tmp_path, capsys):
     write_sequence(tmp_path / "s", sliding_plane(10, 3), 0.001)
-    words = "reconstruct", tmp_path / "s", "--out", tmp_path / "r", "--segmentation", "paper", f"--{flag}", "telepathy"
+    words = "reconstruct", tmp_path / "s", "--out", tmp_path / "r", "--tracker", "telepathy"
     code, _, errors = run_command(capsys, *words)
-    assert code == 1 and f"unknown {flag} 'telepathy'; " in errors and known in errors
+    assert code == 1 and "unknown tracker 'telepathy'; " in errors and "dis" in errors

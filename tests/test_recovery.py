@@ -8,7 +8,6 @@ import pytest
 from reconstruct_clip import make_clip
 from test_reconstruct import GENTLE, QUIET, true_estimate
 
-from freeart21 import se3
 from freeart21.files.sequence import read_sequence
 from freeart21.recording import Frame, Recording
 from reconstruct import seeds
@@ -97,48 +96,11 @@ def test_a_joint_that_rests_and_goes_on_is_followed(resting):
     assert right_labels(estimate.labels, true.labels).min() > 0.93
 
 
-# ---- recovery ----------------------------------------------------------------------------------------------
-
-
-class TrueMatches(Dis):
-    """Points carried by the true poses, every fifth to a wrong place."""
-
-    def match(self, first, second):
-        scene, labels = self.scene, self.labels
-        at = np.argwhere(labels[first] > 0)[::17]
-        Ts = np.stack([self.clip.Ts, self.clip.Ts @ self.clip.joint.transform(self.clip.states)], 1)
-        motion = (Ts[second] @ se3.inverse(Ts[first]))[labels[first][tuple(at.T)] - 1]
-        moved = np.einsum("mij,mj->mi", motion[:, :3, :3], scene.points[first][tuple(at.T)]) + motion[:, :3, 3]
-        there = moved[:, :2] / moved[:, 2:] * (scene.fx, scene.fy)
-        there += np.stack([scene.cx[second], scene.cy[second]])
-        there[::5] = there[::5][::-1]
-        x, y = np.rint(there).astype(int).T
-        inside = (x >= 0) & (y >= 0) & (x < scene.mask.shape[2]) & (y < scene.mask.shape[1])
-        inside[inside] = labels[second, y[inside], x[inside]] == labels[first][tuple(at.T)][inside]
-        return at[inside][:, ::-1].astype(float), there[inside]
-
-
-def test_an_object_that_turned_far_while_it_was_hidden_is_found_again_by_its_points():
-    frames, first, last = 22, 10, 18
-    clip = without(make_clip("hinge", frames, size=SIZE, spin=0.8), slice(first, last))
-    evidence, true = true_estimate(clip, slice(first, last), slice(None))
-    true = replace(true, logodds=4 * true.logodds)
-    turn = {}
-    for kind in (Dis, TrueMatches):
-        tracker = kind(evidence.scene, QUIET.tracks)
-        tracker.clip, tracker.labels = clip, true.labels
-        propagation = partial_propagation(first, (clip, evidence, true, tracker), QUIET)
-        add_frames(propagation, last + 1 - first)
-        R = propagation.Ts[0, last, :3, :3].T @ clip.Ts[last, :3, :3]
-        turn[kind] = np.degrees(np.linalg.norm(se3.log_so3(R)))
-    assert turn[TrueMatches] < 10 < 40 < turn[Dis], turn
-
-
 @pytest.mark.skipif(not BUCKET.is_dir(), reason="the bucket's video is not on this machine")
 def test_a_thin_handle_is_found():
     """A bucket's bail, 3 % of the pixels: too few tracks, but the bucket's motion leaves it unexplained."""
     scene = prepare_scene(read_sequence(BUCKET), QUIET.scene)
-    evidence = Evidence(scene, QUIET.evidence, QUIET.labels)
+    evidence = Evidence(scene, QUIET.evidence)
     best = find_seeds(evidence, Dis(scene, QUIET.tracks), RNG(0))[0]
     assert best.pixels < 0.06 * scene.valid[best.frame].sum() and best.evidence > 2 * seeds.LEAST_EVIDENCE
     turned = view_angle(best.Ts[-1, 0, :3, :3], best.Ts[-1, 1, :3, :3])

@@ -21,10 +21,10 @@ from freeart21.files.result import Method, write_method, write_result
 from freeart21.reconstruction import Failure
 from freeart21.view.tables import NONE
 from leaderboard.site import build
-from leaderboard.site.answers import read_answer
 from leaderboard.site.entrant import entrants
 from leaderboard.site.index_page import ranked
 from leaderboard.site.names import file_names
+from leaderboard.site.sequence_view import read_answer
 from leaderboard.submission import LONGEST_TEXT
 
 HOSTILE = '<script>alert("x")</script> & <img src=https://evil.example/x onerror=alert(1)>'
@@ -178,8 +178,8 @@ def test_an_answer_is_shown_where_scoring_puts_it(world, kind):
     parts = truth.articulation
     assert shown.articulation.reference.vertices == pytest.approx(parts.reference.vertices, abs=1e-6)
     assert shown.articulation.moving.vertices == pytest.approx(parts.moving.vertices, abs=1e-6)
-    assert shown.states_as_true == pytest.approx(truth.states, abs=1e-6) and shown.comparable
-    assert (shown.masks == np.stack([truth.part_mask(i) for i in (0, 5)])).all()
+    assert shown.states_of_first == pytest.approx(truth.states, abs=1e-6)
+    assert all((shown.masks(i) == truth.part_mask(i)).all() for i in (0, 5))
     at = shown.articulation.joint.transform(shown.sign * 0.4 + shown.offset)
     assert at == pytest.approx(parts.joint.transform(0.4), abs=1e-6)
 

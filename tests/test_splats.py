@@ -11,7 +11,8 @@ import trimesh
 import yourdfpy
 from test_export import BLUE, RED, reconstruction
 
-from export.exporter import ExportSettings, export_result
+from export.exporter import export_result
+from export.settings import ExportSettings
 from freeart21.articulation import PARTS
 from freeart21.files.asset import read_asset
 from freeart21.files.gaussians import GAUSSIANS, read_gaussians, write_gaussians

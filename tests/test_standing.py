@@ -14,8 +14,9 @@ from synthetic_case import FRAMES, make_recording, make_truth
 from test_export import reconstruction
 from test_placement import stands
 
-from export.exporter import ExportSettings, export_result
-from export.placement import PlacementSettings, find_standing_up
+from export.exporter import export_result
+from export.placement import find_standing_up
+from export.settings import ExportSettings, PlacementSettings
 from export.standing import find_front, name_role
 from freeart21 import se3
 from freeart21.articulation import Articulation

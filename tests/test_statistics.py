@@ -57,24 +57,10 @@ def _known(kind: str = "revolute", swapped: bool = False) -> Truth:
 def test_a_known_motion_gives_its_known_figures(kind: str, swapped: bool) -> None:
     truth = _known(kind, swapped)
     s = motion_statistics(make_recording(truth), truth, every=1)
-    assert (s.pose_only, s.joint_only, s.both, s.neither) == tuple(np.array([10, 11, 12, 6]) / 39)
-    assert s.median_degrees == pytest.approx(2.5) and s.max_degrees == pytest.approx(2.5)
+    assert s.both == 12 / 39
+    assert np.median(s.degrees) == pytest.approx(2.5) and s.degrees.max() == pytest.approx(2.5)
     assert s.few_pixels_share == 17 / 40 and s.longest_absence == 7 and s.is_hard
-    assert s.range_covered == pytest.approx(23 / 25) and s.opening[-1] == pytest.approx(23 / 25)
-    assert s.fill == 20 / 32 and not s.leaves and s.depth_m == (1.0, 1.0) and s.masks_valid
-
-
-def test_an_object_at_the_border_and_masks_that_differ_are_found() -> None:
-    truth = _known()
-    masks = np.stack([truth.part_mask(i) for i in range(N)])
-    masks[7, 31, 15] = 1
-    seen = np.stack([(masks == k).sum((1, 2)) for k in (1, 2)], -1)
-    at_border = dataclasses.replace(truth, part_mask=masks.__getitem__, seen=seen)
-    s = motion_statistics(make_recording(at_border), at_border)
-    assert s.leaves and s.masks_valid
-    assert not motion_statistics(make_recording(truth), dataclasses.replace(truth, seen=seen)).masks_valid
-    other = dataclasses.replace(make_recording(truth), load=make_recording(at_border).load)
-    assert not motion_statistics(other, truth, every=1).masks_valid
+    assert s.range_covered == pytest.approx(23 / 25) and s.depth_m == (1.0, 1.0)
 
 
 def test_coverage_grows_with_what_is_seen() -> None:

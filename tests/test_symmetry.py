@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from export.free_space import SEEN_THROUGH, OtherPart, SpaceGrid
-from export.meshes import MeshSettings
+from export.settings import MeshSettings
 from export.surface import close_surface
 from export.symmetry import suppose_by_symmetry
 from export.winding_number import Winding

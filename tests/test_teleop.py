@@ -25,6 +25,7 @@ from freeart21 import processes, se3
 from freeart21.errors import FreeArtError
 from freeart21.files.take import read_take, write_take
 from generator.commands import teleop
+from generator.settings import TeleopSettings
 from generator.teleop import gate, server, stage_process, wire
 from generator.teleop.driving import GAP_S, STEP_S, UNDO_S, Driving, Placement
 from generator.teleop.stage import Stage
@@ -367,13 +368,13 @@ def test_what_cannot_be_done_is_said_in_a_line_before_anything_starts(tmp_path: 
     there, out = tmp_path / "take.jsonl", tmp_path / "t.jsonl"
     there.write_text("mine")
     assert_refused("exists", teleop, "stapler", there)
-    assert_refused("port", teleop, "stapler", out, port=99999)
-    assert_refused("64 to 1280", teleop, "stapler", out, width=9)
+    assert_refused("port", teleop, "stapler", out, settings=TeleopSettings(port=99999))
+    assert_refused("64 to 1280", teleop, "stapler", out, settings=TeleopSettings(width=9))
     assert_refused("unknown object", teleop, "nothing", out)
-    assert_refused("--cert FILE and --key FILE", teleop, "stapler", out, host="0.0.0.0")
-    assert_refused("cannot use the certificate", teleop, "stapler", out, cert=there, key=there)
+    assert_refused("--cert FILE and --key FILE", teleop, "stapler", out, settings=TeleopSettings(host="0.0.0.0"))
+    assert_refused("cannot use the certificate", teleop, "stapler", out, settings=TeleopSettings(cert=there, key=there))
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        assert_refused("--port", teleop, "stapler", out, port=taken.getsockname()[1])
+        assert_refused("--port", teleop, "stapler", out, settings=TeleopSettings(port=taken.getsockname()[1]))
     assert there.read_text() == "mine" and [p.name for p in tmp_path.iterdir()] == ["take.jsonl"]
 
 

@@ -13,8 +13,8 @@ from freeart21.camera import Camera
 from freeart21.gaussians import FAINT_COPY, TURNED_AWAY, Gaussians
 from freeart21.joint import Joint
 from freeart21.view.document import document
-from freeart21.view.parts import articulation_scene
-from freeart21.view.scene import Scene, scene_section
+from freeart21.view.scene import Scene, scene_section, sources_scene
+from freeart21.view.source import LAYERS, Source
 
 CAMERA = Camera(np.array([[400.0, 0, 165], [0, 390, 85], [0, 0, 1]]), 320, 180)
 JOINT = Joint("lid", "revolute", [0.0, 0.6, 0.8], [0.01, -0.02, 0.0], -1.0, 1.0)
@@ -49,7 +49,8 @@ def made_scene(gaussians: Gaussians | None, camera: Camera | None = CAMERA) -> S
     parts = Articulation(
         JOINT, box([0.08, 0.06, 0.01]), box([0.08, 0.06, 0.01]).moved(se3.pose(np.eye(3), [0, 0, 0.02]))
     )
-    return articulation_scene(parts, STATES, camera_poses(), camera, gaussians)
+    source = Source("", articulation=parts, states=STATES, Ts_camera=camera_poses(), layers=LAYERS)
+    return sources_scene([source], camera, gaussians)
 
 
 def draw_slowly(gaussians: Gaussians, Ts_camera_part: list[np.ndarray], camera: Camera) -> np.ndarray:

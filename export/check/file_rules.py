@@ -18,7 +18,7 @@ from export.check.mjcf_tree import UnsupportedMjcf, read_mjcf_tree
 from export.check.report import Row
 from export.check.rules import FILE_RULES, GROUND_M, UNREAD
 from export.check.tree import Tree, build_tree
-from export.checklist import UNREADABLE, Files, Finding, Shapes, check_urdf, load_shapes
+from export.checklist import UNREADABLE, Files, Finding, Shapes, check_limits, check_urdf, load_shapes
 from export.contact import is_closed
 from export.inertia import find_unphysical
 from export.stated_trust import read_stated_trust
@@ -212,8 +212,4 @@ def _check_numbers(tree: Tree) -> Iterator[Finding]:
         if wrong:
             yield Finding("inertia.physical", f"body '{name}': {wrong}", broken=True)
     for joint in tree.movable:
-        limits = f"joint '{joint.name}' has limits {joint.lower:g} to {joint.upper:g}"
-        if not joint.ordered:
-            yield Finding("limits.ordered", f"{limits}, expected lower < upper")
-        elif not joint.lower <= 0 <= joint.upper:
-            yield Finding("limits.zero-within", f"{limits}, expected zero within")
+        yield from (f for f in check_limits(joint) if f.rule in ("limits.ordered", "limits.zero-within"))

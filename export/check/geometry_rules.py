@@ -146,7 +146,7 @@ def _check_axes(tree: Tree, groups: Mapping[str, tuple[str, Array]], bodies: Map
         group, T = groups[joint.child]
         moved = _shape_corners(bodies.get(group, []))
         parent = _shape_corners(bodies.get(groups[joint.parent][0], []))
-        if joint.kind != "revolute" or not len(moved):
+        if joint.joint_type != "revolute" or not len(moved):
             continue
         axis, pivot = T[:3, :3] @ joint.axis, se3.transform(T, joint.pivot[None])[0]
         distance = float(np.linalg.norm(np.cross(axis, moved - pivot), axis=1).min())

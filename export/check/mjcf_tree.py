@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from export.check.tree import Tree, TreeJoint
+from export.check.tree import Tree
 from freeart21 import se3
 from freeart21.errors import FreeArtError
-from freeart21.files.urdf import UrdfInertial
+from freeart21.files.urdf import UrdfInertial, UrdfJoint
 
 
 class UnsupportedMjcf(Exception):
@@ -36,15 +36,20 @@ def read_mjcf_tree(mjcf: Path) -> Tree:
     joints, inertials = {}, {}
     for b in range(1, model.nbody):
         if model.body_mass[b] > 0:
-            R = se3.rotation_from_wxyz(model.body_iquat[b])
-            tensor = R @ np.diag(model.body_inertia[b]) @ R.T
-            inertials[names[b]] = UrdfInertial(float(model.body_mass[b]), model.body_ipos[b].copy(), tensor)
+            inertials[names[b]] = read_inertial(model, b)
         if b != tops[0]:
             joint = _read_joint(model, b, names)
             joints[joint.name] = joint
         elif model.body_dofnum[b] not in (0, 6):
             raise UnsupportedMjcf(f"body '{names[b]}' is attached to the world by a joint")
     return Tree(names[tops[0]], tuple(names[1:]), joints, inertials)
+
+
+def read_inertial(model: Any, b: int) -> UrdfInertial:
+    """Mass properties of body `b` of a mujoco.MjModel."""
+    R = se3.rotation_from_wxyz(model.body_iquat[b])
+    tensor = R @ np.diag(model.body_inertia[b]) @ R.T
+    return UrdfInertial(float(model.body_mass[b]), model.body_ipos[b].copy(), tensor)
 
 
 def count_shapes(mjcf: Path) -> dict[str, Counter[str]]:
@@ -67,14 +72,14 @@ def _read_spec(mjcf: Path, compiled: bool) -> Any:
         raise FreeArtError(f"{mjcf} cannot be read by MuJoCo: {' '.join(str(error).split())[:300]}") from error
 
 
-def _read_joint(model: Any, b: int, names: list[str]) -> TreeJoint:
+def _read_joint(model: Any, b: int, names: list[str]) -> UrdfJoint:
     """The joint, or the rigid connection, of body `b` to its parent."""
     import mujoco
 
     T = se3.pose(se3.rotation_from_wxyz(model.body_quat[b]), model.body_pos[b])
     parent, child, count = names[model.body_parentid[b]], names[b], int(model.body_jntnum[b])
     if count == 0:
-        return TreeJoint(f"{child} (welded)", None, parent, child, T, np.eye(3)[2], np.zeros(3), -np.inf, np.inf)
+        return UrdfJoint(f"{child} (welded)", "fixed", parent, child, T, np.eye(3)[2])
     j = int(model.body_jntadr[b])
     kinds = {int(mujoco.mjtJoint.mjJNT_HINGE): "revolute", int(mujoco.mjtJoint.mjJNT_SLIDE): "prismatic"}
     kind: Any = kinds.get(int(model.jnt_type[j]))
@@ -82,6 +87,6 @@ def _read_joint(model: Any, b: int, names: list[str]) -> TreeJoint:
         raise UnsupportedMjcf(f"body '{child}' has other joints than one hinge or slide without ref")
     lower, upper = model.jnt_range[j].tolist() if model.jnt_limited[j] else (-np.inf, np.inf)
     dof = int(model.jnt_dofadr[j])
-    losses = float(model.dof_damping[dof]), float(model.dof_frictionloss[dof])
+    damping, friction = float(model.dof_damping[dof]), float(model.dof_frictionloss[dof])
     name, axis, pivot = model.joint(j).name or f"{child} (joint)", model.jnt_axis[j].copy(), model.jnt_pos[j].copy()
-    return TreeJoint(name, kind, parent, child, T, axis, pivot, lower, upper, *losses)
+    return UrdfJoint(name, kind, parent, child, T, axis, lower, upper, True, None, None, damping, friction, pivot=pivot)

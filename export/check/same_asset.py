@@ -94,14 +94,14 @@ def _compare_trees(file: str, tree: Tree, other: Tree) -> Iterator[str]:
         mine, its = tree.inertials.get(name), other.inertials.get(name)
         if mine is not None and (its is None or not _same_inertial(mine, its)):
             yield f"{file} gives '{name}' another mass, centre or inertia than the URDF"
-    mine_moving, its_moving = ({n: j for n, j in each.joints.items() if j.kind} for each in (tree, other))
+    mine_moving, its_moving = ({n: j for n, j in each.joints.items() if j.joint_type} for each in (tree, other))
     if unknown := sorted(its_moving.keys() - mine_moving.keys()):
         yield f"{file} has another joint '{unknown[0]}'"
         return
     for name, joint in mine_moving.items():
         same = its_moving.get(name)
-        if same is None or same.kind != joint.kind:
-            yield f"{file} has no {joint.kind} joint '{name}'"
+        if same is None or same.joint_type != joint.joint_type:
+            yield f"{file} has no {joint.joint_type} joint '{name}'"
             return
         if (same.parent, same.child) != (joint.parent, joint.child):
             yield f"{file} has joint '{name}' between '{same.parent}' and '{same.child}'"

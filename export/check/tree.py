@@ -7,63 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from freeart21.files.urdf import Urdf, UrdfInertial, resolve_mimics
-from freeart21.joint import Joint, JointType
+from freeart21.files.urdf import Urdf, UrdfInertial, UrdfJoint, resolve_mimics
 from freeart21.se3 import Array
-
-
-@dataclass(frozen=True)
-class TreeJoint:
-    """A joint, or a rigid connection, between two links."""
-
-    name: str
-    kind: JointType | None
-    """None when it does not move."""
-    parent: str
-    child: str
-    T_parent_child: Array
-    """(4, 4) the child's frame in the parent's at position zero."""
-    axis: Array
-    """(3,) unit vector in the child's frame."""
-    pivot: Array
-    """(3,) a point of the axis in the child's frame, m."""
-    lower: float
-    upper: float
-    """rad or m, infinite without a limit."""
-    damping: float = 0.0
-    friction: float = 0.0
-    mimic: tuple[str, float, float] | None = None
-    """The joint that it mimics, multiplier and offset."""
-    stated: bool = True
-    """Whether the file states its range, be it endless."""
-
-    def transform(self, q: float | Array) -> Array:
-        """(..., 4, 4) the child's frame in the parent's at position(s) `q` (...)."""
-        if self.kind is None:
-            return self.T_parent_child
-        motion = Joint(self.name, self.kind, self.axis, self.pivot, -np.inf, np.inf).transform(q)
-        return np.asarray(self.T_parent_child @ motion)
-
-    @property
-    def ordered(self) -> bool:
-        """Whether the stated range is not empty."""
-        return self.stated and self.lower < self.upper
-
-    @property
-    def sweep(self) -> tuple[float, float]:
-        """The limits, or a turn either way or half a metre where there is none; twice zero for an empty range."""
-        if not self.ordered:
-            return 0.0, 0.0
-        end = np.pi if self.kind == "revolute" else 0.5
-        lower, upper = self.lower, self.upper
-        if np.isinf(lower) and np.isinf(upper):
-            return -end, end
-        return (upper - end if np.isinf(lower) else lower), (lower + end if np.isinf(upper) else upper)
-
-    @property
-    def loaded(self) -> float:
-        """Position at which a simulator should load it: zero, or the limit nearest to zero."""
-        return float(np.clip(0.0, self.lower, self.upper)) if self.ordered else 0.0
 
 
 @dataclass(frozen=True)
@@ -72,7 +17,7 @@ class Tree:
 
     root: str
     links: tuple[str, ...]
-    joints: dict[str, TreeJoint]
+    joints: dict[str, UrdfJoint]
     """Name to joint, parents first."""
     inertials: dict[str, UrdfInertial]
     """Of the links for which the file has them."""
@@ -83,17 +28,17 @@ class Tree:
         return self.root == "world"
 
     @property
-    def movable(self) -> tuple[TreeJoint, ...]:
+    def movable(self) -> tuple[UrdfJoint, ...]:
         """The joints that move on their own."""
-        return tuple(j for j in self.joints.values() if j.kind is not None and j.mimic is None)
+        return tuple(j for j in self.joints.values() if j.joint_type is not None and j.mimic is None)
 
     def rigid_groups(self) -> dict[str, tuple[str, Array]]:
         """Link name to the first link that it is welded to, and T (4, 4) from the link's frame to that one's."""
         groups = {self.root: (self.root, np.eye(4))}
         for joint in self.joints.values():
             top, T = groups[joint.parent]
-            welded = joint.kind is None
-            groups[joint.child] = (top, T @ joint.T_parent_child) if welded else (joint.child, np.eye(4))
+            welded = joint.joint_type is None
+            groups[joint.child] = (top, T @ joint.T_parent_joint) if welded else (joint.child, np.eye(4))
         return groups
 
     def complete(self, q: Mapping[str, float]) -> dict[str, float]:
@@ -118,7 +63,7 @@ class Tree:
             J[:3] += np.cross(J[3:], T[:3, 3] - Ts[joint.parent][:3, 3], axis=0) if len(names) else 0.0
             if joint.name in names:
                 k, axis = names.index(joint.name), T[:3, :3] @ joint.axis
-                if joint.kind == "prismatic":
+                if joint.joint_type == "prismatic":
                     J[:3, k] = axis
                 else:
                     pivot = T[:3, :3] @ joint.pivot
@@ -150,33 +95,18 @@ def freeze_mimics(tree: Tree) -> Tree:
     """The tree with mimic joints fixed at their position as loaded: not every engine supports mimics."""
     full = tree.complete({joint.name: joint.loaded for joint in tree.movable})
     joints = {
-        name: joint if joint.mimic is None else replace(joint, kind=None, T_parent_child=joint.transform(full[name]))
+        name: joint
+        if joint.mimic is None
+        else replace(joint, type="fixed", mimic=None, T_parent_joint=joint.transform(full[name]))
         for name, joint in tree.joints.items()
     }
-    return replace(tree, joints={name: replace(joint, mimic=None) for name, joint in joints.items()})
+    return replace(tree, joints=joints)
 
 
 def build_tree(urdf: Urdf) -> Tree:
     """The tree of a URDF; FreeArtError when it has several roots."""
     place = {name: i for i, name in enumerate(urdf.parents_first)}
-    joints = {
-        j.name: TreeJoint(
-            j.name,
-            j.joint_type,
-            j.parent,
-            j.child,
-            j.T_parent_joint,
-            j.axis,
-            np.zeros(3),
-            j.lower,
-            j.upper,
-            j.damping,
-            j.friction,
-            j.mimic,
-            j.limited or j.type == "continuous",
-        )
-        for j in sorted(urdf.joints.values(), key=lambda joint: place[joint.child])
-    }
+    joints = {j.name: j for j in sorted(urdf.joints.values(), key=lambda joint: place[joint.child])}
     low = resolve_mimics(joints, {j.name: j.lower for j in joints.values()})
     high = resolve_mimics(joints, {j.name: j.upper for j in joints.values()})
     for name, joint in joints.items():

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics
 
-from export.check.tree import Tree, TreeJoint
+from export.check.tree import Tree
 from export.model import WORLD
 from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.urdf import Urdf, UrdfInertial
+from freeart21.files.urdf import Urdf, UrdfInertial, UrdfJoint
 from freeart21.se3 import Array
 
 MAX_USD_BYTES = 512 << 20
@@ -53,7 +53,7 @@ def read_usd_tree(layer: Path, urdf: Urdf) -> tuple[Tree, dict[str, Array]]:
     return Tree(urdf.root, links, joints, inertials), placed
 
 
-def _read_joint(prim: Any, name: str, names: Mapping[str, str]) -> TreeJoint:
+def _read_joint(prim: Any, name: str, names: Mapping[str, str]) -> UrdfJoint:
     joint = UsdPhysics.Joint(prim)
     parent, child = (
         next((names.get(str(path.name), str(path.name)) for path in end.GetTargets()), WORLD)
@@ -70,13 +70,13 @@ def _read_joint(prim: Any, name: str, names: Mapping[str, str]) -> TreeJoint:
     kinds: dict[Any, Any] = {UsdPhysics.RevoluteJoint: "revolute", UsdPhysics.PrismaticJoint: "prismatic"}
     schema = next((each for each in kinds if prim.IsA(each)), None)
     if schema is None:
-        return TreeJoint(name, None, parent, child, T, np.eye(3)[2], np.zeros(3), -np.inf, np.inf)
+        return UrdfJoint(name, "fixed", parent, child, T, np.eye(3)[2])
     unit = np.pi / 180 if kinds[schema] == "revolute" else 1.0
     axis = T_child[:3, "XYZ".index(str(schema(prim).GetAxisAttr().Get()))]
     lower, upper = (
         unit * float(end.Get()) for end in (schema(prim).GetLowerLimitAttr(), schema(prim).GetUpperLimitAttr())
     )
-    return TreeJoint(name, kinds[schema], parent, child, T, axis, T_child[:3, 3], lower, upper)
+    return UrdfJoint(name, kinds[schema], parent, child, T, axis, lower, upper, True, pivot=T_child[:3, 3])
 
 
 def _read_inertial(prim: Any) -> UrdfInertial:

@@ -93,6 +93,9 @@ class _ObjectController(BaseController):
         self.joints: list[Any] = []
         self.active_joint_indices = torch.zeros(0, dtype=torch.int32)
 
+    def set_drive_property(self) -> None:
+        """The engine's drive is not used."""
+
 
 class MotorController(_ObjectController, PDJointPosController):
     """ManiSkill's position controller, but targets go to the actuator of `generator.simulate`: the engine's drive is
@@ -114,9 +117,6 @@ class MotorController(_ObjectController, PDJointPosController):
     @property
     def qpos(self) -> torch.Tensor:
         return self.config.body.states()[0, :, None]
-
-    def set_drive_property(self) -> None:
-        """The engine's drive is not used."""
 
     def reset(self) -> None:
         body, here = self.config.body, self.qpos
@@ -152,9 +152,6 @@ class PassiveController(_ObjectController):
     def _initialize_action_space(self) -> None:
         self.single_action_space = spaces.Box(np.empty(0, np.float32), np.empty(0, np.float32), dtype=np.float32)
 
-    def set_drive_property(self) -> None:
-        """The engine's drive is not used."""
-
     def reset(self) -> None:
         self.config.body.remove_motor()
 
@@ -170,7 +167,7 @@ class PassiveConfig(ControllerConfig):
     controller_cls = PassiveController
 
 
-class HandController(BaseController):
+class HandController(_ObjectController):
     """Moves the hand by a twist per control step: shift and rotation vector, world axes, about the root's origin."""
 
     sets_target_qpos = sets_target_qvel = False
@@ -181,9 +178,6 @@ class HandController(BaseController):
 
     def _initialize_action_space(self) -> None:
         self.single_action_space = spaces.Box(-np.ones(6, np.float32), np.ones(6, np.float32), dtype=np.float32)
-
-    def set_drive_property(self) -> None:
-        """The engine's drive is not used."""
 
     def reset(self) -> None:
         self.config.hand.lead()

@@ -29,6 +29,8 @@ NAME = "object"
 class Body:
     """An articulated object in a CPU scene of ManiSkill; one joint moves under its effects."""
 
+    n = 1
+
     def __init__(self, scene: Any, assets: Sequence[Asset], scale: float, timestep_s: float, fixed_base: bool):
         asset = assets[0]
         self._scene, self._timestep = scene, timestep_s
@@ -49,14 +51,21 @@ class Body:
         self._limited = False
         self.links = {link.name: link for link in simulated.articulation.links}
         """URDF link name to the engine's link."""
-        self.lower, self.upper = joint_span(simulated.lower, simulated.upper, simulated.world_joint.type == "prismatic")
-        """Range of the joint's targets, rad or m."""
-        self.articulation = register_articulations([simulated.articulation], scene, same_links=True)
+        self.joint_name = asset.joint
+        lower, upper = simulated.lower, simulated.upper
+        self.limits = np.array([[lower, upper]])
+        """(n, 2) the joint's limits, rad or m."""
+        self.spans = np.array([joint_span(lower, upper, simulated.world_joint.type == "prismatic")])
+        """(n, 2) range of the joint's targets, rad or m."""
+        self.articulations = [simulated.articulation]
+        self.articulation = register_articulations(self.articulations, scene, same_links=True)
+        self.link_names = [link.name for link in self.articulation.get_links()]
         self.moving = [link for name, link in self.links.items() if name in simulated.moving_links]
         self._senses = any(effect.kind == "sensing" for effect in simulated.effects)
         late = sum(e.delay() for e in simulated.effects if e.kind == "sensing")
         self._history: deque[tuple[float, float]] = deque(maxlen=2 + int(np.ceil(late / timestep_s)))
-        self._commands = Commands()
+        self._commands: list[tuple[float, float]] = []
+        """Times, s, and the positions commanded since then; the first also before its time."""
         self.restarted = torch.ones(1, dtype=torch.bool)
         """(n,) environments that the controllers' next reset is for; ManiSkill does not say which."""
         if not fixed_base:
@@ -83,47 +92,7 @@ class Body:
         """Velocity of the joint, rad/s or m/s."""
         return self.simulated.state()[1]
 
-    @property
-    def root_pose(self) -> Array:
-        """(4, 4) T_world_root."""
-        pose = self.simulated.articulation.root_pose
-        return se3.pose_from_wxyz(pose.p.astype(float), pose.q.astype(float))
-
-    def bounds(self) -> Array:
-        """(2, 3) smallest and largest corner of the collision shapes, world frame, m."""
-        mesh = self.articulation.get_first_collision_mesh(to_world_frame=True)
-        if mesh is None or not len(mesh.vertices):
-            raise FreeArtError(f"{self.simulated.asset.urdf} has no collision shapes, expected some")
-        return np.asarray(mesh.bounds, float)
-
     # what the environments ask of any number of bodies n, here 1; see `_body_batch.BodyBatch`
-
-    n = 1
-
-    @property
-    def articulations(self) -> list[Any]:
-        """The engine's articulations, (n,)."""
-        return [self.simulated.articulation]
-
-    @property
-    def joint_name(self) -> str:
-        """The joint's name in the asset of the first environment."""
-        return self.simulated.asset.joint
-
-    @property
-    def link_names(self) -> list[str]:
-        """ManiSkill's names of the links of the first environment."""
-        return [link.name for link in self.articulation.get_links()]
-
-    @property
-    def spans(self) -> Array:
-        """(n, 2) range of the joint's targets, rad or m."""
-        return np.array([[self.lower, self.upper]])
-
-    @property
-    def limits(self) -> Array:
-        """(n, 2) the joint's limits, rad or m."""
-        return np.array([[self.simulated.lower, self.simulated.upper]])
 
     def states(self) -> torch.Tensor:
         """(2, n) float32: position, rad or m, and velocity of the joint."""
@@ -143,17 +112,21 @@ class Body:
         return torch.from_numpy((masses @ centres / masses.sum())[None].astype(np.float32))
 
     def root_poses(self) -> Array:
-        """(n, 4, 4): `root_pose`."""
-        return self.root_pose[None]
+        """(n, 4, 4) T_world_root."""
+        pose = self.articulations[0].root_pose
+        return se3.pose_from_wxyz(pose.p.astype(float), pose.q.astype(float))[None]
 
     def times_s(self) -> Array:
         """(n,) the clocks, s."""
         return np.array([self.simulated.time_s])
 
     def corners(self, q: Array) -> Array:
-        """(n, 2, 3) `bounds` with the joint at `q` (n,) and the root where the asset is loaded, at the origin."""
+        """(n, 2, 3) corners of the collision shapes with the joint at `q` (n,) and the root at the origin, m."""
         self.put(float(q[0]))
-        return self.bounds()[None]
+        mesh = self.articulation.get_first_collision_mesh(to_world_frame=True)
+        if mesh is None or not len(mesh.vertices):
+            raise FreeArtError(f"{self.simulated.asset.urdf} has no collision shapes, expected some")
+        return np.asarray(mesh.bounds, float)[None]
 
     def place(self, rows: torch.Tensor, q: Array, T_world_root: Array) -> None:
         """`put` in the environments `rows` (m,): positions (m,) and root poses (m, 4, 4)."""
@@ -177,10 +150,9 @@ class Body:
         """Give the joint a critically damped motor of `rate` rad/s on its inertia, which bears the weight and holds it
         where it is; only where `restarted`."""
         simulated = self.simulated
-        self._commands = Commands()
-        self._commands.add(-np.inf, self.q)
+        self._commands = [(-np.inf, self.q)]
         inertia = simulated.joint_inertia
-        simulated.set_actuator(Actuator(self._commands, inertia * rate**2, 2 * inertia * rate, self._weight))
+        simulated.set_actuator(Actuator(self._commanded, inertia * rate**2, 2 * inertia * rate, self._weight))
 
     def remove_motor(self) -> None:
         """Let the joint go."""
@@ -188,9 +160,12 @@ class Body:
 
     def command(self, targets: torch.Tensor) -> torch.Tensor:
         """Command the motors to `targets` (n,), rad or m, from now on; returns them, float32, clipped to the spans."""
-        target = float(np.clip(float(targets[0]), self.lower, self.upper))
-        self._commands.add(self.simulated.time_s, target)
+        target = float(np.clip(float(targets[0]), *self.spans[0]))
+        self._commands.append((self.simulated.time_s, target))
         return torch.tensor([target], dtype=torch.float32)
+
+    def _commanded(self, time_s: float) -> float:
+        return self._commands[bisect_right(self._commands, (time_s, np.inf)) - 1][1]
 
     def _weight(self, time_s: float) -> float:
         return -float(self.simulated.mechanics.gravity_force(self.q))
@@ -233,29 +208,13 @@ class Body:
         rests at a limit needs them for contact forces, and a free base for the reaction: there impacts are inelastic.
         """
         if enabled != self._limited:
-            own, wide = (self.simulated.lower, self.simulated.upper), (-simulate.UNREACHED, simulate.UNREACHED)
-            self._joint.set_limits(np.array([np.clip(own, *wide) if enabled else wide], np.float32))
+            wide = (-simulate.UNREACHED, simulate.UNREACHED)
+            self._joint.set_limits(np.array([np.clip(self.limits[0], *wide) if enabled else wide], np.float32))
             self._limited = enabled
 
     def _note(self) -> None:
         if self._senses:
             self._history.append((self.simulated.time_s, self.q))
-
-
-class Commands:
-    """Commanded values over time; held between commands, before the first and after the last."""
-
-    def __init__(self) -> None:
-        self._times: list[float] = []
-        self._values: list[float] = []
-
-    def add(self, time_s: float, value: float) -> None:
-        """`value` from `time_s` on."""
-        self._times.append(time_s)
-        self._values.append(value)
-
-    def __call__(self, time_s: float) -> float:
-        return self._values[max(bisect_right(self._times, time_s) - 1, 0)]
 
 
 def check_joint(asset: Asset, simulated: simulate.SimulatedAsset) -> None:
@@ -265,15 +224,6 @@ def check_joint(asset: Asset, simulated: simulate.SimulatedAsset) -> None:
     unseen = [effect.name for effect in simulated.effects if effect.kind == "kinematics"]
     if unseen:
         logger.warning(f"{asset.urdf}: ManiSkill does not render the effects {', '.join(unseen)}")
-
-
-def check_single(environment: Any) -> Body:
-    """The body of an environment that steps one object on a CPU; FreeArtError for any other."""
-    if not isinstance(environment.body, Body):
-        raise FreeArtError(
-            f"a script for one object got {environment.num_envs} in GPU scenes, expected sim_backend cpu"
-        )
-    return environment.body
 
 
 def number_parts(links: Mapping[str, Any], moving: Collection[str]) -> np.ndarray:

@@ -23,9 +23,7 @@ from export.maniskill import CONTROL_HZ, ENVIRONMENTS, EPISODE_STEPS
 from export.maniskill._agent import OBJECT, ObjectAgent
 from export.maniskill._body import Body
 from export.maniskill._body_batch import BodyBatch
-from export.maniskill._gymnasium import render_modes
 from export.maniskill._hand import Hand
-from export.maniskill._pusher import PUSHER, Pusher
 from export.maniskill.assets import find_asset
 from export.maniskill.motion import CarriedMotion, draw_motion
 from freeart21 import se3
@@ -56,11 +54,10 @@ class ObjectEnvironment(BaseEnv):
         target: fraction of the joint's span, from its lower end; None is `OPENED`.
         start: the same for the initial state; None is the position nearest to zero.
         tolerance: fraction of the joint's span.
-        robot_uids: a robot, `freeart21_pusher` (also "pusher") for a ball that pushes, or `freeart21_object` (also
-            "none") for the motor in the joint.
+        robot_uids: a robot, or `freeart21_object` (also "none") for the motor in the joint.
     """
 
-    SUPPORTED_ROBOTS: ClassVar[Any] = ["panda", PUSHER, OBJECT]
+    SUPPORTED_ROBOTS: ClassVar[Any] = ["panda", OBJECT]
     agent: Any
 
     def __init__(
@@ -87,10 +84,8 @@ class ObjectEnvironment(BaseEnv):
             kwargs.setdefault("reconfiguration_freq", 1)  # as ManiSkill's own environments of many objects
         self._scale = scale
         self._target_share, self._start_share, self._tolerance = target, start, tolerance
-        robot_uids = {None: OBJECT, "none": OBJECT, "pusher": PUSHER}.get(robot_uids, robot_uids)
+        robot_uids = OBJECT if robot_uids in (None, "none") else robot_uids
         super().__init__(*args, robot_uids=robot_uids, **kwargs)
-        modes = render_modes(self.SUPPORTED_RENDER_MODES, self.scene.can_render())
-        self.metadata = {"render_modes": modes, "render_fps": self.control_freq}
 
     @property
     def _default_sim_config(self) -> SimConfig:
@@ -130,8 +125,6 @@ class ObjectEnvironment(BaseEnv):
         if self.robot_uids == OBJECT:
             varied = len(self._assets) > 1
             self.agent = ObjectAgent(self.scene, self._control_freq, self._control_mode, self.body, self.hand, varied)
-        elif self.robot_uids == PUSHER:
-            self.agent = Pusher(self.scene, self._control_freq, self._control_mode)
         else:
             super()._load_agent(options, sapien.Pose(p=[-0.615, 0, 0]))
 
@@ -141,7 +134,7 @@ class ObjectEnvironment(BaseEnv):
         They are centred at the origin, or their near side is in front of the robot.
         """
         T = np.tile(np.eye(4), (len(low), 1, 1))
-        near = -0.5 * (high[:, 0] - low[:, 0]) if self.robot_uids in (OBJECT, PUSHER) else _BEFORE_ROBOT
+        near = -0.5 * (high[:, 0] - low[:, 0]) if self.robot_uids == OBJECT else _BEFORE_ROBOT
         T[:, 0, 3], T[:, 1, 3], T[:, 2, 3] = near - low[:, 0], -0.5 * (low[:, 1] + high[:, 1]), -low[:, 2]
         return T
 
@@ -189,14 +182,6 @@ class ObjectEnvironment(BaseEnv):
         """Begin episodes in the environments `rows` (m,): positions (m,), targets (m,) and root poses (m, 4, 4)."""
         self._target[rows] = self._tensor(targets)
         self.body.place(rows, np.array(starts), np.array(T))
-        if self.robot_uids == PUSHER:
-            self.agent.place(self._tensor([self._aside(i, pose) for i, pose in zip(rows.tolist(), T, strict=True)]))
-
-    def _aside(self, i: int, T_world_root: Array) -> Array:
-        """(3,) a place for the pusher beside and above the object of environment `i`, at random."""
-        aside = np.array([-1.0, 0.0, 0.75]) + self._batched_episode_rng[i].uniform(-0.1, 0.1, 3)
-        middle = se3.transform(T_world_root, self._centre_root[i])
-        return np.asarray(middle + self._size[i] * aside / np.linalg.norm(aside))
 
     def _before_simulation_step(self) -> None:
         if self.hand is not None:
@@ -262,13 +247,6 @@ class ObjectEnvironment(BaseEnv):
             obs["part_ids"] = self.body.part_ids()
         return obs
 
-    def get_sensor_params(self) -> dict[str, dict[str, torch.Tensor]]:
-        """ManiSkill's, but with new tensors in every observation."""
-        return {
-            uid: {name: value.clone() for name, value in params.items()}
-            for uid, params in super().get_sensor_params().items()
-        }
-
     def _tensor(self, values: Any) -> torch.Tensor:
         return torch.tensor(np.array(values, np.float32), device=self.device)
 
@@ -302,7 +280,7 @@ class OpenEnvironment(ObjectEnvironment):
 
     def _load_scene(self, options: dict[str, Any]) -> None:
         self._table = None
-        if self.robot_uids in (OBJECT, PUSHER):
+        if self.robot_uids == OBJECT:
             build_ground(self.scene)
         else:
             self._table = TableSceneBuilder(self, robot_init_qpos_noise=0.02)
@@ -329,9 +307,7 @@ class OpenEnvironment(ObjectEnvironment):
 class FreeMovingEnvironment(ObjectEnvironment):
     """An object is carried by an invisible hand; its joint must come to rest at the target.
 
-    The hand's motion is random from the seed, or given by `options` of `reset`: `base_times` (n,) s and `base_poses`
-    (n, 7), position and quaternion w, x, y, z of the root link, with `start` and `target` of the joint, rad or m. In
-    control mode `pd_joint_pos_base_delta_pose` the action moves it.
+    The hand's motion is random from the seed; in control mode `pd_joint_pos_base_delta_pose` the action moves it.
     """
 
     SUPPORTED_ROBOTS: ClassVar[Any] = [OBJECT]
@@ -344,28 +320,25 @@ class FreeMovingEnvironment(ObjectEnvironment):
     def _initialize_episode(self, env_idx: torch.Tensor, options: dict[str, Any]) -> None:
         begins, motions = [], []
         for i in env_idx.tolist():
-            start, target, motion = self._begin_carried(i, options)
+            start, target, motion = self._begin_carried(i)
             begins.append((start, target, motion.at(0.0)[0]))
             motions.append(motion)
         self._begin(env_idx, *zip(*begins, strict=True))
         assert self.hand is not None
         self.hand.follow(env_idx.tolist(), motions)
 
-    def _begin_carried(self, i: int, options: dict[str, Any]) -> tuple[float, float, CarriedMotion]:
+    def _begin_carried(self, i: int) -> tuple[float, float, CarriedMotion]:
         """Start and target, rad or m, and the hand's motion in the next episode of environment `i`."""
         rng, centre_root = self._batched_episode_rng[i], self._centre_root[i]
         low, high = self.body.spans[i]
         drawn = low + rng.uniform(0.1, 0.9, 2) * (high - low)
-        start = options.get("start", self._position(i, self._start_share, drawn[0]))
-        target = options.get("target", self._position(i, self._target_share, drawn[1]))
+        start = self._position(i, self._start_share, drawn[0])
+        target = self._position(i, self._target_share, drawn[1])
         begins = se3.exp_se3(np.concatenate([np.zeros(3), rng.uniform(-1, 1, 3)]))
         centre = se3.transform(self._T_root_rest[i], centre_root)
         begins[:3, 3] = centre - begins[:3, :3] @ centre_root
         motion = draw_motion(rng, begins, centre, float(self._size[i]), _SECONDS)
-        if "base_poses" in options:
-            rows = np.asarray(options["base_poses"], float)
-            motion = CarriedMotion(np.asarray(options["base_times"]), se3.pose_from_wxyz(rows[:, :3], rows[:, 3:]))
-        return float(start), float(target), motion
+        return start, target, motion
 
     def set_state_dict(self, state: dict[str, Any], env_idx: Any = None) -> None:
         """Restore a state; the hand continues from there."""

@@ -1,4 +1,4 @@
-"""Motion of a carried object: smooth and random from a seed, or recorded."""
+"""Motion of a carried object: smooth and random from a seed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from freeart21 import se3
-from freeart21.errors import FreeArtError
 from freeart21.se3 import Array
 
 SECONDS_A_LEG = 1.5
@@ -23,21 +22,10 @@ SHIFT = 0.4
 
 @dataclass(frozen=True)
 class CarriedMotion:
-    """Poses of a rigid body over time, connected by screw motions."""
+    """Poses of a rigid body, `SECONDS_A_LEG` apart, connected by screw motions of minimum jerk."""
 
-    times_s: Array
-    """(n,) increasing."""
     poses: Array
     """(n, 4, 4) T_world_body."""
-    stops: bool = False
-    """Whether the speed is 0 at each pose (minimum jerk in between), or constant between poses."""
-
-    def __post_init__(self) -> None:
-        times, poses = np.asarray(self.times_s, float).reshape(-1), se3.check_poses("motion poses", self.poses)
-        if len(times) != len(poses) or not len(times) or (np.diff(times) <= 0).any() or not np.isfinite(times).all():
-            raise FreeArtError(f"a motion has {len(poses)} poses at {len(times)} times, expected as many, times rising")
-        object.__setattr__(self, "times_s", times)
-        object.__setattr__(self, "poses", poses)
 
     @cached_property
     def _twists(self) -> Array:
@@ -49,14 +37,13 @@ class CarriedMotion:
 
         It is at rest before the first and after the last pose.
         """
-        if not self.times_s[0] <= t < self.times_s[-1]:
-            return np.asarray(self.poses[0 if t < self.times_s[0] else -1]), np.zeros(3), np.zeros(3)
-        i = int(np.searchsorted(self.times_s, t, side="right")) - 1
-        leg = self.times_s[i + 1] - self.times_s[i]
-        s = (t - self.times_s[i]) / leg
-        way, rate = (s**3 * (10 - 15 * s + 6 * s * s), 30 * (s * (1 - s)) ** 2) if self.stops else (s, 1.0)
+        i = int(t // SECONDS_A_LEG)
+        if not 0 <= i < len(self._twists):
+            return np.asarray(self.poses[0 if i < 0 else -1]), np.zeros(3), np.zeros(3)
+        s = t / SECONDS_A_LEG - i
+        way, rate = s**3 * (10 - 15 * s + 6 * s * s), 30 * (s * (1 - s)) ** 2
         pose = np.asarray(self.poses[i] @ se3.exp_se3(way * self._twists[i]))
-        velocity = rate / leg * self._twists[i].reshape(2, 3) @ pose[:3, :3].T
+        velocity = rate / SECONDS_A_LEG * self._twists[i].reshape(2, 3) @ pose[:3, :3].T
         return pose, velocity[0], velocity[1]
 
 
@@ -79,4 +66,4 @@ def draw_motion(
         moved = se3.exp_se3(np.concatenate([np.zeros(3), turn]))
         moved[:3, 3] = SHIFT * size * rng.uniform() * way / np.linalg.norm(way)
         poses.append(to_centre @ moved @ se3.inverse(to_centre) @ poses[0])
-    return CarriedMotion(SECONDS_A_LEG * np.arange(n + 1, dtype=float), np.asarray(poses, float), stops=True)
+    return CarriedMotion(np.asarray(poses, float))

@@ -199,17 +199,15 @@ def parse_json(text: str, where: Path | str) -> Any:
         raise _too_deep(where) from None
     except ValueError as error:
         raise FreeArtError(f"{where} is not JSON: {error}") from error
-    if text.count("[") + text.count("{") <= MAX_JSON_DEPTH:
-        return data
-    level = [data] if isinstance(data, dict | list) else []
-    for _ in range(MAX_JSON_DEPTH):
-        if not level:
-            return data
-        inner = (value for one in level for value in (one.values() if isinstance(one, dict) else one))
-        level = [value for value in inner if isinstance(value, dict | list)]
-    if level:
+    if not _fits(data, MAX_JSON_DEPTH - 1):
         raise _too_deep(where)
     return data
+
+
+def _fits(value: Any, levels: int) -> bool:
+    """Whether a JSON value has at most so many levels of lists and objects."""
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return levels >= 0 and all(_fits(one, levels - 1) for one in inner if isinstance(one, dict | list))
 
 
 def read_any_json(path: Path, root: Path | None = None, limit: int = MAX_JSON_BYTES) -> Any:
@@ -416,7 +414,7 @@ _NO_ARRAY = (
 
 
 def read_image(path: Path, flags: int, root: Path | None = None) -> NDArray[Any]:
-    """The image in `path` as OpenCV reads it: PNG, JPEG, BMP or WebP of at most MAX_PIXELS.
+    """The image in `path` as OpenCV reads it: PNG, JPEG or BMP of at most MAX_PIXELS.
 
     Raises FreeArtError on anything else, before it is unpacked.
     """
@@ -441,7 +439,7 @@ def decode_image(data: bytes, path: Path, flags: int) -> NDArray[Any]:
 
 
 def image_size(data: bytes) -> tuple[int, int]:
-    """Width and height in the header of a PNG, JPEG, BMP or WebP. ValueError or struct.error otherwise."""
+    """Width and height in the header of a PNG, JPEG or BMP. ValueError or struct.error otherwise."""
     if data.startswith(b"\x89PNG\r\n\x1a\n"):
         if b"IEND" not in data[-64:] and b"IEND" not in data:
             raise ValueError("it is cut off")
@@ -449,10 +447,8 @@ def image_size(data: bytes) -> tuple[int, int]:
     if data.startswith(b"BM"):
         width, height = struct.unpack_from("<ii", data, 18)
         return abs(width), abs(height)
-    if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
-        return _webp_size(data)
     if not data.startswith(b"\xff\xd8"):
-        raise ValueError("expected PNG, JPEG, BMP or WebP")
+        raise ValueError("expected PNG, JPEG or BMP")
     at = 2
     for _ in range(_MAX_SEGMENTS):  # to the frame's header (ITU-T T.81, B.1.1.3 and B.2.2)
         mark, kind, length = struct.unpack_from(">BBH", data, at)
@@ -466,18 +462,6 @@ def image_size(data: bytes) -> tuple[int, int]:
         else:
             at += 2 + length
     raise ValueError(f"its JPEG has no frame in {_MAX_SEGMENTS} segments")
-
-
-def _webp_size(data: bytes) -> tuple[int, int]:
-    """Width and height of the three kinds of WebP (RFC 9649, 2.5 to 2.7)."""
-    kind = data[12:16]
-    if kind == b"VP8X":
-        return 1 + int.from_bytes(data[24:27], "little"), 1 + int.from_bytes(data[27:30], "little")
-    if kind == b"VP8L":
-        (bits,) = struct.unpack_from("<I", data, 21)
-        return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
-    width, height = struct.unpack_from("<HH", data, 26)
-    return width & 0x3FFF, height & 0x3FFF
 
 
 def read_rgb(path: Path, root: Path | None = None) -> NDArray[np.uint8]:

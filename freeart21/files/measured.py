@@ -163,21 +163,13 @@ def _read_header(folder: Path) -> tuple[_Header, list[Path]]:
     if not 1 <= len(header.runs) <= MAX_RUNS:
         raise FreeArtError(f"{path} has {len(header.runs)} runs, expected 1 to {MAX_RUNS}")
     files: dict[Path, str] = {}
-    names: dict[str, str] = {}
     for entry in header.runs:
-        file, listed_name = checked.inside(folder, entry.file), entry.file
+        file, name = checked.inside(folder, entry.file), _name_of(entry.file)
         if file.is_dir() and entry.kind == "poses":
-            file = checked.inside(folder, f"{listed_name}/poses.npz")
-        if file in files:
-            raise FreeArtError(
-                f"{path}: 'runs' names a file twice, as '{files[file]}' and '{listed_name}', expected each once"
-            )
-        name = _name_of(listed_name)
-        if name in names:
-            raise FreeArtError(
-                f"{path}: runs '{names[name]}' and '{listed_name}' would both be called '{name}', expected other names"
-            )
-        files[file], names[name] = listed_name, listed_name
+            file = checked.inside(folder, f"{entry.file}/poses.npz")
+        if file in files or name in files.values():
+            raise FreeArtError(f"{path}: two runs are called '{name}' or are one file, expected each once")
+        files[file] = name
     total = sum(file.stat().st_size for file in files if file.is_file())
     if total > MAX_BYTES:
         raise FreeArtError(f"{path}: the runs have {total} bytes together, at most {MAX_BYTES} are read")

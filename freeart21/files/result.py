@@ -97,7 +97,7 @@ RESULT_FILES = (
     *("prediction.json", "poses.npz", "diagnostics.json", GAUSSIANS, "parts/reference.ply", "parts/moving.ply"),
     *(f"{folder}/{'[0-9]' * 5}.png" for folder in ("part_mask", "confidence", "renders", "renders_other")),
     *(f"asset/{name}.json" for name in ("asset", "certificate", "effects")),
-    *(f"asset/{name}" for name in ("object.urdf", "object.xml", "object.usdc", "LOSSES.md", "preview.png", GAUSSIANS)),
+    *(f"asset/{name}" for name in ("object.urdf", "object.xml", "object.usdc", "preview.png", GAUSSIANS)),
     *("asset/loaders/load_*.py", "asset/loaders/joint.json", *(f"asset/meshes/*.{e}" for e in ("obj", "mtl", "png"))),
 )
 """Patterns (fnmatch; '*' crosses '/') of the files of a result with its asset."""

@@ -91,33 +91,62 @@ class UrdfJoint:
     """(4, 4) the joint's frame in the parent link's; also the child link's frame at position zero."""
     axis: Array
     """(3,) unit vector in the joint's frame; only a fixed joint may have (0, 0, 0)."""
-    lower: float
+    lower: float = -np.inf
     """rad or m; -inf when unlimited or beyond LARGEST_LIMIT."""
-    upper: float
+    upper: float = np.inf
     """rad or m; inf likewise."""
-    limited: bool
+    limited: bool = False
     """Whether there is a <limit>."""
-    effort: float | None
+    effort: float | None = None
     """Largest N m or N; None when not given."""
-    velocity: float | None
+    velocity: float | None = None
     """Largest rad/s or m/s; None when not given."""
-    damping: float
-    friction: float
+    damping: float = 0.0
+    friction: float = 0.0
     mimic: tuple[str, float, float] | None = None
     """Name of the joint that it mimics, multiplier and offset."""
     axis_length: float = 1.0
     """Of the axis as written."""
+    pivot: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,) a point of the axis in the joint's frame, m; zero in a URDF, not in other formats."""
 
     @property
     def joint_type(self) -> JointType | None:
         """'revolute' or 'prismatic' when it has one degree of freedom, else None."""
         return _MOVABLE.get(self.type)
 
-    def transform(self, q: float) -> Array:
-        """(4, 4) the child link's frame in the parent's at position `q`, rad or m. A joint of another type is fixed."""
+    @property
+    def stated(self) -> bool:
+        """Whether the file states its range, be it endless."""
+        return self.limited or self.type == "continuous"
+
+    @property
+    def ordered(self) -> bool:
+        """Whether the stated range is not empty."""
+        return self.stated and self.lower < self.upper
+
+    @property
+    def sweep(self) -> tuple[float, float]:
+        """The limits, or a turn either way or half a metre where there is none; twice zero for an empty range."""
+        if not self.ordered:
+            return 0.0, 0.0
+        end = np.pi if self.joint_type == "revolute" else 0.5
+        lower, upper = self.lower, self.upper
+        if np.isinf(lower) and np.isinf(upper):
+            return -end, end
+        return (upper - end if np.isinf(lower) else lower), (lower + end if np.isinf(upper) else upper)
+
+    @property
+    def loaded(self) -> float:
+        """Position at which a simulator should load it: zero, or the limit nearest to zero."""
+        return float(np.clip(0.0, self.lower, self.upper)) if self.ordered else 0.0
+
+    def transform(self, q: float | Array) -> Array:
+        """(..., 4, 4) the child link's frame in the parent's at position(s) `q` (...), rad or m. A joint of another
+        type is fixed."""
         if self.joint_type is None:
             return self.T_parent_joint
-        free = Joint(self.name, self.joint_type, self.axis, np.zeros(3), -np.inf, np.inf)
+        free = Joint(self.name, self.joint_type, self.axis, self.pivot, -np.inf, np.inf)
         return np.asarray(self.T_parent_joint @ free.transform(q))
 
 

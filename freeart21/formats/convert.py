@@ -15,7 +15,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import is_unfinished, read_benchmark, unfinished_error, write_benchmark
 from freeart21.files.data_card import write_card_of
-from freeart21.files.places import check_append
+from freeart21.files.places import check_append, require_replaceable
 from freeart21.files.sequence import write_frame, write_header, write_queries
 from freeart21.files.truth import write_truth
 from freeart21.formats import freeart21_official, rgbd_folder
@@ -148,8 +148,7 @@ def _write_native(
 ) -> Converted:
     sequence, truth_folder = (out / sub / read.name for sub in ("sequences", "truth"))
     for folder in (sequence, truth_folder):
-        if folder.exists():
-            raise FreeArtError(f"{folder} exists; choose another place or remove it first")
+        require_replaceable(folder, None)
     n, recording = len(read.recording), read.recording
     scale = _depth_scale(recording, lambda done: tick(done, 2 * n))
     truth, lacks = _truth(read, truth_of, root)
@@ -161,21 +160,18 @@ def _write_native(
         write_header(aside, recording.camera, scale, recording.times_s, recording.licence, recording.gravity)
         if truth is not None:
             write_truth(truth_folder, truth, 0)
-    notes = (*read.notes, *read.observe(), *((f"without truth: {lacks}",) if lacks else ()))
+    notes = (*read.notes, *((f"without truth: {lacks}",) if lacks else ()))
     return Converted(read.name, sequence, truth is not None, notes)
 
 
 def _write_pictures(out: Path, read: ThirdPartyRecording, tick: Progress) -> Converted:
-    folder = out / PICTURES / read.name
-    if folder.exists():
-        raise FreeArtError(f"{folder} exists; choose another place or remove it first")
-    recording = read.recording
+    folder, recording = out / PICTURES / read.name, read.recording
     with atomic.new_folder(folder) as aside:
         for i, (time, frame) in enumerate(zip(recording.times_s, recording.frames(), strict=True)):
             rgbd_folder.write_pictures(aside, time, frame, read.has_masks)
             tick(i + 1, len(recording))
         rgbd_folder.write_intrinsics(aside, recording.camera)
-    return Converted(read.name, folder, False, (*read.notes, *read.observe()))
+    return Converted(read.name, folder, False, read.notes)
 
 
 def _truth(read: ThirdPartyRecording, truth_of: TruthMaker | None, root: Path | None) -> tuple[Truth | None, str]:
@@ -220,7 +216,7 @@ def _write_official(
     out: Path, read: ThirdPartyRecording, object_folder: Path | None, hold_out: bool, tick: Progress
 ) -> Converted:
     folder = freeart21_official.write_example(out, read.name, read.recording, read.known, object_folder, hold_out, tick)
-    notes = [*read.notes, *read.observe()]
+    notes = [*read.notes]
     if read.known is None:
         notes.append(f"pictures only: {read.lacks}")
     elif object_folder is None:

@@ -31,6 +31,7 @@ from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
+from freeart21.files.places import require_replaceable
 from freeart21.files.urdf import read_urdf_joints
 from freeart21.formats import third_party
 from freeart21.formats.third_party import (
@@ -58,7 +59,6 @@ OBJECTS = Path("data/partnet-mobility-v0/dataset")
 
 _LARGEST_STATE = 1e6
 _STATE_KEYS = ("angle_rad", "angle", "value", "qpos", "state", "theta", "translation")
-_STATE_LISTS = ("frames", "values", "joint_values", "joint_states")
 
 
 def is_example(folder: Path) -> bool:
@@ -75,18 +75,12 @@ def read_example(folder: Path) -> ThirdPartyRecording:
     folder = Path(folder)
     if not is_example(folder):
         raise FreeArtError(f"{folder} is not an official FreeArt-21 example: expected rgb/, depth/ and cam_K.txt")
-    rgb = third_party.numbered(folder / "rgb", (".png", ".jpg", ".jpeg"))
-    depth = third_party.numbered(folder / "depth", (".npz",))
-    masks = third_party.numbered(folder / "masks", (".png",))
+    rgb = third_party.frame_files(folder, "rgb", (".png", ".jpg", ".jpeg"))
+    depth = third_party.frame_files(folder, "depth", (".npz",))
+    masks = third_party.frame_files(folder, "masks", (".png",))
     n = len(rgb)
-    if not 0 < n <= third_party.MAX_FRAMES:
-        raise FreeArtError(f"{folder}/rgb has {n} frames, expected 1 to {third_party.MAX_FRAMES}")
     third_party.same_count(folder, {"rgb": n, "depth": len(depth), "masks": len(masks)})
-    for sub, files in (("rgb", rgb), ("depth", depth), ("masks", masks)):
-        absent = sorted(set(range(n)) - set(files))
-        if absent:
-            raise FreeArtError(f"{folder}/{sub}: frame {absent[0]} is missing, expected 0 to {n - 1}")
-    extra = _sidecar(folder)
+    extra = checked.read_json(folder / SIDECAR, SIDECAR_SCHEMA) if (folder / SIDECAR).is_file() else {}
     train = _train_indices(folder, n)
     times = checked.numbers(extra, "times_s", (None,), folder / SIDECAR) if extra else np.arange(max(train) + 1) / FPS
     if len(times) <= max(train):
@@ -97,13 +91,8 @@ def read_example(folder: Path) -> ThirdPartyRecording:
     camera = Camera(third_party.read_matrix(folder / "cam_K.txt"), width, height)
 
     def load(index: int) -> Frame:
-        path = third_party.within(folder, depth[index])
-        raw = checked.read_npz(path, ("depth",))["depth"]
-        return Frame(
-            checked.read_rgb(third_party.within(folder, rgb[index])),
-            third_party.depth_metres(raw, path),
-            third_party.read_foreground(third_party.within(folder, masks[index])),
-        )
+        metres = third_party.depth_metres(checked.read_npz(depth[index], ("depth",))["depth"], depth[index])
+        return Frame(checked.read_rgb(rgb[index]), metres, third_party.read_foreground(masks[index]))
 
     name = folder.resolve().name
     recording = Recording(camera, times[train], load, (), extra.get("licence") or LICENCE, name)
@@ -112,15 +101,13 @@ def read_example(folder: Path) -> ThirdPartyRecording:
 
 
 def read_states(path: Path) -> Array:
-    """(n,) joint states, rad or m, from joint_states.json in any form that the official evaluator reads.
+    """(n,) joint states, rad or m, from joint_states.json: a list with an entry a frame.
 
-    Of a list (qpos of several joints) the first is used, as there; but when the first never moves and exactly one other
-    does, that one. Unlike there, an entry without a known number is an error, not zero.
+    An entry is a number, an object with one, or a list (qpos of several joints), whose first is used, as in the
+    official evaluator; but when the first never moves and exactly one other does, that one. Unlike there, an entry
+    without a known number is an error, not zero.
     """
     data = checked.read_any_json(path)
-    if isinstance(data, dict):
-        lists = [data[key] for key in _STATE_LISTS if isinstance(data.get(key), list)]
-        data = lists[0] if lists else [data[key] for key in sorted((k for k in data if k.isdigit()), key=int)]
     if not isinstance(data, list) or not data:
         raise FreeArtError(f"{path} holds no list of joint states")
     if all(isinstance(entry, list) and entry for entry in data):
@@ -182,8 +169,7 @@ def write_example(
     name = third_party.safe_name(name).replace("_", "-")
     folder, copied = root / "examples" / name, root / OBJECTS / name
     for place in (folder, copied):
-        if place.exists():
-            raise FreeArtError(f"{place} exists; choose another place or remove it first")
+        require_replaceable(place, None)
     n = len(recording)
     if known is not None:
         third_party.same_count(folder, {"video": n, "truth": len(known.states)})
@@ -210,7 +196,9 @@ def write_example(
         if held_out:
             info = {"eval_original_indices": held_out, "train_original_indices": groups[""]}
             atomic.write_json(aside / "eval" / "split_info.json", info)
-        _write_sidecar(aside / SIDECAR, recording, known)
+        facts = {"times_s": recording.times_s, "licence": recording.licence}
+        joint = None if known is None else known.joint_name
+        atomic.write_json(aside / SIDECAR, {"schema": SIDECAR_SCHEMA, **facts, "joint": joint})
     return folder
 
 
@@ -268,16 +256,14 @@ def _known(
 
 def _side_reader(folder: Path, n: int, train: list[int], size: tuple[int, int]) -> Callable[[int], Image]:
     """Frame index to sides. The official split does not renumber 4-digit part masks, so they can have old numbers."""
-    sides = [third_party.numbered(folder / "rendered_masks" / f"mask_{k}", (".png",)) for k in (0, 1)]
-    third_party.same_count(folder / "rendered_masks", {"mask_0": len(sides[0]), "mask_1": len(sides[1])})
-    numbers = list(range(n)) if len(sides[0]) == n else train
-    for k, files in enumerate(sides):
-        absent = sorted(set(numbers) - set(files))
-        if absent:
-            raise FreeArtError(f"{folder}/rendered_masks/mask_{k}: frame {absent[0]} is missing, expected {n} frames")
+    places = [f"rendered_masks/mask_{k}" for k in (0, 1)]
+    counts = {place: len(third_party.numbered(folder / place, (".png",))) for place in places}
+    third_party.same_count(folder, counts)
+    numbers = range(n) if counts[places[0]] == n else train
+    sides = [third_party.frame_files(folder, place, (".png",), numbers) for place in places]
 
     def side(i: int) -> Image:
-        parent, child = (third_party.read_foreground(third_party.within(folder, files[numbers[i]])) for files in sides)
+        parent, child = (third_party.read_foreground(files[i]) for files in sides)
         if parent.shape != size or child.shape != size:
             raise FreeArtError(
                 f"{folder}: part masks of frame {i} are {parent.shape[1]} x {parent.shape[0]} and "
@@ -302,24 +288,16 @@ def _train_indices(folder: Path, n: int) -> list[int]:
 
 
 def _state(entry: Any, path: Path, i: int) -> float:
-    """The number of one entry: itself, or by the first known key of it or of its 'joint'; of a list its first."""
+    """The number of one entry: itself, or by the first known key of it; of a list its first."""
     value = entry
-    for held in (entry, entry.get("joint")) if isinstance(entry, dict) else ():
-        named = [held[key] for key in _STATE_KEYS if key in held] if isinstance(held, dict) else []
-        if named:
-            value = named[0]
-            break
+    if isinstance(entry, dict):
+        value = next((entry[key] for key in _STATE_KEYS if key in entry), None)
     value = value[0] if isinstance(value, list) and value else value
     if not checked.is_number(value) or not abs(value) < _LARGEST_STATE:
         raise FreeArtError(
             f"{path}: state {i} is {checked.shorten(entry)}, expected a number or one of {', '.join(_STATE_KEYS)}"
         )
     return float(value)
-
-
-def _sidecar(folder: Path) -> dict[str, Any]:
-    path = folder / SIDECAR
-    return checked.read_json(path, SIDECAR_SCHEMA) if path.is_file() else {}
 
 
 def _write_frame(folder: Path, index: int, frame: Frame, side: Image | None) -> None:
@@ -349,11 +327,6 @@ def _write_lists(folder: Path, Ts_camera_object: Array, states: Array) -> None:
     atomic.write_json(folder / "object_poses.json", [{"position": p, "quaternion": q} for p, q in poses])
     atomic.write_json(folder / "joint_states.json", [[float(q)] for q in states])
     atomic.write_json(folder / "camera_params.json", [camera] * len(states))
-
-
-def _write_sidecar(path: Path, recording: Recording, known: KnownTruth | None) -> None:
-    facts = {"times_s": recording.times_s, "licence": recording.licence}
-    atomic.write_json(path, {"schema": SIDECAR_SCHEMA, **facts, "joint": None if known is None else known.joint_name})
 
 
 def _objects(example: Path) -> Path | None:

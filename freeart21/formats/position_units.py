@@ -75,10 +75,8 @@ def unit_by_motion(mechanics: JointMechanics, runs: Sequence[Motion], scales: di
     """
     windows = [window for run in runs for window in _windows(*run)]
     windows = windows[:: max(1, -(-len(windows) // _MOST_WINDOWS))]
-    if len(windows) < LEAST_WINDOWS:
-        return None
     likely = {}
-    for unit, scale in scales.items():
+    for unit, scale in scales.items() if len(windows) >= LEAST_WINDOWS else ():
         ratio, error, residual = _fit_inertia(mechanics, windows, scale)
         if 1 / INERTIA_FACTOR < ratio < INERTIA_FACTOR and error < MAX_RELATIVE_ERROR * ratio:
             likely[unit] = residual
@@ -88,17 +86,16 @@ def unit_by_motion(mechanics: JointMechanics, runs: Sequence[Motion], scales: di
     return order[0] if order else None
 
 
-def _windows(t: Array, q: Array, effort: Array | None) -> list[tuple[Array, Array, Array]]:
-    """Stretches of a run of at most half a swing each, overlapping by half, of times, positions and efforts."""
+def _windows(t: Array, q: Array, effort: Array | None) -> list[Array]:
+    """(3, k) each: stretches of a run of at most half a swing, overlapping by half, of times, positions and efforts."""
     table = np.stack([t, q, np.zeros(len(t)) if effort is None else effort])
     table = table[:, np.isfinite(table).all(0)]
     n = table.shape[1]
     if n < 2 * _SAMPLES:
         return []
-    middle = table[1] - np.median(table[1])
-    crossings = max(1, int(np.count_nonzero(np.diff(np.sign(_smooth(middle))))))
+    crossings = max(1, int(np.count_nonzero(np.diff(np.sign(_smooth(table[1] - np.median(table[1])))))))
     length = int(np.clip(n // crossings, _SAMPLES, max(_SAMPLES, n // _PARTS)))
-    return [tuple(table[:, a : a + length]) for a in range(0, n - length + 1, max(1, length // 2))]
+    return [table[:, a : a + length] for a in range(0, n - length + 1, max(1, length // 2))]
 
 
 def _smooth(q: Array, width: int = 5) -> Array:
@@ -106,37 +103,28 @@ def _smooth(q: Array, width: int = 5) -> Array:
     return np.convolve(np.pad(q, width // 2, mode="edge"), np.full(width, 1 / width), "valid")
 
 
-def _fit_inertia(
-    mechanics: JointMechanics, windows: list[tuple[Array, Array, Array]], scale: float
-) -> tuple[float, float, float]:
+def _fit_inertia(mechanics: JointMechanics, windows: list[Array], scale: float) -> tuple[float, float, float]:
     """The fitted inertia over the asset's, its standard error, and the residual sum of squares over that of the forces.
 
     Viscous and dry friction are fitted, too, and must be dissipative.
     """
-    rows, forces = [], []
+    from scipy.optimize import nnls
+
+    rows = []
     for t, raw, effort in windows:
         rate = np.pi / (t[-1] - t[0])
         s, c = np.sin(rate * (t - t[0])), np.cos(rate * (t - t[0]))
         w, dw, ddw = s**4, 4 * rate * s**3 * c, 4 * rate**2 * (3 * s**2 * c**2 - s**4)
         q = scale * raw
-        off = q - q.mean()
-        turning = np.sign(np.gradient(_smooth(q), t))
+        off, turning = q - q.mean(), np.sign(np.gradient(_smooth(q), t))
         terms = (mechanics.inertia * off * ddw, -off * dw, turning * w, (mechanics.gravity_force(q) + effort) * w)
-        *row, force = (float(np.trapezoid(term, t)) for term in terms)
-        rows.append(row)
-        forces.append(force)
-    columns, y = np.array(rows), np.array(forces)
-    if not np.any(y):
+        rows.append([float(np.trapezoid(term, t)) for term in terms])
+    *columns, forces = np.array(rows).T
+    sizes = np.maximum(np.linalg.norm(columns, axis=1), 1e-300)
+    X = (np.array(columns) / sizes[:, None]).T
+    found, length = nnls(X, forces)
+    if not found[0] or not length:
         return 0.0, np.inf, np.inf
-    active = [0, 1, 2]
-    while True:
-        X = columns[:, active] / np.maximum(np.linalg.norm(columns[:, active], axis=0), 1e-300)
-        found, *_ = np.linalg.lstsq(X, y, rcond=1e-10)
-        pushing = [k for k, value in zip(active, found, strict=True) if k and value < 0]
-        if not pushing:
-            break
-        active.remove(pushing[0])
-    residual = float(((y - X @ found) ** 2).sum())
-    spread = np.sqrt(residual / max(len(y) - len(active), 1) * np.linalg.pinv(X.T @ X)[0, 0])
-    size = max(float(np.linalg.norm(columns[:, 0])), 1e-300)
-    return float(found[0]) / size, float(spread) / size, residual / float(y @ y)
+    X = X[:, found > 0]
+    spread = length * np.sqrt(np.linalg.pinv(X.T @ X)[0, 0] / max(len(forces) - X.shape[1], 1))
+    return float(found[0] / sizes[0]), float(spread / sizes[0]), float((length / np.linalg.norm(forces)) ** 2)

@@ -108,7 +108,6 @@ class RgbdVideo:
     folder: Path | None = None
     """Folder of the recording, which can hold masks/, a picture for each frame."""
     notes: tuple[str, ...] = ()
-    observe: Callable[[], tuple[str, ...]] = tuple
     gravity: Array | None = None
     """(n, 3) unit direction of gravity in the axes of the colours as filmed; None when the file does not have it."""
 
@@ -124,27 +123,23 @@ def import_extra(module: str, what: str) -> ModuleType:
 def check_intrinsics(K: Array, width: int, height: int, where: str) -> None:
     """Raises FreeArtError, which begins with `where`, when K cannot be that of `width` x `height` pictures.
 
-    Names an identity, a normalised K, one of larger or smaller pictures, and one of the unturned picture.
+    As an identity, a normalised K, one of larger or smaller pictures, or of the unturned picture.
     """
     size, focal = np.array([width, height]), np.array([K[0, 0], K[1, 1]])
-    shown = f"fx {focal[0]:.4g}, fy {focal[1]:.4g}, cx {K[0, 2]:.4g}, cy {K[1, 2]:.4g} for {width} x {height} pixels"
-    if not np.isfinite(K).all() or (focal <= 0).any():
-        raise FreeArtError(f"{where}: K has {shown}, expected finite numbers and focal lengths above zero")
-    if (np.abs(focal) < 5).all() and (np.abs(K[:2, 2]) < 2).all() and size.min() > 4:
-        raise FreeArtError(f"{where}: K has {shown}: it is an identity or normalised, expected pixels")
     centre = K[:2, 2] / size
     ratio = float(np.mean(centre / 0.5))
-    if np.abs(centre - 0.5).max() > _OFF_CENTRE:
-        if ratio > 0 and np.abs(centre / ratio - 0.5).max() < _CENTRED and not 0.8 < ratio < 1.25:
-            raise FreeArtError(f"{where}: K has {shown}: it is of pictures {ratio:.2g} times as large; scale it")
-        if width != height and np.abs(K[:2, 2] / size[::-1] - 0.5).max() < _CENTRED:
-            raise FreeArtError(f"{where}: K has {shown}: it is of the unturned picture; turn both, or neither")
-        if (centre < 0).any() or (centre > 1).any():
-            raise FreeArtError(f"{where}: K has {shown}: its principal point is outside of the picture")
-    angles = 2 * np.arctan(size / 2 / focal)
-    if (angles < _FIELD_OF_VIEW[0]).any() or (angles > _FIELD_OF_VIEW[1]).any():
-        seen = " x ".join(f"{np.degrees(a):.1f}" for a in angles)
-        raise FreeArtError(f"{where}: K has {shown}: a field of view of {seen} degrees, expected 1 to 170")
+    scaled = not 0.8 < ratio < 1.25 and np.abs(centre - 0.5 * ratio).max() < _CENTRED * ratio
+    unturned = width != height and np.abs(K[:2, 2] / size[::-1] - 0.5).max() < _CENTRED
+    angles = 2 * np.arctan2(size / 2, focal)
+    if (
+        not np.isfinite(K).all()
+        or not ((angles > _FIELD_OF_VIEW[0]) & (angles < _FIELD_OF_VIEW[1]) & (centre >= 0) & (centre <= 1)).all()
+        or (np.abs(centre - 0.5).max() > _OFF_CENTRE and (scaled or unturned))
+    ):
+        raise FreeArtError(
+            f"{where}: K has fx {focal[0]:.4g}, fy {focal[1]:.4g}, cx {K[0, 2]:.4g}, cy {K[1, 2]:.4g} for {width} x "
+            f"{height} pixels, expected that of these pictures, in pixels: not of larger, smaller or unturned ones"
+        )
 
 
 def intrinsics(focus: ArrayLike) -> Array:
@@ -297,16 +292,8 @@ def align_video(video: RgbdVideo, options: ReadOptions) -> ThirdPartyRecording:
         notes += (f"pictures of {lens.width} x {lens.height} are made {width} x {height} (--longest-side)",)
     gravity = None if video.gravity is None else _turn_vectors(video.gravity, video.turns)
     recording = Recording(camera, video.times_s, load, (), None, video.name, gravity)
-    return ThirdPartyRecording(
-        video.name,
-        video.name,
-        recording,
-        None,
-        "a video alone has no truth",
-        notes,
-        video.observe,
-        shown is not None,
-    )
+    lacks = "a video alone has no truth"
+    return ThirdPartyRecording(video.name, video.name, recording, None, lacks, notes, shown is not None)
 
 
 def _turn_vectors(vectors: Array, turns: int) -> Array:

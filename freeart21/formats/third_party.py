@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePath
 from typing import Any, TypeVar
@@ -135,8 +135,6 @@ class ThirdPartyRecording:
     lacks: str = ""
     notes: tuple[str, ...] = ()
     """Notes for the user, one line each."""
-    observe: Callable[[], tuple[str, ...]] = tuple
-    """Gives further notes about the frames loaded so far."""
     has_masks: bool = True
     """False: the mask of every frame is empty, because nobody has segmented the object yet."""
 
@@ -149,8 +147,6 @@ class ReadOptions:
     """Metres per depth unit of picture folders."""
     fps: float | None = None
     """Frames a second of picture folders; None: from time stamps in the names, else 30."""
-    meta: Path | None = None
-    """Video2Articulation's meta file."""
     partnet_root: Path | None = None
     """Folder of PartNet-Mobility objects."""
     masks: Path | None = None
@@ -204,6 +200,20 @@ def numbered(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
     if not folder.is_dir():
         raise FreeArtError(f"{folder} is missing")
     return by_number(folder.iterdir(), suffixes, folder)
+
+
+def frame_files(folder: Path, sub: str, suffixes: tuple[str, ...], frames: Sequence[int] | None = None) -> list[Path]:
+    """The files of `frames` (None: of all, counted from 0) in a folder of `folder`, links resolved.
+
+    Raises FreeArtError as `numbered`, when one is missing, or when a link leads out of `folder`.
+    """
+    found = numbered(folder / sub, suffixes)
+    frames = range(len(found)) if frames is None else frames
+    absent = [i for i in frames if i not in found]
+    if absent or not 0 < len(frames) <= MAX_FRAMES:
+        missing = f"frame {absent[0]} is missing" if absent else "no frame is there" if not frames else "too many"
+        raise FreeArtError(f"{folder / sub}: {missing}; {len(frames)} frames, expected 1 to {MAX_FRAMES}")
+    return [within(folder, found[i]) for i in frames]
 
 
 def by_number(paths: Iterable[P], suffixes: tuple[str, ...], where: Path) -> dict[int, P]:

@@ -1,4 +1,4 @@
-"""Reads time series from text (CSV and the like), JSON and MATLAB files: columns of numbers and their names.
+"""Reads time series from text (CSV and the like), JSON and MATLAB files: columns of numbers, their names and units.
 
     text   comma, semicolon, tab or spaces; decimal point or comma; the header in a line or a comment, or none; optional
            line of units after it; comments after # or %. Without a header the columns are called 1, 2, ...
@@ -13,6 +13,7 @@ Nothing in a file is executed, and sizes are bounded.
 from __future__ import annotations
 
 import csv
+import io
 import re
 from collections import Counter
 from collections.abc import Iterator
@@ -22,30 +23,25 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
 
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.run_table import MAX_CSV_BYTES, MAX_SAMPLES, shorten_line
 from freeart21.formats.mat_file import MAX_MATRIX_COLUMNS, read_mat
+from freeart21.formats.series_units import parse_unit, split_unit
 from freeart21.se3 import Array
 
 MAX_COLUMNS = 1000
 _SAMPLE = 200
-"""Lines at the end of a text that determine its separator."""
-_MOST_ODD = 0.01
-"""Largest share of lines with another number of cells in a table."""
+"""Lines at the end of a text that determine its separator, and which columns have numbers."""
 _MAX_NAMES = 30
 """Most names in a message."""
-_SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "white space"}
-_UNIT = re.compile(r"[\[(]([^\])]*)[\])]\s*$")
-_UNIT_WORDS = (
-    "s sec seconds ms us ns rad radians deg degrees ° turns m mm cm n*m n.m nm mnm n rad/s deg/s °/s m/s mm/s rpm v a "
-    "ma -"
-)
-_UNITS = frozenset(_UNIT_WORDS.split())
+_EMPTY = ["-", "na", "none", "null", "nan"]
+"""Cells without a number, besides those that pandas knows."""
+_BRACKET = re.compile(r"[\[(]([^\])]*)[\])]\s*$")
 Columns = dict[str, tuple[Array, ...]]
-"""Name to (n,) numbers per run."""
+"""Name to (n,) numbers per run; NaN for an empty cell."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +50,8 @@ class Series:
 
     path: Path
     columns: Columns
-    """Name to (n,) numbers per run in the file; NaN for an empty cell."""
     units: dict[str, str]
-    """Name to the unit written in the file."""
-    notes: tuple[str, ...]
-    """How the file was read, one line each."""
+    """Name to the unit written in the file, in the words of `series_units`."""
 
     def column(self, name: str) -> tuple[Array, ...]:
         """The runs of a column, or of several columns whose names are joined by '+'."""
@@ -81,21 +74,26 @@ def join_names(names: list[str]) -> str:
 def read_series(path: Path) -> Series:
     """All columns of numbers in a text, JSON or MATLAB file. Raises FreeArtError."""
     path = Path(path)
-    series = {".mat": _read_mat, ".json": _read_json}.get(path.suffix.lower(), _read_text)(path)
-    if not 1 <= len(series.columns) <= MAX_COLUMNS:
-        raise FreeArtError(f"{path} has {len(series.columns)} columns of numbers, expected 1 to {MAX_COLUMNS}")
-    longest = max(len(run) for runs in series.columns.values() for run in runs)
+    units: dict[str, str | None] = {}
+    if path.suffix.lower() == ".mat":
+        columns = read_mat(path)
+    elif path.suffix.lower() == ".json":
+        columns = _read_json(path)
+    else:
+        columns, units = _read_text(path)
+    if not 1 <= len(columns) <= MAX_COLUMNS:
+        raise FreeArtError(f"{path} has {len(columns)} columns of numbers, expected 1 to {MAX_COLUMNS}")
+    longest = max(len(run) for runs in columns.values() for run in runs)
     if longest > MAX_SAMPLES:
         raise FreeArtError(f"{path} has {longest} rows, at most {MAX_SAMPLES} are read: thin them out")
-    return series
+    written = {name: unit for name in columns if (unit := units.get(name) or split_unit(name)[1])}
+    return Series(path, columns, written)
 
 
-# text
-
-
-def _read_text(path: Path) -> Series:
+def _read_text(path: Path) -> tuple[Columns, dict[str, str | None]]:
+    """The columns of a text, and their units, in brackets after their names or in a line below."""
     data = checked.read_bytes(path, MAX_CSV_BYTES, checked.ANYWHERE)
-    if b"\0" in data[: 1 << 20]:
+    if b"\0" in data:
         raise FreeArtError(f"{path} is not text: it has NUL bytes; expected text (CSV), JSON or MAT")
     try:
         text = data.decode("utf-8-sig")
@@ -107,158 +105,115 @@ def _read_text(path: Path) -> Series:
     if not lines:
         raise FreeArtError(f"{path} has no rows")
     try:
-        dialect = max(product(_SEPARATORS, ".,"), key=lambda one: _fit_score(_split(lines[-_SAMPLE:], *one)))
-        rows, header = _split(lines, *dialect), _split(comments[-1:], *dialect)
-    except csv.Error as error:
-        raise FreeArtError(f"{path} is not CSV: {error}") from error
-    width = _width(rows[-_SAMPLE:])
-    full = [i for i, row in enumerate(rows) if len(row) == width]
-    values, known = _parse_cells([rows[i] for i in full])
-    numeric = known[-_SAMPLE:].mean(0) > 0.5
-    is_data = known[:, numeric].all(1) & ~np.isnan(values[:, numeric]).all(1)
-    if not is_data.any():
-        raise FreeArtError(f"{path} has no rows of numbers; it begins with '{shorten_line(lines[0], 60)}'")
-    first = int(np.argmax(is_data))
-    odd = len(rows) - full[first] - (len(full) - first)
-    if odd > max(1, _MOST_ODD * len(rows)):
-        raise FreeArtError(f"{path}: {odd} of {len(rows) - full[first]} rows have another number of cells than {width}")
-    above = [row for row in header if len(row) == width] + [rows[i] for i in full[:first]]
-    units_row = above.pop() if len(above) > 1 and all(map(_is_unit, above[-1])) else [""] * width
-    names, units = _names(above[-1] if above else [""] * width, units_row)
-    columns: Columns = {}
-    for k, name in enumerate(names):
-        if numeric[k]:
-            columns[name] = (np.ascontiguousarray(values[first:, k]),)
-        elif (seconds := _seconds([rows[i][k] for i in full[first:]])) is not None:
-            columns[name], units[name] = (seconds,), "s"
-    strange = int((~known[first:, numeric]).sum())
-    how = _SEPARATORS[dialect[0]] + (", decimal commas" if dialect[1] == "," else "")
-    called = f"{'header' if above else 'no header: columns are called'} {join_names(names)}"
-    notes = [f"{len(full) - first} rows, separated by {how}; {called}"]
-    notes += [f"{odd} rows with another number of cells than {width} were left out"] if odd else []
-    notes += [f"{strange} cells without a number were taken as empty"] if strange else []
-    return Series(path, columns, units, tuple(notes))
-
-
-def _split(lines: list[str], separator: str, decimal: str) -> list[list[str]]:
-    """The cells of each line, with decimal points."""
-    if decimal == separator:
-        return []
-    rows = csv.reader(lines, delimiter=separator) if separator != " " else (line.split() for line in lines)
-    return [[cell.strip().replace(decimal, ".") for cell in row] for row in rows]
-
-
-def _width(rows: list[list[str]]) -> int:
-    """The most common number of cells."""
-    return Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
-
-
-def _fit_score(rows: list[list[str]]) -> tuple[float, int]:
-    """Score of a separator: the share of numeric cells, then the number of cells per row."""
-    width = _width(rows)
-    numbers = sum(_parse_number(cell) is not None for row in rows if len(row) == width for cell in row)
-    return numbers / max(1, sum(map(len, rows))), width
-
-
-def _parse_cells(rows: list[list[str]]) -> tuple[Array, NDArray[np.bool_]]:
-    """(n, k) numbers, NaN where a cell is empty or no number, and whether it is a number or empty."""
-    parsed = [[_parse_number(cell) for cell in row] for row in rows]
-    return np.array(parsed, float), np.array([[value is not None for value in row] for row in parsed])
-
-
-def _parse_number(cell: str) -> float | None:
-    """The number in a cell: NaN when it is empty, None when it is something else."""
-    if not cell or cell.casefold() in ("na", "null", "none", "-"):
-        return np.nan
-    if cell.casefold() in ("true", "false"):
-        return float(cell.casefold() == "true")
-    try:
-        return float(cell)
-    except ValueError:
-        return None
-
-
-def _seconds(cells: list[str]) -> Array | None:
-    """ISO dates and times as seconds from the first; None when the last cell is none."""
-    import pandas as pd
-
-    stamps = pd.to_datetime(pd.Series(cells), format="ISO8601", errors="coerce", utc=True)
-    if stamps.isna().iloc[-1]:
-        return None
-    return np.asarray((stamps - stamps.dropna().iloc[0]).dt.total_seconds(), float)
-
-
-def _is_unit(cell: str) -> bool:
-    bare = cell.strip("[]() ").casefold()
-    return bare in _UNITS or not bare
-
-
-def _names(header: list[str], units_row: list[str]) -> tuple[list[str], dict[str, str]]:
-    """Unique names of the columns, and their units, written in brackets after them or in a row below."""
+        separator, decimal = max(product(",;\t ", ".,"), key=lambda way: _fit_score(lines[-_SAMPLE:], *way))
+        above = [cells for line in comments[-1:] for cells in [_split(line, separator)]]
+        sample = [_split(line, separator) for line in lines[-_SAMPLE:]]
+        width = Counter(map(len, sample)).most_common(1)[0][0]
+        sample = [cells for cells in sample if len(cells) == width]
+        numeric = [k for k in range(width) if 2 * sum(_is_number(row[k], decimal) for row in sample) > len(sample)]
+        first = 0
+        while first < len(lines) and not _is_data(cells := _split(lines[first], separator), width, numeric, decimal):
+            above.append(cells)
+            first += 1
+        if first == len(lines):
+            raise FreeArtError(f"{path} has no rows of numbers; it begins with '{shorten_line(lines[0], 60)}'")
+        table = pd.read_csv(
+            io.StringIO("\n".join(lines[first:])),
+            sep=r"\s+" if separator == " " else separator,
+            decimal=decimal,
+            header=None,
+            skipinitialspace=True,
+            na_values=_EMPTY,
+            float_precision="round_trip",
+        )
+    except (csv.Error, pd.errors.ParserError) as error:
+        raise FreeArtError(f"{path} is not CSV: {shorten_line(str(error), 200)}") from error
+    above = [cells for cells in above if len(cells) == width]
+    units_row = above.pop() if len(above) > 1 and all(parse_unit(cell) for cell in above[-1] if cell) else [""] * width
     names: list[str] = []
     units = {}
-    for k, (cell, unit) in enumerate(zip(header, units_row, strict=True)):
-        bracket = _UNIT.search(cell)
-        if bracket and _is_unit(bracket[1]):
+    for k, (cell, unit) in enumerate(zip(above[-1] if above else [""] * width, units_row, strict=True)):
+        bracket = _BRACKET.search(cell)
+        if bracket and parse_unit(bracket[1]):
             cell, unit = cell[: bracket.start()], bracket[1]
         name = " ".join(cell.split()) or str(k + 1)
         names.append(name if name not in names else f"{name}:{k + 1}")
-        if bare := unit.strip("[]() "):
-            units[names[-1]] = bare
-    return names, units
+        units[names[-1]] = parse_unit(unit)
+    return _number_columns(table.set_axis(names, axis=1)), units
 
 
-# JSON
+def _split(line: str, separator: str) -> list[str]:
+    """The cells of a line."""
+    if separator == " ":
+        return line.split()
+    return [cell.strip() for row in csv.reader([line], delimiter=separator, skipinitialspace=True) for cell in row]
 
 
-def _read_json(path: Path) -> Series:
+def _is_number(cell: str, decimal: str) -> bool:
+    """Whether a cell holds a number, or nothing."""
+    try:
+        float(cell.replace(decimal, "."))
+    except ValueError:
+        return cell.casefold() in ("", "true", "false", *_EMPTY)
+    return True
+
+
+def _is_data(cells: list[str], width: int, numeric: list[int], decimal: str) -> bool:
+    """Whether a row of `width` cells has numbers in the `numeric` columns, one at least."""
+    return (
+        len(cells) == width and all(_is_number(cells[k], decimal) for k in numeric) and any(cells[k] for k in numeric)
+    )
+
+
+def _fit_score(lines: list[str], separator: str, decimal: str) -> tuple[float, int]:
+    """Score of a separator: the share of numeric cells, then their number."""
+    cells = [] if decimal == separator else [cell for line in lines for cell in _split(line, separator)]
+    numbers = sum(_is_number(cell, decimal) for cell in cells)
+    return numbers / max(1, len(cells)), numbers
+
+
+def _number_columns(table: pd.DataFrame) -> Columns:
+    """The columns of numbers; of ISO dates and times as seconds from the first; and of lists, an entry each."""
+    columns: Columns = {}
+    for name, values in table.items():
+        inner = values[[isinstance(value, list) for value in values]]
+        if len(inner):
+            most = min(int(inner.map(len).max()), MAX_MATRIX_COLUMNS)
+            entries = {f"{name}:{k + 1}": values.str[k] for k in range(most)}
+            columns |= _number_columns(pd.DataFrame(entries))
+            continue
+        numbers = pd.to_numeric(values, errors="coerce").astype(float)
+        if 2 * (numbers.isna() & values.notna()).sum() > len(values):
+            stamps = pd.to_datetime(values, format="ISO8601", errors="coerce", utc=True)
+            if stamps.isna().iloc[-1]:
+                continue
+            numbers = (stamps - stamps.dropna().iloc[0]).dt.total_seconds()
+        columns[str(name)] = (np.ascontiguousarray(numbers, float),)
+    return columns
+
+
+def _read_json(path: Path) -> Columns:
+    """The longest table in a JSON file."""
     try:
         text = checked.read_bytes(path, MAX_CSV_BYTES, checked.ANYWHERE).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise FreeArtError(f"{path} is not JSON: {error}") from error
-    tables = list(_tables(checked.parse_json(text, path), "", 3))
+    tables = list(_tables(checked.parse_json(text, path), 3))
     if not tables:
         raise FreeArtError(f"{path} has no table: expected a list of objects, an object of lists, or a list of rows")
-    where, rows, columns = max(tables, key=lambda table: table[1])
-    note = f"{rows} rows{f' of {where!r}' if where else ''}; columns {join_names(list(columns))}"
-    return Series(path, columns, {}, (note,))
+    return _number_columns(max(tables, key=len))
 
 
-def _tables(data: Any, where: str, depth: int) -> Iterator[tuple[str, int, Columns]]:
-    """All tables in a JSON value: path, number of rows, columns."""
+def _tables(data: Any, depth: int) -> Iterator[pd.DataFrame]:
+    """All tables in a JSON value."""
     if isinstance(data, list) and len(data) > 1 and all(isinstance(row, dict | list) for row in data):
-        cells = [_cells(row) for row in data]
-        names = list(dict.fromkeys(name for row in cells for name in row))[: MAX_COLUMNS + 1]
-        if names:
-            yield where, len(data), {name: (np.array([row.get(name, np.nan) for row in cells]),) for name in names}
+        table = pd.DataFrame(data)
+        yield table if isinstance(data[0], dict) else table.rename(columns=lambda k: str(k + 1))
     elif isinstance(data, dict):
-        lists = {key: v for key, v in data.items() if isinstance(v, list) and v and all(map(_is_number, v))}
+        lists = {
+            k: v for k, v in data.items() if isinstance(v, list) and len(v) > 1 and not isinstance(v[0], dict | list)
+        }
         length = Counter(map(len, lists.values())).most_common(1)[0][0] if lists else 0
-        if length > 1:
-            yield where, length, {key: (np.array(v, float),) for key, v in lists.items() if len(v) == length}
-        for key, value in list(data.items())[: MAX_COLUMNS if depth else 0]:
-            yield from _tables(value, f"{where}.{key}".strip("."), depth - 1)
-
-
-def _cells(row: dict[str, Any] | list[Any]) -> dict[str, float]:
-    """Name to number of one row; numbers of a list within it have a name each."""
-    cells: dict[str, float] = {}
-    for name, value in row.items() if isinstance(row, dict) else ((str(k + 1), v) for k, v in enumerate(row)):
-        inner = value if isinstance(value, list) and len(value) <= MAX_MATRIX_COLUMNS else []
-        cells |= {f"{name}:{k + 1}": float(v) for k, v in enumerate(inner) if _is_number(v) and v is not None}
-        if _is_number(value):
-            cells[name] = np.nan if value is None else float(value)
-    return cells
-
-
-def _is_number(value: Any) -> bool:
-    return value is None or isinstance(value, bool | float) or (isinstance(value, int) and abs(value) < 1e30)
-
-
-# MATLAB
-
-
-def _read_mat(path: Path) -> Series:
-    columns = read_mat(path)
-    sizes = [f"{name} ({f'{len(runs)} runs' if len(runs) > 1 else len(runs[0])})" for name, runs in columns.items()]
-    return Series(path, columns, {}, (f"MAT file; columns {join_names(sizes)}",))
+        yield pd.DataFrame({key: value for key, value in lists.items() if len(value) == length})
+        for value in list(data.values())[: MAX_COLUMNS if depth else 0]:
+            yield from _tables(value, depth - 1)

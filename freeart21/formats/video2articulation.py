@@ -23,7 +23,6 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,11 +43,10 @@ LICENCE = (
     "CC-BY-NC-4.0 (Video2Articulation-S); objects under the PartNet-Mobility terms of use; not to be redistributed"
 )
 R_OBJECT_LABEL: Array = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-"""The object's frame (z up) from the mesh or label frame (y up), in which the data set's meta file gives axes."""
+"""The object's frame (z up) from the mesh or label frame (y up) of the data set's other files."""
 ROOT_ACTOR = 6
 """Actor of the root link, after floor and four walls."""
 
-_TYPES: dict[str, JointType] = {"hinge": "revolute", "slider": "prismatic"}
 _LABELS = 256  # segment is uint8: higher actor ids wrap around
 _MOVED = 1e-3  # rad plus m: smallest motion
 _AGREES = 0.02  # rad or m: tolerance between the stated joint value and the actors' poses
@@ -59,12 +57,11 @@ def is_view(folder: Path) -> bool:
     return (folder / "camera_pose.npy").is_file() and (folder / "intrinsics.npy").is_file()
 
 
-def read_view(folder: Path, meta: Path | None = None) -> ThirdPartyRecording:
+def read_view(folder: Path) -> ThirdPartyRecording:
     """The recording of one view folder, with the poses of both parts; frames load lazily.
 
-    `meta` is the data set's new_partnet_mobility_dataset_correct_intr_meta.json. Its limits are used; its axis and type
-    are only compared with those from the poses. Raises FreeArtError when a file is missing or invalid, numbers of
-    frames differ, or the pickle holds more than numbers.
+    Raises FreeArtError when a file is missing or invalid, numbers of frames differ, or the pickle holds more than
+    numbers.
     """
     folder = Path(folder)
     if not is_view(folder):
@@ -81,15 +78,9 @@ def read_view(folder: Path, meta: Path | None = None) -> ThirdPartyRecording:
     )
     T = len(cameras)
     frames = _frames(folder, T)
-    rgb = third_party.numbered(folder / "rgb", (".jpg", ".jpeg", ".png"))
-    depth, segment = (third_party.numbered(folder / sub, (".npz",)) for sub in ("depth", "segment"))
-    for sub, files in (("rgb", rgb), ("depth", depth), ("segment", segment)):
-        absent = [i for i in frames if i not in files]
-        if absent:
-            raise FreeArtError(f"{folder}/{sub}: frame {absent[0]} is missing; {len(frames)} frames are used")
-        if max(files) >= T:
-            raise FreeArtError(f"{folder}/{sub} has frame {max(files)}, but camera_pose.npy has {T} poses")
-    height, width = checked.read_rgb(third_party.within(folder, rgb[frames[0]])).shape[:2]
+    rgb = third_party.frame_files(folder, "rgb", (".jpg", ".jpeg", ".png"), frames)
+    depth, segment = (third_party.frame_files(folder, sub, (".npz",), frames) for sub in ("depth", "segment"))
+    height, width = checked.read_rgb(rgb[0]).shape[:2]
     camera = Camera(third_party.read_npy(folder / "intrinsics.npy", (3, 3)), width, height)
     actors = _actors(home / "actor_pose.pkl", T)
     cast = _cast(actors, home)
@@ -98,22 +89,18 @@ def read_view(folder: Path, meta: Path | None = None) -> ThirdPartyRecording:
     sides = _side_labels(cast, home)
 
     def side(i: int) -> Image:
-        path = third_party.within(folder, segment[frames[i]])
-        labels = checked.read_npz(path, ("a",))["a"]
+        labels = checked.read_npz(segment[i], ("a",))["a"]
         if labels.shape != (height, width) or labels.dtype.kind not in "iu":
             raise FreeArtError(
-                f"{path}: segment has shape {labels.shape} {labels.dtype}, expected {(height, width)} ids"
+                f"{segment[i]}: segment has shape {labels.shape} {labels.dtype}, expected {(height, width)} ids"
             )
         return sides[labels.astype(np.int64) % _LABELS]
 
     def load(index: int) -> Frame:
-        path = third_party.within(folder, depth[frames[index]])
-        metres = third_party.depth_metres(checked.read_npz(path, ("a",))["a"], path)
-        picture = checked.read_rgb(third_party.within(folder, rgb[frames[index]]))
-        return Frame(picture, metres, side(index) > 0)
+        metres = third_party.depth_metres(checked.read_npz(depth[index], ("a",))["a"], depth[index])
+        return Frame(checked.read_rgb(rgb[index]), metres, side(index) > 0)
 
-    stated = None if meta is None else _stated(meta, category, object_id, number)
-    joint, lacks = _joint(actors, cast, states, number, home, stated, notes)
+    joint, lacks = _joint(actors, cast, states, number, home)
     T_camera_world = se3.inverse(cameras @ third_party.T_SAPIEN_CV)
     source = {
         "layout": "Video2Articulation-S",
@@ -247,46 +234,11 @@ def _joint_names(path: Path) -> list[str]:
     return [f"joint_{word}" if word.isdigit() else word for word in words]
 
 
-@dataclass(frozen=True)
-class _Stated:
-    """A joint of the data set's meta file, in the object's frame, rad and m."""
+def _joint(actors: dict[int, Array], cast: _Cast, states: Array, number: int, home: Path) -> tuple[Joint | None, str]:
+    """The joint that maps the stated joint values to the moving actor's poses in the root link's frame.
 
-    type: JointType
-    axis: Array
-    lower: float
-    upper: float
-
-
-def _stated(meta: Path, category: str, object_id: str, number: int) -> _Stated | None:
-    data: Any = checked.read_json(meta, root=checked.ANYWHERE)
-    for key in (category, object_id):
-        data = data.get(key) if isinstance(data, dict) else None
-    interactions = data.get("interaction_list") if isinstance(data, dict) else None
-    for entry in interactions if isinstance(interactions, list) else []:
-        if not isinstance(entry, dict) or entry.get("id") != number:
-            continue
-        where = f"{meta}: {category} {object_id} interaction {number}"
-        kind = _TYPES[checked.one_of(entry, "type", tuple(_TYPES), where)]
-        joint = checked.json_object(entry, "joint", where)
-        axis = checked.numbers(checked.json_object(joint, "axis", where), "direction", (3,), Path(where))
-        ends = checked.json_object(joint, "limit", where)
-        limits = np.array([checked.number(ends, key, where) for key in ("a", "b")])
-        limits = np.radians(limits) if kind == "revolute" else limits
-        axis = R_OBJECT_LABEL @ axis / max(float(np.linalg.norm(axis)), 1e-12)
-        return _Stated(kind, axis, float(limits.min()), float(limits.max()))
-    return None
-
-
-def _joint(
-    actors: dict[int, Array],
-    cast: _Cast,
-    states: Array,
-    number: int,
-    home: Path,
-    stated: _Stated | None,
-    notes: list[str],
-) -> tuple[Joint | None, str]:
-    """The joint that maps the stated joint values to the moving actor's poses in the root link's frame."""
+    Its limits are those of the states, and of the folder's meta.json.
+    """
     moved = se3.inverse(actors[cast.root]) @ actors[cast.moving]
     steps, q = moved @ se3.inverse(moved[0]), states - states[0]
     span = float(np.abs(q).max())
@@ -299,33 +251,14 @@ def _joint(
     direction = w if kind == "revolute" else v
     axis = direction / np.linalg.norm(direction)
     pivot = np.cross(axis, v) / np.linalg.norm(direction) if kind == "revolute" else np.zeros(3)
-    lower, upper = _limits(home / "meta.json", axis, kind, stated, states, notes)
-    joint = Joint(f"joint_{number}", kind, axis, pivot, lower, upper)
+    path = home / "meta.json"
+    data = checked.read_json(path) if path.is_file() else {}
+    ends = [*states, *(data[key] for key in ("init", "target") if checked.is_number(data.get(key)))]
+    joint = Joint(f"joint_{number}", kind, axis, pivot, float(min(ends)), float(max(ends)))
     off = float(_difference(steps, joint.transform(q)).max())
     if off > _AGREES * max(1.0, span):
         return None, f"{home.name}: the joint value and the poses of actor_{cast.moving} disagree by up to {off:.3g}"
     return joint, ""
-
-
-def _limits(
-    path: Path, axis: Array, kind: JointType, stated: _Stated | None, states: Array, notes: list[str]
-) -> tuple[float, float]:
-    """Limits from the data set's meta file, else from the folder's meta.json, widened to the range of the states."""
-    low, high = float(states.min()), float(states.max())
-    if stated is not None:
-        if stated.type != kind:
-            notes.append(f"the meta file has {stated.type}, the poses show {kind}; the poses are used")
-            return low, high
-        cosine = float(stated.axis @ axis)
-        if abs(cosine) < np.cos(np.radians(1)):
-            notes.append(
-                f"the meta file's axis is {np.degrees(np.arccos(min(abs(cosine), 1))):.1f} deg from the poses'"
-            )
-        limits = (stated.lower, stated.upper) if cosine > 0 else (-stated.upper, -stated.lower)
-        return min(low, limits[0]), max(high, limits[1])
-    data = checked.read_json(path) if path.is_file() else {}
-    ends = [x for x in (data.get("init"), data.get("target")) if isinstance(x, int | float) and np.isfinite(x)]
-    return min([low, *ends]), max([high, *ends])
 
 
 LAYOUT = RecordingLayout(
@@ -333,6 +266,6 @@ LAYOUT = RecordingLayout(
     3,
     "camera_pose.npy and intrinsics.npy",
     is_view,
-    lambda folder, options: read_view(folder, options.meta),
+    lambda folder, options: read_view(folder),
     ("view_*", "joint_*/view_*", "*/joint_*/view_*", "*/*/joint_*/view_*", "*/*/*/joint_*/view_*"),
 )

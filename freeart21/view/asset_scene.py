@@ -8,12 +8,11 @@ from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files.urdf import UrdfJoint
 from freeart21.joint import Joint
-from freeart21.mesh import Mesh, bounding_diagonal, box_centre
+from freeart21.mesh import Mesh, bounding_diagonal, box_centre, join_meshes
 from freeart21.view.document import MOVING, REFERENCE
 from freeart21.view.link_shapes import ShownUrdf
-from freeart21.view.parts import AXIS
 from freeart21.view.scene import Layer, Link, Scene, Slider, Surface, axis_mesh, slider_range
-from freeart21.view.simplify import joined
+from freeart21.view.source import AXIS
 
 LINK_COLOURS = (REFERENCE, MOVING, "#56B4E9", "#CC79A7", "#F0E442", "#D55E00", "#8C8C8C")
 """Colours of the bodies, in the order of the tree."""
@@ -28,57 +27,46 @@ def asset_scene(shown: ShownUrdf, asset: Asset | None = None) -> Scene:
     root link, z up.
     """
     values: dict[str, float] = {} if asset is None else {**asset.held, asset.joint: asset.state_zero}
-    urdf = shown.urdf
-    names = list(urdf.parents_first)
-    into = {joint.child: joint for joint in urdf.joints.values()}
-    sliders: list[Slider] = []
-    index: dict[str, int] = {}
+    joints, names = shown.urdf.joints.values(), list(shown.urdf.parents_first)
     size = bounding_diagonal(*(piece.mesh for pieces in shown.visuals.values() for piece in pieces)) or 1.0
-    for joint in urdf.joints.values():
+    sliders: dict[str, Slider] = {}
+    for joint in joints:
         if joint.joint_type and joint.mimic is None:
-            index[joint.name] = len(sliders)
             start = values.get(joint.name, float(np.clip(0.0, joint.lower, joint.upper)))
-            lower, upper = slider_range(_at_child(joint), [start], size)
-            sliders.append(Slider(joint.name, joint.joint_type, lower, upper, start))
-    links: list[Link] = []
-    for name in names:
-        above = into.get(name)
-        if above is None:
-            links.append(Link(-1))
-            continue
-        parent, T = names.index(above.parent), above.T_parent_joint
-        if above.joint_type is None:
-            links.append(Link(parent, T))
-            continue
-        leader, scale, offset = above.mimic or (above.name, 1.0, 0.0)
-        if leader not in index:
-            raise FreeArtError(f"{urdf.path}: joint '{above.name}' mimics '{leader}'; joints: {', '.join(index)}")
-        links.append(Link(parent, T, _at_child(above), index[leader], scale, offset))
-    position = {name: i for i, name in enumerate(names)}
+            ends = slider_range(_at_child(joint), [start], size)
+            sliders[joint.name] = Slider(joint.name, joint.joint_type, *ends, start)
+    links = [Link(-1) for _ in names]
+    for joint in joints:
+        link = Link(names.index(joint.parent), joint.T_parent_joint)
+        if joint.joint_type is not None:
+            leader, scale, offset = joint.mimic or (joint.name, 1.0, 0.0)
+            if leader not in sliders:
+                raise FreeArtError(
+                    f"{shown.urdf.path}: joint '{joint.name}' mimics '{leader}'; joints: {', '.join(sliders)}"
+                )
+            link = Link(link.parent, link.T_parent_link, _at_child(joint), list(sliders).index(leader), scale, offset)
+        links[names.index(joint.child)] = link
     layers: list[Layer] = []
     surfaces: list[Surface] = []
     for name, body in _bodies(shown, asset):
-        colour = LINK_COLOURS[len(layers) % len(LINK_COLOURS)]
         surfaces += [
-            Surface(piece.mesh, position[link], len(layers), piece.uv, piece.picture)
+            Surface(piece.mesh, names.index(link), len(layers), piece.uv, piece.picture)
             for link in body
             for piece in shown.visuals[link]
         ]
-        layers.append(Layer(name, colour))
+        layers.append(Layer(name, LINK_COLOURS[len(layers) % len(LINK_COLOURS)]))
     axes, hulls = len(layers), len(layers) + 1
     layers += [Layer("joint axes", AXIS, "axis"), Layer("collision shapes", "#009E73", "ghost", False)]
-    for link, (owner, visuals) in zip(links, shown.visuals.items(), strict=True):
-        meshes = [piece.mesh for piece in visuals if not piece.mesh.empty]
+    for k, (link, owner) in enumerate(zip(links, names, strict=True)):
         if link.joint is not None:
-            near = box_centre(joined(*meshes)) if meshes else np.zeros(3)
-            size = bounding_diagonal(*meshes) or 1.0
-            surfaces.append(Surface(axis_mesh(link.joint, near, size), position[owner], axes))
+            whole = join_meshes([piece.mesh for piece in shown.visuals[owner]])
+            own = axis_mesh(link.joint, box_centre(whole), bounding_diagonal(whole) or size)
+            surfaces.append(Surface(own, k, axes))
         surfaces += [
-            Surface(_painted(piece.mesh, HULL_COLOURS[i % len(HULL_COLOURS)]), position[owner], hulls)
+            Surface(_painted(piece.mesh, HULL_COLOURS[i % len(HULL_COLOURS)]), k, hulls)
             for i, piece in enumerate(shown.collisions[owner])
         ]
-    up, towards = np.array([0.0, 0.0, 1.0]), np.array([-1.0, -0.75, 0.55])
-    return Scene(tuple(links), tuple(sliders), tuple(layers), tuple(surfaces), up, towards)
+    return Scene(links, list(sliders.values()), layers, surfaces)
 
 
 def _bodies(shown: ShownUrdf, asset: Asset | None) -> list[tuple[str, list[str]]]:

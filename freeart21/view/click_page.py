@@ -20,7 +20,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files.masks import Click, Masks
 from freeart21.view.document import static_text
 from freeart21.view.masks_page import lit_up
-from freeart21.view.video import encode_jpeg
+from freeart21.view.video import jpeg_bytes
 
 HOST = "127.0.0.1"
 MAX_BYTES = 4096
@@ -54,20 +54,10 @@ class ClickServer:
         self._token, self._lock = secrets.token_urlsafe(18), threading.Lock()
         self._message = ""
         self._update([])
-        owner = self
-
-        class Handler(BaseHTTPRequestHandler):
-            def do_GET(self) -> None:
-                owner._get(self)
-
-            def do_POST(self) -> None:
-                owner._post(self)
-
-            def log_message(self, format: str, *args: Any) -> None:
-                pass
-
+        answers = {"do_GET": lambda request: self._get(request), "do_POST": lambda request: self._post(request)}
+        handler = type("Handler", (BaseHTTPRequestHandler,), {**answers, "log_message": lambda *_: None})
         try:
-            self._server = ThreadingHTTPServer((HOST, self.port), Handler)
+            self._server = ThreadingHTTPServer((HOST, self.port), handler)
         except OSError as error:
             raise FreeArtError(f"port {self.port} of {HOST} cannot be opened: {error.strerror}") from error
         self._server.daemon_threads = True
@@ -134,7 +124,7 @@ class ClickServer:
                 colour = (0, 220, 90) if on_object else (255, 60, 40)
                 cv2.circle(picture, (round(column), round(row)), radius, colour, -1)
                 cv2.circle(picture, (round(column), round(row)), radius, (255, 255, 255), 1)
-        return encode_jpeg(picture, 85)
+        return jpeg_bytes(picture, 85)
 
     def _post(self, request: BaseHTTPRequestHandler) -> None:
         path = urlsplit(request.path).path

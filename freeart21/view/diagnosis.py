@@ -59,15 +59,16 @@ def diagnosis_section(
     if diagnostics is None:
         note += " The method wrote no diagnostics: residuals and confidence are unknown."
 
-    def of_joint(values: Array) -> tuple[Curve, ...]:
-        return (Curve("moving part", JOINT_RESIDUAL, values),)
-
     pixels = np.stack([(result.part_masks == k).sum((1, 2)) for k in (1, 2)], 1) / 1000
     far = "of the moving part's measured pose from its pose by the reference part and the joint."
+    angle, distance = (
+        (Curve("moving part", JOINT_RESIDUAL, values),)
+        for values in (np.degrees(motion.gap_angle), 1000 * motion.gap_distance)
+    )
     charts = [
         *(_own_charts(diagnostics) if diagnostics is not None else ()),
-        Chart("Joint residual: rotation", "°", of_joint(np.degrees(motion.gap_angle)), f"Angle {far}"),
-        Chart("Joint residual: translation", "mm", of_joint(1000 * motion.gap_distance), f"Distance {far}"),
+        Chart("Joint residual: rotation", "°", angle, f"Angle {far}"),
+        Chart("Joint residual: translation", "mm", distance, f"Distance {far}"),
         Chart("Rotation per frame", "°", _both(np.degrees(motion.step_angle)), "Since the previous frame."),
         Chart("Translation per frame", "mm", _both(1000 * motion.step_distance), "Of the part's centre."),
         Chart("Visible pixels", "thousands", _both(pixels), "Pixels of each part."),
@@ -84,20 +85,24 @@ def _own_charts(d: Diagnostics) -> list[Chart]:
         "the moving part's own, the joint does not explain the measurement."
     )
     near = f"Share of each part's points within {1000 * d.gate_m:.1f} mm of its surface in other frames."
-    shares = (
-        ("Inliers", d.inliers, near, 100.0),
-        ("Outside the mask", d.outside, "Share of each part's points outside the mask of other frames.", 5.0),
-        ("Label confidence", d.confidence, "Mean probability of the part labels.", 100.0),
-        ("Pixels without surface", d.uncovered, "Share of each part's pixels on neither rendered surface.", 5.0),
-        ("Surface outside the mask", d.spilled, "Share of each part's rendered surface outside the mask.", 5.0),
-        ("Depth off the surface", d.off_surface, "Share of each part's pixels with a depth off its surface.", 5.0),
+    colour = "Median colour difference of rendered surface and image, CIELAB, lightness damped."
+    own = (
+        ("Inliers", "%", d.inliers, near, 100.0),
+        ("Outside the mask", "%", d.outside, "Share of each part's points outside the mask of other frames.", 5.0),
+        ("Label confidence", "%", d.confidence, "Mean probability of the part labels.", 100.0),
+        ("Pixels without surface", "%", d.uncovered, "Share of each part's pixels on neither rendered surface.", 5.0),
+        ("Surface outside the mask", "%", d.spilled, "Share of each part's rendered surface outside the mask.", 5.0),
+        ("Depth off the surface", "%", d.off_surface, "Share of each part's pixels with a depth off its surface.", 5.0),
+        ("Colour residual", "CIELAB", d.colour_residual, colour, None),
     )
-    charts = [Chart("Residual", "mm", (*_both(1000 * d.residual_m), by_joint), about)]
-    charts += [Chart(title, "%", _both(100 * v), text, top) for title, v, text, top in shares if v is not None]
-    if d.colour_residual is not None:
-        about = "Median colour difference of rendered surface and image, CIELAB, lightness damped."
-        charts.append(Chart("Colour residual", "CIELAB", _both(d.colour_residual), about))
-    return charts
+    return [
+        Chart("Residual", "mm", (*_both(1000 * d.residual_m), by_joint), about),
+        *(
+            Chart(title, unit, _both((100 if unit == "%" else 1) * values), text, top)
+            for title, unit, values, text, top in own
+            if values is not None
+        ),
+    ]
 
 
 def warnings_section(result: Reconstruction, diagnostics: Diagnostics | None) -> Section:

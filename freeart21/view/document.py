@@ -5,8 +5,8 @@ from __future__ import annotations
 import base64
 import hashlib
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, is_dataclass
 from functools import cache
 from importlib import resources
 from typing import Any, Literal
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from freeart21 import __version__
 
-__all__ = ["Markup", "Section", "Site", "document", "escape", "render"]
+__all__ = ["Markup", "Section", "document", "escape", "render"]
 
 SCRIPTS = {
     "video": ("video.js",),
@@ -55,19 +55,6 @@ class Section:
     """Target of links."""
 
 
-@dataclass(frozen=True)
-class Site:
-    """What a page of a site has around its content."""
-
-    title: str
-    menu: Sequence[tuple[str, str]]
-    """Address, from the site's root, and text of every entry."""
-    here: str = ""
-    """Address of this page, from the site's root."""
-    root: str = ""
-    """'../' on a page in a folder."""
-
-
 @cache
 def _environment(package: str) -> Environment:
     loaders = [PackageLoader(name) for name in dict.fromkeys((package, "freeart21.view"))]
@@ -88,7 +75,7 @@ def document(
     chips: Iterable[str] = (),
     notices: Iterable[str] = (),
     lead: str = "",
-    site: Site | None = None,
+    site: Mapping[str, Any] | None = None,
 ) -> str:
     """The whole page.
 
@@ -99,7 +86,8 @@ def document(
         chips: Short facts under the title.
         notices: Warnings above all sections.
         lead: What else stands under the title.
-        site: What the page has around its content when it is one of a site.
+        site: What a page of a site has around it: the site's "title", its "menu" of addresses and texts, the address
+            "here", and the "root" that addresses follow ('../' on a page in a folder).
     """
     needed = dict.fromkeys(name for section in sections for name in SCRIPTS.get(section.kind, ()))
     script = static_text("base.js", *needed, "start.js")
@@ -125,7 +113,7 @@ def document(
 
 
 def embed_json(data: Any) -> Markup:
-    """`data` as JSON that is safe inside a `<script>` element; infinities and NaN become null."""
+    """`data`, dataclasses by their fields, as JSON that is safe inside a `<script>`; infinities and NaN become null."""
     return htmlsafe_json_dumps(_finite(data), allow_nan=False, separators=(",", ":"))
 
 
@@ -156,6 +144,8 @@ def static_text(*names: str) -> str:
 def _finite(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
+    if is_dataclass(value):
+        value = vars(value)
     if isinstance(value, dict):
         return {str(key): _finite(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,6 @@ from freeart21.files.urdf import Urdf, UrdfShape, read_urdf
 from freeart21.files.urdf_files import find_root, resolve_file
 from freeart21.mesh import Mesh
 from freeart21.view.mesh_pieces import PLAIN, Piece, read_pieces
-from freeart21.view.simplify import of_trimesh
 
 
 @dataclass(frozen=True)
@@ -36,15 +36,15 @@ def read_shown(path: Path, root: Path | None = None) -> ShownUrdf:
     """
     urdf = read_urdf(path)
     missing: list[str] = []
-    visuals = {
-        name: _pieces(urdf.links[name].visuals, f"{path}: a visual of link '{name}'", path, root, missing)
-        for name in urdf.parents_first
-    }
-    collisions = {
-        name: _pieces(urdf.links[name].collisions, f"{path}: a collision of link '{name}'", path, root, missing)
-        for name in urdf.parents_first
-    }
-    return ShownUrdf(urdf, visuals, collisions, tuple(dict.fromkeys(missing)))
+    pieces = [
+        {
+            name: _pieces(shapes, f"{path}: a {kind} of link '{name}'", path, root, missing)
+            for name in urdf.parents_first
+            for shapes in [getattr(urdf.links[name], f"{kind}s")]
+        }
+        for kind in ("visual", "collision")
+    ]
+    return ShownUrdf(urdf, pieces[0], pieces[1], tuple(dict.fromkeys(missing)))
 
 
 def _pieces(
@@ -52,23 +52,17 @@ def _pieces(
 ) -> tuple[Piece, ...]:
     pieces: list[Piece] = []
     for shape in shapes:
+        if not shape.kind:
+            raise FreeArtError(f"{where} has no geometry")
+        own = _mesh(shape, path, root, missing) if shape.kind == "mesh" else [Piece(primitive(shape, where))]
         colour = None if shape.rgba is None else np.round(255 * np.clip(shape.rgba[:3], 0, 1)).astype(np.uint8)
-        for piece in _geometry(shape, where, path, root, missing):
+        for piece in own:
             mesh = piece.mesh.moved(shape.T_link_shape)
             if mesh.colours is None or (colour is not None and piece.picture is None):
                 plain = np.array(PLAIN, np.uint8) if colour is None else colour
                 mesh = replace(mesh, colours=np.tile(plain, (len(mesh.vertices), 1)))
             pieces.append(replace(piece, mesh=mesh))
     return tuple(pieces)
-
-
-def _geometry(shape: UrdfShape, where: str, path: Path, root: Path | None, missing: list[str]) -> list[Piece]:
-    match shape.kind:
-        case "":
-            raise FreeArtError(f"{where} has no geometry")
-        case "mesh":
-            return _mesh(shape, path, root, missing)
-    return [Piece(primitive(shape, where))]
 
 
 def primitive(shape: UrdfShape, where: str) -> Mesh:
@@ -107,3 +101,8 @@ def _mesh(shape: UrdfShape, path: Path, root: Path | None, missing: list[str]) -
         replace(p, mesh=replace(p.mesh, vertices=p.mesh.vertices * shape.size, faces=p.mesh.faces[:, ::flip]))
         for p in pieces
     ]
+
+
+def of_trimesh(mesh: Any, scale: float = 1.0) -> Mesh:
+    """A trimesh's surface, without colours, times `scale`: trimesh drops faces of its solids that are very small."""
+    return Mesh(scale * np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -11,33 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21.files import atomic
-from freeart21.view.document import Markup, Section, data_url, document
+from freeart21.files.masks import Masks
+from freeart21.recording import Recording
+from freeart21.view.document import Markup, Section, document
 from freeart21.view.tables import table_section
-from freeart21.view.video import encode_jpeg
+from freeart21.view.video import jpeg_url
 
 SHOWN = 24
 """Frames on the page: half of them the most doubtful, the others evenly spread."""
 WIDTH = 480
 OUTLINE = (255, 40, 200)
-
-
-@dataclass(frozen=True)
-class MaskView:
-    """One frame on the page."""
-
-    frame: int
-    rgb: NDArray[np.uint8]
-    """(h, w, 3)."""
-    mask: NDArray[np.bool_]
-    doubt: float
-    reason: str
-
-
-def choose_frames(doubt: NDArray[np.floating]) -> list[int]:
-    """Frames to show: the most doubtful first, then evenly spread ones."""
-    worst = [int(i) for i in np.argsort(-doubt, kind="stable")[: SHOWN // 2]]
-    rest = [int(i) for i in np.unique(np.linspace(0, len(doubt) - 1, SHOWN // 2).astype(int)) if i not in worst]
-    return worst + rest
 
 
 def lit_up(picture: NDArray[np.uint8], mask: NDArray[np.uint8], thick: int = 2) -> NDArray[np.uint8]:
@@ -47,17 +29,19 @@ def lit_up(picture: NDArray[np.uint8], mask: NDArray[np.uint8], thick: int = 2) 
     return np.asarray(cv2.drawContours(dark, lines, -1, OUTLINE, thick), np.uint8)
 
 
-def write_masks_page(views: Sequence[MaskView], out: Path, title: str, notes: Sequence[str], lead: str) -> None:
-    """Write the page: `views` in their order, and what to do by `lead`."""
+def write_masks_page(recording: Recording, made: Masks, out: Path, notes: Sequence[str], lead: str) -> None:
+    """Write the page: the most doubtful frames first, then evenly spread ones, and what to do by `lead`."""
+    worst = [int(i) for i in np.argsort(-made.doubt, kind="stable")[: SHOWN // 2]]
+    rest = [int(i) for i in np.unique(np.linspace(0, len(made.doubt) - 1, SHOWN // 2).astype(int)) if i not in worst]
     pictures = []
-    for view in views:
-        size = WIDTH, round(WIDTH * view.mask.shape[0] / view.mask.shape[1])
-        picture = cv2.resize(np.ascontiguousarray(view.rgb), size, interpolation=cv2.INTER_AREA).astype(np.uint8)
-        mask = cv2.resize(view.mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(np.uint8)
-        text = f"frame {view.frame}: doubt {view.doubt:.2f}" + (f", {view.reason}" if view.reason else "")
-        pictures.append((text, lit_up(picture, mask)))
+    for i in worst + rest:
+        size = WIDTH, round(WIDTH * made.masks.shape[1] / made.masks.shape[2])
+        picture = cv2.resize(np.ascontiguousarray(recording.frame(i).rgb), size, interpolation=cv2.INTER_AREA)
+        mask = cv2.resize(made.masks[i].astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(np.uint8)
+        text = f"frame {i}: doubt {made.doubt[i]:.2f}" + (f", {made.reasons[i]}" if made.reasons[i] else "")
+        pictures.append((text, lit_up(picture.astype(np.uint8), mask)))
     section = Section("Outlines, the most doubtful frames first", _gallery(pictures), place="full", note=lead)
-    atomic.write_bytes(out, document(title, [section], "masks", notices=notes).encode())
+    atomic.write_bytes(out, document(recording.name, [section], "masks", notices=notes).encode())
 
 
 def write_look_page(rows: Sequence[tuple[str, str, str, str]], sheet: NDArray[np.uint8], out: Path, title: str) -> None:
@@ -81,5 +65,5 @@ def write_look_page(rows: Sequence[tuple[str, str, str, str]], sheet: NDArray[np
 def _gallery(pictures: Sequence[tuple[str, NDArray[np.uint8]]]) -> Markup:
     """Pictures with a line of text each, as many beside each other as there is room for."""
     figure = Markup('<figure><img alt="{0}" src="{1}"><figcaption>{0}</figcaption></figure>')
-    figures = (figure.format(text, data_url("image/jpeg", encode_jpeg(image, 82))) for text, image in pictures)
+    figures = (figure.format(text, jpeg_url(image, 82)) for text, image in pictures)
     return Markup('<div class="gallery">{}</div>').format(Markup("").join(figures))

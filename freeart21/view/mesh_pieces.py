@@ -1,6 +1,6 @@
 """The loader of all mesh files that URDFs name; a piece has one material.
 
-Formats but PLY are read by trimesh (COLLADA by pycollada). COLLADA lengths are converted to metres by their <unit>.
+They are read by trimesh (COLLADA by pycollada). COLLADA lengths are converted to metres by their <unit>.
 <up_axis> of COLLADA and glTF is ignored, as in RViz and MoveIt: a URDF places the mesh as it is written. Files that a
 mesh file names are read inside the root only.
 """
@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.mesh_file import read_ply
 from freeart21.files.urdf import parse_xml
 from freeart21.mesh import Mesh
 
@@ -29,8 +28,7 @@ MAX_BYTES = 256 << 20
 """Of a mesh file, and of each file that it names."""
 PLAIN = (190, 190, 190)
 """Colour of a surface without a given one."""
-_SCENES = (".obj", ".dae", ".glb", ".gltf")
-ENDINGS = (*_SCENES, ".stl", ".ply", ".off")
+ENDINGS = (".obj", ".dae", ".glb", ".gltf", ".stl", ".ply", ".off")
 """Endings of readable files, in lower case."""
 _MOST_VERTICES = 1 << 24
 """Most vertices in all copies of all meshes of a scene: 4 GB with everything computed from them."""
@@ -83,28 +81,20 @@ def _pieces(file: Path, root: Path, data: bytes) -> list[Piece]:
     import trimesh
 
     ending = file.suffix.lower()
-    if ending in _SCENES:
-        return _scene_pieces(file, root, data)
-    if ending == ".ply":
-        try:
-            return [Piece(read_ply(file, root)[0])]
-        except FreeArtError as error:
-            if "not triangles" not in str(error):
-                raise
-    loaded = trimesh.load_mesh(io.BytesIO(data), file_type=ending[1:])  # from memory: it names no other file
-    return [Piece(Mesh(np.asarray(loaded.vertices), np.asarray(loaded.faces)))]
-
-
-def _scene_pieces(file: Path, root: Path, data: bytes) -> list[Piece]:
-    import trimesh
-
-    ending = file.suffix.lower()
-    unit = _unit(file, data) if ending == ".dae" else 1.0
+    unit = 1.0
+    if ending == ".dae":  # its XML is checked before another parser reads it
+        metres = parse_xml(data, file).find("{*}asset/{*}unit")
+        unit = float("1" if metres is None else metres.get("meter", "1"))
+        if not 0 < unit < np.inf:
+            raise ValueError(f"its unit is {unit:g} m")
     if ending in (".glb", ".gltf"):
         text = data[20 : 20 + int.from_bytes(data[12:16], "little")] if ending == ".glb" else data
-        _check_accessors(checked.parse_json(text.decode("utf-8"), file))
+        accessors = checked.parse_json(text.decode("utf-8"), file).get("accessors", ())
+        empty = sum(one["count"] for one in accessors if "bufferView" not in one)  # trimesh fills them with zeros
+        if empty > _MOST_VERTICES:
+            raise ValueError(f"its accessors have {empty} entries without data, at most {_MOST_VERTICES} are read")
     neighbours: Any = _Neighbours(file, root)
-    options: dict[str, Any] = {"process": False} if ending == ".obj" else {}
+    options: dict[str, Any] = {"process": False} if ending in (".obj", ".ply") else {}
     scene = trimesh.load_scene(io.BytesIO(data), file_type=ending[1:], resolver=neighbours, **options)
     nodes = [(T, scene.geometry[name]) for T, name in (scene.graph[node] for node in scene.graph.nodes_geometry)]
     meshes = [(T, mesh) for T, mesh in nodes if isinstance(mesh, trimesh.Trimesh)]
@@ -118,22 +108,6 @@ def _scene_pieces(file: Path, root: Path, data: bytes) -> list[Piece]:
         vertices = unit * se3.transform(T, np.asarray(mesh.vertices, float))
         pieces.append(Piece(Mesh(vertices, np.asarray(mesh.faces)[:, ::flip], colours), uv, picture))
     return pieces
-
-
-def _check_accessors(header: Any) -> None:
-    """ValueError when accessors without a buffer, which trimesh fills with zeros, have too many entries."""
-    count = sum(accessor["count"] for accessor in header.get("accessors", ()) if "bufferView" not in accessor)
-    if count > _MOST_VERTICES:
-        raise ValueError(f"its accessors have {count} entries without data, at most {_MOST_VERTICES} are read")
-
-
-def _unit(file: Path, data: bytes) -> float:
-    """Metres per unit of a COLLADA file; its XML is checked before another parser reads it."""
-    unit = parse_xml(data, file).find("{*}asset/{*}unit")
-    metres = float("1" if unit is None else unit.get("meter", "1"))
-    if not 0 < metres < np.inf:
-        raise ValueError(f"its unit is {metres:g} m")
-    return metres
 
 
 def _look(mesh: Any, linear: bool) -> tuple[NDArray[np.uint8] | None, NDArray[np.float64] | None, Any]:

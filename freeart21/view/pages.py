@@ -29,22 +29,12 @@ from freeart21.truth import Truth
 from freeart21.view.asset_scene import asset_scene
 from freeart21.view.data_page import data_page
 from freeart21.view.diagnosis import diagnosis_section, warnings_section
-from freeart21.view.document import MOVING, TRUTH, Markup, Section, document
+from freeart21.view.document import Markup, Section, document
 from freeart21.view.link_shapes import read_shown
-from freeart21.view.parts import (
-    AXIS,
-    align,
-    articulation_scene,
-    axis_in_images,
-    axis_place,
-    gaussians_scene,
-    matched,
-    with_truth,
-)
-from freeart21.view.plots import Curve, state_section
-from freeart21.view.scene import Layer, scene_section, without_outliers
+from freeart21.view.plots import state_section
+from freeart21.view.scene import gaussians_scene, scene_section, sources_scene, without_outliers
+from freeart21.view.source import AXIS, LAYERS, PartMasks, Source, align_truth, matched, truth_source
 from freeart21.view.tables import (
-    alternative_rows,
     certificate_section,
     compared_rows,
     joint_rows,
@@ -58,17 +48,11 @@ from freeart21.view.tables import (
     table,
     table_section,
 )
-from freeart21.view.video import Overlay, PartMasks, VideoSettings, shown_frames, video_section
+from freeart21.view.video import MAX_FRAMES, shown_frames, video_section
 
 ALIGNMENT_NOTE = (
     "The ground truth is aligned with the estimate by the reference part's poses over all frames; the sign of the axis "
     "and the median offset of the states are removed."
-)
-TRUTH_COLOURS = ("#7fcfb6", TRUTH)
-TRUE_LAYERS = (
-    Layer("ground truth", TRUTH, "ghost", False),
-    Layer("ground truth", TRUTH, "ghost", False),
-    Layer("true axis", TRUTH, "axis"),
 )
 MARKERS = {
     "sequence.json": "sequence",
@@ -84,7 +68,7 @@ def page(
     path: Path,
     truth: Path | None = None,
     sequence: Path | None = None,
-    scores: Mapping[str, Any] | None = None,
+    scores: Mapping[str, Mapping[str, Any]] | None = None,
     score_note: str = "",
     root: Path | None = None,
 ) -> str:
@@ -121,7 +105,11 @@ def page(
         return _sequence_page(name, recording, true, extra, "sequence" if recording is not None else "truth")
     answer = read_result(path, appearance=False)
     if isinstance(answer, Failure):
-        return _failure_page(name, answer, true, recording, extra)
+        rows = [("Stage", answer.stage), ("Reason", answer.reason)]
+        extra = [table_section("No reconstruction", rows), *extra]
+        extra += [seconds_section(answer.seconds)] if answer.seconds else []
+        notice = f"The method failed in the stage '{answer.stage}': {answer.reason}"
+        return _sequence_page(name, recording, true, extra, "result", [notice])
     return _result_page(name, path, answer, true, recording, extra)
 
 
@@ -192,17 +180,16 @@ def _sequence_page(
     notices: Sequence[str] = (),
 ) -> str:
     """The page of a sequence, of a truth, or of both."""
-    _check_lengths(recording=recording, truth=true)
+    _check_lengths(sequence=recording, truth=true)
     chips = _recording_chips(recording)
     sections = [video_section(recording)] if true is None and recording is not None else []
     if true is not None:
-        joint, states = true.articulation.joint, true.states
-        camera = recording.camera if recording is not None else None
-        scene = articulation_scene(true.articulation, states, true.Ts_camera_reference, camera)
+        source = truth_source(true, layers=LAYERS)
+        joint, states = source.joint, true.states
         sections += [
-            video_section(recording, [_true_overlay(true)], len(true), states, joint.type),
-            scene_section(scene, "True parts and joint"),
-            state_section(joint.type, *_abscissa(recording, len(true)), [Curve("ground truth", TRUTH, states)]),
+            video_section(recording, [source]),
+            scene_section(sources_scene([source], _camera(recording)), "True parts and joint"),
+            state_section([source], *_abscissa(recording, len(true))),
             table_section("True joint", joint_rows(joint, states), place="right"),
             table_section("Source", source_rows(true.source)),
         ]
@@ -223,39 +210,44 @@ def _result_page(
 ) -> str:
     """The page of a reconstruction, with its diagnostics and asset."""
     result, diagnostics, confidence, notices = _read_extras(path, result)
-    _check_lengths(recording=recording, truth=true, result=result)
-    alternatives = [table_section("Alternative joint", alternative_rows(other)) for other in result.alternatives]
+    _check_lengths(sequence=recording, truth=true, result=result)
+    alternatives = []
+    for other in result.alternatives:
+        cost = "Cost of a pixel, difference", f"{other.cost_difference:+.3f}"  # beyond that under the result's joint
+        alternatives.append(table_section("Alternative joint", [*joint_rows(other.joint, other.states), cost]))
     if true is not None:
         given, result = result, matched(result, true)
         if diagnostics is not None and result is not given:
             diagnostics = diagnostics.exchanged()
-    Ts, parts, states = result.Ts_camera_reference, result.articulation, result.states
-    joint, masks = parts.joint, result.part_masks
-    camera = recording.camera if recording is not None else None
-    abscissa, timed = _abscissa(recording, len(result))
-    scene = articulation_scene(parts, states, Ts, camera, result.appearance)
-    line = None if camera is None else axis_in_images(joint, *axis_place(parts, states), Ts, camera)
-    overlays = [Overlay("estimate", masks.__getitem__, axis=line, axis_colour=AXIS, confidence=confidence)]
-    std = result.state_std
-    band = None if std is None or not np.isfinite(std).any() else 2 * std
-    curves = [Curve("estimate" + ", ± 2 std" * (band is not None), MOVING, states, "", band)]
+    joint, states = result.articulation.joint, result.states
+    estimate = Source(
+        "estimate",
+        axis_colour=AXIS,
+        articulation=result.articulation,
+        states=states,
+        Ts_camera=result.Ts_camera_reference,
+        state_std=result.state_std,
+        masks=result.part_masks.__getitem__,
+        confidence=confidence,
+        layers=LAYERS,
+    )
+    sources = [estimate]
     side: Literal["left", "right"] = "left" if extra else "right"
     facts = table_section("Joint", joint_rows(joint, states), (), side)
     if true is not None:
-        alignment = align(result, true)
-        scene = with_truth(scene, true, alignment, TRUE_LAYERS)
-        aligned, aligned_states = alignment.joint(true), alignment.states(true)
-        if alignment.comparable:
-            curves.insert(0, Curve("ground truth", TRUTH, aligned_states, "wide"))
-        overlays.append(_true_overlay(true, camera, alignment.sign < 0, False))
+        over = align_truth(true, result, estimate)
+        sources.append(over)
+        aligned = over.joint_of_first
         angle = np.arctan2(np.linalg.norm(np.cross(joint.axis, aligned.axis)), abs(joint.axis @ aligned.axis))
         note = f"{ALIGNMENT_NOTE} Angle between the axes: {np.degrees(angle):.2f}°."
-        rows = compared_rows(joint, states, aligned, aligned_states)
+        rows = compared_rows(joint, states, aligned, over.states_of_first)
         facts = table_section("Joint", rows, ("", "estimate", "ground truth"), side, note)
+    abscissa, timed = _abscissa(recording, len(result))
+    scene = sources_scene(sources, _camera(recording), result.appearance)
     sections = [
-        video_section(recording, overlays, len(result), states, joint.type),
+        video_section(recording, sources),
         scene_section(scene, "Parts and joint"),
-        state_section(joint.type, abscissa, timed, curves, result.seen[:, 1]),
+        state_section(sources, abscissa, timed, result.seen[:, 1]),
         warnings_section(result, diagnostics),
         *extra,
         facts,
@@ -276,16 +268,6 @@ def _result_page(
     return document(name, sections, "result", [f"{joint.type} joint", moved, *_recording_chips(recording)], notices)
 
 
-def _true_overlay(true: Truth, camera: Camera | None = None, turned: bool = False, shown: bool = True) -> Overlay:
-    """The true parts over the video, and their axis when the camera is known, its ends exchanged when `turned`."""
-    line = None
-    if camera is not None:
-        place = axis_place(true.articulation, true.states)
-        line = axis_in_images(true.articulation.joint, *place, true.Ts_camera_reference, camera)
-        line = line[:, ::-1] if turned else line
-    return Overlay("ground truth", true.part_mask, TRUTH_COLOURS, line, TRUTH, shown)
-
-
 def _read_extras(
     path: Path, result: Reconstruction
 ) -> tuple[Reconstruction, Diagnostics | None, PartMasks | None, list[str]]:
@@ -299,31 +281,26 @@ def _read_extras(
         diagnostics = read_diagnostics(path, len(result))
         if confidence_file(path, 0).exists():
             height, width = result.part_masks.shape[1:]
-            frames = shown_frames(len(result), VideoSettings().max_frames).tolist()
+            frames = shown_frames(len(result), MAX_FRAMES).tolist()
             confidence = {i: read_confidence(path, i, (height, width)) for i in frames}.__getitem__
     except FreeArtError as error:
         notices.append(f"The diagnostics cannot be shown: {error}")
     return result, diagnostics, confidence, notices
 
 
-def _failure_page(
-    name: str, failure: Failure, true: Truth | None, recording: Recording | None, extra: list[Section]
-) -> str:
-    """The page of a failure: its stage and reason, and the video with the truth."""
-    own = [table_section("No reconstruction", [("Stage", failure.stage), ("Reason", failure.reason)]), *extra]
-    own += [seconds_section(failure.seconds)] if failure.seconds else []
-    notice = f"The method failed in the stage '{failure.stage}': {failure.reason}"
-    return _sequence_page(name, recording, true, own, "result", [notice])
-
-
 def _asset_sections(path: Path, root: Path | None = None) -> tuple[list[Section], list[str], list[str]]:
     """Sections, chips and notices of an asset folder or URDF file."""
     asset: Asset | None = None
+    urdf = path
     if path.is_dir() and checked.is_there(path / "asset.json"):
         asset = read_asset(path, root=root)
         urdf = asset.urdf
-    else:
-        urdf = _one_urdf(path)
+    elif path.is_dir():
+        urdfs = sorted(path.glob("*.urdf"))
+        original = [p for p in urdfs if p.name == "mobility.urdf"] or urdfs
+        if len(original) != 1:
+            raise FreeArtError(f"{path} has {len(urdfs)} URDFs, name one of them: {', '.join(p.name for p in urdfs)}")
+        urdf = checked.require_file(original[0], MAX_URDF_BYTES)
     shown = read_shown(urdf, root if asset is None else asset.root)
     model = shown.urdf
     effects = asset.effects if asset is not None else read_effects(urdf)
@@ -357,20 +334,7 @@ def _asset_sections(path: Path, root: Path | None = None) -> tuple[list[Section]
     return sections, chips, notices
 
 
-def _one_urdf(path: Path) -> Path:
-    if not path.is_dir():
-        return path
-    urdfs = sorted(path.glob("*.urdf"))
-    original = [p for p in urdfs if p.name == "mobility.urdf"] or urdfs
-    if len(original) != 1:
-        raise FreeArtError(f"{path} has {len(urdfs)} URDFs, name one of them: {', '.join(p.name for p in urdfs)}")
-    return checked.require_file(original[0], MAX_URDF_BYTES)
-
-
-def _check_lengths(
-    recording: Recording | None = None, truth: Truth | None = None, result: Reconstruction | None = None
-) -> None:
-    given = {"sequence": recording, "truth": truth, "result": result}
+def _check_lengths(**given: Recording | Truth | Reconstruction | None) -> None:
     lengths = {name: len(what) for name, what in given.items() if what is not None}
     if len(set(lengths.values())) > 1:
         texts = ", ".join(f"the {name} has {n} frames" for name, n in lengths.items())
@@ -380,6 +344,10 @@ def _check_lengths(
 def _abscissa(recording: Recording | None, n: int) -> tuple[np.ndarray, bool]:
     """Times, s, or frame numbers (n,), and whether they are times."""
     return (recording.times_s, True) if recording is not None else (np.arange(n, dtype=float), False)
+
+
+def _camera(recording: Recording | None) -> Camera | None:
+    return None if recording is None else recording.camera
 
 
 def _recording_chips(recording: Recording | None) -> list[str]:

@@ -3,45 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from freeart21.view.document import Markup, Section, render
+from freeart21.view.source import Source
 
 Array = NDArray[np.float64]
 Box = tuple[str, float, float, float, float]
 """A rectangle by its CSS class, values of x at its left and right, values of y at its bottom and top."""
 
 MARGINS = 46, 14, 8, 24
+"""Pixels left, right, above and below."""
 MAX_MEDIANS = 12.0
 """Upper end of a chart that starts at zero, in medians: a single far outlier is cut off, the rest stays readable."""
-
-
-@dataclass(frozen=True)
-class Axes:
-    """Maps values to a drawing, pixels from its upper left corner."""
-
-    width: int
-    height: int
-    x: tuple[float, float]
-    """Values at the left and the right end."""
-    y: tuple[float, float]
-    """Values at the bottom and the top."""
-
-    def across(self, values: Array | float) -> Array:
-        """Pixels from the left."""
-        left, right, _, _ = MARGINS
-        share = (np.asarray(values, float) - self.x[0]) / max(self.x[1] - self.x[0], 1e-9)
-        return np.asarray(np.round(left + share * (self.width - left - right), 1))
-
-    def down(self, values: Array | float) -> Array:
-        """Pixels from the top; values beyond an end are drawn at that end."""
-        _, _, top, bottom = MARGINS
-        share = (self.y[1] - np.clip(np.asarray(values, float), *self.y)) / (self.y[1] - self.y[0])
-        return np.asarray(np.round(top + share * (self.height - top - bottom), 1))
 
 
 @dataclass(frozen=True)
@@ -72,6 +50,7 @@ class Chart:
     y: tuple[float, float] | None = None
     """Ends of the vertical axis; from zero to the largest value when not given."""
     boxes: Sequence[Box] = ()
+    width: int = 560
     height: int = 190
 
 
@@ -91,85 +70,89 @@ def curves_section(
     hide curves. `frames` (n,) are the frames of the video at these places; 0 to n - 1 when not given.
     """
     x = np.asarray(abscissa, float)
-    ends = float(x[0]), float(max(x[-1], x[0] + 1e-9))
-    grey = [] if unseen is None else _unseen_boxes(x, unseen)
-    drawn = Markup("")
-    data: dict[str, Any] = {"charts": [[_rounded(c.values) for c in chart.curves] for chart in charts]}
-    for chart in charts:
-        axes = Axes(560, chart.height, ends, chart.y or (0.0, _upper_end(chart)))
-        boxes = [*((css, a, b, *axes.y) for css, a, b in grey), *chart.boxes]
-        drawn += figure(axes, x, chart.curves, chart.title, chart.unit, " s" * timed, boxes, chart.about)
-        data |= {"x": axes.across(x), "width": axes.width}
+    edges = np.concatenate([x[:1], (x[1:] + x[:-1]) / 2, x[-1:]])  # half a frame to either side
+    runs = true_runs(np.zeros(len(x), bool) if unseen is None else unseen)
+    grey: list[Box] = [("unseen", edges[run[0]], edges[run[-1] + 1], -np.inf, np.inf) for run in runs]
+    drawn = [figure(replace(chart, boxes=[*grey, *chart.boxes]), x, " s" * timed) for chart in charts]
+    values = [[[float(f"{v:.4g}") for v in curve.values] for curve in chart.curves] for chart in charts]
+    data = {"charts": values, "x": _across(x, x, charts[0].width), "width": charts[0].width}
     if frames is not None:
         data["frames"] = frames
-    return Section(title, Markup('<div class="charts">{}</div>').format(drawn), "curves", data, place, note)
+    html = Markup('<div class="charts">{}</div>').format(Markup("").join(drawn))
+    return Section(title, html, "curves", data, place, note)
 
 
 def figure(
-    axes: Axes,
-    x: Array,
-    curves: Sequence[Curve],
-    title: str,
-    unit: str,
-    x_unit: str = "",
-    boxes: Sequence[Box] = (),
-    about: str = "",
-    legend: bool = True,
-    x_labels: Mapping[float, str] | None = None,
+    chart: Chart, x: Array, x_unit: str = "", legend: bool = True, x_labels: Mapping[float, str] | None = None
 ) -> Markup:
-    """An SVG of curves over `x` (n,), with a legend that the script of kind 'curves' fills.
+    """An SVG of a chart over `x` (n,), with a legend that the script of kind 'curves' fills.
 
-    `x_unit` follows the last tick label; `x_labels` replace them.
+    `x_unit` follows the last tick label; `x_labels` replace them. What is beyond an end of y is drawn at that end.
     """
     left, right, top, bottom = MARGINS
-    drawn = [(curve, _bands(axes, x, curve), _lines(axes, x, curve)) for curve in curves]
-    rectangles = []
-    for css, a, b, low, high in boxes:
-        (x0, x1), (y1, y0) = axes.across(np.array([a, b])), axes.down(np.array([low, high]))
-        rectangles.append((css, x0, y0, round(x1 - x0, 1), round(max(y1 - y0, 0.8), 1)))
-    across = tick_values(*axes.x, 6)
+    y_ends = chart.y or (0.0, _upper_end(chart))
+
+    def down(values: ArrayLike) -> Array:
+        return _scale(values, y_ends, (chart.height - bottom, top))
+
+    curves = []
+    for curve in chart.curves:
+        bands, there = [], _across(x, x, chart.width)
+        width = np.full(len(x), np.nan) if curve.half_width is None else curve.half_width
+        for run in true_runs(np.isfinite(width)):
+            low, high = (down(curve.values[run] + sign * width[run]) for sign in (-1, 1))
+            if len(run) > 1:
+                bands.append(f"{_path(np.r_[there[run], there[run[::-1]]], np.r_[low, high[::-1]])}Z")
+        lines = [_path(there[run], down(curve.values[run])) for run in true_runs(np.isfinite(curve.values))]
+        curves.append((curve, bands, lines))
+    boxes = []
+    for css, a, b, *ends in chart.boxes:
+        (x0, x1), (y1, y0) = _across([a, b], x, chart.width), down(ends)
+        boxes.append((css, x0, y0, round(x1 - x0, 1), round(max(y1 - y0, 0.8), 1)))
+    across = tick_values(*_ends(x), 6)
     texts = x_labels or {float(v): f"{v:g}{x_unit if v == across[-1] else ''}" for v in across}
     return render(
         "figure.html.j2",
-        axes=axes,
-        title=title,
-        unit=unit,
-        about=about,
+        chart=chart,
         legend=legend,
-        boxes=rectangles,
-        curves=drawn,
-        y_ticks=[(float(axes.down(v)), f"{v:g}") for v in tick_values(*axes.y, 4)],
-        x_ticks=[(float(axes.across(value)), text) for value, text in texts.items()],
+        boxes=boxes,
+        curves=curves,
+        y_ticks=[(down(v), f"{v:g}") for v in tick_values(*y_ends, 4)],
+        x_ticks=[(_across(value, x, chart.width), text) for value, text in texts.items()],
         left=left,
-        right=axes.width - right,
+        right=chart.width - right,
         top=top,
-        bottom=axes.height - bottom,
+        bottom=chart.height - bottom,
     )
 
 
 def state_section(
-    joint_type: str,
+    sources: Sequence[Source],
     abscissa: Array,
     timed: bool,
-    curves: Sequence[Curve],
     seen: NDArray[np.bool_] | None = None,
     frames: NDArray[np.int64] | None = None,
     note: str = "",
 ) -> Section:
-    """The joint state over the video; `curves` in rad or m by `joint_type`.
+    """The joint states over the video of all sources with the first one's joint type, with its sign and zero.
 
-    The first curve decides the range; those far beyond it run along the edge. Frames without `seen` (n,) are grey.
+    The first one decides the range; those far beyond it run along the edge. Frames without `seen` (n,) are grey.
+    `frames` (n,) are those at the places `abscissa`; all when None.
     """
-    unit, factor = display_unit(joint_type)
-    scaled = [
-        Curve(c.name, c.colour, factor * c.values, c.style, None if c.half_width is None else factor * c.half_width)
-        for c in curves
-    ]
-    ends = padded_range([c.values for c in scaled[:1]], 0.75)
-    every = padded_range(
-        [c.values + s * np.nan_to_num(0 if c.half_width is None else c.half_width) for c in scaled for s in (-1, 1)]
-    )
-    chart = Chart("", unit, scaled, y=(max(ends[0], every[0]), min(ends[1], every[1])), height=210)
+    unit, factor = display_unit(sources[0].joint.type)
+    at = slice(None) if frames is None else frames
+    curves = []
+    for one in sources:
+        if one.articulation is not None and one.offset is not None and one.zero is None:
+            known = one.state_std is not None and bool(np.isfinite(one.state_std).any())
+            band = None if one.state_std is None or not known else 2 * factor * one.state_std[at]
+            style, states = "wide" if one.is_truth else "", factor * one.states_of_first[at]
+            curves.append(Curve(one.name + ", ± 2 std" * known, one.colours[1], states, style, band))
+    curves.sort(key=lambda curve: curve.style != "wide")  # the truth first, below the others
+    ends = padded_range([c.values for c in curves[:1]], 0.75)
+    bands = [np.zeros(1) if c.half_width is None else np.nan_to_num(c.half_width) for c in curves]
+    every = padded_range([c.values + sign * w for c, w in zip(curves, bands, strict=True) for sign in (-1, 1)])
+    chart = Chart("", unit, curves, y=(max(ends[0], every[0]), min(ends[1], every[1])), height=210)
     name = f"Joint state, {'degrees' if unit == '°' else unit}"
     grey = "" if seen is None or seen.all() else "Grey: the moving part was not measured. "
     unseen = None if seen is None else ~np.asarray(seen, bool)
@@ -205,23 +188,17 @@ def true_runs(flags: NDArray[np.bool_], bridge: int = 1) -> list[NDArray[np.int6
     return [np.arange(piece[0], piece[-1] + 1) for piece in pieces]
 
 
-def _unseen_boxes(x: Array, unseen: NDArray[np.bool_]) -> list[tuple[str, float, float]]:
-    """Over the places of `x` (n,) that were not measured, half a frame to either side."""
-    edges = np.concatenate([x[:1], (x[1:] + x[:-1]) / 2, x[-1:]])
-    return [("unseen", float(edges[run[0]]), float(edges[run[-1] + 1])) for run in true_runs(unseen)]
+def _ends(x: Array) -> tuple[float, float]:
+    return float(x[0]), float(max(x[-1], x[0] + 1e-9))
 
 
-def _bands(axes: Axes, x: Array, curve: Curve) -> list[str]:
-    if curve.half_width is None:
-        return []
-    low, high = axes.down(curve.values - curve.half_width), axes.down(curve.values + curve.half_width)
-    runs = [run for run in true_runs(np.isfinite(curve.half_width)) if len(run) > 1]
-    there = axes.across(x)
-    return [f"{_path(there[run], low[run])}L{_path(there[run[::-1]], high[run[::-1]])[1:]}Z" for run in runs]
+def _across(values: ArrayLike, x: Array, width: int) -> Array:
+    """Pixels from the left of a figure over `x` (n,)."""
+    return _scale(values, _ends(x), (MARGINS[0], width - MARGINS[1]))
 
 
-def _lines(axes: Axes, x: Array, curve: Curve) -> list[str]:
-    return [_path(axes.across(x[run]), axes.down(curve.values[run])) for run in true_runs(np.isfinite(curve.values))]
+def _scale(values: ArrayLike, ends: tuple[float, float], pixels: tuple[float, float]) -> Array:
+    return np.asarray(np.round(np.interp(np.asarray(values, float), ends, pixels), 1))
 
 
 def _path(x: Array, y: Array) -> str:
@@ -237,7 +214,3 @@ def _upper_end(chart: Chart) -> float:
         return chart.top or 1.0
     high = float(min(values.max(), max(MAX_MEDIANS * np.median(values), np.percentile(values, 95))))
     return 1.05 * high or 1.0 if chart.top is None else max(high, chart.top)
-
-
-def _rounded(values: Array) -> list[float | None]:
-    return [float(f"{v:.4g}") if np.isfinite(v) else None for v in np.asarray(values, float).tolist()]

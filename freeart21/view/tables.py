@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
-from freeart21.errors import FreeArtError
-from freeart21.files.certificate import Certificate, LinkCertificate
-from freeart21.files.urdf import Urdf, UrdfJoint
+from freeart21.files.certificate import Certificate
+from freeart21.files.urdf import Urdf
 from freeart21.joint import Joint
-from freeart21.reconstruction import Alternative
 from freeart21.recording import Recording
 from freeart21.view.document import Markup, Place, Section, render
 from freeart21.view.plots import display_unit
@@ -52,7 +50,7 @@ def number_cell(text: str, best: bool = False, value: float | None = None, below
 
 
 def table(
-    rows: Iterable[Sequence[object]],
+    rows: Sequence[Sequence[object] | Mapping[str, object]],
     head: Sequence[object] = (),
     css: str = "",
     label: str = "",
@@ -61,14 +59,17 @@ def table(
     """A table in a box that scrolls sideways.
 
     Args:
-        rows: Texts or `Cell`s; the first one of a row is its heading.
-        head: Headings of the columns.
+        rows: Texts or `Cell`s; the first one of a row is its heading. Mappings, all with the same keys, have them by
+            the headings of the columns.
+        head: Headings of the columns, where rows have none.
         css: Class of the table; with 'sortable' a click on a heading sorts the rows.
         label: What the table is, for screen readers; the keyboard then scrolls it.
         row_css: Class of each row, when given.
     """
+    head = list(rows[0]) if rows and isinstance(rows[0], Mapping) else head
+    lists = [list(row.values()) if isinstance(row, Mapping) else row for row in rows]
     lines = [
-        (row_css[k] if row_css else "", [_cell(one, i) for i, one in enumerate(row)]) for k, row in enumerate(rows)
+        (row_css[k] if row_css else "", [_cell(one, i) for i, one in enumerate(row)]) for k, row in enumerate(lists)
     ]
     heads = [one if isinstance(one, Cell) else Cell(one) for one in head]
     return render("table.html.j2", rows=lines, head=heads, css=css, label=label, sortable="sortable" in css.split())
@@ -76,7 +77,7 @@ def table(
 
 def table_section(
     title: str,
-    rows: Iterable[Sequence[object]],
+    rows: Sequence[Sequence[object] | Mapping[str, object]],
     head: Sequence[object] = (),
     place: Place = "small",
     note: str = "",
@@ -84,12 +85,6 @@ def table_section(
 ) -> Section:
     """A section with one table; `css` is its class."""
     return Section(title, table(rows, head, css), place=place, note=note)
-
-
-def records_section(title: str, records: Sequence[Mapping[str, object]], note: str = "", css: str = "") -> Section:
-    """A section of full width with one table: a row a record, its keys are the headings; all have the same keys."""
-    rows, head = [list(record.values()) for record in records], list(records[0]) if records else ()
-    return table_section(title, rows, head, "full", note, css)
 
 
 def _cell(given: object, column: int) -> Cell:
@@ -149,13 +144,17 @@ def certificate_section(certificate: Certificate) -> Section:
             "Tried": engines,
         }
     )
+    mm = {
+        name: {key: f"{1000 * value:.2g}" for key, value in link.contact.items()}
+        for name, link in certificate.links.items()
+    }
     links = [
         {
             "": name,
             "seen": f"{link.seen_share:.0%}",
             "the rest": ", ".join(f"{how} {share:.0%}" for how, share in link.supposed.items()) or "nothing",
-            "visual to contact": f"{_mm(link, 'median_m')}; {_mm(link, 'worst_of_95_m')} mm",
-            "contact beyond visual": f"{_mm(link, 'outward_95_m')} mm",
+            "visual to contact": f"{mm[name].get('median_m', NONE)}; {mm[name].get('worst_of_95_m', NONE)} mm",
+            "contact beyond visual": f"{mm[name].get('outward_95_m', NONE)} mm",
             "mass": f"{link.mass_kg:.3g} kg",
             "by": link.mass,
             "bounds": f"{link.mass_low_kg:.2g} to {link.mass_high_kg:.2g} kg",
@@ -166,12 +165,7 @@ def certificate_section(certificate: Certificate) -> Section:
     note = (
         "Visual to contact: the median; 95 % of the surface lie within the second number, as of contact beyond visual."
     )
-    of_links = records_section("", links).html
-    return Section("Certificate", table(whole) + of_links, place="full", note=note)
-
-
-def _mm(link: LinkCertificate, key: str) -> str:
-    return f"{1000 * link.contact[key]:.2g}" if key in link.contact else NONE
+    return Section("Certificate", table(whole) + table(links), place="full", note=note)
 
 
 def recording_rows(recording: Recording) -> list[tuple[str, str]]:
@@ -202,11 +196,6 @@ def joint_rows(joint: Joint, states: Sequence[float] | np.ndarray) -> list[tuple
     ]
 
 
-def alternative_rows(other: Alternative) -> list[tuple[str, str]]:
-    """Rows of `joint_rows` and the cost of a pixel under the joint, beyond that under the result's."""
-    return [*joint_rows(other.joint, other.states), ("Cost of a pixel, difference", f"{other.cost_difference:+.3f}")]
-
-
 def compared_rows(
     estimate: Joint, states: np.ndarray, true: Joint, true_states: np.ndarray
 ) -> list[tuple[str, str, str]]:
@@ -231,32 +220,28 @@ def seconds_section(seconds: Mapping[str, float], peak_bytes: int | None = None)
     return table_section("Time per stage", rows)
 
 
-def score_section(scores: Mapping[str, Any], note: str = "", place: Literal["right", "small"] = "right") -> Section:
+def score_section(
+    scores: Mapping[str, Mapping[str, Any]], note: str = "", place: Literal["right", "small"] = "right"
+) -> Section:
     """The table of scores, with a `note` under it, such as the protocol.
 
-    `scores` maps a metric's id to its value, or to {"value", "unit", "better" ('up' or 'down'), "beside", "label"}:
-    `beside` is a second figure as text, such as '0.4 cm', `label` the metric's name, else made from the id. Raises
-    FreeArtError on anything else.
+    `scores` maps a metric's id to its "label", "value", "unit", "better" ('up' or 'down') and "beside", a second figure
+    as text, such as '0.4 cm'. All may lack.
     """
     rows = []
     for name, entry in scores.items():
-        entry = entry if isinstance(entry, Mapping) else {"value": entry}
-        value, better = entry.get("value"), entry.get("better")
-        if not (value is None or isinstance(value, int | float | str)) or better not in (None, *ARROWS):
-            raise FreeArtError(f"score '{name}' is {entry!r}, expected a value, and better 'up' or 'down'")
-        arrow, meaning = ARROWS[better] if better else ("", "")
+        value, unit = entry.get("value"), entry.get("unit")
+        arrow, meaning = ARROWS.get(entry.get("better") or "", ("", ""))
+        if value is None or isinstance(value, str):
+            text = value or NONE
+        elif unit in _DIGITS and not isinstance(value, int):
+            text = number_text(value, unit, True)
+        else:
+            text = f"{value:.4g}{f' {unit}' if unit else ''}"
         label = entry.get("label") or name.replace("_", " ").capitalize()
-        shown = _score_text(value, entry.get("unit")), entry.get("beside") or ""
-        rows.append([Cell(f"{label} {arrow}".strip(), title=meaning), *(Cell(text, css="number") for text in shown)])
+        numbers = (Cell(one, css="number") for one in (text, entry.get("beside") or ""))
+        rows.append([Cell(f"{label} {arrow}".strip(), title=meaning), *numbers])
     return table_section("Score", rows, (), place, note, "scores")
-
-
-def _score_text(value: float | str | None, unit: str | None) -> str:
-    if value is None or isinstance(value, str):
-        return value or NONE
-    if unit in _DIGITS and not isinstance(value, int):
-        return number_text(value, unit, True)
-    return f"{value:.4g}{f' {unit}' if unit else ''}"
 
 
 def link_section(urdf: Urdf) -> Section:
@@ -275,7 +260,7 @@ def link_section(urdf: Urdf) -> Section:
         for link in links
         if link.inertial is not None or link.visuals or link.collisions
     ]
-    return records_section("Links", rows)
+    return table_section("Links", rows, (), "full")
 
 
 def joint_section(urdf: Urdf, effects: Mapping[str, Sequence[Any]]) -> Section:
@@ -284,6 +269,13 @@ def joint_section(urdf: Urdf, effects: Mapping[str, Sequence[Any]]) -> Section:
     for name, joint in urdf.joints.items():
         if joint.joint_type is None:
             continue
+        words = []
+        for effect in effects.get(name, ()):
+            values = ", ".join(
+                f"{key} {getattr(effect, key):.4g} {spec.unit(joint.joint_type).replace('*', ' ')}"
+                for key, spec in effect.parameters(joint.joint_type).items()
+            )
+            words.append(f"{effect.name} ({values})")
         effort, velocity = ("N m", "rad/s") if joint.joint_type == "revolute" else ("N", "m/s")
         rows.append(
             {
@@ -294,20 +286,10 @@ def joint_section(urdf: Urdf, effects: Mapping[str, Sequence[Any]]) -> Section:
                 "limits": limits_text(joint.joint_type, joint.lower, joint.upper),
                 "effort": NONE if joint.effort is None else f"{joint.effort:g} {effort}",
                 "velocity": NONE if joint.velocity is None else f"{joint.velocity:g} {velocity}",
-                "effects": "; ".join(effect_text(effect, joint) for effect in effects.get(name, ())) or "none",
+                "effects": "; ".join(words) or "none",
             }
         )
-    return records_section("Joints", rows)
-
-
-def effect_text(effect: Any, joint: UrdfJoint) -> str:
-    """An effect with its values and units, such as 'viscous_damping (coefficient 0.02 N m s/rad)'."""
-    assert joint.joint_type is not None
-    parameters = ", ".join(
-        f"{name} {getattr(effect, name):.4g} {spec.unit(joint.joint_type).replace('*', ' ')}"
-        for name, spec in effect.parameters(joint.joint_type).items()
-    )
-    return f"{effect.name} ({parameters})"
+    return table_section("Joints", rows, (), "full")
 
 
 def limits_text(joint_type: str, lower: float, upper: float) -> str:

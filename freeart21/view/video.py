@@ -2,62 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from freeart21.errors import FreeArtError
 from freeart21.recording import Recording
-from freeart21.view.document import MOVING, REFERENCE, Section, data_url
+from freeart21.view.document import Section, data_url
+from freeart21.view.source import Source
 
 Image = NDArray[np.uint8]
-PartMasks = Callable[[int], Image]
-"""Frame index to (height, width) part labels: 0 background, 1 reference, 2 moving."""
 
-QUALITIES = (85, 75, 60, 45, 30, 15)
-"""JPEG qualities to try, best first."""
 LABEL_STEP, CONFIDENCE_STEPS = 100, 40
 """A pixel with label 0, 1, 2 is stored as 0, 100, 200, far enough apart for any colour management, plus up to 40 by its
 confidence."""
 
 
-@dataclass(frozen=True)
-class Overlay:
-    """The parts and the joint axis of one source."""
-
-    name: str
-    masks: PartMasks | None = None
-    colours: tuple[str, str] = (REFERENCE, MOVING)
-    """Of reference and moving part."""
-    axis: NDArray[np.float64] | None = None
-    """(n, 2, 2) both ends in pixels of the recording, the positive one last; NaN where it is not visible."""
-    axis_colour: str = ""
-    shown: bool = True
-    """At first."""
-    confidence: PartMasks | None = None
-    """That of the labels, 0 to 255."""
-    absent: str = ""
-    """Why there are no masks."""
-
-
-@dataclass(frozen=True)
-class VideoSettings:
-    """How much of a video goes into a page."""
-
-    max_frames: int = 150
-    """Longer videos are thinned out evenly."""
-    max_side: int = 640
-    """Pixels of the longer side of images; larger ones are scaled down."""
-    mask_side: int = 640
-    """The same of masks."""
-    rgb_bytes: int = 6 << 20
-    """Most bytes of all colour images before base64; the JPEG quality is lowered until they fit."""
-    depth_bytes: int = 3 << 20
-    """The same for the depth images; 0 for none."""
+MAX_FRAMES = 150
+"""Longer videos are thinned out evenly."""
 
 
 def shown_frames(n: int, most: int) -> NDArray[np.int64]:
@@ -65,107 +30,106 @@ def shown_frames(n: int, most: int) -> NDArray[np.int64]:
     return np.unique(np.rint(np.linspace(0, n - 1, min(n, most))).astype(np.int64))
 
 
-def encode_jpeg(image: Image, quality: int) -> bytes:
+def jpeg_bytes(image: Image, quality: int) -> bytes:
     """JPEG of an RGB image (height, width, 3)."""
-    return cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])[
-        1
-    ].tobytes()
+    options = [cv2.IMWRITE_JPEG_QUALITY, quality]
+    return cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), options)[1].tobytes()
+
+
+def jpeg_url(image: Image, quality: int) -> str:
+    """JPEG of an RGB image (height, width, 3) as a data: address."""
+    return data_url("image/jpeg", jpeg_bytes(image, quality))
 
 
 def video_section(
     recording: Recording | None,
-    overlays: Sequence[Overlay] = (),
-    n: int = 0,
-    states: ArrayLike | None = None,
-    joint_type: str = "",
-    settings: VideoSettings = VideoSettings(),
+    sources: Sequence[Source] = (),
+    max_frames: int = MAX_FRAMES,
+    sides: tuple[int, int] = (640, 640),
+    quality: int = 80,
+    with_depth: bool = True,
     note: str = "Solid outline and stronger colour: moving part; dashed: reference part.",
 ) -> Section:
-    """The player of a recording, with the parts and joint axes of `overlays` and the recording's own masks over it.
+    """The player of a recording, with the parts and axes of sources and the recording's own masks over it.
 
-    Without a recording the parts are drawn on a plain background, and `n` is the number of frames. `states` (n,), rad
-    or m by `joint_type`, are shown with the time. Raises FreeArtError when masks and images differ in size.
+    Without a recording the parts of the first source are drawn on a plain background. The first one's states are shown
+    with the time. Images and masks are scaled down to `sides`, pixels of the longer one. `quality` is that of JPEGs:
+    150 frames of 640 x 360 pixels take some 6 MB. Raises FreeArtError when masks and images differ in size.
     """
-    masked = [overlay.masks for overlay in overlays if overlay.masks is not None]
-    if recording is None and not (masked and n):
-        raise FreeArtError("a video player needs a recording, or part masks and the number of frames")
-    total, size = (
-        (n, masked[0](0).shape)
-        if recording is None
-        else (len(recording), (recording.camera.height, recording.camera.width))
-    )
-    frames = shown_frames(total, settings.max_frames)
-    shown, small = (_scaled(size, side) for side in (settings.max_side, settings.mask_side))
-    rgb: list[Image] = []
+    first = sources[0] if sources else Source("")
+    camera = None if recording is None else recording.camera
+    if recording is not None:
+        total, size = len(recording), (recording.camera.height, recording.camera.width)
+    elif first.masks is not None:
+        total, (height, width) = len(first.states), first.masks(0).shape
+        size = height, width
+    else:
+        raise FreeArtError("a video player needs a recording, or part masks")
+    frames = shown_frames(total, max_frames)
+    shown, small = (_scaled(size, side) for side in sides)
+    rgb: list[str] = []
     depth: list[NDArray[np.float32]] = []
     given: dict[int, Image] = {}
+    note = note if any(source.masks for source in sources) else ""
     if recording is not None:
-        overlays = [*overlays, Overlay("given mask", given.pop, ("#ffffff", "#ffffff"), shown=False)]
-    labels: list[list[str]] = [[] for _ in overlays]
+        sources = [*sources, Source("given mask", ("#ffffff", "#ffffff"), masks=given.pop, shown=False)]
+    labels: list[list[str]] = [[] for _ in sources]
     for i in frames.tolist():
         if recording is not None:
             frame = recording.frame(i)
-            rgb.append(np.asarray(cv2.resize(frame.rgb, shown, interpolation=cv2.INTER_AREA), np.uint8))
-            if settings.depth_bytes:
+            image = np.asarray(cv2.resize(frame.rgb, shown, interpolation=cv2.INTER_AREA), np.uint8)
+            rgb.append(jpeg_url(image, quality))
+            if with_depth:
                 depth.append(np.asarray(cv2.resize(frame.depth, shown, interpolation=cv2.INTER_NEAREST), np.float32))
             given[i] = 2 * frame.mask.astype(np.uint8)
-        for overlay, found in zip(overlays, labels, strict=True):
-            if overlay.masks is not None:
-                mask = overlay.masks(i)
+        for source, found in zip(sources, labels, strict=True):
+            if source.masks is not None:
+                mask = source.masks(i)
                 if mask.shape != size:
                     raise FreeArtError(
-                        f"frame {i}: the mask of the {overlay.name} is {mask.shape[1]} x {mask.shape[0]}, "
+                        f"frame {i}: the mask of the {source.name} is {mask.shape[1]} x {mask.shape[0]}, "
                         f"expected {size[1]} x {size[0]} as the video"
                     )
-                found.append(_label_image(mask, overlay.confidence and overlay.confidence(i), small))
+                found.append(_label_image(mask, source.confidence and source.confidence(i), small))
     near, far = _depth_range(depth)
-    sources: list[dict[str, Any]] = [
-        {
-            "name": overlay.name,
-            "colours": overlay.colours,
-            "labels": own or None,
-            "axis": None if overlay.axis is None else _axis_ends(overlay.axis[frames], shown[0] / size[1]),
-            "axis_colour": overlay.axis_colour or overlay.colours[1],
-            "shown": overlay.shown,
-            "confidence": overlay.confidence is not None,
-            "absent": overlay.absent,
-        }
-        for overlay, own in zip(overlays, labels, strict=True)
-    ]
+    lines = [source.axis_in_images(camera) for source in sources]
     data: dict[str, Any] = {
         "width": shown[0],
         "height": shown[1],
         "label_size": small,
         "frames": frames,
         "times_s": recording.times_s[frames] if recording is not None else None,
-        "states": None if states is None else np.asarray(states, float)[frames],
-        "joint_type": joint_type,
-        "rgb": _jpeg_urls(rgb, settings.rgb_bytes),
-        "depth": _jpeg_urls([_depth_image(d, near, far) for d in depth], settings.depth_bytes),
+        "states": None if first.articulation is None or first.zero is not None else first.states[frames],
+        "joint_type": "" if first.articulation is None else first.joint.type,
+        "rgb": rgb or None,
+        "depth": [_depth_url(one, near, far, quality) for one in depth] or None,
         "depth_range_m": [near, far],
-        "sources": sources,
+        "sources": [
+            {
+                "name": source.name,
+                "colours": source.colours,
+                "labels": own or None,
+                "axis": None
+                if line is None
+                else [
+                    np.round(ends * shown[0] / size[1], 1).ravel() if np.isfinite(ends).all() else None
+                    for ends in line[frames]
+                ],
+                "axis_colour": source.axis_colour or source.colours[1],
+                "shown": source.shown,
+                "confidence": source.confidence is not None,
+                "absent": source.absent,
+            }
+            for source, own, line in zip(sources, labels, lines, strict=True)
+        ],
     }
-    return Section("Video", "", "video", data, "left", note if masked else "")
-
-
-def fitting_quality(images: Sequence[Image], max_bytes: int) -> int:
-    """The best JPEG quality at which all images fit into `max_bytes`, by a sample of six; the lowest if none does."""
-    sample = [images[i] for i in shown_frames(len(images), 6)]
-    for quality in QUALITIES:
-        if np.mean([len(encode_jpeg(image, quality)) for image in sample]) * len(images) <= max_bytes:
-            break
-    return quality
+    return Section("Video", "", "video", data, "left", note)
 
 
 def _scaled(size: tuple[int, ...], side: int) -> tuple[int, int]:
     """(width, height) of an image of `size` (height, width), scaled down to a longer side of `side` pixels."""
     scale = min(1.0, side / max(size))
     return max(1, round(size[1] * scale)), max(1, round(size[0] * scale))
-
-
-def _axis_ends(ends: NDArray[np.float64], scale: float) -> list[list[float] | None]:
-    """Ends (n, 2, 2) of an axis, times `scale`, as [u0, v0, u1, v1] a frame; None where not visible."""
-    return [np.round(e * scale, 1).ravel().tolist() if np.isfinite(e).all() else None for e in ends]
 
 
 def _label_image(mask: Image, confidence: Image | None, size: tuple[int, int]) -> str:
@@ -175,13 +139,6 @@ def _label_image(mask: Image, confidence: Image | None, size: tuple[int, int]) -
         level = cv2.resize(confidence, size, interpolation=cv2.INTER_NEAREST).astype(np.uint16)
         image = image + np.where(image > 0, (8 * level + 127) // 255 * (CONFIDENCE_STEPS // 8), 0).astype(np.uint8)
     return data_url("image/png", cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 6])[1].tobytes())
-
-
-def _jpeg_urls(images: list[Image], max_bytes: int) -> list[str] | None:
-    if not images:
-        return None
-    quality = fitting_quality(images, max_bytes)
-    return [data_url("image/jpeg", encode_jpeg(image, quality)) for image in images]
 
 
 def _depth_range(depths: list[NDArray[np.float32]]) -> tuple[float, float]:
@@ -194,8 +151,8 @@ def _depth_range(depths: list[NDArray[np.float32]]) -> tuple[float, float]:
     return float(near), float(max(far, near + 1e-3))
 
 
-def _depth_image(depth: NDArray[np.float32], near: float, far: float) -> Image:
+def _depth_url(depth: NDArray[np.float32], near: float, far: float, quality: int) -> str:
     """Near bright, far dark (viridis); grey where nothing was measured."""
     level = np.clip(255 * (far - depth) / (far - near), 0, 255).astype(np.uint8)
     colours = np.asarray(cv2.applyColorMap(level, cv2.COLORMAP_VIRIDIS)[..., ::-1], np.uint8)
-    return np.where((depth <= 0)[..., None], np.uint8(200), colours)
+    return jpeg_url(np.where((depth <= 0)[..., None], np.uint8(200), colours), quality)

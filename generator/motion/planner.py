@@ -6,7 +6,6 @@ import zlib
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from freeart21 import se3, sphere
 from freeart21.camera import Camera
@@ -14,6 +13,7 @@ from freeart21.errors import FreeArtError
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
+from freeart21.statistics import longest_run
 from generator.motion import turns
 from generator.motion.body import UPRIGHT, Body
 from generator.motion.framing import place_object
@@ -78,7 +78,8 @@ def plan_motion(
     if style.propose is None:
         assert style.plan is not None and states is not None
         return style.plan(body, states, camera, preset, seed)
-    atlas = _atlas(body, camera, frames)
+    distance = body.radius * max(1.1 * camera.K[1, 1] / (0.5 * camera.height), 1.6)
+    atlas = Atlas(body, distance) if frames >= 60 else Atlas(body, distance, 96, 4)
     task = Task(body, atlas, frames, fps, "hidden", states, style.heights, (seed, _shape_key(body)))
     task = replace(task, hardship=_draw_hardship(task, seed, hard))
     rng = np.random.default_rng([seed, 2, style.stream, _shape_key(body)])
@@ -94,11 +95,6 @@ def plan_motion(
             best = score, Plan(Ts, course.states, camera_in_world(style, Ts, body))
     assert best is not None
     return best[1]
-
-
-def _atlas(body: Body, camera: Camera, frames: int) -> Atlas:
-    distance = body.radius * max(1.1 * camera.K[1, 1] / (0.5 * camera.height), 1.6)
-    return Atlas(body, distance) if frames >= 60 else Atlas(body, distance, 96, 4)
 
 
 def _draw_hardship(task: Task, seed: int, hard: bool | None) -> Hardship:
@@ -133,7 +129,7 @@ def _score(course: Course, task: Task, shares: Array) -> float:
     else:
         low, high = _HARD_SHARE
         score -= 15.0 * (max(low - few, 0.0) + 0.3 * max(few - high, 0.0))
-    away = _longest_run(shares < 1e-9)
+    away = longest_run(shares < 1e-9)
     if task.hardship == "gone":
         low, high = _GONE_FRAMES
         score += 3.0 * min(away / low, 1.0) - 2.0 * max(away / high - 1, 0.0)
@@ -144,11 +140,6 @@ def _score(course: Course, task: Task, shares: Array) -> float:
     median = float(np.median(steps))
     score -= 6.0 * max(0.92 * course.pace - median, median - 1.1 * course.pace, 0.0)
     return round(score, 3)
-
-
-def _longest_run(flags: NDArray[np.bool_]) -> int:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(flags, int), [0]])))
-    return int(np.diff(edges)[::2].max(initial=0))
 
 
 def camera_in_world(style: Style, Ts: Array, body: Body) -> Array:

@@ -83,24 +83,16 @@ def fit_states(states: Array, take: Take, body: Body) -> tuple[Array, dict[str, 
     return np.clip(body.state(shares), body.lower, body.upper), changes
 
 
-def scale_translation(take: Take, diagonal: float, carry: float | None) -> tuple[float, dict[str, Any]]:
+def scale_translation(take: Take, diagonal: float) -> tuple[float, dict[str, Any]]:
     """The factor on a take's translation for an object of this `diagonal`, metres, and a record of the change.
 
-    A given `carry` is the factor. With None the translation is scaled by the ratio of the sizes of this object and of
-    the take's. ARCTIC's tracks do not name the size: the factor is 1 where the object may have the size of one of
-    theirs. A take of ours without a size has factor 1, too. For poses in the camera's frame the factor acts on the
-    distance from the camera: an object of half the size comes twice as near.
+    The translation is scaled by the ratio of the sizes of this object and of the take's. ARCTIC's tracks do not name
+    the size: the factor is 1 where the object may have the size of one of theirs. A take of ours without a size has
+    factor 1, too. For poses in the camera's frame the factor acts on the distance from the camera: an object of half
+    the size comes twice as near.
     """
-    if take.poses == "camera":
-        if carry is not None:
-            raise FreeArtError(
-                f"{take.name}: its poses are in the camera's frame, so that no translation is scaled by "
-                f"{carry:g}; expected no carry"
-            )
-        if take.size is None or abs(diagonal / take.size - 1) < _SAME_SIZE:
-            return 1.0, {}
-    if carry is not None:
-        return carry, {"carry": carry}
+    if take.poses == "camera" and (take.size is None or abs(diagonal / take.size - 1) < _SAME_SIZE):
+        return 1.0, {}
     if take.form != ARCTIC_FORM and take.size is None:
         return 1.0, {"carry": 1.0}
     size = float(np.clip(diagonal, *ARCTIC_SIZES_M)) if take.size is None else take.size

@@ -9,7 +9,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from generator import textures
-from generator.model import Hinge, Link, Material, ObjectModel, Piece, Pieces, Point, Rng, printed, textured
+from generator.model import ABS, STEEL, Hinge, Link, Material, ObjectModel, Piece, Pieces, Point, Rng, printed, textured
 from generator.shapes import (
     box,
     moulded,
@@ -44,8 +44,6 @@ _DAYS = (
 )
 _GREYS = ((0.74, 0.74, 0.73), (0.60, 0.62, 0.64), (0.80, 0.78, 0.74), (0.66, 0.70, 0.74), (0.53, 0.53, 0.52))
 _BRANDS = ("LUMENA", "VISTA 21", "HELIOS", "ORBIT")
-_ABS = 1050.0
-_STEEL = 7850.0
 
 
 @dataclass(frozen=True)
@@ -120,10 +118,10 @@ def _monitor(
         middle,
         thick,
         str(rng.choice(_BRANDS)),
-        textured("shell", "plastic", _ABS, textures.speckle(rng, colour, 0.05), 0.04),
+        textured("shell", "plastic", ABS, textures.speckle(rng, colour, 0.05), 0.04),
         Material("stand_metal", textures.shade(trim, 0.95), "metal", 2700.0),
-        Material("port_plastic", textures.shade(colour, 0.4), "plastic", _ABS),
-        textured("steel", "metal", _STEEL, textures.brushed_metal(rng, (0.55, 0.56, 0.58)), 0.02),
+        Material("port_plastic", textures.shade(colour, 0.4), "plastic", ABS),
+        textured("steel", "metal", STEEL, textures.brushed_metal(rng, (0.55, 0.56, 0.58)), 0.02),
         Material("rubber", (0.07, 0.07, 0.075), "rubber", 1200.0),
         (0.20, 0.20, 0.22) if light else (0.62, 0.62, 0.64),
     )
@@ -140,8 +138,8 @@ def _panel(m: _Monitor, bezel: float, chin: float, picture: Image, depth: float)
     button = round_box((0.006, 0.014, 0.004), 0.0012, (m.thick * 0.5, 0, -m.height / 2), 12)
     buttons = repeated(button, (0, 0.021, 0), 5).translate((0, -m.width * 0.36, 0))
     led = box((0.001, 0.009, 0.0018), (0, -m.width * 0.45, -m.height / 2 + chin * 0.30), 0.0003)
-    glow = Material("power_light", [(0.85, 0.88, 0.92), (0.30, 0.70, 0.95)][len(m.brand) % 2], "plastic", _ABS)
-    ink = Material("brand", m.print, "plastic", _ABS)
+    glow = Material("power_light", [(0.85, 0.88, 0.92), (0.30, 0.70, 0.95)][len(m.brand) % 2], "plastic", ABS)
+    ink = Material("brand", m.print, "plastic", ABS)
     glass = textured("screen", "plastic", 2500.0, picture)
     return _raised(
         m,
@@ -190,9 +188,8 @@ def _back(m: _Monitor, depth: float, rng: Rng) -> Pieces:
         (0.0, 0.015, 0.0065),
         (0.030, 0.0165, 0.006),
     ):
-        rims.append(
-            box((0.006, wide, high), (floor + 0.003, y, z)) - box((0.02, wide - 0.002, high - 0.002), (floor, y, z))
-        )
+        rim = box((0.006, wide, high), (floor + 0.003, y, z))
+        rims.append(rim - box((0.02, wide - 0.002, high - 0.002), (floor, y, z)))
         cores.append(box((0.004, wide - 0.002, max(high * 0.30, 0.0015)), (floor + 0.002, y, z)))
     lining = box((0.0008, m.width * 0.40 - 0.001, 0.025), (floor - 0.0004, 0, z))
     face = m.thick + depth
@@ -201,9 +198,8 @@ def _back(m: _Monitor, depth: float, rng: Rng) -> Pieces:
         for y in (-1, 1)
         for zz in (-1, 1)
     )
-    name = plate(text_outline(m.brand, m.height * 0.045), 0.0016, "x", face + 0.0004).translate(
-        (0, 0, m.height * 0.185)
-    )
+    name = plate(text_outline(m.brand, m.height * 0.045), 0.0016, "x", face + 0.0004)
+    name = name.translate((0, 0, m.height * 0.185))
     text = [f"MODEL {m.brand[:2]}-{int(rng.integers(200, 299))}", "12 V = 3.0 A", "MADE OF CODE"]
     paper = textures.shade(m.shell.texture[0, 0] / 255.0 if m.shell.texture is not None else m.print, 1.25, 0.03)
     rating = printed("rating_plate", textures.label(text, paper, m.print, 2.0, rng))
@@ -283,7 +279,7 @@ def _pivot_head(m: _Monitor) -> Pieces:
         screw(0.0045, "x", (face + 0.008, y * 0.047, k * 0.047), segments=16) for y in (-1, 1) for k in (-1, 1)
     )
     mark = box((0.001, 0.003, 0.010), (face + 0.0082, 0, 0.046), 0.0002)
-    red = Material("turn_mark", (0.75, 0.15, 0.12), "plastic", _ABS)
+    red = Material("turn_mark", (0.75, 0.15, 0.12), "plastic", ABS)
     return _raised(
         m,
         ("mount", mount, m.stand),
@@ -297,25 +293,18 @@ def _column_and_foot(m: _Monitor, rng: Rng) -> Pieces:
     """A column with a carriage that holds the panel, a carrying loop, a cable ring, a scale, and a foot with a tray."""
     x, near = m.thick + 0.083, m.thick + 0.018 + 0.0155
     disc = rod(0.040, 0.010, "x", (near + 0.0055, 0, m.middle), 0.0015)
-    arm = (
-        rod(0.020, 0.004, "x", (near + 0.010, 0, m.middle)) + box((0.004, 0.056, 0.070), (x - 0.024, 0, m.middle))
-    ).hull()
+    hub, end = rod(0.020, 0.004, "x", (near + 0.010, 0, m.middle)), box((0.004, 0.056, 0.070), (x - 0.024, 0, m.middle))
+    arm = (hub + end).hull()
     top = m.middle + rng.uniform(0.10, 0.13)
-    post = moulded(rounded_outline(0.036, 0.064, 0.012), top - 0.010, "z", (top + 0.010) / 2, 0.003).translate(
-        (x, 0, 0)
-    )
+    post = moulded(rounded_outline(0.036, 0.064, 0.012), top - 0.010, "z", (top + 0.010) / 2, 0.003)
+    post = post.translate((x, 0, 0))
     sleeve = moulded(rounded_outline(0.048, 0.076, 0.016), 0.105, "z", m.middle, 0.003).translate((x, 0, 0))
     slot = round_box((0.06, 0.016, (m.middle - 0.16) * 0.8), 0.007, (x, 0, 0.06 + (m.middle - 0.16) * 0.4), 16)
-    loop = tube(
-        [(x, 0.022 * np.cos(a), top - 0.004 + 0.030 * np.sin(a)) for a in np.linspace(0, np.pi, 17)], 0.0055, 12
-    )
+    arch = [(x, 0.022 * np.cos(a), top - 0.004 + 0.030 * np.sin(a)) for a in np.linspace(0, np.pi, 17)]
+    loop = tube(arch, 0.0055, 12)
     ring_z = 0.085 + (m.middle - 0.16) * 0.8
-    ring = tube(
-        [(x + 0.030 + 0.016 * np.cos(a), 0.020 * np.sin(a), ring_z) for a in 2 * np.pi * np.arange(24) / 24],
-        0.0030,
-        8,
-        True,
-    )
+    oval = [(x + 0.030 + 0.016 * np.cos(a), 0.020 * np.sin(a), ring_z) for a in 2 * np.pi * np.arange(24) / 24]
+    ring = tube(oval, 0.0030, 8, True)
     scale = printed("scale", _scale(m.stand.colour, m.print))
     strips = pair(box((0.012, 0.0004, top - m.middle - 0.062), (x, 0, (top + m.middle + 0.05) / 2)), "y", 0.032)
     metal = Material("foot_metal", m.stand.colour, "metal", 3000.0)
@@ -377,8 +366,8 @@ def folding_display(seed: int) -> ObjectModel:
         (width * rng.uniform(0.66, 0.76), height * rng.uniform(0.52, 0.58)),
         height * rng.uniform(0.10, 0.16),
         textured("shell", "metal", 2000.0, textures.speckle(rng, colour, 0.03), 0.04),
-        Material("dark_plastic", textures.shade(colour, 0.45), "plastic", _ABS),
-        textured("steel", "metal", _STEEL, textures.brushed_metal(rng, textures.shade(colour, 1.05)), 0.02),
+        Material("dark_plastic", textures.shade(colour, 0.45), "plastic", ABS),
+        textured("steel", "metal", STEEL, textures.brushed_metal(rng, textures.shade(colour, 1.05)), 0.02),
         Material("rubber", textures.shade(colour, 0.35), "rubber", 1200.0),
         colour,
         textures.shade(colour, 0.28),
@@ -402,14 +391,13 @@ def _tablet(p: _Portable, rng: Rng) -> Pieces:
     paper = textures.shade(p.colour, 1.06)
     glass = textured("screen", "plastic", 2200.0, _page(rng, paper, p.ink, wide / high))
     brand = str(rng.choice(_BRANDS))
-    name = plate(text_outline(brand, chin * 0.30).mirror((1, 0)), 0.0008, "x", front).translate(
-        (0, 0, -p.height / 2 + chin / 2)
-    )
+    name = plate(text_outline(brand, chin * 0.30).mirror((1, 0)), 0.0008, "x", front)
+    name = name.translate((0, 0, -p.height / 2 + chin / 2))
     key = rod(0.0032, 0.0008, "x", (front, -p.width * 0.40, -p.height / 2 + chin / 2), 0.0, 24)
     keys = repeated(key, (0, 0.013, 0), 3)
     back = plate(text_outline(brand, p.height * 0.05), 0.0008, "x", p.thick / 2)
     back = back.translate((0, p.width * 0.36, (p.height / 2 + p.top) / 2 + 0.012))
-    ink = Material("print", p.ink, "plastic", _ABS)
+    ink = Material("print", p.ink, "plastic", ABS)
     return (
         Piece("slab", slab, p.shell),
         Piece("screen", box((0.0008, wide - 0.0004, high - 0.0004), (front + 0.0007, 0, z)), glass),
@@ -424,9 +412,8 @@ def _tablet_edges(p: _Portable) -> Pieces:
     y, sockets, cores = p.width / 2, [], []
     for z, long in ((-0.02, 0.0095), (0.0, 0.0095), (0.022, 0.0125)):
         sockets.append(plate(rounded_outline(0.0042, long, 0.0018), 0.0016, "y", y + 0.0002).translate((0, 0, z)))
-        cores.append(
-            plate(rounded_outline(0.0026, long - 0.0018, 0.0011), 0.0022, "y", y + 0.0002).translate((0, 0, z))
-        )
+        core = plate(rounded_outline(0.0026, long - 0.0018, 0.0011), 0.0022, "y", y + 0.0002)
+        cores.append(core.translate((0, 0, z)))
     keys = [round_box((0.004, 0.003, long), 0.0010, (0, -y, z), 12) for z, long in ((0.03, 0.020), (0.055, 0.010))]
     rims, core = union(sockets), union(cores)
     return (
@@ -480,7 +467,7 @@ def _kickstand(p: _Portable, rng: Rng) -> Pieces:
     edge = box((0.0044, wide * 0.55, 0.0044), (x, 0, long + 0.0019), 0.0003)
     text = str(rng.choice(["FOLD  0 - 125", "OPEN TO STAND", "STAND SIDE"]))
     picture = textures.label([text], p.colour, textures.shade(p.colour, 0.55), 7.0, None, False, 96)
-    words = textured("stand_print", "plastic", _ABS, picture)
+    words = textured("stand_print", "plastic", ABS, picture)
     line = box((0.0003, wide * 0.42, wide * 0.06), (x + 0.0020, 0, long + high * 0.70))
     thread = rod(0.0032, 0.0044, "x", (x, wide * 0.40, long + high * 0.5), 0.0, 24)
     bush = rod(0.0055, 0.0044, "x", (x, wide * 0.40, long + high * 0.5), 0.0002, 24) - thread

@@ -14,7 +14,7 @@ from manifold3d import CrossSection, Manifold
 from numpy.typing import NDArray
 
 from generator import textures
-from generator.model import Finish, Hinge, Link, Material, ObjectModel, Piece, Rng, printed, textured
+from generator.model import ABS, STEEL, Finish, Hinge, Link, Material, ObjectModel, Piece, Rng, printed, textured
 from generator.shapes import (
     box,
     lathe,
@@ -33,11 +33,9 @@ from generator.textures import Colour
 
 _FILLED = 1350.0
 """A case with its battery and board, kg/m^3."""
-_ABS = 1050.0
 _GLASS = 2500.0
-_STEEL = 7850.0
 _GLOSS = Material("black_glass", (0.035, 0.037, 0.042), "metal", _GLASS)
-_HOLES = Material("dark_holes", (0.03, 0.03, 0.035), "rubber", _ABS)
+_HOLES = Material("dark_holes", (0.03, 0.03, 0.035), "rubber", ABS)
 _SLIT = 0.0001
 """Half the slit between two halves."""
 _MAT = 0.0055
@@ -89,7 +87,7 @@ def _slider_screen(
     band = moulded(outline.offset(0.00025) - outline.offset(-0.0010), 0.0016, "z", 0.0034, 0.0002, 1)
     skin = textures.brushed_metal(rng, colour) if finish == "metal" else textures.speckle(rng, colour, 0.03)
     shell = textured("upper_shell", finish, _FILLED, skin, 0.03)
-    chrome = Material("chrome", (0.80, 0.81, 0.83), "metal", _STEEL)
+    chrome = Material("chrome", (0.80, 0.81, 0.83), "metal", STEEL)
 
     keys_high, top = height * 0.28, height / 2
     glass_at, glass = top - 0.0105 - height * 0.255, (width - 0.0070, height * 0.51)
@@ -121,7 +119,7 @@ def _slider_screen(
     back = rounded_outline(width - 0.0110, height - 0.0160, 0.0040, 24)
     cut_back, slide = _recess(back, _SLIT, -1, 0.0009, 0.00020)
     rails = pair(box((0.0014, height - 0.0240, 0.0010), (0, 0, 0.0006)), "x", width * 0.28)
-    steel = textured("slide_steel", "metal", _STEEL, textures.brushed_metal(rng, (0.62, 0.63, 0.66)), 0.02)
+    steel = textured("slide_steel", "metal", STEEL, textures.brushed_metal(rng, (0.62, 0.63, 0.66)), 0.02)
     note = textures.label([brand, "TYPE FA-21"], (0.90, 0.90, 0.88), (0.1, 0.1, 0.1), 2.4, rng)
     sticker = box((width * 0.42, width * 0.175, 0.0001), (0, travel * 0.5 + height * 0.13, _SLIT + 0.00017))
     return [
@@ -131,7 +129,7 @@ def _slider_screen(
         Piece("screen", display, textured("screen", "metal", _GLASS, _screen_off(rng))),
         keys,
         Piece("arrow_ring", arrows, chrome),
-        Piece("select_key", press, Material("select_key", textures.shade(other, 0.8, 0.05), "plastic", _ABS)),
+        Piece("select_key", press, Material("select_key", textures.shade(other, 0.8, 0.05), "plastic", ABS)),
         Piece("earpiece", holes, _HOLES),
         Piece("brand", name, chrome),
         Piece("slide_plate", slide - rails, steel),
@@ -174,14 +172,12 @@ def _keyboard_screen(width: float, height: float, colour: Colour, brand: str, rn
     face = 0.0072
     case = moulded(rounded_outline(width, height, 0.0100, 40), face - _SLIT, "z", (face + _SLIT) / 2, 0.0018, 3)
     shell = textured("upper_shell", "plastic", _FILLED, textures.speckle(rng, colour, 0.05), 0.02)
-    trim = Material("trim", textures.shade(colour, 1.25, 0.03), "metal", _STEEL)
+    trim = Material("trim", textures.shade(colour, 1.25, 0.03), "metal", STEEL)
     glass, glass_x = (width * 0.665, height - 0.0090), -width * 0.035
     cut_window, pane = _recess(rounded_outline(*glass, 0.0020, 20).translate((glass_x, 0)), face, 1, 0.0012, 0.00008)
     display = box((glass[0] - 0.0060, glass[1] - 0.0060, 0.0002), (glass_x, 0, face - 0.00002))
-    bezel_outline = rounded_outline(glass[0] + 0.0016, glass[1] + 0.0016, 0.0028, 20)
-    bezel = moulded(bezel_outline - bezel_outline.offset(-0.0009), 0.0010, "z", face, 0.0002, 1).translate(
-        (glass_x, 0, 0)
-    )
+    outline = rounded_outline(glass[0] + 0.0016, glass[1] + 0.0016, 0.0028, 20)
+    bezel = moulded(outline - outline.offset(-0.0009), 0.0010, "z", face, 0.0002, 1).translate((glass_x, 0, 0))
 
     panel_at = (width / 2 - 0.0105, 0.0)
     size = (0.0125, height - 0.0120)
@@ -201,9 +197,8 @@ def _keyboard_screen(width: float, height: float, colour: Colour, brand: str, rn
     slots = _slots(0.0013, 0.0090, 0.0017, 4).rotate(90).translate((-width / 2 + 0.0075, height * 0.20))
     lens = CrossSection.circle(0.0015, 24).translate((-width / 2 + 0.0075, -height * 0.30))
     cut_holes, holes = _recess(slots + lens, face, 1, 0.0010, 0.0005)
-    name = (
-        _printed(brand, 0.0030, height * 0.30).rotate((0, 0, 90)).translate((-width / 2 + 0.0078, -height * 0.08, face))
-    )
+    name = _printed(brand, 0.0030, height * 0.30).rotate((0, 0, 90))
+    name = name.translate((-width / 2 + 0.0078, -height * 0.08, face))
     cut_back, slide = _recess(rounded_outline(width - 0.0200, height - 0.0160, 0.0030, 20), _SLIT, -1, 0.0008, 0.0002)
     rails = pair(box((0.0012, height - 0.0220, 0.0008), (0, 0, 0.0005)), "x", width * 0.30)
     steel = textures.brushed_metal(rng, textures.shade(colour, 1.3, 0.05))
@@ -213,11 +208,11 @@ def _keyboard_screen(width: float, height: float, colour: Colour, brand: str, rn
         Piece("screen", display, textured("screen", "metal", _GLASS, _screen_off(rng))),
         Piece("screen_bezel", bezel, trim),
         keys,
-        Piece("trackball", ball, Material("trackball", textures.shade(colour, 1.6, 0.10), "plastic", _ABS)),
+        Piece("trackball", ball, Material("trackball", textures.shade(colour, 1.6, 0.10), "plastic", ABS)),
         Piece("trackball_socket", socket, trim),
         Piece("earpiece", holes, _HOLES),
-        Piece("brand", name, Material("brand_print", (0.62, 0.63, 0.65), "metal", _ABS)),
-        Piece("slide_plate", slide - rails, textured("slide_steel", "metal", _STEEL, steel, 0.02)),
+        Piece("brand", name, Material("brand_print", (0.62, 0.63, 0.65), "metal", ABS)),
+        Piece("slide_plate", slide - rails, textured("slide_steel", "metal", STEEL, steel, 0.02)),
     ]
 
 
@@ -265,8 +260,8 @@ def _cover(
 ) -> list[Piece]:
     """The cover: the front of the lower part of the phone, with lips that reach around its sides."""
     face, inner = 0.0110, 0.0078
-    paint = textured("cover_paint", "plastic", _ABS, textures.speckle(rng, colour, 0.05), 0.02)
-    relief = Material("cover_relief", textures.shade(colour, 0.72), "plastic", _ABS)
+    paint = textured("cover_paint", "plastic", ABS, textures.speckle(rng, colour, 0.05), 0.02)
+    relief = Material("cover_relief", textures.shade(colour, 0.72), "plastic", ABS)
     long = split - 0.0003 + height / 2
     room = box((width - 0.0028, 1, 0.1), (0, 0, inner - 0.05))
     room += box((1, 1, 0.1), (0, -height / 2 + 0.0150 - 0.5, inner - 0.05))  # no lips around the corners
@@ -289,8 +284,8 @@ def _cover(
         Piece("cover_ridges", ridges, relief),
         Piece("microphone", holes, _HOLES),
         Piece("cover_brand", name, relief),
-        Piece("cover_seal", seal, textured("cover_seal", "plastic", _ABS, star)),
-        Piece("cover_lining", lining, Material("cover_lining", textures.shade(colour, 0.85), "rubber", _ABS)),
+        Piece("cover_seal", seal, textured("cover_seal", "plastic", ABS, star)),
+        Piece("cover_lining", lining, Material("cover_lining", textures.shade(colour, 0.85), "rubber", ABS)),
     ]
 
 
@@ -300,7 +295,7 @@ def _bar(
     """The candy bar: screen, softkeys and roller above, digits in the bed of the cover below, aerial on top."""
     face, bed, back = 0.0110, 0.0075, -0.0110
     paint = textured("body_paint", "plastic", _FILLED, textures.speckle(rng, colour, 0.05), 0.02)
-    relief = Material("relief", textures.shade(colour, 0.72), "plastic", _ABS)
+    relief = Material("relief", textures.shade(colour, 0.72), "plastic", ABS)
     room = box((1, 1, 1), (0, split - 0.5, 0.5 + 0.0019)) - box((width - 0.0032, 1.2, 1), (0, split - 0.5, bed - 0.5))
     case = envelope - room
     size = (width - 0.0075, height * 0.43 - 0.0150)
@@ -396,25 +391,19 @@ def _back(
     note = printed("imei_label", textures.label(text, paper, ink, 2.1, rng, True))
     wide = min(door[0] * 0.66, 0.030)
     sticker = box((wide, wide / 2.1, 0.0002), (door_at[0], door_at[1] - door[1] * 0.26, back))
-    emboss = (
-        _printed(brand, 0.0055, door[0] * 0.55)
-        .rotate((0, 180, 0))
-        .translate((door_at[0], door_at[1] + door[1] * 0.16, back))
-    )
-    chrome = Material("lens_ring", textures.shade(colour, 0.75, 0.10), "metal", _STEEL)
-    dark = Material("seam", textures.shade(colour, 0.35), "rubber", _ABS)
+    emboss = _printed(brand, 0.0055, door[0] * 0.55).rotate((0, 180, 0))
+    emboss = emboss.translate((door_at[0], door_at[1] + door[1] * 0.16, back))
+    white = Material("flash", (0.86, 0.86, 0.78), "plastic", ABS)
+    chrome = Material("lens_ring", textures.shade(colour, 0.75, 0.10), "metal", STEEL)
+    dark = Material("seam", textures.shade(colour, 0.35), "rubber", ABS)
     pieces = [
         Piece("camera_ring", ring.rotate((180, 0, 0)).translate(here), chrome),
         Piece("camera_lens", lens.rotate((180, 0, 0)).translate(here), _GLOSS),
-        Piece(
-            "flash",
-            flash.translate((x + away[0], y + away[1], back)),
-            Material("flash", (0.86, 0.86, 0.78), "plastic", _ABS),
-        ),
+        Piece("flash", flash.translate((x + away[0], y + away[1], back)), white),
         Piece("battery_seam", line, dark),
         Piece("battery_latch", latch, dark),
         Piece("loudspeaker", holes, dark),
-        Piece("back_screws", screws, Material("screw_steel", (0.45, 0.45, 0.47), "metal", _STEEL)),
+        Piece("back_screws", screws, Material("screw_steel", (0.45, 0.45, 0.47), "metal", STEEL)),
         Piece("imei_label", sticker, note),
         Piece("back_brand", emboss, chrome),
     ]
@@ -423,7 +412,7 @@ def _back(
 
 def _sides(width: float, height: float, level: float, colour: Colour, rng: Rng) -> tuple[list[Piece], list[Manifold]]:
     """Keys on the sides of a case at height `level`, and its ports, with what must be cut out for them."""
-    button = Material("side_buttons", textures.shade(colour, 0.9, 0.02), "plastic", _ABS)
+    button = Material("side_buttons", textures.shade(colour, 0.9, 0.02), "plastic", ABS)
     rocker = box((0.0014, 0.0170, 0.0030), (-width / 2 - 0.0002, height * 0.16, level), 0.0005)
     rocker -= box((0.0020, 0.0006, 0.0040), (-width / 2 - 0.0010, height * 0.16, level))
     shutter = box((0.0014, 0.0090, 0.0028), (width / 2 + 0.0002, -height * 0.18, level), 0.0005)
@@ -433,8 +422,8 @@ def _sides(width: float, height: float, level: float, colour: Colour, rng: Rng) 
     floor = box((0.0086, 0.0004, 0.0022), (0, -height / 2 + 0.0019, level))
     jack = rod(0.0016, 0.0050, "y", (-width * 0.22, -height / 2, level), segments=20)
     jack_floor = rod(0.0016, 0.0006, "y", (-width * 0.22, -height / 2 + 0.0022, level), segments=20)
-    gold = Material("contacts", (0.72, 0.60, 0.32), "metal", _STEEL)
-    dark = Material("port", (0.05, 0.05, 0.055), "rubber", _ABS)
+    gold = Material("contacts", (0.72, 0.60, 0.32), "metal", STEEL)
+    dark = Material("port", (0.05, 0.05, 0.055), "rubber", ABS)
     pieces = [
         Piece("volume_rocker", rocker, button),
         Piece("side_keys", union((shutter, power)), button),
@@ -509,7 +498,7 @@ def _keypad(
     ]
     picture = _key_picture(size, cells, colour)
     solid = union((mat, *caps)).translate((*at, 0))
-    return Piece(name, solid, textured(name, "plastic", _ABS, picture))
+    return Piece(name, solid, textured(name, "plastic", ABS, picture))
 
 
 def _key_picture(size: tuple[float, float], cells: Sequence[Cell], colour: Colour) -> NDArray[np.uint8]:
@@ -529,16 +518,8 @@ def _key_picture(size: tuple[float, float], cells: Sequence[Cell], colour: Colou
         shift = 0.38 * a if small.strip() and len(small) > 1 else 0.0
         _letters(picture, text, u - shift, v, 1.05 * b, 1.5 * a, ink)
         if small.strip():
-            beside = shift > 0
-            _letters(
-                picture,
-                small,
-                u + (0.42 * a if beside else 0.55 * a),
-                v - (0 if beside else 0.55 * b),
-                0.5 * b,
-                0.85 * a,
-                ink,
-            )
+            right, up = (0.42 * a, 0) if shift > 0 else (0.55 * a, 0.55 * b)
+            _letters(picture, small, u + right, v - up, 0.5 * b, 0.85 * a, ink)
     return picture
 
 

@@ -15,12 +15,10 @@ from manifold3d import CrossSection, Manifold
 from numpy.typing import ArrayLike, NDArray
 
 from generator import textures
-from generator.model import Hinge, Link, Material, ObjectModel, Piece, Rng, printed, textured
+from generator.model import ABS, STEEL, Hinge, Link, Material, ObjectModel, Piece, Rng, printed, textured
 from generator.shapes import box, lathe, moulded, plate, polygon, rod, softened, stood, stroke, text_outline, union
 from generator.textures import Colour
 
-_STEEL = 7850.0
-_ABS = 1050.0
 _TPE = 950.0
 _GAP = 0.00008
 """Half the slit between the blades."""
@@ -54,7 +52,7 @@ def office_scissors(seed: int) -> ObjectModel:
     hard, soft = _OFFICE[int(rng.integers(len(_OFFICE)))]
     steel = _brushed("blade_steel", (0.70, 0.71, 0.73), rng)
     ground = _brushed("ground_steel", (0.82, 0.83, 0.85), rng)
-    handle = textured("handle_plastic", "plastic", _ABS, textures.speckle(rng, hard, 0.10), 0.015)
+    handle = textured("handle_plastic", "plastic", ABS, textures.speckle(rng, hard, 0.10), 0.015)
     lining = Material("soft_lining", soft, "rubber", _TPE)
     thumb = _loop((-0.0262, -0.074), (0.0170, 0.0235), -6, size)
     fingers = _loop((-0.0270, -0.074), (0.0185, 0.0330), 8, size)
@@ -97,8 +95,8 @@ def tailor_shears(seed: int) -> ObjectModel:
     colour = _SHEARS[int(rng.integers(len(_SHEARS)))]
     steel = _brushed("blade_metal", colour, rng)
     ground = _brushed("ground_metal", textures.shade(colour, 1.06, 0.02), rng)
-    cast = textured("cast_metal", "metal", _STEEL, textures.speckle(rng, colour, 0.04), 0.02)
-    relief = Material("relief", textures.shade(colour, 0.85), "metal", _STEEL)
+    cast = textured("cast_metal", "metal", STEEL, textures.speckle(rng, colour, 0.04), 0.02)
+    relief = Material("relief", textures.shade(colour, 0.85), "metal", STEEL)
     bend = rng.uniform(17, 23)
     fingers = _loop((-0.0240, -0.086), (0.0190, 0.0390), 7, size)
     thumb = _loop((-0.0225, -0.064), (0.0180, 0.0235), 4, size)
@@ -130,7 +128,7 @@ def tailor_shears(seed: int) -> ObjectModel:
     halves[1].append(Piece("rear_number", number.translate((0.0015, reach * 0.30, 0.0037)), relief))
     crown = _engraving(["FREEART", f"21  {int(rng.integers(100, 999))}"], colour, rng)
     halves[1].append(Piece("rear_stamp", _plaque((0.0060, 0.034), (0.0052, reach * 0.46), 0.0038), crown))
-    knurled = textured("knurled_metal", "metal", _STEEL, _knurl(colour), 0.010)
+    knurled = textured("knurled_metal", "metal", STEEL, _knurl(colour), 0.010)
     screw = _screw(0.0086, 0.0034, 0.0046, rng.uniform(0, 180), steel)
     nut = Piece("nut", _nut(0.0076, 0.0036, 0.0046), knurled)
     return _pair("tailor_shears", seed, halves, [*screw, nut], 0.0036, rng.uniform(0.88, 1.05))
@@ -145,7 +143,7 @@ def craft_scissors(seed: int) -> ObjectModel:
     ground = _brushed("ground_steel", (0.84, 0.85, 0.87), rng)
     halves = []
     for k, side in enumerate(("front", "rear")):
-        paint = Material(f"{side}_plastic", colours[k], "plastic", _ABS)
+        paint = Material(f"{side}_plastic", colours[k], "plastic", ABS)
         soft = Material(f"{side}_lining", colours[1 - k], "rubber", _TPE)
         loop = _loop((-0.0208, -0.048 - 0.002 * k), (0.0158, 0.0170 + 0.0030 * k), -4, size)
         edge_at = (-0.0060, 0.010), (-0.0046, reach - 0.004)
@@ -172,7 +170,7 @@ def craft_scissors(seed: int) -> ObjectModel:
             Piece(f"{side}_dots", dots, soft),
         ]
         halves.append(pieces)
-    scale = textured("ruler_print", "metal", _STEEL, np.rot90(_ruler(5, 0.0068 / 0.042)).copy())
+    scale = textured("ruler_print", "metal", STEEL, np.rot90(_ruler(5, 0.0068 / 0.042)).copy())
     halves[0].append(Piece("front_ruler", _plaque((0.0068, 0.042), (0.0019, 0.0310), 0.0015), scale))
     card = textures.label([str(rng.choice(["KIDS", "ANNA", "LEO", "SCHOOL"]))], (0.98, 0.98, 0.96), colours[0], 3.6)
     name = printed("name_sticker", np.rot90(card).copy())
@@ -284,7 +282,7 @@ def _screw(radius: float, shaft: float, thickness: float, turn: float, metal: Ma
     head = lathe([*rim, (radius * 0.5, radius * 0.36), (0, radius * 0.38)], "z", (0, 0, top), 40)
     slot = box((2.4 * radius, radius * 0.26, radius * 0.5), (0, 0, top + radius * 0.40)).rotate((0, 0, turn))
     floor = box((1.8 * radius, radius * 0.26, radius * 0.06), (0, 0, top + radius * 0.15)).rotate((0, 0, turn))
-    dark = Material("slot", textures.shade(_mean(metal), 0.4), "metal", _STEEL)
+    dark = Material("slot", textures.shade(_mean(metal), 0.4), "metal", STEEL)
     return [
         Piece("screw", union((head - slot, rod(shaft, 2 * top, "z", segments=32))), metal),
         Piece("screw_slot", floor, dark),
@@ -293,9 +291,8 @@ def _screw(radius: float, shaft: float, thickness: float, turn: float, metal: Ma
 
 def _nut(radius: float, height: float, thickness: float) -> Manifold:
     """The nut, or the rivet's end, behind the rear blade of `thickness`."""
-    nut = lathe(
-        [(0, 0), (radius, 0), (radius * 0.95, height * 0.7), (radius * 0.75, height), (0, height)], "z", (0, 0, 0)
-    )
+    profile = [(0, 0), (radius, 0), (radius * 0.95, height * 0.7), (radius * 0.75, height), (0, height)]
+    nut = lathe(profile, "z", (0, 0, 0))
     return nut.rotate((180, 0, 0)).translate((0, 0, 0.00005 - _GAP - thickness))
 
 
@@ -313,14 +310,14 @@ def _mean(material: Material) -> Colour:
 
 
 def _brushed(name: str, colour: Colour, rng: Rng) -> Material:
-    return textured(name, "metal", _STEEL, textures.brushed_metal(rng, colour), 0.05)
+    return textured(name, "metal", STEEL, textures.brushed_metal(rng, colour), 0.05)
 
 
 def _engraving(lines: list[str], colour: Colour, rng: Rng, aspect: float = 6.3) -> Material:
     """Words etched into the metal, to be read with the points to the left."""
     metal = np.rot90(textures.brushed_metal(rng, colour))
     words = textures.label(lines, metal, textures.shade(colour, 0.45), aspect, None, False, 128)
-    return textured("_".join(lines).lower().replace(" ", ""), "metal", _STEEL, np.rot90(words).copy())
+    return textured("_".join(lines).lower().replace(" ", ""), "metal", STEEL, np.rot90(words).copy())
 
 
 def _knurl(colour: Colour) -> NDArray[np.uint8]:
@@ -339,7 +336,6 @@ def _ruler(centimetres: int, aspect: float) -> NDArray[np.uint8]:
         tall = 0.50 if k % 10 == 0 else 0.38 if k % 5 == 0 else 0.24
         cv2.line(picture, (x, 0), (x, round(tall * len(picture))), (20, 24, 60), 3)
         if k % 10 == 0 and 0 < k < 10 * centimetres:
-            cv2.putText(
-                picture, str(k // 10), (x - 14, len(picture) - 10), cv2.FONT_HERSHEY_DUPLEX, 1.3, (20, 24, 60), 3
-            )
+            at = (x - 14, len(picture) - 10)
+            cv2.putText(picture, str(k // 10), at, cv2.FONT_HERSHEY_DUPLEX, 1.3, (20, 24, 60), 3)
     return picture

@@ -346,9 +346,8 @@ def _bedside_contents(s: _Bedside, rng: Rng) -> Pieces:
     pencil_at = (front + 0.10, -s.width * 0.06, z + 0.004)
     wood = Material("pencil", (0.86, 0.62, 0.16), "wood", 600.0)
     tin = rod(0.034, 0.022, "z", (front + 0.075, -s.width * 0.22, z + 0.0112), 0.002)
-    tin -= rod(0.035, 0.0008, "z", (front + 0.075, -s.width * 0.22, z + 0.016)) - rod(
-        0.0335, 0.002, "z", (front + 0.075, -s.width * 0.22, z + 0.016)
-    )
+    seam = (front + 0.075, -s.width * 0.22, z + 0.016)
+    tin -= rod(0.035, 0.0008, "z", seam) - rod(0.0335, 0.002, "z", seam)
     return (
         *(replace(p, solid=p.solid.rotate((0, 0, turn)).translate(at)) for p in book),
         Piece("pencil", rod(0.0036, 0.15, "x", pencil_at, 0.001, 6), wood),
@@ -434,11 +433,7 @@ def _cabinet_carcass(c: _Cabinet) -> Pieces:
     plinth = box((deep - 0.04, c.width - 0.03, 0.046), (middle[0] + 0.012, 0, 0.036), 0.003)
     plinth -= box((deep - 0.043, c.width - 0.033, 0.05), (middle[0] + 0.012, 0, 0.033))
     foot = lathe([[0.0, 0.0], [0.018, 0], [0.020, 0.002], [0.020, 0.006], [0.006, 0.009], [0.006, 0.058], [0, 0.058]])
-    feet = union(
-        foot.translate((middle[0] + 0.012 + x * (deep / 2 - 0.06), y * (c.width / 2 - 0.05), 0))
-        for x in (-1, 1)
-        for y in (-1, 1)
-    )
+    feet = corners(foot.translate((middle[0] + 0.012, 0, 0)), "xy", deep / 2 - 0.06, c.width / 2 - 0.05)
     return (
         Piece("cabinet_shell", shell, c.sheet),
         Piece("runner", rails, c.chrome),
@@ -525,9 +520,8 @@ def _file_box(c: _Cabinet, n: int) -> Pieces:
     x0, x1 = -c.depth / 2 + 0.0185, c.depth / 2 - 0.035
     wide, high = c.width - 0.050, c.step * 0.66
     middle = ((x0 + x1) / 2, 0.0, z0 + high / 2)
-    sides = box((x1 - x0, wide, high), middle) - box(
-        (x1 - x0 - 2 * t, wide - 2 * t, high), (*middle[:2], middle[2] + t)
-    )
+    sides = box((x1 - x0, wide, high), middle)
+    sides -= box((x1 - x0 - 2 * t, wide - 2 * t, high), (*middle[:2], middle[2] + t))
     holes = repeated(rod(0.016, 1.0, "y", (middle[0], 0, z0 + high * 0.80), segments=24), (0.11, 0, 0), 4)
     runner_z = _file_runner(c, n)
     rails = pair(box((x1 - x0 - 0.01, 0.0125, 0.016), (middle[0] - 0.005, 0, runner_z), 0.001), "y", wide / 2 + 0.0062)

@@ -6,14 +6,11 @@ import numpy as np
 from manifold3d import CrossSection
 
 from generator import textures
-from generator.model import Hinge, Link, Material, ObjectModel, Piece, Pieces, Rng, printed, textured
+from generator.model import ABS, BRASS, STEEL, Hinge, Link, Material, ObjectModel, Piece, Pieces, Rng, printed, textured
 from generator.shapes import box, moulded, pair, plate, rod, rounded_outline, smooth_outline, text_outline, tube, union
 from generator.textures import Colour
 
-_ABS = 1050.0
 _RUBBER = 1150.0
-_STEEL = 7850.0
-_BRASS = 8500.0
 _SILVER: Colour = (0.76, 0.77, 0.79)
 _PLUG_LONG = 0.0122
 """How far a plug stands out of its stick."""
@@ -41,7 +38,7 @@ def swivel_usb(seed: int) -> ObjectModel:
 
 
 def _stick(front: float, width: float, thick: float, colour: Colour, rng: Rng) -> Pieces:
-    plastic = textured("stick", "plastic", _ABS, textures.speckle(rng, colour, 0.06), 0.02)
+    plastic = textured("stick", "plastic", ABS, textures.speckle(rng, colour, 0.06), 0.02)
     ends = [CrossSection.circle(0.003, 24).translate((0.003 - front, s * (width / 2 - 0.003))) for s in (-1, 1)]
     solid = moulded(CrossSection.batch_hull([*ends, CrossSection.circle(width / 2, 48)]), thick, "z", 0, 0.0014, 3)
     loop = CrossSection.batch_hull(
@@ -58,7 +55,7 @@ def _stick(front: float, width: float, thick: float, colour: Colour, rng: Rng) -
     lines = ["FREEART 21", f"SN {int(rng.integers(10000, 99999))}"]
     small = printed("serial", textures.label(lines, (0.95, 0.95, 0.93), (0.1, 0.1, 0.1), 2.0, rng))
     at, half = -front * 0.665, thick / 2
-    lamp = Material("lamp", (0.45, 0.85, 0.95), "plastic", _ABS)
+    lamp = Material("lamp", (0.45, 0.85, 0.95), "plastic", ABS)
     return (
         Piece("stick", solid, plastic),
         Piece("capacity", box((front * 0.46, front * 0.21, 0.0003), (at, 0, half)), words),
@@ -70,7 +67,7 @@ def _stick(front: float, width: float, thick: float, colour: Colour, rng: Rng) -
 
 def _sleeve(reach: float, width: float, thick: float, rng: Rng) -> Pieces:
     """A steel strip bent to a U over the plug, its legs riveted to the stick at the origin."""
-    steel = textured("sleeve_steel", "metal", _STEEL, textures.brushed_metal(rng, _SILVER), 0.02)
+    steel = textured("sleeve_steel", "metal", STEEL, textures.brushed_metal(rng, _SILVER), 0.02)
     sheet, inner = 0.0007, thick + 0.0006
     nose = -(np.hypot(reach, 0.006) + 0.0006)  # the plug's corners pass inside
     long = width / 2 - nose + 0.01
@@ -86,12 +83,12 @@ def _sleeve(reach: float, width: float, thick: float, rng: Rng) -> Pieces:
     strip -= plate(slot, 0.004, "z", top)  # for a lanyard
     ground = textures.brushed_metal(rng, _SILVER)
     prints = textures.label(["CE  FC", "MADE OF CODE"], ground, (0.25, 0.25, 0.27), 2.2, rng, False)
-    etched = textured("etching", "metal", _STEEL, prints)
+    etched = textured("etching", "metal", STEEL, prints)
     below = box((width * 1.05, width * 0.48, 0.0002), (middle, 0, -top))
     shaft = rod(0.0020, inner + 2 * sheet + 0.0012, "z", segments=32)
     heads = pair(rod(0.0034, 0.0014, "z", (0, 0, 0), 0.0004, 40), "z", top + 0.0001)
     drive = pair(rod(0.0014, 0.0010, "z", (0, 0, 0), segments=6), "z", top + 0.0008)
-    rivet = Material("rivet", (0.58, 0.58, 0.60), "metal", _STEEL)
+    rivet = Material("rivet", (0.58, 0.58, 0.60), "metal", STEEL)
     return (
         Piece("sleeve", strip, steel),
         Piece("sleeve_etching", below, etched),
@@ -105,21 +102,19 @@ def flip_cap_usb(seed: int) -> ObjectModel:
     long, width, thick = np.array([0.0445, 0.0200, 0.0105]) * rng.uniform(0.94, 1.06, 3)
     rubber, accent = _RUBBERS[int(rng.integers(len(_RUBBERS)))]
     coat = textured("rubber", "rubber", _RUBBER, textures.speckle(rng, rubber, 0.04), 0.015)
-    ring = Material("accent", accent, "plastic", _ABS)
+    ring = Material("accent", accent, "plastic", ABS)
     pivot = (0.0, 0.0, thick / 2 + 0.0004)
     body = Link("heavy usb_body", _grip(long, width, thick, coat, ring, rubber, rng))
-    cap = Link(
-        "hinge lid", _cap(width, thick, coat, ring, rng), Hinge("revolute", "link_1", (0, 1, 0), pivot, 0.0, 2.95)
-    )
+    hinge = Hinge("revolute", "link_1", (0, 1, 0), pivot, 0.0, 2.95)
+    cap = Link("hinge lid", _cap(width, thick, coat, ring, rng), hinge)
     return ObjectModel("flip_cap_usb", "USB", (cap, body), 0, seed)
 
 
 def _grip(long: float, width: float, thick: float, coat: Material, ring: Material, rubber: Colour, rng: Rng) -> Pieces:
     whole = rounded_outline(2 * long, width, width * 0.42)
     solid = moulded(whole, thick, "z", 0, 0.0022, 4).trim_by_plane((1, 0, 0), 0)
-    band = moulded(
-        rounded_outline(2 * long + 0.0004, width + 0.0004, width * 0.42 + 0.0002), thick + 0.0004, "z", 0, 0.0023, 4
-    ).trim_by_plane((1, 0, 0), 0.0022)
+    outline = rounded_outline(2 * long + 0.0004, width + 0.0004, width * 0.42 + 0.0002)
+    band = moulded(outline, thick + 0.0004, "z", 0, 0.0023, 4).trim_by_plane((1, 0, 0), 0.0022)
     band = band.trim_by_plane((-1, 0, 0), -0.0038)
     waves = int(rng.integers(5, 9))
     for k in range(waves):
@@ -138,7 +133,7 @@ def _grip(long: float, width: float, thick: float, coat: Material, ring: Materia
     paper = printed("sticker", sticker)
     print_ = printed("back_print", back)
     glow = tuple(rng.choice([(0.35, 0.75, 0.95), (0.95, 0.35, 0.25), (0.45, 0.9, 0.5)]))
-    window = Material("window", glow, "plastic", _ABS)
+    window = Material("window", glow, "plastic", ABS)
     pane = moulded(rounded_outline(0.0022, width * 0.34, 0.0010), 0.0012, "z", thick / 2, 0.0004)
     return (
         Piece("grip", solid, coat),
@@ -153,9 +148,8 @@ def _grip(long: float, width: float, thick: float, coat: Material, ring: Materia
 def _cap(width: float, thick: float, coat: Material, ring: Material, rng: Rng) -> Pieces:
     """A cap without a floor but for a lip at its nose: with one, the plug would stop it from turning."""
     nose, gap = -0.0150, 0.0003
-    solid = moulded(rounded_outline(-2 * nose, width, width * 0.30), thick, "z", 0, 0.0022, 4).trim_by_plane(
-        (-1, 0, 0), gap
-    )
+    solid = moulded(rounded_outline(-2 * nose, width, width * 0.30), thick, "z", 0, 0.0022, 4)
+    solid = solid.trim_by_plane((-1, 0, 0), gap)
     room = 0.0067
     solid -= box((0.0115, 2 * room, thick), (-0.0056, 0, -0.0018))
     solid -= box((0.0130, 2 * room, thick - 0.0032), (-0.0065, 0, -0.0002))
@@ -166,7 +160,7 @@ def _cap(width: float, thick: float, coat: Material, ring: Material, rng: Rng) -
     solid += box((0.0030, 0.0044, 0.0012), (-0.0016, 0, thick / 2 - 0.0004), 0.0003)
     mark = str(rng.choice(["FA21", "DATA", "KEEP", "DUO"]))
     letters = plate(text_outline(mark, 0.0042, width * 0.6), 0.0008, "z", thick / 2).translate((nose * 0.52, 0, 0))
-    pin = Material("hinge_pin", (0.70, 0.70, 0.72), "metal", _STEEL)
+    pin = Material("hinge_pin", (0.70, 0.70, 0.72), "metal", STEEL)
     return (
         Piece("cap", solid, coat),
         Piece("cap_mark", letters, ring),
@@ -179,8 +173,8 @@ def folding_usb(seed: int) -> ObjectModel:
     rng = np.random.default_rng([seed, 313])
     colour = _KNIVES[int(rng.integers(len(_KNIVES)))]
     tip, width = 0.0350 * rng.uniform(0.94, 1.06), 0.0190 * rng.uniform(0.96, 1.06)
-    steel = textured("scale_steel", "metal", _STEEL, textures.brushed_metal(rng, colour), 0.02)
-    screw = Material("screws", textures.shade(colour, 0.86), "metal", _STEEL)
+    steel = textured("scale_steel", "metal", STEEL, textures.brushed_metal(rng, colour), 0.02)
+    screw = Material("screws", textures.shade(colour, 0.86), "metal", STEEL)
     handle = Link("heavy usb_body", _handle(tip, width, colour, steel, screw, rng))
     hinge = Hinge("revolute", "link_1", (0, 0, -1), (0, 0, 0), 0.0, np.pi)
     blade = Link("hinge usb_rotation", _blade(tip, width, colour, rng), hinge)
@@ -211,11 +205,8 @@ def _handle(tip: float, width: float, colour: Colour, steel: Material, screw: Ma
     for s in (-1, 1):
         solid = moulded(scale - cord, sheet, "z", s * (out - sheet / 2), 0.0005, 2)
         for k in range(slots):
-            slit = (
-                rounded_outline(0.0012, width * 0.26, 0.0005, 12)
-                .rotate(20)
-                .translate((tip * 0.30 + (k - slots / 2) * 0.0028, -half * 0.36))
-            )
+            slit = rounded_outline(0.0012, width * 0.26, 0.0005, 12).rotate(20)
+            slit = slit.translate((tip * 0.30 + (k - slots / 2) * 0.0028, -half * 0.36))
             solid -= plate(slit, 0.0010, "z", s * out)
         letters = (logo if s > 0 else logo.mirror((1, 0))).translate((tip * 0.42, half * 0.22))
         solid -= plate(letters, 0.0006, "z", s * out)
@@ -226,13 +217,13 @@ def _handle(tip: float, width: float, colour: Colour, steel: Material, screw: Ma
             discs.append(disc - rod(size * 0.5, 0.0010, "z", (x, y, s * (out + 0.0007)), segments=6))
     lines, ground = [f"{2 ** int(rng.integers(4, 8))} GB", "STAINLESS"], textures.brushed_metal(rng, colour)
     etching = textures.label(lines, ground, textures.shade(colour, 0.45, 0.03), 2.0, None, False)
-    etched = textured("etching", "metal", _STEEL, etching)
+    etched = textured("etching", "metal", STEEL, etching)
     texts = box((tip * 0.26, tip * 0.13, 0.0002), (tip * 0.80, half * 0.20, out))
     turn = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     bow = np.stack([0.0058 * np.cos(turn), 0 * turn, 0.0058 * np.sin(turn)], -1)
     ring = tube(bow + np.array([rear - 0.0042 + 0.0055, half * 0.25, 0]), 0.00075, 8, True)
-    dark = Material("spine_steel", textures.shade(colour, 0.85), "metal", _STEEL)
-    wire = Material("key_ring", textures.shade(colour, 1.05), "metal", _STEEL)
+    dark = Material("spine_steel", textures.shade(colour, 0.85), "metal", STEEL)
+    wire = Material("key_ring", textures.shade(colour, 1.05), "metal", STEEL)
     return (
         Piece("scale", union(scales), steel),
         Piece("spine", plate(spine - cord, _ROOM, "z"), dark),
@@ -264,7 +255,7 @@ def _blade(tip: float, width: float, colour: Colour, rng: Rng) -> Pieces:
 
 def _plug(colour: Colour, base: float, rng: Rng) -> Pieces:
     """A type A plug from x = base to base - `_PLUG_LONG`: a steel shell with its tongue and four contacts."""
-    steel = textured("plug_steel", "metal", _STEEL, textures.brushed_metal(rng, colour), 0.015)
+    steel = textured("plug_steel", "metal", STEEL, textures.brushed_metal(rng, colour), 0.015)
     long, root = _PLUG_LONG, 0.003
     middle = base - (long - root) / 2
     shell = plate(rounded_outline(0.0120, 0.0045, 0.0006, 16), long + root, "x", middle, 0.0002)
@@ -279,8 +270,8 @@ def _plug(colour: Colour, base: float, rng: Rng) -> Pieces:
         for y in (-0.0035, -0.0010, 0.0010, 0.0035)
     )
     blue = bool(rng.integers(2))
-    resin = Material("tongue", (0.10, 0.25, 0.70) if blue else (0.12, 0.12, 0.13), "plastic", _ABS)
-    gold = Material("contacts", (0.86, 0.68, 0.30), "metal", _BRASS)
+    resin = Material("tongue", (0.10, 0.25, 0.70) if blue else (0.12, 0.12, 0.13), "plastic", ABS)
+    gold = Material("contacts", (0.86, 0.68, 0.30), "metal", BRASS)
     return (Piece("plug", shell, steel), Piece("plug_tongue", tongue, resin), Piece("plug_contacts", strips, gold))
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from aiohttp import web
 
-from generator.teleop.gate import Allowance
+from generator.teleop.gate import BURST
 from generator.teleop.stage import Stage
 
 IN_FLIGHT = 2
@@ -24,7 +24,8 @@ class Client:
 
     def __init__(self, socket: web.WebSocketResponse, name: str, stage: Stage) -> None:
         self.socket, self.name, self._stage = socket, name, stage
-        self.allowance = Allowance()
+        self.allowance = BURST
+        """Number of messages that it may send now."""
         self.n = -1
         """Number of the newest move."""
         self.heard_at = time.monotonic()

@@ -1,11 +1,9 @@
-"""Access control: token and origin of requests, the message rate of pages, and a log of what is dropped."""
+"""Access control: token and origin of requests, and the limits of what pages send."""
 
 from __future__ import annotations
 
 import hmac
 import secrets
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from urllib.parse import urlsplit
 
@@ -30,7 +28,9 @@ class Gate:
 
     def refusal(self, token: str, host: str, origin: str | None, socket: bool) -> str:
         """Why a request is refused; '' for an admitted one. A websocket must come from a page of this server."""
-        if not self.secure and host.lower() not in self._hosts():  # DNS rebinding
+        names = {"127.0.0.1", "localhost", "[::1]", bracketed(self.host).lower()}
+        ours = {f"{name}:{self.port}" for name in names} | (names if self.port == 80 else set())
+        if not self.secure and host.lower() not in ours:  # DNS rebinding
             return "an address that is not this server's"
         if origin is not None or socket:
             parts = urlsplit(origin or "")
@@ -41,42 +41,7 @@ class Gate:
             return "no token, or a wrong one"
         return ""
 
-    def _hosts(self) -> set[str]:
-        names = {"127.0.0.1", "localhost", "[::1]", bracketed(self.host).lower()}
-        return {f"{name}:{self.port}" for name in names} | (names if self.port == 80 else set())
-
 
 def bracketed(host: str) -> str:
     """`host` as it stands in a URL."""
     return f"[{host}]" if ":" in host else host
-
-
-@dataclass
-class Allowance:
-    """Rate limit of one page (token bucket)."""
-
-    _left: float = BURST
-    _at: float = field(default_factory=time.monotonic)
-
-    def allow(self, now: float) -> bool:
-        """Whether one more message is accepted now; others are dropped unread."""
-        self._left = min(BURST, self._left + PER_SECOND * (now - self._at))
-        self._at = now
-        if self._left < 1:
-            return False
-        self._left -= 1
-        return True
-
-
-class LogOfDrops:
-    """Reports the first of each kind of what is dropped: a flood of messages is no flood of lines."""
-
-    def __init__(self, say: Callable[[str], None]) -> None:
-        self._say = say
-        self._kinds: set[str] = set()
-
-    def report(self, why: str, whose: object) -> None:
-        """Report something that was dropped; `why` is one of a few fixed texts."""
-        if why not in self._kinds:
-            self._kinds.add(why)
-            self._say(f"dropped from {whose}: {why} (others of this kind are dropped without a line)")

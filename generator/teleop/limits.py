@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.se3 import Array
+from freeart21.sphere import fibonacci_sphere
 from generator.motion.body import UPRIGHT, Body
-from generator.motion.framing import MARGIN
+from generator.motion.framing import place_object
+from generator.motion.plan import PRESETS
 
 FILL = 0.6
 """Height of the object at the start, as a share of the picture's: about that of the recorder's motions (mean 0.65),
@@ -53,14 +55,10 @@ class Workspace:
         points = body.points(np.array([state]))[0]
         centre = (points.min(0) + points.max(0)) / 2
         radius = float(np.linalg.norm(points - centre, axis=1).max())
-        turned = (points - centre) @ R.T
-        near = nearest = radius + min(NEAREST_M, radius / 4)
-        far = 1e3 * radius
-        for _ in range(60):
-            depth = float(np.sqrt(near * far))
-            fits = _fits(turned + _centring_shift(turned, depth, camera), camera)
-            near, far = (near, depth) if fits else (depth, far)
-        T = se3.pose(R, _centring_shift(turned, far, camera) - R @ centre)
+        nearest = radius + min(NEAREST_M, radius / 4)
+        preset = replace(PRESETS["handheld"], fill=FILL)
+        T = place_object(R[None], np.zeros((1, 3)), np.zeros(1), np.array([state]), body, camera, preset, False)[0]
+        far = float(se3.transform(T, centre[None])[0, 2])
         bounding = _extreme_points(body.hulls[0]), _extreme_points(body.hulls[1])
         return cls(bounding, centre, radius, nearest, FARTHEST * far, state, T)
 
@@ -72,26 +70,4 @@ class Workspace:
 
 def _extreme_points(points: Array) -> Array:
     """The points among (n, 3) that are extreme in one of the sampled directions."""
-    k = np.arange(_DIRECTIONS) + 0.5  # a Fibonacci lattice on the sphere
-    z, turn = 1 - 2 * k / _DIRECTIONS, np.pi * (1 + np.sqrt(5)) * k
-    across = np.sqrt(1 - z**2)
-    directions = np.stack([across * np.cos(turn), across * np.sin(turn), z], 1)
-    return np.asarray(points[np.unique((points @ directions.T).argmax(0))])
-
-
-def _centring_shift(points: Array, depth: float, camera: Camera) -> Array:
-    """The translation (3,) that moves points (k, 3) about the origin to the picture's middle, at a depth."""
-    place = np.array([0.0, 0.0, depth])
-    for _ in range(20):  # not exact with perspective, so it is repeated
-        uv = camera.project(points + place)
-        off = (uv.max(0) + uv.min(0)) / 2 - camera.K[:2, 2]
-        place[:2] -= off * depth / camera.K[[0, 1], [0, 1]]
-    return place
-
-
-def _fits(points: Array, camera: Camera) -> bool:
-    """Whether points (k, 3) are inside the picture and at most `FILL` of it high."""
-    strip, size = MARGIN * camera.height, np.array([camera.width, camera.height])
-    uv = camera.project(points)
-    inside = (uv.min(0) >= strip).all() and (uv.max(0) <= size - strip).all()
-    return bool(inside and np.ptp(uv[:, 1]) <= FILL * camera.height)
+    return np.asarray(points[np.unique((points @ fibonacci_sphere(_DIRECTIONS).T).argmax(0))])

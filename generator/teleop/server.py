@@ -17,7 +17,7 @@ from freeart21.errors import FreeArtError
 from generator.teleop import wire
 from generator.teleop.client import Client
 from generator.teleop.driving import Driving, Placement
-from generator.teleop.gate import MAX_BAD, Gate, LogOfDrops
+from generator.teleop.gate import BURST, MAX_BAD, PER_SECOND, Gate
 from generator.teleop.stage import Stage
 from generator.teleop.takes import Takes
 
@@ -68,9 +68,14 @@ class Server:
     ) -> None:
         """`facts` on the object are sent to every page in its `hello`."""
         self._facts, self._bounds, self._stage, self._takes, self._gate = facts, bounds, stage, takes, gate
-        self._log, self._drops = log, LogOfDrops(log)
+        self._log, self._dropped = log, set[str]()
+        app = web.Application(client_max_size=1024)
+        app.router.add_get("/ws", self._socket)
+        for path in FILES:
+            app.router.add_get(path, self._file)
+        app.router.add_route("*", "/{anything:.*}", self._not_found)
         self._runner = web.AppRunner(
-            self._app(), access_log=None, handle_signals=False, shutdown_timeout=_END_S, keepalive_timeout=SPEAK_S
+            app, access_log=None, handle_signals=False, shutdown_timeout=_END_S, keepalive_timeout=SPEAK_S
         )
         self._since: dict[web.RequestHandler, float] = {}
         """When each open connection was first seen."""
@@ -84,14 +89,6 @@ class Server:
         self._fault = ""
         """Error of the last write of the take's file; '' for none."""
         stage.show = self._wake_clients
-
-    def _app(self) -> web.Application:
-        app = web.Application(client_max_size=1024)
-        app.router.add_get("/ws", self._socket)
-        for path in FILES:
-            app.router.add_get(path, self._file)
-        app.router.add_route("*", "/{anything:.*}", self._not_found)
-        return app
 
     async def run(self, listener: socket.socket, context: ssl.SSLContext | None = None) -> None:
         """Serve connections of `listener` and send status messages until cancelled."""
@@ -114,6 +111,8 @@ class Server:
             if driver is not None and time.monotonic() - driver.heard_at > SILENCE_S and driving.pause():
                 self._notify(f"paused: the page was silent for {SILENCE_S:g} s")
             self._write()
+            for client in self._clients:
+                client.allowance = min(BURST, client.allowance + PER_SECOND * STATUS_S)
             self._end_silent(time.monotonic())
             self._queue_for_all(self._status())
 
@@ -125,8 +124,14 @@ class Server:
         silent = [one for one in self._since if one not in self._admitted]  # oldest first
         for k, one in enumerate(silent):
             if now - self._since[one] > SPEAK_S or len(self._since) - k > MAX_CONNECTIONS:
-                self._drops.report("a connection that showed no token", "somebody")
+                self._report_drop("a connection that showed no token", "somebody")
                 one.force_close()
+
+    def _report_drop(self, why: str, whose: object) -> None:
+        """Report the first of each kind of what is dropped; `why` is one of a few fixed texts."""
+        if why not in self._dropped:
+            self._dropped.add(why)
+            self._log(f"dropped from {whose}: {why} (others of this kind are dropped without a line)")
 
     async def close(self) -> None:
         """Close all pages and connections; takes seconds at most."""
@@ -142,7 +147,7 @@ class Server:
         if not why:
             self._admitted.add(request.protocol)
             return None
-        self._drops.report(why, request.remote)
+        self._report_drop(why, request.remote)
         return web.Response(status=403, text=_REFUSED, headers=_HEADERS)
 
     async def _not_found(self, request: web.Request) -> web.Response:
@@ -169,7 +174,7 @@ class Server:
         if request.query.get("v") != wire.VERSION:
             return web.Response(status=400, text=f"expected v={wire.VERSION}", headers=_HEADERS)
         if len(self._clients) >= MAX_PAGES:
-            self._drops.report(f"more than {MAX_PAGES} pages", request.remote)
+            self._report_drop(f"more than {MAX_PAGES} pages", request.remote)
             return web.Response(status=503, text="too many pages", headers=_HEADERS)
         channel = web.WebSocketResponse(max_msg_size=_FRAME_BYTES, compress=False, heartbeat=10.0)
         await channel.prepare(request)
@@ -196,16 +201,16 @@ class Server:
 
     def _handle_message(self, client: Client, frame: WSMessage) -> bool:
         """Handle a message; False when its page must be closed."""
-        now = time.monotonic()
-        if not client.allowance.allow(now):
+        if client.allowance < 1:
             return self._count_bad(client, "more messages than a page may send")
+        client.allowance -= 1
         if frame.type != WSMsgType.TEXT:
             return self._count_bad(client, "a message that is not text")
         try:
             message = wire.read(frame.data, self._bounds)
         except wire.BadMessage as error:
             return self._count_bad(client, str(error))
-        client.heard_at = now
+        client.heard_at = time.monotonic()
         if isinstance(message, wire.Acknowledgement):
             client.acknowledge(message.count)
         elif isinstance(message, wire.Command) and message.what == "drive":
@@ -221,7 +226,7 @@ class Server:
 
     def _count_bad(self, client: Client, why: str) -> bool:
         client.bad += 1
-        self._drops.report(why, client.name)
+        self._report_drop(why, client.name)
         if client.bad >= MAX_BAD:
             self._log(f"{client.name} is closed after {client.bad} bad messages")
             return False

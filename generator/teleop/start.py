@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import ipaddress
-import os
-import signal
 import socket
 import ssl
 import sys
 import tempfile
 import time
-from collections.abc import Coroutine, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -27,7 +23,7 @@ from freeart21.mesh import bounding_diagonal
 from generator.motion.body import Body
 from generator.motion.plan import PRESETS
 from generator.object_source import find_object
-from generator.settings import RecordSettings
+from generator.settings import RecordSettings, TeleopSettings
 from generator.teleop.driving import Driving, Placement
 from generator.teleop.gate import Gate, bracketed
 from generator.teleop.limits import Workspace
@@ -35,58 +31,6 @@ from generator.teleop.stage import Stage
 from generator.teleop.takes import Takes
 from generator.teleop.wire import Bounds
 from generator.urdf_object import LoadedObject
-
-SIDES = 64, 1280
-"""Pixels that the live picture may have a side."""
-
-
-@dataclass(frozen=True)
-class TeleopSettings:
-    """Settings of teleoperation."""
-
-    host: str = "127.0.0.1"
-    """Where the server listens; 0.0.0.0 for all addresses of this machine."""
-    port: int = 8021
-    """0 takes any free port."""
-    width: int = 640
-    height: int = 360
-    """Size of the live picture, pixels."""
-    cert: Path | None = None
-    key: Path | None = None
-    """PEM files of a certificate and its private key: other hosts than this machine itself are served by https alone,
-    because browsers give headsets to no other pages and the address holds the secret."""
-
-    def check(self) -> None:
-        """Raise FreeArtError for settings that cannot be served."""
-        low, high = SIDES
-        if not (low <= min(self.width, self.height) and max(self.width, self.height) <= high):
-            raise FreeArtError(
-                f"cannot show live pictures of {self.width} x {self.height}; expected {low} to {high} a side"
-            )
-        if not 0 <= self.port <= 65535:
-            raise FreeArtError(f"port {self.port} is none, expected 0 (any free one) to 65535")
-        if (self.cert is None) != (self.key is None) or (self.cert is None and not is_loopback(self.host)):
-            raise FreeArtError(f"host {self.host} is served by https: needs both --cert FILE and --key FILE")
-
-    def tls(self) -> ssl.SSLContext | None:
-        """The context of the certificate, or None for http. Raises FreeArtError."""
-        if self.cert is None:
-            return None
-        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-        context.minimum_version = ssl.TLSVersion.TLSv1_2
-        try:
-            context.load_cert_chain(self.cert, self.key, password="")  # no question at the terminal
-        except (OSError, ValueError) as error:
-            raise FreeArtError(f"cannot use the certificate {self.cert} with the key {self.key}: {error}") from error
-        return context
-
-
-def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach `host`."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host.rstrip(".").lower() == "localhost"
 
 
 def serve(name: str, out: Path, settings: TeleopSettings, record: RecordSettings) -> None:
@@ -98,27 +42,34 @@ def serve(name: str, out: Path, settings: TeleopSettings, record: RecordSettings
     if find_spec("aiohttp") is None:
         raise FreeArtError("teleop needs aiohttp: pip install 'freeart21[teleop]'")
     settings.check()
-    context = settings.tls()
+    context = _tls(settings)
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
-        name, loaded, inputs = _load_object(name, record, Path(place))
+        source = find_object(name, record)
+        name, loaded = source.entry.name, source.load(Path(place))
         for note in loaded.notes:
             print(f"{name}: {note}", file=sys.stderr)
         size = bounding_diagonal(loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh())
+        folder = loaded.asset.urdf.parent  # the user's is never written to
+        inputs = () if folder.is_relative_to(place) else (folder,)
         takes = Takes(out, loaded.joint.type, inputs, size)
-        with _signals_to_loop() as signals:
-            rescued = asyncio.run(_serve(name, loaded, takes, settings, context, signals))
-    if signals:
-        with processes.resume_hint(lambda: rescued):
-            os.kill(os.getpid(), signals[0])
-            processes.raise_if_stopped()
+        rescued: list[str] = []
+        with processes.resume_hint(lambda: "".join(rescued)):
+            asyncio.run(_serve(name, loaded, takes, settings, context, rescued))
 
 
-def _load_object(name: str, record: RecordSettings, place: Path) -> tuple[str, LoadedObject, tuple[Path, ...]]:
-    """The object's name, the loaded object, and the user's folders, which are never written to."""
-    source = find_object(name, record)
-    loaded = source.load(place)
-    folder = loaded.asset.urdf.parent
-    return source.entry.name, loaded, () if folder.is_relative_to(place) else (folder,)
+def _tls(settings: TeleopSettings) -> ssl.SSLContext | None:
+    """The context of the certificate, or None for http. Raises FreeArtError."""
+    if settings.cert is None:
+        return None
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    try:
+        context.load_cert_chain(settings.cert, settings.key, password="")  # no question at the terminal
+    except (OSError, ValueError) as error:
+        raise FreeArtError(
+            f"cannot use the certificate {settings.cert} with the key {settings.key}: {error}"
+        ) from error
+    return context
 
 
 async def _serve(
@@ -127,9 +78,9 @@ async def _serve(
     takes: Takes,
     settings: TeleopSettings,
     context: ssl.SSLContext | None,
-    signals: list[int],
-) -> str:
-    """Serve until stopped; returns a message on an unsaved take, or ''."""
+    rescued: list[str],
+) -> None:
+    """Serve until stopped; `rescued` receives a message on an unsaved take."""
     from generator.teleop.server import Server
 
     body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
@@ -147,14 +98,17 @@ async def _serve(
         scheme = "http" if context is None else "https"
         print(f"{scheme}://{host}:{gate.port}/?token={gate.token}", flush=True)
         _log(f"{name}: open this address in a browser; takes go to {takes.next_name()}; Ctrl-C ends")
+        works = [asyncio.ensure_future(server.run(listener, context)), asyncio.ensure_future(stage.run(_log))]
         try:
-            await _run_until_stopped(signals, [server.run(listener, context), stage.run(_log)])
+            await asyncio.gather(*works)
         finally:
-            rescued = _rescue_take(server.driving, takes)
-            if rescued and not signals:
-                _log(rescued)
+            for work in works:
+                work.cancel()
+            await asyncio.gather(*works, return_exceptions=True)
+            rescued.append(_rescue_take(server.driving, takes))
+            if rescued[0] and not processes.stop_signal():
+                _log(rescued[0])
             await server.close()
-    return rescued
 
 
 def object_facts(name: str, loaded: LoadedObject, room: Workspace, fov_y: float) -> dict[str, Any]:
@@ -186,29 +140,6 @@ def _stage_setup(loaded: LoadedObject, room: Workspace, fov_y: float) -> dict[st
     }
 
 
-async def _run_until_stopped(signals: list[int], works: list[Coroutine[Any, Any, None]]) -> None:
-    """Run coroutines until the process is stopped or one of them ends; its exception is raised."""
-    loop, end = asyncio.get_running_loop(), asyncio.Event()
-
-    def stop(number: int) -> None:
-        signals.append(number)
-        end.set()
-
-    for number in processes.SIGNALS:
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            loop.add_signal_handler(number, stop, number)
-    tasks = [asyncio.ensure_future(work) for work in (*works, end.wait())]
-    try:
-        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-        ended = [task for task in tasks if task.done()]
-    finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-    for task in ended:
-        task.result()
-
-
 def _rescue_take(driving: Driving, takes: Takes) -> str:
     """Write an unsaved take; returns a message on it, or ''."""
     if not driving.has_take:
@@ -218,18 +149,6 @@ def _rescue_take(driving: Driving, takes: Takes) -> str:
         return f"the take that was not saved is in {takes.rescue(driving)}"
     except FreeArtError as error:
         return f"the take that was not saved is lost: {error}"
-
-
-@contextlib.contextmanager
-def _signals_to_loop() -> Iterator[list[int]]:
-    """Restore the handlers of stop signals after this block; in it the event loop appends their numbers to the list."""
-    before = {number: signal.getsignal(number) for number in processes.SIGNALS}
-    signals: list[int] = []
-    try:
-        yield signals
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextlib.contextmanager

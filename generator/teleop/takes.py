@@ -157,7 +157,8 @@ class TakeFile:
     def save(self, path: Path) -> None:
         """Rename the file to `path`, which must not exist. Raises OSError."""
         os.fsync(self._file)
-        rename_new(self.path, path)
+        os.close(os.open(path, os.O_CREAT | os.O_EXCL, 0o666))  # the name is ours
+        self.path.replace(path)
         self.close()
 
     def close(self) -> None:
@@ -170,20 +171,6 @@ class TakeFile:
         if self.is_in_place:
             self.path.unlink(missing_ok=True)
         self.close()
-
-
-def rename_new(aside: Path, path: Path) -> None:
-    """Rename `aside` to `path` without replacing an existing file. Raises OSError."""
-    try:
-        os.link(aside, path)
-    except FileExistsError:
-        raise
-    except OSError:  # a file system without links, or no file
-        if os.path.lexists(path):
-            raise FileExistsError from None
-        aside.rename(path)
-    else:
-        aside.unlink(missing_ok=True)
 
 
 def _free_path(path: Path) -> Path:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.benchmark import read_benchmark
 from freeart21.files.places import SITE, check_place
-from freeart21.files.result import Method
 from freeart21.view.document import Section
 from leaderboard.cached import cached_scores
 from leaderboard.compare import check_tables
@@ -26,7 +26,7 @@ from leaderboard.site.index_page import index_page
 from leaderboard.site.method_page import method_page
 from leaderboard.site.names import file_names
 from leaderboard.site.sequence_page import sequence_page
-from leaderboard.site.sequence_view import show_sequence, show_table
+from leaderboard.site.sequence_view import show_sequence
 
 SCHEMA = "freeart21/site/1"
 Progress = Callable[[str, int, int], None]
@@ -77,32 +77,44 @@ def write_site(
     else:
         facts, sequences = benchmark_facts(benchmark), benchmark.sequences
     _check_tables(tables, facts, sequences)
+    done, steps = itertools.count(1), len(folders) * len(protocols) * len(sequences)
+
+    def report(folder: Path, name: str, row: Row, _: int) -> None:
+        if progress:
+            progress(f"Scored {folder.name}, {row.sequence}, by {name}", next(done), steps)
+
     for folder in folders:
-        methods[folder] = _score(folder, Path(data or ""), protocols, keep, progress, truth)
+        methods[folder] = {
+            name: cached_scores(folder, Path(data or ""), name, keep, partial(report, folder, name), truth=truth)
+            for name in protocols
+        }
     if tables and folders:
         _check_tables({**tables, **{folder: methods[folder][protocols[0]] for folder in folders}}, facts, sequences)
     methods_given = [(place, methods[place]) for place in results if place in methods]
     board_entrants = entrants(methods_given, facts.get("hidden", ""))
-    name = title or f"FreeArt-21: {facts['name']}"
+    title = title or f"FreeArt-21: {facts['name']}"
     files = dict(zip(sequences, file_names(sequences), strict=True))
     types = {row.sequence: row.joint_type for row in board_entrants[0].scores[protocols[0]].rows}
     visual: dict[str, list[Section]] = {}
     with atomic.new_folder(Path(out), SITE) as new:
         shown = []
         for count, sequence in enumerate(sequences, 1):
-            if benchmark is None:
-                shown.append(show_table(sequence, types[sequence], board_entrants))
-                continue
             source = benchmark, sequence, board_entrants, protocols[0], types[sequence]
             content, visual[sequence] = show_sequence(*source)
             shown.append(content)
             if progress:
                 progress(f"Packed {sequence}", count, len(sequences))
-        board = Board(name, board_entrants, protocols, shown, files, facts, command)
+        board = Board(title, board_entrants, protocols, shown, files, facts, command)
         for k, sequence in enumerate(sequences):
-            _write(new / "sequences" / f"{files[sequence]}.html", sequence_page(board, k, visual.pop(sequence, [])))
-        _write_pages(new, board)
-        marker = {"schema": SCHEMA, "title": name, "benchmark": facts["name"], "protocols": protocols}
+            _write(new / "sequences" / f"{files[sequence]}.html", sequence_page(board, k, visual.pop(sequence)))
+        for entrant in board_entrants:
+            for protocol, table in entrant.scores.items():
+                write_scores(new / "scores" / f"{entrant.file}.{protocol}.json", table)
+                _write(new / "scores" / f"{entrant.file}.{protocol}.csv", scores_csv(table))
+            _write(new / "methods" / f"{entrant.file}.html", method_page(board, entrant))
+        for name, make in (("index", index_page), ("failures", failures_page), ("definitions", definitions_page)):
+            _write(new / f"{name}.html", make(board))
+        marker = {"schema": SCHEMA, "title": title, "benchmark": facts["name"], "protocols": protocols}
         atomic.write_json(new / SITE.marker, marker)
     return Path(out) / "index.html"
 
@@ -125,31 +137,21 @@ def _methods_of_tables(tables: Mapping[Path, Scores], protocols: Sequence[str]) 
     Tables of one method have the same method.json and result hashes. Raises FreeArtError when a table is of another
     protocol, or a method has none of one.
     """
-    methods: dict[Path, dict[str, Scores]] = {}
+    methods: dict[tuple[str, int], tuple[Path, dict[str, Scores]]] = {}
     for place, table in tables.items():
         if table.protocol not in protocols:
             raise FreeArtError(f"{place} is scored by {table.protocol}, expected {' or '.join(protocols)}")
-        key = _results_of(table)
-        own = next(
-            (m for m in methods.values() if table.protocol not in m and key in map(_results_of, m.values())), None
-        )
-        if own is None:
-            methods[place] = {table.protocol: table}
-        else:
-            own[table.protocol] = table
-    for place, own in methods.items():
+        hashes = repr((table.method, sorted((row.sequence, str(row.result_sha256)) for row in table.rows)))
+        again = sum(key[0] == hashes and table.protocol in own for key, (_, own) in methods.items())
+        methods.setdefault((hashes, again), (place, {}))[1][table.protocol] = table
+    for place, own in methods.values():
         for protocol in protocols:
             if protocol not in own:
                 raise FreeArtError(
                     f"{place}: there is no table of {next(iter(own.values())).method.name} by {protocol}, "
                     f"expected one by each of {', '.join(protocols)}"
                 )
-    return {place: {protocol: own[protocol] for protocol in protocols} for place, own in methods.items()}
-
-
-def _results_of(scores: Scores) -> tuple[Method, tuple[tuple[str, str | None], ...]]:
-    """The method and the hash of each of its results."""
-    return scores.method, tuple(sorted((row.sequence, row.result_sha256) for row in scores.rows))
+    return {place: {protocol: own[protocol] for protocol in protocols} for place, own in methods.values()}
 
 
 def _check_tables(tables: Mapping[Path, Scores], facts: dict[str, str], sequences: tuple[str, ...]) -> None:
@@ -162,40 +164,6 @@ def _check_tables(tables: Mapping[Path, Scores], facts: dict[str, str], sequence
             raise FreeArtError(
                 f"{place} has rows for {len(scores.rows)} of {len(sequences)} sequences: score all of them"
             )
-
-
-def _score(
-    folder: Path,
-    data: Path,
-    protocols: Sequence[str],
-    keep: Path | None,
-    progress: Progress | None,
-    truth: Path | None,
-) -> dict[str, Scores]:
-    """The table of one method by every protocol."""
-
-    def scored(protocol: str) -> Callable[[Row, int], None]:
-        count = itertools.count(1)
-
-        def report(row: Row, of: int) -> None:
-            if progress:
-                progress(f"Scored {folder.name}, {row.sequence}, by {protocol}", next(count), of)
-
-        return report
-
-    return {name: cached_scores(folder, data, name, keep, scored(name), truth=truth) for name in protocols}
-
-
-def _write_pages(new: Path, board: Board) -> None:
-    for entrant in board.entrants:
-        for protocol in board.protocols:
-            name = f"{entrant.file}.{protocol}"
-            write_scores(new / "scores" / f"{name}.json", entrant.scores[protocol])
-            _write(new / "scores" / f"{name}.csv", scores_csv(entrant.scores[protocol]))
-        _write(new / "methods" / f"{entrant.file}.html", method_page(board, entrant))
-    _write(new / "index.html", index_page(board))
-    _write(new / "failures.html", failures_page(board))
-    _write(new / "definitions.html", definitions_page(board))
 
 
 def _write(path: Path, data: bytes) -> None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from freeart21.view.document import Markup, Section, Site, document
-from freeart21.view.tables import ARROWS, Cell, number_text
+from freeart21.view.document import Markup, Section, document
+from freeart21.view.tables import ARROWS, Cell, number_cell, number_text
 from leaderboard.protocols import Group, Metric, Protocol
+from leaderboard.rows import Row, Statistic
 from leaderboard.site.entrant import Entrant
 from leaderboard.site.sequence_view import SequenceContent
 
@@ -46,17 +48,11 @@ class Board:
 
 
 def page(
-    board: Board,
-    title: str,
-    sections: Sequence[Section],
-    here: str = "",
-    deep: bool = False,
-    lead: str = "",
-    kind: str = "",
-    notices: Sequence[str] = (),
+    board: Board, title: str, sections: Sequence[Section], here: str = "", deep: bool = False, **options: Any
 ) -> bytes:
-    """A page of the site; `deep` when it is in a folder, everything else as in `document` and `Site`."""
-    return document(title, sections, kind, (), notices, lead, Site(board.title, MENU, here, "../" * deep)).encode()
+    """A page of the site; `deep` when it is in a folder. `options` are those of `document`."""
+    around = {"title": board.title, "menu": MENU, "here": here, "root": "../" * deep}
+    return document(title, sections, site=around, **options).encode()
 
 
 def method_link(entrant: Entrant, deep: bool = False) -> Markup:
@@ -117,6 +113,29 @@ def hidden_metrics(entrant: Entrant, rules: Protocol) -> tuple[str, ...]:
     return rules.penalised_by_truth if entrant.scores[rules.name].benchmark.get("hidden") else ()
 
 
+def statistic_of(entrant: Entrant, rules: Protocol, metric: Metric, group: Group) -> Statistic | None:
+    """A method's statistic over a group of sequences; None without one, or where it would reveal a hidden truth."""
+    summaries = {summary.group: summary for summary in entrant.whole[rules.name].summaries}
+    found = summaries[group].statistics.get(metric.id) if group in summaries else None
+    tells = found is not None and found.sequences < MIN_ROWS and metric.id in hidden_metrics(entrant, rules)
+    return None if tells else found
+
+
+def score_cell(
+    row: Row | None, metric: Metric, kind: Group, with_unit: bool = True, best: float | None = None, below: str = ""
+) -> Cell:
+    """A row's number by a metric, in its unit for joints of a kind; bold when it is the best one."""
+    value = None if row is None else row.values.get(metric.id)
+    text = number_text(value, metric.unit(kind), with_unit)
+    return number_cell(text, value is not None and value == best, value, below)
+
+
+def best_of(values: Sequence[float | None], metric: Metric) -> float | None:
+    """The best of several methods' numbers; None when all are the same."""
+    known = {value for value in values if value is not None}
+    return (max if metric.direction == "up" else min)(known) if len(known) > 1 else None
+
+
 def explained(metric: Metric) -> str:
     """Definition, direction and penalty in two sentences."""
     return f"{sentence(metric.definition)} {sentence(ARROWS[metric.direction][1])[:-1]}; {penalty_sentence(metric)}."
@@ -140,13 +159,3 @@ def facts(rows: Sequence[tuple[str, object]]) -> Markup:
     """A list of names and values."""
     entries = (Markup("<div><dt>{}</dt><dd>{}</dd></div>").format(name, value) for name, value in rows)
     return Markup('<dl class="facts">{}</dl>').format(Markup("").join(entries))
-
-
-def hash_text(sha256: str) -> Markup:
-    """A hash as HTML."""
-    return Markup('<code class="hash">{}</code>').format(sha256)
-
-
-def note(text: str) -> Markup:
-    """A remark in small type."""
-    return Markup('<p class="note">{}</p>').format(text) if text else Markup("")

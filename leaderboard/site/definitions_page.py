@@ -12,7 +12,6 @@ from leaderboard.rows import Scores
 from leaderboard.site.common import (
     PACKAGE,
     Board,
-    hash_text,
     metric_name,
     page,
     penalty_sentence,
@@ -40,19 +39,15 @@ LEAD = (
 
 def definitions_page(board: Board) -> bytes:
     """The page of definitions."""
+    command = render("command.html.j2", PACKAGE, command=shlex.join(board.command), benchmark=board.benchmark)
     paragraph = Markup("<p class=text>{}</p>")
     sections = [
         Section("Penalties", paragraph.format(PENALTY), place="full", id="penalty"),
         Section("Points", paragraph.format(POINTS) + _points_table(), place="full", id="points"),
         *(_protocol_section(protocol_named(name)) for name in board.protocols),
-        Section("Command and data", _origin(board), place="full", id="command"),
+        Section("Command and data", command, place="full", id="command"),
     ]
     return page(board, "Definitions", sections, here="definitions.html", lead=Markup("<p>{}</p>").format(LEAD))
-
-
-def _origin(board: Board) -> Markup:
-    command = shlex.join(board.command)
-    return render("command.html.j2", PACKAGE, command=command, benchmark=board.benchmark, hash_text=hash_text)
 
 
 def _points_table() -> Markup:

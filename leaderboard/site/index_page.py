@@ -6,32 +6,28 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
-import numpy as np
-
 from freeart21.view.document import Markup, Section, render
 from freeart21.view.tables import ARROWS, NONE, Cell, number_cell, number_text, table
 from leaderboard.points import FIRST, TRACK_TEXTS, TRACKS, Standing, is_outside_ranking, standings
-from leaderboard.protocols import Group, Metric, Protocol, protocol_named
+from leaderboard.protocols import Group, Protocol, protocol_named
 from leaderboard.published import PUBLISHED, PublishedRow
+from leaderboard.rows import Statistic
 from leaderboard.site.common import (
-    MIN_ROWS,
     PACKAGE,
     Board,
+    best_of,
     columns,
     facts,
-    hidden_metrics,
     method_heads,
     method_link,
     metric_head,
-    note,
     page,
+    score_cell,
     sentence,
     sequence_link,
+    statistic_of,
 )
 from leaderboard.site.entrant import Entrant
-
-Mean = tuple[float, float | None]
-"""Mean and sample standard deviation, None for one row."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +37,9 @@ class Place:
     entrant: Entrant
     standings: dict[str, Standing]
     """By track (`leaderboard.points`), without tracks whose numbers it lacks."""
-    means: tuple[Mean | None, ...]
+    means: tuple[Statistic | None, ...]
     """Of every column; None where it has no number."""
     measured: int
-    sequences: int
 
     @property
     def text(self) -> str:
@@ -103,9 +98,8 @@ def ranked(protocol: str, entrants: Sequence[Entrant]) -> list[Place]:
     places = []
     for entrant in entrants:
         own = {track: of[entrant.name] for track, of in found.items() if entrant.name in of}
-        means = tuple(_mean(entrant, rules, metric, group) for metric, group in heads)
-        rows = entrant.scores[protocol].rows
-        places.append(Place(entrant, own, means, sum(row.status == "ok" for row in rows), len(rows)))
+        means = tuple(statistic_of(entrant, rules, metric, group) for metric, group in heads)
+        places.append(Place(entrant, own, means, entrant.scores[protocol].measured))
 
     def points(place: Place) -> tuple[float, ...]:
         return tuple(-place.standings[track].points if track in place.standings else 1.0 for track in TRACKS)
@@ -127,45 +121,32 @@ def _ranking_section(board: Board, protocol: str) -> Section:
         ),
         *(metric_head(metric, group) for metric, group in heads),
     ]
-    best = []
-    for k, (metric, _) in enumerate(heads):
-        means = [mean[0] for place in places if (mean := place.means[k]) is not None]
-        best.append((max if metric.direction == "up" else min)(means) if len(set(means)) > 1 else None)
-    html = render(
-        "ranking.html.j2",
-        PACKAGE,
-        protocol=protocol,
-        ranking=table([_line(place, heads, best) for place in places], head, "sortable ranking", "ranking"),
-        sequences=_sequences(board, rules),
-    )
+    best = [
+        best_of([None if mean is None else mean.mean for mean in means], metric)
+        for (metric, _), means in zip(heads, zip(*(place.means for place in places), strict=True), strict=True)
+    ]
+    lines = []
+    for place in places:
+        cells = []
+        for (metric, group), found, top in zip(heads, place.means, best, strict=True):
+            unit, value = metric.unit(group), None if found is None else found.mean
+            below = "" if found is None or found.std is None else f"± {number_text(found.std, unit)}"
+            cells.append(number_cell(number_text(value, unit), value is not None and value == top, value, below))
+        points = [place.standings[track].points if track in place.standings else None for track in TRACKS]
+        order = tuple(place.standings)[:1] == (FIRST,) and place.standings[FIRST].place
+        lines.append(
+            [
+                Cell(place.text, order or 10**6),
+                Cell(method_link(place.entrant), place.entrant.name),
+                number_cell(f"{place.measured} of {len(board.sequences)}", value=place.measured),
+                *(number_cell(number_text(value, "points"), value=value) for value in points),
+                *cells,
+            ]
+        )
+    ranking, every = table(lines, head, "sortable ranking", "ranking"), _sequences(board, rules)
+    html = render("ranking.html.j2", PACKAGE, protocol=protocol, ranking=ranking, sequences=every)
     title = f"Ranking by {protocol}" if rules.ranking else f"By {protocol}: another protocol, not the ranking"
     return Section(title, html, place="full", id=f"protocol-{protocol}")
-
-
-def _mean(entrant: Entrant, rules: Protocol, metric: Metric, group: str) -> Mean | None:
-    rows = entrant.whole[rules.name].rows
-    values = [v for row in rows if group in ("all", row.joint_type) and (v := row.values.get(metric.id)) is not None]
-    if len(values) < (MIN_ROWS if metric.id in hidden_metrics(entrant, rules) else 1):
-        return None
-    return float(np.mean(values)), float(np.std(values, ddof=1)) if len(values) > 1 else None
-
-
-def _line(place: Place, heads: Sequence[tuple[Metric, Group]], best: Sequence[float | None]) -> list[Cell]:
-    cells = []
-    for (metric, group), mean, top in zip(heads, place.means, best, strict=True):
-        unit = metric.unit(group)
-        below = "" if mean is None or mean[1] is None else f"± {number_text(mean[1], unit)}"
-        value = None if mean is None else mean[0]
-        cells.append(number_cell(number_text(value, unit), value is not None and value == top, value, below))
-    points = [place.standings[track].points if track in place.standings else None for track in TRACKS]
-    order = tuple(place.standings)[:1] == (FIRST,) and place.standings[FIRST].place
-    return [
-        Cell(place.text, order or 10**6),
-        Cell(method_link(place.entrant), place.entrant.name),
-        number_cell(f"{place.measured} of {place.sequences}", value=place.measured),
-        *(number_cell(number_text(value, "points"), value=value) for value in points),
-        *cells,
-    ]
 
 
 def _sequences(board: Board, rules: Protocol) -> Markup:
@@ -173,46 +154,30 @@ def _sequences(board: Board, rules: Protocol) -> Markup:
     metric = next((m for m in rules.metrics if m.column and m.supplements is None), rules.metrics[0])
     rows = []
     for s in board.sequences:
-        cells = []
-        for entrant in board.entrants:
-            row = entrant.row(rules.name, s.name)
-            value = None if row is None else row.values.get(metric.id)
+        thumb = Markup('<img class="thumb" src="{}" alt="">').format(s.thumb) if s.thumb else Markup("")
+        cells = [Cell(thumb + sequence_link(s.name, board), s.name), s.facts["category"], s.facts["joint_type"]]
+        for row in (entrant.row(rules.name, s.name) for entrant in board.entrants):
             failed = row.status if row is not None and row.status != "ok" else ""
-            text = number_text(value, metric.unit(s.facts["joint_type"]), True)
-            cells.append(number_cell(text, value=value, below=failed))
-        rows.append(
-            [
-                Cell(thumb(s.thumb) + sequence_link(s.name, board), s.name),
-                s.facts["category"],
-                s.facts["joint_type"],
-                *cells,
-            ]
-        )
+            cells.append(score_cell(row, metric, s.facts["joint_type"], below=failed))
+        rows.append(cells)
     head = ["sequence", "category", "joint", *method_heads(board.entrants)]
-    label = note(f"{metric.label}. All numbers are on the pages of sequences and methods.")
-    return label + table(rows, head, "sortable every", "every sequence")
-
-
-def thumb(address: str) -> Markup:
-    """A small image of a sequence, when there is one."""
-    return Markup('<img class="thumb" src="{}" alt="">').format(address) if address else Markup("")
+    note = Markup('<p class="note">{}. All numbers are on the pages of sequences and methods.</p>').format(metric.label)
+    return note + table(rows, head, "sortable every", "every sequence")
 
 
 def _published_section() -> Section:
     """Tables from publications, by protocol, data set, joint type and source; never ranked."""
     groups: dict[tuple[str, str, Group, str], list[PublishedRow]] = {}
-    for row in PUBLISHED:
-        groups.setdefault((row.protocol, row.dataset, row.group, row.source), []).append(row)
+    for one in PUBLISHED:
+        groups.setdefault((one.protocol, one.dataset, one.group, one.source), []).append(one)
     tables = []
     for (protocol, dataset, group, source), members in groups.items():
         ids, rules = list(dict.fromkeys(id for row in members for id in row.values)), protocol_named(protocol)
         head = ["method", *(metric_head(rules.metric(id), group) for id in ids)]
-        rows = [[row.method, *(_published_cell(row.values.get(id)) for id in ids)] for row in members]
+        rows = []
+        for row in members:
+            numbers = [row.values.get(id, (None, None)) for id in ids]
+            texts = [(NONE if v is None else f"{v:.2f}", "" if std is None else f"± {std:.2f}") for v, std in numbers]
+            rows.append([row.method, *(number_cell(mean, below=below) for mean, below in texts)])
         tables.append((f"{dataset}, {group}, closest protocol {protocol}", source, table(rows, head, label=dataset)))
     return Section("As published", render("published.html.j2", PACKAGE, tables=tables), place="full", id="published")
-
-
-def _published_cell(value: tuple[float, float | None] | None) -> Cell:
-    if value is None:
-        return number_cell(NONE)
-    return number_cell(f"{value[0]:.2f}", below="" if value[1] is None else f"± {value[1]:.2f}")

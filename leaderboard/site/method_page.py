@@ -7,11 +7,10 @@ from collections.abc import Sequence
 
 from freeart21.view.document import Markup, Section, render
 from freeart21.view.tables import NONE, Cell, number_cell, number_text, source_rows, table
-from leaderboard.protocols import Metric, Protocol, protocol_named
-from leaderboard.rows import Row, Scores, Summary
+from leaderboard.protocols import Protocol, protocol_named
+from leaderboard.rows import Statistic
 from leaderboard.site.common import (
     LACKS,
-    MIN_ROWS,
     PACKAGE,
     Board,
     columns,
@@ -20,7 +19,9 @@ from leaderboard.site.common import (
     metric_head,
     metric_row_head,
     page,
+    score_cell,
     sequence_link,
+    statistic_of,
 )
 from leaderboard.site.entrant import Entrant
 
@@ -28,12 +29,14 @@ from leaderboard.site.entrant import Entrant
 def method_page(board: Board, entrant: Entrant) -> bytes:
     """The page of one method."""
     method, first = entrant.method, entrant.scores[board.protocols[0]]
+    seconds = sorted(row.seconds for row in first.rows if row.seconds is not None)
+    median = [f"{one:.0f} s per sequence (median, stated by the method)" for one in seconds[len(seconds) // 2 :]]
     lead = facts(
         [
             ("code", method.code or "not stated"),
             ("hardware", method.hardware or "not stated"),
             ("measured", f"{first.measured} of {len(first.rows)} sequences"),
-            ("time", _time_text(first)),
+            ("time", next(iter(median), "not stated")),
         ]
     )
     notices = list(dict.fromkeys(first.notes))
@@ -42,43 +45,37 @@ def method_page(board: Board, entrant: Entrant) -> bytes:
         notices.insert(0, f"This method {names}: numbers that need them are left out ({NONE}), without a penalty.")
     settings = json.dumps(method.settings, indent=2, ensure_ascii=True, sort_keys=True) if method.settings else ""
     own = Markup("<pre tabindex=0>{}</pre>").format(settings or "not stated")
-    sections = [
-        *(_protocol_section(board, entrant, protocol_named(name)) for name in board.protocols),
+    sections = []
+    for rules in map(protocol_named, board.protocols):
+        html = _means(entrant, rules) + Markup("<h3>Every sequence</h3>") + _sequences(board, entrant, rules)
+        sections.append(Section(f"Scores by {rules.name}", html, place="full", id=f"protocol-{rules.name}"))
+    sections += [
         Section("Settings, as stated by the method", own, place="full"),
         Section("Provenance", _provenance(entrant, board.protocols), place="full", id="provenance"),
     ]
     return page(board, entrant.name, sections, deep=True, lead=lead, kind="Method", notices=notices)
 
 
-def _time_text(scores: Scores) -> str:
-    seconds = sorted(row.seconds for row in scores.rows if row.seconds is not None)
-    if not seconds:
-        return "not stated"
-    return f"{seconds[len(seconds) // 2]:.0f} s per sequence (median, stated by the method)"
-
-
-def _protocol_section(board: Board, entrant: Entrant, rules: Protocol) -> Section:
-    html = _means(entrant, rules) + Markup("<h3>Every sequence</h3>") + _sequences(board, entrant, rules)
-    return Section(f"Scores by {rules.name}", html, place="full", id=f"protocol-{rules.name}")
-
-
 def _means(entrant: Entrant, rules: Protocol) -> Markup:
     """Every number by joint type and over all: mean and standard deviation, median and worst."""
-    groups, hidden = entrant.whole[rules.name].summaries, hidden_metrics(entrant, rules)
+    groups, rows, css = entrant.whole[rules.name].summaries, [], []
     head: list[object] = ["mean ± standard deviation"]
     head += [Cell(g.group, None, "number", f"{g.sequences - g.failures} of {g.sequences}") for g in groups]
-    rows = []
     for metric in rules.metrics:
-        cells = [_mean(metric, summary, metric.id in hidden) for summary in groups]
+        found = {summary.group: statistic_of(entrant, rules, metric, summary.group) for summary in groups}
+        cells = [
+            _mean(statistic, metric.unit(group), metric.id in hidden_metrics(entrant, rules))
+            for group, statistic in found.items()
+        ]
         if any(cell.text != NONE for cell in cells):
-            rows.append(("beside" if metric.supplements else "", [metric_row_head(rules, metric), *cells]))
-    return table([row for _, row in rows], head, "numbers", "means", [css for css, _ in rows])
+            rows.append([metric_row_head(rules, metric), *cells])
+            css.append("beside" if metric.supplements else "")
+    return table(rows, head, "numbers", "means", css)
 
 
-def _mean(metric: Metric, summary: Summary, hidden: bool) -> Cell:
+def _mean(found: Statistic | None, unit: str | None, hidden: bool) -> Cell:
     """A cell; when `hidden` it must not reveal the number of a single sequence."""
-    unit, found = metric.unit(summary.group), summary.statistics.get(metric.id)
-    if unit is None or found is None or (hidden and found.sequences < MIN_ROWS):
+    if unit is None or found is None:
         return number_cell(NONE)
     below = [] if found.std is None else [f"± {number_text(found.std, unit)}"]
     if not hidden:
@@ -93,25 +90,16 @@ def _sequences(board: Board, entrant: Entrant, rules: Protocol) -> Markup:
     rows = []
     for s in board.sequences:
         row = entrant.row(rules.name, s.name)
-        if row is not None:
-            rows.append(_line(row, metrics, sequence_link(s.name, board, True)))
+        if row is None:
+            continue
+        wrong = row.status == "ok" and row.values.get("joint_type") == 0
+        word = "files" if row.status == "ok" and row.measured_from == "files" else row.status
+        seconds = number_cell(NONE if row.seconds is None else f"{row.seconds:.0f}", value=row.seconds)
+        status = Cell("wrong type" if wrong else word, css="failed" * (row.status != "ok" or wrong), title=row.reason)
+        cells = [score_cell(row, metric, row.joint_type, metric.unit("all") is None) for metric in metrics]
+        link = Cell(sequence_link(s.name, board, True), row.sequence)
+        rows.append([link, row.joint_type, status, *cells, seconds])
     return table(rows, head, "sortable", "every sequence")
-
-
-def _line(row: Row, metrics: Sequence[Metric], link: Markup) -> list[Cell]:
-    wrong = row.status == "ok" and row.values.get("joint_type") == 0
-    word = "wrong type" if wrong else "files" if row.status == "ok" and row.measured_from == "files" else row.status
-    cells = []
-    for metric in metrics:
-        value, unit = row.values.get(metric.id), metric.unit(row.joint_type)
-        cells.append(number_cell(number_text(value, unit, metric.unit("all") is None), value=value))
-    return [
-        Cell(link, row.sequence),
-        Cell(row.joint_type),
-        Cell(word, css="failed" if row.status != "ok" or wrong else "", title=row.reason),
-        *cells,
-        number_cell(NONE if row.seconds is None else f"{row.seconds:.0f}", value=row.seconds),
-    ]
 
 
 def _provenance(entrant: Entrant, protocols: Sequence[str]) -> Markup:

@@ -20,8 +20,8 @@ def file_names(names: Iterable[str]) -> list[str]:
     for name in names:
         taken = {one.casefold() for one in found}
         plain = re.sub(r"[^A-Za-z0-9_.-]+", "-", name)[:LONGEST].strip("-.")
-        safe = plain and plain == name and plain.split(".")[0].casefold() not in _RESERVED
-        digest = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()[:16]
-        choice = plain if safe and plain.casefold() not in taken else f"{plain or 'name'}-{digest}"
+        choice = plain or "name"
+        if plain != name or plain.split(".")[0].casefold() in _RESERVED or plain.casefold() in taken:
+            choice += f"-{hashlib.sha256(name.encode('utf-8', 'surrogatepass')).hexdigest()[:16]}"
         found.append(choice if choice.casefold() not in taken else f"{choice}-{len(found)}")
     return found

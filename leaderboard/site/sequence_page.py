@@ -7,19 +7,21 @@ from typing import Literal
 
 from freeart21.view.document import Section, render
 from freeart21.view.plots import display_unit
-from freeart21.view.tables import NONE, number_cell, number_text, source_rows, table
+from freeart21.view.tables import NONE, number_text, source_rows, table
 from leaderboard.protocols import protocol_named
 from leaderboard.rows import Row
 from leaderboard.site.common import (
     LACKS,
     PACKAGE,
     Board,
+    best_of,
     facts,
     hidden_metrics,
     method_heads,
     method_link,
     metric_row_head,
     page,
+    score_cell,
 )
 from leaderboard.site.entrant import Entrant
 from leaderboard.site.sequence_view import SequenceContent
@@ -64,20 +66,15 @@ def _numbers_section(protocol: str, shown: SequenceContent, entrants: Sequence[E
     rows: list[Row | None] = [entrant.row(protocol, shown.name) for entrant in entrants]
     lines, css = [], []
     for metric in rules.metrics:
-        unit = metric.unit(kind)
-        if unit is None:
+        if metric.unit(kind) is None:
             continue
-        values = [None if row is None else row.values.get(metric.id) for row in rows]
-        known = [v for v in values if v is not None]
-        best = (max if metric.direction == "up" else min)(known) if len(set(known)) > 1 else None
-        cells = []
-        for row, value in zip(rows, values, strict=True):
+        best, cells = best_of([None if row is None else row.values.get(metric.id) for row in rows], metric), []
+        for row in rows:
             below = ""
-            if row is not None and value is not None and row.status != "ok":
-                below = f"{row.status}: penalty"
-            elif row is not None and value is not None and metric.id in row.values_cm:
-                below = number_text(row.values_cm[metric.id], "cm", True)
-            cells.append(number_cell(number_text(value, unit, True), value is not None and value == best, value, below))
+            if row is not None and row.values.get(metric.id) is not None:
+                failed, centimetres = row.status != "ok", number_text(row.values_cm.get(metric.id), "cm", True)
+                below = f"{row.status}: penalty" if failed else centimetres * (metric.id in row.values_cm)
+            cells.append(score_cell(row, metric, kind, best=best, below=below))
         lines.append([metric_row_head(rules, metric), *cells])
         css.append("beside" if metric.supplements else "")
     note = f"{NONE}: not made by the method, or not defined for this joint. Small grey numbers do not rank."

@@ -21,7 +21,6 @@ from reconstruct.gaussians.rasteriser import SplatGradients, Splats
 from reconstruct.kernels import run_in_threads
 
 _F = np.float32
-_MOST_TERMS = 25
 DARKEST = 0.02
 """Smallest light, relative to the mean."""
 

@@ -36,7 +36,7 @@ LEAST_CONFIDENCE = 0.1
 
 
 @lru_cache(1)
-def load_networks() -> tuple[Any, Any]:
+def load_network() -> tuple[Any, Any]:
     """kornia's ALIKED and LightGlue with the published weights; FreeArtError when a package is missing."""
     keypoints, matching = KEYPOINTS.read(), MATCHING.read()
     from kornia.feature.aliked import ALIKED
@@ -53,7 +53,7 @@ def detect(picture: NDArray[np.uint8]) -> tuple[NDArray[np.float64], Floats]:
     """Keypoints (k, 2), column and row in a picture (h, w, 3), and their unit descriptors (k, 128)."""
     enlarged = enlarge(picture, ENLARGEMENT, MULTIPLE)
     with inference():
-        found = load_networks()[0](to_tensor(enlarged))[0]
+        found = load_network()[0](to_tensor(enlarged))[0]
     return to_crop(found.keypoints.numpy(), picture, enlarged), np.asarray(found.descriptors.numpy(), np.float32)
 
 
@@ -76,5 +76,5 @@ def match(
         }
 
     with inference():
-        found = load_networks()[1]({"image0": image(here, a), "image1": image(there, b)})
+        found = load_network()[1]({"image0": image(here, a), "image1": image(there, b)})
     return found["matches"][0].numpy().astype(np.int64), found["scores"][0].numpy().astype(float)

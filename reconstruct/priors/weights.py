@@ -26,9 +26,7 @@ INSTALL = "pip install 'freeart21[priors]'"
 FOLDER = "FREEART21_WEIGHTS"
 """Environment variable: the folder of the weights that the user brings, under the names that they are published by."""
 MAX_BYTES = 8 << 30
-"""Largest file of weights. DINOv3's largest, of 6.7 billion parameters in half floats, is not among those supported."""
-IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Of red, green and blue, from 0 to 1."""
+"""Largest file of weights."""
 
 
 @dataclass(frozen=True)
@@ -84,10 +82,6 @@ class BroughtWeights:
             raise FreeArtError(f"{path} is missing: get it from {self.source}")
         return path
 
-    def digest(self) -> str:
-        """SHA-256, hexadecimal, of the file; FreeArtError when it is missing."""
-        return hashlib.sha256(checked.read_bytes(self.path(), MAX_BYTES, checked.ANYWHERE)).hexdigest()
-
     def read(self) -> dict[str, Any]:
         """The tensors by name; FreeArtError when the file is missing or holds anything else."""
         path = self.path()
@@ -128,16 +122,6 @@ class Checkout:
         finally:
             if place:
                 sys.path.remove(place)
-
-    def load_hub(self, entry: str) -> Any:
-        """The network of an entry of the clone's hubconf.py, without weights."""
-        import torch
-
-        place = self.path()
-        try:
-            return torch.hub.load(str(place), entry, source="local", pretrained=False)
-        except (ImportError, OSError, RuntimeError) as error:
-            raise FreeArtError(f"{place} has no network {entry}: {first_line(error)}") from None
 
 
 def require_packages(*names: str) -> None:
@@ -185,14 +169,6 @@ def to_tensor(picture: NDArray[np.uint8]) -> Any:
     import torch
 
     return torch.from_numpy(np.ascontiguousarray(picture)).permute(2, 0, 1)[None].float() / 255
-
-
-def normalise(picture: Any) -> Any:
-    """(1, 3, h, w) from 0 to 1, minus ImageNet's mean, over its standard deviation."""
-    import torch
-
-    mean, std = (torch.tensor(values).reshape(1, 3, 1, 1) for values in (IMAGENET_MEAN, IMAGENET_STD))
-    return (picture - mean) / std
 
 
 def to_crop(at: NDArray[Any], picture: NDArray[np.uint8], enlarged: NDArray[np.uint8]) -> NDArray[np.float64]:

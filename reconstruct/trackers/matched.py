@@ -9,11 +9,10 @@ from typing import ClassVar
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from freeart21.se3 import Floats
-from reconstruct.matchers import MATCHERS, Matches
+from reconstruct.matchers import Matcher, Matches
 from reconstruct.scene import Scene
 from reconstruct.settings import TrackSettings
 from reconstruct.trackers.dis import FlowTracker
@@ -33,16 +32,11 @@ class MatchedFlow(FlowTracker):
 
     def __init__(self, scene: Scene, settings: TrackSettings) -> None:
         super().__init__(scene, settings)
-        self.points, flow = MATCHERS[self.matcher](scene), optical_flow(scene)
+        points, flow = Matcher(self.matcher, scene), optical_flow(scene)
         for i in range(len(scene) - 1):
             pair = flow.step(i, 1), flow.step(i + 1, -1)
-            flow.forward[i], flow.backward[i + 1] = improve_flow(scene, i, i + 1, pair, self.points.match(i, i + 1))
+            flow.forward[i], flow.backward[i + 1] = improve_flow(scene, i, i + 1, pair, points.match(i, i + 1))
         self.flow = flow
-
-    def match(self, first: int, second: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """See `Tracker`."""
-        found = self.points.match(first, second)
-        return found.here, found.there
 
 
 class LightGlue(MatchedFlow):

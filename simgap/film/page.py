@@ -14,7 +14,6 @@ from freeart21.se3 import Array
 from freeart21.view.document import Markup, Section, data_url, document
 from freeart21.view.tables import table_section
 from simgap.film.answer import FilmVerdict, size_text
-from simgap.film.maps import FilmMap
 from simgap.film.result import FilmResult
 from simgap.film.samples import simulate_frame
 from simgap.page.replay_page import repeat_section
@@ -74,18 +73,15 @@ def page(verdict: FilmVerdict, found: FilmResult, command: str, seconds: float) 
         ]
         if kind.names or kind.scores[0] is not none:
             sections += ranking_section(ranking, f"frames that chose ({kind.kind.name})")
-    sections += [_gaps(verdict), repeat_section({"All of it": command})]
-    return document(found.film.recording.name, sections, "gap between films", chips)
-
-
-def _gaps(verdict: FilmVerdict) -> Section:
     trial = any(g.trial is not None for g in verdict.gaps)
     head = ("", "before", "after, with camera.json", *["with all that is named"] * trial, "floor")
     rows = [
         (g.regime, *(size_text(v, g.unit) for v in (g.before, g.after, *[g.trial or 0.0] * trial, g.floor)))
         for g in verdict.gaps
     ]
-    return table_section("The gap on confirming frames", rows, head, "full")
+    gaps = table_section("The gap on confirming frames", rows, head, "full")
+    sections += [gaps, repeat_section({"All of it": command})]
+    return document(found.film.recording.name, sections, "gap between films", chips)
 
 
 def _doubt(verdict: FilmVerdict) -> list[tuple[str, Sequence[str]]]:
@@ -107,26 +103,22 @@ def _doubt(verdict: FilmVerdict) -> list[tuple[str, Sequence[str]]]:
 
 def _maps(found: FilmResult) -> list[Section]:
     maps = sorted(found.maps, key=lambda m: (m.bins.adjusted, not len(m.rows)))
-    drawings = [
-        _picture_map(m)
-        if len(m.rows)
-        else map_drawing(m.bins, f"{m.what} by {m.over}".capitalize(), m.unit, 1.0, m.over_unit.split(" ")[0])
-        for m in maps
-    ]
+    drawings = []
+    for m in maps:
+        if not len(m.rows):
+            title, unit = f"{m.what} by {m.over}".capitalize(), m.over_unit.split(" ")[0]
+            drawings.append(map_drawing(m.bins, title, m.unit, 1.0, unit))
+            continue
+        values = m.bins.mean.reshape(len(m.rows) - 1, -1)
+        reach = float(np.nanquantile(np.abs(values), 0.98)) or 1.0
+        level = np.clip(np.nan_to_num(values) / reach, -1, 1)[..., None]
+        colours = np.where(level > 0, 255 + level * (_RED - 255), 255 - level * (_BLUE - 255))
+        colours[~np.isfinite(values)] = 225
+        image = cv2.resize(np.rint(colours).astype(np.uint8), None, fx=24, fy=24, interpolation=cv2.INTER_NEAREST)
+        about = f"p = {p_text(m.bins.p_value)}, blue -{reach:.2g}, red +{reach:.2g} {m.unit}"
+        drawings.append(_picture(f"{m.what} over the picture".capitalize(), about, np.asarray(image, np.uint8)))
     note = "Measured less simulated, as the asset is with an ideal camera; holes are against their frame's mean."
     return maps_section(drawings, [m.bins for m in maps], "signs of frames", note)
-
-
-def _picture_map(m: FilmMap) -> Markup:
-    values = m.bins.mean.reshape(len(m.rows) - 1, -1)
-    reach = float(np.nanquantile(np.abs(values), 0.98)) or 1.0
-    level = np.clip(np.nan_to_num(values) / reach, -1, 1)[..., None]
-    colours = np.where(level > 0, 255 + level * (_RED - 255), 255 - level * (_BLUE - 255))
-    colours[~np.isfinite(values)] = 225
-    image = cv2.resize(np.rint(colours).astype(np.uint8), None, fx=24, fy=24, interpolation=cv2.INTER_NEAREST)
-    title = f"{m.what} over the picture".capitalize()
-    about = f"p = {p_text(m.bins.p_value)}, blue -{reach:.2g}, red +{reach:.2g} {m.unit}"
-    return _picture(title, about, image)
 
 
 def _picture(title: str, about: str, image: Image) -> Markup:
@@ -159,21 +151,15 @@ def _frame(verdict: FilmVerdict, found: FilmResult) -> Section:
     ]
     colours = [frame.rgb[box], np.rint(ideal.rgb).astype(np.uint8)[box], rgb[box]]
     names = ["measured", "simulated, as the asset is", "simulated, with camera.json"]
-    shown = slice(2 if camera.is_ideal else 3)
-    figures = Markup("").join(
-        _picture(what, name, _sized(image))
-        for what, images in (("Colour", colours), ("Depth", depths))
-        for name, image in zip(names[shown], images[shown], strict=True)
-    )
+    factor, figures = min(WIDEST / colours[0].shape[1], 4.0), Markup("")
+    how = cv2.INTER_NEAREST if factor > 1 else cv2.INTER_AREA
+    for what, images in (("Colour", colours), ("Depth", depths)):
+        for name, image in list(zip(names, images, strict=True))[: 2 if camera.is_ideal else 3]:
+            sized = np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=how), np.uint8)
+            figures += _picture(what, name, sized)
     note = f"Depth from {near:.3g} m (dark) to {far:.3g} m (light); white: none; grey: beyond. The asset is not lit."
     html = Markup('<div class="charts pictures">{}</div>').format(figures)
     return Section(f"Frame {index}, of the confirming ones", html, place="full", note=note)
-
-
-def _sized(image: Image) -> Image:
-    factor = min(WIDEST / image.shape[1], 4.0)
-    how = cv2.INTER_NEAREST if factor > 1 else cv2.INTER_AREA
-    return np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=how), np.uint8)
 
 
 def _coloured(depth: Array, near: float, far: float) -> Image:

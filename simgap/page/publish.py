@@ -132,56 +132,38 @@ def publish(
     if posed:
         write_measured(folder / "runs", runs)
         runs = read_measured(folder / "runs")
-    plant, verdict = make_plant(asset, measured), draft.verdict
+    plant, verdict, kind = make_plant(asset, measured), draft.verdict, measured.joint_type
     found = estimate_missing_force(*_missing_force_inputs(runs, plant, draft.nuisance), plant=plant)
     maps = make_residual_maps(found, seed)
-    if draft.motion_differs and not verdict.where:
-        verdict = replace(verdict, where=flagged_regions(maps, found, measured.joint_type))
     tried = verdict.effects if verdict.verdict in ("named", "ambiguous") else draft.certain
     changed = bool(tried) or draft.body != NO_CORRECTION
     _write_asset(asset, tried, draft.body, verdict, folder / "asset")
-    given, delivered = AssetOnDisk(asset_address(asset), asset.root, guesses=False), AssetOnDisk(folder / "asset")
-    end = time.monotonic() + replay_seconds
-    chosen = _pick_runs(runs, verdict) if verdict.by == "position" else []
+    given, repaired = AssetOnDisk(asset_address(asset), asset.root, guesses=False), AssetOnDisk(folder / "asset")
+    end, files = time.monotonic() + replay_seconds, (given, repaired) if changed else (given,)
     tracks = _place_tracks(asset, measured, draft.geometry, tried)
-    files = (given, delivered) if changed else (given,)
-    replays, comparison, why = _replay_trial(files, runs, draft, chosen, tracks, replay_seconds, progress)
-    delivered_effects, notes = (
-        draft.certain,
-        [] if changed or not why else [f"SAPIEN could not replay the asset: {why}"],
-    )
-    if comparison is not None:
-        verdict = replace(verdict, gaps=_measure_gaps(verdict.gaps, comparison))
-    if comparison is not None and comparison.runs:
-        was, left, floor = (
-            root_mean_square([getattr(r, k) for r in comparison.runs]) for k in ("before", "after", "floor")
-        )
-        unit = unit_of("position", measured.joint_type)
-        verdict = replace(verdict, sentence=replace_amounts(verdict.sentence, was, left, floor, unit))
-    if changed and why:
-        rejected = _select_moving(tried) or list(tried)
-        notes = [f"SAPIEN could not replay {_names(rejected) or 'the corrected asset'}: {why}"]
+    replays, comparison, why = _replay_trial(files, runs, draft, tracks, replay_seconds, progress)
+    rejected, notes = _judge(draft, tried, changed, comparison, why, replay_seconds)
+    where = flagged_regions(maps, found, kind) if draft.motion_differs and not verdict.where else verdict.where
+    verdict = replace(verdict, where=where, sentence=_replayed_sentence(verdict, comparison, kind))
+    delivered = draft.certain
+    if rejected is not None:
         verdict = _make_rolled_back(verdict, draft.certain, rejected)
-        delivered_effects = verdict.effects
-    elif changed and comparison is not None:
-        verdict, delivered_effects, notes = _judge(verdict, draft, tried, comparison, replay_seconds)
+        delivered = verdict.effects
     body = draft.body if verdict.corrections else NO_CORRECTION
-    if (delivered_effects, body) != (tried, draft.body):
+    if (delivered, body) != (tried, draft.body):
         (folder / "asset").rename(folder / "trial")
-        _write_asset(asset, delivered_effects, body, verdict, folder / "asset")
-    verdict = replace(verdict, added=tuple(n.effect.name for n in delivered_effects))
+        _write_asset(asset, delivered, body, verdict, folder / "asset")
+    gaps, proof = (*verdict.gaps, *(() if comparison is None else comparison.poses)), None
     if verdict.by == "position":
-        verdict = replace(
-            verdict, gaps=_gaps_of_files(verdict.gaps, comparison, tried, delivered_effects, body == draft.body)
-        )
+        gaps = _gaps_of_files(gaps, comparison, tried, delivered, body == draft.body)
     if replays:
-        same = not _select_moving(delivered_effects) and body == NO_CORRECTION
-        assets = (given,) if same else (given, delivered)
+        same = not _select_moving(delivered) and body == NO_CORRECTION
+        assets = (given,) if same else (given, repaired)
         witness = _ask_witness(assets, runs, replays, verdict.holding or 0.0, end - time.monotonic())
         proof = _make_proof(paths, asset, posed, folder, verdict.holding, replays[0], witness)
-        verdict = replace(verdict, proof=proof)
+    verdict = replace(verdict, added=tuple(n.effect.name for n in delivered), gaps=gaps, proof=proof)
     gap = Gap(title, measured, verdict, draft, maps, comparison, tuple(notes), seconds)
-    write_answer(folder, verdict, measured.joint_type, page(gap))
+    write_answer(folder, verdict, kind, page(gap))
     return verdict
 
 
@@ -208,24 +190,22 @@ def _replay_trial(
     files: Sequence[AssetOnDisk],
     runs: Measured,
     draft: Draft,
-    chosen: list[str],
     poses: Tracks,
     seconds: float,
     progress: Progress | None,
 ) -> tuple[tuple[Replay, ...], ReplayComparison | None, str]:
     """Replays with the asset as given and as repaired, their comparison, and why there is none (empty for nothing to
     replay)."""
-    tracks, before, after = poses
+    verdict, (tracks, *posed) = draft.verdict, poses
+    chosen = _pick_runs(runs, verdict) if verdict.by == "position" else []
     if not chosen and not tracks:
         return (), None, ""
-    holding = draft.verdict.holding or 0.0
+    holding, both = verdict.holding or 0.0, (posed[0], posed[1])
     try:
-        replays = replay(
-            files, runs, chosen, holding=holding, poses=(before, after), seconds=seconds, progress=progress
-        )
+        replays = replay(files, runs, chosen, holding=holding, poses=both, seconds=seconds, progress=progress)
     except CannotReplay as error:
         return (), None, str(error)
-    return replays, compare_replays(replays[0], replays[-1], draft.floor, draft.verdict.gaps, tracks), ""
+    return replays, compare_replays(replays[0], replays[-1], draft.floor, verdict.gaps, tracks), ""
 
 
 def _ask_witness(
@@ -273,42 +253,65 @@ def _make_proof(
     return Proof(made_by.engine, made_by.version, repeat, witness, hashes)
 
 
+def _replayed_sentence(verdict: Verdict, comparison: ReplayComparison | None, kind: JointType) -> str:
+    """The sentence with the numbers of the replay in SAPIEN."""
+    if comparison is None:
+        return verdict.sentence
+    if not comparison.runs:
+        late = comparison.changed and comparison.given_up and not comparison.inconclusive
+        return verdict.sentence + " SAPIEN has not confirmed it: the replay took too long." * bool(late)
+    was, left, floor = (
+        root_mean_square([getattr(r, name) for r in comparison.runs]) for name in ("before", "after", "floor")
+    )
+    sentence = replace_amounts(verdict.sentence, was, left, floor, unit_of("position", kind))
+    near, _ = comparison.split({gap.regime for gap in verdict.gaps if gap.use == "fitted"})
+    part, of = closed_part(near), f"{runs_text([run.use for run in near])}, replayed in SAPIEN,"
+    return sentence if part is None else replace_closed_part(sentence, part, of)
+
+
 def _judge(
-    verdict: Verdict, draft: Draft, tried: tuple[NamedEffect, ...], comparison: ReplayComparison, seconds: float
-) -> tuple[Verdict, tuple[NamedEffect, ...], list[str]]:
-    """The verdict after the replay, the effects of the asset, and notes."""
-    certain = draft.certain
-    notes: list[str] = []
-    fitted = {gap.regime for gap in verdict.gaps if gap.use == "fitted"}
-    near, _ = comparison.split(fitted)
-    same = closed_part(near)
-    if same is not None:
-        of = runs_text([run.use for run in near])
-        verdict = replace(verdict, sentence=replace_closed_part(verdict.sentence, same, f"{of}, replayed in SAPIEN,"))
+    draft: Draft,
+    tried: tuple[NamedEffect, ...],
+    changed: bool,
+    comparison: ReplayComparison | None,
+    why: str,
+    seconds: float,
+) -> tuple[list[NamedEffect] | None, list[str]]:
+    """What to roll back of a repair (no effects: the body; None: nothing), and notes.
+
+    `changed` is whether there is a repair, `why` the reason that it could not be replayed.
+    """
+    if why:
+        rejected = _select_moving(tried) or list(tried)
+        what = (_names(rejected) or "the corrected asset") if changed else "the asset"
+        return rejected if changed else None, [f"SAPIEN could not replay {what}: {why}"]
+    if comparison is None or not changed:
+        return None, []
+    notes = []
     if comparison.given_up:
         done = len(comparison.runs) + len(comparison.inconclusive)
         notes.append(
             f"SAPIEN's replay took more than {seconds:g} s and was given up: {done} of "
             f"{done + len(comparison.given_up)} runs are replayed."
         )
-        if not done:
-            unsure = "SAPIEN has not confirmed it: the replay took too long."
-            verdict = replace(verdict, sentence=f"{verdict.sentence} {unsure}")
-    replayed = {run.run for run in comparison.runs}
-    confirming = [gap for gap in verdict.gaps if gap.use == "confirming" and gap.run in replayed]
+    replayed = {run.run: run for run in comparison.runs}
+    confirming = [
+        replace(gap, before=replayed[gap.run].before, after=replayed[gap.run].after)
+        for gap in draft.verdict.gaps
+        if gap.use == "confirming" and gap.run in replayed
+    ]
     confirmed = not confirming or closes_gap(confirming, draft.dominant)
     motion = is_improved(comparison.runs) and confirmed if comparison.runs else None
     geometry = is_improved(comparison.poses) if comparison.poses else None
     rejected = [n for n in tried if (geometry if n.effect.kind == "kinematics" else motion) is False]
-    if rejected or (motion is False and verdict.corrections):
+    if rejected or (motion is False and draft.verdict.corrections):
         of = runs_text([run.use for run in comparison.runs or comparison.poses])
         notes.append(
             f"A repair with {_names(rejected) or 'another body'} was tried and rolled back: replayed in SAPIEN it did "
             f"not help on {of}, or made some of their motion worse."
         )
-        verdict = _make_rolled_back(verdict, certain, rejected)
-        return verdict, verdict.effects, notes
-    rest = [n for n in tried if n not in certain]
+        return rejected, notes
+    rest = [n for n in tried if n not in draft.certain]
     if rest:
         notes.append(
             f"The asset was not given {_names(rest)}: that is not certain. It is in trial/, and curves show what it "
@@ -319,7 +322,7 @@ def _judge(
             f"Not judged by its replay: {', '.join(run.run for run in comparison.inconclusive)}. Such a run is "
             "ill-conditioned: SAPIEN's time step changes it, however small."
         )
-    return verdict, certain, notes
+    return None, notes
 
 
 def _names(effects: Sequence[NamedEffect]) -> str:
@@ -373,35 +376,27 @@ def _place_tracks(
     return chosen, tuple(found[0]), tuple(found[1])
 
 
-def _measure_gaps(gaps: tuple[RunGap, ...], comparison: ReplayComparison) -> tuple[RunGap, ...]:
-    """Gaps with those measured by SAPIEN, and those of the geometry."""
-    replayed = {run.run: run for run in (*comparison.runs, *comparison.inconclusive)}
-    sizes = [
-        {} if gap.run not in replayed else {k: getattr(replayed[gap.run], k) for k in ("before", "after")}
-        for gap in gaps
-    ]
-    return (*(replace(gap, **size) for gap, size in zip(gaps, sizes, strict=True)), *comparison.poses)
-
-
 def _gaps_of_files(
     gaps: tuple[RunGap, ...],
     comparison: ReplayComparison | None,
     tried: tuple[NamedEffect, ...],
-    delivered_effects: tuple[NamedEffect, ...],
+    delivered: tuple[NamedEffect, ...],
     same_body: bool,
 ) -> tuple[RunGap, ...]:
-    """Gaps of the delivered files: as tried where motion or geometry was kept, else as before; NaN without a replay."""
-    same_geometry = all(n in delivered_effects for n in tried if n.effect.kind == "kinematics")
-    same_motion = same_body and all(n in delivered_effects for n in _select_moving(tried))
-    done = set() if comparison is None else {run.run for run in (*comparison.runs, *comparison.inconclusive)}
+    """Gaps of the delivered files, as SAPIEN measured them: as tried where motion or geometry was delivered, else as
+    before; NaN without a replay."""
+    same_geometry = all(n in delivered for n in tried if n.effect.kind == "kinematics")
+    same_motion = same_body and all(n in delivered for n in _select_moving(tried))
+    done = {} if comparison is None else {run.run: run for run in (*comparison.runs, *comparison.inconclusive)}
     found = []
     for gap in gaps:
-        if gap.regime != GEOMETRY and gap.run not in done:
-            found.append(replace(gap, before=np.nan, after=np.nan))
-        elif same_geometry if gap.regime == GEOMETRY else same_motion:
-            found.append(gap)
+        off = gap.regime == GEOMETRY
+        size = gap if off else done.get(gap.run)
+        before, after = (np.nan, np.nan) if size is None else (size.before, size.after)
+        if same_geometry if off else same_motion or size is None:
+            found.append(replace(gap, before=before, after=after))
         else:
-            found.append(replace(gap, after=gap.before, trial=gap.after))
+            found.append(replace(gap, before=before, after=before, trial=after))
     return tuple(found)
 
 
@@ -415,9 +410,13 @@ def _make_rolled_back(verdict: Verdict, certain: tuple[NamedEffect, ...], reject
         sentence = f"This is repaired: {words}. What else simulation and measurement differ by is not known: {what}."
     else:
         sentence = f"Simulation and measurement differ, and nothing known here repairs it: {what}."
-    later, corrections = (
-        verdict.next_experiment or DISCREPANCY_EXPERIMENTS[""],
-        () if same_motion else verdict.corrections,
+    return replace(
+        verdict,
+        verdict="unexplained",
+        effects=delivered_effects,
+        rivals=(),
+        in_part=False,
+        corrections=() if same_motion else verdict.corrections,
+        sentence=sentence,
+        next_experiment=verdict.next_experiment or DISCREPANCY_EXPERIMENTS[""],
     )
-    bare = replace(verdict, effects=delivered_effects, rivals=(), in_part=False, corrections=corrections)
-    return replace(bare, verdict="unexplained", sentence=sentence, next_experiment=later)

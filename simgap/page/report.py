@@ -13,7 +13,7 @@ from freeart21.joint import JointType
 from freeart21.measured import Measured
 from freeart21.view.document import Markup, Section, document, render
 from freeart21.view.plots import Curve, curves_section
-from freeart21.view.tables import NONE, Cell, records_section, table_section
+from freeart21.view.tables import NONE, Cell, table_section
 from simgap.geometry.finding import KinematicsFinding
 from simgap.models.localise import LEVEL, ResidualMap
 from simgap.models.surrogate import Nuisance
@@ -133,14 +133,28 @@ def page(gap: Gap) -> str:
     chips = [f"joint {gap.measured.joint}, {kind}", f"{len(uses)} runs: {counts}"]
     if gap.seconds is not None:
         chips.append(f"{gap.seconds:.1f} s")
+    names = list(dict.fromkeys(g.run for g in verdict.gaps if g.use == "fitted"))
+    fitted = f"run {names[0]}" if len(names) == 1 else f"{len(names)} runs: {', '.join(names)}"
     sections = [
         answer_section(verdict, _tiles(gap), gap.notes),
-        *parameters_section(verdict, kind, f"Fitted to {_fitted_text(gap)}.", _file_of),
+        *parameters_section(verdict, kind, f"Fitted to {fitted}.", _file_of),
         *doubt_sections(verdict, runs_text(uses)),
     ]
     motion, geometry = [*_runs(gap), *_maps(gap)], _geometry(gap)
     sections += [*motion, *geometry] if gap.motion_differs else [*geometry, *motion]
-    return document(gap.title, [*sections, *_ranking(gap), *_gaps(gap), *_repeat(gap)], "gap", chips)
+    marked = [g.use for g in gap.motion if g.use == "choosing"]
+    of = runs_text(marked) if marked else runs_text([g.use for g in gap.motion if g.use == "fitted"], in_turn=True)
+    sections += [*ranking_section(gap.draft.ranking[:12], of), _gaps(gap)]
+    if verdict.proof is not None:
+        texts = {
+            "before": "The gap before, from the files of the asset as it was given",
+            "after": "The gap after, from the files of the asset beside the verdict",
+            "trial": "The gap with the trial repair, which is not in that asset",
+        }
+        absent = verdict.proof.witness.get("absent")
+        note = f"MuJoCo has not witnessed it: {absent}." if absent else "Add --engine mujoco for MuJoCo's numbers."
+        sections.append(repeat_section({texts[k]: line for k, line in verdict.proof.repeat.items()}, note))
+    return document(gap.title, sections, "gap", chips)
 
 
 def answer_section(verdict: Verdict, tiles: Sequence[Tile], notes: Sequence[str] = ()) -> Section:
@@ -216,12 +230,6 @@ def _file_of(effect: Effect) -> str:
 _OWN = {"1": "times what the asset says", "rad": "of the pull of its weight"}
 
 
-def _fitted_text(gap: Gap) -> str:
-    """The runs that the parameters are fitted to."""
-    names = list(dict.fromkeys(g.run for g in gap.verdict.gaps if g.use == "fitted"))
-    return f"run {names[0]}" if len(names) == 1 else f"{len(names)} runs: {', '.join(names)}"
-
-
 def doubt_sections(verdict: Verdict, of: str, more: Sequence[tuple[str, Sequence[str]]] = ()) -> list[Section]:
     """Rivals, other doubts (`more`: titles and lines), the next experiment, and flagged regions in the runs `of`."""
     rivals = [
@@ -292,21 +300,14 @@ def _geometry(gap: Gap) -> list[Section]:
         return []
     track = sorted(g.tracks, key=lambda t: not t.held_out)[0]
     drawn = drawn_samples(len(track.times_s), 500)
-    before, after = track.off_before[drawn], track.off_after[drawn]
-    charts = [
-        chart(
-            [
-                Curve(name, colour, factor * np.linalg.norm(off[:, columns], axis=1))
-                for name, colour, off in (("before", BEFORE, before), ("after", AFTER, after))
-            ],
-            title,
-            unit,
-        )
-        for columns, title, unit, factor in (
-            (slice(0, 3), "Off the joint: shift of the part's middle", "mm", 1e3),
-            (slice(3, 6), "Off the joint: turn", "°", 180 / np.pi),
-        )
-    ]
+    charts = []
+    for columns, what, unit, factor in (
+        (slice(0, 3), "shift of the part's middle", "mm", 1e3),
+        (slice(3, 6), "turn", "°", 180 / np.pi),
+    ):
+        both = ("before", BEFORE, track.off_before), ("after", AFTER, track.off_after)
+        lines = [Curve(n, colour, factor * np.linalg.norm(off[drawn, columns], axis=1)) for n, colour, off in both]
+        charts.append(chart(lines, f"Off the joint: {what}", unit))
     chosen = {e.name for e in g.effects}
     shown = [r for r in g.ranking if len(r[0]) < 2 or set(r[0]) == chosen or r[0] in g.rivals]
     what = f"Run {track.name}, {'held out' if track.held_out else 'fitted'}"
@@ -324,14 +325,6 @@ def _geometry(gap: Gap) -> list[Section]:
     return [curves_section(title, charts, x, note=note), *ranking]
 
 
-def _ranking(gap: Gap) -> list[Section]:
-    """Every evaluated set with its error on test runs."""
-    uses = [g.use for g in gap.motion]
-    marked = [use for use in uses if use == "choosing"]
-    of = runs_text(marked) if marked else runs_text([use for use in uses if use == "fitted"], in_turn=True)
-    return ranking_section(gap.draft.ranking[:12], of)
-
-
 def ranking_section(ranking: Sequence[Ranked], of: str) -> list[Section]:
     """Evaluated sets with their error on `of`."""
     worst = max((np.log10(max(r.rms, 1.0)) for r in ranking if np.isfinite(r.rms)), default=0.0)
@@ -347,7 +340,7 @@ def ranking_section(ranking: Sequence[Ranked], of: str) -> list[Section]:
     return [table_section(f"Explanations, judged on {of}", rows, heads, "full")] if ranking else []
 
 
-def _gaps(gap: Gap) -> list[Section]:
+def _gaps(gap: Gap) -> Section:
     """All runs in numbers."""
     proof = gap.verdict.proof
     witness = {} if proof is None else {row["run"]: row for row in proof.witness.get("gap", ())}
@@ -379,19 +372,4 @@ def _gaps(gap: Gap) -> list[Section]:
             f"by no more than {gap.comparison.numerics:.2g} sigmas."
         )
     note += f" {still} more runs were not replayed." if still else ""
-    return [records_section("Runs", rows, note)]
-
-
-def _repeat(gap: Gap) -> list[Section]:
-    """The command lines of the proof, and the second engine's result."""
-    proof = gap.verdict.proof
-    if proof is None:
-        return []
-    of = {
-        "before": "The gap before, from the files of the asset as it was given",
-        "after": "The gap after, from the files of the asset beside the verdict",
-        "trial": "The gap with the trial repair, which is not in that asset",
-    }
-    absent = proof.witness.get("absent")
-    note = f"MuJoCo has not witnessed it: {absent}." if absent else "Add --engine mujoco for MuJoCo's numbers."
-    return [repeat_section({of[what]: line for what, line in proof.repeat.items()}, note)]
+    return table_section("Runs", rows, (), "full", note)

@@ -9,7 +9,7 @@ import numpy as np
 from freeart21.joint import JointType
 from freeart21.se3 import Array
 from freeart21.view.document import MOVING, REFERENCE, Markup, Section
-from freeart21.view.plots import Axes, Chart, Curve, curves_section, display_unit, figure, padded_range
+from freeart21.view.plots import Chart, Curve, curves_section, display_unit, figure, padded_range
 from simgap.models.localise import ResidualMap
 from simgap.prove.comparison import ReplayGap
 from simgap.verdict import Quantity, unit_of
@@ -73,9 +73,9 @@ def map_drawing(m: ResidualMap, title: str, what: str, factor: float, unit: str,
     edges = np.arange(len(mean) + 1.0) if m.labels else factor * m.edges
     edges = np.linspace(edges[0], edges[-1], len(mean) + 1)
     ends = padded_range([np.zeros(1), mean - reach, mean + reach], 0.08)
-    axes, step = Axes(330, 150, (edges[0], edges[-1]), ends), edges[1] - edges[0]
+    step = edges[1] - edges[0]
     thin = 0.003 * (edges[-1] - edges[0])
-    boxes = [("flagged", a, a + step, *ends) for a, flag in zip(edges[:-1], m.flagged, strict=True) if flag]
+    boxes = [("flagged", a, a + step, -np.inf, np.inf) for a, flag in zip(edges[:-1], m.flagged, strict=True) if flag]
     boxes.append(("error", edges[0], edges[-1], 0.0, 0.0))
     for i in np.flatnonzero(np.isfinite(mean)):
         a, middle = edges[i] + 0.06 * step, edges[i] + 0.5 * step
@@ -87,8 +87,8 @@ def map_drawing(m: ResidualMap, title: str, what: str, factor: float, unit: str,
         every = -(-len(m.labels) // 4)
         labels = {float(edges[k] + 0.5 * step): str(m.labels[k])[:14] for k in range(0, len(m.labels), every)}
     sign = unit if unit == "°" else f" {unit}"
-    caption = f"{title}, p = {p_text(m.p_value)}"
-    return figure(axes, edges, (), caption, what, sign, boxes, legend=False, x_labels=labels)
+    drawn = Chart(f"{title}, p = {p_text(m.p_value)}", what, (), y=ends, boxes=boxes, width=330, height=150)
+    return figure(drawn, edges, sign, legend=False, x_labels=labels)
 
 
 def p_text(p: float) -> str:

@@ -36,12 +36,7 @@ def write_plain_urdf(urdf: Path, folder: Path, compiler: Mapping[str, str] | Non
         return replace(shape, filename=str(path))
 
     held = freeze_mimics(build_tree(read)).joints
-    joints = {
-        name: joint
-        if joint.mimic is None
-        else replace(joint, type="fixed", mimic=None, T_parent_joint=held[name].T_parent_child)
-        for name, joint in read.joints.items()
-    }
+    joints = {name: held[name] for name in read.joints}
     mujoco = {**read.mujoco, "compiler": {**read.mujoco.get("compiler", {}), **(compiler or {})}}
     copy = place / "asset.urdf"
     copy.write_bytes(format_urdf(replace(read.with_shapes(engine_shape), joints=joints, mujoco=mujoco)))

@@ -30,7 +30,7 @@ const Kinematics = {
   linkPoses(links, values) {
     const poses = [];
     for (const link of links) {
-      let T = link.T.flat();
+      let T = link.T_parent_link.flat();
       if (link.parent >= 0) T = Kinematics.multiply(poses[link.parent], T);
       if (link.joint) {
         const q = link.offset + (link.slider >= 0 ? link.scale * values[link.slider] : 0);
