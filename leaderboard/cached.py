@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -44,9 +45,10 @@ def cached_scores(
     path = None if cache is None else cache_path(results, rules.name, Path(cache))
     if path is not None:
         check_place(path, SCORES, (Path(data), results))
-        found = _read_table(path)
-        if found is not None and is_current(found, results, benchmark):
-            return found
+        with contextlib.suppress(FreeArtError):  # there is none, or none that can be read
+            found = read_scores(path)
+            if is_current(found, results, benchmark):
+                return found
     before = _hash_folders(results, benchmark)
     scores = score_results(results, data, rules.name, progress, workers=WORKERS, truth=truth)
     if before != {row.sequence: (row.result_sha256, row.truth_sha256) for row in scores.rows}:
@@ -65,25 +67,16 @@ def cache_path(results: Path, protocol: str, cache: Path) -> Path:
 def is_current(scores: Scores, results: Path, benchmark: Benchmark) -> bool:
     """Whether scoring `results` now would give `scores`: the same bytes, package and libraries."""
     environment = describe_environment()
-    if any(scores.made_with.get(key) != environment[key] for key in _RELEVANT):
-        return False
-    if scores.benchmark != benchmark_facts(benchmark) or scores.method != read_submitted_method(results)[0]:
-        return False
-    if tuple(row.sequence for row in scores.rows) != benchmark.sequences:
-        return False
-    all_hashed = all(row.truth_sha256 and (row.result_sha256 or row.status == "missing") for row in scores.rows)
     stored = {row.sequence: (row.result_sha256, row.truth_sha256) for row in scores.rows}
-    return all_hashed and stored == _hash_folders(results, benchmark)
+    return (
+        all(scores.made_with.get(key) == environment[key] for key in _RELEVANT)
+        and scores.benchmark == benchmark_facts(benchmark)
+        and scores.method == read_submitted_method(results)[0]
+        and all(row.truth_sha256 and (row.result_sha256 or row.status == "missing") for row in scores.rows)
+        and stored == _hash_folders(results, benchmark)
+    )
 
 
 def _hash_folders(results: Path, benchmark: Benchmark) -> dict[str, tuple[str | None, str | None]]:
     """Sequence to the hashes of its result and its truth."""
     return {name: (sha256_or_none(results / name), truth_sha256(benchmark, name)) for name in benchmark.sequences}
-
-
-def _read_table(path: Path) -> Scores | None:
-    """The table at `path`; None when it cannot be read."""
-    try:
-        return read_scores(path)
-    except FreeArtError:
-        return None

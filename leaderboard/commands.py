@@ -46,7 +46,7 @@ def score(
         executor: Where they are scored: local (this machine), ray, or slurm. The last two need --out on a file system
             of all their machines.
     """
-    import shutil
+    import contextlib
     import tempfile
 
     from freeart21.errors import FreeArtError
@@ -61,26 +61,23 @@ def score(
 
     if out is not None:
         check_place(out, SCORES, (data, *([truth] if truth else [])))
-    work = None
-    if executor != "local":
-        if out is None:
-            raise FreeArtError(f"score: --executor {executor} needs --out: rows are gathered in its folder")
-        out.parent.mkdir(parents=True, exist_ok=True)
-        work = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}.", suffix=atomic.PART_SUFFIX))
-    try:
-        with open_results(results) as folder, progress_bar("Scoring") as show:
-            count = itertools.count(1)
+    with contextlib.ExitStack() as stack:
+        work = None
+        if executor != "local":
+            if out is None:
+                raise FreeArtError(f"score: --executor {executor} needs --out: rows are gathered in its folder")
+            out.parent.mkdir(parents=True, exist_ok=True)
+            place = tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.", suffix=atomic.PART_SUFFIX)
+            work = Path(stack.enter_context(place)) / "jobs"
+        folder, show = stack.enter_context(open_results(results)), stack.enter_context(progress_bar("Scoring"))
+        count = itertools.count(1)
 
-            def report(row: Row, of: int) -> None:
-                show(f"Scored {row.sequence}", next(count), of)
+        def report(row: Row, of: int) -> None:
+            show(f"Scored {row.sequence}", next(count), of)
 
-            jobs = None if work is None else work / "jobs"
-            scores = score_results(
-                folder, data, protocol, report, workers=workers, executor=executor, work=jobs, truth=truth
-            )
-    finally:
-        if work is not None:
-            shutil.rmtree(work, ignore_errors=True)
+        scores = score_results(
+            folder, data, protocol, report, workers=workers, executor=executor, work=work, truth=truth
+        )
     print_scores(scores, everything=everything)
     if out is not None:
         write_scores(out, scores)

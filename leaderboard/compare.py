@@ -253,13 +253,13 @@ def _describe_column(metric: Metric, values: pd.Series[float], interval: Interva
     if values.empty:
         return {}
     one, id = statistic(values, metric.direction), metric.id
-    found = {id: one.mean, f"{id}_std": one.std, f"{id}_median": one.median, f"{id}_worst": one.worst}
+    found: dict[str, Any] = {id: one.mean, f"{id}_std": one.std, f"{id}_median": one.median, f"{id}_worst": one.worst}
     found[f"{id}_sequences"] = one.sequences
     if interval is not None:
         better = (interval.mean > 0) == (metric.direction == "up")
         verdict = "open" if not interval.significant else "better" if better else "worse"
-        ends = {f"{id}_low": interval.low, f"{id}_high": interval.high}
-        found |= {f"{id}_difference": interval.mean, **ends, f"{id}_verdict": verdict}
+        found |= {f"{id}_low": interval.low, f"{id}_high": interval.high}
+        found |= {f"{id}_difference": interval.mean, f"{id}_verdict": verdict}
     return found
 
 

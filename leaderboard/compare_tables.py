@@ -200,55 +200,38 @@ def print_comparison(comparison: Comparison, by: By, console: Console | None = N
     if not console.is_terminal:  # a file or pipe has no width
         console.width = max(console.width, WIDTH)
     for grid in make_grids(comparison, by):
-        for part in split_columns(grid, console.width):
-            console.print(f"\n[bold]{escape(escape_unprintable(part.title))}[/]")
-            console.print(_to_rich(part))
+        for k, table in enumerate(split_columns(grid, console)):
+            console.print(f"\n[bold]{escape(escape_unprintable(grid.title))}{' (continued)' if k else ''}[/]")
+            console.print(table)
     for line in legend(comparison, by):
         console.print(f"  {escape(line)}", style="dim")
 
 
-def split_columns(grid: Grid, width: int) -> Iterator[Grid]:
-    """The table split between columns so that each part fits `width` characters; each has the first column."""
-    widths = [_column_width(grid, k) for k in range(len(grid.head))]
-    at = 1
-    while at < len(widths):
-        end, room = at, width - widths[0]
-        while end < len(widths) and (end == at or widths[end] <= room):
-            room -= widths[end]
-            end += 1
-        chosen = [0, *range(at, end)]
-        sections = tuple((name, tuple(tuple(row[k] for k in chosen) for row in rows)) for name, rows in grid.sections)
-        more = " (continued)" if at > 1 else ""
-        yield Grid(grid.title + more, tuple(grid.head[k] for k in chosen), sections)
+def split_columns(grid: Grid, console: Console) -> Iterator[Table]:
+    """The table split between columns so that each part fits the console; each has the first column."""
+    at, unbounded = 1, console.options.update(width=10_000)
+    while at < len(grid.head):
+        end = len(grid.head)
+        while end > at + 1 and console.measure(_to_rich(grid, at, end), options=unbounded).maximum > console.width:
+            end -= 1
+        yield _to_rich(grid, at, end)
         at = end
 
 
-def _column_width(grid: Grid, column: int) -> int:
-    """Characters that a column takes on a terminal, its gap included."""
-    texts = [*grid.head[column].split("\n"), *(row[column].text for _, rows in grid.sections for row in rows)]
-    if column == 0:
-        texts += [name for name, _ in grid.sections]
-    longest = max(map(len, texts))
-    return (min(longest, _LONGEST_NAME + 4) if column == 0 else longest) + 2
-
-
-def _to_rich(grid: Grid) -> Table:
+def _to_rich(grid: Grid, at: int, end: int) -> Table:
+    """The first column and the columns `at` to `end`."""
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    for k, head in enumerate(grid.head):
-        left = k == 0
-        table.add_column(
-            head,
-            justify="left" if left else "right",
-            no_wrap=not left,
-            overflow="fold",
-            max_width=_LONGEST_NAME + 4 if left else None,
-        )
+    table.add_column(grid.head[0], overflow="fold", max_width=_LONGEST_NAME + 4)
+    for head in grid.head[at:end]:
+        table.add_column(head, justify="right", no_wrap=True)
     for name, rows in grid.sections:
         table.add_section()
         table.add_row(f"[bold]{escape(escape_unprintable(name))}[/]")
         for row in rows:
             first = f"  {_truncate(escape_unprintable(row[0].text), _LONGEST_NAME)}"
-            table.add_row(escape(first), *(f"[bold]{escape(c.text)}[/]" if c.best else escape(c.text) for c in row[1:]))
+            table.add_row(
+                escape(first), *(f"[bold]{escape(c.text)}[/]" if c.best else escape(c.text) for c in row[at:end])
+            )
     return table
 
 

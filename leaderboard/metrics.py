@@ -61,10 +61,8 @@ def state_error(states_truth: Array, states: Array, sign: float, wrapped: bool) 
     same answer. The offset is the one that makes the mean smallest, which is the median; for `wrapped` states it is the
     median on the circle, found among the differences themselves, where the minimum of the sum of arcs always lies.
     """
-    difference = sign * states - states_truth
-    if not wrapped:
-        return float(np.mean(np.abs(difference - np.median(difference))))
-    return float(min(np.mean(np.abs(wrap(difference - offset))) for offset in difference))
+    difference = sign * states - states_truth - state_offset(states_truth, states, sign, wrapped)
+    return float(np.mean(np.abs(wrap(difference) if wrapped else difference)))
 
 
 def state_offset(states_truth: Array, states: Array, sign: float, wrapped: bool) -> float:

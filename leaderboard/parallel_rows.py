@@ -6,9 +6,9 @@ only.
 
 from __future__ import annotations
 
-import queue
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from contextlib import closing
@@ -50,19 +50,17 @@ def score_rows_locally(
     """
     if not 1 <= workers <= MOST_WORKERS:
         raise FreeArtError(f"cannot score with {workers} workers; expected 1 to {MOST_WORKERS}")
-    servers = [forked.Server(__name__) for _ in range(max(1, min(workers, len(requests))))]
-    free: queue.SimpleQueue[forked.Server] = queue.SimpleQueue()
-    for server in servers:
-        free.put(server)
+    servers: list[forked.Server] = []
+    own = threading.local()
+
+    def start_thread() -> None:
+        own.server = forked.Server(__name__)
+        servers.append(own.server)
 
     def score(request: Request) -> Row:
-        server = free.get()
-        try:
-            return score_row(server, request, limit_s)
-        finally:
-            free.put(server)
+        return score_row(own.server, request, limit_s)
 
-    pool = ThreadPoolExecutor(len(servers))
+    pool = ThreadPoolExecutor(workers, initializer=start_thread)
     try:
         with processes.defer_stop():
             futures: list[Future[Row]] = [pool.submit(score, request) for request in requests]

@@ -14,7 +14,7 @@ from freeart21.files.json_record import read_record
 from freeart21.files.places import SCORES, require_replaceable
 from freeart21.files.result import Method
 from freeart21.reconstruction import PIECES
-from leaderboard.protocol import Metric, Protocol
+from leaderboard.protocol import Protocol
 from leaderboard.protocols import protocol_named
 from leaderboard.rows import Row, Scores
 from leaderboard.submission import LONGEST_TEXT, escape_unprintable, plain_json, shorten
@@ -51,7 +51,18 @@ def write_scores(path: Path, scores: Scores) -> None:
     rules = protocol_named(scores.protocol)
     body: dict[str, Any] = asdict(scores)
     del body["seconds"]
-    metrics = [{**metric_terms(m), "beside": m.supplements, "definition": m.definition} for m in rules.metrics]
+    metrics = [
+        {
+            "id": metric.id,
+            "label": metric.label,
+            "unit": {"revolute": metric.revolute_unit, "prismatic": metric.prismatic_unit},
+            "direction": metric.direction,
+            "price": metric.penalty_text,
+            "beside": metric.supplements,
+            "definition": metric.definition,
+        }
+        for metric in rules.metrics
+    ]
     body["protocol"] = {"name": rules.name, "preamble": rules.preamble, "metrics": metrics}
     atomic.write_json(Path(path), {"schema": SCHEMA, **body})
 
@@ -78,7 +89,6 @@ def _read_scores(data: dict[str, Any], path: Path) -> Scores:
 
     table = read_record(_Table, data, f"{path}", whole=True)
     rules = protocol_named(checked.text(table.protocol, "name", path))
-    _check_terms(table.protocol, rules, path)
     for key in _BENCHMARK:
         if not table.benchmark.get(key, "\n").isprintable() or len(table.benchmark[key]) > LONGEST_TEXT:
             raise FreeArtError(f"{path}: '{key}' of its benchmark is missing or not a line of text")
@@ -96,31 +106,6 @@ def _read_scores(data: dict[str, Any], path: Path) -> Scores:
     benchmark = {key: value for key, value in table.benchmark.items() if key in (*_BENCHMARK, "hidden")}
     notes, made_with = _printable(table.notes), plain_json(table.made_with)
     return Scores(rules.name, method, benchmark, rows, summarise(rows, rules), None, notes, made_with)
-
-
-def metric_terms(metric: Metric) -> dict[str, Any]:
-    """The definition of a metric as far as values of two files can be compared by it."""
-    return {
-        "id": metric.id,
-        "label": metric.label,
-        "unit": {"revolute": metric.revolute_unit, "prismatic": metric.prismatic_unit},
-        "direction": metric.direction,
-        "price": metric.penalty_text,
-    }
-
-
-def _check_terms(protocol: dict[str, Any], rules: Protocol, path: Path) -> None:
-    listed = protocol.get("metrics")
-    for given in listed if isinstance(listed, list) else [listed]:
-        if not isinstance(given, dict):
-            raise FreeArtError(f"{path}: the metrics of its protocol are {checked.shorten(listed)}, expected objects")
-        ours = metric_terms(rules.metric(str(given.get("id"))))
-        for key in ("unit", "direction", "price"):
-            if given.get(key) != ours[key]:
-                raise FreeArtError(
-                    f"{path}: its {rules.name} has '{key}' {checked.shorten(given.get(key))} for {ours['id']}, "
-                    f"expected {ours[key]}: that is another protocol"
-                )
 
 
 def _check_row(row: Row, where: str, rules: Protocol) -> Row:

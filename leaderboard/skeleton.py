@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import trimesh
 
 from freeart21.articulation import Articulation
 from freeart21.errors import FreeArtError
@@ -69,11 +70,7 @@ def make_placeholder(recording: Recording) -> Reconstruction:
     masks = np.stack([recording.frame(i).mask.astype(np.uint8) for i in range(n)])
     still = np.repeat(np.eye(4)[None], n, 0)
     joint = Joint("joint", "revolute", np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0, 1.0)
-    parts = Articulation(joint, _cube(), _cube())
+    box = trimesh.creation.box([PLACEHOLDER_M] * 3)
+    cube = Mesh(np.asarray(box.vertices), np.asarray(box.faces))
+    parts = Articulation(joint, cube, cube)
     return Reconstruction(parts, np.zeros(n), still, still, masks, np.ones((n, 2), bool), seconds={"all": 0.0})
-
-
-def _cube() -> Mesh:
-    corners = PLACEHOLDER_M * (np.array(list(np.ndindex(2, 2, 2))) - 0.5)
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    return Mesh(corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]))

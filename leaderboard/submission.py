@@ -28,8 +28,6 @@ from freeart21.reconstruction import Failure, Reconstruction
 
 LARGEST = 1e6
 """Largest number, metres or radians, that can be an answer in SI units."""
-FARTHEST = 100.0
-"""Metres from the camera above which the unit is doubted; objects are filmed from 0.2 to 5 m."""
 MAX_FACES = 4_000_000
 """Faces of one part that the scorer holds in 8 GB."""
 MAX_FILES = 200_000
@@ -111,7 +109,6 @@ def find_faults(
         return None, [*faults, _unreadable_fault(folder.name, folder, error)]
     if isinstance(answer, Failure):
         return answer, faults
-    faults += _find_unit_doubts(folder, answer)
     Ts = [se3.orthonormalised(T) for T in (answer.Ts_camera_reference, answer.Ts_camera_moving)]
     return replace(answer, Ts_camera_reference=Ts[0], Ts_camera_moving=Ts[1]), faults
 
@@ -145,14 +142,17 @@ def read_submitted_method(results: Path) -> tuple[Method, list[Fault]]:
 
 
 def find_link_faults(folder: Path, home: Path | None = None) -> Iterator[Fault]:
-    """A fault for each link in the result folder, or it itself, that leads out of `home` or to itself.
+    """A fault for each link in the result folder that leads out of `home` or to itself, and if the folder itself does.
 
-    Without `home`, links within the folder are allowed, and the folder is none.
+    Without `home` it is the folder, which must be no link then.
     """
-    if folder.is_symlink() and (home is None or not folder.resolve().is_relative_to(home.resolve())):
+    if home is None and folder.is_symlink():
         yield _link_fault(folder.name)
         return
     home = (home or folder).resolve()
+    if not folder.resolve().is_relative_to(home):
+        yield replace(_link_fault(folder.name), found="leads out of the folder")
+        return
     for count, path in enumerate(folder.rglob("*")):
         if count > MAX_FILES:
             fix = "remove files that are not part of the result"
@@ -313,20 +313,6 @@ def _find_part_faults(folder: Path) -> Iterator[Fault]:
         yield from _find_range_fault(file, "vertices", mesh.vertices)
         if len(mesh.faces) > MAX_FACES:
             yield Fault(file, f"has {len(mesh.faces)} faces", f"at most {MAX_FACES}", fix="write a coarser mesh")
-
-
-def _find_unit_doubts(folder: Path, answer: Reconstruction) -> Iterator[Fault]:
-    """A doubt when a part is more than FARTHEST metres from the camera: its lengths are probably millimetres."""
-    parts = answer.articulation
-    for part, Ts in ((parts.reference, answer.Ts_camera_reference), (parts.moving, answer.Ts_camera_moving)):
-        if part.empty:
-            continue
-        centre = part.vertices[part.faces].mean((0, 1))
-        away = float(np.median(np.linalg.norm(se3.transform(Ts, centre[None])[..., 0, :], axis=-1)))
-        if away > FARTHEST:
-            found, fix = f"place a part {away:.3g} m from the camera", "write metres (are these millimetres?)"
-            yield Fault(f"{folder.name}/poses.npz", found, f"less than {FARTHEST:g} m", fix=fix, fatal=False)
-            return
 
 
 def _find_range_fault(file: str, field: str, values: NDArray[Any]) -> Iterator[Fault]:

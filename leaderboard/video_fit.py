@@ -1,7 +1,7 @@
 """Checks without the truth whether an answer's posed parts lie on the object in the video, and suggests a correction.
 
-Files with poses in OpenGL's camera axes, inverse poses, quaternions in the other order or lengths in millimetres read
-well but score badly. The video's masks and depth reveal them.
+Files with poses in OpenGL's camera axes, inverse poses or lengths in millimetres read well but score badly. The video's
+masks and depth reveal them.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from freeart21 import se3
 from freeart21.camera import Camera
@@ -20,6 +19,7 @@ from freeart21.mesh import Mesh
 from freeart21.reconstruction import Piece, Reconstruction
 from freeart21.recording import Recording
 from freeart21.se3 import Array
+from leaderboard.adapters.readers import scale_poses
 from leaderboard.surface import Surface
 
 FRAMES = 5
@@ -89,10 +89,10 @@ def describe_misfit(answer: Reconstruction, recording: Recording, lacks: tuple[P
         scaled = [unit * p for p in points]
         for name, poses in _other_poses(Ts).items():
             words = " and ".join(word for word in (name, length) if word)
-            candidates.append((_fit(scaled, _scale_poses(poses, unit), chosen), words))
+            candidates.append((_fit(scaled, scale_poses(poses, unit), chosen), words))
     best, name = next(pair for pair in candidates if pair[0] >= max(candidates)[0] - EQUAL)
     if best < FITS:
-        return f"{message}; none of the other axes, units and orders of quaternions fits"
+        return f"{message}; none of the other axes and units fits"
     return f"{message}; {best:.0%} would do if {name}"
 
 
@@ -141,21 +141,4 @@ def _other_poses(Ts: Array) -> dict[str, Array]:
         "the poses were in OpenGL's camera axes (import --axes or --frame, where the layout has one)": T_GL_CV @ Ts,
         "the poses and the object's frame had OpenGL's axes (import --axes opengl)": T_GL_CV @ Ts @ T_GL_CV,
         "the poses were camera to object": se3.inverse(Ts),
-        "quaternions were x, y, z, w": _reorder_quaternions(Ts, [3, 0, 1, 2]),
-        "quaternions were w, x, y, z": _reorder_quaternions(Ts, [1, 2, 3, 0]),
     }
-
-
-def _scale_poses(Ts: Array, unit: float) -> Array:
-    Ts = Ts.copy()
-    Ts[..., :3, 3] *= unit
-    return Ts
-
-
-def _reorder_quaternions(Ts: Array, order: list[int]) -> Array:
-    """Poses whose quaternion (w, x, y, z) is read in another order."""
-    xyzw = Rotation.from_matrix(Ts[..., :3, :3].reshape(-1, 3, 3)).as_quat()
-    again = Rotation.from_quat(xyzw[:, [3, 0, 1, 2]][:, order][:, [1, 2, 3, 0]])
-    poses = Ts.copy()
-    poses[..., :3, :3] = again.as_matrix().reshape(*Ts.shape[:2], 3, 3)
-    return poses

@@ -184,7 +184,6 @@ def _put(*place):
     [
         (_put("schema", "freeart21/scores/1"), "schema 'freeart21/scores/1', expected 'freeart21/scores/2'"),
         (_put("protocol", "name", "loose-9"), "unknown protocol 'loose-9'"),
-        (_put("protocol", "metrics", 1, "price", 45.0), "another protocol"),
         (_put("rows", []), "has 0 rows, expected 1 to"),
         (_put("rows", 0, "sequence", "../a"), "expected the name of a folder"),
         (_put("rows", 0, "measured_from", "nothing"), "is ok and measured from nothing"),

@@ -334,7 +334,7 @@ def test_ten_methods_fit_a_screen_of_100_columns(by, data, compared):
     text = "\n".join(lines)
     assert "88.88" in text and "a-method-of-a-very-lo…" in text and all(f"  {name} " in text for name in "BCDEFGHIJ")
     for grid in make_grids(comparison, by):
-        shown = [head for piece in split_columns(grid, 100) for head in piece.head[1:]]
+        shown = [column.header for piece in split_columns(grid, console) for column in piece.columns[1:]]
         assert shown == list(grid.head[1:]), "every column, once"
 
 

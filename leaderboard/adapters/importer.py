@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import freeart21
 from freeart21 import processes
@@ -20,8 +20,6 @@ from freeart21.files.sequence import read_sequence
 from freeart21.reconstruction import Failure, Piece
 from freeart21.recording import Recording
 from leaderboard.adapters.layout import (
-    FRAMES,
-    Axes,
     ImportedResult,
     Layout,
     Options,
@@ -35,23 +33,6 @@ from leaderboard.video_fit import describe_misfit
 
 MOST_FAULTS = 20
 """Most faults in one error message."""
-
-
-@dataclass(frozen=True)
-class _MapEntry:
-    """An entry of a map file: the folder of a sequence's result, and options of its own."""
-
-    folder: str
-    frame: str | None = None
-    axes: str | None = None
-    anchor: int | None = None
-    scale: float | None = None
-    joint: Any = None
-
-    def options(self, common: Options) -> Options:
-        """The options `common`, with those of the entry."""
-        own = {name: value for name, value in vars(self).items() if name != "folder" and value is not None}
-        return replace(common, **({**own, "joint": str(own["joint"])} if "joint" in own else own))
 
 
 @dataclass(frozen=True)
@@ -105,7 +86,7 @@ def import_results(
     benchmark = read_benchmark(data)
     if not source.is_dir():
         raise FreeArtError(f"{source} is not a folder")
-    _check_options(rules, options)
+    options = _check_options(rules, options, {}, "import")
     sources = _find_sources(rules, source, benchmark, sequence, map_file, options)
     lacks: list[set[Piece]] = []
     failures, faults = [], []
@@ -238,27 +219,27 @@ def _read_map(path: Path, source: Path, benchmark: Benchmark, rules: Layout, opt
     for name, entry in data.items():
         _check_sequence(benchmark, name, f"{path}: ")
         given = {"folder": entry} if isinstance(entry, str) else entry
-        found = read_record(_MapEntry, given, f"{path}: '{name}'")
-        folder = checked.inside(source, found.folder)
+        own = {key: value for key, value in checked.json_object({name: given}, name, path).items() if key != "folder"}
+        place = checked.text(given, "folder", path)
+        folder = checked.inside(source, place)
         if not folder.is_dir():
-            raise FreeArtError(f"{path}: '{name}' is in {found.folder}, which is not a folder of {source}")
-        own = found.options(options)
-        _check_options(rules, own)
+            raise FreeArtError(f"{path}: '{name}' is in {place}, which is not a folder of {source}")
+        own_options = _check_options(rules, options, own, f"{path}: '{name}'")
         home = _find_home(rules, folder)
         if home is None:
             raise FreeArtError(f"{path}: {folder} holds no result of the layout {rules.name}")
-        sources[name] = _Source(home, own)
+        sources[name] = _Source(home, own_options)
     if not sources:
         raise FreeArtError(f"{path} names no sequence")
     return {name: sources[name] for name in benchmark.sequences if name in sources}
 
 
-def _check_options(rules: Layout, options: Options) -> None:
-    """Raise FreeArtError for an option that has a bad value or no effect in the layout."""
-    if options.frame is not None and options.frame not in FRAMES:
-        raise FreeArtError(f"frame is '{options.frame}', expected one of {', '.join(FRAMES)}")
-    if options.axes is not None and options.axes not in get_args(Axes):
-        raise FreeArtError(f"axes are '{options.axes}', expected opencv or opengl")
+def _check_options(rules: Layout, common: Options, own: dict[str, Any], where: str) -> Options:
+    """The options `common`, with the sequence's `own`; FreeArtError for one of a bad value or no use in the layout."""
+    values = {key: value for key, value in vars(common).items() if key != "object_poses"} | own
+    if values["joint"] is not None:
+        values["joint"] = str(values["joint"])  # its number in JSON
+    options = replace(read_record(Options, values, where), object_poses=common.object_poses)
     if not 0 < options.scale < 1e6:
         raise FreeArtError(f"scale is {options.scale:g}, expected metres in one unit of length, above 0")
     without_effect = {
@@ -271,3 +252,4 @@ def _check_options(rules: Layout, options: Options) -> None:
     for option, wrong in without_effect.items():
         if wrong:
             raise FreeArtError(f"the layout {rules.name} has no use for --{option}: its files define it")
+    return options

@@ -59,8 +59,8 @@ class Descriptor:
     """Of its results: NATIVE, or one that `freeart21 import` reads."""
     result: str = "."
     """Where in {out} they are; {name} is the sequence."""
-    options: dict[str, str] = field(default_factory=dict)
-    """Of the import: frame, axes, anchor, scale, joint."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """Of the import: frame, axes, anchor, scale, joint, object_poses."""
     image: str | None = None
     """Container image that the commands run in; None: on this machine."""
     gpu: bool = False

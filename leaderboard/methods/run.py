@@ -9,7 +9,7 @@ import shutil
 import subprocess
 import uuid
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from freeart21.articulation import PARTS
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import Benchmark, read_benchmark
+from freeart21.files.json_record import read_record
 from freeart21.files.lock import only_writer
 from freeart21.files.places import RESULT, check_place
 from freeart21.files.result import RESULT_FILES, Method, read_result, write_method, write_result
@@ -316,18 +317,12 @@ def _copy_result(source: Path, target: Path, frames: int) -> None:
 
 def _read_options(method: Descriptor, home: Path | None) -> Options:
     """The import's options of a descriptor. Raises FreeArtError."""
-    given: dict[str, Any] = dict(method.options)
-    if "object_poses" in given:
-        given["object_poses"] = Path(fill_words([given["object_poses"]], {"home": home})[0])
-    try:
-        for key, kind in (("anchor", int), ("scale", float)):
-            if key in given:
-                given[key] = kind(given[key])
-        return Options(**given)
-    except (TypeError, ValueError) as error:
-        raise FreeArtError(
-            f"{method.name}: options are {given}, expected frame, axes, anchor, scale, joint, object_poses"
-        ) from error
+    given = dict(method.options)
+    poses = given.pop("object_poses", None)
+    options = read_record(Options, given, f"{method.name}: options")
+    if poses is None:
+        return options
+    return replace(options, object_poses=Path(fill_words([str(poses)], {"home": home})[0]))
 
 
 def _read_version(method: Descriptor, words: Sequence[str], home: Path | None) -> str:

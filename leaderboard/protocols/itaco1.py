@@ -16,9 +16,9 @@ from freeart21.reconstruction import Reconstruction
 from freeart21.se3 import Array
 from freeart21.truth import Truth
 from leaderboard import metrics
-from leaderboard.matching import Matched, match
-from leaderboard.protocol import Case, Measured, Metric, Protocol, Shape, to_floats
-from leaderboard.protocols.paper1 import PAPER_1, STANDARD, SURFACES, Paper1, posed_surfaces
+from leaderboard.matching import match
+from leaderboard.protocol import Case, Measured, Metric, Protocol, to_floats
+from leaderboard.protocols.paper1 import PAPER_1, STANDARD, Paper1, joint_and_camera_values, sample_surfaces
 from leaderboard.published import PUBLISHED
 
 MOVING = 2
@@ -30,18 +30,12 @@ def measure(case: Case, constants: Paper1 = STANDARD) -> Measured:
     truth, answer = case.truth, case.answer
     matched = match(truth, answer, case.lacks, rename=False, align=first_alignment)
     aligned, true = matched.answer, truth.articulation.joint
-    joint, revolute = aligned.articulation.joint, true.type == "revolute"
-    angle, shift = metrics.camera_error(truth.Ts_camera_reference, aligned.Ts_camera_reference)
-    values: dict[str, float | None] = {
-        "joint_type": float(joint.type == true.type),
-        "axis": np.rad2deg(metrics.axis_error(true.axis, joint.axis)),
-        "state": (np.rad2deg(1.0) if revolute else 100) * state_error(truth.states, aligned.states),
-        "miou": moving_map_iou(truth, answer),
-        "camera_rotation": np.rad2deg(angle),
-        "camera_position": 100 * shift,
-        **_surface_values(truth, matched, constants),
-    }
-    if revolute:
+    joint = aligned.articulation.joint
+    values = joint_and_camera_values(truth, aligned, state_error(truth.states, aligned.states))
+    values["miou"] = moving_map_iou(truth, answer)
+    for id, (_, target, points) in sample_surfaces(truth, matched, constants).items():  # nothing is registered
+        values[id] = 100 * metrics.squared_chamfer(target, points)
+    if true.type == "revolute":
         values["position"] = 100 * metrics.line_to_line(true.axis, true.pivot, joint.axis, joint.pivot)
     return Measured(to_floats(values), False)
 
@@ -68,20 +62,6 @@ def moving_map_iou(truth: Truth, answer: Reconstruction) -> float:
         if union := int((true | predicted).sum()):
             ratios.append((true & predicted).sum() / union)
     return float(np.mean(ratios)) if ratios else 1.0
-
-
-def _surface_values(truth: Truth, matched: Matched, c: Paper1) -> dict[str, float | None]:
-    """Chamfer distances in the first frame, without registration; no entry where the answer has no surface."""
-    frame = matched.answer.anchor if "states" in matched.lacks else 0
-    motions = truth.articulation.joint.transform(truth.states)
-    true = posed_surfaces(Shape((truth.articulation.reference, truth.articulation.moving), motions), frame)
-    found = posed_surfaces(matched.shape, frame)
-    points = {
-        id: (true[id].sample(c.samples, (c.seed, 0, k)), found[id].sample(c.samples, (c.seed, 1, k)))
-        for k, id in enumerate(SURFACES)
-        if not found[id].empty
-    }
-    return {id: 100 * metrics.squared_chamfer(*pair) for id, pair in points.items()}
 
 
 def _as_paper(id: str, definition: str, **changes: Any) -> Metric:

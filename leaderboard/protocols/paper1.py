@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from freeart21 import se3
 from freeart21.joint import Joint
 from freeart21.mesh import join_meshes
+from freeart21.reconstruction import Reconstruction
 from freeart21.se3 import Array
 from freeart21.truth import Truth
 from leaderboard import metrics
@@ -69,21 +70,25 @@ def measure(case: Case, constants: Paper1 = STANDARD) -> Measured:
     states = aligned.states
     if aligned.articulation.joint.type == "revolute":  # as the original does; matters when the true joint is prismatic
         states = np.mod(states, 2 * np.pi)
-    angle, shift = metrics.camera_error(truth.Ts_camera_reference, aligned.Ts_camera_reference)
     surfaces, notes = surface_values(truth, matched, constants)
-    values: dict[str, float | None] = {
-        "joint_type": float(aligned.articulation.joint.type == true.type),
-        "axis": np.rad2deg(metrics.axis_error(true.axis, aligned.articulation.joint.axis)),
-        "state": (np.rad2deg(1.0) if revolute else 100) * state_error(truth.states, states, revolute),
-        "camera_rotation": np.rad2deg(angle),
-        "camera_position": 100 * shift,
-        "miou": matched.miou,
-        "psnr": picture_value(truth, case.renders),
-        **surfaces,
-    }
+    values = joint_and_camera_values(truth, aligned, state_error(truth.states, states, revolute))
+    values |= {"miou": matched.miou, "psnr": picture_value(truth, case.renders), **surfaces}
     if revolute:
         values["position"] = 100 * position_error(true, aligned.articulation.joint)
     return Measured(to_floats(values), False, notes=notes)
+
+
+def joint_and_camera_values(truth: Truth, aligned: Reconstruction, state_error: float) -> dict[str, float | None]:
+    """Type, axis and state of the joint (its `state_error`, rad or m), and the camera seen from the reference part."""
+    true, joint = truth.articulation.joint, aligned.articulation.joint
+    angle, shift = metrics.camera_error(truth.Ts_camera_reference, aligned.Ts_camera_reference)
+    return {
+        "joint_type": float(joint.type == true.type),
+        "axis": np.rad2deg(metrics.axis_error(true.axis, joint.axis)),
+        "state": (np.rad2deg(1.0) if true.type == "revolute" else 100) * state_error,
+        "camera_rotation": np.rad2deg(angle),
+        "camera_position": 100 * shift,
+    }
 
 
 def average_alignment(Ts_camera_truth: Array, Ts_camera_predicted: Array, centre_truth: Array) -> Array:
@@ -128,24 +133,31 @@ def posed_surfaces(shape: Shape, frame: int) -> dict[str, Surface]:
     return dict(zip(SURFACES, (Surface(whole), Surface(moving), Surface(reference)), strict=True))
 
 
-def surface_values(truth: Truth, matched: Matched, c: Paper1) -> tuple[dict[str, float | None], tuple[str, ...]]:
-    """Chamfer distances in the first frame (without states, the anchor), each surface registered to its truth first.
-
-    No entry where the answer has no surface. A note lists values near the sampling floor: the distance between two
-    samplings of the truth.
-    """
+def sample_surfaces(truth: Truth, matched: Matched, c: Paper1) -> dict[str, tuple[Surface, Array, Array]]:
+    """Of each of the SURFACES that the answer has, in the first frame (without states, the anchor): the true surface,
+    and the samples of it and of the answer's."""
     frame = matched.answer.anchor if "states" in matched.lacks else 0
     motions = truth.articulation.joint.transform(truth.states)
     true = posed_surfaces(Shape((truth.articulation.reference, truth.articulation.moving), motions), frame)
     found = posed_surfaces(matched.shape, frame)
+    return {
+        id: (true[id], true[id].sample(c.samples, (c.seed, 0, k)), found[id].sample(c.samples, (c.seed, 1, k)))
+        for k, id in enumerate(SURFACES)
+        if not found[id].empty
+    }
+
+
+def surface_values(truth: Truth, matched: Matched, c: Paper1) -> tuple[dict[str, float | None], tuple[str, ...]]:
+    """Chamfer distances, each surface registered to its truth first; no entry where the answer has no surface.
+
+    A note lists values near the sampling floor: the distance between two samplings of the truth.
+    """
     values: dict[str, float | None] = {}
     floors = []
-    for k, id in enumerate(SURFACES):
-        if found[id].empty:
-            continue
-        target, points = true[id].sample(c.samples, (c.seed, 0, k)), found[id].sample(c.samples, (c.seed, 1, k))
+    for id, (true, target, points) in sample_surfaces(truth, matched, c).items():
         distance = 100 * metrics.squared_chamfer(se3.transform(register_clouds(points, target), points), target)
-        floor = 100 * metrics.squared_chamfer(true[id].sample(c.samples, (c.seed, 2, k)), target)
+        again = true.sample(c.samples, (c.seed, 2, SURFACES.index(id)))
+        floor = 100 * metrics.squared_chamfer(again, target)
         values[id] = distance
         if distance < 2 * floor:
             floors.append(f"{id} {floor:.3g}")
