@@ -31,11 +31,10 @@ from benchmarks.common import RESULTS, ROOT, commit, digest_of, print_table, run
 from export.check.checking import check
 from export.check.engines.base import Setting
 from export.check.engines.sapien_world import load
-from export.collision import Contact
 from export.contact import read_link_shapes
 from export.exporter import export_result
 from export.preview import colours_at, project_link
-from export.settings import ExportSettings
+from export.settings import Contact, ExportSettings
 from freeart21 import catalog, se3
 from freeart21.articulation import PARTS, Articulation
 from freeart21.asset import Asset

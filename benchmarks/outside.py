@@ -26,7 +26,7 @@ from typing import Any
 from benchmarks import assets
 from benchmarks.common import RESULTS, ROOT, SHARED, run_cli, write_report
 from benchmarks.solve import PIECES, PROTOCOL, Case, Outcome, case_of, solve_cases, with_changes
-from export.collision import Contact
+from export.settings import Contact
 from freeart21.errors import FreeArtError
 from freeart21.files.result import read_result
 from freeart21.files.urdf import read_urdf_joints

@@ -8,7 +8,8 @@ from itertools import zip_longest
 
 import numpy as np
 
-from export.model import WORLD, AssetModel, Base, LinkModel
+from export.model import WORLD, AssetModel, LinkModel
+from export.settings import Base
 from export.stated_trust import trust_comment
 from export.urdf import primitive_shape
 from freeart21 import se3

@@ -304,6 +304,8 @@ def film(
     """
     from export.commands import BY_ROLE, check_asset, export
     from freeart21.commands import view
+    from freeart21.files.result import read_result
+    from freeart21.reconstruction import Reconstruction
     from reconstruct.commands import reconstruct
     from reconstruct.settings import ReconstructSettings
 
@@ -328,7 +330,9 @@ def film(
     print("check-asset:", flush=True)
     verdict = check_asset(result / "asset", as_json=out / "check.json", certify=True)
     view(result, out / "index.html", sequence=sequence)
-    return max(verdict, _trust_of(result))
+    answer = read_result(result)
+    sound = isinstance(answer, Reconstruction) and answer.trust is not None and answer.trust.verdict == "sound"
+    return max(verdict, 0 if sound else DOUBTFUL)
 
 
 def _film_sequence(source: Path, out: Path, masks: Path | None, segmenter: str | None, anyway: bool) -> Path:
@@ -365,16 +369,6 @@ def _film_sequence(source: Path, out: Path, masks: Path | None, segmenter: str |
         names = ", ".join(path.parent.name for path in made)
         raise FreeArtError(f"{source} has {len(made)} recordings, expected one; film one of them: {names}")
     return made[0].parent
-
-
-def _trust_of(result: Path) -> int:
-    """0 for a sound result, else DOUBTFUL."""
-    from freeart21.files.result import read_result
-    from freeart21.reconstruction import Reconstruction
-
-    answer = read_result(result)
-    sound = isinstance(answer, Reconstruction) and answer.trust is not None and answer.trust.verdict == "sound"
-    return 0 if sound else DOUBTFUL
 
 
 _make_masks = masks  # `film` has an argument of that name

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from freeart21 import se3, sphere
 from freeart21.mesh import box_centre
@@ -61,8 +62,7 @@ class MotionStatistics:
     @property
     def longest_absence(self) -> int:
         """Most frames in a row without a pixel of the moving part."""
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], (self.share == 0).astype(int), [0]])))
-        return int(np.diff(edges)[::2].max(initial=0))
+        return longest_run(self.share == 0)
 
     @property
     def is_hard(self) -> bool:
@@ -95,6 +95,12 @@ def motion_statistics(recording: Recording, truth: Truth, every: int = 10) -> Mo
         span / max(limits if np.isfinite(limits) else span, 1e-12),
         _depth_range(recording, range(0, n, every)),
     )
+
+
+def longest_run(flags: NDArray[np.bool_]) -> int:
+    """The most flags (n,) in a row that are set."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(flags, int), [0]])))
+    return int(np.diff(edges)[::2].max(initial=0))
 
 
 def _source(truth: Truth) -> dict[str, str]:

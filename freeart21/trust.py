@@ -185,7 +185,8 @@ def _doubts_of_poses(result: Reconstruction) -> Iterator[str]:
     """Reasons to doubt the poses, the states and the joint, from these alone."""
     joint, seen, n = result.articulation.joint, result.seen, len(result)
     motion, size = measure_motion(result), object_size(result)
-    both = np.flatnonzero(seen.all(1))
+    in_both = np.asarray(seen.all(1))
+    both = np.flatnonzero(in_both)
     ends = [] if not len(both) else [("before", both[0], both[0]), ("after", both[-1], n - 1 - both[-1])]
     for where, at, count in ends:
         if count > MAX_EXTRAPOLATED * n:
@@ -199,7 +200,7 @@ def _doubts_of_poses(result: Reconstruction) -> Iterator[str]:
         degrees = np.degrees(median_turn)
         yield f"a part turns by {degrees:.0f}° from frame to frame in the median: film slower, or more frames"
 
-    steps = np.where(np.r_[False, seen.all(1)[:-1]], state_steps(result), np.nan)  # over a gap it is no step of a frame
+    steps = np.where(np.r_[False, in_both[:-1]], state_steps(result), np.nan)  # over a gap it is no step of a frame
     jumps = find_jumps(steps, JUMP_ANGLE if joint.type == "revolute" else JUMP_SHARE * size, JUMP)
     if len(jumps):
         frames = ", ".join(map(str, jumps[:5])) + (" and others" if len(jumps) > 5 else "")

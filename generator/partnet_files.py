@@ -172,7 +172,9 @@ def read_materials(obj: Path, text: str, folder: Path, gaps: Gaps) -> dict[str, 
                 name = rest
                 materials[name] = Material(srgb_bytes(np.full(3, _NO_KD)))
             elif name and key == "Kd":
-                materials[name] = Material(srgb_bytes(_colour(rest, mtl)), materials[name].picture)
+                kd = _floats(rest, mtl, "Kd")
+                kd = np.clip(kd[:3] if len(kd) >= 3 else np.full(3, kd[0]), 0, 1)
+                materials[name] = Material(srgb_bytes(kd), materials[name].picture)
             elif name and key == "d" and 0 < _floats(rest.removeprefix("-halo"), mtl, "d")[0] < 1:
                 gaps["transparent"].add(_name(mtl, folder))
             elif name and key.startswith(_PICTURES):
@@ -205,11 +207,6 @@ def _neighbour(origin: Path, name: str, folder: Path, what: str) -> Path | None:
         raise FreeArtError(f"{named}, which cannot be looked up: {error}") from error
     except FreeArtError as error:
         raise FreeArtError(f"{named}, which leads out of the folder {folder}") from error
-
-
-def _colour(rest: str, mtl: Path) -> Array:
-    values = _floats(rest, mtl, "Kd")
-    return np.clip(values[:3] if len(values) >= 3 else np.full(3, values[0]), 0, 1)
 
 
 def _floats(rest: str, mtl: Path, key: str) -> Array:

@@ -66,7 +66,12 @@ def build_articulation(
     Raises FreeArtError when the URDF is not one tree with the asset's links, or SAPIEN cannot read a file.
     """
     _check_tree(asset, urdf)
-    _check_sides(asset, urdf.joints, joint)
+    beyond = subtree_links(urdf.joints, joint.child)
+    if (asset.reference_link in beyond) == (asset.moving_link in beyond):
+        raise FreeArtError(
+            f"{asset.urdf}: links '{asset.reference_link}' and '{asset.moving_link}' are on the same "
+            f"side of joint '{joint.name}', expected one on each side"
+        )
     robot, joints = _urdf_for_sapien(asset, urdf, visuals, collisions), urdf.joints
     builder = _articulation_builder(asset.urdf, robot, scene)
     for link in builder.link_builders:
@@ -107,16 +112,6 @@ def links_from(articulation: Any, first: str) -> list[Any]:
             names.add(link.name)
             links.append(link)
     return links
-
-
-def _check_sides(asset: Asset, joints: dict[str, UrdfJoint], joint: UrdfJoint) -> None:
-    """FreeArtError unless reference and moving link are on different sides of the joint."""
-    beyond = subtree_links(joints, joint.child)
-    if (asset.reference_link in beyond) == (asset.moving_link in beyond):
-        raise FreeArtError(
-            f"{asset.urdf}: links '{asset.reference_link}' and '{asset.moving_link}' are on the same "
-            f"side of joint '{joint.name}', expected one on each side"
-        )
 
 
 def _articulation_builder(urdf: Path, robot: Urdf, scene: Any) -> Any:

@@ -17,7 +17,8 @@ from export.companion_files import write_companion_files
 from export.inertia import compute_inertial
 from export.meshes import write_hull, write_visual
 from export.mjcf import format_mjcf
-from export.model import AssetModel, Base, LinkModel
+from export.model import AssetModel, LinkModel
+from export.settings import Base
 from export.texture import texture_from_vertices
 from export.urdf import format_urdf
 from freeart21.asset import Asset

@@ -180,7 +180,7 @@ def test_exif_turns_colours_depth_masks_and_intrinsics_together(tmp_path, orient
     for frame in read.recording.frames():
         assert_seen(frame, read.recording.camera, turns, colour_px=3)
         assert np.array_equal(frame.mask, board if turns == 2 else rgbd_video.turn_pixels(board, turns))
-    assert any("80 x 60 pixels is taken to have the view of the colours" in line for line in read.observe())
+    assert any("80 x 60 pixels is taken to have the view of the colours" in line for line in read.notes)
 
 
 def test_a_mirrored_picture_is_refused(tmp_path):

@@ -175,8 +175,7 @@ def test_what_stands_for_no_depth_is_none(tmp_path: Path, none: int) -> None:
         raw[5, 7] = none  # a hole in the object
         cv2.imwrite(str(path), raw)
     (done,) = convert(tmp_path / "lid", tmp_path / "data", "native")
-    pixels = 3 * (int((OBJECT == 0).sum()) + 1)
-    assert f"depth {none} is taken as none: {pixels} pixels" in done.notes[0] and "of 3 frames" in done.notes[0]
+    assert f"depth {none} is taken as none" in done.notes
     for k, frame in enumerate(read_rgbd_folder(tmp_path / "lid").recording.frames()):
         assert frame.depth.max() == pytest.approx(0.5 + k / 1000) and frame.depth[5, 7] == 0
 
@@ -187,7 +186,7 @@ def test_a_wall_behind_the_object_is_depth(tmp_path: Path) -> None:
     raw[:, -1] = 2000
     cv2.imwrite(str(tmp_path / "lid/depth/0.png"), raw)
     read = read_rgbd_folder(tmp_path / "lid")
-    assert read.recording.frame(0).depth.max() == pytest.approx(2.0) and read.observe() == ()
+    assert read.recording.frame(0).depth.max() == pytest.approx(2.0) and read.notes == ()
 
 
 @pytest.mark.parametrize("raw", [np.uint16(65535), np.int16(32767), np.float32(1e10), np.float16(65504), np.inf])

@@ -38,7 +38,7 @@ from freeart21.view.asset_scene import asset_scene
 from freeart21.view.link_shapes import of_trimesh, read_shown
 from freeart21.view.plots import state_section
 from freeart21.view.scene import link_poses, simplified, sources_scene
-from freeart21.view.source import Source, matched, truth_over
+from freeart21.view.source import Source, align_truth, matched
 from freeart21.view.tables import score_section, source_rows
 
 
@@ -181,7 +181,7 @@ def test_truth_lies_exactly_over_a_perfect_result(joint_type: str, sign: float, 
     result = matched(result.exchanged() if swap else result, truth)
     poses = result.Ts_camera_reference
     estimate = Source("estimate", articulation=result.articulation, states=result.states, Ts_camera=poses)
-    over = truth_over(truth, result, estimate)
+    over = align_truth(truth, result, estimate)
     assert np.abs(over.states_of_first - result.states).max() < 1e-9
     scene = sources_scene([estimate, over])
     reference, moving = (next(s for s in scene.surfaces if s.layer == k) for k in (3, 4))
@@ -194,7 +194,7 @@ def test_truth_lies_exactly_over_a_perfect_result(joint_type: str, sign: float, 
             drawn = se3.transform(result.Ts_camera_reference[i] @ poses[surface.link], surface.mesh.vertices)
             assert np.abs(drawn - se3.transform(T, mesh.vertices)).max() < 1e-9
     other = make_truth("prismatic" if joint_type == "revolute" else "revolute")
-    scene = sources_scene([estimate, over, truth_over(other, result, estimate)])
+    scene = sources_scene([estimate, over, align_truth(other, result, estimate)])
     assert [s.type for s in scene.sliders] == [truth.articulation.joint.type, other.articulation.joint.type]
 
 

@@ -36,15 +36,20 @@ def read_mjcf_tree(mjcf: Path) -> Tree:
     joints, inertials = {}, {}
     for b in range(1, model.nbody):
         if model.body_mass[b] > 0:
-            R = se3.rotation_from_wxyz(model.body_iquat[b])
-            tensor = R @ np.diag(model.body_inertia[b]) @ R.T
-            inertials[names[b]] = UrdfInertial(float(model.body_mass[b]), model.body_ipos[b].copy(), tensor)
+            inertials[names[b]] = read_inertial(model, b)
         if b != tops[0]:
             joint = _read_joint(model, b, names)
             joints[joint.name] = joint
         elif model.body_dofnum[b] not in (0, 6):
             raise UnsupportedMjcf(f"body '{names[b]}' is attached to the world by a joint")
     return Tree(names[tops[0]], tuple(names[1:]), joints, inertials)
+
+
+def read_inertial(model: Any, b: int) -> UrdfInertial:
+    """Mass properties of body `b` of a mujoco.MjModel."""
+    R = se3.rotation_from_wxyz(model.body_iquat[b])
+    tensor = R @ np.diag(model.body_inertia[b]) @ R.T
+    return UrdfInertial(float(model.body_mass[b]), model.body_ipos[b].copy(), tensor)
 
 
 def count_shapes(mjcf: Path) -> dict[str, Counter[str]]:

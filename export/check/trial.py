@@ -67,7 +67,7 @@ class Trial:
             for rule in (*STATED, *MOVED):
                 yield self._row(rule, "skip", "it does not load")
             return
-        yield self._row("engine.loads", "pass", f"{len(world.parents)} links, {len(world.joints)} joints that move")
+        yield self._row("engine.loads", "pass", f"{len(world.parents)} links, {len(world.limits)} joints that move")
         stated: dict[str, Callable[[World, Tree], Row]] = {
             "engine.tree": self._same_tree,
             "engine.limits": self._limits,
@@ -122,17 +122,14 @@ class Trial:
             if expected[link] != found[link]:
                 parents = f"has parent '{found[link]}', expected '{expected[link]}'"
                 return self._row("engine.tree", "fail", f"link '{link}' {parents}")
-        names = {j.name for j in world.joints}
-        wanted = {j.name for j in tree.movable}
-        if not wanted <= names:
-            return self._row("engine.tree", "fail", f"joints that do not move: {', '.join(sorted(wanted - names))}")
+        if still := {j.name for j in tree.movable} - {*world.limits}:
+            return self._row("engine.tree", "fail", f"joints that do not move: {', '.join(sorted(still))}")
         return self._row("engine.tree", "pass")
 
     def _limits(self, world: World, tree: Tree) -> Row:
-        found, worst = {j.name: j for j in world.joints}, 0.0
-        judged = [j for j in tree.movable if j.ordered and j.name in found]
+        worst, judged = 0.0, [j for j in tree.movable if j.ordered and j.name in world.limits]
         for joint in judged:
-            for mine, its in ((joint.lower, found[joint.name].lower), (joint.upper, found[joint.name].upper)):
+            for mine, its in zip((joint.lower, joint.upper), world.limits[joint.name], strict=True):
                 if _is_unlimited(mine) and _is_unlimited(its):
                     continue
                 off = abs(mine - its) / max(1.0, abs(mine)) if np.isfinite(mine) else np.inf
@@ -182,12 +179,11 @@ class Trial:
         if self.tree is None:
             return [self._row(rule, "skip", "the file has what only the engine reads") for rule in MOVED[:2]]
         tree, bodies = self.tree, world.inertials()
-        known = {joint.name for joint in world.joints}
         start = tree.complete({joint.name: joint.loaded for joint in tree.movable})
         weights = np.diag(tree.mass_matrix(start, bodies))
         short, beyond, judged = ("", 0.0), ("", 0.0), 0
         for joint, inertia in list(zip(tree.movable, weights, strict=True))[:DRIVEN_JOINTS]:
-            if joint.name not in known or not joint.ordered or not inertia > 0:
+            if joint.name not in world.limits or not joint.ordered or not inertia > 0:
                 continue
             judged += 1
             ends, low, high = self._pushed(world, joint, float(inertia), start)
@@ -242,12 +238,12 @@ class Trial:
         world = self.load(Setting(fixed=True, gravity=True, floor=False))
         bodies = world.inertials()
         start, speed = {}, {}
-        for joint in world.joints:
-            known = None if self.tree is None else self.tree.joints.get(joint.name)
+        for name in world.limits:
+            known = None if self.tree is None else self.tree.joints.get(name)
             if known is not None and known.mimic is None and known.ordered:
                 low, high = known.sweep
-                start[joint.name] = 0.5 * (low + high) if np.isfinite(known.lower) else 0.0
-                speed[joint.name] = 0.5 * _joint_range(known)
+                start[name] = 0.5 * (low + high) if np.isfinite(known.lower) else 0.0
+                speed[name] = 0.5 * _joint_range(known)
         if not start:
             return [self._row("energy.falls", "skip", "no joint has a range that is known")]
         world.put(start, speed)

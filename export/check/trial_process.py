@@ -54,30 +54,28 @@ def run_stage(request: dict[str, Any], limit_s: float) -> StageResult:
     """
     began = time.monotonic()
     with tempfile.TemporaryDirectory() as place, tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as errors:
-        process = subprocess.Popen(
-            processes.command("export.check.trial_process"),
-            stdin=subprocess.PIPE,
-            stdout=output,
-            stderr=errors,
-            env={**os.environ, **dict.fromkeys(_THREADS, "1"), "TMPDIR": place},
-        )
-        end = ""
+        end, code = "", 0
         verdict: Verdict = "fail"
         try:
-            process.communicate(json.dumps({**request, "cpu_s": limit_s}).encode(), timeout=WALL * limit_s)
+            code = subprocess.run(
+                processes.command("export.check.trial_process"),
+                input=json.dumps({**request, "cpu_s": limit_s}).encode(),
+                stdout=output,
+                stderr=errors,
+                env={**os.environ, **dict.fromkeys(_THREADS, "1"), "TMPDIR": place},
+                timeout=WALL * limit_s,
+                check=False,
+            ).returncode
         except subprocess.TimeoutExpired:
             end, verdict = f"it took more than {WALL * limit_s:g} s", "unknown"
-        finally:
-            process.kill()
-            process.wait()
         output.seek(0)
         lines = output.read(_LONGEST_OUTPUT).decode(errors="replace").splitlines()
         errors.seek(0)
         last = (errors.read(_LONGEST_OUTPUT).decode(errors="replace").strip().splitlines() or [""])[-1][:200]
-    if process.returncode == -signal.SIGXCPU:
+    if code == -signal.SIGXCPU:
         end, verdict = f"it took more than {limit_s:g} s of processor time", "unknown"
-    if not end and process.returncode != 0:
-        how = f"signal {-process.returncode}" if process.returncode < 0 else f"exit code {process.returncode}"
+    if not end and code != 0:
+        how = f"signal {-code}" if code < 0 else f"exit code {code}"
         end = f"it ended the engine ({how}){': ' + last if last else ''}"
     return _parse_output(request["engine"], lines, end, verdict, time.monotonic() - began)
 

@@ -52,9 +52,10 @@ class Body:
         self.links = {link.name: link for link in simulated.articulation.links}
         """URDF link name to the engine's link."""
         self.joint_name = asset.joint
-        self.limits = np.array([[simulated.lower, simulated.upper]])
+        lower, upper = simulated.lower, simulated.upper
+        self.limits = np.array([[lower, upper]])
         """(n, 2) the joint's limits, rad or m."""
-        self.spans = np.array([joint_span(*self.limits[0], simulated.world_joint.type == "prismatic")])
+        self.spans = np.array([joint_span(lower, upper, simulated.world_joint.type == "prismatic")])
         """(n, 2) range of the joint's targets, rad or m."""
         self.articulations = [simulated.articulation]
         self.articulation = register_articulations(self.articulations, scene, same_links=True)
@@ -63,7 +64,8 @@ class Body:
         self._senses = any(effect.kind == "sensing" for effect in simulated.effects)
         late = sum(e.delay() for e in simulated.effects if e.kind == "sensing")
         self._history: deque[tuple[float, float]] = deque(maxlen=2 + int(np.ceil(late / timestep_s)))
-        self._commands = Commands()
+        self._commands: list[tuple[float, float]] = []
+        """Times, s, and the positions commanded since then; the first also before its time."""
         self.restarted = torch.ones(1, dtype=torch.bool)
         """(n,) environments that the controllers' next reset is for; ManiSkill does not say which."""
         if not fixed_base:
@@ -148,10 +150,9 @@ class Body:
         """Give the joint a critically damped motor of `rate` rad/s on its inertia, which bears the weight and holds it
         where it is; only where `restarted`."""
         simulated = self.simulated
-        self._commands = Commands()
-        self._commands.add(-np.inf, self.q)
+        self._commands = [(-np.inf, self.q)]
         inertia = simulated.joint_inertia
-        simulated.set_actuator(Actuator(self._commands, inertia * rate**2, 2 * inertia * rate, self._weight))
+        simulated.set_actuator(Actuator(self._commanded, inertia * rate**2, 2 * inertia * rate, self._weight))
 
     def remove_motor(self) -> None:
         """Let the joint go."""
@@ -160,8 +161,11 @@ class Body:
     def command(self, targets: torch.Tensor) -> torch.Tensor:
         """Command the motors to `targets` (n,), rad or m, from now on; returns them, float32, clipped to the spans."""
         target = float(np.clip(float(targets[0]), *self.spans[0]))
-        self._commands.add(self.simulated.time_s, target)
+        self._commands.append((self.simulated.time_s, target))
         return torch.tensor([target], dtype=torch.float32)
+
+    def _commanded(self, time_s: float) -> float:
+        return self._commands[bisect_right(self._commands, (time_s, np.inf)) - 1][1]
 
     def _weight(self, time_s: float) -> float:
         return -float(self.simulated.mechanics.gravity_force(self.q))
@@ -211,22 +215,6 @@ class Body:
     def _note(self) -> None:
         if self._senses:
             self._history.append((self.simulated.time_s, self.q))
-
-
-class Commands:
-    """Commanded values over time; held between commands, before the first and after the last."""
-
-    def __init__(self) -> None:
-        self._times: list[float] = []
-        self._values: list[float] = []
-
-    def add(self, time_s: float, value: float) -> None:
-        """`value` from `time_s` on."""
-        self._times.append(time_s)
-        self._values.append(value)
-
-    def __call__(self, time_s: float) -> float:
-        return self._values[max(bisect_right(self._times, time_s) - 1, 0)]
 
 
 def check_joint(asset: Asset, simulated: simulate.SimulatedAsset) -> None:

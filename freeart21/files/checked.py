@@ -199,17 +199,15 @@ def parse_json(text: str, where: Path | str) -> Any:
         raise _too_deep(where) from None
     except ValueError as error:
         raise FreeArtError(f"{where} is not JSON: {error}") from error
-    if text.count("[") + text.count("{") <= MAX_JSON_DEPTH:
-        return data
-    level = [data] if isinstance(data, dict | list) else []
-    for _ in range(MAX_JSON_DEPTH):
-        if not level:
-            return data
-        inner = (value for one in level for value in (one.values() if isinstance(one, dict) else one))
-        level = [value for value in inner if isinstance(value, dict | list)]
-    if level:
+    if not _fits(data, MAX_JSON_DEPTH - 1):
         raise _too_deep(where)
     return data
+
+
+def _fits(value: Any, levels: int) -> bool:
+    """Whether a JSON value has at most so many levels of lists and objects."""
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return levels >= 0 and all(_fits(one, levels - 1) for one in inner if isinstance(one, dict | list))
 
 
 def read_any_json(path: Path, root: Path | None = None, limit: int = MAX_JSON_BYTES) -> Any:

@@ -117,18 +117,14 @@ def card_files(
     return {README: text.encode(), CROISSANT: croissant(data, lines, shards or {}).encode(), TABLE: lines}
 
 
-def write_card(folder: Path, data: DataSet) -> None:
-    """Write the card into a data folder; a README.md without our mark stays."""
-    for name, content in card_files(data).items():
+def write_card_of(folder: Path) -> None:
+    """Write the card of a finished data folder, from its benchmark.json and its sequences; a README.md without our
+    mark stays. Raises FreeArtError."""
+    for name, content in card_files(describe(folder)).items():
         path = folder / name
         if name == README and checked.is_there(path) and MARK.encode() not in checked.read_head(path, 1 << 16):
             continue
         atomic.write_bytes(path, content)
-
-
-def write_card_of(folder: Path) -> None:
-    """Write the card of a finished data folder, from its benchmark.json and its sequences. Raises FreeArtError."""
-    write_card(folder, describe(folder))
 
 
 def describe(folder: Path, doi: str = "") -> DataSet:

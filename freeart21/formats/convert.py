@@ -160,7 +160,7 @@ def _write_native(
         write_header(aside, recording.camera, scale, recording.times_s, recording.licence, recording.gravity)
         if truth is not None:
             write_truth(truth_folder, truth, 0)
-    notes = (*read.notes, *read.observe(), *((f"without truth: {lacks}",) if lacks else ()))
+    notes = (*read.notes, *((f"without truth: {lacks}",) if lacks else ()))
     return Converted(read.name, sequence, truth is not None, notes)
 
 
@@ -171,7 +171,7 @@ def _write_pictures(out: Path, read: ThirdPartyRecording, tick: Progress) -> Con
             rgbd_folder.write_pictures(aside, time, frame, read.has_masks)
             tick(i + 1, len(recording))
         rgbd_folder.write_intrinsics(aside, recording.camera)
-    return Converted(read.name, folder, False, (*read.notes, *read.observe()))
+    return Converted(read.name, folder, False, read.notes)
 
 
 def _truth(read: ThirdPartyRecording, truth_of: TruthMaker | None, root: Path | None) -> tuple[Truth | None, str]:
@@ -216,7 +216,7 @@ def _write_official(
     out: Path, read: ThirdPartyRecording, object_folder: Path | None, hold_out: bool, tick: Progress
 ) -> Converted:
     folder = freeart21_official.write_example(out, read.name, read.recording, read.known, object_folder, hold_out, tick)
-    notes = [*read.notes, *read.observe()]
+    notes = [*read.notes]
     if read.known is None:
         notes.append(f"pictures only: {read.lacks}")
     elif object_folder is None:

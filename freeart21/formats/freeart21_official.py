@@ -80,7 +80,7 @@ def read_example(folder: Path) -> ThirdPartyRecording:
     masks = third_party.frame_files(folder, "masks", (".png",))
     n = len(rgb)
     third_party.same_count(folder, {"rgb": n, "depth": len(depth), "masks": len(masks)})
-    extra = _sidecar(folder)
+    extra = checked.read_json(folder / SIDECAR, SIDECAR_SCHEMA) if (folder / SIDECAR).is_file() else {}
     train = _train_indices(folder, n)
     times = checked.numbers(extra, "times_s", (None,), folder / SIDECAR) if extra else np.arange(max(train) + 1) / FPS
     if len(times) <= max(train):
@@ -196,7 +196,9 @@ def write_example(
         if held_out:
             info = {"eval_original_indices": held_out, "train_original_indices": groups[""]}
             atomic.write_json(aside / "eval" / "split_info.json", info)
-        _write_sidecar(aside / SIDECAR, recording, known)
+        facts = {"times_s": recording.times_s, "licence": recording.licence}
+        joint = None if known is None else known.joint_name
+        atomic.write_json(aside / SIDECAR, {"schema": SIDECAR_SCHEMA, **facts, "joint": joint})
     return folder
 
 
@@ -298,11 +300,6 @@ def _state(entry: Any, path: Path, i: int) -> float:
     return float(value)
 
 
-def _sidecar(folder: Path) -> dict[str, Any]:
-    path = folder / SIDECAR
-    return checked.read_json(path, SIDECAR_SCHEMA) if path.is_file() else {}
-
-
 def _write_frame(folder: Path, index: int, frame: Frame, side: Image | None) -> None:
     name = f"{index:05d}.png"
     grey = frame.depth * (255.0 / max(float(frame.depth.max(initial=0)), 1e-9))
@@ -330,11 +327,6 @@ def _write_lists(folder: Path, Ts_camera_object: Array, states: Array) -> None:
     atomic.write_json(folder / "object_poses.json", [{"position": p, "quaternion": q} for p, q in poses])
     atomic.write_json(folder / "joint_states.json", [[float(q)] for q in states])
     atomic.write_json(folder / "camera_params.json", [camera] * len(states))
-
-
-def _write_sidecar(path: Path, recording: Recording, known: KnownTruth | None) -> None:
-    facts = {"times_s": recording.times_s, "licence": recording.licence}
-    atomic.write_json(path, {"schema": SIDECAR_SCHEMA, **facts, "joint": None if known is None else known.joint_name})
 
 
 def _objects(example: Path) -> Path | None:

@@ -7,7 +7,6 @@ bounded memory.
 from __future__ import annotations
 
 import io
-import json
 import resource
 import subprocess
 import sys
@@ -47,14 +46,15 @@ def read_mat(path: Path) -> dict[str, tuple[Array, ...]]:
             lines = done.stderr.decode(errors="replace").strip().splitlines()
             reason = " ".join(lines[-1].split())[:120] if done.returncode == 1 and lines else "the reader crashed on it"
             raise FreeArtError(f"{path} is not a readable MAT file: {reason}")
-        names: dict[str, int] = json.loads(done.stdout)
-        runs = checked.read_npz(out, tuple(f"{k}_{i}" for k, n in enumerate(names.values()) for i in range(n)))
-    return {name: tuple(runs[f"{k}_{i}"] for i in range(n)) for k, (name, n) in enumerate(names.items())}
+        arrays = checked.read_npz(out)
+    columns: dict[str, tuple[Array, ...]] = {}
+    for k, name in enumerate(arrays.pop("names").tolist()):  # a column with several runs is there several times
+        columns[name] = (*columns.get(name, ()), arrays[str(k)])
+    return columns
 
 
 def main() -> None:
-    """Read MAT bytes on standard input; write the runs of all columns to an .npz, and their numbers to standard
-    output."""
+    """Read MAT bytes on standard input; write the names and runs of all columns to an .npz."""
     from scipy.io import loadmat
 
     resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[2]),) * 2)
@@ -67,9 +67,9 @@ def main() -> None:
         sys.exit("version 7.3 (HDF5): save it by save(..., '-v7')")
     except Exception as error:
         sys.exit(str(error) or type(error).__name__)
-    named: dict[str, Any] = {f"{k}_{i}": run for k, runs in enumerate(columns.values()) for i, run in enumerate(runs)}
-    np.savez(sys.argv[1], **named)
-    print(json.dumps({name: len(runs) for name, runs in columns.items()}))
+    runs = [(name, run) for name, own in columns.items() for run in own]
+    named: dict[str, Any] = {str(k): run for k, (_, run) in enumerate(runs)}
+    np.savez(sys.argv[1], names=np.array([name for name, _ in runs], str), **named)
 
 
 def _flat(name: str, value: Any, depth: int) -> dict[str, tuple[Array, ...]]:

@@ -98,9 +98,13 @@ def read_rgbd_folder(
     first, turns = read_unturned(frames[0][0])
     height, width = first.shape[:2]
     lens = _lens(folder, width, height, turns) if lens_of is None else lens_of(folder, width, height)
-    invalid = _first_invalid_depth([depth for _, depth, _ in frames])
-    lost: dict[int, int] = {}
-    sizes: set[tuple[int, int]] = set()
+    invalid, occurs = _first_invalid_depth([depth for _, depth, _ in frames])
+    notes += (f"depth {invalid} is taken as none",) if occurs else ()
+    some = checked.read_uint16(frames[0][1]).shape
+    if sorted(some) != sorted((height, width)):
+        notes += (
+            f"depth of {some[1]} x {some[0]} pixels is taken to have the view of the colours, {width} x {height}",
+        )
 
     def load(index: int) -> Picture:
         path, depth_path, _ = frames[index]
@@ -118,23 +122,13 @@ def read_rgbd_folder(
                 f"{depth_path} is {raw.shape[1]} x {raw.shape[0]}, expected {width} x {height} as the first colours: "
                 "align depth to the colour camera"
             )
-        lost[index] = int(np.count_nonzero(raw >= invalid))
-        sizes.add((raw.shape[1], raw.shape[0]))
         return Picture(colours, np.where(raw < invalid, raw, 0).astype(np.float32) * np.float32(depth_unit))
-
-    def observe() -> tuple[str, ...]:
-        pixels, some = sum(lost.values()), sum(map(bool, lost.values()))
-        share = pixels / (width * height * len(lost) or 1)
-        text = f"depth {invalid} is taken as none: {pixels} pixels ({share:.1%}) of {some} frames"
-        small = [f"{w} x {h}" for w, h in sorted(sizes) if (w, h) != (width, height)]
-        brought = f"depth of {', '.join(small)} pixels is taken to have the view of the colours, {width} x {height}"
-        return (*((text,) if pixels else ()), *((brought,) if small else ()))
 
     def mask(index: int) -> NDArray[np.bool_]:
         return third_party.read_foreground(frames[index][2])
 
     name = third_party.safe_name(folder.resolve().name)
-    video = RgbdVideo(name, times, load, lens, turns=turns, mask=mask if masked else None, notes=notes, observe=observe)
+    video = RgbdVideo(name, times, load, lens, turns=turns, mask=mask if masked else None, notes=notes)
     return align_video(video, options)
 
 
@@ -161,19 +155,18 @@ def _same_shape(shape: tuple[int, ...], height: int, width: int) -> bool:
     )
 
 
-def _first_invalid_depth(depth: list[Path]) -> int:
-    """The smallest depth value that means no depth.
+def _first_invalid_depth(depth: list[Path]) -> tuple[int, bool]:
+    """The smallest depth value that means no depth, and whether it occurs.
 
     That is 65535; or the largest value of the recording, when many pixels have it and no other pixel has half of it or
     more. Cameras write 2047 or 10000, for example, while depths of surfaces have values in between.
     """
     chosen = np.unique(np.linspace(0, len(depth) - 1, _TOP_FRAMES).round().astype(int))
-    counts = sum(np.bincount(checked.read_uint16(depth[i]).ravel(), minlength=1 << 16) for i in chosen)
-    counts = np.asarray(counts)[:-1]
-    values = np.flatnonzero(counts[1:]) + 1
-    if len(values) < 2 or 2 * values[-2] > values[-1]:
-        return len(counts)
-    return int(values[-1]) if counts[values[-1]] >= _TOP_SHARE * counts.sum() else len(counts)
+    counts = np.sum([np.bincount(checked.read_uint16(depth[i]).ravel(), minlength=1 << 16) for i in chosen], axis=0)
+    values = np.flatnonzero(counts[1:-1]) + 1
+    if len(values) >= 2 and 2 * values[-2] <= values[-1] and counts[values[-1]] >= _TOP_SHARE * counts[:-1].sum():
+        return int(values[-1]), True
+    return len(counts) - 1, bool(counts[-1])
 
 
 def _place(folder: Path, names: tuple[str, ...]) -> Path | None:
@@ -299,15 +292,11 @@ def _stamps(names: list[str]) -> dict[str, int] | None:
 
 def _describe_times(times: Array) -> str:
     """A note on times from names: duration, median step, and the longest gap."""
-    if len(times) < 2:
-        return "times are from the names: one frame"
-    steps = np.diff(times)
+    steps = np.diff(times) if len(times) > 1 else np.zeros(1)
     median, longest = float(np.median(steps)), int(np.argmax(steps))
     text = f"times are from the names: {len(times)} frames in {times[-1]:.6g} s, {1e3 * median:.4g} ms apart"
     gaps = int(np.count_nonzero(steps > 1.5 * median))
-    if not gaps:
-        return text
-    return f"{text}; gaps are kept ({gaps}), the longest {steps[longest]:.4g} s after frame {longest}"
+    return f"{text}; gaps are kept ({gaps}), the longest {steps[longest]:.4g} s after frame {longest}" if gaps else text
 
 
 def _lens(folder: Path, width: int, height: int, turns: int) -> Lens:

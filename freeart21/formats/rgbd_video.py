@@ -108,7 +108,6 @@ class RgbdVideo:
     folder: Path | None = None
     """Folder of the recording, which can hold masks/, a picture for each frame."""
     notes: tuple[str, ...] = ()
-    observe: Callable[[], tuple[str, ...]] = tuple
     gravity: Array | None = None
     """(n, 3) unit direction of gravity in the axes of the colours as filmed; None when the file does not have it."""
 
@@ -293,16 +292,8 @@ def align_video(video: RgbdVideo, options: ReadOptions) -> ThirdPartyRecording:
         notes += (f"pictures of {lens.width} x {lens.height} are made {width} x {height} (--longest-side)",)
     gravity = None if video.gravity is None else _turn_vectors(video.gravity, video.turns)
     recording = Recording(camera, video.times_s, load, (), None, video.name, gravity)
-    return ThirdPartyRecording(
-        video.name,
-        video.name,
-        recording,
-        None,
-        "a video alone has no truth",
-        notes,
-        video.observe,
-        shown is not None,
-    )
+    lacks = "a video alone has no truth"
+    return ThirdPartyRecording(video.name, video.name, recording, None, lacks, notes, shown is not None)
 
 
 def _turn_vectors(vectors: Array, turns: int) -> Array:

@@ -135,8 +135,6 @@ class ThirdPartyRecording:
     lacks: str = ""
     notes: tuple[str, ...] = ()
     """Notes for the user, one line each."""
-    observe: Callable[[], tuple[str, ...]] = tuple
-    """Gives further notes about the frames loaded so far."""
     has_masks: bool = True
     """False: the mask of every frame is empty, because nobody has segmented the object yet."""
 

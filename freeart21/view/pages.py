@@ -33,7 +33,7 @@ from freeart21.view.document import Markup, Section, document
 from freeart21.view.link_shapes import read_shown
 from freeart21.view.plots import state_section
 from freeart21.view.scene import gaussians_scene, scene_section, sources_scene, without_outliers
-from freeart21.view.source import AXIS, LAYERS, PartMasks, Source, matched, truth_over, truth_source
+from freeart21.view.source import AXIS, LAYERS, PartMasks, Source, align_truth, matched, truth_source
 from freeart21.view.tables import (
     certificate_section,
     compared_rows,
@@ -235,7 +235,7 @@ def _result_page(
     side: Literal["left", "right"] = "left" if extra else "right"
     facts = table_section("Joint", joint_rows(joint, states), (), side)
     if true is not None:
-        over = truth_over(true, result, estimate)
+        over = align_truth(true, result, estimate)
         sources.append(over)
         aligned = over.joint_of_first
         angle = np.arctan2(np.linalg.norm(np.cross(joint.axis, aligned.axis)), abs(joint.axis @ aligned.axis))

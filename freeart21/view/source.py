@@ -129,7 +129,7 @@ def truth_source(truth: Truth, **options: Any) -> Source:
     return replace(own, **options)
 
 
-def truth_over(truth: Truth, result: Reconstruction, estimate: Source) -> Source:
+def align_truth(truth: Truth, result: Reconstruction, estimate: Source) -> Source:
     """The truth over an estimate with the same part names (see `matched`), in its frame.
 
     They are aligned by the robust mean of the reference part's poses over all frames.

@@ -6,7 +6,6 @@ import zlib
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from freeart21 import se3, sphere
 from freeart21.camera import Camera
@@ -14,6 +13,7 @@ from freeart21.errors import FreeArtError
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
+from freeart21.statistics import longest_run
 from generator.motion import turns
 from generator.motion.body import UPRIGHT, Body
 from generator.motion.framing import place_object
@@ -129,7 +129,7 @@ def _score(course: Course, task: Task, shares: Array) -> float:
     else:
         low, high = _HARD_SHARE
         score -= 15.0 * (max(low - few, 0.0) + 0.3 * max(few - high, 0.0))
-    away = _longest_run(shares < 1e-9)
+    away = longest_run(shares < 1e-9)
     if task.hardship == "gone":
         low, high = _GONE_FRAMES
         score += 3.0 * min(away / low, 1.0) - 2.0 * max(away / high - 1, 0.0)
@@ -140,11 +140,6 @@ def _score(course: Course, task: Task, shares: Array) -> float:
     median = float(np.median(steps))
     score -= 6.0 * max(0.92 * course.pace - median, median - 1.1 * course.pace, 0.0)
     return round(score, 3)
-
-
-def _longest_run(flags: NDArray[np.bool_]) -> int:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(flags, int), [0]])))
-    return int(np.diff(edges)[::2].max(initial=0))
 
 
 def camera_in_world(style: Style, Ts: Array, body: Body) -> Array:

@@ -28,7 +28,9 @@ class Gate:
 
     def refusal(self, token: str, host: str, origin: str | None, socket: bool) -> str:
         """Why a request is refused; '' for an admitted one. A websocket must come from a page of this server."""
-        if not self.secure and host.lower() not in self._hosts():  # DNS rebinding
+        names = {"127.0.0.1", "localhost", "[::1]", bracketed(self.host).lower()}
+        ours = {f"{name}:{self.port}" for name in names} | (names if self.port == 80 else set())
+        if not self.secure and host.lower() not in ours:  # DNS rebinding
             return "an address that is not this server's"
         if origin is not None or socket:
             parts = urlsplit(origin or "")
@@ -38,10 +40,6 @@ class Gate:
         if not hmac.compare_digest(token.encode("utf-8", "replace"), self.token.encode()):
             return "no token, or a wrong one"
         return ""
-
-    def _hosts(self) -> set[str]:
-        names = {"127.0.0.1", "localhost", "[::1]", bracketed(self.host).lower()}
-        return {f"{name}:{self.port}" for name in names} | (names if self.port == 80 else set())
 
 
 def bracketed(host: str) -> str:

@@ -69,8 +69,13 @@ class Server:
         """`facts` on the object are sent to every page in its `hello`."""
         self._facts, self._bounds, self._stage, self._takes, self._gate = facts, bounds, stage, takes, gate
         self._log, self._dropped = log, set[str]()
+        app = web.Application(client_max_size=1024)
+        app.router.add_get("/ws", self._socket)
+        for path in FILES:
+            app.router.add_get(path, self._file)
+        app.router.add_route("*", "/{anything:.*}", self._not_found)
         self._runner = web.AppRunner(
-            self._app(), access_log=None, handle_signals=False, shutdown_timeout=_END_S, keepalive_timeout=SPEAK_S
+            app, access_log=None, handle_signals=False, shutdown_timeout=_END_S, keepalive_timeout=SPEAK_S
         )
         self._since: dict[web.RequestHandler, float] = {}
         """When each open connection was first seen."""
@@ -84,14 +89,6 @@ class Server:
         self._fault = ""
         """Error of the last write of the take's file; '' for none."""
         stage.show = self._wake_clients
-
-    def _app(self) -> web.Application:
-        app = web.Application(client_max_size=1024)
-        app.router.add_get("/ws", self._socket)
-        for path in FILES:
-            app.router.add_get(path, self._file)
-        app.router.add_route("*", "/{anything:.*}", self._not_found)
-        return app
 
     async def run(self, listener: socket.socket, context: ssl.SSLContext | None = None) -> None:
         """Serve connections of `listener` and send status messages until cancelled."""

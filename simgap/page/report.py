@@ -300,21 +300,14 @@ def _geometry(gap: Gap) -> list[Section]:
         return []
     track = sorted(g.tracks, key=lambda t: not t.held_out)[0]
     drawn = drawn_samples(len(track.times_s), 500)
-    before, after = track.off_before[drawn], track.off_after[drawn]
-    charts = [
-        chart(
-            [
-                Curve(name, colour, factor * np.linalg.norm(off[:, columns], axis=1))
-                for name, colour, off in (("before", BEFORE, before), ("after", AFTER, after))
-            ],
-            title,
-            unit,
-        )
-        for columns, title, unit, factor in (
-            (slice(0, 3), "Off the joint: shift of the part's middle", "mm", 1e3),
-            (slice(3, 6), "Off the joint: turn", "°", 180 / np.pi),
-        )
-    ]
+    charts = []
+    for columns, what, unit, factor in (
+        (slice(0, 3), "shift of the part's middle", "mm", 1e3),
+        (slice(3, 6), "turn", "°", 180 / np.pi),
+    ):
+        both = ("before", BEFORE, track.off_before), ("after", AFTER, track.off_after)
+        lines = [Curve(n, colour, factor * np.linalg.norm(off[drawn, columns], axis=1)) for n, colour, off in both]
+        charts.append(chart(lines, f"Off the joint: {what}", unit))
     chosen = {e.name for e in g.effects}
     shown = [r for r in g.ranking if len(r[0]) < 2 or set(r[0]) == chosen or r[0] in g.rivals]
     what = f"Run {track.name}, {'held out' if track.held_out else 'fitted'}"

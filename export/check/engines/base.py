@@ -16,18 +16,6 @@ GRAVITY = 9.81
 
 
 @dataclass(frozen=True)
-class EngineJoint:
-    """A movable joint as the engine has it."""
-
-    name: str
-    parent: str
-    child: str
-    lower: float
-    upper: float
-    """rad or m, infinite without a limit."""
-
-
-@dataclass(frozen=True)
 class Setting:
     """The scene that an asset is loaded into."""
 
@@ -41,8 +29,8 @@ class Setting:
 class World(ABC):
     """An asset in a scene of one engine."""
 
-    joints: tuple[EngineJoint, ...]
-    """The movable joints."""
+    limits: dict[str, tuple[float, float]]
+    """Movable joint to its limits, rad or m, infinite without one."""
     parents: dict[str, str | None]
     """Link name to its parent's, for all links."""
     root_held: bool = False

@@ -23,7 +23,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
-from export.check.engines.base import GRAVITY, EngineJoint, Setting, World
+from export.check.engines.base import GRAVITY, Setting, World
 from export.check.engines.plain_urdf import write_plain_urdf
 from freeart21.files.urdf import UrdfInertial, read_urdf
 from freeart21.se3 import Array
@@ -105,16 +105,10 @@ class DrakeWorld(World):
         self.parents = {name: None for name in self.bodies}
         self.parents |= {j.child_body().name(): j.parent_body().name() for j in ends}
         self.drake_joints = {joint.name(): joint for joint in ends if joint.num_velocities() == 1}
-        self.joints = tuple(
-            EngineJoint(
-                name,
-                joint.parent_body().name(),
-                joint.child_body().name(),
-                float(joint.position_lower_limits()[0]),
-                float(joint.position_upper_limits()[0]),
-            )
+        self.limits = {
+            name: (float(joint.position_lower_limits()[0]), float(joint.position_upper_limits()[0]))
             for name, joint in self.drake_joints.items()
-        )
+        }
 
     def inertials(self) -> dict[str, UrdfInertial]:
         found = {}

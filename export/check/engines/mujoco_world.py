@@ -9,8 +9,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from export.check.engines.base import GRAVITY, EngineJoint, Setting, World
+from export.check.engines.base import GRAVITY, Setting, World
 from export.check.engines.plain_urdf import write_plain_urdf
+from export.check.mjcf_tree import read_inertial
 from freeart21 import se3
 from freeart21.files.urdf import UrdfInertial, read_root_tag, read_urdf
 from freeart21.se3 import Array
@@ -80,30 +81,18 @@ class MujocoWorld(World):
             names[b]: None if names[b] == root else names[model.body_parentid[b]] for b in range(1, model.nbody)
         }
         kinds = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-        self.joints = tuple(self._joint(j, names) for j in range(model.njnt) if int(model.jnt_type[j]) in kinds)
+        moving = [j for j in range(model.njnt) if int(model.jnt_type[j]) in kinds]
+        ends = {j: model.jnt_range[j].tolist() if model.jnt_limited[j] else (-np.inf, np.inf) for j in moving}
+        self.limits = {model.joint(j).name: (lower, upper) for j, (lower, upper) in ends.items()}
         mujoco.mj_forward(model, self.data)
 
-    def _joint(self, j: int, names: list[str]) -> EngineJoint:
-        body, limited = self.model.jnt_bodyid[j], self.model.jnt_limited[j]
-        lower, upper = self.model.jnt_range[j] if limited else (-np.inf, np.inf)
-        return EngineJoint(
-            self.model.joint(j).name, names[self.model.body_parentid[body]], names[body], float(lower), float(upper)
-        )
-
     def inertials(self) -> dict[str, UrdfInertial]:
-        found = {}
-        for b in range(1, self.model.nbody):
-            R = se3.rotation_from_wxyz(self.model.body_iquat[b])
-            tensor = R @ np.diag(self.model.body_inertia[b]) @ R.T
-            found[self.model.body(b).name] = UrdfInertial(
-                float(self.model.body_mass[b]), self.model.body_ipos[b].copy(), tensor
-            )
-        return found
+        return {self.model.body(b).name: read_inertial(self.model, b) for b in range(1, self.model.nbody)}
 
     def put(self, q: Mapping[str, float], qd: Mapping[str, float] | None = None) -> None:
-        for joint in self.joints:
-            self.data.joint(joint.name).qpos[0] = q.get(joint.name, 0.0)
-            self.data.joint(joint.name).qvel[0] = (qd or {}).get(joint.name, 0.0)
+        for name in self.limits:
+            self.data.joint(name).qpos[0] = q.get(name, 0.0)
+            self.data.joint(name).qvel[0] = (qd or {}).get(name, 0.0)
         mujoco.mj_forward(self.model, self.data)
 
     def place(self, T_world_root: Array) -> None:
@@ -113,17 +102,17 @@ class MujocoWorld(World):
         mujoco.mj_forward(self.model, self.data)
 
     def state(self) -> tuple[dict[str, float], dict[str, float]]:
-        q = {j.name: float(self.data.joint(j.name).qpos[0]) for j in self.joints}
-        return q, {j.name: float(self.data.joint(j.name).qvel[0]) for j in self.joints}
+        q = {name: float(self.data.joint(name).qpos[0]) for name in self.limits}
+        return q, {name: float(self.data.joint(name).qvel[0]) for name in self.limits}
 
     def poses(self) -> dict[str, Array]:
         mujoco.mj_kinematics(self.model, self.data)
         return {n: se3.pose(self.data.body(n).xmat.reshape(3, 3), self.data.body(n).xpos) for n in self.parents}
 
     def advance(self, seconds: float, push: Mapping[str, float] | None = None) -> None:
-        for joint in self.joints:
-            address = self.model.jnt_dofadr[self.model.joint(joint.name).id]
-            self.data.qfrc_applied[address] = (push or {}).get(joint.name, 0.0)
+        for name in self.limits:
+            address = self.model.jnt_dofadr[self.model.joint(name).id]
+            self.data.qfrc_applied[address] = (push or {}).get(name, 0.0)
         mujoco.mj_step(self.model, self.data, max(1, round(seconds / self.model.opt.timestep)))
 
     def energy(self) -> float | None:

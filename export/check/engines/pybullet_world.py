@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pybullet
 
-from export.check.engines.base import GRAVITY, EngineJoint, Setting, World
+from export.check.engines.base import GRAVITY, Setting, World
 from export.check.engines.plain_urdf import write_plain_urdf
 from freeart21 import se3
 from freeart21.files.urdf import UrdfInertial, read_urdf_joints
@@ -54,16 +54,7 @@ class PybulletWorld(World):
         self.parents = {self.root: None} | {names[info[0]]: names[info[16]] for info in infos}
         moving = [i for i in infos if i[2] in (pybullet.JOINT_REVOLUTE, pybullet.JOINT_PRISMATIC)]
         self.number = {info[1].decode(): info[0] for info in moving}
-        self.joints = tuple(
-            EngineJoint(
-                i[1].decode(),
-                names[i[16]],
-                names[i[0]],
-                float(i[8]) if i[8] <= i[9] else -np.inf,
-                float(i[9]) if i[8] <= i[9] else np.inf,
-            )
-            for i in moving
-        )
+        self.limits = {i[1].decode(): (float(i[8]), float(i[9])) if i[8] <= i[9] else (-np.inf, np.inf) for i in moving}
         for k in names:
             pybullet.changeDynamics(
                 body, k, linearDamping=0, angularDamping=0, lateralFriction=_FRICTION, physicsClientId=client

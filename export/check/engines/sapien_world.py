@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import sapien
 
-from export.check.engines.base import GRAVITY, EngineJoint, Setting, World
+from export.check.engines.base import GRAVITY, Setting, World
 from export.check.engines.plain_urdf import write_plain_urdf
 from freeart21 import se3
 from freeart21.files.urdf import UrdfInertial, read_urdf_joints
@@ -51,7 +51,8 @@ class SapienWorld(World):
         self.scene, self.articulation = scene, articulation
         self.links = {link.name: link for link in articulation.links}
         self.parents = {name: link.parent.name if link.parent else None for name, link in self.links.items()}
-        self.joints = tuple(self._joint(joint) for joint in articulation.active_joints)
+        ends = {joint.name: np.asarray(joint.limits, float).reshape(-1) for joint in articulation.active_joints}
+        self.limits = {name: (float(pair[0]), float(pair[1])) for name, pair in ends.items()}
         articulation.set_sleep_threshold(0.0)
         for link in articulation.links:
             link.set_linear_damping(0.0)
@@ -63,11 +64,6 @@ class SapienWorld(World):
                 joint.set_drive_properties(0.0, _STIFF * limit, limit, "force")
                 joint.set_drive_velocity_target(0.0)
 
-    @staticmethod
-    def _joint(joint: Any) -> EngineJoint:
-        lower, upper = (float(value) for value in np.asarray(joint.limits, float).reshape(-1)[:2])
-        return EngineJoint(joint.name, joint.parent_link.name, joint.child_link.name, lower, upper)
-
     def inertials(self) -> dict[str, UrdfInertial]:
         found = {}
         for name, link in self.links.items():
@@ -78,8 +74,8 @@ class SapienWorld(World):
         return found
 
     def put(self, q: Mapping[str, float], qd: Mapping[str, float] | None = None) -> None:
-        self.articulation.set_qpos(np.array([q.get(j.name, 0.0) for j in self.joints], np.float32))
-        self.articulation.set_qvel(np.array([(qd or {}).get(j.name, 0.0) for j in self.joints], np.float32))
+        self.articulation.set_qpos(np.array([q.get(name, 0.0) for name in self.limits], np.float32))
+        self.articulation.set_qvel(np.array([(qd or {}).get(name, 0.0) for name in self.limits], np.float32))
 
     def place(self, T_world_root: Array) -> None:
         self.articulation.set_root_pose(sapien.Pose(np.asarray(T_world_root, np.float32)))
@@ -87,16 +83,15 @@ class SapienWorld(World):
         self.articulation.set_root_angular_velocity(np.zeros(3, np.float32))
 
     def state(self) -> tuple[dict[str, float], dict[str, float]]:
-        names = [joint.name for joint in self.joints]
         q, qd = (np.asarray(v, float).tolist() for v in (self.articulation.qpos, self.articulation.qvel))
-        return dict(zip(names, q, strict=True)), dict(zip(names, qd, strict=True))
+        return dict(zip(self.limits, q, strict=True)), dict(zip(self.limits, qd, strict=True))
 
     def poses(self) -> dict[str, Array]:
         at = {name: link.entity_pose for name, link in self.links.items()}
         return {n: se3.pose_from_wxyz(np.asarray(p.p, float), np.asarray(p.q, float)) for n, p in at.items()}
 
     def advance(self, seconds: float, push: Mapping[str, float] | None = None) -> None:
-        forces = np.array([(push or {}).get(j.name, 0.0) for j in self.joints], np.float32)
+        forces = np.array([(push or {}).get(name, 0.0) for name in self.limits], np.float32)
         for _ in range(max(1, round(seconds / _STEP_S))):
             self.articulation.set_qf(forces)
             self.scene.step()
