@@ -17,7 +17,7 @@ from freeart21.mesh import Mesh
 from freeart21.recording import Frame, Recording
 from freeart21.truth import Truth
 
-FRAMES, WIDTH, HEIGHT = 30, 128, 96
+FRAMES, WIDTH, HEIGHT = 45, 128, 96
 CAMERA = Camera(np.array([[120.0, 0, 64], [0, 120, 48], [0, 0, 1]]), WIDTH, HEIGHT)
 HINGE = Joint("lid", "revolute", np.array([0.0, 1, 0]), np.array([-0.1, 0, 0.05]), 0.0, 1.2)
 
@@ -49,7 +49,7 @@ def _motion() -> tuple[np.ndarray, np.ndarray]:
     """Poses (n, 4, 4) and states: the object is turned about, comes and goes, and the lid opens and closes."""
     Ts, states = [], []
     for i in range(FRAMES):
-        s = i / (FRAMES - 1)  # of a turn of one and a half seconds
+        s = i / 44  # of a turn of one and a half seconds
         R = se3.exp_so3([0.8 + 0.6 * np.sin(4 * s), 0.6 * np.sin(5 * s + 1), 2.5 * s]) @ se3.exp_so3([np.pi, 0, 0])
         t = np.array([0.05 * np.sin(6 * s), 0.04 * np.cos(5 * s), 0.45 + 0.08 * np.sin(6 * s)])
         Ts.append(se3.pose(R, t))

@@ -67,8 +67,8 @@ def test_unseen_walls_are_those_of_the_material_that_a_role_names(tmp_path, monk
     monkeypatch.setattr(exporter, "close_parts", close)
     answer = reconstruction()
     sizes = [bounding_diagonal(answer.articulation.part(name)) for name in PARTS]
-    asset = export_result(answer, tmp_path / "a", ExportSettings(material={"lid": "wood"}, scale=2.0))
-    assert asset.source["parts"]["moving"]["role"] == "lid"
+    asset = export_result(answer, tmp_path / "a", ExportSettings(material={"door": "wood"}, scale=2.0))
+    assert asset.source["parts"]["moving"]["role"] == "door"
     assert len(walls_given) == closed
     materials = ("plastic", "plastic" if rims else "wood")
     usual = [TABLE[name].usual_wall(2 * size) / 2 for name, size in zip(materials, sizes, strict=True)]

@@ -127,8 +127,8 @@ def test_empty_masks_are_a_failure(hinge):
     assert isinstance(result, Failure) and result.stage == "tracks" and "mask" in result.reason
 
 
-def test_a_frame_without_mask_or_depth_is_survived(slide):
-    source = slide.recording
+def test_a_frame_without_mask_or_depth_is_survived(hinge):
+    source = hinge.recording
 
     def load(i):
         frame = source.frame(i)
@@ -139,7 +139,7 @@ def test_a_frame_without_mask_or_depth_is_survived(slide):
     result = reconstruct(Recording(source.camera, source.times_s, load), QUIET)
     assert isinstance(result, Reconstruction)
     assert not result.seen[7].any() and not result.seen[15].any()
-    assert measure(slide, result)["axis"] < 1.5
+    assert measure(hinge, result)["axis"] < 1.5
 
 
 def _without_mask(frame):
