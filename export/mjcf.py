@@ -133,8 +133,7 @@ def joint_attributes(effects: tuple[Effect, ...], joint: str) -> dict[str, str]:
 
 def urdf_to_mjcf(asset: Asset, base: Base = "fixed") -> bytes:
     """Any asset's URDF as MJCF, to be saved beside the URDF: mesh files keep their names. Textures are dropped, as
-    MuJoCo reads no
-    MTL. The asset's joint moves, others are held, links do not collide, as in `simulate`.
+    MuJoCo reads no MTL. The asset's joint moves, others are held, links do not collide, as in `simulate`.
 
     A root link `world` is MuJoCo's world; with it the asset is fixed whatever `base` is. Raises FreeArtError when the
     URDF is not one tree, a number is invalid, or a mesh is named by an address.

@@ -47,14 +47,7 @@ def write_repaired(
     files = copy_asset_files(asset.urdf, folder, asset.root)
     urdf, mjcf = folder / asset.urdf.name, mjcf_path(asset.urdf)
     correct_body(files[urdf.name], asset, body)
-    terms = {name: [effect.urdf_dynamics() for effect in acting] for name, acting in merged.items()}
-    set_dynamics(
-        files[urdf.name],
-        {
-            n: {w: float(np.sum([t.get(w, 0.0) for t in of])) for w in ("damping", "friction")}
-            for n, of in terms.items()
-        },
-    )
+    set_dynamics(files[urdf.name], {name: _sum_dynamics(acting) for name, acting in merged.items()})
     write_xml(urdf, files[urdf.name])
     keeps_mjcf = mjcf.name in files and body == NO_CORRECTION  # else it is converted from the corrected URDF
     if keeps_mjcf:
