@@ -90,7 +90,7 @@ PIECES: dict[str, dict[str, Any]] = {
     "one-attempt": {"growth": {"attempts": 1}},
     "no-even-motion": {"growth": {"surprise_weight": 0.0}},
     "no-recovery": {"growth": {"surprising_cost": _NEVER}},
-    "no-votes": {"evidence": {"rounds_of_votes": 0}},
+    "no-votes": {"labels": {"rounds_of_votes": 0}},
     "no-gaps": {"gaps": {"shortest_gap": 1_000_000, "jump": _NEVER}},
     "no-loops": {"poses": {"loops": 0}},
     "paper-type": {"joint": {"type_rule": "paper"}},

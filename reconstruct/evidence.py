@@ -14,7 +14,7 @@ from freeart21.joint import Joint
 from freeart21.se3 import Array
 from reconstruct import kernels, registration
 from reconstruct.scene import Scene
-from reconstruct.settings import EvidenceSettings
+from reconstruct.settings import EvidenceSettings, LabelSettings
 
 Float = TypeVar("Float", np.float32, np.float64)
 
@@ -68,8 +68,10 @@ class PartReferences:
 class Evidence:
     """Costs and registration on one scene. Keeps no results."""
 
-    def __init__(self, scene: Scene, settings: EvidenceSettings, given_poses: Array | None = None) -> None:
-        self.scene, self.settings = scene, settings
+    def __init__(
+        self, scene: Scene, settings: EvidenceSettings, labels: LabelSettings, given_poses: Array | None = None
+    ) -> None:
+        self.scene, self.settings, self.label_settings = scene, settings, labels
         self.given_poses = np.zeros((0, len(scene), 4, 4)) if given_poses is None else given_poses
         """(b, n, 4, 4) camera from body, of b bodies that another program tracked; NaN where unknown."""
         self.unit = float(np.hypot(scene.footprint, 2 * scene.noise))

@@ -1,12 +1,14 @@
 """Part labels of pixels, given the poses of both parts: dense masks with confidence.
 
 A pixel gets evidence of two kinds. Frames between which the joint has moved compare both motions by depth, silhouette
-and colour. After propagation all frames together have beliefs about each surface, which never changes its part
-(`votes`). A random walk (Grady 2006) over neighbours of similar colour in a common plane then interpolates harmonically
-between certain pixels.
+and colour. Other frames pass on their beliefs, since a surface never changes its part: during propagation the frames
+near in time and view, afterwards all frames together (`votes`). A random walk (Grady 2006) over neighbours of similar
+colour in a common plane then interpolates harmonically between certain pixels.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numba import njit
@@ -32,6 +34,10 @@ MAX_TURN = 1.2
 """Radians between two views that are compared."""
 MIN_DISPLACEMENT = 0.02
 """Object diagonals that the second part must have moved between two frames for them to tell the motions apart."""
+NEIGHBOUR_OFFSETS = (-12, -6, -3, -1, 1, 3, 6, 12)
+"""Frame offsets over which beliefs are passed on."""
+SIMILAR_FRAMES = 5
+"""More distant frames, of the most similar view, that pass their beliefs on."""
 EDGE_WEIGHT = 8.0
 """Random walk: weight of a similar neighbour. A pixel that has seen the joint move weighs its own log-odds."""
 VOTE_WEIGHT = 20.0
@@ -47,18 +53,21 @@ def label_frame(
     frame: int,
     Ts: Array,
     body: Array,
+    known: NDArray[np.bool_],
     measured: NDArray[np.bool_],
-    start: Floats,
+    logodds: Floats,
     rng: np.random.Generator,
 ) -> Floats:
     """Log-odds (h, w), from -3 to 3, that pixels of `frame` are the second part's; 0 where unknown.
 
     `Ts` (2, n, 4, 4) are both parts' poses and `body` (b, 3) points of the second part in its own frame. Evidence comes
-    from the motion to the frames whose joint state was `measured` (n,). `start` (h, w) only speeds up convergence.
+    from the frames `known` (n,) by their `logodds` (n, h, w), and, where the joint state was `measured` (n,), by their
+    motion.
     """
     references = discriminative_frames(evidence, frame, Ts, body, measured, rng)
     own = motion_logodds(evidence, frame, Ts, references)
-    return random_walk_logodds(evidence, frame, own, start=start)
+    beliefs = neighbour_beliefs(evidence, frame, Ts, known, logodds)
+    return random_walk_logodds(evidence, frame, own, *beliefs, start=logodds[frame])
 
 
 def label_frames(
@@ -82,7 +91,7 @@ def label_frames(
     for i in np.flatnonzero(measured):
         logodds[i] = np.clip(own[i], -SURE, SURE)
     votes = SurfaceVotes(evidence, Ts, seen | ambiguous[:, None])
-    for _ in range(evidence.settings.rounds_of_votes):
+    for _ in range(evidence.label_settings.rounds_of_votes):
         beliefs = votes.surface_beliefs(logodds, SURE)
 
         def relabel(i: int, beliefs: Floats = beliefs) -> None:
@@ -115,6 +124,26 @@ def motion_logodds(evidence: Evidence, frame: int, Ts: Array, others: Frames) ->
     return fill_between(unary, measured)
 
 
+def neighbour_beliefs(
+    evidence: Evidence, frame: int, Ts: Array, usable: NDArray[np.bool_], logodds: Floats
+) -> tuple[Floats, Floats]:
+    """Mean belief, -1 to 1, of frames near in time and view about the surfaces of `frame`, and its weight; (h, w)."""
+    scene = evidence.scene
+    others = neighbour_frames(frame, _view_changes(Ts, frame), usable)
+    mean, strength = np.zeros(scene.mask.shape[1:], np.float32), np.zeros(scene.mask.shape[1:], np.float32)
+    measured = evidence.measured_pixels(frame)
+    if len(others) == 0 or not measured.any():
+        return mean, strength
+    pixels, T = np.argwhere(measured), np.ascontiguousarray(part_motions(Ts, frame, others))
+    belief_sums, weight_sums = np.zeros(len(pixels)), np.zeros(len(pixels))
+    surfaces = (scene.points, scene.normals, logodds, *scene.lens)
+    arguments = (frame, others, T, pixels, *surfaces, 3 * evidence.unit, belief_sums, weight_sums)
+    kernels.run_in_threads(lambda begin, end: _sum_neighbour_beliefs(begin, end, *arguments), len(pixels), 2000)
+    mean[measured] = belief_sums / np.maximum(weight_sums, 1e-6)
+    strength[measured] = evidence.label_settings.propagation * np.minimum(np.abs(belief_sums), 4) / 4
+    return fill_between(mean, measured), fill_between(strength, measured)
+
+
 def _view_changes(Ts: Array, frame: int) -> Array:
     """(n,) radians of view change against `frame`, of the part whose view changed less."""
     return np.minimum(*(view_angle(T[:, :3, :3], T[frame, :3, :3]) for T in Ts))
@@ -143,6 +172,17 @@ def discriminative_frames(
     if len(best) > REFERENCES:
         best = rng.choice(best, REFERENCES, replace=False)
     return np.sort(best)
+
+
+def neighbour_frames(frame: int, turn: Array, usable: NDArray[np.bool_]) -> Frames:
+    """Frames that show the same surfaces, near in time or in view, whatever the joint does."""
+    n = len(turn)
+    usable = usable & (np.arange(n) != frame)
+    chosen = [frame + d for d in NEIGHBOUR_OFFSETS if 0 <= frame + d < n and usable[frame + d]]
+    similar = np.flatnonzero(usable & (np.abs(np.arange(n) - frame) > max(NEIGHBOUR_OFFSETS)))
+    similar = similar[turn[similar] < MAX_TURN]
+    similar = similar[np.argsort(turn[similar], kind="stable")][: 8 * SIMILAR_FRAMES : 8]
+    return np.union1d(np.array(chosen, int), similar)
 
 
 def random_walk_logodds(
@@ -223,3 +263,50 @@ def _squares(r: Array, diagonal: Array, inside: Ints) -> float:  # pragma: no co
     for p in inside:
         total += r[p] * r[p] / diagonal[p]
     return total
+
+
+@njit(nogil=True, cache=True)
+def _sum_neighbour_beliefs(
+    begin: int, end: int, frame: int, others: Frames, T: Array, pixels: Ints, points: Floats, normals: Floats,
+    logodds: Floats, fx: float, fy: float, cx: Array, cy: Array, gate: float, belief_sums: Array, weight_sums: Array,
+) -> None:  # pragma: no cover  # fmt: skip
+    """Sum the beliefs of the frames `others` (s,) about the pixels begin to end, under both motions T (s, 2, 4, 4).
+
+    A pixel that the first motion takes onto the second part counts for the second part, and vice versa. A frame's
+    belief is weighted by its own magnitude, so that uncertain beliefs do not reinforce each other. Fills, per pixel,
+    the sums over frames of weighted beliefs, `belief_sums` (p,), and of weights, `weight_sums` (p,).
+    """
+    h, w = points.shape[1], points.shape[2]
+    for p in range(begin, end):
+        y, x = pixels[p, 0], pixels[p, 1]
+        for s in range(len(others)):
+            j = others[s]
+            belief = 0.0
+            for k in range(2):
+                R = T[s, k]
+                Y0 = R[0, 3]
+                Y1 = R[1, 3]
+                Y2 = R[2, 3]
+                for c in range(3):
+                    Y0 += R[0, c] * points[frame, y, x, c]
+                    Y1 += R[1, c] * points[frame, y, x, c]
+                    Y2 += R[2, c] * points[frame, y, x, c]
+                if Y2 < kernels.NEAR:
+                    continue
+                xi = math.floor(fx * Y0 / Y2 + cx[j] + 0.5)
+                yi = math.floor(fy * Y1 / Y2 + cy[j] + 0.5)
+                if xi < 0 or yi < 0 or xi >= w or yi >= h or points[j, yi, xi, 2] <= 0:
+                    continue
+                d = (Y0 - points[j, yi, xi, 0], Y1 - points[j, yi, xi, 1], Y2 - points[j, yi, xi, 2])
+                off, same = 0.0, 0.0
+                for c in range(3):
+                    off += normals[j, yi, xi, c] * d[c]
+                    turned = 0.0
+                    for e in range(3):
+                        turned += R[c, e] * normals[frame, y, x, e]
+                    same += normals[j, yi, xi, c] * turned
+                if abs(off) > gate or same < 0.7:
+                    continue
+                belief += (max(logodds[j, yi, xi], 0.0) if k == 0 else min(logodds[j, yi, xi], 0.0)) / SURE
+            belief_sums[p] += belief * abs(belief)
+            weight_sums[p] += abs(belief)

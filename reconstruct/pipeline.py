@@ -185,7 +185,7 @@ def _tracks(
     if scene.implausible:
         clock.say(f"{100 * scene.implausible:.2g} % of the object's depths lie implausibly far from it: taken as none")
     tracker = make_tracker(scene, settings.tracks) if with_tracks else None
-    evidence = Evidence(scene, settings.evidence, find_poses(scene, settings.poses_from))
+    evidence = Evidence(scene, settings.evidence, settings.labels, find_poses(scene, settings.poses_from))
     return PreparedVideo(recording, scene, evidence, tracker, clock.progress)
 
 

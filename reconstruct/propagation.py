@@ -320,9 +320,10 @@ class Propagation:
 
     def label_frame(self, frame: int) -> None:
         """Label `frame` from the costs of all its pixels under both motions to the frames done."""
+        known = self.done & (self.seen.any(1) | self.ambiguous)
         self.body = self.body_points() if self.body is None else self.body
-        poses = self.Ts, self.body, self.measured_frames()
-        self.set_labels(frame, label_frame(self.evidence, frame, *poses, self.logodds[frame], self.rng))
+        poses = self.Ts, self.body, known, self.measured_frames()
+        self.set_labels(frame, label_frame(self.evidence, frame, *poses, self.logodds, self.rng))
 
     def relabel_uncertain_frames(self) -> None:
         """Label the most uncertain frames again, now that later frames are known."""

@@ -44,10 +44,18 @@ class TrackSettings:
 
 @dataclass(frozen=True)
 class EvidenceSettings:
-    """Cost of a pixel under a motion (point-to-plane, free space, silhouette, colour), and part masks from it."""
+    """Cost of a pixel under a motion: point-to-plane, free space, silhouette, colour."""
 
     colour_weight: float = 0.2
     """Weight of colour against depth in registration."""
+
+
+@dataclass(frozen=True)
+class LabelSettings:
+    """From costs to part masks."""
+
+    propagation: float = 2.0
+    """Weight of the beliefs of other frames; a pixel that has seen the joint move weighs its own log-odds."""
     rounds_of_votes: int = 2
     """Times that all frames are labelled again with the beliefs of all frames about each surface."""
 
@@ -166,6 +174,7 @@ class ReconstructSettings:
     scene: SceneSettings = field(default_factory=SceneSettings)
     tracks: TrackSettings = field(default_factory=TrackSettings)
     evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
+    labels: LabelSettings = field(default_factory=LabelSettings)
     growth: PropagationSettings = field(default_factory=PropagationSettings)
     gaps: GapSettings = field(default_factory=GapSettings)
     joint: JointSettings = field(default_factory=JointSettings)

@@ -29,7 +29,7 @@ from reconstruct.evidence import Evidence
 from reconstruct.poses import GATE, FreePoses, JointedPoses, part_samples
 from reconstruct.propagation import PartEstimate
 from reconstruct.scene import prepare_scene
-from reconstruct.settings import EvidenceSettings, PoseSettings, SceneSettings
+from reconstruct.settings import EvidenceSettings, LabelSettings, PoseSettings, SceneSettings
 
 N, H, W, DEPTH, FOCAL = 6, 40, 48, 1.0, 100.0
 SETTINGS = (PoseSettings(),)
@@ -54,7 +54,7 @@ def walls(bulge=0.0, hole=False, recede=0.0):
         Recording(camera, np.arange(N) / 30, load), SceneSettings(max_crop_pixels=H * W, min_frames=N)
     )
     labels = np.where(np.arange(W) < W / 2, 1, 2).astype(np.uint8) * scene.mask
-    return Evidence(scene, EvidenceSettings()), labels
+    return Evidence(scene, EvidenceSettings(), LabelSettings()), labels
 
 
 def measured(evidence, labels, Ts, part=1, gate=0.05):

@@ -43,7 +43,7 @@ def clip():
 
 
 def evidence_of(clip, frames):
-    return Evidence(prepare_scene(filmed(frames, clip.recording), SceneSettings()), QUIET.evidence)
+    return Evidence(prepare_scene(filmed(frames, clip.recording), SceneSettings()), QUIET.evidence, QUIET.labels)
 
 
 def over_the_hand(clip, known_depth):

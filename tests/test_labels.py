@@ -26,7 +26,7 @@ def clip():
 
 def evidence_of(recording, scene_settings=SETTINGS.scene):
     scene = prepare_scene(recording, scene_settings)
-    return Evidence(scene, SETTINGS.evidence)
+    return Evidence(scene, SETTINGS.evidence, SETTINGS.labels)
 
 
 def poses_of(clip, states):

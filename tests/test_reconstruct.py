@@ -160,7 +160,7 @@ def true_estimate(clip, hidden, part):
     seen[hidden, part] = False
     poses = JointedPoses(clip.joint, clip.states.copy(), clip.Ts.copy(), np.zeros(len(labels)), 0.0)
     estimate = PartEstimate(poses, labels, np.where(labels == 2, 1, -1).astype(np.float32), seen)
-    return Evidence(scene, QUIET.evidence), estimate
+    return Evidence(scene, QUIET.evidence, QUIET.labels), estimate
 
 
 def slipped(clip, estimate, part, share):

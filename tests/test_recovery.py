@@ -100,7 +100,7 @@ def test_a_joint_that_rests_and_goes_on_is_followed(resting):
 def test_a_thin_handle_is_found():
     """A bucket's bail, 3 % of the pixels: too few tracks, but the bucket's motion leaves it unexplained."""
     scene = prepare_scene(read_sequence(BUCKET), QUIET.scene)
-    evidence = Evidence(scene, QUIET.evidence)
+    evidence = Evidence(scene, QUIET.evidence, QUIET.labels)
     best = find_seeds(evidence, Dis(scene, QUIET.tracks), RNG(0))[0]
     assert best.pixels < 0.06 * scene.valid[best.frame].sum() and best.evidence > 2 * seeds.LEAST_EVIDENCE
     turned = view_angle(best.Ts[-1, 0, :3, :3], best.Ts[-1, 1, :3, :3])

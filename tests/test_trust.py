@@ -30,7 +30,7 @@ from reconstruct.joint_type import RIVAL_COST, choose_joint_type, find_rival
 from reconstruct.poses import JointedPoses
 from reconstruct.propagation import PartEstimate, body_points
 from reconstruct.scene import estimate_correlated_noise, prepare_scene
-from reconstruct.settings import EvidenceSettings, ReconstructSettings, SceneSettings
+from reconstruct.settings import EvidenceSettings, LabelSettings, ReconstructSettings, SceneSettings
 from reconstruct.surface_check import _seen_share, check_surfaces
 
 N = 60
@@ -217,7 +217,7 @@ def filmed(pictures, Ts, states, joint):
     poses = JointedPoses(joint, states, Ts, np.zeros(len(Ts)), 0.0)
     logodds = np.where(labels == 2, 3.0, -3.0).astype(np.float32)
     estimate = PartEstimate(poses, labels, logodds, np.ones((len(Ts), 2), bool))
-    return Evidence(scene, EvidenceSettings()), estimate
+    return Evidence(scene, EvidenceSettings(), LabelSettings()), estimate
 
 
 def film(first, second, joint, states, third=lambda i: [], turn=0.6, size=(160, 120)):
@@ -245,7 +245,7 @@ def unpainted(evidence):
     """The same without colours."""
     scene = replace(evidence.scene, pixels=evidence.scene.pixels.copy())
     scene.features[:] = 0
-    return Evidence(scene, evidence.settings)
+    return Evidence(scene, evidence.settings, evidence.label_settings)
 
 
 def both_poses(estimate):
