@@ -173,7 +173,7 @@ def test_what_stands_out_within_keeps_its_shape_and_pebbles_share_some():
 def test_triangles_that_bound_no_solid_get_a_hull_and_a_note(tmp_path: Path, monkeypatch):
     """A soup: cutting it into convex pieces and carving what it sweeps took eight minutes, for nothing."""
     rng = np.random.default_rng(0)
-    soup = Mesh(0.05 * rng.normal(size=(900, 3)), rng.integers(0, 900, (1500, 3)))
+    soup = Mesh(0.05 * rng.normal(size=(300, 3)), rng.integers(0, 300, (500, 3)))
     worked_on = []
 
     def pieces(outside, *settings):
@@ -186,7 +186,7 @@ def test_triangles_that_bound_no_solid_get_a_hull_and_a_note(tmp_path: Path, mon
     asset = export_result(reconstruction(moving=soup), tmp_path / "a", coarse)
     assert len(worked_on) == 1  # the slab alone
     facts = asset.source["parts"]
-    assert facts["reference"]["solid"] and facts["moving"]["solid"] is False and facts["moving"]["layers"] > 10
+    assert facts["reference"]["solid"] and facts["moving"]["solid"] is False and facts["moving"]["layers"] > 4
     assert facts["moving"]["hulls"] + facts["moving"]["primitives"] == 1
     assert asset.source["penetration"]["not_carved_because"] == "the moving part is no solid"
     assert judge_contact(*read_link_shapes(asset.urdf), asset.urdf.parent).verdict == "fail"
