@@ -40,7 +40,6 @@ def test_a_fit_of_all_effects_predicts_an_unseen_run(pendulum):
 
 
 def test_mujoco_identifies_a_pendulum(pendulum):
-    pytest.importorskip("absl", reason="mujoco[sysid]")
     from benchmarks.mujoco_sysid import Identification
 
     urdf, measured, untouched = pendulum

@@ -137,20 +137,19 @@ def rocking(kind):
     return motion
 
 
-@TYPES
+HINGES = {"pivot_offset": moved_pivot, "eccentricity": out_of_round}
+"""A slider has no pivot."""
+EITHER = {"axis_tilt": tilted, "screw_pitch": helix, "wobble": rocking}
+
+
 @pytest.mark.parametrize(
-    "name, shape",
+    "kind, name, shape",
     [
-        ("axis_tilt", tilted),
-        ("pivot_offset", moved_pivot),
-        ("screw_pitch", helix),
-        ("eccentricity", out_of_round),
-        ("wobble", rocking),
+        *(("revolute", *of) for of in {**HINGES, **EITHER}.items()),
+        *(("prismatic", *of) for of in EITHER.items()),
     ],
 )
 def test_every_geometry_effect_is_named(tmp_path: Path, kind: str, name: str, shape):
-    if kind == "prismatic" and name in ("pivot_offset", "eccentricity"):
-        pytest.skip("a slider has no pivot")
     found = found_in(tmp_path, kind, shape(kind))
     assert (found.verdict, [e.name for e in found.effects]) == ("named", [name]), found.ranking[:4]
     for track in found.tracks:

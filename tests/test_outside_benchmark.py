@@ -57,8 +57,6 @@ def test_clips_follow_from_the_data_alone(tmp_path):
 
 @pytest.mark.parametrize("path", sorted((ROOT / "benchmarks").glob("*.py")), ids=lambda path: path.stem)
 def test_every_benchmark_is_imported_and_says_what_it_is(path):
-    if path.stem == "mujoco_sysid":
-        pytest.importorskip("absl", reason="mujoco[sysid]")
     assert importlib.import_module(f"benchmarks.{path.stem}").__doc__
 
 
