@@ -42,10 +42,11 @@ def of_session(session: int) -> list[str]:
 
 def left_running(session: int, patience_s: float = 3.0) -> list[str]:
     """What lives of a session when it has had a moment to end."""
-    deadline = time.monotonic() + patience_s
-    while (left := of_session(session)) and time.monotonic() < deadline:
+    for _ in range(int(patience_s / 0.1)):
+        if not of_session(session):
+            break
         time.sleep(0.1)
-    return left
+    return of_session(session)
 
 
 def left_half_written(out: Path) -> list[str]:
@@ -59,28 +60,30 @@ def left_half_written(out: Path) -> list[str]:
     ]
 
 
-def stop(arguments: list[str], out: Path, after_s: float, to_all: bool, twice: bool) -> tuple[int, list[str]]:
-    """Exit code of a command that is asked to stop after `after_s` seconds, and what was wrong.
+def stop(arguments: list[str], out: Path, files: int, to_all: bool, twice: bool) -> tuple[int, list[str]]:
+    """Exit code of a command that is asked to stop once it has written `files` files, and what was wrong.
 
     `to_all`: the signal goes to all of its processes, as from a terminal, not to the command alone; `twice`: it comes
     again a moment later.
     """
-    running, wrong, is_stopped = start(arguments, out), [], False
+    running, wrong = start(arguments, out), []
     tell = os.killpg if to_all else os.kill
+    while (
+        running.poll() is None
+        and sum(len(names) for place, _, names in os.walk(out) if place != str(out / "tmp")) < files
+    ):
+        time.sleep(0.01)
+    is_stopped = running.poll() is None
+    for _ in range(1 + twice):
+        if running.poll() is None:
+            tell(running.pid, signal.SIGINT)
+        time.sleep(0.1 * twice)
     try:
-        _, errors = running.communicate(timeout=after_s)
+        _, errors = running.communicate(timeout=90)
     except subprocess.TimeoutExpired:
-        is_stopped = True
-        for _ in range(1 + twice):
-            if running.poll() is None:
-                tell(running.pid, signal.SIGINT)
-            time.sleep(0.1 * twice)
-        try:
-            _, errors = running.communicate(timeout=90)
-        except subprocess.TimeoutExpired:
-            wrong.append("did not end")
-            os.killpg(running.pid, signal.SIGKILL)
-            _, errors = running.communicate()
+        wrong.append("did not end")
+        os.killpg(running.pid, signal.SIGKILL)
+        _, errors = running.communicate()
     lines = [line for line in errors.splitlines() if line.strip()]
     if running.returncode == 130 and (len(lines) != 1 or not lines[0].startswith("freeart21: stopped")):
         wrong.append(f"not one line: {errors[-2000:]}")
